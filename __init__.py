@@ -1,0 +1,1 @@
+"""gridtrack: occupancy-grid trackers side by side, on one stream, under one referee."""

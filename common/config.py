@@ -1,0 +1,61 @@
+"""Configuration: frozen models that refuse unknown keys, and `NAME:key=value` from the command line."""
+
+from __future__ import annotations
+
+import json
+from typing import Any, TypeVar
+
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from gridtrack.common.errors import ConfigurationError, did_you_mean
+
+
+class Settings(BaseModel):
+    """Base of every configuration model: frozen, and an unknown key is an error."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", validate_default=True, allow_inf_nan=False)
+
+
+Model = TypeVar("Model", bound=BaseModel)
+
+
+def parse_pairs(text: str, where: str) -> dict[str, Any]:
+    """Read `key=value,key=value`; a value is JSON where it reads as JSON, else a string.
+
+    Raises ConfigurationError for a part without `=`, an empty key or a key given twice.
+    """
+    pairs: dict[str, Any] = {}
+    for part in filter(None, (p.strip() for p in text.split(","))):
+        key, equals, value = part.partition("=")
+        key = key.strip().replace("-", "_")
+        if not equals or not key:
+            raise ConfigurationError(f"{where}: '{part}' is not of the form key=value")
+        if key in pairs:
+            raise ConfigurationError(f"{where}: '{key}' is given twice")
+        pairs[key] = _value(value.strip())
+    return pairs
+
+
+def _value(text: str) -> Any:
+    try:
+        return json.loads(text)
+    except json.JSONDecodeError:
+        return text
+
+
+def validated(model: type[Model], values: dict[str, Any], where: str) -> Model:
+    """`model(**values)`, with every complaint as one clear line and a suggestion for an unknown key.
+
+    Raises ConfigurationError.
+    """
+    try:
+        return model.model_validate(values)
+    except ValidationError as error:
+        raise ConfigurationError("; ".join(_complaint(model, e, where) for e in error.errors())) from None
+
+
+def _complaint(model: type[BaseModel], error: Any, where: str) -> str:
+    key = ".".join(str(part) for part in error["loc"])
+    if error["type"] == "extra_forbidden":
+        return f"{where}: there is no option '{key}'; {did_you_mean(key, model.model_fields)}"
+    return f"{where}: '{key}' = {error['input']!r}: {error['msg']}"

@@ -1,0 +1,35 @@
+"""Errors that a user can cause; the command line turns each into one line and exit code 2."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+
+
+class GridtrackError(Exception):
+    """Root of every error gridtrack raises on purpose: the message says what is wrong, where, and what to do."""
+
+
+class ConfigurationError(GridtrackError):
+    """An option, name or value that does not fit."""
+
+
+class RecordingError(GridtrackError):
+    """A recording that cannot be read, or not in full."""
+
+
+class WeightsError(GridtrackError):
+    """Learned weights that are missing, damaged, or made for another grid or period."""
+
+
+class PluginError(GridtrackError):
+    """A tracker plugin that is unknown, or that cannot be loaded."""
+
+
+def did_you_mean(name: str, known: Iterable[str]) -> str:
+    """A suggestion to end an error line with: the nearest known name, or all of them when none is near."""
+    names = sorted(known)
+    near = difflib.get_close_matches(name, names, n=1, cutoff=0.6)
+    if near:
+        return f"did you mean '{near[0]}'?"
+    return "known: " + ", ".join(names) if names else "there are none"

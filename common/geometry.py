@@ -1,0 +1,43 @@
+"""Rigid motion in the plane."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True, slots=True)
+class SE2:
+    """A planar pose `target_T_source`: x and y in metres, theta in radians, counter-clockwise."""
+
+    x: float = 0.0
+    y: float = 0.0
+    theta: float = 0.0
+
+    def __matmul__(self, other: SE2) -> SE2:
+        """Chain poses: `a_T_b @ b_T_c` is `a_T_c`."""
+        c, s = math.cos(self.theta), math.sin(self.theta)
+        return SE2(
+            self.x + c * other.x - s * other.y,
+            self.y + s * other.x + c * other.y,
+            wrap_angle(self.theta + other.theta),
+        )
+
+    def inverse(self) -> SE2:
+        """`source_T_target`."""
+        c, s = math.cos(self.theta), math.sin(self.theta)
+        return SE2(-c * self.x - s * self.y, s * self.x - c * self.y, -self.theta)
+
+    def apply(self, points: NDArray[Any]) -> NDArray[np.float64]:
+        """Points (N, 2) in metres, source frame -> (N, 2), target frame."""
+        c, s = math.cos(self.theta), math.sin(self.theta)
+        return np.asarray(points, np.float64) @ np.array([[c, s], [-s, c]]) + np.array([self.x, self.y])
+
+
+def wrap_angle(theta: float) -> float:
+    """The same angle in [-pi, pi)."""
+    return (theta + math.pi) % (2.0 * math.pi) - math.pi

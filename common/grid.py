@@ -1,0 +1,103 @@
+"""The occupancy grid: its geometry (GridSpec) and one observation of it (GridFrame)."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gridtrack.common.errors import ConfigurationError
+from gridtrack.common.geometry import SE2
+
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True)
+class GridSpec:
+    """M x M square cells parallel to the ground.
+
+    Array index [row, column]; cell [r, c] covers `origin_m + [c, c+1) cell_m` in x and `origin_m + [r, r+1) cell_m`
+    in y of the grid frame. Without an origin the grid is centred on the grid frame's origin.
+    """
+
+    size: int = 100
+    cell_m: float = 0.2
+    origin_m: tuple[float, float] | None = None
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.size <= 4096:
+            raise ConfigurationError(f"grid: {self.size} cells a side; expected 1 to 4096")
+        if not 0.001 <= self.cell_m <= 100.0:
+            raise ConfigurationError(f"grid: a cell of {self.cell_m} m; expected 0.001 to 100 m")
+        if self.origin_m is None:
+            half = -self.size * self.cell_m / 2.0
+            object.__setattr__(self, "origin_m", (half, half))
+        elif not np.isfinite(self.origin_m).all():
+            raise ConfigurationError(f"grid: origin {self.origin_m} is not finite")
+
+    @property
+    def origin(self) -> tuple[float, float]:
+        """Lower-left corner (x, y) of cell [0, 0], metres, grid frame."""
+        assert self.origin_m is not None
+        return self.origin_m
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(M, M)."""
+        return (self.size, self.size)
+
+    @property
+    def extent(self) -> tuple[float, float, float, float]:
+        """(x_min, x_max, y_min, y_max) in metres, as matplotlib's and plotly's images want it."""
+        x, y = self.origin
+        side = self.size * self.cell_m
+        return (x, x + side, y, y + side)
+
+    @classmethod
+    def parse(cls, text: str) -> GridSpec:
+        """Read `100x0.2` (cells x metres), optionally with the lower-left corner: `100x0.1@-2,-4.5`.
+
+        Raises ConfigurationError.
+        """
+        number = r"[-+]?\d+(?:\.\d*)?(?:[eE][-+]?\d+)?|[-+]?\.\d+"
+        match = re.fullmatch(rf"(\d+)x({number})(?:@({number}),({number}))?", text.strip())
+        if not match:
+            raise ConfigurationError(f"grid '{text}': expected CELLSxMETRES such as 100x0.2, or 100x0.1@-2,-4.5")
+        size, cell, x, y = match.groups()
+        return cls(int(size), float(cell), None if x is None else (float(x), float(y)))
+
+    def __str__(self) -> str:
+        x, y = self.origin
+        return f"{self.size}x{self.cell_m:g}@{x:g},{y:g}"
+
+    def cell_centres(self, cells: Mask) -> NDArray[np.float32]:
+        """Centres (N, 2) float32 of the marked cells, metres, grid frame, in row-major order."""
+        rows, columns = np.nonzero(cells)
+        return (np.stack([columns, rows], axis=1) + 0.5).astype(np.float32) * np.float32(self.cell_m) + np.array(
+            self.origin, np.float32
+        )
+
+    def cells_of(self, points: NDArray[np.floating]) -> tuple[NDArray[np.int64], Mask]:
+        """Cell indices (N, 2) as [row, column] of points (N, 2) in the grid frame, and which of them lie inside (N,)."""
+        scaled = np.floor((np.asarray(points, np.float64) - np.array(self.origin)) / self.cell_m).astype(np.int64)
+        return scaled[:, ::-1], ((scaled >= 0) & (scaled < self.size)).all(axis=1)
+
+
+@dataclass(frozen=True, slots=True)
+class GridFrame:
+    """One grid observation x_t.
+
+    `visible`, `occupied` (M, M) bool, occupied within visible; `world_T_grid` the pose of the grid frame;
+    `origins` (S, 2) float32, where the sensors stand, metres, grid frame; `points` (N, 2) float32, the returns inside
+    the grid window, metres, grid frame, each from sensor `point_origin` (N,) uint8.
+    """
+
+    stamp_ns: int
+    visible: Mask
+    occupied: Mask
+    world_T_grid: SE2
+    origins: NDArray[np.float32]
+    points: NDArray[np.float32]
+    point_origin: NDArray[np.uint8]

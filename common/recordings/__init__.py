@@ -1,0 +1,1 @@
+"""Recordings of laser scans: the native MCAP form, imports from other formats, resampling to a fixed period."""

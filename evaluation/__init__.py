@@ -1,0 +1,1 @@
+"""The runner, the referee, metrics and scores."""

@@ -1,0 +1,1 @@
+"""The floor of every comparison: persistence, static map, blank."""

@@ -1,0 +1,1 @@
+"""The model-free pipeline: clusters, association, state estimation."""

@@ -1,0 +1,1 @@
+"""Recurrent networks: the dilated ConvGRU and the Deep Tracking RNN."""

@@ -1,0 +1,171 @@
+"""What a tracker learned for a site: a readable `.toml` card, and the arrays in the `.safetensors` beside it.
+
+The card carries the grid, the period, the training recordings' hashes, the seed and the command that made it, so that
+weights used on another grid or period are refused by name instead of broadcast.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import tomllib
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tomli_w
+from numpy.typing import NDArray
+from pydantic import ValidationError
+from safetensors import SafetensorError
+from safetensors.numpy import load, save
+
+from gridtrack.common.config import Settings
+from gridtrack.common.errors import WeightsError
+from gridtrack.common.grid import GridSpec
+from gridtrack.trackers.contract import FitOutput, FrameSource, StreamSpec
+
+SCHEMA = 1
+MAX_BYTES = 1 << 30
+
+
+class TrainingData(Settings):
+    """A stretch that weights were made from."""
+
+    recording: str
+    sha256: str
+
+
+class Card(Settings):
+    """The readable half of a tracker's weights."""
+
+    schema_version: int = SCHEMA
+    tracker: str
+    site: str
+    grid: str
+    period_s: float
+    seed: int
+    command: str
+    train: tuple[TrainingData, ...]
+    validation: tuple[TrainingData, ...] = ()
+    arrays_sha256: str = ""
+    settings: dict[str, Any] = {}
+    results: dict[str, Any] = {}
+
+
+@dataclass(frozen=True)
+class Weights:
+    """A card and its arrays, checked against each other."""
+
+    card: Card
+    arrays: dict[str, NDArray[Any]]
+
+
+def card_for(
+    tracker: str,
+    out: FitOutput,
+    train: Iterable[FrameSource],
+    validation: Iterable[FrameSource],
+    settings: Mapping[str, Any],
+    results: Mapping[str, Any] | None = None,
+) -> Card:
+    """The card of what `fit` has just learned from `train`.
+
+    Raises WeightsError where the training stretches differ in grid, period or site.
+    """
+    sources = list(train)
+    kinds = {(str(s.grid), s.period_s, s.site) for s in sources}
+    if len(kinds) != 1:
+        raise WeightsError(f"{tracker}: train on recordings of one grid, period and site; found {sorted(kinds)}")
+    (grid, period_s, site) = kinds.pop()
+    return Card(
+        tracker=tracker,
+        site=site,
+        grid=grid,
+        period_s=period_s,
+        seed=out.seed,
+        command=out.command,
+        train=tuple(TrainingData(recording=s.name, sha256=s.sha256) for s in sources),
+        validation=tuple(TrainingData(recording=s.name, sha256=s.sha256) for s in validation),
+        settings=dict(settings),
+        results=dict(results or {}),
+    )
+
+
+def save_weights(path: Path, card: Card, arrays: Mapping[str, NDArray[Any]]) -> None:
+    """Write `path` (`.toml`) and, where there are arrays, the `.safetensors` beside it; either is replaced whole."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    if arrays:
+        blob = save({name: np.ascontiguousarray(array) for name, array in arrays.items()})
+        card = card.model_copy(update={"arrays_sha256": hashlib.sha256(blob).hexdigest()})
+        _replace(path.with_suffix(".safetensors"), blob)
+    _replace(path, tomli_w.dumps(card.model_dump(mode="json")).encode())
+
+
+def _replace(path: Path, content: bytes) -> None:
+    partial = path.with_name(path.name + ".partial")
+    partial.write_bytes(content)
+    partial.replace(path)
+
+
+def read_card(path: Path) -> Card:
+    """The card at `path`. Raises WeightsError."""
+    try:
+        card = Card.model_validate(tomllib.loads(path.read_text()))
+    except OSError as error:
+        raise WeightsError(f"{path}: cannot be read ({error.strerror})") from None
+    except (UnicodeDecodeError, tomllib.TOMLDecodeError, ValidationError) as error:
+        raise WeightsError(f"{path}: not a weights card of gridtrack ({error})") from None
+    if card.schema_version != SCHEMA:
+        raise WeightsError(f"{path}: schema {card.schema_version}; this gridtrack reads {SCHEMA}: train again")
+    return card
+
+
+def load_weights(stream: StreamSpec, tracker: str) -> Weights:
+    """The weights that `stream` names, checked: whole, this tracker's, and made for this grid and period.
+
+    Raises WeightsError.
+    """
+    path = stream.weights
+    if path is None:
+        raise WeightsError(
+            f"{tracker}: no weights for site '{stream.site}'; make them with `gridtrack train {tracker}`"
+        )
+    card = read_card(path)
+    for what, made_for, found in (
+        ("tracker", card.tracker, tracker),
+        ("grid", str(GridSpec.parse(card.grid)), str(stream.grid)),
+    ):
+        if made_for != found:
+            raise WeightsError(f"{path}: made for {what} {made_for}, but this is {found}")
+    if abs(card.period_s - stream.period_s) > 1e-3 * card.period_s:
+        raise WeightsError(
+            f"{path}: made for a period of {card.period_s:g} s ({1 / card.period_s:g} Hz), but this stream's is"
+            f" {stream.period_s:g} s: compare with --rate {1 / card.period_s:g}, or train for this rate"
+        )
+    return Weights(card, _read_arrays(path.with_suffix(".safetensors"), card.arrays_sha256))
+
+
+def _read_arrays(path: Path, sha256: str) -> dict[str, NDArray[Any]]:
+    if not sha256:
+        return {}
+    try:
+        if path.stat().st_size > MAX_BYTES:
+            raise WeightsError(f"{path}: {path.stat().st_size} bytes; weights of more than {MAX_BYTES} are refused")
+        blob = path.read_bytes()
+        if hashlib.sha256(blob).hexdigest() != sha256:
+            raise WeightsError(f"{path}: its sha256 is not the one on its card: the file is damaged or was exchanged")
+        return load(blob)
+    except OSError as error:
+        raise WeightsError(f"{path}: cannot be read ({error.strerror})") from None
+    except SafetensorError as error:
+        raise WeightsError(f"{path}: not a safetensors file ({error})") from None
+
+
+def array(weights: Weights, name: str, shape: tuple[int, ...]) -> NDArray[Any]:
+    """One array by name, its shape checked. Raises WeightsError."""
+    found = weights.arrays.get(name)
+    if found is None or found.shape != shape:
+        what = "missing" if found is None else f"{found.shape}"
+        raise WeightsError(f"weights of {weights.card.tracker}: array '{name}' is {what}, expected {shape}")
+    return found
