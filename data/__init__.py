@@ -1,1 +1,1 @@
-"""Small recordings, their licences, and trained weights; inside the wheel, so that an installed gridtrack has its demo."""
+"""Small recordings with their licences, and trained weights: inside the wheel, so an installed gridtrack has them."""

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import tomli_w
 from numpy.typing import NDArray
-from pydantic import ValidationError
+from pydantic import Field, ValidationError
 from safetensors import SafetensorError
 from safetensors.numpy import load, save
 
@@ -49,8 +49,8 @@ class Card(Settings):
     train: tuple[TrainingData, ...]
     validation: tuple[TrainingData, ...] = ()
     arrays_sha256: str = ""
-    settings: dict[str, Any] = {}
-    results: dict[str, Any] = {}
+    settings: dict[str, Any] = Field(default_factory=dict)
+    results: dict[str, Any] = Field(default_factory=dict)
 
 
 @dataclass(frozen=True)
