@@ -1,0 +1,55 @@
+"""Scores of pooled counts, per step and stratum; NaN where a score is undefined."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gridtrack.evaluation.counting import Tally
+
+Scores = NDArray[np.float64]
+
+
+def f1_score(confusion: NDArray[np.int64]) -> Scores:
+    """F1 (...) of TP, FP, FN, TN (..., 4): 2 TP / (2 TP + FP + FN); undefined where no cell was occupied."""
+    tp, fp, fn = (confusion[..., i] for i in range(3))
+    return _ratio(2 * tp, 2 * tp + fp + fn, defined=tp + fn > 0)
+
+
+def precision(confusion: NDArray[np.int64]) -> Scores:
+    """TP / (TP + FP) (...) of TP, FP, FN, TN (..., 4); undefined where nothing was called occupied."""
+    return _ratio(confusion[..., 0], confusion[..., 0] + confusion[..., 1])
+
+
+def recall(confusion: NDArray[np.int64]) -> Scores:
+    """TP / (TP + FN) (...) of TP, FP, FN, TN (..., 4); undefined where no cell was occupied."""
+    return _ratio(confusion[..., 0], confusion[..., 0] + confusion[..., 2])
+
+
+def average_precision(tally: Tally) -> Scores:
+    """Area under the precision-recall curve (S, K): precision weighted by the gain in recall, over the bins' edges."""
+    true_positive = tally.positives[..., ::-1].cumsum(axis=-1)
+    called = tally.cells[..., ::-1].cumsum(axis=-1)
+    gain = _ratio(tally.positives[..., ::-1], true_positive[..., -1:])
+    return (gain * np.nan_to_num(_ratio(true_positive, called))).sum(axis=-1)
+
+
+def brier_score(tally: Tally) -> Scores:
+    """Mean squared error of the probability (S, K)."""
+    return _ratio(tally.squared_error, tally.cells.sum(axis=-1))
+
+
+def log_loss(tally: Tally) -> Scores:
+    """Mean negative log likelihood of a cell (S, K), nats."""
+    return _ratio(tally.log_loss, tally.cells.sum(axis=-1))
+
+
+def calibration_error(tally: Tally) -> Scores:
+    """Expected calibration error (S, K): |mean probability - share occupied| of each bin, weighted by its cells."""
+    return _ratio(np.abs(tally.p_sum - tally.positives).sum(axis=-1), tally.cells.sum(axis=-1))
+
+
+def _ratio(part: NDArray[np.generic], whole: NDArray[np.generic], defined: NDArray[np.bool_] | None = None) -> Scores:
+    part, whole = np.broadcast_arrays(np.asarray(part, np.float64), np.asarray(whole, np.float64))
+    out = np.full(part.shape, np.nan)
+    return np.divide(part, whole, out=out, where=(whole > 0) if defined is None else (defined & (whole > 0)))

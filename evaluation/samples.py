@@ -1,0 +1,171 @@
+"""The scored samples kept for viewing: an MCAP file of grids that opens in Foxglove, and that reports read back.
+
+A sample has log time t, when its forecast was made: `/input` is x_t, `/came/1s` the frame one second later and
+`/forecast/1s` what was forecast for it. Probabilities are kept in 255 steps.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+from foxglove_schemas_protobuf.Grid_pb2 import Grid
+from foxglove_schemas_protobuf.PackedElementField_pb2 import PackedElementField
+from google.protobuf.message import DecodeError
+from mcap.exceptions import McapError
+from mcap.reader import NonSeekingReader
+from mcap_protobuf.writer import Writer
+from numpy.typing import NDArray
+
+from gridtrack.common.errors import GridtrackError
+from gridtrack.common.grid import GridSpec, Mask
+from gridtrack.evaluation.referee import Moment, Schedule
+
+SAMPLES = "forecasts.mcap"
+KEPT = 40
+"""Samples kept of a trial: the same moments for every tracker, evenly spaced over the scored frames."""
+HORIZONS_S = (0.5, 1.0, 2.0)
+MAX_MESSAGE_BYTES = 1 << 26
+OCCUPANCY_FIELDS = ("visible", "occupied")
+PROBABILITY_FIELDS = ("probability",)
+
+
+class SamplesError(GridtrackError):
+    """A file of samples that cannot be read."""
+
+
+@dataclass(frozen=True, slots=True)
+class Sample:
+    """A forecast kept for viewing, and what came.
+
+    `visible`, `occupied` (M, M) bool: x_t; per horizon H: `forecast` (H, M, M) float32 in [0, 1], and
+    `came_visible`, `came_occupied` (H, M, M) bool, the frame that it was a forecast of.
+    """
+
+    stamp_ns: int
+    horizons_s: tuple[float, ...]
+    grid: GridSpec
+    visible: Mask
+    occupied: Mask
+    forecast: NDArray[np.float32]
+    came_visible: Mask
+    came_occupied: Mask
+
+
+def kept_moments(schedule: Schedule) -> frozenset[int]:
+    """Which scored frames (0 .. expected-1) are kept for viewing."""
+    expected = schedule.expected
+    return frozenset(np.linspace(0, expected - 1, min(KEPT, expected)).round().astype(int).tolist())
+
+
+class SampleWriter:
+    """Writes samples; closing it leaves a whole file."""
+
+    def __init__(self, path: Path, grid: GridSpec, period_s: float, steps: int) -> None:
+        self._grid = grid
+        steps_of = {h: round(h / period_s) for h in HORIZONS_S}
+        self._steps = {h: step for h, step in steps_of.items() if 1 <= step <= steps}
+        self._file = path.open("wb")
+        self._writer = Writer(self._file)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        with self._file:
+            self._writer.finish()
+
+    def add(self, moment: Moment) -> None:
+        """Keep one moment."""
+        stamp_ns, frames = moment.stamp_ns, moment.frames
+        self._write("/input", stamp_ns, _planes(frames[0].visible, frames[0].occupied), OCCUPANCY_FIELDS)
+        for horizon, step in self._steps.items():
+            came = frames[step]
+            self._write(f"/came/{horizon:g}s", stamp_ns, _planes(came.visible, came.occupied), OCCUPANCY_FIELDS)
+            probability = (moment.forecast.occupancy[step] * 255).round().astype(np.uint8)
+            self._write(f"/forecast/{horizon:g}s", stamp_ns, probability[..., None], PROBABILITY_FIELDS)
+
+    def _write(self, topic: str, stamp_ns: int, planes: NDArray[np.uint8], fields: tuple[str, ...]) -> None:
+        message = _message(self._grid, stamp_ns, planes, fields)
+        self._writer.write_message(topic, message, log_time=stamp_ns, publish_time=stamp_ns)
+
+
+def _planes(visible: Mask, occupied: Mask) -> NDArray[np.uint8]:
+    """Two planes (M, M, 2) uint8, 255 where the cell is visible, and where it is occupied."""
+    return np.stack([visible, occupied], axis=-1).astype(np.uint8) * np.uint8(255)
+
+
+def _message(grid: GridSpec, stamp_ns: int, planes: NDArray[np.uint8], fields: tuple[str, ...]) -> Any:
+    message = Grid(frame_id="grid", column_count=grid.size, data=planes.tobytes())
+    message.timestamp.FromNanoseconds(stamp_ns)
+    message.pose.position.x, message.pose.position.y = grid.origin
+    message.pose.orientation.w = 1.0
+    message.cell_size.x = message.cell_size.y = grid.cell_m
+    message.cell_stride = len(fields)
+    message.row_stride = len(fields) * grid.size
+    for offset, name in enumerate(fields):
+        message.fields.append(PackedElementField(name=name, offset=offset, type=PackedElementField.UINT8))
+    return message
+
+
+def read_samples(path: Path) -> Iterator[Sample]:
+    """The samples of a trial in the order of their stamps, one at a time in memory.
+
+    Raises SamplesError where the file is not a whole one of this form; the samples before the damage come first.
+    """
+    stamp_ns: int | None = None
+    topics: dict[str, Any] = {}
+    try:
+        with path.open("rb") as file:
+            reader = NonSeekingReader(file, validate_crcs=True, record_size_limit=MAX_MESSAGE_BYTES)
+            for _, channel, record in reader.iter_messages(log_time_order=False):
+                if stamp_ns is not None and record.log_time != stamp_ns:
+                    yield _sample(stamp_ns, topics)
+                    topics = {}
+                stamp_ns = record.log_time
+                topics[channel.topic] = Grid.FromString(record.data)
+        if stamp_ns is not None:
+            yield _sample(stamp_ns, topics)
+    except (OSError, McapError, DecodeError, ValueError, KeyError) as error:
+        raise SamplesError(f"{path}: cannot be read as samples ({error or type(error).__name__})") from None
+
+
+def _sample(stamp_ns: int, topics: dict[str, Any]) -> Sample:
+    """One sample from its grids by topic. Raises KeyError or ValueError where they do not fit together."""
+    size = topics["/input"].column_count
+    cell_m, corner = topics["/input"].cell_size.x, topics["/input"].pose.position
+    grid = GridSpec(size, cell_m, (corner.x, corner.y))
+    horizons = tuple(sorted(_seconds(topic) for topic in topics if topic.startswith("/forecast/")))
+    occupancy = [_decoded(topics["/input"], grid, OCCUPANCY_FIELDS) == 255]
+    occupancy += [_decoded(topics[f"/came/{h:g}s"], grid, OCCUPANCY_FIELDS) == 255 for h in horizons]
+    forecast = np.zeros((len(horizons), *grid.shape), np.float32)
+    for i, h in enumerate(horizons):
+        forecast[i] = _decoded(topics[f"/forecast/{h:g}s"], grid, PROBABILITY_FIELDS)[..., 0] / np.float32(255)
+    came = np.array(occupancy[1:], bool).reshape(len(horizons), *grid.shape, 2)
+    return Sample(
+        stamp_ns, horizons, grid, occupancy[0][..., 0], occupancy[0][..., 1], forecast, came[..., 0], came[..., 1]
+    )
+
+
+def _seconds(topic: str) -> float:
+    """The horizon in a topic's name: `/forecast/0.5s` is 0.5."""
+    seconds = float(topic.rpartition("/")[2].removesuffix("s"))
+    if not math.isfinite(seconds):
+        raise ValueError(f"topic '{topic}' names no horizon")
+    return seconds
+
+
+def _decoded(message: Any, grid: GridSpec, fields: tuple[str, ...]) -> NDArray[np.uint8]:
+    """A grid's fields as (M, M, F) uint8, its layout checked before it is believed."""
+    layout = (message.column_count, message.cell_stride, message.row_stride, len(message.data))
+    expected = (grid.size, len(fields), len(fields) * grid.size, len(fields) * grid.size**2)
+    if layout != expected or tuple(field.name for field in message.fields) != fields:
+        raise ValueError(f"a grid of layout {layout}, expected {expected} with fields {fields}")
+    return np.frombuffer(message.data, np.uint8).reshape(grid.size, grid.size, len(fields))
