@@ -1,1 +1,5 @@
-"""The model-free pipeline: clusters, association, state estimation."""
+"""The model-free pipeline: static background, clusters, gated association, Kalman filter, life of a track, forecast."""
+
+from gridtrack.trackers.model_free.tracker import KalmanTracker
+
+__all__ = ["KalmanTracker"]
