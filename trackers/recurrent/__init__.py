@@ -1,1 +1,61 @@
-"""Recurrent networks: the dilated ConvGRU and the Deep Tracking RNN."""
+"""Recurrent networks as trackers: the dilated ConvGRU and the original Deep Tracking RNN."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, ClassVar
+
+from torch import nn
+
+from gridtrack.trackers.recurrent.deep_tracking_rnn import DeepTrackingRNN, DeepTrackingRNNSettings
+from gridtrack.trackers.recurrent.dilated_convgru import DilatedConvGRU, DilatedConvGRUSettings
+from gridtrack.trackers.recurrent.network import start_from_rate
+from gridtrack.trackers.recurrent.settings import TrainingSettings
+from gridtrack.trackers.recurrent.tracker import RecurrentTracker
+
+
+class DilatedConvGRUOptions(DilatedConvGRUSettings, TrainingSettings):
+    """Shape and training of the dilated ConvGRU."""
+
+
+class DeepTrackingRNNOptions(DeepTrackingRNNSettings, TrainingSettings):
+    """Shape and training of the Deep Tracking RNN."""
+
+
+class DilatedConvGRUTracker(RecurrentTracker):
+    """The dilated ConvGRU with static memory (Ondruska et al., 2016)."""
+
+    name = "dilated-convgru"
+    Options: ClassVar[type[DilatedConvGRUOptions]] = DilatedConvGRUOptions
+
+    @classmethod
+    def build(cls, size: int, options: Any, classes: int) -> nn.Module:
+        """The untrained network."""
+        return DilatedConvGRU(size, options, classes)
+
+    @classmethod
+    def prepare_training(cls, network: Any, rate: float, report: Callable[[str], None]) -> None:
+        """Output bias at the occupied rate; the gates fused into one kernel."""
+        from gridtrack.trackers.recurrent.training import compiled
+
+        start_from_rate(network.decode_occupancy, rate)
+        gates = compiled(network.layers[0].gates, report)
+        for layer in network.layers:
+            layer.gates = gates
+
+
+class DeepTrackingRNNTracker(RecurrentTracker):
+    """The original Deep Tracking RNN (Ondruska and Posner, 2016)."""
+
+    name = "deep-tracking-rnn"
+    Options: ClassVar[type[DeepTrackingRNNOptions]] = DeepTrackingRNNOptions
+
+    @classmethod
+    def build(cls, size: int, options: Any, classes: int) -> nn.Module:
+        """The untrained network; it has no classes."""
+        return DeepTrackingRNN(size, options)
+
+    @classmethod
+    def prepare_training(cls, network: Any, rate: float, report: Callable[[str], None]) -> None:
+        """Output bias at the occupied rate."""
+        start_from_rate(network.decode, rate)

@@ -1,0 +1,71 @@
+"""The original Deep Tracking RNN (Ondruska and Posner, AAAI 2016).
+
+    e = sigmoid(We*x)       encoder
+    h' = sigmoid(Wh*[e, h]) recurrence
+    y = sigmoid(Wy*h')      decoder
+
+One recurrent layer, stride 1, "same" padding, h_0 = 0. The published code's version 1.1 has 7x7 convolutions
+throughout and 78,449 parameters (the default); the paper's own 1.0 has 11,193 (`variant="paper"`).
+"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import torch
+from torch import Tensor, nn
+
+from gridtrack.common.config import Settings
+from gridtrack.trackers.recurrent.network import State
+
+
+class DeepTrackingRNNSettings(Settings):
+    """The shape of the network: the published code's version 1.1, or the paper's 1.0."""
+
+    variant: Literal["code", "paper"] = "code"
+
+
+ENCODER = {"code": (16, 7), "paper": (8, 7)}
+RECURRENCE = {"code": (32, 7), "paper": (16, 5)}
+
+
+class DeepTrackingRNN(nn.Module):
+    """The network: x_t (B, 2, M, M) and its one state h (B, C, M, M)."""
+
+    def __init__(self, size: int, settings: DeepTrackingRNNSettings) -> None:
+        super().__init__()
+        (encoded, encoder_kernel), (channels, kernel) = ENCODER[settings.variant], RECURRENCE[settings.variant]
+        self.size, self.channels = size, channels
+        self.encode = nn.Conv2d(2, encoded, encoder_kernel, padding="same")
+        self.recur = nn.Conv2d(encoded + channels, channels, kernel, padding="same")
+        self.decode = nn.Conv2d(channels, 1, 7, padding="same")
+        for convolution in (self.encode, self.recur, self.decode):
+            nn.init.xavier_uniform_(convolution.weight, gain=nn.init.calculate_gain("sigmoid"))
+            nn.init.zeros_(convolution.bias)  # type: ignore[arg-type]
+
+    def initial(self, batch: int) -> State:
+        """h_0 = 0."""
+        zero = self.decode.weight.new_zeros((batch, self.channels, self.size, self.size))
+        return (zero.contiguous(memory_format=torch.channels_last),)
+
+    def step(self, x: Tensor | None, state: State) -> State:
+        """h_t. An empty input is encoded as what the encoder's bias says, the same in every cell."""
+        (h,) = state
+        if x is None:
+            bias = torch.sigmoid(self.encode.bias)  # type: ignore[arg-type]
+            e = bias.view(1, -1, 1, 1).expand(h.shape[0], -1, self.size, self.size)
+        else:
+            e = torch.sigmoid(self.encode(x))
+        return (torch.sigmoid(self.recur(torch.cat([e, h], dim=1))),)
+
+    def features(self, state: State) -> Tensor:
+        """The state itself."""
+        return state[0]
+
+    def occupancy(self, features: Tensor) -> Tensor:
+        """Logits of P(occupied), (B, M, M)."""
+        logits: Tensor = self.decode(features)
+        return logits.squeeze(1)
+
+    def semantics(self, features: Tensor) -> None:
+        """This network has no classes."""

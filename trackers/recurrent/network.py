@@ -1,0 +1,52 @@
+"""What a recurrent network must offer to be trained and run as a tracker."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, Protocol
+
+import torch
+from torch import Tensor, nn
+
+State = tuple[Tensor, ...]
+"""The latent state: one tensor (B, C, M, M) for each recurrent layer."""
+
+
+class RecurrentNetwork(Protocol):
+    """A network that carries a latent state from frame to frame and decodes it into grids."""
+
+    def initial(self, batch: int) -> State:
+        """h_0."""
+        ...
+
+    def step(self, x: Tensor | None, state: State) -> State:
+        """h_t from x_t (B, 2, M, M), the planes visible and occupied, and h_{t-1}. None is the empty input."""
+        ...
+
+    def features(self, state: State) -> Tensor:
+        """The part of the latent state that the decoders read, (B, C, M, M)."""
+        ...
+
+    def occupancy(self, features: Tensor) -> Tensor:
+        """Logits of P(occupied), (B, M, M)."""
+        ...
+
+    def semantics(self, features: Tensor) -> Tensor | None:
+        """Logits of the K classes, (B, K, M, M); None for a network without classes."""
+        ...
+
+
+def channels_last(network: nn.Module) -> Any:
+    """The network with its convolutions' memory laid out as the processor is fastest at."""
+    to: Any = network.to
+    return to(memory_format=torch.channels_last)
+
+
+def start_from_rate(decoder: nn.Conv2d, rate: float) -> None:
+    """Set the output bias so that an untrained network answers the occupied `rate` in (0, 1), not one half.
+
+    Occupied cells are some 2 % of the visible ones; without this the first updates are spent on learning that number.
+    """
+    assert decoder.bias is not None
+    with torch.no_grad():
+        decoder.bias.fill_(math.log(rate / (1.0 - rate)))

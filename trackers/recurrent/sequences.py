@@ -1,0 +1,70 @@
+"""Training sequences: windows of frames, some shown and some withheld, in a seeded order."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+from torch.utils.data import Dataset, Sampler
+
+from gridtrack.common.errors import ConfigurationError
+from gridtrack.trackers.contract import FrameSource
+
+
+def load_frames(source: FrameSource) -> NDArray[np.uint8]:
+    """All frames of a stretch, (T, 2, M, ceil(M / 8)): planes visible and occupied, eight cells a byte."""
+    planes = (np.stack([frame.visible, frame.occupied]) for frame in source)
+    return np.stack([np.packbits(pair, axis=-1) for pair in planes])
+
+
+def occupied_rate(stretches: Sequence[NDArray[np.uint8]]) -> float:
+    """The share of occupied among visible cells."""
+    visible, occupied = (sum(int(np.bitwise_count(s[:, plane]).sum()) for s in stretches) for plane in (0, 1))
+    return max(occupied, 1) / max(visible, 2)
+
+
+class SequenceDataset(Dataset[Tensor]):
+    """Windows of `length` frames as (length, 2, M, M) uint8; item i is drawn by a generator seeded with (seed, i).
+
+    With `reverse`, every second window runs backwards in time: what walks on a path may walk it the other way.
+    Raises ConfigurationError where a stretch is shorter than one window.
+    """
+
+    def __init__(self, sources: Sequence[FrameSource], length: int, seed: int, *, reverse: bool) -> None:
+        self.stretches = [load_frames(source) for source in sources]
+        self.size, self.length, self.seed, self.reverse = sources[0].grid.size, length, seed, reverse
+        for source, frames in zip(sources, self.stretches, strict=True):
+            if len(frames) < length:
+                raise ConfigurationError(f"{source.name}: {len(frames)} frames; training needs at least {length}")
+        self.starts = np.cumsum([len(frames) - length + 1 for frames in self.stretches])
+
+    def __getitem__(self, index: int) -> Tensor:
+        """Window number `index` of an endless series."""
+        draw = np.random.default_rng((self.seed, index))
+        at = int(draw.integers(self.starts[-1]))
+        stretch = int(np.searchsorted(self.starts, at, side="right"))
+        start = at - (int(self.starts[stretch - 1]) if stretch else 0)
+        window = np.unpackbits(self.stretches[stretch][start : start + self.length], axis=-1, count=self.size)
+        if self.reverse and draw.integers(2):
+            window = window[::-1]
+        return torch.from_numpy(np.ascontiguousarray(window))
+
+
+class EpochSampler(Sampler[int]):
+    """Item numbers, epoch after epoch: a resumed training goes on with the windows that it had not seen."""
+
+    def __init__(self, items: int) -> None:
+        self.items, self.epoch = items, 0
+
+    def set_epoch(self, epoch: int) -> None:
+        """Called by Lightning before each epoch."""
+        self.epoch = epoch
+
+    def __iter__(self) -> Iterator[int]:
+        return iter(range(self.epoch * self.items, (self.epoch + 1) * self.items))
+
+    def __len__(self) -> int:
+        return self.items

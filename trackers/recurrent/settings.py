@@ -1,0 +1,42 @@
+"""How a recurrent network is trained; the defaults are the paper's scheme."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import Field
+
+from gridtrack.common.config import Settings
+
+
+class TrainingSettings(Settings):
+    """Sequences of `cycles` times `shown` frames given and `blank` frames withheld; Adam on the visible cells' loss.
+
+    The paper: 10 shown, 10 blank, twice. What lies further ahead than `blank` frames is never trained.
+    """
+
+    shown: int = Field(10, ge=1)
+    blank: int = Field(10, ge=0)
+    cycles: int = Field(2, ge=1)
+    reverse: bool = False
+    """Also train on windows that run backwards in time."""
+    updates: int = Field(4000, ge=1)
+    batch: int = Field(2, ge=1)
+    learning_rate: float = Field(2e-3, gt=0)
+    warm_up: int = Field(100, ge=0)
+    """Updates over which the learning rate rises from zero; afterwards it falls to zero along a cosine."""
+    gradient_clip: float = Field(1.0, gt=0)
+    weight_decay: float = Field(0.0, ge=0)
+    validate_every: int = Field(250, ge=1)
+    """Updates from one validation, and checkpoint, to the next."""
+    precision: Literal["32-true", "bf16-mixed"] = "bf16-mixed"
+    """Of the convolutions; the latent state and the gates stay in float32."""
+
+    @property
+    def length(self) -> int:
+        """Frames in a training sequence."""
+        return self.cycles * (self.shown + self.blank)
+
+    def is_shown(self, frame: int) -> bool:
+        """Whether the network is given this frame of a sequence."""
+        return frame % (self.shown + self.blank) < self.shown

@@ -1,0 +1,164 @@
+"""The one training program of the recurrent networks (Lightning): predict what is withheld, learn where it is seen.
+
+Unsupervised, after section III of Ondruska et al. (2016): some frames of a sequence are shown, the others replaced by
+the empty input; the loss is the binary cross-entropy of every frame on the cells that its own beams saw.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import shutil
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import lightning
+import torch
+from lightning.pytorch.callbacks import ModelCheckpoint
+from lightning.pytorch.loggers import CSVLogger, TensorBoardLogger
+from torch import Tensor, nn
+from torch.nn import functional
+from torch.utils.data import DataLoader
+
+from gridtrack.common.errors import ConfigurationError
+from gridtrack.trackers.contract import FitOutput, FrameSource
+from gridtrack.trackers.recurrent.network import RecurrentNetwork, channels_last
+from gridtrack.trackers.recurrent.sequences import EpochSampler, SequenceDataset
+from gridtrack.trackers.recurrent.settings import TrainingSettings
+
+Validate = Callable[[nn.Module], dict[str, float]]
+"""Scores the network as a tracker on the validation stretch; `score` is what the best one is kept by."""
+
+
+def train_network(
+    network: nn.Module,
+    dataset: SequenceDataset,
+    settings: TrainingSettings,
+    validate: Validate,
+    out: FitOutput,
+) -> dict[str, float]:
+    """Train `network` in place and leave it with the weights that scored best; returns the scores of those.
+
+    `out.log_dir` takes logs (CSV, TensorBoard) and checkpoints; one that holds checkpoints of the same settings is
+    resumed. Raises ConfigurationError where it holds a training with other settings.
+    """
+    resumed = _resumable(out, settings)
+    module = TrainingModule(network, settings, validate, out.report)
+    best = ModelCheckpoint(out.log_dir, filename="best", monitor="score", mode="max", save_last=True)
+    best.CHECKPOINT_NAME_LAST = "last"
+    trainer = lightning.Trainer(
+        max_epochs=math.ceil(settings.updates / settings.validate_every),
+        precision=settings.precision,
+        gradient_clip_val=settings.gradient_clip,
+        callbacks=[best],
+        logger=[CSVLogger(out.log_dir, name="csv"), TensorBoardLogger(out.log_dir, name="tensorboard")],
+        log_every_n_steps=10,
+        enable_progress_bar=False,
+        enable_model_summary=False,
+    )
+    sampler = EpochSampler(settings.validate_every * settings.batch)
+    loader = DataLoader(dataset, settings.batch, sampler=sampler)
+    trainer.fit(module, loader, ckpt_path=str(resumed) if resumed else None, weights_only=True)
+    kept = torch.load(best.best_model_path, weights_only=True, map_location="cpu")
+    module.load_state_dict(kept["state_dict"])
+    return dict(kept["scores"])
+
+
+def _resumable(out: FitOutput, settings: TrainingSettings) -> Path | None:
+    """The checkpoint to go on from, if there is one."""
+    described = json.dumps({"seed": out.seed, **settings.model_dump()}, sort_keys=True, default=list)
+    record, last = out.log_dir / "settings.json", out.log_dir / "last.ckpt"
+    out.log_dir.mkdir(parents=True, exist_ok=True)
+    if record.exists() and last.exists():
+        if record.read_text() != described:
+            raise ConfigurationError(
+                f"{out.log_dir}: holds a training with other settings or another seed; delete it to start anew"
+            )
+        return last
+    record.write_text(described)
+    return None
+
+
+class TrainingModule(lightning.LightningModule):
+    """Loss, optimiser and validation of one network."""
+
+    def __init__(
+        self, network: nn.Module, settings: TrainingSettings, validate: Validate, report: Callable[[str], None]
+    ) -> None:
+        super().__init__()
+        self.network = channels_last(network)
+        self.settings, self.validate, self.report = settings, validate, report
+        self.scores: dict[str, float] = {}
+
+    def training_step(self, windows: Tensor) -> Tensor:
+        """Loss of a batch of windows (B, T, 2, M, M) uint8."""
+        loss = sequence_loss(self.network, windows.float(), self.settings)
+        self.log("loss", loss)
+        return loss
+
+    def configure_optimizers(self) -> Any:
+        """Adam; the learning rate warms up and then falls along a cosine."""
+        s = self.settings
+        optimizer = torch.optim.AdamW(self.parameters(), lr=s.learning_rate, weight_decay=s.weight_decay)
+
+        def factor(update: int) -> float:
+            if update < s.warm_up:
+                return (update + 1) / s.warm_up
+            return 0.5 * (1.0 + math.cos(math.pi * (update - s.warm_up) / max(1, s.updates - s.warm_up)))
+
+        schedule = torch.optim.lr_scheduler.LambdaLR(optimizer, factor)
+        return {"optimizer": optimizer, "lr_scheduler": {"scheduler": schedule, "interval": "step"}}
+
+    def on_train_epoch_end(self) -> None:
+        """Score the network on the validation stretch."""
+        self.scores = self.validate(self.network)
+        self.log_dict(self.scores)
+        shown = "  ".join(f"{name} {value:.3f}" for name, value in self.scores.items())
+        self.report(f"update {self.global_step}  loss {float(self.trainer.callback_metrics['loss']):.4f}  {shown}")
+
+    def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
+        """Keep the scores beside the weights that have them."""
+        checkpoint["scores"] = self.scores
+
+
+def sequence_loss(network: RecurrentNetwork, windows: Tensor, settings: TrainingSettings) -> Tensor:
+    """Binary cross-entropy of every frame's forecast on the frame's visible cells, over all of them, in nats a cell.
+
+    `windows` (B, T, 2, M, M) of 0 and 1: visible and occupied.
+    """
+    frames = windows.transpose(0, 1)
+    state = network.initial(windows.shape[0])
+    features = []
+    for t, x in enumerate(frames):
+        shown = x.contiguous(memory_format=torch.channels_last) if settings.is_shown(t) else None
+        state = network.step(shown, state)
+        features.append(network.features(state))
+    logits = network.occupancy(torch.cat(features)).float()
+    visible, occupied = frames.flatten(0, 1).unbind(dim=1)
+    loss = functional.binary_cross_entropy_with_logits(logits, occupied, weight=visible, reduction="sum")
+    return loss / visible.sum().clamp(min=1.0)
+
+
+def compiled(function: Callable[..., Tensor], report: Callable[[str], None]) -> Callable[..., Tensor]:
+    """`function` fused by torch.compile where there is a C++ compiler, else as it is, and said so."""
+    if any(shutil.which(compiler) for compiler in ("c++", "g++", "clang++")):
+        fused: Callable[..., Tensor] = torch.compile(function, dynamic=False)
+        return fused
+    report("no C++ compiler found: the gates are not fused, and training is about a third slower")
+    return function
+
+
+def validation_scores(
+    score: Callable[[FrameSource], Any], sources: Sequence[FrameSource], horizons_s: Sequence[float]
+) -> dict[str, float]:
+    """F1 of moving and visible cells at the horizons, averaged over the stretches; `score` is the mean of them all."""
+    results: dict[str, float] = {}
+    for source in sources:
+        found = score(source)
+        for stratum in ("moving", "visible"):
+            for horizon in horizons_s:
+                key = f"{stratum}_f1_{horizon:g}s"
+                f1 = float(found.f1[stratum][round(horizon / source.period_s)])
+                results[key] = results.get(key, 0.0) + f1 / len(sources)
+    return {"score": sum(results.values()) / len(results), **results}
