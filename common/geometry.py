@@ -35,8 +35,8 @@ class SE2:
     def apply(self, points: NDArray[Any]) -> NDArray[np.float64]:
         """Points (N, 2) in metres, source frame -> (N, 2), target frame."""
         c, s = math.cos(self.theta), math.sin(self.theta)
-        moved: NDArray[np.float64] = np.asarray(points, np.float64) @ np.array([[c, s], [-s, c]])
-        return moved + np.array([self.x, self.y])
+        moved: NDArray[np.float64] = np.asarray(points, np.float64) @ [[c, s], [-s, c]] + [self.x, self.y]
+        return moved
 
 
 def wrap_angle(theta: float) -> float:

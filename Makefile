@@ -1,0 +1,43 @@
+# The README's two commands are `make demo` and `make test`; both start from a bare Python 3.11.
+PYTHON ?= $(shell command -v python3.11 || command -v python3)
+VENV ?= .venv
+BIN := $(VENV)/bin
+DEMO := data/leg_tracker/leg_tracker.mcap
+TRACKERS := persistence static-map blank kalman deep-tracking-rnn dilated-convgru
+
+.PHONY: demo test lint bench weights clean
+
+demo: $(VENV)/.installed-demo
+	$(BIN)/gridtrack compare $(DEMO) $(TRACKERS:%=--tracker %) --every 0.5s --latency --resume --out runs/demo
+
+test: lint
+	$(BIN)/python -m pytest -n auto --dist worksteal
+
+lint: $(VENV)/.installed-dev
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	mkdir -p .link && ln -sfn .. .link/gridtrack
+	MYPYPATH=.link $(BIN)/mypy -p gridtrack
+	PYTHONPATH=.link $(BIN)/lint-imports
+
+bench: $(VENV)/.installed-dev
+	for benchmark in benchmarks/*.py; do $(BIN)/python $$benchmark || exit 1; done
+
+# What ships in data/weights, made again (hours on two cores).
+weights: $(VENV)/.installed-dev
+	for tracker in static-map kalman deep-tracking-rnn dilated-convgru; do \
+	    $(BIN)/gridtrack train $$tracker $(DEMO) --out data/weights || exit 1; done
+
+$(VENV)/.installed-demo: pyproject.toml constraints.txt | $(VENV)
+	$(BIN)/pip install --constraint constraints.txt --editable '.[deep,model-free]'
+	touch $@
+
+$(VENV)/.installed-dev: pyproject.toml constraints.txt | $(VENV)
+	$(BIN)/pip install --constraint constraints.txt --editable '.[dev]'
+	touch $@ $(VENV)/.installed-demo
+
+$(VENV):
+	$(PYTHON) -m venv $(VENV)
+
+clean:
+	rm -rf $(VENV) .link runs build dist *.egg-info
