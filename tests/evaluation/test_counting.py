@@ -1,0 +1,131 @@
+"""Counts of one forecast, against hand-computed cases and scikit-learn."""
+
+import numpy as np
+import pytest
+from gridtrack.common.geometry import SE2
+from gridtrack.common.grid import GridFrame
+from gridtrack.evaluation import metrics
+from gridtrack.evaluation.counting import BINS, HALF, Tally, count_forecast
+from gridtrack.evaluation.strata import STRATA
+from sklearn.metrics import average_precision_score, brier_score_loss, f1_score, log_loss, precision_score, recall_score
+
+VISIBLE, MOVING, STATIC = (STRATA.index(name) for name in ("visible", "moving", "static"))
+RING_REGION, STATIC_REGION, MOVING_REGION = 0, 1, 2
+
+
+def frame(visible, occupied, stamp_ns=0):
+    nothing = np.zeros((0, 2), np.float32)
+    visible, occupied = np.array(visible, bool), np.array(occupied, bool)
+    return GridFrame(stamp_ns, visible, occupied & visible, SE2(), nothing, nothing, np.zeros(0, np.uint8))
+
+
+def random_case(seed, size=30, steps=3):
+    rng = np.random.default_rng(seed)
+    occupancy = rng.beta(0.4, 0.8, (steps + 1, size, size)).astype(np.float32)
+    occupancy[rng.random(occupancy.shape) < 0.1] = 0.0
+    occupancy[rng.random(occupancy.shape) < 0.1] = 1.0
+    frames = [frame(rng.random((size, size)) < 0.7, rng.random((size, size)) < occupancy[n]) for n in range(steps + 1)]
+    return occupancy, frames, rng.integers(0, 3, (size, size)).astype(np.uint8)
+
+
+def test_a_hand_computed_forecast():
+    occupancy = np.array([[[0.9, 0.4], [0.6, 0.8]]], np.float32)
+    came = frame([[1, 1], [1, 0]], [[1, 1], [0, 0]])
+    regions = np.array([[STATIC_REGION, MOVING_REGION], [MOVING_REGION, MOVING_REGION]], np.uint8)
+    tally = count_forecast(occupancy, [came], regions)
+    at_half = tally.confusion(np.array([HALF]))
+    assert at_half[0, VISIBLE].tolist() == [1, 1, 1, 0]
+    assert at_half[0, STATIC].tolist() == [1, 0, 0, 0]
+    assert at_half[0, MOVING].tolist() == [0, 1, 1, 0]
+    assert tally.squared_error[0] == pytest.approx([0.01 + 0.36 + 0.36, 0.36 + 0.36, 0.01], abs=1e-6)
+    assert tally.log_loss[0, STATIC] == pytest.approx(-np.log(0.9))
+    assert tally.log_loss[0, MOVING] == pytest.approx(-2 * np.log(0.4))
+
+
+def test_a_ring_cell_counts_as_visible_only():
+    tally = count_forecast(
+        np.full((1, 1, 1), 0.7, np.float32), [frame([[1]], [[1]])], np.array([[RING_REGION]], np.uint8)
+    )
+    assert tally.cells.sum(axis=(0, 2)).tolist() == [1, 0, 0]
+
+
+def test_cells_not_visible_when_they_come_are_not_scored():
+    nothing_seen = frame(np.zeros((5, 5)), np.zeros((5, 5)))
+    tally = count_forecast(np.ones((1, 5, 5), np.float32), [nothing_seen], np.full((5, 5), MOVING_REGION, np.uint8))
+    assert tally.cells.sum() == 0
+    assert tally.squared_error.sum() == tally.log_loss.sum() == 0
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_every_score_agrees_with_scikit_learn(seed):
+    occupancy, frames, regions = random_case(seed)
+    bins = np.array([5, 25, 40, 49])
+    tally = count_forecast(occupancy, frames, regions)
+    confusion = tally.confusion(bins)
+    members = {"visible": regions >= 0, "static": regions == STATIC_REGION, "moving": regions == MOVING_REGION}
+    for k, name in enumerate(STRATA):
+        for step, came in enumerate(frames):
+            scored = came.visible & members[name]
+            truth, p = came.occupied[scored], occupancy[step][scored]
+            binned = np.minimum((p * np.float32(BINS)).astype(int), BINS - 1)
+            called = binned >= bins[step]
+            assert metrics.f1_score(confusion)[step, k] == pytest.approx(f1_score(truth, called))
+            assert metrics.precision(confusion)[step, k] == pytest.approx(precision_score(truth, called))
+            assert metrics.recall(confusion)[step, k] == pytest.approx(recall_score(truth, called))
+            assert metrics.brier_score(tally)[step, k] == pytest.approx(brier_score_loss(truth, p), rel=1e-6)
+            assert metrics.log_loss(tally)[step, k] == pytest.approx(
+                log_loss(truth, np.clip(p.astype(float), 0.001, 0.999)), rel=1e-6
+            )
+            assert metrics.average_precision(tally)[step, k] == pytest.approx(average_precision_score(truth, binned))
+            assert metrics.calibration_error(tally)[step, k] == pytest.approx(calibration_error(truth, p, binned))
+
+
+def calibration_error(truth, p, binned):
+    gaps = [abs(p[binned == b].mean() - truth[binned == b].mean()) * (binned == b).mean() for b in np.unique(binned)]
+    return pytest.approx(sum(gaps), rel=1e-5)
+
+
+def test_average_precision_of_bins_is_close_to_that_of_the_probabilities():
+    occupancy, frames, regions = random_case(9, size=100, steps=0)
+    exact = average_precision_score(frames[0].occupied[frames[0].visible], occupancy[0][frames[0].visible])
+    assert metrics.average_precision(count_forecast(occupancy, frames, regions))[0, VISIBLE] == pytest.approx(
+        exact, abs=0.005
+    )
+
+
+def test_the_log_loss_of_many_certain_mistakes_does_not_underflow():
+    size = 200
+    wrong = count_forecast(
+        np.zeros((1, size, size), np.float32),
+        [frame(np.ones((size, size)), np.ones((size, size)))],
+        np.full((size, size), MOVING_REGION, np.uint8),
+    )
+    assert wrong.log_loss[0, VISIBLE] == pytest.approx(-np.log(0.001) * size**2)
+
+
+def test_a_probability_on_a_bins_edge_belongs_to_the_bin_above():
+    edges = (np.arange(BINS + 1) / BINS).astype(np.float32).reshape(1, 1, -1)
+    seen = np.ones((1, BINS + 1))
+    tally = count_forecast(edges, [frame(seen, ~seen.astype(bool))], np.full((1, BINS + 1), MOVING_REGION, np.uint8))
+    assert tally.cells[0, VISIBLE].tolist() == [1] * (BINS - 1) + [2]
+
+
+def test_scores_of_an_empty_tally_are_undefined():
+    tally = Tally.empty(2)
+    for score in (metrics.average_precision, metrics.brier_score, metrics.log_loss, metrics.calibration_error):
+        assert np.isnan(score(tally)).all()
+    assert np.isnan(metrics.f1_score(tally.confusion(np.full(3, HALF)))).all()
+
+
+def test_f1_is_zero_where_something_was_occupied_and_nothing_found_and_undefined_where_nothing_was():
+    assert metrics.f1_score(np.array([0, 0, 4, 6])) == 0.0
+    assert np.isnan(metrics.f1_score(np.array([0, 3, 0, 6])))
+
+
+def test_tallies_add_up():
+    one, other = (count_forecast(*random_case(seed)) for seed in (1, 2))
+    total = Tally.empty(3)
+    total.add(one)
+    total.add(other)
+    assert np.array_equal(total.cells, one.cells + other.cells)
+    assert total.log_loss == pytest.approx(one.log_loss + other.log_loss)

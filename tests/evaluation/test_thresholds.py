@@ -1,0 +1,60 @@
+"""Thresholds: one per step, the best visible F1 on the validation stretch."""
+
+import numpy as np
+from gridtrack.evaluation.counting import BINS, Tally
+from gridtrack.evaluation.strata import STRATA
+from gridtrack.evaluation.thresholds import best_thresholds, half
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from sklearn.metrics import f1_score
+
+VISIBLE = STRATA.index("visible")
+
+
+def tally_of(positives, negatives):
+    """A tally of step 0 with these counts (B,) on visible cells, and misleading ones elsewhere."""
+    tally = Tally.empty(0)
+    tally.positives[0] = np.asarray(negatives)[None]
+    tally.cells[0] = np.asarray(positives)[None] + np.asarray(negatives)[None]
+    tally.positives[0, VISIBLE] = positives
+    return tally
+
+
+counts = arrays(np.int64, BINS, elements=st.integers(0, 3))
+
+
+@given(counts, counts)
+def test_no_threshold_has_a_better_visible_f1(positives, negatives):
+    chosen = best_thresholds(tally_of(positives, negatives), "validation").bins[0]
+    truth = np.repeat([True, False], [positives.sum(), negatives.sum()])
+    bins = np.concatenate([np.repeat(np.arange(BINS), positives), np.repeat(np.arange(BINS), negatives)])
+
+    def f1(threshold):
+        return f1_score(truth, bins >= threshold, zero_division=0.0) if truth.any() else 0.0
+
+    assert 1 <= chosen < BINS
+    assert f1(chosen) >= max(f1(b) for b in range(1, BINS)) - 1e-12
+
+
+def test_a_forecast_of_zeros_and_ones_gets_one_half():
+    ones = np.eye(1, BINS, BINS - 1, dtype=np.int64)[0]
+    zeros = np.eye(1, BINS, 0, dtype=np.int64)[0]
+    assert best_thresholds(tally_of(5 * ones + zeros, 2 * ones + 9 * zeros), "v").values.tolist() == [0.5]
+
+
+def test_a_step_at_which_nothing_was_occupied_gets_one_half():
+    assert best_thresholds(Tally.empty(3), "v").values.tolist() == [0.5] * 4
+
+
+def test_a_blurred_forecast_gets_a_low_threshold():
+    blurred = np.zeros(BINS, np.int64)
+    blurred[10] = 7
+    free = np.zeros(BINS, np.int64)
+    free[0] = 100
+    assert 0.02 <= best_thresholds(tally_of(blurred, free), "v").values[0] <= 0.2
+
+
+def test_without_a_validation_stretch_it_is_one_half_and_says_so():
+    assert half(2).values.tolist() == [0.5, 0.5, 0.5]
+    assert half(2).chosen_on == ""
