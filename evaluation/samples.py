@@ -7,6 +7,7 @@ A sample has log time t, when its forecast was made: `/input` is x_t, `/came/1s`
 from __future__ import annotations
 
 import math
+import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,9 +19,11 @@ from foxglove_schemas_protobuf.Grid_pb2 import Grid
 from foxglove_schemas_protobuf.PackedElementField_pb2 import PackedElementField
 from google.protobuf.message import DecodeError
 from mcap.exceptions import McapError
-from mcap.reader import NonSeekingReader
+from mcap.records import Channel, Chunk, Message
+from mcap.stream_reader import StreamReader, breakup_chunk
 from mcap_protobuf.writer import Writer
 from numpy.typing import NDArray
+from zstandard import ZstdError
 
 from gridtrack.common.errors import GridtrackError
 from gridtrack.common.grid import GridSpec, Mask
@@ -30,9 +33,12 @@ SAMPLES = "forecasts.mcap"
 KEPT = 40
 """Samples kept of a trial: the same moments for every tracker, evenly spaced over the scored frames."""
 HORIZONS_S = (0.5, 1.0, 2.0)
-MAX_MESSAGE_BYTES = 1 << 26
+MAX_CHUNK_BYTES = 1 << 26
 OCCUPANCY_FIELDS = ("visible", "occupied")
 PROBABILITY_FIELDS = ("probability",)
+
+
+_UNREADABLE = (OSError, McapError, DecodeError, ZstdError, struct.error, GridtrackError, ValueError, KeyError)
 
 
 class SamplesError(GridtrackError):
@@ -121,20 +127,34 @@ def read_samples(path: Path) -> Iterator[Sample]:
     Raises SamplesError where the file is not a whole one of this form; the samples before the damage come first.
     """
     stamp_ns: int | None = None
-    topics: dict[str, Any] = {}
+    grids: dict[str, Any] = {}
     try:
-        with path.open("rb") as file:
-            reader = NonSeekingReader(file, validate_crcs=True, record_size_limit=MAX_MESSAGE_BYTES)
-            for _, channel, record in reader.iter_messages(log_time_order=False):
-                if stamp_ns is not None and record.log_time != stamp_ns:
-                    yield _sample(stamp_ns, topics)
-                    topics = {}
-                stamp_ns = record.log_time
-                topics[channel.topic] = Grid.FromString(record.data)
+        for topic, message in _messages(path):
+            if stamp_ns is not None and message.log_time != stamp_ns:
+                yield _sample(stamp_ns, grids)
+                grids = {}
+            stamp_ns = message.log_time
+            grids[topic] = Grid.FromString(message.data)
         if stamp_ns is not None:
-            yield _sample(stamp_ns, topics)
-    except (OSError, McapError, DecodeError, ValueError, KeyError) as error:
+            yield _sample(stamp_ns, grids)
+    except _UNREADABLE as error:
         raise SamplesError(f"{path}: cannot be read as samples ({error or type(error).__name__})") from None
+
+
+def _messages(path: Path) -> Iterator[tuple[str, Message]]:
+    """Topic and message, in file order; no chunk is unpacked that says that it is larger than a chunk may be."""
+    topics: dict[int, str] = {}
+    with path.open("rb") as file:
+        for chunk in StreamReader(file, emit_chunks=True, record_size_limit=MAX_CHUNK_BYTES).records:
+            if not isinstance(chunk, Chunk):
+                continue
+            if chunk.uncompressed_size > MAX_CHUNK_BYTES:
+                raise ValueError(f"a chunk of {chunk.uncompressed_size} bytes; more than {MAX_CHUNK_BYTES} are refused")
+            for record in breakup_chunk(chunk, validate_crc=True):
+                if isinstance(record, Channel):
+                    topics[record.id] = record.topic
+                elif isinstance(record, Message):
+                    yield topics[record.channel_id], record
 
 
 def _sample(stamp_ns: int, topics: dict[str, Any]) -> Sample:

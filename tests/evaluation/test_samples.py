@@ -1,0 +1,98 @@
+"""Samples kept for viewing survive the round trip, and a file that is not whole is refused in one line."""
+
+import numpy as np
+import pytest
+from gridtrack.common.geometry import SE2
+from gridtrack.common.grid import GridFrame, GridSpec
+from gridtrack.evaluation.referee import Moment, Schedule
+from gridtrack.evaluation.samples import SAMPLES, SamplesError, SampleWriter, kept_moments, read_samples
+from gridtrack.trackers.contract import Forecast
+from mcap.reader import make_reader
+from mcap_protobuf.decoder import DecoderFactory
+
+GRID = GridSpec(12, 0.25, (-1.0, 2.0))
+STEPS, PERIOD_S = 15, 0.1
+
+
+def random_moment(seed):
+    rng = np.random.default_rng(seed)
+    nothing = np.zeros((0, 2), np.float32)
+    frames = []
+    for n in range(STEPS + 1):
+        visible = rng.random(GRID.shape) < 0.6
+        occupied = visible & (rng.random(GRID.shape) < 0.3)
+        stamp_ns = seed * 1_000_000_000 + n * 100_000_000
+        frames.append(GridFrame(stamp_ns, visible, occupied, SE2(), nothing, nothing, np.zeros(0, np.uint8)))
+    return Moment(Forecast(rng.random((STEPS + 1, *GRID.shape), dtype=np.float32)), tuple(frames))
+
+
+@pytest.fixture
+def written(tmp_path):
+    moments = [random_moment(seed) for seed in (1, 2, 3)]
+    with SampleWriter(tmp_path / SAMPLES, GRID, PERIOD_S, STEPS) as writer:
+        for moment in moments:
+            writer.add(moment)
+    return tmp_path / SAMPLES, moments
+
+
+def test_what_was_kept_is_what_is_read(written):
+    path, moments = written
+    samples = list(read_samples(path))
+    assert [s.stamp_ns for s in samples] == [m.stamp_ns for m in moments]
+    for sample, moment in zip(samples, moments, strict=True):
+        assert sample.grid == GRID
+        assert sample.horizons_s == (0.5, 1.0)
+        assert np.array_equal(sample.visible, moment.frames[0].visible)
+        assert np.array_equal(sample.occupied, moment.frames[0].occupied)
+        for i, step in enumerate((5, 10)):
+            assert np.array_equal(sample.came_visible[i], moment.frames[step].visible)
+            assert np.array_equal(sample.came_occupied[i], moment.frames[step].occupied)
+            assert np.abs(sample.forecast[i] - moment.forecast.occupancy[step]).max() <= 0.5 / 255 + 1e-6
+
+
+def test_foxglove_finds_grids_with_x_along_columns_and_y_along_rows(written):
+    path, moments = written
+    with path.open("rb") as file:
+        reader = make_reader(file, decoder_factories=[DecoderFactory()])
+        schema, channel, _, grid = next(reader.iter_decoded_messages(topics=["/input"]))
+    assert (schema.name, channel.topic) == ("foxglove.Grid", "/input")
+    assert (grid.pose.position.x, grid.pose.position.y, grid.column_count) == (-1.0, 2.0, 12)
+    assert [field.name for field in grid.fields] == ["visible", "occupied"]
+    row, column = 7, 2
+    offset = row * grid.row_stride + column * grid.cell_stride
+    assert (grid.data[offset] == 255) == moments[0].frames[0].visible[row, column]
+
+
+def test_a_run_that_looks_less_far_ahead_than_any_horizon_keeps_its_input(tmp_path):
+    with SampleWriter(tmp_path / SAMPLES, GRID, PERIOD_S, steps=2) as writer:
+        writer.add(random_moment(1))
+    (sample,) = read_samples(tmp_path / SAMPLES)
+    assert sample.horizons_s == ()
+    assert sample.forecast.shape == (0, 12, 12)
+
+
+@pytest.mark.parametrize("kept", [0.2, 0.6, 0.95])
+def test_a_cut_file_is_refused_in_one_line(written, kept):
+    path, _ = written
+    content = path.read_bytes()
+    path.write_bytes(content[: int(kept * len(content))])
+    with pytest.raises(SamplesError, match=r"forecasts\.mcap: cannot be read as samples") as refused:
+        list(read_samples(path))
+    assert "\n" not in str(refused.value)
+
+
+def test_another_file_is_refused(tmp_path):
+    (tmp_path / SAMPLES).write_bytes(b"not an mcap file at all, but long enough to look at")
+    with pytest.raises(SamplesError):
+        list(read_samples(tmp_path / SAMPLES))
+    with pytest.raises(SamplesError):
+        list(read_samples(tmp_path / "missing.mcap"))
+
+
+@pytest.mark.parametrize(("frames", "expected"), [(30, 0), (36, 1), (60, 25), (1000, 40)])
+def test_the_moments_kept_are_spread_over_all_and_bounded(frames, expected):
+    schedule = Schedule(frames, STEPS, every=1)
+    kept = sorted(kept_moments(schedule))
+    assert len(kept) == expected
+    if kept:
+        assert (kept[0], kept[-1]) == (0, schedule.expected - 1)
