@@ -1,0 +1,101 @@
+"""The scores store: what is written is what was counted, whole whatever happens, in bounded memory."""
+
+import numpy as np
+import polars as pl
+import pytest
+from gridtrack.evaluation.counting import BINS, HALF, Tally
+from gridtrack.evaluation.scores import (
+    CONFUSION,
+    HISTOGRAM,
+    ROW_GROUP,
+    SCORES,
+    ScoresError,
+    ScoreWriter,
+    read_deliveries,
+    read_tally,
+)
+from gridtrack.evaluation.strata import STRATA
+from gridtrack.evaluation.thresholds import Thresholds
+from pyarrow import parquet
+
+STEPS = 2
+THRESHOLDS = Thresholds(np.array([HALF, 10, 40]), "validation")
+
+
+def random_tally(seed):
+    rng = np.random.default_rng(seed)
+    shape = (STEPS + 1, len(STRATA), BINS)
+    positives = rng.integers(0, 9, shape)
+    return Tally(positives + rng.integers(0, 9, shape), positives, rng.random(shape), *rng.random((2, *shape[:2])))
+
+
+def write(folder, frames, every_ns=400_000_000):
+    total = Tally.empty(STEPS)
+    with ScoreWriter(folder, STEPS, THRESHOLDS) as writer:
+        for i in range(frames):
+            writer.add(i * every_ns, f"digest {i}", random_tally(i))
+            total.add(random_tally(i))
+    return total
+
+
+@pytest.mark.parametrize("frames", [0, 1, 7, 3 * ROW_GROUP])
+def test_what_is_read_is_what_was_counted(tmp_path, frames):
+    total, read = write(tmp_path, frames), read_tally(tmp_path, STEPS)
+    assert np.array_equal(read.cells, total.cells)
+    assert np.array_equal(read.positives, total.positives)
+    for name in ("p_sum", "squared_error", "log_loss"):
+        assert getattr(read, name) == pytest.approx(getattr(total, name))
+
+
+def test_each_scored_frame_has_its_confusion_counts_per_step_and_stratum(tmp_path):
+    write(tmp_path, 3)
+    scores = pl.read_parquet(tmp_path / SCORES)
+    assert len(scores) == 3 * (STEPS + 1) * len(STRATA)
+    row = scores.filter((pl.col("stamp_ns") == 400_000_000) & (pl.col("step") == 2) & (pl.col("stratum") == "moving"))
+    expected = random_tally(1).confusion(THRESHOLDS.bins)[2, STRATA.index("moving")]
+    assert row.select(CONFUSION).row(0) == tuple(expected)
+    expected_at_half = random_tally(1).confusion(np.full(STEPS + 1, HALF))[2, STRATA.index("moving")]
+    assert row.select([f"{name}_half" for name in CONFUSION]).row(0) == tuple(expected_at_half)
+
+
+def test_the_histogram_has_one_row_per_second_and_agrees_with_the_counts(tmp_path):
+    write(tmp_path, 7)
+    histogram = pl.read_parquet(tmp_path / HISTOGRAM)
+    assert histogram["second"].unique().sort().to_list() == [0, 1, 2]
+    assert len(histogram) == 3 * (STEPS + 1) * len(STRATA)
+    scores = pl.read_parquet(tmp_path / SCORES)
+    assert histogram["count"].to_numpy().sum() == scores.select(pl.sum_horizontal(CONFUSION)).to_series().sum()
+
+
+def test_rows_are_written_in_groups_so_memory_does_not_grow(tmp_path):
+    write(tmp_path, 3 * ROW_GROUP + 1)
+    assert parquet.ParquetFile(tmp_path / SCORES).num_row_groups == 4
+
+
+def test_what_was_counted_before_a_failure_is_kept(tmp_path):
+    def crash_after_two():
+        with ScoreWriter(tmp_path, STEPS, THRESHOLDS) as writer:
+            writer.add(0, "a", random_tally(0))
+            writer.add(100_000_000, "b", random_tally(1))
+            raise RuntimeError
+
+    with pytest.raises(RuntimeError):
+        crash_after_two()
+    assert read_deliveries(tmp_path) == {0: "a", 100_000_000: "b"}
+    assert read_tally(tmp_path, STEPS).cells.sum() == random_tally(0).cells.sum() + random_tally(1).cells.sum()
+
+
+def test_a_file_that_is_no_store_is_refused_in_one_line(tmp_path):
+    write(tmp_path, 1)
+    (tmp_path / SCORES).write_bytes(b"PAR1 not really")
+    with pytest.raises(ScoresError, match=r"scores\.parquet: cannot be read") as refused:
+        read_tally(tmp_path, STEPS)
+    assert "\n" not in str(refused.value)
+    with pytest.raises(ScoresError):
+        read_tally(tmp_path / "nowhere", STEPS)
+
+
+def test_steps_beyond_the_runs_horizon_are_refused(tmp_path):
+    write(tmp_path, 1)
+    with pytest.raises(ScoresError, match="expected 0 to 1"):
+        read_tally(tmp_path, 1)
