@@ -1,0 +1,191 @@
+"""Geometry of the report's figures: scores and times to positions, in SVG user units, for the templates to draw."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import groupby
+
+from gridtrack.reports.run import Curve, Quantiles
+
+ROW_HEIGHT = 17.0
+"""Of one line of text in a figure."""
+
+
+@dataclass(frozen=True)
+class Series:
+    """One tracker wherever it is drawn: its name, and the style (a CSS class) that is its own on the whole page."""
+
+    name: str
+    style: str
+
+
+@dataclass(frozen=True)
+class Axis:
+    """A linear or logarithmic map from values [low, high] to positions [start, end]."""
+
+    low: float
+    high: float
+    start: float
+    end: float
+    logarithmic: bool = False
+
+    def __call__(self, value: float) -> float:
+        """Position of `value`, held inside the axis, to a tenth of a unit."""
+        low, high, value = (math.log(v) if self.logarithmic else v for v in (self.low, self.high, max(value, self.low)))
+        share = (value - low) / (high - low)
+        return round(self.start + min(max(share, 0.0), 1.0) * (self.end - self.start), 1)
+
+
+@dataclass(frozen=True)
+class Line:
+    """One curve: step 0, which is copying and not ranked, is led to by a dashed piece."""
+
+    series: Series
+    pieces: tuple[str, ...]
+    to_zero: str
+    at_zero: tuple[float, float] | None
+    label_at: tuple[float, float, float] | None
+    """Where the label stands beside the curve's end: x, y, and the y of the end itself."""
+
+
+@dataclass(frozen=True)
+class Reading:
+    """What every curve is at one step, the best first: shown when the pointer is there."""
+
+    x: float
+    left: float
+    width: float
+    heading: str
+    box: tuple[float, float, float, float]
+    rows: tuple[tuple[Series, str, float, float], ...]
+    """Series, its value in words, the y of its text line, and the y of its point."""
+
+
+@dataclass(frozen=True)
+class CurvePanel:
+    """F1 over the horizon in one stratum, one line per tracker."""
+
+    title: str
+    width: int
+    height: int
+    x: Axis
+    y: Axis
+    x_ticks: tuple[float, ...]
+    y_ticks: tuple[float, ...]
+    lines: tuple[Line, ...]
+    readings: tuple[Reading, ...]
+
+
+def curve_panel(
+    title: str,
+    horizons_s: Sequence[float],
+    curves: Sequence[tuple[Series, Curve]],
+    size: tuple[int, int],
+    label_width: float = 0.0,
+) -> CurvePanel:
+    """Lay out F1 curves over `horizons_s` in a panel of `size`; with `label_width` each curve is named at its end."""
+    width, height = size
+    x = Axis(0.0, max(horizons_s[-1], 1e-9), 34.0, width - max(label_width, 12.0))
+    y = Axis(0.0, 1.0, height - 28.0, 12.0)
+    labels = _label_heights([(y(v) if (v := _last(curve)) is not None else None) for _, curve in curves], 10.0, y.start)
+    lines = tuple(
+        _line(series, curve, horizons_s, x, y, (x.end + 14.0, at) if label_width and at is not None else None)
+        for (series, curve), at in zip(curves, labels, strict=True)
+    )
+    readings = tuple(_reading(step, horizons_s, curves, x, y) for step in range(len(horizons_s)))
+    x_ticks = tuple(0.5 * i for i in range(int(horizons_s[-1] / 0.5 + 1e-6) + 1))
+    return CurvePanel(title, width, height, x, y, x_ticks, (0.0, 0.2, 0.4, 0.6, 0.8, 1.0), lines, readings)
+
+
+def _last(curve: Curve) -> float | None:
+    return curve[-1] if curve else None
+
+
+def _line(
+    series: Series, curve: Curve, horizons_s: Sequence[float], x: Axis, y: Axis, label: tuple[float, float] | None
+) -> Line:
+    at = [None if value is None else (x(h), y(value)) for h, value in zip(horizons_s, curve, strict=True)]
+    pieces = tuple(_path(piece) for piece in _unbroken(at[1:]))
+    to_zero = _path([p for p in at[:2] if p is not None]) if len(at) > 1 and at[0] and at[1] else ""
+    end = at[-1]
+    return Line(series, pieces, to_zero, at[0], (*label, end[1]) if label and end else None)
+
+
+def _unbroken(points: Sequence[tuple[float, float] | None]) -> Iterator[list[tuple[float, float]]]:
+    """The stretches of a curve between its undefined points."""
+    for defined, run in groupby(points, key=lambda point: point is not None):
+        if defined:
+            yield [point for point in run if point is not None]
+
+
+def _path(points: Sequence[tuple[float, float]]) -> str:
+    return " ".join(f"{x:g},{y:g}" for x, y in points)
+
+
+def _label_heights(ends: Sequence[float | None], top: float, bottom: float) -> list[float | None]:
+    """Heights near `ends` at which labels do not overlap: kept in order, at least a line of text apart."""
+    order = sorted((end, i) for i, end in enumerate(ends) if end is not None)
+    heights = [min(end, bottom) for end, _ in order]
+    for k in range(1, len(heights)):
+        heights[k] = max(heights[k], heights[k - 1] + ROW_HEIGHT)
+    limit = max(bottom, top + ROW_HEIGHT * (len(heights) - 1))
+    for k in reversed(range(len(heights))):
+        heights[k] = min(heights[k], limit - ROW_HEIGHT * (len(heights) - 1 - k))
+    placed: list[float | None] = [None] * len(ends)
+    for (_, i), height in zip(order, heights, strict=True):
+        placed[i] = round(height, 1)
+    return placed
+
+
+def _reading(
+    step: int, horizons_s: Sequence[float], curves: Sequence[tuple[Series, Curve]], x: Axis, y: Axis
+) -> Reading:
+    at = x(horizons_s[step])
+    pitch = (x.end - x.start) / max(len(horizons_s) - 1, 1)
+    values = sorted(
+        ((value, series) for series, curve in curves if (value := curve[step]) is not None), key=lambda pair: -pair[0]
+    )
+    width, height = 168.0, ROW_HEIGHT * (len(values) + 1) + 12.0
+    left = at + 12.0 if at + 12.0 + width < x.end else at - 12.0 - width
+    top = y.end + 2.0
+    rows = tuple(
+        (series, f"{value:.3f}", round(top + ROW_HEIGHT * (i + 2), 1), y(value)) for i, (value, series) in enumerate(values)
+    )
+    heading = f"{horizons_s[step]:.3g} s, step {step}" + (": copying, not ranked" if step == 0 else "")
+    return Reading(at, round(at - pitch / 2, 2), round(pitch, 2), heading, (round(left, 1), top, width, height), rows)
+
+
+@dataclass(frozen=True)
+class Span:
+    """A time from its median to its 99th percentile."""
+
+    p50: float
+    p95: float
+    p99: float
+
+
+@dataclass(frozen=True)
+class TimeScale:
+    """A logarithmic axis of milliseconds that every row of a table shares, with the stream's period marked on it."""
+
+    axis: Axis
+    ticks: tuple[tuple[float, str], ...]
+    period: float | None
+
+    def span(self, times: Quantiles | None) -> Span | None:
+        """Positions of the three quantiles, None where they were not measured."""
+        if times is None or times.p50 is None or times.p95 is None or times.p99 is None:
+            return None
+        return Span(self.axis(times.p50), self.axis(times.p95), self.axis(times.p99))
+
+
+def time_scale(times_ms: Sequence[float], period_ms: float | None, width: float) -> TimeScale:
+    """Whole decades that hold all of `times_ms` and the period."""
+    known = [t for t in (*times_ms, *([period_ms] if period_ms else [])) if t > 0]
+    low = math.floor(math.log10(min(known, default=1.0)))
+    high = max(math.ceil(math.log10(max(known, default=1.0))), low + 1)
+    axis = Axis(10.0**low, 10.0**high, 6.0, width - 6.0, logarithmic=True)
+    ticks = tuple((axis(10.0**k), f"{10.0**k:g}") for k in range(low, high + 1))
+    return TimeScale(axis, ticks, axis(period_ms) if period_ms else None)

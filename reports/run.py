@@ -1,0 +1,200 @@
+"""Reading a run's folder: run.json and summary.json, checked, as the report wants them."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
+
+from gridtrack.common.errors import GridtrackError
+from gridtrack.evaluation.summary import SCHEMA, SUMMARY
+
+MAX_BYTES = 256 << 20
+"""A larger run.json or summary.json is refused before it is read."""
+FLOOR = ("persistence", "static-map", "blank")
+"""Trackers that do not track: whoever does not beat them has not tracked."""
+
+
+class ReportError(GridtrackError):
+    """A run's folder that cannot be reported."""
+
+
+def _number_or_none(value: Any) -> Any:
+    """NaN and infinities are what a score is where it is not defined."""
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+Number = Annotated[float | None, BeforeValidator(_number_or_none)]
+Curve = tuple[Number, ...]
+"""One score at every step 0..n; None where it is not defined, as in a stratum that was never seen."""
+
+
+class _Read(BaseModel):
+    """A part of a file that another program wrote: what the report does not know yet, it leaves alone."""
+
+    model_config = ConfigDict(frozen=True, extra="ignore")
+
+
+class StratumScores(_Read):
+    """Scores of one trial on one stratum, each per step."""
+
+    f1: Curve
+    f1_low: Curve | None = None
+    f1_high: Curve | None = None
+    precision: Curve
+    recall: Curve
+    pr_auc: Curve
+    brier: Curve
+    nll: Curve
+    ece: Curve
+    threshold: Curve
+    f1_at_half: Curve
+    interval: str = ""
+    """Why there is no interval, where there is none."""
+
+
+class Quantiles(_Read):
+    """Medians and tails of a time, milliseconds."""
+
+    p50: Number = None
+    p95: Number = None
+    p99: Number = None
+
+
+class Latency(_Read):
+    """What an update, a forecast, and one step of a forecast take."""
+
+    update: Quantiles = Quantiles()
+    predict: Quantiles = Quantiles()
+    predict_step: Quantiles = Quantiles()
+
+
+class Trial(_Read):
+    """One tracker on one recording."""
+
+    outcome: str
+    reason: str = ""
+    frames_scored: int = 0
+    frames_expected: int = 0
+    threshold_chosen_on: str = ""
+    strata: dict[str, StratumScores] = Field(default_factory=dict)
+    latency_ms: Latency | None = None
+    peak_rss_mb: Number = None
+
+    @property
+    def complete(self) -> bool:
+        """Whether every frame that was to be scored was scored: only such trials are ranked."""
+        return self.outcome == "ok" and 0 < self.frames_scored == self.frames_expected
+
+
+class TrackerEntry(_Read):
+    """One row of the comparison: a tracker with its options, on every recording."""
+
+    tracker: str
+    options: dict[str, Any] = Field(default_factory=dict)
+    recordings: dict[str, Trial]
+
+    @property
+    def floor(self) -> bool:
+        """Whether it is one of the rows that every tracker must beat."""
+        return self.tracker in FLOOR
+
+
+class Recording(_Read):
+    """What was compared on one recording."""
+
+    horizons_s: tuple[float, ...] = Field(min_length=1)
+    parity: bool = True
+    """Whether every tracker was delivered the same frames: only then are they ranked."""
+
+    def step_at(self, horizon_s: float) -> int | None:
+        """The step nearest to `horizon_s`, or None where the run did not look that far."""
+        if len(self.horizons_s) < 2:
+            return None
+        period_s = self.horizons_s[1] - self.horizons_s[0]
+        step = round(horizon_s / period_s)
+        return step if 0 < step < len(self.horizons_s) else None
+
+
+class Summary(_Read):
+    """summary.json."""
+
+    schema_version: int = Field(alias="schema")
+    recordings: dict[str, Recording]
+    trackers: dict[str, TrackerEntry]
+    notices: tuple[str, ...] = ()
+    interrupted: bool = False
+
+    @model_validator(mode="after")
+    def _curves_reach_every_horizon(self) -> Summary:
+        for label, entry in self.trackers.items():
+            for name, trial in entry.recordings.items():
+                if name not in self.recordings:
+                    raise ValueError(f"tracker {label} has scores on {name}, which is not among the recordings")
+                steps = len(self.recordings[name].horizons_s)
+                for stratum, scores in trial.strata.items():
+                    lengths = {len(curve) for _, curve in scores if isinstance(curve, tuple)}
+                    if lengths - {steps}:
+                        raise ValueError(f"{label} on {name}, {stratum}: curves of {lengths} steps, expected {steps}")
+        return self
+
+
+@dataclass(frozen=True)
+class Run:
+    """A run's folder, read: `name` tells it from the others on the page, `provenance` is run.json."""
+
+    path: Path
+    name: str
+    summary: Summary
+    provenance: dict[str, Any]
+
+
+def read_runs(paths: Sequence[Path]) -> tuple[Run, ...]:
+    """Read several runs' folders; each is named by its folder, or by its whole path where names collide.
+
+    Raises ReportError.
+    """
+    folders = [path.resolve().name for path in paths]
+    names = [str(path) if folders.count(name) > 1 else name for path, name in zip(paths, folders, strict=True)]
+    return tuple(_read_run(path, name) for path, name in zip(paths, names, strict=True))
+
+
+def _read_run(path: Path, name: str) -> Run:
+    if not path.is_dir():
+        raise ReportError(f"{path}: there is no such run's folder; `gridtrack compare ... --out RUN` makes one")
+    raw = _read_json(path / SUMMARY, f"{path} has no {SUMMARY}: the run did not finish; continue it with --resume")
+    schema = raw.get("schema")
+    if schema != SCHEMA:
+        raise ReportError(
+            f"{path / 'summary.json'}: schema {schema!r}; this gridtrack reads schema {SCHEMA}:"
+            " report it with the version that wrote it, or run the comparison again"
+        )
+    try:
+        summary = Summary.model_validate(raw)
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(str(part) for part in first["loc"])
+        raise ReportError(f"{path / 'summary.json'}: {where or 'content'}: {first['msg']}") from None
+    return Run(path, name, summary, _read_json(path / "run.json", f"{path} has no run.json: it is not a run's folder"))
+
+
+def _read_json(path: Path, if_missing: str) -> dict[str, Any]:
+    """A file that holds one JSON object. Raises ReportError, with the line `if_missing` where there is no file."""
+    try:
+        if path.stat().st_size > MAX_BYTES:
+            raise ReportError(f"{path}: {path.stat().st_size} bytes; more than {MAX_BYTES} are refused")
+        content = json.loads(path.read_text("utf-8"))
+    except FileNotFoundError:
+        raise ReportError(if_missing) from None
+    except OSError as error:
+        raise ReportError(f"{path}: cannot be read ({error.strerror})") from None
+    except (ValueError, RecursionError) as error:
+        raise ReportError(f"{path}: not a JSON file ({error}); the run must be made again") from None
+    if not isinstance(content, dict):
+        raise ReportError(f"{path}: expected one JSON object, found {type(content).__name__}")
+    return content
