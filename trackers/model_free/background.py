@@ -24,7 +24,7 @@ def fit_background(frames: Iterable[GridFrame], shape: tuple[int, int]) -> NDArr
         visible += frame.visible
         occupied += frame.occupied
     base_rate = occupied.sum() / max(visible.sum(), 1.0)
-    return ((occupied + PRIOR_FRAMES * base_rate) / (visible + PRIOR_FRAMES)).astype(np.float32)
+    return np.asarray((occupied + PRIOR_FRAMES * base_rate) / (visible + PRIOR_FRAMES), np.float32)
 
 
 def explained_cells(background: NDArray[np.float32], above: float) -> Mask:
@@ -39,3 +39,12 @@ def explained_cells(background: NDArray[np.float32], above: float) -> Mask:
         for column in range(3):
             explained |= wall[row : row + size, column : column + size]
     return explained
+
+
+def without_foreseen(
+    background: NDArray[np.float32], wall_above: float, unforeseen_share: float
+) -> NDArray[np.float32]:
+    """The background (M, M) as the forecast needs it: walls as they are, and of the traffic through open cells only
+    the share that no track announces, since what is tracked is forecast by its track.
+    """
+    return np.where(background >= wall_above, background, background * np.float32(unforeseen_share))

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from functools import lru_cache
+from typing import NamedTuple, Protocol
 
 import numpy as np
-from filterpy.common import Q_continuous_white_noise
+from filterpy.common import van_loan_discretization
 from filterpy.kalman import KalmanFilter
 from numpy.typing import NDArray
 
@@ -38,23 +39,44 @@ class MotionEstimator(Protocol):
         ...
 
 
-class ConstantVelocityKalman:
-    """Kalman filter of a point that moves with constant velocity but for white-noise acceleration.
+@lru_cache(maxsize=64)
+def motion_model(period_s: float, acceleration: float, velocity_memory_s: float) -> tuple[Array, Array]:
+    """Transition and process noise (4, 4) over one period, of the state (x, y, vx, vy)."""
+    drift = np.zeros((4, 4))
+    drift[:2, 2:] = np.eye(2)
+    drift[2:, 2:] = -np.eye(2) / velocity_memory_s
+    transition, noise = van_loan_discretization(drift, np.eye(4, 2, -2) * acceleration, period_s)
+    return np.asarray(transition), np.asarray(noise)
 
-    `acceleration` in m/s^2 per sqrt(Hz), `position_noise_m` and `initial_speed` are standard deviations along each
-    axis (Bar-Shalom, Li and Kirubarajan 2001, section 6.2.2).
+
+class MotionNoise(NamedTuple):
+    """The motion model's standard deviations, all along each axis, and how long it remembers a velocity."""
+
+    acceleration: float
+    """White noise, m/s^2 per sqrt(Hz)."""
+    velocity_memory_s: float
+    """Time constant with which a velocity is forgotten."""
+    position_noise_m: float
+    """Of a measured position."""
+    initial_speed: float
+    """Of the velocity before anything is known of it, m/s."""
+
+
+class ConstantVelocityKalman:
+    """Kalman filter of a point with nearly constant velocity, in the plane.
+
+    The velocity is an Ornstein-Uhlenbeck process, position its integral: white-noise acceleration drives it, and it
+    is forgotten with a time constant; in the limit of a long one, this is the constant-velocity model of Bar-Shalom,
+    Li and Kirubarajan 2001, section 6.2.2.
     """
 
-    def __init__(
-        self, position: Array, period_s: float, acceleration: float, position_noise_m: float, initial_speed: float
-    ) -> None:
+    def __init__(self, position: Array, period_s: float, noise: MotionNoise) -> None:
         self._filter = KalmanFilter(dim_x=4, dim_z=2)
-        self._filter.x = np.array([position[0], position[1], 0.0, 0.0])
-        self._filter.P = np.diag(np.square([position_noise_m, position_noise_m, initial_speed, initial_speed]))
-        self._filter.F = np.eye(4) + period_s * np.eye(4, k=2)
+        self._filter.x = np.concatenate([position, np.zeros(2)])
+        self._filter.P = np.diag(np.repeat([noise.position_noise_m, noise.initial_speed], 2)) ** 2
+        self._filter.F, self._filter.Q = motion_model(period_s, noise.acceleration, noise.velocity_memory_s)
         self._filter.H = np.eye(2, 4)
-        self._filter.Q = Q_continuous_white_noise(2, period_s, acceleration**2, block_size=2, order_by_dim=False)
-        self._filter.R = np.eye(2) * position_noise_m**2
+        self._filter.R = np.eye(2) * noise.position_noise_m**2
 
     @property
     def mean(self) -> Array:

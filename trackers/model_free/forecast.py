@@ -1,92 +1,75 @@
-"""Forecast: tracks' points moved by the mean motion, blurred by its uncertainty, over the background's probabilities."""
+"""Forecast: what a track is expected to show, its points moved by the mean motion and blurred by its uncertainty."""
 
 from __future__ import annotations
 
-import math
-
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
-WINDOW_SIGMAS = 3.5
-"""Half the width of the blur window; what lies beyond (0.05 %) is cut."""
-SHARPEST = 0.2
-"""Smallest standard deviation of the blur, in cells: below it the pixels' own size is what is seen."""
+from gridtrack.common.grid import GridSpec, Mask
+from gridtrack.trackers.contract import TrackedObject
+from gridtrack.trackers.model_free.rasterise import draw, splat
+from gridtrack.trackers.model_free.tracks import Status, Track
+
+Array = NDArray[np.float64]
 
 
-def splat(offsets: NDArray[np.float64], weights: NDArray[np.float64], cell_m: float) -> NDArray[np.float32]:
-    """The points as a patch (K, K) float32 of probabilities, K odd, its middle cell centred on the track's position.
+def appearance(
+    track: Track, steps: int, grid: GridSpec, period_s: float, dwell_s: float, return_noise_m: float
+) -> NDArray[np.float32]:
+    """What the track's object, if it exists, shows at steps 0..steps: P(occupied) (steps+1, M, M) float32.
 
-    Each point, offset (N, 2) in metres from the position, is shared bilinearly between the four nearest cells;
-    no cell holds more than 1.
+    Two alternatives for its returns. They are still where they were last seen, since feet stand for `dwell_s` while
+    the body moves on, and how long they have stood is not known: the chance falls linearly. Or they have moved on with
+    the object, and look as its points have of late. The first blurs by `return_noise_m`, the second by the
+    uncertainty of the predicted position.
     """
-    cells = np.asarray(offsets) / cell_m
-    half = int(np.ceil(np.abs(cells).max(initial=0.0))) + 1
-    patch = np.zeros((2 * half + 1, 2 * half + 1))
-    corner = np.floor(cells).astype(int)
-    along = cells - corner
-    for right in (0, 1):
-        for up in (0, 1):
-            share = np.abs(1 - right - along[:, 0]) * np.abs(1 - up - along[:, 1])
-            np.add.at(patch, (corner[:, 1] + half + up, corner[:, 0] + half + right), weights * share)
-    return np.minimum(patch, 1.0).astype(np.float32)
+    image = np.zeros((steps + 1, *grid.shape), np.float32)
+    elapsed_s = (np.arange(steps + 1) + track.unseen) * period_s
+    staying = np.maximum(0.0, 1.0 - elapsed_s / dwell_s)
+    if staying[0] > 0.0:
+        place = track.returns[0]  # on the others' lattice, where they are centres of cells: splat is then exact
+        standing = splat(track.returns - place, np.ones(len(track.returns)), grid.cell_m)
+        spread = np.full((steps + 1, 2), return_noise_m / grid.cell_m)
+        draw(image, standing, _in_cells(np.tile(place, (steps + 1, 1)), grid), spread, staying)
+    means, covariances = track.estimator.ahead(steps)
+    spread = np.sqrt(np.diagonal(covariances, axis1=1, axis2=2)[:, :2]) / grid.cell_m
+    moving = splat(track.shape.offsets, track.shape.weights, grid.cell_m)
+    draw(image, moving, _in_cells(means[:, :2], grid), spread, 1.0 - staying)
+    return image
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def draw(image, patch, centres, deviations, weights):  # type: ignore[no-untyped-def]
-    """Add to `image` (n+1, M, M) float32 the patch as it is expected to be seen, step by step.
+def share_in_view(image: NDArray[np.float32], track: Track, visible: Mask) -> float:
+    """Which share of what the track shows at step 0, `image` (M, M), falls on visible cells (M, M).
 
-    `patch` (K, K) float32, probabilities about a position; `centres` and `deviations` (n+1, 2), x and y, mean and
-    standard deviation of that position in cells; `weights` (n+1,) probability of this alternative at each step.
+    Outside the grid nothing is visible, so an object that may have left it is not missed there.
     """
-    half = patch.shape[0] // 2
-    for step in range(image.shape[0]):
-        row, row_blur = _blur_window(centres[step, 1], deviations[step, 1])
-        column, column_blur = _blur_window(centres[step, 0], deviations[step, 0])
-        blurred = _convolve_rows(_convolve_rows(patch, column_blur).T, row_blur * np.float32(weights[step])).T
-        _add(image[step], blurred, row - half, column - half)
+    whole = max(float(image.sum()), float(track.shape.weights.sum()))
+    return float(image[visible].sum()) / whole if whole > 0.0 else 0.0
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def noisy_or(occupancy, image):  # type: ignore[no-untyped-def]
-    """Combine into `occupancy` (n+1, M, M) an independent cause with probabilities `image` (n+1, M, M), both float32."""
-    target, cause = occupancy.reshape(-1), image.reshape(-1)
-    for i in range(target.size):
-        target[i] = target[i] + (np.float32(1.0) - target[i]) * min(cause[i], np.float32(1.0))
+def tracked_object(track: Track) -> TrackedObject:
+    """The track as an object: its box along the direction of motion, about all that its points have shown of it."""
+    mean = track.estimator.mean
+    heading = float(np.arctan2(mean[3], mean[2]))
+    along = np.array([np.cos(heading), np.sin(heading)])
+    across = np.array([-along[1], along[0]])
+    axes = np.stack([along, across])
+    spans = track.shape.offsets @ axes.T
+    low, high = spans.min(axis=0), spans.max(axis=0)
+    centre = mean[:2] + (low + high) / 2.0 @ axes
+    return TrackedObject(
+        track=track.identity,
+        box=np.array([*centre, heading, *(high - low)], np.float32),
+        velocity=mean[2:].astype(np.float32),
+        covariance=track.estimator.covariance.astype(np.float32),
+    )
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _blur_window(centre, deviation):  # type: ignore[no-untyped-def]
-    """First cell and mass of each cell under a Gaussian along one axis, about `centre`, in cells."""
-    sigma = max(deviation, SHARPEST)
-    first = math.floor(centre - WINDOW_SIGMAS * sigma)
-    count = math.floor(centre + WINDOW_SIGMAS * sigma) - first + 1
-    mass = np.empty(count, np.float32)
-    below = math.erf((first - centre) / (sigma * math.sqrt(2.0)))
-    for i in range(count):
-        above = math.erf((first + i + 1 - centre) / (sigma * math.sqrt(2.0)))
-        mass[i] = 0.5 * (above - below)
-        below = above
-    return first, mass
+def objects(tracks: list[Track]) -> tuple[TrackedObject, ...]:
+    """The confirmed tracks, seen now or coasting, as objects."""
+    return tuple(tracked_object(track) for track in tracks if track.status is not Status.TENTATIVE)
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _convolve_rows(image, kernel):  # type: ignore[no-untyped-def]
-    """Full convolution of every row of `image` (A, B) with `kernel` (W,): (A, B + W - 1)."""
-    out = np.zeros((image.shape[0], image.shape[1] + kernel.size - 1), np.float32)
-    for row in range(image.shape[0]):
-        for column in range(image.shape[1]):
-            value = image[row, column]
-            if value != 0.0:
-                for i in range(kernel.size):
-                    out[row, column + i] += value * kernel[i]
-    return out
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _add(image, patch, first_row, first_column):  # type: ignore[no-untyped-def]
-    """Add `patch` to `image` (M, M), its corner at [first_row, first_column], as far as it lies inside."""
-    rows, columns = image.shape
-    for i in range(max(0, -first_row), min(patch.shape[0], rows - first_row)):
-        for j in range(max(0, -first_column), min(patch.shape[1], columns - first_column)):
-            image[first_row + i, first_column + j] += patch[i, j]
+def _in_cells(positions: Array, grid: GridSpec) -> Array:
+    """Positions (N, 2) in metres as cells from the grid's lower-left corner."""
+    return np.asarray((positions - np.array(grid.origin)) / grid.cell_m)

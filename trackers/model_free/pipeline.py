@@ -9,9 +9,10 @@ from numpy.typing import NDArray
 
 from gridtrack.common.grid import GridFrame, GridSpec, Mask
 from gridtrack.trackers.model_free.association import assign, share_out, squared_mahalanobis
-from gridtrack.trackers.model_free.background import explained_cells
-from gridtrack.trackers.model_free.estimation import ConstantVelocityKalman
-from gridtrack.trackers.model_free.forecast import draw, noisy_or, splat
+from gridtrack.trackers.model_free.background import explained_cells, without_foreseen
+from gridtrack.trackers.model_free.estimation import ConstantVelocityKalman, MotionNoise
+from gridtrack.trackers.model_free.forecast import appearance, share_in_view
+from gridtrack.trackers.model_free.rasterise import noisy_or
 from gridtrack.trackers.model_free.segmentation import Cluster, segment
 from gridtrack.trackers.model_free.settings import PipelineSettings
 from gridtrack.trackers.model_free.tracks import Shape, Track, existence_when_detected, existence_when_missed
@@ -28,11 +29,15 @@ class Pipeline:
     def __init__(
         self, grid: GridSpec, period_s: float, background: NDArray[np.float32], settings: PipelineSettings
     ) -> None:
-        self.grid, self.period_s, self.background, self.settings = grid, period_s, background, settings
+        self.grid, self.period_s, self.settings = grid, period_s, settings
         self.explained = explained_cells(background, settings.explained_above)
         self.gate = -2.0 * math.log(1.0 - settings.gate_probability)  # chi-square quantile, two degrees of freedom
         self.survival = math.exp(-period_s / settings.life_s)
         self.shape_keep = math.exp(-period_s / settings.shape_memory_s)
+        self.noise = MotionNoise(
+            settings.acceleration, settings.velocity_memory_s, settings.position_noise_m, settings.initial_speed
+        )
+        self.unforeseen = without_foreseen(background, settings.explained_above, settings.unforeseen_share)
         self.tracks: list[Track] = []
         self.frame: GridFrame | None = None
         self.born = 0
@@ -92,52 +97,27 @@ class Pipeline:
                 track.confirmed |= track.existence >= settings.confirm_above
             else:
                 track.unseen += 1
-                detectable = settings.detection_probability * self._share_in_view(track, visible)
+                in_view = share_in_view(self._appearance(track, 0)[0], track, visible)
+                detectable = settings.detection_probability * in_view
                 track.existence = existence_when_missed(track.existence, detectable)
         self.tracks = [track for track in self.tracks if track.existence >= settings.dead_below]
 
-    def _share_in_view(self, track: Track, visible: Mask) -> float:
-        """Which share of what the track would show falls on visible cells; outside the grid nothing does."""
-        image = self._draw(track, 0)[0]
-        return min(1.0, float(image[visible].sum()) / max(float(track.shape.weights.sum()), 1e-9))
-
     def _give_birth(self, clusters: list[Cluster]) -> None:
-        s = self.settings
         for cluster in clusters:
-            estimator = ConstantVelocityKalman(
-                cluster.centre, self.period_s, s.acceleration, s.position_noise_m, s.initial_speed
-            )
+            estimator = ConstantVelocityKalman(cluster.centre, self.period_s, self.noise)
             shape = Shape.of(cluster.points - cluster.centre)
-            self.tracks.append(Track(self.born, estimator, shape, cluster.points, s.birth_probability))
+            self.tracks.append(Track(self.born, estimator, shape, cluster.points, self.settings.birth_probability))
             self.born += 1
 
     def forecast(self, steps: int) -> NDArray[np.float32]:
         """P(occupied) (steps+1, M, M) float32 of steps 0..steps; where step 0 is visible it is what was seen."""
-        occupancy = np.repeat(self.background[None], steps + 1, axis=0)
+        occupancy = np.repeat(self.unforeseen[None], steps + 1, axis=0)
         for track in self.tracks:
-            survival = track.existence * self.survival ** np.arange(steps + 1)
-            noisy_or(occupancy, self._draw(track, steps) * survival[:, None, None].astype(np.float32))
+            noisy_or(occupancy, self._appearance(track, steps), track.existence * self.survival ** np.arange(steps + 1))
         if self.frame is not None:
             occupancy[0] = np.where(self.frame.visible, self.frame.occupied, occupancy[0])
         return occupancy
 
-    def _draw(self, track: Track, steps: int) -> NDArray[np.float32]:
-        """What one track, if it exists, is expected to show at steps 0..steps: P(occupied) (steps+1, M, M).
-
-        Two alternatives for its returns: they stay where they were last seen, or they move on with the object.
-        """
-        image = np.zeros((steps + 1, *self.grid.shape), np.float32)
-        means, covariances = track.estimator.ahead(steps)
-        deviations = np.sqrt(np.diagonal(covariances, axis1=1, axis2=2)[:, :2])
-        staying = np.exp(-(np.arange(steps + 1) + track.unseen) * self.period_s / self.settings.dwell_s)
-        moving = splat(track.shape.offsets, track.shape.weights, self.grid.cell_m)
-        draw(image, moving, self._in_cells(means[:, :2]), deviations / self.grid.cell_m, 1.0 - staying)
-        anchor = track.returns[0]
-        standing = splat(track.returns - anchor, np.ones(len(track.returns)), self.grid.cell_m)
-        noise = np.full((steps + 1, 2), self.settings.return_noise_m / self.grid.cell_m)
-        draw(image, standing, self._in_cells(np.tile(anchor, (steps + 1, 1))), noise, staying)
-        return image
-
-    def _in_cells(self, positions: Array) -> Array:
-        """Positions (N, 2) in metres as cells from the grid's corner."""
-        return (positions - np.array(self.grid.origin)) / self.grid.cell_m
+    def _appearance(self, track: Track, steps: int) -> NDArray[np.float32]:
+        settings = self.settings
+        return appearance(track, steps, self.grid, self.period_s, settings.dwell_s, settings.return_noise_m)

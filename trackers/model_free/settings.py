@@ -6,6 +6,9 @@ from pydantic import Field
 
 from gridtrack.common.config import Settings
 
+NAME = "kalman"
+"""What the tracker that runs this pipeline is called."""
+
 
 class PipelineSettings(Settings):
     """Settings of the model-free pipeline; defaults suit walking people and an indoor laser."""
@@ -15,23 +18,25 @@ class PipelineSettings(Settings):
     """A return in or beside a cell that the background holds occupied this often is explained by it."""
 
     # Segmentation
-    link_m: float = Field(0.4, gt=0, le=10)
+    link_m: float = Field(0.45, gt=0, le=10)
     """Two returns belong to one cluster when they are this near, at the sensor: the gap between two legs."""
     link_per_m: float = Field(0.01, ge=0, le=1)
     """By how much that distance grows with every metre of range, as neighbouring beams part."""
 
     # Estimation
-    acceleration: float = Field(1.0, gt=0, le=100)
+    velocity_memory_s: float = Field(2.0, gt=0, le=1000)
+    """Time constant with which a velocity is forgotten; large: truly constant velocity, small: a walk at random."""
+    acceleration: float = Field(0.45, gt=0, le=100)
     """White-noise acceleration of the constant-velocity model: square root of its density, m/s^2 per sqrt(Hz)."""
-    position_noise_m: float = Field(0.12, gt=0, le=10)
+    position_noise_m: float = Field(0.08, gt=0, le=10)
     """Standard deviation of a cluster's centre about the object's: legs alternate, surfaces come and go."""
     initial_speed: float = Field(0.7, gt=0, le=100)
     """Standard deviation of a new track's velocity along each axis, m/s."""
 
     # Association
-    gate_probability: float = Field(0.99, gt=0.5, lt=1)
+    gate_probability: float = Field(0.999, gt=0.5, lt=1)
     """The share of an object's own clusters that its gate lets in."""
-    reach_m: float = Field(0.5, gt=0, le=20)
+    reach_m: float = Field(0.45, gt=0, le=20)
     """How far from a track's centre its returns may lie: half an object's size, generously."""
 
     # Life of a track
@@ -49,9 +54,11 @@ class PipelineSettings(Settings):
     """Existence probability below which a track is dropped."""
 
     # Shape and forecast
-    shape_memory_s: float = Field(0.5, gt=0, le=60)
+    shape_memory_s: float = Field(0.8, gt=0, le=60)
     """How long a track's points count: about half a stride, so that both legs are in the shape."""
-    dwell_s: float = Field(0.3, gt=0, le=60)
-    """Mean time that a return stays where it is while its object moves on: a foot's stance; near 0 for rigid objects."""
-    return_noise_m: float = Field(0.04, gt=0, le=10)
+    dwell_s: float = Field(0.8, gt=0, le=60)
+    """How long a return stays where it is while its object moves on: a foot's stance; near 0 for rigid objects."""
+    unforeseen_share: float = Field(0.3, ge=0, le=1)
+    """The share of the past traffic through open cells that no track will have announced."""
+    return_noise_m: float = Field(0.05, gt=0, le=10)
     """Standard deviation of one return about its surface, along each axis."""

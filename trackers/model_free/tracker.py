@@ -1,19 +1,69 @@
-"""The kalman tracker: the model-free pipeline behind the plugin contract."""
+"""The `kalman` tracker: the model-free pipeline with Kalman filters, behind the plugin contract."""
 
 from __future__ import annotations
 
-from typing import ClassVar
+from collections.abc import Sequence
+from typing import Any, ClassVar
 
-import numpy as np
-
-from gridtrack.common.config import Settings
+from gridtrack.common.config import Settings, validated
+from gridtrack.common.errors import ConfigurationError, WeightsError
 from gridtrack.common.grid import GridFrame
-from gridtrack.trackers.contract import Forecast, StreamSpec, Tracker
+from gridtrack.trackers.contract import FitOutput, Forecast, FrameSource, Score, StreamSpec, Tracker
+from gridtrack.trackers.model_free.forecast import objects
 from gridtrack.trackers.model_free.pipeline import Pipeline
-from gridtrack.trackers.model_free.settings import PipelineSettings
+from gridtrack.trackers.model_free.settings import NAME, PipelineSettings
+from gridtrack.trackers.weights import Weights, array, load_weights
 
 
 class KalmanTracker(Tracker):
-    """Clusters before a fitted background, followed by constant-velocity Kalman filters."""
+    """Clusters before a fitted background, each followed by a Kalman filter with nearly constant velocity.
+
+    Its weights are the background map and the tuned settings; an option that is given goes before the tuned one.
+    The forecast's `objects` are the confirmed tracks; their heading is the direction of motion.
+    """
+
     Options: ClassVar[type[Settings]] = PipelineSettings
-    learns = True
+    learns: ClassVar[bool] = True
+
+    def __init__(self, stream: StreamSpec, options: PipelineSettings) -> None:
+        """Raises WeightsError without a fitted background for the stream's site, grid and period."""
+        super().__init__(stream, options)
+        weights = load_weights(stream, NAME)
+        self._settings = _settings(weights, options)
+        self._background = array(weights, "background", stream.grid.shape)
+        self.reset(seed=0)
+
+    def reset(self, seed: int) -> None:
+        """Forget every track; nothing here is random."""
+        self._pipeline = Pipeline(self.stream.grid, self.stream.period_s, self._background, self._settings)
+
+    def update(self, frame: GridFrame) -> None:
+        """Take in x_t."""
+        self._pipeline.update(frame)
+
+    def predict(self, steps: int) -> Forecast:
+        """Forecast steps 0..steps."""
+        return Forecast(self._pipeline.forecast(steps), objects=objects(self._pipeline.tracks))
+
+    @classmethod
+    def fit(
+        cls,
+        train: Sequence[FrameSource],
+        validation: Sequence[FrameSource],
+        score: Score,
+        out: FitOutput,
+        options: Any,
+    ) -> None:
+        """Fit the background map to `train`, tune the settings on it, and report the score on `validation`."""
+        from gridtrack.trackers.model_free.tuning import fit_pipeline
+
+        fit_pipeline(cls, train, validation, score, out, options)
+
+
+def _settings(weights: Weights, options: PipelineSettings) -> PipelineSettings:
+    """The tuned settings of the card, overridden by the options that were given."""
+    given = options.model_dump(exclude_unset=True)
+    try:
+        return validated(PipelineSettings, weights.card.settings | given, f"weights of {NAME}, settings")
+    except ConfigurationError as error:
+        raise WeightsError(f"{error}; train again") from None

@@ -1,0 +1,126 @@
+"""Tuning: the background map from the training recordings, then a seeded search of the pipeline's settings on them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+import optuna
+
+from gridtrack.trackers.contract import FitOutput, FrameSource, Score, StretchScore, Tracker, stream_of
+from gridtrack.trackers.model_free.background import fit_background
+from gridtrack.trackers.model_free.settings import NAME, PipelineSettings
+from gridtrack.trackers.weights import card_for, save_weights
+
+TRIALS = 60
+REPORT_EVERY = 10
+HORIZONS_S = (0.5, 1.0, 2.0)
+"""What is tuned for: the mean over these of the log loss on moving cells."""
+RANGES = {
+    "link_m": (0.1, 3.0),
+    "velocity_memory_s": (0.5, 50.0),
+    "acceleration": (0.1, 5.0),
+    "position_noise_m": (0.02, 1.0),
+    "reach_m": (0.1, 3.0),
+    "life_s": (1.0, 100.0),
+    "dwell_s": (0.01, 5.0),
+    "return_noise_m": (0.01, 0.5),
+    "unforeseen_share": (0.02, 1.0),
+}
+"""Settings that are tuned, each from its range, log-uniformly."""
+
+
+def fit_pipeline(
+    tracker: type[Tracker],
+    train: Sequence[FrameSource],
+    validation: Sequence[FrameSource],
+    score: Score,
+    out: FitOutput,
+    options: PipelineSettings,
+) -> None:
+    """Write to `out.path` the background map and the settings with the least loss on the training recordings.
+
+    A setting given in `options` stays as given. `validation` is scored with the result, and reported only. The search
+    minimises log loss, a proper score: F1 at one threshold for walls and walkers alike does not see a forecast that is
+    rightly unsure where a walker will be. Raises WeightsError where the recordings differ in grid, period or site.
+    """
+    given = options.model_dump(exclude_unset=True)
+    background = fit_background((frame for source in train for frame in source), train[0].grid.shape)
+    draft = out.log_dir / f"{NAME}-background.toml"
+    save_weights(draft, card_for(NAME, out, train, validation, {}), {"background": background})
+
+    def scores(settings: PipelineSettings, sources: Sequence[FrameSource]) -> list[StretchScore]:
+        return [
+            score(tracker(stream_of(source, draft), settings), source, step_of(source, max(HORIZONS_S)))
+            for source in sources
+        ]
+
+    def loss(settings: PipelineSettings) -> float:
+        return float(np.mean([_loss(s, source) for s, source in zip(scores(settings, train), train, strict=True)]))
+
+    settings = search(loss, given, out.seed, out.report)
+    results = {
+        stretch: [_summary(s, source) for s, source in zip(scores(settings, sources), sources, strict=True)]
+        for stretch, sources in (("train", train), ("validation", validation))
+    }
+    out.report(f"{NAME}: {results}")
+    card = card_for(NAME, out, train, validation, settings.model_dump(), results)
+    save_weights(out.path, card, {"background": background})
+
+
+def search(
+    loss: Callable[[PipelineSettings], float], given: dict[str, Any], seed: int, report: Callable[[str], None]
+) -> PipelineSettings:
+    """The settings of least `loss` in TRIALS trials of a tree-structured Parzen estimator, which begins at the defaults.
+
+    Settings in `given` are kept. The same seed makes the same search.
+    """
+    tuned = {key: bounds for key, bounds in RANGES.items() if key not in given}
+
+    def objective(trial: optuna.Trial) -> float:
+        return loss(PipelineSettings(**given, **{key: _rounded(trial, key, *tuned[key]) for key in tuned}))
+
+    def tell(study: optuna.Study, trial: optuna.trial.FrozenTrial) -> None:
+        if trial.number % REPORT_EVERY == 0:
+            report(f"{NAME}: trial {trial.number + 1} of {TRIALS}, log loss {study.best_value:.5f}")
+
+    optuna.logging.set_verbosity(optuna.logging.WARNING)
+    study = optuna.create_study(sampler=optuna.samplers.TPESampler(seed=seed))
+    defaults = PipelineSettings()
+    study.enqueue_trial({key: getattr(defaults, key) for key in tuned})
+    study.optimize(objective, n_trials=TRIALS, callbacks=[tell])
+    best = {key: _three_digits(value) for key, value in study.best_params.items()}
+    return PipelineSettings(**given, **best)
+
+
+def step_of(source: FrameSource, horizon_s: float) -> int:
+    """The step nearest to a horizon."""
+    return max(1, round(horizon_s / source.period_s))
+
+
+def _loss(score: StretchScore, source: FrameSource) -> float:
+    """Mean log loss on moving cells over HORIZONS_S."""
+    return float(np.mean([score.log_loss["moving"][step_of(source, horizon)] for horizon in HORIZONS_S]))
+
+
+def _summary(score: StretchScore, source: FrameSource) -> dict[str, Any]:
+    """What the card says of one stretch."""
+    steps = [step_of(source, horizon) for horizon in HORIZONS_S]
+    values = {
+        "moving_f1": score.f1["moving"],
+        "visible_f1": score.f1["visible"],
+        "moving_log_loss": score.log_loss["moving"],
+    }
+    return {"stretch": source.name, "horizons_s": list(HORIZONS_S)} | {
+        name: [round(float(value[step]), 4) for step in steps] for name, value in values.items()
+    }
+
+
+def _rounded(trial: optuna.Trial, key: str, low: float, high: float) -> float:
+    return _three_digits(trial.suggest_float(key, low, high, log=True))
+
+
+def _three_digits(value: float) -> float:
+    """Three significant digits: a card is read by people, and the search must try what the card will say."""
+    return float(f"{value:.3g}")
