@@ -22,10 +22,12 @@ Model = TypeVar("Model", bound=BaseModel)
 def parse_pairs(text: str, where: str) -> dict[str, Any]:
     """Read `key=value,key=value`; a value is JSON where it reads as JSON, else a string.
 
+    A comma inside brackets or double quotes belongs to the value.
+
     Raises ConfigurationError for a part without `=`, an empty key or a key given twice.
     """
     pairs: dict[str, Any] = {}
-    for part in filter(None, (p.strip() for p in text.split(","))):
+    for part in filter(None, (p.strip() for p in _split(text))):
         key, equals, value = part.partition("=")
         key = key.strip().replace("-", "_")
         if not equals or not key:
@@ -34,6 +36,21 @@ def parse_pairs(text: str, where: str) -> dict[str, Any]:
             raise ConfigurationError(f"{where}: '{key}' is given twice")
         pairs[key] = _value(value.strip())
     return pairs
+
+
+def _split(text: str) -> list[str]:
+    """`text` cut at the commas that stand outside brackets and double quotes."""
+    parts, depth, quoted = [""], 0, False
+    for position, char in enumerate(text):
+        if char == '"' and text[position - 1 : position] != "\\":
+            quoted = not quoted
+        elif not quoted:
+            depth += (char in "[{") - (char in "]}")
+        if char == "," and depth <= 0 and not quoted:
+            parts.append("")
+        else:
+            parts[-1] += char
+    return parts
 
 
 def _value(text: str) -> Any:

@@ -1,0 +1,162 @@
+"""A program under supervision: bytes to and from it with deadlines, and a certain end, whatever it does."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import select
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+
+from gridtrack.trackers.wire import widen, without
+
+SUPERVISOR = Path(__file__).with_name("supervisor.py")
+ORDERLY_END_S = 2.0
+KILL_S = 10.0
+
+
+@dataclass(frozen=True, slots=True)
+class Ending:
+    """How a supervised program ended: `status` as `os.waitpid` gives it, or None where it is not known."""
+
+    status: int | None = None
+    peak_kb: int = 0
+    over_memory: bool = False
+    start_error: str = ""
+
+    def __str__(self) -> str:
+        if self.start_error:
+            return f"cannot be started ({self.start_error})"
+        if self.status is None:
+            return "ended in an unknown way"
+        if os.WIFSIGNALED(self.status):
+            number = os.WTERMSIG(self.status)
+            names = {s.value: s.name for s in signal.Signals}
+            return f"killed by {names.get(number, f'signal {number}')}"
+        return f"exited with code {os.WEXITSTATUS(self.status)}"
+
+
+class Supervised:
+    """A program started as a child of a supervisor process, in a session of its own.
+
+    Whatever happens to this process, the supervisor ends the program and all that it started. `read` and `write` are
+    for one thread; `kill` may be called from any.
+    """
+
+    def __init__(
+        self, argv: tuple[str, ...], log: Path, memory_mb: int, env: Mapping[str, str], cwd: Path | None = None
+    ) -> None:
+        """Start it; `log` takes what it writes to stderr. Raises OSError where the log cannot be opened."""
+        control, theirs = socket.socketpair()
+        command = [sys.executable, "-I", "-S", str(SUPERVISOR), str(theirs.fileno()), str(memory_mb), *argv]
+        with theirs, log.open("wb") as stderr:
+            self._supervisor = subprocess.Popen(
+                command,
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=stderr,
+                bufsize=0,
+                pass_fds=(theirs.fileno(),),
+                env=dict(env),
+                cwd=cwd,
+                start_new_session=True,
+            )
+        self._control = control
+        assert self._supervisor.stdin is not None
+        assert self._supervisor.stdout is not None
+        self._stdin, self._stdout = self._supervisor.stdin, self._supervisor.stdout
+        for pipe in (self._stdin, self._stdout):
+            os.set_blocking(pipe.fileno(), False)
+            widen(pipe.fileno())
+        self._ending: Ending | None = None
+        self.killed = False
+        """Whether `kill` was called."""
+
+    def write(self, buffers: list[memoryview], deadline: float) -> None:
+        """Write all buffers by `deadline` (time.monotonic). Raises TimeoutError, BrokenPipeError."""
+        left = buffers
+        while left:
+            try:
+                left = without(left, os.writev(self._stdin.fileno(), left))
+            except BlockingIOError:
+                _wait(self._stdin.fileno(), select.POLLOUT, deadline)
+
+    def read(self, buffers: list[memoryview], deadline: float) -> None:
+        """Fill all buffers by `deadline` (time.monotonic). Raises TimeoutError, EOFError."""
+        left = [b for b in buffers if b.nbytes]
+        while left:
+            try:
+                count = os.readv(self._stdout.fileno(), left)
+            except BlockingIOError:
+                _wait(self._stdout.fileno(), select.POLLIN, deadline)
+                continue
+            if count == 0:
+                raise EOFError
+            left = without(left, count)
+
+    def has_unread(self) -> bool:
+        """Whether bytes have come that nobody has read."""
+        poll = select.poll()
+        poll.register(self._stdout.fileno(), select.POLLIN)
+        return any(event & select.POLLIN for _, event in poll.poll(0))
+
+    def kill(self) -> None:
+        """End the program and everything that it started, without waiting for it."""
+        self.killed = True
+        # it may have been closed already, by this thread or another
+        with contextlib.suppress(OSError):
+            self._control.shutdown(socket.SHUT_WR)
+
+    def ended(self, within_s: float) -> bool:
+        """Whether the program ends by itself in that time."""
+        poll = select.poll()
+        poll.register(self._control.fileno(), select.POLLIN)
+        return bool(poll.poll(within_s * 1000))
+
+    def close(self, orderly: bool = True) -> Ending:
+        """End the program, all that it started, and the supervisor; an orderly end gives it time to go by itself."""
+        if self._ending is None:
+            self._stdin.close()
+            if not orderly or not self.ended(ORDERLY_END_S):
+                self.kill()
+            self._ending = self._account()
+            self._stdout.close()
+            self._control.close()
+        return self._ending
+
+    def _account(self) -> Ending:
+        self._control.settimeout(KILL_S)
+        try:
+            with self._control.makefile("rb") as lines:
+                line = lines.readline()
+            self._supervisor.wait(KILL_S)
+        except (TimeoutError, subprocess.TimeoutExpired):
+            line = b""
+        if self._supervisor.poll() is None:  # nothing but a stopped or stuck supervisor comes here
+            self._supervisor.kill()
+            self._supervisor.wait()
+        return Ending(**json.loads(line)) if line else Ending()
+
+    def __enter__(self) -> Supervised:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close(orderly=kind is None)
+
+
+def _wait(fd: int, event: int, deadline: float) -> None:
+    left = deadline - time.monotonic()
+    poll = select.poll()
+    poll.register(fd, event)
+    if left <= 0 or not poll.poll(left * 1000):
+        raise TimeoutError

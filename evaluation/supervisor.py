@@ -1,0 +1,244 @@
+"""The supervisor of one tracker process: starts it, bounds its memory and its log, and leaves nothing of it behind.
+
+Run as a program of its own, with the standard library only, so that it starts in a few hundredths of a second:
+
+    python -I -S supervisor.py CONTROL_FD MEMORY_MB PROGRAM [ARGUMENT...]
+
+Descriptors 0 and 1 are the tracker's wire, 2 is its log. On CONTROL_FD, a socket to the referee, the end of the stream
+means "end the tracker now": the referee closed it, or is dead. When the tracker has ended, in whichever way, every
+process that it left behind is killed, one line of JSON is sent, and the supervisor ends. Being a process of its own,
+it needs no help from the referee's threads, and orphans of the tracker become its children and nobody else's.
+"""
+
+from __future__ import annotations
+
+import collections
+import ctypes
+import json
+import os
+import pathlib
+import resource
+import select
+import signal
+import socket
+import sys
+import time
+
+WATCH_S = 0.05
+GIVE_UP_S = 5.0
+LOG_BYTES = 1 << 20
+PR_SET_PDEATHSIG, PR_SET_CHILD_SUBREAPER = 1, 36
+
+
+def main() -> None:
+    """Supervise one tracker from its start to its end."""
+    control = socket.socket(fileno=int(sys.argv[1]))
+    control.set_inheritable(False)
+    prctl(PR_SET_CHILD_SUBREAPER, 1)
+    wake, notify = os.pipe()
+    os.set_blocking(notify, False)
+    signal.set_wakeup_fd(notify, warn_on_full_buffer=False)
+    signal.signal(signal.SIGCHLD, lambda *_: None)
+    tracker = Tracker(sys.argv[3:], memory_kb=int(sys.argv[2]) * 1024)
+    tracker.watch(control.fileno(), wake)
+    tracker.end()
+    # the referee may be gone: then nobody needs the line
+    with control:
+        try:
+            control.sendall(json.dumps(tracker.account()).encode() + b"\n")
+        except OSError:
+            return
+
+
+class Tracker:
+    """The tracker's process: its exit status, peak memory and log."""
+
+    def __init__(self, command: list[str], memory_kb: int) -> None:
+        self.memory_kb = memory_kb
+        self.peak_kb = 0
+        self.over_memory = False
+        self.status: int | None = None
+        self.start_error = ""
+        self.stderr, stderr = os.pipe()
+        os.set_blocking(self.stderr, False)
+        self.log = Log(2)
+        failure, fail = os.pipe()  # closes by itself when the program has been started
+        self.pid = os.fork()
+        if self.pid == 0:
+            become(command, stderr, fail)
+        for fd in (stderr, fail):
+            os.close(fd)
+        nothing = os.open(os.devnull, os.O_RDWR)
+        os.dup2(nothing, 0)
+        os.dup2(nothing, 1)
+        self.start_error = os.read(failure, 4096).decode(errors="replace")
+
+    def watch(self, control: int, wake: int) -> None:
+        """Return when the tracker has ended, must end by the referee's word, or has taken too much memory."""
+        poll = select.poll()
+        for fd in (control, wake, self.stderr):
+            poll.register(fd, select.POLLIN)
+        next_look = time.monotonic()
+        while self.status is None and not self.over_memory:
+            ready = {fd for fd, _ in poll.poll(max(0.0, next_look - time.monotonic()) * 1000)}
+            if control in ready:
+                return
+            if wake in ready:
+                os.read(wake, 4096)
+                self.reap()
+            if self.stderr in ready and not self.log.take(self.stderr):
+                poll.unregister(self.stderr)
+            if time.monotonic() >= next_look:
+                self.look()
+                next_look = time.monotonic() + WATCH_S
+
+    def look(self) -> None:
+        """Measure the resident memory of the tracker and of everything that it started."""
+        sizes = [resident_kb(pid) for pid in (self.pid, *descendants(self.pid))]
+        total = sum(now for now, _ in sizes)
+        self.peak_kb = max(self.peak_kb, total, sizes[0][1])
+        self.over_memory = total > self.memory_kb
+
+    def reap(self) -> bool:
+        """Take note of every child that has ended, orphans of the tracker included; whether any child is left."""
+        while True:
+            try:
+                pid, status = os.waitpid(-1, os.WNOHANG)
+            except ChildProcessError:
+                return False
+            if pid == 0:
+                return True
+            if pid == self.pid:
+                self.status = status
+
+    def end(self) -> None:
+        """Kill the tracker and all that it started, and write what is left of its log.
+
+        Repeated, because what is killed hands its own children to the supervisor; given up on what no kill can end.
+        """
+        give_up = time.monotonic() + GIVE_UP_S
+        while self.reap() and time.monotonic() < give_up:
+            for pid in descendants(os.getpid()) or [self.pid]:
+                kill(pid)
+            time.sleep(0.002)
+        while self.log.take(self.stderr):
+            pass
+        self.log.close()
+
+    def account(self) -> dict[str, object]:
+        """What the referee is told."""
+        return {
+            "status": self.status,
+            "peak_kb": self.peak_kb,
+            "over_memory": self.over_memory,
+            "start_error": self.start_error,
+        }
+
+
+class Log:
+    """A log of bounded size: its first and its last MiB; what fell out between is counted."""
+
+    def __init__(self, fd: int) -> None:
+        self.fd = fd
+        self.head_left = LOG_BYTES
+        self.tail: collections.deque[bytes] = collections.deque()
+        self.tail_bytes = 0
+        self.left_out = 0
+
+    def take(self, source: int) -> bool:
+        """Take in what `source` holds; whether there may be more."""
+        try:
+            text = os.read(source, 1 << 16)
+        except BlockingIOError:
+            return False
+        head, tail = text[: self.head_left], text[self.head_left :]
+        self.write(head)
+        self.head_left -= len(head)
+        if tail:
+            self.tail.append(tail)
+            self.tail_bytes += len(tail)
+        while self.tail_bytes > LOG_BYTES:
+            gone = len(self.tail.popleft())
+            self.tail_bytes -= gone
+            self.left_out += gone
+        return bool(text)
+
+    def close(self) -> None:
+        """Write the last part."""
+        if self.left_out:
+            self.write(f"\n... {self.left_out} bytes left out ...\n".encode())
+        for part in self.tail:
+            self.write(part)
+
+    def write(self, text: bytes) -> None:
+        """Write `text` whole; a full disk costs the log, not the trial."""
+        try:
+            while text:
+                text = text[os.write(self.fd, text) :]
+        except OSError:
+            self.head_left = 0
+
+
+def become(command: list[str], stderr: int, fail: int) -> None:
+    """In the forked child: turn into the tracker's program; the reason is written to `fail` where that cannot be."""
+    supervisor = os.getppid()
+    try:
+        prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
+        if os.getppid() != supervisor:
+            os._exit(127)
+        os.setsid()
+        os.dup2(stderr, 2)
+        signal.signal(signal.SIGPIPE, signal.SIG_DFL)
+        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+        os.execvp(command[0], command)
+    except OSError as error:
+        os.write(fail, (error.strerror or str(error)).encode())
+    finally:
+        os._exit(127)
+
+
+def prctl(option: int, value: int) -> None:
+    """Set one of Linux's process attributes; elsewhere only the tracker itself can be followed."""
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(option, value, 0, 0, 0)
+
+
+def descendants(pid: int) -> list[int]:
+    """Every process below `pid`, by way of /proc."""
+    found: list[int] = []
+    waiting = [pid]
+    while waiting:
+        try:
+            for task in pathlib.Path(f"/proc/{waiting.pop()}/task").iterdir():
+                below = [int(child) for child in (task / "children").read_text().split()]
+                found += below
+                waiting += below
+        except OSError:  # it ended meanwhile
+            continue
+    return found
+
+
+def resident_kb(pid: int) -> tuple[int, int]:
+    """Resident memory of `pid` in KiB, now and at its highest; (0, 0) where it has ended."""
+    sizes = {"VmRSS": 0, "VmHWM": 0}
+    try:
+        status = pathlib.Path(f"/proc/{pid}/status").read_text()
+    except OSError:
+        return (0, 0)
+    for line in status.splitlines():
+        name, _, value = line.partition(":")
+        if name in sizes:
+            sizes[name] = int(value.split(maxsplit=1)[0])
+    return (sizes["VmRSS"], sizes["VmHWM"])
+
+
+def kill(pid: int) -> None:
+    """Kill `pid`, unless it has ended meanwhile."""
+    try:
+        os.kill(pid, signal.SIGKILL)
+    except ProcessLookupError:
+        return
+
+
+if __name__ == "__main__":
+    main()

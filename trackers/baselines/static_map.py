@@ -1,0 +1,83 @@
+"""Static map: how often each cell was occupied in the training recordings."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from gridtrack.common.config import Settings
+from gridtrack.common.errors import WeightsError
+from gridtrack.common.grid import GridFrame
+from gridtrack.trackers.contract import FitOutput, Forecast, FrameSource, Score, StreamSpec, Tracker
+from gridtrack.trackers.weights import array, card_for, load_weights, save_weights
+
+NAME = "static-map"
+
+
+class StaticMapOptions(Settings):
+    """Options of the static map."""
+
+    prior_frames: float = Field(1.0, ge=0.0)
+    """How many frames the grid's overall rate counts for beside a cell's own: a cell hardly ever seen leans on it."""
+
+
+class StaticMapTracker(Tracker):
+    """Forecasts each cell's frequency of being occupied when visible, whatever it sees now."""
+
+    Options = StaticMapOptions
+    learns = True
+
+    def __init__(self, stream: StreamSpec, options: StaticMapOptions) -> None:
+        super().__init__(stream, options)
+        weights = load_weights(stream, NAME)
+        occupied, visible = (array(weights, name, stream.grid.shape) for name in ("occupied", "visible"))
+        self.frequency = frequency(occupied, visible, options.prior_frames)
+
+    def reset(self, seed: int) -> None:
+        """Nothing to forget."""
+
+    def update(self, frame: GridFrame) -> None:
+        """Nothing to learn."""
+
+    def predict(self, steps: int) -> Forecast:
+        """The map (steps+1, M, M), the same for every step."""
+        return Forecast(np.tile(self.frequency, (steps + 1, 1, 1)))
+
+    @classmethod
+    def fit(
+        cls,
+        train: Sequence[FrameSource],
+        validation: Sequence[FrameSource],
+        score: Score,
+        out: FitOutput,
+        options: StaticMapOptions,
+    ) -> None:
+        """Count, cell by cell, in how many frames of `train` it was visible, and occupied.
+
+        Raises WeightsError where the stretches differ in grid, period or site, or show nothing.
+        """
+        card = card_for(NAME, out, train, validation, options.model_dump(mode="json"))
+        shape = train[0].grid.shape
+        occupied, visible = np.zeros(shape, np.int64), np.zeros(shape, np.int64)
+        for frame in (frame for source in train for frame in source):
+            visible += frame.visible
+            occupied += frame.occupied
+        if not visible.any():
+            raise WeightsError(f"{NAME}: no cell is visible in {', '.join(source.name for source in train)}")
+        save_weights(out.path, card, {"occupied": occupied, "visible": visible})
+        out.report(f"{NAME}: {np.count_nonzero(visible)} cells seen, overall rate {occupied.sum() / visible.sum():.4f}")
+
+
+def frequency(occupied: NDArray[np.int64], visible: NDArray[np.int64], prior_frames: float) -> NDArray[np.float32]:
+    """P(occupied) (M, M) from counts of frames (M, M), shrunk towards the overall rate as by `prior_frames` frames.
+
+    A cell that was never visible gets the overall rate.
+    """
+    rate = occupied.sum() / visible.sum()
+    seen = visible + prior_frames
+    smoothed = np.full(visible.shape, rate)
+    np.divide(occupied + prior_frames * rate, seen, out=smoothed, where=seen > 0)
+    return smoothed.astype(np.float32)

@@ -1,0 +1,187 @@
+"""What the wire's messages hold: streams, frames and forecasts as JSON fields and named arrays, and back."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gridtrack.common.geometry import SE2
+from gridtrack.common.grid import GridFrame, GridSpec
+from gridtrack.trackers.contract import Forecast, StreamSpec, TrackedObject
+from gridtrack.trackers.wire import Message, WireError
+
+MAX_OBJECTS = 4096
+FORECAST_DTYPES = ("float32", "float16")
+
+Arrays = dict[str, NDArray[Any]]
+
+
+def stream_fields(stream: StreamSpec) -> dict[str, Any]:
+    """`stream` as JSON, for `start`."""
+    return {
+        "size": stream.grid.size,
+        "cell_m": stream.grid.cell_m,
+        "origin_m": list(stream.grid.origin),
+        "period_s": stream.period_s,
+        "site": stream.site,
+        "classes": list(stream.classes),
+        "weights": None if stream.weights is None else str(stream.weights.absolute()),
+    }
+
+
+def stream_from(message: Message) -> StreamSpec:
+    """The stream that `start` announces. Raises WireError, ConfigurationError."""
+    fields = message.value("stream", dict)
+    stream = Message("stream", 0, fields)
+    x, y = stream.value("origin_m", list)
+    weights = fields.get("weights")
+    return StreamSpec(
+        GridSpec(stream.value("size", int), stream.value("cell_m", float), (float(x), float(y))),
+        stream.value("period_s", float),
+        stream.value("site", str),
+        tuple(stream.value("classes", list)),
+        None if weights is None else Path(weights),
+    )
+
+
+def frame_arrays(frame: GridFrame) -> Arrays:
+    """`frame` as arrays, for `update`."""
+    pose = frame.world_T_grid
+    return {
+        "stamp_ns": np.array([frame.stamp_ns], np.int64),
+        "world_T_grid": np.array([pose.x, pose.y, pose.theta], np.float64),
+        "origins": frame.origins,
+        "points": frame.points,
+        "point_origin": frame.point_origin,
+        "visible": frame.visible,
+        "occupied": frame.occupied,
+    }
+
+
+def frame_from(message: Message) -> GridFrame:
+    """The frame that `update` brings. Raises WireError."""
+    points = message.array("points", "float32", (None, 2))
+    visible = message.array("visible", "bool", (None, None))
+    return GridFrame(
+        stamp_ns=int(message.array("stamp_ns", "int64", (1,))[0]),
+        visible=visible,
+        occupied=message.array("occupied", "bool", visible.shape),
+        world_T_grid=SE2(*message.array("world_T_grid", "float64", (3,)).tolist()),
+        origins=message.array("origins", "float32", (None, 2)),
+        points=points,
+        point_origin=message.array("point_origin", "uint8", points.shape[:1]),
+    )
+
+
+def forecast_parts(forecast: Forecast) -> tuple[dict[str, Any], Arrays]:
+    """`forecast` as JSON fields and arrays, for the answer to `predict`. Raises WireError for what is no array."""
+    planes = {"occupancy": forecast.occupancy, "semantics": forecast.semantics, "velocity": forecast.velocity}
+    arrays = {name: plane for name, plane in planes.items() if plane is not None}
+    for name, plane in arrays.items():
+        if not isinstance(plane, np.ndarray):
+            raise WireError(f"{name} is a {type(plane).__name__}; expected a numpy array")
+    if not forecast.objects:
+        return {}, arrays
+    objects = forecast.objects
+    labels = sorted({o.label for o in objects} - {""})
+    try:
+        arrays |= {
+            "object_track": np.array([o.track for o in objects], np.int64),
+            "object_box": np.stack([o.box for o in objects]).astype(np.float32),
+            "object_velocity": np.stack([o.velocity for o in objects]).astype(np.float32),
+            "object_covariance": np.stack([o.covariance for o in objects]).astype(np.float32),
+            "object_label": np.array([labels.index(o.label) if o.label else -1 for o in objects], np.int32),
+        }
+    except ValueError as error:
+        raise WireError(f"the objects of the forecast differ in shape ({error})") from None
+    return {"labels": labels}, arrays
+
+
+def forecast_limit(grid: GridSpec, steps: int, classes: int) -> int:
+    """The most bytes that the answer to `predict` may hold in its body."""
+    planes = (steps + 1) * (1 + classes) + 2
+    return planes * grid.size**2 * 4 + MAX_OBJECTS * (8 + 4 * (5 + 2 + 16 + 1))
+
+
+def forecast_from(message: Message, grid: GridSpec, steps: int, classes: int) -> Forecast:
+    """The forecast that a tracker answers, every promise of `Forecast` checked. Raises WireError.
+
+    `classes` is how many classes the tracker gives probabilities for.
+    """
+    semantics = None
+    occupancy = _plane(message, "occupancy", (steps + 1, *grid.shape))
+    _in_unit_range("occupancy", occupancy)
+    if "semantics" in message.arrays:
+        if not classes:
+            raise WireError("semantics from a tracker that names no classes")
+        semantics = _plane(message, "semantics", (steps + 1, classes, *grid.shape))
+        _in_unit_range("semantics", semantics)
+        _sums_to_one(semantics)
+    velocity = None
+    if "velocity" in message.arrays:
+        velocity = _plane(message, "velocity", (2, *grid.shape))
+        _finite("velocity", velocity)
+    return Forecast(occupancy, semantics, velocity, _objects(message))
+
+
+def _plane(message: Message, name: str, shape: tuple[int, ...]) -> NDArray[np.float32]:
+    """The array `name` as float32; its dtype and shape checked."""
+    found = message.arrays.get(name)
+    if found is None:
+        raise WireError(f"the forecast has no '{name}'")
+    if found.shape != shape:
+        raise WireError(f"{name} has shape {found.shape}; expected {shape}")
+    if found.dtype.name not in FORECAST_DTYPES:
+        raise WireError(f"{name} is {found.dtype}; expected {' or '.join(FORECAST_DTYPES)}")
+    return found.astype(np.float32, copy=False)
+
+
+def _in_unit_range(name: str, values: NDArray[np.float32]) -> None:
+    low, high = values.min(), values.max()  # NaN passes through both
+    if not (low >= 0.0 and high <= 1.0):
+        _finite(name, values)
+        raise WireError(f"{name} goes from {low:g} to {high:g}; expected probabilities in [0, 1]")
+
+
+def _finite(name: str, values: NDArray[np.float32]) -> None:
+    if not np.isfinite(values).all():
+        raise WireError(f"{name} holds {np.count_nonzero(~np.isfinite(values))} values that are not finite")
+
+
+def _sums_to_one(semantics: NDArray[np.float32]) -> None:
+    # 5e-3: what K classes in float16 may miss by rounding alone
+    worst = float(np.abs(semantics.sum(axis=1) - 1.0).max())
+    if worst > 5e-3:
+        raise WireError(f"semantics sum to 1 over the classes; here they miss it by up to {worst:.3g}")
+
+
+def _objects(message: Message) -> tuple[TrackedObject, ...]:
+    if "object_track" not in message.arrays:
+        return ()
+    track = message.array("object_track", "int64", (None,))
+    count = len(track)
+    if count > MAX_OBJECTS:
+        raise WireError(f"{count} objects in one forecast; at most {MAX_OBJECTS}")
+    box = message.array("object_box", "float32", (count, 5))
+    velocity = message.array("object_velocity", "float32", (count, 2))
+    covariance = message.array("object_covariance", "float32", (count, 4, 4))
+    index = message.array("object_label", "int32", (count,))
+    labels = message.value("labels", list)
+    for name, values in (("object_box", box), ("object_velocity", velocity), ("object_covariance", covariance)):
+        _finite(name, values)
+    if count and not (index.min() >= -1 and index.max() < len(labels)):
+        raise WireError(f"object_label goes from {index.min()} to {index.max()}; there are {len(labels)} labels")
+    if not all(isinstance(label, str) for label in labels):
+        raise WireError("the labels of the objects are not all strings")
+    return tuple(
+        TrackedObject(int(track[i]), box[i], velocity[i], covariance[i], labels[index[i]] if index[i] >= 0 else "")
+        for i in range(count)
+    )
+
+
+def update_limit(grid: GridSpec) -> int:
+    """The most bytes that an `update` may hold in its body: two planes, and a million returns from 256 sensors."""
+    return 2 * grid.size**2 + 32 + 256 * 8 + (1 << 20) * 9

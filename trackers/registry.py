@@ -1,0 +1,154 @@
+"""The registry: every installed tracker by its entry point, listed without importing it, loaded and checked by name."""
+
+from __future__ import annotations
+
+import inspect
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from importlib.metadata import Distribution, EntryPoint, distributions
+from typing import Any
+
+from gridtrack.common.config import Settings
+from gridtrack.common.errors import PluginError, did_you_mean
+from gridtrack.trackers.contract import API, Tracker
+
+GROUP = "gridtrack.trackers"
+NAME = re.compile(r"[a-z0-9][a-z0-9._-]{0,63}")
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """A tracker that a distribution registers; `problem` says why it cannot be loaded, where that shows already."""
+
+    name: str
+    value: str
+    distribution: str
+    """Name and version, for messages."""
+    problem: str = ""
+
+
+def entries() -> dict[str, Entry]:
+    """Every registered tracker by name, in order, none of them imported; broken ones carry their `problem`."""
+    found: dict[str, Entry] = {}
+    for entry in _registered():
+        known = found.get(entry.name)
+        found[entry.name] = entry if known is None else _registered_twice(known, entry)
+    return dict(sorted(found.items()))
+
+
+def _registered_twice(one: Entry, other: Entry) -> Entry:
+    both = f"{one.distribution} and {other.distribution}"
+    return Entry(one.name, "", both, f"registered by two distributions, {both}: uninstall one")
+
+
+def _registered() -> Iterator[Entry]:
+    seen: set[str] = set()
+    for distribution in distributions():
+        text = distribution.read_text("entry_points.txt") or ""
+        if GROUP not in text:
+            continue
+        name = distribution.metadata["Name"] or "a distribution without a name"
+        if name in seen:  # further along the path: hidden from import as well
+            continue
+        seen.add(name)
+        yield from _entries_of(distribution, f"{name} {distribution.metadata['Version']}")
+
+
+def _entries_of(distribution: Distribution, label: str) -> list[Entry]:
+    try:
+        points = list(distribution.entry_points.select(group=GROUP))
+    except (TypeError, ValueError, AttributeError) as error:
+        # the standard parser has no error of its own for a damaged file
+        return [Entry(f"({label})", "", label, f"its entry_points.txt cannot be read ({error})")]
+    return [_entry(point, label) for point in points]
+
+
+def _entry(point: EntryPoint, label: str) -> Entry:
+    problem = ""
+    if not NAME.fullmatch(point.name):
+        problem = f"'{point.name}' is no name for a tracker: use a-z, 0-9, '.', '_' and '-', at most 64"
+    return Entry(point.name, point.value, label, problem)
+
+
+def find(name: str) -> Entry:
+    """The entry of the tracker `name`, not imported. Raises PluginError where it is unknown or broken."""
+    known = entries()
+    entry = known.get(name)
+    if entry is None:
+        raise PluginError(f"there is no tracker '{name}'; {did_you_mean(name, known)}")
+    if entry.problem:
+        raise PluginError(f"tracker '{name}' of {entry.distribution}: {entry.problem}")
+    return entry
+
+
+def load(name: str) -> type[Tracker]:
+    """Import the tracker `name` and check that it keeps the contract.
+
+    Raises PluginError, which names the plugin, its distribution and what is wrong. Call it in the tracker's own
+    process: importing a plugin runs its code.
+    """
+    entry = find(name)
+    where = f"tracker '{name}' ({entry.value}) of {entry.distribution}"
+    try:
+        found = EntryPoint(name, entry.value, GROUP).load()
+    except ImportError as error:
+        raise PluginError(f"{where} cannot be imported: {error}{install_hint(name, error)}") from error
+    except (Exception, SystemExit) as error:
+        raise PluginError(f"{where} cannot be imported: {type(error).__name__}: {error}") from error
+    problem = contract_breach(found)
+    if problem:
+        raise PluginError(f"{where}: {problem}")
+    assert isinstance(found, type)
+    return found
+
+
+def install_hint(name: str, error: ImportError) -> str:
+    """How to install what the tracker `name` misses, as the end of an error line; "" where nothing is missing."""
+    if not isinstance(error, ModuleNotFoundError) or not error.name:
+        return ""
+    module = error.name.partition(".")[0]
+    distribution = find(name).distribution.split()[0]
+    extras = []
+    for requirement in Distribution.from_name(distribution).requires or ():
+        match = re.match(r"([A-Za-z0-9._-]+).*\bextra\s*==\s*['\"]([^'\"]+)", requirement)
+        if match and match[1].lower().replace("-", "_") == module.lower():
+            return f"; pip install '{distribution}[{match[2]}]'"
+        if match and match[2] not in extras:
+            extras.append(match[2])
+    return f"; it may belong to an extra of {distribution}: {', '.join(extras)}" if extras else ""
+
+
+def contract_breach(found: Any) -> str:
+    """What keeps `found` from being a tracker of this contract, in one line; "" where nothing does."""
+    if not (isinstance(found, type) and issubclass(found, Tracker)):
+        return f"{found!r} is not a subclass of gridtrack.trackers.contract.Tracker"
+    if found.api != API:
+        return f"made for contract {found.api}; this gridtrack has contract {API}"
+    options: Any = found.Options
+    if not (isinstance(options, type) and issubclass(options, Settings)):
+        return "Options is not a subclass of gridtrack.common.config.Settings"
+    missing = sorted(getattr(found, "__abstractmethods__", ()))
+    if missing:
+        return f"it lacks {', '.join(missing)}"
+    return _signature_breach(found) or _attribute_breach(found)
+
+
+def _signature_breach(found: type[Tracker]) -> str:
+    calls = {"__init__": ("stream", "options"), "reset": ("seed",), "update": ("frame",), "predict": ("steps",)}
+    for method, arguments in calls.items():
+        signature = inspect.signature(getattr(found, method))
+        try:
+            signature.bind("self", *arguments)
+        except TypeError:
+            return f"{method}{signature} cannot be called as {method}({', '.join(arguments)})"
+    return ""
+
+
+def _attribute_breach(found: type[Tracker]) -> str:
+    for flag in ("moving_sensor", "learns"):
+        if not isinstance(getattr(found, flag), bool):
+            return f"{flag} is {getattr(found, flag)!r}; expected True or False"
+    if found.learns and found.fit.__func__ is Tracker.fit.__func__:  # type: ignore[attr-defined]
+        return "it learns, but has no fit"
+    return ""

@@ -1,0 +1,156 @@
+"""Which trackers a run compares: `[LABEL=]NAME[:key=value,...]`, and how each is started as a process."""
+
+from __future__ import annotations
+
+import os
+import re
+import shlex
+import sys
+import tomllib
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+from pydantic import model_validator
+
+from gridtrack.common.config import Settings, parse_pairs, validated
+from gridtrack.common.errors import ConfigurationError, PluginError, did_you_mean
+from gridtrack.trackers import registry
+
+LABEL = re.compile(r"[A-Za-z0-9]([A-Za-z0-9._ -]{0,62}[A-Za-z0-9_-])?")
+Points = Literal["cells", "raw"]
+
+
+@dataclass(frozen=True, slots=True)
+class Selection:
+    """One row of a comparison.
+
+    `points` is what the frames carry as returns: the centres of the occupied cells, the same for everybody, or the
+    laser's own (`points=raw`). `options` are the tracker's own, not yet validated.
+    """
+
+    label: str
+    name: str
+    options: Mapping[str, Any] = field(default_factory=dict)
+    points: Points = "cells"
+
+
+@dataclass(frozen=True, slots=True)
+class Launch:
+    """How the process of the tracker `name` is started: the program and its arguments, and its working folder."""
+
+    name: str
+    argv: tuple[str, ...]
+    cwd: Path | None = None
+
+
+def parse_selection(text: str) -> Selection:
+    """Read `[LABEL=]NAME[:key=value,...]`; values are JSON where they read as JSON. Raises ConfigurationError."""
+    head, _, tail = text.partition(":")
+    label, equals, name = (part.strip() for part in head.partition("="))
+    if not equals:
+        label = name = head.strip()
+    where = f"tracker '{text}'"
+    if not registry.NAME.fullmatch(name):
+        raise ConfigurationError(f"{where}: '{name}' is no tracker's name; expected [LABEL=]NAME[:key=value,...]")
+    if not LABEL.fullmatch(label):
+        raise ConfigurationError(
+            f"{where}: label '{label}' must be 1 to 64 of A-Z a-z 0-9 . _ - and space, with a letter or digit first"
+        )
+    options = parse_pairs(tail, where)
+    points = options.pop("points", "cells")
+    if points not in {"cells", "raw"}:
+        raise ConfigurationError(f"{where}: points={points}; expected cells or raw")
+    return Selection(label, name, options, points)
+
+
+def parse_selections(texts: Iterable[str]) -> tuple[Selection, ...]:
+    """Read several selections, whose labels must differ as the names of folders do. Raises ConfigurationError."""
+    selections = tuple(parse_selection(text) for text in texts)
+    labels: set[str] = set()
+    for selection in selections:
+        if selection.label.casefold() in labels:
+            raise ConfigurationError(
+                f"two trackers are labelled '{selection.label}'; name them apart: LABEL={selection.name}:..."
+            )
+        labels.add(selection.label.casefold())
+    return selections
+
+
+class ExternalTracker(Settings):
+    """A table of `trackers.toml`: a tracker of another Python environment, or any program that speaks the wire.
+
+    Either `python`, the interpreter of an environment in which gridtrack and the tracker are installed (`tracker` is
+    its name there, where it differs), or `command`, a program with its arguments: split as a shell splits it, run
+    without one, in the folder of `trackers.toml`.
+    """
+
+    python: str | None = None
+    tracker: str | None = None
+    command: str | None = None
+
+    @model_validator(mode="after")
+    def _one_way(self) -> ExternalTracker:
+        if (self.python is None) == (self.command is None):
+            raise ValueError("give either python or command")
+        if self.command is not None and self.tracker is not None:
+            raise ValueError("tracker goes with python, not with command")
+        if self.tracker is not None and not registry.NAME.fullmatch(self.tracker):
+            raise ValueError(f"'{self.tracker}' is no tracker's name")
+        return self
+
+
+def read_trackers_toml(path: Path) -> dict[str, Launch]:
+    """The trackers that `path` names, each a table `[NAME]`; relative programs are looked for beside the file.
+
+    Raises ConfigurationError, also for a name that is registered already.
+    """
+    try:
+        tables = tomllib.loads(path.read_text())
+    except OSError as error:
+        raise ConfigurationError(f"{path}: cannot be read ({error.strerror})") from None
+    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise ConfigurationError(f"{path}: not TOML ({error})") from None
+    registered = registry.entries()
+    launches = {}
+    for name, table in tables.items():
+        where = f"{path}: [{name}]"
+        if not registry.NAME.fullmatch(name) or not isinstance(table, dict):
+            raise ConfigurationError(f"{where}: expected a table named with a-z, 0-9, '.', '_' and '-', at most 64")
+        if name in registered:
+            raise ConfigurationError(f"{where}: {registered[name].distribution} has a tracker of this name: rename it")
+        launches[name] = _external(name, validated(ExternalTracker, table, where), path.absolute().parent, where)
+    return launches
+
+
+def _external(name: str, external: ExternalTracker, folder: Path, where: str) -> Launch:
+    if external.python is not None:
+        return Launch(name, _serve(_program(external.python, folder), external.tracker or name), folder)
+    try:
+        words = shlex.split(external.command or "")
+    except ValueError as error:
+        raise ConfigurationError(f"{where}: command: {error}") from None
+    if not words:
+        raise ConfigurationError(f"{where}: command is empty")
+    return Launch(name, (_program(words[0], folder), *words[1:]), folder)
+
+
+def _program(program: str, folder: Path) -> str:
+    """A path relative to `folder`; a bare word is left to PATH."""
+    return str(folder / Path(program).expanduser()) if os.sep in program else program
+
+
+def _serve(python: str, name: str) -> tuple[str, ...]:
+    return (python, "-P", "-m", "gridtrack.trackers.serve", name)
+
+
+def launch(name: str, external: Mapping[str, Launch] | None = None) -> Launch:
+    """How to start the tracker `name`, registered here or named in a `trackers.toml`. Raises PluginError."""
+    external = external or {}
+    if name in external:
+        return external[name]
+    known = registry.entries()
+    if name not in known:
+        raise PluginError(f"there is no tracker '{name}'; {did_you_mean(name, (*known, *external))}")
+    return Launch(name, _serve(sys.executable, name))
