@@ -1,1 +1,20 @@
-"""Recordings of laser scans: the native MCAP form, imports from other formats, resampling to a fixed period."""
+"""Recordings of laser scans: the native MCAP form, and ROS bags, ROS MCAP files and CARMEN logs read in place."""
+
+from gridtrack.common.recordings.importing import import_recording
+from gridtrack.common.recordings.native import write_native
+from gridtrack.common.recordings.opening import open_recording, packaged_recording
+from gridtrack.common.recordings.recording import Recording, RecordingInfo, Stretch
+from gridtrack.common.recordings.ros_messages import CloudSlice
+from gridtrack.common.recordings.survey import Summary
+
+__all__ = [
+    "CloudSlice",
+    "Recording",
+    "RecordingInfo",
+    "Stretch",
+    "Summary",
+    "import_recording",
+    "open_recording",
+    "packaged_recording",
+    "write_native",
+]

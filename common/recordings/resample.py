@@ -1,0 +1,54 @@
+"""Scans at a fixed period: for every tick, the nearest scan of each sensor."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+
+from gridtrack.common.scan import Scan
+
+
+@dataclass(frozen=True, slots=True)
+class Tick:
+    """One moment of a stream and the scans that stand for it, by sensor; none where a gap is too long."""
+
+    stamp_ns: int
+    scans: dict[str, Scan]
+
+
+def resample(scans: Iterable[Scan], period_ns: int, *, origin_ns: int, ticks: range) -> Iterator[Tick]:
+    """Ticks at `origin_ns + k * period_ns` for k in `ticks`, from `scans` in the order of their stamps.
+
+    A tick has of each sensor the scan nearest to it, the earlier of two equally near: always when that is within half
+    a period; up to a whole period away only where the sensor's pause around the tick is at most two periods, so that
+    a missing scan is bridged by its neighbour while a longer gap stays empty. Memory holds a few periods of scans.
+    """
+    ahead = iter(scans)
+    recent: dict[str, deque[Scan]] = {}
+    newest_ns = -1
+    for k in ticks:
+        stamp_ns = origin_ns + k * period_ns
+        while newest_ns <= stamp_ns + 2 * period_ns and (scan := next(ahead, None)) is not None:
+            newest_ns = scan.stamp_ns
+            if newest_ns >= stamp_ns - 2 * period_ns:
+                recent.setdefault(scan.sensor, deque()).append(scan)
+        for known in recent.values():
+            while known and known[0].stamp_ns < stamp_ns - 2 * period_ns:
+                known.popleft()
+        chosen = {sensor: _nearest(known, stamp_ns, period_ns) for sensor, known in recent.items()}
+        yield Tick(stamp_ns, {sensor: scan for sensor, scan in chosen.items() if scan is not None})
+
+
+def _nearest(scans: deque[Scan], stamp_ns: int, period_ns: int) -> Scan | None:
+    """The scan that stands for the tick at `stamp_ns`, of one sensor's scans around it."""
+    before = [scan for scan in scans if scan.stamp_ns <= stamp_ns][-1:]
+    after = [scan for scan in scans if scan.stamp_ns > stamp_ns][:1]
+    if not before and not after:
+        return None
+    nearest = min(before + after, key=lambda scan: abs(scan.stamp_ns - stamp_ns))
+    distance_ns = abs(nearest.stamp_ns - stamp_ns)
+    if 2 * distance_ns <= period_ns:
+        return nearest
+    bridged = bool(before and after) and after[0].stamp_ns - before[0].stamp_ns <= 2 * period_ns
+    return nearest if bridged and distance_ns <= period_ns else None

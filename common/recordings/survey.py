@@ -1,0 +1,187 @@
+"""What a recording holds: its sensors, their rate, field of view and gaps, found in one pass over its scans."""
+
+from __future__ import annotations
+
+import math
+from array import array
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gridtrack.common.config import Settings
+from gridtrack.common.geometry import SE2
+from gridtrack.common.scan import Scan
+
+
+@dataclass
+class SensorSurvey:
+    """What the scans of one sensor have in common, and when they were taken."""
+
+    first: Scan
+    stamps: array[int] = field(default_factory=lambda: array("q"))
+    beams: set[int] = field(default_factory=set)
+    moved: bool = False
+    no_return: int = 0
+    invalid: int = 0
+    readings: int = 0
+    labelled: int = 0
+
+    def add(self, scan: Scan) -> None:
+        """Take in the sensor's next scan."""
+        self.stamps.append(scan.stamp_ns)
+        self.beams.add(scan.ranges.size)
+        self.moved = self.moved or scan.world_T_sensor != self.first.world_T_sensor
+        self.readings += scan.ranges.size
+        self.no_return += int(np.count_nonzero(scan.ranges > np.float32(scan.range_max)))
+        self.invalid += int(np.count_nonzero(~(scan.ranges >= np.float32(scan.range_min))))
+        self.labelled += scan.labels is not None
+
+    @property
+    def stamps_ns(self) -> NDArray[np.int64]:
+        """When the scans were taken, (n,) int64."""
+        return np.frombuffer(self.stamps, np.int64)
+
+    @property
+    def period_s(self) -> float | None:
+        """Median time between scans; None for fewer than two."""
+        return float(np.median(np.diff(self.stamps_ns))) / 1e9 if len(self.stamps) > 1 else None
+
+    def gaps(self, period_ns: int) -> NDArray[np.int64]:
+        """Which pauses between scans are longer than two periods: (n, 2) int64, from and to in ns."""
+        stamps = self.stamps_ns
+        (before,) = np.nonzero(np.diff(stamps) > 2 * period_ns)
+        return np.stack([stamps[before], stamps[before + 1]], axis=1)
+
+
+@dataclass
+class Survey:
+    """All sensors of a recording, in the order in which they first appear, and the topics of its file."""
+
+    sensors: dict[str, SensorSurvey] = field(default_factory=dict)
+    topics: dict[str, tuple[str, int]] = field(default_factory=dict)
+
+    def add(self, scan: Scan) -> None:
+        """Take in the next scan."""
+        if scan.sensor not in self.sensors:
+            self.sensors[scan.sensor] = SensorSurvey(scan)
+        self.sensors[scan.sensor].add(scan)
+
+    @property
+    def first_ns(self) -> int:
+        """Stamp of the first scan."""
+        return min(s.stamps[0] for s in self.sensors.values())
+
+    @property
+    def last_ns(self) -> int:
+        """Stamp of the last scan."""
+        return max(s.stamps[-1] for s in self.sensors.values())
+
+    @property
+    def duration_s(self) -> float:
+        """From the first scan to the last."""
+        return (self.last_ns - self.first_ns) / 1e9
+
+    @property
+    def moves(self) -> bool:
+        """Whether any sensor changes its pose."""
+        return any(s.moved for s in self.sensors.values())
+
+    @property
+    def poses(self) -> dict[str, SE2]:
+        """Where each sensor stands at its first scan, `world_T_sensor`."""
+        return {name: s.first.world_T_sensor for name, s in self.sensors.items()}
+
+    @property
+    def rate_hz(self) -> float | None:
+        """The rate at which every sensor has a scan for every tick: the slowest median, to a tenth of a hertz."""
+        periods = [p for s in self.sensors.values() if (p := s.period_s) is not None]
+        if not periods:
+            return None
+        rate = 1.0 / max(periods)
+        return round(rate, 1) if rate >= 1.0 else float(f"{rate:.2g}")
+
+    def sensor_summaries(self) -> dict[str, SensorSummary]:
+        """The figures that `recording info` shows of each sensor."""
+        return {name: _summarise(sensor) for name, sensor in self.sensors.items()}
+
+
+class SensorSummary(Settings):
+    """One sensor of a recording; `jitter_ms` is the 95th percentile of a period's distance from the median."""
+
+    scans: int
+    rate_hz: float | None
+    jitter_ms: float | None
+    gaps: int
+    longest_gap_s: float
+    beams: tuple[int, int]
+    field_of_view_deg: float
+    angle_min_deg: float
+    range_min: float
+    range_max: float
+    no_return_share: float
+    invalid_share: float
+    labelled_scans: int
+    moves: bool
+
+
+def _summarise(sensor: SensorSurvey) -> SensorSummary:
+    first, period_s = sensor.first, sensor.period_s
+    periods = np.diff(sensor.stamps_ns) / 1e9
+    gaps = sensor.gaps(round(period_s * 1e9)) if period_s else np.empty((0, 2), np.int64)
+    span = (gaps[:, 1] - gaps[:, 0]) / 1e9
+    return SensorSummary(
+        scans=len(sensor.stamps),
+        rate_hz=round(1.0 / period_s, 3) if period_s else None,
+        jitter_ms=round(float(np.percentile(abs(periods - period_s), 95)) * 1e3, 3) if period_s else None,
+        gaps=len(gaps),
+        longest_gap_s=round(float(span.max(initial=0.0)), 3),
+        beams=(min(sensor.beams), max(sensor.beams)),
+        field_of_view_deg=round(math.degrees(abs(first.angle_increment)) * max(first.ranges.size - 1, 0), 2),
+        angle_min_deg=round(math.degrees(first.angle_min), 2),
+        range_min=round(first.range_min, 4),
+        range_max=round(first.range_max, 4),
+        no_return_share=round(sensor.no_return / max(sensor.readings, 1), 4),
+        invalid_share=round(sensor.invalid / max(sensor.readings, 1), 4),
+        labelled_scans=sensor.labelled,
+        moves=sensor.moved,
+    )
+
+
+class Summary(Settings):
+    """A recording in a few lines: prints as text, `model_dump_json()` for a script."""
+
+    path: str
+    sha256: str
+    info: dict[str, object]
+    topics: dict[str, str]
+    duration_s: float
+    sensors: dict[str, SensorSummary]
+    warnings: tuple[str, ...]
+
+    def __str__(self) -> str:
+        lines = [f"{self.path}: {self.duration_s:.1f} s, sha256 {self.sha256[:16]}..."]
+        lines += [f"  {key}: {_plain(value)}" for key, value in self.info.items() if value]
+        lines += [f"  topic {topic}: {what}" for topic, what in self.topics.items()]
+        for name, sensor in self.sensors.items():
+            lines += [f"  sensor {name}: {line}" for line in _sensor_lines(sensor)]
+        return "\n".join(lines + [f"  warning: {w}" for w in self.warnings])
+
+
+def _plain(value: object) -> str:
+    if isinstance(value, dict):
+        return ", ".join(f"{k} {_plain(v)}" for k, v in value.items())
+    if isinstance(value, list | tuple):
+        return " to ".join("the end" if v is None else str(v) for v in value)
+    return str(value)
+
+
+def _sensor_lines(s: SensorSummary) -> list[str]:
+    beams = f"{s.beams[0]}" if s.beams[0] == s.beams[1] else f"{s.beams[0]} to {s.beams[1]}"
+    rate = "one scan" if s.rate_hz is None else f"{s.rate_hz:g} Hz, jitter {s.jitter_ms:g} ms"
+    return [
+        f"{s.scans} scans, {rate}, " + (f"{s.gaps} gaps, the longest {s.longest_gap_s:g} s" if s.gaps else "no gaps"),
+        f"{beams} beams over {s.field_of_view_deg:g} deg from {s.angle_min_deg:g} deg,"
+        f" {s.range_min:g} to {s.range_max:g} m, {'moves' if s.moves else 'stands still'}",
+        f"{s.no_return_share:.1%} no return, {s.invalid_share:.1%} invalid, {s.labelled_scans} scans labelled",
+    ]
