@@ -1,7 +1,7 @@
 """The scored samples kept for viewing: an MCAP file of grids that opens in Foxglove, and that reports read back.
 
-A sample has log time t, when its forecast was made: `/input` is x_t, `/came/1s` the frame one second later and
-`/forecast/1s` what was forecast for it. Probabilities are kept in 255 steps.
+A sample has log time t, when its forecast was made: `/input` is x_t, `/sensors` where the sensors stand in it,
+`/came/1s` the frame one second later and `/forecast/1s` what was forecast for it. Probabilities are kept in 255 steps.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from typing import Any, Self
 import numpy as np
 from foxglove_schemas_protobuf.Grid_pb2 import Grid
 from foxglove_schemas_protobuf.PackedElementField_pb2 import PackedElementField
+from foxglove_schemas_protobuf.PosesInFrame_pb2 import PosesInFrame
 from google.protobuf.message import DecodeError
 from mcap.exceptions import McapError
 from mcap.records import Channel, Chunk, Message
@@ -34,6 +35,7 @@ KEPT = 40
 """Samples kept of a trial: the same moments for every tracker, evenly spaced over the scored frames."""
 HORIZONS_S = (0.5, 1.0, 2.0)
 MAX_CHUNK_BYTES = 1 << 26
+SENSORS = "/sensors"
 OCCUPANCY_FIELDS = ("visible", "occupied")
 PROBABILITY_FIELDS = ("probability",)
 
@@ -49,8 +51,9 @@ class SamplesError(GridtrackError):
 class Sample:
     """A forecast kept for viewing, and what came.
 
-    `visible`, `occupied` (M, M) bool: x_t; per horizon H: `forecast` (H, M, M) float32 in [0, 1], and
-    `came_visible`, `came_occupied` (H, M, M) bool, the frame that it was a forecast of.
+    `visible`, `occupied` (M, M) bool: x_t; `origins` (S, 2) float32: where the sensors stand, metres, grid frame; per
+    horizon H: `forecast` (H, M, M) float32 in [0, 1], and `came_visible`, `came_occupied` (H, M, M) bool, the frame that
+    it was a forecast of.
     """
 
     stamp_ns: int
@@ -58,6 +61,7 @@ class Sample:
     grid: GridSpec
     visible: Mask
     occupied: Mask
+    origins: NDArray[np.float32]
     forecast: NDArray[np.float32]
     came_visible: Mask
     came_occupied: Mask
@@ -92,6 +96,7 @@ class SampleWriter:
         """Keep one moment."""
         stamp_ns, frames = moment.stamp_ns, moment.frames
         self._write("/input", stamp_ns, _planes(frames[0].visible, frames[0].occupied), OCCUPANCY_FIELDS)
+        self._write_message(SENSORS, stamp_ns, _places(frames[0].origins, stamp_ns))
         for horizon, step in self._steps.items():
             came = frames[step]
             self._write(f"/came/{horizon:g}s", stamp_ns, _planes(came.visible, came.occupied), OCCUPANCY_FIELDS)
@@ -99,8 +104,20 @@ class SampleWriter:
             self._write(f"/forecast/{horizon:g}s", stamp_ns, probability[..., None], PROBABILITY_FIELDS)
 
     def _write(self, topic: str, stamp_ns: int, planes: NDArray[np.uint8], fields: tuple[str, ...]) -> None:
-        message = _message(self._grid, stamp_ns, planes, fields)
+        self._write_message(topic, stamp_ns, _message(self._grid, stamp_ns, planes, fields))
+
+    def _write_message(self, topic: str, stamp_ns: int, message: Any) -> None:
         self._writer.write_message(topic, message, log_time=stamp_ns, publish_time=stamp_ns)
+
+
+def _places(origins: NDArray[np.float32], stamp_ns: int) -> Any:
+    """Sensors at `origins` (S, 2), metres, grid frame."""
+    message = PosesInFrame(frame_id="grid")
+    message.timestamp.FromNanoseconds(stamp_ns)
+    for x, y in origins.tolist():
+        pose = message.poses.add()
+        pose.position.x, pose.position.y, pose.orientation.w = x, y, 1.0
+    return message
 
 
 def _planes(visible: Mask, occupied: Mask) -> NDArray[np.uint8]:
@@ -127,16 +144,16 @@ def read_samples(path: Path) -> Iterator[Sample]:
     Raises SamplesError where the file is not a whole one of this form; the samples before the damage come first.
     """
     stamp_ns: int | None = None
-    grids: dict[str, Any] = {}
+    topics: dict[str, Any] = {}
     try:
         for topic, message in _messages(path):
             if stamp_ns is not None and message.log_time != stamp_ns:
-                yield _sample(stamp_ns, grids)
-                grids = {}
+                yield _sample(stamp_ns, topics)
+                topics = {}
             stamp_ns = message.log_time
-            grids[topic] = Grid.FromString(message.data)
+            topics[topic] = (PosesInFrame if topic == SENSORS else Grid).FromString(message.data)
         if stamp_ns is not None:
-            yield _sample(stamp_ns, grids)
+            yield _sample(stamp_ns, topics)
     except _UNREADABLE as error:
         raise SamplesError(f"{path}: cannot be read as samples ({error or type(error).__name__})") from None
 
@@ -158,7 +175,7 @@ def _messages(path: Path) -> Iterator[tuple[str, Message]]:
 
 
 def _sample(stamp_ns: int, topics: dict[str, Any]) -> Sample:
-    """One sample from its grids by topic. Raises KeyError or ValueError where they do not fit together."""
+    """One sample from its messages by topic. Raises KeyError or ValueError where they do not fit together."""
     size = topics["/input"].column_count
     cell_m, corner = topics["/input"].cell_size.x, topics["/input"].pose.position
     grid = GridSpec(size, cell_m, (corner.x, corner.y))
@@ -169,9 +186,9 @@ def _sample(stamp_ns: int, topics: dict[str, Any]) -> Sample:
     for i, h in enumerate(horizons):
         forecast[i] = _decoded(topics[f"/forecast/{h:g}s"], grid, PROBABILITY_FIELDS)[..., 0] / np.float32(255)
     came = np.array(occupancy[1:], bool).reshape(len(horizons), *grid.shape, 2)
-    return Sample(
-        stamp_ns, horizons, grid, occupancy[0][..., 0], occupancy[0][..., 1], forecast, came[..., 0], came[..., 1]
-    )
+    origins = np.array([(p.position.x, p.position.y) for p in topics[SENSORS].poses], np.float32).reshape(-1, 2)
+    visible, occupied = np.moveaxis(occupancy[0], -1, 0)
+    return Sample(stamp_ns, horizons, grid, visible, occupied, origins, forecast, came[..., 0], came[..., 1])
 
 
 def _seconds(topic: str) -> float:

@@ -12,6 +12,7 @@ from mcap_protobuf.decoder import DecoderFactory
 
 GRID = GridSpec(12, 0.25, (-1.0, 2.0))
 STEPS, PERIOD_S = 15, 0.1
+ORIGINS = np.array([[0.5, 2.25], [-0.75, 3.0]], np.float32)
 
 
 def random_moment(seed):
@@ -22,7 +23,7 @@ def random_moment(seed):
         visible = rng.random(GRID.shape) < 0.6
         occupied = visible & (rng.random(GRID.shape) < 0.3)
         stamp_ns = seed * 1_000_000_000 + n * 100_000_000
-        frames.append(GridFrame(stamp_ns, visible, occupied, SE2(), nothing, nothing, np.zeros(0, np.uint8)))
+        frames.append(GridFrame(stamp_ns, visible, occupied, SE2(), ORIGINS, nothing, np.zeros(0, np.uint8)))
     return Moment(Forecast(rng.random((STEPS + 1, *GRID.shape), dtype=np.float32)), tuple(frames))
 
 
@@ -44,6 +45,7 @@ def test_what_was_kept_is_what_is_read(written):
         assert sample.horizons_s == (0.5, 1.0)
         assert np.array_equal(sample.visible, moment.frames[0].visible)
         assert np.array_equal(sample.occupied, moment.frames[0].occupied)
+        assert np.array_equal(sample.origins, ORIGINS)
         for i, step in enumerate((5, 10)):
             assert np.array_equal(sample.came_visible[i], moment.frames[step].visible)
             assert np.array_equal(sample.came_occupied[i], moment.frames[step].occupied)
