@@ -41,6 +41,8 @@ def draw(image, patch, centres, deviations, weights):  # type: ignore[no-untyped
     """
     half = patch.shape[0] // 2
     for step in range(image.shape[0]):
+        if weights[step] <= 0.0:
+            continue
         row, row_blur = _blur_window(centres[step, 1], deviations[step, 1])
         column, column_blur = _blur_window(centres[step, 0], deviations[step, 0])
         blurred = _convolve_rows(_convolve_rows(patch, column_blur).T, row_blur * np.float32(weights[step])).T

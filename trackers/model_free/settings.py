@@ -24,7 +24,7 @@ class PipelineSettings(Settings):
     """By how much that distance grows with every metre of range, as neighbouring beams part."""
 
     # Estimation
-    velocity_memory_s: float = Field(2.0, gt=0, le=1000)
+    velocity_memory_s: float = Field(3.0, gt=0, le=1000)
     """Time constant with which a velocity is forgotten; large: truly constant velocity, small: a walk at random."""
     acceleration: float = Field(0.45, gt=0, le=100)
     """White-noise acceleration of the constant-velocity model: square root of its density, m/s^2 per sqrt(Hz)."""
