@@ -52,8 +52,8 @@ class Sample:
     """A forecast kept for viewing, and what came.
 
     `visible`, `occupied` (M, M) bool: x_t; `origins` (S, 2) float32: where the sensors stand, metres, grid frame; per
-    horizon H: `forecast` (H, M, M) float32 in [0, 1], and `came_visible`, `came_occupied` (H, M, M) bool, the frame that
-    it was a forecast of.
+    horizon H: `forecast` (H, M, M) float32 in [0, 1], and `came_visible`, `came_occupied` (H, M, M) bool, the frame
+    that it was a forecast of.
     """
 
     stamp_ns: int
