@@ -19,7 +19,7 @@ from gridtrack.common.errors import ConfigurationError, PluginError, did_you_mea
 from gridtrack.trackers import registry
 
 LABEL = re.compile(r"[A-Za-z0-9]([A-Za-z0-9._ -]{0,62}[A-Za-z0-9_-])?")
-Points = Literal["cells", "raw"]
+Points = Literal["centres", "raw"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,7 +33,7 @@ class Selection:
     label: str
     name: str
     options: Mapping[str, Any] = field(default_factory=dict)
-    points: Points = "cells"
+    points: Points = "centres"
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,9 +59,9 @@ def parse_selection(text: str) -> Selection:
             f"{where}: label '{label}' must be 1 to 64 of A-Z a-z 0-9 . _ - and space, with a letter or digit first"
         )
     options = parse_pairs(tail, where)
-    points = options.pop("points", "cells")
-    if points not in {"cells", "raw"}:
-        raise ConfigurationError(f"{where}: points={points}; expected cells or raw")
+    points = options.pop("points", "centres")
+    if points not in ("centres", "raw"):
+        raise ConfigurationError(f"{where}: points={points}; expected centres or raw")
     return Selection(label, name, options, points)
 
 
