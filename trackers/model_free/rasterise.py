@@ -60,7 +60,8 @@ def noisy_or(occupancy, image, existence):  # type: ignore[no-untyped-def]
         exists = np.float32(existence[step])
         target, cause = occupancy[step].reshape(-1), image[step].reshape(-1)
         for i in range(target.size):
-            target[i] += (one - target[i]) * exists * min(cause[i], one)
+            if cause[i] > 0.0:  # few cells are: skipping the rest is what makes it fast
+                target[i] += (one - target[i]) * exists * min(cause[i], one)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
