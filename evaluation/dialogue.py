@@ -6,6 +6,7 @@ import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import TracebackType
 from typing import Any, NoReturn
 
 from gridtrack.evaluation.outcome import OUTCOMES, TrialEnded
@@ -41,6 +42,14 @@ class Dialogue:
         self.what = "start"
         self.round_trip_ms = 0.0
         self._number = 0
+
+    def __enter__(self) -> Dialogue:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.process.close(orderly=kind is None)
 
     def ask(self, request: Request, limit_s: float) -> Message:
         """Send `request` and receive its answer within `limit_s`; `round_trip_ms` is then what that took.

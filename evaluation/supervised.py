@@ -14,7 +14,6 @@ import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
 
 from gridtrack.trackers.wire import widen, without
 
@@ -144,14 +143,6 @@ class Supervised:
             self._supervisor.kill()
             self._supervisor.wait()
         return Ending(**json.loads(line)) if line else Ending()
-
-    def __enter__(self) -> Supervised:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close(orderly=kind is None)
 
 
 def _wait(fd: int, event: int, deadline: float) -> None:

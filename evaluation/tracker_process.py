@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from types import TracebackType
 from typing import Any
 
@@ -103,12 +104,15 @@ class TrackerProcess:
         """Highest resident memory of all its processes together, MiB, by samples 20 times a second; once it ended."""
         self.started: Started
         self._frames = 0
-        self._dialogue: Dialogue
+        self._killed = False
+        self._dialogue: Dialogue | None = None
 
     def __enter__(self) -> TrackerProcess:
         self._dialogue = _dialogue(self.launch, self.limits, self.stderr_path)
         request = Request("start", "started", {"stream": messages.stream_fields(self.stream), "options": self.options})
         with self._ending_on_error():
+            if self._killed:
+                self._dialogue.process.kill()
             self.started = _started(self._dialogue.ask(request, self.limits.start_s))
         return self
 
@@ -120,7 +124,7 @@ class TrackerProcess:
     def reset(self, seed: int) -> None:
         """A new stream begins."""
         with self._ending_on_error():
-            self._dialogue.ask(Request("reset", "done", {"seed": seed}), self.limits.start_s)
+            self._wire.ask(Request("reset", "done", {"seed": seed}), self.limits.start_s)
 
     def update(self, frame: GridFrame) -> None:
         """Hand x_t over."""
@@ -128,7 +132,7 @@ class TrackerProcess:
         what = f"update with frame {self._frames}"
         request = Request("update", "done", arrays=messages.frame_arrays(frame), what=what)
         with self._ending_on_error():
-            answer = self._dialogue.ask(request, self.limits.update_s)
+            answer = self._wire.ask(request, self.limits.update_s)
             self._count(answer, self.timings.update, self.timings.update_round_trip)
 
     def predict(self, steps: int) -> Forecast:
@@ -142,17 +146,24 @@ class TrackerProcess:
             what=f"predict after frame {self._frames}",
         )
         with self._ending_on_error():
-            answer = self._dialogue.ask(request, self.limits.predict_s)
+            answer = self._wire.ask(request, self.limits.predict_s)
             self._count(answer, self.timings.predict, self.timings.predict_round_trip)
             return messages.forecast_from(answer, grid, steps, classes)
 
     def kill(self) -> None:
-        """End the tracker from another thread: the call that it is busy with raises TrialEnded."""
-        self._dialogue.process.kill()
+        """End the tracker from another thread: the call that it is busy with, or about to start, raises TrialEnded."""
+        self._killed = True
+        if self._dialogue is not None:
+            self._dialogue.process.kill()
+
+    @property
+    def _wire(self) -> Dialogue:
+        assert self._dialogue is not None, "a TrackerProcess is used in a with statement"
+        return self._dialogue
 
     def _count(self, answer: Message, own: Latencies, round_trip: Latencies) -> None:
         elapsed_ns, cpu_ns = answer.value("elapsed_ns", int), answer.value("cpu_ns", int)
-        self.last_call = Call(elapsed_ns / 1e6, cpu_ns / 1e6, self._dialogue.round_trip_ms)
+        self.last_call = Call(elapsed_ns / 1e6, cpu_ns / 1e6, self._wire.round_trip_ms)
         own.add(self.last_call.own_ms)
         round_trip.add(self.last_call.round_trip_ms)
 
@@ -163,13 +174,13 @@ class TrackerProcess:
             yield
         except WireError as error:
             self._close(orderly=False)
-            raise TrialEnded("invalid-output", f"{self._dialogue.what}: {error}") from None
+            raise TrialEnded("invalid-output", f"{self._wire.what}: {error}") from None
         except BaseException:
             self._close(orderly=False)
             raise
 
     def _close(self, orderly: bool) -> None:
-        self.peak_rss_mb = self._dialogue.process.close(orderly).peak_kb / 1024
+        self.peak_rss_mb = self._wire.process.close(orderly).peak_kb / 1024
 
 
 def describe(launch: Launch, options: Mapping[str, Any], limits: Limits) -> Started:
@@ -177,10 +188,10 @@ def describe(launch: Launch, options: Mapping[str, Any], limits: Limits) -> Star
 
     Raises ConfigurationError for options that it refuses, PluginError where it cannot be loaded.
     """
-    dialogue = _dialogue(launch, limits, Path(os.devnull))
-    with dialogue.process:
+    request = Request("describe", "described", {"options": dict(options)})
+    with TemporaryDirectory() as folder, _dialogue(launch, limits, Path(folder, "stderr.log")) as dialogue:
         try:
-            return _started(dialogue.ask(Request("describe", "described", {"options": dict(options)}), limits.start_s))
+            return _started(dialogue.ask(request, limits.start_s))
         except WireError as error:
             raise PluginError(f"tracker '{launch.name}': describe: {error}") from None
         except TrialEnded as ended:

@@ -1,0 +1,46 @@
+"""Plugins for the tests: distributions made on the fly, on the path of this process and of its children."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+import pytest
+
+PLUGINS = Path(__file__).parent / "plugins"
+
+Install = Callable[..., Path]
+
+
+@pytest.fixture
+def install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Install:
+    """`install(distribution, {name: "module:attribute"}, {file: text})` puts a distribution on the path."""
+    site = tmp_path / "site"
+    site.mkdir()
+    monkeypatch.syspath_prepend(str(site))
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(filter(None, (str(site), os.environ.get("PYTHONPATH")))))
+
+    def install(
+        distribution: str, points: Mapping[str, str], files: Mapping[str, str] | None = None, requires: str = ""
+    ) -> Path:
+        info = site / f"{distribution.replace('-', '_')}-1.0.dist-info"
+        info.mkdir()
+        (info / "METADATA").write_text(f"Metadata-Version: 2.4\nName: {distribution}\nVersion: 1.0\n{requires}")
+        lines = ["[gridtrack.trackers]", *(f"{name} = {value}" for name, value in points.items())]
+        (info / "entry_points.txt").write_text("\n".join(lines) + "\n")
+        for name, text in (files or {}).items():
+            (site / name).write_text(text)
+        return site
+
+    return install
+
+
+@pytest.fixture
+def bad_trackers(install: Install) -> None:
+    """Registers every tracker of plugins/bad_trackers.py: class ForksAndLives as `forks-and-lives`."""
+    source = (PLUGINS / "bad_trackers.py").read_text()
+    classes = re.findall(r"^class ([A-Z]\w+)\(", source, re.MULTILINE)
+    points = {re.sub(r"(?<!^)(?=[A-Z])", "-", name).lower(): f"bad_trackers:{name}" for name in classes}
+    install("bad-trackers", points, {"bad_trackers.py": source})

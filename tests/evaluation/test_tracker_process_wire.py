@@ -1,0 +1,96 @@
+"""Whatever a program writes to the wire, or does not read from it, ends its trial and nothing else."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import psutil
+import pytest
+from gridtrack.common.geometry import SE2
+from gridtrack.common.grid import GridFrame, GridSpec
+from gridtrack.evaluation.outcome import TrialEnded
+from gridtrack.evaluation.tracker_process import Limits, TrackerProcess
+from gridtrack.trackers.contract import StreamSpec
+from gridtrack.trackers.selection import Launch
+
+PROGRAM = Path(__file__).parents[1] / "plugins" / "rogue_program.py"
+LIMITS = Limits(update_s=0.5, predict_s=0.5)
+
+
+def frame(grid: GridSpec) -> GridFrame:
+    seen = np.ones(grid.shape, bool)
+    return GridFrame(
+        0, seen, seen, SE2(), np.zeros((1, 2), np.float32), np.zeros((0, 2), np.float32), np.zeros(0, np.uint8)
+    )
+
+
+@pytest.fixture(autouse=True)
+def _leaves_no_process() -> Iterator[None]:
+    before = set(psutil.Process().children(recursive=True))
+    yield
+    assert set(psutil.Process().children(recursive=True)) <= before
+
+
+def end(how: str, tmp_path: Path, limits: Limits = LIMITS, size: int = 20) -> tuple[str, str]:
+    """How the trial of a rogue program ends: outcome and reason."""
+    grid = GridSpec(size, 0.2)
+    program = Launch("rogue", (sys.executable, str(PROGRAM), how))
+    process = TrackerProcess(program, StreamSpec(grid, 0.125), {}, limits, tmp_path / "stderr.log")
+    with pytest.raises(TrialEnded) as ended, process as tracker:
+        for _ in range(3):
+            tracker.update(frame(grid))
+    return ended.value.outcome, ended.value.reason
+
+
+@pytest.mark.parametrize(
+    ("how", "reason"),
+    [
+        ("garbage", r"update with frame 1: not a message: it starts with b'Hello, I' instead of b'GTW'"),
+        ("huge-body", "declares a header of 2 and a body of 4611686018427387904 bytes; at most 1048576 and 0"),
+        ("huge-header", "declares a header of 4294967295 and a body of 0 bytes"),
+        ("other-version", "a message of wire version 9; this gridtrack speaks version 1"),
+        ("not-json", "the header is not JSON"),
+        ("nested-json", "the header is not JSON"),
+        ("a-list", "the header is not a JSON object"),
+        ("another-number", "an answer to request 9 where 2 was asked"),
+        ("another-kind", "answered 'forecast'; expected 'done'"),
+        ("no-times", "'done' needs a field 'elapsed_ns' of type int; found None"),
+        ("made-up-outcome", "an error with outcome 'ok'; expected one of crashed, timeout"),
+    ],
+)
+def test_an_answer_that_is_none_is_invalid_output(tmp_path: Path, how: str, reason: str) -> None:
+    outcome, found = end(how, tmp_path)
+    assert outcome == "invalid-output"
+    assert reason in found
+
+
+def test_a_program_that_answers_twice_is_found_out_at_the_next_request(tmp_path: Path) -> None:
+    # the second answer may come in a little later than the first: then it is taken for the next one's, by number
+    assert end("twice", tmp_path) in [
+        ("invalid-output", "update with frame 2: before it, bytes came that nobody had asked for"),
+        ("invalid-output", "update with frame 2: an answer to request 2 where 3 was asked"),
+    ]
+
+
+def test_a_message_cut_short_is_a_crash(tmp_path: Path) -> None:
+    assert end("half-a-message", tmp_path) == ("crashed", "update with frame 1: exited with code 0")
+
+
+def test_an_answer_that_drips_in_is_held_to_its_deadline(tmp_path: Path) -> None:
+    assert end("drips", tmp_path) == ("timeout", "update with frame 1: no answer within 0.5 s")
+
+
+def test_a_program_that_stops_reading_cannot_block_the_referee(tmp_path: Path) -> None:
+    """An update of 1500 x 1500 cells is larger than the pipe: without a deadline for writing it would stand still."""
+    assert end("stops-reading", tmp_path, size=1500) == ("timeout", "update with frame 1: no answer within 0.5 s")
+
+
+def test_a_program_that_closes_its_stdin_has_closed_the_wire(tmp_path: Path) -> None:
+    assert end("closes-stdin", tmp_path) == ("crashed", "update with frame 2: closed its end of the wire")
+
+
+def test_a_reason_does_nothing_to_a_terminal(tmp_path: Path) -> None:
+    assert end("terminal-codes", tmp_path) == ("crashed", "update with frame 1: [31mred alert")

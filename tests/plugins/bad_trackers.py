@@ -1,0 +1,272 @@
+"""Trackers that do, on purpose, what a tracker must not; each fails where its option `at` says, or as its name says."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import signal
+import subprocess
+import sys
+import time
+from typing import Any, Literal
+
+import numpy as np
+from gridtrack.common.config import Settings
+from gridtrack.common.errors import WeightsError
+from gridtrack.common.grid import GridFrame
+from gridtrack.trackers.contract import Forecast, StreamSpec, Tracker
+
+Moment = Literal["start", "reset", "update", "predict"]
+
+
+class At(Settings):
+    at: Moment = "update"
+
+
+class Good(Tracker):
+    """The well-behaved base: forecasts nothing."""
+
+    Options = At
+
+    def __init__(self, stream: StreamSpec, options: Any) -> None:
+        super().__init__(stream, options)
+        self._maybe("start")
+
+    def reset(self, seed: int) -> None:
+        self._maybe("reset")
+
+    def update(self, frame: GridFrame) -> None:
+        self._maybe("update")
+
+    def predict(self, steps: int) -> Forecast:
+        self._maybe("predict")
+        return Forecast(self.occupancy(steps))
+
+    def occupancy(self, steps: int) -> Any:
+        return np.zeros((steps + 1, *self.stream.grid.shape), np.float32)
+
+    def _maybe(self, moment: str) -> None:
+        if self.options.at == moment:
+            self.misbehave()
+
+    def misbehave(self) -> None:
+        """What the subclass does wrong."""
+
+
+class Raises(Good):
+    def misbehave(self) -> None:
+        raise ValueError("the gate is\nnegative")
+
+
+class Hangs(Good):
+    def misbehave(self) -> None:
+        for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
+            signal.signal(number, signal.SIG_IGN)
+        while True:
+            time.sleep(3600)
+
+
+class KillsItself(Good):
+    def misbehave(self) -> None:
+        os.kill(os.getpid(), signal.SIGKILL)
+
+
+class Segfaults(Good):
+    def misbehave(self) -> None:
+        ctypes.string_at(0)
+
+
+class Leaves(Good):
+    def misbehave(self) -> None:
+        os._exit(0)
+
+
+class Exits(Good):
+    def misbehave(self) -> None:
+        sys.exit("no licence for this machine")
+
+
+class Hogs(Good):
+    def misbehave(self) -> None:
+        self.hoard = [np.ones(1 << 22, np.uint8) for _ in range(256)]  # 1 GiB in steps of 4 MiB
+        time.sleep(3600)
+
+
+class HogsInAChild(Good):
+    def misbehave(self) -> None:
+        code = "import time; hoard = [bytearray(b'x' * (1 << 22)) for _ in range(256)]; time.sleep(3600)"
+        subprocess.run([sys.executable, "-S", "-c", code], check=True)
+
+
+class OutOfMemory(Good):
+    def misbehave(self) -> None:
+        raise MemoryError
+
+
+class WrongShape(Good):
+    def occupancy(self, steps: int) -> Any:
+        return np.zeros((steps, *self.stream.grid.shape), np.float32)
+
+
+class HugeShape(Good):
+    def occupancy(self, steps: int) -> Any:
+        return np.zeros((4096 * (steps + 1), *self.stream.grid.shape), np.float32)
+
+
+class WrongType(Good):
+    def occupancy(self, steps: int) -> Any:
+        return np.zeros((steps + 1, *self.stream.grid.shape), np.float64)
+
+
+class NotAnArray(Good):
+    def occupancy(self, steps: int) -> Any:
+        return [[0.0]]
+
+
+class HasValue(Good):
+    """Puts `value` into one cell."""
+
+    class Options(Settings):
+        value: str
+        at: str = ""
+
+    def occupancy(self, steps: int) -> Any:
+        occupancy = np.zeros((steps + 1, *self.stream.grid.shape), np.float32)
+        occupancy[-1, -1, -1] = float(self.options.value)
+        return occupancy
+
+
+class PredictsNone(Good):
+    def predict(self, steps: int) -> Any:
+        return None
+
+
+class LopsidedClasses(Good):
+    """Class probabilities that sum to 0.8."""
+
+    classes = ("car", "person")
+
+    def predict(self, steps: int) -> Forecast:
+        occupancy = self.occupancy(steps)
+        return Forecast(occupancy, np.full((steps + 1, 2, *self.stream.grid.shape), 0.4, np.float32))
+
+
+class PrintsEverywhere(Good):
+    """Writes to stdout from Python, from C and from a subprocess, and reads from stdin."""
+
+    def misbehave(self) -> None:
+        print("from python")
+        ctypes.CDLL(None).puts(b"from C")
+        ctypes.CDLL(None).fflush(None)
+        os.write(1, b"to descriptor 1\n")
+        subprocess.run(["echo", "from a subprocess"], check=True)
+        assert sys.stdin.read() == ""
+
+
+class SpamsStderr(Good):
+    def misbehave(self) -> None:
+        print("the beginning", file=sys.stderr)
+        for _ in range(200):
+            print("spam " * 10_000, file=sys.stderr)
+        print("the end", file=sys.stderr)
+
+
+class ClosesItsPipe(Good):
+    def misbehave(self) -> None:
+        os.closerange(3, 64)
+        time.sleep(3600)
+
+
+class Forks(Good):
+    """Leaves a child behind that lives on: in this session, or (`how=setsid`) detached as a daemon is."""
+
+    class Options(At):
+        how: Literal["fork", "setsid"] = "fork"
+        pid_file: str = ""
+        die: bool = False
+
+    def misbehave(self) -> None:
+        if os.fork() == 0:
+            if self.options.how == "setsid":
+                os.setsid()
+                if os.fork():
+                    os._exit(0)
+            signal.signal(signal.SIGTERM, signal.SIG_IGN)
+            with open(self.options.pid_file + ".partial", "w") as file:
+                file.write(str(os.getpid()))
+            os.rename(self.options.pid_file + ".partial", self.options.pid_file)
+            time.sleep(3600)
+        while not os.path.exists(self.options.pid_file):
+            time.sleep(0.001)
+        if self.options.die:
+            os._exit(3)
+
+
+class NeedsWeights(Good):
+    def misbehave(self) -> None:
+        raise WeightsError("weights of another grid" if self.stream.weights else "needs-weights: no weights")
+
+
+class NeedsMissingModule(Good):
+    def misbehave(self) -> None:
+        import a_module_nobody_has  # noqa: F401
+
+
+class CountsPredictions(Good):
+    """Its state is changed by predict."""
+
+    calls = 0
+
+    def predict(self, steps: int) -> Forecast:
+        self.calls += 1
+        return Forecast(np.full((steps + 1, *self.stream.grid.shape), 1.0 / self.calls, np.float32))
+
+    def reset(self, seed: int) -> None:
+        self.calls = 0
+
+
+class NeverForgets(Good):
+    """Reset leaves the last stream in its memory."""
+
+    def __init__(self, stream: StreamSpec, options: Any) -> None:
+        super().__init__(stream, options)
+        self.seen = np.zeros(stream.grid.shape, np.float32)
+
+    def update(self, frame: GridFrame) -> None:
+        self.seen = 0.9 * self.seen + 0.1 * frame.occupied
+
+    def occupancy(self, steps: int) -> Any:
+        return np.tile(self.seen.astype(np.float32), (steps + 1, 1, 1))
+
+
+class RollsDice(Good):
+    """Does not listen to its seed."""
+
+    def occupancy(self, steps: int) -> Any:
+        return np.random.default_rng().random((steps + 1, *self.stream.grid.shape), np.float32)
+
+
+class FailsOnEmptyInput(NeverForgets):
+    def reset(self, seed: int) -> None:
+        self.seen[:] = 0.0
+
+    def update(self, frame: GridFrame) -> None:
+        self.seen = np.float32(frame.occupied.sum(axis=0) / int(frame.visible.sum())) * np.ones_like(self.seen)
+
+
+class KeepsToOneGrid(Good):
+    """Assumes 40 cells a side."""
+
+    def occupancy(self, steps: int) -> Any:
+        return np.zeros((steps + 1, 40, 40), np.float32)
+
+
+class LooksAhead(Good):
+    """Reads what comes next from a file that a cheat has left for it."""
+
+    class Options(At):
+        future: str = ""
+
+    def occupancy(self, steps: int) -> Any:
+        with open(self.options.future, "rb") as file:
+            return np.full((steps + 1, *self.stream.grid.shape), len(file.read()) / 1e6, np.float32)

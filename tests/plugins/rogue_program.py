@@ -1,0 +1,82 @@
+"""A program on the wire that starts as it should, and then answers the first `update` in the way named as its argument."""
+
+from __future__ import annotations
+
+import os
+import sys
+import time
+
+from gridtrack.trackers.wire import PREFIX, Message, encode, fill_from, receive, write_to
+
+TIMES = {"elapsed_ns": 1, "cpu_ns": 1}
+STARTED = {
+    "api": 1,
+    "about": "",
+    "classes": [],
+    "moving_sensor": False,
+    "learns": False,
+    "options": {},
+    "options_schema": {},
+}
+
+
+def header(text: str) -> bytes:
+    return PREFIX.pack(b"GTW", 1, len(text), 0) + text.encode()
+
+
+def answer(number: int, kind: str = "done", **fields: object) -> bytes:
+    return b"".join(encode(Message(kind, number, TIMES | fields)))
+
+
+def misbehave(how: str, number: int) -> None:
+    done = answer(number)
+    answers = {
+        "twice": done + done,
+        "garbage": b"Hello, I am a tracker\n" * 10,
+        "huge-body": PREFIX.pack(b"GTW", 1, 2, 1 << 62) + b"{}",
+        "huge-header": PREFIX.pack(b"GTW", 1, (1 << 32) - 1, 0),
+        "other-version": PREFIX.pack(b"GTW", 9, 2, 0) + b"{}",
+        "half-a-message": done[: len(done) // 2],
+        "not-json": header("{what"),
+        "nested-json": header("[" * 100_000),
+        "a-list": header("[]"),
+        "another-number": answer(number + 7),
+        "another-kind": answer(number, "forecast"),
+        "no-times": b"".join(encode(Message("done", number))),
+        "made-up-outcome": answer(number, "error", outcome="ok", reason="all is well"),
+        "terminal-codes": answer(number, "error", outcome="crashed", reason="\x1b[31mred\nalert\x07"),
+    }
+    if how == "drips":
+        for byte in done:
+            os.write(1, bytes([byte]))
+            time.sleep(0.2)
+    elif how == "stops-reading":
+        time.sleep(3600)
+    elif how == "closes-stdin":
+        os.close(0)
+        os.write(1, done)
+        time.sleep(3600)
+    else:
+        os.write(1, answers[how])
+        if how == "half-a-message":
+            sys.exit(0)
+
+
+def main() -> None:
+    fill = fill_from(0)
+    while True:
+        try:
+            request = receive(fill, 1 << 28)
+        except EOFError:
+            return
+        if request.kind == "start":
+            write_to(1, encode(Message("started", request.number, STARTED)))
+            if sys.argv[1] == "stops-reading":
+                time.sleep(3600)
+        elif request.kind == "update":
+            misbehave(sys.argv[1], request.number)
+        else:
+            write_to(1, encode(Message("done", request.number, TIMES)))
+
+
+main()
