@@ -17,7 +17,7 @@ from gridtrack.common.grid import GridFrame
 from gridtrack.evaluation.strata import STRATA, SUMS_OF_REGIONS
 
 BINS = 50
-"""Histogram bins: bin b holds `b / 50 <= p < (b + 1) / 50`, the last one p = 1 too. A threshold is a bin's lower edge."""
+"""Histogram bins: bin b holds `b / 50 <= p < (b + 1) / 50`, the last one p = 1 too; a threshold is a bin's edge."""
 HALF = BINS // 2
 CLIP = 1e-3
 """Probabilities are clipped to [CLIP, 1 - CLIP] for the log loss."""
@@ -41,9 +41,7 @@ class Tally:
     def empty(cls, steps: int, groups: int = len(STRATA)) -> Tally:
         """Nothing counted yet, for steps 0..steps."""
         bins, plain = (steps + 1, groups, BINS), (steps + 1, groups)
-        return cls(
-            np.zeros(bins, np.int64), np.zeros(bins, np.int64), np.zeros(bins), np.zeros(plain), np.zeros(plain)
-        )
+        return cls(np.zeros(bins, np.int64), np.zeros(bins, np.int64), np.zeros(bins), np.zeros(plain), np.zeros(plain))
 
     def add(self, other: Tally) -> None:
         """Take in what `other` counted."""
@@ -65,9 +63,7 @@ class Tally:
         return np.stack([true_positive, false_positive, false_negative, true_negative], axis=-1)
 
 
-def count_forecast(
-    occupancy: NDArray[np.float32], frames: Sequence[GridFrame], regions: NDArray[np.uint8]
-) -> Tally:
+def count_forecast(occupancy: NDArray[np.float32], frames: Sequence[GridFrame], regions: NDArray[np.uint8]) -> Tally:
     """Score a forecast made at frame t: step n against frame t+n, on the cells visible there.
 
     `occupancy` (steps+1, M, M) float32 in [0, 1]; `frames` t..t+steps; `regions` (M, M) as of `strata.regions_of`.

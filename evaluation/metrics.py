@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -31,7 +33,8 @@ def average_precision(tally: Tally) -> Scores:
     true_positive = tally.positives[..., ::-1].cumsum(axis=-1)
     called = tally.cells[..., ::-1].cumsum(axis=-1)
     gain = _ratio(tally.positives[..., ::-1], true_positive[..., -1:])
-    return (gain * np.nan_to_num(_ratio(true_positive, called))).sum(axis=-1)
+    area: Scores = (gain * np.nan_to_num(_ratio(true_positive, called))).sum(axis=-1)
+    return area
 
 
 def brier_score(tally: Tally) -> Scores:
@@ -49,7 +52,9 @@ def calibration_error(tally: Tally) -> Scores:
     return _ratio(np.abs(tally.p_sum - tally.positives).sum(axis=-1), tally.cells.sum(axis=-1))
 
 
-def _ratio(part: NDArray[np.generic], whole: NDArray[np.generic], defined: NDArray[np.bool_] | None = None) -> Scores:
-    part, whole = np.broadcast_arrays(np.asarray(part, np.float64), np.asarray(whole, np.float64))
-    out = np.full(part.shape, np.nan)
-    return np.divide(part, whole, out=out, where=(whole > 0) if defined is None else (defined & (whole > 0)))
+def _ratio(part: NDArray[Any], whole: NDArray[Any], defined: NDArray[np.bool_] | None = None) -> Scores:
+    """part / whole, broadcast; NaN where `whole` is 0 or the ratio is not `defined`."""
+    divisible = whole > 0 if defined is None else defined & (whole > 0)
+    ratio = np.full(np.broadcast_shapes(part.shape, whole.shape), np.nan)
+    np.divide(part, whole, out=ratio, where=divisible)
+    return ratio

@@ -84,8 +84,8 @@ def moments(tracker: Watching, frames: Iterable[GridFrame], schedule: Schedule, 
 class Delivery:
     """The frames of a stretch on their way to a tracker: counted, and hashed as they were delivered."""
 
-    def __init__(self, stream: FrameSource, on_frame: Callable[[int], None]) -> None:
-        """`on_frame(index)` is called before each frame; what it raises ends the delivery."""
+    def __init__(self, stream: FrameSource, on_frame: Callable[[], None]) -> None:
+        """`on_frame()` is called before each frame; what it raises ends the delivery."""
         self.frames = 0
         self._stream = stream
         self._on_frame = on_frame
@@ -101,7 +101,7 @@ class Delivery:
                     f"{self._stream.name}: the sensor moves at {frame.stamp_ns / 1e9:.3f} s, and only a standing one"
                     " can be scored: name a stretch in which it stands, such as RECORDING@30s-90s"
                 )
-            self._on_frame(self.frames)
+            self._on_frame()
             self._hash.update(frame_digest(frame))
             self.frames += 1
             yield frame

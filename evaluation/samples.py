@@ -90,7 +90,7 @@ class SampleWriter:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         with self._file:
-            self._writer.finish()
+            self._writer.finish()  # type: ignore[no-untyped-call]
 
     def add(self, moment: Moment) -> None:
         """Keep one moment."""

@@ -35,10 +35,16 @@ _SCORES_SCHEMA = pa.schema(
     + [(name, pa.int32()) for name in CONFUSION + CONFUSION_AT_HALF]
     + [("squared_error", pa.float64()), ("log_loss", pa.float64())]
 )
+_BINS_OF_COUNTS, _BINS_OF_SUMS = pa.list_(pa.int32(), BINS), pa.list_(pa.float64(), BINS)
 _HISTOGRAM_SCHEMA = pa.schema(
-    [("second", pa.int64()), ("step", pa.int16()), ("stratum", _STRATUM)]
-    + [("count", pa.list_(pa.int32(), BINS)), ("positives", pa.list_(pa.int32(), BINS))]
-    + [("p_sum", pa.list_(pa.float64(), BINS))]
+    [
+        ("second", pa.int64()),
+        ("step", pa.int16()),
+        ("stratum", _STRATUM),
+        ("count", _BINS_OF_COUNTS),
+        ("positives", _BINS_OF_COUNTS),
+        ("p_sum", _BINS_OF_SUMS),
+    ]
 )
 
 

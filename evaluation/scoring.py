@@ -26,7 +26,7 @@ def score_in_process(tracker: Tracker, source: FrameSource, steps: int) -> Stret
     first = next(iter(source))
     regions = regions_of(source, source.grid, first.world_T_grid)
     tally = Tally.empty(steps)
-    for moment in moments(tracker, Delivery(source, lambda _: None), schedule, seed=0):
+    for moment in moments(tracker, Delivery(source, lambda: None), schedule, seed=0):
         tally.add(count_forecast(moment.forecast.occupancy, moment.frames, regions))
     confusion = tally.confusion(best_thresholds(tally, source.name).bins)
     f1, log_loss = metrics.f1_score(confusion), metrics.log_loss(tally)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from gridtrack.evaluation import metrics
 from gridtrack.evaluation.counting import BINS, HALF, Tally
-from gridtrack.evaluation.outcome import Outcome
+from gridtrack.evaluation.record import TrialRecord
 from gridtrack.evaluation.scores import read_deliveries, read_tally
 from gridtrack.evaluation.strata import STRATA
 
@@ -26,12 +26,13 @@ NO_INTERVAL = "too short for an interval"
 
 @dataclass(frozen=True, slots=True)
 class Ended:
-    """A trial that has ended: its outcome, and its folder with what it scored."""
+    """A trial that has ended: its record, and its folder with what it scored."""
 
-    outcome: Outcome
+    record: TrialRecord
     folder: Path
     tracker: str
     options: Mapping[str, Any]
+    points: str
 
 
 def summarise(
@@ -41,17 +42,19 @@ def summarise(
     trackers: dict[str, Any] = {}
     trials = list(trials)
     for trial in trials:
-        outcome = trial.outcome
+        record = trial.record
         entry = trackers.setdefault(
-            outcome.label, {"tracker": trial.tracker, "options": dict(trial.options), "recordings": {}}
+            record.label,
+            {"tracker": trial.tracker, "options": dict(trial.options), "points": trial.points, "recordings": {}},
         )
-        entry["recordings"][outcome.recording] = _trial_summary(trial)
+        entry["recordings"][record.recording] = _trial_summary(trial)
     described, differing = {}, []
     for name, description in recordings.items():
-        odd = odd_deliveries([trial for trial in trials if trial.outcome.recording == name])
+        odd = odd_deliveries([trial for trial in trials if trial.record.recording == name])
         described[name] = {**description, "parity": not odd}
         differing += [
-            f"{label} on {name}: was delivered other frames than the rest; its scores are not comparable" for label in odd
+            f"{label} on {name} was delivered other frames than the rest: its scores are not comparable"
+            for label in odd
         ]
     return {
         "schema": SCHEMA,
@@ -63,48 +66,52 @@ def summarise(
     }
 
 
-def write_summary(path: Path, summary: Mapping[str, Any]) -> None:
-    """Leave `summary` at `path`, replaced whole."""
+def write_json(path: Path, content: Mapping[str, Any]) -> None:
+    """Leave `content` at `path`, replaced whole."""
     partial = path.with_name(path.name + ".partial")
-    partial.write_text(json.dumps(summary, indent=1, allow_nan=False) + "\n")
+    partial.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n")
     partial.replace(path)
 
 
 def odd_deliveries(trials: Sequence[Ended]) -> list[str]:
-    """Labels of the trials of one recording that were delivered other frames than most, where they have scores."""
-    deliveries = {t.outcome.label: read_deliveries(t.folder) for t in trials if t.outcome.frames_scored}
-    usual: dict[int, Counter[str]] = {}
-    for delivered in deliveries.values():
+    """Labels of the trials of one recording that were delivered other frames than most at a stamp they share.
+
+    Trials that asked for raw returns are compared among themselves: their frames differ by design.
+    """
+    usual: dict[tuple[str, int], Counter[str]] = {}
+    scored = [trial for trial in trials if trial.record.frames_scored]
+    deliveries = [(trial, read_deliveries(trial.folder)) for trial in scored]
+    for trial, delivered in deliveries:
         for stamp, digest in delivered.items():
-            usual.setdefault(stamp, Counter())[digest] += 1
+            usual.setdefault((trial.points, stamp), Counter())[digest] += 1
     return [
-        label
-        for label, delivered in deliveries.items()
-        if any(digest != usual[stamp].most_common(1)[0][0] for stamp, digest in delivered.items())
+        trial.record.label
+        for trial, delivered in deliveries
+        if any(digest != usual[trial.points, stamp].most_common(1)[0][0] for stamp, digest in delivered.items())
     ]
 
 
 def _trial_summary(trial: Ended) -> dict[str, Any]:
-    outcome = trial.outcome
-    latency = outcome.latency_ms
+    record = trial.record
+    latency = record.latency_ms
     return {
-        "outcome": outcome.outcome,
-        "reason": outcome.reason,
-        "frames_scored": outcome.frames_scored,
-        "frames_expected": outcome.frames_expected,
-        "threshold_chosen_on": outcome.thresholds.chosen_on,
-        "strata": _strata(outcome, read_tally(trial.folder, outcome.steps)) if outcome.frames_scored else {},
+        "outcome": record.outcome,
+        "reason": record.reason,
+        "frames_scored": record.frames_scored,
+        "frames_expected": record.frames_expected,
+        "threshold_chosen_on": record.thresholds.chosen_on,
+        "strata": _strata(record, read_tally(trial.folder, record.steps)) if record.frames_scored else {},
         "semantics": None,
-        "latency_ms": latency.model_dump(include={"update", "predict", "predict_step"}) if latency else None,
+        "latency_ms": latency.model_dump() if latency else None,
         "deadline": None,
-        "times": outcome.times.model_dump(),
-        "peak_rss_mb": outcome.peak_rss_mb,
+        "times": record.times.model_dump(),
+        "peak_rss_mb": record.peak_rss_mb,
     }
 
 
-def _strata(outcome: Outcome, tally: Tally) -> dict[str, dict[str, Any]]:
+def _strata(record: TrialRecord, tally: Tally) -> dict[str, dict[str, Any]]:
     """Every score per stratum and step. Intervals are left out: they want more units than one recording has."""
-    thresholds = np.array(outcome.thresholds.values)
+    thresholds = np.array(record.thresholds.values)
     at_threshold = tally.confusion(np.rint(thresholds * BINS).astype(np.int64))
     at_half = tally.confusion(np.full(len(thresholds), HALF))
     curves = {

@@ -43,4 +43,3 @@ def best_thresholds(tally: Tally, chosen_on: str) -> Thresholds:
     visible = STRATA.index("visible")
     f1 = np.stack([f1_score(tally.confusion(np.full(len(tally.cells), b))[:, visible]) for b in candidates])
     return Thresholds(candidates[np.nan_to_num(f1).argmax(axis=0)], chosen_on)
-

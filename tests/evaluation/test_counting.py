@@ -2,12 +2,13 @@
 
 import numpy as np
 import pytest
+from sklearn.metrics import average_precision_score, brier_score_loss, f1_score, log_loss, precision_score, recall_score
+
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame
 from gridtrack.evaluation import metrics
 from gridtrack.evaluation.counting import BINS, HALF, Tally, count_forecast
 from gridtrack.evaluation.strata import STRATA
-from sklearn.metrics import average_precision_score, brier_score_loss, f1_score, log_loss, precision_score, recall_score
 
 VISIBLE, MOVING, STATIC = (STRATA.index(name) for name in ("visible", "moving", "static"))
 RING_REGION, STATIC_REGION, MOVING_REGION = 0, 1, 2

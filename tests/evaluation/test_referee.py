@@ -4,6 +4,9 @@ import weakref
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
 from gridtrack.common.errors import RecordingError
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec
@@ -12,8 +15,6 @@ from gridtrack.evaluation.counting import HALF, Tally, count_forecast
 from gridtrack.evaluation.referee import WARM_UP, Delivery, Schedule, moments
 from gridtrack.evaluation.scoring import score_in_process
 from gridtrack.trackers.contract import Forecast
-from hypothesis import given
-from hypothesis import strategies as st
 
 GRID = GridSpec(8, 1.0)
 NOTHING = np.zeros((0, 2), np.float32)
@@ -65,7 +66,7 @@ class Seer:
 
 
 def delivery(stream):
-    return Delivery(stream, lambda _: None)
+    return Delivery(stream, lambda: None)
 
 
 def f1_per_step(stream, tracker, every=3):

@@ -2,13 +2,14 @@
 
 import numpy as np
 import pytest
+from mcap.reader import make_reader
+from mcap_protobuf.decoder import DecoderFactory
+
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec
 from gridtrack.evaluation.referee import Moment, Schedule
 from gridtrack.evaluation.samples import SAMPLES, SamplesError, SampleWriter, kept_moments, read_samples
 from gridtrack.trackers.contract import Forecast
-from mcap.reader import make_reader
-from mcap_protobuf.decoder import DecoderFactory
 
 GRID = GridSpec(12, 0.25, (-1.0, 2.0))
 STEPS, PERIOD_S = 15, 0.1

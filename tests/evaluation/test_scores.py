@@ -3,6 +3,8 @@
 import numpy as np
 import polars as pl
 import pytest
+from pyarrow import parquet
+
 from gridtrack.evaluation.counting import BINS, HALF, Tally
 from gridtrack.evaluation.scores import (
     CONFUSION,
@@ -16,7 +18,6 @@ from gridtrack.evaluation.scores import (
 )
 from gridtrack.evaluation.strata import STRATA
 from gridtrack.evaluation.thresholds import Thresholds
-from pyarrow import parquet
 
 STEPS = 2
 THRESHOLDS = Thresholds(np.array([HALF, 10, 40]), "validation")

@@ -1,12 +1,13 @@
 """Which cells are static, which are their ring, and which are moving."""
 
 import numpy as np
-from gridtrack.common.geometry import SE2
-from gridtrack.common.grid import GridFrame, GridSpec
-from gridtrack.evaluation.strata import REGIONS, STRATA, SUMS_OF_REGIONS, regions_of
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.ndimage import binary_dilation
+
+from gridtrack.common.geometry import SE2
+from gridtrack.common.grid import GridFrame, GridSpec
+from gridtrack.evaluation.strata import REGIONS, STRATA, SUMS_OF_REGIONS, regions_of
 
 GRID = GridSpec(7, 1.0)
 NOTHING = np.zeros((0, 2), np.float32)
@@ -68,5 +69,7 @@ def test_regions_agree_with_a_dilation(planes):
 
 
 def test_strata_are_made_of_the_regions_they_name():
-    made_of = {name: [REGIONS[i] for i in np.nonzero(row)[0]] for name, row in zip(STRATA, SUMS_OF_REGIONS, strict=True)}
+    made_of = {
+        name: [REGIONS[i] for i in np.nonzero(row)[0]] for name, row in zip(STRATA, SUMS_OF_REGIONS, strict=True)
+    }
     assert made_of == {"visible": list(REGIONS), "moving": ["moving"], "static": ["static"]}

@@ -1,13 +1,14 @@
 """Thresholds: one per step, the best visible F1 on the validation stretch."""
 
 import numpy as np
-from gridtrack.evaluation.counting import BINS, Tally
-from gridtrack.evaluation.strata import STRATA
-from gridtrack.evaluation.thresholds import best_thresholds, half
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from sklearn.metrics import f1_score
+
+from gridtrack.evaluation.counting import BINS, Tally
+from gridtrack.evaluation.strata import STRATA
+from gridtrack.evaluation.thresholds import best_thresholds, half
 
 VISIBLE = STRATA.index("visible")
 

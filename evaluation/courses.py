@@ -1,0 +1,167 @@
+"""A course: a recording as every tracker is run over it, with its test and validation stretches, steps and strata."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gridtrack.common.errors import ConfigurationError
+from gridtrack.common.grid import GridSpec
+from gridtrack.common.recordings import Stretch, open_recording
+from gridtrack.common.stream import GridStream, Points, open_stream, parse_stretch
+from gridtrack.evaluation.referee import WARM_UP, Schedule
+from gridtrack.evaluation.strata import regions_of
+from gridtrack.trackers.weights import TrainingData
+
+TEST, VALIDATION, TRAIN = "test", "validation", "train"
+"""The stretches that a recording may name for these uses."""
+
+
+@dataclass(frozen=True, slots=True)
+class Sampling:
+    """How recordings become streams, and how far and how often to look ahead; None: the recording's own."""
+
+    horizon_s: float
+    every_s: float
+    grid: GridSpec | None = None
+    rate_hz: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Course:
+    """One recording of a comparison, resolved; `name` is unique in a run and names it in every file."""
+
+    name: str
+    path: Path
+    test: GridStream
+    validation: GridStream | None
+    steps: int
+    every: int
+    notices: tuple[str, ...] = ()
+
+    @property
+    def schedule(self) -> Schedule:
+        """Which frames of the test stretch are forecast from."""
+        return Schedule(len(self.test), self.steps, self.every)
+
+    def regions(self) -> NDArray[np.uint8]:
+        """Region of each cell (M, M), from the whole recording, not the tested stretch only: one pass over it."""
+        standing = next(iter(self.test)).world_T_grid
+        return regions_of(whole(self.test), self.test.grid, standing)
+
+    def description(self) -> dict[str, Any]:
+        """What the summary says of it beside the scores."""
+        return {
+            "horizons_s": [round(step * self.test.period_s, 6) for step in range(self.steps + 1)],
+            "stretch": self.test.name,
+            "validation": self.validation.name if self.validation else "",
+            "site": self.test.site,
+            "grid": str(self.test.grid),
+            "rate_hz": round(1 / self.test.period_s, 6),
+            "frames": len(self.test),
+            "warm_up_frames": WARM_UP,
+            "forecast_every_frames": self.every,
+        }
+
+    def identity(self) -> dict[str, Any]:
+        """What decides the scores on it: a resumed run must have the same."""
+        validation = self.validation
+        return self.description() | {
+            "stretch_s": list(self.test.stretch_s),
+            "sha256": self.test.sha256,
+            "validation_s": list(validation.stretch_s) if validation else None,
+            "validation_sha256": validation.sha256 if validation else "",
+        }
+
+
+def plan_course(text: str, validation: str | None, sampling: Sampling) -> Course:
+    """The course of RECORDING[@range]: its named test stretch, or the whole, where no range is given.
+
+    Thresholds are chosen on `validation`, RECORDING[@range], else on the recording's own validation stretch. Raises
+    RecordingError, and ConfigurationError where the horizon or the stretches do not fit.
+    """
+    path, stretch = parse_stretch(text)
+    recording = open_recording(path)
+    name = path.stem if stretch is None else f"{path.stem}@{text.rpartition('@')[2]}"
+    if stretch is None and TEST in recording.info.stretches:
+        stretch = TEST
+    test = GridStream(recording, stretch, grid=sampling.grid, rate_hz=sampling.rate_hz)
+    chosen_on, notices = _validation_stretch(test, validation)
+    steps = round(sampling.horizon_s / test.period_s)
+    if steps < 1:
+        raise ConfigurationError(
+            f"a horizon of {sampling.horizon_s:g} s is less than half a frame of {test.name} ({test.period_s:g} s):"
+            " give a longer one with --horizon"
+        )
+    every = max(1, round(sampling.every_s / test.period_s))
+    course = Course(name, path, test, chosen_on, steps, every, (*recording.warnings, *notices))
+    if not course.schedule.expected:
+        raise ConfigurationError(
+            f"{test.name}: {len(test)} frames leave nothing to score after {WARM_UP} frames of warm-up and with {steps}"
+            " steps ahead: name a longer stretch, or a shorter --horizon"
+        )
+    return course
+
+
+def _validation_stretch(test: GridStream, asked: str | None) -> tuple[GridStream | None, tuple[str, ...]]:
+    """The stretch to choose thresholds on, or None and why; never one that shares a frame with the tested one."""
+    if asked is not None:
+        stretch = open_stream(asked, grid=test.grid, rate_hz=1 / test.period_s)
+        if shares_frames(test, stretch):
+            raise ConfigurationError(
+                f"validation {stretch.name} shares frames with the tested {test.name}: name others"
+            )
+        return stretch, ()
+    if VALIDATION not in test.recording.info.stretches:
+        return None, (f"{test.name}: no validation stretch, so every threshold is 0.5; name one with --validation",)
+    stretch = like(test, VALIDATION)
+    if shares_frames(test, stretch):
+        return None, (
+            f"{test.name} shares frames with {stretch.name}, so every threshold is 0.5; name others with --validation",
+        )
+    return stretch, ()
+
+
+def like(stream: GridStream, stretch: Stretch | str | None = None, points: Points | None = None) -> GridStream:
+    """Another stretch of the same recording, on the same grid and period; None: the whole."""
+    return GridStream(
+        stream.recording,
+        stretch,
+        grid=stream.grid,
+        rate_hz=1e9 / stream.period_ns,
+        points=points or stream.points,
+    )
+
+
+def whole(stream: GridStream) -> GridStream:
+    """The whole recording that `stream` is a stretch of."""
+    return like(stream, None)
+
+
+def with_points(stream: GridStream, points: Points) -> GridStream:
+    """The same stretch with other returns."""
+    return stream if points == stream.points else like(stream, stream.stretch_s, points)
+
+
+def shares_frames(one: GridStream, other: GridStream) -> bool:
+    """Whether two stretches are of the same file and overlap in time."""
+    return one.sha256 == other.sha256 and _overlap(one.stretch_s, other.stretch_s)
+
+
+def was_seen(test: GridStream, seen: TrainingData) -> bool:
+    """Whether what weights were made from shares frames with `test`; a stretch that cannot be found again counts."""
+    if seen.sha256 != test.sha256:
+        return False
+    _, stretch = parse_stretch(seen.recording)
+    if isinstance(stretch, str):
+        stretch = test.recording.info.stretches.get(stretch)
+    return stretch is None or _overlap(test.stretch_s, stretch)
+
+
+def _overlap(one: Stretch, other: Stretch) -> bool:
+    ends = [float("inf") if end is None else end for _, end in (one, other)]
+    return one[0] < ends[1] and other[0] < ends[0]

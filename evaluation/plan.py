@@ -1,0 +1,175 @@
+"""What a comparison will run: its settings, resolved to one trial for each tracker on each recording."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from pydantic import Field
+
+from gridtrack.common.config import Settings
+from gridtrack.common.errors import ConfigurationError
+from gridtrack.common.grid import GridSpec
+from gridtrack.common.stream import GridStream
+from gridtrack.evaluation.courses import Course, Sampling, plan_course, was_seen, with_points
+from gridtrack.evaluation.learned import LearnedWeights, find_weights
+from gridtrack.evaluation.tracker_process import Limits, describe
+from gridtrack.trackers import registry
+from gridtrack.trackers.selection import Launch, Selection, launch, parse_selections, read_trackers_toml
+
+
+class CompareSettings(Settings):
+    """A comparison as it is asked for.
+
+    `recordings` as RECORDING[@range], `trackers` as [LABEL=]NAME[:key=value,...] (none: every registered one);
+    `validation` a RECORDING[@range] to choose thresholds on, in place of each recording's own validation stretch.
+    """
+
+    recordings: tuple[str, ...] = Field(min_length=1)
+    trackers: tuple[str, ...] = ()
+    out: Path
+    validation: str | None = None
+    horizon_s: float = Field(2.5, gt=0.0, le=60.0)
+    every_s: float = Field(1.0, gt=0.0, le=3600.0)
+    grid: str | None = None
+    rate_hz: float | None = Field(None, gt=0.0, le=1000.0)
+    seed: int = Field(0, ge=0, lt=2**31)
+    weights: Path | None = None
+    trackers_toml: Path | None = None
+    limits: Limits = Limits()
+    jobs: int | None = Field(None, ge=1)
+    resume: bool = False
+    latency: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Trial:
+    """One tracker on one recording, resolved: all that is needed to run it."""
+
+    selection: Selection
+    launch: Launch
+    course: Course
+    weights: LearnedWeights | None
+    seed: int
+    limits: Limits
+
+    @property
+    def label(self) -> str:
+        """The tracker's label in this run."""
+        return self.selection.label
+
+    @property
+    def name(self) -> str:
+        """The name of the trial's folder."""
+        return f"{self.label}@{self.course.name}"
+
+    @property
+    def test(self) -> GridStream:
+        """The tested stretch, with the returns this tracker asked for."""
+        return with_points(self.course.test, self.selection.points)
+
+    @property
+    def validation(self) -> GridStream | None:
+        """The stretch to choose thresholds on, or None."""
+        stretch = self.course.validation
+        return stretch and with_points(stretch, self.selection.points)
+
+    @property
+    def how_to_train(self) -> str:
+        """What to do when the tracker has not learned the recording's site yet, in one line."""
+        command = ["gridtrack", "train", self.selection.name, str(self.course.path)]
+        return (
+            f"nothing learned for site '{self.course.test.site}' yet; run `{shlex.join(command)}`, then compare again"
+            " with --resume"
+        )
+
+    def identity(self) -> dict[str, Any]:
+        """What decides the trial's scores, and so whether a resumed run may keep them; learned weights apart."""
+        return {
+            "tracker": self.selection.name,
+            "options": dict(self.selection.options),
+            "points": self.selection.points,
+            "argv": list(self.launch.argv[1:]),
+            "seed": self.seed,
+            "limits": self.limits.model_dump(),
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """Everything that a comparison will run."""
+
+    settings: CompareSettings
+    courses: tuple[Course, ...]
+    trials: tuple[Trial, ...]
+    notices: tuple[str, ...]
+
+    def identity(self) -> dict[str, Any]:
+        """The resolved configuration: a resumed run must have the same."""
+        return {
+            "recordings": {course.name: course.identity() for course in self.courses},
+            "trials": {trial.name: trial.identity() for trial in self.trials},
+        }
+
+
+def resolve(settings: CompareSettings) -> Plan:
+    """Look everything up that the settings name, before anything runs.
+
+    Raises a GridtrackError for a recording, stretch, tracker, option or weights file that does not fit.
+    """
+    external = read_trackers_toml(settings.trackers_toml) if settings.trackers_toml else {}
+    selections = parse_selections(settings.trackers or (*registry.entries(), *external))
+    launches = {selection.label: launch(selection.name, external) for selection in selections}
+    for selection in selections:
+        if selection.options:  # the defaults need no check, and starting a process costs time
+            describe(launches[selection.label], selection.options, settings.limits)
+    sampling = Sampling(
+        settings.horizon_s, settings.every_s, GridSpec.parse(settings.grid) if settings.grid else None, settings.rate_hz
+    )
+    courses = tuple(plan_course(text, settings.validation, sampling) for text in settings.recordings)
+    _refuse_equal_names(courses)
+    trials = tuple(
+        Trial(
+            selection,
+            launches[selection.label],
+            course,
+            find_weights(selection.name, course.test.site, settings.weights),
+            settings.seed,
+            settings.limits,
+        )
+        for course in courses
+        for selection in selections
+    )
+    notices = [notice for course in courses for notice in course.notices]
+    notices += [notice for trial in trials for notice in _seen_before(trial)]
+    return Plan(settings, courses, trials, tuple(notices))
+
+
+def _refuse_equal_names(courses: tuple[Course, ...]) -> None:
+    seen: dict[str, Path] = {}
+    for course in courses:
+        if course.name in seen:
+            raise ConfigurationError(
+                f"{seen[course.name]} and {course.path} would both be called '{course.name}' in the results: name each"
+                " recording and stretch once, and rename one of two files of the same name"
+            )
+        seen[course.name] = course.path
+
+
+def _seen_before(trial: Trial) -> Iterator[str]:
+    """A notice where the tracker learned from frames that it is tested or its thresholds are chosen on."""
+    if trial.weights is None:
+        return
+    card = trial.weights.card
+    if any(was_seen(trial.course.test, data) for data in (*card.train, *card.validation)):
+        yield (
+            f"{trial.label} learned from frames of the tested {trial.course.test.name} ({trial.weights.path}): its"
+            " scores there are not those of an unseen recording"
+        )
+    if trial.course.validation and any(was_seen(trial.course.validation, data) for data in card.train):
+        yield (
+            f"{trial.label} was trained on frames of {trial.course.validation.name}, on which its thresholds are chosen"
+        )

@@ -1,0 +1,99 @@
+"""The record of a trial: outcome.json, written when it ends, read by the summary and by a resumed run."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Literal
+
+from pydantic import Field, ValidationError
+
+from gridtrack.common.config import Settings
+from gridtrack.common.errors import GridtrackError
+from gridtrack.evaluation.outcome import Outcome
+
+SCHEMA = 1
+RECORD = "outcome.json"
+MAX_BYTES = 1 << 24
+
+Ending = Outcome | Literal["interrupted"]
+"""How a trial ended; `interrupted` where the run was, before the trial could end by itself."""
+
+
+class RunError(GridtrackError):
+    """A run's folder that cannot be used."""
+
+
+class ThresholdsUsed(Settings):
+    """The threshold of each step, and the stretch they were chosen on; 0.5 everywhere where that is empty."""
+
+    values: tuple[float, ...] = ()
+    chosen_on: str = ""
+
+
+class Times(Settings):
+    """Where a trial's time went, seconds: the tracker's own, and `wall_s` from first to last frame, both passes."""
+
+    start_s: float = 0.0
+    update_s: float = 0.0
+    predict_s: float = 0.0
+    wall_s: float = 0.0
+
+
+class Quantiles(Settings):
+    """Milliseconds."""
+
+    p50: float
+    p95: float
+    p99: float
+
+
+class Latency(Settings):
+    """What an update, a forecast, and one step of a forecast take, by the tracker's own clock, alone on the machine."""
+
+    update: Quantiles
+    predict: Quantiles
+    predict_step: Quantiles
+
+
+class TrialRecord(Settings):
+    """One trial: how it ended, how far it came, and what it ran on."""
+
+    schema_version: int = Field(default=SCHEMA, alias="schema")
+    label: str
+    recording: str
+    outcome: Ending
+    reason: str = ""
+    frames_scored: int = 0
+    frames_expected: int = 0
+    frames_delivered: int = 0
+    delivered: str = ""
+    """Hash of every frame delivered, in their order."""
+    steps: int
+    thresholds: ThresholdsUsed = ThresholdsUsed()
+    weights_sha256: str = ""
+    times: Times = Times()
+    peak_rss_mb: float | None = None
+    latency_ms: Latency | None = None
+
+    def write(self, folder: Path) -> None:
+        """Leave it in a trial's folder, replaced whole."""
+        partial = folder / (RECORD + ".partial")
+        partial.write_text(self.model_dump_json(by_alias=True, indent=1) + "\n")
+        partial.replace(folder / RECORD)
+
+
+def read_record(folder: Path) -> TrialRecord | None:
+    """The record in a trial's folder; None where the trial has not ended. Raises RunError."""
+    path = folder / RECORD
+    try:
+        if path.stat().st_size > MAX_BYTES:
+            raise RunError(f"{path}: {path.stat().st_size} bytes; more than {MAX_BYTES} are refused")
+        record = TrialRecord.model_validate_json(path.read_bytes())
+    except FileNotFoundError:
+        return None
+    except (OSError, ValidationError) as error:
+        reason = str(error).splitlines()[0]
+        raise RunError(f"{path}: not a trial's record of gridtrack ({reason}); delete the folder") from None
+    if record.schema_version != SCHEMA:
+        raise RunError(f"{path}: schema {record.schema_version}; this gridtrack reads {SCHEMA}: run it again")
+    return record

@@ -1,0 +1,153 @@
+"""One trial: a tracker in its process, streamed a validation and then a test stretch, scored as it goes."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gridtrack.common.errors import RecordingError
+from gridtrack.evaluation.counting import Tally, count_forecast
+from gridtrack.evaluation.outcome import TrialEnded
+from gridtrack.evaluation.plan import Trial
+from gridtrack.evaluation.record import Ending, ThresholdsUsed, Times, TrialRecord
+from gridtrack.evaluation.referee import Delivery, Schedule, moments
+from gridtrack.evaluation.samples import SAMPLES, SampleWriter, kept_moments
+from gridtrack.evaluation.scores import ScoreWriter
+from gridtrack.evaluation.thresholds import Thresholds, best_thresholds, half
+from gridtrack.evaluation.tracker_process import TrackerProcess
+from gridtrack.trackers.contract import FrameSource, stream_of
+
+STDERR = "stderr.log"
+INTERRUPTED = "the run was interrupted; continue it with --resume"
+OnFrame = Callable[[], None]
+"""Called before each frame is delivered; it raises Interrupted to stop the trial."""
+
+
+class Interrupted(Exception):
+    """The run was interrupted: what the trial has scored is kept."""
+
+
+class TrialRun:
+    """A trial while it runs: how far it has come is what its record tells when it ends early."""
+
+    def __init__(self, trial: Trial, regions: NDArray[np.uint8], folder: Path, on_frame: OnFrame) -> None:
+        """`regions` (M, M) as of `strata.regions_of`; the trial's files are left in `folder`."""
+        folder.mkdir(parents=True, exist_ok=True)
+        self.trial, self._regions, self._folder, self._on_frame = trial, regions, folder, on_frame
+        self._thresholds: Thresholds | None = None
+        self._test = self._schedule(trial.test)
+        self._delivery = Delivery(trial.test, on_frame)
+        self._scored = 0
+        self._start_s = self._wall_s = 0.0
+        self._interrupted = False
+        self._process = TrackerProcess(
+            trial.launch,
+            stream_of(trial.test, trial.weights.path if trial.weights else None),
+            trial.selection.options,
+            trial.limits,
+            folder / STDERR,
+        )
+
+    def run(self) -> TrialRecord:
+        """Run to the end, whatever that is, and write the record."""
+        ending, reason = self._run()
+        if self._interrupted and ending != "ok":
+            ending, reason = "interrupted", INTERRUPTED
+        record = self._record(ending, reason)
+        record.write(self._folder)
+        return record
+
+    def _run(self) -> tuple[Ending, str]:
+        """Run, and say how it ended and why."""
+        began = time.perf_counter()
+        try:
+            with self._process:
+                self._start_s = time.perf_counter() - began
+                began = time.perf_counter()
+                self._thresholds = self._choose_thresholds()
+                self._score(self._thresholds)
+        except TrialEnded as ended:
+            return ended.outcome, self.trial.how_to_train if ended.outcome == "untrained" else ended.reason
+        except Interrupted:
+            return "interrupted", INTERRUPTED
+        except RecordingError as error:
+            return "not-applicable", str(error)
+        finally:
+            self._wall_s = time.perf_counter() - began
+        return "ok", ""
+
+    @property
+    def frames(self) -> int:
+        """How many frames the trial delivers, on both stretches."""
+        return len(self.trial.test) + len(self.trial.validation or ())
+
+    def interrupt(self) -> None:
+        """End the trial from another thread, also in the middle of a call."""
+        self._interrupted = True
+        self._process.kill()
+
+    def _choose_thresholds(self) -> Thresholds:
+        """Stream the validation stretch and choose each step's threshold by it; 0.5 where there is none."""
+        stretch = self.trial.validation
+        if stretch is None:
+            return half(self.trial.course.steps)
+        tally = Tally.empty(self.trial.course.steps)
+        delivery = Delivery(stretch, self._on_frame)
+        for moment in moments(self._process, delivery, self._schedule(stretch), self.trial.seed):
+            tally.add(count_forecast(moment.forecast.occupancy, moment.frames, self._regions))
+        return best_thresholds(tally, stretch.name)
+
+    def _score(self, thresholds: Thresholds) -> None:
+        """Stream the test stretch, and write what each forecast scored as soon as its last frame has come."""
+        test, steps, kept = self.trial.test, self.trial.course.steps, kept_moments(self._test)
+        with (
+            ScoreWriter(self._folder, steps, thresholds) as scores,
+            SampleWriter(self._folder / SAMPLES, test.grid, test.period_s, steps) as samples,
+        ):
+            for moment in moments(self._process, self._delivery, self._test, self.trial.seed):
+                tally = count_forecast(moment.forecast.occupancy, moment.frames, self._regions)
+                scores.add(moment.stamp_ns, self._delivery.digest, tally)
+                if self._scored in kept:
+                    samples.add(moment)
+                self._scored += 1
+
+    def _schedule(self, stretch: FrameSource) -> Schedule:
+        return Schedule(len(stretch), self.trial.course.steps, self.trial.course.every)
+
+    def _record(self, ending: Ending, reason: str) -> TrialRecord:
+        chosen = self._thresholds or half(self.trial.course.steps)
+        timings = self._process.timings
+        return unstarted(self.trial).model_copy(
+            update={
+                "outcome": ending,
+                "reason": reason,
+                "frames_scored": self._scored,
+                "frames_delivered": self._delivery.frames,
+                "delivered": self._delivery.digest,
+                "thresholds": ThresholdsUsed(values=tuple(chosen.values.tolist()), chosen_on=chosen.chosen_on),
+                "times": Times(
+                    start_s=self._start_s,
+                    update_s=timings.update.total_ms / 1000,
+                    predict_s=timings.predict.total_ms / 1000,
+                    wall_s=self._wall_s,
+                ),
+                "peak_rss_mb": self._process.peak_rss_mb,
+            }
+        )
+
+
+def unstarted(trial: Trial) -> TrialRecord:
+    """The record of a trial that an interrupt kept from starting."""
+    return TrialRecord(
+        label=trial.label,
+        recording=trial.course.name,
+        outcome="interrupted",
+        reason=INTERRUPTED,
+        frames_expected=trial.course.schedule.expected,
+        steps=trial.course.steps,
+        weights_sha256=trial.weights.sha256 if trial.weights else "",
+    )
