@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 
-from gridtrack.reports.run import Curve, Quantiles
+from gridtrack.reports.run import UNDEFINED, Curve, Quantiles
 
 ROW_HEIGHT = 17.0
 """Of one line of text in a figure."""
@@ -65,9 +65,11 @@ class Reading:
 
 @dataclass(frozen=True)
 class CurvePanel:
-    """F1 over the horizon in one stratum, one line per tracker."""
+    """F1 over the horizon in one stratum, one line per tracker; the curves themselves stand beside their geometry."""
 
     title: str
+    horizons_s: tuple[float, ...]
+    curves: tuple[tuple[Series, Curve], ...]
     width: int
     height: int
     x: Axis
@@ -76,6 +78,12 @@ class CurvePanel:
     y_ticks: tuple[float, ...]
     lines: tuple[Line, ...]
     readings: tuple[Reading, ...]
+
+    @property
+    def words(self) -> str:
+        """The panel in words: where each curve ends."""
+        ends = [f"{series.name} {UNDEFINED if (v := curve[-1]) is None else f'{v:.3f}'}" for series, curve in self.curves]
+        return f"F1 of {self.title} cells over the horizon; at {self.horizons_s[-1]:g} s: {', '.join(ends)}"
 
 
 def curve_panel(
@@ -96,7 +104,9 @@ def curve_panel(
     )
     readings = tuple(_reading(step, horizons_s, curves, x, y) for step in range(len(horizons_s)))
     x_ticks = tuple(0.5 * i for i in range(int(horizons_s[-1] / 0.5 + 1e-6) + 1))
-    return CurvePanel(title, width, height, x, y, x_ticks, (0.0, 0.2, 0.4, 0.6, 0.8, 1.0), lines, readings)
+    return CurvePanel(
+        title, tuple(horizons_s), tuple(curves), width, height, x, y, x_ticks, (0.0, 0.2, 0.4, 0.6, 0.8, 1.0), lines, readings
+    )
 
 
 def _last(curve: Curve) -> float | None:
@@ -172,7 +182,7 @@ class TimeScale:
 
     axis: Axis
     ticks: tuple[tuple[float, str], ...]
-    period: float | None
+    period: float
 
     def span(self, times: Quantiles | None) -> Span | None:
         """Positions of the three quantiles, None where they were not measured."""
@@ -181,11 +191,11 @@ class TimeScale:
         return Span(self.axis(times.p50), self.axis(times.p95), self.axis(times.p99))
 
 
-def time_scale(times_ms: Sequence[float], period_ms: float | None, width: float) -> TimeScale:
+def time_scale(times_ms: Sequence[float], period_ms: float, width: float) -> TimeScale:
     """Whole decades that hold all of `times_ms` and the period."""
-    known = [t for t in (*times_ms, *([period_ms] if period_ms else [])) if t > 0]
-    low = math.floor(math.log10(min(known, default=1.0)))
-    high = max(math.ceil(math.log10(max(known, default=1.0))), low + 1)
+    known = [period_ms, *(t for t in times_ms if t > 0)]
+    low = math.floor(math.log10(min(known)))
+    high = max(math.ceil(math.log10(max(known))), low + 1)
     axis = Axis(10.0**low, 10.0**high, 6.0, width - 6.0, logarithmic=True)
     ticks = tuple((axis(10.0**k), f"{10.0**k:g}") for k in range(low, high + 1))
-    return TimeScale(axis, ticks, axis(period_ms) if period_ms else None)
+    return TimeScale(axis, ticks, axis(period_ms))

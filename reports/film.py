@@ -6,6 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from gridtrack.common.grid import GridSpec
 from gridtrack.evaluation.samples import SAMPLES, Sample, SamplesError, read_samples
 from gridtrack.evaluation.scores import SCORES
@@ -41,6 +43,8 @@ class Film:
     """The chosen moments of one recording, the rows (trackers) that are pictured, and the rule of choice."""
 
     grid: GridSpec
+    sensors: tuple[tuple[float, float], ...]
+    """Where the sensors stand, in picture coordinates: cells from the upper left corner."""
     rule: str
     rows: tuple[Row, ...]
     strips: tuple[Strip, ...]
@@ -72,7 +76,8 @@ def film_of(
     reference = samples[judged[0].label]
     start_ns = min(kept[judged[0].label])
     strips = tuple(_strip(moment, rows, samples, reference[moment.stamp_ns], start_ns) for moment in chosen)
-    return Film(reference[chosen[0].stamp_ns].grid, rule(parts, horizon_s), rows, strips), notices
+    first = reference[chosen[0].stamp_ns]
+    return Film(first.grid, _sensors(first), rule(parts, horizon_s), rows, strips), notices
 
 
 def _kept_stamps(rows: Sequence[Row], folders: Mapping[str, Path]) -> tuple[dict[str, set[int]], tuple[str, ...]]:
@@ -140,3 +145,10 @@ def _forecast(row: Row, sample: Sample | None, reference: Sample, h: int, now: s
         probability_png(sample.forecast[h]),
         f"{row.label}: forecast for {horizon_s:g} s after {now}, {expected:.0f} cells expected to be occupied",
     )
+
+
+def _sensors(sample: Sample) -> tuple[tuple[float, float], ...]:
+    """Where the sensors stand inside the picture: cells, x from the left and y from the top."""
+    cells = (sample.origins - np.array(sample.grid.origin, np.float32)) / np.float32(sample.grid.cell_m)
+    size = sample.grid.size
+    return tuple((round(x, 1), round(size - y, 1)) for x, y in cells.tolist() if 0 <= x <= size and 0 <= y <= size)

@@ -1,4 +1,4 @@
-"""What a reader must know before the numbers: trials that failed, thresholds for want of validation, missing intervals."""
+"""What a reader must know before the numbers: what the run tells, trials that did not finish, missing intervals."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from gridtrack.reports.run import Run
-from gridtrack.reports.table import HeadlineTable
+from gridtrack.reports.table import HeadlineTable, Row
 
 
 @dataclass(frozen=True)
@@ -18,10 +18,10 @@ class Notice:
     serious: bool = False
 
 
-def notices_of(runs: Sequence[Run], tables: Sequence[HeadlineTable]) -> tuple[Notice, ...]:
+def notices_of(runs: Sequence[Run], tables: Sequence[HeadlineTable]) -> list[Notice]:
     """Every notice, serious ones first; what a run itself tells comes in its own words."""
-    found = [*_of_runs(runs), *_of_trials(tables), *_of_thresholds(tables), *_of_intervals(tables)]
-    return tuple(sorted(dict.fromkeys(found), key=lambda notice: not notice.serious))
+    found = [*_of_runs(runs), *_of_parity(tables), *_of_trials(tables), *_of_intervals(tables)]
+    return sorted(dict.fromkeys(found), key=lambda notice: not notice.serious)
 
 
 def _of_runs(runs: Sequence[Run]) -> Iterator[Notice]:
@@ -33,23 +33,22 @@ def _of_runs(runs: Sequence[Run]) -> Iterator[Notice]:
             yield Notice(before + text, serious=True)
 
 
+def _of_parity(tables: Sequence[HeadlineTable]) -> Iterator[Notice]:
+    for table in tables:
+        if not table.comparable:
+            yield Notice(f"{table.recording}: not all rows are of the same frames, so none is marked best", serious=True)
+
+
 def _of_trials(tables: Sequence[HeadlineTable]) -> Iterator[Notice]:
     for table in tables:
         for row in table.standing("apart"):
-            what = f"{row.name} on {table.recording}: {row.trial.outcome}"
-            reason = f": {row.trial.reason}" if row.trial.reason else ""
-            scored = f"; {row.frames} frames scored, not ranked" if row.trial.frames_scored else "; nothing scored"
-            yield Notice(what + reason + scored, serious=True)
+            where = f" on {table.recording}" if len(tables) > 1 else ""
+            yield Notice(f"{row.name}{where}: {_what_became_of(row)}", serious=True)
 
 
-def _of_thresholds(tables: Sequence[HeadlineTable]) -> Iterator[Notice]:
-    for table in tables:
-        unchosen = [r.name for r in table.rows if r.trial.frames_scored and not r.trial.threshold_chosen_on]
-        if unchosen:
-            yield Notice(
-                f"{table.recording}: for want of a validation stretch the threshold is 0.5 at every step for"
-                f" {', '.join(unchosen)}; a forecast that is blurred because it is honest loses by that"
-            )
+def _what_became_of(row: Row) -> str:
+    scored = f"{row.frames} frames scored, not ranked" if row.trial.frames_scored else "nothing scored"
+    return "; ".join(filter(None, (row.trial.outcome, row.trial.reason, scored)))
 
 
 def _of_intervals(tables: Sequence[HeadlineTable]) -> Iterator[Notice]:

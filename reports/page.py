@@ -4,61 +4,71 @@ from __future__ import annotations
 
 import base64
 import hashlib
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from pathlib import Path
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
-from gridtrack.reports.facts import Fact, facts_of, lead_of, provenance_of, title_of
-from gridtrack.reports.figures import CurvePanel, Series, TimeScale, curve_panel, time_scale
-from gridtrack.reports.film import Film, film_of
+from gridtrack.reports.facts import facts_of, lead_of, provenance_of, title_of
 from gridtrack.reports.notices import Notice, notices_of
 from gridtrack.reports.pictures import scale_png
-from gridtrack.reports.run import FLOOR, Run, StratumScores, read_runs
-from gridtrack.reports.table import DETAIL_HORIZON_S, HORIZONS_S, UNDEFINED, HeadlineTable, Row, headline_tables
+from gridtrack.reports.run import UNDEFINED, Run, read_runs
+from gridtrack.reports.sections import section_of, styles_of
+from gridtrack.reports.table import headline_tables
 
 TEMPLATES = Path(__file__).parent / "templates"
-COLOURS = 8
-"""Trackers beyond this many repeat the colours, with broken lines."""
-PANELS = (("moving", (740, 460), 150.0), ("visible", (370, 222), 0.0), ("static", (370, 222), 0.0))
-"""Stratum, size and label width of the curves: the stratum to look at first is the largest."""
-TIME_WIDTH = 220.0
-
-
-@dataclass(frozen=True)
-class ThresholdMark:
-    """F1 of moving cells at one horizon, at the chosen threshold and at 0.5."""
-
-    threshold: float | None
-    f1: float | None
-    f1_at_half: float | None
-
-
-@dataclass(frozen=True)
-class Section:
-    """Everything that the page shows of one recording."""
-
-    table: HeadlineTable
-    curves: tuple[tuple[str, tuple[CurvePanel, ...]], ...]
-    """Per run its name (empty where there is only one) and its panels."""
-    threshold_horizons: tuple[str, ...]
-    thresholds: tuple[tuple[Row, tuple[ThresholdMark, ...]], ...]
-    time_scale: TimeScale
-    period_ms: float | None
-    film: Film | None
 
 
 def render_report(runs: Sequence[Path], out: Path | None = None) -> Path:
-    """Write the report of `runs` and return its path: `out`, or index.html in the first run's folder `report`.
+    """Write the report of `runs` and return its path: `out`, or index.html in the run's folder `report`.
 
-    Several runs stand side by side on one page, without `out` in side-by-side.html. Raises ReportError.
+    Several runs stand side by side on one page, without `out` in side-by-side.html of the first. Raises ReportError.
     """
-    read = read_runs(runs)
+    content = render_page(read_runs(runs))
     path = out or runs[0] / "report" / ("index.html" if len(runs) == 1 else "side-by-side.html")
     path.parent.mkdir(parents=True, exist_ok=True)
     partial = path.with_name(path.name + ".partial")
-    partial.write_text(render_page(read), "utf-8")
+    partial.write_text(content, "utf-8")
     partial.replace(path)
     return path
+
+
+def render_page(runs: Sequence[Run]) -> str:
+    """The page as HTML. Raises ReportError where a trial's files do not fit the summary."""
+    tables = headline_tables(runs)
+    styles = styles_of(runs)
+    sections, unreadable = zip(*(section_of(runs, table, styles) for table in tables), strict=True)
+    css = (TEMPLATES / "page.css").read_text("utf-8")
+    return _environment().get_template("page.html.j2").render(
+        title=title_of(runs),
+        leads=[lead_of(table) for table in tables] if len(runs) == 1 else [],
+        runs=[(run, facts_of(run), provenance_of(run)) for run in runs],
+        notices=[Notice(text, serious=True) for texts in unreadable for text in texts] + notices_of(runs, tables),
+        sections=sections,
+        styles=styles,
+        scale=scale_png(),
+        css=Markup(css),  # our own file, not a name from a run
+        css_hash=base64.b64encode(hashlib.sha256(css.encode()).digest()).decode(),
+    )
+
+
+def _environment() -> Environment:
+    """Templates with every value escaped: names and reasons in a run's folder may be anything."""
+    environment = Environment(
+        loader=FileSystemLoader(TEMPLATES), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    environment.filters["score"] = _score
+    environment.filters["ms"] = _milliseconds
+    return environment
+
+
+def _score(value: float | None, digits: int = 3) -> str:
+    return UNDEFINED if value is None else f"{value:.{digits}f}"
+
+
+def _milliseconds(value: float | None) -> str:
+    """Three digits that count, and no exponent."""
+    if value is None:
+        return UNDEFINED
+    return f"{value:.0f}" if value >= 99.5 else f"{value:.1f}" if value >= 9.95 else f"{value:.2f}"

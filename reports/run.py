@@ -6,6 +6,7 @@ import json
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -16,6 +17,8 @@ from gridtrack.evaluation.summary import SCHEMA, SUMMARY
 
 MAX_BYTES = 256 << 20
 """A larger run.json or summary.json is refused before it is read."""
+UNDEFINED = "–"
+"""What stands on the page where a score is not defined."""
 FLOOR = ("persistence", "static-map", "blank")
 """Trackers that do not track: whoever does not beat them has not tracked."""
 
@@ -96,6 +99,8 @@ class TrackerEntry(_Read):
     """One row of the comparison: a tracker with its options, on every recording."""
 
     tracker: str
+    points: str = ""
+    """Which returns it was given: `raw` stands apart from the stream that all others saw."""
     options: dict[str, Any] = Field(default_factory=dict)
     recordings: dict[str, Trial]
 
@@ -108,16 +113,26 @@ class TrackerEntry(_Read):
 class Recording(_Read):
     """What was compared on one recording."""
 
-    horizons_s: tuple[float, ...] = Field(min_length=1)
+    horizons_s: tuple[float, ...] = Field(min_length=2)
+    stretch: str = ""
+    """The tested one; `validation` is what thresholds were chosen on, empty where there was none."""
+    validation: str = ""
+    site: str = ""
+    grid: str = ""
+    frames: int = 0
+    warm_up_frames: int = 0
+    forecast_every_frames: int = 0
     parity: bool = True
     """Whether every tracker was delivered the same frames: only then are they ranked."""
 
+    @property
+    def period_s(self) -> float:
+        """Of the stream: one step."""
+        return self.horizons_s[1] - self.horizons_s[0]
+
     def step_at(self, horizon_s: float) -> int | None:
         """The step nearest to `horizon_s`, or None where the run did not look that far."""
-        if len(self.horizons_s) < 2:
-            return None
-        period_s = self.horizons_s[1] - self.horizons_s[0]
-        step = round(horizon_s / period_s)
+        step = round(horizon_s / self.period_s)
         return step if 0 < step < len(self.horizons_s) else None
 
 
@@ -125,13 +140,16 @@ class Summary(_Read):
     """summary.json."""
 
     schema_version: int = Field(alias="schema")
-    recordings: dict[str, Recording]
+    recordings: dict[str, Recording] = Field(min_length=1)
     trackers: dict[str, TrackerEntry]
     notices: tuple[str, ...] = ()
     interrupted: bool = False
 
     @model_validator(mode="after")
     def _curves_reach_every_horizon(self) -> Summary:
+        for name, recording in self.recordings.items():
+            if any(later <= earlier for earlier, later in pairwise(recording.horizons_s)):
+                raise ValueError(f"{name}: horizons_s do not increase")
         for label, entry in self.trackers.items():
             for name, trial in entry.recordings.items():
                 if name not in self.recordings:
@@ -152,6 +170,19 @@ class Run:
     name: str
     summary: Summary
     provenance: dict[str, Any]
+
+    def identity_of(self, recording: str) -> Any:
+        """What decided the scores on one recording, its hash among them: equal for runs of the same frames."""
+        configuration = self.provenance.get("configuration")
+        recordings = configuration.get("recordings") if isinstance(configuration, dict) else None
+        return recordings.get(recording) if isinstance(recordings, dict) else None
+
+    def trial_folder(self, label: str, recording: str) -> Path:
+        """Where a trial's files lie. Raises ReportError for names that would lead out of the run's folder."""
+        folder = self.path / f"{label}@{recording}"
+        if folder.parent != self.path:
+            raise ReportError(f"{self.path / SUMMARY}: '{label}@{recording}' is not the name of a folder in it")
+        return folder
 
 
 def read_runs(paths: Sequence[Path]) -> tuple[Run, ...]:

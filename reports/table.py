@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import groupby
 from typing import Literal
 
-from gridtrack.reports.run import Run, StratumScores, TrackerEntry, Trial
+from gridtrack.reports.run import UNDEFINED, Run, StratumScores, TrackerEntry, Trial
 
 HORIZONS_S = (0.5, 1.0, 2.0, 2.5)
 """The horizons that F1 is shown at, as far as a run looks ahead."""
 DETAIL_HORIZON_S = 1.0
 """The horizon of the other scores; also the one that rows are sorted by."""
-UNDEFINED = "–"
 
 Standing = Literal["ranked", "floor", "apart"]
 """Complete trials of trackers, complete trials of the floor, and trials that are partial or gave nothing."""
@@ -78,6 +78,13 @@ class HeadlineTable:
     recording: str
     columns: tuple[Column, ...]
     rows: tuple[Row, ...]
+    comparable: bool
+    """Whether all rows are of the same frames: only then is a best one marked."""
+
+    @property
+    def groups(self) -> tuple[tuple[str, int], ...]:
+        """The groups of columns, and how many columns each has."""
+        return tuple((group, len(list(columns))) for group, columns in groupby(self.columns, key=lambda c: c.group))
 
     def standing(self, standing: Standing) -> tuple[Row, ...]:
         """The rows of one standing."""
@@ -101,7 +108,10 @@ def _table(runs: Sequence[Run], recording: str) -> HeadlineTable:
     ]
     order = ("ranked", "floor", "apart")
     rows.sort(key=lambda row: (order.index(row.standing), -_sort_value(row, columns)))
-    return HeadlineTable(recording, columns, tuple(_with_best(rows, columns)))
+    stretches = [run.summary.recordings[recording] for run in shown]
+    frames = [(stretch, run.identity_of(recording)) for stretch, run in zip(stretches, shown, strict=True)]
+    comparable = all(stretch.parity for stretch in stretches) and frames.count(frames[0]) == len(frames)
+    return HeadlineTable(recording, columns, tuple(_with_best(rows, columns) if comparable else rows), comparable)
 
 
 def _columns(runs: Sequence[Run], recording: str) -> Iterator[Column]:

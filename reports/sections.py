@@ -1,0 +1,192 @@
+"""What the page shows of one recording: table, curves, thresholds, times and filmstrip, laid out for the templates."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+from gridtrack.reports.figures import Axis, CurvePanel, Series, Span, TimeScale, curve_panel, time_scale
+from gridtrack.reports.film import Film, film_of
+from gridtrack.reports.run import FLOOR, Latency, Run, StratumScores, Trial
+from gridtrack.reports.table import DETAIL_HORIZON_S, HeadlineTable, Row
+
+COLOURS = 8
+"""Trackers beyond this many repeat the colours, with broken lines."""
+PANELS = (("moving", (740, 470), 140.0), ("visible", (370, 227), 0.0), ("static", (370, 227), 0.0))
+"""Stratum, size and label width of the curves: the stratum to look at first is the largest."""
+TIME_WIDTH = 132.0
+MARK_WIDTH = 84.0
+MARKED_HORIZONS = 3
+
+
+@dataclass(frozen=True)
+class ThresholdMark:
+    """F1 of moving cells at one horizon, at the chosen threshold and at 0.5, and where both stand in a drawing."""
+
+    threshold: float | None
+    f1: float | None
+    f1_at_half: float | None
+    at: float | None
+    at_half: float | None
+
+
+@dataclass(frozen=True)
+class TimeRow:
+    """What one tracker takes, and whether that is fast enough for the stream."""
+
+    row: Row
+    latency: Latency | None
+    update: Span | None
+    predict: Span | None
+    verdict: str
+
+
+@dataclass(frozen=True)
+class Detail:
+    """Every score at one step: per stratum the trials that have it, in the order of the headline table."""
+
+    horizon: str
+    step: int
+    strata: tuple[tuple[str, tuple[tuple[Row, StratumScores], ...]], ...]
+
+
+@dataclass(frozen=True)
+class Section:
+    """Everything that the page shows of one recording."""
+
+    table: HeadlineTable
+    details: tuple[Detail, ...]
+    curves: tuple[tuple[str, tuple[CurvePanel, ...]], ...]
+    """Per run its name (empty where there is only one) and its panels."""
+    threshold_horizons: tuple[str, ...]
+    thresholds: tuple[tuple[Row, tuple[ThresholdMark, ...]], ...]
+    period_ms: float
+    time_scale: TimeScale
+    times: tuple[TimeRow, ...]
+    film: Film | None
+    time_width: float = TIME_WIDTH
+    mark_width: float = MARK_WIDTH
+
+    @property
+    def measured(self) -> bool:
+        """Whether any tracker was timed."""
+        return any(time.latency is not None for time in self.times)
+
+
+def styles_of(runs: Sequence[Run]) -> dict[str, str]:
+    """One style (CSS classes) for each label, the same on the whole page: a colour for a tracker, a grey for the floor."""
+    styles: dict[str, str] = {}
+    coloured = 0
+    for run in runs:
+        for label, entry in run.summary.trackers.items():
+            if label in styles:
+                continue
+            if entry.floor:
+                styles[label] = f"f{FLOOR.index(entry.tracker)}"
+            else:
+                styles[label] = f"t{coloured % COLOURS}" + (" again" if coloured >= COLOURS else "")
+                coloured += 1
+    return styles
+
+
+def section_of(
+    runs: Sequence[Run], table: HeadlineTable, styles: Mapping[str, str]
+) -> tuple[Section, tuple[str, ...]]:
+    """The section of one recording, and notices of files that could not be read. Raises ReportError."""
+    shown = [run for run in runs if table.recording in run.summary.recordings]
+    period_ms = shown[0].summary.recordings[table.recording].period_s * 1e3
+    scale = time_scale(_times(table.rows), period_ms, TIME_WIDTH)
+    horizons, thresholds = _thresholds(table)
+    film, notices = _film(runs, table)
+    section = Section(
+        table=table,
+        details=tuple(_details(table)),
+        curves=tuple((run.name if len(runs) > 1 else "", _panels(run, table, styles)) for run in shown),
+        threshold_horizons=horizons,
+        thresholds=thresholds,
+        period_ms=period_ms,
+        time_scale=scale,
+        times=tuple(_time_row(row, scale, period_ms) for row in table.rows),
+        film=film,
+    )
+    return section, notices
+
+
+def _details(table: HeadlineTable) -> Iterator[Detail]:
+    strata = dict.fromkeys(name for row in table.rows for name in row.trial.strata)
+    for column in table.columns:
+        if column.score == "f1" and column.stratum == "moving":
+            scores = ((n, tuple((r, r.trial.strata[n]) for r in table.rows if n in r.trial.strata)) for n in strata)
+            yield Detail(column.heading, column.step, tuple(scores))
+
+
+def _panels(run: Run, table: HeadlineTable, styles: Mapping[str, str]) -> tuple[CurvePanel, ...]:
+    """F1 of every trial that has scores, drawn in the order of the table so that the best lies on top."""
+    recording = run.summary.recordings[table.recording]
+    order = {row.label: at for at, row in reversed(list(enumerate(table.rows)))}
+    trials = [
+        (_series(label, styles[label], entry.recordings[table.recording]), entry.recordings[table.recording])
+        for label, entry in sorted(run.summary.trackers.items(), key=lambda item: -order.get(item[0], 0))
+        if table.recording in entry.recordings
+    ]
+    return tuple(
+        curve_panel(name, recording.horizons_s, [(s, t.strata[name].f1) for s, t in trials if name in t.strata], size, label)
+        for name, size, label in PANELS
+        if any(name in trial.strata for _, trial in trials)
+    )
+
+
+def _series(label: str, style: str, trial: Trial) -> Series:
+    """How a trial is drawn: faint, and named partial, where it is not ranked."""
+    return Series(label, style) if trial.complete else Series(f"{label} (partial)", f"{style} partial")
+
+
+def _thresholds(table: HeadlineTable) -> tuple[tuple[str, ...], tuple[tuple[Row, tuple[ThresholdMark, ...]], ...]]:
+    columns = [c for c in table.columns if c.score == "f1" and c.stratum == "moving"][:MARKED_HORIZONS]
+    rows = [row for row in table.rows if "moving" in row.trial.strata and row.trial.threshold_chosen_on]
+    strata = [row.trial.strata["moving"] for row in rows]
+    f1 = [v for s in strata for c in columns for v in (s.f1[c.step], s.f1_at_half[c.step]) if v is not None]
+    axis = Axis(0.0, max(f1, default=0.0) or 1.0, 5.0, MARK_WIDTH - 5.0)
+    return tuple(c.heading for c in columns), tuple((r, tuple(_mark(r, c.step, axis) for c in columns)) for r in rows)
+
+
+def _mark(row: Row, step: int, axis: Axis) -> ThresholdMark:
+    scores = row.trial.strata["moving"]
+    f1, half = scores.f1[step], scores.f1_at_half[step]
+    at, at_half = (None if value is None else axis(value) for value in (f1, half))
+    return ThresholdMark(scores.threshold[step], f1, half, at, at_half)
+
+
+def _times(rows: Iterable[Row]) -> list[float]:
+    latencies = [row.trial.latency_ms for row in rows if row.trial.latency_ms]
+    return [t for latency in latencies for q in (latency.update, latency.predict) for t in (q.p50, q.p95, q.p99) if t]
+
+
+def _time_row(row: Row, scale: TimeScale, period_ms: float) -> TimeRow:
+    latency = row.trial.latency_ms
+    if latency is None:
+        return TimeRow(row, None, None, None, "not measured")
+    return TimeRow(
+        row, latency, scale.span(latency.update), scale.span(latency.predict), keeps_up(latency, period_ms)
+    )
+
+
+def keeps_up(latency: Latency, period_ms: float) -> str:
+    """Whether a tracker can follow the stream: judged by 99th percentiles against the period."""
+    update, predict = latency.update.p99, latency.predict.p99
+    if update is None or predict is None:
+        return "not measured"
+    if update + predict <= period_ms:
+        return "yes"
+    return "updates only" if update <= period_ms else "no"
+
+
+def _film(runs: Sequence[Run], table: HeadlineTable) -> tuple[Film | None, tuple[str, ...]]:
+    """The filmstrip, on the page of one run: side by side, each run's own page has it."""
+    run, recording = runs[0], table.recording
+    step = run.summary.recordings[recording].step_at(DETAIL_HORIZON_S) if len(runs) == 1 else None
+    if step is None:
+        return None, ()
+    folders = {row.label: run.trial_folder(row.label, recording) for row in table.rows}
+    horizon_s = run.summary.recordings[recording].horizons_s[step]
+    return film_of(table, folders, step, horizon_s, len(run.summary.recordings))

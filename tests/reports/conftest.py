@@ -1,0 +1,146 @@
+"""A run's folder as the referee leaves it, of a synthetic scene: a wall, a block that crosses, and the shadow behind it."""
+
+import json
+
+import numpy as np
+import pytest
+from gridtrack.common.geometry import SE2
+from gridtrack.common.grid import GridFrame, GridSpec
+from gridtrack.evaluation.counting import count_forecast
+from gridtrack.evaluation.record import Latency, Quantiles, ThresholdsUsed, TrialRecord
+from gridtrack.evaluation.referee import Moment
+from gridtrack.evaluation.samples import SAMPLES, SampleWriter
+from gridtrack.evaluation.scores import ScoreWriter
+from gridtrack.evaluation.strata import regions_of
+from gridtrack.evaluation.summary import Ended, summarise, write_json
+from gridtrack.evaluation.thresholds import Thresholds
+from gridtrack.trackers.contract import Forecast
+
+GRID = GridSpec(32, 0.2, (-3.2, 0.0))
+PERIOD_S, STEPS, FRAMES, WARM_UP, EVERY = 0.125, 20, 120, 20, 4
+RECORDING = "crossing"
+HORIZONS_S = [round(n * PERIOD_S, 6) for n in range(STEPS + 1)]
+EXPECTED = len(range(WARM_UP, FRAMES - STEPS, EVERY))
+
+
+def block_at(index):
+    """Column of the block's left edge: it walks to and fro, eight frames to a cell and back again."""
+    return 4 + abs((index // 2) % 40 - 20)
+
+
+def frame(index):
+    visible, occupied = np.ones(GRID.shape, bool), np.zeros(GRID.shape, bool)
+    occupied[28, 2:30] = True
+    left = block_at(index)
+    occupied[12, left : left + 4] = True
+    visible[13:, left : left + 4] = False
+    visible[29:] = False
+    visible[:, :2] = visible[:, 30:] = False
+    occupied &= visible
+    origins = np.array([[0.0, 0.3]], np.float32)
+    nothing = np.zeros((0, 2), np.float32)
+    return GridFrame(index * 125_000_000, visible, occupied, SE2(), origins, nothing, np.zeros(0, np.uint8))
+
+
+FRAME_LIST = [frame(index) for index in range(FRAMES)]
+REGIONS = regions_of(FRAME_LIST, GRID, SE2())
+
+
+def persistence(t):
+    return np.repeat(FRAME_LIST[t].occupied[None].astype(np.float32), STEPS + 1, axis=0)
+
+
+def blank(t):
+    return np.zeros((STEPS + 1, *GRID.shape), np.float32)
+
+
+def blurred_future(sharpness):
+    """A tracker that knows where things go, and less the further it looks: scores between the floor and 1."""
+
+    def forecast(t):
+        out = np.empty((STEPS + 1, *GRID.shape), np.float32)
+        for step in range(STEPS + 1):
+            sure = float(np.exp(-step / (sharpness * STEPS)))
+            out[step] = sure * FRAME_LIST[t + step].occupied + (1 - sure) * 0.6 * FRAME_LIST[t].occupied
+        return out
+
+    return forecast
+
+
+TRACKERS = {
+    "good": ("good-tracker", blurred_future(1.5)),
+    "fair": ("fair-tracker", blurred_future(0.5)),
+    "persistence": ("persistence", persistence),
+    "blank": ("blank", blank),
+}
+LATENCY = Latency(
+    update=Quantiles(p50=2.0, p95=3.0, p99=4.0),
+    predict=Quantiles(p50=20.0, p95=30.0, p99=40.0),
+    predict_step=Quantiles(p50=1.0, p95=1.5, p99=2.0),
+)
+
+
+def write_trial(run, label, forecast, scored=EXPECTED, outcome="ok", reason="", chosen_on="crossing@0s-15s"):
+    """Score `forecast` on the first `scored` moments and leave the trial's folder, as the referee does."""
+    folder = run / f"{label}@{RECORDING}"
+    folder.mkdir(parents=True)
+    thresholds = Thresholds(np.full(STEPS + 1, 20 if chosen_on else 25), chosen_on)
+    with (
+        ScoreWriter(folder, STEPS, thresholds) as scores,
+        SampleWriter(folder / SAMPLES, GRID, PERIOD_S, STEPS) as samples,
+    ):
+        for t in list(range(WARM_UP, FRAMES - STEPS, EVERY))[:scored]:
+            frames = tuple(FRAME_LIST[t : t + STEPS + 1])
+            moment = Moment(Forecast(forecast(t)), frames)
+            scores.add(moment.stamp_ns, f"{t:032x}", count_forecast(moment.forecast.occupancy, frames, REGIONS))
+            samples.add(moment)
+    record = TrialRecord(
+        schema=1,
+        label=label,
+        recording=RECORDING,
+        outcome=outcome,
+        reason=reason,
+        frames_scored=scored,
+        frames_expected=EXPECTED,
+        steps=STEPS,
+        thresholds=ThresholdsUsed(values=tuple(thresholds.values.tolist()), chosen_on=chosen_on),
+        peak_rss_mb=123.0,
+        latency_ms=LATENCY if outcome == "ok" else None,
+    )
+    record.write(folder)
+    return record, folder
+
+
+def write_run(run, trackers=None, broken=(), notices=(), chosen_on="crossing@0s-15s"):
+    """A whole run's folder; `broken` are (label, scored, outcome, reason) of trials that did not finish."""
+    ended = []
+    for label, (tracker, forecast) in (trackers or TRACKERS).items():
+        record, folder = write_trial(run, label, forecast, chosen_on=chosen_on)
+        ended.append(Ended(record, folder, tracker, {}, ""))
+    for label, scored, outcome, reason in broken:
+        record, folder = write_trial(run, label, blurred_future(1.0), scored, outcome, reason, chosen_on)
+        ended.append(Ended(record, folder, label, {}, ""))
+    description = {"horizons_s": HORIZONS_S, "stretch": "crossing.mcap@test", "grid": str(GRID), "frames": FRAMES}
+    write_json(run / "summary.json", summarise({RECORDING: description}, ended, list(notices), interrupted=False))
+    provenance = {"schema": 1, "command": ["gridtrack", "compare", "crossing.mcap"], "versions": {"gridtrack": "0.1.0"}}
+    (run / "run.json").write_text(json.dumps(provenance))
+    return run
+
+
+@pytest.fixture(scope="session")
+def run_folder(tmp_path_factory):
+    """A run of two trackers and two of the floor that all finished, and one tracker that crashed half-way."""
+    run = tmp_path_factory.mktemp("runs") / "demo"
+    return write_run(run, broken=[("unlucky", 7, "crashed", "ValueError: lost my way")])
+
+
+@pytest.fixture
+def summary_of():
+    """summary.json of a run's folder."""
+    return lambda run: json.loads((run / "summary.json").read_text())
+
+
+@pytest.fixture
+def make_run():
+    """`write_run`."""
+    return write_run
