@@ -1,0 +1,119 @@
+"""A small recording, and trackers that fail half way, for runs through the real processes."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gridtrack.common.recordings import RecordingInfo, write_native
+from gridtrack.common.scan import Scan
+from gridtrack.evaluation.record import TrialRecord
+
+RATE_HZ, SECONDS, BEAMS = 10, 20, 120
+STRETCHES = {"train": (0.0, 4.0), "validation": (4.0, 9.0), "test": (9.0, None)}
+
+STAGED = '''
+import os, time
+import numpy as np
+from gridtrack.common.config import Settings
+from gridtrack.trackers.contract import Forecast, Tracker
+
+
+class Options(Settings):
+    crash_at: int = 0
+    sleep_s: float = 0.0
+
+
+class Staged(Tracker):
+    """Forecasts the last frame; dies at the update `crash_at` of the test stretch, and takes its time."""
+
+    Options = Options
+
+    def __init__(self, stream, options):
+        super().__init__(stream, options)
+        self.stretch = 0
+
+    def reset(self, seed):
+        self.stretch, self.updates = self.stretch + 1, 0
+
+    def update(self, frame):
+        self.updates, self.last = self.updates + 1, frame.occupied
+        if self.stretch == 2 and self.updates == self.options.crash_at:
+            os.abort()
+        time.sleep(self.options.sleep_s)
+
+    def predict(self, steps):
+        return Forecast(np.repeat(self.last[None].astype(np.float32), steps + 1, axis=0))
+'''
+
+
+def scan(index: int) -> Scan:
+    """A wall 3 m ahead, and something 0.3 m wide that walks to and fro before it."""
+    angles = np.linspace(-math.pi / 3, math.pi / 3, BEAMS)
+    ranges = 3.0 / np.cos(angles)
+    towards = 0.8 * math.sin(index / 12)
+    ranges[np.abs(angles - towards) < 0.08] = 1.6
+    return Scan(
+        stamp_ns=1_000_000_000_000 + index * 1_000_000_000 // RATE_HZ,
+        ranges=ranges.astype(np.float32),
+        angle_min=float(angles[0]),
+        angle_increment=float(angles[1] - angles[0]),
+        range_min=0.05,
+        range_max=8.0,
+    )
+
+
+Record = Callable[..., Path]
+
+
+@pytest.fixture
+def record(tmp_path: Path) -> Record:
+    """`record(name, seconds, stretches)` writes a recording and gives its path."""
+
+    def record(name: str = "room", seconds: int = SECONDS, stretches: dict[str, object] | None = None) -> Path:
+        path = tmp_path / f"{name}.mcap"
+        info = RecordingInfo(
+            site="room", grid="40x0.2@-1,-4", rate_hz=RATE_HZ, stretches=STRETCHES if stretches is None else stretches
+        )
+        with path.open("wb") as file:
+            write_native(file, info, map(scan, range(seconds * RATE_HZ)))
+        return path
+
+    return record
+
+
+@pytest.fixture
+def staged(install: Callable[..., Path]) -> None:
+    """Registers the tracker `staged`."""
+    install("staged", {"staged": "staged_tracker:Staged"}, {"staged_tracker.py": STAGED})
+
+
+class Told:
+    """A progress that remembers what it was told."""
+
+    def __init__(self) -> None:
+        self.notes: list[str] = []
+        self.frames: dict[str, int] = {}
+        self.delivered: dict[str, int] = {}
+        self.records: dict[str, TrialRecord] = {}
+
+    def note(self, text: str) -> None:
+        self.notes.append(text)
+
+    def started(self, trial: str, frames: int) -> None:
+        self.frames[trial] = frames
+
+    def advanced(self, trial: str) -> None:
+        self.delivered[trial] = self.delivered.get(trial, 0) + 1
+
+    def ended(self, trial: str, record: TrialRecord) -> None:
+        self.records[trial] = record
+
+
+@pytest.fixture
+def told() -> Told:
+    return Told()

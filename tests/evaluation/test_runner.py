@@ -1,0 +1,250 @@
+"""A run from its settings to its folder: real processes, real files."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import psutil
+import pytest
+
+from gridtrack.common.errors import ConfigurationError
+from gridtrack.evaluation import trial
+from gridtrack.evaluation.courses import Course
+from gridtrack.evaluation.plan import CompareSettings, resolve
+from gridtrack.evaluation.record import RunError, read_record
+from gridtrack.evaluation.referee import Delivery
+from gridtrack.evaluation.runner import run
+from gridtrack.evaluation.samples import read_samples
+from gridtrack.evaluation.scores import read_deliveries
+from gridtrack.evaluation.train import train
+
+pytestmark = pytest.mark.usefixtures("staged")
+
+
+@pytest.fixture
+def settings(record, tmp_path, monkeypatch):
+    """`settings(*trackers, **more)` for the small recording, with nothing learned but what a test puts there."""
+    monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path / "home"))
+    path = record()
+
+    def settings(*trackers, **more):
+        defaults = {"recordings": (str(path),), "out": tmp_path / "run", "horizon_s": 1.0, "every_s": 0.5, "jobs": 2}
+        return CompareSettings(trackers=trackers, **(defaults | more))
+
+    return settings
+
+
+def compare(settings, told):
+    return run(resolve(settings), ("gridtrack", "compare"), told)
+
+
+def trial_of(summary, label, recording="room"):
+    return summary["trackers"][label]["recordings"][recording]
+
+
+def test_a_run_leaves_every_file_and_the_floor_scores_as_it_must(settings, told, tmp_path):
+    summary = compare(settings("persistence", "blank"), told)
+    assert summary == json.loads((tmp_path / "run" / "summary.json").read_text())
+    assert (summary["schema"], summary["interrupted"], summary["differences"]) == (1, False, [])
+    for label in ("persistence", "blank"):
+        result = trial_of(summary, label)
+        assert result["outcome"] == "ok"
+        assert result["frames_scored"] == result["frames_expected"] == len(range(20, 110 - 10, 5))
+        folder = tmp_path / "run" / f"{label}@room"
+        assert {"outcome.json", "scores.parquet", "histogram.parquet", "forecasts.mcap", "stderr.log"} == {
+            path.name for path in folder.iterdir()
+        }
+        assert set(result["strata"]) == {"visible", "moving", "static"}
+        assert len(list(read_samples(folder / "forecasts.mcap"))) == result["frames_scored"]
+        assert {len(v) for v in result["strata"]["moving"].values() if isinstance(v, list)} == {11}
+    persistence, blank = (trial_of(summary, label)["strata"] for label in ("persistence", "blank"))
+    assert persistence["visible"]["f1"][0] == 1.0
+    assert persistence["static"]["f1"][10] > 0.9 > persistence["moving"]["f1"][10]
+    assert blank["visible"]["f1"] == [0.0] * 11
+    assert blank["visible"]["precision"] == [None] * 11
+    assert blank["visible"]["interval"] == "too short for an interval"
+    assert blank["visible"]["f1_low"] is None
+    run_file = json.loads((tmp_path / "run" / "run.json").read_text())
+    assert run_file["status"] == "complete"
+    assert run_file["command"] == ["gridtrack", "compare"]
+    assert list(run_file["inputs"].values()) == [resolve(settings("blank")).courses[0].test.sha256]
+
+
+def test_every_tracker_is_delivered_the_same_frames_and_progress_is_told(settings, told, tmp_path):
+    summary = compare(settings("persistence", "blank"), told)
+    assert summary["recordings"]["room"]["parity"] is True
+    one, other = (read_deliveries(tmp_path / "run" / f"{label}@room") for label in ("persistence", "blank"))
+    assert one == other
+    assert told.frames == told.delivered == {"persistence@room": 110 + 50, "blank@room": 110 + 50}
+    assert told.records["blank@room"].delivered == told.records["persistence@room"].delivered
+
+
+def test_a_tracker_that_was_delivered_other_frames_is_told_apart(settings, told, monkeypatch):
+    class Tampered(Delivery):
+        def __iter__(self):
+            for frame in super().__iter__():
+                if frame.stamp_ns == 1_014_000_000_000:
+                    self._hash.update(b"something else")
+                yield frame
+
+    original = trial.TrialRun.__init__
+
+    def tampering(self, the_trial, regions, folder, on_frame):
+        original(self, the_trial, regions, folder, on_frame)
+        if the_trial.label == "odd":
+            self._delivery = Tampered(the_trial.test, on_frame)
+
+    monkeypatch.setattr(trial.TrialRun, "__init__", tampering)
+    summary = compare(settings("persistence", "blank", "odd=blank"), told)
+    assert summary["recordings"]["room"]["parity"] is False
+    assert [notice for notice in summary["notices"] if "other frames" in notice] == [
+        "odd on room was delivered other frames than the rest: its scores are not comparable"
+    ]
+
+
+def test_a_tracker_that_dies_keeps_what_it_scored_and_stops_no_other(settings, told):
+    summary = compare(settings("staged:crash_at=60", "persistence"), told)
+    partial = trial_of(summary, "staged")
+    assert partial["outcome"] == "crashed"
+    # forecasts at 20, 25 .. 45 have their last frame, 55, before the 60th update
+    assert (partial["frames_scored"], partial["frames_expected"]) == (len(range(20, 59 - 10 + 1, 5)), 16)
+    assert partial["strata"]["visible"]["f1"][0] == 1.0
+    assert trial_of(summary, "persistence")["outcome"] == "ok"
+
+
+def test_a_resumed_run_repeats_only_what_is_incomplete(settings, told, tmp_path):
+    compare(settings("staged:crash_at=60", "persistence"), told)
+    kept = (tmp_path / "run" / "persistence@room" / "scores.parquet").stat().st_mtime_ns
+    told.delivered.clear()
+    compare(settings("staged:crash_at=60", "persistence", resume=True), told)
+    assert set(told.delivered) == {"staged@room"}
+    assert (tmp_path / "run" / "persistence@room" / "scores.parquet").stat().st_mtime_ns == kept
+
+
+def test_a_folder_that_holds_another_run_is_refused_in_one_line(settings, told):
+    compare(settings("blank"), told)
+    with pytest.raises(RunError, match=r"holds a run already: continue it with --resume"):
+        compare(settings("blank"), told)
+    with pytest.raises(RunError, match=r"another configuration \(recordings\.room\.horizons_s: then"):
+        compare(settings("blank", resume=True, horizon_s=0.5), told)
+
+
+def test_a_tracker_with_nothing_learned_names_the_command_that_trains_it(settings, told):
+    result = trial_of(compare(settings("static-map"), told), "static-map")
+    assert result["outcome"] == "untrained"
+    assert "`gridtrack train static-map " in result["reason"]
+    assert result["strata"] == {}
+
+
+def test_the_latency_pass_times_complete_trials(settings, told):
+    latency = trial_of(compare(settings("blank", latency=True), told), "blank")["latency_ms"]
+    assert set(latency) == {"update", "predict", "predict_step"}
+    assert 0 < latency["predict_step"]["p50"] < latency["predict"]["p50"] <= latency["predict"]["p99"]
+
+
+def test_options_that_a_tracker_does_not_know_are_refused_before_anything_runs(settings, tmp_path):
+    with pytest.raises(ConfigurationError, match="did you mean 'crash_at'"):
+        resolve(settings("staged:crash_att=3"))
+    assert not (tmp_path / "run").exists()
+
+
+def test_raw_returns_reach_the_tracker_that_asks_for_them(settings, told):
+    plan = resolve(settings("raw=blank:points=raw", "blank"))
+    raw, centres = (next(iter(trial.test)).points for trial in plan.trials)
+    assert len(raw) > len(centres)
+    summary = run(plan, (), told)
+    assert summary["recordings"]["room"]["parity"] is True
+    assert summary["trackers"]["raw"]["points"] == "raw"
+
+
+def start(settings, tmp_path, *trackers):
+    """`compare` in a process of its own, as a terminal would start it."""
+    program = (
+        "import sys; from gridtrack.evaluation.plan import CompareSettings, resolve;"
+        "from gridtrack.evaluation.runner import run; sys.path.insert(0, sys.argv[2]); from told import Told;"
+        "run(resolve(CompareSettings.model_validate_json(sys.argv[1])), (), Told())"
+    )
+    source = (
+        "class Told:\n    def note(self, text): ...\n    def started(self, trial, frames): ...\n"
+        "    def advanced(self, trial): ...\n    def ended(self, trial, record): ...\n"
+    )
+    (tmp_path / "told.py").write_text(source)
+    return subprocess.Popen([sys.executable, "-c", program, settings(*trackers).model_dump_json(), str(tmp_path)])
+
+
+def wait_until(true, seconds=60.0):
+    """Poll; the limit only ends a test that has failed."""
+    end = time.monotonic() + seconds
+    while not true():
+        assert time.monotonic() < end, "it never came"
+        time.sleep(0.02)
+
+
+def children(process):
+    return psutil.Process(process.pid).children(recursive=True)
+
+
+def test_an_interrupt_keeps_what_was_scored_and_leaves_no_process(settings, tmp_path):
+    host = start(settings, tmp_path, "persistence", "staged:sleep_s=0.03", "blank")
+    done = tmp_path / "run" / "persistence@room" / "outcome.json"
+    wait_until(lambda: done.exists() and children(host))
+    wait_until((tmp_path / "run" / "staged@room" / "scores.parquet.partial").exists)
+    family = children(host)
+    host.send_signal(signal.SIGINT)
+    assert host.wait(30) == 0
+    assert not [process for process in family if process.is_running() and process.status() != psutil.STATUS_ZOMBIE]
+    summary = json.loads((tmp_path / "run" / "summary.json").read_text())
+    assert summary["interrupted"] is True
+    assert json.loads((tmp_path / "run" / "run.json").read_text())["status"] == "interrupted"
+    assert trial_of(summary, "persistence")["outcome"] == "ok"
+    assert trial_of(summary, "staged")["outcome"] == "interrupted"
+    assert trial_of(summary, "staged")["frames_scored"] < 16
+
+
+def test_an_interrupt_ends_a_call_that_hangs(settings, tmp_path):
+    host = start(settings, tmp_path, "staged:sleep_s=3600")
+    wait_until((tmp_path / "run" / "staged@room" / "stderr.log").exists)
+    time.sleep(0.3)  # wherever it then is, in its start or in the call that hangs
+    host.send_signal(signal.SIGINT)
+    assert host.wait(30) == 0
+    assert json.loads((tmp_path / "run" / "summary.json").read_text())["interrupted"] is True
+
+
+def test_a_tracker_that_is_killed_ends_alone(settings, tmp_path):
+    host = start(settings, tmp_path, "staged:sleep_s=0.02", "persistence")
+    wait_until((tmp_path / "run" / "staged@room" / "scores.parquet.partial").exists)
+    victims = [p for p in children(host) if p.cmdline()[-2:] == ["gridtrack.trackers.serve", "staged"]]
+    os.kill(victims[-1].pid, signal.SIGKILL)
+    assert host.wait(60) == 0
+    summary = json.loads((tmp_path / "run" / "summary.json").read_text())
+    assert trial_of(summary, "staged")["outcome"] == "crashed"
+    assert "SIGKILL" in trial_of(summary, "staged")["reason"]
+    assert trial_of(summary, "persistence")["outcome"] == "ok"
+    assert read_record(tmp_path / "run" / "staged@room").frames_scored < 16
+
+
+def test_a_run_with_learned_weights_is_scored_and_says_what_it_learned_from(settings, told, tmp_path, record):
+    path = train("static-map", [str(record())], [], tmp_path / "weights", {}, 0, "train it", report=told.note)
+    assert path == tmp_path / "weights" / "static-map" / "room.toml"
+    summary = compare(settings("static-map", weights=tmp_path / "weights"), told)
+    assert trial_of(summary, "static-map")["outcome"] == "ok"
+    assert np.array(trial_of(summary, "static-map")["strata"]["static"]["f1"]).min() > 0.9
+    assert not [notice for notice in summary["notices"] if "learned from" in notice]
+    on_train = settings(
+        "static-map", weights=tmp_path / "weights", recordings=(f"{record()}@0s-9s",), out=tmp_path / "other"
+    )
+    assert any("static-map learned from frames of the tested" in notice for notice in resolve(on_train).notices)
+
+
+def test_runner_regions_are_found_once_for_each_recording(settings, told, monkeypatch):
+    found = []
+    original = Course.regions
+    monkeypatch.setattr(Course, "regions", lambda course: (found.append(course.name), original(course))[1])
+    compare(settings("blank", "persistence"), told)
+    assert found == ["room"]
