@@ -69,8 +69,8 @@ class GridSpec:
         return cls(int(size), float(cell), None if x is None else (float(x), float(y)))
 
     def __str__(self) -> str:
-        x, y = self.origin
-        return f"{self.size}x{self.cell_m:g}@{x:g},{y:g}"
+        cell, x, y = (np.format_float_positional(value, trim="-") for value in (self.cell_m, *self.origin))
+        return f"{self.size}x{cell}@{x},{y}"
 
     def cell_centres(self, cells: Mask) -> NDArray[np.float32]:
         """Centres (N, 2) float32 of the marked cells, metres, grid frame, in row-major order."""

@@ -17,7 +17,7 @@ FRACTION_BITS = 40
 
 
 def cast_scan(scan: Scan, grid: GridSpec, grid_T_sensor: SE2, visible: Mask, occupied: Mask) -> NDArray[np.float32]:
-    """Mark in `visible` and `occupied` (M, M) bool what `scan` shows, and return its points.
+    """Mark in `visible` and `occupied` (M, M) bool, C-contiguous, what `scan` shows, and return its points.
 
     The cells that a beam crosses and the one it ends in become visible; the one it ends in becomes occupied when the
     beam returned. Marks are only ever added, so occupied wins over free and several scans can share the arrays.
@@ -70,9 +70,9 @@ def _cast(ranges, directions, range_min, range_max, x0, y0, cell_m, visible, occ
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _cross(x0, y0, dx, dy, size, visible):  # type: ignore[no-untyped-def]
-    """Mark the cells that the segment from (x0, y0) to (x0 + dx, y0 + dy) passes through."""
+    """Mark the cells that the segment from (x0, y0) to (x0 + dx, y0 + dy) has length in."""
     enter, leave = _clip(x0, y0, dx, dy, size)
-    if enter >= leave:
+    if enter >= leave or (dx == 0.0 and dy == 0.0):
         return
     if abs(dx) >= abs(dy):
         _cross_slabs(x0, y0, dx, dy, enter, leave, size, 1, size, visible)
@@ -84,9 +84,10 @@ def _cross(x0, y0, dx, dy, size, visible):  # type: ignore[no-untyped-def]
 def _cross_slabs(u0, v0, du, dv, enter, leave, size, stride_u, stride_v, visible):  # type: ignore[no-untyped-def]
     """Walk the unit slabs of the axis u along which the segment is longer, so |dv/du| <= 1.
 
-    Within one slab the segment crosses one cell or two: the one where it enters and the one where it leaves. A segment
-    through a corner crosses the two cells that it has length in, and not their neighbours. v is kept in fixed point
-    (2^-40 of a cell), which leaves the loop without a branch or a conversion: that is what makes it fast.
+    Within one slab the segment crosses one cell or two: the one where it enters and the one where it leaves. Where it
+    passes from slab to slab it leaves one cell and enters the next at the same v; a segment through a corner crosses
+    the two cells that it has length in, and not their neighbours. v is kept in fixed point (2^-40 of a cell), which
+    leaves the loop without a branch or a conversion: that is what makes it fast.
     """
     slope = dv / du
     first, last = u0 + enter * du, u0 + leave * du
@@ -95,23 +96,33 @@ def _cross_slabs(u0, v0, du, dv, enter, leave, size, stride_u, stride_v, visible
     rising, falling = int(slope > 0.0), int(slope < 0.0)
     top = (size << FRACTION_BITS) - 1
     slab = min(max(math.floor(first), 0), size - 1)
-    slab_last = min(max(math.ceil(last) - 1, slab), size - 1)
-    v = _fixed(v0 + slope * (first - u0))
-    cell_in = min(max(v - falling, 0), top) >> FRACTION_BITS
-    v = _fixed(v0 + slope * (slab - u0))
-    step = _fixed(slope)
+    crossings = min(max(math.ceil(last) - 1, slab), size - 1) - slab
     base = slab * stride_u
-    for _ in range(slab_last - slab):
-        v += step
-        cell_out = min(max(v - rising, 0), top) >> FRACTION_BITS
-        visible[np.uint64(base + cell_in * stride_v)] = True
-        visible[np.uint64(base + cell_out * stride_v)] = True
-        cell_in = min(max(v - falling, 0), top) >> FRACTION_BITS
+    cell = min(max(_fixed(v0 + slope * (first - u0)) - falling, 0), top) >> FRACTION_BITS
+    visible[np.uint64(base + cell * stride_v)] = True
+    step = _fixed(slope)
+    v = _inside(_fixed(v0 + slope * (slab + 1 - u0)), step, crossings, top)
+    for _ in range(crossings):
+        visible[np.uint64(base + ((v - rising) >> FRACTION_BITS) * stride_v)] = True
         base += stride_u
-    v = _fixed(v0 + slope * (last - u0))
-    cell_out = min(max(v - rising, 0), top) >> FRACTION_BITS
-    visible[np.uint64(base + cell_in * stride_v)] = True
-    visible[np.uint64(base + cell_out * stride_v)] = True
+        visible[np.uint64(base + ((v - falling) >> FRACTION_BITS) * stride_v)] = True
+        v += step
+    cell = min(max(_fixed(v0 + slope * (last - u0)) - rising, 0), top) >> FRACTION_BITS
+    visible[np.uint64(base + cell * stride_v)] = True
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _inside(v, step, crossings, top):  # type: ignore[no-untyped-def]
+    """`v` moved by the rounding error, if any, that would carry one of `v + k * step`, 0 <= k < crossings, outside.
+
+    Between them lie at most size - 2 cells, so there is always room.
+    """
+    travel = (crossings - 1) * step
+    if step > 0:
+        return min(max(v, 1), top - travel)
+    if step < 0:
+        return max(min(v, top), 1 - travel)
+    return min(max(v, 0), top)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")

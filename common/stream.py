@@ -145,7 +145,7 @@ class GridStream:
         ]
         if gaps:
             longest = max(gaps, key=lambda gap: int(gap[1] - gap[0]))
-            self.recording.complain(
+            self.recording.tell(
                 f"{len(gaps)} gaps longer than two periods of {self.period_s:g} s in {stretch_text(self.stretch_s)};"
                 f" the longest lasts {(longest[1] - longest[0]) / 1e9:.2f} s from"
                 f" {(longest[0] - survey.first_ns) / 1e9:.2f} s on; frames in them are empty"

@@ -8,6 +8,7 @@ holds the RecordingInfo.
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
 from collections.abc import Iterable, Iterator
@@ -45,10 +46,8 @@ class NativeRecording(Recording):
     def info(self) -> RecordingInfo:
         """What the recording says about itself. Raises RecordingError where it says nothing that can be read."""
         file = McapFile(self.path)
-        try:
+        with contextlib.suppress(DamageError):  # told when the scans are read
             next(file.messages(), None)
-        except DamageError as damage:
-            self.complain(str(damage))
         found = file.metadata.get("gridtrack")
         if found is None:
             raise RecordingError(
@@ -171,17 +170,27 @@ def _pose(transform: FrameTransform) -> SE2:
 
 
 def _scan(message: LaserScan, received: Message, world_T_sensor: SE2, labels: LaserScan | None) -> Scan:
-    limits = received.channel.metadata
     beams = len(message.ranges)
-    ranges = np.fromiter(message.ranges, np.float64, beams)
+    if labels is not None and len(labels.intensities) != beams:
+        raise DamageError(f"corrupt: labels of {len(labels.intensities)} beams for a scan of {beams}")
+    range_min, range_max = _range_limits(received)
     return Scan(
         stamp_ns=message.timestamp.seconds * 1_000_000_000 + message.timestamp.nanos,
-        ranges=ranges.astype(np.float32),
+        ranges=np.fromiter(message.ranges, np.float64, beams).astype(np.float32),
         angle_min=message.start_angle,
         angle_increment=(message.end_angle - message.start_angle) / max(beams - 1, 1),
-        range_min=float(limits["range_min"]),
-        range_max=float(limits["range_max"]),
+        range_min=range_min,
+        range_max=range_max,
         sensor=message.frame_id,
         world_T_sensor=world_T_sensor,
         labels=None if labels is None else np.array(labels.intensities).astype(np.uint8),
     )
+
+
+def _range_limits(received: Message) -> tuple[float, float]:
+    """range_min and range_max, metres, which foxglove.LaserScan has no fields for."""
+    channel = received.channel
+    try:
+        return float(channel.metadata["range_min"]), float(channel.metadata["range_max"])
+    except (KeyError, ValueError):
+        raise RecordingError(f"{channel.topic}: its channel does not name range_min and range_max in metres") from None

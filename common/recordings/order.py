@@ -10,6 +10,7 @@ from gridtrack.common.errors import RecordingError
 from gridtrack.common.scan import Scan
 
 WINDOW_NS = 1_000_000_000
+MAX_STAMP_NS = 1 << 63
 MAX_SENSORS = 255
 
 
@@ -65,6 +66,8 @@ class StampOrder:
         yield scan
 
     def _check(self, scan: Scan) -> None:
+        if not 0 <= scan.stamp_ns < MAX_STAMP_NS:
+            raise RecordingError(f"sensor '{scan.sensor}': a stamp of {scan.stamp_ns} ns; expected 0 to 2^63 ns")
         before = self._before.get(scan.sensor)
         if before is None:
             _refuse_impossible(scan)
@@ -82,10 +85,7 @@ class StampOrder:
     def _fault(self, scan: Scan, what: str) -> None:
         text = f"scans of sensor '{scan.sensor}' {what}"
         count, where_s = self._faults.get(text, (0, (scan.stamp_ns - self._first_ns) / 1e9))
-        if count == 0:
-            self._faults[text] = (1, where_s)
-        else:
-            self._faults[text] = (count + 1, where_s)
+        self._faults[text] = (count + 1, where_s)
 
 
 def _refuse_impossible(scan: Scan) -> None:

@@ -110,7 +110,7 @@ class Recording(ABC):
     @cached_property
     def info(self) -> RecordingInfo:
         """What the recording says about itself; a format that says nothing has only its file name as `site`."""
-        return RecordingInfo(site=self.path.stem)
+        return RecordingInfo(site=self.name.partition(".")[0] or self.name)
 
     @abstractmethod
     def read(self, topics: Topics) -> Iterator[Scan]:
@@ -153,31 +153,43 @@ class Recording(ABC):
         )
 
     def complain(self, text: str) -> None:
-        """Tell once that something is wrong with the file. Raises RecordingError where `strict`."""
-        line = f"{self.path}: {text}"
+        """Tell once that something is wrong with the scans. Raises RecordingError where `strict`."""
         if self.strict:
-            raise RecordingError(line)
+            raise RecordingError(text)
+        self.tell(text)
+
+    def tell(self, text: str) -> None:
+        """Tell once what a user should know about the recording, though nothing is wrong with the file."""
+        line = f"{self.path}: {text}"
         if line not in self.warnings:
             self.warnings.append(line)
 
     def _in_order(self, topics: Topics) -> Iterator[Scan]:
         order = StampOrder(self.complain)
-        for scan in self._until_damage(topics):
-            yield from order.push(scan)
-        yield from order.flush()
-        if order.empty:
-            raise RecordingError(f"{self.path}: {self._why_no_scans(topics)}")
+        try:
+            for scan in self._until_damage(topics):
+                yield from order.push(scan)
+            yield from order.flush()
+            self._refuse_empty(order, topics)
+        except RecordingError as error:
+            raise RecordingError(f"{self.path}: {error}") from None
+        except OSError as error:
+            raise RecordingError(f"{self.path}: cannot be read ({error.strerror})") from None
 
     def _until_damage(self, topics: Topics) -> Iterator[Scan]:
         try:
             yield from self.read(topics)
         except DamageError as damage:
-            self.complain(f"{damage}; what comes after is lost")
+            self.complain(f"{damage}; what comes after is left out")
+
+    def _refuse_empty(self, order: StampOrder, topics: Topics) -> None:
+        if order.empty:
+            raise RecordingError(self._why_no_scans(topics))
 
     def _why_no_scans(self, topics: Topics) -> str:
         present = ", ".join(f"{t} ({k})" for t, k in sorted(topics.types.items())) or "none"
         if self.warnings:
-            return f"no scans before the damage ({self.warnings[0].removeprefix(f'{self.path}: ')})"
+            return f"no scans before the damage ({self.warnings[-1].removeprefix(f'{self.path}: ')})"
         if self.topic is not None and self.topic not in topics.types:
             return f"no topic '{self.topic}'; {did_you_mean(self.topic, topics.scans or topics.types)}"
         if self.topic is not None and self.topic not in topics.scans:

@@ -75,7 +75,7 @@ class RosRecording(Recording):
             if message.kind == LASER_SCAN:
                 return scan_of_laser(decoded, sensor, message.received_ns)
             if self.cloud_slice is None:
-                raise RecordingError(f"{self.path}: '{message.topic}' is a point cloud: give the heights to cut it at")
+                raise RecordingError(f"'{message.topic}' is a point cloud: give the heights to cut it at")
             return scan_of_cloud(decoded, sensor, message.received_ns, self.cloud_slice)
         except (SerdeError, struct.error, ValueError, IndexError, UnicodeDecodeError) as error:
             raise DamageError(f"corrupt: a message of {message.topic} cannot be decoded ({error})") from None
@@ -85,7 +85,7 @@ class RosRecording(Recording):
             return self._ros1.deserialize_ros1(message.data, message.kind)
         if message.encoding == "cdr":
             return self._ros2.deserialize_cdr(message.data, message.kind)
-        raise RecordingError(f"{self.path}: '{message.topic}' is encoded as '{message.encoding}'; expected ros1 or cdr")
+        raise RecordingError(f"'{message.topic}' is encoded as '{message.encoding}'; expected ros1 or cdr")
 
     @cached_property
     def _ros1(self) -> Any:

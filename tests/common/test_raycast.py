@@ -1,0 +1,195 @@
+"""Every cell that a beam crosses is seen and no other, against a slow implementation that is obviously right."""
+
+from __future__ import annotations
+
+import itertools
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from gridtrack.common.geometry import SE2
+from gridtrack.common.grid import GridSpec
+from gridtrack.common.raycast import cast_scan
+from gridtrack.common.scan import Scan
+
+UNIT = GridSpec(5, 1.0, (0.0, 0.0))
+
+
+def beam(angle: float, distance: float, range_max: float = 100.0, range_min: float = 0.0) -> Scan:
+    return Scan(0, np.array([distance], np.float32), angle, 0.0, range_min, range_max)
+
+
+def cast(scan: Scan, grid: GridSpec, pose: SE2) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    visible, occupied = np.zeros(grid.shape, bool), np.zeros(grid.shape, bool)
+    points = cast_scan(scan, grid, pose, visible, occupied)
+    return visible, occupied, points
+
+
+def drawn(scan: Scan, pose: SE2) -> str:
+    """The 5 x 5 grid as text: `#` occupied, `.` free, `?` unseen; the last line is row 0, so y points up."""
+    visible, occupied, _ = cast(scan, UNIT, pose)
+    rows = [
+        "".join("#" if o else "." if v else "?" for v, o in zip(*r, strict=True))
+        for r in zip(visible, occupied, strict=True)
+    ]
+    return "\n".join(reversed(rows))
+
+
+def split_and_test_midpoints(scan: Scan, grid: GridSpec, pose: SE2) -> tuple[np.ndarray, np.ndarray]:
+    """Cut each beam wherever it meets a grid line, and mark the cell in which the middle of each piece lies."""
+    visible, occupied = np.zeros(grid.shape, bool), np.zeros(grid.shape, bool)
+    x0, y0 = ((pose.x - grid.origin[0]) / grid.cell_m, (pose.y - grid.origin[1]) / grid.cell_m)
+    for i, distance in enumerate(scan.ranges.tolist()):
+        if math.isnan(distance) or distance < scan.range_min:
+            continue
+        angle = scan.angle_min + pose.theta + i * scan.angle_increment
+        length = min(distance, scan.range_max) / grid.cell_m
+        dx, dy = math.cos(angle) * length, math.sin(angle) * length
+        shares = {0.0, 1.0}
+        for start, along in ((x0, dx), (y0, dy)):
+            low, high = sorted((start, start + along))
+            shares |= {(line - start) / along for line in range(math.ceil(low), math.floor(high) + 1) if along}
+        cuts = sorted(s for s in shares if 0.0 <= s <= 1.0)
+        middles = [((a + b) / 2.0) for a, b in itertools.pairwise(cuts) if b - a > 1e-12]
+        for share in [*middles, 1.0]:
+            column, row = math.floor(x0 + share * dx), math.floor(y0 + share * dy)
+            if 0 <= row < grid.size and 0 <= column < grid.size:
+                visible[row, column] = True
+                occupied[row, column] |= share == 1.0 and distance <= scan.range_max
+    return visible, occupied
+
+
+@pytest.mark.parametrize(
+    ("angle_deg", "distance", "start", "picture"),
+    [
+        pytest.param(0, 3.0, (0.5, 2.5), "?????\n?????\n...#?\n?????\n?????", id="along x"),
+        pytest.param(180, 3.0, (4.5, 2.5), "?????\n?????\n?#...\n?????\n?????", id="against x"),
+        pytest.param(90, 2.0, (1.5, 0.5), "?????\n?????\n?#???\n?.???\n?.???", id="along y, which points up"),
+        pytest.param(-90, 2.0, (1.5, 4.5), "?.???\n?.???\n?#???\n?????\n?????", id="against y"),
+        pytest.param(0, 3.0, (-1.5, 0.5), "?????\n?????\n?????\n?????\n.#???", id="from outside the grid"),
+        pytest.param(0, 50.0, (2.5, 2.5), "?????\n?????\n??...\n?????\n?????", id="ends outside the grid"),
+        pytest.param(180, 50.0, (30.5, 2.5), "?????\n?????\n.....\n?????\n?????", id="crosses the whole grid"),
+        pytest.param(0, 3.0, (0.5, 9.5), "?????\n?????\n?????\n?????\n?????", id="misses the grid"),
+        pytest.param(
+            0, 3.0, (0.5, 2.0), "?????\n?????\n...#?\n?????\n?????", id="on a grid line, which is of the upper cell"
+        ),
+        pytest.param(0, 3.0, (0.5, 5.0), "?????\n?????\n?????\n?????\n?????", id="on the grid's upper edge, outside"),
+        pytest.param(0, 2.0, (1.0, 2.5), "?????\n?????\n?..#?\n?????\n?????", id="from border to border"),
+        pytest.param(
+            0, 0.0, (2.5, 2.5), "?????\n?????\n??#??\n?????\n?????", id="zero length marks its own cell alone"
+        ),
+    ],
+)
+def test_hand_drawn_beams(angle_deg: float, distance: float, start: tuple[float, float], picture: str) -> None:
+    assert drawn(beam(0.0, distance), SE2(*start, math.radians(angle_deg))) == picture
+
+
+def segment(x: float, y: float) -> Scan:
+    return beam(math.atan2(y, x), math.hypot(x, y))
+
+
+def test_a_diagonal_through_corners_touches_no_neighbour() -> None:
+    # A sensor pose is free of rounding here, so the beam meets the corners exactly where cos and sin allow it.
+    visible, occupied, _ = cast(segment(4.0, 4.0), UNIT, SE2(0.5, 0.5))
+    on_diagonal = np.eye(5, dtype=bool)
+    assert visible[on_diagonal].all()
+    assert occupied[4, 4]
+    assert occupied.sum() == 1
+
+
+def test_a_slanted_beam_sees_both_cells_of_a_slab() -> None:
+    assert drawn(segment(4.0, 2.0), SE2(0.5, 0.6)) == "?????\n?????\n???.#\n?...?\n..???"
+
+
+def test_no_return_is_free_up_to_the_largest_range() -> None:
+    picture = "?????\n?????\n....?\n?????\n?????"
+    for distance in (math.inf, 80.0, 3.5):
+        assert drawn(beam(0.0, distance, range_max=3.0), SE2(0.5, 2.5)) == picture
+
+
+@pytest.mark.parametrize("distance", [math.nan, -math.inf, 0.0, 0.29, -3.0])
+def test_what_is_no_reading_says_nothing(distance: float) -> None:
+    visible, occupied, points = cast(beam(0.0, distance, range_min=0.3), UNIT, SE2(0.5, 2.5))
+    assert not visible.any()
+    assert not occupied.any()
+    assert len(points) == 0
+
+
+def test_occupied_wins_over_free_within_a_scan() -> None:
+    scan = Scan(0, np.array([2.0, 4.0], np.float32), 0.0, 0.0, 0.0, 100.0)
+    for ranges in (scan.ranges, scan.ranges[::-1]):
+        both = Scan(0, ranges, 0.0, 0.0, 0.0, 100.0)
+        assert drawn(both, SE2(0.5, 2.5)) == "?????\n?????\n..#.#\n?????\n?????"
+
+
+def test_points_are_the_returns_inside_the_window_in_metres() -> None:
+    scan = Scan(0, np.array([2.0, 40.0, math.inf, math.nan], np.float32), 0.0, math.pi / 2, 0.0, 50.0)
+    _, _, points = cast(scan, GridSpec(50, 0.2), SE2(1.0, -1.0))
+    np.testing.assert_allclose(points, [[3.0, -1.0]], atol=1e-6)
+
+
+@st.composite
+def scenes(draw: st.DrawFn) -> tuple[Scan, GridSpec, SE2]:
+    size = draw(st.integers(1, 40))
+    cell_m = draw(st.floats(0.05, 2.0))
+    reach = size * cell_m
+    beams = draw(st.integers(1, 24))
+    distance = st.one_of(st.floats(0.0, 2 * reach), st.sampled_from([math.inf, math.nan, -math.inf]))
+    ranges = np.array(draw(st.lists(distance, min_size=beams, max_size=beams)), np.float32)
+    scan = Scan(0, ranges, draw(st.floats(-3.1, 3.1)), draw(st.floats(-0.3, 0.3)), 0.01, max(1.5 * reach, 0.02))
+    place = st.floats(-reach, reach)
+    return scan, GridSpec(size, cell_m), SE2(draw(place), draw(place), draw(st.floats(-3.1, 3.1)))
+
+
+@settings(max_examples=300, deadline=None)
+@given(scenes())
+def test_agrees_with_splitting_every_beam_at_every_grid_line(scene: tuple[Scan, GridSpec, SE2]) -> None:
+    scan, grid, pose = scene
+    visible, occupied, points = cast(scan, grid, pose)
+    slow_visible, slow_occupied = split_and_test_midpoints(scan, grid, pose)
+    differing = (visible != slow_visible) | (occupied != slow_occupied)
+    assert not differing[~near_a_corner(scan, grid, pose)].any()
+    assert not (occupied & ~visible).any()
+    assert occupied.sum() <= len(points) <= scan.ranges.size
+
+
+def near_a_corner(scan: Scan, grid: GridSpec, pose: SE2) -> np.ndarray:
+    """Cells with a corner or border that a beam, or its end, passes closer than rounding can tell."""
+    near = np.zeros(grid.shape, bool)
+    corners = np.stack(np.meshgrid(np.arange(grid.size + 1), np.arange(grid.size + 1)), axis=-1).reshape(-1, 2)
+    start = np.array([pose.x - grid.origin[0], pose.y - grid.origin[1]]) / grid.cell_m
+    for i, distance in enumerate(np.minimum(scan.ranges, np.float32(scan.range_max)).tolist()):
+        if not distance >= scan.range_min:
+            continue
+        angle = scan.angle_min + pose.theta + i * scan.angle_increment
+        along = np.array([math.cos(angle), math.sin(angle)])
+        across = abs((corners - start) @ np.array([-along[1], along[0]]))
+        end = start + along * min(distance, scan.range_max) / grid.cell_m
+        on_border = (abs(end - np.round(end)) < 1e-9).any()
+        for column, row in [*corners[across < 1e-9], *([np.floor(end).astype(int)] if on_border else [])]:
+            near[max(row - 1, 0) : max(row + 1, 0), max(column - 1, 0) : max(column + 1, 0)] = True
+    if abs(start - np.round(start)).min() < 1e-9:
+        near[:] = True
+    return near
+
+
+@settings(max_examples=100, deadline=None)
+@given(scenes(), st.integers(0, 3), st.booleans())
+def test_turning_and_mirroring_the_scene_turns_and_mirrors_the_grid(
+    scene: tuple[Scan, GridSpec, SE2], quarters: int, mirrored: bool
+) -> None:
+    scan, grid, pose = scene
+    expected, _, _ = cast(scan, grid, pose)
+    unsure = near_a_corner(scan, grid, pose)
+    turn = SE2(0.0, 0.0, quarters * math.pi / 2)
+    turned_scan, turned_pose = scan, turn @ pose
+    expected, unsure = np.rot90(expected, -quarters), np.rot90(unsure, -quarters)
+    if mirrored:
+        turned_pose = SE2(turned_pose.x, -turned_pose.y, -turned_pose.theta)
+        turned_scan = Scan(0, scan.ranges, -scan.angle_min, -scan.angle_increment, scan.range_min, scan.range_max)
+        expected, unsure = expected[::-1], unsure[::-1]
+    visible, _, _ = cast(turned_scan, grid, turned_pose)
+    assert not (visible != expected)[~unsure].any()
