@@ -16,17 +16,18 @@ from typing import Any
 import numpy as np
 import tomli_w
 from numpy.typing import NDArray
-from pydantic import Field, ValidationError
+from pydantic import Field
 from safetensors import SafetensorError
 from safetensors.numpy import load, save
 
-from gridtrack.common.config import Settings
-from gridtrack.common.errors import WeightsError
+from gridtrack.common.config import Settings, validated
+from gridtrack.common.errors import ConfigurationError, WeightsError
 from gridtrack.common.grid import GridSpec
 from gridtrack.trackers.contract import FitOutput, FrameSource, StreamSpec
 
 SCHEMA = 1
 MAX_BYTES = 1 << 30
+MAX_CARD_BYTES = 1 << 20
 
 
 class TrainingData(Settings):
@@ -43,7 +44,7 @@ class Card(Settings):
     tracker: str
     site: str
     grid: str
-    period_s: float
+    period_s: float = Field(gt=0.0)
     seed: int
     command: str
     train: tuple[TrainingData, ...]
@@ -111,10 +112,15 @@ def _replace(path: Path, content: bytes) -> None:
 def read_card(path: Path) -> Card:
     """The card at `path`. Raises WeightsError."""
     try:
-        card = Card.model_validate(tomllib.loads(path.read_text()))
+        with path.open("rb") as file:
+            text = file.read(MAX_CARD_BYTES + 1)
+        if len(text) > MAX_CARD_BYTES:
+            raise WeightsError(f"{path}: not a weights card of gridtrack (more than {MAX_CARD_BYTES} bytes)")
+        card = validated(Card, tomllib.loads(text.decode()), "weights card")
+        GridSpec.parse(card.grid)
     except OSError as error:
         raise WeightsError(f"{path}: cannot be read ({error.strerror})") from None
-    except (UnicodeDecodeError, tomllib.TOMLDecodeError, ValidationError) as error:
+    except (UnicodeDecodeError, tomllib.TOMLDecodeError, ConfigurationError) as error:
         raise WeightsError(f"{path}: not a weights card of gridtrack ({error})") from None
     if card.schema_version != SCHEMA:
         raise WeightsError(f"{path}: schema {card.schema_version}; this gridtrack reads {SCHEMA}: train again")

@@ -234,9 +234,10 @@ def test_a_tracker_outlives_the_thread_that_started_it(log: Path) -> None:
 
 def test_kill_from_another_thread_ends_the_call_in_progress(log: Path) -> None:
     tracker = TrackerProcess(launch("hangs"), STREAM, {}, LIMITS, log)
-    with pytest.raises(TrialEnded, match="crashed: update with frame 1: ended by the referee"), tracker:
+    with tracker:
         threading.Timer(0.1, tracker.kill).start()
-        tracker.update(frame())
+        with pytest.raises(TrialEnded, match="crashed: update with frame 1: ended by the referee"):
+            tracker.update(frame())
 
 
 def test_kill_before_the_start_ends_the_start(log: Path) -> None:
@@ -283,7 +284,7 @@ def test_describe_refuses_an_unknown_option_with_a_suggestion() -> None:
 
 def test_describe_of_an_environment_without_gridtrack_says_so(tmp_path: Path) -> None:
     bare = Launch("x", (sys.executable, "-I", "-S", "-m", "gridtrack.trackers.serve", "x"))
-    with pytest.raises(PluginError, match="exited with code 1 .*No module named"):
+    with pytest.raises(PluginError, match=r"exited with code 1 .*No module named"):
         describe(bare, {}, LIMITS)
 
 

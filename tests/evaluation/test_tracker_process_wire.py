@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import psutil
 import pytest
+
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec
 from gridtrack.evaluation.outcome import TrialEnded
@@ -34,14 +35,18 @@ def _leaves_no_process() -> Iterator[None]:
     assert set(psutil.Process().children(recursive=True)) <= before
 
 
+def update_three_times(tracker: TrackerProcess, shown: GridFrame) -> None:
+    for _ in range(3):
+        tracker.update(shown)
+
+
 def end(how: str, tmp_path: Path, limits: Limits = LIMITS, size: int = 20) -> tuple[str, str]:
     """How the trial of a rogue program ends: outcome and reason."""
     grid = GridSpec(size, 0.2)
     program = Launch("rogue", (sys.executable, str(PROGRAM), how))
     process = TrackerProcess(program, StreamSpec(grid, 0.125), {}, limits, tmp_path / "stderr.log")
-    with pytest.raises(TrialEnded) as ended, process as tracker:
-        for _ in range(3):
-            tracker.update(frame(grid))
+    with process as tracker, pytest.raises(TrialEnded) as ended:
+        update_three_times(tracker, frame(grid))
     return ended.value.outcome, ended.value.reason
 
 

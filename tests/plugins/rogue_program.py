@@ -1,4 +1,4 @@
-"""A program on the wire that starts as it should, and then answers the first `update` in the way named as its argument."""
+"""A program on the wire that starts as it should, and then answers an `update` in the way named by its argument."""
 
 from __future__ import annotations
 

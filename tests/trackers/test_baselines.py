@@ -1,0 +1,111 @@
+"""The floor: persistence keeps what it saw, the static map counts, blank says nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from gridtrack.common.config import Settings
+from gridtrack.common.errors import WeightsError
+from gridtrack.common.geometry import SE2
+from gridtrack.common.grid import GridFrame, GridSpec
+from gridtrack.trackers.baselines import BlankTracker, PersistenceTracker, StaticMapTracker
+from gridtrack.trackers.baselines.static_map import StaticMapOptions, frequency
+from gridtrack.trackers.contract import FitOutput, StreamSpec, StretchScore
+
+GRID = GridSpec(2, 1.0)
+STREAM = StreamSpec(GRID, 0.1, "here")
+
+
+def frame(visible: list[list[int]], occupied: list[list[int]]) -> GridFrame:
+    none = np.zeros((0, 2), np.float32)
+    return GridFrame(0, np.array(visible, bool), np.array(occupied, bool), SE2(), none, none, np.zeros(0, np.uint8))
+
+
+@dataclass
+class Frames:
+    frames: list[GridFrame]
+    name: str = "rec@0s-1s"
+    sha256: str = "ab"
+    grid: GridSpec = GRID
+    period_s: float = 0.1
+    site: str = "here"
+    classes: tuple[str, ...] = ()
+
+    def __iter__(self) -> Iterator[GridFrame]:
+        return iter(self.frames)
+
+    def __len__(self) -> int:
+        return len(self.frames)
+
+
+def no_score(*_: Any) -> StretchScore:
+    raise AssertionError("the static map needs no score")
+
+
+def test_persistence_keeps_each_cell_as_last_seen_and_unseen_cells_free() -> None:
+    tracker = PersistenceTracker(STREAM, Settings())
+    tracker.reset(0)
+    tracker.update(frame([[1, 1], [1, 0]], [[1, 0], [1, 0]]))
+    tracker.update(frame([[1, 1], [0, 0]], [[0, 1], [0, 0]]))
+    forecast = tracker.predict(2).occupancy
+    assert forecast.dtype == np.float32
+    assert forecast.tolist() == [[[0, 1], [1, 0]]] * 3
+    tracker.reset(0)
+    assert not tracker.predict(0).occupancy.any()
+
+
+def test_a_forecast_of_persistence_is_not_changed_by_what_comes_after() -> None:
+    tracker = PersistenceTracker(STREAM, Settings())
+    tracker.reset(0)
+    forecast = tracker.predict(1).occupancy
+    tracker.update(frame([[1, 1], [1, 1]], [[1, 1], [1, 1]]))
+    assert not forecast.any()
+
+
+def test_blank_forecasts_nothing() -> None:
+    tracker = BlankTracker(STREAM, Settings())
+    tracker.update(frame([[1, 1], [1, 1]], [[1, 1], [1, 1]]))
+    assert tracker.predict(4).occupancy.shape == (5, 2, 2)
+    assert not tracker.predict(4).occupancy.any()
+
+
+def test_the_static_map_is_each_cell_s_frequency_leaning_on_the_overall_rate(tmp_path: Path) -> None:
+    full = [[1, 1], [1, 0]]
+    frames = [frame(full, [[1, 0], [0, 0]]), frame(full, [[1, 1], [0, 0]]), frame([[1, 0], [0, 0]], [[1, 0], [0, 0]])]
+    said: list[str] = []
+    out = FitOutput(tmp_path / "here.toml", "gridtrack train", 0, tmp_path, said.append)
+    StaticMapTracker.fit([Frames(frames)], [], no_score, out, StaticMapOptions())
+    tracker = StaticMapTracker(StreamSpec(GRID, 0.1, "here", weights=out.path), StaticMapOptions(prior_frames=1.0))
+    rate = 4 / 7  # 3 + 1 occupied of 3 + 2 + 2 visible
+    expected = [[(3 + rate) / 4, (1 + rate) / 3], [rate / 3, rate]]
+    np.testing.assert_allclose(tracker.predict(1).occupancy, [expected, expected], rtol=1e-6)
+    assert len(said) == 1
+
+
+@given(st.lists(st.tuples(st.integers(0, 50), st.integers(0, 50)), min_size=1, max_size=9), st.floats(0.0, 100.0))
+def test_a_frequency_is_a_probability(counts: list[tuple[int, int]], prior_frames: float) -> None:
+    occupied = np.array([min(c) for c in counts])
+    visible = np.array([max(c) for c in counts])
+    visible[0] += 1
+    found = frequency(occupied, visible, prior_frames)
+    assert found.dtype == np.float32
+    assert ((found >= 0.0) & (found <= 1.0)).all()
+
+
+def test_the_static_map_refuses_training_in_which_nothing_is_visible(tmp_path: Path) -> None:
+    out = FitOutput(tmp_path / "here.toml", "gridtrack train", 0, tmp_path)
+    with pytest.raises(WeightsError, match="no cell is visible in rec@0s-1s"):
+        StaticMapTracker.fit([Frames([frame([[0, 0]] * 2, [[0, 0]] * 2)])], [], no_score, out, StaticMapOptions())
+
+
+def test_the_static_map_without_weights_names_the_command_that_makes_them() -> None:
+    with pytest.raises(WeightsError, match="no weights for site 'here'; make them with `gridtrack train static-map`"):
+        StaticMapTracker(STREAM, StaticMapOptions())

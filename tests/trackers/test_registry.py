@@ -1,0 +1,167 @@
+"""Any installed tracker is found by name; a broken one says what is wrong with it and stops no other."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from gridtrack.common.errors import PluginError
+from gridtrack.trackers import registry
+from gridtrack.trackers.contract import Tracker
+
+Install = Callable[..., Path]
+
+SOURCE = """
+from gridtrack.common.config import Settings
+from gridtrack.trackers.contract import Forecast, Tracker
+import numpy as np
+
+class Fine(Tracker):
+    def reset(self, seed): pass
+    def update(self, frame): pass
+    def predict(self, steps): return Forecast(np.zeros((steps + 1, *self.stream.grid.shape), np.float32))
+
+class OtherNames(Fine):
+    def predict(self, n, /, *rest): return super().predict(n)
+
+class OtherApi(Fine):
+    api = 2
+
+class LooseOptions(Fine):
+    Options = dict
+
+class NoUpdate(Tracker):
+    def reset(self, seed): pass
+    def predict(self, steps): pass
+
+class ShortSignature(Fine):
+    def update(self): pass
+
+class LongConstructor(Fine):
+    def __init__(self, stream, options, device): pass
+
+class CannotLearn(Fine):
+    learns = True
+
+class OddFlag(Fine):
+    moving_sensor = "yes"
+
+a_function = lambda: None
+"""
+
+
+@pytest.fixture
+def one(install: Install) -> Callable[[str], str]:
+    """Installs one tracker `mine`, and gives its name."""
+
+    def one(value: str, source: str = SOURCE) -> str:
+        module = value.partition(":")[0]
+        install("my-trackers", {"mine": value}, {f"{module}.py": source})
+        return "mine"
+
+    return one
+
+
+@pytest.mark.parametrize("attribute", ["Fine", "OtherNames"])
+def test_a_tracker_that_keeps_the_contract_loads(one: Callable[..., str], attribute: str) -> None:
+    assert issubclass(registry.load(one(f"mine_{attribute}:{attribute}")), Tracker)
+
+
+@pytest.mark.parametrize(
+    ("attribute", "complaint"),
+    [
+        ("OtherApi", "made for contract 2; this gridtrack has contract 1"),
+        ("LooseOptions", "Options is not a subclass of gridtrack.common.config.Settings"),
+        ("NoUpdate", "it lacks update"),
+        ("ShortSignature", r"update\(self\) cannot be called as update\(frame\)"),
+        ("LongConstructor", r"__init__\(self, stream, options, device\) cannot be called"),
+        ("CannotLearn", "it learns, but has no fit"),
+        ("OddFlag", "moving_sensor is 'yes'; expected True or False"),
+        ("a_function", "is not a subclass of gridtrack.trackers.contract.Tracker"),
+        ("Missing", "cannot be imported: AttributeError: .*Missing"),
+    ],
+)
+def test_a_breach_of_the_contract_names_plugin_and_distribution(
+    one: Callable[..., str], attribute: str, complaint: str
+) -> None:
+    name = one(f"breach_{attribute}:{attribute}")
+    with pytest.raises(PluginError, match=rf"tracker 'mine' \(breach_{attribute}:{attribute}\) of my-trackers 1.0.*"):
+        registry.load(name)
+    with pytest.raises(PluginError, match=complaint):
+        registry.load(name)
+
+
+@pytest.mark.parametrize(
+    ("source", "complaint"),
+    [
+        ("import nobody_has_this", "No module named 'nobody_has_this'"),
+        ("1 / 0", "ZeroDivisionError: division by zero"),
+        ("import sys; sys.exit('bye')", "SystemExit: bye"),
+        ("def", "SyntaxError"),
+    ],
+)
+def test_a_plugin_that_fails_to_import_is_a_plugin_error(one: Callable[..., str], source: str, complaint: str) -> None:
+    name = one(f"fails_{len(source)}:X", source)
+    assert name in registry.entries()
+    with pytest.raises(PluginError, match=f"cannot be imported: .*{complaint}"):
+        registry.load(name)
+
+
+def test_a_missing_extra_is_named(install: Install) -> None:
+    requires = 'Requires-Dist: Nobody-Has-That>=2; extra == "deep"\nProvides-Extra: deep\n'
+    install("my-trackers", {"mine": "needs_extra:X"}, {"needs_extra.py": "import nobody_has_that.core"}, requires)
+    with pytest.raises(PluginError, match=r"; pip install 'my-trackers\[deep\]'$"):
+        registry.load("mine")
+
+
+def test_a_missing_module_of_another_name_points_at_the_extras(install: Install) -> None:
+    requires = 'Requires-Dist: scikit-nothing; extra == "deep"\nRequires-Dist: other; extra == "view"\n'
+    install("my-trackers", {"mine": "needs_other:X"}, {"needs_other.py": "import sknothing"}, requires)
+    with pytest.raises(PluginError, match="it may belong to an extra of my-trackers: deep, view"):
+        registry.load("mine")
+
+
+def test_a_broken_tracker_hides_no_other(install: Install) -> None:
+    site = install("damaged", {"x": "y:z"})
+    (site / "damaged-1.0.dist-info" / "entry_points.txt").write_text("[gridtrack.trackers]\nno equals sign\n")
+    install("hostile", {"../../etc": "os:system", "Big": "a:b", "fine-one": "fine:Fine"})
+    found = registry.entries()
+    assert {"persistence", "static-map", "blank", "fine-one"} <= set(found)
+    assert "is no name for a tracker" in found["../../etc"].problem
+    assert "is no name for a tracker" in found["Big"].problem
+    assert "entry_points.txt cannot be read" in found["(damaged 1.0)"].problem
+    assert found["fine-one"].problem == ""
+
+
+def test_a_name_registered_twice_is_refused_naming_both(install: Install) -> None:
+    install("first", {"mine": "a:B"})
+    install("second", {"mine": "c:D"})
+    with pytest.raises(PluginError, match="first 1.0 and second 1.0|second 1.0 and first 1.0"):
+        registry.find("mine")
+    assert registry.find("blank").problem == ""
+
+
+def test_an_unknown_name_gets_a_suggestion() -> None:
+    with pytest.raises(PluginError, match="there is no tracker 'persistance'; did you mean 'persistence'"):
+        registry.load("persistance")
+
+
+def test_listing_imports_no_tracker(install: Install) -> None:
+    install("my-trackers", {"mine": "explodes:X"}, {"explodes.py": "raise SystemExit(9)"})
+    code = (
+        "import sys; from gridtrack.trackers import registry; assert 'mine' in registry.entries();"
+        "print(sorted({'torch', 'gtsam', 'numba', 'explodes', 'gridtrack.trackers.baselines'} & set(sys.modules)))"
+    )
+    assert subprocess.check_output([sys.executable, "-c", code], text=True) == "[]\n"
+
+
+def test_a_tracker_s_process_imports_only_what_it_needs() -> None:
+    code = (
+        "import sys, gridtrack.trackers.serve, gridtrack.trackers.baselines.blank;"
+        "print(sorted({'torch', 'gtsam', 'numba', 'polars', 'typer', 'rich', 'plotly', 'mcap'} & set(sys.modules)))"
+    )
+    assert subprocess.check_output([sys.executable, "-c", code], text=True) == "[]\n"

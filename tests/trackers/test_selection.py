@@ -1,0 +1,123 @@
+"""Trackers are selected as `[LABEL=]NAME[:key=value,...]` and started from here, another environment, or a program."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import pytest
+
+from gridtrack.common.errors import ConfigurationError, PluginError
+from gridtrack.trackers.selection import (
+    Launch,
+    Selection,
+    launch,
+    parse_selection,
+    parse_selections,
+    read_trackers_toml,
+)
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("kalman", Selection("kalman", "kalman")),
+        ("Slow one=kalman", Selection("Slow one", "kalman")),
+        ("kalman:gate=2.5,coast-s=3", Selection("kalman", "kalman", {"gate": 2.5, "coast_s": 3})),
+        ("a=kalman:mode=x=y", Selection("a", "kalman", {"mode": "x=y"})),
+        ("kalman:gates=[1, 2],on=true", Selection("kalman", "kalman", {"gates": [1, 2], "on": True})),
+        (
+            'kalman:noise={"x": [1, 2], "y": "a,b]"},n=1',
+            Selection("kalman", "kalman", {"noise": {"x": [1, 2], "y": "a,b]"}, "n": 1}),
+        ),
+        ("kalman:points=raw,gate=1", Selection("kalman", "kalman", {"gate": 1}, "raw")),
+        ("x=kalman:file=C:/a b", Selection("x", "kalman", {"file": "C:/a b"})),
+    ],
+)
+def test_a_selection_reads_as_it_is_written(text: str, expected: Selection) -> None:
+    assert parse_selection(text) == expected
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        ("", "is no tracker's name"),
+        ("../kalman", "is no tracker's name"),
+        ("Kalman", "is no tracker's name"),
+        ("..=kalman", "label '..' must be"),
+        ("a/b=kalman", "label 'a/b' must be"),
+        (f"{'x' * 65}=kalman", "label 'x+' must be"),
+        ("=kalman", "label '' must be"),
+        ("kalman:gate", "'gate' is not of the form key=value"),
+        ("kalman:gate=1,gate=2", "'gate' is given twice"),
+        ("kalman:points=all", "points=all; expected centres or raw"),
+        ("kalman:points=[1]", r"points=\[1\]; expected centres or raw"),
+    ],
+)
+def test_what_is_no_selection_is_refused(text: str, complaint: str) -> None:
+    with pytest.raises(ConfigurationError, match=complaint):
+        parse_selection(text)
+
+
+def test_labels_must_differ_as_folders_do() -> None:
+    with pytest.raises(ConfigurationError, match="two trackers are labelled 'a'; name them apart"):
+        parse_selections(["A=blank", "a=kalman"])
+    assert [s.label for s in parse_selections(["blank", "b=blank"])] == ["blank", "b"]
+
+
+@pytest.fixture
+def toml(tmp_path: Path) -> Path:
+    return tmp_path / "trackers.toml"
+
+
+def test_trackers_live_in_other_environments_or_are_any_program(toml: Path) -> None:
+    toml.write_text(
+        '[elsewhere]\npython = "env/bin/python"\ntracker = "blank"\n'
+        "[mine]\ncommand = \"./my_tracker --fast 'two words' $HOME;ls\"\n"
+        '[found]\ncommand = "tracker-on-path"\n'
+    )
+    folder = toml.parent
+    assert read_trackers_toml(toml) == {
+        "elsewhere": Launch(
+            "elsewhere", (f"{folder}/env/bin/python", "-P", "-m", "gridtrack.trackers.serve", "blank"), folder
+        ),
+        "mine": Launch("mine", (f"{folder}/my_tracker", "--fast", "two words", "$HOME;ls"), folder),
+        "found": Launch("found", ("tracker-on-path",), folder),
+    }
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        ('[a]\npython = "p"\ncommand = "c"', "give either python or command"),
+        ("[a]\n", "give either python or command"),
+        ('[a]\ncommand = "c"\ntracker = "t"', "tracker goes with python"),
+        ('[a]\ncomand = "c"', "there is no option 'comand'; did you mean 'command'"),
+        ('[a]\ncommand = " "', "command is empty"),
+        ('[a]\ncommand = "x \'"', "command: No closing quotation"),
+        ('[a]\npython = "p"\ntracker = "../x"', "is no tracker's name"),
+        ('["A/b"]\ncommand = "c"', "expected a table named"),
+        ("a = 3", "expected a table named"),
+        ('[blank]\ncommand = "c"', "gridtrack .* has a tracker of this name"),
+        ("[a", "not TOML"),
+    ],
+)
+def test_a_mistake_in_trackers_toml_is_one_clear_line(toml: Path, text: str, complaint: str) -> None:
+    toml.write_text(text)
+    with pytest.raises(ConfigurationError, match=complaint) as error:
+        read_trackers_toml(toml)
+    assert str(toml) in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_a_missing_trackers_toml_says_so(toml: Path) -> None:
+    with pytest.raises(ConfigurationError, match="cannot be read"):
+        read_trackers_toml(toml)
+
+
+def test_a_name_is_started_from_where_it_is_known() -> None:
+    external = {"mine": Launch("mine", ("x",))}
+    assert launch("mine", external) is external["mine"]
+    assert launch("blank").argv == (sys.executable, "-P", "-m", "gridtrack.trackers.serve", "blank")
+    with pytest.raises(PluginError, match="there is no tracker 'mime'; did you mean 'mine'"):
+        launch("mime", external)

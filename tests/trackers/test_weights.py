@@ -1,0 +1,166 @@
+"""Weights are used on the grid, period and tracker they were made for, whole, or refused by name."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from gridtrack.common.errors import WeightsError
+from gridtrack.common.grid import GridSpec
+from gridtrack.trackers.contract import FitOutput, FrameSource, StreamSpec
+from gridtrack.trackers.weights import MAX_BYTES, Card, array, card_for, load_weights, read_card, save_weights
+
+GRID = GridSpec(100, 0.1, (-2.0, -4.5))
+
+
+@dataclass
+class Stretch:
+    """A frame source without frames."""
+
+    name: str = "demo@0s-75s"
+    sha256: str = "12ab"
+    grid: GridSpec = GRID
+    period_s: float = 0.1
+    site: str = "lab"
+    classes: tuple[str, ...] = ()
+
+    def __iter__(self) -> None: ...  # type: ignore[empty-body]
+
+    def __len__(self) -> int:
+        return 0
+
+
+def as_source(stretch: Stretch) -> FrameSource:
+    return stretch  # type: ignore[return-value]
+
+
+def card(tmp_path: Path, *train: Stretch) -> Card:
+    out = FitOutput(tmp_path / "lab.toml", "gridtrack train my demo", 3, tmp_path)
+    return card_for("my", out, [as_source(s) for s in train or (Stretch(),)], [as_source(Stretch("v", "cd"))], {"a": 1})
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    made = tmp_path / "deep" / "lab.toml"
+    save_weights(made, card(tmp_path), {"w": np.arange(6, dtype=np.float32).reshape(2, 3), "n": np.array([1, 2])})
+    return made
+
+
+def load(path: Path | None, grid: GridSpec = GRID, period_s: float = 0.1, tracker: str = "my") -> None:
+    load_weights(StreamSpec(grid, period_s, "lab", weights=path), tracker)
+
+
+def test_what_was_saved_is_loaded(path: Path) -> None:
+    found = load_weights(StreamSpec(GRID, 0.1, "lab", weights=path), "my")
+    assert array(found, "w", (2, 3)).tolist() == [[0, 1, 2], [3, 4, 5]]
+    assert (found.card.site, found.card.seed, found.card.command) == ("lab", 3, "gridtrack train my demo")
+    assert [(t.recording, t.sha256) for t in found.card.train] == [("demo@0s-75s", "12ab")]
+    assert [(t.recording, t.sha256) for t in found.card.validation] == [("v", "cd")]
+
+
+def test_a_card_without_arrays_stands_alone(tmp_path: Path) -> None:
+    path = tmp_path / "lab.toml"
+    save_weights(path, card(tmp_path), {})
+    assert load_weights(StreamSpec(GRID, 0.1, weights=path), "my").arrays == {}
+    assert [p.name for p in tmp_path.iterdir()] == ["lab.toml"]
+
+
+@pytest.mark.parametrize(
+    ("change", "complaint"),
+    [
+        ({"tracker": "other"}, "made for tracker my, but this is other"),
+        ({"grid": GridSpec(50, 0.1, (-2.0, -4.5))}, "made for grid 100x0.1@-2,-4.5, but this is 50x0.1@-2,-4.5"),
+        ({"grid": GridSpec(100, 0.1)}, "made for grid 100x0.1@-2,-4.5, but this is 100x0.1@-5,-5"),
+        (
+            {"period_s": 0.125},
+            r"made for a period of 0.1 s \(10 Hz\), but this stream's is 0.125 s: compare with --rate 10",
+        ),
+    ],
+)
+def test_another_grid_period_or_tracker_is_refused_by_name(
+    path: Path, change: dict[str, object], complaint: str
+) -> None:
+    with pytest.raises(WeightsError, match=complaint):
+        load(path, **change)  # type: ignore[arg-type]
+
+
+def test_a_period_that_differs_by_rounding_is_the_same(path: Path) -> None:
+    load(path, period_s=0.1 + 1e-9)
+
+
+def test_no_weights_names_the_command_that_makes_them() -> None:
+    with pytest.raises(WeightsError, match="my: no weights for site 'lab'; make them with `gridtrack train my`"):
+        load(None)
+
+
+def test_a_missing_file_says_which(path: Path) -> None:
+    path.with_suffix(".safetensors").unlink()
+    with pytest.raises(WeightsError, match=r"lab\.safetensors: cannot be read \(No such file"):
+        load(path)
+    path.unlink()
+    with pytest.raises(WeightsError, match=r"lab\.toml: cannot be read \(No such file"):
+        load(path)
+
+
+@given(place=st.integers(0, 10_000), bit=st.integers(0, 7))
+def test_a_flipped_bit_in_the_arrays_is_found(tmp_path_factory: pytest.TempPathFactory, place: int, bit: int) -> None:
+    folder = tmp_path_factory.mktemp("weights")
+    save_weights(folder / "lab.toml", card(folder), {"w": np.arange(6.0)})
+    arrays = folder / "lab.safetensors"
+    blob = bytearray(arrays.read_bytes())
+    blob[place % len(blob)] ^= 1 << bit
+    arrays.write_bytes(blob)
+    with pytest.raises(WeightsError, match="the file is damaged or was exchanged"):
+        load(folder / "lab.toml")
+
+
+def test_arrays_too_large_are_refused_unread(path: Path) -> None:
+    with path.with_suffix(".safetensors").open("r+b") as file:
+        file.truncate(MAX_BYTES + 1)  # sparse: nothing is written
+    with pytest.raises(WeightsError, match="are refused"):
+        load(path)
+
+
+@pytest.mark.parametrize(
+    ("edit", "complaint"),
+    [
+        (lambda text: text.replace("schema_version = 1", "schema_version = 9"), "schema 9; this gridtrack reads 1"),
+        (lambda text: text + 'secret = "x"\n', "there is no option"),
+        (lambda text: text.replace('site = "lab"\n', ""), "'site'"),
+        (lambda text: text.replace("period_s = 0.1", "period_s = 0.0"), "'period_s' = 0.0"),
+        (lambda text: text.replace("100x0.1@-2,-4.5", "huge"), "grid 'huge'"),
+        (lambda text: "[" + text, "not a weights card"),
+        (lambda text: "#" * (1 << 20) + text, "more than 1048576 bytes"),
+    ],
+)
+def test_a_damaged_card_is_one_clear_line(path: Path, edit: Callable[[str], str], complaint: str) -> None:
+    path.write_text(edit(path.read_text()))
+    with pytest.raises(WeightsError, match=complaint) as error:
+        read_card(path)
+    assert "\n" not in str(error.value)
+
+
+def test_a_card_that_is_not_text_is_refused(path: Path) -> None:
+    path.write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(WeightsError, match="not a weights card"):
+        read_card(path)
+
+
+def test_an_array_of_another_shape_or_name_is_refused(path: Path) -> None:
+    found = load_weights(StreamSpec(GRID, 0.1, weights=path), "my")
+    with pytest.raises(WeightsError, match=r"array 'w' is \(2, 3\), expected \(3, 2\)"):
+        array(found, "w", (3, 2))
+    with pytest.raises(WeightsError, match="array 'v' is missing"):
+        array(found, "v", (1,))
+
+
+def test_training_stretches_must_share_grid_period_and_site(tmp_path: Path) -> None:
+    with pytest.raises(WeightsError, match="one grid, period and site"):
+        card(tmp_path, Stretch(), Stretch(site="elsewhere"))
+    assert len(card(tmp_path, Stretch("a"), Stretch("b")).train) == 2

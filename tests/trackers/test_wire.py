@@ -1,0 +1,282 @@
+"""The wire carries every stream, frame and forecast unchanged, and refuses all else before it takes memory for it."""
+
+from __future__ import annotations
+
+import json
+import os
+import struct
+import tracemalloc
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from gridtrack.common.geometry import SE2
+from gridtrack.common.grid import GridFrame, GridSpec
+from gridtrack.trackers import messages
+from gridtrack.trackers.contract import Forecast, StreamSpec, TrackedObject
+from gridtrack.trackers.wire import DTYPES, Message, WireError, encode, fill_from, receive, without, write_to
+
+GRID = GridSpec(6, 0.5, (-1.0, 2.0))
+
+
+def sent(message: Message, max_body: int = 1 << 20) -> Message:
+    """What arrives at the other end."""
+    return received(b"".join(encode(message)), max_body)
+
+
+def received(data: bytes, max_body: int = 1 << 20) -> Message:
+    left = memoryview(data)
+
+    def fill(buffers: list[memoryview]) -> None:
+        nonlocal left
+        for buffer in buffers:
+            if buffer.nbytes > left.nbytes:
+                raise EOFError
+            buffer[:], left = left[: buffer.nbytes], left[buffer.nbytes :]
+
+    message = receive(fill, max_body)
+    assert not left.nbytes
+    return message
+
+
+arrays = st.dictionaries(
+    st.text(max_size=8),
+    st.sampled_from(sorted(DTYPES)).flatmap(
+        lambda name: hnp.arrays(DTYPES[name], hnp.array_shapes(min_dims=0, max_dims=4, min_side=0, max_side=4))
+    ),
+    max_size=5,
+)
+
+
+@given(arrays, st.integers(0, 2**53))
+def test_arrays_of_every_type_and_shape_come_back_bit_for_bit(content: dict[str, Any], number: int) -> None:
+    back = sent(Message("update", number, {"site": "Straße"}, content))
+    assert (back.kind, back.number, back.fields) == ("update", number, {"site": "Straße"})
+    assert list(back.arrays) == list(content)
+    for name, array in content.items():
+        assert back.arrays[name].dtype == array.dtype
+        assert back.arrays[name].shape == array.shape
+        assert back.arrays[name].tobytes() == array.tobytes()
+        assert back.arrays[name].flags.aligned
+
+
+def test_the_bytes_are_those_of_the_page() -> None:
+    """docs/wire.md's worked example, by hand."""
+    header = b'{"type":"reset","id":2,"arrays":[{"name":"a","dtype":"int32","shape":[2]}],"seed":7}'
+    body = struct.pack("<2i", 1, -1)
+    expected = b"GTW\x01" + struct.pack("<IQ", len(header), len(body)) + header + body
+    assert b"".join(encode(Message("reset", 2, {"seed": 7}, {"a": np.array([1, -1], np.int32)}))) == expected
+
+
+def test_arrays_in_any_layout_and_byte_order_arrive_as_their_values() -> None:
+    array = np.arange(12, dtype=">f4").reshape(3, 4).T[::2]
+    assert np.array_equal(sent(Message("x", 1, {}, {"a": array})).arrays["a"], array)
+
+
+def test_stamps_keep_every_nanosecond() -> None:
+    frame = a_frame(stamp_ns=2**62 + 1)
+    assert messages.frame_from(sent(Message("update", 1, {}, messages.frame_arrays(frame)))).stamp_ns == 2**62 + 1
+
+
+def test_a_byte_that_is_no_bool_becomes_one() -> None:
+    message = received(raw([{"name": "a", "dtype": "bool", "shape": [3]}], b"\x00\x02\xff"))
+    assert message.arrays["a"].view(np.uint8).tolist() == [0, 1, 1]
+
+
+def raw(declared: Any, body: bytes = b"", **other: Any) -> bytes:
+    header = json.dumps({"type": "x", "id": 1, "arrays": declared} | other).encode()
+    return b"GTW\x01" + struct.pack("<IQ", len(header), len(body)) + header + body
+
+
+@pytest.mark.parametrize(
+    ("data", "complaint"),
+    [
+        (b"HTTP/1.1 200 OK\n", "starts with b'HTTP/1.1'"),
+        (b"GTW\x02" + bytes(12), "wire version 2"),
+        (raw([], b"123"), "fill 0 bytes of a body of 3"),
+        (raw([{"name": "a", "dtype": "uint8", "shape": [4]}], b"123"), "ends at byte 4 of a body of 3"),
+        (raw([{"name": "a", "dtype": "uint8", "shape": [-1]}], b"1"), "is not a shape"),
+        (raw([{"name": "a", "dtype": "uint8", "shape": [True]}], b"1"), "is not a shape"),
+        (raw([{"name": "a", "dtype": "uint8", "shape": [1.0]}], b"1"), "is not a shape"),
+        (raw([{"name": "a", "dtype": "uint8", "shape": [1] * 9}], b"1"), "is not a shape"),
+        (raw([{"name": "a", "dtype": "float64", "shape": [2**30] * 8}], b"1"), "ends at byte"),
+        (raw([{"name": "a", "dtype": "object", "shape": [1]}], b"1"), "of dtype 'object'"),
+        (raw([{"name": "a", "dtype": ["uint8"], "shape": [1]}], b"1"), "of dtype"),
+        (raw([{"name": "a", "shape": [1]}], b"1"), "declared by name, dtype and shape"),
+        (raw([{"name": "a", "dtype": "uint8", "shape": [0]}] * 2), "declared twice"),
+        (raw([{"name": str(i), "dtype": "uint8", "shape": [0]} for i in range(65)]), "65 arrays"),
+        (raw({}), "needs 'type'"),
+        (raw([], id=True), "needs 'type'"),
+        (raw([], type=3), "needs 'type'"),
+    ],
+)
+def test_what_is_no_message_is_refused_by_name(data: bytes, complaint: str) -> None:
+    with pytest.raises(WireError, match=complaint):
+        received(data)
+
+
+@given(st.binary(max_size=64), st.integers(0, 40))
+def test_damaged_messages_are_refused_or_cut_never_worse(noise: bytes, place: int) -> None:
+    data = bytearray(raw([{"name": "a", "dtype": "float32", "shape": [4]}], bytes(16)))
+    data[place : place + len(noise)] = noise
+    try:
+        received(bytes(data))
+    except (WireError, EOFError, AssertionError):
+        return
+
+
+def test_a_declared_size_is_refused_before_memory_is_taken() -> None:
+    tracemalloc.start()
+    with pytest.raises(WireError, match="at most 1048576 and 1000 are accepted"):
+        received(b"GTW\x01" + struct.pack("<IQ", 2, 1 << 40) + b"{}", max_body=1000)
+    assert tracemalloc.get_traced_memory()[1] < 100_000
+    tracemalloc.stop()
+
+
+def test_an_object_array_never_leaves() -> None:
+    with pytest.raises(WireError, match="array 'a' is object"):
+        encode(Message("x", 1, {}, {"a": np.array([{}])}))
+
+
+def test_pipes_carry_messages_larger_than_they_hold() -> None:
+    read_fd, write_fd = os.pipe()
+    pid = os.fork()
+    array = np.arange(1 << 20, dtype=np.float32)
+    if pid == 0:
+        write_to(write_fd, encode(Message("x", 1, {}, {"a": array})))
+        os._exit(0)
+    os.close(write_fd)
+    assert np.array_equal(receive(fill_from(read_fd), 1 << 23).arrays["a"], array)
+    with pytest.raises(EOFError):
+        receive(fill_from(read_fd), 0)
+    os.close(read_fd)
+    os.waitpid(pid, 0)
+
+
+@given(st.lists(st.binary(max_size=5), max_size=5), st.integers(0, 25))
+def test_without_drops_exactly_the_bytes_written(parts: list[bytes], count: int) -> None:
+    whole = b"".join(parts)
+    assert b"".join(without([memoryview(p) for p in parts], min(count, len(whole)))) == whole[count:]
+
+
+@pytest.mark.parametrize("weights", [None, Path("/data/static-map/here.toml")])
+def test_a_stream_comes_back(weights: Path | None) -> None:
+    stream = StreamSpec(GRID, 0.1, "a site", ("car", "person"), weights)
+    assert messages.stream_from(sent(Message("start", 1, {"stream": messages.stream_fields(stream)}))) == stream
+
+
+def a_frame(stamp_ns: int = 5, seed: int = 0) -> GridFrame:
+    rng = np.random.default_rng(seed)
+    visible = rng.random(GRID.shape) < 0.7
+    return GridFrame(
+        stamp_ns,
+        visible,
+        visible & (rng.random(GRID.shape) < 0.3),
+        SE2(0.1, -0.2, 0.3),
+        rng.random((2, 2), np.float32),
+        rng.random((7, 2), np.float32),
+        rng.integers(0, 2, 7, np.uint8),
+    )
+
+
+@given(st.integers(0, 100))
+def test_a_frame_comes_back(seed: int) -> None:
+    frame = a_frame(seed=seed)
+    back = messages.frame_from(sent(Message("update", 1, {}, messages.frame_arrays(frame))))
+    assert back.world_T_grid == frame.world_T_grid
+    for name in ("visible", "occupied", "origins", "points", "point_origin"):
+        assert np.array_equal(getattr(back, name), getattr(frame, name))
+        assert getattr(back, name).dtype == getattr(frame, name).dtype
+    assert sum(a.nbytes for a in messages.frame_arrays(frame).values()) <= messages.update_limit(GRID)
+
+
+def an_object(track: int, label: str) -> TrackedObject:
+    rng = np.random.default_rng(track)
+    return TrackedObject(track, *(rng.random(shape).astype(np.float32) for shape in ((5,), (2,), (4, 4))), label=label)
+
+
+def full_forecast(steps: int = 2) -> Forecast:
+    rng = np.random.default_rng(1)
+    semantics = rng.random((steps + 1, 3, *GRID.shape), np.float32)
+    return Forecast(
+        rng.random((steps + 1, *GRID.shape), np.float32),
+        semantics / semantics.sum(axis=1, keepdims=True),
+        rng.normal(size=(2, *GRID.shape)).astype(np.float32),
+        (an_object(7, "person"), an_object(2**40, ""), an_object(9, "car")),
+    )
+
+
+def over_the_wire(forecast: Forecast, steps: int = 2, classes: int = 3) -> Forecast:
+    fields, content = messages.forecast_parts(forecast)
+    message = sent(Message("forecast", 1, fields, content), messages.forecast_limit(GRID, steps, classes))
+    return messages.forecast_from(message, GRID, steps, classes)
+
+
+def test_a_forecast_with_everything_comes_back() -> None:
+    forecast = full_forecast()
+    back = over_the_wire(forecast)
+    for name in ("occupancy", "semantics", "velocity"):
+        assert np.array_equal(getattr(back, name), getattr(forecast, name))
+    assert [(o.track, o.label) for o in back.objects] == [(7, "person"), (2**40, ""), (9, "car")]
+    for one, other in zip(back.objects, forecast.objects, strict=True):
+        assert np.array_equal(one.box, other.box)
+        assert np.array_equal(one.velocity, other.velocity)
+        assert np.array_equal(one.covariance, other.covariance)
+
+
+def test_half_precision_is_accepted_and_read_as_single() -> None:
+    occupancy = np.full((3, *GRID.shape), 0.25, np.float16)
+    back = over_the_wire(Forecast(occupancy))
+    assert back.occupancy.dtype == np.float32
+    assert (back.occupancy == 0.25).all()
+    assert (back.semantics, back.velocity, back.objects) == (None, None, ())
+
+
+def changed(**change: Any) -> Message:
+    """The message of a full forecast with some arrays or fields replaced, or left out where None."""
+    fields, content = messages.forecast_parts(full_forecast())
+    fields = {k: v for k, v in (fields | change).items() if k == "labels"}
+    content = {k: v for k, v in (content | change).items() if k != "labels" and v is not None}
+    return Message("forecast", 1, fields, content)
+
+
+nothing = np.zeros((2, *GRID.shape), np.float32)
+
+
+@pytest.mark.parametrize(
+    ("change", "complaint"),
+    [
+        ({"occupancy": None}, "has no 'occupancy'"),
+        ({"semantics": np.zeros((3, 2, *GRID.shape), np.float32)}, "semantics has shape"),
+        ({"semantics": np.full((3, 3, *GRID.shape), 0.3, np.float32)}, "miss it by up to 0.1"),
+        ({"velocity": nothing[:1]}, "velocity has shape"),
+        ({"velocity": nothing * np.nan}, "velocity holds 72 values that are not finite"),
+        ({"velocity": nothing.astype(np.int64)}, "velocity is int64"),
+        ({"object_box": np.zeros((2, 5), np.float32)}, "array 'object_box'"),
+        ({"object_box": np.full((3, 5), np.inf, np.float32)}, "object_box holds 15 values"),
+        ({"object_label": np.array([0, 1, 2], np.int32)}, "there are 2 labels"),
+        ({"labels": [1, 2]}, "not all strings"),
+        ({"labels": "person"}, "needs a field 'labels'"),
+        ({"object_velocity": None}, "needs an array 'object_velocity'"),
+        ({"object_track": np.zeros(5000, np.int64)}, "5000 objects"),
+    ],
+)
+def test_every_promise_of_a_forecast_is_checked(change: dict[str, Any], complaint: str) -> None:
+    with pytest.raises(WireError, match=complaint):
+        messages.forecast_from(changed(**change), GRID, 2, 3)
+
+
+def test_semantics_without_named_classes_are_refused() -> None:
+    with pytest.raises(WireError, match="names no classes"):
+        messages.forecast_from(changed(), GRID, 2, 0)
+
+
+def test_objects_of_differing_shapes_are_refused_where_they_are_made() -> None:
+    odd = TrackedObject(1, np.zeros(4, np.float32), np.zeros(2, np.float32), np.zeros((4, 4), np.float32))
+    with pytest.raises(WireError, match="differ in shape"):
+        messages.forecast_parts(Forecast(nothing, objects=(an_object(3, ""), odd)))
