@@ -1,0 +1,152 @@
+"""Courses: which stretch is tested, on which one thresholds are chosen, and what may not be mixed."""
+
+import pytest
+
+from gridtrack.common.errors import ConfigurationError, PluginError, RecordingError, WeightsError
+from gridtrack.common.grid import GridSpec
+from gridtrack.evaluation.courses import Sampling, plan_course, was_seen
+from gridtrack.evaluation.learned import find_weights, users_folder, weights_path
+from gridtrack.evaluation.plan import CompareSettings, resolve
+from gridtrack.evaluation.strata import REGIONS
+from gridtrack.evaluation.train import train
+from gridtrack.trackers.weights import Card, TrainingData, save_weights
+
+SECOND = Sampling(horizon_s=1.0, every_s=0.5)
+
+
+def test_the_named_test_and_validation_stretches_are_the_default(record):
+    course = plan_course(str(record()), None, SECOND)
+    assert (course.name, course.test.name, course.validation.name) == ("room", "room.mcap@test", "room.mcap@validation")
+    assert (course.steps, course.every) == (10, 5)
+    assert course.description()["horizons_s"] == [round(0.1 * n, 1) for n in range(11)]
+    assert course.notices == ()
+
+
+def test_a_recording_that_names_no_stretches_is_tested_whole_at_one_half(record):
+    course = plan_course(str(record(stretches={})), None, SECOND)
+    assert len(course.test) == 200
+    assert course.validation is None
+    assert "every threshold is 0.5" in course.notices[0]
+
+
+def test_a_range_of_its_own_has_a_name_of_its_own(record):
+    course = plan_course(f"{record()}@9s-20s", None, SECOND)
+    assert (course.name, len(course.test)) == ("room@9s-20s", 110)
+    assert course.validation.name == "room.mcap@validation"
+
+
+def test_thresholds_are_never_chosen_on_frames_that_are_tested(record):
+    path = record()
+    course = plan_course(f"{path}@8s-20s", None, SECOND)
+    assert course.validation is None
+    assert "shares frames with room.mcap@validation" in course.notices[0]
+    with pytest.raises(ConfigurationError, match="shares frames with the tested"):
+        plan_course(f"{path}@8s-20s", f"{path}@0s-8.5s", SECOND)
+
+
+def test_another_recording_can_be_the_validation(record):
+    other = record("other", seconds=8, stretches={})
+    course = plan_course(str(record()), str(other), SECOND)
+    assert course.validation.name == "other.mcap"
+    assert course.validation.grid == course.test.grid
+
+
+@pytest.mark.parametrize(
+    ("text", "sampling", "message"),
+    [
+        ("@9s-12s", SECOND, r"30 frames leave nothing to score after 20 frames of warm-up and with 10 steps ahead"),
+        ("", Sampling(horizon_s=0.04, every_s=1.0), r"a horizon of 0\.04 s is less than half a frame"),
+    ],
+)
+def test_what_leaves_nothing_to_score_is_refused_in_one_line(record, text, sampling, message):
+    with pytest.raises(ConfigurationError, match=message):
+        plan_course(f"{record()}{text}", None, sampling)
+
+
+def test_grid_and_rate_can_be_given(record):
+    course = plan_course(str(record()), None, Sampling(1.0, 1.0, GridSpec(30, 0.1), 5.0))
+    assert (course.test.grid, course.validation.grid, len(course.test)) == (GridSpec(30, 0.1), GridSpec(30, 0.1), 55)
+
+
+def test_static_cells_come_from_the_whole_recording(record):
+    path = record()
+    one, other = (plan_course(f"{path}@{stretch}", None, SECOND).regions() for stretch in ("0s-5s", "9s-20s"))
+    assert (one == other).all()
+    wall = one[20, int((3.0 + 1.0) / 0.2)]
+    assert REGIONS[wall] == "static"
+
+
+def test_two_recordings_of_one_name_are_refused(record, tmp_path):
+    path = str(record())
+    settings = CompareSettings(recordings=(path, path), trackers=("blank",), out=tmp_path / "run")
+    with pytest.raises(ConfigurationError, match="would both be called 'room'"):
+        resolve(settings)
+
+
+def test_every_recording_is_a_course_for_every_tracker(record, tmp_path):
+    recordings = (str(record()), str(record("hall")))
+    settings = CompareSettings(recordings=recordings, trackers=("blank", "b=blank"), out=tmp_path / "run")
+    names = [trial.name for trial in resolve(settings).trials]
+    assert names == ["blank@room", "b@room", "blank@hall", "b@hall"]
+
+
+def test_a_recording_that_is_not_there_is_one_line(tmp_path):
+    with pytest.raises(RecordingError, match="no such recording"):
+        plan_course(str(tmp_path / "nowhere.mcap"), None, SECOND)
+
+
+@pytest.mark.parametrize(
+    ("seen", "expected"),
+    [
+        ("room.mcap@train", False),
+        ("room.mcap@validation", False),
+        ("room.mcap@test", True),
+        ("room.mcap@0s-9s", False),
+        ("room.mcap@0s-9.5s", True),
+        ("room.mcap@15s-", True),
+        ("room.mcap", True),
+        ("room.mcap@no-longer-named", True),
+    ],
+)
+def test_what_was_seen_in_training_is_found_out(record, seen, expected):
+    test = plan_course(str(record()), None, SECOND).test
+    assert was_seen(test, TrainingData(recording=seen, sha256=test.sha256)) is expected
+    assert not was_seen(test, TrainingData(recording=seen, sha256="another"))
+
+
+def learned(folder, tracker="static-map", site="room"):
+    card = Card(tracker=tracker, site=site, grid="1x1", period_s=0.1, seed=0, command=str(folder), train=())
+    save_weights(weights_path(folder, tracker, site), card, {})
+
+
+def test_weights_are_looked_for_where_told_then_at_the_users_then_in_the_package(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path))
+    assert users_folder() == tmp_path / "gridtrack" / "weights"
+    assert find_weights("no-such-tracker", "room", None) is None
+    learned(users_folder())
+    assert find_weights("static-map", "room", tmp_path / "told").card.command == str(users_folder())
+    learned(tmp_path / "told")
+    assert find_weights("static-map", "room", tmp_path / "told").card.command == str(tmp_path / "told")
+    assert find_weights("static-map", "elsewhere", tmp_path / "told") is None
+
+
+def test_a_sites_name_cannot_lead_out_of_the_folder(tmp_path):
+    assert find_weights("static-map", "../static-map/room", tmp_path) is None
+    with pytest.raises(WeightsError, match="cannot name a weights file"):
+        weights_path(tmp_path, "static-map", "../room")
+
+
+def test_training_and_choosing_on_the_same_frames_is_refused(record, tmp_path):
+    path = str(record())
+    with pytest.raises(ConfigurationError, match="shares frames with"):
+        train("static-map", [f"{path}@0s-10s"], [], tmp_path, {}, 0, "")
+
+
+def test_training_what_cannot_learn_or_on_no_stretch_is_refused(record, tmp_path):
+    path = str(record())
+    with pytest.raises(PluginError, match="nothing to learn"):
+        train("blank", [path], [], tmp_path, {}, 0, "")
+    with pytest.raises(ConfigurationError, match="no validation stretch"):
+        train("static-map", [str(record("bare", stretches={}))], [], tmp_path, {}, 0, "")
+    with pytest.raises(ConfigurationError, match="no stretch 'train'; name one of test"):
+        train("static-map", [str(record("half", stretches={"test": (0.0, 5.0)}))], [], tmp_path, {}, 0, "")
