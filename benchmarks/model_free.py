@@ -11,6 +11,7 @@ import numpy as np
 
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec
+from gridtrack.trackers.model_free.dwell import table_shape
 from gridtrack.trackers.model_free.pipeline import Pipeline
 from gridtrack.trackers.model_free.settings import PipelineSettings
 
@@ -42,7 +43,9 @@ def people(count: int, step: int) -> np.ndarray:
 
 def measure(count: int) -> tuple[int, list[float], list[float]]:
     """Tracks at the end, and the seconds of each update and each forecast."""
-    pipeline = Pipeline(GRID, PERIOD_S, np.full(GRID.shape, 1e-3, np.float32), PipelineSettings())
+    background = np.full(GRID.shape, 1e-3, np.float32)
+    dwell = np.full(table_shape(PERIOD_S), 0.3, np.float32)
+    pipeline = Pipeline(GRID, PERIOD_S, background, dwell, PipelineSettings())
     updates, forecasts = [], []
     for step in range(FRAMES):
         frame = frame_of(people(count, step))

@@ -21,8 +21,9 @@ from gridtrack.trackers.model_free.background import (
     fit_background,
     without_foreseen,
 )
+from gridtrack.trackers.model_free.dwell import NOT_OCCUPIED, PRIOR_RETURNS, fit_dwell, next_ages, staying
 from gridtrack.trackers.model_free.estimation import ConstantVelocityKalman, MotionNoise, motion_model
-from gridtrack.trackers.model_free.rasterise import draw, noisy_or, splat
+from gridtrack.trackers.model_free.rasterise import draw, draw_points, noisy_or, splat
 from gridtrack.trackers.model_free.segmentation import Cluster, segment
 from gridtrack.trackers.model_free.tracks import MAX_POINTS, Shape, existence_when_detected, existence_when_missed
 
@@ -185,6 +186,42 @@ def test_a_cluster_out_of_reach_is_left_for_a_new_track():
     assert left == [clusters[1]]
 
 
+# Dwell
+
+
+def cells_at(*cells):
+    occupied = np.zeros((5, 5), bool)
+    for cell in cells:
+        occupied[cell] = True
+    return occupied
+
+
+def test_the_age_of_a_return_goes_on_in_the_next_cell_and_starts_anew_elsewhere():
+    ages = np.full((5, 5), NOT_OCCUPIED)
+    for occupied in (cells_at((1, 1)), cells_at((1, 2)), cells_at((1, 2), (4, 4))):
+        ages = next_ages(ages, occupied, oldest=10)
+    assert (ages[1, 2], ages[4, 4]) == (2, 0)
+    assert (ages == NOT_OCCUPIED).sum() == 23
+    assert next_ages(ages, cells_at((1, 2)), oldest=2)[1, 2] == 2
+
+
+def test_life_table_counts_who_is_still_there_where_it_can_be_seen():
+    seen, hidden = np.ones((5, 5), bool), np.zeros((5, 5), bool)
+    frames = [frame_of(seen, cells_at((1, 1))), frame_of(seen, cells_at((1, 1))), frame_of(hidden, cells_at())]
+    table = fit_dwell([frames] * 100, np.ones((5, 5), bool), (3, 3))
+    known = 1.0 / (1.0 + PRIOR_RETURNS / 100)
+    assert table[0] == pytest.approx([known, known, 0.0])  # after two steps nothing is seen: the prior stands
+    assert table[1] == pytest.approx([known, 0.0, 0.0])
+
+
+def test_life_table_is_read_from_the_age_and_from_the_time_since_last_seen():
+    table = np.array([[1.0, 0.5, 0.2], [0.9, 0.8, 0.7]], np.float32)
+    assert staying(table, np.array([0, 5]), unseen=0, steps=3) == pytest.approx(
+        np.array([[1.0, 0.5, 0.2, 0.2], [0.9, 0.8, 0.7, 0.7]])
+    )
+    assert staying(table, np.array([0]), unseen=1, steps=1) == pytest.approx(np.array([[0.5, 0.2]]))
+
+
 # Life of a track
 
 
@@ -228,6 +265,16 @@ def test_a_blurred_point_is_the_gaussian_mass_of_every_cell():
 
     assert image[0, 12, 10] == pytest.approx(mass(10, 11, 10.5, 1) * mass(12, 13, 12.5, 2), rel=1e-5)
     assert image[0, 15, 9] == pytest.approx(mass(9, 10, 10.5, 1) * mass(15, 16, 12.5, 2), rel=1e-5)
+
+
+def test_points_that_stay_are_drawn_where_they_are_and_weighted_step_by_step():
+    image, expected = np.zeros((2, 2, 9, 9), np.float32)
+    places, weights = np.array([[2.5, 3.5], [6.0, 5.0]]), np.array([[1.0, 0.5], [0.3, 0.2]], np.float32)
+    draw_points(image, places, 0.6, weights)
+    for place, weight in zip(places, weights, strict=True):
+        one_point = np.pad(np.ones((1, 1), np.float32), 1)
+        draw(expected, one_point, np.tile(place, (2, 1)), np.full((2, 2), 0.6), weight)
+    assert image == pytest.approx(expected, abs=1e-6)
 
 
 def test_blur_spreads_the_mass_and_keeps_it():

@@ -23,6 +23,8 @@ PERIOD_S = 0.1
 RADIUS_M = 0.2
 WALL = (2.0, 4.0, 0.15)
 """Centre and radius of a pillar that stands in the background."""
+GLIDING = np.zeros((31, 31), np.float32)
+"""The life table of returns that never stay."""
 
 
 def frame_of(people: list[tuple[float, float]], step: int = 0, wall: bool = False) -> GridFrame:
@@ -60,9 +62,8 @@ def card(**settings) -> Card:
 def weights(tmp_path):
     """An open hall with nothing in it; the people here are discs that glide, and their velocity lasts."""
     path = tmp_path / "hall.toml"
-    save_weights(
-        path, card(dwell_s=0.01, velocity_memory_s=50.0), {"background": np.full(GRID.shape, 1e-3, np.float32)}
-    )
+    arrays = {"background": np.full(GRID.shape, 1e-3, np.float32), "dwell": GLIDING}
+    save_weights(path, card(velocity_memory_s=50.0), arrays)
     return path
 
 
@@ -164,13 +165,27 @@ def test_a_wall_that_flickers_bears_no_track(tmp_path):
     pillar = frame_of([], wall=True).occupied
     background[pillar] = 0.9
     path = tmp_path / "hall.toml"
-    save_weights(path, card(), {"background": background})
+    save_weights(path, card(), {"background": background, "dwell": GLIDING})
     tracker = KalmanTracker(StreamSpec(GRID, PERIOD_S, "hall", weights=path), PipelineSettings())
     for step in range(20):
         tracker.update(frame_of([], step, wall=step % 3 > 0))
     forecast = tracker.predict(5)
     assert forecast.objects == ()
     assert forecast.occupancy[5][pillar] == pytest.approx(0.9)
+
+
+def test_who_stands_is_forecast_to_stand_as_the_life_table_says(tmp_path):
+    table = GLIDING.copy()
+    table[20:] = 0.75
+    path = tmp_path / "hall.toml"
+    save_weights(path, card(), {"background": np.full(GRID.shape, 1e-3, np.float32), "dwell": table})
+    tracker = KalmanTracker(StreamSpec(GRID, PERIOD_S, "hall", weights=path), PipelineSettings())
+    frame = frame_of([(3.0, 1.0)])
+    for step in range(30):
+        tracker.update(frame)
+        if step == 10:
+            assert tracker.predict(10).occupancy[10][frame.occupied].mean() < 0.2
+    assert tracker.predict(10).occupancy[10][frame.occupied].mean() > 0.4
 
 
 def test_now_is_forecast_as_it_was_seen(tracker):
@@ -215,7 +230,7 @@ def test_without_weights_it_says_how_to_make_them():
 
 def test_weights_with_a_setting_that_is_not_one_are_refused(tmp_path):
     path = tmp_path / "hall.toml"
-    save_weights(path, card(link=1.0), {"background": np.zeros(GRID.shape, np.float32)})
+    save_weights(path, card(link=1.0), {"background": np.zeros(GRID.shape, np.float32), "dwell": GLIDING})
     with pytest.raises(WeightsError, match="link_m"):
         KalmanTracker(StreamSpec(GRID, PERIOD_S, "hall", weights=path), PipelineSettings())
 

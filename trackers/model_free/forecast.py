@@ -7,34 +7,29 @@ from numpy.typing import NDArray
 
 from gridtrack.common.grid import GridSpec, Mask
 from gridtrack.trackers.contract import TrackedObject
-from gridtrack.trackers.model_free.rasterise import draw, splat
+from gridtrack.trackers.model_free.dwell import staying
+from gridtrack.trackers.model_free.rasterise import draw, draw_points, splat
 from gridtrack.trackers.model_free.tracks import Status, Track
 
 Array = NDArray[np.float64]
 
 
 def appearance(
-    track: Track, steps: int, grid: GridSpec, period_s: float, dwell_s: float, return_noise_m: float
+    track: Track, steps: int, grid: GridSpec, dwell: NDArray[np.float32], return_noise_m: float
 ) -> NDArray[np.float32]:
     """What the track's object, if it exists, shows at steps 0..steps: P(occupied) (steps+1, M, M) float32.
 
-    Two alternatives for its returns. They are still where they were last seen, since feet stand for `dwell_s` while
-    the body moves on, and how long they have stood is not known: the chance falls linearly. Or they have moved on with
-    the object, and look as its points have of late. The first blurs by `return_noise_m`, the second by the
-    uncertainty of the predicted position.
+    Two alternatives for its returns. They are still where they were last seen, as the life table `dwell` expects of
+    their age, blurred by `return_noise_m`. Or they have moved on with the object and look as its points have of late,
+    blurred by the uncertainty of the predicted position.
     """
     image = np.zeros((steps + 1, *grid.shape), np.float32)
-    elapsed_s = (np.arange(steps + 1) + track.unseen) * period_s
-    staying = np.maximum(0.0, 1.0 - elapsed_s / dwell_s)
-    if staying[0] > 0.0:
-        place = track.returns[0]  # on the others' lattice, where they are centres of cells: splat is then exact
-        standing = splat(track.returns - place, np.ones(len(track.returns)), grid.cell_m)
-        spread = np.full((steps + 1, 2), return_noise_m / grid.cell_m)
-        draw(image, standing, _in_cells(np.tile(place, (steps + 1, 1)), grid), spread, staying)
+    still = staying(dwell, track.ages, track.unseen, steps)
+    draw_points(image, _in_cells(track.returns, grid), return_noise_m / grid.cell_m, still)
     means, covariances = track.estimator.ahead(steps)
     spread = np.sqrt(np.diagonal(covariances, axis1=1, axis2=2)[:, :2]) / grid.cell_m
-    moving = splat(track.shape.offsets, track.shape.weights, grid.cell_m)
-    draw(image, moving, _in_cells(means[:, :2], grid), spread, 1.0 - staying)
+    patch = splat(track.shape.offsets, track.shape.weights, grid.cell_m)
+    draw(image, patch, _in_cells(means[:, :2], grid), spread, 1.0 - still.mean(axis=0))
     return image
 
 

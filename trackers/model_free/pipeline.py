@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from gridtrack.common.grid import GridFrame, GridSpec, Mask
 from gridtrack.trackers.model_free.association import assign, share_out, squared_mahalanobis
 from gridtrack.trackers.model_free.background import explained_cells, without_foreseen
+from gridtrack.trackers.model_free.dwell import NOT_OCCUPIED, next_ages
 from gridtrack.trackers.model_free.estimation import ConstantVelocityKalman, MotionNoise
 from gridtrack.trackers.model_free.forecast import appearance, share_in_view
 from gridtrack.trackers.model_free.rasterise import noisy_or
@@ -23,13 +24,19 @@ Array = NDArray[np.float64]
 class Pipeline:
     """Tracks of what moves before a static background, and their forecast.
 
-    `background` (M, M) float32, P(occupied | visible). Positions are in metres in the grid frame, which must not move.
+    `background` (M, M) float32 is P(occupied | visible), `dwell` (A, S) float32 the life table of returns in place.
+    Positions are in metres in the grid frame, which must not move.
     """
 
     def __init__(
-        self, grid: GridSpec, period_s: float, background: NDArray[np.float32], settings: PipelineSettings
+        self,
+        grid: GridSpec,
+        period_s: float,
+        background: NDArray[np.float32],
+        dwell: NDArray[np.float32],
+        settings: PipelineSettings,
     ) -> None:
-        self.grid, self.period_s, self.settings = grid, period_s, settings
+        self.grid, self.period_s, self.dwell, self.settings = grid, period_s, dwell, settings
         self.explained = explained_cells(background, settings.explained_above)
         self.gate = -2.0 * math.log(1.0 - settings.gate_probability)  # chi-square quantile, two degrees of freedom
         self.survival = math.exp(-period_s / settings.life_s)
@@ -38,6 +45,7 @@ class Pipeline:
             settings.acceleration, settings.velocity_memory_s, settings.position_noise_m, settings.initial_speed
         )
         self.unforeseen = without_foreseen(background, settings.explained_above, settings.unforeseen_share)
+        self.ages = np.full(grid.shape, NOT_OCCUPIED)
         self.tracks: list[Track] = []
         self.frame: GridFrame | None = None
         self.born = 0
@@ -45,6 +53,7 @@ class Pipeline:
     def update(self, frame: GridFrame) -> None:
         """Take in one frame: the stages in their order."""
         points, ranges = self._unexplained(frame)
+        self.ages = next_ages(self.ages, frame.occupied & ~self.explained, oldest=len(self.dwell) - 1)
         clusters = segment(points, ranges, self.settings.link_m, self.settings.link_per_m)
         self._predict()
         shares, left = self._associate(clusters)
@@ -82,7 +91,7 @@ class Pipeline:
         for number, cluster in shares.items():
             track = self.tracks[number]
             track.estimator.update(cluster.centre)
-            track.returns = cluster.points
+            track.returns, track.ages = cluster.points, self._ages_of(cluster)
             track.shape.extend(cluster.points - track.position, self.shape_keep)
 
     def _judge(self, shares: dict[int, Cluster], visible: Mask) -> None:
@@ -106,7 +115,9 @@ class Pipeline:
         for cluster in clusters:
             estimator = ConstantVelocityKalman(cluster.centre, self.period_s, self.noise)
             shape = Shape.of(cluster.points - cluster.centre)
-            self.tracks.append(Track(self.born, estimator, shape, cluster.points, self.settings.birth_probability))
+            existence = self.settings.birth_probability
+            ages = self._ages_of(cluster)
+            self.tracks.append(Track(self.born, estimator, shape, cluster.points, ages, existence))
             self.born += 1
 
     def forecast(self, steps: int) -> NDArray[np.float32]:
@@ -118,6 +129,10 @@ class Pipeline:
             occupancy[0] = np.where(self.frame.visible, self.frame.occupied, occupancy[0])
         return occupancy
 
+    def _ages_of(self, cluster: Cluster) -> NDArray[np.int64]:
+        """For how many frames each return of the cluster (N,) has been in place."""
+        cells, _ = self.grid.cells_of(cluster.points)
+        return self.ages[cells[:, 0], cells[:, 1]]
+
     def _appearance(self, track: Track, steps: int) -> NDArray[np.float32]:
-        settings = self.settings
-        return appearance(track, steps, self.grid, self.period_s, settings.dwell_s, settings.return_noise_m)
+        return appearance(track, steps, self.grid, self.dwell, self.settings.return_noise_m)

@@ -41,12 +41,24 @@ def draw(image, patch, centres, deviations, weights):  # type: ignore[no-untyped
     """
     half = patch.shape[0] // 2
     for step in range(image.shape[0]):
-        if weights[step] <= 0.0:
-            continue
         row, row_blur = _blur_window(centres[step, 1], deviations[step, 1])
         column, column_blur = _blur_window(centres[step, 0], deviations[step, 0])
         blurred = _convolve_rows(_convolve_rows(patch, column_blur).T, row_blur * np.float32(weights[step])).T
         _add(image[step], blurred, row - half, column - half)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def draw_points(image, places, deviation, weights):  # type: ignore[no-untyped-def]
+    """Add to `image` (n+1, M, M) float32 points that stay at `places` (N, 2), x and y in cells, blurred alike.
+
+    `deviation` of the blur in cells; `weights` (N, n+1) probability that each point is there at each step.
+    """
+    for point in range(places.shape[0]):
+        row, row_blur = _blur_window(places[point, 1], deviation)
+        column, column_blur = _blur_window(places[point, 0], deviation)
+        mass = np.outer(row_blur, column_blur)
+        for step in range(image.shape[0]):
+            _add(image[step], mass * weights[point, step], row, column)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")

@@ -56,8 +56,6 @@ class PipelineSettings(Settings):
     # Shape and forecast
     shape_memory_s: float = Field(0.8, gt=0, le=60)
     """How long a track's points count: about half a stride, so that both legs are in the shape."""
-    dwell_s: float = Field(0.8, gt=0, le=60)
-    """How long a return stays where it is while its object moves on: a foot's stance; near 0 for rigid objects."""
     unforeseen_share: float = Field(0.3, ge=0, le=1)
     """The share of the past traffic through open cells that no track will have announced."""
     return_noise_m: float = Field(0.05, gt=0, le=10)

@@ -9,6 +9,7 @@ from gridtrack.common.config import Settings, validated
 from gridtrack.common.errors import ConfigurationError, WeightsError
 from gridtrack.common.grid import GridFrame
 from gridtrack.trackers.contract import FitOutput, Forecast, FrameSource, Score, StreamSpec, Tracker
+from gridtrack.trackers.model_free.dwell import table_shape
 from gridtrack.trackers.model_free.forecast import objects
 from gridtrack.trackers.model_free.pipeline import Pipeline
 from gridtrack.trackers.model_free.settings import NAME, PipelineSettings
@@ -18,8 +19,8 @@ from gridtrack.trackers.weights import Weights, array, load_weights
 class KalmanTracker(Tracker):
     """Clusters before a fitted background, each followed by a Kalman filter with nearly constant velocity.
 
-    Its weights are the background map and the tuned settings; an option that is given goes before the tuned one.
-    The forecast's `objects` are the confirmed tracks; their heading is the direction of motion.
+    Its weights are the background map, the life table of returns and the tuned settings; an option that is given goes
+    before the tuned one. The forecast's `objects` are the confirmed tracks; their heading is the direction of motion.
     """
 
     Options: ClassVar[type[Settings]] = PipelineSettings
@@ -31,11 +32,13 @@ class KalmanTracker(Tracker):
         weights = load_weights(stream, NAME)
         self._settings = _settings(weights, options)
         self._background = array(weights, "background", stream.grid.shape)
+        self._dwell = array(weights, "dwell", table_shape(stream.period_s))
         self.reset(seed=0)
 
     def reset(self, seed: int) -> None:
         """Forget every track; nothing here is random."""
-        self._pipeline = Pipeline(self.stream.grid, self.stream.period_s, self._background, self._settings)
+        stream = self.stream
+        self._pipeline = Pipeline(stream.grid, stream.period_s, self._background, self._dwell, self._settings)
 
     def update(self, frame: GridFrame) -> None:
         """Take in x_t."""

@@ -57,6 +57,8 @@ class Track:
     shape: Shape
     returns: Array
     """Its newest returns (N, 2), metres, grid frame, seen `unseen` frames ago."""
+    ages: NDArray[np.int64]
+    """For how many frames each return (N,) had then been in place."""
     existence: float
     confirmed: bool = False
     unseen: int = 0

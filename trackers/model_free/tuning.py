@@ -1,4 +1,4 @@
-"""Tuning: the background map from the training recordings, then a seeded search of the pipeline's settings on them."""
+"""Tuning: background and life table counted on the training recordings, and a seeded search of the settings."""
 
 from __future__ import annotations
 
@@ -7,9 +7,11 @@ from typing import Any
 
 import numpy as np
 import optuna
+from numpy.typing import NDArray
 
 from gridtrack.trackers.contract import FitOutput, FrameSource, Score, StretchScore, Tracker, stream_of
-from gridtrack.trackers.model_free.background import fit_background
+from gridtrack.trackers.model_free.background import explained_cells, fit_background
+from gridtrack.trackers.model_free.dwell import fit_dwell, table_shape
 from gridtrack.trackers.model_free.settings import NAME, PipelineSettings
 from gridtrack.trackers.weights import card_for, save_weights
 
@@ -24,7 +26,6 @@ RANGES = {
     "position_noise_m": (0.03, 0.5),
     "reach_m": (0.2, 3.0),
     "life_s": (2.0, 60.0),
-    "dwell_s": (0.02, 3.0),
     "return_noise_m": (0.02, 0.2),
     "unforeseen_share": (0.02, 1.0),
 }
@@ -39,16 +40,16 @@ def fit_pipeline(
     out: FitOutput,
     options: PipelineSettings,
 ) -> None:
-    """Write to `out.path` the background map and the settings with the least loss on the training recordings.
+    """Write to `out.path` the arrays that are counted and the settings with the least loss on the training recordings.
 
     A setting given in `options` stays as given. `validation` is scored with the result, and reported only. The search
     minimises log loss, a proper score: F1 at one threshold for walls and walkers alike does not see a forecast that is
     rightly unsure where a walker will be. Raises WeightsError where the recordings differ in grid, period or site.
     """
     given = options.model_dump(exclude_unset=True)
-    background = fit_background((frame for source in train for frame in source), train[0].grid.shape)
-    draft = out.log_dir / f"{NAME}-background.toml"
-    save_weights(draft, card_for(NAME, out, train, validation, {}), {"background": background})
+    arrays = fit_arrays(train, options)
+    draft = out.log_dir / f"{NAME}-arrays.toml"
+    save_weights(draft, card_for(NAME, out, train, validation, {}), arrays)
 
     def scores(settings: PipelineSettings, sources: Sequence[FrameSource]) -> list[StretchScore]:
         return [
@@ -66,7 +67,14 @@ def fit_pipeline(
     }
     out.report(f"{NAME}: {results}")
     card = card_for(NAME, out, train, validation, settings.model_dump(), results)
-    save_weights(out.path, card, {"background": background})
+    save_weights(out.path, card, arrays)
+
+
+def fit_arrays(train: Sequence[FrameSource], options: PipelineSettings) -> dict[str, NDArray[np.float32]]:
+    """What is counted and not tuned: the background map, and the life table of the returns in front of it."""
+    background = fit_background((frame for source in train for frame in source), train[0].grid.shape)
+    open_cells = ~explained_cells(background, options.explained_above)
+    return {"background": background, "dwell": fit_dwell(train, open_cells, table_shape(train[0].period_s))}
 
 
 def search(

@@ -1,0 +1,82 @@
+"""Dwell: for how much longer a return that has stayed in place will stay, as a life table fitted to the place.
+
+A walker's returns do not glide along with the body: a foot stands for a good half second and then swings past the
+other, and who has stood for three seconds will mostly stand on. Of cars, the table says that they glide or wait.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gridtrack.common.grid import GridFrame, Mask
+
+Ages = NDArray[np.int64]
+
+SPAN_S = 3.0
+"""How far the table reaches, in age and in time ahead; the oldest stand for all that are older."""
+NOT_OCCUPIED = -1
+"""Age of a cell that is not occupied."""
+PRIOR_RETURNS = 10.0
+"""Weight of "it will be gone" against what was counted, in returns."""
+
+
+def table_shape(period_s: float) -> tuple[int, int]:
+    """Ages and steps of the life table: 0..SPAN_S each, in frames."""
+    span = max(1, round(SPAN_S / period_s))
+    return span + 1, span + 1
+
+
+def next_ages(ages: Ages, occupied: Mask, oldest: int) -> Ages:
+    """For how many frames each occupied cell (M, M), or one beside it, has been occupied: at most `oldest`.
+
+    `ages` (M, M) are those of the frame before; NOT_OCCUPIED where there is none.
+    """
+    return np.where(occupied, np.minimum(_largest_near(ages) + 1, oldest), NOT_OCCUPIED)
+
+
+def fit_dwell(
+    stretches: Iterable[Iterable[GridFrame]], open_cells: Mask, shape: tuple[int, int]
+) -> NDArray[np.float32]:
+    """Life table `shape` (A, S) float32: P(a return is still there after s steps | it has been there for a frames).
+
+    Counted over the returns in `open_cells` (M, M), where their cell is visible s steps later; "there" is the cell or
+    one of its eight neighbours. It never rises with s.
+    """
+    oldest = shape[0] - 1
+    at_risk, stayed = np.full(shape, PRIOR_RETURNS), np.zeros(shape)
+    for frames in stretches:
+        past: deque[Ages] = deque(maxlen=shape[1])
+        for frame in frames:
+            occupied = frame.occupied & open_cells
+            before = past[0] if past else np.full(occupied.shape, NOT_OCCUPIED)
+            past.appendleft(next_ages(before, occupied, oldest))
+            near = _largest_near(occupied.astype(np.int64)) > 0
+            for step, ages in enumerate(past):
+                counted = (ages != NOT_OCCUPIED) & frame.visible
+                at_risk[:, step] += np.bincount(ages[counted], minlength=oldest + 1)
+                stayed[:, step] += np.bincount(ages[counted & near], minlength=oldest + 1)
+    return np.minimum.accumulate(stayed / at_risk, axis=1).astype(np.float32)
+
+
+def staying(table: NDArray[np.float32], ages: NDArray[np.int64], unseen: int, steps: int) -> NDArray[np.float32]:
+    """P(each return is where it was last seen, `unseen` frames ago) at steps 0..steps: (N, steps+1) for `ages` (N,).
+
+    Beyond the table its last column holds.
+    """
+    ahead = np.minimum(np.arange(steps + 1) + unseen, table.shape[1] - 1)
+    return np.asarray(table[np.minimum(ages, table.shape[0] - 1)][:, ahead])
+
+
+def _largest_near(values: Ages) -> Ages:
+    """The largest value in the 3 x 3 cells about each cell (M, M)."""
+    rows = values.copy()
+    rows[1:] = np.maximum(rows[1:], values[:-1])
+    rows[:-1] = np.maximum(rows[:-1], values[1:])
+    largest = rows.copy()
+    largest[:, 1:] = np.maximum(largest[:, 1:], rows[:, :-1])
+    largest[:, :-1] = np.maximum(largest[:, :-1], rows[:, 1:])
+    return largest
