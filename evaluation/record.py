@@ -31,12 +31,17 @@ class ThresholdsUsed(Settings):
 
 
 class Times(Settings):
-    """Where a trial's time went, seconds: the tracker's own, and `wall_s` from first to last frame, both passes."""
+    """Where a trial's time went, in seconds, over both stretches.
+
+    The tracker's own in `update` and `predict`, by its clock; `start_s` until it was ready; `wall_s` from the first of
+    the `frames` delivered to the last, the tracker's own time included.
+    """
 
     start_s: float = 0.0
     update_s: float = 0.0
     predict_s: float = 0.0
     wall_s: float = 0.0
+    frames: int = 0
 
 
 class Quantiles(Settings):

@@ -134,6 +134,7 @@ class TrialRun:
                     update_s=timings.update.total_ms / 1000,
                     predict_s=timings.predict.total_ms / 1000,
                     wall_s=self._wall_s,
+                    frames=len(timings.update),
                 ),
                 "peak_rss_mb": self._process.peak_rss_mb,
             }

@@ -1,0 +1,105 @@
+"""What the harness costs beside the trackers: time a frame, time over the demo set, memory by a recording's length.
+
+Run it by itself: `python benchmarks/harness.py [TRACKER...]`. Aims: 5 ms a frame beside the tracker's own time,
+printed for `blank`; 1.1 x the trackers' own time over the set (every tracker that has weights, or those named);
+and the same memory for a recording ten times as long.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import resource
+import sys
+import tempfile
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from gridtrack.common.recordings import open_recording, packaged_recording, write_native
+from gridtrack.common.scan import Scan
+from gridtrack.evaluation.plan import CompareSettings, resolve
+from gridtrack.evaluation.record import TrialRecord
+from gridtrack.evaluation.runner import run
+
+DEMO = packaged_recording("leg_tracker")
+LOOPS = 10
+
+
+class Quiet:
+    """A progress that shows nothing."""
+
+    def note(self, text: str) -> None:
+        """Not shown."""
+
+    def started(self, trial: str, frames: int) -> None:
+        """Not shown."""
+
+    def advanced(self, trial: str) -> None:
+        """Not shown."""
+
+    def ended(self, trial: str, record: TrialRecord) -> None:
+        """Not shown."""
+
+
+def compare(recording: str, trackers: Sequence[str]) -> dict[str, Any]:
+    """The summary of a run, one trial at a time."""
+    with tempfile.TemporaryDirectory() as folder:
+        settings = CompareSettings(recordings=(recording,), trackers=tuple(trackers), out=Path(folder), jobs=1)
+        return run(resolve(settings), (), Quiet())
+
+
+def looped(times: int) -> Iterator[Scan]:
+    """The demo's scans, over and over."""
+    recording = open_recording(DEMO)
+    length_ns = recording.survey.last_ns - recording.survey.first_ns + 100_000_000
+    for loop in range(times):
+        for scan in recording.scans():
+            yield replace(scan, stamp_ns=scan.stamp_ns + loop * length_ns)
+
+
+def peak_memory_mb(recording: str) -> float:
+    """Peak memory of a process that runs `blank` over the whole recording."""
+    with multiprocessing.get_context("spawn").Pool(1) as pool:
+        return pool.apply(_run_and_measure, (recording,))
+
+
+def _run_and_measure(recording: str) -> float:
+    compare(recording, ("blank",))
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+
+
+def print_times(trackers: Sequence[str]) -> None:
+    summary = compare(str(DEMO), trackers)
+    own_total = wall_total = 0.0
+    for label, entry in summary["trackers"].items():
+        for trial in entry["recordings"].values():
+            if trial["outcome"] != "ok":
+                print(f"{label:20} {trial['outcome']}")
+                continue
+            times, frames = trial["times"], trial["times"]["frames"]
+            own = times["update_s"] + times["predict_s"]
+            own_total, wall_total = own_total + own, wall_total + times["wall_s"]
+            beside_ms = 1e3 * (times["wall_s"] - own) / frames
+            print(
+                f"{label:20} {own:8.2f} s own, {times['wall_s']:8.2f} s in all, {beside_ms:5.2f} ms a frame beside it"
+            )
+    print(f"{'together':20} {own_total:8.2f} s own, {wall_total:8.2f} s in all: {wall_total / own_total:.2f} x")
+
+
+def print_memory() -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "looped.mcap"
+        with path.open("wb") as file:
+            write_native(file, open_recording(DEMO).info.model_copy(update={"stretches": {}}), looped(LOOPS))
+        once, often = peak_memory_mb(f"{DEMO}@0s-126s"), peak_memory_mb(str(path))
+    print(f"peak memory of the referee: {once:.0f} MiB for the demo, {often:.0f} MiB for one {LOOPS} times as long")
+
+
+def main() -> None:
+    print_times(sys.argv[1:])
+    print_memory()
+
+
+if __name__ == "__main__":
+    main()
