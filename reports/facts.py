@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from gridtrack.reports.run import Run
-from gridtrack.reports.table import DETAIL_HORIZON_S, Cell, HeadlineTable, Row
+from gridtrack.reports.table import Cell, HeadlineTable, Row
 
 MAX_LINES = 2000
 """Of provenance; what is beyond is counted, and stands in run.json."""
@@ -35,25 +35,22 @@ def title_of(runs: Sequence[Run]) -> str:
 
 def lead_of(table: HeadlineTable) -> str:
     """The finding in a sentence: the best tracker on moving cells against the best of the floor; empty without one."""
-    at = next((i for i, c in enumerate(table.columns) if _decides(c.stratum, c.heading)), None)
-    if at is None or not table.comparable:
+    if not table.comparable:
         return ""
+    at = table.columns.index(table.decisive)
     best, floor = (_best(table.standing(standing), at) for standing in ("ranked", "floor"))
-    heading = table.columns[at].heading
+    heading = table.decisive.heading
     if best is None:
         return f"No tracker finished on {table.recording}."
+    if floor is not None and _value(best[1]) <= _value(floor[1]):
+        return (
+            f"No tracker beats the floor on moving cells {heading} ahead: {floor[0].name} has an F1 of {floor[1].text},"
+            f" the best tracker, {best[0].name}, {best[1].text}."
+        )
     lead = f"{best[0].name} forecasts moving cells {heading} ahead best, with an F1 of {best[1].text}"
     if floor is None:
         return lead + "; no floor was run with it."
-    beaten = _value(best[1]) > _value(floor[1])
-    return (
-        f"{lead}; the best of the floor, {floor[0].name}, has {floor[1].text}"
-        f"{'' if beaten else ': no tracker beats it'}."
-    )
-
-
-def _decides(stratum: str, heading: str) -> bool:
-    return stratum == "moving" and heading == f"{DETAIL_HORIZON_S:.3g} s"
+    return f"{lead}; the best of the floor, {floor[0].name}, has {floor[1].text}."
 
 
 def _best(rows: Sequence[Row], at: int) -> tuple[Row, Cell] | None:
@@ -71,10 +68,12 @@ def facts_of(run: Run) -> tuple[Fact, ...]:
     command = run.provenance.get("command")
     if command:
         facts.append(Fact("command", shlex.join(map(str, command)) if isinstance(command, list) else str(command)))
-    for name, separator in (("machine", ", "), ("versions", " · ")):
-        described = run.provenance.get(name)
-        if isinstance(described, Mapping):
-            facts.append(Fact(name, separator.join(f"{key} {value}" for key, value in described.items())))
+    machine, versions = (run.provenance.get(name) for name in ("machine", "versions"))
+    if isinstance(machine, Mapping):
+        units = {"cores": " cores", "memory_gb": " GB memory"}
+        facts.append(Fact("machine", ", ".join(f"{value}{units.get(key, '')}" for key, value in machine.items())))
+    if isinstance(versions, Mapping):
+        facts.append(Fact("versions", ", ".join(f"{name} {version}" for name, version in versions.items())))
     return tuple(facts)
 
 
@@ -83,8 +82,10 @@ def _recording(run: Run, name: str) -> str:
     parts = (
         recording.stretch,
         f"site {recording.site}" if recording.site else "",
-        f"{recording.frames} frames at {1 / recording.period_s:.3g} Hz, the first {recording.warm_up_frames} to warm up",
-        f"a forecast at every {recording.forecast_every_frames}th, {recording.horizons_s[-1]:.3g} s ahead",
+        f"{recording.frames} frames at {1 / recording.period_s:.3g} Hz",
+        f"the first {recording.warm_up_frames} to warm up",
+        f"forecasts {recording.horizons_s[-1]:.3g} s ahead"
+        + (f" at every {n} frames" if (n := recording.forecast_every_frames) > 1 else " at every frame"),
         f"grid {recording.grid}",
         f"thresholds chosen on {recording.validation}" if recording.validation else "thresholds 0.5, chosen on nothing",
     )

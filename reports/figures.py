@@ -11,6 +11,7 @@ from gridtrack.reports.run import UNDEFINED, Curve, Quantiles
 
 ROW_HEIGHT = 17.0
 """Of one line of text in a figure."""
+SHORTEST_MS = 0.01
 
 
 @dataclass(frozen=True)
@@ -82,7 +83,9 @@ class CurvePanel:
     @property
     def words(self) -> str:
         """The panel in words: where each curve ends."""
-        ends = [f"{series.name} {UNDEFINED if (v := curve[-1]) is None else f'{v:.3f}'}" for series, curve in self.curves]
+        ends = [
+            f"{series.name} {UNDEFINED if (v := curve[-1]) is None else f'{v:.3f}'}" for series, curve in self.curves
+        ]
         return f"F1 of {self.title} cells over the horizon; at {self.horizons_s[-1]:g} s: {', '.join(ends)}"
 
 
@@ -105,7 +108,17 @@ def curve_panel(
     readings = tuple(_reading(step, horizons_s, curves, x, y) for step in range(len(horizons_s)))
     x_ticks = tuple(0.5 * i for i in range(int(horizons_s[-1] / 0.5 + 1e-6) + 1))
     return CurvePanel(
-        title, tuple(horizons_s), tuple(curves), width, height, x, y, x_ticks, (0.0, 0.2, 0.4, 0.6, 0.8, 1.0), lines, readings
+        title,
+        tuple(horizons_s),
+        tuple(curves),
+        width,
+        height,
+        x,
+        y,
+        x_ticks,
+        (0.0, 0.2, 0.4, 0.6, 0.8, 1.0),
+        lines,
+        readings,
     )
 
 
@@ -155,13 +168,15 @@ def _reading(
     at = x(horizons_s[step])
     pitch = (x.end - x.start) / max(len(horizons_s) - 1, 1)
     values = sorted(
-        ((value, series) for series, curve in curves if (value := curve[step]) is not None), key=lambda pair: -pair[0]
+        ((value, series) for series, curve in reversed(curves) if (value := curve[step]) is not None),
+        key=lambda pair: -pair[0],
     )
     width, height = 168.0, ROW_HEIGHT * (len(values) + 1) + 12.0
     left = at + 12.0 if at + 12.0 + width < x.end else at - 12.0 - width
     top = y.end + 2.0
     rows = tuple(
-        (series, f"{value:.3f}", round(top + ROW_HEIGHT * (i + 2), 1), y(value)) for i, (value, series) in enumerate(values)
+        (series, f"{value:.3f}", round(top + ROW_HEIGHT * (i + 2), 1), y(value))
+        for i, (value, series) in enumerate(values)
     )
     heading = f"{horizons_s[step]:.3g} s, step {step}" + (": copying, not ranked" if step == 0 else "")
     return Reading(at, round(at - pitch / 2, 2), round(pitch, 2), heading, (round(left, 1), top, width, height), rows)
@@ -192,10 +207,10 @@ class TimeScale:
 
 
 def time_scale(times_ms: Sequence[float], period_ms: float, width: float) -> TimeScale:
-    """Whole decades that hold all of `times_ms` and the period."""
-    known = [period_ms, *(t for t in times_ms if t > 0)]
+    """Whole decades that hold all of `times_ms` and the period; what is shorter than SHORTEST_MS stands at the edge."""
+    known = [period_ms, *(max(t, SHORTEST_MS) for t in times_ms)]
     low = math.floor(math.log10(min(known)))
     high = max(math.ceil(math.log10(max(known))), low + 1)
     axis = Axis(10.0**low, 10.0**high, 6.0, width - 6.0, logarithmic=True)
-    ticks = tuple((axis(10.0**k), f"{10.0**k:g}") for k in range(low, high + 1))
+    ticks = tuple((axis(10.0**k), f"{10.0**k:g}" if (high - k) % 2 == 0 else "") for k in range(low, high + 1))
     return TimeScale(axis, ticks, axis(period_ms))

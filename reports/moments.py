@@ -72,7 +72,8 @@ def choose_moments(
     if rest and len(trackers) > 1:
         spread = {s: _spread([scored[name][s].f1 for name in trackers]) for s in rest}
         apart = max(rest, key=lambda s: (spread[s], -s))
-        chosen[apart] = f"where trackers differ most: moving F1 {spread[apart]:.2f} apart"
+        if spread[apart] >= 0.01:
+            chosen[apart] = f"where trackers differ most: moving F1 {spread[apart]:.2f} apart"
     return tuple(ChosenMoment(stamp, chosen[stamp]) for stamp in sorted(chosen))
 
 

@@ -36,7 +36,9 @@ def _of_runs(runs: Sequence[Run]) -> Iterator[Notice]:
 def _of_parity(tables: Sequence[HeadlineTable]) -> Iterator[Notice]:
     for table in tables:
         if not table.comparable:
-            yield Notice(f"{table.recording}: not all rows are of the same frames, so none is marked best", serious=True)
+            yield Notice(
+                f"{table.recording}: not all rows are of the same frames, so none is marked best", serious=True
+            )
 
 
 def _of_trials(tables: Sequence[HeadlineTable]) -> Iterator[Notice]:

@@ -40,23 +40,31 @@ def render_page(runs: Sequence[Run]) -> str:
     styles = styles_of(runs)
     sections, unreadable = zip(*(section_of(runs, table, styles) for table in tables), strict=True)
     css = (TEMPLATES / "page.css").read_text("utf-8")
-    return _environment().get_template("page.html.j2").render(
-        title=title_of(runs),
-        leads=[lead_of(table) for table in tables] if len(runs) == 1 else [],
-        runs=[(run, facts_of(run), provenance_of(run)) for run in runs],
-        notices=[Notice(text, serious=True) for texts in unreadable for text in texts] + notices_of(runs, tables),
-        sections=sections,
-        styles=styles,
-        scale=scale_png(),
-        css=Markup(css),  # our own file, not a name from a run
-        css_hash=base64.b64encode(hashlib.sha256(css.encode()).digest()).decode(),
+    return (
+        _environment()
+        .get_template("page.html.j2")
+        .render(
+            title=title_of(runs),
+            leads=[lead_of(table) for table in tables] if len(runs) == 1 else [],
+            runs=[(run, facts_of(run), provenance_of(run)) for run in runs],
+            notices=[Notice(text, serious=True) for texts in unreadable for text in texts] + notices_of(runs, tables),
+            sections=sections,
+            styles=styles,
+            scale=scale_png(),
+            css=Markup(css),  # our own file, not a name from a run
+            css_hash=base64.b64encode(hashlib.sha256(css.encode()).digest()).decode(),
+        )
     )
 
 
 def _environment() -> Environment:
     """Templates with every value escaped: names and reasons in a run's folder may be anything."""
     environment = Environment(
-        loader=FileSystemLoader(TEMPLATES), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
+        loader=FileSystemLoader(TEMPLATES),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
     )
     environment.filters["score"] = _score
     environment.filters["ms"] = _milliseconds
@@ -68,7 +76,10 @@ def _score(value: float | None, digits: int = 3) -> str:
 
 
 def _milliseconds(value: float | None) -> str:
-    """Three digits that count, and no exponent."""
+    """Two or three digits that count, and no exponent."""
     if value is None:
         return UNDEFINED
-    return f"{value:.0f}" if value >= 99.5 else f"{value:.1f}" if value >= 9.95 else f"{value:.2f}"
+    if value < 0.001:
+        return "<0.001"
+    digits = 0 if value >= 99.5 else 1 if value >= 9.95 else 2 if value >= 0.0995 else 3
+    return f"{value:.{digits}f}"

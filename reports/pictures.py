@@ -21,8 +21,8 @@ UNOBSERVED_RGB = (198, 200, 204)
 # White (certainly free) to near black (certainly occupied) by way of yellow, red and violet, as OKLCH: equal steps of
 # probability are equal steps of lightness, and the hue keeps a middling probability apart from the neutral grey.
 _LIGHTNESS = (1.0, 0.18)
-_CHROMA = ((0.0, 0.25, 0.55, 0.8, 1.0), (0.0, 0.09, 0.16, 0.12, 0.04))
-_HUE_DEG = ((0.0, 0.25, 0.55, 0.8, 1.0), (90.0, 68.0, 22.0, -20.0, -60.0))
+_CHROMA = ((0.0, 0.1, 0.3, 0.55, 0.8, 1.0), (0.0, 0.085, 0.15, 0.17, 0.12, 0.04))
+_HUE_DEG = ((0.0, 0.1, 0.3, 0.55, 0.8, 1.0), (90.0, 84.0, 60.0, 22.0, -20.0, -60.0))
 
 
 def probability_png(probability: NDArray[np.float32]) -> str:
@@ -68,7 +68,9 @@ def palette() -> NDArray[np.uint8]:
 
 def _srgb_of_oklab(lab: NDArray[np.float64]) -> NDArray[np.uint8]:
     """OKLab (N, 3) to sRGB (N, 3) (Ottosson 2020, "A perceptual color space for image processing")."""
-    to_lms = np.array([[1, 0.3963377774, 0.2158037573], [1, -0.1055613458, -0.0638541728], [1, -0.0894841775, -1.291485548]])
+    to_lms = np.array(
+        [[1, 0.3963377774, 0.2158037573], [1, -0.1055613458, -0.0638541728], [1, -0.0894841775, -1.291485548]]
+    )
     to_linear = np.array(
         [
             [4.0767416621, -3.3077115913, 0.2309699292],

@@ -130,11 +130,6 @@ class Recording(_Read):
         """Of the stream: one step."""
         return self.horizons_s[1] - self.horizons_s[0]
 
-    def step_at(self, horizon_s: float) -> int | None:
-        """The step nearest to `horizon_s`, or None where the run did not look that far."""
-        step = round(horizon_s / self.period_s)
-        return step if 0 < step < len(self.horizons_s) else None
-
 
 class Summary(_Read):
     """summary.json."""

@@ -8,14 +8,14 @@ from dataclasses import dataclass
 from gridtrack.reports.figures import Axis, CurvePanel, Series, Span, TimeScale, curve_panel, time_scale
 from gridtrack.reports.film import Film, film_of
 from gridtrack.reports.run import FLOOR, Latency, Run, StratumScores, Trial
-from gridtrack.reports.table import DETAIL_HORIZON_S, HeadlineTable, Row
+from gridtrack.reports.table import HeadlineTable, Row
 
 COLOURS = 8
 """Trackers beyond this many repeat the colours, with broken lines."""
 PANELS = (("moving", (740, 470), 140.0), ("visible", (370, 227), 0.0), ("static", (370, 227), 0.0))
 """Stratum, size and label width of the curves: the stratum to look at first is the largest."""
-TIME_WIDTH = 132.0
-MARK_WIDTH = 84.0
+TIME_WIDTH = 150.0
+MARK_WIDTH = 110.0
 MARKED_HORIZONS = 3
 
 
@@ -74,7 +74,7 @@ class Section:
 
 
 def styles_of(runs: Sequence[Run]) -> dict[str, str]:
-    """One style (CSS classes) for each label, the same on the whole page: a colour for a tracker, a grey for the floor."""
+    """One style (CSS classes) for each label on the whole page: a colour for a tracker, a grey for the floor."""
     styles: dict[str, str] = {}
     coloured = 0
     for run in runs:
@@ -89,9 +89,7 @@ def styles_of(runs: Sequence[Run]) -> dict[str, str]:
     return styles
 
 
-def section_of(
-    runs: Sequence[Run], table: HeadlineTable, styles: Mapping[str, str]
-) -> tuple[Section, tuple[str, ...]]:
+def section_of(runs: Sequence[Run], table: HeadlineTable, styles: Mapping[str, str]) -> tuple[Section, tuple[str, ...]]:
     """The section of one recording, and notices of files that could not be read. Raises ReportError."""
     shown = [run for run in runs if table.recording in run.summary.recordings]
     period_ms = shown[0].summary.recordings[table.recording].period_s * 1e3
@@ -130,7 +128,9 @@ def _panels(run: Run, table: HeadlineTable, styles: Mapping[str, str]) -> tuple[
         if table.recording in entry.recordings
     ]
     return tuple(
-        curve_panel(name, recording.horizons_s, [(s, t.strata[name].f1) for s, t in trials if name in t.strata], size, label)
+        curve_panel(
+            name, recording.horizons_s, [(s, t.strata[name].f1) for s, t in trials if name in t.strata], size, label
+        )
         for name, size, label in PANELS
         if any(name in trial.strata for _, trial in trials)
     )
@@ -166,9 +166,7 @@ def _time_row(row: Row, scale: TimeScale, period_ms: float) -> TimeRow:
     latency = row.trial.latency_ms
     if latency is None:
         return TimeRow(row, None, None, None, "not measured")
-    return TimeRow(
-        row, latency, scale.span(latency.update), scale.span(latency.predict), keeps_up(latency, period_ms)
-    )
+    return TimeRow(row, latency, scale.span(latency.update), scale.span(latency.predict), keeps_up(latency, period_ms))
 
 
 def keeps_up(latency: Latency, period_ms: float) -> str:
@@ -183,10 +181,9 @@ def keeps_up(latency: Latency, period_ms: float) -> str:
 
 def _film(runs: Sequence[Run], table: HeadlineTable) -> tuple[Film | None, tuple[str, ...]]:
     """The filmstrip, on the page of one run: side by side, each run's own page has it."""
-    run, recording = runs[0], table.recording
-    step = run.summary.recordings[recording].step_at(DETAIL_HORIZON_S) if len(runs) == 1 else None
-    if step is None:
+    if len(runs) > 1:
         return None, ()
-    folders = {row.label: run.trial_folder(row.label, recording) for row in table.rows}
-    horizon_s = run.summary.recordings[recording].horizons_s[step]
+    run, step = runs[0], table.decisive.step
+    folders = {row.label: run.trial_folder(row.label, table.recording) for row in table.rows}
+    horizon_s = run.summary.recordings[table.recording].horizons_s[step]
     return film_of(table, folders, step, horizon_s, len(run.summary.recordings))

@@ -1,4 +1,4 @@
-"""The headline table: one row per tracker, the scores that a comparison is read by; the page and the terminal share it."""
+"""The headline table, shared by page and terminal: one row per tracker, the scores a comparison is read by."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from itertools import groupby
 from typing import Literal
 
-from gridtrack.reports.run import UNDEFINED, Run, StratumScores, TrackerEntry, Trial
+from gridtrack.reports.run import UNDEFINED, ReportError, Run, StratumScores, TrackerEntry, Trial
 
 HORIZONS_S = (0.5, 1.0, 2.0, 2.5)
 """The horizons that F1 is shown at, as far as a run looks ahead."""
@@ -78,6 +78,8 @@ class HeadlineTable:
     recording: str
     columns: tuple[Column, ...]
     rows: tuple[Row, ...]
+    decisive: Column
+    """The column that rows are sorted by."""
     comparable: bool
     """Whether all rows are of the same frames: only then is a best one marked."""
 
@@ -99,7 +101,8 @@ def headline_tables(runs: Sequence[Run]) -> tuple[HeadlineTable, ...]:
 
 def _table(runs: Sequence[Run], recording: str) -> HeadlineTable:
     shown = [run for run in runs if recording in run.summary.recordings]
-    columns = tuple(_columns(shown, recording))
+    columns = tuple(_columns(_horizons_of_all(shown, recording)))
+    decisive = next(i for i, column in enumerate(columns) if column.step == columns[-1].step)
     rows = [
         _row(run.name if len(runs) > 1 else "", label, entry, entry.recordings[recording], columns)
         for run in shown
@@ -107,31 +110,52 @@ def _table(runs: Sequence[Run], recording: str) -> HeadlineTable:
         if recording in entry.recordings
     ]
     order = ("ranked", "floor", "apart")
-    rows.sort(key=lambda row: (order.index(row.standing), -_sort_value(row, columns)))
-    stretches = [run.summary.recordings[recording] for run in shown]
-    frames = [(stretch, run.identity_of(recording)) for stretch, run in zip(stretches, shown, strict=True)]
-    comparable = all(stretch.parity for stretch in stretches) and frames.count(frames[0]) == len(frames)
-    return HeadlineTable(recording, columns, tuple(_with_best(rows, columns) if comparable else rows), comparable)
+    rows.sort(key=lambda row: (order.index(row.standing), -_or_least(row.cells[decisive].value)))
+    comparable = _of_the_same_frames(shown, recording)
+    if comparable:
+        rows = list(_with_best(rows, columns))
+    return HeadlineTable(recording, columns, tuple(rows), columns[decisive], comparable)
 
 
-def _columns(runs: Sequence[Run], recording: str) -> Iterator[Column]:
-    """The columns that every one of the runs can fill: a step stands for the same horizon in each, or is left out."""
+def _horizons_of_all(runs: Sequence[Run], recording: str) -> tuple[float, ...]:
+    """The horizons that every run looks ahead to. Raises ReportError where their rates differ: steps are then not the
+    same times.
+    """
     stretches = [run.summary.recordings[recording] for run in runs]
+    for run, stretch in zip(runs, stretches, strict=True):
+        if abs(stretch.period_s - stretches[0].period_s) > 1e-6:
+            rates = f"{1 / stretches[0].period_s:.3g} and {1 / stretch.period_s:.3g} Hz"
+            raise ReportError(
+                f"{recording} runs at {rates} in {runs[0].name} and {run.name}: compare them again with one --rate"
+            )
+    return min((stretch.horizons_s for stretch in stretches), key=len)
+
+
+def _of_the_same_frames(runs: Sequence[Run], recording: str) -> bool:
+    described = [(run.summary.recordings[recording], run.identity_of(recording)) for run in runs]
+    return all(stretch.parity for stretch, _ in described) and described.count(described[0]) == len(described)
+
+
+def _columns(horizons_s: Sequence[float]) -> Iterator[Column]:
+    """F1 at the marked horizons (the last one where none of them is reached), and the other scores at one of them."""
+    period_s = horizons_s[1] - horizons_s[0]
+    marked = [round(h / period_s) for h in HORIZONS_S]
+    steps = sorted({step for step in marked if 0 < step < len(horizons_s)}) or [len(horizons_s) - 1]
     for stratum in ("moving", "visible"):
-        for horizon_s in HORIZONS_S:
-            steps = {stretch.step_at(horizon_s) for stretch in stretches}
-            step = steps.pop() if len(steps) == 1 else None
-            if step is not None:
-                heading = f"{stretches[0].horizons_s[step]:.3g} s"
-                yield Column(f"F1, {stratum}", heading, stratum, "f1", step)
-    steps = {stretch.step_at(DETAIL_HORIZON_S) for stretch in stretches}
-    step = steps.pop() if len(steps) == 1 else None
-    if step is not None:
-        group = f"moving, {stretches[0].horizons_s[step]:.3g} s"
-        yield Column(group, "precision", "moving", "precision", step, 0)
-        yield Column(group, "recall", "moving", "recall", step, 0)
-        yield Column(group, "log loss", "moving", "nll", step, -1)
-        yield Column(group, "Brier", "moving", "brier", step, -1)
+        for step in steps:
+            yield Column(f"F1, {stratum}", _heading(horizons_s[step]), stratum, "f1", step)
+    step = round(DETAIL_HORIZON_S / period_s)
+    step = step if step in steps else steps[0]
+    group = f"moving, {_heading(horizons_s[step])}"
+    yield Column(group, "precision", "moving", "precision", step, 0)
+    yield Column(group, "recall", "moving", "recall", step, 0)
+    yield Column(group, "PR-AUC", "moving", "pr_auc", step)
+    yield Column(group, "log loss", "moving", "nll", step, -1)
+    yield Column(group, "Brier", "moving", "brier", step, -1)
+
+
+def _heading(horizon_s: float) -> str:
+    return f"{horizon_s:.3g} s"
 
 
 def _row(run: str, label: str, entry: TrackerEntry, trial: Trial, columns: Sequence[Column]) -> Row:
@@ -139,10 +163,7 @@ def _row(run: str, label: str, entry: TrackerEntry, trial: Trial, columns: Seque
     return Row(run, label, entry, trial, standing, tuple(Cell(column.of(trial)) for column in columns))
 
 
-def _sort_value(row: Row, columns: Sequence[Column]) -> float:
-    """Moving F1 at the detail horizon, or at the first horizon where the run does not look that far."""
-    at = next((i for i, c in enumerate(columns) if c.heading == f"{DETAIL_HORIZON_S:.3g} s"), 0)
-    value = row.cells[at].value if columns else None
+def _or_least(value: float | None) -> float:
     return -1.0 if value is None else value
 
 

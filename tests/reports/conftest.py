@@ -1,9 +1,10 @@
-"""A run's folder as the referee leaves it, of a synthetic scene: a wall, a block that crosses, and the shadow behind it."""
+"""A run's folder as the referee leaves it, of a synthetic scene: a wall, a block that crosses, and its shadow."""
 
 import json
 
 import numpy as np
 import pytest
+
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec
 from gridtrack.evaluation.counting import count_forecast
@@ -114,7 +115,7 @@ def write_trial(run, label, forecast, scored=EXPECTED, outcome="ok", reason="", 
 def write_run(run, trackers=None, broken=(), notices=(), chosen_on="crossing@0s-15s"):
     """A whole run's folder; `broken` are (label, scored, outcome, reason) of trials that did not finish."""
     ended = []
-    for label, (tracker, forecast) in (trackers or TRACKERS).items():
+    for label, (tracker, forecast) in (TRACKERS if trackers is None else trackers).items():
         record, folder = write_trial(run, label, forecast, chosen_on=chosen_on)
         ended.append(Ended(record, folder, tracker, {}, ""))
     for label, scored, outcome, reason in broken:

@@ -1,0 +1,137 @@
+"""The headline table says what summary.json says, ranks complete trials only, and marks the best of them."""
+
+import json
+import shutil
+
+import pytest
+
+from gridtrack.reports.run import ReportError, read_runs
+from gridtrack.reports.table import as_markdown, headline_tables
+
+
+@pytest.fixture
+def table(run_folder):
+    (table,) = headline_tables(read_runs([run_folder]))
+    return table
+
+
+def rewritten(run_folder, target, change):
+    """A copy of the run with its summary changed by `change(summary)`."""
+    run = shutil.copytree(run_folder, target)
+    summary = json.loads((run / "summary.json").read_text())
+    change(summary)
+    (run / "summary.json").write_text(json.dumps(summary))
+    return run
+
+
+def test_every_number_is_the_one_of_the_summary_at_its_horizon(table, run_folder, summary_of):
+    summary = summary_of(run_folder)
+    horizons = summary["recordings"]["crossing"]["horizons_s"]
+    for row in table.rows:
+        strata = summary["trackers"][row.label]["recordings"]["crossing"]["strata"]
+        for column, cell in zip(table.columns, row.cells, strict=True):
+            seconds = column.heading if column.score == "f1" else column.group.partition(", ")[2]
+            step = horizons.index(float(seconds.removesuffix(" s")))
+            assert cell.value == strata[column.stratum][column.score][step]
+
+
+def test_columns_are_the_marked_horizons(table):
+    assert table.groups == (("F1, moving", 4), ("F1, visible", 4), ("moving, 1 s", 5))
+    assert [c.heading for c in table.columns[:4]] == ["0.5 s", "1 s", "2 s", "2.5 s"]
+
+
+def test_partial_trials_stand_apart_and_are_never_best(table):
+    assert [row.label for row in table.standing("ranked")] == ["good", "fair"]
+    assert [row.label for row in table.standing("floor")] == ["persistence", "blank"]
+    (apart,) = table.standing("apart")
+    assert (apart.label, apart.frames, apart.trial.outcome) == ("unlucky", "7 of 20", "crashed")
+    assert not any(cell.best for cell in apart.cells)
+
+
+def test_a_partial_trial_cannot_take_the_best_mark_by_scoring_higher(run_folder, tmp_path):
+    def raise_partial(summary):
+        moving = summary["trackers"]["unlucky"]["recordings"]["crossing"]["strata"]["moving"]
+        moving["f1"] = [1.0] * len(moving["f1"])
+        fair = summary["trackers"]["good"]["recordings"]["crossing"]["strata"]["moving"]
+        fair["f1"] = [0.9] * len(fair["f1"])
+
+    (table,) = headline_tables(read_runs([rewritten(run_folder, tmp_path / "run", raise_partial)]))
+    best = [row.label for row in table.rows if row.cells[2].best]
+    assert best == ["good"]
+
+
+def test_less_is_better_for_log_loss_and_precision_alone_is_not_ranked(table):
+    values = {column.heading: i for i, column in enumerate(table.columns)}
+    complete = [row for row in table.rows if row.standing != "apart"]
+    least = min(row.cells[values["log loss"]].value for row in complete)
+    assert {row.cells[values["log loss"]].value for row in complete if row.cells[values["log loss"]].best} == {least}
+    assert not any(row.cells[values["precision"]].best for row in complete)
+
+
+def test_an_undefined_score_is_a_dash(run_folder, tmp_path):
+    def undefine(summary):
+        moving = summary["trackers"]["fair"]["recordings"]["crossing"]["strata"]["moving"]
+        moving["f1"] = [None] * len(moving["f1"])
+
+    (table,) = headline_tables(read_runs([rewritten(run_folder, tmp_path / "run", undefine)]))
+    (fair,) = [row for row in table.rows if row.label == "fair"]
+    assert [cell.text for cell in fair.cells[:4]] == ["–"] * 4
+    assert not any(cell.best for cell in fair.cells[:4])
+
+
+def test_nothing_is_best_where_trackers_were_delivered_other_frames(run_folder, tmp_path):
+    def differ(summary):
+        summary["recordings"]["crossing"]["parity"] = False
+
+    (table,) = headline_tables(read_runs([rewritten(run_folder, tmp_path / "run", differ)]))
+    assert not table.comparable
+    assert not any(cell.best for row in table.rows for cell in row.cells)
+
+
+def test_a_run_of_a_short_horizon_is_shown_at_its_last_step(run_folder, tmp_path):
+    def cut(summary):
+        summary["recordings"]["crossing"]["horizons_s"] = [0.0, 0.125, 0.25]
+        for entry in summary["trackers"].values():
+            for scores in entry["recordings"]["crossing"]["strata"].values():
+                scores.update({k: v[:3] for k, v in scores.items() if isinstance(v, list)})
+
+    (table,) = headline_tables(read_runs([rewritten(run_folder, tmp_path / "run", cut)]))
+    assert [c.heading for c in table.columns if c.score == "f1"] == ["0.25 s", "0.25 s"]
+    assert table.decisive.step == 2
+
+
+def test_two_runs_share_a_table_and_each_row_names_its_run(run_folder, tmp_path):
+    other = shutil.copytree(run_folder, tmp_path / "other")
+    (table,) = headline_tables(read_runs([run_folder, other]))
+    assert table.comparable
+    assert {row.name for row in table.standing("ranked")} == {"demo: good", "demo: fair", "other: good", "other: fair"}
+
+
+def test_runs_of_another_input_are_not_ranked_against_each_other(run_folder, tmp_path):
+    other = shutil.copytree(run_folder, tmp_path / "other")
+    run_json = json.loads((other / "run.json").read_text())
+    run_json["configuration"] = {"recordings": {"crossing": {"sha256": "another"}}}
+    (other / "run.json").write_text(json.dumps(run_json))
+    (table,) = headline_tables(read_runs([run_folder, other]))
+    assert not table.comparable
+
+
+def test_runs_of_different_rates_are_refused_side_by_side(run_folder, tmp_path):
+    def slow(summary):
+        described = summary["recordings"]["crossing"]
+        described["horizons_s"] = [2 * h for h in described["horizons_s"]]
+
+    other = rewritten(run_folder, tmp_path / "other", slow)
+    with pytest.raises(ReportError, match="8 and 4 Hz"):
+        headline_tables(read_runs([run_folder, other]))
+
+
+def test_markdown_has_a_row_for_each_tracker_and_names_cannot_break_it(run_folder, tmp_path):
+    def rename(summary):
+        summary["trackers"]["a | b\n| c"] = summary["trackers"].pop("fair")
+
+    (table,) = headline_tables(read_runs([rewritten(run_folder, tmp_path / "run", rename)]))
+    lines = as_markdown(table).splitlines()
+    assert len(lines) == 2 + 5
+    assert len({line.replace("\\|", "").count("|") for line in lines}) == 1
+    assert any(line.startswith("| good | **1.000** |") for line in lines)

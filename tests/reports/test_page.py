@@ -1,0 +1,192 @@
+"""The page opens from disk, fetches nothing, runs nothing, escapes every name, and shows what the run holds."""
+
+import json
+import re
+import shutil
+from dataclasses import replace
+from html.parser import HTMLParser
+
+import pytest
+
+from gridtrack.common.grid import GridSpec
+from gridtrack.evaluation.samples import SAMPLES, read_samples
+from gridtrack.reports.page import render_report
+from gridtrack.reports.pictures import frame_png, probability_png
+from gridtrack.reports.run import ReportError
+
+HOSTILE = '<script>alert(1)</script><img src="https://example.org/x">"\' & {{ 7 * 7 }}'
+
+
+class Elements(HTMLParser):
+    """Every element of a page with its attributes, and all text."""
+
+    def __init__(self, page):
+        super().__init__()
+        self.elements, self.text, self.open = [], [], []
+        self.feed(page)
+
+    def handle_starttag(self, tag, attributes):
+        self.elements.append((tag, dict(attributes)))
+        self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        while self.open and self.open.pop() != tag:
+            pass
+
+    def handle_data(self, data):
+        if "style" not in self.open:
+            self.text.append(data)
+
+
+def page_of(*runs, out):
+    return render_report(runs, out).read_text("utf-8")
+
+
+@pytest.fixture(scope="session")
+def page(run_folder, tmp_path_factory):
+    return page_of(run_folder, out=tmp_path_factory.mktemp("page") / "index.html")
+
+
+def assert_self_contained(page):
+    elements = Elements(page).elements
+    for tag, attributes in elements:
+        assert tag not in {"script", "link", "iframe", "object", "embed", "base", "form"}
+        assert not any(name.startswith("on") or name == "style" for name in attributes)
+        for name in {"src", "href", "xlink:href", "srcset", "action", "data", "poster"} & set(attributes):
+            assert attributes[name].startswith("data:image/png;base64,")
+    style = re.search(r"<style>(.*?)</style>", page, re.DOTALL)[1]
+    assert "url(" not in style
+    assert "@import" not in style
+    (policy,) = [a["content"] for tag, a in elements if tag == "meta" and "http-equiv" in a]
+    assert policy.startswith("default-src 'none'; img-src data:; style-src 'sha256-")
+
+
+def test_it_lies_in_the_run_and_refers_to_nothing_outside_itself(run_folder, page):
+    assert_self_contained(page)
+    path = render_report([run_folder])
+    assert path == run_folder / "report" / "index.html"
+    assert path.read_text("utf-8") == page
+    assert path.stat().st_size < 1 << 20
+
+
+def test_every_picture_and_figure_is_told_in_words(page):
+    pictures = [a for tag, a in Elements(page).elements if tag == "svg" and a.get("role") == "img"]
+    assert len(pictures) > 40
+    assert all(picture.get("aria-label") for picture in pictures)
+    others = [a for tag, a in Elements(page).elements if tag == "svg" and a.get("role") != "img"]
+    assert all(other.get("aria-hidden") == "true" for other in others)
+
+
+def test_curves_and_tables_have_the_summarys_numbers(page, run_folder, summary_of):
+    text = "".join(Elements(page).text)
+    strata = summary_of(run_folder)["trackers"]["fair"]["recordings"]["crossing"]["strata"]
+    for stratum in ("moving", "visible", "static"):
+        for step in (0, 4, 8, 20):
+            assert f"{strata[stratum]['f1'][step]:.3f}" in text
+
+
+def test_the_pictures_are_the_samples(page, run_folder):
+    samples = {s.stamp_ns: s for s in read_samples(run_folder / "fair@crossing" / SAMPLES)}
+    shown = {a["href"] for tag, a in Elements(page).elements if tag == "image"}
+    inputs = [s for s in samples.values() if frame_png(s.visible, s.occupied) in shown]
+    assert inputs
+    pictured = [s for s in inputs if all(probability_png(p) in shown for p in s.forecast)]
+    assert len(pictured) >= 3
+    for sample in pictured:
+        assert all(frame_png(v, o) in shown for v, o in zip(sample.came_visible, sample.came_occupied, strict=True))
+
+
+def test_the_sensor_is_marked_where_it_stands(page):
+    # (0.0, 0.3) m on a grid from (-3.2, 0) in cells of 0.2 m: 16 cells from the left, 1.5 from the bottom of 32
+    marks = [a["transform"] for tag, a in Elements(page).elements if tag == "path" and "transform" in a]
+    assert marks
+    assert all(mark.startswith("translate(16.0 30.5)") for mark in marks)
+
+
+def test_a_tracker_has_one_style_everywhere(page):
+    styles = {}
+    for found in re.finditer(r'<svg class="swatch ([^"]+)".*?</svg>([\w-]+)', page):
+        styles.setdefault(found[2], set()).add(found[1].split()[0])
+    assert {name: len(own) for name, own in styles.items()} == dict.fromkeys(styles, 1)
+    assert len({next(iter(own)) for own in styles.values()}) == len(styles) == 5
+
+
+def test_a_partial_trial_is_told_first_and_shown_apart(page):
+    text = " ".join("".join(Elements(page).text).split())
+    assert "unlucky: crashed; ValueError: lost my way; 7 of 20 frames scored, not ranked" in text
+    assert "not ranked: not every frame was scored" in text
+    assert "unlucky (partial)" in text
+    assert "unlucky did not reach" in text
+
+
+def test_hostile_names_are_text_and_nothing_else(make_run, run_folder, tmp_path):
+    run = shutil.copytree(run_folder, tmp_path / "run")
+    path = run / "summary.json"
+    summary = json.loads(path.read_text())
+    summary["notices"] = [HOSTILE]
+    summary["trackers"]["good"]["points"] = HOSTILE
+    summary["trackers"]["unlucky"]["recordings"]["crossing"]["reason"] = HOSTILE
+    summary["trackers"]["unlucky"]["recordings"]["crossing"]["outcome"] = HOSTILE
+    summary["recordings"]["crossing"]["stretch"] = HOSTILE
+    hostile_label = HOSTILE.replace("/", "\\")
+    summary["trackers"][hostile_label] = summary["trackers"].pop("fair")
+    (run / "fair@crossing").rename(run / f"{hostile_label}@crossing")
+    path.write_text(json.dumps(summary))
+    (run / "run.json").write_text(json.dumps({"command": [HOSTILE], HOSTILE: HOSTILE, "machine": {"cpu": HOSTILE}}))
+    page = page_of(run, out=tmp_path / "page.html")
+    assert_self_contained(page)
+    assert "".join(Elements(page).text).count(HOSTILE) >= 5
+    assert "49" not in {text.strip() for text in Elements(page).text}
+
+
+def test_without_thresholds_of_a_validation_stretch_there_is_no_figure_of_them(make_run, tmp_path):
+    run = make_run(tmp_path / "run", chosen_on="", notices=["no validation stretch, so every threshold is 0.5"])
+    page = page_of(run, out=tmp_path / "page.html")
+    assert "What the threshold does" not in page
+    assert "no validation stretch, so every threshold is 0.5" in page
+
+
+def test_a_run_of_which_nothing_was_kept_for_viewing_has_no_filmstrip(run_folder, tmp_path):
+    run = shutil.copytree(run_folder, tmp_path / "run")
+    for samples in run.glob(f"*/{SAMPLES}"):
+        samples.unlink()
+    page = page_of(run, out=tmp_path / "page.html")
+    assert "Chosen moments" not in page
+
+
+def test_damaged_samples_are_told_and_the_rest_is_shown(run_folder, tmp_path):
+    run = shutil.copytree(run_folder, tmp_path / "run")
+    path = run / "fair@crossing" / SAMPLES
+    path.write_bytes(path.read_bytes()[:-4000])
+    page = page_of(run, out=tmp_path / "page.html")
+    assert "fair has pictures only of the moments before the damage" in page
+    assert "Chosen moments" in page
+
+
+def test_samples_of_another_grid_are_refused(run_folder, make_run, tmp_path, monkeypatch):
+    run = shutil.copytree(run_folder, tmp_path / "run")
+    samples = list(read_samples(run / "fair@crossing" / SAMPLES))
+
+    def shifted(path):
+        return iter([replace(s, grid=GridSpec(32, 0.3)) for s in samples] if "fair" in str(path) else samples)
+
+    monkeypatch.setattr("gridtrack.reports.film.read_samples", shifted)
+    with pytest.raises(ReportError, match="fair: its samples are of another grid"):
+        render_report([run])
+
+
+def test_runs_side_by_side_are_named_and_lie_beside_the_first(run_folder, tmp_path):
+    first, second = (shutil.copytree(run_folder, tmp_path / name) for name in ("before", "after"))
+    path = render_report([first, second])
+    assert path == first / "report" / "side-by-side.html"
+    page = path.read_text("utf-8")
+    assert_self_contained(page)
+    assert "before: good" in page
+    assert "after: good" in page
+
+
+def test_a_run_in_which_every_trial_failed_is_still_a_page(make_run, tmp_path):
+    run = make_run(tmp_path / "run", trackers={}, broken=[("net", 0, "untrained", "nothing learned for site 'x' yet")])
+    page = page_of(run, out=tmp_path / "page.html")
+    assert "No tracker finished on crossing" in page
+    assert page.count("nothing learned for site") == 1

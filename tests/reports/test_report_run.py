@@ -1,0 +1,95 @@
+"""A run's folder is read as it was written, and one that cannot be reported is refused in one line."""
+
+import json
+import shutil
+
+import pytest
+
+from gridtrack.reports.run import MAX_BYTES, ReportError, read_runs
+
+
+@pytest.fixture
+def copied(run_folder, tmp_path):
+    return shutil.copytree(run_folder, tmp_path / "copied")
+
+
+def change(run, **changes):
+    path = run / "summary.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | changes))
+
+
+def refusal(run):
+    with pytest.raises(ReportError) as refused:
+        read_runs([run])
+    message = str(refused.value)
+    assert "\n" not in message
+    assert str(run) in message
+    return message
+
+
+def test_scores_are_those_of_the_file(run_folder, summary_of):
+    (run,) = read_runs([run_folder])
+    written = summary_of(run_folder)
+    for label, entry in run.summary.trackers.items():
+        for name, trial in entry.recordings.items():
+            for stratum, scores in trial.strata.items():
+                expected = written["trackers"][label]["recordings"][name]["strata"][stratum]
+                assert scores.f1 == tuple(expected["f1"])
+                assert scores.nll == tuple(expected["nll"])
+
+
+def test_only_trials_that_scored_every_frame_are_complete(run_folder):
+    (run,) = read_runs([run_folder])
+    complete = {label: entry.recordings["crossing"].complete for label, entry in run.summary.trackers.items()}
+    assert complete == {"good": True, "fair": True, "persistence": True, "blank": True, "unlucky": False}
+
+
+def test_a_run_that_did_not_finish_is_told_apart_from_a_folder_that_is_none(copied, tmp_path):
+    (copied / "summary.json").unlink()
+    assert "did not finish" in refusal(copied)
+    assert "there is no such" in refusal(tmp_path / "nowhere")
+
+
+def test_another_schema_is_refused_by_name(copied):
+    change(copied, schema=7)
+    assert "schema 7; this gridtrack reads schema 1" in refusal(copied)
+
+
+@pytest.mark.parametrize("content", ["{", "[]", '"x"', "[" * 100_000, "\udcff"])
+def test_what_is_not_a_json_object_is_refused(copied, content):
+    (copied / "summary.json").write_bytes(content.encode("utf-8", "surrogateescape"))
+    refusal(copied)
+
+
+def test_a_file_too_large_is_refused_before_it_is_read(copied):
+    with (copied / "summary.json").open("r+b") as file:
+        file.truncate(MAX_BYTES + 1)
+    assert "refused" in refusal(copied)
+
+
+def test_curves_that_do_not_reach_every_horizon_are_refused(copied):
+    summary = json.loads((copied / "summary.json").read_text())
+    summary["trackers"]["fair"]["recordings"]["crossing"]["strata"]["moving"]["f1"].pop()
+    change(copied, **summary)
+    assert "fair on crossing, moving" in refusal(copied)
+
+
+def test_unknown_keys_are_left_alone_and_nan_is_undefined(copied):
+    summary = json.loads((copied / "summary.json").read_text())
+    summary["later"] = {"anything": 1}
+    summary["trackers"]["fair"]["recordings"]["crossing"]["strata"]["moving"]["f1"][3] = float("nan")
+    change(copied, **summary)
+    (run,) = read_runs([copied])
+    assert run.summary.trackers["fair"].recordings["crossing"].strata["moving"].f1[3] is None
+
+
+def test_runs_of_one_name_are_told_apart_by_their_paths(run_folder, tmp_path):
+    other = shutil.copytree(run_folder, tmp_path / run_folder.name)
+    assert [run.name for run in read_runs([run_folder, other])] == [str(run_folder), str(other)]
+
+
+@pytest.mark.parametrize("label", ["../../etc", "a/b", ".."])
+def test_a_label_cannot_lead_out_of_the_run(run_folder, label):
+    (run,) = read_runs([run_folder])
+    with pytest.raises(ReportError, match="not the name of a folder"):
+        run.trial_folder(label + "/x", "crossing")
