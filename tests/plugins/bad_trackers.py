@@ -281,3 +281,11 @@ class RemembersTheFuture(Good):
         known = self.last or self.now
         indices = np.minimum(len(self.now) - 1 + np.arange(steps + 1), len(known) - 1)
         return np.stack([known[index] for index in indices]).astype(np.float32)
+
+
+class KeepsToOnePeriod(Good):
+    """Assumes 8 Hz."""
+
+    def __init__(self, stream: StreamSpec, options: Any) -> None:
+        super().__init__(stream, options)
+        self.rate = 1 // int(stream.period_s == 0.125)

@@ -140,7 +140,7 @@ def test_a_broken_tracker_hides_no_other(install: Install) -> None:
 def test_a_name_registered_twice_is_refused_naming_both(install: Install) -> None:
     install("first", {"mine": "a:B"})
     install("second", {"mine": "c:D"})
-    with pytest.raises(PluginError, match="first 1.0 and second 1.0|second 1.0 and first 1.0"):
+    with pytest.raises(PluginError, match=r"first 1\.0 and second 1\.0|second 1\.0 and first 1\.0"):
         registry.find("mine")
     assert registry.find("blank").problem == ""
 

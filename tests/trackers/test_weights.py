@@ -131,7 +131,7 @@ def test_arrays_too_large_are_refused_unread(path: Path) -> None:
     ("edit", "complaint"),
     [
         (lambda text: text.replace("schema_version = 1", "schema_version = 9"), "schema 9; this gridtrack reads 1"),
-        (lambda text: text + 'secret = "x"\n', "there is no option"),
+        (lambda text: 'secret = "x"\n' + text, "there is no option"),
         (lambda text: text.replace('site = "lab"\n', ""), "'site'"),
         (lambda text: text.replace("period_s = 0.1", "period_s = 0.0"), "'period_s' = 0.0"),
         (lambda text: text.replace("100x0.1@-2,-4.5", "huge"), "grid 'huge'"),

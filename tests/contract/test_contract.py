@@ -1,0 +1,104 @@
+"""Every registered tracker keeps every promise of the contract; and each promise, broken, is found out."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gridtrack.common.grid import GridSpec
+from gridtrack.evaluation.contract_scene import empty_stream, scene
+from gridtrack.evaluation.contract_suite import CheckResult, check_tracker
+from gridtrack.evaluation.learned import find_weights
+from gridtrack.trackers.contract import StreamSpec
+from gridtrack.trackers.registry import entries
+from gridtrack.trackers.selection import launch
+
+LEG_TRACKER = StreamSpec(GridSpec(100, 0.1, (-2.0, -4.5)), 0.1, "leg_tracker")
+SMALL = StreamSpec(GridSpec(40, 0.2), 0.125, "here")
+
+
+@pytest.mark.parametrize("name", entries())
+def test_a_registered_tracker_keeps_the_contract(name: str) -> None:
+    learned = find_weights(name, LEG_TRACKER.site, None)
+    results = check_tracker(launch(name), replace(LEG_TRACKER, weights=learned and learned.path))
+    if results[0].verdict == "skipped":
+        pytest.skip(results[0].detail)
+    assert [r for r in results if r.verdict != "passed"] == []
+    assert len(results) == 9
+
+
+def failures(name: str, **options: object) -> dict[str, CheckResult]:
+    return {r.name: r for r in check_tracker(launch(name), SMALL, options) if r.verdict != "passed"}
+
+
+@pytest.mark.usefixtures("bad_trackers")
+@pytest.mark.parametrize(
+    ("name", "broken", "detail"),
+    [
+        ("good", None, ""),
+        ("wrong-shape", "forecasts have the right shape", "invalid-output: .* has shape"),
+        ("lopsided-classes", "forecasts have the right shape", "semantics sum to 1"),
+        ("fails-on-empty-input", "works on empty input", "invalid-output: .* not finite"),
+        ("rolls-dice", "same seed and frames", "the same stream again, after reset .* differ by"),
+        (
+            "counts-predictions",
+            "predict leaves the state alone",
+            "twice in a row: after frame 1 .* by up to 0.5",
+        ),
+        (
+            "remembers-the-future",
+            "future frames change nothing",
+            "two streams that part only after frame 10",
+        ),
+        ("never-forgets", "reset forgets the last stream", "in a fresh process, and after another stream and a reset"),
+        (
+            "keeps-to-one-grid",
+            "works on another grid",
+            r"shape \(6, 40, 40\); expected",
+        ),
+        ("keeps-to-one-period", "works at another period", "ZeroDivisionError"),
+    ],
+)
+def test_each_broken_promise_is_found_out(name: str, broken: str | None, detail: str) -> None:
+    found = failures(name)
+    if broken is None:
+        assert found == {}
+        return
+    (result,) = [r for name, r in found.items() if name.startswith(broken)]
+    assert result.verdict == "failed"
+    assert re.search(detail, result.detail)
+
+
+@pytest.mark.usefixtures("bad_trackers")
+def test_a_tracker_that_cannot_start_is_checked_no_further() -> None:
+    (result,) = check_tracker(launch("needs-weights"), SMALL, {"at": "start"})
+    assert (result.verdict, result.detail) == ("skipped", "untrained: needs-weights: no weights")
+    (result,) = check_tracker(launch("raises"), SMALL, {"at": "start"})
+    assert (result.verdict, result.detail) == ("failed", "crashed: ValueError: the gate is negative")
+
+
+@pytest.mark.usefixtures("bad_trackers")
+def test_a_crash_in_one_check_does_not_spoil_the_next() -> None:
+    found = failures("fails-on-empty-input")
+    assert set(found) == {"works on empty input from the first frame"}
+
+
+def test_results_are_reported_as_they_come() -> None:
+    seen: list[CheckResult] = []
+    assert check_tracker(launch("blank"), SMALL, report=seen.append) == seen
+
+
+def test_a_scene_moves_hides_and_turns() -> None:
+    grid = GridSpec(60, 0.2)
+    one, other = (scene(grid, 0.1, 16, seed=1, turn=(10, seed)) for seed in (2, 3))
+    for index, (a, b) in enumerate(zip(one, other, strict=True)):
+        assert (a.occupied & ~a.visible).sum() == 0
+        assert 20 < a.occupied.sum() < 0.2 * grid.size**2
+        assert 0.3 < a.visible.mean() < 0.95
+        assert np.array_equal(a.occupied, b.occupied) == (index <= 10)
+    assert not np.array_equal(one[0].occupied, one[5].occupied)
+    assert np.diff([f.stamp_ns for f in one]).tolist() == [100_000_000] * 15
+    assert not any(f.visible.any() for f in empty_stream(grid, 0.1, 3))
