@@ -110,7 +110,7 @@ def _table(runs: Sequence[Run], recording: str) -> HeadlineTable:
         if recording in entry.recordings
     ]
     order = ("ranked", "floor", "apart")
-    rows.sort(key=lambda row: (order.index(row.standing), -_or_least(row.cells[decisive].value)))
+    rows.sort(key=lambda row: (order.index(row.standing), -_or_least(row.cells[decisive].value), row.label))
     comparable = _of_the_same_frames(shown, recording)
     if comparable:
         rows = list(_with_best(rows, columns))

@@ -1,0 +1,103 @@
+"""What a terminal shows: progress while a run lasts, its headline table at the end; plain lines where it is no terminal."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+from rich import box
+from rich.console import Console
+from rich.markup import escape
+from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
+from rich.table import Table
+
+from gridtrack.evaluation.record import TrialRecord
+from gridtrack.reports.run import read_runs
+from gridtrack.reports.table import HeadlineTable, Row, as_markdown, headline_tables
+
+STYLES = {"ranked": "", "floor": "dim", "apart": "yellow"}
+
+
+class RunProgress:
+    """Shows how far a run is: bars on a terminal, elsewhere a line when a trial ends."""
+
+    def __init__(self) -> None:
+        self._console = Console(stderr=True)
+        self._bars = Progress(
+            TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed}/{task.total} frames"),
+            TimeElapsedColumn(), console=self._console, disable=not self._console.is_terminal,
+        )  # fmt: skip
+        self._tasks: dict[str, TaskID] = {}
+
+    def __enter__(self) -> Self:
+        self._bars.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._bars.stop()
+
+    def note(self, text: str) -> None:
+        """Something to know, in one line."""
+        self._console.print(escape(text), highlight=False, soft_wrap=True)
+
+    def started(self, trial: str, frames: int) -> None:
+        """A trial begins."""
+        self._tasks[trial] = self._bars.add_task(escape(trial), total=frames)
+
+    def advanced(self, trial: str) -> None:
+        """One more frame of it is being delivered."""
+        self._bars.advance(self._tasks[trial])
+
+    def ended(self, trial: str, record: TrialRecord) -> None:
+        """It has ended, or is kept from an earlier run."""
+        if trial in self._tasks:
+            self._bars.remove_task(self._tasks.pop(trial))
+        scored = f"{record.frames_scored}/{record.frames_expected} forecasts scored"
+        reason = f": {record.reason}" if record.reason else ""
+        self.note(f"{trial}: {record.outcome}, {scored}, {record.times.wall_s:.1f} s{reason}")
+
+
+def print_tables(run: Path) -> None:
+    """The headline tables of a run: rich on a terminal, Markdown elsewhere. Raises ReportError."""
+    console = Console()
+    for table in headline_tables(read_runs([run])):
+        if console.is_terminal:
+            console.print(_rich(table))
+        else:
+            print(f"{table.recording}\n\n{as_markdown(table)}")
+
+
+def _rich(table: HeadlineTable) -> Table:
+    shown = Table(title=escape(table.recording), box=box.SIMPLE_HEAD)
+    shown.add_column("tracker")
+    for column in table.columns:
+        shown.add_column(f"{column.group}\n{column.heading}", justify="right")
+    shown.add_column("frames", justify="right")
+    for row in table.rows:
+        shown.add_row(*_cells(row), style=STYLES[row.standing])
+    return shown
+
+
+def _cells(row: Row) -> list[str]:
+    numbers = [f"[bold]{cell.text}[/bold]" if cell.best else cell.text for cell in row.cells]
+    outcome = "" if row.standing != "apart" else f" ({row.trial.outcome})"
+    return [escape(row.name) + outcome, *numbers, row.frames]
+
+
+def print_rows(rows: Sequence[Mapping[str, str]]) -> None:
+    """Rows of the same keys as a table: columns on a terminal, tab-separated elsewhere."""
+    console = Console()
+    if not console.is_terminal:
+        for row in rows:
+            print("\t".join(row.values()))
+        return
+    shown = Table(box=box.SIMPLE_HEAD)
+    for key in rows[0] if rows else ():
+        shown.add_column(key)
+    for row in rows:
+        shown.add_row(*(escape(value) for value in row.values()))
+    console.print(shown)
