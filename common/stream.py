@@ -34,13 +34,27 @@ def parse_stretch(text: str) -> tuple[Path, Stretch | str | None]:
         return Path(text), None
     if not path or not stretch:
         raise RecordingError(f"'{text}': expected RECORDING, RECORDING@30s-90s or RECORDING@NAME")
+    return Path(path), _seconds(stretch, text) or stretch
+
+
+def parse_named_stretch(text: str) -> tuple[str, Stretch]:
+    """Read `train=0s-75s` or `test=90s-`: a name for a stretch, and the stretch. Raises RecordingError."""
+    name, _, stretch = text.partition("=")
+    seconds = _seconds(stretch, text)
+    if not name or seconds is None:
+        raise RecordingError(f"'{text}': expected NAME=30s-90s, or NAME=90s- to the end")
+    return name, seconds
+
+
+def _seconds(stretch: str, where: str) -> Stretch | None:
+    """`30s-90s` or `90s-` as (start, end); None for what is no range of seconds."""
     seconds = re.fullmatch(r"(\d+(?:\.\d*)?)s?-(?:(\d+(?:\.\d*)?)s?)?", stretch)
     if seconds is None:
-        return Path(path), stretch
+        return None
     start_s, end_s = float(seconds[1]), float(seconds[2]) if seconds[2] else None
     if end_s is not None and end_s <= start_s:
-        raise RecordingError(f"'{text}': a stretch ends after it starts")
-    return Path(path), (start_s, end_s)
+        raise RecordingError(f"'{where}': a stretch ends after it starts")
+    return start_s, end_s
 
 
 def open_stream(

@@ -48,10 +48,10 @@ def import_recording(
     given: dict[str, Any] = {
         "site": site,
         "grid": grid,
-        "rate_hz": rate_hz,
-        "stretches": dict(stretches or {}),
         "licence": licence,
         "credit": credit,
+        "rate_hz": rate_hz,
+        "stretches": dict(stretches or {}),
     }
     info = _info(recording, given, labels)
     command = _command(recording, out, given, labels)
@@ -81,13 +81,15 @@ def _command(recording: Recording, out: Path, given: Mapping[str, Any], labels: 
         "labels": labels and Path(labels).name,
         **given,
     }
-    options["rate"], stretches = options.pop("rate_hz"), options.pop("stretches")
     words = ["gridtrack", "recording", "import", recording.name]
     for name, value in options.items():
-        if value:
-            words += [f"--{name}", f"{value:g}" if isinstance(value, float) else str(value)]
-    for name, stretch in stretches.items():
-        words += ["--stretch", f"{name}={stretch_text(stretch)}"]
+        if name == "stretches":
+            for stretch_name, stretch in value.items():
+                words += ["--stretch", f"{stretch_name}={stretch_text(stretch)}"]
+        elif name == "rate_hz" and value:
+            words += ["--rate", f"{value:g}"]
+        elif value:
+            words += [f"--{name}", str(value)]
     return shlex.join(words)
 
 

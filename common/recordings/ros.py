@@ -61,9 +61,9 @@ class RosRecording(Recording):
     def read(self, topics: Topics) -> Iterator[Scan]:
         """The scans as they stand in the file; counts in `topics` what it meets; DamageError where the file ends."""
         for message in self.messages():
-            is_cloud = message.kind == POINT_CLOUD
-            topics.meet(message.topic, message.kind, message.kind == LASER_SCAN or is_cloud)
-            if message.topic == self.topic or (self.topic is None and message.kind == LASER_SCAN):
+            topics.meet(message.topic, message.kind, message.kind in (LASER_SCAN, POINT_CLOUD))
+            by_name = message.topic == self.topic and message.topic in topics.scans
+            if by_name or (self.topic is None and message.kind == LASER_SCAN):
                 yield self._scan(message)
 
     def _scan(self, message: RosMessage) -> Scan:

@@ -46,14 +46,23 @@ def bag_messages(path: Path) -> Iterator[BagMessage]:
                     (chunks_left,) = struct.unpack("<I", header["chunk_count"])
                 elif operation == CHUNK:
                     chunks_left -= 1
-                    for inner, body in _records(BytesIO(_unpacked(header, data))):
-                        yield from _take(inner, body, connections)
+                    yield from _chunk(header, data, connections)
                 else:
                     yield from _take(header, data, connections)
         except (struct.error, KeyError, UnicodeDecodeError, IndexError, ValueError) as error:
             raise DamageError(f"corrupt {file.tell()} bytes into the file ({error})") from None
         if chunks_left > 0:
             raise DamageError(f"cut off: {chunks_left} of the chunks that the bag's header counts are missing")
+
+
+def _chunk(header: Fields, data: bytes, connections: dict[bytes, tuple[str, str]]) -> Iterator[BagMessage]:
+    """The messages inside a chunk; of one that is cut off, those before the cut."""
+    (size,) = struct.unpack("<I", header["size"])
+    content = _unpacked(header["compression"].decode(), data, size)
+    for inner, body in _records(BytesIO(content)):
+        yield from _take(inner, body, connections)
+    if len(content) != size:
+        raise DamageError(f"cut off or corrupt: a chunk of {len(content)} bytes, where its header says {size}")
 
 
 def _take(header: Fields, data: bytes, connections: dict[bytes, tuple[str, str]]) -> Iterator[BagMessage]:
@@ -69,19 +78,22 @@ def _take(header: Fields, data: bytes, connections: dict[bytes, tuple[str, str]]
 
 def _records(file: BinaryIO) -> Iterator[tuple[Fields, bytes]]:
     while size := file.read(4):
-        header = _fields(_sized(file, size))
-        yield header, _sized(file, file.read(4))
+        header_bytes, header_is_whole = _sized(file, size)
+        header = _fields(header_bytes) if header_is_whole else {}
+        data, data_is_whole = _sized(file, file.read(4))
+        if data_is_whole or header.get("op") == bytes([CHUNK]):
+            yield header, data
+        if not data_is_whole:
+            raise DamageError("cut off in the middle of a record")
 
 
-def _sized(file: BinaryIO, size_bytes: bytes) -> bytes:
-    """As many bytes as the length before them says. Raises DamageError."""
+def _sized(file: BinaryIO, size_bytes: bytes) -> tuple[bytes, bool]:
+    """As many bytes as the length before them says, and whether there were so many. Raises DamageError."""
     (size,) = struct.unpack("<I", size_bytes) if len(size_bytes) == 4 else (0,)
     if size > MAX_RECORD_BYTES:
         raise DamageError(f"corrupt: a record of {size} bytes, where at most {MAX_RECORD_BYTES} are read")
     content = file.read(size)
-    if len(content) < size or len(size_bytes) < 4:
-        raise DamageError("cut off in the middle of a record")
-    return content
+    return content, len(content) == size and len(size_bytes) == 4
 
 
 def _fields(data: bytes) -> Fields:
@@ -97,23 +109,17 @@ def _fields(data: bytes) -> Fields:
     return fields
 
 
-def _unpacked(header: Fields, data: bytes) -> bytes:
-    """The records inside a chunk. Raises DamageError."""
-    compression = header["compression"].decode()
-    (size,) = struct.unpack("<I", header["size"])
+def _unpacked(compression: str, data: bytes, size: int) -> bytes:
+    """The records inside a chunk, at most `size` bytes. Raises DamageError."""
     if size > MAX_RECORD_BYTES:
         raise DamageError(f"corrupt: a chunk of {size} bytes, where at most {MAX_RECORD_BYTES} are read")
+    if compression == "none":
+        return data
     try:
-        if compression == "none":
-            content = data
-        elif compression == "bz2":
-            content = bz2.BZ2Decompressor().decompress(data, size)
-        elif compression == "lz4":
-            content = lz4.frame.LZ4FrameDecompressor().decompress(data, size)
-        else:
-            raise DamageError(f"a chunk is packed as '{compression}', which is none of none, bz2 and lz4")
+        if compression == "bz2":
+            return bz2.BZ2Decompressor().decompress(data, size)
+        if compression == "lz4":
+            return bytes(lz4.frame.LZ4FrameDecompressor().decompress(data, size))
     except (OSError, RuntimeError) as error:
         raise DamageError(f"corrupt: a chunk does not unpack ({error})") from None
-    if len(content) != size:
-        raise DamageError(f"corrupt: a chunk of {len(content)} bytes, where its header says {size}")
-    return content
+    raise DamageError(f"a chunk is packed as '{compression}', which is none of none, bz2 and lz4")
