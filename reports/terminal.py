@@ -1,4 +1,4 @@
-"""What a terminal shows: progress while a run lasts, its headline table at the end; plain lines where it is no terminal."""
+"""What a terminal shows: progress while a run lasts, and its headline table; plain lines where it is no terminal."""
 
 from __future__ import annotations
 

@@ -34,6 +34,7 @@ class SequenceDataset(Dataset[Tensor]):
     """
 
     def __init__(self, sources: Sequence[FrameSource], length: int, seed: int, *, reverse: bool) -> None:
+        self.sources = [(source.name, source.sha256) for source in sources]
         self.stretches = [load_frames(source) for source in sources]
         self.size, self.length, self.seed, self.reverse = sources[0].grid.size, length, seed, reverse
         for source, frames in zip(sources, self.stretches, strict=True):

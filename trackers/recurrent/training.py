@@ -7,6 +7,7 @@ the empty input; the loss is the binary cross-entropy of every frame on the cell
 from __future__ import annotations
 
 import json
+import logging
 import math
 import shutil
 from collections.abc import Callable, Sequence
@@ -40,20 +41,20 @@ def train_network(
 ) -> dict[str, float]:
     """Train `network` in place and leave it with the weights that scored best; returns the scores of those.
 
-    `out.log_dir` takes logs (CSV, TensorBoard) and checkpoints; one that holds checkpoints of the same settings is
-    resumed. Raises ConfigurationError where it holds a training with other settings.
+    `out.log_dir` takes logs (CSV, TensorBoard) and checkpoints; one that holds checkpoints of the same training is
+    resumed. Raises ConfigurationError where it holds another training.
     """
-    resumed = _resumable(out, settings)
+    logging.getLogger("lightning.pytorch").setLevel(logging.WARNING)  # else it advertises other products
+    resumed = _resumable(out, {"seed": out.seed, "train": dataset.sources, **settings.model_dump()})
     module = TrainingModule(network, settings, validate, out.report)
-    best = ModelCheckpoint(out.log_dir, filename="best", monitor="score", mode="max", save_last=True)
-    best.CHECKPOINT_NAME_LAST = "last"
+    best = ModelCheckpoint(out.log_dir / "checkpoints", filename="best", monitor="score", mode="max", save_last=True)
     trainer = lightning.Trainer(
         max_epochs=math.ceil(settings.updates / settings.validate_every),
         precision=settings.precision,
         gradient_clip_val=settings.gradient_clip,
         callbacks=[best],
         logger=[CSVLogger(out.log_dir, name="csv"), TensorBoardLogger(out.log_dir, name="tensorboard")],
-        log_every_n_steps=10,
+        log_every_n_steps=min(10, settings.validate_every),
         enable_progress_bar=False,
         enable_model_summary=False,
     )
@@ -65,15 +66,15 @@ def train_network(
     return dict(kept["scores"])
 
 
-def _resumable(out: FitOutput, settings: TrainingSettings) -> Path | None:
-    """The checkpoint to go on from, if there is one."""
-    described = json.dumps({"seed": out.seed, **settings.model_dump()}, sort_keys=True, default=list)
-    record, last = out.log_dir / "settings.json", out.log_dir / "last.ckpt"
+def _resumable(out: FitOutput, what: dict[str, Any]) -> Path | None:
+    """The checkpoint to go on from, if there is one of the same training."""
+    described = json.dumps(what, sort_keys=True)
+    record, last = out.log_dir / "settings.json", out.log_dir / "checkpoints" / "last.ckpt"
     out.log_dir.mkdir(parents=True, exist_ok=True)
     if record.exists() and last.exists():
         if record.read_text() != described:
             raise ConfigurationError(
-                f"{out.log_dir}: holds a training with other settings or another seed; delete it to start anew"
+                f"{out.log_dir}: holds a training of other settings, data or seed; delete it to start anew"
             )
         return last
     record.write_text(described)

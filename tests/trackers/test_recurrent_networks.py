@@ -1,0 +1,102 @@
+"""The recurrent networks do what their papers' equations say."""
+
+from __future__ import annotations
+
+import pytest
+
+torch = pytest.importorskip("torch")
+from torch.nn.functional import conv2d  # noqa: E402
+
+from gridtrack.trackers.recurrent.deep_tracking_rnn import DeepTrackingRNN, DeepTrackingRNNSettings  # noqa: E402
+from gridtrack.trackers.recurrent.dilated_convgru import DilatedConvGRU, DilatedConvGRUSettings  # noqa: E402
+from gridtrack.trackers.recurrent.network import start_from_rate  # noqa: E402
+from gridtrack.trackers.recurrent.settings import TrainingSettings  # noqa: E402
+
+
+def parameters(network) -> int:
+    return sum(p.numel() for p in network.parameters())
+
+
+def randomised(network):
+    generator = torch.Generator().manual_seed(3)
+    with torch.no_grad():
+        for parameter in network.parameters():
+            parameter.copy_(0.3 * torch.randn(parameter.shape, generator=generator))
+    return network
+
+
+def test_convgru_has_as_many_parameters_as_its_printed_equations():
+    assert parameters(DilatedConvGRU(100, DilatedConvGRUSettings(), classes=4)) == 1_476_149
+
+
+@pytest.mark.parametrize(("variant", "expected"), [("code", 78_449), ("paper", 11_193)])
+def test_deep_tracking_rnn_has_the_published_number_of_parameters(variant, expected):
+    assert parameters(DeepTrackingRNN(100, DeepTrackingRNNSettings(variant=variant))) == expected
+
+
+def test_only_the_chosen_gates_have_a_static_memory():
+    some = DilatedConvGRU(10, DilatedConvGRUSettings(static_gates=("candidate",)))
+    assert parameters(some) == parameters(DilatedConvGRU(10, DilatedConvGRUSettings())) - 3 * 2 * 16 * (100 - 1)
+
+
+def test_convgru_layer_is_the_printed_equations_with_six_separate_convolutions():
+    network = randomised(DilatedConvGRU(11, DilatedConvGRUSettings(layers=2, channels=3)))
+    layer = network.layers[1]
+    x, h = torch.randn(2, 3, 11, 11), torch.randn(2, 3, 11, 11)
+    wxz, wxr, wxh = layer.input_weight.split(3)
+    whz, whr, whh = layer.state_weight.split(3)
+    bz, br, bh = (layer.biases[gate] for gate in ("keep", "reset", "candidate"))
+
+    def dilated(image, weight):
+        return conv2d(image, weight, padding=2, dilation=2)
+
+    f = torch.sigmoid(dilated(x, wxz) + dilated(h, whz) + bz)
+    r = torch.sigmoid(dilated(x, wxr) + dilated(h, whr) + br)
+    c = torch.tanh(dilated(x, wxh) + r * dilated(h, whh) + bh)
+    torch.testing.assert_close(layer(x, h), f * h + (1 - f) * c)
+
+
+def test_one_step_sees_a_receptive_field_of_fifteen_cells_square():
+    network = randomised(DilatedConvGRU(31, DilatedConvGRUSettings()))
+    x = torch.zeros(1, 2, 31, 31, requires_grad=True)
+    network.features(network.step(x, network.initial(1)))[0, :, 15, 15].sum().backward()
+    rows, columns = torch.nonzero(x.grad[0, 0], as_tuple=True)
+    assert (rows.min(), rows.max(), columns.min(), columns.max()) == (8, 22, 8, 22)
+
+
+@pytest.mark.parametrize(
+    "network",
+    [
+        DilatedConvGRU(12, DilatedConvGRUSettings(channels=4)),
+        DeepTrackingRNN(12, DeepTrackingRNNSettings(variant="paper")),
+    ],
+    ids=["convgru", "rnn"],
+)
+def test_the_empty_input_is_both_planes_zero(network):
+    randomised(network)
+    state = network.step((torch.rand(1, 2, 12, 12) < 0.3).float(), network.initial(1))
+    for skipped, computed in zip(
+        network.step(None, state), network.step(torch.zeros(1, 2, 12, 12), state), strict=True
+    ):
+        torch.testing.assert_close(skipped, computed)
+
+
+def test_deep_tracking_rnn_is_its_equations():
+    network = randomised(DeepTrackingRNN(9, DeepTrackingRNNSettings(variant="paper")))
+    x, h = torch.rand(1, 2, 9, 9), torch.rand(1, 16, 9, 9)
+    e = torch.sigmoid(conv2d(x, network.encode.weight, network.encode.bias, padding=3))
+    expected = torch.sigmoid(conv2d(torch.cat([e, h], 1), network.recur.weight, network.recur.bias, padding=2))
+    torch.testing.assert_close(network.step(x, (h,))[0], expected)
+
+
+def test_an_untrained_network_answers_the_occupied_rate():
+    network = DilatedConvGRU(10, DilatedConvGRUSettings(channels=4))
+    start_from_rate(network.decode_occupancy, 0.02)
+    occupancy = torch.sigmoid(network.occupancy(network.features(network.initial(1))))
+    torch.testing.assert_close(occupancy, torch.full((1, 10, 10), 0.02))
+
+
+def test_the_papers_scheme_shows_ten_and_withholds_ten_twice():
+    settings = TrainingSettings()
+    shown = [settings.is_shown(frame) for frame in range(settings.length)]
+    assert shown == [*[True] * 10, *[False] * 10] * 2

@@ -1,0 +1,179 @@
+"""The training program learns what it should, goes on where it stopped, and its weights make a tracker."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch")
+pytest.importorskip("lightning")
+
+from gridtrack.common.config import validated  # noqa: E402
+from gridtrack.common.errors import ConfigurationError, WeightsError  # noqa: E402
+from gridtrack.common.geometry import SE2  # noqa: E402
+from gridtrack.common.grid import GridFrame, GridSpec  # noqa: E402
+from gridtrack.trackers.contract import FitOutput, StretchScore, stream_of  # noqa: E402
+from gridtrack.trackers.recurrent import DeepTrackingRNNTracker, DilatedConvGRUTracker  # noqa: E402
+from gridtrack.trackers.recurrent.sequences import EpochSampler, SequenceDataset, occupied_rate  # noqa: E402
+from gridtrack.trackers.recurrent.settings import TrainingSettings  # noqa: E402
+from gridtrack.trackers.recurrent.training import sequence_loss  # noqa: E402
+from gridtrack.trackers.weights import read_card  # noqa: E402
+
+SIZE = 12
+
+
+class Shuttle:
+    """A dot that runs along row 5, one cell a frame, round and round; row 0 is a wall; row 11 is never seen."""
+
+    name, sha256, site, classes = "shuttle", "0" * 64, "shuttle", ()
+    grid, period_s = GridSpec(SIZE, 0.5), 0.25
+
+    def __init__(self, frames: int = 60) -> None:
+        self.frames = frames
+
+    def __len__(self) -> int:
+        return self.frames
+
+    def __iter__(self):
+        for t in range(self.frames):
+            visible, occupied = np.ones((SIZE, SIZE), bool), np.zeros((SIZE, SIZE), bool)
+            visible[11] = False
+            occupied[0] = occupied[5, t % SIZE] = True
+            yield GridFrame(
+                t * 250_000_000, visible, occupied, SE2(), np.zeros((1, 2), np.float32),
+                self.grid.cell_centres(occupied), np.zeros(int(occupied.sum()), np.uint8),
+            )  # fmt: skip
+
+
+def no_score(tracker, source, steps):
+    """The host's metric is not at hand below evaluation: log loss of step 1 stands in for it."""
+    tracker.reset(0)
+    frames, losses = list(source), []
+    for now, future in pairwise(frames):
+        tracker.update(now)
+        p = np.clip(tracker.predict(1).occupancy[1][future.visible], 1e-3, 1 - 1e-3)
+        hit = future.occupied[future.visible]
+        losses.append(-np.log(np.where(hit, p, 1 - p)).mean())
+    f1 = np.full(steps + 1, 1.0 - np.mean(losses))
+    return StretchScore({"moving": f1, "visible": f1}, {})
+
+
+def fit(tracker, folder, **options):
+    settings = validated(tracker.Options, {"batch": 2, "warm_up": 0, "precision": "32-true", **options}, "test")
+    lines: list[str] = []
+    out = FitOutput(folder / "shuttle.toml", "gridtrack train ...", 7, folder / "log", lines.append)
+    tracker.fit([Shuttle()], [Shuttle(30)], no_score, out, settings)
+    return out, lines
+
+
+def forecast(tracker, weights, frames=25, steps=3):
+    source = Shuttle(frames)
+    made = tracker(stream_of(source, weights), tracker.Options())
+    made.reset(0)
+    for frame in source:
+        made.update(frame)
+    return made.predict(steps).occupancy
+
+
+def test_it_learns_a_short_sequence_better_than_persistence(tmp_path):
+    out, _ = fit(DilatedConvGRUTracker, tmp_path, updates=150, validate_every=75, learning_rate=0.01, channels=8)
+    occupancy = forecast(DilatedConvGRUTracker, out.path)
+    assert occupancy.shape == (4, SIZE, SIZE)
+    assert occupancy.dtype == np.float32
+    assert occupancy[:, 0].min() > 0.8  # the wall
+    for step in range(4):
+        assert occupancy[step, 5].argmax() == (24 + step) % SIZE
+
+
+def test_a_resumed_training_ends_with_the_same_weights(tmp_path):
+    whole, _ = fit(DeepTrackingRNNTracker, tmp_path / "whole", updates=4, validate_every=2, variant="paper")
+    options = {"updates": 4, "validate_every": 2, "variant": "paper"}
+
+    class Interrupted(Exception):
+        pass
+
+    def stops_after_one_epoch(tracker, source, steps):
+        if stops_after_one_epoch.calls:
+            raise Interrupted
+        stops_after_one_epoch.calls += 1
+        return no_score(tracker, source, steps)
+
+    stops_after_one_epoch.calls = 0
+    folder = tmp_path / "parts"
+    settings = validated(
+        DeepTrackingRNNTracker.Options, {"batch": 2, "warm_up": 0, "precision": "32-true", **options}, "test"
+    )
+    out = FitOutput(folder / "shuttle.toml", "gridtrack train ...", 7, folder / "log", lambda line: None)
+    with pytest.raises(Interrupted):
+        DeepTrackingRNNTracker.fit([Shuttle()], [Shuttle(30)], stops_after_one_epoch, out, settings)
+    resumed, _ = fit(DeepTrackingRNNTracker, folder, **options)
+    assert read_card(resumed.path).arrays_sha256 == read_card(whole.path).arrays_sha256
+    assert read_card(resumed.path).results == read_card(whole.path).results
+
+
+def test_a_log_folder_of_another_training_is_refused(tmp_path):
+    fit(DeepTrackingRNNTracker, tmp_path, updates=1, validate_every=1, variant="paper")
+    with pytest.raises(ConfigurationError, match="other settings"):
+        fit(DeepTrackingRNNTracker, tmp_path, updates=2, validate_every=1, variant="paper")
+
+
+def test_the_card_tells_how_the_weights_were_made(tmp_path):
+    out, lines = fit(DeepTrackingRNNTracker, tmp_path, updates=2, validate_every=1, variant="paper")
+    card = read_card(out.path)
+    assert (card.tracker, card.site, card.seed, card.period_s) == ("deep-tracking-rnn", "shuttle", 7, 0.25)
+    assert card.settings["variant"] == "paper"
+    assert card.train[0].recording == "shuttle"
+    assert any("update 2" in line for line in lines)
+
+
+def test_an_option_that_contradicts_the_weights_is_refused(tmp_path):
+    out, _ = fit(DeepTrackingRNNTracker, tmp_path, updates=1, validate_every=1, variant="paper")
+    stream = stream_of(Shuttle(), out.path)
+    with pytest.raises(WeightsError, match="variant=paper"):
+        DeepTrackingRNNTracker(stream, DeepTrackingRNNTracker.Options(variant="code"))
+
+
+def test_what_no_beam_saw_does_not_enter_the_loss():
+    settings = TrainingSettings(shown=2, blank=1, cycles=1)
+    network = DeepTrackingRNNTracker.build(SIZE, DeepTrackingRNNTracker.Options(variant="paper"), 0)
+    windows = torch.zeros(1, 3, 2, SIZE, SIZE)
+    windows[:, :, 0, 3, 4] = 1.0
+    loss = sequence_loss(network, windows, settings)
+    state, logits = network.initial(1), []
+    for x in (windows[:, 0], windows[:, 1], None):
+        state = network.step(x, state)
+        logits.append(network.occupancy(network.features(state))[0, 3, 4])
+    expected = torch.nn.functional.softplus(torch.stack(logits)).mean()
+    torch.testing.assert_close(loss, expected)
+
+
+def test_windows_are_the_recordings_frames_and_depend_on_seed_and_number_only():
+    data = SequenceDataset([Shuttle(30), Shuttle(40)], 10, seed=1, reverse=True)
+    again = SequenceDataset([Shuttle(30), Shuttle(40)], 10, seed=1, reverse=True)
+    directions = set()
+    for number in range(40):
+        window = data[number]
+        assert torch.equal(window, again[number])
+        columns = window[:, 1, 5].argmax(dim=-1)
+        directions |= set(((columns[1:] - columns[:-1]) % SIZE).tolist())
+        assert window[:, 1, 0].all()
+        assert not window[:, 0, 11].any()
+    assert directions == {1, SIZE - 1}
+
+
+def test_epochs_go_through_the_series_of_windows_one_after_the_other():
+    sampler = EpochSampler(3)
+    sampler.set_epoch(2)
+    assert list(sampler) == [6, 7, 8]
+
+
+def test_the_occupied_rate_is_of_the_visible_cells():
+    data = SequenceDataset([Shuttle(12)], 10, seed=0, reverse=False)
+    assert occupied_rate(data.stretches) == pytest.approx((SIZE + 1) / (SIZE * (SIZE - 1)))
+
+
+def test_a_stretch_shorter_than_a_sequence_is_refused_by_name():
+    with pytest.raises(ConfigurationError, match="shuttle: 5 frames; training needs at least 40"):
+        SequenceDataset([Shuttle(5)], 40, seed=0, reverse=False)
