@@ -109,8 +109,14 @@ def _table(runs: Sequence[Run], recording: str) -> HeadlineTable:
         for label, entry in run.summary.trackers.items()
         if recording in entry.recordings
     ]
-    order = ("ranked", "floor", "apart")
-    rows.sort(key=lambda row: (order.index(row.standing), -_or_least(row.cells[decisive].value), row.label))
+    order, labels = ("ranked", "floor", "apart"), list(dict.fromkeys(row.label for row in rows))
+    rows.sort(
+        key=lambda row: (
+            order.index(row.standing),
+            -_or_least(row.cells[decisive].value),
+            labels.index(row.label),
+        )
+    )
     comparable = _of_the_same_frames(shown, recording)
     if comparable:
         rows = list(_with_best(rows, columns))
@@ -118,9 +124,7 @@ def _table(runs: Sequence[Run], recording: str) -> HeadlineTable:
 
 
 def _horizons_of_all(runs: Sequence[Run], recording: str) -> tuple[float, ...]:
-    """The horizons that every run looks ahead to. Raises ReportError where their rates differ: steps are then not the
-    same times.
-    """
+    """The horizons that every run looks ahead to. Raises ReportError where rates, and so the times of steps, differ."""
     stretches = [run.summary.recordings[recording] for run in runs]
     for run, stretch in zip(runs, stretches, strict=True):
         if abs(stretch.period_s - stretches[0].period_s) > 1e-6:
