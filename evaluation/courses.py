@@ -19,6 +19,8 @@ from gridtrack.trackers.weights import TrainingData
 
 TEST, VALIDATION, TRAIN = "test", "validation", "train"
 """The stretches that a recording may name for these uses."""
+AT_HALF = ", so every threshold is 0.5; name one with --validation"
+MAX_FORECAST_BYTES = 1 << 30
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,40 +92,57 @@ def plan_course(text: str, validation: str | None, sampling: Sampling) -> Course
     if stretch is None and TEST in recording.info.stretches:
         stretch = TEST
     test = GridStream(recording, stretch, grid=sampling.grid, rate_hz=sampling.rate_hz)
-    chosen_on, notices = _validation_stretch(test, validation)
-    steps = round(sampling.horizon_s / test.period_s)
+    steps = _steps(test, sampling.horizon_s)
+    every = max(1, round(sampling.every_s / test.period_s))
+    if not Schedule(len(test), steps, every).expected:
+        raise ConfigurationError(f"{_too_short(test, steps)}: name a longer stretch, or a shorter --horizon")
+    chosen_on, notices = _validation_stretch(test, validation, steps)
+    return Course(name, path, test, chosen_on, steps, every, (*recording.warnings, *notices))
+
+
+def _steps(stream: GridStream, horizon_s: float) -> int:
+    """The horizon in steps. Raises ConfigurationError where it is none, or its forecasts would be too large."""
+    steps = round(horizon_s / stream.period_s)
     if steps < 1:
         raise ConfigurationError(
-            f"a horizon of {sampling.horizon_s:g} s is less than half a frame of {test.name} ({test.period_s:g} s):"
-            " give a longer one with --horizon"
+            f"a horizon of {horizon_s:g} s is less than half a frame of {stream.name} ({stream.period_s:g} s): give a"
+            " longer one with --horizon"
         )
-    every = max(1, round(sampling.every_s / test.period_s))
-    course = Course(name, path, test, chosen_on, steps, every, (*recording.warnings, *notices))
-    if not course.schedule.expected:
+    size = (steps + 1) * stream.grid.size**2 * 4
+    if size > MAX_FORECAST_BYTES:
         raise ConfigurationError(
-            f"{test.name}: {len(test)} frames leave nothing to score after {WARM_UP} frames of warm-up and with {steps}"
-            " steps ahead: name a longer stretch, or a shorter --horizon"
+            f"forecasts of {steps} steps on {stream.grid.size} x {stream.grid.size} cells take {size} bytes each; more"
+            f" than {MAX_FORECAST_BYTES} are refused: choose a shorter --horizon, a lower --rate or a smaller --grid"
         )
-    return course
+    return steps
 
 
-def _validation_stretch(test: GridStream, asked: str | None) -> tuple[GridStream | None, tuple[str, ...]]:
-    """The stretch to choose thresholds on, or None and why; never one that shares a frame with the tested one."""
+def _too_short(stream: GridStream, steps: int) -> str:
+    return (
+        f"{stream.name}: {len(stream)} frames leave nothing to score after {WARM_UP} frames of warm-up and with {steps}"
+        " steps ahead"
+    )
+
+
+def _validation_stretch(test: GridStream, asked: str | None, steps: int) -> tuple[GridStream | None, tuple[str, ...]]:
+    """The stretch to choose thresholds on, or None and why; never one that shares a frame with the tested one.
+
+    What cannot be used is an error where it was asked for, and a notice where the recording merely names it.
+    """
     if asked is not None:
-        stretch = open_stream(asked, grid=test.grid, rate_hz=1 / test.period_s)
-        if shares_frames(test, stretch):
-            raise ConfigurationError(
-                f"validation {stretch.name} shares frames with the tested {test.name}: name others"
-            )
-        return stretch, ()
-    if VALIDATION not in test.recording.info.stretches:
-        return None, (f"{test.name}: no validation stretch, so every threshold is 0.5; name one with --validation",)
-    stretch = like(test, VALIDATION)
+        stretch = open_stream(asked, grid=test.grid, rate_hz=1e9 / test.period_ns)
+    elif VALIDATION in test.recording.info.stretches:
+        stretch = like(test, VALIDATION)
+    else:
+        return None, (f"{test.name}: no validation stretch{AT_HALF}",)
+    problem = ""
     if shares_frames(test, stretch):
-        return None, (
-            f"{test.name} shares frames with {stretch.name}, so every threshold is 0.5; name others with --validation",
-        )
-    return stretch, ()
+        problem = f"{test.name} shares frames with its validation {stretch.name}"
+    elif len(stretch) <= WARM_UP + steps:
+        problem = _too_short(stretch, steps)
+    if problem and asked is not None:
+        raise ConfigurationError(f"{problem}: name another --validation")
+    return (None, (problem + AT_HALF,)) if problem else (stretch, ())
 
 
 def like(stream: GridStream, stretch: Stretch | str | None = None, points: Points | None = None) -> GridStream:

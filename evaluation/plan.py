@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,7 +12,7 @@ from typing import Any
 from pydantic import Field
 
 from gridtrack.common.config import Settings
-from gridtrack.common.errors import ConfigurationError
+from gridtrack.common.errors import ConfigurationError, PluginError
 from gridtrack.common.grid import GridSpec
 from gridtrack.common.stream import GridStream
 from gridtrack.evaluation.courses import Course, Sampling, plan_course, was_seen, with_points
@@ -94,7 +95,7 @@ class Trial:
             "points": self.selection.points,
             "argv": list(self.launch.argv[1:]),
             "seed": self.seed,
-            "limits": self.limits.model_dump(),
+            "threads": self.limits.threads,
         }
 
 
@@ -121,11 +122,10 @@ def resolve(settings: CompareSettings) -> Plan:
     Raises a GridtrackError for a recording, stretch, tracker, option or weights file that does not fit.
     """
     external = read_trackers_toml(settings.trackers_toml) if settings.trackers_toml else {}
-    selections = parse_selections(settings.trackers or (*registry.entries(), *external))
+    selections = parse_selections(settings.trackers or _every_tracker(external))
     launches = {selection.label: launch(selection.name, external) for selection in selections}
     for selection in selections:
-        if selection.options:  # the defaults need no check, and starting a process costs time
-            describe(launches[selection.label], selection.options, settings.limits)
+        _check_options(selection, launches[selection.label], settings.limits)
     sampling = Sampling(
         settings.horizon_s, settings.every_s, GridSpec.parse(settings.grid) if settings.grid else None, settings.rate_hz
     )
@@ -146,6 +146,20 @@ def resolve(settings: CompareSettings) -> Plan:
     notices = [notice for course in courses for notice in course.notices]
     notices += [notice for trial in trials for notice in _seen_before(trial)]
     return Plan(settings, courses, trials, tuple(notices))
+
+
+def _every_tracker(external: Mapping[str, Launch]) -> tuple[str, ...]:
+    """Names of all that can be selected; `gridtrack trackers list` tells of those that cannot be."""
+    return (*(name for name in registry.entries() if registry.NAME.fullmatch(name)), *external)
+
+
+def _check_options(selection: Selection, start: Launch, limits: Limits) -> None:
+    """Ask the tracker whether it takes its options; defaults need no check, and starting a process costs time."""
+    if not selection.options:
+        return
+    # one that cannot be loaded ends as `unavailable` in its own trial, and stops no other
+    with suppress(PluginError):
+        describe(start, selection.options, limits)
 
 
 def _refuse_equal_names(courses: tuple[Course, ...]) -> None:

@@ -76,7 +76,9 @@ class _Crew:
         """Run every trial that has no record yet; on an error or an interrupt, end all of them before it is raised."""
         todo = [trial for trial in self._plan.trials if trial.name not in self._records]
         regions = self._regions(todo)
-        with ThreadPoolExecutor(self._plan.settings.jobs or usable_cores(), "trial") as pool:
+        settings = self._plan.settings
+        jobs = settings.jobs or max(1, usable_cores() // settings.limits.threads)
+        with ThreadPoolExecutor(jobs, "trial") as pool:
             futures = [pool.submit(self._run_trial, trial, regions[trial.course.name]) for trial in todo]
             try:
                 for future in as_completed(futures):

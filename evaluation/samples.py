@@ -35,6 +35,7 @@ KEPT = 40
 """Samples kept of a trial: the same moments for every tracker, evenly spaced over the scored frames."""
 HORIZONS_S = (0.5, 1.0, 2.0)
 MAX_CHUNK_BYTES = 1 << 26
+MAX_TOPICS = 64
 SENSORS = "/sensors"
 OCCUPANCY_FIELDS = ("visible", "occupied")
 PROBABILITY_FIELDS = ("probability",)
@@ -80,7 +81,8 @@ class SampleWriter:
         self._grid = grid
         steps_of = {h: round(h / period_s) for h in HORIZONS_S}
         self._steps = {h: step for h, step in steps_of.items() if 1 <= step <= steps}
-        self._file = path.open("wb")
+        self._path, self._partial = path, path.with_name(path.name + ".partial")
+        self._file = self._partial.open("wb")
         self._writer = Writer(self._file)
 
     def __enter__(self) -> Self:
@@ -91,6 +93,7 @@ class SampleWriter:
     ) -> None:
         with self._file:
             self._writer.finish()  # type: ignore[no-untyped-call]
+        self._partial.replace(self._path)
 
     def add(self, moment: Moment) -> None:
         """Keep one moment."""
@@ -151,6 +154,8 @@ def read_samples(path: Path) -> Iterator[Sample]:
                 yield _sample(stamp_ns, topics)
                 topics = {}
             stamp_ns = message.log_time
+            if len(topics) == MAX_TOPICS:
+                raise ValueError(f"more than {MAX_TOPICS} messages at {stamp_ns} ns")
             topics[topic] = (PosesInFrame if topic == SENSORS else Grid).FromString(message.data)
         if stamp_ns is not None:
             yield _sample(stamp_ns, topics)

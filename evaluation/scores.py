@@ -30,6 +30,7 @@ CONFUSION = ("tp", "fp", "fn", "tn")
 CONFUSION_AT_HALF = tuple(f"{name}_half" for name in CONFUSION)
 
 _STRATUM = pa.dictionary(pa.int8(), pa.string())
+_STRATUM_INDEX = {name: i for i, name in enumerate(STRATA)}
 _SCORES_SCHEMA = pa.schema(
     [("stamp_ns", pa.int64()), ("delivered", pa.string()), ("step", pa.int16()), ("stratum", _STRATUM)]
     + [(name, pa.int32()) for name in CONFUSION + CONFUSION_AT_HALF]
@@ -168,14 +169,13 @@ def read_deliveries(folder: Path) -> dict[int, str]:
 def _batches(path: Path, names: list[str], steps: int) -> Iterator[dict[str, Any]]:
     """Columns as numpy arrays, lists as (rows, B), with `where`: the rows' (step, stratum) as an index."""
     for batch in _read(path, ["step", "stratum", *names]):
-        step = batch["step"].to_numpy()
+        step = batch["step"].to_numpy().astype(np.int64)
         if len(step) and not 0 <= step.min() <= step.max() <= steps:
             raise ScoresError(f"{path}: steps {step.min()} to {step.max()}, expected 0 to {steps}")
-        strata = np.array([STRATA.index(name) for name in batch["stratum"].to_pylist()], np.int64)
-        columns: dict[str, Any] = {"where": (step.astype(np.int64), strata)}
-        for name in names:
-            columns[name] = _as_numpy(batch[name])
-        yield columns
+        strata = np.array([_STRATUM_INDEX.get(name, -1) for name in batch["stratum"].to_pylist()], np.int64)
+        if (strata < 0).any():
+            raise ScoresError(f"{path}: a stratum other than {', '.join(STRATA)}")
+        yield {"where": (step, strata), **{name: _as_numpy(batch[name]) for name in names}}
 
 
 def _as_numpy(column: Any) -> NDArray[Any]:
@@ -185,8 +185,13 @@ def _as_numpy(column: Any) -> NDArray[Any]:
 
 
 def _read(path: Path, names: list[str]) -> Iterator[Any]:
+    """Batches of these columns, their types checked. Raises ScoresError."""
+    expected = {**{f.name: f.type for f in _SCORES_SCHEMA}, **{f.name: f.type for f in _HISTOGRAM_SCHEMA}}
     try:
         with parquet.ParquetFile(path) as file:
+            for name in names:
+                if file.schema_arrow.field(name).type != expected[name]:
+                    raise ScoresError(f"{path}: column '{name}' is {file.schema_arrow.field(name).type}")
             yield from file.iter_batches(batch_size=8192, columns=names)
     except (OSError, ArrowException, KeyError) as error:
         raise ScoresError(f"{path}: cannot be read as scores ({str(error).splitlines()[0]}); run it again") from None

@@ -100,6 +100,7 @@ def _trial_summary(trial: Ended) -> dict[str, Any]:
         "frames_scored": record.frames_scored,
         "frames_expected": record.frames_expected,
         "threshold_chosen_on": record.thresholds.chosen_on,
+        "weights_sha256": record.weights_sha256,
         "strata": _strata(record, read_tally(trial.folder, record.steps)) if record.frames_scored else {},
         "semantics": None,
         "latency_ms": latency.model_dump() if latency else None,

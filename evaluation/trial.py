@@ -13,10 +13,10 @@ from gridtrack.common.errors import RecordingError
 from gridtrack.evaluation.counting import Tally, count_forecast
 from gridtrack.evaluation.outcome import TrialEnded
 from gridtrack.evaluation.plan import Trial
-from gridtrack.evaluation.record import Ending, ThresholdsUsed, Times, TrialRecord
+from gridtrack.evaluation.record import RECORD, Ending, ThresholdsUsed, Times, TrialRecord
 from gridtrack.evaluation.referee import Delivery, Schedule, moments
 from gridtrack.evaluation.samples import SAMPLES, SampleWriter, kept_moments
-from gridtrack.evaluation.scores import ScoreWriter
+from gridtrack.evaluation.scores import HISTOGRAM, SCORES, ScoreWriter
 from gridtrack.evaluation.thresholds import Thresholds, best_thresholds, half
 from gridtrack.evaluation.tracker_process import TrackerProcess
 from gridtrack.trackers.contract import FrameSource, stream_of
@@ -37,6 +37,8 @@ class TrialRun:
     def __init__(self, trial: Trial, regions: NDArray[np.uint8], folder: Path, on_frame: OnFrame) -> None:
         """`regions` (M, M) as of `strata.regions_of`; the trial's files are left in `folder`."""
         folder.mkdir(parents=True, exist_ok=True)
+        for left_by_an_earlier_attempt in (RECORD, SCORES, HISTOGRAM, SAMPLES):
+            (folder / left_by_an_earlier_attempt).unlink(missing_ok=True)
         self.trial, self._regions, self._folder, self._on_frame = trial, regions, folder, on_frame
         self._thresholds: Thresholds | None = None
         self._test = self._schedule(trial.test)

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gridtrack.common.geometry import SE2
 from gridtrack.common.recordings import RecordingInfo, write_native
 from gridtrack.common.scan import Scan
 from gridtrack.evaluation.record import TrialRecord
@@ -51,7 +52,7 @@ class Staged(Tracker):
 '''
 
 
-def scan(index: int) -> Scan:
+def scan(index: int, speed: float = 0.0) -> Scan:
     """A wall 3 m ahead, and something 0.3 m wide that walks to and fro before it."""
     angles = np.linspace(-math.pi / 3, math.pi / 3, BEAMS)
     ranges = 3.0 / np.cos(angles)
@@ -64,6 +65,7 @@ def scan(index: int) -> Scan:
         angle_increment=float(angles[1] - angles[0]),
         range_min=0.05,
         range_max=8.0,
+        world_T_sensor=SE2(speed * index / RATE_HZ, 0.0, 0.0),
     )
 
 
@@ -72,15 +74,17 @@ Record = Callable[..., Path]
 
 @pytest.fixture
 def record(tmp_path: Path) -> Record:
-    """`record(name, seconds, stretches)` writes a recording and gives its path."""
+    """`record(name, seconds, stretches, speed)` writes a recording and gives its path; m/s of the sensor."""
 
-    def record(name: str = "room", seconds: int = SECONDS, stretches: dict[str, object] | None = None) -> Path:
+    def record(
+        name: str = "room", seconds: int = SECONDS, stretches: dict[str, object] | None = None, speed: float = 0.0
+    ) -> Path:
         path = tmp_path / f"{name}.mcap"
         info = RecordingInfo(
             site="room", grid="40x0.2@-1,-4", rate_hz=RATE_HZ, stretches=STRETCHES if stretches is None else stretches
         )
         with path.open("wb") as file:
-            write_native(file, info, map(scan, range(seconds * RATE_HZ)))
+            write_native(file, info, (scan(index, speed) for index in range(seconds * RATE_HZ)))
         return path
 
     return record

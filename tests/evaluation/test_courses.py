@@ -39,9 +39,18 @@ def test_thresholds_are_never_chosen_on_frames_that_are_tested(record):
     path = record()
     course = plan_course(f"{path}@8s-20s", None, SECOND)
     assert course.validation is None
-    assert "shares frames with room.mcap@validation" in course.notices[0]
-    with pytest.raises(ConfigurationError, match="shares frames with the tested"):
+    assert "shares frames with its validation room.mcap@validation, so every threshold is 0.5" in course.notices[0]
+    with pytest.raises(ConfigurationError, match=r"shares frames with its validation room\.mcap@0s-8\.5s: name"):
         plan_course(f"{path}@8s-20s", f"{path}@0s-8.5s", SECOND)
+
+
+def test_a_validation_stretch_too_short_to_choose_on_is_told(record):
+    stretches = {"validation": (0.0, 2.5), "test": (9.0, None)}
+    course = plan_course(str(record(stretches=stretches)), None, SECOND)
+    assert course.validation is None
+    assert "25 frames leave nothing to score" in course.notices[0]
+    with pytest.raises(ConfigurationError, match="name another --validation"):
+        plan_course(str(record()), f"{record()}@0s-2.5s", SECOND)
 
 
 def test_another_recording_can_be_the_validation(record):
@@ -56,6 +65,7 @@ def test_another_recording_can_be_the_validation(record):
     [
         ("@9s-12s", SECOND, r"30 frames leave nothing to score after 20 frames of warm-up and with 10 steps ahead"),
         ("", Sampling(horizon_s=0.04, every_s=1.0), r"a horizon of 0\.04 s is less than half a frame"),
+        ("", Sampling(60.0, 1.0, GridSpec(1000, 0.01)), r"forecasts of 600 steps on 1000 x 1000 cells take"),
     ],
 )
 def test_what_leaves_nothing_to_score_is_refused_in_one_line(record, text, sampling, message):
@@ -64,7 +74,7 @@ def test_what_leaves_nothing_to_score_is_refused_in_one_line(record, text, sampl
 
 
 def test_grid_and_rate_can_be_given(record):
-    course = plan_course(str(record()), None, Sampling(1.0, 1.0, GridSpec(30, 0.1), 5.0))
+    course = plan_course(str(record()), None, Sampling(0.6, 1.0, GridSpec(30, 0.1), 5.0))
     assert (course.test.grid, course.validation.grid, len(course.test)) == (GridSpec(30, 0.1), GridSpec(30, 0.1), 55)
 
 

@@ -142,6 +142,19 @@ def test_a_tracker_with_nothing_learned_names_the_command_that_trains_it(setting
     assert result["strata"] == {}
 
 
+def test_a_recording_whose_sensor_moves_is_not_applicable_and_says_what_to_name(settings, told, record):
+    result = trial_of(compare(settings("blank", recordings=(str(record("drive", speed=0.5)),)), told), "blank", "drive")
+    assert result["outcome"] == "not-applicable"
+    assert "the sensor moves at" in result["reason"]
+
+
+def test_a_plugin_that_cannot_be_loaded_stops_no_other(settings, told, install):
+    install("broken", {"broken": "no_such_module:Tracker"})
+    summary = compare(settings("broken:depth=3", "blank"), told)
+    assert trial_of(summary, "broken")["outcome"] == "unavailable"
+    assert trial_of(summary, "blank")["outcome"] == "ok"
+
+
 def test_the_latency_pass_times_complete_trials(settings, told):
     latency = trial_of(compare(settings("blank", latency=True), told), "blank")["latency_ms"]
     assert set(latency) == {"update", "predict", "predict_step"}
@@ -214,6 +227,20 @@ def test_an_interrupt_ends_a_call_that_hangs(settings, tmp_path):
     host.send_signal(signal.SIGINT)
     assert host.wait(30) == 0
     assert json.loads((tmp_path / "run" / "summary.json").read_text())["interrupted"] is True
+
+
+def test_a_run_whose_host_was_killed_is_taken_up_again(settings, told, tmp_path):
+    trackers = ("persistence", "staged:sleep_s=0.01")
+    host = start(settings, tmp_path, *trackers)
+    wait_until((tmp_path / "run" / "persistence@room" / "outcome.json").exists)
+    wait_until((tmp_path / "run" / "staged@room" / "scores.parquet.partial").exists)
+    family = children(host)
+    host.kill()
+    host.wait()
+    wait_until(lambda: not any(process.is_running() for process in family))
+    summary = compare(settings(*trackers, resume=True), told)
+    assert {trial_of(summary, label)["outcome"] for label in ("persistence", "staged")} == {"ok"}
+    assert set(told.delivered) == {"staged@room"}
 
 
 def test_a_tracker_that_is_killed_ends_alone(settings, tmp_path):

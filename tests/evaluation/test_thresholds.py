@@ -1,7 +1,7 @@
 """Thresholds: one per step, the best visible F1 on the validation stretch."""
 
 import numpy as np
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from sklearn.metrics import f1_score
@@ -25,6 +25,7 @@ def tally_of(positives, negatives):
 counts = arrays(np.int64, BINS, elements=st.integers(0, 3))
 
 
+@settings(max_examples=20, deadline=None)
 @given(counts, counts)
 def test_no_threshold_has_a_better_visible_f1(positives, negatives):
     chosen = best_thresholds(tally_of(positives, negatives), "validation").bins[0]
