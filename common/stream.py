@@ -127,7 +127,8 @@ class GridStream:
 
     def _frame(self, tick: Tick, poses: dict[str, SE2], world_T_grid: SE2) -> GridFrame:
         grid_T_world = world_T_grid.inverse()
-        grid_T_sensor = {sensor: grid_T_world @ pose for sensor, pose in poses.items()}
+        # The sensor whose frame the grid's is stands at its origin exactly, not to within rounding.
+        grid_T_sensor = {s: SE2() if pose == world_T_grid else grid_T_world @ pose for s, pose in poses.items()}
         visible, occupied = np.zeros(self.grid.shape, np.bool_), np.zeros(self.grid.shape, np.bool_)
         owner = np.zeros(self.grid.shape, np.uint8)
         returns: list[NDArray[np.float32]] = []
@@ -160,8 +161,8 @@ class GridStream:
         if gaps:
             longest = max(gaps, key=lambda gap: int(gap[1] - gap[0]))
             self.recording.tell(
-                f"{len(gaps)} gaps longer than two periods of {self.period_s:g} s in {stretch_text(self.stretch_s)};"
-                f" the longest lasts {(longest[1] - longest[0]) / 1e9:.2f} s from"
+                f"gaps longer than two periods of {self.period_s:g} s in {stretch_text(self.stretch_s)}: {len(gaps)},"
+                f" the longest {(longest[1] - longest[0]) / 1e9:.2f} s from"
                 f" {(longest[0] - survey.first_ns) / 1e9:.2f} s on; frames in them are empty"
             )
         return len(gaps)

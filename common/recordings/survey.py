@@ -180,7 +180,7 @@ def _sensor_lines(s: SensorSummary) -> list[str]:
     beams = f"{s.beams[0]}" if s.beams[0] == s.beams[1] else f"{s.beams[0]} to {s.beams[1]}"
     rate = "one scan" if s.rate_hz is None else f"{s.rate_hz:g} Hz, jitter {s.jitter_ms:g} ms"
     return [
-        f"{s.scans} scans, {rate}, " + (f"{s.gaps} gaps, the longest {s.longest_gap_s:g} s" if s.gaps else "no gaps"),
+        f"{s.scans} scans, {rate}, " + (f"gaps: {s.gaps}, the longest {s.longest_gap_s:g} s" if s.gaps else "no gaps"),
         f"{beams} beams over {s.field_of_view_deg:g} deg from {s.angle_min_deg:g} deg,"
         f" {s.range_min:g} to {s.range_max:g} m, {'moves' if s.moves else 'stands still'}",
         f"{s.no_return_share:.1%} no return, {s.invalid_share:.1%} invalid, {s.labelled_scans} scans labelled",

@@ -142,7 +142,7 @@ def test_summary_tells_what_is_in_it(write: Callable[..., Path], scan: Callable[
     assert sensor.invalid_share == pytest.approx(2 / 36, abs=1e-4)
     assert sensor.field_of_view_deg == pytest.approx(math.degrees(3.0), abs=0.01)
     assert summary.topics == {"/pose": "foxglove.FrameTransform, 1", "/scan": "foxglove.LaserScan, 40"}
-    assert "40 scans, 10 Hz, jitter 0 ms, 1 gaps" in str(summary)
+    assert "40 scans, 10 Hz, jitter 0 ms, gaps: 1, the longest 1.1 s" in str(summary)
     assert type(summary).model_validate_json(summary.model_dump_json()) == summary
 
 
