@@ -1,1 +1,46 @@
-"""gridtrack: occupancy-grid trackers side by side, on one stream, under one referee."""
+"""gridtrack: occupancy-grid trackers side by side, on one stream, under one referee.
+
+The names that a plugin author needs, imported when they are first used.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from gridtrack.common.config import Settings
+    from gridtrack.common.errors import GridtrackError
+    from gridtrack.common.geometry import SE2
+    from gridtrack.common.grid import GridFrame, GridSpec
+    from gridtrack.trackers.contract import Forecast, StreamSpec, TrackedObject, Tracker
+
+__all__ = [
+    "SE2",
+    "Forecast",
+    "GridFrame",
+    "GridSpec",
+    "GridtrackError",
+    "Settings",
+    "StreamSpec",
+    "TrackedObject",
+    "Tracker",
+]
+
+_HOMES = {
+    "SE2": "common.geometry",
+    "Forecast": "trackers.contract",
+    "GridFrame": "common.grid",
+    "GridSpec": "common.grid",
+    "GridtrackError": "common.errors",
+    "Settings": "common.config",
+    "StreamSpec": "trackers.contract",
+    "TrackedObject": "trackers.contract",
+    "Tracker": "trackers.contract",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module 'gridtrack' has no attribute '{name}'")
+    return getattr(import_module(f"gridtrack.{_HOMES[name]}"), name)

@@ -260,3 +260,7 @@ def recording_import(
         strict=strict,
     )
     typer.echo(str(recording.summary()))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,78 @@
+"""The package: light to import, whole when built, and at work where the repository is not."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+HEAVY = ("torch", "lightning", "gtsam", "kiss_icp", "ray", "sklearn", "optuna", "filterpy", "numba", "rosbags")
+
+
+def python(*arguments: str, **environment: str) -> str:
+    done = subprocess.run(
+        [sys.executable, *arguments],
+        env={**os.environ, **environment},
+        capture_output=True,
+        text=True,
+        check=False,
+        cwd=environment.get("cwd"),
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+@pytest.mark.parametrize("module", ["gridtrack", "gridtrack.cli"])
+def test_importing_it_loads_nothing_heavy(module):
+    loaded = json.loads(python("-c", f"import {module}, sys, json; print(json.dumps(sorted(sys.modules)))"))
+    assert not [name for name in HEAVY if name in loaded]
+
+
+def test_the_front_door_gives_a_plugin_author_every_name_it_promises():
+    import gridtrack
+
+    for name in gridtrack.__all__:
+        assert getattr(gridtrack, name).__name__ == name
+    with pytest.raises(AttributeError, match="no attribute 'Trakcer'"):
+        _ = gridtrack.Trakcer
+
+
+def test_every_package_is_in_the_distribution():
+    declared = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]["packages"]
+    tops = [ROOT / name for name in ("common", "trackers", "evaluation", "reports", "data")]
+    found = [p.parent for top in tops for p in top.rglob("__init__.py")]
+    assert sorted(declared) == sorted(
+        ["gridtrack", *(".".join(("gridtrack", *p.relative_to(ROOT).parts)) for p in found)]
+    )
+
+
+def test_the_built_wheel_compares_its_own_demo_recording_without_the_repository(tmp_path):
+    source, site = tmp_path / "source", tmp_path / "site"
+    shutil.copytree(ROOT, source, ignore=shutil.ignore_patterns(".*", "runs", "build", "*.egg-info", "__pycache__"))
+    python(
+        "-m", "pip", "wheel", "--quiet", "--no-deps", "--no-build-isolation", "--wheel-dir", str(tmp_path), str(source)
+    )
+    (wheel,) = tmp_path.glob("gridtrack-*.whl")
+    python("-m", "pip", "install", "--quiet", "--no-deps", "--target", str(site), str(wheel))
+    elsewhere = {"PYTHONPATH": str(site), "cwd": str(tmp_path)}
+    where = python("-c", "import gridtrack; print(gridtrack.__file__)", **elsewhere)
+    assert where.startswith(str(site))
+    demo = python(
+        "-c",
+        "from gridtrack.common.recordings import packaged_recording as p; print(p('leg_tracker'))",
+        **elsewhere,
+    ).strip()
+    arguments = ["compare", demo, "--tracker", "persistence", "--tracker", "static-map", "--out", "run", "--json"]
+    summary = json.loads(python("-m", "gridtrack.cli", *arguments, **elsewhere))
+    for tracker in ("persistence", "static-map"):
+        (trial,) = summary["trackers"][tracker]["recordings"].values()
+        assert trial["outcome"] == "ok"
+        assert trial["frames_scored"] == trial["frames_expected"] > 10
+    assert (tmp_path / "run" / "report" / "index.html").stat().st_size > 10_000
