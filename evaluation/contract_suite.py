@@ -1,4 +1,4 @@
-"""The contract suite: what every tracker promises, tried over the wire, so that programs in any language are checked."""
+"""The contract suite: what a tracker promises, tried over the wire, so that programs in any language are checked."""
 
 from __future__ import annotations
 

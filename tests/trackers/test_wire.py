@@ -67,10 +67,14 @@ def test_arrays_of_every_type_and_shape_come_back_bit_for_bit(content: dict[str,
 
 def test_the_bytes_are_those_of_the_page() -> None:
     """docs/wire.md's worked example, by hand."""
+    page = (Path(__file__).parents[2] / "docs" / "wire.md").read_text()
     header = b'{"type":"reset","id":2,"arrays":[{"name":"a","dtype":"int32","shape":[2]}],"seed":7}'
     body = struct.pack("<2i", 1, -1)
     expected = b"GTW\x01" + struct.pack("<IQ", len(header), len(body)) + header + body
     assert b"".join(encode(Message("reset", 2, {"seed": 7}, {"a": np.array([1, -1], np.int32)}))) == expected
+    assert expected[:4].hex(" ") + "  " + expected[4:8].hex(" ") + "  " + expected[8:16].hex(" ") in page
+    assert header.decode() in page
+    assert body[:4].hex(" ") + "  " + body[4:].hex(" ") in page
 
 
 def test_arrays_in_any_layout_and_byte_order_arrive_as_their_values() -> None:

@@ -1,0 +1,124 @@
+// A fading memory over the wire (docs/wire.md): each cell as last seen, trusted less with time. No library needed.
+#include <algorithm>
+#include <chrono>
+#include <cmath>
+#include <cstdint>
+#include <cstdio>
+#include <cstring>
+#include <ctime>
+#include <stdexcept>
+#include <string>
+#include <vector>
+
+struct Message {
+    std::string header;
+    std::vector<uint8_t> body;
+
+    // The number after the first "key": in the header. The referee writes compact JSON, and a quote inside a string
+    // is escaped, so the search cannot be led astray by what a string holds. Use a JSON library for more than this.
+    double number(const char *key) const {
+        const auto place = header.find('"' + std::string(key) + "\":");
+        if (place == std::string::npos) throw std::runtime_error("the request lacks a field");
+        return std::stod(header.substr(place + std::strlen(key) + 3));
+    }
+    bool is(const char *type) const { return header.rfind("{\"type\":\"" + std::string(type) + '"', 0) == 0; }
+};
+
+#pragma pack(push, 1)
+struct Prefix {  // 16 bytes, little-endian as this processor is
+    char magic[3];
+    uint8_t version;
+    uint32_t header_bytes;
+    uint64_t body_bytes;
+};
+#pragma pack(pop)
+
+bool receive(Message &message) {
+    Prefix prefix;
+    if (std::fread(&prefix, sizeof prefix, 1, stdin) != 1) return false;  // the referee has closed the wire: the end
+    if (std::memcmp(prefix.magic, "GTW", 3) != 0 || prefix.version != 1 || prefix.header_bytes > 1u << 20 ||
+        prefix.body_bytes > 1u << 30)
+        throw std::runtime_error("not a message of wire version 1");
+    message.header.resize(prefix.header_bytes);
+    message.body.resize(prefix.body_bytes);
+    return std::fread(message.header.data(), 1, prefix.header_bytes, stdin) == prefix.header_bytes &&
+           std::fread(message.body.data(), 1, prefix.body_bytes, stdin) == prefix.body_bytes;
+}
+
+void send(const Message &request, const char *type, const std::string &fields, const std::string &arrays = "",
+          const std::vector<float> &body = {}) {
+    const std::string header = "{\"type\":\"" + std::string(type) + "\",\"id\":" +
+                               std::to_string(static_cast<long long>(request.number("id"))) + ",\"arrays\":[" + arrays +
+                               "]," + fields + "}";
+    const Prefix prefix{{'G', 'T', 'W'}, 1, static_cast<uint32_t>(header.size()), body.size() * sizeof(float)};
+    std::fwrite(&prefix, sizeof prefix, 1, stdout);
+    std::fwrite(header.data(), 1, header.size(), stdout);
+    std::fwrite(body.data(), sizeof(float), body.size(), stdout);
+    std::fflush(stdout);
+}
+
+struct FadingTracker {
+    const double background = 0.02, half_life_s = 1.0;
+    size_t size = 0, cells = 0;
+    double trust_per_frame = 1.0;
+    std::vector<double> excess;  // by how much P(occupied) exceeds the background, row by row
+
+    void start(const Message &request) {
+        size = static_cast<size_t>(request.number("size"));
+        cells = size * size;
+        trust_per_frame = std::pow(0.5, request.number("period_s") / half_life_s);
+        excess.assign(cells, 0.0);
+    }
+
+    void update(const Message &request) {  // `visible` and `occupied` are the last two arrays of the body
+        if (request.body.size() < 2 * cells) throw std::runtime_error("the frame is of another grid");
+        const uint8_t *visible = request.body.data() + request.body.size() - 2 * cells, *occupied = visible + cells;
+        for (size_t i = 0; i < cells; ++i)
+            excess[i] = visible[i] ? occupied[i] - background : excess[i] * trust_per_frame;
+    }
+
+    std::vector<float> predict(int steps) const {
+        std::vector<float> occupancy;
+        occupancy.reserve((steps + 1) * cells);
+        double trust = 1.0;
+        for (int n = 0; n <= steps; ++n, trust *= trust_per_frame)
+            for (const double e : excess) occupancy.push_back(static_cast<float>(background + trust * e));
+        return occupancy;
+    }
+};
+
+int main() try {
+    FadingTracker tracker;
+    const std::string self = "\"api\":1,\"about\":\"Each cell as last seen, fading.\",\"classes\":[],"
+                             "\"moving_sensor\":false,\"learns\":false,\"options\":{},\"options_schema\":{}";
+    for (Message request; receive(request);) {
+        const auto began = std::chrono::steady_clock::now();
+        const auto cpu = std::clock();
+        std::vector<float> forecast;
+        if (request.is("describe") || request.is("start")) {
+            if (request.header.find("\"options\":{}") == std::string::npos) {
+                send(request, "error", "\"outcome\":\"not-applicable\",\"reason\":\"this tracker has no options\"");
+                continue;
+            }
+            if (request.is("start")) tracker.start(request);
+            send(request, request.is("start") ? "started" : "described", self);
+            continue;
+        }
+        if (request.is("reset")) tracker.excess.assign(tracker.cells, 0.0);
+        if (request.is("update")) tracker.update(request);
+        if (request.is("predict")) forecast = tracker.predict(static_cast<int>(request.number("steps")));
+        const auto elapsed = std::chrono::duration_cast<std::chrono::nanoseconds>(std::chrono::steady_clock::now() - began);
+        const std::string times = "\"elapsed_ns\":" + std::to_string(elapsed.count()) +
+                                  ",\"cpu_ns\":" + std::to_string((std::clock() - cpu) * (1000000000 / CLOCKS_PER_SEC));
+        const std::string m = std::to_string(tracker.size);
+        const std::string shape = std::to_string(forecast.size() / std::max<size_t>(1, tracker.cells)) + "," + m + "," + m;
+        if (request.is("predict"))
+            send(request, "forecast", times,
+                 "{\"name\":\"occupancy\",\"dtype\":\"float32\",\"shape\":[" + shape + "]}", forecast);
+        else
+            send(request, "done", times);
+    }
+} catch (const std::exception &error) {
+    std::fprintf(stderr, "%s\n", error.what());  // stderr is the log; its last line becomes the reason
+    return 1;
+}
