@@ -17,9 +17,9 @@ from gridtrack.common.grid import GridFrame
 from gridtrack.trackers.model_free.association import assign, share_out, squared_mahalanobis
 from gridtrack.trackers.model_free.background import (
     PRIOR_FRAMES,
+    Background,
     explained_cells,
     fit_background,
-    without_foreseen,
 )
 from gridtrack.trackers.model_free.dwell import NOT_OCCUPIED, PRIOR_RETURNS, fit_dwell, next_ages, staying
 from gridtrack.trackers.model_free.estimation import ConstantVelocityKalman, MotionNoise, motion_model
@@ -56,9 +56,39 @@ def test_background_explains_the_returns_of_a_wall_and_of_its_eight_neighbours()
     assert np.array_equal(explained_cells(background, 0.3), expected)
 
 
+def background_of(fitted, **settings):
+    given = {"explained_above": 0.3, "unforeseen_share": 0.5, "sink_above": 0.3, "sink_s": 5.0} | settings
+    return Background(np.asarray(fitted, np.float32), 0.1, **given)
+
+
 def test_forecast_keeps_walls_and_only_a_share_of_the_traffic():
-    background = np.array([[0.9, 0.1], [0.3, 0.0]], np.float32)
-    assert without_foreseen(background, 0.3, 0.5) == pytest.approx(np.array([[0.9, 0.05], [0.3, 0.0]]))
+    background = background_of([[0.9, 0.1], [0.31, 0.0]])
+    assert background.probabilities() == pytest.approx(np.array([[0.9, 0.05], [0.31, 0.0]]))
+
+
+def test_what_stands_sinks_into_the_background_and_what_has_left_leaves_it():
+    background = background_of([[0.0, 0.0]])
+    seen, parked = np.ones((1, 2), bool), np.array([[True, False]])
+    for _ in range(100):
+        background.observe(frame_of(seen, parked))
+    keep = math.exp(-0.1 / 5.0)
+    frames = (1 - keep**100) / (1 - keep)
+    sunk = np.array([[frames / (frames + PRIOR_FRAMES), 0.0]])
+    assert background.probabilities() == pytest.approx(sunk)
+    for _ in range(100):
+        background.observe(frame_of(~seen, ~seen))
+    assert background.probabilities() == pytest.approx(sunk)  # hidden is not gone
+    for _ in range(100):
+        background.observe(frame_of(seen, ~seen))
+    assert background.probabilities() == pytest.approx(np.zeros((1, 2)))
+
+
+def test_a_wall_that_is_taken_away_is_forgotten():
+    background = background_of([[0.9]])
+    for _ in range(1000):
+        background.observe(frame_of(np.ones((1, 1), bool), np.zeros((1, 1), bool)))
+    frames = 1 / (1 - math.exp(-0.1 / 5.0))
+    assert background.probabilities()[0, 0] == pytest.approx(0.9 * PRIOR_FRAMES / (PRIOR_FRAMES + frames), rel=1e-5)
 
 
 # Segmentation

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 
 import numpy as np
@@ -41,10 +42,41 @@ def explained_cells(background: NDArray[np.float32], above: float) -> Mask:
     return explained
 
 
-def without_foreseen(
-    background: NDArray[np.float32], wall_above: float, unforeseen_share: float
-) -> NDArray[np.float32]:
-    """The background (M, M) as the forecast needs it: walls as they are, and of the traffic through open cells only
-    the share that no track announces, since what is tracked is forecast by its track.
+class Background:
+    """The fitted background as it is held now: what has come to stand sinks into it, and what has left leaves it.
+
+    `fitted` (M, M) float32. The record of each cell goes on from the fitted one, worth PRIOR_FRAMES frames, and forgets
+    with the time constant `sink_s` while the cell is visible.
     """
-    return np.where(background >= wall_above, background, background * np.float32(unforeseen_share))
+
+    def __init__(
+        self,
+        fitted: NDArray[np.float32],
+        period_s: float,
+        explained_above: float,
+        unforeseen_share: float,
+        sink_above: float,
+        sink_s: float,
+    ) -> None:
+        self.fitted, self.sink_above = fitted, sink_above
+        self.explained = explained_cells(fitted, explained_above)
+        """The cells (M, M) whose returns are no object's."""
+        self._wall = fitted >= explained_above
+        self._traffic = fitted * np.float32(unforeseen_share)
+        self._keep = np.float32(math.exp(-period_s / sink_s))
+        self._visible, self._occupied = np.zeros_like(fitted), np.zeros_like(fitted)
+
+    def observe(self, frame: GridFrame) -> None:
+        """Take in a frame."""
+        keep = np.where(frame.visible, self._keep, np.float32(1.0))
+        self._visible = self._visible * keep + frame.visible
+        self._occupied = self._occupied * keep + frame.occupied
+
+    def probabilities(self) -> NDArray[np.float32]:
+        """P(occupied) (M, M) of what no track announces.
+
+        Walls, and cells occupied in more than the share `sink_above` of late, are map and forecast by their record; of
+        the traffic through open cells there is only the unforeseen share, since the rest has tracks.
+        """
+        record = (self.fitted * np.float32(PRIOR_FRAMES) + self._occupied) / (PRIOR_FRAMES + self._visible)
+        return np.where(self._wall | (record > self.sink_above), record, self._traffic).astype(np.float32)

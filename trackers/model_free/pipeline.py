@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from gridtrack.common.grid import GridFrame, GridSpec, Mask
 from gridtrack.trackers.model_free.association import assign, share_out, squared_mahalanobis
-from gridtrack.trackers.model_free.background import explained_cells, without_foreseen
+from gridtrack.trackers.model_free.background import Background
 from gridtrack.trackers.model_free.dwell import NOT_OCCUPIED, next_ages
 from gridtrack.trackers.model_free.estimation import ConstantVelocityKalman, MotionNoise
 from gridtrack.trackers.model_free.forecast import appearance, share_in_view
@@ -37,14 +37,20 @@ class Pipeline:
         settings: PipelineSettings,
     ) -> None:
         self.grid, self.period_s, self.dwell, self.settings = grid, period_s, dwell, settings
-        self.explained = explained_cells(background, settings.explained_above)
+        self.background = Background(
+            background,
+            period_s,
+            settings.explained_above,
+            settings.unforeseen_share,
+            settings.sink_above,
+            settings.sink_s,
+        )
         self.gate = -2.0 * math.log(1.0 - settings.gate_probability)  # chi-square quantile, two degrees of freedom
         self.survival = math.exp(-period_s / settings.life_s)
         self.shape_keep = math.exp(-period_s / settings.shape_memory_s)
         self.noise = MotionNoise(
             settings.acceleration, settings.velocity_memory_s, settings.position_noise_m, settings.initial_speed
         )
-        self.unforeseen = without_foreseen(background, settings.explained_above, settings.unforeseen_share)
         self.ages = np.full(grid.shape, NOT_OCCUPIED)
         self.tracks: list[Track] = []
         self.frame: GridFrame | None = None
@@ -52,8 +58,9 @@ class Pipeline:
 
     def update(self, frame: GridFrame) -> None:
         """Take in one frame: the stages in their order."""
+        self.background.observe(frame)
         points, ranges = self._unexplained(frame)
-        self.ages = next_ages(self.ages, frame.occupied & ~self.explained, oldest=len(self.dwell) - 1)
+        self.ages = next_ages(self.ages, frame.occupied & ~self.background.explained, oldest=len(self.dwell) - 1)
         clusters = segment(points, ranges, self.settings.link_m, self.settings.link_per_m)
         self._predict()
         shares, left = self._associate(clusters)
@@ -66,7 +73,7 @@ class Pipeline:
         """Returns (N, 2) that the background does not explain, metres, and the range (N,) of each."""
         cells, inside = self.grid.cells_of(frame.points)
         new = inside.copy()
-        new[inside] = ~self.explained[cells[inside, 0], cells[inside, 1]]
+        new[inside] = ~self.background.explained[cells[inside, 0], cells[inside, 1]]
         points = frame.points[new].astype(np.float64)
         return points, np.linalg.norm(points - frame.origins[frame.point_origin[new]], axis=1)
 
@@ -122,7 +129,7 @@ class Pipeline:
 
     def forecast(self, steps: int) -> NDArray[np.float32]:
         """P(occupied) (steps+1, M, M) float32 of steps 0..steps; where step 0 is visible it is what was seen."""
-        occupancy = np.repeat(self.unforeseen[None], steps + 1, axis=0)
+        occupancy = np.repeat(self.background.probabilities()[None], steps + 1, axis=0)
         for track in self.tracks:
             noisy_or(occupancy, self._appearance(track, steps), track.existence * self.survival ** np.arange(steps + 1))
         if self.frame is not None:

@@ -16,6 +16,12 @@ class PipelineSettings(Settings):
     # Static background
     explained_above: float = Field(0.15, gt=0, lt=1)
     """A return in or beside a cell that the background holds occupied this often is explained by it."""
+    unforeseen_share: float = Field(0.25, ge=0, le=1)
+    """The share of the past traffic through open cells that no track will have announced."""
+    sink_above: float = Field(0.5, gt=0, lt=1)
+    """The share of the recent frames in which a cell must have been occupied to be forecast as background."""
+    sink_s: float = Field(5.0, gt=0, le=3600)
+    """Time constant of that record: how long something stands before it sinks in, or is gone before it is forgotten."""
 
     # Segmentation
     link_m: float = Field(0.45, gt=0, le=10)
@@ -56,7 +62,5 @@ class PipelineSettings(Settings):
     # Shape and forecast
     shape_memory_s: float = Field(0.8, gt=0, le=60)
     """How long a track's points count: about half a stride, so that both legs are in the shape."""
-    unforeseen_share: float = Field(0.3, ge=0, le=1)
-    """The share of the past traffic through open cells that no track will have announced."""
     return_noise_m: float = Field(0.05, gt=0, le=10)
     """Standard deviation of one return about its surface, along each axis."""

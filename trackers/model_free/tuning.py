@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -46,26 +48,25 @@ def fit_pipeline(
     minimises log loss, a proper score: F1 at one threshold for walls and walkers alike does not see a forecast that is
     rightly unsure where a walker will be. Raises WeightsError where the recordings differ in grid, period or site.
     """
-    given = options.model_dump(exclude_unset=True)
     arrays = fit_arrays(train, options)
-    draft = out.log_dir / f"{NAME}-arrays.toml"
-    save_weights(draft, card_for(NAME, out, train, validation, {}), arrays)
+    with TemporaryDirectory() as folder:
+        draft = Path(folder) / f"{NAME}.toml"
+        save_weights(draft, card_for(NAME, out, train, validation, {}), arrays)
 
-    def scores(settings: PipelineSettings, sources: Sequence[FrameSource]) -> list[StretchScore]:
-        return [
-            score(tracker(stream_of(source, draft), settings), source, step_of(source, max(HORIZONS_S)))
-            for source in sources
-        ]
+        def scores(settings: PipelineSettings, sources: Sequence[FrameSource]) -> list[StretchScore]:
+            return [
+                score(tracker(stream_of(source, draft), settings), source, step_of(source, max(HORIZONS_S)))
+                for source in sources
+            ]
 
-    def loss(settings: PipelineSettings) -> float:
-        return float(np.mean([_loss(s, source) for s, source in zip(scores(settings, train), train, strict=True)]))
+        def loss(settings: PipelineSettings) -> float:
+            return float(np.mean([_loss(s, source) for s, source in zip(scores(settings, train), train, strict=True)]))
 
-    settings = search(loss, given, out.seed, out.report)
-    results = {
-        stretch: [_summary(s, source) for s, source in zip(scores(settings, sources), sources, strict=True)]
-        for stretch, sources in (("train", train), ("validation", validation))
-    }
-    out.report(f"{NAME}: {results}")
+        settings = search(loss, options.model_dump(exclude_unset=True), out.seed, out.report)
+        results = {
+            stretch: [_summary(s, source) for s, source in zip(scores(settings, sources), sources, strict=True)]
+            for stretch, sources in (("train", train), ("validation", validation))
+        }
     card = card_for(NAME, out, train, validation, settings.model_dump(), results)
     save_weights(out.path, card, arrays)
 
@@ -114,14 +115,15 @@ def _loss(score: StretchScore, source: FrameSource) -> float:
 
 def _summary(score: StretchScore, source: FrameSource) -> dict[str, Any]:
     """What the card says of one stretch."""
-    steps = [step_of(source, horizon) for horizon in HORIZONS_S]
-    values = {
-        "moving_f1": score.f1["moving"],
-        "visible_f1": score.f1["visible"],
+    columns = {
         "moving_log_loss": score.log_loss["moving"],
+        "visible_f1": score.f1["visible"],
+        "moving_f1": score.f1["moving"],
     }
-    return {"stretch": source.name, "horizons_s": list(HORIZONS_S)} | {
-        name: [round(float(value[step]), 4) for step in steps] for name, value in values.items()
+    at = {f"{horizon:g}s": step_of(source, horizon) for horizon in HORIZONS_S}
+    return {"stretch": source.name} | {
+        name: {horizon: round(float(values[step]), 4) for horizon, step in at.items()}
+        for name, values in columns.items()
     }
 
 
