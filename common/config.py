@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from typing import Any, TypeVar
+from typing import Any, NoReturn, TypeVar
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
@@ -55,9 +55,14 @@ def _split(text: str) -> list[str]:
 
 def _value(text: str) -> Any:
     try:
-        return json.loads(text)
-    except json.JSONDecodeError:
+        return json.loads(text, parse_constant=_refuse)
+    except ValueError:
         return text
+
+
+def _refuse(constant: str) -> NoReturn:
+    """Python reads NaN and Infinity as JSON; JSON has no such numbers."""
+    raise ValueError(constant)
 
 
 def validated(model: type[Model], values: dict[str, Any], where: str) -> Model:

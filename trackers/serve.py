@@ -32,7 +32,7 @@ def main() -> None:
             request = receive(fill, server.max_body)
         except EOFError:
             return
-        write_to(write_fd, encode(server.answer(request)))
+        write_to(write_fd, server.answer(request))
 
 
 def take_wire() -> tuple[int, int]:
@@ -67,13 +67,13 @@ class Server:
             "predict": self._predict,
         }
 
-    def answer(self, request: Message) -> Message:
-        """The answer to `request`: never raises for what a tracker does short of ending the process."""
+    def answer(self, request: Message) -> list[memoryview]:
+        """The answer to `request`, encoded: never raises for what a tracker does short of ending the process."""
         try:
-            return self._answers.get(request.kind, self._unknown)(request)
+            return encode(self._answers.get(request.kind, self._unknown)(request))
         except Exception as error:  # noqa: BLE001 - whatever a tracker raises belongs to the referee
             traceback.print_exc()
-            return self._failure(request, error)
+            return encode(self._failure(request, error))
 
     def _unknown(self, request: Message) -> Message:
         raise WireError(f"there is no request '{request.kind:.40}'")
@@ -156,7 +156,9 @@ def _timed(method: Callable[[Any], Any], argument: Any) -> tuple[Any, dict[str, 
     return result, {"elapsed_ns": time.perf_counter_ns() - elapsed, "cpu_ns": time.process_time_ns() - cpu}
 
 
-def _description(kind: type[Tracker], classes: tuple[str, ...], options: Settings) -> dict[str, Any]:
+def _description(kind: type[Tracker], classes: Any, options: Settings) -> dict[str, Any]:
+    if not isinstance(classes, tuple) or not all(isinstance(name, str) for name in classes):
+        raise WireError(f"classes is {classes!r:.80}; expected a tuple of names")
     schema = kind.Options.model_json_schema()
     return {
         "api": API,

@@ -96,7 +96,10 @@ def encode(message: Message) -> list[memoryview]:
         if array.size:
             buffers.append(np.ascontiguousarray(array, DTYPES[code]).reshape(-1).view(np.uint8).data)
     content = {"type": message.kind, "id": message.number, "arrays": declared} | dict(message.fields)
-    header = json.dumps(content, separators=(",", ":"), allow_nan=False).encode()
+    try:
+        header = json.dumps(content, separators=(",", ":"), allow_nan=False).encode()
+    except (TypeError, ValueError) as error:
+        raise WireError(f"'{message.kind}': a field is not JSON ({error})") from None
     if len(header) > MAX_HEADER:
         raise WireError(f"'{message.kind}': a header of {len(header)} bytes; at most {MAX_HEADER}")
     prefix = PREFIX.pack(MAGIC, VERSION, len(header), sum(b.nbytes for b in buffers))

@@ -131,6 +131,7 @@ def test_a_memory_error_is_out_of_memory(log: Path) -> None:
         ("wrong-shape", {}, "occupancy has shape (3, 20, 20); expected (4, 20, 20)"),
         ("huge-shape", {}, r"declares .* a body of 26214400 bytes; at most"),
         ("wrong-type", {}, "occupancy is float64; expected float32 or float16"),
+        ("object-array", {}, "array 'occupancy' is object; the wire carries bool, uint8"),
         ("not-an-array", {}, "occupancy is a list; expected a numpy array"),
         ("has-value", {"value": "nan"}, "occupancy holds 1 values that are not finite"),
         ("has-value", {"value": "inf"}, "occupancy holds 1 values that are not finite"),
@@ -147,6 +148,11 @@ def test_an_answer_that_breaks_the_contract_is_invalid_output(
     assert result == "invalid-output"
     assert found.startswith("predict after frame 1: ")
     assert reason in found or re.search(reason, found)
+
+
+def test_classes_are_a_tuple_of_names(log: Path) -> None:
+    expected = "classes is 'car'; expected a tuple of names"
+    assert outcome("classes-as-a-word", log) == ("invalid-output", expected)
 
 
 @pytest.mark.parametrize("moment", MOMENTS)

@@ -153,6 +153,15 @@ class LopsidedClasses(Good):
         return Forecast(occupancy, np.full((steps + 1, 2, *self.stream.grid.shape), 0.4, np.float32))
 
 
+class ObjectArray(Good):
+    def occupancy(self, steps: int) -> Any:
+        return np.full((steps + 1, *self.stream.grid.shape), None)
+
+
+class ClassesAsAWord(Good):
+    classes = "car"  # type: ignore[assignment]
+
+
 class PrintsEverywhere(Good):
     """Writes to stdout from Python, from C and from a subprocess, and reads from stdin."""
 

@@ -30,6 +30,7 @@ from gridtrack.trackers.selection import (
             'kalman:noise={"x": [1, 2], "y": "a,b]"},n=1',
             Selection("kalman", "kalman", {"noise": {"x": [1, 2], "y": "a,b]"}, "n": 1}),
         ),
+        ("kalman:gate=NaN,far=-Infinity", Selection("kalman", "kalman", {"gate": "NaN", "far": "-Infinity"})),
         ("kalman:points=raw,gate=1", Selection("kalman", "kalman", {"gate": 1}, "raw")),
         ("x=kalman:file=C:/a b", Selection("x", "kalman", {"file": "C:/a b"})),
     ],

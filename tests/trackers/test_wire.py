@@ -147,6 +147,12 @@ def test_an_object_array_never_leaves() -> None:
         encode(Message("x", 1, {}, {"a": np.array([{}])}))
 
 
+def test_a_field_that_is_not_json_never_leaves() -> None:
+    for value in (float("nan"), {1, 2}):
+        with pytest.raises(WireError, match="a field is not JSON"):
+            encode(Message("x", 1, {"a": value}))
+
+
 def test_pipes_carry_messages_larger_than_they_hold() -> None:
     read_fd, write_fd = os.pipe()
     pid = os.fork()
