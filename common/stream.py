@@ -106,6 +106,8 @@ class GridStream:
         self._ticks = _ticks(survey.last_ns - survey.first_ns, self.period_ns, self.stretch_s)
         if not self._ticks:
             raise RecordingError(f"{self.name}: no frame at {1 / self.period_s:g} Hz in this stretch")
+        if len(survey.poses) > 1 and len(set(survey.poses.values())) == 1:
+            recording.tell(f"{len(survey.poses)} sensors and no poses: all are taken to stand in one place")
         self.gaps = self._count_gaps()
 
     def __len__(self) -> int:

@@ -1,4 +1,4 @@
-"""Scans put in the order of their stamps: several sensors merged, stragglers sorted in, impossible scans told."""
+"""Scans in the order of their stamps: several sensors merged, and scans that cannot be true told and left out."""
 
 from __future__ import annotations
 
@@ -15,9 +15,10 @@ MAX_SENSORS = 255
 
 
 class StampOrder:
-    """Holds scans back for a second of stamps, so that one that comes late still finds its place.
+    """Merges the sensors of a file by stamp, holding scans back for a second, as one sensor may be written late.
 
-    What is wrong with the scans goes to `complain`, one line for each kind and sensor with its count and first place.
+    Of one sensor the order of the file is the true one: a scan that is not stamped after the one before has a wrong
+    stamp, and is left out. What is wrong goes to `complain`, one line for each kind and sensor with count and place.
     """
 
     def __init__(self, complain: Callable[[str], None]) -> None:
@@ -27,7 +28,6 @@ class StampOrder:
         self._first_ns = 0
         self._newest_ns = -1
         self._given_ns = -1
-        self._given_of: dict[str, int] = {}
         self._before: dict[str, Scan] = {}
         self._faults: dict[str, tuple[int, float]] = {}
 
@@ -41,46 +41,40 @@ class StampOrder:
         if self.empty:
             self._first_ns = scan.stamp_ns
         self._arrived += 1
-        self._check(scan)
-        if scan.stamp_ns < self._given_ns:
-            self._fault(scan, "stamped more than a second before others that came earlier, left out")
+        if not self._takes(scan):
             return
         self._newest_ns = max(self._newest_ns, scan.stamp_ns)
         heapq.heappush(self._waiting, (scan.stamp_ns, self._arrived, scan))
         while self._waiting[0][0] < self._newest_ns - WINDOW_NS:
-            yield from self._give()
+            self._given_ns = self._waiting[0][0]
+            yield heapq.heappop(self._waiting)[2]
 
     def flush(self) -> Iterator[Scan]:
         """Give what is still held back, and tell what was wrong."""
         while self._waiting:
-            yield from self._give()
+            yield heapq.heappop(self._waiting)[2]
         for fault, (count, where_s) in self._faults.items():
             self._complain(f"{fault}: {count} of them, the first {where_s:.3f} s after the first scan")
 
-    def _give(self) -> Iterator[Scan]:
-        scan = heapq.heappop(self._waiting)[2]
-        if self._given_of.get(scan.sensor) == scan.stamp_ns:
-            self._fault(scan, "with the stamp of the one before, left out")
-            return
-        self._given_ns = self._given_of[scan.sensor] = scan.stamp_ns
-        yield scan
-
-    def _check(self, scan: Scan) -> None:
-        if not 0 <= scan.stamp_ns < MAX_STAMP_NS:
-            raise RecordingError(f"sensor '{scan.sensor}': a stamp of {scan.stamp_ns} ns; expected 0 to 2^63 ns")
+    def _takes(self, scan: Scan) -> bool:
+        """Whether the scan has a place in the order. Raises RecordingError where it can be no scan at all."""
         before = self._before.get(scan.sensor)
         if before is None:
             _refuse_impossible(scan)
             if len(self._before) == MAX_SENSORS:
                 raise RecordingError(f"more than {MAX_SENSORS} sensors; read one of them with a topic")
-        else:
-            if before.range_max != scan.range_max or before.angle_increment != scan.angle_increment:
-                _refuse_impossible(scan)
-            if before.ranges.size != scan.ranges.size:
-                self._fault(scan, "whose number of beams differs from the one before")
-            if scan.stamp_ns < before.stamp_ns:
-                self._fault(scan, "stamped before the one that they follow, put in order")
+        elif scan.stamp_ns <= before.stamp_ns:
+            self._fault(scan, "not stamped after the one before, left out")
+            return False
+        elif _geometry(scan) != _geometry(before) or scan.stamp_ns >= MAX_STAMP_NS:
+            _refuse_impossible(scan)
+        if scan.stamp_ns < self._given_ns:
+            self._fault(scan, "stamped more than a second before those of other sensors, left out")
+            return False
+        if before is not None and before.ranges.size != scan.ranges.size:
+            self._fault(scan, "whose number of beams differs from the one before")
         self._before[scan.sensor] = scan
+        return True
 
     def _fault(self, scan: Scan, what: str) -> None:
         text = f"scans of sensor '{scan.sensor}' {what}"
@@ -88,8 +82,14 @@ class StampOrder:
         self._faults[text] = (count + 1, where_s)
 
 
+def _geometry(scan: Scan) -> tuple[float, float, float, float]:
+    return scan.angle_min, scan.angle_increment, scan.range_min, scan.range_max
+
+
 def _refuse_impossible(scan: Scan) -> None:
-    """Raise RecordingError for a scan whose geometry means nothing."""
+    """Raise RecordingError for a scan whose stamp or geometry means nothing."""
+    if not 0 <= scan.stamp_ns < MAX_STAMP_NS:
+        raise RecordingError(f"sensor '{scan.sensor}': a stamp of {scan.stamp_ns} ns; expected 0 to 2^63 ns")
     limits = f"range limits {scan.range_min:g} to {scan.range_max:g} m"
     if not (math.isfinite(scan.range_max) and 0.0 <= scan.range_min < scan.range_max):
         raise RecordingError(f"sensor '{scan.sensor}': {limits}; expected finite ones, the lower first")

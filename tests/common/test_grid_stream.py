@@ -241,3 +241,10 @@ def test_the_demo_looks_as_it_should() -> None:
     wall = frame.occupied[90:100, 20:35]
     assert wall.any(axis=0).mean() > 0.8, "there is a wall to the left, at y = 5 m"
     assert isinstance(GridStream(stream.recording, (0.0, 75.0)), GridStream)
+
+
+def test_sensors_without_poses_are_told(write: Callable[..., Path], scan: Callable[..., Scan]) -> None:
+    scans = [scan(k, sensor) for k in range(5) for sensor in ("front", "rear")]
+    stream = open_stream(write(scans))
+    assert len(stream.recording.warnings) == 1
+    assert "2 sensors and no poses: all are taken to stand in one place" in stream.recording.warnings[0]
