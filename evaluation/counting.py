@@ -52,8 +52,8 @@ class Tally:
         self.log_loss += other.log_loss
 
     def confusion(self, threshold_bins: NDArray[np.int64]) -> NDArray[np.int64]:
-        """TP, FP, FN, TN (S, K, 4) when cells of bin `threshold_bins` (S,) and above are called occupied."""
-        called = np.arange(BINS) >= np.asarray(threshold_bins)[:, None, None]
+        """TP, FP, FN, TN (S, K, 4) when cells of bin `threshold_bins` (S, K) and above are called occupied."""
+        called = np.arange(BINS) >= threshold_bins[..., None]
         true_positive = (self.positives * called).sum(axis=-1)
         called_cells = (self.cells * called).sum(axis=-1)
         positives, cells = self.positives.sum(axis=-1), self.cells.sum(axis=-1)

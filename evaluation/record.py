@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Literal
+from typing import Literal, Self
 
 from pydantic import Field, ValidationError
 
 from gridtrack.common.config import Settings
 from gridtrack.common.errors import GridtrackError
 from gridtrack.evaluation.outcome import Outcome
+from gridtrack.evaluation.strata import STRATA
+from gridtrack.evaluation.thresholds import Thresholds
 
 SCHEMA = 1
 RECORD = "outcome.json"
@@ -24,10 +26,16 @@ class RunError(GridtrackError):
 
 
 class ThresholdsUsed(Settings):
-    """The threshold of each step, and the stretch they were chosen on; 0.5 everywhere where that is empty."""
+    """Per stratum the threshold of each step, and the stretch they were chosen on; all 0.5 where that is empty."""
 
-    values: tuple[float, ...] = ()
+    values: dict[str, tuple[float, ...]] = Field(default_factory=dict)
     chosen_on: str = ""
+
+    @classmethod
+    def of(cls, thresholds: Thresholds) -> Self:
+        """As they are kept in a record."""
+        columns = thresholds.values.T.tolist()
+        return cls(values=dict(zip(STRATA, map(tuple, columns), strict=True)), chosen_on=thresholds.chosen_on)
 
 
 class Times(Settings):

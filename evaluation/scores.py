@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 from pyarrow import ArrowException, parquet
 
 from gridtrack.common.errors import GridtrackError
-from gridtrack.evaluation.counting import BINS, HALF, Tally
+from gridtrack.evaluation.counting import BINS, Tally
 from gridtrack.evaluation.strata import STRATA
-from gridtrack.evaluation.thresholds import Thresholds
+from gridtrack.evaluation.thresholds import Thresholds, half
 
 SCORES, HISTOGRAM = "scores.parquet", "histogram.parquet"
 ROW_GROUP = 64
@@ -59,7 +59,7 @@ class ScoreWriter:
     def __init__(self, folder: Path, steps: int, thresholds: Thresholds) -> None:
         self._steps = steps
         self._bins = thresholds.bins
-        self._half = np.full(steps + 1, HALF)
+        self._half = half(steps).bins
         self._second: int | None = None
         self._in_second = Tally.empty(steps)
         self._files = ExitStack()

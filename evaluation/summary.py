@@ -14,10 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridtrack.evaluation import metrics
-from gridtrack.evaluation.counting import BINS, HALF, Tally
+from gridtrack.evaluation.counting import BINS, Tally
 from gridtrack.evaluation.record import TrialRecord
 from gridtrack.evaluation.scores import read_deliveries, read_tally
 from gridtrack.evaluation.strata import STRATA
+from gridtrack.evaluation.thresholds import half
 
 SCHEMA = 1
 SUMMARY = "summary.json"
@@ -112,9 +113,10 @@ def _trial_summary(trial: Ended) -> dict[str, Any]:
 
 def _strata(record: TrialRecord, tally: Tally) -> dict[str, dict[str, Any]]:
     """Every score per stratum and step. Intervals are left out: they want more units than one recording has."""
-    thresholds = np.array(record.thresholds.values)
-    at_threshold = tally.confusion(np.rint(thresholds * BINS).astype(np.int64))
-    at_half = tally.confusion(np.full(len(thresholds), HALF))
+    thresholds = np.array([record.thresholds.values[name] for name in STRATA]).T
+    bins = np.rint(thresholds * BINS).astype(np.int64)
+    visible = bins[:, [STRATA.index("visible")]]
+    at_threshold = tally.confusion(bins)
     curves = {
         "f1": metrics.f1_score(at_threshold),
         "precision": metrics.precision(at_threshold),
@@ -123,8 +125,9 @@ def _strata(record: TrialRecord, tally: Tally) -> dict[str, dict[str, Any]]:
         "brier": metrics.brier_score(tally),
         "nll": metrics.log_loss(tally),
         "ece": metrics.calibration_error(tally),
-        "threshold": np.repeat(thresholds[:, None], len(STRATA), axis=1),
-        "f1_at_half": metrics.f1_score(at_half),
+        "threshold": thresholds,
+        "f1_at_visible": metrics.f1_score(tally.confusion(np.broadcast_to(visible, bins.shape))),
+        "f1_at_half": metrics.f1_score(tally.confusion(half(record.steps).bins)),
     }
     strata: dict[str, dict[str, Any]] = {}
     for k, name in enumerate(STRATA):

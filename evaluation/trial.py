@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -69,18 +70,25 @@ class TrialRun:
         try:
             with self._process:
                 self._start_s = time.perf_counter() - began
-                began = time.perf_counter()
-                self._thresholds = self._choose_thresholds()
-                self._score(self._thresholds)
+                with self._clock():
+                    self._thresholds = self._choose_thresholds()
+                    self._score(self._thresholds)
         except TrialEnded as ended:
             return ended.outcome, self.trial.how_to_train if ended.outcome == "untrained" else ended.reason
         except Interrupted:
             return "interrupted", INTERRUPTED
         except RecordingError as error:
             return "not-applicable", str(error)
+        return "ok", ""
+
+    @contextmanager
+    def _clock(self) -> Iterator[None]:
+        """Take the time of what is done inside, however it ends."""
+        began = time.perf_counter()
+        try:
+            yield
         finally:
             self._wall_s = time.perf_counter() - began
-        return "ok", ""
 
     @property
     def frames(self) -> int:
@@ -130,7 +138,7 @@ class TrialRun:
                 "frames_scored": self._scored,
                 "frames_delivered": self._delivery.frames,
                 "delivered": self._delivery.digest,
-                "thresholds": ThresholdsUsed(values=tuple(chosen.values.tolist()), chosen_on=chosen.chosen_on),
+                "thresholds": ThresholdsUsed.of(chosen),
                 "times": Times(
                     start_s=self._start_s,
                     update_s=timings.update.total_ms / 1000,

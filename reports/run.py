@@ -56,6 +56,7 @@ class StratumScores(_Read):
     nll: Curve
     ece: Curve
     threshold: Curve
+    f1_at_visible: Curve
     f1_at_half: Curve
     interval: str = ""
     """Why there is no interval, where there is none."""

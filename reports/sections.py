@@ -21,10 +21,14 @@ MARKED_HORIZONS = 3
 
 @dataclass(frozen=True)
 class ThresholdMark:
-    """F1 of moving cells at one horizon, at the chosen threshold and at 0.5, and where both stand in a drawing."""
+    """F1 of moving cells at one horizon, at three thresholds: the stratum's own, the one of all visible cells, and 0.5.
+
+    `at` and `at_half` are where the first and the last stand in a drawing.
+    """
 
     threshold: float | None
     f1: float | None
+    f1_at_visible: float | None
     f1_at_half: float | None
     at: float | None
     at_half: float | None
@@ -154,7 +158,7 @@ def _mark(row: Row, step: int, axis: Axis) -> ThresholdMark:
     scores = row.trial.strata["moving"]
     f1, half = scores.f1[step], scores.f1_at_half[step]
     at, at_half = (None if value is None else axis(value) for value in (f1, half))
-    return ThresholdMark(scores.threshold[step], f1, half, at, at_half)
+    return ThresholdMark(scores.threshold[step], f1, scores.f1_at_visible[step], half, at, at_half)
 
 
 def _times(rows: Iterable[Row]) -> list[float]:

@@ -7,8 +7,9 @@ from sklearn.metrics import average_precision_score, brier_score_loss, f1_score,
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame
 from gridtrack.evaluation import metrics
-from gridtrack.evaluation.counting import BINS, HALF, Tally, count_forecast
+from gridtrack.evaluation.counting import BINS, Tally, count_forecast
 from gridtrack.evaluation.strata import STRATA
+from gridtrack.evaluation.thresholds import half
 
 VISIBLE, MOVING, STATIC = (STRATA.index(name) for name in ("visible", "moving", "static"))
 RING_REGION, STATIC_REGION, MOVING_REGION = 0, 1, 2
@@ -34,7 +35,7 @@ def test_a_hand_computed_forecast():
     came = frame([[1, 1], [1, 0]], [[1, 1], [0, 0]])
     regions = np.array([[STATIC_REGION, MOVING_REGION], [MOVING_REGION, MOVING_REGION]], np.uint8)
     tally = count_forecast(occupancy, [came], regions)
-    at_half = tally.confusion(np.array([HALF]))
+    at_half = tally.confusion(half(0).bins)
     assert at_half[0, VISIBLE].tolist() == [1, 1, 1, 0]
     assert at_half[0, STATIC].tolist() == [1, 0, 0, 0]
     assert at_half[0, MOVING].tolist() == [0, 1, 1, 0]
@@ -60,7 +61,7 @@ def test_cells_not_visible_when_they_come_are_not_scored():
 @pytest.mark.parametrize("seed", range(5))
 def test_every_score_agrees_with_scikit_learn(seed):
     occupancy, frames, regions = random_case(seed)
-    bins = np.array([5, 25, 40, 49])
+    bins = np.random.default_rng(seed).choice([5, 25, 40, 49], (4, len(STRATA)))
     tally = count_forecast(occupancy, frames, regions)
     confusion = tally.confusion(bins)
     members = {"visible": regions >= 0, "static": regions == STATIC_REGION, "moving": regions == MOVING_REGION}
@@ -69,7 +70,7 @@ def test_every_score_agrees_with_scikit_learn(seed):
             scored = came.visible & members[name]
             truth, p = came.occupied[scored], occupancy[step][scored]
             binned = np.minimum((p * np.float32(BINS)).astype(int), BINS - 1)
-            called = binned >= bins[step]
+            called = binned >= bins[step, k]
             assert metrics.f1_score(confusion)[step, k] == pytest.approx(f1_score(truth, called))
             assert metrics.precision(confusion)[step, k] == pytest.approx(precision_score(truth, called))
             assert metrics.recall(confusion)[step, k] == pytest.approx(recall_score(truth, called))
@@ -115,7 +116,7 @@ def test_scores_of_an_empty_tally_are_undefined():
     tally = Tally.empty(2)
     for score in (metrics.average_precision, metrics.brier_score, metrics.log_loss, metrics.calibration_error):
         assert np.isnan(score(tally)).all()
-    assert np.isnan(metrics.f1_score(tally.confusion(np.full(3, HALF)))).all()
+    assert np.isnan(metrics.f1_score(tally.confusion(half(2).bins))).all()
 
 
 def test_f1_is_zero_where_something_was_occupied_and_nothing_found_and_undefined_where_nothing_was():

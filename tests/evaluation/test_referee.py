@@ -11,9 +11,10 @@ from gridtrack.common.errors import RecordingError
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec
 from gridtrack.evaluation import metrics
-from gridtrack.evaluation.counting import HALF, Tally, count_forecast
+from gridtrack.evaluation.counting import Tally, count_forecast
 from gridtrack.evaluation.referee import WARM_UP, Delivery, Schedule, moments
 from gridtrack.evaluation.scoring import score_in_process
+from gridtrack.evaluation.thresholds import half
 from gridtrack.trackers.contract import Forecast
 
 GRID = GridSpec(8, 1.0)
@@ -73,7 +74,7 @@ def f1_per_step(stream, tracker, every=3):
     tally = Tally.empty(STEPS)
     for moment in moments(tracker, delivery(stream), Schedule(len(stream), STEPS, every), seed=7):
         tally.add(count_forecast(moment.forecast.occupancy, moment.frames, np.full(GRID.shape, 2, np.uint8)))
-    return metrics.f1_score(tally.confusion(np.full(STEPS + 1, HALF)))[:, 0]
+    return metrics.f1_score(tally.confusion(half(STEPS).bins))[:, 0]
 
 
 def test_a_tracker_that_knows_the_future_scores_one_at_every_step():

@@ -17,10 +17,10 @@ from gridtrack.evaluation.scores import (
     read_tally,
 )
 from gridtrack.evaluation.strata import STRATA
-from gridtrack.evaluation.thresholds import Thresholds
+from gridtrack.evaluation.thresholds import Thresholds, half
 
 STEPS = 2
-THRESHOLDS = Thresholds(np.array([HALF, 10, 40]), "validation")
+THRESHOLDS = Thresholds(np.array([[HALF, 10, 40], [3, 25, 8], [11, 49, 1]]), "validation")
 
 
 def random_tally(seed):
@@ -55,7 +55,7 @@ def test_each_scored_frame_has_its_confusion_counts_per_step_and_stratum(tmp_pat
     row = scores.filter((pl.col("stamp_ns") == 400_000_000) & (pl.col("step") == 2) & (pl.col("stratum") == "moving"))
     expected = random_tally(1).confusion(THRESHOLDS.bins)[2, STRATA.index("moving")]
     assert row.select(CONFUSION).row(0) == tuple(expected)
-    expected_at_half = random_tally(1).confusion(np.full(STEPS + 1, HALF))[2, STRATA.index("moving")]
+    expected_at_half = random_tally(1).confusion(half(STEPS).bins)[2, STRATA.index("moving")]
     assert row.select([f"{name}_half" for name in CONFUSION]).row(0) == tuple(expected_at_half)
 
 

@@ -12,7 +12,7 @@ from gridtrack.evaluation.record import Latency, Quantiles, ThresholdsUsed, Tria
 from gridtrack.evaluation.referee import Moment
 from gridtrack.evaluation.samples import SAMPLES, SampleWriter
 from gridtrack.evaluation.scores import ScoreWriter
-from gridtrack.evaluation.strata import regions_of
+from gridtrack.evaluation.strata import STRATA, regions_of
 from gridtrack.evaluation.summary import Ended, summarise, write_json
 from gridtrack.evaluation.thresholds import Thresholds
 from gridtrack.trackers.contract import Forecast
@@ -85,7 +85,7 @@ def write_trial(run, label, forecast, scored=EXPECTED, outcome="ok", reason="", 
     """Score `forecast` on the first `scored` moments and leave the trial's folder, as the referee does."""
     folder = run / f"{label}@{RECORDING}"
     folder.mkdir(parents=True)
-    thresholds = Thresholds(np.full(STEPS + 1, 20 if chosen_on else 25), chosen_on)
+    thresholds = Thresholds(np.full((STEPS + 1, len(STRATA)), 20 if chosen_on else 25), chosen_on)
     with (
         ScoreWriter(folder, STEPS, thresholds) as scores,
         SampleWriter(folder / SAMPLES, GRID, PERIOD_S, STEPS) as samples,
@@ -104,7 +104,7 @@ def write_trial(run, label, forecast, scored=EXPECTED, outcome="ok", reason="", 
         frames_scored=scored,
         frames_expected=EXPECTED,
         steps=STEPS,
-        thresholds=ThresholdsUsed(values=tuple(thresholds.values.tolist()), chosen_on=chosen_on),
+        thresholds=ThresholdsUsed.of(thresholds),
         peak_rss_mb=123.0,
         latency_ms=LATENCY if outcome == "ok" else None,
     )
