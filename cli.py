@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shlex
 import sys
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -213,6 +214,41 @@ def show_tracker(name: str, as_json: AsJson = False) -> None:
     print_rows(options)
 
 
+@trackers_app.command("check")
+def check_tracker(
+    tracker: Annotated[str, typer.Argument(metavar="NAME[:KEY=VALUE,...]")],
+    recording: Annotated[
+        str | None, typer.Option(help="Check on this recording's grid, rate and site; default: 100x0.2 at 8 Hz")
+    ] = None,
+    weights: Weights = None,
+    trackers_toml: Annotated[Path | None, typer.Option(help="Trackers of other environments and programs")] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Try every promise of the plugin contract on a tracker, in its own process. Exit code 1 where one is broken."""
+    from gridtrack.evaluation.contract_suite import check_tracker as check
+    from gridtrack.evaluation.learned import find_weights
+    from gridtrack.reports.terminal import print_rows
+    from gridtrack.trackers.selection import launch, parse_selection, read_trackers_toml
+
+    chosen = parse_selection(tracker)
+    stream = _stream(recording)
+    found = find_weights(chosen.name, stream.site, weights)
+    launched = launch(chosen.name, read_trackers_toml(trackers_toml) if trackers_toml else None)
+    results = check(launched, replace(stream, weights=found.path if found else None), chosen.options)
+    rows = [asdict(result) for result in results]
+    typer.echo(json.dumps(rows, indent=1)) if as_json else print_rows(rows)
+    if any(result.verdict != "passed" for result in results):
+        raise typer.Exit(1)
+
+
+def _stream(recording: str | None) -> Any:
+    from gridtrack.common.grid import GridSpec
+    from gridtrack.common.stream import open_stream
+    from gridtrack.trackers.contract import StreamSpec, stream_of
+
+    return stream_of(open_stream(recording)) if recording else StreamSpec(GridSpec(), 0.125)
+
+
 @recording_app.command("info")
 def recording_info(recording: Path, topic: str | None = None, strict: bool = False, as_json: AsJson = False) -> None:
     """What a recording holds: topics, sensors, rate, gaps, range limits, and what is wrong with it."""
@@ -235,7 +271,7 @@ def recording_import(
     credit: str = "",
     labels: Annotated[Path | None, typer.Option(help="CSV of per-beam classes")] = None,
     cloud_slice: Annotated[
-        str | None, typer.Option(metavar="KEY=VALUE,...", help="Height slice of point clouds")
+        str | None, typer.Option(metavar="KEY=VALUE,...", help="Of point clouds: low_m=0.2,high_m=1.0")
     ] = None,
     strict: bool = False,
 ) -> None:
