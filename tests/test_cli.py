@@ -1,0 +1,101 @@
+"""The command line as its users meet it: results on stdout, one clear line and exit code 2 for what they got wrong."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+
+import pytest
+
+from gridtrack.common.recordings import packaged_recording
+
+DEMO = str(packaged_recording("leg_tracker"))
+
+
+def gridtrack(*arguments: str, code: int = 0) -> subprocess.CompletedProcess[str]:
+    done = subprocess.run(
+        [sys.executable, "-m", "gridtrack.cli", *arguments], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == code, done.stdout + done.stderr
+    return done
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (("compare", "nowhere.mcap"), "nowhere.mcap: no such recording"),
+        (("compare", f"{DEMO}@tset"), "did you mean 'test'?"),
+        (("compare", DEMO, "--tracker", "kalmann"), "there is no tracker 'kalmann'; did you mean 'kalman'?"),
+        (("compare", DEMO, "--tracker", "static-map:prior_frame=1"), "did you mean 'prior_frames'?"),
+        (("compare", DEMO, "--horizon", "soon"), "'soon': expected seconds, such as 2.5s"),
+        (("compare", DEMO, "--grid", "100"), "grid '100': expected CELLSxMETRES"),
+        (("compare", DEMO, "--every", "0"), "'every_s' = 0.0: Input should be greater than 0"),
+        (("train", "persistence", DEMO), "tracker 'persistence' has nothing to learn"),
+        (("train", "static-map", f"{DEMO}@0s-80s"), "shares frames with"),
+        (("trackers", "show", "blnk"), "did you mean 'blank'?"),
+        (("recording", "info", "nowhere.bag"), "nowhere.bag: no such recording"),
+        (("recording", "import", DEMO, "--out", "demo.bag"), "demo.bag: a recording is written as .mcap"),
+        (("report", "nowhere"), "nowhere"),
+    ],
+)
+def test_a_users_mistake_is_one_line_and_exit_code_2(arguments, says):
+    done = gridtrack(*arguments, code=2)
+    assert says in done.stderr
+    assert done.stderr.startswith("gridtrack: ")
+    assert done.stderr.count("\n") == 1
+    assert done.stdout == ""
+
+
+def test_debug_shows_where_an_error_comes_from():
+    assert "Traceback" in gridtrack("--debug", "recording", "info", "nowhere.bag", code=1).stderr
+
+
+def test_every_registered_tracker_is_listed():
+    rows = json.loads(gridtrack("trackers", "list", "--json").stdout)
+    assert [row["name"] for row in rows] == sorted(row["name"] for row in rows)
+    built_in = {"blank", "deep-tracking-rnn", "dilated-convgru", "kalman", "persistence", "static-map"}
+    assert built_in <= {row["name"] for row in rows}
+    assert {row["state"] for row in rows if row["name"] in built_in} == {"ready"}
+
+
+def test_show_tells_the_options_and_their_defaults():
+    shown = json.loads(gridtrack("trackers", "show", "static-map", "--json").stdout)
+    assert shown["learns"] is True
+    assert [option["option"] for option in shown["options"]] == ["prior_frames"]
+
+
+def test_check_tries_the_contract():
+    rows = json.loads(gridtrack("trackers", "check", "persistence", "--json").stdout)
+    assert {row["verdict"] for row in rows} == {"passed"}
+    assert len(rows) == 9
+
+
+def test_info_tells_what_a_recording_holds():
+    info = json.loads(gridtrack("recording", "info", DEMO, "--json").stdout)
+    assert info["info"]["site"] == "leg_tracker"
+    assert info["sensors"]["scan"]["scans"] == 1265
+
+
+def test_a_tracker_is_trained_compared_and_reported(tmp_path):
+    weights, run = tmp_path / "weights", tmp_path / "run"
+    gridtrack("train", "static-map:prior_frames=3", DEMO, "--out", str(weights))
+    done = gridtrack(
+        "compare", DEMO, "--tracker", "persistence", "--tracker", "map=static-map:prior_frames=3",
+        "--weights", str(weights), "--horizon", "1s", "--out", str(run),
+    )  # fmt: skip
+    assert "| persistence |" in done.stdout
+    assert "map@leg_tracker: ok" in done.stderr
+    summary = json.loads((run / "summary.json").read_text())
+    assert summary["trackers"]["map"]["options"]["prior_frames"] == 3
+    assert (run / "report" / "index.html").exists()
+    assert str(run) in gridtrack("report", str(run)).stdout
+
+
+def test_a_trial_that_did_not_complete_is_exit_code_3(tmp_path):
+    done = gridtrack(
+        "compare", DEMO, "--tracker", "blank", "--tracker", "static-map", "--weights", str(tmp_path),
+        "--grid", "60x0.15", "--horizon", "0.5s", "--out", str(tmp_path / "run"), code=3,
+    )  # fmt: skip
+    assert "static-map@leg_tracker: not-applicable" in done.stderr or "untrained" in done.stderr
+    assert "blank@leg_tracker: ok" in done.stderr
