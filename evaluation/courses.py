@@ -21,6 +21,8 @@ TEST, VALIDATION, TRAIN = "test", "validation", "train"
 """The stretches that a recording may name for these uses."""
 AT_HALF = ", so every threshold is 0.5; name one with --validation"
 MAX_FORECAST_BYTES = 1 << 30
+VALIDATION_FORECASTS = 60
+"""About so many forecasts, at least, choose the thresholds; on ten or twenty of them the choice is noise."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,6 +51,14 @@ class Course:
     def schedule(self) -> Schedule:
         """Which frames of the test stretch are forecast from."""
         return Schedule(len(self.test), self.steps, self.every)
+
+    @property
+    def validation_schedule(self) -> Schedule:
+        """Which frames of the validation stretch are forecast from: as often as in the test, or more on a short one."""
+        assert self.validation is not None
+        frames = len(self.validation)
+        enough = -(-(frames - WARM_UP - self.steps) // VALIDATION_FORECASTS)
+        return Schedule(frames, self.steps, min(self.every, enough))
 
     def regions(self) -> NDArray[np.uint8]:
         """Region of each cell (M, M), from the whole recording, not the tested stretch only: one pass over it."""

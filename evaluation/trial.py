@@ -15,12 +15,12 @@ from gridtrack.evaluation.counting import Tally, count_forecast
 from gridtrack.evaluation.outcome import TrialEnded
 from gridtrack.evaluation.plan import Trial
 from gridtrack.evaluation.record import RECORD, Ending, ThresholdsUsed, Times, TrialRecord
-from gridtrack.evaluation.referee import Delivery, Schedule, moments
+from gridtrack.evaluation.referee import Delivery, moments
 from gridtrack.evaluation.samples import SAMPLES, SampleWriter, kept_moments
 from gridtrack.evaluation.scores import HISTOGRAM, SCORES, ScoreWriter
 from gridtrack.evaluation.thresholds import Thresholds, best_thresholds, half
 from gridtrack.evaluation.tracker_process import TrackerProcess
-from gridtrack.trackers.contract import FrameSource, stream_of
+from gridtrack.trackers.contract import stream_of
 
 STDERR = "stderr.log"
 INTERRUPTED = "the run was interrupted; continue it with --resume"
@@ -42,7 +42,7 @@ class TrialRun:
             (folder / left_by_an_earlier_attempt).unlink(missing_ok=True)
         self.trial, self._regions, self._folder, self._on_frame = trial, regions, folder, on_frame
         self._thresholds: Thresholds | None = None
-        self._test = self._schedule(trial.test)
+        self._test = trial.course.schedule
         self._delivery = Delivery(trial.test, on_frame)
         self._scored = 0
         self._start_s = self._wall_s = 0.0
@@ -107,7 +107,7 @@ class TrialRun:
             return half(self.trial.course.steps)
         tally = Tally.empty(self.trial.course.steps)
         delivery = Delivery(stretch, self._on_frame)
-        for moment in moments(self._process, delivery, self._schedule(stretch), self.trial.seed):
+        for moment in moments(self._process, delivery, self.trial.course.validation_schedule, self.trial.seed):
             tally.add(count_forecast(moment.forecast.occupancy, moment.frames, self._regions))
         return best_thresholds(tally, stretch.name)
 
@@ -124,9 +124,6 @@ class TrialRun:
                 if self._scored in kept:
                     samples.add(moment)
                 self._scored += 1
-
-    def _schedule(self, stretch: FrameSource) -> Schedule:
-        return Schedule(len(stretch), self.trial.course.steps, self.trial.course.every)
 
     def _record(self, ending: Ending, reason: str) -> TrialRecord:
         chosen = self._thresholds or half(self.trial.course.steps)

@@ -53,6 +53,14 @@ def test_a_validation_stretch_too_short_to_choose_on_is_told(record):
         plan_course(str(record()), f"{record()}@0s-2.5s", SECOND)
 
 
+def test_a_short_validation_stretch_is_forecast_from_more_often_than_the_test(record):
+    often = plan_course(str(record(stretches={"validation": (0.0, 9.9), "test": (10.0, None)})), None, SECOND)
+    assert often.validation_schedule.every == 2
+    assert often.validation_schedule.expected == len(range(20, 99 - 10, 2))
+    seldom = plan_course(str(record(seconds=60)), f"{record('long', seconds=60, stretches={})}", SECOND)
+    assert seldom.validation_schedule.every == seldom.every == 5
+
+
 def test_another_recording_can_be_the_validation(record):
     other = record("other", seconds=8, stretches={})
     course = plan_course(str(record()), str(other), SECOND)
