@@ -17,8 +17,18 @@ from gridtrack.common.grid import GridFrame
 from gridtrack.evaluation.strata import STRATA, SUMS_OF_REGIONS
 
 BINS = 50
-"""Histogram bins: bin b holds `b / 50 <= p < (b + 1) / 50`, the last one p = 1 too; a threshold is a bin's edge."""
 HALF = BINS // 2
+EDGES = (np.sin(0.5 * np.pi * np.arange(BINS + 1) / BINS) ** 2).astype(np.float32)
+"""Bin b holds `EDGES[b] <= p < EDGES[b + 1]`, the last one p = 1 too; a threshold is a bin's lower edge.
+
+Edges lie at sin^2: bins are a thousandth wide next to 0 and 1, and 0.03 in the middle, where one edge is 0.5. A forecast
+of a distant step is spread thin, and in bins of equal width nearly all of it would fall into the first.
+"""
+_SLOTS = 4096
+_FIRST_BIN = (np.searchsorted(EDGES, np.arange(_SLOTS + 1, dtype=np.float32) / _SLOTS, side="right") - 1).clip(
+    0, BINS - 1
+)
+"""The bin of the smallest probability of each of 4096 equal slots; none of them holds more than one edge."""
 CLIP = 1e-3
 """Probabilities are clipped to [CLIP, 1 - CLIP] for the log loss."""
 
@@ -103,7 +113,9 @@ def _count_step(probability, scored, positive, regions, cells, positives, p_sum,
             continue
         p = probability[i]
         region = regions[i]
-        bin_ = min(int(p * np.float32(BINS)), BINS - 1)
+        bin_ = _FIRST_BIN[int(p * np.float32(_SLOTS))]
+        if p >= EDGES[bin_ + 1] and bin_ < BINS - 1:
+            bin_ += 1
         cells[region, bin_] += 1
         p_sum[region, bin_] += p
         clipped = min(max(float(p), CLIP), 1.0 - CLIP)

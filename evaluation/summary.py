@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridtrack.evaluation import metrics
-from gridtrack.evaluation.counting import BINS, Tally
+from gridtrack.evaluation.counting import EDGES, Tally
 from gridtrack.evaluation.record import TrialRecord
 from gridtrack.evaluation.scores import read_deliveries, read_tally
 from gridtrack.evaluation.strata import STRATA
@@ -114,7 +114,7 @@ def _trial_summary(trial: Ended) -> dict[str, Any]:
 def _strata(record: TrialRecord, tally: Tally) -> dict[str, dict[str, Any]]:
     """Every score per stratum and step. Intervals are left out: they want more units than one recording has."""
     thresholds = np.array([record.thresholds.values[name] for name in STRATA]).T
-    bins = np.rint(thresholds * BINS).astype(np.int64)
+    bins = np.abs(thresholds[..., None] - EDGES).argmin(axis=-1)
     visible = bins[:, [STRATA.index("visible")]]
     at_threshold = tally.confusion(bins)
     curves = {

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gridtrack.evaluation.counting import BINS, HALF, Tally
+from gridtrack.evaluation.counting import BINS, EDGES, HALF, Tally
 from gridtrack.evaluation.metrics import f1_score
 from gridtrack.evaluation.strata import STRATA
 
@@ -24,8 +24,8 @@ class Thresholds:
 
     @property
     def values(self) -> NDArray[np.float64]:
-        """Thresholds (S, K) as probabilities: multiples of 0.02."""
-        return self.bins / BINS
+        """Thresholds (S, K) as probabilities."""
+        return EDGES.astype(np.float64)[self.bins]
 
 
 def half(steps: int) -> Thresholds:
@@ -36,7 +36,7 @@ def half(steps: int) -> Thresholds:
 def best_thresholds(tally: Tally, chosen_on: str) -> Thresholds:
     """The thresholds that maximise each step's F1 in each stratum on the stretch that `tally` counts.
 
-    Candidates are 0.02, 0.04 .. 0.98. Among equals the one nearest to 0.5, so a forecast of zeros and ones gets 0.5,
+    Candidates are the bins' edges. Among equals the one nearest to 0.5, so a forecast of zeros and ones gets 0.5,
     and so does a step at which nothing was occupied. Each stratum has its own because the best threshold for F1 is
     half the F1 that can be had (Lipton et al., 2014): where walls are nearly all that is seen, a threshold chosen on
     everything lies above any honest probability of a person's next place, and calls nothing there occupied.

@@ -7,7 +7,7 @@ from sklearn.metrics import average_precision_score, brier_score_loss, f1_score,
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame
 from gridtrack.evaluation import metrics
-from gridtrack.evaluation.counting import BINS, Tally, count_forecast
+from gridtrack.evaluation.counting import BINS, EDGES, Tally, count_forecast
 from gridtrack.evaluation.strata import STRATA
 from gridtrack.evaluation.thresholds import half
 
@@ -69,7 +69,7 @@ def test_every_score_agrees_with_scikit_learn(seed):
         for step, came in enumerate(frames):
             scored = came.visible & members[name]
             truth, p = came.occupied[scored], occupancy[step][scored]
-            binned = np.minimum((p * np.float32(BINS)).astype(int), BINS - 1)
+            binned = (np.digitize(p, EDGES) - 1).clip(0, BINS - 1)
             called = binned >= bins[step, k]
             assert metrics.f1_score(confusion)[step, k] == pytest.approx(f1_score(truth, called))
             assert metrics.precision(confusion)[step, k] == pytest.approx(precision_score(truth, called))
@@ -106,7 +106,7 @@ def test_the_log_loss_of_many_certain_mistakes_does_not_underflow():
 
 
 def test_a_probability_on_a_bins_edge_belongs_to_the_bin_above():
-    edges = (np.arange(BINS + 1) / BINS).astype(np.float32).reshape(1, 1, -1)
+    edges = EDGES.reshape(1, 1, -1)
     seen = np.ones((1, BINS + 1))
     tally = count_forecast(edges, [frame(seen, ~seen.astype(bool))], np.full((1, BINS + 1), MOVING_REGION, np.uint8))
     assert tally.cells[0, VISIBLE].tolist() == [1] * (BINS - 1) + [2]
