@@ -21,8 +21,8 @@ HALF = BINS // 2
 EDGES = (np.sin(0.5 * np.pi * np.arange(BINS + 1) / BINS) ** 2).astype(np.float32)
 """Bin b holds `EDGES[b] <= p < EDGES[b + 1]`, the last one p = 1 too; a threshold is a bin's lower edge.
 
-Edges lie at sin^2: bins are a thousandth wide next to 0 and 1, and 0.03 in the middle, where one edge is 0.5. A forecast
-of a distant step is spread thin, and in bins of equal width nearly all of it would fall into the first.
+Edges lie at sin^2: bins are a thousandth wide next to 0 and 1, and 0.03 in the middle, where one edge is 0.5. A
+forecast of a distant step is spread thin, and in bins of equal width nearly all of it would fall into the first.
 """
 _SLOTS = 4096
 _FIRST_BIN = (np.searchsorted(EDGES, np.arange(_SLOTS + 1, dtype=np.float32) / _SLOTS, side="right") - 1).clip(
