@@ -170,22 +170,34 @@ def train(
 
 @trackers_app.command("list")
 def list_trackers(as_json: AsJson = False) -> None:
-    """Every registered tracker, the broken ones with the reason."""
+    """Every registered tracker, the broken ones with the reason. Each is asked in a process of its own."""
+    from concurrent.futures import ThreadPoolExecutor
+
     from gridtrack.reports.terminal import print_rows
     from gridtrack.trackers import registry
 
-    rows = []
-    for entry in registry.entries().values():
-        try:
-            about = _about(registry.load(entry.name))
-            rows.append({"name": entry.name, "from": entry.distribution, "state": "ready", "about": about})
-        except GridtrackError as error:
-            rows.append({"name": entry.name, "from": entry.distribution, "state": "unavailable", "about": str(error)})
+    with ThreadPoolExecutor() as pool:
+        rows = list(pool.map(_listed, registry.entries().values()))
     typer.echo(json.dumps(rows, indent=1)) if as_json else print_rows(rows)
 
 
-def _about(tracker: type[Any]) -> str:
-    return (tracker.__doc__ or "").strip().partition("\n")[0]
+def _listed(entry: Any) -> dict[str, str]:
+    row = {"name": entry.name, "from": entry.distribution}
+    try:
+        return {**row, "state": "ready", "about": _first_line(_describe(entry.name).about)}
+    except GridtrackError as error:
+        return {**row, "state": "unavailable", "about": entry.problem or str(error)}
+
+
+def _first_line(text: str) -> str:
+    return text.partition("\n")[0]
+
+
+def _describe(name: str) -> Any:
+    from gridtrack.evaluation.tracker_process import Limits, describe
+    from gridtrack.trackers.selection import launch
+
+    return describe(launch(name), {}, Limits())
 
 
 @trackers_app.command("show")
@@ -194,18 +206,23 @@ def show_tracker(name: str, as_json: AsJson = False) -> None:
     from gridtrack.reports.terminal import print_rows
     from gridtrack.trackers import registry
 
-    entry, tracker = registry.find(name), registry.load(name)
-    options = [
-        {"option": key, "default": json.dumps(field.get_default(call_default_factory=True), default=str)}
-        for key, field in tracker.Options.model_fields.items()
-    ]
+    entry, said = registry.find(name), _describe(name)
     about = {
         "name": name,
-        "about": _about(tracker),
+        "about": _first_line(said.about),
         "from": f"{entry.value} of {entry.distribution}",
-        "learns": tracker.learns,
-        "moving_sensor": tracker.moving_sensor,
+        "learns": said.learns,
+        "moving_sensor": said.moving_sensor,
     }
+    schema = said.options_schema.get("properties", {})
+    options = [
+        {
+            "option": key,
+            "default": json.dumps(value),
+            "about": " ".join(schema.get(key, {}).get("description", "").split()),
+        }
+        for key, value in said.options.items()
+    ]
     if as_json:
         typer.echo(json.dumps({**about, "options": options}, indent=1))
         return
