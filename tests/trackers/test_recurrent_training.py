@@ -16,7 +16,7 @@ from gridtrack.common.geometry import SE2  # noqa: E402
 from gridtrack.common.grid import GridFrame, GridSpec  # noqa: E402
 from gridtrack.trackers.contract import FitOutput, StretchScore, stream_of  # noqa: E402
 from gridtrack.trackers.recurrent import DeepTrackingRNNTracker, DilatedConvGRUTracker  # noqa: E402
-from gridtrack.trackers.recurrent.sequences import EpochSampler, SequenceDataset, occupied_rate  # noqa: E402
+from gridtrack.trackers.recurrent.sequences import EpochSampler, SequenceDataset, occupied_rate, superposed  # noqa: E402
 from gridtrack.trackers.recurrent.settings import TrainingSettings  # noqa: E402
 from gridtrack.trackers.recurrent.training import sequence_loss  # noqa: E402
 from gridtrack.trackers.weights import read_card  # noqa: E402
@@ -150,8 +150,8 @@ def test_what_no_beam_saw_does_not_enter_the_loss():
 
 
 def test_windows_are_the_recordings_frames_and_depend_on_seed_and_number_only():
-    data = SequenceDataset([Shuttle(30), Shuttle(40)], 10, seed=1, reverse=True)
-    again = SequenceDataset([Shuttle(30), Shuttle(40)], 10, seed=1, reverse=True)
+    data = SequenceDataset([Shuttle(30), Shuttle(40)], 10, seed=1, reverse=True, superpose=False)
+    again = SequenceDataset([Shuttle(30), Shuttle(40)], 10, seed=1, reverse=True, superpose=False)
     directions = set()
     for number in range(40):
         window = data[number]
@@ -163,6 +163,21 @@ def test_windows_are_the_recordings_frames_and_depend_on_seed_and_number_only():
     assert directions == {1, SIZE - 1}
 
 
+def test_superposed_windows_are_what_a_laser_would_have_seen_of_the_movers_of_both():
+    # Along a beam from the left: `one` is hit in cell 2, `other` in cell 5; cells behind a return are not visible.
+    one = np.array([[[1, 1, 1, 0, 0, 0, 0, 0], [0, 0, 1, 0, 0, 0, 0, 0]]], np.uint8)
+    other = np.array([[[1, 1, 1, 1, 1, 1, 0, 0], [0, 0, 0, 0, 0, 1, 0, 0]]], np.uint8)
+    packed = superposed(np.packbits(one, axis=-1), np.packbits(other, axis=-1))
+    assert np.array_equal(np.unpackbits(packed, axis=-1), one)
+
+
+def test_half_of_the_windows_are_superposed_where_that_is_asked_for():
+    data = SequenceDataset([Shuttle(60)], 10, seed=1, reverse=False, superpose=True)
+    dots = [int(data[number][0, 1, 5].sum()) for number in range(200)]
+    assert set(dots) == {1, 2}
+    assert 60 < sum(count == 2 for count in dots) < 130
+
+
 def test_epochs_go_through_the_series_of_windows_one_after_the_other():
     sampler = EpochSampler(3)
     sampler.set_epoch(2)
@@ -170,10 +185,10 @@ def test_epochs_go_through_the_series_of_windows_one_after_the_other():
 
 
 def test_the_occupied_rate_is_of_the_visible_cells():
-    data = SequenceDataset([Shuttle(12)], 10, seed=0, reverse=False)
+    data = SequenceDataset([Shuttle(12)], 10, seed=0, reverse=False, superpose=False)
     assert occupied_rate(data.stretches) == pytest.approx((SIZE + 1) / (SIZE * (SIZE - 1)))
 
 
 def test_a_stretch_shorter_than_a_sequence_is_refused_by_name():
     with pytest.raises(ConfigurationError, match="shuttle: 5 frames; training needs at least 40"):
-        SequenceDataset([Shuttle(5)], 40, seed=0, reverse=False)
+        SequenceDataset([Shuttle(5)], 40, seed=0, reverse=False, superpose=False)

@@ -20,6 +20,8 @@ class TrainingSettings(Settings):
     cycles: int = Field(2, ge=1)
     reverse: bool = False
     """Also train on windows that run backwards in time."""
+    superpose: bool = False
+    """Also train on two windows laid over one another, as if the movers of both had been there."""
     updates: int = Field(4000, ge=1)
     batch: int = Field(2, ge=1)
     learning_rate: float = Field(2e-3, gt=0)

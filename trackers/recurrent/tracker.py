@@ -104,7 +104,7 @@ class RecurrentTracker(Tracker):
         from gridtrack.trackers.recurrent.training import train_network, validation_scores
 
         torch.manual_seed(out.seed)
-        dataset = SequenceDataset(train, options.length, out.seed, reverse=options.reverse)
+        dataset = SequenceDataset(train, options.length, out.seed, reverse=options.reverse, superpose=options.superpose)
         network = cls.build(train[0].grid.size, options, classes=0)
         cls.prepare_training(network, occupied_rate(dataset.stretches), out.report)
         steps = round(max(VALIDATION_HORIZONS_S) / train[0].period_s)
