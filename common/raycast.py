@@ -14,6 +14,8 @@ from gridtrack.common.grid import GridSpec, Mask
 from gridtrack.common.scan import Scan
 
 FRACTION_BITS = 40
+FURTHEST, LONGEST = 1e9, 1e300
+"""Cells from the grid to a sensor, and length of a beam in cells: beyond, and not a number, is no beam at all."""
 
 
 def cast_scan(scan: Scan, grid: GridSpec, grid_T_sensor: SE2, visible: Mask, occupied: Mask) -> NDArray[np.float32]:
@@ -49,14 +51,21 @@ def _directions(angle_0: float, angle_step: float, beams: int) -> NDArray[np.flo
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _cast(ranges, directions, range_min, range_max, x0, y0, cell_m, visible, occupied, size, points):  # type: ignore[no-untyped-def]
-    """Cast all beams; coordinates in cells, from the lower-left corner. Returns how many returns lie inside."""
+    """Cast all beams; coordinates in cells, from the lower-left corner. Returns how many returns lie inside.
+
+    What is not finite is left out here, and not only where recordings are read: the walk would leave the arrays.
+    """
     inside = 0
+    if not abs(x0) + abs(y0) < FURTHEST:
+        return inside
     for i in range(ranges.size):
         distance = float(ranges[i])
         if math.isnan(distance) or distance < range_min:
             continue
         length = min(distance, range_max) / cell_m
         dx, dy = directions[i, 0] * length, directions[i, 1] * length
+        if not abs(dx) + abs(dy) < LONGEST:
+            continue
         _cross(x0, y0, dx, dy, size, visible)
         row, column = math.floor(y0 + dy), math.floor(x0 + dx)
         if 0 <= row < size and 0 <= column < size:

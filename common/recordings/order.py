@@ -66,6 +66,9 @@ class StampOrder:
         elif scan.stamp_ns <= before.stamp_ns:
             self._fault(scan, "not stamped after the one before, left out")
             return False
+        elif not _has_place(scan):
+            self._fault(scan, "whose pose is not finite, left out")
+            return False
         elif _geometry(scan) != _geometry(before) or scan.stamp_ns >= MAX_STAMP_NS:
             _refuse_impossible(scan)
         if scan.stamp_ns < self._given_ns:
@@ -86,6 +89,11 @@ def _geometry(scan: Scan) -> tuple[float, float, float, float]:
     return scan.angle_min, scan.angle_increment, scan.range_min, scan.range_max
 
 
+def _has_place(scan: Scan) -> bool:
+    pose = scan.world_T_sensor
+    return math.isfinite(pose.x) and math.isfinite(pose.y) and math.isfinite(pose.theta)
+
+
 def _refuse_impossible(scan: Scan) -> None:
     """Raise RecordingError for a scan whose stamp or geometry means nothing."""
     if not 0 <= scan.stamp_ns < MAX_STAMP_NS:
@@ -95,3 +103,6 @@ def _refuse_impossible(scan: Scan) -> None:
         raise RecordingError(f"sensor '{scan.sensor}': {limits}; expected finite ones, the lower first")
     if not (math.isfinite(scan.angle_min) and math.isfinite(scan.angle_increment)):
         raise RecordingError(f"sensor '{scan.sensor}': beams from {scan.angle_min} every {scan.angle_increment} rad")
+    if not _has_place(scan):
+        pose = scan.world_T_sensor
+        raise RecordingError(f"sensor '{scan.sensor}': a pose of {pose.x:g}, {pose.y:g}, {pose.theta:g}; expected a place")

@@ -228,6 +228,17 @@ def test_range_limits_that_mean_nothing_are_refused(
         list(open_recording(path).scans())
 
 
+def test_a_pose_that_is_no_place_leaves_its_scan_out_and_the_first_one_is_refused(
+    write: Callable[..., Path], scan: Callable[..., Scan]
+) -> None:
+    nowhere = SE2(math.nan, 0.0, 0.0)
+    recording = open_recording(write([scan(0), replace(scan(1), world_T_sensor=nowhere), scan(2)]))
+    assert [s.stamp_ns for s in recording.scans()] == [scan(0).stamp_ns, scan(2).stamp_ns]
+    assert "whose pose is not finite, left out: 1 of them" in recording.warnings[0]
+    with pytest.raises(RecordingError, match="a pose of nan, 0, 0; expected a place"):
+        list(open_recording(write([replace(scan(0), world_T_sensor=nowhere)])).scans())
+
+
 def test_every_complaint_is_one_line(write: Callable[..., Path], scan: Callable[..., Scan]) -> None:
     for topic in ("/pose", "/nothing"):
         with pytest.raises(GridtrackError) as caught:

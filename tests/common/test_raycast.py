@@ -193,3 +193,26 @@ def test_turning_and_mirroring_the_scene_turns_and_mirrors_the_grid(
         expected, unsure = expected[::-1], unsure[::-1]
     visible, _, _ = cast(turned_scan, grid, turned_pose)
     assert not (visible != expected)[~unsure].any()
+
+
+@pytest.mark.parametrize(
+    ("scan", "pose"),
+    [
+        (beam(0.3, math.inf, range_max=1e308), SE2()),
+        (beam(math.nan, 2.0), SE2()),
+        (beam(0.3, 2.0), SE2(math.nan, 0.0, 0.0)),
+        (beam(0.3, 2.0), SE2(1e300, -1e300, 0.0)),
+        (beam(0.3, 2.0), SE2(0.0, 0.0, math.inf)),
+    ],
+)
+@pytest.mark.filterwarnings("ignore:invalid value encountered:RuntimeWarning")
+def test_what_is_not_finite_shows_nothing_and_touches_nothing_else(scan: Scan, pose: SE2) -> None:
+    grid = GridSpec(20, 0.01)
+    guarded = np.zeros((2, 1 << 20), bool)
+    visible, occupied = guarded[:, 1 << 19 : (1 << 19) + 400].reshape(2, 20, 20)
+    assert len(cast_scan(scan, grid, pose, visible, occupied)) == 0
+    assert not guarded.any()
+
+
+def test_a_laser_without_a_limit_sees_to_the_edge() -> None:
+    assert drawn(beam(0.0, math.inf, range_max=3.4e38), SE2(0.5, 0.5)).splitlines()[-1] == "....."
