@@ -104,5 +104,5 @@ def _refuse_impossible(scan: Scan) -> None:
     if not (math.isfinite(scan.angle_min) and math.isfinite(scan.angle_increment)):
         raise RecordingError(f"sensor '{scan.sensor}': beams from {scan.angle_min} every {scan.angle_increment} rad")
     if not _has_place(scan):
-        pose = scan.world_T_sensor
-        raise RecordingError(f"sensor '{scan.sensor}': a pose of {pose.x:g}, {pose.y:g}, {pose.theta:g}; expected a place")
+        p = scan.world_T_sensor
+        raise RecordingError(f"sensor '{scan.sensor}': a pose of {p.x:g}, {p.y:g}, {p.theta:g}; expected a place")
