@@ -24,7 +24,7 @@ def appearance(
     blurred by the uncertainty of the predicted position.
     """
     image = np.zeros((steps + 1, *grid.shape), np.float32)
-    still = staying(dwell, track.ages, track.unseen, steps)
+    still = np.ascontiguousarray(staying(dwell, track.ages, track.unseen, steps))  # one layout: compiled once
     draw_points(image, _in_cells(track.returns, grid), return_noise_m / grid.cell_m, still)
     means, covariances = track.estimator.ahead(steps)
     spread = np.sqrt(np.diagonal(covariances, axis1=1, axis2=2)[:, :2]) / grid.cell_m

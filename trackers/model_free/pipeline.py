@@ -7,6 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec, Mask
 from gridtrack.trackers.model_free.association import assign, share_out, squared_mahalanobis
 from gridtrack.trackers.model_free.background import Background
@@ -143,3 +144,19 @@ class Pipeline:
 
     def _appearance(self, track: Track, steps: int) -> NDArray[np.float32]:
         return appearance(track, steps, self.grid, self.dwell, self.settings.return_noise_m)
+
+
+def compile_ahead(period_s: float, dwell: NDArray[np.float32], settings: PipelineSettings) -> None:
+    """Run every stage once on a scene of three frames, so that what is compiled on first use has been.
+
+    That takes seconds on a machine where nothing is compiled yet: a tracker has them when it starts, not in an update.
+    """
+    grid = GridSpec(8, 0.1)
+    pipeline = Pipeline(grid, period_s, np.zeros(grid.shape, np.float32), dwell, settings)
+    occupied, visible = np.zeros(grid.shape, bool), np.ones(grid.shape, bool)
+    occupied[4, 4:6] = True
+    for cells in (occupied, occupied, ~visible):
+        points = grid.cell_centres(cells)
+        origin, owner = np.zeros((1, 2), np.float32), np.zeros(len(points), np.uint8)
+        pipeline.update(GridFrame(0, visible, cells, SE2(), origin, points, owner))
+    pipeline.forecast(1)

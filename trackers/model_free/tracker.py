@@ -11,7 +11,7 @@ from gridtrack.common.grid import GridFrame
 from gridtrack.trackers.contract import FitOutput, Forecast, FrameSource, Score, StreamSpec, Tracker
 from gridtrack.trackers.model_free.dwell import table_shape
 from gridtrack.trackers.model_free.forecast import objects
-from gridtrack.trackers.model_free.pipeline import Pipeline
+from gridtrack.trackers.model_free.pipeline import Pipeline, compile_ahead
 from gridtrack.trackers.model_free.settings import NAME, PipelineSettings
 from gridtrack.trackers.weights import Weights, array, load_weights
 
@@ -33,6 +33,7 @@ class KalmanTracker(Tracker):
         self._settings = _settings(weights, options)
         self._background = array(weights, "background", stream.grid.shape)
         self._dwell = array(weights, "dwell", table_shape(stream.period_s))
+        compile_ahead(stream.period_s, self._dwell, self._settings)
         self.reset(seed=0)
 
     def reset(self, seed: int) -> None:
