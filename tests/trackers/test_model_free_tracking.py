@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from itertools import pairwise
 
 import numpy as np
@@ -223,33 +221,6 @@ def test_an_empty_stream_is_forecast_as_background(tracker):
 
 
 # Weights and fit
-
-
-STARTED_AND_FED = """
-from gridtrack.common.stream import open_stream
-from gridtrack.common.recordings import packaged_recording
-from gridtrack.trackers.contract import stream_of
-from gridtrack.trackers.model_free import KalmanTracker, rasterise
-from gridtrack.trackers.model_free.settings import PipelineSettings
-
-def compiled():
-    return [len(f.signatures) for f in (rasterise.draw, rasterise.draw_points, rasterise.noisy_or)]
-
-demo = packaged_recording("leg_tracker")
-stream = open_stream(f"{demo}@90s-100s")
-card = demo.parents[1] / "weights" / "kalman" / "leg_tracker.toml"
-tracker = KalmanTracker(stream_of(stream, card), PipelineSettings())
-before = compiled()
-for frame in stream:
-    tracker.update(frame)
-tracker.predict(20)
-print(before, compiled())
-"""
-
-
-def test_what_is_compiled_on_first_use_is_compiled_when_it_starts():
-    done = subprocess.run([sys.executable, "-c", STARTED_AND_FED], capture_output=True, text=True, check=True)
-    assert done.stdout == "[1, 1, 1] [1, 1, 1]\n"
 
 
 def test_without_weights_it_says_how_to_make_them():
