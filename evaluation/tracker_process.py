@@ -162,7 +162,7 @@ class TrackerProcess:
         return self._dialogue
 
     def _count(self, answer: Message, own: Latencies, round_trip: Latencies) -> None:
-        elapsed_ns, cpu_ns = answer.value("elapsed_ns", int), answer.value("cpu_ns", int)
+        elapsed_ns, cpu_ns = _nanoseconds(answer, "elapsed_ns"), _nanoseconds(answer, "cpu_ns")
         self.last_call = Call(elapsed_ns / 1e6, cpu_ns / 1e6, self._wire.round_trip_ms)
         own.add(self.last_call.own_ms)
         round_trip.add(self.last_call.round_trip_ms)
@@ -205,9 +205,19 @@ def _dialogue(launch: Launch, limits: Limits, log: Path) -> Dialogue:
     return Dialogue(Supervised(launch.argv, log, limits.memory_mb, env, launch.cwd), log, limits.memory_mb)
 
 
+def _nanoseconds(answer: Message, name: str) -> int:
+    """A span of time by the tracker's own clock. Raises WireError for one that none can show."""
+    span = answer.value(name, int)
+    if not 0 <= span < 1 << 63:
+        raise WireError(f"'{name}' is no span of time")
+    return span
+
+
 def _started(answer: Message) -> Started:
     """What `started` and `described` say. Raises WireError."""
     classes = answer.value("classes", list)
+    if len(classes) > messages.MAX_CLASSES:
+        raise WireError(f"{len(classes)} classes; at most {messages.MAX_CLASSES}")
     if not all(isinstance(name, str) for name in classes) or len(set(classes)) != len(classes):
         raise WireError(f"classes {classes!r:.80} are not names that differ")
     if answer.value("api", int) != API:

@@ -14,6 +14,8 @@ from gridtrack.trackers.contract import Forecast, StreamSpec, TrackedObject
 from gridtrack.trackers.wire import Message, WireError
 
 MAX_OBJECTS = 4096
+MAX_CLASSES = 255
+"""As many as a recording's labels can name; the size of an answer is bounded by it before memory is taken."""
 FORECAST_DTYPES = ("float32", "float16")
 
 Arrays = dict[str, NDArray[Any]]

@@ -17,7 +17,6 @@ from gridtrack.trackers import messages, registry
 from gridtrack.trackers.contract import API, Forecast, StreamSpec, Tracker
 from gridtrack.trackers.wire import MAX_HEADER, Message, WireError, encode, fill_from, receive, widen, write_to
 
-MAX_TRACEBACK = 16_000
 MAX_LINE = 500
 
 
@@ -120,11 +119,7 @@ class Server:
     def _failure(self, request: Message, error: Exception) -> Message:
         if isinstance(error, ImportError) and request.kind == "start":
             error = PluginError(f"tracker '{self.name}': {error}{registry.install_hint(self.name, error)}")
-        fields = {
-            "outcome": self._outcome(request, error),
-            "reason": one_line(error),
-            "traceback": "".join(traceback.format_exception(error))[-MAX_TRACEBACK:],
-        }
+        fields = {"outcome": self._outcome(request, error), "reason": one_line(error)}
         return Message("error", request.number, fields)
 
     def _outcome(self, request: Message, error: Exception) -> str:

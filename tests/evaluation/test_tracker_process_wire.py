@@ -50,6 +50,13 @@ def end(how: str, tmp_path: Path, limits: Limits = LIMITS, size: int = 20) -> tu
     return ended.value.outcome, ended.value.reason
 
 
+def test_a_tracker_of_countless_classes_is_refused_when_it_starts(tmp_path):
+    program = Launch("rogue", (sys.executable, str(PROGRAM), "many-classes"))
+    process = TrackerProcess(program, StreamSpec(GridSpec(20, 0.2), 0.125), {}, LIMITS, tmp_path / "stderr.log")
+    with pytest.raises(TrialEnded, match="invalid-output: start: 10000 classes; at most 255"), process:
+        pass
+
+
 @pytest.mark.parametrize(
     ("how", "reason"),
     [
@@ -62,6 +69,8 @@ def end(how: str, tmp_path: Path, limits: Limits = LIMITS, size: int = 20) -> tu
         ("a-list", "the header is not a JSON object"),
         ("another-number", "an answer to request 9 where 2 was asked"),
         ("another-kind", "answered 'forecast'; expected 'done'"),
+        ("endless-time", "update with frame 1: 'elapsed_ns' is no span of time"),
+        ("negative-time", "update with frame 1: 'cpu_ns' is no span of time"),
         ("no-times", "'done' needs a field 'elapsed_ns' of type int; found None"),
         ("made-up-outcome", "an error with outcome 'ok'; expected one of crashed, timeout"),
     ],

@@ -43,6 +43,8 @@ def misbehave(how: str, number: int) -> None:
         "another-number": answer(number + 7),
         "another-kind": answer(number, "forecast"),
         "no-times": b"".join(encode(Message("done", number))),
+        "endless-time": answer(number, elapsed_ns=10**400),
+        "negative-time": answer(number, cpu_ns=-1),
         "made-up-outcome": answer(number, "error", outcome="ok", reason="all is well"),
         "terminal-codes": answer(number, "error", outcome="crashed", reason="\x1b[31mred\nalert\x07"),
     }
@@ -70,7 +72,8 @@ def main() -> None:
         except EOFError:
             return
         if request.kind == "start":
-            write_to(1, encode(Message("started", request.number, STARTED)))
+            named = [f"class {i}" for i in range(10_000)] if sys.argv[1] == "many-classes" else []
+            write_to(1, encode(Message("started", request.number, STARTED | {"classes": named})))
             if sys.argv[1] == "stops-reading":
                 time.sleep(3600)
         elif request.kind == "update":
