@@ -10,11 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridtrack.common.errors import ConfigurationError
+from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridSpec
 from gridtrack.common.recordings import Stretch, open_recording
 from gridtrack.common.stream import GridStream, Points, open_stream, parse_stretch
 from gridtrack.evaluation.referee import WARM_UP, Schedule
-from gridtrack.evaluation.strata import regions_of
+from gridtrack.evaluation.strata import regions_of, same_place
 from gridtrack.trackers.weights import TrainingData
 
 TEST, VALIDATION, TRAIN = "test", "validation", "train"
@@ -33,6 +34,17 @@ class Sampling:
     every_s: float
     grid: GridSpec | None = None
     rate_hz: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Regions:
+    """Region of each cell (M, M) uint8, as of `strata.regions_of`, where the tested and the validation stretch stand.
+
+    Thresholds chosen on another recording, or from another place, are chosen on the strata that are seen from there.
+    """
+
+    test: NDArray[np.uint8]
+    validation: NDArray[np.uint8]
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,10 +72,12 @@ class Course:
         enough = -(-(frames - WARM_UP - self.steps) // VALIDATION_FORECASTS)
         return Schedule(frames, self.steps, min(self.every, enough))
 
-    def regions(self) -> NDArray[np.uint8]:
-        """Region of each cell (M, M), from the whole recording, not the tested stretch only: one pass over it."""
-        standing = next(iter(self.test)).world_T_grid
-        return regions_of(whole(self.test), self.test.grid, standing)
+    def regions(self) -> Regions:
+        """Regions of both stretches; where they show the same place of one recording, a single pass over it."""
+        test = _regions(self.test)
+        if self.validation is None or _shows_the_same(self.test, self.validation):
+            return Regions(test, test)
+        return Regions(test, _regions(self.validation))
 
     def description(self) -> dict[str, Any]:
         """What the summary says of it beside the scores."""
@@ -174,6 +188,19 @@ def whole(stream: GridStream) -> GridStream:
 def with_points(stream: GridStream, points: Points) -> GridStream:
     """The same stretch with other returns."""
     return stream if points == stream.points else like(stream, stream.stretch_s, points)
+
+
+def _regions(stream: GridStream) -> NDArray[np.uint8]:
+    """Region of each cell (M, M), from the whole recording, not the stretch only: one pass over it."""
+    return regions_of(whole(stream), stream.grid, _standing(stream))
+
+
+def _standing(stream: GridStream) -> SE2:
+    return next(iter(stream)).world_T_grid
+
+
+def _shows_the_same(one: GridStream, other: GridStream) -> bool:
+    return one.sha256 == other.sha256 and same_place(_standing(one), _standing(other))
 
 
 def shares_frames(one: GridStream, other: GridStream) -> bool:

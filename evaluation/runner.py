@@ -8,9 +8,7 @@ from concurrent.futures import Future, ThreadPoolExecutor, as_completed
 from pathlib import Path
 from typing import Any, Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
+from gridtrack.evaluation.courses import Regions
 from gridtrack.evaluation.latency_pass import measure_latency
 from gridtrack.evaluation.outcome import TrialEnded
 from gridtrack.evaluation.plan import Plan, Trial
@@ -106,15 +104,15 @@ class _Crew:
         """The record of every trial of the plan; those that an interrupt kept from starting say so."""
         return {trial.name: self._records.get(trial.name) or unstarted(trial) for trial in self._plan.trials}
 
-    def _regions(self, trials: Sequence[Trial]) -> dict[str, NDArray[np.uint8]]:
+    def _regions(self, trials: Sequence[Trial]) -> dict[str, Regions]:
         """Regions of every course that is run, by its name."""
-        regions: dict[str, NDArray[np.uint8]] = {}
+        regions: dict[str, Regions] = {}
         for course in {trial.course.name: trial.course for trial in trials}.values():
             self._progress.note(f"{course.name}: finding its static cells")
             regions[course.name] = course.regions()
         return regions
 
-    def _run_trial(self, trial: Trial, regions: NDArray[np.uint8]) -> None:
+    def _run_trial(self, trial: Trial, regions: Regions) -> None:
         run = TrialRun(trial, regions, self._folder / trial.name, lambda: self._next_frame(trial))
         self._progress.started(trial.name, run.frames)
         self._running.add(run)

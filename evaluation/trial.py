@@ -7,11 +7,9 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
 from gridtrack.common.errors import RecordingError
 from gridtrack.evaluation.counting import Tally, count_forecast
+from gridtrack.evaluation.courses import Regions
 from gridtrack.evaluation.outcome import TrialEnded
 from gridtrack.evaluation.plan import Trial
 from gridtrack.evaluation.record import RECORD, Ending, ThresholdsUsed, Times, TrialRecord
@@ -35,8 +33,8 @@ class Interrupted(Exception):
 class TrialRun:
     """A trial while it runs: how far it has come is what its record tells when it ends early."""
 
-    def __init__(self, trial: Trial, regions: NDArray[np.uint8], folder: Path, on_frame: OnFrame) -> None:
-        """`regions` (M, M) as of `strata.regions_of`; the trial's files are left in `folder`."""
+    def __init__(self, trial: Trial, regions: Regions, folder: Path, on_frame: OnFrame) -> None:
+        """`regions` as of `trial.course.regions`; the trial's files are left in `folder`."""
         folder.mkdir(parents=True, exist_ok=True)
         for left_by_an_earlier_attempt in (RECORD, SCORES, HISTOGRAM, SAMPLES):
             (folder / left_by_an_earlier_attempt).unlink(missing_ok=True)
@@ -108,7 +106,7 @@ class TrialRun:
         tally = Tally.empty(self.trial.course.steps)
         delivery = Delivery(stretch, self._on_frame)
         for moment in moments(self._process, delivery, self.trial.course.validation_schedule, self.trial.seed):
-            tally.add(count_forecast(moment.forecast.occupancy, moment.frames, self._regions))
+            tally.add(count_forecast(moment.forecast.occupancy, moment.frames, self._regions.validation))
         return best_thresholds(tally, stretch.name)
 
     def _score(self, thresholds: Thresholds) -> None:
@@ -119,7 +117,7 @@ class TrialRun:
             SampleWriter(self._folder / SAMPLES, test.grid, test.period_s, steps) as samples,
         ):
             for moment in moments(self._process, self._delivery, self._test, self.trial.seed):
-                tally = count_forecast(moment.forecast.occupancy, moment.frames, self._regions)
+                tally = count_forecast(moment.forecast.occupancy, moment.frames, self._regions.test)
                 scores.add(moment.stamp_ns, self._delivery.digest, tally)
                 if self._scored in kept:
                     samples.add(moment)

@@ -52,10 +52,10 @@ class Staged(Tracker):
 '''
 
 
-def scan(index: int, speed: float = 0.0) -> Scan:
-    """A wall 3 m ahead, and something 0.3 m wide that walks to and fro before it."""
+def scan(index: int, speed: float = 0.0, wall_m: float = 3.0) -> Scan:
+    """A wall ahead, and something 0.3 m wide that walks to and fro before it."""
     angles = np.linspace(-math.pi / 3, math.pi / 3, BEAMS)
-    ranges = 3.0 / np.cos(angles)
+    ranges = wall_m / np.cos(angles)
     towards = 0.8 * math.sin(index / 12)
     ranges[np.abs(angles - towards) < 0.08] = 1.6
     return Scan(
@@ -74,17 +74,21 @@ Record = Callable[..., Path]
 
 @pytest.fixture
 def record(tmp_path: Path) -> Record:
-    """`record(name, seconds, stretches, speed)` writes a recording and gives its path; m/s of the sensor."""
+    """`record(name, seconds, stretches, speed, wall_m)` writes a recording and gives its path; m/s of the sensor."""
 
     def record(
-        name: str = "room", seconds: int = SECONDS, stretches: dict[str, object] | None = None, speed: float = 0.0
+        name: str = "room",
+        seconds: int = SECONDS,
+        stretches: dict[str, object] | None = None,
+        speed: float = 0.0,
+        wall_m: float = 3.0,
     ) -> Path:
         path = tmp_path / f"{name}.mcap"
         info = RecordingInfo(
             site="room", grid="40x0.2@-1,-4", rate_hz=RATE_HZ, stretches=STRETCHES if stretches is None else stretches
         )
         with path.open("wb") as file:
-            write_native(file, info, (scan(index, speed) for index in range(seconds * RATE_HZ)))
+            write_native(file, info, (scan(index, speed, wall_m) for index in range(seconds * RATE_HZ)))
         return path
 
     return record

@@ -88,7 +88,7 @@ def test_grid_and_rate_can_be_given(record):
 
 def test_static_cells_come_from_the_whole_recording(record):
     path = record()
-    one, other = (plan_course(f"{path}@{stretch}", None, SECOND).regions() for stretch in ("0s-5s", "9s-20s"))
+    one, other = (plan_course(f"{path}@{stretch}", None, SECOND).regions().test for stretch in ("0s-5s", "9s-20s"))
     assert (one == other).all()
     wall = one[20, int((3.0 + 1.0) / 0.2)]
     assert REGIONS[wall] == "static"
@@ -168,3 +168,12 @@ def test_training_what_cannot_learn_or_on_no_stretch_is_refused(record, tmp_path
         train("static-map", [str(record("bare", stretches={}))], [], tmp_path, {}, 0, "")
     with pytest.raises(ConfigurationError, match="no stretch 'train'; name one of test"):
         train("static-map", [str(record("half", stretches={"test": (0.0, 5.0)}))], [], tmp_path, {}, 0, "")
+
+
+def test_thresholds_of_another_recording_are_chosen_on_its_own_strata(record):
+    here, elsewhere = record("here"), record("elsewhere", wall_m=2.2)
+    regions = plan_course(str(here), f"{elsewhere}@4s-9s", SECOND).regions()
+    assert (regions.test != regions.validation).any()
+    assert (regions.validation == plan_course(str(elsewhere), None, SECOND).regions().test).all()
+    own = plan_course(str(here), None, SECOND).regions()
+    assert own.validation is own.test
