@@ -120,7 +120,7 @@ def read_card(path: Path) -> Card:
         GridSpec.parse(card.grid)
     except OSError as error:
         raise WeightsError(f"{path}: cannot be read ({error.strerror})") from None
-    except (UnicodeDecodeError, tomllib.TOMLDecodeError, ConfigurationError) as error:
+    except (ValueError, RecursionError, ConfigurationError) as error:
         raise WeightsError(f"{path}: not a weights card of gridtrack ({error})") from None
     if card.schema_version != SCHEMA:
         raise WeightsError(f"{path}: schema {card.schema_version}; this gridtrack reads {SCHEMA}: train again")
@@ -143,7 +143,7 @@ def load_weights(stream: StreamSpec, tracker: str) -> Weights:
         ("grid", str(GridSpec.parse(card.grid)), str(stream.grid)),
     ):
         if made_for != found:
-            raise WeightsError(f"{path}: made for {what} {made_for}, but this is {found}")
+            raise WeightsError(f"{path}: made for {what} {made_for}, but this is {found}: train for this one")
     if abs(card.period_s - stream.period_s) > 1e-3 * card.period_s:
         raise WeightsError(
             f"{path}: made for a period of {card.period_s:g} s ({1 / card.period_s:g} Hz), but this stream's is"

@@ -146,6 +146,16 @@ def test_a_damaged_card_is_one_clear_line(path: Path, edit: Callable[[str], str]
     assert "\n" not in str(error.value)
 
 
+@pytest.mark.parametrize("card", [f"a = {'9' * 5000}", "a = " + "[" * 20_000, f'grid = "{"9" * 5000}x0.1"'])
+def test_a_card_made_to_break_the_reader_is_refused_in_one_line(path: Path, card: str) -> None:
+    text = path.read_text()
+    path.write_text(
+        card if "grid" not in card else "\n".join(card if x[:4] == "grid" else x for x in text.splitlines())
+    )
+    with pytest.raises(WeightsError, match="not a weights card of gridtrack"):
+        read_card(path)
+
+
 def test_a_card_that_is_not_text_is_refused(path: Path) -> None:
     path.write_bytes(b"\xff\xfe\x00")
     with pytest.raises(WeightsError, match="not a weights card"):
