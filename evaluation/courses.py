@@ -180,6 +180,11 @@ def like(stream: GridStream, stretch: Stretch | str | None = None, points: Point
     )
 
 
+def like_recorded(stream: GridStream) -> GridStream:
+    """The whole recording on its own grid and at its own rate."""
+    return GridStream(stream.recording)
+
+
 def whole(stream: GridStream) -> GridStream:
     """The whole recording that `stream` is a stretch of."""
     return like(stream, None)

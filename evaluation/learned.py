@@ -27,16 +27,25 @@ class LearnedWeights:
     card: Card
     sha256: str
 
+    @property
+    def name(self) -> str:
+        """`<tracker>/<site>.toml`: without the folders of this machine, for what is handed on."""
+        return "/".join(self.path.parts[-2:])
+
     def provenance(self) -> dict[str, str]:
         """What run.json keeps of them."""
-        return {"path": str(self.path), "sha256": self.sha256}
+        return {"name": self.name, "sha256": self.sha256}
 
 
 def find_weights(tracker: str, site: str, override: Path | None) -> LearnedWeights | None:
     """The weights of `tracker` for `site`: in `override`, else the user's own, else the shipped ones, else None.
 
-    Raises WeightsError where the file found cannot be read.
+    Raises WeightsError where the file found cannot be read, or there is no folder `override`.
     """
+    if override is not None and not override.is_dir():
+        raise WeightsError(
+            f"{override}: no such folder of weights; without --weights your own and the shipped are used"
+        )
     if not SITE.fullmatch(site):
         return None
     for folder in _folders(override):

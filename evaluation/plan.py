@@ -15,7 +15,7 @@ from gridtrack.common.config import Settings
 from gridtrack.common.errors import ConfigurationError, PluginError
 from gridtrack.common.grid import GridSpec
 from gridtrack.common.stream import GridStream
-from gridtrack.evaluation.courses import Course, Sampling, plan_course, was_seen, with_points
+from gridtrack.evaluation.courses import Course, Sampling, like_recorded, plan_course, was_seen, with_points
 from gridtrack.evaluation.learned import LearnedWeights, find_weights
 from gridtrack.evaluation.tracker_process import Limits, describe
 from gridtrack.trackers import registry
@@ -81,11 +81,18 @@ class Trial:
     @property
     def how_to_train(self) -> str:
         """What to do when the tracker has not learned the recording's site yet, in one line."""
-        command = ["gridtrack", "train", self.selection.name, str(self.course.path)]
+        command = ["gridtrack", "train", self.selection.name, str(self.course.path), *self._sampling_options()]
         return (
             f"nothing learned for site '{self.course.test.site}' yet; run `{shlex.join(command)}`, then compare again"
             " with --resume"
         )
+
+    def _sampling_options(self) -> list[str]:
+        """The grid and rate of this comparison as options, where they are not the recording's own."""
+        test = self.course.test
+        own = like_recorded(test)
+        grid = [] if test.grid == own.grid else ["--grid", str(test.grid)]
+        return grid if test.period_ns == own.period_ns else [*grid, "--rate", f"{1 / test.period_s:g}"]
 
     def identity(self) -> dict[str, Any]:
         """What decides the trial's scores, and so whether a resumed run may keep them; learned weights apart."""
@@ -93,7 +100,7 @@ class Trial:
             "tracker": self.selection.name,
             "options": dict(self.selection.options),
             "points": self.selection.points,
-            "argv": list(self.launch.argv[1:]),
+            "argv": list(self.launch.argv if self.launch.external else self.launch.argv[1:]),
             "seed": self.seed,
             "threads": self.limits.threads,
         }
@@ -180,7 +187,7 @@ def _seen_before(trial: Trial) -> Iterator[str]:
     card = trial.weights.card
     if any(was_seen(trial.course.test, data) for data in (*card.train, *card.validation)):
         yield (
-            f"{trial.label} learned from frames of the tested {trial.course.test.name} ({trial.weights.path}): its"
+            f"{trial.label} learned from frames of the tested {trial.course.test.name} ({trial.weights.name}): its"
             " scores there are not those of an unseen recording"
         )
     if trial.course.validation and any(was_seen(trial.course.validation, data) for data in card.train):

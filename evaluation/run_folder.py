@@ -12,6 +12,7 @@ from typing import Any
 from gridtrack.evaluation.plan import Plan, Trial
 from gridtrack.evaluation.provenance import machine, versions
 from gridtrack.evaluation.record import MAX_BYTES, RunError, TrialRecord, read_record
+from gridtrack.evaluation.scores import HISTOGRAM, SCORES
 from gridtrack.evaluation.summary import SUMMARY, Ended, summarise, write_json
 
 RUN = "run.json"
@@ -55,8 +56,9 @@ class RunFolder:
         """Records by trial name of what an earlier run scored in full with the same weights. Raises RunError."""
         if not self.plan.settings.resume:
             return {}
-        records = {trial.name: (trial, read_record(self.path / trial.name)) for trial in self.plan.trials}
-        return {name: record for name, (trial, record) in records.items() if record and _is_done(trial, record)}
+        folders = {trial.name: self.path / trial.name for trial in self.plan.trials}
+        records = ((trial, read_record(folders[trial.name])) for trial in self.plan.trials)
+        return {t.name: record for t, record in records if record and _is_done(t, record, folders[t.name])}
 
     def finish(self, records: Mapping[str, TrialRecord], interrupted: bool) -> dict[str, Any]:
         """Write and return the summary of these records, by trial name, and close the run."""
@@ -75,9 +77,10 @@ class RunFolder:
         return summary
 
 
-def _is_done(trial: Trial, record: TrialRecord) -> bool:
+def _is_done(trial: Trial, record: TrialRecord, folder: Path) -> bool:
     weights = trial.weights.sha256 if trial.weights else ""
-    return record.outcome == "ok" and record.weights_sha256 == weights
+    whole = all((folder / name).is_file() for name in (SCORES, HISTOGRAM))
+    return whole and record.outcome == "ok" and record.weights_sha256 == weights
 
 
 def _provenance(plan: Plan, command: Sequence[str], identity: Mapping[str, Any]) -> dict[str, Any]:

@@ -38,11 +38,19 @@ class Selection:
 
 @dataclass(frozen=True, slots=True)
 class Launch:
-    """How the process of the tracker `name` is started: the program and its arguments, and its working folder."""
+    """How the process of the tracker `name` is started: the program and its arguments, and its working folder.
+
+    One that is registered here has no folder of its own, and runs in this Python, wherever that lies.
+    """
 
     name: str
     argv: tuple[str, ...]
     cwd: Path | None = None
+
+    @property
+    def external(self) -> bool:
+        """Whether a `trackers.toml` names it."""
+        return self.cwd is not None
 
 
 def parse_selection(text: str) -> Selection:
@@ -110,7 +118,7 @@ def read_trackers_toml(path: Path) -> dict[str, Launch]:
         tables = tomllib.loads(path.read_text())
     except OSError as error:
         raise ConfigurationError(f"{path}: cannot be read ({error.strerror})") from None
-    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+    except (ValueError, RecursionError) as error:
         raise ConfigurationError(f"{path}: not TOML ({error})") from None
     registered = registry.entries()
     launches = {}

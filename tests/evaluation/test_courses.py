@@ -142,6 +142,7 @@ def test_weights_are_looked_for_where_told_then_at_the_users_then_in_the_package
     assert users_folder() == tmp_path / "gridtrack" / "weights"
     assert find_weights("no-such-tracker", "room", None) is None
     learned(users_folder())
+    (tmp_path / "told").mkdir()
     assert find_weights("static-map", "room", tmp_path / "told").card.command == str(users_folder())
     learned(tmp_path / "told")
     assert find_weights("static-map", "room", tmp_path / "told").card.command == str(tmp_path / "told")

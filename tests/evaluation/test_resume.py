@@ -1,0 +1,68 @@
+"""What a resumed run keeps and what it runs again, and what its folder tells of the machine it was made on."""
+
+from __future__ import annotations
+
+import json
+import shlex
+import sys
+from pathlib import Path
+
+import pytest
+
+from gridtrack.common.errors import WeightsError
+from gridtrack.evaluation.learned import find_weights
+from gridtrack.evaluation.plan import CompareSettings, resolve
+from gridtrack.evaluation.record import RunError
+from gridtrack.evaluation.runner import run
+from gridtrack.evaluation.scores import HISTOGRAM
+from gridtrack.evaluation.train import train
+
+
+@pytest.fixture
+def settings(record, tmp_path, monkeypatch):
+    """`settings(*trackers, **more)` for the small recording, with nothing learned but what a test puts there."""
+    monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path / "home"))
+    given = {"recordings": (str(record()),), "out": tmp_path / "run", "horizon_s": 1.0, "every_s": 0.5, "jobs": 1}
+    return lambda *trackers, **more: CompareSettings(trackers=trackers, **(given | more))
+
+
+def test_a_tracker_that_is_another_program_now_is_another_configuration(settings, tmp_path, told):
+    serve = f"{sys.executable} -P -m gridtrack.trackers.serve persistence"
+    toml = tmp_path / "trackers.toml"
+    toml.write_text(f"[mine]\ncommand = '{serve}'\n")
+    run(resolve(settings("mine", trackers_toml=toml)), (), told)
+    program = tmp_path / "another"
+    program.write_text(f"#!/bin/sh\nexec {serve}\n")
+    program.chmod(0o755)
+    toml.write_text(f"[mine]\ncommand = '{program} {shlex.join(shlex.split(serve)[1:])}'\n")
+    with pytest.raises(RunError, match=r"another configuration \(trials\.mine@room\.argv"):
+        run(resolve(settings("mine", trackers_toml=toml, resume=True)), (), told)
+
+
+def test_a_trial_whose_counts_are_gone_runs_again(settings, tmp_path, told):
+    run(resolve(settings("blank")), (), told)
+    (tmp_path / "run" / "blank@room" / HISTOGRAM).unlink()
+    summary = run(resolve(settings("blank", resume=True)), (), told)
+    assert summary["trackers"]["blank"]["recordings"]["room"]["strata"]["visible"]["f1"] == [0.0] * 11
+
+
+def test_the_command_that_trains_is_for_the_grid_and_rate_of_the_comparison(settings):
+    (trial,) = resolve(settings("static-map")).trials
+    assert trial.how_to_train.endswith("room.mcap`, then compare again with --resume")
+    (trial,) = resolve(settings("static-map", grid="30x0.1", rate_hz=5.0)).trials
+    assert "room.mcap --grid 30x0.1@-1.5,-1.5 --rate 5`" in trial.how_to_train
+
+
+def test_a_folder_of_weights_that_is_not_there_is_refused_and_never_passed_over(settings, tmp_path):
+    with pytest.raises(WeightsError, match="wieghts: no such folder of weights"):
+        resolve(settings("static-map", weights=tmp_path / "wieghts"))
+    assert find_weights("static-map", "room", tmp_path) is None
+
+
+def test_a_run_names_its_weights_without_the_folders_of_the_machine(settings, record, tmp_path, told):
+    weights = tmp_path / "weights"
+    train("static-map", [str(record())], [], weights, {}, 0, "", report=lambda _: None)
+    run(resolve(settings("static-map", weights=weights)), (), told)
+    kept = json.loads(Path(tmp_path, "run", "run.json").read_text())["weights"]
+    assert kept["static-map@room"]["name"] == "static-map/room.toml"
+    assert set(kept["static-map@room"]) == {"name", "sha256"}
