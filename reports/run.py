@@ -17,6 +17,8 @@ from gridtrack.evaluation.summary import SCHEMA, SUMMARY
 
 MAX_BYTES = 256 << 20
 """A larger run.json or summary.json is refused before it is read."""
+LONGEST_S, SHORTEST_STEP_S = 3600.0, 1e-5
+"""Horizons that a page has room for, and how far apart: far more than any comparison asks for."""
 UNDEFINED = "–"
 """What stands on the page where a score is not defined."""
 FLOOR = ("persistence", "static-map", "blank")
@@ -114,7 +116,7 @@ class TrackerEntry(_Read):
 class Recording(_Read):
     """What was compared on one recording."""
 
-    horizons_s: tuple[float, ...] = Field(min_length=2)
+    horizons_s: tuple[Annotated[float, Field(ge=0.0, le=LONGEST_S)], ...] = Field(min_length=2)
     stretch: str = ""
     """The tested one; `validation` is what thresholds were chosen on, empty where there was none."""
     validation: str = ""
@@ -144,7 +146,7 @@ class Summary(_Read):
     @model_validator(mode="after")
     def _curves_reach_every_horizon(self) -> Summary:
         for name, recording in self.recordings.items():
-            if any(later <= earlier for earlier, later in pairwise(recording.horizons_s)):
+            if any(later - earlier < SHORTEST_STEP_S for earlier, later in pairwise(recording.horizons_s)):
                 raise ValueError(f"{name}: horizons_s do not increase")
         for label, entry in self.trackers.items():
             for name, trial in entry.recordings.items():

@@ -74,6 +74,14 @@ def test_curves_that_do_not_reach_every_horizon_are_refused(copied):
     assert "fair on crossing, moving" in refusal(copied)
 
 
+@pytest.mark.parametrize("last", [float("inf"), float("nan"), 1e12])
+def test_horizons_that_no_page_has_room_for_are_refused(copied, last):
+    summary = json.loads((copied / "summary.json").read_text())
+    summary["recordings"]["crossing"]["horizons_s"][-1] = last
+    change(copied, **summary)
+    assert "recordings.crossing.horizons_s" in refusal(copied)
+
+
 def test_unknown_keys_are_left_alone_and_nan_is_undefined(copied):
     summary = json.loads((copied / "summary.json").read_text())
     summary["later"] = {"anything": 1}
