@@ -7,11 +7,11 @@ import shlex
 import sys
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, NoReturn
 
 import typer
 
-from gridtrack.common.errors import ConfigurationError, GridtrackError
+from gridtrack.common.errors import ConfigurationError, GridtrackError, plain
 
 INCOMPLETE, INTERRUPTED = 3, 130
 
@@ -36,8 +36,16 @@ def main() -> None:
     except GridtrackError as error:
         if debug:
             raise
-        typer.echo(f"gridtrack: {error}", err=True)
-        sys.exit(2)
+        _fail(str(error))
+    except OSError as error:
+        if debug:
+            raise
+        _fail(f"{error.filename}: {error.strerror}" if error.filename else str(error))
+
+
+def _fail(reason: str) -> NoReturn:
+    typer.echo(f"gridtrack: {plain(reason)}", err=True)
+    sys.exit(2)
 
 
 def seconds(text: str) -> float:
@@ -142,7 +150,7 @@ def train(
         list[str] | None, typer.Option(help="RECORDING[@RANGE]; default: the recording's own validation stretch")
     ] = None,
     out: Annotated[Path | None, typer.Option(help="Folder of weights; default: your own")] = None,
-    seed: int = 1,
+    seed: Annotated[int, typer.Option(min=0, max=2**31 - 1)] = 1,
     grid: Grid = None,
     rate: Rate = None,
 ) -> None:
@@ -272,7 +280,7 @@ def recording_info(recording: Path, topic: str | None = None, strict: bool = Fal
     from gridtrack.common.recordings import open_recording
 
     summary = open_recording(recording, topic=topic, strict=strict).summary()
-    typer.echo(summary.model_dump_json(indent=1) if as_json else str(summary))
+    typer.echo(summary.model_dump_json(indent=1) if as_json else "\n".join(map(plain, str(summary).split("\n"))))
 
 
 @recording_app.command("import")

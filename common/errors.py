@@ -5,6 +5,9 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterable
 
+MAX_NAMES = 20
+"""So many names are listed in one error line."""
+
 
 class GridtrackError(Exception):
     """Root of every error gridtrack raises on purpose: the message says what is wrong, where, and what to do."""
@@ -27,9 +30,15 @@ class PluginError(GridtrackError):
 
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:
-    """A suggestion to end an error line with: the nearest known name, or all of them when none is near."""
+    """A suggestion to end an error line with: the nearest known name, or those there are when none is near."""
     names = sorted(known)
     near = difflib.get_close_matches(name, names, n=1, cutoff=0.6)
     if near:
         return f"did you mean '{near[0]}'?"
-    return "known: " + ", ".join(names) if names else "there are none"
+    more = f" and {len(names) - MAX_NAMES} more" if len(names) > MAX_NAMES else ""
+    return "known: " + ", ".join(names[:MAX_NAMES]) + more if names else "there are none"
+
+
+def plain(line: str) -> str:
+    """`line` as it may stand on a terminal: what could steer one, in a file made by a stranger, becomes a space."""
+    return "".join(character if character.isprintable() else " " for character in line)

@@ -62,4 +62,5 @@ def test_every_error_has_one_root() -> None:
 def test_suggestions() -> None:
     assert did_you_mean("kalmn", ["kalman", "blank"]) == "did you mean 'kalman'?"
     assert did_you_mean("zzz", ["kalman", "blank"]) == "known: blank, kalman"
+    assert did_you_mean("zzz", [f"a{n:03}" for n in range(500)]).endswith("a018, a019 and 480 more")
     assert did_you_mean("zzz", []) == "there are none"
