@@ -54,7 +54,7 @@ def import_recording(
         "stretches": dict(stretches or {}),
     }
     info = _info(recording, given, labels)
-    command = _command(recording, out, given, labels)
+    command = _command(recording, out, {**given, "cloud_slice": cloud_slice}, labels)
     scans: Iterable[Scan] = recording.scans()
     if labels is not None:
         scans = with_labels(scans, Path(labels), info.classes)
@@ -88,6 +88,8 @@ def _command(recording: Recording, out: Path, given: Mapping[str, Any], labels: 
                 words += ["--stretch", f"{stretch_name}={stretch_text(stretch)}"]
         elif name == "rate_hz" and value:
             words += ["--rate", f"{value:g}"]
+        elif name == "cloud_slice" and value:
+            words += ["--cloud-slice", ",".join(f"{k}={v:g}" for k, v in value.model_dump(exclude_unset=True).items())]
         elif value:
             words += [f"--{name}", str(value)]
     return shlex.join(words)

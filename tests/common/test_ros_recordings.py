@@ -22,7 +22,7 @@ from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_typestore
 
 from gridtrack.common.errors import GridtrackError, RecordingError
-from gridtrack.common.recordings import CloudSlice, open_recording
+from gridtrack.common.recordings import CloudSlice, import_recording, open_recording
 from gridtrack.common.scan import Scan
 
 ROS1, ROS2 = get_typestore(Stores.ROS1_NOETIC), get_typestore(Stores.LATEST)
@@ -259,6 +259,8 @@ def test_a_cloud_is_cut_at_a_height_to_the_nearest_point_of_each_bearing(tmp_pat
     np.testing.assert_allclose(np.degrees(angles[returned]), [5.0, 95.0], atol=1e-6)
     np.testing.assert_allclose(scan.ranges[returned], [math.hypot(2.0, 0.1), math.hypot(0.1, 3.0)], rtol=1e-6)
     assert (scan.sensor, scan.stamp_ns, scan.range_max) == ("points", 5, 50.0)
+    imported = import_recording(path, tmp_path / "cut.mcap", topic="/points", cloud_slice=cut)
+    assert "--cloud-slice low_m=0,high_m=1,beams=36" in imported.info.command
 
 
 def test_a_cloud_wants_its_topic_and_its_heights_named(tmp_path: Path) -> None:
