@@ -46,7 +46,8 @@ def fit_pipeline(
 
     A setting given in `options` stays as given. `validation` is scored with the result, and reported only. The search
     minimises log loss, a proper score: it sees a forecast grow rightly unsure where a walker will be, which the F1 at
-    the best threshold of a short stretch does not tell from chance. Raises WeightsError where the recordings differ in grid, period or site.
+    the best threshold of a short stretch does not tell from chance. Raises WeightsError where the recordings differ in
+    grid, period or site.
     """
     arrays = fit_arrays(train, options)
     with TemporaryDirectory() as folder:
