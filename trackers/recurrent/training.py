@@ -47,12 +47,14 @@ def train_network(
     logging.getLogger("lightning.pytorch").setLevel(logging.WARNING)  # else it advertises other products
     resumed = _resumable(out, {"seed": out.seed, "train": dataset.sources, **settings.model_dump()})
     module = TrainingModule(network, settings, validate, out.report)
-    best = ModelCheckpoint(out.log_dir / "checkpoints", filename="best", monitor="score", mode="max", save_last=True)
+    folder = out.log_dir / "checkpoints"
+    best = ModelCheckpoint(folder, filename="best", monitor="score", mode="max", enable_version_counter=False)
+    last = ModelCheckpoint(folder, filename="last", enable_version_counter=False)  # after every epoch, better or not
     trainer = lightning.Trainer(
         max_epochs=math.ceil(settings.updates / settings.validate_every),
         precision=settings.precision,
         gradient_clip_val=settings.gradient_clip,
-        callbacks=[best],
+        callbacks=[best, last],
         logger=[CSVLogger(out.log_dir, name="csv"), TensorBoardLogger(out.log_dir, name="tensorboard")],
         log_every_n_steps=min(10, settings.validate_every),
         enable_progress_bar=False,
