@@ -140,6 +140,7 @@ def load_weights(stream: StreamSpec, tracker: str) -> Weights:
     card = read_card(path)
     for what, made_for, found in (
         ("tracker", card.tracker, tracker),
+        ("site", card.site, stream.site),
         ("grid", str(GridSpec.parse(card.grid)), str(stream.grid)),
     ):
         if made_for != found:

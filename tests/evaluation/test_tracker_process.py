@@ -256,6 +256,7 @@ def test_kill_before_the_start_ends_the_start(log: Path) -> None:
 def test_a_killed_referee_takes_the_tracker_and_its_children_along(log: Path, tmp_path: Path) -> None:
     pid_file = tmp_path / "pid"
     code = f"""
+import time
 from pathlib import Path
 from gridtrack.common.grid import GridSpec
 from gridtrack.evaluation.tracker_process import Limits, TrackerProcess

@@ -64,10 +64,15 @@ def test_what_was_saved_is_loaded(path: Path) -> None:
     assert [(t.recording, t.sha256) for t in found.card.validation] == [("v", "cd")]
 
 
+def test_what_was_learned_at_another_place_is_refused(path: Path) -> None:
+    with pytest.raises(WeightsError, match="made for site lab, but this is office"):
+        load_weights(StreamSpec(GRID, 0.1, "office", weights=path), "my")
+
+
 def test_a_card_without_arrays_stands_alone(tmp_path: Path) -> None:
     path = tmp_path / "lab.toml"
     save_weights(path, card(tmp_path), {})
-    assert load_weights(StreamSpec(GRID, 0.1, weights=path), "my").arrays == {}
+    assert load_weights(StreamSpec(GRID, 0.1, "lab", weights=path), "my").arrays == {}
     assert [p.name for p in tmp_path.iterdir()] == ["lab.toml"]
 
 
@@ -163,7 +168,7 @@ def test_a_card_that_is_not_text_is_refused(path: Path) -> None:
 
 
 def test_an_array_of_another_shape_or_name_is_refused(path: Path) -> None:
-    found = load_weights(StreamSpec(GRID, 0.1, weights=path), "my")
+    found = load_weights(StreamSpec(GRID, 0.1, "lab", weights=path), "my")
     with pytest.raises(WeightsError, match=r"array 'w' is \(2, 3\), expected \(3, 2\)"):
         array(found, "w", (3, 2))
     with pytest.raises(WeightsError, match="array 'v' is missing"):
