@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +13,8 @@ from gridtrack.common.errors import ConfigurationError
 from gridtrack.common.geometry import SE2
 
 Mask = NDArray[np.bool_]
+Points = Literal["centres", "raw"]
+"""What a frame carries as its points: the centres of the occupied cells, or the laser's own returns."""
 
 
 @dataclass(frozen=True, slots=True)

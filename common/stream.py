@@ -8,20 +8,17 @@ import re
 import struct
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gridtrack.common.errors import RecordingError, did_you_mean
 from gridtrack.common.geometry import SE2
-from gridtrack.common.grid import GridFrame, GridSpec
+from gridtrack.common.grid import GridFrame, GridSpec, Points
 from gridtrack.common.raycast import cast_scan
 from gridtrack.common.recordings import Recording, open_recording
 from gridtrack.common.recordings.recording import Stretch, stretch_text
 from gridtrack.common.recordings.resample import Tick, resample
-
-Points = Literal["centres", "raw"]
 
 
 def parse_stretch(text: str) -> tuple[Path, Stretch | str | None]:

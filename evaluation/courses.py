@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from gridtrack.common.errors import ConfigurationError
 from gridtrack.common.geometry import SE2
-from gridtrack.common.grid import GridSpec
+from gridtrack.common.grid import GridSpec, Points
 from gridtrack.common.recordings import Stretch, open_recording
-from gridtrack.common.stream import GridStream, Points, open_stream, parse_stretch
+from gridtrack.common.stream import GridStream, open_stream, parse_stretch
 from gridtrack.evaluation.referee import WARM_UP, Schedule
 from gridtrack.evaluation.strata import regions_of, same_place
 from gridtrack.trackers.weights import TrainingData
@@ -180,16 +180,6 @@ def like(stream: GridStream, stretch: Stretch | str | None = None, points: Point
     )
 
 
-def like_recorded(stream: GridStream) -> GridStream:
-    """The whole recording on its own grid and at its own rate."""
-    return GridStream(stream.recording)
-
-
-def whole(stream: GridStream) -> GridStream:
-    """The whole recording that `stream` is a stretch of."""
-    return like(stream, None)
-
-
 def with_points(stream: GridStream, points: Points) -> GridStream:
     """The same stretch with other returns."""
     return stream if points == stream.points else like(stream, stream.stretch_s, points)
@@ -197,7 +187,7 @@ def with_points(stream: GridStream, points: Points) -> GridStream:
 
 def _regions(stream: GridStream) -> NDArray[np.uint8]:
     """Region of each cell (M, M), from the whole recording, not the stretch only: one pass over it."""
-    return regions_of(whole(stream), stream.grid, _standing(stream))
+    return regions_of(like(stream), stream.grid, _standing(stream))
 
 
 def _standing(stream: GridStream) -> SE2:

@@ -15,7 +15,7 @@ from gridtrack.common.config import Settings
 from gridtrack.common.errors import ConfigurationError, PluginError
 from gridtrack.common.grid import GridSpec
 from gridtrack.common.stream import GridStream
-from gridtrack.evaluation.courses import Course, Sampling, like_recorded, plan_course, was_seen, with_points
+from gridtrack.evaluation.courses import Course, Sampling, plan_course, was_seen, with_points
 from gridtrack.evaluation.learned import LearnedWeights, find_weights
 from gridtrack.evaluation.tracker_process import Limits, describe
 from gridtrack.trackers import registry
@@ -90,7 +90,7 @@ class Trial:
     def _sampling_options(self) -> list[str]:
         """The grid and rate of this comparison as options, where they are not the recording's own."""
         test = self.course.test
-        own = like_recorded(test)
+        own = GridStream(test.recording)
         grid = [] if test.grid == own.grid else ["--grid", str(test.grid)]
         return grid if test.period_ns == own.period_ns else [*grid, "--rate", f"{1 / test.period_s:g}"]
 

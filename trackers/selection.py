@@ -10,16 +10,16 @@ import tomllib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from pydantic import model_validator
 
 from gridtrack.common.config import Settings, parse_pairs, validated
 from gridtrack.common.errors import ConfigurationError, PluginError, did_you_mean
+from gridtrack.common.grid import Points
 from gridtrack.trackers import registry
 
 LABEL = re.compile(r"[A-Za-z0-9]([A-Za-z0-9._ -]{0,62}[A-Za-z0-9_-])?")
-Points = Literal["centres", "raw"]
 
 
 @dataclass(frozen=True, slots=True)

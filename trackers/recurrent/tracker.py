@@ -10,6 +10,7 @@ import numpy as np
 import torch
 from torch import nn
 
+from gridtrack.common.config import validated
 from gridtrack.common.errors import WeightsError
 from gridtrack.common.grid import GridFrame
 from gridtrack.trackers.contract import FitOutput, Forecast, FrameSource, Score, StreamSpec, Tracker, stream_of
@@ -39,6 +40,7 @@ class RecurrentTracker(Tracker):
         """The untrained network for a grid of `size` cells a side; see RecurrentNetwork."""
 
     @classmethod
+    @abstractmethod
     def prepare_training(cls, network: Any, rate: float, report: Any) -> None:
         """Last touches before training: output bias at the occupied `rate`, fused kernels."""
 
@@ -70,7 +72,7 @@ class RecurrentTracker(Tracker):
 
     def _restored(self, weights: Weights) -> nn.Module:
         """The trained network. Raises WeightsError where the weights do not fit it, or contradict a given option."""
-        options = type(self).Options.model_validate(weights.card.settings)
+        options: Any = validated(type(self).Options, weights.card.settings, str(self.stream.weights))
         for key in self.options.model_fields_set:
             if getattr(self.options, key) != getattr(options, key):
                 raise WeightsError(
@@ -113,7 +115,7 @@ class RecurrentTracker(Tracker):
             def as_tracker(source: FrameSource) -> Any:
                 return score(cls(stream_of(source), options, trained), source, steps)
 
-            return validation_scores(as_tracker, validation or train, VALIDATION_HORIZONS_S)
+            return validation_scores(as_tracker, validation, VALIDATION_HORIZONS_S)
 
         results = train_network(network, dataset, options, validate, out)
         arrays = {name: value.detach().contiguous().numpy() for name, value in network.state_dict().items()}
