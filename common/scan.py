@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridtrack.common.geometry import SE2
+from gridtrack.common.scene import Scene
 
 
 @dataclass(frozen=True, slots=True)
@@ -17,6 +18,7 @@ class Scan:
     `ranges` (B,) float32 in metres, beam i at `angle_min + i * angle_increment` (radians, counter-clockwise, sensor
     frame). A range of +inf or beyond `range_max` is "no return": free up to `range_max`. NaN, -inf and anything below
     `range_min` say nothing (ROS REP 117). `labels` (B,) uint8 indexes the recording's classes, 255 where unlabelled.
+    `scene` is what was truly there, where the recording knows it. Neither ever reaches a tracker.
     """
 
     stamp_ns: int
@@ -28,3 +30,4 @@ class Scan:
     sensor: str = "scan"
     world_T_sensor: SE2 = field(default_factory=SE2)
     labels: NDArray[np.uint8] | None = None
+    scene: Scene | None = None

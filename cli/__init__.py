@@ -1,0 +1,38 @@
+"""The command line: arguments in, library calls, print; a failure that a user can cause is one line and exit 2."""
+
+from __future__ import annotations
+
+import sys
+from typing import NoReturn
+
+import typer
+
+from gridtrack.cli import recordings, runs, trackers
+from gridtrack.common.errors import GridtrackError, plain
+
+app = typer.Typer(no_args_is_help=True, add_completion=False, help="Occupancy-grid trackers under one referee.")
+app.command()(runs.compare)
+app.command()(runs.report)
+app.command()(trackers.train)
+app.add_typer(trackers.app, name="trackers")
+app.add_typer(recordings.app, name="recording")
+
+
+def main() -> None:
+    """Run the command line; `--debug` shows tracebacks instead of one-line errors."""
+    debug = "--debug" in sys.argv
+    try:
+        app([argument for argument in sys.argv[1:] if argument != "--debug"])
+    except GridtrackError as error:
+        if debug:
+            raise
+        _fail(str(error))
+    except OSError as error:
+        if debug:
+            raise
+        _fail(f"{error.filename}: {error.strerror}" if error.filename else str(error))
+
+
+def _fail(reason: str) -> NoReturn:
+    typer.echo(f"gridtrack: {plain(reason)}", err=True)
+    sys.exit(2)

@@ -1,0 +1,5 @@
+"""`python -m gridtrack.cli`."""
+
+from gridtrack.cli import main
+
+main()

@@ -1,0 +1,62 @@
+"""`recording info | import`: what a recording holds, and writing any as a native one."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from gridtrack.cli.options import AsJson, Grid, Rate
+from gridtrack.common.errors import plain
+
+app = typer.Typer(no_args_is_help=True, help="Recordings: info, import.")
+
+
+@app.command("info")
+def recording_info(recording: Path, topic: str | None = None, strict: bool = False, as_json: AsJson = False) -> None:
+    """What a recording holds: topics, sensors, rate, gaps, range limits, and what is wrong with it."""
+    from gridtrack.common.recordings import open_recording
+
+    summary = open_recording(recording, topic=topic, strict=strict).summary()
+    typer.echo(summary.model_dump_json(indent=1) if as_json else "\n".join(map(plain, str(summary).split("\n"))))
+
+
+@app.command("import")
+def recording_import(
+    source: Path,
+    out: Annotated[Path, typer.Option(help="The .mcap to write")],
+    topic: Annotated[str | None, typer.Option(help="Of a bag with several")] = None,
+    site: Annotated[str | None, typer.Option(help="The place where the sensor stands")] = None,
+    grid: Grid = None,
+    rate: Rate = None,
+    stretch: Annotated[list[str] | None, typer.Option(metavar="NAME=RANGE", help="e.g. train=0s-75s")] = None,
+    licence: str = "",
+    credit: str = "",
+    labels: Annotated[Path | None, typer.Option(help="CSV of per-beam classes")] = None,
+    cloud_slice: Annotated[
+        str | None, typer.Option(metavar="KEY=VALUE,...", help="Of point clouds: low_m=0.2,high_m=1.0")
+    ] = None,
+    strict: bool = False,
+) -> None:
+    """Write any recording (ROS 1 or 2 bag, ROS MCAP, CARMEN log) as a native one."""
+    from gridtrack.common.config import parse_pairs, validated
+    from gridtrack.common.recordings import CloudSlice, import_recording
+    from gridtrack.common.stream import parse_named_stretch
+
+    where = "--cloud-slice"
+    recording = import_recording(
+        source,
+        out,
+        topic=topic,
+        site=site,
+        grid=grid,
+        rate_hz=rate,
+        stretches=dict(parse_named_stretch(text) for text in stretch or ()),
+        licence=licence,
+        credit=credit,
+        labels=labels,
+        cloud_slice=validated(CloudSlice, parse_pairs(cloud_slice, where), where) if cloud_slice else None,
+        strict=strict,
+    )
+    typer.echo(str(recording.summary()))

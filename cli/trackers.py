@@ -1,0 +1,146 @@
+"""`train` and `trackers list | show | check`: what trackers there are, what they promise, what they learn."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from gridtrack.cli.options import AsJson, Grid, Rate, Recordings, Weights, command_line
+from gridtrack.common.errors import GridtrackError
+
+app = typer.Typer(no_args_is_help=True, help="The trackers: list, show, check.")
+
+
+def train(
+    tracker: Annotated[str, typer.Argument(metavar="NAME[:KEY=VALUE,...]")],
+    recordings: Recordings,
+    validation: Annotated[
+        list[str] | None, typer.Option(help="RECORDING[@RANGE]; default: the recording's own validation stretch")
+    ] = None,
+    out: Annotated[Path | None, typer.Option(help="Folder of weights; default: your own")] = None,
+    seed: Annotated[int, typer.Option(min=0, max=2**31 - 1)] = 1,
+    grid: Grid = None,
+    rate: Rate = None,
+) -> None:
+    """Let a tracker learn a site: weights, map and settings, with the command that made them."""
+    from gridtrack.common.grid import GridSpec
+    from gridtrack.evaluation.learned import users_folder
+    from gridtrack.evaluation.train import train as train_tracker
+    from gridtrack.trackers.selection import parse_selection
+
+    chosen = parse_selection(tracker)
+    card = train_tracker(
+        chosen.name,
+        recordings,
+        validation or [],
+        out or users_folder(),
+        chosen.options,
+        seed,
+        command_line(),
+        grid=GridSpec.parse(grid) if grid else None,
+        rate_hz=rate,
+        report=typer.echo,
+    )
+    typer.echo(f"weights: {card}")
+
+
+@app.command("list")
+def list_trackers(as_json: AsJson = False) -> None:
+    """Every registered tracker, the broken ones with the reason. Each is asked in a process of its own."""
+    from concurrent.futures import ThreadPoolExecutor
+
+    from gridtrack.reports.terminal import print_rows
+    from gridtrack.trackers import registry
+
+    with ThreadPoolExecutor() as pool:
+        rows = list(pool.map(_listed, registry.entries().values()))
+    typer.echo(json.dumps(rows, indent=1)) if as_json else print_rows(rows)
+
+
+def _listed(entry: Any) -> dict[str, str]:
+    row = {"name": entry.name, "from": entry.distribution}
+    try:
+        return {**row, "state": "ready", "about": _first_line(_describe(entry.name).about)}
+    except GridtrackError as error:
+        return {**row, "state": "unavailable", "about": entry.problem or str(error)}
+
+
+def _first_line(text: str) -> str:
+    return text.partition("\n")[0]
+
+
+def _describe(name: str) -> Any:
+    from gridtrack.evaluation.tracker_process import Limits, describe
+    from gridtrack.trackers.selection import launch
+
+    return describe(launch(name), {}, Limits())
+
+
+@app.command("show")
+def show_tracker(name: str, as_json: AsJson = False) -> None:
+    """What a tracker is, whether it learns, and its options with their defaults."""
+    from gridtrack.reports.terminal import print_rows
+    from gridtrack.trackers import registry
+
+    entry, said = registry.find(name), _describe(name)
+    about = {
+        "name": name,
+        "about": _first_line(said.about),
+        "from": f"{entry.value} of {entry.distribution}",
+        "learns": said.learns,
+        "moving_sensor": said.moving_sensor,
+    }
+    schema = said.options_schema.get("properties", {})
+    options = [
+        {
+            "option": key,
+            "default": json.dumps(value),
+            "about": " ".join(schema.get(key, {}).get("description", "").split()),
+        }
+        for key, value in said.options.items()
+    ]
+    if as_json:
+        typer.echo(json.dumps({**about, "options": options}, indent=1))
+        return
+    for key, value in about.items():
+        typer.echo(f"{key}: {value}")
+    print_rows(options)
+
+
+@app.command("check")
+def check_tracker(
+    tracker: Annotated[str, typer.Argument(metavar="NAME[:KEY=VALUE,...]")],
+    recording: Annotated[
+        str | None, typer.Option(help="Check on this recording's grid, rate and site; default: 100x0.2 at 8 Hz")
+    ] = None,
+    weights: Weights = None,
+    trackers_toml: Annotated[Path | None, typer.Option(help="Trackers of other environments and programs")] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Try every promise of the plugin contract on a tracker, in its own process. Exit code 1 where one is broken."""
+    from gridtrack.evaluation.contract_suite import check_tracker as check
+    from gridtrack.evaluation.learned import find_weights
+    from gridtrack.reports.terminal import print_rows
+    from gridtrack.trackers.selection import launch, parse_selection, read_trackers_toml
+
+    chosen = parse_selection(tracker)
+    stream = _stream(recording)
+    found = find_weights(chosen.name, stream.site, weights)
+    launched = launch(chosen.name, read_trackers_toml(trackers_toml) if trackers_toml else None)
+    results = check(launched, replace(stream, weights=found.path if found else None), chosen.options)
+    rows = [asdict(result) for result in results]
+    typer.echo(json.dumps(rows, indent=1)) if as_json else print_rows(rows)
+    if any(result.verdict != "passed" for result in results):
+        raise typer.Exit(1)
+
+
+def _stream(recording: str | None) -> Any:
+    from gridtrack.common.grid import GridSpec
+    from gridtrack.common.stream import open_stream
+    from gridtrack.trackers.contract import StreamSpec, stream_of
+
+    return stream_of(open_stream(recording)) if recording else StreamSpec(GridSpec(), 0.125)

@@ -1,0 +1,39 @@
+"""The true scene of a recording: what stands and what moves, as outlines, whether the laser saw it or not."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gridtrack.common.geometry import SE2
+
+Outline = NDArray[np.float32]
+"""A simple closed polygon (N, 2) float32, metres, counter-clockwise; the last corner joins the first."""
+
+
+@dataclass(frozen=True, slots=True)
+class SceneObject:
+    """A road user at one instant.
+
+    `label` indexes the recording's classes; `world_T_object` places `outline`, which is given in the object's own
+    frame: x forward, origin at the middle of the body. `track` is the same for the same body over time.
+    """
+
+    track: int
+    label: int
+    world_T_object: SE2
+    outline: Outline
+
+
+@dataclass(frozen=True, slots=True)
+class Scene:
+    """Everything that is there at one instant.
+
+    `static` outlines in the world frame, `static_label` their class (255: none); `objects` are the road users.
+    """
+
+    static: tuple[Outline, ...]
+    static_label: int
+    objects: tuple[SceneObject, ...]
