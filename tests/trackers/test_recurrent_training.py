@@ -161,6 +161,30 @@ def test_what_no_beam_saw_does_not_enter_the_loss():
     torch.testing.assert_close(loss, expected)
 
 
+def test_the_burn_in_brings_the_state_along_and_has_neither_loss_nor_gradient():
+    network = DilatedConvGRUTracker.build(SIZE, validated(DilatedConvGRUTracker.Options, {}, "test"), 0)
+    window = SequenceDataset([Shuttle()], 9, seed=0, reverse=False, superpose=False)[0][None].float()
+    settings = TrainingSettings(burn_in=5, shown=2, blank=2, cycles=1)
+    assert [settings.is_shown(frame) for frame in range(settings.length)] == [True] * 7 + [False] * 2
+
+    loss = sequence_loss(network, window, settings)
+
+    state = network.initial(1)
+    for x in window[0, :5]:
+        state = network.step(x[None], state)
+    after = [None] * 4
+    for t, x in enumerate(window[0, 5:]):
+        state = network.step(x[None] if t < 2 else None, tuple(h.detach() for h in state) if t == 0 else state)
+        after[t] = network.occupancy(network.features(state))[0]
+    seen, hit = window[0, 5:].unbind(dim=1)
+    cells = torch.nn.functional.binary_cross_entropy_with_logits(torch.stack(after), hit, reduction="none") * seen
+    by_hand = cells.sum() / seen.sum()
+    gradients = [torch.autograd.grad(value, next(iter(network.parameters())))[0] for value in (loss, by_hand)]
+
+    torch.testing.assert_close(loss, by_hand)
+    torch.testing.assert_close(*gradients)
+
+
 def test_windows_are_the_recordings_frames_and_depend_on_seed_and_number_only():
     data = SequenceDataset([Shuttle(30), Shuttle(40)], 10, seed=1, reverse=True, superpose=False)
     again = SequenceDataset([Shuttle(30), Shuttle(40)], 10, seed=1, reverse=True, superpose=False)

@@ -18,6 +18,8 @@ class TrainingSettings(Settings):
     shown: int = Field(10, ge=1)
     blank: int = Field(10, ge=0)
     cycles: int = Field(2, ge=1)
+    burn_in: int = Field(0, ge=0)
+    """Frames shown before a sequence, without loss: the state then starts as in a stream that has run for a while."""
     reverse: bool = False
     """Also train on windows that run backwards in time."""
     superpose: bool = False
@@ -36,9 +38,9 @@ class TrainingSettings(Settings):
 
     @property
     def length(self) -> int:
-        """Frames in a training sequence."""
-        return self.cycles * (self.shown + self.blank)
+        """Frames in a training window: the burn-in and the sequence."""
+        return self.burn_in + self.cycles * (self.shown + self.blank)
 
     def is_shown(self, frame: int) -> bool:
-        """Whether the network is given this frame of a sequence."""
-        return frame % (self.shown + self.blank) < self.shown
+        """Whether the network is given this frame of a window."""
+        return frame < self.burn_in or (frame - self.burn_in) % (self.shown + self.blank) < self.shown

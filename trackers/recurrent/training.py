@@ -128,17 +128,19 @@ class TrainingModule(lightning.LightningModule):
 def sequence_loss(network: RecurrentNetwork, windows: Tensor, settings: TrainingSettings) -> Tensor:
     """Binary cross-entropy of every frame's forecast on the frame's visible cells, over all of them, in nats a cell.
 
-    `windows` (B, T, 2, M, M) of 0 and 1: visible and occupied.
+    `windows` (B, T, 2, M, M) of 0 and 1: visible and occupied. The burn-in has neither loss nor gradient.
     """
     frames = windows.transpose(0, 1)
     state = network.initial(windows.shape[0])
     features = []
     for t, x in enumerate(frames):
         shown = x.contiguous(memory_format=torch.channels_last) if settings.is_shown(t) else None
-        state = network.step(shown, state)
-        features.append(network.features(state))
+        with torch.set_grad_enabled(t >= settings.burn_in):
+            state = network.step(shown, state)
+        if t >= settings.burn_in:
+            features.append(network.features(state))
     logits = network.occupancy(torch.cat(features)).float()
-    visible, occupied = frames.flatten(0, 1).unbind(dim=1)
+    visible, occupied = frames[settings.burn_in :].flatten(0, 1).unbind(dim=1)
     loss = functional.binary_cross_entropy_with_logits(logits, occupied, weight=visible, reduction="sum")
     return loss / visible.sum().clamp(min=1.0)
 
