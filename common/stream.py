@@ -6,7 +6,8 @@ import hashlib
 import math
 import re
 import struct
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from copy import copy
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +20,7 @@ from gridtrack.common.raycast import cast_scan
 from gridtrack.common.recordings import Recording, open_recording
 from gridtrack.common.recordings.recording import Stretch, stretch_text
 from gridtrack.common.recordings.resample import Tick, resample
+from gridtrack.common.scan import Scan
 
 
 def parse_stretch(text: str) -> tuple[Path, Stretch | str | None]:
@@ -106,6 +108,13 @@ class GridStream:
         if len(survey.poses) > 1 and len(set(survey.poses.values())) == 1:
             recording.tell(f"{len(survey.poses)} sensors and no poses: all are taken to stand in one place")
         self.gaps = self._count_gaps()
+        self._degrade: Callable[[Scan], Scan] | None = None
+
+    def degraded(self, degrade: Callable[[Scan], Scan]) -> GridStream:
+        """The same stretch made of degraded scans: the same ticks, and the grid where the true poses put it."""
+        other = copy(self)
+        other._degrade = degrade
+        return other
 
     def __len__(self) -> int:
         return len(self._ticks)
@@ -115,6 +124,8 @@ class GridStream:
         margin_s = 3 * self.period_s
         start_s, end_s = self._ticks[0] * self.period_s, self._ticks[-1] * self.period_s
         scans = self.recording.scans(max(start_s - margin_s, 0.0), end_s + margin_s)
+        if self._degrade is not None:
+            scans = map(self._degrade, scans)
         poses = dict(survey.poses)
         reference = next(iter(poses))
         world_T_grid = poses[reference]

@@ -1,0 +1,84 @@
+"""Degraded scans: what a worse laser, a worse link or worse poses would have delivered, the same for every tracker."""
+
+from __future__ import annotations
+
+import math
+import zlib
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from pydantic import Field
+
+from gridtrack.common.config import Settings, parse_pairs, validated
+from gridtrack.common.errors import ConfigurationError
+from gridtrack.common.geometry import SE2
+from gridtrack.common.scan import Scan
+
+OPTION = "--degrade"
+JITTER_LEVER_M = 5.0
+"""A pose is turned so far that what lies at this distance moves as much as the sensor itself is shifted."""
+
+
+class Degradation(Settings):
+    """How much worse scans are made; 0 leaves them as they are."""
+
+    beam_dropout: float = Field(0.0, ge=0.0, le=1.0)
+    """Probability that a beam says nothing (NaN), for each beam of each scan by itself."""
+    range_noise: float = Field(0.0, ge=0.0, le=100.0)
+    """Standard deviation added to the range of each return, metres; kept within the laser's range limits."""
+    frame_drop: float = Field(0.0, ge=0.0, le=1.0)
+    """Probability that a scan is lost: its frame comes in its turn, and is empty."""
+    pose_jitter: float = Field(0.0, ge=0.0, le=100.0)
+    """Standard deviation of the pose of each scan, in x and in y, metres; of its heading a fifth as many radians."""
+
+    @property
+    def kinds(self) -> tuple[str, ...]:
+        """The names of those that degrade anything."""
+        return tuple(kind for kind, value in self if value > 0.0)
+
+    def only(self, kind: str) -> Degradation:
+        """One kind of it, by itself."""
+        return Degradation(**{kind: getattr(self, kind)})
+
+    def scaled(self, share: float) -> Degradation:
+        """Every kind at `share` of its value."""
+        return Degradation(**{kind: share * value for kind, value in self})
+
+
+def parse_degradation(text: str) -> Degradation:
+    """Read `beam-dropout=0.2,range-noise=0.05,frame-drop=0.1,pose-jitter=0.05`, or some of them.
+
+    Raises ConfigurationError.
+    """
+    degradation = validated(Degradation, parse_pairs(text, OPTION), OPTION)
+    if not degradation.kinds:
+        known = ", ".join(f"{kind.replace('_', '-')}=..." for kind in Degradation.model_fields)
+        raise ConfigurationError(f"{OPTION}: '{text}' degrades nothing; name one or more of {known}")
+    return degradation
+
+
+def degrader(degradation: Degradation, seed: int) -> Callable[[Scan], Scan]:
+    """A function that degrades one scan; labels and the true scene stay as they are.
+
+    Chance depends on `seed`, the scan's stamp and its sensor only: a scan is degraded in the same way however often
+    and by whomever it is read, and what a weaker degradation drops or shifts a stronger one does too, and further.
+    """
+
+    def degrade(scan: Scan) -> Scan:
+        # drawn in full and in this order whatever is asked for, so that one kind does not change another's chance
+        rng = np.random.default_rng([seed, scan.stamp_ns, zlib.crc32(scan.sensor.encode())])
+        lost, (dx, dy, turn) = rng.random(), rng.standard_normal(3)
+        dropped, noise = rng.random(scan.ranges.size), rng.standard_normal(scan.ranges.size)
+        ranges = scan.ranges.astype(np.float32)
+        returned = (ranges >= scan.range_min) & (ranges <= scan.range_max)
+        noisy = ranges + degradation.range_noise * noise
+        ranges[returned] = noisy[returned].clip(scan.range_min, scan.range_max)
+        ranges[dropped < degradation.beam_dropout] = math.nan
+        if lost < degradation.frame_drop:
+            ranges[:] = math.nan
+        pose, sigma = scan.world_T_sensor, degradation.pose_jitter
+        shaken = SE2(pose.x + sigma * dx, pose.y + sigma * dy, pose.theta + sigma * turn / JITTER_LEVER_M)
+        return replace(scan, ranges=ranges, world_T_sensor=shaken if sigma else pose)
+
+    return degrade
