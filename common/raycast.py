@@ -42,6 +42,26 @@ def cast_scan(scan: Scan, grid: GridSpec, grid_T_sensor: SE2, visible: Mask, occ
     return points[:inside] * np.float32(grid.cell_m) + np.array(grid.origin, np.float32)
 
 
+def end_cells(scan: Scan, grid: GridSpec, grid_T_sensor: SE2) -> NDArray[np.int64]:
+    """The cell (B,) that each beam's return lies in, row * M + column; -1 for no return, or one outside the grid.
+
+    The cells are those that `cast_scan` marks occupied.
+    """
+    cells = np.empty(scan.ranges.size, np.int64)
+    _ends(
+        np.ascontiguousarray(scan.ranges, np.float32),
+        _directions(scan.angle_min + grid_T_sensor.theta, scan.angle_increment, scan.ranges.size),
+        scan.range_min,
+        scan.range_max,
+        (grid_T_sensor.x - grid.origin[0]) / grid.cell_m,
+        (grid_T_sensor.y - grid.origin[1]) / grid.cell_m,
+        grid.cell_m,
+        grid.size,
+        cells,
+    )
+    return cells
+
+
 @lru_cache(maxsize=64)
 def _directions(angle_0: float, angle_step: float, beams: int) -> NDArray[np.float64]:
     """Unit vectors (B, 2) of the beams: the same for every scan of a sensor that stands still."""
@@ -66,7 +86,7 @@ def _cast(ranges, directions, range_min, range_max, x0, y0, cell_m, visible, occ
         dx, dy = directions[i, 0] * length, directions[i, 1] * length
         if not abs(dx) + abs(dy) < LONGEST:
             continue
-        _cross(x0, y0, dx, dy, size, visible)
+        cross(x0, y0, dx, dy, size, visible)
         row, column = math.floor(y0 + dy), math.floor(x0 + dx)
         if 0 <= row < size and 0 <= column < size:
             visible[row * size + column] = True
@@ -78,7 +98,25 @@ def _cast(ranges, directions, range_min, range_max, x0, y0, cell_m, visible, occ
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _cross(x0, y0, dx, dy, size, visible):  # type: ignore[no-untyped-def]
+def _ends(ranges, directions, range_min, range_max, x0, y0, cell_m, size, cells):  # type: ignore[no-untyped-def]
+    """Cells in which the beams end; coordinates in cells, from the lower-left corner, with `_cast`'s arithmetic."""
+    reachable = abs(x0) + abs(y0) < FURTHEST
+    for i in range(ranges.size):
+        cells[i] = -1
+        distance = float(ranges[i])
+        if not reachable or not range_min <= distance <= range_max:
+            continue
+        length = distance / cell_m
+        dx, dy = directions[i, 0] * length, directions[i, 1] * length
+        if not abs(dx) + abs(dy) < LONGEST:
+            continue
+        row, column = math.floor(y0 + dy), math.floor(x0 + dx)
+        if 0 <= row < size and 0 <= column < size:
+            cells[i] = row * size + column
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def cross(x0, y0, dx, dy, size, visible):  # type: ignore[no-untyped-def]
     """Mark the cells that the segment from (x0, y0) to (x0 + dx, y0 + dy) has length in."""
     enter, leave = _clip(x0, y0, dx, dy, size)
     if enter >= leave or (dx == 0.0 and dy == 0.0):

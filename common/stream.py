@@ -8,6 +8,9 @@ import re
 import struct
 from collections.abc import Callable, Iterator
 from copy import copy
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +24,7 @@ from gridtrack.common.recordings import Recording, open_recording
 from gridtrack.common.recordings.recording import Stretch, stretch_text
 from gridtrack.common.recordings.resample import Tick, resample
 from gridtrack.common.scan import Scan
+from gridtrack.common.scene import Scene
 
 
 def parse_stretch(text: str) -> tuple[Path, Stretch | str | None]:
@@ -74,6 +78,23 @@ def open_stream(
     return GridStream(recording, stretch, grid=grid, rate_hz=rate_hz, points=points)
 
 
+@dataclass(frozen=True, slots=True)
+class Observation:
+    """A frame, and what only the referee may know of it: the `scans` it was made of, with labels and truth.
+
+    `grid_T_sensor` are the poses of the scans' sensors in the frame's grid, in the same order.
+    """
+
+    frame: GridFrame
+    scans: tuple[Scan, ...] = ()
+    grid_T_sensor: tuple[SE2, ...] = ()
+
+    @property
+    def scene(self) -> Scene | None:
+        """What was truly there, where the recording knows it."""
+        return next((scan.scene for scan in self.scans if scan.scene is not None), None)
+
+
 class GridStream:
     """A stretch of a recording as frames; every iteration starts over from its first frame.
 
@@ -120,6 +141,15 @@ class GridStream:
         return len(self._ticks)
 
     def __iter__(self) -> Iterator[GridFrame]:
+        return (observation.frame for observation in self.observations())
+
+    @cached_property
+    def has_truth(self) -> bool:
+        """Whether the recording knows what was truly there, seen or not."""
+        return any(scan.scene is not None for scan in islice(self.recording.scans(), len(self.recording.survey.poses)))
+
+    def observations(self) -> Iterator[Observation]:
+        """The frames with the scans they were made of, for the referee; no tracker is ever handed one."""
         survey = self.recording.survey
         margin_s = 3 * self.period_s
         start_s, end_s = self._ticks[0] * self.period_s, self._ticks[-1] * self.period_s
@@ -133,17 +163,18 @@ class GridStream:
             poses.update({sensor: scan.world_T_sensor for sensor, scan in tick.scans.items()})
             if survey.moves:
                 world_T_grid = poses[reference]
-            yield self._frame(tick, poses, world_T_grid)
+            grid_T_world = world_T_grid.inverse()
+            # The sensor whose frame the grid's is stands at its origin exactly, not to within rounding.
+            grid_T_sensor = {s: SE2() if pose == world_T_grid else grid_T_world @ pose for s, pose in poses.items()}
+            frame = self._frame(tick, grid_T_sensor, world_T_grid)
+            yield Observation(frame, tuple(tick.scans.values()), tuple(grid_T_sensor[s] for s in tick.scans))
 
-    def _frame(self, tick: Tick, poses: dict[str, SE2], world_T_grid: SE2) -> GridFrame:
-        grid_T_world = world_T_grid.inverse()
-        # The sensor whose frame the grid's is stands at its origin exactly, not to within rounding.
-        grid_T_sensor = {s: SE2() if pose == world_T_grid else grid_T_world @ pose for s, pose in poses.items()}
+    def _frame(self, tick: Tick, grid_T_sensor: dict[str, SE2], world_T_grid: SE2) -> GridFrame:
         visible, occupied = np.zeros(self.grid.shape, np.bool_), np.zeros(self.grid.shape, np.bool_)
         owner = np.zeros(self.grid.shape, np.uint8)
         returns: list[NDArray[np.float32]] = []
         return_origin: list[NDArray[np.uint8]] = []
-        for s, sensor in enumerate(poses):
+        for s, sensor in enumerate(grid_T_sensor):
             if sensor not in tick.scans:
                 continue
             before = occupied.copy()

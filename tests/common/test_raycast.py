@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridSpec
-from gridtrack.common.raycast import cast_scan
+from gridtrack.common.raycast import cast_scan, end_cells
 from gridtrack.common.scan import Scan
 
 UNIT = GridSpec(5, 1.0, (0.0, 0.0))
@@ -216,3 +216,18 @@ def test_what_is_not_finite_shows_nothing_and_touches_nothing_else(scan: Scan, p
 
 def test_a_laser_without_a_limit_sees_to_the_edge() -> None:
     assert drawn(beam(0.0, math.inf, range_max=3.4e38), SE2(0.5, 0.5)).splitlines()[-1] == "....."
+
+
+@settings(max_examples=50, deadline=None)
+@given(
+    ranges=st.lists(st.one_of(st.floats(0.0, 12.0, width=32), st.sampled_from([np.inf, -np.inf, np.nan])), min_size=1),
+    x=st.floats(-8.0, 8.0),
+    theta=st.floats(-3.2, 3.2),
+)
+def test_the_cells_in_which_beams_end_are_those_that_become_occupied(ranges, x, theta):
+    scan = Scan(0, np.array(ranges, np.float32), -1.0, 2.0 / len(ranges), 0.1, 10.0)
+    grid, pose = GridSpec(20, 0.5), SE2(x, 0.3, theta)
+    occupied = np.zeros(grid.shape, bool)
+    cast_scan(scan, grid, pose, np.zeros(grid.shape, bool), occupied)
+    cells = end_cells(scan, grid, pose)
+    assert set(cells[cells >= 0].tolist()) == set(np.flatnonzero(occupied).tolist())
