@@ -1,0 +1,1 @@
+"""Scenes made up and measured: a laser in them, road users' tracks, and the junction they meet at."""

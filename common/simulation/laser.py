@@ -1,0 +1,127 @@
+"""A planar laser in a scene: what each beam would return, and of which class, exactly and then with noise."""
+
+from __future__ import annotations
+
+import math
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from gridtrack.common.geometry import SE2
+from gridtrack.common.scene import Scene
+
+UNLABELLED = 255
+TICK_M = 2.0**-10
+"""Ranges are multiples of it, as a real laser counts millimetres; a power of two, so that they also pack well."""
+NEAR_M = 10.0
+NEAR_STD_M, FAR_STD_M = 0.03, 0.05
+"""Range noise of the Hokuyo UTM-30LX up to NEAR_M and beyond (its data sheet)."""
+TOUCHING = 1e-9
+"""So near to a side, as a share of its length, the sensor stands on it: the side then has no angle to speak of."""
+
+
+def sweep(
+    scene: Scene, world_T_sensor: SE2, angle_min: float, angle_increment: float, beams: int, range_max: float
+) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
+    """Ranges (B,) float32 in metres, free of noise, and labels (B,) uint8 of what a laser at `world_T_sensor` sees.
+
+    Beam i leaves at `angle_min + i * angle_increment` (radians, counter-clockwise, sensor frame). A range is the
+    distance to the nearest side of any outline, from outside or inside; +inf with label 255 where there is none
+    within `range_max`.
+    """
+    outlines = [*scene.static, *(thing.outline for thing in scene.objects)]
+    nearest = np.full(beams, np.inf)
+    labels = np.full(beams, UNLABELLED, np.uint8)
+    if outlines:
+        _sweep(
+            np.concatenate(outlines).astype(np.float64),
+            np.array([len(outline) for outline in outlines]),
+            _poses(scene, world_T_sensor.inverse()),
+            np.array([scene.static_label] * len(scene.static) + [thing.label for thing in scene.objects], np.uint8),
+            angle_min,
+            angle_increment,
+            range_max,
+            nearest,
+            labels,
+        )
+    return nearest.astype(np.float32), labels
+
+
+def with_noise(ranges: NDArray[np.float32], range_max: float, random: np.random.Generator) -> NDArray[np.float32]:
+    """`ranges` (B,) as the laser would measure them: normal noise, in whole ticks, never beyond `range_max`."""
+    std = np.where(ranges <= NEAR_M, NEAR_STD_M, FAR_STD_M)
+    ticks = np.round((ranges + std * random.standard_normal(ranges.size)) / TICK_M)
+    measured = np.clip(ticks * TICK_M, 0.0, math.floor(range_max / TICK_M) * TICK_M)
+    return np.where(np.isfinite(ranges), measured, np.inf).astype(np.float32)
+
+
+def _poses(scene: Scene, sensor_T_world: SE2) -> NDArray[np.float64]:
+    """Where each outline stands, static ones first: (O, 3) as x, y, theta in the sensor frame."""
+    poses = [sensor_T_world] * len(scene.static)
+    poses += [sensor_T_world @ thing.world_T_object for thing in scene.objects]
+    return np.array([(pose.x, pose.y, pose.theta) for pose in poses])
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _sweep(corners, counts, poses, outline_labels, angle_min, angle_increment, range_max, nearest, labels):  # type: ignore[no-untyped-def]
+    """Lower `nearest` (B,) to the distance of each outline's sides, and set `labels` (B,) with it."""
+    first = 0
+    for o in range(counts.size):
+        c, s = math.cos(poses[o, 2]), math.sin(poses[o, 2])
+        for i in range(counts[o]):
+            px, py = corners[first + i]
+            qx, qy = corners[first + (i + 1) % counts[o]]
+            _side(
+                poses[o, 0] + c * px - s * py,
+                poses[o, 1] + s * px + c * py,
+                poses[o, 0] + c * qx - s * qy,
+                poses[o, 1] + s * qx + c * qy,
+                angle_min,
+                angle_increment,
+                range_max,
+                outline_labels[o],
+                nearest,
+                labels,
+            )
+        first += counts[o]
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _side(px, py, qx, qy, angle_min, angle_increment, range_max, label, nearest, labels):  # type: ignore[no-untyped-def]
+    """One side from p to q, sensor frame: only the beams between the angles of its ends can meet it."""
+    ex, ey = qx - px, qy - py
+    length = math.hypot(ex, ey)
+    across = px * qy - py * qx
+    if length == 0.0 or abs(across) >= length * range_max * (1.0 + 1e-9):
+        return
+    if abs(across) <= TOUCHING * length * length:
+        _hit(0, nearest.size, px, py, ex, ey, angle_min, angle_increment, range_max, label, nearest, labels)
+        return
+    # Mirrored where the beams run clockwise, so that beams and angles always rise together.
+    turn = 1.0 if angle_increment >= 0.0 else -1.0
+    step = max(abs(angle_increment), 1e-12)
+    span = math.atan2(abs(across), px * qx + py * qy)
+    start = turn * (math.atan2(py, px) - angle_min) - (span if turn * across < 0.0 else 0.0)
+    start = start % (2.0 * math.pi) - 2.0 * math.pi
+    while start <= step * nearest.size:
+        begin = min(max(math.ceil(start / step) - 1, 0), nearest.size)
+        end = min(max(math.floor((start + span) / step) + 2, 0), nearest.size)
+        _hit(begin, end, px, py, ex, ey, angle_min, angle_increment, range_max, label, nearest, labels)
+        start += 2.0 * math.pi
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _hit(begin, end, px, py, ex, ey, angle_min, angle_increment, range_max, label, nearest, labels):  # type: ignore[no-untyped-def]
+    """Meet beams begin..end-1 with the line p + u * e, 0 <= u <= 1."""
+    for i in range(begin, end):
+        angle = angle_min + i * angle_increment
+        dx, dy = math.cos(angle), math.sin(angle)
+        slant = dx * ey - dy * ex
+        if slant == 0.0:
+            continue
+        distance = (px * ey - py * ex) / slant
+        share = (px * dy - py * dx) / slant
+        if -1e-12 <= share <= 1.0 + 1e-12 and 0.0 <= distance <= range_max and distance < nearest[i]:
+            nearest[i] = distance
+            labels[i] = label
