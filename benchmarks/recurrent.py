@@ -40,6 +40,7 @@ def busy_frame(seed: int) -> GridFrame:
 def inference(kind: type[RecurrentTracker]) -> None:
     torch.set_num_threads(1)
     network = kind.build(SIZE, kind.Options(), 0).eval()
+    kind.prepare_inference(network)
     tracker = kind(StreamSpec(GridSpec(SIZE), 0.125), kind.Options(), network)
     frame = busy_frame(0)
     update, forecast = median_ms(lambda: tracker.update(frame)), median_ms(lambda: tracker.predict(STEPS), runs=5)

@@ -8,8 +8,14 @@ torch = pytest.importorskip("torch")
 from torch.nn.functional import conv2d  # noqa: E402
 
 from gridtrack.trackers.recurrent.deep_tracking_rnn import DeepTrackingRNN, DeepTrackingRNNSettings  # noqa: E402
-from gridtrack.trackers.recurrent.dilated_convgru import DilatedConvGRU, DilatedConvGRUSettings  # noqa: E402
-from gridtrack.trackers.recurrent.network import start_from_rate  # noqa: E402
+from gridtrack.trackers.recurrent.dilated_convgru import (  # noqa: E402
+    GATES,
+    DilatedConvGRU,
+    DilatedConvGRUSettings,
+    convgru_gates,
+)
+from gridtrack.trackers.recurrent.fused import fused_gates  # noqa: E402
+from gridtrack.trackers.recurrent.network import channels_last, start_from_rate  # noqa: E402
 from gridtrack.trackers.recurrent.settings import TrainingSettings  # noqa: E402
 
 
@@ -54,6 +60,21 @@ def test_convgru_layer_is_the_printed_equations_with_six_separate_convolutions()
     r = torch.sigmoid(dilated(x, wxr) + dilated(h, whr) + br)
     c = torch.tanh(dilated(x, wxh) + r * dilated(h, whh) + bh)
     torch.testing.assert_close(layer(x, h), f * h + (1 - f) * c)
+
+
+@pytest.mark.parametrize("static_gates", [("keep", "reset", "candidate"), ("candidate",)])
+@pytest.mark.parametrize("with_input", [True, False])
+def test_the_fused_gates_are_the_gates(with_input, static_gates):
+    settings = DilatedConvGRUSettings(channels=5, static_gates=static_gates)
+    network = channels_last(randomised(DilatedConvGRU(9, settings)))
+    biases = tuple(network.layers[0].biases[gate] for gate in GATES)
+    x, h_conv, h = (scale * torch.randn(1, c, 9, 9) for scale, c in ((10.0, 15), (10.0, 15), (0.5, 5)))
+    x, h_conv, h = (t.contiguous(memory_format=torch.channels_last) for t in (x, h_conv, h))
+    h_conv[0, :, 0, 0], h_conv[0, :, 0, 1] = 300.0, -300.0  # saturated, and not overflown
+
+    fused = fused_gates(x if with_input else None, h_conv, biases, h)
+
+    torch.testing.assert_close(fused, convgru_gates(x if with_input else None, h_conv, biases, h), rtol=0, atol=2e-6)
 
 
 def test_one_step_sees_a_receptive_field_of_fifteen_cells_square():

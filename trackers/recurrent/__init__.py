@@ -9,6 +9,7 @@ from torch import nn
 
 from gridtrack.trackers.recurrent.deep_tracking_rnn import DeepTrackingRNN, DeepTrackingRNNSettings
 from gridtrack.trackers.recurrent.dilated_convgru import DilatedConvGRU, DilatedConvGRUSettings
+from gridtrack.trackers.recurrent.fused import fused_gates
 from gridtrack.trackers.recurrent.network import start_from_rate
 from gridtrack.trackers.recurrent.settings import TrainingSettings
 from gridtrack.trackers.recurrent.tracker import RecurrentTracker
@@ -43,6 +44,12 @@ class DilatedConvGRUTracker(RecurrentTracker):
         for layer in network.layers:
             layer.gates = gates
 
+    @classmethod
+    def prepare_inference(cls, network: Any) -> None:
+        """The gates in one pass over memory."""
+        for layer in network.layers:
+            layer.gates = fused_gates
+
 
 class DeepTrackingRNNTracker(RecurrentTracker):
     """The original Deep Tracking RNN (Ondruska and Posner, 2016)."""
@@ -59,3 +66,7 @@ class DeepTrackingRNNTracker(RecurrentTracker):
     def prepare_training(cls, network: Any, rate: float, report: Callable[[str], None]) -> None:
         """Output bias at the occupied rate."""
         start_from_rate(network.decode, rate)
+
+    @classmethod
+    def prepare_inference(cls, network: Any) -> None:
+        """Nothing: convolutions are all that it spends its time on."""

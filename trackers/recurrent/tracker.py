@@ -44,6 +44,11 @@ class RecurrentTracker(Tracker):
     def prepare_training(cls, network: Any, rate: float, report: Any) -> None:
         """Last touches before training: output bias at the occupied `rate`, fused kernels."""
 
+    @classmethod
+    @abstractmethod
+    def prepare_inference(cls, network: Any) -> None:
+        """Last touches before a trained network follows a stream: fused kernels."""
+
     def reset(self, seed: int) -> None:
         """h_0; the network draws nothing, so the seed does not matter."""
         self.state = self.network.initial(1)
@@ -90,6 +95,7 @@ class RecurrentTracker(Tracker):
                 for name, value in network.state_dict().items()
             }
         )
+        self.prepare_inference(network)
         return network.eval()
 
     @classmethod
