@@ -27,18 +27,13 @@ def measure_latency(trial: Trial, folder: Path) -> Latency:
             process.update(frame)
             if index < WARM_UP:
                 continue
-            update.add(_own_ms(process))
+            update.add(process.last_ms)
             if index % 2 == 0:
                 process.predict(trial.course.steps)
-                predict.add(_own_ms(process))
+                predict.add(process.last_ms)
     return Latency(
         update=_quantiles(update), predict=_quantiles(predict), predict_step=_quantiles(predict, trial.course.steps)
     )
-
-
-def _own_ms(process: TrackerProcess) -> float:
-    assert process.last_call is not None
-    return process.last_call.own_ms
 
 
 def _quantiles(latencies: Latencies, divided_by: int = 1) -> Quantiles:

@@ -12,6 +12,7 @@ from typing import Any
 from pydantic import Field
 
 from gridtrack.common.config import Settings
+from gridtrack.common.degrade import Degradation
 from gridtrack.common.errors import ConfigurationError, PluginError
 from gridtrack.common.grid import GridSpec
 from gridtrack.common.stream import GridStream
@@ -44,6 +45,8 @@ class CompareSettings(Settings):
     jobs: int | None = Field(None, ge=1)
     resume: bool = False
     latency: bool = False
+    deadline: bool = False
+    degrade: Degradation | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,6 +8,7 @@ from typing import Literal, Self
 from pydantic import Field, ValidationError
 
 from gridtrack.common.config import Settings
+from gridtrack.common.degrade import Degradation
 from gridtrack.common.errors import GridtrackError
 from gridtrack.evaluation.outcome import Outcome
 from gridtrack.evaluation.strata import STRATA
@@ -17,8 +18,8 @@ SCHEMA = 1
 RECORD = "outcome.json"
 MAX_BYTES = 1 << 24
 
-Ending = Outcome | Literal["interrupted"]
-"""How a trial ended; `interrupted` where the run was, before the trial could end by itself."""
+Ending = Outcome | Literal["interrupted", "failed"]
+"""How a trial ended; `interrupted` where the run was, `failed` where not the tracker but the scoring of it did."""
 
 
 class RunError(GridtrackError):
@@ -68,6 +69,58 @@ class Latency(Settings):
     predict_step: Quantiles
 
 
+Curves = dict[str, tuple[float | None, ...]]
+"""Per stratum one value for each step; None where it is not defined."""
+
+
+class AtRate(Settings):
+    """A trial scored on the clock, its frames coming at `rate` times their own rate.
+
+    `missed` of the `frames` were not given to the tracker; `age_frames`: how many frames old the newest forecast was.
+    """
+
+    rate: float
+    rate_hz: float
+    frames: int
+    missed: int
+    age_frames: Quantiles
+    f1: Curves
+
+
+class Deadline(Settings):
+    """A trial on a simulated clock: what its calls take alone on the machine, and what it scores in time.
+
+    `busy_ms`: an update and the forecast after it, which goes `forecast_steps` ahead; `highest_rate_hz`: where 99 of
+    100 frames are done before the next one comes.
+    """
+
+    update_ms: Quantiles
+    predict_ms: Quantiles
+    busy_ms: Quantiles
+    highest_rate_hz: float
+    forecast_steps: int
+    rates: tuple[AtRate, ...]
+
+
+class AtStrength(Settings):
+    """A trial whose tracker was shown degraded frames: at `strength` of what was asked for, which is `value`.
+
+    `delivered`: hash of the degraded frames. F1 is of the undegraded ones.
+    """
+
+    strength: float
+    value: float
+    delivered: str
+    f1: Curves
+
+
+class Robustness(Settings):
+    """F1 under each kind of `degradation` by itself, by its strength."""
+
+    degradation: Degradation
+    kinds: dict[str, tuple[AtStrength, ...]]
+
+
 class TrialRecord(Settings):
     """One trial: how it ended, how far it came, and what it ran on."""
 
@@ -87,6 +140,8 @@ class TrialRecord(Settings):
     times: Times = Times()
     peak_rss_mb: float | None = None
     latency_ms: Latency | None = None
+    deadline: Deadline | None = None
+    robustness: Robustness | None = None
 
     def write(self, folder: Path) -> None:
         """Leave it in a trial's folder, replaced whole."""

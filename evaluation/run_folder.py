@@ -60,15 +60,15 @@ class RunFolder:
         records = ((trial, read_record(folders[trial.name])) for trial in self.plan.trials)
         return {t.name: record for t, record in records if record and _is_done(t, record, folders[t.name])}
 
-    def finish(self, records: Mapping[str, TrialRecord], interrupted: bool) -> dict[str, Any]:
-        """Write and return the summary of these records, by trial name, and close the run."""
+    def finish(self, records: Mapping[str, TrialRecord], notices: Sequence[str], interrupted: bool) -> dict[str, Any]:
+        """Write and return the summary of these records, by trial name, with `notices`, and close the run."""
         plan = self.plan
         ended = [
             Ended(records[t.name], self.path / t.name, t.selection.name, t.selection.options, t.selection.points)
             for t in plan.trials
         ]
         recordings = {course.name: course.description() for course in plan.courses}
-        summary = summarise(recordings, ended, plan.notices, interrupted)
+        summary = summarise(recordings, ended, [*plan.notices, *notices], interrupted)
         write_json(self.path / SUMMARY, summary)
         write_json(
             self.path / RUN,

@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, as_completed
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Protocol
 
 from gridtrack.evaluation.courses import Regions
+from gridtrack.evaluation.deadline_pass import measure_deadline
 from gridtrack.evaluation.latency_pass import measure_latency
 from gridtrack.evaluation.outcome import TrialEnded
 from gridtrack.evaluation.plan import Plan, Trial
 from gridtrack.evaluation.provenance import usable_cores
 from gridtrack.evaluation.record import TrialRecord
+from gridtrack.evaluation.robustness_pass import RobustnessRun
 from gridtrack.evaluation.run_folder import RunFolder
-from gridtrack.evaluation.trial import Interrupted, TrialRun, unstarted
+from gridtrack.evaluation.trial import Interrupted, TrialRun, failed, unstarted, where_it_failed
 
 
 class Progress(Protocol):
@@ -49,21 +52,24 @@ def run(plan: Plan, command: Sequence[str], progress: Progress) -> dict[str, Any
     interrupted = False
     try:
         crew.run_trials()
-        if plan.settings.latency:
-            crew.measure_latencies()
+        crew.degrade()
+        crew.measure_alone()
     except KeyboardInterrupt:
         interrupted = True
-    return folder.finish(crew.all_records(), interrupted)
+    return folder.finish(crew.all_records(), crew.notices, interrupted)
 
 
 class _Crew:
     """The threads that each see one trial through, and what they have brought back."""
 
     def __init__(self, plan: Plan, folder: Path, progress: Progress) -> None:
+        self.notices: list[str] = []
+        """What could not be measured of a complete trial, and why."""
         self._plan, self._folder, self._progress = plan, folder, progress
         self._stop = threading.Event()
-        self._running: set[TrialRun] = set()
+        self._running: set[TrialRun | RobustnessRun] = set()
         self._records: dict[str, TrialRecord] = {}
+        self._regions: dict[str, Regions] = {}
 
     def keep(self, name: str, record: TrialRecord) -> None:
         """Take over the record of a trial that need not run again."""
@@ -71,13 +77,53 @@ class _Crew:
         self._progress.ended(name, record)
 
     def run_trials(self) -> None:
-        """Run every trial that has no record yet; on an error or an interrupt, end all of them before it is raised."""
-        todo = [trial for trial in self._plan.trials if trial.name not in self._records]
-        regions = self._regions(todo)
+        """Run every trial that has no record yet."""
+        self._side_by_side(self._run_trial, [t for t in self._plan.trials if t.name not in self._records])
+
+    def degrade(self) -> None:
+        """Show degraded frames to the tracker of every complete trial, where that was asked for and not done yet."""
+        asked = self._plan.settings.degrade
+        if asked is None:
+            return
+        done = {name for name, r in self._records.items() if r.robustness and r.robustness.degradation == asked}
+        self._side_by_side(self._degrade_trial, [trial for trial in self._complete() if trial.name not in done])
+
+    def measure_alone(self) -> None:
+        """Measure what wants the machine for one tracker alone, where that was asked for and not done yet."""
+        settings = self._plan.settings
+        for trial in self._complete():
+            record, folder = self._records[trial.name], self._folder / trial.name
+            if settings.latency and record.latency_ms is None:
+                with self._measuring(trial, "latency, alone on the machine"):
+                    self._add(trial, latency_ms=measure_latency(trial, folder))
+            if settings.deadline and record.deadline is None:
+                with self._measuring(trial, "deadlines, alone on the machine"):
+                    regions = self._regions_of(trial)
+                    self._add(trial, deadline=measure_deadline(trial, regions, record.thresholds, folder))
+
+    def all_records(self) -> dict[str, TrialRecord]:
+        """The record of every trial of the plan; those that an interrupt kept from starting say so."""
+        return {trial.name: self._records.get(trial.name) or unstarted(trial) for trial in self._plan.trials}
+
+    def _complete(self) -> list[Trial]:
+        return [trial for trial in self._plan.trials if self._records[trial.name].outcome == "ok"]
+
+    def _regions_of(self, trial: Trial) -> Regions:
+        """Regions of the trial's course, found once. Called from the main thread only."""
+        course = trial.course
+        if course.name not in self._regions:
+            self._progress.note(f"{course.name}: finding its static cells")
+            self._regions[course.name] = course.regions()
+        return self._regions[course.name]
+
+    def _side_by_side(self, see_through: Callable[[Trial], None], trials: Sequence[Trial]) -> None:
+        """See trials through at the same time; on an error or an interrupt, end all of them before it is raised."""
+        for trial in trials:
+            self._regions_of(trial)
         settings = self._plan.settings
         jobs = settings.jobs or max(1, usable_cores() // settings.limits.threads)
         with ThreadPoolExecutor(jobs, "trial") as pool:
-            futures = [pool.submit(self._run_trial, trial, regions[trial.course.name]) for trial in todo]
+            futures = [pool.submit(see_through, trial) for trial in trials]
             try:
                 for future in as_completed(futures):
                     future.result()
@@ -85,48 +131,66 @@ class _Crew:
                 self._end_all(futures)
                 raise
 
-    def measure_latencies(self) -> None:
-        """Time every complete trial's tracker, one at a time."""
-        for trial in self._plan.trials:
-            record = self._records[trial.name]
-            if record.outcome != "ok" or record.latency_ms is not None:
-                continue
-            self._progress.note(f"{trial.name}: latency, alone on the machine")
-            try:
-                latency = measure_latency(trial, self._folder / trial.name)
-            except TrialEnded as ended:
-                self._progress.note(f"{trial.name}: no latency figures: {ended}")
-                continue
-            self._records[trial.name] = record.model_copy(update={"latency_ms": latency})
-            self._records[trial.name].write(self._folder / trial.name)
-
-    def all_records(self) -> dict[str, TrialRecord]:
-        """The record of every trial of the plan; those that an interrupt kept from starting say so."""
-        return {trial.name: self._records.get(trial.name) or unstarted(trial) for trial in self._plan.trials}
-
-    def _regions(self, trials: Sequence[Trial]) -> dict[str, Regions]:
-        """Regions of every course that is run, by its name."""
-        regions: dict[str, Regions] = {}
-        for course in {trial.course.name: trial.course for trial in trials}.values():
-            self._progress.note(f"{course.name}: finding its static cells")
-            regions[course.name] = course.regions()
-        return regions
-
-    def _run_trial(self, trial: Trial, regions: Regions) -> None:
-        run = TrialRun(trial, regions, self._folder / trial.name, lambda: self._next_frame(trial))
-        self._progress.started(trial.name, run.frames)
-        self._running.add(run)
+    def _run_trial(self, trial: Trial) -> None:
+        """A trial that fails for no fault of its tracker ends as that, and stops no other."""
         try:
-            record = run.run()
-        finally:
-            self._running.discard(run)
+            regions = self._regions_of(trial)
+            run = TrialRun(trial, regions, self._folder / trial.name, lambda: self._next_frame(trial))
+            self._progress.started(trial.name, run.frames)
+            with self._interruptible(run):
+                record = run.run()
+        except Exception as error:  # noqa: BLE001 whatever it is: the others go on, and the summary tells of it
+            record = failed(trial, error)
         self._records[trial.name] = record
         self._progress.ended(trial.name, record)
 
+    def _degrade_trial(self, trial: Trial) -> None:
+        asked, folder = self._plan.settings.degrade, self._folder / trial.name
+        assert asked is not None
+        record = self._records[trial.name]
+        with self._measuring(trial, "degraded input"):
+            run = RobustnessRun(trial, asked, folder)
+            with self._interruptible(run):
+                found = run.run(self._regions_of(trial), record.thresholds, self._unless_stopped)
+            self._add(trial, robustness=found)
+
+    @contextmanager
+    def _interruptible(self, run: TrialRun | RobustnessRun) -> Iterator[None]:
+        self._running.add(run)
+        try:
+            yield
+        finally:
+            self._running.discard(run)
+
+    @contextmanager
+    def _measuring(self, trial: Trial, what: str) -> Iterator[None]:
+        """Whatever goes wrong inside leaves the trial without these figures, and is told."""
+        self._progress.note(f"{trial.name}: {what}")
+        reason = ""
+        try:
+            yield
+        except Interrupted:
+            return
+        except TrialEnded as ended:
+            reason = str(ended)
+        except Exception as error:  # noqa: BLE001 as for a trial
+            reason = where_it_failed(error)
+        if reason and not self._stop.is_set():
+            self.notices.append(f"{trial.name}: no figures of {what}: {reason}")
+            self._progress.note(self.notices[-1])
+
+    def _add(self, trial: Trial, **found: Any) -> None:
+        """Add what was measured to the trial's record."""
+        self._records[trial.name] = self._records[trial.name].model_copy(update=found)
+        self._records[trial.name].write(self._folder / trial.name)
+
     def _next_frame(self, trial: Trial) -> None:
+        self._unless_stopped()
+        self._progress.advanced(trial.name)
+
+    def _unless_stopped(self) -> None:
         if self._stop.is_set():
             raise Interrupted
-        self._progress.advanced(trial.name)
 
     def _end_all(self, futures: Sequence[Future[None]]) -> None:
         """End the trackers now: those still waiting never start, those busy with a call end in it."""

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from gridtrack.evaluation import metrics
 from gridtrack.evaluation.counting import EDGES, Tally
 from gridtrack.evaluation.record import TrialRecord
+from gridtrack.evaluation.robustness import robustness_summary, shown_others
 from gridtrack.evaluation.scores import read_deliveries, read_tally
 from gridtrack.evaluation.strata import STRATA
 from gridtrack.evaluation.thresholds import half
@@ -51,8 +52,14 @@ def summarise(
         entry["recordings"][record.recording] = _trial_summary(trial)
     described, differing = {}, []
     for name, description in recordings.items():
-        odd = odd_deliveries([trial for trial in trials if trial.record.recording == name])
+        of_recording = [trial for trial in trials if trial.record.recording == name]
+        odd = odd_deliveries(of_recording)
+        odd_degraded = shown_others((trial.points, trial.record) for trial in of_recording)
         described[name] = {**description, "parity": not odd}
+        differing += [
+            f"{label} on {name} was shown other degraded frames than the rest: its robustness is not comparable"
+            for label in odd_degraded
+        ]
         differing += [
             f"{label} on {name} was delivered other frames than the rest: its scores are not comparable"
             for label in odd
@@ -95,6 +102,7 @@ def odd_deliveries(trials: Sequence[Ended]) -> list[str]:
 def _trial_summary(trial: Ended) -> dict[str, Any]:
     record = trial.record
     latency = record.latency_ms
+    strata = _strata(record, read_tally(trial.folder, record.steps)) if record.frames_scored else {}
     return {
         "outcome": record.outcome,
         "reason": record.reason,
@@ -102,10 +110,11 @@ def _trial_summary(trial: Ended) -> dict[str, Any]:
         "frames_expected": record.frames_expected,
         "threshold_chosen_on": record.thresholds.chosen_on,
         "weights_sha256": record.weights_sha256,
-        "strata": _strata(record, read_tally(trial.folder, record.steps)) if record.frames_scored else {},
+        "strata": strata,
         "semantics": None,
         "latency_ms": latency.model_dump() if latency else None,
-        "deadline": None,
+        "deadline": record.deadline.model_dump(mode="json") if record.deadline else None,
+        "robustness": robustness_summary(record.robustness, strata) if record.robustness else None,
         "times": record.times.model_dump(),
         "peak_rss_mb": record.peak_rss_mb,
     }

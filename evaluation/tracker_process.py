@@ -157,6 +157,12 @@ class TrackerProcess:
             self._dialogue.process.kill()
 
     @property
+    def last_ms(self) -> float:
+        """What the last update or forecast took by the tracker's own clock, milliseconds."""
+        assert self.last_call is not None
+        return self.last_call.own_ms
+
+    @property
     def _wire(self) -> Dialogue:
         assert self._dialogue is not None, "a TrackerProcess is used in a with statement"
         return self._dialogue

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+import traceback
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -77,6 +78,8 @@ class TrialRun:
             return "interrupted", INTERRUPTED
         except RecordingError as error:
             return "not-applicable", str(error)
+        except Exception as error:  # noqa: BLE001 a full disk, a mistake in the scoring: the other trials go on
+            return "failed", where_it_failed(error)
         return "ok", ""
 
     @contextmanager
@@ -123,6 +126,10 @@ class TrialRun:
                     samples.add(moment)
                 self._scored += 1
 
+    def _kept_whole(self) -> bool:
+        """Whether what was scored lies in whole files: a disk may be full before the last is written."""
+        return all((self._folder / name).is_file() for name in (SCORES, HISTOGRAM))
+
     def _record(self, ending: Ending, reason: str) -> TrialRecord:
         chosen = self._thresholds or half(self.trial.course.steps)
         timings = self._process.timings
@@ -130,7 +137,7 @@ class TrialRun:
             update={
                 "outcome": ending,
                 "reason": reason,
-                "frames_scored": self._scored,
+                "frames_scored": self._scored if self._kept_whole() else 0,
                 "frames_delivered": self._delivery.frames,
                 "delivered": self._delivery.digest,
                 "thresholds": ThresholdsUsed.of(chosen),
@@ -157,3 +164,15 @@ def unstarted(trial: Trial) -> TrialRecord:
         steps=trial.course.steps,
         weights_sha256=trial.weights.sha256 if trial.weights else "",
     )
+
+
+def failed(trial: Trial, error: Exception) -> TrialRecord:
+    """The record of a trial that could not even leave one."""
+    return unstarted(trial).model_copy(update={"outcome": "failed", "reason": where_it_failed(error)})
+
+
+def where_it_failed(error: Exception) -> str:
+    """An error that nobody foresaw, and the line of code that it comes from, in one line."""
+    last = traceback.extract_tb(error.__traceback__)[-1]
+    words = " ".join(str(error).split())
+    return f"{type(error).__name__}: {words} ({Path(last.filename).name}, line {last.lineno})"

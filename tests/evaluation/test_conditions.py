@@ -1,0 +1,169 @@
+"""Deadlines and degraded scans through a whole run: real processes, the results in summary.json."""
+
+from __future__ import annotations
+
+import json
+import shutil
+
+import pytest
+
+from gridtrack.common.degrade import Degradation
+from gridtrack.evaluation import deadline_pass, trial
+from gridtrack.evaluation.deadline import Costs
+from gridtrack.evaluation.plan import CompareSettings, resolve
+from gridtrack.evaluation.record import AtStrength, Robustness, TrialRecord
+from gridtrack.evaluation.robustness import shown_others
+from gridtrack.evaluation.robustness_pass import RobustnessRun
+from gridtrack.evaluation.runner import run
+
+pytestmark = pytest.mark.usefixtures("staged")
+
+
+@pytest.fixture
+def compare(record, tmp_path, told):
+    """`compare(*trackers, **settings)` runs on the small recording and gives the summary."""
+    path = record()
+
+    def compare(*trackers, **more):
+        defaults = {"recordings": (str(path),), "out": tmp_path / "run", "horizon_s": 1.0, "every_s": 0.5, "jobs": 2}
+        return run(resolve(CompareSettings(trackers=trackers, **(defaults | more))), ("gridtrack", "compare"), told)
+
+    return compare
+
+
+def trial_of(summary, label):
+    return summary["trackers"][label]["recordings"]["room"]
+
+
+def f1_of(result):
+    return {name: scores["f1"] for name, scores in result["strata"].items()}
+
+
+@pytest.fixture
+def costing(monkeypatch):
+    """`costing(update_ms, predict_ms)`: what every frame is then measured to cost."""
+
+    def costing(update_ms, predict_ms):
+        monkeypatch.setattr(deadline_pass, "_measure", lambda *_: (Costs((update_ms,), (predict_ms,)), 12))
+
+    return costing
+
+
+def test_a_tracker_that_takes_no_time_scores_as_it_does_untimed(compare, costing):
+    costing(0.0, 0.0)
+    result = trial_of(compare("persistence", deadline=True), "persistence")
+    assert [at["rate"] for at in result["deadline"]["rates"]] == [0.5, 1.0, 2.0, 4.0]
+    assert [at["rate_hz"] for at in result["deadline"]["rates"]] == [5.0, 10.0, 20.0, 40.0]
+    for at in result["deadline"]["rates"]:
+        assert (at["missed"], at["frames"], at["age_frames"]["p99"]) == (0, 110, 0.0)
+        assert at["f1"] == f1_of(result)
+
+
+def test_a_busy_tracker_misses_frames_and_scores_less(compare, costing):
+    costing(100.0, 50.0)
+    result = trial_of(compare("persistence", deadline=True), "persistence")
+    half, own, double, _ = result["deadline"]["rates"]
+    assert [at["missed"] for at in (half, own, double)] == [0, 55, 73]
+    assert own["age_frames"]["p50"] in {2.0, 3.0}
+    assert result["deadline"]["highest_rate_hz"] == pytest.approx(1000 / 150)
+    # persistence's forecast of the step 0 is a copy: two or three frames late it is one of two or three frames ago
+    assert own["f1"]["moving"][0] < half["f1"]["moving"][0] < result["strata"]["moving"]["f1"][0] == 1.0
+    assert own["f1"]["static"][0] > 0.9
+
+
+def test_what_is_measured_is_the_trackers_own_time(compare):
+    deadline = trial_of(compare("staged:sleep_s=0.005", deadline=True), "staged")["deadline"]
+    assert deadline["update_ms"]["p50"] >= 5.0
+    assert deadline["busy_ms"]["p99"] >= deadline["update_ms"]["p50"]
+    assert deadline["highest_rate_hz"] == pytest.approx(1000 / deadline["busy_ms"]["p99"], rel=0.02)
+    assert deadline["forecast_steps"] >= 12
+    assert all(at["missed"] <= at["frames"] for at in deadline["rates"])
+
+
+def test_without_deadline_there_is_none_and_a_resumed_run_adds_it(compare, tmp_path):
+    assert trial_of(compare("blank"), "blank")["deadline"] is None
+    assert trial_of(compare("blank", deadline=True, resume=True), "blank")["deadline"] is not None
+
+
+def test_degraded_input_is_scored_against_the_undegraded_frames(compare):
+    summary = compare("persistence", degrade=Degradation(frame_drop=1.0, beam_dropout=0.5))
+    result = trial_of(summary, "persistence")
+    curves = result["robustness"]["kinds"]
+    assert list(curves) == ["beam_dropout", "frame_drop"]
+    for name, full in (("beam_dropout", 0.5), ("frame_drop", 1.0)):
+        assert [point["strength"] for point in curves[name]] == [0.0, 0.25, 0.5, 1.0]
+        assert [point["value"] for point in curves[name]] == [0.0, 0.25 * full, 0.5 * full, full]
+        assert curves[name][0]["f1"] == f1_of(result)
+        at_step_0 = [point["f1"]["visible"][0] for point in curves[name]]
+        # copying a frame of which a part was lost is no copy of the whole
+        assert at_step_0[0] == 1.0 > at_step_0[1] > at_step_0[2] > at_step_0[3]
+    # at 1 every frame is lost: what persistence has not seen it does not call occupied
+    assert curves["frame_drop"][-1]["f1"]["visible"] == [0.0] * 11
+
+
+def test_every_tracker_is_given_the_same_degraded_frames(compare):
+    summary = compare("persistence", "blank", degrade=Degradation(range_noise=0.1))
+    one, other = (trial_of(summary, label)["robustness"]["kinds"]["range_noise"] for label in ("persistence", "blank"))
+    digests = [[point["delivered"] for point in points] for points in (one, other)]
+    assert digests[0] == digests[1]
+    assert len(set(digests[0])) == 4
+    assert summary["recordings"]["room"]["parity"] is True
+
+
+def test_other_degraded_frames_than_the_rest_are_found():
+    def record(label, digest, value=0.1):
+        point = AtStrength(strength=1.0, value=value, delivered=digest, f1={})
+        robustness = Robustness(degradation=Degradation(range_noise=value), kinds={"range_noise": (point,)})
+        return TrialRecord(schema=1, label=label, recording="room", outcome="ok", steps=1, robustness=robustness)
+
+    same = [("centres", record(label, "aa")) for label in ("one", "two")]
+    assert shown_others(same) == []
+    assert shown_others([*same, ("centres", record("odd", "bb"))]) == ["odd"]
+    assert shown_others([*same, ("raw", record("raw", "cc")), ("centres", record("stronger", "dd", 0.2))]) == []
+
+
+def test_a_resumed_run_degrades_again_only_where_other_strengths_are_asked_for(compare, monkeypatch):
+    compare("blank", degrade=Degradation(range_noise=0.1))
+    passes = []
+    original = RobustnessRun.run
+    monkeypatch.setattr(RobustnessRun, "run", lambda *a: (passes.append(1), original(*a))[1])
+    compare("blank", degrade=Degradation(range_noise=0.1), resume=True)
+    assert passes == []
+    summary = compare("blank", degrade=Degradation(range_noise=0.2), resume=True)
+    assert trial_of(summary, "blank")["robustness"]["kinds"]["range_noise"][-1]["value"] == 0.2
+
+
+def test_a_failure_that_is_no_outcome_ends_its_trial_and_no_other(compare, told, monkeypatch):
+    """A full disk, or a mistake in the scorer: whatever it is, the others are scored and the summary is written."""
+    original = trial.count_forecast
+
+    class FullDisk(OSError):
+        pass
+
+    def counting(occupancy, *more):
+        if not occupancy.any():  # what blank forecasts
+            raise FullDisk(28, "No space left on device")
+        return original(occupancy, *more)
+
+    monkeypatch.setattr(trial, "count_forecast", counting)
+    summary = compare("blank", "persistence")
+    failed = trial_of(summary, "blank")
+    assert failed["outcome"] == "failed"
+    assert "FullDisk" in failed["reason"]
+    assert "No space left on device" in failed["reason"]
+    assert "test_conditions.py" in failed["reason"]
+    assert trial_of(summary, "persistence")["outcome"] == "ok"
+    assert told.records["blank@room"].outcome == "failed"
+
+
+def test_a_trial_whose_folder_cannot_be_written_ends_alone(compare, tmp_path):
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / "blank@room").write_text("in the way")
+    summary = compare("blank", "persistence")
+    assert trial_of(summary, "blank")["outcome"] == "failed"
+    assert trial_of(summary, "blank")["strata"] == {}
+    assert trial_of(summary, "persistence")["outcome"] == "ok"
+    assert json.loads((tmp_path / "run" / "summary.json").read_text())["trackers"]["blank"]
+    (tmp_path / "run" / "blank@room").unlink()
+    shutil.rmtree(tmp_path / "run" / "persistence@room")
+    assert trial_of(compare("blank", "persistence", resume=True), "blank")["outcome"] == "ok"
