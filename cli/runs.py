@@ -30,17 +30,32 @@ def compare(
     jobs: Annotated[int | None, typer.Option(help="Trials side by side; default: one a core")] = None,
     threads: Annotated[int, typer.Option(help="Compute threads of each tracker")] = 1,
     memory: Annotated[int, typer.Option(help="Memory limit of each tracker, MB")] = 4096,
+    start_timeout: Annotated[str, typer.Option(help="A tracker's time to start")] = "60s",
+    update_timeout: Annotated[str, typer.Option(help="Its time for each frame")] = "5s",
+    predict_timeout: Annotated[str, typer.Option(help="Its time for each forecast")] = "30s",
     seed: int = 0,
     weights: Weights = None,
     trackers_toml: Annotated[Path | None, typer.Option(help="Trackers of other environments and programs")] = None,
     resume: Annotated[bool, typer.Option(help="Run only what is missing in the folder")] = False,
     latency: Annotated[bool, typer.Option(help="Afterwards time each tracker alone")] = False,
+    deadline: Annotated[
+        bool, typer.Option(help="Afterwards time each tracker alone, and score what it would have done in time")
+    ] = False,
+    degrade: Annotated[
+        str | None,
+        typer.Option(
+            metavar="KIND=VALUE,...",
+            help="Afterwards show degraded frames: beam-dropout=0.2, range-noise=0.05 (m), frame-drop=0.1,"
+            " pose-jitter=0.05 (m); each by itself, at a quarter, half and all of its value",
+        ),
+    ] = None,
     as_json: AsJson = False,
 ) -> None:
     """Run trackers on recordings, each in its own process, score them, and write a report.
 
     Exit code: 0 all trials complete, 2 wrong use, 3 some trial is not, 130 interrupted.
     """
+    from gridtrack.common.degrade import parse_degradation
     from gridtrack.evaluation.plan import CompareSettings, resolve
     from gridtrack.evaluation.runner import run
     from gridtrack.evaluation.tracker_process import Limits
@@ -62,8 +77,13 @@ def compare(
         "trackers_toml": trackers_toml,
         "resume": resume,
         "latency": latency,
+        "deadline": deadline,
+        "degrade": parse_degradation(degrade) if degrade is not None else None,
     }
-    limits = _settings(Limits, {"threads": threads, "memory_mb": memory})
+    may_take = {"start_s": start_timeout, "update_s": update_timeout, "predict_s": predict_timeout}
+    limits = _settings(
+        Limits, {**{key: seconds(text) for key, text in may_take.items()}, "threads": threads, "memory_mb": memory}
+    )
     plan = resolve(_settings(CompareSettings, {**given, "limits": limits}))
     with RunProgress() as progress:
         summary = run(plan, shlex.split(command_line()), progress)

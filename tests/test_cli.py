@@ -34,6 +34,8 @@ def gridtrack(*arguments: str, code: int = 0) -> subprocess.CompletedProcess[str
         (("compare", DEMO, "--horizon", "soon"), "'soon': expected seconds, such as 2.5s"),
         (("compare", DEMO, "--grid", "100"), "grid '100': expected CELLSxMETRES"),
         (("compare", DEMO, "--every", "0"), "'every_s' = 0.0: Input should be greater than 0"),
+        (("compare", DEMO, "--update-timeout", "0s"), "'update_s' = 0.0: Input should be greater than 0"),
+        (("compare", DEMO, "--degrade", "beam-dropuot=0.2"), "did you mean 'beam_dropout'?"),
         (("train", "persistence", DEMO), "tracker 'persistence' has nothing to learn"),
         (("train", "static-map", f"{DEMO}@0s-80s"), "shares frames with"),
         (("trackers", "show", "blnk"), "did you mean 'blank'?"),
