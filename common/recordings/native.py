@@ -2,8 +2,8 @@
 
 `/scan` or `/scan/SENSOR` (foxglove.LaserScan; the channel's metadata carry the range limits), `/pose`
 (foxglove.FrameTransform, world_T_sensor, written where it changes), `/labels` or `/labels/SENSOR` (the labelled scan
-once more, with the index of each beam's class as its intensity; 255: unlabelled). The metadata record `gridtrack`
-holds the RecordingInfo.
+once more, with the index of each beam's class as its intensity; 255: unlabelled), `/outlines` and `/objects` (the true
+scene, where it is known: see truth.py). The metadata record `gridtrack` holds the RecordingInfo.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from typing import BinaryIO, TypeVar
 import numpy as np
 from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
 from foxglove_schemas_protobuf.LaserScan_pb2 import LaserScan
+from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from google.protobuf.message import DecodeError
 from google.protobuf.timestamp_pb2 import Timestamp
 from mcap.writer import Writer
@@ -28,11 +29,12 @@ from gridtrack.common.errors import RecordingError
 from gridtrack.common.geometry import SE2
 from gridtrack.common.recordings.mcap_file import McapFile, Message
 from gridtrack.common.recordings.recording import DamageError, Recording, RecordingInfo, Topics
+from gridtrack.common.recordings.truth import OBJECTS, OUTLINES, WORLD, SceneReader, SceneWriter
 from gridtrack.common.scan import Scan
+from gridtrack.common.scene import Scene
 
 SCHEMA = "1"
 CHUNK_BYTES = 128 * 1024
-WORLD = "world"
 DEFAULT_SENSOR = "scan"
 MAX_CHANNELS = 1024
 
@@ -63,6 +65,7 @@ class NativeRecording(Recording):
         """The scans as they stand in the file; counts in `topics` what it meets; DamageError where the file ends."""
         poses: dict[str, SE2] = {}
         labels: dict[str, LaserScan] = {}
+        truth: SceneReader | None = None
         for message in McapFile(self.path).messages():
             topic = message.channel.topic
             is_scan = topic == "/scan" or topic.startswith("/scan/")
@@ -73,9 +76,13 @@ class NativeRecording(Recording):
             elif topic == "/labels" or topic.startswith("/labels/"):
                 labelled = _decoded(LaserScan(), message)
                 labels[labelled.frame_id] = labelled
+            elif topic in (OUTLINES, OBJECTS):
+                truth = truth or SceneReader(self.info.classes)
+                truth.take(topic, message.data)
             elif is_scan and self.topic in (None, topic):
                 scan = _decoded(LaserScan(), message)
-                yield _scan(scan, message, poses.get(scan.frame_id, SE2()), labels.pop(scan.frame_id, None))
+                scene = truth.scene_at(_stamp_ns(scan)) if truth is not None else None
+                yield _scan(scan, message, poses.get(scan.frame_id, SE2()), labels.pop(scan.frame_id, None), scene)
 
 
 def write_native(file: BinaryIO, info: RecordingInfo, scans: Iterable[Scan]) -> None:
@@ -91,28 +98,46 @@ class _NativeWriter:
         self._mcap = Writer(file, chunk_size=CHUNK_BYTES, enable_data_crcs=True)
         self._mcap.start(library="gridtrack")
         self._mcap.add_metadata("gridtrack", {"schema": SCHEMA, "info": info.model_dump_json()})
-        self._schemas = {kind: register_schema(self._mcap, kind) for kind in (LaserScan, FrameTransform)}
+        self._schemas = {kind: register_schema(self._mcap, kind) for kind in (LaserScan, FrameTransform, SceneUpdate)}
         self._channels: dict[tuple[str, float, float], int] = {}
         self._poses: dict[str, SE2] = {}
+        self._truth = SceneWriter(info.classes)
+        self._written: tuple[int, Scene] | None = None
 
     def write(self, scan: Scan) -> None:
-        """Pose and labels first, so that a reader has them when the scan comes."""
+        """Pose, truth and labels first, so that a reader has them when the scan comes."""
         if self._poses.get(scan.sensor) != scan.world_T_sensor:
             self._poses[scan.sensor] = scan.world_T_sensor
             self._add("/pose", _transform_message(scan), scan.stamp_ns)
+        if scan.scene is not None:
+            self._write_truth(scan.scene, scan.stamp_ns)
         message = _scan_message(scan)
         if scan.labels is not None:
-            labelled = LaserScan(intensities=scan.labels.tolist())
-            labelled.MergeFrom(message)
+            labelled = LaserScan()
+            labelled.CopyFrom(message)
+            labelled.intensities.extend(scan.labels.astype(np.float64).tolist())
             self._add(_topic("/labels", scan.sensor), labelled, scan.stamp_ns)
         self._add(_topic("/scan", scan.sensor), message, scan.stamp_ns, (scan.range_min, scan.range_max))
+
+    def _write_truth(self, scene: Scene, stamp_ns: int) -> None:
+        """Once for a stamp, though several sensors may see the scene then."""
+        if self._written is not None and self._written[0] == stamp_ns and self._written[1] is scene:
+            return
+        self._written = (stamp_ns, scene)
+        if (outlines := self._truth.outlines(scene, stamp_ns)) is not None:
+            self._add(OUTLINES, outlines, stamp_ns)
+        self._add(OBJECTS, self._truth.objects(scene, stamp_ns), stamp_ns)
 
     def finish(self) -> None:
         """Write the end of the file."""
         self._mcap.finish()  # type: ignore[no-untyped-call]
 
     def _add(
-        self, topic: str, message: LaserScan | FrameTransform, stamp_ns: int, limits: tuple[float, float] | None = None
+        self,
+        topic: str,
+        message: LaserScan | FrameTransform | SceneUpdate,
+        stamp_ns: int,
+        limits: tuple[float, float] | None = None,
     ) -> None:
         key = (topic, *(limits or (0.0, 0.0)))
         if key not in self._channels:
@@ -169,13 +194,19 @@ def _pose(transform: FrameTransform) -> SE2:
     return SE2(transform.translation.x, transform.translation.y, theta)
 
 
-def _scan(message: LaserScan, received: Message, world_T_sensor: SE2, labels: LaserScan | None) -> Scan:
+def _stamp_ns(message: LaserScan) -> int:
+    return message.timestamp.seconds * 1_000_000_000 + message.timestamp.nanos
+
+
+def _scan(
+    message: LaserScan, received: Message, world_T_sensor: SE2, labels: LaserScan | None, scene: Scene | None
+) -> Scan:
     beams = len(message.ranges)
     if labels is not None and len(labels.intensities) != beams:
         raise DamageError(f"corrupt: labels of {len(labels.intensities)} beams for a scan of {beams}")
     range_min, range_max = _range_limits(received)
     return Scan(
-        stamp_ns=message.timestamp.seconds * 1_000_000_000 + message.timestamp.nanos,
+        stamp_ns=_stamp_ns(message),
         ranges=np.fromiter(message.ranges, np.float64, beams).astype(np.float32),
         angle_min=message.start_angle,
         angle_increment=(message.end_angle - message.start_angle) / max(beams - 1, 1),
@@ -184,6 +215,7 @@ def _scan(message: LaserScan, received: Message, world_T_sensor: SE2, labels: La
         sensor=message.frame_id,
         world_T_sensor=world_T_sensor,
         labels=None if labels is None else np.array(labels.intensities).astype(np.uint8),
+        scene=scene,
     )
 
 

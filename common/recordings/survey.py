@@ -26,6 +26,7 @@ class SensorSurvey:
     invalid: int = 0
     readings: int = 0
     labelled: int = 0
+    with_truth: int = 0
 
     def add(self, scan: Scan) -> None:
         """Take in the sensor's next scan."""
@@ -36,6 +37,7 @@ class SensorSurvey:
         self.no_return += int(np.count_nonzero(scan.ranges > np.float32(scan.range_max)))
         self.invalid += int(np.count_nonzero(~(scan.ranges >= np.float32(scan.range_min))))
         self.labelled += scan.labels is not None
+        self.with_truth += scan.scene is not None
 
     @property
     def stamps_ns(self) -> NDArray[np.int64]:
@@ -122,6 +124,7 @@ class SensorSummary(Settings):
     no_return_share: float
     invalid_share: float
     labelled_scans: int
+    scans_with_truth: int
     moves: bool
 
 
@@ -144,6 +147,7 @@ def _summarise(sensor: SensorSurvey) -> SensorSummary:
         no_return_share=round(sensor.no_return / max(sensor.readings, 1), 4),
         invalid_share=round(sensor.invalid / max(sensor.readings, 1), 4),
         labelled_scans=sensor.labelled,
+        scans_with_truth=sensor.with_truth,
         moves=sensor.moved,
     )
 
@@ -171,6 +175,8 @@ class Summary(Settings):
 def _plain(value: object) -> str:
     if isinstance(value, dict):
         return ", ".join(f"{k} {_plain(v)}" for k, v in value.items())
+    if isinstance(value, list | tuple) and all(isinstance(v, str) for v in value):
+        return ", ".join(map(str, value))
     if isinstance(value, list | tuple):
         return " to ".join("the end" if v is None else str(v) for v in value)
     return str(value)
@@ -183,5 +189,6 @@ def _sensor_lines(s: SensorSummary) -> list[str]:
         f"{s.scans} scans, {rate}, " + (f"gaps: {s.gaps}, the longest {s.longest_gap_s:g} s" if s.gaps else "no gaps"),
         f"{beams} beams over {s.field_of_view_deg:g} deg from {s.angle_min_deg:g} deg,"
         f" {s.range_min:g} to {s.range_max:g} m, {'moves' if s.moves else 'stands still'}",
-        f"{s.no_return_share:.1%} no return, {s.invalid_share:.1%} invalid, {s.labelled_scans} scans labelled",
+        f"{s.no_return_share:.1%} no return, {s.invalid_share:.1%} invalid, {s.labelled_scans} scans labelled"
+        + (f", {s.scans_with_truth} scans with truth" if s.scans_with_truth else ""),
     ]
