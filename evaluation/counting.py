@@ -13,22 +13,20 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from gridtrack.common.grid import GridFrame
-from gridtrack.evaluation.strata import STRATA, SUMS_OF_REGIONS
+from gridtrack.evaluation.strata import REGIONS, STRATA, STRATA_WITH_TRUTH, SUMS_OF_REGIONS, Areas
+from gridtrack.evaluation.target import NOT_SCORED, SEEN_OCCUPIED, Target
 
 BINS = 50
 HALF = BINS // 2
-EDGES = (np.sin(0.5 * np.pi * np.arange(BINS + 1) / BINS) ** 2).astype(np.float32)
+_SLOTS = 4096
+EDGES = (np.round(_SLOTS * np.sin(0.5 * np.pi * np.arange(BINS + 1) / BINS) ** 2) / _SLOTS).astype(np.float32)
 """Bin b holds `EDGES[b] <= p < EDGES[b + 1]`, the last one p = 1 too; a threshold is a bin's lower edge.
 
 Edges lie at sin^2: bins are a thousandth wide next to 0 and 1, and 0.03 in the middle, where one edge is 0.5. A
-forecast of a distant step is spread thin, and in bins of equal width nearly all of it would fall into the first.
+forecast of a distant step is spread thin, and in bins of equal width nearly all of it would fall into the first. They
+are whole 4096ths, so that a table of as many slots tells the bin of any probability.
 """
-_SLOTS = 4096
-_FIRST_BIN = (np.searchsorted(EDGES, np.arange(_SLOTS + 1, dtype=np.float32) / _SLOTS, side="right") - 1).clip(
-    0, BINS - 1
-)
-"""The bin of the smallest probability of each of 4096 equal slots; none of them holds more than one edge."""
+_BIN_OF_SLOT = (np.searchsorted(EDGES, np.arange(_SLOTS + 1) / _SLOTS, side="right") - 1).clip(0, BINS - 1)
 CLIP = 1e-3
 """Probabilities are clipped to [CLIP, 1 - CLIP] for the log loss."""
 
@@ -38,7 +36,8 @@ class Tally:
     """Counts over cells, per step S = steps+1, stratum K and probability bin B; tallies add up.
 
     `cells`, `positives` (S, K, B) int64: cells scored and those of them occupied; `p_sum` (S, K, B) float64: sum of the
-    forecast probability; `squared_error`, `log_loss` (S, K) float64: sums over cells, log loss in nats.
+    forecast probability; `squared_error`, `log_loss` (S, K) float64: sums over cells, log loss in nats. `strata` names
+    the K of them.
     """
 
     cells: NDArray[np.int64]
@@ -46,12 +45,14 @@ class Tally:
     p_sum: NDArray[np.float64]
     squared_error: NDArray[np.float64]
     log_loss: NDArray[np.float64]
+    strata: tuple[str, ...] = STRATA
 
     @classmethod
-    def empty(cls, steps: int, groups: int = len(STRATA)) -> Tally:
+    def empty(cls, steps: int, strata: tuple[str, ...] = STRATA) -> Tally:
         """Nothing counted yet, for steps 0..steps."""
-        bins, plain = (steps + 1, groups, BINS), (steps + 1, groups)
-        return cls(np.zeros(bins, np.int64), np.zeros(bins, np.int64), np.zeros(bins), np.zeros(plain), np.zeros(plain))
+        bins, plain = (steps + 1, len(strata), BINS), (steps + 1, len(strata))
+        cells, positives, p_sum = np.zeros(bins, np.int64), np.zeros(bins, np.int64), np.zeros(bins)
+        return cls(cells, positives, p_sum, np.zeros(plain), np.zeros(plain), strata)
 
     def add(self, other: Tally) -> None:
         """Take in what `other` counted."""
@@ -60,6 +61,18 @@ class Tally:
         self.p_sum += other.p_sum
         self.squared_error += other.squared_error
         self.log_loss += other.log_loss
+
+    def of(self, strata: tuple[str, ...]) -> Tally:
+        """What was counted in these strata only."""
+        k = [self.strata.index(name) for name in strata]
+        return Tally(
+            self.cells[:, k],
+            self.positives[:, k],
+            self.p_sum[:, k],
+            self.squared_error[:, k],
+            self.log_loss[:, k],
+            strata,
+        )
 
     def confusion(self, threshold_bins: NDArray[np.int64]) -> NDArray[np.int64]:
         """TP, FP, FN, TN (S, K, 4) when cells of bin `threshold_bins` (S, K) and above are called occupied."""
@@ -73,58 +86,56 @@ class Tally:
         return np.stack([true_positive, false_positive, false_negative, true_negative], axis=-1)
 
 
-def count_forecast(occupancy: NDArray[np.float32], frames: Sequence[GridFrame], regions: NDArray[np.uint8]) -> Tally:
-    """Score a forecast made at frame t: step n against frame t+n, on the cells visible there.
+def count_forecast(
+    occupancy: NDArray[np.float32], targets: Sequence[Target], areas: Areas, ages: NDArray[np.uint8] | None = None
+) -> Tally:
+    """Score a forecast made at frame t: step n against frame t+n, on the cells that the target of that frame scores.
 
-    `occupancy` (steps+1, M, M) float32 in [0, 1]; `frames` t..t+steps; `regions` (M, M) as of `strata.regions_of`.
+    `occupancy` (steps+1, M, M) float32 in [0, 1]; `targets` t..t+steps; `ages` (M, M) uint8: the band of each cell's
+    age as of t, which hidden cells are sorted by; None where all have just been seen.
     """
-    region_tally = Tally.empty(len(frames) - 1, SUMS_OF_REGIONS.shape[1])
-    for step, frame in enumerate(frames):
-        _count_step(
-            occupancy[step].reshape(-1),
-            frame.visible.reshape(-1),
-            frame.occupied.reshape(-1),
-            regions.reshape(-1),
-            region_tally.cells[step],
-            region_tally.positives[step],
-            region_tally.p_sum[step],
-            region_tally.squared_error[step],
-            region_tally.log_loss[step],
-        )
+    steps, seen = len(targets) - 1, areas.visible.reshape(-1)
+    hidden = (areas.hidden if ages is None else areas.hidden + ages).reshape(-1)
+    cells, positives = np.zeros((2, steps + 1, REGIONS, BINS), np.int64)
+    p_sum = np.zeros((steps + 1, REGIONS, BINS))
+    squared_error, log_loss = np.zeros((2, steps + 1, REGIONS))
+    for n, target in enumerate(targets):
+        p, state = occupancy[n].reshape(-1), target.state.reshape(-1)
+        _count_step(p, state, seen, hidden, cells[n], positives[n], p_sum[n], squared_error[n], log_loss[n])
+    sums = SUMS_OF_REGIONS[[STRATA_WITH_TRUTH.index(name) for name in areas.strata]].astype(np.float64)
     return Tally(
-        SUMS_OF_REGIONS @ region_tally.cells,
-        SUMS_OF_REGIONS @ region_tally.positives,
-        SUMS_OF_REGIONS @ region_tally.p_sum,
-        region_tally.squared_error @ SUMS_OF_REGIONS.T,
-        region_tally.log_loss @ SUMS_OF_REGIONS.T,
+        (sums @ cells.astype(np.float64)).astype(np.int64),
+        (sums @ positives.astype(np.float64)).astype(np.int64),
+        sums @ p_sum,
+        squared_error @ sums.T,
+        log_loss @ sums.T,
+        areas.strata,
     )
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _count_step(probability, scored, positive, regions, cells, positives, p_sum, squared_error, log_loss):  # type: ignore[no-untyped-def]
-    """Add one step's scored cells (M*M,) to its region's counts: histograms (R, B) and sums (R,).
+def _count_step(probability, state, seen, hidden, cells, positives, p_sum, squared_error, log_loss):  # type: ignore[no-untyped-def]
+    """Add one step's scored cells (M*M,) to their regions' counts: histograms (R, B) and sums (R,).
 
     The log loss is kept as a product of likelihoods, of which a logarithm is taken only before it could underflow:
     one logarithm for a hundred cells instead of one for each.
     """
     likelihood = np.ones(log_loss.size)
     for i in range(probability.size):
-        if not scored[i]:
+        if state[i] == NOT_SCORED:
             continue
-        p = probability[i]
-        region = regions[i]
-        bin_ = _FIRST_BIN[int(p * np.float32(_SLOTS))]
-        if p >= EDGES[bin_ + 1] and bin_ < BINS - 1:
-            bin_ += 1
+        region = seen[i] if state[i] <= SEEN_OCCUPIED else hidden[i]
+        bin_ = _BIN_OF_SLOT[int(probability[i] * np.float32(_SLOTS))]
+        p = float(probability[i])
         cells[region, bin_] += 1
         p_sum[region, bin_] += p
-        clipped = min(max(float(p), CLIP), 1.0 - CLIP)
-        if positive[i]:
+        clipped = min(max(p, CLIP), 1.0 - CLIP)
+        if state[i] & 1:
             positives[region, bin_] += 1
             squared_error[region] += (1.0 - p) ** 2
             likelihood[region] *= clipped
         else:
-            squared_error[region] += float(p) ** 2
+            squared_error[region] += p**2
             likelihood[region] *= 1.0 - clipped
         if likelihood[region] < 1e-290:
             log_loss[region] -= math.log(likelihood[region])

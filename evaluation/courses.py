@@ -6,16 +6,22 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from gridtrack.common.errors import ConfigurationError
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridSpec, Points
 from gridtrack.common.recordings import Stretch, open_recording
 from gridtrack.common.stream import GridStream, open_stream, parse_stretch
+from gridtrack.common.truth import static_cells
 from gridtrack.evaluation.referee import WARM_UP, Schedule
-from gridtrack.evaluation.strata import regions_of, same_place
+from gridtrack.evaluation.strata import (
+    STRATA,
+    STRATA_WITH_TRUTH,
+    Areas,
+    areas_of,
+    places_of,
+    places_round,
+    same_place,
+)
 from gridtrack.trackers.weights import TrainingData
 
 TEST, VALIDATION, TRAIN = "test", "validation", "train"
@@ -38,13 +44,13 @@ class Sampling:
 
 @dataclass(frozen=True, slots=True)
 class Regions:
-    """Region of each cell (M, M) uint8, as of `strata.regions_of`, where the tested and the validation stretch stand.
+    """Where cells belong, seen from where the tested and from where the validation stretch stands.
 
     Thresholds chosen on another recording, or from another place, are chosen on the strata that are seen from there.
     """
 
-    test: NDArray[np.uint8]
-    validation: NDArray[np.uint8]
+    test: Areas
+    validation: Areas
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,6 +71,11 @@ class Course:
         return Schedule(len(self.test), self.steps, self.every)
 
     @property
+    def strata(self) -> tuple[str, ...]:
+        """What is scored apart."""
+        return STRATA_WITH_TRUTH if self.test.has_truth else STRATA
+
+    @property
     def validation_schedule(self) -> Schedule:
         """Which frames of the validation stretch are forecast from: as often as in the test, or more on a short one."""
         assert self.validation is not None
@@ -74,10 +85,10 @@ class Course:
 
     def regions(self) -> Regions:
         """Regions of both stretches; where they show the same place of one recording, a single pass over it."""
-        test = _regions(self.test)
+        test = _areas(self.test, self.strata)
         if self.validation is None or _shows_the_same(self.test, self.validation):
             return Regions(test, test)
-        return Regions(test, _regions(self.validation))
+        return Regions(test, _areas(self.validation, self.strata))
 
     def description(self) -> dict[str, Any]:
         """What the summary says of it beside the scores."""
@@ -185,9 +196,15 @@ def with_points(stream: GridStream, points: Points) -> GridStream:
     return stream if points == stream.points else like(stream, stream.stretch_s, points)
 
 
-def _regions(stream: GridStream) -> NDArray[np.uint8]:
-    """Region of each cell (M, M), from the whole recording, not the stretch only: one pass over it."""
-    return regions_of(like(stream), stream.grid, _standing(stream))
+def _areas(stream: GridStream, strata: tuple[str, ...]) -> Areas:
+    """Where cells belong, by what stands there; where that is not known, by a pass over the whole recording."""
+    first = next(iter(stream.observations()))
+    grid, pose = stream.grid, first.frame.world_T_grid
+    if first.scene is not None:
+        places = places_round(static_cells(first.scene, grid, pose))
+    else:
+        places = places_of(like(stream), grid, pose)
+    return areas_of(places, grid, first.frame.origins, strata)
 
 
 def _standing(stream: GridStream) -> SE2:

@@ -11,7 +11,6 @@ from gridtrack.common.config import Settings
 from gridtrack.common.degrade import Degradation
 from gridtrack.common.errors import GridtrackError
 from gridtrack.evaluation.outcome import Outcome
-from gridtrack.evaluation.strata import STRATA
 from gridtrack.evaluation.thresholds import Thresholds
 
 SCHEMA = 1
@@ -36,7 +35,8 @@ class ThresholdsUsed(Settings):
     def of(cls, thresholds: Thresholds) -> Self:
         """As they are kept in a record."""
         columns = thresholds.values.T.tolist()
-        return cls(values=dict(zip(STRATA, map(tuple, columns), strict=True)), chosen_on=thresholds.chosen_on)
+        values = dict(zip(thresholds.strata, map(tuple, columns), strict=True))
+        return cls(values=values, chosen_on=thresholds.chosen_on)
 
 
 class Times(Settings):

@@ -12,11 +12,15 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import Protocol
 
+import numpy as np
+from numpy.typing import NDArray
+
 from gridtrack.common.errors import RecordingError
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame
 from gridtrack.common.stream import frame_digest
-from gridtrack.evaluation.strata import same_place
+from gridtrack.evaluation.strata import LastSeen, same_place
+from gridtrack.evaluation.target import Target, targets
 from gridtrack.trackers.contract import Forecast, FrameSource
 
 WARM_UP = 20
@@ -56,29 +60,39 @@ class Schedule:
 
 @dataclass(frozen=True, slots=True)
 class Moment:
-    """A forecast made at frame t, with the frames t..t+steps that came."""
+    """A forecast made at frame t, the `targets` t..t+steps that came, and the band (M, M) of each cell's age at t."""
 
     forecast: Forecast
-    frames: tuple[GridFrame, ...]
+    targets: tuple[Target, ...]
+    ages: NDArray[np.uint8]
+
+    @property
+    def frames(self) -> tuple[GridFrame, ...]:
+        """The frames t..t+steps."""
+        return tuple(target.frame for target in self.targets)
 
     @property
     def stamp_ns(self) -> int:
         """When the forecast was made: the stamp of frame t."""
-        return self.frames[0].stamp_ns
+        return self.targets[0].frame.stamp_ns
 
 
-def moments(tracker: Watching, frames: Iterable[GridFrame], schedule: Schedule, seed: int) -> Iterator[Moment]:
-    """Stream `frames` through the tracker, and yield each scheduled forecast as soon as its last frame has come."""
+def moments(tracker: Watching, stream: Iterable[Target], schedule: Schedule, seed: int) -> Iterator[Moment]:
+    """Show the tracker the frames of `stream`, and yield each scheduled forecast once its last frame has come."""
     tracker.reset(seed)
-    recent: deque[GridFrame] = deque(maxlen=schedule.steps + 1)
-    waiting: deque[tuple[int, Forecast]] = deque()
-    for index, frame in enumerate(frames):
-        recent.append(frame)
-        tracker.update(frame)
+    recent: deque[Target] = deque(maxlen=schedule.steps + 1)
+    waiting: deque[tuple[int, Forecast, NDArray[np.uint8]]] = deque()
+    last_seen = LastSeen()
+    for index, target in enumerate(stream):
+        recent.append(target)
+        last_seen.add(target.frame)
+        tracker.update(target.frame)
         if schedule.due(index):
-            waiting.append((index + schedule.steps, tracker.predict(schedule.steps)))
+            ages = last_seen.bands(target.frame.stamp_ns)
+            waiting.append((index + schedule.steps, tracker.predict(schedule.steps), ages))
         if waiting and waiting[0][0] == index:
-            yield Moment(waiting.popleft()[1], tuple(recent))
+            _, forecast, ages = waiting.popleft()
+            yield Moment(forecast, tuple(recent), ages)
 
 
 class Delivery:
@@ -91,10 +105,14 @@ class Delivery:
         self._on_frame = on_frame
         self._hash = hashlib.blake2b(digest_size=16)
 
-    def __iter__(self) -> Iterator[GridFrame]:
-        """The frames, once. Raises RecordingError where the sensor moves: a cell is then not one place in the world."""
+    def __iter__(self) -> Iterator[Target]:
+        """The frames, once, each with what is held back to score against.
+
+        Raises RecordingError where the sensor moves: a cell is then not one place in the world.
+        """
         standing: SE2 | None = None
-        for frame in self._stream:
+        for target in targets(self._stream):
+            frame = target.frame
             standing = standing or frame.world_T_grid
             if not same_place(frame.world_T_grid, standing):
                 raise RecordingError(
@@ -104,7 +122,7 @@ class Delivery:
             self._on_frame()
             self._hash.update(frame_digest(frame))
             self.frames += 1
-            yield frame
+            yield target
 
     @property
     def digest(self) -> str:

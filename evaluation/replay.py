@@ -7,26 +7,25 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from gridtrack.common.grid import GridFrame
 from gridtrack.evaluation import metrics
 from gridtrack.evaluation.counting import EDGES, Tally, count_forecast
 from gridtrack.evaluation.courses import Regions
 from gridtrack.evaluation.plan import Trial
 from gridtrack.evaluation.record import Curves, ThresholdsUsed
 from gridtrack.evaluation.referee import Watching, moments
-from gridtrack.evaluation.strata import STRATA
+from gridtrack.evaluation.target import Target
 
 
 def replayed_f1(
-    tracker: Watching, frames: Iterable[GridFrame], trial: Trial, regions: Regions, thresholds: ThresholdsUsed
+    tracker: Watching, frames: Iterable[Target], trial: Trial, regions: Regions, thresholds: ThresholdsUsed
 ) -> Curves:
     """F1 per stratum and step of `tracker` on the trial's `frames`, counted at the moments that the trial counted."""
-    tally = Tally.empty(trial.course.steps)
+    tally = Tally.empty(trial.course.steps, regions.test.strata)
     for moment in moments(tracker, frames, trial.course.schedule, trial.seed):
-        tally.add(count_forecast(moment.forecast.occupancy, moment.frames, regions.test))
-    values = np.array([thresholds.values[name] for name in STRATA]).T
+        tally.add(count_forecast(moment.forecast.occupancy, moment.targets, regions.test, moment.ages))
+    values = np.array([thresholds.values[name] for name in tally.strata]).T
     f1 = metrics.f1_score(tally.confusion(np.abs(values[..., None] - EDGES).argmin(axis=-1)))
     return {
         name: tuple(None if math.isnan(value) else round(value, 6) for value in f1[:, k].tolist())
-        for k, name in enumerate(STRATA)
+        for k, name in enumerate(tally.strata)
     }

@@ -12,6 +12,7 @@ from gridtrack.evaluation.plan import Trial
 from gridtrack.evaluation.record import AtStrength, Robustness, ThresholdsUsed
 from gridtrack.evaluation.referee import Delivery, Watching
 from gridtrack.evaluation.replay import replayed_f1
+from gridtrack.evaluation.target import targets
 from gridtrack.evaluation.tracker_process import TrackerProcess
 from gridtrack.trackers.contract import Forecast, stream_of
 
@@ -49,7 +50,7 @@ class RobustnessRun:
         trial, degradation = self._trial, self._degradation.only(kind).scaled(strength)
         shown = Delivery(trial.test.degraded(degrader(degradation, trial.seed)), on_frame)
         tracker = _ShownOthers(self._process, shown)
-        f1 = replayed_f1(tracker, trial.test, trial, regions, thresholds)
+        f1 = replayed_f1(tracker, targets(trial.test), trial, regions, thresholds)
         return AtStrength(strength=strength, value=getattr(degradation, kind), delivered=shown.digest, f1=f1)
 
 
@@ -65,7 +66,7 @@ class _ShownOthers:
 
     def update(self, frame: GridFrame) -> None:
         """Give it the frame of the same moment."""
-        degraded = next(self._shown)
+        degraded = next(self._shown).frame
         assert degraded.stamp_ns == frame.stamp_ns
         self._tracker.update(degraded)
 

@@ -19,7 +19,7 @@ from pyarrow import ArrowException, parquet
 
 from gridtrack.common.errors import GridtrackError
 from gridtrack.evaluation.counting import BINS, Tally
-from gridtrack.evaluation.strata import STRATA
+from gridtrack.evaluation.strata import STRATA, STRATA_WITH_TRUTH
 from gridtrack.evaluation.thresholds import Thresholds, half
 
 SCORES, HISTOGRAM = "scores.parquet", "histogram.parquet"
@@ -30,7 +30,7 @@ CONFUSION = ("tp", "fp", "fn", "tn")
 CONFUSION_AT_HALF = tuple(f"{name}_half" for name in CONFUSION)
 
 _STRATUM = pa.dictionary(pa.int8(), pa.string())
-_STRATUM_INDEX = {name: i for i, name in enumerate(STRATA)}
+_STRATUM_INDEX = {name: i for i, name in enumerate(STRATA_WITH_TRUTH)}
 _SCORES_SCHEMA = pa.schema(
     [("stamp_ns", pa.int64()), ("delivered", pa.string()), ("step", pa.int16()), ("stratum", _STRATUM)]
     + [(name, pa.int32()) for name in CONFUSION + CONFUSION_AT_HALF]
@@ -58,10 +58,11 @@ class ScoreWriter:
 
     def __init__(self, folder: Path, steps: int, thresholds: Thresholds) -> None:
         self._steps = steps
+        self._strata = thresholds.strata
         self._bins = thresholds.bins
-        self._half = half(steps).bins
+        self._half = half(steps, self._strata).bins
         self._second: int | None = None
-        self._in_second = Tally.empty(steps)
+        self._in_second = Tally.empty(steps, self._strata)
         self._files = ExitStack()
         self._scores = self._files.enter_context(_RowGroups(folder / SCORES, _SCORES_SCHEMA))
         self._histogram = self._files.enter_context(_RowGroups(folder / HISTOGRAM, _HISTOGRAM_SCHEMA))
@@ -97,8 +98,9 @@ class ScoreWriter:
 
     def _rows(self) -> dict[str, Any]:
         """The columns that name each row: steps x strata, strata running fastest."""
-        steps, strata = np.indices((self._steps + 1, len(STRATA)), np.int16).reshape(2, -1)
-        return {"step": steps, "stratum": pa.DictionaryArray.from_arrays(strata.astype(np.int8), list(STRATA))}
+        steps, strata = np.indices((self._steps + 1, len(self._strata)), np.int16).reshape(2, -1)
+        names = pa.DictionaryArray.from_arrays(strata.astype(np.int8), list(self._strata))
+        return {"step": steps, "stratum": names}
 
     def _close_second(self) -> None:
         if self._second is None:
@@ -112,7 +114,7 @@ class ScoreWriter:
         ):
             rows[name] = pa.FixedSizeListArray.from_arrays(pa.array(values.ravel(), kind), BINS)
         self._histogram.append(rows)
-        self._in_second = Tally.empty(self._steps)
+        self._in_second = Tally.empty(self._steps, self._strata)
         self._second = None
 
 
@@ -145,9 +147,11 @@ class _RowGroups:
             self._batches.clear()
 
 
-def read_tally(folder: Path, steps: int) -> Tally:
-    """Everything that a trial counted, pooled over its scored frames. Raises ScoresError."""
-    tally = Tally.empty(steps)
+def read_tally(folder: Path, steps: int, strata: tuple[str, ...] = STRATA) -> Tally:
+    """Everything that a trial counted in `strata`, pooled over its scored frames. Raises ScoresError."""
+    if not set(strata) <= set(STRATA_WITH_TRUTH):
+        raise ScoresError(f"{folder}: strata {', '.join(strata)}; expected some of {', '.join(STRATA_WITH_TRUTH)}")
+    tally = Tally.empty(steps, STRATA_WITH_TRUTH)
     for columns in _batches(folder / SCORES, ["squared_error", "log_loss"], steps):
         np.add.at(tally.squared_error, columns["where"], columns["squared_error"])
         np.add.at(tally.log_loss, columns["where"], columns["log_loss"])
@@ -155,7 +159,7 @@ def read_tally(folder: Path, steps: int) -> Tally:
         np.add.at(tally.cells, columns["where"], columns["count"])
         np.add.at(tally.positives, columns["where"], columns["positives"])
         np.add.at(tally.p_sum, columns["where"], columns["p_sum"])
-    return tally
+    return tally.of(strata)
 
 
 def read_deliveries(folder: Path) -> dict[int, str]:
@@ -174,7 +178,7 @@ def _batches(path: Path, names: list[str], steps: int) -> Iterator[dict[str, Any
             raise ScoresError(f"{path}: steps {step.min()} to {step.max()}, expected 0 to {steps}")
         strata = np.array([_STRATUM_INDEX.get(name, -1) for name in batch["stratum"].to_pylist()], np.int64)
         if (strata < 0).any():
-            raise ScoresError(f"{path}: a stratum other than {', '.join(STRATA)}")
+            raise ScoresError(f"{path}: a stratum other than {', '.join(STRATA_WITH_TRUTH)}")
         yield {"where": (step, strata), **{name: _as_numpy(batch[name]) for name in names}}
 
 

@@ -6,7 +6,7 @@ from gridtrack.common.errors import RecordingError
 from gridtrack.evaluation import metrics
 from gridtrack.evaluation.counting import Tally, count_forecast
 from gridtrack.evaluation.referee import Delivery, Schedule, moments
-from gridtrack.evaluation.strata import STRATA, regions_of
+from gridtrack.evaluation.strata import STRATA, areas_of, places_of
 from gridtrack.evaluation.thresholds import best_thresholds
 from gridtrack.trackers.contract import FrameSource, StretchScore, Tracker
 
@@ -24,10 +24,10 @@ def score_in_process(tracker: Tracker, source: FrameSource, steps: int) -> Stret
     if not schedule.expected:
         raise RecordingError(f"{source.name}: {len(source)} frames are too few to score forecasts of {steps} steps")
     first = next(iter(source))
-    regions = regions_of(source, source.grid, first.world_T_grid)
+    areas = areas_of(places_of(source, source.grid, first.world_T_grid), source.grid, first.origins)
     tally = Tally.empty(steps)
     for moment in moments(tracker, Delivery(source, lambda: None), schedule, seed=0):
-        tally.add(count_forecast(moment.forecast.occupancy, moment.frames, regions))
+        tally.add(count_forecast(moment.forecast.occupancy, moment.targets, areas))
     confusion = tally.confusion(best_thresholds(tally, source.name).bins)
     f1, log_loss = metrics.f1_score(confusion), metrics.log_loss(tally)
     return StretchScore(

@@ -14,11 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridtrack.evaluation import metrics
-from gridtrack.evaluation.counting import EDGES, Tally
+from gridtrack.evaluation.counting import EDGES
 from gridtrack.evaluation.record import TrialRecord
 from gridtrack.evaluation.robustness import robustness_summary, shown_others
 from gridtrack.evaluation.scores import read_deliveries, read_tally
-from gridtrack.evaluation.strata import STRATA
 from gridtrack.evaluation.thresholds import half
 
 SCHEMA = 1
@@ -102,7 +101,7 @@ def odd_deliveries(trials: Sequence[Ended]) -> list[str]:
 def _trial_summary(trial: Ended) -> dict[str, Any]:
     record = trial.record
     latency = record.latency_ms
-    strata = _strata(record, read_tally(trial.folder, record.steps)) if record.frames_scored else {}
+    strata = _strata(record, trial.folder) if record.frames_scored else {}
     return {
         "outcome": record.outcome,
         "reason": record.reason,
@@ -120,11 +119,12 @@ def _trial_summary(trial: Ended) -> dict[str, Any]:
     }
 
 
-def _strata(record: TrialRecord, tally: Tally) -> dict[str, dict[str, Any]]:
+def _strata(record: TrialRecord, folder: Path) -> dict[str, dict[str, Any]]:
     """Every score per stratum and step. Intervals are left out: they want more units than one recording has."""
-    thresholds = np.array([record.thresholds.values[name] for name in STRATA]).T
+    tally = read_tally(folder, record.steps, tuple(record.thresholds.values))
+    thresholds = np.array([record.thresholds.values[name] for name in tally.strata]).T
     bins = np.abs(thresholds[..., None] - EDGES).argmin(axis=-1)
-    visible = bins[:, [STRATA.index("visible")]]
+    visible = bins[:, [tally.strata.index("visible")]]
     at_threshold = tally.confusion(bins)
     curves = {
         "f1": metrics.f1_score(at_threshold),
@@ -136,10 +136,10 @@ def _strata(record: TrialRecord, tally: Tally) -> dict[str, dict[str, Any]]:
         "ece": metrics.calibration_error(tally),
         "threshold": thresholds,
         "f1_at_visible": metrics.f1_score(tally.confusion(np.broadcast_to(visible, bins.shape))),
-        "f1_at_half": metrics.f1_score(tally.confusion(half(record.steps).bins)),
+        "f1_at_half": metrics.f1_score(tally.confusion(half(record.steps, tally.strata).bins)),
     }
     strata: dict[str, dict[str, Any]] = {}
-    for k, name in enumerate(STRATA):
+    for k, name in enumerate(tally.strata):
         strata[name] = {key: _curve(values[:, k]) for key, values in curves.items()}
         strata[name] |= {"f1_low": None, "f1_high": None, "interval": NO_INTERVAL}
     return strata

@@ -105,11 +105,11 @@ class TrialRun:
         """Stream the validation stretch and choose each step's threshold by it; 0.5 where there is none."""
         stretch = self.trial.validation
         if stretch is None:
-            return half(self.trial.course.steps)
-        tally = Tally.empty(self.trial.course.steps)
+            return half(self.trial.course.steps, self.trial.course.strata)
+        tally = Tally.empty(self.trial.course.steps, self.trial.course.strata)
         delivery = Delivery(stretch, self._on_frame)
         for moment in moments(self._process, delivery, self.trial.course.validation_schedule, self.trial.seed):
-            tally.add(count_forecast(moment.forecast.occupancy, moment.frames, self._regions.validation))
+            tally.add(count_forecast(moment.forecast.occupancy, moment.targets, self._regions.validation, moment.ages))
         return best_thresholds(tally, stretch.name)
 
     def _score(self, thresholds: Thresholds) -> None:
@@ -120,7 +120,7 @@ class TrialRun:
             SampleWriter(self._folder / SAMPLES, test.grid, test.period_s, steps) as samples,
         ):
             for moment in moments(self._process, self._delivery, self._test, self.trial.seed):
-                tally = count_forecast(moment.forecast.occupancy, moment.frames, self._regions.test)
+                tally = count_forecast(moment.forecast.occupancy, moment.targets, self._regions.test, moment.ages)
                 scores.add(moment.stamp_ns, self._delivery.digest, tally)
                 if self._scored in kept:
                     samples.add(moment)
@@ -131,7 +131,7 @@ class TrialRun:
         return all((self._folder / name).is_file() for name in (SCORES, HISTOGRAM))
 
     def _record(self, ending: Ending, reason: str) -> TrialRecord:
-        chosen = self._thresholds or half(self.trial.course.steps)
+        chosen = self._thresholds or half(self.trial.course.steps, self.trial.course.strata)
         timings = self._process.timings
         return unstarted(self.trial).model_copy(
             update={

@@ -5,14 +5,15 @@ import pytest
 from sklearn.metrics import average_precision_score, brier_score_loss, f1_score, log_loss, precision_score, recall_score
 
 from gridtrack.common.geometry import SE2
-from gridtrack.common.grid import GridFrame
+from gridtrack.common.grid import GridFrame, GridSpec
 from gridtrack.evaluation import metrics
 from gridtrack.evaluation.counting import BINS, EDGES, Tally, count_forecast
-from gridtrack.evaluation.strata import STRATA
+from gridtrack.evaluation.strata import PLACES, STRATA, STRATA_WITH_TRUTH, areas_of
+from gridtrack.evaluation.target import NOT_SCORED, Target
 from gridtrack.evaluation.thresholds import half
 
 VISIBLE, MOVING, STATIC = (STRATA.index(name) for name in ("visible", "moving", "static"))
-RING_REGION, STATIC_REGION, MOVING_REGION = 0, 1, 2
+RING, STANDING, MOVES = (PLACES.index(name) for name in ("ring", "static", "moving"))
 
 
 def frame(visible, occupied, stamp_ns=0):
@@ -21,11 +22,26 @@ def frame(visible, occupied, stamp_ns=0):
     return GridFrame(stamp_ns, visible, occupied & visible, SE2(), nothing, nothing, np.zeros(0, np.uint8))
 
 
-def random_case(seed, size=30, steps=3):
-    rng = np.random.default_rng(seed)
+def areas(places, strata=STRATA):
+    """Places on cells of 1 m, seen from the lower left corner."""
+    places = np.array(places, np.uint8)
+    return areas_of(places, GridSpec(len(places), 1.0, (0.0, 0.0)), np.zeros((1, 2), np.float32), strata)
+
+
+def count(occupancy, frames, places):
+    return count_forecast(occupancy, [Target.of_frame(came) for came in frames], areas(places))
+
+
+def random_forecast(rng, size, steps):
     occupancy = rng.beta(0.4, 0.8, (steps + 1, size, size)).astype(np.float32)
     occupancy[rng.random(occupancy.shape) < 0.1] = 0.0
     occupancy[rng.random(occupancy.shape) < 0.1] = 1.0
+    return occupancy
+
+
+def random_case(seed, size=30, steps=3):
+    rng = np.random.default_rng(seed)
+    occupancy = random_forecast(rng, size, steps)
     frames = [frame(rng.random((size, size)) < 0.7, rng.random((size, size)) < occupancy[n]) for n in range(steps + 1)]
     return occupancy, frames, rng.integers(0, 3, (size, size)).astype(np.uint8)
 
@@ -33,8 +49,8 @@ def random_case(seed, size=30, steps=3):
 def test_a_hand_computed_forecast():
     occupancy = np.array([[[0.9, 0.4], [0.6, 0.8]]], np.float32)
     came = frame([[1, 1], [1, 0]], [[1, 1], [0, 0]])
-    regions = np.array([[STATIC_REGION, MOVING_REGION], [MOVING_REGION, MOVING_REGION]], np.uint8)
-    tally = count_forecast(occupancy, [came], regions)
+    places = [[STANDING, MOVES], [MOVES, MOVES]]
+    tally = count(occupancy, [came], places)
     at_half = tally.confusion(half(0).bins)
     assert at_half[0, VISIBLE].tolist() == [1, 1, 1, 0]
     assert at_half[0, STATIC].tolist() == [1, 0, 0, 0]
@@ -45,41 +61,68 @@ def test_a_hand_computed_forecast():
 
 
 def test_a_ring_cell_counts_as_visible_only():
-    tally = count_forecast(
-        np.full((1, 1, 1), 0.7, np.float32), [frame([[1]], [[1]])], np.array([[RING_REGION]], np.uint8)
-    )
+    tally = count(np.full((1, 1, 1), 0.7, np.float32), [frame([[1]], [[1]])], [[RING]])
     assert tally.cells.sum(axis=(0, 2)).tolist() == [1, 0, 0]
 
 
 def test_cells_not_visible_when_they_come_are_not_scored():
     nothing_seen = frame(np.zeros((5, 5)), np.zeros((5, 5)))
-    tally = count_forecast(np.ones((1, 5, 5), np.float32), [nothing_seen], np.full((5, 5), MOVING_REGION, np.uint8))
+    tally = count(np.ones((1, 5, 5), np.float32), [nothing_seen], np.full((5, 5), MOVES))
     assert tally.cells.sum() == 0
     assert tally.squared_error.sum() == tally.log_loss.sum() == 0
 
 
-@pytest.mark.parametrize("seed", range(5))
-def test_every_score_agrees_with_scikit_learn(seed):
-    occupancy, frames, regions = random_case(seed)
-    bins = np.random.default_rng(seed).choice([5, 25, 40, 49], (4, len(STRATA)))
-    tally = count_forecast(occupancy, frames, regions)
+def members_of(places, state, ages):
+    """Which cells each stratum scores, by what its name says: an independent reading of the definitions."""
+    rows, columns = np.indices(places.shape) + 0.5
+    distance = np.hypot(rows, columns)
+    seen, hidden = state < 2, (state >= 2) & (state != NOT_SCORED)
+    return {
+        "visible": seen,
+        "moving": seen & (places == MOVES),
+        "static": seen & (places == STANDING),
+        "visible to 5 m": seen & (distance <= 5),
+        "visible 5-10 m": seen & (distance > 5) & (distance <= 10),
+        "visible over 10 m": seen & (distance > 10),
+        "occluded": hidden,
+        "occluded moving": hidden & (places == MOVES),
+        "occluded to 0.5 s": hidden & (ages == 0),
+        "occluded 0.5-1 s": hidden & (ages == 1),
+        "occluded 1-2 s": hidden & (ages == 2),
+        "occluded 2-4 s": hidden & (ages == 3),
+        "occluded over 4 s": hidden & (ages == 4),
+    }
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_every_score_of_every_stratum_agrees_with_scikit_learn(seed):
+    rng = np.random.default_rng(seed)
+    size, steps = 30, 2
+    occupancy, places = random_forecast(rng, size, steps), rng.integers(0, 3, (size, size)).astype(np.uint8)
+    states = rng.integers(0, 5, occupancy.shape).astype(np.uint8)
+    ages = rng.integers(0, 5, (size, size)).astype(np.uint8)
+    targets = [Target(frame(state < 2, state == 1), state) for state in states]
+    bins = rng.choice([5, 25, 40, 49], (steps + 1, len(STRATA_WITH_TRUTH)))
+    tally = count_forecast(occupancy, targets, areas(places, STRATA_WITH_TRUTH), ages)
     confusion = tally.confusion(bins)
-    members = {"visible": regions >= 0, "static": regions == STATIC_REGION, "moving": regions == MOVING_REGION}
-    for k, name in enumerate(STRATA):
-        for step, came in enumerate(frames):
-            scored = came.visible & members[name]
-            truth, p = came.occupied[scored], occupancy[step][scored]
+    for step, state in enumerate(states):
+        members = members_of(places, state, ages)
+        assert tuple(members) == tally.strata
+        for k, scored in enumerate(members.values()):
+            truth, p = state[scored] % 2 == 1, occupancy[step][scored]
             binned = (np.digitize(p, EDGES) - 1).clip(0, BINS - 1)
             called = binned >= bins[step, k]
             assert metrics.f1_score(confusion)[step, k] == pytest.approx(f1_score(truth, called))
-            assert metrics.precision(confusion)[step, k] == pytest.approx(precision_score(truth, called))
+            assert metrics.precision(confusion)[step, k] == pytest.approx(
+                precision_score(truth, called, zero_division=np.nan), nan_ok=True
+            )
             assert metrics.recall(confusion)[step, k] == pytest.approx(recall_score(truth, called))
             assert metrics.brier_score(tally)[step, k] == pytest.approx(brier_score_loss(truth, p), rel=1e-6)
             assert metrics.log_loss(tally)[step, k] == pytest.approx(
                 log_loss(truth, np.clip(p.astype(float), 0.001, 0.999)), rel=1e-6
             )
             assert metrics.average_precision(tally)[step, k] == pytest.approx(average_precision_score(truth, binned))
-            assert metrics.calibration_error(tally)[step, k] == pytest.approx(calibration_error(truth, p, binned))
+            assert metrics.calibration_error(tally)[step, k] == calibration_error(truth, p, binned)
 
 
 def calibration_error(truth, p, binned):
@@ -88,28 +131,25 @@ def calibration_error(truth, p, binned):
 
 
 def test_average_precision_of_bins_is_close_to_that_of_the_probabilities():
-    occupancy, frames, regions = random_case(9, size=100, steps=0)
+    occupancy, frames, places = random_case(9, size=100, steps=0)
     exact = average_precision_score(frames[0].occupied[frames[0].visible], occupancy[0][frames[0].visible])
-    assert metrics.average_precision(count_forecast(occupancy, frames, regions))[0, VISIBLE] == pytest.approx(
-        exact, abs=0.005
-    )
+    assert metrics.average_precision(count(occupancy, frames, places))[0, VISIBLE] == pytest.approx(exact, abs=0.005)
 
 
 def test_the_log_loss_of_many_certain_mistakes_does_not_underflow():
     size = 200
-    wrong = count_forecast(
-        np.zeros((1, size, size), np.float32),
-        [frame(np.ones((size, size)), np.ones((size, size)))],
-        np.full((size, size), MOVING_REGION, np.uint8),
-    )
+    everywhere = np.ones((size, size))
+    wrong = count(np.zeros((1, size, size), np.float32), [frame(everywhere, everywhere)], MOVES * everywhere)
     assert wrong.log_loss[0, VISIBLE] == pytest.approx(-np.log(0.001) * size**2)
 
 
 def test_a_probability_on_a_bins_edge_belongs_to_the_bin_above():
-    edges = EDGES.reshape(1, 1, -1)
-    seen = np.ones((1, BINS + 1))
-    tally = count_forecast(edges, [frame(seen, ~seen.astype(bool))], np.full((1, BINS + 1), MOVING_REGION, np.uint8))
-    assert tally.cells[0, VISIBLE].tolist() == [1] * (BINS - 1) + [2]
+    edges = np.append(EDGES, np.zeros(64 - len(EDGES), np.float32)).reshape(1, 8, 8)
+    tally = count(edges, [frame(np.ones((8, 8)), np.zeros((8, 8)))], np.full((8, 8), MOVES))
+    assert tally.cells[0, VISIBLE].tolist() == [1 + 64 - len(EDGES)] + [1] * (BINS - 2) + [2]
+    below = np.nextafter(edges, np.float32(-1)).clip(0, 1)
+    tally = count(below, [frame(np.ones((8, 8)), np.zeros((8, 8)))], np.full((8, 8), MOVES))
+    assert tally.cells[0, VISIBLE].tolist() == [2 + 64 - len(EDGES)] + [1] * (BINS - 1)
 
 
 def test_scores_of_an_empty_tally_are_undefined():
@@ -125,7 +165,7 @@ def test_f1_is_zero_where_something_was_occupied_and_nothing_found_and_undefined
 
 
 def test_tallies_add_up():
-    one, other = (count_forecast(*random_case(seed)) for seed in (1, 2))
+    one, other = (count(*random_case(seed)) for seed in (1, 2))
     total = Tally.empty(3)
     total.add(one)
     total.add(other)

@@ -7,7 +7,7 @@ from gridtrack.common.grid import GridSpec
 from gridtrack.evaluation.courses import Sampling, plan_course, was_seen
 from gridtrack.evaluation.learned import find_weights, users_folder, weights_path
 from gridtrack.evaluation.plan import CompareSettings, resolve
-from gridtrack.evaluation.strata import REGIONS
+from gridtrack.evaluation.strata import PLACES
 from gridtrack.evaluation.train import train
 from gridtrack.trackers.weights import Card, TrainingData, save_weights
 
@@ -88,10 +88,12 @@ def test_grid_and_rate_can_be_given(record):
 
 def test_static_cells_come_from_the_whole_recording(record):
     path = record()
-    one, other = (plan_course(f"{path}@{stretch}", None, SECOND).regions().test for stretch in ("0s-5s", "9s-20s"))
+    one, other = (
+        plan_course(f"{path}@{stretch}", None, SECOND).regions().test.places for stretch in ("0s-5s", "9s-20s")
+    )
     assert (one == other).all()
     wall = one[20, int((3.0 + 1.0) / 0.2)]
-    assert REGIONS[wall] == "static"
+    assert PLACES[wall] == "static"
 
 
 def test_two_recordings_of_one_name_are_refused(record, tmp_path):
@@ -174,7 +176,8 @@ def test_training_what_cannot_learn_or_on_no_stretch_is_refused(record, tmp_path
 def test_thresholds_of_another_recording_are_chosen_on_its_own_strata(record):
     here, elsewhere = record("here"), record("elsewhere", wall_m=2.2)
     regions = plan_course(str(here), f"{elsewhere}@4s-9s", SECOND).regions()
-    assert (regions.test != regions.validation).any()
-    assert (regions.validation == plan_course(str(elsewhere), None, SECOND).regions().test).all()
+    assert (regions.test.places != regions.validation.places).any()
+    alone = plan_course(str(elsewhere), None, SECOND).regions().test
+    assert (regions.validation.places == alone.places).all()
     own = plan_course(str(here), None, SECOND).regions()
     assert own.validation is own.test

@@ -14,12 +14,15 @@ from gridtrack.evaluation import metrics
 from gridtrack.evaluation.counting import Tally, count_forecast
 from gridtrack.evaluation.referee import WARM_UP, Delivery, Schedule, moments
 from gridtrack.evaluation.scoring import score_in_process
+from gridtrack.evaluation.strata import PLACES, areas_of
+from gridtrack.evaluation.target import Target
 from gridtrack.evaluation.thresholds import half
 from gridtrack.trackers.contract import Forecast
 
 GRID = GridSpec(8, 1.0)
 NOTHING = np.zeros((0, 2), np.float32)
 STEPS = 4
+ALL_MOVING = areas_of(np.full(GRID.shape, PLACES.index("moving"), np.uint8), GRID, np.zeros((1, 2), np.float32))
 
 
 def random_frame(index, pose):
@@ -73,7 +76,7 @@ def delivery(stream):
 def f1_per_step(stream, tracker, every=3):
     tally = Tally.empty(STEPS)
     for moment in moments(tracker, delivery(stream), Schedule(len(stream), STEPS, every), seed=7):
-        tally.add(count_forecast(moment.forecast.occupancy, moment.frames, np.full(GRID.shape, 2, np.uint8)))
+        tally.add(count_forecast(moment.forecast.occupancy, moment.targets, ALL_MOVING, moment.ages))
     return metrics.f1_score(tally.confusion(half(STEPS).bins))[:, 0]
 
 
@@ -125,7 +128,7 @@ def test_no_more_than_a_horizon_of_frames_is_held():
         """A frame that can be counted while it lives."""
 
         def __init__(self, index):
-            self.stamp_ns = index
+            self.stamp_ns, self.visible = index, np.ones((1, 1), bool)
             alive.add(self)
 
     class Still:
@@ -137,7 +140,8 @@ def test_no_more_than_a_horizon_of_frames_is_held():
         def predict(self, steps):
             return Forecast(np.zeros((steps + 1, 1, 1), np.float32))
 
-    for moment in moments(Still(), map(Held, range(200)), Schedule(200, STEPS, 1), seed=0):
+    stream = (Target(Held(index), np.zeros((1, 1), np.uint8)) for index in range(200))
+    for moment in moments(Still(), stream, Schedule(200, STEPS, 1), seed=0):
         assert len(moment.frames) == STEPS + 1
         del moment
 

@@ -88,10 +88,10 @@ def test_every_tracker_is_delivered_the_same_frames_and_progress_is_told(setting
 def test_a_tracker_that_was_delivered_other_frames_is_told_apart(settings, told, monkeypatch):
     class Tampered(Delivery):
         def __iter__(self):
-            for frame in super().__iter__():
-                if frame.stamp_ns == 1_014_000_000_000:
+            for target in super().__iter__():
+                if target.frame.stamp_ns == 1_014_000_000_000:
                     self._hash.update(b"something else")
-                yield frame
+                yield target
 
     original = trial.TrialRun.__init__
 

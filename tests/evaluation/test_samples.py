@@ -9,6 +9,7 @@ from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec
 from gridtrack.evaluation.referee import Moment, Schedule
 from gridtrack.evaluation.samples import SAMPLES, SamplesError, SampleWriter, kept_moments, read_samples
+from gridtrack.evaluation.target import Target
 from gridtrack.trackers.contract import Forecast
 
 GRID = GridSpec(12, 0.25, (-1.0, 2.0))
@@ -25,7 +26,8 @@ def random_moment(seed):
         occupied = visible & (rng.random(GRID.shape) < 0.3)
         stamp_ns = seed * 1_000_000_000 + n * 100_000_000
         frames.append(GridFrame(stamp_ns, visible, occupied, SE2(), ORIGINS, nothing, np.zeros(0, np.uint8)))
-    return Moment(Forecast(rng.random((STEPS + 1, *GRID.shape), dtype=np.float32)), tuple(frames))
+    forecast = Forecast(rng.random((STEPS + 1, *GRID.shape), dtype=np.float32))
+    return Moment(forecast, tuple(Target.of_frame(frame) for frame in frames), np.zeros(GRID.shape, np.uint8))
 
 
 @pytest.fixture

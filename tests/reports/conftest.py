@@ -12,8 +12,9 @@ from gridtrack.evaluation.record import Latency, Quantiles, ThresholdsUsed, Tria
 from gridtrack.evaluation.referee import Moment
 from gridtrack.evaluation.samples import SAMPLES, SampleWriter
 from gridtrack.evaluation.scores import ScoreWriter
-from gridtrack.evaluation.strata import STRATA, regions_of
+from gridtrack.evaluation.strata import STRATA, areas_of, places_of
 from gridtrack.evaluation.summary import Ended, summarise, write_json
+from gridtrack.evaluation.target import Target
 from gridtrack.evaluation.thresholds import Thresholds
 from gridtrack.trackers.contract import Forecast
 
@@ -44,7 +45,8 @@ def frame(index):
 
 
 FRAME_LIST = [frame(index) for index in range(FRAMES)]
-REGIONS = regions_of(FRAME_LIST, GRID, SE2())
+AREAS = areas_of(places_of(FRAME_LIST, GRID, SE2()), GRID, FRAME_LIST[0].origins)
+JUST_SEEN = np.zeros(GRID.shape, np.uint8)
 
 
 def persistence(t):
@@ -91,9 +93,9 @@ def write_trial(run, label, forecast, scored=EXPECTED, outcome="ok", reason="", 
         SampleWriter(folder / SAMPLES, GRID, PERIOD_S, STEPS) as samples,
     ):
         for t in list(range(WARM_UP, FRAMES - STEPS, EVERY))[:scored]:
-            frames = tuple(FRAME_LIST[t : t + STEPS + 1])
-            moment = Moment(Forecast(forecast(t)), frames)
-            scores.add(moment.stamp_ns, f"{t:032x}", count_forecast(moment.forecast.occupancy, frames, REGIONS))
+            targets = tuple(Target.of_frame(came) for came in FRAME_LIST[t : t + STEPS + 1])
+            moment = Moment(Forecast(forecast(t)), targets, JUST_SEEN)
+            scores.add(moment.stamp_ns, f"{t:032x}", count_forecast(moment.forecast.occupancy, targets, AREAS))
             samples.add(moment)
     record = TrialRecord(
         schema=1,

@@ -1,0 +1,92 @@
+"""The target of a forecast: what was there when its frame came, seen or, where there is truth, not seen."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gridtrack.common.errors import RecordingError
+from gridtrack.common.grid import GridFrame, GridSpec
+from gridtrack.common.raycast import end_cells
+from gridtrack.common.recordings.labels import UNLABELLED
+from gridtrack.common.stream import GridStream, Observation
+from gridtrack.common.truth import FREE, INTERIOR, OUTLINE, TruthGrid, truth_grid
+from gridtrack.trackers.contract import FrameSource
+
+SEEN_FREE, SEEN_OCCUPIED, HIDDEN_FREE, HIDDEN_OCCUPIED, NOT_SCORED = range(5)
+"""States of a cell in a frame. An odd one is a positive; a hidden cell is occupied where a true outline passes."""
+_STATE_OF_COVER = np.zeros(3, np.uint8)
+_STATE_OF_COVER[[FREE, OUTLINE, INTERIOR]] = HIDDEN_FREE, HIDDEN_OCCUPIED, NOT_SCORED
+_NO_CELLS, _NO_LABELS = np.zeros(0, np.int64), np.zeros(0, np.uint8)
+
+
+@dataclass(frozen=True, slots=True)
+class Target:
+    """A frame, and what a forecast of it is scored against.
+
+    `state` (M, M) uint8 of the states above; without truth no hidden cell is scored. `cells` (N,) int64, row * M +
+    column, are the occupied cells whose class is known, seen and hidden ones; `labels` (N,) uint8 their classes, as
+    indices into the recording's.
+    """
+
+    frame: GridFrame
+    state: NDArray[np.uint8]
+    cells: NDArray[np.int64] = field(default_factory=lambda: _NO_CELLS)
+    labels: NDArray[np.uint8] = field(default_factory=lambda: _NO_LABELS)
+
+    @classmethod
+    def of_frame(cls, frame: GridFrame) -> Target:
+        """The target of a frame of which nothing more is known."""
+        return cls(frame, np.where(frame.visible, frame.occupied, np.uint8(NOT_SCORED)).astype(np.uint8))
+
+
+def targets(stream: FrameSource) -> Iterator[Target]:
+    """The frames of a stretch as targets; a GridStream knows more of them than the frames. Raises RecordingError."""
+    if isinstance(stream, GridStream):
+        return (target_of(observation, stream.grid, stream.classes) for observation in stream.observations())
+    return (Target.of_frame(frame) for frame in stream)
+
+
+def target_of(observation: Observation, grid: GridSpec, classes: Sequence[str]) -> Target:
+    """What forecasts of an observed frame are scored against. Raises RecordingError."""
+    frame = observation.frame
+    truth = _truth(observation, grid)
+    target = Target.of_frame(frame)
+    if truth is not None:
+        target.state[~frame.visible] = _STATE_OF_COVER[truth.cover[~frame.visible]]
+    cells, labels = _labelled_returns(observation, grid)
+    if truth is not None:
+        hidden = np.flatnonzero(~frame.visible & (truth.labels != UNLABELLED))
+        cells, labels = np.concatenate([cells, hidden]), np.concatenate([labels, truth.labels.ravel()[hidden]])
+    if labels.size and labels.max() >= len(classes):
+        raise RecordingError(
+            f"a label names class {labels.max()} at {frame.stamp_ns / 1e9:.3f} s, and the recording has"
+            f" {len(classes)} classes: it is damaged"
+        )
+    return Target(frame, target.state, cells, labels)
+
+
+def _truth(observation: Observation, grid: GridSpec) -> TruthGrid | None:
+    scene = observation.scene
+    return None if scene is None else truth_grid(scene, grid, observation.frame.world_T_grid)
+
+
+def _labelled_returns(observation: Observation, grid: GridSpec) -> tuple[NDArray[np.int64], NDArray[np.uint8]]:
+    """Cells (N,) and labels (N,) of the returns: the label of most beams that end in a cell, the lowest of equals."""
+    votes = [
+        end_cells(scan, grid, pose) * (UNLABELLED + 1) + scan.labels
+        for scan, pose in zip(observation.scans, observation.grid_T_sensor, strict=True)
+        if scan.labels is not None and scan.labels.min(initial=UNLABELLED) < UNLABELLED
+    ]
+    if not votes:
+        return _NO_CELLS, _NO_LABELS
+    ballots, count = np.unique(np.concatenate(votes), return_counts=True)
+    ballots, count = ballots[ballots >= 0], count[ballots >= 0]
+    cells, labels = np.divmod(ballots, UNLABELLED + 1)
+    order = np.lexsort((labels, -count, cells))
+    winners = order[np.flatnonzero(np.diff(cells[order], prepend=-1))]
+    winners = winners[labels[winners] != UNLABELLED]
+    return cells[winners], labels[winners].astype(np.uint8)
