@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -19,6 +19,8 @@ MAX_BYTES = 256 << 20
 """A larger run.json or summary.json is refused before it is read."""
 LONGEST_S, SHORTEST_STEP_S = 3600.0, 1e-5
 """Horizons that a page has room for, and how far apart: far more than any comparison asks for."""
+HIGHEST, MOST_CONDITIONS = 1e6, 20
+"""Rates and strengths of degradation beyond this are nonsense; of conditions no more than these are drawn."""
 UNDEFINED = "–"
 """What stands on the page where a score is not defined."""
 FLOOR = ("persistence", "static-map", "blank")
@@ -80,6 +82,50 @@ class Latency(_Read):
     predict_step: Quantiles = Quantiles()
 
 
+Curves = dict[str, Curve]
+"""A score per stratum."""
+
+
+class AtRate(_Read):
+    """What a tracker scored in time, its frames coming at `rate` times their own rate."""
+
+    rate: float = Field(gt=0.0, le=HIGHEST)
+    rate_hz: float = Field(gt=0.0, le=HIGHEST)
+    frames: int
+    missed: int
+    f1: Curves
+
+
+class Deadline(_Read):
+    """What a tracker is worth in time: what it takes for a frame, the rate it holds, its scores at several."""
+
+    busy_ms: Quantiles = Quantiles()
+    highest_rate_hz: float = Field(gt=0.0)
+    rates: tuple[AtRate, ...] = Field(min_length=1, max_length=MOST_CONDITIONS)
+
+
+class AtStrength(_Read):
+    """What a tracker scored on input degraded to `value`."""
+
+    value: float = Field(ge=0.0, le=HIGHEST)
+    f1: Curves
+
+
+class Robustness(_Read):
+    """What a tracker scored on degraded input, per kind from none to the strongest."""
+
+    kinds: dict[str, Annotated[tuple[AtStrength, ...], Field(min_length=2, max_length=MOST_CONDITIONS)]] = Field(
+        max_length=MOST_CONDITIONS
+    )
+
+    @model_validator(mode="after")
+    def _values_increase(self) -> Robustness:
+        for kind, points in self.kinds.items():
+            if any(later.value <= earlier.value for earlier, later in pairwise(points)):
+                raise ValueError(f"degradation {kind}: its values do not increase")
+        return self
+
+
 class Trial(_Read):
     """One tracker on one recording."""
 
@@ -91,6 +137,19 @@ class Trial(_Read):
     strata: dict[str, StratumScores] = Field(default_factory=dict)
     latency_ms: Latency | None = None
     peak_rss_mb: Number = None
+    deadline: Deadline | None = None
+    robustness: Robustness | None = None
+
+    @property
+    def curves(self) -> Iterator[tuple[str, Curve]]:
+        """Every curve that it has, each with its stratum, under all conditions."""
+        for stratum, scores in self.strata.items():
+            yield from ((stratum, curve) for _, curve in scores if isinstance(curve, tuple))
+        for at in self.deadline.rates if self.deadline else ():
+            yield from at.f1.items()
+        for points in self.robustness.kinds.values() if self.robustness else ():
+            for point in points:
+                yield from point.f1.items()
 
     @property
     def complete(self) -> bool:
@@ -153,10 +212,9 @@ class Summary(_Read):
                 if name not in self.recordings:
                     raise ValueError(f"tracker {label} has scores on {name}, which is not among the recordings")
                 steps = len(self.recordings[name].horizons_s)
-                for stratum, scores in trial.strata.items():
-                    lengths = {len(curve) for _, curve in scores if isinstance(curve, tuple)}
-                    if lengths - {steps}:
-                        raise ValueError(f"{label} on {name}, {stratum}: curves of {lengths} steps, expected {steps}")
+                for stratum, curve in trial.curves:
+                    if len(curve) != steps:
+                        raise ValueError(f"{label} on {name}, {stratum}: {len(curve)} steps, expected {steps}")
         return self
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
+from gridtrack.reports.conditions import Deadlines, RobustnessTable, deadlines_of, robustness_of
 from gridtrack.reports.figures import Axis, CurvePanel, Series, Span, TimeScale, curve_panel, time_scale
 from gridtrack.reports.film import Film, film_of
 from gridtrack.reports.run import FLOOR, Latency, Run, StratumScores, Trial
@@ -67,6 +68,8 @@ class Section:
     period_ms: float
     time_scale: TimeScale
     times: tuple[TimeRow, ...]
+    deadlines: Deadlines | None
+    robustness: RobustnessTable | None
     film: Film | None
     time_width: float = TIME_WIDTH
     mark_width: float = MARK_WIDTH
@@ -109,6 +112,8 @@ def section_of(runs: Sequence[Run], table: HeadlineTable, styles: Mapping[str, s
         period_ms=period_ms,
         time_scale=scale,
         times=tuple(_time_row(row, scale, period_ms) for row in table.rows),
+        deadlines=deadlines_of(table, styles),
+        robustness=robustness_of(table, styles),
         film=film,
     )
     return section, notices

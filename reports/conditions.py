@@ -1,0 +1,177 @@
+"""What the page shows of other conditions: scores in time and on degraded input, as tables and small figures."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from gridtrack.reports.figures import Axis, Series
+from gridtrack.reports.run import Curves, Deadline
+from gridtrack.reports.table import Column, HeadlineTable, Row
+
+STRATA = ("moving", "visible")
+SIZE = (270, 180)
+KINDS = {
+    "beam_dropout": ("beams that say nothing", ""),
+    "range_noise": ("range noise", " m"),
+    "frame_drop": ("frames lost", ""),
+    "pose_jitter": ("pose jitter", " m"),
+}
+"""What each kind of degradation is called on the page, and its unit."""
+HIGHEST_HZ = 1000.0
+"""No stream comes faster: what holds up to more is said to hold up to more than this."""
+
+
+@dataclass(frozen=True)
+class SweepPanel:
+    """F1 of every tracker over a condition that gets harder to the right."""
+
+    title: str
+    series: tuple[tuple[Series, tuple[float | None, ...]], ...]
+    ticks: tuple[tuple[float, str], ...]
+    y_ticks: tuple[tuple[float, str], ...]
+    lines: tuple[tuple[Series, str, tuple[tuple[float, float], ...]], ...]
+    """Each with its path and its points."""
+    x: Axis
+    width: int = SIZE[0]
+    height: int = SIZE[1]
+
+    @property
+    def words(self) -> str:
+        """The panel in words: where each line begins and ends."""
+        ends = [f"{s.name} from {_text(values[0])} to {_text(values[-1])}" for s, values in self.series]
+        return f"F1, {self.title}: {', '.join(ends)}"
+
+
+@dataclass(frozen=True)
+class DeadlineRow:
+    """One tracker in time: what it takes, and per rate its F1 and the share of frames that it missed."""
+
+    row: Row
+    deadline: Deadline
+    untimed: float | None
+    in_time: tuple[tuple[float | None, float], ...]
+
+    @property
+    def holds_up_to(self) -> str:
+        """The highest rate held, Hz."""
+        hz = self.deadline.highest_rate_hz
+        return f"> {HIGHEST_HZ:g}" if hz > HIGHEST_HZ else f"{hz:.3g}"
+
+
+@dataclass(frozen=True)
+class Deadlines:
+    """Scores in time, of moving cells at the shortest horizon of the table, where lateness shows first."""
+
+    column: Column
+    rates: tuple[tuple[float, float], ...]
+    """Multiples of the stream's rate, and Hz."""
+    rows: tuple[DeadlineRow, ...]
+    panels: tuple[SweepPanel, ...]
+
+
+@dataclass(frozen=True)
+class RobustnessTable:
+    """F1 on degraded input at the shortest horizon: per kind the panels of it, and its values in words."""
+
+    column: Column
+    panels: tuple[SweepPanel, ...]
+
+    @property
+    def series(self) -> tuple[Series, ...]:
+        """Every tracker that is drawn in any panel, once."""
+        return tuple(dict.fromkeys(series for panel in self.panels for series, _ in panel.series))
+
+
+def deadlines_of(table: HeadlineTable, styles: Mapping[str, str]) -> Deadlines | None:
+    """Scores in time of every trial that has them; None where no trial has."""
+    known = [(row, row.trial.deadline) for row in table.rows if row.trial.deadline and row.trial.strata]
+    if not known:
+        return None
+    column = table.columns[0]
+    rates = tuple((at.rate, at.rate_hz) for at in known[0][1].rates)
+    shown = [(row, deadline) for row, deadline in known if tuple((a.rate, a.rate_hz) for a in deadline.rates) == rates]
+    rows = tuple(
+        DeadlineRow(
+            row,
+            deadline,
+            column.of(row.trial),
+            tuple((_at(at.f1, column.stratum, column.step), at.missed / max(at.frames, 1)) for at in deadline.rates),
+        )
+        for row, deadline in shown
+    )
+    names = ("untimed", *(f"×{rate:g}" for rate, _ in rates))
+    panels = tuple(
+        sweep_panel(
+            f"{stratum} cells, {column.heading} ahead",
+            [(float(i), name) for i, name in enumerate(names)],
+            [
+                (
+                    Series(row.name, styles[row.label]),
+                    (
+                        _at({name: scores.f1 for name, scores in row.trial.strata.items()}, stratum, column.step),
+                        *(_at(at.f1, stratum, column.step) for at in deadline.rates),
+                    ),
+                )
+                for row, deadline in shown
+            ],
+        )
+        for stratum in STRATA
+    )
+    return Deadlines(column, rates, rows, panels)
+
+
+def robustness_of(table: HeadlineTable, styles: Mapping[str, str]) -> RobustnessTable | None:
+    """Scores on degraded input of every trial that has them; None where no trial has."""
+    column = table.columns[0]
+    known = [(row, row.trial.robustness) for row in table.rows if row.trial.robustness]
+    panels = []
+    for stratum in STRATA:
+        for kind in dict.fromkeys(kind for _, robustness in known for kind in robustness.kinds):
+            curves = [(row, robustness.kinds[kind]) for row, robustness in known if kind in robustness.kinds]
+            values = tuple(point.value for point in curves[0][1])
+            words, unit = KINDS.get(kind, (kind, ""))
+            panels.append(
+                sweep_panel(
+                    f"{stratum} cells; {words}",
+                    [(value, f"{value:.3g}{unit if value == values[-1] else ''}") for value in values],
+                    [
+                        (Series(row.name, styles[row.label]), tuple(_at(p.f1, stratum, column.step) for p in points))
+                        for row, points in curves
+                        if tuple(p.value for p in points) == values
+                    ],
+                )
+            )
+    return RobustnessTable(column, tuple(panels)) if panels else None
+
+
+def sweep_panel(
+    title: str, ticks: Sequence[tuple[float, str]], series: Sequence[tuple[Series, Sequence[float | None]]]
+) -> SweepPanel:
+    """Lay out one line per tracker over the values in `ticks`, from zero to the highest F1 of all."""
+    width, height = SIZE
+    highest = max((value for _, values in series for value in values if value is not None), default=0.0)
+    top = max(math.ceil(highest * 10) / 10, 0.1)
+    x = Axis(ticks[0][0], ticks[-1][0], 34.0, width - 22.0)
+    y = Axis(0.0, top, height - 26.0, 10.0)
+    lines = []
+    for one, values in series:
+        at = tuple((x(value), y(f1)) for (value, _), f1 in zip(ticks, values, strict=True) if f1 is not None)
+        lines.append((one, " ".join(f"{a:g},{b:g}" for a, b in at), at))
+    return SweepPanel(
+        title,
+        tuple((one, tuple(values)) for one, values in series),
+        tuple((x(value), words) for value, words in ticks),
+        tuple((y(top * share), f"{top * share:.2g}") for share in (0.0, 0.5, 1.0)),
+        tuple(lines),
+        x,
+    )
+
+
+def _at(f1: Curves, stratum: str, step: int) -> float | None:
+    return f1[stratum][step] if stratum in f1 else None
+
+
+def _text(value: float | None) -> str:
+    return "undefined" if value is None else f"{value:.3f}"

@@ -1,0 +1,114 @@
+"""Scores in time and on degraded input on the page: every figure that summary.json has, and nothing where it has none."""
+
+import copy
+import json
+import re
+import shutil
+
+import pytest
+
+from gridtrack.reports.conditions import sweep_panel
+from gridtrack.reports.figures import Series
+from gridtrack.reports.page import render_page
+from gridtrack.reports.run import ReportError, read_runs
+
+STEPS = 20
+
+
+def constant(value):
+    return {name: [value] * (STEPS + 1) for name in ("visible", "moving", "static")}
+
+
+DEADLINE = {
+    "update_ms": {"p50": 10.0, "p95": 12.0, "p99": 13.0},
+    "predict_ms": {"p50": 30.0, "p95": 32.0, "p99": 33.0},
+    "busy_ms": {"p50": 41.0, "p95": 44.0, "p99": 46.5},
+    "highest_rate_hz": 21.505,
+    "forecast_steps": 22,
+    "rates": [
+        {"rate": 1.0, "rate_hz": 8.0, "frames": 120, "missed": 0, "age_frames": {}, "f1": constant(0.413)},
+        {"rate": 4.0, "rate_hz": 32.0, "frames": 120, "missed": 60, "age_frames": {}, "f1": constant(0.217)},
+    ],
+}
+ROBUSTNESS = {
+    "degradation": {"range_noise": 0.1},
+    "kinds": {
+        "range_noise": [
+            {"strength": s, "value": 0.1 * s, "delivered": "", "f1": constant(0.4 - 0.1 * s)} for s in (0.0, 0.5, 1.0)
+        ]
+    },
+}
+
+
+@pytest.fixture
+def page_of(run_folder, tmp_path, summary_of):
+    """`page_of(deadline, robustness)` renders the run with these under the tracker `good`."""
+
+    def page_of(deadline=None, robustness=None):
+        run = tmp_path / "run"
+        shutil.copytree(run_folder, run, dirs_exist_ok=True)
+        summary = summary_of(run)
+        summary["trackers"]["good"]["recordings"]["crossing"] |= {"deadline": deadline, "robustness": robustness}
+        (run / "summary.json").write_text(json.dumps(summary))
+        return render_page(read_runs([run]))
+
+    return page_of
+
+
+def text_of(html):
+    return " ".join(re.sub(r"<[^>]*>", " ", html).split())
+
+
+def test_without_other_conditions_the_page_says_nothing_of_them(page_of):
+    assert "In time" not in page_of()
+    assert "On degraded input" not in page_of()
+
+
+def test_scores_in_time_stand_beside_the_untimed_one(page_of, run_folder, summary_of):
+    text = text_of(page_of(DEADLINE)).partition("In time")[2]
+    untimed = summary_of(run_folder)["trackers"]["good"]["recordings"]["crossing"]["strata"]["moving"]["f1"][4]
+    assert f"good 41.0 44.0 46.5 21.5 {untimed:.3f} 0.413 0.217 −50 %" in text
+    assert "×1, 8 Hz ×4, 32 Hz" in text
+
+
+def test_degraded_input_is_drawn_per_kind_and_given_in_numbers(page_of):
+    html = page_of(None, ROBUSTNESS).partition("On degraded input")[2]
+    assert html.count("moving cells; range noise") >= 2
+    assert "good 0.400 0.350 0.300" in text_of(html)
+    assert "0.1 m" in html
+    assert "scored against the undegraded frames" in text_of(html)
+
+
+@pytest.mark.parametrize("damage", ["short", "backwards", "infinite"])
+def test_conditions_that_make_no_sense_are_refused_in_one_line(page_of, damage):
+    deadline, robustness = copy.deepcopy(DEADLINE), copy.deepcopy(ROBUSTNESS)
+    if damage == "short":
+        deadline["rates"][0]["f1"]["moving"] = [0.5]
+    elif damage == "backwards":
+        robustness["kinds"]["range_noise"].reverse()
+    else:
+        deadline["rates"][0]["rate_hz"] = float("inf")
+    with pytest.raises(ReportError, match="summary.json"):
+        page_of(deadline, robustness)
+
+
+def test_a_stratum_that_was_not_scored_leaves_a_gap(page_of):
+    deadline = copy.deepcopy(DEADLINE)
+    del deadline["rates"][1]["f1"]["moving"]
+    assert "0.413 – −50 %" in text_of(page_of(deadline))
+
+
+def test_names_are_escaped(page_of):
+    robustness = {"kinds": {"<script>": ROBUSTNESS["kinds"]["range_noise"]}}
+    assert "<script>" not in page_of(None, robustness)
+
+
+def test_a_panel_reaches_from_zero_to_the_highest_score():
+    panel = sweep_panel(
+        "moving", [(0.0, "0"), (2.0, "2")], [(Series("a", "t0"), (0.24, None)), (Series("b", "t1"), (0.1, 0.3))]
+    )
+    assert [words for _, words in panel.y_ticks] == ["0", "0.15", "0.3"]
+    (_, _, only), (_, _, both) = panel.lines
+    assert len(only) == 1
+    assert both[1] == (panel.x.end, panel.y_ticks[2][0])
+    assert panel.words == "F1, moving: a from 0.240 to undefined, b from 0.100 to 0.300"
