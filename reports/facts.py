@@ -41,7 +41,7 @@ def lead_of(table: HeadlineTable) -> str:
     best, floor = (_best(table.standing(standing), at) for standing in ("ranked", "floor"))
     heading = table.decisive.heading
     if best is None:
-        return f"No tracker finished on {table.recording}."
+        return _why_no_best(table)
     if floor is not None and _value(best[1]) <= _value(floor[1]):
         return (
             f"No tracker beats the floor on moving cells {heading} ahead: {floor[0].name} has an F1 of {floor[1].text},"
@@ -51,6 +51,18 @@ def lead_of(table: HeadlineTable) -> str:
     if floor is None:
         return lead + "; no floor was run with it."
     return f"{lead}; the best of the floor, {floor[0].name}, has {floor[1].text}."
+
+
+def _why_no_best(table: HeadlineTable) -> str:
+    """What is true where no tracker has a score to be ranked by."""
+    if table.standing("ranked"):
+        return (
+            f"No tracker has an F1 on moving cells {table.decisive.heading} ahead on {table.recording}: none of them was"
+            " occupied in the frames that came."
+        )
+    if table.standing("apart"):
+        return f"No tracker finished on {table.recording}."
+    return f"Only the floor was run on {table.recording}."
 
 
 def _best(rows: Sequence[Row], at: int) -> tuple[Row, Cell] | None:

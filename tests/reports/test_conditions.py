@@ -1,4 +1,4 @@
-"""Scores in time and on degraded input on the page: every figure that summary.json has, and nothing where it has none."""
+"""Scores in time and on degraded input on the page: all that summary.json has, and no more."""
 
 import copy
 import json
@@ -88,7 +88,7 @@ def test_conditions_that_make_no_sense_are_refused_in_one_line(page_of, damage):
         robustness["kinds"]["range_noise"].reverse()
     else:
         deadline["rates"][0]["rate_hz"] = float("inf")
-    with pytest.raises(ReportError, match="summary.json"):
+    with pytest.raises(ReportError, match=r"summary\.json"):
         page_of(deadline, robustness)
 
 

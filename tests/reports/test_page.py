@@ -6,6 +6,7 @@ import shutil
 from dataclasses import replace
 from html.parser import HTMLParser
 
+import numpy as np
 import pytest
 
 from gridtrack.common.grid import GridSpec
@@ -190,3 +191,24 @@ def test_a_run_in_which_every_trial_failed_is_still_a_page(make_run, tmp_path):
     page = page_of(run, out=tmp_path / "page.html")
     assert "No tracker finished on crossing" in page
     assert page.count("nothing learned for site") == 1
+
+
+def lead_of_run(run, tmp_path):
+    (lead,) = re.findall(r'<p class="lead">(.*?)</p>', page_of(run, out=tmp_path / "page.html"), re.DOTALL)
+    return lead
+
+
+def test_where_nothing_moved_the_lead_does_not_say_that_nobody_finished(make_run, tmp_path, summary_of):
+    run = make_run(tmp_path / "run")
+    summary = summary_of(run)
+    for entry in summary["trackers"].values():
+        moving = entry["recordings"]["crossing"]["strata"]["moving"]
+        moving["f1"] = [None] * len(moving["f1"])
+    (run / "summary.json").write_text(json.dumps(summary))
+    assert lead_of_run(run, tmp_path).startswith("No tracker has an F1 on moving cells 0.5 s ahead on crossing")
+
+
+def test_where_only_the_floor_ran_the_lead_says_so(make_run, tmp_path):
+    nothing = np.zeros((21, 32, 32), np.float32)
+    run = make_run(tmp_path / "run", trackers={"blank": ("blank", lambda _: nothing)})
+    assert lead_of_run(run, tmp_path) == "Only the floor was run on crossing."
