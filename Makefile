@@ -8,7 +8,8 @@ TRACKERS := persistence static-map blank kalman deep-tracking-rnn dilated-convgr
 .PHONY: demo test lint bench weights clean
 
 demo: $(VENV)/.installed-demo
-	$(BIN)/gridtrack compare $(DEMO) $(TRACKERS:%=--tracker %) --every 0.5s --latency --resume --out runs/demo
+	rm -rf runs/demo
+	$(BIN)/gridtrack compare $(DEMO) $(TRACKERS:%=--tracker %) --every 0.5s --latency --out runs/demo
 
 test: lint
 	$(BIN)/python -m pytest -n auto --dist worksteal

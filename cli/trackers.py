@@ -1,8 +1,9 @@
-"""`train` and `trackers list | show | check`: what trackers there are, what they promise, what they learn."""
+"""`train` and `trackers list | show | check | new`: what trackers there are, what they promise, what they learn."""
 
 from __future__ import annotations
 
 import json
+from contextlib import suppress
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -10,9 +11,9 @@ from typing import Annotated, Any
 import typer
 
 from gridtrack.cli.options import AsJson, Grid, Rate, Recordings, Weights, command_line
-from gridtrack.common.errors import GridtrackError
+from gridtrack.common.errors import ConfigurationError, GridtrackError, PluginError
 
-app = typer.Typer(no_args_is_help=True, help="The trackers: list, show, check.")
+app = typer.Typer(no_args_is_help=True, help="The trackers: list, show, check, new.")
 
 
 def train(
@@ -131,11 +132,38 @@ def check_tracker(
     stream = _stream(recording)
     found = find_weights(chosen.name, stream.site, weights)
     launched = launch(chosen.name, read_trackers_toml(trackers_toml) if trackers_toml else None)
+    if found is None:
+        _refuse_untrained(launched, chosen.options, stream.site)
     results = check(launched, replace(stream, weights=found.path if found else None), chosen.options)
     rows = [asdict(result) for result in results]
     typer.echo(json.dumps(rows, indent=1)) if as_json else print_rows(rows)
     if any(result.verdict != "passed" for result in results):
         raise typer.Exit(1)
+
+
+@app.command("new")
+def new_tracker(
+    name: str, out: Annotated[Path | None, typer.Option(help="The folder to make; default: the name")] = None
+) -> None:
+    """Write a whole tracker package to begin with: one class, one entry point, one test."""
+    from gridtrack.trackers.template import new_tracker as write
+
+    module = write(name, out or Path(name))
+    folder = module.parent
+    typer.echo(f"tracker: {module}\nnext: pip install -e {folder} && gridtrack trackers check {name}")
+
+
+def _refuse_untrained(launched: Any, options: Any, site: str) -> None:
+    """Nothing to try of a tracker that must learn first, and no promise broken. Raises ConfigurationError."""
+    from gridtrack.evaluation.tracker_process import Limits, describe
+
+    where = f"of site '{site}'" if site else "here"
+    with suppress(PluginError):  # one that cannot be loaded breaks its first promise
+        if describe(launched, options, Limits()).learns:
+            raise ConfigurationError(
+                f"tracker '{launched.name}' learns, and has learned nothing {where}: give --recording with a recording"
+                f" of a site that it has learned, or --weights with the folder of `gridtrack train {launched.name}`"
+            )
 
 
 def _stream(recording: str | None) -> Any:

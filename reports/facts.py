@@ -57,8 +57,8 @@ def _why_no_best(table: HeadlineTable) -> str:
     """What is true where no tracker has a score to be ranked by."""
     if table.standing("ranked"):
         return (
-            f"No tracker has an F1 on moving cells {table.decisive.heading} ahead on {table.recording}: none of them was"
-            " occupied in the frames that came."
+            f"No tracker has an F1 on moving cells {table.decisive.heading} ahead on {table.recording}: none of"
+            " them was occupied in the frames that came."
         )
     if table.standing("apart"):
         return f"No tracker finished on {table.recording}."

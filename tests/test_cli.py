@@ -38,6 +38,10 @@ def gridtrack(*arguments: str, code: int = 0) -> subprocess.CompletedProcess[str
         (("compare", DEMO, "--degrade", "beam-dropuot=0.2"), "did you mean 'beam_dropout'?"),
         (("train", "persistence", DEMO), "tracker 'persistence' has nothing to learn"),
         (("train", "static-map", f"{DEMO}@0s-80s"), "shares frames with"),
+        (("trackers", "check", "static-map"), "'static-map' learns, and has learned nothing here: give --recording"),
+        (("trackers", "new", "My Tracker"), "'My Tracker' is no name for a tracker: expected small letters"),
+        (("trackers", "new", "kalman"), "there is a tracker 'kalman' already"),
+        (("trackers", "new", "mine", "--out", DEMO), "exists already; choose another folder with --out"),
         (("trackers", "show", "blnk"), "did you mean 'blank'?"),
         (("recording", "info", "nowhere.bag"), "nowhere.bag: no such recording"),
         (("recording", "import", DEMO, "--out", "demo.bag"), "demo.bag: a recording is written as .mcap"),
@@ -74,6 +78,16 @@ def test_check_tries_the_contract():
     rows = json.loads(gridtrack("trackers", "check", "persistence", "--json").stdout)
     assert {row["verdict"] for row in rows} == {"passed"}
     assert len(rows) == 9
+
+
+def test_a_tracker_that_has_learned_the_recordings_site_is_checked_on_it():
+    rows = json.loads(gridtrack("trackers", "check", "static-map", "--recording", DEMO, "--json").stdout)
+    assert {row["verdict"] for row in rows} == {"passed"}
+
+
+def test_a_tracker_that_breaks_a_promise_is_exit_code_1(bad_trackers):
+    done = gridtrack("trackers", "check", "counts-predictions", code=1)
+    assert "failed" in done.stdout
 
 
 def test_info_tells_what_a_recording_holds():

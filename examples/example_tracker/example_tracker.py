@@ -20,7 +20,7 @@ class FadingOptions(Settings):
 
 
 class FadingTracker(Tracker):
-    """Forecasts each cell as it was last visible, fading towards the background with time."""
+    """Forecasts each cell as it was last visible, and lets it fade towards the background with time."""
 
     Options = FadingOptions
 

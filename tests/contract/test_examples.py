@@ -17,6 +17,7 @@ from gridtrack.evaluation.contract_suite import check_tracker
 from gridtrack.evaluation.tracker_process import Limits, TrackerProcess
 from gridtrack.trackers.contract import StreamSpec
 from gridtrack.trackers.selection import Launch, launch, read_trackers_toml
+from gridtrack.trackers.template import new_tracker
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 STREAM = StreamSpec(GridSpec(40, 0.2), 0.125)
@@ -27,10 +28,14 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The example package, installed by pip into a folder of its own."""
     folder = tmp_path_factory.mktemp("example")
     shutil.copytree(EXAMPLES / "example_tracker", folder / "source")
-    command = [sys.executable, "-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--no-index"]
-    options = ["--no-deps", "--no-build-isolation", "--target", str(folder / "site"), str(folder / "source")]
-    subprocess.run([*command, *options], check=True)
+    pip_install(folder / "source", folder / "site")
     return folder
+
+
+def pip_install(source: Path, site: Path) -> None:
+    command = [sys.executable, "-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--no-index"]
+    options = ["--no-deps", "--no-build-isolation", "--target", str(site), str(source)]
+    subprocess.run([*command, *options], check=True)
 
 
 @pytest.fixture
@@ -55,6 +60,24 @@ def program(tmp_path_factory: pytest.TempPathFactory) -> Launch:
 def test_the_example_package_passes_its_own_tests(example: Path) -> None:
     tests = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "--import-mode=importlib", "tests"]
     subprocess.run(tests, cwd=example / "source", check=True)
+
+
+def test_a_new_tracker_package_installs_keeps_the_contract_and_passes_its_tests(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    module = new_tracker("my-own-2", tmp_path / "package")
+    assert module == tmp_path / "package" / "my_own_2.py"
+    written = "".join(path.read_text() for path in (tmp_path / "package").rglob("*.*") if path.is_file())
+    assert "example" not in written
+    assert "class MyOwn2Tracker(Tracker)" in written
+    pip_install(tmp_path / "package", tmp_path / "site")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path / "site"))
+    monkeypatch.syspath_prepend(str(tmp_path / "site"))
+    results = check_tracker(launch("my-own-2"), STREAM)
+    assert len(results) == 9
+    assert [result for result in results if result.verdict != "passed"] == []
+    tests = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "--import-mode=importlib", "tests"]
+    subprocess.run(tests, cwd=tmp_path / "package", check=True)
 
 
 def test_the_program_in_cpp_keeps_the_contract(program: Launch) -> None:

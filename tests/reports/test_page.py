@@ -205,7 +205,7 @@ def test_where_nothing_moved_the_lead_does_not_say_that_nobody_finished(make_run
         moving = entry["recordings"]["crossing"]["strata"]["moving"]
         moving["f1"] = [None] * len(moving["f1"])
     (run / "summary.json").write_text(json.dumps(summary))
-    assert lead_of_run(run, tmp_path).startswith("No tracker has an F1 on moving cells 0.5 s ahead on crossing")
+    assert lead_of_run(run, tmp_path).startswith("No tracker has an F1 on moving cells 1 s ahead on crossing")
 
 
 def test_where_only_the_floor_ran_the_lead_says_so(make_run, tmp_path):
