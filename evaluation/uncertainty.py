@@ -1,0 +1,163 @@
+"""Intervals of pooled scores, and paired differences of two trackers, from the counts of units.
+
+A unit is a whole recording, or a block of time that is longer than what frames have in common (`units`). How the
+method was chosen, and what its coverage is: docs/statistics.md, `benchmarks/intervals.py`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import expit, stdtr, stdtrit
+
+Floats = NDArray[np.float64]
+
+COUNTS = ("tp", "fp", "fn", "tn", "squared_error", "log_loss")
+"""The columns C of counts (..., C): cells at the threshold in use, and sums over cells."""
+CELLS = {"tp": 1, "fp": 1, "fn": 1, "tn": 1}
+SCORES: dict[str, tuple[dict[str, int], dict[str, int]]] = {
+    "f1": ({"tp": 2}, {"tp": 2, "fp": 1, "fn": 1}),
+    "precision": ({"tp": 1}, {"tp": 1, "fp": 1}),
+    "recall": ({"tp": 1}, {"tp": 1, "fn": 1}),
+    "brier": ({"squared_error": 1}, CELLS),
+    "nll": ({"log_loss": 1}, CELLS),
+}
+"""The scores that are ratios of sums over cells: weights of the counts in the numerator and in the denominator."""
+PROPORTIONS = ("f1", "precision", "recall", "brier")
+"""Those whose numerator is a part of their denominator."""
+LEVEL = 0.95
+LEAST_UNITS = 20
+"""Of fewer units no interval is drawn: none of the methods tried covers what it says on them."""
+TOO_SHORT = "too short for an interval"
+HALF_A_COUNT = 0.5
+
+
+@dataclass(frozen=True, slots=True)
+class Differences:
+    """Score of a tracker less score of its reference (...), interval [low, high], p-value of no difference."""
+
+    value: Floats
+    low: Floats
+    high: Floats
+    p: Floats
+
+
+def pooled(counts: NDArray[np.floating], score: str) -> Floats:
+    """The score (...) of all units together, of `counts` (U, ..., C): a ratio of sums; NaN where it is undefined."""
+    part, whole = _parts(counts, score)
+    return _ratio(part.sum(axis=0), whole.sum(axis=0), _defined(counts, score))
+
+
+def interval(counts: NDArray[np.floating], score: str = "f1", level: float = LEVEL) -> tuple[Floats, Floats]:
+    """Confidence interval (low, high), each (...), of a pooled score from `counts` (U, ..., C) of units; NaN where
+    there are fewer than LEAST_UNITS, or the score is undefined.
+
+    The jackknife over units of the logarithm of the odds (of the ratio, for `nll`), with Student's t: its degrees of
+    freedom are the effective number of units less one (Kish 1965), that of the scarcer of the two sums the odds are
+    made of. Where all units agree on 0, or on 1, the interval is that point.
+    """
+    part, whole = _parts(counts, score)
+    other = whole - part if score in PROPORTIONS else whole
+    value = pooled(counts, score)
+    if len(counts) < LEAST_UNITS:
+        return np.full_like(value, np.nan), np.full_like(value, np.nan)
+    without = [_without_each(sums) + HALF_A_COUNT for sums in (part, other)]
+    error = _standard_error(np.log(without[0]) - np.log(without[1]))
+    freedom = np.minimum(_effective_units(part), _effective_units(other)) - 1
+    reach = _quantile(freedom, level) * error
+    with np.errstate(divide="ignore", invalid="ignore"):
+        centre = np.log(part.sum(axis=0)) - np.log(other.sum(axis=0))
+    low, high = (_back(centre + side * reach, score) for side in (-1, 1))
+    agreed = (part.sum(axis=0) == 0) | (other.sum(axis=0) == 0)
+    undefined = np.isnan(value)
+    return tuple(np.where(undefined, np.nan, np.where(agreed, value, end)) for end in (low, high))  # type: ignore[return-value]
+
+
+def differences(
+    counts: NDArray[np.floating], reference: NDArray[np.floating], score: str = "f1", level: float = LEVEL
+) -> Differences:
+    """Pooled score less the reference's, paired: `counts` and `reference` (U, ..., C) are of the same units.
+
+    The jackknife over units of the difference itself, with Student's t as in `interval`. Two trackers with the same
+    counts differ by exactly 0 with p = 1. With fewer than LEAST_UNITS the interval and p are NaN.
+    """
+    value = pooled(counts, score) - pooled(reference, score)
+    if len(counts) != len(reference):
+        raise ValueError(f"{len(counts)} units cannot be paired with {len(reference)}")
+    if len(counts) < LEAST_UNITS:
+        nothing = np.full_like(value, np.nan)
+        return Differences(value, nothing, nothing.copy(), nothing.copy())
+    sums = [_parts(side, score) for side in (counts, reference)]
+    without = [_ratio(_without_each(part), _without_each(whole)) for part, whole in sums]
+    error = _standard_error(np.nan_to_num(without[0] - without[1]))
+    freedom = np.min([_effective_units(whole) for _, whole in sums], axis=0) - 1
+    reach = _quantile(freedom, level) * error
+    with np.errstate(divide="ignore", invalid="ignore"):
+        p = np.where(value == 0, 1.0, 2 * stdtr(np.maximum(freedom, 1), -np.abs(value) / error))
+    undefined = np.isnan(value)
+    return Differences(value, *(np.where(undefined, np.nan, x) for x in (value - reach, value + reach, p)))
+
+
+def holm(p: NDArray[np.floating]) -> Floats:
+    """Holm's step-down correction of a family of p-values (N,): below 0.05, the error of the whole family is too.
+
+    Holm, Scandinavian Journal of Statistics 6 (1979). NaN, a comparison that could not be made, stays NaN and does not
+    count as one of the family.
+    """
+    p = np.asarray(p, np.float64)
+    adjusted = np.full_like(p, np.nan)
+    made = np.flatnonzero(~np.isnan(p))
+    order = made[np.argsort(p[made], kind="stable")]
+    scaled = p[order] * np.arange(len(order), 0, -1)
+    adjusted[order] = np.minimum(np.maximum.accumulate(scaled), 1.0)
+    return adjusted
+
+
+def _parts(counts: NDArray[np.floating], score: str) -> tuple[Floats, Floats]:
+    """Numerator and denominator (U, ...) of each unit."""
+    weights = (np.array([side.get(name, 0) for name in COUNTS], np.float64) for side in SCORES[score])
+    part, whole = (np.asarray(counts, np.float64) @ weight for weight in weights)
+    return part, whole
+
+
+def _defined(counts: NDArray[np.floating], score: str) -> NDArray[np.bool_] | bool:
+    """F1 is undefined where no cell was occupied, as in `metrics.f1_score`."""
+    positives = counts[..., COUNTS.index("tp")] + counts[..., COUNTS.index("fn")]
+    return positives.sum(axis=0) > 0 if score == "f1" else True
+
+
+def _ratio(part: Floats, whole: Floats, defined: NDArray[np.bool_] | bool = True) -> Floats:
+    ratio = np.full(whole.shape, np.nan)
+    np.divide(part, whole, out=ratio, where=(whole > 0) & defined)
+    return ratio
+
+
+def _without_each(sums: Floats) -> Floats:
+    """Total (U, ...) without each unit in turn."""
+    return np.maximum(sums.sum(axis=0) - sums, 0.0)
+
+
+def _standard_error(without: Floats) -> Floats:
+    """The jackknife's, of estimates (U, ...) that each leave one unit out."""
+    units = len(without)
+    deviation = without - without.mean(axis=0)
+    error: Floats = np.sqrt((units - 1) / units * (deviation**2).sum(axis=0))
+    return error
+
+
+def _effective_units(sums: Floats) -> Floats:
+    """How many units of equal size would say as much (...) as units of these sizes (U, ...) do."""
+    return _ratio(sums.sum(axis=0) ** 2, (sums**2).sum(axis=0))
+
+
+def _quantile(freedom: Floats, level: float) -> Floats:
+    """Of Student's t, two-sided; never of fewer than one degree of freedom."""
+    quantile: Floats = stdtrit(np.fmax(freedom, 1.0), 0.5 + level / 2)
+    return quantile
+
+
+def _back(logarithm: Floats, score: str) -> Floats:
+    back: Floats = expit(logarithm) if score in PROPORTIONS else np.exp(logarithm)
+    return back

@@ -1,0 +1,149 @@
+"""Intervals and paired differences agree with independent computations, and are not drawn from too little."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from gridtrack.evaluation.uncertainty import COUNTS, LEAST_UNITS, differences, holm, interval, pooled
+
+
+def counts_of(rng, units=20, recall=0.6, cells=200, shape=()):
+    """Counts (units, *shape, C) of a tracker that finds each occupied cell with `recall`, units of unlike size."""
+    positives = rng.poisson(cells * np.exp(0.4 * rng.standard_normal((units, *shape))))
+    tp = rng.binomial(positives, np.clip(recall + 0.1 * rng.standard_normal((units, *shape)), 0, 1))
+    fp = rng.poisson(0.3 * positives)
+    tn = np.full_like(tp, 5000)
+    loss = 0.3 * positives + rng.random((units, *shape))
+    return np.stack([tp, fp, positives - tp, tn, 0.4 * loss, loss], axis=-1).astype(float)
+
+
+def f1_by_hand(counts):
+    tp, fp, fn = counts[..., 0].sum(0), counts[..., 1].sum(0), counts[..., 2].sum(0)
+    return 2 * tp / (2 * tp + fp + fn)
+
+
+def test_pooled_scores_are_ratios_of_sums_over_all_units():
+    counts = np.zeros((2, len(COUNTS)))
+    counts[0], counts[1] = (3, 1, 2, 4, 1.5, 2.0), (1, 0, 1, 8, 0.5, 3.0)
+    by_hand = {"f1": 8 / 12, "precision": 4 / 5, "recall": 4 / 7, "brier": 2.0 / 20, "nll": 5.0 / 20}
+    assert {score: float(pooled(counts, score)) for score in by_hand} == pytest.approx(by_hand)
+
+
+def test_the_interval_is_the_jackknife_of_the_log_odds_computed_one_unit_at_a_time():
+    counts = counts_of(np.random.default_rng(1))
+    kept = [np.delete(counts, unit, axis=0) for unit in range(20)]
+    odds = [np.log(2 * k[:, 0].sum() + 0.5) - np.log(k[:, 1:3].sum() + 0.5) for k in kept]
+    error = np.sqrt(19 / 20 * np.sum((odds - np.mean(odds)) ** 2))
+    sums = (2 * counts[:, 0], counts[:, 1] + counts[:, 2])
+    freedom = min(s.sum() ** 2 / (s**2).sum() for s in sums) - 1
+    centre = np.log(sums[0].sum() / sums[1].sum())
+    ends = centre + np.array([-1, 1]) * stats.t.ppf(0.975, freedom) * error
+    assert np.array(interval(counts)) == pytest.approx(1 / (1 + np.exp(-ends)))
+
+
+@pytest.mark.parametrize("score", ["f1", "precision", "recall", "brier", "nll"])
+def test_the_interval_is_near_the_bootstraps_where_units_are_many_and_alike(score):
+    counts = counts_of(np.random.default_rng(2), units=200)
+    bootstrap = stats.bootstrap(
+        (np.arange(200),),
+        lambda chosen: float(pooled(counts[chosen], score)),
+        vectorized=False,
+        n_resamples=999,
+        method="percentile",
+        rng=0,
+    ).confidence_interval
+    width = bootstrap.high - bootstrap.low
+    assert np.array(interval(counts, score)) == pytest.approx([bootstrap.low, bootstrap.high], abs=0.15 * width)
+
+
+def test_the_interval_covers_the_truth_about_as_often_as_it_says():
+    rng = np.random.default_rng(3)
+    low, high = interval(counts_of(rng, shape=(2000,)))
+    truth = f1_by_hand(counts_of(rng, units=100_000))
+    assert np.mean((low <= truth) & (truth <= high)) == pytest.approx(0.95, abs=0.02)
+
+
+def test_of_too_few_units_no_interval_and_no_p_value_is_drawn():
+    counts = counts_of(np.random.default_rng(4), units=LEAST_UNITS - 1)
+    assert np.isnan(interval(counts)).all()
+    difference = differences(counts, counts)
+    assert float(difference.value) == 0.0
+    assert np.isnan([difference.low, difference.high, difference.p]).all()
+
+
+def test_a_score_that_is_undefined_has_no_interval_and_one_of_nothing_but_zeros_is_a_point():
+    counts = counts_of(np.random.default_rng(5), shape=(2,))
+    counts[:, 0, [0, 2]] = 0.0
+    counts[:, 1, [0, 1]] = 0.0
+    low, high = interval(counts)
+    assert np.isnan([low[0], high[0]]).all()
+    assert (low[1], high[1]) == (0.0, 0.0)
+
+
+def test_one_unit_that_holds_all_the_hits_says_little():
+    counts = counts_of(np.random.default_rng(6))
+    counts[1:, 0] = 0.0
+    low, high = interval(counts)
+    assert 0.0 <= low < 0.01
+    assert high > 0.9
+
+
+def test_the_same_counts_differ_by_exactly_nothing():
+    counts = counts_of(np.random.default_rng(7), shape=(21, 8))
+    difference = differences(counts, counts.copy())
+    for array, expected in ((difference.value, 0.0), (difference.low, 0.0), (difference.high, 0.0), (difference.p, 1)):
+        assert (array == expected).all()
+
+
+def test_the_difference_is_the_jackknifes_computed_one_unit_at_a_time():
+    rng = np.random.default_rng(8)
+    one, other = counts_of(rng), counts_of(rng, recall=0.5)
+    without = [f1_by_hand(np.delete(one, u, axis=0)) - f1_by_hand(np.delete(other, u, axis=0)) for u in range(20)]
+    value = f1_by_hand(one) - f1_by_hand(other)
+    error = np.sqrt(19 / 20 * np.sum((without - np.mean(without)) ** 2))
+    sizes = [2 * c[:, 0] + c[:, 1] + c[:, 2] for c in (one, other)]
+    freedom = min(s.sum() ** 2 / (s**2).sum() for s in sizes) - 1
+    found = differences(one, other)
+    assert float(found.value) == pytest.approx(value)
+    assert float(found.p) == pytest.approx(2 * stats.t.sf(abs(value) / error, freedom))
+    assert float(found.high - found.low) == pytest.approx(2 * stats.t.ppf(0.975, freedom) * error)
+
+
+def test_pairing_takes_out_what_both_trackers_share():
+    rng = np.random.default_rng(9)
+    hard = rng.uniform(0.2, 0.9, 20)
+    cells = np.full(20, 400)
+    both = []
+    for better in (0.03, 0.0):
+        tp = rng.binomial(cells, np.minimum(hard + better, 1))
+        both.append(np.stack([tp, 0 * tp, cells - tp, 0 * tp, tp, tp], axis=-1).astype(float))
+    paired, shuffled = differences(*both), differences(both[0], rng.permutation(both[1]))
+    assert float(paired.p) < 0.01 < 0.3 < float(shuffled.p)
+    assert float(paired.value) == float(shuffled.value)
+
+
+def test_units_of_different_number_are_not_paired():
+    counts = counts_of(np.random.default_rng(10), units=21)
+    with pytest.raises(ValueError, match="21 units cannot be paired with 20"):
+        differences(counts, counts[1:])
+
+
+def test_a_difference_there_is_not_is_found_as_seldom_as_it_should_be():
+    rng = np.random.default_rng(11)
+    shape = (2000,)
+    p = differences(counts_of(rng, shape=shape), counts_of(rng, shape=shape)).p
+    assert np.mean(p < 0.05) == pytest.approx(0.05, abs=0.015)
+
+
+def test_holms_correction_by_hand():
+    # Holm 1979: 0.01 x 4, 0.02 x 3, 0.03 x 2, 0.04 x 1, and never less than the one before
+    assert holm(np.array([0.04, 0.01, 0.03, 0.02])) == pytest.approx([0.06, 0.04, 0.06, 0.06])
+    assert holm(np.array([0.9, 0.6])) == pytest.approx([1.0, 1.0])
+
+
+def test_a_comparison_that_could_not_be_made_is_none_of_the_family():
+    adjusted = holm(np.array([np.nan, 0.02, 0.01]))
+    assert np.isnan(adjusted[0])
+    assert adjusted[1:] == pytest.approx([0.02, 0.02])
