@@ -33,13 +33,15 @@ class DamageError(RecordingError):
 
 
 class RecordingInfo(Settings):
-    """What a recording says about itself: `site`, `classes` of its labels, recommended `grid` and `rate_hz`, named
-    `stretches`, and where it comes from."""
+    """What a recording says about itself: `site`, `classes` of its labels, recommended `grid` and `rate_hz`, the period
+    `cycle_s` of a place where what happens repeats, such as traffic lights, named `stretches`, and where it comes from.
+    """
 
     site: str = Field(min_length=1)
     classes: tuple[str, ...] = Field(default=(), max_length=255)
     grid: str | None = None
     rate_hz: float | None = Field(default=None, gt=0.0, le=10_000.0)
+    cycle_s: float | None = Field(default=None, gt=0.0, le=86_400.0)
     stretches: dict[str, Stretch] = Field(default_factory=dict)
     licence: str = ""
     credit: str = ""
