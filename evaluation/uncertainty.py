@@ -71,8 +71,8 @@ def interval(counts: NDArray[np.floating], score: str = "f1", level: float = LEV
         centre = np.log(part.sum(axis=0)) - np.log(other.sum(axis=0))
     low, high = (_back(centre + side * reach, score) for side in (-1, 1))
     agreed = (part.sum(axis=0) == 0) | (other.sum(axis=0) == 0)
-    undefined = np.isnan(value)
-    return tuple(np.where(undefined, np.nan, np.where(agreed, value, end)) for end in (low, high))  # type: ignore[return-value]
+    low, high = (np.where(np.isnan(value), np.nan, np.where(agreed, value, end)) for end in (low, high))
+    return low, high
 
 
 def differences(
