@@ -102,6 +102,7 @@ class Course:
             "frames": len(self.test),
             "warm_up_frames": WARM_UP,
             "forecast_every_frames": self.every,
+            "cycle_s": self.test.recording.info.cycle_s,
         }
 
     def identity(self) -> dict[str, Any]:
