@@ -195,7 +195,7 @@ def _pose(transform: FrameTransform) -> SE2:
 
 
 def _stamp_ns(message: LaserScan) -> int:
-    return message.timestamp.seconds * 1_000_000_000 + message.timestamp.nanos
+    return int(message.timestamp.seconds) * 1_000_000_000 + int(message.timestamp.nanos)
 
 
 def _scan(

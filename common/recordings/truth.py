@@ -196,4 +196,4 @@ def _timestamp(stamp_ns: int) -> Timestamp:
 
 
 def _stamp_ns(timestamp: Timestamp) -> int:
-    return timestamp.seconds * 1_000_000_000 + timestamp.nanos
+    return int(timestamp.seconds) * 1_000_000_000 + int(timestamp.nanos)

@@ -7,11 +7,15 @@ import math
 import numba
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
+from gridtrack.common.config import Settings
 from gridtrack.common.geometry import SE2
+from gridtrack.common.scan import Scan
 from gridtrack.common.scene import Scene
 
 UNLABELLED = 255
+MAX_BEAMS = 100_000
 TICK_M = 2.0**-10
 """Ranges are multiples of it, as a real laser counts millimetres; a power of two, so that they also pack well."""
 NEAR_M = 10.0
@@ -19,6 +23,42 @@ NEAR_STD_M, FAR_STD_M = 0.03, 0.05
 """Range noise of the Hokuyo UTM-30LX up to NEAR_M and beyond (its data sheet)."""
 TOUCHING = 1e-9
 """So near to a side, as a share of its length, the sensor stands on it: the side then has no angle to speak of."""
+
+
+class Laser(Settings):
+    """A planar laser and where it stands, `world_T_sensor`; the defaults are those of the Hokuyo UTM-30LX."""
+
+    x: float = 0.0
+    y: float = 0.0
+    theta: float = 0.0
+    angle_min: float = math.radians(-135.0)
+    """Of beam 0, radians, sensor frame; beam i leaves at `angle_min + i * angle_increment`."""
+    angle_increment: float = math.radians(0.25)
+    beams: int = Field(default=1081, ge=1, le=MAX_BEAMS)
+    range_min: float = Field(default=0.1, ge=0.0, le=1e3)
+    range_max: float = Field(default=30.0, gt=0.0, le=1e4)
+
+    @property
+    def world_T_sensor(self) -> SE2:
+        """Where it stands."""
+        return SE2(self.x, self.y, self.theta)
+
+    def scan(self, scene: Scene, stamp_ns: int, random: np.random.Generator) -> Scan:
+        """What it measures of `scene`, with noise drawn from `random`; the truth goes along."""
+        ranges, labels = sweep(
+            scene, self.world_T_sensor, self.angle_min, self.angle_increment, self.beams, self.range_max
+        )
+        return Scan(
+            stamp_ns=stamp_ns,
+            ranges=with_noise(ranges, self.range_max, random),
+            angle_min=self.angle_min,
+            angle_increment=self.angle_increment,
+            range_min=self.range_min,
+            range_max=self.range_max,
+            world_T_sensor=self.world_T_sensor,
+            labels=labels,
+            scene=scene,
+        )
 
 
 def sweep(

@@ -1,0 +1,94 @@
+"""The junction's traffic: kinds of road users, how many come, from where to where."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+HOURS = 24
+ARMS = "NESW"
+CARS, BUSES, CYCLISTS, PEDESTRIANS = 0.17, 0.022, 0.22, 0.25
+"""Road users a second, all routes together."""
+STRAIGHT_SHARE = {"NS": 2.0, "SN": 2.0, "EW": 3.0, "WE": 3.0}
+"""Of the routes; a turn has 1. The street from east to west is the main one, and the buses' only one."""
+
+
+class Kind(NamedTuple):
+    """A SUMO vehicle type: its class here, length and width in metres, its share of its class, other attributes."""
+
+    label: str
+    length_m: float
+    width_m: float
+    share: float
+    attributes: str
+
+
+_CAR = (
+    'minGap="1.8" accel="2.0" decel="3.5" sigma="0.3" speedFactor="normc(0.95,0.12,0.6,1.2)" minGapLat="0.5"'
+    ' maxSpeedLat="0.8" latAlignment="center"'
+)
+_BICYCLE = (
+    'vClass="bicycle" minGap="0.7" speedFactor="normc(1,0.2,0.6,1.4)" decel="2.5" sigma="0.4" latAlignment="right"'
+    ' minGapLat="0.3" maxSpeedLat="0.5"'
+)
+_WALKER = 'vClass="pedestrian" minGap="0.30" speedFactor="normc(1,0.15,0.6,1.6)"'
+_BUS = 'vClass="bus" minGap="2.5" accel="1.0" decel="3.0" speedFactor="normc(0.85,0.05,0.6,1)" sigma="0.3"'
+
+KINDS = {
+    "car_small": Kind("car", 3.9, 1.7, 0.4, f'vClass="passenger" {_CAR}'),
+    "car_large": Kind("car", 4.5, 1.82, 0.45, f'vClass="passenger" {_CAR}'),
+    "van": Kind("car", 5.4, 2.0, 0.15, f'vClass="delivery" {_CAR}'),
+    "bus_solo": Kind("bus", 11.5, 2.55, 1.0, _BUS),
+    "bicycle_fast": Kind("cyclist", 1.75, 0.6, 0.6, f'{_BICYCLE} maxSpeed="5.5" accel="1.1"'),
+    "bicycle_slow": Kind("cyclist", 1.6, 0.65, 0.4, f'{_BICYCLE} maxSpeed="4.2" accel="0.9"'),
+    "walker_fast": Kind("pedestrian", 0.3, 0.5, 0.7, f'{_WALKER} desiredMaxSpeed="1.35"'),
+    "walker_slow": Kind("pedestrian", 0.3, 0.55, 0.2, f'{_WALKER} desiredMaxSpeed="1.05"'),
+    "walker_small": Kind("pedestrian", 0.25, 0.4, 0.1, f'{_WALKER} desiredMaxSpeed="1.2"'),
+}
+
+
+def routes() -> str:
+    """The demand as SUMO reads it."""
+    ways = {a + b: STRAIGHT_SHARE.get(a + b, 1.0) for a in ARMS for b in ARMS if a != b}
+    whole = sum(ways.values())
+    lines = ["<routes>", *_types()]
+    for way, weight in ways.items():
+        lines.append(_flow("car", way, CARS * weight / whole))
+        lines.append(_flow("cyclist", way, CYCLISTS * weight / whole))
+        lines += _walks(way, PEDESTRIANS * weight / whole)
+    lines += [_flow("bus", way, BUSES / 2.0) for way in ("EW", "WE")]
+    return "\n".join([*lines, "</routes>\n"])
+
+
+def _types() -> list[str]:
+    """One distribution of types for each class."""
+    lines = []
+    for label in dict.fromkeys(kind.label for kind in KINDS.values()):
+        lines.append(f'<vTypeDistribution id="{label}">')
+        lines += [
+            f'<vType id="{name}" length="{kind.length_m}" width="{kind.width_m}" probability="{kind.share}"'
+            f" {kind.attributes}/>"
+            for name, kind in KINDS.items()
+            if kind.label == label
+        ]
+        lines.append("</vTypeDistribution>")
+    return lines
+
+
+def _flow(label: str, way: str, per_second: float) -> str:
+    """Vehicles that come at random, from one arm's inward street to another's outward one."""
+    return (
+        f'<flow id="{label}{way}" type="{label}" begin="0" end="{HOURS * 3600}" period="exp({per_second:.6f})"'
+        f' from="{way[0]}C" to="C{way[1]}" departLane="best" departSpeed="desired"/>'
+    )
+
+
+def _walks(way: str, per_second: float) -> list[str]:
+    """Pedestrians between two arms, on either pavement at each end."""
+    start, end = way
+    return [
+        f'<personFlow id="pedestrian{way}{i}{j}" type="pedestrian" begin="0" end="{HOURS * 3600}"'
+        f' period="exp({per_second / 4.0:.6f})" departPosLat="random" departPos="random">'
+        f'<walk from="{origin}" to="{destination}" arrivalPos="random"/></personFlow>'
+        for i, origin in enumerate((f"{start}C", f"C{start}"))
+        for j, destination in enumerate((f"{end}C", f"C{end}"))
+    ]
