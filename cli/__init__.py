@@ -7,15 +7,17 @@ from typing import NoReturn
 
 import typer
 
-from gridtrack.cli import recordings, runs, trackers
+from gridtrack.cli import recordings, regress, runs, simulate, trackers
 from gridtrack.common.errors import GridtrackError, plain
 
 app = typer.Typer(no_args_is_help=True, add_completion=False, help="Occupancy-grid trackers under one referee.")
 app.command()(runs.compare)
 app.command()(runs.report)
+app.command()(regress.regress)
 app.command()(trackers.train)
 app.add_typer(trackers.app, name="trackers")
 app.add_typer(recordings.app, name="recording")
+app.add_typer(simulate.app, name="simulate")
 
 
 def main() -> None:

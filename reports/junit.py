@@ -1,0 +1,54 @@
+"""JUnit XML, as continuous integration reads it: a test case for each comparison that a verdict judged."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from xml.etree import ElementTree
+
+from gridtrack.common.errors import plain
+from gridtrack.evaluation.regression import Verdict
+from gridtrack.evaluation.regression.speed import SpeedRow
+from gridtrack.evaluation.regression.verdict import Row
+from gridtrack.reports.regression import band_text, rule_of, sentence_of
+
+SUITE = "gridtrack regress"
+
+
+def junit_of(verdict: Verdict) -> str:
+    """A case for each tracker, stratum and step band, and for each speed; what is worse is a failure."""
+    rows, failures = verdict.decisive, len(verdict.worse)
+    skipped = sum(row.standing == "nothing to find" for row in rows)
+    suite = _suite(tests=len(rows), failures=failures, errors=0, skipped=skipped)
+    for row in rows:
+        case = _case(suite, row.label, _name(row))
+        if row.standing == "worse":
+            ElementTree.SubElement(case, "failure", message=plain(sentence_of(row)))
+        elif row.standing == "nothing to find":
+            ElementTree.SubElement(case, "skipped", message="no cell was occupied")
+    ElementTree.SubElement(suite, "system-out").text = plain("; ".join([rule_of(verdict), *verdict.notes]))
+    return _text(suite)
+
+
+def junit_of_unmeasured(reasons: Sequence[str]) -> str:
+    """A case that is an error for each reason why nothing was measured."""
+    suite = _suite(tests=len(reasons), failures=0, errors=len(reasons), skipped=0)
+    for number, reason in enumerate(reasons, 1):
+        ElementTree.SubElement(_case(suite, "run", f"measured {number}"), "error", message=plain(reason))
+    return _text(suite)
+
+
+def _suite(**counts: int) -> ElementTree.Element:
+    return ElementTree.Element("testsuite", {"name": SUITE} | {name: str(count) for name, count in counts.items()})
+
+
+def _case(suite: ElementTree.Element, label: str, name: str) -> ElementTree.Element:
+    return ElementTree.SubElement(suite, "testcase", classname=f"{SUITE}.{plain(label)}", name=plain(name))
+
+
+def _name(row: Row | SpeedRow) -> str:
+    return f"speed of {row.call}" if isinstance(row, SpeedRow) else f"{row.stratum}, {band_text(row.band)}"
+
+
+def _text(suite: ElementTree.Element) -> str:
+    ElementTree.indent(suite)
+    return '<?xml version="1.0" encoding="utf-8"?>\n' + ElementTree.tostring(suite, encoding="unicode") + "\n"
