@@ -10,15 +10,25 @@ import typer
 from gridtrack.cli.options import AsJson, Grid, Rate
 from gridtrack.common.errors import plain
 
+PoseTopic = Annotated[
+    str | None, typer.Option(help="Of a ROS recording: nav_msgs/Odometry or PoseStamped of the sensor")
+]
+
 app = typer.Typer(no_args_is_help=True, help="Recordings: info, import.")
 
 
 @app.command("info")
-def recording_info(recording: Path, topic: str | None = None, strict: bool = False, as_json: AsJson = False) -> None:
+def recording_info(
+    recording: Path,
+    topic: str | None = None,
+    pose_topic: PoseTopic = None,
+    strict: bool = False,
+    as_json: AsJson = False,
+) -> None:
     """What a recording holds: topics, sensors, rate, gaps, range limits, and what is wrong with it."""
     from gridtrack.common.recordings import open_recording
 
-    summary = open_recording(recording, topic=topic, strict=strict).summary()
+    summary = open_recording(recording, topic=topic, pose_topic=pose_topic, strict=strict).summary()
     typer.echo(summary.model_dump_json(indent=1) if as_json else "\n".join(map(plain, str(summary).split("\n"))))
 
 
@@ -35,8 +45,14 @@ def recording_import(
     credit: str = "",
     labels: Annotated[Path | None, typer.Option(help="CSV of per-beam classes")] = None,
     cloud_slice: Annotated[
-        str | None, typer.Option(metavar="KEY=VALUE,...", help="Of point clouds: low_m=0.2,high_m=1.0")
+        str | None,
+        typer.Option(
+            metavar="KEY=VALUE,...",
+            help="Of point clouds: low_m=0.2,high_m=1.0; bearings without points are free up to range_max_m=50, or"
+            " empty=unknown",
+        ),
     ] = None,
+    pose_topic: PoseTopic = None,
     strict: bool = False,
 ) -> None:
     """Write any recording (ROS 1 or 2 bag, ROS MCAP, CARMEN log) as a native one."""
@@ -57,6 +73,7 @@ def recording_import(
         credit=credit,
         labels=labels,
         cloud_slice=validated(CloudSlice, parse_pairs(cloud_slice, where), where) if cloud_slice else None,
+        pose_topic=pose_topic,
         strict=strict,
     )
     typer.echo(str(recording.summary()))

@@ -30,6 +30,7 @@ def import_recording(
     credit: str = "",
     labels: Path | str | None = None,
     cloud_slice: CloudSlice | None = None,
+    pose_topic: str | None = None,
     strict: bool = False,
 ) -> Recording:
     """Write the recording at `source`, in any format, as a native one at `out`, and open it.
@@ -40,7 +41,7 @@ def import_recording(
     and ConfigurationError; `out` is then as it was before.
     """
     out = Path(out)
-    recording = open_recording(source, topic=topic, strict=strict, cloud_slice=cloud_slice)
+    recording = open_recording(source, topic=topic, strict=strict, cloud_slice=cloud_slice, pose_topic=pose_topic)
     if out.suffix != ".mcap":
         raise RecordingError(f"{out}: a recording is written as .mcap")
     if out.exists() and out.samefile(recording.path):
@@ -54,7 +55,7 @@ def import_recording(
         "stretches": dict(stretches or {}),
     }
     info = _info(recording, given, labels)
-    command = _command(recording, out, {**given, "cloud_slice": cloud_slice}, labels)
+    command = _command(recording, out, {**given, "cloud_slice": cloud_slice, "pose-topic": pose_topic}, labels)
     scans: Iterable[Scan] = recording.scans()
     if labels is not None:
         scans = with_labels(scans, Path(labels), info.classes)
@@ -89,10 +90,16 @@ def _command(recording: Recording, out: Path, given: Mapping[str, Any], labels: 
         elif name == "rate_hz" and value:
             words += ["--rate", f"{value:g}"]
         elif name == "cloud_slice" and value:
-            words += ["--cloud-slice", ",".join(f"{k}={v:g}" for k, v in value.model_dump(exclude_unset=True).items())]
+            words += ["--cloud-slice", _pairs(value)]
         elif value:
             words += [f"--{name}", str(value)]
     return shlex.join(words)
+
+
+def _pairs(settings: CloudSlice) -> str:
+    """The settings that were given, as the command line takes them."""
+    given = settings.model_dump(exclude_unset=True)
+    return ",".join(f"{key}={value if isinstance(value, str) else f'{value:g}'}" for key, value in given.items())
 
 
 def _write(out: Path, info: RecordingInfo, scans: Iterable[Scan]) -> None:

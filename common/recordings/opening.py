@@ -17,38 +17,60 @@ from gridtrack.common.recordings.rosbag1 import MAGIC as ROS1_MAGIC
 if TYPE_CHECKING:
     from gridtrack.common.recordings.ros_messages import CloudSlice
 
+TRACKS_MAGIC = b"PAR1"
 SQLITE_MAGIC = b"SQLite format 3\x00"
 CARMEN_SUFFIXES = (".clf", ".clf.bz2", ".log", ".log.bz2")
 
 
 def open_recording(
-    path: Path | str, *, topic: str | None = None, strict: bool = False, cloud_slice: CloudSlice | None = None
+    path: Path | str,
+    *,
+    topic: str | None = None,
+    strict: bool = False,
+    cloud_slice: CloudSlice | None = None,
+    pose_topic: str | None = None,
 ) -> Recording:
     """The recording at `path`, whatever its format; nothing but its first bytes is read yet.
 
-    `topic` keeps one sensor of several; `cloud_slice` says how a PointCloud2 topic becomes a scan; `strict` turns
-    what would be a warning into an error. Raises RecordingError.
+    `topic` keeps one sensor of several; of ROS recordings `cloud_slice` says how a PointCloud2 topic becomes a scan,
+    and `pose_topic` where the sensor's poses are; `strict` turns what would be a warning into an error.
+    Raises RecordingError.
     """
     path = Path(path)
+    other = _other_than_ros(path, topic, strict)
+    if other is None:
+        return _open_ros(path, topic, strict, cloud_slice, pose_topic)
+    if pose_topic is not None:
+        raise RecordingError(f"{path}: --pose-topic is for ROS recordings; one of this format has poses of its own")
+    return other
+
+
+def _other_than_ros(path: Path, topic: str | None, strict: bool) -> Recording | None:
     if _is_native(path):
         return NativeRecording(path, topic, strict)
+    if _head(path).startswith(TRACKS_MAGIC):
+        from gridtrack.common.simulation.rendered import RenderedRecording
+
+        return RenderedRecording(path, topic, strict)
     if _is_carmen(path):
         return CarmenLog(path, topic, strict)
-    return _open_ros(path, topic, strict, cloud_slice)
+    return None
 
 
-def _open_ros(path: Path, topic: str | None, strict: bool, cloud_slice: CloudSlice | None) -> Recording:
+def _open_ros(
+    path: Path, topic: str | None, strict: bool, cloud_slice: CloudSlice | None, pose_topic: str | None
+) -> Recording:
     head = _head(path)
     if not (path.is_dir() or head.startswith((MCAP_MAGIC, ROS1_MAGIC, SQLITE_MAGIC))):
-        kinds = "MCAP, ROS 1 bag, ROS 2 bag or CARMEN log (.clf, .clf.bz2)"
+        kinds = "MCAP, simulated tracks, ROS 1 bag, ROS 2 bag or CARMEN log (.clf, .clf.bz2)"
         raise RecordingError(f"{path}: not a recording that gridtrack reads: {kinds}")
     from gridtrack.common.recordings import ros
 
     if head.startswith(ROS1_MAGIC):
-        return ros.Ros1Bag(path, topic, strict, cloud_slice)
+        return ros.Ros1Bag(path, topic, strict, cloud_slice, pose_topic)
     if head.startswith(MCAP_MAGIC) or (path.is_dir() and ros.is_ros2_folder_of_mcap(path)):
-        return ros.RosMcap(path, topic, strict, cloud_slice)
-    return ros.Ros2Bag(path, topic, strict, cloud_slice)
+        return ros.RosMcap(path, topic, strict, cloud_slice, pose_topic)
+    return ros.Ros2Bag(path, topic, strict, cloud_slice, pose_topic)
 
 
 def _head(path: Path) -> bytes:
@@ -82,10 +104,18 @@ def _is_carmen(path: Path) -> bool:
 
 
 def packaged_recording(name: str) -> Path:
-    """The file of a recording that gridtrack brings along, by its name. Raises RecordingError."""
+    """The file of a recording that gridtrack brings along, such as `leg_tracker` or `junction/train`.
+
+    Raises RecordingError.
+    """
     data = Path(str(files("gridtrack.data")))
-    path = data / name / f"{name}.mcap"
-    if not path.is_file():
-        known = did_you_mean(name, (p.parent.name for p in data.glob("*/*.mcap")))
-        raise RecordingError(f"no recording '{name}' in the package; {known}")
-    return path
+    known = {_packaged_name(path, data): path for path in (*data.glob("*/*.mcap"), *data.glob("*/*.tracks"))}
+    if name not in known:
+        raise RecordingError(f"no recording '{name}' in the package; {did_you_mean(name, known)}")
+    return known[name]
+
+
+def _packaged_name(path: Path, data: Path) -> str:
+    """The folder's name where the file has the same, else both."""
+    folder = path.parent.relative_to(data).as_posix()
+    return folder if path.stem == folder else f"{folder}/{path.stem}"

@@ -6,11 +6,13 @@ import re
 import struct
 from abc import abstractmethod
 from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from gridtrack.common.errors import RecordingError
+from gridtrack.common.errors import RecordingError, did_you_mean
+from gridtrack.common.geometry import SE2
 from gridtrack.common.recordings.mcap_file import McapFile
 from gridtrack.common.recordings.recording import DamageError, Recording, Topics
 from gridtrack.common.recordings.ros_messages import (
@@ -21,6 +23,7 @@ from gridtrack.common.recordings.ros_messages import (
     scan_of_laser,
     stamp_ns,
 )
+from gridtrack.common.recordings.ros_poses import POSES, ScansOnPoses, planar_pose, why_not_read
 from gridtrack.common.recordings.rosbag1 import bag_messages
 from gridtrack.common.scan import Scan
 
@@ -45,14 +48,21 @@ class RosMessage(NamedTuple):
 class RosRecording(Recording):
     """LaserScan topics as sensors; a PointCloud2 topic where it is asked for by name, with the slice to cut from it.
 
+    Every sensor stands where the `pose_topic` says, or stands still without one; how it is mounted is not known.
     Messages are decoded by the definitions that rosbags ships, never by code made from the file's own.
     """
 
     def __init__(
-        self, path: Path, topic: str | None = None, strict: bool = False, cloud_slice: CloudSlice | None = None
+        self,
+        path: Path,
+        topic: str | None = None,
+        strict: bool = False,
+        cloud_slice: CloudSlice | None = None,
+        pose_topic: str | None = None,
     ) -> None:
         super().__init__(path, topic, strict)
         self.cloud_slice = cloud_slice
+        self.pose_topic = pose_topic
 
     @abstractmethod
     def messages(self) -> Iterator[RosMessage]:
@@ -60,15 +70,41 @@ class RosRecording(Recording):
 
     def read(self, topics: Topics) -> Iterator[Scan]:
         """The scans as they stand in the file; counts in `topics` what it meets; DamageError where the file ends."""
+        placed = None if self.pose_topic is None else ScansOnPoses(self.pose_topic, self.complain)
         for message in self.messages():
+            if placed is None and message.topic not in topics.types:
+                self._tell_of_poses(message)
             topics.meet(message.topic, message.kind, message.kind in (LASER_SCAN, POINT_CLOUD))
             by_name = message.topic == self.topic and message.topic in topics.scans
             if by_name or (self.topic is None and message.kind == LASER_SCAN):
-                yield self._scan(message)
+                scan = self._scan(message)
+                yield from placed.scan(scan) if placed else (scan,)
+            elif placed and message.topic == self.pose_topic and message.kind in POSES:
+                yield from placed.pose(*self._pose(message))
+        if placed:
+            yield from placed.flush()
+            self._refuse_no_poses(topics)
+
+    def _tell_of_poses(self, message: RosMessage) -> None:
+        told = why_not_read(message.topic, message.kind)
+        if told is not None:
+            self.tell(told)
+
+    def _refuse_no_poses(self, topics: Topics) -> None:
+        with_poses = [topic for topic, kind in topics.types.items() if kind in POSES]
+        if self.pose_topic is not None and self.pose_topic not in with_poses:
+            near = did_you_mean(self.pose_topic, with_poses)
+            raise RecordingError(f"no topic '{self.pose_topic}' with poses; {near}")
+
+    def _pose(self, message: RosMessage) -> tuple[int, SE2]:
+        """Stamp and pose."""
+        with _damaged_where_undecodable(message):
+            decoded = self._decode(message)
+            return stamp_ns(decoded) or message.received_ns, planar_pose(decoded)
 
     def _scan(self, message: RosMessage) -> Scan:
         sensor = message.topic.strip("/") or "scan"
-        try:
+        with _damaged_where_undecodable(message):
             decoded = self._decode(message)
             if not stamp_ns(decoded):
                 self.complain(f"topic '{message.topic}': no stamps in its headers, the time of reception is used")
@@ -77,8 +113,6 @@ class RosRecording(Recording):
             if self.cloud_slice is None:
                 raise RecordingError(f"'{message.topic}' is a point cloud: give the heights to cut it at")
             return scan_of_cloud(decoded, sensor, message.received_ns, self.cloud_slice)
-        except (SerdeError, struct.error, ValueError, IndexError, UnicodeDecodeError) as error:
-            raise DamageError(f"corrupt: a message of {message.topic} cannot be decoded ({error})") from None
 
     def _decode(self, message: RosMessage) -> Any:
         if message.encoding == "ros1":
@@ -94,6 +128,14 @@ class RosRecording(Recording):
     @cached_property
     def _ros2(self) -> Any:
         return get_typestore(Stores.LATEST)
+
+
+@contextmanager
+def _damaged_where_undecodable(message: RosMessage) -> Iterator[None]:
+    try:
+        yield
+    except (SerdeError, struct.error, ValueError, IndexError, UnicodeDecodeError) as error:
+        raise DamageError(f"corrupt: a message of {message.topic} cannot be decoded ({error})") from None
 
 
 class Ros1Bag(RosRecording):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,13 +19,20 @@ POINT_FIELD_TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f
 
 
 class CloudSlice(Settings):
-    """How a point cloud becomes a scan: the nearest point of each bearing between two heights, metres, sensor frame."""
+    """How a point cloud becomes a scan: the nearest point of each bearing between two heights, metres, sensor frame.
+
+    A bearing without a point in the slice is `empty`: "free" up to `range_max_m`, as if a laser's beam had not
+    returned, or "unknown", as if there were no beam. Free is right where the cloud is dense and sees over whatever
+    stands below the slice; with few rings, or a slice above low obstacles, it calls free what nobody has looked at:
+    give a shorter `range_max_m`, or "unknown".
+    """
 
     low_m: float
     high_m: float
     beams: int = Field(default=720, ge=1, le=36_000)
     range_min_m: float = Field(default=0.1, ge=0.0)
     range_max_m: float = Field(default=50.0, gt=0.0)
+    empty: Literal["free", "unknown"] = "free"
 
     @model_validator(mode="after")
     def _limits_in_order(self) -> CloudSlice:
@@ -53,7 +60,7 @@ def scan_of_laser(message: Any, sensor: str, received_ns: int) -> Scan:
 
 
 def scan_of_cloud(message: Any, sensor: str, received_ns: int, cut: CloudSlice) -> Scan:
-    """A height slice of a sensor_msgs/PointCloud2 as a scan: bearings from -pi to pi, +inf where no point lies."""
+    """A height slice of a sensor_msgs/PointCloud2 as a scan: bearings from -pi to pi, empty ones as `cut` says."""
     points = cloud_points(message)
     points = points[(points[:, 2] >= cut.low_m) & (points[:, 2] <= cut.high_m)]
     distance = np.hypot(points[:, 0], points[:, 1])
@@ -63,6 +70,8 @@ def scan_of_cloud(message: Any, sensor: str, received_ns: int, cut: CloudSlice) 
     beam = np.floor((bearing + math.pi) / step).astype(np.int64) % cut.beams
     ranges = np.full(cut.beams, np.inf)
     np.minimum.at(ranges, beam, distance[near])
+    if cut.empty == "unknown":
+        ranges[np.isinf(ranges)] = np.nan
     return Scan(
         stamp_ns=stamp_ns(message) or received_ns,
         ranges=ranges.astype(np.float32),

@@ -263,6 +263,18 @@ def test_a_cloud_is_cut_at_a_height_to_the_nearest_point_of_each_bearing(tmp_pat
     assert "--cloud-slice low_m=0,high_m=1,beams=36" in imported.info.command
 
 
+def test_what_a_bearing_without_points_means_is_chosen(tmp_path: Path) -> None:
+    path = ros2_bag(tmp_path / "a", [("/points", CLOUD, 5, cloud(ROS2, np.array([[2.0, 0.1, 0.5]])))])
+    seen = {}
+    for empty in ("free", "unknown"):
+        cut = CloudSlice(low_m=0.0, high_m=1.0, beams=36, range_max_m=6.0, empty=empty)
+        (seen[empty],) = open_recording(path, topic="/points", cloud_slice=cut).scans()
+    assert np.isposinf(seen["free"].ranges).sum() == np.isnan(seen["unknown"].ranges).sum() == 35
+    assert seen["free"].range_max == 6.0
+    imported = import_recording(path, tmp_path / "cut.mcap", topic="/points", cloud_slice=cut)
+    assert "range_max_m=6,empty=unknown" in imported.info.command
+
+
 def test_a_cloud_wants_its_topic_and_its_heights_named(tmp_path: Path) -> None:
     path = ros1_bag(tmp_path / "a.bag", [("/points", CLOUD, 5, cloud(ROS1, np.ones((3, 3))))])
     with pytest.raises(RecordingError, match=r"no scans; topics: /points \(sensor_msgs/msg/PointCloud2\)"):
