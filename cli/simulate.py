@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from gridtrack.cli.options import seconds
-from gridtrack.common.errors import plain
+from gridtrack.common.errors import ConfigurationError, plain
 
 if TYPE_CHECKING:
     from gridtrack.common.simulation.tracks import Tracks
 
-app = typer.Typer(no_args_is_help=True, help="Recordings whose truth is known: junction, junction-set, check.")
+app = typer.Typer(no_args_is_help=True, help="Recordings whose truth is known: junction, junction-set, tracks, check.")
 FAULTY = 3
 
 Out = Annotated[Path, typer.Option(help="The recording to write: .tracks, rendered on first use, or .mcap, scans")]
@@ -52,6 +53,65 @@ def simulate_junction_set(
         tracks = simulate(minutes, seed)
         write_recording(out / f"{name}.tracks", tracks)
         _report(out / f"{name}.tracks", tracks)
+
+
+@app.command("tracks")
+def simulate_tracks(
+    source: Annotated[Path, typer.Argument(metavar="FILE")],
+    out: Out,
+    scale: Annotated[float, typer.Option(help="Metres to a pixel")],
+    layout: Annotated[str, typer.Option("--format", help="sdd: the Stanford Drone Dataset's annotations")] = "sdd",
+    site: Annotated[str | None, typer.Option(help="The place; default: the name of the result")] = None,
+    rate: Annotated[float, typer.Option(help="Scans per second")] = 8.0,
+    grid: Annotated[str, typer.Option(help="CELLSxMETRES[@X,Y] round the laser")] = "100x0.2",
+    laser_at: Annotated[
+        str | None, typer.Option(metavar="X,Y", help="Metres from the image's upper left corner, y up; default: clear")
+    ] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Of the range noise")] = 0,
+    licence: str = "",
+    credit: str = "",
+) -> None:
+    """A simulated laser among annotated road users: real people's paths, and the truth about all of them.
+
+    Exit code: 0 as it should be, 2 wrong use, 3 somebody walks through the laser.
+    """
+    from gridtrack.common.config import validated
+    from gridtrack.common.simulation.stanford import Video, read_stanford
+    from gridtrack.common.simulation.writing import refuse_other_suffix, write_recording
+
+    if layout != "sdd":
+        raise ConfigurationError(f"--format {layout}: known is sdd, the Stanford Drone Dataset's")
+    refuse_other_suffix(out)
+    values: dict[str, Any] = {
+        "scale": scale,
+        "site": site or out.stem,
+        "rate_hz": rate,
+        "grid": grid,
+        "laser_at": None if laser_at is None else laser_at.split(","),
+        "seed": seed,
+        "licence": licence,
+        "credit": credit,
+    }
+    tracks = read_stanford(source, validated(Video, values, "simulate tracks"), _command(source, out, values))
+    write_recording(out, tracks)
+    _report(out, tracks)
+
+
+def _command(source: Path, out: Path, values: dict[str, Any]) -> str:
+    """The command line that does the same again, without the folders of this machine."""
+    names = {
+        "scale": "scale",
+        "site": "site",
+        "rate_hz": "rate",
+        "grid": "grid",
+        "laser_at": "laser-at",
+        "seed": "seed",
+    }
+    words = ["gridtrack", "simulate", "tracks", "--format", "sdd", source.name, "--out", out.name]
+    for key, name in {**names, "licence": "licence", "credit": "credit"}.items():
+        if values[key] is not None and values[key] != "":
+            words += [f"--{name}", ",".join(values[key]) if key == "laser_at" else f"{values[key]}"]
+    return shlex.join(words)
 
 
 @app.command("check")

@@ -22,17 +22,19 @@ def smoothed(values: NDArray[np.float64], std_steps: float) -> NDArray[np.float6
     return np.stack(columns, axis=1)
 
 
-def headings(position: NDArray[np.float64], step_s: float, std_steps: float) -> NDArray[np.float64]:
+def headings(
+    position: NDArray[np.float64], step_s: float, std_steps: float, resting: float = 0.0
+) -> NDArray[np.float64]:
     """Where the velocity points, (n,) radians, for positions (n, 2): kept while standing, and turning smoothly.
 
-    Before the first motion it is that of the first motion; of a body that never moves it is 0.
+    Before the first motion it is that of the first motion; of a body that never moves it is `resting`.
     """
     if len(position) < 2:
-        return np.zeros(len(position))
+        return np.full(len(position), resting)
     velocity = np.gradient(position, step_s, axis=0)
     moving = np.hypot(velocity[:, 0], velocity[:, 1]) > STANDING_M_S
     if not moving.any():
-        return np.zeros(len(position))
+        return np.full(len(position), resting)
     last_moving = np.maximum.accumulate(np.where(moving, np.arange(len(position)), -1))
     last_moving[last_moving < 0] = np.argmax(moving)
     told = np.arctan2(velocity[:, 1], velocity[:, 0])[last_moving]
