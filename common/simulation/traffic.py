@@ -66,8 +66,8 @@ def examine(tracks: Tracks) -> Traffic:
     classes = []
     for name in names:
         there = inside & (tracks.label == tracks.info.recording.classes.index(name))
-        shares = [np.unique(tracks.frame[rows]).size / frames for rows in (there, there & moving)]
-        classes.append(ClassTraffic(name, *shares, cells[name] / minutes))
+        present, moved = (np.unique(tracks.frame[rows]).size / frames for rows in (there, there & moving))
+        classes.append(ClassTraffic(name, present, moved, cells[name] / minutes))
     return Traffic(minutes, tuple(classes), stand_s, tuple(faults))
 
 

@@ -84,7 +84,7 @@ def _flow(label: str, way: str, per_second: float) -> str:
 
 def _walks(way: str, per_second: float) -> list[str]:
     """Pedestrians between two arms, on either pavement at each end."""
-    start, end = way
+    start, end = way[0], way[1]
     return [
         f'<personFlow id="pedestrian{way}{i}{j}" type="pedestrian" begin="0" end="{HOURS * 3600}"'
         f' period="exp({per_second / 4.0:.6f})" departPosLat="random" departPos="random">'
