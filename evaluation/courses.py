@@ -26,6 +26,8 @@ from gridtrack.trackers.weights import TrainingData
 
 TEST, VALIDATION, TRAIN = "test", "validation", "train"
 """The stretches that a recording may name for these uses."""
+ORACLE = "oracle"
+"""Label of the ceiling, which the referee computes where there is truth; no tracker may take it."""
 AT_HALF = ", so every threshold is 0.5; name one with --validation"
 MAX_FORECAST_BYTES = 1 << 30
 VALIDATION_FORECASTS = 60
@@ -74,6 +76,11 @@ class Course:
     def strata(self) -> tuple[str, ...]:
         """What is scored apart."""
         return STRATA_WITH_TRUTH if self.test.has_truth else STRATA
+
+    @property
+    def oracle_name(self) -> str:
+        """The name of the oracle's folder."""
+        return f"{ORACLE}@{self.name}"
 
     @property
     def validation_schedule(self) -> Schedule:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,7 +16,7 @@ from gridtrack.common.degrade import Degradation
 from gridtrack.common.errors import ConfigurationError, PluginError
 from gridtrack.common.grid import GridSpec
 from gridtrack.common.stream import GridStream
-from gridtrack.evaluation.courses import Course, Sampling, plan_course, was_seen, with_points
+from gridtrack.evaluation.courses import ORACLE, Course, Sampling, plan_course, was_seen, with_points
 from gridtrack.evaluation.learned import LearnedWeights, find_weights
 from gridtrack.evaluation.tracker_process import Limits, describe
 from gridtrack.trackers import registry
@@ -133,6 +133,7 @@ def resolve(settings: CompareSettings) -> Plan:
     """
     external = read_trackers_toml(settings.trackers_toml) if settings.trackers_toml else {}
     selections = parse_selections(settings.trackers or _every_tracker(external))
+    _refuse_ceilings_label(selections)
     launches = {selection.label: launch(selection.name, external) for selection in selections}
     for selection in selections:
         _check_options(selection, launches[selection.label], settings.limits)
@@ -170,6 +171,14 @@ def _check_options(selection: Selection, start: Launch, limits: Limits) -> None:
     # one that cannot be loaded ends as `unavailable` in its own trial, and stops no other
     with suppress(PluginError):
         describe(start, selection.options, limits)
+
+
+def _refuse_ceilings_label(selections: Sequence[Selection]) -> None:
+    if any(selection.label.casefold() == ORACLE for selection in selections):
+        raise ConfigurationError(
+            f"'{ORACLE}' is the referee's own row, what an ideal tracker could score: give the tracker another label,"
+            " as in --tracker LABEL=NAME"
+        )
 
 
 def _refuse_equal_names(courses: tuple[Course, ...]) -> None:

@@ -136,6 +136,8 @@ class TrialRecord(Settings):
     """Hash of every frame delivered, in their order."""
     steps: int
     thresholds: ThresholdsUsed = ThresholdsUsed()
+    classes: tuple[str, ...] = ()
+    """What the tracker gives probabilities for."""
     weights_sha256: str = ""
     times: Times = Times()
     peak_rss_mb: float | None = None

@@ -9,7 +9,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from gridtrack.evaluation.plan import Plan, Trial
+from gridtrack.evaluation.courses import ORACLE
+from gridtrack.evaluation.plan import Plan
 from gridtrack.evaluation.provenance import machine, versions
 from gridtrack.evaluation.record import MAX_BYTES, RunError, TrialRecord, read_record
 from gridtrack.evaluation.scores import HISTOGRAM, SCORES
@@ -56,9 +57,10 @@ class RunFolder:
         """Records by trial name of what an earlier run scored in full with the same weights. Raises RunError."""
         if not self.plan.settings.resume:
             return {}
-        folders = {trial.name: self.path / trial.name for trial in self.plan.trials}
-        records = ((trial, read_record(folders[trial.name])) for trial in self.plan.trials)
-        return {t.name: record for t, record in records if record and _is_done(t, record, folders[t.name])}
+        weights = {trial.name: trial.weights.sha256 if trial.weights else "" for trial in self.plan.trials}
+        weights |= {course.oracle_name: "" for course in self.plan.courses if course.test.has_truth}
+        records = {name: read_record(self.path / name) for name in weights}
+        return {n: record for n, record in records.items() if record and _is_done(weights[n], record, self.path / n)}
 
     def finish(self, records: Mapping[str, TrialRecord], notices: Sequence[str], interrupted: bool) -> dict[str, Any]:
         """Write and return the summary of these records, by trial name, with `notices`, and close the run."""
@@ -67,6 +69,8 @@ class RunFolder:
             Ended(records[t.name], self.path / t.name, t.selection.name, t.selection.options, t.selection.points)
             for t in plan.trials
         ]
+        oracles = [name for course in plan.courses if (name := course.oracle_name) in records]
+        ended += [Ended(records[name], self.path / name, ORACLE, {}, "centres") for name in oracles]
         recordings = {course.name: course.description() for course in plan.courses}
         summary = summarise(recordings, ended, [*plan.notices, *notices], interrupted)
         write_json(self.path / SUMMARY, summary)
@@ -77,10 +81,9 @@ class RunFolder:
         return summary
 
 
-def _is_done(trial: Trial, record: TrialRecord, folder: Path) -> bool:
-    weights = trial.weights.sha256 if trial.weights else ""
+def _is_done(weights_sha256: str, record: TrialRecord, folder: Path) -> bool:
     whole = all((folder / name).is_file() for name in (SCORES, HISTOGRAM))
-    return whole and record.outcome == "ok" and record.weights_sha256 == weights
+    return whole and record.outcome == "ok" and record.weights_sha256 == weights_sha256
 
 
 def _provenance(plan: Plan, command: Sequence[str], identity: Mapping[str, Any]) -> dict[str, Any]:

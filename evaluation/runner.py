@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor, as_completed
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any, Protocol
 
-from gridtrack.evaluation.courses import Regions
+from gridtrack.evaluation.courses import Course, Regions
 from gridtrack.evaluation.deadline_pass import measure_deadline
 from gridtrack.evaluation.latency_pass import measure_latency
+from gridtrack.evaluation.oracle import run_oracle
 from gridtrack.evaluation.outcome import TrialEnded
 from gridtrack.evaluation.plan import Plan, Trial
 from gridtrack.evaluation.provenance import usable_cores
@@ -19,6 +21,10 @@ from gridtrack.evaluation.record import TrialRecord
 from gridtrack.evaluation.robustness_pass import RobustnessRun
 from gridtrack.evaluation.run_folder import RunFolder
 from gridtrack.evaluation.trial import Interrupted, TrialRun, failed, unstarted, where_it_failed
+
+
+WAKE_S = 0.2
+"""How often the main thread wakes to look for an interrupt: a library may have had its wait go on over signals."""
 
 
 class Progress(Protocol):
@@ -52,6 +58,7 @@ def run(plan: Plan, command: Sequence[str], progress: Progress) -> dict[str, Any
     interrupted = False
     try:
         crew.run_trials()
+        crew.run_oracles()
         crew.degrade()
         crew.measure_alone()
     except KeyboardInterrupt:
@@ -80,6 +87,23 @@ class _Crew:
         """Run every trial that has no record yet."""
         self._side_by_side(self._run_trial, [t for t in self._plan.trials if t.name not in self._records])
 
+    def run_oracles(self) -> None:
+        """Score the ceiling of every recording with truth; where that fails, the run goes on without."""
+        for course in self._plan.courses:
+            name = course.oracle_name
+            if not course.test.has_truth or name in self._records:
+                continue
+            self._progress.started(name, len(course.test))
+            try:
+                on_frame = partial(self._next_frame, name)
+                record = run_oracle(course, self._regions_of(course), self._folder / name, on_frame)
+            except Exception as error:  # noqa: BLE001 as for a trial
+                self.notices.append(f"{course.name}: no ceiling: {where_it_failed(error)}")
+                self._progress.note(self.notices[-1])
+                continue
+            self._records[name] = record
+            self._progress.ended(name, record)
+
     def degrade(self) -> None:
         """Show degraded frames to the tracker of every complete trial, where that was asked for and not done yet."""
         asked = self._plan.settings.degrade
@@ -98,19 +122,18 @@ class _Crew:
                     self._add(trial, latency_ms=measure_latency(trial, folder))
             if settings.deadline and record.deadline is None:
                 with self._measuring(trial, "deadlines, alone on the machine"):
-                    regions = self._regions_of(trial)
+                    regions = self._regions_of(trial.course)
                     self._add(trial, deadline=measure_deadline(trial, regions, record.thresholds, folder))
 
     def all_records(self) -> dict[str, TrialRecord]:
-        """The record of every trial of the plan; those that an interrupt kept from starting say so."""
-        return {trial.name: self._records.get(trial.name) or unstarted(trial) for trial in self._plan.trials}
+        """The record of every trial of the plan, those that an interrupt kept from starting say so, and of oracles."""
+        return {trial.name: unstarted(trial) for trial in self._plan.trials} | self._records
 
     def _complete(self) -> list[Trial]:
         return [trial for trial in self._plan.trials if self._records[trial.name].outcome == "ok"]
 
-    def _regions_of(self, trial: Trial) -> Regions:
-        """Regions of the trial's course, found once. Called from the main thread only."""
-        course = trial.course
+    def _regions_of(self, course: Course) -> Regions:
+        """Regions of a course, found once."""
         if course.name not in self._regions:
             self._progress.note(f"{course.name}: finding its static cells")
             self._regions[course.name] = course.regions()
@@ -119,14 +142,17 @@ class _Crew:
     def _side_by_side(self, see_through: Callable[[Trial], None], trials: Sequence[Trial]) -> None:
         """See trials through at the same time; on an error or an interrupt, end all of them before it is raised."""
         for trial in trials:
-            self._regions_of(trial)
+            self._regions_of(trial.course)
         settings = self._plan.settings
         jobs = settings.jobs or max(1, usable_cores() // settings.limits.threads)
         with ThreadPoolExecutor(jobs, "trial") as pool:
             futures = [pool.submit(see_through, trial) for trial in trials]
             try:
-                for future in as_completed(futures):
-                    future.result()
+                pending = set(futures)
+                while pending:
+                    done, pending = wait(pending, WAKE_S, return_when=FIRST_COMPLETED)
+                    for future in done:
+                        future.result()
             except BaseException:
                 self._end_all(futures)
                 raise
@@ -134,8 +160,8 @@ class _Crew:
     def _run_trial(self, trial: Trial) -> None:
         """A trial that fails for no fault of its tracker ends as that, and stops no other."""
         try:
-            regions = self._regions_of(trial)
-            run = TrialRun(trial, regions, self._folder / trial.name, lambda: self._next_frame(trial))
+            regions = self._regions_of(trial.course)
+            run = TrialRun(trial, regions, self._folder / trial.name, partial(self._next_frame, trial.name))
             self._progress.started(trial.name, run.frames)
             with self._interruptible(run):
                 record = run.run()
@@ -151,7 +177,7 @@ class _Crew:
         with self._measuring(trial, "degraded input"):
             run = RobustnessRun(trial, asked, folder)
             with self._interruptible(run):
-                found = run.run(self._regions_of(trial), record.thresholds, self._unless_stopped)
+                found = run.run(self._regions_of(trial.course), record.thresholds, self._unless_stopped)
             self._add(trial, robustness=found)
 
     @contextmanager
@@ -184,9 +210,9 @@ class _Crew:
         self._records[trial.name] = self._records[trial.name].model_copy(update=found)
         self._records[trial.name].write(self._folder / trial.name)
 
-    def _next_frame(self, trial: Trial) -> None:
+    def _next_frame(self, name: str) -> None:
         self._unless_stopped()
-        self._progress.advanced(trial.name)
+        self._progress.advanced(name)
 
     def _unless_stopped(self) -> None:
         if self._stop.is_set():

@@ -64,8 +64,8 @@ class ScoreWriter:
         self._second: int | None = None
         self._in_second = Tally.empty(steps, self._strata)
         self._files = ExitStack()
-        self._scores = self._files.enter_context(_RowGroups(folder / SCORES, _SCORES_SCHEMA))
-        self._histogram = self._files.enter_context(_RowGroups(folder / HISTOGRAM, _HISTOGRAM_SCHEMA))
+        self._scores = self._files.enter_context(RowGroups(folder / SCORES, _SCORES_SCHEMA))
+        self._histogram = self._files.enter_context(RowGroups(folder / HISTOGRAM, _HISTOGRAM_SCHEMA))
 
     def __enter__(self) -> Self:
         return self
@@ -118,7 +118,7 @@ class ScoreWriter:
         self._second = None
 
 
-class _RowGroups:
+class RowGroups:
     """A Parquet file under a temporary name until it is whole, written one row group at a time."""
 
     def __init__(self, path: Path, schema: Any) -> None:
@@ -137,6 +137,7 @@ class _RowGroups:
         self._partial.replace(self._path)
 
     def append(self, columns: dict[str, Any]) -> None:
+        """Add rows, given as columns of equal length."""
         self._batches.append(pa.table([columns[name] for name in self._schema.names], schema=self._schema))
         if len(self._batches) == ROW_GROUP:
             self._flush()

@@ -15,8 +15,8 @@ from gridtrack.evaluation.outcome import TrialEnded
 from gridtrack.evaluation.plan import Trial
 from gridtrack.evaluation.record import RECORD, Ending, ThresholdsUsed, Times, TrialRecord
 from gridtrack.evaluation.referee import Delivery, moments
-from gridtrack.evaluation.samples import SAMPLES, SampleWriter, kept_moments
-from gridtrack.evaluation.scores import HISTOGRAM, SCORES, ScoreWriter
+from gridtrack.evaluation.scorekeeper import FILES, Scorekeeper
+from gridtrack.evaluation.scores import HISTOGRAM, SCORES
 from gridtrack.evaluation.thresholds import Thresholds, best_thresholds, half
 from gridtrack.evaluation.tracker_process import TrackerProcess
 from gridtrack.trackers.contract import stream_of
@@ -37,13 +37,14 @@ class TrialRun:
     def __init__(self, trial: Trial, regions: Regions, folder: Path, on_frame: OnFrame) -> None:
         """`regions` as of `trial.course.regions`; the trial's files are left in `folder`."""
         folder.mkdir(parents=True, exist_ok=True)
-        for left_by_an_earlier_attempt in (RECORD, SCORES, HISTOGRAM, SAMPLES):
+        for left_by_an_earlier_attempt in (RECORD, *FILES):
             (folder / left_by_an_earlier_attempt).unlink(missing_ok=True)
         self.trial, self._regions, self._folder, self._on_frame = trial, regions, folder, on_frame
         self._thresholds: Thresholds | None = None
         self._test = trial.course.schedule
         self._delivery = Delivery(trial.test, on_frame)
         self._scored = 0
+        self._classes: tuple[str, ...] = ()
         self._start_s = self._wall_s = 0.0
         self._interrupted = False
         self._process = TrackerProcess(
@@ -69,6 +70,7 @@ class TrialRun:
         try:
             with self._process:
                 self._start_s = time.perf_counter() - began
+                self._classes = self._process.started.classes
                 with self._clock():
                     self._thresholds = self._choose_thresholds()
                     self._score(self._thresholds)
@@ -114,17 +116,11 @@ class TrialRun:
 
     def _score(self, thresholds: Thresholds) -> None:
         """Stream the test stretch, and write what each forecast scored as soon as its last frame has come."""
-        test, steps, kept = self.trial.test, self.trial.course.steps, kept_moments(self._test)
-        with (
-            ScoreWriter(self._folder, steps, thresholds) as scores,
-            SampleWriter(self._folder / SAMPLES, test.grid, test.period_s, steps) as samples,
-        ):
+        course, areas = self.trial.course, self._regions.test
+        with Scorekeeper(self._folder, course, areas, thresholds, self._classes) as scorekeeper:
             for moment in moments(self._process, self._delivery, self._test, self.trial.seed):
-                tally = count_forecast(moment.forecast.occupancy, moment.targets, self._regions.test, moment.ages)
-                scores.add(moment.stamp_ns, self._delivery.digest, tally)
-                if self._scored in kept:
-                    samples.add(moment)
-                self._scored += 1
+                scorekeeper.add(moment, self._delivery.digest)
+                self._scored = scorekeeper.scored
 
     def _kept_whole(self) -> bool:
         """Whether what was scored lies in whole files: a disk may be full before the last is written."""
@@ -141,6 +137,7 @@ class TrialRun:
                 "frames_delivered": self._delivery.frames,
                 "delivered": self._delivery.digest,
                 "thresholds": ThresholdsUsed.of(chosen),
+                "classes": self._classes,
                 "times": Times(
                     start_s=self._start_s,
                     update_s=timings.update.total_ms / 1000,

@@ -8,7 +8,7 @@ import shutil
 import pytest
 
 from gridtrack.common.degrade import Degradation
-from gridtrack.evaluation import deadline_pass, trial
+from gridtrack.evaluation import deadline_pass, scorekeeper
 from gridtrack.evaluation.deadline import Costs
 from gridtrack.evaluation.plan import CompareSettings, resolve
 from gridtrack.evaluation.record import AtStrength, Robustness, TrialRecord
@@ -135,7 +135,7 @@ def test_a_resumed_run_degrades_again_only_where_other_strengths_are_asked_for(c
 
 def test_a_failure_that_is_no_outcome_ends_its_trial_and_no_other(compare, told, monkeypatch):
     """A full disk, or a mistake in the scorer: whatever it is, the others are scored and the summary is written."""
-    original = trial.count_forecast
+    original = scorekeeper.count_forecast
 
     class FullDisk(OSError):
         pass
@@ -145,7 +145,7 @@ def test_a_failure_that_is_no_outcome_ends_its_trial_and_no_other(compare, told,
             raise FullDisk(28, "No space left on device")
         return original(occupancy, *more)
 
-    monkeypatch.setattr(trial, "count_forecast", counting)
+    monkeypatch.setattr(scorekeeper, "count_forecast", counting)
     summary = compare("blank", "persistence")
     failed = trial_of(summary, "blank")
     assert failed["outcome"] == "failed"
