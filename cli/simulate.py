@@ -49,8 +49,8 @@ def simulate_junction_set(
     from gridtrack.common.simulation.junction import simulate_junction as simulate
     from gridtrack.common.simulation.writing import write_recording
 
-    for name, (minutes, seed) in JUNCTION_SET.items():
-        tracks = simulate(minutes, seed)
+    for name, (minutes, seed, start_s) in JUNCTION_SET.items():
+        tracks = simulate(minutes, seed, start_s)
         write_recording(out / f"{name}.tracks", tracks)
         _report(out / f"{name}.tracks", tracks)
 

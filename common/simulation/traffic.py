@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -119,22 +120,24 @@ def _moving_cells(tracks: Tracks, moving: NDArray[np.bool_], grid: GridSpec) -> 
 
 def _through_walls(tracks: Tracks) -> list[str]:
     """A line for each class of which a body's corner comes to lie inside a static outline."""
-    corner, row = _corners(tracks)
     hit = np.zeros(len(tracks.frame), np.bool_)
-    for outline in tracks.info.static:
-        hit[row[_inside(corner, np.array(outline))]] = True
+    for rows, outline in _bodies(tracks):
+        corners = _placed(outline, tracks.pose[rows])
+        for standing in tracks.info.static:
+            hit[rows] |= _inside(corners.reshape(-1, 2), np.array(standing)).reshape(len(rows), -1).any(axis=1)
     return _told(tracks, hit, "inside a static outline")
 
 
 def _through_the_scanner(tracks: Tracks) -> list[str]:
     """A line for each class of which a body covers the scanner or comes nearer than it can measure."""
     laser = tracks.info.laser
-    corner, row = _corners(tracks)
     hit = np.zeros(len(tracks.frame), np.bool_)
-    hit[row[np.hypot(corner[:, 0] - laser.x, corner[:, 1] - laser.y) < laser.range_min]] = True
-    near = np.flatnonzero(np.hypot(tracks.pose[:, 0] - laser.x, tracks.pose[:, 1] - laser.y) < tracks.size[:, 0])
-    for i in near.tolist():
-        hit[i] |= bool(_inside(np.array([[laser.x, laser.y]]), corner[row == i])[0])
+    for rows, outline in _bodies(tracks):
+        x, y, heading = tracks.pose[rows].T
+        c, s = np.cos(heading), np.sin(heading)
+        scanner = np.column_stack([c * (laser.x - x) + s * (laser.y - y), c * (laser.y - y) - s * (laser.x - x)])
+        nearest = np.linalg.norm(scanner[:, None] - outline, axis=2).min(axis=1)
+        hit[rows] = _inside(scanner, outline) | (nearest < laser.range_min)
     return _told(tracks, hit, "on the scanner")
 
 
@@ -151,20 +154,20 @@ def _told(tracks: Tracks, hit: NDArray[np.bool_], where: str) -> list[str]:
     return lines
 
 
-def _corners(tracks: Tracks) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """The corners (C, 2) of all bodies, world frame, and the row (C,) of each."""
+def _bodies(tracks: Tracks) -> Iterator[tuple[NDArray[np.int64], NDArray[np.float64]]]:
+    """The rows (n,) of each kind of body, and its outline (N, 2) in its own frame."""
     classes = tracks.info.recording.classes
     kinds, kind = np.unique(np.column_stack([tracks.label, tracks.size]), axis=0, return_inverse=True)
-    corners, rows = [np.empty((0, 2))], [np.empty(0, np.int64)]
     for k, (label, length, width) in enumerate(kinds.tolist()):
-        of_kind = np.flatnonzero(kind == k)
-        outline = body(classes[int(label)], length, width).astype(np.float64)
-        c, s = np.cos(tracks.pose[of_kind, 2, None]), np.sin(tracks.pose[of_kind, 2, None])
-        x = tracks.pose[of_kind, 0, None] + c * outline[:, 0] - s * outline[:, 1]
-        y = tracks.pose[of_kind, 1, None] + s * outline[:, 0] + c * outline[:, 1]
-        corners.append(np.stack([x.ravel(), y.ravel()], axis=1))
-        rows.append(np.repeat(of_kind, len(outline)))
-    return np.concatenate(corners), np.concatenate(rows)
+        yield np.flatnonzero(kind == k), body(classes[int(label)], length, width).astype(np.float64)
+
+
+def _placed(outline: NDArray[np.float64], pose: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The outline at each pose (n, 3): (n, N, 2), world frame."""
+    c, s = np.cos(pose[:, 2, None]), np.sin(pose[:, 2, None])
+    x = pose[:, 0, None] + c * outline[:, 0] - s * outline[:, 1]
+    y = pose[:, 1, None] + s * outline[:, 0] + c * outline[:, 1]
+    return np.stack([x, y], axis=2)
 
 
 def _inside(points: NDArray[np.float64], outline: NDArray[np.float64]) -> NDArray[np.bool_]:

@@ -44,7 +44,7 @@ def test_a_vehicle_s_rear_follows_its_front_and_it_stands_still_where_it_stands(
     found = trailing_headings(np.concatenate([straight, np.repeat(straight[-1:], 20, axis=0)]), 3.0, 0.5)
     # The tractrix of a straight pull: tan(heading / 2) falls exponentially with the way over the wheelbase.
     assert np.tan(found[4999] / 2.0) == pytest.approx(np.tan(0.25) * np.exp(-20.0 / 3.0), rel=0.05)
-    assert (found[4999:] == found[4999]).all()
+    assert found[4999:] == pytest.approx(found[4999], abs=1e-12)
 
 
 def test_pieces_are_the_unbroken_tracks() -> None:

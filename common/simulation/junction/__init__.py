@@ -23,12 +23,13 @@ WALKING_STD_STEPS, ROLLING_STD_STEPS = 4.0, 1.0
 WHEELS_BEHIND = 0.8
 """Where a vehicle's rear wheels are, as a share of its length from the front bumper."""
 JUNCTION_SET = {
-    "train": (65.0, 1),
-    "validation": (5.0, 2),
-    **{f"test-{seed}": (1.0, seed) for seed in range(101, 121)},
+    "train": (65.0, 1, WARM_UP_S),
+    "validation": (5.0, 2, WARM_UP_S),
+    **{f"test-{101 + k}": (1.0, 101 + k, WARM_UP_S + 5.0 * k) for k in range(20)},
 }
-"""Minutes and seed of the recordings that ship: no seed is trained and tested on."""
-LICENCE = "CC0-1.0"
+"""Minutes, seed and start in seconds of the recordings that ship: no seed is trained and tested on, and the tests begin
+all over the signals' cycle, since a minute is shorter than it."""
+LICENCE = "BSD-3-Clause"
 CREDIT = "simulated with Eclipse SUMO and JuPedSim"
 
 
