@@ -17,8 +17,9 @@ from gridtrack.evaluation.replay import replayed_f1
 from gridtrack.evaluation.tracker_process import TrackerProcess
 from gridtrack.trackers.contract import stream_of
 
-FRAMES = 120
-"""Frames whose update and forecast are timed after the warm-up, one after the other."""
+FRAMES, FEWEST, ENOUGH_S = 120, 30, 30.0
+"""Frames whose update and forecast are timed after the warm-up; of a slow tracker, once there are FEWEST, no more than
+ENOUGH_S seconds' worth."""
 TRIED = 4
 """Frames at the end of the warm-up that are forecast from, to find how far ahead the forecasts must reach."""
 LOG = "deadline.log"
@@ -53,6 +54,8 @@ def _measure(process: TrackerProcess, trial: Trial) -> tuple[Costs, int]:
             process.predict(steps + spare_steps(tried_ms, period_ms, steps))
             update_ms.append(took_ms)
             predict_ms.append(process.last_ms)
+            if len(update_ms) >= FEWEST and sum(update_ms) + sum(predict_ms) > ENOUGH_S * 1e3:
+                break
         elif index >= WARM_UP - TRIED:
             process.predict(steps)
             # the first forecast of all may compile and allocate: it does not count
