@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -40,6 +41,30 @@ def average_precision(tally: Tally) -> Scores:
 def brier_score(tally: Tally) -> Scores:
     """Mean squared error of the probability (S, K)."""
     return _ratio(tally.squared_error, tally.cells.sum(axis=-1))
+
+
+@dataclass(frozen=True, slots=True)
+class BrierParts:
+    """Murphy's decomposition of the Brier score (S, K): `reliability` - `resolution` + `uncertainty` is the score."""
+
+    reliability: Scores
+    resolution: Scores
+    uncertainty: Scores
+
+
+def brier_parts(tally: Tally) -> BrierParts:
+    """Reliability, resolution and uncertainty over the bins of the histogram.
+
+    Within a bin the probabilities differ, which Murphy's parts (1973) leave out; their variance within bins and its
+    covariance with what came are counted to the resolution, so that the parts add up to the score exactly
+    (Stephenson, Coelho and Jolliffe, 2008, "Two extra components in the Brier score decomposition").
+    """
+    cells, positives = tally.cells.sum(axis=-1), tally.positives.sum(axis=-1)
+    rate, rate_of_bin = _ratio(positives, cells), np.nan_to_num(_ratio(tally.positives, tally.cells))
+    p_of_bin = np.nan_to_num(_ratio(tally.p_sum, tally.cells))
+    reliability = _ratio((tally.cells * (p_of_bin - rate_of_bin) ** 2).sum(axis=-1), cells)
+    uncertainty = rate * (1.0 - rate)
+    return BrierParts(reliability, reliability + uncertainty - brier_score(tally), uncertainty)
 
 
 def log_loss(tally: Tally) -> Scores:

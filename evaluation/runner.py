@@ -22,7 +22,6 @@ from gridtrack.evaluation.robustness_pass import RobustnessRun
 from gridtrack.evaluation.run_folder import RunFolder
 from gridtrack.evaluation.trial import Interrupted, TrialRun, failed, unstarted, where_it_failed
 
-
 WAKE_S = 0.2
 """How often the main thread wakes to look for an interrupt: a library may have had its wait go on over signals."""
 

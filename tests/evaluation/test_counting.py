@@ -136,6 +136,43 @@ def test_average_precision_of_bins_is_close_to_that_of_the_probabilities():
     assert metrics.average_precision(count(occupancy, frames, places))[0, VISIBLE] == pytest.approx(exact, abs=0.005)
 
 
+def test_the_parts_of_the_brier_score_agree_with_their_definitions_and_add_up():
+    occupancy, frames, places = random_case(4)
+    tally = count(occupancy, frames, places)
+    parts = metrics.brier_parts(tally)
+    for step, came in enumerate(frames):
+        truth, p = came.occupied[came.visible].astype(float), occupancy[step][came.visible].astype(float)
+        binned = (np.digitize(occupancy[step][came.visible], EDGES) - 1).clip(0, BINS - 1)
+        bins = [(p[binned == b], truth[binned == b]) for b in np.unique(binned)]
+        reliability = sum(q.size * (q.mean() - t.mean()) ** 2 for q, t in bins) / p.size
+        murphys_resolution = sum(q.size * (t.mean() - truth.mean()) ** 2 for q, t in bins) / p.size
+        variance = sum(((q - q.mean()) ** 2).sum() for q, _ in bins) / p.size
+        covariance = 2 * sum(((q - q.mean()) * (t - t.mean())).sum() for q, t in bins) / p.size
+        assert parts.reliability[step, VISIBLE] == pytest.approx(reliability, abs=1e-9)
+        assert parts.uncertainty[step, VISIBLE] == pytest.approx(truth.var())
+        assert parts.resolution[step, VISIBLE] == pytest.approx(murphys_resolution - variance + covariance, abs=1e-7)
+        score = parts.reliability - parts.resolution + parts.uncertainty
+        assert score[step, VISIBLE] == pytest.approx(brier_score_loss(truth, p), rel=1e-6)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_f1_and_average_precision_agree_with_torchmetrics(seed):
+    import torch
+    from torchmetrics.functional.classification import binary_average_precision, binary_f1_score
+
+    occupancy, frames, places = random_case(seed, steps=0)
+    tally = count(occupancy, frames, places)
+    seen = frames[0].visible
+    truth = torch.from_numpy(frames[0].occupied[seen].astype(np.int64))
+    binned = torch.from_numpy(EDGES[(np.digitize(occupancy[0][seen], EDGES) - 1).clip(0, BINS - 1)])
+    assert metrics.f1_score(tally.confusion(half(0).bins))[0, VISIBLE] == pytest.approx(
+        float(binary_f1_score((binned >= 0.5).long(), truth))
+    )
+    assert metrics.average_precision(tally)[0, VISIBLE] == pytest.approx(
+        float(binary_average_precision(binned, truth)), rel=1e-5
+    )
+
+
 def test_the_log_loss_of_many_certain_mistakes_does_not_underflow():
     size = 200
     everywhere = np.ones((size, size))

@@ -1,15 +1,12 @@
-"""A run on a recording that knows what was truly there: what is hidden is scored, there is a ceiling, and classes count."""
+"""A run on a recording that knows what was truly there: what is hidden is scored, there is a ceiling, classes count."""
 
 import importlib.util
-import json
 from pathlib import Path
 
-import numpy as np
 import polars as pl
 import pytest
 
 from gridtrack.common.errors import ConfigurationError
-from gridtrack.evaluation.class_store import CLASSES, SEMANTICS
 from gridtrack.evaluation.plan import CompareSettings, resolve
 from gridtrack.evaluation.runner import run
 from gridtrack.evaluation.scores import SCORES

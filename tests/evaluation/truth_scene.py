@@ -1,4 +1,4 @@
-"""A scene whose truth is known: a room, a screen that hides part of it, and two boxes that pass behind and before it."""
+"""A scene whose truth is known: a room, a screen that hides part of it, and boxes that pass behind and before it."""
 
 import numpy as np
 
