@@ -11,6 +11,7 @@ from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec
 from gridtrack.evaluation.deadline import Costs, OnTime, Timeline, spare_steps, timeline
 from gridtrack.evaluation.referee import Schedule, moments
+from gridtrack.evaluation.target import Target
 from gridtrack.trackers.contract import Forecast
 
 PERIOD_MS = 100.0
@@ -92,10 +93,11 @@ def test_the_spare_steps_cover_the_delay_of_the_stalest_forecast() -> None:
     assert spare_steps(1e6, PERIOD_MS, 20) == 20
 
 
-def frame(index: int) -> GridFrame:
+def target(index: int) -> Target:
     nothing = np.zeros((0, 2), np.float32)
     empty = np.zeros(GRID.shape, bool)
-    return GridFrame(index * 100_000_000, empty, empty, SE2(), nothing, nothing, np.zeros(0, np.uint8))
+    frame = GridFrame(index * 100_000_000, empty, empty, SE2(), nothing, nothing, np.zeros(0, np.uint8))
+    return Target.of_frame(frame)
 
 
 class Clockwork:
@@ -118,7 +120,7 @@ def answers(kept: Timeline, steps: int, reach: int, frames: int = 60) -> tuple[C
     tracker = Clockwork()
     schedule = Schedule(frames, steps, 5)
     on_time = OnTime(tracker, kept, schedule, reach)
-    scored = moments(on_time, map(frame, range(frames)), schedule, seed=0)
+    scored = moments(on_time, map(target, range(frames)), schedule, seed=0)
     said = [np.rint(100 * moment.forecast.occupancy[:, 0, 0]).astype(int).tolist() for moment in scored]
     return tracker, said
 
@@ -147,7 +149,7 @@ def test_where_no_forecast_is_there_yet_nothing_is_called_occupied() -> None:
 def test_one_that_takes_no_time_answers_exactly_as_untimed() -> None:
     tracker, said = answers(of(0.0, frames=60), steps=4, reach=4)
     untimed = Clockwork()
-    plain = moments(untimed, map(frame, range(60)), Schedule(60, 4, 5), seed=0)
+    plain = moments(untimed, map(target, range(60)), Schedule(60, 4, 5), seed=0)
     assert said == [np.rint(100 * m.forecast.occupancy[:, 0, 0]).astype(int).tolist() for m in plain]
     assert tracker.updates == untimed.updates
     assert tracker.predictions == untimed.predictions
