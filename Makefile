@@ -3,13 +3,24 @@ PYTHON ?= $(shell command -v python3.11 || command -v python3)
 VENV ?= .venv
 BIN := $(VENV)/bin
 DEMO := data/leg_tracker/leg_tracker.mcap
+JUNCTION := $(wildcard data/junction/test-*.tracks)
 TRACKERS := persistence static-map blank kalman deep-tracking-rnn dilated-convgru
 
-.PHONY: demo test lint bench weights clean
+.PHONY: demo demo-junction junction test lint bench weights clean
 
 demo: $(VENV)/.installed-demo
 	rm -rf runs/demo
 	$(BIN)/gridtrack compare $(DEMO) $(TRACKERS:%=--tracker %) --every 0.5s --latency --out runs/demo
+
+# Twenty minutes at a simulated junction whose truth is known; ships as tracks and needs no simulator.
+demo-junction: $(VENV)/.installed-demo
+	rm -rf runs/junction
+	$(BIN)/gridtrack compare $(JUNCTION) --validation data/junction/validation.tracks \
+	    $(foreach tracker,persistence static-map blank kalman,--tracker $(tracker)) --out runs/junction
+
+# The set that the demo is run on, made again with SUMO (about ten minutes on two cores).
+junction: $(VENV)/.installed-sim
+	$(BIN)/gridtrack simulate junction-set --out data/junction
 
 test: lint
 	$(BIN)/python -m pytest -n auto --dist worksteal
@@ -32,6 +43,10 @@ weights: $(VENV)/.installed-dev
 
 $(VENV)/.installed-demo: pyproject.toml constraints.txt | $(VENV)
 	$(BIN)/pip install --constraint constraints.txt --editable '.[deep,model-free]'
+	touch $@
+
+$(VENV)/.installed-sim: pyproject.toml constraints.txt | $(VENV)
+	$(BIN)/pip install --constraint constraints.txt --editable '.[sim]'
 	touch $@
 
 $(VENV)/.installed-dev: pyproject.toml constraints.txt | $(VENV)
