@@ -10,11 +10,12 @@ from pathlib import Path
 from typing import Any
 
 from gridtrack.evaluation.courses import ORACLE
+from gridtrack.evaluation.inference import Ended
 from gridtrack.evaluation.plan import Plan
 from gridtrack.evaluation.provenance import machine, versions
 from gridtrack.evaluation.record import MAX_BYTES, RunError, TrialRecord, read_record
 from gridtrack.evaluation.scores import HISTOGRAM, SCORES
-from gridtrack.evaluation.summary import SUMMARY, Ended, summarise, write_json
+from gridtrack.evaluation.summary import SUMMARY, summarise, write_json
 
 RUN = "run.json"
 SCHEMA = 1

@@ -136,7 +136,8 @@ def _ratio(part: Floats, whole: Floats, defined: NDArray[np.bool_] | bool = True
 
 def _without_each(sums: Floats) -> Floats:
     """Total (U, ...) without each unit in turn."""
-    return np.maximum(sums.sum(axis=0) - sums, 0.0)
+    without: Floats = np.maximum(sums.sum(axis=0) - sums, 0.0)
+    return without
 
 
 def _standard_error(without: Floats) -> Floats:
