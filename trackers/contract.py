@@ -134,7 +134,7 @@ class Tracker(ABC):
 
     @abstractmethod
     def update(self, frame: GridFrame) -> None:
-        """Take in x_t."""
+        """Take in x_t. On a clock (`--deadline`) frames are missed: stamps then lie more than a period apart."""
 
     @abstractmethod
     def predict(self, steps: int) -> Forecast:

@@ -85,6 +85,28 @@ def test_without_deadline_there_is_none_and_a_resumed_run_adds_it(compare, tmp_p
     assert trial_of(compare("blank", deadline=True, resume=True), "blank")["deadline"] is not None
 
 
+def test_a_tracker_that_ends_on_the_clock_keeps_its_score_and_that_is_told(compare, record):
+    # without a validation stretch the second stream that it is given is the first one on the clock
+    path = record("plain", stretches={})
+    summary = compare("staged:crash_at=60", "blank", recordings=(str(path),), deadline=True)
+    ended, other = (summary["trackers"][label]["recordings"]["plain"] for label in ("staged", "blank"))
+    assert (ended["outcome"], ended["deadline"]) == ("ok", None)
+    assert other["deadline"] is not None
+    assert any(
+        "staged@plain: no figures of deadlines" in notice and "crashed" in notice for notice in summary["notices"]
+    )
+
+
+def test_an_interrupt_while_input_is_degraded_keeps_every_score(compare, told, monkeypatch):
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(RobustnessRun, "run", interrupted)
+    summary = compare("blank", "persistence", degrade=Degradation(range_noise=0.1))
+    assert summary["interrupted"] is True
+    assert {trial_of(summary, label)["outcome"] for label in ("blank", "persistence")} == {"ok"}
+
+
 def test_degraded_input_is_scored_against_the_undegraded_frames(compare):
     summary = compare("persistence", degrade=Degradation(frame_drop=1.0, beam_dropout=0.5))
     result = trial_of(summary, "persistence")
