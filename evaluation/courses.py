@@ -104,6 +104,7 @@ class Course:
             "stretch": self.test.name,
             "validation": self.validation.name if self.validation else "",
             "site": self.test.site,
+            "classes": list(self.test.classes),
             "grid": str(self.test.grid),
             "rate_hz": round(1 / self.test.period_s, 6),
             "frames": len(self.test),

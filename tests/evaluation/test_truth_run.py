@@ -1,12 +1,15 @@
 """A run on a recording that knows what was truly there: what is hidden is scored, there is a ceiling, classes count."""
 
 import importlib.util
+import os
 from pathlib import Path
 
+import numpy as np
 import polars as pl
 import pytest
 
 from gridtrack.common.errors import ConfigurationError
+from gridtrack.evaluation.class_store import SEMANTICS
 from gridtrack.evaluation.plan import CompareSettings, resolve
 from gridtrack.evaluation.runner import run
 from gridtrack.evaluation.scores import SCORES
@@ -19,35 +22,57 @@ spec.loader.exec_module(truth_scene)
 HORIZON_S, STEPS = 1.0, 10
 
 
-@pytest.fixture
-def compare(tmp_path, told, install):
-    """`compare(*trackers, noise_m=..., with_truth=...)` gives the summary and the run's folder."""
-    plugins = Path(__file__).parents[1] / "plugins" / "classifier.py"
-    points = {"classifier": "classifier:Classifier", "stranger": "classifier:Stranger"}
-    install("classifiers", points, {"classifier.py": plugins.read_text()})
+def compare(folder, told, *trackers, resume=False, **recording):
+    """The summary of a run on the scene, and the run's folder."""
+    path = folder / "room.mcap"
+    if not resume:
+        truth_scene.write_recording(path, **recording)
+    settings = CompareSettings(
+        recordings=(str(path),),
+        trackers=trackers,
+        out=folder / "run",
+        horizon_s=HORIZON_S,
+        every_s=0.5,
+        jobs=1,
+        resume=resume,
+    )
+    return run(resolve(settings), (), told), folder / "run"
 
-    def compare(*trackers, resume=False, **recording):
-        path = truth_scene.write_recording(tmp_path / "room.mcap", **recording)
-        settings = CompareSettings(
-            recordings=(str(path),),
-            trackers=trackers,
-            out=tmp_path / "run",
-            horizon_s=HORIZON_S,
-            every_s=0.5,
-            jobs=1,
-            resume=resume,
-        )
-        return run(resolve(settings), (), told), tmp_path / "run"
 
-    return compare
+@pytest.fixture(scope="module")
+def complete(tmp_path_factory):
+    """A run of four trackers without range noise: its summary and its folder."""
+    site = tmp_path_factory.mktemp("site")
+    (site / "classifier.py").write_text((Path(__file__).parents[1] / "plugins" / "classifier.py").read_text())
+    info = site / "classifiers-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.4\nName: classifiers\nVersion: 1.0\n")
+    points = "classifier = classifier:Classifier\nstranger = classifier:Stranger\n"
+    (info / "entry_points.txt").write_text(f"[gridtrack.trackers]\n{points}")
+    with pytest.MonkeyPatch.context() as patched:
+        patched.syspath_prepend(str(site))
+        patched.setenv("PYTHONPATH", os.pathsep.join(filter(None, (str(site), os.environ.get("PYTHONPATH")))))
+        yield compare(tmp_path_factory.mktemp("run"), Quiet(), "persistence", "blank", "classifier", "stranger")
+
+
+class Quiet:
+    """A progress that is not shown."""
+
+    def note(self, text): ...
+
+    def started(self, trial, frames): ...
+
+    def advanced(self, trial): ...
+
+    def ended(self, trial, record): ...
 
 
 def trial_of(summary, label):
     return summary["trackers"][label]["recordings"]["room"]
 
 
-def test_with_truth_hidden_cells_are_scored_and_the_oracle_is_the_ceiling(compare):
-    summary, folder = compare("persistence", "static-map")
+def test_with_truth_hidden_cells_are_scored_and_the_oracle_is_the_ceiling(complete):
+    summary, folder = complete
     oracle = trial_of(summary, "oracle")
     assert oracle["outcome"] == "ok"
     assert oracle["frames_scored"] == oracle["frames_expected"] == trial_of(summary, "persistence")["frames_scored"]
@@ -62,35 +87,88 @@ def test_with_truth_hidden_cells_are_scored_and_the_oracle_is_the_ceiling(compar
     assert pl.read_parquet(folder / "persistence@room" / SCORES)["stratum"].n_unique() == len(STRATA_WITH_TRUTH)
 
 
-def test_range_noise_is_what_even_the_oracle_misses(compare):
-    summary, _ = compare("blank", noise_m=0.04)
+def test_range_noise_is_what_even_the_oracle_misses(tmp_path, told):
+    summary, _ = compare(tmp_path, told, "blank", noise_m=0.04)
     moving, occluded = (trial_of(summary, "oracle")["strata"][name]["f1"] for name in ("moving", "occluded"))
     assert all(0.5 < f1 < 0.99 for f1 in moving)
     assert occluded == [1.0] * (STEPS + 1)
 
 
-def test_the_static_cells_are_the_outlines_of_what_stands(compare):
+def test_the_static_cells_are_the_outlines_of_what_stands(complete):
     """A cyclist who waits is no wall, though it is there in every frame: only the scene can tell."""
-    summary, _ = compare("persistence")
+    summary, _ = complete
     recall = trial_of(summary, "persistence")["strata"]["static"]["recall"]
     assert min(recall) > 0.9
 
 
-def test_a_recording_without_truth_has_no_ceiling_and_the_strata_it_always_had(compare):
-    summary, _ = compare("persistence", with_truth=False)
+def test_a_recording_without_truth_has_no_ceiling_and_the_strata_it_always_had(tmp_path, told):
+    summary, _ = compare(tmp_path, told, "persistence", with_truth=False)
     assert set(summary["trackers"]) == {"persistence"}
     assert tuple(trial_of(summary, "persistence")["strata"]) == STRATA
     assert trial_of(summary, "persistence")["semantics"] is None
 
 
-def test_a_resumed_run_keeps_its_oracle(compare, told):
-    compare("blank")
+def test_a_resumed_run_keeps_its_oracle(tmp_path, told):
+    compare(tmp_path, told, "blank", seconds=12)
     told.frames.clear()
-    summary, _ = compare("blank", resume=True)
+    summary, _ = compare(tmp_path, told, "blank", resume=True)
     assert "oracle@room" not in told.frames
     assert trial_of(summary, "oracle")["outcome"] == "ok"
 
 
-def test_no_tracker_takes_the_oracles_name(compare):
+def test_no_tracker_takes_the_oracles_name(tmp_path, told):
     with pytest.raises(ConfigurationError, match="'oracle' is the referee's own row"):
-        compare("Oracle=blank")
+        compare(tmp_path, told, "Oracle=blank", seconds=12)
+
+
+def test_the_share_of_the_way_to_the_oracle_is_0_at_the_floor_and_below_it_negative(complete):
+    summary, _ = complete
+    strata = {label: trial_of(summary, label)["strata"]["moving"] for label in summary["trackers"]}
+    floor = strata["persistence"]["f1"][STEPS]
+    assert strata["persistence"]["share_of_oracle"][STEPS] == 0.0
+    assert strata["blank"]["share_of_oracle"][STEPS] == pytest.approx(-floor / (1 - floor), abs=1e-5)
+    assert strata["oracle"]["share_of_oracle"] is None
+    visible, occluded = (trial_of(summary, "persistence")["strata"][name]["f1"][3] for name in ("visible", "occluded"))
+    assert trial_of(summary, "persistence")["gap_to_truth"][3] == pytest.approx(visible - occluded, abs=2e-6)
+
+
+def test_classes_are_scored_over_the_wire_by_name_now_and_later(complete):
+    summary, folder = complete
+    assert trial_of(summary, "persistence")["semantics"] is None
+    semantics = trial_of(summary, "classifier")["semantics"]
+    assert semantics["classes"] == list(truth_scene.CLASSES)
+    for kind in ("visible", "occluded"):
+        scores = semantics["kinds"][kind]
+        assert [matrix["step"] for matrix in scores["confusion"]] == [0, 5, 10]
+        for matrix in scores["confusion"]:
+            step, cells = matrix["step"], np.array(matrix["cells"])
+            right = cells[:, :3].diagonal()
+            assert right[:2].tolist() == cells[:2].sum(axis=1).tolist(), "road users stay in their bands"
+            assert scores["balanced_accuracy"][step] == pytest.approx((2 + right[2] / cells[2].sum()) / 3, abs=1e-6)
+            by_hand = -(right.sum() * np.log(0.8) + (cells.sum() - right.sum()) * np.log(0.1)) / cells.sum()
+            assert scores["nll_per_cell"][step] == pytest.approx(by_hand, abs=1e-6)
+            assert scores["cells"][step] == cells.sum()
+        assert scores["nll_summed_over_scans"][0] == pytest.approx(scores["nll_per_scan"][0] * scores["scans"][0])
+    stored = pl.read_parquet(folder / "classifier@room" / SEMANTICS)
+    assert stored["cells"].sum() == sum(sum(scores["cells"]) for scores in semantics["kinds"].values())
+
+
+def test_a_class_that_a_tracker_never_heard_of_is_told_and_counts_against_it(complete):
+    summary, _ = complete
+    assert [notice for notice in summary["notices"] if "stranger" in notice] == [
+        "stranger names no class cyclist, static, which room has: cells of it count as taken for another, with"
+        " probability 0"
+    ]
+    confusion = np.array(trial_of(summary, "stranger")["semantics"]["kinds"]["visible"]["confusion"][0]["cells"])
+    cyclist, static = truth_scene.CLASSES.index("cyclist"), truth_scene.CLASSES.index("static")
+    assert confusion[static, :3].sum() < 0.2 * confusion[static].sum(), "most were taken for what is not in the set"
+    assert confusion[[cyclist, static], [cyclist, static]].sum() == 0
+
+
+def test_recall_by_class_is_that_of_moving_cells_of_the_class(complete):
+    summary, _ = complete
+    recall = trial_of(summary, "persistence")["recall_by_class"]
+    assert recall["visible"]["cyclist"]["recall"][0] == 1.0, "step 0 of what is seen is copying"
+    assert recall["visible"]["cyclist"]["recall"][STEPS] < 0.6, "it has ridden on by then"
+    assert 0.0 < recall["occluded"]["pedestrian"]["recall"][0] < 0.5
+    assert sum(recall["visible"]["static"]["cells"]) == 0, "what stands does not move"
