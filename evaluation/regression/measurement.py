@@ -19,7 +19,8 @@ BANDS: dict[str, tuple[float, float]] = {"short": (0.0, 0.5), "middle": (0.5, 1.
 ENOUGH_UNITS = 20
 """With fewer units nothing can be said about significance."""
 BLOCK_S = 100.0
-"""Where the recordings are fewer than that, units are blocks of time: longer than the cycle of a junction's signals."""
+"""Where the recordings are fewer than that, units are blocks of at least this time: longer than people linger, and
+than most signals' cycles; where a place has a longer cycle, that long."""
 
 Name = Annotated[str, Field(min_length=1, max_length=200)]
 Count = Annotated[int, Field(ge=0, le=2**53)]

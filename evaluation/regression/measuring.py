@@ -62,7 +62,7 @@ def measure(run: Path, like: Measurement | None = None) -> Measurement:
     if not file.configuration.trials:
         raise Unmeasured([f"{run}: the run has no trials: nothing was measured"])
     courses = {name: _course_key(run, name, course) for name, course in file.configuration.recordings.items()}
-    block_s = like.block_s if like else (None if len(courses) >= ENOUGH_UNITS else BLOCK_S)
+    block_s = like.block_s if like else _block_s(file.configuration.recordings)
     trackers: dict[str, dict[str, Any]] = {}
     reasons: list[str] = []
     for name, asked in file.configuration.trials.items():
@@ -79,6 +79,13 @@ def measure(run: Path, like: Measurement | None = None) -> Measurement:
     if reasons:
         raise Unmeasured(reasons)
     return _measurement(run, file, courses, trackers, block_s)
+
+
+def _block_s(courses: Mapping[str, Mapping[str, Any]]) -> float | None:
+    """None, whole recordings, where these are enough units; else longer than the cycle of any place."""
+    cycles = (course.get("cycle_s") for course in courses.values())
+    longest = max((float(cycle) for cycle in cycles if isinstance(cycle, int | float)), default=0.0)
+    return None if len(courses) >= ENOUGH_UNITS else max(BLOCK_S, longest)
 
 
 def _measurement(

@@ -1,0 +1,334 @@
+"""`gridtrack regress` as its users meet it: what passes, what is worse, and what never passes."""
+
+from __future__ import annotations
+
+import json
+from xml.etree import ElementTree
+
+import pytest
+
+MIDDLE = slice(5, 13)
+NAMES = {"kalman": {}, "persistence": {"recall": 0.4, "seed": 7}}
+
+
+@pytest.fixture
+def baseline(write_run, regress, tmp_path):
+    """A baseline of two trackers on twenty recordings."""
+    path = tmp_path / "baseline.json"
+    assert regress(write_run("then", NAMES), "--baseline", path, "--update").code == 0
+    return path
+
+
+@pytest.fixture
+def short_baseline(write_run, regress, tmp_path):
+    """A baseline of two trackers on two recordings: too few for significance."""
+    path = tmp_path / "short.json"
+    assert regress(write_run("then", NAMES, recordings=2), "--baseline", path, "--update").code == 0
+    return path
+
+
+def test_a_run_compared_with_itself_passes_and_every_count_is_equal(baseline, write_run, regress):
+    done = regress(write_run("now", NAMES), "--baseline", baseline, "--json")
+    verdict = json.loads(done.out)
+    assert (done.code, verdict["verdict"], verdict["units"]) == (0, "no worse", 20)
+    assert {row["standing"] for row in verdict["rows"]} == {"equal"}
+    assert {row["p"] for row in verdict["rows"]} == {1.0}
+    assert {(r["label"], r["stratum"], r["band"]) for r in verdict["rows"]} == {
+        (label, stratum, band)
+        for label in NAMES
+        for stratum in ("visible", "moving", "static")
+        for band in ("short", "middle", "long")
+    }
+
+
+def test_the_baseline_of_twenty_recordings_and_two_trackers_is_small_and_has_no_pickle_in_it(baseline):
+    assert baseline.stat().st_size < 300_000 / 3
+    assert json.loads(baseline.read_text())["schema"] == 1
+
+
+def test_a_tracker_that_lost_on_moving_cells_at_one_second_is_worse_there_and_only_there(baseline, write_run, regress):
+    run = write_run("now", {**NAMES, "kalman": {"seed": 1, "loss": 0.05, "at": MIDDLE}})
+    done = regress(run, "--baseline", baseline, "--json")
+    worse = [(r["label"], r["stratum"], r["band"]) for r in json.loads(done.out)["rows"] if r["standing"] == "worse"]
+    assert (done.code, worse) == (1, [("kalman", "moving", "middle")])
+    said = regress(run, "--baseline", baseline).out
+    assert "worse: kalman, moving, middle (0.5-1.5 s): F1 0." in said
+    assert said.endswith("worse than the baseline: kalman\n")
+
+
+def test_another_seed_of_the_same_tracker_is_no_worse(baseline, write_run, regress):
+    assert regress(write_run("now", {**NAMES, "kalman": {"seed": 1}}), "--baseline", baseline).code == 0
+
+
+def test_a_better_tracker_is_no_worse(baseline, write_run, regress):
+    assert regress(write_run("now", {**NAMES, "kalman": {"loss": -0.1}}), "--baseline", baseline).code == 0
+
+
+def test_a_significant_fall_within_the_margin_or_the_tolerance_passes(baseline, write_run, regress):
+    run = write_run("now", {**NAMES, "kalman": {"loss": 0.05}})
+    assert regress(run, "--baseline", baseline).code == 1
+    assert regress(run, "--baseline", baseline, "--margin", "0.1").code == 0
+    assert regress(run, "--baseline", baseline, "--tolerance", "kalman=0.1").code == 0
+    assert regress(run, "--baseline", baseline, "--tolerance", "persistence=0.1").code == 1
+
+
+def test_a_fall_on_one_recording_of_twenty_is_told_and_not_judged(baseline, write_run, regress):
+    run = write_run("now", {**NAMES, "kalman": {"loss": 0.3, "only": "junction-07"}})
+    done = regress(run, "--baseline", baseline)
+    assert done.code == 0
+    assert "fell on one recording, not judged: kalman on junction-07, moving" in done.out
+
+
+def test_on_too_few_units_any_fall_is_worse_unless_a_tolerance_is_stated(short_baseline, write_run, regress):
+    run = write_run("now", {**NAMES, "kalman": {"loss": 0.01}}, recordings=2)
+    done = regress(run, "--baseline", short_baseline)
+    assert done.code == 1
+    assert "2 paired units, of which significance wants 20" in done.out
+    assert "persistence: every count is as in the baseline" in done.out
+    assert regress(run, "--baseline", short_baseline, "--tolerance", "kalman=0.05").code == 0
+
+
+def test_a_new_tracker_and_a_new_recording_are_told_and_not_judged(short_baseline, write_run, regress):
+    run = write_run("now", {**NAMES, "newcomer": {"recall": 0.1}}, recordings=3)
+    done = regress(run, "--baseline", short_baseline)
+    assert done.code == 0
+    assert "tracker newcomer is not in the baseline: not judged" in done.out
+    assert "recording junction-02 is not in the baseline: not judged" in done.out
+
+
+def test_other_options_are_told(short_baseline, write_run, regress):
+    done = regress(
+        write_run("now", {**NAMES, "kalman": {"options": {"gate": 3}}}, recordings=2), "--baseline", short_baseline
+    )
+    assert "note: kalman was kalman, now kalman gate=3" in done.out
+
+
+def forget(key):
+    def change(run_file):
+        del run_file["configuration"]["trials"][key]
+
+    return change
+
+
+def keep_nothing(run_file):
+    run_file["configuration"]["trials"] = {}
+
+
+def other(key, value):
+    def change(run_file):
+        run_file["configuration"]["recordings"]["junction-01"][key] = value
+
+    return change
+
+
+def drop_recording(run_file):
+    configuration = run_file["configuration"]
+    del configuration["recordings"]["junction-01"]
+    configuration["trials"] = {k: v for k, v in configuration["trials"].items() if "junction-01" not in k}
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (lambda r: r.update(status="running"), "the run is 'running', not complete"),
+        (lambda r: r.update(status="interrupted"), "the run is 'interrupted', not complete"),
+        (keep_nothing, "the run has no trials"),
+        (drop_recording, "recording junction-01 of the baseline is missing in the run"),
+        (other("sha256", "another file"), "junction-01: not run as for the baseline (sha256: then"),
+        (other("stretch_s", [0.0, 30.0]), "junction-01: not run as for the baseline (stretch_s: then"),
+        (other("forecast_every_frames", 4), "(forecast_every_frames: then 8, now 4)"),
+        (other("validation_sha256", ""), "(validation_sha256: then hash of another, now )"),
+    ],
+)
+def test_a_run_that_is_not_complete_or_not_the_same_never_passes(
+    short_baseline, write_run, regress, edit, change, says
+):
+    run = write_run("now", NAMES, recordings=2)
+    edit(run / "run.json", change)
+    done = regress(run, "--baseline", short_baseline)
+    assert done.code == 3
+    assert says in done.err
+
+
+@pytest.mark.parametrize(
+    ("made", "says"),
+    [
+        ({"outcome": "crashed", "scored": 4}, "kalman@junction-00: crashed"),
+        ({"outcome": "untrained", "scored": 0}, "kalman@junction-00: untrained"),
+        ({"outcome": "ok", "scored": 0}, "kalman@junction-00: nothing was scored"),
+        ({"outcome": "ok", "scored": 7}, "kalman@junction-00: partial, 7 of 8 forecasts were scored"),
+    ],
+)
+def test_a_run_in_which_a_tracker_failed_or_nothing_was_scored_never_passes(
+    short_baseline, write_run, regress, made, says
+):
+    run = write_run("now", {**NAMES, "kalman": made}, recordings=2)
+    for arguments in (["--baseline", short_baseline], ["--baseline", short_baseline, "--update"]):
+        before = short_baseline.read_bytes()
+        done = regress(run, *arguments)
+        assert done.code == 3
+        assert says in done.err
+        assert short_baseline.read_bytes() == before
+
+
+def test_a_tracker_of_the_baseline_that_was_not_run_never_passes(short_baseline, write_run, regress):
+    done = regress(write_run("now", {"kalman": {}}, recordings=2), "--baseline", short_baseline)
+    assert done.code == 3
+    assert "tracker persistence of the baseline is missing in the run" in done.err
+
+
+def test_a_new_tracker_that_failed_does_not_pass_either(short_baseline, write_run, regress):
+    run = write_run("now", {**NAMES, "newcomer": {"outcome": "timeout", "scored": 3}}, recordings=2)
+    assert regress(run, "--baseline", short_baseline).code == 3
+
+
+def damage(path):
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+
+
+@pytest.mark.parametrize("file", ["scores.parquet", "outcome.json", "histogram.parquet"])
+@pytest.mark.parametrize("harm", [damage, lambda path: path.unlink()])
+def test_a_trial_whose_files_are_damaged_or_gone_never_passes(short_baseline, write_run, regress, file, harm):
+    run = write_run("now", NAMES, recordings=2)
+    harm(run / "kalman@junction-01" / file)
+    done = regress(run, "--baseline", short_baseline)
+    assert done.code == (0 if file == "histogram.parquet" else 3)
+
+
+def test_the_scores_of_another_trial_never_pass(short_baseline, write_run, regress):
+    run = write_run("now", NAMES, recordings=2)
+    one, two = (run / f"kalman@junction-0{n}" for n in (0, 1))
+    (two / "scores.parquet").write_bytes((one / "scores.parquet").read_bytes())
+    done = regress(run, "--baseline", short_baseline)
+    assert done.code == 3
+    assert "kalman@junction-01: other frames were delivered" in done.err
+
+
+def test_other_frames_do_not_pair(short_baseline, write_run, regress, edit):
+    def deliver_others(content):
+        content["trackers"]["kalman"]["recordings"]["junction-00"]["units"][0]["delivered"] = "0" * 32
+
+    edit(short_baseline, deliver_others)
+    done = regress(write_run("now", NAMES, recordings=2), "--baseline", short_baseline)
+    assert done.code == 3
+    assert "kalman@junction-00: other frames were delivered than for the baseline" in done.err
+
+
+def test_other_cells_do_not_pair(short_baseline, write_run, regress, edit):
+    def count_others(content):
+        unit = content["trackers"]["kalman"]["recordings"]["junction-00"]["units"][0]
+        unit["counts"]["moving"]["short"][2] += 1
+
+    edit(short_baseline, count_others)
+    done = regress(write_run("now", NAMES, recordings=2), "--baseline", short_baseline)
+    assert done.code == 3
+    assert "other strata or cells were scored" in done.err
+
+
+@pytest.mark.parametrize(
+    ("change", "code", "says"),
+    [
+        (lambda b: b.update(schema=2), 2, "schema '2' of a baseline; this gridtrack reads schema 1"),
+        (lambda b: b.update(schema=0), 2, "schema '0' of a baseline; this gridtrack reads schema 1"),
+        (lambda b: b.pop("schema"), 2, "schema 'None' of a baseline"),
+        (lambda b: b.update(trackers={}), 3, "the baseline is empty"),
+        (lambda b: b.update(extra=1), 2, "not a baseline (extra: "),
+        (lambda b: b["trackers"]["kalman"]["recordings"].pop("junction-00"), 2, "kalman was not measured on every"),
+        (lambda b: b["trackers"]["kalman"]["recordings"]["junction-00"].update(units=[]), 2, "units"),
+        (lambda b: b.update(recordings={"a": {}}), 2, "not a baseline"),
+    ],
+)
+def test_a_baseline_that_cannot_be_used_is_one_clear_line(short_baseline, write_run, regress, edit, change, code, says):
+    edit(short_baseline, change)
+    done = regress(write_run("now", NAMES, recordings=2), "--baseline", short_baseline)
+    assert done.code == code
+    assert says in done.err
+    assert done.err.count("\n") == 1
+
+
+@pytest.mark.parametrize("content", ["", "{", "[1]", "[" * 100_000, '{"schema": 1e999}', "\x00", '{"schema": 1}'])
+def test_a_corrupted_baseline_is_one_clear_line(content, write_run, regress, tmp_path):
+    path = tmp_path / "baseline.json"
+    path.write_text(content)
+    done = regress(write_run("now", NAMES, recordings=1), "--baseline", path)
+    assert done.code == 2
+    assert done.err.count("\n") == 1
+
+
+def test_a_baseline_that_is_not_there_names_the_option_that_makes_it(write_run, regress, tmp_path):
+    done = regress(write_run("now", NAMES, recordings=1), "--baseline", tmp_path / "none.json")
+    assert (done.code, "--update makes one of the run" in done.err) == (2, True)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["--tolerance", "kalman"], "--tolerance 'kalman': expected LABEL=F1"),
+        (["--tolerance", "kalmann=0.1"], "the baseline has no tracker 'kalmann'; did you mean 'kalman'?"),
+        (["--speed-reference", "blank"], "the baseline has no tracker 'blank'"),
+        (["--speed-margin", "0.1"], "speed is judged only with --speed-reference"),
+        (["--margin", "nan"], "'margin' = nan"),
+    ],
+)
+def test_wrong_use_is_one_clear_line(short_baseline, write_run, regress, arguments, says):
+    done = regress(write_run("now", NAMES, recordings=2), "--baseline", short_baseline, *arguments)
+    assert done.code == 2
+    assert says in done.err
+
+
+def test_a_folder_that_is_no_run_is_wrong_use_and_one_without_results_is_not_measured(
+    short_baseline, regress, tmp_path
+):
+    assert regress(tmp_path / "nowhere", "--baseline", short_baseline).code == 2
+    (tmp_path / "empty").mkdir()
+    assert regress(tmp_path / "empty", "--baseline", short_baseline).code == 3
+
+
+def timed(kalman_ms, persistence_ms=1.0):
+    return {"kalman": {"ms": kalman_ms}, "persistence": {**NAMES["persistence"], "ms": persistence_ms}}
+
+
+def test_speed_is_judged_as_a_ratio_so_a_slower_machine_passes_and_a_slower_tracker_does_not(
+    write_run, regress, tmp_path
+):
+    path = tmp_path / "baseline.json"
+    regress(write_run("then", timed(5.0), recordings=2), "--baseline", path, "--update")
+    asked = ["--baseline", path, "--speed-reference", "persistence"]
+    assert regress(write_run("slow-machine", timed(10.0, 2.0), recordings=2), *asked).code == 0
+    slower = write_run("slow-tracker", timed(7.0), recordings=2)
+    done = regress(slower, *asked)
+    assert done.code == 1
+    assert "kalman: update takes 7 times as long as persistence's, in the baseline 5: +40%, margin 30%" in done.out
+    assert regress(slower, *asked, "--speed-margin", "0.5").code == 0
+
+
+def test_speed_that_was_not_measured_is_told_and_asked_for_never_passes(short_baseline, write_run, regress):
+    run = write_run("now", NAMES, recordings=2)
+    told = regress(run, "--baseline", short_baseline)
+    assert (told.code, "note: speed is not judged: kalman@junction-00 has no latency" in told.out) == (0, True)
+    asked = regress(run, "--baseline", short_baseline, "--speed-reference", "persistence")
+    assert (asked.code, "speed cannot be judged" in asked.err) == (3, True)
+
+
+def test_junit_and_markdown_say_what_is_worse_and_escape_every_name(write_run, regress, tmp_path):
+    hostile = "a-b.c_d e"
+    path, junit, markdown = (tmp_path / name for name in ("b.json", "junit.xml", "page.md"))
+    regress(write_run("then", {hostile: {"options": {"x": "<script>|"}}}, recordings=2), "--baseline", path, "--update")
+    run = write_run("now", {hostile: {"loss": 0.1, "options": {"x": "<b>&\x1b"}}}, recordings=2)
+    assert regress(run, "--baseline", path, "--junit", junit, "--markdown", markdown).code == 1
+    suite = ElementTree.fromstring(junit.read_text())
+    assert int(suite.get("failures")) == len(suite.findall("testcase/failure")) > 0
+    assert int(suite.get("tests")) == len(suite.findall("testcase")) == 9
+    page = markdown.read_text()
+    assert "<script>" not in page
+    assert "\x1b" not in page + junit.read_text()
+    assert "| worse | a-b.c\\_d e | moving | short (0-0.5 s) |" in page
+
+
+def test_junit_and_markdown_of_a_run_that_was_not_measured_hold_errors(short_baseline, write_run, regress, tmp_path):
+    junit, markdown = tmp_path / "junit.xml", tmp_path / "page.md"
+    run = write_run("now", {**NAMES, "kalman": {"outcome": "crashed", "scored": 2}}, recordings=2)
+    regress(run, "--baseline", short_baseline, "--junit", junit, "--markdown", markdown)
+    suite = ElementTree.fromstring(junit.read_text())
+    assert (suite.get("errors"), suite.get("failures")) == ("2", "0")
+    assert "not measured" in markdown.read_text()
