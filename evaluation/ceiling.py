@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 from gridtrack.evaluation.courses import ORACLE
@@ -12,42 +12,48 @@ Curve = list[float | None]
 
 
 def add_ceiling(trackers: Mapping[str, Any]) -> None:
-    """Add to every trial of a summary's `trackers`, in each stratum, `share_of_oracle`, and `gap_to_truth` beside.
+    """Add to every scope of a summary's `trackers` `share_of_oracle` in each stratum, and `gap_to_truth` beside.
 
-    The share is (f1 - floor) / (oracle - floor), floor the better of persistence and static-map: 0 is no better than
-    not to track at all, 1 is all that could be had. None where a row is missing or the oracle is not above the floor.
-    The gap is F1 on visible less F1 on occluded cells: what a score of future consistency cannot see.
+    A scope is a recording, or all of them pooled. The share is (f1 - floor) / (oracle - floor), floor the better of
+    persistence and static-map: 0 is no better than not to track at all, 1 is all that could be had. None where a row
+    is missing or the oracle is not above the floor. The gap is F1 on visible less F1 on occluded cells: what a score
+    of future consistency cannot see.
     """
-    for label, entry in trackers.items():
-        for recording, trial in entry["recordings"].items():
-            strata = trial["strata"]
-            for name, scores in strata.items():
-                ceiling = _f1(trackers.get(ORACLE), recording, name)
-                floors = [_f1(floor, recording, name) for floor in _floors(trackers)]
-                scores["share_of_oracle"] = (
-                    None if label == ORACLE or not ceiling else _shares(scores["f1"], ceiling, floors)
-                )
-            trial["gap_to_truth"] = (
-                _differences(strata["visible"]["f1"], strata["occluded"]["f1"]) if "occluded" in strata else None
-            )
+    names = dict.fromkeys(name for entry in trackers.values() for name in _scopes(entry))
+    for name in names:
+        rows = {label: _scopes(entry)[name] for label, entry in trackers.items() if name in _scopes(entry)}
+        floors = [scope for label, scope in rows.items() if trackers[label]["tracker"] in FLOORS]
+        for label, scope in rows.items():
+            ceiling = None if label == ORACLE else rows.get(ORACLE)
+            _add_shares(scope["strata"], ceiling, floors)
+            scope["gap_to_truth"] = _gap(scope["strata"])
 
 
-def _floors(trackers: Mapping[str, Any]) -> Iterator[Mapping[str, Any]]:
-    """The rows of the floor: of several with other options each counts."""
-    return (entry for entry in trackers.values() if entry["tracker"] in FLOORS)
+def _scopes(entry: Mapping[str, Any]) -> dict[str | None, Any]:
+    """What a tracker scored, by recording, and pooled under None."""
+    pooled = {None: entry["pooled"]} if entry.get("pooled") else {}
+    return {**entry["recordings"], **pooled}
 
 
-def _f1(entry: Mapping[str, Any] | None, recording: str, stratum: str) -> Curve:
-    """The F1 of a complete trial; empty where there is none."""
-    trial = entry["recordings"].get(recording) if entry else None
-    if trial is None or trial["outcome"] != "ok" or trial["frames_scored"] != trial["frames_expected"]:
+def _add_shares(strata: Mapping[str, Any], ceiling: Mapping[str, Any] | None, floors: list[Mapping[str, Any]]) -> None:
+    for name, scores in strata.items():
+        best, least = _f1(ceiling, name), [f1 for floor in floors if (f1 := _f1(floor, name))]
+        shares = [_share(f1, best[n], [f[n] for f in least]) for n, f1 in enumerate(scores["f1"])] if best else None
+        scores["share_of_oracle"] = shares
+
+
+def _f1(scope: Mapping[str, Any] | None, stratum: str) -> Curve:
+    """The F1 of a row that was scored in full; empty where there is none."""
+    if scope is None or scope["outcome"] != "ok" or stratum not in scope["strata"]:
         return []
-    return list(trial["strata"][stratum]["f1"]) if stratum in trial["strata"] else []
+    return list(scope["strata"][stratum]["f1"])
 
 
-def _shares(f1: Curve, ceiling: Curve, floors: list[Curve]) -> Curve:
-    known = [floor for floor in floors if floor]
-    return [_share(value, ceiling[step], [floor[step] for floor in known]) for step, value in enumerate(f1)]
+def _gap(strata: Mapping[str, Any]) -> Curve | None:
+    if "occluded" not in strata:
+        return None
+    pairs = zip(strata["visible"]["f1"], strata["occluded"]["f1"], strict=True)
+    return [None if seen is None or hidden is None else round(seen - hidden, 6) for seen, hidden in pairs]
 
 
 def _share(value: float | None, ceiling: float | None, floors: list[float | None]) -> float | None:
@@ -55,7 +61,3 @@ def _share(value: float | None, ceiling: float | None, floors: list[float | None
     if value is None or ceiling is None or not known or ceiling <= max(known):
         return None
     return round((value - max(known)) / (ceiling - max(known)), 6)
-
-
-def _differences(one: Curve, other: Curve) -> Curve:
-    return [None if a is None or b is None else round(a - b, 6) for a, b in zip(one, other, strict=True)]

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gridtrack.evaluation.class_store import CLASSES, SemanticsCounts, read_found, read_semantics
+from gridtrack.evaluation.class_store import CLASSES, SemanticsCounts, pooled, read_found, read_semantics
 from gridtrack.evaluation.metrics import Scores, balanced_accuracy, ratio
 from gridtrack.evaluation.record import TrialRecord
 from gridtrack.evaluation.semantics import KINDS
@@ -19,18 +19,21 @@ HEADLINE_S = (0.0, 0.5, 1.0, 2.5)
 """Horizons whose confusion matrices are kept, as far as a run looks ahead; all other scores are kept of every step."""
 
 
-def class_scores(record: TrialRecord, folder: Path, recording: Mapping[str, Any]) -> dict[str, Any]:
-    """`recall_by_class` and `semantics` of a trial, each None where there is nothing to say. Raises ScoresError.
+def class_scores(
+    trials: Sequence[tuple[TrialRecord, Path]], classes: Sequence[str], horizons_s: Sequence[float]
+) -> dict[str, Any]:
+    """`recall_by_class` and `semantics` of trials together, each None where there is nothing to say.
 
-    `recording` is what the summary says of it: its `classes` and `horizons_s`.
+    `classes` and `horizons_s` are those of their recordings. Raises ScoresError.
     """
-    classes = recording.get("classes", ())
-    if not classes or not record.frames_scored or not (folder / CLASSES).exists():
+    scored = [(record, folder) for record, folder in trials if record.frames_scored and (folder / CLASSES).exists()]
+    if not classes or not scored:
         return {"recall_by_class": None, "semantics": None}
-    counts = read_semantics(folder, record.steps, classes)
+    found = np.sum([read_found(folder, record.steps, classes) for record, folder in scored], axis=0)
+    counts = [c for record, folder in scored if (c := read_semantics(folder, record.steps, classes)) is not None]
     return {
-        "recall_by_class": _recall(read_found(folder, record.steps, classes), classes),
-        "semantics": None if counts is None else _semantics(counts, classes, recording["horizons_s"]),
+        "recall_by_class": _recall(found, classes),
+        "semantics": _semantics(pooled(counts), classes, horizons_s) if len(counts) == len(scored) else None,
     }
 
 

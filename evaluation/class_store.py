@@ -94,6 +94,17 @@ class SemanticsCounts:
     scans: NDArray[np.int64]
 
 
+def pooled(counts: Sequence[SemanticsCounts]) -> SemanticsCounts:
+    """What several trials counted, together."""
+    first, *others = counts
+    return SemanticsCounts(
+        sum((other.confusion for other in others), first.confusion),
+        sum((other.log_loss for other in others), first.log_loss),
+        sum((other.scan_log_loss for other in others), first.scan_log_loss),
+        sum((other.scans for other in others), first.scans),
+    )
+
+
 def read_semantics(folder: Path, steps: int, classes: Sequence[str]) -> SemanticsCounts | None:
     """Everything that a trial counted of classes; None where its tracker gave none. Raises ScoresError."""
     if not (folder / SEMANTICS).exists():
@@ -105,7 +116,7 @@ def read_semantics(folder: Path, steps: int, classes: Sequence[str]) -> Semantic
     per_step = scans.group_by("step", "kind").agg(
         pl.col("log_loss").sum(), scan_log_loss=(pl.col("log_loss") / pl.col("cells")).sum(), scans=pl.len()
     )
-    pooled = SemanticsCounts(
+    counts = SemanticsCounts(
         np.zeros((steps + 1, len(KINDS), len(names), len(names) + 1), np.int64),
         np.zeros((steps + 1, len(KINDS))),
         np.zeros((steps + 1, len(KINDS))),
@@ -114,13 +125,13 @@ def read_semantics(folder: Path, steps: int, classes: Sequence[str]) -> Semantic
     try:
         for step, kind, true, predicted, cells in entries.collect().iter_rows():
             column = len(names) if predicted is None else names.index(predicted)
-            pooled.confusion[_within(step, steps), KINDS.index(kind), names.index(true), column] = cells
-        for step, kind, log_loss, scan_log_loss, count in per_step.collect().iter_rows():
+            counts.confusion[_within(step, steps), KINDS.index(kind), names.index(true), column] = cells
+        for step, kind, log_loss, scan_log_loss, scored in per_step.collect().iter_rows():
             at = _within(step, steps), KINDS.index(kind)
-            pooled.log_loss[at], pooled.scan_log_loss[at], pooled.scans[at] = log_loss, scan_log_loss, count
+            counts.log_loss[at], counts.scan_log_loss[at], counts.scans[at] = log_loss, scan_log_loss, scored
     except (pl.exceptions.PolarsError, OSError, ValueError) as error:
         raise _unreadable(folder / SEMANTICS, error) from None
-    return pooled
+    return counts
 
 
 def read_found(folder: Path, steps: int, classes: Sequence[str]) -> NDArray[np.int64]:
@@ -129,8 +140,8 @@ def read_found(folder: Path, steps: int, classes: Sequence[str]) -> NDArray[np.i
     found = np.zeros((steps + 1, len(KINDS), len(names), len(FOUND)), np.int64)
     rows = _scan(folder / CLASSES, _CLASSES_SCHEMA).group_by("step", "kind", "class")
     try:
-        pooled = rows.agg(pl.col(name).cast(pl.Int64).sum() for name in FOUND).collect()
-        for step, kind, name, *counts in pooled.iter_rows():
+        together = rows.agg(pl.col(name).cast(pl.Int64).sum() for name in FOUND).collect()
+        for step, kind, name, *counts in together.iter_rows():
             found[_within(step, steps), KINDS.index(kind), names.index(name)] = counts
     except (pl.exceptions.PolarsError, OSError, ValueError) as error:
         raise _unreadable(folder / CLASSES, error) from None

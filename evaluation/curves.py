@@ -35,12 +35,16 @@ def curves_of(trials: Sequence[tuple[TrialRecord, Path]], strata: tuple[str, ...
         at_threshold += tally.confusion(bins)
         at_visible += tally.confusion(np.broadcast_to(_bins(record, ("visible",)), bins.shape))
         chosen.append(_thresholds(record, strata))
+    parts = metrics.brier_parts(together)
     curves = {
         "f1": metrics.f1_score(at_threshold),
         "precision": metrics.precision(at_threshold),
         "recall": metrics.recall(at_threshold),
         "pr_auc": metrics.average_precision(together),
         "brier": metrics.brier_score(together),
+        "brier_reliability": parts.reliability,
+        "brier_resolution": parts.resolution,
+        "brier_uncertainty": parts.uncertainty,
         "nll": metrics.log_loss(together),
         "ece": metrics.calibration_error(together),
         "threshold": np.where(np.ptp(chosen, axis=0) == 0, chosen[0], np.nan),

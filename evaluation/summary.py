@@ -40,8 +40,6 @@ def summarise(
             {"tracker": trial.tracker, "options": dict(trial.options), "points": trial.points, "recordings": {}},
         )
         entry["recordings"][record.recording] = _trial_summary(trial, inference)
-        entry["recordings"][record.recording] |= class_scores(record, trial.folder, recordings[record.recording])
-    add_ceiling(trackers)
     described: dict[str, Any] = {}
     differing: list[str] = []
     for name, description in recordings.items():
@@ -61,6 +59,8 @@ def summarise(
     pooled = inference.pooled()
     for label, entry in trackers.items():
         entry["pooled"] = pooled[label] if pooled else None
+    _add_class_scores(trackers, recordings, trials)
+    add_ceiling(trackers)
     if pooled is None and len(described) > 1:
         differing.append("the recordings differ in rate, horizon or grid: no scores are pooled over them")
     return {
@@ -72,6 +72,23 @@ def summarise(
         "reference": inference.reference,
         "differences": inference.differences(),
     }
+
+
+def _add_class_scores(
+    trackers: Mapping[str, Any], recordings: Mapping[str, Mapping[str, Any]], trials: Sequence[Ended]
+) -> None:
+    """Add what was scored by class to every trial, and pooled where all recordings have the same classes."""
+    for label, entry in trackers.items():
+        own = [trial for trial in trials if trial.record.label == label]
+        for trial in own:
+            name = trial.record.recording
+            described = recordings[name].get("classes", ()), recordings[name]["horizons_s"]
+            entry["recordings"][name] |= class_scores([(trial.record, trial.folder)], *described)
+        if entry["pooled"]:
+            complete = [(trial.record, trial.folder) for trial in own if trial.complete]
+            alike = len({tuple(recording.get("classes", ())) for recording in recordings.values()}) == 1
+            first = next(iter(recordings.values()))
+            entry["pooled"] |= class_scores(complete, first.get("classes", ()) if alike else (), first["horizons_s"])
 
 
 def write_json(path: Path, content: Mapping[str, Any]) -> None:
