@@ -1,0 +1,64 @@
+"""The pytest plugin as the author of a tracker meets it: pytest in a folder of its own, on a package of its own."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from gridtrack.common.recordings import packaged_recording
+
+EXAMPLE = Path(__file__).parents[2] / "examples" / "example_tracker" / "example_tracker.py"
+TEST = """
+def test_fading(tracker_regression):
+    tracker_regression("mine=fading:half_life_s={half_life_s}", "demo.mcap@90s-97s", baseline="fading.json",
+                       horizon_s=1.0, every_s=0.5{more})
+"""
+
+
+@pytest.fixture
+def suite(tmp_path: Path, install: Callable[..., Path]) -> Callable[..., subprocess.CompletedProcess[str]]:
+    """`suite(*arguments, half_life_s, more)` runs pytest in a folder with the example tracker's regression test."""
+    install("fading-tracker", {"fading": "example_tracker:FadingTracker"}, {"example_tracker.py": EXAMPLE.read_text()})
+    (tmp_path / "demo.mcap").symlink_to(packaged_recording("leg_tracker"))
+
+    def suite(*arguments: str, half_life_s: float = 1.0, more: str = "") -> subprocess.CompletedProcess[str]:
+        (tmp_path / "test_fading.py").write_text(TEST.format(half_life_s=half_life_s, more=more))
+        command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", *arguments, str(tmp_path)]
+        return subprocess.run(command, cwd="/", capture_output=True, text=True, check=False)
+
+    return suite
+
+
+def test_a_tracker_is_gated_by_a_test_of_its_own_repository(suite, tmp_path):
+    missing = suite()
+    assert missing.returncode == 1
+    assert "there is no such baseline" in missing.stdout
+    assert "To make it: pytest test_fading.py::test_fading --gridtrack-update-baseline" in missing.stdout
+
+    assert suite("--gridtrack-update-baseline").returncode == 0
+    assert json.loads((tmp_path / "fading.json").read_text())["trackers"].keys() == {"mine"}
+    assert suite().returncode == 0
+
+    worse = suite(half_life_s=0.05)
+    assert worse.returncode == 1
+    assert "worse: mine, moving, middle (0.5-1.5 s): F1 0." in worse.stdout
+    assert "Traceback" not in worse.stdout
+    assert suite(half_life_s=0.05, more=", tolerance=0.9").returncode == 0
+
+
+def test_an_option_that_does_not_exist_is_one_clear_line(suite):
+    done = suite(more=", horizon=2")
+    assert done.returncode == 1
+    assert "there is no option 'horizon'; did you mean 'horizon_s'?" in done.stdout
+    assert "Traceback" not in done.stdout
+
+
+def test_the_plugin_loads_nothing_of_weight():
+    code = "import gridtrack.reports.pytest_plugin, sys; print(*sorted(sys.modules))"
+    loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
+    assert not {"numpy", "pydantic", "polars", "pyarrow", "numba", "typer", "rich", "torch"} & set(loaded)
