@@ -22,7 +22,7 @@ Out = Annotated[Path, typer.Option(help="The recording to write: .tracks, render
 
 @app.command("junction")
 def simulate_junction(
-    minutes: Annotated[float, typer.Option(min=0.01, max=24 * 60.0)],
+    minutes: Annotated[float, typer.Option(help="How long")],
     out: Out,
     seed: Annotated[int, typer.Option(min=0, max=2**31 - 1)] = 1,
     start: Annotated[str, typer.Option(help="Left out at the beginning, while the streets fill")] = "300s",

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from gridtrack.common.errors import ConfigurationError
 from gridtrack.common.recordings.recording import RecordingInfo
 from gridtrack.common.simulation.junction import demand, place
 from gridtrack.common.simulation.motion import headings, pieces, smoothed, trailing_headings
@@ -17,6 +18,7 @@ from gridtrack.common.simulation.tracks import Tracks, TracksInfo
 
 WARM_UP_S = 300.0
 """From the empty streets to steady traffic: three signal cycles of 96 s."""
+MAX_MINUTES = 600.0
 MARGIN_S = 3.0
 """Simulated on either side of what is kept, so that smoothing has both sides there too."""
 WALKING_STD_STEPS, ROLLING_STD_STEPS = 4.0, 1.0
@@ -36,9 +38,14 @@ CREDIT = "simulated with Eclipse SUMO and JuPedSim"
 def simulate_junction(minutes: float, seed: int, start_s: float = WARM_UP_S) -> Tracks:
     """`minutes` of the junction from `start_s` after the streets were empty; the same seed gives the same tracks.
 
-    Raises ConfigurationError where SUMO is not installed, SimulationError where it fails.
+    Raises ConfigurationError where SUMO is not installed or the times make no sense, SimulationError where it fails.
     """
-    frames = round(minutes * 60.0 * place.RATE_HZ)
+    if not (0.0 < minutes <= MAX_MINUTES and 0.0 <= start_s <= MAX_MINUTES * 60.0):
+        raise ConfigurationError(
+            f"{minutes:g} minutes from {start_s:g} s on: expected up to {MAX_MINUTES:g} minutes, and no start before 0"
+        )
+    frames = max(round(minutes * 60.0 * place.RATE_HZ), 1)
+    start_s = round(start_s / STEP_S) * STEP_S
     before_s = min(MARGIN_S, start_s)
     span_s = (start_s - before_s, start_s + frames * STEP_S + MARGIN_S)
     here = Path(str(resources.files("gridtrack.common.simulation.junction")))

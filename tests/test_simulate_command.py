@@ -1,0 +1,78 @@
+"""`gridtrack simulate` as its users meet it, without SUMO."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from gridtrack.common.recordings import open_recording, packaged_recording
+
+LINES = "\n".join(f'0 {10 + f} 10 {30 + f} 30 {f} 0 0 0 "Pedestrian"' for f in range(90)) + "\n"
+
+
+def gridtrack(*arguments: str, code: int = 0) -> subprocess.CompletedProcess[str]:
+    done = subprocess.run(
+        [sys.executable, "-m", "gridtrack.cli", *arguments], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == code, done.stdout + done.stderr
+    return done
+
+
+@pytest.fixture
+def annotations(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    path = tmp_path / "annotations.txt"
+    path.write_text(LINES)
+    return path
+
+
+def simulate_tracks(source: Path, out: Path, *options: str, code: int = 0) -> subprocess.CompletedProcess[str]:
+    return gridtrack(
+        "simulate", "tracks", "--format", "sdd", str(source), "--scale", "0.05", "--out", str(out), *options, code=code
+    )
+
+
+def test_annotated_tracks_become_a_recording_with_truth(annotations: Path) -> None:
+    out = annotations.with_name("walk.tracks")
+    done = simulate_tracks(annotations, out, "--laser-at", "3,-5")
+    assert "pedestrian: in 100.0% of frames, moving in 100.0%" in done.stdout
+    shown = gridtrack("recording", "info", str(out)).stdout
+    assert "classes: pedestrian, cyclist, car, bus" in shown
+    assert "24 scans with truth" in shown
+    assert open_recording(out).info.command == (
+        "gridtrack simulate tracks --format sdd annotations.txt --out walk.tracks --scale 0.05 --site walk --rate 8.0"
+        " --grid 100x0.2 --laser-at 3,-5 --seed 0"
+    )
+
+
+def test_who_walks_through_the_laser_is_told_with_exit_code_3(annotations: Path) -> None:
+    done = simulate_tracks(annotations, annotations.with_name("walk.tracks"), "--laser-at", "3,-1", code=3)
+    assert "fault: pedestrian on the scanner in" in done.stdout
+
+
+def test_the_check_reads_what_ships() -> None:
+    done = gridtrack("simulate", "check", str(packaged_recording("junction/test-104")))
+    assert "1 minutes; the longest that a vehicle stands" in done.stdout
+    assert "fault" not in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (("simulate", "junction", "--minutes", "1", "--out", "a.bag"), "written as .tracks or as .mcap"),
+        (("simulate", "junction", "--minutes", "nan", "--out", "a.tracks"), "nan minutes from 300 s on: expected"),
+        (("simulate", "junction", "--minutes", "1", "--start", "-3s", "--out", "a.tracks"), "no start before 0"),
+        (("simulate", "check", "nowhere.tracks"), "nowhere.tracks"),
+        (("simulate", "tracks", "a.txt", "--format", "kitti", "--scale", "1", "--out", "a.mcap"), "known is sdd"),
+        (("simulate", "tracks", "a.txt", "--scale", "0", "--out", "a.mcap"), "'scale' = 0.0"),
+        (("simulate", "tracks", "a.txt", "--scale", "1", "--laser-at", "here", "--out", "a.mcap"), "'laser_at"),
+    ],
+)
+def test_a_users_mistake_is_one_line_and_exit_code_2(arguments: tuple[str, ...], says: str) -> None:
+    done = gridtrack(*arguments, code=2)
+    assert says in done.stderr
+    assert done.stderr.startswith("gridtrack: ")
+    assert done.stderr.count("\n") == 1
