@@ -28,7 +28,7 @@ def title_of(runs: Sequence[Run]) -> str:
     if len(runs) > 1:
         return " and ".join(run.name for run in runs) + " side by side"
     summary = runs[0].summary
-    recordings = list(summary.recordings)
+    recordings = [name for name, recording in summary.recordings.items() if not recording.pooled]
     trackers = f"{len(summary.trackers)} tracker{'s' * (len(summary.trackers) != 1)}"
     return f"{trackers} on {recordings[0] if len(recordings) == 1 else f'{len(recordings)} recordings'}"
 
@@ -76,7 +76,8 @@ def _value(cell: Cell) -> float:
 
 def facts_of(run: Run) -> tuple[Fact, ...]:
     """What was compared, on what, by which command, as far as the run's folder tells."""
-    facts = [Fact(f"recording {name}", _recording(run, name)) for name in run.summary.recordings]
+    recordings = [name for name, recording in run.summary.recordings.items() if not recording.pooled]
+    facts = [Fact(f"recording {name}", _recording(run, name)) for name in recordings]
     command = run.provenance.get("command")
     if command:
         facts.append(Fact("command", shlex.join(map(str, command)) if isinstance(command, list) else str(command)))

@@ -14,6 +14,10 @@ ROW_HEIGHT = 17.0
 SHORTEST_MS = 0.01
 
 
+Band = tuple[Curve, Curve]
+"""The confidence interval of a curve at each step: low and high."""
+
+
 @dataclass(frozen=True)
 class Series:
     """One tracker wherever it is drawn: its name, and the style (a CSS class) that is its own on the whole page."""
@@ -47,6 +51,8 @@ class Line:
     pieces: tuple[str, ...]
     to_zero: str
     at_zero: tuple[float, float] | None
+    bands: tuple[str, ...]
+    """The outlines of its confidence band."""
     label_at: tuple[float, float, float] | None
     """Where the label stands beside the curve's end: x, y, and the y of the end itself."""
 
@@ -95,15 +101,19 @@ def curve_panel(
     curves: Sequence[tuple[Series, Curve]],
     size: tuple[int, int],
     label_width: float = 0.0,
+    bands: Sequence[Band | None] = (),
 ) -> CurvePanel:
-    """Lay out F1 curves over `horizons_s` in a panel of `size`; with `label_width` each curve is named at its end."""
+    """Lay out F1 curves over `horizons_s` in a panel of `size`; with `label_width` each curve is named at its end.
+
+    `bands` are the curves' intervals, in the same order; none at all where it is empty.
+    """
     width, height = size
     x = Axis(0.0, max(horizons_s[-1], 1e-9), 34.0, width - max(label_width, 12.0))
     y = Axis(0.0, 1.0, height - 28.0, 12.0)
     labels = _label_heights([(y(v) if (v := _last(curve)) is not None else None) for _, curve in curves], 10.0, y.start)
     lines = tuple(
-        _line(series, curve, horizons_s, x, y, (x.end + 14.0, at) if label_width and at is not None else None)
-        for (series, curve), at in zip(curves, labels, strict=True)
+        _line(series, curve, band, horizons_s, x, y, (x.end + 14.0, at) if label_width and at is not None else None)
+        for (series, curve), band, at in zip(curves, bands or [None] * len(curves), labels, strict=True)
     )
     readings = tuple(_reading(step, horizons_s, curves, x, y) for step in range(len(horizons_s)))
     x_ticks = tuple(0.5 * i for i in range(int(horizons_s[-1] / 0.5 + 1e-6) + 1))
@@ -127,13 +137,29 @@ def _last(curve: Curve) -> float | None:
 
 
 def _line(
-    series: Series, curve: Curve, horizons_s: Sequence[float], x: Axis, y: Axis, label: tuple[float, float] | None
+    series: Series,
+    curve: Curve,
+    band: Band | None,
+    horizons_s: Sequence[float],
+    x: Axis,
+    y: Axis,
+    label: tuple[float, float] | None,
 ) -> Line:
     at = [None if value is None else (x(h), y(value)) for h, value in zip(horizons_s, curve, strict=True)]
     pieces = tuple(_path(piece) for piece in _unbroken(at[1:]))
     to_zero = _path([p for p in at[:2] if p is not None]) if len(at) > 1 and at[0] and at[1] else ""
     end = at[-1]
-    return Line(series, pieces, to_zero, at[0], (*label, end[1]) if label and end else None)
+    outlines = tuple(_outlines(band, horizons_s, x, y)) if band else ()
+    return Line(series, pieces, to_zero, at[0], outlines, (*label, end[1]) if label and end else None)
+
+
+def _outlines(band: Band, horizons_s: Sequence[float], x: Axis, y: Axis) -> Iterator[str]:
+    """The band from step 1 on, one closed outline for each stretch in which it is defined."""
+    steps = list(zip(horizons_s, *band, strict=True))[1:]
+    for defined, run in groupby(steps, key=lambda step: step[1] is not None and step[2] is not None):
+        if defined:
+            stretch = [(x(h), y(low or 0.0), y(high or 0.0)) for h, low, high in run]
+            yield _path([(at, top) for at, _, top in stretch] + [(at, bottom) for at, bottom, _ in reversed(stretch)])
 
 
 def _unbroken(points: Sequence[tuple[float, float] | None]) -> Iterator[list[tuple[float, float]]]:

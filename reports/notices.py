@@ -55,7 +55,8 @@ def _what_became_of(row: Row) -> str:
 
 def _of_intervals(tables: Sequence[HeadlineTable]) -> Iterator[Notice]:
     without: dict[str, list[str]] = defaultdict(list)
-    for table in tables:
+    pooled = [table for table in tables if table.pooled]
+    for table in pooled or tables:
         intervals = {s.interval for row in table.rows for s in row.trial.strata.values() if s.interval}
         for interval in intervals:
             without[interval].append(table.recording)

@@ -15,7 +15,7 @@ from gridtrack.reports.notices import Notice, notices_of
 from gridtrack.reports.pictures import scale_png
 from gridtrack.reports.run import UNDEFINED, Run, read_runs
 from gridtrack.reports.sections import section_of, styles_of
-from gridtrack.reports.table import headline_tables
+from gridtrack.reports.table import foremost, headline_tables
 
 TEMPLATES = Path(__file__).parent / "templates"
 
@@ -45,7 +45,7 @@ def render_page(runs: Sequence[Run]) -> str:
         .get_template("page.html.j2")
         .render(
             title=title_of(runs),
-            leads=[lead_of(table) for table in tables] if len(runs) == 1 else [],
+            leads=[lead_of(table) for table in foremost(tables)] if len(runs) == 1 else [],
             runs=[(run, facts_of(run), provenance_of(run)) for run in runs],
             notices=[Notice(text, serious=True) for texts in unreadable for text in texts] + notices_of(runs, tables),
             sections=sections,

@@ -13,6 +13,8 @@ from typing import Annotated, Any
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
 from gridtrack.common.errors import GridtrackError
+from gridtrack.evaluation.courses import ORACLE
+from gridtrack.evaluation.inference import ALL_RECORDINGS
 from gridtrack.evaluation.summary import SCHEMA, SUMMARY
 
 MAX_BYTES = 256 << 20
@@ -53,6 +55,14 @@ class StratumScores(_Read):
     f1: Curve
     f1_low: Curve | None = None
     f1_high: Curve | None = None
+    precision_low: Curve | None = None
+    precision_high: Curve | None = None
+    recall_low: Curve | None = None
+    recall_high: Curve | None = None
+    brier_low: Curve | None = None
+    brier_high: Curve | None = None
+    nll_low: Curve | None = None
+    nll_high: Curve | None = None
     precision: Curve
     recall: Curve
     pr_auc: Curve
@@ -167,6 +177,11 @@ class TrackerEntry(_Read):
     recordings: dict[str, Trial]
 
     @property
+    def ceiling(self) -> bool:
+        """Whether it is what an ideal tracker could score: shown, and never ranked."""
+        return self.tracker == ORACLE
+
+    @property
     def floor(self) -> bool:
         """Whether it is one of the rows that every tracker must beat."""
         return self.tracker in FLOOR
@@ -184,6 +199,8 @@ class Recording(_Read):
     frames: int = 0
     warm_up_frames: int = 0
     forecast_every_frames: int = 0
+    pooled: bool = False
+    """Whether it stands for all recordings of the run together."""
     parity: bool = True
     """Whether every tracker was delivered the same frames: only then are they ranked."""
 
@@ -193,14 +210,46 @@ class Recording(_Read):
         return self.horizons_s[1] - self.horizons_s[0]
 
 
+class HeadlineTest(_Read):
+    """A tracker's F1 less the reference's at one horizon, and whether that is a difference."""
+
+    stratum: str
+    horizon_s: float
+    f1: Number = None
+    f1_low: Number = None
+    f1_high: Number = None
+    f1_p: Number = None
+    p_holm: Number = None
+    verdict: str
+
+
+class Difference(_Read):
+    """One tracker against the reference on a recording, or on all."""
+
+    recordings: str
+    tracker: str
+    reference: str
+    units: int = 0
+    frames: int = 0
+    interval: str = ""
+    headline: tuple[HeadlineTest, ...] = Field(default=(), max_length=100)
+
+
 class Summary(_Read):
-    """summary.json."""
+    """summary.json; where recordings are pooled, all of them together stand first among `recordings`."""
 
     schema_version: int = Field(alias="schema")
     recordings: dict[str, Recording] = Field(min_length=1)
     trackers: dict[str, TrackerEntry]
+    differences: tuple[Difference, ...] = ()
     notices: tuple[str, ...] = ()
     interrupted: bool = False
+
+    @model_validator(mode="before")
+    @classmethod
+    def _pooled_stand_first(cls, content: Any) -> Any:
+        """What is pooled is read as one more recording: whatever is shown of one is shown of all together."""
+        return with_pooled(content) if _has_pooled(content) else content
 
     @model_validator(mode="after")
     def _curves_reach_every_horizon(self) -> Summary:
@@ -218,6 +267,34 @@ class Summary(_Read):
         return self
 
 
+def _has_pooled(content: Any) -> bool:
+    """Whether every row has scores over several recordings."""
+    if not isinstance(content, dict) or not isinstance(content.get("recordings"), dict):
+        return False
+    entries = content["trackers"].values() if isinstance(content.get("trackers"), dict) else ()
+    rows = [entry for entry in entries if isinstance(entry, dict)]
+    whole = bool(rows) and all(row.get("pooled") and isinstance(row.get("recordings"), dict) for row in rows)
+    return whole and len(content["recordings"]) > 1 and ALL_RECORDINGS not in content["recordings"]
+
+
+def with_pooled(content: dict[str, Any]) -> dict[str, Any]:
+    """summary.json with all recordings together as the first of them."""
+    described = [one for one in content["recordings"].values() if isinstance(one, dict)]
+    together = {
+        **(described[0] if described else {}),
+        "pooled": True,
+        "stretch": f"{len(described)} recordings",
+        "frames": sum(frames for one in described if isinstance(frames := one.get("frames", 0), int)),
+        "parity": all(one.get("parity", True) for one in described),
+    }
+    trackers = {
+        label: {**entry, "recordings": {ALL_RECORDINGS: entry["pooled"], **entry["recordings"]}}
+        for label, entry in content["trackers"].items()
+    }
+    recordings = {ALL_RECORDINGS: together, **content["recordings"]}
+    return {**content, "recordings": recordings, "trackers": trackers}
+
+
 @dataclass(frozen=True)
 class Run:
     """A run's folder, read: `name` tells it from the others on the page, `provenance` is run.json."""
@@ -231,6 +308,8 @@ class Run:
         """What decided the scores on one recording, its hash among them: equal for runs of the same frames."""
         configuration = self.provenance.get("configuration")
         recordings = configuration.get("recordings") if isinstance(configuration, dict) else None
+        if self.summary.recordings[recording].pooled:
+            return recordings
         return recordings.get(recording) if isinstance(recordings, dict) else None
 
     def trial_folder(self, label: str, recording: str) -> Path:

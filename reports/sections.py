@@ -6,7 +6,8 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from gridtrack.reports.conditions import Deadlines, RobustnessTable, deadlines_of, robustness_of
-from gridtrack.reports.figures import Axis, CurvePanel, Series, Span, TimeScale, curve_panel, time_scale
+from gridtrack.reports.differences import Differences, differences_of
+from gridtrack.reports.figures import Axis, Band, CurvePanel, Series, Span, TimeScale, curve_panel, time_scale
 from gridtrack.reports.film import Film, film_of
 from gridtrack.reports.run import FLOOR, Latency, Run, StratumScores, Trial
 from gridtrack.reports.table import HeadlineTable, Row
@@ -61,6 +62,8 @@ class Section:
 
     table: HeadlineTable
     details: tuple[Detail, ...]
+    differences: Differences | None
+    """From the reference, on the page of one run."""
     curves: tuple[tuple[str, tuple[CurvePanel, ...]], ...]
     """Per run its name (empty where there is only one) and its panels."""
     threshold_horizons: tuple[str, ...]
@@ -88,7 +91,9 @@ def styles_of(runs: Sequence[Run]) -> dict[str, str]:
         for label, entry in run.summary.trackers.items():
             if label in styles:
                 continue
-            if entry.floor:
+            if entry.ceiling:
+                styles[label] = "ceiling"
+            elif entry.floor:
                 styles[label] = f"f{FLOOR.index(entry.tracker)}"
             else:
                 styles[label] = f"t{coloured % COLOURS}" + (" again" if coloured >= COLOURS else "")
@@ -106,6 +111,7 @@ def section_of(runs: Sequence[Run], table: HeadlineTable, styles: Mapping[str, s
     section = Section(
         table=table,
         details=tuple(_details(table)),
+        differences=differences_of(runs[0], table.recording) if len(runs) == 1 else None,
         curves=tuple((run.name if len(runs) > 1 else "", _panels(run, table, styles)) for run in shown),
         threshold_horizons=horizons,
         thresholds=thresholds,
@@ -138,11 +144,20 @@ def _panels(run: Run, table: HeadlineTable, styles: Mapping[str, str]) -> tuple[
     ]
     return tuple(
         curve_panel(
-            name, recording.horizons_s, [(s, t.strata[name].f1) for s, t in trials if name in t.strata], size, label
+            name,
+            recording.horizons_s,
+            [(s, t.strata[name].f1) for s, t in trials if name in t.strata],
+            size,
+            label,
+            [_band(t.strata[name]) for _, t in trials if name in t.strata],
         )
         for name, size, label in PANELS
         if any(name in trial.strata for _, trial in trials)
     )
+
+
+def _band(scores: StratumScores) -> Band | None:
+    return None if scores.f1_low is None or scores.f1_high is None else (scores.f1_low, scores.f1_high)
 
 
 def _series(label: str, style: str, trial: Trial) -> Series:
@@ -190,7 +205,7 @@ def keeps_up(latency: Latency, period_ms: float) -> str:
 
 def _film(runs: Sequence[Run], table: HeadlineTable) -> tuple[Film | None, tuple[str, ...]]:
     """The filmstrip, on the page of one run: side by side, each run's own page has it."""
-    if len(runs) > 1:
+    if len(runs) > 1 or table.pooled:
         return None, ()
     run, step = runs[0], table.decisive.step
     folders = {row.label: run.trial_folder(row.label, table.recording) for row in table.rows}

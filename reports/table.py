@@ -14,8 +14,8 @@ HORIZONS_S = (0.5, 1.0, 2.0, 2.5)
 DETAIL_HORIZON_S = 1.0
 """The horizon of the other scores; also the one that rows are sorted by."""
 
-Standing = Literal["ranked", "floor", "apart"]
-"""Complete trials of trackers, complete trials of the floor, and trials that are partial or gave nothing."""
+Standing = Literal["ceiling", "ranked", "floor", "apart"]
+"""What could be had, complete trials of trackers, those of the floor, and trials that are partial or gave nothing."""
 
 
 @dataclass(frozen=True)
@@ -34,18 +34,33 @@ class Column:
         scores = trial.strata.get(self.stratum)
         return None if scores is None else curve_of(scores, self.score)[self.step]
 
+    def interval_of(self, trial: Trial) -> tuple[float, float] | None:
+        """The confidence interval of that value, None where there is none."""
+        scores = trial.strata.get(self.stratum)
+        low, high = (getattr(scores, f"{self.score}_{end}", None) for end in ("low", "high"))
+        if low is None or high is None or low[self.step] is None or high[self.step] is None:
+            return None
+        return low[self.step], high[self.step]
+
 
 @dataclass(frozen=True)
 class Cell:
-    """One number of the table, and whether it is the best of its column among complete trials."""
+    """One number of the table, its confidence interval, and whether it is the best of its column among complete
+    trials."""
 
     value: float | None
     best: bool = False
+    interval: tuple[float, float] | None = None
 
     @property
     def text(self) -> str:
         """Three decimals, or a dash where the score is not defined."""
         return UNDEFINED if self.value is None else f"{self.value:.3f}"
+
+    @property
+    def interval_text(self) -> str:
+        """The interval in brackets, or nothing."""
+        return "" if self.interval is None else f"[{self.interval[0]:.3f}, {self.interval[1]:.3f}]"
 
 
 @dataclass(frozen=True)
@@ -82,6 +97,13 @@ class HeadlineTable:
     """The column that rows are sorted by."""
     comparable: bool
     """Whether all rows are of the same frames: only then is a best one marked."""
+    pooled: bool
+    """Whether it is of all recordings together."""
+
+    @property
+    def has_intervals(self) -> bool:
+        """Whether any number has one."""
+        return any(cell.interval for row in self.rows for cell in row.cells)
 
     @property
     def groups(self) -> tuple[tuple[str, int], ...]:
@@ -99,6 +121,11 @@ def headline_tables(runs: Sequence[Run]) -> tuple[HeadlineTable, ...]:
     return tuple(_table(runs, name) for name in names)
 
 
+def foremost(tables: Sequence[HeadlineTable]) -> Sequence[HeadlineTable]:
+    """What a run is read by: all recordings together where they are pooled, else each of them."""
+    return [table for table in tables if table.pooled] or tables
+
+
 def _table(runs: Sequence[Run], recording: str) -> HeadlineTable:
     shown = [run for run in runs if recording in run.summary.recordings]
     columns = tuple(_columns(_horizons_of_all(shown, recording)))
@@ -109,7 +136,7 @@ def _table(runs: Sequence[Run], recording: str) -> HeadlineTable:
         for label, entry in run.summary.trackers.items()
         if recording in entry.recordings
     ]
-    order, labels = ("ranked", "floor", "apart"), list(dict.fromkeys(row.label for row in rows))
+    order, labels = ("ceiling", "ranked", "floor", "apart"), list(dict.fromkeys(row.label for row in rows))
     rows.sort(
         key=lambda row: (
             order.index(row.standing),
@@ -118,9 +145,10 @@ def _table(runs: Sequence[Run], recording: str) -> HeadlineTable:
         )
     )
     comparable = _of_the_same_frames(shown, recording)
+    pooled = any(run.summary.recordings[recording].pooled for run in shown)
     if comparable:
         rows = list(_with_best(rows, columns))
-    return HeadlineTable(recording, columns, tuple(rows), columns[decisive], comparable)
+    return HeadlineTable(recording, columns, tuple(rows), columns[decisive], comparable, pooled)
 
 
 def _horizons_of_all(runs: Sequence[Run], recording: str) -> tuple[float, ...]:
@@ -163,8 +191,14 @@ def _heading(horizon_s: float) -> str:
 
 
 def _row(run: str, label: str, entry: TrackerEntry, trial: Trial, columns: Sequence[Column]) -> Row:
-    standing: Standing = "apart" if not trial.complete else "floor" if entry.floor else "ranked"
-    return Row(run, label, entry, trial, standing, tuple(Cell(column.of(trial)) for column in columns))
+    cells = tuple(Cell(column.of(trial), interval=column.interval_of(trial)) for column in columns)
+    return Row(run, label, entry, trial, _standing(entry, trial), cells)
+
+
+def _standing(entry: TrackerEntry, trial: Trial) -> Standing:
+    if not trial.complete:
+        return "apart"
+    return "ceiling" if entry.ceiling else "floor" if entry.floor else "ranked"
 
 
 def _or_least(value: float | None) -> float:
@@ -175,12 +209,12 @@ def _with_best(rows: Sequence[Row], columns: Sequence[Column]) -> Iterator[Row]:
     """Mark the best complete trials of each column; equal to the shown digits is equally good."""
     best: list[str | None] = []
     for i, column in enumerate(columns):
-        values = [v for row in rows if row.standing != "apart" and (v := row.cells[i].value) is not None]
+        values = [v for row in rows if row.standing in ("ranked", "floor") and (v := row.cells[i].value) is not None]
         pick = max if column.better > 0 else min
         best.append(Cell(pick(values)).text if len(values) > 1 and column.better else None)
     for row in rows:
         marked = (replace(cell, best=cell.text == top) for cell, top in zip(row.cells, best, strict=True))
-        yield row if row.standing == "apart" else replace(row, cells=tuple(marked))
+        yield row if row.standing in ("apart", "ceiling") else replace(row, cells=tuple(marked))
 
 
 def curve_of(scores: StratumScores, score: str) -> tuple[float | None, ...]:
@@ -194,10 +228,14 @@ def as_markdown(table: HeadlineTable) -> str:
     head = ["tracker", *(f"{c.group} {c.heading}" for c in table.columns), "frames", "outcome"]
     lines = [head, ["---", *("---:" for _ in head[1:-1]), "---"]]
     lines += [
-        [_plain(row.name), *(f"**{c.text}**" if c.best else c.text for c in row.cells), row.frames, row.trial.outcome]
+        [_plain(row.name), *(_in_markdown(cell) for cell in row.cells), row.frames, row.trial.outcome]
         for row in table.rows
     ]
     return "".join(f"| {' | '.join(line)} |\n" for line in lines)
+
+
+def _in_markdown(cell: Cell) -> str:
+    return f"{f'**{cell.text}**' if cell.best else cell.text} {cell.interval_text}".rstrip()
 
 
 def _plain(name: str) -> str:

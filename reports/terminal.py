@@ -13,11 +13,14 @@ from rich.markup import escape
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
+from gridtrack.common.errors import plain
 from gridtrack.evaluation.record import TrialRecord
+from gridtrack.reports.differences import Differences, differences_of
+from gridtrack.reports.differences import as_markdown as differences_as_markdown
 from gridtrack.reports.run import read_runs
-from gridtrack.reports.table import HeadlineTable, Row, as_markdown, headline_tables
+from gridtrack.reports.table import HeadlineTable, Row, as_markdown, foremost, headline_tables
 
-STYLES = {"ranked": "", "floor": "dim", "apart": "yellow"}
+STYLES = {"ceiling": "italic", "ranked": "", "floor": "dim", "apart": "yellow"}
 
 
 class RunProgress:
@@ -64,11 +67,32 @@ class RunProgress:
 def print_tables(run: Path) -> None:
     """The headline tables of a run: rich on a terminal, Markdown elsewhere. Raises ReportError."""
     console = Console()
-    for table in headline_tables(read_runs([run])):
+    runs = read_runs([run])
+    for table in foremost(headline_tables(runs)):
+        differences = differences_of(runs[0], table.recording)
         if console.is_terminal:
             console.print(_rich(table))
-        else:
-            print(f"{table.recording}\n\n{as_markdown(table)}")
+            if differences:
+                console.print(_rich_differences(differences))
+            continue
+        print(f"{plain(table.recording)}\n\n{as_markdown(table)}")
+        if differences:
+            print(f"{_title(differences)}\n\n{differences_as_markdown(differences)}")
+
+
+def _title(differences: Differences) -> str:
+    return plain(f"F1 less that of {differences.reference}, paired over {differences.units}; p after Holm")
+
+
+def _rich_differences(differences: Differences) -> Table:
+    shown = Table(title=escape(_title(differences)), box=box.SIMPLE_HEAD)
+    shown.add_column("tracker")
+    for stratum, horizon_s in differences.columns:
+        shown.add_column(f"{stratum}\n{horizon_s:g} s", justify="right")
+    for row in differences.rows:
+        cells = [f"{s.value}\n{escape(s.interval)}\n{s.p}\n{s.verdict}" for s in row.shown]
+        shown.add_row(escape(row.tracker), *(cells or [escape(row.why_none)]))
+    return shown
 
 
 def _rich(table: HeadlineTable) -> Table:
@@ -83,7 +107,11 @@ def _rich(table: HeadlineTable) -> Table:
 
 
 def _cells(row: Row) -> list[str]:
-    numbers = [f"[bold]{cell.text}[/bold]" if cell.best else cell.text for cell in row.cells]
+    numbers = [
+        (f"[bold]{cell.text}[/bold]" if cell.best else cell.text)
+        + (f"\n{escape(cell.interval_text)}" if cell.interval else "")
+        for cell in row.cells
+    ]
     outcome = "" if row.standing != "apart" else f" ({row.trial.outcome})"
     return [escape(row.name) + outcome, *numbers, row.frames]
 
