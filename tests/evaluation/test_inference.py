@@ -1,0 +1,195 @@
+"""What a run says of its trackers: pooled over recordings, with intervals, and against the reference."""
+
+from __future__ import annotations
+
+import importlib.util
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gridtrack.evaluation.frame_counts import FrameCounts, common_frames, read_frame_counts
+from gridtrack.evaluation.scores import ScoresError
+from gridtrack.evaluation.strata import STRATA
+from gridtrack.evaluation.summary import summarise
+from gridtrack.evaluation.uncertainty import COUNTS, interval
+from gridtrack.evaluation.units import autocorrelation_time, sum_by_unit, units_of
+
+spec = importlib.util.spec_from_file_location("synthetic_run", Path(__file__).with_name("synthetic_run.py"))
+synthetic = importlib.util.module_from_spec(spec)
+spec.loader.exec_module(synthetic)
+
+RECORDINGS = [f"seed-{i:02}" for i in range(20)]
+
+
+def summary_of(trials, recordings=RECORDINGS, reference=None, **described):
+    return summarise({n: synthetic.description(**described) for n in recordings}, trials, [], False, reference)
+
+
+def a_run(tmp_path, skills, recordings=RECORDINGS, frames=8, **broken):
+    """Every label at its skill; seeds differ by recording and not by label, so frames are paired."""
+    return [
+        synthetic.write_trial(
+            tmp_path, label, name, skill, seed=i, frames=frames, scored=broken.get(label) if i == 0 else None
+        )
+        for i, name in enumerate(recordings)
+        for label, skill in skills.items()
+    ]
+
+
+@pytest.fixture(scope="module")
+def twenty(tmp_path_factory):
+    """Twenty recordings: one tracker better than persistence, one its twin, one that crashed once, a ceiling."""
+    skills = {"persistence": 0.6, "good": 0.8, "twin": 0.6, "unlucky": 0.9, "oracle": 1.0}
+    trials = a_run(tmp_path_factory.mktemp("twenty"), skills, unlucky=3)
+    return trials, summary_of(trials)
+
+
+def difference(summary, tracker):
+    (found,) = [one for one in summary["differences"] if one["tracker"] == tracker]
+    return found
+
+
+def test_pooled_scores_are_of_the_sums_over_all_recordings(twenty):
+    trials, summary = twenty
+    own = [read_frame_counts(t.folder, synthetic.STEPS, STRATA) for t in trials if t.record.label == "good"]
+    tp, fp, fn = np.concatenate([o.counts for o in own]).sum(axis=0)[8, STRATA.index("moving"), :3].astype(float)
+    pooled = summary["trackers"]["good"]["pooled"]
+    assert pooled["strata"]["moving"]["f1"][8] == pytest.approx(2 * tp / (2 * tp + fp + fn), abs=1e-6)
+    assert (pooled["outcome"], pooled["recordings_complete"], pooled["frames_scored"]) == ("ok", 20, 160)
+
+
+def test_the_pooled_interval_takes_whole_recordings_as_units(twenty):
+    trials, summary = twenty
+    own = [read_frame_counts(t.folder, synthetic.STEPS, STRATA) for t in trials if t.record.label == "good"]
+    low, high = interval(np.stack([o.counts.sum(axis=0, dtype=float) for o in own]), "f1")
+    moving = summary["trackers"]["good"]["pooled"]["strata"]["moving"]
+    assert moving["f1_low"][8] == pytest.approx(low[8, 1], abs=1e-6)
+    assert moving["f1_high"][8] == pytest.approx(high[8, 1], abs=1e-6)
+    assert moving["interval"] == ""
+    assert moving["brier_low"][8] <= moving["brier"][8] <= moving["brier_high"][8]
+
+
+def test_a_single_recording_of_forty_frames_is_too_short_for_an_interval(twenty):
+    moving = twenty[1]["trackers"]["good"]["recordings"]["seed-00"]["strata"]["moving"]
+    assert moving["f1_low"] is None
+    assert moving["interval"].startswith("too short for an interval: ")
+
+
+def test_better_is_said_where_it_is_shown_over_the_whole_family(twenty):
+    good = difference(twenty[1], "good")
+    assert (good["recordings"], good["reference"], good["units"], good["frames"]) == (
+        "all recordings",
+        "persistence",
+        20,
+        160,
+    )
+    assert {(t["stratum"], t["horizon_s"]) for t in good["headline"]} == {
+        (stratum, h) for stratum in ("moving", "visible") for h in (0.5, 1.0, 2.5)
+    }
+    for test in good["headline"]:
+        assert test["verdict"] == "better"
+        assert 0 < test["f1_low"] < test["f1"] < test["f1_high"]
+        assert test["f1_p"] <= test["p_holm"] < 0.05
+
+
+def test_identical_trackers_differ_by_exactly_nothing_and_are_never_better(twenty):
+    twin = difference(twenty[1], "twin")
+    assert {(t["f1"], t["f1_low"], t["f1_high"], t["p_holm"], t["verdict"]) for t in twin["headline"]} == {
+        (0.0, 0.0, 0.0, 1.0, "no difference shown")
+    }
+
+
+def test_a_tracker_that_completed_fewer_recordings_is_not_compared_and_says_so(twenty):
+    _, summary = twenty
+    unlucky = summary["trackers"]["unlucky"]["pooled"]
+    assert unlucky["outcome"] == "partial"
+    assert unlucky["reason"] == "19 of 20 recordings complete (seed-00: crashed)"
+    told = difference(summary, "unlucky")
+    assert told["headline"] == []
+    assert told["interval"] == "not compared: unlucky has 19 of 20 recordings complete"
+
+
+def test_the_ceiling_is_compared_with_nobody(twenty):
+    assert {one["tracker"] for one in twenty[1]["differences"]} == {"good", "twin", "unlucky"}
+    assert twenty[1]["trackers"]["oracle"]["pooled"]["strata"]["moving"]["f1"][8] > 0.8
+
+
+def test_the_reference_can_be_named(tmp_path):
+    trials = a_run(tmp_path, {"persistence": 0.6, "good": 0.8}, RECORDINGS[:2], frames=3)
+    summary = summary_of(trials, RECORDINGS[:2], reference="good")
+    assert summary["reference"] == "good"
+    assert [one["tracker"] for one in summary["differences"]] == ["persistence"]
+
+
+def test_of_nineteen_recordings_nothing_is_tested(tmp_path):
+    trials = a_run(tmp_path, {"persistence": 0.6, "good": 0.8}, RECORDINGS[:19], frames=3)
+    told = difference(summary_of(trials, RECORDINGS[:19]), "good")
+    assert told["interval"] == "too short for an interval: 19 recordings, and 20 units are needed"
+    assert {test["verdict"] for test in told["headline"]} == {"not tested"}
+
+
+def test_a_long_recording_is_cut_into_blocks_longer_than_the_cycle(tmp_path):
+    trials = a_run(tmp_path, {"persistence": 0.6, "good": 0.8}, ["long"], frames=500)
+    told = {
+        cycle: difference(summary_of(trials, ["long"], cycle_s=cycle), "good") for cycle in (None, 24.0, 25.5, 96.0)
+    }
+    assert told[None]["units"] > 20
+    assert told[24.0]["units"] == 20
+    assert told[25.5]["interval"].startswith("too short for an interval: 19 units, blocks of at least 25.5 s")
+    assert told[96.0]["units"] == 5
+
+
+def test_recordings_of_different_grids_are_not_pooled_and_that_is_told(tmp_path):
+    trials = a_run(tmp_path, {"persistence": 0.6}, ["a", "b"], frames=3)
+    described = {"a": synthetic.description(), "b": {**synthetic.description(), "grid": "50x0.4"}}
+    summary = summarise(described, trials, [], False)
+    assert summary["trackers"]["persistence"]["pooled"] is None
+    assert any("no scores are pooled" in notice for notice in summary["notices"])
+
+
+def test_frames_of_another_delivery_are_not_paired(tmp_path):
+    trials = [
+        synthetic.write_trial(tmp_path, "persistence", "a", 0.6, seed=0, frames=4),
+        synthetic.write_trial(tmp_path, "odd", "a", 0.6, seed=0, frames=4, delivered="f"),
+    ]
+    told = difference(summary_of(trials, ["a"]), "odd")
+    assert (told["frames"], told["headline"]) == (0, [])
+    assert told["interval"] == "no frames in common: it was delivered others than the reference"
+    odd = read_frame_counts(trials[1].folder, synthetic.STEPS, STRATA)
+    others = FrameCounts(odd.stamps_ns[1:], np.array(["x", *odd.delivered[2:]]), odd.counts[1:])
+    one, other = common_frames(odd, others)
+    assert one.stamps_ns.tolist() == other.stamps_ns.tolist() == odd.stamps_ns[2:].tolist()
+
+
+def test_scores_of_other_steps_are_refused(tmp_path):
+    trial = synthetic.write_trial(tmp_path, "good", "a", 0.6, seed=0, frames=2)
+    with pytest.raises(ScoresError, match="not 11 steps of"):
+        read_frame_counts(trial.folder, 10, STRATA)
+
+
+def test_autocorrelation_time_of_an_autoregressive_series_is_the_textbooks():
+    rng = np.random.default_rng(0)
+    series = np.zeros((20_000, 2))
+    for t in range(1, len(series)):
+        series[t] = [0.8, 0.0] * series[t - 1] + rng.standard_normal(2)
+    assert autocorrelation_time(series[:, :1]) == pytest.approx((1 + 0.8) / (1 - 0.8), rel=0.15)
+    assert autocorrelation_time(series[:, 1:]) == pytest.approx(1.0, abs=0.1)
+    assert autocorrelation_time(series) == autocorrelation_time(series[:, :1])
+    assert autocorrelation_time(np.ones((50, 1))) == 1.0
+
+
+def test_blocks_are_equal_long_enough_and_never_reach_over_two_recordings():
+    stamps = [np.arange(100) * 1_000_000_000, np.arange(30) * 1_000_000_000, np.arange(5) * 1_000_000_000]
+    units = units_of(stamps, block_s=10.0)
+    assert [np.unique(unit, return_counts=True)[1].tolist() for unit in units] == [[10] * 10, [10] * 3, [5]]
+    assert np.concatenate(units).tolist() == sorted(np.concatenate(units).tolist())
+    assert [unit[0] for unit in units] == [0, 10, 13]
+    twenty = units_of([stamps[0]] * 20, block_s=10.0)
+    assert [set(unit.tolist()) for unit in twenty] == [{i} for i in range(20)]
+
+
+def test_sums_by_unit_add_up():
+    counts = np.arange(12, dtype=np.float32).reshape(6, 2)
+    assert sum_by_unit(counts, np.array([3, 3, 4, 4, 4, 5])).tolist() == [[2, 4], [18, 21], [10, 11]]
+    assert len(COUNTS) == 6
