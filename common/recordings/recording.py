@@ -174,7 +174,7 @@ class Recording(ABC):
             yield from order.flush()
             self._refuse_empty(order, topics)
         except RecordingError as error:
-            raise RecordingError(f"{self.path}: {error}") from None
+            raise RecordingError(f"{self.path}: {str(error).removeprefix(f'{self.path}: ')}") from None
         except OSError as error:
             raise RecordingError(f"{self.path}: cannot be read ({error.strerror})") from None
 

@@ -166,7 +166,7 @@ def test_a_file_from_which_no_scene_can_be_made_is_one_line(
     path = parquet(tmp_path / "odd.tracks", change, about)
     with pytest.raises(GridtrackError, match=told) as error:
         list(open_recording(path).scans())
-    assert "odd.tracks" in str(error.value)
+    assert str(error.value).count("odd.tracks") == 1
     assert "\n" not in str(error.value)
 
 
