@@ -6,7 +6,7 @@ DEMO := data/leg_tracker/leg_tracker.mcap
 JUNCTION := $(wildcard data/junction/test-*.tracks)
 TRACKERS := persistence static-map blank kalman deep-tracking-rnn dilated-convgru
 
-.PHONY: demo demo-junction junction test lint bench weights clean
+.PHONY: demo demo-junction junction test lint bench baseline weights clean
 
 demo: $(VENV)/.installed-demo
 	rm -rf runs/demo
@@ -34,6 +34,13 @@ lint: $(VENV)/.installed-dev
 
 bench: $(VENV)/.installed-dev
 	for benchmark in benchmarks/*.py; do $(BIN)/python $$benchmark || exit 1; done
+
+# What our own trackers are held against by tests/test_own_trackers.py: after a change that is meant to change them.
+baseline: $(VENV)/.installed-dev
+	rm -rf runs/baseline
+	$(BIN)/gridtrack compare $(DEMO)@114s-124s $(TRACKERS:%=--tracker %) --validation $(DEMO)@75s-81s \
+	    --weights data/weights --horizon 1s --every 0.5s --out runs/baseline
+	$(BIN)/gridtrack regress runs/baseline --baseline tests/baselines/own_trackers.json --update
 
 # What ships in data/weights, made again (about an hour on two cores).
 SCHEME := shown=10,blank=20,cycles=1,reverse=true,updates=1500,validate_every=100,learning_rate=0.005,warm_up=20
