@@ -23,6 +23,9 @@ def compare(
     validation: Annotated[
         str | None, typer.Option(help="RECORDING[@RANGE] to choose thresholds on; default: the recording's own")
     ] = None,
+    reference: Annotated[
+        str | None, typer.Option(metavar="LABEL", help="The row that others are set against; default: persistence")
+    ] = None,
     horizon: Annotated[str, typer.Option(help="How far to forecast")] = "2.5s",
     every: Annotated[str, typer.Option(help="Time between scored forecasts")] = "1s",
     grid: Grid = None,
@@ -67,6 +70,7 @@ def compare(
         "trackers": tuple(tracker or ()),
         "out": out,
         "validation": validation,
+        "reference": reference,
         "horizon_s": seconds(horizon),
         "every_s": seconds(every),
         "grid": grid,

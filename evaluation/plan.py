@@ -13,10 +13,11 @@ from pydantic import Field
 
 from gridtrack.common.config import Settings
 from gridtrack.common.degrade import Degradation
-from gridtrack.common.errors import ConfigurationError, PluginError
+from gridtrack.common.errors import ConfigurationError, PluginError, did_you_mean
 from gridtrack.common.grid import GridSpec
 from gridtrack.common.stream import GridStream
 from gridtrack.evaluation.courses import ORACLE, Course, Sampling, plan_course, was_seen, with_points
+from gridtrack.evaluation.inference import ALL_RECORDINGS
 from gridtrack.evaluation.learned import LearnedWeights, find_weights
 from gridtrack.evaluation.tracker_process import Limits, describe
 from gridtrack.trackers import registry
@@ -27,6 +28,7 @@ class CompareSettings(Settings):
     """A comparison as it is asked for.
 
     `recordings` as RECORDING[@range], `trackers` as [LABEL=]NAME[:key=value,...] (none: every registered one);
+    `reference` the label of the row that the others are set against (none: `persistence`, else the first);
     `validation` a RECORDING[@range] to choose thresholds on, in place of each recording's own validation stretch.
     """
 
@@ -34,6 +36,7 @@ class CompareSettings(Settings):
     trackers: tuple[str, ...] = ()
     out: Path
     validation: str | None = None
+    reference: str | None = None
     horizon_s: float = Field(2.5, gt=0.0, le=60.0)
     every_s: float = Field(1.0, gt=0.0, le=3600.0)
     grid: str | None = None
@@ -134,6 +137,7 @@ def resolve(settings: CompareSettings) -> Plan:
     external = read_trackers_toml(settings.trackers_toml) if settings.trackers_toml else {}
     selections = parse_selections(settings.trackers or _every_tracker(external))
     _refuse_ceilings_label(selections)
+    _refuse_unknown_reference(settings.reference, selections)
     launches = {selection.label: launch(selection.name, external) for selection in selections}
     for selection in selections:
         _check_options(selection, launches[selection.label], settings.limits)
@@ -181,9 +185,19 @@ def _refuse_ceilings_label(selections: Sequence[Selection]) -> None:
         )
 
 
+def _refuse_unknown_reference(reference: str | None, selections: Sequence[Selection]) -> None:
+    labels = [selection.label for selection in selections]
+    if reference is not None and reference not in labels:
+        raise ConfigurationError(f"--reference {reference}: no row is called that; {did_you_mean(reference, labels)}")
+
+
 def _refuse_equal_names(courses: tuple[Course, ...]) -> None:
     seen: dict[str, Path] = {}
     for course in courses:
+        if course.name == ALL_RECORDINGS:
+            raise ConfigurationError(
+                f"{course.path}: '{ALL_RECORDINGS}' is what all of them are called: rename the file"
+            )
         if course.name in seen:
             raise ConfigurationError(
                 f"{seen[course.name]} and {course.path} would both be called '{course.name}' in the results: name each"

@@ -73,7 +73,7 @@ class RunFolder:
         oracles = [name for course in plan.courses if (name := course.oracle_name) in records]
         ended += [Ended(records[name], self.path / name, ORACLE, {}, "centres") for name in oracles]
         recordings = {course.name: course.description() for course in plan.courses}
-        summary = summarise(recordings, ended, [*plan.notices, *notices], interrupted)
+        summary = summarise(recordings, ended, [*plan.notices, *notices], interrupted, plan.settings.reference)
         write_json(self.path / SUMMARY, summary)
         write_json(
             self.path / RUN,

@@ -20,6 +20,7 @@ from gridtrack.evaluation.provenance import usable_cores
 from gridtrack.evaluation.record import TrialRecord
 from gridtrack.evaluation.robustness_pass import RobustnessRun
 from gridtrack.evaluation.run_folder import RunFolder
+from gridtrack.evaluation.shared_thresholds import SharedThresholds
 from gridtrack.evaluation.trial import Interrupted, TrialRun, failed, unstarted, where_it_failed
 
 WAKE_S = 0.2
@@ -76,6 +77,7 @@ class _Crew:
         self._running: set[TrialRun | RobustnessRun] = set()
         self._records: dict[str, TrialRecord] = {}
         self._regions: dict[str, Regions] = {}
+        self._thresholds = SharedThresholds()
 
     def keep(self, name: str, record: TrialRecord) -> None:
         """Take over the record of a trial that need not run again."""
@@ -160,7 +162,8 @@ class _Crew:
         """A trial that fails for no fault of its tracker ends as that, and stops no other."""
         try:
             regions = self._regions_of(trial.course)
-            run = TrialRun(trial, regions, self._folder / trial.name, partial(self._next_frame, trial.name))
+            on_frame = partial(self._next_frame, trial.name)
+            run = TrialRun(trial, regions, self._folder / trial.name, on_frame, self._thresholds)
             self._progress.started(trial.name, run.frames)
             with self._interruptible(run):
                 record = run.run()

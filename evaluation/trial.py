@@ -17,6 +17,7 @@ from gridtrack.evaluation.record import RECORD, Ending, ThresholdsUsed, Times, T
 from gridtrack.evaluation.referee import Delivery, moments
 from gridtrack.evaluation.scorekeeper import FILES, Scorekeeper
 from gridtrack.evaluation.scores import HISTOGRAM, SCORES
+from gridtrack.evaluation.shared_thresholds import SharedThresholds
 from gridtrack.evaluation.thresholds import Thresholds, best_thresholds, half
 from gridtrack.evaluation.tracker_process import TrackerProcess
 from gridtrack.trackers.contract import stream_of
@@ -34,12 +35,18 @@ class Interrupted(Exception):
 class TrialRun:
     """A trial while it runs: how far it has come is what its record tells when it ends early."""
 
-    def __init__(self, trial: Trial, regions: Regions, folder: Path, on_frame: OnFrame) -> None:
-        """`regions` as of `trial.course.regions`; the trial's files are left in `folder`."""
+    def __init__(
+        self, trial: Trial, regions: Regions, folder: Path, on_frame: OnFrame, shared: SharedThresholds
+    ) -> None:
+        """`regions` as of `trial.course.regions`; the trial's files are left in `folder`.
+
+        `shared` holds the thresholds that trials before this one have chosen in the same run.
+        """
         folder.mkdir(parents=True, exist_ok=True)
         for left_by_an_earlier_attempt in (RECORD, *FILES):
             (folder / left_by_an_earlier_attempt).unlink(missing_ok=True)
         self.trial, self._regions, self._folder, self._on_frame = trial, regions, folder, on_frame
+        self._shared = shared
         self._thresholds: Thresholds | None = None
         self._test = trial.course.schedule
         self._delivery = Delivery(trial.test, on_frame)
@@ -71,8 +78,8 @@ class TrialRun:
             with self._process:
                 self._start_s = time.perf_counter() - began
                 self._classes = self._process.started.classes
+                self._thresholds = self._shared.of(self.trial, self._choose_thresholds)
                 with self._clock():
-                    self._thresholds = self._choose_thresholds()
                     self._score(self._thresholds)
         except TrialEnded as ended:
             return ended.outcome, self.trial.how_to_train if ended.outcome == "untrained" else ended.reason
@@ -86,17 +93,18 @@ class TrialRun:
 
     @contextmanager
     def _clock(self) -> Iterator[None]:
-        """Take the time of what is done inside, however it ends."""
+        """Add the time of what is done inside, however it ends."""
         began = time.perf_counter()
         try:
             yield
         finally:
-            self._wall_s = time.perf_counter() - began
+            self._wall_s += time.perf_counter() - began
 
     @property
     def frames(self) -> int:
         """How many frames the trial delivers, on both stretches."""
-        return len(self.trial.test) + len(self.trial.validation or ())
+        validation = () if self._shared.known(self.trial) else self.trial.validation or ()
+        return len(self.trial.test) + len(validation)
 
     def interrupt(self) -> None:
         """End the trial from another thread, also in the middle of a call."""
@@ -109,9 +117,10 @@ class TrialRun:
         if stretch is None:
             return half(self.trial.course.steps, self.trial.course.strata)
         tally = Tally.empty(self.trial.course.steps, self.trial.course.strata)
-        delivery = Delivery(stretch, self._on_frame)
-        for moment in moments(self._process, delivery, self.trial.course.validation_schedule, self.trial.seed):
-            tally.add(count_forecast(moment.forecast.occupancy, moment.targets, self._regions.validation, moment.ages))
+        delivery, areas = Delivery(stretch, self._on_frame), self._regions.validation
+        with self._clock():
+            for moment in moments(self._process, delivery, self.trial.course.validation_schedule, self.trial.seed):
+                tally.add(count_forecast(moment.forecast.occupancy, moment.targets, areas, moment.ages))
         return best_thresholds(tally, stretch.name)
 
     def _score(self, thresholds: Thresholds) -> None:

@@ -95,8 +95,8 @@ def test_a_tracker_that_was_delivered_other_frames_is_told_apart(settings, told,
 
     original = trial.TrialRun.__init__
 
-    def tampering(self, the_trial, regions, folder, on_frame):
-        original(self, the_trial, regions, folder, on_frame)
+    def tampering(self, the_trial, regions, folder, on_frame, shared):
+        original(self, the_trial, regions, folder, on_frame, shared)
         if the_trial.label == "odd":
             self._delivery = Tampered(the_trial.test, on_frame)
 
@@ -275,3 +275,28 @@ def test_runner_regions_are_found_once_for_each_recording(settings, told, monkey
     monkeypatch.setattr(Course, "regions", lambda course: (found.append(course.name), original(course))[1])
     compare(settings("blank", "persistence"), told)
     assert found == ["room"]
+
+
+def test_trials_that_share_a_validation_stretch_choose_their_thresholds_on_it_once(settings, told, record):
+    tests = tuple(str(record(name, 8, {})) for name in ("one", "two", "three"))
+    shared = settings("persistence", "blank", recordings=tests, validation=f"{record('other', 9, {})}@0s-9s", jobs=1)
+    summary = compare(shared, told)
+    assert told.frames == told.delivered
+    assert {name: frames for name, frames in told.delivered.items() if frames > 80} == {
+        "persistence@one": 80 + 90,
+        "blank@one": 80 + 90,
+    }
+    thresholds = [trial_of(summary, "persistence", n)["strata"]["visible"]["threshold"] for n in ("one", "two")]
+    assert thresholds[0] == thresholds[1]
+    alone = compare(shared.model_copy(update={"recordings": tests[1:2], "out": shared.out / "alone"}), told)
+    assert trial_of(alone, "persistence", "two")["strata"] == trial_of(summary, "persistence", "two")["strata"]
+
+
+def test_a_reference_that_is_no_row_is_refused_with_a_suggestion(settings):
+    with pytest.raises(ConfigurationError, match="did you mean 'persistence'"):
+        resolve(settings("persistence", "blank", reference="persistance"))
+
+
+def test_the_reference_asked_for_is_the_one_that_others_are_set_against(settings, told):
+    summary = compare(settings("persistence", "blank", reference="blank"), told)
+    assert [(one["tracker"], one["reference"]) for one in summary["differences"]] == [("persistence", "blank")]
