@@ -67,6 +67,10 @@ class StratumScores(_Read):
     recall: Curve
     pr_auc: Curve
     brier: Curve
+    brier_reliability: Curve | None = None
+    brier_resolution: Curve | None = None
+    brier_uncertainty: Curve | None = None
+    share_of_oracle: Curve | None = None
     nll: Curve
     ece: Curve
     threshold: Curve
@@ -136,6 +140,27 @@ class Robustness(_Read):
         return self
 
 
+class Recall(_Read):
+    """How many cells of one class there were at each step, and the share of them that was found."""
+
+    recall: Curve
+    cells: tuple[int, ...]
+
+
+class ClassScores(_Read):
+    """What cells were taken for, at each step."""
+
+    nll_per_cell: Curve
+    nll_per_scan: Curve
+    balanced_accuracy: Curve
+
+
+class Semantics(_Read):
+    """What cells were taken for, by kind: visible or occluded."""
+
+    kinds: dict[str, ClassScores]
+
+
 class Trial(_Read):
     """One tracker on one recording."""
 
@@ -149,6 +174,9 @@ class Trial(_Read):
     peak_rss_mb: Number = None
     deadline: Deadline | None = None
     robustness: Robustness | None = None
+    gap_to_truth: Curve | None = None
+    recall_by_class: dict[str, dict[str, Recall]] | None = None
+    semantics: Semantics | None = None
 
     @property
     def curves(self) -> Iterator[tuple[str, Curve]]:
@@ -160,6 +188,12 @@ class Trial(_Read):
         for points in self.robustness.kinds.values() if self.robustness else ():
             for point in points:
                 yield from point.f1.items()
+        yield from (("visible less occluded", gap) for gap in (self.gap_to_truth,) if gap is not None)
+        for classes in (self.recall_by_class or {}).values():
+            for name, found in classes.items():
+                yield from ((name, found.recall), (name, found.cells))
+        for kind, meant in self.semantics.kinds.items() if self.semantics else ():
+            yield from ((kind, values) for _, values in meant)
 
     @property
     def complete(self) -> bool:

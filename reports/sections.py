@@ -11,6 +11,7 @@ from gridtrack.reports.figures import Axis, Band, CurvePanel, Series, Span, Time
 from gridtrack.reports.film import Film, film_of
 from gridtrack.reports.run import FLOOR, Latency, Run, StratumScores, Trial
 from gridtrack.reports.table import HeadlineTable, Row
+from gridtrack.reports.truth import SIDE, Calibration, Classes, Hidden, calibrations_of, classes_of, hidden_of
 
 COLOURS = 8
 """Trackers beyond this many repeat the colours, with broken lines."""
@@ -74,6 +75,10 @@ class Section:
     deadlines: Deadlines | None
     robustness: RobustnessTable | None
     film: Film | None
+    hidden: Hidden | None
+    classes: Classes | None
+    calibrations: tuple[Calibration, ...]
+    calibration_side: float = SIDE
     time_width: float = TIME_WIDTH
     mark_width: float = MARK_WIDTH
 
@@ -108,6 +113,7 @@ def section_of(runs: Sequence[Run], table: HeadlineTable, styles: Mapping[str, s
     scale = time_scale(_times(table.rows), period_ms, TIME_WIDTH)
     horizons, thresholds = _thresholds(table)
     film, notices = _film(runs, table)
+    calibrations, unread = calibrations_of(runs, table)
     section = Section(
         table=table,
         details=tuple(_details(table)),
@@ -121,8 +127,11 @@ def section_of(runs: Sequence[Run], table: HeadlineTable, styles: Mapping[str, s
         deadlines=deadlines_of(table, styles),
         robustness=robustness_of(table, styles),
         film=film,
+        hidden=hidden_of(table),
+        classes=classes_of(table),
+        calibrations=calibrations,
     )
-    return section, notices
+    return section, (*notices, *unread)
 
 
 def _details(table: HeadlineTable) -> Iterator[Detail]:

@@ -1,0 +1,177 @@
+"""What was hidden, what things are, and how far to trust a probability: truth, classes and calibration on the page."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+from gridtrack.evaluation.counting import Tally
+from gridtrack.evaluation.scores import ScoresError, read_tally
+from gridtrack.reports.figures import Axis
+from gridtrack.reports.run import ClassScores, Run, Trial
+from gridtrack.reports.table import HeadlineTable, Row
+
+HIDDEN = "occluded"
+KINDS = ("visible", "occluded")
+SIDE, LEAST_CELLS = 170.0, 50
+"""Side of a calibration drawing; bins of fewer cells are noise and not drawn."""
+Value = float | None
+
+
+@dataclass(frozen=True)
+class HiddenRow:
+    """One tracker where nothing is seen: F1 of each stratum, the gap to what is seen, and the share of the oracle."""
+
+    row: Row
+    f1: tuple[Value, ...]
+    gap: Value
+    shares: tuple[Value, ...]
+
+
+@dataclass(frozen=True)
+class Hidden:
+    """F1 on occluded cells at one step, by how long they have been hidden."""
+
+    horizon: str
+    strata: tuple[str, ...]
+    rows: tuple[HiddenRow, ...]
+
+
+@dataclass(frozen=True)
+class ClassRow:
+    """One tracker: recall of each class by kind, and where it gives classes its log loss and accuracy by kind."""
+
+    row: Row
+    recall: tuple[Value, ...]
+    semantics: tuple[Value, ...]
+
+
+@dataclass(frozen=True)
+class Classes:
+    """What was found of each class, and what it was taken for, at one step."""
+
+    horizon: str
+    columns: tuple[tuple[str, str], ...]
+    """Kind and class of every column of recall."""
+    kinds: tuple[str, ...]
+    semantic: bool
+    """Whether any tracker gives classes."""
+    rows: tuple[ClassRow, ...]
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """One tracker's reliability diagram: of the cells given about p, how many were occupied."""
+
+    row: Row
+    points: tuple[tuple[float, float], ...]
+    line: str
+    parts: tuple[Value, Value, Value]
+    """Reliability, resolution and uncertainty: the parts of its Brier score."""
+    words: str
+
+
+def hidden_of(table: HeadlineTable) -> Hidden | None:
+    """The rows of a recording with truth; None without."""
+    rows = [row for row in table.rows if HIDDEN in row.trial.strata]
+    if not rows:
+        return None
+    step = table.decisive.step
+    names = tuple(dict.fromkeys(n for row in rows for n in row.trial.strata if n.startswith(HIDDEN)))
+    return Hidden(table.decisive.heading, names, tuple(_hidden_row(row, names, step) for row in rows))
+
+
+def _hidden_row(row: Row, names: Sequence[str], step: int) -> HiddenRow:
+    strata, gap = row.trial.strata, row.trial.gap_to_truth
+    shares = (strata[n].share_of_oracle if n in strata else None for n in ("moving", HIDDEN))
+    return HiddenRow(
+        row,
+        tuple(strata[name].f1[step] if name in strata else None for name in names),
+        None if gap is None else gap[step],
+        tuple(None if share is None else share[step] for share in shares),
+    )
+
+
+def classes_of(table: HeadlineTable) -> Classes | None:
+    """The rows of a recording whose classes are known; None without."""
+    rows = [row for row in table.rows if row.trial.recall_by_class]
+    if not rows:
+        return None
+    step = table.decisive.step
+    columns = tuple(dict.fromkeys(column for row in rows for column in _known(row.trial, step)))
+    kinds = tuple(kind for kind in KINDS if any(_semantics(row.trial, kind) for row in rows))
+    return Classes(
+        table.decisive.heading,
+        columns,
+        kinds,
+        bool(kinds),
+        tuple(ClassRow(row, _recalls(row.trial, columns, step), _meanings(row.trial, kinds, step)) for row in rows),
+    )
+
+
+def _known(trial: Trial, step: int) -> Iterator[tuple[str, str]]:
+    """Kind and class of what there is to find at `step`."""
+    by_kind = trial.recall_by_class or {}
+    return ((kind, name) for kind in KINDS for name, c in by_kind.get(kind, {}).items() if c.cells[step])
+
+
+def _recalls(trial: Trial, columns: Sequence[tuple[str, str]], step: int) -> tuple[Value, ...]:
+    by_kind = trial.recall_by_class or {}
+    found = (by_kind.get(kind, {}).get(name) for kind, name in columns)
+    return tuple(None if one is None else one.recall[step] for one in found)
+
+
+def _semantics(trial: Trial, kind: str) -> ClassScores | None:
+    return trial.semantics.kinds.get(kind) if trial.semantics else None
+
+
+def _meanings(trial: Trial, kinds: Sequence[str], step: int) -> tuple[Value, ...]:
+    """Log loss per cell and per scan, and balanced accuracy, of each kind."""
+    found = (_semantics(trial, kind) for kind in kinds)
+    return tuple(
+        value
+        for one in found
+        for value in (
+            (None, None, None)
+            if one is None
+            else (one.nll_per_cell[step], one.nll_per_scan[step], one.balanced_accuracy[step])
+        )
+    )
+
+
+def calibrations_of(runs: Sequence[Run], table: HeadlineTable) -> tuple[tuple[Calibration, ...], tuple[str, ...]]:
+    """Reliability diagrams of the ranked rows at the decisive step, on the page of one run.
+
+    And notices of files that could not be read.
+    """
+    if len(runs) > 1 or table.pooled:
+        return (), ()
+    drawn, notices = [], []
+    steps = len(runs[0].summary.recordings[table.recording].horizons_s) - 1
+    for row in table.standing("ranked"):
+        folder = runs[0].trial_folder(row.label, table.recording)
+        try:
+            tally = read_tally(folder, steps, (table.decisive.stratum,))
+        except ScoresError as error:
+            notices.append(f"{row.name}: no calibration drawn: {error}")
+            continue
+        drawn.append(_calibration(row, tally, table.decisive.step, table.decisive.stratum))
+    return tuple(drawn), tuple(notices)
+
+
+def _calibration(row: Row, tally: Tally, step: int, stratum: str) -> Calibration:
+    cells, positives, p_sum = (counts[step, 0] for counts in (tally.cells, tally.positives, tally.p_sum))
+    enough = cells >= LEAST_CELLS
+    x, y = Axis(0.0, 1.0, 0.0, SIDE), Axis(0.0, 1.0, SIDE, 0.0)
+    means = zip(p_sum[enough] / cells[enough], positives[enough] / cells[enough], strict=True)
+    points = tuple((x(float(p)), y(float(rate))) for p, rate in means)
+    scores = row.trial.strata[stratum]
+    parts = (scores.brier_reliability, scores.brier_resolution, scores.brier_uncertainty)
+    reliability, resolution, uncertainty = (None if part is None else part[step] for part in parts)
+    return Calibration(
+        row,
+        points,
+        " ".join(f"{px},{py}" for px, py in points),
+        (reliability, resolution, uncertainty),
+        f"{row.name}: share occupied against forecast probability, {len(points)} bins",
+    )

@@ -1,0 +1,101 @@
+"""What the page shows of truth, classes and calibration, and that it leaves out what a run does not have."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gridtrack.evaluation.counting import BINS, Tally
+from gridtrack.reports.page import render_report
+from gridtrack.reports.run import ReportError, read_runs
+from gridtrack.reports.table import headline_tables
+from gridtrack.reports.truth import SIDE, calibrations_of, classes_of, hidden_of
+
+STEPS = 20
+
+
+def with_truth(run):
+    """The run as one of a recording with truth and classes leaves it."""
+    summary = json.loads((run / "summary.json").read_text())
+    for label, entry in summary["trackers"].items():
+        for trial in entry["recordings"].values():
+            strata = trial["strata"]
+            strata["occluded"] = {**strata["visible"], "f1": [0.25] * (STEPS + 1)}
+            strata["occluded to 0.5 s"] = {**strata["visible"], "f1": [0.5] * (STEPS + 1)}
+            trial["gap_to_truth"] = [0.125] * (STEPS + 1)
+            found = {"recall": [0.75] * (STEPS + 1), "recall_at_half": [0.5] * (STEPS + 1), "cells": [9] * (STEPS + 1)}
+            trial["recall_by_class"] = {"visible": {"<b>bus</b>": found, "car": {**found, "cells": [0] * (STEPS + 1)}}}
+            if label == "good":
+                scores = dict.fromkeys(("nll_per_cell", "nll_per_scan", "balanced_accuracy"), [0.625] * (STEPS + 1))
+                trial["semantics"] = {"classes": ["<b>bus</b>", "car"], "kinds": {"visible": scores}}
+    (run / "summary.json").write_text(json.dumps(summary))
+    return run
+
+
+@pytest.fixture
+def truth_run(make_run, tmp_path):
+    return with_truth(make_run(tmp_path / "truth"))
+
+
+def table_of(run):
+    (table,) = headline_tables(read_runs([run]))
+    return table
+
+
+def test_hidden_cells_have_a_table_with_the_gap(truth_run):
+    hidden = hidden_of(table_of(truth_run))
+    assert hidden.strata == ("occluded", "occluded to 0.5 s")
+    assert {row.f1 for row in hidden.rows} == {(0.25, 0.5)}
+    assert {row.gap for row in hidden.rows} == {0.125}
+
+
+def test_classes_that_were_there_have_a_column_and_trackers_without_semantics_dashes(truth_run):
+    classes = classes_of(table_of(truth_run))
+    assert classes.columns == (("visible", "<b>bus</b>"),)
+    meanings = {row.row.label: row.semantics for row in classes.rows}
+    assert meanings["good"] == (0.625, 0.625, 0.625)
+    assert meanings["fair"] == (None, None, None)
+
+
+def test_the_page_shows_them_with_every_name_escaped(truth_run):
+    page = render_report([truth_run]).read_text()
+    for heading in ("What was hidden", "Classes", "Calibration"):
+        assert f"<h2>{heading}</h2>" in page
+    assert "&lt;b&gt;bus&lt;/b&gt;" in page
+    assert "<b>bus" not in page
+
+
+def test_a_run_without_truth_has_no_such_section(run_folder):
+    assert hidden_of(table_of(run_folder)) is None
+    assert classes_of(table_of(run_folder)) is None
+    page = render_report([run_folder], run_folder / "page.html").read_text()
+    assert "What was hidden" not in page
+
+
+def test_a_calibrated_forecast_lies_on_the_diagonal(run_folder, monkeypatch):
+    cells = np.full((STEPS + 1, 1, BINS), 1000)
+    p = np.linspace(0.01, 0.99, BINS)
+    tally = Tally(cells, (cells * p).astype(int), cells * p, *np.zeros((2, STEPS + 1, 1)), ("moving",))
+    monkeypatch.setattr("gridtrack.reports.truth.read_tally", lambda *_: tally)
+    drawn, notices = calibrations_of(read_runs([run_folder]), table_of(run_folder))
+    assert [one.row.label for one in drawn] == ["good", "fair"]
+    assert notices == ()
+    assert all(x == pytest.approx(SIDE - y, abs=0.3) for x, y in drawn[0].points)
+
+
+def test_a_histogram_that_cannot_be_read_is_told_and_the_page_goes_on(truth_run):
+    (truth_run / "good@crossing" / "histogram.parquet").write_bytes(b"not")
+    runs = read_runs([truth_run])
+    drawn, notices = calibrations_of(runs, table_of(truth_run))
+    assert [one.row.label for one in drawn] == ["fair"]
+    assert notices[0].startswith("good: no calibration drawn")
+
+
+def test_curves_by_class_that_do_not_reach_every_horizon_are_refused(truth_run):
+    path = Path(truth_run / "summary.json")
+    summary = json.loads(path.read_text())
+    summary["trackers"]["good"]["recordings"]["crossing"]["semantics"]["kinds"]["visible"]["nll_per_cell"].pop()
+    path.write_text(json.dumps(summary))
+    with pytest.raises(ReportError, match="good on crossing"):
+        read_runs([truth_run])
