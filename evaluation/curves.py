@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,24 +11,20 @@ from numpy.typing import NDArray
 from gridtrack.evaluation import metrics
 from gridtrack.evaluation.counting import EDGES, Tally
 from gridtrack.evaluation.record import TrialRecord
-from gridtrack.evaluation.scores import read_tally
 from gridtrack.evaluation.thresholds import half
 
 Curves = dict[str, list[float | None]]
 
 
-def curves_of(trials: Sequence[tuple[TrialRecord, Path]], strata: tuple[str, ...]) -> dict[str, Curves]:
-    """Scores of the counts of all `trials` together, each at its own thresholds; a threshold that differs is null.
-
-    Raises ScoresError.
-    """
+def curves_of(trials: Sequence[tuple[TrialRecord, Tally]], strata: tuple[str, ...]) -> dict[str, Curves]:
+    """Scores of what all `trials` counted together, each at its own thresholds; a threshold that differs is null."""
     steps = trials[0][0].steps
     together = Tally.empty(steps, strata)
     shape = (steps + 1, len(strata), 4)
     at_threshold, at_visible = np.zeros(shape, np.int64), np.zeros(shape, np.int64)
     chosen = []
-    for record, folder in trials:
-        tally = read_tally(folder, record.steps, tuple(record.thresholds.values)).of(strata)
+    for record, counted in trials:
+        tally = counted.of(strata)
         together.add(tally)
         bins = _bins(record, strata)
         at_threshold += tally.confusion(bins)

@@ -10,10 +10,12 @@ from typing import Any
 
 import numpy as np
 
+from gridtrack.evaluation.counting import Tally
 from gridtrack.evaluation.courses import ORACLE
 from gridtrack.evaluation.curves import curve, curves_of, plain_number
 from gridtrack.evaluation.frame_counts import FrameCounts, read_frame_counts
 from gridtrack.evaluation.record import TrialRecord
+from gridtrack.evaluation.scores import read_tally
 from gridtrack.evaluation.statistics import (
     Comparison,
     Scope,
@@ -63,6 +65,7 @@ class Inference:
         self._reference = reference
         self._blocks: dict[str, float] = {}
         self._frames: dict[str, FrameCounts] = {}
+        self._tallies: dict[str, Tally] = {}
 
     @cached_property
     def reference(self) -> str | None:
@@ -75,6 +78,13 @@ class Inference:
         """Intervals of every score of one trial, by stratum."""
         name = trial.record.recording
         return _plain(intervals([self._read(trial)], trial.strata, self._block_s([name])))
+
+    def tally_of(self, trial: Ended) -> Tally:
+        """Everything that a trial counted, read once. Raises ScoresError."""
+        key = trial.folder.name
+        if key not in self._tallies:
+            self._tallies[key] = read_tally(trial.folder, trial.record.steps, trial.strata)
+        return self._tallies[key]
 
     def pooled(self) -> dict[str, Any] | None:
         """Every tracker over all recordings together, by label; None where there is only one, or they do not add up."""
@@ -102,7 +112,7 @@ class Inference:
         strata = common_strata([trial.strata for trial in complete]) if complete else ()
         curves: dict[str, dict[str, Any]] = {}
         if complete:
-            curves = dict(curves_of([(trial.record, trial.folder) for trial in complete], strata))
+            curves = dict(curves_of([(trial.record, self.tally_of(trial)) for trial in complete], strata))
             frames = [_in(self._read(trial), trial.strata, strata) for trial in complete]
             found = _plain(intervals(frames, strata, self._block_s([t.record.recording for t in complete])))
             curves = {name: {**curves[name], **found[name]} for name in strata}

@@ -121,7 +121,8 @@ def _trial_summary(trial: Ended, inference: Inference) -> dict[str, Any]:
     latency = record.latency_ms
     strata: dict[str, dict[str, Any]] = {}
     if record.frames_scored:
-        curves, intervals = curves_of([(record, trial.folder)], trial.strata), inference.intervals_of(trial)
+        curves = curves_of([(record, inference.tally_of(trial))], trial.strata)
+        intervals = inference.intervals_of(trial)
         strata = {name: {**curves[name], **intervals[name]} for name in trial.strata}
     return {
         "outcome": record.outcome,
