@@ -8,6 +8,8 @@ from typing import Any
 from gridtrack.evaluation.courses import ORACLE
 
 FLOORS = ("persistence", "static-map")
+LEAST_WAY = 0.01
+"""Where floor and oracle are nearer than this, a share of the way between them is noise."""
 Curve = list[float | None]
 
 
@@ -15,9 +17,9 @@ def add_ceiling(trackers: Mapping[str, Any]) -> None:
     """Add to every scope of a summary's `trackers` `share_of_oracle` in each stratum, and `gap_to_truth` beside.
 
     A scope is a recording, or all of them pooled. The share is (f1 - floor) / (oracle - floor), floor the better of
-    persistence and static-map: 0 is no better than not to track at all, 1 is all that could be had. None where a row
-    is missing or the oracle is not above the floor. The gap is F1 on visible less F1 on occluded cells: what a score
-    of future consistency cannot see.
+    persistence and static-map: 0 is no better than not to track at all, 1 is the oracle's. None where a row is missing
+    or the oracle is not LEAST_WAY above the floor. The gap is F1 on visible less F1 on occluded cells: what a score of
+    future consistency cannot see.
     """
     names = dict.fromkeys(name for entry in trackers.values() for name in _scopes(entry))
     for name in names:
@@ -58,6 +60,6 @@ def _gap(strata: Mapping[str, Any]) -> Curve | None:
 
 def _share(value: float | None, ceiling: float | None, floors: list[float | None]) -> float | None:
     known = [floor for floor in floors if floor is not None]
-    if value is None or ceiling is None or not known or ceiling <= max(known):
+    if value is None or ceiling is None or not known or ceiling < max(known) + LEAST_WAY:
         return None
     return round((value - max(known)) / (ceiling - max(known)), 6)

@@ -6,6 +6,7 @@ hidden, the truth's own outlines. What it misses is what range noise takes from 
 
 from __future__ import annotations
 
+import time
 from collections import deque
 from collections.abc import Iterator
 from dataclasses import replace
@@ -20,7 +21,7 @@ from gridtrack.common.simulation.laser import sweep
 from gridtrack.common.stream import GridStream, Observation
 from gridtrack.common.truth import OUTLINE, truth_grid
 from gridtrack.evaluation.courses import ORACLE, Course, Regions
-from gridtrack.evaluation.record import RECORD, ThresholdsUsed, TrialRecord
+from gridtrack.evaluation.record import RECORD, ThresholdsUsed, Times, TrialRecord
 from gridtrack.evaluation.referee import Delivery, moments
 from gridtrack.evaluation.scorekeeper import FILES, Scorekeeper
 from gridtrack.evaluation.thresholds import half
@@ -83,6 +84,7 @@ def run_oracle(course: Course, regions: Regions, folder: Path, on_frame: OnFrame
     folder.mkdir(parents=True, exist_ok=True)
     for left_by_an_earlier_attempt in (RECORD, *FILES):
         (folder / left_by_an_earlier_attempt).unlink(missing_ok=True)
+    began = time.perf_counter()
     thresholds, delivery = half(course.steps, course.strata), Delivery(course.test, on_frame)
     with Scorekeeper(folder, course, regions.test, thresholds, ()) as scorekeeper:
         for moment in moments(Oracle(course.test), delivery, course.schedule, seed=0):
@@ -97,6 +99,7 @@ def run_oracle(course: Course, regions: Regions, folder: Path, on_frame: OnFrame
         delivered=delivery.digest,
         steps=course.steps,
         thresholds=ThresholdsUsed.of(thresholds),
+        times=Times(wall_s=time.perf_counter() - began, frames=delivery.frames),
     )
     record.write(folder)
     return record

@@ -29,7 +29,7 @@ def test_the_floor_of_each_step_is_the_better_row():
 def test_there_is_no_share_without_an_oracle_a_floor_or_room_between_them():
     assert shares({"a": row("a", [0.5]), "persistence": row("persistence", [0.4])}, "a") is None
     assert shares({"a": row("a", [0.5]), "oracle": row("oracle", [0.9])}, "a") == [None]
-    flat = {"a": row("a", [0.5]), "oracle": row("oracle", [0.9]), "p": row("persistence", [0.9])}
+    flat = {"a": row("a", [0.5]), "oracle": row("oracle", [0.909]), "p": row("persistence", [0.9])}
     assert shares(flat, "a") == [None]
     crashed = {"a": row("a", [0.5]), "oracle": row("oracle", [0.9]), "p": row("persistence", [0.4], outcome="crashed")}
     assert shares(crashed, "a") == [None], "half a floor is none"
