@@ -57,7 +57,8 @@ def _of_intervals(tables: Sequence[HeadlineTable]) -> Iterator[Notice]:
     without: dict[str, list[str]] = defaultdict(list)
     pooled = [table for table in tables if table.pooled]
     for table in pooled or tables:
-        intervals = {s.interval for row in table.rows for s in row.trial.strata.values() if s.interval}
+        complete = [row.trial for row in table.rows if row.standing != "apart"]
+        intervals = {s.interval for trial in complete for s in trial.strata.values() if s.interval}
         for interval in intervals:
             without[interval].append(table.recording)
     for interval, recordings in without.items():

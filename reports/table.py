@@ -7,7 +7,8 @@ from dataclasses import dataclass, replace
 from itertools import groupby
 from typing import Literal
 
-from gridtrack.reports.run import UNDEFINED, ReportError, Run, StratumScores, TrackerEntry, Trial
+from gridtrack.reports.run import UNDEFINED, ReportError, Run, TrackerEntry
+from gridtrack.reports.trial import StratumScores, Trial
 
 HORIZONS_S = (0.5, 1.0, 2.0, 2.5)
 """The horizons that F1 is shown at, as far as a run looks ahead."""
@@ -35,12 +36,12 @@ class Column:
         return None if scores is None else curve_of(scores, self.score)[self.step]
 
     def interval_of(self, trial: Trial) -> tuple[float, float] | None:
-        """The confidence interval of that value, None where there is none."""
+        """The confidence interval of an F1; None where there is none, and for what is shown beside F1."""
         scores = trial.strata.get(self.stratum)
-        low, high = (getattr(scores, f"{self.score}_{end}", None) for end in ("low", "high"))
-        if low is None or high is None or low[self.step] is None or high[self.step] is None:
+        if scores is None or self.score != "f1" or scores.f1_low is None or scores.f1_high is None:
             return None
-        return low[self.step], high[self.step]
+        low, high = scores.f1_low[self.step], scores.f1_high[self.step]
+        return None if low is None or high is None else (low, high)
 
 
 @dataclass(frozen=True)
