@@ -8,10 +8,11 @@ from typing import Any
 
 from gridtrack.common.errors import plain
 from gridtrack.evaluation.regression import Verdict
-from gridtrack.evaluation.regression.measurement import BANDS, ENOUGH_UNITS
+from gridtrack.evaluation.regression.measurement import BANDS
 from gridtrack.evaluation.regression.significance import FAMILY_LEVEL
 from gridtrack.evaluation.regression.speed import SpeedRow
 from gridtrack.evaluation.regression.verdict import Row
+from gridtrack.evaluation.uncertainty import LEAST_UNITS
 from gridtrack.reports.run import UNDEFINED
 
 MAX_ROWS = 40
@@ -97,7 +98,7 @@ def rule_of(verdict: Verdict) -> str:
             f" comes by chance in less than {FAMILY_LEVEL:.0%} of runs anywhere among them"
         )
     return (
-        f"{over}, of which significance wants {ENOUGH_UNITS}: worse is"
+        f"{over}, of which significance wants {LEAST_UNITS}: worse is"
         " a fall in F1 beyond the tracker's stated tolerance, and any fall where none is stated"
     )
 

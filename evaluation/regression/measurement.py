@@ -16,11 +16,9 @@ from gridtrack.common.errors import GridtrackError
 SCHEMA = 1
 BANDS: dict[str, tuple[float, float]] = {"short": (0.0, 0.5), "middle": (0.5, 1.5), "long": (1.5, 3600.0)}
 """Horizons of each step band in seconds, the first excluded: step 0 on visible cells is copying."""
-ENOUGH_UNITS = 20
-"""With fewer units nothing can be said about significance."""
 BLOCK_S = 100.0
-"""Where the recordings are fewer than that, units are blocks of at least this time: longer than people linger, and
-than most signals' cycles; where a place has a longer cycle, that long."""
+"""Where the recordings are too few to be the units, these are blocks of at least this time: longer than people
+linger, and than most signals' cycles; where a place has a longer cycle, that long."""
 
 Name = Annotated[str, Field(min_length=1, max_length=200)]
 Count = Annotated[int, Field(ge=0, le=2**53)]

@@ -13,7 +13,6 @@ from gridtrack.common.errors import GridtrackError
 from gridtrack.evaluation.record import MAX_BYTES, RunError, TrialRecord, read_record
 from gridtrack.evaluation.regression.measurement import (
     BLOCK_S,
-    ENOUGH_UNITS,
     CourseKey,
     Measurement,
     Speed,
@@ -22,6 +21,7 @@ from gridtrack.evaluation.regression.measurement import (
 )
 from gridtrack.evaluation.regression.units import read_units
 from gridtrack.evaluation.run_folder import RUN, SCHEMA
+from gridtrack.evaluation.uncertainty import LEAST_UNITS
 
 KEYS = frozenset(CourseKey.model_fields)
 
@@ -85,7 +85,7 @@ def _block_s(courses: Mapping[str, Mapping[str, Any]]) -> float | None:
     """None, whole recordings, where these are enough units; else longer than the cycle of any place."""
     cycles = (course.get("cycle_s") for course in courses.values())
     longest = max((float(cycle) for cycle in cycles if isinstance(cycle, int | float)), default=0.0)
-    return None if len(courses) >= ENOUGH_UNITS else max(BLOCK_S, longest)
+    return None if len(courses) >= LEAST_UNITS else max(BLOCK_S, longest)
 
 
 def _measurement(
@@ -102,7 +102,7 @@ def _measurement(
     try:
         return Measurement.model_validate(content)
     except ValidationError as error:
-        raise RunError(f"{run}: not a run that can be measured ({error.errors()[0]['msg']})") from None
+        raise Unmeasured([f"{run}: not a run that can be measured ({error.errors()[0]['msg']})"]) from None
 
 
 def _trial_counts(run: Path, name: str, course: CourseKey | None, block_s: float | None) -> TrialCounts:

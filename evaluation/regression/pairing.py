@@ -44,7 +44,7 @@ def pair(baseline: Measurement, run: Measurement) -> tuple[PairedRow, ...]:
 
 
 def _missing(baseline: Measurement, run: Measurement) -> Iterator[str]:
-    for label in baseline.trackers.keys() - run.trackers.keys():
+    for label in sorted(baseline.trackers.keys() - run.trackers.keys()):
         yield f"tracker {label} of the baseline is missing in the run: run it too, or make the baseline again"
     for name in sorted(baseline.recordings.keys() - run.recordings.keys()):
         yield f"recording {name} of the baseline is missing in the run: run it too, or make the baseline again"

@@ -12,10 +12,11 @@ from pydantic import Field
 
 from gridtrack.common.config import Settings
 from gridtrack.common.errors import ConfigurationError, did_you_mean
-from gridtrack.evaluation.regression.measurement import ENOUGH_UNITS, Measurement, Unmeasured
+from gridtrack.evaluation.regression.measurement import Measurement, Unmeasured
 from gridtrack.evaluation.regression.pairing import PairedRow, pair
 from gridtrack.evaluation.regression.significance import FAMILY_LEVEL, f1_of, fall_p_values
 from gridtrack.evaluation.regression.speed import SpeedRow, judge_speed
+from gridtrack.evaluation.uncertainty import LEAST_UNITS
 
 Standing = Literal["worse", "no worse", "equal", "nothing to find"]
 SMALLEST_FALL = 1e-9
@@ -99,7 +100,7 @@ def judge(baseline: Measurement, run: Measurement, settings: GateSettings | None
             raise ConfigurationError(f"the baseline has no tracker '{label}'; {did_you_mean(label, baseline.trackers)}")
     paired = pair(baseline, run)
     units = len(paired[0].recordings) if paired else 0
-    significance = units >= ENOUGH_UNITS
+    significance = units >= LEAST_UNITS
     p_values = _p_values(paired) if significance else dict.fromkeys(range(len(paired)))
     rows = tuple(_judged(row, settings, p_values[i], significance) for i, row in enumerate(paired))
     if all(row.standing == "nothing to find" for row in rows):

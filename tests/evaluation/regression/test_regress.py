@@ -133,6 +133,7 @@ def drop_recording(run_file):
         (lambda r: r.update(status="running"), "the run is 'running', not complete"),
         (lambda r: r.update(status="interrupted"), "the run is 'interrupted', not complete"),
         (keep_nothing, "the run has no trials"),
+        (forget("kalman@junction-01"), "kalman was not measured on every recording"),
         (drop_recording, "recording junction-01 of the baseline is missing in the run"),
         (other("sha256", "another file"), "junction-01: not run as for the baseline (sha256: then"),
         (other("stretch_s", [0.0, 30.0]), "junction-01: not run as for the baseline (stretch_s: then"),
