@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from gridtrack.reports.figures import Axis, Series
-from gridtrack.reports.run import Curves, Deadline
 from gridtrack.reports.table import Column, HeadlineTable, Row
+from gridtrack.reports.trial import Curves, Deadline
 
 STRATA = ("moving", "visible")
 SIZE = (270, 180)

@@ -7,7 +7,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 
-from gridtrack.reports.run import UNDEFINED, Curve, Quantiles
+from gridtrack.reports.run import UNDEFINED
+from gridtrack.reports.trial import Curve, Quantiles
 
 ROW_HEIGHT = 17.0
 """Of one line of text in a figure."""

@@ -3,26 +3,24 @@
 from __future__ import annotations
 
 import json
-import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
+from pydantic import Field, ValidationError, model_validator
 
 from gridtrack.common.errors import GridtrackError
 from gridtrack.evaluation.courses import ORACLE
 from gridtrack.evaluation.inference import ALL_RECORDINGS
 from gridtrack.evaluation.summary import SCHEMA, SUMMARY
+from gridtrack.reports.trial import Number, Read, Trial
 
 MAX_BYTES = 256 << 20
 """A larger run.json or summary.json is refused before it is read."""
 LONGEST_S, SHORTEST_STEP_S = 3600.0, 1e-5
 """Horizons that a page has room for, and how far apart: far more than any comparison asks for."""
-HIGHEST, MOST_CONDITIONS = 1e6, 20
-"""Rates and strengths of degradation beyond this are nonsense; of conditions no more than these are drawn."""
 UNDEFINED = "–"
 """What stands on the page where a score is not defined."""
 FLOOR = ("persistence", "static-map", "blank")
@@ -33,175 +31,7 @@ class ReportError(GridtrackError):
     """A run's folder that cannot be reported."""
 
 
-def _number_or_none(value: Any) -> Any:
-    """NaN and infinities are what a score is where it is not defined."""
-    return None if isinstance(value, float) and not math.isfinite(value) else value
-
-
-Number = Annotated[float | None, BeforeValidator(_number_or_none)]
-Curve = tuple[Number, ...]
-"""One score at every step 0..n; None where it is not defined, as in a stratum that was never seen."""
-
-
-class _Read(BaseModel):
-    """A part of a file that another program wrote: what the report does not know yet, it leaves alone."""
-
-    model_config = ConfigDict(frozen=True, extra="ignore")
-
-
-class StratumScores(_Read):
-    """Scores of one trial on one stratum, each per step."""
-
-    f1: Curve
-    f1_low: Curve | None = None
-    f1_high: Curve | None = None
-    precision_low: Curve | None = None
-    precision_high: Curve | None = None
-    recall_low: Curve | None = None
-    recall_high: Curve | None = None
-    brier_low: Curve | None = None
-    brier_high: Curve | None = None
-    nll_low: Curve | None = None
-    nll_high: Curve | None = None
-    precision: Curve
-    recall: Curve
-    pr_auc: Curve
-    brier: Curve
-    brier_reliability: Curve | None = None
-    brier_resolution: Curve | None = None
-    brier_uncertainty: Curve | None = None
-    share_of_oracle: Curve | None = None
-    nll: Curve
-    ece: Curve
-    threshold: Curve
-    f1_at_visible: Curve
-    f1_at_half: Curve
-    interval: str = ""
-    """Why there is no interval, where there is none."""
-
-
-class Quantiles(_Read):
-    """Medians and tails of a time, milliseconds."""
-
-    p50: Number = None
-    p95: Number = None
-    p99: Number = None
-
-
-class Latency(_Read):
-    """What an update, a forecast, and one step of a forecast take."""
-
-    update: Quantiles = Quantiles()
-    predict: Quantiles = Quantiles()
-    predict_step: Quantiles = Quantiles()
-
-
-Curves = dict[str, Curve]
-"""A score per stratum."""
-
-
-class AtRate(_Read):
-    """What a tracker scored in time, its frames coming at `rate` times their own rate."""
-
-    rate: float = Field(gt=0.0, le=HIGHEST)
-    rate_hz: float = Field(gt=0.0, le=HIGHEST)
-    frames: int
-    missed: int
-    f1: Curves
-
-
-class Deadline(_Read):
-    """What a tracker is worth in time: what it takes for a frame, the rate it holds, its scores at several."""
-
-    busy_ms: Quantiles = Quantiles()
-    highest_rate_hz: float = Field(gt=0.0)
-    rates: tuple[AtRate, ...] = Field(min_length=1, max_length=MOST_CONDITIONS)
-
-
-class AtStrength(_Read):
-    """What a tracker scored on input degraded to `value`."""
-
-    value: float = Field(ge=0.0, le=HIGHEST)
-    f1: Curves
-
-
-class Robustness(_Read):
-    """What a tracker scored on degraded input, per kind from none to the strongest."""
-
-    kinds: dict[str, Annotated[tuple[AtStrength, ...], Field(min_length=2, max_length=MOST_CONDITIONS)]] = Field(
-        max_length=MOST_CONDITIONS
-    )
-
-    @model_validator(mode="after")
-    def _values_increase(self) -> Robustness:
-        for kind, points in self.kinds.items():
-            if any(later.value <= earlier.value for earlier, later in pairwise(points)):
-                raise ValueError(f"degradation {kind}: its values do not increase")
-        return self
-
-
-class Recall(_Read):
-    """How many cells of one class there were at each step, and the share of them that was found."""
-
-    recall: Curve
-    cells: tuple[int, ...]
-
-
-class ClassScores(_Read):
-    """What cells were taken for, at each step."""
-
-    nll_per_cell: Curve
-    nll_per_scan: Curve
-    balanced_accuracy: Curve
-
-
-class Semantics(_Read):
-    """What cells were taken for, by kind: visible or occluded."""
-
-    kinds: dict[str, ClassScores]
-
-
-class Trial(_Read):
-    """One tracker on one recording."""
-
-    outcome: str
-    reason: str = ""
-    frames_scored: int = 0
-    frames_expected: int = 0
-    threshold_chosen_on: str = ""
-    strata: dict[str, StratumScores] = Field(default_factory=dict)
-    latency_ms: Latency | None = None
-    peak_rss_mb: Number = None
-    deadline: Deadline | None = None
-    robustness: Robustness | None = None
-    gap_to_truth: Curve | None = None
-    recall_by_class: dict[str, dict[str, Recall]] | None = None
-    semantics: Semantics | None = None
-
-    @property
-    def curves(self) -> Iterator[tuple[str, Curve]]:
-        """Every curve that it has, each with its stratum, under all conditions."""
-        for stratum, scores in self.strata.items():
-            yield from ((stratum, curve) for _, curve in scores if isinstance(curve, tuple))
-        for at in self.deadline.rates if self.deadline else ():
-            yield from at.f1.items()
-        for points in self.robustness.kinds.values() if self.robustness else ():
-            for point in points:
-                yield from point.f1.items()
-        yield from (("visible less occluded", gap) for gap in (self.gap_to_truth,) if gap is not None)
-        for classes in (self.recall_by_class or {}).values():
-            for name, found in classes.items():
-                yield from ((name, found.recall), (name, found.cells))
-        for kind, meant in self.semantics.kinds.items() if self.semantics else ():
-            yield from ((kind, values) for _, values in meant)
-
-    @property
-    def complete(self) -> bool:
-        """Whether every frame that was to be scored was scored: only such trials are ranked."""
-        return self.outcome == "ok" and 0 < self.frames_scored == self.frames_expected
-
-
-class TrackerEntry(_Read):
+class TrackerEntry(Read):
     """One row of the comparison: a tracker with its options, on every recording."""
 
     tracker: str
@@ -221,7 +51,7 @@ class TrackerEntry(_Read):
         return self.tracker in FLOOR
 
 
-class Recording(_Read):
+class Recording(Read):
     """What was compared on one recording."""
 
     horizons_s: tuple[Annotated[float, Field(ge=0.0, le=LONGEST_S)], ...] = Field(min_length=2)
@@ -244,7 +74,7 @@ class Recording(_Read):
         return self.horizons_s[1] - self.horizons_s[0]
 
 
-class HeadlineTest(_Read):
+class HeadlineTest(Read):
     """A tracker's F1 less the reference's at one horizon, and whether that is a difference."""
 
     stratum: str
@@ -257,7 +87,7 @@ class HeadlineTest(_Read):
     verdict: str
 
 
-class Difference(_Read):
+class Difference(Read):
     """One tracker against the reference on a recording, or on all."""
 
     recordings: str
@@ -269,7 +99,7 @@ class Difference(_Read):
     headline: tuple[HeadlineTest, ...] = Field(default=(), max_length=100)
 
 
-class Summary(_Read):
+class Summary(Read):
     """summary.json; where recordings are pooled, all of them together stand first among `recordings`."""
 
     schema_version: int = Field(alias="schema")

@@ -9,8 +9,9 @@ from gridtrack.reports.conditions import Deadlines, RobustnessTable, deadlines_o
 from gridtrack.reports.differences import Differences, differences_of
 from gridtrack.reports.figures import Axis, Band, CurvePanel, Series, Span, TimeScale, curve_panel, time_scale
 from gridtrack.reports.film import Film, film_of
-from gridtrack.reports.run import FLOOR, Latency, Run, StratumScores, Trial
+from gridtrack.reports.run import FLOOR, Run
 from gridtrack.reports.table import HeadlineTable, Row
+from gridtrack.reports.trial import Latency, StratumScores, Trial
 from gridtrack.reports.truth import SIDE, Calibration, Classes, Hidden, calibrations_of, classes_of, hidden_of
 
 COLOURS = 8

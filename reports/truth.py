@@ -8,8 +8,9 @@ from dataclasses import dataclass
 from gridtrack.evaluation.counting import Tally
 from gridtrack.evaluation.scores import ScoresError, read_tally
 from gridtrack.reports.figures import Axis
-from gridtrack.reports.run import ClassScores, Run, Trial
+from gridtrack.reports.run import Run
 from gridtrack.reports.table import HeadlineTable, Row
+from gridtrack.reports.trial import ClassScores, Trial
 
 HIDDEN = "occluded"
 KINDS = ("visible", "occluded")

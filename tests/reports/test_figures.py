@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gridtrack.reports.figures import ROW_HEIGHT, Axis, Series, curve_panel, time_scale
-from gridtrack.reports.run import Latency, Quantiles
 from gridtrack.reports.sections import keeps_up
+from gridtrack.reports.trial import Latency, Quantiles
 
 HORIZONS_S = (0.0, 0.5, 1.0, 1.5)
 
