@@ -25,7 +25,7 @@ from gridtrack.common.errors import RecordingError
 from gridtrack.common.geometry import SE2
 from gridtrack.common.recordings.recording import RecordingInfo
 from gridtrack.common.scan import Scan
-from gridtrack.common.scene import Outline, Scene, SceneObject
+from gridtrack.common.scene import Scene, SceneObject
 from gridtrack.common.simulation.bodies import body
 from gridtrack.common.simulation.laser import Laser
 
@@ -44,6 +44,8 @@ COLUMNS = {
 }
 MAX_ROWS, MAX_FRAMES, MAX_THERE = 5_000_000, 5_000_000, 1000
 HALF_TURN_MRAD = 3141
+MAX_BEAMS = 1_000_000_000
+"""Of a recording in all: a small file must not fill the disk when it is rendered."""
 MAX_OUTLINES, MAX_CORNERS = 1000, 1000
 
 Corner = tuple[float, float]
@@ -93,12 +95,14 @@ class Tracks:
         classes = self.info.recording.classes
         static = tuple(np.array(outline, np.float32) for outline in self.info.static)
         static_label = classes.index(self.info.static_class) if self.info.static_class else 255
-        kinds = [classes[label] for label in self.label.tolist()]
-        outlines = [body(kind, *size) for kind, size in zip(kinds, self.size.tolist(), strict=True)]
-        rows = list(zip(self.track.tolist(), self.label.tolist(), self.pose.tolist(), outlines, strict=True))
         starts = np.searchsorted(self.frame, np.arange(self.info.frames + 1)).tolist()
-        for first, end in itertools.pairwise(starts):
-            yield Scene(static, static_label, tuple(_object(*row) for row in rows[first:end]))
+        for rows in itertools.starmap(slice, itertools.pairwise(starts)):
+            columns = (column[rows].tolist() for column in (self.track, self.label, self.pose, self.size))
+            objects = tuple(
+                SceneObject(track, label, SE2(*pose), body(classes[label], *size))
+                for track, label, pose, size in zip(*columns, strict=True)
+            )
+            yield Scene(static, static_label, objects)
 
     def scans(self) -> Iterator[Scan]:
         """What the laser measures in each frame; the noise of a frame is its own, whichever came before."""
@@ -125,10 +129,6 @@ class Tracks:
         whole = np.column_stack([np.round(self.pose[:, :2] * 100.0), heading_mrad])
         rounded = whole / (100.0, 100.0, 1000.0)
         return replace(self, pose=rounded, size=np.round(self.size * 100.0) / 100.0)
-
-
-def _object(track: int, label: int, pose: list[float], outline: Outline) -> SceneObject:
-    return SceneObject(track, label, SE2(*pose), outline)
 
 
 def write_tracks(file: BinaryIO, tracks: Tracks) -> None:
@@ -215,6 +215,9 @@ def _refuse_absurd(path: Path, info: TracksInfo, columns: dict[str, NDArray[np.i
     classes = info.recording.classes
     if info.static_class is not None and info.static_class not in classes:
         raise RecordingError(f"{path}: its static class is none of its classes")
+    beams = info.frames * info.laser.beams
+    if beams > MAX_BEAMS:
+        raise RecordingError(f"{path}: {beams} beams to render; at most {MAX_BEAMS}: fewer frames, or a coarser laser")
     if not frame.size:
         return
     _refuse(path, f"a frame outside 0 to {info.frames - 1}", frame.min() < 0 or frame.max() >= info.frames)

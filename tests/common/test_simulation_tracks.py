@@ -157,6 +157,7 @@ def parquet(path: Path, change: dict[str, list[object]] | None = None, about: ob
         (None, {"static": [[[0, 0], [1, 1]]]}, "3 to 1000 corners"),
         (None, {"static_class": "wall"}, "none of its classes"),
         (None, {"frames": 10**12}, "less than or equal to 5000000"),
+        (None, {"frames": 5_000_000}, "beams to render; at most 1000000000"),
         (None, {"laser": {"beams": 10**9}}, "less than or equal to 100000"),
     ],
 )
