@@ -1,0 +1,111 @@
+"""Twenty recordings are shown together first, with intervals, and differences with their verdicts."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+from pathlib import Path
+
+import pytest
+
+from gridtrack.evaluation.summary import summarise, write_json
+from gridtrack.reports.page import render_page
+from gridtrack.reports.run import read_runs
+from gridtrack.reports.table import as_markdown, foremost, headline_tables
+from gridtrack.reports.terminal import print_tables
+
+spec = importlib.util.spec_from_file_location(
+    "synthetic_run", Path(__file__).parents[1] / "evaluation" / "synthetic_run.py"
+)
+synthetic = importlib.util.module_from_spec(spec)
+spec.loader.exec_module(synthetic)
+
+RECORDINGS = [f"seed-{i:02}" for i in range(20)]
+SKILLS = {"persistence": 0.6, "good": 0.8, "<b>even": 0.6, "unlucky": 0.9, "oracle": 1.0}
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("runs") / "twenty"
+    trials = [
+        synthetic.write_trial(
+            folder,
+            label.replace("/", ""),
+            name,
+            skill,
+            seed=i,
+            frames=4,
+            scored=2 if (label, i) == ("unlucky", 0) else 4,
+        )
+        for i, name in enumerate(RECORDINGS)
+        for label, skill in SKILLS.items()
+    ]
+    write_json(folder / "summary.json", summarise({n: synthetic.description() for n in RECORDINGS}, trials, [], False))
+    (folder / "run.json").write_text(json.dumps({"schema": 1, "command": ["gridtrack", "compare"], "versions": {}}))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def pooled(run):
+    (table,) = foremost(headline_tables(read_runs([run])))
+    return table
+
+
+@pytest.fixture(scope="module")
+def page(run):
+    return render_page(read_runs([run]))
+
+
+def test_all_recordings_stand_first_and_are_what_a_run_is_read_by(run, pooled):
+    tables = headline_tables(read_runs([run]))
+    assert [table.recording for table in tables] == ["all recordings", *RECORDINGS]
+    assert pooled is not tables[1]
+    assert {label.label: label.frames for label in pooled.rows}["good"] == "80"
+
+
+def test_every_f1_of_a_complete_row_has_its_interval_around_it(pooled):
+    for row in pooled.standing("ranked") + pooled.standing("floor"):
+        f1 = [cell for column, cell in zip(pooled.columns, row.cells, strict=True) if column.score == "f1"]
+        assert len(f1) == 8
+        assert all(cell.interval[0] < cell.value < cell.interval[1] for cell in f1)
+
+
+def test_the_ceiling_stands_apart_and_is_never_best_though_it_is(pooled):
+    (oracle,) = pooled.standing("ceiling")
+    assert oracle.cells[0].value > max(row.cells[0].value for row in pooled.standing("ranked"))
+    assert not any(cell.best for cell in oracle.cells)
+    assert [row.label for row in pooled.rows if row.cells[0].best] == ["good"]
+
+
+def test_a_tracker_that_missed_a_recording_is_not_ranked_and_says_how_many_it_has(pooled, page):
+    assert [row.label for row in pooled.standing("apart")] == ["unlucky"]
+    assert "19 of 20 recordings complete (seed-00: crashed)" in page
+
+
+def test_the_page_says_better_only_of_what_is(page):
+    differences = page.partition("Difference from persistence")[2].partition("</section>")[0]
+    good, even = (differences.partition(name)[2].partition("</tr>")[0] for name in (">good<", "&lt;b&gt;even"))
+    assert good.count(", better</small>") == 6
+    assert even.count("no difference shown</small>") == 6
+    assert "<b>even" not in page
+
+
+def test_the_page_draws_a_band_round_every_curve_that_has_an_interval(page):
+    together = page.partition('<details><summary class="name">')[0]
+    assert together.count('class="band"') == 3 * 4
+    assert 'class="band"' not in page[len(together) :]
+
+
+def test_the_terminal_shows_the_pooled_table_and_the_differences_only(run, capsys):
+    print_tables(run)
+    shown = capsys.readouterr().out
+    assert shown.startswith("all recordings\n")
+    assert "seed-07" not in shown
+    assert shown.count(" better ") == 6
+    assert "not compared: unlucky has 19 of 20 recordings complete" in shown
+
+
+def test_markdown_has_the_interval_beside_the_number(pooled):
+    (line,) = [line for line in as_markdown(pooled).splitlines() if line.startswith("| good")]
+    cell = pooled.standing("ranked")[0].cells[0]
+    assert f"**{cell.text}** [{cell.interval[0]:.3f}, {cell.interval[1]:.3f}]" in line
