@@ -47,6 +47,9 @@ SCHEME := shown=10,blank=20,cycles=1,reverse=true,updates=1500,validate_every=10
 weights: $(VENV)/.installed-dev
 	for tracker in static-map kalman deep-tracking-rnn:$(SCHEME) dilated-convgru:$(SCHEME); do \
 	    $(BIN)/gridtrack train $$tracker $(DEMO) --out data/weights || exit 1; done
+	$(BIN)/gridtrack train static-map data/junction/train.tracks --validation data/junction/validation.tracks --out data/weights
+	$(BIN)/gridtrack train kalman data/junction/train.tracks@0s-96s --validation data/junction/validation.tracks@0s-96s \
+	    --out data/weights
 
 $(VENV)/.installed-demo: pyproject.toml constraints.txt | $(VENV)
 	$(BIN)/pip install --constraint constraints.txt --editable '.[deep,model-free]'
