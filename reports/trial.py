@@ -35,14 +35,6 @@ class StratumScores(Read):
     f1: Curve
     f1_low: Curve | None = None
     f1_high: Curve | None = None
-    precision_low: Curve | None = None
-    precision_high: Curve | None = None
-    recall_low: Curve | None = None
-    recall_high: Curve | None = None
-    brier_low: Curve | None = None
-    brier_high: Curve | None = None
-    nll_low: Curve | None = None
-    nll_high: Curve | None = None
     precision: Curve
     recall: Curve
     pr_auc: Curve
