@@ -16,13 +16,17 @@ from gridtrack.evaluation.uncertainty import LEAST_UNITS
 from gridtrack.reports.run import UNDEFINED
 
 MAX_ROWS = 40
-"""So many rows are shown of a list; the rest is counted."""
+"""So many rows are shown of a table; the rest is counted."""
+MAX_FALLEN = 3
+"""So many lines a terminal gives to single recordings."""
 
 
 def text_of(verdict: Verdict) -> str:
     """The verdict for a terminal: what is worse, what was judged and how, and what else to know."""
     lines = [f"worse: {sentence_of(row)}" for row in verdict.worse]
-    lines += [f"fell on one recording, not judged: {sentence_of(row)}" for row in _cut(verdict.fallen)]
+    lines += [f"fell on one recording, not judged: {sentence_of(row)}" for row in verdict.fallen[:MAX_FALLEN]]
+    if len(verdict.fallen) > MAX_FALLEN:
+        lines.append(f"fell on one recording, not judged: {len(verdict.fallen) - MAX_FALLEN} more, see --markdown")
     lines += [f"note: {note}" for note in verdict.notes]
     lines += [f"{label}: every count is as in the baseline" for label in _equal(verdict)]
     return "\n".join(map(plain, [*lines, rule_of(verdict), _conclusion(verdict)]))
@@ -58,8 +62,8 @@ def data_of(verdict: Verdict) -> dict[str, Any]:
         "verdict": "worse" if verdict.worse else "no worse",
         "units": verdict.units,
         "significance": verdict.significance,
-        "rows": [asdict(row) for row in verdict.rows],
-        "fallen": [asdict(row) for row in verdict.fallen],
+        "rows": [asdict(row) | {"fall": row.fall} for row in verdict.rows],
+        "fallen": [asdict(row) | {"fall": row.fall} for row in verdict.fallen],
         "speed": [asdict(row) | {"standing": row.standing} for row in verdict.speed],
         "notes": list(verdict.notes),
     }
@@ -117,10 +121,6 @@ def _equal(verdict: Verdict) -> list[str]:
     """Trackers of which every count is as it was."""
     moved = {row.label for row in verdict.rows if row.standing in {"worse", "no worse"}}
     return [label for label in dict.fromkeys(row.label for row in verdict.rows) if label not in moved]
-
-
-def _cut(rows: Sequence[Row]) -> Sequence[Row]:
-    return rows[:MAX_ROWS]
 
 
 def _table(title: str, headings: Sequence[str], rows: Sequence[Any], cells: Any) -> Iterator[str]:

@@ -67,8 +67,8 @@ class Row:
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """`rows` decide, over all units, and `speed` where it was asked for; `fallen` are single recordings with a fall
-    beyond the margin, told and not judged; `notes` are what else to know."""
+    """`rows` decide, over all units, and `speed` where it was asked for; `fallen` are each
+    tracker's deepest falls on single recordings, told and not judged; `notes` are what else to know."""
 
     rows: tuple[Row, ...]
     fallen: tuple[Row, ...]
@@ -144,15 +144,17 @@ def _row(row: PairedRow, members: NDArray[np.bool_], recording: str, margin: flo
 
 
 def _fallen(paired: Sequence[PairedRow], settings: GateSettings) -> tuple[Row, ...]:
-    """Single recordings with a fall beyond the margin, the deepest first."""
-    found = []
+    """The deepest fall of each tracker on each single recording, where it is beyond the margin; the deepest first."""
+    deepest: dict[tuple[str, str], Row] = {}
     for row in paired:
         names = np.array(row.recordings)
+        margin = settings.tolerance.get(row.label, settings.margin)
         for name in dict.fromkeys(row.recordings):
-            one = _row(row, names == name, name, settings.tolerance.get(row.label, settings.margin), None)
-            if one.fall > one.margin:
-                found.append(one)
-    return tuple(sorted(found, key=lambda row: -row.fall))
+            one = _row(row, names == name, name, margin, None)
+            known = deepest.get((row.label, name))
+            if one.fall > margin and (known is None or one.fall > known.fall):
+                deepest[row.label, name] = one
+    return tuple(sorted(deepest.values(), key=lambda row: -row.fall))
 
 
 def _notes(baseline: Measurement, run: Measurement) -> list[str]:

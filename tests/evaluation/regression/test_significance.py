@@ -1,0 +1,67 @@
+"""The swap test against every swap there is, one by one, and what it must say of runs that are equal."""
+
+from __future__ import annotations
+
+from itertools import product
+
+import numpy as np
+import pytest
+
+from gridtrack.evaluation.regression.significance import f1_of, fall_p_values
+
+
+def counts(rng, units, rows, recall):
+    """TP, FP, FN, TN (U, R, 4) of 100 occupied cells and as many false alarms as misses."""
+    tp = rng.binomial(100, recall, (units, rows))
+    return np.stack([tp, 100 - tp, 100 - tp, np.full_like(tp, 1000)], axis=-1).astype(float)
+
+
+def p_of_every_swap(baseline, run):
+    """The same p from all 2^U swaps, F1 by its definition."""
+
+    def f1(side):
+        return np.array([2 * tp / (2 * tp + fp + fn) for tp, fp, fn, _ in side.sum(axis=0)])
+
+    falls = []
+    for swap in product((False, True), repeat=len(baseline)):
+        chosen = np.array(swap)[:, None, None]
+        falls.append(f1(np.where(chosen, run, baseline)) - f1(np.where(chosen, baseline, run)))
+    standardised = np.array(falls) / np.std(falls, axis=0)
+    return np.array([(standardised.max(axis=1) >= t - 1e-9).mean() for t in standardised[0]])
+
+
+def test_drawn_swaps_agree_with_all_of_them():
+    rng = np.random.default_rng(5)
+    baseline, run = counts(rng, 8, 3, 0.6), counts(rng, 8, 3, 0.57)
+    np.testing.assert_allclose(fall_p_values(baseline, run), p_of_every_swap(baseline, run), atol=0.02)
+
+
+def test_equal_counts_and_rows_with_nothing_to_find_are_certain_to_be_no_worse():
+    same = counts(np.random.default_rng(0), 20, 4, 0.5)
+    same[:, 1, :3] = 0
+    assert fall_p_values(same, same).tolist() == [1.0] * 4
+
+
+def test_a_fall_in_every_unit_is_significant_in_its_row_and_a_rise_is_not():
+    rng = np.random.default_rng(0)
+    baseline = counts(rng, 20, 2, 0.5)
+    run = baseline.copy()
+    run[:, 0, 0] -= 5
+    run[:, 0, 2] += 5
+    run[:, 1, 0] += 5
+    run[:, 1, 2] -= 5
+    fell, rose = fall_p_values(baseline, run)
+    assert fell < 0.001
+    assert rose > 0.9
+
+
+def test_the_same_runs_get_the_same_p():
+    rng = np.random.default_rng(1)
+    baseline, run = counts(rng, 20, 3, 0.5), counts(rng, 20, 3, 0.5)
+    assert fall_p_values(baseline, run).tolist() == fall_p_values(baseline, run).tolist()
+
+
+def test_f1_is_the_harmonic_mean_of_precision_and_recall_and_undefined_where_nothing_was_occupied():
+    f1 = f1_of(np.array([[6, 2, 4, 88], [0, 3, 0, 97]], float))
+    assert f1[0] == pytest.approx(2 / (1 / (6 / 8) + 1 / (6 / 10)))
+    assert np.isnan(f1[1])

@@ -1,0 +1,56 @@
+"""Units against plain sums over the rows of a trial's scores, and how a trial is cut into them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from pyarrow import parquet
+
+from gridtrack.evaluation.regression.units import band_of, read_units
+
+HORIZONS_S = [n * 0.125 for n in range(17)]
+FRAMES = 8
+
+
+@pytest.fixture
+def trial(write_run):
+    """A trial's folder: eight frames, one second apart."""
+    return write_run("run", {"kalman": {}}, recordings=1) / "kalman@junction-00"
+
+
+def test_counts_are_sums_over_the_frames_and_steps_of_each_unit(trial):
+    rows = parquet.read_table(trial / "scores.parquet").to_pylist()
+    units = read_units(trial, HORIZONS_S, 3.0, FRAMES)
+    assert [unit.frames for unit in units] == [4, 4]
+    first_ns = rows[0]["stamp_ns"]
+    for number, unit in enumerate(units):
+        for stratum, bands in unit.counts.items():
+            for band, (*counts, log_loss) in bands.items():
+                mine = [
+                    row
+                    for row in rows
+                    if row["stratum"] == stratum
+                    and band_of(HORIZONS_S[row["step"]]) == band
+                    and (row["stamp_ns"] - first_ns) // 4_000_000_000 == number
+                ]
+                assert counts == [sum(row[name] for row in mine) for name in ("tp", "fp", "fn", "tn")]
+                assert log_loss == pytest.approx(sum(row["log_loss"] for row in mine))
+
+
+def test_bands_part_at_half_a_second_and_at_one_and_a_half_and_leave_step_0_out():
+    bands = [band_of(horizon) for horizon in (0.0, 0.125, 0.5, 0.625, 1.5, 1.625, 60.0)]
+    assert bands == [None, "short", "short", "middle", "middle", "long", "long"]
+
+
+@pytest.mark.parametrize(("block_s", "units"), [(None, 1), (100.0, 1), (7.0, 1), (3.5, 2), (1.0, 7), (0.1, 8)])
+def test_blocks_last_at_least_what_is_asked_and_none_is_empty(trial, block_s, units):
+    found = read_units(trial, HORIZONS_S, block_s, FRAMES)
+    assert len(found) == units
+    assert sum(unit.frames for unit in found) == FRAMES
+
+
+def test_a_unit_tells_its_frames_apart_from_others(trial):
+    digests = [unit.delivered for unit in read_units(trial, HORIZONS_S, 1.0, FRAMES)]
+    assert len(set(digests)) == len(digests)
+    whole = read_units(trial, HORIZONS_S, None, FRAMES)[0]
+    assert whole.delivered == read_units(trial, np.array(HORIZONS_S).tolist(), None, FRAMES)[0].delivered
