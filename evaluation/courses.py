@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -9,8 +10,8 @@ from typing import Any
 from gridtrack.common.errors import ConfigurationError
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridSpec, Points
-from gridtrack.common.recordings import Stretch, open_recording
-from gridtrack.common.stream import GridStream, open_stream, parse_stretch
+from gridtrack.common.recordings import Recording, Stretch, open_recording
+from gridtrack.common.stream import GridStream, parse_stretch
 from gridtrack.common.truth import static_cells
 from gridtrack.evaluation.referee import WARM_UP, Schedule
 from gridtrack.evaluation.strata import (
@@ -124,11 +125,17 @@ class Course:
         }
 
 
-def plan_course(text: str, validation: str | None, sampling: Sampling) -> Course:
+def plan_courses(texts: Iterable[str], validation: str | None, sampling: Sampling) -> tuple[Course, ...]:
+    """The course of each RECORDING[@range], as `plan_course`; what they have for validation is surveyed once."""
+    opened = open_recording(parse_stretch(validation)[0]) if validation else None
+    return tuple(plan_course(text, validation, sampling, opened) for text in texts)
+
+
+def plan_course(text: str, validation: str | None, sampling: Sampling, opened: Recording | None = None) -> Course:
     """The course of RECORDING[@range]: its named test stretch, or the whole, where no range is given.
 
-    Thresholds are chosen on `validation`, RECORDING[@range], else on the recording's own validation stretch. Raises
-    RecordingError, and ConfigurationError where the horizon or the stretches do not fit.
+    Thresholds are chosen on `validation`, RECORDING[@range], else on the recording's own validation stretch; `opened`
+    is the recording of `validation` where it is open already. Raises RecordingError, and ConfigurationError where the horizon or the stretches do not fit.
     """
     path, stretch = parse_stretch(text)
     recording = open_recording(path)
@@ -140,7 +147,7 @@ def plan_course(text: str, validation: str | None, sampling: Sampling) -> Course
     every = max(1, round(sampling.every_s / test.period_s))
     if not Schedule(len(test), steps, every).expected:
         raise ConfigurationError(f"{_too_short(test, steps)}: name a longer stretch, or a shorter --horizon")
-    chosen_on, notices = _validation_stretch(test, validation, steps)
+    chosen_on, notices = _validation_stretch(test, validation, steps, opened)
     return Course(name, path, test, chosen_on, steps, every, (*recording.warnings, *notices))
 
 
@@ -168,13 +175,16 @@ def _too_short(stream: GridStream, steps: int) -> str:
     )
 
 
-def _validation_stretch(test: GridStream, asked: str | None, steps: int) -> tuple[GridStream | None, tuple[str, ...]]:
+def _validation_stretch(
+    test: GridStream, asked: str | None, steps: int, opened: Recording | None
+) -> tuple[GridStream | None, tuple[str, ...]]:
     """The stretch to choose thresholds on, or None and why; never one that shares a frame with the tested one.
 
     What cannot be used is an error where it was asked for, and a notice where the recording merely names it.
     """
     if asked is not None:
-        stretch = open_stream(asked, grid=test.grid, rate_hz=1e9 / test.period_ns)
+        path, named = parse_stretch(asked)
+        stretch = GridStream(opened or open_recording(path), named, grid=test.grid, rate_hz=1e9 / test.period_ns)
     elif VALIDATION in test.recording.info.stretches:
         stretch = like(test, VALIDATION)
     else:
