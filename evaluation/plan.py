@@ -16,7 +16,7 @@ from gridtrack.common.degrade import Degradation
 from gridtrack.common.errors import ConfigurationError, PluginError, did_you_mean
 from gridtrack.common.grid import GridSpec
 from gridtrack.common.stream import GridStream
-from gridtrack.evaluation.courses import ORACLE, Course, Sampling, plan_course, was_seen, with_points
+from gridtrack.evaluation.courses import ORACLE, Course, Sampling, plan_courses, was_seen, with_points
 from gridtrack.evaluation.inference import ALL_RECORDINGS
 from gridtrack.evaluation.learned import LearnedWeights, find_weights
 from gridtrack.evaluation.tracker_process import Limits, describe
@@ -144,7 +144,7 @@ def resolve(settings: CompareSettings) -> Plan:
     sampling = Sampling(
         settings.horizon_s, settings.every_s, GridSpec.parse(settings.grid) if settings.grid else None, settings.rate_hz
     )
-    courses = tuple(plan_course(text, settings.validation, sampling) for text in settings.recordings)
+    courses = plan_courses(settings.recordings, settings.validation, sampling)
     _refuse_equal_names(courses)
     trials = tuple(
         Trial(
