@@ -135,7 +135,8 @@ def plan_course(text: str, validation: str | None, sampling: Sampling, opened: R
     """The course of RECORDING[@range]: its named test stretch, or the whole, where no range is given.
 
     Thresholds are chosen on `validation`, RECORDING[@range], else on the recording's own validation stretch; `opened`
-    is the recording of `validation` where it is open already. Raises RecordingError, and ConfigurationError where the horizon or the stretches do not fit.
+    is the recording of `validation` where it is open already. Raises RecordingError, and ConfigurationError where the
+    horizon or the stretches do not fit.
     """
     path, stretch = parse_stretch(text)
     recording = open_recording(path)
