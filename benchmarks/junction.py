@@ -42,8 +42,9 @@ def measure(seed: int) -> None:
         scans, read_s, _ = timed(lambda: sum(1 for _ in open_recording(whole).scans()))
         sizes = f"{small.stat().st_size / 1e6:.2f} MB as tracks, {whole.stat().st_size / 1e6:.0f} MB as scans"
     print(
-        f"seed {seed}: simulated in {simulated_s:.0f} s ({busy_s:.0f} s of one core), checked in {checked_s:.0f} s, rendered and written in"
-        f" {rendered_s:.0f} s ({scans / rendered_s:.0f} scans/s), read at {scans / read_s:.0f} scans/s; {sizes}"
+        f"seed {seed}: simulated in {simulated_s:.0f} s ({busy_s:.0f} s of one core), checked in {checked_s:.0f} s,"
+        f" rendered and written in {rendered_s:.0f} s ({scans / rendered_s:.0f} scans/s), read at"
+        f" {scans / read_s:.0f} scans/s; {sizes}"
     )
     print(traffic, flush=True)
 
