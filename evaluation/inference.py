@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -27,6 +28,7 @@ from gridtrack.evaluation.statistics import (
 )
 
 ALL_RECORDINGS = "all recordings"
+P_VALUES = ("f1_p", "p_holm")
 USUAL_REFERENCE = "persistence"
 """The tracker whose row is the reference unless another is named: what the field compares with."""
 
@@ -77,7 +79,7 @@ class Inference:
     def intervals_of(self, trial: Ended) -> dict[str, dict[str, Any]]:
         """Intervals of every score of one trial, by stratum."""
         name = trial.record.recording
-        return _plain(intervals([self._read(trial)], trial.strata, self._block_s([name])))
+        return _by_stratum(intervals([self._read(trial)], trial.strata, self._block_s([name])))
 
     def tally_of(self, trial: Ended) -> Tally:
         """Everything that a trial counted, read once. Raises ScoresError."""
@@ -114,7 +116,7 @@ class Inference:
         if complete:
             curves = dict(curves_of([(trial.record, self.tally_of(trial)) for trial in complete], strata))
             frames = [_in(self._read(trial), trial.strata, strata) for trial in complete]
-            found = _plain(intervals(frames, strata, self._block_s([t.record.recording for t in complete])))
+            found = _by_stratum(intervals(frames, strata, self._block_s([t.record.recording for t in complete])))
             curves = {name: {**curves[name], **found[name]} for name in strata}
         whole = len(complete) == len(self._recordings)
         chosen = {trial.record.thresholds.chosen_on for trial in complete}
@@ -152,9 +154,12 @@ class Inference:
             "units": comparison.units,
             "frames": comparison.frames,
             "interval": comparison.why_none,
-            "strata": {n: {k: curve(values) for k, values in c.items()} for n, c in comparison.curves.items()},
+            "strata": {
+                name: {key: [_plain(key, value) for value in values.tolist()] for key, values in curves.items()}
+                for name, curves in comparison.curves.items()
+            },
             "headline": [
-                {key: plain_number(value) if isinstance(value, float) else value for key, value in test.items()}
+                {key: _plain(key, value) if isinstance(value, float) else value for key, value in test.items()}
                 for test in comparison.headline
             ],
         }
@@ -200,8 +205,15 @@ def _in(frames: FrameCounts, own: tuple[str, ...], strata: tuple[str, ...]) -> F
     return FrameCounts(frames.stamps_ns, frames.delivered, frames.counts[:, :, chosen])
 
 
-def _plain(by_stratum: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
+def _by_stratum(by_stratum: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
     return {
         name: {key: curve(value) if isinstance(value, np.ndarray) else value for key, value in found.items()}
         for name, found in by_stratum.items()
     }
+
+
+def _plain(key: str, value: float) -> float | None:
+    """As JSON has it: a p-value to three digits that count, however small it is."""
+    if key in P_VALUES and not math.isnan(value):
+        return float(f"{value:.3g}")
+    return plain_number(value)
