@@ -29,7 +29,8 @@ def title_of(runs: Sequence[Run]) -> str:
         return " and ".join(run.name for run in runs) + " side by side"
     summary = runs[0].summary
     recordings = [name for name, recording in summary.recordings.items() if not recording.pooled]
-    trackers = f"{len(summary.trackers)} tracker{'s' * (len(summary.trackers) != 1)}"
+    rows = sum(not entry.ceiling for entry in summary.trackers.values())
+    trackers = f"{rows} tracker{'s' * (rows != 1)}"
     return f"{trackers} on {recordings[0] if len(recordings) == 1 else f'{len(recordings)} recordings'}"
 
 
