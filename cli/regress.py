@@ -31,7 +31,7 @@ def regress(
     speed_reference: Annotated[
         str | None, typer.Option(metavar="LABEL", help="Judge speed too, as a ratio to this tracker's")
     ] = None,
-    speed_margin: Annotated[float | None, typer.Option(help="Growth of that ratio that does not matter; 0.3")] = None,
+    speed_margin: Annotated[float | None, typer.Option(help="Growth of that ratio that does not matter; 0.5")] = None,
     as_json: AsJson = False,
 ) -> None:
     """Is a run worse than a baseline?

@@ -27,7 +27,7 @@ def write_baseline(path: Path, measurement: Measurement) -> None:
 
     Raises BaselineError where the file cannot be written.
     """
-    text = json.dumps(measurement.model_dump(mode="json", by_alias=True), indent=1, allow_nan=False)
+    text = json.dumps(measurement.model_dump(mode="json", by_alias=True), indent=0, allow_nan=False)
     for on_one_line in (_LIST_OF_NUMBERS, _BANDS_OF_COUNTS):
         text = on_one_line.sub(lambda found: "".join(found[0].split()), text)
     partial = path.with_name(path.name + ".partial")

@@ -115,5 +115,5 @@ def _counts(
     order = list(BANDS)
     found: dict[int, dict[str, dict[str, tuple[float, ...]]]] = defaultdict(lambda: defaultdict(dict))
     for unit, stratum, band, *counts, log_loss in sorted(summed.iter_rows(), key=lambda r: (*r[:2], order.index(r[2]))):
-        found[unit][stratum][band] = (*counts, float(f"{log_loss:.9g}"))
+        found[unit][stratum][band] = (*counts, float(f"{log_loss:.6g}"))
     return found

@@ -35,7 +35,7 @@ class GateSettings(Settings):
     units for significance it decides alone, and a tracker without one must not fall at all."""
     speed_reference: str | None = None
     """The tracker that speed is measured against; None: speed is not judged."""
-    speed_margin: Annotated[float, Field(ge=0.0)] = 0.3
+    speed_margin: Annotated[float, Field(ge=0.0)] = 0.5
     """By which share a tracker's time may grow, as a ratio to that of the reference."""
 
 
