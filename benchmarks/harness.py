@@ -18,9 +18,9 @@ from typing import Any
 
 from gridtrack.common.recordings import open_recording, packaged_recording, write_native
 from gridtrack.common.scan import Scan
-from gridtrack.evaluation.plan import CompareSettings, resolve
-from gridtrack.evaluation.record import TrialRecord
-from gridtrack.evaluation.runner import run
+from gridtrack.evaluation.comparison.plan import CompareSettings, resolve
+from gridtrack.evaluation.comparison.runner import run
+from gridtrack.evaluation.scoring.record import TrialRecord
 
 DEMO = packaged_recording("leg_tracker")
 LOOPS = 10

@@ -12,8 +12,8 @@ from collections.abc import Callable
 import numpy as np
 from scipy.special import expit, logit, ndtr, ndtri, stdtrit
 
-from gridtrack.evaluation.uncertainty import COUNTS, differences, holm, interval
-from gridtrack.evaluation.units import BLOCK_TIMES, autocorrelation_time, residuals, sum_by_unit, units_of
+from gridtrack.evaluation.statistics.uncertainty import COUNTS, differences, holm, interval
+from gridtrack.evaluation.statistics.units import BLOCK_TIMES, autocorrelation_time, residuals, sum_by_unit, units_of
 
 Counts = np.ndarray  # (U, R, C): units, repetitions, counts
 Interval = tuple[np.ndarray, np.ndarray]

@@ -23,12 +23,12 @@ import numpy as np
 from harness import Quiet
 from numpy.typing import NDArray
 
-from gridtrack.evaluation.plan import CompareSettings, resolve
+from gridtrack.evaluation.comparison.plan import CompareSettings, resolve
+from gridtrack.evaluation.comparison.runner import run
 from gridtrack.evaluation.regression import GateSettings, measure
 from gridtrack.evaluation.regression.pairing import PairedRow, pair
 from gridtrack.evaluation.regression.significance import FAMILY_LEVEL, f1_of, fall_p_values
-from gridtrack.evaluation.runner import run
-from gridtrack.evaluation.uncertainty import differences, holm
+from gridtrack.evaluation.statistics.uncertainty import differences, holm
 
 JUNCTION = Path(__file__).parents[1] / "data" / "junction"
 RESAMPLED, FALLS = 200, 100

@@ -18,10 +18,10 @@ from sklearn.metrics import average_precision_score, brier_score_loss, f1_score,
 
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec
-from gridtrack.evaluation.counting import EDGES, count_forecast
-from gridtrack.evaluation.scores import ScoreWriter
-from gridtrack.evaluation.semantics import count_classes, count_found, match_classes
-from gridtrack.evaluation.strata import (
+from gridtrack.evaluation.scoring.counting import EDGES, count_forecast
+from gridtrack.evaluation.scoring.scores import ScoreWriter
+from gridtrack.evaluation.scoring.semantics import count_classes, count_found, match_classes
+from gridtrack.evaluation.scoring.strata import (
     PLACES,
     REGIONS,
     STRATA,
@@ -30,8 +30,8 @@ from gridtrack.evaluation.strata import (
     Areas,
     areas_of,
 )
-from gridtrack.evaluation.target import HIDDEN_FREE, NOT_SCORED, SEEN_FREE, Target
-from gridtrack.evaluation.thresholds import half
+from gridtrack.evaluation.scoring.target import HIDDEN_FREE, NOT_SCORED, SEEN_FREE, Target
+from gridtrack.evaluation.scoring.thresholds import half
 
 STEPS, SIZE, CLASSES = 20, 100, 5
 GRID = GridSpec(SIZE, 0.2, (-10.0, 0.0))

@@ -59,9 +59,9 @@ def compare(
     Exit code: 0 all trials complete, 2 wrong use, 3 some trial is not, 130 interrupted.
     """
     from gridtrack.common.degrade import parse_degradation
-    from gridtrack.evaluation.plan import CompareSettings, resolve
-    from gridtrack.evaluation.runner import run
-    from gridtrack.evaluation.tracker_process import Limits
+    from gridtrack.evaluation.comparison.plan import CompareSettings, resolve
+    from gridtrack.evaluation.comparison.runner import run
+    from gridtrack.evaluation.processes.tracker_process import Limits
     from gridtrack.reports.page import render_report
     from gridtrack.reports.terminal import RunProgress, print_tables
 

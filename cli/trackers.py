@@ -29,8 +29,8 @@ def train(
 ) -> None:
     """Let a tracker learn a site: weights, map and settings, with the command that made them."""
     from gridtrack.common.grid import GridSpec
-    from gridtrack.evaluation.learned import users_folder
-    from gridtrack.evaluation.train import train as train_tracker
+    from gridtrack.evaluation.comparison.learned import users_folder
+    from gridtrack.evaluation.comparison.train import train as train_tracker
     from gridtrack.trackers.selection import parse_selection
 
     chosen = parse_selection(tracker)
@@ -75,7 +75,7 @@ def _first_line(text: str) -> str:
 
 
 def _describe(name: str) -> Any:
-    from gridtrack.evaluation.tracker_process import Limits, describe
+    from gridtrack.evaluation.processes.tracker_process import Limits, describe
     from gridtrack.trackers.selection import launch
 
     return describe(launch(name), {}, Limits())
@@ -123,8 +123,8 @@ def check_tracker(
     as_json: AsJson = False,
 ) -> None:
     """Try every promise of the plugin contract on a tracker, in its own process. Exit code 1 where one is broken."""
-    from gridtrack.evaluation.contract_suite import check_tracker as check
-    from gridtrack.evaluation.learned import find_weights
+    from gridtrack.evaluation.comparison.learned import find_weights
+    from gridtrack.evaluation.processes.contract_suite import check_tracker as check
     from gridtrack.reports.terminal import print_rows
     from gridtrack.trackers.selection import launch, parse_selection, read_trackers_toml
 
@@ -155,7 +155,7 @@ def new_tracker(
 
 def _refuse_untrained(launched: Any, options: Any, site: str) -> None:
     """Nothing to try of a tracker that must learn first, and no promise broken. Raises ConfigurationError."""
-    from gridtrack.evaluation.tracker_process import Limits, describe
+    from gridtrack.evaluation.processes.tracker_process import Limits, describe
 
     where = f"of site '{site}'" if site else "here"
     with suppress(PluginError):  # one that cannot be loaded breaks its first promise

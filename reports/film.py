@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from gridtrack.common.grid import GridSpec
-from gridtrack.evaluation.samples import SAMPLES, Sample, SamplesError, read_samples
-from gridtrack.evaluation.scores import SCORES
+from gridtrack.evaluation.scoring.samples import SAMPLES, Sample, SamplesError, read_samples
+from gridtrack.evaluation.scoring.scores import SCORES
 from gridtrack.reports.moments import ChosenMoment, choose_moments, rule, scored_moments
 from gridtrack.reports.pictures import frame_png, probability_png
 from gridtrack.reports.run import ReportError

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 if TYPE_CHECKING:
-    from gridtrack.evaluation.plan import Plan
+    from gridtrack.evaluation.comparison.plan import Plan
     from gridtrack.evaluation.regression import Measurement, Verdict
 
 UPDATE = "--gridtrack-update-baseline"
@@ -75,7 +75,7 @@ class TrackerRegression:
 
     def _plan(self, tracker: str, recording: str, options: dict[str, Any]) -> Plan:
         from gridtrack.common.config import validated
-        from gridtrack.evaluation.plan import CompareSettings, resolve
+        from gridtrack.evaluation.comparison.plan import CompareSettings, resolve
 
         given = {
             "recordings": (str(self._beside / recording),),
@@ -96,8 +96,8 @@ class TrackerRegression:
 
     def _measured(self, plan: Plan, like: Measurement | None) -> Measurement:
         """Run the plan, and measure what it left."""
+        from gridtrack.evaluation.comparison.runner import run
         from gridtrack.evaluation.regression import measure
-        from gridtrack.evaluation.runner import run
         from gridtrack.reports.terminal import RunProgress
 
         with RunProgress() as progress:

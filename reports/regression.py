@@ -12,7 +12,7 @@ from gridtrack.evaluation.regression.measurement import BANDS
 from gridtrack.evaluation.regression.significance import FAMILY_LEVEL
 from gridtrack.evaluation.regression.speed import SpeedRow
 from gridtrack.evaluation.regression.verdict import Row
-from gridtrack.evaluation.uncertainty import LEAST_UNITS
+from gridtrack.evaluation.statistics.uncertainty import LEAST_UNITS
 from gridtrack.reports.run import UNDEFINED
 
 MAX_ROWS = 40

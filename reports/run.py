@@ -12,9 +12,9 @@ from typing import Annotated, Any
 from pydantic import Field, ValidationError, model_validator
 
 from gridtrack.common.errors import GridtrackError
-from gridtrack.evaluation.courses import ORACLE
-from gridtrack.evaluation.inference import ALL_RECORDINGS
-from gridtrack.evaluation.summary import SCHEMA, SUMMARY
+from gridtrack.evaluation.scoring.courses import ORACLE
+from gridtrack.evaluation.statistics.inference import ALL_RECORDINGS
+from gridtrack.evaluation.statistics.summary import SCHEMA, SUMMARY
 from gridtrack.reports.trial import Number, Read, Trial
 
 MAX_BYTES = 256 << 20

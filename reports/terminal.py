@@ -14,7 +14,7 @@ from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedCo
 from rich.table import Table
 
 from gridtrack.common.errors import plain
-from gridtrack.evaluation.record import TrialRecord
+from gridtrack.evaluation.scoring.record import TrialRecord
 from gridtrack.reports.differences import Differences, differences_of
 from gridtrack.reports.differences import as_markdown as differences_as_markdown
 from gridtrack.reports.run import read_runs

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from gridtrack.evaluation.counting import Tally
-from gridtrack.evaluation.scores import ScoresError, read_tally
+from gridtrack.evaluation.scoring.counting import Tally
+from gridtrack.evaluation.scoring.scores import ScoresError, read_tally
 from gridtrack.reports.figures import Axis
 from gridtrack.reports.run import Run
 from gridtrack.reports.table import HeadlineTable, Row

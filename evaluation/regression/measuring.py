@@ -10,7 +10,7 @@ from typing import Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from gridtrack.common.errors import GridtrackError
-from gridtrack.evaluation.record import MAX_BYTES, RunError, TrialRecord, read_record
+from gridtrack.evaluation.comparison.run_folder import RUN, SCHEMA
 from gridtrack.evaluation.regression.measurement import (
     BLOCK_S,
     CourseKey,
@@ -20,8 +20,8 @@ from gridtrack.evaluation.regression.measurement import (
     Unmeasured,
 )
 from gridtrack.evaluation.regression.units import read_units
-from gridtrack.evaluation.run_folder import RUN, SCHEMA
-from gridtrack.evaluation.uncertainty import LEAST_UNITS
+from gridtrack.evaluation.scoring.record import MAX_BYTES, RunError, TrialRecord, read_record
+from gridtrack.evaluation.statistics.uncertainty import LEAST_UNITS
 
 KEYS = frozenset(CourseKey.model_fields)
 

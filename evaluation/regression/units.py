@@ -11,7 +11,7 @@ from typing import Any
 import polars as pl
 
 from gridtrack.evaluation.regression.measurement import BANDS, Unit, Unmeasured
-from gridtrack.evaluation.scores import CONFUSION, SCORES, ScoresError
+from gridtrack.evaluation.scoring.scores import CONFUSION, SCORES, ScoresError
 
 MAX_STRATA = 100
 _TYPES: dict[str, Any] = {

@@ -16,7 +16,7 @@ from gridtrack.evaluation.regression.measurement import Measurement, Unmeasured
 from gridtrack.evaluation.regression.pairing import PairedRow, pair
 from gridtrack.evaluation.regression.significance import FAMILY_LEVEL, f1_of, fall_p_values
 from gridtrack.evaluation.regression.speed import SpeedRow, judge_speed
-from gridtrack.evaluation.uncertainty import LEAST_UNITS
+from gridtrack.evaluation.statistics.uncertainty import LEAST_UNITS
 
 Standing = Literal["worse", "no worse", "equal", "nothing to find"]
 SMALLEST_FALL = 1e-9

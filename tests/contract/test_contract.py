@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from gridtrack.common.grid import GridSpec
-from gridtrack.evaluation.contract_scene import empty_stream, scene
-from gridtrack.evaluation.contract_suite import CheckResult, check_tracker
-from gridtrack.evaluation.learned import find_weights
+from gridtrack.evaluation.comparison.learned import find_weights
+from gridtrack.evaluation.processes.contract_scene import empty_stream, scene
+from gridtrack.evaluation.processes.contract_suite import CheckResult, check_tracker
 from gridtrack.trackers.contract import StreamSpec
 from gridtrack.trackers.registry import entries
 from gridtrack.trackers.selection import launch

@@ -12,7 +12,7 @@ import pytest
 from gridtrack.common.geometry import SE2
 from gridtrack.common.recordings import RecordingInfo, write_native
 from gridtrack.common.scan import Scan
-from gridtrack.evaluation.record import TrialRecord
+from gridtrack.evaluation.scoring.record import TrialRecord
 
 RATE_HZ, SECONDS, BEAMS = 10, 20, 120
 STRETCHES = {"train": (0.0, 4.0), "validation": (4.0, 9.0), "test": (9.0, None)}

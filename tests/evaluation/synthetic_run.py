@@ -6,12 +6,12 @@ from pathlib import Path
 
 import numpy as np
 
-from gridtrack.evaluation.counting import BINS, Tally
-from gridtrack.evaluation.inference import Ended
-from gridtrack.evaluation.record import ThresholdsUsed, TrialRecord
-from gridtrack.evaluation.scores import ScoreWriter
-from gridtrack.evaluation.strata import STRATA
-from gridtrack.evaluation.thresholds import half
+from gridtrack.evaluation.scoring.counting import BINS, Tally
+from gridtrack.evaluation.scoring.record import ThresholdsUsed, TrialRecord
+from gridtrack.evaluation.scoring.scores import ScoreWriter
+from gridtrack.evaluation.scoring.strata import STRATA
+from gridtrack.evaluation.scoring.thresholds import half
+from gridtrack.evaluation.statistics.inference import Ended
 
 STEPS, PERIOD_S = 20, 0.125
 

@@ -1,6 +1,6 @@
 """Shares of the way from floor to ceiling, by hand."""
 
-from gridtrack.evaluation.ceiling import add_ceiling
+from gridtrack.evaluation.statistics.ceiling import add_ceiling
 
 
 def row(tracker, moving, occluded=None, outcome="ok"):

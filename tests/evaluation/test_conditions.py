@@ -8,13 +8,14 @@ import shutil
 import pytest
 
 from gridtrack.common.degrade import Degradation
-from gridtrack.evaluation import deadline_pass, scorekeeper
-from gridtrack.evaluation.deadline import Costs
-from gridtrack.evaluation.plan import CompareSettings, resolve
-from gridtrack.evaluation.record import AtStrength, Robustness, TrialRecord
-from gridtrack.evaluation.robustness import shown_others
-from gridtrack.evaluation.robustness_pass import RobustnessRun
-from gridtrack.evaluation.runner import run
+from gridtrack.evaluation.comparison import deadline_pass
+from gridtrack.evaluation.comparison.plan import CompareSettings, resolve
+from gridtrack.evaluation.comparison.robustness_pass import RobustnessRun
+from gridtrack.evaluation.comparison.runner import run
+from gridtrack.evaluation.scoring import scorekeeper
+from gridtrack.evaluation.scoring.deadline import Costs
+from gridtrack.evaluation.scoring.record import AtStrength, Robustness, TrialRecord
+from gridtrack.evaluation.scoring.robustness import shown_others
 
 pytestmark = pytest.mark.usefixtures("staged")
 

@@ -6,11 +6,11 @@ from sklearn.metrics import average_precision_score, brier_score_loss, f1_score,
 
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec
-from gridtrack.evaluation import metrics
-from gridtrack.evaluation.counting import BINS, EDGES, Tally, count_forecast
-from gridtrack.evaluation.strata import PLACES, STRATA, STRATA_WITH_TRUTH, areas_of
-from gridtrack.evaluation.target import NOT_SCORED, Target
-from gridtrack.evaluation.thresholds import half
+from gridtrack.evaluation.scoring import metrics
+from gridtrack.evaluation.scoring.counting import BINS, EDGES, Tally, count_forecast
+from gridtrack.evaluation.scoring.strata import PLACES, STRATA, STRATA_WITH_TRUTH, areas_of
+from gridtrack.evaluation.scoring.target import NOT_SCORED, Target
+from gridtrack.evaluation.scoring.thresholds import half
 
 VISIBLE, MOVING, STATIC = (STRATA.index(name) for name in ("visible", "moving", "static"))
 RING, STANDING, MOVES = (PLACES.index(name) for name in ("ring", "static", "moving"))

@@ -4,11 +4,11 @@ import pytest
 
 from gridtrack.common.errors import ConfigurationError, PluginError, RecordingError, WeightsError
 from gridtrack.common.grid import GridSpec
-from gridtrack.evaluation.courses import Sampling, plan_course, was_seen
-from gridtrack.evaluation.learned import find_weights, users_folder, weights_path
-from gridtrack.evaluation.plan import CompareSettings, resolve
-from gridtrack.evaluation.strata import PLACES
-from gridtrack.evaluation.train import train
+from gridtrack.evaluation.comparison.learned import find_weights, users_folder, weights_path
+from gridtrack.evaluation.comparison.plan import CompareSettings, resolve
+from gridtrack.evaluation.comparison.train import train
+from gridtrack.evaluation.scoring.courses import Sampling, plan_course, was_seen
+from gridtrack.evaluation.scoring.strata import PLACES
 from gridtrack.trackers.weights import Card, TrainingData, save_weights
 
 SECOND = Sampling(horizon_s=1.0, every_s=0.5)

@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec
-from gridtrack.evaluation.deadline import Costs, OnTime, Timeline, spare_steps, timeline
-from gridtrack.evaluation.referee import Schedule, moments
-from gridtrack.evaluation.target import Target
+from gridtrack.evaluation.scoring.deadline import Costs, OnTime, Timeline, spare_steps, timeline
+from gridtrack.evaluation.scoring.referee import Schedule, moments
+from gridtrack.evaluation.scoring.target import Target
 from gridtrack.trackers.contract import Forecast
 
 PERIOD_MS = 100.0

@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gridtrack.evaluation.frame_counts import FrameCounts, common_frames, read_frame_counts
-from gridtrack.evaluation.scores import ScoresError
-from gridtrack.evaluation.strata import STRATA
-from gridtrack.evaluation.summary import summarise
-from gridtrack.evaluation.uncertainty import COUNTS, interval
-from gridtrack.evaluation.units import autocorrelation_time, sum_by_unit, units_of
+from gridtrack.evaluation.scoring.scores import ScoresError
+from gridtrack.evaluation.scoring.strata import STRATA
+from gridtrack.evaluation.statistics.frame_counts import FrameCounts, common_frames, read_frame_counts
+from gridtrack.evaluation.statistics.summary import summarise
+from gridtrack.evaluation.statistics.uncertainty import COUNTS, interval
+from gridtrack.evaluation.statistics.units import autocorrelation_time, sum_by_unit, units_of
 
 spec = importlib.util.spec_from_file_location("synthetic_run", Path(__file__).with_name("synthetic_run.py"))
 synthetic = importlib.util.module_from_spec(spec)

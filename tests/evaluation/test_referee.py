@@ -10,13 +10,13 @@ from hypothesis import strategies as st
 from gridtrack.common.errors import RecordingError
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec
-from gridtrack.evaluation import metrics
-from gridtrack.evaluation.counting import Tally, count_forecast
-from gridtrack.evaluation.referee import WARM_UP, Delivery, Schedule, moments
-from gridtrack.evaluation.scoring import score_in_process
-from gridtrack.evaluation.strata import PLACES, areas_of
-from gridtrack.evaluation.target import Target
-from gridtrack.evaluation.thresholds import half
+from gridtrack.evaluation.scoring import metrics
+from gridtrack.evaluation.scoring.counting import Tally, count_forecast
+from gridtrack.evaluation.scoring.in_process import score_in_process
+from gridtrack.evaluation.scoring.referee import WARM_UP, Delivery, Schedule, moments
+from gridtrack.evaluation.scoring.strata import PLACES, areas_of
+from gridtrack.evaluation.scoring.target import Target
+from gridtrack.evaluation.scoring.thresholds import half
 from gridtrack.trackers.contract import Forecast
 
 GRID = GridSpec(8, 1.0)

@@ -10,12 +10,12 @@ from pathlib import Path
 import pytest
 
 from gridtrack.common.errors import WeightsError
-from gridtrack.evaluation.learned import find_weights
-from gridtrack.evaluation.plan import CompareSettings, resolve
-from gridtrack.evaluation.record import RunError
-from gridtrack.evaluation.runner import run
-from gridtrack.evaluation.scores import HISTOGRAM
-from gridtrack.evaluation.train import train
+from gridtrack.evaluation.comparison.learned import find_weights
+from gridtrack.evaluation.comparison.plan import CompareSettings, resolve
+from gridtrack.evaluation.comparison.runner import run
+from gridtrack.evaluation.comparison.train import train
+from gridtrack.evaluation.scoring.record import RunError
+from gridtrack.evaluation.scoring.scores import HISTOGRAM
 
 
 @pytest.fixture

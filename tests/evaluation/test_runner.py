@@ -14,15 +14,15 @@ import psutil
 import pytest
 
 from gridtrack.common.errors import ConfigurationError
-from gridtrack.evaluation import trial
-from gridtrack.evaluation.courses import Course
-from gridtrack.evaluation.plan import CompareSettings, resolve
-from gridtrack.evaluation.record import RunError, read_record
-from gridtrack.evaluation.referee import Delivery
-from gridtrack.evaluation.runner import run
-from gridtrack.evaluation.samples import read_samples
-from gridtrack.evaluation.scores import read_deliveries
-from gridtrack.evaluation.train import train
+from gridtrack.evaluation.comparison import trial
+from gridtrack.evaluation.comparison.plan import CompareSettings, resolve
+from gridtrack.evaluation.comparison.runner import run
+from gridtrack.evaluation.comparison.train import train
+from gridtrack.evaluation.scoring.courses import Course
+from gridtrack.evaluation.scoring.record import RunError, read_record
+from gridtrack.evaluation.scoring.referee import Delivery
+from gridtrack.evaluation.scoring.samples import read_samples
+from gridtrack.evaluation.scoring.scores import read_deliveries
 
 pytestmark = pytest.mark.usefixtures("staged")
 
@@ -179,8 +179,9 @@ def test_raw_returns_reach_the_tracker_that_asks_for_them(settings, told):
 def start(settings, tmp_path, *trackers):
     """`compare` in a process of its own, as a terminal would start it."""
     program = (
-        "import sys; from gridtrack.evaluation.plan import CompareSettings, resolve;"
-        "from gridtrack.evaluation.runner import run; sys.path.insert(0, sys.argv[2]); from told import Told;"
+        "import sys; from gridtrack.evaluation.comparison.plan import CompareSettings, resolve;"
+        "from gridtrack.evaluation.comparison.runner import run; sys.path.insert(0, sys.argv[2]);"
+        "from told import Told;"
         "run(resolve(CompareSettings.model_validate_json(sys.argv[1])), (), Told())"
     )
     source = (

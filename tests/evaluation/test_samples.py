@@ -7,9 +7,9 @@ from mcap_protobuf.decoder import DecoderFactory
 
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec
-from gridtrack.evaluation.referee import Moment, Schedule
-from gridtrack.evaluation.samples import SAMPLES, SamplesError, SampleWriter, kept_moments, read_samples
-from gridtrack.evaluation.target import Target
+from gridtrack.evaluation.scoring.referee import Moment, Schedule
+from gridtrack.evaluation.scoring.samples import SAMPLES, SamplesError, SampleWriter, kept_moments, read_samples
+from gridtrack.evaluation.scoring.target import Target
 from gridtrack.trackers.contract import Forecast
 
 GRID = GridSpec(12, 0.25, (-1.0, 2.0))

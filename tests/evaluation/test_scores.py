@@ -5,8 +5,8 @@ import polars as pl
 import pytest
 from pyarrow import parquet
 
-from gridtrack.evaluation.counting import BINS, HALF, Tally
-from gridtrack.evaluation.scores import (
+from gridtrack.evaluation.scoring.counting import BINS, HALF, Tally
+from gridtrack.evaluation.scoring.scores import (
     CONFUSION,
     HISTOGRAM,
     ROW_GROUP,
@@ -16,8 +16,8 @@ from gridtrack.evaluation.scores import (
     read_deliveries,
     read_tally,
 )
-from gridtrack.evaluation.strata import STRATA
-from gridtrack.evaluation.thresholds import Thresholds, half
+from gridtrack.evaluation.scoring.strata import STRATA
+from gridtrack.evaluation.scoring.thresholds import Thresholds, half
 
 STEPS = 2
 THRESHOLDS = Thresholds(np.array([[HALF, 10, 40], [3, 25, 8], [11, 49, 1]]), "validation")

@@ -6,14 +6,14 @@ from sklearn.metrics import balanced_accuracy_score, confusion_matrix, log_loss
 
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame
-from gridtrack.evaluation.class_scores import class_scores
-from gridtrack.evaluation.class_store import CLASSES, SEMANTICS, ClassWriter, read_found, read_semantics
-from gridtrack.evaluation.record import TrialRecord
-from gridtrack.evaluation.scores import ScoresError
-from gridtrack.evaluation.semantics import count_classes, count_found, match_classes
-from gridtrack.evaluation.strata import PLACES
-from gridtrack.evaluation.target import HIDDEN_OCCUPIED, SEEN_OCCUPIED, Target
-from gridtrack.evaluation.thresholds import Thresholds
+from gridtrack.evaluation.scoring.class_scores import class_scores
+from gridtrack.evaluation.scoring.class_store import CLASSES, SEMANTICS, ClassWriter, read_found, read_semantics
+from gridtrack.evaluation.scoring.record import TrialRecord
+from gridtrack.evaluation.scoring.scores import ScoresError
+from gridtrack.evaluation.scoring.semantics import count_classes, count_found, match_classes
+from gridtrack.evaluation.scoring.strata import PLACES
+from gridtrack.evaluation.scoring.target import HIDDEN_OCCUPIED, SEEN_OCCUPIED, Target
+from gridtrack.evaluation.scoring.thresholds import Thresholds
 
 NAMES = ("pedestrian", "cyclist", "car", "static")
 SIZE, STEPS = 20, 2

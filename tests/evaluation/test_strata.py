@@ -7,7 +7,7 @@ from scipy.ndimage import binary_dilation
 
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec
-from gridtrack.evaluation.strata import (
+from gridtrack.evaluation.scoring.strata import (
     AGES_S,
     PLACES,
     STRATA,

@@ -11,7 +11,7 @@ from gridtrack.common.grid import GridFrame, GridSpec
 from gridtrack.common.scan import Scan
 from gridtrack.common.scene import Scene, SceneObject
 from gridtrack.common.stream import Observation
-from gridtrack.evaluation.target import (
+from gridtrack.evaluation.scoring.target import (
     HIDDEN_FREE,
     HIDDEN_OCCUPIED,
     NOT_SCORED,

@@ -6,9 +6,9 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from sklearn.metrics import f1_score
 
-from gridtrack.evaluation.counting import BINS, Tally
-from gridtrack.evaluation.strata import STRATA
-from gridtrack.evaluation.thresholds import best_thresholds, half
+from gridtrack.evaluation.scoring.counting import BINS, Tally
+from gridtrack.evaluation.scoring.strata import STRATA
+from gridtrack.evaluation.scoring.thresholds import best_thresholds, half
 
 VISIBLE = STRATA.index("visible")
 

@@ -16,8 +16,8 @@ import pytest
 from gridtrack.common.errors import ConfigurationError, PluginError
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec
-from gridtrack.evaluation.outcome import TrialEnded
-from gridtrack.evaluation.tracker_process import Limits, TrackerProcess, describe
+from gridtrack.evaluation.processes.outcome import TrialEnded
+from gridtrack.evaluation.processes.tracker_process import Limits, TrackerProcess, describe
 from gridtrack.trackers.contract import StreamSpec
 from gridtrack.trackers.selection import Launch, launch
 
@@ -259,7 +259,7 @@ def test_a_killed_referee_takes_the_tracker_and_its_children_along(log: Path, tm
 import time
 from pathlib import Path
 from gridtrack.common.grid import GridSpec
-from gridtrack.evaluation.tracker_process import Limits, TrackerProcess
+from gridtrack.evaluation.processes.tracker_process import Limits, TrackerProcess
 from gridtrack.trackers.contract import StreamSpec
 from gridtrack.trackers.selection import launch
 options = {{"at": "reset", "how": "setsid", "pid_file": {str(pid_file)!r}}}

@@ -12,8 +12,8 @@ import pytest
 
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec
-from gridtrack.evaluation.outcome import TrialEnded
-from gridtrack.evaluation.tracker_process import Limits, TrackerProcess
+from gridtrack.evaluation.processes.outcome import TrialEnded
+from gridtrack.evaluation.processes.tracker_process import Limits, TrackerProcess
 from gridtrack.trackers.contract import StreamSpec
 from gridtrack.trackers.selection import Launch
 

@@ -9,11 +9,11 @@ import polars as pl
 import pytest
 
 from gridtrack.common.errors import ConfigurationError
-from gridtrack.evaluation.class_store import SEMANTICS
-from gridtrack.evaluation.plan import CompareSettings, resolve
-from gridtrack.evaluation.runner import run
-from gridtrack.evaluation.scores import SCORES
-from gridtrack.evaluation.strata import STRATA, STRATA_WITH_TRUTH
+from gridtrack.evaluation.comparison.plan import CompareSettings, resolve
+from gridtrack.evaluation.comparison.runner import run
+from gridtrack.evaluation.scoring.class_store import SEMANTICS
+from gridtrack.evaluation.scoring.scores import SCORES
+from gridtrack.evaluation.scoring.strata import STRATA, STRATA_WITH_TRUTH
 
 SOURCE = Path(__file__).with_name("truth_scene.py")
 spec = importlib.util.spec_from_file_location("truth_scene", SOURCE)

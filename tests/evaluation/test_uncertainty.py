@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from gridtrack.evaluation.uncertainty import COUNTS, LEAST_UNITS, differences, holm, interval, pooled
+from gridtrack.evaluation.statistics.uncertainty import COUNTS, LEAST_UNITS, differences, holm, interval, pooled
 
 
 def counts_of(rng, units=20, recall=0.6, cells=200, shape=()):

@@ -7,16 +7,16 @@ import pytest
 
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec
-from gridtrack.evaluation.counting import count_forecast
-from gridtrack.evaluation.inference import Ended
-from gridtrack.evaluation.record import Latency, Quantiles, ThresholdsUsed, TrialRecord
-from gridtrack.evaluation.referee import Moment
-from gridtrack.evaluation.samples import SAMPLES, SampleWriter
-from gridtrack.evaluation.scores import ScoreWriter
-from gridtrack.evaluation.strata import STRATA, areas_of, places_of
-from gridtrack.evaluation.summary import summarise, write_json
-from gridtrack.evaluation.target import Target
-from gridtrack.evaluation.thresholds import Thresholds
+from gridtrack.evaluation.scoring.counting import count_forecast
+from gridtrack.evaluation.scoring.record import Latency, Quantiles, ThresholdsUsed, TrialRecord
+from gridtrack.evaluation.scoring.referee import Moment
+from gridtrack.evaluation.scoring.samples import SAMPLES, SampleWriter
+from gridtrack.evaluation.scoring.scores import ScoreWriter
+from gridtrack.evaluation.scoring.strata import STRATA, areas_of, places_of
+from gridtrack.evaluation.scoring.target import Target
+from gridtrack.evaluation.scoring.thresholds import Thresholds
+from gridtrack.evaluation.statistics.inference import Ended
+from gridtrack.evaluation.statistics.summary import summarise, write_json
 from gridtrack.trackers.contract import Forecast
 
 GRID = GridSpec(32, 0.2, (-3.2, 0.0))

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gridtrack.evaluation.scores import SCORES
+from gridtrack.evaluation.scoring.scores import SCORES
 from gridtrack.reports.moments import ScoredMoment, choose_moments, scored_moments
 from gridtrack.reports.run import ReportError
 

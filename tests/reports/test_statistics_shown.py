@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from gridtrack.evaluation.summary import summarise, write_json
+from gridtrack.evaluation.statistics.summary import summarise, write_json
 from gridtrack.reports.page import render_page
 from gridtrack.reports.run import read_runs
 from gridtrack.reports.table import as_markdown, foremost, headline_tables

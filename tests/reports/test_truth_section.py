@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gridtrack.evaluation.counting import BINS, Tally
+from gridtrack.evaluation.scoring.counting import BINS, Tally
 from gridtrack.reports.page import render_report
 from gridtrack.reports.run import ReportError, read_runs
 from gridtrack.reports.table import headline_tables

@@ -13,11 +13,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gridtrack.evaluation.counting import Tally
-from gridtrack.evaluation.record import Latency, Quantiles, ThresholdsUsed, TrialRecord
-from gridtrack.evaluation.scores import ScoreWriter
-from gridtrack.evaluation.strata import STRATA
-from gridtrack.evaluation.thresholds import half
+from gridtrack.evaluation.scoring.counting import Tally
+from gridtrack.evaluation.scoring.record import Latency, Quantiles, ThresholdsUsed, TrialRecord
+from gridtrack.evaluation.scoring.scores import ScoreWriter
+from gridtrack.evaluation.scoring.strata import STRATA
+from gridtrack.evaluation.scoring.thresholds import half
 
 STEPS, PERIOD_S, FRAMES = 16, 0.125, 8
 OCCUPIED = {"visible": 300, "moving": 60, "static": 200}

@@ -1,0 +1,1 @@
+"""Planning and running a comparison, and the folder that it leaves."""

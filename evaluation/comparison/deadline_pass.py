@@ -1,0 +1,100 @@
+"""The deadline pass: what a tracker's calls take when it is alone on the machine, and what it is worth at that."""
+
+from __future__ import annotations
+
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gridtrack.evaluation.comparison.plan import Trial
+from gridtrack.evaluation.comparison.replay import replayed_f1
+from gridtrack.evaluation.processes.tracker_process import TrackerProcess
+from gridtrack.evaluation.scoring.courses import Regions
+from gridtrack.evaluation.scoring.deadline import RATES, Costs, OnTime, Timeline, spare_steps, timeline
+from gridtrack.evaluation.scoring.record import AtRate, Curves, Deadline, Quantiles, ThresholdsUsed
+from gridtrack.evaluation.scoring.referee import WARM_UP, Delivery
+from gridtrack.trackers.contract import stream_of
+
+FRAMES, FEWEST, ENOUGH_S = 120, 30, 30.0
+"""Frames whose update and forecast are timed after the warm-up; of a slow tracker, once there are FEWEST, no more than
+ENOUGH_S seconds' worth."""
+TRIED = 4
+"""Frames at the end of the warm-up that are forecast from, to find how far ahead the forecasts must reach."""
+LOG = "deadline.log"
+
+
+def measure_deadline(trial: Trial, regions: Regions, thresholds: ThresholdsUsed, folder: Path) -> Deadline:
+    """Time the tracker, then score it on the clock at every rate; its log goes to `folder`. Raises TrialEnded."""
+    stream = stream_of(trial.test, trial.weights.path if trial.weights else None)
+    with TrackerProcess(trial.launch, stream, trial.selection.options, trial.limits, folder / LOG) as process:
+        costs, reach = _measure(process, trial)
+        return Deadline(
+            update_ms=_quantiles(np.asarray(costs.update_ms)),
+            predict_ms=_quantiles(np.asarray(costs.predict_ms)),
+            busy_ms=_quantiles(costs.busy_ms),
+            highest_rate_hz=costs.highest_rate_hz,
+            forecast_steps=reach,
+            rates=_at_every_rate(process, trial, regions, thresholds, costs, reach),
+        )
+
+
+def _measure(process: TrackerProcess, trial: Trial) -> tuple[Costs, int]:
+    """What frames cost by the tracker's own clock, and how many steps ahead its forecasts reach at that."""
+    steps, period_ms = trial.course.steps, trial.test.period_s * 1e3
+    update_ms: list[float] = []
+    predict_ms: list[float] = []
+    tried_ms = 0.0
+    process.reset(trial.seed)
+    for index, frame in enumerate(islice(trial.test, WARM_UP + FRAMES)):
+        process.update(frame)
+        took_ms = process.last_ms
+        if index >= WARM_UP:
+            process.predict(steps + spare_steps(tried_ms, period_ms, steps))
+            update_ms.append(took_ms)
+            predict_ms.append(process.last_ms)
+            if len(update_ms) >= FEWEST and sum(update_ms) + sum(predict_ms) > ENOUGH_S * 1e3:
+                break
+        elif index >= WARM_UP - TRIED:
+            process.predict(steps)
+            # the first forecast of all may compile and allocate: it does not count
+            tried_ms = max(tried_ms, took_ms + process.last_ms) if index > WARM_UP - TRIED else 0.0
+    return Costs(update_ms, predict_ms), steps + spare_steps(tried_ms, period_ms, steps)
+
+
+def _at_every_rate(
+    process: TrackerProcess, trial: Trial, regions: Regions, thresholds: ThresholdsUsed, costs: Costs, reach: int
+) -> tuple[AtRate, ...]:
+    """Scores at each rate; where two rates give the same timeline, the tracker is streamed only once."""
+    schedule, period_ms = trial.course.schedule, trial.test.period_s * 1e3
+    known: dict[bytes, Curves] = {}
+    results = []
+    for rate in RATES:
+        kept = timeline(schedule.frames, period_ms / rate, costs)
+        same = kept.taken.tobytes() + kept.newest.tobytes()
+        if same not in known:
+            frames = Delivery(trial.test, lambda: None)
+            known[same] = replayed_f1(OnTime(process, kept, schedule, reach), frames, trial, regions, thresholds)
+        results.append(
+            AtRate(
+                rate=rate,
+                rate_hz=round(rate * 1000.0 / period_ms, 6),
+                frames=schedule.frames,
+                missed=kept.missed,
+                age_frames=_quantiles(_ages(kept)),
+                f1=known[same],
+            )
+        )
+    return tuple(results)
+
+
+def _ages(kept: Timeline) -> NDArray[np.int64]:
+    """Of how many frames ago the newest forecast is, at each frame after the warm-up."""
+    ages: NDArray[np.int64] = (np.arange(len(kept.newest)) - kept.newest)[WARM_UP:]
+    return ages
+
+
+def _quantiles(values: NDArray[np.float64] | NDArray[np.int64]) -> Quantiles:
+    p50, p95, p99 = np.percentile(values, (50, 95, 99), method="higher")
+    return Quantiles(p50=float(p50), p95=float(p95), p99=float(p99))

@@ -1,0 +1,40 @@
+"""The latency pass: one tracker at a time, alone on the machine, over part of the test stretch."""
+
+from __future__ import annotations
+
+from itertools import islice
+from pathlib import Path
+
+from gridtrack.evaluation.comparison.plan import Trial
+from gridtrack.evaluation.processes.latency import Latencies
+from gridtrack.evaluation.processes.tracker_process import TrackerProcess
+from gridtrack.evaluation.scoring.record import Latency, Quantiles
+from gridtrack.evaluation.scoring.referee import WARM_UP
+from gridtrack.trackers.contract import stream_of
+
+FRAMES = 120
+"""Frames timed after the warm-up: of these every second one is forecast from."""
+LOG = "latency.log"
+
+
+def measure_latency(trial: Trial, folder: Path) -> Latency:
+    """Time a tracker's updates and forecasts by its own clock; its log goes to `folder`. Raises TrialEnded."""
+    stream = stream_of(trial.test, trial.weights.path if trial.weights else None)
+    update, predict = Latencies(), Latencies()
+    with TrackerProcess(trial.launch, stream, trial.selection.options, trial.limits, folder / LOG) as process:
+        process.reset(trial.seed)
+        for index, frame in enumerate(islice(trial.test, WARM_UP + FRAMES)):
+            process.update(frame)
+            if index < WARM_UP:
+                continue
+            update.add(process.last_ms)
+            if index % 2 == 0:
+                process.predict(trial.course.steps)
+                predict.add(process.last_ms)
+    return Latency(
+        update=_quantiles(update), predict=_quantiles(predict), predict_step=_quantiles(predict, trial.course.steps)
+    )
+
+
+def _quantiles(latencies: Latencies, divided_by: int = 1) -> Quantiles:
+    return Quantiles(**{name: value / divided_by for name, value in latencies.summary().items()})

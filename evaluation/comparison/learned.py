@@ -1,0 +1,79 @@
+"""Where a tracker's learned weights for a site are found, and what they were made from."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+
+from gridtrack.common.errors import WeightsError
+from gridtrack.evaluation.comparison.provenance import sha256_of
+from gridtrack.trackers.weights import Card, read_card
+
+SITE = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,127}")
+
+
+@dataclass(frozen=True, slots=True)
+class LearnedWeights:
+    """The weights of one tracker for one site: the card's path, its content and its hash.
+
+    The card names the hash of its arrays, so one hash stands for both.
+    """
+
+    path: Path
+    card: Card
+    sha256: str
+
+    @property
+    def name(self) -> str:
+        """`<tracker>/<site>.toml`: without the folders of this machine, for what is handed on."""
+        return "/".join(self.path.parts[-2:])
+
+    def provenance(self) -> dict[str, str]:
+        """What run.json keeps of them."""
+        return {"name": self.name, "sha256": self.sha256}
+
+
+def find_weights(tracker: str, site: str, override: Path | None) -> LearnedWeights | None:
+    """The weights of `tracker` for `site`: in `override`, else the user's own, else the shipped ones, else None.
+
+    Raises WeightsError where the file found cannot be read, or there is no folder `override`.
+    """
+    if override is not None and not override.is_dir():
+        raise WeightsError(
+            f"{override}: no such folder of weights; without --weights your own and the shipped are used"
+        )
+    if not SITE.fullmatch(site):
+        return None
+    for folder in _folders(override):
+        path = weights_path(folder, tracker, site)
+        if path.is_file():
+            return LearnedWeights(path, read_card(path), sha256_of(path))
+    return None
+
+
+def weights_path(folder: Path, tracker: str, site: str) -> Path:
+    """`<folder>/<tracker>/<site>.toml`. Raises WeightsError for a site whose name is not one of a file."""
+    if not SITE.fullmatch(site):
+        raise WeightsError(
+            f"site '{site}' cannot name a weights file: letters, digits and . _ - only; set it when the recording is"
+            " imported (`gridtrack recording import --site NAME`)"
+        )
+    return folder / tracker / f"{site}.toml"
+
+
+def users_folder() -> Path:
+    """The user's own weights, where the platform keeps such data: `$XDG_DATA_HOME/gridtrack/weights` on Linux."""
+    home = os.environ.get("XDG_DATA_HOME", "")
+    base = Path(home) if Path(home).is_absolute() else Path.home() / ".local" / "share"
+    return base / "gridtrack" / "weights"
+
+
+def _folders(override: Path | None) -> Iterator[Path]:
+    if override is not None:
+        yield override
+    yield users_folder()
+    yield Path(str(resources.files("gridtrack.data") / "weights"))

@@ -1,0 +1,222 @@
+"""What a comparison will run: its settings, resolved to one trial for each tracker on each recording."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from pydantic import Field
+
+from gridtrack.common.config import Settings
+from gridtrack.common.degrade import Degradation
+from gridtrack.common.errors import ConfigurationError, PluginError, did_you_mean
+from gridtrack.common.grid import GridSpec
+from gridtrack.common.stream import GridStream
+from gridtrack.evaluation.comparison.learned import LearnedWeights, find_weights
+from gridtrack.evaluation.processes.tracker_process import Limits, describe
+from gridtrack.evaluation.scoring.courses import ORACLE, Course, Sampling, plan_courses, was_seen, with_points
+from gridtrack.evaluation.statistics.inference import ALL_RECORDINGS
+from gridtrack.trackers import registry
+from gridtrack.trackers.selection import Launch, Selection, launch, parse_selections, read_trackers_toml
+
+
+class CompareSettings(Settings):
+    """A comparison as it is asked for.
+
+    `recordings` as RECORDING[@range], `trackers` as [LABEL=]NAME[:key=value,...] (none: every registered one);
+    `reference` the label of the row that the others are set against (none: `persistence`, else the first);
+    `validation` a RECORDING[@range] to choose thresholds on, in place of each recording's own validation stretch.
+    """
+
+    recordings: tuple[str, ...] = Field(min_length=1)
+    trackers: tuple[str, ...] = ()
+    out: Path
+    validation: str | None = None
+    reference: str | None = None
+    horizon_s: float = Field(2.5, gt=0.0, le=60.0)
+    every_s: float = Field(1.0, gt=0.0, le=3600.0)
+    grid: str | None = None
+    rate_hz: float | None = Field(None, gt=0.0, le=1000.0)
+    seed: int = Field(0, ge=0, lt=2**31)
+    weights: Path | None = None
+    trackers_toml: Path | None = None
+    limits: Limits = Limits()
+    jobs: int | None = Field(None, ge=1)
+    resume: bool = False
+    latency: bool = False
+    deadline: bool = False
+    degrade: Degradation | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Trial:
+    """One tracker on one recording, resolved: all that is needed to run it."""
+
+    selection: Selection
+    launch: Launch
+    course: Course
+    weights: LearnedWeights | None
+    seed: int
+    limits: Limits
+
+    @property
+    def label(self) -> str:
+        """The tracker's label in this run."""
+        return self.selection.label
+
+    @property
+    def name(self) -> str:
+        """The name of the trial's folder."""
+        return f"{self.label}@{self.course.name}"
+
+    @property
+    def test(self) -> GridStream:
+        """The tested stretch, with the returns this tracker asked for."""
+        return with_points(self.course.test, self.selection.points)
+
+    @property
+    def validation(self) -> GridStream | None:
+        """The stretch to choose thresholds on, or None."""
+        stretch = self.course.validation
+        return stretch and with_points(stretch, self.selection.points)
+
+    @property
+    def how_to_train(self) -> str:
+        """What to do when the tracker has not learned the recording's site yet, in one line."""
+        command = ["gridtrack", "train", self.selection.name, str(self.course.path), *self._sampling_options()]
+        return (
+            f"nothing learned for site '{self.course.test.site}' yet; run `{shlex.join(command)}`, then compare again"
+            " with --resume"
+        )
+
+    def _sampling_options(self) -> list[str]:
+        """The grid and rate of this comparison as options, where they are not the recording's own."""
+        test = self.course.test
+        own = GridStream(test.recording)
+        grid = [] if test.grid == own.grid else ["--grid", str(test.grid)]
+        return grid if test.period_ns == own.period_ns else [*grid, "--rate", f"{1 / test.period_s:g}"]
+
+    def identity(self) -> dict[str, Any]:
+        """What decides the trial's scores, and so whether a resumed run may keep them; learned weights apart."""
+        return {
+            "tracker": self.selection.name,
+            "options": dict(self.selection.options),
+            "points": self.selection.points,
+            "argv": list(self.launch.argv if self.launch.external else self.launch.argv[1:]),
+            "seed": self.seed,
+            "threads": self.limits.threads,
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """Everything that a comparison will run."""
+
+    settings: CompareSettings
+    courses: tuple[Course, ...]
+    trials: tuple[Trial, ...]
+    notices: tuple[str, ...]
+
+    def identity(self) -> dict[str, Any]:
+        """The resolved configuration: a resumed run must have the same."""
+        return {
+            "recordings": {course.name: course.identity() for course in self.courses},
+            "trials": {trial.name: trial.identity() for trial in self.trials},
+        }
+
+
+def resolve(settings: CompareSettings) -> Plan:
+    """Look everything up that the settings name, before anything runs.
+
+    Raises a GridtrackError for a recording, stretch, tracker, option or weights file that does not fit.
+    """
+    external = read_trackers_toml(settings.trackers_toml) if settings.trackers_toml else {}
+    selections = parse_selections(settings.trackers or _every_tracker(external))
+    _refuse_ceilings_label(selections)
+    _refuse_unknown_reference(settings.reference, selections)
+    launches = {selection.label: launch(selection.name, external) for selection in selections}
+    for selection in selections:
+        _check_options(selection, launches[selection.label], settings.limits)
+    sampling = Sampling(
+        settings.horizon_s, settings.every_s, GridSpec.parse(settings.grid) if settings.grid else None, settings.rate_hz
+    )
+    courses = plan_courses(settings.recordings, settings.validation, sampling)
+    _refuse_equal_names(courses)
+    trials = tuple(
+        Trial(
+            selection,
+            launches[selection.label],
+            course,
+            find_weights(selection.name, course.test.site, settings.weights),
+            settings.seed,
+            settings.limits,
+        )
+        for course in courses
+        for selection in selections
+    )
+    notices = [notice for course in courses for notice in course.notices]
+    notices += [notice for trial in trials for notice in _seen_before(trial)]
+    return Plan(settings, courses, trials, tuple(notices))
+
+
+def _every_tracker(external: Mapping[str, Launch]) -> tuple[str, ...]:
+    """Names of all that can be selected; `gridtrack trackers list` tells of those that cannot be."""
+    return (*(name for name in registry.entries() if registry.NAME.fullmatch(name)), *external)
+
+
+def _check_options(selection: Selection, start: Launch, limits: Limits) -> None:
+    """Ask the tracker whether it takes its options; defaults need no check, and starting a process costs time."""
+    if not selection.options:
+        return
+    # one that cannot be loaded ends as `unavailable` in its own trial, and stops no other
+    with suppress(PluginError):
+        describe(start, selection.options, limits)
+
+
+def _refuse_ceilings_label(selections: Sequence[Selection]) -> None:
+    if any(selection.label.casefold() == ORACLE for selection in selections):
+        raise ConfigurationError(
+            f"'{ORACLE}' is the referee's own row, what an ideal tracker could score: give the tracker another label,"
+            " as in --tracker LABEL=NAME"
+        )
+
+
+def _refuse_unknown_reference(reference: str | None, selections: Sequence[Selection]) -> None:
+    labels = [selection.label for selection in selections]
+    if reference is not None and reference not in labels:
+        raise ConfigurationError(f"--reference {reference}: no row is called that; {did_you_mean(reference, labels)}")
+
+
+def _refuse_equal_names(courses: tuple[Course, ...]) -> None:
+    seen: dict[str, Path] = {}
+    for course in courses:
+        if course.name == ALL_RECORDINGS:
+            raise ConfigurationError(
+                f"{course.path}: '{ALL_RECORDINGS}' is what all of them are called: rename the file"
+            )
+        if course.name in seen:
+            raise ConfigurationError(
+                f"{seen[course.name]} and {course.path} would both be called '{course.name}' in the results: name each"
+                " recording and stretch once, and rename one of two files of the same name"
+            )
+        seen[course.name] = course.path
+
+
+def _seen_before(trial: Trial) -> Iterator[str]:
+    """A notice where the tracker learned from frames that it is tested or its thresholds are chosen on."""
+    if trial.weights is None:
+        return
+    card = trial.weights.card
+    if any(was_seen(trial.course.test, data) for data in (*card.train, *card.validation)):
+        yield (
+            f"{trial.label} learned from frames of the tested {trial.course.test.name} ({trial.weights.name}): its"
+            " scores there are not those of an unseen recording"
+        )
+    if trial.course.validation and any(was_seen(trial.course.validation, data) for data in card.train):
+        yield (
+            f"{trial.label} was trained on frames of {trial.course.validation.name}, on which its thresholds are chosen"
+        )

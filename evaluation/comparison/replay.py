@@ -1,0 +1,31 @@
+"""A trial's test stretch scored once more under another condition, at the thresholds that the trial was scored with."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+
+import numpy as np
+
+from gridtrack.evaluation.comparison.plan import Trial
+from gridtrack.evaluation.scoring import metrics
+from gridtrack.evaluation.scoring.counting import EDGES, Tally, count_forecast
+from gridtrack.evaluation.scoring.courses import Regions
+from gridtrack.evaluation.scoring.record import Curves, ThresholdsUsed
+from gridtrack.evaluation.scoring.referee import Watching, moments
+from gridtrack.evaluation.scoring.target import Target
+
+
+def replayed_f1(
+    tracker: Watching, frames: Iterable[Target], trial: Trial, regions: Regions, thresholds: ThresholdsUsed
+) -> Curves:
+    """F1 per stratum and step of `tracker` on the trial's `frames`, counted at the moments that the trial counted."""
+    tally = Tally.empty(trial.course.steps, regions.test.strata)
+    for moment in moments(tracker, frames, trial.course.schedule, trial.seed):
+        tally.add(count_forecast(moment.forecast.occupancy, moment.targets, regions.test, moment.ages))
+    values = np.array([thresholds.values[name] for name in tally.strata]).T
+    f1 = metrics.f1_score(tally.confusion(np.abs(values[..., None] - EDGES).argmin(axis=-1)))
+    return {
+        name: tuple(None if math.isnan(value) else round(value, 6) for value in f1[:, k].tolist())
+        for k, name in enumerate(tally.strata)
+    }

@@ -1,0 +1,229 @@
+"""The runner: the trials of a plan side by side, each in its own process, whatever becomes of the others."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from contextlib import contextmanager
+from functools import partial
+from pathlib import Path
+from typing import Any, Protocol
+
+from gridtrack.evaluation.comparison.deadline_pass import measure_deadline
+from gridtrack.evaluation.comparison.latency_pass import measure_latency
+from gridtrack.evaluation.comparison.oracle import run_oracle
+from gridtrack.evaluation.comparison.plan import Plan, Trial
+from gridtrack.evaluation.comparison.provenance import usable_cores
+from gridtrack.evaluation.comparison.robustness_pass import RobustnessRun
+from gridtrack.evaluation.comparison.run_folder import RunFolder
+from gridtrack.evaluation.comparison.shared_thresholds import SharedThresholds
+from gridtrack.evaluation.comparison.trial import Interrupted, TrialRun, failed, unstarted, where_it_failed
+from gridtrack.evaluation.processes.outcome import TrialEnded
+from gridtrack.evaluation.scoring.courses import Course, Regions
+from gridtrack.evaluation.scoring.record import TrialRecord
+
+WAKE_S = 0.2
+"""How often the main thread wakes to look for an interrupt: a library may have had its wait go on over signals."""
+
+
+class Progress(Protocol):
+    """Whoever shows how far a run is. Called from several threads; a trial is named as its folder is."""
+
+    def note(self, text: str) -> None:
+        """Something to know, in one line."""
+
+    def started(self, trial: str, frames: int) -> None:
+        """A trial begins, and is to be delivered `frames` frames."""
+
+    def advanced(self, trial: str) -> None:
+        """One more frame is being delivered."""
+
+    def ended(self, trial: str, record: TrialRecord) -> None:
+        """A trial has ended, or is kept from an earlier run."""
+
+
+def run(plan: Plan, command: Sequence[str], progress: Progress) -> dict[str, Any]:
+    """Run what `plan` names and return the summary; `command` is the command line to keep with the results.
+
+    An interrupt (Ctrl-C) ends the trackers, keeps what was scored, and returns the summary with `interrupted` true.
+    Raises RunError where the run's folder holds another run.
+    """
+    folder = RunFolder.prepare(plan, command)
+    for notice in plan.notices:
+        progress.note(notice)
+    crew = _Crew(plan, folder.path, progress)
+    for name, record in folder.kept_records().items():
+        crew.keep(name, record)
+    interrupted = False
+    try:
+        crew.run_trials()
+        crew.run_oracles()
+        crew.degrade()
+        crew.measure_alone()
+    except KeyboardInterrupt:
+        interrupted = True
+    return folder.finish(crew.all_records(), crew.notices, interrupted)
+
+
+class _Crew:
+    """The threads that each see one trial through, and what they have brought back."""
+
+    def __init__(self, plan: Plan, folder: Path, progress: Progress) -> None:
+        self.notices: list[str] = []
+        """What could not be measured of a complete trial, and why."""
+        self._plan, self._folder, self._progress = plan, folder, progress
+        self._stop = threading.Event()
+        self._running: set[TrialRun | RobustnessRun] = set()
+        self._records: dict[str, TrialRecord] = {}
+        self._regions: dict[str, Regions] = {}
+        self._thresholds = SharedThresholds()
+
+    def keep(self, name: str, record: TrialRecord) -> None:
+        """Take over the record of a trial that need not run again."""
+        self._records[name] = record
+        self._progress.ended(name, record)
+
+    def run_trials(self) -> None:
+        """Run every trial that has no record yet."""
+        self._side_by_side(self._run_trial, [t for t in self._plan.trials if t.name not in self._records])
+
+    def run_oracles(self) -> None:
+        """Score the ceiling of every recording with truth; where that fails, the run goes on without."""
+        for course in self._plan.courses:
+            name = course.oracle_name
+            if not course.test.has_truth or name in self._records:
+                continue
+            self._progress.started(name, len(course.test))
+            try:
+                on_frame = partial(self._next_frame, name)
+                record = run_oracle(course, self._regions_of(course), self._folder / name, on_frame)
+            except Exception as error:  # noqa: BLE001 as for a trial
+                self.notices.append(f"{course.name}: no ceiling: {where_it_failed(error)}")
+                self._progress.note(self.notices[-1])
+                continue
+            self._records[name] = record
+            self._progress.ended(name, record)
+
+    def degrade(self) -> None:
+        """Show degraded frames to the tracker of every complete trial, where that was asked for and not done yet."""
+        asked = self._plan.settings.degrade
+        if asked is None:
+            return
+        done = {name for name, r in self._records.items() if r.robustness and r.robustness.degradation == asked}
+        self._side_by_side(self._degrade_trial, [trial for trial in self._complete() if trial.name not in done])
+
+    def measure_alone(self) -> None:
+        """Measure what wants the machine for one tracker alone, where that was asked for and not done yet."""
+        settings = self._plan.settings
+        for trial in self._complete():
+            record, folder = self._records[trial.name], self._folder / trial.name
+            if settings.latency and record.latency_ms is None:
+                with self._measuring(trial, "latency, alone on the machine"):
+                    self._add(trial, latency_ms=measure_latency(trial, folder))
+            if settings.deadline and record.deadline is None:
+                with self._measuring(trial, "deadlines, alone on the machine"):
+                    regions = self._regions_of(trial.course)
+                    self._add(trial, deadline=measure_deadline(trial, regions, record.thresholds, folder))
+
+    def all_records(self) -> dict[str, TrialRecord]:
+        """The record of every trial of the plan, those that an interrupt kept from starting say so, and of oracles."""
+        return {trial.name: unstarted(trial) for trial in self._plan.trials} | self._records
+
+    def _complete(self) -> list[Trial]:
+        return [trial for trial in self._plan.trials if self._records[trial.name].outcome == "ok"]
+
+    def _regions_of(self, course: Course) -> Regions:
+        """Regions of a course, found once."""
+        if course.name not in self._regions:
+            self._progress.note(f"{course.name}: finding its static cells")
+            self._regions[course.name] = course.regions()
+        return self._regions[course.name]
+
+    def _side_by_side(self, see_through: Callable[[Trial], None], trials: Sequence[Trial]) -> None:
+        """See trials through at the same time; on an error or an interrupt, end all of them before it is raised."""
+        for trial in trials:
+            self._regions_of(trial.course)
+        settings = self._plan.settings
+        jobs = settings.jobs or max(1, usable_cores() // settings.limits.threads)
+        with ThreadPoolExecutor(jobs, "trial") as pool:
+            futures = [pool.submit(see_through, trial) for trial in trials]
+            try:
+                pending = set(futures)
+                while pending:
+                    done, pending = wait(pending, WAKE_S, return_when=FIRST_COMPLETED)
+                    for future in done:
+                        future.result()
+            except BaseException:
+                self._end_all(futures)
+                raise
+
+    def _run_trial(self, trial: Trial) -> None:
+        """A trial that fails for no fault of its tracker ends as that, and stops no other."""
+        try:
+            regions = self._regions_of(trial.course)
+            on_frame = partial(self._next_frame, trial.name)
+            run = TrialRun(trial, regions, self._folder / trial.name, on_frame, self._thresholds)
+            self._progress.started(trial.name, run.frames)
+            with self._interruptible(run):
+                record = run.run()
+        except Exception as error:  # noqa: BLE001 whatever it is: the others go on, and the summary tells of it
+            record = failed(trial, error)
+        self._records[trial.name] = record
+        self._progress.ended(trial.name, record)
+
+    def _degrade_trial(self, trial: Trial) -> None:
+        asked, folder = self._plan.settings.degrade, self._folder / trial.name
+        assert asked is not None
+        record = self._records[trial.name]
+        with self._measuring(trial, "degraded input"):
+            run = RobustnessRun(trial, asked, folder)
+            with self._interruptible(run):
+                found = run.run(self._regions_of(trial.course), record.thresholds, self._unless_stopped)
+            self._add(trial, robustness=found)
+
+    @contextmanager
+    def _interruptible(self, run: TrialRun | RobustnessRun) -> Iterator[None]:
+        self._running.add(run)
+        try:
+            yield
+        finally:
+            self._running.discard(run)
+
+    @contextmanager
+    def _measuring(self, trial: Trial, what: str) -> Iterator[None]:
+        """Whatever goes wrong inside leaves the trial without these figures, and is told."""
+        self._progress.note(f"{trial.name}: {what}")
+        reason = ""
+        try:
+            yield
+        except Interrupted:
+            return
+        except TrialEnded as ended:
+            reason = str(ended)
+        except Exception as error:  # noqa: BLE001 as for a trial
+            reason = where_it_failed(error)
+        if reason and not self._stop.is_set():
+            self.notices.append(f"{trial.name}: no figures of {what}: {reason}")
+            self._progress.note(self.notices[-1])
+
+    def _add(self, trial: Trial, **found: Any) -> None:
+        """Add what was measured to the trial's record."""
+        self._records[trial.name] = self._records[trial.name].model_copy(update=found)
+        self._records[trial.name].write(self._folder / trial.name)
+
+    def _next_frame(self, name: str) -> None:
+        self._unless_stopped()
+        self._progress.advanced(name)
+
+    def _unless_stopped(self) -> None:
+        if self._stop.is_set():
+            raise Interrupted
+
+    def _end_all(self, futures: Sequence[Future[None]]) -> None:
+        """End the trackers now: those still waiting never start, those busy with a call end in it."""
+        self._stop.set()
+        for future in futures:
+            future.cancel()
+        for run in tuple(self._running):
+            run.interrupt()

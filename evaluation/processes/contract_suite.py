@@ -1,0 +1,251 @@
+"""The contract suite: what a tracker promises, tried over the wire, so that programs in any language are checked."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, Literal
+
+import numpy as np
+
+from gridtrack.common.grid import GridFrame, GridSpec
+from gridtrack.evaluation.processes.contract_scene import empty_stream, scene
+from gridtrack.evaluation.processes.outcome import TrialEnded
+from gridtrack.evaluation.processes.tracker_process import Limits, TrackerProcess
+from gridtrack.trackers.contract import Forecast, StreamSpec
+from gridtrack.trackers.selection import Launch
+
+FRAMES, TURN, STEPS = 16, 10, 5
+SEED = 7
+TOLERANCE = 1e-5
+"""Forecasts as equal as this are the same: sums may be rounded in another order."""
+
+Verdict = Literal["passed", "failed", "skipped"]
+Forecasts = list[tuple[int, Forecast]]
+"""Forecasts, each with the number of frames that it was made from."""
+
+
+@dataclass(frozen=True, slots=True)
+class CheckResult:
+    """One promise of the contract, whether it is kept, and what was seen."""
+
+    name: str
+    verdict: Verdict
+    detail: str
+
+
+class BrokenPromiseError(Exception):
+    """A check that fails; the message is its detail."""
+
+
+def check_tracker(
+    launch: Launch,
+    stream: StreamSpec,
+    options: Mapping[str, Any] | None = None,
+    limits: Limits | None = None,
+    report: Callable[[CheckResult], None] | None = None,
+) -> list[CheckResult]:
+    """Try every promise of the contract on small synthetic streams; `report` is told each result as it comes.
+
+    `stream` gives the grid, the period and, for a tracker that learns, its weights. A tracker that cannot start, for
+    want of weights or of a library, is checked no further.
+    """
+    results: list[CheckResult] = []
+    with TemporaryDirectory() as folder, _Subject(launch, stream, options or {}, limits or Limits(), folder) as subject:
+        for check in (starts, *CHECKS):
+            results.append(_result(check, subject))
+            if report is not None:
+                report(results[-1])
+            if check is starts and results[-1].verdict != "passed":
+                break
+    return results
+
+
+class _Subject:
+    """The tracker under test: one process, started anew after it was lost."""
+
+    def __init__(
+        self, launch: Launch, stream: StreamSpec, options: Mapping[str, Any], limits: Limits, folder: str
+    ) -> None:
+        self.stream = stream
+        self._launch, self._options, self._limits = launch, options, limits
+        self._log = Path(folder, "stderr.log")
+        self._running = ExitStack()
+        self._process: TrackerProcess | None = None
+
+    def __enter__(self) -> _Subject:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._running.close()
+
+    def process(self) -> TrackerProcess:
+        """The running process."""
+        if self._process is None:
+            self._process = self._running.enter_context(self.elsewhere(self.stream))
+        return self._process
+
+    def renew(self) -> None:
+        """Let the next use start a fresh process."""
+        self._process = None
+        self._running.close()
+
+    def elsewhere(self, stream: StreamSpec) -> TrackerProcess:
+        """A process of its own for another stream, not yet started."""
+        return TrackerProcess(self._launch, stream, self._options, self._limits, self._log)
+
+    def scene(self, seed: int = 1, turn_seed: int | None = None) -> list[GridFrame]:
+        """A scene on the stream's grid; with a `turn_seed`, the motion changes at frame `TURN`."""
+        turn = None if turn_seed is None else (TURN, turn_seed)
+        return scene(self.stream.grid, self.stream.period_s, FRAMES, seed, turn)
+
+    def forecasts(self, frames: Sequence[GridFrame], at: Iterable[int] = range(4, FRAMES + 1, 4)) -> Forecasts:
+        """Reset, show `frames`, and forecast after the 1-based frames `at`, as often as each is named there."""
+        tracker = self.process()
+        tracker.reset(SEED)
+        wanted = list(at)
+        made = []
+        for count, frame in enumerate(frames, start=1):
+            tracker.update(frame)
+            made += [(count, tracker.predict(STEPS)) for _ in range(wanted.count(count))]
+        return made
+
+
+Check = Callable[[_Subject], str]
+
+
+def _result(check: Check, subject: _Subject) -> CheckResult:
+    name = (check.__doc__ or "").partition(".")[0].lower()
+    try:
+        return CheckResult(name, "passed", check(subject))
+    except BrokenPromiseError as broken:
+        return CheckResult(name, "failed", str(broken))
+    except TrialEnded as ended:
+        subject.renew()
+        cannot_start = check is starts and ended.outcome in {"untrained", "unavailable"}
+        return CheckResult(name, "skipped" if cannot_start else "failed", str(ended))
+
+
+def starts(subject: _Subject) -> str:
+    """Starts on the stream."""
+    started = subject.process().started
+    return f"classes: {', '.join(started.classes) or 'none'}; moving sensor: {'yes' if started.moving_sensor else 'no'}"
+
+
+def gives_valid_forecasts(subject: _Subject) -> str:
+    """Forecasts have the right shape, type and range."""
+    subject.forecasts(subject.scene(), at=[])
+    tracker = subject.process()
+    for steps in (0, 1, 4 * STEPS):
+        forecast = tracker.predict(steps)
+        if tracker.started.classes and forecast.semantics is None:
+            raise BrokenPromiseError(f"it names the classes {', '.join(tracker.started.classes)}, and gives none")
+    return f"0, 1 and {4 * STEPS} steps ahead"
+
+
+def bears_empty_input(subject: _Subject) -> str:
+    """Works on empty input from the first frame."""
+    subject.forecasts(empty_stream(subject.stream.grid, subject.stream.period_s, FRAMES), at=[1, FRAMES])
+    return f"{FRAMES} frames in which nothing is visible"
+
+
+def is_deterministic(subject: _Subject) -> str:
+    """Same seed and frames, same forecasts."""
+    frames = subject.scene()
+    first = subject.forecasts(frames)
+    _same(first, subject.forecasts(frames), "the same stream again, after reset with the same seed")
+    subject.renew()
+    _same(first, subject.forecasts(frames), "the same stream with the same seed, in a fresh process")
+    return "after reset, and in a fresh process"
+
+
+def predict_leaves_the_state_alone(subject: _Subject) -> str:
+    """Predict leaves the state alone."""
+    frames = subject.scene()
+    often = subject.forecasts(frames, at=[count for count in range(1, FRAMES + 1) for _ in range(2)])
+    for (count, one), (again, other) in pairwise(often):
+        if count == again:
+            _same([(count, one)], [(count, other)], "predicted twice in a row")
+    _same(subject.forecasts(frames, at=[FRAMES]), often[-1:], "with and without predictions in between")
+    return "predicted twice after every frame, or only once at the end"
+
+
+def is_causal(subject: _Subject) -> str:
+    """Future frames change nothing before them."""
+    moments = range(2, TURN + 1, 2)
+    first = subject.forecasts(subject.scene(turn_seed=2), at=moments)
+    second = subject.forecasts(subject.scene(turn_seed=3), at=moments)
+    _same(first, second, f"two streams that part only after frame {TURN}")
+    return f"two streams that part after frame {TURN} are forecast the same up to there"
+
+
+def reset_forgets(subject: _Subject) -> str:
+    """Reset forgets the last stream."""
+    subject.renew()
+    frames = subject.scene()
+    fresh = subject.forecasts(frames)
+    subject.forecasts(subject.scene(seed=4), at=[FRAMES])
+    _same(fresh, subject.forecasts(frames), "in a fresh process, and after another stream and a reset")
+    return "the same forecasts as in a fresh process"
+
+
+def bears_another_grid(subject: _Subject) -> str:
+    """Works on another grid, or says clearly that it cannot."""
+    grid = subject.stream.grid
+    other = GridSpec(max(8, grid.size * 2 // 3), grid.cell_m * 1.25)
+    return _elsewhere(subject, replace(subject.stream, grid=other), f"grid {other}")
+
+
+def bears_another_period(subject: _Subject) -> str:
+    """Works at another period, or says clearly that it cannot."""
+    period_s = 1.6 * subject.stream.period_s
+    return _elsewhere(subject, replace(subject.stream, period_s=period_s), f"period {period_s:g} s")
+
+
+CHECKS: tuple[Check, ...] = (
+    gives_valid_forecasts,
+    bears_empty_input,
+    is_deterministic,
+    predict_leaves_the_state_alone,
+    is_causal,
+    reset_forgets,
+    bears_another_grid,
+    bears_another_period,
+)
+
+
+def _elsewhere(subject: _Subject, stream: StreamSpec, what: str) -> str:
+    process = subject.elsewhere(stream)
+    try:
+        with process:
+            process.reset(SEED)
+            for frame in scene(stream.grid, stream.period_s, FRAMES, seed=1):
+                process.update(frame)
+            process.predict(STEPS)
+    except TrialEnded as ended:
+        if ended.outcome in {"not-applicable", "untrained"}:
+            return f"{what}: it says that it cannot ({ended.reason})"
+        raise
+    return f"{what}: works"
+
+
+def _same(one: Forecasts, other: Forecasts, what: str) -> None:
+    """Raises BrokenPromiseError where two series of forecasts differ."""
+    for (count, a), (_, b) in zip(one, other, strict=True):
+        difference = _difference(a, b)
+        if difference > TOLERANCE:
+            raise BrokenPromiseError(f"{what}: after frame {count} the forecasts differ by up to {difference:.3g}")
+
+
+def _difference(a: Forecast, b: Forecast) -> float:
+    """The largest difference of two forecasts in any probability."""
+    if (a.semantics is None) != (b.semantics is None):
+        return 1.0
+    pairs = [(a.occupancy, b.occupancy)]
+    if a.semantics is not None and b.semantics is not None:
+        pairs.append((a.semantics, b.semantics))
+    return max(float(np.abs(x - y).max()) for x, y in pairs)

@@ -1,0 +1,238 @@
+"""A tracker in its own process, as the referee sees it: started, fed, asked, timed, and ended whatever it does."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from types import TracebackType
+from typing import Any
+
+from pydantic import Field
+
+from gridtrack.common.config import Settings
+from gridtrack.common.errors import ConfigurationError, PluginError
+from gridtrack.common.grid import GridFrame
+from gridtrack.evaluation.processes.dialogue import Dialogue, Request
+from gridtrack.evaluation.processes.latency import Latencies
+from gridtrack.evaluation.processes.outcome import TrialEnded
+from gridtrack.evaluation.processes.supervised import Supervised
+from gridtrack.trackers import messages
+from gridtrack.trackers.contract import API, Forecast, StreamSpec
+from gridtrack.trackers.selection import Launch
+from gridtrack.trackers.wire import Message, WireError
+
+THREAD_VARIABLES = (
+    "OMP_NUM_THREADS",
+    "MKL_NUM_THREADS",
+    "OPENBLAS_NUM_THREADS",
+    "NUMEXPR_NUM_THREADS",
+    "VECLIB_MAXIMUM_THREADS",
+    "NUMBA_NUM_THREADS",
+    "TBB_NUM_THREADS",
+)
+
+
+class Limits(Settings):
+    """What a trial may take: seconds for each kind of call, resident memory of all its processes, threads."""
+
+    start_s: float = Field(60.0, gt=0)
+    update_s: float = Field(5.0, gt=0)
+    predict_s: float = Field(30.0, gt=0)
+    memory_mb: int = Field(4096, gt=0)
+    threads: int = Field(1, gt=0)
+
+
+@dataclass(frozen=True, slots=True)
+class Started:
+    """What a tracker says of itself: its classes, what it can do, and its options with every default filled in."""
+
+    classes: tuple[str, ...]
+    moving_sensor: bool
+    learns: bool
+    options: Mapping[str, Any]
+    options_schema: Mapping[str, Any]
+    """JSON schema of its options; empty where it gives none."""
+    about: str
+
+
+@dataclass(frozen=True, slots=True)
+class Call:
+    """How long one call took, in ms: by the tracker's own clock, its processor time, and there and back."""
+
+    own_ms: float
+    cpu_ms: float
+    round_trip_ms: float
+
+
+@dataclass(slots=True)
+class Timings:
+    """The calls of a trial so far, in memory that does not grow with their number."""
+
+    update: Latencies = field(default_factory=Latencies)
+    predict: Latencies = field(default_factory=Latencies)
+    update_round_trip: Latencies = field(default_factory=Latencies)
+    predict_round_trip: Latencies = field(default_factory=Latencies)
+
+
+class TrackerProcess:
+    """A context manager: entering starts the tracker on `stream`, leaving ends it and everything that it started.
+
+    Every method raises TrialEnded when the trial cannot go on, and has ended the process by then. Use one instance from
+    one thread; several may live in several threads. `kill` may be called from any thread.
+    """
+
+    def __init__(
+        self,
+        launch: Launch,
+        stream: StreamSpec,
+        options: Mapping[str, Any],
+        limits: Limits,
+        stderr_path: Path,
+    ) -> None:
+        self.launch = launch
+        self.stream = stream
+        self.options = dict(options)
+        self.limits = limits
+        self.stderr_path = stderr_path
+        self.timings = Timings()
+        self.last_call: Call | None = None
+        self.peak_rss_mb = 0.0
+        """Highest resident memory of all its processes together, MiB, by samples 20 times a second; once it ended."""
+        self.started: Started
+        self._frames = 0
+        self._killed = False
+        self._dialogue: Dialogue | None = None
+
+    def __enter__(self) -> TrackerProcess:
+        self._dialogue = _dialogue(self.launch, self.limits, self.stderr_path)
+        request = Request("start", "started", {"stream": messages.stream_fields(self.stream), "options": self.options})
+        with self._ending_on_error():
+            if self._killed:
+                self._dialogue.process.kill()
+            self.started = _started(self._dialogue.ask(request, self.limits.start_s))
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._close(orderly=kind is None)
+
+    def reset(self, seed: int) -> None:
+        """A new stream begins."""
+        with self._ending_on_error():
+            self._wire.ask(Request("reset", "done", {"seed": seed}), self.limits.start_s)
+
+    def update(self, frame: GridFrame) -> None:
+        """Hand x_t over."""
+        self._frames += 1
+        what = f"update with frame {self._frames}"
+        request = Request("update", "done", arrays=messages.frame_arrays(frame), what=what)
+        with self._ending_on_error():
+            answer = self._wire.ask(request, self.limits.update_s)
+            self._count(answer, self.timings.update, self.timings.update_round_trip)
+
+    def predict(self, steps: int) -> Forecast:
+        """The forecast of steps 0..steps, checked: shapes, types, finite, in [0, 1], semantics that sum to 1."""
+        classes, grid = len(self.started.classes), self.stream.grid
+        request = Request(
+            "predict",
+            "forecast",
+            {"steps": steps},
+            limit=messages.forecast_limit(grid, steps, classes),
+            what=f"predict after frame {self._frames}",
+        )
+        with self._ending_on_error():
+            answer = self._wire.ask(request, self.limits.predict_s)
+            self._count(answer, self.timings.predict, self.timings.predict_round_trip)
+            return messages.forecast_from(answer, grid, steps, classes)
+
+    def kill(self) -> None:
+        """End the tracker from another thread: the call that it is busy with, or about to start, raises TrialEnded."""
+        self._killed = True
+        if self._dialogue is not None:
+            self._dialogue.process.kill()
+
+    @property
+    def last_ms(self) -> float:
+        """What the last update or forecast took by the tracker's own clock, milliseconds."""
+        assert self.last_call is not None
+        return self.last_call.own_ms
+
+    @property
+    def _wire(self) -> Dialogue:
+        assert self._dialogue is not None, "a TrackerProcess is used in a with statement"
+        return self._dialogue
+
+    def _count(self, answer: Message, own: Latencies, round_trip: Latencies) -> None:
+        elapsed_ns, cpu_ns = _nanoseconds(answer, "elapsed_ns"), _nanoseconds(answer, "cpu_ns")
+        self.last_call = Call(elapsed_ns / 1e6, cpu_ns / 1e6, self._wire.round_trip_ms)
+        own.add(self.last_call.own_ms)
+        round_trip.add(self.last_call.round_trip_ms)
+
+    @contextmanager
+    def _ending_on_error(self) -> Iterator[None]:
+        """Whatever goes wrong ends the process, and an answer that is none ends the trial."""
+        try:
+            yield
+        except WireError as error:
+            self._close(orderly=False)
+            raise TrialEnded("invalid-output", f"{self._wire.what}: {error}") from None
+        except BaseException:
+            self._close(orderly=False)
+            raise
+
+    def _close(self, orderly: bool) -> None:
+        self.peak_rss_mb = self._wire.process.close(orderly).peak_kb / 1024
+
+
+def describe(launch: Launch, options: Mapping[str, Any], limits: Limits) -> Started:
+    """What the tracker says of itself and of these options, before there is a stream.
+
+    Raises ConfigurationError for options that it refuses, PluginError where it cannot be loaded.
+    """
+    request = Request("describe", "described", {"options": dict(options)})
+    with TemporaryDirectory() as folder, _dialogue(launch, limits, Path(folder, "stderr.log")) as dialogue:
+        try:
+            return _started(dialogue.ask(request, limits.start_s))
+        except WireError as error:
+            raise PluginError(f"tracker '{launch.name}': describe: {error}") from None
+        except TrialEnded as ended:
+            if ended.outcome == "not-applicable":
+                raise ConfigurationError(ended.reason) from None
+            raise PluginError(ended.reason) from None
+
+
+def _dialogue(launch: Launch, limits: Limits, log: Path) -> Dialogue:
+    env = dict(os.environ) | dict.fromkeys(THREAD_VARIABLES, str(limits.threads))
+    return Dialogue(Supervised(launch.argv, log, limits.memory_mb, env, launch.cwd), log, limits.memory_mb)
+
+
+def _nanoseconds(answer: Message, name: str) -> int:
+    """A span of time by the tracker's own clock. Raises WireError for one that none can show."""
+    span = answer.value(name, int)
+    if not 0 <= span < 1 << 63:
+        raise WireError(f"'{name}' is no span of time")
+    return span
+
+
+def _started(answer: Message) -> Started:
+    """What `started` and `described` say. Raises WireError."""
+    classes = answer.value("classes", list)
+    if len(classes) > messages.MAX_CLASSES:
+        raise WireError(f"{len(classes)} classes; at most {messages.MAX_CLASSES}")
+    if not all(isinstance(name, str) for name in classes) or len(set(classes)) != len(classes):
+        raise WireError(f"classes {classes!r:.80} are not names that differ")
+    if answer.value("api", int) != API:
+        raise WireError(f"made for contract {answer.value('api', int)}; this gridtrack has contract {API}")
+    return Started(
+        tuple(classes),
+        answer.value("moving_sensor", bool),
+        answer.value("learns", bool),
+        answer.value("options", dict),
+        answer.value("options_schema", dict),
+        answer.value("about", str),
+    )

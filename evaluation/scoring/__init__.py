@@ -1,0 +1,1 @@
+"""The referee: what came set against what was forecast, counted."""

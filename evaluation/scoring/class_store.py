@@ -1,0 +1,174 @@
+"""The class store: two more Parquet files of a trial, of the cells whose class is known.
+
+`classes.parquet` counts the cells of each class that were found, `semantics.parquet` what they were taken for
+(docs/run-folder.md lists the columns). Only rows that count something are kept.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+import polars as pl
+import pyarrow as pa
+from numpy.typing import NDArray
+
+from gridtrack.evaluation.scoring.scores import RowGroups, ScoresError
+from gridtrack.evaluation.scoring.semantics import KINDS
+
+CLASSES, SEMANTICS = "classes.parquet", "semantics.parquet"
+FOUND = ("tp", "fn", "tp_half", "fn_half")
+_NAME = pa.dictionary(pa.int16(), pa.string())
+_KEY = [("stamp_ns", pa.int64()), ("step", pa.int16()), ("kind", _NAME)]
+_CLASSES_SCHEMA = pa.schema([*_KEY, ("class", _NAME), *((name, pa.int32()) for name in FOUND)])
+_SEMANTICS_SCHEMA = pa.schema(
+    [*_KEY, ("true", _NAME), ("predicted", _NAME), ("cells", pa.int32()), ("log_loss", pa.float64())]
+)
+
+
+class ClassWriter:
+    """Writes one trial's counts by class; closing it leaves whole files, however the trial ended."""
+
+    def __init__(self, folder: Path, classes: Sequence[str], semantics: bool) -> None:
+        """`classes` of the recording; `semantics`: whether the tracker gives class probabilities."""
+        self._names = list(classes)
+        self._files = ExitStack()
+        self._classes = self._files.enter_context(RowGroups(folder / CLASSES, _CLASSES_SCHEMA))
+        self._semantics = (
+            self._files.enter_context(RowGroups(folder / SEMANTICS, _SEMANTICS_SCHEMA)) if semantics else None
+        )
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._files.close()
+
+    def add_found(self, stamp_ns: int, found: NDArray[np.int32]) -> None:
+        """Take in `found` (S, kind, K, 4), as of `semantics.count_found`, for the forecast made at `stamp_ns`."""
+        step, kind, label = np.nonzero(found.any(axis=-1))
+        counts = found[step, kind, label]
+        rows = self._key(stamp_ns, step, kind) | {"class": _named(label, self._names)}
+        self._classes.append(rows | {name: counts[:, i] for i, name in enumerate(FOUND)})
+
+    def add_semantics(self, stamp_ns: int, confusion: NDArray[np.int32], log_loss: NDArray[np.float64]) -> None:
+        """Take in what `semantics.count_classes` counted for the forecast made at `stamp_ns`."""
+        assert self._semantics is not None, "a tracker without semantics has none to count"
+        step, kind, true, predicted = where = np.nonzero(confusion)
+        rows = self._key(stamp_ns, step, kind)
+        rows |= {"true": _named(true, self._names), "predicted": _named(predicted, self._names)}
+        self._semantics.append(rows | {"cells": confusion[where], "log_loss": log_loss[where]})
+
+    def _key(self, stamp_ns: int, step: NDArray[np.int64], kind: NDArray[np.int64]) -> dict[str, Any]:
+        return {
+            "stamp_ns": np.full(step.size, stamp_ns),
+            "step": step.astype(np.int16),
+            "kind": _named(kind, list(KINDS)),
+        }
+
+
+def _named(index: NDArray[np.int64], names: list[str]) -> Any:
+    """Indices as names; null for one beyond them: a class that the recording does not have."""
+    beyond = index >= len(names)
+    return pa.DictionaryArray.from_arrays(pa.array(np.where(beyond, 0, index).astype(np.int16), mask=beyond), names)
+
+
+@dataclass(frozen=True, slots=True)
+class SemanticsCounts:
+    """What a trial's forecasts said of classes, pooled, for S steps, both kinds and K classes.
+
+    `confusion` (S, kind, K, K+1) int64; `log_loss` (S, kind) float64 summed over cells, nats; `scan_log_loss` (S, kind)
+    summed over the scans, of each the mean over its cells; `scans` (S, kind) int64: those with any cell.
+    """
+
+    confusion: NDArray[np.int64]
+    log_loss: NDArray[np.float64]
+    scan_log_loss: NDArray[np.float64]
+    scans: NDArray[np.int64]
+
+
+def pooled(counts: Sequence[SemanticsCounts]) -> SemanticsCounts:
+    """What several trials counted, together."""
+    first, *others = counts
+    return SemanticsCounts(
+        sum((other.confusion for other in others), first.confusion),
+        sum((other.log_loss for other in others), first.log_loss),
+        sum((other.scan_log_loss for other in others), first.scan_log_loss),
+        sum((other.scans for other in others), first.scans),
+    )
+
+
+def read_semantics(folder: Path, steps: int, classes: Sequence[str]) -> SemanticsCounts | None:
+    """Everything that a trial counted of classes; None where its tracker gave none. Raises ScoresError."""
+    if not (folder / SEMANTICS).exists():
+        return None
+    names = list(classes)
+    rows = _scan(folder / SEMANTICS, _SEMANTICS_SCHEMA)
+    entries = rows.group_by("step", "kind", "true", "predicted").agg(pl.col("cells").cast(pl.Int64).sum())
+    scans = rows.group_by("stamp_ns", "step", "kind").agg(pl.col("log_loss").sum(), pl.col("cells").sum())
+    per_step = scans.group_by("step", "kind").agg(
+        pl.col("log_loss").sum(), scan_log_loss=(pl.col("log_loss") / pl.col("cells")).sum(), scans=pl.len()
+    )
+    counts = SemanticsCounts(
+        np.zeros((steps + 1, len(KINDS), len(names), len(names) + 1), np.int64),
+        np.zeros((steps + 1, len(KINDS))),
+        np.zeros((steps + 1, len(KINDS))),
+        np.zeros((steps + 1, len(KINDS)), np.int64),
+    )
+    try:
+        for step, kind, true, predicted, cells in entries.collect().iter_rows():
+            column = len(names) if predicted is None else names.index(predicted)
+            counts.confusion[_within(step, steps), KINDS.index(kind), names.index(true), column] = cells
+        for step, kind, log_loss, scan_log_loss, scored in per_step.collect().iter_rows():
+            at = _within(step, steps), KINDS.index(kind)
+            counts.log_loss[at], counts.scan_log_loss[at], counts.scans[at] = log_loss, scan_log_loss, scored
+    except (pl.exceptions.PolarsError, OSError, ValueError) as error:
+        raise _unreadable(folder / SEMANTICS, error) from None
+    return counts
+
+
+def read_found(folder: Path, steps: int, classes: Sequence[str]) -> NDArray[np.int64]:
+    """TP, FN, TP and FN at 0.5 (S, kind, K, 4) that a trial counted by class, pooled. Raises ScoresError."""
+    names = list(classes)
+    found = np.zeros((steps + 1, len(KINDS), len(names), len(FOUND)), np.int64)
+    rows = _scan(folder / CLASSES, _CLASSES_SCHEMA).group_by("step", "kind", "class")
+    try:
+        together = rows.agg(pl.col(name).cast(pl.Int64).sum() for name in FOUND).collect()
+        for step, kind, name, *counts in together.iter_rows():
+            found[_within(step, steps), KINDS.index(kind), names.index(name)] = counts
+    except (pl.exceptions.PolarsError, OSError, ValueError) as error:
+        raise _unreadable(folder / CLASSES, error) from None
+    return found
+
+
+def _scan(path: Path, schema: Any) -> pl.LazyFrame:
+    """The rows of a file, read as they are needed. Raises ScoresError where it is not of this form."""
+    try:
+        rows = pl.scan_parquet(path, glob=False)
+        columns = rows.collect_schema().names()
+    except (pl.exceptions.PolarsError, OSError) as error:
+        raise _unreadable(path, error) from None
+    if columns != schema.names:
+        raise ScoresError(f"{path}: columns {', '.join(columns)}; expected {', '.join(schema.names)}: run it again")
+    return rows.with_columns(pl.col(name).cast(pl.String) for name, kind in _fields(schema) if kind == _NAME)
+
+
+def _fields(schema: Any) -> list[tuple[str, Any]]:
+    return [(schema_field.name, schema_field.type) for schema_field in schema]
+
+
+def _within(step: int, steps: int) -> int:
+    if not 0 <= step <= steps:
+        raise ValueError(f"step {step}, expected 0 to {steps}")
+    return step
+
+
+def _unreadable(path: Path, error: Exception) -> ScoresError:
+    return ScoresError(f"{path}: cannot be read as counts of classes ({str(error).splitlines()[0]}); run it again")

@@ -1,0 +1,144 @@
+"""Counting one forecast against the frames that came: histograms of probability, squared error and log loss.
+
+Everything else (F1 at any threshold, precision-recall curve, calibration) follows from these counts.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from gridtrack.evaluation.scoring.strata import REGIONS, STRATA, STRATA_WITH_TRUTH, SUMS_OF_REGIONS, Areas
+from gridtrack.evaluation.scoring.target import NOT_SCORED, SEEN_OCCUPIED, Target
+
+BINS = 50
+HALF = BINS // 2
+_SLOTS = 4096
+EDGES = (np.round(_SLOTS * np.sin(0.5 * np.pi * np.arange(BINS + 1) / BINS) ** 2) / _SLOTS).astype(np.float32)
+"""Bin b holds `EDGES[b] <= p < EDGES[b + 1]`, the last one p = 1 too; a threshold is a bin's lower edge.
+
+Edges lie at sin^2: bins are a thousandth wide next to 0 and 1, and 0.03 in the middle, where one edge is 0.5. A
+forecast of a distant step is spread thin, and in bins of equal width nearly all of it would fall into the first. They
+are whole 4096ths, so that a table of as many slots tells the bin of any probability.
+"""
+_BIN_OF_SLOT = (np.searchsorted(EDGES, np.arange(_SLOTS + 1) / _SLOTS, side="right") - 1).clip(0, BINS - 1)
+CLIP = 1e-3
+"""Probabilities are clipped to [CLIP, 1 - CLIP] for the log loss."""
+
+
+@dataclass(slots=True)
+class Tally:
+    """Counts over cells, per step S = steps+1, stratum K and probability bin B; tallies add up.
+
+    `cells`, `positives` (S, K, B) int64: cells scored and those of them occupied; `p_sum` (S, K, B) float64: sum of the
+    forecast probability; `squared_error`, `log_loss` (S, K) float64: sums over cells, log loss in nats. `strata` names
+    the K of them.
+    """
+
+    cells: NDArray[np.int64]
+    positives: NDArray[np.int64]
+    p_sum: NDArray[np.float64]
+    squared_error: NDArray[np.float64]
+    log_loss: NDArray[np.float64]
+    strata: tuple[str, ...] = STRATA
+
+    @classmethod
+    def empty(cls, steps: int, strata: tuple[str, ...] = STRATA) -> Tally:
+        """Nothing counted yet, for steps 0..steps."""
+        bins, plain = (steps + 1, len(strata), BINS), (steps + 1, len(strata))
+        cells, positives, p_sum = np.zeros(bins, np.int64), np.zeros(bins, np.int64), np.zeros(bins)
+        return cls(cells, positives, p_sum, np.zeros(plain), np.zeros(plain), strata)
+
+    def add(self, other: Tally) -> None:
+        """Take in what `other` counted."""
+        self.cells += other.cells
+        self.positives += other.positives
+        self.p_sum += other.p_sum
+        self.squared_error += other.squared_error
+        self.log_loss += other.log_loss
+
+    def of(self, strata: tuple[str, ...]) -> Tally:
+        """What was counted in these strata only."""
+        k = [self.strata.index(name) for name in strata]
+        return Tally(
+            self.cells[:, k],
+            self.positives[:, k],
+            self.p_sum[:, k],
+            self.squared_error[:, k],
+            self.log_loss[:, k],
+            strata,
+        )
+
+    def confusion(self, threshold_bins: NDArray[np.int64]) -> NDArray[np.int64]:
+        """TP, FP, FN, TN (S, K, 4) when cells of bin `threshold_bins` (S, K) and above are called occupied."""
+        called = np.arange(BINS) >= threshold_bins[..., None]
+        true_positive = (self.positives * called).sum(axis=-1)
+        called_cells = (self.cells * called).sum(axis=-1)
+        positives, cells = self.positives.sum(axis=-1), self.cells.sum(axis=-1)
+        false_positive = called_cells - true_positive
+        false_negative = positives - true_positive
+        true_negative = cells - positives - false_positive
+        return np.stack([true_positive, false_positive, false_negative, true_negative], axis=-1)
+
+
+def count_forecast(
+    occupancy: NDArray[np.float32], targets: Sequence[Target], areas: Areas, ages: NDArray[np.uint8] | None = None
+) -> Tally:
+    """Score a forecast made at frame t: step n against frame t+n, on the cells that the target of that frame scores.
+
+    `occupancy` (steps+1, M, M) float32 in [0, 1]; `targets` t..t+steps; `ages` (M, M) uint8: the band of each cell's
+    age as of t, which hidden cells are sorted by; None where all have just been seen.
+    """
+    steps, seen = len(targets) - 1, areas.visible.reshape(-1)
+    hidden = (areas.hidden if ages is None else areas.hidden + ages).reshape(-1)
+    cells, positives = np.zeros((2, steps + 1, REGIONS, BINS), np.int64)
+    p_sum = np.zeros((steps + 1, REGIONS, BINS))
+    squared_error, log_loss = np.zeros((2, steps + 1, REGIONS))
+    for n, target in enumerate(targets):
+        p, state = occupancy[n].reshape(-1), target.state.reshape(-1)
+        _count_step(p, state, seen, hidden, cells[n], positives[n], p_sum[n], squared_error[n], log_loss[n])
+    sums = SUMS_OF_REGIONS[[STRATA_WITH_TRUTH.index(name) for name in areas.strata]].astype(np.float64)
+    return Tally(
+        (sums @ cells.astype(np.float64)).astype(np.int64),
+        (sums @ positives.astype(np.float64)).astype(np.int64),
+        sums @ p_sum,
+        squared_error @ sums.T,
+        log_loss @ sums.T,
+        areas.strata,
+    )
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _count_step(probability, state, seen, hidden, cells, positives, p_sum, squared_error, log_loss):  # type: ignore[no-untyped-def]
+    """Add one step's scored cells (M*M,) to their regions' counts: histograms (R, B) and sums (R,).
+
+    The log loss is kept as a product of likelihoods, of which a logarithm is taken only before it could underflow:
+    one logarithm for a hundred cells instead of one for each.
+    """
+    likelihood = np.ones(log_loss.size)
+    for i in range(probability.size):
+        if state[i] == NOT_SCORED:
+            continue
+        region = seen[i] if state[i] <= SEEN_OCCUPIED else hidden[i]
+        bin_ = _BIN_OF_SLOT[int(probability[i] * np.float32(_SLOTS))]
+        p = float(probability[i])
+        cells[region, bin_] += 1
+        p_sum[region, bin_] += p
+        clipped = min(max(p, CLIP), 1.0 - CLIP)
+        if state[i] & 1:
+            positives[region, bin_] += 1
+            squared_error[region] += (1.0 - p) ** 2
+            likelihood[region] *= clipped
+        else:
+            squared_error[region] += p**2
+            likelihood[region] *= 1.0 - clipped
+        if likelihood[region] < 1e-290:
+            log_loss[region] -= math.log(likelihood[region])
+            likelihood[region] = 1.0
+    for region in range(log_loss.size):
+        log_loss[region] -= math.log(likelihood[region])

@@ -1,0 +1,93 @@
+"""Scores of pooled counts, per step and stratum; NaN where a score is undefined."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gridtrack.evaluation.scoring.counting import Tally
+
+Scores = NDArray[np.float64]
+
+
+def f1_score(confusion: NDArray[np.int64]) -> Scores:
+    """F1 (...) of TP, FP, FN, TN (..., 4): 2 TP / (2 TP + FP + FN); undefined where no cell was occupied."""
+    tp, fp, fn = (confusion[..., i] for i in range(3))
+    return ratio(2 * tp, 2 * tp + fp + fn, defined=tp + fn > 0)
+
+
+def precision(confusion: NDArray[np.int64]) -> Scores:
+    """TP / (TP + FP) (...) of TP, FP, FN, TN (..., 4); undefined where nothing was called occupied."""
+    return ratio(confusion[..., 0], confusion[..., 0] + confusion[..., 1])
+
+
+def recall(confusion: NDArray[np.int64]) -> Scores:
+    """TP / (TP + FN) (...) of TP, FP, FN, TN (..., 4); undefined where no cell was occupied."""
+    return ratio(confusion[..., 0], confusion[..., 0] + confusion[..., 2])
+
+
+def balanced_accuracy(confusion: NDArray[np.int64]) -> Scores:
+    """Mean over the classes that occur of the share of their cells taken for them (...), of (..., K, K+1) counts."""
+    right = np.diagonal(confusion, axis1=-2, axis2=-1)
+    shares = ratio(right, confusion.sum(axis=-1))
+    occur = ~np.isnan(shares)
+    return ratio(np.where(occur, shares, 0.0).sum(axis=-1), occur.sum(axis=-1))
+
+
+def average_precision(tally: Tally) -> Scores:
+    """Area under the precision-recall curve (S, K): precision weighted by the gain in recall, over the bins' edges."""
+    true_positive = tally.positives[..., ::-1].cumsum(axis=-1)
+    called = tally.cells[..., ::-1].cumsum(axis=-1)
+    gain = ratio(tally.positives[..., ::-1], true_positive[..., -1:])
+    area: Scores = (gain * np.nan_to_num(ratio(true_positive, called))).sum(axis=-1)
+    return area
+
+
+def brier_score(tally: Tally) -> Scores:
+    """Mean squared error of the probability (S, K)."""
+    return ratio(tally.squared_error, tally.cells.sum(axis=-1))
+
+
+@dataclass(frozen=True, slots=True)
+class BrierParts:
+    """Murphy's decomposition of the Brier score (S, K): `reliability` - `resolution` + `uncertainty` is the score."""
+
+    reliability: Scores
+    resolution: Scores
+    uncertainty: Scores
+
+
+def brier_parts(tally: Tally) -> BrierParts:
+    """Reliability, resolution and uncertainty over the bins of the histogram.
+
+    Within a bin the probabilities differ, which Murphy's parts (1973) leave out; their variance within bins and its
+    covariance with what came are counted to the resolution, so that the parts add up to the score exactly
+    (Stephenson, Coelho and Jolliffe, 2008, "Two extra components in the Brier score decomposition").
+    """
+    cells, positives = tally.cells.sum(axis=-1), tally.positives.sum(axis=-1)
+    rate, rate_of_bin = ratio(positives, cells), np.nan_to_num(ratio(tally.positives, tally.cells))
+    p_of_bin = np.nan_to_num(ratio(tally.p_sum, tally.cells))
+    reliability = ratio((tally.cells * (p_of_bin - rate_of_bin) ** 2).sum(axis=-1), cells)
+    uncertainty = rate * (1.0 - rate)
+    return BrierParts(reliability, reliability + uncertainty - brier_score(tally), uncertainty)
+
+
+def log_loss(tally: Tally) -> Scores:
+    """Mean negative log likelihood of a cell (S, K), nats."""
+    return ratio(tally.log_loss, tally.cells.sum(axis=-1))
+
+
+def calibration_error(tally: Tally) -> Scores:
+    """Expected calibration error (S, K): |mean probability - share occupied| of each bin, weighted by its cells."""
+    return ratio(np.abs(tally.p_sum - tally.positives).sum(axis=-1), tally.cells.sum(axis=-1))
+
+
+def ratio(part: NDArray[Any], whole: NDArray[Any], defined: NDArray[np.bool_] | None = None) -> Scores:
+    """part / whole, broadcast; NaN where `whole` is 0 or the ratio is not `defined`."""
+    divisible = whole > 0 if defined is None else defined & (whole > 0)
+    ratio = np.full(np.broadcast_shapes(part.shape, whole.shape), np.nan)
+    np.divide(part, whole, out=ratio, where=divisible)
+    return ratio

@@ -1,0 +1,130 @@
+"""The referee: delivers the frames of a stretch to a tracker, and sets each forecast against the frames that came.
+
+A tracker is handed frames up to now and nothing else; what is held back is one horizon of frames and the forecasts
+still waiting for theirs, however long the stretch.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gridtrack.common.errors import RecordingError
+from gridtrack.common.geometry import SE2
+from gridtrack.common.grid import GridFrame
+from gridtrack.common.stream import frame_digest
+from gridtrack.evaluation.scoring.strata import LastSeen, same_place
+from gridtrack.evaluation.scoring.target import Target, targets
+from gridtrack.trackers.contract import Forecast, FrameSource
+
+WARM_UP = 20
+"""Frames at the start of a stretch that are delivered, and not scored."""
+
+
+class Watching(Protocol):
+    """What the referee needs of a tracker, in its own process or in this one."""
+
+    def reset(self, seed: int) -> None: ...  # noqa: D102
+
+    def update(self, frame: GridFrame) -> None: ...  # noqa: D102
+
+    def predict(self, steps: int) -> Forecast: ...  # noqa: D102
+
+
+@dataclass(frozen=True, slots=True)
+class Schedule:
+    """Which frames of a stretch of `frames` are forecast from: the same for every tracker.
+
+    Every `every`-th after the warm-up, as long as all `steps` ahead lie inside the stretch.
+    """
+
+    frames: int
+    steps: int
+    every: int
+
+    def due(self, index: int) -> bool:
+        """Whether to forecast after the frame `index` (0-based) has been delivered."""
+        return index >= WARM_UP and (index - WARM_UP) % self.every == 0 and index + self.steps < self.frames
+
+    @property
+    def expected(self) -> int:
+        """How many frames are scored when nothing goes wrong."""
+        return len(range(WARM_UP, self.frames - self.steps, self.every))
+
+
+@dataclass(frozen=True, slots=True)
+class Moment:
+    """A forecast made at frame t, the `targets` t..t+steps that came, and the band (M, M) of each cell's age at t."""
+
+    forecast: Forecast
+    targets: tuple[Target, ...]
+    ages: NDArray[np.uint8]
+
+    @property
+    def frames(self) -> tuple[GridFrame, ...]:
+        """The frames t..t+steps."""
+        return tuple(target.frame for target in self.targets)
+
+    @property
+    def stamp_ns(self) -> int:
+        """When the forecast was made: the stamp of frame t."""
+        return self.targets[0].frame.stamp_ns
+
+
+def moments(tracker: Watching, stream: Iterable[Target], schedule: Schedule, seed: int) -> Iterator[Moment]:
+    """Show the tracker the frames of `stream`, and yield each scheduled forecast once its last frame has come."""
+    tracker.reset(seed)
+    recent: deque[Target] = deque(maxlen=schedule.steps + 1)
+    waiting: deque[tuple[int, Forecast, NDArray[np.uint8]]] = deque()
+    last_seen = LastSeen()
+    for index, target in enumerate(stream):
+        recent.append(target)
+        last_seen.add(target.frame)
+        tracker.update(target.frame)
+        if schedule.due(index):
+            ages = last_seen.bands(target.frame.stamp_ns)
+            waiting.append((index + schedule.steps, tracker.predict(schedule.steps), ages))
+        if waiting and waiting[0][0] == index:
+            _, forecast, ages = waiting.popleft()
+            yield Moment(forecast, tuple(recent), ages)
+
+
+class Delivery:
+    """The frames of a stretch on their way to a tracker: counted, and hashed as they were delivered."""
+
+    def __init__(self, stream: FrameSource, on_frame: Callable[[], None]) -> None:
+        """`on_frame()` is called before each frame; what it raises ends the delivery."""
+        self.frames = 0
+        self._stream = stream
+        self._on_frame = on_frame
+        self._hash = hashlib.blake2b(digest_size=16)
+
+    def __iter__(self) -> Iterator[Target]:
+        """The frames, once, each with what is held back to score against.
+
+        Raises RecordingError where the sensor moves: a cell is then not one place in the world.
+        """
+        standing: SE2 | None = None
+        for target in targets(self._stream):
+            frame = target.frame
+            standing = standing or frame.world_T_grid
+            if not same_place(frame.world_T_grid, standing):
+                raise RecordingError(
+                    f"{self._stream.name}: the sensor moves at {frame.stamp_ns / 1e9:.3f} s, and only a standing one"
+                    " can be scored: name a stretch in which it stands, such as RECORDING@30s-90s"
+                )
+            self._on_frame()
+            self._hash.update(frame_digest(frame))
+            self.frames += 1
+            yield target
+
+    @property
+    def digest(self) -> str:
+        """Hash of every frame delivered so far, in their order: 32 hexadecimal digits."""
+        return self._hash.hexdigest()

@@ -1,0 +1,213 @@
+"""The scored samples kept for viewing: an MCAP file of grids that opens in Foxglove, and that reports read back.
+
+A sample has log time t, when its forecast was made: `/input` is x_t, `/sensors` where the sensors stand in it,
+`/came/1s` the frame one second later and `/forecast/1s` what was forecast for it. Probabilities are kept in 255 steps.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+from foxglove_schemas_protobuf.Grid_pb2 import Grid
+from foxglove_schemas_protobuf.PackedElementField_pb2 import PackedElementField
+from foxglove_schemas_protobuf.PosesInFrame_pb2 import PosesInFrame
+from google.protobuf.message import DecodeError
+from mcap.exceptions import McapError
+from mcap.records import Channel, Chunk, Message
+from mcap.stream_reader import StreamReader, breakup_chunk
+from mcap_protobuf.writer import Writer
+from numpy.typing import NDArray
+from zstandard import ZstdError
+
+from gridtrack.common.errors import GridtrackError
+from gridtrack.common.grid import GridSpec, Mask
+from gridtrack.evaluation.scoring.referee import Moment, Schedule
+
+SAMPLES = "forecasts.mcap"
+KEPT = 40
+"""Samples kept of a trial: the same moments for every tracker, evenly spaced over the scored frames."""
+HORIZONS_S = (0.5, 1.0, 2.0)
+MAX_CHUNK_BYTES = 1 << 26
+MAX_TOPICS = 64
+SENSORS = "/sensors"
+OCCUPANCY_FIELDS = ("visible", "occupied")
+PROBABILITY_FIELDS = ("probability",)
+
+
+_UNREADABLE = (OSError, McapError, DecodeError, ZstdError, struct.error, GridtrackError, ValueError, KeyError)
+
+
+class SamplesError(GridtrackError):
+    """A file of samples that cannot be read."""
+
+
+@dataclass(frozen=True, slots=True)
+class Sample:
+    """A forecast kept for viewing, and what came.
+
+    `visible`, `occupied` (M, M) bool: x_t; `origins` (S, 2) float32: where the sensors stand, metres, grid frame; per
+    horizon H: `forecast` (H, M, M) float32 in [0, 1], and `came_visible`, `came_occupied` (H, M, M) bool, the frame
+    that it was a forecast of.
+    """
+
+    stamp_ns: int
+    horizons_s: tuple[float, ...]
+    grid: GridSpec
+    visible: Mask
+    occupied: Mask
+    origins: NDArray[np.float32]
+    forecast: NDArray[np.float32]
+    came_visible: Mask
+    came_occupied: Mask
+
+
+def kept_moments(schedule: Schedule) -> frozenset[int]:
+    """Which scored frames (0 .. expected-1) are kept for viewing."""
+    expected = schedule.expected
+    return frozenset(np.linspace(0, expected - 1, min(KEPT, expected)).round().astype(int).tolist())
+
+
+class SampleWriter:
+    """Writes samples; closing it leaves a whole file."""
+
+    def __init__(self, path: Path, grid: GridSpec, period_s: float, steps: int) -> None:
+        self._grid = grid
+        steps_of = {h: round(h / period_s) for h in HORIZONS_S}
+        self._steps = {h: step for h, step in steps_of.items() if 1 <= step <= steps}
+        self._path, self._partial = path, path.with_name(path.name + ".partial")
+        self._file = self._partial.open("wb")
+        self._writer = Writer(self._file)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        with self._file:
+            self._writer.finish()  # type: ignore[no-untyped-call]
+        self._partial.replace(self._path)
+
+    def add(self, moment: Moment) -> None:
+        """Keep one moment."""
+        stamp_ns, frames = moment.stamp_ns, moment.frames
+        self._write("/input", stamp_ns, _planes(frames[0].visible, frames[0].occupied), OCCUPANCY_FIELDS)
+        self._write_message(SENSORS, stamp_ns, _places(frames[0].origins, stamp_ns))
+        for horizon, step in self._steps.items():
+            came = frames[step]
+            self._write(f"/came/{horizon:g}s", stamp_ns, _planes(came.visible, came.occupied), OCCUPANCY_FIELDS)
+            probability = (moment.forecast.occupancy[step] * 255).round().astype(np.uint8)
+            self._write(f"/forecast/{horizon:g}s", stamp_ns, probability[..., None], PROBABILITY_FIELDS)
+
+    def _write(self, topic: str, stamp_ns: int, planes: NDArray[np.uint8], fields: tuple[str, ...]) -> None:
+        self._write_message(topic, stamp_ns, _message(self._grid, stamp_ns, planes, fields))
+
+    def _write_message(self, topic: str, stamp_ns: int, message: Any) -> None:
+        self._writer.write_message(topic, message, log_time=stamp_ns, publish_time=stamp_ns)
+
+
+def _places(origins: NDArray[np.float32], stamp_ns: int) -> Any:
+    """Sensors at `origins` (S, 2), metres, grid frame."""
+    message = PosesInFrame(frame_id="grid")
+    message.timestamp.FromNanoseconds(stamp_ns)
+    for x, y in origins.tolist():
+        pose = message.poses.add()
+        pose.position.x, pose.position.y, pose.orientation.w = x, y, 1.0
+    return message
+
+
+def _planes(visible: Mask, occupied: Mask) -> NDArray[np.uint8]:
+    """Two planes (M, M, 2) uint8, 255 where the cell is visible, and where it is occupied."""
+    return np.stack([visible, occupied], axis=-1).astype(np.uint8) * np.uint8(255)
+
+
+def _message(grid: GridSpec, stamp_ns: int, planes: NDArray[np.uint8], fields: tuple[str, ...]) -> Any:
+    message = Grid(frame_id="grid", column_count=grid.size, data=planes.tobytes())
+    message.timestamp.FromNanoseconds(stamp_ns)
+    message.pose.position.x, message.pose.position.y = grid.origin
+    message.pose.orientation.w = 1.0
+    message.cell_size.x = message.cell_size.y = grid.cell_m
+    message.cell_stride = len(fields)
+    message.row_stride = len(fields) * grid.size
+    for offset, name in enumerate(fields):
+        message.fields.append(PackedElementField(name=name, offset=offset, type=PackedElementField.UINT8))
+    return message
+
+
+def read_samples(path: Path) -> Iterator[Sample]:
+    """The samples of a trial in the order of their stamps, one at a time in memory.
+
+    Raises SamplesError where the file is not a whole one of this form; the samples before the damage come first.
+    """
+    stamp_ns: int | None = None
+    topics: dict[str, Any] = {}
+    try:
+        for topic, message in _messages(path):
+            if stamp_ns is not None and message.log_time != stamp_ns:
+                yield _sample(stamp_ns, topics)
+                topics = {}
+            stamp_ns = message.log_time
+            if len(topics) == MAX_TOPICS:
+                raise ValueError(f"more than {MAX_TOPICS} messages at {stamp_ns} ns")
+            topics[topic] = (PosesInFrame if topic == SENSORS else Grid).FromString(message.data)
+        if stamp_ns is not None:
+            yield _sample(stamp_ns, topics)
+    except _UNREADABLE as error:
+        raise SamplesError(f"{path}: cannot be read as samples ({error or type(error).__name__})") from None
+
+
+def _messages(path: Path) -> Iterator[tuple[str, Message]]:
+    """Topic and message, in file order; no chunk is unpacked that says that it is larger than a chunk may be."""
+    topics: dict[int, str] = {}
+    with path.open("rb") as file:
+        for chunk in StreamReader(file, emit_chunks=True, record_size_limit=MAX_CHUNK_BYTES).records:
+            if not isinstance(chunk, Chunk):
+                continue
+            if chunk.uncompressed_size > MAX_CHUNK_BYTES:
+                raise ValueError(f"a chunk of {chunk.uncompressed_size} bytes; more than {MAX_CHUNK_BYTES} are refused")
+            for record in breakup_chunk(chunk, validate_crc=True):
+                if isinstance(record, Channel):
+                    topics[record.id] = record.topic
+                elif isinstance(record, Message):
+                    yield topics[record.channel_id], record
+
+
+def _sample(stamp_ns: int, topics: dict[str, Any]) -> Sample:
+    """One sample from its messages by topic. Raises KeyError or ValueError where they do not fit together."""
+    size = topics["/input"].column_count
+    cell_m, corner = topics["/input"].cell_size.x, topics["/input"].pose.position
+    grid = GridSpec(size, cell_m, (corner.x, corner.y))
+    horizons = tuple(sorted(_seconds(topic) for topic in topics if topic.startswith("/forecast/")))
+    occupancy = [_decoded(topics["/input"], grid, OCCUPANCY_FIELDS) == 255]
+    occupancy += [_decoded(topics[f"/came/{h:g}s"], grid, OCCUPANCY_FIELDS) == 255 for h in horizons]
+    forecast = np.zeros((len(horizons), *grid.shape), np.float32)
+    for i, h in enumerate(horizons):
+        forecast[i] = _decoded(topics[f"/forecast/{h:g}s"], grid, PROBABILITY_FIELDS)[..., 0] / np.float32(255)
+    came = np.array(occupancy[1:], bool).reshape(len(horizons), *grid.shape, 2)
+    origins = np.array([(p.position.x, p.position.y) for p in topics[SENSORS].poses], np.float32).reshape(-1, 2)
+    visible, occupied = np.moveaxis(occupancy[0], -1, 0)
+    return Sample(stamp_ns, horizons, grid, visible, occupied, origins, forecast, came[..., 0], came[..., 1])
+
+
+def _seconds(topic: str) -> float:
+    """The horizon in a topic's name: `/forecast/0.5s` is 0.5."""
+    seconds = float(topic.rpartition("/")[2].removesuffix("s"))
+    if not math.isfinite(seconds):
+        raise ValueError(f"topic '{topic}' names no horizon")
+    return seconds
+
+
+def _decoded(message: Any, grid: GridSpec, fields: tuple[str, ...]) -> NDArray[np.uint8]:
+    """A grid's fields as (M, M, F) uint8, its layout checked before it is believed."""
+    layout = (message.column_count, message.cell_stride, message.row_stride, len(message.data))
+    expected = (grid.size, len(fields), len(fields) * grid.size, len(fields) * grid.size**2)
+    if layout != expected or tuple(field.name for field in message.fields) != fields:
+        raise ValueError(f"a grid of layout {layout}, expected {expected} with fields {fields}")
+    return np.frombuffer(message.data, np.uint8).reshape(grid.size, grid.size, len(fields))

@@ -1,0 +1,67 @@
+"""The scorekeeper: what each forecast of a trial scored, written down as soon as its last frame has come."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+from gridtrack.evaluation.scoring.class_store import CLASSES, SEMANTICS, ClassWriter
+from gridtrack.evaluation.scoring.counting import count_forecast
+from gridtrack.evaluation.scoring.courses import Course
+from gridtrack.evaluation.scoring.referee import Moment
+from gridtrack.evaluation.scoring.samples import SAMPLES, SampleWriter, kept_moments
+from gridtrack.evaluation.scoring.scores import HISTOGRAM, SCORES, ScoreWriter
+from gridtrack.evaluation.scoring.semantics import count_classes, count_found, match_classes
+from gridtrack.evaluation.scoring.strata import Areas
+from gridtrack.evaluation.scoring.thresholds import Thresholds
+
+FILES = (SCORES, HISTOGRAM, CLASSES, SEMANTICS, SAMPLES)
+"""What a trial's scores are kept in; classes only where the recording has any, semantics where the tracker gives it."""
+
+
+class Scorekeeper:
+    """A context manager: what was scored until it is left lies in whole files."""
+
+    def __init__(
+        self, folder: Path, course: Course, areas: Areas, thresholds: Thresholds, classes: tuple[str, ...]
+    ) -> None:
+        """`classes` are those that the tracker gives probabilities for."""
+        known = course.test.classes
+        self._areas, self._thresholds, self._classes = areas, thresholds, len(known)
+        self._matching = match_classes(classes, known) if classes and known else None
+        self._kept = kept_moments(course.schedule)
+        self.scored = 0
+        with ExitStack() as files:
+            self._scores = files.enter_context(ScoreWriter(folder, course.steps, thresholds))
+            by_class = ClassWriter(folder, known, self._matching is not None) if known else None
+            self._by_class = by_class and files.enter_context(by_class)
+            samples = SampleWriter(folder / SAMPLES, course.test.grid, course.test.period_s, course.steps)
+            self._samples = files.enter_context(samples)
+            self._files = files.pop_all()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._files.__exit__(kind, error, trace)
+
+    def add(self, moment: Moment, delivered: str) -> None:
+        """Score one forecast; `delivered` is the digest of the frames delivered up to its last step."""
+        tally = count_forecast(moment.forecast.occupancy, moment.targets, self._areas, moment.ages)
+        self._scores.add(moment.stamp_ns, delivered, tally)
+        if self._by_class is not None:
+            self._count_classes(moment, self._by_class)
+        if self.scored in self._kept:
+            self._samples.add(moment)
+        self.scored += 1
+
+    def _count_classes(self, moment: Moment, writer: ClassWriter) -> None:
+        forecast, targets = moment.forecast, moment.targets
+        found = count_found(forecast.occupancy, targets, self._areas.places, self._thresholds, self._classes)
+        writer.add_found(moment.stamp_ns, found)
+        if self._matching is not None and forecast.semantics is not None:
+            writer.add_semantics(moment.stamp_ns, *count_classes(forecast.semantics, targets, self._matching))

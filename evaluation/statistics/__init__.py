@@ -1,0 +1,1 @@
+"""From counts to claims: intervals, paired differences, and the summary."""

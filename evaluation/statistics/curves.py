@@ -1,0 +1,70 @@
+"""Every score of a trial, or of several pooled, per stratum and step, as the summary holds it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gridtrack.evaluation.scoring import metrics
+from gridtrack.evaluation.scoring.counting import EDGES, Tally
+from gridtrack.evaluation.scoring.record import TrialRecord
+from gridtrack.evaluation.scoring.thresholds import half
+
+Curves = dict[str, list[float | None]]
+
+
+def curves_of(trials: Sequence[tuple[TrialRecord, Tally]], strata: tuple[str, ...]) -> dict[str, Curves]:
+    """Scores of what all `trials` counted together, each at its own thresholds; a threshold that differs is null."""
+    steps = trials[0][0].steps
+    together = Tally.empty(steps, strata)
+    shape = (steps + 1, len(strata), 4)
+    at_threshold, at_visible = np.zeros(shape, np.int64), np.zeros(shape, np.int64)
+    chosen = []
+    for record, counted in trials:
+        tally = counted.of(strata)
+        together.add(tally)
+        bins = _bins(record, strata)
+        at_threshold += tally.confusion(bins)
+        at_visible += tally.confusion(np.broadcast_to(_bins(record, ("visible",)), bins.shape))
+        chosen.append(_thresholds(record, strata))
+    parts = metrics.brier_parts(together)
+    curves = {
+        "f1": metrics.f1_score(at_threshold),
+        "precision": metrics.precision(at_threshold),
+        "recall": metrics.recall(at_threshold),
+        "pr_auc": metrics.average_precision(together),
+        "brier": metrics.brier_score(together),
+        "brier_reliability": parts.reliability,
+        "brier_resolution": parts.resolution,
+        "brier_uncertainty": parts.uncertainty,
+        "nll": metrics.log_loss(together),
+        "ece": metrics.calibration_error(together),
+        "threshold": np.where(np.ptp(chosen, axis=0) == 0, chosen[0], np.nan),
+        "f1_at_visible": metrics.f1_score(at_visible),
+        "f1_at_half": metrics.f1_score(together.confusion(half(steps, strata).bins)),
+    }
+    return {name: {key: curve(values[:, k]) for key, values in curves.items()} for k, name in enumerate(strata)}
+
+
+def curve(values: NDArray[np.float64]) -> list[float | None]:
+    """One value per step; null where it is undefined."""
+    return [plain_number(value) for value in values.tolist()]
+
+
+def plain_number(value: float) -> float | None:
+    """As JSON has it: six decimals, and null where it is undefined."""
+    return None if math.isnan(value) else round(value, 6)
+
+
+def _thresholds(record: TrialRecord, strata: Sequence[str]) -> NDArray[np.float64]:
+    """Thresholds (S, K) as probabilities."""
+    return np.array([record.thresholds.values[name] for name in strata]).T
+
+
+def _bins(record: TrialRecord, strata: Sequence[str]) -> NDArray[np.int64]:
+    """Thresholds (S, K) as bins of the histogram."""
+    bins: NDArray[np.int64] = np.abs(_thresholds(record, strata)[..., None] - EDGES).argmin(axis=-1)
+    return bins

@@ -1,0 +1,77 @@
+"""What a trial counted at each scored frame, read back from its scores: what resampling and pairing work on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+from numpy.typing import NDArray
+
+from gridtrack.evaluation.scoring.scores import SCORES, ScoresError
+from gridtrack.evaluation.statistics.uncertainty import COUNTS
+
+
+@dataclass(frozen=True, slots=True)
+class FrameCounts:
+    """Counts (F, S, K, C) float32 of scored frames x steps x strata, C as `uncertainty.COUNTS`; a frame's counts of
+    cells are exact in float32.
+
+    `stamps_ns` (F,) increase; `delivered` (F,) are the digests of what the tracker had been given by then.
+    """
+
+    stamps_ns: NDArray[np.int64]
+    delivered: NDArray[np.str_]
+    counts: NDArray[np.float32]
+
+    def at(self, frames: NDArray[np.intp] | NDArray[np.bool_]) -> FrameCounts:
+        """Some of the frames."""
+        return FrameCounts(self.stamps_ns[frames], self.delivered[frames], self.counts[frames])
+
+
+def read_frame_counts(folder: Path, steps: int, strata: tuple[str, ...]) -> FrameCounts:
+    """The scored frames of the trial in `folder`, steps 0..steps, `strata` in the order they were written in.
+
+    Raises ScoresError.
+    """
+    path = folder / SCORES
+    try:
+        rows = pl.read_parquet(path, columns=["stamp_ns", "delivered", "step", "stratum", *COUNTS])
+        cells = (steps + 1) * len(strata)
+        frames = len(rows) // cells
+        _refuse_another_order(path, rows, frames, steps, strata)
+        counts = rows.select(pl.col(COUNTS).cast(pl.Float32)).to_numpy()
+        first = rows.gather_every(cells)
+        return FrameCounts(
+            first["stamp_ns"].to_numpy().astype(np.int64),
+            first["delivered"].to_numpy().astype(np.str_),
+            counts.reshape(frames, steps + 1, len(strata), len(COUNTS)),
+        )
+    except (pl.exceptions.PolarsError, OSError) as error:
+        raise ScoresError(f"{path}: cannot be read as scores ({str(error).splitlines()[0]}); run it again") from None
+
+
+def _refuse_another_order(path: Path, rows: pl.DataFrame, frames: int, steps: int, strata: tuple[str, ...]) -> None:
+    """Raises ScoresError unless every frame has all steps, each with all strata, and frames follow in time."""
+    cells = (steps + 1) * len(strata)
+    whole = len(rows) == frames * cells
+    if whole and frames:
+        step, stratum = np.indices((steps + 1, len(strata))).reshape(2, -1)
+        stamps = rows["stamp_ns"].to_numpy().reshape(frames, cells)
+        names = rows["stratum"].cast(pl.String).to_numpy().astype(np.str_).reshape(frames, cells)
+        whole = bool(
+            (rows["step"].to_numpy().reshape(frames, cells) == step).all()
+            and (names == np.array(strata)[stratum]).all()
+            and (stamps == stamps[:, :1]).all()
+            and (np.diff(stamps[:, 0]) > 0).all()
+        )
+    if not whole:
+        raise ScoresError(f"{path}: not {steps + 1} steps of {', '.join(strata)} at every frame; run it again")
+
+
+def common_frames(one: FrameCounts, other: FrameCounts) -> tuple[FrameCounts, FrameCounts]:
+    """The frames that both have: of the same stamp, after the same delivery."""
+    _, of_one, of_other = np.intersect1d(one.stamps_ns, other.stamps_ns, assume_unique=True, return_indices=True)
+    same = one.delivered[of_one] == other.delivered[of_other]
+    return one.at(of_one[same]), other.at(of_other[same])

@@ -1,0 +1,140 @@
+"""summary.json: what a run found, machine-readable, made from the files that its trials left."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from gridtrack.evaluation.scoring.class_scores import class_scores, unknown_classes
+from gridtrack.evaluation.scoring.robustness import robustness_summary, shown_others
+from gridtrack.evaluation.scoring.scores import read_deliveries
+from gridtrack.evaluation.statistics.ceiling import add_ceiling
+from gridtrack.evaluation.statistics.curves import curves_of
+from gridtrack.evaluation.statistics.inference import Ended, Inference
+
+SCHEMA = 1
+SUMMARY = "summary.json"
+
+
+def summarise(
+    recordings: Mapping[str, Mapping[str, Any]],
+    trials: Iterable[Ended],
+    notices: Sequence[str],
+    interrupted: bool,
+    reference: str | None = None,
+) -> dict[str, Any]:
+    """The summary as plain data; `recordings` holds what is said of each one beside its scores (docs/run-folder.md).
+
+    `reference` is the label of the row that the others are set against; None: the usual one.
+    """
+    trackers: dict[str, Any] = {}
+    trials = list(trials)
+    inference = Inference(recordings, trials, reference)
+    for trial in trials:
+        record = trial.record
+        entry = trackers.setdefault(
+            record.label,
+            {"tracker": trial.tracker, "options": dict(trial.options), "points": trial.points, "recordings": {}},
+        )
+        entry["recordings"][record.recording] = _trial_summary(trial, inference)
+    described: dict[str, Any] = {}
+    differing: list[str] = []
+    for name, description in recordings.items():
+        of_recording = [trial for trial in trials if trial.record.recording == name]
+        odd = odd_deliveries(of_recording)
+        odd_degraded = shown_others((trial.points, trial.record) for trial in of_recording)
+        described[name] = {**description, "parity": not odd}
+        differing += filter(None, (unknown_classes(trial.record, description) for trial in of_recording))
+        differing += [
+            f"{label} on {name} was shown other degraded frames than the rest: its robustness is not comparable"
+            for label in odd_degraded
+        ]
+        differing += [
+            f"{label} on {name} was delivered other frames than the rest: its scores are not comparable"
+            for label in odd
+        ]
+    pooled = inference.pooled()
+    for label, entry in trackers.items():
+        entry["pooled"] = pooled[label] if pooled else None
+    _add_class_scores(trackers, recordings, trials)
+    add_ceiling(trackers)
+    if pooled is None and len(described) > 1:
+        differing.append("the recordings differ in rate, horizon or grid: no scores are pooled over them")
+    return {
+        "schema": SCHEMA,
+        "interrupted": interrupted,
+        "notices": [*notices, *differing],
+        "recordings": described,
+        "trackers": trackers,
+        "reference": inference.reference,
+        "differences": inference.differences(),
+    }
+
+
+def _add_class_scores(
+    trackers: Mapping[str, Any], recordings: Mapping[str, Mapping[str, Any]], trials: Sequence[Ended]
+) -> None:
+    """Add what was scored by class to every trial, and pooled where all recordings have the same classes."""
+    for label, entry in trackers.items():
+        own = [trial for trial in trials if trial.record.label == label]
+        for trial in own:
+            name = trial.record.recording
+            described = recordings[name].get("classes", ()), recordings[name]["horizons_s"]
+            entry["recordings"][name] |= class_scores([(trial.record, trial.folder)], *described)
+        if entry["pooled"]:
+            complete = [(trial.record, trial.folder) for trial in own if trial.complete]
+            alike = len({tuple(recording.get("classes", ())) for recording in recordings.values()}) == 1
+            first = next(iter(recordings.values()))
+            entry["pooled"] |= class_scores(complete, first.get("classes", ()) if alike else (), first["horizons_s"])
+
+
+def write_json(path: Path, content: Mapping[str, Any]) -> None:
+    """Leave `content` at `path`, replaced whole."""
+    partial = path.with_name(path.name + ".partial")
+    partial.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n")
+    partial.replace(path)
+
+
+def odd_deliveries(trials: Sequence[Ended]) -> list[str]:
+    """Labels of the trials of one recording that were delivered other frames than most at a stamp they share.
+
+    Trials that asked for raw returns are compared among themselves: their frames differ by design.
+    """
+    usual: dict[tuple[str, int], Counter[str]] = {}
+    scored = [trial for trial in trials if trial.record.frames_scored]
+    deliveries = [(trial, read_deliveries(trial.folder)) for trial in scored]
+    for trial, delivered in deliveries:
+        for stamp, digest in delivered.items():
+            usual.setdefault((trial.points, stamp), Counter())[digest] += 1
+    return [
+        trial.record.label
+        for trial, delivered in deliveries
+        if any(digest != usual[trial.points, stamp].most_common(1)[0][0] for stamp, digest in delivered.items())
+    ]
+
+
+def _trial_summary(trial: Ended, inference: Inference) -> dict[str, Any]:
+    record = trial.record
+    latency = record.latency_ms
+    strata: dict[str, dict[str, Any]] = {}
+    if record.frames_scored:
+        curves = curves_of([(record, inference.tally_of(trial))], trial.strata)
+        intervals = inference.intervals_of(trial)
+        strata = {name: {**curves[name], **intervals[name]} for name in trial.strata}
+    return {
+        "outcome": record.outcome,
+        "reason": record.reason,
+        "frames_scored": record.frames_scored,
+        "frames_expected": record.frames_expected,
+        "threshold_chosen_on": record.thresholds.chosen_on,
+        "weights_sha256": record.weights_sha256,
+        "strata": strata,
+        "latency_ms": latency.model_dump() if latency else None,
+        "deadline": record.deadline.model_dump(mode="json") if record.deadline else None,
+        "robustness": robustness_summary(record.robustness, strata) if record.robustness else None,
+        "times": record.times.model_dump(),
+        "peak_rss_mb": record.peak_rss_mb,
+    }
