@@ -8,7 +8,7 @@ from example_tracker import FadingOptions, FadingTracker
 
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec
-from gridtrack.evaluation.contract_suite import check_tracker
+from gridtrack.evaluation.processes.contract_suite import check_tracker
 from gridtrack.trackers.contract import StreamSpec
 from gridtrack.trackers.selection import launch
 
