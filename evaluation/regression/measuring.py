@@ -112,7 +112,8 @@ def _trial_counts(run: Path, name: str, course: CourseKey | None, block_s: float
     record = read_record(folder)
     _refuse_incomplete(name, record)
     assert record is not None
-    units = read_units(folder, course.horizons_s, block_s, record.frames_scored)
+    strata = tuple(record.thresholds.values)
+    units = read_units(folder, course.horizons_s, strata, block_s, record.frames_scored)
     latency = record.latency_ms
     timed = latency is not None and min(latency.update.p50, latency.predict.p50) > 0.0
     speed = Speed(update_ms=latency.update.p50, predict_ms=latency.predict.p50) if latency and timed else None

@@ -10,6 +10,7 @@ from gridtrack.evaluation.regression.units import band_of, read_units
 
 HORIZONS_S = [n * 0.125 for n in range(17)]
 FRAMES = 8
+STRATA = ("visible", "moving", "static")
 
 
 @pytest.fixture
@@ -20,7 +21,7 @@ def trial(write_run):
 
 def test_counts_are_sums_over_the_frames_and_steps_of_each_unit(trial):
     rows = parquet.read_table(trial / "scores.parquet").to_pylist()
-    units = read_units(trial, HORIZONS_S, 3.0, FRAMES)
+    units = read_units(trial, HORIZONS_S, STRATA, 3.0, FRAMES)
     assert [unit.frames for unit in units] == [4, 4]
     first_ns = rows[0]["stamp_ns"]
     for number, unit in enumerate(units):
@@ -44,13 +45,13 @@ def test_bands_part_at_half_a_second_and_at_one_and_a_half_and_leave_step_0_out(
 
 @pytest.mark.parametrize(("block_s", "units"), [(None, 1), (100.0, 1), (7.0, 1), (3.5, 2), (1.0, 7), (0.1, 8)])
 def test_blocks_last_at_least_what_is_asked_and_none_is_empty(trial, block_s, units):
-    found = read_units(trial, HORIZONS_S, block_s, FRAMES)
+    found = read_units(trial, HORIZONS_S, STRATA, block_s, FRAMES)
     assert len(found) == units
     assert sum(unit.frames for unit in found) == FRAMES
 
 
 def test_a_unit_tells_its_frames_apart_from_others(trial):
-    digests = [unit.delivered for unit in read_units(trial, HORIZONS_S, 1.0, FRAMES)]
+    digests = [unit.delivered for unit in read_units(trial, HORIZONS_S, STRATA, 1.0, FRAMES)]
     assert len(set(digests)) == len(digests)
-    whole = read_units(trial, HORIZONS_S, None, FRAMES)[0]
-    assert whole.delivered == read_units(trial, np.array(HORIZONS_S).tolist(), None, FRAMES)[0].delivered
+    whole = read_units(trial, HORIZONS_S, STRATA, None, FRAMES)[0]
+    assert whole.delivered == read_units(trial, np.array(HORIZONS_S).tolist(), STRATA, None, FRAMES)[0].delivered
