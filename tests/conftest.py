@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+os.environ.setdefault("OMP_NUM_THREADS", "1")  # workers fill the cores: two threads beside a busy core crawl
+
 PLUGINS = Path(__file__).parent / "plugins"
 
 Install = Callable[..., Path]
