@@ -15,7 +15,7 @@ from gridtrack.reports.table import as_markdown, foremost, headline_tables
 from gridtrack.reports.terminal import print_tables
 
 spec = importlib.util.spec_from_file_location(
-    "synthetic_run", Path(__file__).parents[1] / "evaluation" / "synthetic_run.py"
+    "synthetic_run", Path(__file__).parents[1] / "evaluation" / "statistics" / "synthetic_run.py"
 )
 synthetic = importlib.util.module_from_spec(spec)
 spec.loader.exec_module(synthetic)

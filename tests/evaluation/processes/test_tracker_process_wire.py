@@ -17,7 +17,7 @@ from gridtrack.evaluation.processes.tracker_process import Limits, TrackerProces
 from gridtrack.trackers.contract import StreamSpec
 from gridtrack.trackers.selection import Launch
 
-PROGRAM = Path(__file__).parents[1] / "plugins" / "rogue_program.py"
+PROGRAM = Path(__file__).parents[2] / "plugins" / "rogue_program.py"
 LIMITS = Limits(update_s=0.5, predict_s=0.5)
 
 

@@ -43,7 +43,7 @@ def compare(folder, told, *trackers, resume=False, **recording):
 def complete(tmp_path_factory):
     """A run of four trackers without range noise: its summary and its folder."""
     site = tmp_path_factory.mktemp("site")
-    (site / "classifier.py").write_text((Path(__file__).parents[1] / "plugins" / "classifier.py").read_text())
+    (site / "classifier.py").write_text((Path(__file__).parents[2] / "plugins" / "classifier.py").read_text())
     info = site / "classifiers-1.0.dist-info"
     info.mkdir()
     (info / "METADATA").write_text("Metadata-Version: 2.4\nName: classifiers\nVersion: 1.0\n")
