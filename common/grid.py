@@ -1,10 +1,10 @@
-"""The occupancy grid: its geometry (GridSpec) and one observation of it (GridFrame)."""
+"""The occupancy grid: its geometry (GridSpec) and one observation of it (GridFrame), with classes (LabelledFrame)."""
 
 from __future__ import annotations
 
 import re
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -104,3 +104,14 @@ class GridFrame:
     origins: NDArray[np.float32]
     points: NDArray[np.float32]
     point_origin: NDArray[np.uint8]
+
+
+class LabelledFrame(NamedTuple):
+    """A frame, and the class of each visible occupied cell whose class is known.
+
+    `cells` (N,) int64, row * M + column; `labels` (N,) uint8, indices into the recording's classes.
+    """
+
+    frame: GridFrame
+    cells: NDArray[np.int64]
+    labels: NDArray[np.uint8]

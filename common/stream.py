@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 
 from gridtrack.common.errors import RecordingError, did_you_mean
 from gridtrack.common.geometry import SE2
-from gridtrack.common.grid import GridFrame, GridSpec, Points
+from gridtrack.common.grid import GridFrame, GridSpec, LabelledFrame, Points
+from gridtrack.common.labelled import check_labels, labelled_returns
 from gridtrack.common.raycast import cast_scan
 from gridtrack.common.recordings import Recording, open_recording
 from gridtrack.common.recordings.recording import Stretch, stretch_text
@@ -168,6 +169,16 @@ class GridStream:
             grid_T_sensor = {s: SE2() if pose == world_T_grid else grid_T_world @ pose for s, pose in poses.items()}
             frame = self._frame(tick, grid_T_sensor, world_T_grid)
             yield Observation(frame, tuple(tick.scans.values()), tuple(grid_T_sensor[s] for s in tick.scans))
+
+    def labelled(self) -> Iterator[LabelledFrame]:
+        """The frames with the classes of their occupied cells, for training; a tracker that runs is handed none.
+
+        Raises RecordingError for a label that names no class.
+        """
+        for observation in self.observations():
+            cells, labels = labelled_returns(observation.scans, observation.grid_T_sensor, self.grid)
+            check_labels(labels, self.classes, observation.frame.stamp_ns)
+            yield LabelledFrame(observation.frame, cells, labels)
 
     def _frame(self, tick: Tick, grid_T_sensor: dict[str, SE2], world_T_grid: SE2) -> GridFrame:
         visible, occupied = np.zeros(self.grid.shape, np.bool_), np.zeros(self.grid.shape, np.bool_)

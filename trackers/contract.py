@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridtrack.common.config import Settings
-from gridtrack.common.grid import GridFrame, GridSpec
+from gridtrack.common.grid import GridFrame, GridSpec, LabelledFrame
 
 API = 1
 
@@ -76,6 +76,10 @@ class FrameSource(Protocol):
     def __iter__(self) -> Iterator[GridFrame]: ...
 
     def __len__(self) -> int: ...
+
+    def labelled(self) -> Iterator[LabelledFrame]:
+        """The same frames with the classes of their occupied cells, for `fit`; none are known in most recordings."""
+        ...
 
 
 def stream_of(source: FrameSource, weights: Path | None = None) -> StreamSpec:

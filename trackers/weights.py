@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import tomli_w
 from numpy.typing import NDArray
-from pydantic import Field
+from pydantic import Field, field_validator
 from safetensors import SafetensorError
 from safetensors.numpy import load, save
 
@@ -50,8 +50,17 @@ class Card(Settings):
     train: tuple[TrainingData, ...]
     validation: tuple[TrainingData, ...] = ()
     arrays_sha256: str = ""
+    classes: tuple[str, ...] = ()
+    """The classes that it tells apart, in its own order; scores match them with a recording's by name."""
     settings: dict[str, Any] = Field(default_factory=dict)
     results: dict[str, Any] = Field(default_factory=dict)
+
+    @field_validator("classes")
+    @classmethod
+    def _distinct(cls, names: tuple[str, ...]) -> tuple[str, ...]:
+        if len(set(names)) != len(names):
+            raise ValueError("a class is named twice")
+        return names
 
 
 @dataclass(frozen=True)

@@ -8,9 +8,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from gridtrack.common.errors import RecordingError
 from gridtrack.common.grid import GridFrame, GridSpec
-from gridtrack.common.raycast import end_cells
+from gridtrack.common.labelled import check_labels, labelled_returns
 from gridtrack.common.recordings.labels import UNLABELLED
 from gridtrack.common.stream import GridStream, Observation
 from gridtrack.common.truth import FREE, INTERIOR, OUTLINE, TruthGrid, truth_grid
@@ -57,36 +56,14 @@ def target_of(observation: Observation, grid: GridSpec, classes: Sequence[str]) 
     target = Target.of_frame(frame)
     if truth is not None:
         target.state[~frame.visible] = _STATE_OF_COVER[truth.cover[~frame.visible]]
-    cells, labels = _labelled_returns(observation, grid)
+    cells, labels = labelled_returns(observation.scans, observation.grid_T_sensor, grid)
     if truth is not None:
         hidden = np.flatnonzero(~frame.visible & (truth.labels != UNLABELLED))
         cells, labels = np.concatenate([cells, hidden]), np.concatenate([labels, truth.labels.ravel()[hidden]])
-    if labels.size and labels.max() >= len(classes):
-        raise RecordingError(
-            f"a label names class {labels.max()} at {frame.stamp_ns / 1e9:.3f} s, and the recording has"
-            f" {len(classes)} classes: it is damaged"
-        )
+    check_labels(labels, classes, frame.stamp_ns)
     return Target(frame, target.state, cells, labels)
 
 
 def _truth(observation: Observation, grid: GridSpec) -> TruthGrid | None:
     scene = observation.scene
     return None if scene is None else truth_grid(scene, grid, observation.frame.world_T_grid)
-
-
-def _labelled_returns(observation: Observation, grid: GridSpec) -> tuple[NDArray[np.int64], NDArray[np.uint8]]:
-    """Cells (N,) and labels (N,) of the returns: the label of most beams that end in a cell, the lowest of equals."""
-    votes = [
-        end_cells(scan, grid, pose) * (UNLABELLED + 1) + scan.labels
-        for scan, pose in zip(observation.scans, observation.grid_T_sensor, strict=True)
-        if scan.labels is not None and scan.labels.min(initial=UNLABELLED) < UNLABELLED
-    ]
-    if not votes:
-        return _NO_CELLS, _NO_LABELS
-    ballots, count = np.unique(np.concatenate(votes), return_counts=True)
-    ballots, count = ballots[ballots >= 0], count[ballots >= 0]
-    cells, labels = np.divmod(ballots, UNLABELLED + 1)
-    order = np.lexsort((labels, -count, cells))
-    winners = order[np.flatnonzero(np.diff(cells[order], prepend=-1))]
-    winners = winners[labels[winners] != UNLABELLED]
-    return cells[winners], labels[winners].astype(np.uint8)

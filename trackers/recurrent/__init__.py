@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, ClassVar
 
 from torch import nn
 
+from gridtrack.trackers.contract import FitOutput, FrameSource, Score
 from gridtrack.trackers.recurrent.deep_tracking_rnn import DeepTrackingRNN, DeepTrackingRNNSettings
 from gridtrack.trackers.recurrent.dilated_convgru import DilatedConvGRU, DilatedConvGRUSettings
 from gridtrack.trackers.recurrent.fused import fused_gates
 from gridtrack.trackers.recurrent.network import start_from_rate
-from gridtrack.trackers.recurrent.settings import TrainingSettings
+from gridtrack.trackers.recurrent.settings import TrainingSettings, TransferSettings
 from gridtrack.trackers.recurrent.tracker import RecurrentTracker
 
 
-class DilatedConvGRUOptions(DilatedConvGRUSettings, TrainingSettings):
-    """Shape and training of the dilated ConvGRU."""
+class DilatedConvGRUOptions(DilatedConvGRUSettings, TrainingSettings, TransferSettings):
+    """Shape and training of the dilated ConvGRU, and of its class decoder."""
 
 
 class DeepTrackingRNNOptions(DeepTrackingRNNSettings, TrainingSettings):
@@ -49,6 +50,23 @@ class DilatedConvGRUTracker(RecurrentTracker):
         """The gates in one pass over memory."""
         for layer in network.layers:
             layer.gates = fused_gates
+
+    @classmethod
+    def fit(
+        cls,
+        train: Sequence[FrameSource],
+        validation: Sequence[FrameSource],
+        score: Score,
+        out: FitOutput,
+        options: Any,
+    ) -> None:
+        """The network on what is visible, and then, where classes are known, its class decoder on a few labels."""
+        from gridtrack.trackers.recurrent.transfer import add_classes
+
+        if options.stage != "classes":
+            super().fit(train, validation, score, out, options)
+        if options.stage == "classes" or (options.stage == "both" and train[0].classes):
+            add_classes(cls, train, validation, out, options)
 
 
 class DeepTrackingRNNTracker(RecurrentTracker):

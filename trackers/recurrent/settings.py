@@ -7,6 +7,7 @@ from typing import Literal
 from pydantic import Field
 
 from gridtrack.common.config import Settings
+from gridtrack.trackers.labelled import LabelSettings
 
 
 class TrainingSettings(Settings):
@@ -44,3 +45,10 @@ class TrainingSettings(Settings):
     def is_shown(self, frame: int) -> bool:
         """Whether the network is given this frame of a window."""
         return frame < self.burn_in or (frame - self.burn_in) % (self.shown + self.blank) < self.shown
+
+
+class TransferSettings(LabelSettings):
+    """What is trained: the network, on what is visible; the class decoder, on its latent state and labels; or both."""
+
+    stage: Literal["both", "occupancy", "classes"] = "both"
+    """`classes` adds a class decoder to the weights that are there; `both` where a recording has classes."""

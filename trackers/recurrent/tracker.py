@@ -84,17 +84,12 @@ class RecurrentTracker(Tracker):
                     f"{self.stream.weights}: trained with {key}={getattr(options, key)}, not"
                     f" {getattr(self.options, key)}: train anew with that option"
                 )
-        classes = weights.arrays["decode_semantics.bias"].size if "decode_semantics.bias" in weights.arrays else 0
-        self.classes = self.stream.classes if classes else ()
-        if classes != len(self.classes):
-            raise WeightsError(f"{self.stream.weights}: {classes} classes, but the stream has {self.stream.classes}")
-        network = self.build(self.stream.grid.size, options, classes)
-        network.load_state_dict(
-            {
-                name: torch.from_numpy(array(weights, name, tuple(value.shape)))
-                for name, value in network.state_dict().items()
-            }
-        )
+        self.classes = weights.card.classes
+        network = self.build(self.stream.grid.size, options, len(self.classes))
+        shapes = {name: tuple(value.shape) for name, value in network.state_dict().items()}
+        if unknown := sorted(weights.arrays.keys() - shapes.keys()):
+            raise WeightsError(f"{self.stream.weights}: arrays that its card does not account for: {unknown}")
+        network.load_state_dict({name: torch.from_numpy(array(weights, name, shape)) for name, shape in shapes.items()})
         self.prepare_inference(network)
         return network.eval()
 

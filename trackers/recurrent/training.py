@@ -26,7 +26,7 @@ from gridtrack.common.errors import ConfigurationError
 from gridtrack.trackers.contract import FitOutput, FrameSource
 from gridtrack.trackers.recurrent.network import RecurrentNetwork, channels_last
 from gridtrack.trackers.recurrent.sequences import EpochSampler, SequenceDataset
-from gridtrack.trackers.recurrent.settings import TrainingSettings
+from gridtrack.trackers.recurrent.settings import TrainingSettings, TransferSettings
 
 Validate = Callable[[nn.Module], dict[str, float]]
 """Scores the network as a tracker on the validation stretch; `score` is what the best one is kept by."""
@@ -45,7 +45,8 @@ def train_network(
     resumed. Raises ConfigurationError where it holds another training.
     """
     logging.getLogger("lightning.pytorch").setLevel(logging.WARNING)  # else it advertises other products
-    resumed = _resumable(out, {"seed": out.seed, "train": dataset.sources, **settings.model_dump()})
+    stage_1 = settings.model_dump(exclude=set(TransferSettings.model_fields))
+    resumed = _resumable(out, {"seed": out.seed, "train": dataset.sources, **stage_1})
     module = TrainingModule(network, settings, validate, out.report)
     folder = out.log_dir / "checkpoints"
     best = ModelCheckpoint(folder, filename="best", monitor="score", mode="max", enable_version_counter=False)

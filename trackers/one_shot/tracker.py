@@ -1,0 +1,87 @@
+"""The `one-shot` tracker: what is visible now, and the class of each cell as one scan shows it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, ClassVar
+
+import numpy as np
+import torch
+
+from gridtrack.common.config import Settings, validated
+from gridtrack.common.errors import WeightsError
+from gridtrack.common.grid import GridFrame
+from gridtrack.trackers.contract import FitOutput, Forecast, FrameSource, Score, StreamSpec, Tracker
+from gridtrack.trackers.one_shot.network import OneShotNetwork
+from gridtrack.trackers.one_shot.settings import NAME, OneShotSettings
+from gridtrack.trackers.weights import Weights, array, load_weights
+
+
+class OneShotTracker(Tracker):
+    """Classes from the raw input alone, without memory: what a latent state is compared with (Ondruska et al., 2016).
+
+    Its occupancy is what is visible now. Only its step 0 is a claim: all later steps repeat it.
+    """
+
+    Options: ClassVar[type[Settings]] = OneShotSettings
+    learns: ClassVar[bool] = True
+
+    def __init__(self, stream: StreamSpec, options: OneShotSettings) -> None:
+        """Raises WeightsError without weights for the stream's site, grid and period."""
+        super().__init__(stream, options)
+        weights = load_weights(stream, NAME)
+        self.classes = weights.card.classes
+        self._network = _restored(weights, options)
+        self.reset(seed=0)
+
+    def reset(self, seed: int) -> None:
+        """Nothing has been seen; nothing here is random."""
+        self._planes = torch.zeros((2, *self.stream.grid.shape))
+
+    def update(self, frame: GridFrame) -> None:
+        """Take in x_t, and forget what was before."""
+        self._planes = planes_of(frame).float()
+
+    def predict(self, steps: int) -> Forecast:
+        """What is seen occupied now, and the classes of one scan, the same for every step."""
+        with torch.inference_mode():
+            semantics = torch.softmax(self._network(self._planes[None]), dim=1).numpy()
+        occupancy = self._planes[1:].numpy()
+        return Forecast(np.repeat(occupancy, steps + 1, axis=0), np.repeat(semantics, steps + 1, axis=0))
+
+    @classmethod
+    def fit(
+        cls,
+        train: Sequence[FrameSource],
+        validation: Sequence[FrameSource],
+        score: Score,
+        out: FitOutput,
+        options: Any,
+    ) -> None:
+        """Learn the classes of a few labelled scans; what `options` leave open is chosen on `validation`."""
+        from gridtrack.trackers.one_shot.training import fit_classifier
+
+        fit_classifier(train, validation, out, options)
+
+
+def planes_of(frame: GridFrame) -> torch.Tensor:
+    """Visible and occupied as one array (2, M, M) uint8."""
+    return torch.from_numpy(np.stack([frame.visible, frame.occupied]).astype(np.uint8))
+
+
+def _restored(weights: Weights, given: OneShotSettings) -> OneShotNetwork:
+    """The trained classifier. Raises WeightsError where the weights do not fit, or contradict a given option."""
+    settings = validated(OneShotSettings, weights.card.settings, f"weights of {NAME}, settings")
+    for key in given.model_fields_set:
+        if getattr(given, key) != getattr(settings, key):
+            raise WeightsError(
+                f"weights of {NAME}: trained with {key}={getattr(settings, key)}, not {getattr(given, key)}: train anew"
+            )
+    network = OneShotNetwork(settings.channels, len(weights.card.classes))
+    network.load_state_dict(
+        {
+            name: torch.from_numpy(array(weights, name, tuple(value.shape)))
+            for name, value in network.state_dict().items()
+        }
+    )
+    return network.eval()
