@@ -17,13 +17,17 @@ from gridtrack.trackers.registry import entries
 from gridtrack.trackers.selection import launch
 
 LEG_TRACKER = StreamSpec(GridSpec(100, 0.1, (-2.0, -4.5)), 0.1, "leg_tracker")
+JUNCTION = StreamSpec(GridSpec(100, 0.2, (-4.0, -16.0)), 0.125, "junction")
 SMALL = StreamSpec(GridSpec(40, 0.2), 0.125, "here")
 
 
 @pytest.mark.parametrize("name", entries())
 def test_a_registered_tracker_keeps_the_contract(name: str) -> None:
-    learned = find_weights(name, LEG_TRACKER.site, None)
-    results = check_tracker(launch(name), replace(LEG_TRACKER, weights=learned and learned.path))
+    known = [
+        (stream, learned) for stream in (LEG_TRACKER, JUNCTION) if (learned := find_weights(name, stream.site, None))
+    ]
+    stream, learned = known[0] if known else (LEG_TRACKER, None)
+    results = check_tracker(launch(name), replace(stream, weights=learned and learned.path))
     if results[0].verdict == "skipped":
         pytest.skip(results[0].detail)
     assert [r for r in results if r.verdict != "passed"] == []

@@ -18,9 +18,9 @@ from gridtrack.trackers.weights import Weights, array, load_weights
 
 
 class OneShotTracker(Tracker):
-    """Classes from the raw input alone, without memory: what a latent state is compared with (Ondruska et al., 2016).
+    """What is visible now, and its classes from one scan alone (Ondruska et al., 2016).
 
-    Its occupancy is what is visible now. Only its step 0 is a claim: all later steps repeat it.
+    Without memory: what classes from a latent state are compared with. Only step 0 is a claim; later steps repeat it.
     """
 
     Options: ClassVar[type[Settings]] = OneShotSettings
