@@ -16,7 +16,7 @@ demo: $(VENV)/.installed-demo
 demo-junction: $(VENV)/.installed-demo
 	rm -rf runs/junction
 	$(BIN)/gridtrack compare $(JUNCTION) --validation data/junction/validation.tracks \
-	    $(foreach tracker,persistence static-map blank kalman,--tracker $(tracker)) --out runs/junction
+	    $(foreach tracker,persistence static-map blank kalman dilated-convgru one-shot,--tracker $(tracker)) --out runs/junction
 
 # The set that the demo is run on, made again with SUMO (about ten minutes on two cores).
 junction: $(VENV)/.installed-sim
@@ -42,9 +42,10 @@ baseline: $(VENV)/.installed-dev
 	    --weights data/weights --horizon 1s --every 0.5s --out runs/baseline
 	$(BIN)/gridtrack regress runs/baseline --baseline tests/baselines/own_trackers.json --update
 
-# What ships in data/weights, made again (two hours on two cores).
+# What ships in data/weights, made again (three hours on two cores).
 GRU := shown=10,blank=20,cycles=1,reverse=true,updates=1500,validate_every=100,learning_rate=0.005,warm_up=20
 RNN := shown=20,blank=20,cycles=1,reverse=true,superpose=true,updates=1000,validate_every=100,learning_rate=0.003,warm_up=100
+GRU_AT_JUNCTION := burn_in=10,shown=10,blank=20,cycles=1,validate_every=250,warm_up=50,learning_rate=0.004,updates=2500
 AT_JUNCTION := data/junction/train.tracks --validation data/junction/validation.tracks
 A_CYCLE := data/junction/train.tracks@0s-96s --validation data/junction/validation.tracks@0s-96s
 weights: $(VENV)/.installed-dev
@@ -52,6 +53,7 @@ weights: $(VENV)/.installed-dev
 	    $(BIN)/gridtrack train $$tracker $(DEMO) --out data/weights || exit 1; done
 	$(BIN)/gridtrack train static-map $(AT_JUNCTION) --out data/weights
 	$(BIN)/gridtrack train kalman $(A_CYCLE) --out data/weights
+	$(BIN)/gridtrack train dilated-convgru:$(GRU_AT_JUNCTION) $(AT_JUNCTION)@0s-90s --out data/weights
 
 $(VENV)/.installed-demo: pyproject.toml constraints.txt | $(VENV)
 	$(BIN)/pip install --constraint constraints.txt --editable '.[deep,model-free]'
