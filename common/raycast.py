@@ -16,6 +16,7 @@ from gridtrack.common.scan import Scan
 FRACTION_BITS = 40
 FURTHEST, LONGEST = 1e9, 1e300
 """Cells from the grid to a sensor, and length of a beam in cells: beyond, and not a number, is no beam at all."""
+Beams = tuple[NDArray[np.float32], NDArray[np.float64], float, float, float, float, float]
 
 
 def cast_scan(scan: Scan, grid: GridSpec, grid_T_sensor: SE2, visible: Mask, occupied: Mask) -> NDArray[np.float32]:
@@ -27,13 +28,7 @@ def cast_scan(scan: Scan, grid: GridSpec, grid_T_sensor: SE2, visible: Mask, occ
     """
     points = np.empty((scan.ranges.size, 2), np.float32)
     inside = _cast(
-        np.ascontiguousarray(scan.ranges, np.float32),
-        _directions(scan.angle_min + grid_T_sensor.theta, scan.angle_increment, scan.ranges.size),
-        scan.range_min,
-        scan.range_max,
-        (grid_T_sensor.x - grid.origin[0]) / grid.cell_m,
-        (grid_T_sensor.y - grid.origin[1]) / grid.cell_m,
-        grid.cell_m,
+        *_beams(scan, grid, grid_T_sensor),
         visible.reshape(-1),
         occupied.reshape(-1),
         grid.size,
@@ -49,6 +44,16 @@ def end_cells(scan: Scan, grid: GridSpec, grid_T_sensor: SE2) -> NDArray[np.int6
     """
     cells = np.empty(scan.ranges.size, np.int64)
     _ends(
+        *_beams(scan, grid, grid_T_sensor),
+        grid.size,
+        cells,
+    )
+    return cells
+
+
+def _beams(scan: Scan, grid: GridSpec, grid_T_sensor: SE2) -> Beams:
+    """What both walks begin with: ranges, directions, range limits, the sensor's place in cells, and a cell's size."""
+    return (
         np.ascontiguousarray(scan.ranges, np.float32),
         _directions(scan.angle_min + grid_T_sensor.theta, scan.angle_increment, scan.ranges.size),
         scan.range_min,
@@ -56,10 +61,7 @@ def end_cells(scan: Scan, grid: GridSpec, grid_T_sensor: SE2) -> NDArray[np.int6
         (grid_T_sensor.x - grid.origin[0]) / grid.cell_m,
         (grid_T_sensor.y - grid.origin[1]) / grid.cell_m,
         grid.cell_m,
-        grid.size,
-        cells,
     )
-    return cells
 
 
 @lru_cache(maxsize=64)

@@ -8,13 +8,13 @@ from typing import Any, ClassVar
 import numpy as np
 import torch
 
-from gridtrack.common.config import Settings, validated
-from gridtrack.common.errors import WeightsError
+from gridtrack.common.config import Settings
 from gridtrack.common.grid import GridFrame
 from gridtrack.trackers.contract import FitOutput, Forecast, FrameSource, Score, StreamSpec, Tracker
 from gridtrack.trackers.one_shot.network import OneShotNetwork
 from gridtrack.trackers.one_shot.settings import NAME, OneShotSettings
-from gridtrack.trackers.weights import Weights, array, load_weights
+from gridtrack.trackers.restoring import restore, trained_settings
+from gridtrack.trackers.weights import load_weights
 
 
 class OneShotTracker(Tracker):
@@ -31,7 +31,9 @@ class OneShotTracker(Tracker):
         super().__init__(stream, options)
         weights = load_weights(stream, NAME)
         self.classes = weights.card.classes
-        self._network = _restored(weights, options)
+        settings = trained_settings(stream, weights, options)
+        self._network = OneShotNetwork(settings.channels, len(self.classes)).eval()
+        restore(self._network, stream, weights)
         self.reset(seed=0)
 
     def reset(self, seed: int) -> None:
@@ -67,21 +69,3 @@ class OneShotTracker(Tracker):
 def planes_of(frame: GridFrame) -> torch.Tensor:
     """Visible and occupied as one array (2, M, M) uint8."""
     return torch.from_numpy(np.stack([frame.visible, frame.occupied]).astype(np.uint8))
-
-
-def _restored(weights: Weights, given: OneShotSettings) -> OneShotNetwork:
-    """The trained classifier. Raises WeightsError where the weights do not fit, or contradict a given option."""
-    settings = validated(OneShotSettings, weights.card.settings, f"weights of {NAME}, settings")
-    for key in given.model_fields_set:
-        if getattr(given, key) != getattr(settings, key):
-            raise WeightsError(
-                f"weights of {NAME}: trained with {key}={getattr(settings, key)}, not {getattr(given, key)}: train anew"
-            )
-    network = OneShotNetwork(settings.channels, len(weights.card.classes))
-    network.load_state_dict(
-        {
-            name: torch.from_numpy(array(weights, name, tuple(value.shape)))
-            for name, value in network.state_dict().items()
-        }
-    )
-    return network.eval()

@@ -10,12 +10,11 @@ import numpy as np
 import torch
 from torch import nn
 
-from gridtrack.common.config import validated
-from gridtrack.common.errors import WeightsError
 from gridtrack.common.grid import GridFrame
 from gridtrack.trackers.contract import FitOutput, Forecast, FrameSource, Score, StreamSpec, Tracker, stream_of
 from gridtrack.trackers.recurrent.network import State, channels_last
-from gridtrack.trackers.weights import Weights, array, card_for, load_weights, save_weights
+from gridtrack.trackers.restoring import restore, trained_settings
+from gridtrack.trackers.weights import Weights, card_for, load_weights, save_weights
 
 VALIDATION_HORIZONS_S = (0.5, 1.0, 2.0)
 
@@ -77,19 +76,10 @@ class RecurrentTracker(Tracker):
 
     def _restored(self, weights: Weights) -> nn.Module:
         """The trained network. Raises WeightsError where the weights do not fit it, or contradict a given option."""
-        options: Any = validated(type(self).Options, weights.card.settings, str(self.stream.weights))
-        for key in self.options.model_fields_set:
-            if getattr(self.options, key) != getattr(options, key):
-                raise WeightsError(
-                    f"{self.stream.weights}: trained with {key}={getattr(options, key)}, not"
-                    f" {getattr(self.options, key)}: train anew with that option"
-                )
+        options = trained_settings(self.stream, weights, self.options)
         self.classes = weights.card.classes
         network = self.build(self.stream.grid.size, options, len(self.classes))
-        shapes = {name: tuple(value.shape) for name, value in network.state_dict().items()}
-        if unknown := sorted(weights.arrays.keys() - shapes.keys()):
-            raise WeightsError(f"{self.stream.weights}: arrays that its card does not account for: {unknown}")
-        network.load_state_dict({name: torch.from_numpy(array(weights, name, shape)) for name, shape in shapes.items()})
+        restore(network, self.stream, weights)
         self.prepare_inference(network)
         return network.eval()
 
