@@ -62,6 +62,20 @@ def test_convgru_layer_is_the_printed_equations_with_six_separate_convolutions()
     torch.testing.assert_close(layer(x, h), f * h + (1 - f) * c)
 
 
+def test_without_gates_a_cell_is_the_candidate_alone():
+    layer = randomised(DilatedConvGRU(7, DilatedConvGRUSettings(layers=2, channels=3, cell="plain"))).layers[1]
+    x, h = torch.randn(2, 3, 7, 7), torch.randn(2, 3, 7, 7)
+    x_conv, h_conv = (
+        conv2d(image, weight, padding=2, dilation=2)
+        for image, weight in ((x, layer.input_weight), (h, layer.state_weight))
+    )
+    torch.testing.assert_close(layer(x, h), torch.tanh(x_conv + h_conv + layer.biases["candidate"]))
+
+
+def test_without_dilation_a_step_sees_seven_cells_square():
+    assert receptive_field(DilatedConvGRUSettings(dilated=False)) == (12, 18, 12, 18)
+
+
 @pytest.mark.parametrize("static_gates", [("keep", "reset", "candidate"), ("candidate",)])
 @pytest.mark.parametrize("with_input", [True, False])
 def test_the_fused_gates_are_the_gates(with_input, static_gates):
@@ -77,21 +91,26 @@ def test_the_fused_gates_are_the_gates(with_input, static_gates):
     torch.testing.assert_close(fused, convgru_gates(x if with_input else None, h_conv, biases, h), rtol=0, atol=2e-6)
 
 
-def test_one_step_sees_a_receptive_field_of_fifteen_cells_square():
-    network = randomised(DilatedConvGRU(31, DilatedConvGRUSettings()))
+def receptive_field(settings):
+    network = randomised(DilatedConvGRU(31, settings))
     x = torch.zeros(1, 2, 31, 31, requires_grad=True)
     network.features(network.step(x, network.initial(1)))[0, :, 15, 15].sum().backward()
     rows, columns = torch.nonzero(x.grad[0, 0], as_tuple=True)
-    assert (rows.min(), rows.max(), columns.min(), columns.max()) == (8, 22, 8, 22)
+    return rows.min(), rows.max(), columns.min(), columns.max()
+
+
+def test_one_step_sees_a_receptive_field_of_fifteen_cells_square():
+    assert receptive_field(DilatedConvGRUSettings()) == (8, 22, 8, 22)
 
 
 @pytest.mark.parametrize(
     "network",
     [
         DilatedConvGRU(12, DilatedConvGRUSettings(channels=4)),
+        DilatedConvGRU(12, DilatedConvGRUSettings(channels=4, cell="plain")),
         DeepTrackingRNN(12, DeepTrackingRNNSettings(variant="paper")),
     ],
-    ids=["convgru", "rnn"],
+    ids=["convgru", "plain", "rnn"],
 )
 def test_the_empty_input_is_both_planes_zero(network):
     randomised(network)

@@ -9,7 +9,7 @@ from torch import nn
 
 from gridtrack.trackers.contract import FitOutput, FrameSource, Score
 from gridtrack.trackers.recurrent.deep_tracking_rnn import DeepTrackingRNN, DeepTrackingRNNSettings
-from gridtrack.trackers.recurrent.dilated_convgru import DilatedConvGRU, DilatedConvGRUSettings
+from gridtrack.trackers.recurrent.dilated_convgru import DilatedConvGRU, DilatedConvGRUSettings, convgru_gates
 from gridtrack.trackers.recurrent.fused import fused_gates
 from gridtrack.trackers.recurrent.network import start_from_rate
 from gridtrack.trackers.recurrent.settings import TrainingSettings, TransferSettings
@@ -41,15 +41,16 @@ class DilatedConvGRUTracker(RecurrentTracker):
         from gridtrack.trackers.recurrent.training import compiled
 
         start_from_rate(network.decode_occupancy, rate)
-        gates = compiled(network.layers[0].gates, report)
+        cell = compiled(network.layers[0].cell, report)
         for layer in network.layers:
-            layer.gates = gates
+            layer.cell = cell
 
     @classmethod
     def prepare_inference(cls, network: Any) -> None:
         """The gates in one pass over memory."""
         for layer in network.layers:
-            layer.gates = fused_gates
+            if layer.cell is convgru_gates:
+                layer.cell = fused_gates
 
     @classmethod
     def fit(

@@ -31,14 +31,22 @@ GATES: tuple[Gate, ...] = ("keep", "reset", "candidate")
 
 
 class DilatedConvGRUSettings(Settings):
-    """The shape of the network; the defaults are the paper's.
+    """The shape of the network; the defaults are the paper's, and each of the last three takes one of its claims away.
 
-    `static_gates` are those whose bias is a map; the others have one bias a channel.
+    `static_gates` are those whose bias is a map; the others have one bias a channel. `dilated=false` leaves all
+    convolutions dense. `cell=plain` is h' = tanh(Wxh*x + Whh*h + bh), the candidate alone.
     """
 
     layers: int = Field(3, ge=1, le=8)
     channels: int = Field(16, ge=1, le=256)
     static_gates: tuple[Gate, ...] = GATES
+    dilated: bool = True
+    cell: Literal["gru", "plain"] = "gru"
+
+    @property
+    def gates(self) -> tuple[Gate, ...]:
+        """What a cell computes, in the order of its convolutions' channels."""
+        return GATES if self.cell == "gru" else ("candidate",)
 
 
 def convgru_gates(x: Tensor | None, h_conv: Tensor, biases: tuple[Tensor, ...], h: Tensor) -> Tensor:
@@ -58,25 +66,31 @@ def convgru_gates(x: Tensor | None, h_conv: Tensor, biases: tuple[Tensor, ...], 
     return c + f * (h - c)
 
 
+def plain_cell(x: Tensor | None, h_conv: Tensor, biases: tuple[Tensor, ...], h: Tensor) -> Tensor:
+    """The same of a cell without gates: `x` and `h_conv` (B, C, M, M), one bias; `h` is not kept."""
+    (candidate,) = biases
+    return torch.tanh(candidate + h_conv if x is None else candidate + h_conv + x)
+
+
 class DilatedConvGRULayer(nn.Module):
     """One recurrent layer: x (B, I, M, M) or None, h (B, C, M, M) -> h'."""
 
     def __init__(self, inputs: int, size: int, dilation: int, settings: DilatedConvGRUSettings) -> None:
         super().__init__()
-        channels = settings.channels
-        self.dilation = dilation
-        self.input_weight = nn.Parameter(torch.empty(3 * channels, inputs, 3, 3))
-        self.state_weight = nn.Parameter(torch.empty(3 * channels, channels, 3, 3))
+        channels, outputs = settings.channels, len(settings.gates) * settings.channels
+        self.gates, self.dilation = settings.gates, dilation
+        self.input_weight = nn.Parameter(torch.empty(outputs, inputs, 3, 3))
+        self.state_weight = nn.Parameter(torch.empty(outputs, channels, 3, 3))
         self._initialise()
         self.biases = nn.ParameterDict(
             {
                 gate: torch.zeros(size, size, channels).permute(2, 0, 1)
                 if gate in settings.static_gates
                 else torch.zeros(channels, 1, 1)
-                for gate in GATES
+                for gate in settings.gates
             }
         )
-        self.gates: Callable[..., Tensor] = convgru_gates
+        self.cell: Callable[..., Tensor] = convgru_gates if settings.cell == "gru" else plain_cell
 
     @torch.no_grad()
     def _initialise(self) -> None:
@@ -88,7 +102,7 @@ class DilatedConvGRULayer(nn.Module):
         for weight in (self.input_weight, self.state_weight):
             nn.init.normal_(weight, std=0.3 * (weight.shape[1] * 9) ** -0.5)
         channels, inputs = self.state_weight.shape[1], self.input_weight.shape[1]
-        candidate = self.input_weight[2 * channels :, :, 1, 1]
+        candidate = self.input_weight[-channels:, :, 1, 1]
         if inputs == channels:
             candidate += torch.eye(channels)
         else:
@@ -97,7 +111,9 @@ class DilatedConvGRULayer(nn.Module):
     def forward(self, x: Tensor | None, h: Tensor) -> Tensor:
         """h' from x and h."""
         x_conv = None if x is None else self._convolve(x, self.input_weight)
-        return self.gates(x_conv, self._convolve(h, self.state_weight), tuple(self.biases[gate] for gate in GATES), h)
+        return self.cell(
+            x_conv, self._convolve(h, self.state_weight), tuple(self.biases[gate] for gate in self.gates), h
+        )
 
     def _convolve(self, x: Tensor, weight: Tensor) -> Tensor:
         return functional.conv2d(x, weight, padding=self.dilation, dilation=self.dilation)
@@ -113,7 +129,7 @@ class DilatedConvGRU(nn.Module):
         super().__init__()
         self.size, self.channels = size, settings.channels
         self.layers = nn.ModuleList(
-            DilatedConvGRULayer(2 if k == 0 else settings.channels, size, 2**k, settings)
+            DilatedConvGRULayer(2 if k == 0 else settings.channels, size, 2**k if settings.dilated else 1, settings)
             for k in range(settings.layers)
         )
         self.decode_occupancy = nn.Conv2d(settings.channels, 1, 3, padding=1)
