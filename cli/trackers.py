@@ -31,9 +31,8 @@ def train(
     from gridtrack.common.grid import GridSpec
     from gridtrack.evaluation.comparison.learned import users_folder
     from gridtrack.evaluation.comparison.train import train as train_tracker
-    from gridtrack.trackers.selection import parse_selection
 
-    chosen = parse_selection(tracker)
+    chosen = _tracker_alone(tracker)
     card = train_tracker(
         chosen.name,
         recordings,
@@ -126,9 +125,9 @@ def check_tracker(
     from gridtrack.evaluation.comparison.learned import find_weights
     from gridtrack.evaluation.processes.contract_suite import check_tracker as check
     from gridtrack.reports.terminal import print_rows
-    from gridtrack.trackers.selection import launch, parse_selection, read_trackers_toml
+    from gridtrack.trackers.selection import launch, read_trackers_toml
 
-    chosen = parse_selection(tracker)
+    chosen = _tracker_alone(tracker)
     stream = _stream(recording)
     found = find_weights(chosen.name, stream.site, weights)
     launched = launch(chosen.name, read_trackers_toml(trackers_toml) if trackers_toml else None)
@@ -151,6 +150,16 @@ def new_tracker(
     module = write(name, out or Path(name))
     folder = module.parent
     typer.echo(f"tracker: {module}\nnext: pip install -e {folder} && gridtrack trackers check {name}")
+
+
+def _tracker_alone(text: str) -> Any:
+    """A selection without what only a row of a comparison can have."""
+    from gridtrack.trackers.selection import parse_selection
+
+    chosen = parse_selection(text)
+    if chosen.points != "centres" or chosen.weights is not None:
+        raise ConfigurationError(f"tracker '{text}': points= and weights= are for rows of a comparison")
+    return chosen
 
 
 def _refuse_untrained(launched: Any, options: Any, site: str) -> None:

@@ -80,6 +80,11 @@ def test_check_tries_the_contract():
     assert len(rows) == 9
 
 
+def test_what_only_a_row_of_a_comparison_has_is_not_passed_over_elsewhere():
+    for command in (["check", "persistence:points=raw"], ["check", "static-map:weights=there"]):
+        assert "points= and weights= are for rows of a comparison" in gridtrack("trackers", *command, code=2).stderr
+
+
 def test_a_tracker_that_has_learned_the_recordings_site_is_checked_on_it():
     rows = json.loads(gridtrack("trackers", "check", "static-map", "--recording", DEMO, "--json").stdout)
     assert {row["verdict"] for row in rows} == {"passed"}

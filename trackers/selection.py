@@ -27,13 +27,15 @@ class Selection:
     """One row of a comparison.
 
     `points` is what the frames carry as returns: the centres of the occupied cells, the same for everybody, or the
-    laser's own (`points=raw`). `options` are the tracker's own, not yet validated.
+    laser's own (`points=raw`). `weights` is the folder of this row's own weights (`weights=DIR`), so that two trainings
+    of a tracker can be compared. `options` are the tracker's own, not yet validated.
     """
 
     label: str
     name: str
     options: Mapping[str, Any] = field(default_factory=dict)
     points: Points = "centres"
+    weights: Path | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,7 +72,10 @@ def parse_selection(text: str) -> Selection:
     points = options.pop("points", "centres")
     if points not in ("centres", "raw"):
         raise ConfigurationError(f"{where}: points={points}; expected centres or raw")
-    return Selection(label, name, options, points)
+    weights = options.pop("weights", None)
+    if not isinstance(weights, str | None) or weights == "":
+        raise ConfigurationError(f"{where}: weights={weights}; expected a folder")
+    return Selection(label, name, options, points, Path(weights) if weights else None)
 
 
 def parse_selections(texts: Iterable[str]) -> tuple[Selection, ...]:

@@ -49,10 +49,17 @@ def find_weights(tracker: str, site: str, override: Path | None) -> LearnedWeigh
     if not SITE.fullmatch(site):
         return None
     for folder in _folders(override):
-        path = weights_path(folder, tracker, site)
-        if path.is_file():
-            return LearnedWeights(path, read_card(path), sha256_of(path))
+        if weights_path(folder, tracker, site).is_file():
+            return weights_in(folder, tracker, site)
     return None
+
+
+def weights_in(folder: Path, tracker: str, site: str) -> LearnedWeights:
+    """The weights of `tracker` for `site` in `folder` and nowhere else. Raises WeightsError where there are none."""
+    path = weights_path(folder, tracker, site)
+    if not path.is_file():
+        raise WeightsError(f"{folder}: no weights of {tracker} for the site '{site}' ({path} is missing)")
+    return LearnedWeights(path, read_card(path), sha256_of(path))
 
 
 def weights_path(folder: Path, tracker: str, site: str) -> Path:

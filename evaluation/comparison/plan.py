@@ -16,7 +16,7 @@ from gridtrack.common.degrade import Degradation
 from gridtrack.common.errors import ConfigurationError, PluginError, did_you_mean
 from gridtrack.common.grid import GridSpec
 from gridtrack.common.stream import GridStream
-from gridtrack.evaluation.comparison.learned import LearnedWeights, find_weights
+from gridtrack.evaluation.comparison.learned import LearnedWeights, find_weights, weights_in
 from gridtrack.evaluation.processes.tracker_process import Limits, describe
 from gridtrack.evaluation.scoring.courses import ORACLE, Course, Sampling, plan_courses, was_seen, with_points
 from gridtrack.evaluation.statistics.inference import ALL_RECORDINGS
@@ -151,7 +151,7 @@ def resolve(settings: CompareSettings) -> Plan:
             selection,
             launches[selection.label],
             course,
-            find_weights(selection.name, course.test.site, settings.weights),
+            _weights_of(selection, course.test.site, settings.weights),
             settings.seed,
             settings.limits,
         )
@@ -204,6 +204,12 @@ def _refuse_equal_names(courses: tuple[Course, ...]) -> None:
                 " recording and stretch once, and rename one of two files of the same name"
             )
         seen[course.name] = course.path
+
+
+def _weights_of(selection: Selection, site: str, override: Path | None) -> LearnedWeights | None:
+    if selection.weights is not None:
+        return weights_in(selection.weights, selection.name, site)
+    return find_weights(selection.name, site, override)
 
 
 def _seen_before(trial: Trial) -> Iterator[str]:

@@ -32,6 +32,7 @@ from gridtrack.trackers.selection import (
         ),
         ("kalman:gate=NaN,far=-Infinity", Selection("kalman", "kalman", {"gate": "NaN", "far": "-Infinity"})),
         ("kalman:points=raw,gate=1", Selection("kalman", "kalman", {"gate": 1}, "raw")),
+        ("kalman:weights=runs/a,gate=1", Selection("kalman", "kalman", {"gate": 1}, weights=Path("runs/a"))),
         ("x=kalman:file=C:/a b", Selection("x", "kalman", {"file": "C:/a b"})),
     ],
 )
@@ -52,6 +53,8 @@ def test_a_selection_reads_as_it_is_written(text: str, expected: Selection) -> N
         ("kalman:gate", "'gate' is not of the form key=value"),
         ("kalman:gate=1,gate=2", "'gate' is given twice"),
         ("kalman:points=all", "points=all; expected centres or raw"),
+        ("kalman:weights=", "weights=; expected a folder"),
+        ("kalman:weights=3", "weights=3; expected a folder"),
         ("kalman:points=[1]", r"points=\[1\]; expected centres or raw"),
     ],
 )

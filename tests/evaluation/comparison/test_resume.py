@@ -66,3 +66,18 @@ def test_a_run_names_its_weights_without_the_folders_of_the_machine(settings, re
     kept = json.loads(Path(tmp_path, "run", "run.json").read_text())["weights"]
     assert kept["static-map@room"]["name"] == "static-map/room.toml"
     assert set(kept["static-map@room"]) == {"name", "sha256"}
+
+
+def test_two_trainings_of_a_tracker_are_compared_each_with_the_weights_of_its_row(settings, record, tmp_path):
+    for name in ("first", "second"):
+        train("static-map", [str(record())], [], tmp_path / name, {}, 0, "", report=lambda _: None)
+    first, second = resolve(
+        settings(*(f"{n}=static-map:weights={tmp_path / n}" for n in ("first", "second")), weights=tmp_path / "first")
+    ).trials
+    assert [trial.weights.path.parent.parent.name for trial in (first, second)] == ["first", "second"]
+
+
+def test_a_row_whose_weights_are_not_in_their_folder_gets_no_others(settings, record, tmp_path):
+    train("static-map", [str(record())], [], tmp_path / "given", {}, 0, "", report=lambda _: None)
+    with pytest.raises(WeightsError, match=r"empty: no weights of static-map for the site 'room'"):
+        resolve(settings(f"static-map:weights={tmp_path / 'empty'}", weights=tmp_path / "given"))
