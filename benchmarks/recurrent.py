@@ -53,7 +53,7 @@ def training(kind: type[RecurrentTracker], threads: int) -> None:
     torch.set_num_threads(threads)
     options = kind.Options()
     network = kind.build(SIZE, options, 0).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
-    kind.prepare_training(network, 0.02, print)
+    kind.prepare_training(network, 0.02)
     frames = [busy_frame(t) for t in range(options.length)]
     window = torch.from_numpy(np.stack([np.stack([f.visible, f.occupied]) for f in frames]).astype(np.float32))
     windows = window.expand(options.batch, -1, -1, -1, -1)

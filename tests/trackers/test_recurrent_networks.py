@@ -8,6 +8,7 @@ torch = pytest.importorskip("torch")
 from torch.nn.functional import conv2d  # noqa: E402
 
 from gridtrack.trackers.recurrent.deep_tracking_rnn import DeepTrackingRNN, DeepTrackingRNNSettings  # noqa: E402
+from gridtrack.trackers.recurrent.differentiable import differentiable_gates  # noqa: E402
 from gridtrack.trackers.recurrent.dilated_convgru import (  # noqa: E402
     GATES,
     DilatedConvGRU,
@@ -89,6 +90,28 @@ def test_the_fused_gates_are_the_gates(with_input, static_gates):
     fused = fused_gates(x if with_input else None, h_conv, biases, h)
 
     torch.testing.assert_close(fused, convgru_gates(x if with_input else None, h_conv, biases, h), rtol=0, atol=2e-6)
+
+
+@pytest.mark.parametrize("precision", [torch.float32, torch.bfloat16])
+@pytest.mark.parametrize("static_gates", [("keep", "reset", "candidate"), ("reset",)])
+@pytest.mark.parametrize("with_input", [True, False])
+def test_the_gates_that_are_trained_have_the_gradient_of_the_gates(with_input, static_gates, precision):
+    settings = DilatedConvGRUSettings(channels=5, static_gates=static_gates)
+    layer = channels_last(randomised(DilatedConvGRU(9, settings))).layers[0]
+    biases = tuple(layer.biases[gate] for gate in GATES)
+    x, h_conv, h, above = (torch.randn(2, c, 9, 9, requires_grad=True) for c in (15, 15, 5, 5))
+    x_conv = x.to(precision) if with_input else None
+    leaves = (*biases, h, h_conv, x)[: None if with_input else -1]
+
+    expected = convgru_gates(x_conv, h_conv.to(precision), biases, h)
+    found = differentiable_gates(x_conv, h_conv.to(precision), biases, h)
+
+    torch.testing.assert_close(found, expected, rtol=0, atol=2e-6)
+    tolerance = {"rtol": 1e-5, "atol": 1e-5} if precision == torch.float32 else {"rtol": 2**-8, "atol": 1e-4}
+    for mine, theirs in zip(
+        torch.autograd.grad(found, leaves, above), torch.autograd.grad(expected, leaves, above), strict=True
+    ):
+        torch.testing.assert_close(mine, theirs, **tolerance)
 
 
 def receptive_field(settings):

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any, ClassVar
 
 from torch import nn
 
 from gridtrack.trackers.contract import FitOutput, FrameSource, Score
 from gridtrack.trackers.recurrent.deep_tracking_rnn import DeepTrackingRNN, DeepTrackingRNNSettings
+from gridtrack.trackers.recurrent.differentiable import differentiable_gates
 from gridtrack.trackers.recurrent.dilated_convgru import DilatedConvGRU, DilatedConvGRUSettings, convgru_gates
 from gridtrack.trackers.recurrent.fused import fused_gates
 from gridtrack.trackers.recurrent.network import start_from_rate
@@ -36,14 +37,12 @@ class DilatedConvGRUTracker(RecurrentTracker):
         return DilatedConvGRU(size, options, classes)
 
     @classmethod
-    def prepare_training(cls, network: Any, rate: float, report: Callable[[str], None]) -> None:
-        """Output bias at the occupied rate; the gates fused into one kernel."""
-        from gridtrack.trackers.recurrent.training import compiled
-
+    def prepare_training(cls, network: Any, rate: float) -> None:
+        """Output bias at the occupied rate; the gates and their gradient in one pass over memory."""
         start_from_rate(network.decode_occupancy, rate)
-        cell = compiled(network.layers[0].cell, report)
         for layer in network.layers:
-            layer.cell = cell
+            if layer.cell is convgru_gates:
+                layer.cell = differentiable_gates
 
     @classmethod
     def prepare_inference(cls, network: Any) -> None:
@@ -82,7 +81,7 @@ class DeepTrackingRNNTracker(RecurrentTracker):
         return DeepTrackingRNN(size, options)
 
     @classmethod
-    def prepare_training(cls, network: Any, rate: float, report: Callable[[str], None]) -> None:
+    def prepare_training(cls, network: Any, rate: float) -> None:
         """Output bias at the occupied rate."""
         start_from_rate(network.decode, rate)
 

@@ -18,7 +18,7 @@ from torch import Tensor
 _LOG2_E = np.float32(1.0 / math.log(2.0))
 _TAYLOR = tuple(np.float32(math.log(2.0) ** k / math.factorial(k)) for k in range(7))
 """2^f = sum of _TAYLOR[k] f^k, to 2e-7 for |f| <= 1/2."""
-_FLAGS = {"contract", "nsz", "arcp"}
+FLAGS = {"contract", "nsz", "arcp"}
 _ROWS = numba.float32[:, ::1]
 
 
@@ -40,8 +40,8 @@ def _rows(tensor: Tensor) -> NDArray[np.float32]:
     return rows
 
 
-@numba.njit(inline="always", fastmath=_FLAGS)
-def _sigmoid(x):  # type: ignore[no-untyped-def]
+@numba.njit(inline="always", fastmath=FLAGS)
+def sigmoid(x):  # type: ignore[no-untyped-def]
     """1 / (1 + 2^t) with t = -x log2 e; 2^t is 2^n, put together from its bits, times a polynomial of the rest."""
     t = min(max(-x * _LOG2_E, np.float32(-126.0)), np.float32(126.0))
     n = np.floor(t + np.float32(0.5))
@@ -53,16 +53,16 @@ def _sigmoid(x):  # type: ignore[no-untyped-def]
     return np.float32(1.0) / (np.float32(1.0) + power * two_to_n)
 
 
-@numba.njit(inline="always", fastmath=_FLAGS)
+@numba.njit(inline="always", fastmath=FLAGS)
 def _cell(keep, reset, candidate, candidate_h, h):  # type: ignore[no-untyped-def]
     """h' of one channel of one cell; tanh(a) = 2 sigmoid(2 a) - 1."""
-    a = candidate + _sigmoid(reset) * candidate_h
-    c = np.float32(2.0) * _sigmoid(a + a) - np.float32(1.0)
-    return c + _sigmoid(keep) * (h - c)
+    a = candidate + sigmoid(reset) * candidate_h
+    c = np.float32(2.0) * sigmoid(a + a) - np.float32(1.0)
+    return c + sigmoid(keep) * (h - c)
 
 
 # With their signatures the kernels are compiled when a tracker's process starts, and not in its first update.
-@numba.njit([(_ROWS,) * 7], cache=True, nogil=True, fastmath=_FLAGS, error_model="numpy")
+@numba.njit([(_ROWS,) * 7], cache=True, nogil=True, fastmath=FLAGS, error_model="numpy")
 def _gates(x, h_conv, b_keep, b_reset, b_candidate, h, out):  # type: ignore[no-untyped-def]
     cells, channels = h.shape
     for i in range(cells):
@@ -77,7 +77,7 @@ def _gates(x, h_conv, b_keep, b_reset, b_candidate, h, out):  # type: ignore[no-
             )
 
 
-@numba.njit([(_ROWS,) * 6], cache=True, nogil=True, fastmath=_FLAGS, error_model="numpy")
+@numba.njit([(_ROWS,) * 6], cache=True, nogil=True, fastmath=FLAGS, error_model="numpy")
 def _gates_without_input(h_conv, b_keep, b_reset, b_candidate, h, out):  # type: ignore[no-untyped-def]
     cells, channels = h.shape
     for i in range(cells):

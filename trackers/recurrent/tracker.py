@@ -40,7 +40,7 @@ class RecurrentTracker(Tracker):
 
     @classmethod
     @abstractmethod
-    def prepare_training(cls, network: Any, rate: float, report: Any) -> None:
+    def prepare_training(cls, network: Any, rate: float) -> None:
         """Last touches before training: output bias at the occupied `rate`, fused kernels."""
 
     @classmethod
@@ -99,7 +99,7 @@ class RecurrentTracker(Tracker):
         torch.manual_seed(out.seed)
         dataset = SequenceDataset(train, options.length, out.seed, reverse=options.reverse, superpose=options.superpose)
         network = cls.build(train[0].grid.size, options, classes=0)
-        cls.prepare_training(network, occupied_rate(dataset.stretches), out.report)
+        cls.prepare_training(network, occupied_rate(dataset.stretches))
         steps = round(max(VALIDATION_HORIZONS_S) / train[0].period_s)
 
         def validate(trained: nn.Module) -> dict[str, float]:

@@ -9,7 +9,6 @@ from __future__ import annotations
 import json
 import logging
 import math
-import shutil
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -144,15 +143,6 @@ def sequence_loss(network: RecurrentNetwork, windows: Tensor, settings: Training
     visible, occupied = frames[settings.burn_in :].flatten(0, 1).unbind(dim=1)
     loss = functional.binary_cross_entropy_with_logits(logits, occupied, weight=visible, reduction="sum")
     return loss / visible.sum().clamp(min=1.0)
-
-
-def compiled(function: Callable[..., Tensor], report: Callable[[str], None]) -> Callable[..., Tensor]:
-    """`function` fused by torch.compile where there is a C++ compiler, else as it is, and said so."""
-    if any(shutil.which(compiler) for compiler in ("c++", "g++", "clang++")):
-        fused: Callable[..., Tensor] = torch.compile(function, dynamic=False)
-        return fused
-    report("no C++ compiler found: the gates are not fused, and training is about a third slower")
-    return function
 
 
 def validation_scores(
