@@ -15,7 +15,7 @@ from gridtrack.common.errors import GridtrackError
 from gridtrack.evaluation.scoring.courses import ORACLE
 from gridtrack.evaluation.statistics.inference import ALL_RECORDINGS
 from gridtrack.evaluation.statistics.summary import SCHEMA, SUMMARY
-from gridtrack.reports.trial import Number, Read, Trial
+from gridtrack.reports.trial import Curve, Number, Read, Trial
 
 MAX_BYTES = 256 << 20
 """A larger run.json or summary.json is refused before it is read."""
@@ -99,6 +99,23 @@ class Difference(Read):
     headline: tuple[HeadlineTest, ...] = Field(default=(), max_length=100)
 
 
+class ClassLosses(Read):
+    """Log loss of a scan's classes less the reference's, per step."""
+
+    nll_per_scan: Curve
+    nll_per_scan_low: Curve
+    nll_per_scan_high: Curve
+
+
+class ClassDifference(Read):
+    """What one tracker took cells for against the reference of classes, by kind, on a recording or on all."""
+
+    recordings: str
+    tracker: str
+    reference: str
+    kinds: dict[str, ClassLosses]
+
+
 class Summary(Read):
     """summary.json; where recordings are pooled, all of them together stand first among `recordings`."""
 
@@ -106,6 +123,7 @@ class Summary(Read):
     recordings: dict[str, Recording] = Field(min_length=1)
     trackers: dict[str, TrackerEntry]
     differences: tuple[Difference, ...] = ()
+    class_differences: tuple[ClassDifference, ...] = ()
     notices: tuple[str, ...] = ()
     interrupted: bool = False
 
@@ -128,6 +146,10 @@ class Summary(Read):
                 for stratum, curve in trial.curves:
                     if len(curve) != steps:
                         raise ValueError(f"{label} on {name}, {stratum}: {len(curve)} steps, expected {steps}")
+        for one in self.class_differences:
+            steps = len(self.recordings[one.recordings].horizons_s) if one.recordings in self.recordings else 0
+            if any(len(curve) != steps for losses in one.kinds.values() for _, curve in losses):
+                raise ValueError(f"{one.tracker} on {one.recordings}: class differences not of {steps} steps")
         return self
 
 

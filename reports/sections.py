@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
+from gridtrack.reports.classes import Classes, classes_of
 from gridtrack.reports.conditions import Deadlines, RobustnessTable, deadlines_of, robustness_of
 from gridtrack.reports.differences import Differences, differences_of
 from gridtrack.reports.figures import Axis, Band, CurvePanel, Series, Span, TimeScale, curve_panel, time_scale
@@ -12,7 +13,7 @@ from gridtrack.reports.film import Film, film_of
 from gridtrack.reports.run import FLOOR, Run
 from gridtrack.reports.table import HeadlineTable, Row
 from gridtrack.reports.trial import Latency, StratumScores, Trial
-from gridtrack.reports.truth import SIDE, Calibration, Classes, Hidden, calibrations_of, classes_of, hidden_of
+from gridtrack.reports.truth import SIDE, Calibration, Hidden, calibrations_of, hidden_of
 
 COLOURS = 8
 """Trackers beyond this many repeat the colours, with broken lines."""
@@ -129,7 +130,7 @@ def section_of(runs: Sequence[Run], table: HeadlineTable, styles: Mapping[str, s
         robustness=robustness_of(table, styles),
         film=film,
         hidden=hidden_of(table),
-        classes=classes_of(table),
+        classes=classes_of(table, runs[0] if len(runs) == 1 else None),
         calibrations=calibrations,
     )
     return section, (*notices, *unread)

@@ -124,6 +124,10 @@ class ClassScores(Read):
 
     nll_per_cell: Curve
     nll_per_scan: Curve
+    nll_per_scan_low: Curve | None = None
+    nll_per_scan_high: Curve | None = None
+    interval: str = ""
+    """Why the log loss has no interval, where it has none."""
     balanced_accuracy: Curve
 
 
@@ -165,7 +169,7 @@ class Trial(Read):
             for name, found in classes.items():
                 yield from ((name, found.recall), (name, found.cells))
         for kind, meant in self.semantics.kinds.items() if self.semantics else ():
-            yield from ((kind, values) for _, values in meant)
+            yield from ((kind, curve) for _, curve in meant if isinstance(curve, tuple))
 
     @property
     def complete(self) -> bool:

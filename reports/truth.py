@@ -1,8 +1,8 @@
-"""What was hidden, what things are, and how far to trust a probability: truth, classes and calibration on the page."""
+"""What was hidden, and how far to trust a probability: truth and calibration on the page."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from gridtrack.evaluation.scoring.counting import Tally
@@ -10,10 +10,8 @@ from gridtrack.evaluation.scoring.scores import ScoresError, read_tally
 from gridtrack.reports.figures import Axis
 from gridtrack.reports.run import Run
 from gridtrack.reports.table import HeadlineTable, Row
-from gridtrack.reports.trial import ClassScores, Trial
 
 HIDDEN = "occluded"
-KINDS = ("visible", "occluded")
 SIDE, LEAST_CELLS = 170.0, 50
 """Side of a calibration drawing; bins of fewer cells are noise and not drawn."""
 Value = float | None
@@ -36,28 +34,6 @@ class Hidden:
     horizon: str
     strata: tuple[str, ...]
     rows: tuple[HiddenRow, ...]
-
-
-@dataclass(frozen=True)
-class ClassRow:
-    """One tracker: recall of each class by kind, and where it gives classes its log loss and accuracy by kind."""
-
-    row: Row
-    recall: tuple[Value, ...]
-    semantics: tuple[Value, ...]
-
-
-@dataclass(frozen=True)
-class Classes:
-    """What was found of each class, and what it was taken for, at one step."""
-
-    horizon: str
-    columns: tuple[tuple[str, str], ...]
-    """Kind and class of every column of recall."""
-    kinds: tuple[str, ...]
-    semantic: bool
-    """Whether any tracker gives classes."""
-    rows: tuple[ClassRow, ...]
 
 
 @dataclass(frozen=True)
@@ -90,53 +66,6 @@ def _hidden_row(row: Row, names: Sequence[str], step: int) -> HiddenRow:
         tuple(strata[name].f1[step] if name in strata else None for name in names),
         None if gap is None else gap[step],
         tuple(None if share is None else share[step] for share in shares),
-    )
-
-
-def classes_of(table: HeadlineTable) -> Classes | None:
-    """The rows of a recording whose classes are known; None without."""
-    rows = [row for row in table.rows if row.trial.recall_by_class]
-    if not rows:
-        return None
-    step = table.decisive.step
-    columns = tuple(dict.fromkeys(column for row in rows for column in _known(row.trial, step)))
-    kinds = tuple(kind for kind in KINDS if any(_semantics(row.trial, kind) for row in rows))
-    return Classes(
-        table.decisive.heading,
-        columns,
-        kinds,
-        bool(kinds),
-        tuple(ClassRow(row, _recalls(row.trial, columns, step), _meanings(row.trial, kinds, step)) for row in rows),
-    )
-
-
-def _known(trial: Trial, step: int) -> Iterator[tuple[str, str]]:
-    """Kind and class of what there is to find at `step`."""
-    by_kind = trial.recall_by_class or {}
-    return ((kind, name) for kind in KINDS for name, c in by_kind.get(kind, {}).items() if c.cells[step])
-
-
-def _recalls(trial: Trial, columns: Sequence[tuple[str, str]], step: int) -> tuple[Value, ...]:
-    by_kind = trial.recall_by_class or {}
-    found = (by_kind.get(kind, {}).get(name) for kind, name in columns)
-    return tuple(None if one is None else one.recall[step] for one in found)
-
-
-def _semantics(trial: Trial, kind: str) -> ClassScores | None:
-    return trial.semantics.kinds.get(kind) if trial.semantics else None
-
-
-def _meanings(trial: Trial, kinds: Sequence[str], step: int) -> tuple[Value, ...]:
-    """Log loss per cell and per scan, and balanced accuracy, of each kind."""
-    found = (_semantics(trial, kind) for kind in kinds)
-    return tuple(
-        value
-        for one in found
-        for value in (
-            (None, None, None)
-            if one is None
-            else (one.nll_per_cell[step], one.nll_per_scan[step], one.balanced_accuracy[step])
-        )
     )
 
 

@@ -134,6 +134,24 @@ def read_semantics(folder: Path, steps: int, classes: Sequence[str]) -> Semantic
     return counts
 
 
+def read_scan_losses(folder: Path, stamps_ns: NDArray[np.int64], steps: int) -> NDArray[np.float32]:
+    """Of every scan its mean log loss, nats, and 1, or 0 and 0 where the class of no cell is known: (F, S, kind, 2).
+
+    `stamps_ns` (F,) are those of the frames forecast from, increasing. Raises ScoresError.
+    """
+    losses = np.zeros((stamps_ns.size, steps + 1, len(KINDS), 2), np.float32)
+    rows = _scan(folder / SEMANTICS, _SEMANTICS_SCHEMA).group_by("stamp_ns", "step", "kind")
+    try:
+        scans = rows.agg(pl.col("log_loss").sum() / pl.col("cells").sum()).collect()
+        frame = _found_at(scans["stamp_ns"].to_numpy(), stamps_ns)
+        step = [_within(step, steps) for step in scans["step"]]
+        kind = [KINDS.index(kind) for kind in scans["kind"]]
+    except (pl.exceptions.PolarsError, OSError, ValueError) as error:
+        raise _unreadable(folder / SEMANTICS, error) from None
+    losses[frame, step, kind] = np.stack([scans["log_loss"].to_numpy(), np.ones(len(scans))], axis=-1)
+    return losses
+
+
 def read_found(folder: Path, steps: int, classes: Sequence[str]) -> NDArray[np.int64]:
     """TP, FN, TP and FN at 0.5 (S, kind, K, 4) that a trial counted by class, pooled. Raises ScoresError."""
     names = list(classes)
@@ -168,6 +186,14 @@ def _within(step: int, steps: int) -> int:
     if not 0 <= step <= steps:
         raise ValueError(f"step {step}, expected 0 to {steps}")
     return step
+
+
+def _found_at(stamps: NDArray[np.int64], stamps_ns: NDArray[np.int64]) -> NDArray[np.intp]:
+    """Where `stamps` (N,) stand among `stamps_ns` (F,), which increase."""
+    at = np.searchsorted(stamps_ns, stamps)
+    if not np.isin(stamps, stamps_ns).all():
+        raise ValueError("a stamp at which no forecast was scored")
+    return at
 
 
 def _unreadable(path: Path, error: Exception) -> ScoresError:

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gridtrack.evaluation.scoring.counting import Tally
 from gridtrack.evaluation.scoring.courses import ORACLE
@@ -28,7 +29,7 @@ from gridtrack.evaluation.statistics.pooling import (
 )
 
 ALL_RECORDINGS = "all recordings"
-P_VALUES = ("f1_p", "p_holm")
+P_VALUES = ("f1_p", "nll_per_scan_p", "p_holm")
 USUAL_REFERENCE = "persistence"
 """The tracker whose row is the reference unless another is named: what the field compares with."""
 
@@ -63,7 +64,7 @@ class Inference:
         """`recordings` as the summary describes them; `reference` the label of a row, else the usual one, if it ran."""
         self._recordings = recordings
         self._trials = [trial for trial in trials if trial.record.recording in recordings]
-        self._labels = list(dict.fromkeys(trial.record.label for trial in self._trials))
+        self.labels = list(dict.fromkeys(trial.record.label for trial in self._trials))
         self._reference = reference
         self._blocks: dict[str, float] = {}
         self._frames: dict[str, FrameCounts] = {}
@@ -76,10 +77,16 @@ class Inference:
         ranked = [t.record.label for t in self._trials if t.tracker != ORACLE]
         return self._reference or next(iter(usual + ranked), None)
 
+    @property
+    def groups(self) -> list[list[str]]:
+        """The recordings that trackers are compared on together: all of them where they are pooled, else each."""
+        together = len(self._recordings) > 1 and poolable(self._recordings)
+        return [list(self._recordings)] if together else [[name] for name in self._recordings]
+
     def intervals_of(self, trial: Ended) -> dict[str, dict[str, Any]]:
         """Intervals of every score of one trial, by stratum."""
         name = trial.record.recording
-        return _by_stratum(intervals([self._read(trial)], trial.strata, self._block_s([name])))
+        return _by_stratum(intervals([self.frames_of(trial)], trial.strata, self.block_s([name])))
 
     def tally_of(self, trial: Ended) -> Tally:
         """Everything that a trial counted, read once. Raises ScoresError."""
@@ -92,16 +99,14 @@ class Inference:
         """Every tracker over all recordings together, by label; None where there is only one, or they do not add up."""
         if len(self._recordings) < 2 or not poolable(self._recordings):
             return None
-        return {label: self._pooled_trial(label) for label in self._labels}
+        return {label: self._pooled_trial(label) for label in self.labels}
 
     def differences(self) -> list[dict[str, Any]]:
         """Each tracker against the reference: over all recordings where they are pooled, else on each."""
-        together = len(self._recordings) > 1 and poolable(self._recordings)
-        groups = [list(self._recordings)] if together else [[name] for name in self._recordings]
         found = [
             (names, self._compared(label, names))
-            for names in groups
-            for label in self._labels
+            for names in self.groups
+            for label in self.labels
             if label != self.reference and self._tracker(label) != ORACLE
         ]
         correct([comparison for _, comparison in found])
@@ -115,8 +120,8 @@ class Inference:
         curves: dict[str, dict[str, Any]] = {}
         if complete:
             curves = dict(curves_of([(trial.record, self.tally_of(trial)) for trial in complete], strata))
-            frames = [_in(self._read(trial), trial.strata, strata) for trial in complete]
-            found = _by_stratum(intervals(frames, strata, self._block_s([t.record.recording for t in complete])))
+            frames = [_in(self.frames_of(trial), trial.strata, strata) for trial in complete]
+            found = _by_stratum(intervals(frames, strata, self.block_s([t.record.recording for t in complete])))
             curves = {name: {**curves[name], **found[name]} for name in strata}
         whole = len(complete) == len(self._recordings)
         chosen = {trial.record.thresholds.chosen_on for trial in complete}
@@ -136,15 +141,15 @@ class Inference:
 
     def _compared(self, label: str, names: Sequence[str]) -> Comparison:
         """`label` against the reference on `names`; both must have been scored in full on every one of them."""
-        own, others = (self._complete(row, names) for row in (label, self.reference))
+        own, others = (self.complete(row, names) for row in (label, self.reference))
         for row, complete in ((self.reference, others), (label, own)):
             if len(complete) < len(names):
                 what = f"{len(complete)} of {len(names)} recordings complete" if len(names) > 1 else "not complete"
                 return Comparison(label, 0, 0, f"not compared: {row} is {what}" if len(names) == 1 else
                                   f"not compared: {row} has {what}")  # fmt: skip
         scope = self._scope(names, own + others)
-        sides = [[_in(self._read(trial), trial.strata, scope.strata) for trial in side] for side in (others, own)]
-        return compare_with(sides[0], sides[1], label, scope, self._block_s(names))
+        sides = [[_in(self.frames_of(trial), trial.strata, scope.strata) for trial in side] for side in (others, own)]
+        return compare_with(sides[0], sides[1], label, scope, self.block_s(names))
 
     def _as_data(self, names: Sequence[str], comparison: Comparison) -> dict[str, Any]:
         return {
@@ -155,7 +160,7 @@ class Inference:
             "frames": comparison.frames,
             "interval": comparison.why_none,
             "strata": {
-                name: {key: [_plain(key, value) for value in values.tolist()] for key, values in curves.items()}
+                name: {key: plain_curve(key, values) for key, values in curves.items()}
                 for name, curves in comparison.curves.items()
             },
             "headline": [
@@ -171,18 +176,18 @@ class Inference:
             described[0]["horizons_s"], common_strata([trial.strata for trial in trials]), max(cycles, default=None)
         )
 
-    def _block_s(self, names: Sequence[str]) -> float:
+    def block_s(self, names: Sequence[str]) -> float:
         """How long blocks are on these recordings: the same for every tracker, so that they can be paired."""
         for name in names:
             if name not in self._blocks:
                 scored = [t for t in self._trials if t.record.recording == name and t.record.frames_scored]
                 trials = [t for t in scored if t.complete] or scored
                 scope = self._scope([name], trials)
-                frames = [[_in(self._read(trial), trial.strata, scope.strata)] for trial in trials]
+                frames = [[_in(self.frames_of(trial), trial.strata, scope.strata)] for trial in trials]
                 self._blocks[name] = scope.block_s(frames)
         return max(self._blocks[name] for name in names)
 
-    def _complete(self, label: str | None, names: Sequence[str]) -> list[Ended]:
+    def complete(self, label: str | None, names: Sequence[str]) -> list[Ended]:
         """The complete trials of one row on these recordings, in their order."""
         found = {t.record.recording: t for t in self._trials if t.record.label == label and t.complete}
         return [found[name] for name in names if name in found]
@@ -190,7 +195,8 @@ class Inference:
     def _tracker(self, label: str) -> str:
         return next(trial.tracker for trial in self._trials if trial.record.label == label)
 
-    def _read(self, trial: Ended) -> FrameCounts:
+    def frames_of(self, trial: Ended) -> FrameCounts:
+        """What a trial counted at each frame, read once. Raises ScoresError."""
         key = trial.folder.name
         if key not in self._frames:
             self._frames[key] = read_frame_counts(trial.folder, trial.record.steps, trial.strata)
@@ -210,6 +216,11 @@ def _by_stratum(by_stratum: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[s
         name: {key: curve(value) if isinstance(value, np.ndarray) else value for key, value in found.items()}
         for name, found in by_stratum.items()
     }
+
+
+def plain_curve(key: str, values: NDArray[np.float64]) -> list[float | None]:
+    """One value per step as JSON has it, by its key in `differences`: a score, an end of its interval or a p-value."""
+    return [_plain(key, value) for value in values.tolist()]
 
 
 def _plain(key: str, value: float) -> float | None:

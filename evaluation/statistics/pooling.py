@@ -70,10 +70,10 @@ def intervals(
     recordings: Sequence[FrameCounts], strata: Sequence[str], block_s: float
 ) -> dict[str, dict[str, NDArray[np.float64] | str | None]]:
     """Per stratum `f1_low`, `f1_high` and so on of every score, each (S,); where there is none, `interval` says why."""
-    (counts,), number = _summed([recordings], block_s)
+    (counts,), number = summed_by_unit([recordings], block_s)
     if number < LEAST_UNITS:
         nothing = {f"{score}_{end}": None for score in SCORES for end in ("low", "high")}
-        return {name: {**nothing, "interval": _too_short(number, len(recordings), block_s)} for name in strata}
+        return {name: {**nothing, "interval": too_short(number, len(recordings), block_s)} for name in strata}
     found = {score: interval(counts, score) for score in SCORES}
     return {
         name: {
@@ -106,9 +106,9 @@ def compare_with(
     if not frames:
         return Comparison(label, 0, 0, "no frames in common: it was delivered others than the reference")
     sides = [[pair[side] for pair in paired] for side in (0, 1)]
-    (own, others), number = _summed(sides, block_s)
+    (own, others), number = summed_by_unit(sides, block_s)
     found = differences(own, others, "f1")
-    why = _too_short(number, len(paired), block_s) if number < LEAST_UNITS else ""
+    why = too_short(number, len(paired), block_s) if number < LEAST_UNITS else ""
     arrays = {"f1": found.value, "f1_low": found.low, "f1_high": found.high, "f1_p": found.p}
     comparison = Comparison(label, number, frames, why)
     comparison.curves = {n: {key: a[:, k] for key, a in arrays.items()} for k, n in enumerate(scope.strata)}
@@ -134,7 +134,7 @@ def _verdict(difference: float, p: float) -> str:
     return "better" if difference > 0 else "worse"
 
 
-def _summed(sides: Sequence[Sequence[FrameCounts]], block_s: float) -> tuple[list[NDArray[np.float64]], int]:
+def summed_by_unit(sides: Sequence[Sequence[FrameCounts]], block_s: float) -> tuple[list[NDArray[np.float64]], int]:
     """Counts (U, S, K, C) by unit of each side, whose frames are the same; and how many units there are."""
     units = units_of([frames.stamps_ns for frames in sides[0]], block_s)
     summed = [
@@ -144,7 +144,8 @@ def _summed(sides: Sequence[Sequence[FrameCounts]], block_s: float) -> tuple[lis
     return summed, len(summed[0])
 
 
-def _too_short(units: int, recordings: int, block_s: float) -> str:
+def too_short(units: int, recordings: int, block_s: float) -> str:
+    """Why no interval is drawn from so many units."""
     if units == recordings > 1:
         return f"{TOO_SHORT}: {units} recordings, and {LEAST_UNITS} units are needed"
     found = f"{units} unit{'s' * (units != 1)}, blocks of at least {block_s:.3g} s"

@@ -8,10 +8,11 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from gridtrack.evaluation.scoring.class_scores import class_scores, unknown_classes
+from gridtrack.evaluation.scoring.class_scores import unknown_classes
 from gridtrack.evaluation.scoring.robustness import robustness_summary, shown_others
 from gridtrack.evaluation.scoring.scores import read_deliveries
 from gridtrack.evaluation.statistics.ceiling import add_ceiling
+from gridtrack.evaluation.statistics.class_inference import ClassInference
 from gridtrack.evaluation.statistics.curves import curves_of
 from gridtrack.evaluation.statistics.inference import Ended, Inference
 
@@ -59,7 +60,8 @@ def summarise(
     pooled = inference.pooled()
     for label, entry in trackers.items():
         entry["pooled"] = pooled[label] if pooled else None
-    _add_class_scores(trackers, recordings, trials)
+    classes = ClassInference(recordings, trials, inference)
+    classes.add_scores(trackers)
     add_ceiling(trackers)
     if pooled is None and len(described) > 1:
         differing.append("the recordings differ in rate, horizon or grid: no scores are pooled over them")
@@ -71,24 +73,8 @@ def summarise(
         "trackers": trackers,
         "reference": inference.reference,
         "differences": inference.differences(),
+        "class_differences": classes.differences(),
     }
-
-
-def _add_class_scores(
-    trackers: Mapping[str, Any], recordings: Mapping[str, Mapping[str, Any]], trials: Sequence[Ended]
-) -> None:
-    """Add what was scored by class to every trial, and pooled where all recordings have the same classes."""
-    for label, entry in trackers.items():
-        own = [trial for trial in trials if trial.record.label == label]
-        for trial in own:
-            name = trial.record.recording
-            described = recordings[name].get("classes", ()), recordings[name]["horizons_s"]
-            entry["recordings"][name] |= class_scores([(trial.record, trial.folder)], *described)
-        if entry["pooled"]:
-            complete = [(trial.record, trial.folder) for trial in own if trial.complete]
-            alike = len({tuple(recording.get("classes", ())) for recording in recordings.values()}) == 1
-            first = next(iter(recordings.values()))
-            entry["pooled"] |= class_scores(complete, first.get("classes", ()) if alike else (), first["horizons_s"])
 
 
 def write_json(path: Path, content: Mapping[str, Any]) -> None:

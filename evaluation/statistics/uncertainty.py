@@ -6,6 +6,7 @@ method was chosen, and what its coverage is: docs/statistics.md, `benchmarks/int
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -59,9 +60,20 @@ def interval(counts: NDArray[np.floating], score: str = "f1", level: float = LEV
     made of. Where all units agree on 0, or on 1, the interval is that point.
     """
     part, whole = _parts(counts, score)
-    other = whole - part if score in PROPORTIONS else whole
-    value = pooled(counts, score)
-    if len(counts) < LEAST_UNITS:
+    other, back = (whole - part, expit) if score in PROPORTIONS else (whole, np.exp)
+    return _interval(part, other, pooled(counts, score), back, level)
+
+
+def ratio_interval(part: Floats, whole: Floats, level: float = LEVEL) -> tuple[Floats, Floats]:
+    """`interval` of the ratio of two sums that each unit has its own (U, ...) of, neither a part of the other."""
+    return _interval(part, whole, _ratio(part.sum(axis=0), whole.sum(axis=0)), np.exp, level)
+
+
+def _interval(
+    part: Floats, other: Floats, value: Floats, back: Callable[[Floats], Floats], level: float
+) -> tuple[Floats, Floats]:
+    """Of the score `value` (...), the logarithm of whose odds `part` to `other` (U, ...) `back` takes back to it."""
+    if len(part) < LEAST_UNITS:
         return np.full_like(value, np.nan), np.full_like(value, np.nan)
     without = [_without_each(sums) + HALF_A_COUNT for sums in (part, other)]
     error = _standard_error(np.log(without[0]) - np.log(without[1]))
@@ -69,7 +81,7 @@ def interval(counts: NDArray[np.floating], score: str = "f1", level: float = LEV
     reach = _quantile(freedom, level) * error
     with np.errstate(divide="ignore", invalid="ignore"):
         centre = np.log(part.sum(axis=0)) - np.log(other.sum(axis=0))
-    low, high = (_back(centre + side * reach, score) for side in (-1, 1))
+    low, high = (back(centre + side * reach) for side in (-1, 1))
     agreed = (part.sum(axis=0) == 0) | (other.sum(axis=0) == 0)
     low, high = (np.where(np.isnan(value), np.nan, np.where(agreed, value, end)) for end in (low, high))
     return low, high
@@ -84,15 +96,29 @@ def differences(
     counts differ by exactly 0 with p = 1. With fewer than LEAST_UNITS the interval and p are NaN.
     """
     value = pooled(counts, score) - pooled(reference, score)
-    if len(counts) != len(reference):
-        raise ValueError(f"{len(counts)} units cannot be paired with {len(reference)}")
-    if len(counts) < LEAST_UNITS:
+    return _differences(_parts(counts, score), _parts(reference, score), value, level)
+
+
+def ratio_differences(
+    own: tuple[Floats, Floats], reference: tuple[Floats, Floats], level: float = LEVEL
+) -> Differences:
+    """`differences` of the ratios of two sums, each side's part and whole (U, ...) by the same units."""
+    ratios = [_ratio(part.sum(axis=0), whole.sum(axis=0)) for part, whole in (own, reference)]
+    return _differences(own, reference, ratios[0] - ratios[1], level)
+
+
+def _differences(
+    own: tuple[Floats, Floats], reference: tuple[Floats, Floats], value: Floats, level: float
+) -> Differences:
+    units, others = len(own[0]), len(reference[0])
+    if units != others:
+        raise ValueError(f"{units} units cannot be paired with {others}")
+    if units < LEAST_UNITS:
         nothing = np.full_like(value, np.nan)
         return Differences(value, nothing, nothing.copy(), nothing.copy())
-    sums = [_parts(side, score) for side in (counts, reference)]
-    without = [_ratio(_without_each(part), _without_each(whole)) for part, whole in sums]
+    without = [_ratio(_without_each(part), _without_each(whole)) for part, whole in (own, reference)]
     error = _standard_error(np.nan_to_num(without[0] - without[1]))
-    freedom = np.min([_effective_units(whole) for _, whole in sums], axis=0) - 1
+    freedom = np.min([_effective_units(whole) for _, whole in (own, reference)], axis=0) - 1
     reach = _quantile(freedom, level) * error
     with np.errstate(divide="ignore", invalid="ignore"):
         p = np.where(value == 0, 1.0, 2 * stdtr(np.maximum(freedom, 1), -np.abs(value) / error))
@@ -157,8 +183,3 @@ def _quantile(freedom: Floats, level: float) -> Floats:
     """Of Student's t, two-sided; never of fewer than one degree of freedom."""
     quantile: Floats = stdtrit(np.fmax(freedom, 1.0), 0.5 + level / 2)
     return quantile
-
-
-def _back(logarithm: Floats, score: str) -> Floats:
-    back: Floats = expit(logarithm) if score in PROPORTIONS else np.exp(logarithm)
-    return back

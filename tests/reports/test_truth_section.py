@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 
 from gridtrack.evaluation.scoring.counting import BINS, Tally
+from gridtrack.reports.classes import classes_of
 from gridtrack.reports.page import render_report
 from gridtrack.reports.run import ReportError, read_runs
 from gridtrack.reports.table import headline_tables
-from gridtrack.reports.truth import SIDE, calibrations_of, classes_of, hidden_of
+from gridtrack.reports.truth import SIDE, calibrations_of, hidden_of
 
 STEPS = 20
 
@@ -28,7 +29,17 @@ def with_truth(run):
             trial["recall_by_class"] = {"visible": {"<b>bus</b>": found, "car": {**found, "cells": [0] * (STEPS + 1)}}}
             if label == "good":
                 scores = dict.fromkeys(("nll_per_cell", "nll_per_scan", "balanced_accuracy"), [0.625] * (STEPS + 1))
-                trial["semantics"] = {"classes": ["<b>bus</b>", "car"], "kinds": {"visible": scores}}
+                ends = {
+                    "nll_per_scan_low": [0.5] * (STEPS + 1),
+                    "nll_per_scan_high": [0.75] * (STEPS + 1),
+                    "interval": "",
+                }
+                trial["semantics"] = {"classes": ["<b>bus</b>", "car"], "kinds": {"visible": {**scores, **ends}}}
+    less = {"nll_per_scan": [-0.375] * (STEPS + 1), "nll_per_scan_low": [-0.5] * (STEPS + 1)}
+    less["nll_per_scan_high"] = [None] + [-0.25] * STEPS
+    summary["class_differences"] = [
+        {"recordings": "crossing", "tracker": "good", "reference": "<i>one-shot</i>", "kinds": {"visible": less}}
+    ]
     (run / "summary.json").write_text(json.dumps(summary))
     return run
 
@@ -50,12 +61,27 @@ def test_hidden_cells_have_a_table_with_the_gap(truth_run):
     assert {row.gap for row in hidden.rows} == {0.125}
 
 
-def test_classes_that_were_there_have_a_column_and_trackers_without_semantics_dashes(truth_run):
-    classes = classes_of(table_of(truth_run))
+def test_classes_that_were_there_have_a_column_and_trackers_without_semantics_no_row(truth_run):
+    classes = classes_of(table_of(truth_run), *read_runs([truth_run]))
     assert classes.columns == (("visible", "<b>bus</b>"),)
-    meanings = {row.row.label: row.semantics for row in classes.rows}
-    assert meanings["good"] == (0.625, 0.625, 0.625)
-    assert meanings["fair"] == (None, None, None)
+    assert [(row.label, recalls) for row, recalls in classes.recalls][:2] == [("good", (0.75,)), ("fair", (0.75,))]
+    assert [one.row.label for one in classes.meanings] == ["good"]
+    assert classes.meant == (("visible", "now"), ("visible", "1 s"))
+
+
+def test_what_cells_are_taken_for_stands_with_its_interval_and_less_the_reference(truth_run):
+    classes = classes_of(table_of(truth_run), *read_runs([truth_run]))
+    now, then = classes.meanings[0].meanings
+    assert (then.loss, then.interval, then.accuracy) == (0.625, (0.5, 0.75), 0.625)
+    assert (then.less, then.less_interval) == (-0.375, (-0.5, -0.25))
+    assert (now.less, now.less_interval) == (-0.375, None)
+    page = render_report([truth_run]).read_text()
+    assert "0.625<small>[0.500, 0.750]</small><small>-0.375 [-0.500, -0.250]</small>" in page
+    assert "less that of &lt;i&gt;one-shot&lt;/i&gt;, paired" in page
+
+
+def test_several_runs_side_by_side_have_no_differences(truth_run):
+    assert classes_of(table_of(truth_run), None).meanings[0].meanings[0].less is None
 
 
 def test_the_page_shows_them_with_every_name_escaped(truth_run):
@@ -68,7 +94,7 @@ def test_the_page_shows_them_with_every_name_escaped(truth_run):
 
 def test_a_run_without_truth_has_no_such_section(run_folder):
     assert hidden_of(table_of(run_folder)) is None
-    assert classes_of(table_of(run_folder)) is None
+    assert classes_of(table_of(run_folder), *read_runs([run_folder])) is None
     page = render_report([run_folder], run_folder / "page.html").read_text()
     assert "What was hidden" not in page
 
@@ -98,4 +124,13 @@ def test_curves_by_class_that_do_not_reach_every_horizon_are_refused(truth_run):
     summary["trackers"]["good"]["recordings"]["crossing"]["semantics"]["kinds"]["visible"]["nll_per_cell"].pop()
     path.write_text(json.dumps(summary))
     with pytest.raises(ReportError, match="good on crossing"):
+        read_runs([truth_run])
+
+
+def test_class_differences_that_do_not_reach_every_horizon_are_refused(truth_run):
+    path = Path(truth_run / "summary.json")
+    summary = json.loads(path.read_text())
+    summary["class_differences"][0]["kinds"]["visible"]["nll_per_scan"].pop()
+    path.write_text(json.dumps(summary))
+    with pytest.raises(ReportError, match="good on crossing: class differences not of 21 steps"):
         read_runs([truth_run])

@@ -7,7 +7,14 @@ from sklearn.metrics import balanced_accuracy_score, confusion_matrix, log_loss
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame
 from gridtrack.evaluation.scoring.class_scores import class_scores
-from gridtrack.evaluation.scoring.class_store import CLASSES, SEMANTICS, ClassWriter, read_found, read_semantics
+from gridtrack.evaluation.scoring.class_store import (
+    CLASSES,
+    SEMANTICS,
+    ClassWriter,
+    read_found,
+    read_scan_losses,
+    read_semantics,
+)
 from gridtrack.evaluation.scoring.record import TrialRecord
 from gridtrack.evaluation.scoring.scores import ScoresError
 from gridtrack.evaluation.scoring.semantics import count_classes, count_found, match_classes
@@ -80,6 +87,22 @@ def test_log_loss_per_scan_gives_every_scan_the_same_weight(tmp_path):
     assert counts.scans[0, 0] == 2
     assert counts.log_loss[0, 0] == 5.0
     assert counts.confusion[0, 0, 1, 2] == 4
+
+
+def test_the_loss_of_each_scan_is_read_back_beside_those_that_have_no_class(tmp_path):
+    """Three frames forecast from: the second one's scan has two cells of one class and one of another."""
+    with ClassWriter(tmp_path, NAMES, semantics=True) as writer:
+        confusion, log_loss_of = np.zeros((2, STEPS + 1, 2, len(NAMES), len(NAMES) + 1))
+        confusion[1, 0, 1, 2], log_loss_of[1, 0, 1, 2] = 2, 3.0
+        confusion[1, 0, 3, 3], log_loss_of[1, 0, 3, 3] = 1, 1.5
+        writer.add_semantics(20, confusion.astype(np.int32), log_loss_of)
+    stamps = np.array([10, 20, 30])
+    losses = read_scan_losses(tmp_path, stamps, STEPS)
+    assert losses.shape == (3, STEPS + 1, 2, 2)
+    assert losses[1, 1, 0].tolist() == [1.5, 1.0]
+    assert losses.sum() == 2.5
+    with pytest.raises(ScoresError, match="a stamp at which no forecast was scored"):
+        read_scan_losses(tmp_path, stamps + 1, STEPS)
 
 
 def test_classes_are_matched_by_name_whatever_their_order(case):

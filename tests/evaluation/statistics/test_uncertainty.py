@@ -6,7 +6,16 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from gridtrack.evaluation.statistics.uncertainty import COUNTS, LEAST_UNITS, differences, holm, interval, pooled
+from gridtrack.evaluation.statistics.uncertainty import (
+    COUNTS,
+    LEAST_UNITS,
+    differences,
+    holm,
+    interval,
+    pooled,
+    ratio_differences,
+    ratio_interval,
+)
 
 
 def counts_of(rng, units=20, recall=0.6, cells=200, shape=()):
@@ -56,6 +65,15 @@ def test_the_interval_is_near_the_bootstraps_where_units_are_many_and_alike(scor
     ).confidence_interval
     width = bootstrap.high - bootstrap.low
     assert np.array(interval(counts, score)) == pytest.approx([bootstrap.low, bootstrap.high], abs=0.15 * width)
+
+
+def test_a_ratio_of_two_sums_is_treated_as_the_log_loss_of_cells_is():
+    own, other = (counts_of(np.random.default_rng(seed)) for seed in (6, 7))
+    sums = [(counts[:, COUNTS.index("log_loss")], counts[:, :4].sum(axis=1)) for counts in (own, other)]
+    assert np.array(ratio_interval(*sums[0])) == pytest.approx(np.array(interval(own, "nll")))
+    found, expected = ratio_differences(*sums), differences(own, other, "nll")
+    for name in ("value", "low", "high", "p"):
+        assert float(getattr(found, name)) == pytest.approx(float(getattr(expected, name)))
 
 
 def test_the_interval_covers_the_truth_about_as_often_as_it_says():
