@@ -19,13 +19,15 @@ WORSE, UNMEASURED = 1, 3
 
 
 def regress(
-    run: Annotated[Path, typer.Argument(metavar="RUN", help="A run's folder")],
+    runs: Annotated[
+        list[Path], typer.Argument(metavar="RUN...", help="A run's folder; with --update several, each a training")
+    ],
     baseline: Annotated[Path, typer.Option(help="The baseline's file")],
     margin: Annotated[float, typer.Option(help="A fall in F1 that does not matter")] = 0.005,
     tolerance: Annotated[
         list[str] | None, typer.Option(metavar="LABEL=F1", help="In place of the margin, for a tracker that learns")
     ] = None,
-    update: Annotated[bool, typer.Option(help="Write the run as the new baseline, if it is complete")] = False,
+    update: Annotated[bool, typer.Option(help="Write the run, or several, as the new baseline if complete")] = False,
     junit: Annotated[Path | None, typer.Option(help="Write the verdict as JUnit XML")] = None,
     markdown: Annotated[Path | None, typer.Option(help="Write the verdict as Markdown")] = None,
     speed_reference: Annotated[
@@ -34,12 +36,12 @@ def regress(
     speed_margin: Annotated[float | None, typer.Option(help="Growth of that ratio that does not matter; 0.5")] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Is a run worse than a baseline?
+    """Is a run worse than a baseline? A baseline of several trainings counts what separates them as chance.
 
     Exit code: 0 no worse, 1 worse, 2 wrong use, 3 not measured: something failed, is missing, or does not pair.
     """
     from gridtrack.common.config import validated
-    from gridtrack.evaluation.regression import GateSettings, Unmeasured, judge, measure, read_baseline, write_baseline
+    from gridtrack.evaluation.regression import GateSettings, Unmeasured, judge, measure, read_baseline
 
     given = {"margin": margin, "tolerance": dict(map(_tolerance, tolerance or ())), "speed_reference": speed_reference}
     if speed_margin is not None:
@@ -49,17 +51,30 @@ def regress(
     settings = validated(GateSettings, given, "gridtrack regress")
     try:
         if update:
-            write_baseline(baseline, measure(run))
-            typer.echo(f"baseline: {baseline}")
+            _update(runs, baseline)
             return
+        if len(runs) > 1:
+            raise ConfigurationError(f"{len(runs)} runs: one is judged at a time; --update makes a baseline of several")
         against = read_baseline(baseline)
-        verdict = judge(against, measure(run, like=against), settings)
+        verdict = judge(against, measure(runs[0], like=against.first), settings)
     except Unmeasured as error:
         _tell_unmeasured(error.reasons, junit, markdown, as_json)
         raise typer.Exit(UNMEASURED) from None
     _tell(verdict, junit, markdown, as_json)
     if verdict.worse:
         raise typer.Exit(WORSE)
+
+
+def _update(runs: Sequence[Path], baseline: Path) -> None:
+    """Write `runs` as the baseline and tell what it holds."""
+    from gridtrack.evaluation.regression import measure, write_baseline
+    from gridtrack.reports.regression import text_of_update
+
+    if len({run.resolve() for run in runs}) < len(runs):
+        raise ConfigurationError("a run is given twice: each is a training or a seed of its own")
+    first = measure(runs[0])
+    written = write_baseline(baseline, [first, *(measure(run, like=first) for run in runs[1:])])
+    typer.echo(text_of_update(baseline, written))
 
 
 def _tolerance(text: str) -> tuple[str, float]:

@@ -5,11 +5,15 @@ from __future__ import annotations
 import json
 import shlex
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from gridtrack.cli.options import AsJson, Grid, Rate, Recordings, Weights, command_line, seconds
+from gridtrack.common.errors import plain
+
+if TYPE_CHECKING:
+    from gridtrack.evaluation.comparison.plan import Plan
 
 INCOMPLETE, INTERRUPTED = 3, 130
 
@@ -56,7 +60,8 @@ def compare(
 ) -> None:
     """Run trackers on recordings, each in its own process, score them, and write a report.
 
-    Exit code: 0 all trials complete, 2 wrong use, 3 some trial is not, 130 interrupted.
+    Exit code: 0 all trials complete, 2 wrong use, 3 some trial is not or lacks a figure that was asked for, 130
+    interrupted.
     """
     from gridtrack.common.degrade import parse_degradation
     from gridtrack.evaluation.comparison.plan import CompareSettings, resolve
@@ -100,8 +105,21 @@ def compare(
     if summary["interrupted"]:
         raise typer.Exit(INTERRUPTED)
     outcomes = [trial["outcome"] for entry in summary["trackers"].values() for trial in entry["recordings"].values()]
-    if any(outcome != "ok" for outcome in outcomes):
+    if _tell_missing(plan) or any(outcome != "ok" for outcome in outcomes):
         raise typer.Exit(INCOMPLETE)
+
+
+def _tell_missing(plan: Plan) -> bool:
+    """Tell of figures that were asked for and that a complete trial lacks; whether there are any."""
+    from gridtrack.evaluation.comparison.figures import missing_figures
+    from gridtrack.evaluation.scoring.record import read_record
+
+    records = [read_record(plan.settings.out / trial.name) for trial in plan.trials]
+    complete = [record for record in records if record and record.outcome == "ok"]
+    missing = [line for record in complete for line in missing_figures(plan.settings, record)]
+    for line in missing:
+        typer.echo(f"gridtrack: not measured: {plain(line)}", err=True)
+    return bool(missing)
 
 
 def _settings(model: Any, values: dict[str, Any]) -> Any:

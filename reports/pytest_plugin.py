@@ -64,7 +64,7 @@ class TrackerRegression:
         try:
             plan = self._plan(tracker, recording, options)
             if self._update:
-                write_baseline(self._beside / baseline, self._measured(plan, None))
+                write_baseline(self._beside / baseline, [self._measured(plan, None)])
                 return None
             verdict = self._verdict(plan, self._beside / baseline, margin, tolerance)
         except GridtrackError as error:
@@ -92,7 +92,7 @@ class TrackerRegression:
         stated = {} if tolerance is None else {plan.trials[0].label: tolerance}
         settings = validated(GateSettings, {"margin": margin, "tolerance": stated}, "tracker_regression")
         against = read_baseline(baseline)
-        return judge(against, self._measured(plan, against), settings)
+        return judge(against, self._measured(plan, against.first), settings)
 
     def _measured(self, plan: Plan, like: Measurement | None) -> Measurement:
         """Run the plan, and measure what it left."""

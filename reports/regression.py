@@ -4,12 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict
+from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from gridtrack.common.errors import plain
-from gridtrack.evaluation.regression import Verdict
+from gridtrack.evaluation.regression import Baseline, Verdict
 from gridtrack.evaluation.regression.measurement import BANDS
-from gridtrack.evaluation.regression.significance import FAMILY_LEVEL
+from gridtrack.evaluation.regression.pairing import pair
+from gridtrack.evaluation.regression.significance import FAMILY_LEVEL, f1_of
 from gridtrack.evaluation.regression.speed import SpeedRow
 from gridtrack.evaluation.regression.verdict import Row
 from gridtrack.evaluation.statistics.uncertainty import LEAST_UNITS
@@ -19,6 +23,7 @@ MAX_ROWS = 40
 """So many rows are shown of a table; the rest is counted."""
 MAX_FALLEN = 3
 """So many lines a terminal gives to single recordings."""
+UNKNOWN_SPREAD = "what separates trainings is unknown from one run, and not counted as chance"
 
 
 def text_of(verdict: Verdict) -> str:
@@ -61,12 +66,29 @@ def data_of(verdict: Verdict) -> dict[str, Any]:
     return {
         "verdict": "worse" if verdict.worse else "no worse",
         "units": verdict.units,
+        "trainings": verdict.trainings,
         "significance": verdict.significance,
         "rows": [asdict(row) | {"fall": row.fall} for row in verdict.rows],
         "fallen": [asdict(row) | {"fall": row.fall} for row in verdict.fallen],
         "speed": [asdict(row) | {"standing": row.standing} for row in verdict.speed],
         "notes": list(verdict.notes),
     }
+
+
+def text_of_update(path: Path, baseline: Baseline) -> str:
+    """What `--update` left for a terminal: of how many runs, and how far apart each tracker's trainings lie in them."""
+    if len(baseline.runs) == 1:
+        return plain(f"baseline: {path}; {UNKNOWN_SPREAD}")
+    lines = [f"baseline: {path}, of {len(baseline.runs)} runs"]
+    rows = pair(baseline, baseline.first)
+    for label in baseline.first.trackers:
+        apart = {np.ptp(np.nan_to_num(f1_of(r.trainings.sum(axis=1)))): r for r in rows if r.label == label}
+        widest = max(apart)
+        where = f"{apart[widest].stratum}, {band_text(apart[widest].band)}"
+        lines.append(
+            f"{label}: F1 lies up to {widest:.4f} apart ({where})" if widest else f"{label}: F1 is the same in all"
+        )
+    return "\n".join(map(plain, lines))
 
 
 def sentence_of(row: Row | SpeedRow) -> str:
@@ -78,9 +100,10 @@ def sentence_of(row: Row | SpeedRow) -> str:
         )
     where = f" on {row.recording}" if row.recording else ""
     sure = "" if row.p is None else f", p {row.p:.4f}"
+    spread = "" if row.spread is None else f", spread between trainings {row.spread:.4f}"
     return (
         f"{row.label}{where}, {row.stratum}, {band_text(row.band)}: F1 {_number(row.f1_baseline)} to"
-        f" {_number(row.f1_run)}, a fall of {row.fall:.4f}{sure}, margin {row.margin:g}"
+        f" {_number(row.f1_run)}, a fall of {row.fall:.4f}{sure}{spread}, margin {row.margin:g}"
     )
 
 
@@ -97,17 +120,20 @@ def rule_of(verdict: Verdict) -> str:
     judged = sum(row.standing != "nothing to find" for row in verdict.rows)
     over = f"{judged} comparisons over {verdict.units} paired unit{'s' if verdict.units != 1 else ''}"
     if verdict.significance:
+        trainings = (
+            UNKNOWN_SPREAD if verdict.trainings == 1 else f"{verdict.trainings} trainings tell what separates two"
+        )
         return (
             f"{over}: worse is a fall in F1 beyond the margin that"
-            f" comes by chance in less than {FAMILY_LEVEL:.0%} of runs anywhere among them"
+            f" comes by chance in less than {FAMILY_LEVEL:.0%} of runs anywhere among them; {trainings}"
         )
     return (
         f"{over}, of which significance wants {LEAST_UNITS}: worse is"
-        " a fall in F1 beyond the tracker's stated tolerance, and any fall where none is stated"
+        f" a fall in F1 beyond the tracker's stated tolerance, and any fall where none is stated; {UNKNOWN_SPREAD}"
     )
 
 
-_HEADINGS = ("tracker", "stratum", "steps", "F1 then", "F1 now", "fall", "margin", "log loss then", "now")
+_HEADINGS = ("tracker", "stratum", "steps", "F1 then", "F1 now", "fall", "spread", "margin", "log loss then", "now")
 
 
 def _conclusion(verdict: Verdict) -> str:
@@ -136,7 +162,7 @@ def _table(title: str, headings: Sequence[str], rows: Sequence[Any], cells: Any)
 
 def _cells(row: Row) -> list[str]:
     losses = [_number(row.log_loss_baseline), _number(row.log_loss_run)]
-    scores = [_number(row.f1_baseline), _number(row.f1_run), f"{row.fall:+.4f}", f"{row.margin:g}"]
+    scores = [_number(row.f1_baseline), _number(row.f1_run), f"{row.fall:+.4f}", _number(row.spread), f"{row.margin:g}"]
     return [row.label, row.stratum, band_text(row.band), *scores, *losses]
 
 

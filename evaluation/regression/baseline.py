@@ -1,16 +1,18 @@
-"""A baseline: a measurement in one JSON file of numbers and names, versioned, replaced whole, read with suspicion."""
+"""A baseline: measurements in one JSON file of numbers and names, versioned, replaced whole, read with suspicion."""
 
 from __future__ import annotations
 
 import json
 import re
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from pydantic import ValidationError
 
 from gridtrack.common.errors import GridtrackError
-from gridtrack.evaluation.regression.measurement import SCHEMA, Measurement, Unmeasured
+from gridtrack.evaluation.regression.measurement import SCHEMA, Baseline, Measurement, Unmeasured
+from gridtrack.evaluation.regression.pairing import refuse_unlike
 
 MAX_BYTES = 16 << 20
 """A larger file is refused before it is read; twenty recordings of six trackers take a hundredth of it."""
@@ -22,12 +24,14 @@ class BaselineError(GridtrackError):
     """A file that is no baseline which this version can read."""
 
 
-def write_baseline(path: Path, measurement: Measurement) -> None:
-    """Leave `measurement` at `path`, replaced whole; a line for each unit and stratum, so that git shows what changed.
+def write_baseline(path: Path, runs: Sequence[Measurement]) -> Baseline:
+    """Leave a baseline of `runs` at `path`, replaced whole; a line for each unit and stratum for git to compare.
 
-    Raises BaselineError where the file cannot be written.
+    Raises BaselineError where the file cannot be written, and what `refuse_unlike` raises.
     """
-    text = json.dumps(measurement.model_dump(mode="json", by_alias=True), indent=0, allow_nan=False)
+    refuse_unlike(runs)
+    baseline = Baseline(runs=tuple(runs))
+    text = json.dumps(baseline.model_dump(mode="json", by_alias=True), indent=0, allow_nan=False)
     for on_one_line in (_LIST_OF_NUMBERS, _BANDS_OF_COUNTS):
         text = on_one_line.sub(lambda found: "".join(found[0].split()), text)
     partial = path.with_name(path.name + ".partial")
@@ -36,25 +40,42 @@ def write_baseline(path: Path, measurement: Measurement) -> None:
         partial.replace(path)
     except OSError as error:
         raise BaselineError(f"{path}: the baseline cannot be written ({error.strerror})") from None
+    return baseline
 
 
-def read_baseline(path: Path) -> Measurement:
-    """The measurement in `path`. Raises BaselineError, and Unmeasured where it holds none."""
-    content = _read_json(path)
+def read_baseline(path: Path) -> Baseline:
+    """The baseline in `path`. Raises BaselineError, and Unmeasured where it holds nothing."""
+    content = _migrated(_read_json(path))
     schema = content.get("schema")
     if schema != SCHEMA:
         raise BaselineError(
-            f"{path}: schema {str(schema)[:20]!r} of a baseline; this gridtrack reads schema {SCHEMA}: read it with the"
-            " version that wrote it, or make it again with --update"
+            f"{path}: schema {str(schema)[:20]!r} of a baseline; this gridtrack reads schemas 1 to {SCHEMA}: read it"
+            " with the version that wrote it, or make it again with --update"
         )
-    if content.get("trackers") == {} or content.get("recordings") == {}:
+    if _is_empty(content.get("runs")):
         raise Unmeasured(
             [f"{path}: the baseline is empty, nothing can be compared with it: make it again with --update"]
         )
     try:
-        return Measurement.model_validate(content)
+        baseline = Baseline.model_validate(content)
     except (ValidationError, RecursionError) as error:
         raise BaselineError(f"{path}: not a baseline ({_first(error)}): make it again with --update") from None
+    refuse_unlike(baseline.runs)
+    return baseline
+
+
+def _migrated(content: dict[str, Any]) -> dict[str, Any]:
+    """Schema 1 was the measurement of one run, by itself."""
+    if content.get("schema") != 1:
+        return content
+    return {"schema": SCHEMA, "runs": [{key: value for key, value in content.items() if key != "schema"}]}
+
+
+def _is_empty(runs: Any) -> bool:
+    """Whether there is no run, or one in which nothing was measured."""
+    if not isinstance(runs, list):
+        return False
+    return not runs or any(isinstance(run, dict) and {} in (run.get("trackers"), run.get("recordings")) for run in runs)
 
 
 def _first(error: ValidationError | RecursionError) -> str:

@@ -1,6 +1,6 @@
 """A measurement: what one run counted for each tracker, recording, unit, stratum and step band; small enough for git.
 
-A baseline is the measurement of an earlier run, in a file.
+A baseline is the measurements of one or several earlier runs, in a file.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from pydantic import Field, model_validator
 from gridtrack.common.config import Settings
 from gridtrack.common.errors import GridtrackError
 
-SCHEMA = 1
+SCHEMA = 2
 BANDS: dict[str, tuple[float, float]] = {"short": (0.0, 0.5), "middle": (0.5, 1.5), "long": (1.5, 3600.0)}
 """Horizons of each step band in seconds, the first excluded: step 0 on visible cells is copying."""
 BLOCK_S = 100.0
@@ -66,11 +66,12 @@ class Speed(Settings):
 
 
 class TrialCounts(Settings):
-    """One tracker on one recording."""
+    """One tracker on one recording; `figures` names what was measured of it beside its scores."""
 
     weights_sha256: str = ""
     units: Annotated[tuple[Unit, ...], Field(min_length=1, max_length=100_000)]
     speed: Speed | None = None
+    figures: tuple[Literal["deadline", "degrade"], ...] = ()
 
 
 class TrackerCounts(Settings):
@@ -84,7 +85,6 @@ class TrackerCounts(Settings):
 class Measurement(Settings):
     """What a complete run counted. `block_s` is the length of its units in seconds; None: whole recordings."""
 
-    schema_version: Literal[1] = Field(alias="schema")
     command: tuple[str, ...]
     versions: dict[str, str]
     block_s: Annotated[float, Field(gt=0.0)] | None
@@ -105,3 +105,18 @@ class Measurement(Settings):
         for label, entry in self.trackers.items():
             for recording, trial in entry.recordings.items():
                 yield label, recording, trial
+
+
+class Baseline(Settings):
+    """What a run is held against: the measurements of one run, or of several, each of a training or a seed of its own.
+
+    Several are of the same trackers with the same options, on the same frames (`pairing.refuse_unlike`).
+    """
+
+    schema_version: Literal[2] = Field(default=SCHEMA, alias="schema")
+    runs: Annotated[tuple[Measurement, ...], Field(min_length=1, max_length=100)]
+
+    @property
+    def first(self) -> Measurement:
+        """Stands for all of them in what they have in common."""
+        return self.runs[0]

@@ -9,7 +9,9 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from gridtrack.common.degrade import Degradation
 from gridtrack.common.errors import GridtrackError
+from gridtrack.evaluation.comparison.figures import missing_figures
 from gridtrack.evaluation.comparison.run_folder import RUN, SCHEMA
 from gridtrack.evaluation.regression.measurement import (
     BLOCK_S,
@@ -37,6 +39,12 @@ class _AskedTrial(_Part):
     options: dict[str, Any]
 
 
+class _AskedFigures(_Part):
+    latency: bool = False
+    deadline: bool = False
+    degrade: Degradation | None = None
+
+
 class _Configuration(_Part):
     recordings: dict[str, dict[str, Any]]
     trials: dict[str, _AskedTrial]
@@ -47,14 +55,15 @@ class _RunFile(_Part):
     status: str
     command: tuple[str, ...]
     versions: dict[str, str]
+    settings: _AskedFigures = _AskedFigures()
     configuration: _Configuration
 
 
 def measure(run: Path, like: Measurement | None = None) -> Measurement:
     """Everything that a run's folder counted, in the units of `like`, else in units chosen for it.
 
-    Raises Unmeasured where the run is not complete: a trial failed, is partial or missing, or nothing was scored;
-    RunError where `run` is not a run's folder.
+    Raises Unmeasured where the run is not complete: a trial failed, is partial or missing, nothing was scored, or a
+    figure that was asked for beside the scores is missing; RunError where `run` is not a run's folder.
     """
     file = _read_run_file(run)
     if file.status != "complete":
@@ -69,7 +78,7 @@ def measure(run: Path, like: Measurement | None = None) -> Measurement:
         label, _, recording = name.partition("@")
         entry = trackers.setdefault(label, {"tracker": asked.tracker, "options": asked.options, "recordings": {}})
         try:
-            entry["recordings"][recording] = _trial_counts(run, name, courses.get(recording), block_s)
+            entry["recordings"][recording] = _trial_counts(run, name, courses.get(recording), block_s, file.settings)
         except Unmeasured as error:
             reasons += error.reasons
         except GridtrackError as error:
@@ -92,7 +101,6 @@ def _measurement(
     run: Path, file: _RunFile, courses: Mapping[str, CourseKey], trackers: Mapping[str, Any], block_s: float | None
 ) -> Measurement:
     content = {
-        "schema": SCHEMA,
         "command": file.command,
         "versions": file.versions,
         "block_s": block_s,
@@ -105,19 +113,27 @@ def _measurement(
         raise Unmeasured([f"{run}: not a run that can be measured ({error.errors()[0]['msg']})"]) from None
 
 
-def _trial_counts(run: Path, name: str, course: CourseKey | None, block_s: float | None) -> TrialCounts:
+def _trial_counts(
+    run: Path, name: str, course: CourseKey | None, block_s: float | None, asked: _AskedFigures
+) -> TrialCounts:
     folder = run / name
     if course is None or folder.parent != run:
         raise RunError(f"{run / RUN}: '{name}' is no trial of this run")
     record = read_record(folder)
     _refuse_incomplete(name, record)
     assert record is not None
+    if missing := list(missing_figures(asked, record)):
+        raise Unmeasured(missing)
     strata = tuple(record.thresholds.values)
     units = read_units(folder, course.horizons_s, strata, block_s, record.frames_scored)
     latency = record.latency_ms
     timed = latency is not None and min(latency.update.p50, latency.predict.p50) > 0.0
     speed = Speed(update_ms=latency.update.p50, predict_ms=latency.predict.p50) if latency and timed else None
-    return TrialCounts(weights_sha256=record.weights_sha256, units=units, speed=speed)
+    measured = {"deadline": record.deadline, "degrade": record.robustness}
+    figures = tuple(name for name, found in measured.items() if found is not None)
+    return TrialCounts.model_validate(
+        {"weights_sha256": record.weights_sha256, "units": units, "speed": speed, "figures": figures}
+    )
 
 
 def _refuse_incomplete(name: str, record: TrialRecord | None) -> None:

@@ -2,45 +2,89 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gridtrack.evaluation.regression.measurement import BANDS, CourseKey, Measurement, TrialCounts, Unmeasured
+from gridtrack.common.errors import ConfigurationError
+from gridtrack.evaluation.regression.measurement import (
+    BANDS,
+    Baseline,
+    CourseKey,
+    Measurement,
+    TrialCounts,
+    Unmeasured,
+)
+from gridtrack.evaluation.statistics.uncertainty import LEAST_UNITS
 
 Counts = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
 class PairedRow:
-    """One tracker, stratum and step band: TP, FP, FN, TN (U, 4) and log loss (U,) of the baseline and of the run in
-    units U, and the recording that each unit is of."""
+    """One tracker, stratum and step band: TP, FP, FN, TN of the K runs of the baseline (K, U, 4) and of the run (U, 4)
+    in units U, the log loss of each (K, U) and (U,), and the recording that each unit is of."""
 
     label: str
     stratum: str
     band: str
-    baseline: Counts
+    trainings: Counts
     run: Counts
-    baseline_log_loss: Counts
+    log_losses: Counts
     run_log_loss: Counts
     recordings: tuple[str, ...]
 
     @property
+    def baseline(self) -> Counts:
+        """Mean counts (U, 4) of the baseline's runs."""
+        mean: Counts = self.trainings.mean(axis=0)
+        return mean
+
+    @property
     def equal(self) -> bool:
-        """Whether every count is as it was."""
-        return bool(np.array_equal(self.baseline, self.run))
+        """Whether every count is as in some run of the baseline."""
+        return bool((self.trainings == self.run).all(axis=(1, 2)).any())
 
 
-def pair(baseline: Measurement, run: Measurement) -> tuple[PairedRow, ...]:
+def pair(baseline: Baseline, run: Measurement) -> tuple[PairedRow, ...]:
     """Rows of everything that the baseline holds. Raises Unmeasured, with every reason why something does not pair."""
+    _refuse_unpaired(baseline.first, run)
+    return tuple(row for label in baseline.first.trackers for row in _rows(label, baseline, run))
+
+
+def refuse_unlike(runs: Sequence[Measurement]) -> None:
+    """Whether `runs` are a baseline together: each a training or a seed of the same trackers, on the same frames.
+
+    Raises Unmeasured where they do not pair, ConfigurationError where what lies between them could not be judged.
+    """
+    first, *others = runs
+    for other in others:
+        _refuse_unpaired(first, other)
+        _refuse_unpaired(other, first)
+        for label, entry in first.trackers.items():
+            same = other.trackers[label]
+            if (entry.tracker, entry.options) != (same.tracker, same.options):
+                raise ConfigurationError(
+                    f"'{label}' has other options in one run than in another: the runs of a baseline are trainings or"
+                    " seeds of one tracker with one set of options"
+                )
+    units = sum(len(trial.units) for trial in next(iter(first.trackers.values())).recordings.values())
+    if others and units < LEAST_UNITS:
+        raise ConfigurationError(
+            f"{len(runs)} runs of {units} unit{'s' if units != 1 else ''}: what separates trainings is judged on"
+            f" {LEAST_UNITS} or more; give one run, and state with --tolerance what a tracker may lose"
+        )
+
+
+def _refuse_unpaired(baseline: Measurement, run: Measurement) -> None:
+    """Raises Unmeasured, with every reason why `run` does not hold what `baseline` holds."""
     reasons = [*_missing(baseline, run), *_other_courses(baseline, run)]
     if not reasons:
-        reasons = list(_other_units(baseline, run))
+        reasons = [*_other_units(baseline, run), *_missing_figures(baseline, run)]
     if reasons:
         raise Unmeasured(reasons)
-    return tuple(row for label in baseline.trackers for row in _rows(label, baseline, run))
 
 
 def _missing(baseline: Measurement, run: Measurement) -> Iterator[str]:
@@ -72,6 +116,17 @@ def _other_units(baseline: Measurement, run: Measurement) -> Iterator[str]:
             yield f"{label}@{name}: {problem}, so nothing pairs: make the baseline again with --update"
 
 
+def _missing_figures(baseline: Measurement, run: Measurement) -> Iterator[str]:
+    """What was measured beside the scores is not judged here, but must not be lost unnoticed."""
+    for label, name, then in baseline.trials():
+        for figure in then.figures:
+            if figure not in run.trackers[label].recordings[name].figures:
+                yield (
+                    f"{label}@{name}: measured with --{figure} for the baseline, and not in the run: compare as its"
+                    " `command` says, or make it again with --update"
+                )
+
+
 def _difference(then: TrialCounts, now: TrialCounts) -> str:
     """Why the units of two trials do not pair; "" where they do."""
     if len(then.units) != len(now.units):
@@ -93,20 +148,20 @@ def _cells(counts: dict[str, dict[str, tuple[int, int, int, int, float]]]) -> di
     }
 
 
-def _rows(label: str, baseline: Measurement, run: Measurement) -> Iterator[PairedRow]:
+def _rows(label: str, baseline: Baseline, run: Measurement) -> Iterator[PairedRow]:
     """The rows of one tracker over the units of every recording; a recording without a stratum counts nothing in it."""
-    then, now = baseline.trackers[label].recordings, run.trackers[label].recordings
-    units = [(name, unit) for name, trial in then.items() for unit in range(len(trial.units))]
-    strata = dict.fromkeys(s for name, unit in units for s in then[name].units[unit].counts)
-    bands = {band for name, unit in units for found in then[name].units[unit].counts.values() for band in found}
+    *then, now = (side.trackers[label].recordings for side in (*baseline.runs, run))
+    units = [(name, unit) for name, trial in then[0].items() for unit in range(len(trial.units))]
+    names = tuple(name for name, _ in units)
+    strata = dict.fromkeys(s for name, unit in units for s in now[name].units[unit].counts)
+    bands = {band for name, unit in units for found in now[name].units[unit].counts.values() for band in found}
     nothing = (0, 0, 0, 0, 0.0)
     for stratum in strata:
         for band in (name for name in BANDS if name in bands):
-            old, new = (
-                np.array(
-                    [side[name].units[unit].counts.get(stratum, {}).get(band, nothing) for name, unit in units], float
-                )
-                for side in (then, now)
-            )
-            names = tuple(name for name, _ in units)
-            yield PairedRow(label, stratum, band, old[:, :4], new[:, :4], old[:, 4], new[:, 4], names)
+            sides = [
+                [side[name].units[unit].counts.get(stratum, {}).get(band, nothing) for name, unit in units]
+                for side in (*then, now)
+            ]
+            *old, new = np.array(sides, float)
+            trainings = np.stack(old)
+            yield PairedRow(label, stratum, band, trainings[..., :4], new[:, :4], trainings[..., 4], new[:, 4], names)

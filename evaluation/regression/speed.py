@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from gridtrack.evaluation.regression.measurement import Measurement, Unmeasured
+from gridtrack.evaluation.regression.measurement import Baseline, Measurement, Unmeasured
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,13 +33,15 @@ class SpeedRow:
 
 
 def judge_speed(
-    baseline: Measurement, run: Measurement, reference: str | None, margin: float
+    baseline: Baseline, run: Measurement, reference: str | None, margin: float
 ) -> tuple[tuple[SpeedRow, ...], tuple[str, ...]]:
     """The rows of every tracker but the reference, and what to know where speed is not judged.
 
     Raises Unmeasured where it was asked for, and either side has a trial without latency figures.
     """
-    without = [*_without_speed(baseline, baseline, "baseline"), *_without_speed(baseline, run, "run")]
+    first = baseline.first
+    without = [reason for then in baseline.runs for reason in _without_speed(first, then, "baseline")]
+    without += _without_speed(first, run, "run")
     if reference is None:
         why = without[0] if without else "name a tracker to measure against with --speed-reference"
         return (), (f"speed is not judged: {why}",)
@@ -47,9 +49,9 @@ def judge_speed(
         raise Unmeasured([f"speed cannot be judged: {reason}" for reason in without])
     calls: tuple[Literal["update", "predict"], ...] = ("update", "predict")
     rows = []
-    for label in (label for label in baseline.trackers if label != reference):
+    for label in (label for label in first.trackers if label != reference):
         for call in calls:
-            then, now = (_ratio(side, baseline, label, reference, call) for side in (baseline, run))
+            then, now = (_ratio(runs, first, label, reference, call) for runs in (baseline.runs, [run]))
             rows.append(SpeedRow(label, call, reference, then, now, margin))
     return tuple(rows), ()
 
@@ -61,11 +63,13 @@ def _without_speed(asked: Measurement, side: Measurement, name: str) -> Iterator
             yield f"{label}@{recording} has no latency figures in the {name}: compare with --latency"
 
 
-def _ratio(side: Measurement, asked: Measurement, label: str, reference: str, call: str) -> float:
-    """Geometric mean over the baseline's recordings of the time of one call as a multiple of the reference's."""
+def _ratio(runs: Sequence[Measurement], asked: Measurement, label: str, reference: str, call: str) -> float:
+    """Geometric mean, over runs and the baseline's recordings, of the time of one call as a multiple of the
+    reference's."""
     ratios = [
-        getattr(side.trackers[label].recordings[name].speed, f"{call}_ms")
-        / getattr(side.trackers[reference].recordings[name].speed, f"{call}_ms")
+        getattr(run.trackers[label].recordings[name].speed, f"{call}_ms")
+        / getattr(run.trackers[reference].recordings[name].speed, f"{call}_ms")
+        for run in runs
         for name in asked.recordings
     ]
     return math.exp(sum(map(math.log, ratios)) / len(ratios))

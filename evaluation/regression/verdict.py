@@ -12,9 +12,10 @@ from pydantic import Field
 
 from gridtrack.common.config import Settings
 from gridtrack.common.errors import ConfigurationError, did_you_mean
-from gridtrack.evaluation.regression.measurement import Measurement, Unmeasured
+from gridtrack.evaluation.regression.chance import Chance, chances
+from gridtrack.evaluation.regression.measurement import Baseline, Measurement, Unmeasured
 from gridtrack.evaluation.regression.pairing import PairedRow, pair
-from gridtrack.evaluation.regression.significance import FAMILY_LEVEL, f1_of, fall_p_values
+from gridtrack.evaluation.regression.significance import FAMILY_LEVEL, f1_of
 from gridtrack.evaluation.regression.speed import SpeedRow, judge_speed
 from gridtrack.evaluation.statistics.uncertainty import LEAST_UNITS
 
@@ -31,8 +32,8 @@ class GateSettings(Settings):
     margin: Margin = 0.005
     """A fall in F1 that does not matter, however significant."""
     tolerance: dict[str, Margin] = Field(default_factory=dict)
-    """By label, in place of the margin: how far two trainings of that tracker may lie apart. Where there are too few
-    units for significance it decides alone, and a tracker without one must not fall at all."""
+    """By label, in place of the margin: what that tracker may lose. Where there are too few units for significance it
+    decides alone, and a tracker without one must not fall at all."""
     speed_reference: str | None = None
     """The tracker that speed is measured against; None: speed is not judged."""
     speed_margin: Annotated[float, Field(ge=0.0)] = 0.5
@@ -44,7 +45,9 @@ class Row:
     """One tracker, stratum and step band over all units; `recording` names one where the row is of that one only.
 
     F1 is pooled over steps and frames; None where nothing was occupied. `log_loss` is the mean of a cell, in nats.
-    `p` is of the fall, corrected for the family; None where units are too few, and for one recording.
+    Both are of the mean counts where the baseline is of several runs. `p` is of the fall, corrected for the family;
+    None where units are too few, and for one recording. `spread` is the standard deviation of F1 from training to
+    training; None where that is not known.
     """
 
     label: str
@@ -57,6 +60,7 @@ class Row:
     log_loss_run: float | None
     margin: float
     p: float | None
+    spread: float | None
     standing: Standing
 
     @property
@@ -74,6 +78,8 @@ class Verdict:
     fallen: tuple[Row, ...]
     speed: tuple[SpeedRow, ...]
     units: int
+    trainings: int
+    """Of how many runs the baseline is; of one, what separates trainings is not known."""
     significance: bool
     """Whether units were enough for it; else only equality and tolerances decide."""
     notes: tuple[str, ...]
@@ -89,58 +95,61 @@ class Verdict:
         return tuple(row for row in self.decisive if row.standing == "worse")
 
 
-def judge(baseline: Measurement, run: Measurement, settings: GateSettings | None = None) -> Verdict:
+def judge(baseline: Baseline, run: Measurement, settings: GateSettings | None = None) -> Verdict:
     """Compare a run with a baseline, paired by units.
 
     Raises Unmeasured where they do not pair or hold nothing to judge, ConfigurationError for a label that is unknown.
     """
     settings = settings or GateSettings()
     for label in (*settings.tolerance, *filter(None, [settings.speed_reference])):
-        if label not in baseline.trackers:
-            raise ConfigurationError(f"the baseline has no tracker '{label}'; {did_you_mean(label, baseline.trackers)}")
+        known = baseline.first.trackers
+        if label not in known:
+            raise ConfigurationError(f"the baseline has no tracker '{label}'; {did_you_mean(label, known)}")
     paired = pair(baseline, run)
     units = len(paired[0].recordings) if paired else 0
-    significance = units >= LEAST_UNITS
-    p_values = _p_values(paired) if significance else dict.fromkeys(range(len(paired)))
-    rows = tuple(_judged(row, settings, p_values[i], significance) for i, row in enumerate(paired))
+    rows = tuple(_judged(row, settings, chance) for row, chance in zip(paired, chances(paired), strict=True))
     if all(row.standing == "nothing to find" for row in rows):
         raise Unmeasured(["no cell was occupied in any stratum and step band: nothing was measured"])
     speed, spoken = judge_speed(baseline, run, settings.speed_reference, settings.speed_margin)
-    return Verdict(rows, _fallen(paired, settings), speed, units, significance, (*_notes(baseline, run), *spoken))
+    return Verdict(
+        rows,
+        _fallen(paired, settings),
+        speed,
+        units,
+        len(baseline.runs),
+        units >= LEAST_UNITS,
+        (*_notes(baseline, run), *spoken),
+    )
 
 
-def _p_values(paired: Sequence[PairedRow]) -> dict[int, float]:
-    """One family: every row of every tracker."""
-    baseline = np.stack([row.baseline for row in paired], axis=1)
-    run = np.stack([row.run for row in paired], axis=1)
-    return dict(enumerate(fall_p_values(baseline, run).tolist()))
-
-
-def _judged(row: PairedRow, settings: GateSettings, p: float | None, significance: bool) -> Row:
+def _judged(row: PairedRow, settings: GateSettings, chance: Chance) -> Row:
     """The row over all units, with its standing."""
     tolerance = settings.tolerance.get(row.label)
-    margin = (settings.margin if significance else 0.0) if tolerance is None else tolerance
-    plain = _row(row, np.ones(len(row.recordings), bool), "", margin, p)
-    beyond = plain.fall > margin + SMALLEST_FALL and (p is None or p <= FAMILY_LEVEL)
+    margin = (0.0 if chance.p is None else settings.margin) if tolerance is None else tolerance
+    plain = _row(row, np.ones(len(row.recordings), bool), "", margin, chance)
+    beyond = plain.fall > margin + SMALLEST_FALL and (chance.p is None or chance.p <= FAMILY_LEVEL)
     standing: Standing = "worse" if beyond and plain.standing == "no worse" else plain.standing
     return replace(plain, standing=standing)
 
 
-def _row(row: PairedRow, members: NDArray[np.bool_], recording: str, margin: float, p: float | None) -> Row:
+def _row(row: PairedRow, members: NDArray[np.bool_], recording: str, margin: float, chance: Chance) -> Row:
     """The row over some of its units, not judged yet."""
     then, now = row.baseline[members].sum(axis=0), row.run[members].sum(axis=0)
     f1_then, f1_now = (None if np.isnan(f1) else float(f1) for f1 in (f1_of(then), f1_of(now)))
     cells = then.sum() or np.nan
     loss_then, loss_now = (
         None if np.isnan(loss) else float(loss)
-        for loss in (row.baseline_log_loss[members].sum() / cells, row.run_log_loss[members].sum() / cells)
+        for loss in (row.log_losses.mean(axis=0)[members].sum() / cells, row.run_log_loss[members].sum() / cells)
     )
     standing: Standing = "no worse"
     if f1_then is None:
         standing = "nothing to find"
-    elif np.array_equal(row.baseline[members], row.run[members]):
+    elif row.equal:
         standing = "equal"
-    return Row(row.label, row.stratum, row.band, recording, f1_then, f1_now, loss_then, loss_now, margin, p, standing)
+    return Row(
+        row.label, row.stratum, row.band, recording, f1_then, f1_now, loss_then, loss_now, margin, chance.p,
+        chance.spread, standing,
+    )  # fmt: skip
 
 
 def _fallen(paired: Sequence[PairedRow], settings: GateSettings) -> tuple[Row, ...]:
@@ -150,40 +159,47 @@ def _fallen(paired: Sequence[PairedRow], settings: GateSettings) -> tuple[Row, .
         names = np.array(row.recordings)
         margin = settings.tolerance.get(row.label, settings.margin)
         for name in dict.fromkeys(row.recordings):
-            one = _row(row, names == name, name, margin, None)
+            one = _row(row, names == name, name, margin, Chance())
             known = deepest.get((row.label, name))
             if one.fall > margin and (known is None or one.fall > known.fall):
                 deepest[row.label, name] = one
     return tuple(sorted(deepest.values(), key=lambda row: -row.fall))
 
 
-def _notes(baseline: Measurement, run: Measurement) -> list[str]:
+def _notes(baseline: Baseline, run: Measurement) -> list[str]:
     """What differs between the two beside the counts."""
+    first = baseline.first
     notes = [
-        f"tracker {label} is not in the baseline: not judged"
-        for label in run.trackers
-        if label not in baseline.trackers
+        f"tracker {label} is not in the baseline: not judged" for label in run.trackers if label not in first.trackers
     ]
     notes += [
         f"recording {name} is not in the baseline: not judged"
         for name in run.recordings
-        if name not in baseline.recordings
+        if name not in first.recordings
     ]
-    for label, then in baseline.trackers.items():
+    for label, then in first.trackers.items():
         now = run.trackers[label]
         if (then.tracker, then.options) != (now.tracker, now.options):
             notes.append(f"{label} was {_named(then.tracker, then.options)}, now {_named(now.tracker, now.options)}")
-        others = [r for r, trial in then.recordings.items() if trial.weights_sha256 != now.recordings[r].weights_sha256]
-        if others:
+        if others := _other_weights(label, baseline, run):
             notes.append(
-                f"{label} has other weights than in the baseline on {len(others)} of {len(then.recordings)} recordings"
+                f"{label} has other weights than in the baseline on {others} of {len(then.recordings)} recordings"
             )
     changed = [
         f"{name} {old}, now {run.versions.get(name, 'none')}"
-        for name, old in baseline.versions.items()
+        for name, old in first.versions.items()
         if run.versions.get(name) != old
     ]
     return [*notes, *([f"versions: {'; '.join(changed)}"] if changed else [])]
+
+
+def _other_weights(label: str, baseline: Baseline, run: Measurement) -> int:
+    """On how many recordings the run has weights that no run of the baseline had."""
+    return sum(
+        all(then.trackers[label].recordings[name].weights_sha256 != trial.weights_sha256 for then in baseline.runs)
+        for name, trial in run.trackers[label].recordings.items()
+        if name in baseline.first.recordings
+    )
 
 
 def _named(tracker: str, options: Mapping[str, object]) -> str:

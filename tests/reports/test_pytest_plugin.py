@@ -41,7 +41,7 @@ def test_a_tracker_is_gated_by_a_test_of_its_own_repository(suite, tmp_path):
     assert "To make it: pytest test_fading.py::test_fading --gridtrack-update-baseline" in missing.stdout
 
     assert suite("--gridtrack-update-baseline").returncode == 0
-    assert json.loads((tmp_path / "fading.json").read_text())["trackers"].keys() == {"mine"}
+    assert json.loads((tmp_path / "fading.json").read_text())["runs"][0]["trackers"].keys() == {"mine"}
     assert suite().returncode == 0
 
     worse = suite(half_life_s=0.05)

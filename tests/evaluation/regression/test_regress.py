@@ -43,7 +43,7 @@ def test_a_run_compared_with_itself_passes_and_every_count_is_equal(baseline, wr
 
 def test_the_baseline_of_twenty_recordings_and_two_trackers_is_small_and_has_no_pickle_in_it(baseline):
     assert baseline.stat().st_size < 300_000 / 3
-    assert json.loads(baseline.read_text())["schema"] == 1
+    assert json.loads(baseline.read_text())["schema"] == 2
 
 
 def test_a_tracker_that_lost_on_moving_cells_at_one_second_is_worse_there_and_only_there(baseline, write_run, regress):
@@ -207,7 +207,7 @@ def test_the_scores_of_another_trial_never_pass(short_baseline, write_run, regre
 
 def test_other_frames_do_not_pair(short_baseline, write_run, regress, edit):
     def deliver_others(content):
-        content["trackers"]["kalman"]["recordings"]["junction-00"]["units"][0]["delivered"] = "0" * 32
+        content["runs"][0]["trackers"]["kalman"]["recordings"]["junction-00"]["units"][0]["delivered"] = "0" * 32
 
     edit(short_baseline, deliver_others)
     done = regress(write_run("now", NAMES, recordings=2), "--baseline", short_baseline)
@@ -217,7 +217,7 @@ def test_other_frames_do_not_pair(short_baseline, write_run, regress, edit):
 
 def test_other_cells_do_not_pair(short_baseline, write_run, regress, edit):
     def count_others(content):
-        unit = content["trackers"]["kalman"]["recordings"]["junction-00"]["units"][0]
+        unit = content["runs"][0]["trackers"]["kalman"]["recordings"]["junction-00"]["units"][0]
         unit["counts"]["moving"]["short"][2] += 1
 
     edit(short_baseline, count_others)
@@ -226,17 +226,23 @@ def test_other_cells_do_not_pair(short_baseline, write_run, regress, edit):
     assert "other strata or cells were scored" in done.err
 
 
+def kalman_of(baseline):
+    return baseline["runs"][0]["trackers"]["kalman"]
+
+
 @pytest.mark.parametrize(
     ("change", "code", "says"),
     [
-        (lambda b: b.update(schema=2), 2, "schema '2' of a baseline; this gridtrack reads schema 1"),
-        (lambda b: b.update(schema=0), 2, "schema '0' of a baseline; this gridtrack reads schema 1"),
+        (lambda b: b.update(schema=3), 2, "schema '3' of a baseline; this gridtrack reads schemas 1 to 2"),
+        (lambda b: b.update(schema=0), 2, "schema '0' of a baseline; this gridtrack reads schemas 1 to 2"),
         (lambda b: b.pop("schema"), 2, "schema 'None' of a baseline"),
-        (lambda b: b.update(trackers={}), 3, "the baseline is empty"),
+        (lambda b: b.update(runs=[]), 3, "the baseline is empty"),
+        (lambda b: b["runs"][0].update(trackers={}), 3, "the baseline is empty"),
+        (lambda b: b["runs"].append(b["runs"][0]), 2, "2 runs of 2 units: what separates trainings is judged on 20"),
         (lambda b: b.update(extra=1), 2, "not a baseline (extra: "),
-        (lambda b: b["trackers"]["kalman"]["recordings"].pop("junction-00"), 2, "kalman was not measured on every"),
-        (lambda b: b["trackers"]["kalman"]["recordings"]["junction-00"].update(units=[]), 2, "units"),
-        (lambda b: b.update(recordings={"a": {}}), 2, "not a baseline"),
+        (lambda b: kalman_of(b)["recordings"].pop("junction-00"), 2, "kalman was not measured on every"),
+        (lambda b: kalman_of(b)["recordings"]["junction-00"].update(units=[]), 2, "units"),
+        (lambda b: b["runs"][0].update(recordings={"a": {}}), 2, "not a baseline"),
     ],
 )
 def test_a_baseline_that_cannot_be_used_is_one_clear_line(short_baseline, write_run, regress, edit, change, code, says):

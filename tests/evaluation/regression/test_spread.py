@@ -1,0 +1,73 @@
+"""The spread between trainings against hand-computed cases, a plain two-way table, and trainings drawn alike."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.stats import t as student
+
+from gridtrack.evaluation.regression.spread import PRIOR_FREEDOM, Spread, beyond_spread, spread_between
+
+
+def trainings_of(recalls, occupied=100_000.0):
+    """TP, FP, FN, TN (K, U, R, 4) of units with the same occupied cells, recalls (K, U, R) and no false alarm."""
+    tp = occupied * np.asarray(recalls, float)
+    return np.stack([tp, np.zeros_like(tp), occupied - tp, np.full_like(tp, occupied)], axis=-1)
+
+
+def drawn(rng, trainings, units, apart, unlike):
+    """Recalls (K, U, R): rows R whose trainings lie `apart` (R,), and differ from unit to unit by `unlike` (R,)."""
+    level = apart * rng.standard_normal((trainings, 1, len(apart)))
+    return 0.5 + level + unlike * rng.standard_normal((trainings, units, len(apart)))
+
+
+def test_with_one_row_the_spread_is_the_plain_standard_deviation_of_f1():
+    trainings = trainings_of(drawn(np.random.default_rng(0), 3, 20, np.array([0.01]), np.array([0.01])))
+    tp, _, fn, _ = np.moveaxis(trainings.sum(axis=1), -1, 0)
+    f1 = 2 * tp / (2 * tp + fn)
+    assert spread_between(trainings).deviation == pytest.approx(np.std(f1, axis=0, ddof=1))
+
+
+def test_rows_are_drawn_towards_the_mean_ratio_of_the_two_variances_of_a_two_way_table():
+    # recalls near 1/2 without false alarms: F1 = 2r / (1 + r) is as good as linear in so small deviations
+    rng = np.random.default_rng(1)
+    scale = 1e-4
+    recalls = drawn(rng, 4, 25, scale * np.array([3.0, 0.1, 10.0]), scale * np.array([1.0, 2.0, 3.0]))
+    slope = 2 / 1.5**2
+    between = slope**2 * recalls.mean(axis=1).var(axis=0, ddof=1)
+    left = recalls - recalls.mean(axis=0) - recalls.mean(axis=1, keepdims=True) + recalls.mean(axis=(0, 1))
+    within = slope**2 * (left**2).sum(axis=(0, 1)) / (3 * 24) / 25
+    ratio = between / within
+    expected = within * (PRIOR_FREEDOM * ratio.mean() + 3 * ratio) / (PRIOR_FREEDOM + 3)
+    np.testing.assert_allclose(spread_between(trainings_of(recalls)).deviation ** 2, expected, rtol=5e-3)
+
+
+def test_p_is_students_t_of_one_more_training_times_the_family():
+    spread = Spread(np.array([0.01, 0.01, 0.0, 0.0]), trainings=3)
+    p = beyond_spread(np.array([0.08, -0.01, 0.001, 0.0]), spread, family=4)
+    error = 0.01 * np.sqrt(1 + 1 / 3)
+    assert p[0] == pytest.approx(4 * student.sf(0.08 / error, PRIOR_FREEDOM + 2))
+    assert p[1:].tolist() == [1.0, 0.0, 1.0]
+
+
+@pytest.mark.parametrize("trainings", [2, 3, 5])
+def test_one_more_training_is_seldom_beyond_the_spread_of_the_others_in_any_row(trainings):
+    # rows of unlike spread that all move together: what pooling over rows is hardest on
+    rng = np.random.default_rng(trainings)
+    called, draws = 0, 400
+    for _ in range(draws):
+        common, own = (rng.standard_normal((trainings + 1, 1, rows)) for rows in (1, 4))
+        level = np.array([0.002, 0.004, 0.008, 0.003]) * (0.8 * common + 0.6 * own)
+        counts = trainings_of(0.5 + level + 0.004 * rng.standard_normal((trainings + 1, 20, 4)))
+        spread = spread_between(counts[:-1])
+        tp = counts[..., 0].sum(axis=1)
+        f1 = 2 * tp / (tp + 20 * 100_000.0)
+        called += (beyond_spread(f1[:-1].mean(axis=0) - f1[-1], spread, 4) <= 0.05).any()
+    assert called <= 0.08 * draws
+
+
+def test_rows_with_nothing_to_find_and_trainings_that_are_equal_have_no_spread():
+    trainings = trainings_of(np.full((3, 20, 2), 0.5))
+    trainings[:, :, 1] = 0.0
+    spread = spread_between(trainings)
+    assert spread.deviation.tolist() == [0.0, 0.0]
