@@ -1,92 +1,117 @@
-"""How often the gate is wrong: false alarms between two trainings of one tracker, and falls that it misses.
+"""How often the gate is wrong: false alarms between trainings of one tracker, and falls that it misses.
 
-Run it by itself: `python benchmarks/regression_gate.py [RUN_A RUN_B]`, two runs of the same tracker, trained twice, on
-the same twenty recordings or more; without them, `kalman` with two settings is run on the junction's test recordings,
-which takes some minutes. Aims: worse in at most 5 % of 200 resampled comparisons; a fall of 0.02 F1 on moving cells
-in the step band of 1 s found in at least 95 of 100.
+Run it by itself: `python benchmarks/regression_gate.py [RUN RUN RUN...]`, three runs or more of the same tracker,
+trained anew for each, on the same twenty recordings or more; without them, `kalman` with four settings is run on the
+junction's test recordings. It takes some minutes. Aims: worse in at most 5 % of 200 resampled comparisons; a fall of
+0.02 F1 on moving cells in the step band of 1 s found in at least 95 of 100.
 
-A comparison draws as many recordings as there are, with replacement. For false alarms it is chance in each recording
-which of the two trainings is the baseline, so neither is better; for a training that is better by chance of its seed,
-both directions are printed as they are, and again with the tolerance that covers what separates the two, rounded up to
-0.005. For the falls, hits of a training are turned into misses, more in some recordings than in others, until moving
-F1 has fallen by 0.02, and the other training is the baseline.
+Every comparison draws as many recordings as there are, with replacement. Falls are hits of the judged run turned into
+misses, more in some recordings than in others, until moving F1 has fallen by 0.02. Three tables:
+
+1. Chance of the units: of the two best runs it is chance in each recording which one is the baseline.
+2. Trainings as they are: each run but the best against baselines of others, with the best one among them; and each run
+   against all others.
+3. Trainings drawn: a normal mixture of what separates the runs, so that of any number none differs from the others but
+   by chance.
 """
 
 from __future__ import annotations
 
 import sys
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from harness import Quiet
 from numpy.typing import NDArray
+from scipy.special import stdtrit
 
 from gridtrack.evaluation.comparison.plan import CompareSettings, resolve
 from gridtrack.evaluation.comparison.runner import run
-from gridtrack.evaluation.regression import GateSettings, measure
+from gridtrack.evaluation.regression import Baseline, GateSettings, measure
+from gridtrack.evaluation.regression.chance import chances
 from gridtrack.evaluation.regression.pairing import PairedRow, pair
 from gridtrack.evaluation.regression.significance import FAMILY_LEVEL, f1_of, fall_p_values
+from gridtrack.evaluation.regression.spread import PRIOR_FREEDOM, beyond_spread, spread_between
 from gridtrack.evaluation.statistics.uncertainty import differences, holm
 
 JUNCTION = Path(__file__).parents[1] / "data" / "junction"
+SETTINGS = ("", ":position_noise_m=0.1", ":acceleration=2", ":link_m=1.5")
+"""Of `kalman`, about as good as each other: in place of trainings where none are given."""
 RESAMPLED, FALLS = 200, 100
 FALL, STRATUM, BAND = 0.02, "moving", "middle"
 MARGIN = GateSettings().margin
-Counts = NDArray[np.float64]
-"""TP, FP, FN, TN (U, R, 4) of units and rows."""
-Rule = Callable[[Counts, Counts], NDArray[np.float64]]
-"""From a baseline and a run to p (R,)."""
+Floats = NDArray[np.float64]
+"""Counts are TP, FP, FN, TN (U, R, 4) of units and rows; of trainings (K, U, R, 4)."""
+Rule = Callable[[Floats, Floats], Floats]
+"""From the counts of the baseline's trainings and of a run to p (R,)."""
+Comparison = tuple[Floats, Floats]
+"""The counts of the baseline's trainings, and those of a run."""
 
 
-def by_swaps(baseline: Counts, run: Counts) -> NDArray[np.float64]:
-    """The gate's own."""
-    return fall_p_values(baseline, run)
+@dataclass(frozen=True)
+class Runs:
+    """Counts of every run, what their rows are, and which of them the fall is made in."""
+
+    trainings: Floats
+    rows: tuple[PairedRow, ...]
+
+    @property
+    def aim(self) -> int:
+        """The row of the fall."""
+        return next(i for i, row in enumerate(self.rows) if (row.stratum, row.band) == (STRATUM, BAND))
+
+    def by_gate(self, trainings: Floats, judged: Floats) -> Floats:
+        """The gate's own p."""
+        paired = [
+            replace(row, trainings=trainings[:, :, i], run=judged[:, i], recordings=("",) * judged.shape[0])
+            for i, row in enumerate(self.rows)
+        ]
+        return np.array([chance.p for chance in chances(paired)])
 
 
-def by_holm(baseline: Counts, run: Counts) -> NDArray[np.float64]:
+def by_holm(trainings: Floats, judged: Floats) -> Floats:
     """Student's t of the paired differences, Holm's correction over all rows."""
-    return holm(_one_sided(baseline, run))
+    return holm(uncorrected(trainings, judged))
 
 
-def uncorrected(baseline: Counts, run: Counts) -> NDArray[np.float64]:
+def uncorrected(trainings: Floats, judged: Floats) -> Floats:
     """Student's t of the paired differences, each row by itself."""
-    return _one_sided(baseline, run)
-
-
-def no_statistics(baseline: Counts, run: Counts) -> NDArray[np.float64]:
-    """Whatever fell beyond the margin."""
-    return np.zeros(baseline.shape[1])
-
-
-RULES: dict[str, Rule] = {
-    "swaps, max-T over the family (the gate's)": by_swaps,
-    "t test, Holm over the family": by_holm,
-    "t test, uncorrected": uncorrected,
-    "margin alone": no_statistics,
-}
-
-
-def _one_sided(baseline: Counts, run: Counts) -> NDArray[np.float64]:
-    padded = [np.concatenate([side, np.zeros((*side.shape[:2], 2))], axis=-1) for side in (run, baseline)]
-    found = differences(*padded)
+    sides = judged, trainings.mean(axis=0)
+    found = differences(*(np.concatenate([side, np.zeros((*side.shape[:2], 2))], axis=-1) for side in sides))
     return np.where(found.value < 0, found.p / 2, 1.0)
 
 
-def worse(rule: Rule, margin: float, baseline: Counts, run: Counts) -> NDArray[np.bool_]:
-    """Which rows (R,) are worse: beyond the margin, and significant."""
-    fall = np.nan_to_num(f1_of(baseline.sum(axis=0)) - f1_of(run.sum(axis=0)))
-    return (fall > margin) & (rule(baseline, run) <= FAMILY_LEVEL)
+def no_statistics(trainings: Floats, judged: Floats) -> Floats:
+    """Whatever fell beyond the margin."""
+    return np.zeros(judged.shape[1])
 
 
-def swapped(one: Counts, other: Counts, rng: np.random.Generator) -> tuple[Counts, Counts]:
-    """The two with chance deciding in each unit which is which."""
-    swap = rng.integers(0, 2, (len(one), 1, 1)).astype(bool)
-    return np.where(swap, other, one), np.where(swap, one, other)
+def by_units(trainings: Floats, judged: Floats) -> Floats:
+    """As if the trainings' mean were one run."""
+    return fall_p_values(trainings.mean(axis=0), judged)
 
 
-def made_worse(counts: Counts, row: int, rng: np.random.Generator) -> Counts:
+def with_prior(freedom: float) -> Rule:
+    """The gate's with another weight of what the rows of a tracker have in common."""
+
+    def rule(trainings: Floats, judged: Floats) -> Floats:
+        spread = spread_between(trainings, freedom)
+        fall = np.nan_to_num(f1_of(trainings.mean(axis=0).sum(axis=0)) - f1_of(judged.sum(axis=0)))
+        return np.maximum(by_units(trainings, judged), beyond_spread(fall, spread, judged.shape[1]))
+
+    return rule
+
+
+def is_worse(rule: Rule, trainings: Floats, judged: Floats) -> NDArray[np.bool_]:
+    """Which rows (R,) are worse: beyond the margin, and no chance."""
+    fall = np.nan_to_num(f1_of(trainings.mean(axis=0).sum(axis=0)) - f1_of(judged.sum(axis=0)))
+    return (fall > MARGIN) & (rule(trainings, judged) <= FAMILY_LEVEL)
+
+
+def made_worse(counts: Floats, row: int, rng: np.random.Generator) -> Floats:
     """`counts` with hits of the stratum's `row` turned into misses until its F1 has fallen by FALL.
 
     A unit loses a share of its hits that varies by half from unit to unit.
@@ -103,54 +128,121 @@ def made_worse(counts: Counts, row: int, rng: np.random.Generator) -> Counts:
     return made
 
 
-def print_rates(rows: tuple[PairedRow, ...]) -> None:
-    one, other = (np.stack([getattr(row, side) for row in rows], axis=1) for side in ("baseline", "run"))
-    aim = next(i for i, row in enumerate(rows) if (row.stratum, row.band) == (STRATUM, BAND))
-    apart = f1_of(other.sum(axis=0)) - f1_of(one.sum(axis=0))
-    print(f"{len(one)} units, {len(rows)} rows; trainings {np.nanmin(apart):+.4f} to {np.nanmax(apart):+.4f} apart")
-    print(f"{STRATUM}, {BAND}: F1 {f1_of(one.sum(axis=0))[aim]:.4f} and {f1_of(other.sum(axis=0))[aim]:.4f}\n")
-    print(f"{'rule':44} {'false alarms':>14} {'A to B':>8} {'B to A':>8} {'falls found':>12}")
-    for name, rule in RULES.items():
-        print_rule(name, rule, MARGIN, one, other, aim)
-    tolerance = float(np.ceil(np.nanmax(np.abs(apart)) / 0.005)) * 0.005
-    print_rule(f"the gate's, with a tolerance of {tolerance:.3f}", by_swaps, tolerance, one, other, aim)
+def swapped(one: Floats, other: Floats, rng: np.random.Generator) -> Comparison:
+    """Of two runs, in each unit drawn, chance decides which is the baseline's."""
+    drawn = rng.integers(0, len(one), len(one))
+    swap = rng.integers(0, 2, (len(one), 1, 1)).astype(bool)
+    return np.where(swap, other[drawn], one[drawn])[None], np.where(swap, one[drawn], other[drawn])
 
 
-def print_rule(name: str, rule: Rule, margin: float, one: Counts, other: Counts, aim: int) -> None:
+def as_they_are(trainings: Floats, others: int, rng: np.random.Generator) -> Comparison:
+    """A run but the best, the first, against a baseline of the best and, but for it, `others` drawn among the rest."""
+    judged, *rest = rng.permutation(np.arange(1, len(trainings)))
+    drawn = rng.integers(0, trainings.shape[1], trainings.shape[1])
+    return trainings[[0, *rest[:others]]][:, drawn], trainings[judged][drawn]
+
+
+def left_out(trainings: Floats, rng: np.random.Generator) -> Comparison:
+    """A run against all others."""
+    judged = rng.integers(0, len(trainings))
+    drawn = rng.integers(0, trainings.shape[1], trainings.shape[1])
+    return np.delete(trainings, judged, axis=0)[:, drawn], trainings[judged][drawn]
+
+
+def mixed(trainings: Floats, count: int, rng: np.random.Generator) -> Comparison:
+    """`count` trainings and one more, each the runs' mean and a normal mixture of their deviations from it."""
+    mean = trainings.mean(axis=0)
+    weights = rng.standard_normal((count + 1, len(trainings))) / np.sqrt(len(trainings) - 1)
+    drawn = rng.integers(0, trainings.shape[1], trainings.shape[1])
+    made = np.maximum(mean + np.tensordot(weights, trainings - mean, 1), 0.0)[:, drawn]
+    return made[:-1], made[-1]
+
+
+def print_rule(name: str, rule: Rule, draw: Callable[[np.random.Generator], Comparison], aim: int) -> None:
+    """How often `rule` calls what `draw` gives worse, and how often it finds the fall in it."""
     rng = np.random.default_rng(1)
-    units = len(one)
-    alarms, forward, backward, found = 0, 0, 0, 0
-    for draw in range(RESAMPLED):
-        drawn = rng.integers(0, units, units)
-        alarms += worse(rule, margin, *swapped(one[drawn], other[drawn], rng)).any()
-        forward += worse(rule, margin, one[drawn], other[drawn]).any()
-        backward += worse(rule, margin, other[drawn], one[drawn]).any()
-        if draw < FALLS:
-            then, now = swapped(one[drawn], other[drawn], rng)
-            found += worse(rule, margin, then, made_worse(now, aim, rng))[aim]
-    rates = [f"{100 * count / RESAMPLED:.1f} %" for count in (alarms, forward, backward)]
-    print(f"{name:44} {rates[0]:>14} {rates[1]:>8} {rates[2]:>8} {f'{found} of {FALLS}':>12}")
+    alarms = found = 0
+    for number in range(RESAMPLED):
+        trainings, judged = draw(rng)
+        alarms += is_worse(rule, trainings, judged).any()
+        if number < FALLS:
+            found += is_worse(rule, trainings, made_worse(judged, aim, rng))[aim]
+    print(f"{name:50} {f'{100 * alarms / RESAMPLED:.1f} %':>14} {f'{found} of {FALLS}':>12}", flush=True)
 
 
-def junction_runs(folder: Path) -> tuple[Path, Path]:
-    """Two runs of `kalman` on the junction's test recordings, with two settings that suit it about as well."""
+def heading(title: str) -> None:
+    print(f"\n{title:50} {'called worse':>14} {'falls found':>12}")
+
+
+def print_tables(runs: Runs) -> None:
+    trainings, aim, gate = runs.trainings, runs.aim, runs.by_gate
+    f1 = f1_of(trainings.sum(axis=1))
+    print(f"{trainings.shape[1]} units, {trainings.shape[2]} rows, {len(trainings)} runs, the best one first")
+    print(
+        f"F1 from run to run up to {np.nanmax(np.ptp(f1, axis=0)):.4f} apart; {STRATUM}, {BAND}: {f1[:, aim].round(4)}"
+    )
+
+    heading("1. chance of the units")
+    rules = {
+        "the gate's: swaps, max-T over the family": gate,
+        "t test, Holm over the family": by_holm,
+        "t test, uncorrected": uncorrected,
+        "margin alone": no_statistics,
+    }
+    for name, rule in rules.items():
+        print_rule(name, rule, lambda rng: swapped(trainings[0], trainings[1], rng), aim)
+
+    heading("2. trainings as they are: baseline of")
+    for others in range(len(trainings) - 1):
+        name = f"the best and {others} more" if others else "the best alone"
+        print_rule(name, gate, lambda rng, others=others: as_they_are(trainings, others, rng), aim)
+    print_rule("all but the one judged", gate, lambda rng: left_out(trainings, rng), aim)
+
+    print("\nsmallest fall that can be found, in standard deviations from training to training")
+    for count in (2, 3, 5):
+        t = stdtrit(PRIOR_FREEDOM + count - 1, 1 - FAMILY_LEVEL / trainings.shape[2])
+        print(f"baseline of {count}: {t * np.sqrt(1 + 1 / count):.1f}")
+
+    heading("3. trainings drawn")
+    for name, rule, count in drawn_rules(gate):
+        print_rule(f"{name}, baseline of {count}", rule, lambda rng, count=count: mixed(trainings, count, rng), aim)
+
+
+def drawn_rules(gate: Rule) -> Iterator[tuple[str, Rule, int]]:
+    """Rules for trainings that are drawn, and of how many of them the baseline is."""
+    for count in (1, 2, 3, 5):
+        yield "the gate's", gate, count
+    for freedom in (0.0, PRIOR_FREEDOM / 2, PRIOR_FREEDOM * 2):
+        for count in (2, 3):
+            yield f"with {freedom:g} degrees of freedom shared", with_prior(freedom), count
+
+
+def junction_runs(folder: Path) -> list[Path]:
+    """Runs of `kalman` on the junction's test recordings, each with other settings."""
     recordings = tuple(map(str, sorted(JUNCTION.glob("test-*.tracks"))))
-    made = []
-    for name, options in (("one", ""), ("other", ":position_noise_m=0.1")):
+    made = [folder / str(number) for number in range(len(SETTINGS))]
+    for out, options in zip(made, SETTINGS, strict=True):
         settings = CompareSettings(
-            recordings=recordings, trackers=(f"kalman=kalman{options}",), out=folder / name,
+            recordings=recordings, trackers=(f"kalman=kalman{options}",), out=out,
             validation=f"{JUNCTION / 'validation.tracks'}@0s-60s",
         )  # fmt: skip
         run(resolve(settings), (), Quiet())
-        made.append(folder / name)
-    return made[0], made[1]
+    return made
+
+
+def read_runs(paths: list[Path]) -> Runs:
+    """What the runs counted, the best by its mean F1 over all rows first."""
+    first = measure(paths[0])
+    baseline = Baseline(runs=(first, *(measure(path, like=first) for path in paths[1:])))
+    rows = pair(baseline, first)
+    trainings = np.stack([row.trainings for row in rows], axis=2)
+    best = np.argsort(-np.nanmean(f1_of(trainings.sum(axis=1)), axis=1))
+    return Runs(trainings[best], rows)
 
 
 def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
-        one, other = map(Path, sys.argv[1:3]) if len(sys.argv) > 2 else junction_runs(Path(folder))
-        baseline = measure(one)
-        print_rates(pair(baseline, measure(other, like=baseline)))
+        print_tables(read_runs(list(map(Path, sys.argv[1:])) or junction_runs(Path(folder))))
 
 
 if __name__ == "__main__":

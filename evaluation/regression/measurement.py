@@ -6,14 +6,14 @@ A baseline is the measurements of one or several earlier runs, in a file.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Final, Literal
 
 from pydantic import Field, model_validator
 
 from gridtrack.common.config import Settings
 from gridtrack.common.errors import GridtrackError
 
-SCHEMA = 2
+SCHEMA: Final = 2
 BANDS: dict[str, tuple[float, float]] = {"short": (0.0, 0.5), "middle": (0.5, 1.5), "long": (1.5, 3600.0)}
 """Horizons of each step band in seconds, the first excluded: step 0 on visible cells is copying."""
 BLOCK_S = 100.0

@@ -25,18 +25,15 @@ PRIOR_FREEDOM = 2.0
 
 @dataclass(frozen=True, slots=True)
 class Spread:
-    """`deviation` (R,): the standard deviation of F1 from training to training, moderated."""
+    """`deviation` (R,): the standard deviation of F1 from training to training, of so many `trainings`, moderated;
+    `freedom`: the degrees of freedom of its square."""
 
     deviation: Floats
     trainings: int
-
-    @property
-    def freedom(self) -> float:
-        """Degrees of freedom of the deviation's square."""
-        return PRIOR_FREEDOM + self.trainings - 1
+    freedom: float
 
 
-def spread_between(trainings: Floats) -> Spread:
+def spread_between(trainings: Floats, prior_freedom: float = PRIOR_FREEDOM) -> Spread:
     """What separates K >= 2 trainings of one tracker: TP, FP, FN, TN (K, U, R, 4) in U units and R rows.
 
     A row in which all of them are equal in every unit, or have nothing to find, has a deviation of 0.
@@ -46,10 +43,10 @@ def spread_between(trainings: Floats) -> Spread:
     moved = by_units > 0
     ratio = own[moved] / by_units[moved]
     prior = ratio.mean() if moved.any() else 0.0
-    freedom = len(trainings) - 1
+    freedom = len(trainings) - 1 + prior_freedom
     moderated = np.zeros_like(own)
-    moderated[moved] = by_units[moved] * (PRIOR_FREEDOM * prior + freedom * ratio) / (PRIOR_FREEDOM + freedom)
-    return Spread(np.sqrt(moderated), len(trainings))
+    moderated[moved] = by_units[moved] * (ratio + prior_freedom / freedom * (prior - ratio))
+    return Spread(np.sqrt(moderated), len(trainings), freedom)
 
 
 def beyond_spread(fall: Floats, spread: Spread, family: int) -> Floats:

@@ -43,10 +43,10 @@ def test_rows_are_drawn_towards_the_mean_ratio_of_the_two_variances_of_a_two_way
 
 
 def test_p_is_students_t_of_one_more_training_times_the_family():
-    spread = Spread(np.array([0.01, 0.01, 0.0, 0.0]), trainings=3)
+    spread = Spread(np.array([0.01, 0.01, 0.0, 0.0]), trainings=3, freedom=4.5)
     p = beyond_spread(np.array([0.08, -0.01, 0.001, 0.0]), spread, family=4)
     error = 0.01 * np.sqrt(1 + 1 / 3)
-    assert p[0] == pytest.approx(4 * student.sf(0.08 / error, PRIOR_FREEDOM + 2))
+    assert p[0] == pytest.approx(4 * student.sf(0.08 / error, 4.5))
     assert p[1:].tolist() == [1.0, 0.0, 1.0]
 
 
