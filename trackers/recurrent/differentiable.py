@@ -7,6 +7,10 @@ read convolutions as bfloat16 where they are.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from functools import cache, partial
+from itertools import pairwise
 from typing import Any
 
 import numba
@@ -18,6 +22,10 @@ from torch import Tensor
 
 from gridtrack.trackers.recurrent.dilated_convgru import convgru_gates
 from gridtrack.trackers.recurrent.fused import FLAGS, sigmoid
+
+AT_ONCE = 100
+"""Cells whose gradients wait in the processor's cache until they are written to where they belong."""
+_compiled = numba.njit(cache=True, nogil=True, fastmath=FLAGS, error_model="numpy")
 
 
 def differentiable_gates(x: Tensor | None, h_conv: Tensor, biases: tuple[Tensor, ...], h: Tensor) -> Tensor:
@@ -34,8 +42,8 @@ class _Gates(torch.autograd.Function):
         ctx.save_for_backward(x, h_conv, *biases_and_h)
         *biases, h = biases_and_h
         out = torch.empty_like(h, memory_format=torch.channels_last)
-        _with_threads_of_torch()
-        _forward(*_operands(x, h_conv, biases, h), _rows(out))
+        forward, _ = _kernels(h.shape[1])
+        _in_threads(forward, *_operands(x, h_conv, biases, h), _rows(out))
         return out
 
     @staticmethod
@@ -43,31 +51,29 @@ class _Gates(torch.autograd.Function):
         x, h_conv, *biases, h = ctx.saved_tensors
         grad_h_conv, grad_h = (torch.empty_like(t, memory_format=torch.channels_last) for t in (h_conv, h))
         grad_x = None if x is None else torch.empty_like(x, memory_format=torch.channels_last)
-        grad_biases = [_map_like(h) for _ in biases]
-        _with_threads_of_torch()
-        _backward(
+        _, channels, *size = h.shape
+        grad_maps = h.new_zeros((*size, len(biases) * channels))
+        _, backward = _kernels(channels)
+        _in_threads(
+            backward,
             *_operands(x, h_conv, biases, h),
             _rows(grads[0]),
-            _rows(grad_h_conv if grad_x is None else grad_x),
+            None if grad_x is None else _rows(grad_x),
             _rows(grad_h_conv),
-            *(_rows(grad[None]) for grad in grad_biases),
+            grad_maps.view(-1, grad_maps.shape[-1]).numpy(),
             _rows(grad_h),
         )
-        summed = (grad.sum_to_size(bias.shape) for grad, bias in zip(grad_biases, biases, strict=True))
-        return grad_x, grad_h_conv, *summed, grad_h
+        of_biases = (
+            grad.permute(2, 0, 1).sum_to_size(bias.shape)
+            for grad, bias in zip(grad_maps.split(channels, dim=-1), biases, strict=True)
+        )
+        return grad_x, grad_h_conv, *of_biases, grad_h
 
 
 def _operands(x: Tensor | None, h_conv: Tensor, biases: list[Tensor], h: Tensor) -> tuple[Any, ...]:
-    """Rows of channels for each cell; where there is no input, none."""
+    """Rows of channels, one for each cell of each item of the batch; of the maps, one for each cell."""
     maps = (_rows(bias.expand(h.shape[1:])[None]) for bias in biases)
-    rows = _rows(h_conv)
-    return (rows[:0] if x is None else _rows(x)), rows, *maps, _rows(h)
-
-
-def _map_like(h: Tensor) -> Tensor:
-    """An unfilled map (C, M, M), channels last."""
-    _, channels, *size = h.shape
-    return h.new_empty((*size, channels)).permute(2, 0, 1)
+    return None if x is None else _rows(x), _rows(h_conv), *maps, _rows(h)
 
 
 def _rows(tensor: Tensor) -> NDArray[Any]:
@@ -76,8 +82,24 @@ def _rows(tensor: Tensor) -> NDArray[Any]:
     return rows.view(torch.uint16).numpy() if rows.dtype == torch.bfloat16 else rows.numpy()
 
 
-def _with_threads_of_torch() -> None:
-    numba.set_num_threads(min(torch.get_num_threads(), numba.config.NUMBA_NUM_THREADS))  # type: ignore[attr-defined]
+def _in_threads(kernel: Callable[..., None], x: Any, h_conv: Any, b_keep: Any, *others: Any) -> None:
+    """Run `kernel` on as many threads as PyTorch, each on a block of cells.
+
+    Threads of numba's own would share PyTorch's OpenMP, change its number of threads, and wait for it spinning.
+    """
+    bounds = np.linspace(0, len(b_keep), torch.get_num_threads() + 1).astype(int)
+    blocks = list(pairwise(bounds.tolist()))
+    run = partial(_run_block, kernel, (x, h_conv, b_keep, *others))
+    list(map(run, blocks) if len(blocks) == 1 else _threads().map(run, blocks))
+
+
+def _run_block(kernel: Callable[..., None], arrays: tuple[Any, ...], block: tuple[int, int]) -> None:
+    kernel(*block, *arrays)
+
+
+@cache
+def _threads() -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(thread_name_prefix="gates")
 
 
 def _read(rows: Any, i: Any, c: Any) -> Any:
@@ -91,86 +113,97 @@ def _read_overload(rows, i, c):  # type: ignore[no-untyped-def]
     return lambda rows, i, c: np.int32(np.uint32(rows[i, c]) << np.uint32(16)).view(np.float32)
 
 
-def _write(rows: Any, i: Any, c: Any, value: Any) -> Any:
-    """rows[i, c] = value, rounded to the nearest, ties to even; see the overload."""
+def _rounded(rows: Any, value: Any) -> Any:
+    """`value` as `rows` keeps it: bfloat16 is the nearest, ties to even; see the overload."""
 
 
-@overload(_write, inline="always")
-def _write_overload(rows, i, c, value):  # type: ignore[no-untyped-def]
+@overload(_rounded, inline="always")
+def _rounded_overload(rows, value):  # type: ignore[no-untyped-def]
     if rows.dtype == numba.float32:
+        return lambda rows, value: value
 
-        def write(rows, i, c, value):  # type: ignore[no-untyped-def]
-            rows[i, c] = value
+    def nearest(rows, value):  # type: ignore[no-untyped-def]
+        bits = np.float32(value).view(np.uint32)
+        odd = (bits >> np.uint32(16)) & np.uint32(1)
+        return np.uint16((bits + np.uint32(0x7FFF) + odd) >> np.uint32(16))
 
-    else:
-
-        def write(rows, i, c, value):  # type: ignore[no-untyped-def]
-            bits = np.float32(value).view(np.uint32)
-            rows[i, c] = np.uint16(
-                (bits + np.uint32(0x7FFF) + ((bits >> np.uint32(16)) & np.uint32(1))) >> np.uint32(16)
-            )
-
-    return write
+    return nearest
 
 
-@numba.njit(cache=True, nogil=True, parallel=True, fastmath=FLAGS, error_model="numpy")
-def _forward(x, h_conv, b_keep, b_reset, b_candidate, h, out):  # type: ignore[no-untyped-def]
-    cells, channels = b_keep.shape
-    for i in numba.prange(h.shape[0]):
-        cell = i % cells
-        for c in range(channels):
-            keep, reset, candidate = b_keep[cell, c], b_reset[cell, c], b_candidate[cell, c]
-            if len(x):
-                keep += _read(x, i, c)
-                reset += _read(x, i, channels + c)
-                candidate += _read(x, i, 2 * channels + c)
-            f = sigmoid(keep + _read(h_conv, i, c))
-            r = sigmoid(reset + _read(h_conv, i, channels + c))
-            a = candidate + r * _read(h_conv, i, 2 * channels + c)
-            new = np.float32(2.0) * sigmoid(a + a) - np.float32(1.0)
-            out[i, c] = new + f * (h[i, c] - new)
+@cache
+def _kernels(channels: int) -> tuple[Callable[..., None], Callable[..., None]]:
+    """The passes forwards and backwards, on the cells `start` to `stop` - 1 of every item of the batch.
 
-
-@numba.njit(cache=True, nogil=True, parallel=True, fastmath=FLAGS, error_model="numpy")
-def _backward(  # type: ignore[no-untyped-def]
-    x, h_conv, b_keep, b_reset, b_candidate, h, grad, grad_x, grad_h_conv, g_keep, g_reset, g_candidate, grad_h
-):
-    """With a the argument of a gate: h' = c + f (h - c), c = tanh(a_c), a_c = candidate + r candidate_h.
-
-    A map's gradient is the sum over the batch of those of the arguments, which are the input convolution's too.
+    The number of channels is written into them: only so do they become vector instructions.
     """
-    one = np.float32(1.0)
-    cells, channels = b_keep.shape
-    batch = h.shape[0] // cells
-    for cell in numba.prange(cells):
-        for b in range(batch):
-            i = b * cells + cell
-            for c in range(channels):
-                keep, reset, candidate = b_keep[cell, c], b_reset[cell, c], b_candidate[cell, c]
-                if len(x):
-                    keep += _read(x, i, c)
-                    reset += _read(x, i, channels + c)
-                    candidate += _read(x, i, 2 * channels + c)
-                candidate_h = _read(h_conv, i, 2 * channels + c)
-                f = sigmoid(keep + _read(h_conv, i, c))
-                r = sigmoid(reset + _read(h_conv, i, channels + c))
-                a = candidate + r * candidate_h
-                new = np.float32(2.0) * sigmoid(a + a) - one
+    reset_at, candidate_at, all_of_them = channels, 2 * channels, 3 * channels
 
+    @_compiled
+    def gates(x, h_conv, b_keep, b_reset, b_candidate, i, cell, c):  # type: ignore[no-untyped-def]
+        keep, reset, candidate = b_keep[cell, c], b_reset[cell, c], b_candidate[cell, c]
+        if x is not None:
+            keep += _read(x, i, c)
+            reset += _read(x, i, reset_at + c)
+            candidate += _read(x, i, candidate_at + c)
+        f = sigmoid(keep + _read(h_conv, i, c))
+        r = sigmoid(reset + _read(h_conv, i, reset_at + c))
+        a = candidate + r * _read(h_conv, i, candidate_at + c)
+        return f, r, np.float32(2.0) * sigmoid(a + a) - np.float32(1.0)
+
+    @_compiled
+    def forward(start, stop, x, h_conv, b_keep, b_reset, b_candidate, h, out):  # type: ignore[no-untyped-def]
+        cells = len(b_keep)
+        for first in range(0, len(h), cells):
+            for cell in range(start, stop):
+                i = first + cell
+                for c in range(channels):
+                    f, _, new = gates(x, h_conv, b_keep, b_reset, b_candidate, i, cell, c)
+                    out[i, c] = new + f * (h[i, c] - new)
+
+    @_compiled
+    def arguments(first, start, x, h_conv, b_keep, b_reset, b_candidate, h, grad, grad_a, grad_h):  # type: ignore[no-untyped-def]
+        """Gradients of the arguments of keep, reset and candidate, and of the candidate's hidden convolution.
+
+        h' = c + f (h - c), c = tanh(a), a = a_x + r a_h, where a_h is that convolution.
+        """
+        one = np.float32(1.0)
+        for k in range(len(grad_a)):
+            cell = start + k
+            i = first + cell
+            for c in range(channels):
+                f, r, new = gates(x, h_conv, b_keep, b_reset, b_candidate, i, cell, c)
                 g = grad[i, c]
-                g_k = g * (h[i, c] - new) * f * (one - f)
-                g_c = g * (one - f) * (one - new * new)
-                g_r = g_c * candidate_h * r * (one - r)
+                g_candidate = g * (one - f) * (one - new * new)
+                grad_a[k, c] = g * (h[i, c] - new) * f * (one - f)
+                grad_a[k, reset_at + c] = g_candidate * _read(h_conv, i, candidate_at + c) * r * (one - r)
+                grad_a[k, candidate_at + c] = g_candidate
+                grad_a[k, all_of_them + c] = g_candidate * r
                 grad_h[i, c] = g * f
-                _write(grad_x, i, 2 * channels + c, g_c)
-                _write(grad_x, i, c, g_k)
-                _write(grad_x, i, channels + c, g_r)
-                _write(grad_h_conv, i, c, g_k)
-                _write(grad_h_conv, i, channels + c, g_r)
-                _write(grad_h_conv, i, 2 * channels + c, g_c * r)
-                if b == 0:
-                    g_keep[cell, c], g_reset[cell, c], g_candidate[cell, c] = g_k, g_r, g_c
-                else:
-                    g_keep[cell, c] += g_k
-                    g_reset[cell, c] += g_r
-                    g_candidate[cell, c] += g_c
+
+    @_compiled
+    def spread(i, start, grad_a, grad_x, grad_h_conv, grad_maps):  # type: ignore[no-untyped-def]
+        """A map's gradient is the sum over the batch of those of the arguments, which are the input convolution's."""
+        for k in range(len(grad_a)):
+            for c in range(all_of_them):
+                grad_maps[start + k, c] += grad_a[k, c]
+            if grad_x is not None:
+                for c in range(all_of_them):
+                    grad_x[i + k, c] = _rounded(grad_x, grad_a[k, c])
+            for c in range(candidate_at):
+                grad_h_conv[i + k, c] = _rounded(grad_h_conv, grad_a[k, c])
+            for c in range(channels):
+                grad_h_conv[i + k, candidate_at + c] = _rounded(grad_h_conv, grad_a[k, all_of_them + c])
+
+    @_compiled
+    def backward(  # type: ignore[no-untyped-def]
+        start, stop, x, h_conv, b_keep, b_reset, b_candidate, h, grad, grad_x, grad_h_conv, grad_maps, grad_h
+    ):
+        cells = len(b_keep)
+        some = np.empty((AT_ONCE, 4 * channels), np.float32)
+        for first in range(0, len(h), cells):
+            for at in range(start, stop, AT_ONCE):
+                grad_a = some[: min(AT_ONCE, stop - at)]
+                arguments(first, at, x, h_conv, b_keep, b_reset, b_candidate, h, grad, grad_a, grad_h)
+                spread(first + at, at, grad_a, grad_x, grad_h_conv, grad_maps)
+
+    return forward, backward
