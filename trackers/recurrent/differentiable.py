@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from functools import cache, partial
+from functools import cache
 from itertools import pairwise
 from typing import Any
 
@@ -65,7 +65,7 @@ class _Gates(torch.autograd.Function):
         )
         of_biases = (
             grad.permute(2, 0, 1).sum_to_size(bias.shape)
-            for grad, bias in zip(grad_maps.split(channels, dim=-1), biases, strict=True)
+            for grad, bias in zip(torch.split(grad_maps, channels, dim=-1), biases, strict=True)
         )
         return grad_x, grad_h_conv, *of_biases, grad_h
 
@@ -89,12 +89,8 @@ def _in_threads(kernel: Callable[..., None], x: Any, h_conv: Any, b_keep: Any, *
     """
     bounds = np.linspace(0, len(b_keep), torch.get_num_threads() + 1).astype(int)
     blocks = list(pairwise(bounds.tolist()))
-    run = partial(_run_block, kernel, (x, h_conv, b_keep, *others))
-    list(map(run, blocks) if len(blocks) == 1 else _threads().map(run, blocks))
-
-
-def _run_block(kernel: Callable[..., None], arrays: tuple[Any, ...], block: tuple[int, int]) -> None:
-    kernel(*block, *arrays)
+    run = _threads().map if len(blocks) > 1 else map
+    list(run(lambda block: kernel(*block, x, h_conv, b_keep, *others), blocks))
 
 
 @cache
