@@ -1,4 +1,4 @@
-"""Speed of the recurrent networks: one update and one forecast step on one thread, and training frames a second."""
+"""Speed of training the recurrent networks, frames a second. How fast they follow a stream: inference.py."""
 
 from __future__ import annotations
 
@@ -11,12 +11,11 @@ import numpy as np
 import torch
 
 from gridtrack.common.geometry import SE2
-from gridtrack.common.grid import GridFrame, GridSpec
-from gridtrack.trackers.contract import StreamSpec
+from gridtrack.common.grid import GridFrame
 from gridtrack.trackers.recurrent import DeepTrackingRNNTracker, DilatedConvGRUTracker
 from gridtrack.trackers.recurrent.tracker import RecurrentTracker
 
-SIZE, STEPS = 100, 20
+SIZE = 100
 
 
 def median_ms(call: Callable[[], object], runs: int = 20) -> float:
@@ -35,16 +34,6 @@ def busy_frame(seed: int) -> GridFrame:
     occupied = visible & (rng.random((SIZE, SIZE)) < 0.02)
     nothing = np.zeros((0, 2), np.float32)
     return GridFrame(0, visible, occupied, SE2(), nothing, nothing, np.zeros(0, np.uint8))
-
-
-def inference(kind: type[RecurrentTracker]) -> None:
-    torch.set_num_threads(1)
-    network = kind.build(SIZE, kind.Options(), 0).eval()
-    kind.prepare_inference(network)
-    tracker = kind(StreamSpec(GridSpec(SIZE), 0.125), kind.Options(), network)
-    frame = busy_frame(0)
-    update, forecast = median_ms(lambda: tracker.update(frame)), median_ms(lambda: tracker.predict(STEPS), runs=5)
-    print(f"{kind.name}: update {update:.1f} ms, forecast step {forecast / STEPS:.1f} ms (one thread, float32)")
 
 
 def training(kind: type[RecurrentTracker], threads: int) -> None:
@@ -71,5 +60,4 @@ if __name__ == "__main__":
     parser.add_argument("--threads", type=int, default=torch.get_num_threads())
     threads = parser.parse_args().threads
     for kind in (DilatedConvGRUTracker, DeepTrackingRNNTracker):
-        inference(kind)
         training(kind, threads)

@@ -15,7 +15,6 @@ from gridtrack.trackers.recurrent.dilated_convgru import (  # noqa: E402
     DilatedConvGRUSettings,
     convgru_gates,
 )
-from gridtrack.trackers.recurrent.fused import fused_gates  # noqa: E402
 from gridtrack.trackers.recurrent.network import channels_last, start_from_rate  # noqa: E402
 from gridtrack.trackers.recurrent.settings import TrainingSettings  # noqa: E402
 
@@ -75,21 +74,6 @@ def test_without_gates_a_cell_is_the_candidate_alone():
 
 def test_without_dilation_a_step_sees_seven_cells_square():
     assert receptive_field(DilatedConvGRUSettings(dilated=False)) == (12, 18, 12, 18)
-
-
-@pytest.mark.parametrize("static_gates", [("keep", "reset", "candidate"), ("candidate",)])
-@pytest.mark.parametrize("with_input", [True, False])
-def test_the_fused_gates_are_the_gates(with_input, static_gates):
-    settings = DilatedConvGRUSettings(channels=5, static_gates=static_gates)
-    network = channels_last(randomised(DilatedConvGRU(9, settings)))
-    biases = tuple(network.layers[0].biases[gate] for gate in GATES)
-    x, h_conv, h = (scale * torch.randn(1, c, 9, 9) for scale, c in ((10.0, 15), (10.0, 15), (0.5, 5)))
-    x, h_conv, h = (t.contiguous(memory_format=torch.channels_last) for t in (x, h_conv, h))
-    h_conv[0, :, 0, 0], h_conv[0, :, 0, 1] = 300.0, -300.0  # saturated, and not overflown
-
-    fused = fused_gates(x if with_input else None, h_conv, biases, h)
-
-    torch.testing.assert_close(fused, convgru_gates(x if with_input else None, h_conv, biases, h), rtol=0, atol=2e-6)
 
 
 @pytest.mark.parametrize("precision", [torch.float32, torch.bfloat16])

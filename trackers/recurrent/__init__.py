@@ -10,9 +10,9 @@ from torch import nn
 from gridtrack.trackers.contract import FitOutput, FrameSource, Score
 from gridtrack.trackers.recurrent.deep_tracking_rnn import DeepTrackingRNN, DeepTrackingRNNSettings
 from gridtrack.trackers.recurrent.differentiable import differentiable_gates
-from gridtrack.trackers.recurrent.dilated_convgru import DilatedConvGRU, DilatedConvGRUSettings, convgru_gates
-from gridtrack.trackers.recurrent.fused import fused_gates
-from gridtrack.trackers.recurrent.network import start_from_rate
+from gridtrack.trackers.recurrent.dilated_convgru import GATES, DilatedConvGRU, DilatedConvGRUSettings, convgru_gates
+from gridtrack.trackers.recurrent.inference import InferenceConvGRU, InferenceRNN
+from gridtrack.trackers.recurrent.network import RecurrentNetwork, start_from_rate
 from gridtrack.trackers.recurrent.settings import TrainingSettings, TransferSettings
 from gridtrack.trackers.recurrent.tracker import RecurrentTracker
 
@@ -45,11 +45,9 @@ class DilatedConvGRUTracker(RecurrentTracker):
                 layer.cell = differentiable_gates
 
     @classmethod
-    def prepare_inference(cls, network: Any) -> None:
-        """The gates in one pass over memory."""
-        for layer in network.layers:
-            if layer.cell is convgru_gates:
-                layer.cell = fused_gates
+    def prepare_inference(cls, network: Any) -> RecurrentNetwork:
+        """Convolutions and gates together, in bands of rows; a cell without gates as it is."""
+        return InferenceConvGRU(network) if network.layers[0].gates == GATES else network
 
     @classmethod
     def fit(
@@ -86,5 +84,6 @@ class DeepTrackingRNNTracker(RecurrentTracker):
         start_from_rate(network.decode, rate)
 
     @classmethod
-    def prepare_inference(cls, network: Any) -> None:
-        """Nothing: convolutions are all that it spends its time on."""
+    def prepare_inference(cls, network: Any) -> RecurrentNetwork:
+        """The empty input's convolution done beforehand."""
+        return InferenceRNN(network)

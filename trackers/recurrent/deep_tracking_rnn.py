@@ -63,14 +63,16 @@ class DeepTrackingRNN(nn.Module):
         return (zero.contiguous(memory_format=torch.channels_last),)
 
     def step(self, x: Tensor | None, state: State) -> State:
-        """h_t. An empty input is encoded as what the encoder's bias says, the same in every cell."""
+        """h_t from x_t and h_{t-1}."""
         (h,) = state
-        if x is None:
-            bias = torch.sigmoid(self.encode.bias)  # type: ignore[arg-type]
-            e = bias.view(1, -1, 1, 1).expand(h.shape[0], -1, self.size, self.size)
-        else:
-            e = torch.sigmoid(self.encode(x))
-        return (torch.sigmoid(self.recur(torch.cat([e, h], dim=1))),)
+        return (torch.sigmoid(self.recur(torch.cat([self.encoded(x, h.shape[0]), h], dim=1))),)
+
+    def encoded(self, x: Tensor | None, batch: int) -> Tensor:
+        """e_t. An empty input is encoded as what the encoder's bias says, the same in every cell."""
+        if x is not None:
+            return torch.sigmoid(self.encode(x))
+        bias = torch.sigmoid(self.encode.bias)  # type: ignore[arg-type]
+        return bias.view(1, -1, 1, 1).expand(batch, -1, self.size, self.size)
 
     def features(self, state: State) -> Tensor:
         """The state itself."""

@@ -7,50 +7,39 @@ into vector instructions.
 
 from __future__ import annotations
 
+import functools
 import math
+from collections.abc import Callable
+from typing import Any
 
 import numba
 import numpy as np
-import torch
-from numpy.typing import NDArray
-from torch import Tensor
 
 _LOG2_E = np.float32(1.0 / math.log(2.0))
 _TAYLOR = tuple(np.float32(math.log(2.0) ** k / math.factorial(k)) for k in range(7))
 """2^f = sum of _TAYLOR[k] f^k, to 2e-7 for |f| <= 1/2."""
+_ROUNDER = np.float32(1.5 * 2**23)
+"""Added to a small number it leaves the nearest whole one in the last bits of the sum."""
 FLAGS = {"contract", "nsz", "arcp"}
-_ROWS = numba.float32[:, ::1]
 
 
-def fused_gates(x: Tensor | None, h_conv: Tensor, biases: tuple[Tensor, ...], h: Tensor) -> Tensor:
-    """`dilated_convgru.convgru_gates`, equal to 2e-6, of channels-last float32 tensors with batch 1 and no gradient."""
-    out = torch.empty_like(h, memory_format=torch.channels_last)
-    cells = h.shape[1:]
-    b_keep, b_reset, b_candidate = (_rows(bias.expand(cells)[None]) for bias in biases)
-    if x is None:
-        _gates_without_input(_rows(h_conv), b_keep, b_reset, b_candidate, _rows(h), _rows(out))
-    else:
-        _gates(_rows(x), _rows(h_conv), b_keep, b_reset, b_candidate, _rows(h), _rows(out))
-    return out
-
-
-def _rows(tensor: Tensor) -> NDArray[np.float32]:
-    """(1, C, M, M) in channels-last memory as (M * M, C): a row of channels for each cell, without copying."""
-    rows: NDArray[np.float32] = tensor.detach().permute(0, 2, 3, 1).contiguous().reshape(-1, tensor.shape[1]).numpy()
-    return rows
+def kernel(signature: str) -> Any:
+    """Compiled for that signature where it is defined: when a tracker's process starts, and not in its first update."""
+    return numba.njit(signature, cache=True, nogil=True, fastmath=FLAGS, error_model="numpy")
 
 
 @numba.njit(inline="always", fastmath=FLAGS)
 def sigmoid(x):  # type: ignore[no-untyped-def]
-    """1 / (1 + 2^t) with t = -x log2 e; 2^t is 2^n, put together from its bits, times a polynomial of the rest."""
+    """1 / (1 + 2^t) with t = -x log2 e; 2^t is a polynomial of t - n, n added to its exponent's bits."""
     t = min(max(-x * _LOG2_E, np.float32(-126.0)), np.float32(126.0))
-    n = np.floor(t + np.float32(0.5))
-    f = t - n
+    rounded = t + _ROUNDER
+    f = t - (rounded - _ROUNDER)
     power = _TAYLOR[5] + f * _TAYLOR[6]
     power = _TAYLOR[3] + f * (_TAYLOR[4] + f * power)
     power = _TAYLOR[0] + f * (_TAYLOR[1] + f * (_TAYLOR[2] + f * power))
-    two_to_n = np.int32((np.int32(n) + np.int32(127)) << np.int32(23)).view(np.float32)
-    return np.float32(1.0) / (np.float32(1.0) + power * two_to_n)
+    n = np.int32(np.float32(rounded).view(np.int32) << np.int32(23))
+    two_to_t = np.int32(np.float32(power).view(np.int32) + n).view(np.float32)
+    return np.float32(1.0) / (np.float32(1.0) + two_to_t)
 
 
 @numba.njit(inline="always", fastmath=FLAGS)
@@ -61,31 +50,30 @@ def _cell(keep, reset, candidate, candidate_h, h):  # type: ignore[no-untyped-de
     return c + sigmoid(keep) * (h - c)
 
 
-# With their signatures the kernels are compiled when a tracker's process starts, and not in its first update.
-@numba.njit([(_ROWS,) * 7], cache=True, nogil=True, fastmath=FLAGS, error_model="numpy")
-def _gates(x, h_conv, b_keep, b_reset, b_candidate, h, out):  # type: ignore[no-untyped-def]
-    cells, channels = h.shape
-    for i in range(cells):
-        for c in range(channels):
-            r, k = channels + c, 2 * channels + c
-            out[i, c] = _cell(
-                x[i, c] + h_conv[i, c] + b_keep[i, c],
-                x[i, r] + h_conv[i, r] + b_reset[i, c],
-                x[i, k] + b_candidate[i, c],
-                h_conv[i, k],
-                h[i, c],
-            )
+@functools.cache
+def fused_gates(channels: int, *, with_input: bool) -> Callable[..., None]:
+    """`dilated_convgru.convgru_gates`, equal to 2e-6, on some rows of the grid: the kernel
 
+        gates(sums, top, step, keep, reset, candidate, h, out)
 
-@numba.njit([(_ROWS,) * 6], cache=True, nogil=True, fastmath=FLAGS, error_model="numpy")
-def _gates_without_input(h_conv, b_keep, b_reset, b_candidate, h, out):  # type: ignore[no-untyped-def]
-    cells, channels = h.shape
-    for i in range(cells):
-        for c in range(channels):
-            out[i, c] = _cell(
-                h_conv[i, c] + b_keep[i, c],
-                h_conv[i, channels + c] + b_reset[i, c],
-                b_candidate[i, c],
-                h_conv[i, 2 * channels + c],
-                h[i, c],
-            )
+    `sums` (rows, M or more, N) are the convolutions of rows `top`, `top + step`, ...: C channels each for keep and
+    reset, of input and state together; the candidate's of the state; and, `with_input`, the candidate's of the input.
+    The biases, `h` and `out` are (M, M, C). C is written into the kernel: only so does it become vector instructions.
+    """
+
+    @kernel(f"void(float32[:,:,::1], int64, int64, {', '.join(5 * ['float32[:,:,::1]'])})")
+    def gates(sums, top, step, keep, reset, candidate, h, out):  # type: ignore[no-untyped-def]
+        for i in range(sums.shape[0]):
+            r = top + i * step
+            for x in range(h.shape[1]):
+                for c in range(channels):
+                    out[r, x, c] = _cell(
+                        sums[i, x, c] + keep[r, x, c],
+                        sums[i, x, channels + c] + reset[r, x, c],
+                        candidate[r, x, c] + (sums[i, x, 3 * channels + c] if with_input else np.float32(0.0)),
+                        sums[i, x, 2 * channels + c],
+                        h[r, x, c],
+                    )
+
+    compiled: Callable[..., None] = gates
+    return compiled

@@ -1,0 +1,127 @@
+"""What follows a stream in place of a trained network computes the same, and nothing for an empty input."""
+
+from __future__ import annotations
+
+import pytest
+
+torch = pytest.importorskip("torch")
+from torch.nn.functional import conv2d  # noqa: E402
+
+from gridtrack.trackers.recurrent import DilatedConvGRUTracker  # noqa: E402
+from gridtrack.trackers.recurrent.deep_tracking_rnn import DeepTrackingRNN, DeepTrackingRNNSettings  # noqa: E402
+from gridtrack.trackers.recurrent.dilated_convgru import (  # noqa: E402
+    GATES,
+    DilatedConvGRU,
+    DilatedConvGRUSettings,
+    convgru_gates,
+)
+from gridtrack.trackers.recurrent.fused import fused_gates  # noqa: E402
+from gridtrack.trackers.recurrent.inference import InferenceConvGRU, InferenceRNN, as_cells  # noqa: E402
+from gridtrack.trackers.recurrent.network import channels_last  # noqa: E402
+from gridtrack.trackers.recurrent.winograd import WinogradConvolution  # noqa: E402
+
+CHANNELS = 4
+
+
+def random(*shape, scale=1.0):
+    return scale * torch.randn(shape, generator=torch.Generator().manual_seed(sum(shape)))
+
+
+def randomised(network):
+    generator = torch.Generator().manual_seed(3)
+    with torch.no_grad():
+        for parameter in network.parameters():
+            parameter.copy_(0.3 * torch.randn(parameter.shape, generator=generator))
+    return channels_last(network).requires_grad_(requires_grad=False)
+
+
+def convgru(size=21, **settings):
+    return randomised(DilatedConvGRU(size, DilatedConvGRUSettings(channels=CHANNELS, **settings)))
+
+
+def rnn():
+    return randomised(DeepTrackingRNN(12, DeepTrackingRNNSettings(variant="paper")))
+
+
+def frames(size, count=3):
+    """Some frames, and as many that are empty."""
+    seen = [(random(1, 2, size, size + t)[..., :size] > 0.3).float() for t in range(count)]
+    return [x.contiguous(memory_format=torch.channels_last) for x in seen] + [None] * count
+
+
+@pytest.mark.parametrize("dilation", [1, 2, 4])
+@pytest.mark.parametrize("size", [3, 9, 33])
+def test_winograd_sums_the_convolutions_of_all_images(size, dilation):
+    images, weight = [random(size, size, CHANNELS), random(size, size, 2)], random(8, CHANNELS + 2, 3, 3, scale=0.1)
+    convolution = WinogradConvolution(weight, (CHANNELS, 2), size, dilation)
+    found = torch.full((size, size, 8), torch.nan)
+    for rows, sums in convolution.bands([image.numpy() for image in images]):
+        assert found[rows].isnan().all(), "a row comes once"
+        found[rows] = torch.from_numpy(sums[:, :size].copy())
+    stacked = torch.cat(images, dim=2).permute(2, 0, 1)[None]
+    expected = conv2d(stacked, weight, padding=dilation, dilation=dilation)[0].permute(1, 2, 0)
+    torch.testing.assert_close(found, expected, rtol=0, atol=2e-5)
+
+
+@pytest.mark.parametrize("static_gates", [("keep", "reset", "candidate"), ("candidate",)])
+@pytest.mark.parametrize("with_input", [True, False])
+def test_the_fused_gates_are_the_gates(with_input, static_gates):
+    network = convgru(9, static_gates=static_gates)
+    biases = tuple(network.layers[0].biases[gate].expand(CHANNELS, 9, 9) for gate in GATES)
+    x = random(1, 3 * CHANNELS, 9, 9, scale=10.0) if with_input else None
+    h_conv, h = random(1, 3 * CHANNELS, 9, 9, scale=10.0), random(1, CHANNELS, 9, 9, scale=0.5)
+    h_conv[0, :, 0, 0], h_conv[0, :, 0, 1] = 300.0, -300.0  # saturated, and not overflown
+
+    sums = h_conv
+    if x is not None:
+        of_both, of_x = x.split([2 * CHANNELS, CHANNELS], dim=1)
+        sums = torch.cat([h_conv[:, : 2 * CHANNELS] + of_both, h_conv[:, 2 * CHANNELS :], of_x], dim=1)
+    maps = [bias.permute(1, 2, 0).contiguous().numpy() for bias in biases]
+    h_cells, sums_cells = (as_cells(t.contiguous(memory_format=torch.channels_last)) for t in (h, sums))
+    found = torch.full((9, 9, CHANNELS), torch.nan)
+    for top in (0, 1):
+        rows = sums_cells[top::2].copy()
+        fused_gates(CHANNELS, with_input=with_input)(rows, top, 2, *maps, h_cells, found.numpy())
+
+    expected = convgru_gates(x, h_conv, biases, h)[0].permute(1, 2, 0)
+    torch.testing.assert_close(found, expected, rtol=0, atol=2e-6)
+
+
+@pytest.mark.parametrize("settings", [{}, {"static_gates": ("candidate",)}, {"dilated": False, "layers": 2}])
+def test_the_convgru_that_follows_a_stream_is_the_trained_one(settings):
+    assert_same_stream(network := convgru(**settings), InferenceConvGRU(network), network.size)
+
+
+def test_the_rnn_that_follows_a_stream_is_the_trained_one():
+    assert_same_stream(network := rnn(), InferenceRNN(network), network.size)
+
+
+def assert_same_stream(trained, following, size):
+    state, followed = trained.initial(1), following.initial(1)
+    for x in frames(size):
+        state, followed = trained.step(x, state), following.step(x, followed)
+        for expected, found in zip(state, followed, strict=True):
+            torch.testing.assert_close(found, expected, rtol=0, atol=1e-4)
+        expected, found = (n.occupancy(n.features(s)) for n, s in ((trained, state), (following, followed)))
+        torch.testing.assert_close(found, expected, rtol=0, atol=1e-4)
+
+
+def test_a_step_leaves_the_state_it_starts_from_as_it_was():
+    following = InferenceConvGRU(convgru())
+    x, *_ = frames(following.size)
+    state = following.step(x, following.initial(1))
+    kept = [h.clone() for h in state]
+    following.step(x, following.step(None, state))
+    assert all(torch.equal(h, before) for h, before in zip(state, kept, strict=True))
+
+
+def test_an_empty_input_is_not_convolved():
+    network = convgru()
+    network.layers[0].input_weight.fill_(torch.nan)
+    following = InferenceConvGRU(network)
+    assert all(h.isfinite().all() for h in following.step(None, following.initial(1)))
+
+
+def test_a_cell_without_gates_follows_a_stream_as_it_is():
+    network = convgru(cell="plain")
+    assert DilatedConvGRUTracker.prepare_inference(network) is network

@@ -1,0 +1,161 @@
+"""The networks as they follow one stream on a processor: what the trained ones compute, in less time.
+
+The dilated ConvGRU: convolutions are Winograd's (winograd.py), the gates one pass over memory (fused.py), both for a
+band of rows at a time, whose sums are used while they lie in the cache. Nothing is allocated but the new states.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+from torch.nn.functional import conv2d
+
+from gridtrack.trackers.recurrent.deep_tracking_rnn import DeepTrackingRNN
+from gridtrack.trackers.recurrent.dilated_convgru import DilatedConvGRU, DilatedConvGRULayer
+from gridtrack.trackers.recurrent.fused import fused_gates, kernel
+from gridtrack.trackers.recurrent.network import State
+from gridtrack.trackers.recurrent.winograd import Array, WinogradConvolution
+
+
+class InferenceConvGRU:
+    """A RecurrentNetwork for batches of one and without gradients: the trained `network`, whose cells have gates."""
+
+    def __init__(self, network: DilatedConvGRU) -> None:
+        self.size, self.channels = network.size, network.channels
+        layers: list[Any] = list(network.layers)
+        first, *others = layers
+        self._first = Cell(first, self.size, with_input=True)
+        self._first_without_input = Cell(first, self.size, with_input=False)
+        self._others = [Cell(layer, self.size, with_input=True) for layer in others]
+        self._decode_occupancy = OccupancyDecoder(network.decode_occupancy, self.size)
+        self._decode_semantics = network.decode_semantics
+
+    def initial(self, batch: int) -> State:
+        """h_0 = 0 in every layer."""
+        assert batch == 1
+        zero = np.zeros((self.size, self.size, self.channels), np.float32)
+        return (as_tensor(zero),) * (1 + len(self._others))
+
+    def step(self, x: Tensor | None, state: State) -> State:
+        """h_t of all layers: each layer's new state is the next one's input. An empty input is not convolved."""
+        h, *others = (as_cells(each) for each in state)
+        new = [self._first_without_input(h) if x is None else self._first(h, as_cells(x))]
+        for cell, h in zip(self._others, others, strict=True):
+            new.append(cell(h, new[-1]))
+        return tuple(as_tensor(each) for each in new)
+
+    def features(self, state: State) -> Tensor:
+        """The last layer's state."""
+        return state[-1]
+
+    def occupancy(self, features: Tensor) -> Tensor:
+        """Logits of P(occupied), (1, M, M)."""
+        return self._decode_occupancy(features)
+
+    def semantics(self, features: Tensor) -> Tensor | None:
+        """Logits of the classes, (1, K, M, M)."""
+        return None if self._decode_semantics is None else self._decode_semantics(features)
+
+
+class InferenceRNN:
+    """A RecurrentNetwork: the trained `network`, with its convolution of the empty input done once and for all."""
+
+    def __init__(self, network: DeepTrackingRNN) -> None:
+        self._network = network
+        self.initial, self.features = network.initial, network.features
+        self.occupancy, self.semantics = network.occupancy, network.semantics
+        with torch.no_grad():
+            empty = network.encoded(None, 1)
+            input_weight, state_weight = torch.split(network.recur.weight, [empty.shape[1], network.channels], dim=1)
+            self._empty = conv2d(empty, input_weight, network.recur.bias, padding="same")
+            self._state_weight = state_weight.contiguous(memory_format=torch.channels_last)
+
+    def step(self, x: Tensor | None, state: State) -> State:
+        """h_t; an empty input is not convolved."""
+        if x is not None:
+            return self._network.step(x, state)
+        return (torch.sigmoid(self._empty + conv2d(state[0], self._state_weight, padding="same")),)
+
+
+class Cell:
+    """One recurrent layer: h (M, M, C) and, `with_input`, x (M, M, I) -> h'."""
+
+    def __init__(self, layer: DilatedConvGRULayer, size: int, *, with_input: bool) -> None:
+        channels, inputs = layer.state_weight.shape[1], layer.input_weight.shape[1]
+        if with_input:
+            self._convolution = WinogradConvolution(weight_of_both(layer), (channels, inputs), size, layer.dilation)
+        else:
+            self._convolution = WinogradConvolution(layer.state_weight.detach(), (channels,), size, layer.dilation)
+        self._gates = fused_gates(channels, with_input=with_input)
+        self._biases = [
+            layer.biases[gate].detach().expand(channels, size, size).permute(1, 2, 0).contiguous().numpy()
+            for gate in layer.gates
+        ]
+
+    def __call__(self, h: Array, *x: Array) -> Array:
+        """h' (M, M, C)."""
+        new = np.empty_like(h)
+        for rows, sums in self._convolution.bands((h, *x)):
+            self._gates(sums, rows.start, rows.step, *self._biases, h, new)
+        return new
+
+
+def weight_of_both(layer: DilatedConvGRULayer) -> Tensor:
+    """Filters (4C, C + I, 3, 3) of h and x together: for keep, reset, the candidate's part of h, and its part of x.
+
+    The reset gate multiplies one part of the candidate only, so these two are not added.
+    """
+    h, x = layer.state_weight.detach(), layer.input_weight.detach()
+    channels = h.shape[1]
+    h_gates, h_candidate = h[: 2 * channels], h[2 * channels :]
+    x_gates, x_candidate = x[: 2 * channels], x[2 * channels :]
+    rows = (
+        (h_gates, x_gates),
+        (h_candidate, torch.zeros_like(x_candidate)),
+        (torch.zeros_like(h_candidate), x_candidate),
+    )
+    return torch.cat([torch.cat(row, dim=1) for row in rows])
+
+
+class OccupancyDecoder:
+    """A 3x3 convolution with one output: its taps as one matrix product, and the sum of nine shifted maps."""
+
+    def __init__(self, convolution: nn.Conv2d, size: int) -> None:
+        (weight,) = convolution.weight.detach()
+        self._taps = weight.flatten(1).T.contiguous()
+        self._bias = float(convolution.bias.detach())  # type: ignore[union-attr]
+        self._maps = torch.zeros(9, size * size)
+
+    def __call__(self, features: Tensor) -> Tensor:
+        """(1, C, M, M) -> (1, M, M)."""
+        torch.mm(self._taps, features[0].flatten(1), out=self._maps)
+        logits = torch.empty(features.shape[2:])
+        add_shifted(self._maps.view(9, *logits.shape).numpy(), self._bias, logits.numpy())
+        return logits[None]
+
+
+@kernel("void(float32[:,:,::1], float32, float32[:,::1])")
+def add_shifted(maps, bias, out):  # type: ignore[no-untyped-def]
+    """out[r, x] = bias + the sum of maps[3 i + j, r + i - 1, x + j - 1] over i and j, where it lies inside."""
+    size = out.shape[0]
+    for r in range(size):
+        out[r] = bias
+        for i in range(max(0, 1 - r), min(3, size + 1 - r)):
+            left, middle, right = maps[3 * i, r + i - 1], maps[3 * i + 1, r + i - 1], maps[3 * i + 2, r + i - 1]
+            out[r, 1:] += left[:-1]
+            out[r] += middle
+            out[r, :-1] += right[1:]
+
+
+def as_cells(tensor: Tensor) -> Array:
+    """(1, C, M, M) in channels-last memory as (M, M, C), without copying."""
+    cells: Array = tensor[0].permute(1, 2, 0).numpy()
+    return cells
+
+
+def as_tensor(cells: Array) -> Tensor:
+    """(M, M, C) as (1, C, M, M) in channels-last memory, without copying."""
+    return torch.from_numpy(cells).permute(2, 0, 1)[None]
