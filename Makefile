@@ -45,6 +45,7 @@ baseline: $(VENV)/.installed-dev
 # What ships in data/weights, made again (three hours on two cores).
 GRU := shown=10,blank=20,cycles=1,reverse=true,updates=1500,validate_every=100,learning_rate=0.005,warm_up=20
 RNN := shown=20,blank=20,cycles=1,reverse=true,superpose=true,updates=1000,validate_every=100,learning_rate=0.003,warm_up=100
+RNN_AT_JUNCTION := burn_in=20,shown=20,blank=20,cycles=1,validate_every=250,warm_up=100,learning_rate=0.003,updates=2500
 GRU_AT_JUNCTION := burn_in=10,shown=10,blank=20,cycles=1,validate_every=250,warm_up=50,learning_rate=0.004,updates=2500
 AT_JUNCTION := data/junction/train.tracks --validation data/junction/validation.tracks
 A_CYCLE := data/junction/train.tracks@0s-96s --validation data/junction/validation.tracks@0s-96s
@@ -53,6 +54,7 @@ weights: $(VENV)/.installed-dev
 	    $(BIN)/gridtrack train $$tracker $(DEMO) --out data/weights || exit 1; done
 	$(BIN)/gridtrack train static-map $(AT_JUNCTION) --out data/weights
 	$(BIN)/gridtrack train kalman $(A_CYCLE) --out data/weights
+	$(BIN)/gridtrack train deep-tracking-rnn:$(RNN_AT_JUNCTION) $(AT_JUNCTION)@0s-90s --out data/weights
 	$(BIN)/gridtrack train dilated-convgru:$(GRU_AT_JUNCTION) $(AT_JUNCTION)@0s-90s --out data/weights
 
 $(VENV)/.installed-demo: pyproject.toml constraints.txt | $(VENV)
