@@ -19,7 +19,7 @@ from scipy.special import stdtr
 from gridtrack.evaluation.regression.significance import f1_of
 
 Floats = NDArray[np.float64]
-PRIOR_FREEDOM = 2.0
+PRIOR_FREEDOM = 1.5
 """Degrees of freedom that the mean ratio of a tracker's rows counts for, beside the K - 1 of the row itself."""
 
 
