@@ -56,10 +56,10 @@ def examine(tracks: Tracks) -> Traffic:
     speed = _speeds(tracks)
     grid = GridSpec.parse(tracks.info.recording.grid) if tracks.info.recording.grid else GridSpec()
     inside = _in_window(tracks, grid)
-    stand_s = _longest_stand_s(tracks, speed)
+    stand_s, who = _longest_stand(tracks, speed)
     faults = [*_through_walls(tracks), *_through_the_scanner(tracks)]
     if stand_s > GRIDLOCK_S:
-        faults.append(f"gridlock: a vehicle stands for {stand_s:.0f} s")
+        faults.append(f"gridlock: a vehicle stands for {stand_s:.0f} s, {who}")
     moving = speed > MOVING_M_S
     cells = _moving_cells(tracks, moving, grid)
     frames, minutes = tracks.info.frames, tracks.info.frames / tracks.info.rate_hz / 60.0
@@ -98,13 +98,20 @@ def _in_window(tracks: Tracks, grid: GridSpec) -> NDArray[np.bool_]:
     return inside
 
 
-def _longest_stand_s(tracks: Tracks, speed: NDArray[np.float64]) -> float:
-    """How long a vehicle within reach of the laser stands in one go."""
+def _longest_stand(tracks: Tracks, speed: NDArray[np.float64]) -> tuple[float, str]:
+    """How long a vehicle within reach of the laser stands in one go, seconds, and which, where and from when."""
+    classes = tracks.info.recording.classes
     order, follows = _by_track(tracks)
-    walks = [i for i, name in enumerate(tracks.info.recording.classes) if name == "pedestrian"]
+    walks = [i for i, name in enumerate(classes) if name == "pedestrian"]
     stands = (speed[order] <= MOVING_M_S) & ~np.isin(tracks.label[order], walks)
+    if not stands.any():
+        return 0.0, ""
     runs = np.cumsum(~(stands & follows))
-    return float(np.bincount(runs[stands]).max(initial=0)) / tracks.info.rate_hz
+    frames = np.bincount(runs[stands])
+    first = order[np.flatnonzero(stands & (runs == frames.argmax()))[0]]
+    x, y, _ = tracks.pose[first]
+    who = f"the {classes[tracks.label[first]]} of track {tracks.track[first]} at ({x:.1f}, {y:.1f})"
+    return float(frames.max()) / tracks.info.rate_hz, f"{who} from frame {tracks.frame[first]} on"
 
 
 def _moving_cells(tracks: Tracks, moving: NDArray[np.bool_], grid: GridSpec) -> dict[str, float]:

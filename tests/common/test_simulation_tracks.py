@@ -18,7 +18,7 @@ from gridtrack.common.simulation.bodies import body
 from gridtrack.common.simulation.laser import Laser
 from gridtrack.common.simulation.rendered import cache_folder
 from gridtrack.common.simulation.tracks import KEY, Tracks, TracksInfo, read_tracks, write_tracks
-from gridtrack.common.simulation.traffic import examine
+from gridtrack.common.simulation.traffic import GRIDLOCK_S, examine
 from gridtrack.common.simulation.writing import write_recording
 
 CLASSES = ("pedestrian", "cyclist", "car", "bus", "static")
@@ -217,4 +217,10 @@ def test_the_check_tells_who_walks_through_walls_and_through_the_scanner_and_who
     faults = "\n".join(examine(dataclasses.replace(tracks, pose=pose)).faults)
     assert "pedestrian inside a static outline in 3 positions, the first of track 0 in frame 10" in faults
     assert "pedestrian on the scanner in 2 positions, the first of track 0 in frame 30" in faults
-    assert "gridlock: a vehicle stands for 500 s" in faults
+    assert "gridlock: a vehicle stands for 500 s, the car of track 1 at (" in faults
+    assert "from frame 0 on" in faults
+
+
+def test_who_misses_two_greens_is_no_gridlock() -> None:
+    assert examine(walk(round(GRIDLOCK_S * 8.0))).faults == ()
+    assert "gridlock" in examine(walk(round(GRIDLOCK_S * 8.0) + 8)).faults[0]
