@@ -6,10 +6,14 @@ radians counter-clockwise from x.
 
 from __future__ import annotations
 
+import contextlib
+import io
+import math
 import subprocess
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, Protocol
 
 import numpy as np
 import polars as pl
@@ -25,6 +29,8 @@ OPTIONS = {
     "pedestrian.model": "jupedsim",
     "pedestrian.jupedsim.step-length": "0.025",
 }
+CONNECTION_TRIES, CONNECTION_WAIT_S = 600, 0.1
+LAST_WORDS_S = 30.0
 
 
 class SimulationError(GridtrackError):
@@ -47,15 +53,33 @@ class Movements:
     heading: NDArray[np.float64]
 
 
+class Watch(Protocol):
+    """Looks at the traffic while it is simulated, and may act on it, through a connection of SUMO's TraCI."""
+
+    every_s: float
+
+    def begin(self, traffic: Any) -> None:
+        """Before the first step."""
+
+    def look(self, traffic: Any) -> None:
+        """After every `every_s` seconds of the simulation, and at its end."""
+
+
 def run_sumo(
-    folder: Path, network: Path, routes: str, additional: tuple[Path, ...], span_s: tuple[float, float], seed: int
+    folder: Path,
+    network: Path,
+    routes: str,
+    additional: tuple[Path, ...],
+    span_s: tuple[float, float],
+    seed: int,
+    watch: Watch,
 ) -> Movements:
     """Simulate from time 0 and give what happened in `span_s`; files that it needs are made in `folder`.
 
     `routes` is the XML of the demand. The same version and arguments give the same movements. Raises
     ConfigurationError where SUMO is not installed, SimulationError where it fails.
     """
-    demand, output = folder / "demand.rou.xml", folder / "positions.csv"
+    demand, output, errors = folder / "demand.rou.xml", folder / "positions.csv", folder / "errors.log"
     demand.write_text(routes)
     arguments = {
         "net-file": str(network),
@@ -67,14 +91,17 @@ def run_sumo(
         "fcd-output": str(output),
         "fcd-output.attributes": "x,y,angle,type",
         "device.fcd.begin": f"{span_s[0]:g}",
+        "error-log": str(errors),
     }
     options = [f"--{name}={value}" for name, value in (OPTIONS | arguments).items()]
     command = [str(_program()), *options, "--no-step-log", "--no-warnings"]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    if done.returncode != 0 or not output.is_file():
-        raise SimulationError(
-            f"SUMO failed with seed {seed}: {_reason(done.stderr, done.returncode)}; try another seed"
-        )
+    from traci.exceptions import FatalTraCIError, TraCIException
+
+    try:
+        _simulate(command, span_s[1], watch)
+    except (FatalTraCIError, TraCIException) as error:
+        reason = _first_error(errors) or error
+        raise SimulationError(f"SUMO failed with seed {seed}: {reason}; try another seed") from error
     return _read(output, span_s)
 
 
@@ -89,15 +116,49 @@ def sumo_version() -> str:
 def _program() -> Path:
     try:
         import sumo
+        import traci  # noqa: F401
     except ImportError:
         raise ConfigurationError("simulating traffic needs SUMO: pip install 'gridtrack[sim]'") from None
     return Path(sumo.SUMO_HOME) / "bin" / "sumo"
 
 
-def _reason(stderr: str, code: int) -> str:
-    """The first error that SUMO told."""
-    lines = [line for line in stderr.splitlines() if line.startswith("Error")]
-    return lines[0] if lines else f"exit code {code}"
+def _simulate(command: list[str], end_s: float, watch: Watch) -> None:
+    """Run `command` up to `end_s` while `watch` looks on. Raises TraCI's errors where SUMO ends before."""
+    from sumolib.miscutils import getFreeSocketPort
+    from traci.exceptions import FatalTraCIError, TraCIException
+
+    port = getFreeSocketPort()
+    command = [*command, f"--remote-port={port}"]
+    with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
+        try:
+            traffic = _connected(process, port)
+            watch.begin(traffic)
+            for k in range(1, math.ceil(end_s / watch.every_s) + 1):
+                traffic.simulationStep(min(k * watch.every_s, end_s))
+                watch.look(traffic)
+            traffic.close()
+        except (FatalTraCIError, TraCIException):
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                process.wait(LAST_WORDS_S)  # SUMO tells what went wrong after it has let go of the connection
+            raise
+        finally:
+            process.kill()
+    if process.returncode != 0:
+        raise FatalTraCIError(f"exit code {process.returncode}")
+
+
+def _connected(process: subprocess.Popen[bytes], port: int) -> Any:
+    """TraCI's connection to the process, once it listens."""
+    import traci
+
+    with contextlib.redirect_stdout(io.StringIO()):  # it prints every try
+        return traci.connect(port, CONNECTION_TRIES, proc=process, waitBetweenRetries=CONNECTION_WAIT_S)
+
+
+def _first_error(log: Path) -> str:
+    """What SUMO told first of what went wrong, or nothing."""
+    lines = log.read_text().splitlines() if log.is_file() else []
+    return next((line for line in lines if line.startswith("Error")), "")
 
 
 def _read(output: Path, span_s: tuple[float, float]) -> Movements:

@@ -16,6 +16,7 @@ from gridtrack.common.grid import GridSpec
 from gridtrack.common.recordings import open_recording, packaged_recording
 from gridtrack.common.simulation import junction, sumo
 from gridtrack.common.simulation.junction import JUNCTION_SET, demand, place, simulate_junction
+from gridtrack.common.simulation.junction.patience import Patience
 from gridtrack.common.simulation.tracks import read_tracks, write_tracks
 from gridtrack.common.simulation.traffic import examine
 
@@ -138,7 +139,7 @@ def test_without_sumo_the_error_says_what_to_install(monkeypatch: pytest.MonkeyP
 def test_sumo_s_words_reach_the_user_where_it_fails(tmp_path: Path) -> None:
     pytest.importorskip("sumo", reason="SUMO is not installed")
     with pytest.raises(sumo.SimulationError, match=r"SUMO failed with seed 3: Error: .*; try another seed"):
-        sumo.run_sumo(tmp_path, NETWORK, "<routes><flow/></routes>", (), (0.0, 1.0), 3)
+        sumo.run_sumo(tmp_path, NETWORK, "<routes><flow/></routes>", (), (0.0, 1.0), 3, Patience(place.JUNCTION))
 
 
 @pytest.mark.skipif(importlib.util.find_spec("sumo") is None, reason="SUMO is not installed")

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from gridtrack.common.errors import ConfigurationError
 from gridtrack.common.recordings.recording import RecordingInfo
 from gridtrack.common.simulation.junction import demand, place
+from gridtrack.common.simulation.junction.patience import Patience
 from gridtrack.common.simulation.motion import headings, pieces, smoothed, trailing_headings
 from gridtrack.common.simulation.sumo import STEP_S, Movements, run_sumo, sumo_version
 from gridtrack.common.simulation.tracks import Tracks, TracksInfo
@@ -50,8 +51,9 @@ def simulate_junction(minutes: float, seed: int, start_s: float = WARM_UP_S) -> 
     span_s = (start_s - before_s, start_s + frames * STEP_S + MARGIN_S)
     here = Path(str(resources.files("gridtrack.common.simulation.junction")))
     with tempfile.TemporaryDirectory() as folder:
+        signals = (here / "signals.add.xml",)
         movements = run_sumo(
-            Path(folder), here / "network.net.xml", demand.routes(), (here / "signals.add.xml",), span_s, seed
+            Path(folder), here / "network.net.xml", demand.routes(), signals, span_s, seed, Patience(place.JUNCTION)
         )
     info = _info(frames, seed, f"gridtrack simulate junction --minutes {minutes:g} --seed {seed} --start {start_s:g}s")
     return _near(_tracks(info, movements, round(before_s / STEP_S)))

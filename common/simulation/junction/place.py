@@ -14,6 +14,8 @@ from gridtrack.common.simulation.laser import Laser
 
 CLASSES = ("pedestrian", "cyclist", "car", "bus", "static")
 SITE = "junction"
+JUNCTION = "C"
+"""Its name in the network."""
 RATE_HZ = 8.0
 CYCLE_S = 96.0
 """Of the signals: each street's turn, and then everybody on foot."""
