@@ -66,7 +66,7 @@ class InferenceRNN:
     def __init__(self, network: DeepTrackingRNN) -> None:
         self._network = network
         self.initial, self.features = network.initial, network.features
-        self.occupancy, self.semantics = network.occupancy, network.semantics
+        self.occupancy, self.semantics = OccupancyDecoder(network.decode, network.size), network.semantics
         with torch.no_grad():
             empty = network.encoded(None, 1)
             input_weight, state_weight = torch.split(network.recur.weight, [empty.shape[1], network.channels], dim=1)
@@ -121,33 +121,37 @@ def weight_of_both(layer: DilatedConvGRULayer) -> Tensor:
 
 
 class OccupancyDecoder:
-    """A 3x3 convolution with one output: its taps as one matrix product, and the sum of nine shifted maps."""
+    """A convolution with one output: its taps as one matrix product, and the sum of their shifted maps."""
 
     def __init__(self, convolution: nn.Conv2d, size: int) -> None:
         (weight,) = convolution.weight.detach()
         self._taps = weight.flatten(1).T.contiguous()
         self._bias = float(convolution.bias.detach())  # type: ignore[union-attr]
-        self._maps = torch.zeros(9, size * size)
+        self._maps = torch.zeros(len(self._taps), size * size)
+        self._as_grid = self._maps.view(*weight.shape[1:], size, size).numpy()
 
     def __call__(self, features: Tensor) -> Tensor:
         """(1, C, M, M) -> (1, M, M)."""
         torch.mm(self._taps, features[0].flatten(1), out=self._maps)
         logits = torch.empty(features.shape[2:])
-        add_shifted(self._maps.view(9, *logits.shape).numpy(), self._bias, logits.numpy())
+        add_shifted(self._as_grid, self._bias, logits.numpy())
         return logits[None]
 
 
-@kernel("void(float32[:,:,::1], float32, float32[:,::1])")
+@kernel("void(float32[:,:,:,::1], float32, float32[:,::1])")
 def add_shifted(maps, bias, out):  # type: ignore[no-untyped-def]
-    """out[r, x] = bias + the sum of maps[3 i + j, r + i - 1, x + j - 1] over i and j, where it lies inside."""
-    size = out.shape[0]
+    """out[r, x] = bias + the sum of maps[i, j, r + i - k, x + j - k] where it lies inside; i, j = 0..2k."""
+    size, side = out.shape[0], maps.shape[0]
+    reach = side // 2
     for r in range(size):
         out[r] = bias
-        for i in range(max(0, 1 - r), min(3, size + 1 - r)):
-            left, middle, right = maps[3 * i, r + i - 1], maps[3 * i + 1, r + i - 1], maps[3 * i + 2, r + i - 1]
-            out[r, 1:] += left[:-1]
-            out[r] += middle
-            out[r, :-1] += right[1:]
+        for i in range(max(0, reach - r), min(side, size + reach - r)):
+            for j in range(side):
+                seen = maps[i, j, r + i - reach]
+                if j < reach:
+                    out[r, reach - j :] += seen[: size - reach + j]
+                else:
+                    out[r, : size - j + reach] += seen[j - reach :]
 
 
 def as_cells(tensor: Tensor) -> Array:
