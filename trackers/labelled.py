@@ -17,6 +17,8 @@ from gridtrack.trackers.contract import FrameSource
 
 LEAD_IN = 40
 """Frames before the labelled ones, given without their labels: a tracker's state has followed the stream by then."""
+VALIDATE_ON = 5
+"""Every fifth validation scan is chosen by: neighbouring ones say nearly the same."""
 
 
 class LabelSettings(Settings):

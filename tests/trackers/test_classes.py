@@ -15,12 +15,13 @@ from gridtrack.common.config import validated  # noqa: E402
 from gridtrack.common.errors import ConfigurationError, WeightsError  # noqa: E402
 from gridtrack.common.geometry import SE2  # noqa: E402
 from gridtrack.common.grid import GridFrame, GridSpec, LabelledFrame  # noqa: E402
+from gridtrack.trackers import cell_training  # noqa: E402
+from gridtrack.trackers.cell_classifier import CellClassifier, ClassifierSettings  # noqa: E402
+from gridtrack.trackers.cell_training import CellCollector, LabelledCells, train_classifier, trials  # noqa: E402
 from gridtrack.trackers.contract import FitOutput, StretchScore, stream_of  # noqa: E402
 from gridtrack.trackers.labelled import class_indices, draw_labelled, inverse_frequency, possible_starts  # noqa: E402
 from gridtrack.trackers.one_shot import OneShotTracker  # noqa: E402
-from gridtrack.trackers.one_shot.network import OneShotNetwork, patches_around  # noqa: E402
 from gridtrack.trackers.recurrent import DilatedConvGRUTracker  # noqa: E402
-from gridtrack.trackers.recurrent.transfer import Samples, fit_decoder, latent_patches  # noqa: E402
 from gridtrack.trackers.weights import load_weights, read_card, save_weights  # noqa: E402
 
 SIZE, ROUND = 16, 12
@@ -90,7 +91,17 @@ def fit(tracker, folder, things, seed=3, train=None, **options):
 
 
 NETWORK = {"channels": 8, "layers": 2, "updates": 1, "warm_up": 0, "validate_every": 1, "precision": "32-true"}
+DECODER = {"class_layers": 2, "class_channels": 16}
 CLASSIFIER = {"channels": 16, "learning_rate": 0.01, "weight_decay": 0.001, "updates": 200}
+
+
+@pytest.fixture(scope="module", autouse=True)
+def one_short_trial():
+    """Of the class decoder, instead of ten: a toy needs no search."""
+    with pytest.MonkeyPatch.context() as patch:
+        short = {"learning_rate": 0.01, "updates": 300, "batch": 64}
+        patch.setattr(cell_training, "trials", lambda given, seed: [ClassifierSettings(**(short | dict(given)))])
+        yield
 
 
 def accuracy(tracker, weights, things, from_frame=4):
@@ -111,7 +122,7 @@ def accuracy(tracker, weights, things, from_frame=4):
 @pytest.fixture(scope="module")
 def latent(tmp_path_factory):
     """Weights of a ConvGRU that has hardly been trained, its classes learned after its occupancy."""
-    return fit(DilatedConvGRUTracker, tmp_path_factory.mktemp("latent"), (stands, walks), **NETWORK)
+    return fit(DilatedConvGRUTracker, tmp_path_factory.mktemp("latent"), (stands, walks), **NETWORK, **DECODER)
 
 
 def test_a_latent_state_tells_apart_what_only_motion_does_and_one_scan_cannot(latent, tmp_path):
@@ -142,12 +153,12 @@ def test_the_occupancy_weights_stay_as_they_are_bit_for_bit(latent, tmp_path):
     path = fit(DilatedConvGRUTracker, tmp_path, (stands, walks), stage="occupancy", **NETWORK)
     before = load_weights(stream_of(Scene(()), path), "dilated-convgru")
     assert before.card.classes == ()
-    fit(DilatedConvGRUTracker, tmp_path, (stands, walks), stage="classes")
+    fit(DilatedConvGRUTracker, tmp_path, (stands, walks), stage="classes", **DECODER)
     after = load_weights(stream_of(Scene(()), path), "dilated-convgru")
-    assert after.arrays.keys() - before.arrays.keys() == {"decode_semantics.weight", "decode_semantics.bias"}
+    assert {name.partition(".")[0] for name in after.arrays.keys() - before.arrays.keys()} == {"decode_semantics"}
     assert all(after.arrays[name].tobytes() == array.tobytes() for name, array in before.arrays.items())
     assert after.card.command == before.card.command
-    assert after.card.results["classes"]["command"] == "gridtrack train {'stage': 'classes'}"
+    assert after.card.results["classes"]["command"] == f"gridtrack train { ({'stage': 'classes'} | DECODER) }"
     at_once = load_weights(stream_of(Scene(()), latent), "dilated-convgru")
     assert {k: v.tobytes() for k, v in at_once.arrays.items()} == {k: v.tobytes() for k, v in after.arrays.items()}
 
@@ -165,7 +176,7 @@ def test_the_card_names_the_classes_and_a_class_nobody_labelled_is_none_of_them(
     [
         ((), "arrays that its card does not account for: .*decode_semantics"),
         (("stander", "stander"), "a class is named twice"),
-        (("stander", "walker", "horse"), r"decode_semantics.weight' is \(2, 8, 3, 3\), expected \(3, 8, 3, 3\)"),
+        (("stander", "walker", "horse"), r"layers.1.weight' is \(2, 16, 3, 3\), expected \(3, 16, 3, 3\)"),
     ],
 )
 def test_a_card_whose_classes_are_not_those_of_the_decoder_is_refused(latent, tmp_path, classes, message):
@@ -214,28 +225,66 @@ def test_classes_are_matched_by_name_and_weighted_by_inverse_frequency():
     assert inverse_frequency(np.array([0, 0, 0, 1]), 2).tolist() == pytest.approx([4 / 6, 2.0])
 
 
-def test_a_latent_patch_times_the_decoder_is_its_convolution():
+def test_a_decoder_of_one_layer_is_the_papers_and_takes_the_place_of_another(latent, tmp_path):
+    before = load_weights(stream_of(Scene(()), latent), "dilated-convgru")
+    path = tmp_path / "toy.toml"
+    save_weights(path, before.card, before.arrays)
+    fit(DilatedConvGRUTracker, tmp_path, (stands, walks), stage="classes", class_layers=1, class_channels=8)
+    after = load_weights(stream_of(Scene(()), path), "dilated-convgru")
+    decoder = {name: array.shape for name, array in after.arrays.items() if name.startswith("decode_semantics")}
+    assert decoder == {"decode_semantics.layers.0.weight": (2, 8, 3, 3), "decode_semantics.layers.0.bias": (2,)}
+    assert after.card.settings["class_layers"] == 1
+    assert accuracy(DilatedConvGRUTracker, path, (stands, walks)) > 0.9
+
+
+@pytest.mark.parametrize("hidden", [(), (4,), (4, 5)])
+def test_a_cell_is_classified_from_its_patch_as_from_the_whole_grid(hidden):
     torch.manual_seed(0)
-    features, decoder = torch.randn(1, 3, 7, 7), torch.nn.Conv2d(3, 4, 3, padding=1)
-    everywhere = latent_patches(features, np.arange(49)) @ decoder.weight.flatten(1).T + decoder.bias
-    torch.testing.assert_close(everywhere.T.reshape(1, 4, 7, 7), decoder(features))
+    classifier, planes = CellClassifier(2, hidden, 3), torch.rand(1, 2, 20, 20)
+    everywhere = torch.arange(400)
+    cells = LabelledCells(planes.permute(0, 2, 3, 1), torch.zeros_like(everywhere), everywhere, everywhere)
+    patches = cells.patches(everywhere, classifier.reach)
+    assert patches.shape[-1] == 2 ** (len(hidden) + 2) - 1
+    torch.testing.assert_close(classifier.of_patches(patches), classifier(planes)[0].flatten(1).T)
 
 
-def test_the_decoder_is_the_weighted_logistic_regression_of_scikit_learn():
+def test_one_layer_learns_the_weighted_logistic_regression_of_scikit_learn():
     linear_model = pytest.importorskip("sklearn.linear_model")
     draw = np.random.default_rng(0)
-    targets = draw.choice(3, 600, p=[0.6, 0.3, 0.1])
-    patches = (draw.normal(size=(600, 5)) + draw.normal(size=(3, 5))[targets]).astype(np.float32)
-    learned = Samples(torch.from_numpy(patches), torch.from_numpy(targets))
-    decoder = fit_decoder(learned, learned, 3, lambda line: None)
-    oracle = linear_model.LogisticRegression(C=1 / (decoder.penalty * 600), class_weight="balanced", tol=1e-8)
-    oracle.fit(patches, targets)
-    ours = torch.softmax(learned.patches @ decoder.weight.T + decoder.bias, dim=1).numpy()
-    np.testing.assert_allclose(ours, oracle.predict_proba(patches), atol=2e-3)
-
-
-def test_one_shot_classifies_a_cell_from_its_patch_as_from_the_whole_grid():
+    targets = np.repeat([0, 1, 2], [360, 180, 60])
+    features = draw.normal(size=(600, 5)) + draw.normal(size=(3, 5))[targets]
+    planes = torch.zeros(600, 3, 3, 5)
+    planes[:, 1, 1] = torch.from_numpy(features).float()
+    learned = LabelledCells(planes, torch.arange(600), torch.full((600,), 4), torch.from_numpy(targets))
+    alike = torch.arange(600).repeat_interleave(torch.tensor([1, 2, 6])[learned.targets])
+    balanced = LabelledCells(planes, learned.at[alike], learned.cells[alike], learned.targets[alike])
     torch.manual_seed(0)
-    network, planes = OneShotNetwork(6, 3), (torch.rand(2, 20, 20) < 0.3).float()
-    dense = network(planes[None])[0].flatten(1).T
-    torch.testing.assert_close(network.of_patches(patches_around(planes, np.arange(400))), dense)
+    settings = ClassifierSettings(learning_rate=0.05, weight_decay=0.0, batch=600, updates=1000)
+    classifier = train_classifier(CellClassifier(5, (), 3), settings, learned, balanced).classifier
+    ours = torch.softmax(classifier.of_patches(learned.patches(torch.arange(600), 1)), dim=1).detach().numpy()
+    oracle = linear_model.LogisticRegression(C=np.inf, class_weight="balanced", tol=1e-8, max_iter=1000)
+    expected = oracle.fit(features, targets).predict_proba(features)
+    assert np.abs(ours - expected).mean() < 0.01
+    unweighted = linear_model.LogisticRegression(C=np.inf, tol=1e-8, max_iter=1000).fit(features, targets)
+    assert np.abs(ours - unweighted.predict_proba(features)).mean() > 0.03
+
+
+def test_labelled_cells_are_gathered_with_the_planes_of_their_own_frame():
+    names = ("a", "b", "c")
+    collector = CellCollector(("c", "a"))
+    for t, (cells, labels) in enumerate((([5, 7], [0, 1]), ([2], [2]))):
+        item = LabelledFrame(None, np.array(cells), np.array(labels, np.uint8))
+        collector.add(torch.full((2, 3, 3), float(t)), item, names)
+    found = collector.cells()
+    assert found.planes.shape == (2, 3, 3, 2)
+    assert (found.at.tolist(), found.cells.tolist(), found.targets.tolist()) == ([0, 1], [5, 2], [1, 0])
+    assert found.patches(torch.tensor([1]), 1)[0, 0].tolist() == [[0, 0, 0], [1, 1, 1], [1, 1, 1]]
+
+
+def test_the_same_seed_tries_the_same_settings_and_what_is_given_stays():
+    tried = list(trials({"channels": 8}, 3))
+    assert tried == list(trials({"channels": 8}, 3))
+    assert (len(tried), {settings.channels for settings in tried}) == (10, {8})
+    assert len({settings.learning_rate for settings in tried}) == 10
+    given = {"channels": 8, "learning_rate": 0.1, "weight_decay": 0.0}
+    assert list(trials(given, 3)) == [ClassifierSettings(**given)]

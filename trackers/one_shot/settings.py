@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-from pydantic import Field
-
+from gridtrack.trackers.cell_classifier import ClassifierSettings
 from gridtrack.trackers.labelled import LabelSettings
 
 NAME = "one-shot"
+LAYERS = 3
 
 
-class OneShotSettings(LabelSettings):
-    """The width of the classifier, and its training by AdamW on the cells whose class is known."""
+class OneShotSettings(LabelSettings, ClassifierSettings):
+    """The width of the classifier, its training, and how many labels it is given."""
 
-    channels: int = Field(32, ge=1, le=256)
-    learning_rate: float = Field(3e-3, gt=0)
-    weight_decay: float = Field(1e-2, ge=0)
-    updates: int = Field(2000, ge=1)
-    """At most; kept is the state that classifies the validation stretch best."""
-    batch: int = Field(256, ge=1)
-    """Labelled cells in an update."""
+    @property
+    def hidden(self) -> tuple[int, ...]:
+        """Channels of every layer but the last."""
+        return (self.channels,) * (LAYERS - 1)

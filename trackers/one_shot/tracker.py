@@ -10,11 +10,14 @@ import torch
 
 from gridtrack.common.config import Settings
 from gridtrack.common.grid import GridFrame
+from gridtrack.trackers.cell_classifier import CellClassifier
 from gridtrack.trackers.contract import FitOutput, Forecast, FrameSource, Score, StreamSpec, Tracker
-from gridtrack.trackers.one_shot.network import OneShotNetwork
 from gridtrack.trackers.one_shot.settings import NAME, OneShotSettings
 from gridtrack.trackers.restoring import restore, trained_settings
 from gridtrack.trackers.weights import load_weights
+
+PLANES = 2
+"""Visible and occupied."""
 
 
 class OneShotTracker(Tracker):
@@ -32,7 +35,7 @@ class OneShotTracker(Tracker):
         weights = load_weights(stream, NAME)
         self.classes = weights.card.classes
         settings = trained_settings(stream, weights, options)
-        self._network = OneShotNetwork(settings.channels, len(self.classes)).eval()
+        self._network = CellClassifier(PLANES, settings.hidden, len(self.classes)).eval()
         restore(self._network, stream, weights)
         self.reset(seed=0)
 

@@ -34,7 +34,7 @@ class DilatedConvGRUTracker(RecurrentTracker):
     @classmethod
     def build(cls, size: int, options: Any, classes: int) -> nn.Module:
         """The untrained network."""
-        return DilatedConvGRU(size, options, classes)
+        return DilatedConvGRU(size, options, classes, options.class_hidden)
 
     @classmethod
     def prepare_training(cls, network: Any, rate: float) -> None:

@@ -15,7 +15,7 @@ paper's text cannot be had from its printed equations.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Literal
 
 import torch
@@ -24,6 +24,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from gridtrack.common.config import Settings
+from gridtrack.trackers.cell_classifier import CellClassifier
 from gridtrack.trackers.recurrent.network import State
 
 Gate = Literal["keep", "reset", "candidate"]
@@ -125,7 +126,10 @@ class DilatedConvGRU(nn.Module):
     Its receptive field is (2^(K+1) - 1)^2 cells a step for K layers.
     """
 
-    def __init__(self, size: int, settings: DilatedConvGRUSettings, classes: int = 0) -> None:
+    def __init__(
+        self, size: int, settings: DilatedConvGRUSettings, classes: int = 0, class_hidden: Sequence[int] = ()
+    ) -> None:
+        """`class_hidden`: channels of the class decoder's layers but the last; none are the paper's linear one."""
         super().__init__()
         self.size, self.channels = size, settings.channels
         self.layers = nn.ModuleList(
@@ -134,7 +138,7 @@ class DilatedConvGRU(nn.Module):
         )
         self.decode_occupancy = nn.Conv2d(settings.channels, 1, 3, padding=1)
         nn.init.normal_(self.decode_occupancy.weight, std=0.3)
-        self.decode_semantics = nn.Conv2d(settings.channels, classes, 3, padding=1) if classes else None
+        self.decode_semantics = CellClassifier(settings.channels, class_hidden, classes) if classes else None
 
     def initial(self, batch: int) -> State:
         """h_0 = 0 in every layer."""

@@ -52,3 +52,12 @@ class TransferSettings(LabelSettings):
 
     stage: Literal["both", "occupancy", "classes"] = "both"
     """`classes` adds a class decoder to the weights that are there; `both` where a recording has classes."""
+    class_layers: int = Field(2, ge=1, le=3)
+    """Convolutions of the class decoder, with dilation 1, 2 and 4; one is the paper's, linear."""
+    class_channels: int = Field(32, ge=1, le=256)
+    """Of its hidden layers; chosen by the validation stretch where not given."""
+
+    @property
+    def class_hidden(self) -> tuple[int, ...]:
+        """Channels of every layer of the class decoder but the last."""
+        return (self.class_channels,) * (self.class_layers - 1)

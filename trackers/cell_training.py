@@ -1,0 +1,192 @@
+"""Training a classifier of cells: a seeded search of its few settings, each tried until validation stops gaining."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+from torch.nn import functional
+
+from gridtrack.common.grid import LabelledFrame
+from gridtrack.trackers.cell_classifier import CellClassifier, ClassifierSettings
+from gridtrack.trackers.labelled import class_indices, inverse_frequency
+
+TRIALS = 10
+CHANNELS = (8, 16, 32)
+LEARNING_RATES = (1e-3, 2e-2)
+WEIGHT_DECAYS = (1e-4, 1.0)
+"""What is searched: the channels uniformly among these, the others log-uniformly from their range."""
+TEMPERATURES = tuple(round(1.05**n, 2) for n in range(-15, 30))
+"""About 0.5 to 4."""
+VALIDATIONS = 10
+"""Times in a trial that the classifier is tried on the validation stretch."""
+
+
+@dataclass(frozen=True, slots=True)
+class LabelledCells:
+    """Planes, and the cells of them whose class is known.
+
+    `planes` (T, M, M, C); of each cell (N,) int64 the plane that it is in (`at`), row * M + column (`cells`) and its
+    class (`targets`).
+    """
+
+    planes: Tensor
+    at: Tensor
+    cells: Tensor
+    targets: Tensor
+
+    def patches(self, index: Tensor, reach: int) -> Tensor:
+        """Patches (n, C, P, P) float32 around some of the cells, P = 2 `reach` + 1, 0 beyond the edge of the grid."""
+        size = self.planes.shape[1]
+        around = torch.arange(-reach, reach + 1)
+        row = (self.cells[index] // size)[:, None, None] + around[:, None]
+        column = (self.cells[index] % size)[:, None, None] + around
+        inside = (row >= 0) & (row < size) & (column >= 0) & (column < size)
+        found = self.planes[self.at[index][:, None, None], row.clamp(0, size - 1), column.clamp(0, size - 1)]
+        return (found.float() * inside[..., None]).permute(0, 3, 1, 2)
+
+
+class CellCollector:
+    """Gathers labelled cells scan by scan; those of a class that is none of `classes` are left out."""
+
+    def __init__(self, classes: Sequence[str]) -> None:
+        self._classes = classes
+        self._planes: list[Tensor] = []
+        self._cells: list[NDArray[np.int64]] = []
+        self._targets: list[NDArray[np.int64]] = []
+
+    def add(self, planes: Tensor, labelled: LabelledFrame, names: Sequence[str]) -> None:
+        """Take in `planes` (C, M, M) and the cells of a frame whose labels index `names`."""
+        target = class_indices(labelled.labels, names, self._classes)
+        self._planes.append(planes.permute(1, 2, 0))
+        self._cells.append(labelled.cells[target >= 0])
+        self._targets.append(target[target >= 0])
+
+    def cells(self) -> LabelledCells:
+        """All that was gathered."""
+        at = np.repeat(np.arange(len(self._cells)), [cells.size for cells in self._cells])
+        index, targets = np.concatenate(self._cells), np.concatenate(self._targets)
+        return LabelledCells(torch.stack(self._planes), *map(torch.from_numpy, (at, index, targets)))
+
+
+@dataclass(frozen=True, slots=True)
+class Trained:
+    """A classifier where it was best: after `update` updates, at `log_loss` nats a cell of validation.
+
+    `temperature` is what its logits have been divided by.
+    """
+
+    settings: ClassifierSettings
+    classifier: CellClassifier
+    update: int
+    log_loss: float
+    temperature: float = 1.0
+
+
+def best_classifier(
+    build: Callable[[ClassifierSettings], CellClassifier],
+    given: Mapping[str, Any],
+    learned: LabelledCells,
+    held_out: LabelledCells,
+    seed: int,
+    report: Callable[[str], None],
+) -> Trained:
+    """The one that is best for `held_out` out of TRIALS settings; one that is `given` stays as given.
+
+    `build` makes an untrained classifier.
+    """
+    best = None
+    for settings in trials(given, seed):
+        torch.manual_seed(seed)
+        tried = calibrated(train_classifier(build(settings), settings, learned, held_out), held_out)
+        best = tried if best is None or tried.log_loss < best.log_loss else best
+        report(
+            f"channels {settings.channels}, learning rate {settings.learning_rate:g}, weight decay"
+            f" {settings.weight_decay:g}: validation log loss {tried.log_loss:.4f} nats a cell"
+        )
+    assert best is not None
+    return best
+
+
+def trials(given: Mapping[str, Any], seed: int) -> Iterator[ClassifierSettings]:
+    """The defaults, and then draws of what is not `given`; the same seed, the same trials."""
+    draw = np.random.default_rng(seed)
+    yield ClassifierSettings(**given)
+    for _ in range(TRIALS - 1 if {"channels", "learning_rate", "weight_decay"} - given.keys() else 0):
+        drawn = {
+            "channels": int(draw.choice(CHANNELS)),
+            "learning_rate": _log_uniform(draw, *LEARNING_RATES),
+            "weight_decay": _log_uniform(draw, *WEIGHT_DECAYS),
+        }
+        yield ClassifierSettings(**(drawn | dict(given)))
+
+
+def _log_uniform(draw: np.random.Generator, low: float, high: float) -> float:
+    """Three significant digits: a card is read by people, and the search must try what the card will say."""
+    return float(f"{math.exp(draw.uniform(math.log(low), math.log(high))):.3g}")
+
+
+def train_classifier(
+    classifier: CellClassifier, settings: ClassifierSettings, learned: LabelledCells, held_out: LabelledCells
+) -> Trained:
+    """AdamW on batches of `learned`, classes weighted by inverse frequency; the state that is best for `held_out`.
+
+    Chance is PyTorch's own generator: seed it before the classifier is built.
+    """
+    classes = classifier.layers[-1].out_channels
+    class_weights = torch.from_numpy(inverse_frequency(learned.targets.numpy(), int(classes)))  # type: ignore[arg-type]
+    optimizer = torch.optim.AdamW(classifier.parameters(), settings.learning_rate, weight_decay=settings.weight_decay)
+    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, settings.updates)
+    every = -(-settings.updates // VALIDATIONS)
+    best: tuple[float, int, dict[str, Tensor]] | None = None
+    for update in range(1, settings.updates + 1):
+        batch = torch.randint(len(learned.targets), (settings.batch,))
+        logits = classifier.of_patches(learned.patches(batch, classifier.reach))
+        loss = functional.cross_entropy(logits, learned.targets[batch], class_weights)
+        optimizer.zero_grad()
+        loss.backward()  # type: ignore[no-untyped-call]
+        optimizer.step()
+        schedule.step()
+        if update % every == 0 or update == settings.updates:
+            log_loss = validation_log_loss(classifier, held_out)
+            if best is None or log_loss < best[0]:
+                best = log_loss, update, {name: value.clone() for name, value in classifier.state_dict().items()}
+    assert best is not None
+    classifier.load_state_dict(best[2])
+    return Trained(settings, classifier, best[1], best[0])
+
+
+@torch.no_grad()
+def calibrated(trained: Trained, held_out: LabelledCells) -> Trained:
+    """`trained`, its last layer divided by the temperature that is best for `held_out` (Guo et al., 2017).
+
+    Few labels make a classifier surer than it is right; its most probable classes stay the same.
+    """
+    logits = logits_of(trained.classifier, held_out)
+
+    def log_loss(temperature: float) -> float:
+        return float(functional.cross_entropy(logits / temperature, held_out.targets))
+
+    temperature = min(TEMPERATURES, key=log_loss)
+    for parameter in trained.classifier.layers[-1].parameters():
+        parameter.div_(temperature)
+    return replace(trained, temperature=temperature, log_loss=log_loss(temperature))
+
+
+def validation_log_loss(classifier: CellClassifier, held_out: LabelledCells) -> float:
+    """Mean over cells of -log P(class), nats, classes unweighted, as the referee counts it."""
+    return float(functional.cross_entropy(logits_of(classifier, held_out), held_out.targets))
+
+
+@torch.no_grad()
+def logits_of(classifier: CellClassifier, cells: LabelledCells) -> Tensor:
+    """Logits (N, K) of labelled cells."""
+    index, at_once = torch.arange(len(cells.targets)), 4096
+    some = (index[start : start + at_once] for start in range(0, len(index), at_once))
+    return torch.cat([classifier.of_patches(cells.patches(each, classifier.reach)) for each in some])
