@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from gridtrack.common.simulation import junction
-from gridtrack.common.simulation.junction import patience, place
-from gridtrack.common.simulation.junction.patience import PATIENCE_S, Patience
+from gridtrack.common.simulation.junction import JUNCTION_SET, MARGIN_S, patience, place
+from gridtrack.common.simulation.junction.patience import FROM_S, PATIENCE_S, Patience
 from gridtrack.common.simulation.sumo import Movements, run_sumo
 
 pytest.importorskip("traci", reason="SUMO is not installed")
@@ -31,8 +31,9 @@ SNAIL = """
 class Traffic:
     """What Patience sees of SUMO, from a script: at each look the vehicles' waiting times and where people are."""
 
-    def __init__(self) -> None:
-        self.junction, self.vehicle = self, self
+    def __init__(self, time_s: float = FROM_S) -> None:
+        self.junction, self.vehicle, self.simulation = self, self, self
+        self.time_s = time_s
         self.told: dict[str, dict[int, Any]] = {}
         self.ignored: dict[str, str] = {}
         self.patience = Patience("C")
@@ -43,6 +44,9 @@ class Traffic:
 
     def getContextSubscriptionResults(self, junction: str) -> dict[str, dict[int, Any]]:
         return self.told
+
+    def getTime(self) -> float:
+        return self.time_s
 
     def setParameter(self, vehicle: str, key: str, value: str) -> None:
         assert key == "junctionModel.ignoreIDs"
@@ -63,6 +67,14 @@ def test_ordinary_traffic_is_left_alone() -> None:
     traffic = Traffic()
     for waited_s in np.arange(0.0, PATIENCE_S + 1.0, 4.0):
         assert traffic.look({"car": float(waited_s)}, {"anna": CORNER}) == {}
+
+
+def test_the_short_recordings_that_ship_are_over_before_patience_begins() -> None:
+    ends_s = [start_s + minutes * 60.0 for name, (minutes, _, start_s) in JUNCTION_SET.items() if name[:4] == "test"]
+    assert max(ends_s) + MARGIN_S <= FROM_S
+    traffic = Traffic(FROM_S - 4.0)
+    traffic.look({"car": 396.0}, {"anna": CORNER})
+    assert traffic.look({"car": 400.0}, {"anna": CORNER}) == {}
 
 
 def test_drivers_go_who_have_waited_a_cycle_and_a_half_but_not_before_people_who_walk_or_stand_in_their_way() -> None:
@@ -96,6 +108,7 @@ def longest_wait_s(movements: Movements) -> float:
 def test_sumo_s_drivers_do_as_they_are_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("sumo", reason="SUMO is not installed")
     monkeypatch.setattr(patience, "CORNER_M", 0.0)  # the snail stands in the way
+    monkeypatch.setattr(patience, "FROM_S", 0.0)
     waits = []
     for limit_s in (60.0, 1000.0):
         monkeypatch.setattr(patience, "PATIENCE_S", limit_s)

