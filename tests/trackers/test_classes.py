@@ -278,7 +278,7 @@ def test_labelled_cells_are_gathered_with_the_planes_of_their_own_frame():
     found = collector.cells()
     assert found.planes.shape == (2, 3, 3, 2)
     assert (found.at.tolist(), found.cells.tolist(), found.targets.tolist()) == ([0, 1], [5, 2], [1, 0])
-    assert found.patches(torch.tensor([1]), 1)[0, 0].tolist() == [[0, 0, 0], [1, 1, 1], [1, 1, 1]]
+    assert found.patches(torch.tensor([1]), 1)[0, 0].tolist() == [[0, 0, 0], [1, 1, 0], [1, 1, 0]]
 
 
 def test_the_same_seed_tries_the_same_settings_and_what_is_given_stays():
