@@ -55,7 +55,8 @@ weights: $(VENV)/.installed-dev
 	$(BIN)/gridtrack train static-map $(AT_JUNCTION) --out data/weights
 	$(BIN)/gridtrack train kalman $(A_CYCLE) --out data/weights
 	$(BIN)/gridtrack train deep-tracking-rnn:$(RNN_AT_JUNCTION) $(AT_JUNCTION)@0s-90s --out data/weights
-	$(BIN)/gridtrack train dilated-convgru:$(GRU_AT_JUNCTION) $(AT_JUNCTION)@0s-90s --out data/weights
+	for tracker in dilated-convgru:$(GRU_AT_JUNCTION),stage=occupancy dilated-convgru:stage=classes one-shot; do \
+	    $(BIN)/gridtrack train $$tracker $(AT_JUNCTION)@0s-90s --seed 1 --out data/weights || exit 1; done
 
 $(VENV)/.installed-demo: pyproject.toml constraints.txt | $(VENV)
 	$(BIN)/pip install --constraint constraints.txt --editable '.[deep,model-free]'
