@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Sequence
+from copy import deepcopy
 from typing import Any, ClassVar
 
 import numpy as np
@@ -25,10 +26,10 @@ class RecurrentTracker(Tracker):
     name: ClassVar[str]
     learns: ClassVar[bool] = True
 
-    def __init__(self, stream: StreamSpec, options: Any, network: nn.Module | None = None) -> None:
+    def __init__(self, stream: StreamSpec, options: Any, network: RecurrentNetwork | None = None) -> None:
         """Without a `network`, the one of the site's weights. Raises WeightsError."""
         super().__init__(stream, options)
-        self.network: Any = channels_last(network) if network else self._restored(load_weights(stream, self.name))
+        self.network: Any = network or self._restored(load_weights(stream, self.name))
         self.state: State = self.network.initial(1)
 
     @classmethod
@@ -103,8 +104,10 @@ class RecurrentTracker(Tracker):
         steps = round(max(VALIDATION_HORIZONS_S) / train[0].period_s)
 
         def validate(trained: nn.Module) -> dict[str, float]:
+            following = cls.prepare_inference(channels_last(deepcopy(trained).cpu().eval()))
+
             def as_tracker(source: FrameSource) -> Any:
-                return score(cls(stream_of(source), options, trained), source, steps)
+                return score(cls(stream_of(source), options, following), source, steps)
 
             return validation_scores(as_tracker, validation, VALIDATION_HORIZONS_S)
 
