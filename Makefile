@@ -6,7 +6,7 @@ DEMO := data/leg_tracker/leg_tracker.mcap
 JUNCTION := $(wildcard data/junction/test-*.tracks)
 TRACKERS := persistence static-map blank kalman deep-tracking-rnn dilated-convgru
 
-.PHONY: demo demo-junction junction test lint bench baseline weights clean
+.PHONY: demo demo-junction results ablations junction test lint bench baseline weights clean
 
 demo: $(VENV)/.installed-demo
 	rm -rf runs/demo
@@ -17,6 +17,28 @@ demo-junction: $(VENV)/.installed-demo
 	rm -rf runs/junction
 	$(BIN)/gridtrack compare $(JUNCTION) --validation data/junction/validation.tracks \
 	    $(foreach tracker,persistence static-map blank kalman dilated-convgru one-shot,--tracker $(tracker)) --out runs/junction
+
+# Every tracker on those twenty minutes: the figures of docs/results/junction.
+results: $(VENV)/.installed-demo
+	rm -rf runs/results
+	$(BIN)/gridtrack compare $(JUNCTION) --validation data/junction/validation.tracks \
+	    $(foreach tracker,persistence static-map blank kalman one-shot deep-tracking-rnn dilated-convgru,--tracker $(tracker)) \
+	    --out runs/results
+	$(BIN)/python benchmarks/static_memory.py
+
+# What the paper claims of its network taken away, one claim at a time, each trained with a quarter of the updates.
+QUARTER := burn_in=10,validate_every=125,warm_up=50,learning_rate=0.004,updates=625,stage=occupancy
+BLANKS := shown=10,blank=20,cycles=1
+ABLATIONS := whole:$(BLANKS) no-static-memory:$(BLANKS),static_gates=[] no-dilation:$(BLANKS),dilated=false \
+    no-gates:$(BLANKS),cell=plain papers-scheme:shown=10,blank=10,cycles=2
+ablations: $(VENV)/.installed-dev
+	for each in $(ABLATIONS); do \
+	    $(BIN)/gridtrack train "dilated-convgru:$(QUARTER),$${each#*:}" $(AT_JUNCTION)@0s-90s \
+	        --out runs/trained/$${each%%:*} || exit 1; done
+	rm -rf runs/ablations
+	$(BIN)/gridtrack compare $(JUNCTION) --validation data/junction/validation.tracks --tracker persistence \
+	    $(foreach each,$(ABLATIONS),--tracker $(firstword $(subst :, ,$(each)))=dilated-convgru:weights=runs/trained/$(firstword $(subst :, ,$(each)))) \
+	    --every 2s --reference whole --out runs/ablations
 
 # The set that the demo is run on, made again with SUMO (about ten minutes on two cores).
 junction: $(VENV)/.installed-sim

@@ -1,7 +1,7 @@
 """What a tracker expects of a place before it has seen anything: y_1 from no input, beside the place's outlines.
 
-`python benchmarks/static_memory.py RECORDING PICTURE.svg [TRACKER...]` draws log P(occupied) of each tracker's shipped
-weights for the recording's site. For the dilated ConvGRU that is its static memory (Ondruska et al., 2016, figure 5).
+`python benchmarks/static_memory.py [TRACKER...]` draws log P(occupied) of each tracker's shipped weights for the
+junction into docs/results/junction. For the dilated ConvGRU that is its static memory (Ondruska et al., 2016, fig. 5).
 """
 
 from __future__ import annotations
@@ -20,6 +20,9 @@ from gridtrack.reports.pictures import probability_png
 from gridtrack.trackers import registry
 from gridtrack.trackers.contract import stream_of
 
+RECORDING = Path("data/junction/test-101.tracks")
+PICTURE = Path("docs/results/junction/static-memory.svg")
+TRACKERS = ["dilated-convgru", "deep-tracking-rnn", "static-map"]
 SMALLEST = 1e-3
 SIDE, GAP, TOP = 300, 20, 24
 
@@ -48,8 +51,8 @@ def panel(k: int, title: str, png: str) -> str:
     )
 
 
-def draw(recording: str, names: list[str]) -> str:
-    stream = GridStream(open_recording(Path(recording)))
+def draw(recording: Path, names: list[str]) -> str:
+    stream = GridStream(open_recording(recording))
     first = next(iter(stream.observations()))
     if first.scene is None:
         raise SystemExit(f"{recording}: it does not know what stands there")
@@ -70,5 +73,4 @@ def draw(recording: str, names: list[str]) -> str:
 
 
 if __name__ == "__main__":
-    recording, picture, *names = sys.argv[1:]
-    Path(picture).write_text(draw(recording, names or ["dilated-convgru", "deep-tracking-rnn", "static-map"]))
+    PICTURE.write_text(draw(RECORDING, sys.argv[1:] or TRACKERS))
