@@ -1,0 +1,244 @@
+"""How many labels classes need: log loss of a scan by labelled scans, from the latent state and from one scan.
+
+Run it by itself: `python benchmarks/label_budget.py`; rows that lie in the file `--out` are not measured again. Three
+stretches of the junction's training recording are drawn; of each the first 50, 100, 200, 400 and 800 scans are
+labelled. The network is the shipped one and stays as it is. Settings of the shipped classifiers are kept (chosen once,
+with 800 scans), the best state of each training is chosen on the first 90 s of the validation recording, and the
+referee's own counts are taken on test recordings, a forecast every 2 s.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import statistics
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import cache
+from itertools import groupby, product
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from gridtrack.common.config import validated
+from gridtrack.common.stream import GridStream, open_stream
+from gridtrack.evaluation.scoring.referee import Delivery, Schedule
+from gridtrack.evaluation.scoring.semantics import KINDS, Matching, count_classes, match_classes
+from gridtrack.evaluation.scoring.target import Target
+from gridtrack.trackers.cell_classifier import CellClassifier, ClassifierSettings
+from gridtrack.trackers.cell_training import LabelledCells, calibrated, train_classifier
+from gridtrack.trackers.contract import stream_of
+from gridtrack.trackers.labelled import LEAD_IN, VALIDATE_ON, learned_classes
+from gridtrack.trackers.one_shot.settings import OneShotSettings
+from gridtrack.trackers.one_shot.tracker import PLANES, planes_of
+from gridtrack.trackers.one_shot.training import cells_of as cells_of_scans
+from gridtrack.trackers.recurrent import DilatedConvGRUTracker
+from gridtrack.trackers.recurrent.transfer import cells_of as cells_of_states
+from gridtrack.trackers.weights import read_card
+
+DATA, WEIGHTS = Path("data/junction"), Path("data/weights")
+BUDGETS, DRAWS, SCANS = (50, 100, 200, 400, 800), (1, 2, 3), 800
+STEPS, AHEAD, EVERY = 20, 8, 16
+"""Steps of a forecast, the later one that is scored (1 s), and frames from one scored forecast to the next (2 s)."""
+LINEAR = ClassifierSettings(learning_rate=0.0172, weight_decay=0.000377)
+"""Best of the ten trials of `dilated-convgru:stage=classes,class_layers=1` with all SCANS of draw 1."""
+COLUMNS = {"visible now": (0, "visible"), "visible 1 s": (1, "visible"), "occluded now": (0, "occluded")}
+"""What is scored: of now and AHEAD the first or second, and the kind of cells."""
+
+
+@dataclass(frozen=True)
+class Reading:
+    """What can be read at a scored frame and in the forecast from it, and what truly was there.
+
+    `planes` by source, each (2, C, M, M), now and AHEAD: `state`, and `scan`, which is the same twice.
+    """
+
+    planes: dict[str, Tensor]
+    targets: list[Target]
+
+
+@dataclass(frozen=True)
+class Method:
+    """A classifier of what is read from `source`: how it is made for so many classes, and trained."""
+
+    name: str
+    source: str
+    build: Callable[[int], CellClassifier]
+    settings: ClassifierSettings
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """What has not been measured of one draw: a method, with so many scans."""
+
+    scans: int
+    method: Method
+
+
+def methods() -> list[Method]:
+    """One-shot and the latent state's decoder as they ship, and the paper's linear decoder."""
+    shot = read_card(WEIGHTS / "one-shot/junction.toml").settings
+    card = read_card(WEIGHTS / "dilated-convgru/junction.toml")
+    of_shot = OneShotSettings(**shot)
+    of_state = validated(DilatedConvGRUTracker.Options, card.settings, "card")
+    tuned = {key: card.results["classes"][key] for key in ("learning_rate", "weight_decay")}
+    channels = of_state.channels
+    return [
+        Method("one-shot", "scan", lambda k: CellClassifier(PLANES, of_shot.hidden, k), of_shot),
+        Method("latent, linear", "state", lambda k: CellClassifier(channels, (), k), LINEAR),
+        Method(
+            "latent", "state", lambda k: CellClassifier(channels, of_state.class_hidden, k), ClassifierSettings(**tuned)
+        ),
+    ]
+
+
+def latent_tracker(source: GridStream) -> DilatedConvGRUTracker:
+    """The shipped network on a stream."""
+    weights = WEIGHTS / "dilated-convgru/junction.toml"
+    return DilatedConvGRUTracker(stream_of(source, weights), DilatedConvGRUTracker.Options())
+
+
+def drawn(whole: GridStream, seed: int) -> tuple[GridStream, int]:
+    """The stretch of SCANS scans that a training with this seed is given, with its lead-in of so many frames.
+
+    All scans of the simulated junction are labelled: every start is possible.
+    """
+    first = int(np.random.default_rng(seed).integers(len(whole) - SCANS + 1))
+    lead_in = min(LEAD_IN, first)
+    stretch = (first - lead_in) * whole.period_s, (first + SCANS) * whole.period_s
+    return GridStream(whole.recording, stretch), lead_in
+
+
+def readings(name: str) -> Iterator[Reading]:
+    """Of one test recording, at the frames that a comparison `--every 2s` scores."""
+    stream = open_stream(DATA / f"{name}.tracks")
+    schedule, tracker = Schedule(len(stream), STEPS, EVERY), latent_tracker(stream)
+    frames: list[Target] = []
+    pending: list[tuple[int, dict[str, Tensor]]] = []
+    tracker.reset(0)
+    for index, target in enumerate(Delivery(stream, lambda: None)):
+        frames.append(target)
+        tracker.update(target.frame)
+        if schedule.due(index):
+            pending.append((index, {"state": states(tracker), "scan": planes_of(target.frame).expand(2, -1, -1, -1)}))
+    for index, planes in pending:
+        yield Reading(planes, [frames[index], frames[index + AHEAD]])
+
+
+@torch.no_grad()
+def states(tracker: DilatedConvGRUTracker) -> Tensor:
+    """(2, C, M, M) float16, now and AHEAD."""
+    network, state = tracker.network, tracker.state
+    now = network.features(state)
+    for _ in range(AHEAD):
+        state = network.step(None, state)
+    return torch.cat([now, network.features(state)]).half()
+
+
+@torch.no_grad()
+def losses(classifier: CellClassifier, source: str, test: Sequence[Reading], matching: Matching) -> dict[str, float]:
+    """Mean log loss of a scan in each of COLUMNS, nats: the referee's counts."""
+    per_scan: dict[str, list[float]] = {column: [] for column in COLUMNS}
+    for reading in test:
+        semantics = torch.softmax(classifier(reading.planes[source].float()), dim=1).numpy()
+        confusion, log_loss = count_classes(semantics, reading.targets, matching)
+        cells, loss = confusion.sum(axis=(-2, -1)), log_loss.sum(axis=(-2, -1))
+        for column, (step, kind) in COLUMNS.items():
+            if cells[step, KINDS.index(kind)]:
+                per_scan[column].append(float(loss[step, KINDS.index(kind)] / cells[step, KINDS.index(kind)]))
+    return {column: statistics.fmean(values) for column, values in per_scan.items()}
+
+
+@cache
+def held_out(classes: tuple[str, ...]) -> dict[str, LabelledCells]:
+    """What is chosen by, by source."""
+    stream = open_stream(f"{DATA / 'validation.tracks'}@0s-90s")
+    frames = list(stream.labelled())
+    return {
+        "scan": cells_of_scans([(stream.classes, frames[::VALIDATE_ON])], classes),
+        "state": cells_of_states(latent_tracker(stream), [(stream.classes, frames)], classes, VALIDATE_ON),
+    }
+
+
+def measure(whole: GridStream, seed: int, wanted: Sequence[Wanted], test: Sequence[Reading], out: Path) -> None:
+    """Train what is `wanted` on the first scans of one draw, and append what it scores to `out`."""
+    stream, lead_in = drawn(whole, seed)
+    names, frames = stream.classes, list(stream.labelled())
+    frames[:lead_in] = [item._replace(cells=item.cells[:0], labels=item.labels[:0]) for item in frames[:lead_in]]
+    tracker = latent_tracker(stream)
+    for budget, of_budget in groupby(wanted, key=lambda one: one.scans):
+        labelled = frames[: lead_in + budget]
+        classes = learned_classes(names, (item.labels for item in labelled))
+        learned = {
+            "scan": cells_of_scans([(names, labelled)], classes),
+            "state": cells_of_states(tracker, [(names, labelled)], classes, every=1),
+        }
+        for method in (one.method for one in of_budget):
+            torch.manual_seed(seed)
+            chosen_by = held_out(classes)[method.source]
+            trained = train_classifier(method.build(len(classes)), method.settings, learned[method.source], chosen_by)
+            classifier = calibrated(trained, chosen_by).classifier
+            found = losses(classifier, method.source, test, match_classes(classes, names))
+            append(out, {"method": method.name, "scans": budget, "draw": seed, "classes": len(classes), **found})
+            print(f"draw {seed}, {budget} scans, {method.name}: {found}", flush=True)
+
+
+def append(out: Path, row: dict[str, object]) -> None:
+    """One more line of the table of results."""
+    new = not out.exists()
+    out.parent.mkdir(parents=True, exist_ok=True)
+    with out.open("a", newline="") as file:
+        writer = csv.DictWriter(file, list(row))
+        if new:
+            writer.writeheader()
+        writer.writerow(row)
+
+
+def read(out: Path) -> list[dict[str, str]]:
+    """The results so far."""
+    if not out.exists():
+        return []
+    with out.open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def print_table(rows: Sequence[dict[str, str]]) -> None:
+    """Mean over draws and, in brackets, least and most, as Markdown."""
+    print(f"| method | scans | draws | {' | '.join(COLUMNS)} |\n|---|--:|--:|{'--:|' * len(COLUMNS)}")
+    for method, budget in product([method.name for method in methods()], BUDGETS):
+        own = [row for row in rows if row["method"] == method and int(row["scans"]) == budget]
+        if own:
+            shown = (spread([float(row[column]) for row in own]) for column in COLUMNS)
+            print(f"| {method} | {budget} | {len(own)} | {' | '.join(shown)} |")
+
+
+def spread(values: Sequence[float]) -> str:
+    """`0.321 [0.300, 0.350]`."""
+    return f"{statistics.fmean(values):.3f} [{min(values):.3f}, {max(values):.3f}]"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--out", type=Path, default=Path("runs/label_budget.csv"))
+    parser.add_argument("--draws", type=int, nargs="+", default=DRAWS, help="seeds of the stretches to measure now")
+    parser.add_argument("--recordings", type=int, default=20, help="test recordings to score on, out of twenty")
+    arguments = parser.parse_args()
+    torch.set_num_threads(1)
+    done = {(row["method"], int(row["scans"]), int(row["draw"])) for row in read(arguments.out)}
+    missing = {
+        seed: [Wanted(n, method) for n, method in product(BUDGETS, methods()) if (method.name, n, seed) not in done]
+        for seed in arguments.draws
+    }
+    if any(missing.values()):
+        names = sorted(path.stem for path in DATA.glob("test-*.tracks"))
+        test = [reading for name in names[:: -(-len(names) // arguments.recordings)] for reading in readings(name)]
+        whole = open_stream(DATA / "train.tracks")
+        for seed, wanted in missing.items():
+            measure(whole, seed, wanted, test, arguments.out)
+    print_table(read(arguments.out))
+
+
+if __name__ == "__main__":
+    main()
