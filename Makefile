@@ -23,7 +23,7 @@ results: $(VENV)/.installed-demo
 	rm -rf runs/results
 	$(BIN)/gridtrack compare $(JUNCTION) --validation data/junction/validation.tracks \
 	    $(foreach tracker,persistence static-map blank kalman one-shot deep-tracking-rnn dilated-convgru,--tracker $(tracker)) \
-	    --out runs/results
+	    --reference dilated-convgru --out runs/results
 	$(BIN)/python benchmarks/static_memory.py
 
 # What the paper claims of its network taken away, one claim at a time, each trained with a quarter of the updates.
