@@ -25,7 +25,7 @@ from gridtrack.trackers.recurrent.fused import FLAGS, sigmoid
 
 AT_ONCE = 100
 """Cells whose gradients wait in the processor's cache until they are written to where they belong."""
-_compiled = numba.njit(cache=True, nogil=True, fastmath=FLAGS, error_model="numpy")
+_kept = numba.njit(cache=True, nogil=True, fastmath=FLAGS, error_model="numpy")
 
 
 def differentiable_gates(x: Tensor | None, h_conv: Tensor, biases: tuple[Tensor, ...], h: Tensor) -> Tensor:
@@ -126,71 +126,77 @@ def _rounded_overload(rows, value):  # type: ignore[no-untyped-def]
     return nearest
 
 
+@numba.njit(fastmath=FLAGS, error_model="numpy")
+def _gates(x, h_conv, b_keep, b_reset, b_candidate, i, cell, c, channels):  # type: ignore[no-untyped-def]
+    """Keep, reset and candidate of one channel of one cell."""
+    keep, reset, candidate = b_keep[cell, c], b_reset[cell, c], b_candidate[cell, c]
+    if x is not None:
+        keep += _read(x, i, c)
+        reset += _read(x, i, channels + c)
+        candidate += _read(x, i, 2 * channels + c)
+    f = sigmoid(keep + _read(h_conv, i, c))
+    r = sigmoid(reset + _read(h_conv, i, channels + c))
+    a = candidate + r * _read(h_conv, i, 2 * channels + c)
+    return f, r, np.float32(2.0) * sigmoid(a + a) - np.float32(1.0)
+
+
+@numba.njit(fastmath=FLAGS, error_model="numpy")
+def _arguments(  # type: ignore[no-untyped-def]
+    first, start, x, h_conv, b_keep, b_reset, b_candidate, h, grad, grad_a, grad_h, channels
+):
+    """Gradients of the arguments of keep, reset and candidate, and of the candidate's hidden convolution.
+
+    h' = c + f (h - c), c = tanh(a), a = a_x + r a_h, where a_h is that convolution.
+    """
+    one = np.float32(1.0)
+    for k in range(len(grad_a)):
+        cell = start + k
+        i = first + cell
+        for c in range(channels):
+            f, r, new = _gates(x, h_conv, b_keep, b_reset, b_candidate, i, cell, c, channels)
+            g = grad[i, c]
+            g_candidate = g * (one - f) * (one - new * new)
+            grad_a[k, c] = g * (h[i, c] - new) * f * (one - f)
+            grad_a[k, channels + c] = g_candidate * _read(h_conv, i, 2 * channels + c) * r * (one - r)
+            grad_a[k, 2 * channels + c] = g_candidate
+            grad_a[k, 3 * channels + c] = g_candidate * r
+            grad_h[i, c] = g * f
+
+
+@numba.njit(fastmath=FLAGS, error_model="numpy")
+def _spread(i, start, grad_a, grad_x, grad_h_conv, grad_maps, channels):  # type: ignore[no-untyped-def]
+    """A map's gradient is the sum over the batch of those of the arguments, which are the input convolution's."""
+    for k in range(len(grad_a)):
+        for c in range(3 * channels):
+            grad_maps[start + k, c] += grad_a[k, c]
+        if grad_x is not None:
+            for c in range(3 * channels):
+                grad_x[i + k, c] = _rounded(grad_x, grad_a[k, c])
+        for c in range(2 * channels):
+            grad_h_conv[i + k, c] = _rounded(grad_h_conv, grad_a[k, c])
+        for c in range(channels):
+            grad_h_conv[i + k, 2 * channels + c] = _rounded(grad_h_conv, grad_a[k, 3 * channels + c])
+
+
 @cache
 def _kernels(channels: int) -> tuple[Callable[..., None], Callable[..., None]]:
     """The passes forwards and backwards, on the cells `start` to `stop` - 1 of every item of the batch.
 
-    The number of channels is written into them: only so do they become vector instructions.
+    The number of channels is written into them, and what they call is compiled with them and not kept apart: only so
+    do the loops become vector instructions.
     """
-    reset_at, candidate_at, all_of_them = channels, 2 * channels, 3 * channels
 
-    @_compiled
-    def gates(x, h_conv, b_keep, b_reset, b_candidate, i, cell, c):  # type: ignore[no-untyped-def]
-        keep, reset, candidate = b_keep[cell, c], b_reset[cell, c], b_candidate[cell, c]
-        if x is not None:
-            keep += _read(x, i, c)
-            reset += _read(x, i, reset_at + c)
-            candidate += _read(x, i, candidate_at + c)
-        f = sigmoid(keep + _read(h_conv, i, c))
-        r = sigmoid(reset + _read(h_conv, i, reset_at + c))
-        a = candidate + r * _read(h_conv, i, candidate_at + c)
-        return f, r, np.float32(2.0) * sigmoid(a + a) - np.float32(1.0)
-
-    @_compiled
+    @_kept
     def forward(start, stop, x, h_conv, b_keep, b_reset, b_candidate, h, out):  # type: ignore[no-untyped-def]
         cells = len(b_keep)
         for first in range(0, len(h), cells):
             for cell in range(start, stop):
                 i = first + cell
                 for c in range(channels):
-                    f, _, new = gates(x, h_conv, b_keep, b_reset, b_candidate, i, cell, c)
+                    f, _, new = _gates(x, h_conv, b_keep, b_reset, b_candidate, i, cell, c, channels)
                     out[i, c] = new + f * (h[i, c] - new)
 
-    @_compiled
-    def arguments(first, start, x, h_conv, b_keep, b_reset, b_candidate, h, grad, grad_a, grad_h):  # type: ignore[no-untyped-def]
-        """Gradients of the arguments of keep, reset and candidate, and of the candidate's hidden convolution.
-
-        h' = c + f (h - c), c = tanh(a), a = a_x + r a_h, where a_h is that convolution.
-        """
-        one = np.float32(1.0)
-        for k in range(len(grad_a)):
-            cell = start + k
-            i = first + cell
-            for c in range(channels):
-                f, r, new = gates(x, h_conv, b_keep, b_reset, b_candidate, i, cell, c)
-                g = grad[i, c]
-                g_candidate = g * (one - f) * (one - new * new)
-                grad_a[k, c] = g * (h[i, c] - new) * f * (one - f)
-                grad_a[k, reset_at + c] = g_candidate * _read(h_conv, i, candidate_at + c) * r * (one - r)
-                grad_a[k, candidate_at + c] = g_candidate
-                grad_a[k, all_of_them + c] = g_candidate * r
-                grad_h[i, c] = g * f
-
-    @_compiled
-    def spread(i, start, grad_a, grad_x, grad_h_conv, grad_maps):  # type: ignore[no-untyped-def]
-        """A map's gradient is the sum over the batch of those of the arguments, which are the input convolution's."""
-        for k in range(len(grad_a)):
-            for c in range(all_of_them):
-                grad_maps[start + k, c] += grad_a[k, c]
-            if grad_x is not None:
-                for c in range(all_of_them):
-                    grad_x[i + k, c] = _rounded(grad_x, grad_a[k, c])
-            for c in range(candidate_at):
-                grad_h_conv[i + k, c] = _rounded(grad_h_conv, grad_a[k, c])
-            for c in range(channels):
-                grad_h_conv[i + k, candidate_at + c] = _rounded(grad_h_conv, grad_a[k, all_of_them + c])
-
-    @_compiled
+    @_kept
     def backward(  # type: ignore[no-untyped-def]
         start, stop, x, h_conv, b_keep, b_reset, b_candidate, h, grad, grad_x, grad_h_conv, grad_maps, grad_h
     ):
@@ -199,7 +205,7 @@ def _kernels(channels: int) -> tuple[Callable[..., None], Callable[..., None]]:
         for first in range(0, len(h), cells):
             for at in range(start, stop, AT_ONCE):
                 grad_a = some[: min(AT_ONCE, stop - at)]
-                arguments(first, at, x, h_conv, b_keep, b_reset, b_candidate, h, grad, grad_a, grad_h)
-                spread(first + at, at, grad_a, grad_x, grad_h_conv, grad_maps)
+                _arguments(first, at, x, h_conv, b_keep, b_reset, b_candidate, h, grad, grad_a, grad_h, channels)
+                _spread(first + at, at, grad_a, grad_x, grad_h_conv, grad_maps, channels)
 
     return forward, backward
