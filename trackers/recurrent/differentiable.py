@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from gridtrack.trackers.recurrent.dilated_convgru import convgru_gates
-from gridtrack.trackers.recurrent.fused import FLAGS, sigmoid
+from gridtrack.trackers.recurrent.fused import FLAGS, activations
 
 AT_ONCE = 100
 """Cells whose gradients wait in the processor's cache until they are written to where they belong."""
@@ -134,10 +134,9 @@ def _gates(x, h_conv, b_keep, b_reset, b_candidate, i, cell, c, channels):  # ty
         keep += _read(x, i, c)
         reset += _read(x, i, channels + c)
         candidate += _read(x, i, 2 * channels + c)
-    f = sigmoid(keep + _read(h_conv, i, c))
-    r = sigmoid(reset + _read(h_conv, i, channels + c))
-    a = candidate + r * _read(h_conv, i, 2 * channels + c)
-    return f, r, np.float32(2.0) * sigmoid(a + a) - np.float32(1.0)
+    keep += _read(h_conv, i, c)
+    reset += _read(h_conv, i, channels + c)
+    return activations(keep, reset, candidate, _read(h_conv, i, 2 * channels + c))
 
 
 @numba.njit(fastmath=FLAGS, error_model="numpy")

@@ -42,12 +42,22 @@ def sigmoid(x):  # type: ignore[no-untyped-def]
     return np.float32(1.0) / (np.float32(1.0) + two_to_t)
 
 
-@numba.njit(inline="always", fastmath=FLAGS)
+@numba.njit(fastmath=FLAGS)
+def activations(keep, reset, candidate, candidate_h):  # type: ignore[no-untyped-def]
+    """What the gates are of one channel of one cell, from their arguments: keep, reset, candidate.
+
+    tanh(a) = 2 sigmoid(2 a) - 1. Compiled with whatever calls it, here and in differentiable.py.
+    """
+    f, r = sigmoid(keep), sigmoid(reset)
+    a = candidate + r * candidate_h
+    return f, r, np.float32(2.0) * sigmoid(a + a) - np.float32(1.0)
+
+
+@numba.njit(fastmath=FLAGS)
 def _cell(keep, reset, candidate, candidate_h, h):  # type: ignore[no-untyped-def]
-    """h' of one channel of one cell; tanh(a) = 2 sigmoid(2 a) - 1."""
-    a = candidate + sigmoid(reset) * candidate_h
-    c = np.float32(2.0) * sigmoid(a + a) - np.float32(1.0)
-    return c + sigmoid(keep) * (h - c)
+    """h' of one channel of one cell."""
+    f, _, c = activations(keep, reset, candidate, candidate_h)
+    return c + f * (h - c)
 
 
 @functools.cache
