@@ -57,13 +57,25 @@ def test_background_explains_the_returns_of_a_wall_and_of_its_eight_neighbours()
 
 
 def background_of(fitted, **settings):
-    given = {"explained_above": 0.3, "unforeseen_share": 0.5, "sink_above": 0.3, "sink_s": 5.0} | settings
-    return Background(np.asarray(fitted, np.float32), 0.1, **given)
+    given = {"explained_above": 0.3, "unforeseen_share": 0.5, "return_s": 2.0, "sink_above": 0.3, "sink_s": 5.0}
+    return Background(np.asarray(fitted, np.float32), 0.1, **given | settings)
 
 
-def test_forecast_keeps_walls_and_only_a_share_of_the_traffic():
+def test_forecast_keeps_walls_and_the_base_rate_of_what_was_never_seen():
     background = background_of([[0.9, 0.1], [0.31, 0.0]])
-    assert background.probabilities() == pytest.approx(np.array([[0.9, 0.05], [0.31, 0.0]]))
+    assert background.probabilities(1) == pytest.approx(np.array([[[0.9, 0.1], [0.31, 0.0]]] * 2))
+
+
+def test_a_cell_seen_empty_comes_back_to_its_base_rate_ahead_in_time_and_while_it_is_hidden():
+    background = background_of([[0.1]], unforeseen_share=0.25, return_s=2.0)
+    seen, empty = np.ones((1, 1), bool), np.zeros((1, 1), bool)
+    background.observe(frame_of(seen, empty))
+    for hidden in range(3):
+        shares = [1 - 0.75 * math.exp(-(hidden + step) * 0.1 / 2.0) for step in range(3)]
+        assert background.probabilities(2).ravel() == pytest.approx([0.1 * share for share in shares], rel=1e-5)
+        background.observe(frame_of(empty, empty))
+    background.observe(frame_of(seen, empty))
+    assert background.probabilities(0).item() == pytest.approx(0.025)
 
 
 def test_what_stands_sinks_into_the_background_and_what_has_left_leaves_it():
@@ -74,13 +86,13 @@ def test_what_stands_sinks_into_the_background_and_what_has_left_leaves_it():
     keep = math.exp(-0.1 / 5.0)
     frames = (1 - keep**100) / (1 - keep)
     sunk = np.array([[frames / (frames + PRIOR_FRAMES), 0.0]])
-    assert background.probabilities() == pytest.approx(sunk)
+    assert background.probabilities(0)[0] == pytest.approx(sunk)
     for _ in range(100):
         background.observe(frame_of(~seen, ~seen))
-    assert background.probabilities() == pytest.approx(sunk)  # hidden is not gone
+    assert background.probabilities(0)[0] == pytest.approx(sunk)  # hidden is not gone
     for _ in range(100):
         background.observe(frame_of(seen, ~seen))
-    assert background.probabilities() == pytest.approx(np.zeros((1, 2)))
+    assert background.probabilities(0)[0] == pytest.approx(np.zeros((1, 2)))
 
 
 def test_a_wall_that_is_taken_away_is_forgotten():
@@ -88,7 +100,7 @@ def test_a_wall_that_is_taken_away_is_forgotten():
     for _ in range(1000):
         background.observe(frame_of(np.ones((1, 1), bool), np.zeros((1, 1), bool)))
     frames = 1 / (1 - math.exp(-0.1 / 5.0))
-    assert background.probabilities()[0, 0] == pytest.approx(0.9 * PRIOR_FRAMES / (PRIOR_FRAMES + frames), rel=1e-5)
+    assert background.probabilities(0)[0, 0, 0] == pytest.approx(0.9 * PRIOR_FRAMES / (PRIOR_FRAMES + frames), rel=1e-5)
 
 
 # Segmentation

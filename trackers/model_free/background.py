@@ -1,4 +1,4 @@
-"""The static background: how often each cell was occupied while it was visible, and what that explains."""
+"""The static background: how often each cell was occupied while it was visible, what that explains, and forecasts."""
 
 from __future__ import annotations
 
@@ -47,6 +47,10 @@ class Background:
 
     `fitted` (M, M) float32. The record of each cell goes on from the fitted one, worth PRIOR_FRAMES frames, and forgets
     with the time constant `sink_s` while the cell is visible.
+
+    An open cell that no track announces is a Markov chain of two states, whose stationary rate is the fitted one. Seen
+    empty, it holds the share `unforeseen_share` of that rate at once and comes back to all of it with the time constant
+    `return_s`: ahead in time, and while it is hidden.
     """
 
     def __init__(
@@ -55,6 +59,7 @@ class Background:
         period_s: float,
         explained_above: float,
         unforeseen_share: float,
+        return_s: float,
         sink_above: float,
         sink_s: float,
     ) -> None:
@@ -62,7 +67,9 @@ class Background:
         self.explained = explained_cells(fitted, explained_above)
         """The cells (M, M) whose returns are no object's."""
         self._wall = fitted >= explained_above
-        self._traffic = fitted * np.float32(unforeseen_share)
+        self._step = np.float32(math.exp(-period_s / return_s))
+        self._announced = np.float32(1.0 - unforeseen_share)
+        self._known = np.zeros_like(fitted)
         self._keep = np.float32(math.exp(-period_s / sink_s))
         self._visible, self._occupied = np.zeros_like(fitted), np.zeros_like(fitted)
 
@@ -71,12 +78,14 @@ class Background:
         keep = np.where(frame.visible, self._keep, np.float32(1.0))
         self._visible = self._visible * keep + frame.visible
         self._occupied = self._occupied * keep + frame.occupied
+        self._known = np.where(frame.visible, self._announced, self._known * self._step)
 
-    def probabilities(self) -> NDArray[np.float32]:
-        """P(occupied) (M, M) of what no track announces.
+    def probabilities(self, steps: int) -> NDArray[np.float32]:
+        """P(occupied) (steps+1, M, M) float32 of what no track announces, at steps 0..steps.
 
-        Walls, and cells occupied in more than the share `sink_above` of late, are map and forecast by their record; of
-        the traffic through open cells there is only the unforeseen share, since the rest has tracks.
+        Walls, and cells occupied in more than the share `sink_above` of late, are map and forecast by their record.
         """
         record = (self.fitted * np.float32(PRIOR_FRAMES) + self._occupied) / (PRIOR_FRAMES + self._visible)
-        return np.where(self._wall | (record > self.sink_above), record, self._traffic).astype(np.float32)
+        ahead = self._step ** np.arange(steps + 1, dtype=np.float32)
+        traffic = self.fitted * (np.float32(1.0) - self._known * ahead[:, None, None])
+        return np.where(self._wall | (record > self.sink_above), record, traffic).astype(np.float32)

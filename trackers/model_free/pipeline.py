@@ -43,6 +43,7 @@ class Pipeline:
             period_s,
             settings.explained_above,
             settings.unforeseen_share,
+            settings.return_s,
             settings.sink_above,
             settings.sink_s,
         )
@@ -130,7 +131,7 @@ class Pipeline:
 
     def forecast(self, steps: int) -> NDArray[np.float32]:
         """P(occupied) (steps+1, M, M) float32 of steps 0..steps; where step 0 is visible it is what was seen."""
-        occupancy = np.repeat(self.background.probabilities()[None], steps + 1, axis=0)
+        occupancy = self.background.probabilities(steps)
         for track in self.tracks:
             noisy_or(occupancy, self._appearance(track, steps), track.existence * self.survival ** np.arange(steps + 1))
         if self.frame is not None:

@@ -16,8 +16,10 @@ class PipelineSettings(Settings):
     # Static background
     explained_above: float = Field(0.15, gt=0, lt=1)
     """A return in or beside a cell that the background holds occupied this often is explained by it."""
-    unforeseen_share: float = Field(0.25, ge=0, le=1)
-    """The share of the past traffic through open cells that no track will have announced."""
+    unforeseen_share: float = Field(0.05, ge=0, le=1)
+    """The share of the past traffic through open cells that no track announces, in a cell that is seen empty."""
+    return_s: float = Field(1.0, gt=0, le=1000)
+    """Time constant with which a cell that was seen empty comes back to all of its past traffic."""
     sink_above: float = Field(0.5, gt=0, lt=1)
     """The share of the recent frames in which a cell must have been occupied to be forecast as background."""
     sink_s: float = Field(5.0, gt=0, le=3600)
