@@ -42,14 +42,14 @@ def training(kind: type[RecurrentTracker], threads: int) -> None:
     torch.set_num_threads(threads)
     options = kind.Options()
     network = kind.build(SIZE, options, 0).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
-    kind.prepare_training(network, 0.02)
+    on_processor = kind.prepare_training(network, 0.02)
     frames = [busy_frame(t) for t in range(options.length)]
     window = torch.from_numpy(np.stack([np.stack([f.visible, f.occupied]) for f in frames]).astype(np.float32))
     windows = window.expand(options.batch, -1, -1, -1, -1)
 
     def one_update() -> None:
         with torch.autocast("cpu", torch.bfloat16):
-            sequence_loss(network, windows, options).backward()  # type: ignore[no-untyped-call]
+            sequence_loss(on_processor, windows, options).backward()  # type: ignore[no-untyped-call]
 
     seconds = median_ms(one_update, runs=3) / 1e3
     print(f"{kind.name}: {options.batch * options.length / seconds:.0f} training frames/s ({threads} threads, bf16)")

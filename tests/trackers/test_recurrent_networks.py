@@ -8,7 +8,7 @@ torch = pytest.importorskip("torch")
 from torch.nn.functional import conv2d  # noqa: E402
 
 from gridtrack.trackers.recurrent.deep_tracking_rnn import DeepTrackingRNN, DeepTrackingRNNSettings  # noqa: E402
-from gridtrack.trackers.recurrent.differentiable import differentiable_gates  # noqa: E402
+from gridtrack.trackers.recurrent.differentiable import StaticMemory, differentiable_gates  # noqa: E402
 from gridtrack.trackers.recurrent.dilated_convgru import (  # noqa: E402
     GATES,
     DilatedConvGRU,
@@ -88,10 +88,11 @@ def test_the_gates_that_are_trained_have_the_gradient_of_the_gates(with_input, s
     leaves = (*biases, h, h_conv, x)[: None if with_input else -1]
 
     expected = convgru_gates(x_conv, h_conv.to(precision), biases, h)
-    found = differentiable_gates(x_conv, h_conv.to(precision), biases, h)
+    found, rounded = differentiable_gates(x_conv, h_conv.to(precision), StaticMemory(biases, 9), h)
 
     torch.testing.assert_close(found, expected, rtol=0, atol=2e-6)
-    tolerance = {"rtol": 1e-5, "atol": 1e-5} if precision == torch.float32 else {"rtol": 2**-8, "atol": 1e-4}
+    assert rounded is None if precision == torch.float32 else torch.equal(rounded, found.bfloat16())
+    tolerance = {"rtol": 1e-5, "atol": 1e-5} if precision == torch.float32 else {"rtol": 2**-7, "atol": 1e-4}
     for mine, theirs in zip(
         torch.autograd.grad(found, leaves, above), torch.autograd.grad(expected, leaves, above), strict=True
     ):

@@ -186,6 +186,31 @@ def test_the_burn_in_brings_the_state_along_and_has_neither_loss_nor_gradient():
     torch.testing.assert_close(*gradients)
 
 
+@pytest.mark.parametrize(("half", "tolerance"), [(False, 1e-5), (True, 0.01)])
+def test_what_is_trained_on_a_processor_has_the_networks_loss_and_gradient(half, tolerance):
+    torch.manual_seed(3)
+    settings = validated(DilatedConvGRUTracker.Options, {"burn_in": 2, "shown": 3, "blank": 2, "cycles": 2}, "test")
+    network = DilatedConvGRUTracker.build(SIZE, settings, 0)
+    on_processor = DilatedConvGRUTracker.prepare_training(network, 0.05)
+    for parameter in network.parameters():
+        torch.nn.init.normal_(parameter, std=0.3)
+    data = SequenceDataset([Shuttle()], settings.length, seed=0, reverse=False, superpose=False)
+    windows = torch.stack([data[0], data[1]]).float()
+
+    def loss_and_gradient(one):
+        with torch.autocast("cpu", torch.bfloat16, enabled=half):
+            loss = sequence_loss(one, windows, settings)
+        return loss.detach(), torch.autograd.grad(loss, tuple(network.parameters()))
+
+    loss, gradient = loss_and_gradient(network)
+    found_loss, found_gradient = loss_and_gradient(on_processor)
+
+    assert on_processor is not network
+    torch.testing.assert_close(found_loss, loss, rtol=tolerance, atol=0)
+    for mine, theirs in zip(found_gradient, gradient, strict=True):
+        assert (mine - theirs).norm() < tolerance * theirs.norm()
+
+
 def test_windows_are_the_recordings_frames_and_depend_on_seed_and_number_only():
     data = SequenceDataset([Shuttle(30), Shuttle(40)], 10, seed=1, reverse=True, superpose=False)
     again = SequenceDataset([Shuttle(30), Shuttle(40)], 10, seed=1, reverse=True, superpose=False)

@@ -9,12 +9,12 @@ from torch import nn
 
 from gridtrack.trackers.contract import FitOutput, FrameSource, Score
 from gridtrack.trackers.recurrent.deep_tracking_rnn import DeepTrackingRNN, DeepTrackingRNNSettings
-from gridtrack.trackers.recurrent.differentiable import differentiable_gates
-from gridtrack.trackers.recurrent.dilated_convgru import GATES, DilatedConvGRU, DilatedConvGRUSettings, convgru_gates
+from gridtrack.trackers.recurrent.dilated_convgru import GATES, DilatedConvGRU, DilatedConvGRUSettings
 from gridtrack.trackers.recurrent.inference import InferenceConvGRU, InferenceRNN
 from gridtrack.trackers.recurrent.network import RecurrentNetwork, start_from_rate
 from gridtrack.trackers.recurrent.settings import TrainingSettings, TransferSettings
 from gridtrack.trackers.recurrent.tracker import RecurrentTracker
+from gridtrack.trackers.recurrent.training_convgru import TrainingConvGRU
 
 
 class DilatedConvGRUOptions(DilatedConvGRUSettings, TrainingSettings, TransferSettings):
@@ -37,12 +37,10 @@ class DilatedConvGRUTracker(RecurrentTracker):
         return DilatedConvGRU(size, options, classes, options.class_hidden)
 
     @classmethod
-    def prepare_training(cls, network: Any, rate: float) -> None:
+    def prepare_training(cls, network: Any, rate: float) -> Any:
         """Output bias at the occupied rate; the gates and their gradient in one pass over memory."""
         start_from_rate(network.decode_occupancy, rate)
-        for layer in network.layers:
-            if layer.cell is convgru_gates:
-                layer.cell = differentiable_gates
+        return TrainingConvGRU(network) if network.layers[0].gates == GATES else network
 
     @classmethod
     def prepare_inference(cls, network: Any) -> RecurrentNetwork:
@@ -79,9 +77,10 @@ class DeepTrackingRNNTracker(RecurrentTracker):
         return DeepTrackingRNN(size, options)
 
     @classmethod
-    def prepare_training(cls, network: Any, rate: float) -> None:
+    def prepare_training(cls, network: Any, rate: float) -> Any:
         """Output bias at the occupied rate."""
         start_from_rate(network.decode, rate)
+        return network
 
     @classmethod
     def prepare_inference(cls, network: Any) -> RecurrentNetwork:

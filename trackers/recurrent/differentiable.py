@@ -1,8 +1,8 @@
 """The gates of the ConvGRU and their gradient, each in one pass over memory, for training on a processor.
 
 Written with PyTorch's operations the gates take longer than the convolutions: every operation reads and writes a
-state's size. Here the forward pass keeps nothing but its inputs, the backward pass computes the gates anew, and both
-read convolutions as bfloat16 where they are.
+state's size. Here the forward pass reads every number once and keeps the gates for the backward pass, which adds the
+maps' gradients of all steps in one place. Where the convolutions are bfloat16, both read and write them as they are.
 """
 
 from __future__ import annotations
@@ -20,77 +20,96 @@ from numba.extending import overload
 from numpy.typing import NDArray
 from torch import Tensor
 
-from gridtrack.trackers.recurrent.dilated_convgru import convgru_gates
 from gridtrack.trackers.recurrent.fused import FLAGS, activations
 
+Rows = NDArray[Any]
+"""(B * M * M, N): the channels of one cell beside each other; bfloat16 as its bits in uint16."""
+
 AT_ONCE = 100
-"""Cells whose gradients wait in the processor's cache until they are written to where they belong."""
+"""Cells whose maps stay in the processor's cache while every item of the batch is gone through."""
 _kept = numba.njit(cache=True, nogil=True, fastmath=FLAGS, error_model="numpy")
 
 
-def differentiable_gates(x: Tensor | None, h_conv: Tensor, biases: tuple[Tensor, ...], h: Tensor) -> Tensor:
-    """`dilated_convgru.convgru_gates` with its gradient, equal to 2e-6; on an accelerator it is that itself."""
-    if h.device.type != "cpu":
-        return convgru_gates(x, h_conv, biases, h)
-    new: Tensor = _Gates.apply(x, h_conv, *biases, h)  # type: ignore[no-untyped-call]
+class StaticMemory:
+    """The biases of one layer in the steps of one sequence, and their gradient, summed over those steps.
+
+    Given three of (C, M, M) or (C, 1, 1). The steps add to `gradient` (M, M, 3C) themselves: summed by autograd, every
+    step would write and read the maps' size twice more. `token` stands for the biases in autograd's graph.
+    """
+
+    def __init__(self, biases: tuple[Tensor, ...], size: int) -> None:
+        channels = len(biases[0])
+        self.maps = tuple(_rows(bias.detach().expand(channels, size, size)[None]) for bias in biases)
+        self.gradient = biases[0].new_zeros((size, size, len(biases) * channels))
+        self.token: Tensor = _SumOfSteps.apply(self.gradient, *biases)  # type: ignore[no-untyped-call]
+
+
+def differentiable_gates(
+    x: Tensor | None, h_conv: Tensor, memory: StaticMemory, h: Tensor
+) -> tuple[Tensor, Tensor | None]:
+    """`dilated_convgru.convgru_gates` with its gradient, and h' a second time, as bfloat16 where `h_conv` is.
+
+    In float32 h' and the gradients are equal to 2e-6; beside convolutions in bfloat16 the gates are kept to 8e-6.
+    """
+    new: tuple[Tensor, Tensor | None] = _Gates.apply(memory.token, memory, x, h_conv, h)  # type: ignore[no-untyped-call]
     return new
+
+
+class _SumOfSteps(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, gradient: Tensor, *biases: Tensor) -> Tensor:
+        ctx.gradient, ctx.shapes = gradient, [bias.shape for bias in biases]
+        return gradient.new_zeros(())
+
+    @staticmethod
+    def backward(ctx: Any, *_: Tensor) -> tuple[Tensor | None, ...]:
+        of_biases = ctx.gradient.permute(2, 0, 1).chunk(len(ctx.shapes))
+        return None, *(grad.sum_to_size(shape) for grad, shape in zip(of_biases, ctx.shapes, strict=True))
 
 
 class _Gates(torch.autograd.Function):
     @staticmethod
-    def forward(ctx: Any, x: Tensor | None, h_conv: Tensor, *biases_and_h: Tensor) -> Tensor:
-        ctx.save_for_backward(x, h_conv, *biases_and_h)
-        *biases, h = biases_and_h
-        out = torch.empty_like(h, memory_format=torch.channels_last)
+    def forward(
+        ctx: Any, token: Tensor, memory: StaticMemory, x: Tensor | None, h_conv: Tensor, h: Tensor
+    ) -> tuple[Tensor, Tensor | None]:
+        half = h_conv.dtype == torch.bfloat16
+        new = torch.empty_like(h, memory_format=torch.channels_last)
+        rounded = torch.empty_like(new, dtype=torch.bfloat16) if half else None
+        gates = torch.empty_like(h_conv, dtype=torch.uint16 if half else None, memory_format=torch.channels_last)
         forward, _ = _kernels(h.shape[1])
-        _in_threads(forward, *_operands(x, h_conv, biases, h), _rows(out))
-        return out
+        _in_threads(forward, memory.maps, *map(_rows, (x, h_conv, h, gates, new, rounded)))
+        ctx.save_for_backward(h_conv, h, gates)
+        ctx.memory, ctx.with_input = memory, x is not None
+        return new, rounded
 
     @staticmethod
     def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor | None, ...]:
-        x, h_conv, *biases, h = ctx.saved_tensors
+        h_conv, h, gates = ctx.saved_tensors
         grad_h_conv, grad_h = (torch.empty_like(t, memory_format=torch.channels_last) for t in (h_conv, h))
-        grad_x = None if x is None else torch.empty_like(x, memory_format=torch.channels_last)
-        _, channels, *size = h.shape
-        grad_maps = h.new_zeros((*size, len(biases) * channels))
-        _, backward = _kernels(channels)
-        _in_threads(
-            backward,
-            *_operands(x, h_conv, biases, h),
-            _rows(grads[0]),
-            None if grad_x is None else _rows(grad_x),
-            _rows(grad_h_conv),
-            grad_maps.view(-1, grad_maps.shape[-1]).numpy(),
-            _rows(grad_h),
-        )
-        of_biases = (
-            grad.permute(2, 0, 1).sum_to_size(bias.shape)
-            for grad, bias in zip(torch.split(grad_maps, channels, dim=-1), biases, strict=True)
-        )
-        return grad_x, grad_h_conv, *of_biases, grad_h
+        grad_x = torch.empty_like(grad_h_conv) if ctx.with_input else None
+        gradient = ctx.memory.gradient.flatten(0, 1).numpy()
+        _, backward = _kernels(h.shape[1])
+        _in_threads(backward, (gradient,), *map(_rows, (h_conv, h, gates, *grads, grad_x, grad_h_conv, grad_h)))
+        return h.new_zeros(()), None, grad_x, grad_h_conv, grad_h
 
 
-def _operands(x: Tensor | None, h_conv: Tensor, biases: list[Tensor], h: Tensor) -> tuple[Any, ...]:
-    """Rows of channels, one for each cell of each item of the batch; of the maps, one for each cell."""
-    maps = (_rows(bias.expand(h.shape[1:])[None]) for bias in biases)
-    return None if x is None else _rows(x), _rows(h_conv), *maps, _rows(h)
-
-
-def _rows(tensor: Tensor) -> NDArray[Any]:
-    """(B, C, M, M) in channels-last memory as (B * M * M, C), without copying; bfloat16 as its bits in uint16."""
+def _rows(tensor: Tensor | None) -> Any:
+    """(B, C, M, M) in channels-last memory as Rows, without copying."""
+    if tensor is None:
+        return None
     rows = tensor.detach().permute(0, 2, 3, 1).contiguous().reshape(-1, tensor.shape[1])
     return rows.view(torch.uint16).numpy() if rows.dtype == torch.bfloat16 else rows.numpy()
 
 
-def _in_threads(kernel: Callable[..., None], x: Any, h_conv: Any, b_keep: Any, *others: Any) -> None:
+def _in_threads(kernel: Callable[..., None], maps: tuple[Rows, ...], *rows: Any) -> None:
     """Run `kernel` on as many threads as PyTorch, each on a block of cells.
 
     Threads of numba's own would share PyTorch's OpenMP, change its number of threads, and wait for it spinning.
     """
-    bounds = np.linspace(0, len(b_keep), torch.get_num_threads() + 1).astype(int)
+    bounds = np.linspace(0, len(maps[0]), torch.get_num_threads() + 1).astype(int)
     blocks = list(pairwise(bounds.tolist()))
     run = _threads().map if len(blocks) > 1 else map
-    list(run(lambda block: kernel(*block, x, h_conv, b_keep, *others), blocks))
+    list(run(lambda block: kernel(*block, *maps, *rows), blocks))
 
 
 @cache
@@ -126,55 +145,26 @@ def _rounded_overload(rows, value):  # type: ignore[no-untyped-def]
     return nearest
 
 
-@numba.njit(fastmath=FLAGS, error_model="numpy")
-def _gates(x, h_conv, b_keep, b_reset, b_candidate, i, cell, c, channels):  # type: ignore[no-untyped-def]
-    """Keep, reset and candidate of one channel of one cell."""
-    keep, reset, candidate = b_keep[cell, c], b_reset[cell, c], b_candidate[cell, c]
-    if x is not None:
-        keep += _read(x, i, c)
-        reset += _read(x, i, channels + c)
-        candidate += _read(x, i, 2 * channels + c)
-    keep += _read(h_conv, i, c)
-    reset += _read(h_conv, i, channels + c)
-    return activations(keep, reset, candidate, _read(h_conv, i, 2 * channels + c))
+def _counted(gates: Any, value: Any) -> Any:
+    """A gate in [0, 1] as `gates` keeps it: itself, or in 65535ths, since bfloat16 has too few digits near 1."""
 
 
-@numba.njit(fastmath=FLAGS, error_model="numpy")
-def _arguments(  # type: ignore[no-untyped-def]
-    first, start, x, h_conv, b_keep, b_reset, b_candidate, h, grad, grad_a, grad_h, channels
-):
-    """Gradients of the arguments of keep, reset and candidate, and of the candidate's hidden convolution.
-
-    h' = c + f (h - c), c = tanh(a), a = a_x + r a_h, where a_h is that convolution.
-    """
-    one = np.float32(1.0)
-    for k in range(len(grad_a)):
-        cell = start + k
-        i = first + cell
-        for c in range(channels):
-            f, r, new = _gates(x, h_conv, b_keep, b_reset, b_candidate, i, cell, c, channels)
-            g = grad[i, c]
-            g_candidate = g * (one - f) * (one - new * new)
-            grad_a[k, c] = g * (h[i, c] - new) * f * (one - f)
-            grad_a[k, channels + c] = g_candidate * _read(h_conv, i, 2 * channels + c) * r * (one - r)
-            grad_a[k, 2 * channels + c] = g_candidate
-            grad_a[k, 3 * channels + c] = g_candidate * r
-            grad_h[i, c] = g * f
+@overload(_counted, inline="always")
+def _counted_overload(gates, value):  # type: ignore[no-untyped-def]
+    if gates.dtype == numba.float32:
+        return lambda gates, value: value
+    return lambda gates, value: np.uint16(np.int32(value * np.float32(65535.0) + np.float32(0.5)))
 
 
-@numba.njit(fastmath=FLAGS, error_model="numpy")
-def _spread(i, start, grad_a, grad_x, grad_h_conv, grad_maps, channels):  # type: ignore[no-untyped-def]
-    """A map's gradient is the sum over the batch of those of the arguments, which are the input convolution's."""
-    for k in range(len(grad_a)):
-        for c in range(3 * channels):
-            grad_maps[start + k, c] += grad_a[k, c]
-        if grad_x is not None:
-            for c in range(3 * channels):
-                grad_x[i + k, c] = _rounded(grad_x, grad_a[k, c])
-        for c in range(2 * channels):
-            grad_h_conv[i + k, c] = _rounded(grad_h_conv, grad_a[k, c])
-        for c in range(channels):
-            grad_h_conv[i + k, 2 * channels + c] = _rounded(grad_h_conv, grad_a[k, 3 * channels + c])
+def _gate(gates: Any, i: Any, c: Any) -> Any:
+    """The gate kept in gates[i, c], float32; see the overload."""
+
+
+@overload(_gate, inline="always")
+def _gate_overload(gates, i, c):  # type: ignore[no-untyped-def]
+    if gates.dtype == numba.float32:
+        return lambda gates, i, c: gates[i, c]
+    return lambda gates, i, c: np.float32(np.int32(gates[i, c])) * np.float32(1.0 / 65535.0)
 
 
 @cache
@@ -182,29 +172,59 @@ def _kernels(channels: int) -> tuple[Callable[..., None], Callable[..., None]]:
     """The passes forwards and backwards, on the cells `start` to `stop` - 1 of every item of the batch.
 
     The number of channels is written into them, and what they call is compiled with them and not kept apart: only so
-    do the loops become vector instructions.
+    do the loops become vector instructions. The candidate is kept as (1 + c) / 2.
     """
+    one, two, half = np.float32(1.0), np.float32(2.0), np.float32(0.5)
 
     @_kept
-    def forward(start, stop, x, h_conv, b_keep, b_reset, b_candidate, h, out):  # type: ignore[no-untyped-def]
-        cells = len(b_keep)
-        for first in range(0, len(h), cells):
-            for cell in range(start, stop):
-                i = first + cell
-                for c in range(channels):
-                    f, _, new = _gates(x, h_conv, b_keep, b_reset, b_candidate, i, cell, c, channels)
-                    out[i, c] = new + f * (h[i, c] - new)
+    def forward(start, stop, b_keep, b_reset, b_candidate, x, h_conv, h, gates, new, rounded):  # type: ignore[no-untyped-def]
+        for at in range(start, stop, AT_ONCE):
+            for first in range(0, len(h), len(b_keep)):
+                for cell in range(at, min(at + AT_ONCE, stop)):
+                    i = first + cell
+                    for c in range(channels):
+                        keep, reset, candidate = b_keep[cell, c], b_reset[cell, c], b_candidate[cell, c]
+                        if x is not None:
+                            keep += _read(x, i, c)
+                            reset += _read(x, i, channels + c)
+                            candidate += _read(x, i, 2 * channels + c)
+                        keep += _read(h_conv, i, c)
+                        reset += _read(h_conv, i, channels + c)
+                        f, r, a = activations(keep, reset, candidate, _read(h_conv, i, 2 * channels + c))
+                        gates[i, c] = _counted(gates, f)
+                        gates[i, channels + c] = _counted(gates, r)
+                        gates[i, 2 * channels + c] = _counted(gates, half * (one + a))
+                        new[i, c] = a + f * (h[i, c] - a)
+                        if rounded is not None:
+                            rounded[i, c] = _rounded(rounded, new[i, c])
 
     @_kept
     def backward(  # type: ignore[no-untyped-def]
-        start, stop, x, h_conv, b_keep, b_reset, b_candidate, h, grad, grad_x, grad_h_conv, grad_maps, grad_h
+        start, stop, gradient, h_conv, h, gates, grad, grad_rounded, grad_x, grad_h_conv, grad_h
     ):
-        cells = len(b_keep)
-        some = np.empty((AT_ONCE, 4 * channels), np.float32)
-        for first in range(0, len(h), cells):
-            for at in range(start, stop, AT_ONCE):
-                grad_a = some[: min(AT_ONCE, stop - at)]
-                _arguments(first, at, x, h_conv, b_keep, b_reset, b_candidate, h, grad, grad_a, grad_h, channels)
-                _spread(first + at, at, grad_a, grad_x, grad_h_conv, grad_maps, channels)
+        for at in range(start, stop, AT_ONCE):
+            for first in range(0, len(h), len(gradient)):
+                for cell in range(at, min(at + AT_ONCE, stop)):
+                    i = first + cell
+                    for c in range(channels):
+                        f, r = _gate(gates, i, c), _gate(gates, i, channels + c)
+                        a = two * _gate(gates, i, 2 * channels + c) - one
+                        g = grad[i, c]
+                        if grad_rounded is not None:
+                            g += _read(grad_rounded, i, c)
+                        keep = g * (h[i, c] - a) * f * (one - f)  # gradients of the activations' arguments
+                        candidate = g * (one - f) * (one - a * a)
+                        reset = candidate * _read(h_conv, i, 2 * channels + c) * r * (one - r)
+                        grad_h[i, c] = g * f
+                        gradient[cell, c] += keep
+                        gradient[cell, channels + c] += reset
+                        gradient[cell, 2 * channels + c] += candidate
+                        if grad_x is not None:
+                            grad_x[i, c] = _rounded(grad_x, keep)
+                            grad_x[i, channels + c] = _rounded(grad_x, reset)
+                            grad_x[i, 2 * channels + c] = _rounded(grad_x, candidate)
+                        grad_h_conv[i, c] = _rounded(grad_h_conv, keep)
+                        grad_h_conv[i, channels + c] = _rounded(grad_h_conv, reset)
+                        grad_h_conv[i, 2 * channels + c] = _rounded(grad_h_conv, candidate * r)
 
     return forward, backward

@@ -33,6 +33,7 @@ Validate = Callable[[nn.Module], dict[str, float]]
 
 def train_network(
     network: nn.Module,
+    on_processor: RecurrentNetwork,
     dataset: SequenceDataset,
     settings: TrainingSettings,
     validate: Validate,
@@ -40,13 +41,14 @@ def train_network(
 ) -> dict[str, float]:
     """Train `network` in place and leave it with the weights that scored best; returns the scores of those.
 
+    `on_processor` computes what `network` does, with gradients, wherever the training runs on a processor.
     `out.log_dir` takes logs (CSV, TensorBoard) and checkpoints; one that holds checkpoints of the same training is
     resumed. Raises ConfigurationError where it holds another training.
     """
     logging.getLogger("lightning.pytorch").setLevel(logging.WARNING)  # else it advertises other products
     stage_1 = settings.model_dump(exclude=set(TransferSettings.model_fields))
     resumed = _resumable(out, {"seed": out.seed, "train": dataset.sources, **stage_1})
-    module = TrainingModule(network, settings, validate, out.report)
+    module = TrainingModule(network, on_processor, settings, validate, out.report)
     folder = out.log_dir / "checkpoints"
     best = ModelCheckpoint(folder, filename="best", monitor="score", mode="max", enable_version_counter=False)
     last = ModelCheckpoint(folder, filename="last", enable_version_counter=False)  # after every epoch, better or not
@@ -87,16 +89,22 @@ class TrainingModule(lightning.LightningModule):
     """Loss, optimiser and validation of one network."""
 
     def __init__(
-        self, network: nn.Module, settings: TrainingSettings, validate: Validate, report: Callable[[str], None]
+        self,
+        network: nn.Module,
+        on_processor: RecurrentNetwork,
+        settings: TrainingSettings,
+        validate: Validate,
+        report: Callable[[str], None],
     ) -> None:
         super().__init__()
-        self.network = channels_last(network)
+        self.network, self._on_processor = channels_last(network), on_processor
         self.settings, self.validate, self.report = settings, validate, report
         self.scores: dict[str, float] = {}
 
     def training_step(self, windows: Tensor) -> Tensor:
         """Loss of a batch of windows (B, T, 2, M, M) uint8."""
-        loss = sequence_loss(self.network, windows.float(), self.settings)
+        network = self._on_processor if self.device.type == "cpu" else self.network
+        loss = sequence_loss(network, windows.float(), self.settings)
         self.log("loss", loss)
         return loss
 
