@@ -1,0 +1,43 @@
+"""The extended Kalman filter of an object's motion, by filterpy."""
+
+from __future__ import annotations
+
+import numpy as np
+from filterpy.kalman import update
+
+from gridtrack.common.geometry import wrap_angle
+from gridtrack.trackers.model_free.motion.estimator import first_state, measured
+from gridtrack.trackers.model_free.motion.model import Array, MotionModel, discretise, propagate_all
+
+MEASURED = np.eye(3, 6)
+"""The measured pose as a function of the state."""
+
+
+class KalmanEstimator:
+    """Extended Kalman filter: a MotionEstimator. `mean` (6,) and `covariance` (6, 6) are those of the newest frame.
+
+    The prediction is linearised at the mean; the measurement is linear, its heading taken at the turn nearest to the
+    mean's. Raises ValueError as `update` does.
+    """
+
+    restarts = 0
+
+    def __init__(self, pose: Array, covariance: Array, model: MotionModel) -> None:
+        self._step = discretise(model)
+        self.mean, self.covariance = first_state(*measured(pose, covariance), model)
+
+    def predict(self) -> None:
+        """Move on by one period."""
+        means, covariances = propagate_all(self.mean[None], self.covariance[None], 1, self._step)
+        self._settle(means[0, 1], covariances[0, 1])
+
+    def update(self, pose: Array, covariance: Array) -> None:
+        """Take in a measured pose (3,) and its covariance (3, 3); filterpy's update is in Joseph's form."""
+        pose, covariance = measured(pose, covariance)
+        nearest = np.array([pose[0], pose[1], self.mean[2] + wrap_angle(pose[2] - self.mean[2])])
+        mean, spread = update(self.mean, self.covariance, nearest, covariance, MEASURED)
+        self._settle(mean, (spread + spread.T) / 2.0)
+
+    def _settle(self, mean: Array, covariance: Array) -> None:
+        mean[2] = wrap_angle(mean[2])
+        self.mean, self.covariance = mean, covariance

@@ -1,0 +1,195 @@
+"""The motion model: rigid motion in the plane with a coordinated turn, over whole periods, for one track or for all.
+
+State (6,): x, y, heading, vx, vy, turn rate; metres, radians and seconds in the grid frame. In continuous time, with J
+a quarter turn and w white noise (white-noise acceleration: Bar-Shalom, Li and Kirubarajan 2001, section 6.2.2; with an
+unknown turn rate: their chapter 11; both rates are Ornstein-Uhlenbeck processes here):
+
+    d position = v dt     dv = (turn_rate J v - v / velocity_memory_s) dt + acceleration dw
+    d heading = turn_rate dt     d turn_rate = -turn_rate / turn_memory_s dt + turn_acceleration dw
+"""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+from typing import NamedTuple
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+class MotionModel(NamedTuple):
+    """How an object is expected to move, and what is known of its motion at first; every number positive and finite."""
+
+    acceleration: float
+    """White noise along each axis: the square root of its density, m/s^2 per sqrt(Hz)."""
+    turn_acceleration: float
+    """The same of the turn rate, rad/s^2 per sqrt(Hz)."""
+    velocity_memory_s: float
+    """Time constant with which a velocity is forgotten; large: nearly constant velocity."""
+    turn_memory_s: float
+    """Time constant with which a turn rate is forgotten."""
+    initial_speed: float
+    """Standard deviation of a new track's velocity along each axis, m/s."""
+    initial_turn_rate: float
+    """Standard deviation of a new track's turn rate, rad/s."""
+    period_s: float
+    """From one frame to the next."""
+
+
+class Discretisation(NamedTuple):
+    """What one period needs of the model: three Gauss-Legendre nodes of it, then its end, in arrays (4,); and noise.
+
+    The velocity turns by the turn rate times `turning` and shrinks to `keeping`; the position is its integral.
+    """
+
+    weights: Array
+    """Of each node in that integral, s; nothing for the end (4,)."""
+    keeping: Array
+    """The share of the velocity that is left at each node (4,)."""
+    turning: Array
+    """For how long the first turn rate would have turned as far as it has at each node, s (4,)."""
+    turn_keeping: float
+    """The share of the turn rate that is left at the end."""
+    noise: Array
+    """Covariance (6, 6) that the acceleration adds in one period."""
+    turn_noise: Array
+    """Covariance (3, 3) of the turn acceleration's integrals: of the heading over the period, heading, turn rate."""
+
+
+@lru_cache(maxsize=64)
+def discretise(model: MotionModel) -> Discretisation:
+    """The model over one period; raises ValueError if one of its numbers is not positive and finite."""
+    for name, value in model._asdict().items():
+        if not (value > 0.0 and math.isfinite(value)):
+            raise ValueError(f"motion model: {name} is {value}; give a positive, finite number")
+    nodes, weights = np.polynomial.legendre.leggauss(3)
+    times = np.append((nodes + 1.0) / 2.0, 1.0) * model.period_s
+    keeping, _, _ = _memory(times, model.velocity_memory_s)
+    turn_keeping, turning, _ = _memory(times, model.turn_memory_s)
+    moved = _integrals(model.period_s, model.velocity_memory_s)[1:, 1:] * model.acceleration**2
+    turned = _integrals(model.period_s, model.turn_memory_s) * model.turn_acceleration**2
+    noise = np.zeros((6, 6))
+    for axis in (0, 1):
+        noise[np.ix_((axis, axis + 3), (axis, axis + 3))] = moved
+    return Discretisation(
+        np.append(weights / 2.0, 0.0) * model.period_s, keeping, turning, float(turn_keeping[-1]), noise, turned
+    )
+
+
+def _memory(times: Array, memory_s: float) -> tuple[Array, Array, Array]:
+    """What is left of a rate after `times` (N,), its integral up to then, and the integral of that, each (N,)."""
+    left = np.exp(-times / memory_s)
+    integral = memory_s * -np.expm1(-times / memory_s)
+    return left, integral, memory_s * (times - integral)
+
+
+def _integrals(period_s: float, memory_s: float) -> Array:
+    """Covariance (3, 3) of an integral's integral, a rate's integral and the rate, driven by unit white noise."""
+    nodes, weights = np.polynomial.legendre.leggauss(8)
+    left, integral, twice = _memory((nodes + 1.0) / 2.0 * period_s, memory_s)
+    impulses = np.stack([twice, integral, left])
+    return np.asarray(impulses * (weights / 2.0 * period_s) @ impulses.T)
+
+
+@numba.njit(error_model="numpy")
+def _transition(mean, step, moved, jacobian):  # type: ignore[no-untyped-def]
+    """Write where `mean` (6,) is one period on into `moved` (6,), and the derivative of that into `jacobian` (6, 6)."""
+    vx, vy, rate = mean[3], mean[4], mean[5]
+    jacobian[:] = 0.0
+    x, y = mean[0], mean[1]
+    for node in range(4):
+        weight, turning = step.weights[node], step.turning[node]
+        cosine = step.keeping[node] * math.cos(rate * turning)
+        sine = step.keeping[node] * math.sin(rate * turning)
+        ux, uy = cosine * vx - sine * vy, sine * vx + cosine * vy
+        x, y = x + weight * ux, y + weight * uy
+        jacobian[0, 3] += weight * cosine
+        jacobian[1, 3] += weight * sine
+        jacobian[0, 5] -= weight * turning * uy
+        jacobian[1, 5] += weight * turning * ux
+    jacobian[0, 4], jacobian[1, 4] = -jacobian[1, 3], jacobian[0, 3]
+    jacobian[3, 3], jacobian[3, 4], jacobian[3, 5] = cosine, -sine, -turning * uy
+    jacobian[4, 3], jacobian[4, 4], jacobian[4, 5] = sine, cosine, turning * ux
+    jacobian[0, 0], jacobian[1, 1], jacobian[2, 2] = 1.0, 1.0, 1.0
+    jacobian[2, 5], jacobian[5, 5] = turning, step.turn_keeping
+    moved[0], moved[1], moved[2] = x, y, mean[2] + turning * rate
+    moved[3], moved[4], moved[5] = ux, uy, step.turn_keeping * rate
+
+
+@numba.njit(error_model="numpy")
+def _process_noise(moved, step, noise):  # type: ignore[no-untyped-def]
+    """Write the covariance that one period adds into `noise` (6, 6); `moved` (6,) is the state at its end.
+
+    What the turn acceleration turned the heading by, it turned the velocity by: that grows with the speed.
+    """
+    noise[:] = step.noise
+    effect = np.zeros((6, 3))
+    effect[0, 0], effect[1, 0] = -moved[4], moved[3]
+    effect[2, 1], effect[3, 1], effect[4, 1] = 1.0, -moved[4], moved[3]
+    effect[5, 2] = 1.0
+    _add_transformed(effect, step.turn_noise, noise)
+
+
+@numba.njit(error_model="numpy")
+def _add_transformed(a, covariance, total):  # type: ignore[no-untyped-def]
+    """Add A C A^T to `total` (N, N), `a` (N, K), `covariance` (K, K); exactly symmetric."""
+    rows, columns = a.shape
+    half = np.zeros(columns)
+    for i in range(rows):
+        half[:] = 0.0
+        for k in range(columns):
+            if a[i, k] != 0.0:
+                for m in range(columns):
+                    half[m] += a[i, k] * covariance[k, m]
+        for j in range(i + 1):
+            value = total[i, j]
+            for m in range(columns):
+                value += half[m] * a[j, m]
+            total[i, j] = total[j, i] = value
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def transition(mean, steps, step):  # type: ignore[no-untyped-def]
+    """`mean` (6,) after `steps` periods, the heading not wrapped, and the derivative (6, 6) of that by `mean`."""
+    jacobian, one = np.eye(6), np.empty((6, 6))
+    moved = mean.copy()
+    for _ in range(steps):
+        following = np.empty(6)
+        _transition(moved, step, following, one)
+        moved, jacobian = following, one @ jacobian
+    return moved, jacobian
+
+
+@numba.njit(error_model="numpy")
+def _propagate_one(means, covariances, step):  # type: ignore[no-untyped-def]
+    """Fill in `means` (n+1, 6) and `covariances` (n+1, 6, 6) from their first on."""
+    jacobian = np.empty((6, 6))
+    for n in range(means.shape[0] - 1):
+        _transition(means[n], step, means[n + 1], jacobian)
+        _process_noise(means[n + 1], step, covariances[n + 1])
+        _add_transformed(jacobian, covariances[n], covariances[n + 1])
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def propagate_all(means, covariances, steps, step):  # type: ignore[no-untyped-def]
+    """As `propagate`, of a model that has been discretised."""
+    tracks = means.shape[0]
+    all_means, all_covariances = np.empty((tracks, steps + 1, 6)), np.empty((tracks, steps + 1, 6, 6))
+    all_means[:, 0], all_covariances[:, 0] = means, covariances
+    for track in range(tracks):
+        _propagate_one(all_means[track], all_covariances[track], step)
+    return all_means, all_covariances
+
+
+def propagate(means: Array, covariances: Array, steps: int, model: MotionModel) -> tuple[Array, Array]:
+    """Means (T, steps+1, 6) and covariances (T, steps+1, 6, 6) of steps 0..steps, for all tracks at once.
+
+    From the state of each, `means` (T, 6) and `covariances` (T, 6, 6). Headings are continuous, not wrapped at pi.
+    """
+    means, covariances = np.ascontiguousarray(means), np.ascontiguousarray(covariances)
+    forecast: tuple[Array, Array] = propagate_all(means, covariances, steps, discretise(model))
+    return forecast
