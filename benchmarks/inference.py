@@ -1,9 +1,9 @@
 """Speed of the recurrent networks on one thread, beside others that compute the same: `python benchmarks/inference.py`.
 
-For the dilated ConvGRU: ours; a straightforward PyTorch ConvGRU, gate by gate on concatenated input; that one in ONNX
-Runtime, where `pip install onnxruntime onnx onnxscript` has been run; and ours with oneDNN's bfloat16 convolutions in
-place of Winograd's. All have the same weights, and that their forecasts agree is asserted. They take turns, and what
-counts is the thread's processor time: other work on the machine is felt in the caches only. The aim: 5 ms in float32.
+For the dilated ConvGRU: ours, also with `inference=bfloat16`; a straightforward PyTorch ConvGRU, gate by gate on
+concatenated input; and that one in ONNX Runtime, where `pip install onnxruntime onnx onnxscript` has been run. All have
+the same weights, and that their forecasts agree is asserted. They take turns, and what counts is the thread's processor
+time: other work on the machine is felt in the caches only. The aim: 5 ms in float32.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import functools
 import importlib.util
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -25,11 +25,11 @@ from torch.nn.functional import conv2d
 from gridtrack.trackers.recurrent import DeepTrackingRNNTracker, DilatedConvGRUTracker
 from gridtrack.trackers.recurrent.deep_tracking_rnn import DeepTrackingRNN
 from gridtrack.trackers.recurrent.dilated_convgru import GATES, DilatedConvGRU
-from gridtrack.trackers.recurrent.inference import InferenceConvGRU, as_cells, as_tensor, weight_of_both
+from gridtrack.trackers.recurrent.inference import InferenceConvGRU, InferenceRNN, as_tensor
 from gridtrack.trackers.recurrent.network import RecurrentNetwork, State, channels_last
 
 SIZE, STEPS = 100, 20
-TOLERANCE = {"bfloat16 convolutions": 0.05}
+TOLERANCE = {"ours, bfloat16": 0.05}
 """Of P(occupied) after some frames and a forecast; 1e-4 for the others."""
 
 
@@ -74,29 +74,6 @@ class Straightforward:
         return torch.as_tensor(self._decoder(features)).squeeze(1)
 
 
-class BFloat16Convolution:
-    """oneDNN's convolution in bfloat16, in WinogradConvolution's place."""
-
-    def __init__(self, weight: Tensor, dilation: int) -> None:
-        self.weight = weight.contiguous(memory_format=torch.channels_last).bfloat16()
-        self.dilation = dilation
-
-    def bands(self, images: Sequence[np.ndarray]) -> Iterator[tuple[range, np.ndarray]]:
-        """All rows as one band."""
-        image = torch.cat([as_tensor(each) for each in images], dim=1).bfloat16()
-        sums = conv2d(image, self.weight, padding=self.dilation, dilation=self.dilation).float()
-        yield range(SIZE), as_cells(sums)
-
-
-def with_bfloat16(network: DilatedConvGRU) -> InferenceConvGRU:
-    ours = InferenceConvGRU(network)
-    first, *others = network.layers
-    ours._first_without_input._convolution = BFloat16Convolution(first.state_weight.detach(), first.dilation)
-    for cell, layer in zip([ours._first, *ours._others], [first, *others], strict=True):
-        cell._convolution = BFloat16Convolution(weight_of_both(layer), layer.dilation)
-    return ours
-
-
 def onnx_runtime(network: DilatedConvGRU) -> Straightforward:
     """Exported from the straightforward one; a session each for the step and the decoder, on one thread."""
     import onnxruntime
@@ -120,8 +97,8 @@ def onnx_runtime(network: DilatedConvGRU) -> Straightforward:
 
 def contestants(network: DilatedConvGRU) -> dict[str, Any]:
     found: dict[str, Any] = {
-        "ours, float32": DilatedConvGRUTracker.prepare_inference(network),
-        "bfloat16 convolutions": with_bfloat16(network),
+        "ours, float32": InferenceConvGRU(network),
+        "ours, bfloat16": InferenceConvGRU(network, bfloat16=True),
         "straightforward PyTorch": Straightforward(network, StraightforwardStep(network), network.decode_occupancy),
     }
     if all(importlib.util.find_spec(name) for name in ("onnxruntime", "onnx", "onnxscript")):
@@ -241,7 +218,7 @@ def main() -> None:
         side_by_side(contestants(gru), between_states * (2 * len(gru.layers) - 1), rate, rounds)
         rnn = trained_like(DeepTrackingRNN(SIZE, DeepTrackingRNNTracker.Options()))
         print("deep-tracking-rnn")
-        both = {"ours, float32": DeepTrackingRNNTracker.prepare_inference(rnn), "straightforward PyTorch": rnn}
+        both = {"ours, float32": InferenceRNN(rnn), "straightforward PyTorch": rnn}
         side_by_side(both, 2 * rnn.recur.weight.numel() * SIZE**2, rate, rounds)
 
 

@@ -15,9 +15,15 @@ from gridtrack.trackers.weights import Weights, array
 Given = TypeVar("Given", bound=Settings)
 
 
-def trained_settings(stream: StreamSpec, weights: Weights, given: Given) -> Given:
-    """The settings that `weights` were trained with. Raises WeightsError where they contradict one that was `given`."""
-    trained = validated(type(given), weights.card.settings, str(stream.weights))
+def trained_settings(
+    stream: StreamSpec, weights: Weights, given: Given, running: type[Settings] = Settings
+) -> Given:
+    """The settings that `weights` were trained with, and of those that do not concern training, the `given` ones.
+
+    The latter are the fields of `running`. Raises WeightsError where the trained ones contradict one that was given.
+    """
+    at_will = given.model_dump(include=set(running.model_fields), exclude_unset=True)
+    trained = validated(type(given), weights.card.settings | at_will, str(stream.weights))
     for key in given.model_fields_set:
         if getattr(given, key) != getattr(trained, key):
             raise WeightsError(

@@ -7,6 +7,7 @@ import pytest
 torch = pytest.importorskip("torch")
 from torch.nn.functional import conv2d  # noqa: E402
 
+from gridtrack.common.errors import ConfigurationError  # noqa: E402
 from gridtrack.trackers.recurrent import DilatedConvGRUTracker  # noqa: E402
 from gridtrack.trackers.recurrent.deep_tracking_rnn import DeepTrackingRNN, DeepTrackingRNNSettings  # noqa: E402
 from gridtrack.trackers.recurrent.dilated_convgru import (  # noqa: E402
@@ -65,23 +66,28 @@ def test_winograd_sums_the_convolutions_of_all_images(size, dilation):
 
 @pytest.mark.parametrize("static_gates", [("keep", "reset", "candidate"), ("candidate",)])
 @pytest.mark.parametrize("with_input", [True, False])
-def test_the_fused_gates_are_the_gates(with_input, static_gates):
+@pytest.mark.parametrize("bfloat16", [True, False])
+def test_the_fused_gates_are_the_gates(bfloat16, with_input, static_gates):
     network = convgru(9, static_gates=static_gates)
     biases = tuple(network.layers[0].biases[gate].expand(CHANNELS, 9, 9) for gate in GATES)
     x = random(1, 3 * CHANNELS, 9, 9, scale=10.0) if with_input else None
     h_conv, h = random(1, 3 * CHANNELS, 9, 9, scale=10.0), random(1, CHANNELS, 9, 9, scale=0.5)
     h_conv[0, :, 0, 0], h_conv[0, :, 0, 1] = 300.0, -300.0  # saturated, and not overflown
 
+    if bfloat16:
+        h_conv, x = h_conv.bfloat16().float(), None if x is None else torch.zeros_like(x)
     sums = h_conv
     if x is not None:
         of_both, of_x = x.split([2 * CHANNELS, CHANNELS], dim=1)
         sums = torch.cat([h_conv[:, : 2 * CHANNELS] + of_both, h_conv[:, 2 * CHANNELS :], of_x], dim=1)
+    if bfloat16:
+        sums = sums.bfloat16().view(torch.uint16)
     maps = [bias.permute(1, 2, 0).contiguous().numpy() for bias in biases]
     h_cells, sums_cells = (as_cells(t.contiguous(memory_format=torch.channels_last)) for t in (h, sums))
     found = torch.full((9, 9, CHANNELS), torch.nan)
     for top in (0, 1):
         rows = sums_cells[top::2].copy()
-        fused_gates(CHANNELS, with_input=with_input)(rows, top, 2, *maps, h_cells, found.numpy())
+        fused_gates(CHANNELS, with_input=with_input, bfloat16=bfloat16)(rows, top, 2, *maps, h_cells, found.numpy())
 
     expected = convgru_gates(x, h_conv, biases, h)[0].permute(1, 2, 0)
     torch.testing.assert_close(found, expected, rtol=0, atol=2e-6)
@@ -96,14 +102,19 @@ def test_the_rnn_that_follows_a_stream_is_the_trained_one():
     assert_same_stream(network := rnn(), InferenceRNN(network), network.size)
 
 
-def assert_same_stream(trained, following, size):
+def test_in_bfloat16_it_follows_the_stream_to_three_digits():
+    network = convgru()
+    assert_same_stream(network, InferenceConvGRU(network, bfloat16=True), network.size, within=0.05)
+
+
+def assert_same_stream(trained, following, size, within=1e-4):
     state, followed = trained.initial(1), following.initial(1)
     for x in frames(size):
         state, followed = trained.step(x, state), following.step(x, followed)
         for expected, found in zip(state, followed, strict=True):
-            torch.testing.assert_close(found, expected, rtol=0, atol=1e-4)
+            torch.testing.assert_close(found, expected, rtol=0, atol=within)
         expected, found = (n.occupancy(n.features(s)) for n, s in ((trained, state), (following, followed)))
-        torch.testing.assert_close(found, expected, rtol=0, atol=1e-4)
+        torch.testing.assert_close(found, expected, rtol=0, atol=within)
 
 
 def test_a_step_leaves_the_state_it_starts_from_as_it_was():
@@ -123,5 +134,7 @@ def test_an_empty_input_is_not_convolved():
 
 
 def test_a_cell_without_gates_follows_a_stream_as_it_is():
-    network = convgru(cell="plain")
-    assert DilatedConvGRUTracker.prepare_inference(network) is network
+    network, options = convgru(cell="plain"), DilatedConvGRUTracker.Options
+    assert DilatedConvGRUTracker.prepare_inference(network, options()) is network
+    with pytest.raises(ConfigurationError, match="cell=gru"):
+        DilatedConvGRUTracker.prepare_inference(network, options(inference="bfloat16"))

@@ -3,22 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, ClassVar
+from typing import Any, ClassVar, cast
 
 from torch import nn
 
+from gridtrack.common.errors import ConfigurationError
 from gridtrack.trackers.contract import FitOutput, FrameSource, Score
 from gridtrack.trackers.recurrent.deep_tracking_rnn import DeepTrackingRNN, DeepTrackingRNNSettings
 from gridtrack.trackers.recurrent.dilated_convgru import GATES, DilatedConvGRU, DilatedConvGRUSettings
 from gridtrack.trackers.recurrent.inference import InferenceConvGRU, InferenceRNN
 from gridtrack.trackers.recurrent.network import RecurrentNetwork, start_from_rate
-from gridtrack.trackers.recurrent.settings import TrainingSettings, TransferSettings
+from gridtrack.trackers.recurrent.settings import InferenceSettings, TrainingSettings, TransferSettings
 from gridtrack.trackers.recurrent.tracker import RecurrentTracker
 from gridtrack.trackers.recurrent.training_convgru import TrainingConvGRU
 
 
-class DilatedConvGRUOptions(DilatedConvGRUSettings, TrainingSettings, TransferSettings):
-    """Shape and training of the dilated ConvGRU, and of its class decoder."""
+class DilatedConvGRUOptions(DilatedConvGRUSettings, TrainingSettings, TransferSettings, InferenceSettings):
+    """Shape and training of the dilated ConvGRU, and of its class decoder, and how it follows a stream."""
 
 
 class DeepTrackingRNNOptions(DeepTrackingRNNSettings, TrainingSettings):
@@ -43,9 +44,16 @@ class DilatedConvGRUTracker(RecurrentTracker):
         return TrainingConvGRU(network) if network.layers[0].gates == GATES else network
 
     @classmethod
-    def prepare_inference(cls, network: Any) -> RecurrentNetwork:
-        """Convolutions and gates together, in bands of rows; a cell without gates as it is."""
-        return InferenceConvGRU(network) if network.layers[0].gates == GATES else network
+    def prepare_inference(cls, network: Any, options: Any) -> RecurrentNetwork:
+        """Convolutions and gates together, in bands of rows; a cell without gates as it is.
+
+        Raises ConfigurationError where a cell without gates is asked for in bfloat16.
+        """
+        if network.layers[0].gates == GATES:
+            return InferenceConvGRU(network, bfloat16=options.inference == "bfloat16")
+        if options.inference != "float32":
+            raise ConfigurationError(f"inference={options.inference} is there for cell=gru; this network is cell=plain")
+        return cast(RecurrentNetwork, network)
 
     @classmethod
     def fit(
@@ -83,6 +91,6 @@ class DeepTrackingRNNTracker(RecurrentTracker):
         return network
 
     @classmethod
-    def prepare_inference(cls, network: Any) -> RecurrentNetwork:
+    def prepare_inference(cls, network: Any, options: Any) -> RecurrentNetwork:
         """The empty input's convolution done beforehand."""
         return InferenceRNN(network)

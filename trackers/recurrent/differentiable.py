@@ -20,7 +20,7 @@ from numba.extending import overload
 from numpy.typing import NDArray
 from torch import Tensor
 
-from gridtrack.trackers.recurrent.fused import FLAGS, activations
+from gridtrack.trackers.recurrent.fused import FLAGS, activations, widened
 
 Rows = NDArray[Any]
 """(B * M * M, N): the channels of one cell beside each other; bfloat16 as its bits in uint16."""
@@ -117,17 +117,6 @@ def _threads() -> ThreadPoolExecutor:
     return ThreadPoolExecutor(thread_name_prefix="gates")
 
 
-def _read(rows: Any, i: Any, c: Any) -> Any:
-    """rows[i, c] as float32; see the overload."""
-
-
-@overload(_read, inline="always")
-def _read_overload(rows, i, c):  # type: ignore[no-untyped-def]
-    if rows.dtype == numba.float32:
-        return lambda rows, i, c: rows[i, c]
-    return lambda rows, i, c: np.int32(np.uint32(rows[i, c]) << np.uint32(16)).view(np.float32)
-
-
 def _rounded(rows: Any, value: Any) -> Any:
     """`value` as `rows` keeps it: bfloat16 is the nearest, ties to even; see the overload."""
 
@@ -156,15 +145,15 @@ def _counted_overload(gates, value):  # type: ignore[no-untyped-def]
     return lambda gates, value: np.uint16(np.int32(value * np.float32(65535.0) + np.float32(0.5)))
 
 
-def _gate(gates: Any, i: Any, c: Any) -> Any:
-    """The gate kept in gates[i, c], float32; see the overload."""
+def _gate(kept: Any) -> Any:
+    """The gate, float32, that `_counted` left as `kept`; see the overload."""
 
 
 @overload(_gate, inline="always")
-def _gate_overload(gates, i, c):  # type: ignore[no-untyped-def]
-    if gates.dtype == numba.float32:
-        return lambda gates, i, c: gates[i, c]
-    return lambda gates, i, c: np.float32(np.int32(gates[i, c])) * np.float32(1.0 / 65535.0)
+def _gate_overload(kept):  # type: ignore[no-untyped-def]
+    if kept == numba.float32:
+        return lambda kept: kept
+    return lambda kept: np.float32(np.int32(kept)) * np.float32(1.0 / 65535.0)
 
 
 @cache
@@ -185,12 +174,12 @@ def _kernels(channels: int) -> tuple[Callable[..., None], Callable[..., None]]:
                     for c in range(channels):
                         keep, reset, candidate = b_keep[cell, c], b_reset[cell, c], b_candidate[cell, c]
                         if x is not None:
-                            keep += _read(x, i, c)
-                            reset += _read(x, i, channels + c)
-                            candidate += _read(x, i, 2 * channels + c)
-                        keep += _read(h_conv, i, c)
-                        reset += _read(h_conv, i, channels + c)
-                        f, r, a = activations(keep, reset, candidate, _read(h_conv, i, 2 * channels + c))
+                            keep += widened(x[i, c])
+                            reset += widened(x[i, channels + c])
+                            candidate += widened(x[i, 2 * channels + c])
+                        keep += widened(h_conv[i, c])
+                        reset += widened(h_conv[i, channels + c])
+                        f, r, a = activations(keep, reset, candidate, widened(h_conv[i, 2 * channels + c]))
                         gates[i, c] = _counted(gates, f)
                         gates[i, channels + c] = _counted(gates, r)
                         gates[i, 2 * channels + c] = _counted(gates, half * (one + a))
@@ -207,14 +196,14 @@ def _kernels(channels: int) -> tuple[Callable[..., None], Callable[..., None]]:
                 for cell in range(at, min(at + AT_ONCE, stop)):
                     i = first + cell
                     for c in range(channels):
-                        f, r = _gate(gates, i, c), _gate(gates, i, channels + c)
-                        a = two * _gate(gates, i, 2 * channels + c) - one
+                        f, r = _gate(gates[i, c]), _gate(gates[i, channels + c])
+                        a = two * _gate(gates[i, 2 * channels + c]) - one
                         g = grad[i, c]
                         if grad_rounded is not None:
-                            g += _read(grad_rounded, i, c)
+                            g += widened(grad_rounded[i, c])
                         keep = g * (h[i, c] - a) * f * (one - f)  # gradients of the activations' arguments
                         candidate = g * (one - f) * (one - a * a)
-                        reset = candidate * _read(h_conv, i, 2 * channels + c) * r * (one - r)
+                        reset = candidate * widened(h_conv[i, 2 * channels + c]) * r * (one - r)
                         grad_h[i, c] = g * f
                         gradient[cell, c] += keep
                         gradient[cell, channels + c] += reset

@@ -14,6 +14,7 @@ from typing import Any
 
 import numba
 import numpy as np
+from numba.extending import overload
 
 _LOG2_E = np.float32(1.0 / math.log(2.0))
 _TAYLOR = tuple(np.float32(math.log(2.0) ** k / math.factorial(k)) for k in range(7))
@@ -26,6 +27,17 @@ FLAGS = {"contract", "nsz", "arcp"}
 def kernel(signature: str) -> Any:
     """Compiled for that signature where it is defined: when a tracker's process starts, and not in its first update."""
     return numba.njit(signature, cache=True, nogil=True, fastmath=FLAGS, error_model="numpy")
+
+
+def widened(value: Any) -> Any:
+    """`value` as float32: itself, or what the bits of a bfloat16 in a uint16 stand for; see the overload."""
+
+
+@overload(widened, inline="always")
+def _widened_overload(value):  # type: ignore[no-untyped-def]
+    if value == numba.float32:
+        return lambda value: value
+    return lambda value: np.int32(np.uint32(value) << np.uint32(16)).view(np.float32)
 
 
 @numba.njit(inline="always", fastmath=FLAGS)
@@ -61,27 +73,30 @@ def _cell(keep, reset, candidate, candidate_h, h):  # type: ignore[no-untyped-de
 
 
 @functools.cache
-def fused_gates(channels: int, *, with_input: bool) -> Callable[..., None]:
+def fused_gates(channels: int, *, with_input: bool, bfloat16: bool = False) -> Callable[..., None]:
     """`dilated_convgru.convgru_gates`, equal to 2e-6, on some rows of the grid: the kernel
 
         gates(sums, top, step, keep, reset, candidate, h, out)
 
     `sums` (rows, M or more, N) are the convolutions of rows `top`, `top + step`, ...: C channels each for keep and
-    reset, of input and state together; the candidate's of the state; and, `with_input`, the candidate's of the input.
-    The biases, `h` and `out` are (M, M, C). C is written into the kernel: only so does it become vector instructions.
+    reset, of input and state together; the candidate's of the state; and, `with_input`, the candidate's of the input;
+    float32, or the bits of `bfloat16` in uint16. The biases, `h` and `out` are (M, M, C). C is written into the kernel:
+    only so does it become vector instructions.
     """
 
-    @kernel(f"void(float32[:,:,::1], int64, int64, {', '.join(5 * ['float32[:,:,::1]'])})")
+    @kernel(
+        f"void({'uint16' if bfloat16 else 'float32'}[:,:,::1], int64, int64, {', '.join(5 * ['float32[:,:,::1]'])})"
+    )
     def gates(sums, top, step, keep, reset, candidate, h, out):  # type: ignore[no-untyped-def]
         for i in range(sums.shape[0]):
             r = top + i * step
             for x in range(h.shape[1]):
                 for c in range(channels):
                     out[r, x, c] = _cell(
-                        sums[i, x, c] + keep[r, x, c],
-                        sums[i, x, channels + c] + reset[r, x, c],
-                        candidate[r, x, c] + (sums[i, x, 3 * channels + c] if with_input else np.float32(0.0)),
-                        sums[i, x, 2 * channels + c],
+                        widened(sums[i, x, c]) + keep[r, x, c],
+                        widened(sums[i, x, channels + c]) + reset[r, x, c],
+                        candidate[r, x, c] + (widened(sums[i, x, 3 * channels + c]) if with_input else np.float32(0.0)),
+                        widened(sums[i, x, 2 * channels + c]),
                         h[r, x, c],
                     )
 

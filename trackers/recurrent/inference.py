@@ -1,11 +1,14 @@
 """The networks as they follow one stream on a processor: what the trained ones compute, in less time.
 
 The dilated ConvGRU: convolutions are Winograd's (winograd.py), the gates one pass over memory (fused.py), both for a
-band of rows at a time, whose sums are used while they lie in the cache. Nothing is allocated but the new states.
+band of rows at a time, whose sums are used while they lie in the cache. Nothing is allocated but the new states. In
+bfloat16 the convolutions are oneDNN's, by the definition: that is faster still where the processor has instructions
+for it, and Winograd's sums would lose too many digits.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -21,15 +24,18 @@ from gridtrack.trackers.recurrent.winograd import Array, WinogradConvolution
 
 
 class InferenceConvGRU:
-    """A RecurrentNetwork for batches of one and without gradients: the trained `network`, whose cells have gates."""
+    """A RecurrentNetwork for batches of one and without gradients: the trained `network`, whose cells have gates.
 
-    def __init__(self, network: DilatedConvGRU) -> None:
+    With `bfloat16` the convolutions of input and state are computed in it; states, gates and decoders are float32.
+    """
+
+    def __init__(self, network: DilatedConvGRU, *, bfloat16: bool = False) -> None:
         self.size, self.channels = network.size, network.channels
         layers: list[Any] = list(network.layers)
         first, *others = layers
-        self._first = Cell(first, self.size, with_input=True)
-        self._first_without_input = Cell(first, self.size, with_input=False)
-        self._others = [Cell(layer, self.size, with_input=True) for layer in others]
+        self._first = Cell(first, self.size, with_input=True, bfloat16=bfloat16)
+        self._first_without_input = Cell(first, self.size, with_input=False, bfloat16=bfloat16)
+        self._others = [Cell(layer, self.size, with_input=True, bfloat16=bfloat16) for layer in others]
         self._decode_occupancy = OccupancyDecoder(network.decode_occupancy, self.size)
         self._decode_semantics = network.decode_semantics
 
@@ -83,13 +89,13 @@ class InferenceRNN:
 class Cell:
     """One recurrent layer: h (M, M, C) and, `with_input`, x (M, M, I) -> h'."""
 
-    def __init__(self, layer: DilatedConvGRULayer, size: int, *, with_input: bool) -> None:
+    def __init__(self, layer: DilatedConvGRULayer, size: int, *, with_input: bool, bfloat16: bool) -> None:
         channels, inputs = layer.state_weight.shape[1], layer.input_weight.shape[1]
-        if with_input:
-            self._convolution = WinogradConvolution(weight_of_both(layer), (channels, inputs), size, layer.dilation)
-        else:
-            self._convolution = WinogradConvolution(layer.state_weight.detach(), (channels,), size, layer.dilation)
-        self._gates = fused_gates(channels, with_input=with_input)
+        weight = weight_of_both(layer) if with_input else layer.state_weight.detach()
+        images = (channels, inputs) if with_input else (channels,)
+        convolution = BFloat16Convolution if bfloat16 else WinogradConvolution
+        self._convolution = convolution(weight, images, size, layer.dilation)
+        self._gates = fused_gates(channels, with_input=with_input, bfloat16=bfloat16)
         self._biases = [
             layer.biases[gate].detach().expand(channels, size, size).permute(1, 2, 0).contiguous().numpy()
             for gate in layer.gates
@@ -101,6 +107,24 @@ class Cell:
         for rows, sums in self._convolution.bands((h, *x)):
             self._gates(sums, rows.start, rows.step, *self._biases, h, new)
         return new
+
+
+class BFloat16Convolution:
+    """What WinogradConvolution computes, by the definition and in bfloat16, as one band."""
+
+    def __init__(self, weight: Tensor, channels: Sequence[int], size: int, dilation: int) -> None:
+        self._weight = weight.bfloat16().contiguous(memory_format=torch.channels_last)
+        self._dilation = dilation
+        self._image = torch.zeros(1, size, size, sum(channels), dtype=torch.bfloat16).permute(0, 3, 1, 2)
+        self._parts = torch.split(self._image, list(channels), dim=1)
+
+    def bands(self, images: Sequence[Array]) -> Iterator[tuple[range, Array]]:
+        """All rows, and their sums (M, M, N) as bits in uint16."""
+        for part, image in zip(self._parts, images, strict=True):
+            part.copy_(as_tensor(image))
+        sums = conv2d(self._image, self._weight, padding=self._dilation, dilation=self._dilation)
+        cells = as_cells(sums.view(torch.uint16))
+        yield range(len(cells)), cells
 
 
 def weight_of_both(layer: DilatedConvGRULayer) -> Tensor:

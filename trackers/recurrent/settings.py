@@ -47,6 +47,13 @@ class TrainingSettings(Settings):
         return frame < self.burn_in or (frame - self.burn_in) % (self.shown + self.blank) < self.shown
 
 
+class InferenceSettings(Settings):
+    """How a trained network follows a stream; no other training is needed for it."""
+
+    inference: Literal["float32", "bfloat16"] = "float32"
+    """Of the convolutions. bfloat16 is the faster one where the processor has instructions for it, slower elsewhere."""
+
+
 class TransferSettings(LabelSettings):
     """What is trained: the network, on what is visible; the class decoder, on its latent state and labels; or both."""
 

@@ -14,6 +14,7 @@ from torch import Tensor, nn
 from gridtrack.common.grid import GridFrame
 from gridtrack.trackers.contract import FitOutput, Forecast, FrameSource, Score, StreamSpec, Tracker, stream_of
 from gridtrack.trackers.recurrent.network import RecurrentNetwork, State, channels_last
+from gridtrack.trackers.recurrent.settings import InferenceSettings
 from gridtrack.trackers.restoring import restore, trained_settings
 from gridtrack.trackers.weights import Weights, card_for, load_weights, save_weights
 
@@ -47,7 +48,7 @@ class RecurrentTracker(Tracker):
 
     @classmethod
     @abstractmethod
-    def prepare_inference(cls, network: Any) -> RecurrentNetwork:
+    def prepare_inference(cls, network: Any, options: Any) -> RecurrentNetwork:
         """What follows a stream in place of the trained `network`: the same function, faster."""
 
     def reset(self, seed: int) -> None:
@@ -81,11 +82,11 @@ class RecurrentTracker(Tracker):
 
     def _restored(self, weights: Weights) -> RecurrentNetwork:
         """The trained network. Raises WeightsError where the weights do not fit it, or contradict a given option."""
-        options = trained_settings(self.stream, weights, self.options)
+        options = trained_settings(self.stream, weights, self.options, running=InferenceSettings)
         self.classes = weights.card.classes
         network = self.build(self.stream.grid.size, options, len(self.classes))
         restore(network, self.stream, weights)
-        return self.prepare_inference(channels_last(network.eval()))
+        return self.prepare_inference(channels_last(network.eval()), options)
 
     @classmethod
     def fit(
@@ -107,7 +108,7 @@ class RecurrentTracker(Tracker):
         steps = round(max(VALIDATION_HORIZONS_S) / train[0].period_s)
 
         def validate(trained: nn.Module) -> dict[str, float]:
-            following = cls.prepare_inference(channels_last(deepcopy(trained).cpu().eval()))
+            following = cls.prepare_inference(channels_last(deepcopy(trained).cpu().eval()), options)
 
             def as_tracker(source: FrameSource) -> Any:
                 return score(cls(stream_of(source), options, following), source, steps)
@@ -116,7 +117,7 @@ class RecurrentTracker(Tracker):
 
         results = train_network(network, on_processor, dataset, options, validate, out)
         arrays = {name: value.detach().contiguous().numpy() for name, value in network.state_dict().items()}
-        settings = options.model_dump(mode="json")
+        settings = options.model_dump(mode="json", exclude=set(InferenceSettings.model_fields))
         save_weights(out.path, card_for(cls.name, out, train, validation, settings, results), arrays)
 
 

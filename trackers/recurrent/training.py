@@ -25,7 +25,7 @@ from gridtrack.common.errors import ConfigurationError
 from gridtrack.trackers.contract import FitOutput, FrameSource
 from gridtrack.trackers.recurrent.network import RecurrentNetwork, channels_last
 from gridtrack.trackers.recurrent.sequences import EpochSampler, SequenceDataset
-from gridtrack.trackers.recurrent.settings import TrainingSettings, TransferSettings
+from gridtrack.trackers.recurrent.settings import InferenceSettings, TrainingSettings, TransferSettings
 
 Validate = Callable[[nn.Module], dict[str, float]]
 """Scores the network as a tracker on the validation stretch; `score` is what the best one is kept by."""
@@ -46,7 +46,7 @@ def train_network(
     resumed. Raises ConfigurationError where it holds another training.
     """
     logging.getLogger("lightning.pytorch").setLevel(logging.WARNING)  # else it advertises other products
-    stage_1 = settings.model_dump(exclude=set(TransferSettings.model_fields))
+    stage_1 = settings.model_dump(exclude={*TransferSettings.model_fields, *InferenceSettings.model_fields})
     resumed = _resumable(out, {"seed": out.seed, "train": dataset.sources, **stage_1})
     module = TrainingModule(network, on_processor, settings, validate, out.report)
     folder = out.log_dir / "checkpoints"
