@@ -1,0 +1,114 @@
+"""Where each tracker fails: the moments at which its forecast of moving cells was worst, pictured.
+
+`python benchmarks/worst_moments.py RUN` reads a run's folder and writes RUN/worst-moments.html: for each tracker the
+kept moments with the least moving F1 one second ahead, at most one of a recording and of moments in which enough
+moving cells came; what it saw, what came, its forecast, and that forecast at its threshold: hit, missed, false alarm.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+from dataclasses import dataclass
+from html import escape
+from pathlib import Path
+
+import numpy as np
+
+from gridtrack.evaluation.scoring.samples import SAMPLES, Sample, read_samples
+from gridtrack.evaluation.scoring.scores import SCORES
+from gridtrack.reports.moments import ScoredMoment, scored_moments
+from gridtrack.reports.pictures import frame_png, probability_png
+from gridtrack.reports.run import Run, read_runs
+
+HORIZON_S = 1.0
+ENOUGH_CELLS = 20
+SHOWN = 4
+SIDE = 260
+COLOURS = {"hit": "#1a1a1a", "missed": "#d81b60", "false alarm": "#1e88e5"}
+
+
+@dataclass(frozen=True)
+class Failure:
+    """One tracker at one moment of one recording, and the threshold that its forecast is held against."""
+
+    recording: str
+    scored: ScoredMoment
+    sample: Sample
+    threshold: float
+
+
+def worst(run: Run, label: str) -> list[Failure]:
+    """The worst kept moment of each recording, the SHOWN worst of these."""
+    found: list[Failure] = []
+    for recording, trial in run.summary.trackers[label].recordings.items():
+        if run.summary.recordings[recording].pooled or "moving" not in trial.strata:
+            continue
+        step = round(HORIZON_S / run.summary.recordings[recording].period_s)
+        folder = run.trial_folder(label, recording)
+        scored = {s: m for s, m in scored_moments(folder / SCORES, step).items() if m.occupied >= ENOUGH_CELLS}
+        kept = [sample for sample in read_samples(folder / SAMPLES) if sample.stamp_ns in scored]
+        if kept:
+            sample = min(kept, key=lambda one: scored[one.stamp_ns].f1)
+            found.append(
+                Failure(recording, scored[sample.stamp_ns], sample, trial.strata["visible"].threshold[step] or 1)
+            )
+    return sorted(found, key=lambda failure: failure.scored.f1)[:SHOWN]
+
+
+def cells(failure: Failure) -> Iterator[str]:
+    """Every visible cell that is forecast above the threshold, or came occupied."""
+    sample, h = failure.sample, failure.sample.horizons_s.index(HORIZON_S)
+    above = (sample.forecast[h] >= failure.threshold) & sample.came_visible[h]
+    came, size = sample.came_occupied[h], sample.grid.size
+    for kind, where in (("hit", above & came), ("missed", came & ~above), ("false alarm", above & ~came)):
+        rows, columns = np.nonzero(where)
+        squares = "".join(f"M{c} {size - 1 - r}h1v1h-1z" for r, c in zip(rows, columns, strict=True))
+        yield f'<path d="{squares}" fill="{COLOURS[kind]}"/>'
+
+
+def pictures(failure: Failure) -> str:
+    """Input, what came, forecast, and the forecast's hits and errors, side by side."""
+    sample, h = failure.sample, failure.sample.horizons_s.index(HORIZON_S)
+    nothing = np.zeros_like(sample.visible)
+    ground = frame_png(sample.came_visible[h], nothing)
+    images = (
+        frame_png(sample.visible, sample.occupied),
+        frame_png(sample.came_visible[h], sample.came_occupied[h]),
+        probability_png(sample.forecast[h]),
+    )
+    size = sample.grid.size
+    below = f'style="background:url({ground}) 0 0/100% 100%"'
+    errors = f'<svg viewBox="0 0 {size} {size}" {below}>{"".join(cells(failure))}</svg>'
+    shown = "".join(f'<img src="{image}">' for image in images) + errors
+    moment = failure.scored
+    return (
+        f"<h3>{escape(failure.recording)}, {sample.stamp_ns / 1e9:.2f} s: moving F1 {moment.f1:.2f}"
+        f" ({moment.tp} hit, {moment.fn} missed, {moment.fp} false)</h3><div>{shown}</div>"
+    )
+
+
+def page(run: Run, labels: list[str]) -> str:
+    style = (
+        f"body{{font-family:sans-serif;margin:1em}} img,svg{{width:{SIDE}px;height:{SIDE}px;image-rendering:pixelated;"
+        "border:1px solid #999;margin-right:8px} h3{font-weight:normal;margin:.6em 0 .2em}"
+    )
+    key = ", ".join(f'<b style="color:{colour}">{kind}</b>' for kind, colour in COLOURS.items())
+    head = f"<p>Input; what came {HORIZON_S:g} s later; forecast of it; the forecast at its threshold: {key}.</p>"
+    parts = []
+    for label in labels:
+        failures = worst(run, label)
+        parts.append(f"<h2>{escape(label)}</h2>" + "".join(map(pictures, failures)))
+        for failure in failures:
+            moment = failure.scored
+            at_s = failure.sample.stamp_ns / 1e9
+            print(f"{label:20} {failure.recording:12} {at_s:8.2f} s  F1 {moment.f1:.2f}  {moment.occupied} cells came")
+    return f"<!doctype html><meta charset=utf-8><style>{style}</style>{head}{''.join(parts)}"
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("run", type=Path)
+    (shown,) = read_runs([parser.parse_args().run])
+    wanted = [label for label, entry in shown.summary.trackers.items() if not entry.ceiling]
+    (shown.path / "worst-moments.html").write_text(page(shown, wanted))
