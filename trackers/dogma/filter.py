@@ -1,0 +1,110 @@
+"""The filter: masses and particles of a grid, frame after frame (Nuss et al., IJRR 2018, section V)."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from gridtrack.common.grid import GridFrame, GridSpec
+from gridtrack.trackers.dogma.masses import Mass, Masses, combined, measured, newborn, predicted_free
+from gridtrack.trackers.dogma.particles import Birth, Motion, Particles, Returns, advance, resample, sort_by_cell, weigh
+from gridtrack.trackers.dogma.random_numbers import stream
+from gridtrack.trackers.dogma.settings import DogmaSettings
+
+MOST_EXPECTED = np.float32(0.98)
+"""No cell is expected to be occupied more surely: what Dempster's rule holds for certain no return could change."""
+
+
+class ParticleGrid:
+    """Masses and particles of a grid that does not move, in float32.
+
+    `masses` (M, M) are those after the last frame, and the first `count` of `particles` weigh `weight` each. Of them
+    those from `persisted` (M * M, 2) int32, first to last exclusive, have come to be in that cell; others are newborn.
+    """
+
+    def __init__(self, grid: GridSpec, period_s: float, settings: DogmaSettings, seed: int) -> None:
+        self.grid, self.period_s, self.settings, self.seed = grid, period_s, settings, seed
+        self.masses = Masses(np.zeros(grid.shape, np.float32), np.zeros(grid.shape, np.float32))
+        self.particles, self._moved = Particles.empty(settings.particles), Particles.empty(settings.particles)
+        self.count, self.weight = 0, 0.0
+        self.persisted = np.zeros((grid.size**2, 2), np.int32)
+        self.frame: GridFrame | None = None
+        self.draws = 0
+        self._cells = np.empty(settings.particles, np.int32)
+        self._starts = np.empty(grid.size**2 + 2, np.int32)
+        self._weights = np.empty(settings.particles, np.float32)
+        speed = settings.birth_speed * period_s / grid.cell_m
+        self._birth = Birth(np.float32(settings.rest_share), np.float32(speed))
+
+    def update(self, frame: GridFrame) -> None:
+        """Take in one frame."""
+        elapsed = 1.0 if self.frame is None else (frame.stamp_ns - self.frame.stamp_ns) * 1e-9 / self.period_s
+        self.frame = frame
+        predicted = self._predict(elapsed)
+        evidence = measured(frame.visible, frame.occupied, self.settings.hit_mass, self.settings.crossed_mass)
+        self.masses = combined(predicted, evidence)
+        born = newborn(self.masses.occupied, predicted.occupied, self.settings.birth_probability)
+        self._resample(np.where(frame.visible, born, np.float32(0.0)))
+
+    def motion(self, periods: float) -> Motion:
+        """How particles move in so many periods."""
+        settings, cell_m, time_s = self.settings, self.grid.cell_m, periods * self.period_s
+        values = (
+            periods,
+            settings.position_noise_m / cell_m * math.sqrt(periods),
+            settings.acceleration * math.sqrt(time_s) * self.period_s / cell_m,
+            -math.expm1(-time_s / settings.start_s),
+            -math.expm1(-time_s / settings.stop_s),
+            settings.creep_speed * self.period_s / cell_m,
+        )
+        return Motion(*map(np.float32, values))
+
+    def keep_free(self, periods: float) -> float:
+        """The share of free mass that stays so for so many periods."""
+        return math.exp(-periods * self.period_s / self.settings.free_s)
+
+    def survival(self, periods: float) -> float:
+        """The probability p_S that what is there is still somewhere after so many periods."""
+        return math.exp(-periods * self.period_s / self.settings.life_s)
+
+    def _predict(self, periods: float) -> Masses:
+        """Move and sort the particles, and say what masses to expect."""
+        size, motion = self.grid.size, self.motion(periods)
+        advance(self.particles, self.count, size, motion, self._fresh(), self._cells, self._starts)
+        sort_by_cell(self.particles, self.count, self._cells, self._starts, self._moved)
+        held = np.diff(self._starts)[: size * size].reshape(size, size)
+        weight = np.float32(self.weight * self.survival(periods))
+        occupied = np.minimum(held.astype(np.float32) * weight, MOST_EXPECTED)
+        return Masses(occupied, predicted_free(self.masses.free, self.keep_free(periods), occupied))
+
+    def _resample(self, born: Mass) -> None:
+        """Share out the mass of each cell among the particles in it and newborn ones, and make them weigh the same."""
+        returns, persistent = self._returns(), self.masses.occupied - born
+        weigh(self._moved, self._starts, persistent.reshape(-1), returns, self._weights)
+        self.count = resample(
+            self._moved,
+            self._starts,
+            self._weights,
+            born.reshape(-1),
+            returns,
+            self._birth,
+            self._fresh(),
+            self.particles,
+            self.persisted,
+        )
+        self.weight = float(self.masses.occupied.sum(dtype=np.float64)) / max(self.count, 1)
+
+    def _returns(self) -> Returns:
+        """A return of each cell of the frame: where it has several, the last."""
+        assert self.frame is not None
+        cells, inside = self.grid.cells_of(self.frame.points)
+        rows, columns = cells[inside].T
+        points = np.full((self.grid.size**2, 2), np.nan, np.float32)
+        points[rows * self.grid.size + columns] = (self.frame.points[inside] - self.grid.origin) / self.grid.cell_m
+        deviation = np.float32(self.settings.return_noise_m / self.grid.cell_m)
+        return Returns(points, deviation, np.float32(self.settings.association_probability))
+
+    def _fresh(self) -> np.uint64:
+        self.draws += 1
+        return stream(self.seed, self.draws)

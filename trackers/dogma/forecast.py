@@ -1,0 +1,44 @@
+"""The forecast: particles carried ahead, and what is known free or unknown falling to what is usual there."""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from gridtrack.trackers.dogma.filter import MOST_EXPECTED, ParticleGrid
+from gridtrack.trackers.dogma.masses import Mass, predicted_free
+from gridtrack.trackers.dogma.particles import moved
+from gridtrack.trackers.dogma.random_numbers import after, stream
+
+
+def forecast(state: ParticleGrid, usual: Mass, steps: int) -> NDArray[np.float32]:
+    """P(occupied) (steps+1, M, M) float32 of steps 0..steps; where step 0 is visible it is what was seen.
+
+    `usual` (M, M) is P(occupied) where nothing is known. Unknown mass is shared out by it, free mass becomes unknown
+    with time, and occupied mass is where the particles go. `state` stays as it is: chance is a stream of its own.
+    """
+    counts = np.zeros((steps + 1, *state.grid.shape), np.float32)
+    carry(state.particles, state.count, state.motion(1.0), stream(~state.seed, state.draws), counts)
+    occupancy = np.empty_like(counts)
+    for step in range(steps + 1):
+        weight = np.float32(state.weight * state.survival(step))
+        occupied = np.minimum(counts[step] * weight, MOST_EXPECTED)
+        free = predicted_free(state.masses.free, state.keep_free(step), occupied)
+        occupancy[step] = occupied + (1 - occupied - free) * usual
+    if state.frame is not None:
+        occupancy[0] = np.where(state.frame.visible, state.frame.occupied, occupancy[0])
+    return occupancy
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def carry(particles, count, motion, counter, counts):  # type: ignore[no-untyped-def]
+    """Add to `counts` (n+1, M, M) float32 how many of the first `count` particles are in each cell at each step."""
+    size = counts.shape[1]
+    for i in range(count):
+        x, y, vx, vy = particles.x[i], particles.y[i], particles.vx[i], particles.vy[i]
+        for step in range(counts.shape[0]):
+            if 0.0 <= x < size and 0.0 <= y < size:
+                counts[step, np.int32(y), np.int32(x)] += np.float32(1.0)
+            counter = after(counter)
+            x, y, vx, vy = moved(x, y, vx, vy, motion, counter)

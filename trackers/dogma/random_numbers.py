@@ -1,0 +1,60 @@
+"""Random numbers inside kernels: a counter hashed by SplitMix64, and normal deviates from a table of quantiles.
+
+Steele, Lea and Flood, "Fast splittable pseudorandom number generators" (OOPSLA 2014). A counter needs no state but
+itself: a kernel takes one, and the same counter gives the same numbers.
+"""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+from scipy.special import ndtri
+
+_QUANTILES = 4096
+NORMAL = ndtri((np.arange(_QUANTILES) + 0.5) / _QUANTILES).astype(np.float32)
+"""Equally likely values of a standard normal deviate; the outermost is 3.7."""
+
+_GOLDEN = np.uint64(0x9E3779B97F4A7C15)
+_MIX_1, _MIX_2 = np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)
+_30, _27, _31 = np.uint64(30), np.uint64(27), np.uint64(31)
+_INDEX = np.uint64(_QUANTILES - 1)
+_12, _40 = np.uint64(12), np.uint64(40)
+_UNIT = np.float32(2.0**-24)
+
+
+def stream(seed: int, number: int) -> np.uint64:
+    """The counter (uint64) at which stream `number` of `seed` begins; streams lie 2**40 draws apart in their order."""
+    start = int(hashed(np.uint64(seed % 2**64))) + number * 2**40 * int(_GOLDEN)
+    return np.uint64(start % 2**64)
+
+
+@numba.njit(error_model="numpy")
+def hashed(counter):  # type: ignore[no-untyped-def]
+    """64 random bits of a counter, both uint64."""
+    z = (counter ^ (counter >> _30)) * _MIX_1
+    z = (z ^ (z >> _27)) * _MIX_2
+    return z ^ (z >> _31)
+
+
+@numba.njit(error_model="numpy")
+def after(counter):  # type: ignore[no-untyped-def]
+    """The next counter."""
+    return counter + _GOLDEN
+
+
+@numba.njit(error_model="numpy")
+def first_normal(bits):  # type: ignore[no-untyped-def]
+    """A standard normal deviate, float32, from bits 0 to 11."""
+    return NORMAL[bits & _INDEX]
+
+
+@numba.njit(error_model="numpy")
+def second_normal(bits):  # type: ignore[no-untyped-def]
+    """Another one, from bits 12 to 23."""
+    return NORMAL[(bits >> _12) & _INDEX]
+
+
+@numba.njit(error_model="numpy")
+def uniform(bits):  # type: ignore[no-untyped-def]
+    """A number in [0, 1), float32, from bits 40 to 63: independent of the normal deviates of the same bits."""
+    return np.float32(bits >> _40) * _UNIT

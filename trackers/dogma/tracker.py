@@ -1,0 +1,92 @@
+"""The `dogma` tracker: the particle grid behind the plugin contract."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, ClassVar
+
+import numpy as np
+
+from gridtrack.common.config import Settings, validated
+from gridtrack.common.errors import ConfigurationError, WeightsError
+from gridtrack.common.geometry import SE2
+from gridtrack.common.grid import GridFrame, GridSpec
+from gridtrack.trackers.contract import FitOutput, Forecast, FrameSource, Score, StreamSpec, Tracker
+from gridtrack.trackers.dogma.filter import ParticleGrid
+from gridtrack.trackers.dogma.forecast import forecast
+from gridtrack.trackers.dogma.masses import Mass
+from gridtrack.trackers.dogma.moments import dynamic_cells, velocities
+from gridtrack.trackers.dogma.settings import NAME, DogmaSettings
+from gridtrack.trackers.weights import Weights, array, load_weights
+
+
+class DogmaTracker(Tracker):
+    """Dempster-Shafer masses of every cell, with particles that carry the occupied mass at velocities of their own."""
+
+    Options: ClassVar[type[Settings]] = DogmaSettings
+    learns: ClassVar[bool] = True
+
+    def __init__(self, stream: StreamSpec, options: DogmaSettings) -> None:
+        """Raises WeightsError without weights for the stream's site, grid and period."""
+        super().__init__(stream, options)
+        weights = load_weights(stream, NAME)
+        self._settings = _settings(weights, options)
+        self._usual = array(weights, "usual", stream.grid.shape)
+        compile_ahead(stream.period_s)
+        self.reset(seed=0)
+
+    def reset(self, seed: int) -> None:
+        """Forget everything seen so far; chance starts over from `seed`."""
+        self._state = ParticleGrid(self.stream.grid, self.stream.period_s, self._settings, seed)
+
+    def update(self, frame: GridFrame) -> None:
+        """Take in x_t."""
+        self._state.update(frame)
+
+    def predict(self, steps: int) -> Forecast:
+        """Forecast steps 0..steps; the velocity is 0 where nothing moves."""
+        return _forecast(self._state, self._usual, steps)
+
+    @classmethod
+    def fit(
+        cls,
+        train: Sequence[FrameSource],
+        validation: Sequence[FrameSource],
+        score: Score,
+        out: FitOutput,
+        options: Any,
+    ) -> None:
+        """Count the map of the site, tune the settings on `train`, and report the score on `validation`."""
+        from gridtrack.trackers.dogma.tuning import fit_dogma
+
+        fit_dogma(cls, train, validation, score, out, options)
+
+
+def _forecast(state: ParticleGrid, usual: Mass, steps: int) -> Forecast:
+    found = velocities(state)
+    velocity = np.where(dynamic_cells(state, found), found.mean, np.float32(0.0))
+    return Forecast(forecast(state, usual, steps), velocity=velocity)
+
+
+def compile_ahead(period_s: float) -> None:
+    """Run every stage once on a scene of two frames, so that what is compiled on first use has been.
+
+    That takes seconds on a machine where nothing is compiled yet: a tracker has them when it starts, not in an update.
+    """
+    grid = GridSpec(4, 0.2)
+    state = ParticleGrid(grid, period_s, DogmaSettings(particles=100), seed=0)
+    occupied, visible = np.eye(4, dtype=bool), np.ones(grid.shape, bool)
+    points, sensor = grid.cell_centres(occupied), np.zeros((1, 2), np.float32)
+    for frame in range(2):
+        stamp_ns = round(frame * period_s * 1e9)
+        state.update(GridFrame(stamp_ns, visible, occupied, SE2(), sensor, points, np.zeros(len(points), np.uint8)))
+    _forecast(state, np.zeros(grid.shape, np.float32), steps=1)
+
+
+def _settings(weights: Weights, options: DogmaSettings) -> DogmaSettings:
+    """The tuned settings of the card, overridden by the options that were given."""
+    given = options.model_dump(exclude_unset=True)
+    try:
+        return validated(DogmaSettings, weights.card.settings | given, f"weights of {NAME}, settings")
+    except ConfigurationError as error:
+        raise WeightsError(f"{error}; train again") from None

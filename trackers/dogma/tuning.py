@@ -1,0 +1,85 @@
+"""Tuning: what is usual at a site counted on the training recordings, and a seeded search of the settings."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+
+from gridtrack.trackers.contract import FitOutput, FrameSource, Score, StretchScore, Tracker, stream_of
+from gridtrack.trackers.dogma.masses import Mass
+from gridtrack.trackers.dogma.settings import NAME, DogmaSettings
+from gridtrack.trackers.tuning import HeldSource, furthest_step, moving_loss, search, summary
+from gridtrack.trackers.weights import card_for, save_weights
+
+TRIALS = 100
+TUNED_ON_S = 192.0
+"""How much of each training recording the settings are tuned on, from its beginning: the map wants all of it."""
+RANGES = {
+    "hit_mass": (0.7, 0.99),
+    "crossed_mass": (0.6, 0.99),
+    "birth_probability": (1e-4, 0.1),
+    "life_s": (2.0, 60.0),
+    "free_s": (0.5, 20.0),
+    "rest_share": (0.02, 0.9),
+    "birth_speed": (0.5, 15.0),
+    "acceleration": (0.05, 3.0),
+    "position_noise_m": (0.002, 0.1),
+    "creep_speed": (0.1, 3.0),
+    "start_s": (2.0, 200.0),
+    "stop_s": (0.3, 30.0),
+}
+"""Settings that are tuned, each from its range, log-uniformly."""
+PRIOR_FRAMES = 20.0
+"""Weight of the base rate against a cell's own record, in frames."""
+
+
+def fit_dogma(
+    tracker: type[Tracker],
+    train: Sequence[FrameSource],
+    validation: Sequence[FrameSource],
+    score: Score,
+    out: FitOutput,
+    options: DogmaSettings,
+) -> None:
+    """Write to `out.path` the map that is counted and the settings with the least loss on the training recordings.
+
+    A setting given in `options` stays as given. `validation` is scored with the result, and reported only. Raises
+    WeightsError where the recordings differ in grid, period or site.
+    """
+    arrays = {"usual": usual_occupancy(train)}
+    held = [HeldSource.beginning(source, TUNED_ON_S) for source in train]
+    with TemporaryDirectory() as folder:
+        draft = Path(folder) / f"{NAME}.toml"
+        save_weights(draft, card_for(NAME, out, train, validation, {}), arrays)
+
+        def scored(settings: DogmaSettings, source: FrameSource) -> StretchScore:
+            return score(tracker(stream_of(source, draft), settings), source, furthest_step(source))
+
+        def loss(settings: DogmaSettings) -> float:
+            return float(np.mean([moving_loss(scored(settings, source), source) for source in held]))
+
+        settings = search(
+            DogmaSettings, RANGES, loss, options.model_dump(exclude_unset=True), TRIALS, out.seed, out.report
+        )
+        results = {
+            "train": [summary(scored(settings, source), source) for source in held],
+            "validation": [summary(scored(settings, source), source) for source in validation],
+        }
+    save_weights(out.path, card_for(NAME, out, train, validation, settings.model_dump(), results), arrays)
+
+
+def usual_occupancy(train: Sequence[FrameSource]) -> Mass:
+    """P(occupied | visible) of each cell, (M, M) float32, over all frames of `train`.
+
+    The posterior mean under a Beta prior worth PRIOR_FRAMES frames whose mean is the base rate, the occupied share of
+    all visible cells: a cell never seen, or never seen occupied, keeps a small probability and not zero.
+    """
+    visible, occupied = np.zeros((2, *train[0].grid.shape))
+    for frame in (frame for source in train for frame in source):
+        visible += frame.visible
+        occupied += frame.occupied
+    base_rate = occupied.sum() / max(visible.sum(), 1.0)
+    return np.asarray((occupied + PRIOR_FRAMES * base_rate) / (visible + PRIOR_FRAMES), np.float32)
