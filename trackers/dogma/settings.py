@@ -39,13 +39,13 @@ class DogmaSettings(Settings):
     """Standard deviation of the velocity of the others along each axis, m/s."""
 
     # Process model
-    acceleration: float = Field(0.5, gt=0, le=100)
+    acceleration: float = Field(0.4, gt=0, le=100)
     """White-noise acceleration of what moves: square root of its density, m/s^2 per sqrt(Hz)."""
     position_noise_m: float = Field(0.02, ge=0, le=10)
     """Noise of the place of what moves, metres in a period: legs alternate, surfaces come and go."""
-    creep_speed: float = Field(1.0, gt=0, le=100)
+    creep_speed: float = Field(0.5, gt=0, le=100)
     """Below this what moves may stop, and about this fast it starts, m/s."""
     start_s: float = Field(30.0, gt=0, le=3600)
     """Mean time at rest."""
-    stop_s: float = Field(5.0, gt=0, le=3600)
+    stop_s: float = Field(10.0, gt=0, le=3600)
     """Mean time until what creeps stops."""

@@ -14,16 +14,14 @@ from gridtrack.trackers.dogma.settings import NAME, DogmaSettings
 from gridtrack.trackers.tuning import HeldSource, furthest_step, moving_loss, search, summary
 from gridtrack.trackers.weights import card_for, save_weights
 
-TRIALS = 100
+TRIALS = 40
 TUNED_ON_S = 192.0
 """How much of each training recording the settings are tuned on, from its beginning: the map wants all of it."""
 RANGES = {
-    "hit_mass": (0.7, 0.99),
-    "crossed_mass": (0.6, 0.99),
+    "hit_mass": (0.8, 0.98),
+    "crossed_mass": (0.7, 0.98),
     "birth_probability": (1e-4, 0.1),
-    "life_s": (2.0, 60.0),
     "free_s": (0.5, 20.0),
-    "rest_share": (0.02, 0.9),
     "birth_speed": (0.5, 15.0),
     "acceleration": (0.05, 3.0),
     "position_noise_m": (0.002, 0.1),

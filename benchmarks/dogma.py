@@ -1,0 +1,54 @@
+"""Speed of the particle grid: one update and one 20-step forecast at the junction, by the number of particles.
+
+Run it by itself: `python benchmarks/dogma.py`. Aim: both together within 60 ms at p95 with 100,000 particles on
+100 x 100 cells, on one thread.
+"""
+
+from __future__ import annotations
+
+import time
+from itertools import islice
+
+import numpy as np
+
+from gridtrack.common.grid import GridFrame
+from gridtrack.common.recordings import packaged_recording
+from gridtrack.common.stream import open_stream
+from gridtrack.evaluation.comparison.learned import find_weights
+from gridtrack.trackers.contract import StreamSpec, stream_of
+from gridtrack.trackers.dogma import DogmaTracker
+from gridtrack.trackers.dogma.settings import DogmaSettings
+
+RECORDING = packaged_recording("leg_tracker").parents[1] / "junction" / "test-101.tracks"
+FRAMES, WARM_UP, STEPS = 240, 20, 20
+
+
+def measure(stream: StreamSpec, frames: list[GridFrame], particles: int) -> tuple[np.ndarray, np.ndarray]:
+    """Milliseconds of each update and of each forecast (N,)."""
+    tracker = DogmaTracker(stream, DogmaSettings(particles=particles))
+    updates, forecasts = [], []
+    for frame in frames:
+        start = time.perf_counter()
+        tracker.update(frame)
+        updated = time.perf_counter()
+        tracker.predict(STEPS)
+        updates.append(updated - start)
+        forecasts.append(time.perf_counter() - updated)
+    return 1e3 * np.array(updates[WARM_UP:]), 1e3 * np.array(forecasts[WARM_UP:])
+
+
+def main() -> None:
+    source = open_stream(RECORDING)
+    frames = list(islice(source, FRAMES))
+    learned = find_weights("dogma", source.site, None)
+    assert learned is not None, "no weights of dogma for the junction"
+    stream = stream_of(source, learned.path)
+    print(f"{'particles':>9}   update p50 / p95 ms   {STEPS}-step forecast p50 / p95 ms   both p50 / p95 ms")
+    for particles in (25_000, 50_000, 100_000, 200_000):
+        updates, forecasts = measure(stream, frames, particles)
+        columns = (np.percentile(times, [50, 95]) for times in (updates, forecasts, updates + forecasts))
+        print(f"{particles:>9}   " + "   ".join(f"{p50:9.1f} / {p95:.1f}" for p50, p95 in columns))
+
+
+if __name__ == "__main__":
+    main()

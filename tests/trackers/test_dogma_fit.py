@@ -1,0 +1,79 @@
+"""Fitting the particle grid to a site: what is counted, what is searched, and what comes back from the weights."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+pytest.importorskip("optuna")
+from gridtrack.common.geometry import SE2
+from gridtrack.common.grid import GridFrame, GridSpec
+from gridtrack.trackers.contract import FitOutput, StreamSpec, StretchScore
+from gridtrack.trackers.dogma import DogmaTracker, tuning
+from gridtrack.trackers.dogma.settings import DogmaSettings
+from gridtrack.trackers.tuning import HeldSource
+from gridtrack.trackers.weights import load_weights, read_card
+
+GRID = GridSpec(3, 0.2)
+PERIOD_S = 0.125
+WALL, DOOR = (0, 0), (1, 1)
+
+
+class Source:
+    """Forty frames from memory: a wall always, a door every other frame, a row never seen."""
+
+    name, sha256, grid, period_s, site, classes = "yard@0s-5s", "0" * 64, GRID, PERIOD_S, "yard", ()
+
+    def __iter__(self):
+        for step in range(40):
+            visible, occupied = np.ones(GRID.shape, bool), np.zeros(GRID.shape, bool)
+            visible[2] = False
+            occupied[WALL], occupied[DOOR] = True, step % 2 == 0
+            points = GRID.cell_centres(occupied)
+            origin, owner = np.zeros((1, 2), np.float32), np.zeros(len(points), np.uint8)
+            yield GridFrame(step * 125_000_000, visible, occupied, SE2(), origin, points, owner)
+
+    def __len__(self):
+        return 40
+
+
+def test_the_map_is_each_cells_share_shrunk_to_the_base_rate() -> None:
+    usual = tuning.usual_occupancy([Source(), Source()])
+    base_rate = (40 + 20) / (6 * 40)
+    assert usual[WALL] == pytest.approx((80 + 20 * base_rate) / 100)
+    assert usual[DOOR] == pytest.approx((40 + 20 * base_rate) / 100)
+    assert usual[0, 1] == pytest.approx(20 * base_rate / 100)
+    assert usual[2] == pytest.approx([base_rate] * 3)
+
+
+def test_the_beginning_of_a_source_is_held_frame_for_frame() -> None:
+    held = HeldSource.beginning(Source(), 1.0)
+    assert len(held) == 8
+    stamps = [frame.stamp_ns for frame in held]
+    assert stamps == [frame.stamp_ns for frame in held] == [step * 125_000_000 for step in range(8)]
+    assert len(HeldSource.beginning(Source(), 100.0)) == 40
+
+
+def test_fit_finds_the_settings_that_score_best_and_keeps_those_that_were_given(tmp_path, monkeypatch) -> None:
+    monkeypatch.setattr(tuning, "TRIALS", 12)
+    asked = []
+
+    def score(tracker, source, steps):
+        asked.append(tracker.options)
+        loss = np.full(steps + 1, abs(np.log(tracker.options.acceleration / 1.3)))
+        return StretchScore({"moving": 1 - loss, "visible": 1 - loss}, {"moving": loss, "visible": loss})
+
+    paths = [tmp_path / run / "yard.toml" for run in ("one", "two")]
+    for path in paths:
+        out = FitOutput(path, "gridtrack train dogma", 3, path.parent / "log", report=lambda line: None)
+        DogmaTracker.fit([Source()], [Source()], score, out, DogmaSettings(particles=200, free_s=4.0))
+    one, two = (read_card(path) for path in paths)
+    assert one == two
+    assert all((settings.particles, settings.free_s) == (200, 4.0) for settings in asked)
+    losses = [abs(np.log(settings.acceleration / 1.3)) for settings in asked[:12]]
+    assert one.settings["acceleration"] == asked[int(np.argmin(losses))].acceleration
+    assert len(set(losses)) == 12
+    stream = StreamSpec(GRID, PERIOD_S, "yard", weights=paths[0])
+    assert np.array_equal(load_weights(stream, "dogma").arrays["usual"], tuning.usual_occupancy([Source()]))
+    tracker = DogmaTracker(stream, DogmaSettings(acceleration=0.2))
+    assert tracker._settings == DogmaSettings(**one.settings | {"acceleration": 0.2})
