@@ -27,16 +27,14 @@ from gridtrack.trackers.model_free.motion.model import (
 LAG_S = 1.0
 """For how long a state can be revised; older ones are summed up in a prior."""
 CAUCHY = 5.0
-"""A measurement this many standard deviations off counts half. It never counts nothing, as with Geman-McClure's kernel,
-which loses an object that is faster than expected for good."""
+"""A measurement this many standard deviations off counts half. Geman-McClure's kernel of this width lets go of more:
+it never caught up with an object much faster than expected."""
 GATE = 21.1
 """Squared Mahalanobis distance of a pose from its prediction that one in ten thousand exceeds: chi-square, three
 degrees of freedom. Within it the measurement is believed at first, beyond it the prediction."""
-RELINEARISE = 0.05
-"""A state is linearised again when it has moved this far: metres, radians, m/s or rad/s. Smaller: slower, no better."""
 
-MEASURED = np.eye(3, 6)
-"""The measured pose as a function of the state."""
+MEASURED, ITSELF = np.eye(3, 6), np.eye(6)
+"""The derivatives by a state of its measured pose, and of itself."""
 
 
 class FactorGraphEstimator:
@@ -86,8 +84,7 @@ class FactorGraphEstimator:
         """A new graph that knows the present mean and covariance, and nothing before."""
         parameters = gtsam.ISAM2Params()
         parameters.findUnusedFactorSlots = True  # else they grow for ever
-        parameters.relinearizeSkip = 1
-        parameters.setRelinearizeThreshold(RELINEARISE)
+        parameters.relinearizeSkip = 1  # a state is linearised again in the frame in which it has moved by 0.1
         self._smoother = gtsam.IncrementalFixedLagSmoother(LAG_S, parameters)
         self._newest, self._newest_mean = self._frame, self._mean
         factors, guesses, stamps = _additions()
@@ -128,7 +125,7 @@ def motion_factor(past: int, now: int, mean: Array, step: Discretisation) -> Any
     def residual(_: Any, values: Any, jacobians: Any) -> Array:
         moved, jacobian = transition(values.atVector(past), now - past, step)
         if jacobians is not None:
-            jacobians[0], jacobians[1] = -jacobian, np.eye(6)
+            jacobians[0], jacobians[1] = -jacobian, ITSELF
         return np.asarray(values.atVector(now) - moved)
 
     return gtsam.CustomFactor(gtsam.noiseModel.Gaussian.Covariance(noise[0, -1]), [past, now], residual)
