@@ -67,7 +67,9 @@ def is_positive_definite(matrix):  # type: ignore[no-untyped-def]
         for j in range(i + 1):
             if not abs(matrix[i, j] - matrix[j, i]) <= 1e-9 * np.sqrt(abs(matrix[i, i] * matrix[j, j])):
                 return False
-            rest = matrix[i, j] - factor[i, :j] @ factor[j, :j]
+            rest = matrix[i, j]
+            for k in range(j):
+                rest -= factor[i, k] * factor[j, k]
             if i > j:
                 factor[i, j] = rest / factor[j, j]
             elif 0.0 < rest < np.inf:

@@ -10,7 +10,6 @@ from __future__ import annotations
 from typing import Any
 
 import gtsam
-import numba
 import numpy as np
 
 from gridtrack.common.geometry import wrap_angle
@@ -144,15 +143,13 @@ def pose_factor(frame: int, pose: Array, covariance: Array) -> Any:
     return gtsam.CustomFactor(gtsam.noiseModel.Robust.Create(kernel, noise), [frame], residual)
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def first_guess(mean, covariance, pose, pose_covariance):  # type: ignore[no-untyped-def]
+def first_guess(mean: Array, covariance: Array, pose: Array, pose_covariance: Array) -> Array:
     """Where the new state (6,) is linearised first, which decides the first weight of its measurement.
 
-    Within the gate it is the Kalman filter's estimate, near the measurement; beyond it the prediction (6,), so that
-    a gross error is recognised as such. A robust measurement far from the prediction has a minimum at either.
+    Within the gate it is the Kalman filter's estimate, near the measurement; beyond it the prediction, `mean` (6,) with
+    its `covariance` (6, 6), so that a gross error is recognised as such. A robust measurement far from the prediction
+    has a minimum at either.
     """
     innovation = pose - mean[:3]
     weighted = np.linalg.solve(covariance[:3, :3] + pose_covariance, innovation)
-    if innovation @ weighted > GATE:
-        return mean
-    return mean + weighted @ covariance[:3]
+    return mean if innovation @ weighted > GATE else mean + weighted @ covariance[:3]
