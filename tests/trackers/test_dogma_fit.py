@@ -66,10 +66,12 @@ def test_fit_finds_the_settings_that_score_best_and_keeps_those_that_were_given(
     paths = [tmp_path / run / "yard.toml" for run in ("one", "two")]
     for path in paths:
         out = FitOutput(path, "gridtrack train dogma", 3, path.parent / "log", report=lambda line: None)
-        DogmaTracker.fit([Source()], [Source()], score, out, DogmaSettings(particles=200, free_s=4.0))
+        DogmaTracker.fit([Source()], [Source()], score, out, DogmaSettings(particles=800, free_s=4.0))
     one, two = (read_card(path) for path in paths)
     assert one == two
-    assert all((settings.particles, settings.free_s) == (200, 4.0) for settings in asked)
+    assert all(settings.free_s == 4.0 for settings in asked)
+    assert [settings.particles for settings in asked[:14]] == [200] * 12 + [800] * 2
+    assert one.settings["particles"] == 800
     losses = [abs(np.log(settings.acceleration / 1.3)) for settings in asked[:12]]
     assert one.settings["acceleration"] == asked[int(np.argmin(losses))].acceleration
     assert len(set(losses)) == 12

@@ -15,7 +15,7 @@ from gridtrack.trackers.contract import FitOutput, Forecast, FrameSource, Score,
 from gridtrack.trackers.dogma.filter import ParticleGrid
 from gridtrack.trackers.dogma.forecast import forecast
 from gridtrack.trackers.dogma.masses import Mass
-from gridtrack.trackers.dogma.moments import dynamic_cells, velocities
+from gridtrack.trackers.dogma.moments import velocities
 from gridtrack.trackers.dogma.settings import NAME, DogmaSettings
 from gridtrack.trackers.weights import Weights, array, load_weights
 
@@ -44,7 +44,7 @@ class DogmaTracker(Tracker):
         self._state.update(frame)
 
     def predict(self, steps: int) -> Forecast:
-        """Forecast steps 0..steps; the velocity is 0 where nothing moves."""
+        """Forecast steps 0..steps, and the mean velocity of each cell now."""
         return _forecast(self._state, self._usual, steps)
 
     @classmethod
@@ -63,9 +63,7 @@ class DogmaTracker(Tracker):
 
 
 def _forecast(state: ParticleGrid, usual: Mass, steps: int) -> Forecast:
-    found = velocities(state)
-    velocity = np.where(dynamic_cells(state, found), found.mean, np.float32(0.0))
-    return Forecast(forecast(state, usual, steps), velocity=velocity)
+    return Forecast(forecast(state, usual, steps), velocity=velocities(state).mean)
 
 
 def compile_ahead(period_s: float) -> None:
