@@ -165,7 +165,7 @@ def test_where_nothing_is_known_the_usual_is_forecast_and_what_is_free_falls_to_
     usual = np.full(GRID.shape, 0.3, np.float32)
     occupancy = forecast(grid, usual, 16)
     away = ~about((4.0, 0.0, 4.0, 10.0))  # what is newborn may fly off
-    assert np.allclose(occupancy[:, ~frame.visible & away], 0.3, atol=0.03)
+    assert np.allclose(occupancy[:, ~frame.visible & away].mean(1), 0.3, atol=0.02)
     free = frame.visible & away
     by_step = occupancy[1:, free].mean(1)
     assert by_step[0] < 0.05

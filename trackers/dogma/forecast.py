@@ -33,12 +33,16 @@ def forecast(state: ParticleGrid, usual: Mass, steps: int) -> NDArray[np.float32
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def carry(particles, count, motion, counter, counts):  # type: ignore[no-untyped-def]
-    """Add to `counts` (n+1, M, M) float32 how many of the first `count` particles are in each cell at each step."""
+    """Add to `counts` (n+1, M, M) float32 how many of the first `count` particles are in each cell at each step.
+
+    What leaves the grid does not come back.
+    """
     size = counts.shape[1]
     for i in range(count):
         x, y, vx, vy = particles.x[i], particles.y[i], particles.vx[i], particles.vy[i]
         for step in range(counts.shape[0]):
-            if 0.0 <= x < size and 0.0 <= y < size:
-                counts[step, np.int32(y), np.int32(x)] += np.float32(1.0)
+            if not (0.0 <= x < size and 0.0 <= y < size):
+                break
+            counts[step, np.uint32(y), np.uint32(x)] += np.float32(1.0)
             counter = after(counter)
             x, y, vx, vy = moved(x, y, vx, vy, motion, counter)

@@ -11,7 +11,15 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from gridtrack.trackers.dogma.random_numbers import after, first_normal, hashed, second_normal, uniform
+from gridtrack.trackers.dogma.random_numbers import (
+    after,
+    first_normal,
+    fourth_normal,
+    hashed,
+    second_normal,
+    third_normal,
+    uniform,
+)
 
 Column = NDArray[np.float32]
 
@@ -76,12 +84,8 @@ def moved(x, y, vx, vy, motion, counter):  # type: ignore[no-untyped-def]
         return x, y, np.float32(0.0), np.float32(0.0)
     ax, ay = motion.velocity * first_normal(bits), motion.velocity * second_normal(bits)
     half = np.float32(0.5)
-    x += motion.periods * (vx + half * ax)
-    y += motion.periods * (vy + half * ay)
-    if motion.position > 0.0:
-        more = hashed(~counter)
-        x += motion.position * first_normal(more)
-        y += motion.position * second_normal(more)
+    x += motion.periods * (vx + half * ax) + motion.position * third_normal(bits)
+    y += motion.periods * (vy + half * ay) + motion.position * fourth_normal(bits)
     return x, y, vx + ax, vy + ay
 
 

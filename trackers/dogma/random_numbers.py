@@ -18,8 +18,8 @@ _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 _MIX_1, _MIX_2 = np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)
 _30, _27, _31 = np.uint64(30), np.uint64(27), np.uint64(31)
 _INDEX = np.uint64(_QUANTILES - 1)
-_12, _40 = np.uint64(12), np.uint64(40)
-_UNIT = np.float32(2.0**-24)
+_12, _24, _36, _48 = np.uint64(12), np.uint64(24), np.uint64(36), np.uint64(48)
+_UNIT = np.float32(2.0**-16)
 
 
 def stream(seed: int, number: int) -> np.uint64:
@@ -55,6 +55,18 @@ def second_normal(bits):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(error_model="numpy")
+def third_normal(bits):  # type: ignore[no-untyped-def]
+    """Another one, from bits 24 to 35."""
+    return NORMAL[(bits >> _24) & _INDEX]
+
+
+@numba.njit(error_model="numpy")
+def fourth_normal(bits):  # type: ignore[no-untyped-def]
+    """Another one, from bits 36 to 47."""
+    return NORMAL[(bits >> _36) & _INDEX]
+
+
+@numba.njit(error_model="numpy")
 def uniform(bits):  # type: ignore[no-untyped-def]
-    """A number in [0, 1), float32, from bits 40 to 63: independent of the normal deviates of the same bits."""
-    return np.float32(bits >> _40) * _UNIT
+    """A multiple of 2**-16 in [0, 1), float32, from bits 48 to 63: independent of the normal deviates."""
+    return np.float32(bits >> _48) * _UNIT
