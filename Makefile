@@ -4,7 +4,7 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 DEMO := data/leg_tracker/leg_tracker.mcap
 JUNCTION := $(wildcard data/junction/test-*.tracks)
-TRACKERS := persistence static-map blank kalman deep-tracking-rnn dilated-convgru
+TRACKERS := persistence static-map blank kalman dogma deep-tracking-rnn dilated-convgru
 
 .PHONY: demo demo-junction results ablations junction test lint bench baseline weights clean
 
@@ -16,13 +16,13 @@ demo: $(VENV)/.installed-demo
 demo-junction: $(VENV)/.installed-demo
 	rm -rf runs/junction
 	$(BIN)/gridtrack compare $(JUNCTION) --validation data/junction/validation.tracks \
-	    $(foreach tracker,persistence static-map blank kalman dilated-convgru one-shot,--tracker $(tracker)) --out runs/junction
+	    $(foreach tracker,persistence static-map blank kalman dogma dilated-convgru one-shot,--tracker $(tracker)) --out runs/junction
 
 # Every tracker on those twenty minutes: the figures of docs/results/junction.
 results: $(VENV)/.installed-demo
 	rm -rf runs/results
 	$(BIN)/gridtrack compare $(JUNCTION) --validation data/junction/validation.tracks \
-	    $(foreach tracker,persistence static-map blank kalman one-shot deep-tracking-rnn dilated-convgru,--tracker $(tracker)) \
+	    $(foreach tracker,persistence static-map blank kalman dogma one-shot deep-tracking-rnn dilated-convgru,--tracker $(tracker)) \
 	    --reference dilated-convgru --out runs/results
 	$(BIN)/python benchmarks/static_memory.py
 
@@ -70,12 +70,15 @@ RNN := shown=20,blank=20,cycles=1,reverse=true,superpose=true,updates=1000,valid
 RNN_AT_JUNCTION := burn_in=20,shown=20,blank=20,cycles=1,validate_every=250,warm_up=100,learning_rate=0.003,updates=2500
 GRU_AT_JUNCTION := burn_in=10,shown=10,blank=20,cycles=1,validate_every=250,warm_up=50,learning_rate=0.004,updates=2500
 AT_JUNCTION := data/junction/train.tracks --validation data/junction/validation.tracks
+THREE_STRETCHES := $(foreach each,0s-320s 1300s-1620s 2600s-2920s,data/junction/train.tracks@$(each)) \
+    --validation data/junction/validation.tracks@0s-96s
 A_CYCLE := data/junction/train.tracks@0s-96s --validation data/junction/validation.tracks@0s-96s
 weights: $(VENV)/.installed-dev
-	for tracker in static-map kalman deep-tracking-rnn:$(RNN) dilated-convgru:$(GRU); do \
+	for tracker in static-map kalman dogma deep-tracking-rnn:$(RNN) dilated-convgru:$(GRU); do \
 	    $(BIN)/gridtrack train $$tracker $(DEMO) --out data/weights || exit 1; done
 	$(BIN)/gridtrack train static-map $(AT_JUNCTION) --out data/weights
 	$(BIN)/gridtrack train kalman $(A_CYCLE) --out data/weights
+	$(BIN)/gridtrack train dogma $(THREE_STRETCHES) --out data/weights
 	$(BIN)/gridtrack train deep-tracking-rnn:$(RNN_AT_JUNCTION) $(AT_JUNCTION)@0s-90s --out data/weights
 	for tracker in dilated-convgru:$(GRU_AT_JUNCTION),stage=occupancy dilated-convgru:stage=classes one-shot; do \
 	    $(BIN)/gridtrack train $$tracker $(AT_JUNCTION)@0s-90s --seed 1 --out data/weights || exit 1; done
