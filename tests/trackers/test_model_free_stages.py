@@ -3,29 +3,24 @@
 from __future__ import annotations
 
 import math
-from itertools import permutations
+from itertools import permutations, product
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from scipy.stats import chi2
 
 pytest.importorskip("filterpy")
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame
-from gridtrack.trackers.model_free.association import assign, share_out, squared_mahalanobis
-from gridtrack.trackers.model_free.background import (
-    PRIOR_FRAMES,
-    Background,
-    explained_cells,
-    fit_background,
-)
+from gridtrack.trackers.model_free.association import distances_to, gaps, hungarian, joint_compatibility, share_out
+from gridtrack.trackers.model_free.background import PRIOR_FRAMES, Background, BackgroundMap, fit_background
 from gridtrack.trackers.model_free.dwell import NOT_OCCUPIED, PRIOR_RETURNS, fit_dwell, next_ages, staying
-from gridtrack.trackers.model_free.estimation import ConstantVelocityKalman, MotionNoise, motion_model
-from gridtrack.trackers.model_free.rasterise import draw, draw_points, noisy_or, splat
+from gridtrack.trackers.model_free.rasterise import draw_track
 from gridtrack.trackers.model_free.segmentation import Cluster, segment
-from gridtrack.trackers.model_free.tracks import MAX_POINTS, Shape, existence_when_detected, existence_when_missed
+from gridtrack.trackers.model_free.tracks import existence_when_detected, existence_when_missed
 
 
 def frame_of(visible, occupied):
@@ -43,26 +38,34 @@ def test_background_is_the_occupied_share_of_each_cell_drawn_to_the_base_rate():
     empty = np.zeros((5, 5), bool)
     background = fit_background([frame_of(visible, occupied)] * 3 + [frame_of(visible, empty)], (5, 5))
     base_rate = 3 / 40  # three occupied among ten visible cells in four frames
-    assert background[0, 0] == pytest.approx((3 + PRIOR_FRAMES * base_rate) / (4 + PRIOR_FRAMES))
-    assert background[1, 4] == pytest.approx(PRIOR_FRAMES * base_rate / (4 + PRIOR_FRAMES))
-    assert background[4, 4] == pytest.approx(base_rate)
+    assert background.rate[0, 0] == pytest.approx((3 + PRIOR_FRAMES * base_rate) / (4 + PRIOR_FRAMES))
+    assert background.rate[1, 4] == pytest.approx(PRIOR_FRAMES * base_rate / (4 + PRIOR_FRAMES))
+    assert background.rate[4, 4] == pytest.approx(base_rate)
 
 
-def test_background_explains_the_returns_of_a_wall_and_of_its_eight_neighbours():
-    background = np.zeros((5, 5), np.float32)
-    background[0, 1] = 0.4
-    expected = np.zeros((5, 5), bool)
-    expected[:2, :3] = True
-    assert np.array_equal(explained_cells(background, 0.3), expected)
+def test_a_wall_over_which_returns_flicker_is_solid_and_a_place_that_is_busy_as_often_is_not():
+    seen = np.ones((5, 9), bool)
+    frames = []
+    for step in range(1000):
+        occupied = np.zeros((5, 9), bool)
+        occupied[2, 1 + step % 2] = True
+        occupied[2, 6:8] = step % 2 == 0
+        frames.append(frame_of(seen, occupied))
+    background = fit_background(frames, (5, 9))
+    assert background.rate[2, [1, 2, 6, 7]] == pytest.approx(0.5, abs=0.01)
+    assert (background.solid[1:4, 1:3] > 0.98).all()
+    assert (background.solid[:, 5:] < 0.55).all()
 
 
-def background_of(fitted, **settings):
-    given = {"explained_above": 0.3, "unforeseen_share": 0.5, "return_s": 2.0, "sink_above": 0.3, "sink_s": 5.0}
-    return Background(np.asarray(fitted, np.float32), 0.1, **given | settings)
+def background_of(rate, solid=0.0, **settings):
+    given = {"explained_above": 0.9, "unforeseen_share": 0.5, "return_s": 2.0, "sink_above": 0.3, "sink_s": 5.0}
+    rate = np.asarray(rate, np.float32)
+    fitted = BackgroundMap(rate, np.broadcast_to(np.asarray(solid, np.float32), rate.shape))
+    return Background(fitted, 0.1, **given | settings)
 
 
 def test_forecast_keeps_walls_and_the_base_rate_of_what_was_never_seen():
-    background = background_of([[0.9, 0.1], [0.31, 0.0]])
+    background = background_of([[0.9, 0.1], [0.31, 0.0]], [[1.0, 0.0], [0.0, 0.0]])
     assert background.probabilities(1) == pytest.approx(np.array([[[0.9, 0.1], [0.31, 0.0]]] * 2))
 
 
@@ -96,7 +99,7 @@ def test_what_stands_sinks_into_the_background_and_what_has_left_leaves_it():
 
 
 def test_a_wall_that_is_taken_away_is_forgotten():
-    background = background_of([[0.9]])
+    background = background_of([[0.9]], 1.0)
     for _ in range(1000):
         background.observe(frame_of(np.ones((1, 1), bool), np.zeros((1, 1), bool)))
     frames = 1 / (1 - math.exp(-0.1 / 5.0))
@@ -122,66 +125,7 @@ def test_no_returns_are_no_clusters():
     assert segment(np.empty((0, 2)), np.empty(0), 1.0, 0.0) == []
 
 
-# Estimation
-
-
-def test_with_a_long_memory_the_motion_model_is_textbook_constant_velocity():
-    dt, q = 0.1, 0.7
-    transition, noise = motion_model(dt, q, velocity_memory_s=1e6)
-    along = q**2 * np.array([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]])
-    assert transition == pytest.approx(np.kron([[1, dt], [0, 1]], np.eye(2)), abs=1e-6)
-    assert noise == pytest.approx(np.kron(along, np.eye(2)), rel=1e-5)
-
-
-def test_a_forgotten_velocity_carries_as_far_as_its_memory():
-    estimator = ConstantVelocityKalman(np.zeros(2), 0.1, MotionNoise(0.5, 2.0, 0.1, 1.0))
-    for step in range(60):
-        estimator.predict()
-        estimator.update(np.array([0.1 * (step + 1), 0.0]))
-    velocity = estimator.mean[2]
-    means, _ = estimator.ahead(400)
-    assert means[10, 0] - means[0, 0] == pytest.approx(velocity * 2.0 * (1 - math.exp(-0.5)), rel=1e-6)
-    assert means[400, 0] - means[0, 0] == pytest.approx(velocity * 2.0, rel=1e-6)
-
-
-def test_looking_ahead_is_predicting_and_leaves_the_state():
-    estimator = ConstantVelocityKalman(np.array([1.0, 2.0]), 0.1, MotionNoise(0.5, 2.0, 0.1, 1.0))
-    estimator.predict()
-    estimator.update(np.array([1.1, 2.0]))
-    before = estimator.mean.copy(), estimator.covariance.copy()
-    means, covariances = estimator.ahead(3)
-    assert np.array_equal(before[0], estimator.mean)
-    assert np.array_equal(before[1], estimator.covariance)
-    for _ in range(3):
-        estimator.predict()
-    assert means[3] == pytest.approx(estimator.mean)
-    assert covariances[3] == pytest.approx(estimator.covariance)
-
-
-def test_the_filter_knows_how_wrong_it_is():
-    """Mean normalised estimation error squared of a simulated motion is that of a consistent filter: 4 in 4 states."""
-    random = np.random.default_rng(0)
-    noise = MotionNoise(0.5, 2.0, 0.1, 0.7)
-    transition, process = motion_model(0.1, noise.acceleration, noise.velocity_memory_s)
-    errors = []
-    for _ in range(100):
-        truth = np.concatenate([np.zeros(2), random.normal(0, noise.initial_speed, 2)])
-        estimator = ConstantVelocityKalman(random.normal(0, noise.position_noise_m, 2), 0.1, noise)
-        for _ in range(20):
-            truth = random.multivariate_normal(transition @ truth, process)
-            estimator.predict()
-            estimator.update(truth[:2] + random.normal(0, noise.position_noise_m, 2))
-        off = truth - estimator.mean
-        errors.append(off @ np.linalg.solve(estimator.covariance, off))
-    assert np.mean(errors) == pytest.approx(4.0, abs=4 * math.sqrt(2 * 4 / 100))
-
-
 # Association
-
-
-def test_mahalanobis_distance_of_a_hand_computed_pair():
-    distance = squared_mahalanobis(np.array([[2.0, 1.0]]), np.zeros((1, 2)), np.diag([4.0, 0.25])[None])
-    assert distance == pytest.approx(np.array([[2.0**2 / 4.0 + 1.0 / 0.25]]))
 
 
 @given(
@@ -189,33 +133,82 @@ def test_mahalanobis_distance_of_a_hand_computed_pair():
         lambda shape: arrays(float, shape, elements=st.floats(0, 20))
     )
 )
-def test_assignment_is_the_best_of_all_assignments(distances):
+def test_assignment_is_the_best_of_all_assignments(costs):
     gate = 9.0
-    pairs = assign(distances, gate)
-    assert all(distances[track, cluster] <= gate for track, cluster in pairs.items())
+    pairs = hungarian(np.where(costs <= gate, costs, np.inf))
+    assert all(costs[track, cluster] <= gate for track, cluster in pairs.items())
     assert len(set(pairs.values())) == len(pairs)
-    wide = distances if distances.shape[0] <= distances.shape[1] else distances.T
-    best = min(
-        (
-            -sum(wide[r, c] <= gate for r, c in enumerate(p)),
-            sum(wide[r, c] for r, c in enumerate(p) if wide[r, c] <= gate),
-        )
-        for p in permutations(range(wide.shape[1]), wide.shape[0])
-    )
+    wide = costs if costs.shape[0] <= costs.shape[1] else costs.T
+    chosen = [wide[np.arange(len(wide)), list(p)] for p in permutations(range(wide.shape[1]), wide.shape[0])]
+    best = min((-(some <= gate).sum(), some[some <= gate].sum()) for some in chosen)
     assert -len(pairs) == best[0]
-    assert sum(distances[track, cluster] for track, cluster in pairs.items()) == pytest.approx(best[1])
+    assert sum(costs[track, cluster] for track, cluster in pairs.items()) == pytest.approx(best[1])
+
+
+@given(
+    st.tuples(st.integers(1, 4), st.integers(1, 4)).flatmap(
+        lambda shape: arrays(float, shape, elements=st.floats(0, 20))
+    )
+)
+def test_joint_compatibility_finds_the_largest_likely_set_of_pairs(distances):
+    limits = chi2.ppf(0.99, 3 * np.arange(1, 5))
+    tracks, clusters = distances.shape
+    best = (0, 0.0)
+    for choice in product(range(-1, clusters), repeat=tracks):
+        pairs = [(t, c) for t, c in enumerate(choice) if c >= 0]
+        total = sum(distances[pair] for pair in pairs)
+        likely = all(distances[pair] <= limits[0] for pair in pairs) and (not pairs or total <= limits[len(pairs) - 1])
+        if len({c for _, c in pairs}) == len(pairs) and likely:
+            best = max(best, (len(pairs), -total))
+    found = joint_compatibility(distances, distances, 0.99)
+    assert len(set(found.values())) == len(found) == best[0]
+    assert sum(distances[pair] for pair in found.items()) == pytest.approx(-best[1])
+
+
+def test_joint_compatibility_beats_taking_the_nearest():
+    """Two who walk abreast, both a little further than predicted: the nearest cluster of one is the other's."""
+    distances = np.array([[4.0, 2.0], [60.0, 3.0]])
+    nearest = {int(t): int(distances[t].argmin()) for t in range(2)}
+    assert nearest == {0: 1, 1: 1}
+    assert joint_compatibility(distances, distances, 0.99) == {0: 0, 1: 1}
+
+
+def test_joint_compatibility_refuses_pairs_that_are_each_just_likely_but_not_together():
+    gate = chi2.ppf(0.99, 3)
+    distances = np.full((4, 4), np.inf)
+    np.fill_diagonal(distances, 0.7 * gate)
+    distances[0, 1] = distances[1, 2] = distances[2, 3] = 0.7 * gate  # one group that competes
+    assert len(hungarian(distances)) == 4
+    assert len(joint_compatibility(distances, distances, 0.99)) == 2
+
+
+def test_distance_from_a_boundary_is_that_of_its_nearest_point():
+    points = np.array([[0.0, 0.0], [3.0, 4.0], [10.0, 0.0]])
+    boundaries = [np.array([[0.0, 1.0], [3.0, 3.5]]), np.array([[10.0, 2.0]])]
+    distances = distances_to(points, boundaries)
+    hand_computed = [[1.0, np.hypot(10, 2)], [0.5, np.hypot(7, 2)], [np.hypot(7, 3.5), 2.0]]
+    assert distances == pytest.approx(np.array(hand_computed))
+    assert gaps(distances, [Cluster(points[:2]), Cluster(points[2:])]) == pytest.approx(
+        np.array([[0.5, np.hypot(7, 3.5)], [np.hypot(7, 2), 2.0]])
+    )
+
+
+def shared(clusters, pairs, positions, reach_m):
+    points = np.concatenate([cluster.points for cluster in clusters])
+    distances = distances_to(points, [np.array([place]) for place in positions])
+    return share_out(clusters, pairs, distances, gaps(distances, clusters) <= reach_m)
 
 
 def test_a_stray_leg_joins_its_person_and_does_not_become_another():
     legs = [Cluster(np.array([[0.0, 0.0]])), Cluster(np.array([[0.4, 0.0]]))]
-    shares, left = share_out(legs, {0: 0}, np.array([[0.1, 0.0]]), reach_m=0.5)
+    shares, left = shared(legs, {0: 0}, [(0.1, 0.0)], reach_m=0.5)
     assert len(shares[0].points) == 2
     assert left == []
 
 
 def test_two_people_whose_returns_touch_stay_two():
     both = Cluster(np.array([[0.0, 0.0], [0.1, 0.0], [0.5, 0.0], [0.6, 0.0]]))
-    shares, left = share_out([both], {0: 0}, np.array([[0.0, 0.1], [0.6, 0.1]]), reach_m=0.5)
+    shares, left = shared([both], {0: 0}, [(0.0, 0.1), (0.6, 0.1)], reach_m=0.5)
     assert shares[0].points[:, 0].tolist() == [0.0, 0.1]
     assert shares[1].points[:, 0].tolist() == [0.5, 0.6]
     assert left == []
@@ -223,7 +216,7 @@ def test_two_people_whose_returns_touch_stay_two():
 
 def test_a_cluster_out_of_reach_is_left_for_a_new_track():
     clusters = [Cluster(np.array([[0.0, 0.0]])), Cluster(np.array([[3.0, 0.0]]))]
-    shares, left = share_out(clusters, {0: 0}, np.zeros((1, 2)), reach_m=0.5)
+    shares, left = shared(clusters, {0: 0}, [(0.0, 0.0)], reach_m=0.5)
     assert list(shares) == [0]
     assert left == [clusters[1]]
 
@@ -276,73 +269,84 @@ def test_a_miss_where_nothing_could_be_seen_says_nothing():
     assert existence_when_missed(0.7, 0.0) == 0.7
 
 
-@given(st.floats(0.01, 0.99), st.integers(1, 60))
-def test_a_shape_that_does_not_change_keeps_one_frame_of_weight(keep, frames):
-    offsets = np.array([[0.0, 0.0], [0.2, 0.0]])
-    shape = Shape.of(offsets)
-    for _ in range(frames):
-        shape.extend(offsets, keep)
-    assert len(shape.weights) <= MAX_POINTS
-    assert 0.9 * 2 <= shape.weights.sum() <= 2 + 1e-9
-
-
 # Forecast
 
 
-def test_points_in_the_middle_of_cells_are_drawn_as_those_cells():
-    patch = splat(np.array([[0.0, 0.0], [0.2, -0.1]]), np.array([1.0, 0.5]), cell_m=0.1)
-    half = patch.shape[0] // 2
-    assert patch[half, half] == pytest.approx(1.0)
-    assert patch[half - 1, half + 2] == pytest.approx(0.5)  # x is along columns, y along rows
-    assert patch.sum() == pytest.approx(1.5)
+def gauss(low, high, mean, sigma):
+    return 0.5 * (math.erf((high - mean) / sigma / math.sqrt(2)) - math.erf((low - mean) / sigma / math.sqrt(2)))
+
+
+NOWHERE = np.empty((0, 2))
+
+
+def drawn(offsets, poses, covariances, weights=None, size=61, existence=1.0):
+    """What a body shows, (n+1, M, M), all of it moved and none still."""
+    steps = len(poses)
+    occupancy = np.zeros((steps, size, size), np.float32)
+    weights = np.ones(len(offsets)) if weights is None else weights
+    still = np.zeros((0, steps), np.float32)
+    draw_track(
+        occupancy,
+        np.asarray(offsets, float),
+        weights,
+        np.asarray(poses, float),
+        np.asarray(covariances, float),
+        np.ones(steps),
+        NOWHERE,
+        0.3,
+        still,
+        np.full(steps, existence),
+    )
+    return occupancy
 
 
 def test_a_blurred_point_is_the_gaussian_mass_of_every_cell():
-    image = np.zeros((1, 21, 21), np.float32)
-    point = np.pad(np.ones((1, 1), np.float32), 1)
-    draw(image, point, np.array([[10.5, 12.5]]), np.array([[1.0, 2.0]]), np.ones(1))
-
-    def mass(low, high, mean, sigma):
-        return 0.5 * (math.erf((high - mean) / sigma / math.sqrt(2)) - math.erf((low - mean) / sigma / math.sqrt(2)))
-
-    assert image[0, 12, 10] == pytest.approx(mass(10, 11, 10.5, 1) * mass(12, 13, 12.5, 2), rel=1e-5)
-    assert image[0, 15, 9] == pytest.approx(mass(9, 10, 10.5, 1) * mass(15, 16, 12.5, 2), rel=1e-5)
+    image = drawn([(0.0, 0.0)], [(10.5, 12.5, 0.0)], [np.diag([1.0, 4.0])], size=21)[0]
+    assert image[12, 10] == pytest.approx(gauss(10, 11, 10.5, 1) * gauss(12, 13, 12.5, 2), rel=1e-5)
+    assert image[15, 9] == pytest.approx(gauss(9, 10, 10.5, 1) * gauss(15, 16, 12.5, 2), rel=1e-5)
 
 
-def test_points_that_stay_are_drawn_where_they_are_and_weighted_step_by_step():
-    image, expected = np.zeros((2, 2, 9, 9), np.float32)
-    places, weights = np.array([[2.5, 3.5], [6.0, 5.0]]), np.array([[1.0, 0.5], [0.3, 0.2]], np.float32)
-    draw_points(image, places, 0.6, weights)
-    for place, weight in zip(places, weights, strict=True):
-        one_point = np.pad(np.ones((1, 1), np.float32), 1)
-        draw(expected, one_point, np.tile(place, (2, 1)), np.full((2, 2), 0.6), weight)
-    assert image == pytest.approx(expected, abs=1e-6)
+@pytest.mark.parametrize("covariance", [[[4.0, 0.0], [0.0, 9.0]], [[6.0, 3.5], [3.5, 4.0]], [[3.0, -2.0], [-2.0, 5.0]]])
+def test_blur_spreads_the_mass_as_the_covariance_says_and_keeps_it(covariance):
+    image = drawn([(0.0, 0.0)], [(30.2, 30.7, 0.0)], [covariance])[0].astype(float)
+    rows, columns = np.mgrid[:61, :61] + 0.5
+    assert image.sum() == pytest.approx(1.0, rel=6e-3)
+    image /= image.sum()
+    assert [(image * columns).sum(), (image * rows).sum()] == pytest.approx([30.2, 30.7], abs=0.01)
+    spread = np.cov(np.stack([columns.ravel(), rows.ravel()]), aweights=image.ravel(), ddof=0)
+    assert spread == pytest.approx(np.array(covariance) + np.eye(2) / 12, abs=0.25)
 
 
-def test_blur_spreads_the_mass_and_keeps_it():
-    sigmas = np.array([0.5, 1.0, 2.0, 3.0])
-    image = np.zeros((4, 61, 61), np.float32)
-    patch = splat(np.array([[0.0, 0.0], [0.3, 0.1]]), np.ones(2), 0.1)
-    draw(image, patch, np.tile([30.2, 30.7], (4, 1)), np.stack([sigmas, sigmas], 1), np.ones(4))
-    assert image.sum(axis=(1, 2)) == pytest.approx(np.full(4, 2.0), rel=2e-3)
-    assert (np.diff(image.max(axis=(1, 2))) < 0).all()
-    columns = np.arange(61) + 0.5
-    across = image.sum(axis=1) / image.sum(axis=(1, 2))[:, None]
-    variance = (across * columns**2).sum(axis=1) - (across * columns).sum(axis=1) ** 2
-    own = 1.5**2 + 1 / 12  # two points three cells apart, and the width of a cell
-    assert variance == pytest.approx(sigmas**2 + own, rel=0.02)
+def test_a_body_turns_with_its_heading():
+    image = drawn([(5.0, 0.0)], [(30.5, 30.5, 0.0), (30.5, 30.5, math.pi / 2)], np.zeros((2, 2, 2)))
+    assert np.unravel_index(image[0].argmax(), (61, 61)) == (30, 35)
+    assert np.unravel_index(image[1].argmax(), (61, 61)) == (35, 30)
+
+
+def test_points_of_one_cell_are_independent_causes_of_it():
+    image = drawn([(0.0, 0.0), (0.0, 0.0)], [(30.5, 30.5, 0.0)], np.zeros((1, 2, 2)), np.array([0.5, 0.4]))[0]
+    assert image.sum() == pytest.approx(0.7, abs=0.01)
+
+
+def test_returns_that_stay_are_drawn_where_they_are_and_weighted_step_by_step():
+    occupancy = np.zeros((2, 21, 21), np.float32)
+    place = np.array([[8.5, 12.5]])
+    nothing = np.empty((0, 2)), np.empty(0), np.full((2, 3), 10.5), np.zeros((2, 2, 2)), np.zeros(2)
+    draw_track(occupancy, *nothing, place, 0.6, np.array([[1.0, 0.5]], np.float32), np.array([1.0, 0.8]))
+    mass = gauss(8, 9, 8.5, 0.6) * gauss(12, 13, 12.5, 0.6)
+    assert occupancy[:, 12, 8] == pytest.approx([mass, 0.4 * mass], rel=1e-5)
 
 
 def test_what_leaves_the_grid_is_cut_off_at_its_edge():
-    image = np.zeros((1, 8, 8), np.float32)
-    point = np.pad(np.ones((1, 1), np.float32), 1)
-    draw(image, point, np.array([[0.0, 4.5]]), np.array([[1.0, 0.3]]), np.ones(1))
-    assert image.sum() == pytest.approx(0.5, rel=2e-3)
-    draw(image, point, np.array([[-500.0, 4.5]]), np.array([[1.0, 0.3]]), np.ones(1))
-    assert image.sum() == pytest.approx(0.5, rel=2e-3)
+    image = drawn([(0.0, 0.0)], [(0.0, 4.5, 0.0), (-500.0, 4.5, 0.0)], np.tile(np.diag([1.0, 0.09]), (2, 1, 1)), size=8)
+    assert image[0].sum() == pytest.approx(0.5, rel=6e-3)
+    assert image[1].sum() == 0.0
 
 
-def test_independent_causes_combine_by_noisy_or():
-    occupancy = np.full((2, 1, 1), 0.2, np.float32)
-    noisy_or(occupancy, np.full((2, 1, 1), 0.5, np.float32), np.array([1.0, 0.5]))
-    assert occupancy.ravel() == pytest.approx([1 - 0.8 * 0.5, 1 - 0.8 * 0.75])
+def test_a_track_is_combined_with_what_is_there_by_noisy_or():
+    occupancy = np.full((1, 9, 9), 0.2, np.float32)
+    body = np.zeros((1, 2)), np.ones(1), np.array([[4.5, 4.5, 0.0]]), np.zeros((1, 2, 2)), np.ones(1)
+    draw_track(occupancy, *body, NOWHERE, 0.3, np.zeros((0, 1), np.float32), np.array([0.5]))
+    inside = gauss(4, 5, 4.5, 0.2) ** 2
+    assert occupancy[0, 4, 4] == pytest.approx(1 - 0.8 * (1 - 0.5 * inside), rel=1e-5)
+    assert occupancy[0, 0, 0] == pytest.approx(0.2)

@@ -15,6 +15,7 @@ from gridtrack.common.raycast import cast_scan
 from gridtrack.common.scan import Scan
 from gridtrack.trackers.contract import FitOutput, StreamSpec, StretchScore
 from gridtrack.trackers.model_free import KalmanTracker, tuning
+from gridtrack.trackers.model_free.background import with_neighbours
 from gridtrack.trackers.model_free.settings import PipelineSettings
 from gridtrack.trackers.weights import Card, read_card, save_weights
 
@@ -25,6 +26,8 @@ WALL = (2.0, 4.0, 0.15)
 """Centre and radius of a pillar that stands in the background."""
 GLIDING = np.zeros((31, 31), np.float32)
 """The life table of returns that never stay."""
+OPEN = {"rate": np.full(GRID.shape, 1e-3, np.float32), "solid": np.zeros(GRID.shape, np.float32)}
+"""The map of a hall with nothing in it."""
 
 
 def frame_of(people: list[tuple[float, float]], step: int = 0, wall: bool = False) -> GridFrame:
@@ -62,8 +65,7 @@ def card(**settings) -> Card:
 def weights(tmp_path):
     """An open hall with nothing in it; the people here are discs that glide, and their velocity lasts."""
     path = tmp_path / "hall.toml"
-    arrays = {"background": np.full(GRID.shape, 1e-3, np.float32), "dwell": GLIDING}
-    save_weights(path, card(velocity_memory_s=50.0), arrays)
+    save_weights(path, card(velocity_memory_s=50.0), OPEN | {"dwell": GLIDING})
     return path
 
 
@@ -161,11 +163,12 @@ def test_two_people_apart_keep_their_identities(tracker):
 
 
 def test_a_wall_that_flickers_bears_no_track(tmp_path):
-    background = np.full(GRID.shape, 1e-3, np.float32)
+    rate, solid = OPEN["rate"].copy(), OPEN["solid"].copy()
     pillar = frame_of([], wall=True).occupied
-    background[pillar] = 0.9
+    rate[pillar] = 0.9
+    solid[with_neighbours(pillar)] = 1.0
     path = tmp_path / "hall.toml"
-    save_weights(path, card(), {"background": background, "dwell": GLIDING})
+    save_weights(path, card(), {"rate": rate, "solid": solid, "dwell": GLIDING})
     tracker = KalmanTracker(StreamSpec(GRID, PERIOD_S, "hall", weights=path), PipelineSettings())
     for step in range(20):
         tracker.update(frame_of([], step, wall=step % 3 > 0))
@@ -178,7 +181,7 @@ def test_who_stands_is_forecast_to_stand_as_the_life_table_says(tmp_path):
     table = GLIDING.copy()
     table[20:] = 0.75
     path = tmp_path / "hall.toml"
-    save_weights(path, card(), {"background": np.full(GRID.shape, 1e-3, np.float32), "dwell": table})
+    save_weights(path, card(sink_above=0.99), OPEN | {"dwell": table})
     tracker = KalmanTracker(StreamSpec(GRID, PERIOD_S, "hall", weights=path), PipelineSettings())
     frame = frame_of([(3.0, 1.0)])
     for step in range(30):
@@ -230,7 +233,7 @@ def test_without_weights_it_says_how_to_make_them():
 
 def test_weights_with_a_setting_that_is_not_one_are_refused(tmp_path):
     path = tmp_path / "hall.toml"
-    save_weights(path, card(link=1.0), {"background": np.zeros(GRID.shape, np.float32), "dwell": GLIDING})
+    save_weights(path, card(link=1.0), OPEN | {"dwell": GLIDING})
     with pytest.raises(WeightsError, match="link_m"):
         KalmanTracker(StreamSpec(GRID, PERIOD_S, "hall", weights=path), PipelineSettings())
 

@@ -1,5 +1,5 @@
-"""The model-free pipeline: static background, clusters, gated association, Kalman filter, life of a track, forecast."""
+"""The model-free pipeline: background, clusters, scan matching, estimated motion, life of a track, forecast."""
 
-from gridtrack.trackers.model_free.tracker import KalmanTracker
+from gridtrack.trackers.model_free.tracker import FactorGraphTracker, KalmanTracker
 
-__all__ = ["KalmanTracker"]
+__all__ = ["FactorGraphTracker", "KalmanTracker"]

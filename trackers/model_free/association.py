@@ -2,63 +2,164 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
+from typing import Any, Literal
 
+import numba
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
+from scipy.sparse.csgraph import connected_components
+from scipy.stats import chi2
 
 from gridtrack.trackers.model_free.segmentation import Cluster
 
 Array = NDArray[np.float64]
 
+Method = Literal["hungarian", "jcbb"]
+"""How clusters are assigned to tracks: each pair likely, or the whole set of pairs."""
+MEASURED = 3
+"""Degrees of freedom of a pair: x, y and heading."""
+MAX_NODES = 20_000
+"""The most hypotheses that are tried for one group of tracks that compete."""
 
-def squared_mahalanobis(centres: Array, positions: Array, covariances: Array) -> Array:
-    """Squared Mahalanobis distance (T, C) of cluster centres (C, 2) from tracks at (T, 2), covariance (T, 2, 2)."""
-    offset = centres[None] - positions[:, None]
-    return np.asarray(np.einsum("tci,tij,tcj->tc", offset, np.linalg.inv(covariances), offset))
 
+def assign(costs: Array, distances: Array, probability: float, method: Method) -> dict[int, int]:
+    """Track -> cluster, from `costs` and squared Mahalanobis `distances` (T, C), infinite where out of question.
 
-def assign(distances: Array, gate: float) -> dict[int, int]:
-    """Track -> cluster: as many pairs inside the gate as can be, at the least sum of squared distances (Hungarian).
-
-    `distances` (T, C) squared Mahalanobis; `gate` on the same scale.
+    `probability` is the share of true pairs, or with JCBB of true sets of pairs, that the gate lets in.
     """
-    beyond = gate * (1 + min(distances.shape, default=0))
-    rows, columns = linear_sum_assignment(np.where(distances <= gate, distances, beyond))
-    return {int(t): int(c) for t, c in zip(rows, columns, strict=True) if distances[t, c] <= gate}
+    if method == "jcbb":
+        return joint_compatibility(costs, distances, probability)
+    return hungarian(np.where(distances <= chi2.ppf(probability, MEASURED), costs, np.inf))
+
+
+def hungarian(costs: Array) -> dict[int, int]:
+    """Track -> cluster: as many pairs of finite cost (T, C) as can be, at the least sum of costs."""
+    possible = np.isfinite(costs)
+    beyond = 1.0 + costs[possible].sum()
+    rows, columns = linear_sum_assignment(np.where(possible, costs, beyond))
+    return {int(t): int(c) for t, c in zip(rows, columns, strict=True) if possible[t, c]}
+
+
+def joint_compatibility(costs: Array, distances: Array, probability: float) -> dict[int, int]:
+    """Track -> cluster: the largest set of pairs that is likely as a whole, at the least sum of costs (T, C).
+
+    Joint compatibility branch and bound (Neira and Tardos, IEEE Transactions on Robotics and Automation 2001). Tracks
+    are filtered each for itself, so the joint distance is the sum of `distances` (T, C). After MAX_NODES the best set
+    so far stands: the branches are tried best pair first, so it is never worse than taking the nearest.
+    """
+    limits = chi2.ppf(probability, MEASURED * np.arange(1, len(costs) + 1))
+    possible = np.isfinite(costs) & (distances <= limits[:1])
+    pairs: dict[int, int] = {}
+    for tracks in _components(possible):
+        pairs |= _Search(costs, distances, possible, tracks, limits).best
+    return pairs
+
+
+class _Search:
+    """Branch and bound over one group of `tracks` that compete for clusters; `best` is track -> cluster."""
+
+    def __init__(self, costs: Array, distances: Array, possible: NDArray[np.bool_], tracks: list[int], limits: Array):
+        self.costs, self.distances, self.limits, self.tracks = costs, distances, limits, tracks
+        self.options = [[c for c in np.argsort(costs[t]) if possible[t, c]] for t in tracks]
+        self.best: dict[int, int] = {}
+        self.best_cost = np.inf
+        self.nodes = 0
+        self._branch(0, {}, 0.0, 0.0)
+
+    def _branch(self, depth: int, pairs: dict[int, int], distance: float, cost: float) -> None:
+        """Try every cluster for the track at `depth`, and none, where that can still make a better set."""
+        self.nodes += 1
+        attainable = len(pairs) + len(self.tracks) - depth
+        if self.nodes > MAX_NODES or (attainable, -cost) <= (len(self.best), -self.best_cost):
+            return
+        if depth == len(self.tracks):
+            if not pairs or distance <= self.limits[len(pairs) - 1]:
+                self.best, self.best_cost = dict(pairs), cost
+            return
+        track = self.tracks[depth]
+        for cluster in self.options[depth]:
+            joint = distance + self.distances[track, cluster]
+            if cluster not in pairs.values() and joint <= self.limits[attainable - 1]:
+                pairs[track] = int(cluster)
+                self._branch(depth + 1, pairs, joint, cost + self.costs[track, cluster])
+                del pairs[track]
+        self._branch(depth + 1, pairs, distance, cost)
+
+
+def _components(possible: NDArray[np.bool_]) -> list[list[int]]:
+    """Groups of tracks that compete, over `possible` pairs (T, C): no cluster is possible for two groups."""
+    linked = possible.astype(np.int64) @ possible.T.astype(np.int64)
+    _, labels = connected_components(linked, directed=False)
+    return [[int(t) for t in np.flatnonzero(labels == label)] for label in np.unique(labels)]
 
 
 def share_out(
-    clusters: Sequence[Cluster], pairs: dict[int, int], positions: Array, reach_m: float
+    clusters: Sequence[Cluster], pairs: dict[int, int], distances: Array, near: NDArray[np.bool_]
 ) -> tuple[dict[int, Cluster], list[Cluster]]:
     """Give each return to a track: track -> its returns, and the clusters that are left for new tracks.
 
-    Besides the assigned pairs (track -> cluster), a track without a cluster and a cluster without a track are offered
-    to what is paired within `reach_m` of them; then each return goes to the nearest predicted position (T, 2) among
-    those that may have it. So a stray leg joins its person, and two people whose returns touch stay two.
+    `distances` (K, T): of every return, in the clusters' order, from every track's boundary. Besides the assigned pairs
+    (track -> cluster), a track without a cluster and a cluster without a track are offered to what is paired and `near`
+    (T, C) them; then each return goes to the nearest boundary among those that may have it. So a stray leg joins its
+    person, a vehicle's second piece the first, and two people whose returns touch stay two.
     """
-    may_have = _neighbours(clusters, positions, reach_m)
+    may_have = near.copy()
     paired_tracks, paired_clusters = np.zeros((2, max(may_have.shape, default=0)), bool)
     paired_tracks[list(pairs.keys())] = paired_clusters[list(pairs.values())] = True
-    may_have &= paired_tracks[: len(positions), None] ^ paired_clusters[None, : len(clusters)]
+    may_have &= paired_tracks[: may_have.shape[0], None] ^ paired_clusters[None, : may_have.shape[1]]
     may_have[list(pairs.keys()), list(pairs.values())] = True
-    shares: dict[int, list[Array]] = {}
-    for number, cluster in enumerate(clusters):
+    shares: dict[int, list[Cluster]] = {}
+    for number, (cluster, own) in enumerate(zip(clusters, split(distances, clusters), strict=True)):
         tracks = np.flatnonzero(may_have[:, number])
         if tracks.size:
-            distances = np.linalg.norm(cluster.points[:, None] - positions[None, tracks], axis=2)
-            owners = tracks[distances.argmin(axis=1)]
+            owners = tracks[own[:, tracks].argmin(axis=1)]
             for track in np.unique(owners):
-                shares.setdefault(int(track), []).append(cluster.points[owners == track])
+                shares.setdefault(int(track), []).append(_part(cluster, owners == track))
     left = [cluster for number, cluster in enumerate(clusters) if not may_have[:, number].any()]
-    return {track: Cluster(np.concatenate(parts)) for track, parts in shares.items()}, left
+    return {track: _joined(parts) for track, parts in shares.items()}, left
 
 
-def _neighbours(clusters: Sequence[Cluster], positions: Array, reach_m: float) -> NDArray[np.bool_]:
-    """Which tracks stand within `reach_m` of a return of which cluster, (T, C)."""
-    near = np.zeros((len(positions), len(clusters)), bool)
-    for number, cluster in enumerate(clusters):
-        distances = np.linalg.norm(cluster.points[None] - positions[:, None], axis=2)
-        near[:, number] = distances.min(axis=1) <= reach_m
-    return near
+def _part(cluster: Cluster, kept: NDArray[np.bool_]) -> Cluster:
+    """The kept returns of a cluster, itself where it is kept whole."""
+    return cluster if kept.all() else Cluster(cluster.points[kept])
+
+
+def _joined(parts: list[Cluster]) -> Cluster:
+    """The parts as one, itself where there is only one."""
+    return parts[0] if len(parts) == 1 else Cluster(np.concatenate([part.points for part in parts]))
+
+
+def gaps(distances: Array, clusters: Sequence[Cluster]) -> Array:
+    """Distance (T, C) between each track's boundary and each cluster, from those of every return (K, T)."""
+    return np.stack([own.min(axis=0) for own in split(distances, clusters)], axis=1)
+
+
+def split(rows: NDArray[Any], clusters: Sequence[Cluster]) -> list[NDArray[Any]]:
+    """The rows (K, ...) of all returns, cluster by cluster."""
+    return np.split(rows, np.cumsum([len(cluster.points) for cluster in clusters])[:-1])
+
+
+def distances_to(points: Array, boundaries: Sequence[Array]) -> Array:
+    """Distance (K, T) of each of `points` (K, 2) from the nearest point of each boundary (N, 2), metres."""
+    ends = np.cumsum([len(boundary) for boundary in boundaries])
+    x, y = np.ascontiguousarray(np.concatenate(boundaries).T)
+    return np.asarray(_distances_to(np.ascontiguousarray(points), x, y, ends))
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=True)
+def _distances_to(points, x, y, ends):  # type: ignore[no-untyped-def]
+    """As `distances_to`, the boundaries' `x` and `y` (N,) one after the other, each up to its of `ends` (T,)."""
+    nearest = np.empty((len(points), len(ends)))
+    for k in range(len(points)):
+        first = 0
+        for track in range(len(ends)):
+            least = 1e12
+            for j in range(first, ends[track]):
+                dx, dy = points[k, 0] - x[j], points[k, 1] - y[j]
+                least = min(least, dx * dx + dy * dy)
+            nearest[k, track] = math.sqrt(least)
+            first = ends[track]
+    return nearest

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,41 +13,64 @@ from gridtrack.common.grid import GridFrame, Mask
 
 PRIOR_FRAMES = 20.0
 """Weight of the base rate against a cell's own record, in frames."""
+GONE_SHARE = 0.1
+"""What had stopped has left when this share of its cells, and all beside them, are seen empty."""
 
 
-def fit_background(frames: Iterable[GridFrame], shape: tuple[int, int]) -> NDArray[np.float32]:
-    """P(occupied | visible) of each cell, (M, M) float32, over the given frames.
+class BackgroundMap(NamedTuple):
+    """What was counted at a place, each (M, M) float32."""
 
-    The posterior mean under a Beta prior worth PRIOR_FRAMES frames whose mean is the base rate, the occupied share
-    of all visible cells: a cell never seen, or never seen occupied, keeps a small probability and not zero.
+    rate: NDArray[np.float32]
+    """P(occupied | visible) of each cell."""
+    solid: NDArray[np.float32]
+    """P(it or one of its eight neighbours is occupied | visible): next to 1 where a wall stands, and nowhere else.
+
+    A place where vehicles queue may be occupied as often as the edge of a wall, over which range noise moves returns by
+    a cell; but it is seen empty now and then, together with all that is about it.
     """
-    visible, occupied = np.zeros(shape), np.zeros(shape)
+
+
+def fit_background(frames: Iterable[GridFrame], shape: tuple[int, int]) -> BackgroundMap:
+    """The map over the given frames.
+
+    Each is a posterior mean under a Beta prior worth PRIOR_FRAMES frames whose mean is the base rate, the share of all
+    visible cells: a cell never seen, or never seen occupied, keeps a small probability and not zero.
+    """
+    visible, occupied, about = np.zeros((3, *shape))
     for frame in frames:
         visible += frame.visible
         occupied += frame.occupied
-    base_rate = occupied.sum() / max(visible.sum(), 1.0)
-    return np.asarray((occupied + PRIOR_FRAMES * base_rate) / (visible + PRIOR_FRAMES), np.float32)
+        about += frame.visible & with_neighbours(frame.occupied)
+    return BackgroundMap(_posterior(occupied, visible), _posterior(about, visible))
 
 
-def explained_cells(background: NDArray[np.float32], above: float) -> Mask:
-    """The cells (M, M) whose returns the background explains: often occupied themselves, or beside one that is.
+def unknown_place(fitted: BackgroundMap) -> BackgroundMap:
+    """The map of a place of which only the middle one of the fitted rates is known: no cell differs from another."""
+    return BackgroundMap(np.full_like(fitted.rate, np.median(fitted.rate)), np.zeros_like(fitted.solid))
 
-    The neighbours belong to it because range noise moves returns from a wall by a cell.
-    """
-    wall = np.pad(background >= above, 1)
-    size = background.shape[0]
-    explained = np.zeros_like(background, dtype=bool)
-    for row in range(3):
-        for column in range(3):
-            explained |= wall[row : row + size, column : column + size]
-    return explained
+
+def _posterior(counted: NDArray[np.float64], visible: NDArray[np.float64]) -> NDArray[np.float32]:
+    base_rate = counted.sum() / max(visible.sum(), 1.0)
+    return np.asarray((counted + PRIOR_FRAMES * base_rate) / (visible + PRIOR_FRAMES), np.float32)
+
+
+def with_neighbours(cells: Mask) -> Mask:
+    """The marked cells (M, M) and their eight neighbours."""
+    rows = cells.copy()
+    rows[1:] |= cells[:-1]
+    rows[:-1] |= cells[1:]
+    grown = rows.copy()
+    grown[:, 1:] |= rows[:, :-1]
+    grown[:, :-1] |= rows[:, 1:]
+    return grown
 
 
 class Background:
     """The fitted background as it is held now: what has come to stand sinks into it, and what has left leaves it.
 
-    `fitted` (M, M) float32. The record of each cell goes on from the fitted one, worth PRIOR_FRAMES frames, and forgets
-    with the time constant `sink_s` while the cell is visible.
+    Returns in cells that `fitted` holds solid in more than the share `explained_above` of the frames are no object's,
+    nor are those in cells that a track was merged into, until it is seen to leave. The record of each cell goes on
+    from the fitted rate, worth PRIOR_FRAMES frames, and forgets with the time constant `sink_s` while it is visible.
 
     An open cell that no track announces is a Markov chain of two states, whose stationary rate is the fitted one. Seen
     empty, it holds the share `unforeseen_share` of that rate at once and comes back to all of it with the time constant
@@ -55,7 +79,7 @@ class Background:
 
     def __init__(
         self,
-        fitted: NDArray[np.float32],
+        fitted: BackgroundMap,
         period_s: float,
         explained_above: float,
         unforeseen_share: float,
@@ -63,15 +87,19 @@ class Background:
         sink_above: float,
         sink_s: float,
     ) -> None:
-        self.fitted, self.sink_above = fitted, sink_above
-        self.explained = explained_cells(fitted, explained_above)
-        """The cells (M, M) whose returns are no object's."""
-        self._wall = fitted >= explained_above
+        self.rate, self.sink_above = fitted.rate, sink_above
+        self._walls: Mask = fitted.solid >= explained_above
+        self._stopped: list[Mask] = []
         self._step = np.float32(math.exp(-period_s / return_s))
         self._announced = np.float32(1.0 - unforeseen_share)
-        self._known = np.zeros_like(fitted)
+        self._known = np.zeros_like(fitted.rate)
         self._keep = np.float32(math.exp(-period_s / sink_s))
-        self._visible, self._occupied = np.zeros_like(fitted), np.zeros_like(fitted)
+        self._visible, self._occupied = np.zeros_like(fitted.rate), np.zeros_like(fitted.rate)
+
+    @property
+    def explained(self) -> Mask:
+        """The cells (M, M) whose returns are no object's."""
+        return np.asarray(np.logical_or.reduce([self._walls, *map(with_neighbours, self._stopped)]))
 
     def observe(self, frame: GridFrame) -> None:
         """Take in a frame."""
@@ -79,13 +107,19 @@ class Background:
         self._visible = self._visible * keep + frame.visible
         self._occupied = self._occupied * keep + frame.occupied
         self._known = np.where(frame.visible, self._announced, self._known * self._step)
+        empty = frame.visible & ~with_neighbours(frame.occupied)
+        self._stopped = [cells for cells in self._stopped if empty[cells].mean() < GONE_SHARE]
+
+    def take_in(self, cells: Mask) -> None:
+        """Hold the returns in these cells (M, M) and beside them to be background from now on."""
+        self._stopped.append(cells)
 
     def probabilities(self, steps: int) -> NDArray[np.float32]:
         """P(occupied) (steps+1, M, M) float32 of what no track announces, at steps 0..steps.
 
         Walls, and cells occupied in more than the share `sink_above` of late, are map and forecast by their record.
         """
-        record = (self.fitted * np.float32(PRIOR_FRAMES) + self._occupied) / (PRIOR_FRAMES + self._visible)
+        record = (self.rate * np.float32(PRIOR_FRAMES) + self._occupied) / (PRIOR_FRAMES + self._visible)
         ahead = self._step ** np.arange(steps + 1, dtype=np.float32)
-        traffic = self.fitted * (np.float32(1.0) - self._known * ahead[:, None, None])
-        return np.where(self._wall | (record > self.sink_above), record, traffic).astype(np.float32)
+        traffic = self.rate * (np.float32(1.0) - self._known * ahead[:, None, None])
+        return np.where(self.explained | (record > self.sink_above), record, traffic).astype(np.float32)

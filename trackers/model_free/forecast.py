@@ -1,70 +1,109 @@
-"""Forecast: what a track is expected to show, its points moved by the mean motion and blurred by its uncertainty."""
+"""Forecast: what tracks are expected to show: boundaries moved by the mean motion, blurred by its covariance."""
 
 from __future__ import annotations
+
+import math
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gridtrack.common.grid import GridSpec, Mask
+from gridtrack.common.grid import GridSpec
 from gridtrack.trackers.contract import TrackedObject
 from gridtrack.trackers.model_free.dwell import staying
-from gridtrack.trackers.model_free.rasterise import draw, draw_points, splat
+from gridtrack.trackers.model_free.motion import MotionModel, propagate
+from gridtrack.trackers.model_free.rasterise import draw_track
+from gridtrack.trackers.model_free.settings import PipelineSettings
+from gridtrack.trackers.model_free.shape import rotation
 from gridtrack.trackers.model_free.tracks import Status, Track
 
 Array = NDArray[np.float64]
 
+OBSERVABLE_SPEED = 0.3
+"""Below this speed, m/s, an object's direction of motion is not its heading."""
 
-def appearance(
-    track: Track, steps: int, grid: GridSpec, dwell: NDArray[np.float32], return_noise_m: float
-) -> NDArray[np.float32]:
-    """What the track's object, if it exists, shows at steps 0..steps: P(occupied) (steps+1, M, M) float32.
+
+def add_tracks(
+    occupancy: NDArray[np.float32],
+    tracks: Sequence[Track],
+    survival: float,
+    model: MotionModel,
+    grid: GridSpec,
+    dwell: NDArray[np.float32],
+    settings: PipelineSettings,
+) -> None:
+    """Combine into `occupancy` (steps+1, M, M) what every track's object, if it exists, shows at steps 0..steps.
 
     Two alternatives for its returns. They are still where they were last seen, as the life table `dwell` expects of
-    their age, blurred by `return_noise_m`. Or they have moved on with the object and look as its points have of late,
-    blurred by the uncertainty of the predicted position.
+    their age and its speed allows. Or they have moved on with the object and look as its boundary has of late,
+    turned with its heading and blurred by the uncertainty of the predicted position. An object survives from one step
+    to the next with probability `survival`.
     """
-    image = np.zeros((steps + 1, *grid.shape), np.float32)
-    still = np.ascontiguousarray(staying(dwell, track.ages, track.unseen, steps))  # one layout: compiled once
-    draw_points(image, _in_cells(track.returns, grid), return_noise_m / grid.cell_m, still)
-    means, covariances = track.estimator.ahead(steps)
-    spread = np.sqrt(np.diagonal(covariances, axis1=1, axis2=2)[:, :2]) / grid.cell_m
-    patch = splat(track.shape.offsets, track.shape.weights, grid.cell_m)
-    draw(image, patch, _in_cells(means[:, :2], grid), spread, 1.0 - still.mean(axis=0))
-    return image
+    if not tracks:
+        return
+    steps = len(occupancy) - 1
+    means, covariances = propagate(
+        np.stack([track.estimator.mean for track in tracks]),
+        np.stack([track.estimator.covariance for track in tracks]),
+        steps,
+        model,
+    )
+    poses = np.concatenate([in_cells(means[..., :2], grid), means[..., 2:3]], axis=2)
+    spreads = covariances[..., :2, :2] / grid.cell_m**2
+    surviving = survival ** np.arange(steps + 1)
+    for track, pose, spread in zip(tracks, poses, spreads, strict=True):
+        still = _still(track, dwell, steps, settings.dwell_speed)
+        draw_track(
+            occupancy,
+            track.shape.offsets / grid.cell_m,
+            track.shape.weights,
+            pose,
+            spread,
+            1.0 - still.mean(axis=0, dtype=np.float64),
+            in_cells(track.returns, grid),
+            settings.return_noise_m / grid.cell_m,
+            still,
+            track.existence * surviving,
+        )
 
 
-def share_in_view(image: NDArray[np.float32], track: Track, visible: Mask) -> float:
-    """Which share of what the track shows at step 0, `image` (M, M), falls on visible cells (M, M).
-
-    Outside the grid nothing is visible, so an object that may have left it is not missed there.
-    """
-    whole = max(float(image.sum()), float(track.shape.weights.sum()))
-    return float(image[visible].sum()) / whole if whole > 0.0 else 0.0
+def _still(track: Track, dwell: NDArray[np.float32], steps: int, dwell_speed: float) -> NDArray[np.float32]:
+    """P(each of the newest returns is still in place) (N, steps+1): by its age, and less the faster the track moves."""
+    slow = math.exp(-((float(np.hypot(*track.estimator.mean[3:5])) / dwell_speed) ** 2))
+    return np.ascontiguousarray(staying(dwell, track.ages, track.unseen, steps) * np.float32(slow))
 
 
 def tracked_object(track: Track) -> TrackedObject:
-    """The track as an object: its box along the direction of motion, about all that its points have shown of it."""
-    mean = track.estimator.mean
-    heading = float(np.arctan2(mean[3], mean[2]))
-    along = np.array([np.cos(heading), np.sin(heading)])
-    across = np.array([-along[1], along[0]])
-    axes = np.stack([along, across])
-    spans = track.shape.offsets @ axes.T
+    """The track as an object: its box about its boundary, along the motion or, where it stands, along itself."""
+    mean, covariance = track.estimator.mean, track.estimator.covariance
+    boundary = track.boundary
+    heading = _heading(mean[3:5], boundary)
+    axes = rotation(heading).T
+    spans = boundary @ axes.T
     low, high = spans.min(axis=0), spans.max(axis=0)
-    centre = mean[:2] + (low + high) / 2.0 @ axes
+    centre = (low + high) / 2.0 @ axes
+    kept = np.ix_([0, 1, 3, 4], [0, 1, 3, 4])
     return TrackedObject(
         track=track.identity,
         box=np.array([*centre, heading, *(high - low)], np.float32),
-        velocity=mean[2:].astype(np.float32),
-        covariance=track.estimator.covariance.astype(np.float32),
+        velocity=mean[3:5].astype(np.float32),
+        covariance=covariance[kept].astype(np.float32),
     )
 
 
-def objects(tracks: list[Track]) -> tuple[TrackedObject, ...]:
+def objects(tracks: Sequence[Track]) -> tuple[TrackedObject, ...]:
     """The confirmed tracks, seen now or coasting, as objects."""
     return tuple(tracked_object(track) for track in tracks if track.status is not Status.TENTATIVE)
 
 
-def _in_cells(positions: Array, grid: GridSpec) -> Array:
-    """Positions (N, 2) in metres as cells from the grid's lower-left corner."""
+def in_cells(positions: Array, grid: GridSpec) -> Array:
+    """Positions (..., 2) in metres as cells from the grid's lower-left corner."""
     return np.asarray((positions - np.array(grid.origin)) / grid.cell_m)
+
+
+def _heading(velocity: Array, boundary: Array) -> float:
+    """The direction of motion, or of what stands the longer axis of its boundary (N, 2)."""
+    if np.hypot(*velocity) >= OBSERVABLE_SPEED or len(boundary) < 2:
+        return float(np.arctan2(velocity[1], velocity[0]))
+    along = np.linalg.svd(boundary - boundary.mean(axis=0), full_matrices=False)[2][0]
+    return float(np.arctan2(along[1], along[0]))

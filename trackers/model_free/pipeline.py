@@ -3,29 +3,35 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec, Mask
-from gridtrack.trackers.model_free.association import assign, share_out, squared_mahalanobis
-from gridtrack.trackers.model_free.background import Background
+from gridtrack.trackers.model_free.association import assign, distances_to, share_out
+from gridtrack.trackers.model_free.background import Background, BackgroundMap
 from gridtrack.trackers.model_free.dwell import NOT_OCCUPIED, next_ages
-from gridtrack.trackers.model_free.estimation import ConstantVelocityKalman, MotionNoise
-from gridtrack.trackers.model_free.forecast import appearance, share_in_view
-from gridtrack.trackers.model_free.rasterise import noisy_or
+from gridtrack.trackers.model_free.forecast import add_tracks
+from gridtrack.trackers.model_free.matching import Match
+from gridtrack.trackers.model_free.measurement import belonging, compare, first_pose, measured
+from gridtrack.trackers.model_free.merging import Companions, stands
+from gridtrack.trackers.model_free.motion import MotionEstimator, MotionModel
 from gridtrack.trackers.model_free.segmentation import Cluster, segment
 from gridtrack.trackers.model_free.settings import PipelineSettings
-from gridtrack.trackers.model_free.tracks import Shape, Track, existence_when_detected, existence_when_missed
+from gridtrack.trackers.model_free.shape import Shape, in_view, to_body
+from gridtrack.trackers.model_free.tracks import Track, existence_when_detected, existence_when_missed
 
 Array = NDArray[np.float64]
+Estimator = Callable[[Array, Array, MotionModel], MotionEstimator]
+"""Begins to estimate a motion, from a pose (3,), its covariance (3, 3) and the motion model."""
 
 
 class Pipeline:
     """Tracks of what moves before a static background, and their forecast.
 
-    `background` (M, M) float32 is P(occupied | visible), `dwell` (A, S) float32 the life table of returns in place.
+    `background` is the place's map, `dwell` (A, S) float32 the life table of returns in place.
     Positions are in metres in the grid frame, which must not move.
     """
 
@@ -33,11 +39,12 @@ class Pipeline:
         self,
         grid: GridSpec,
         period_s: float,
-        background: NDArray[np.float32],
+        background: BackgroundMap,
         dwell: NDArray[np.float32],
         settings: PipelineSettings,
+        estimator: Estimator,
     ) -> None:
-        self.grid, self.period_s, self.dwell, self.settings = grid, period_s, dwell, settings
+        self.grid, self.dwell, self.settings, self.estimator = grid, dwell, settings, estimator
         self.background = Background(
             background,
             period_s,
@@ -47,12 +54,11 @@ class Pipeline:
             settings.sink_above,
             settings.sink_s,
         )
-        self.gate = -2.0 * math.log(1.0 - settings.gate_probability)  # chi-square quantile, two degrees of freedom
+        self.motion = settings.motion(period_s)
         self.survival = math.exp(-period_s / settings.life_s)
-        self.shape_keep = math.exp(-period_s / settings.shape_memory_s)
-        self.noise = MotionNoise(
-            settings.acceleration, settings.velocity_memory_s, settings.position_noise_m, settings.initial_speed
-        )
+        self.shape_gain = 1.0 - math.exp(-period_s / settings.shape_memory_s)
+        self.settle_frames = round(settings.settle_s / period_s)
+        self.companions = Companions(settings.link_m, round(settings.merge_s / period_s))
         self.ages = np.full(grid.shape, NOT_OCCUPIED)
         self.tracks: list[Track] = []
         self.frame: GridFrame | None = None
@@ -61,47 +67,51 @@ class Pipeline:
     def update(self, frame: GridFrame) -> None:
         """Take in one frame: the stages in their order."""
         self.background.observe(frame)
-        points, ranges = self._unexplained(frame)
-        self.ages = next_ages(self.ages, frame.occupied & ~self.background.explained, oldest=len(self.dwell) - 1)
-        clusters = segment(points, ranges, self.settings.link_m, self.settings.link_per_m)
+        clusters = self._segment(frame)
         self._predict()
-        shares, left = self._associate(clusters)
-        self._correct(shares)
+        shares, poses, left = self._associate(clusters)
+        self._correct(shares, poses, frame.visible)
         self._judge(shares, frame.visible)
+        self._merge()
         self._give_birth(left)
         self.frame = frame
 
-    def _unexplained(self, frame: GridFrame) -> tuple[Array, Array]:
-        """Returns (N, 2) that the background does not explain, metres, and the range (N,) of each."""
+    def _segment(self, frame: GridFrame) -> list[Cluster]:
+        """Clusters of the returns that the background does not explain; how long each has been in place is kept."""
+        explained = self.background.explained
+        self.ages = next_ages(self.ages, frame.occupied & ~explained, oldest=len(self.dwell) - 1)
         cells, inside = self.grid.cells_of(frame.points)
         new = inside.copy()
-        new[inside] = ~self.background.explained[cells[inside, 0], cells[inside, 1]]
+        new[inside] = ~explained[cells[inside, 0], cells[inside, 1]]
         points = frame.points[new].astype(np.float64)
-        return points, np.linalg.norm(points - frame.origins[frame.point_origin[new]], axis=1)
+        ranges = np.linalg.norm(points - frame.origins[frame.point_origin[new]], axis=1)
+        return segment(points, ranges, self.settings.link_m, self.settings.link_per_m)
 
     def _predict(self) -> None:
         for track in self.tracks:
             track.estimator.predict()
             track.existence *= self.survival
 
-    def _associate(self, clusters: list[Cluster]) -> tuple[dict[int, Cluster], list[Cluster]]:
-        """Track number -> its returns, and the clusters left over."""
+    def _associate(self, clusters: list[Cluster]) -> tuple[dict[int, Cluster], dict[int, Match], list[Cluster]]:
+        """Track number -> its returns, track number -> the pose that they show, and the clusters left over."""
         if not self.tracks or not clusters:
-            return {}, clusters
-        positions = np.stack([track.position for track in self.tracks])
-        spread = np.stack([track.estimator.covariance[:2, :2] for track in self.tracks])
-        spread = spread + np.eye(2) * self.settings.position_noise_m**2
-        centres = np.stack([cluster.centre for cluster in clusters])
-        pairs = assign(squared_mahalanobis(centres, positions, spread), self.gate)
-        return share_out(clusters, pairs, positions, self.settings.reach_m)
+            return {}, {}, clusters
+        points = np.concatenate([cluster.points for cluster in clusters])
+        distances = distances_to(points, [track.boundary for track in self.tracks])
+        pairing = compare(self.tracks, clusters, distances, self.settings)
+        pairs = assign(pairing.costs, pairing.distances, self.settings.gate_probability, self.settings.association)
+        near = belonging(self.tracks, clusters, pairs, self.settings)
+        shares, left = share_out(clusters, pairs, distances, near)
+        return shares, measured(self.tracks, shares, clusters, pairing, self.settings), left
 
-    def _correct(self, shares: dict[int, Cluster]) -> None:
-        """Correct each track by its returns, and carry them on as its shape."""
+    def _correct(self, shares: dict[int, Cluster], poses: dict[int, Match], visible: Mask) -> None:
+        """Correct each track by the pose its returns show, and let them extend its shape."""
         for number, cluster in shares.items():
             track = self.tracks[number]
-            track.estimator.update(cluster.centre)
+            track.estimator.update(poses[number].pose, poses[number].covariance)
             track.returns, track.ages = cluster.points, self._ages_of(cluster)
-            track.shape.extend(cluster.points - track.position, self.shape_keep)
+            seen = in_view(track.boundary, self.grid, visible)
+            track.shape.absorb(to_body(cluster.points, track.pose), seen, self.settings.surface_m, self.shape_gain)
 
     def _judge(self, shares: dict[int, Cluster], visible: Mask) -> None:
         """Weigh each track's existence by what was and was not seen of it; drop the dead."""
@@ -115,15 +125,40 @@ class Pipeline:
                 track.confirmed |= track.existence >= settings.confirm_above
             else:
                 track.unseen += 1
-                in_view = share_in_view(self._appearance(track, 0)[0], track, visible)
-                detectable = settings.detection_probability * in_view
+                seen = in_view(track.boundary, self.grid, visible)
+                in_sight = float(track.shape.weights[seen].sum() / track.shape.weights.sum())
+                detectable = settings.detection_probability * in_sight
                 track.existence = existence_when_missed(track.existence, detectable)
-        self.tracks = [track for track in self.tracks if track.existence >= settings.dead_below]
+        self.tracks = [track for track in self.tracks if self._lives(track)]
+
+    def _lives(self, track: Track) -> bool:
+        """Whether the track has neither been disproved nor left the grid."""
+        if track.existence < self.settings.dead_below:
+            return False
+        return not track.unseen or bool(self.grid.cells_of(track.boundary)[1].any())
+
+    def _merge(self) -> None:
+        """Merge tracks with the background and with each other."""
+        seen = [track for track in self.tracks if not track.unseen]
+        for track in seen:
+            track.standing = track.standing + 1 if stands(track) else 0
+        settled = [track for track in seen if track.standing >= self.settle_frames]
+        for track in settled:
+            self.background.take_in(self._cells_of(track.returns))
+        self.tracks = self.companions.merged([track for track in self.tracks if track not in settled])
+
+    def _cells_of(self, points: Array) -> Mask:
+        """The cells (M, M) in which `points` (N, 2) lie."""
+        cells, inside = self.grid.cells_of(points)
+        marked = np.zeros(self.grid.shape, np.bool_)
+        marked[tuple(cells[inside].T)] = True
+        return marked
 
     def _give_birth(self, clusters: list[Cluster]) -> None:
         for cluster in clusters:
-            estimator = ConstantVelocityKalman(cluster.centre, self.period_s, self.noise)
-            shape = Shape.of(cluster.points - cluster.centre)
+            pose, covariance = first_pose(cluster, self.settings)
+            estimator = self.estimator(pose, covariance, self.motion)
+            shape = Shape.of(to_body(cluster.points, pose), self.settings.surface_m)
             existence = self.settings.birth_probability
             ages = self._ages_of(cluster)
             self.tracks.append(Track(self.born, estimator, shape, cluster.points, ages, existence))
@@ -132,8 +167,7 @@ class Pipeline:
     def forecast(self, steps: int) -> NDArray[np.float32]:
         """P(occupied) (steps+1, M, M) float32 of steps 0..steps; where step 0 is visible it is what was seen."""
         occupancy = self.background.probabilities(steps)
-        for track in self.tracks:
-            noisy_or(occupancy, self._appearance(track, steps), track.existence * self.survival ** np.arange(steps + 1))
+        add_tracks(occupancy, self.tracks, self.survival, self.motion, self.grid, self.dwell, self.settings)
         if self.frame is not None:
             occupancy[0] = np.where(self.frame.visible, self.frame.occupied, occupancy[0])
         return occupancy
@@ -143,21 +177,22 @@ class Pipeline:
         cells, _ = self.grid.cells_of(cluster.points)
         return self.ages[cells[:, 0], cells[:, 1]]
 
-    def _appearance(self, track: Track, steps: int) -> NDArray[np.float32]:
-        return appearance(track, steps, self.grid, self.dwell, self.settings.return_noise_m)
 
-
-def compile_ahead(period_s: float, dwell: NDArray[np.float32], settings: PipelineSettings) -> None:
+def compile_ahead(
+    period_s: float, dwell: NDArray[np.float32], settings: PipelineSettings, estimator: Estimator
+) -> None:
     """Run every stage once on a scene of three frames, so that what is compiled on first use has been.
 
     That takes seconds on a machine where nothing is compiled yet: a tracker has them when it starts, not in an update.
     """
     grid = GridSpec(8, 0.1)
-    pipeline = Pipeline(grid, period_s, np.zeros(grid.shape, np.float32), dwell, settings)
+    empty = BackgroundMap(*np.zeros((2, *grid.shape), np.float32))
+    pipeline = Pipeline(grid, period_s, empty, dwell, settings, estimator)
     occupied, visible = np.zeros(grid.shape, bool), np.ones(grid.shape, bool)
     occupied[4, 4:6] = True
     for cells in (occupied, occupied, ~visible):
         points = grid.cell_centres(cells)
         origin, owner = np.zeros((1, 2), np.float32), np.zeros(len(points), np.uint8)
+        pipeline.forecast(1)
         pipeline.update(GridFrame(0, visible, cells, SE2(), origin, points, owner))
     pipeline.forecast(1)

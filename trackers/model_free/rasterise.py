@@ -1,4 +1,4 @@
-"""Rasterising: points about an uncertain position as probabilities of cells, and independent causes combined."""
+"""Rasterising: a body about an uncertain pose as probabilities of cells, step by step, in the window it can be in."""
 
 from __future__ import annotations
 
@@ -6,77 +6,202 @@ import math
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
-WINDOW_SIGMAS = 3.5
-"""Half the width of the blur window; what lies beyond (0.05 %) is cut."""
+WINDOW_SIGMAS = 3.0
+"""Half the width of the blur window; what lies beyond (0.3 %) is cut."""
 SHARPEST = 0.2
 """Smallest standard deviation of the blur, in cells: below it the pixels' own size is what is seen."""
+FINENESS = 1.5
+"""A blur of so many pixels is drawn with bilinear interpolation between them."""
+SAME_HEADING = 0.02
+"""A body that has turned by less, radians, is drawn as it was."""
 
 
-def splat(offsets: NDArray[np.float64], weights: NDArray[np.float64], cell_m: float) -> NDArray[np.float32]:
-    """The points as a patch (K, K) float32 of probabilities, K odd, its middle cell centred on the track's position.
+@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=True)
+def draw_track(occupancy, offsets, weights, poses, covariances, moved, places, blur, still, existence):  # type: ignore[no-untyped-def]
+    """Combine into `occupancy` (n+1, M, M) float32, by noisy-or, what one track's object shows at each step.
 
-    Each point, offset (N, 2) in metres from the position, is shared bilinearly between the four nearest cells;
-    no cell holds more than 1.
+    The object is there with probability `existence` (n+1,). Two alternatives for its returns. With probability `moved`
+    (n+1,) they look as its boundary, `offsets` (N, 2) with `weights` (N,), at the mean `poses` (n+1, 3), x and y in
+    cells, heading in radians, blurred by `covariances` (n+1, 2, 2) of the position. Or they are still at `places`
+    (K, 2), each with probability `still` (K, n+1), blurred by `blur`. Lengths in cells from the grid's corner.
     """
-    cells = np.asarray(offsets) / cell_m
-    half = int(np.ceil(np.abs(cells).max(initial=0.0))) + 1
-    patch = np.zeros((2 * half + 1, 2 * half + 1))
-    corner = np.floor(cells).astype(int)
-    along = cells - corner
-    for right in (0, 1):
-        for up in (0, 1):
-            share = np.abs(1 - right - along[:, 0]) * np.abs(1 - up - along[:, 1])
-            np.add.at(patch, (corner[:, 1] + half + up, corner[:, 0] + half + right), weights * share)
-    return np.minimum(patch, 1.0).astype(np.float32)
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def draw(image, patch, centres, deviations, weights):  # type: ignore[no-untyped-def]
-    """Add to `image` (n+1, M, M) float32 the patch as it is expected to be seen, step by step.
-
-    `patch` (K, K) float32, probabilities about a position; `centres` and `deviations` (n+1, 2), x and y, mean and
-    standard deviation of that position in cells; `weights` (n+1,) probability of this alternative at each step.
-    """
-    half = patch.shape[0] // 2
-    for step in range(image.shape[0]):
-        row, row_blur = _blur_window(centres[step, 1], deviations[step, 1])
-        column, column_blur = _blur_window(centres[step, 0], deviations[step, 0])
-        blurred = _convolve_rows(_convolve_rows(patch, column_blur).T, row_blur * np.float32(weights[step])).T
-        _add(image[step], blurred, row - half, column - half)
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def draw_points(image, places, deviation, weights):  # type: ignore[no-untyped-def]
-    """Add to `image` (n+1, M, M) float32 points that stay at `places` (N, 2), x and y in cells, blurred alike.
-
-    `deviation` of the blur in cells; `weights` (N, n+1) probability that each point is there at each step.
-    """
-    for point in range(places.shape[0]):
-        row, row_blur = _blur_window(places[point, 1], deviation)
-        column, column_blur = _blur_window(places[point, 0], deviation)
-        mass = np.outer(row_blur, column_blur)
-        for step in range(image.shape[0]):
-            _add(image[step], mass * weights[point, step], row, column)
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def noisy_or(occupancy, image, existence):  # type: ignore[no-untyped-def]
-    """Combine into `occupancy` (n+1, M, M) a cause that is there with probability `existence` (n+1,) at each step.
-
-    `image` (n+1, M, M) is what the cause would show; it is independent of what is there already. Both float32.
-    """
-    one = np.float32(1.0)
+    size = occupancy.shape[1]
+    shown = np.zeros((size, size), np.float32)
+    corners, masses, still_box = _points(places, blur, size)
+    scale, turned = 0, 0.0
     for step in range(occupancy.shape[0]):
+        coarse = _scale(covariances[step])
+        if coarse != scale or abs(poses[step, 2] - turned) > SAME_HEADING:
+            scale, turned = coarse, poses[step, 2]
+            patch = _patch(offsets, weights, turned, scale)
+        box = _draw_blurred(shown, patch, poses[step], covariances[step], moved[step], scale)
+        for k in range(len(places)):
+            _draw_point(shown, corners[k], masses[k], still[k, step])
+        box = _grown(box, still_box)
         exists = np.float32(existence[step])
-        target, cause = occupancy[step].reshape(-1), image[step].reshape(-1)
-        for i in range(target.size):
-            if cause[i] > 0.0:  # few cells are: skipping the rest is what makes it fast
-                target[i] += (one - target[i]) * exists * min(cause[i], one)
+        for row in range(max(box[0], 0), min(box[1], size)):
+            target, cause = occupancy[step, row], shown[row]
+            for column in range(max(box[2], 0), min(box[3], size)):
+                target[column] += (np.float32(1.0) - target[column]) * exists * min(cause[column], np.float32(1.0))
+                cause[column] = np.float32(0.0)
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@numba.njit(error_model="numpy")
+def _scale(covariance):  # type: ignore[no-untyped-def]
+    """In pixels of how many cells a body so blurred is drawn: as fine as the blur calls for."""
+    xx, xy, yy = covariance[0, 0], covariance[0, 1], covariance[1, 1]
+    smallest = math.sqrt(max(0.5 * (xx + yy) - math.hypot(0.5 * (xx - yy), xy), 0.0))
+    return max(1, int(smallest / FINENESS))
+
+
+@numba.njit(error_model="numpy")
+def _patch(offsets, weights, heading, scale):  # type: ignore[no-untyped-def]
+    """The boundary as a patch (K, K) float32, K odd, of pixels of `scale` cells, the middle one about the position.
+
+    Each point is shared bilinearly between the four nearest pixels; a pixel holds the mean over its cells of the
+    probability of points that are independent.
+    """
+    cosine, sine = math.cos(heading) / scale, math.sin(heading) / scale
+    reach = 0.0
+    for j in range(len(offsets)):
+        reach = max(reach, math.hypot(offsets[j, 0], offsets[j, 1]))
+    half = math.ceil(reach / scale) + 1
+    free = np.ones((2 * half + 1, 2 * half + 1), np.float32)
+    cells = scale * scale
+    for j in range(len(offsets)):
+        x = cosine * offsets[j, 0] - sine * offsets[j, 1]
+        y = sine * offsets[j, 0] + cosine * offsets[j, 1]
+        column, row = math.floor(x), math.floor(y)
+        right, up = x - column, y - row
+        i, k = row + half, column + half
+        free[i, k] *= 1.0 - weights[j] * (1.0 - up) * (1.0 - right) / cells
+        free[i, k + 1] *= 1.0 - weights[j] * (1.0 - up) * right / cells
+        free[i + 1, k] *= 1.0 - weights[j] * up * (1.0 - right) / cells
+        free[i + 1, k + 1] *= 1.0 - weights[j] * up * right / cells
+    return np.float32(1.0) - free
+
+
+@numba.njit(error_model="numpy", fastmath=True)
+def _draw_blurred(shown, patch, centre, covariance, weight, scale):  # type: ignore[no-untyped-def]
+    """Add to `shown` (M, M) the patch about `centre` (x, y, ...), blurred by a Gaussian, times `weight`.
+
+    Returns the box of cells that was touched: first and last row, first and last column, the last ones excluded.
+    """
+    image, row, column = _blurred(patch, centre[0] / scale, centre[1] / scale, _less_pixels(covariance, scale), weight)
+    size = shown.shape[0]
+    first_row, last_row = row * scale, (row + image.shape[0]) * scale
+    first_column, last_column = column * scale, (column + image.shape[1]) * scale
+    between = np.empty(image.shape[1] + 1, np.float32)
+    pixels, asides = np.empty(last_column - first_column, np.int64), np.empty(last_column - first_column, np.float32)
+    for j in range(len(pixels)):
+        pixels[j], asides[j] = _pixel(j, scale, image.shape[1])
+    for i in range(max(0, first_row), min(last_row, size)):
+        y, up = _pixel(i - first_row, scale, image.shape[0])
+        below, above = image[y], image[min(y + 1, image.shape[0] - 1)]
+        for j in range(image.shape[1]):
+            between[j] = below[j] + (above[j] - below[j]) * up
+        between[image.shape[1]] = 0.0
+        target = shown[i]
+        if scale == 1:
+            for j in range(max(0, first_column), min(last_column, size)):
+                target[j] += between[j - first_column]
+        else:
+            for j in range(max(0, first_column), min(last_column, size)):
+                x = pixels[j - first_column]
+                target[j] += between[x] + (between[x + 1] - between[x]) * asides[j - first_column]
+    return first_row, last_row, first_column, last_column
+
+
+@numba.njit(error_model="numpy")
+def _less_pixels(covariance, scale):  # type: ignore[no-untyped-def]
+    """The covariance (2, 2) in pixels, less what interpolation between them adds."""
+    reduced = covariance / (scale * scale)
+    if scale > 1:
+        reduced[0, 0] -= 1.0 / 6.0
+        reduced[1, 1] -= 1.0 / 6.0
+    return reduced
+
+
+@numba.njit(error_model="numpy")
+def _pixel(cell, scale, count):  # type: ignore[no-untyped-def]
+    """The pixel of `count` whose centre lies at or before that of a cell, and how far its is towards the next."""
+    place = min(max((cell + 0.5) / scale - 0.5, 0.0), count - 1.0)
+    return int(place), np.float32(place - int(place))
+
+
+@numba.njit(error_model="numpy", fastmath=True)
+def _blurred(patch, x, y, covariance, weight):  # type: ignore[no-untyped-def]
+    """The patch (K, K) about x, y, blurred, times `weight`: an image, and the row and column of its corner; in pixels.
+
+    The blur is one along x and then one along y, in which the rows shift sideways as the covariance (2, 2) says.
+    """
+    var_x, var_y = max(covariance[0, 0], SHARPEST**2), max(covariance[1, 1], SHARPEST**2)
+    slope = covariance[0, 1] / var_y
+    first_row, rows = _blur_window(y, math.sqrt(var_y))
+    first_column, columns = _blur_window(x, math.sqrt(max(var_x - slope * slope * var_y, SHARPEST**2)))
+    along = _blur_rows(patch, columns)
+    half, margin = patch.shape[0] // 2, math.ceil(abs(slope) * len(rows)) + 1
+    image = np.zeros((patch.shape[0] + len(rows) - 1, along.shape[1] + 2 * margin), np.float32)
+    for i in range(len(rows)):
+        shift = slope * (first_row + i + 0.5 - y) + margin
+        left, aside = math.floor(shift), np.float32(shift - math.floor(shift))
+        share = rows[i] * np.float32(weight)
+        here, beside = share * (np.float32(1.0) - aside), share * aside
+        for k in range(patch.shape[0]):
+            for j in range(along.shape[1]):
+                image[i + k, left + j] += here * along[k, j]
+            for j in range(along.shape[1]):
+                image[i + k, left + j + 1] += beside * along[k, j]
+    return image, first_row - half, first_column - half - margin
+
+
+@numba.njit(error_model="numpy", fastmath=True)
+def _blur_rows(image, kernel):  # type: ignore[no-untyped-def]
+    """Full convolution of every row of `image` (A, B) with `kernel` (W,): (A, B + W - 1)."""
+    out = np.zeros((image.shape[0], image.shape[1] + kernel.size - 1), np.float32)
+    for row in range(image.shape[0]):
+        for column in range(image.shape[1]):
+            value = image[row, column]
+            if value != 0.0:
+                for i in range(kernel.size):
+                    out[row, column + i] += value * kernel[i]
+    return out
+
+
+@numba.njit(error_model="numpy")
+def _points(places, blur, size):  # type: ignore[no-untyped-def]
+    """Corner (K, 2) and mass (K, W, W) of each of `places` (K, 2), x and y, blurred by `blur`; and the box of all."""
+    width = int(2.0 * WINDOW_SIGMAS * max(blur, SHARPEST)) + 2
+    corners, masses = np.empty((len(places), 2), np.int64), np.zeros((len(places), width, width), np.float32)
+    box = size, 0, size, 0
+    for k in range(len(places)):
+        first_row, rows = _blur_window(places[k, 1], blur)
+        first_column, columns = _blur_window(places[k, 0], blur)
+        corners[k, 0], corners[k, 1] = first_row, first_column
+        for i in range(len(rows)):
+            for j in range(len(columns)):
+                masses[k, i, j] = rows[i] * columns[j]
+        box = _grown(box, (first_row, first_row + width, first_column, first_column + width))
+    return corners, masses, box
+
+
+@numba.njit(error_model="numpy", fastmath=True)
+def _draw_point(shown, corner, mass, weight):  # type: ignore[no-untyped-def]
+    """Add to `shown` (M, M) the `mass` (W, W) at its `corner`, times `weight`."""
+    size, row, column = shown.shape[0], corner[0], corner[1]
+    for i in range(max(0, -row), min(len(mass), size - row)):
+        for j in range(max(0, -column), min(len(mass), size - column)):
+            shown[row + i, column + j] += mass[i, j] * np.float32(weight)
+
+
+@numba.njit(error_model="numpy")
+def _grown(box, other):  # type: ignore[no-untyped-def]
+    """The box about two boxes."""
+    return min(box[0], other[0]), max(box[1], other[1]), min(box[2], other[2]), max(box[3], other[3])
+
+
+@numba.njit(error_model="numpy")
 def _blur_window(centre, deviation):  # type: ignore[no-untyped-def]
     """First cell and mass of each cell under a Gaussian along one axis, about `centre`, in cells."""
     sigma = max(deviation, SHARPEST)
@@ -89,25 +214,3 @@ def _blur_window(centre, deviation):  # type: ignore[no-untyped-def]
         mass[i] = 0.5 * (above - below)
         below = above
     return first, mass
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _convolve_rows(image, kernel):  # type: ignore[no-untyped-def]
-    """Full convolution of every row of `image` (A, B) with `kernel` (W,): (A, B + W - 1)."""
-    out = np.zeros((image.shape[0], image.shape[1] + kernel.size - 1), np.float32)
-    for row in range(image.shape[0]):
-        for column in range(image.shape[1]):
-            value = image[row, column]
-            if value != 0.0:
-                for i in range(kernel.size):
-                    out[row, column + i] += value * kernel[i]
-    return out
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _add(image, patch, first_row, first_column):  # type: ignore[no-untyped-def]
-    """Add `patch` to `image` (M, M), its corner at [first_row, first_column], as far as it lies inside."""
-    rows, columns = image.shape
-    for i in range(max(0, -first_row), min(patch.shape[0], rows - first_row)):
-        for j in range(max(0, -first_column), min(patch.shape[1], columns - first_column)):
-            image[first_row + i, first_column + j] += patch[i, j]

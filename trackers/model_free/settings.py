@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 from pydantic import Field
 
 from gridtrack.common.config import Settings
-
-NAME = "kalman"
-"""What the tracker that runs this pipeline is called."""
+from gridtrack.trackers.model_free.association import Method
+from gridtrack.trackers.model_free.motion import MotionModel
 
 
 class PipelineSettings(Settings):
     """Settings of the model-free pipeline; defaults suit walking people and an indoor laser."""
 
     # Static background
-    explained_above: float = Field(0.15, gt=0, lt=1)
-    """A return in or beside a cell that the background holds occupied this often is explained by it."""
+    background: Literal["fitted", "none"] = "fitted"
+    """Where the map comes from: the place's own, or none of it (a cold start), and walls have to sink in first."""
+    explained_above: float = Field(0.96, gt=0, lt=1)
+    """A return is explained by the background where that has one, in its cell or beside it, in this share of frames."""
     unforeseen_share: float = Field(0.05, ge=0, le=1)
     """The share of the past traffic through open cells that no track announces, in a cell that is seen empty."""
     return_s: float = Field(1.0, gt=0, le=1000)
@@ -32,20 +35,34 @@ class PipelineSettings(Settings):
     """By how much that distance grows with every metre of range, as neighbouring beams part."""
 
     # Estimation
+    acceleration: float = Field(0.45, gt=0, le=100)
+    """White-noise acceleration along each axis: square root of its density, m/s^2 per sqrt(Hz)."""
     velocity_memory_s: float = Field(3.0, gt=0, le=1000)
     """Time constant with which a velocity is forgotten; large: truly constant velocity, small: a walk at random."""
-    acceleration: float = Field(0.45, gt=0, le=100)
-    """White-noise acceleration of the constant-velocity model: square root of its density, m/s^2 per sqrt(Hz)."""
-    position_noise_m: float = Field(0.08, gt=0, le=10)
-    """Standard deviation of a cluster's centre about the object's: legs alternate, surfaces come and go."""
+    turn_acceleration: float = Field(0.3, gt=0, le=100)
+    """White-noise acceleration of the turn rate, rad/s^2 per sqrt(Hz)."""
+    turn_memory_s: float = Field(1.0, gt=0, le=1000)
+    """Time constant with which a turn rate is forgotten."""
     initial_speed: float = Field(0.7, gt=0, le=100)
     """Standard deviation of a new track's velocity along each axis, m/s."""
+    initial_turn_rate: float = Field(0.2, gt=0, le=10)
+    """Standard deviation of a new track's turn rate, rad/s."""
+
+    # Measurement
+    surface_m: float = Field(0.1, gt=0, le=2)
+    """Standard deviation of a return about the boundary it is matched to; boundary points are so far apart."""
+    position_noise_m: float = Field(0.08, gt=0, le=10)
+    """Standard deviation of a matched position beside that: legs alternate, surfaces come and go."""
+    heading_noise: float = Field(0.05, gt=0, le=3)
+    """The same of a matched heading, rad."""
 
     # Association
+    association: Method = "hungarian"
+    """How clusters are assigned: `hungarian` gates each pair, `jcbb` the whole set of pairs."""
     gate_probability: float = Field(0.999, gt=0.5, lt=1)
     """The share of an object's own clusters that its gate lets in."""
     reach_m: float = Field(0.45, gt=0, le=20)
-    """How far from a track's centre its returns may lie: half an object's size, generously."""
+    """How far from a track's boundary further returns of it may lie."""
 
     # Life of a track
     birth_probability: float = Field(0.4, gt=0, lt=1)
@@ -61,8 +78,28 @@ class PipelineSettings(Settings):
     dead_below: float = Field(0.1, gt=0, lt=1)
     """Existence probability below which a track is dropped."""
 
+    # Merging
+    settle_s: float = Field(60.0, gt=0, le=3600)
+    """A track whose velocity could not be told from zero for so long becomes background."""
+    merge_s: float = Field(2.0, gt=0, le=3600)
+    """Two tracks that touch and whose velocities could not be told apart for so long become one."""
+
     # Shape and forecast
     shape_memory_s: float = Field(0.8, gt=0, le=60)
     """How long a track's points count: about half a stride, so that both legs are in the shape."""
+    dwell_speed: float = Field(10.0, gt=0, le=1000)
+    """Speed, m/s, from which on returns do not stay in place: a walker's feet do, a vehicle's side does not."""
     return_noise_m: float = Field(0.05, gt=0, le=10)
     """Standard deviation of one return about its surface, along each axis."""
+
+    def motion(self, period_s: float) -> MotionModel:
+        """The motion model of every track."""
+        return MotionModel(
+            self.acceleration,
+            self.turn_acceleration,
+            self.velocity_memory_s,
+            self.turn_memory_s,
+            self.initial_speed,
+            self.initial_turn_rate,
+            period_s,
+        )

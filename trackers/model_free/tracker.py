@@ -1,4 +1,4 @@
-"""The `kalman` tracker: the model-free pipeline with Kalman filters, behind the plugin contract."""
+"""The `kalman` and `factor-graph` trackers: one model-free pipeline, two estimators, behind the plugin contract."""
 
 from __future__ import annotations
 
@@ -9,37 +9,44 @@ from gridtrack.common.config import Settings, validated
 from gridtrack.common.errors import ConfigurationError, WeightsError
 from gridtrack.common.grid import GridFrame
 from gridtrack.trackers.contract import FitOutput, Forecast, FrameSource, Score, StreamSpec, Tracker
+from gridtrack.trackers.model_free.background import BackgroundMap, unknown_place
 from gridtrack.trackers.model_free.dwell import table_shape
 from gridtrack.trackers.model_free.forecast import objects
-from gridtrack.trackers.model_free.pipeline import Pipeline, compile_ahead
-from gridtrack.trackers.model_free.settings import NAME, PipelineSettings
+from gridtrack.trackers.model_free.motion import FactorGraphEstimator, KalmanEstimator, MotionEstimator, MotionModel
+from gridtrack.trackers.model_free.pipeline import Array, Pipeline, compile_ahead
+from gridtrack.trackers.model_free.settings import PipelineSettings
 from gridtrack.trackers.weights import Weights, array, load_weights
 
 
-class KalmanTracker(Tracker):
-    """Clusters before a fitted background, each followed by a Kalman filter with nearly constant velocity.
+class ModelFreeTracker(Tracker):
+    """Clusters before a fitted background, the motion of each estimated for itself.
 
     Its weights are the background map, the life table of returns and the tuned settings; an option that is given goes
-    before the tuned one. The forecast's `objects` are the confirmed tracks; their heading is the direction of motion.
+    before the tuned one. The forecast's `objects` are the confirmed tracks.
     """
 
     Options: ClassVar[type[Settings]] = PipelineSettings
     learns: ClassVar[bool] = True
+    name: ClassVar[str]
+    """What it is registered as."""
+    estimator: ClassVar[staticmethod[[Array, Array, MotionModel], MotionEstimator]]
+    """What estimates the motion of a track; the only thing in which the subclasses differ."""
 
     def __init__(self, stream: StreamSpec, options: PipelineSettings) -> None:
         """Raises WeightsError without a fitted background for the stream's site, grid and period."""
         super().__init__(stream, options)
-        weights = load_weights(stream, NAME)
+        weights = load_weights(stream, self.name)
         self._settings = _settings(weights, options)
-        self._background = array(weights, "background", stream.grid.shape)
+        fitted = BackgroundMap(*(array(weights, name, stream.grid.shape) for name in BackgroundMap._fields))
+        self._background = fitted if self._settings.background == "fitted" else unknown_place(fitted)
         self._dwell = array(weights, "dwell", table_shape(stream.period_s))
-        compile_ahead(stream.period_s, self._dwell, self._settings)
+        compile_ahead(stream.period_s, self._dwell, self._settings, type(self).estimator)
         self.reset(seed=0)
 
     def reset(self, seed: int) -> None:
         """Forget every track; nothing here is random."""
-        stream = self.stream
-        self._pipeline = Pipeline(stream.grid, stream.period_s, self._background, self._dwell, self._settings)
+        stream, begin = self.stream, type(self).estimator
+        self._pipeline = Pipeline(stream.grid, stream.period_s, self._background, self._dwell, self._settings, begin)
 
     def update(self, frame: GridFrame) -> None:
         """Take in x_t."""
@@ -64,10 +71,24 @@ class KalmanTracker(Tracker):
         fit_pipeline(cls, train, validation, score, out, options)
 
 
+class KalmanTracker(ModelFreeTracker):
+    """The pipeline with extended Kalman filters."""
+
+    name = "kalman"
+    estimator = staticmethod(KalmanEstimator)
+
+
+class FactorGraphTracker(ModelFreeTracker):
+    """The pipeline with fixed-lag smoothers, whose measurements are robust."""
+
+    name = "factor-graph"
+    estimator = staticmethod(FactorGraphEstimator)
+
+
 def _settings(weights: Weights, options: PipelineSettings) -> PipelineSettings:
     """The tuned settings of the card, overridden by the options that were given."""
-    given = options.model_dump(exclude_unset=True)
+    given, where = options.model_dump(exclude_unset=True), f"weights of {weights.card.tracker}, settings"
     try:
-        return validated(PipelineSettings, weights.card.settings | given, f"weights of {NAME}, settings")
+        return validated(PipelineSettings, weights.card.settings | given, where)
     except ConfigurationError as error:
         raise WeightsError(f"{error}; train again") from None

@@ -8,12 +8,10 @@ from enum import Enum
 import numpy as np
 from numpy.typing import NDArray
 
-from gridtrack.trackers.model_free.estimation import MotionEstimator
+from gridtrack.trackers.model_free.motion import MotionEstimator
+from gridtrack.trackers.model_free.shape import Shape
 
 Array = NDArray[np.float64]
-
-MAX_POINTS = 512
-"""The most points a track carries; the oldest go first."""
 
 
 class Status(Enum):
@@ -24,31 +22,7 @@ class Status(Enum):
     COASTING = "coasting"
 
 
-@dataclass(slots=True)
-class Shape:
-    """The points a track carries: `offsets` (N, 2) from its position, metres, grid frame axes, and `weights` (N,).
-
-    A frame's points enter with one weight and fade from frame to frame; the weights of all frames sum to 1, so a
-    weight is the share that its frame has in what the object is expected to look like.
-    """
-
-    offsets: Array
-    weights: Array
-
-    @classmethod
-    def of(cls, offsets: Array) -> Shape:
-        """The shape that one frame's points make."""
-        return cls(offsets, np.ones(len(offsets)))
-
-    def extend(self, offsets: Array, keep: float) -> None:
-        """Let what is known fade to the share `keep`, and add this frame's points."""
-        weights = np.concatenate([np.full(len(offsets), 1.0 - keep), self.weights * keep])
-        keep_points = weights[:MAX_POINTS] > 0.02 * (1.0 - keep)
-        self.offsets = np.concatenate([offsets, self.offsets])[:MAX_POINTS][keep_points]
-        self.weights = weights[:MAX_POINTS][keep_points]
-
-
-@dataclass(slots=True)
+@dataclass(slots=True, eq=False)
 class Track:
     """One object followed over time; `existence` is the probability that there is one."""
 
@@ -63,11 +37,23 @@ class Track:
     confirmed: bool = False
     unseen: int = 0
     """Frames since returns were last given to it."""
+    standing: int = 0
+    """Frames in a row in which its velocity could not be told from zero."""
 
     @property
-    def position(self) -> Array:
-        """Position (2,), metres, grid frame."""
-        return self.estimator.mean[:2]
+    def pose(self) -> Array:
+        """Pose (3,): x, y, heading; metres, radians, grid frame."""
+        return self.estimator.mean[:3]
+
+    @property
+    def boundary(self) -> Array:
+        """Its boundary points (N, 2), metres, grid frame."""
+        return self.shape.placed(self.pose)
+
+    @property
+    def established(self) -> Array:
+        """Those of its boundary points (K, 2) that are well established, metres, grid frame."""
+        return self.boundary[self.shape.established]
 
     @property
     def status(self) -> Status:

@@ -1,0 +1,136 @@
+"""Scan matching and shapes against hand-made bodies whose motion is known."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from gridtrack.trackers.model_free.matching import UNKNOWN, match
+from gridtrack.trackers.model_free.shape import MAX_POINTS, Shape, rotation, to_body
+
+SURFACE_M = 0.1
+L_SHAPE = np.concatenate(
+    [
+        np.stack([np.arange(-2.0, 2.01, 0.1), np.full(41, -0.9)], 1),
+        np.stack([np.full(18, 2.0), np.arange(-0.8, 0.91, 0.1)], 1),
+    ]
+)
+"""The side and the front of a car of 4 x 1.8 m, points (N, 2) in metres."""
+WALL = np.stack([np.arange(-4.0, 4.01, 0.1), np.zeros(81)], 1)
+
+
+def placed(offsets, pose):
+    return np.asarray(pose[:2]) + offsets @ rotation(pose[2]).T
+
+
+def matched(points, offsets, start=(0.0, 0.0, 0.0), turns=True, unsure_m=0.4):
+    return match(points, offsets, np.ones(len(offsets)), np.array([start], float), unsure_m, SURFACE_M, turns)
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.floats(-0.3, 0.3), st.floats(-0.3, 0.3), st.floats(-0.15, 0.15))
+def test_the_pose_of_a_corner_is_found(x, y, turn):
+    found = matched(placed(L_SHAPE, (x, y, turn)), L_SHAPE)
+    assert found.pose == pytest.approx([x, y, turn], abs=0.03)
+    assert found.residual < 0.5
+
+
+def test_it_starts_where_the_object_is_expected():
+    pose = (8.0, -3.0, 1.2)
+    found = matched(placed(L_SHAPE, pose), L_SHAPE, start=(7.8, -2.9, 1.1))
+    assert found.pose == pytest.approx(pose, abs=0.03)
+
+
+def test_the_best_of_several_starts_is_taken():
+    starts = np.array([[30.0, 0.0, 0.0], [5.1, 0.1, 0.0]])
+    found = match(placed(L_SHAPE, (5.0, 0.0, 0.0)), L_SHAPE, np.ones(len(L_SHAPE)), starts, 0.4, SURFACE_M, True)
+    assert found.pose == pytest.approx([5.0, 0.0, 0.0], abs=0.03)
+
+
+def test_a_wall_says_nothing_of_a_motion_along_itself():
+    middle = WALL[25:56]
+    found = matched(middle + np.array([0.0, 0.2]), WALL)
+    deviations = np.sqrt(np.diag(found.covariance))
+    assert found.pose[1] == pytest.approx(0.2, abs=0.02)
+    assert deviations[1] < 0.05
+    assert deviations[0] > 1.0
+
+
+def test_a_turned_wall_says_nothing_along_its_own_direction():
+    turn = math.radians(30)
+    found = matched(placed(WALL[25:56], (0.0, 0.0, turn)), WALL, start=(0.0, 0.0, turn))
+    spread = rotation(turn).T @ found.covariance[:2, :2] @ rotation(turn)
+    assert math.sqrt(spread[0, 0]) > 1.0
+    assert math.sqrt(spread[1, 1]) < 0.05
+
+
+def test_a_corner_settles_all_three():
+    assert (np.sqrt(np.diag(matched(L_SHAPE, L_SHAPE).covariance)) < 0.1).all()
+
+
+def test_what_shows_no_heading_keeps_it_and_says_so():
+    found = matched(
+        np.array([[0.1, 0.0], [0.3, 0.0]]), np.array([[0.0, 0.0], [0.2, 0.0]]), (0.0, 0.0, 0.4), turns=False
+    )
+    assert found.pose[2] == 0.4
+    assert found.covariance[2, 2] == pytest.approx(UNKNOWN[2])
+
+
+def test_a_car_that_shows_more_of_its_side_has_not_moved():
+    """Its centre has, by more than a metre."""
+    front = L_SHAPE[30:]
+    found = matched(L_SHAPE, front, unsure_m=0.1)
+    assert np.hypot(*found.pose[:2]) < 0.1
+    assert abs(found.pose[2]) < 0.1
+
+
+def test_returns_of_something_else_do_not_move_a_body():
+    other = np.stack([np.zeros(6), np.linspace(1.5, 2.0, 6)], 1)
+    found = matched(np.concatenate([placed(L_SHAPE, (0.2, 0.1, 0.0)), other]), L_SHAPE)
+    assert found.pose == pytest.approx([0.2, 0.1, 0.0], abs=0.03)
+
+
+def test_a_body_of_which_no_return_is_says_nothing():
+    found = matched(L_SHAPE + 50.0, L_SHAPE)
+    assert found.residual == pytest.approx(9.0)
+    assert np.diag(found.covariance) == pytest.approx(UNKNOWN)
+
+
+# Shape
+
+
+def test_a_shape_is_as_often_occupied_as_its_points_were_met():
+    shape = Shape.of(np.array([[0.0, 0.0], [1.0, 0.0]]), 0.1)
+    for step in range(400):
+        found = np.array([[0.0, 0.0]]) if step % 2 else np.array([[0.0, 0.0], [1.0, 0.0]])
+        shape.absorb(found, np.ones(2, bool), 0.1, gain=0.01)
+    assert shape.weights == pytest.approx([1.0, 0.5], abs=0.01)
+
+
+def test_a_side_that_is_hidden_is_remembered_longer_than_one_seen_to_be_gone():
+    shape = Shape.of(np.array([[0.0, 0.0], [1.0, 0.0], [2.0, 0.0]]), 0.1)
+    for _ in range(20):
+        shape.absorb(np.array([[0.0, 0.0]]), np.array([True, True, False])[: len(shape.weights)], 0.1, gain=0.1)
+    assert shape.weights[0] == pytest.approx(1.0)
+    assert shape.weights[1] < 0.2
+    assert shape.weights[2] > 0.6
+
+
+@given(st.integers(1, 40))
+def test_a_shape_carries_no_more_points_than_it_may(frames):
+    random = np.random.default_rng(0)
+    shape = Shape.of(random.uniform(-9, 9, (20, 2)), 0.1)
+    for _ in range(frames):
+        shape.absorb(random.uniform(-9, 9, (20, 2)), np.zeros(len(shape.weights), bool), 0.1, gain=0.1)
+    assert len(shape.offsets) == len(shape.weights) <= MAX_POINTS
+
+
+@given(st.floats(-5, 5), st.floats(-5, 5), st.floats(-3.1, 3.1))
+def test_placing_and_taking_back_is_the_identity(x, y, turn):
+    pose = np.array([x, y, turn])
+    shape = Shape.of(L_SHAPE, 0.01)
+    assert to_body(shape.placed(pose), pose) == pytest.approx(shape.offsets, abs=1e-9)

@@ -1,0 +1,76 @@
+"""Merging: a track with the background once it stands, and with another one that moves as it does and touches it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+from gridtrack.trackers.model_free.association import distances_to
+from gridtrack.trackers.model_free.shape import to_body
+from gridtrack.trackers.model_free.tracks import Status, Track
+
+Array = NDArray[np.float64]
+
+DIFFERENT = float(chi2.ppf(0.95, 2))
+"""Squared Mahalanobis distance of two velocities from which on they are told apart."""
+
+
+def velocities_agree(difference: Array, covariance: Array) -> bool:
+    """Whether a velocity, or a difference of two, (2,) m/s with its covariance (2, 2), cannot be told from zero."""
+    return bool(difference @ np.linalg.solve(covariance, difference) < DIFFERENT)
+
+
+def stands(track: Track) -> bool:
+    """Whether the track's velocity cannot be told from zero."""
+    return velocities_agree(track.estimator.mean[3:5], track.estimator.covariance[3:5, 3:5])
+
+
+class Companions:
+    """For how many frames in a row pairs of tracks have moved alike and touched; after `frames` they are one."""
+
+    def __init__(self, touch_m: float, frames: int) -> None:
+        self._touch_m, self._frames = touch_m, frames
+        self._together: dict[tuple[int, int], int] = {}
+
+    def merged(self, tracks: Sequence[Track]) -> list[Track]:
+        """The tracks after one frame more, the younger of two that are one taken into the older."""
+        seen = [track for track in tracks if track.status is Status.CONFIRMED]
+        together = {}
+        taken: set[int] = set()
+        for one, other in _touching(seen, self._touch_m):
+            if _move_alike(one, other):
+                key = one.identity, other.identity
+                together[key] = self._together.get(key, 0) + 1
+                if together[key] >= self._frames and not taken & set(key):
+                    take_in(one, other)
+                    taken.add(other.identity)
+        self._together = together
+        return [track for track in tracks if track.identity not in taken]
+
+
+def take_in(track: Track, other: Track) -> None:
+    """Make the boundary and the newest returns of `other` part of the track."""
+    track.shape.extend(other.shape, to_body(other.boundary, track.pose))
+    track.returns = np.concatenate([track.returns, other.returns])
+    track.ages = np.concatenate([track.ages, other.ages])
+
+
+def _move_alike(one: Track, other: Track) -> bool:
+    difference = one.estimator.mean[3:5] - other.estimator.mean[3:5]
+    return velocities_agree(difference, one.estimator.covariance[3:5, 3:5] + other.estimator.covariance[3:5, 3:5])
+
+
+def _touching(tracks: Sequence[Track], touch_m: float) -> Iterator[tuple[Track, Track]]:
+    """Pairs of tracks, the older first, whose boundaries come within `touch_m`; their boxes are looked at first."""
+    if not tracks:
+        return
+    boundaries = [track.boundary for track in tracks]
+    low = np.stack([boundary.min(axis=0) for boundary in boundaries])
+    high = np.stack([boundary.max(axis=0) for boundary in boundaries]) + touch_m
+    overlap = (low[:, None] <= high).all(axis=2) & (low <= high[:, None]).all(axis=2)
+    for first, second in np.argwhere(np.triu(overlap, 1)).tolist():
+        if distances_to(boundaries[first], [boundaries[second]]).min() <= touch_m:
+            yield tracks[first], tracks[second]

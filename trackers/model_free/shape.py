@@ -1,0 +1,128 @@
+"""The shape of a track: boundary points in the body's frame, each as often occupied as it has been of late."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from gridtrack.common.grid import GridSpec, Mask
+
+Array = NDArray[np.float64]
+
+MAX_POINTS = 256
+"""The most boundary points that a track carries; the weakest go first."""
+ESTABLISHED_FRAMES = 8
+"""For as many frames a boundary point must have been there to be of the body, and not the trail of what leaves it."""
+HIDDEN_FADES = 0.1
+"""A boundary point whose place is hidden fades at this share of the speed of one that is seen not to be there."""
+FORGOTTEN = 0.02
+"""Weight below which a boundary point is dropped."""
+
+
+@dataclass(slots=True)
+class Shape:
+    """Boundary points `offsets` (N, 2) in the body's frame, metres, and `weights` (N,) in [0, 1].
+
+    The weight of a point is the share of the frames of late in which a return was there. A point whose place is hidden
+    keeps it for longer: a vehicle's far side is remembered. `ages` (N,) say for how many frames each has been there,
+    `frames` counts those that the shape was made from.
+    """
+
+    offsets: Array
+    weights: Array
+    ages: NDArray[np.int64]
+    frames: int = 0
+
+    @classmethod
+    def of(cls, offsets: Array, apart_m: float) -> Shape:
+        """The shape that one frame's points make, as points that are at least `apart_m` from each other."""
+        shape = cls(np.empty((0, 2)), np.empty(0), np.empty(0, np.int64))
+        shape.absorb(offsets, np.empty(0, np.bool_), apart_m, gain=0.0)
+        return shape
+
+    def absorb(self, found: Array, in_view: Mask, apart_m: float, gain: float) -> None:
+        """Take in one frame's points `found` (K, 2), body's frame.
+
+        A boundary point within `apart_m` of one is met and gains the share `gain`; one that is not met loses
+        it, slowly if it is not `in_view` (N,); a point that meets none is a new one. The first frames count alike.
+        """
+        gain = max(gain, 1.0 / (self.frames + 1))
+        offsets, weights = _absorb(self.offsets, self.weights, found, in_view, apart_m, gain)
+        kept = np.flatnonzero(weights > FORGOTTEN)
+        if len(kept) > MAX_POINTS:
+            kept = np.sort(kept[np.argsort(weights[kept])[-MAX_POINTS:]])
+        ages = np.concatenate([self.ages, np.zeros(len(offsets) - len(self.ages), np.int64)])
+        self.offsets, self.weights, self.ages = offsets[kept], weights[kept], ages[kept] + 1
+        self.frames += 1
+
+    def extend(self, other: Shape, offsets: Array) -> None:
+        """Add the boundary points of another shape, which lie at `offsets` (K, 2) in this body's frame."""
+        weights = np.concatenate([self.weights, other.weights])
+        strongest = np.argsort(-weights, kind="stable")[:MAX_POINTS]
+        self.offsets = np.concatenate([self.offsets, offsets])[strongest]
+        self.weights, self.ages = weights[strongest], np.concatenate([self.ages, other.ages])[strongest]
+
+    def placed(self, pose: Array) -> Array:
+        """The boundary points (N, 2) at `pose` (3,): x, y, heading; metres, grid frame."""
+        return pose[:2] + self.offsets @ rotation(pose[2]).T
+
+    @property
+    def established(self) -> Mask:
+        """Which points (N,) have been there for long, or in a young shape from the start."""
+        return np.asarray(self.ages >= min(ESTABLISHED_FRAMES, self.ages.max()))
+
+    @property
+    def extent_m(self) -> float:
+        """The longer side of the points' bounding box in the body's frame."""
+        return float(np.ptp(self.offsets, axis=0).max()) if len(self.offsets) else 0.0
+
+
+def to_body(points: Array, pose: Array) -> Array:
+    """Points (N, 2) of the grid frame in the frame of a body at `pose` (3,)."""
+    return np.asarray((points - pose[:2]) @ rotation(pose[2]))
+
+
+def rotation(angle: float) -> Array:
+    """Rotation matrix (2, 2)."""
+    cosine, sine = math.cos(angle), math.sin(angle)
+    return np.array([[cosine, -sine], [sine, cosine]])
+
+
+def in_view(points: Array, grid: GridSpec, visible: Mask) -> Mask:
+    """Which of `points` (N, 2), metres, grid frame, lie in a visible cell; outside the grid nothing is visible."""
+    cells, inside = grid.cells_of(points)
+    seen = inside.copy()
+    seen[inside] = visible[cells[inside, 0], cells[inside, 1]]
+    return seen
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _absorb(offsets, weights, found, in_view, apart_m, gain):  # type: ignore[no-untyped-def]
+    """Boundary points (N', 2) and weights (N',) after one frame; see `Shape.absorb`."""
+    known = len(offsets)
+    total = known
+    points, likely = np.empty((known + len(found), 2)), np.zeros(known + len(found))
+    points[:known], likely[:known] = offsets, weights
+    met = np.zeros(known + len(found), np.bool_)
+    for k in range(len(found)):
+        nearest, distance = -1, apart_m * apart_m
+        for j in range(total):
+            dx, dy = found[k, 0] - points[j, 0], found[k, 1] - points[j, 1]
+            if dx * dx + dy * dy < distance:
+                nearest, distance = j, dx * dx + dy * dy
+        if nearest < 0:
+            points[total] = found[k]
+            met[total] = True
+            total += 1
+        else:
+            met[nearest] = True
+    for j in range(total):
+        if met[j]:
+            likely[j] += gain * (1.0 - likely[j])
+        else:
+            likely[j] -= gain * likely[j] * (1.0 if in_view[j] else HIDDEN_FADES)
+    return points[:total], likely[:total]
