@@ -47,8 +47,9 @@ def joint_compatibility(costs: Array, distances: Array, probability: float) -> d
     """Track -> cluster: the largest set of pairs that is likely as a whole, at the least sum of costs (T, C).
 
     Joint compatibility branch and bound (Neira and Tardos, IEEE Transactions on Robotics and Automation 2001). Tracks
-    are filtered each for itself, so the joint distance is the sum of `distances` (T, C). After MAX_NODES the best set
-    so far stands: the branches are tried best pair first, so it is never worse than taking the nearest.
+    are filtered each for itself, so the joint distance is the sum of `distances` (T, C); each group of tracks that
+    compete for clusters is a problem of its own. After MAX_NODES the best set so far stands: the branches are tried
+    best pair first, so it is never worse than taking the nearest.
     """
     limits = chi2.ppf(probability, MEASURED * np.arange(1, len(costs) + 1))
     possible = np.isfinite(costs) & (distances <= limits[:1])
