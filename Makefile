@@ -16,13 +16,14 @@ demo: $(VENV)/.installed-demo
 demo-junction: $(VENV)/.installed-demo
 	rm -rf runs/junction
 	$(BIN)/gridtrack compare $(JUNCTION) --validation data/junction/validation.tracks \
-	    $(foreach tracker,persistence static-map blank kalman dogma dilated-convgru one-shot,--tracker $(tracker)) --out runs/junction
+	    $(foreach tracker,persistence static-map blank kalman factor-graph dogma dilated-convgru one-shot,--tracker $(tracker)) --out runs/junction
 
 # Every tracker on those twenty minutes: the figures of docs/results/junction.
 results: $(VENV)/.installed-demo
 	rm -rf runs/results
 	$(BIN)/gridtrack compare $(JUNCTION) --validation data/junction/validation.tracks \
-	    $(foreach tracker,persistence static-map blank kalman dogma one-shot deep-tracking-rnn dilated-convgru,--tracker $(tracker)) \
+	    $(foreach tracker,persistence static-map blank kalman factor-graph dogma one-shot deep-tracking-rnn dilated-convgru,\
+        --tracker $(tracker)) \
 	    --reference dilated-convgru --out runs/results
 	$(BIN)/python benchmarks/static_memory.py
 

@@ -1,0 +1,257 @@
+"""The model-free pipeline beside Stone Soup's trackers on the same clusters: error and time.
+
+`pip install stonesoup==1.9.1`, then `python benchmarks/stone_soup.py`. Round people walk through a hall before a laser
+and hide one another; every tracker gets the clusters that our segmentation makes of the same grid frames, and the same
+motion and measurement noise. Stone Soup's are its Kalman filters with global nearest neighbours and with joint
+probabilistic data association (by loopy belief propagation). When a track begins and ends is tuned for each on a seed
+of its own, by the measure that they are judged by: Stone Soup's own OSPA (cut-off 1 m, order 1) to the people who were
+seen within the last second.
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import math
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from datetime import datetime, timedelta
+
+import numpy as np
+from numpy.typing import NDArray
+from stonesoup.dataassociator.neighbour import GNNWith2DAssignment
+from stonesoup.dataassociator.probability import JPDAwithLBP
+from stonesoup.deleter.time import UpdateTimeStepsDeleter
+from stonesoup.hypothesiser.distance import DistanceHypothesiser
+from stonesoup.hypothesiser.probability import PDAHypothesiser
+from stonesoup.initiator.simple import MultiMeasurementInitiator
+from stonesoup.measures import Euclidean, Mahalanobis
+from stonesoup.metricgenerator.ospametric import OSPAMetric
+from stonesoup.models.measurement.linear import LinearGaussian
+from stonesoup.models.transition.linear import CombinedLinearGaussianTransitionModel, OrnsteinUhlenbeck
+from stonesoup.predictor.kalman import KalmanPredictor
+from stonesoup.tracker.simple import MultiTargetMixtureTracker, MultiTargetTracker
+from stonesoup.types.detection import Detection
+from stonesoup.types.state import GaussianState, State
+from stonesoup.updater.kalman import KalmanUpdater
+
+from gridtrack.common.geometry import SE2
+from gridtrack.common.grid import GridFrame, GridSpec
+from gridtrack.common.raycast import cast_scan
+from gridtrack.common.scene import Scene, SceneObject
+from gridtrack.common.simulation.laser import Laser
+from gridtrack.trackers.model_free.background import BackgroundMap
+from gridtrack.trackers.model_free.dwell import table_shape
+from gridtrack.trackers.model_free.forecast import objects
+from gridtrack.trackers.model_free.motion import KalmanEstimator
+from gridtrack.trackers.model_free.pipeline import Pipeline
+from gridtrack.trackers.model_free.segmentation import segment
+from gridtrack.trackers.model_free.settings import PipelineSettings
+
+GRID = GridSpec(100, 0.2, (0.0, -10.0))
+PERIOD_S = 0.125
+RADIUS_M = 0.25
+SPEED, TURN_MEMORY_S, WANDER = 1.2, 3.0, 0.35
+"""Metres a second; walkers keep their velocity for some seconds and accelerate at random, m/s^2 per sqrt(Hz)."""
+BEGIN = datetime(2026, 1, 1)
+CUT_OFF_M = 1.0
+POSITION_NOISE_M = 0.1
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Moment:
+    """A frame and where the people are who were seen within the last second, (N, 2)."""
+
+    frame: GridFrame
+    people: Array
+
+
+def walks(people: int, frames: int, random: np.random.Generator) -> Iterator[Array]:
+    """Positions (N, 2) of each frame: integrated Ornstein-Uhlenbeck velocities, turned back at the hall's sides."""
+    low, high = np.array([2.0, -8.5]), np.array([18.5, 8.5])
+    place = random.uniform(low, high, (people, 2))
+    velocity = random.normal(0.0, SPEED / math.sqrt(2), (people, 2))
+    for _ in range(frames):
+        velocity += WANDER * math.sqrt(PERIOD_S) * random.standard_normal((people, 2))
+        velocity *= SPEED / np.maximum(np.linalg.norm(velocity, axis=1, keepdims=True), SPEED)
+        place = place + velocity * PERIOD_S
+        velocity = np.where((place < low) & (velocity < 0) | (place > high) & (velocity > 0), -velocity, velocity)
+        yield place
+
+
+def seen_in(places: Array, laser: Laser, random: np.random.Generator, step: int) -> tuple[GridFrame, NDArray[np.bool_]]:
+    """The frame, and whom (N,) a beam met."""
+    angles = np.arange(16) * math.tau / 16
+    disc = (RADIUS_M * np.stack([np.cos(angles), np.sin(angles)], axis=1)).astype(np.float32)
+    bodies = tuple(SceneObject(n, n, SE2(x, y, 0.0), disc) for n, (x, y) in enumerate(places.tolist()))
+    scan = laser.scan(Scene((), 255, bodies), round(step * PERIOD_S * 1e9), random)
+    visible, occupied = np.zeros(GRID.shape, bool), np.zeros(GRID.shape, bool)
+    cast_scan(scan, GRID, laser.world_T_sensor, visible, occupied)
+    points = GRID.cell_centres(occupied)
+    origins = np.array([[laser.x, laser.y]], np.float32)
+    frame = GridFrame(scan.stamp_ns, visible, occupied, SE2(), origins, points, np.zeros(len(points), np.uint8))
+    return frame, np.isin(np.arange(len(places)), scan.labels)
+
+
+def hall(people: int, frames: int, seed: int) -> list[Moment]:
+    random, laser = np.random.default_rng(seed), Laser(x=0.5)
+    last_seen = np.full(people, -(10**6))
+    moments = []
+    for step, places in enumerate(walks(people, frames, random)):
+        frame, seen = seen_in(places, laser, random, step)
+        last_seen[seen] = step
+        moments.append(Moment(frame, places[step - last_seen <= 1.0 / PERIOD_S]))
+    return moments
+
+
+Tracked = tuple[list[Array], list[float]]
+"""Positions (N, 2) that are found in each frame, and the seconds of processor time that it took."""
+
+
+def clusters_of(moments: list[Moment], settings: PipelineSettings) -> Tracked:
+    """Centres (C, 2) of the clusters in each frame, and the seconds that segmentation takes."""
+    found, seconds = [], []
+    for frame in (moment.frame for moment in moments):
+        begun = time.thread_time()
+        points = frame.points.astype(np.float64)
+        ranges = np.linalg.norm(points - frame.origins[0], axis=1)
+        clusters = segment(points, ranges, settings.link_m, settings.link_per_m)
+        found.append(np.array([cluster.centre for cluster in clusters]).reshape(-1, 2))
+        seconds.append(time.thread_time() - begun)
+    return found, seconds
+
+
+def ours(moments: list[Moment], settings: PipelineSettings) -> Tracked:
+    """The pipeline with Kalman filters, segmentation and all."""
+    empty = BackgroundMap(np.full(GRID.shape, 1e-3, np.float32), np.zeros(GRID.shape, np.float32))
+    dwell = np.full(table_shape(PERIOD_S), 0.1, np.float32)
+    pipeline = Pipeline(GRID, PERIOD_S, empty, dwell, settings, KalmanEstimator)
+    found, seconds = [], []
+    for moment in moments:
+        begun = time.thread_time()
+        pipeline.update(moment.frame)
+        seconds.append(time.thread_time() - begun)
+        found.append(np.array([one.box[:2] for one in objects(pipeline.tracks)], float).reshape(-1, 2))
+    return found, seconds
+
+
+@dataclass(frozen=True)
+class Life:
+    """When a track of Stone Soup's begins and ends."""
+
+    min_points: int
+    coast_steps: int
+
+
+def stone_soup(segmented: Tracked, settings: PipelineSettings, life: Life, *, joint: bool) -> Tracked:
+    """Stone Soup's multi-target tracker on clusters: global nearest neighbour, or joint probabilistic.
+
+    The time of the segmentation, which it needs as ours does, is counted.
+    """
+    clusters, begun_with = segmented
+    axis = OrnsteinUhlenbeck(settings.acceleration**2, 1.0 / settings.velocity_memory_s)
+    predictor = KalmanPredictor(CombinedLinearGaussianTransitionModel([axis, axis]))
+    measurement = LinearGaussian(4, (0, 2), np.eye(2) * POSITION_NOISE_M**2)
+    updater = KalmanUpdater(measurement)
+    gate = math.sqrt(-2.0 * math.log(1.0 - settings.gate_probability))
+    nearest = DistanceHypothesiser(predictor, updater, Mahalanobis(), missed_distance=gate)
+    probable = PDAHypothesiser(
+        predictor, updater, clutter_spatial_density=1e-3, prob_detect=0.85, prob_gate=settings.gate_probability
+    )
+    associator = JPDAwithLBP(probable) if joint else GNNWith2DAssignment(nearest)
+    deleter = UpdateTimeStepsDeleter(life.coast_steps)
+    variances = np.diag([POSITION_NOISE_M, settings.initial_speed] * 2) ** 2
+    initiator = MultiMeasurementInitiator(
+        GaussianState(np.zeros(4), variances), UpdateTimeStepsDeleter(2), GNNWith2DAssignment(nearest), updater,
+        measurement, min_points=life.min_points,
+    )  # fmt: skip
+    stamps = [BEGIN + timedelta(seconds=PERIOD_S * step) for step in range(len(clusters))]
+    detections = [
+        {Detection(centre[:, None], timestamp=stamp, measurement_model=measurement) for centre in centres}
+        for stamp, centres in zip(stamps, clusters, strict=True)
+    ]
+    kind = MultiTargetMixtureTracker if joint else MultiTargetTracker
+    tracker = iter(kind(initiator, deleter, zip(stamps, detections, strict=True), associator, updater))
+    found, seconds = [], []
+    for _ in stamps:
+        begun = time.thread_time()
+        _, tracks = next(tracker)
+        seconds.append(time.thread_time() - begun)
+        found.append(np.array([track.state_vector[(0, 2), 0] for track in tracks], float).reshape(-1, 2))
+    return found, [a + b for a, b in zip(begun_with, seconds, strict=True)]
+
+
+def ospa(found: list[Array], moments: list[Moment]) -> Array:
+    """Of every frame after the first two seconds."""
+    metric = OSPAMetric(p=1, c=CUT_OFF_M, measure=Euclidean())
+
+    def states(positions: Array, stamp: datetime) -> list[State]:
+        return [State(position, timestamp=stamp) for position in positions]
+
+    each = zip(found, moments, strict=True)
+    values = [
+        metric.compute_OSPA_distance(states(tracks, BEGIN), states(moment.people, BEGIN)).value
+        for tracks, moment in itertools.islice(each, round(2.0 / PERIOD_S), None)
+    ]
+    return np.array(values, float)
+
+
+def best_life(moments: list[Moment], clusters: Tracked, settings: PipelineSettings, *, joint: bool) -> Life:
+    """The life of Stone Soup's tracks with the least OSPA."""
+    lives = [Life(*each) for each in itertools.product((2, 4), (4, 8, 16))]
+    return min(lives, key=lambda life: ospa(stone_soup(clusters, settings, life, joint=joint)[0], moments).mean())
+
+
+def best_settings(moments: list[Moment], settings: PipelineSettings) -> PipelineSettings:
+    """The same of ours: from which probability on a track is confirmed, and for how long it may coast."""
+    each = itertools.product((0.6, 0.8), (0.1, 0.3), (2.0, 15.0))
+    tried = [settings.model_copy(update={"confirm_above": c, "dead_below": d, "life_s": life}) for c, d, life in each]
+    return min(tried, key=lambda one: ospa(ours(moments, one)[0], moments).mean())
+
+
+def side_by_side(people: int, frames: int, seeds: range) -> None:
+    settings = PipelineSettings(acceleration=WANDER, velocity_memory_s=TURN_MEMORY_S, initial_speed=SPEED)
+    practice = hall(people, frames, seeds.start - 1)
+    clusters = clusters_of(practice, settings)
+    lives = {joint: best_life(practice, clusters, settings, joint=joint) for joint in (False, True)}
+    settings = best_settings(practice, settings)
+    print(f"{people} people, {frames} frames, {len(seeds)} seeds; {lives}")
+    print(f"ours: confirmed above {settings.confirm_above}, dead below {settings.dead_below}, life {settings.life_s} s")
+    results: dict[str, list[tuple[float, Array]]] = {}
+    for seed in seeds:
+        moments = hall(people, frames, seed)
+        clusters = clusters_of(moments, settings)
+        runs: dict[str, Callable[[], Tracked]] = {
+            "ours, Kalman": lambda m=moments: ours(m, settings),
+            "Stone Soup, nearest": lambda c=clusters: stone_soup(c, settings, lives[False], joint=False),
+            "Stone Soup, JPDA": lambda c=clusters: stone_soup(c, settings, lives[True], joint=True),
+        }
+        for name, run in runs.items():
+            found, seconds = run()
+            results.setdefault(name, []).append((float(ospa(found, moments).mean()), 1e3 * np.array(seconds)))
+    show(results)
+
+
+def show(results: dict[str, list[tuple[float, Array]]]) -> None:
+    """Mean OSPA of each seed and the times of all frames; what is paired, is paired by seed."""
+    (_, base), *_ = results.items()
+    for name, each in results.items():
+        distance, ms = np.array([d for d, _ in each]), np.concatenate([t for _, t in each])
+        less = distance - np.array([d for d, _ in base])
+        spread = 1.96 * less.std(ddof=1) / math.sqrt(len(less)) if len(less) > 1 else math.nan
+        ratio = np.median(ms) / np.median(np.concatenate([t for _, t in base]))
+        print(
+            f"  {name:20} OSPA {distance.mean():.3f} m (ours {less.mean():+.3f} +- {spread:.3f});"
+            f" {np.median(ms):.2f} ms, p95 {np.percentile(ms, 95):.2f} a frame, {ratio:.1f} x ours"
+        )
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--people", type=int, default=30)
+    parser.add_argument("--frames", type=int, default=160)
+    parser.add_argument("--seeds", type=int, default=5)
+    given = parser.parse_args()
+    side_by_side(given.people, given.frames, range(1, 1 + given.seeds))
