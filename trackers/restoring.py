@@ -15,9 +15,7 @@ from gridtrack.trackers.weights import Weights, array
 Given = TypeVar("Given", bound=Settings)
 
 
-def trained_settings(
-    stream: StreamSpec, weights: Weights, given: Given, running: type[Settings] = Settings
-) -> Given:
+def trained_settings(stream: StreamSpec, weights: Weights, given: Given, running: type[Settings] = Settings) -> Given:
     """The settings that `weights` were trained with, and of those that do not concern training, the `given` ones.
 
     The latter are the fields of `running`. Raises WeightsError where the trained ones contradict one that was given.
