@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import cache
 from typing import Any, Literal
 
 import numba
@@ -32,7 +33,12 @@ def assign(costs: Array, distances: Array, probability: float, method: Method) -
     """
     if method == "jcbb":
         return joint_compatibility(costs, distances, probability)
-    return hungarian(np.where(distances <= chi2.ppf(probability, MEASURED), costs, np.inf))
+    return hungarian(np.where(distances <= _gate(probability), costs, np.inf))
+
+
+@cache
+def _gate(probability: float) -> float:
+    return float(chi2.ppf(probability, MEASURED))
 
 
 def hungarian(costs: Array) -> dict[int, int]:

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from functools import lru_cache
 from typing import NamedTuple
 
+import numba
 import numpy as np
 from numpy.typing import NDArray
 
@@ -118,4 +119,9 @@ def squared_mahalanobis(found: Match, track: Track) -> float:
     """Squared Mahalanobis distance of a matched pose from the track's predicted one."""
     off = found.pose - track.pose
     off[2] = wrap_angle(off[2])
-    return float(off @ np.linalg.solve(track.estimator.covariance[:3, :3] + found.covariance, off))
+    return float(_squared_norm(track.estimator.covariance[:3, :3] + found.covariance, off))
+
+
+@numba.njit(cache=True, nogil=True)
+def _squared_norm(covariance, off):  # type: ignore[no-untyped-def]
+    return off @ np.linalg.solve(covariance, off)

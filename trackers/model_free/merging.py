@@ -20,7 +20,8 @@ DIFFERENT = float(chi2.ppf(0.95, 2))
 
 def velocities_agree(difference: Array, covariance: Array) -> bool:
     """Whether a velocity, or a difference of two, (2,) m/s with its covariance (2, 2), cannot be told from zero."""
-    return bool(difference @ np.linalg.solve(covariance, difference) < DIFFERENT)
+    (x, y), ((xx, xy), (_, yy)) = difference.tolist(), covariance.tolist()
+    return bool(yy * x * x - 2.0 * xy * x * y + xx * y * y < DIFFERENT * (xx * yy - xy * xy))
 
 
 def stands(track: Track) -> bool:

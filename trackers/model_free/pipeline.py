@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec, Mask
-from gridtrack.trackers.model_free.association import assign, distances_to, share_out
+from gridtrack.trackers.model_free.association import assign, distances_to, share_out, split
 from gridtrack.trackers.model_free.background import Background, BackgroundMap
 from gridtrack.trackers.model_free.dwell import NOT_OCCUPIED, next_ages
 from gridtrack.trackers.model_free.forecast import add_tracks
@@ -106,11 +106,12 @@ class Pipeline:
 
     def _correct(self, shares: dict[int, Cluster], poses: dict[int, Match], visible: Mask) -> None:
         """Correct each track by the pose its returns show, and let them extend its shape."""
-        for number, cluster in shares.items():
-            track = self.tracks[number]
-            track.estimator.update(poses[number].pose, poses[number].covariance)
-            track.returns, track.ages = cluster.points, self._ages_of(cluster)
-            seen = in_view(track.boundary, self.grid, visible)
+        for number, found in poses.items():
+            self.tracks[number].estimator.update(found.pose, found.covariance)
+        tracks, clusters = [self.tracks[number] for number in shares], list(shares.values())
+        views = in_view([track.boundary for track in tracks], self.grid, visible)
+        for track, cluster, ages, seen in zip(tracks, clusters, self._ages_of(clusters), views, strict=True):
+            track.returns, track.ages = cluster.points, ages
             track.shape.absorb(to_body(cluster.points, track.pose), seen, self.settings.surface_m, self.shape_gain)
 
     def _judge(self, shares: dict[int, Cluster], visible: Mask) -> None:
@@ -125,7 +126,7 @@ class Pipeline:
                 track.confirmed |= track.existence >= settings.confirm_above
             else:
                 track.unseen += 1
-                seen = in_view(track.boundary, self.grid, visible)
+                (seen,) = in_view([track.boundary], self.grid, visible)
                 in_sight = float(track.shape.weights[seen].sum() / track.shape.weights.sum())
                 detectable = settings.detection_probability * in_sight
                 track.existence = existence_when_missed(track.existence, detectable)
@@ -155,12 +156,11 @@ class Pipeline:
         return marked
 
     def _give_birth(self, clusters: list[Cluster]) -> None:
-        for cluster in clusters:
+        for cluster, ages in zip(clusters, self._ages_of(clusters), strict=True):
             pose, covariance = first_pose(cluster, self.settings)
             estimator = self.estimator(pose, covariance, self.motion)
             shape = Shape.of(to_body(cluster.points, pose), self.settings.surface_m)
             existence = self.settings.birth_probability
-            ages = self._ages_of(cluster)
             self.tracks.append(Track(self.born, estimator, shape, cluster.points, ages, existence))
             self.born += 1
 
@@ -172,10 +172,12 @@ class Pipeline:
             occupancy[0] = np.where(self.frame.visible, self.frame.occupied, occupancy[0])
         return occupancy
 
-    def _ages_of(self, cluster: Cluster) -> NDArray[np.int64]:
-        """For how many frames each return of the cluster (N,) has been in place."""
-        cells, _ = self.grid.cells_of(cluster.points)
-        return self.ages[cells[:, 0], cells[:, 1]]
+    def _ages_of(self, clusters: list[Cluster]) -> list[NDArray[np.int64]]:
+        """For how many frames each return of each cluster (N,) has been in place."""
+        if not clusters:
+            return []
+        cells, _ = self.grid.cells_of(np.concatenate([cluster.points for cluster in clusters]))
+        return split(self.ages[cells[:, 0], cells[:, 1]], clusters)
 
 
 def compile_ahead(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numba
@@ -92,12 +93,14 @@ def rotation(angle: float) -> Array:
     return np.array([[cosine, -sine], [sine, cosine]])
 
 
-def in_view(points: Array, grid: GridSpec, visible: Mask) -> Mask:
-    """Which of `points` (N, 2), metres, grid frame, lie in a visible cell; outside the grid nothing is visible."""
-    cells, inside = grid.cells_of(points)
+def in_view(boundaries: Sequence[Array], grid: GridSpec, visible: Mask) -> list[Mask]:
+    """Which points of each boundary (N, 2), metres, grid frame, lie in a visible cell; none does outside the grid."""
+    if not boundaries:
+        return []
+    cells, inside = grid.cells_of(np.concatenate(boundaries))
     seen = inside.copy()
     seen[inside] = visible[cells[inside, 0], cells[inside, 1]]
-    return seen
+    return np.split(seen, np.cumsum([len(boundary) for boundary in boundaries])[:-1])
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")

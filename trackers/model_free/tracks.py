@@ -39,6 +39,7 @@ class Track:
     """Frames since returns were last given to it."""
     standing: int = 0
     """Frames in a row in which its velocity could not be told from zero."""
+    _placed: tuple[Array, Array, Array] | None = None
 
     @property
     def pose(self) -> Array:
@@ -47,8 +48,11 @@ class Track:
 
     @property
     def boundary(self) -> Array:
-        """Its boundary points (N, 2), metres, grid frame."""
-        return self.shape.placed(self.pose)
+        """Its boundary points (N, 2), metres, grid frame; kept until pose or shape change, for every stage asks."""
+        mean, offsets = self.estimator.mean, self.shape.offsets
+        if self._placed is None or self._placed[0] is not mean or self._placed[1] is not offsets:
+            self._placed = mean, offsets, self.shape.placed(mean[:3])
+        return self._placed[2]
 
     @property
     def established(self) -> Array:
