@@ -115,3 +115,14 @@ class LabelledFrame(NamedTuple):
     frame: GridFrame
     cells: NDArray[np.int64]
     labels: NDArray[np.uint8]
+
+
+def with_neighbours(cells: Mask) -> Mask:
+    """The marked cells (M, M) and their eight neighbours."""
+    rows = cells.copy()
+    rows[1:] |= cells[:-1]
+    rows[:-1] |= cells[1:]
+    grown = rows.copy()
+    grown[:, 1:] |= rows[:, :-1]
+    grown[:, :-1] |= rows[:, 1:]
+    return grown

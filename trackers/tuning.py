@@ -1,25 +1,18 @@
-"""Tuning a tracker's few parameters: a seeded search for the least log loss of moving cells, and what a card says.
-
-The search minimises log loss, a proper score: it sees a forecast grow rightly unsure of where a walker will be, which
-the F1 at the best threshold of a short stretch does not tell from chance.
-"""
+"""Tuning a tracker's few parameters: a seeded search, on frames held in memory, and what a card says of the result."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import islice
-from typing import Any, TypeVar
+from typing import Any, Generic, Literal, NamedTuple, TypeVar
 
-import numpy as np
 import optuna
 
 from gridtrack.common.config import Settings
 from gridtrack.common.grid import GridFrame, GridSpec, LabelledFrame
-from gridtrack.trackers.contract import FrameSource, StretchScore
+from gridtrack.trackers.contract import FitOutput, FrameSource, StretchScore
 
-HORIZONS_S = (0.2, 0.5, 1.0, 2.0)
-"""What is tuned for: the mean over these of the log loss on moving cells."""
 REPORT_EVERY = 10
 
 Tuned = TypeVar("Tuned", bound=Settings)
@@ -27,7 +20,7 @@ Tuned = TypeVar("Tuned", bound=Settings)
 
 @dataclass(slots=True)
 class HeldSource:
-    """The beginning of another source, its frames made once and held in memory: a search streams it many times."""
+    """A part of another source, its frames made once and held in memory: a search streams it many times."""
 
     name: str
     sha256: str
@@ -40,8 +33,18 @@ class HeldSource:
     @classmethod
     def beginning(cls, source: FrameSource, seconds: float) -> HeldSource:
         """The first `seconds` of `source`, or all of it where it is shorter."""
-        frames = list(islice(source, max(1, round(seconds / source.period_s))))
-        return cls(source.name, source.sha256, source.grid, source.period_s, source.site, source.classes, tuple(frames))
+        return cls._of(source, source.name, 0, max(1, round(seconds / source.period_s)))
+
+    @classmethod
+    def excerpt(cls, source: FrameSource, first: int, count: int) -> HeldSource:
+        """The `count` frames of `source` from the `first` on, named by the seconds that they are."""
+        name = f"{source.name}, {count * source.period_s:g} s from {first * source.period_s:g} s on"
+        return cls._of(source, name, first, count)
+
+    @classmethod
+    def _of(cls, source: FrameSource, name: str, first: int, count: int) -> HeldSource:
+        frames = tuple(islice(source, first, first + count))
+        return cls(name, source.sha256, source.grid, source.period_s, source.site, source.classes, frames)
 
     def __iter__(self) -> Iterator[GridFrame]:
         return iter(self.frames)
@@ -54,55 +57,55 @@ class HeldSource:
         raise NotImplementedError("classes are not learned from held frames")
 
 
+class Measure(NamedTuple, Generic[Tuned]):
+    """What settings are chosen by: its `name` in reports, which way is better, and what it is `of` settings."""
+
+    name: str
+    better: Literal["minimize", "maximize"]
+    of: Callable[[Tuned], float]
+
+
 def search(
     kind: type[Tuned],
     ranges: Mapping[str, tuple[float, float]],
-    loss: Callable[[Tuned], float],
+    measure: Measure[Tuned],
     given: Mapping[str, Any],
     trials: int,
-    seed: int,
-    report: Callable[[str], None],
+    out: FitOutput,
 ) -> Tuned:
-    """The settings of least `loss` in `trials` trials of a tree-structured Parzen estimator, the defaults first.
+    """The settings best by `measure` in `trials` trials of a tree-structured Parzen estimator, the defaults first.
 
-    Each key of `ranges` is searched from low to high, log-uniformly; settings in `given` are kept. The same seed makes
-    the same search.
+    Each key of `ranges` is searched from low to high, log-uniformly; settings in `given` are kept, and where they are
+    all that is searched they are the answer. The same seed makes the same search.
     """
     tuned = {key: bounds for key, bounds in ranges.items() if key not in given}
+    if not tuned:
+        return kind(**given)
 
     def objective(trial: optuna.Trial) -> float:
-        return loss(kind(**given, **{key: _suggested(trial, key, *tuned[key]) for key in tuned}))
+        return measure.of(kind(**given, **{key: _suggested(trial, key, *tuned[key]) for key in tuned}))
 
     def tell(study: optuna.Study, trial: optuna.trial.FrozenTrial) -> None:
         if trial.number % REPORT_EVERY == 0:
-            report(f"trial {trial.number + 1} of {trials}, log loss {study.best_value:.5f}")
+            out.report(f"trial {trial.number + 1} of {trials}, {measure.name} {study.best_value:.5f}")
 
     optuna.logging.set_verbosity(optuna.logging.WARNING)
-    study = optuna.create_study(sampler=optuna.samplers.TPESampler(seed=seed, multivariate=True))
+    sampler = optuna.samplers.TPESampler(seed=out.seed, multivariate=True)
+    study = optuna.create_study(direction=measure.better, sampler=sampler)
     defaults = kind()
     study.enqueue_trial({key: getattr(defaults, key) for key in tuned})
     study.optimize(objective, n_trials=trials, callbacks=[tell])
     return kind(**given, **{key: three_digits(value) for key, value in study.best_params.items()})
 
 
-def furthest_step(source: FrameSource) -> int:
-    """The last step that is tuned for."""
-    return step_of(source, max(HORIZONS_S))
-
-
-def moving_loss(score: StretchScore, source: FrameSource) -> float:
-    """Mean log loss on moving cells over HORIZONS_S."""
-    return float(np.mean([score.log_loss["moving"][step_of(source, horizon)] for horizon in HORIZONS_S]))
-
-
-def summary(score: StretchScore, source: FrameSource) -> dict[str, Any]:
+def summary(score: StretchScore, source: FrameSource, horizons_s: Sequence[float]) -> dict[str, Any]:
     """What a card says of one stretch."""
     columns = {
         "moving_log_loss": score.log_loss["moving"],
         "visible_f1": score.f1["visible"],
         "moving_f1": score.f1["moving"],
     }
-    at = {f"{horizon:g}s": step_of(source, horizon) for horizon in HORIZONS_S}
+    at = {f"{horizon:g}s": step_of(source, horizon) for horizon in horizons_s}
     return {"stretch": source.name} | {
         name: {horizon: round(float(values[step]), 4) for horizon, step in at.items()}
         for name, values in columns.items()

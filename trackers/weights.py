@@ -11,7 +11,7 @@ import tomllib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import tomli_w
@@ -28,6 +28,8 @@ from gridtrack.trackers.contract import FitOutput, FrameSource, StreamSpec
 SCHEMA = 1
 MAX_BYTES = 1 << 30
 MAX_CARD_BYTES = 1 << 20
+
+Tuned = TypeVar("Tuned", bound=Settings)
 
 
 class TrainingData(Settings):
@@ -176,6 +178,15 @@ def _read_arrays(path: Path, sha256: str) -> dict[str, NDArray[Any]]:
         raise WeightsError(f"{path}: cannot be read ({error.strerror})") from None
     except SafetensorError as error:
         raise WeightsError(f"{path}: not a safetensors file ({error})") from None
+
+
+def tuned_settings(kind: type[Tuned], weights: Weights, given: Settings) -> Tuned:
+    """The tuned settings of the card, overridden by the options that were `given`. Raises WeightsError."""
+    where = f"weights of {weights.card.tracker}, settings"
+    try:
+        return validated(kind, weights.card.settings | given.model_dump(exclude_unset=True), where)
+    except ConfigurationError as error:
+        raise WeightsError(f"{error}; train again") from None
 
 
 def array(weights: Weights, name: str, shape: tuple[int, ...]) -> NDArray[Any]:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridtrack.common.geometry import SE2, wrap_angle
-from gridtrack.common.grid import GridFrame, GridSpec, Mask
+from gridtrack.common.grid import GridFrame, GridSpec, Mask, with_neighbours
 
 PLACES = ("ring", "static", "moving")
 """Disjoint kinds of place; an array of places (M, M) uint8 holds indices into this."""
@@ -103,7 +103,7 @@ def places_of(frames: Iterable[GridFrame], grid: GridSpec, world_T_grid: SE2) ->
 def places_round(static: Mask) -> NDArray[np.uint8]:
     """Place of each cell (M, M), from those that are static."""
     places = np.full(static.shape, PLACES.index("moving"), np.uint8)
-    places[_with_neighbours(static)] = PLACES.index("ring")
+    places[with_neighbours(static)] = PLACES.index("ring")
     places[static] = PLACES.index("static")
     return places
 
@@ -133,14 +133,3 @@ def same_place(one: SE2, other: SE2) -> bool:
     """Whether two poses of a grid agree to a millimetre and a milliradian: its cells are then the same places."""
     turned = abs(wrap_angle(one.theta - other.theta))
     return max(abs(one.x - other.x), abs(one.y - other.y), turned) < 1e-3
-
-
-def _with_neighbours(cells: Mask) -> Mask:
-    """The marked cells (M, M) and their eight neighbours."""
-    rows = cells.copy()
-    rows[1:] |= cells[:-1]
-    rows[:-1] |= cells[1:]
-    grown = rows.copy()
-    grown[:, 1:] |= rows[:, :-1]
-    grown[:, :-1] |= rows[:, 1:]
-    return grown

@@ -16,11 +16,12 @@ pytest.importorskip("filterpy")
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame
 from gridtrack.trackers.model_free.association import distances_to, gaps, hungarian, joint_compatibility, share_out
-from gridtrack.trackers.model_free.background import PRIOR_FRAMES, Background, BackgroundMap, fit_background
+from gridtrack.trackers.model_free.background import Background, BackgroundMap, fit_background
 from gridtrack.trackers.model_free.dwell import NOT_OCCUPIED, PRIOR_RETURNS, fit_dwell, next_ages, staying
 from gridtrack.trackers.model_free.rasterise import draw_track
 from gridtrack.trackers.model_free.segmentation import Cluster, segment
 from gridtrack.trackers.model_free.tracks import existence_when_detected, existence_when_missed
+from gridtrack.trackers.site_rate import PRIOR_FRAMES
 
 
 def frame_of(visible, occupied):

@@ -10,12 +10,11 @@ import pytest
 pytest.importorskip("filterpy")
 from gridtrack.common.errors import WeightsError
 from gridtrack.common.geometry import SE2
-from gridtrack.common.grid import GridFrame, GridSpec
+from gridtrack.common.grid import GridFrame, GridSpec, with_neighbours
 from gridtrack.common.raycast import cast_scan
 from gridtrack.common.scan import Scan
 from gridtrack.trackers.contract import FitOutput, StreamSpec, StretchScore
 from gridtrack.trackers.model_free import KalmanTracker, tuning
-from gridtrack.trackers.model_free.background import with_neighbours
 from gridtrack.trackers.model_free.settings import PipelineSettings
 from gridtrack.trackers.weights import Card, read_card, save_weights
 

@@ -7,8 +7,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from gridtrack.common.config import Settings, validated
-from gridtrack.common.errors import ConfigurationError, WeightsError
+from gridtrack.common.config import Settings
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec
 from gridtrack.trackers.contract import FitOutput, Forecast, FrameSource, Score, StreamSpec, Tracker
@@ -17,7 +16,7 @@ from gridtrack.trackers.dogma.forecast import forecast
 from gridtrack.trackers.dogma.masses import Mass
 from gridtrack.trackers.dogma.moments import velocities
 from gridtrack.trackers.dogma.settings import NAME, DogmaSettings
-from gridtrack.trackers.weights import Weights, array, load_weights
+from gridtrack.trackers.weights import array, load_weights, tuned_settings
 
 
 class DogmaTracker(Tracker):
@@ -30,7 +29,7 @@ class DogmaTracker(Tracker):
         """Raises WeightsError without weights for the stream's site, grid and period."""
         super().__init__(stream, options)
         weights = load_weights(stream, NAME)
-        self._settings = _settings(weights, options)
+        self._settings = tuned_settings(DogmaSettings, weights, options)
         self._usual = array(weights, "usual", stream.grid.shape)
         compile_ahead(stream.period_s)
         self.reset(seed=0)
@@ -79,12 +78,3 @@ def compile_ahead(period_s: float) -> None:
         stamp_ns = round(frame * period_s * 1e9)
         state.update(GridFrame(stamp_ns, visible, occupied, SE2(), sensor, points, np.zeros(len(points), np.uint8)))
     _forecast(state, np.zeros(grid.shape, np.float32), steps=1)
-
-
-def _settings(weights: Weights, options: DogmaSettings) -> DogmaSettings:
-    """The tuned settings of the card, overridden by the options that were given."""
-    given = options.model_dump(exclude_unset=True)
-    try:
-        return validated(DogmaSettings, weights.card.settings | given, f"weights of {NAME}, settings")
-    except ConfigurationError as error:
-        raise WeightsError(f"{error}; train again") from None

@@ -9,10 +9,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from gridtrack.common.grid import GridFrame, Mask
+from gridtrack.common.grid import GridFrame, Mask, with_neighbours
+from gridtrack.trackers.site_rate import PRIOR_FRAMES, posterior_rate
 
-PRIOR_FRAMES = 20.0
-"""Weight of the base rate against a cell's own record, in frames."""
 GONE_SHARE = 0.1
 """What had stopped has left when this share of its cells, and all beside them, are seen empty."""
 
@@ -33,36 +32,19 @@ class BackgroundMap(NamedTuple):
 def fit_background(frames: Iterable[GridFrame], shape: tuple[int, int]) -> BackgroundMap:
     """The map over the given frames.
 
-    Each is a posterior mean under a Beta prior worth PRIOR_FRAMES frames whose mean is the base rate, the share of all
-    visible cells: a cell never seen, or never seen occupied, keeps a small probability and not zero.
+    Each is a posterior mean (`posterior_rate`).
     """
     visible, occupied, about = np.zeros((3, *shape))
     for frame in frames:
         visible += frame.visible
         occupied += frame.occupied
         about += frame.visible & with_neighbours(frame.occupied)
-    return BackgroundMap(_posterior(occupied, visible), _posterior(about, visible))
+    return BackgroundMap(posterior_rate(occupied, visible), posterior_rate(about, visible))
 
 
 def unknown_place(fitted: BackgroundMap) -> BackgroundMap:
     """The map of a place of which only the middle one of the fitted rates is known: no cell differs from another."""
     return BackgroundMap(np.full_like(fitted.rate, np.median(fitted.rate)), np.zeros_like(fitted.solid))
-
-
-def _posterior(counted: NDArray[np.float64], visible: NDArray[np.float64]) -> NDArray[np.float32]:
-    base_rate = counted.sum() / max(visible.sum(), 1.0)
-    return np.asarray((counted + PRIOR_FRAMES * base_rate) / (visible + PRIOR_FRAMES), np.float32)
-
-
-def with_neighbours(cells: Mask) -> Mask:
-    """The marked cells (M, M) and their eight neighbours."""
-    rows = cells.copy()
-    rows[1:] |= cells[:-1]
-    rows[:-1] |= cells[1:]
-    grown = rows.copy()
-    grown[:, 1:] |= rows[:, :-1]
-    grown[:, :-1] |= rows[:, 1:]
-    return grown
 
 
 class Background:

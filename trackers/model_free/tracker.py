@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, ClassVar
 
-from gridtrack.common.config import Settings, validated
-from gridtrack.common.errors import ConfigurationError, WeightsError
+from gridtrack.common.config import Settings
 from gridtrack.common.grid import GridFrame
 from gridtrack.trackers.contract import FitOutput, Forecast, FrameSource, Score, StreamSpec, Tracker
 from gridtrack.trackers.model_free.background import BackgroundMap, unknown_place
@@ -15,7 +14,7 @@ from gridtrack.trackers.model_free.forecast import objects
 from gridtrack.trackers.model_free.motion import FactorGraphEstimator, KalmanEstimator, MotionEstimator, MotionModel
 from gridtrack.trackers.model_free.pipeline import Array, Pipeline, compile_ahead
 from gridtrack.trackers.model_free.settings import PipelineSettings
-from gridtrack.trackers.weights import Weights, array, load_weights
+from gridtrack.trackers.weights import array, load_weights, tuned_settings
 
 
 class ModelFreeTracker(Tracker):
@@ -36,7 +35,7 @@ class ModelFreeTracker(Tracker):
         """Raises WeightsError without a fitted background for the stream's site, grid and period."""
         super().__init__(stream, options)
         weights = load_weights(stream, self.name)
-        self._settings = _settings(weights, options)
+        self._settings = tuned_settings(PipelineSettings, weights, options)
         fitted = BackgroundMap(*(array(weights, name, stream.grid.shape) for name in BackgroundMap._fields))
         self._background = fitted if self._settings.background == "fitted" else unknown_place(fitted)
         self._dwell = array(weights, "dwell", table_shape(stream.period_s))
@@ -83,12 +82,3 @@ class FactorGraphTracker(ModelFreeTracker):
 
     name = "factor-graph"
     estimator = staticmethod(FactorGraphEstimator)
-
-
-def _settings(weights: Weights, options: PipelineSettings) -> PipelineSettings:
-    """The tuned settings of the card, overridden by the options that were given."""
-    given, where = options.model_dump(exclude_unset=True), f"weights of {weights.card.tracker}, settings"
-    try:
-        return validated(PipelineSettings, weights.card.settings | given, where)
-    except ConfigurationError as error:
-        raise WeightsError(f"{error}; train again") from None
