@@ -46,6 +46,7 @@ ESTIMATORS: dict[str, Callable[..., MotionEstimator]] = {
 }
 MODEL = MotionModel(
     acceleration=0.7,
+    surge=0.001,
     turn_acceleration=0.3,
     velocity_memory_s=20.0,
     turn_memory_s=3.0,

@@ -19,9 +19,14 @@ from gridtrack.trackers.model_free.association import distances_to, gaps, hungar
 from gridtrack.trackers.model_free.background import Background, BackgroundMap, fit_background
 from gridtrack.trackers.model_free.dwell import NOT_OCCUPIED, PRIOR_RETURNS, fit_dwell, next_ages, staying
 from gridtrack.trackers.model_free.rasterise import draw_track
-from gridtrack.trackers.model_free.segmentation import Cluster, segment
+from gridtrack.trackers.model_free.segmentation import Cluster, clusters_of, segment
 from gridtrack.trackers.model_free.tracks import existence_when_detected, existence_when_missed
 from gridtrack.trackers.site_rate import PRIOR_FRAMES
+
+
+def cluster(points):
+    """A cluster that nothing cuts off."""
+    return Cluster(np.asarray(points, float), np.zeros(len(points), bool))
 
 
 def frame_of(visible, occupied):
@@ -112,18 +117,21 @@ def test_a_wall_that_is_taken_away_is_forgotten():
 
 def test_returns_nearer_than_the_link_are_one_cluster_and_chains_hold_together():
     points = np.array([[0.0, 0.0], [0.9, 0.0], [1.8, 0.0], [5.0, 0.0]])
-    clusters = segment(points, np.zeros(4), link_m=1.0, link_per_m=0.0)
+    labels = segment(points, np.zeros(4), link_m=1.0, link_per_m=0.0)
+    clusters = clusters_of(points, np.array([False, True, False, False]), labels)
     assert sorted(len(cluster.points) for cluster in clusters) == [1, 3]
+    assert [cluster.points[cluster.cut].tolist() for cluster in clusters if cluster.cut.any()] == [[[0.9, 0.0]]]
 
 
 def test_the_link_grows_with_range_and_the_nearer_return_decides():
     points = np.array([[0.0, 0.0], [1.5, 0.0]])
-    assert len(segment(points, np.array([10.0, 10.0]), 1.0, 0.1)) == 1
-    assert len(segment(points, np.array([2.0, 10.0]), 1.0, 0.1)) == 2
+    assert len(set(segment(points, np.array([10.0, 10.0]), 1.0, 0.1))) == 1
+    assert len(set(segment(points, np.array([2.0, 10.0]), 1.0, 0.1))) == 2
 
 
 def test_no_returns_are_no_clusters():
-    assert segment(np.empty((0, 2)), np.empty(0), 1.0, 0.0) == []
+    nothing = np.empty((0, 2))
+    assert clusters_of(nothing, np.empty(0, bool), segment(nothing, np.empty(0), 1.0, 0.0)) == []
 
 
 # Association
@@ -190,7 +198,7 @@ def test_distance_from_a_boundary_is_that_of_its_nearest_point():
     distances = distances_to(points, boundaries)
     hand_computed = [[1.0, np.hypot(10, 2)], [0.5, np.hypot(7, 2)], [np.hypot(7, 3.5), 2.0]]
     assert distances == pytest.approx(np.array(hand_computed))
-    assert gaps(distances, [Cluster(points[:2]), Cluster(points[2:])]) == pytest.approx(
+    assert gaps(distances, [cluster(points[:2]), cluster(points[2:])]) == pytest.approx(
         np.array([[0.5, np.hypot(7, 3.5)], [np.hypot(7, 2), 2.0]])
     )
 
@@ -202,14 +210,14 @@ def shared(clusters, pairs, positions, reach_m):
 
 
 def test_a_stray_leg_joins_its_person_and_does_not_become_another():
-    legs = [Cluster(np.array([[0.0, 0.0]])), Cluster(np.array([[0.4, 0.0]]))]
+    legs = [cluster([[0.0, 0.0]]), cluster([[0.4, 0.0]])]
     shares, left = shared(legs, {0: 0}, [(0.1, 0.0)], reach_m=0.5)
     assert len(shares[0].points) == 2
     assert left == []
 
 
 def test_two_people_whose_returns_touch_stay_two():
-    both = Cluster(np.array([[0.0, 0.0], [0.1, 0.0], [0.5, 0.0], [0.6, 0.0]]))
+    both = cluster([[0.0, 0.0], [0.1, 0.0], [0.5, 0.0], [0.6, 0.0]])
     shares, left = shared([both], {0: 0}, [(0.0, 0.1), (0.6, 0.1)], reach_m=0.5)
     assert shares[0].points[:, 0].tolist() == [0.0, 0.1]
     assert shares[1].points[:, 0].tolist() == [0.5, 0.6]
@@ -217,7 +225,7 @@ def test_two_people_whose_returns_touch_stay_two():
 
 
 def test_a_cluster_out_of_reach_is_left_for_a_new_track():
-    clusters = [Cluster(np.array([[0.0, 0.0]])), Cluster(np.array([[3.0, 0.0]]))]
+    clusters = [cluster([[0.0, 0.0]]), cluster([[3.0, 0.0]])]
     shares, left = shared(clusters, {0: 0}, [(0.0, 0.0)], reach_m=0.5)
     assert list(shares) == [0]
     assert left == [clusters[1]]
@@ -291,9 +299,9 @@ def drawn(offsets, poses, covariances, weights=None, size=61, existence=1.0):
         occupancy,
         np.asarray(offsets, float),
         weights,
-        np.asarray(poses, float),
-        np.asarray(covariances, float),
-        np.ones(steps),
+        np.asarray(poses, float)[None],
+        np.asarray(covariances, float)[None],
+        np.ones((1, steps)),
         NOWHERE,
         0.3,
         still,
@@ -325,15 +333,26 @@ def test_a_body_turns_with_its_heading():
     assert np.unravel_index(image[1].argmax(), (61, 61)) == (35, 30)
 
 
-def test_points_of_one_cell_are_independent_causes_of_it():
-    image = drawn([(0.0, 0.0), (0.0, 0.0)], [(30.5, 30.5, 0.0)], np.zeros((1, 2, 2)), np.array([0.5, 0.4]))[0]
-    assert image.sum() == pytest.approx(0.7, abs=0.01)
+def test_points_of_one_cell_add_up_to_certainty_at_most():
+    pose, sharp = [(30.5, 30.5, 0.0)], np.zeros((1, 2, 2))
+    assert drawn([(0.0, 0.0)] * 2, pose, sharp, np.array([0.5, 0.4]))[0].sum() == pytest.approx(0.9, abs=0.01)
+    assert drawn([(0.0, 0.0)] * 2, pose, sharp, np.array([0.9, 0.9]))[0].sum() == pytest.approx(1.0, abs=0.01)
+
+
+def test_motions_that_exclude_each_other_share_the_body():
+    occupancy = np.zeros((1, 9, 9), np.float32)
+    poses = np.array([[[2.5, 4.5, 0.0]], [[6.5, 4.5, 0.0]]])
+    still = np.zeros((0, 1), np.float32)
+    body = np.zeros((1, 2)), np.ones(1), poses, np.zeros((2, 1, 2, 2)), np.array([[0.7], [0.3]])
+    draw_track(occupancy, *body, NOWHERE, 0.3, still, np.ones(1))
+    inside = gauss(4, 5, 4.5, 0.2) ** 2
+    assert occupancy[0, 4, [2, 4, 6]] == pytest.approx([0.7 * inside, 0.0, 0.3 * inside], abs=1e-5)
 
 
 def test_returns_that_stay_are_drawn_where_they_are_and_weighted_step_by_step():
     occupancy = np.zeros((2, 21, 21), np.float32)
     place = np.array([[8.5, 12.5]])
-    nothing = np.empty((0, 2)), np.empty(0), np.full((2, 3), 10.5), np.zeros((2, 2, 2)), np.zeros(2)
+    nothing = np.empty((0, 2)), np.empty(0), np.full((1, 2, 3), 10.5), np.zeros((1, 2, 2, 2)), np.zeros((1, 2))
     draw_track(occupancy, *nothing, place, 0.6, np.array([[1.0, 0.5]], np.float32), np.array([1.0, 0.8]))
     mass = gauss(8, 9, 8.5, 0.6) * gauss(12, 13, 12.5, 0.6)
     assert occupancy[:, 12, 8] == pytest.approx([mass, 0.4 * mass], rel=1e-5)
@@ -347,7 +366,7 @@ def test_what_leaves_the_grid_is_cut_off_at_its_edge():
 
 def test_a_track_is_combined_with_what_is_there_by_noisy_or():
     occupancy = np.full((1, 9, 9), 0.2, np.float32)
-    body = np.zeros((1, 2)), np.ones(1), np.array([[4.5, 4.5, 0.0]]), np.zeros((1, 2, 2)), np.ones(1)
+    body = np.zeros((1, 2)), np.ones(1), np.array([[[4.5, 4.5, 0.0]]]), np.zeros((1, 1, 2, 2)), np.ones((1, 1))
     draw_track(occupancy, *body, NOWHERE, 0.3, np.zeros((0, 1), np.float32), np.array([0.5]))
     inside = gauss(4, 5, 4.5, 0.2) ** 2
     assert occupancy[0, 4, 4] == pytest.approx(1 - 0.8 * (1 - 0.5 * inside), rel=1e-5)

@@ -11,6 +11,7 @@ from gridtrack.trackers.model_free.motion.factor_graph import LAG_S
 
 MODEL = MotionModel(
     acceleration=0.5,
+    surge=0.001,
     turn_acceleration=0.3,
     velocity_memory_s=5.0,
     turn_memory_s=2.0,

@@ -131,12 +131,14 @@ def share_out(
 
 def _part(cluster: Cluster, kept: NDArray[np.bool_]) -> Cluster:
     """The kept returns of a cluster, itself where it is kept whole."""
-    return cluster if kept.all() else Cluster(cluster.points[kept])
+    return cluster if kept.all() else Cluster(cluster.points[kept], cluster.cut[kept])
 
 
 def _joined(parts: list[Cluster]) -> Cluster:
     """The parts as one, itself where there is only one."""
-    return parts[0] if len(parts) == 1 else Cluster(np.concatenate([part.points for part in parts]))
+    if len(parts) == 1:
+        return parts[0]
+    return Cluster(np.concatenate([part.points for part in parts]), np.concatenate([part.cut for part in parts]))
 
 
 def gaps(distances: Array, clusters: Sequence[Cluster]) -> Array:

@@ -3,22 +3,24 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gridtrack.common.grid import GridSpec
+from gridtrack.common.grid import GridFrame, GridSpec
 from gridtrack.trackers.contract import TrackedObject
 from gridtrack.trackers.model_free.dwell import staying
-from gridtrack.trackers.model_free.motion import MotionModel, propagate
+from gridtrack.trackers.model_free.motion import Regimes, propagate
 from gridtrack.trackers.model_free.rasterise import draw_track
 from gridtrack.trackers.model_free.settings import PipelineSettings
-from gridtrack.trackers.model_free.shape import rotation
+from gridtrack.trackers.model_free.shape import in_view, rotation, to_body
 from gridtrack.trackers.model_free.tracks import Status, Track
 
 Array = NDArray[np.float64]
 
+RETURNS_AGAIN = 0.9
+"""P(a return of an object that moves on with it is there in the frames after)."""
 OBSERVABLE_SPEED = 0.3
 """Below this speed, m/s, an object's direction of motion is not its heading."""
 
@@ -27,44 +29,75 @@ def add_tracks(
     occupancy: NDArray[np.float32],
     tracks: Sequence[Track],
     survival: float,
-    model: MotionModel,
+    regimes: Regimes,
+    frame: GridFrame,
     grid: GridSpec,
     dwell: NDArray[np.float32],
     settings: PipelineSettings,
 ) -> None:
     """Combine into `occupancy` (steps+1, M, M) what every track's object, if it exists, shows at steps 0..steps.
 
-    Two alternatives for its returns. They are still where they were last seen, as the life table `dwell` expects of
-    their age and its speed allows. Or they have moved on with the object and look as its boundary has of late,
-    turned with its heading and blurred by the uncertainty of the predicted position. An object survives from one step
-    to the next with probability `survival`.
+    Alternatives for its returns. They are still where they were last seen, as the life table `dwell` expects of their
+    age and its speed allows. Or they have moved on with the object, steadily or not, blurred by the uncertainty of that
+    motion. An object survives from one step to the next with probability `survival`.
     """
     if not tracks:
         return
     steps = len(occupancy) - 1
-    means, covariances = propagate(
-        np.stack([track.estimator.mean for track in tracks]),
-        np.stack([track.estimator.covariance for track in tracks]),
-        steps,
-        model,
-    )
-    poses = np.concatenate([in_cells(means[..., :2], grid), means[..., 2:3]], axis=2)
-    spreads = covariances[..., :2, :2] / grid.cell_m**2
     surviving = survival ** np.arange(steps + 1)
-    for track, pose, spread in zip(tracks, poses, spreads, strict=True):
+    poses, spreads = _motions(tracks, regimes, steps, grid)
+    steadily = regimes.switching[0][0] ** np.arange(steps + 1)
+    for number, (track, (offsets, weights)) in enumerate(zip(tracks, _surfaces(tracks, frame, grid), strict=True)):
         still = _still(track, dwell, steps, settings.dwell_speed)
+        moved = 1.0 - still.mean(axis=0, dtype=np.float64)
+        steady = track.estimator.probabilities[0] * steadily
         draw_track(
             occupancy,
-            track.shape.offsets / grid.cell_m,
-            track.shape.weights,
-            pose,
-            spread,
-            1.0 - still.mean(axis=0, dtype=np.float64),
+            offsets / grid.cell_m,
+            weights,
+            poses[number],
+            spreads[number],
+            np.stack([moved * steady, moved * (1.0 - steady)]),
             in_cells(track.returns, grid),
             settings.return_noise_m / grid.cell_m,
             still,
             track.existence * surviving,
         )
+
+
+def _motions(tracks: Sequence[Track], regimes: Regimes, steps: int, grid: GridSpec) -> tuple[Array, Array]:
+    """Each track's mean pose in each regime (T, 2, steps+1, 3) and the covariance of its position, in cells.
+
+    Where a track is seen now, its returns are where they are: what is uncertain of their future is the motion alone.
+    """
+    poses, spreads = [], []
+    for regime, model in enumerate(regimes.models):
+        estimators = [track.estimator.estimators[regime] for track in tracks]
+        covariances = np.stack([estimator.covariance for estimator in estimators])
+        seen = np.array([not track.unseen for track in tracks])
+        covariances[seen, :3] = covariances[seen, :, :3] = 0.0
+        means, covariances = propagate(np.stack([one.mean for one in estimators]), covariances, steps, model)
+        poses.append(np.concatenate([in_cells(means[..., :2], grid), means[..., 2:3]], axis=2))
+        spreads.append(covariances[..., :2, :2] / grid.cell_m**2)
+    return np.stack(poses, axis=1), np.stack(spreads, axis=1)
+
+
+def _surfaces(tracks: Sequence[Track], frame: GridFrame, grid: GridSpec) -> Iterator[tuple[Array, Array]]:
+    """What each track's object shows: points (N, 2) in the body's frame, metres, and their weights (N,).
+
+    Of what is seen now its newest returns, and of its boundary what is hidden now; of what is not, all of its boundary.
+    """
+    views = in_view([track.boundary for track in tracks], grid, frame.visible)
+    for track, view in zip(tracks, views, strict=True):
+        shape = track.shape
+        if track.unseen:
+            yield shape.offsets, shape.weights
+        else:
+            returns, hidden = to_body(track.returns, track.pose), ~view
+            yield (
+                np.concatenate([returns, shape.offsets[hidden]]),
+                np.concatenate([np.full(len(returns), RETURNS_AGAIN), shape.weights[hidden]]),
+            )
 
 
 def _still(track: Track, dwell: NDArray[np.float32], steps: int, dwell_speed: float) -> NDArray[np.float32]:

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
 WIDEST = 4.0
 """The widest kernel, in surface widths; each is half as wide as the one before."""
@@ -23,11 +24,13 @@ ITERATIONS = 1
 """Of expectation and maximisation, with each kernel."""
 NEWTON_STEPS = 2
 """Of Newton's method after them: expectation and maximisation creep where few returns say where a body ends."""
+CUT = 0.02
+"""What a return tells that meets a point at which the boundary is cut off, as a share of what it tells elsewhere."""
 OUTLIER = math.exp(-4.5)
 """Likelihood of a return that is not of this boundary: that of one three kernel widths from a certain point."""
 FURTHEST = -10.0
 """Exponent of the kernel below which a boundary point is not looked at."""
-UNKNOWN = (25.0, 25.0, 10.0)
+UNKNOWN = (1e4, 1e4, 1e3)
 """Variance of a direction that the returns say nothing of, along x and y (m^2) and of the heading (rad^2)."""
 
 
@@ -44,20 +47,28 @@ class Match(NamedTuple):
 
 
 def match(
-    points: Array, offsets: Array, weights: Array, starts: Array, unsure_m: float, surface_m: float, turns: bool
+    points: Array,
+    offsets: Array,
+    weights: Array,
+    cut: Mask,
+    starts: Array,
+    unsure_m: float,
+    surface_m: float,
+    turns: bool,
 ) -> Match:
     """Match returns (K, 2) in the grid frame to a boundary `offsets` (N, 2) in the body's frame, `weights` (N,).
 
-    Metres. `surface_m` is the standard deviation of a return about the boundary. The best end of all `starts` (S, 3) is
-    taken, each as uncertain as `unsure_m`: from a wide kernel, a body of which more has come into view than its
-    boundary holds is drawn towards that; from a narrow one, a start that is far off finds nothing. Without `turns` the
-    heading stays as at the start, and its variance is that of the unknown.
+    Metres. Where the boundary is `cut` off (N,) it may go on unseen, and a return at such a point hardly tells.
+    `surface_m` is the standard deviation of a return about the boundary. The best end of all `starts` (S, 3) is taken,
+    each as uncertain as `unsure_m`: from a wide kernel, a body of which more has come into view than its boundary holds
+    is drawn towards that; from a narrow one, a start that is far off finds nothing. Without `turns` the heading stays
+    as at the start, and its variance is that of the unknown.
     """
-    return Match(*_best_match(points, offsets, weights, starts, unsure_m, surface_m, turns))
+    return Match(*_best_match(points, offsets, weights, cut, starts, unsure_m, surface_m, turns))
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _best_match(points, offsets, weights, starts, unsure_m, surface_m, turns):  # type: ignore[no-untyped-def]
+def _best_match(points, offsets, weights, cut, starts, unsure_m, surface_m, turns):  # type: ignore[no-untyped-def]
     """Pose (3,), covariance (3, 3) and residual of the best match from any of the starts (S, 3)."""
     placed, means, trust = np.empty_like(offsets), np.empty_like(points), np.empty(len(points))
     best, residual = starts[0].copy(), np.inf
@@ -68,18 +79,18 @@ def _best_match(points, offsets, weights, starts, unsure_m, surface_m, turns):  
             width = max(kernel, 1.0) * surface_m
             for step in range(ITERATIONS + NEWTON_STEPS):
                 _place(offsets, pose, placed)
-                _expect(points, placed, weights, width, means, trust)
+                _expect(points, placed, weights, cut, width, means, trust)
                 if step < ITERATIONS:
                     _maximise(points, means, trust, turns, pose)
                 else:
                     _newton(points, placed, weights, means, trust, width, turns, pose)
             kernel *= 0.5
         _place(offsets, pose, placed)
-        misfit = _expect(points, placed, weights, surface_m, means, trust)
+        misfit = _expect(points, placed, weights, cut, surface_m, means, trust)
         if misfit < residual:
             best, residual = pose, misfit
     _place(offsets, best, placed)
-    _expect(points, placed, weights, surface_m, means, trust)
+    _expect(points, placed, weights, cut, surface_m, means, trust)
     information = _information(points, placed, weights, means, trust, best, surface_m, turns)
     return best, np.linalg.inv(information), residual
 
@@ -94,15 +105,15 @@ def _place(offsets, pose, placed):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(error_model="numpy")
-def _expect(points, placed, weights, width, means, trust):  # type: ignore[no-untyped-def]
-    """Write the boundary that each return is expected of, `means` (K, 2), and that it is of any, `trust` (K,).
+def _expect(points, placed, weights, cut, width, means, trust):  # type: ignore[no-untyped-def]
+    """Write the boundary that each return is expected of, `means` (K, 2), and how far it tells, `trust` (K,).
 
-    Returns the residual.
+    That is the probability that it is of this boundary, where that is not cut off. Returns the residual.
     """
     scale = -0.5 / (width * width)
     misfit = 0.0
     for i in range(len(points)):
-        total = x = y = 0.0
+        total = telling = x = y = 0.0
         for j in range(len(placed)):
             dx, dy = points[i, 0] - placed[j, 0], points[i, 1] - placed[j, 1]
             exponent = scale * (dx * dx + dy * dy)
@@ -111,7 +122,9 @@ def _expect(points, placed, weights, width, means, trust):  # type: ignore[no-un
                 total += share
                 x += share * placed[j, 0]
                 y += share * placed[j, 1]
-        trust[i] = total / (total + OUTLIER)
+                if not cut[j]:
+                    telling += share
+        trust[i] = (telling + CUT * (total - telling)) / (total + OUTLIER)
         means[i, 0], means[i, 1] = (x / total, y / total) if total > 0.0 else (points[i, 0], points[i, 1])
         misfit -= 2.0 * math.log(min(total + OUTLIER, 1.0))
     return misfit / len(points)

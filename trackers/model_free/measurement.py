@@ -39,7 +39,8 @@ def measure(track: Track, points: Array, settings: PipelineSettings) -> Match:
         shift = points.mean(axis=0) - track.boundary.mean(axis=0)
         starts = starts + np.array([[0.0, 0.0, 0.0], [shift[0], shift[1], 0.0]])
     turns = track.shape.extent_m >= TURNS_FROM_M and _extent(points) >= TURNS_FROM_M
-    found = match(points, track.shape.offsets, track.shape.weights, starts, unsure_m, settings.surface_m, turns)
+    shape = track.shape
+    found = match(points, shape.offsets, shape.weights, shape.cut, starts, unsure_m, settings.surface_m, turns)
     return found._replace(covariance=found.covariance + noise(settings))
 
 
@@ -47,11 +48,6 @@ def measure(track: Track, points: Array, settings: PipelineSettings) -> Match:
 def noise(settings: PipelineSettings) -> Array:
     """Covariance (3, 3) of a matched pose beside that of the match."""
     return np.diag([settings.position_noise_m, settings.position_noise_m, settings.heading_noise]) ** 2
-
-
-def first_pose(cluster: Cluster, settings: PipelineSettings) -> tuple[Array, Array]:
-    """Pose (3,) and covariance (3, 3) of a new track: the body's frame lies at the cluster's centre, along the grid."""
-    return np.array([*cluster.centre, 0.0]), noise(settings)
 
 
 class Pairing(NamedTuple):

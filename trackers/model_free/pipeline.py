@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,20 +11,19 @@ from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec, Mask
 from gridtrack.trackers.model_free.association import assign, distances_to, share_out, split
 from gridtrack.trackers.model_free.background import Background, BackgroundMap
+from gridtrack.trackers.model_free.births import Estimator, begin
 from gridtrack.trackers.model_free.dwell import NOT_OCCUPIED, next_ages
 from gridtrack.trackers.model_free.forecast import add_tracks
 from gridtrack.trackers.model_free.matching import Match
-from gridtrack.trackers.model_free.measurement import belonging, compare, first_pose, measured
+from gridtrack.trackers.model_free.measurement import belonging, compare, measured
 from gridtrack.trackers.model_free.merging import Companions, stands
-from gridtrack.trackers.model_free.motion import MotionEstimator, MotionModel
-from gridtrack.trackers.model_free.segmentation import Cluster, segment
+from gridtrack.trackers.model_free.occlusion import BACKGROUND, cut_off
+from gridtrack.trackers.model_free.segmentation import Cluster, clusters_of, segment
 from gridtrack.trackers.model_free.settings import PipelineSettings
 from gridtrack.trackers.model_free.shape import Shape, in_view, to_body
 from gridtrack.trackers.model_free.tracks import Track, existence_when_detected, existence_when_missed
 
 Array = NDArray[np.float64]
-Estimator = Callable[[Array, Array, MotionModel], MotionEstimator]
-"""Begins to estimate a motion, from a pose (3,), its covariance (3, 3) and the motion model."""
 
 
 class Pipeline:
@@ -85,7 +83,9 @@ class Pipeline:
         new[inside] = ~explained[cells[inside, 0], cells[inside, 1]]
         points = frame.points[new].astype(np.float64)
         ranges = np.linalg.norm(points - frame.origins[frame.point_origin[new]], axis=1)
-        return segment(points, ranges, self.settings.link_m, self.settings.link_per_m)
+        labels = np.full(len(new), BACKGROUND)
+        labels[new] = segment(points, ranges, self.settings.link_m, self.settings.link_per_m)
+        return clusters_of(points, cut_off(frame, self.grid, labels)[new], labels[new])
 
     def _predict(self) -> None:
         for track in self.tracks:
@@ -112,7 +112,9 @@ class Pipeline:
         views = in_view([track.boundary for track in tracks], self.grid, visible)
         for track, cluster, ages, seen in zip(tracks, clusters, self._ages_of(clusters), views, strict=True):
             track.returns, track.ages = cluster.points, ages
-            track.shape.absorb(to_body(cluster.points, track.pose), seen, self.settings.surface_m, self.shape_gain)
+            track.shape.absorb(
+                to_body(cluster.points, track.pose), cluster.cut, seen, self.settings.surface_m, self.shape_gain
+            )
 
     def _judge(self, shares: dict[int, Cluster], visible: Mask) -> None:
         """Weigh each track's existence by what was and was not seen of it; drop the dead."""
@@ -156,10 +158,10 @@ class Pipeline:
         return marked
 
     def _give_birth(self, clusters: list[Cluster]) -> None:
+        grown_up = tuple(self.tracks)
         for cluster, ages in zip(clusters, self._ages_of(clusters), strict=True):
-            pose, covariance = first_pose(cluster, self.settings)
-            estimator = self.estimator(pose, covariance, self.motion)
-            shape = Shape.of(to_body(cluster.points, pose), self.settings.surface_m)
+            estimator = begin(self.estimator, cluster, grown_up, self.motion, self.settings)
+            shape = Shape.of(to_body(cluster.points, estimator.mean[:3]), cluster.cut, self.settings.surface_m)
             existence = self.settings.birth_probability
             self.tracks.append(Track(self.born, estimator, shape, cluster.points, ages, existence))
             self.born += 1
@@ -167,8 +169,10 @@ class Pipeline:
     def forecast(self, steps: int) -> NDArray[np.float32]:
         """P(occupied) (steps+1, M, M) float32 of steps 0..steps; where step 0 is visible it is what was seen."""
         occupancy = self.background.probabilities(steps)
-        add_tracks(occupancy, self.tracks, self.survival, self.motion, self.grid, self.dwell, self.settings)
         if self.frame is not None:
+            add_tracks(
+                occupancy, self.tracks, self.survival, self.motion, self.frame, self.grid, self.dwell, self.settings
+            )
             occupancy[0] = np.where(self.frame.visible, self.frame.occupied, occupancy[0])
         return occupancy
 

@@ -13,6 +13,8 @@ SHARPEST = 0.2
 """Smallest standard deviation of the blur, in cells: below it the pixels' own size is what is seen."""
 FINENESS = 1.5
 """A blur of so many pixels is drawn with bilinear interpolation between them."""
+UNLIKELY = 0.01
+"""A motion less likely is not drawn."""
 SAME_HEADING = 0.02
 """A body that has turned by less, radians, is drawn as it was."""
 
@@ -21,21 +23,27 @@ SAME_HEADING = 0.02
 def draw_track(occupancy, offsets, weights, poses, covariances, moved, places, blur, still, existence):  # type: ignore[no-untyped-def]
     """Combine into `occupancy` (n+1, M, M) float32, by noisy-or, what one track's object shows at each step.
 
-    The object is there with probability `existence` (n+1,). Two alternatives for its returns. With probability `moved`
-    (n+1,) they look as its boundary, `offsets` (N, 2) with `weights` (N,), at the mean `poses` (n+1, 3), x and y in
-    cells, heading in radians, blurred by `covariances` (n+1, 2, 2) of the position. Or they are still at `places`
-    (K, 2), each with probability `still` (K, n+1), blurred by `blur`. Lengths in cells from the grid's corner.
+    The object is there with probability `existence` (n+1,). Alternatives for its returns: by one of R motions, each
+    with probability `moved` (R, n+1), they look as its boundary, `offsets` (N, 2) with `weights` (N,), at the mean
+    `poses` (R, n+1, 3), x and y in cells, heading in radians, blurred by `covariances` (R, n+1, 2, 2) of the position.
+    Or they are still at `places` (K, 2), each with probability `still` (K, n+1), blurred by `blur`. Lengths in cells
+    from the grid's corner.
     """
     size = occupancy.shape[1]
     shown = np.zeros((size, size), np.float32)
     corners, masses, still_box = _points(places, blur, size)
     scale, turned = 0, 0.0
+    patch = np.zeros((1, 1), np.float32)
     for step in range(occupancy.shape[0]):
-        coarse = _scale(covariances[step])
-        if coarse != scale or abs(poses[step, 2] - turned) > SAME_HEADING:
-            scale, turned = coarse, poses[step, 2]
-            patch = _patch(offsets, weights, turned, scale)
-        box = _draw_blurred(shown, patch, poses[step], covariances[step], moved[step], scale)
+        box = size, 0, size, 0
+        for r in range(len(moved)):
+            if moved[r, step] < UNLIKELY:
+                continue
+            coarse, heading = _scale(covariances[r, step]), poses[r, step, 2]
+            if coarse != scale or abs(heading - turned) > SAME_HEADING:
+                scale, turned = coarse, heading
+                patch = _patch(offsets, weights, turned, scale)
+            box = _grown(box, _draw_blurred(shown, patch, poses[r, step], covariances[r, step], moved[r, step], scale))
         for k in range(len(places)):
             _draw_point(shown, corners[k], masses[k], still[k, step])
         box = _grown(box, still_box)
@@ -67,7 +75,7 @@ def _patch(offsets, weights, heading, scale):  # type: ignore[no-untyped-def]
     for j in range(len(offsets)):
         reach = max(reach, math.hypot(offsets[j, 0], offsets[j, 1]))
     half = math.ceil(reach / scale) + 1
-    free = np.ones((2 * half + 1, 2 * half + 1), np.float32)
+    patch = np.zeros((2 * half + 1, 2 * half + 1), np.float32)
     cells = scale * scale
     for j in range(len(offsets)):
         x = cosine * offsets[j, 0] - sine * offsets[j, 1]
@@ -75,11 +83,12 @@ def _patch(offsets, weights, heading, scale):  # type: ignore[no-untyped-def]
         column, row = math.floor(x), math.floor(y)
         right, up = x - column, y - row
         i, k = row + half, column + half
-        free[i, k] *= 1.0 - weights[j] * (1.0 - up) * (1.0 - right) / cells
-        free[i, k + 1] *= 1.0 - weights[j] * (1.0 - up) * right / cells
-        free[i + 1, k] *= 1.0 - weights[j] * up * (1.0 - right) / cells
-        free[i + 1, k + 1] *= 1.0 - weights[j] * up * right / cells
-    return np.float32(1.0) - free
+        share = weights[j] / cells
+        patch[i, k] += share * (1.0 - up) * (1.0 - right)
+        patch[i, k + 1] += share * (1.0 - up) * right
+        patch[i + 1, k] += share * up * (1.0 - right)
+        patch[i + 1, k + 1] += share * up * right
+    return np.minimum(patch, np.float32(1.0))
 
 
 @numba.njit(error_model="numpy", fastmath=True)

@@ -8,7 +8,7 @@ from pydantic import Field
 
 from gridtrack.common.config import Settings
 from gridtrack.trackers.model_free.association import Method
-from gridtrack.trackers.model_free.motion import MotionModel
+from gridtrack.trackers.model_free.motion import MotionModel, Regimes
 
 
 class PipelineSettings(Settings):
@@ -35,14 +35,22 @@ class PipelineSettings(Settings):
     """By how much that distance grows with every metre of range, as neighbouring beams part."""
 
     # Estimation
-    acceleration: float = Field(0.45, gt=0, le=100)
+    acceleration: float = Field(0.1, gt=0, le=100)
     """White-noise acceleration along each axis: square root of its density, m/s^2 per sqrt(Hz)."""
+    surge: float = Field(0.05, gt=0, le=10)
+    """White noise of the speed's relative growth, 1/s per sqrt(Hz): of what is fast, along its motion."""
     velocity_memory_s: float = Field(3.0, gt=0, le=1000)
     """Time constant with which a velocity is forgotten; large: truly constant velocity, small: a walk at random."""
-    turn_acceleration: float = Field(0.3, gt=0, le=100)
+    turn_acceleration: float = Field(0.05, gt=0, le=100)
     """White-noise acceleration of the turn rate, rad/s^2 per sqrt(Hz)."""
     turn_memory_s: float = Field(1.0, gt=0, le=1000)
     """Time constant with which a turn rate is forgotten."""
+    agility: float = Field(8.0, ge=1, le=100)
+    """How many times these three noises are larger while an object brakes, sets off or turns."""
+    steady_s: float = Field(5.0, gt=0, le=1000)
+    """For how long an object moves steadily, in the mean."""
+    agile_s: float = Field(1.0, gt=0, le=1000)
+    """For how long it then does not."""
     initial_speed: float = Field(0.7, gt=0, le=100)
     """Standard deviation of a new track's velocity along each axis, m/s."""
     initial_turn_rate: float = Field(0.2, gt=0, le=10)
@@ -92,10 +100,11 @@ class PipelineSettings(Settings):
     return_noise_m: float = Field(0.05, gt=0, le=10)
     """Standard deviation of one return about its surface, along each axis."""
 
-    def motion(self, period_s: float) -> MotionModel:
-        """The motion model of every track."""
-        return MotionModel(
+    def motion(self, period_s: float) -> Regimes:
+        """The motion models of every track."""
+        steady = MotionModel(
             self.acceleration,
+            self.surge,
             self.turn_acceleration,
             self.velocity_memory_s,
             self.turn_memory_s,
@@ -103,3 +112,4 @@ class PipelineSettings(Settings):
             self.initial_turn_rate,
             period_s,
         )
+        return Regimes.of(steady, self.agility, self.steady_s, self.agile_s)

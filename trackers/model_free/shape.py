@@ -29,35 +29,40 @@ class Shape:
     """Boundary points `offsets` (N, 2) in the body's frame, metres, and `weights` (N,) in [0, 1].
 
     The weight of a point is the share of the frames of late in which a return was there. A point whose place is hidden
-    keeps it for longer: a vehicle's far side is remembered. `ages` (N,) say for how many frames each has been there,
-    `frames` counts those that the shape was made from.
+    keeps it for longer: a vehicle's far side is remembered. `ages` (N,) say for how many frames each has been there; at
+    those that are `cut` (N,) the boundary may go on unseen; `frames` counts those that the shape was made from.
     """
 
     offsets: Array
     weights: Array
     ages: NDArray[np.int64]
+    cut: Mask
     frames: int = 0
 
     @classmethod
-    def of(cls, offsets: Array, apart_m: float) -> Shape:
-        """The shape that one frame's points make, as points that are at least `apart_m` from each other."""
-        shape = cls(np.empty((0, 2)), np.empty(0), np.empty(0, np.int64))
-        shape.absorb(offsets, np.empty(0, np.bool_), apart_m, gain=0.0)
+    def of(cls, offsets: Array, cut: Mask, apart_m: float) -> Shape:
+        """The shape that one frame's points make, as points that are at least `apart_m` from each other.
+
+        It is `cut` off (N,) at some of them.
+        """
+        shape = cls(np.empty((0, 2)), np.empty(0), np.empty(0, np.int64), np.empty(0, np.bool_))
+        shape.absorb(offsets, cut, np.empty(0, np.bool_), apart_m, gain=0.0)
         return shape
 
-    def absorb(self, found: Array, in_view: Mask, apart_m: float, gain: float) -> None:
-        """Take in one frame's points `found` (K, 2), body's frame.
+    def absorb(self, found: Array, found_cut: Mask, in_view: Mask, apart_m: float, gain: float) -> None:
+        """Take in one frame's points `found` (K, 2), body's frame, and at which of them it is cut off (K,).
 
         A boundary point within `apart_m` of one is met and gains the share `gain`; one that is not met loses
         it, slowly if it is not `in_view` (N,); a point that meets none is a new one. The first frames count alike.
         """
         gain = max(gain, 1.0 / (self.frames + 1))
-        offsets, weights = _absorb(self.offsets, self.weights, found, in_view, apart_m, gain)
+        offsets, weights, cut = _absorb(self.offsets, self.weights, self.cut, found, found_cut, in_view, apart_m, gain)
         kept = np.flatnonzero(weights > FORGOTTEN)
         if len(kept) > MAX_POINTS:
             kept = np.sort(kept[np.argsort(weights[kept])[-MAX_POINTS:]])
         ages = np.concatenate([self.ages, np.zeros(len(offsets) - len(self.ages), np.int64)])
         self.offsets, self.weights, self.ages = offsets[kept], weights[kept], ages[kept] + 1
+        self.cut = cut[kept]
         self.frames += 1
 
     def extend(self, other: Shape, offsets: Array) -> None:
@@ -66,6 +71,7 @@ class Shape:
         strongest = np.argsort(-weights, kind="stable")[:MAX_POINTS]
         self.offsets = np.concatenate([self.offsets, offsets])[strongest]
         self.weights, self.ages = weights[strongest], np.concatenate([self.ages, other.ages])[strongest]
+        self.cut = np.concatenate([self.cut, other.cut])[strongest]
 
     def placed(self, pose: Array) -> Array:
         """The boundary points (N, 2) at `pose` (3,): x, y, heading; metres, grid frame."""
@@ -104,13 +110,14 @@ def in_view(boundaries: Sequence[Array], grid: GridSpec, visible: Mask) -> list[
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _absorb(offsets, weights, found, in_view, apart_m, gain):  # type: ignore[no-untyped-def]
-    """Boundary points (N', 2) and weights (N',) after one frame; see `Shape.absorb`."""
+def _absorb(offsets, weights, cut, found, found_cut, in_view, apart_m, gain):  # type: ignore[no-untyped-def]
+    """Boundary points (N', 2), weights (N',) and whether cut off (N',) after one frame; see `Shape.absorb`."""
     known = len(offsets)
     total = known
     points, likely = np.empty((known + len(found), 2)), np.zeros(known + len(found))
     points[:known], likely[:known] = offsets, weights
-    met = np.zeros(known + len(found), np.bool_)
+    met, ends = np.zeros((2, known + len(found)), np.bool_)
+    ends[:known] = cut
     for k in range(len(found)):
         nearest, distance = -1, apart_m * apart_m
         for j in range(total):
@@ -119,13 +126,14 @@ def _absorb(offsets, weights, found, in_view, apart_m, gain):  # type: ignore[no
                 nearest, distance = j, dx * dx + dy * dy
         if nearest < 0:
             points[total] = found[k]
-            met[total] = True
+            met[total], ends[total] = True, found_cut[k]
             total += 1
         else:
+            ends[nearest] = found_cut[k] and (ends[nearest] or not met[nearest])
             met[nearest] = True
     for j in range(total):
         if met[j]:
             likely[j] += gain * (1.0 - likely[j])
         else:
             likely[j] -= gain * likely[j] * (1.0 if in_view[j] else HIDDEN_FADES)
-    return points[:total], likely[:total]
+    return points[:total], likely[:total], ends[:total]

@@ -8,7 +8,7 @@ from enum import Enum
 import numpy as np
 from numpy.typing import NDArray
 
-from gridtrack.trackers.model_free.motion import MotionEstimator
+from gridtrack.trackers.model_free.motion import SwitchingEstimator
 from gridtrack.trackers.model_free.shape import Shape
 
 Array = NDArray[np.float64]
@@ -27,7 +27,7 @@ class Track:
     """One object followed over time; `existence` is the probability that there is one."""
 
     identity: int
-    estimator: MotionEstimator
+    estimator: SwitchingEstimator
     shape: Shape
     returns: Array
     """Its newest returns (N, 2), metres, grid frame, seen `unseen` frames ago."""
@@ -44,7 +44,7 @@ class Track:
     @property
     def pose(self) -> Array:
         """Pose (3,): x, y, heading; metres, radians, grid frame."""
-        return self.estimator.mean[:3]
+        return np.asarray(self.estimator.mean[:3])
 
     @property
     def boundary(self) -> Array:

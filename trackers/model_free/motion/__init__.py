@@ -4,5 +4,15 @@ from gridtrack.trackers.model_free.motion.estimator import MotionEstimator, warm
 from gridtrack.trackers.model_free.motion.factor_graph import FactorGraphEstimator
 from gridtrack.trackers.model_free.motion.kalman import KalmanEstimator
 from gridtrack.trackers.model_free.motion.model import MotionModel, propagate
+from gridtrack.trackers.model_free.motion.regimes import Regimes, SwitchingEstimator
 
-__all__ = ["FactorGraphEstimator", "KalmanEstimator", "MotionEstimator", "MotionModel", "propagate", "warm_up"]
+__all__ = [
+    "FactorGraphEstimator",
+    "KalmanEstimator",
+    "MotionEstimator",
+    "MotionModel",
+    "Regimes",
+    "SwitchingEstimator",
+    "propagate",
+    "warm_up",
+]

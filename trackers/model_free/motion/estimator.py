@@ -44,6 +44,10 @@ class MotionEstimator(Protocol):
         """
         ...
 
+    def begin_anew(self, mean: Array, covariance: Array) -> None:
+        """Forget everything but this state (6,) and its covariance (6, 6)."""
+        ...
+
 
 def measured(pose: Array, covariance: Array) -> tuple[Array, Array]:
     """The pose (3,) and its covariance (3, 3), float64; raises ValueError if they are not those of a measurement."""

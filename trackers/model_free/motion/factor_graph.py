@@ -79,6 +79,11 @@ class FactorGraphEstimator:
         factors.add(pose_factor(self._frame, pose, covariance))
         return self._solved(factors, guesses, stamps)
 
+    def begin_anew(self, mean: Array, covariance: Array) -> None:
+        """Forget everything but this state (6,) and its covariance (6, 6)."""
+        self._settle(mean.copy(), covariance.copy())
+        self._begin()
+
     def _begin(self) -> None:
         """A new graph that knows the present mean and covariance, and nothing before."""
         parameters = gtsam.ISAM2Params()

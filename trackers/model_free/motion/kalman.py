@@ -38,6 +38,10 @@ class KalmanEstimator:
         mean, spread = update(self.mean, self.covariance, nearest, covariance, MEASURED)
         self._settle(mean, (spread + spread.T) / 2.0)
 
+    def begin_anew(self, mean: Array, covariance: Array) -> None:
+        """Forget everything but this state (6,) and its covariance (6, 6)."""
+        self.mean, self.covariance = mean.copy(), covariance.copy()
+
     def _settle(self, mean: Array, covariance: Array) -> None:
         mean[2] = wrap_angle(mean[2])
         self.mean, self.covariance = mean, covariance

@@ -4,7 +4,7 @@ State (6,): x, y, heading, vx, vy, turn rate; metres, radians and seconds in the
 a quarter turn and w white noise (white-noise acceleration: Bar-Shalom, Li and Kirubarajan 2001, section 6.2.2; with an
 unknown turn rate: their chapter 11; both rates are Ornstein-Uhlenbeck processes here):
 
-    d position = v dt     dv = (turn_rate J v - v / velocity_memory_s) dt + acceleration dw
+    d position = v dt     dv = (turn_rate J v - v / velocity_memory_s) dt + acceleration dw + surge v dw
     d heading = turn_rate dt     d turn_rate = -turn_rate / turn_memory_s dt + turn_acceleration dw
 """
 
@@ -26,6 +26,8 @@ class MotionModel(NamedTuple):
 
     acceleration: float
     """White noise along each axis: the square root of its density, m/s^2 per sqrt(Hz)."""
+    surge: float
+    """White noise of the speed's relative growth: what is fast speeds up and brakes harder; 1/s per sqrt(Hz)."""
     turn_acceleration: float
     """The same of the turn rate, rad/s^2 per sqrt(Hz)."""
     velocity_memory_s: float
@@ -56,6 +58,8 @@ class Discretisation(NamedTuple):
     """The share of the turn rate that is left at the end."""
     noise: Array
     """Covariance (6, 6) that the acceleration adds in one period."""
+    surge_noise: Array
+    """Covariance (2, 2) of the surge's integrals: of the growth over the period, and the growth."""
     turn_noise: Array
     """Covariance (3, 3) of the turn acceleration's integrals: of the heading over the period, heading, turn rate."""
 
@@ -70,13 +74,19 @@ def discretise(model: MotionModel) -> Discretisation:
     times = np.append((nodes + 1.0) / 2.0, 1.0) * model.period_s
     keeping, _, _ = _memory(times, model.velocity_memory_s)
     turn_keeping, turning, _ = _memory(times, model.turn_memory_s)
-    moved = _integrals(model.period_s, model.velocity_memory_s)[1:, 1:] * model.acceleration**2
+    unit = _integrals(model.period_s, model.velocity_memory_s)[1:, 1:]
     turned = _integrals(model.period_s, model.turn_memory_s) * model.turn_acceleration**2
     noise = np.zeros((6, 6))
     for axis in (0, 1):
-        noise[np.ix_((axis, axis + 3), (axis, axis + 3))] = moved
+        noise[np.ix_((axis, axis + 3), (axis, axis + 3))] = unit * model.acceleration**2
     return Discretisation(
-        np.append(weights / 2.0, 0.0) * model.period_s, keeping, turning, float(turn_keeping[-1]), noise, turned
+        np.append(weights / 2.0, 0.0) * model.period_s,
+        keeping,
+        turning,
+        float(turn_keeping[-1]),
+        noise,
+        unit * model.surge**2,
+        turned,
     )
 
 
@@ -124,9 +134,14 @@ def _transition(mean, step, moved, jacobian):  # type: ignore[no-untyped-def]
 def _process_noise(moved, step, noise):  # type: ignore[no-untyped-def]
     """Write the covariance that one period adds into `noise` (6, 6); `moved` (6,) is the state at its end.
 
-    What the turn acceleration turned the heading by, it turned the velocity by: that grows with the speed.
+    What the turn acceleration turned the heading by, it turned the velocity by, and the surge stretched the velocity:
+    both grow with the speed, one across the motion, the other along it.
     """
     noise[:] = step.noise
+    along = np.zeros((6, 2))
+    along[0, 0], along[1, 0] = moved[3], moved[4]
+    along[3, 1], along[4, 1] = moved[3], moved[4]
+    _add_transformed(along, step.surge_noise, noise)
     effect = np.zeros((6, 3))
     effect[0, 0], effect[1, 0] = -moved[4], moved[3]
     effect[2, 1], effect[3, 1], effect[4, 1] = 1.0, -moved[4], moved[3]

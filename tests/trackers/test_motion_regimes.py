@@ -1,0 +1,100 @@
+"""Regimes of motion: steady and agile objects are told apart, and each is followed as its regime allows."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+pytest.importorskip("filterpy")
+pytest.importorskip("gtsam")
+from gridtrack.trackers.model_free.motion import (
+    FactorGraphEstimator,
+    KalmanEstimator,
+    MotionModel,
+    Regimes,
+    SwitchingEstimator,
+)
+
+PERIOD_S = 0.125
+STEADY = MotionModel(
+    acceleration=0.06,
+    surge=0.04,
+    turn_acceleration=0.04,
+    velocity_memory_s=50.0,
+    turn_memory_s=1.0,
+    initial_speed=3.0,
+    initial_turn_rate=0.1,
+    period_s=PERIOD_S,
+)
+REGIMES = Regimes.of(STEADY, agility=10.0, steady_s=6.0, agile_s=1.0)
+NOISE = np.diag([0.08, 0.08, 0.05]) ** 2
+ESTIMATORS = pytest.mark.parametrize("begin", [KalmanEstimator, FactorGraphEstimator])
+
+
+def followed(begin, speeds, seed):
+    """After each frame the velocity estimate and P(steady) of an object that moves along x at `speeds`."""
+    random = np.random.default_rng(seed)
+    x, seen = 0.0, []
+    estimator = SwitchingEstimator(begin, np.zeros(3), NOISE, REGIMES)
+    for speed in speeds:
+        x += speed * PERIOD_S
+        estimator.predict()
+        estimator.update(np.array([x, 0.0, 0.0]) + random.normal(0.0, np.sqrt(np.diag(NOISE))), NOISE)
+        seen.append((estimator.mean[3], estimator.probabilities[0]))
+    return np.array(seen), estimator
+
+
+def test_the_probabilities_of_switching_are_those_of_the_mean_durations():
+    (stays, leaves), (settles, goes_on) = REGIMES.switching
+    assert stays + leaves == pytest.approx(1.0)
+    assert stays ** (6.0 / PERIOD_S) == pytest.approx(np.exp(-1))
+    assert goes_on ** (1.0 / PERIOD_S) == pytest.approx(np.exp(-1))
+    assert settles == pytest.approx(1.0 - goes_on)
+
+
+@ESTIMATORS
+def test_who_keeps_a_velocity_is_steady_and_who_brakes_is_not(begin):
+    braking = np.concatenate([np.full(40, 6.0), np.maximum(6.0 - 3.0 * PERIOD_S * np.arange(1, 17), 0.0)])
+    runs = np.array([followed(begin, braking, seed)[0] for seed in range(20)])
+    assert runs[:, 30:40, 1].mean() > 0.8
+    assert runs[:, 46:54, 1].mean() < 0.3
+
+
+@ESTIMATORS
+def test_the_velocity_of_who_is_steady_is_known_better_than_by_the_agile_model_alone(begin):
+    errors = {"switching": [], "agile": []}
+    for seed in range(20):
+        seen, estimator = followed(begin, np.full(48, 1.3), seed)
+        errors["switching"].append(seen[-1, 0] - 1.3)
+        errors["agile"].append(estimator.estimators[1].mean[3] - 1.3)
+    switching, agile = (np.sqrt(np.mean(np.square(each))) for each in errors.values())
+    assert switching < 0.6 * agile
+
+
+@ESTIMATORS
+def test_after_braking_the_steady_estimator_finds_back(begin):
+    speeds = np.concatenate([np.full(40, 6.0), np.maximum(6.0 - 3.0 * PERIOD_S * np.arange(1, 17), 0.0), np.zeros(32)])
+    final = [followed(begin, speeds, seed) for seed in range(10)]
+    assert np.mean([seen[-1, 1] for seen, _ in final]) > 0.7
+    assert np.abs([estimator.estimators[0].mean[3] for _, estimator in final]).max() < 0.2
+
+
+def test_mean_and_covariance_are_those_of_the_mixture():
+    _, estimator = followed(KalmanEstimator, np.full(5, 2.0), 0)
+    random = np.random.default_rng(1)
+    parts = [
+        random.multivariate_normal(each.mean, each.covariance, round(200_000 * p))
+        for each, p in zip(estimator.estimators, estimator.probabilities, strict=True)
+    ]
+    samples = np.concatenate(parts)
+    assert estimator.mean == pytest.approx(samples.mean(axis=0), abs=0.02)
+    assert estimator.covariance == pytest.approx(np.cov(samples.T), abs=0.02)
+
+
+def test_headings_on_either_side_of_the_turn_are_near_to_each_other():
+    estimator = SwitchingEstimator(KalmanEstimator, np.zeros(3), NOISE, REGIMES)
+    for each, heading in zip(estimator.estimators, (np.pi - 0.1, -np.pi + 0.1), strict=True):
+        each.begin_anew(np.array([0.0, 0.0, heading, 0.0, 0.0, 0.0]), np.eye(6))
+    estimator.predict()
+    assert abs(abs(estimator.mean[2]) - np.pi) < 0.1
+    assert estimator.covariance[2, 2] < 1.2

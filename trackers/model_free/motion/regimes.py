@@ -1,0 +1,115 @@
+"""Two regimes of motion, steady and agile: an estimator for each, and how likely each is by what it foretold.
+
+Who walks or drives on keeps a velocity to some cm/s, and then brakes or turns within a second. One process noise for
+both is too wide for the first and too narrow for the second. This is a multiple-model estimator with switching regimes
+(Bar-Shalom, Li and Kirubarajan 2001, section 11.6) whose estimators are not mixed: one that is all but disproved begins
+anew from the other's estimate, which a smoother can do as well as a filter.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numba
+import numpy as np
+
+from gridtrack.common.geometry import wrap_angle
+from gridtrack.trackers.model_free.motion.estimator import MotionEstimator, measured
+from gridtrack.trackers.model_free.motion.model import Array, MotionModel
+
+DISPROVED = 0.02
+"""Probability of a regime below which its estimator begins anew."""
+
+
+class Regimes(NamedTuple):
+    """The motion model of each regime, and the probability `switching` (2, 2) of one after another in a period."""
+
+    models: tuple[MotionModel, MotionModel]
+    switching: tuple[tuple[float, float], tuple[float, float]]
+
+    @classmethod
+    def of(cls, steady: MotionModel, agility: float, steady_s: float, agile_s: float) -> Regimes:
+        """`steady`, and the same with `agility` times the process noise; each lasts for so many seconds in the mean."""
+        agile = steady._replace(
+            acceleration=steady.acceleration * agility,
+            surge=steady.surge * agility,
+            turn_acceleration=steady.turn_acceleration * agility,
+        )
+        leaves, settles = (-math.expm1(-steady.period_s / lasting) for lasting in (steady_s, agile_s))
+        return cls((steady, agile), ((1.0 - leaves, leaves), (settles, 1.0 - settles)))
+
+
+class SwitchingEstimator:
+    """Estimators of one motion, one a regime: a MotionEstimator; `mean` and `covariance` are those of the mixture.
+
+    `probabilities` (2,) of the regimes. Raises ValueError as `update` of the estimators does.
+    """
+
+    def __init__(
+        self,
+        begin: Callable[[Array, Array, MotionModel], MotionEstimator],
+        pose: Array,
+        covariance: Array,
+        regimes: Regimes,
+    ) -> None:
+        self.estimators = [begin(pose, covariance, model) for model in regimes.models]
+        self._switching = np.array(regimes.switching)
+        self.probabilities = np.array([self._switching[1, 0], self._switching[0, 1]])
+        self.probabilities /= self.probabilities.sum()
+        self._mix()
+
+    @property
+    def restarts(self) -> int:
+        """How often any of the estimators failed and began anew from its last sound estimate."""
+        return sum(estimator.restarts for estimator in self.estimators)
+
+    def predict(self) -> None:
+        """Move on by one period."""
+        for estimator in self.estimators:
+            estimator.predict()
+        self.probabilities = self.probabilities @ self._switching
+        self._mix()
+
+    def update(self, pose: Array, covariance: Array) -> None:
+        """Take in a measured pose (3,) and its covariance (3, 3)."""
+        pose, covariance = measured(pose, covariance)
+        foretold = np.array([_log_likelihood(each.mean, each.covariance, pose, covariance) for each in self.estimators])
+        weights = self.probabilities * np.exp(foretold - foretold.max())
+        self.probabilities = weights / weights.sum()
+        for estimator in self.estimators:
+            estimator.update(pose, covariance)
+        worse = int(self.probabilities.argmin())
+        if self.probabilities[worse] < DISPROVED:
+            self.estimators[worse].begin_anew(self.estimators[1 - worse].mean, self.estimators[1 - worse].covariance)
+        self._mix()
+
+    def begin_anew(self, mean: Array, covariance: Array) -> None:
+        """Forget everything but this state (6,) and its covariance (6, 6)."""
+        for estimator in self.estimators:
+            estimator.begin_anew(mean, covariance)
+        self._mix()
+
+    def _mix(self) -> None:
+        """Mean and covariance of the mixture; its headings are near to each other."""
+        first, second = (estimator.mean for estimator in self.estimators)
+        one, other = self.probabilities
+        apart = second - first
+        apart[2] = wrap_angle(apart[2])
+        self.mean = first + other * apart
+        self.mean[2] = wrap_angle(self.mean[2])
+        self.covariance = (
+            one * self.estimators[0].covariance
+            + other * self.estimators[1].covariance
+            + one * other * np.outer(apart, apart)
+        )
+
+
+@numba.njit(cache=True, nogil=True)
+def _log_likelihood(mean, covariance, pose, noise):  # type: ignore[no-untyped-def]
+    """Of a measured pose (3,), but for a constant."""
+    off = pose - mean[:3]
+    off[2] = (off[2] + math.pi) % (2.0 * math.pi) - math.pi
+    spread = covariance[:3, :3] + noise
+    return -0.5 * (off @ np.linalg.solve(spread, off) + math.log(np.linalg.det(spread)))
