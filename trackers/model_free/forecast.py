@@ -31,13 +31,16 @@ def add_tracks(
     grid: GridSpec,
     dwell: NDArray[np.float32],
     settings: PipelineSettings,
+    semantics: NDArray[np.float32],
+    classes: NDArray[np.float32],
 ) -> None:
     """Combine into `occupancy` (steps+1, M, M) what every track's object, if it exists, shows at steps 0..steps.
 
     Two alternatives for its returns. They are still where they were last seen, as the life table `dwell` expects of
     their age and its speed allows. Or they have moved on with the object and look as its boundary has of late,
     turned with its heading and blurred by the uncertainty of the predicted position. An object survives from one step
-    to the next with probability `survival`.
+    to the next with probability `survival`. What each shows is added to `semantics` (steps+1, K, M, M) too, shared out
+    by its `classes` (T, K).
     """
     if not tracks:
         return
@@ -51,7 +54,7 @@ def add_tracks(
     poses = np.concatenate([in_cells(means[..., :2], grid), means[..., 2:3]], axis=2)
     spreads = covariances[..., :2, :2] / grid.cell_m**2
     surviving = survival ** np.arange(steps + 1)
-    for track, pose, spread in zip(tracks, poses, spreads, strict=True):
+    for track, kinds, pose, spread in zip(tracks, classes, poses, spreads, strict=True):
         still = _still(track, dwell, steps, settings.dwell_speed)
         draw_track(
             occupancy,
@@ -64,6 +67,8 @@ def add_tracks(
             settings.return_noise_m / grid.cell_m,
             still,
             track.existence * surviving,
+            semantics,
+            kinds,
         )
 
 

@@ -18,13 +18,17 @@ SAME_HEADING = 0.02
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=True)
-def draw_track(occupancy, offsets, weights, poses, covariances, moved, places, blur, still, existence):  # type: ignore[no-untyped-def]
+def draw_track(  # type: ignore[no-untyped-def]
+    occupancy, offsets, weights, poses, covariances, moved, places, blur, still, existence, semantics, classes
+):
     """Combine into `occupancy` (n+1, M, M) float32, by noisy-or, what one track's object shows at each step.
 
     The object is there with probability `existence` (n+1,). Two alternatives for its returns. With probability `moved`
     (n+1,) they look as its boundary, `offsets` (N, 2) with `weights` (N,), at the mean `poses` (n+1, 3), x and y in
     cells, heading in radians, blurred by `covariances` (n+1, 2, 2) of the position. Or they are still at `places`
     (K, 2), each with probability `still` (K, n+1), blurred by `blur`. Lengths in cells from the grid's corner.
+
+    What it shows is added to `semantics` (n+1, C, M, M) as well, shared out by P(class), `classes` (C,); C may be 0.
     """
     size = occupancy.shape[1]
     shown = np.zeros((size, size), np.float32)
@@ -42,6 +46,10 @@ def draw_track(occupancy, offsets, weights, poses, covariances, moved, places, b
         exists = np.float32(existence[step])
         for row in range(max(box[0], 0), min(box[1], size)):
             target, cause = occupancy[step, row], shown[row]
+            for k in range(len(classes)):
+                plane, share = semantics[step, k, row], exists * classes[k]
+                for column in range(max(box[2], 0), min(box[3], size)):
+                    plane[column] += share * min(cause[column], np.float32(1.0))
             for column in range(max(box[2], 0), min(box[3], size)):
                 target[column] += (np.float32(1.0) - target[column]) * exists * min(cause[column], np.float32(1.0))
                 cause[column] = np.float32(0.0)

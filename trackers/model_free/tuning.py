@@ -92,7 +92,7 @@ def fit_pipeline(
             found = zip(scores(settings, searched), searched, strict=True)
             return float(np.mean([_f1(one, source) for one, source in found]))
 
-        given = options.model_dump(exclude_unset=True)
+        given = options.model_dump(include=set(PipelineSettings.model_fields), exclude_unset=True)
         settings = search(PipelineSettings, RANGES, Measure("mean F1", "maximize", goodness), given, TRIALS, out)
         results = {
             stretch: [
