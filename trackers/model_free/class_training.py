@@ -57,20 +57,30 @@ class Tracked(NamedTuple):
         return np.asarray((sums - before) / (np.arange(len(values)) - first + 1)[:, None])
 
 
+def draw_scans(train: Sequence[FrameSource], out: FitOutput, options: ModelFreeSettings) -> LabelledStretch | None:
+    """The labelled scans to learn from; None where no classes are asked for, or none are there.
+
+    Raises ConfigurationError where fewer scans are labelled, WeightsError where classes are to be added to no weights.
+    """
+    if options.stage == "classes" and not out.path.exists():
+        raise WeightsError(f"{out.path}: no weights to add classes to: train with stage=both, or put them there")
+    if options.stage == "occupancy" or (options.stage == "both" and not any(source.classes for source in train)):
+        return None
+    return draw_labelled(train, options.labelled_scans, out.seed)
+
+
 def add_classes(
     kind: type[ModelFreeTracker],
+    stretch: LabelledStretch,
     train: Sequence[FrameSource],
     validation: Sequence[FrameSource],
     out: FitOutput,
     options: ModelFreeSettings,
 ) -> None:
-    """Learn classes for the weights at `out.path` and put them beside what is there, which stays bit for bit.
+    """Learn classes from `stretch` for the weights at `out.path`, and put them beside what is there, which stays.
 
-    Raises WeightsError where there are none, ConfigurationError without labels.
+    Raises ConfigurationError where `validation` has no labels to choose by.
     """
-    if not out.path.exists():
-        raise WeightsError(f"{out.path}: no weights to add classes to: train with stage=both, or put them there")
-    stretch = draw_labelled(train, options.labelled_scans, out.seed)
     names = stretch.source.classes
     classes = learned_classes(names, (item.labels for item in stretch.frames))
     out.report(f"classes {', '.join(classes)} from {stretch.name}")

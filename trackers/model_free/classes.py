@@ -23,7 +23,7 @@ FEATURES = ("length", "width", "along", "across", "speed", "range", "company")
 """All of them logarithms, see `features_of`."""
 COMPANY_M = 1.5
 """As near to a track's centre other returns keep it company: those next to it in a queue or a crowd."""
-MAX_COMPONENTS, MAX_POWER = 64, 10.0
+MAX_COMPONENTS, MAX_POWER, LARGEST = 64, 10.0, 1e9
 PREFIX = "class_"
 """Of the names of the arrays in a weights file."""
 LEAST = 1e-6
@@ -76,16 +76,18 @@ class ClassModel(NamedTuple):
     def _check(self, where: str) -> None:
         """Raises WeightsError where the values are no probabilities, or not finite."""
         for name, value in self._asdict().items():
-            if not np.isfinite(value).all():
-                raise WeightsError(f"{where}: array '{PREFIX}{name}' is not finite: train again")
+            if not (np.abs(value) <= LARGEST).all():
+                raise WeightsError(f"{where}: array '{PREFIX}{name}' is not finite or beyond {LARGEST:g}: train again")
         for name, axis in (("shares", 1), ("frequency", 0), ("place", 0)):
             value = getattr(self, name)
             if (value < 0).any() or np.abs(value.sum(axis=axis) - 1.0).max() > 1e-3:
                 raise WeightsError(f"{where}: array '{PREFIX}{name}' does not hold probabilities: train again")
             if (value <= 0).any() and name != "shares":
                 raise WeightsError(f"{where}: array '{PREFIX}{name}' rules a class out: train again")
-        if (np.linalg.det(self.whitening) == 0).any() or (self.powers < 0).any() or (self.powers > MAX_POWER).any():
-            raise WeightsError(f"{where}: '{PREFIX}whitening' is singular or '{PREFIX}powers' are none: train again")
+        if not np.linalg.det(self.whitening).all():
+            raise WeightsError(f"{where}: array '{PREFIX}whitening' is singular: train again")
+        if self.powers.min() < 0 or self.powers.max() > MAX_POWER:
+            raise WeightsError(f"{where}: '{PREFIX}powers' are not from 0 to {MAX_POWER:g}: train again")
 
     def log_densities(self, features: Array) -> Array:
         """log p(features | class) (T, K) of `features` (T, F)."""

@@ -89,13 +89,14 @@ class ModelFreeTracker(Tracker):
 
         Then, where `train` has classes, learn what tracks of each look like from a few labelled scans.
         """
-        from gridtrack.trackers.model_free.class_training import add_classes
+        from gridtrack.trackers.model_free.class_training import add_classes, draw_scans
         from gridtrack.trackers.model_free.tuning import fit_pipeline
 
+        stretch = draw_scans(train, out, options)
         if options.stage != "classes":
             fit_pipeline(cls, train, validation, score, out, options)
-        if options.stage == "classes" or (options.stage == "both" and train[0].classes):
-            add_classes(cls, train, validation, out, options)
+        if stretch is not None:
+            add_classes(cls, stretch, train, validation, out, options)
 
 
 class KalmanTracker(ModelFreeTracker):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -94,14 +94,22 @@ def fit_pipeline(
 
         given = options.model_dump(include=set(PipelineSettings.model_fields), exclude_unset=True)
         settings = search(PipelineSettings, RANGES, Measure("mean F1", "maximize", goodness), given, TRIALS, out)
-        results = {
+        results: dict[str, Any] = {
             stretch: [
                 summary(s, source, HORIZONS_S) for s, source in zip(scores(settings, sources), sources, strict=True)
             ]
             for stretch, sources in (("train", searched), ("validation", validation))
         }
+    results["classes"] = _without_classes(train)
     card = card_for(name, out, train, validation, settings.model_dump(), results)
     save_weights(out.path, card, arrays)
+
+
+def _without_classes(train: Sequence[FrameSource]) -> str:
+    """What the card says of classes until they are added."""
+    if any(source.classes for source in train):
+        return "none yet: add them with stage=classes"
+    return f"none: {', '.join(source.name for source in train)} has no labels"
 
 
 def fit_arrays(train: Sequence[FrameSource], options: PipelineSettings) -> dict[str, NDArray[np.float32]]:
