@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import subprocess
+import sys
 from types import SimpleNamespace
 
 import numpy as np
@@ -296,6 +298,36 @@ def test_what_was_learned_from_labelled_scans_tells_the_classes_of_cells_and_obj
     assert {(one.label, one.box[0] > 6.0) for one in forecast.objects} == {("pedestrian", False), ("car", True)}
     before = forecast.semantics.copy()
     assert (tracker.predict(4).semantics == before).all()
+
+
+STARTED_AND_FED = """
+import sys
+from importlib.util import module_from_spec, spec_from_file_location
+from pathlib import Path
+from gridtrack.trackers.contract import stream_of
+from gridtrack.trackers.model_free import KalmanTracker, classes, rasterise
+from gridtrack.trackers.model_free.settings import ModelFreeSettings
+
+spec = spec_from_file_location("scenes", sys.argv[1])
+spec.loader.exec_module(scenes := module_from_spec(spec))
+
+def compiled():
+    kernels = rasterise.draw_track, classes._features, classes._log_densities, classes._normalise
+    return [len(kernel.signatures) for kernel in kernels]
+
+tracker = KalmanTracker(stream_of(scenes.Street(), Path(sys.argv[2])), ModelFreeSettings())
+before = compiled()
+for frame in scenes.Street(30):
+    tracker.update(frame)
+tracker.predict(20)
+print(before, compiled())
+"""
+
+
+def test_what_is_compiled_on_first_use_is_compiled_when_it_starts(path):
+    command = [sys.executable, "-c", STARTED_AND_FED, __file__, str(path)]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert done.stdout == "[1, 1, 1, 1] [1, 1, 1, 1]\n"
 
 
 def test_the_card_says_what_was_learned_from_what(path):

@@ -151,6 +151,12 @@ class ClassFilter:
         return self.model.posteriors(means, np.stack([one.log_place for one in evidence])).astype(np.float32)
 
 
+def compile_ahead(model: ClassModel) -> None:
+    """Run once what is compiled on first use, so that it has been when the first frame comes."""
+    nowhere = np.zeros((1, 2))
+    model.log_densities(_features(nowhere, np.array([0, 1]), nowhere, nowhere))
+
+
 def features_of(tracks: Sequence[Track], frame: GridFrame) -> Array:
     """FEATURES (T, F) of tracks that are seen in `frame`.
 
@@ -225,17 +231,21 @@ def _extents(points, heading):  # type: ignore[no-untyped-def]
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _log_densities(features, shares, means, whitening):  # type: ignore[no-untyped-def]
     kinds, components, count = means.shape
-    found = np.empty((len(features), kinds))
+    found, logs = np.empty((len(features), kinds)), np.empty(components)
     for k in range(kinds):
         scale = math.log(abs(np.linalg.det(whitening[k]))) - 0.5 * count * math.log(2.0 * math.pi)
+        whitened, centres = features @ whitening[k], means[k] @ whitening[k]
         for t in range(len(features)):
-            best, logs = -np.inf, np.full(components, -np.inf)
+            best = -np.inf
             for c in range(components):
-                if shares[k, c] > 0.0:
-                    off = (features[t] - means[k, c]) @ whitening[k]
-                    logs[c] = math.log(shares[k, c]) - 0.5 * (off @ off)
-                    best = max(best, logs[c])
-            found[t, k] = scale + best + math.log(np.exp(logs - best).sum())
+                logs[c] = math.log(shares[k, c])
+                for i in range(count):
+                    logs[c] -= 0.5 * (whitened[t, i] - centres[c, i]) ** 2
+                best = max(best, logs[c])
+            total = 0.0
+            for c in range(components):
+                total += math.exp(logs[c] - best)
+            found[t, k] = scale + best + math.log(total)
     return found
 
 

@@ -11,6 +11,7 @@ from gridtrack.common.grid import GridFrame
 from gridtrack.trackers.contract import FitOutput, Forecast, FrameSource, Score, StreamSpec, Tracker
 from gridtrack.trackers.model_free.background import BackgroundMap, unknown_place
 from gridtrack.trackers.model_free.classes import ClassFilter, ClassModel
+from gridtrack.trackers.model_free.classes import compile_ahead as compile_classes
 from gridtrack.trackers.model_free.dwell import table_shape
 from gridtrack.trackers.model_free.forecast import objects
 from gridtrack.trackers.model_free.motion import FactorGraphEstimator, KalmanEstimator, MotionEstimator, MotionModel
@@ -46,6 +47,8 @@ class ModelFreeTracker(Tracker):
         self.classes = weights.card.classes
         self._model = ClassModel.of(weights, stream.grid) if self.classes else None
         compile_ahead(stream.period_s, self._dwell, self._settings, type(self).estimator)
+        if self._model is not None:
+            compile_classes(self._model)
         self.reset(seed=0)
 
     def reset(self, seed: int) -> None:
