@@ -106,18 +106,19 @@ def test_a_box_of_car_size_at_8_m_per_s_is_a_car_and_two_legs_at_walking_speed_a
     assert found[1, PEDESTRIAN] > 0.99
 
 
-def test_features_are_extents_speed_range_and_company():
+def test_features_are_extents_speed_and_range():
     track = track_of(np.array([(3.0, 4.0), (5.0, 4.0), (3.0, 4.5), (5.0, 4.5)]), (0.0, 2.0))
     other = track_of(np.array([(4.0, 5.0), (9.0, 5.0)]), (1.0, 0.0))
     found = features_of([track, other], frame_of([]))
-    expected = [2.2, 0.7, 0.7, 2.2, 2.3, 1.0 + math.hypot(4.0, 4.25), 5.0]
+    assert found[1] == pytest.approx(np.log([5.2, 5.2, 0.2, 1.3, 1.0 + math.hypot(6.5, 5.0)]))
+    expected = [2.2, 0.7, 2.2, 2.3, 1.0 + math.hypot(4.0, 4.25)]
     assert len(FEATURES) == found.shape[1]
     assert found[0] == pytest.approx(np.log(expected))
 
 
 def test_extents_do_not_depend_on_how_the_body_is_turned():
     found = [
-        features_of([track_of(box(4.0, 1.6, (6.0, 0.0), turn), (math.cos(turn), math.sin(turn)))], frame_of([]))[0, :4]
+        features_of([track_of(box(4.0, 1.6, (6.0, 0.0), turn), (math.cos(turn), math.sin(turn)))], frame_of([]))[0, :3]
         for turn in (0.0, 1.0, 2.5)
     ]
     assert found[1] == pytest.approx(found[0])
@@ -178,7 +179,7 @@ def test_a_class_that_no_track_has_is_as_all_tracks_are():
 
 
 def test_a_mean_over_a_life_ends_with_the_track():
-    tracked = Tracked(np.zeros((5, 7)), np.array([0, 0, 1, 1, 1]), np.zeros((5, 2), np.int64), [])
+    tracked = Tracked(np.zeros((5, 5)), np.array([0, 0, 1, 1, 1]), np.zeros((5, 2), np.int64), [])
     values = np.array([[1.0], [3.0], [10.0], [20.0], [60.0]])
     assert tracked.mean_over_life(values).ravel().tolist() == [1.0, 2.0, 10.0, 15.0, 30.0]
 

@@ -24,7 +24,7 @@ from gridtrack.trackers.weights import Card, TrainingData, load_weights, save_we
 if TYPE_CHECKING:
     from gridtrack.trackers.model_free.tracker import ModelFreeTracker
 
-COMPONENTS = (1, 2, 4, 8, 12)
+COMPONENTS = (1, 2, 4, 8)
 LIFE_POWERS = (0.1, 0.15, 0.25, 0.35, 0.5, 0.7, 1.0)
 PLACE_POWERS = (0.0, 0.25, 0.5, 0.75, 1.0)
 """What is chosen by the validation stretch: see ClassModel."""

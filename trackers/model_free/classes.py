@@ -19,10 +19,8 @@ from gridtrack.trackers.weights import Weights, array
 Array = NDArray[np.float64]
 Planes = NDArray[np.float32]
 
-FEATURES = ("length", "width", "along", "across", "speed", "range", "company")
+FEATURES = ("length", "along", "across", "speed", "range")
 """All of them logarithms, see `features_of`."""
-COMPANY_M = 1.5
-"""As near to a track's centre other returns keep it company: those next to it in a queue or a crowd."""
 MAX_COMPONENTS, MAX_POWER, LARGEST = 64, 10.0, 1e9
 PREFIX = "class_"
 """Of the names of the arrays in a weights file."""
@@ -160,8 +158,8 @@ def compile_ahead(model: ClassModel) -> None:
 def features_of(tracks: Sequence[Track], frame: GridFrame) -> Array:
     """FEATURES (T, F) of tracks that are seen in `frame`.
 
-    Extents of the newest returns along their own longer axis and across it, and along and across the motion; speed;
-    range of their centre from the nearest sensor; and how many returns of all tracks lie near that centre.
+    Extents of the newest returns along their own longer axis, and along and across the motion; speed; and the range of
+    their centre from the nearest sensor, for what is far shows fewer returns.
     """
     ends = np.cumsum([0, *(len(track.returns) for track in tracks)])
     motions = np.stack([track.estimator.mean[3:5] for track in tracks])
@@ -199,25 +197,21 @@ def normalise(semantics: Planes) -> None:
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _features(points, ends, motions, origins):  # type: ignore[no-untyped-def]
-    features = np.empty((len(motions), 7))
+    features = np.empty((len(motions), 5))
     for t in range(len(motions)):
         own = points[ends[t] : ends[t + 1]]
         x, y = own[:, 0].mean(), own[:, 1].mean()
         xy, less = ((own[:, 0] - x) * (own[:, 1] - y)).sum(), ((own[:, 0] - x) ** 2 - (own[:, 1] - y) ** 2).sum()
         axis = 0.5 * math.atan2(2.0 * xy, less)
-        length, width = _extents(own, axis)
+        length, _ = _extents(own, axis)
         along, across = _extents(own, math.atan2(motions[t, 1], motions[t, 0]))
-        company = 0
-        for i in range(len(points)):
-            company += math.hypot(points[i, 0] - x, points[i, 1] - y) < COMPANY_M
         distance = np.inf if len(origins) else 0.0
         for i in range(len(origins)):
             distance = min(distance, math.hypot(origins[i, 0] - x, origins[i, 1] - y))
-        features[t, 0], features[t, 1] = math.log(length + 0.2), math.log(width + 0.2)
-        features[t, 2], features[t, 3] = math.log(along + 0.2), math.log(across + 0.2)
-        features[t, 4] = math.log(math.hypot(motions[t, 0], motions[t, 1]) + 0.3)
-        features[t, 5], features[t, 6] = math.log(distance + 1.0), math.log(max(company, 1))
-    return features
+        # what is added is about the least that can be told apart, so that logarithms of less differ little
+        features[t, 0], features[t, 1], features[t, 2] = length + 0.2, along + 0.2, across + 0.2
+        features[t, 3], features[t, 4] = math.hypot(motions[t, 0], motions[t, 1]) + 0.3, distance + 1.0
+    return np.log(features)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
