@@ -354,6 +354,15 @@ def test_classes_are_added_to_weights_that_stay_as_they_are_bit_for_bit_and_fitt
     assert {k: v.tobytes() for k, v in at_once.arrays.items()} == {k: v.tobytes() for k, v in after.arrays.items()}
 
 
+def test_classes_take_the_place_of_others_even_of_such_as_cannot_be_read(path, tmp_path):
+    weights = load_weights(stream_of(Street(), path), "kalman")
+    other = tmp_path / "street.toml"
+    save_weights(other, weights.card, weights.arrays | {"class_means": np.zeros((2, 1, 99)), "class_old": np.zeros(3)})
+    fit(tmp_path, stage="classes")
+    again = load_weights(stream_of(Street(), other), "kalman")
+    assert {k: v.tobytes() for k, v in weights.arrays.items()} == {k: v.tobytes() for k, v in again.arrays.items()}
+
+
 def test_a_recording_without_labels_is_trained_without_classes_and_the_card_says_so(tmp_path):
     path = fit(tmp_path, FactorGraphTracker, Street(classes=()))
     card = read_card(path)

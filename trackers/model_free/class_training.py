@@ -5,6 +5,8 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterable, Sequence
 from itertools import product
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -85,7 +87,12 @@ def add_classes(
     classes = learned_classes(names, (item.labels for item in stretch.frames))
     out.report(f"classes {', '.join(classes)} from {stretch.name}")
 
-    tracker = kind(stream_of(stretch.source, out.path), ModelFreeSettings())
+    weights = load_weights(stream_of(stretch.source, out.path), kind.name)
+    bare = {name: value for name, value in weights.arrays.items() if not name.startswith(PREFIX)}
+    with TemporaryDirectory() as folder:
+        draft = Path(folder) / out.path.name
+        save_weights(draft, weights.card.model_copy(update={"classes": ()}), bare)
+        tracker = kind(stream_of(stretch.source, draft), ModelFreeSettings())
     learned = tracked(tracker, [(names, stretch.frames)], classes)
     held_out = tracked(tracker, ((source.classes, source.labelled()) for source in validation), classes)
     if not held_out.cells.any():
@@ -94,11 +101,9 @@ def add_classes(
     place = place_classes(count_cells(stretch, classes), stretch.source.grid.cell_m)
     model, loss = best_model(learned, held_out, place, out)
 
-    weights = load_weights(tracker.stream, kind.name)
     results = _results(stretch, learned, classes, model, loss, out)
     card = _card(weights.card, classes, train, validation, options, results)
-    others = {name: value for name, value in weights.arrays.items() if not name.startswith(PREFIX)}
-    save_weights(out.path, card, others | model.arrays())
+    save_weights(out.path, card, bare | model.arrays())
 
 
 def tracked(
