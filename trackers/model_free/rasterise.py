@@ -44,15 +44,29 @@ def draw_track(  # type: ignore[no-untyped-def]
             _draw_point(shown, corners[k], masses[k], still[k, step])
         box = _grown(box, still_box)
         exists = np.float32(existence[step])
+        _share_out(semantics[step], classes, shown, exists, box)
         for row in range(max(box[0], 0), min(box[1], size)):
             target, cause = occupancy[step, row], shown[row]
-            for k in range(len(classes)):
-                plane, share = semantics[step, k, row], exists * classes[k]
-                for column in range(max(box[2], 0), min(box[3], size)):
-                    plane[column] += share * min(cause[column], np.float32(1.0))
             for column in range(max(box[2], 0), min(box[3], size)):
                 target[column] += (np.float32(1.0) - target[column]) * exists * min(cause[column], np.float32(1.0))
                 cause[column] = np.float32(0.0)
+
+
+@numba.njit(error_model="numpy", fastmath=True)
+def _share_out(planes, classes, shown, exists, box):  # type: ignore[no-untyped-def]
+    """Add to `planes` (C, M, M), by P(class), `classes` (C,), what is `shown` (M, M) within a box, times `exists`."""
+    size = shown.shape[0]
+    first, last = max(box[2], 0), min(box[3], size)
+    if last <= first or not len(classes):
+        return
+    cause = np.empty(last - first, np.float32)
+    for row in range(max(box[0], 0), min(box[1], size)):
+        for j in range(len(cause)):
+            cause[j] = exists * min(shown[row, first + j], np.float32(1.0))
+        for k in range(len(classes)):
+            plane, share = planes[k, row, first:last], classes[k]
+            for j in range(len(cause)):
+                plane[j] += share * cause[j]
 
 
 @numba.njit(error_model="numpy")
