@@ -186,7 +186,8 @@ class Pipeline:
         )
         if self.frame is not None:
             occupancy[0] = np.where(self.frame.visible, self.frame.occupied, occupancy[0])
-            attribute(semantics[0], place, self.frame.occupied, self.tracks, classes, self.grid)
+            if len(place):
+                attribute(semantics[0], place, self.frame.occupied, self.tracks, classes, self.grid)
         normalise(semantics)
         return occupancy, semantics
 
