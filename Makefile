@@ -84,10 +84,11 @@ weights: $(VENV)/.installed-dev
 	    $(BIN)/gridtrack train $$tracker $(DEMO) --out data/weights || exit 1; done
 	$(BIN)/gridtrack train static-map $(AT_JUNCTION) --out data/weights
 	for tracker in kalman factor-graph; do \
-	    $(BIN)/gridtrack train $$tracker:$(STREET) $(AT_JUNCTION)@0s-96s --out data/weights || exit 1; done
+	    $(BIN)/gridtrack train $$tracker:$(STREET),stage=occupancy $(AT_JUNCTION)@0s-96s --out data/weights || exit 1; done
 	$(BIN)/gridtrack train dogma $(THREE_STRETCHES) --out data/weights
 	$(BIN)/gridtrack train deep-tracking-rnn:$(RNN_AT_JUNCTION) $(AT_JUNCTION)@0s-90s --out data/weights
-	for tracker in dilated-convgru:$(GRU_AT_JUNCTION),stage=occupancy dilated-convgru:stage=classes one-shot; do \
+	for tracker in dilated-convgru:$(GRU_AT_JUNCTION),stage=occupancy \
+	    $(foreach each,dilated-convgru kalman factor-graph,$(each):stage=classes) one-shot; do \
 	    $(BIN)/gridtrack train $$tracker $(AT_JUNCTION)@0s-90s --seed 1 --out data/weights || exit 1; done
 
 $(VENV)/.installed-demo: pyproject.toml constraints.txt | $(VENV)

@@ -17,6 +17,7 @@ from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec
 from gridtrack.trackers.model_free import FactorGraphTracker, KalmanTracker
 from gridtrack.trackers.model_free.background import BackgroundMap
+from gridtrack.trackers.model_free.classes import FEATURES, ClassFilter, ClassModel
 from gridtrack.trackers.model_free.dwell import table_shape
 from gridtrack.trackers.model_free.pipeline import Pipeline
 from gridtrack.trackers.model_free.settings import PipelineSettings
@@ -36,6 +37,9 @@ STAGES = {
     "forecast": "forecast",
 }
 """What is measured apart, and the pipeline's method that does it; what is left of an update is the background."""
+CLASSES, GAUSSIANS = 5, 8
+MORE = "classes, CPU, more"
+"""What a tracker that knows so many classes, each of so many Gaussians, does more in an update and a forecast."""
 
 
 def side_of_car() -> np.ndarray:
@@ -84,18 +88,38 @@ class Timed(Pipeline):
         return timed
 
 
+def some_classes() -> ClassFilter:
+    """Classes that have nothing to do with the scene: the time does not depend on it."""
+    shares = np.full((CLASSES, GAUSSIANS), 1.0 / GAUSSIANS)
+    means = np.random.default_rng(0).normal(size=(*shares.shape, len(FEATURES)))
+    whitening = np.tile(np.eye(len(FEATURES)), (CLASSES, 1, 1))
+    place = np.full((CLASSES, *GRID.shape), 1.0 / CLASSES)
+    return ClassFilter(ClassModel(shares, means, whitening, place[:, 0, 0], np.array([0.5, 0.5]), place), GRID)
+
+
+def measure_classes(pipeline: Timed, classes: ClassFilter, frame: GridFrame) -> None:
+    """Note how much more processor time an update and a forecast with classes take than without."""
+    start = time.process_time()
+    Pipeline.forecast(pipeline, STEPS)
+    between = time.process_time()
+    classes.observe(pipeline.tracks, frame)
+    pipeline.forecast_classes(STEPS, classes.place, classes.posteriors(pipeline.tracks))
+    pipeline.seconds[MORE].append(time.process_time() - between - (between - start))
+
+
 def measure(tracker: type[KalmanTracker] | type[FactorGraphTracker], count: int) -> tuple[Timed, np.ndarray]:
     """The pipeline at the end, and the seconds of each update and forecast together."""
     place = BackgroundMap(np.full(GRID.shape, 1e-3, np.float32), np.zeros(GRID.shape, np.float32))
     dwell = np.full(table_shape(PERIOD_S), 0.3, np.float32)
     pipeline = Timed(GRID, PERIOD_S, place, dwell, STREET, tracker.estimator)
-    seconds = []
+    seconds, classes = [], some_classes()
     for step in range(FRAMES):
         frame = frame_of(count, step)
         start = time.perf_counter()
         pipeline.update(frame)
         pipeline.forecast(STEPS)
         seconds.append(time.perf_counter() - start)
+        measure_classes(pipeline, classes, frame)
     return pipeline, np.array(seconds[WARM_UP:])
 
 
@@ -106,7 +130,7 @@ def main() -> None:
             pipeline, seconds = measure(tracker, count)
             p50, p95 = np.percentile(seconds * 1e3, [50, 95])
             print(f"{tracker.name:12} {count:>6} {len(pipeline.tracks):>6}   {p50:8.2f} / {p95:.2f}")
-        for stage in STAGES:
+        for stage in (*STAGES, MORE):
             p50, p95 = np.percentile(np.array(pipeline.seconds[stage][WARM_UP:]) * 1e3, [50, 95])
             print(f"    {stage:20} {p50:8.2f} / {p95:.2f}")
 

@@ -289,6 +289,12 @@ def gauss(low, high, mean, sigma):
 NOWHERE = np.empty((0, 2))
 
 
+def unclassed(occupancy):
+    """No classes, whose shares of what is drawn need no planes."""
+    steps, rows, columns = occupancy.shape
+    return np.zeros((steps, 0, rows, columns), np.float32), np.zeros(0, np.float32)
+
+
 def drawn(offsets, poses, covariances, weights=None, size=61, existence=1.0):
     """What a body shows, (n+1, M, M), all of it moved and none still."""
     steps = len(poses)
@@ -306,6 +312,7 @@ def drawn(offsets, poses, covariances, weights=None, size=61, existence=1.0):
         0.3,
         still,
         np.full(steps, existence),
+        *unclassed(occupancy),
     )
     return occupancy
 
@@ -344,7 +351,7 @@ def test_motions_that_exclude_each_other_share_the_body():
     poses = np.array([[[2.5, 4.5, 0.0]], [[6.5, 4.5, 0.0]]])
     still = np.zeros((0, 1), np.float32)
     body = np.zeros((1, 2)), np.ones(1), poses, np.zeros((2, 1, 2, 2)), np.array([[0.7], [0.3]])
-    draw_track(occupancy, *body, NOWHERE, 0.3, still, np.ones(1))
+    draw_track(occupancy, *body, NOWHERE, 0.3, still, np.ones(1), *unclassed(occupancy))
     inside = gauss(4, 5, 4.5, 0.2) ** 2
     assert occupancy[0, 4, [2, 4, 6]] == pytest.approx([0.7 * inside, 0.0, 0.3 * inside], abs=1e-5)
 
@@ -353,7 +360,9 @@ def test_returns_that_stay_are_drawn_where_they_are_and_weighted_step_by_step():
     occupancy = np.zeros((2, 21, 21), np.float32)
     place = np.array([[8.5, 12.5]])
     nothing = np.empty((0, 2)), np.empty(0), np.full((1, 2, 3), 10.5), np.zeros((1, 2, 2, 2)), np.zeros((1, 2))
-    draw_track(occupancy, *nothing, place, 0.6, np.array([[1.0, 0.5]], np.float32), np.array([1.0, 0.8]))
+    draw_track(
+        occupancy, *nothing, place, 0.6, np.array([[1.0, 0.5]], np.float32), np.array([1.0, 0.8]), *unclassed(occupancy)
+    )
     mass = gauss(8, 9, 8.5, 0.6) * gauss(12, 13, 12.5, 0.6)
     assert occupancy[:, 12, 8] == pytest.approx([mass, 0.4 * mass], rel=1e-5)
 
@@ -367,7 +376,7 @@ def test_what_leaves_the_grid_is_cut_off_at_its_edge():
 def test_a_track_is_combined_with_what_is_there_by_noisy_or():
     occupancy = np.full((1, 9, 9), 0.2, np.float32)
     body = np.zeros((1, 2)), np.ones(1), np.array([[[4.5, 4.5, 0.0]]]), np.zeros((1, 1, 2, 2)), np.ones((1, 1))
-    draw_track(occupancy, *body, NOWHERE, 0.3, np.zeros((0, 1), np.float32), np.array([0.5]))
+    draw_track(occupancy, *body, NOWHERE, 0.3, np.zeros((0, 1), np.float32), np.array([0.5]), *unclassed(occupancy))
     inside = gauss(4, 5, 4.5, 0.2) ** 2
     assert occupancy[0, 4, 4] == pytest.approx(1 - 0.8 * (1 - 0.5 * inside), rel=1e-5)
     assert occupancy[0, 0, 0] == pytest.approx(0.2)

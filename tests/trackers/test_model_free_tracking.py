@@ -15,7 +15,7 @@ from gridtrack.common.raycast import cast_scan
 from gridtrack.common.scan import Scan
 from gridtrack.trackers.contract import FitOutput, StreamSpec, StretchScore
 from gridtrack.trackers.model_free import KalmanTracker, tuning
-from gridtrack.trackers.model_free.settings import PipelineSettings
+from gridtrack.trackers.model_free.settings import ModelFreeSettings, PipelineSettings
 from gridtrack.trackers.weights import Card, read_card, save_weights
 
 GRID = GridSpec(60, 0.1, (0.0, -3.0))
@@ -266,7 +266,7 @@ def test_fit_finds_the_settings_that_score_best_and_keeps_those_that_were_given(
     paths = [tmp_path / run / "hall.toml" for run in ("one", "two")]
     for path in paths:
         out = FitOutput(path, "gridtrack train kalman", 3, path.parent / "log", report=lambda line: None)
-        KalmanTracker.fit([Source()], [Source()], score, out, PipelineSettings(link_m=0.77))
+        KalmanTracker.fit([Source()], [Source()], score, out, ModelFreeSettings(link_m=0.77))
     one, two = (read_card(path) for path in paths)
     assert one == two
     assert all(settings.link_m == 0.77 for settings in asked)
@@ -275,4 +275,4 @@ def test_fit_finds_the_settings_that_score_best_and_keeps_those_that_were_given(
     assert len(set(losses)) > 20
     assert any(a != b for a, b in pairwise(losses))
     tracker = KalmanTracker(StreamSpec(GRID, PERIOD_S, "hall", weights=paths[0]), PipelineSettings(acceleration=0.2))
-    assert tracker._settings == PipelineSettings(**one.settings | {"acceleration": 0.2})
+    assert tracker._settings == ModelFreeSettings(**one.settings | {"acceleration": 0.2})

@@ -34,12 +34,15 @@ def add_tracks(
     grid: GridSpec,
     dwell: NDArray[np.float32],
     settings: PipelineSettings,
+    semantics: NDArray[np.float32],
+    classes: NDArray[np.float32],
 ) -> None:
     """Combine into `occupancy` (steps+1, M, M) what every track's object, if it exists, shows at steps 0..steps.
 
     Alternatives for its returns. They are still where they were last seen, as the life table `dwell` expects of their
     age and its speed allows. Or they have moved on with the object, steadily or not, blurred by the uncertainty of that
-    motion. An object survives from one step to the next with probability `survival`.
+    motion. An object survives from one step to the next with probability `survival`. What each shows is added to
+    `semantics` (steps+1, K, M, M) too, shared out by its `classes` (T, K).
     """
     if not tracks:
         return
@@ -62,6 +65,8 @@ def add_tracks(
             settings.return_noise_m / grid.cell_m,
             still,
             track.existence * surviving,
+            semantics,
+            classes[number],
         )
 
 

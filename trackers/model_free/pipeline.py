@@ -12,6 +12,7 @@ from gridtrack.common.grid import GridFrame, GridSpec, Mask
 from gridtrack.trackers.model_free.association import assign, distances_to, share_out, split
 from gridtrack.trackers.model_free.background import Background, BackgroundMap
 from gridtrack.trackers.model_free.births import Estimator, begin
+from gridtrack.trackers.model_free.classes import attribute, normalise, place_weighted
 from gridtrack.trackers.model_free.dwell import NOT_OCCUPIED, next_ages
 from gridtrack.trackers.model_free.forecast import add_tracks
 from gridtrack.trackers.model_free.matching import Match
@@ -168,13 +169,29 @@ class Pipeline:
 
     def forecast(self, steps: int) -> NDArray[np.float32]:
         """P(occupied) (steps+1, M, M) float32 of steps 0..steps; where step 0 is visible it is what was seen."""
+        no_classes = np.zeros((0, *self.grid.shape), np.float32), np.zeros((len(self.tracks), 0), np.float32)
+        return self.forecast_classes(steps, *no_classes)[0]
+
+    def forecast_classes(
+        self, steps: int, place: NDArray[np.float32], classes: NDArray[np.float32]
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """`forecast`, and P(class | occupied) (steps+1, K, M, M): tracks have `classes` (T, K), the rest has the
+        `place`'s (K, M, M).
+
+        A cell's classes are those of what may show there, by how much of its occupancy each is.
+        """
         occupancy = self.background.probabilities(steps)
+        semantics = place_weighted(occupancy, place)
         if self.frame is not None:
             add_tracks(
-                occupancy, self.tracks, self.survival, self.motion, self.frame, self.grid, self.dwell, self.settings
+                *(occupancy, self.tracks, self.survival, self.motion, self.frame, self.grid, self.dwell, self.settings),
+                *(semantics, classes),
             )
             occupancy[0] = np.where(self.frame.visible, self.frame.occupied, occupancy[0])
-        return occupancy
+            if len(place):
+                attribute(semantics[0], place, self.frame.occupied, self.tracks, classes, self.grid)
+        normalise(semantics)
+        return occupancy, semantics
 
     def _ages_of(self, clusters: list[Cluster]) -> list[NDArray[np.int64]]:
         """For how many frames each return of each cluster (N,) has been in place."""

@@ -20,7 +20,9 @@ SAME_HEADING = 0.02
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=True)
-def draw_track(occupancy, offsets, weights, poses, covariances, moved, places, blur, still, existence):  # type: ignore[no-untyped-def]
+def draw_track(  # type: ignore[no-untyped-def]
+    occupancy, offsets, weights, poses, covariances, moved, places, blur, still, existence, semantics, classes
+):
     """Combine into `occupancy` (n+1, M, M) float32, by noisy-or, what one track's object shows at each step.
 
     The object is there with probability `existence` (n+1,). Alternatives for its returns: by one of R motions, each
@@ -28,6 +30,8 @@ def draw_track(occupancy, offsets, weights, poses, covariances, moved, places, b
     `poses` (R, n+1, 3), x and y in cells, heading in radians, blurred by `covariances` (R, n+1, 2, 2) of the position.
     Or they are still at `places` (K, 2), each with probability `still` (K, n+1), blurred by `blur`. Lengths in cells
     from the grid's corner.
+
+    What it shows is added to `semantics` (n+1, C, M, M) as well, shared out by P(class), `classes` (C,); C may be 0.
     """
     size = occupancy.shape[1]
     shown = np.zeros((size, size), np.float32)
@@ -48,11 +52,29 @@ def draw_track(occupancy, offsets, weights, poses, covariances, moved, places, b
             _draw_point(shown, corners[k], masses[k], still[k, step])
         box = _grown(box, still_box)
         exists = np.float32(existence[step])
+        _share_out(semantics[step], classes, shown, exists, box)
         for row in range(max(box[0], 0), min(box[1], size)):
             target, cause = occupancy[step, row], shown[row]
             for column in range(max(box[2], 0), min(box[3], size)):
                 target[column] += (np.float32(1.0) - target[column]) * exists * min(cause[column], np.float32(1.0))
                 cause[column] = np.float32(0.0)
+
+
+@numba.njit(error_model="numpy", fastmath=True)
+def _share_out(planes, classes, shown, exists, box):  # type: ignore[no-untyped-def]
+    """Add to `planes` (C, M, M), by P(class), `classes` (C,), what is `shown` (M, M) within a box, times `exists`."""
+    size = shown.shape[0]
+    first, last = max(box[2], 0), min(box[3], size)
+    if last <= first or not len(classes):
+        return
+    cause = np.empty(last - first, np.float32)
+    for row in range(max(box[0], 0), min(box[1], size)):
+        for j in range(len(cause)):
+            cause[j] = exists * min(shown[row, first + j], np.float32(1.0))
+        for k in range(len(classes)):
+            plane, share = planes[k, row, first:last], classes[k]
+            for j in range(len(cause)):
+                plane[j] += share * cause[j]
 
 
 @numba.njit(error_model="numpy")

@@ -7,6 +7,7 @@ from typing import Literal
 from pydantic import Field
 
 from gridtrack.common.config import Settings
+from gridtrack.trackers.labelled import LabelSettings
 from gridtrack.trackers.model_free.association import Method
 from gridtrack.trackers.model_free.motion import MotionModel, Regimes
 
@@ -113,3 +114,10 @@ class PipelineSettings(Settings):
             period_s,
         )
         return Regimes.of(steady, self.agility, self.steady_s, self.agile_s)
+
+
+class ModelFreeSettings(LabelSettings, PipelineSettings):
+    """The pipeline's settings, and what is fitted: its motion and background, the classes of its tracks, or both."""
+
+    stage: Literal["both", "occupancy", "classes"] = "both"
+    """`classes` adds classes to the weights that are there; `both` where a recording has classes."""

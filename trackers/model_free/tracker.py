@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any, ClassVar
 
 from gridtrack.common.config import Settings
 from gridtrack.common.grid import GridFrame
 from gridtrack.trackers.contract import FitOutput, Forecast, FrameSource, Score, StreamSpec, Tracker
 from gridtrack.trackers.model_free.background import BackgroundMap, unknown_place
+from gridtrack.trackers.model_free.classes import ClassFilter, ClassModel
+from gridtrack.trackers.model_free.classes import compile_ahead as compile_classes
 from gridtrack.trackers.model_free.dwell import table_shape
 from gridtrack.trackers.model_free.forecast import objects
 from gridtrack.trackers.model_free.motion import FactorGraphEstimator, KalmanEstimator, MotionEstimator, MotionModel
 from gridtrack.trackers.model_free.pipeline import Array, Pipeline, compile_ahead
-from gridtrack.trackers.model_free.settings import PipelineSettings
+from gridtrack.trackers.model_free.settings import ModelFreeSettings, PipelineSettings
+from gridtrack.trackers.model_free.tracks import Track
 from gridtrack.trackers.weights import array, load_weights, tuned_settings
 
 
@@ -21,10 +25,11 @@ class ModelFreeTracker(Tracker):
     """Clusters before a fitted background, the motion of each estimated for itself.
 
     Its weights are the background map, the life table of returns and the tuned settings; an option that is given goes
-    before the tuned one. The forecast's `objects` are the confirmed tracks.
+    before the tuned one. Where they name classes, also a model of what tracks of each class look like. The forecast's
+    `objects` are the confirmed tracks.
     """
 
-    Options: ClassVar[type[Settings]] = PipelineSettings
+    Options: ClassVar[type[Settings]] = ModelFreeSettings
     learns: ClassVar[bool] = True
     name: ClassVar[str]
     """What it is registered as."""
@@ -35,25 +40,44 @@ class ModelFreeTracker(Tracker):
         """Raises WeightsError without a fitted background for the stream's site, grid and period."""
         super().__init__(stream, options)
         weights = load_weights(stream, self.name)
-        self._settings = tuned_settings(PipelineSettings, weights, options)
+        self._settings = tuned_settings(ModelFreeSettings, weights, options)
         fitted = BackgroundMap(*(array(weights, name, stream.grid.shape) for name in BackgroundMap._fields))
         self._background = fitted if self._settings.background == "fitted" else unknown_place(fitted)
         self._dwell = array(weights, "dwell", table_shape(stream.period_s))
+        self.classes = weights.card.classes
+        self._model = ClassModel.of(weights, stream.grid) if self.classes else None
         compile_ahead(stream.period_s, self._dwell, self._settings, type(self).estimator)
+        if self._model is not None:
+            compile_classes(self._model)
         self.reset(seed=0)
 
     def reset(self, seed: int) -> None:
-        """Forget every track; nothing here is random."""
+        """Forget every track and its class; nothing here is random."""
         stream, begin = self.stream, type(self).estimator
         self._pipeline = Pipeline(stream.grid, stream.period_s, self._background, self._dwell, self._settings, begin)
+        self._filter = None if self._model is None else ClassFilter(self._model, stream.grid)
 
     def update(self, frame: GridFrame) -> None:
         """Take in x_t."""
         self._pipeline.update(frame)
+        if self._filter is not None:
+            self._filter.observe(self.tracks, frame)
+
+    @property
+    def tracks(self) -> Sequence[Track]:
+        """The tracks as they stand."""
+        return self._pipeline.tracks
 
     def predict(self, steps: int) -> Forecast:
         """Forecast steps 0..steps."""
-        return Forecast(self._pipeline.forecast(steps), objects=objects(self._pipeline.tracks))
+        tracks = self.tracks
+        if self._filter is None:
+            return Forecast(self._pipeline.forecast(steps), objects=objects(tracks))
+        kinds = self._filter.posteriors(tracks)
+        occupancy, semantics = self._pipeline.forecast_classes(steps, self._filter.place, kinds)
+        labels = {track.identity: self.classes[kind.argmax()] for track, kind in zip(tracks, kinds, strict=True)}
+        labelled = tuple(replace(one, label=labels[one.track]) for one in objects(tracks))
+        return Forecast(occupancy, semantics, objects=labelled)
 
     @classmethod
     def fit(
@@ -64,10 +88,18 @@ class ModelFreeTracker(Tracker):
         out: FitOutput,
         options: Any,
     ) -> None:
-        """Fit the background map to `train`, tune the settings on it, and report the score on `validation`."""
+        """Fit the background map to `train`, tune the settings on it, and report the score on `validation`.
+
+        Then, where `train` has classes, learn what tracks of each look like from a few labelled scans.
+        """
+        from gridtrack.trackers.model_free.class_training import add_classes, draw_scans
         from gridtrack.trackers.model_free.tuning import fit_pipeline
 
-        fit_pipeline(cls, train, validation, score, out, options)
+        stretch = draw_scans(train, out, options)
+        if options.stage != "classes":
+            fit_pipeline(cls, train, validation, score, out, options)
+        if stretch is not None:
+            add_classes(cls, stretch, train, validation, out, options)
 
 
 class KalmanTracker(ModelFreeTracker):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,9 +33,13 @@ RANGES = {
     "sink_above": (0.1, 0.8),
     "sink_s": (0.5, 10.0),
     "link_m": (0.15, 1.2),
-    "acceleration": (0.2, 3.0),
+    "acceleration": (0.02, 1.0),
+    "surge": (0.01, 0.3),
+    "turn_acceleration": (0.01, 0.5),
+    "agility": (2.0, 40.0),
+    "steady_s": (1.0, 30.0),
+    "agile_s": (0.3, 5.0),
     "velocity_memory_s": (0.5, 50.0),
-    "turn_acceleration": (0.02, 1.0),
     "initial_speed": (0.5, 8.0),
     "surface_m": (0.05, 0.25),
     "position_noise_m": (0.02, 0.3),
@@ -92,16 +96,24 @@ def fit_pipeline(
             found = zip(scores(settings, searched), searched, strict=True)
             return float(np.mean([_f1(one, source) for one, source in found]))
 
-        given = options.model_dump(exclude_unset=True)
+        given = options.model_dump(include=set(PipelineSettings.model_fields), exclude_unset=True)
         settings = search(PipelineSettings, RANGES, Measure("mean F1", "maximize", goodness), given, TRIALS, out)
-        results = {
+        results: dict[str, Any] = {
             stretch: [
                 summary(s, source, HORIZONS_S) for s, source in zip(scores(settings, sources), sources, strict=True)
             ]
             for stretch, sources in (("train", searched), ("validation", validation))
         }
+    results["classes"] = _without_classes(train)
     card = card_for(name, out, train, validation, settings.model_dump(), results)
     save_weights(out.path, card, arrays)
+
+
+def _without_classes(train: Sequence[FrameSource]) -> str:
+    """What the card says of classes until they are added."""
+    if any(source.classes for source in train):
+        return "none yet: add them with stage=classes"
+    return f"none: {', '.join(source.name for source in train)} has no labels"
 
 
 def fit_arrays(train: Sequence[FrameSource], options: PipelineSettings) -> dict[str, NDArray[np.float32]]:
