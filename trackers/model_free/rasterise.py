@@ -7,14 +7,14 @@ import math
 import numba
 import numpy as np
 
-WINDOW_SIGMAS = 3.0
-"""Half the width of the blur window; what lies beyond (0.3 %) is cut."""
+WINDOW_SIGMAS = 2.5
+"""Half the width of the blur window; what lies beyond (1.2 %) is cut."""
 SHARPEST = 0.2
 """Smallest standard deviation of the blur, in cells: below it the pixels' own size is what is seen."""
-FINENESS = 1.5
+FINENESS = 1.1
 """A blur of so many pixels is drawn with bilinear interpolation between them."""
-UNLIKELY = 0.01
-"""A motion less likely is not drawn."""
+NEGLIGIBLE = 0.01
+"""What makes no cell more probable than this is not drawn."""
 SAME_HEADING = 0.02
 """A body that has turned by less, radians, is drawn as it was."""
 
@@ -36,12 +36,12 @@ def draw_track(  # type: ignore[no-untyped-def]
     size = occupancy.shape[1]
     shown = np.zeros((size, size), np.float32)
     corners, masses, still_box = _points(places, blur, size)
-    scale, turned = 0, 0.0
+    scale, turned, mass = 0, 0.0, weights.sum()
     patch = np.zeros((1, 1), np.float32)
     for step in range(occupancy.shape[0]):
         box = size, 0, size, 0
         for r in range(len(moved)):
-            if moved[r, step] < UNLIKELY:
+            if moved[r, step] * _densest(mass, covariances[r, step]) < NEGLIGIBLE:
                 continue
             coarse, heading = _scale(covariances[r, step]), poses[r, step, 2]
             if coarse != scale or abs(heading - turned) > SAME_HEADING:
@@ -75,6 +75,13 @@ def _share_out(planes, classes, shown, exists, box):  # type: ignore[no-untyped-
             plane, share = planes[k, row, first:last], classes[k]
             for j in range(len(cause)):
                 plane[j] += share * cause[j]
+
+
+@numba.njit(error_model="numpy")
+def _densest(mass, covariance):  # type: ignore[no-untyped-def]
+    """No cell is more probable than this where points of so much `mass` together are blurred by a `covariance`."""
+    spread = covariance[0, 0] * covariance[1, 1] - covariance[0, 1] ** 2
+    return min(1.0, mass / (2.0 * math.pi * math.sqrt(max(spread, 1e-9))))
 
 
 @numba.njit(error_model="numpy")
