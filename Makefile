@@ -68,7 +68,7 @@ baseline: $(VENV)/.installed-dev
 # What ships in data/weights, made again (three hours on two cores).
 GRU := shown=10,blank=20,cycles=1,reverse=true,updates=1500,validate_every=100,learning_rate=0.005,warm_up=20
 RNN := shown=20,blank=20,cycles=1,reverse=true,superpose=true,updates=1000,validate_every=100,learning_rate=0.003,warm_up=100
-RNN_AT_JUNCTION := burn_in=20,shown=20,blank=20,cycles=1,validate_every=250,warm_up=100,learning_rate=0.003,updates=2500
+RNN_AT_JUNCTION := burn_in=20,shown=20,blank=20,cycles=1,validate_every=250,warm_up=100,learning_rate=0.003,updates=4000
 GRU_AT_JUNCTION := burn_in=10,shown=10,blank=20,cycles=1,validate_every=250,warm_up=50,learning_rate=0.004,updates=2500
 AT_JUNCTION := data/junction/train.tracks --validation data/junction/validation.tracks
 THREE_STRETCHES := $(foreach each,0s-320s 1300s-1620s 2600s-2920s,data/junction/train.tracks@$(each)) \
