@@ -132,6 +132,11 @@ class Tracker(ABC):
         self.stream = stream
         self.options = options
 
+    @property
+    def recoveries(self) -> int:
+        """How often since `reset` something in it failed and it went on from what was sound; told in the outcome."""
+        return 0
+
     @abstractmethod
     def reset(self, seed: int) -> None:
         """Forget everything seen so far: a new stream begins. Same seed and frames, same forecasts."""

@@ -100,8 +100,9 @@ class Server:
 
     def _update(self, request: Message) -> Message:
         frame = messages.frame_from(request)
-        _, spent = _timed(self._running().update, frame)
-        return Message("done", request.number, spent)
+        tracker = self._running()
+        _, spent = _timed(tracker.update, frame)
+        return Message("done", request.number, spent | {"recoveries": tracker.recoveries})
 
     def _predict(self, request: Message) -> Message:
         steps = request.value("steps", int)

@@ -154,6 +154,7 @@ class TrialRun:
                     wall_s=self._wall_s,
                     frames=len(timings.update),
                 ),
+                "recoveries": self._process.recoveries,
                 "peak_rss_mb": self._process.peak_rss_mb,
             }
         )

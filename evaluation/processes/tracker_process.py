@@ -100,6 +100,7 @@ class TrackerProcess:
         self.stderr_path = stderr_path
         self.timings = Timings()
         self.last_call: Call | None = None
+        self._recoveries = [0]
         self.peak_rss_mb = 0.0
         """Highest resident memory of all its processes together, MiB, by samples 20 times a second; once it ended."""
         self.started: Started
@@ -123,6 +124,7 @@ class TrackerProcess:
 
     def reset(self, seed: int) -> None:
         """A new stream begins."""
+        self._recoveries.append(0)
         with self._ending_on_error():
             self._wire.ask(Request("reset", "done", {"seed": seed}), self.limits.start_s)
 
@@ -134,6 +136,7 @@ class TrackerProcess:
         with self._ending_on_error():
             answer = self._wire.ask(request, self.limits.update_s)
             self._count(answer, self.timings.update, self.timings.update_round_trip)
+            self._recoveries[-1] = _recoveries(answer)
 
     def predict(self, steps: int) -> Forecast:
         """The forecast of steps 0..steps, checked: shapes, types, finite, in [0, 1], semantics that sum to 1."""
@@ -155,6 +158,11 @@ class TrackerProcess:
         self._killed = True
         if self._dialogue is not None:
             self._dialogue.process.kill()
+
+    @property
+    def recoveries(self) -> int:
+        """How often something in it failed and it went on, by its own count, over all streams."""
+        return sum(self._recoveries)
 
     @property
     def last_ms(self) -> float:
@@ -217,6 +225,14 @@ def _nanoseconds(answer: Message, name: str) -> int:
     if not 0 <= span < 1 << 63:
         raise WireError(f"'{name}' is no span of time")
     return span
+
+
+def _recoveries(answer: Message) -> int:
+    """How often something failed in the tracker since the stream began, if it says so. Raises WireError."""
+    count = answer.value("recoveries", int) if "recoveries" in answer.fields else 0
+    if not 0 <= count < 1 << 31:
+        raise WireError(f"'recoveries' is {count}; expected a count from 0 to 2^31 - 1")
+    return count
 
 
 def _started(answer: Message) -> Started:

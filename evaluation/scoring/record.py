@@ -139,6 +139,8 @@ class TrialRecord(Settings):
     classes: tuple[str, ...] = ()
     """What the tracker gives probabilities for."""
     weights_sha256: str = ""
+    recoveries: int = 0
+    """How often something in the tracker failed and it went on from what was sound, by its own count."""
     times: Times = Times()
     peak_rss_mb: float | None = None
     latency_ms: Latency | None = None

@@ -57,6 +57,12 @@ def summarise(
             f"{label} on {name} was delivered other frames than the rest: its scores are not comparable"
             for label in odd
         ]
+    differing += [
+        f"{trial.record.label} on {trial.record.recording} went on {trial.record.recoveries} times after a failure"
+        " inside it, by its own count"
+        for trial in trials
+        if trial.record.recoveries
+    ]
     pooled = inference.pooled()
     for label, entry in trackers.items():
         entry["pooled"] = pooled[label] if pooled else None
@@ -117,6 +123,7 @@ def _trial_summary(trial: Ended, inference: Inference) -> dict[str, Any]:
         "frames_expected": record.frames_expected,
         "threshold_chosen_on": record.thresholds.chosen_on,
         "weights_sha256": record.weights_sha256,
+        "recoveries": record.recoveries,
         "strata": strata,
         "latency_ms": latency.model_dump() if latency else None,
         "deadline": record.deadline.model_dump(mode="json") if record.deadline else None,

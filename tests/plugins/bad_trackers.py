@@ -236,6 +236,25 @@ class CountsPredictions(Good):
         self.calls = 0
 
 
+class Recovers(Good):
+    """Something in it fails in the third frame of a stream, or so it says."""
+
+    class Options(At):
+        count: int = 1
+
+    frames = 0
+
+    def reset(self, seed: int) -> None:
+        self.frames = 0
+
+    def update(self, frame: GridFrame) -> None:
+        self.frames += 1
+
+    @property
+    def recoveries(self) -> int:
+        return self.options.count if self.frames >= 3 else 0
+
+
 class NeverForgets(Good):
     """Reset leaves the last stream in its memory."""
 

@@ -276,3 +276,22 @@ def test_fit_finds_the_settings_that_score_best_and_keeps_those_that_were_given(
     assert any(a != b for a, b in pairwise(losses))
     tracker = KalmanTracker(StreamSpec(GRID, PERIOD_S, "hall", weights=paths[0]), PipelineSettings(acceleration=0.2))
     assert tracker._settings == ModelFreeSettings(**one.settings | {"acceleration": 0.2})
+
+
+def test_a_smoother_that_begins_anew_is_counted_until_the_reset(weights):
+    gtsam = pytest.importorskip("gtsam")
+    from gridtrack.trackers.model_free import FactorGraphTracker
+    from gridtrack.trackers.model_free.motion.factor_graph import LAG_S
+
+    save_weights(weights, card().model_copy(update={"tracker": "factor-graph"}), OPEN | {"dwell": GLIDING})
+    tracker = FactorGraphTracker(StreamSpec(GRID, PERIOD_S, "hall", weights=weights), PipelineSettings())
+    path = walk((3.0, -1.0), (0.0, 1.0), 12)
+    watch(tracker, path[:10])
+    assert tracker.recoveries == 0
+    knows_nothing = gtsam.IncrementalFixedLagSmoother(LAG_S)
+    tracker.tracks[0].estimator.estimators[0]._smoother = knows_nothing
+    seen = watch(tracker, path[10:])
+    assert tracker.recoveries == 1
+    assert seen[-1][0].track == 0
+    tracker.reset(seed=0)
+    assert tracker.recoveries == 0

@@ -61,7 +61,7 @@ class Pipeline:
         self.ages = np.full(grid.shape, NOT_OCCUPIED)
         self.tracks: list[Track] = []
         self.frame: GridFrame | None = None
-        self.born = 0
+        self.born = self.restarts = 0
 
     def update(self, frame: GridFrame) -> None:
         """Take in one frame: the stages in their order."""
@@ -108,7 +108,10 @@ class Pipeline:
     def _correct(self, shares: dict[int, Cluster], poses: dict[int, Match], visible: Mask) -> None:
         """Correct each track by the pose its returns show, and let them extend its shape."""
         for number, found in poses.items():
-            self.tracks[number].estimator.update(found.pose, found.covariance)
+            estimator = self.tracks[number].estimator
+            before = estimator.restarts
+            estimator.update(found.pose, found.covariance)
+            self.restarts += estimator.restarts - before
         tracks, clusters = [self.tracks[number] for number in shares], list(shares.values())
         views = in_view([track.boundary for track in tracks], self.grid, visible)
         for track, cluster, ages, seen in zip(tracks, clusters, self._ages_of(clusters), views, strict=True):

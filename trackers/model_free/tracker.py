@@ -79,6 +79,11 @@ class ModelFreeTracker(Tracker):
         labelled = tuple(replace(one, label=labels[one.track]) for one in objects(tracks))
         return Forecast(occupancy, semantics, objects=labelled)
 
+    @property
+    def recoveries(self) -> int:
+        """How often an estimator had to begin anew since `reset`."""
+        return self._pipeline.restarts
+
     @classmethod
     def fit(
         cls,

@@ -118,6 +118,21 @@ def test_a_tracker_that_dies_keeps_what_it_scored_and_stops_no_other(settings, t
     assert trial_of(summary, "persistence")["outcome"] == "ok"
 
 
+def test_what_a_tracker_recovered_from_stands_in_its_outcome_and_is_told(settings, told, tmp_path, bad_trackers):
+    summary = compare(settings("recovers", "persistence"), told)
+    assert trial_of(summary, "recovers")["outcome"] == "ok"
+    assert trial_of(summary, "recovers")["recoveries"] == read_record(tmp_path / "run" / "recovers@room").recoveries
+    assert trial_of(summary, "recovers")["recoveries"] in {1, 2}  # once in each stretch that it was shown
+    assert trial_of(summary, "persistence")["recoveries"] == 0
+    assert [notice for notice in summary["notices"] if notice.startswith("recovers on room went on")]
+
+
+def test_a_count_of_recoveries_that_is_none_ends_the_trial(settings, told, bad_trackers):
+    outcome = trial_of(compare(settings("recovers:count=-1"), told), "recovers")
+    assert outcome["outcome"] == "invalid-output"
+    assert "'recoveries' is -1" in outcome["reason"]
+
+
 def test_a_resumed_run_repeats_only_what_is_incomplete(settings, told, tmp_path):
     compare(settings("staged:crash_at=60", "persistence"), told)
     kept = (tmp_path / "run" / "persistence@room" / "scores.parquet").stat().st_mtime_ns
