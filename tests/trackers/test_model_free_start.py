@@ -19,7 +19,7 @@ from gridtrack.trackers.model_free.settings import PipelineSettings
 
 def compiled():
     kernels = rasterise.draw_track, matching._best_match, shape._absorb, association._distances_to, occlusion._cut_off
-    kernels = *kernels, regimes._log_likelihood
+    kernels = *kernels, regimes._log_likelihood, regimes._mixture
     return [len(kernel.signatures) for kernel in kernels]
 
 demo = packaged_recording("leg_tracker")
@@ -36,4 +36,4 @@ print(before, compiled())
 
 def test_what_is_compiled_on_first_use_is_compiled_when_it_starts():
     done = subprocess.run([sys.executable, "-c", STARTED_AND_FED], capture_output=True, text=True, check=True)
-    assert done.stdout == "[1, 1, 1, 1, 1, 1] [1, 1, 1, 1, 1, 1]\n"
+    assert done.stdout == "[1, 1, 1, 1, 1, 1, 1] [1, 1, 1, 1, 1, 1, 1]\n"

@@ -162,13 +162,15 @@ def distances_to(points: Array, boundaries: Sequence[Array]) -> Array:
 def _distances_to(points, x, y, ends):  # type: ignore[no-untyped-def]
     """As `distances_to`, the boundaries' `x` and `y` (N,) one after the other, each up to its of `ends` (T,)."""
     nearest = np.empty((len(points), len(ends)))
-    for k in range(len(points)):
-        first = 0
-        for track in range(len(ends)):
-            least = 1e12
-            for j in range(first, ends[track]):
-                dx, dy = points[k, 0] - x[j], points[k, 1] - y[j]
-                least = min(least, dx * dx + dy * dy)
-            nearest[k, track] = math.sqrt(least)
-            first = ends[track]
+    px, py, least = points[:, 0].copy(), points[:, 1].copy(), np.empty(len(points))
+    first = 0
+    for track in range(len(ends)):
+        least[:] = 1e12
+        for j in range(first, ends[track]):
+            for k in range(len(px)):  # innermost, for there it vectorises
+                dx, dy = px[k] - x[j], py[k] - y[j]
+                least[k] = min(least[k], dx * dx + dy * dy)
+        for k in range(len(px)):
+            nearest[k, track] = math.sqrt(least[k])
+        first = ends[track]
     return nearest

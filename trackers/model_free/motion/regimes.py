@@ -15,7 +15,6 @@ from typing import NamedTuple
 import numba
 import numpy as np
 
-from gridtrack.common.geometry import wrap_angle
 from gridtrack.trackers.model_free.motion.estimator import MotionEstimator, measured
 from gridtrack.trackers.model_free.motion.model import Array, MotionModel
 
@@ -92,24 +91,32 @@ class SwitchingEstimator:
         self._mix()
 
     def _mix(self) -> None:
-        """Mean and covariance of the mixture; its headings are near to each other."""
-        first, second = (estimator.mean for estimator in self.estimators)
-        one, other = self.probabilities
-        apart = second - first
-        apart[2] = wrap_angle(apart[2])
-        self.mean = first + other * apart
-        self.mean[2] = wrap_angle(self.mean[2])
-        self.covariance = (
-            one * self.estimators[0].covariance
-            + other * self.estimators[1].covariance
-            + one * other * np.outer(apart, apart)
+        one, other = self.estimators
+        self.mean, self.covariance = _mixture(
+            one.mean, one.covariance, other.mean, other.covariance, self.probabilities[1]
         )
+
+
+@numba.njit(cache=True, nogil=True)
+def _mixture(mean, covariance, other_mean, other_covariance, share):  # type: ignore[no-untyped-def]
+    """Mean (6,) and covariance (6, 6) of two, the other with the `share`; their headings are near to each other."""
+    apart = other_mean - mean
+    apart[2] = _wrapped(apart[2])
+    mixed = mean + share * apart
+    mixed[2] = _wrapped(mixed[2])
+    return mixed, (1.0 - share) * covariance + share * other_covariance + (1.0 - share) * share * np.outer(apart, apart)
+
+
+@numba.njit
+def _wrapped(angle):  # type: ignore[no-untyped-def]
+    """In [-pi, pi)."""
+    return (angle + math.pi) % (2.0 * math.pi) - math.pi
 
 
 @numba.njit(cache=True, nogil=True)
 def _log_likelihood(mean, covariance, pose, noise):  # type: ignore[no-untyped-def]
     """Of a measured pose (3,), but for a constant."""
     off = pose - mean[:3]
-    off[2] = (off[2] + math.pi) % (2.0 * math.pi) - math.pi
+    off[2] = _wrapped(off[2])
     spread = covariance[:3, :3] + noise
     return -0.5 * (off @ np.linalg.solve(spread, off) + math.log(np.linalg.det(spread)))
