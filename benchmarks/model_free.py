@@ -15,18 +15,25 @@ import numpy as np
 
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec
+from gridtrack.common.recordings import packaged_recording
 from gridtrack.trackers.model_free import FactorGraphTracker, KalmanTracker
 from gridtrack.trackers.model_free.background import BackgroundMap
 from gridtrack.trackers.model_free.classes import FEATURES, ClassFilter, ClassModel
 from gridtrack.trackers.model_free.dwell import table_shape
 from gridtrack.trackers.model_free.pipeline import Pipeline
 from gridtrack.trackers.model_free.settings import PipelineSettings
+from gridtrack.trackers.weights import read_card
 
 GRID = GridSpec(100, 0.2)
 PERIOD_S = 0.125
 STEPS = 20
 FRAMES, WARM_UP = 200, 40
-STREET = PipelineSettings(link_m=0.25, acceleration=0.4, initial_speed=2.5, velocity_memory_s=40.0, life_s=15.0)
+CARD = packaged_recording("leg_tracker").parents[1] / "weights" / "kalman" / "junction.toml"
+TUNED = read_card(CARD).settings
+STREET = PipelineSettings(**{name: TUNED[name] for name in PipelineSettings.model_fields})
+    **{name: value for name, value in read_card(CARD).settings.items() if name in PipelineSettings.model_fields}
+)
+"""The settings that ship for the junction."""
 STAGES = {
     "segmentation": "_segment",
     "prediction": "_predict",
