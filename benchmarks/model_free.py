@@ -31,8 +31,6 @@ FRAMES, WARM_UP = 200, 40
 CARD = packaged_recording("leg_tracker").parents[1] / "weights" / "kalman" / "junction.toml"
 TUNED = read_card(CARD).settings
 STREET = PipelineSettings(**{name: TUNED[name] for name in PipelineSettings.model_fields})
-    **{name: value for name, value in read_card(CARD).settings.items() if name in PipelineSettings.model_fields}
-)
 """The settings that ship for the junction."""
 STAGES = {
     "segmentation": "_segment",
