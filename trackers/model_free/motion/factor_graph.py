@@ -88,6 +88,7 @@ class FactorGraphEstimator:
         """A new graph that knows the present mean and covariance, and nothing before."""
         parameters = gtsam.ISAM2Params()
         parameters.findUnusedFactorSlots = True  # else they grow for ever
+        parameters.setFactorization("QR")  # steady motion is known to a millimetre, a heading at times not at all
         parameters.relinearizeSkip = 1  # a state is linearised again in the frame in which it has moved by 0.1
         self._smoother = gtsam.IncrementalFixedLagSmoother(LAG_S, parameters)
         self._newest, self._newest_mean = self._frame, self._mean

@@ -1,0 +1,198 @@
+"""Error of each stage of the model-free pipeline at the junction, against the truth: where its weakest link is.
+
+Run it by itself: `python benchmarks/stages.py [kalman|factor-graph]`. Two stretches of the validation recording, by
+class of the true body, over bodies of which at least two cells are seen:
+
+- segmentation: the share of bodies that are whole in one cluster, and of those that are alone in theirs;
+- association: how often a second a body's returns go to another track than in the frame before;
+- estimation: error of the velocity along and across the true one (median, root mean square), of bodies in view for a
+  second that move, and the median of the squared normalised error (1.4 where it is consistent);
+- forecast: the share of the cells of bodies that have moved by 0.2 m which is forecast above the threshold that is best
+  for moving cells at that horizon: one frame, half a second and a second ahead.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections import defaultdict
+from collections.abc import Sequence
+
+import numpy as np
+from velocity import JUNCTION, bodies, cells_of, rigid_velocity
+
+from gridtrack.common.grid import GridFrame, GridSpec
+from gridtrack.common.stream import Observation, open_stream
+from gridtrack.evaluation.comparison.learned import find_weights
+from gridtrack.evaluation.scoring.courses import static_cells
+from gridtrack.evaluation.scoring.strata import PLACES, places_round
+from gridtrack.trackers import registry
+from gridtrack.trackers.contract import stream_of
+from gridtrack.trackers.model_free.pipeline import Pipeline
+from gridtrack.trackers.model_free.segmentation import Cluster
+from gridtrack.trackers.model_free.tracker import ModelFreeTracker
+from gridtrack.trackers.model_free.tracks import Track
+
+STRETCHES = ("0s-50s", "200s-250s")
+WARM_UP, EVERY, SECOND = 20, 5, 8
+PERIOD_S = 0.125
+AHEAD = (1, 4, 8)
+MOVES_MPS, MOVED_M = 0.3, 0.2
+NOTHING = np.empty((0, 2))
+
+Found = dict[tuple[str, str], list[float]]
+"""By class and measure every value."""
+Forecasts = dict[int, list[tuple[np.ndarray, ...]]]
+"""By steps ahead: probability, truth and class (-1: of nothing that moved) of visible cells where things move."""
+
+
+def keep_clusters(pipeline: Pipeline) -> list[Cluster]:
+    """A list that holds the clusters of the pipeline's newest frame from now on."""
+    newest: list[Cluster] = []
+    segment = pipeline._segment
+
+    def kept(frame: GridFrame) -> list[Cluster]:
+        newest[:] = segment(frame)
+        return list(newest)
+
+    pipeline._segment = kept
+    return newest
+
+
+def owners(groups: Sequence[np.ndarray], grid: GridSpec) -> np.ndarray:
+    """The number of the group of points (N, 2) that each cell's returns belong to (M*M,); -1: none."""
+    owner = np.full(grid.size**2, -1)
+    for number, points in enumerate(groups):
+        cells, inside = grid.cells_of(points)
+        owner[cells[inside, 0] * grid.size + cells[inside, 1]] = number
+    return owner
+
+
+def most(numbers: np.ndarray) -> int:
+    """The most frequent of numbers that are not -1; -1 where there is none."""
+    known = numbers[numbers >= 0]
+    return int(np.bincount(known).argmax()) if known.size else -1
+
+
+def look(tracker: ModelFreeTracker, observations: Sequence[Observation], found: Found, forecasts: Forecasts) -> None:
+    """Stream one stretch through the tracker and note what each stage made of every body that is seen."""
+    tracker.reset(0)
+    grid, newest = tracker.stream.grid, keep_clusters(tracker._pipeline)
+    centres = grid.cell_centres(np.ones(grid.shape, bool))
+    identities: dict[int, int] = {}
+    seen_for: dict[int, int] = defaultdict(int)
+    for number, now in enumerate(observations[: -max(AHEAD)]):
+        tracker.update(now.frame)
+        if number < WARM_UP:
+            continue
+        occupied = now.frame.occupied.reshape(-1)
+        clusters = owners([cluster.points for cluster in newest], grid)
+        tracks = owners([track.returns if not track.unseen else NOTHING for track in tracker.tracks], grid)
+        seen = {
+            key: cells_of(body, now.frame.world_T_grid, centres, occupied, grid)
+            for key, body in bodies(now.scene).items()
+        }
+        for key, cells in seen.items():
+            seen_for[key] = seen_for[key] + 1 if cells.size else 0
+        note_segmentation(found, tracker, now, clusters, seen)
+        for key, cells in seen.items():
+            owner = most(tracks[cells])
+            if cells.size < 2 or owner < 0:
+                continue
+            label, track = tracker.stream.classes[bodies(now.scene)[key].label], tracker.tracks[owner]
+            if key in identities:
+                found[label, "switches"].append(identities[key] != track.identity)
+            identities[key] = track.identity
+            if seen_for[key] >= SECOND:
+                note_velocity(found, label, track, key, observations[number - 1 : number + 2], centres[cells])
+        if number % EVERY == 0:
+            note_forecast(forecasts, tracker, observations[number : number + max(AHEAD) + 1], centres)
+
+
+def note_segmentation(
+    found: Found, tracker: ModelFreeTracker, now: Observation, clusters: np.ndarray, seen: dict[int, np.ndarray]
+) -> None:
+    of_cluster: dict[int, set[int]] = defaultdict(set)
+    for key, cells in seen.items():
+        for cluster in np.unique(clusters[cells]):
+            of_cluster[int(cluster)].add(key)
+    for key, cells in seen.items():
+        own = clusters[cells][clusters[cells] >= 0]
+        if own.size >= 2:
+            label = tracker.stream.classes[bodies(now.scene)[key].label]
+            found[label, "whole"].append(len(np.unique(own)) == 1)
+            found[label, "alone"].append(all(of_cluster[int(cluster)] == {key} for cluster in own))
+
+
+def note_velocity(
+    found: Found, label: str, track: Track, key: int, around: Sequence[Observation], cells: np.ndarray
+) -> None:
+    """The error against the velocity of the body `key` at its `cells` (N, 2), by the frames before, now and after."""
+    before, now, after = around
+    scenes = bodies(before.scene), bodies(after.scene)
+    if any(key not in scene for scene in scenes):
+        return
+    elapsed_s = (after.frame.stamp_ns - before.frame.stamp_ns) * 1e-9
+    poses = [scene[key].world_T_object for scene in scenes]
+    true = rigid_velocity(*poses, elapsed_s, now.frame.world_T_grid, cells).mean(axis=1)
+    speed = np.hypot(*true)
+    if speed > MOVES_MPS:
+        off, spread = track.estimator.mean[3:5] - true, track.estimator.covariance[3:5, 3:5]
+        found[label, "along"].append(off @ true / speed)
+        found[label, "across"].append((true[0] * off[1] - true[1] * off[0]) / speed)
+        found[label, "normalised"].append(off @ np.linalg.solve(spread, off))
+
+
+def note_forecast(
+    forecasts: Forecasts, tracker: ModelFreeTracker, ahead: Sequence[Observation], centres: np.ndarray
+) -> None:
+    grid, occupancy = tracker.stream.grid, tracker.predict(max(AHEAD)).occupancy
+    start, pose = bodies(ahead[0].scene), ahead[0].frame.world_T_grid
+    moving = (places_round(static_cells(ahead[0].scene, grid, pose)) == PLACES.index("moving")).reshape(-1)
+    for steps in AHEAD:
+        later = ahead[steps]
+        occupied, kind = later.frame.occupied.reshape(-1), np.full(grid.size**2, -1)
+        for key, body in bodies(later.scene).items():
+            was, now = start.get(key), body.world_T_object
+            if was is not None and np.hypot(was.world_T_object.x - now.x, was.world_T_object.y - now.y) >= MOVED_M:
+                kind[cells_of(body, later.frame.world_T_grid, centres, occupied, grid)] = body.label
+        counted = later.frame.visible.reshape(-1) & moving
+        forecasts[steps].append((occupancy[steps].reshape(-1)[counted], occupied[counted], kind[counted]))
+
+
+def best_threshold(p: np.ndarray, occupied: np.ndarray) -> float:
+    """Of the bins' edges the one with the highest F1."""
+    thresholds = np.sin(np.pi * np.arange(1, 50) / 100) ** 2
+    scores = [2 * (occupied & (p >= t)).sum() / ((p >= t).sum() + occupied.sum()) for t in thresholds]
+    return float(thresholds[int(np.argmax(scores))])
+
+
+def main() -> None:
+    name = (sys.argv[1:] or ["kalman"])[0]
+    found, forecasts = defaultdict(list), defaultdict(list)
+    for stretch in STRETCHES:
+        stream = open_stream(f"{JUNCTION / 'validation.tracks'}@{stretch}")
+        kind, learned = registry.load(name), find_weights(name, stream.site, None)
+        tracker = kind(stream_of(stream, learned.path if learned else None), kind.Options())
+        look(tracker, list(stream.observations()), found, forecasts)
+    parts = {steps: [np.concatenate(part) for part in zip(*forecasts[steps], strict=True)] for steps in AHEAD}
+    hits = {steps: p >= best_threshold(p, occupied) for steps, (p, occupied, _) in parts.items()}
+    print(
+        f"{'':11}segmentation   association   estimation: velocity error, m/s           forecast: recall of what moved"
+    )
+    print(f"{name:11}whole  alone   switches/s    along        across     normalised   0.125 s   0.5 s     1 s")
+    for label, text in enumerate(tracker.stream.classes):
+        if (text, "along") not in found:
+            continue
+        mean = {measure: np.mean(found[text, measure]) for measure in ("whole", "alone", "switches")}
+        errors = [np.array(found[text, measure]) for measure in ("along", "across")]
+        spread = "   ".join(f"{np.median(abs(e)):.2f}, {np.sqrt((e**2).mean()):.2f}" for e in errors)
+        recall = [hits[n][parts[n][1] & (parts[n][2] == label)] for n in AHEAD]
+        print(
+            f"{text:11}{mean['whole']:5.0%}  {mean['alone']:5.0%}   {mean['switches'] / PERIOD_S:10.2f}    {spread}"
+            f"  {np.median(found[text, 'normalised']):9.1f}   "
+            + "".join(f"{r.mean():8.0%} " if r.size else f"{'-':>8} " for r in recall)
+        )
+
+
+if __name__ == "__main__":
+    main()
