@@ -46,7 +46,7 @@ from gridtrack.trackers.model_free.dwell import table_shape
 from gridtrack.trackers.model_free.forecast import objects
 from gridtrack.trackers.model_free.motion import KalmanEstimator
 from gridtrack.trackers.model_free.pipeline import Pipeline
-from gridtrack.trackers.model_free.segmentation import segment
+from gridtrack.trackers.model_free.segmentation import clusters_of, segment
 from gridtrack.trackers.model_free.settings import PipelineSettings
 
 GRID = GridSpec(100, 0.2, (0.0, -10.0))
@@ -110,14 +110,15 @@ Tracked = tuple[list[Array], list[float]]
 """Positions (N, 2) that are found in each frame, and the seconds of processor time that it took."""
 
 
-def clusters_of(moments: list[Moment], settings: PipelineSettings) -> Tracked:
+def centres_of(moments: list[Moment], settings: PipelineSettings) -> Tracked:
     """Centres (C, 2) of the clusters in each frame, and the seconds that segmentation takes."""
     found, seconds = [], []
     for frame in (moment.frame for moment in moments):
         begun = time.thread_time()
         points = frame.points.astype(np.float64)
         ranges = np.linalg.norm(points - frame.origins[0], axis=1)
-        clusters = segment(points, ranges, settings.link_m, settings.link_per_m)
+        labels = segment(points, ranges, settings.link_m, settings.link_per_m)
+        clusters = clusters_of(points, np.zeros(len(points), bool), labels)
         found.append(np.array([cluster.centre for cluster in clusters]).reshape(-1, 2))
         seconds.append(time.thread_time() - begun)
     return found, seconds
@@ -212,9 +213,9 @@ def best_settings(moments: list[Moment], settings: PipelineSettings) -> Pipeline
 
 
 def side_by_side(people: int, frames: int, seeds: range) -> None:
-    settings = PipelineSettings(acceleration=WANDER, velocity_memory_s=TURN_MEMORY_S, initial_speed=SPEED)
+    settings = PipelineSettings(acceleration=WANDER, agility=1.0, velocity_memory_s=TURN_MEMORY_S, initial_speed=SPEED)
     practice = hall(people, frames, seeds.start - 1)
-    clusters = clusters_of(practice, settings)
+    clusters = centres_of(practice, settings)
     lives = {joint: best_life(practice, clusters, settings, joint=joint) for joint in (False, True)}
     settings = best_settings(practice, settings)
     print(f"{people} people, {frames} frames, {len(seeds)} seeds; {lives}")
@@ -222,7 +223,7 @@ def side_by_side(people: int, frames: int, seeds: range) -> None:
     results: dict[str, list[tuple[float, Array]]] = {}
     for seed in seeds:
         moments = hall(people, frames, seed)
-        clusters = clusters_of(moments, settings)
+        clusters = centres_of(moments, settings)
         runs: dict[str, Callable[[], Tracked]] = {
             "ours, Kalman": lambda m=moments: ours(m, settings),
             "Stone Soup, nearest": lambda c=clusters: stone_soup(c, settings, lives[False], joint=False),
