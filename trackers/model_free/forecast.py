@@ -76,12 +76,15 @@ def _motions(tracks: Sequence[Track], regimes: Regimes, steps: int, grid: GridSp
     Where a track is seen now, its returns are where they are: what is uncertain of their future is the motion alone.
     """
     poses, spreads = [], []
+    seen = np.array([not track.unseen for track in tracks])
+    now = np.stack([track.pose for track in tracks])
     for regime, model in enumerate(regimes.models):
         estimators = [track.estimator.estimators[regime] for track in tracks]
+        means = np.stack([estimator.mean for estimator in estimators])
         covariances = np.stack([estimator.covariance for estimator in estimators])
-        seen = np.array([not track.unseen for track in tracks])
+        means[seen, :3] = now[seen]
         covariances[seen, :3] = covariances[seen, :, :3] = 0.0
-        means, covariances = propagate(np.stack([one.mean for one in estimators]), covariances, steps, model)
+        means, covariances = propagate(means, covariances, steps, model)
         poses.append(np.concatenate([in_cells(means[..., :2], grid), means[..., 2:3]], axis=2))
         spreads.append(covariances[..., :2, :2] / grid.cell_m**2)
     return np.stack(poses, axis=1), np.stack(spreads, axis=1)
