@@ -97,11 +97,35 @@ def card_for(
         period_s=period_s,
         seed=out.seed,
         command=out.command,
-        train=tuple(TrainingData(recording=s.name, sha256=s.sha256) for s in sources),
-        validation=tuple(TrainingData(recording=s.name, sha256=s.sha256) for s in validation),
+        train=_data_of(sources),
+        validation=_data_of(validation),
         settings=dict(settings),
         results=dict(results or {}),
     )
+
+
+def with_classes(
+    card: Card,
+    classes: tuple[str, ...],
+    train: Iterable[FrameSource],
+    validation: Iterable[FrameSource],
+    settings: Mapping[str, Any],
+    results: Mapping[str, Any],
+) -> Card:
+    """The card of what was learned before, and what `stage=classes` has added from `train` and `validation`."""
+    return card.model_copy(
+        update={
+            "classes": classes,
+            "train": tuple(dict.fromkeys([*card.train, *_data_of(train)])),
+            "validation": tuple(dict.fromkeys([*card.validation, *_data_of(validation)])),
+            "settings": card.settings | {"stage": "both"} | dict(settings),
+            "results": card.results | {"classes": dict(results)},
+        }
+    )
+
+
+def _data_of(sources: Iterable[FrameSource]) -> tuple[TrainingData, ...]:
+    return tuple(TrainingData(recording=source.name, sha256=source.sha256) for source in sources)
 
 
 def save_weights(path: Path, card: Card, arrays: Mapping[str, NDArray[Any]]) -> None:

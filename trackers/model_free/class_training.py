@@ -21,7 +21,7 @@ from gridtrack.trackers.contract import FitOutput, FrameSource, stream_of
 from gridtrack.trackers.labelled import LabelledStretch, class_indices, draw_labelled, learned_classes
 from gridtrack.trackers.model_free.classes import FEATURES, PREFIX, ClassModel, features_of
 from gridtrack.trackers.model_free.settings import ModelFreeSettings
-from gridtrack.trackers.weights import Card, TrainingData, load_weights, save_weights
+from gridtrack.trackers.weights import load_weights, save_weights, with_classes
 
 if TYPE_CHECKING:
     from gridtrack.trackers.model_free.tracker import ModelFreeTracker
@@ -102,7 +102,8 @@ def add_classes(
     model, loss = best_model(learned, held_out, place, out)
 
     results = _results(stretch, learned, classes, model, loss, out)
-    card = _card(weights.card, classes, train, validation, options, results)
+    settings = {"labelled_scans": options.labelled_scans}
+    card = with_classes(weights.card, classes, train, validation, settings, results)
     save_weights(out.path, card, bare | model.arrays())
 
 
@@ -232,24 +233,3 @@ def _results(
         "place_power": float(model.powers[1]),
         "validation_log_loss": round(loss, 5),
     }
-
-
-def _card(
-    card: Card,
-    classes: tuple[str, ...],
-    train: Sequence[FrameSource],
-    validation: Sequence[FrameSource],
-    options: ModelFreeSettings,
-    results: dict[str, Any],
-) -> Card:
-    """The card of the motion, and what has been added."""
-    used = [[TrainingData(recording=s.name, sha256=s.sha256) for s in sources] for sources in (train, validation)]
-    return card.model_copy(
-        update={
-            "classes": classes,
-            "train": tuple(dict.fromkeys([*card.train, *used[0]])),
-            "validation": tuple(dict.fromkeys([*card.validation, *used[1]])),
-            "settings": card.settings | {"stage": "both", "labelled_scans": options.labelled_scans},
-            "results": card.results | {"classes": results},
-        }
-    )

@@ -38,9 +38,10 @@ def measure(track: Track, points: Array, settings: PipelineSettings) -> Match:
     if unsure_m > UNSURE * settings.surface_m:
         shift = points.mean(axis=0) - track.boundary.mean(axis=0)
         starts = starts + np.array([[0.0, 0.0, 0.0], [shift[0], shift[1], 0.0]])
-    turns = track.shape.extent_m >= TURNS_FROM_M and _extent(points) >= TURNS_FROM_M
     shape = track.shape
-    cut = shape.cut & (shape.extent_m >= TURNS_FROM_M)  # a person does not go on for long behind what hides the rest
+    long = shape.extent_m >= TURNS_FROM_M
+    turns = long and _extent(points) >= TURNS_FROM_M
+    cut = shape.cut & long  # a person does not go on for long behind what hides the rest
     found = match(points, shape.offsets, shape.weights, cut, starts, unsure_m, settings.surface_m, turns)
     return found._replace(covariance=found.covariance + noise(settings))
 

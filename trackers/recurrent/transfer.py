@@ -23,7 +23,7 @@ from gridtrack.trackers.labelled import VALIDATE_ON, LabelledStretch, draw_label
 from gridtrack.trackers.recurrent.network import State
 from gridtrack.trackers.recurrent.settings import TransferSettings
 from gridtrack.trackers.recurrent.tracker import RecurrentTracker
-from gridtrack.trackers.weights import Card, TrainingData, load_weights, save_weights
+from gridtrack.trackers.weights import load_weights, save_weights, with_classes
 
 STEPS = 20
 """How far ahead classes are learned: c_t .. c_{t+20}."""
@@ -59,9 +59,13 @@ def add_classes(
     given = {"channels": options.class_channels} if "class_channels" in options.model_fields_set else {}
     best = best_classifier(build, given, learned, held_out, out.seed, out.report)
     weights = load_weights(tracker.stream, kind.name)
-    card = _card(
-        weights.card, classes, train, validation, options, best, _results(stretch, classes, learned, best, out)
-    )
+    settings = {
+        "labelled_scans": options.labelled_scans,
+        "class_layers": options.class_layers,
+        "class_channels": best.settings.channels,
+    }
+    results = _results(stretch, classes, learned, best, out)
+    card = with_classes(weights.card, classes, train, validation, settings, results)
     network = {name: array for name, array in weights.arrays.items() if not name.startswith(DECODER)}
     decoder = {DECODER + name: value.numpy() for name, value in best.classifier.state_dict().items()}
     save_weights(out.path, card, network | decoder)
@@ -123,31 +127,3 @@ def _results(
         "temperature": best.temperature,
         "validation_log_loss": round(best.log_loss, 5),
     }
-
-
-def _card(
-    card: Card,
-    classes: tuple[str, ...],
-    train: Sequence[FrameSource],
-    validation: Sequence[FrameSource],
-    options: TransferSettings,
-    best: Trained,
-    results: dict[str, Any],
-) -> Card:
-    """The network's card, and what has been added."""
-    of_classes = {
-        "stage": "both",
-        "labelled_scans": options.labelled_scans,
-        "class_layers": options.class_layers,
-        "class_channels": best.settings.channels,
-    }
-    used = [[TrainingData(recording=s.name, sha256=s.sha256) for s in sources] for sources in (train, validation)]
-    return card.model_copy(
-        update={
-            "classes": classes,
-            "train": tuple(dict.fromkeys([*card.train, *used[0]])),
-            "validation": tuple(dict.fromkeys([*card.validation, *used[1]])),
-            "settings": card.settings | of_classes,
-            "results": card.results | {"classes": results},
-        }
-    )
