@@ -20,6 +20,7 @@ from gridtrack.trackers.model_free.background import Background, BackgroundMap, 
 from gridtrack.trackers.model_free.dwell import NOT_OCCUPIED, PRIOR_RETURNS, fit_dwell, next_ages, staying
 from gridtrack.trackers.model_free.rasterise import WINDOW_SIGMAS, draw_track
 from gridtrack.trackers.model_free.segmentation import Cluster, clusters_of, segment
+from gridtrack.trackers.model_free.settings import PipelineSettings
 from gridtrack.trackers.model_free.tracks import existence_when_detected, existence_when_missed
 from gridtrack.trackers.site_rate import PRIOR_FRAMES
 
@@ -63,11 +64,15 @@ def test_a_wall_over_which_returns_flicker_is_solid_and_a_place_that_is_busy_as_
     assert (background.solid[:, 5:] < 0.55).all()
 
 
+MAP_FRAMES = 40
+
+
 def background_of(rate, solid=0.0, **settings):
     given = {"explained_above": 0.9, "unforeseen_share": 0.5, "return_s": 2.0, "sink_above": 0.3, "sink_s": 5.0}
+    given["map_s"] = 0.1 * MAP_FRAMES
     rate = np.asarray(rate, np.float32)
     fitted = BackgroundMap(rate, np.broadcast_to(np.asarray(solid, np.float32), rate.shape))
-    return Background(fitted, 0.1, **given | settings)
+    return Background(fitted, 0.1, PipelineSettings(**given | settings))
 
 
 def test_forecast_keeps_walls_and_the_base_rate_of_what_was_never_seen():
@@ -94,7 +99,7 @@ def test_what_stands_sinks_into_the_background_and_what_has_left_leaves_it():
         background.observe(frame_of(seen, parked))
     keep = math.exp(-0.1 / 5.0)
     frames = (1 - keep**100) / (1 - keep)
-    sunk = np.array([[frames / (frames + PRIOR_FRAMES), 0.0]])
+    sunk = np.array([[frames / (frames + MAP_FRAMES), 0.0]])
     assert background.probabilities(0)[0] == pytest.approx(sunk)
     for _ in range(100):
         background.observe(frame_of(~seen, ~seen))
@@ -109,7 +114,7 @@ def test_a_wall_that_is_taken_away_is_forgotten():
     for _ in range(1000):
         background.observe(frame_of(np.ones((1, 1), bool), np.zeros((1, 1), bool)))
     frames = 1 / (1 - math.exp(-0.1 / 5.0))
-    assert background.probabilities(0)[0, 0, 0] == pytest.approx(0.9 * PRIOR_FRAMES / (PRIOR_FRAMES + frames), rel=1e-5)
+    assert background.probabilities(0)[0, 0, 0] == pytest.approx(0.9 * MAP_FRAMES / (MAP_FRAMES + frames), rel=1e-5)
 
 
 # Segmentation

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridtrack.common.grid import GridFrame, Mask, with_neighbours
-from gridtrack.trackers.site_rate import PRIOR_FRAMES, posterior_rate
+from gridtrack.trackers.model_free.settings import PipelineSettings
+from gridtrack.trackers.site_rate import posterior_rate
 
 GONE_SHARE = 0.1
 """What had stopped has left when this share of its cells, and all beside them, are seen empty."""
@@ -52,30 +53,22 @@ class Background:
 
     Returns in cells that `fitted` holds solid in more than the share `explained_above` of the frames are no object's,
     nor are those in cells that a track was merged into, until it is seen to leave. The record of each cell goes on
-    from the fitted rate, worth PRIOR_FRAMES frames, and forgets with the time constant `sink_s` while it is visible.
+    from the fitted rate, worth `map_s` of its own, and forgets with the time constant `sink_s` while it is visible.
 
     An open cell that no track announces is a Markov chain of two states, whose stationary rate is the fitted one. Seen
     empty, it holds the share `unforeseen_share` of that rate at once and comes back to all of it with the time constant
     `return_s`: ahead in time, and while it is hidden.
     """
 
-    def __init__(
-        self,
-        fitted: BackgroundMap,
-        period_s: float,
-        explained_above: float,
-        unforeseen_share: float,
-        return_s: float,
-        sink_above: float,
-        sink_s: float,
-    ) -> None:
-        self.rate, self.sink_above = fitted.rate, sink_above
-        self._walls: Mask = fitted.solid >= explained_above
+    def __init__(self, fitted: BackgroundMap, period_s: float, settings: PipelineSettings) -> None:
+        self.rate, self.settings = fitted.rate, settings
+        self._walls: Mask = fitted.solid >= settings.explained_above
         self._stopped: list[Mask] = []
-        self._step = np.float32(math.exp(-period_s / return_s))
-        self._announced = np.float32(1.0 - unforeseen_share)
+        self._step = np.float32(math.exp(-period_s / settings.return_s))
+        self._announced = np.float32(1.0 - settings.unforeseen_share)
         self._known = np.zeros_like(fitted.rate)
-        self._keep = np.float32(math.exp(-period_s / sink_s))
+        self._fitted_frames = np.float32(settings.map_s / period_s)
+        self._keep = np.float32(math.exp(-period_s / settings.sink_s))
         self._visible, self._occupied = np.zeros_like(fitted.rate), np.zeros_like(fitted.rate)
 
     @property
@@ -101,7 +94,8 @@ class Background:
 
         Walls, and cells occupied in more than the share `sink_above` of late, are map and forecast by their record.
         """
-        record = (self.rate * np.float32(PRIOR_FRAMES) + self._occupied) / (PRIOR_FRAMES + self._visible)
+        fitted = self._fitted_frames
+        record = (self.rate * fitted + self._occupied) / (fitted + self._visible)
         ahead = self._step ** np.arange(steps + 1, dtype=np.float32)
         traffic = self.rate * (np.float32(1.0) - self._known * ahead[:, None, None])
-        return np.where(self.explained | (record > self.sink_above), record, traffic).astype(np.float32)
+        return np.where(self.explained | (record > self.settings.sink_above), record, traffic).astype(np.float32)

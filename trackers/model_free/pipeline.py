@@ -44,15 +44,7 @@ class Pipeline:
         estimator: Estimator,
     ) -> None:
         self.grid, self.dwell, self.settings, self.estimator = grid, dwell, settings, estimator
-        self.background = Background(
-            background,
-            period_s,
-            settings.explained_above,
-            settings.unforeseen_share,
-            settings.return_s,
-            settings.sink_above,
-            settings.sink_s,
-        )
+        self.background = Background(background, period_s, settings)
         self.motion = settings.motion(period_s)
         self.survival = math.exp(-period_s / settings.life_s)
         self.shape_gain = 1.0 - math.exp(-period_s / settings.shape_memory_s)

@@ -28,6 +28,8 @@ class PipelineSettings(Settings):
     """The share of the recent frames in which a cell must have been occupied to be forecast as background."""
     sink_s: float = Field(5.0, gt=0, le=3600)
     """Time constant of that record: how long something stands before it sinks in, or is gone before it is forgotten."""
+    map_s: float = Field(2.0, gt=0, le=3600)
+    """How long a cell has to be seen for that record to weigh as much as the map's."""
 
     # Segmentation
     link_m: float = Field(0.45, gt=0, le=10)

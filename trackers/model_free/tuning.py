@@ -32,6 +32,7 @@ RANGES = {
     "return_s": (0.3, 10.0),
     "sink_above": (0.1, 0.8),
     "sink_s": (0.5, 10.0),
+    "map_s": (0.2, 5.0),
     "link_m": (0.15, 1.2),
     "acceleration": (0.02, 1.0),
     "surge": (0.01, 0.3),
