@@ -34,6 +34,10 @@ UNKNOWN = (1e4, 1e4, 1e3)
 """Variance of a direction that the returns say nothing of, along x and y (m^2) and of the heading (rad^2)."""
 
 
+TRUST = 5
+"""The last column of what each return is expected of."""
+
+
 class Match(NamedTuple):
     """A measured pose (3,): x, y, heading; its covariance (3, 3); and the `residual` of the returns.
 
@@ -70,8 +74,8 @@ def match(
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _best_match(points, offsets, weights, cut, starts, unsure_m, surface_m, turns):  # type: ignore[no-untyped-def]
     """Pose (3,), covariance (3, 3) and residual of the best match from any of the starts (S, 3)."""
-    placed, means, trust = np.empty_like(offsets), np.empty_like(points), np.empty(len(points))
-    best, residual = starts[0].copy(), np.inf
+    placed, expected = np.empty_like(offsets), np.empty((len(points), 6))
+    best, information, residual = starts[0], np.empty((3, 3)), np.inf
     for s in range(len(starts)):
         pose = starts[s].copy()
         kernel = min(max(unsure_m / surface_m, 1.0), WIDEST)
@@ -79,20 +83,18 @@ def _best_match(points, offsets, weights, cut, starts, unsure_m, surface_m, turn
             width = max(kernel, 1.0) * surface_m
             for step in range(ITERATIONS + NEWTON_STEPS):
                 _place(offsets, pose, placed)
-                _expect(points, placed, weights, cut, width, means, trust)
+                _expect(points, placed, weights, cut, width, expected)
                 if step < ITERATIONS:
-                    _maximise(points, means, trust, turns, pose)
+                    _maximise(points, expected, turns, pose)
                 else:
-                    _newton(points, placed, weights, means, trust, width, turns, pose)
+                    _newton(points, expected, width, turns, pose)
             kernel *= 0.5
         _place(offsets, pose, placed)
-        misfit = _expect(points, placed, weights, cut, surface_m, means, trust)
+        misfit = _expect(points, placed, weights, cut, surface_m, expected)
         if misfit < residual:
             best, residual = pose, misfit
-    _place(offsets, best, placed)
-    _expect(points, placed, weights, cut, surface_m, means, trust)
-    information = _information(points, placed, weights, means, trust, best, surface_m, turns)
-    return best, np.linalg.inv(information), residual
+            information = _information(expected, pose, surface_m, turns)
+    return best, _inverse(information), residual
 
 
 @numba.njit(error_model="numpy")
@@ -105,47 +107,61 @@ def _place(offsets, pose, placed):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(error_model="numpy")
-def _expect(points, placed, weights, cut, width, means, trust):  # type: ignore[no-untyped-def]
-    """Write the boundary that each return is expected of, `means` (K, 2), and how far it tells, `trust` (K,).
+def _expect(points, placed, weights, cut, width, expected):  # type: ignore[no-untyped-def]
+    """Write what each return is expected of into `expected` (K, 6), and return the residual.
 
-    That is the probability that it is of this boundary, where that is not cut off. Returns the residual.
+    Of the boundary that it may be of the mean x, y and the covariance xx, xy, yy; then its TRUST, how far it tells: the
+    probability that it is of this boundary, where that is not cut off.
     """
     scale = -0.5 / (width * width)
     misfit = 0.0
     for i in range(len(points)):
-        total = telling = x = y = 0.0
+        total = telling = x = y = xx = xy = yy = 0.0
         for j in range(len(placed)):
-            dx, dy = points[i, 0] - placed[j, 0], points[i, 1] - placed[j, 1]
+            dx, dy = placed[j, 0] - points[i, 0], placed[j, 1] - points[i, 1]
             exponent = scale * (dx * dx + dy * dy)
             if exponent > FURTHEST:
                 share = weights[j] * math.exp(exponent)
+                sx, sy = share * dx, share * dy
                 total += share
-                x += share * placed[j, 0]
-                y += share * placed[j, 1]
+                x += sx
+                y += sy
+                xx += sx * dx
+                xy += sx * dy
+                yy += sy * dy
                 if not cut[j]:
                     telling += share
-        trust[i] = (telling + CUT * (total - telling)) / (total + OUTLIER)
-        means[i, 0], means[i, 1] = (x / total, y / total) if total > 0.0 else (points[i, 0], points[i, 1])
+        each = expected[i]
+        if total > 0.0:
+            x, y = x / total, y / total
+            xx, xy, yy = xx / total - x * x, xy / total - x * y, yy / total - y * y
+        each[0], each[1] = points[i, 0] + x, points[i, 1] + y
+        each[2], each[3], each[4] = xx, xy, yy
+        each[5] = (telling + CUT * (total - telling)) / (total + OUTLIER)
         misfit -= 2.0 * math.log(min(total + OUTLIER, 1.0))
     return misfit / len(points)
 
 
 @numba.njit(error_model="numpy")
-def _maximise(points, means, trust, turns, pose):  # type: ignore[no-untyped-def]
-    """Move `pose` (3,) so that the expected boundary `means` (K, 2) falls on the returns: least squares by `trust`."""
-    total = trust.sum()
+def _maximise(points, expected, turns, pose):  # type: ignore[no-untyped-def]
+    """Move `pose` (3,) so that the expected boundary falls on the returns: least squares by trust."""
+    total = px = py = mx = my = 0.0
+    for i in range(len(points)):
+        trust = expected[i, TRUST]
+        total += trust
+        px, py = px + trust * points[i, 0], py + trust * points[i, 1]
+        mx, my = mx + trust * expected[i, 0], my + trust * expected[i, 1]
     if total < 1e-6:
         return
-    px, py = (trust * points[:, 0]).sum() / total, (trust * points[:, 1]).sum() / total
-    mx, my = (trust * means[:, 0]).sum() / total, (trust * means[:, 1]).sum() / total
+    px, py, mx, my = px / total, py / total, mx / total, my / total
     turn = 0.0
     if turns:
         dot = cross = 0.0
         for i in range(len(points)):
-            ax, ay = means[i, 0] - mx, means[i, 1] - my
+            ax, ay = expected[i, 0] - mx, expected[i, 1] - my
             bx, by = points[i, 0] - px, points[i, 1] - py
-            dot += trust[i] * (ax * bx + ay * by)
-            cross += trust[i] * (ax * by - ay * bx)
+            dot += expected[i, TRUST] * (ax * bx + ay * by)
+            cross += expected[i, TRUST] * (ax * by - ay * bx)
         turn = math.atan2(cross, dot) if dot > 0.0 else 0.0
     cosine, sine = math.cos(turn), math.sin(turn)
     ox, oy = pose[0] - mx, pose[1] - my
@@ -154,60 +170,53 @@ def _maximise(points, means, trust, turns, pose):  # type: ignore[no-untyped-def
 
 
 @numba.njit(error_model="numpy")
-def _newton(points, placed, weights, means, trust, width, turns, pose):  # type: ignore[no-untyped-def]
+def _newton(points, expected, width, turns, pose):  # type: ignore[no-untyped-def]
     """Move `pose` (3,) by one step of Newton's method, no further than the kernel's `width`."""
     gradient = np.zeros(3)
     for i in range(len(points)):
-        scale = trust[i] / (width * width)
-        rx, ry = points[i, 0] - means[i, 0], points[i, 1] - means[i, 1]
+        x, y = expected[i, 0], expected[i, 1]
+        scale = expected[i, TRUST] / (width * width)
+        rx, ry = points[i, 0] - x, points[i, 1] - y
         gradient[0] += scale * rx
         gradient[1] += scale * ry
         if turns:
-            gradient[2] += scale * ((means[i, 0] - pose[0]) * ry - (means[i, 1] - pose[1]) * rx)
-    step = np.linalg.solve(_information(points, placed, weights, means, trust, pose, width, turns), gradient)
+            gradient[2] += scale * ((x - pose[0]) * ry - (y - pose[1]) * rx)
+    step = _inverse(_information(expected, pose, width, turns)) @ gradient
     pose += step * min(1.0, width / max(math.hypot(step[0], step[1]), 1e-9))
 
 
 @numba.njit(error_model="numpy")
-def _information(points, placed, weights, means, trust, pose, width, turns):  # type: ignore[no-untyped-def]
+def _information(expected, pose, width, turns):  # type: ignore[no-untyped-def]
     """Curvature (3, 3) of minus the log likelihood at `pose` (3,), never negative, and what is known of the unknown."""
     total = np.zeros((3, 3))
     for axis in range(3):
         total[axis, axis] = 1.0 / UNKNOWN[axis]
     scale = 1.0 / (width * width)
-    for i in range(len(points)):
-        xx, xy, yy = _spread(points[i], placed, weights, means[i], width)
+    for i in range(len(expected)):
+        x, y, xx, xy, yy, trust = expected[i]
         xx, xy, yy = _not_negative(scale * (1.0 - scale * xx), -scale * scale * xy, scale * (1.0 - scale * yy))
-        dx, dy = means[i, 0] - pose[0], means[i, 1] - pose[1]
-        total[0, 0] += trust[i] * xx
-        total[1, 1] += trust[i] * yy
-        total[0, 1] += trust[i] * xy
+        dx, dy = x - pose[0], y - pose[1]
+        total[0, 0] += trust * xx
+        total[1, 1] += trust * yy
+        total[0, 1] += trust * xy
         if turns:
-            total[0, 2] += trust[i] * (xy * dx - xx * dy)
-            total[1, 2] += trust[i] * (yy * dx - xy * dy)
-            total[2, 2] += trust[i] * (xx * dy * dy - 2.0 * xy * dx * dy + yy * dx * dx)
+            total[0, 2] += trust * (xy * dx - xx * dy)
+            total[1, 2] += trust * (yy * dx - xy * dy)
+            total[2, 2] += trust * (xx * dy * dy - 2.0 * xy * dx * dy + yy * dx * dx)
     total[1, 0], total[2, 0], total[2, 1] = total[0, 1], total[0, 2], total[1, 2]
     return total
 
 
 @numba.njit(error_model="numpy")
-def _spread(point, placed, weights, mean, width):  # type: ignore[no-untyped-def]
-    """Covariance xx, xy, yy of the boundary that one return may be of, about its `mean` (2,)."""
-    scale = -0.5 / (width * width)
-    total = xx = xy = yy = 0.0
-    for j in range(len(placed)):
-        dx, dy = point[0] - placed[j, 0], point[1] - placed[j, 1]
-        exponent = scale * (dx * dx + dy * dy)
-        if exponent > FURTHEST:
-            share = weights[j] * math.exp(exponent)
-            ex, ey = placed[j, 0] - mean[0], placed[j, 1] - mean[1]
-            total += share
-            xx += share * ex * ex
-            xy += share * ex * ey
-            yy += share * ey * ey
-    if total == 0.0:
-        return 0.0, 0.0, 0.0
-    return xx / total, xy / total, yy / total
+def _inverse(a):  # type: ignore[no-untyped-def]
+    """Inverse (3, 3) of a symmetric, positive definite matrix: its cofactors by its determinant."""
+    inverse = np.empty((3, 3))
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        for m in range(3):
+            n, o = (m + 1) % 3, (m + 2) % 3
+            inverse[i, m] = a[j, n] * a[k, o] - a[j, o] * a[k, n]
+    return inverse / (a[0, 0] * inverse[0, 0] + a[0, 1] * inverse[0, 1] + a[0, 2] * inverse[0, 2])
 
 
 @numba.njit(error_model="numpy")
