@@ -15,6 +15,8 @@ FINENESS = 1.1
 """A blur of so many pixels is drawn with bilinear interpolation between them."""
 NEGLIGIBLE = 0.01
 """What makes no cell more probable than this is not drawn."""
+LEAST_SHIFT = 0.2
+"""Rows that the blur's slant shifts by fewer cells than this, from the first to the last, are not shifted."""
 SAME_HEADING = 0.02
 """A body that has turned by less, radians, is drawn as it was."""
 
@@ -37,7 +39,7 @@ def draw_track(  # type: ignore[no-untyped-def]
     shown = np.zeros((size, size), np.float32)
     corners, masses, still_box = _points(places, blur, size)
     scale, turned, mass = 0, 0.0, weights.sum()
-    patch = np.zeros((1, 1), np.float32)
+    patch, corner = np.zeros((1, 1), np.float32), (0, 0)
     for step in range(occupancy.shape[0]):
         box = size, 0, size, 0
         for r in range(len(moved)):
@@ -46,8 +48,9 @@ def draw_track(  # type: ignore[no-untyped-def]
             coarse, heading = _scale(covariances[r, step]), poses[r, step, 2]
             if coarse != scale or abs(heading - turned) > SAME_HEADING:
                 scale, turned = coarse, heading
-                patch = _patch(offsets, weights, turned, scale)
-            box = _grown(box, _draw_blurred(shown, patch, poses[r, step], covariances[r, step], moved[r, step], scale))
+                patch, corner = _patch(offsets, weights, turned, scale)
+            pose, covariance = poses[r, step], covariances[r, step]
+            box = _grown(box, _draw_blurred(shown, patch, corner, pose, covariance, moved[r, step], scale))
         for k in range(len(places)):
             _draw_point(shown, corners[k], masses[k], still[k, step])
         box = _grown(box, still_box)
@@ -94,61 +97,77 @@ def _scale(covariance):  # type: ignore[no-untyped-def]
 
 @numba.njit(error_model="numpy")
 def _patch(offsets, weights, heading, scale):  # type: ignore[no-untyped-def]
-    """The boundary as a patch (K, K) float32, K odd, of pixels of `scale` cells, the middle one about the position.
+    """The boundary as a patch (A, B) float32 of pixels of `scale` cells; row and column of its corner, the middle of
+    pixel (0, 0) being the position.
 
     Each point is shared bilinearly between the four nearest pixels; a pixel holds the mean over its cells of the
     probability of points that are independent.
     """
     cosine, sine = math.cos(heading) / scale, math.sin(heading) / scale
-    reach = 0.0
+    x, y = np.empty((2, len(offsets)))
     for j in range(len(offsets)):
-        reach = max(reach, math.hypot(offsets[j, 0], offsets[j, 1]))
-    half = math.ceil(reach / scale) + 1
-    patch = np.zeros((2 * half + 1, 2 * half + 1), np.float32)
+        x[j] = cosine * offsets[j, 0] - sine * offsets[j, 1]
+        y[j] = sine * offsets[j, 0] + cosine * offsets[j, 1]
+    left, bottom = math.floor(x.min()), math.floor(y.min())
+    patch = np.zeros((math.floor(y.max()) - bottom + 2, math.floor(x.max()) - left + 2), np.float32)
     cells = scale * scale
     for j in range(len(offsets)):
-        x = cosine * offsets[j, 0] - sine * offsets[j, 1]
-        y = sine * offsets[j, 0] + cosine * offsets[j, 1]
-        column, row = math.floor(x), math.floor(y)
-        right, up = x - column, y - row
-        i, k = row + half, column + half
+        column, row = math.floor(x[j]), math.floor(y[j])
+        right, up = x[j] - column, y[j] - row
+        i, k = row - bottom, column - left
         share = weights[j] / cells
         patch[i, k] += share * (1.0 - up) * (1.0 - right)
         patch[i, k + 1] += share * (1.0 - up) * right
         patch[i + 1, k] += share * up * (1.0 - right)
         patch[i + 1, k + 1] += share * up * right
-    return np.minimum(patch, np.float32(1.0))
+    return np.minimum(patch, np.float32(1.0)), (bottom, left)
 
 
 @numba.njit(error_model="numpy", fastmath=True)
-def _draw_blurred(shown, patch, centre, covariance, weight, scale):  # type: ignore[no-untyped-def]
+def _draw_blurred(shown, patch, corner, centre, covariance, weight, scale):  # type: ignore[no-untyped-def]
     """Add to `shown` (M, M) the patch about `centre` (x, y, ...), blurred by a Gaussian, times `weight`.
 
     Returns the box of cells that was touched: first and last row, first and last column, the last ones excluded.
     """
-    image, row, column = _blurred(patch, centre[0] / scale, centre[1] / scale, _less_pixels(covariance, scale), weight)
-    size = shown.shape[0]
-    first_row, last_row = row * scale, (row + image.shape[0]) * scale
-    first_column, last_column = column * scale, (column + image.shape[1]) * scale
-    between = np.empty(image.shape[1] + 1, np.float32)
+    x, y = centre[0] / scale, centre[1] / scale
+    image, row, column = _blurred(patch, corner, x, y, _less_pixels(covariance, scale), weight)
+    box = row * scale, (row + image.shape[0]) * scale, column * scale, (column + image.shape[1]) * scale
+    if scale == 1:
+        _add(shown, image, row, column)
+    else:
+        _add_enlarged(shown, image, box, scale)
+    return box
+
+
+@numba.njit(error_model="numpy", fastmath=True)
+def _add(shown, image, row, column):  # type: ignore[no-untyped-def]
+    """Add to `shown` (M, M) the `image` (A, B), whose corner is at this row and column."""
+    size = len(shown)
+    first, last = max(0, -column), min(image.shape[1], size - column)
+    for i in range(max(0, -row), min(image.shape[0], size - row)):
+        target, source = shown[row + i], image[i]
+        for j in range(first, last):
+            target[column + j] += source[j]
+
+
+@numba.njit(error_model="numpy", fastmath=True)
+def _add_enlarged(shown, image, box, scale):  # type: ignore[no-untyped-def]
+    """Add to `shown` (M, M) the `image` (A, B), whose pixels are of `scale` cells and cover the `box`."""
+    first_row, last_row, first_column, last_column = box
+    first, last = max(0, first_column), min(last_column, len(shown))
+    between = np.zeros(image.shape[1] + 1, np.float32)
     pixels, asides = np.empty(last_column - first_column, np.int64), np.empty(last_column - first_column, np.float32)
     for j in range(len(pixels)):
         pixels[j], asides[j] = _pixel(j, scale, image.shape[1])
-    for i in range(max(0, first_row), min(last_row, size)):
+    for i in range(max(0, first_row), min(last_row, len(shown))):
         y, up = _pixel(i - first_row, scale, image.shape[0])
         below, above = image[y], image[min(y + 1, image.shape[0] - 1)]
         for j in range(image.shape[1]):
             between[j] = below[j] + (above[j] - below[j]) * up
-        between[image.shape[1]] = 0.0
         target = shown[i]
-        if scale == 1:
-            for j in range(max(0, first_column), min(last_column, size)):
-                target[j] += between[j - first_column]
-        else:
-            for j in range(max(0, first_column), min(last_column, size)):
-                x = pixels[j - first_column]
-                target[j] += between[x] + (between[x + 1] - between[x]) * asides[j - first_column]
-    return first_row, last_row, first_column, last_column
+        for j in range(first, last):
+            x = pixels[j - first_column]
+            target[j] += between[x] + (between[x + 1] - between[x]) * asides[j - first_column]
 
 
 @numba.njit(error_model="numpy")
@@ -169,8 +188,8 @@ def _pixel(cell, scale, count):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(error_model="numpy", fastmath=True)
-def _blurred(patch, x, y, covariance, weight):  # type: ignore[no-untyped-def]
-    """The patch (K, K) about x, y, blurred, times `weight`: an image, and the row and column of its corner; in pixels.
+def _blurred(patch, corner, x, y, covariance, weight):  # type: ignore[no-untyped-def]
+    """The patch (A, B) about x, y, blurred, times `weight`: an image, and the row and column of its corner; in pixels.
 
     The blur is one along x and then one along y, in which the rows shift sideways as the covariance (2, 2) says.
     """
@@ -179,31 +198,38 @@ def _blurred(patch, x, y, covariance, weight):  # type: ignore[no-untyped-def]
     first_row, rows = _blur_window(y, math.sqrt(var_y))
     first_column, columns = _blur_window(x, math.sqrt(max(var_x - slope * slope * var_y, SHARPEST**2)))
     along = _blur_rows(patch, columns)
-    half, margin = patch.shape[0] // 2, math.ceil(abs(slope) * len(rows)) + 1
-    image = np.zeros((patch.shape[0] + len(rows) - 1, along.shape[1] + 2 * margin), np.float32)
+    most = abs(slope) * len(rows)
+    margin = 0 if most < LEAST_SHIFT else math.ceil(most) + 1
+    width = along.shape[1] - 2
+    image = np.zeros((patch.shape[0] + len(rows) - 1, width + 2 * margin), np.float32)
     for i in range(len(rows)):
-        shift = slope * (first_row + i + 0.5 - y) + margin
+        shift = slope * (first_row + i + 0.5 - y) if margin else 0.0
         left, aside = math.floor(shift), np.float32(shift - math.floor(shift))
         share = rows[i] * np.float32(weight)
         here, beside = share * (np.float32(1.0) - aside), share * aside
         for k in range(patch.shape[0]):
-            for j in range(along.shape[1]):
-                image[i + k, left + j] += here * along[k, j]
-            for j in range(along.shape[1]):
-                image[i + k, left + j + 1] += beside * along[k, j]
-    return image, first_row - half, first_column - half - margin
+            source = along[k]
+            target = image[i + k, margin + left : margin + left + width + 1]
+            if margin:
+                for j in range(len(target)):
+                    target[j] += here * source[j + 1] + beside * source[j]
+            else:
+                for j in range(width):
+                    target[j] += share * source[j + 1]
+    return image, first_row + corner[0], first_column + corner[1] - margin
 
 
 @numba.njit(error_model="numpy", fastmath=True)
 def _blur_rows(image, kernel):  # type: ignore[no-untyped-def]
-    """Full convolution of every row of `image` (A, B) with `kernel` (W,): (A, B + W - 1)."""
-    out = np.zeros((image.shape[0], image.shape[1] + kernel.size - 1), np.float32)
+    """Full convolution of every row of `image` (A, B) with `kernel` (W,), a zero before and after: (A, B + W + 1)."""
+    out = np.zeros((image.shape[0], image.shape[1] + kernel.size + 1), np.float32)
     for row in range(image.shape[0]):
         for column in range(image.shape[1]):
             value = image[row, column]
             if value != 0.0:
+                target = out[row, column + 1 : column + 1 + kernel.size]
                 for i in range(kernel.size):
-                    out[row, column + i] += value * kernel[i]
+                    target[i] += value * kernel[i]
     return out
 
 
