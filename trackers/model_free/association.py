@@ -121,7 +121,9 @@ def share_out(
     shares: dict[int, list[Cluster]] = {}
     for number, (cluster, own) in enumerate(zip(clusters, split(distances, clusters), strict=True)):
         tracks = np.flatnonzero(may_have[:, number])
-        if tracks.size:
+        if tracks.size == 1:
+            shares.setdefault(int(tracks[0]), []).append(cluster)
+        elif tracks.size:
             owners = tracks[own[:, tracks].argmin(axis=1)]
             for track in np.unique(owners):
                 shares.setdefault(int(track), []).append(_part(cluster, owners == track))
@@ -143,12 +145,17 @@ def _joined(parts: list[Cluster]) -> Cluster:
 
 def gaps(distances: Array, clusters: Sequence[Cluster]) -> Array:
     """Distance (T, C) between each track's boundary and each cluster, from those of every return (K, T)."""
-    return np.stack([own.min(axis=0) for own in split(distances, clusters)], axis=1)
+    return np.asarray(np.minimum.reduceat(distances, starts_of(clusters), axis=0).T)
 
 
 def split(rows: NDArray[Any], clusters: Sequence[Cluster]) -> list[NDArray[Any]]:
     """The rows (K, ...) of all returns, cluster by cluster."""
-    return np.split(rows, np.cumsum([len(cluster.points) for cluster in clusters])[:-1])
+    return np.split(rows, starts_of(clusters)[1:])
+
+
+def starts_of(clusters: Sequence[Cluster]) -> NDArray[np.int64]:
+    """The row of each cluster's first return (C,) among all of them, cluster by cluster."""
+    return np.cumsum([0, *(len(cluster.points) for cluster in clusters[:-1])])
 
 
 def distances_to(points: Array, boundaries: Sequence[Array]) -> Array:

@@ -96,6 +96,7 @@ class Background:
         """
         fitted = self._fitted_frames
         record = (self.rate * fitted + self._occupied) / (fitted + self._visible)
-        ahead = self._step ** np.arange(steps + 1, dtype=np.float32)
-        traffic = self.rate * (np.float32(1.0) - self._known * ahead[:, None, None])
-        return np.where(self.explained | (record > self.settings.sink_above), record, traffic).astype(np.float32)
+        recorded = self.explained | (record > self.settings.sink_above)
+        settled, known = np.where(recorded, record, self.rate), np.where(recorded, np.float32(0.0), self._known)
+        left = self._step ** np.arange(steps + 1, dtype=np.float32)
+        return settled - (settled * known) * left[:, None, None]

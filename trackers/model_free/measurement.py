@@ -12,10 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridtrack.common.geometry import wrap_angle
-from gridtrack.trackers.model_free.association import distances_to, gaps, split
+from gridtrack.trackers.model_free.association import distances_to, gaps, starts_of
 from gridtrack.trackers.model_free.matching import Match, match
 from gridtrack.trackers.model_free.segmentation import Cluster
 from gridtrack.trackers.model_free.settings import PipelineSettings
+from gridtrack.trackers.model_free.shape import span_m
 from gridtrack.trackers.model_free.tracks import Track
 
 Array = NDArray[np.float64]
@@ -40,7 +41,7 @@ def measure(track: Track, points: Array, settings: PipelineSettings) -> Match:
         starts = starts + np.array([[0.0, 0.0, 0.0], [shift[0], shift[1], 0.0]])
     shape = track.shape
     long = shape.extent_m >= TURNS_FROM_M
-    turns = long and _extent(points) >= TURNS_FROM_M
+    turns = long and span_m(points) >= TURNS_FROM_M
     cut = shape.cut & long  # a person does not go on for long behind what hides the rest
     found = match(points, shape.offsets, shape.weights, cut, starts, unsure_m, settings.surface_m, turns)
     return found._replace(covariance=found.covariance + noise(settings))
@@ -91,7 +92,8 @@ def belonging(
     seen = [clusters[pairs[t]].points if t in pairs else track.boundary for t, track in enumerate(tracks)]
     within_reach = gaps(distances_to(points, seen), clusters) <= settings.reach_m
     on_it = distances_to(points, [track.established for track in tracks]) <= ON_BOUNDARY * settings.surface_m
-    shares = np.stack([part.mean(axis=0) for part in split(on_it, clusters)], axis=1)
+    sizes = np.array([len(cluster.points) for cluster in clusters])
+    shares = np.add.reduceat(on_it, starts_of(clusters), axis=0, dtype=np.float64).T / sizes
     return np.asarray(within_reach | (shares >= MOST))
 
 
@@ -106,11 +108,6 @@ def measured(
     numbers = {id(cluster): number for number, cluster in enumerate(clusters)}
     found = {t: pairing.matches.get((t, numbers.get(id(share), -1))) for t, share in shares.items()}
     return {t: old or measure(tracks[t], shares[t].points, settings) for t, old in found.items()}
-
-
-def _extent(points: Array) -> float:
-    """The longer side of the bounding box of `points` (N, 2)."""
-    return float((points.max(axis=0) - points.min(axis=0)).max())
 
 
 def squared_mahalanobis(found: Match, track: Track) -> float:

@@ -38,19 +38,19 @@ def draw_track(  # type: ignore[no-untyped-def]
     size = occupancy.shape[1]
     shown = np.zeros((size, size), np.float32)
     corners, masses, still_box = _points(places, blur, size)
-    scale, turned, mass = 0, 0.0, weights.sum()
-    patch, corner = np.zeros((1, 1), np.float32), (0, 0)
+    mass, scales, headings = weights.sum(), np.zeros(len(moved), np.int64), np.zeros(len(moved))
+    patches = [(np.zeros((1, 1), np.float32), (0, 0)) for _ in headings]
     for step in range(occupancy.shape[0]):
         box = size, 0, size, 0
         for r in range(len(moved)):
-            if moved[r, step] * _densest(mass, covariances[r, step]) < NEGLIGIBLE:
+            pose, covariance, weight = poses[r, step], covariances[r, step], moved[r, step]
+            if weight * _densest(mass, covariance) < NEGLIGIBLE:
                 continue
-            coarse, heading = _scale(covariances[r, step]), poses[r, step, 2]
-            if coarse != scale or abs(heading - turned) > SAME_HEADING:
-                scale, turned = coarse, heading
-                patch, corner = _patch(offsets, weights, turned, scale)
-            pose, covariance = poses[r, step], covariances[r, step]
-            box = _grown(box, _draw_blurred(shown, patch, corner, pose, covariance, moved[r, step], scale))
+            scale = _scale(covariance)
+            if scale != scales[r] or abs(pose[2] - headings[r]) > SAME_HEADING:
+                scales[r], headings[r] = scale, pose[2]
+                patches[r] = _patch(offsets, weights, pose[2], scale)
+            box = _grown(box, _draw_blurred(shown, patches[r], pose, covariance, weight, scale))
         for k in range(len(places)):
             _draw_point(shown, corners[k], masses[k], still[k, step])
         box = _grown(box, still_box)
@@ -124,12 +124,12 @@ def _patch(offsets, weights, heading, scale):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(error_model="numpy", fastmath=True)
-def _draw_blurred(shown, patch, corner, centre, covariance, weight, scale):  # type: ignore[no-untyped-def]
-    """Add to `shown` (M, M) the patch about `centre` (x, y, ...), blurred by a Gaussian, times `weight`.
+def _draw_blurred(shown, body, centre, covariance, weight, scale):  # type: ignore[no-untyped-def]
+    """Add to `shown` (M, M) a `body`, its patch and corner, about `centre` (x, y, ...), blurred, times `weight`.
 
     Returns the box of cells that was touched: first and last row, first and last column, the last ones excluded.
     """
-    x, y = centre[0] / scale, centre[1] / scale
+    (patch, corner), x, y = body, centre[0] / scale, centre[1] / scale
     image, row, column = _blurred(patch, corner, x, y, _less_pixels(covariance, scale), weight)
     box = row * scale, (row + image.shape[0]) * scale, column * scale, (column + image.shape[1]) * scale
     if scale == 1:
@@ -155,19 +155,19 @@ def _add_enlarged(shown, image, box, scale):  # type: ignore[no-untyped-def]
     """Add to `shown` (M, M) the `image` (A, B), whose pixels are of `scale` cells and cover the `box`."""
     first_row, last_row, first_column, last_column = box
     first, last = max(0, first_column), min(last_column, len(shown))
-    between = np.zeros(image.shape[1] + 1, np.float32)
-    pixels, asides = np.empty(last_column - first_column, np.int64), np.empty(last_column - first_column, np.float32)
-    for j in range(len(pixels)):
-        pixels[j], asides[j] = _pixel(j, scale, image.shape[1])
+    if last <= first:
+        return
+    wide = np.zeros((image.shape[0], last - first), np.float32)
+    for j in range(last - first):
+        x, aside = _pixel(first + j - first_column, scale, image.shape[1])
+        beside = min(x + 1, image.shape[1] - 1)
+        for i in range(len(image)):
+            wide[i, j] = image[i, x] + (image[i, beside] - image[i, x]) * aside
     for i in range(max(0, first_row), min(last_row, len(shown))):
-        y, up = _pixel(i - first_row, scale, image.shape[0])
-        below, above = image[y], image[min(y + 1, image.shape[0] - 1)]
-        for j in range(image.shape[1]):
-            between[j] = below[j] + (above[j] - below[j]) * up
-        target = shown[i]
-        for j in range(first, last):
-            x = pixels[j - first_column]
-            target[j] += between[x] + (between[x + 1] - between[x]) * asides[j - first_column]
+        y, up = _pixel(i - first_row, scale, len(image))
+        below, above, target = wide[y], wide[min(y + 1, len(image) - 1)], shown[i, first:last]
+        for j in range(len(target)):
+            target[j] += below[j] + (above[j] - below[j]) * up
 
 
 @numba.njit(error_model="numpy")

@@ -56,13 +56,9 @@ class Shape:
         it, slowly if it is not `in_view` (N,); a point that meets none is a new one. The first frames count alike.
         """
         gain = max(gain, 1.0 / (self.frames + 1))
-        offsets, weights, cut = _absorb(self.offsets, self.weights, self.cut, found, found_cut, in_view, apart_m, gain)
-        kept = np.flatnonzero(weights > FORGOTTEN)
-        if len(kept) > MAX_POINTS:
-            kept = np.sort(kept[np.argsort(weights[kept])[-MAX_POINTS:]])
-        ages = np.concatenate([self.ages, np.zeros(len(offsets) - len(self.ages), np.int64)])
-        self.offsets, self.weights, self.ages = offsets[kept], weights[kept], ages[kept] + 1
-        self.cut = cut[kept]
+        self.offsets, self.weights, self.ages, self.cut = _absorb(
+            self.offsets, self.weights, self.ages, self.cut, found, found_cut, in_view, apart_m, gain
+        )
         self.frames += 1
 
     def extend(self, other: Shape, offsets: Array) -> None:
@@ -85,7 +81,19 @@ class Shape:
     @property
     def extent_m(self) -> float:
         """The longer side of the points' bounding box in the body's frame."""
-        return float(np.ptp(self.offsets, axis=0).max()) if len(self.offsets) else 0.0
+        return float(span_m(self.offsets))
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def span_m(points):  # type: ignore[no-untyped-def]
+    """The longer side of the bounding box of `points` (N, 2), 0 where there are none."""
+    span = 0.0
+    for axis in range(2):
+        low, high = np.inf, -np.inf
+        for k in range(len(points)):
+            low, high = min(low, points[k, axis]), max(high, points[k, axis])
+        span = max(span, high - low)
+    return span
 
 
 def to_body(points: Array, pose: Array) -> Array:
@@ -110,8 +118,8 @@ def in_view(boundaries: Sequence[Array], grid: GridSpec, visible: Mask) -> list[
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _absorb(offsets, weights, cut, found, found_cut, in_view, apart_m, gain):  # type: ignore[no-untyped-def]
-    """Boundary points (N', 2), weights (N',) and whether cut off (N',) after one frame; see `Shape.absorb`."""
+def _absorb(offsets, weights, ages, cut, found, found_cut, in_view, apart_m, gain):  # type: ignore[no-untyped-def]
+    """Boundary points (N', 2), weights, ages and whether cut off (N',) after one frame; see `Shape.absorb`."""
     known = len(offsets)
     total = known
     points, likely = np.empty((known + len(found), 2)), np.zeros(known + len(found))
@@ -136,4 +144,9 @@ def _absorb(offsets, weights, cut, found, found_cut, in_view, apart_m, gain):  #
             likely[j] += gain * (1.0 - likely[j])
         else:
             likely[j] -= gain * likely[j] * (1.0 if in_view[j] else HIDDEN_FADES)
-    return points[:total], likely[:total], ends[:total]
+    kept = np.flatnonzero(likely[:total] > FORGOTTEN)
+    if len(kept) > MAX_POINTS:
+        kept = np.sort(kept[np.argsort(likely[kept])[-MAX_POINTS:]])
+    older = np.ones(total, np.int64)
+    older[:known] += ages
+    return points[kept], likely[kept], older[kept], ends[kept]

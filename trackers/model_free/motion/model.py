@@ -138,32 +138,36 @@ def _process_noise(moved, step, noise):  # type: ignore[no-untyped-def]
     both grow with the speed, one across the motion, the other along it.
     """
     noise[:] = step.noise
-    along = np.zeros((6, 2))
-    along[0, 0], along[1, 0] = moved[3], moved[4]
-    along[3, 1], along[4, 1] = moved[3], moved[4]
-    _add_transformed(along, step.surge_noise, noise)
-    effect = np.zeros((6, 3))
-    effect[0, 0], effect[1, 0] = -moved[4], moved[3]
-    effect[2, 1], effect[3, 1], effect[4, 1] = 1.0, -moved[4], moved[3]
-    effect[5, 2] = 1.0
-    _add_transformed(effect, step.turn_noise, noise)
+    surge, turn = step.surge_noise, step.turn_noise
+    along, across = (moved[3], moved[4]), (-moved[4], moved[3])
+    for i in range(2):
+        for j in range(2):
+            stretched, turned = along[i] * along[j], across[i] * across[j]
+            noise[i, j] += surge[0, 0] * stretched + turn[0, 0] * turned
+            noise[i, j + 3] += surge[0, 1] * stretched + turn[0, 1] * turned
+            noise[i + 3, j] += surge[1, 0] * stretched + turn[1, 0] * turned
+            noise[i + 3, j + 3] += surge[1, 1] * stretched + turn[1, 1] * turned
+        noise[i, 2] = noise[2, i] = turn[0, 1] * across[i]
+        noise[i, 5] = noise[5, i] = turn[0, 2] * across[i]
+        noise[i + 3, 2] = noise[2, i + 3] = turn[1, 1] * across[i]
+        noise[i + 3, 5] = noise[5, i + 3] = turn[1, 2] * across[i]
+    noise[2, 2], noise[2, 5], noise[5, 2], noise[5, 5] = turn[1, 1], turn[1, 2], turn[2, 1], turn[2, 2]
 
 
 @numba.njit(error_model="numpy")
-def _add_transformed(a, covariance, total):  # type: ignore[no-untyped-def]
-    """Add A C A^T to `total` (N, N), `a` (N, K), `covariance` (K, K); exactly symmetric."""
-    rows, columns = a.shape
-    half = np.zeros(columns)
-    for i in range(rows):
+def _add_transformed(jacobian, covariance, total):  # type: ignore[no-untyped-def]
+    """Add J C J^T to `total` (6, 6), all (6, 6); exactly symmetric."""
+    half = np.empty(6)
+    for i in range(6):
         half[:] = 0.0
-        for k in range(columns):
-            if a[i, k] != 0.0:
-                for m in range(columns):
-                    half[m] += a[i, k] * covariance[k, m]
+        for k in range(6):
+            if jacobian[i, k] != 0.0:
+                for m in range(6):
+                    half[m] += jacobian[i, k] * covariance[k, m]
         for j in range(i + 1):
             value = total[i, j]
-            for m in range(columns):
-                value += half[m] * a[j, m]
+            for m in range(6):
+                value += half[m] * jacobian[j, m]
             total[i, j] = total[j, i] = value
 
 
