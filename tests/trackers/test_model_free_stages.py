@@ -266,10 +266,10 @@ def test_life_table_counts_who_is_still_there_where_it_can_be_seen():
 
 def test_life_table_is_read_from_the_age_and_from_the_time_since_last_seen():
     table = np.array([[1.0, 0.5, 0.2], [0.9, 0.8, 0.7]], np.float32)
-    assert staying(table, np.array([0, 5]), unseen=0, steps=3) == pytest.approx(
+    assert staying(table, np.array([0, 5]), unseen=np.array([0, 0]), steps=3) == pytest.approx(
         np.array([[1.0, 0.5, 0.2, 0.2], [0.9, 0.8, 0.7, 0.7]])
     )
-    assert staying(table, np.array([0]), unseen=1, steps=1) == pytest.approx(np.array([[0.5, 0.2]]))
+    assert staying(table, np.array([0]), unseen=np.array([1]), steps=1) == pytest.approx(np.array([[0.5, 0.2]]))
 
 
 # Life of a track

@@ -99,4 +99,4 @@ class Background:
         recorded = self.explained | (record > self.settings.sink_above)
         settled, known = np.where(recorded, record, self.rate), np.where(recorded, np.float32(0.0), self._known)
         left = self._step ** np.arange(steps + 1, dtype=np.float32)
-        return settled - (settled * known) * left[:, None, None]
+        return np.asarray(settled - (settled * known) * left[:, None, None])

@@ -62,13 +62,15 @@ def fit_dwell(
     return np.minimum.accumulate(stayed / at_risk, axis=1).astype(np.float32)
 
 
-def staying(table: NDArray[np.float32], ages: NDArray[np.int64], unseen: int, steps: int) -> NDArray[np.float32]:
-    """P(each return is where it was last seen, `unseen` frames ago) at steps 0..steps: (N, steps+1) for `ages` (N,).
+def staying(
+    table: NDArray[np.float32], ages: NDArray[np.int64], unseen: NDArray[np.int64], steps: int
+) -> NDArray[np.float32]:
+    """P(each return of `ages` (N,) is where it was seen, `unseen` (N,) frames ago) at steps 0..steps: (N, steps+1).
 
     Beyond the table its last column holds.
     """
-    ahead = np.minimum(np.arange(steps + 1) + unseen, table.shape[1] - 1)
-    return np.asarray(table[np.minimum(ages, table.shape[0] - 1)][:, ahead])
+    ahead = np.minimum(unseen[:, None] + np.arange(steps + 1), table.shape[1] - 1)
+    return np.asarray(table[np.minimum(ages, table.shape[0] - 1)[:, None], ahead])
 
 
 def _largest_near(values: Ages) -> Ages:

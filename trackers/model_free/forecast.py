@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Sequence
 
 import numpy as np
@@ -50,18 +49,19 @@ def add_tracks(
     surviving = survival ** np.arange(steps + 1)
     poses, spreads = _motions(tracks, regimes, steps, grid)
     steadily = regimes.switching[0][0] ** np.arange(steps + 1)
-    for number, (track, (offsets, weights)) in enumerate(zip(tracks, _surfaces(tracks, frame, grid), strict=True)):
-        still = _still(track, dwell, steps, settings.dwell_speed)
+    surfaces = _surfaces(tracks, frame, grid)
+    newest = _newest_returns(tracks, grid, dwell, steps, settings.dwell_speed)
+    for number, (track, (offsets, weights), (places, still)) in enumerate(zip(tracks, surfaces, newest, strict=True)):
         moved = 1.0 - still.mean(axis=0, dtype=np.float64)
         steady = track.estimator.probabilities[0] * steadily
         draw_track(
             occupancy,
-            offsets / grid.cell_m,
+            offsets,
             weights,
             poses[number],
             spreads[number],
             np.stack([moved * steady, moved * (1.0 - steady)]),
-            in_cells(track.returns, grid),
+            places,
             settings.return_noise_m / grid.cell_m,
             still,
             track.existence * surviving,
@@ -91,7 +91,7 @@ def _motions(tracks: Sequence[Track], regimes: Regimes, steps: int, grid: GridSp
 
 
 def _surfaces(tracks: Sequence[Track], frame: GridFrame, grid: GridSpec) -> Iterator[tuple[Array, Array]]:
-    """What each track's object shows: points (N, 2) in the body's frame, metres, and their weights (N,).
+    """What each track's object shows: points (N, 2) in the body's frame, in cells, and their weights (N,).
 
     Of what is seen now its newest returns, and of its boundary what is hidden now; of what is not, all of its boundary.
     """
@@ -99,19 +99,31 @@ def _surfaces(tracks: Sequence[Track], frame: GridFrame, grid: GridSpec) -> Iter
     for track, view in zip(tracks, views, strict=True):
         shape = track.shape
         if track.unseen:
-            yield shape.offsets, shape.weights
+            yield shape.offsets / grid.cell_m, shape.weights
         else:
-            returns, hidden = to_body(track.returns, track.pose), ~view
-            yield (
-                np.concatenate([returns, shape.offsets[hidden]]),
-                np.concatenate([np.full(len(returns), RETURNS_AGAIN), shape.weights[hidden]]),
-            )
+            hidden = ~view
+            points = np.concatenate([to_body(track.returns, track.pose), shape.offsets[hidden]])
+            weights = np.full(len(points), RETURNS_AGAIN)
+            weights[len(track.returns) :] = shape.weights[hidden]
+            yield points / grid.cell_m, weights
 
 
-def _still(track: Track, dwell: NDArray[np.float32], steps: int, dwell_speed: float) -> NDArray[np.float32]:
-    """P(each of the newest returns is still in place) (N, steps+1): by its age, and less the faster the track moves."""
-    slow = math.exp(-((float(np.hypot(*track.estimator.mean[3:5])) / dwell_speed) ** 2))
-    return np.ascontiguousarray(staying(dwell, track.ages, track.unseen, steps) * np.float32(slow))
+def _newest_returns(
+    tracks: Sequence[Track], grid: GridSpec, dwell: NDArray[np.float32], steps: int, dwell_speed: float
+) -> Iterator[tuple[Array, NDArray[np.float32]]]:
+    """Where each track's newest returns were seen (N, 2), in cells, and P(each is still in place) (N, steps+1).
+
+    That is by its age, and less the faster the track moves.
+    """
+    counts = [len(track.returns) for track in tracks]
+    velocities = np.stack([track.estimator.mean[3:5] for track in tracks])
+    slow = np.exp(-(velocities**2).sum(axis=1) / dwell_speed**2)
+    unseen = np.repeat([track.unseen for track in tracks], counts)
+    still = staying(dwell, np.concatenate([track.ages for track in tracks]), unseen, steps)
+    still *= np.repeat(slow, counts)[:, None].astype(np.float32)
+    places = in_cells(np.concatenate([track.returns for track in tracks]), grid)
+    ends = np.cumsum(counts)[:-1]
+    return zip(np.split(places, ends), np.split(still, ends), strict=True)
 
 
 def tracked_object(track: Track) -> TrackedObject:

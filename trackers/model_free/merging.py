@@ -69,9 +69,8 @@ def _touching(tracks: Sequence[Track], touch_m: float) -> Iterator[tuple[Track, 
     if not tracks:
         return
     boundaries = [track.boundary for track in tracks]
-    first = np.cumsum([0, *(len(boundary) for boundary in boundaries[:-1])])
-    low, high = (extreme.reduceat(np.concatenate(boundaries), first) for extreme in (np.minimum, np.maximum))
-    high = high + touch_m
+    points, starts = np.concatenate(boundaries), np.cumsum([0, *(len(boundary) for boundary in boundaries[:-1])])
+    low, high = np.minimum.reduceat(points, starts), np.maximum.reduceat(points, starts) + touch_m
     overlap = (low[:, None] <= high).all(axis=2) & (low <= high[:, None]).all(axis=2)
     for first, second in np.argwhere(np.triu(overlap, 1)).tolist():
         if distances_to(boundaries[first], [boundaries[second]]).min() <= touch_m:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Protocol
 
@@ -53,7 +54,7 @@ def measured(pose: Array, covariance: Array) -> tuple[Array, Array]:
     """The pose (3,) and its covariance (3, 3), float64; raises ValueError if they are not those of a measurement."""
     pose = np.ascontiguousarray(pose, np.float64)
     covariance = np.ascontiguousarray(covariance, np.float64)
-    if pose.shape != (3,) or not np.isfinite(pose).all():
+    if pose.shape != (3,) or not all(map(math.isfinite, pose.tolist())):
         raise ValueError(f"measured pose: {pose.tolist()}; give x, y and heading, finite")
     if covariance.shape != (3, 3) or not is_positive_definite(covariance):
         raise ValueError(

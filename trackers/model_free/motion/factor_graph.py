@@ -18,6 +18,7 @@ from gridtrack.trackers.model_free.motion.model import (
     Array,
     Discretisation,
     MotionModel,
+    advance,
     discretise,
     propagate_all,
     transition,
@@ -51,9 +52,8 @@ class FactorGraphEstimator:
 
     def predict(self) -> None:
         """Move on by one period; the graph hears of it with the next measurement."""
-        means, covariances = propagate_all(self._mean[None], self.covariance[None], 1, self._step)
         self._frame += 1
-        self._settle(means[0, 1], covariances[0, 1])
+        self._settle(*advance(self._mean, self.covariance, self._step))
 
     def update(self, pose: Array, covariance: Array) -> None:
         """Take in a measured pose (3,) and its covariance (3, 3)."""

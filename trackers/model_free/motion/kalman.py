@@ -7,7 +7,7 @@ from filterpy.kalman import update
 
 from gridtrack.common.geometry import wrap_angle
 from gridtrack.trackers.model_free.motion.estimator import first_state, measured
-from gridtrack.trackers.model_free.motion.model import Array, MotionModel, discretise, propagate_all
+from gridtrack.trackers.model_free.motion.model import Array, MotionModel, advance, discretise
 
 MEASURED = np.eye(3, 6)
 """The measured pose as a function of the state."""
@@ -28,8 +28,7 @@ class KalmanEstimator:
 
     def predict(self) -> None:
         """Move on by one period."""
-        means, covariances = propagate_all(self.mean[None], self.covariance[None], 1, self._step)
-        self._settle(means[0, 1], covariances[0, 1])
+        self._settle(*advance(self.mean, self.covariance, self._step))
 
     def update(self, pose: Array, covariance: Array) -> None:
         """Take in a measured pose (3,) and its covariance (3, 3); filterpy's update is in Joseph's form."""

@@ -184,13 +184,19 @@ def transition(mean, steps, step):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(error_model="numpy")
-def _propagate_one(means, covariances, step):  # type: ignore[no-untyped-def]
-    """Fill in `means` (n+1, 6) and `covariances` (n+1, 6, 6) from their first on."""
-    jacobian = np.empty((6, 6))
-    for n in range(means.shape[0] - 1):
-        _transition(means[n], step, means[n + 1], jacobian)
-        _process_noise(means[n + 1], step, covariances[n + 1])
-        _add_transformed(jacobian, covariances[n], covariances[n + 1])
+def _advance(mean, covariance, step, moved, spread, jacobian):  # type: ignore[no-untyped-def]
+    """Write where the state is one period on into `moved` (6,) and `spread` (6, 6), and its derivative too."""
+    _transition(mean, step, moved, jacobian)
+    _process_noise(moved, step, spread)
+    _add_transformed(jacobian, covariance, spread)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def advance(mean, covariance, step):  # type: ignore[no-untyped-def]
+    """`mean` (6,) and `covariance` (6, 6) one period on, the heading not wrapped."""
+    moved, spread = np.empty(6), np.empty((6, 6))
+    _advance(mean, covariance, step, moved, spread, np.empty((6, 6)))
+    return moved, spread
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -199,8 +205,11 @@ def propagate_all(means, covariances, steps, step):  # type: ignore[no-untyped-d
     tracks = means.shape[0]
     all_means, all_covariances = np.empty((tracks, steps + 1, 6)), np.empty((tracks, steps + 1, 6, 6))
     all_means[:, 0], all_covariances[:, 0] = means, covariances
+    jacobian = np.empty((6, 6))
     for track in range(tracks):
-        _propagate_one(all_means[track], all_covariances[track], step)
+        mean, spread = all_means[track], all_covariances[track]
+        for n in range(steps):
+            _advance(mean[n], spread[n], step, mean[n + 1], spread[n + 1], jacobian)
     return all_means, all_covariances
 
 

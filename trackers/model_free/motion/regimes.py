@@ -74,14 +74,16 @@ class SwitchingEstimator:
     def update(self, pose: Array, covariance: Array) -> None:
         """Take in a measured pose (3,) and its covariance (3, 3)."""
         pose, covariance = measured(pose, covariance)
-        foretold = np.array([_log_likelihood(each.mean, each.covariance, pose, covariance) for each in self.estimators])
-        weights = self.probabilities * np.exp(foretold - foretold.max())
-        self.probabilities = weights / weights.sum()
-        for estimator in self.estimators:
-            estimator.update(pose, covariance)
-        worse = int(self.probabilities.argmin())
-        if self.probabilities[worse] < DISPROVED:
-            self.estimators[worse].begin_anew(self.estimators[1 - worse].mean, self.estimators[1 - worse].covariance)
+        one, other = self.estimators
+        self.probabilities = _weighed(
+            self.probabilities, one.mean, one.covariance, other.mean, other.covariance, pose, covariance
+        )
+        one.update(pose, covariance)
+        other.update(pose, covariance)
+        if self.probabilities[0] < DISPROVED:
+            one.begin_anew(other.mean, other.covariance)
+        elif self.probabilities[1] < DISPROVED:
+            other.begin_anew(one.mean, one.covariance)
         self._mix()
 
     def begin_anew(self, mean: Array, covariance: Array) -> None:
@@ -114,6 +116,18 @@ def _wrapped(angle):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True)
+def _weighed(probabilities, mean, covariance, other_mean, other_covariance, pose, noise):  # type: ignore[no-untyped-def]
+    """The probabilities (2,) after a measured pose (3,), by how likely either estimate made it: Bayes' rule."""
+    foretold = (
+        _log_likelihood(mean, covariance, pose, noise),
+        _log_likelihood(other_mean, other_covariance, pose, noise),
+    )
+    most = max(foretold)
+    first, second = probabilities[0] * math.exp(foretold[0] - most), probabilities[1] * math.exp(foretold[1] - most)
+    return np.array([first, second]) / (first + second)
+
+
+@numba.njit
 def _log_likelihood(mean, covariance, pose, noise):  # type: ignore[no-untyped-def]
     """Of a measured pose (3,), but for a constant."""
     off = pose - mean[:3]
