@@ -29,7 +29,7 @@ CUT = 0.02
 OUTLIER = math.exp(-4.5)
 """Likelihood of a return that is not of this boundary: that of one three kernel widths from a certain point."""
 FURTHEST = -10.0
-"""Exponent of the kernel below which a boundary point is not looked at."""
+"""Exponent below which the kernel is nothing."""
 UNKNOWN = (1e4, 1e4, 1e3)
 """Variance of a direction that the returns say nothing of, along x and y (m^2) and of the heading (rad^2)."""
 
@@ -74,7 +74,8 @@ def match(
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _best_match(points, offsets, weights, cut, starts, unsure_m, surface_m, turns):  # type: ignore[no-untyped-def]
     """Pose (3,), covariance (3, 3) and residual of the best match from any of the starts (S, 3)."""
-    placed, expected = np.empty_like(offsets), np.empty((len(points), 6))
+    placed, expected = np.empty((2, len(offsets))), np.empty((len(points), 6))
+    tells = np.where(cut, CUT, 1.0)
     best, information, residual = starts[0], np.empty((3, 3)), np.inf
     for s in range(len(starts)):
         pose = starts[s].copy()
@@ -83,14 +84,14 @@ def _best_match(points, offsets, weights, cut, starts, unsure_m, surface_m, turn
             width = max(kernel, 1.0) * surface_m
             for step in range(ITERATIONS + NEWTON_STEPS):
                 _place(offsets, pose, placed)
-                _expect(points, placed, weights, cut, width, expected)
+                _expect(points, placed, weights, tells, width, expected)
                 if step < ITERATIONS:
                     _maximise(points, expected, turns, pose)
                 else:
                     _newton(points, expected, width, turns, pose)
             kernel *= 0.5
         _place(offsets, pose, placed)
-        misfit = _expect(points, placed, weights, cut, surface_m, expected)
+        misfit = _expect(points, placed, weights, tells, surface_m, expected)
         if misfit < residual:
             best, residual = pose, misfit
             information = _information(expected, pose, surface_m, turns)
@@ -99,47 +100,56 @@ def _best_match(points, offsets, weights, cut, starts, unsure_m, surface_m, turn
 
 @numba.njit(error_model="numpy")
 def _place(offsets, pose, placed):  # type: ignore[no-untyped-def]
-    """Write where `offsets` (N, 2) lie at `pose` (3,) into `placed` (N, 2)."""
+    """Write where `offsets` (N, 2) lie at `pose` (3,) into `placed` (2, N)."""
     cosine, sine = math.cos(pose[2]), math.sin(pose[2])
     for j in range(len(offsets)):
-        placed[j, 0] = pose[0] + cosine * offsets[j, 0] - sine * offsets[j, 1]
-        placed[j, 1] = pose[1] + sine * offsets[j, 0] + cosine * offsets[j, 1]
+        placed[0, j] = pose[0] + cosine * offsets[j, 0] - sine * offsets[j, 1]
+        placed[1, j] = pose[1] + sine * offsets[j, 0] + cosine * offsets[j, 1]
 
 
-@numba.njit(error_model="numpy")
-def _expect(points, placed, weights, cut, width, expected):  # type: ignore[no-untyped-def]
+@numba.njit(error_model="numpy", fastmath=True)
+def _expect(points, placed, weights, tells, width, expected):  # type: ignore[no-untyped-def]
     """Write what each return is expected of into `expected` (K, 6), and return the residual.
 
     Of the boundary that it may be of the mean x, y and the covariance xx, xy, yy; then its TRUST, how far it tells: the
-    probability that it is of this boundary, where that is not cut off.
+    probability that it is of this boundary, times how far that `tells` (N,).
     """
     scale = -0.5 / (width * width)
     misfit = 0.0
     for i in range(len(points)):
         total = telling = x = y = xx = xy = yy = 0.0
-        for j in range(len(placed)):
-            dx, dy = placed[j, 0] - points[i, 0], placed[j, 1] - points[i, 1]
-            exponent = scale * (dx * dx + dy * dy)
-            if exponent > FURTHEST:
-                share = weights[j] * math.exp(exponent)
-                sx, sy = share * dx, share * dy
-                total += share
-                x += sx
-                y += sy
-                xx += sx * dx
-                xy += sx * dy
-                yy += sy * dy
-                if not cut[j]:
-                    telling += share
+        for j in range(placed.shape[1]):
+            dx, dy = placed[0, j] - points[i, 0], placed[1, j] - points[i, 1]
+            share = weights[j] * _exp(scale * (dx * dx + dy * dy))
+            sx, sy = share * dx, share * dy
+            total += share
+            x += sx
+            y += sy
+            xx += sx * dx
+            xy += sx * dy
+            yy += sy * dy
+            telling += share * tells[j]
         each = expected[i]
         if total > 0.0:
             x, y = x / total, y / total
             xx, xy, yy = xx / total - x * x, xy / total - x * y, yy / total - y * y
         each[0], each[1] = points[i, 0] + x, points[i, 1] + y
         each[2], each[3], each[4] = xx, xy, yy
-        each[5] = (telling + CUT * (total - telling)) / (total + OUTLIER)
+        each[TRUST] = telling / (total + OUTLIER)
         misfit -= 2.0 * math.log(min(total + OUTLIER, 1.0))
     return misfit / len(points)
+
+
+@numba.njit(error_model="numpy", fastmath=True)
+def _exp(x):  # type: ignore[no-untyped-def]
+    """Exponential of `x` <= 0, to 1e-3 of itself where that is above exp(FURTHEST), and 0 beyond; it vectorises."""
+    y = max(x, FURTHEST) / 16.0
+    y = 1.0 + y * (1.0 + y * (0.5 + y * (1.0 / 6.0 + y * (1.0 / 24.0 + y / 120.0))))
+    y *= y
+    y *= y
+    y *= y
+    y *= y
+    return y if x > FURTHEST else 0.0
 
 
 @numba.njit(error_model="numpy")

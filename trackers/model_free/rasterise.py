@@ -11,7 +11,7 @@ WINDOW_SIGMAS = 2.5
 """Half the width of the blur window; what lies beyond (1.2 %) is cut."""
 SHARPEST = 0.2
 """Smallest standard deviation of the blur, in cells: below it the pixels' own size is what is seen."""
-FINENESS = 0.8
+FINENESS = 1.1
 """A blur of so many pixels is drawn with bilinear interpolation between them."""
 NEGLIGIBLE = 0.01
 """What makes no cell more probable than this is not drawn."""
