@@ -1,9 +1,12 @@
 """Scan matching: the pose at which a track's boundary points meet a cluster, and how well they settle it.
 
-The boundary is a Gaussian mixture, and every return of the cluster is drawn from it or is an outlier; the pose of the
-highest likelihood is found by expectation and maximisation, from a wide kernel to a narrow one (EM-ICP: Granger and
-Pennec, ECCV 2002), and by Newton's method. The information is the curvature of that likelihood, so that a wall, which
-looks the same wherever along it a return lies, says nothing of a motion along itself (the aperture problem).
+The boundary is a Gaussian mixture, and every return of the cluster is drawn from it or is an outlier; and the other way
+round for each boundary point that is in view, for where nothing is returned nothing is. The pose of the highest
+likelihood is found by Newton's method, from a wide kernel to a narrow one (EM-ICP: Granger and Pennec, ECCV 2002).
+
+What a pair tells of a motion in some direction is decided by the outline there, and not by the point: where it goes on
+in that direction, nothing (generalised ICP: Segal, Haehnel and Thrun, RSS 2009; the aperture problem). The points
+themselves lie in the middle of cells, and a side that glides past the grid would be held by it.
 """
 
 from __future__ import annotations
@@ -20,22 +23,28 @@ Mask = NDArray[np.bool_]
 
 WIDEST = 4.0
 """The widest kernel, in surface widths; each is half as wide as the one before."""
-ITERATIONS = 1
-"""Of expectation and maximisation, with each kernel."""
-NEWTON_STEPS = 2
-"""Of Newton's method after them: expectation and maximisation creep where few returns say where a body ends."""
+NEWTON_STEPS = 3
+"""With each kernel."""
+GOES_ON = 3.0
+"""Where an outline goes on for so many surface widths either way, it tells nothing of a motion along itself."""
 CUT = 0.02
-"""What a return tells that meets a point at which the boundary is cut off, as a share of what it tells elsewhere."""
+"""What a point tells at which its outline is cut off, as a share of what it tells elsewhere."""
+BACK = 2.0
+"""What a boundary point without a return tells, against a return without a boundary point."""
 OUTLIER = math.exp(-4.5)
-"""Likelihood of a return that is not of this boundary: that of one three kernel widths from a certain point."""
+"""Likelihood of a point that is not of the other outline: that of one three kernel widths from a certain point."""
 FURTHEST = -10.0
 """Exponent below which the kernel is nothing."""
 UNKNOWN = (1e4, 1e4, 1e3)
 """Variance of a direction that the returns say nothing of, along x and y (m^2) and of the heading (rad^2)."""
 
 
-TRUST = 5
-"""The last column of what each return is expected of."""
+class Outline(NamedTuple):
+    """Points (N, 2) in metres, how likely each is to be there (N,), and at which the outline is cut off (N,)."""
+
+    points: Array
+    weights: Array
+    cut: Mask
 
 
 class Match(NamedTuple):
@@ -51,51 +60,55 @@ class Match(NamedTuple):
 
 
 def match(
-    points: Array,
-    offsets: Array,
-    weights: Array,
-    cut: Mask,
-    starts: Array,
-    unsure_m: float,
-    surface_m: float,
-    turns: bool,
+    returns: Outline, boundary: Outline, seen: Mask, starts: Array, unsure_m: float, surface_m: float, turns: bool
 ) -> Match:
-    """Match returns (K, 2) in the grid frame to a boundary `offsets` (N, 2) in the body's frame, `weights` (N,).
+    """Match returns in the grid frame to a boundary in the body's frame, of which the points `seen` (N,) are in view.
 
-    Metres. Where the boundary is `cut` off (N,) it may go on unseen, and a return at such a point hardly tells.
-    `surface_m` is the standard deviation of a return about the boundary. The best end of all `starts` (S, 3) is taken,
-    each as uncertain as `unsure_m`: from a wide kernel, a body of which more has come into view than its boundary holds
-    is drawn towards that; from a narrow one, a start that is far off finds nothing. Without `turns` the heading stays
-    as at the start, and its variance is that of the unknown.
+    Where either is cut off it may go on unseen, and that end hardly tells. `surface_m` is the standard deviation of a
+    return about the boundary. The best end of all `starts` (S, 3) is taken, each as uncertain as `unsure_m`, in metres:
+    from a wide kernel, a body of which more has come into view than its boundary holds is drawn towards that; from a
+    narrow one, a start that is far off finds nothing. Without `turns` the heading stays as at the start, and its
+    variance is that of the unknown.
     """
-    return Match(*_best_match(points, offsets, weights, cut, starts, unsure_m, surface_m, turns))
+    return Match(*_best_match(returns, boundary, seen, starts, unsure_m, surface_m, turns))
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _best_match(points, offsets, weights, cut, starts, unsure_m, surface_m, turns):  # type: ignore[no-untyped-def]
+def _best_match(returns, boundary, seen, starts, unsure_m, surface_m, turns):  # type: ignore[no-untyped-def]
     """Pose (3,), covariance (3, 3) and residual of the best match from any of the starts (S, 3)."""
-    placed, expected = np.empty((2, len(offsets))), np.empty((len(points), 6))
-    tells = np.where(cut, CUT, 1.0)
-    best, information, residual = starts[0], np.empty((3, 3)), np.inf
+    points, placed = np.ascontiguousarray(returns.points.T), np.empty((2, len(boundary.points)))
+    _place(boundary.points, starts[0], placed)
+    told = _telling(placed, boundary.weights, boundary.cut, GOES_ON * surface_m)
+    telling = _telling(points, returns.weights, returns.cut, GOES_ON * surface_m)
+    back = np.where(seen, BACK * boundary.weights, 0.0)
+    met, meets = np.empty((points.shape[1], 5)), np.empty((placed.shape[1], 5))
+    widths = _widths(unsure_m, surface_m)
+    best, covariance, residual = starts[0], np.empty((3, 3)), np.inf
     for s in range(len(starts)):
         pose = starts[s].copy()
-        kernel = min(max(unsure_m / surface_m, 1.0), WIDEST)
-        while kernel > 0.5:
-            width = max(kernel, 1.0) * surface_m
-            for step in range(ITERATIONS + NEWTON_STEPS):
-                _place(offsets, pose, placed)
-                _expect(points, placed, weights, tells, width, expected)
-                if step < ITERATIONS:
-                    _maximise(points, expected, turns, pose)
-                else:
-                    _newton(points, expected, width, turns, pose)
-            kernel *= 0.5
-        _place(offsets, pose, placed)
-        misfit = _expect(points, placed, weights, tells, surface_m, expected)
+        for n in range(len(widths)):
+            _place(boundary.points, pose, placed)
+            misfit = _expect(points, returns.weights, placed, boundary.weights, told, widths[n], met)
+            _expect(placed, back, points, returns.weights, telling, widths[n], meets)
+            gradient, information = _curvature(points, met, placed, meets, pose, widths[n], turns)
+            inverse = _inverse(information)
+            if n < len(widths) - 1:
+                step = inverse @ gradient
+                pose += step * min(1.0, widths[n] / max(math.hypot(step[0], step[1]), 1e-9))
         if misfit < residual:
-            best, residual = pose, misfit
-            information = _information(expected, pose, surface_m, turns)
-    return best, _inverse(information), residual
+            best, covariance, residual = pose, inverse, misfit
+    return best, covariance, residual
+
+
+@numba.njit(error_model="numpy")
+def _widths(unsure_m, surface_m):  # type: ignore[no-untyped-def]
+    """The kernel's width, metres, at each step of Newton's method, and at last, where no step follows: (n+1,)."""
+    kernel = min(max(unsure_m / surface_m, 1.0), WIDEST)
+    kernels = 1 + math.ceil(math.log2(kernel))
+    widths = np.full(kernels * NEWTON_STEPS + 1, surface_m)
+    for n in range(kernels - 1):
+        widths[n * NEWTON_STEPS : (n + 1) * NEWTON_STEPS] = surface_m * max(kernel / 2.0**n, 1.0)
+    return widths
 
 
 @numba.njit(error_model="numpy")
@@ -108,36 +121,60 @@ def _place(offsets, pose, placed):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(error_model="numpy", fastmath=True)
-def _expect(points, placed, weights, tells, width, expected):  # type: ignore[no-untyped-def]
-    """Write what each return is expected of into `expected` (K, 6), and return the residual.
+def _telling(points, weights, cut, reach):  # type: ignore[no-untyped-def]
+    """What each point (2, N) of an outline tells of a motion in each direction: matrices xx, xy, yy (3, N).
 
-    Of the boundary that it may be of the mean x, y and the covariance xx, xy, yy; then its TRUST, how far it tells: the
-    probability that it is of this boundary, times how far that `tells` (N,).
+    One less the variance of the outline about it, in `reach` squared: 0 along a line that goes on, 1 across it, and
+    next to 1 for what is small or ends there; hardly anything where the outline is cut off.
+    """
+    tells = np.empty((3, points.shape[1]))
+    scale = 1.0 / (reach * reach)
+    for i in range(points.shape[1]):
+        total = x = y = xx = xy = yy = 0.0
+        for j in range(points.shape[1]):
+            dx, dy = points[0, j] - points[0, i], points[1, j] - points[1, i]
+            share = weights[j] * _exp(-0.5 * scale * (dx * dx + dy * dy))
+            total += share
+            x += share * dx
+            y += share * dy
+            xx += share * dx * dx
+            xy += share * dx * dy
+            yy += share * dy * dy
+        x, y = x / total, y / total
+        xx, xy, yy = xx / total - x * x, xy / total - x * y, yy / total - y * y
+        xx, xy, yy = _not_negative(1.0 - scale * xx, -scale * xy, 1.0 - scale * yy)
+        share = CUT if cut[i] else 1.0
+        tells[0, i], tells[1, i], tells[2, i] = share * xx, share * xy, share * yy
+    return tells
+
+
+@numba.njit(error_model="numpy", fastmath=True)
+def _expect(points, trust, others, weights, tells, width, expected):  # type: ignore[no-untyped-def]
+    """Write where each of `points` (2, K) is expected to be of the outline `others` (2, N) into `expected` (K, 5).
+
+    How far from it along x and y, and what that tells, xx, xy, yy: what those points tell, `tells` (3, N), times the
+    probability that it is of this outline, times `trust` (K,). Returns the residual.
     """
     scale = -0.5 / (width * width)
     misfit = 0.0
-    for i in range(len(points)):
-        total = telling = x = y = xx = xy = yy = 0.0
-        for j in range(placed.shape[1]):
-            dx, dy = placed[0, j] - points[i, 0], placed[1, j] - points[i, 1]
-            share = weights[j] * _exp(scale * (dx * dx + dy * dy))
-            sx, sy = share * dx, share * dy
-            total += share
-            x += sx
-            y += sy
-            xx += sx * dx
-            xy += sx * dy
-            yy += sy * dy
-            telling += share * tells[j]
+    for i in range(points.shape[1]):
+        total = x = y = xx = xy = yy = 0.0
+        if trust[i] > 0.0:
+            for j in range(others.shape[1]):
+                dx, dy = others[0, j] - points[0, i], others[1, j] - points[1, i]
+                share = weights[j] * _exp(scale * (dx * dx + dy * dy))
+                total += share
+                x += share * dx
+                y += share * dy
+                xx += share * tells[0, j]
+                xy += share * tells[1, j]
+                yy += share * tells[2, j]
+        some, mixed = max(total, 1e-300), total + OUTLIER
+        share = trust[i] / mixed
         each = expected[i]
-        if total > 0.0:
-            x, y = x / total, y / total
-            xx, xy, yy = xx / total - x * x, xy / total - x * y, yy / total - y * y
-        each[0], each[1] = points[i, 0] + x, points[i, 1] + y
-        each[2], each[3], each[4] = xx, xy, yy
-        each[TRUST] = telling / (total + OUTLIER)
-        misfit -= 2.0 * math.log(min(total + OUTLIER, 1.0))
-    return misfit / len(points)
+        each[0], each[1], each[2], each[3], each[4] = x / some, y / some, share * xx, share * xy, share * yy
+        misfit -= 2.0 * math.log(min(mixed, 1.0))
+    return misfit / points.shape[1]
 
 
 @numba.njit(error_model="numpy", fastmath=True)
@@ -153,68 +190,46 @@ def _exp(x):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(error_model="numpy")
-def _maximise(points, expected, turns, pose):  # type: ignore[no-untyped-def]
-    """Move `pose` (3,) so that the expected boundary falls on the returns: least squares by trust."""
-    total = px = py = mx = my = 0.0
-    for i in range(len(points)):
-        trust = expected[i, TRUST]
-        total += trust
-        px, py = px + trust * points[i, 0], py + trust * points[i, 1]
-        mx, my = mx + trust * expected[i, 0], my + trust * expected[i, 1]
-    if total < 1e-6:
-        return
-    px, py, mx, my = px / total, py / total, mx / total, my / total
-    turn = 0.0
-    if turns:
-        dot = cross = 0.0
-        for i in range(len(points)):
-            ax, ay = expected[i, 0] - mx, expected[i, 1] - my
-            bx, by = points[i, 0] - px, points[i, 1] - py
-            dot += expected[i, TRUST] * (ax * bx + ay * by)
-            cross += expected[i, TRUST] * (ax * by - ay * bx)
-        turn = math.atan2(cross, dot) if dot > 0.0 else 0.0
-    cosine, sine = math.cos(turn), math.sin(turn)
-    ox, oy = pose[0] - mx, pose[1] - my
-    pose[0], pose[1] = px + cosine * ox - sine * oy, py + sine * ox + cosine * oy
-    pose[2] += turn
+def _curvature(points, met, placed, meets, pose, width, turns):  # type: ignore[no-untyped-def]
+    """Gradient (3,) of the log likelihood at `pose` (3,), and its negative curvature (3, 3), with the unknown's.
 
-
-@numba.njit(error_model="numpy")
-def _newton(points, expected, width, turns, pose):  # type: ignore[no-untyped-def]
-    """Move `pose` (3,) by one step of Newton's method, no further than the kernel's `width`."""
-    gradient = np.zeros(3)
-    for i in range(len(points)):
-        x, y = expected[i, 0], expected[i, 1]
-        scale = expected[i, TRUST] / (width * width)
-        rx, ry = points[i, 0] - x, points[i, 1] - y
-        gradient[0] += scale * rx
-        gradient[1] += scale * ry
-        if turns:
-            gradient[2] += scale * ((x - pose[0]) * ry - (y - pose[1]) * rx)
-    step = _inverse(_information(expected, pose, width, turns)) @ gradient
-    pose += step * min(1.0, width / max(math.hypot(step[0], step[1]), 1e-9))
-
-
-@numba.njit(error_model="numpy")
-def _information(expected, pose, width, turns):  # type: ignore[no-untyped-def]
-    """Curvature (3, 3) of minus the log likelihood at `pose` (3,), never negative, and what is known of the unknown."""
-    total = np.zeros((3, 3))
-    for axis in range(3):
-        total[axis, axis] = 1.0 / UNKNOWN[axis]
-    scale = 1.0 / (width * width)
-    for i in range(len(expected)):
-        x, y, xx, xy, yy, trust = expected[i]
-        xx, xy, yy = _not_negative(scale * (1.0 - scale * xx), -scale * scale * xy, scale * (1.0 - scale * yy))
-        dx, dy = x - pose[0], y - pose[1]
-        total[0, 0] += trust * xx
-        total[1, 1] += trust * yy
-        total[0, 1] += trust * xy
-        if turns:
-            total[0, 2] += trust * (xy * dx - xx * dy)
-            total[1, 2] += trust * (yy * dx - xy * dy)
-            total[2, 2] += trust * (xx * dy * dy - 2.0 * xy * dx * dy + yy * dx * dx)
+    Of the returns `points` (2, K), which expect the boundary to be `met` (K, 5), and of the boundary points `placed`
+    (2, N), which expect returns where they are `meets` (N, 5).
+    """
+    gradient, total = np.zeros(3), np.zeros((3, 3))
+    for i in range(points.shape[1]):
+        dx, dy = met[i, 0], met[i, 1]
+        x, y = points[0, i] + dx - pose[0], points[1, i] + dy - pose[1]
+        _add_pair(x, y, -dx, -dy, met[i, 2:], turns, gradient, total)
+    for j in range(placed.shape[1]):
+        x, y = placed[0, j] - pose[0], placed[1, j] - pose[1]
+        _add_pair(x, y, meets[j, 0], meets[j, 1], meets[j, 2:], turns, gradient, total)
+    gradient /= width * width
+    total /= width * width
     total[1, 0], total[2, 0], total[2, 1] = total[0, 1], total[0, 2], total[1, 2]
-    return total
+    for axis in range(3):
+        total[axis, axis] += 1.0 / UNKNOWN[axis]
+    return gradient, total
+
+
+@numba.njit(error_model="numpy")
+def _add_pair(x, y, rx, ry, tells, turns, gradient, total):  # type: ignore[no-untyped-def]
+    """Add to `gradient` (3,) and the upper half of `total` (3, 3) a boundary point at x, y from the body's position.
+
+    It belongs by rx, ry further on, which is told in the directions of the matrix `tells` (3,).
+    """
+    xx, xy, yy = tells
+    fx, fy = xx * rx + xy * ry, xy * rx + yy * ry
+    gradient[0] += fx
+    gradient[1] += fy
+    total[0, 0] += xx
+    total[0, 1] += xy
+    total[1, 1] += yy
+    if turns:
+        gradient[2] += x * fy - y * fx
+        total[0, 2] += xy * x - xx * y
+        total[1, 2] += yy * x - xy * y
+        total[2, 2] += xx * y * y - 2.0 * xy * x * y + yy * x * x
 
 
 @numba.njit(error_model="numpy")

@@ -13,13 +13,14 @@ from numpy.typing import NDArray
 
 from gridtrack.common.geometry import wrap_angle
 from gridtrack.trackers.model_free.association import distances_to, gaps, starts_of
-from gridtrack.trackers.model_free.matching import Match, match
+from gridtrack.trackers.model_free.matching import Match, Outline, match
 from gridtrack.trackers.model_free.segmentation import Cluster
 from gridtrack.trackers.model_free.settings import PipelineSettings
 from gridtrack.trackers.model_free.shape import span_m
 from gridtrack.trackers.model_free.tracks import Track
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
 TURNS_FROM_M = 1.0
 """A body whose boundary and whose returns are both this long shows its heading; a person does not."""
@@ -32,18 +33,20 @@ ON_BOUNDARY, MOST = 2.0, 0.8
 """A cluster lies on a boundary where this share of its returns is within so many surface widths of it."""
 
 
-def measure(track: Track, points: Array, settings: PipelineSettings) -> Match:
-    """The track's pose as its returns (K, 2) show it, its covariance with all noise in it."""
+def measure(track: Track, cluster: Cluster, seen: Mask, settings: PipelineSettings) -> Match:
+    """The pose of a track as a cluster shows it, with all noise; of its boundary the points `seen` (N,) are in view."""
     (xx, _, _), (_, yy, _) = track.estimator.covariance[:2, :3].tolist()
     starts, unsure_m = track.pose[None], math.sqrt(max(xx, yy))
     if unsure_m > UNSURE * settings.surface_m:
-        shift = points.mean(axis=0) - track.boundary.mean(axis=0)
+        shift = cluster.centre - track.boundary.mean(axis=0)
         starts = starts + np.array([[0.0, 0.0, 0.0], [shift[0], shift[1], 0.0]])
-    shape = track.shape
+    points, shape = cluster.points, track.shape
     long = shape.extent_m >= TURNS_FROM_M
     turns = long and span_m(points) >= TURNS_FROM_M
-    cut = shape.cut & long  # a person does not go on for long behind what hides the rest
-    found = match(points, shape.offsets, shape.weights, cut, starts, unsure_m, settings.surface_m, turns)
+    # A person does not go on for long behind what hides the rest: no end is cut off.
+    returns = Outline(points, np.ones(len(points)), cluster.cut & long)
+    boundary = Outline(shape.offsets, shape.weights, shape.cut & long)
+    found = match(returns, boundary, seen, starts, unsure_m, settings.surface_m, turns)
     return found._replace(covariance=found.covariance + noise(settings))
 
 
@@ -63,18 +66,22 @@ class Pairing(NamedTuple):
 
 
 def compare(
-    tracks: Sequence[Track], clusters: Sequence[Cluster], distances: Array, settings: PipelineSettings
+    tracks: Sequence[Track],
+    clusters: Sequence[Cluster],
+    distances: Array,
+    views: Sequence[Mask],
+    settings: PipelineSettings,
 ) -> Pairing:
     """Match the clusters near a track to its boundary; the cost is the distance from the prediction and the residual.
 
-    `distances` (K, T) of the clusters' returns from the predicted boundaries, metres.
+    `distances` (K, T) of the clusters' returns from the predicted boundaries, metres; `views` (T) of those.
     """
     costs, mahalanobis = np.full((2, len(tracks), len(clusters)), np.inf)
     matches = {}
     spreads = np.stack([track.estimator.covariance[:2, :2] for track in tracks])
     reach = settings.reach_m + REACH_SIGMAS * np.sqrt(np.linalg.eigvalsh(spreads)[:, -1])
     for t, c in np.argwhere(gaps(distances, clusters) <= reach[:, None]).tolist():
-        found = matches[t, c] = measure(tracks[t], clusters[c].points, settings)
+        found = matches[t, c] = measure(tracks[t], clusters[c], views[t], settings)
         mahalanobis[t, c] = squared_mahalanobis(found, tracks[t])
         costs[t, c] = mahalanobis[t, c] + found.residual
     return Pairing(costs, mahalanobis, matches)
@@ -102,12 +109,13 @@ def measured(
     shares: dict[int, Cluster],
     clusters: Sequence[Cluster],
     pairing: Pairing,
+    views: Sequence[Mask],
     settings: PipelineSettings,
 ) -> dict[int, Match]:
     """Track -> the pose that its share of the returns shows; matched already where that is a whole cluster."""
     numbers = {id(cluster): number for number, cluster in enumerate(clusters)}
     found = {t: pairing.matches.get((t, numbers.get(id(share), -1))) for t, share in shares.items()}
-    return {t: old or measure(tracks[t], shares[t].points, settings) for t, old in found.items()}
+    return {t: old or measure(tracks[t], shares[t], views[t], settings) for t, old in found.items()}
 
 
 def squared_mahalanobis(found: Match, track: Track) -> float:

@@ -60,7 +60,7 @@ class Pipeline:
         self.background.observe(frame)
         clusters = self._segment(frame)
         self._predict()
-        shares, poses, left = self._associate(clusters)
+        shares, poses, left = self._associate(clusters, frame.visible)
         self._correct(shares, poses, frame.visible)
         self._judge(shares, frame.visible)
         self._merge()
@@ -85,17 +85,20 @@ class Pipeline:
             track.estimator.predict()
             track.existence *= self.survival
 
-    def _associate(self, clusters: list[Cluster]) -> tuple[dict[int, Cluster], dict[int, Match], list[Cluster]]:
+    def _associate(
+        self, clusters: list[Cluster], visible: Mask
+    ) -> tuple[dict[int, Cluster], dict[int, Match], list[Cluster]]:
         """Track number -> its returns, track number -> the pose that they show, and the clusters left over."""
         if not self.tracks or not clusters:
             return {}, {}, clusters
         points = np.concatenate([cluster.points for cluster in clusters])
         distances = distances_to(points, [track.boundary for track in self.tracks])
-        pairing = compare(self.tracks, clusters, distances, self.settings)
+        views = in_view([track.boundary for track in self.tracks], self.grid, visible)
+        pairing = compare(self.tracks, clusters, distances, views, self.settings)
         pairs = assign(pairing.costs, pairing.distances, self.settings.gate_probability, self.settings.association)
         near = belonging(self.tracks, clusters, pairs, self.settings)
         shares, left = share_out(clusters, pairs, distances, near)
-        return shares, measured(self.tracks, shares, clusters, pairing, self.settings), left
+        return shares, measured(self.tracks, shares, clusters, pairing, views, self.settings), left
 
     def _correct(self, shares: dict[int, Cluster], poses: dict[int, Match], visible: Mask) -> None:
         """Correct each track by the pose its returns show, and let them extend its shape."""
