@@ -1,0 +1,81 @@
+"""The label budget as a curve: what `label_budget.py` measured, mean and range over its draws.
+
+`python benchmarks/label_curve.py` draws docs/results/junction/label-budget.svg from the table beside it.
+"""
+
+from __future__ import annotations
+
+import csv
+import statistics
+import sys
+from collections import defaultdict
+from html import escape
+from pathlib import Path
+
+from label_budget import BUDGETS, COLUMNS
+
+from gridtrack.reports.figures import Axis
+
+TABLE = Path("docs/results/junction/label-budget.csv")
+STYLES = {"one-shot": "#c2410c", "latent": "#1d4ed8", "latent, linear": "#0f766e"}
+WIDTH, HEIGHT, GAP, LEFT, TOP, BOTTOM = 270, 220, 46, 40, 30, 42
+LOSSES = (0.2, 0.5, 1.0, 2.0)
+"""Ticks of the loss axis, nats a scan."""
+
+Points = list[tuple[int, float, float, float]]
+"""Of each budget its number of scans, and mean, least and most over the draws."""
+
+
+def curves(path: Path, column: str) -> dict[str, Points]:
+    """The curve of each method."""
+    values: dict[str, dict[int, list[float]]] = defaultdict(lambda: defaultdict(list))
+    with path.open(newline="") as file:
+        for row in csv.DictReader(file):
+            values[row["method"]][int(row["scans"])].append(float(row[column]))
+    return {
+        method: [(scans, statistics.fmean(own), min(own), max(own)) for scans, own in sorted(of_scans.items())]
+        for method, of_scans in values.items()
+    }
+
+
+def panel(number: int, title: str, lines: dict[str, Points]) -> str:
+    """One column of the table as axes and curves."""
+    left = LEFT + number * (WIDTH + GAP)
+    x = Axis(BUDGETS[0], BUDGETS[-1], left, left + WIDTH, logarithmic=True)
+    y = Axis(0.2, 2.1, TOP + HEIGHT, TOP, logarithmic=True)
+    parts = [f'<text x="{left}" y="18" font-weight="bold">{escape(title)}</text>']
+    for loss in LOSSES:
+        parts.append(f'<path d="M{left} {y(loss)}h{WIDTH}" stroke="#ddd"/>')
+        parts.append(f'<text x="{left - 6}" y="{y(loss) + 4}" text-anchor="end">{loss:g}</text>')
+    for scans in BUDGETS:
+        parts.append(f'<text x="{x(scans)}" y="{TOP + HEIGHT + 16}" text-anchor="middle">{scans}</text>')
+    for method, points in lines.items():
+        above = [f"{x(scans)},{y(most)}" for scans, _, _, most in points]
+        below = [f"{x(scans)},{y(least)}" for scans, _, least, _ in reversed(points)]
+        mean = " ".join(f"{x(scans)},{y(value)}" for scans, value, _, _ in points)
+        colour = STYLES[method]
+        parts.append(f'<polygon points="{" ".join(above + below)}" fill="{colour}" opacity="0.13"/>')
+        parts.append(f'<polyline points="{mean}" fill="none" stroke="{colour}" stroke-width="2"/>')
+    return "".join(parts)
+
+
+def draw(path: Path) -> str:
+    """The figure, SVG."""
+    panels = [panel(number, title, curves(path, title)) for number, title in enumerate(COLUMNS)]
+    foot, width = TOP + HEIGHT + 36, LEFT + len(panels) * (WIDTH + GAP)
+    keys = [
+        f'<path d="M{LEFT + 150 * k} {foot - 4}h22" stroke="{colour}" stroke-width="2"/>'
+        f'<text x="{LEFT + 150 * k + 28}" y="{foot}">{escape(method)}</text>'
+        for k, (method, colour) in enumerate(STYLES.items())
+    ]
+    caption = f'<text x="{width - GAP}" y="{foot}" text-anchor="end">log loss, nats a scan, by labelled scans</text>'
+    return (
+        f'<svg xmlns="http://www.w3.org/2000/svg" width="{width}" height="{TOP + HEIGHT + BOTTOM}"'
+        f' font-family="sans-serif" font-size="12"><rect width="100%" height="100%" fill="white"/>'
+        f"{''.join(panels)}{''.join(keys)}{caption}</svg>\n"
+    )
+
+
+if __name__ == "__main__":
+    table = Path(sys.argv[1]) if sys.argv[1:] else TABLE
+    table.with_suffix(".svg").write_text(draw(table))
