@@ -27,14 +27,14 @@ results: $(VENV)/.installed-demo
 	    --reference dilated-convgru --out runs/results
 	$(BIN)/python benchmarks/static_memory.py
 
-# What the paper claims of its network taken away, one claim at a time, each trained with a quarter of the updates.
-QUARTER := burn_in=10,validate_every=125,warm_up=50,learning_rate=0.004,updates=625,stage=occupancy
+# What the paper claims of its network taken away, one claim at a time, each trained with 625 updates.
+SHORT := burn_in=10,validate_every=125,warm_up=50,learning_rate=0.004,updates=625,stage=occupancy
 BLANKS := shown=10,blank=20,cycles=1
 ABLATIONS := whole:$(BLANKS) no-static-memory:$(BLANKS),static_gates=[] no-dilation:$(BLANKS),dilated=false \
     no-gates:$(BLANKS),cell=plain papers-scheme:shown=10,blank=10,cycles=2
 ablations: $(VENV)/.installed-dev
 	for each in $(ABLATIONS); do \
-	    $(BIN)/gridtrack train "dilated-convgru:$(QUARTER),$${each#*:}" $(AT_JUNCTION)@0s-90s \
+	    $(BIN)/gridtrack train "dilated-convgru:$(SHORT),$${each#*:}" $(AT_JUNCTION)@0s-90s \
 	        --out runs/trained/$${each%%:*} || exit 1; done
 	rm -rf runs/ablations
 	$(BIN)/gridtrack compare $(JUNCTION) --validation data/junction/validation.tracks --tracker persistence \
@@ -65,11 +65,11 @@ baseline: $(VENV)/.installed-dev
 	    --weights data/weights --horizon 1s --every 0.5s --out runs/baseline
 	$(BIN)/gridtrack regress runs/baseline --baseline tests/baselines/own_trackers.json --update
 
-# What ships in data/weights, made again (three hours on two cores).
+# What ships in data/weights, made again (five hours on two cores).
 GRU := shown=10,blank=20,cycles=1,reverse=true,updates=1500,validate_every=100,learning_rate=0.005,warm_up=20
 RNN := shown=20,blank=20,cycles=1,reverse=true,superpose=true,updates=1000,validate_every=100,learning_rate=0.003,warm_up=100
 RNN_AT_JUNCTION := burn_in=20,shown=20,blank=20,cycles=1,validate_every=250,warm_up=100,learning_rate=0.003,updates=4000
-GRU_AT_JUNCTION := burn_in=10,shown=10,blank=20,cycles=1,validate_every=250,warm_up=50,learning_rate=0.004,updates=2500
+GRU_AT_JUNCTION := burn_in=10,shown=10,blank=20,cycles=1,validate_every=250,warm_up=50,learning_rate=0.004,updates=4000
 AT_JUNCTION := data/junction/train.tracks --validation data/junction/validation.tracks
 THREE_STRETCHES := $(foreach each,0s-320s 1300s-1620s 2600s-2920s,data/junction/train.tracks@$(each)) \
     --validation data/junction/validation.tracks@0s-96s

@@ -81,20 +81,21 @@ def _best_match(returns, boundary, seen, starts, unsure_m, surface_m, turns):  #
     told = _telling(placed, boundary.weights, boundary.cut, GOES_ON * surface_m)
     telling = _telling(points, returns.weights, returns.cut, GOES_ON * surface_m)
     back = np.where(seen, BACK * boundary.weights, 0.0)
-    met, meets = np.empty((points.shape[1], 5)), np.empty((placed.shape[1], 5))
+    met, meets = np.empty((points.shape[1], 6)), np.empty((placed.shape[1], 6))
     widths = _widths(unsure_m, surface_m)
     best, covariance, residual = starts[0], np.empty((3, 3)), np.inf
     for s in range(len(starts)):
         pose = starts[s].copy()
         for n in range(len(widths)):
             _place(boundary.points, pose, placed)
-            misfit = _expect(points, returns.weights, placed, boundary.weights, told, widths[n], met)
+            _expect(points, returns.weights, placed, boundary.weights, told, widths[n], met)
             _expect(placed, back, points, returns.weights, telling, widths[n], meets)
             gradient, information = _curvature(points, met, placed, meets, pose, widths[n], turns)
             inverse = _inverse(information)
             if n < len(widths) - 1:
                 step = inverse @ gradient
                 pose += step * min(1.0, widths[n] / max(math.hypot(step[0], step[1]), 1e-9))
+        misfit = -2.0 * np.log(np.minimum(met[:, 5], 1.0)).mean()
         if misfit < residual:
             best, covariance, residual = pose, inverse, misfit
     return best, covariance, residual
@@ -150,13 +151,12 @@ def _telling(points, weights, cut, reach):  # type: ignore[no-untyped-def]
 
 @numba.njit(error_model="numpy", fastmath=True)
 def _expect(points, trust, others, weights, tells, width, expected):  # type: ignore[no-untyped-def]
-    """Write where each of `points` (2, K) is expected to be of the outline `others` (2, N) into `expected` (K, 5).
+    """Write where each of `points` (2, K) is expected to be of the outline `others` (2, N) into `expected` (K, 6).
 
     How far from it along x and y, and what that tells, xx, xy, yy: what those points tell, `tells` (3, N), times the
-    probability that it is of this outline, times `trust` (K,). Returns the residual.
+    probability that it is of this outline, times `trust` (K,). At last its likelihood.
     """
     scale = -0.5 / (width * width)
-    misfit = 0.0
     for i in range(points.shape[1]):
         total = x = y = xx = xy = yy = 0.0
         if trust[i] > 0.0:
@@ -173,8 +173,7 @@ def _expect(points, trust, others, weights, tells, width, expected):  # type: ig
         share = trust[i] / mixed
         each = expected[i]
         each[0], each[1], each[2], each[3], each[4] = x / some, y / some, share * xx, share * xy, share * yy
-        misfit -= 2.0 * math.log(min(mixed, 1.0))
-    return misfit / points.shape[1]
+        each[5] = mixed
 
 
 @numba.njit(error_model="numpy", fastmath=True)
@@ -193,17 +192,17 @@ def _exp(x):  # type: ignore[no-untyped-def]
 def _curvature(points, met, placed, meets, pose, width, turns):  # type: ignore[no-untyped-def]
     """Gradient (3,) of the log likelihood at `pose` (3,), and its negative curvature (3, 3), with the unknown's.
 
-    Of the returns `points` (2, K), which expect the boundary to be `met` (K, 5), and of the boundary points `placed`
-    (2, N), which expect returns where they are `meets` (N, 5).
+    Of the returns `points` (2, K), which expect the boundary to be `met` (K, 6), and of the boundary points `placed`
+    (2, N), which expect returns where they are `meets` (N, 6).
     """
     gradient, total = np.zeros(3), np.zeros((3, 3))
     for i in range(points.shape[1]):
         dx, dy = met[i, 0], met[i, 1]
         x, y = points[0, i] + dx - pose[0], points[1, i] + dy - pose[1]
-        _add_pair(x, y, -dx, -dy, met[i, 2:], turns, gradient, total)
+        _add_pair(x, y, -dx, -dy, met[i, 2:5], turns, gradient, total)
     for j in range(placed.shape[1]):
         x, y = placed[0, j] - pose[0], placed[1, j] - pose[1]
-        _add_pair(x, y, meets[j, 0], meets[j, 1], meets[j, 2:], turns, gradient, total)
+        _add_pair(x, y, meets[j, 0], meets[j, 1], meets[j, 2:5], turns, gradient, total)
     gradient /= width * width
     total /= width * width
     total[1, 0], total[2, 0], total[2, 1] = total[0, 1], total[0, 2], total[1, 2]
