@@ -5,14 +5,13 @@
 
 from __future__ import annotations
 
-import csv
 import statistics
 import sys
 from collections import defaultdict
 from html import escape
 from pathlib import Path
 
-from label_budget import BUDGETS, COLUMNS
+from label_budget import BUDGETS, COLUMNS, read
 
 from gridtrack.reports.figures import Axis
 
@@ -29,9 +28,8 @@ Points = list[tuple[int, float, float, float]]
 def curves(path: Path, column: str) -> dict[str, Points]:
     """The curve of each method."""
     values: dict[str, dict[int, list[float]]] = defaultdict(lambda: defaultdict(list))
-    with path.open(newline="") as file:
-        for row in csv.DictReader(file):
-            values[row["method"]][int(row["scans"])].append(float(row[column]))
+    for row in read(path):
+        values[row["method"]][int(row["scans"])].append(float(row[column]))
     return {
         method: [(scans, statistics.fmean(own), min(own), max(own)) for scans, own in sorted(of_scans.items())]
         for method, of_scans in values.items()

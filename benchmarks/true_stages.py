@@ -13,6 +13,7 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
+from stages import most
 from velocity import JUNCTION, bodies, cells_of, rigid_velocity
 
 from gridtrack.common.geometry import SE2, wrap_angle
@@ -128,9 +129,8 @@ def joined(clusters: Sequence[Cluster], truth: Truth, grid: GridSpec) -> list[Cl
 def owner_of(points: np.ndarray, truth: Truth, grid: GridSpec) -> int | None:
     """The body that most of `points` (N, 2) are on."""
     cells, inside = grid.cells_of(points)
-    owners = truth.owner[tuple(cells[inside].T)]
-    numbers, counts = np.unique(owners[owners >= 0], return_counts=True)
-    return int(numbers[counts.argmax()]) if counts.size else None
+    body = most(truth.owner[tuple(cells[inside].T)])
+    return None if body < 0 else body
 
 
 def score(kind: type[ModelFreeTracker], stream: GridStream) -> list[float]:

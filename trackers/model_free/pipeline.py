@@ -60,9 +60,10 @@ class Pipeline:
         self.background.observe(frame)
         clusters = self._segment(frame)
         self._predict()
-        shares, poses, left = self._associate(clusters, frame.visible)
+        views = in_view([track.boundary for track in self.tracks], self.grid, frame.visible)
+        shares, poses, left = self._associate(clusters, views)
         self._correct(shares, poses, frame.visible)
-        self._judge(shares, frame.visible)
+        self._judge(shares, views)
         self._merge()
         self._give_birth(left)
         self.frame = frame
@@ -86,14 +87,13 @@ class Pipeline:
             track.existence *= self.survival
 
     def _associate(
-        self, clusters: list[Cluster], visible: Mask
+        self, clusters: list[Cluster], views: list[Mask]
     ) -> tuple[dict[int, Cluster], dict[int, Match], list[Cluster]]:
         """Track number -> its returns, track number -> the pose that they show, and the clusters left over."""
         if not self.tracks or not clusters:
             return {}, {}, clusters
         points = np.concatenate([cluster.points for cluster in clusters])
         distances = distances_to(points, [track.boundary for track in self.tracks])
-        views = in_view([track.boundary for track in self.tracks], self.grid, visible)
         pairing = compare(self.tracks, clusters, distances, views, self.settings)
         pairs = assign(pairing.costs, pairing.distances, self.settings.gate_probability, self.settings.association)
         near = belonging(self.tracks, clusters, pairs, self.settings)
@@ -115,8 +115,8 @@ class Pipeline:
                 to_body(cluster.points, track.pose), cluster.cut, seen, self.settings.surface_m, self.shape_gain
             )
 
-    def _judge(self, shares: dict[int, Cluster], visible: Mask) -> None:
-        """Weigh each track's existence by what was and was not seen of it; drop the dead."""
+    def _judge(self, shares: dict[int, Cluster], views: list[Mask]) -> None:
+        """Weigh each track's existence by what was and was not seen of it, as it was in view; drop the dead."""
         settings = self.settings
         for number, track in enumerate(self.tracks):
             if number in shares:
@@ -127,8 +127,7 @@ class Pipeline:
                 track.confirmed |= track.existence >= settings.confirm_above
             else:
                 track.unseen += 1
-                (seen,) = in_view([track.boundary], self.grid, visible)
-                in_sight = float(track.shape.weights[seen].sum() / track.shape.weights.sum())
+                in_sight = float(track.shape.weights[views[number]].sum() / track.shape.weights.sum())
                 detectable = settings.detection_probability * in_sight
                 track.existence = existence_when_missed(track.existence, detectable)
         self.tracks = [track for track in self.tracks if self._lives(track)]
