@@ -27,14 +27,22 @@ NEWTON_STEPS = 3
 """With each kernel."""
 GOES_ON = 3.0
 """Where an outline goes on for so many surface widths either way, it tells nothing of a motion along itself."""
-CUT = 0.02
-"""What a point tells at which its outline is cut off, as a share of what it tells elsewhere."""
+CUT, CUT_REACH = 0.02, 2.0
+"""Where an outline is cut off, what it tells of a motion along itself as a share of what an end tells; and how far from
+there that holds, as a share of how far an outline must go on."""
 BACK = 2.0
 """What a boundary point without a return tells, against a return without a boundary point."""
 OUTLIER = math.exp(-4.5)
 """Likelihood of a point that is not of the other outline: that of one three kernel widths from a certain point."""
-FURTHEST = -10.0
+FURTHEST = np.float32(-10.0)
 """Exponent below which the kernel is nothing."""
+LEAST = np.float32(1e-30)
+"""Likelihood in whose place nothing else can be divided by."""
+ZERO, ONE, SIXTEENTH = np.float32(0.0), np.float32(1.0), np.float32(1.0 / 16.0)
+SERIES = tuple(np.float32(1.0 / math.factorial(n)) for n in (2, 3, 4, 5))
+"""Single precision, by which the sums over all pairs of points take a third of the time."""
+NOWHERE = 1e12
+"""Squared distance from what is not there, m^2."""
 UNKNOWN = (1e4, 1e4, 1e3)
 """Variance of a direction that the returns say nothing of, along x and y (m^2) and of the heading (rad^2)."""
 
@@ -76,28 +84,32 @@ def match(
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _best_match(returns, boundary, seen, starts, unsure_m, surface_m, turns):  # type: ignore[no-untyped-def]
     """Pose (3,), covariance (3, 3) and residual of the best match from any of the starts (S, 3)."""
-    points, placed = np.ascontiguousarray(returns.points.T), np.empty((2, len(boundary.points)))
-    _place(boundary.points, starts[0], placed)
-    told = _telling(placed, boundary.weights, boundary.cut, GOES_ON * surface_m)
-    telling = _telling(points, returns.weights, returns.cut, GOES_ON * surface_m)
-    back = np.where(seen, BACK * boundary.weights, 0.0)
-    met, meets = np.empty((points.shape[1], 6)), np.empty((placed.shape[1], 6))
+    points, placed = np.empty((2, len(returns.points)), np.float32), np.empty((2, len(boundary.points)), np.float32)
+    there, likely = returns.weights.astype(np.float32), boundary.weights.astype(np.float32)
+    back = np.where(seen, BACK * boundary.weights, 0.0).astype(np.float32)
+    met, meets = np.empty((6, points.shape[1]), np.float32), np.empty((6, placed.shape[1]), np.float32)
     widths = _widths(unsure_m, surface_m)
+    _place(returns.points, -starts[0, 0], -starts[0, 1], 0.0, points)
+    _place(boundary.points, 0.0, 0.0, starts[0, 2], placed)
+    telling = _telling(points, there, returns.cut, GOES_ON * surface_m)
+    told = _telling(placed, likely, boundary.cut, GOES_ON * surface_m)
     best, covariance, residual = starts[0], np.empty((3, 3)), np.inf
     for s in range(len(starts)):
-        pose = starts[s].copy()
+        moved = np.array([0.0, 0.0, starts[s, 2]])  # from the start, for single precision
+        _place(returns.points, -starts[s, 0], -starts[s, 1], 0.0, points)
         for n in range(len(widths)):
-            _place(boundary.points, pose, placed)
-            _expect(points, returns.weights, placed, boundary.weights, told, widths[n], met)
-            _expect(placed, back, points, returns.weights, telling, widths[n], meets)
-            gradient, information = _curvature(points, met, placed, meets, pose, widths[n], turns)
+            _place(boundary.points, moved[0], moved[1], moved[2], placed)
+            _expect(points, there, placed, likely, told, widths[n], met)
+            _expect(placed, back, points, there, telling, widths[n], meets)
+            gradient, information = _curvature(points, met, placed, meets, moved, widths[n], turns)
             inverse = _inverse(information)
             if n < len(widths) - 1:
                 step = inverse @ gradient
-                pose += step * min(1.0, widths[n] / max(math.hypot(step[0], step[1]), 1e-9))
-        misfit = -2.0 * np.log(np.minimum(met[:, 5], 1.0)).mean()
+                moved += step * min(1.0, widths[n] / max(math.hypot(step[0], step[1]), 1e-9))
+        misfit = -2.0 * np.log(np.minimum(met[5], 1.0)).mean()
         if misfit < residual:
-            best, covariance, residual = pose, inverse, misfit
+            moved[:2] += starts[s, :2]
+            best, covariance, residual = moved, inverse, misfit
     return best, covariance, residual
 
 
@@ -113,12 +125,12 @@ def _widths(unsure_m, surface_m):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(error_model="numpy")
-def _place(offsets, pose, placed):  # type: ignore[no-untyped-def]
-    """Write where `offsets` (N, 2) lie at `pose` (3,) into `placed` (2, N)."""
-    cosine, sine = math.cos(pose[2]), math.sin(pose[2])
-    for j in range(len(offsets)):
-        placed[0, j] = pose[0] + cosine * offsets[j, 0] - sine * offsets[j, 1]
-        placed[1, j] = pose[1] + sine * offsets[j, 0] + cosine * offsets[j, 1]
+def _place(points, x, y, turn, placed):  # type: ignore[no-untyped-def]
+    """Write `points` (N, 2), turned and then moved by x, y, into `placed` (2, N), in single precision."""
+    cosine, sine = math.cos(turn), math.sin(turn)
+    for j in range(len(points)):
+        placed[0, j] = x + cosine * points[j, 0] - sine * points[j, 1]
+        placed[1, j] = y + sine * points[j, 0] + cosine * points[j, 1]
 
 
 @numba.njit(error_model="numpy", fastmath=True)
@@ -126,15 +138,16 @@ def _telling(points, weights, cut, reach):  # type: ignore[no-untyped-def]
     """What each point (2, N) of an outline tells of a motion in each direction: matrices xx, xy, yy (3, N).
 
     One less the variance of the outline about it, in `reach` squared: 0 along a line that goes on, 1 across it, and
-    next to 1 for what is small or ends there; hardly anything where the outline is cut off.
+    next to 1 for what is small or ends there; hardly anything along it where it is cut off.
     """
-    tells = np.empty((3, points.shape[1]))
-    scale = 1.0 / (reach * reach)
+    tells = np.empty((3, points.shape[1]), np.float32)
+    scale, about, nearby = 1.0 / (reach * reach), _exponent(reach), _exponent(CUT_REACH * reach)
+    ends = points[:, cut]
     for i in range(points.shape[1]):
-        total = x = y = xx = xy = yy = 0.0
+        total = x = y = xx = xy = yy = ZERO
         for j in range(points.shape[1]):
             dx, dy = points[0, j] - points[0, i], points[1, j] - points[1, i]
-            share = weights[j] * _exp(-0.5 * scale * (dx * dx + dy * dy))
+            share = weights[j] * _exp(about * (dx * dx + dy * dy))
             total += share
             x += share * dx
             y += share * dy
@@ -143,23 +156,32 @@ def _telling(points, weights, cut, reach):  # type: ignore[no-untyped-def]
             yy += share * dy * dy
         x, y = x / total, y / total
         xx, xy, yy = xx / total - x * x, xy / total - x * y, yy / total - y * y
-        xx, xy, yy = _not_negative(1.0 - scale * xx, -scale * xy, 1.0 - scale * yy)
-        share = CUT if cut[i] else 1.0
-        tells[0, i], tells[1, i], tells[2, i] = share * xx, share * xy, share * yy
+        along = 1.0 - (1.0 - CUT) * _exp(nearby * _squared_distance(points[0, i], points[1, i], ends))
+        tells[0, i], tells[1, i], tells[2, i] = _less_along(1.0 - scale * xx, -scale * xy, 1.0 - scale * yy, along)
     return tells
+
+
+@numba.njit(error_model="numpy")
+def _squared_distance(x, y, points):  # type: ignore[no-untyped-def]
+    """From x, y to the nearest of `points` (2, N); NOWHERE where there are none."""
+    nearest = NOWHERE
+    for j in range(points.shape[1]):
+        dx, dy = points[0, j] - x, points[1, j] - y
+        nearest = min(nearest, dx * dx + dy * dy)
+    return nearest
 
 
 @numba.njit(error_model="numpy", fastmath=True)
 def _expect(points, trust, others, weights, tells, width, expected):  # type: ignore[no-untyped-def]
-    """Write where each of `points` (2, K) is expected to be of the outline `others` (2, N) into `expected` (K, 6).
+    """Write where each of `points` (2, K) is expected to be of the outline `others` (2, N) into `expected` (6, K).
 
     How far from it along x and y, and what that tells, xx, xy, yy: what those points tell, `tells` (3, N), times the
     probability that it is of this outline, times `trust` (K,). At last its likelihood.
     """
-    scale = -0.5 / (width * width)
+    scale = _exponent(width)
     for i in range(points.shape[1]):
-        total = x = y = xx = xy = yy = 0.0
-        if trust[i] > 0.0:
+        total = x = y = xx = xy = yy = ZERO
+        if trust[i] > ZERO:
             for j in range(others.shape[1]):
                 dx, dy = others[0, j] - points[0, i], others[1, j] - points[1, i]
                 share = weights[j] * _exp(scale * (dx * dx + dy * dy))
@@ -169,66 +191,72 @@ def _expect(points, trust, others, weights, tells, width, expected):  # type: ig
                 xx += share * tells[0, j]
                 xy += share * tells[1, j]
                 yy += share * tells[2, j]
-        some, mixed = max(total, 1e-300), total + OUTLIER
+        some, mixed = max(total, LEAST), total + OUTLIER
         share = trust[i] / mixed
-        each = expected[i]
-        each[0], each[1], each[2], each[3], each[4] = x / some, y / some, share * xx, share * xy, share * yy
-        each[5] = mixed
+        expected[0, i], expected[1, i] = x / some, y / some
+        expected[2, i], expected[3, i], expected[4, i] = share * xx, share * xy, share * yy
+        expected[5, i] = mixed
+
+
+@numba.njit(error_model="numpy")
+def _exponent(width):  # type: ignore[no-untyped-def]
+    """What a squared distance is multiplied by in the exponent of a kernel of this width."""
+    return np.float32(-0.5 / (width * width))
 
 
 @numba.njit(error_model="numpy", fastmath=True)
 def _exp(x):  # type: ignore[no-untyped-def]
     """Exponential of `x` <= 0, to 1e-3 of itself where that is above exp(FURTHEST), and 0 beyond; it vectorises."""
-    y = max(x, FURTHEST) / 16.0
-    y = 1.0 + y * (1.0 + y * (0.5 + y * (1.0 / 6.0 + y * (1.0 / 24.0 + y / 120.0))))
+    y = max(x, FURTHEST) * SIXTEENTH
+    y = ONE + y * (ONE + y * (SERIES[0] + y * (SERIES[1] + y * (SERIES[2] + y * SERIES[3]))))
     y *= y
     y *= y
     y *= y
     y *= y
-    return y if x > FURTHEST else 0.0
+    return y if x > FURTHEST else ZERO
 
 
 @numba.njit(error_model="numpy")
 def _curvature(points, met, placed, meets, pose, width, turns):  # type: ignore[no-untyped-def]
     """Gradient (3,) of the log likelihood at `pose` (3,), and its negative curvature (3, 3), with the unknown's.
 
-    Of the returns `points` (2, K), which expect the boundary to be `met` (K, 6), and of the boundary points `placed`
-    (2, N), which expect returns where they are `meets` (N, 6).
+    Of the returns `points` (2, K), which expect the boundary to be `met` (6, K), and of the boundary points `placed`
+    (2, N), which expect returns where they are `meets` (6, N).
     """
-    gradient, total = np.zeros(3), np.zeros((3, 3))
-    for i in range(points.shape[1]):
-        dx, dy = met[i, 0], met[i, 1]
-        x, y = points[0, i] + dx - pose[0], points[1, i] + dy - pose[1]
-        _add_pair(x, y, -dx, -dy, met[i, 2:5], turns, gradient, total)
-    for j in range(placed.shape[1]):
-        x, y = placed[0, j] - pose[0], placed[1, j] - pose[1]
-        _add_pair(x, y, meets[j, 0], meets[j, 1], meets[j, 2:5], turns, gradient, total)
-    gradient /= width * width
-    total /= width * width
-    total[1, 0], total[2, 0], total[2, 1] = total[0, 1], total[0, 2], total[1, 2]
+    x, y, turn, xx, xy, yy, x_turn, y_turn, turn_turn = np.add(
+        _pulls(points, met, ONE, pose), _pulls(placed, meets, ZERO, pose)
+    ) / (width * width)
+    if not turns:
+        turn = x_turn = y_turn = turn_turn = 0.0
+    gradient = np.array([x, y, turn])
+    total = np.array([[xx, xy, x_turn], [xy, yy, y_turn], [x_turn, y_turn, turn_turn]])
     for axis in range(3):
         total[axis, axis] += 1.0 / UNKNOWN[axis]
     return gradient, total
 
 
-@numba.njit(error_model="numpy")
-def _add_pair(x, y, rx, ry, tells, turns, gradient, total):  # type: ignore[no-untyped-def]
-    """Add to `gradient` (3,) and the upper half of `total` (3, 3) a boundary point at x, y from the body's position.
+@numba.njit(error_model="numpy", fastmath=True)
+def _pulls(points, expected, on_boundary, pose):  # type: ignore[no-untyped-def]
+    """What `points` (2, N) and what they expect, `expected` (6, N), add to `_curvature`, before its width.
 
-    It belongs by rx, ry further on, which is told in the directions of the matrix `tells` (3,).
+    What they expect is where the boundary lies, or where they are `on_boundary` 0 themselves, where it belongs.
     """
-    xx, xy, yy = tells
-    fx, fy = xx * rx + xy * ry, xy * rx + yy * ry
-    gradient[0] += fx
-    gradient[1] += fy
-    total[0, 0] += xx
-    total[0, 1] += xy
-    total[1, 1] += yy
-    if turns:
-        gradient[2] += x * fy - y * fx
-        total[0, 2] += xy * x - xx * y
-        total[1, 2] += yy * x - xy * y
-        total[2, 2] += xx * y * y - 2.0 * xy * x * y + yy * x * x
+    x = y = turn = xx = xy = yy = x_turn = y_turn = turn_turn = ZERO
+    pose_x, pose_y, pull = np.float32(pose[0]), np.float32(pose[1]), ONE - on_boundary - on_boundary
+    for i in range(points.shape[1]):
+        dx, dy, axx, axy, ayy = expected[0, i], expected[1, i], expected[2, i], expected[3, i], expected[4, i]
+        bx, by = points[0, i] + on_boundary * dx - pose_x, points[1, i] + on_boundary * dy - pose_y
+        fx, fy = pull * (axx * dx + axy * dy), pull * (axy * dx + ayy * dy)
+        x += fx
+        y += fy
+        turn += bx * fy - by * fx
+        xx += axx
+        xy += axy
+        yy += ayy
+        x_turn += axy * bx - axx * by
+        y_turn += ayy * bx - axy * by
+        turn_turn += axx * by * by - (axy + axy) * bx * by + ayy * bx * bx
+    return np.array([x, y, turn, xx, xy, yy, x_turn, y_turn, turn_turn])
 
 
 @numba.njit(error_model="numpy")
@@ -244,12 +272,12 @@ def _inverse(a):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(error_model="numpy")
-def _not_negative(xx, xy, yy):  # type: ignore[no-untyped-def]
-    """The symmetric matrix xx, xy, yy with its negative eigenvalues set to zero."""
+def _less_along(xx, xy, yy, share):  # type: ignore[no-untyped-def]
+    """The symmetric matrix xx, xy, yy with this share of its lower eigenvalue, and nothing that is negative."""
     middle, half = 0.5 * (xx + yy), math.hypot(0.5 * (xx - yy), xy)
-    high, low = max(middle + half, 0.0), max(middle - half, 0.0)
+    high, low = max(middle + half, 0.0), share * max(middle - half, 0.0)
     if half < 1e-12:
-        return high, 0.0, high
+        return low, 0.0, low
     cosine, sine = 0.5 * (xx - yy) / half, xy / half  # of twice the angle of the first axis
     mean, difference = 0.5 * (high + low), 0.5 * (high - low)
     return mean + difference * cosine, difference * sine, mean - difference * cosine

@@ -20,7 +20,7 @@ ESTABLISHED_FRAMES = 8
 """For as many frames a boundary point must have been there to be of the body, and not the trail of what leaves it."""
 HIDDEN_FADES = 0.1
 """A boundary point whose place is hidden fades at this share of the speed of one that is seen not to be there."""
-FORGOTTEN = 0.02
+FORGOTTEN = 0.05
 """Weight below which a boundary point is dropped."""
 
 
