@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
+
+Angle = TypeVar("Angle", float, NDArray[np.float64])
+"""Radians: one angle, or an array of them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,6 +42,6 @@ class SE2:
         return moved
 
 
-def wrap_angle(theta: float) -> float:
+def wrap_angle(theta: Angle) -> Angle:
     """The same angle in [-pi, pi)."""
     return (theta + math.pi) % (2.0 * math.pi) - math.pi

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gridtrack.trackers.model_free.matching import UNKNOWN, Outline, match
+from gridtrack.trackers.model_free.matching import UNKNOWN, Match, Outlines, Pairs, match
 from gridtrack.trackers.model_free.shape import MAX_POINTS, Shape, rotation, to_body
 
 SURFACE_M = 0.1
@@ -27,21 +27,22 @@ def placed(offsets, pose):
     return np.asarray(pose[:2]) + offsets @ rotation(pose[2]).T
 
 
-def outline(points, cut=None):
-    """Everything there, and nothing cut off unless said."""
-    return Outline(np.ascontiguousarray(points), np.ones(len(points)), nowhere(len(points)) if cut is None else cut)
-
-
 def nowhere(count):
     """No point is cut off, or seen."""
     return np.zeros(count, bool)
 
 
-def matched(points, offsets, start=(0.0, 0.0, 0.0), turns=True, unsure_m=0.4, cut=None, seen=None):
-    """Nothing of the boundary `offsets` is in view but its returns, unless said what is `seen` of it."""
+def outline(points, cut=None):
+    """Everything there, and nothing cut off unless said."""
+    return Outlines.of([points], [np.ones(len(points))], [nowhere(len(points)) if cut is None else cut])
+
+
+def matched(points, offsets, *starts, turns=True, unsure_m=0.4, cut=None, seen=None) -> Match:
+    """Starts at zero, and nothing of the boundary `offsets` is in view but its returns, unless said otherwise."""
+    starts = np.array([starts or [(0.0, 0.0, 0.0)]], float)
+    pairs = Pairs(np.zeros((1, 2), int), starts, np.array([unsure_m]), np.ones(1, bool), np.array([turns]))
     seen = nowhere(len(offsets)) if seen is None else seen
-    starts = np.array([start], float)
-    return match(outline(points), outline(offsets, cut), seen, starts, unsure_m, SURFACE_M, turns)
+    return match(outline(offsets, cut), seen, outline(points), pairs, SURFACE_M).of(0)
 
 
 @settings(max_examples=40, deadline=None)
@@ -54,15 +55,29 @@ def test_the_pose_of_a_corner_is_found(x, y, turn):
 
 def test_it_starts_where_the_object_is_expected():
     pose = (8.0, -3.0, 1.2)
-    found = matched(placed(L_SHAPE, pose), L_SHAPE, start=(7.8, -2.9, 1.1))
+    found = matched(placed(L_SHAPE, pose), L_SHAPE, (7.8, -2.9, 1.1))
     assert found.pose == pytest.approx(pose, abs=0.03)
 
 
 def test_the_best_of_several_starts_is_taken():
-    starts = np.array([[30.0, 0.0, 0.0], [5.1, 0.1, 0.0]])
-    returns = outline(placed(L_SHAPE, (5.0, 0.0, 0.0)))
-    found = match(returns, outline(L_SHAPE), nowhere(len(L_SHAPE)), starts, 0.4, SURFACE_M, True)
+    nothing = 3 * (math.nan,)
+    found = matched(placed(L_SHAPE, (5.0, 0.0, 0.0)), L_SHAPE, (30.0, 0.0, 0.0), (5.1, 0.1, 0.0), nothing)
     assert found.pose == pytest.approx([5.0, 0.0, 0.0], abs=0.03)
+
+
+def test_pairs_are_matched_each_for_itself():
+    poses = np.array([[0.2, 0.1, 0.05], [-0.1, 0.2, 0.0]])
+    one, other = L_SHAPE, WALL[:30]
+    boundaries = Outlines.of([one, other], [np.ones(59), np.ones(30)], [nowhere(59), nowhere(30)])
+    shown = [placed(other, poses[1]), placed(one, poses[0])]
+    returns = Outlines.of(shown, [np.ones(30), np.ones(59)], [nowhere(30), nowhere(59)])
+    numbers = np.array([[0, 1], [1, 0], [0, 0]])
+    pairs = Pairs(numbers, np.zeros((3, 1, 3)), np.full(3, 0.4), np.ones(3, bool), np.array([True, False, True]))
+    found = match(boundaries, nowhere(89), returns, pairs, SURFACE_M)
+    for pair, (b, r) in enumerate(numbers):
+        alone = matched(shown[r], (one, other)[b], turns=pair != 1)
+        for together, by_itself in zip(found.of(pair), alone, strict=True):
+            assert together == pytest.approx(by_itself)
 
 
 def test_a_wall_says_nothing_of_a_motion_along_itself():
@@ -98,7 +113,7 @@ def test_a_boundary_in_view_that_nothing_returns_draws_it_on():
 
 def test_a_turned_wall_says_nothing_along_its_own_direction():
     turn = math.radians(30)
-    found = matched(placed(WALL[25:56], (0.0, 0.0, turn)), WALL, start=(0.0, 0.0, turn))
+    found = matched(placed(WALL[25:56], (0.0, 0.0, turn)), WALL, (0.0, 0.0, turn))
     spread = rotation(turn).T @ found.covariance[:2, :2] @ rotation(turn)
     assert math.sqrt(spread[0, 0]) > 1.0
     assert math.sqrt(spread[1, 1]) < 0.05
@@ -141,11 +156,19 @@ def test_the_edge_of_a_shadow_does_not_hold_a_wall_that_slides_past_it():
     window = WALL[25:56]
     ends = np.zeros(len(window), bool)
     ends[[*range(4), *range(-4, 0)]] = True
-    start = (0.3, 0.0, 0.0)
-    free, held = (matched(window, window, start, unsure_m=0.1, cut=cut) for cut in (ends, None))
-    assert free.pose[0] > 0.25
-    assert held.pose[0] < 0.15
-    assert free.covariance[0, 0] > 4.0 * held.covariance[0, 0]
+    free, held = (matched(window, window, (0.3, 0.0, 0.0), unsure_m=0.3, cut=cut) for cut in (ends, None))
+    assert held.pose[0] == pytest.approx(0.0, abs=0.02)
+    assert math.sqrt(held.covariance[0, 0]) < 0.05
+    assert math.sqrt(free.covariance[0, 0]) > 0.2
+    assert math.sqrt(free.covariance[1, 1]) < 0.05
+
+
+def test_who_has_no_outline_that_goes_on_is_held_by_every_end():
+    window = WALL[25:56]
+    everywhere = np.ones(len(window), bool)
+    pairs = Pairs(np.zeros((1, 2), int), np.array([[[0.2, 0.0, 0.0]]]), np.array([0.3]), nowhere(1), nowhere(1))
+    found = match(outline(window, everywhere), nowhere(31), outline(window, everywhere), pairs, SURFACE_M)
+    assert found.of(0).pose[0] == pytest.approx(0.0, abs=0.02)
 
 
 # Shape
@@ -171,12 +194,25 @@ def test_a_shape_is_as_often_occupied_as_its_points_were_met():
 
 def test_a_side_that_is_hidden_is_remembered_longer_than_one_seen_to_be_gone():
     shape = Shape.of(np.array([[0.0, 0.0], [1.0, 0.0], [2.0, 0.0]]), nowhere(3), 0.1)
-    for _ in range(20):
-        in_view = np.array([True, True, False])[: len(shape.weights)]
-        shape.absorb(np.array([[0.0, 0.0]]), nowhere(1), in_view, 0.1, gain=0.1)
+    for _ in range(12):
+        shape.absorb(np.array([[0.0, 0.0]]), nowhere(1), np.array([True, True, False]), 0.1, gain=0.1)
     assert shape.weights[0] == pytest.approx(1.0)
     assert shape.weights[1] < 0.2
     assert shape.weights[2] > 0.6
+    for _ in range(12):
+        shape.absorb(np.array([[0.0, 0.0]]), nowhere(1), np.ones(len(shape.weights), bool), 0.1, gain=0.1)
+    assert len(shape.weights) == 2, "what has not been there for long is dropped"
+
+
+@pytest.mark.parametrize("gain", [0.4, 0.02])
+def test_a_new_point_is_kept_for_some_frames_however_long_the_memory(gain):
+    shape = Shape.of(np.array([[0.0, 0.0]]), nowhere(1), 0.1)
+    for _ in range(100):
+        shape.absorb(np.array([[0.0, 0.0]]), nowhere(1), np.ones(1, bool), 0.1, gain)
+    shape.absorb(np.array([[0.0, 0.0], [1.0, 0.0]]), nowhere(2), np.ones(1, bool), 0.1, gain)
+    assert shape.weights[1] == pytest.approx(gain)
+    shape.absorb(np.array([[0.0, 0.0]]), nowhere(1), np.ones(2, bool), 0.1, gain)
+    assert (len(shape.weights) == 2) == (gain < 0.4)
 
 
 @given(st.integers(1, 40))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from functools import cache
-from typing import Any, Literal
+from typing import Literal
 
 import numba
 import numpy as np
@@ -14,6 +14,7 @@ from scipy.optimize import linear_sum_assignment
 from scipy.sparse.csgraph import connected_components
 from scipy.stats import chi2
 
+from gridtrack.trackers.model_free.ragged import bounds_of, split
 from gridtrack.trackers.model_free.segmentation import Cluster
 
 Array = NDArray[np.float64]
@@ -145,24 +146,13 @@ def _joined(parts: list[Cluster]) -> Cluster:
 
 def gaps(distances: Array, clusters: Sequence[Cluster]) -> Array:
     """Distance (T, C) between each track's boundary and each cluster, from those of every return (K, T)."""
-    return np.asarray(np.minimum.reduceat(distances, starts_of(clusters), axis=0).T)
-
-
-def split(rows: NDArray[Any], clusters: Sequence[Cluster]) -> list[NDArray[Any]]:
-    """The rows (K, ...) of all returns, cluster by cluster."""
-    return np.split(rows, starts_of(clusters)[1:])
-
-
-def starts_of(clusters: Sequence[Cluster]) -> NDArray[np.int64]:
-    """The row of each cluster's first return (C,) among all of them, cluster by cluster."""
-    return np.cumsum([0, *(len(cluster.points) for cluster in clusters[:-1])])
+    return np.asarray(np.minimum.reduceat(distances, bounds_of(clusters)[:-1], axis=0).T)
 
 
 def distances_to(points: Array, boundaries: Sequence[Array]) -> Array:
     """Distance (K, T) of each of `points` (K, 2) from the nearest point of each boundary (N, 2), metres."""
-    ends = np.cumsum([len(boundary) for boundary in boundaries])
     x, y = np.ascontiguousarray(np.concatenate(boundaries).T)
-    return np.asarray(_distances_to(np.ascontiguousarray(points), x, y, ends))
+    return np.asarray(_distances_to(np.ascontiguousarray(points), x, y, bounds_of(boundaries)[1:]))
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=True)

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from gridtrack.common.errors import WeightsError
 from gridtrack.common.grid import GridFrame, GridSpec, Mask
+from gridtrack.trackers.model_free.ragged import bounds_of
 from gridtrack.trackers.model_free.tracks import Track
 from gridtrack.trackers.weights import Weights, array
 
@@ -161,7 +162,7 @@ def features_of(tracks: Sequence[Track], frame: GridFrame) -> Array:
     Extents of the newest returns along their own longer axis, and along and across the motion; speed; and the range of
     their centre from the nearest sensor, for what is far shows fewer returns.
     """
-    ends = np.cumsum([0, *(len(track.returns) for track in tracks)])
+    ends = bounds_of([track.returns for track in tracks])
     motions = np.stack([track.estimator.mean[3:5] for track in tracks])
     points = np.concatenate([track.returns for track in tracks])
     return np.asarray(_features(points, ends, motions, frame.origins.astype(np.float64)))

@@ -11,6 +11,7 @@ from gridtrack.common.grid import GridFrame, GridSpec
 from gridtrack.trackers.contract import TrackedObject
 from gridtrack.trackers.model_free.dwell import staying
 from gridtrack.trackers.model_free.motion import Regimes, propagate
+from gridtrack.trackers.model_free.ragged import split
 from gridtrack.trackers.model_free.rasterise import draw_track
 from gridtrack.trackers.model_free.settings import PipelineSettings
 from gridtrack.trackers.model_free.shape import in_view, rotation, to_body
@@ -115,15 +116,15 @@ def _newest_returns(
 
     That is by its age, and less the faster the track moves.
     """
-    counts = [len(track.returns) for track in tracks]
+    returns = [track.returns for track in tracks]
+    counts = [len(points) for points in returns]
     velocities = np.stack([track.estimator.mean[3:5] for track in tracks])
     slow = np.exp(-(velocities**2).sum(axis=1) / dwell_speed**2)
     unseen = np.repeat([track.unseen for track in tracks], counts)
     still = staying(dwell, np.concatenate([track.ages for track in tracks]), unseen, steps)
     still *= np.repeat(slow, counts)[:, None].astype(np.float32)
-    places = in_cells(np.concatenate([track.returns for track in tracks]), grid)
-    ends = np.cumsum(counts)[:-1]
-    return zip(np.split(places, ends), np.split(still, ends), strict=True)
+    places = in_cells(np.concatenate(returns), grid)
+    return zip(split(places, returns), split(still, returns), strict=True)
 
 
 def tracked_object(track: Track) -> TrackedObject:

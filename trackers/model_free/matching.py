@@ -12,11 +12,14 @@ themselves lie in the middle of cells, and a side that glides past the grid woul
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numba
 import numpy as np
 from numpy.typing import NDArray
+
+from gridtrack.trackers.model_free.ragged import bounds_of
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -47,12 +50,20 @@ UNKNOWN = (1e4, 1e4, 1e3)
 """Variance of a direction that the returns say nothing of, along x and y (m^2) and of the heading (rad^2)."""
 
 
-class Outline(NamedTuple):
-    """Points (N, 2) in metres, how likely each is to be there (N,), and at which the outline is cut off (N,)."""
+class Outlines(NamedTuple):
+    """G outlines one after the other: their points (N, 2) in metres, how likely each is to be there (N,), and at which
+    the outline is cut off (N,). Those of outline g are `bounds` (G+1,) [g] to [g+1].
+    """
 
     points: Array
     weights: Array
     cut: Mask
+    bounds: NDArray[np.int64]
+
+    @classmethod
+    def of(cls, points: Sequence[Array], weights: Sequence[Array], cut: Sequence[Mask]) -> Outlines:
+        """The outlines, from the points (N, 2), weights (N,) and cut-off ends (N,) of each; there is at least one."""
+        return cls(np.concatenate(points), np.concatenate(weights), np.concatenate(cut), bounds_of(points))
 
 
 class Match(NamedTuple):
@@ -67,38 +78,83 @@ class Match(NamedTuple):
     residual: float
 
 
-def match(
-    returns: Outline, boundary: Outline, seen: Mask, starts: Array, unsure_m: float, surface_m: float, turns: bool
-) -> Match:
-    """Match returns in the grid frame to a boundary in the body's frame, of which the points `seen` (N,) are in view.
+class Matches(NamedTuple):
+    """Those of P pairs: `poses` (P, 3), `covariances` (P, 3, 3) and `residuals` (P,), each as that of a Match."""
 
-    Where either is cut off it may go on unseen, and that end hardly tells. `surface_m` is the standard deviation of a
-    return about the boundary. The best end of all `starts` (S, 3) is taken, each as uncertain as `unsure_m`, in metres:
-    from a wide kernel, a body of which more has come into view than its boundary holds is drawn towards that; from a
-    narrow one, a start that is far off finds nothing. Without `turns` the heading stays as at the start, and its
-    variance is that of the unknown.
+    poses: Array
+    covariances: Array
+    residuals: Array
+
+    def of(self, pair: int) -> Match:
+        """That of one pair."""
+        return Match(self.poses[pair], self.covariances[pair], float(self.residuals[pair]))
+
+
+class Pairs(NamedTuple):
+    """P pairs to match: which boundary and which outline of returns, `numbers` (P, 2), from which `starts` (P, S, 3).
+
+    Each finite start, x, y and heading, is as uncertain as `unsure_m` (P,) in metres. Only what `goes_on` (P,) may go
+    on unseen where it is cut off; what `turns` (P,) is of which both show a heading.
     """
-    return Match(*_best_match(returns, boundary, seen, starts, unsure_m, surface_m, turns))
+
+    numbers: NDArray[np.int64]
+    starts: Array
+    unsure_m: Array
+    goes_on: Mask
+    turns: Mask
+
+
+def match(boundaries: Outlines, seen: Mask, returns: Outlines, pairs: Pairs, surface_m: float) -> Matches:
+    """Match boundaries in their bodies' frames, of which the points `seen` (N,) are in view, to returns in the grid's.
+
+    `surface_m` is the standard deviation of a return about the boundary. The best end of all starts is taken: from a
+    wide kernel, a body of which more has come into view than its boundary holds is drawn towards that; from a narrow
+    one, a start that is far off finds nothing. What does not turn keeps the heading of the start, and its variance is
+    that of the unknown.
+    """
+    pairs = pairs._replace(numbers=np.ascontiguousarray(pairs.numbers))
+    return Matches(*_match(boundaries, seen, returns, pairs, surface_m))
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _best_match(returns, boundary, seen, starts, unsure_m, surface_m, turns):  # type: ignore[no-untyped-def]
-    """Pose (3,), covariance (3, 3) and residual of the best match from any of the starts (S, 3)."""
-    points, placed = np.empty((2, len(returns.points)), np.float32), np.empty((2, len(boundary.points)), np.float32)
-    there, likely = returns.weights.astype(np.float32), boundary.weights.astype(np.float32)
-    back = np.where(seen, BACK * boundary.weights, 0.0).astype(np.float32)
-    met, meets = np.empty((6, points.shape[1]), np.float32), np.empty((6, placed.shape[1]), np.float32)
-    widths = _widths(unsure_m, surface_m)
-    _place(returns.points, -starts[0, 0], -starts[0, 1], 0.0, points)
-    _place(boundary.points, 0.0, 0.0, starts[0, 2], placed)
-    telling = _telling(points, there, returns.cut, GOES_ON * surface_m)
-    told = _telling(placed, likely, boundary.cut, GOES_ON * surface_m)
+def _match(boundaries, seen, returns, pairs, surface_m):  # type: ignore[no-untyped-def]
+    """Poses (P, 3), covariances (P, 3, 3) and residuals (P,); see `match`."""
+    count = len(pairs.numbers)
+    poses, covariances, residuals = np.empty((count, 3)), np.empty((count, 3, 3)), np.empty(count)
+    for p in range(count):
+        b, r = pairs.numbers[p]
+        own = slice(boundaries.bounds[b], boundaries.bounds[b + 1])
+        theirs = slice(returns.bounds[r], returns.bounds[r + 1])
+        poses[p], covariances[p], residuals[p] = _best_match(
+            (boundaries.points[own], boundaries.weights[own], boundaries.cut[own] & pairs.goes_on[p]),
+            seen[own],
+            (returns.points[theirs], returns.weights[theirs], returns.cut[theirs] & pairs.goes_on[p]),
+            pairs.starts[p],
+            _widths(pairs.unsure_m[p], surface_m),
+            surface_m,
+            pairs.turns[p],
+        )
+    return poses, covariances, residuals
+
+
+@numba.njit(error_model="numpy")
+def _best_match(boundary, seen, returns, starts, widths, surface_m, turns):  # type: ignore[no-untyped-def]
+    """Pose (3,), covariance (3, 3) and residual of the best match of one pair from any of the starts (S, 3)."""
+    (offsets, weights, cut), (positions, trust, returns_cut) = boundary, returns
+    points, placed = np.empty((2, len(positions)), np.float32), np.empty((2, len(offsets)), np.float32)
+    there, likely = trust.astype(np.float32), weights.astype(np.float32)
+    back = np.where(seen, BACK * weights, 0.0).astype(np.float32)
+    met, meets = np.empty((6, len(positions)), np.float32), np.empty((6, len(offsets)), np.float32)
+    _place(positions, -starts[0, 0], -starts[0, 1], 0.0, points)
+    _place(offsets, 0.0, 0.0, starts[0, 2], placed)
+    telling = _telling(points, there, returns_cut, GOES_ON * surface_m)
+    told = _telling(placed, likely, cut, GOES_ON * surface_m)
     best, covariance, residual = starts[0], np.empty((3, 3)), np.inf
-    for s in range(len(starts)):
-        moved = np.array([0.0, 0.0, starts[s, 2]])  # from the start, for single precision
-        _place(returns.points, -starts[s, 0], -starts[s, 1], 0.0, points)
+    for start in starts[np.isfinite(starts[:, 0])]:
+        moved = np.array([0.0, 0.0, start[2]])  # from the start, for single precision
+        _place(positions, -start[0], -start[1], 0.0, points)
         for n in range(len(widths)):
-            _place(boundary.points, moved[0], moved[1], moved[2], placed)
+            _place(offsets, moved[0], moved[1], moved[2], placed)
             _expect(points, there, placed, likely, told, widths[n], met)
             _expect(placed, back, points, there, telling, widths[n], meets)
             gradient, information = _curvature(points, met, placed, meets, moved, widths[n], turns)
@@ -106,9 +162,9 @@ def _best_match(returns, boundary, seen, starts, unsure_m, surface_m, turns):  #
             if n < len(widths) - 1:
                 step = inverse @ gradient
                 moved += step * min(1.0, widths[n] / max(math.hypot(step[0], step[1]), 1e-9))
-        misfit = -2.0 * np.log(np.minimum(met[5], 1.0)).mean()
+        misfit = -2.0 * np.log(np.minimum(met[5], ONE)).mean()
         if misfit < residual:
-            moved[:2] += starts[s, :2]
+            moved[:2] += start[:2]
             best, covariance, residual = moved, inverse, misfit
     return best, covariance, residual
 

@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from functools import lru_cache
 from typing import NamedTuple
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from gridtrack.common.geometry import wrap_angle
-from gridtrack.trackers.model_free.association import distances_to, gaps, starts_of
-from gridtrack.trackers.model_free.matching import Match, Outline, match
+from gridtrack.trackers.model_free.association import distances_to, gaps
+from gridtrack.trackers.model_free.matching import Match, Matches, Outlines, Pairs, match
+from gridtrack.trackers.model_free.ragged import bounds_of, centres_of, spans_of
 from gridtrack.trackers.model_free.segmentation import Cluster
 from gridtrack.trackers.model_free.settings import PipelineSettings
-from gridtrack.trackers.model_free.shape import span_m
 from gridtrack.trackers.model_free.tracks import Track
 
 Array = NDArray[np.float64]
@@ -33,21 +31,50 @@ ON_BOUNDARY, MOST = 2.0, 0.8
 """A cluster lies on a boundary where this share of its returns is within so many surface widths of it."""
 
 
-def measure(track: Track, cluster: Cluster, seen: Mask, settings: PipelineSettings) -> Match:
-    """The pose of a track as a cluster shows it, with all noise; of its boundary the points `seen` (N,) are in view."""
-    (xx, _, _), (_, yy, _) = track.estimator.covariance[:2, :3].tolist()
-    starts, unsure_m = track.pose[None], math.sqrt(max(xx, yy))
-    if unsure_m > UNSURE * settings.surface_m:
-        shift = cluster.centre - track.boundary.mean(axis=0)
-        starts = starts + np.array([[0.0, 0.0, 0.0], [shift[0], shift[1], 0.0]])
-    points, shape = cluster.points, track.shape
-    long = shape.extent_m >= TURNS_FROM_M
-    turns = long and span_m(points) >= TURNS_FROM_M
+def measure(
+    tracks: Sequence[Track],
+    views: Sequence[Mask],
+    clusters: Sequence[Cluster],
+    numbers: NDArray[np.int64],
+    settings: PipelineSettings,
+) -> Matches:
+    """The pose of a track as a cluster shows it, with all noise, for P pairs of them, `numbers` (P, 2).
+
+    Of each track's boundary the points of its `views` (N,) are in view.
+    """
+    shapes = [track.shape for track in tracks]
+    boundaries = Outlines.of(
+        [shape.offsets for shape in shapes], [shape.weights for shape in shapes], [shape.cut for shape in shapes]
+    )
+    returns = Outlines.of(
+        [cluster.points for cluster in clusters],
+        [np.ones(len(cluster)) for cluster in clusters],
+        [cluster.cut for cluster in clusters],
+    )
+    t, c = numbers.T
     # A person does not go on for long behind what hides the rest: no end is cut off.
-    returns = Outline(points, np.ones(len(points)), cluster.cut & long)
-    boundary = Outline(shape.offsets, shape.weights, shape.cut & long)
-    found = match(returns, boundary, seen, starts, unsure_m, settings.surface_m, turns)
-    return found._replace(covariance=found.covariance + noise(settings))
+    goes_on = spans_of(boundaries.points, boundaries.bounds)[t] >= TURNS_FROM_M
+    turns = goes_on & (spans_of(returns.points, returns.bounds)[c] >= TURNS_FROM_M)
+    pairs = Pairs(numbers, *_starts(tracks, returns, numbers, settings.surface_m), goes_on, turns)
+    found = match(boundaries, np.concatenate(views), returns, pairs, settings.surface_m)
+    return found._replace(covariances=found.covariances + noise(settings))
+
+
+def _starts(
+    tracks: Sequence[Track], returns: Outlines, numbers: NDArray[np.int64], surface_m: float
+) -> tuple[Array, Array]:
+    """Where the match of each pair starts (P, 2, 3), and how uncertain that is (P,), metres: at the predicted pose.
+
+    And if that is unsure, with the boundary's centre on the cluster's.
+    """
+    t, c = numbers.T
+    boundaries = [track.boundary for track in tracks]
+    centres = centres_of(np.concatenate(boundaries), bounds_of(boundaries))
+    shifts = centres_of(returns.points, returns.bounds)[c] - centres[t]
+    unsure_m = np.sqrt(_covariances(tracks)[:, (0, 1), (0, 1)].max(axis=1))[t]
+    starts = np.repeat(np.stack([track.pose for track in tracks])[t, None], 2, axis=1)
+    starts[:, 1, :2] += np.where(unsure_m > UNSURE * surface_m, shifts.T, np.nan).T
+    return starts, unsure_m
 
 
 @lru_cache(maxsize=64)
@@ -77,14 +104,13 @@ def compare(
     `distances` (K, T) of the clusters' returns from the predicted boundaries, metres; `views` (T) of those.
     """
     costs, mahalanobis = np.full((2, len(tracks), len(clusters)), np.inf)
-    matches = {}
-    spreads = np.stack([track.estimator.covariance[:2, :2] for track in tracks])
-    reach = settings.reach_m + REACH_SIGMAS * np.sqrt(np.linalg.eigvalsh(spreads)[:, -1])
-    for t, c in np.argwhere(gaps(distances, clusters) <= reach[:, None]).tolist():
-        found = matches[t, c] = measure(tracks[t], clusters[c], views[t], settings)
-        mahalanobis[t, c] = squared_mahalanobis(found, tracks[t])
-        costs[t, c] = mahalanobis[t, c] + found.residual
-    return Pairing(costs, mahalanobis, matches)
+    reach = settings.reach_m + REACH_SIGMAS * np.sqrt(np.linalg.eigvalsh(_covariances(tracks)[:, :2, :2])[:, -1])
+    numbers = np.argwhere(gaps(distances, clusters) <= reach[:, None])
+    found = measure(tracks, views, clusters, numbers, settings)
+    t, c = numbers.T
+    mahalanobis[t, c] = squared_mahalanobis(found, tracks, t)
+    costs[t, c] = mahalanobis[t, c] + found.residuals
+    return Pairing(costs, mahalanobis, {(t, c): found.of(p) for p, (t, c) in enumerate(numbers.tolist())})
 
 
 def belonging(
@@ -99,8 +125,8 @@ def belonging(
     seen = [clusters[pairs[t]].points if t in pairs else track.boundary for t, track in enumerate(tracks)]
     within_reach = gaps(distances_to(points, seen), clusters) <= settings.reach_m
     on_it = distances_to(points, [track.established for track in tracks]) <= ON_BOUNDARY * settings.surface_m
-    sizes = np.array([len(cluster.points) for cluster in clusters])
-    shares = np.add.reduceat(on_it, starts_of(clusters), axis=0, dtype=np.float64).T / sizes
+    bounds = bounds_of(clusters)
+    shares = np.add.reduceat(on_it, bounds[:-1], axis=0, dtype=np.float64).T / np.diff(bounds)
     return np.asarray(within_reach | (shares >= MOST))
 
 
@@ -115,16 +141,23 @@ def measured(
     """Track -> the pose that its share of the returns shows; matched already where that is a whole cluster."""
     numbers = {id(cluster): number for number, cluster in enumerate(clusters)}
     found = {t: pairing.matches.get((t, numbers.get(id(share), -1))) for t, share in shares.items()}
-    return {t: old or measure(tracks[t], shares[t], views[t], settings) for t, old in found.items()}
+    poses = {t: old for t, old in found.items() if old}
+    new = [t for t in shares if t not in poses]
+    if new:
+        each = np.repeat(np.arange(len(new))[:, None], 2, axis=1)
+        more = measure([tracks[t] for t in new], [views[t] for t in new], [shares[t] for t in new], each, settings)
+        poses |= {t: more.of(number) for number, t in enumerate(new)}
+    return poses
 
 
-def squared_mahalanobis(found: Match, track: Track) -> float:
-    """Squared Mahalanobis distance of a matched pose from the track's predicted one."""
-    off = found.pose - track.pose
-    off[2] = wrap_angle(off[2])
-    return float(_squared_norm(track.estimator.covariance[:3, :3] + found.covariance, off))
+def squared_mahalanobis(found: Matches, tracks: Sequence[Track], owners: NDArray[np.int64]) -> Array:
+    """Squared Mahalanobis distances (P,) of matched poses from the predicted ones of their tracks, `owners` (P,)."""
+    off = found.poses - np.stack([track.pose for track in tracks])[owners]
+    off[:, 2] = wrap_angle(off[:, 2])
+    spreads = _covariances(tracks)[owners, :3, :3] + found.covariances
+    return np.asarray((off * np.linalg.solve(spreads, off[..., None])[..., 0]).sum(axis=1))
 
 
-@numba.njit(cache=True, nogil=True)
-def _squared_norm(covariance, off):  # type: ignore[no-untyped-def]
-    return off @ np.linalg.solve(covariance, off)
+def _covariances(tracks: Sequence[Track]) -> Array:
+    """Of the tracks' states, (T, 6, 6)."""
+    return np.stack([track.estimator.covariance for track in tracks])

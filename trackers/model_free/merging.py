@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from gridtrack.trackers.model_free.association import distances_to
+from gridtrack.trackers.model_free.ragged import bounds_of
 from gridtrack.trackers.model_free.shape import to_body
 from gridtrack.trackers.model_free.tracks import Status, Track
 
@@ -69,7 +70,7 @@ def _touching(tracks: Sequence[Track], touch_m: float) -> Iterator[tuple[Track, 
     if not tracks:
         return
     boundaries = [track.boundary for track in tracks]
-    points, starts = np.concatenate(boundaries), np.cumsum([0, *(len(boundary) for boundary in boundaries[:-1])])
+    points, starts = np.concatenate(boundaries), bounds_of(boundaries)[:-1]
     low, high = np.minimum.reduceat(points, starts), np.maximum.reduceat(points, starts) + touch_m
     overlap = (low[:, None] <= high).all(axis=2) & (low <= high[:, None]).all(axis=2)
     for first, second in np.argwhere(np.triu(overlap, 1)).tolist():

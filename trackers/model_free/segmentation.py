@@ -23,6 +23,9 @@ class Cluster:
     cut: Mask
     """At these the surface may go on unseen (`occlusion.cut_off`)."""
 
+    def __len__(self) -> int:
+        return len(self.points)
+
     @property
     def centre(self) -> Points:
         """Mean of the points, (2,), metres, grid frame."""

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridtrack.common.grid import GridSpec, Mask
+from gridtrack.trackers.model_free.ragged import split
 
 Array = NDArray[np.float64]
 
@@ -20,8 +21,8 @@ ESTABLISHED_FRAMES = 8
 """For as many frames a boundary point must have been there to be of the body, and not the trail of what leaves it."""
 HIDDEN_FADES = 0.1
 """A boundary point whose place is hidden fades at this share of the speed of one that is seen not to be there."""
-FORGOTTEN = 0.05
-"""Weight below which a boundary point is dropped."""
+FORGOTTEN = 0.6
+"""A boundary point that is less likely than a new one by this factor is dropped."""
 
 
 @dataclass(slots=True)
@@ -81,19 +82,7 @@ class Shape:
     @property
     def extent_m(self) -> float:
         """The longer side of the points' bounding box in the body's frame."""
-        return float(span_m(self.offsets))
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def span_m(points):  # type: ignore[no-untyped-def]
-    """The longer side of the bounding box of `points` (N, 2), 0 where there are none."""
-    span = 0.0
-    for axis in range(2):
-        low, high = np.inf, -np.inf
-        for k in range(len(points)):
-            low, high = min(low, points[k, axis]), max(high, points[k, axis])
-        span = max(span, high - low)
-    return span
+        return float(np.ptp(self.offsets, axis=0).max())
 
 
 def to_body(points: Array, pose: Array) -> Array:
@@ -114,7 +103,7 @@ def in_view(boundaries: Sequence[Array], grid: GridSpec, visible: Mask) -> list[
     cells, inside = grid.cells_of(np.concatenate(boundaries))
     seen = inside.copy()
     seen[inside] = visible[cells[inside, 0], cells[inside, 1]]
-    return np.split(seen, np.cumsum([len(boundary) for boundary in boundaries])[:-1])
+    return split(seen, boundaries)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -144,7 +133,7 @@ def _absorb(offsets, weights, ages, cut, found, found_cut, in_view, apart_m, gai
             likely[j] += gain * (1.0 - likely[j])
         else:
             likely[j] -= gain * likely[j] * (1.0 if in_view[j] else HIDDEN_FADES)
-    kept = np.flatnonzero(likely[:total] > FORGOTTEN)
+    kept = np.flatnonzero(likely[:total] > FORGOTTEN * gain)
     if len(kept) > MAX_POINTS:
         kept = np.sort(kept[np.argsort(likely[kept])[-MAX_POINTS:]])
     older = np.ones(total, np.int64)
