@@ -313,7 +313,7 @@ spec = spec_from_file_location("scenes", sys.argv[1])
 spec.loader.exec_module(scenes := module_from_spec(spec))
 
 def compiled():
-    kernels = rasterise.draw_track, classes._features, classes._log_densities, classes._normalise
+    kernels = rasterise.draw_tracks, classes._features, classes._log_densities, classes._normalise
     return [len(kernel.signatures) for kernel in kernels]
 
 tracker = KalmanTracker(stream_of(scenes.Street(), Path(sys.argv[2])), ModelFreeSettings())

@@ -17,7 +17,7 @@ from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame
 from gridtrack.trackers.model_free.association import distances_to, gaps, hungarian, joint_compatibility, share_out
 from gridtrack.trackers.model_free.background import Background, BackgroundMap, fit_background
-from gridtrack.trackers.model_free.dwell import NOT_OCCUPIED, PRIOR_RETURNS, fit_dwell, next_ages, staying
+from gridtrack.trackers.model_free.dwell import NOT_OCCUPIED, PRIOR_RETURNS, fit_dwell, next_ages, still_there
 from gridtrack.trackers.model_free.rasterise import WINDOW_SIGMAS, draw_track
 from gridtrack.trackers.model_free.segmentation import Cluster, clusters_of, segment
 from gridtrack.trackers.model_free.settings import PipelineSettings
@@ -266,10 +266,10 @@ def test_life_table_counts_who_is_still_there_where_it_can_be_seen():
 
 def test_life_table_is_read_from_the_age_and_from_the_time_since_last_seen():
     table = np.array([[1.0, 0.5, 0.2], [0.9, 0.8, 0.7]], np.float32)
-    assert staying(table, np.array([0, 5]), unseen=np.array([0, 0]), steps=3) == pytest.approx(
+    assert still_there(table, np.array([0, 5]), unseen=np.array([0, 0]), steps=3) == pytest.approx(
         np.array([[1.0, 0.5, 0.2, 0.2], [0.9, 0.8, 0.7, 0.7]])
     )
-    assert staying(table, np.array([0]), unseen=np.array([1]), steps=1) == pytest.approx(np.array([[0.5, 0.2]]))
+    assert still_there(table, np.array([0]), unseen=np.array([1]), steps=1) == pytest.approx(np.array([[0.5, 0.2]]))
 
 
 # Life of a track

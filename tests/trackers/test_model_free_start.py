@@ -18,7 +18,7 @@ from gridtrack.trackers.model_free.motion import model, regimes
 from gridtrack.trackers.model_free.settings import PipelineSettings
 
 def compiled():
-    kernels = rasterise.draw_track, matching._match, shape._absorb, association._distances_to, occlusion._cut_off
+    kernels = rasterise.draw_tracks, matching._match, shape._absorb, association._distances_to, occlusion._cut_off
     kernels = *kernels, model.advance, model.propagate_all, regimes._weighed, regimes._mixture
     return [len(kernel.signatures) for kernel in kernels]
 

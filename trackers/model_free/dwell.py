@@ -62,7 +62,7 @@ def fit_dwell(
     return np.minimum.accumulate(stayed / at_risk, axis=1).astype(np.float32)
 
 
-def staying(
+def still_there(
     table: NDArray[np.float32], ages: NDArray[np.int64], unseen: NDArray[np.int64], steps: int
 ) -> NDArray[np.float32]:
     """P(each return of `ages` (N,) is where it was seen, `unseen` (N,) frames ago) at steps 0..steps: (N, steps+1).

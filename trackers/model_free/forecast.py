@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gridtrack.common.grid import GridFrame, GridSpec
 from gridtrack.trackers.contract import TrackedObject
-from gridtrack.trackers.model_free.dwell import staying
+from gridtrack.trackers.model_free.dwell import still_there
 from gridtrack.trackers.model_free.motion import Regimes, propagate
-from gridtrack.trackers.model_free.ragged import split
-from gridtrack.trackers.model_free.rasterise import draw_track
+from gridtrack.trackers.model_free.ragged import bounds_of, means_of, owners_of
+from gridtrack.trackers.model_free.rasterise import Motions, Staying, Surfaces, draw_tracks
 from gridtrack.trackers.model_free.settings import PipelineSettings
 from gridtrack.trackers.model_free.shape import in_view, rotation, to_body
 from gridtrack.trackers.model_free.tracks import Status, Track
@@ -46,29 +46,14 @@ def add_tracks(
     """
     if not tracks:
         return
-    steps = len(occupancy) - 1
-    surviving = survival ** np.arange(steps + 1)
-    poses, spreads = _motions(tracks, regimes, steps, grid)
-    steadily = regimes.switching[0][0] ** np.arange(steps + 1)
-    surfaces = _surfaces(tracks, frame, grid)
-    newest = _newest_returns(tracks, grid, dwell, steps, settings.dwell_speed)
-    for number, (track, (offsets, weights), (places, still)) in enumerate(zip(tracks, surfaces, newest, strict=True)):
-        moved = 1.0 - still.mean(axis=0, dtype=np.float64)
-        steady = track.estimator.probabilities[0] * steadily
-        draw_track(
-            occupancy,
-            offsets,
-            weights,
-            poses[number],
-            spreads[number],
-            np.stack([moved * steady, moved * (1.0 - steady)]),
-            places,
-            settings.return_noise_m / grid.cell_m,
-            still,
-            track.existence * surviving,
-            semantics,
-            classes[number],
-        )
+    steps = np.arange(len(occupancy))
+    staying = _staying(tracks, grid, dwell, len(steps) - 1, settings)
+    moved = 1.0 - means_of(staying.still, staying.bounds)
+    steadily = np.array([track.estimator.probabilities[:1] for track in tracks]) * regimes.switching[0][0] ** steps
+    poses, spreads = _motions(tracks, regimes, len(steps) - 1, grid)
+    motions = Motions(poses, spreads, np.stack([moved * steadily, moved * (1.0 - steadily)], axis=1))
+    existence = np.array([[track.existence] for track in tracks]) * survival**steps
+    draw_tracks(occupancy, _surfaces(tracks, frame, grid), motions, staying, existence, semantics, classes)
 
 
 def _motions(tracks: Sequence[Track], regimes: Regimes, steps: int, grid: GridSpec) -> tuple[Array, Array]:
@@ -91,40 +76,41 @@ def _motions(tracks: Sequence[Track], regimes: Regimes, steps: int, grid: GridSp
     return np.stack(poses, axis=1), np.stack(spreads, axis=1)
 
 
-def _surfaces(tracks: Sequence[Track], frame: GridFrame, grid: GridSpec) -> Iterator[tuple[Array, Array]]:
-    """What each track's object shows: points (N, 2) in the body's frame, in cells, and their weights (N,).
+def _surfaces(tracks: Sequence[Track], frame: GridFrame, grid: GridSpec) -> Surfaces:
+    """What each track's object shows.
 
     Of what is seen now its newest returns, and of its boundary what is hidden now; of what is not, all of its boundary.
     """
-    views = in_view([track.boundary for track in tracks], grid, frame.visible)
-    for track, view in zip(tracks, views, strict=True):
-        shape = track.shape
-        if track.unseen:
-            yield shape.offsets / grid.cell_m, shape.weights
-        else:
-            hidden = ~view
-            points = np.concatenate([to_body(track.returns, track.pose), shape.offsets[hidden]])
-            weights = np.full(len(points), RETURNS_AGAIN)
-            weights[len(track.returns) :] = shape.weights[hidden]
-            yield points / grid.cell_m, weights
+    returns, boundaries = [track.returns for track in tracks], [track.boundary for track in tracks]
+    seen, poses = np.array([not track.unseen for track in tracks]), np.stack([track.pose for track in tracks])
+    returned, bounding = owners_of(bounds_of(returns)), owners_of(bounds_of(boundaries))
+    again = seen[returned]
+    hidden = ~(seen[bounding] & np.concatenate(in_view(boundaries, grid, frame.visible)))
+    shapes = [track.shape for track in tracks]
+    points = (
+        to_body(np.concatenate(returns)[again], poses[returned[again]]),
+        np.concatenate([shape.offsets for shape in shapes])[hidden],
+    )
+    weights = np.full(len(points[0]), RETURNS_AGAIN), np.concatenate([shape.weights for shape in shapes])[hidden]
+    owners = np.concatenate([returned[again], bounding[hidden]])
+    order = np.argsort(owners, kind="stable")
+    bounds = np.searchsorted(owners[order], np.arange(len(tracks) + 1))
+    return Surfaces(np.concatenate(points)[order] / grid.cell_m, np.concatenate(weights)[order], bounds)
 
 
-def _newest_returns(
-    tracks: Sequence[Track], grid: GridSpec, dwell: NDArray[np.float32], steps: int, dwell_speed: float
-) -> Iterator[tuple[Array, NDArray[np.float32]]]:
-    """Where each track's newest returns were seen (N, 2), in cells, and P(each is still in place) (N, steps+1).
-
-    That is by its age, and less the faster the track moves.
-    """
+def _staying(
+    tracks: Sequence[Track], grid: GridSpec, dwell: NDArray[np.float32], steps: int, settings: PipelineSettings
+) -> Staying:
+    """The tracks' newest returns where they were seen: each still there by its age, and less if its track is fast."""
     returns = [track.returns for track in tracks]
-    counts = [len(points) for points in returns]
+    bounds = bounds_of(returns)
+    owners = owners_of(bounds)
     velocities = np.stack([track.estimator.mean[3:5] for track in tracks])
-    slow = np.exp(-(velocities**2).sum(axis=1) / dwell_speed**2)
-    unseen = np.repeat([track.unseen for track in tracks], counts)
-    still = staying(dwell, np.concatenate([track.ages for track in tracks]), unseen, steps)
-    still *= np.repeat(slow, counts)[:, None].astype(np.float32)
-    places = in_cells(np.concatenate(returns), grid)
-    return zip(split(places, returns), split(still, returns), strict=True)
+    slow = np.exp(-(velocities**2).sum(axis=1) / settings.dwell_speed**2).astype(np.float32)
+    unseen = np.array([track.unseen for track in tracks])
+    still = still_there(dwell, np.concatenate([track.ages for track in tracks]), unseen[owners], steps)
+    still *= slow[owners, None]
+    return Staying(in_cells(np.concatenate(returns), grid), bounds, still, settings.return_noise_m / grid.cell_m)
 
 
 def tracked_object(track: Track) -> TrackedObject:

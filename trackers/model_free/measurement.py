@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from gridtrack.common.geometry import wrap_angle
 from gridtrack.trackers.model_free.association import distances_to, gaps
 from gridtrack.trackers.model_free.matching import Match, Matches, Outlines, Pairs, match
-from gridtrack.trackers.model_free.ragged import bounds_of, centres_of, spans_of
+from gridtrack.trackers.model_free.ragged import bounds_of, means_of, spans_of
 from gridtrack.trackers.model_free.segmentation import Cluster
 from gridtrack.trackers.model_free.settings import PipelineSettings
 from gridtrack.trackers.model_free.tracks import Track
@@ -69,8 +69,8 @@ def _starts(
     """
     t, c = numbers.T
     boundaries = [track.boundary for track in tracks]
-    centres = centres_of(np.concatenate(boundaries), bounds_of(boundaries))
-    shifts = centres_of(returns.points, returns.bounds)[c] - centres[t]
+    centres = means_of(np.concatenate(boundaries), bounds_of(boundaries))
+    shifts = means_of(returns.points, returns.bounds)[c] - centres[t]
     unsure_m = np.sqrt(_covariances(tracks)[:, (0, 1), (0, 1)].max(axis=1))[t]
     starts = np.repeat(np.stack([track.pose for track in tracks])[t, None], 2, axis=1)
     starts[:, 1, :2] += np.where(unsure_m > UNSURE * surface_m, shifts.T, np.nan).T
@@ -125,9 +125,7 @@ def belonging(
     seen = [clusters[pairs[t]].points if t in pairs else track.boundary for t, track in enumerate(tracks)]
     within_reach = gaps(distances_to(points, seen), clusters) <= settings.reach_m
     on_it = distances_to(points, [track.established for track in tracks]) <= ON_BOUNDARY * settings.surface_m
-    bounds = bounds_of(clusters)
-    shares = np.add.reduceat(on_it, bounds[:-1], axis=0, dtype=np.float64).T / np.diff(bounds)
-    return np.asarray(within_reach | (shares >= MOST))
+    return np.asarray(within_reach | (means_of(on_it, bounds_of(clusters)).T >= MOST))
 
 
 def measured(

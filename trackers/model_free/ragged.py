@@ -15,15 +15,20 @@ def bounds_of(parts: Sequence[Sized]) -> NDArray[np.int64]:
     return np.cumsum([0, *map(len, parts)])
 
 
+def owners_of(bounds: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Of which part each row (N,) is."""
+    return np.repeat(np.arange(len(bounds) - 1), np.diff(bounds))
+
+
 def spans_of(points: NDArray[np.float64], bounds: NDArray[np.int64]) -> NDArray[np.float64]:
     """The longer side of the bounding box (G,) of each part of `points` (N, 2)."""
     first = bounds[:-1]
     return np.asarray((np.maximum.reduceat(points, first) - np.minimum.reduceat(points, first)).max(axis=1))
 
 
-def centres_of(points: NDArray[np.float64], bounds: NDArray[np.int64]) -> NDArray[np.float64]:
-    """The mean (G, 2) of each part of `points` (N, 2)."""
-    return np.asarray(np.add.reduceat(points, bounds[:-1]) / np.diff(bounds)[:, None])
+def means_of(rows: NDArray[Any], bounds: NDArray[np.int64]) -> NDArray[np.float64]:
+    """The mean (G, ...) of each part of the rows (N, K)."""
+    return np.asarray(np.add.reduceat(rows, bounds[:-1], dtype=np.float64) / np.diff(bounds)[:, None])
 
 
 def split(rows: NDArray[Any], parts: Sequence[Sized]) -> list[NDArray[Any]]:

@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numba
 import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
 
 WINDOW_SIGMAS = 2.5
 """Half the width of the blur window; what lies beyond (1.2 %) is cut."""
@@ -19,6 +23,48 @@ LEAST_SHIFT = 0.2
 """Rows that the blur's slant shifts by fewer cells than this, from the first to the last, are not shifted."""
 SAME_HEADING = 0.02
 """A body that has turned by less, radians, is drawn as it was."""
+
+
+class Surfaces(NamedTuple):
+    """What T objects look like: points (N, 2) in the bodies' frames, their weights (N,), each object's `bounds` (T+1,).
+
+    Here and below lengths are in cells, and positions from the grid's corner.
+    """
+
+    offsets: Array
+    weights: Array
+    bounds: NDArray[np.int64]
+
+
+class Motions(NamedTuple):
+    """Where T objects may be at n+1 steps, by each of R motions: mean poses (T, R, n+1, 3), the covariances of the
+    positions (T, R, n+1, 2, 2), and how likely each is (T, R, n+1).
+    """
+
+    poses: Array
+    covariances: Array
+    weights: Array
+
+
+class Staying(NamedTuple):
+    """Where T objects were seen, `places` (K, 2) with a `blur`, each object's `bounds` (T+1,); P(still so) (K, n+1)."""
+
+    places: Array
+    bounds: NDArray[np.int64]
+    still: NDArray[np.float32]
+    blur: float
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=True)
+def draw_tracks(occupancy, surfaces, motions, staying, existence, semantics, classes):  # type: ignore[no-untyped-def]
+    """As `draw_track` for T tracks, each there with probability `existence` (T, n+1), of `classes` (T, C)."""
+    for t in range(len(existence)):
+        surface = slice(surfaces.bounds[t], surfaces.bounds[t + 1])
+        seen = slice(staying.bounds[t], staying.bounds[t + 1])
+        body = surfaces.offsets[surface], surfaces.weights[surface]
+        motion = motions.poses[t], motions.covariances[t], motions.weights[t]
+        places = staying.places[seen], staying.blur, staying.still[seen]
+        draw_track(occupancy, *body, *motion, *places, existence[t], semantics, classes[t])
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=True)

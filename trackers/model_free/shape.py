@@ -86,8 +86,9 @@ class Shape:
 
 
 def to_body(points: Array, pose: Array) -> Array:
-    """Points (N, 2) of the grid frame in the frame of a body at `pose` (3,)."""
-    return np.asarray((points - pose[:2]) @ rotation(pose[2]))
+    """Points (N, 2) of the grid frame in the frame of a body at `pose` (3,); or (N, 3), each in that of its own."""
+    (x, y), (cosine, sine) = (points - pose[..., :2]).T, (np.cos(pose[..., 2]), np.sin(pose[..., 2]))
+    return np.stack([cosine * x + sine * y, cosine * y - sine * x], axis=1)
 
 
 def rotation(angle: float) -> Array:
