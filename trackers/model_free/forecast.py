@@ -15,7 +15,7 @@ from gridtrack.trackers.model_free.ragged import bounds_of, means_of, owners_of
 from gridtrack.trackers.model_free.rasterise import Motions, Staying, Surfaces, draw_tracks
 from gridtrack.trackers.model_free.settings import PipelineSettings
 from gridtrack.trackers.model_free.shape import in_view, rotation, to_body
-from gridtrack.trackers.model_free.tracks import Status, Track
+from gridtrack.trackers.model_free.tracks import Status, Track, boundaries_of
 
 Array = NDArray[np.float64]
 
@@ -81,7 +81,7 @@ def _surfaces(tracks: Sequence[Track], frame: GridFrame, grid: GridSpec) -> Surf
 
     Of what is seen now its newest returns, and of its boundary what is hidden now; of what is not, all of its boundary.
     """
-    returns, boundaries = [track.returns for track in tracks], [track.boundary for track in tracks]
+    returns, boundaries = [track.returns for track in tracks], boundaries_of(tracks)
     seen, poses = np.array([not track.unseen for track in tracks]), np.stack([track.pose for track in tracks])
     returned, bounding = owners_of(bounds_of(returns)), owners_of(bounds_of(boundaries))
     again = seen[returned]

@@ -15,7 +15,7 @@ from gridtrack.trackers.model_free.matching import Match, Matches, Outlines, Pai
 from gridtrack.trackers.model_free.ragged import bounds_of, means_of, spans_of
 from gridtrack.trackers.model_free.segmentation import Cluster
 from gridtrack.trackers.model_free.settings import PipelineSettings
-from gridtrack.trackers.model_free.tracks import Track
+from gridtrack.trackers.model_free.tracks import Track, boundaries_of
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -68,7 +68,7 @@ def _starts(
     And if that is unsure, with the boundary's centre on the cluster's.
     """
     t, c = numbers.T
-    boundaries = [track.boundary for track in tracks]
+    boundaries = boundaries_of(tracks)
     centres = means_of(np.concatenate(boundaries), bounds_of(boundaries))
     shifts = means_of(returns.points, returns.bounds)[c] - centres[t]
     unsure_m = np.sqrt(_covariances(tracks)[:, (0, 1), (0, 1)].max(axis=1))[t]
@@ -122,9 +122,11 @@ def belonging(
     one on the boundary as it has long been, as the far piece of a vehicle lies and who leaves a group does not.
     """
     points = np.concatenate([cluster.points for cluster in clusters])
-    seen = [clusters[pairs[t]].points if t in pairs else track.boundary for t, track in enumerate(tracks)]
+    boundaries = boundaries_of(tracks)
+    seen = [clusters[pairs[t]].points if t in pairs else boundary for t, boundary in enumerate(boundaries)]
+    lasting = [boundary[track.shape.established] for boundary, track in zip(boundaries, tracks, strict=True)]
     within_reach = gaps(distances_to(points, seen), clusters) <= settings.reach_m
-    on_it = distances_to(points, [track.established for track in tracks]) <= ON_BOUNDARY * settings.surface_m
+    on_it = distances_to(points, lasting) <= ON_BOUNDARY * settings.surface_m
     return np.asarray(within_reach | (means_of(on_it, bounds_of(clusters)).T >= MOST))
 
 

@@ -11,7 +11,7 @@ from scipy.stats import chi2
 from gridtrack.trackers.model_free.association import distances_to
 from gridtrack.trackers.model_free.ragged import bounds_of
 from gridtrack.trackers.model_free.shape import to_body
-from gridtrack.trackers.model_free.tracks import Status, Track
+from gridtrack.trackers.model_free.tracks import Status, Track, boundaries_of
 
 Array = NDArray[np.float64]
 
@@ -69,7 +69,7 @@ def _touching(tracks: Sequence[Track], touch_m: float) -> Iterator[tuple[Track, 
     """Pairs of tracks, the older first, whose boundaries come within `touch_m`; their boxes are looked at first."""
     if not tracks:
         return
-    boundaries = [track.boundary for track in tracks]
+    boundaries = boundaries_of(tracks)
     points, starts = np.concatenate(boundaries), bounds_of(boundaries)[:-1]
     low, high = np.minimum.reduceat(points, starts), np.maximum.reduceat(points, starts) + touch_m
     overlap = (low[:, None] <= high).all(axis=2) & (low <= high[:, None]).all(axis=2)

@@ -19,11 +19,11 @@ from gridtrack.trackers.model_free.matching import Match
 from gridtrack.trackers.model_free.measurement import belonging, compare, measured
 from gridtrack.trackers.model_free.merging import Companions, stands
 from gridtrack.trackers.model_free.occlusion import BACKGROUND, cut_off
-from gridtrack.trackers.model_free.ragged import split
+from gridtrack.trackers.model_free.ragged import bounds_of, owners_of, split
 from gridtrack.trackers.model_free.segmentation import Cluster, clusters_of, segment
 from gridtrack.trackers.model_free.settings import PipelineSettings
 from gridtrack.trackers.model_free.shape import Shape, in_view, to_body
-from gridtrack.trackers.model_free.tracks import Track, existence_when_detected, existence_when_missed
+from gridtrack.trackers.model_free.tracks import Track, boundaries_of, existence_when_detected, existence_when_missed
 
 Array = NDArray[np.float64]
 
@@ -61,7 +61,7 @@ class Pipeline:
         self.background.observe(frame)
         clusters = self._segment(frame)
         self._predict()
-        views = in_view([track.boundary for track in self.tracks], self.grid, frame.visible)
+        views = in_view(boundaries_of(self.tracks), self.grid, frame.visible)
         shares, poses, left = self._associate(clusters, views)
         self._correct(shares, poses, frame.visible)
         self._judge(shares, views)
@@ -94,7 +94,7 @@ class Pipeline:
         if not self.tracks or not clusters:
             return {}, {}, clusters
         points = np.concatenate([cluster.points for cluster in clusters])
-        distances = distances_to(points, [track.boundary for track in self.tracks])
+        distances = distances_to(points, boundaries_of(self.tracks))
         pairing = compare(self.tracks, clusters, distances, views, self.settings)
         pairs = assign(pairing.costs, pairing.distances, self.settings.gate_probability, self.settings.association)
         near = belonging(self.tracks, clusters, pairs, self.settings)
@@ -108,13 +108,17 @@ class Pipeline:
             before = estimator.restarts
             estimator.update(found.pose, found.covariance)
             self.restarts += estimator.restarts - before
+        if not shares:
+            return
         tracks, clusters = [self.tracks[number] for number in shares], list(shares.values())
-        views = in_view([track.boundary for track in tracks], self.grid, visible)
-        for track, cluster, ages, seen in zip(tracks, clusters, self._ages_of(clusters), views, strict=True):
+        views = in_view(boundaries_of(tracks), self.grid, visible)
+        owners = np.stack([track.pose for track in tracks])[owners_of(bounds_of(clusters))]
+        bodies = split(to_body(np.concatenate([cluster.points for cluster in clusters]), owners), clusters)
+        for track, cluster, ages, seen, body in zip(
+            tracks, clusters, self._ages_of(clusters), views, bodies, strict=True
+        ):
             track.returns, track.ages = cluster.points, ages
-            track.shape.absorb(
-                to_body(cluster.points, track.pose), cluster.cut, seen, self.settings.surface_m, self.shape_gain
-            )
+            track.shape.absorb(body, cluster.cut, seen, self.settings.surface_m, self.shape_gain)
 
     def _judge(self, shares: dict[int, Cluster], views: list[Mask]) -> None:
         """Weigh each track's existence by what was and was not seen of it, as it was in view; drop the dead."""

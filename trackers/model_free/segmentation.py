@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numba
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
 
 from gridtrack.common.grid import Mask
 
@@ -38,15 +36,43 @@ def segment(points: Points, ranges: NDArray[np.float64], link_m: float, link_per
     Two points are linked when they are no further apart than `link_m + link_per_m * range` at the nearer's range.
     Returns the number of the cluster that each is of (N,).
     """
-    if not len(points):
-        return np.zeros(0, np.int64)
-    reach = link_m + link_per_m * ranges
-    pairs = cKDTree(points).query_pairs(float(reach.max()), output_type="ndarray")
-    first, second = pairs[:, 0], pairs[:, 1]
-    distance = np.linalg.norm(points[first] - points[second], axis=1)
-    near = distance <= np.minimum(reach[first], reach[second])
-    graph = coo_array((near[near], (first[near], second[near])), shape=(len(points), len(points)))
-    return np.asarray(connected_components(graph, directed=False)[1], np.int64)
+    return np.asarray(_segment(points, link_m + link_per_m * ranges, np.argsort(points[:, 0])))
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _segment(points, reach, order):  # type: ignore[no-untyped-def]
+    """As `segment`, of points (N, 2) that each reach so far (N,), swept in the `order` (N,) of their x.
+
+    Clusters are trees of points that lead to their first one (union-find; Tarjan 1975).
+    """
+    parent = np.arange(len(points))
+    for n in range(len(order)):
+        i = order[n]
+        for m in range(n + 1, len(order)):
+            j = order[m]
+            dx, dy, near = points[j, 0] - points[i, 0], points[j, 1] - points[i, 1], min(reach[i], reach[j])
+            if dx > reach[i]:
+                break
+            if dx * dx + dy * dy <= near * near:
+                first, second = _first(parent, i), _first(parent, j)
+                parent[max(first, second)] = min(first, second)
+    labels, count = np.empty(len(points), np.int64), 0
+    for i in range(len(points)):
+        if parent[i] == i:
+            labels[i] = count
+            count += 1
+        else:
+            labels[i] = labels[_first(parent, i)]
+    return labels
+
+
+@numba.njit(error_model="numpy")
+def _first(parent, i):  # type: ignore[no-untyped-def]
+    """The first point of the cluster of point i; the way to it is halved."""
+    while parent[i] != i:
+        parent[i] = parent[parent[i]]
+        i = parent[i]
+    return i
 
 
 def clusters_of(points: Points, cut: Mask, labels: NDArray[np.int64]) -> list[Cluster]:

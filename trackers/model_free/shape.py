@@ -70,10 +70,6 @@ class Shape:
         self.weights, self.ages = weights[strongest], np.concatenate([self.ages, other.ages])[strongest]
         self.cut = np.concatenate([self.cut, other.cut])[strongest]
 
-    def placed(self, pose: Array) -> Array:
-        """The boundary points (N, 2) at `pose` (3,): x, y, heading; metres, grid frame."""
-        return pose[:2] + self.offsets @ rotation(pose[2]).T
-
     @property
     def established(self) -> Mask:
         """Which points (N,) have been there for long, or in a young shape from the start."""
@@ -89,6 +85,12 @@ def to_body(points: Array, pose: Array) -> Array:
     """Points (N, 2) of the grid frame in the frame of a body at `pose` (3,); or (N, 3), each in that of its own."""
     (x, y), (cosine, sine) = (points - pose[..., :2]).T, (np.cos(pose[..., 2]), np.sin(pose[..., 2]))
     return np.stack([cosine * x + sine * y, cosine * y - sine * x], axis=1)
+
+
+def to_grid(points: Array, pose: Array) -> Array:
+    """The way back from `to_body`."""
+    (x, y), (cosine, sine) = points.T, (np.cos(pose[..., 2]), np.sin(pose[..., 2]))
+    return np.asarray(pose[..., :2] + np.stack([cosine * x - sine * y, sine * x + cosine * y], axis=1))
 
 
 def rotation(angle: float) -> Array:

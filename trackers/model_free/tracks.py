@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
 
@@ -9,9 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridtrack.trackers.model_free.motion import SwitchingEstimator
-from gridtrack.trackers.model_free.shape import Shape
+from gridtrack.trackers.model_free.ragged import bounds_of, owners_of, split
+from gridtrack.trackers.model_free.shape import Shape, to_grid
 
 Array = NDArray[np.float64]
+
+
+NOWHERE = np.empty(0), np.empty(0), np.empty((0, 2))
+"""A boundary that has not been placed."""
 
 
 class Status(Enum):
@@ -39,7 +45,8 @@ class Track:
     """Frames since returns were last given to it."""
     standing: int = 0
     """Frames in a row in which its velocity could not be told from zero."""
-    _placed: tuple[Array, Array, Array] | None = None
+    _placed: tuple[Array, Array, Array] = NOWHERE
+    """The state and the shape's points that the boundary was placed for, and the boundary."""
 
     @property
     def pose(self) -> Array:
@@ -48,11 +55,8 @@ class Track:
 
     @property
     def boundary(self) -> Array:
-        """Its boundary points (N, 2), metres, grid frame; kept until pose or shape change, for every stage asks."""
-        mean, offsets = self.estimator.mean, self.shape.offsets
-        if self._placed is None or self._placed[0] is not mean or self._placed[1] is not offsets:
-            self._placed = mean, offsets, self.shape.placed(mean[:3])
-        return self._placed[2]
+        """Its boundary points (N, 2), metres, grid frame."""
+        return boundaries_of([self])[0]
 
     @property
     def established(self) -> Array:
@@ -65,6 +69,21 @@ class Track:
         if not self.confirmed:
             return Status.TENTATIVE
         return Status.COASTING if self.unseen else Status.CONFIRMED
+
+
+def boundaries_of(tracks: Sequence[Track]) -> list[Array]:
+    """The boundary points (N, 2) of each track, metres, grid frame; kept until its pose or shape change."""
+    moved = [track for track in tracks if not _is_placed(track)]
+    if moved:
+        offsets = [track.shape.offsets for track in moved]
+        poses = np.stack([track.pose for track in moved])[owners_of(bounds_of(offsets))]
+        for track, points in zip(moved, split(to_grid(np.concatenate(offsets), poses), offsets), strict=True):
+            track._placed = track.estimator.mean, track.shape.offsets, points
+    return [track._placed[2] for track in tracks]
+
+
+def _is_placed(track: Track) -> bool:
+    return track._placed[0] is track.estimator.mean and track._placed[1] is track.shape.offsets
 
 
 def existence_when_detected(existence: float, detection_probability: float, false_alarm: float) -> float:
