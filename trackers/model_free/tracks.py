@@ -59,11 +59,6 @@ class Track:
         return boundaries_of([self])[0]
 
     @property
-    def established(self) -> Array:
-        """Those of its boundary points (K, 2) that are well established, metres, grid frame."""
-        return self.boundary[self.shape.established]
-
-    @property
     def status(self) -> Status:
         """Where it stands in its life."""
         if not self.confirmed:
