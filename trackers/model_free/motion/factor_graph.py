@@ -10,6 +10,7 @@ from __future__ import annotations
 from typing import Any
 
 import gtsam
+import numba
 import numpy as np
 
 from gridtrack.common.geometry import wrap_angle
@@ -149,7 +150,8 @@ def pose_factor(frame: int, pose: Array, covariance: Array) -> Any:
     return gtsam.CustomFactor(gtsam.noiseModel.Robust.Create(kernel, noise), [frame], residual)
 
 
-def first_guess(mean: Array, covariance: Array, pose: Array, pose_covariance: Array) -> Array:
+@numba.njit(cache=True, nogil=True)
+def first_guess(mean, covariance, pose, pose_covariance):  # type: ignore[no-untyped-def]
     """Where the new state (6,) is linearised first, which decides the first weight of its measurement.
 
     Within the gate it is the Kalman filter's estimate, near the measurement; beyond it the prediction, `mean` (6,) with
@@ -158,4 +160,4 @@ def first_guess(mean: Array, covariance: Array, pose: Array, pose_covariance: Ar
     """
     innovation = pose - mean[:3]
     weighted = np.linalg.solve(covariance[:3, :3] + pose_covariance, innovation)
-    return mean if innovation @ weighted > GATE else mean + weighted @ covariance[:3]
+    return mean.copy() if innovation @ weighted > GATE else mean + weighted @ covariance[:3]
