@@ -22,7 +22,7 @@ from gridtrack.trackers.model_free.occlusion import BACKGROUND, cut_off
 from gridtrack.trackers.model_free.ragged import bounds_of, owners_of, split
 from gridtrack.trackers.model_free.segmentation import Cluster, clusters_of, segment
 from gridtrack.trackers.model_free.settings import PipelineSettings
-from gridtrack.trackers.model_free.shape import Shape, in_view, to_body
+from gridtrack.trackers.model_free.shape import Shape, in_view, to_body, to_grid
 from gridtrack.trackers.model_free.tracks import Track, boundaries_of, existence_when_detected, existence_when_missed
 
 Array = NDArray[np.float64]
@@ -54,6 +54,7 @@ class Pipeline:
         self.ages = np.full(grid.shape, NOT_OCCUPIED)
         self.tracks: list[Track] = []
         self.frame: GridFrame | None = None
+        self.visible_before = np.zeros(grid.shape, np.bool_)
         self.born = self.restarts = 0
 
     def update(self, frame: GridFrame) -> None:
@@ -67,7 +68,7 @@ class Pipeline:
         self._judge(shares, views)
         self._merge()
         self._give_birth(left)
-        self.frame = frame
+        self.frame, self.visible_before = frame, frame.visible
 
     def _segment(self, frame: GridFrame) -> list[Cluster]:
         """Clusters of the returns that the background does not explain; how long each has been in place is kept."""
@@ -84,6 +85,7 @@ class Pipeline:
 
     def _predict(self) -> None:
         for track in self.tracks:
+            track.before = track.pose
             track.estimator.predict()
             track.existence *= self.survival
 
@@ -108,17 +110,24 @@ class Pipeline:
             before = estimator.restarts
             estimator.update(found.pose, found.covariance)
             self.restarts += estimator.restarts - before
-        if not shares:
-            return
-        tracks, clusters = [self.tracks[number] for number in shares], list(shares.values())
-        views = in_view(boundaries_of(tracks), self.grid, visible)
-        owners = np.stack([track.pose for track in tracks])[owners_of(bounds_of(clusters))]
-        bodies = split(to_body(np.concatenate([cluster.points for cluster in clusters]), owners), clusters)
-        for track, cluster, ages, seen, body in zip(
-            tracks, clusters, self._ages_of(clusters), views, bodies, strict=True
-        ):
+        if shares:
+            self._extend([self.tracks[number] for number in shares], list(shares.values()), visible)
+
+    def _extend(self, tracks: list[Track], clusters: list[Cluster], visible: Mask) -> None:
+        """Let each track's shape take in its returns; what of them lies where nothing could be seen is revealed."""
+        owners = owners_of(bounds_of(clusters))
+        points = np.concatenate([cluster.points for cluster in clusters])
+        bodies = to_body(points, np.stack([track.pose for track in tracks])[owners])
+        past = split(to_grid(bodies, np.stack([track.before for track in tracks])[owners]), clusters)
+        each = zip(
+            *(tracks, clusters, self._ages_of(clusters), split(bodies, clusters)),
+            in_view(past, self.grid, self.visible_before),
+            in_view(boundaries_of(tracks), self.grid, visible),
+            strict=True,
+        )
+        for track, cluster, ages, body, known, seen in each:
             track.returns, track.ages = cluster.points, ages
-            track.shape.absorb(body, cluster.cut, seen, self.settings.surface_m, self.shape_gain)
+            track.shape.absorb(body, cluster.cut, ~known, seen, self.settings.surface_m, self.shape_gain)
 
     def _judge(self, shares: dict[int, Cluster], views: list[Mask]) -> None:
         """Weigh each track's existence by what was and was not seen of it, as it was in view; drop the dead."""

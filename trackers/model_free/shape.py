@@ -21,6 +21,8 @@ ESTABLISHED_FRAMES = 8
 """For as many frames a boundary point must have been there to be of the body, and not the trail of what leaves it."""
 HIDDEN_FADES = 0.1
 """A boundary point whose place is hidden fades at this share of the speed of one that is seen not to be there."""
+REVEALED = 0.5
+"""How likely a boundary point is at first whose place was hidden before: it may always have been there."""
 FORGOTTEN = 0.6
 """A boundary point that is less likely than a new one by this factor is dropped."""
 
@@ -47,18 +49,21 @@ class Shape:
         It is `cut` off (N,) at some of them.
         """
         shape = cls(np.empty((0, 2)), np.empty(0), np.empty(0, np.int64), np.empty(0, np.bool_))
-        shape.absorb(offsets, cut, np.empty(0, np.bool_), apart_m, gain=0.0)
+        in_view, revealed = np.zeros((2, len(offsets)), np.bool_)
+        shape.absorb(offsets, cut, revealed, in_view[:0], apart_m, gain=0.0)
         return shape
 
-    def absorb(self, found: Array, found_cut: Mask, in_view: Mask, apart_m: float, gain: float) -> None:
+    def absorb(self, found: Array, found_cut: Mask, revealed: Mask, in_view: Mask, apart_m: float, gain: float) -> None:
         """Take in one frame's points `found` (K, 2), body's frame, and at which of them it is cut off (K,).
 
-        A boundary point within `apart_m` of one is met and gains the share `gain`; one that is not met loses
-        it, slowly if it is not `in_view` (N,); a point that meets none is a new one. The first frames count alike.
+        A boundary point within `apart_m` of one is met and gains the share `gain`; one that is not met loses it, slowly
+        if it is not `in_view` (N,); a point that meets none is a new one, which had been seen not to be there unless
+        its place is `revealed` (K,) now. The first frames count alike.
         """
         gain = max(gain, 1.0 / (self.frames + 1))
         self.offsets, self.weights, self.ages, self.cut = _absorb(
-            self.offsets, self.weights, self.ages, self.cut, found, found_cut, in_view, apart_m, gain
+            *(self.offsets, self.weights, self.ages, self.cut),
+            *(found, found_cut, revealed, in_view, apart_m, gain),
         )
         self.frames += 1
 
@@ -110,7 +115,7 @@ def in_view(boundaries: Sequence[Array], grid: GridSpec, visible: Mask) -> list[
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _absorb(offsets, weights, ages, cut, found, found_cut, in_view, apart_m, gain):  # type: ignore[no-untyped-def]
+def _absorb(offsets, weights, ages, cut, found, found_cut, revealed, in_view, apart_m, gain):  # type: ignore
     """Boundary points (N', 2), weights, ages and whether cut off (N',) after one frame; see `Shape.absorb`."""
     known = len(offsets)
     total = known
@@ -126,6 +131,7 @@ def _absorb(offsets, weights, ages, cut, found, found_cut, in_view, apart_m, gai
                 nearest, distance = j, dx * dx + dy * dy
         if nearest < 0:
             points[total] = found[k]
+            likely[total] = REVEALED if revealed[k] else 0.0
             met[total], ends[total] = True, found_cut[k]
             total += 1
         else:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import Enum
 
 import numpy as np
@@ -45,6 +45,8 @@ class Track:
     """Frames since returns were last given to it."""
     standing: int = 0
     """Frames in a row in which its velocity could not be told from zero."""
+    before: Array = field(init=False)
+    """Its pose (3,) a frame ago."""
     _placed: tuple[Array, Array, Array] = NOWHERE
     """The state and the shape's points that the boundary was placed for, and the boundary."""
 
