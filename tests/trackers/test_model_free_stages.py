@@ -18,8 +18,7 @@ from gridtrack.common.grid import GridFrame
 from gridtrack.trackers.model_free.association import distances_to, gaps, hungarian, joint_compatibility, share_out
 from gridtrack.trackers.model_free.background import Background, BackgroundMap, fit_background
 from gridtrack.trackers.model_free.dwell import NOT_OCCUPIED, PRIOR_RETURNS, fit_dwell, next_ages, still_there
-from gridtrack.trackers.model_free.rasterise import WINDOW_SIGMAS, draw_track
-from gridtrack.trackers.model_free.segmentation import Cluster, clusters_of, segment
+from gridtrack.trackers.model_free.segmentation import Cluster
 from gridtrack.trackers.model_free.settings import PipelineSettings
 from gridtrack.trackers.model_free.tracks import existence_when_detected, existence_when_missed
 from gridtrack.trackers.site_rate import PRIOR_FRAMES
@@ -115,28 +114,6 @@ def test_a_wall_that_is_taken_away_is_forgotten():
         background.observe(frame_of(np.ones((1, 1), bool), np.zeros((1, 1), bool)))
     frames = 1 / (1 - math.exp(-0.1 / 5.0))
     assert background.probabilities(0)[0, 0, 0] == pytest.approx(0.9 * MAP_FRAMES / (MAP_FRAMES + frames), rel=1e-5)
-
-
-# Segmentation
-
-
-def test_returns_nearer_than_the_link_are_one_cluster_and_chains_hold_together():
-    points = np.array([[0.0, 0.0], [0.9, 0.0], [1.8, 0.0], [5.0, 0.0]])
-    labels = segment(points, np.zeros(4), link_m=1.0, link_per_m=0.0)
-    clusters = clusters_of(points, np.array([False, True, False, False]), labels)
-    assert sorted(len(cluster.points) for cluster in clusters) == [1, 3]
-    assert [cluster.points[cluster.cut].tolist() for cluster in clusters if cluster.cut.any()] == [[[0.9, 0.0]]]
-
-
-def test_the_link_grows_with_range_and_the_nearer_return_decides():
-    points = np.array([[0.0, 0.0], [1.5, 0.0]])
-    assert len(set(segment(points, np.array([10.0, 10.0]), 1.0, 0.1))) == 1
-    assert len(set(segment(points, np.array([2.0, 10.0]), 1.0, 0.1))) == 2
-
-
-def test_no_returns_are_no_clusters():
-    nothing = np.empty((0, 2))
-    assert clusters_of(nothing, np.empty(0, bool), segment(nothing, np.empty(0), 1.0, 0.0)) == []
 
 
 # Association
@@ -282,108 +259,3 @@ def test_existence_follows_bayes_rule():
 
 def test_a_miss_where_nothing_could_be_seen_says_nothing():
     assert existence_when_missed(0.7, 0.0) == 0.7
-
-
-# Forecast
-
-
-def gauss(low, high, mean, sigma):
-    return 0.5 * (math.erf((high - mean) / sigma / math.sqrt(2)) - math.erf((low - mean) / sigma / math.sqrt(2)))
-
-
-NOWHERE = np.empty((0, 2))
-KEPT = math.erf(WINDOW_SIGMAS / math.sqrt(2)) ** 2
-"""The share of a blurred point's mass that lies within the window of the blur."""
-
-
-def unclassed(occupancy):
-    """No classes, whose shares of what is drawn need no planes."""
-    steps, rows, columns = occupancy.shape
-    return np.zeros((steps, 0, rows, columns), np.float32), np.zeros(0, np.float32)
-
-
-def drawn(offsets, poses, covariances, weights=None, size=61, existence=1.0):
-    """What a body shows, (n+1, M, M), all of it moved and none still."""
-    steps = len(poses)
-    occupancy = np.zeros((steps, size, size), np.float32)
-    weights = np.ones(len(offsets)) if weights is None else weights
-    still = np.zeros((0, steps), np.float32)
-    draw_track(
-        occupancy,
-        np.asarray(offsets, float),
-        weights,
-        np.asarray(poses, float)[None],
-        np.asarray(covariances, float)[None],
-        np.ones((1, steps)),
-        NOWHERE,
-        0.3,
-        still,
-        np.full(steps, existence),
-        *unclassed(occupancy),
-    )
-    return occupancy
-
-
-def test_a_blurred_point_is_the_gaussian_mass_of_every_cell():
-    image = drawn([(0.0, 0.0)], [(10.5, 12.5, 0.0)], [np.diag([1.0, 4.0])], size=21)[0]
-    assert image[12, 10] == pytest.approx(gauss(10, 11, 10.5, 1) * gauss(12, 13, 12.5, 2), rel=1e-5)
-    assert image[15, 9] == pytest.approx(gauss(9, 10, 10.5, 1) * gauss(15, 16, 12.5, 2), rel=1e-5)
-
-
-@pytest.mark.parametrize("covariance", [[[4.0, 0.0], [0.0, 9.0]], [[6.0, 3.5], [3.5, 4.0]], [[3.0, -2.0], [-2.0, 5.0]]])
-def test_blur_spreads_the_mass_as_the_covariance_says_and_keeps_it(covariance):
-    image = drawn([(0.0, 0.0)], [(30.2, 30.7, 0.0)], [covariance])[0].astype(float)
-    rows, columns = np.mgrid[:61, :61] + 0.5
-    assert KEPT < image.sum() <= 1.0
-    image /= image.sum()
-    assert [(image * columns).sum(), (image * rows).sum()] == pytest.approx([30.2, 30.7], abs=0.025)
-    spread = np.cov(np.stack([columns.ravel(), rows.ravel()]), aweights=image.ravel(), ddof=0)
-    assert spread == pytest.approx(np.array(covariance) + np.eye(2) / 12, rel=0.1, abs=0.25)  # the tails are cut
-
-
-def test_a_body_turns_with_its_heading():
-    image = drawn([(5.0, 0.0)], [(30.5, 30.5, 0.0), (30.5, 30.5, math.pi / 2)], np.zeros((2, 2, 2)))
-    assert np.unravel_index(image[0].argmax(), (61, 61)) == (30, 35)
-    assert np.unravel_index(image[1].argmax(), (61, 61)) == (35, 30)
-
-
-def test_points_of_one_cell_add_up_to_certainty_at_most():
-    pose, sharp = [(30.5, 30.5, 0.0)], np.zeros((1, 2, 2))
-    assert drawn([(0.0, 0.0)] * 2, pose, sharp, np.array([0.5, 0.4]))[0].sum() == pytest.approx(0.9, rel=1 - KEPT)
-    assert drawn([(0.0, 0.0)] * 2, pose, sharp, np.array([0.9, 0.9]))[0].sum() == pytest.approx(1.0, rel=1 - KEPT)
-
-
-def test_motions_that_exclude_each_other_share_the_body():
-    occupancy = np.zeros((1, 9, 9), np.float32)
-    poses = np.array([[[2.5, 4.5, 0.0]], [[6.5, 4.5, 0.0]]])
-    still = np.zeros((0, 1), np.float32)
-    body = np.zeros((1, 2)), np.ones(1), poses, np.zeros((2, 1, 2, 2)), np.array([[0.7], [0.3]])
-    draw_track(occupancy, *body, NOWHERE, 0.3, still, np.ones(1), *unclassed(occupancy))
-    inside = gauss(4, 5, 4.5, 0.2) ** 2
-    assert occupancy[0, 4, [2, 4, 6]] == pytest.approx([0.7 * inside, 0.0, 0.3 * inside], abs=1e-5)
-
-
-def test_returns_that_stay_are_drawn_where_they_are_and_weighted_step_by_step():
-    occupancy = np.zeros((2, 21, 21), np.float32)
-    place = np.array([[8.5, 12.5]])
-    nothing = np.empty((0, 2)), np.empty(0), np.full((1, 2, 3), 10.5), np.zeros((1, 2, 2, 2)), np.zeros((1, 2))
-    draw_track(
-        occupancy, *nothing, place, 0.6, np.array([[1.0, 0.5]], np.float32), np.array([1.0, 0.8]), *unclassed(occupancy)
-    )
-    mass = gauss(8, 9, 8.5, 0.6) * gauss(12, 13, 12.5, 0.6)
-    assert occupancy[:, 12, 8] == pytest.approx([mass, 0.4 * mass], rel=1e-5)
-
-
-def test_what_leaves_the_grid_is_cut_off_at_its_edge():
-    image = drawn([(0.0, 0.0)], [(0.0, 4.5, 0.0), (-500.0, 4.5, 0.0)], np.tile(np.diag([1.0, 0.09]), (2, 1, 1)), size=8)
-    assert image[0].sum() == pytest.approx(0.5, rel=1 - KEPT)
-    assert image[1].sum() == 0.0
-
-
-def test_a_track_is_combined_with_what_is_there_by_noisy_or():
-    occupancy = np.full((1, 9, 9), 0.2, np.float32)
-    body = np.zeros((1, 2)), np.ones(1), np.array([[[4.5, 4.5, 0.0]]]), np.zeros((1, 1, 2, 2)), np.ones((1, 1))
-    draw_track(occupancy, *body, NOWHERE, 0.3, np.zeros((0, 1), np.float32), np.array([0.5]), *unclassed(occupancy))
-    inside = gauss(4, 5, 4.5, 0.2) ** 2
-    assert occupancy[0, 4, 4] == pytest.approx(1 - 0.8 * (1 - 0.5 * inside), rel=1e-5)
-    assert occupancy[0, 0, 0] == pytest.approx(0.2)

@@ -1,0 +1,143 @@
+"""Drawing uncertain bodies into the grid, against hand-computed masses."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+pytest.importorskip("filterpy")
+from gridtrack.trackers.model_free.rasterise import (
+    WINDOW_SIGMAS,
+    Motions,
+    Staying,
+    Surfaces,
+    draw_track,
+    draw_tracks,
+)
+
+
+def gauss(low, high, mean, sigma):
+    return 0.5 * (math.erf((high - mean) / sigma / math.sqrt(2)) - math.erf((low - mean) / sigma / math.sqrt(2)))
+
+
+NOWHERE = np.empty((0, 2))
+KEPT = math.erf(WINDOW_SIGMAS / math.sqrt(2)) ** 2
+"""The share of a blurred point's mass that lies within the window of the blur."""
+
+
+def unclassed(occupancy):
+    """No classes, whose shares of what is drawn need no planes."""
+    steps, rows, columns = occupancy.shape
+    return np.zeros((steps, 0, rows, columns), np.float32), np.zeros(0, np.float32)
+
+
+def drawn(offsets, poses, covariances, weights=None, size=61, existence=1.0):
+    """What a body shows, (n+1, M, M), all of it moved and none still."""
+    steps = len(poses)
+    occupancy = np.zeros((steps, size, size), np.float32)
+    weights = np.ones(len(offsets)) if weights is None else weights
+    still = np.zeros((0, steps), np.float32)
+    draw_track(
+        occupancy,
+        np.asarray(offsets, float),
+        weights,
+        np.asarray(poses, float)[None],
+        np.asarray(covariances, float)[None],
+        np.ones((1, steps)),
+        NOWHERE,
+        0.3,
+        still,
+        np.full(steps, existence),
+        *unclassed(occupancy),
+    )
+    return occupancy
+
+
+def test_a_blurred_point_is_the_gaussian_mass_of_every_cell():
+    image = drawn([(0.0, 0.0)], [(10.5, 12.5, 0.0)], [np.diag([1.0, 4.0])], size=21)[0]
+    assert image[12, 10] == pytest.approx(gauss(10, 11, 10.5, 1) * gauss(12, 13, 12.5, 2), rel=1e-5)
+    assert image[15, 9] == pytest.approx(gauss(9, 10, 10.5, 1) * gauss(15, 16, 12.5, 2), rel=1e-5)
+
+
+@pytest.mark.parametrize("covariance", [[[4.0, 0.0], [0.0, 9.0]], [[6.0, 3.5], [3.5, 4.0]], [[3.0, -2.0], [-2.0, 5.0]]])
+def test_blur_spreads_the_mass_as_the_covariance_says_and_keeps_it(covariance):
+    image = drawn([(0.0, 0.0)], [(30.2, 30.7, 0.0)], [covariance])[0].astype(float)
+    rows, columns = np.mgrid[:61, :61] + 0.5
+    assert KEPT < image.sum() <= 1.0
+    image /= image.sum()
+    assert [(image * columns).sum(), (image * rows).sum()] == pytest.approx([30.2, 30.7], abs=0.025)
+    spread = np.cov(np.stack([columns.ravel(), rows.ravel()]), aweights=image.ravel(), ddof=0)
+    assert spread == pytest.approx(np.array(covariance) + np.eye(2) / 12, rel=0.1, abs=0.25)  # the tails are cut
+
+
+def test_a_body_turns_with_its_heading():
+    image = drawn([(5.0, 0.0)], [(30.5, 30.5, 0.0), (30.5, 30.5, math.pi / 2)], np.zeros((2, 2, 2)))
+    assert np.unravel_index(image[0].argmax(), (61, 61)) == (30, 35)
+    assert np.unravel_index(image[1].argmax(), (61, 61)) == (35, 30)
+
+
+def test_points_of_one_cell_add_up_to_certainty_at_most():
+    pose, sharp = [(30.5, 30.5, 0.0)], np.zeros((1, 2, 2))
+    assert drawn([(0.0, 0.0)] * 2, pose, sharp, np.array([0.5, 0.4]))[0].sum() == pytest.approx(0.9, rel=1 - KEPT)
+    assert drawn([(0.0, 0.0)] * 2, pose, sharp, np.array([0.9, 0.9]))[0].sum() == pytest.approx(1.0, rel=1 - KEPT)
+
+
+def test_motions_that_exclude_each_other_share_the_body():
+    occupancy = np.zeros((1, 9, 9), np.float32)
+    poses = np.array([[[2.5, 4.5, 0.0]], [[6.5, 4.5, 0.0]]])
+    still = np.zeros((0, 1), np.float32)
+    body = np.zeros((1, 2)), np.ones(1), poses, np.zeros((2, 1, 2, 2)), np.array([[0.7], [0.3]])
+    draw_track(occupancy, *body, NOWHERE, 0.3, still, np.ones(1), *unclassed(occupancy))
+    inside = gauss(4, 5, 4.5, 0.2) ** 2
+    assert occupancy[0, 4, [2, 4, 6]] == pytest.approx([0.7 * inside, 0.0, 0.3 * inside], abs=1e-5)
+
+
+def test_returns_that_stay_are_drawn_where_they_are_and_weighted_step_by_step():
+    occupancy = np.zeros((2, 21, 21), np.float32)
+    place = np.array([[8.5, 12.5]])
+    nothing = np.empty((0, 2)), np.empty(0), np.full((1, 2, 3), 10.5), np.zeros((1, 2, 2, 2)), np.zeros((1, 2))
+    draw_track(
+        occupancy, *nothing, place, 0.6, np.array([[1.0, 0.5]], np.float32), np.array([1.0, 0.8]), *unclassed(occupancy)
+    )
+    mass = gauss(8, 9, 8.5, 0.6) * gauss(12, 13, 12.5, 0.6)
+    assert occupancy[:, 12, 8] == pytest.approx([mass, 0.4 * mass], rel=1e-5)
+
+
+def test_what_leaves_the_grid_is_cut_off_at_its_edge():
+    image = drawn([(0.0, 0.0)], [(0.0, 4.5, 0.0), (-500.0, 4.5, 0.0)], np.tile(np.diag([1.0, 0.09]), (2, 1, 1)), size=8)
+    assert image[0].sum() == pytest.approx(0.5, rel=1 - KEPT)
+    assert image[1].sum() == 0.0
+
+
+def test_a_track_is_combined_with_what_is_there_by_noisy_or():
+    occupancy = np.full((1, 9, 9), 0.2, np.float32)
+    body = np.zeros((1, 2)), np.ones(1), np.array([[[4.5, 4.5, 0.0]]]), np.zeros((1, 1, 2, 2)), np.ones((1, 1))
+    draw_track(occupancy, *body, NOWHERE, 0.3, np.zeros((0, 1), np.float32), np.array([0.5]), *unclassed(occupancy))
+    inside = gauss(4, 5, 4.5, 0.2) ** 2
+    assert occupancy[0, 4, 4] == pytest.approx(1 - 0.8 * (1 - 0.5 * inside), rel=1e-5)
+    assert occupancy[0, 0, 0] == pytest.approx(0.2)
+
+
+def test_tracks_drawn_together_are_those_drawn_one_by_one():
+    random = np.random.default_rng(0)
+    sizes, seen, steps = [3, 1, 5], [2, 4, 1], 4
+    bounds, shown = np.cumsum([0, *sizes]), np.cumsum([0, *seen])
+    surfaces = Surfaces(random.uniform(-2, 2, (9, 2)), random.uniform(0, 1, 9), bounds)
+    covariances = random.uniform(0.2, 2.0, (3, 2, steps, 1, 1)) * np.eye(2)
+    motions = Motions(random.uniform(3, 18, (3, 2, steps, 3)), covariances, random.uniform(0, 0.5, (3, 2, steps)))
+    staying = Staying(random.uniform(2, 19, (7, 2)), shown, random.uniform(0, 1, (7, steps)).astype(np.float32), 0.5)
+    existence, classes = random.uniform(0, 1, (3, steps)), random.uniform(0, 1, (3, 2)).astype(np.float32)
+    together, apart = np.zeros((2, steps, 21, 21), np.float32)
+    said, told = np.zeros((2, steps, 2, 21, 21), np.float32)
+    draw_tracks(together, surfaces, motions, staying, existence, said, classes)
+    for t in range(3):
+        own, places = slice(*bounds[t : t + 2]), slice(*shown[t : t + 2])
+        body = surfaces.offsets[own], surfaces.weights[own]
+        motion = motions.poses[t], motions.covariances[t], motions.weights[t]
+        newest = staying.places[places], staying.blur, staying.still[places]
+        draw_track(apart, *body, *motion, *newest, existence[t], told, classes[t])
+    assert together.max() > 0.3
+    assert together.tolist() == apart.tolist()
+    assert said.tolist() == told.tolist()
