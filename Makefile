@@ -84,19 +84,19 @@ GRU_AT_JUNCTION := burn_in=10,shown=10,blank=20,cycles=1,validate_every=250,warm
 AT_JUNCTION := data/junction/train.tracks --validation data/junction/validation.tracks
 THREE_STRETCHES := $(foreach each,0s-320s 1300s-1620s 2600s-2920s,data/junction/train.tracks@$(each)) \
     --validation data/junction/validation.tracks@0s-96s
-# Each of the three best of its own search (docs/trackers/model-free.md), the one that did best on the validation recording.
+# Of the three best of a search (docs/trackers/model-free.md) the one that did best on the validation recording.
 # `train kalman` without them searches for itself: an hour.
-STREET := unforeseen_share=0.504,return_s=1.16,sink_above=0.134,sink_s=1.49,map_s=1.18,link_m=0.246,acceleration=0.0802
-STREET := $(STREET),surge=0.0561,turn_acceleration=0.0362,steady_s=6.01,agile_s=1.4,velocity_memory_s=40
-STREET := $(STREET),initial_turn_rate=0.0511,surface_m=0.0954,position_noise_m=0.06,reach_m=0.339
-STREET := $(STREET),birth_probability=0.202,detection_probability=0.792,false_alarm=0.121,life_s=11.3
-STREET := $(STREET),shape_memory_s=1.46,dwell_speed=0.503,return_noise_m=0.0945
+STREET := unforeseen_share=0.541,return_s=0.628,sink_above=0.119,sink_s=1.29,map_s=1.01,link_m=0.245,acceleration=0.0643
+STREET := $(STREET),surge=0.0719,turn_acceleration=0.0519,agility=5.2,steady_s=9.71,agile_s=2.05,velocity_memory_s=22.5
+STREET := $(STREET),initial_speed=5.11,initial_turn_rate=0.0511,surface_m=0.0915,position_noise_m=0.0297,reach_m=0.209
+STREET := $(STREET),birth_probability=0.171,detection_probability=0.792,false_alarm=0.121,life_s=19.2
+STREET := $(STREET),shape_memory_s=1.83,dwell_speed=0.306,return_noise_m=0.182
 weights: $(VENV)/.installed-dev
 	for tracker in static-map kalman factor-graph dogma deep-tracking-rnn:$(RNN) dilated-convgru:$(GRU); do \
 	    $(BIN)/gridtrack train $$tracker $(DEMO) --out data/weights || exit 1; done
 	$(BIN)/gridtrack train static-map $(AT_JUNCTION) --out data/weights
-	for tracker in kalman:agility=10.2,initial_speed=7.04 factor-graph:agility=7,initial_speed=5; do \
-	    $(BIN)/gridtrack train $$tracker,$(STREET),stage=occupancy $(AT_JUNCTION)@0s-96s --out data/weights || exit 1; done
+	for tracker in kalman factor-graph; do \
+	    $(BIN)/gridtrack train $$tracker:$(STREET),stage=occupancy $(AT_JUNCTION)@0s-96s --out data/weights || exit 1; done
 	$(BIN)/gridtrack train dogma $(THREE_STRETCHES) --out data/weights
 	$(BIN)/gridtrack train deep-tracking-rnn:$(RNN_AT_JUNCTION) $(AT_JUNCTION)@0s-90s --out data/weights
 	for tracker in dilated-convgru:$(GRU_AT_JUNCTION),stage=occupancy \
