@@ -2,12 +2,14 @@
 
 Run it by itself: `python benchmarks/true_stages.py [kalman|factor-graph]`. The validation recording, scored as while
 tuning (moving and visible cells, each step's best threshold), as the pipeline is and then with one thing from the
-truth: all returns of a body as one cluster; the velocity and turn rate of every track that is seen, or of those that
-are at most a second old, at the time of the forecast.
+truth: all returns of a body as one cluster; how the body has moved since it was first matched, in place of each later
+match; the velocity and turn rate of every track that is seen, or of those that are at most a second old, at the time of
+the forecast.
 """
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
@@ -24,6 +26,7 @@ from gridtrack.evaluation.comparison.learned import find_weights
 from gridtrack.evaluation.scoring.in_process import score_in_process
 from gridtrack.trackers import registry
 from gridtrack.trackers.contract import Forecast, stream_of
+from gridtrack.trackers.model_free.matching import Match
 from gridtrack.trackers.model_free.segmentation import Cluster
 from gridtrack.trackers.model_free.tracker import ModelFreeTracker
 from gridtrack.trackers.model_free.tracks import Track
@@ -31,7 +34,8 @@ from gridtrack.trackers.model_free.tracks import Track
 STEPS, HORIZONS = 20, {"0.5 s": 4, "1 s": 8, "2 s": 16}
 YOUNG_S = 1.0
 VELOCITY_SD, TURN_RATE_SD = 0.03, 0.01
-"""How well the truth is known, m/s and rad/s."""
+POSE_SD = 0.03
+"""How well the truth is known, m/s, rad/s, and m and rad."""
 
 
 class Truth(NamedTuple):
@@ -68,7 +72,7 @@ def truths(observations: Sequence[Observation], grid: GridSpec) -> dict[int, Tru
 
 
 def informed(kind: type[ModelFreeTracker], truth: Mapping[int, Truth], told: str) -> type[ModelFreeTracker]:
-    """The tracker, but `told` one thing from the truth: `clusters`, `velocity`, `young` or nothing."""
+    """The tracker, but `told` one thing from the truth: `clusters`, `poses`, `velocity`, `young` or nothing."""
 
     class Informed(kind):  # type: ignore[misc, valid-type]
         def reset(self, seed: int) -> None:
@@ -77,10 +81,15 @@ def informed(kind: type[ModelFreeTracker], truth: Mapping[int, Truth], told: str
             if told == "clusters":
                 segment = self._pipeline._segment
                 self._pipeline._segment = lambda frame: joined(segment(frame), truth[frame.stamp_ns], self.stream.grid)
+            if told == "poses":
+                correct, first = self._pipeline._correct, dict[int, tuple[int, SE2]]()
+                self._pipeline._correct = lambda shares, matches, visible: correct(
+                    shares, posed(self.tracks, shares, matches, first, self._now, self.stream.grid), visible
+                )
 
         def update(self, frame: GridFrame) -> None:
-            super().update(frame)
             self._now = truth[frame.stamp_ns]
+            super().update(frame)
             for track in self.tracks:
                 self._seen_for[track.identity] = self._seen_for.get(track.identity, 0) + (not track.unseen)
 
@@ -112,6 +121,36 @@ def tell(track: Track, truth: Truth, grid: GridSpec) -> None:
         covariance[3:, :] = covariance[:, 3:] = 0.0
         covariance[3:, 3:] = np.diag([VELOCITY_SD, VELOCITY_SD, TURN_RATE_SD]) ** 2
         estimator.mean, estimator.covariance = mean, covariance
+
+
+def posed(
+    tracks: Sequence[Track],
+    shares: Mapping[int, Cluster],
+    matches: Mapping[int, Match],
+    first: dict[int, tuple[int, SE2]],
+    truth: Truth,
+    grid: GridSpec,
+) -> dict[int, Match]:
+    """The matches, track number -> match, but after each track's first on a body as that body has moved since.
+
+    `first` is by identity: the body that the track was first matched on, and the track's pose in that body's frame.
+    """
+    told = {}
+    for number, match in matches.items():
+        told[number] = match
+        body, identity = owner_of(shares[number].points, truth, grid), tracks[number].identity
+        if body is None:
+            continue
+        grid_T_body = truth.world_T_grid.inverse() @ truth.now[body].world_T_object
+        if first.get(identity, (None, None))[0] != body:
+            first[identity] = body, grid_T_body.inverse() @ SE2(*match.pose.tolist())
+            continue
+        true, covariance = grid_T_body @ first[identity][1], np.eye(3) * POSE_SD**2
+        pose = np.array([true.x, true.y, true.theta])
+        if match.covariance[2, 2] > math.pi**2:  # which shows no heading
+            pose[2], covariance[2, 2] = match.pose[2], match.covariance[2, 2]
+        told[number] = match._replace(pose=pose, covariance=covariance)
+    return told
 
 
 def joined(clusters: Sequence[Cluster], truth: Truth, grid: GridSpec) -> list[Cluster]:
@@ -146,7 +185,7 @@ def main() -> None:
     truth = truths(list(stream.observations()), stream.grid)
     columns = [f"{stratum} {horizon}" for stratum in ("moving", "visible") for horizon in HORIZONS]
     print(f"| {kind.name}, told | {' | '.join(columns)} |\n|---|{'--:|' * len(columns)}")
-    for told in ("nothing", "clusters", "velocity", "young"):
+    for told in ("nothing", "clusters", "poses", "velocity", "young"):
         values = score(informed(kind, truth, told), stream)
         print(f"| {told} | {' | '.join(f'{value:.3f}' for value in values)} |", flush=True)
 
