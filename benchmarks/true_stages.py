@@ -26,7 +26,7 @@ from gridtrack.evaluation.comparison.learned import find_weights
 from gridtrack.evaluation.scoring.in_process import score_in_process
 from gridtrack.trackers import registry
 from gridtrack.trackers.contract import Forecast, stream_of
-from gridtrack.trackers.model_free.matching import Match
+from gridtrack.trackers.model_free.matches import Match
 from gridtrack.trackers.model_free.segmentation import Cluster
 from gridtrack.trackers.model_free.tracker import ModelFreeTracker
 from gridtrack.trackers.model_free.tracks import Track

@@ -12,14 +12,12 @@ themselves lie in the middle of cells, and a side that glides past the grid woul
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from typing import NamedTuple
 
 import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from gridtrack.trackers.model_free.ragged import bounds_of
+from gridtrack.trackers.model_free.matches import Matches, Outlines, Pairs
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -48,60 +46,6 @@ NOWHERE = 1e12
 """Squared distance from what is not there, m^2."""
 UNKNOWN = (1e4, 1e4, 1e3)
 """Variance of a direction that the returns say nothing of, along x and y (m^2) and of the heading (rad^2)."""
-
-
-class Outlines(NamedTuple):
-    """G outlines one after the other: their points (N, 2) in metres, how likely each is to be there (N,), and at which
-    the outline is cut off (N,). Those of outline g are `bounds` (G+1,) [g] to [g+1].
-    """
-
-    points: Array
-    weights: Array
-    cut: Mask
-    bounds: NDArray[np.int64]
-
-    @classmethod
-    def of(cls, points: Sequence[Array], weights: Sequence[Array], cut: Sequence[Mask]) -> Outlines:
-        """The outlines, from the points (N, 2), weights (N,) and cut-off ends (N,) of each; there is at least one."""
-        return cls(np.concatenate(points), np.concatenate(weights), np.concatenate(cut), bounds_of(points))
-
-
-class Match(NamedTuple):
-    """A measured pose (3,): x, y, heading; its covariance (3, 3); and the `residual` of the returns.
-
-    The residual is the mean over returns of the squared distance to the boundary in kernel widths, as the mixture sees
-    it: 0 where they lie on it, 9 where none does.
-    """
-
-    pose: Array
-    covariance: Array
-    residual: float
-
-
-class Matches(NamedTuple):
-    """Those of P pairs: `poses` (P, 3), `covariances` (P, 3, 3) and `residuals` (P,), each as that of a Match."""
-
-    poses: Array
-    covariances: Array
-    residuals: Array
-
-    def of(self, pair: int) -> Match:
-        """That of one pair."""
-        return Match(self.poses[pair], self.covariances[pair], float(self.residuals[pair]))
-
-
-class Pairs(NamedTuple):
-    """P pairs to match: which boundary and which outline of returns, `numbers` (P, 2), from which `starts` (P, S, 3).
-
-    Each finite start, x, y and heading, is as uncertain as `unsure_m` (P,) in metres. Only what `goes_on` (P,) may go
-    on unseen where it is cut off; what `turns` (P,) is of which both show a heading.
-    """
-
-    numbers: NDArray[np.int64]
-    starts: Array
-    unsure_m: Array
-    goes_on: Mask
-    turns: Mask
 
 
 def match(boundaries: Outlines, seen: Mask, returns: Outlines, pairs: Pairs, surface_m: float) -> Matches:

@@ -15,7 +15,7 @@ from gridtrack.trackers.model_free.births import Estimator, begin
 from gridtrack.trackers.model_free.classes import attribute, normalise, place_weighted
 from gridtrack.trackers.model_free.dwell import NOT_OCCUPIED, next_ages
 from gridtrack.trackers.model_free.forecast import add_tracks
-from gridtrack.trackers.model_free.matching import Match
+from gridtrack.trackers.model_free.matches import Match
 from gridtrack.trackers.model_free.measurement import belonging, compare, measured
 from gridtrack.trackers.model_free.merging import Companions, stands
 from gridtrack.trackers.model_free.occlusion import BACKGROUND, cut_off
