@@ -27,7 +27,7 @@ from gridtrack.evaluation.scoring.in_process import score_in_process
 from gridtrack.trackers import registry
 from gridtrack.trackers.contract import Forecast, stream_of
 from gridtrack.trackers.model_free.matches import Match
-from gridtrack.trackers.model_free.segmentation import Cluster
+from gridtrack.trackers.model_free.segmentation import Cluster, joined
 from gridtrack.trackers.model_free.tracker import ModelFreeTracker
 from gridtrack.trackers.model_free.tracks import Track
 
@@ -80,7 +80,7 @@ def informed(kind: type[ModelFreeTracker], truth: Mapping[int, Truth], told: str
             self._seen_for: dict[int, int] = {}
             if told == "clusters":
                 segment = self._pipeline._segment
-                self._pipeline._segment = lambda frame: joined(segment(frame), truth[frame.stamp_ns], self.stream.grid)
+                self._pipeline._segment = lambda frame: whole(segment(frame), truth[frame.stamp_ns], self.stream.grid)
             if told == "poses":
                 correct, first = self._pipeline._correct, dict[int, tuple[int, SE2]]()
                 self._pipeline._correct = lambda shares, matches, visible: correct(
@@ -153,16 +153,13 @@ def posed(
     return told
 
 
-def joined(clusters: Sequence[Cluster], truth: Truth, grid: GridSpec) -> list[Cluster]:
+def whole(clusters: Sequence[Cluster], truth: Truth, grid: GridSpec) -> list[Cluster]:
     """The clusters, those of which most returns are of one body as one."""
     of_body: dict[int, list[Cluster]] = {}
     for number, cluster in enumerate(clusters):
         body = owner_of(cluster.points, truth, grid)
         of_body.setdefault(-1 - number if body is None else body, []).append(cluster)
-    return [
-        Cluster(np.concatenate([part.points for part in parts]), np.concatenate([part.cut for part in parts]))
-        for parts in of_body.values()
-    ]
+    return [joined(parts) for parts in of_body.values()]
 
 
 def owner_of(points: np.ndarray, truth: Truth, grid: GridSpec) -> int | None:

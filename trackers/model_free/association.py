@@ -15,7 +15,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.stats import chi2
 
 from gridtrack.trackers.model_free.ragged import bounds_of, split
-from gridtrack.trackers.model_free.segmentation import Cluster
+from gridtrack.trackers.model_free.segmentation import Cluster, joined
 
 Array = NDArray[np.float64]
 
@@ -129,19 +129,12 @@ def share_out(
             for track in np.unique(owners):
                 shares.setdefault(int(track), []).append(_part(cluster, owners == track))
     left = [cluster for number, cluster in enumerate(clusters) if not may_have[:, number].any()]
-    return {track: _joined(parts) for track, parts in shares.items()}, left
+    return {track: joined(parts) for track, parts in shares.items()}, left
 
 
 def _part(cluster: Cluster, kept: NDArray[np.bool_]) -> Cluster:
     """The kept returns of a cluster, itself where it is kept whole."""
     return cluster if kept.all() else Cluster(cluster.points[kept], cluster.cut[kept])
-
-
-def _joined(parts: list[Cluster]) -> Cluster:
-    """The parts as one, itself where there is only one."""
-    if len(parts) == 1:
-        return parts[0]
-    return Cluster(np.concatenate([part.points for part in parts]), np.concatenate([part.cut for part in parts]))
 
 
 def gaps(distances: Array, clusters: Sequence[Cluster]) -> Array:

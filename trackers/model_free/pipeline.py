@@ -54,7 +54,6 @@ class Pipeline:
         self.ages = np.full(grid.shape, NOT_OCCUPIED)
         self.tracks: list[Track] = []
         self.frame: GridFrame | None = None
-        self.visible_before = np.zeros(grid.shape, np.bool_)
         self.born = self.restarts = 0
 
     def update(self, frame: GridFrame) -> None:
@@ -68,7 +67,7 @@ class Pipeline:
         self._judge(shares, views)
         self._merge()
         self._give_birth(left)
-        self.frame, self.visible_before = frame, frame.visible
+        self.frame = frame
 
     def _segment(self, frame: GridFrame) -> list[Cluster]:
         """Clusters of the returns that the background does not explain; how long each has been in place is kept."""
@@ -115,13 +114,14 @@ class Pipeline:
 
     def _extend(self, tracks: list[Track], clusters: list[Cluster], visible: Mask) -> None:
         """Let each track's shape take in its returns; what of them lies where nothing could be seen is revealed."""
+        assert self.frame is not None  # the one before, which the tracks are from
         owners = owners_of(bounds_of(clusters))
         points = np.concatenate([cluster.points for cluster in clusters])
         bodies = to_body(points, np.stack([track.pose for track in tracks])[owners])
         past = split(to_grid(bodies, np.stack([track.before for track in tracks])[owners]), clusters)
         each = zip(
             *(tracks, clusters, self._ages_of(clusters), split(bodies, clusters)),
-            in_view(past, self.grid, self.visible_before),
+            in_view(past, self.grid, self.frame.visible),
             in_view(boundaries_of(tracks), self.grid, visible),
             strict=True,
         )

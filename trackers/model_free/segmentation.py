@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numba
@@ -82,3 +83,10 @@ def clusters_of(points: Points, cut: Mask, labels: NDArray[np.int64]) -> list[Cl
     order = np.argsort(labels, kind="stable")
     ends = np.cumsum(np.bincount(labels))[:-1]
     return [Cluster(*parts) for parts in zip(np.split(points[order], ends), np.split(cut[order], ends), strict=True)]
+
+
+def joined(parts: Sequence[Cluster]) -> Cluster:
+    """The parts as one, itself where there is only one."""
+    if len(parts) == 1:
+        return parts[0]
+    return Cluster(np.concatenate([part.points for part in parts]), np.concatenate([part.cut for part in parts]))

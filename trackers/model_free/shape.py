@@ -49,8 +49,8 @@ class Shape:
         It is `cut` off (N,) at some of them.
         """
         shape = cls(np.empty((0, 2)), np.empty(0), np.empty(0, np.int64), np.empty(0, np.bool_))
-        in_view, revealed = np.zeros((2, len(offsets)), np.bool_)
-        shape.absorb(offsets, cut, revealed, in_view[:0], apart_m, gain=0.0)
+        revealed = np.zeros(len(offsets), np.bool_)
+        shape.absorb(offsets, cut, revealed, np.empty(0, np.bool_), apart_m, gain=0.0)
         return shape
 
     def absorb(self, found: Array, found_cut: Mask, revealed: Mask, in_view: Mask, apart_m: float, gain: float) -> None:
