@@ -119,16 +119,18 @@ def share_out(
     paired_tracks[list(pairs.keys())] = paired_clusters[list(pairs.values())] = True
     may_have &= paired_tracks[: may_have.shape[0], None] ^ paired_clusters[None, : may_have.shape[1]]
     may_have[list(pairs.keys()), list(pairs.values())] = True
+    candidates: list[list[int]] = [[] for _ in clusters]
+    for number, track in np.argwhere(may_have.T).tolist():
+        candidates[number].append(track)
     shares: dict[int, list[Cluster]] = {}
-    for number, (cluster, own) in enumerate(zip(clusters, split(distances, clusters), strict=True)):
-        tracks = np.flatnonzero(may_have[:, number])
-        if tracks.size == 1:
-            shares.setdefault(int(tracks[0]), []).append(cluster)
-        elif tracks.size:
-            owners = tracks[own[:, tracks].argmin(axis=1)]
-            for track in np.unique(owners):
-                shares.setdefault(int(track), []).append(_part(cluster, owners == track))
-    left = [cluster for number, cluster in enumerate(clusters) if not may_have[:, number].any()]
+    for cluster, own, tracks in zip(clusters, split(distances, clusters), candidates, strict=True):
+        if len(tracks) == 1:
+            shares.setdefault(tracks[0], []).append(cluster)
+        elif tracks:
+            owners = np.array(tracks)[own[:, tracks].argmin(axis=1)]
+            for track in np.unique(owners).tolist():
+                shares.setdefault(track, []).append(_part(cluster, owners == track))
+    left = [cluster for cluster, tracks in zip(clusters, candidates, strict=True) if not tracks]
     return {track: joined(parts) for track, parts in shares.items()}, left
 
 

@@ -163,7 +163,7 @@ def features_of(tracks: Sequence[Track], frame: GridFrame) -> Array:
     their centre from the nearest sensor, for what is far shows fewer returns.
     """
     ends = bounds_of([track.returns for track in tracks])
-    motions = np.stack([track.estimator.mean[3:5] for track in tracks])
+    motions = np.array([track.estimator.mean[3:5] for track in tracks])
     points = np.concatenate([track.returns for track in tracks])
     return np.asarray(_features(points, ends, motions, frame.origins.astype(np.float64)))
 

@@ -15,7 +15,7 @@ from gridtrack.trackers.model_free.ragged import bounds_of, means_of, owners_of
 from gridtrack.trackers.model_free.rasterise import Motions, Staying, Surfaces, draw_tracks
 from gridtrack.trackers.model_free.settings import PipelineSettings
 from gridtrack.trackers.model_free.shape import in_view, rotation, to_body
-from gridtrack.trackers.model_free.tracks import Status, Track, boundaries_of
+from gridtrack.trackers.model_free.tracks import Status, Track, boundaries_of, poses_of
 
 Array = NDArray[np.float64]
 
@@ -63,11 +63,11 @@ def _motions(tracks: Sequence[Track], regimes: Regimes, steps: int, grid: GridSp
     """
     poses, spreads = [], []
     seen = np.array([not track.unseen for track in tracks])
-    now = np.stack([track.pose for track in tracks])
+    now = poses_of(tracks)
     for regime, model in enumerate(regimes.models):
         estimators = [track.estimator.estimators[regime] for track in tracks]
-        means = np.stack([estimator.mean for estimator in estimators])
-        covariances = np.stack([estimator.covariance for estimator in estimators])
+        means = np.array([estimator.mean for estimator in estimators])
+        covariances = np.array([estimator.covariance for estimator in estimators])
         means[seen, :3] = now[seen]
         covariances[seen, :3] = covariances[seen, :, :3] = 0.0
         means, covariances = propagate(means, covariances, steps, model)
@@ -82,7 +82,7 @@ def _surfaces(tracks: Sequence[Track], frame: GridFrame, grid: GridSpec) -> Surf
     Of what is seen now its newest returns, and of its boundary what is hidden now; of what is not, all of its boundary.
     """
     returns, boundaries = [track.returns for track in tracks], boundaries_of(tracks)
-    seen, poses = np.array([not track.unseen for track in tracks]), np.stack([track.pose for track in tracks])
+    seen, poses = np.array([not track.unseen for track in tracks]), poses_of(tracks)
     returned, bounding = owners_of(bounds_of(returns)), owners_of(bounds_of(boundaries))
     again = seen[returned]
     hidden = ~(seen[bounding] & np.concatenate(in_view(boundaries, grid, frame.visible)))
@@ -105,7 +105,7 @@ def _staying(
     returns = [track.returns for track in tracks]
     bounds = bounds_of(returns)
     owners = owners_of(bounds)
-    velocities = np.stack([track.estimator.mean[3:5] for track in tracks])
+    velocities = np.array([track.estimator.mean[3:5] for track in tracks])
     slow = np.exp(-(velocities**2).sum(axis=1) / settings.dwell_speed**2).astype(np.float32)
     unseen = np.array([track.unseen for track in tracks])
     still = still_there(dwell, np.concatenate([track.ages for track in tracks]), unseen[owners], steps)

@@ -16,7 +16,7 @@ from gridtrack.trackers.model_free.matching import match
 from gridtrack.trackers.model_free.ragged import bounds_of, means_of, spans_of
 from gridtrack.trackers.model_free.segmentation import Cluster
 from gridtrack.trackers.model_free.settings import PipelineSettings
-from gridtrack.trackers.model_free.tracks import Track, boundaries_of
+from gridtrack.trackers.model_free.tracks import Track, boundaries_of, poses_of
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -73,7 +73,7 @@ def _starts(
     centres = means_of(np.concatenate(boundaries), bounds_of(boundaries))
     shifts = means_of(returns.points, returns.bounds)[c] - centres[t]
     unsure_m = np.sqrt(_covariances(tracks)[:, (0, 1), (0, 1)].max(axis=1))[t]
-    starts = np.repeat(np.stack([track.pose for track in tracks])[t, None], 2, axis=1)
+    starts = np.repeat(poses_of(tracks)[t, None], 2, axis=1)
     starts[:, 1, :2] += np.where(unsure_m > UNSURE * surface_m, shifts.T, np.nan).T
     return starts, unsure_m
 
@@ -153,7 +153,7 @@ def measured(
 
 def squared_mahalanobis(found: Matches, tracks: Sequence[Track], owners: NDArray[np.int64]) -> Array:
     """Squared Mahalanobis distances (P,) of matched poses from the predicted ones of their tracks, `owners` (P,)."""
-    off = found.poses - np.stack([track.pose for track in tracks])[owners]
+    off = found.poses - poses_of(tracks)[owners]
     off[:, 2] = wrap_angle(off[:, 2])
     spreads = _covariances(tracks)[owners, :3, :3] + found.covariances
     return np.asarray((off * np.linalg.solve(spreads, off[..., None])[..., 0]).sum(axis=1))
@@ -161,4 +161,4 @@ def squared_mahalanobis(found: Matches, tracks: Sequence[Track], owners: NDArray
 
 def _covariances(tracks: Sequence[Track]) -> Array:
     """Of the tracks' states, (T, 6, 6)."""
-    return np.stack([track.estimator.covariance for track in tracks])
+    return np.array([track.estimator.covariance for track in tracks])

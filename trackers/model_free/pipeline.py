@@ -23,7 +23,13 @@ from gridtrack.trackers.model_free.ragged import bounds_of, owners_of, split
 from gridtrack.trackers.model_free.segmentation import Cluster, clusters_of, segment
 from gridtrack.trackers.model_free.settings import PipelineSettings
 from gridtrack.trackers.model_free.shape import Shape, in_view, to_body, to_grid
-from gridtrack.trackers.model_free.tracks import Track, boundaries_of, existence_when_detected, existence_when_missed
+from gridtrack.trackers.model_free.tracks import (
+    Track,
+    boundaries_of,
+    existence_when_detected,
+    existence_when_missed,
+    poses_of,
+)
 
 Array = NDArray[np.float64]
 
@@ -117,8 +123,8 @@ class Pipeline:
         assert self.frame is not None  # the one before, which the tracks are from
         owners = owners_of(bounds_of(clusters))
         points = np.concatenate([cluster.points for cluster in clusters])
-        bodies = to_body(points, np.stack([track.pose for track in tracks])[owners])
-        past = split(to_grid(bodies, np.stack([track.before for track in tracks])[owners]), clusters)
+        bodies = to_body(points, poses_of(tracks)[owners])
+        past = split(to_grid(bodies, np.array([track.before for track in tracks])[owners]), clusters)
         each = zip(
             *(tracks, clusters, self._ages_of(clusters), split(bodies, clusters)),
             in_view(past, self.grid, self.frame.visible),

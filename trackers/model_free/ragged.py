@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence, Sized
-from itertools import pairwise
+from itertools import accumulate, pairwise
 from typing import Any
 
 import numpy as np
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 def bounds_of(parts: Sequence[Sized]) -> NDArray[np.int64]:
     """The rows (G+1,) of all G parts together at which each begins, and at which the last one ends."""
-    return np.cumsum([0, *map(len, parts)])
+    return np.array([*accumulate(map(len, parts), initial=0)])
 
 
 def owners_of(bounds: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -33,4 +33,4 @@ def means_of(rows: NDArray[Any], bounds: NDArray[np.int64]) -> NDArray[np.float6
 
 def split(rows: NDArray[Any], parts: Sequence[Sized]) -> list[NDArray[Any]]:
     """The rows (N, ...) of all parts together, part by part."""
-    return [rows[first:last] for first, last in pairwise(bounds_of(parts).tolist())]
+    return [rows[first:last] for first, last in pairwise(accumulate(map(len, parts), initial=0))]

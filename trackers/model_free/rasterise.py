@@ -10,6 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+U = np.uint64
+"""An index in the loops that take the time: an unsigned one is never counted from the end, so that they vectorise on
+whole arrays. A view of each row would do, but to count the references to it takes longer than the row."""
 
 WINDOW_SIGMAS = 2.5
 """Half the width of the blur window; what lies beyond (1.2 %) is cut."""
@@ -89,54 +92,55 @@ def draw_track(  # type: ignore[no-untyped-def]
     for step in range(occupancy.shape[0]):
         box = size, 0, size, 0
         for r in range(len(moved)):
-            pose, covariance, weight = poses[r, step], covariances[r, step], moved[r, step]
-            if weight * _densest(mass, covariance) < NEGLIGIBLE:
+            x, y, heading = poses[r, step, 0], poses[r, step, 1], poses[r, step, 2]
+            spread = covariances[r, step, 0, 0], covariances[r, step, 0, 1], covariances[r, step, 1, 1]
+            weight = moved[r, step]
+            if weight * _densest(mass, spread) < NEGLIGIBLE:
                 continue
-            scale = _scale(covariance)
-            if scale != scales[r] or abs(pose[2] - headings[r]) > SAME_HEADING:
-                scales[r], headings[r] = scale, pose[2]
-                patches[r] = _patch(offsets, weights, pose[2], scale)
-            box = _grown(box, _draw_blurred(shown, patches[r], pose, covariance, weight, scale))
-        for k in range(len(places)):
-            _draw_point(shown, corners[k], masses[k], still[k, step])
+            scale = _scale(spread)
+            if scale != scales[r] or abs(heading - headings[r]) > SAME_HEADING:
+                scales[r], headings[r] = scale, heading
+                patches[r] = _patch(offsets, weights, heading, scale)
+            box = _grown(box, _draw_blurred(shown, patches[r], x, y, spread, weight, scale))
+        _draw_points(shown, corners, masses, still, step)
         box = _grown(box, still_box)
         exists = np.float32(existence[step])
         _share_out(semantics[step], classes, shown, exists, box)
-        for row in range(max(box[0], 0), min(box[1], size)):
-            target, cause = occupancy[step, row], shown[row]
-            for column in range(max(box[2], 0), min(box[3], size)):
-                target[column] += (np.float32(1.0) - target[column]) * exists * min(cause[column], np.float32(1.0))
-                cause[column] = np.float32(0.0)
+        for row in _inside(box[0], box[1], size):
+            for column in _inside(box[2], box[3], size):
+                cause = exists * min(shown[row, column], np.float32(1.0))
+                occupancy[step, row, column] += (np.float32(1.0) - occupancy[step, row, column]) * cause
+                shown[row, column] = np.float32(0.0)
 
 
 @numba.njit(error_model="numpy", fastmath=True)
 def _share_out(planes, classes, shown, exists, box):  # type: ignore[no-untyped-def]
     """Add to `planes` (C, M, M), by P(class), `classes` (C,), what is `shown` (M, M) within a box, times `exists`."""
     size = shown.shape[0]
-    first, last = max(box[2], 0), min(box[3], size)
-    if last <= first or not len(classes):
-        return
-    cause = np.empty(last - first, np.float32)
-    for row in range(max(box[0], 0), min(box[1], size)):
-        for j in range(len(cause)):
-            cause[j] = exists * min(shown[row, first + j], np.float32(1.0))
-        for k in range(len(classes)):
-            plane, share = planes[k, row, first:last], classes[k]
-            for j in range(len(cause)):
-                plane[j] += share * cause[j]
+    for k in range(len(classes)):
+        share = exists * classes[k]
+        for row in _inside(box[0], box[1], size):
+            for column in _inside(box[2], box[3], size):
+                planes[k, row, column] += share * min(shown[row, column], np.float32(1.0))
+
+
+@numba.njit(error_model="numpy")
+def _inside(first, last, size):  # type: ignore[no-untyped-def]
+    """Those of the rows, or columns, `first` to `last`, the last one excluded, that are inside the grid."""
+    return range(U(min(max(first, 0), size)), U(min(max(last, 0), size)))
 
 
 @numba.njit(error_model="numpy")
 def _densest(mass, covariance):  # type: ignore[no-untyped-def]
     """No cell is more probable than this where points of so much `mass` together are blurred by a `covariance`."""
-    spread = covariance[0, 0] * covariance[1, 1] - covariance[0, 1] ** 2
-    return min(1.0, mass / (2.0 * math.pi * math.sqrt(max(spread, 1e-9))))
+    xx, xy, yy = covariance
+    return min(1.0, mass / (2.0 * math.pi * math.sqrt(max(xx * yy - xy * xy, 1e-9))))
 
 
 @numba.njit(error_model="numpy")
 def _scale(covariance):  # type: ignore[no-untyped-def]
     """In pixels of how many cells a body so blurred is drawn: as fine as the blur calls for."""
-    xx, xy, yy = covariance[0, 0], covariance[0, 1], covariance[1, 1]
+    xx, xy, yy = covariance
     smallest = math.sqrt(max(0.5 * (xx + yy) - math.hypot(0.5 * (xx - yy), xy), 0.0))
     return max(1, int(smallest / FINENESS))
 
@@ -170,13 +174,13 @@ def _patch(offsets, weights, heading, scale):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(error_model="numpy", fastmath=True)
-def _draw_blurred(shown, body, centre, covariance, weight, scale):  # type: ignore[no-untyped-def]
-    """Add to `shown` (M, M) a `body`, its patch and corner, about `centre` (x, y, ...), blurred, times `weight`.
+def _draw_blurred(shown, body, x, y, covariance, weight, scale):  # type: ignore[no-untyped-def]
+    """Add to `shown` (M, M) a `body`, its patch and corner, about x, y, blurred, times `weight`.
 
     Returns the box of cells that was touched: first and last row, first and last column, the last ones excluded.
     """
-    (patch, corner), x, y = body, centre[0] / scale, centre[1] / scale
-    image, row, column = _blurred(patch, corner, x, y, _less_pixels(covariance, scale), weight)
+    patch, corner = body
+    image, row, column = _blurred(patch, corner, x / scale, y / scale, _less_pixels(covariance, scale), weight)
     box = row * scale, (row + image.shape[0]) * scale, column * scale, (column + image.shape[1]) * scale
     if scale == 1:
         _add(shown, image, row, column)
@@ -189,58 +193,52 @@ def _draw_blurred(shown, body, centre, covariance, weight, scale):  # type: igno
 def _add(shown, image, row, column):  # type: ignore[no-untyped-def]
     """Add to `shown` (M, M) the `image` (A, B), whose corner is at this row and column."""
     size = len(shown)
-    first, last = max(0, -column), min(image.shape[1], size - column)
-    for i in range(max(0, -row), min(image.shape[0], size - row)):
-        target, source = shown[row + i], image[i]
-        for j in range(first, last):
-            target[column + j] += source[j]
+    for i in _inside(row, row + image.shape[0], size):
+        for j in _inside(column, column + image.shape[1], size):
+            shown[i, j] += image[i - U(row), j - U(column)]
 
 
 @numba.njit(error_model="numpy", fastmath=True)
 def _add_enlarged(shown, image, box, scale):  # type: ignore[no-untyped-def]
     """Add to `shown` (M, M) the `image` (A, B), whose pixels are of `scale` cells and cover the `box`."""
-    first_row, last_row, first_column, last_column = box
-    first, last = max(0, first_column), min(last_column, len(shown))
-    if last <= first:
-        return
-    wide = np.zeros((image.shape[0], last - first), np.float32)
-    for j in range(last - first):
-        x, aside = _pixel(first + j - first_column, scale, image.shape[1])
-        beside = min(x + 1, image.shape[1] - 1)
-        for i in range(len(image)):
+    size = len(shown)
+    wide = np.empty((image.shape[0], size), np.float32)
+    for j in _inside(box[2], box[3], size):
+        x, aside = _pixel(j - U(box[2]), scale, image.shape[1])
+        beside = min(x + U(1), U(image.shape[1] - 1))
+        for i in range(U(len(image))):
             wide[i, j] = image[i, x] + (image[i, beside] - image[i, x]) * aside
-    for i in range(max(0, first_row), min(last_row, len(shown))):
-        y, up = _pixel(i - first_row, scale, len(image))
-        below, above, target = wide[y], wide[min(y + 1, len(image) - 1)], shown[i, first:last]
-        for j in range(len(target)):
-            target[j] += below[j] + (above[j] - below[j]) * up
+    for i in _inside(box[0], box[1], size):
+        y, up = _pixel(i - U(box[0]), scale, len(image))
+        above = min(y + U(1), U(len(image) - 1))
+        for j in _inside(box[2], box[3], size):
+            shown[i, j] += wide[y, j] + (wide[above, j] - wide[y, j]) * up
 
 
 @numba.njit(error_model="numpy")
 def _less_pixels(covariance, scale):  # type: ignore[no-untyped-def]
-    """The covariance (2, 2) in pixels, less what interpolation between them adds."""
-    reduced = covariance / (scale * scale)
-    if scale > 1:
-        reduced[0, 0] -= 1.0 / 6.0
-        reduced[1, 1] -= 1.0 / 6.0
-    return reduced
+    """The covariance in pixels, less what interpolation between them adds."""
+    xx, xy, yy = covariance
+    pixel, less = 1.0 / (scale * scale), 1.0 / 6.0 if scale > 1 else 0.0
+    return xx * pixel - less, xy * pixel, yy * pixel - less
 
 
 @numba.njit(error_model="numpy")
 def _pixel(cell, scale, count):  # type: ignore[no-untyped-def]
     """The pixel of `count` whose centre lies at or before that of a cell, and how far its is towards the next."""
     place = min(max((cell + 0.5) / scale - 0.5, 0.0), count - 1.0)
-    return int(place), np.float32(place - int(place))
+    return U(place), np.float32(place - math.floor(place))
 
 
 @numba.njit(error_model="numpy", fastmath=True)
 def _blurred(patch, corner, x, y, covariance, weight):  # type: ignore[no-untyped-def]
     """The patch (A, B) about x, y, blurred, times `weight`: an image, and the row and column of its corner; in pixels.
 
-    The blur is one along x and then one along y, in which the rows shift sideways as the covariance (2, 2) says.
+    The blur is one along x and then one along y, in which the rows shift sideways as the `covariance` says.
     """
-    var_x, var_y = max(covariance[0, 0], SHARPEST**2), max(covariance[1, 1], SHARPEST**2)
-    slope = covariance[0, 1] / var_y
+    xx, xy, yy = covariance
+    var_x, var_y = max(xx, SHARPEST**2), max(yy, SHARPEST**2)
+    slope = xy / var_y
     first_row, rows = _blur_window(y, math.sqrt(var_y))
     first_column, columns = _blur_window(x, math.sqrt(max(var_x - slope * slope * var_y, SHARPEST**2)))
     along = _blur_rows(patch, columns)
@@ -254,14 +252,13 @@ def _blurred(patch, corner, x, y, covariance, weight):  # type: ignore[no-untype
         share = rows[i] * np.float32(weight)
         here, beside = share * (np.float32(1.0) - aside), share * aside
         for k in range(patch.shape[0]):
-            source = along[k]
-            target = image[i + k, margin + left : margin + left + width + 1]
+            target, source, first = U(i + k), U(k), U(margin + left)
             if margin:
-                for j in range(len(target)):
-                    target[j] += here * source[j + 1] + beside * source[j]
+                for j in range(U(width + 1)):
+                    image[target, first + j] += here * along[source, j + U(1)] + beside * along[source, j]
             else:
-                for j in range(width):
-                    target[j] += share * source[j + 1]
+                for j in range(U(width)):
+                    image[target, j] += share * along[source, j + U(1)]
     return image, first_row + corner[0], first_column + corner[1] - margin
 
 
@@ -273,9 +270,9 @@ def _blur_rows(image, kernel):  # type: ignore[no-untyped-def]
         for column in range(image.shape[1]):
             value = image[row, column]
             if value != 0.0:
-                target = out[row, column + 1 : column + 1 + kernel.size]
-                for i in range(kernel.size):
-                    target[i] += value * kernel[i]
+                k, first = U(row), U(column + 1)
+                for i in range(U(kernel.size)):
+                    out[k, first + i] += value * kernel[i]
     return out
 
 
@@ -297,12 +294,14 @@ def _points(places, blur, size):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(error_model="numpy", fastmath=True)
-def _draw_point(shown, corner, mass, weight):  # type: ignore[no-untyped-def]
-    """Add to `shown` (M, M) the `mass` (W, W) at its `corner`, times `weight`."""
-    size, row, column = shown.shape[0], corner[0], corner[1]
-    for i in range(max(0, -row), min(len(mass), size - row)):
-        for j in range(max(0, -column), min(len(mass), size - column)):
-            shown[row + i, column + j] += mass[i, j] * np.float32(weight)
+def _draw_points(shown, corners, masses, weights, step):  # type: ignore[no-untyped-def]
+    """Add to `shown` (M, M) the `masses` (K, W, W) at their `corners` (K, 2), times `weights` (K, n+1) at a step."""
+    size, width = shown.shape[0], masses.shape[1]
+    for k in range(len(corners)):
+        row, column, weight = corners[k, 0], corners[k, 1], weights[k, step]
+        for i in range(max(0, -row), min(width, size - row)):
+            for j in range(max(0, -column), min(width, size - column)):
+                shown[row + i, column + j] += masses[k, i, j] * weight
 
 
 @numba.njit(error_model="numpy")

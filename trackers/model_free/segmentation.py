@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numba
 import numpy as np
@@ -81,8 +82,8 @@ def clusters_of(points: Points, cut: Mask, labels: NDArray[np.int64]) -> list[Cl
     if not len(points):
         return []
     order = np.argsort(labels, kind="stable")
-    ends = np.cumsum(np.bincount(labels))[:-1]
-    return [Cluster(*parts) for parts in zip(np.split(points[order], ends), np.split(cut[order], ends), strict=True)]
+    points, cut, bounds = points[order], cut[order], np.cumsum(np.bincount(labels)).tolist()
+    return [Cluster(points[first:last], cut[first:last]) for first, last in pairwise([0, *bounds])]
 
 
 def joined(parts: Sequence[Cluster]) -> Cluster:

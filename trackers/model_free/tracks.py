@@ -68,12 +68,17 @@ class Track:
         return Status.COASTING if self.unseen else Status.CONFIRMED
 
 
+def poses_of(tracks: Sequence[Track]) -> Array:
+    """The poses (T, 3): x, y, heading; metres, radians, grid frame."""
+    return np.array([track.pose for track in tracks])
+
+
 def boundaries_of(tracks: Sequence[Track]) -> list[Array]:
     """The boundary points (N, 2) of each track, metres, grid frame; kept until its pose or shape change."""
     moved = [track for track in tracks if not _is_placed(track)]
     if moved:
         offsets = [track.shape.offsets for track in moved]
-        poses = np.stack([track.pose for track in moved])[owners_of(bounds_of(offsets))]
+        poses = poses_of(moved)[owners_of(bounds_of(offsets))]
         for track, points in zip(moved, split(to_grid(np.concatenate(offsets), poses), offsets), strict=True):
             track._placed = track.estimator.mean, track.shape.offsets, points
     return [track._placed[2] for track in tracks]

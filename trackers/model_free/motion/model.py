@@ -19,6 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+INLINED = numba.njit(inline="always", error_model="numpy")
+"""For what is called in a loop: a call counts the references to each array it is given, which takes as long as this."""
 
 
 class MotionModel(NamedTuple):
@@ -105,23 +107,23 @@ def _integrals(period_s: float, memory_s: float) -> Array:
     return np.asarray(impulses * (weights / 2.0 * period_s) @ impulses.T)
 
 
-@numba.njit(error_model="numpy")
+@INLINED
 def _transition(mean, step, moved, jacobian):  # type: ignore[no-untyped-def]
     """Write where `mean` (6,) is one period on into `moved` (6,), and the derivative of that into `jacobian` (6, 6)."""
     vx, vy, rate = mean[3], mean[4], mean[5]
     jacobian[:] = 0.0
     x, y = mean[0], mean[1]
+    stretched = turned = dx = dy = 0.0
     for node in range(4):
         weight, turning = step.weights[node], step.turning[node]
         cosine = step.keeping[node] * math.cos(rate * turning)
         sine = step.keeping[node] * math.sin(rate * turning)
         ux, uy = cosine * vx - sine * vy, sine * vx + cosine * vy
         x, y = x + weight * ux, y + weight * uy
-        jacobian[0, 3] += weight * cosine
-        jacobian[1, 3] += weight * sine
-        jacobian[0, 5] -= weight * turning * uy
-        jacobian[1, 5] += weight * turning * ux
-    jacobian[0, 4], jacobian[1, 4] = -jacobian[1, 3], jacobian[0, 3]
+        stretched, turned = stretched + weight * cosine, turned + weight * sine
+        dx, dy = dx - weight * turning * uy, dy + weight * turning * ux
+    jacobian[0, 3], jacobian[0, 4], jacobian[0, 5] = stretched, -turned, dx
+    jacobian[1, 3], jacobian[1, 4], jacobian[1, 5] = turned, stretched, dy
     jacobian[3, 3], jacobian[3, 4], jacobian[3, 5] = cosine, -sine, -turning * uy
     jacobian[4, 3], jacobian[4, 4], jacobian[4, 5] = sine, cosine, turning * ux
     jacobian[0, 0], jacobian[1, 1], jacobian[2, 2] = 1.0, 1.0, 1.0
@@ -130,7 +132,7 @@ def _transition(mean, step, moved, jacobian):  # type: ignore[no-untyped-def]
     moved[3], moved[4], moved[5] = ux, uy, step.turn_keeping * rate
 
 
-@numba.njit(error_model="numpy")
+@INLINED
 def _process_noise(moved, step, noise):  # type: ignore[no-untyped-def]
     """Write the covariance that one period adds into `noise` (6, 6); `moved` (6,) is the state at its end.
 
@@ -140,35 +142,33 @@ def _process_noise(moved, step, noise):  # type: ignore[no-untyped-def]
     noise[:] = step.noise
     surge, turn = step.surge_noise, step.turn_noise
     along, across = (moved[3], moved[4]), (-moved[4], moved[3])
-    for i in range(2):
-        for j in range(2):
-            stretched, turned = along[i] * along[j], across[i] * across[j]
-            noise[i, j] += surge[0, 0] * stretched + turn[0, 0] * turned
-            noise[i, j + 3] += surge[0, 1] * stretched + turn[0, 1] * turned
-            noise[i + 3, j] += surge[1, 0] * stretched + turn[1, 0] * turned
-            noise[i + 3, j + 3] += surge[1, 1] * stretched + turn[1, 1] * turned
-        noise[i, 2] = noise[2, i] = turn[0, 1] * across[i]
-        noise[i, 5] = noise[5, i] = turn[0, 2] * across[i]
-        noise[i + 3, 2] = noise[2, i + 3] = turn[1, 1] * across[i]
-        noise[i + 3, 5] = noise[5, i + 3] = turn[1, 2] * across[i]
-    noise[2, 2], noise[2, 5], noise[5, 2], noise[5, 5] = turn[1, 1], turn[1, 2], turn[2, 1], turn[2, 2]
+    for a in range(2):  # 0 for the position and the heading, 1 for their rates
+        for b in range(2):
+            for i in range(2):
+                for j in range(2):
+                    noise[i + 3 * a, j + 3 * b] += (
+                        surge[a, b] * along[i] * along[j] + turn[a, b] * across[i] * across[j]
+                    )
+                noise[i + 3 * a, 2 + 3 * b] = noise[2 + 3 * b, i + 3 * a] = turn[a, b + 1] * across[i]
+            noise[2 + 3 * a, 2 + 3 * b] = turn[a + 1, b + 1]
 
 
-@numba.njit(error_model="numpy")
+@INLINED
 def _add_transformed(jacobian, covariance, total):  # type: ignore[no-untyped-def]
-    """Add J C J^T to `total` (6, 6), all (6, 6); exactly symmetric."""
-    half = np.empty(6)
+    """Add J C J^T to `total` (6, 6), all (6, 6), exactly symmetric; the pose's columns of J are the identity's."""
+    half = np.empty((6, 6))
     for i in range(6):
-        half[:] = 0.0
-        for k in range(6):
-            if jacobian[i, k] != 0.0:
-                for m in range(6):
-                    half[m] += jacobian[i, k] * covariance[k, m]
+        for m in range(6):
+            half[i, m] = covariance[i, m] if i < 3 else 0.0
+            for k in range(3, 6):
+                half[i, m] += jacobian[i, k] * covariance[k, m]
+    for i in range(6):
         for j in range(i + 1):
-            value = total[i, j]
-            for m in range(6):
-                value += half[m] * jacobian[j, m]
-            total[i, j] = total[j, i] = value
+            value = half[i, j] if j < 3 else 0.0
+            for m in range(3, 6):
+                value += half[i, m] * jacobian[j, m]
+            total[i, j] += value
+            total[j, i] = total[i, j]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -183,7 +183,7 @@ def transition(mean, steps, step):  # type: ignore[no-untyped-def]
     return moved, jacobian
 
 
-@numba.njit(error_model="numpy")
+@INLINED
 def _advance(mean, covariance, step, moved, spread, jacobian):  # type: ignore[no-untyped-def]
     """Write where the state is one period on into `moved` (6,) and `spread` (6, 6), and its derivative too."""
     _transition(mean, step, moved, jacobian)

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numba
 import numpy as np
 
-from gridtrack.trackers.model_free.motion.estimator import MotionEstimator, measured
+from gridtrack.trackers.model_free.motion.estimator import MotionEstimator
 from gridtrack.trackers.model_free.motion.model import Array, MotionModel
 
 DISPROVED = 0.02
@@ -73,13 +73,11 @@ class SwitchingEstimator:
 
     def update(self, pose: Array, covariance: Array) -> None:
         """Take in a measured pose (3,) and its covariance (3, 3)."""
-        pose, covariance = measured(pose, covariance)
         one, other = self.estimators
-        self.probabilities = _weighed(
-            self.probabilities, one.mean, one.covariance, other.mean, other.covariance, pose, covariance
-        )
+        foretold = one.mean, one.covariance, other.mean, other.covariance  # an update makes new arrays
         one.update(pose, covariance)
         other.update(pose, covariance)
+        self.probabilities = _weighed(self.probabilities, *foretold, pose, covariance)
         if self.probabilities[0] < DISPROVED:
             one.begin_anew(other.mean, other.covariance)
         elif self.probabilities[1] < DISPROVED:
