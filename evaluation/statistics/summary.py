@@ -31,56 +31,68 @@ def summarise(
 
     `reference` is the label of the row that the others are set against; None: the usual one.
     """
-    trackers: dict[str, Any] = {}
     trials = list(trials)
     inference = Inference(recordings, trials, reference)
-    for trial in trials:
-        record = trial.record
-        entry = trackers.setdefault(
-            record.label,
-            {"tracker": trial.tracker, "options": dict(trial.options), "points": trial.points, "recordings": {}},
-        )
-        entry["recordings"][record.recording] = _trial_summary(trial, inference)
-    described: dict[str, Any] = {}
-    differing: list[str] = []
-    for name, description in recordings.items():
-        of_recording = [trial for trial in trials if trial.record.recording == name]
-        odd = odd_deliveries(of_recording)
-        odd_degraded = shown_others((trial.points, trial.record) for trial in of_recording)
-        described[name] = {**description, "parity": not odd}
-        differing += filter(None, (unknown_classes(trial.record, description) for trial in of_recording))
-        differing += [
-            f"{label} on {name} was shown other degraded frames than the rest: its robustness is not comparable"
-            for label in odd_degraded
-        ]
-        differing += [
-            f"{label} on {name} was delivered other frames than the rest: its scores are not comparable"
-            for label in odd
-        ]
-    differing += [
-        f"{trial.record.label} on {trial.record.recording} went on {trial.record.recoveries} times after a failure"
-        " inside it, by its own count"
-        for trial in trials
-        if trial.record.recoveries
-    ]
     pooled = inference.pooled()
-    for label, entry in trackers.items():
-        entry["pooled"] = pooled[label] if pooled else None
+    trackers = _rows(trials, inference, pooled)
     classes = ClassInference(recordings, trials, inference)
     classes.add_scores(trackers)
     add_ceiling(trackers)
-    if pooled is None and len(described) > 1:
-        differing.append("the recordings differ in rate, horizon or grid: no scores are pooled over them")
+    odd = {name: odd_deliveries(_on(name, trials)) for name in recordings}
+    found = _odd_things(recordings, trials, odd)
+    if pooled is None and len(recordings) > 1:
+        found.append("the recordings differ in rate, horizon or grid: no scores are pooled over them")
     return {
         "schema": SCHEMA,
         "interrupted": interrupted,
-        "notices": [*notices, *differing],
-        "recordings": described,
+        "notices": [*notices, *found],
+        "recordings": {name: {**described, "parity": not odd[name]} for name, described in recordings.items()},
         "trackers": trackers,
         "reference": inference.reference,
         "differences": inference.differences(),
         "class_differences": classes.differences(),
     }
+
+
+def _rows(trials: Sequence[Ended], inference: Inference, pooled: Mapping[str, Any] | None) -> dict[str, Any]:
+    """Of each label what ran, its scores on each recording, and those `pooled` over them."""
+    rows: dict[str, Any] = {}
+    for trial in trials:
+        row = {"tracker": trial.tracker, "options": dict(trial.options), "points": trial.points, "recordings": {}}
+        label, recording = trial.record.label, trial.record.recording
+        rows.setdefault(label, row)["recordings"][recording] = _trial_summary(trial, inference)
+    for label, row in rows.items():
+        row["pooled"] = pooled[label] if pooled else None
+    return rows
+
+
+def _odd_things(
+    recordings: Mapping[str, Mapping[str, Any]], trials: Sequence[Ended], odd: Mapping[str, Sequence[str]]
+) -> list[str]:
+    """What a reader must know before comparing; `odd` are the labels that were delivered other frames, by recording."""
+    found: list[str] = []
+    for name, description in recordings.items():
+        of_recording = _on(name, trials)
+        found += filter(None, (unknown_classes(trial.record, description) for trial in of_recording))
+        found += [
+            f"{label} on {name} was shown other degraded frames than the rest: its robustness is not comparable"
+            for label in shown_others((trial.points, trial.record) for trial in of_recording)
+        ]
+        found += [
+            f"{label} on {name} was delivered other frames than the rest: its scores are not comparable"
+            for label in odd[name]
+        ]
+    found += [
+        f"{trial.record.label} on {trial.record.recording} went on {trial.record.recoveries} times after a failure"
+        " inside it, by its own count"
+        for trial in trials
+        if trial.record.recoveries
+    ]
+    return found
+
+
+def _on(recording: str, trials: Sequence[Ended]) -> list[Ended]:
+    return [trial for trial in trials if trial.record.recording == recording]
 
 
 def write_json(path: Path, content: Mapping[str, Any]) -> None:

@@ -1,0 +1,105 @@
+"""The demo recording in five folds: moving F1 of each tracker beside persistence's, each fold unseen by what it tests.
+
+`python benchmarks/leg_folds.py [TRACKER...]` (five minutes a fold and tracker; what lies in `--out` is kept). The demo
+tests 36 s with thresholds from 15 s. Here every fifth of the two minutes is tested once: the thresholds are chosen on
+the fifth after it, and what is fitted is fitted on the three others. The referee's own counts are put together with the
+statistics of a comparison, which say whether two minutes are enough for an interval (docs/statistics.md).
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import subprocess
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from gridtrack.evaluation.scoring.record import read_record
+from gridtrack.evaluation.statistics.inference import Ended, Inference
+from gridtrack.evaluation.statistics.summary import SUMMARY
+
+RECORDING = Path("data/leg_tracker/leg_tracker.mcap")
+FOLDS = ("0s-25s", "25s-50s", "50s-75s", "75s-100s", "100s-126s")
+REFERENCE = "persistence"
+HORIZONS_S = (0.5, 1.0, 2.0)
+
+
+def gridtrack(*arguments: object) -> None:
+    """Run the command line; what it says goes to stderr."""
+    subprocess.run([sys.executable, "-m", "gridtrack.cli", *map(str, arguments)], check=True, stdout=sys.stderr)
+
+
+def compared(fold: int, trackers: Sequence[str], out: Path) -> Path:
+    """The folder of the comparison on this fold, with the trackers fitted on what is neither it nor the next one."""
+    folder, weights = out / f"fold-{fold}", out / f"weights-{fold}"
+    following = (fold + 1) % len(FOLDS)
+    tested, chosen_on = (f"{RECORDING}@{FOLDS[n]}" for n in (fold, following))
+    rest = [f"{RECORDING}@{stretch}" for n, stretch in enumerate(FOLDS) if n not in (fold, following)]
+    for tracker in trackers:
+        if not (weights / tracker / f"{RECORDING.stem}.toml").exists():
+            gridtrack("train", tracker, *rest, "--validation", chosen_on, "--out", weights)
+    rows = [word for tracker in (REFERENCE, *trackers) for word in ("--tracker", tracker)]
+    if not (folder / SUMMARY).exists():
+        gridtrack(
+            "compare",
+            tested,
+            "--validation",
+            chosen_on,
+            *rows,
+            "--weights",
+            weights,
+            "--every",
+            "0.1s",
+            "--out",
+            folder,
+        )
+    return folder
+
+
+def ended(folder: Path, summary: Mapping[str, Any]) -> list[Ended]:
+    """The trials of a comparison."""
+    found = []
+    for label, row in summary["trackers"].items():
+        for name in row["recordings"]:
+            trial = folder / f"{label}@{name}"
+            record = read_record(trial)
+            assert record is not None, trial
+            found.append(Ended(record, trial, row["tracker"], row["options"], row["points"]))
+    return found
+
+
+def moving(curves: Mapping[str, Any]) -> str:
+    """F1 of moving cells at HORIZONS_S."""
+    return "  ".join(f"{curves['moving']['f1'][round(h / 0.1)]:.3f}" for h in HORIZONS_S)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("trackers", nargs="*", default=["static-map", "kalman"])
+    parser.add_argument("--out", type=Path, default=Path("runs/folds"))
+    arguments = parser.parse_args()
+    recordings: dict[str, Any] = {}
+    trials: list[Ended] = []
+    print(f"F1 of moving cells at {', '.join(f'{h:g} s' for h in HORIZONS_S)}")
+    for fold, stretch in enumerate(FOLDS):
+        folder = compared(fold, arguments.trackers, arguments.out)
+        summary = json.loads((folder / SUMMARY).read_text())
+        recordings |= summary["recordings"]
+        trials += ended(folder, summary)
+        for label, row in summary["trackers"].items():
+            for scores in row["recordings"].values():
+                print(f"{stretch:>10}  {label:14} {moving(scores['strata'])}")
+    inference = Inference(recordings, trials, REFERENCE)
+    for label, pooled in (inference.pooled() or {}).items():
+        print(f"{'all':>10}  {label:14} {moving(pooled['strata'])}")
+    for difference in inference.differences():
+        for test in difference["headline"]:
+            if test["stratum"] == "moving":
+                span = difference["interval"] or f"[{test['f1_low']:.3f}, {test['f1_high']:.3f}]"
+                print(f"{difference['tracker']} less {REFERENCE} at {test['horizon_s']:g} s: {test['f1']:+.3f} {span}")
+
+
+if __name__ == "__main__":
+    main()
