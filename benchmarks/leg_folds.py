@@ -23,7 +23,9 @@ from gridtrack.evaluation.statistics.summary import SUMMARY
 RECORDING = Path("data/leg_tracker/leg_tracker.mcap")
 FOLDS = ("0s-25s", "25s-50s", "50s-75s", "75s-100s", "100s-126s")
 REFERENCE = "persistence"
-HORIZONS_S = (0.5, 1.0, 2.0)
+PERIOD_S = 0.1
+SHOWN = {"f1": (0.5, 1.0, 2.0), "pr_auc": (0.5, 1.0)}
+"""Scores of moving cells, and at which horizons, s. No threshold goes into the PR-AUC."""
 
 
 def gridtrack(*arguments: object) -> None:
@@ -71,8 +73,10 @@ def ended(folder: Path, summary: Mapping[str, Any]) -> list[Ended]:
 
 
 def moving(curves: Mapping[str, Any]) -> str:
-    """F1 of moving cells at HORIZONS_S."""
-    return "  ".join(f"{curves['moving']['f1'][round(h / 0.1)]:.3f}" for h in HORIZONS_S)
+    """What is SHOWN of them."""
+    return "  ".join(
+        f"{curves['moving'][score][round(h / PERIOD_S)]:.3f}" for score, horizons in SHOWN.items() for h in horizons
+    )
 
 
 def main() -> None:
@@ -82,7 +86,7 @@ def main() -> None:
     arguments = parser.parse_args()
     recordings: dict[str, Any] = {}
     trials: list[Ended] = []
-    print(f"F1 of moving cells at {', '.join(f'{h:g} s' for h in HORIZONS_S)}")
+    print("moving cells:", "; ".join(f"{score} at {', '.join(f'{h:g} s' for h in at)}" for score, at in SHOWN.items()))
     for fold, stretch in enumerate(FOLDS):
         folder = compared(fold, arguments.trackers, arguments.out)
         summary = json.loads((folder / SUMMARY).read_text())
