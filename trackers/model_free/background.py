@@ -99,4 +99,6 @@ class Background:
         recorded = self.explained | (record > self.settings.sink_above)
         settled, known = np.where(recorded, record, self.rate), np.where(recorded, np.float32(0.0), self._known)
         left = self._step ** np.arange(steps + 1, dtype=np.float32)
-        return np.asarray(settled - (settled * known) * left[:, None, None])
+        probabilities = np.multiply.outer(-left, settled * known)
+        probabilities += settled
+        return np.asarray(probabilities)

@@ -25,9 +25,14 @@ class Outlines(NamedTuple):
     bounds: NDArray[np.int64]
 
     @classmethod
-    def of(cls, points: Sequence[Array], weights: Sequence[Array], cut: Sequence[Mask]) -> Outlines:
-        """The outlines, from the points (N, 2), weights (N,) and cut-off ends (N,) of each; there is at least one."""
-        return cls(np.concatenate(points), np.concatenate(weights), np.concatenate(cut), bounds_of(points))
+    def of(cls, points: Sequence[Array], weights: Sequence[Array] | None, cut: Sequence[Mask]) -> Outlines:
+        """The outlines, from the points (N, 2), weights (N,) and cut-off ends (N,) of each; there is at least one.
+
+        Without weights all points are there.
+        """
+        bounds = bounds_of(points)
+        likely = np.ones(bounds[-1]) if weights is None else np.concatenate(weights)
+        return cls(np.concatenate(points), likely, np.concatenate(cut), bounds)
 
 
 class Match(NamedTuple):

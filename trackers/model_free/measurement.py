@@ -47,11 +47,7 @@ def measure(
     boundaries = Outlines.of(
         [shape.offsets for shape in shapes], [shape.weights for shape in shapes], [shape.cut for shape in shapes]
     )
-    returns = Outlines.of(
-        [cluster.points for cluster in clusters],
-        [np.ones(len(cluster)) for cluster in clusters],
-        [cluster.cut for cluster in clusters],
-    )
+    returns = Outlines.of([cluster.points for cluster in clusters], None, [cluster.cut for cluster in clusters])
     t, c = numbers.T
     # A person does not go on for long behind what hides the rest: no end is cut off.
     goes_on = spans_of(boundaries.points, boundaries.bounds)[t] >= TURNS_FROM_M

@@ -75,17 +75,17 @@ def poses_of(tracks: Sequence[Track]) -> Array:
 
 def boundaries_of(tracks: Sequence[Track]) -> list[Array]:
     """The boundary points (N, 2) of each track, metres, grid frame; kept until its pose or shape change."""
-    moved = [track for track in tracks if not _is_placed(track)]
+    moved = [
+        track
+        for track in tracks
+        if track._placed[0] is not track.estimator.mean or track._placed[1] is not track.shape.offsets
+    ]
     if moved:
         offsets = [track.shape.offsets for track in moved]
         poses = poses_of(moved)[owners_of(bounds_of(offsets))]
         for track, points in zip(moved, split(to_grid(np.concatenate(offsets), poses), offsets), strict=True):
             track._placed = track.estimator.mean, track.shape.offsets, points
     return [track._placed[2] for track in tracks]
-
-
-def _is_placed(track: Track) -> bool:
-    return track._placed[0] is track.estimator.mean and track._placed[1] is track.shape.offsets
 
 
 def existence_when_detected(existence: float, detection_probability: float, false_alarm: float) -> float:
