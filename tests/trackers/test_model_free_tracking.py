@@ -15,6 +15,7 @@ from gridtrack.common.raycast import cast_scan
 from gridtrack.common.scan import Scan
 from gridtrack.trackers.contract import FitOutput, StreamSpec, StretchScore
 from gridtrack.trackers.model_free import KalmanTracker, tuning
+from gridtrack.trackers.model_free.calibration import IDENTITY
 from gridtrack.trackers.model_free.settings import ModelFreeSettings, PipelineSettings
 from gridtrack.trackers.weights import Card, read_card, save_weights
 
@@ -25,7 +26,11 @@ WALL = (2.0, 4.0, 0.15)
 """Centre and radius of a pillar that stands in the background."""
 GLIDING = np.zeros((31, 31), np.float32)
 """The life table of returns that never stay."""
-OPEN = {"rate": np.full(GRID.shape, 1e-3, np.float32), "solid": np.zeros(GRID.shape, np.float32)}
+OPEN = {
+    "rate": np.full(GRID.shape, 1e-3, np.float32),
+    "solid": np.zeros(GRID.shape, np.float32),
+    "calibration": IDENTITY,
+}
 """The map of a hall with nothing in it."""
 
 
@@ -167,7 +172,7 @@ def test_a_wall_that_flickers_bears_no_track(tmp_path):
     rate[pillar] = 0.9
     solid[with_neighbours(pillar)] = 1.0
     path = tmp_path / "hall.toml"
-    save_weights(path, card(), {"rate": rate, "solid": solid, "dwell": GLIDING})
+    save_weights(path, card(), OPEN | {"rate": rate, "solid": solid, "dwell": GLIDING})
     tracker = KalmanTracker(StreamSpec(GRID, PERIOD_S, "hall", weights=path), PipelineSettings())
     for step in range(20):
         tracker.update(frame_of([], step, wall=step % 3 > 0))

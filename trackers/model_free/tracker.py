@@ -10,6 +10,7 @@ from gridtrack.common.config import Settings
 from gridtrack.common.grid import GridFrame
 from gridtrack.trackers.contract import FitOutput, Forecast, FrameSource, Score, StreamSpec, Tracker
 from gridtrack.trackers.model_free.background import BackgroundMap, unknown_place
+from gridtrack.trackers.model_free.calibration import Calibration
 from gridtrack.trackers.model_free.classes import ClassFilter, ClassModel
 from gridtrack.trackers.model_free.classes import compile_ahead as compile_classes
 from gridtrack.trackers.model_free.dwell import table_shape
@@ -24,9 +25,9 @@ from gridtrack.trackers.weights import array, load_weights, tuned_settings
 class ModelFreeTracker(Tracker):
     """Clusters before a fitted background, the motion of each estimated for itself.
 
-    Its weights are the background map, the life table of returns and the tuned settings; an option that is given goes
-    before the tuned one. Where they name classes, also a model of what tracks of each class look like. The forecast's
-    `objects` are the confirmed tracks.
+    Its weights are the background map, the life table of returns, the calibration of its probabilities and the tuned
+    settings; an option that is given goes before the tuned one. Where they name classes, also a model of what tracks of
+    each class look like. The forecast's `objects` are the confirmed tracks.
     """
 
     Options: ClassVar[type[Settings]] = ModelFreeSettings
@@ -44,6 +45,7 @@ class ModelFreeTracker(Tracker):
         fitted = BackgroundMap(*(array(weights, name, stream.grid.shape) for name in BackgroundMap._fields))
         self._background = fitted if self._settings.background == "fitted" else unknown_place(fitted)
         self._dwell = array(weights, "dwell", table_shape(stream.period_s))
+        self._calibration = Calibration(array(weights, "calibration", (3,)))
         self.classes = weights.card.classes
         self._model = ClassModel.of(weights, stream.grid) if self.classes else None
         compile_ahead(stream.period_s, self._dwell, self._settings, type(self).estimator)
@@ -72,12 +74,12 @@ class ModelFreeTracker(Tracker):
         """Forecast steps 0..steps."""
         tracks = self.tracks
         if self._filter is None:
-            return Forecast(self._pipeline.forecast(steps), objects=objects(tracks))
+            return Forecast(self._calibration.applied(self._pipeline.forecast(steps)), objects=objects(tracks))
         kinds = self._filter.posteriors(tracks)
         occupancy, semantics = self._pipeline.forecast_classes(steps, self._filter.place, kinds)
         labels = {track.identity: self.classes[kind.argmax()] for track, kind in zip(tracks, kinds, strict=True)}
         labelled = tuple(replace(one, label=labels[one.track]) for one in objects(tracks))
-        return Forecast(occupancy, semantics, objects=labelled)
+        return Forecast(self._calibration.applied(occupancy), semantics, objects=labelled)
 
     @property
     def recoveries(self) -> int:

@@ -1,4 +1,4 @@
-"""Tuning: background and life table counted on the training recordings, and a seeded search of the settings."""
+"""Tuning: background and life table counted on the training recordings, the settings searched, then calibration."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from gridtrack.trackers.contract import FitOutput, FrameSource, Score, StretchScore, stream_of
 from gridtrack.trackers.model_free.background import fit_background
+from gridtrack.trackers.model_free.calibration import IDENTITY, fit_calibration
 from gridtrack.trackers.model_free.dwell import fit_dwell, table_shape
 from gridtrack.trackers.model_free.settings import PipelineSettings
 from gridtrack.trackers.tuning import HeldSource, Measure, search, step_of, summary
@@ -77,11 +78,12 @@ def fit_pipeline(
 ) -> None:
     """Write to `out.path` the arrays that are counted, and the settings with the best F1 on excerpts of `train`.
 
-    A setting given in `options` stays as given. `validation` is scored with the result, and reported only. Raises
-    WeightsError where the recordings differ in grid, period or site.
+    A setting given in `options` stays as given. What is then forecast is calibrated on the same excerpts. `validation`
+    is scored with the result, and reported only. Raises WeightsError where the recordings differ in grid, period or
+    site.
     """
     name = tracker.name
-    arrays = fit_arrays(train, options)
+    arrays = fit_arrays(train, options) | {"calibration": IDENTITY}
     searched = excerpts(train)
     with TemporaryDirectory() as folder:
         draft = Path(folder) / f"{name}.toml"
@@ -93,12 +95,20 @@ def fit_pipeline(
                 for source in sources
             ]
 
+        def calibrated(settings: PipelineSettings) -> NDArray[np.float32]:
+            trackers = [(tracker(stream_of(source, draft), settings), list(source)) for source in searched]
+            found = fit_calibration(trackers, step_of(searched[0], max(HORIZONS_S))).parameters
+            out.report("calibration: logit = {2:.3f} + {0:.3f} ln p - {1:.3f} ln(1 - p)".format(*found))
+            return np.array(found, np.float32)
+
         def goodness(settings: PipelineSettings) -> float:
             found = zip(scores(settings, searched), searched, strict=True)
             return float(np.mean([_f1(one, source) for one, source in found]))
 
         given = options.model_dump(include=set(PipelineSettings.model_fields), exclude_unset=True)
         settings = search(PipelineSettings, RANGES, Measure("mean F1", "maximize", goodness), given, TRIALS, out)
+        arrays["calibration"] = calibrated(settings)
+        save_weights(draft, card_for(name, out, train, validation, {}), arrays)
         results: dict[str, Any] = {
             stretch: [
                 summary(s, source, HORIZONS_S) for s, source in zip(scores(settings, sources), sources, strict=True)

@@ -1,0 +1,102 @@
+"""Calibration: what is forecast with a probability comes that often, and no threshold's decisions change."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+pytest.importorskip("filterpy")
+from gridtrack.common.errors import WeightsError
+from gridtrack.common.geometry import SE2
+from gridtrack.common.grid import GridFrame, GridSpec
+from gridtrack.trackers.model_free.calibration import IDENTITY, Calibration, fit_calibration
+
+GRID, STEPS = GridSpec(40, 0.2), 3
+TRUE = Calibration(np.array([0.7, 3.0, -2.0], np.float32))
+
+
+class Crystal:
+    """A tracker that says of each cell the same at every step, from a list of its own, one grid after the other."""
+
+    def __init__(self, said):
+        self.said, self.frame = said, -1
+
+    def reset(self, seed):
+        self.frame = -1
+
+    def update(self, frame):
+        self.frame += 1
+
+    def predict(self, steps):
+        return SimpleNamespace(occupancy=np.repeat(self.said[self.frame][None], steps + 1, axis=0))
+
+
+def frame_of(occupied, visible=None):
+    points = GRID.cell_centres(occupied)
+    seen = np.ones(GRID.shape, bool) if visible is None else visible
+    return GridFrame(0, seen, occupied, SE2(), np.zeros((1, 2), np.float32), points, np.zeros(len(points), np.uint8))
+
+
+def scene(count=120, seed=0):
+    """Forecasts drawn log-uniformly that stay, and frames in which cells are occupied as often as TRUE says."""
+    draw = np.random.default_rng(seed)
+    said = np.exp(draw.uniform(np.log(1e-3), np.log(0.97), GRID.shape)).astype(np.float32)
+    often = TRUE.applied(said.copy())
+    return Crystal([said] * count), [frame_of(draw.random(GRID.shape) < often) for _ in range(count)]
+
+
+def test_what_is_learned_is_how_often_what_was_forecast_came():
+    learned = fit_calibration([scene()], STEPS)
+    at = np.array([0.003, 0.02, 0.1, 0.3, 0.6, 0.9], np.float32)
+    assert learned.applied(at.copy()) == pytest.approx(TRUE.applied(at.copy()), rel=0.1)
+
+
+def test_what_cannot_be_seen_when_it_comes_is_not_counted():
+    tracker, frames = scene()
+    hidden = np.zeros(GRID.shape, bool)
+    hidden[:, :20] = True
+    blinded = [frame_of(frame.occupied & ~hidden, ~hidden) for frame in frames]
+    at = np.array([0.02, 0.3, 0.9], np.float32)
+    learned = fit_calibration([(tracker, blinded)], STEPS)
+    assert learned.applied(at.copy()) == pytest.approx(TRUE.applied(at.copy()), rel=0.15)
+
+
+def test_the_formula_is_kept_to_a_fiftieth_and_what_is_certain_stays_certain():
+    a, b, c = TRUE.parameters
+    p = np.concatenate([np.geomspace(1e-4, 0.5, 300), 1.0 - np.geomspace(1e-4, 0.5, 300)]).astype(np.float32)
+    log_odds = c + a * np.log(p) - b * np.log1p(-p)
+    assert TRUE.applied(p.copy()) == pytest.approx(1.0 / (1.0 + np.exp(-log_odds)), rel=2e-2)
+    assert TRUE.applied(np.array([0.0, 1.0], np.float32)).tolist() == [0.0, 1.0]
+
+
+def test_more_probable_stays_more_probable():
+    p = np.linspace(0.0, 1.0, 20_001, dtype=np.float32)
+    assert (np.diff(TRUE.applied(p)) >= 0.0).all()
+
+
+def test_the_identity_changes_nothing():
+    p = np.geomspace(3e-4, 1.0, 500).astype(np.float32)
+    assert Calibration(IDENTITY).applied(p.copy()) == pytest.approx(p, rel=2e-2)
+
+
+def test_it_is_applied_in_place_to_any_shape():
+    p = np.full((2, 3, 4), 0.5, np.float32)
+    assert np.shares_memory(TRUE.applied(p), p)
+    assert p == pytest.approx(np.full((2, 3, 4), 1.0 / (1.0 + np.exp(2.0 + (3.0 - 0.7) * np.log(0.5)))), rel=1e-3)
+
+
+@pytest.mark.parametrize("parameters", [(np.nan, 1.0, 0.0), (-1.0, 1.0, 0.0), (1.0, 0.0, 0.0), (1.0, 1.0, np.inf)])
+def test_hostile_parameters_give_one_clear_line(parameters):
+    with pytest.raises(WeightsError, match=r"calibration .*train again"):
+        Calibration(np.array(parameters, np.float32))
+
+
+def test_where_nothing_ever_comes_nothing_is_learned_that_is_certain():
+    """No return in all the training: rarer than was said, but not impossible."""
+    tracker, frames = scene(count=20)
+    empty = [frame_of(np.zeros(GRID.shape, bool))] * len(frames)
+    learned = fit_calibration([(tracker, empty)], STEPS)
+    low, high = learned.applied(np.array([0.01, 0.9], np.float32)).tolist()
+    assert 0.0 < low < high < 0.2
