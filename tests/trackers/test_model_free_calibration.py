@@ -11,7 +11,12 @@ pytest.importorskip("filterpy")
 from gridtrack.common.errors import WeightsError
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec
+from gridtrack.common.recordings import packaged_recording
+from gridtrack.common.stream import open_stream
+from gridtrack.trackers.contract import stream_of
+from gridtrack.trackers.model_free import KalmanTracker
 from gridtrack.trackers.model_free.calibration import IDENTITY, Calibration, fit_calibration
+from gridtrack.trackers.model_free.settings import PipelineSettings
 
 GRID, STEPS = GridSpec(40, 0.2), 3
 TRUE = Calibration(np.array([0.7, 3.0, -2.0], np.float32))
@@ -100,3 +105,24 @@ def test_where_nothing_ever_comes_nothing_is_learned_that_is_certain():
     learned = fit_calibration([(tracker, empty)], STEPS)
     low, high = learned.applied(np.array([0.01, 0.9], np.float32)).tolist()
     assert 0.0 < low < high < 0.2
+
+
+DATA = packaged_recording("leg_tracker").parents[1]
+HELD_OUT = {
+    "leg_tracker": f"{DATA}/leg_tracker/leg_tracker.mcap@75s-90s",
+    "junction": f"{DATA}/junction/validation.tracks@0s-20s",
+}
+
+
+@pytest.mark.parametrize("site", HELD_OUT)
+def test_what_ships_foretells_as_many_returns_as_come_where_it_is_unsure(site):
+    stream = open_stream(HELD_OUT[site])
+    tracker = KalmanTracker(stream_of(stream, DATA / "weights" / "kalman" / f"{site}.toml"), PipelineSettings())
+    frames, ahead = list(stream), round(1.0 / stream.period_s)
+    said = came = 0.0
+    for frame, later in zip(frames, frames[ahead:], strict=False):
+        tracker.update(frame)
+        forecast = tracker.predict(ahead).occupancy[ahead]
+        unsure = later.visible & (forecast > 0.05) & (forecast < 0.5)
+        said, came = said + forecast[unsure].sum(), came + later.occupied[unsure].sum()
+    assert 0.6 < said / came < 1.6
