@@ -92,6 +92,11 @@ def test_it_is_applied_in_place_to_any_shape():
     assert p == pytest.approx(np.full((2, 3, 4), 1.0 / (1.0 + np.exp(2.0 + (3.0 - 0.7) * np.log(0.5)))), rel=1e-3)
 
 
+def test_what_is_no_probability_becomes_one():
+    odd = TRUE.applied(np.array([-0.5, 1.5, np.nan, np.inf], np.float32))
+    assert ((odd >= 0.0) & (odd <= 1.0)).all()
+
+
 @pytest.mark.parametrize("parameters", [(np.nan, 1.0, 0.0), (-1.0, 1.0, 0.0), (1.0, 0.0, 0.0), (1.0, 1.0, np.inf)])
 def test_hostile_parameters_give_one_clear_line(parameters):
     with pytest.raises(WeightsError, match=r"calibration .*train again"):

@@ -12,7 +12,6 @@ What was more probable stays more probable, so no threshold decides otherwise th
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from typing import Protocol
 
 import numba
 import numpy as np
@@ -22,7 +21,7 @@ from scipy.special import expit, log_expit
 
 from gridtrack.common.errors import WeightsError
 from gridtrack.common.grid import GridFrame
-from gridtrack.trackers.contract import Forecast
+from gridtrack.trackers.contract import Tracker
 
 Array = NDArray[np.float64]
 
@@ -37,20 +36,6 @@ STRENGTH = 10.0
 """How strongly the identity is held on to: as by so many cells, spread over all levels, that came as it says."""
 LEAST = 1e-3
 """The least that a and b may be."""
-
-
-class Forecasting(Protocol):
-    """What is asked of a tracker to calibrate it."""
-
-    def reset(self, seed: int) -> None:
-        """Forget everything."""
-
-    def update(self, frame: GridFrame) -> None:
-        """Take in a frame."""
-
-    def predict(self, steps: int) -> Forecast:
-        """Forecast steps 0..steps."""
-        ...
 
 
 class Calibration:
@@ -74,7 +59,7 @@ class Calibration:
         return flat.reshape(probabilities.shape)
 
 
-def fit_calibration(stretches: Iterable[tuple[Forecasting, Sequence[GridFrame]]], steps: int) -> Calibration:
+def fit_calibration(stretches: Iterable[tuple[Tracker, Sequence[GridFrame]]], steps: int) -> Calibration:
     """The calibration of trackers that are not calibrated, each on its frames: of what they forecast for 1..steps ahead
     in cells that are visible then, the parameters of the highest likelihood.
     """
@@ -104,7 +89,7 @@ def _features(p: Array) -> Array:
     return np.stack([np.log(p), -np.log1p(-p), np.ones_like(p)], axis=1)
 
 
-def _counted(tracker: Forecasting, frames: Sequence[GridFrame], steps: int) -> NDArray[np.int64]:
+def _counted(tracker: Tracker, frames: Sequence[GridFrame], steps: int) -> NDArray[np.int64]:
     """How many cells, visible then, were forecast at each level, and how many were occupied: (2, LEVELS+1)."""
     counts = np.zeros((2, LEVELS + 1), np.int64)
     tracker.reset(seed=0)
@@ -122,8 +107,8 @@ def _counted(tracker: Forecasting, frames: Sequence[GridFrame], steps: int) -> N
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=True)
 def _apply(probabilities, levels):  # type: ignore[no-untyped-def]
-    """Map `probabilities` (N,) in [0, 1], in place, to what stands for their nearest level in `levels` (LEVELS+1,)."""
-    last = np.float32(len(levels) - 1)
+    """Map `probabilities` (N,), in place, to what stands for their nearest level in `levels` (LEVELS+1,)."""
+    last = len(levels) - 1
     for i in range(len(probabilities)):
-        nearest = np.int32(np.sqrt(min(probabilities[i], np.float32(1.0))) * last + np.float32(0.5))
-        probabilities[i] = levels[np.uint64(nearest)]
+        nearest = np.int32(np.sqrt(probabilities[i]) * np.float32(last) + np.float32(0.5))
+        probabilities[i] = levels[np.uint64(min(max(nearest, 0), last))]  # whatever was not a probability stays inside
