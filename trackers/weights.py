@@ -218,5 +218,6 @@ def array(weights: Weights, name: str, shape: tuple[int, ...]) -> NDArray[Any]:
     found = weights.arrays.get(name)
     if found is None or found.shape != shape:
         what = "missing" if found is None else f"{found.shape}"
-        raise WeightsError(f"weights of {weights.card.tracker}: array '{name}' is {what}, expected {shape}")
+        whose = f"weights of {weights.card.tracker}"
+        raise WeightsError(f"{whose}: array '{name}' is {what}, expected {shape}; train again")
     return found
