@@ -6,7 +6,9 @@ training recordings (beta calibration: Kull, Silva Filho and Flach, AISTATS 2017
 
     logit calibrated = c + a ln p - b ln(1 - p).
 
-What was more probable stays more probable, so no threshold decides otherwise than the one that it is mapped to.
+What was more probable stays more probable, so no threshold decides otherwise than the one that it is mapped to. That is
+learned from cells that were seen, and holds for those: of a cell that is hidden now the past traffic is all that is
+known, and that was counted.
 """
 
 from __future__ import annotations
@@ -20,7 +22,7 @@ from scipy.optimize import minimize
 from scipy.special import expit, log_expit
 
 from gridtrack.common.errors import WeightsError
-from gridtrack.common.grid import GridFrame
+from gridtrack.common.grid import GridFrame, Mask
 from gridtrack.trackers.contract import Tracker
 
 Array = NDArray[np.float64]
@@ -50,18 +52,16 @@ class Calibration:
         levels = _levels()
         levels[1:-1] = expit(_features(levels[1:-1]) @ parameters.astype(np.float64))
         self._map = levels.astype(np.float32)
-        _apply(self._map.copy(), self._map)  # compiled when a tracker starts, not in its first forecast
+        self.apply(np.zeros((1, 1, 1), np.float32), np.ones((1, 1), np.bool_))  # compiled before the first forecast
 
-    def applied(self, probabilities: NDArray[np.float32]) -> NDArray[np.float32]:
-        """The probabilities, of any shape, calibrated, in place where they lie in one piece. 0 and 1 stay 0 and 1."""
-        flat = probabilities.reshape(-1)
-        _apply(flat, self._map)
-        return flat.reshape(probabilities.shape)
+    def apply(self, probabilities: NDArray[np.float32], seen: Mask) -> None:
+        """Calibrate a forecast (n+1, M, M) in place, in the cells that are `seen` now (M, M). 0 and 1 stay 0 and 1."""
+        _apply(probabilities, seen, self._map)
 
 
 def fit_calibration(stretches: Iterable[tuple[Tracker, Sequence[GridFrame]]], steps: int) -> Calibration:
     """The calibration of trackers that are not calibrated, each on its frames: of what they forecast for 1..steps ahead
-    in cells that are visible then, the parameters of the highest likelihood.
+    in cells that are seen now and then, the parameters of the highest likelihood.
     """
     counts = sum(_counted(tracker, frames, steps) for tracker, frames in stretches)
     total, came = np.asarray(counts, np.float64)[:, 1:-1]
@@ -90,7 +90,7 @@ def _features(p: Array) -> Array:
 
 
 def _counted(tracker: Tracker, frames: Sequence[GridFrame], steps: int) -> NDArray[np.int64]:
-    """How many cells, visible then, were forecast at each level, and how many were occupied: (2, LEVELS+1)."""
+    """How many cells, seen now and then, were forecast at each level, and how many were occupied: (2, LEVELS+1)."""
     counts = np.zeros((2, LEVELS + 1), np.int64)
     tracker.reset(seed=0)
     for index, frame in enumerate(frames):
@@ -100,15 +100,20 @@ def _counted(tracker: Tracker, frames: Sequence[GridFrame], steps: int) -> NDArr
             for step in range(1, steps + 1):
                 later = frames[index + step]
                 level = np.rint(np.sqrt(forecast[step]) * LEVELS).astype(np.int64)
-                counts[0] += np.bincount(level[later.visible], minlength=LEVELS + 1)
-                counts[1] += np.bincount(level[later.occupied], minlength=LEVELS + 1)
+                counts[0] += np.bincount(level[frame.visible & later.visible], minlength=LEVELS + 1)
+                counts[1] += np.bincount(level[frame.visible & later.occupied], minlength=LEVELS + 1)
     return counts
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=True)
-def _apply(probabilities, levels):  # type: ignore[no-untyped-def]
-    """Map `probabilities` (N,), in place, to what stands for their nearest level in `levels` (LEVELS+1,)."""
-    last = len(levels) - 1
-    for i in range(len(probabilities)):
-        nearest = np.int32(np.sqrt(probabilities[i]) * np.float32(last) + np.float32(0.5))
-        probabilities[i] = levels[np.uint64(min(max(nearest, 0), last))]  # whatever was not a probability stays inside
+def _apply(probabilities, seen, levels):  # type: ignore[no-untyped-def]
+    """Map `probabilities` (S, M, M), in place and where `seen` (M, M), to what stands for their nearest level in
+    `levels` (LEVELS+1,); what is no probability becomes one.
+    """
+    last, steps, size = len(levels) - 1, len(probabilities), len(seen)
+    for step in range(steps):
+        for i in range(size):
+            for j in range(size):
+                nearest = int(np.int32(np.sqrt(probabilities[step, i, j]) * np.float32(last) + np.float32(0.5)))
+                mapped = levels[np.uint64(min(max(nearest, 0), last))]
+                probabilities[step, i, j] = mapped if seen[i, j] else probabilities[step, i, j]

@@ -6,6 +6,9 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, ClassVar
 
+import numpy as np
+from numpy.typing import NDArray
+
 from gridtrack.common.config import Settings
 from gridtrack.common.grid import GridFrame
 from gridtrack.trackers.contract import FitOutput, Forecast, FrameSource, Score, StreamSpec, Tracker
@@ -74,12 +77,18 @@ class ModelFreeTracker(Tracker):
         """Forecast steps 0..steps."""
         tracks = self.tracks
         if self._filter is None:
-            return Forecast(self._calibration.applied(self._pipeline.forecast(steps)), objects=objects(tracks))
+            return Forecast(self._calibrated(self._pipeline.forecast(steps)), objects=objects(tracks))
         kinds = self._filter.posteriors(tracks)
         occupancy, semantics = self._pipeline.forecast_classes(steps, self._filter.place, kinds)
         labels = {track.identity: self.classes[kind.argmax()] for track, kind in zip(tracks, kinds, strict=True)}
         labelled = tuple(replace(one, label=labels[one.track]) for one in objects(tracks))
-        return Forecast(self._calibration.applied(occupancy), semantics, objects=labelled)
+        return Forecast(self._calibrated(occupancy), semantics, objects=labelled)
+
+    def _calibrated(self, occupancy: NDArray[np.float32]) -> NDArray[np.float32]:
+        """The pipeline's forecast (n+1, M, M), calibrated in place."""
+        if self._pipeline.frame is not None:
+            self._calibration.apply(occupancy, self._pipeline.frame.visible)
+        return occupancy
 
     @property
     def recoveries(self) -> int:
