@@ -18,8 +18,8 @@ from gridtrack.trackers.model_free import KalmanTracker
 from gridtrack.trackers.model_free.calibration import IDENTITY, Calibration, fit_calibration
 from gridtrack.trackers.model_free.settings import PipelineSettings
 
-GRID, STEPS = GridSpec(40, 0.2), 3
-TRUE = Calibration(np.array([0.7, 3.0, -2.0], np.float32))
+GRID, STEPS, PERIOD_S = GridSpec(40, 0.2), 3, 0.125
+TRUE = Calibration(np.array([[0.7, 3.0, -2.0], [0.9, 1.2, -0.5]], np.float32))
 
 
 class Crystal:
@@ -44,10 +44,10 @@ def frame_of(occupied, visible=None):
     return GridFrame(0, seen, occupied, SE2(), np.zeros((1, 2), np.float32), points, np.zeros(len(points), np.uint8))
 
 
-def mapped(calibration, p):
-    """Probabilities, one after the other, as calibrated in cells that are seen."""
+def mapped(calibration, p, hidden_s=0.0):
+    """Probabilities, one after the other, as calibrated in cells that were seen so long ago."""
     forecast = np.array(p, np.float32).reshape(-1, 1, 1)
-    calibration.apply(forecast, np.ones((1, 1), bool))
+    calibration.apply(forecast, np.full((1, 1), hidden_s))
     return forecast.ravel()
 
 
@@ -60,7 +60,7 @@ def scene(count=120, seed=0):
 
 
 def test_what_is_learned_is_how_often_what_was_forecast_came():
-    learned = fit_calibration([scene()], STEPS)
+    learned = Calibration(fit_calibration([scene()], STEPS, PERIOD_S))
     at = np.array([0.003, 0.02, 0.1, 0.3, 0.6, 0.9], np.float32)
     assert mapped(learned, at) == pytest.approx(mapped(TRUE, at), rel=0.1)
 
@@ -71,12 +71,12 @@ def test_what_cannot_be_seen_when_it_comes_is_not_counted():
     hidden[:, :20] = True
     blinded = [frame_of(frame.occupied & ~hidden, ~hidden) for frame in frames]
     at = np.array([0.02, 0.3, 0.9], np.float32)
-    learned = fit_calibration([(tracker, blinded)], STEPS)
+    learned = Calibration(fit_calibration([(tracker, blinded)], STEPS, PERIOD_S))
     assert mapped(learned, at) == pytest.approx(mapped(TRUE, at), rel=0.15)
 
 
 def test_the_formula_is_kept_to_a_fiftieth_and_what_is_certain_stays_certain():
-    a, b, c = TRUE.parameters
+    a, b, c = TRUE.parameters[0]
     p = np.concatenate([np.geomspace(1e-4, 0.5, 300), 1.0 - np.geomspace(1e-4, 0.5, 300)]).astype(np.float32)
     log_odds = c + a * np.log(p) - b * np.log1p(-p)
     assert mapped(TRUE, p) == pytest.approx(1.0 / (1.0 + np.exp(-log_odds)), rel=2e-2)
@@ -93,14 +93,30 @@ def test_the_identity_changes_nothing():
     assert mapped(Calibration(IDENTITY), p) == pytest.approx(p, rel=2e-2)
 
 
-def test_of_what_is_hidden_now_the_probability_stays():
-    forecast, seen = np.full((2, 3, 3), 0.5, np.float32), np.zeros((3, 3), bool)
-    seen[1, 2] = True
-    TRUE.apply(forecast, seen)
-    assert (forecast[:, ~seen] == 0.5).all()
-    assert forecast[:, seen] == pytest.approx(
-        np.full((2, 1), 1.0 / (1.0 + np.exp(2.0 + (3.0 - 0.7) * np.log(0.5)))), rel=1e-3
-    )
+def test_what_has_been_hidden_for_long_has_a_map_of_its_own():
+    seen_as, hidden_as = (1.0 / (1.0 + np.exp(-c + (a - b) * np.log(2.0))) for a, b, c in TRUE.parameters)
+    forecast, hidden_s = np.full((2, 2, 2), 0.5, np.float32), np.array([[0.0, 0.9], [1.1, np.inf]])
+    TRUE.apply(forecast, hidden_s)
+    assert forecast == pytest.approx(np.array([[[seen_as] * 2, [hidden_as] * 2]] * 2), rel=1e-3)
+
+
+def test_both_maps_are_learned_from_what_comes_into_view():
+    """The left half is out of sight for two seconds of three; the map of what is hidden long is another one."""
+    draw = np.random.default_rng(0)
+    said = np.exp(draw.uniform(np.log(1e-3), np.log(0.97), GRID.shape)).astype(np.float32)
+    left, frames = np.zeros(GRID.shape, bool), []
+    left[:, :20] = True
+    hidden_s = np.zeros(GRID.shape)
+    for n in range(600):
+        visible = ~left | (n % 24 >= 16)
+        often = np.where(hidden_s < 1.0, *(mapped(TRUE, said, s).reshape(GRID.shape) for s in (0.0, 2.0)))
+        frames.append(frame_of((draw.random(GRID.shape) < often) & visible, visible))
+        hidden_s = np.where(visible, 0.0, hidden_s + PERIOD_S)
+    learned = Calibration(fit_calibration([(Crystal([said] * 600), frames)], 1, PERIOD_S))
+    at = np.array([0.02, 0.3, 0.9], np.float32)
+    for age in (0.0, 2.0):
+        assert mapped(learned, at, age) == pytest.approx(mapped(TRUE, at, age), rel=0.25)
+    assert mapped(learned, at, 2.0)[0] > 1.5 * mapped(learned, at, 0.0)[0]
 
 
 def test_what_is_no_probability_becomes_one():
@@ -111,14 +127,14 @@ def test_what_is_no_probability_becomes_one():
 @pytest.mark.parametrize("parameters", [(np.nan, 1.0, 0.0), (-1.0, 1.0, 0.0), (1.0, 0.0, 0.0), (1.0, 1.0, np.inf)])
 def test_hostile_parameters_give_one_clear_line(parameters):
     with pytest.raises(WeightsError, match=r"calibration .*train again"):
-        Calibration(np.array(parameters, np.float32))
+        Calibration(np.array([(1.0, 1.0, 0.0), parameters], np.float32))
 
 
 def test_where_nothing_ever_comes_nothing_is_learned_that_is_certain():
     """No return in all the training: rarer than was said, but not impossible."""
     tracker, frames = scene(count=20)
     empty = [frame_of(np.zeros(GRID.shape, bool))] * len(frames)
-    learned = fit_calibration([(tracker, empty)], STEPS)
+    learned = Calibration(fit_calibration([(tracker, empty)], STEPS, PERIOD_S))
     low, high = mapped(learned, [0.01, 0.9]).tolist()
     assert 0.0 < low < high < 0.2
 

@@ -6,9 +6,9 @@ training recordings (beta calibration: Kull, Silva Filho and Flach, AISTATS 2017
 
     logit calibrated = c + a ln p - b ln(1 - p).
 
-What was more probable stays more probable, so no threshold decides otherwise than the one that it is mapped to. That is
-learned from cells that were seen, and holds for those: of a cell that is hidden now the past traffic is all that is
-known, and that was counted.
+There are three for cells that were seen of late, and three for those that have been hidden for longer, of which little
+but the past traffic is known; both are learned from cells that are seen when it comes. Among the cells of one kind what
+was more probable stays more probable.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ from scipy.optimize import minimize
 from scipy.special import expit, log_expit
 
 from gridtrack.common.errors import WeightsError
-from gridtrack.common.grid import GridFrame, Mask
+from gridtrack.common.grid import GridFrame
 from gridtrack.trackers.contract import Tracker
 
 Array = NDArray[np.float64]
 
-IDENTITY = np.array([1.0, 1.0, 0.0], np.float32)
-"""The parameters a, b, c with which nothing is changed."""
+IDENTITY = np.array([[1.0, 1.0, 0.0]] * 2, np.float32)
+"""The parameters a, b, c with which nothing is changed: of cells seen of late, and of others."""
 LEVELS = 4096
 """Levels of the map from 0 to 1, evenly spread over the square root of the probability: most cells are next to
 impossible."""
@@ -36,35 +36,52 @@ EVERY = 5
 """A forecast after every fifth frame is counted."""
 STRENGTH = 10.0
 """How strongly the identity is held on to: as by so many cells, spread over all levels, that came as it says."""
+OF_LATE_S = 1.0
+"""A cell that was seen within this time was seen of late."""
 LEAST = 1e-3
 """The least that a and b may be."""
 
 
 class Calibration:
-    """The map of three `parameters` (3,): a, b, c. Raises WeightsError unless they are finite and a and b positive."""
+    """The maps of `parameters` (2, 3): a, b and c of cells seen of late, and of others.
+
+    Raises WeightsError unless they are finite and a and b positive.
+    """
 
     def __init__(self, parameters: NDArray[np.float32]) -> None:
-        if not (np.isfinite(parameters).all() and (parameters[:2] > 0.0).all()):
+        if not (np.isfinite(parameters).all() and (parameters[:, :2] > 0.0).all()):
             raise WeightsError(
                 f"weights: calibration {parameters.tolist()}: a, b and c must be finite, a and b positive; train again"
             )
-        self.parameters = tuple(map(float, parameters))
-        levels = _levels()
-        levels[1:-1] = expit(_features(levels[1:-1]) @ parameters.astype(np.float64))
-        self._map = levels.astype(np.float32)
-        self.apply(np.zeros((1, 1, 1), np.float32), np.ones((1, 1), np.bool_))  # compiled before the first forecast
+        self.parameters = parameters
+        inner = expit(_features(_levels()[1:-1]) @ parameters.T.astype(np.float64)).T
+        self._maps = np.pad(inner, ((0, 0), (1, 1)), constant_values=((0.0, 0.0), (0.0, 1.0))).astype(np.float32)
+        self.apply(np.zeros((1, 1, 1), np.float32), np.zeros((1, 1)))  # compiled before the first forecast
 
-    def apply(self, probabilities: NDArray[np.float32], seen: Mask) -> None:
-        """Calibrate a forecast (n+1, M, M) in place, in the cells that are `seen` now (M, M). 0 and 1 stay 0 and 1."""
-        _apply(probabilities, seen, self._map)
+    def apply(self, probabilities: NDArray[np.float32], hidden_s: Array) -> None:
+        """Calibrate a forecast (n+1, M, M) in place; each cell was seen `hidden_s` (M, M) ago. 0 and 1 stay 0 and 1."""
+        _apply(probabilities, hidden_s < OF_LATE_S, self._maps)
 
 
-def fit_calibration(stretches: Iterable[tuple[Tracker, Sequence[GridFrame]]], steps: int) -> Calibration:
-    """The calibration of trackers that are not calibrated, each on its frames: of what they forecast for 1..steps ahead
-    in cells that are seen now and then, the parameters of the highest likelihood.
+def hidden_since(hidden_s: Array | None, frame: GridFrame, period_s: float) -> Array:
+    """How long ago each cell (M, M) was seen, after one frame more; infinitely long at first, where it was None."""
+    before = np.full(frame.visible.shape, np.inf) if hidden_s is None else hidden_s + period_s
+    return np.where(frame.visible, 0.0, before)
+
+
+def fit_calibration(
+    stretches: Iterable[tuple[Tracker, Sequence[GridFrame]]], steps: int, period_s: float
+) -> NDArray[np.float32]:
+    """The parameters (2, 3) of the highest likelihood, of trackers that are not calibrated, each on its frames.
+
+    Counted is what they forecast for 1..steps ahead in the cells that are visible then.
     """
-    counts = sum(_counted(tracker, frames, steps) for tracker, frames in stretches)
-    total, came = np.asarray(counts, np.float64)[:, 1:-1]
+    counts = sum((_counted(*stretch, steps, period_s) for stretch in stretches), np.zeros((2, 2, LEVELS + 1)))
+    return np.array([_most_likely(total[1:-1], came[1:-1]) for total, came in counts], np.float32)
+
+
+def _most_likely(total: Array, came: Array) -> Array:
+    """The parameters (3,), where of `total` (LEVELS-1,) forecasts of each inner level `came` (LEVELS-1,) came."""
     said = _levels()[1:-1]
     total, came = total + STRENGTH / len(said), came + STRENGTH / len(said) * said
     features = _features(said)
@@ -75,8 +92,9 @@ def fit_calibration(stretches: Iterable[tuple[Tracker, Sequence[GridFrame]]], st
         return value / total.sum(), (total * expit(log_odds) - came) @ features / total.sum()
 
     bounds = [(LEAST, None), (LEAST, None), (None, None)]
-    best = minimize(loss, IDENTITY.astype(np.float64), jac=True, bounds=bounds, options={"ftol": 1e-12, "gtol": 1e-8})
-    return Calibration(best.x.astype(np.float32))
+    start = IDENTITY[0].astype(np.float64)
+    best = minimize(loss, start, jac=True, bounds=bounds, options={"ftol": 1e-12, "gtol": 1e-8})
+    return np.asarray(best.x)
 
 
 def _levels() -> Array:
@@ -89,31 +107,35 @@ def _features(p: Array) -> Array:
     return np.stack([np.log(p), -np.log1p(-p), np.ones_like(p)], axis=1)
 
 
-def _counted(tracker: Tracker, frames: Sequence[GridFrame], steps: int) -> NDArray[np.int64]:
-    """How many cells, seen now and then, were forecast at each level, and how many were occupied: (2, LEVELS+1)."""
-    counts = np.zeros((2, LEVELS + 1), np.int64)
+def _counted(tracker: Tracker, frames: Sequence[GridFrame], steps: int, period_s: float) -> Array:
+    """How many visible cells were forecast at each level, and how many were occupied: (2, 2, LEVELS+1).
+
+    First those that had been seen of late at the time of the forecast, then the others.
+    """
+    counts, hidden_s = np.zeros((2, 2, LEVELS + 1)), None
     tracker.reset(seed=0)
     for index, frame in enumerate(frames):
         tracker.update(frame)
+        hidden_s = hidden_since(hidden_s, frame, period_s)
         if index % EVERY == 0 and index + steps < len(frames):
-            forecast = tracker.predict(steps).occupancy
-            for step in range(1, steps + 1):
-                later = frames[index + step]
-                level = np.rint(np.sqrt(forecast[step]) * LEVELS).astype(np.int64)
-                counts[0] += np.bincount(level[frame.visible & later.visible], minlength=LEVELS + 1)
-                counts[1] += np.bincount(level[frame.visible & later.occupied], minlength=LEVELS + 1)
+            levels = np.rint(np.sqrt(tracker.predict(steps).occupancy) * LEVELS).astype(np.int64)
+            of_late = hidden_s < OF_LATE_S
+            for level, later in zip(levels[1:], frames[index + 1 :], strict=False):
+                for count, kind in zip(counts, (of_late, ~of_late), strict=True):
+                    count[0] += np.bincount(level[kind & later.visible], minlength=LEVELS + 1)
+                    count[1] += np.bincount(level[kind & later.occupied], minlength=LEVELS + 1)
     return counts
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=True)
-def _apply(probabilities, seen, levels):  # type: ignore[no-untyped-def]
-    """Map `probabilities` (S, M, M), in place and where `seen` (M, M), to what stands for their nearest level in
-    `levels` (LEVELS+1,); what is no probability becomes one.
+def _apply(probabilities, of_late, maps):  # type: ignore[no-untyped-def]
+    """Map `probabilities` (S, M, M), in place, to what stands for their nearest level in the first of the `maps`
+    (2, LEVELS+1), or where they were not seen `of_late` (M, M) in the second; what is no probability becomes one.
     """
-    last, steps, size = len(levels) - 1, len(probabilities), len(seen)
-    for step in range(steps):
+    last, size = maps.shape[1] - 1, len(of_late)
+    for step in range(len(probabilities)):
         for i in range(size):
             for j in range(size):
                 nearest = int(np.int32(np.sqrt(probabilities[step, i, j]) * np.float32(last) + np.float32(0.5)))
-                mapped = levels[np.uint64(min(max(nearest, 0), last))]
-                probabilities[step, i, j] = mapped if seen[i, j] else probabilities[step, i, j]
+                level = np.uint64(min(max(nearest, 0), last))
+                probabilities[step, i, j] = maps[0, level] if of_late[i, j] else maps[1, level]

@@ -13,7 +13,7 @@ from gridtrack.common.config import Settings
 from gridtrack.common.grid import GridFrame
 from gridtrack.trackers.contract import FitOutput, Forecast, FrameSource, Score, StreamSpec, Tracker
 from gridtrack.trackers.model_free.background import BackgroundMap, unknown_place
-from gridtrack.trackers.model_free.calibration import Calibration
+from gridtrack.trackers.model_free.calibration import Calibration, hidden_since
 from gridtrack.trackers.model_free.classes import ClassFilter, ClassModel
 from gridtrack.trackers.model_free.classes import compile_ahead as compile_classes
 from gridtrack.trackers.model_free.dwell import table_shape
@@ -48,7 +48,7 @@ class ModelFreeTracker(Tracker):
         fitted = BackgroundMap(*(array(weights, name, stream.grid.shape) for name in BackgroundMap._fields))
         self._background = fitted if self._settings.background == "fitted" else unknown_place(fitted)
         self._dwell = array(weights, "dwell", table_shape(stream.period_s))
-        self._calibration = Calibration(array(weights, "calibration", (3,)))
+        self._calibration = Calibration(array(weights, "calibration", (2, 3)))
         self.classes = weights.card.classes
         self._model = ClassModel.of(weights, stream.grid) if self.classes else None
         compile_ahead(stream.period_s, self._dwell, self._settings, type(self).estimator)
@@ -61,10 +61,12 @@ class ModelFreeTracker(Tracker):
         stream, begin = self.stream, type(self).estimator
         self._pipeline = Pipeline(stream.grid, stream.period_s, self._background, self._dwell, self._settings, begin)
         self._filter = None if self._model is None else ClassFilter(self._model, stream.grid)
+        self._hidden_s: Array = np.full(stream.grid.shape, np.inf)
 
     def update(self, frame: GridFrame) -> None:
         """Take in x_t."""
         self._pipeline.update(frame)
+        self._hidden_s = hidden_since(self._hidden_s, frame, self.stream.period_s)
         if self._filter is not None:
             self._filter.observe(self.tracks, frame)
 
@@ -86,8 +88,7 @@ class ModelFreeTracker(Tracker):
 
     def _calibrated(self, occupancy: NDArray[np.float32]) -> NDArray[np.float32]:
         """The pipeline's forecast (n+1, M, M), calibrated in place."""
-        if self._pipeline.frame is not None:
-            self._calibration.apply(occupancy, self._pipeline.frame.visible)
+        self._calibration.apply(occupancy, self._hidden_s)
         return occupancy
 
     @property

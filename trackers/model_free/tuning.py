@@ -97,9 +97,11 @@ def fit_pipeline(
 
         def calibrated(settings: PipelineSettings) -> NDArray[np.float32]:
             trackers = [(tracker(stream_of(source, draft), settings), list(source)) for source in searched]
-            found = fit_calibration(trackers, step_of(searched[0], max(HORIZONS_S))).parameters
-            out.report("calibration: logit = {2:.3f} + {0:.3f} ln p - {1:.3f} ln(1 - p)".format(*found))
-            return np.array(found, np.float32)
+            first = searched[0]
+            found = fit_calibration(trackers, step_of(first, max(HORIZONS_S)), first.period_s)
+            for kind, (a, b, c) in zip(("seen of late", "others"), found.tolist(), strict=True):
+                out.report(f"calibration, cells {kind}: logit = {c:.3f} + {a:.3f} ln p - {b:.3f} ln(1 - p)")
+            return found
 
         def goodness(settings: PipelineSettings) -> float:
             found = zip(scores(settings, searched), searched, strict=True)
