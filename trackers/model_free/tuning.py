@@ -99,8 +99,8 @@ def fit_pipeline(
             trackers = [(tracker(stream_of(source, draft), settings), list(source)) for source in searched]
             first = searched[0]
             found = fit_calibration(trackers, step_of(first, max(HORIZONS_S)), first.period_s)
-            for kind, (a, b, c) in zip(("seen of late", "others"), found.tolist(), strict=True):
-                out.report(f"calibration, cells {kind}: logit = {c:.3f} + {a:.3f} ln p - {b:.3f} ln(1 - p)")
+            for kind, (a, b, c) in zip(("cells seen of late", "other cells"), found.tolist(), strict=True):
+                out.report(f"calibration, {kind}: logit = {c:.3f} + {a:.3f} ln p - {b:.3f} ln(1 - p)")
             return found
 
         def goodness(settings: PipelineSettings) -> float:
