@@ -101,7 +101,7 @@ def compare(
     `distances` (K, T) of the clusters' returns from the predicted boundaries, metres; `views` (T) of those.
     """
     costs, mahalanobis = np.full((2, len(tracks), len(clusters)), np.inf)
-    reach = settings.reach_m + REACH_SIGMAS * np.sqrt(np.linalg.eigvalsh(_covariances(tracks)[:, :2, :2])[:, -1])
+    reach = settings.reach_m + REACH_SIGMAS * _widest(_covariances(tracks))
     numbers = np.argwhere(gaps(distances, clusters) <= reach[:, None])
     found = measure(tracks, views, clusters, numbers, settings)
     t, c = numbers.T
@@ -153,6 +153,12 @@ def squared_mahalanobis(found: Matches, tracks: Sequence[Track], owners: NDArray
     off[:, 2] = wrap_angle(off[:, 2])
     spreads = _covariances(tracks)[owners, :3, :3] + found.covariances
     return np.asarray((off * np.linalg.solve(spreads, off[..., None])[..., 0]).sum(axis=1))
+
+
+def _widest(covariances: Array) -> Array:
+    """The largest standard deviation (T,) of a position in any direction, of the states' `covariances` (T, 6, 6)."""
+    xx, xy, yy = covariances[:, 0, 0], covariances[:, 0, 1], covariances[:, 1, 1]
+    return np.asarray(np.sqrt(0.5 * (xx + yy) + np.hypot(0.5 * (xx - yy), xy)))
 
 
 def _covariances(tracks: Sequence[Track]) -> Array:
