@@ -15,13 +15,13 @@ from gridtrack.common.recordings import packaged_recording
 from gridtrack.trackers.contract import stream_of
 from gridtrack.trackers.model_free import KalmanTracker, association, matching, occlusion, rasterise, segmentation
 from gridtrack.trackers.model_free import calibration, shape
-from gridtrack.trackers.model_free.motion import model, regimes
+from gridtrack.trackers.model_free.motion import kalman, model, regimes
 from gridtrack.trackers.model_free.settings import PipelineSettings
 
 def compiled():
     kernels = segmentation._segment, occlusion._cut_off, association._distances_to, matching._match, shape._absorb
     kernels = *kernels, model.advance, model.propagate_all, regimes._weighed, regimes._mixture, rasterise.draw_tracks
-    kernels = *kernels, calibration._apply
+    kernels = *kernels, calibration._apply, kalman._settled
     return [len(kernel.signatures) for kernel in kernels]
 
 demo = packaged_recording("leg_tracker")

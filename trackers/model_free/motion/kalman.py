@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+
+import numba
 import numpy as np
 from filterpy.kalman import update
 
@@ -34,13 +37,21 @@ class KalmanEstimator:
         """Take in a measured pose (3,) and its covariance (3, 3); filterpy's update is in Joseph's form."""
         pose, covariance = measured(pose, covariance)
         nearest = np.array([pose[0], pose[1], self.mean[2] + wrap_angle(pose[2] - self.mean[2])])
-        mean, spread = update(self.mean, self.covariance, nearest, covariance, MEASURED)
-        self._settle(mean, (spread + spread.T) / 2.0)
+        self._settle(*update(self.mean, self.covariance, nearest, covariance, MEASURED))
 
     def begin_anew(self, mean: Array, covariance: Array) -> None:
         """Forget everything but this state (6,) and its covariance (6, 6)."""
         self.mean, self.covariance = mean.copy(), covariance.copy()
 
     def _settle(self, mean: Array, covariance: Array) -> None:
-        mean[2] = wrap_angle(mean[2])
+        _settled(mean, covariance)
         self.mean, self.covariance = mean, covariance
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _settled(mean, covariance):  # type: ignore[no-untyped-def]
+    """Wrap the heading of `mean` (6,) and make `covariance` (6, 6) symmetric, in place."""
+    mean[2] = (mean[2] + math.pi) % (2.0 * math.pi) - math.pi
+    for i in range(6):
+        for j in range(i):
+            covariance[i, j] = covariance[j, i] = 0.5 * (covariance[i, j] + covariance[j, i])
