@@ -42,21 +42,10 @@ def compared(fold: int, trackers: Sequence[str], out: Path) -> Path:
     for tracker in trackers:
         if not (weights / tracker / f"{RECORDING.stem}.toml").exists():
             gridtrack("train", tracker, *rest, "--validation", chosen_on, "--out", weights)
-    rows = [word for tracker in (REFERENCE, *trackers) for word in ("--tracker", tracker)]
     if not (folder / SUMMARY).exists():
-        gridtrack(
-            "compare",
-            tested,
-            "--validation",
-            chosen_on,
-            *rows,
-            "--weights",
-            weights,
-            "--every",
-            "0.1s",
-            "--out",
-            folder,
-        )
+        rows = [word for tracker in (REFERENCE, *trackers) for word in ("--tracker", tracker)]
+        chosen = "--validation", chosen_on, "--weights", weights
+        gridtrack("compare", tested, *chosen, *rows, "--every", f"{PERIOD_S}s", "--out", folder)
     return folder
 
 

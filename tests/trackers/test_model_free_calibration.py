@@ -1,4 +1,4 @@
-"""Calibration: what is forecast with a probability comes that often, and no threshold's decisions change."""
+"""Calibration: what is forecast with a probability comes that often, and what was more probable stays so."""
 
 from __future__ import annotations
 
@@ -19,7 +19,8 @@ from gridtrack.trackers.model_free.calibration import IDENTITY, Calibration, fit
 from gridtrack.trackers.model_free.settings import PipelineSettings
 
 GRID, STEPS, PERIOD_S = GridSpec(40, 0.2), 3, 0.125
-TRUE = Calibration(np.array([[0.7, 3.0, -2.0], [0.9, 1.2, -0.5]], np.float32))
+PARAMETERS = np.array([[0.7, 3.0, -2.0], [0.9, 1.2, -0.5]], np.float32)
+TRUE = Calibration(PARAMETERS)
 
 
 class Crystal:
@@ -76,7 +77,7 @@ def test_what_cannot_be_seen_when_it_comes_is_not_counted():
 
 
 def test_the_formula_is_kept_to_a_fiftieth_and_what_is_certain_stays_certain():
-    a, b, c = TRUE.parameters[0]
+    a, b, c = PARAMETERS[0]
     p = np.concatenate([np.geomspace(1e-4, 0.5, 300), 1.0 - np.geomspace(1e-4, 0.5, 300)]).astype(np.float32)
     log_odds = c + a * np.log(p) - b * np.log1p(-p)
     assert mapped(TRUE, p) == pytest.approx(1.0 / (1.0 + np.exp(-log_odds)), rel=2e-2)
@@ -94,7 +95,7 @@ def test_the_identity_changes_nothing():
 
 
 def test_what_has_been_hidden_for_long_has_a_map_of_its_own():
-    seen_as, hidden_as = (1.0 / (1.0 + np.exp(-c + (a - b) * np.log(2.0))) for a, b, c in TRUE.parameters)
+    seen_as, hidden_as = (1.0 / (1.0 + np.exp(-c + (a - b) * np.log(2.0))) for a, b, c in PARAMETERS)
     forecast, hidden_s = np.full((2, 2, 2), 0.5, np.float32), np.array([[0.0, 0.9], [1.1, np.inf]])
     TRUE.apply(forecast, hidden_s)
     assert forecast == pytest.approx(np.array([[[seen_as] * 2, [hidden_as] * 2]] * 2), rel=1e-3)

@@ -53,9 +53,9 @@ class Calibration:
             raise WeightsError(
                 f"weights: calibration {parameters.tolist()}: a, b and c must be finite, a and b positive; train again"
             )
-        self.parameters = parameters
-        inner = expit(_features(_levels()[1:-1]) @ parameters.T.astype(np.float64)).T
-        self._maps = np.pad(inner, ((0, 0), (1, 1)), constant_values=((0.0, 0.0), (0.0, 1.0))).astype(np.float32)
+        self._maps = np.zeros((2, LEVELS + 1), np.float32)
+        self._maps[:, 1:-1] = expit(_features(_levels()[1:-1]) @ parameters.T.astype(np.float64)).T
+        self._maps[:, -1] = 1.0
         self.apply(np.zeros((1, 1, 1), np.float32), np.zeros((1, 1)))  # compiled before the first forecast
 
     def apply(self, probabilities: NDArray[np.float32], hidden_s: Array) -> None:
@@ -63,10 +63,9 @@ class Calibration:
         _apply(probabilities, hidden_s < OF_LATE_S, self._maps)
 
 
-def hidden_since(hidden_s: Array | None, frame: GridFrame, period_s: float) -> Array:
-    """How long ago each cell (M, M) was seen, after one frame more; infinitely long at first, where it was None."""
-    before = np.full(frame.visible.shape, np.inf) if hidden_s is None else hidden_s + period_s
-    return np.where(frame.visible, 0.0, before)
+def hidden_since(hidden_s: Array, frame: GridFrame, period_s: float) -> Array:
+    """How long ago each cell was seen, after one frame more; `hidden_s` (M, M) before it, at first infinitely long."""
+    return np.where(frame.visible, 0.0, hidden_s + period_s)
 
 
 def fit_calibration(
@@ -112,7 +111,7 @@ def _counted(tracker: Tracker, frames: Sequence[GridFrame], steps: int, period_s
 
     First those that had been seen of late at the time of the forecast, then the others.
     """
-    counts, hidden_s = np.zeros((2, 2, LEVELS + 1)), None
+    counts, hidden_s = np.zeros((2, 2, LEVELS + 1)), np.full(frames[0].visible.shape, np.inf)
     tracker.reset(seed=0)
     for index, frame in enumerate(frames):
         tracker.update(frame)

@@ -26,8 +26,8 @@ LEAST_SHIFT = 0.2
 """Rows that the blur's slant shifts by fewer cells than this, from the first to the last, are not shifted."""
 SAME_HEADING = 0.02
 """A body that has turned by less, radians, is drawn as it was."""
-
 ERF = tuple(np.float32(a) for a in (0.0705230784, 0.0422820123, 0.0092705272, 0.0001520143, 0.0002765672, 0.0000430638))
+"""Coefficients of `_erf`."""
 
 
 class Surfaces(NamedTuple):

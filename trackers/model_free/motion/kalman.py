@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import math
-
 import numba
 import numpy as np
 from filterpy.kalman import update
 
 from gridtrack.common.geometry import wrap_angle
 from gridtrack.trackers.model_free.motion.estimator import first_state, measured
-from gridtrack.trackers.model_free.motion.model import Array, MotionModel, advance, discretise
+from gridtrack.trackers.model_free.motion.model import Array, MotionModel, advance, discretise, wrapped
 
 MEASURED = np.eye(3, 6)
 """The measured pose as a function of the state."""
@@ -51,7 +49,7 @@ class KalmanEstimator:
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _settled(mean, covariance):  # type: ignore[no-untyped-def]
     """Wrap the heading of `mean` (6,) and make `covariance` (6, 6) symmetric, in place."""
-    mean[2] = (mean[2] + math.pi) % (2.0 * math.pi) - math.pi
+    mean[2] = wrapped(mean[2])
     for i in range(6):
         for j in range(i):
             covariance[i, j] = covariance[j, i] = 0.5 * (covariance[i, j] + covariance[j, i])

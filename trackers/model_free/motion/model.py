@@ -18,9 +18,13 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from gridtrack.common.geometry import wrap_angle
+
 Array = NDArray[np.float64]
 INLINED = numba.njit(inline="always", error_model="numpy")
 """For what is called in a loop: a call counts the references to each array it is given, which takes as long as this."""
+wrapped = numba.njit(wrap_angle)
+"""`wrap_angle` for what is compiled."""
 
 
 class MotionModel(NamedTuple):

@@ -16,7 +16,7 @@ import numba
 import numpy as np
 
 from gridtrack.trackers.model_free.motion.estimator import MotionEstimator
-from gridtrack.trackers.model_free.motion.model import Array, MotionModel
+from gridtrack.trackers.model_free.motion.model import Array, MotionModel, wrapped
 
 DISPROVED = 0.02
 """Probability of a regime below which its estimator begins anew."""
@@ -101,16 +101,10 @@ class SwitchingEstimator:
 def _mixture(mean, covariance, other_mean, other_covariance, share):  # type: ignore[no-untyped-def]
     """Mean (6,) and covariance (6, 6) of two, the other with the `share`; their headings are near to each other."""
     apart = other_mean - mean
-    apart[2] = _wrapped(apart[2])
+    apart[2] = wrapped(apart[2])
     mixed = mean + share * apart
-    mixed[2] = _wrapped(mixed[2])
+    mixed[2] = wrapped(mixed[2])
     return mixed, (1.0 - share) * covariance + share * other_covariance + (1.0 - share) * share * np.outer(apart, apart)
-
-
-@numba.njit
-def _wrapped(angle):  # type: ignore[no-untyped-def]
-    """In [-pi, pi)."""
-    return (angle + math.pi) % (2.0 * math.pi) - math.pi
 
 
 @numba.njit(cache=True, nogil=True)
@@ -129,6 +123,6 @@ def _weighed(probabilities, mean, covariance, other_mean, other_covariance, pose
 def _log_likelihood(mean, covariance, pose, noise):  # type: ignore[no-untyped-def]
     """Of a measured pose (3,), but for a constant."""
     off = pose - mean[:3]
-    off[2] = _wrapped(off[2])
+    off[2] = wrapped(off[2])
     spread = covariance[:3, :3] + noise
     return -0.5 * (off @ np.linalg.solve(spread, off) + math.log(np.linalg.det(spread)))
