@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
-from pathlib import Path
 
 import pytest
 
@@ -14,11 +12,7 @@ from gridtrack.reports.run import read_runs
 from gridtrack.reports.table import as_markdown, foremost, headline_tables
 from gridtrack.reports.terminal import print_tables
 
-spec = importlib.util.spec_from_file_location(
-    "synthetic_run", Path(__file__).parents[1] / "evaluation" / "statistics" / "synthetic_run.py"
-)
-synthetic = importlib.util.module_from_spec(spec)
-spec.loader.exec_module(synthetic)
+import synthetic_run as synthetic
 
 RECORDINGS = [f"seed-{i:02}" for i in range(20)]
 SKILLS = {"persistence": 0.6, "good": 0.8, "<b>even": 0.6, "unlucky": 0.9, "oracle": 1.0}

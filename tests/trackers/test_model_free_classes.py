@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-import subprocess
-import sys
 from types import SimpleNamespace
 
 import numpy as np
@@ -14,51 +12,18 @@ pytest.importorskip("filterpy")
 pytest.importorskip("sklearn")
 from scipy.stats import multivariate_normal
 
-from gridtrack.common.errors import ConfigurationError, WeightsError
-from gridtrack.common.geometry import SE2
-from gridtrack.common.grid import GridFrame, GridSpec, LabelledFrame
-from gridtrack.trackers.contract import FitOutput, StretchScore, stream_of
-from gridtrack.trackers.labelled import LabelledStretch
-from gridtrack.trackers.model_free import FactorGraphTracker, KalmanTracker, tuning
-from gridtrack.trackers.model_free.class_training import Tracked, count_cells, fit_mixtures, log_loss, place_classes
+from gridtrack.trackers.model_free.class_training import Tracked, fit_mixtures, log_loss, place_classes
 from gridtrack.trackers.model_free.classes import (
     FEATURES,
     ClassFilter,
-    ClassModel,
     attribute,
     features_of,
     normalise,
     place_weighted,
 )
 from gridtrack.trackers.model_free.rasterise import draw_track
-from gridtrack.trackers.model_free.settings import ModelFreeSettings
-from gridtrack.trackers.weights import load_weights, read_card, save_weights
 
-GRID, PERIOD_S = GridSpec(60, 0.2, (0.0, -6.0)), 0.125
-PEDESTRIAN, CAR = 0, 1
-
-
-def frame_of(shapes, step=0, grid=GRID):
-    """All visible; `shapes` (N, 2) metres are occupied. The laser stands at the origin."""
-    occupied = np.zeros(grid.shape, bool)
-    cells, inside = grid.cells_of(np.concatenate([np.empty((0, 2)), *shapes]))
-    occupied[tuple(cells[inside].T)] = True
-    points = grid.cell_centres(occupied)
-    laser, owner = np.zeros((1, 2), np.float32), np.zeros(len(points), np.uint8)
-    return GridFrame(step * 125_000_000, np.ones(grid.shape, bool), occupied, SE2(), laser, points, owner)
-
-
-def box(length, width, at, heading=0.0):
-    """The side and the front of a box whose centre is `at` a place, (N, 2) metres."""
-    along, across = np.arange(-length / 2, length / 2, 0.1), np.arange(-width / 2, width / 2, 0.1)
-    side = np.stack([along, np.full_like(along, -width / 2)], 1)
-    front = np.stack([np.full_like(across, length / 2), across], 1)
-    cosine, sine = math.cos(heading), math.sin(heading)
-    return np.concatenate([side, front]) @ np.array([[cosine, sine], [-sine, cosine]]) + at
-
-
-def legs(at, apart=0.3):
-    return np.array([(0.0, 0.0), (0.1, 0.0), (0.0, apart), (0.1, apart)]) + at
+from street import CAR, GRID, PEDESTRIAN, box, frame_of, legs
 
 
 def track_of(points, velocity, identity=0, unseen=0):
@@ -228,200 +193,3 @@ def test_what_is_seen_has_the_classes_of_whose_return_it_is():
     assert semantics[:, own[0], own[1]] == pytest.approx([0.1, 0.9])
     assert semantics[:, hidden[0], hidden[1]].tolist() == [0.0, 0.0]
     assert semantics[:, other[0], other[1]] == pytest.approx([0.5, 0.5])
-
-
-# Fit, and weights
-
-
-class Street:
-    """Somebody walks up one side, and a box of three metres drives down the other; `classes` its labels'."""
-
-    name, sha256, grid, period_s, site = "street.mcap", "0" * 64, GRID, PERIOD_S, "street"
-
-    def __init__(self, frames=120, classes=("pedestrian", "car", "horse")):
-        self.frames, self.classes = frames, classes
-
-    def __len__(self):
-        return self.frames
-
-    def __iter__(self):
-        return (item.frame for item in self.labelled())
-
-    def labelled(self):
-        for step in range(self.frames):
-            t = step % 40 * PERIOD_S
-            walker, car = legs((4.0, -4.0 + 1.2 * t)), box(3.0, 1.6, (8.0, 4.0 - 1.6 * t), -math.pi / 2)
-            cells = [np.ravel_multi_index(GRID.cells_of(each)[0].T, GRID.shape) for each in (walker, car)]
-            label_at = np.full(GRID.size**2, 255, np.uint8)
-            label_at[cells[0]], label_at[cells[1]] = PEDESTRIAN, CAR
-            labelled = np.flatnonzero(label_at < (255 if self.classes else 0))
-            yield LabelledFrame(frame_of([walker, car], step), labelled, label_at[labelled])
-
-
-def no_score(tracker, source, steps):
-    flat = np.zeros(steps + 1)
-    return StretchScore({"moving": flat, "visible": flat}, {"moving": flat})
-
-
-def fit(folder, tracker=KalmanTracker, street=None, **options):
-    street = street or Street()
-    out = FitOutput(folder / "street.toml", f"gridtrack train {options}", 3, folder / "log", lambda line: None)
-    settings = ModelFreeSettings(**({"labelled_scans": 80, "link_m": 0.5} | options))
-    tracker.fit([street], [street], no_score, out, settings)
-    return out.path
-
-
-@pytest.fixture(scope="module", autouse=True)
-def one_trial():
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(tuning, "TRIALS", 1)
-        yield
-
-
-@pytest.fixture(scope="module")
-def path(tmp_path_factory):
-    return fit(tmp_path_factory.mktemp("street"))
-
-
-def test_what_was_learned_from_labelled_scans_tells_the_classes_of_cells_and_objects_now_and_ahead(path):
-    tracker, source = KalmanTracker(stream_of(Street(), path), ModelFreeSettings()), Street(34)
-    assert tracker.classes == ("pedestrian", "car")
-    for item in source.labelled():
-        tracker.update(item.frame)
-    forecast = tracker.predict(4)
-    assert forecast.semantics.shape == (5, 2, *GRID.shape)
-    assert forecast.semantics.dtype == np.float32
-    assert forecast.semantics.min() >= 0.0
-    assert forecast.semantics.sum(axis=1) == pytest.approx(np.ones((5, *GRID.shape)), abs=1e-5)
-    for step, then in enumerate(list(Street(38).labelled())[33:]):
-        said = forecast.semantics[step].reshape(2, -1)[:, then.cells].argmax(axis=0)
-        assert (said == then.labels).mean() > 0.9, step
-    assert {(one.label, one.box[0] > 6.0) for one in forecast.objects} == {("pedestrian", False), ("car", True)}
-    before = forecast.semantics.copy()
-    assert (tracker.predict(4).semantics == before).all()
-
-
-STARTED_AND_FED = """
-import sys
-from importlib.util import module_from_spec, spec_from_file_location
-from pathlib import Path
-from gridtrack.trackers.contract import stream_of
-from gridtrack.trackers.model_free import KalmanTracker, classes, rasterise
-from gridtrack.trackers.model_free.settings import ModelFreeSettings
-
-spec = spec_from_file_location("scenes", sys.argv[1])
-spec.loader.exec_module(scenes := module_from_spec(spec))
-
-def compiled():
-    kernels = rasterise.draw_tracks, classes._features, classes._log_densities, classes._normalise
-    return [len(kernel.signatures) for kernel in kernels]
-
-tracker = KalmanTracker(stream_of(scenes.Street(), Path(sys.argv[2])), ModelFreeSettings())
-before = compiled()
-for frame in scenes.Street(30):
-    tracker.update(frame)
-tracker.predict(20)
-print(before, compiled())
-"""
-
-
-def test_what_is_compiled_on_first_use_is_compiled_when_it_starts(path):
-    command = [sys.executable, "-c", STARTED_AND_FED, __file__, str(path)]
-    done = subprocess.run(command, capture_output=True, text=True, check=True)
-    assert done.stdout == "[1, 1, 1, 1] [1, 1, 1, 1]\n"
-
-
-def test_the_card_says_what_was_learned_from_what(path):
-    card = read_card(path)
-    assert card.classes == ("pedestrian", "car")
-    assert card.settings["labelled_scans"] == 80
-    told = card.results["classes"]
-    assert told["labelled"].startswith("street.mcap, 80 scans from")
-    assert told["tracks"]["pedestrian"] >= 2
-    assert told["validation_log_loss"] < 0.2
-
-
-def test_classes_are_added_to_weights_that_stay_as_they_are_bit_for_bit_and_fitted_twice_are_the_same(path, tmp_path):
-    other = fit(tmp_path, stage="occupancy")
-    before = load_weights(stream_of(Street(), other), "kalman")
-    assert before.card.classes == ()
-    fit(tmp_path, stage="classes")
-    after = load_weights(stream_of(Street(), other), "kalman")
-    assert all(after.arrays[name].tobytes() == array.tobytes() for name, array in before.arrays.items())
-    assert after.card.command == before.card.command
-    assert "'stage': 'classes'" in after.card.results["classes"]["command"]
-    at_once = load_weights(stream_of(Street(), path), "kalman")
-    assert {k: v.tobytes() for k, v in at_once.arrays.items()} == {k: v.tobytes() for k, v in after.arrays.items()}
-
-
-def test_classes_take_the_place_of_others_even_of_such_as_cannot_be_read(path, tmp_path):
-    weights = load_weights(stream_of(Street(), path), "kalman")
-    other = tmp_path / "street.toml"
-    save_weights(other, weights.card, weights.arrays | {"class_means": np.zeros((2, 1, 99)), "class_old": np.zeros(3)})
-    fit(tmp_path, stage="classes")
-    again = load_weights(stream_of(Street(), other), "kalman")
-    assert {k: v.tobytes() for k, v in weights.arrays.items()} == {k: v.tobytes() for k, v in again.arrays.items()}
-
-
-def test_a_recording_without_labels_is_trained_without_classes_and_the_card_says_so(tmp_path):
-    path = fit(tmp_path, FactorGraphTracker, Street(classes=()))
-    card = read_card(path)
-    assert card.classes == ()
-    assert card.results["classes"] == "none: street.mcap has no labels"
-    tracker = FactorGraphTracker(stream_of(Street(), path), ModelFreeSettings())
-    tracker.update(next(iter(Street())))
-    forecast = tracker.predict(2)
-    assert forecast.semantics is None
-    assert {one.label for one in forecast.objects} <= {""}
-    with pytest.raises(ConfigurationError, match=r"street\.mcap: nowhere 80 labelled scans in a row"):
-        fit(tmp_path, FactorGraphTracker, Street(classes=()), stage="classes")
-
-
-def test_too_few_labels_are_told_before_the_search_and_classes_without_weights_too(tmp_path):
-    with pytest.raises(ConfigurationError, match="nowhere 121 labelled scans in a row"):
-        fit(tmp_path, labelled_scans=121)
-    assert not list(tmp_path.iterdir())
-    with pytest.raises(WeightsError, match=r"street\.toml: no weights to add classes to"):
-        fit(tmp_path, stage="classes")
-
-
-def spoilt(name, change):
-    def of(arrays):
-        return arrays | {f"class_{name}": change(arrays[f"class_{name}"])}
-
-    return of
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        (spoilt("means", lambda a: a * np.nan), "'class_means' is not finite"),
-        (spoilt("means", lambda a: a + 1e30), "'class_means' is not finite or beyond 1e\\+09"),
-        (spoilt("means", lambda a: a[..., :3]), r"'class_means' is \(2, \d+, 3\), expected"),
-        (spoilt("place", lambda a: a[:, :9]), r"'class_place' is \(2, 9, 60\), expected"),
-        (spoilt("place", lambda a: -a), "'class_place' does not hold probabilities"),
-        (spoilt("frequency", lambda a: np.array([1.0, 0.0], np.float32)), "'class_frequency' rules a class out"),
-        (spoilt("shares", lambda a: a * 2), "'class_shares' does not hold probabilities"),
-        (spoilt("shares", lambda a: np.zeros((2, 10**4), np.float32)), "10000 Gaussians of a class, expected 1 to 64"),
-        (spoilt("shares", lambda a: a[0]), r"'class_shares' is \(\d+,\), expected"),
-        (spoilt("whitening", lambda a: a * 0), "'class_whitening' is singular"),
-        (spoilt("powers", lambda a: a + 1e6), "'class_powers' are not from 0 to 10"),
-        (lambda arrays: {k: v for k, v in arrays.items() if k != "class_powers"}, "'class_powers' is missing"),
-    ],
-)
-def test_hostile_weights_give_one_clear_line(path, tmp_path, change, message):
-    weights = load_weights(stream_of(Street(), path), "kalman")
-    spoiled = tmp_path / "street.toml"
-    save_weights(spoiled, weights.card, change(weights.arrays))
-    with pytest.raises(WeightsError, match=message) as raised:
-        KalmanTracker(stream_of(Street(), spoiled), ModelFreeSettings())
-    assert "\n" not in str(raised.value)
-
-
-def test_only_labelled_cells_of_learned_classes_are_counted():
-    items = [LabelledFrame(None, np.array([3, 3600 - 1]), np.array(labels, np.uint8)) for labels in ([0, 2], [0, 0])]
-    stretch = LabelledStretch(Street(), 0, 0, items)
-    count = count_cells(stretch, ("horse", "pedestrian"))
-    assert count.sum() == 4.0
-    assert (count[1, 0, 3], count[0, 59, 59], count[1, 59, 59]) == (2.0, 1.0, 1.0)
-    assert ClassModel._fields == ("shares", "means", "whitening", "frequency", "powers", "place")

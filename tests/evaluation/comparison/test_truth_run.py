@@ -1,6 +1,5 @@
 """A run on a recording that knows what was truly there: what is hidden is scored, there is a ceiling, classes count."""
 
-import importlib.util
 import os
 from pathlib import Path
 
@@ -15,10 +14,8 @@ from gridtrack.evaluation.scoring.class_store import SEMANTICS
 from gridtrack.evaluation.scoring.scores import SCORES
 from gridtrack.evaluation.scoring.strata import STRATA, STRATA_WITH_TRUTH
 
-SOURCE = Path(__file__).with_name("truth_scene.py")
-spec = importlib.util.spec_from_file_location("truth_scene", SOURCE)
-truth_scene = importlib.util.module_from_spec(spec)
-spec.loader.exec_module(truth_scene)
+import truth_scene
+
 HORIZON_S, STEPS = 1.0, 10
 
 

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
-from pathlib import Path
-
 import numpy as np
 import pytest
 from scipy import stats
@@ -12,9 +9,7 @@ from scipy import stats
 from gridtrack.evaluation.scoring.class_store import ClassWriter
 from gridtrack.evaluation.statistics.summary import summarise
 
-spec = importlib.util.spec_from_file_location("synthetic_run", Path(__file__).with_name("synthetic_run.py"))
-synthetic = importlib.util.module_from_spec(spec)
-spec.loader.exec_module(synthetic)
+import synthetic_run as synthetic
 
 CLASSES = ("pedestrian", "car")
 FRAMES, CELLS = 4, 5

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -15,9 +12,7 @@ from gridtrack.evaluation.statistics.summary import summarise
 from gridtrack.evaluation.statistics.uncertainty import COUNTS, interval
 from gridtrack.evaluation.statistics.units import autocorrelation_time, sum_by_unit, units_of
 
-spec = importlib.util.spec_from_file_location("synthetic_run", Path(__file__).with_name("synthetic_run.py"))
-synthetic = importlib.util.module_from_spec(spec)
-spec.loader.exec_module(synthetic)
+import synthetic_run as synthetic
 
 RECORDINGS = [f"seed-{i:02}" for i in range(20)]
 
