@@ -30,10 +30,11 @@ class Crystal:
         self.said, self.frame = said, -1
 
     def reset(self, seed):
-        self.frame = -1
+        self.frame, self.hidden_s = -1, np.full(GRID.shape, np.inf)
 
     def update(self, frame):
         self.frame += 1
+        self.hidden_s = np.where(frame.visible, 0.0, self.hidden_s + PERIOD_S)
 
     def predict(self, steps):
         return SimpleNamespace(occupancy=np.repeat(self.said[self.frame][None], steps + 1, axis=0))
@@ -61,7 +62,7 @@ def scene(count=120, seed=0):
 
 
 def test_what_is_learned_is_how_often_what_was_forecast_came():
-    learned = Calibration(fit_calibration([scene()], STEPS, PERIOD_S))
+    learned = Calibration(fit_calibration([scene()], STEPS))
     at = np.array([0.003, 0.02, 0.1, 0.3, 0.6, 0.9], np.float32)
     assert mapped(learned, at) == pytest.approx(mapped(TRUE, at), rel=0.1)
 
@@ -72,7 +73,7 @@ def test_what_cannot_be_seen_when_it_comes_is_not_counted():
     hidden[:, :20] = True
     blinded = [frame_of(frame.occupied & ~hidden, ~hidden) for frame in frames]
     at = np.array([0.02, 0.3, 0.9], np.float32)
-    learned = Calibration(fit_calibration([(tracker, blinded)], STEPS, PERIOD_S))
+    learned = Calibration(fit_calibration([(tracker, blinded)], STEPS))
     assert mapped(learned, at) == pytest.approx(mapped(TRUE, at), rel=0.15)
 
 
@@ -113,7 +114,7 @@ def test_both_maps_are_learned_from_what_comes_into_view():
         often = np.where(hidden_s < 1.0, *(mapped(TRUE, said, s).reshape(GRID.shape) for s in (0.0, 2.0)))
         frames.append(frame_of((draw.random(GRID.shape) < often) & visible, visible))
         hidden_s = np.where(visible, 0.0, hidden_s + PERIOD_S)
-    learned = Calibration(fit_calibration([(Crystal([said] * 600), frames)], 1, PERIOD_S))
+    learned = Calibration(fit_calibration([(Crystal([said] * 600), frames)], 1))
     at = np.array([0.02, 0.3, 0.9], np.float32)
     for age in (0.0, 2.0):
         assert mapped(learned, at, age) == pytest.approx(mapped(TRUE, at, age), rel=0.25)
@@ -135,7 +136,7 @@ def test_where_nothing_ever_comes_nothing_is_learned_that_is_certain():
     """No return in all the training: rarer than was said, but not impossible."""
     tracker, frames = scene(count=20)
     empty = [frame_of(np.zeros(GRID.shape, bool))] * len(frames)
-    learned = Calibration(fit_calibration([(tracker, empty)], STEPS, PERIOD_S))
+    learned = Calibration(fit_calibration([(tracker, empty)], STEPS))
     low, high = mapped(learned, [0.01, 0.9]).tolist()
     assert 0.0 < low < high < 0.2
 

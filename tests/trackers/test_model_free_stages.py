@@ -108,6 +108,20 @@ def test_what_stands_sinks_into_the_background_and_what_has_left_leaves_it():
     assert background.probabilities(0)[0] == pytest.approx(np.zeros((1, 2)))
 
 
+def test_a_frame_after_missed_ones_stands_for_all_of_them():
+    seen, parked, hidden = np.ones((1, 2), bool), np.array([[True, False]]), np.zeros((1, 2), bool)
+    missed, whole = (background_of([[0.1, 0.1]], unforeseen_share=0.25) for _ in range(2))
+    for background, periods in ((missed, (3, 2)), (whole, (1, 1, 1, 1, 1))):
+        for count in periods:
+            background.observe(frame_of(seen, parked), count)
+    assert missed.probabilities(2) == pytest.approx(whole.probabilities(2), rel=1e-5)
+    missed.observe(frame_of(hidden, hidden), 4)
+    for _ in range(4):
+        whole.observe(frame_of(hidden, hidden))
+    assert missed.probabilities(2) == pytest.approx(whole.probabilities(2), rel=1e-5)
+    assert missed.hidden_s == pytest.approx(np.full((1, 2), 0.4))
+
+
 def test_a_wall_that_is_taken_away_is_forgotten():
     background = background_of([[0.9]], 1.0)
     for _ in range(1000):
@@ -230,6 +244,8 @@ def test_the_age_of_a_return_goes_on_in_the_next_cell_and_starts_anew_elsewhere(
     assert (ages[1, 2], ages[4, 4]) == (2, 0)
     assert (ages == NOT_OCCUPIED).sum() == 23
     assert next_ages(ages, cells_at((1, 2)), oldest=2)[1, 2] == 2
+    late = next_ages(ages, cells_at((1, 2), (0, 4)), oldest=10, periods=3)
+    assert (late[1, 2], late[0, 4]) == (5, 0)
 
 
 def test_life_table_counts_who_is_still_there_where_it_can_be_seen():

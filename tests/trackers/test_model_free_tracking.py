@@ -104,6 +104,19 @@ def test_velocity_is_known_after_a_second(tracker, velocity):
     assert np.sqrt((errors**2).mean()) < 0.2
 
 
+@pytest.mark.parametrize("every", [2, 3])
+def test_missed_frames_are_bridged(tracker, every):
+    path = walk((3.0, -1.5), (0.0, 1.2), 37)
+    for step in range(0, 25, every):
+        tracker.update(frame_of([path[step]], step))
+    objects = tracker.predict(0).objects
+    assert len(objects) == 1
+    assert objects[0].velocity == pytest.approx((0.0, 1.2), abs=0.15)
+    ahead = tracker.predict(10).occupancy[10]
+    came = frame_of([path[34]]).occupied
+    assert ahead[came].mean() > 4 * ahead[with_neighbours(frame_of([path[24]]).occupied)].mean()
+
+
 @pytest.mark.parametrize("velocity", [(0.8, 0.0), (0.0, 0.8), (-0.6, 0.6)])
 def test_the_forecast_leads_the_object_to_where_it_will_be(tracker, velocity):
     path = walk((3.0, -velocity[1]), velocity, 31)

@@ -53,22 +53,21 @@ class Background:
 
     Returns in cells that `fitted` holds solid in more than the share `explained_above` of the frames are no object's,
     nor are those in cells that a track was merged into, until it is seen to leave. The record of each cell goes on
-    from the fitted rate, worth `map_s` of its own, and forgets with the time constant `sink_s` while it is visible.
+    from the fitted rate, worth `map_s` of its own, and forgets with the time constant `sink_s` while it is visible; a
+    frame stands for the time since the one before.
 
     An open cell that no track announces is a Markov chain of two states, whose stationary rate is the fitted one. Seen
     empty, it holds the share `unforeseen_share` of that rate at once and comes back to all of it with the time constant
-    `return_s`: ahead in time, and while it is hidden.
+    `return_s`: ahead in time, and while it is hidden: `hidden_s` (M, M) is how long ago each cell was seen, at first
+    infinitely long.
     """
 
     def __init__(self, fitted: BackgroundMap, period_s: float, settings: PipelineSettings) -> None:
-        self.rate, self.settings = fitted.rate, settings
+        self.rate, self.settings, self.period_s = fitted.rate, settings, period_s
+        self.hidden_s = np.full_like(fitted.rate, np.inf)
         self._walls: Mask = fitted.solid >= settings.explained_above
         self._stopped: list[Mask] = []
-        self._step = np.float32(math.exp(-period_s / settings.return_s))
-        self._announced = np.float32(1.0 - settings.unforeseen_share)
-        self._known = np.zeros_like(fitted.rate)
         self._fitted_frames = np.float32(settings.map_s / period_s)
-        self._keep = np.float32(math.exp(-period_s / settings.sink_s))
         self._visible, self._occupied = np.zeros_like(fitted.rate), np.zeros_like(fitted.rate)
 
     @property
@@ -76,12 +75,14 @@ class Background:
         """The cells (M, M) whose returns are no object's."""
         return np.asarray(np.logical_or.reduce([self._walls, *map(with_neighbours, self._stopped)]))
 
-    def observe(self, frame: GridFrame) -> None:
-        """Take in a frame."""
-        keep = np.where(frame.visible, self._keep, np.float32(1.0))
-        self._visible = self._visible * keep + frame.visible
-        self._occupied = self._occupied * keep + frame.occupied
-        self._known = np.where(frame.visible, self._announced, self._known * self._step)
+    def observe(self, frame: GridFrame, periods: int = 1) -> None:
+        """Take in a frame, so many periods after the one before."""
+        lost = -math.expm1(-self.period_s / self.settings.sink_s)
+        kept = (1.0 - lost) ** periods
+        keep, counts = np.where(frame.visible, np.float32(kept), np.float32(1.0)), np.float32((1.0 - kept) / lost)
+        self._visible = self._visible * keep + counts * frame.visible.astype(np.float32)
+        self._occupied = self._occupied * keep + counts * frame.occupied.astype(np.float32)
+        self.hidden_s = np.where(frame.visible, np.float32(0.0), self.hidden_s + np.float32(periods * self.period_s))
         empty = frame.visible & ~with_neighbours(frame.occupied)
         self._stopped = [cells for cells in self._stopped if empty[cells].mean() < GONE_SHARE]
 
@@ -97,8 +98,10 @@ class Background:
         fitted = self._fitted_frames
         record = (self.rate * fitted + self._occupied) / (fitted + self._visible)
         recorded = self.explained | (record > self.settings.sink_above)
-        settled, known = np.where(recorded, record, self.rate), np.where(recorded, np.float32(0.0), self._known)
-        left = self._step ** np.arange(steps + 1, dtype=np.float32)
+        return_s, announced = np.float32(self.settings.return_s), np.float32(1.0 - self.settings.unforeseen_share)
+        settled, known = np.where(recorded, record, self.rate), announced * np.exp(-self.hidden_s / return_s)
+        known[recorded] = 0.0
+        left = np.exp(-np.arange(steps + 1, dtype=np.float32) * np.float32(self.period_s) / return_s)
         probabilities = np.multiply.outer(-left, settled * known)
         probabilities += settled
         return np.asarray(probabilities)

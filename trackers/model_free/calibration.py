@@ -14,6 +14,7 @@ was more probable stays more probable.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING
 
 import numba
 import numpy as np
@@ -23,7 +24,9 @@ from scipy.special import expit, log_expit
 
 from gridtrack.common.errors import WeightsError
 from gridtrack.common.grid import GridFrame
-from gridtrack.trackers.contract import Tracker
+
+if TYPE_CHECKING:
+    from gridtrack.trackers.model_free.tracker import ModelFreeTracker
 
 Array = NDArray[np.float64]
 
@@ -56,26 +59,21 @@ class Calibration:
         self._maps = np.zeros((2, LEVELS + 1), np.float32)
         self._maps[:, 1:-1] = expit(_features(_levels()[1:-1]) @ parameters.T.astype(np.float64)).T
         self._maps[:, -1] = 1.0
-        self.apply(np.zeros((1, 1, 1), np.float32), np.zeros((1, 1)))  # compiled before the first forecast
+        self.apply(np.zeros((1, 1, 1), np.float32), np.zeros((1, 1), np.float32))  # compiled before the first forecast
 
-    def apply(self, probabilities: NDArray[np.float32], hidden_s: Array) -> None:
+    def apply(self, probabilities: NDArray[np.float32], hidden_s: NDArray[np.float32]) -> None:
         """Calibrate a forecast (n+1, M, M) in place; each cell was seen `hidden_s` (M, M) ago. 0 and 1 stay 0 and 1."""
         _apply(probabilities, hidden_s < OF_LATE_S, self._maps)
 
 
-def hidden_since(hidden_s: Array, frame: GridFrame, period_s: float) -> Array:
-    """How long ago each cell was seen, after one frame more; `hidden_s` (M, M) before it, at first infinitely long."""
-    return np.where(frame.visible, 0.0, hidden_s + period_s)
-
-
 def fit_calibration(
-    stretches: Iterable[tuple[Tracker, Sequence[GridFrame]]], steps: int, period_s: float
+    stretches: Iterable[tuple[ModelFreeTracker, Sequence[GridFrame]]], steps: int
 ) -> NDArray[np.float32]:
     """The parameters (2, 3) of the highest likelihood, of trackers that are not calibrated, each on its frames.
 
     Counted is what they forecast for 1..steps ahead in the cells that are visible then.
     """
-    counts = sum((_counted(*stretch, steps, period_s) for stretch in stretches), np.zeros((2, 2, LEVELS + 1)))
+    counts = sum((_counted(*stretch, steps) for stretch in stretches), np.zeros((2, 2, LEVELS + 1)))
     return np.array([_most_likely(total[1:-1], came[1:-1]) for total, came in counts], np.float32)
 
 
@@ -106,19 +104,18 @@ def _features(p: Array) -> Array:
     return np.stack([np.log(p), -np.log1p(-p), np.ones_like(p)], axis=1)
 
 
-def _counted(tracker: Tracker, frames: Sequence[GridFrame], steps: int, period_s: float) -> Array:
+def _counted(tracker: ModelFreeTracker, frames: Sequence[GridFrame], steps: int) -> Array:
     """How many visible cells were forecast at each level, and how many were occupied: (2, 2, LEVELS+1).
 
     First those that had been seen of late at the time of the forecast, then the others.
     """
-    counts, hidden_s = np.zeros((2, 2, LEVELS + 1)), np.full(frames[0].visible.shape, np.inf)
+    counts = np.zeros((2, 2, LEVELS + 1))
     tracker.reset(seed=0)
     for index, frame in enumerate(frames):
         tracker.update(frame)
-        hidden_s = hidden_since(hidden_s, frame, period_s)
         if index % EVERY == 0 and index + steps < len(frames):
             levels = np.rint(np.sqrt(tracker.predict(steps).occupancy) * LEVELS).astype(np.int64)
-            of_late = hidden_s < OF_LATE_S
+            of_late = tracker.hidden_s < OF_LATE_S
             for level, later in zip(levels[1:], frames[index + 1 :], strict=False):
                 for count, kind in zip(counts, (of_late, ~of_late), strict=True):
                     count[0] += np.bincount(level[kind & later.visible], minlength=LEVELS + 1)

@@ -30,12 +30,14 @@ def table_shape(period_s: float) -> tuple[int, int]:
     return span + 1, span + 1
 
 
-def next_ages(ages: Ages, occupied: Mask, oldest: int) -> Ages:
-    """For how many frames each occupied cell (M, M), or one beside it, has been occupied: at most `oldest`.
+def next_ages(ages: Ages, occupied: Mask, oldest: int, periods: int = 1) -> Ages:
+    """For how many periods each occupied cell (M, M), or one beside it, has been occupied: at most `oldest`.
 
-    `ages` (M, M) are those of the frame before; NOT_OCCUPIED where there is none.
+    `ages` (M, M) are those of the frame before, so many `periods` ago; NOT_OCCUPIED where there is none.
     """
-    return np.where(occupied, np.minimum(_largest_near(ages) + 1, oldest), NOT_OCCUPIED)
+    before = _largest_near(ages)
+    grown = np.where(before == NOT_OCCUPIED, 0, np.minimum(before + periods, oldest))
+    return np.where(occupied, grown, NOT_OCCUPIED)
 
 
 def fit_dwell(

@@ -31,22 +31,22 @@ def stands(track: Track) -> bool:
 
 
 class Companions:
-    """For how many frames in a row pairs of tracks have moved alike and touched; after `frames` they are one."""
+    """For how many periods in a row pairs of tracks have moved alike and touched; after so many they are one."""
 
-    def __init__(self, touch_m: float, frames: int) -> None:
-        self._touch_m, self._frames = touch_m, frames
+    def __init__(self, touch_m: float, periods: int) -> None:
+        self._touch_m, self._periods = touch_m, periods
         self._together: dict[tuple[int, int], int] = {}
 
-    def merged(self, tracks: Sequence[Track]) -> list[Track]:
-        """The tracks after one frame more, the younger of two that are one taken into the older."""
+    def merged(self, tracks: Sequence[Track], periods: int) -> list[Track]:
+        """The tracks so many periods later, the younger of two that are one taken into the older."""
         seen = [track for track in tracks if track.status is Status.CONFIRMED]
         together = {}
         taken: set[int] = set()
         for one, other in _touching(seen, self._touch_m):
             if _move_alike(one, other):
                 key = one.identity, other.identity
-                together[key] = self._together.get(key, 0) + 1
-                if together[key] >= self._frames and not taken & set(key):
+                together[key] = self._together.get(key, 0) + periods
+                if together[key] >= self._periods and not taken & set(key):
                     take_in(one, other)
                     taken.add(other.identity)
         self._together = together

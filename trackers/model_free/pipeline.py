@@ -53,18 +53,20 @@ class Pipeline:
         self.grid, self.dwell, self.settings, self.estimator = grid, dwell, settings, estimator
         self.background = Background(background, period_s, settings)
         self.motion = settings.motion(period_s)
+        self.period_s = period_s
         self.survival = math.exp(-period_s / settings.life_s)
-        self.shape_gain = 1.0 - math.exp(-period_s / settings.shape_memory_s)
-        self.settle_frames = round(settings.settle_s / period_s)
+        self.settle_periods = round(settings.settle_s / period_s)
         self.companions = Companions(settings.link_m, round(settings.merge_s / period_s))
         self.ages = np.full(grid.shape, NOT_OCCUPIED)
         self.tracks: list[Track] = []
         self.frame: GridFrame | None = None
+        self.elapsed = 1
         self.born = self.restarts = 0
 
     def update(self, frame: GridFrame) -> None:
         """Take in one frame: the stages in their order."""
-        self.background.observe(frame)
+        self.elapsed = self._periods_until(frame)
+        self.background.observe(frame, self.elapsed)
         clusters = self._segment(frame)
         self._predict()
         views = in_view(boundaries_of(self.tracks), self.grid, frame.visible)
@@ -75,10 +77,16 @@ class Pipeline:
         self._give_birth(left)
         self.frame = frame
 
+    def _periods_until(self, frame: GridFrame) -> int:
+        """How many periods have passed since the frame before: more than one where frames were missed."""
+        if self.frame is None:
+            return 1
+        return max(1, round((frame.stamp_ns - self.frame.stamp_ns) * 1e-9 / self.period_s))
+
     def _segment(self, frame: GridFrame) -> list[Cluster]:
         """Clusters of the returns that the background does not explain; how long each has been in place is kept."""
         explained = self.background.explained
-        self.ages = next_ages(self.ages, frame.occupied & ~explained, oldest=len(self.dwell) - 1)
+        self.ages = next_ages(self.ages, frame.occupied & ~explained, len(self.dwell) - 1, self.elapsed)
         cells, inside = self.grid.cells_of(frame.points)
         new = inside.copy()
         new[inside] = ~explained[cells[inside, 0], cells[inside, 1]]
@@ -91,8 +99,9 @@ class Pipeline:
     def _predict(self) -> None:
         for track in self.tracks:
             track.before = track.pose
-            track.estimator.predict()
-            track.existence *= self.survival
+            for _ in range(self.elapsed):
+                track.estimator.predict()
+            track.existence *= self.survival**self.elapsed
 
     def _associate(
         self, clusters: list[Cluster], views: list[Mask]
@@ -131,9 +140,10 @@ class Pipeline:
             in_view(boundaries_of(tracks), self.grid, visible),
             strict=True,
         )
+        gain = -math.expm1(-self.elapsed * self.period_s / self.settings.shape_memory_s)
         for track, cluster, ages, body, known, seen in each:
             track.returns, track.ages = cluster.points, ages
-            track.shape.absorb(body, cluster.cut, ~known, seen, self.settings.surface_m, self.shape_gain)
+            track.shape.absorb(body, cluster.cut, ~known, seen, self.settings.surface_m, gain)
 
     def _judge(self, shares: dict[int, Cluster], views: list[Mask]) -> None:
         """Weigh each track's existence by what was and was not seen of it, as it was in view; drop the dead."""
@@ -146,7 +156,7 @@ class Pipeline:
                 )
                 track.confirmed |= track.existence >= settings.confirm_above
             else:
-                track.unseen += 1
+                track.unseen += self.elapsed
                 in_sight = float(track.shape.weights[views[number]].sum() / track.shape.weights.sum())
                 detectable = settings.detection_probability * in_sight
                 track.existence = existence_when_missed(track.existence, detectable)
@@ -162,11 +172,11 @@ class Pipeline:
         """Merge tracks with the background and with each other."""
         seen = [track for track in self.tracks if not track.unseen]
         for track in seen:
-            track.standing = track.standing + 1 if stands(track) else 0
-        settled = [track for track in seen if track.standing >= self.settle_frames]
+            track.standing = track.standing + self.elapsed if stands(track) else 0
+        settled = [track for track in seen if track.standing >= self.settle_periods]
         for track in settled:
             self.background.take_in(self._cells_of(track.returns))
-        self.tracks = self.companions.merged([track for track in self.tracks if track not in settled])
+        self.tracks = self.companions.merged([track for track in self.tracks if track not in settled], self.elapsed)
 
     def _cells_of(self, points: Array) -> Mask:
         """The cells (M, M) in which `points` (N, 2) lie."""
@@ -211,7 +221,7 @@ class Pipeline:
         return occupancy, semantics
 
     def _ages_of(self, clusters: list[Cluster]) -> list[NDArray[np.int64]]:
-        """For how many frames each return of each cluster (N,) has been in place."""
+        """For how many periods each return of each cluster (N,) has been in place."""
         if not clusters:
             return []
         cells, _ = self.grid.cells_of(np.concatenate([cluster.points for cluster in clusters]))

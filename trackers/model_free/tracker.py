@@ -13,7 +13,7 @@ from gridtrack.common.config import Settings
 from gridtrack.common.grid import GridFrame
 from gridtrack.trackers.contract import FitOutput, Forecast, FrameSource, Score, StreamSpec, Tracker
 from gridtrack.trackers.model_free.background import BackgroundMap, unknown_place
-from gridtrack.trackers.model_free.calibration import Calibration, hidden_since
+from gridtrack.trackers.model_free.calibration import Calibration
 from gridtrack.trackers.model_free.classes import ClassFilter, ClassModel
 from gridtrack.trackers.model_free.classes import compile_ahead as compile_classes
 from gridtrack.trackers.model_free.dwell import table_shape
@@ -61,12 +61,10 @@ class ModelFreeTracker(Tracker):
         stream, begin = self.stream, type(self).estimator
         self._pipeline = Pipeline(stream.grid, stream.period_s, self._background, self._dwell, self._settings, begin)
         self._filter = None if self._model is None else ClassFilter(self._model, stream.grid)
-        self._hidden_s: Array = np.full(stream.grid.shape, np.inf)
 
     def update(self, frame: GridFrame) -> None:
         """Take in x_t."""
         self._pipeline.update(frame)
-        self._hidden_s = hidden_since(self._hidden_s, frame, self.stream.period_s)
         if self._filter is not None:
             self._filter.observe(self.tracks, frame)
 
@@ -74,6 +72,11 @@ class ModelFreeTracker(Tracker):
     def tracks(self) -> Sequence[Track]:
         """The tracks as they stand."""
         return self._pipeline.tracks
+
+    @property
+    def hidden_s(self) -> NDArray[np.float32]:
+        """How long ago each cell (M, M) was seen, seconds."""
+        return self._pipeline.background.hidden_s
 
     def predict(self, steps: int) -> Forecast:
         """Forecast steps 0..steps."""
@@ -88,7 +91,7 @@ class ModelFreeTracker(Tracker):
 
     def _calibrated(self, occupancy: NDArray[np.float32]) -> NDArray[np.float32]:
         """The pipeline's forecast (n+1, M, M), calibrated in place."""
-        self._calibration.apply(occupancy, self._hidden_s)
+        self._calibration.apply(occupancy, self.hidden_s)
         return occupancy
 
     @property

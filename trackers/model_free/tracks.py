@@ -36,15 +36,15 @@ class Track:
     estimator: SwitchingEstimator
     shape: Shape
     returns: Array
-    """Its newest returns (N, 2), metres, grid frame, seen `unseen` frames ago."""
+    """Its newest returns (N, 2), metres, grid frame, seen `unseen` periods ago."""
     ages: NDArray[np.int64]
-    """For how many frames each return (N,) had then been in place."""
+    """For how many periods each return (N,) had then been in place."""
     existence: float
     confirmed: bool = False
     unseen: int = 0
-    """Frames since returns were last given to it."""
+    """Periods since returns were last given to it."""
     standing: int = 0
-    """Frames in a row in which its velocity could not be told from zero."""
+    """Periods in a row in which its velocity could not be told from zero."""
     before: Array = field(init=False)
     """Its pose (3,) a frame ago."""
     _placed: tuple[Array, Array, Array] = NOWHERE

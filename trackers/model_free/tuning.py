@@ -97,8 +97,7 @@ def fit_pipeline(
 
         def calibrated(settings: PipelineSettings) -> NDArray[np.float32]:
             trackers = [(tracker(stream_of(source, draft), settings), list(source)) for source in searched]
-            first = searched[0]
-            found = fit_calibration(trackers, step_of(first, max(HORIZONS_S)), first.period_s)
+            found = fit_calibration(trackers, step_of(searched[0], max(HORIZONS_S)))
             for kind, (a, b, c) in zip(("cells seen of late", "other cells"), found.tolist(), strict=True):
                 out.report(f"calibration, {kind}: logit = {c:.3f} + {a:.3f} ln p - {b:.3f} ln(1 - p)")
             return found
