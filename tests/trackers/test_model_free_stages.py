@@ -15,7 +15,14 @@ from scipy.stats import chi2
 pytest.importorskip("filterpy")
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame
-from gridtrack.trackers.model_free.association import distances_to, gaps, hungarian, joint_compatibility, share_out
+from gridtrack.trackers.model_free.association import (
+    assign,
+    distances_to,
+    gaps,
+    hungarian,
+    joint_compatibility,
+    share_out,
+)
 from gridtrack.trackers.model_free.background import Background, BackgroundMap, fit_background
 from gridtrack.trackers.model_free.dwell import NOT_OCCUPIED, PRIOR_RETURNS, fit_dwell, next_ages, still_there
 from gridtrack.trackers.model_free.segmentation import Cluster
@@ -159,6 +166,7 @@ def test_joint_compatibility_finds_the_largest_likely_set_of_pairs(distances):
     """Every pair is likely for itself, so that all tracks are one group that competes."""
     limits = chi2.ppf(0.99, 3 * np.arange(1, 5))
     tracks, clusters = distances.shape
+    costs = np.where(distances <= limits[0], distances, np.inf)
     best = (0, 0.0)
     for choice in product(range(-1, clusters), repeat=tracks):
         pairs = [(t, c) for t, c in enumerate(choice) if c >= 0]
@@ -166,9 +174,14 @@ def test_joint_compatibility_finds_the_largest_likely_set_of_pairs(distances):
         likely = all(distances[pair] <= limits[0] for pair in pairs) and (not pairs or total <= limits[len(pairs) - 1])
         if len({c for _, c in pairs}) == len(pairs) and likely:
             best = max(best, (len(pairs), -total))
-    found = joint_compatibility(distances, distances, 0.99)
+    found = joint_compatibility(costs, distances, np.full(distances.shape, 3), 0.99)
     assert len(set(found.values())) == len(found) == best[0]
     assert sum(distances[pair] for pair in found.items()) == pytest.approx(-best[1])
+
+
+def assigned(distances, method, freedom=3):
+    distances = np.asarray(distances)
+    return assign(distances, distances, np.full(distances.shape, freedom), 0.99, method)
 
 
 def test_joint_compatibility_beats_taking_the_nearest():
@@ -176,7 +189,17 @@ def test_joint_compatibility_beats_taking_the_nearest():
     distances = np.array([[4.0, 2.0], [60.0, 3.0]])
     nearest = {int(t): int(distances[t].argmin()) for t in range(2)}
     assert nearest == {0: 1, 1: 1}
-    assert joint_compatibility(distances, distances, 0.99) == {0: 0, 1: 1}
+    assert assigned(distances, "jcbb") == {0: 0, 1: 1}
+
+
+def test_joint_compatibility_beats_gating_each_pair_for_itself():
+    """The first has gone and the second is where it was expected; a newcomer is just near enough to that one.
+
+    To give each a cluster, one has to take another's and the other a newcomer: likely for each, and not together.
+    """
+    distances = np.array([[9.0, np.inf], [0.5, 10.5]])
+    assert assigned(distances, "hungarian") == {0: 0, 1: 1}
+    assert assigned(distances, "jcbb") == {1: 0}
 
 
 def test_joint_compatibility_refuses_pairs_that_are_each_just_likely_but_not_together():
@@ -184,8 +207,32 @@ def test_joint_compatibility_refuses_pairs_that_are_each_just_likely_but_not_tog
     distances = np.full((4, 4), np.inf)
     np.fill_diagonal(distances, 0.7 * gate)
     distances[0, 1] = distances[1, 2] = distances[2, 3] = 0.7 * gate  # one group that competes
-    assert len(hungarian(distances)) == 4
-    assert len(joint_compatibility(distances, distances, 0.99)) == 2
+    assert len(assigned(distances, "hungarian")) == 4
+    assert len(assigned(distances, "jcbb")) == 2
+
+
+@pytest.mark.parametrize("method", ["hungarian", "jcbb"])
+def test_the_gate_lets_in_the_stated_share_of_poses_with_and_without_a_heading(method):
+    for freedom in (2, 3):
+        gate = chi2.ppf(0.99, freedom)
+        assert assigned([[0.999 * gate]], method, freedom) == {0: 0}
+        assert assigned([[1.001 * gate]], method, freedom) == {}
+    both = np.diag([0.7 * chi2.ppf(0.99, 2)] * 2) + 1e6 * (1 - np.eye(2))
+    assert len(assigned(both, method, freedom=3)) == 2
+
+
+def test_a_crowd_too_large_to_search_is_never_worse_off_than_by_the_hungarian_less_its_most_distant_pairs():
+    distances = np.full((10, 10), 0.6 * chi2.ppf(0.99, 3))
+    pairs = assigned(distances, "jcbb")
+    assert len(pairs) == 3
+    assert sum(distances[pair] for pair in pairs.items()) <= chi2.ppf(0.99, 9) < 4 * distances[0, 0]
+    random = np.random.default_rng(0)
+    for _ in range(5):
+        distances = random.uniform(0.0, 15.0, (12, 12))
+        pairs, each = assigned(distances, "jcbb"), assigned(distances, "hungarian")
+        kept = sorted(distances[pair] for pair in each.items())
+        likely = np.cumsum(kept) <= chi2.ppf(0.99, 3 * np.arange(1, len(kept) + 1))
+        assert len(pairs) >= np.flatnonzero(likely).max() + 1
 
 
 def test_distance_from_a_boundary_is_that_of_its_nearest_point():

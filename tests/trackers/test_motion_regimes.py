@@ -31,15 +31,21 @@ NOISE = np.diag([0.08, 0.08, 0.05]) ** 2
 ESTIMATORS = pytest.mark.parametrize("begin", [KalmanEstimator, FactorGraphEstimator])
 
 
-def followed(begin, speeds, seed):
-    """After each frame the velocity estimate and P(steady) of an object that moves along x at `speeds`."""
+def followed(begin, speeds, seed, gross=0.0):
+    """After each frame the velocity estimate and P(steady) of an object that moves along x at `speeds`.
+
+    The share `gross` of the poses after the first eight is anywhere within a metre.
+    """
     random = np.random.default_rng(seed)
     x, seen = 0.0, []
     estimator = SwitchingEstimator(begin, np.zeros(3), NOISE, REGIMES)
     for speed in speeds:
         x += speed * PERIOD_S
         estimator.predict()
-        estimator.update(np.array([x, 0.0, 0.0]) + random.normal(0.0, np.sqrt(np.diag(NOISE))), NOISE)
+        pose = np.array([x, 0.0, 0.0]) + random.normal(0.0, np.sqrt(np.diag(NOISE)))
+        if len(seen) >= 8 and random.random() < gross:
+            pose[:2] += random.uniform(-1.0, 1.0, 2)
+        estimator.update(pose, NOISE)
         seen.append((estimator.mean[3], estimator.probabilities[0]))
     return np.array(seen), estimator
 
@@ -77,6 +83,15 @@ def test_after_braking_the_steady_estimator_finds_back(begin):
     final = [followed(begin, speeds, seed) for seed in range(10)]
     assert np.mean([seen[-1, 1] for seen, _ in final]) > 0.7
     assert np.abs([estimator.estimators[0].mean[3] for _, estimator in final]).max() < 0.2
+
+
+def test_a_gross_error_disproves_a_kalman_filters_regime_and_not_a_robust_smoothers():
+    squares = {
+        begin: [np.square(followed(begin, np.full(72, 6.0), seed, gross=0.05)[0][16:, 0] - 6.0) for seed in range(10)]
+        for begin in (KalmanEstimator, FactorGraphEstimator)
+    }
+    gaussian, robust = (np.sqrt(np.mean(each)) for each in squares.values())
+    assert robust < 0.7 * gaussian
 
 
 def test_mean_and_covariance_are_those_of_the_mixture():

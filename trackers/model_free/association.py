@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from functools import cache
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numba
 import numpy as np
@@ -21,25 +21,30 @@ Array = NDArray[np.float64]
 
 Method = Literal["hungarian", "jcbb"]
 """How clusters are assigned to tracks: each pair likely, or the whole set of pairs."""
-MEASURED = 3
-"""Degrees of freedom of a pair: x, y and heading."""
-MAX_NODES = 20_000
+MOST_FREEDOM = 3
+"""The most degrees of freedom that a pair has: x, y and heading."""
+MAX_NODES = 2000
 """The most hypotheses that are tried for one group of tracks that compete."""
 
 
-def assign(costs: Array, distances: Array, probability: float, method: Method) -> dict[int, int]:
+def assign(
+    costs: Array, distances: Array, freedom: NDArray[np.int64], probability: float, method: Method
+) -> dict[int, int]:
     """Track -> cluster, from `costs` and squared Mahalanobis `distances` (T, C), infinite where out of question.
 
-    `probability` is the share of true pairs, or with JCBB of true sets of pairs, that the gate lets in.
+    The distance of a pair has so many degrees of `freedom` (T, C). `probability` is the share of true pairs, or with
+    JCBB of true sets of pairs, that the gate lets in.
     """
+    within = np.where(distances <= limits(probability, 1)[freedom], costs, np.inf)
     if method == "jcbb":
-        return joint_compatibility(costs, distances, probability)
-    return hungarian(np.where(distances <= _gate(probability), costs, np.inf))
+        return joint_compatibility(within, distances, freedom, probability)
+    return hungarian(within)
 
 
 @cache
-def _gate(probability: float) -> float:
-    return float(chi2.ppf(probability, MEASURED))
+def limits(probability: float, pairs: int) -> Array:
+    """The squared distance that so many true pairs together stay below, by their degrees of freedom from 0 on."""
+    return np.concatenate([[0.0], chi2.ppf(probability, np.arange(1, MOST_FREEDOM * pairs + 1))])
 
 
 def hungarian(costs: Array) -> dict[int, int]:
@@ -50,51 +55,73 @@ def hungarian(costs: Array) -> dict[int, int]:
     return {int(t): int(c) for t, c in zip(rows, columns, strict=True) if possible[t, c]}
 
 
-def joint_compatibility(costs: Array, distances: Array, probability: float) -> dict[int, int]:
-    """Track -> cluster: the largest set of pairs that is likely as a whole, at the least sum of costs (T, C).
+def joint_compatibility(
+    costs: Array, distances: Array, freedom: NDArray[np.int64], probability: float
+) -> dict[int, int]:
+    """Track -> cluster: the largest set of pairs that is likely as a whole, at the least sum of finite costs (T, C).
 
     Joint compatibility branch and bound (Neira and Tardos, IEEE Transactions on Robotics and Automation 2001). Tracks
-    are filtered each for itself, so the joint distance is the sum of `distances` (T, C); each group of tracks that
-    compete for clusters is a problem of its own. After MAX_NODES the best set so far stands: the branches are tried
-    best pair first, so it is never worse than taking the nearest.
+    are filtered each for itself, so the joint distance is the sum of `distances` (T, C), each of so many degrees of
+    `freedom` (T, C); each group of tracks that compete for clusters is a problem of its own. It begins with the
+    Hungarian assignment less its most distant pairs, as many as must go; after MAX_NODES the best so far stands.
     """
-    limits = chi2.ppf(probability, MEASURED * np.arange(1, len(costs) + 1))
-    possible = np.isfinite(costs) & (distances <= limits[:1])
     pairs: dict[int, int] = {}
-    for tracks in _components(possible):
-        pairs |= _Search(costs, distances, possible, tracks, limits).best
+    for tracks in _components(np.isfinite(costs)):
+        group = _Group(costs, distances, freedom, limits(probability, len(tracks)))
+        pairs |= _Search(group, tracks).best
     return pairs
 
 
+class _Group(NamedTuple):
+    """What is known of pairs (T, C), and what a set of them must stay below, by its degrees of freedom."""
+
+    costs: Array
+    distances: Array
+    freedom: NDArray[np.int64]
+    limits: Array
+
+    def likely(self, pairs: dict[int, int]) -> bool:
+        """Whether the pairs are likely together."""
+        chosen = tuple(np.array([*pairs.items()], np.int64).reshape(-1, 2).T)
+        return bool(self.distances[chosen].sum() <= self.limits[self.freedom[chosen].sum()])
+
+
 class _Search:
-    """Branch and bound over one group of `tracks` that compete for clusters; `best` is track -> cluster."""
+    """Branch and bound over a group of `tracks` that compete for clusters; `best` is track -> cluster."""
 
-    def __init__(self, costs: Array, distances: Array, possible: NDArray[np.bool_], tracks: list[int], limits: Array):
-        self.costs, self.distances, self.limits, self.tracks = costs, distances, limits, tracks
-        self.options = [[c for c in np.argsort(costs[t]) if possible[t, c]] for t in tracks]
-        self.best: dict[int, int] = {}
-        self.best_cost = np.inf
+    def __init__(self, group: _Group, tracks: list[int]):
+        self.group = group
+        options = {t: [int(c) for c in np.argsort(group.costs[t]) if np.isfinite(group.costs[t, c])] for t in tracks}
+        self.options = sorted(options.items(), key=lambda each: len(each[1]))  # who has the fewest chooses first
+        self.best = self._pruned({tracks[t]: c for t, c in hungarian(group.costs[tracks]).items()})
+        self.best_cost = sum(group.costs[pair] for pair in self.best.items())
         self.nodes = 0
-        self._branch(0, {}, 0.0, 0.0)
+        self._branch(0, {}, 0.0, 0, 0.0)
 
-    def _branch(self, depth: int, pairs: dict[int, int], distance: float, cost: float) -> None:
+    def _pruned(self, pairs: dict[int, int]) -> dict[int, int]:
+        """The pairs less the most distant ones, until they are likely together."""
+        while not self.group.likely(pairs):
+            del pairs[max(pairs, key=lambda track: self.group.distances[track, pairs[track]])]
+        return pairs
+
+    def _branch(self, depth: int, pairs: dict[int, int], distance: float, freedom: int, cost: float) -> None:
         """Try every cluster for the track at `depth`, and none, where that can still make a better set."""
         self.nodes += 1
-        attainable = len(pairs) + len(self.tracks) - depth
-        if self.nodes > MAX_NODES or (attainable, -cost) <= (len(self.best), -self.best_cost):
+        remaining = len(self.options) - depth
+        if self.nodes > MAX_NODES or (len(pairs) + remaining, -cost) <= (len(self.best), -self.best_cost):
             return
-        if depth == len(self.tracks):
-            if not pairs or distance <= self.limits[len(pairs) - 1]:
+        if not remaining:
+            if distance <= self.group.limits[freedom]:
                 self.best, self.best_cost = dict(pairs), cost
             return
-        track = self.tracks[depth]
-        for cluster in self.options[depth]:
-            joint = distance + self.distances[track, cluster]
-            if cluster not in pairs.values() and joint <= self.limits[attainable - 1]:
-                pairs[track] = int(cluster)
-                self._branch(depth + 1, pairs, joint, cost + self.costs[track, cluster])
+        track, clusters = self.options[depth]
+        for cluster in clusters:
+            joint, free = distance + self.group.distances[track, cluster], freedom + self.group.freedom[track, cluster]
+            if cluster not in pairs.values() and joint <= self.group.limits[free + MOST_FREEDOM * (remaining - 1)]:
+                pairs[track] = cluster
+                self._branch(depth + 1, pairs, joint, free, cost + self.group.costs[track, cluster])
                 del pairs[track]
-        self._branch(depth + 1, pairs, distance, cost)
+        self._branch(depth + 1, pairs, distance, freedom, cost)
 
 
 def _components(possible: NDArray[np.bool_]) -> list[list[int]]:
@@ -114,10 +141,9 @@ def share_out(
     (T, C) them; then each return goes to the nearest boundary among those that may have it. So a stray leg joins its
     person, a vehicle's second piece the first, and two people whose returns touch stay two.
     """
-    may_have = near.copy()
-    paired_tracks, paired_clusters = np.zeros((2, max(may_have.shape, default=0)), bool)
-    paired_tracks[list(pairs.keys())] = paired_clusters[list(pairs.values())] = True
-    may_have &= paired_tracks[: may_have.shape[0], None] ^ paired_clusters[None, : may_have.shape[1]]
+    has_cluster, has_track = (np.zeros(count, np.bool_) for count in near.shape)
+    has_cluster[list(pairs.keys())] = has_track[list(pairs.values())] = True
+    may_have = near & (has_cluster[:, None] != has_track)
     may_have[list(pairs.keys()), list(pairs.values())] = True
     candidates: list[list[int]] = [[] for _ in clusters]
     for number, track in np.argwhere(may_have.T).tolist():

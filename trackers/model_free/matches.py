@@ -48,11 +48,15 @@ class Match(NamedTuple):
 
 
 class Matches(NamedTuple):
-    """Those of P pairs: `poses` (P, 3), `covariances` (P, 3, 3) and `residuals` (P,), each as that of a Match."""
+    """Those of P pairs: `poses` (P, 3), `covariances` (P, 3, 3) and `residuals` (P,), each as that of a Match.
+
+    A pair has so many degrees of `freedom` (P,): a pose that shows no heading has two, and keeps the one it began with.
+    """
 
     poses: Array
     covariances: Array
     residuals: Array
+    freedom: NDArray[np.int64]
 
     def of(self, pair: int) -> Match:
         """That of one pair."""

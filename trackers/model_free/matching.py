@@ -57,7 +57,8 @@ def match(boundaries: Outlines, seen: Mask, returns: Outlines, pairs: Pairs, sur
     that of the unknown.
     """
     pairs = pairs._replace(numbers=np.ascontiguousarray(pairs.numbers))
-    return Matches(*_match(boundaries, seen, returns, pairs, surface_m))
+    poses, covariances, residuals = _match(boundaries, seen, returns, pairs, surface_m)
+    return Matches(poses, covariances, residuals, np.where(pairs.turns, 3, 2))
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")

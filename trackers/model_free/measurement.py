@@ -81,10 +81,14 @@ def noise(settings: PipelineSettings) -> Array:
 
 
 class Pairing(NamedTuple):
-    """Every cluster as every track: `costs` and squared Mahalanobis `distances` (T, C), infinite out of question."""
+    """Every cluster as every track: `costs` and squared Mahalanobis `distances` (T, C), infinite out of question.
+
+    And of how many degrees of `freedom` (T, C) the distances are.
+    """
 
     costs: Array
     distances: Array
+    freedom: NDArray[np.int64]
     matches: dict[tuple[int, int], Match]
     """Those of the pairs that are not out of question."""
 
@@ -101,13 +105,15 @@ def compare(
     `distances` (K, T) of the clusters' returns from the predicted boundaries, metres; `views` (T) of those.
     """
     costs, mahalanobis = np.full((2, len(tracks), len(clusters)), np.inf)
+    freedom = np.zeros(costs.shape, np.int64)
     reach = settings.reach_m + REACH_SIGMAS * _widest(_covariances(tracks))
     numbers = np.argwhere(gaps(distances, clusters) <= reach[:, None])
     found = measure(tracks, views, clusters, numbers, settings)
     t, c = numbers.T
     mahalanobis[t, c] = squared_mahalanobis(found, tracks, t)
     costs[t, c] = mahalanobis[t, c] + found.residuals
-    return Pairing(costs, mahalanobis, {(t, c): found.of(p) for p, (t, c) in enumerate(numbers.tolist())})
+    freedom[t, c] = found.freedom
+    return Pairing(costs, mahalanobis, freedom, {(t, c): found.of(p) for p, (t, c) in enumerate(numbers.tolist())})
 
 
 def belonging(

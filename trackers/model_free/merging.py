@@ -17,6 +17,8 @@ Array = NDArray[np.float64]
 
 DIFFERENT = float(chi2.ppf(0.95, 2))
 """Squared Mahalanobis distance of two velocities from which on they are told apart."""
+SURE_MPS = 0.5
+"""A velocity with a larger root mean square error is not known to be zero, even if it cannot be told from it."""
 
 
 def velocities_agree(difference: Array, covariance: Array) -> bool:
@@ -26,8 +28,9 @@ def velocities_agree(difference: Array, covariance: Array) -> bool:
 
 
 def stands(track: Track) -> bool:
-    """Whether the track's velocity cannot be told from zero."""
-    return velocities_agree(track.estimator.mean[3:5], track.estimator.covariance[3:5, 3:5])
+    """Whether the track's velocity is known and cannot be told from zero."""
+    mean, covariance = track.estimator.mean[3:5], track.estimator.covariance[3:5, 3:5]
+    return bool(covariance.trace() <= SURE_MPS**2) and velocities_agree(mean, covariance)
 
 
 class Companions:

@@ -112,7 +112,10 @@ class Pipeline:
         points = np.concatenate([cluster.points for cluster in clusters])
         distances = distances_to(points, boundaries_of(self.tracks))
         pairing = compare(self.tracks, clusters, distances, views, self.settings)
-        pairs = assign(pairing.costs, pairing.distances, self.settings.gate_probability, self.settings.association)
+        pairs = assign(
+            *(pairing.costs, pairing.distances, pairing.freedom),
+            *(self.settings.gate_probability, self.settings.association),
+        )
         near = belonging(self.tracks, clusters, pairs, self.settings)
         shares, left = share_out(clusters, pairs, distances, near)
         return shares, measured(self.tracks, shares, clusters, pairing, views, self.settings), left

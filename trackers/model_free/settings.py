@@ -70,7 +70,7 @@ class PipelineSettings(Settings):
     # Association
     association: Method = "hungarian"
     """How clusters are assigned: `hungarian` gates each pair, `jcbb` the whole set of pairs."""
-    gate_probability: float = Field(0.999, gt=0.5, lt=1)
+    gate_probability: float = Field(0.9997, gt=0.5, lt=1)
     """The share of an object's own clusters that its gate lets in."""
     reach_m: float = Field(0.45, gt=0, le=20)
     """How far from a track's boundary further returns of it may lie."""

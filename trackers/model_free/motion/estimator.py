@@ -15,7 +15,8 @@ from gridtrack.trackers.model_free.motion.model import Array, MotionModel, propa
 class MotionEstimator(Protocol):
     """Where an object is and how it moves; state (6,): x, y, heading, vx, vy, turn rate, in the grid frame.
 
-    Metres, radians and seconds; the heading is in [-pi, pi).
+    Metres, radians and seconds; the heading is in [-pi, pi). What changes `mean` or `covariance` makes new arrays: who
+    has kept one knows by its identity whether it still holds.
     """
 
     @property
@@ -26,6 +27,14 @@ class MotionEstimator(Protocol):
     @property
     def covariance(self) -> Array:
         """Covariance (6, 6) of the state."""
+        ...
+
+    @property
+    def gate(self) -> float:
+        """The squared Mahalanobis distance from its prediction beyond which a measured pose is taken for a gross error.
+
+        Infinite where every measurement is believed.
+        """
         ...
 
     @property

@@ -1,8 +1,8 @@
 """A fixed-lag smoother of an object's motion: a factor graph with robust measurements, by gtsam.
 
 One variable a measured frame, the state; between two of them the motion model, by the extended Kalman filter's
-discretisation but linearised where smoothing has put them; on each a measured pose with a Cauchy kernel, whose weight
-is judged again as later frames come in (Wang, Posner and Newman 2015; Dellaert and Kaess 2017).
+discretisation but linearised where smoothing has put them; on each a measured pose with a Cauchy kernel (Wang, Posner
+and Newman 2015; Dellaert and Kaess 2017). What a gross error may do is decided where its state is linearised first.
 """
 
 from __future__ import annotations
@@ -30,6 +30,7 @@ LAG_S = 1.0
 CAUCHY = 5.0
 """A measurement this many standard deviations off counts half. Geman-McClure's kernel of this width lets go of more:
 it never caught up with an object much faster than expected."""
+
 GATE = 21.1
 """Squared Mahalanobis distance of a pose from its prediction that one in ten thousand exceeds: chi-square, three
 degrees of freedom. Within it the measurement is believed at first, beyond it the prediction."""
@@ -44,6 +45,8 @@ class FactorGraphEstimator:
     `restarts` counts how often gtsam found the system singular or indeterminate: then the frame's measurement is left
     out, and a new graph begins with the prediction. Raises ValueError as `update` does.
     """
+
+    gate = GATE
 
     def __init__(self, pose: Array, covariance: Array, model: MotionModel) -> None:
         self._step, self._period_s = discretise(model), model.period_s

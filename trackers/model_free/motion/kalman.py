@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numba
 import numpy as np
 from filterpy.kalman import update
@@ -21,6 +23,7 @@ class KalmanEstimator:
     mean's. Raises ValueError as `update` does.
     """
 
+    gate = math.inf
     restarts = 0
 
     def __init__(self, pose: Array, covariance: Array, model: MotionModel) -> None:

@@ -54,6 +54,7 @@ class SwitchingEstimator:
         regimes: Regimes,
     ) -> None:
         self.estimators = [begin(pose, covariance, model) for model in regimes.models]
+        self.gate = self.estimators[0].gate
         self._switching = np.array(regimes.switching)
         self.probabilities = np.array([self._switching[1, 0], self._switching[0, 1]])
         self.probabilities /= self.probabilities.sum()
@@ -77,7 +78,7 @@ class SwitchingEstimator:
         foretold = one.mean, one.covariance, other.mean, other.covariance  # an update makes new arrays
         one.update(pose, covariance)
         other.update(pose, covariance)
-        self.probabilities = _weighed(self.probabilities, *foretold, pose, covariance)
+        self.probabilities = _weighed(self.probabilities, *foretold, pose, covariance, self.gate)
         if self.probabilities[0] < DISPROVED:
             one.begin_anew(other.mean, other.covariance)
         elif self.probabilities[1] < DISPROVED:
@@ -108,11 +109,11 @@ def _mixture(mean, covariance, other_mean, other_covariance, share):  # type: ig
 
 
 @numba.njit(cache=True, nogil=True)
-def _weighed(probabilities, mean, covariance, other_mean, other_covariance, pose, noise):  # type: ignore[no-untyped-def]
+def _weighed(probabilities, mean, covariance, other_mean, other_covariance, pose, noise, gate):  # type: ignore[no-untyped-def]
     """The probabilities (2,) after a measured pose (3,), by how likely either estimate made it: Bayes' rule."""
     foretold = (
-        _log_likelihood(mean, covariance, pose, noise),
-        _log_likelihood(other_mean, other_covariance, pose, noise),
+        _log_likelihood(mean, covariance, pose, noise, gate),
+        _log_likelihood(other_mean, other_covariance, pose, noise, gate),
     )
     most = max(foretold)
     first, second = probabilities[0] * math.exp(foretold[0] - most), probabilities[1] * math.exp(foretold[1] - most)
@@ -120,9 +121,9 @@ def _weighed(probabilities, mean, covariance, other_mean, other_covariance, pose
 
 
 @numba.njit
-def _log_likelihood(mean, covariance, pose, noise):  # type: ignore[no-untyped-def]
-    """Of a measured pose (3,), but for a constant."""
+def _log_likelihood(mean, covariance, pose, noise, gate):  # type: ignore[no-untyped-def]
+    """Of a measured pose (3,), but for a constant; one beyond the `gate` is as likely as one at it."""
     off = pose - mean[:3]
     off[2] = wrapped(off[2])
     spread = covariance[:3, :3] + noise
-    return -0.5 * (off @ np.linalg.solve(spread, off) + math.log(np.linalg.det(spread)))
+    return -0.5 * (min(off @ np.linalg.solve(spread, off), gate) + math.log(np.linalg.det(spread)))
