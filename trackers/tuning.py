@@ -69,14 +69,16 @@ def search(
     kind: type[Tuned],
     ranges: Mapping[str, tuple[float, float]],
     measure: Measure[Tuned],
+    starts: Sequence[Tuned],
     given: Mapping[str, Any],
     trials: int,
     out: FitOutput,
 ) -> Tuned:
-    """The settings best by `measure` in `trials` trials of a tree-structured Parzen estimator, the defaults first.
+    """The settings best by `measure` in `trials` trials of a tree-structured Parzen estimator, the `starts` first.
 
     Each key of `ranges` is searched from low to high, log-uniformly; settings in `given` are kept, and where they are
-    all that is searched they are the answer. The same seed makes the same search.
+    all that is searched they are the answer. The same seed makes the same search. One that is interrupted tells the
+    best so far.
     """
     tuned = {key: bounds for key, bounds in ranges.items() if key not in given}
     if not tuned:
@@ -89,13 +91,29 @@ def search(
         if trial.number % REPORT_EVERY == 0:
             out.report(f"trial {trial.number + 1} of {trials}, {measure.name} {study.best_value:.5f}")
 
-    optuna.logging.set_verbosity(optuna.logging.WARNING)
+    optuna.logging.set_verbosity(optuna.logging.ERROR)  # what an objective raises is raised, and need not be logged too
     sampler = optuna.samplers.TPESampler(seed=out.seed, multivariate=True)
     study = optuna.create_study(direction=measure.better, sampler=sampler)
-    defaults = kind()
-    study.enqueue_trial({key: getattr(defaults, key) for key in tuned})
-    study.optimize(objective, n_trials=trials, callbacks=[tell])
-    return kind(**given, **{key: three_digits(value) for key, value in study.best_params.items()})
+    for start in starts:
+        study.enqueue_trial({key: getattr(start, key) for key in tuned})
+    try:
+        study.optimize(objective, n_trials=trials, callbacks=[tell])
+    except KeyboardInterrupt:
+        _tell_best(study, measure.name, out)
+        raise
+    return kind(**given, **_best(study))
+
+
+def _best(study: optuna.Study) -> dict[str, float]:
+    return {key: three_digits(value) for key, value in study.best_params.items()}
+
+
+def _tell_best(study: optuna.Study, name: str, out: FitOutput) -> None:
+    """Report what an interrupted search has found, as options with which another needs no search."""
+    done = study.get_trials(states=[optuna.trial.TrialState.COMPLETE])
+    if done:
+        found = ",".join(f"{key}={value:g}" for key, value in _best(study).items())
+        out.report(f"interrupted; best of {len(done)} trials, {name} {study.best_value:.5f}: {found}")
 
 
 def summary(score: StretchScore, source: FrameSource, horizons_s: Sequence[float]) -> dict[str, Any]:

@@ -65,7 +65,9 @@ def fit_dogma(
             return float(np.mean([_moving_loss(scored(fewer, source), source) for source in held]))
 
         given = options.model_dump(exclude_unset=True)
-        settings = search(DogmaSettings, RANGES, Measure("log loss", "minimize", loss), given, TRIALS, out)
+        settings = search(
+            DogmaSettings, RANGES, Measure("log loss", "minimize", loss), (DogmaSettings(),), given, TRIALS, out
+        )
         results = {
             "train": [summary(scored(settings, source), source, HORIZONS_S) for source in held],
             "validation": [summary(scored(settings, source), source, HORIZONS_S) for source in validation],

@@ -22,6 +22,37 @@ if TYPE_CHECKING:
     from gridtrack.trackers.model_free.tracker import ModelFreeTracker
 
 TRIALS = 40
+STARTS = (
+    PipelineSettings(),
+    PipelineSettings(
+        unforeseen_share=0.541,
+        return_s=0.628,
+        sink_above=0.119,
+        sink_s=1.29,
+        map_s=1.01,
+        link_m=0.245,
+        acceleration=0.0643,
+        surge=0.0719,
+        turn_acceleration=0.0519,
+        agility=5.2,
+        steady_s=9.71,
+        agile_s=2.05,
+        velocity_memory_s=22.5,
+        initial_speed=5.11,
+        initial_turn_rate=0.0511,
+        surface_m=0.0915,
+        position_noise_m=0.0297,
+        reach_m=0.209,
+        birth_probability=0.171,
+        detection_probability=0.792,
+        false_alarm=0.121,
+        life_s=19.2,
+        shape_memory_s=1.83,
+        dwell_speed=0.306,
+        return_noise_m=0.182,
+    ),
+)
+"""What a search begins from: people in a hall before an indoor laser, and the traffic of a street before a fast one."""
 EXCERPTS, EXCERPT_S = 2, 100.0
 """The search runs over as many excerpts of a longer recording, each longer than a signal cycle."""
 HORIZONS_S = (0.5, 1.0, 2.0)
@@ -43,10 +74,13 @@ RANGES = {
     "agile_s": (0.3, 5.0),
     "velocity_memory_s": (0.5, 50.0),
     "initial_speed": (0.5, 8.0),
+    "initial_turn_rate": (0.02, 1.0),
     "surface_m": (0.05, 0.25),
     "position_noise_m": (0.02, 0.3),
     "reach_m": (0.2, 1.5),
     "birth_probability": (0.1, 0.8),
+    "detection_probability": (0.5, 0.98),
+    "false_alarm": (0.02, 0.5),
     "life_s": (2.0, 60.0),
     "shape_memory_s": (0.2, 4.0),
     "dwell_speed": (0.2, 20.0),
@@ -107,7 +141,9 @@ def fit_pipeline(
             return float(np.mean([_f1(one, source) for one, source in found]))
 
         given = options.model_dump(include=set(PipelineSettings.model_fields), exclude_unset=True)
-        settings = search(PipelineSettings, RANGES, Measure("mean F1", "maximize", goodness), given, TRIALS, out)
+        settings = search(
+            PipelineSettings, RANGES, Measure("mean F1", "maximize", goodness), STARTS, given, TRIALS, out
+        )
         arrays["calibration"] = calibrated(settings)
         save_weights(draft, card_for(name, out, train, validation, {}), arrays)
         results: dict[str, Any] = {
