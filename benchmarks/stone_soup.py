@@ -134,7 +134,9 @@ def ours(moments: list[Moment], settings: PipelineSettings) -> Tracked:
         begun = time.thread_time()
         pipeline.update(moment.frame)
         seconds.append(time.thread_time() - begun)
-        found.append(np.array([one.box[:2] for one in objects(pipeline.tracks)], float).reshape(-1, 2))
+        found.append(
+            np.array([one.box[:2] for one in objects(pipeline.tracks, pipeline.grid.cell_m)], float).reshape(-1, 2)
+        )
     return found, seconds
 
 

@@ -36,8 +36,9 @@ class StreamSpec:
 class TrackedObject:
     """One object of a forecast, at step 0, in the grid frame of the last update.
 
-    `box` (5,): x, y, heading, length, width (metres, radians); `velocity` (2,) m/s; `covariance` (4, 4) of
-    (x, y, vx, vy); `label` a class name, or "" where unknown; `track` the identity kept over time.
+    `box` (5,): x, y, heading, length along it, width (metres, radians); `velocity` (2,) m/s and `covariance` (4, 4) of
+    (x, y, vx, vy): of the point that the tracker follows, which need not be the middle of what is seen; `label` a class
+    name, or "" where unknown; `track` the identity kept over time.
     """
 
     track: int

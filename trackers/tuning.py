@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import islice
@@ -10,6 +11,7 @@ from typing import Any, Generic, Literal, NamedTuple, TypeVar
 import optuna
 
 from gridtrack.common.config import Settings
+from gridtrack.common.errors import RecordingError
 from gridtrack.common.grid import GridFrame, GridSpec, LabelledFrame
 from gridtrack.trackers.contract import FitOutput, FrameSource, StretchScore
 
@@ -78,14 +80,20 @@ def search(
 
     Each key of `ranges` is searched from low to high, log-uniformly; settings in `given` are kept, and where they are
     all that is searched they are the answer. The same seed makes the same search. One that is interrupted tells the
-    best so far.
+    best so far. Raises RecordingError where the measure is not defined.
     """
     tuned = {key: bounds for key, bounds in ranges.items() if key not in given}
     if not tuned:
         return kind(**given)
 
     def objective(trial: optuna.Trial) -> float:
-        return measure.of(kind(**given, **{key: _suggested(trial, key, *tuned[key]) for key in tuned}))
+        value = measure.of(kind(**given, **{key: _suggested(trial, key, *tuned[key]) for key in tuned}))
+        if not math.isfinite(value):
+            raise RecordingError(
+                f"{measure.name} is not defined on what is trained on: nothing that moves came into a cell that was in "
+                "view; name a longer stretch"
+            )
+        return value
 
     def tell(study: optuna.Study, trial: optuna.trial.FrozenTrial) -> None:
         if trial.number % REPORT_EVERY == 0:
@@ -117,7 +125,7 @@ def _tell_best(study: optuna.Study, name: str, out: FitOutput) -> None:
 
 
 def summary(score: StretchScore, source: FrameSource, horizons_s: Sequence[float]) -> dict[str, Any]:
-    """What a card says of one stretch."""
+    """What a card says of one stretch, as far as it is defined there."""
     columns = {
         "moving_log_loss": score.log_loss["moving"],
         "visible_f1": score.f1["visible"],
@@ -125,7 +133,7 @@ def summary(score: StretchScore, source: FrameSource, horizons_s: Sequence[float
     }
     at = {f"{horizon:g}s": step_of(source, horizon) for horizon in horizons_s}
     return {"stretch": source.name} | {
-        name: {horizon: round(float(values[step]), 4) for horizon, step in at.items()}
+        name: {horizon: round(float(values[step]), 4) for horizon, step in at.items() if math.isfinite(values[step])}
         for name, values in columns.items()
     }
 

@@ -214,10 +214,21 @@ def tuned_settings(kind: type[Tuned], weights: Weights, given: Settings) -> Tune
 
 
 def array(weights: Weights, name: str, shape: tuple[int, ...]) -> NDArray[Any]:
-    """One array by name, its shape checked. Raises WeightsError."""
+    """One array by name, its shape checked and that it is finite. Raises WeightsError."""
     found = weights.arrays.get(name)
+    whose = f"weights of {weights.card.tracker}"
     if found is None or found.shape != shape:
         what = "missing" if found is None else f"{found.shape}"
-        whose = f"weights of {weights.card.tracker}"
         raise WeightsError(f"{whose}: array '{name}' is {what}, expected {shape}; train again")
+    if not np.isfinite(found).all():
+        raise WeightsError(f"{whose}: array '{name}' is not finite; train again")
+    return found
+
+
+def probabilities(weights: Weights, name: str, shape: tuple[int, ...]) -> NDArray[Any]:
+    """An `array` of probabilities. Raises WeightsError."""
+    found = array(weights, name, shape)
+    if found.size and not 0.0 <= found.min() <= found.max() <= 1.0:
+        whose = f"weights of {weights.card.tracker}"
+        raise WeightsError(f"{whose}: array '{name}' does not hold probabilities; train again")
     return found

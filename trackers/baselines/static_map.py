@@ -34,6 +34,10 @@ class StaticMapTracker(Tracker):
         super().__init__(stream, options)
         weights = load_weights(stream, NAME)
         occupied, visible = (array(weights, name, stream.grid.shape) for name in ("occupied", "visible"))
+        if not ((occupied >= 0) & (occupied <= visible)).all():
+            raise WeightsError(
+                f"weights of {NAME}: a cell was occupied in more frames than it was visible in; train again"
+            )
         self.frequency = frequency(occupied, visible, options.prior_frames)
 
     def reset(self, seed: int) -> None:

@@ -16,7 +16,7 @@ from gridtrack.trackers.dogma.forecast import forecast
 from gridtrack.trackers.dogma.masses import Mass
 from gridtrack.trackers.dogma.moments import velocities
 from gridtrack.trackers.dogma.settings import NAME, DogmaSettings
-from gridtrack.trackers.weights import array, load_weights, tuned_settings
+from gridtrack.trackers.weights import load_weights, probabilities, tuned_settings
 
 
 class DogmaTracker(Tracker):
@@ -30,7 +30,7 @@ class DogmaTracker(Tracker):
         super().__init__(stream, options)
         weights = load_weights(stream, NAME)
         self._settings = tuned_settings(DogmaSettings, weights, options)
-        self._usual = array(weights, "usual", stream.grid.shape)
+        self._usual = probabilities(weights, "usual", stream.grid.shape)
         compile_ahead(stream.period_s)
         self.reset(seed=0)
 

@@ -88,6 +88,11 @@ class ClassModel(NamedTuple):
         if self.powers.min() < 0 or self.powers.max() > MAX_POWER:
             raise WeightsError(f"{where}: '{PREFIX}powers' are not from 0 to {MAX_POWER:g}: train again")
 
+    def of_unknown_place(self) -> ClassModel:
+        """The same where nothing is known of the place: each class is everywhere as frequent as in the mean of it."""
+        mean = self.place.mean(axis=(1, 2), keepdims=True)
+        return self._replace(place=np.broadcast_to(mean, self.place.shape).copy())
+
     def log_densities(self, features: Array) -> Array:
         """log p(features | class) (T, K) of `features` (T, F)."""
         return np.asarray(_log_densities(features, self.shares, self.means, self.whitening))

@@ -113,8 +113,11 @@ def _staying(
     return Staying(in_cells(np.concatenate(returns), grid), bounds, still, settings.return_noise_m / grid.cell_m)
 
 
-def tracked_object(track: Track) -> TrackedObject:
-    """The track as an object: its box about its boundary, along the motion or, where it stands, along itself."""
+def tracked_object(track: Track, cell_m: float) -> TrackedObject:
+    """The track as an object: its box about its boundary, along the motion or, where it stands, along itself.
+
+    A boundary point stands for as much as a cell, `cell_m`.
+    """
     mean, covariance = track.estimator.mean, track.estimator.covariance
     boundary = track.boundary
     heading = _heading(mean[3:5], boundary)
@@ -125,15 +128,15 @@ def tracked_object(track: Track) -> TrackedObject:
     kept = np.ix_([0, 1, 3, 4], [0, 1, 3, 4])
     return TrackedObject(
         track=track.identity,
-        box=np.array([*centre, heading, *(high - low)], np.float32),
+        box=np.array([*centre, heading, *(high - low + cell_m)], np.float32),
         velocity=mean[3:5].astype(np.float32),
         covariance=covariance[kept].astype(np.float32),
     )
 
 
-def objects(tracks: Sequence[Track]) -> tuple[TrackedObject, ...]:
+def objects(tracks: Sequence[Track], cell_m: float) -> tuple[TrackedObject, ...]:
     """The confirmed tracks, seen now or coasting, as objects."""
-    return tuple(tracked_object(track) for track in tracks if track.status is not Status.TENTATIVE)
+    return tuple(tracked_object(track, cell_m) for track in tracks if track.status is not Status.TENTATIVE)
 
 
 def in_cells(positions: Array, grid: GridSpec) -> Array:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from gridtrack.common.config import Settings
 from gridtrack.common.grid import GridFrame
-from gridtrack.trackers.contract import FitOutput, Forecast, FrameSource, Score, StreamSpec, Tracker
+from gridtrack.trackers.contract import FitOutput, Forecast, FrameSource, Score, StreamSpec, TrackedObject, Tracker
 from gridtrack.trackers.model_free.background import BackgroundMap, unknown_place
 from gridtrack.trackers.model_free.calibration import Calibration
 from gridtrack.trackers.model_free.classes import ClassFilter, ClassModel
@@ -22,7 +22,7 @@ from gridtrack.trackers.model_free.motion import FactorGraphEstimator, KalmanEst
 from gridtrack.trackers.model_free.pipeline import Array, Pipeline, compile_ahead
 from gridtrack.trackers.model_free.settings import ModelFreeSettings, PipelineSettings
 from gridtrack.trackers.model_free.tracks import Track
-from gridtrack.trackers.weights import array, load_weights, tuned_settings
+from gridtrack.trackers.weights import array, load_weights, probabilities, tuned_settings
 
 
 class ModelFreeTracker(Tracker):
@@ -45,12 +45,16 @@ class ModelFreeTracker(Tracker):
         super().__init__(stream, options)
         weights = load_weights(stream, self.name)
         self._settings = tuned_settings(ModelFreeSettings, weights, options)
-        fitted = BackgroundMap(*(array(weights, name, stream.grid.shape) for name in BackgroundMap._fields))
-        self._background = fitted if self._settings.background == "fitted" else unknown_place(fitted)
-        self._dwell = array(weights, "dwell", table_shape(stream.period_s))
+        self._background = BackgroundMap(
+            *(probabilities(weights, name, stream.grid.shape) for name in BackgroundMap._fields)
+        )
+        self._dwell = probabilities(weights, "dwell", table_shape(stream.period_s))
         self._calibration = Calibration(array(weights, "calibration", (2, 3)))
         self.classes = weights.card.classes
         self._model = ClassModel.of(weights, stream.grid) if self.classes else None
+        if self._settings.background == "none":
+            self._background = unknown_place(self._background)
+            self._model = self._model and self._model.of_unknown_place()
         compile_ahead(stream.period_s, self._dwell, self._settings, type(self).estimator)
         if self._model is not None:
             compile_classes(self._model)
@@ -82,12 +86,15 @@ class ModelFreeTracker(Tracker):
         """Forecast steps 0..steps."""
         tracks = self.tracks
         if self._filter is None:
-            return Forecast(self._calibrated(self._pipeline.forecast(steps)), objects=objects(tracks))
+            return Forecast(self._calibrated(self._pipeline.forecast(steps)), objects=self._objects())
         kinds = self._filter.posteriors(tracks)
         occupancy, semantics = self._pipeline.forecast_classes(steps, self._filter.place, kinds)
         labels = {track.identity: self.classes[kind.argmax()] for track, kind in zip(tracks, kinds, strict=True)}
-        labelled = tuple(replace(one, label=labels[one.track]) for one in objects(tracks))
+        labelled = tuple(replace(one, label=labels[one.track]) for one in self._objects())
         return Forecast(self._calibrated(occupancy), semantics, objects=labelled)
+
+    def _objects(self) -> tuple[TrackedObject, ...]:
+        return objects(self.tracks, self.stream.grid.cell_m)
 
     def _calibrated(self, occupancy: NDArray[np.float32]) -> NDArray[np.float32]:
         """The pipeline's forecast (n+1, M, M), calibrated in place."""

@@ -59,7 +59,7 @@ class MotionEstimator(Protocol):
         ...
 
 
-def measured(pose: Array, covariance: Array) -> tuple[Array, Array]:
+def checked(pose: Array, covariance: Array) -> tuple[Array, Array]:
     """The pose (3,) and its covariance (3, 3), float64; raises ValueError if they are not those of a measurement."""
     pose = np.ascontiguousarray(pose, np.float64)
     covariance = np.ascontiguousarray(covariance, np.float64)

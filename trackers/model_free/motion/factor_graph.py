@@ -14,7 +14,7 @@ import numba
 import numpy as np
 
 from gridtrack.common.geometry import wrap_angle
-from gridtrack.trackers.model_free.motion.estimator import first_state, is_positive_definite, measured
+from gridtrack.trackers.model_free.motion.estimator import checked, first_state, is_positive_definite
 from gridtrack.trackers.model_free.motion.model import (
     Array,
     Discretisation,
@@ -51,7 +51,7 @@ class FactorGraphEstimator:
     def __init__(self, pose: Array, covariance: Array, model: MotionModel) -> None:
         self._step, self._period_s = discretise(model), model.period_s
         self._frame = self.restarts = 0
-        self._settle(*first_state(*measured(pose, covariance), model))
+        self._settle(*first_state(*checked(pose, covariance), model))
         self._begin()
 
     def predict(self) -> None:
@@ -61,7 +61,7 @@ class FactorGraphEstimator:
 
     def update(self, pose: Array, covariance: Array) -> None:
         """Take in a measured pose (3,) and its covariance (3, 3)."""
-        pose, covariance = measured(pose, covariance)
+        pose, covariance = checked(pose, covariance)
         nearest = np.array([pose[0], pose[1], self._mean[2] + wrap_angle(pose[2] - self._mean[2])])
         try:
             state = self._smoothed(nearest, covariance)

@@ -9,7 +9,7 @@ import numpy as np
 from filterpy.kalman import update
 
 from gridtrack.common.geometry import wrap_angle
-from gridtrack.trackers.model_free.motion.estimator import first_state, measured
+from gridtrack.trackers.model_free.motion.estimator import checked, first_state
 from gridtrack.trackers.model_free.motion.model import Array, MotionModel, advance, discretise, wrapped
 
 MEASURED = np.eye(3, 6)
@@ -28,7 +28,7 @@ class KalmanEstimator:
 
     def __init__(self, pose: Array, covariance: Array, model: MotionModel) -> None:
         self._step = discretise(model)
-        self.mean, self.covariance = first_state(*measured(pose, covariance), model)
+        self.mean, self.covariance = first_state(*checked(pose, covariance), model)
 
     def predict(self) -> None:
         """Move on by one period."""
@@ -36,7 +36,7 @@ class KalmanEstimator:
 
     def update(self, pose: Array, covariance: Array) -> None:
         """Take in a measured pose (3,) and its covariance (3, 3); filterpy's update is in Joseph's form."""
-        pose, covariance = measured(pose, covariance)
+        pose, covariance = checked(pose, covariance)
         nearest = np.array([pose[0], pose[1], self.mean[2] + wrap_angle(pose[2] - self.mean[2])])
         self._settle(*update(self.mean, self.covariance, nearest, covariance, MEASURED))
 
