@@ -116,6 +116,13 @@ def test_a_tracker_is_trained_compared_and_reported(tmp_path):
     assert str(run) in gridtrack("report", str(run)).stdout
 
 
+def test_a_training_whose_weights_have_no_place_to_go_does_not_begin(tmp_path):
+    (tmp_path / "file").write_text("not a folder")
+    done = gridtrack("train", "kalman", DEMO, "--out", str(tmp_path / "file"), code=2)
+    assert f"{tmp_path / 'file' / 'kalman'}: cannot be made (Not a directory); name a folder" in done.stderr
+    assert "trial" not in done.stdout
+
+
 def test_a_trial_that_did_not_complete_is_exit_code_3(tmp_path):
     done = gridtrack(
         "compare", DEMO, "--tracker", "blank", "--tracker", "static-map", "--weights", str(tmp_path),

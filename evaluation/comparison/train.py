@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -46,9 +47,22 @@ def train(
     chosen_by = [_stretch(text, VALIDATION, grid, rate_hz) for text in validation] or _own_validation(fitted)
     _refuse_shared(fitted, chosen_by)
     path = weights_path(out, name, fitted[0].site)
+    _make_folder(path.parent)
     output = FitOutput(path, command, seed, path.with_suffix(".logs"), report)
     tracker.fit(fitted, chosen_by, score_in_process, output, settings)
     return path
+
+
+def _make_folder(folder: Path) -> None:
+    """Made before the training: what it takes an hour to learn must have a place to go."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ConfigurationError(
+            f"{folder}: cannot be made ({error.strerror}); name a folder for weights with --out"
+        ) from None
+    if not os.access(folder, os.W_OK):
+        raise ConfigurationError(f"{folder}: may not be written to; name another folder for weights with --out")
 
 
 def _stretch(text: str, use: str, grid: GridSpec | None, rate_hz: float | None) -> GridStream:
