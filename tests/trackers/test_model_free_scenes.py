@@ -24,6 +24,7 @@ PERIOD_S = 0.125
 BEAMS = np.linspace(-np.pi / 2, np.pi / 2, 721)
 PERSON = np.array([(0.25 * np.cos(a), 0.15 * np.sin(a)) for a in np.linspace(0, 2 * np.pi, 16, endpoint=False)])
 CAR = np.array([(-2.2, -0.9), (2.2, -0.9), (2.2, 0.9), (-2.2, 0.9)])
+POST = np.array([(-0.2, -0.2), (0.2, -0.2), (0.2, 0.2), (-0.2, 0.2)])
 WALKERS = {"link_m": 0.25, "surface_m": 0.1, "reach_m": 0.45, "velocity_memory_s": 20.0, "initial_speed": 1.5}
 TRAFFIC = {"link_m": 0.6, "surface_m": 0.1, "reach_m": 0.6, "velocity_memory_s": 40.0, "initial_speed": 5.0}
 ESTIMATORS = pytest.mark.parametrize("estimator", [KalmanEstimator, FactorGraphEstimator])
@@ -87,9 +88,10 @@ def test_an_object_through_two_seconds_of_full_occlusion_is_the_same_track(estim
 
 
 @ESTIMATORS
-def test_two_people_who_cross_keep_their_identities(estimator):
+@pytest.mark.parametrize("association", ["hungarian", "jcbb"])
+def test_two_people_who_cross_keep_their_identities(estimator, association):
     """They pass at half a metre, and touch on the grid."""
-    pipeline = pipeline_of(estimator, **WALKERS)
+    pipeline = pipeline_of(estimator, **WALKERS, association=association)
     first, second = set(), set()
     for step in range(56):
         way = 1.2 * (step * PERIOD_S - 3.5)
@@ -136,13 +138,45 @@ def test_a_person_merges_into_a_group_and_out_of_it(estimator):
 
 @ESTIMATORS
 def test_a_vehicle_seen_in_two_pieces_becomes_one(estimator):
-    pipeline = pipeline_of(estimator, **TRAFFIC | {"link_m": 0.5, "reach_m": 0.3}, merge_s=1.0)
-    post = np.array([(-0.2, -0.2), (0.2, -0.2), (0.2, 0.2), (-0.2, 0.2)])
+    """A post hides its middle all the time, from the first frame on."""
+    pipeline = pipeline_of(estimator, **TRAFFIC | {"link_m": 0.5, "reach_m": 0.3}, merge_s=0.5)
+    count = []
     for step in range(24):
-        y = -4.0 + 3.0 * step * PERIOD_S
-        pipeline.update(scanned([(post, 3.0, 0.0, 0.0), (CAR, 8.0, y, np.pi / 2)]))
-    y_ends = [at(pipeline, 7.1, y + offset)[0].identity for offset in (-1.8, 1.8)]
-    assert len(set(y_ends)) == 1
+        y = -1.4 + 0.8 * step * PERIOD_S
+        frame = scanned([(POST, 3.0, 0.0, 0.0), (CAR, 8.0, y, np.pi / 2)])
+        rows = np.flatnonzero(frame.occupied[:, GRID.cells_of(np.array([[7.15, 0.0]]))[0][0, 1]])
+        assert np.diff(rows).max() * GRID.cell_m > 0.6
+        pipeline.update(frame)
+        if step > 3:
+            count.append(len({at(pipeline, 7.1, y + offset)[0].identity for offset in (-1.8, 1.8)}))
+    assert set(count[:3]) == {2}
+    assert set(count[-4:]) == {1}
+
+
+@ESTIMATORS
+def test_two_legs_that_part_are_one_person(estimator):
+    """Within reach of each other they are, though not linked."""
+    pipeline = pipeline_of(estimator, **WALKERS | {"link_m": 0.2, "reach_m": 0.5})
+    for step in range(24):
+        apart = 0.25 * np.sin(np.pi * step / 12) ** 2
+        y = -1.5 + 1.0 * step * PERIOD_S
+        pipeline.update(scanned([(0.6 * PERSON, 3.0 - apart, y, 0.0), (0.6 * PERSON, 3.0 + apart, y + apart, 0.0)]))
+        assert len(pipeline.tracks) == 1, step
+
+
+@ESTIMATORS
+def test_what_is_hidden_of_a_seen_body_is_forecast(estimator):
+    pipeline = pipeline_of(estimator, **TRAFFIC, shape_memory_s=2.0)
+    screen = np.array([(-0.1, -0.8), (0.1, -0.8), (0.1, 0.8), (-0.1, 0.8)])
+    for step in range(21):
+        y = -2.5 + 1.5 * step * PERIOD_S
+        frame = scanned([(screen, 3.0, 0.9, 0.0), (CAR, 8.0, y, np.pi / 2)])
+        pipeline.update(frame)
+    front = GRID.cells_of(np.column_stack([np.full(6, 7.1), y + np.linspace(0.5, 2.0, 6)]))[0]
+    rear = GRID.cells_of(np.column_stack([np.full(6, 7.1), y - np.linspace(1.2, 2.0, 6)]))[0]
+    assert not frame.visible[tuple(front.T)].any()
+    assert frame.occupied[tuple(rear.T)].mean() > 0.8
+    assert pipeline.forecast(0)[0][tuple(front.T)].mean() > 0.3
 
 
 @ESTIMATORS
