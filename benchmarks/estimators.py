@@ -1,8 +1,9 @@
 """Kalman filter and factor graph as estimators of an object's motion: time, errors, and an hour of frames.
 
-Beside them in the table of errors: a Kalman filter that leaves out what lies beyond the factor graph's gate.
+Beside them in the table of errors: a Kalman filter that leaves out what lies beyond the factor graph's gate; and each in
+two regimes, as tracks have them.
 
-Run it by itself: `python benchmarks/estimators.py [--runs 200]` (about three minutes). Aims: an update in 0.1 ms
+Run it by itself: `python benchmarks/estimators.py [--runs 200]` (about eight minutes). Aims: an update in 0.1 ms
 (Kalman filter) and 0.4 ms (factor graph) a track; 30 tracks and their forecast within 25 ms at p95; an hour
 at 8 Hz without growth of memory or of time. Times are processor time of one thread: other work is felt in caches only.
 """
@@ -11,7 +12,7 @@ from __future__ import annotations
 
 import argparse
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -23,10 +24,12 @@ from gridtrack.trackers.model_free.motion import (
     KalmanEstimator,
     MotionEstimator,
     MotionModel,
+    SwitchingEstimator,
     propagate,
     warm_up,
 )
 from gridtrack.trackers.model_free.motion.factor_graph import GATE
+from gridtrack.trackers.model_free.tuning import STARTS
 
 
 class GatedKalmanEstimator(KalmanEstimator):
@@ -58,6 +61,14 @@ NOISE = np.diag([0.06, 0.06, 0.04]) ** 2
 """Of a vehicle's pose measured in cells of 0.1 m: metres, metres, radians."""
 STEPS, SECOND, TRACKS, FINE = 20, 8, 30, 50
 """Of a forecast; frames in a second; live tracks at a time; steps of the truth's integration in a period."""
+
+
+REGIMES = STARTS[1].motion(MODEL.period_s)
+
+
+def as_tracks_have(begin: Callable[..., MotionEstimator]) -> Callable[..., MotionEstimator]:
+    """Two of them, steady and agile, with a street's settings in place of the model's."""
+    return lambda pose, covariance, _: SwitchingEstimator(begin, pose, covariance, REGIMES)
 
 
 class Scene(NamedTuple):
@@ -150,14 +161,26 @@ def root(squares: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def print_errors(runs: int) -> None:
     print(f"RMS error over {runs} runs, 95 % intervals (normal, by run; differences are paired):")
     print("| object | estimator | position, m | velocity, m/s | 1 s ahead, m |\n|---|---|---:|---:|---:|")
+    alone = {
+        "factor graph": FactorGraphEstimator,
+        "Kalman filter": KalmanEstimator,
+        "gated Kalman filter": GatedKalmanEstimator,
+    }
+    in_tracks = {f"two {label}s": as_tracks_have(kind) for label, kind in alone.items()}
     for name, scene in SCENES.items():
-        truth, found = truth_of(scene), {}
-        for label, kind in (*ESTIMATORS.items(), ("gated Kalman filter", GatedKalmanEstimator)):
-            found[label] = root(np.array([squared_errors(kind, scene, truth, seed) for seed in range(runs)]))
-            print_row(name, label, *found[label])
-        level, parts = found.pop("factor graph")
-        for label, (other, other_parts) in found.items():
-            print_row(name, f"factor graph less {label}", level - other, parts - other_parts)
+        for kinds in (alone, in_tracks):
+            print_scene(name, scene, kinds, runs)
+
+
+def print_scene(name: str, scene: Scene, kinds: Mapping[str, Callable[..., MotionEstimator]], runs: int) -> None:
+    """Each of `kinds`, and the first less each of the others."""
+    truth, found = truth_of(scene), {}
+    for label, kind in kinds.items():
+        found[label] = root(np.array([squared_errors(kind, scene, truth, seed) for seed in range(runs)]))
+        print_row(name, label, *found[label])
+    (first, (level, parts)), *others = found.items()
+    for label, (other, other_parts) in others:
+        print_row(name, f"{first} less {label}", level - other, parts - other_parts)
 
 
 def print_row(scene: str, label: str, values: np.ndarray, parts: np.ndarray) -> None:

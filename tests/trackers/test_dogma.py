@@ -182,6 +182,19 @@ def test_a_missed_frame_is_bridged() -> None:
     assert np.median(velocities(grid).mean[0][frame.occupied & about(box)]) == pytest.approx(5.0, abs=0.5)
 
 
+def test_what_has_gone_out_of_sight_is_somewhere_for_as_long_as_it_lives() -> None:
+    grid = ParticleGrid(GRID, PERIOD_S, SETTINGS.model_copy(update={"life_s": 2.0, "birth_probability": 1e-6}), seed=1)
+    start, velocity = DRIVES[0]
+    for step in range(6):
+        grid.update(frame_of([driving(start, velocity, step)], step))
+    nothing, no_points = np.zeros(GRID.shape, bool), np.empty((0, 2), np.float32)
+    masses = []
+    for step in range(6, 18):
+        grid.update(GridFrame(step * 125_000_000, nothing, nothing, SE2(), no_points, no_points, np.empty(0, np.uint8)))
+        masses.append(grid.masses.occupied.sum())
+    assert masses[8] / masses[0] == pytest.approx(np.exp(-8 * PERIOD_S / 2.0), rel=0.1)
+
+
 @pytest.fixture
 def weights(tmp_path):
     card = Card(
