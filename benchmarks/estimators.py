@@ -1,7 +1,7 @@
 """Kalman filter and factor graph as estimators of an object's motion: time, errors, and an hour of frames.
 
-Beside them in the table of errors: a Kalman filter that leaves out what lies beyond the factor graph's gate; and each in
-two regimes, as tracks have them.
+Beside them in the table of errors: a Kalman filter that leaves out what lies beyond the factor graph's gate; and each
+in two regimes, as tracks have them.
 
 Run it by itself: `python benchmarks/estimators.py [--runs 200]` (about eight minutes). Aims: an update in 0.1 ms
 (Kalman filter) and 0.4 ms (factor graph) a track; 30 tracks and their forecast within 25 ms at p95; an hour

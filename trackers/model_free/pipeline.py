@@ -50,9 +50,9 @@ class Pipeline:
         settings: PipelineSettings,
         estimator: Estimator,
     ) -> None:
-        self.grid, self.dwell, self.settings, self.estimator = grid, dwell, settings, estimator
+        self.grid, self.dwell, self.settings, self.begin_estimator = grid, dwell, settings, estimator
         self.background = Background(background, period_s, settings)
-        self.motion = settings.motion(period_s)
+        self.regimes = settings.motion(period_s)
         self.period_s = period_s
         self.survival = math.exp(-period_s / settings.life_s)
         self.settle_periods = round(settings.settle_s / period_s)
@@ -112,10 +112,8 @@ class Pipeline:
         points = np.concatenate([cluster.points for cluster in clusters])
         distances = distances_to(points, boundaries_of(self.tracks))
         pairing = compare(self.tracks, clusters, distances, views, self.settings)
-        pairs = assign(
-            *(pairing.costs, pairing.distances, pairing.freedom),
-            *(self.settings.gate_probability, self.settings.association),
-        )
+        gate, method = self.settings.gate_probability, self.settings.association
+        pairs = assign(pairing.costs, pairing.distances, pairing.freedom, gate, method)
         near = belonging(self.tracks, clusters, pairs, self.settings)
         shares, left = share_out(clusters, pairs, distances, near)
         return shares, measured(self.tracks, shares, clusters, pairing, views, self.settings), left
@@ -191,7 +189,7 @@ class Pipeline:
     def _give_birth(self, clusters: list[Cluster]) -> None:
         grown_up = tuple(self.tracks)
         for cluster, ages in zip(clusters, self._ages_of(clusters), strict=True):
-            estimator = begin(self.estimator, cluster, grown_up, self.motion, self.settings)
+            estimator = begin(self.begin_estimator, cluster, grown_up, self.regimes, self.settings)
             shape = Shape.of(to_body(cluster.points, estimator.mean[:3]), cluster.cut, self.settings.surface_m)
             existence = self.settings.birth_probability
             self.tracks.append(Track(self.born, estimator, shape, cluster.points, ages, existence))
@@ -214,8 +212,16 @@ class Pipeline:
         semantics = place_weighted(occupancy, place)
         if self.frame is not None:
             add_tracks(
-                *(occupancy, self.tracks, self.survival, self.motion, self.frame, self.grid, self.dwell, self.settings),
-                *(semantics, classes),
+                occupancy,
+                self.tracks,
+                survival=self.survival,
+                regimes=self.regimes,
+                frame=self.frame,
+                grid=self.grid,
+                dwell=self.dwell,
+                settings=self.settings,
+                semantics=semantics,
+                classes=classes,
             )
             occupancy[0] = np.where(self.frame.visible, self.frame.occupied, occupancy[0])
             if len(place):
