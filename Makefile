@@ -83,22 +83,18 @@ GRU_AT_JUNCTION := burn_in=10,shown=10,blank=20,cycles=1,validate_every=250,warm
 AT_JUNCTION := data/junction/train.tracks --validation data/junction/validation.tracks
 THREE_STRETCHES := $(foreach each,0s-320s 1300s-1620s 2600s-2920s,data/junction/train.tracks@$(each)) \
     --validation data/junction/validation.tracks@0s-96s
-# Of the three best of a search (docs/trackers/model-free.md) the one that did best on the validation recording.
-# `train kalman` without them searches for itself: an hour.
-STREET := unforeseen_share=0.541,return_s=0.628,sink_above=0.119,sink_s=1.29,map_s=1.01,link_m=0.245,acceleration=0.0643
-STREET := $(STREET),surge=0.0719,turn_acceleration=0.0519,agility=5.2,steady_s=9.71,agile_s=2.05,velocity_memory_s=22.5
-STREET := $(STREET),initial_speed=5.11,initial_turn_rate=0.0511,surface_m=0.0915,position_noise_m=0.0297,reach_m=0.209
-STREET := $(STREET),birth_probability=0.171,detection_probability=0.792,false_alarm=0.121,life_s=19.2
-STREET := $(STREET),shape_memory_s=1.83,dwell_speed=0.306,return_noise_m=0.182
-# The settings of a card as options. On the leg_tracker recording `factor-graph` has those that the search with `kalman`
-# finds: with them it is better on validation than with what a search of its own found.
-SETTINGS_OF = import tomllib; print(",".join(f"{k}={v}" for k, v in tomllib.load(open("$(1)", "rb"))["settings"].items()))
+# The settings of a street that searches begin from: of the three best of a longer search the one that did best on the
+# validation recording (docs/trackers/model-free.md). `train kalman` without them searches for itself.
+STREET = $$($(BIN)/python -c 'from gridtrack.trackers.model_free.tuning import STARTS; $(call OPTIONS,STARTS[1].model_dump(exclude_unset=True))')
+# On the leg_tracker recording `factor-graph` has the settings that the search with `kalman` finds: with them it is better on
+# validation than with what a search of its own found.
+HALL = $$($(BIN)/python -c 'import tomllib; $(call OPTIONS,tomllib.load(open("data/weights/kalman/leg_tracker.toml", "rb"))["settings"])')
+OPTIONS = print(",".join(f"{key}={value}" for key, value in $(1).items()))
 
 weights: $(VENV)/.installed-dev
 	for tracker in static-map kalman dogma deep-tracking-rnn:$(RNN) dilated-convgru:$(GRU); do \
 	    $(BIN)/gridtrack train $$tracker $(DEMO) --out data/weights || exit 1; done
-	$(BIN)/gridtrack train factor-graph:$$($(BIN)/python -c '$(call SETTINGS_OF,data/weights/kalman/leg_tracker.toml)') \
-	    $(DEMO) --out data/weights
+	$(BIN)/gridtrack train factor-graph:$(HALL) $(DEMO) --out data/weights
 	$(BIN)/gridtrack train static-map $(AT_JUNCTION) --out data/weights
 	for tracker in kalman factor-graph; do \
 	    $(BIN)/gridtrack train $$tracker:$(STREET),stage=occupancy $(AT_JUNCTION)@0s-96s --out data/weights || exit 1; done
