@@ -49,7 +49,7 @@ class Scope:
     def block_s(self, trials: Sequence[Sequence[FrameCounts]]) -> float:
         """How long a block must last, s: longer than the cycle, and than the headline's autocorrelation in any trial.
 
-        `trials` holds the frames of each on every recording.
+        `trials` holds the frames of each on every recording; 0 where none has two, as nothing tells how long that is.
         """
         longest = [self.cycle_s or 0.0]
         for recordings in trials:
@@ -148,8 +148,8 @@ def too_short(units: int, recordings: int, block_s: float) -> str:
     """Why no interval is drawn from so many units."""
     if units == recordings > 1:
         return f"{TOO_SHORT}: {units} recordings, and {LEAST_UNITS} units are needed"
-    found = f"{units} unit{'s' * (units != 1)}, blocks of at least {block_s:.3g} s"
-    return f"{TOO_SHORT}: {found}, and {LEAST_UNITS} are needed"
+    blocks = f"blocks of at least {block_s:.3g} s" if block_s else "a single forecast"
+    return f"{TOO_SHORT}: {units} unit{'s' * (units != 1)}, {blocks}, and {LEAST_UNITS} are needed"
 
 
 def common_strata(strata: Sequence[Sequence[str]]) -> tuple[str, ...]:

@@ -47,7 +47,7 @@ def units_of(stamps_ns: Sequence[NDArray[np.int64]], block_s: float) -> list[NDA
     """The unit of every scored frame, per recording (F,), counted through all of them.
 
     Twenty recordings and more are the units themselves. Of fewer, each is cut into as many equal blocks of time as fit
-    with `block_s` each; one that is shorter is a unit of its own.
+    with `block_s` each; one that is shorter is a unit of its own, and so is one of a single frame whatever `block_s`.
     """
     whole = len(stamps_ns) >= LEAST_UNITS
     units, first = [], 0
@@ -59,13 +59,12 @@ def units_of(stamps_ns: Sequence[NDArray[np.int64]], block_s: float) -> list[NDA
 
 
 def _blocks(stamps_ns: NDArray[np.int64], block_s: float) -> NDArray[np.int64]:
-    if not len(stamps_ns):
-        return np.zeros(0, np.int64)
+    if len(stamps_ns) < 2:
+        return np.zeros(len(stamps_ns), np.int64)
     since_s = (stamps_ns - stamps_ns[0]) / 1e9
-    between_s = float(np.median(np.diff(since_s))) if len(since_s) > 1 else 0.0
-    lasts_s = float(since_s[-1]) + between_s
+    lasts_s = float(since_s[-1]) + float(np.median(np.diff(since_s)))
     blocks = min(max(1, int(lasts_s / block_s + 1e-9)), len(stamps_ns))
-    block = (since_s / lasts_s * blocks).astype(np.int64) if lasts_s else np.zeros(len(since_s), np.int64)
+    block = (since_s / lasts_s * blocks).astype(np.int64)
     return np.unique(block, return_inverse=True)[1].astype(np.int64)
 
 

@@ -135,6 +135,18 @@ def test_a_long_recording_is_cut_into_blocks_longer_than_the_cycle(tmp_path):
     assert told[96.0]["units"] == 5
 
 
+@pytest.mark.parametrize("cycle_s", [None, 30.0])
+def test_a_single_forecast_has_scores_and_is_too_short_for_an_interval(tmp_path, cycle_s):
+    trials = a_run(tmp_path, {"persistence": 0.6, "good": 0.8}, ["short"], frames=1)
+    summary = summary_of(trials, ["short"], cycle_s=cycle_s)
+    moving = summary["trackers"]["good"]["recordings"]["short"]["strata"]["moving"]
+    assert moving["f1"][8] > 0
+    assert moving["f1_low"] is None
+    blocks = "blocks of at least 30 s" if cycle_s else "a single forecast"
+    assert moving["interval"] == f"too short for an interval: 1 unit, {blocks}, and 20 are needed"
+    assert difference(summary, "good")["interval"] == moving["interval"]
+
+
 def test_recordings_of_different_grids_are_not_pooled_and_that_is_told(tmp_path):
     trials = a_run(tmp_path, {"persistence": 0.6}, ["a", "b"], frames=3)
     described = {"a": synthetic.description(), "b": {**synthetic.description(), "grid": "50x0.4"}}
