@@ -31,9 +31,9 @@ class RunFolder:
 
     @classmethod
     def prepare(cls, plan: Plan, command: Sequence[str]) -> RunFolder:
-        """Make the folder, or take up the one of an earlier run of the same configuration with `resume`.
+        """Begin a run in the folder, or take up an earlier one of the same configuration with `resume`.
 
-        Raises RunError where it holds another run.
+        The folder is there, and held (`hold`). Raises RunError where it holds another run.
         """
         path = plan.settings.out
         identity = _plain(plan.identity())
@@ -46,10 +46,6 @@ class RunFolder:
                 f"{path} holds a run of another configuration ({changed}): name another folder with --out, or ask for"
                 " what it was made with"
             )
-        try:
-            path.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise RunError(f"{path}: cannot be made ({error.strerror}): name another folder with --out") from None
         folder = cls(path, plan, _provenance(plan, command, identity))
         write_json(path / RUN, {**folder.provenance, "status": "running"})
         return folder

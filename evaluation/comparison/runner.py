@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from gridtrack.evaluation.comparison.deadline_pass import measure_deadline
+from gridtrack.evaluation.comparison.hold import held
 from gridtrack.evaluation.comparison.latency_pass import measure_latency
 from gridtrack.evaluation.comparison.oracle import run_oracle
 from gridtrack.evaluation.comparison.plan import Plan, Trial
@@ -47,8 +48,13 @@ def run(plan: Plan, command: Sequence[str], progress: Progress) -> dict[str, Any
     """Run what `plan` names and return the summary; `command` is the command line to keep with the results.
 
     An interrupt (Ctrl-C) ends the trackers, keeps what was scored, and returns the summary with `interrupted` true.
-    Raises RunError where the run's folder holds another run.
+    Raises RunError where the run's folder holds another run, or one is still going on there.
     """
+    with held(plan.settings.out):
+        return _run(plan, command, progress)
+
+
+def _run(plan: Plan, command: Sequence[str], progress: Progress) -> dict[str, Any]:
     folder = RunFolder.prepare(plan, command)
     for notice in plan.notices:
         progress.note(notice)

@@ -245,6 +245,21 @@ def test_an_interrupt_ends_a_call_that_hangs(settings, tmp_path):
     assert json.loads((tmp_path / "run" / "summary.json").read_text())["interrupted"] is True
 
 
+def test_a_folder_in_which_a_run_is_going_on_is_refused_until_it_has_ended(settings, told, tmp_path):
+    trackers = ("staged:sleep_s=0.05",)
+    host = start(settings, tmp_path, *trackers)
+    wait_until((tmp_path / "run" / "staged@room" / "stderr.log").exists)
+    for resume in (True, False):
+        with pytest.raises(RunError, match=rf"run: a run is still going on in it \(process {host.pid}\): wait until"):
+            compare(settings(*trackers, resume=resume), told)
+    assert told.delivered == {}
+    family = children(host)
+    host.kill()
+    host.wait()
+    wait_until(lambda: not any(process.is_running() for process in family))
+    assert trial_of(compare(settings(*trackers, resume=True), told), "staged")["outcome"] == "ok"
+
+
 def test_a_run_whose_host_was_killed_is_taken_up_again(settings, told, tmp_path):
     trackers = ("persistence", "staged:sleep_s=0.01")
     host = start(settings, tmp_path, *trackers)
