@@ -238,11 +238,13 @@ def _stretch(recording: Recording, stretch: Stretch | str | None) -> tuple[Stret
         if stretch not in recording.info.stretches:
             known = did_you_mean(stretch, recording.info.stretches)
             raise RecordingError(f"{recording.path}: no stretch '{stretch}'; {known} (or seconds: @30s-90s)")
-        name, (start_s, end_s) = f"{recording.name}@{stretch}", recording.info.stretches[stretch]
+        start_s, end_s = recording.info.stretches[stretch]
+        name, runs = f"{recording.name}@{stretch}", f" ({stretch_text((start_s, end_s))})"
     else:
-        name, (start_s, end_s) = f"{recording.name}@{stretch_text(stretch)}", stretch
+        name, runs, (start_s, end_s) = f"{recording.name}@{stretch_text(stretch)}", "", stretch
     if start_s > duration_s or (end_s is not None and end_s > math.ceil(duration_s)):
-        raise RecordingError(f"{name}: the recording is {duration_s:.1f} s long")
+        long = f"{duration_s:.1f} s long" + (f" ({recording.damage})" if recording.damage else "")
+        raise RecordingError(f"{name}{runs}: the recording is {long}: name a range inside it (@30s-60s)")
     return (start_s, duration_s if end_s is None else end_s), name
 
 

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -54,6 +56,21 @@ def test_a_users_mistake_is_one_line_and_exit_code_2(arguments, says):
     assert done.stderr.startswith("gridtrack: ")
     assert done.stderr.count("\n") == 1
     assert done.stdout == ""
+
+
+def test_of_a_recording_that_was_cut_off_what_is_whole_can_be_used(tmp_path):
+    cut, out = tmp_path / "cut.mcap", ("--out", str(tmp_path / "out"))
+    content = Path(DEMO).read_bytes()
+    cut.write_bytes(content[: len(content) // 2])
+    broken = r"the recording is 63\.6 s long \(cut off in the middle of a record\): name a range inside it \(@30s-60s\)"
+    commands = (["compare", f"{cut}@0s-20s", "--tracker", "persistence"], ["train", "static-map", f"{cut}@0s-20s"])
+    for command in commands:
+        refused = gridtrack(*command, *out, code=2).stderr
+        own = r"gridtrack: cut\.mcap@validation \(75s-90s\): "
+        assert re.fullmatch(own + broken + r" with --validation RECORDING@range\n", refused)
+        gridtrack(*command, *out, "--validation", f"{cut}@30s-40s")
+    refused = gridtrack("train", "static-map", str(cut), code=2).stderr
+    assert re.fullmatch(r"gridtrack: cut\.mcap@train \(0s-75s\): " + broken + r"\n", refused)
 
 
 def test_debug_shows_where_an_error_comes_from():

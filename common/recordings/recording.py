@@ -84,7 +84,8 @@ class Recording(ABC):
     """A file of scans, read streaming.
 
     `warnings` holds one line for each thing that was wrong in what has been read so far, each told once however often
-    the recording is read; with `strict` the first such thing is a RecordingError instead.
+    the recording is read; `damage` says where the file was found to break off. With `strict` the first such thing is a
+    RecordingError instead.
     """
 
     def __init__(self, path: Path, topic: str | None = None, strict: bool = False) -> None:
@@ -92,6 +93,7 @@ class Recording(ABC):
         self.topic = topic
         self.strict = strict
         self.warnings: list[str] = []
+        self.damage = ""
 
     @property
     def name(self) -> str:
@@ -182,6 +184,7 @@ class Recording(ABC):
         try:
             yield from self.read(topics)
         except DamageError as damage:
+            self.damage = str(damage)
             self.complain(f"{damage}; what comes after is left out")
 
     def _refuse_empty(self, order: StampOrder, topics: Topics) -> None:

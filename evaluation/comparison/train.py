@@ -13,7 +13,7 @@ from gridtrack.common.grid import GridSpec
 from gridtrack.common.recordings import open_recording
 from gridtrack.common.stream import GridStream, parse_stretch
 from gridtrack.evaluation.comparison.learned import weights_path
-from gridtrack.evaluation.scoring.courses import TRAIN, VALIDATION, like, shares_frames
+from gridtrack.evaluation.scoring.courses import TRAIN, VALIDATION, own_validation, shares_frames
 from gridtrack.evaluation.scoring.in_process import score_in_process
 from gridtrack.trackers import registry
 from gridtrack.trackers.contract import FitOutput
@@ -78,7 +78,7 @@ def _stretch(text: str, use: str, grid: GridSpec | None, rate_hz: float | None) 
 
 
 def _own_validation(fitted: Sequence[GridStream]) -> list[GridStream]:
-    found = [like(stream, VALIDATION) for stream in fitted if VALIDATION in stream.recording.info.stretches]
+    found = [own_validation(stream) for stream in fitted if VALIDATION in stream.recording.info.stretches]
     if not found:
         raise ConfigurationError(
             f"{fitted[0].name}: no validation stretch; name one with --validation RECORDING[@range]"

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from gridtrack.common.errors import ConfigurationError
+from gridtrack.common.errors import ConfigurationError, RecordingError
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridSpec, Points
 from gridtrack.common.recordings import Recording, Stretch, open_recording
@@ -187,7 +187,7 @@ def _validation_stretch(
         path, named = parse_stretch(asked)
         stretch = GridStream(opened or open_recording(path), named, grid=test.grid, rate_hz=1e9 / test.period_ns)
     elif VALIDATION in test.recording.info.stretches:
-        stretch = like(test, VALIDATION)
+        stretch = own_validation(test)
     else:
         return None, (f"{test.name}: no validation stretch{AT_HALF}",)
     problem = ""
@@ -198,6 +198,14 @@ def _validation_stretch(
     if problem and asked is not None:
         raise ConfigurationError(f"{problem}: name another --validation")
     return (None, (problem + AT_HALF,)) if problem else (stretch, ())
+
+
+def own_validation(stream: GridStream) -> GridStream:
+    """The stretch that the recording names for validation. Raises RecordingError, which says how to name another."""
+    try:
+        return like(stream, VALIDATION)
+    except RecordingError as error:
+        raise RecordingError(f"{error} with --validation RECORDING@range") from None
 
 
 def like(stream: GridStream, stretch: Stretch | str | None = None, points: Points | None = None) -> GridStream:
