@@ -118,9 +118,12 @@ class TrialRun:
             return half(self.trial.course.steps, self.trial.course.strata)
         tally = Tally.empty(self.trial.course.steps, self.trial.course.strata)
         delivery, areas = Delivery(stretch, self._on_frame), self._regions.validation
-        with self._clock():
-            for moment in moments(self._process, delivery, self.trial.course.validation_schedule, self.trial.seed):
-                tally.add(count_forecast(moment.forecast.occupancy, moment.targets, areas, moment.ages))
+        try:
+            with self._clock():
+                for moment in moments(self._process, delivery, self.trial.course.validation_schedule, self.trial.seed):
+                    tally.add(count_forecast(moment.forecast.occupancy, moment.targets, areas, moment.ages))
+        except TrialEnded as ended:
+            raise TrialEnded(ended.outcome, f"in the validation stretch {stretch.name}: {ended.reason}") from None
         return best_thresholds(tally, stretch.name)
 
     def _score(self, thresholds: Thresholds) -> None:

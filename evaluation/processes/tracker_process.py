@@ -124,6 +124,7 @@ class TrackerProcess:
 
     def reset(self, seed: int) -> None:
         """A new stream begins."""
+        self._frames = 0
         self._recoveries.append(0)
         with self._ending_on_error():
             self._wire.ask(Request("reset", "done", {"seed": seed}), self.limits.start_s)

@@ -26,11 +26,12 @@ from gridtrack.trackers.contract import Forecast, Tracker
 
 class Options(Settings):
     crash_at: int = 0
+    crash_in: int = 2
     sleep_s: float = 0.0
 
 
 class Staged(Tracker):
-    """Forecasts the last frame; dies at the update `crash_at` of the test stretch, and takes its time."""
+    """Forecasts the last frame; dies at the update `crash_at` of the stretch `crash_in`, and takes its time."""
 
     Options = Options
 
@@ -43,7 +44,7 @@ class Staged(Tracker):
 
     def update(self, frame):
         self.updates, self.last = self.updates + 1, frame.occupied
-        if self.stretch == 2 and self.updates == self.options.crash_at:
+        if self.stretch == self.options.crash_in and self.updates == self.options.crash_at:
             os.abort()
         time.sleep(self.options.sleep_s)
 

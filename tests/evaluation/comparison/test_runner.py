@@ -118,6 +118,14 @@ def test_a_tracker_that_dies_keeps_what_it_scored_and_stops_no_other(settings, t
     assert trial_of(summary, "persistence")["outcome"] == "ok"
 
 
+def test_a_failure_says_in_which_stretch_it_was_and_counts_its_frames(settings, told):
+    summary = compare(settings("early=staged:crash_at=30,crash_in=1", "staged:crash_at=60"), told)
+    early, late = (trial_of(summary, label) for label in ("early", "staged"))
+    assert (early["outcome"], early["frames_scored"]) == ("crashed", 0)
+    assert early["reason"].startswith("in the validation stretch room.mcap@validation: update with frame 30: killed by")
+    assert late["reason"].startswith("update with frame 60: killed by SIGABRT")
+
+
 def test_what_a_tracker_recovered_from_stands_in_its_outcome_and_is_told(settings, told, tmp_path, bad_trackers):
     summary = compare(settings("recovers", "persistence"), told)
     assert trial_of(summary, "recovers")["outcome"] == "ok"
