@@ -88,5 +88,10 @@ def validated(model: type[Model], values: dict[str, Any], where: str) -> Model:
 def _complaint(model: type[BaseModel], error: Any, where: str) -> str:
     key = ".".join(str(part) for part in error["loc"])
     if error["type"] == "extra_forbidden":
-        return f"{where}: there is no option '{key}'; {did_you_mean(key, model.model_fields)}"
+        return f"{where}: there is no option '{key}'; {did_you_mean(key, _names(model))}"
     return f"{where}: '{key}' = {error['input']!r}: {error['msg']}"
+
+
+def _names(model: type[BaseModel]) -> list[str]:
+    """Of its fields, as they are written."""
+    return [field.alias or name for name, field in model.model_fields.items()]

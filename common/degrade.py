@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from pydantic import Field
+from pydantic import ConfigDict, Field
 
 from gridtrack.common.config import Settings, parse_pairs, validated
 from gridtrack.common.errors import ConfigurationError
@@ -21,7 +21,9 @@ JITTER_LEVER_M = 5.0
 
 
 class Degradation(Settings):
-    """How much worse scans are made; 0 leaves them as they are."""
+    """How much worse scans are made; 0 leaves them as they are. Spelt with hyphens where a user writes or reads it."""
+
+    model_config = ConfigDict(alias_generator=lambda name: name.replace("_", "-"), populate_by_name=True)
 
     beam_dropout: float = Field(0.0, ge=0.0, le=1.0)
     """Probability that a beam says nothing (NaN), for each beam of each scan by itself."""
@@ -51,9 +53,10 @@ def parse_degradation(text: str) -> Degradation:
 
     Raises ConfigurationError.
     """
-    degradation = validated(Degradation, parse_pairs(text, OPTION), OPTION)
+    pairs = {kind.replace("_", "-"): value for kind, value in parse_pairs(text, OPTION).items()}
+    degradation = validated(Degradation, pairs, OPTION)
     if not degradation.kinds:
-        known = ", ".join(f"{kind.replace('_', '-')}=..." for kind in Degradation.model_fields)
+        known = ", ".join(f"{field.alias}=..." for field in Degradation.model_fields.values())
         raise ConfigurationError(f"{OPTION}: '{text}' degrades nothing; name one or more of {known}")
     return degradation
 

@@ -13,6 +13,7 @@ import pytest
 from gridtrack.common.recordings import packaged_recording
 
 DEMO = str(packaged_recording("leg_tracker"))
+PACKAGE = str(Path(DEMO).parents[2])
 
 
 def gridtrack(*arguments: str, code: int = 0) -> subprocess.CompletedProcess[str]:
@@ -37,7 +38,7 @@ def gridtrack(*arguments: str, code: int = 0) -> subprocess.CompletedProcess[str
         (("compare", DEMO, "--grid", "100"), "grid '100': expected CELLSxMETRES"),
         (("compare", DEMO, "--every", "0"), "'every_s' = 0.0: Input should be greater than 0"),
         (("compare", DEMO, "--update-timeout", "0s"), "'update_s' = 0.0: Input should be greater than 0"),
-        (("compare", DEMO, "--degrade", "beam-dropuot=0.2"), "did you mean 'beam_dropout'?"),
+        (("compare", DEMO, "--degrade", "beam-dropuot=0.2"), "did you mean 'beam-dropout'?"),
         (("train", "persistence", DEMO), "tracker 'persistence' has nothing to learn"),
         (("train", "static-map", f"{DEMO}@0s-80s"), "shares frames with"),
         (("trackers", "check", "static-map"), "'static-map' learns, and has learned nothing here: give --recording"),
@@ -47,6 +48,10 @@ def gridtrack(*arguments: str, code: int = 0) -> subprocess.CompletedProcess[str
         (("trackers", "show", "blnk"), "did you mean 'blank'?"),
         (("recording", "info", "nowhere.bag"), "nowhere.bag: no such recording"),
         (("recording", "import", DEMO, "--out", "demo.bag"), "demo.bag: a recording is written as .mcap"),
+        (("compare", PACKAGE), f"{PACKAGE}: a folder that holds no ROS 2 bag (no metadata.yaml)"),
+        (("compare", f"{PACKAGE}/nope.bag"), "nope.bag: no such recording\n"),
+        (("compare", f"{PACKAGE}/data/leg_tracker/demo.bag"), "demo.bag: no such recording; known: leg_tracker.mcap\n"),
+        (("compare", DEMO, "--out", __file__), "test_cli.py: a file, and a run is kept in a folder"),
         (("report", "nowhere"), "nowhere"),
     ],
 )

@@ -20,6 +20,9 @@ if TYPE_CHECKING:
 TRACKS_MAGIC = b"PAR1"
 SQLITE_MAGIC = b"SQLite format 3\x00"
 CARMEN_SUFFIXES = (".clf", ".clf.bz2", ".log", ".log.bz2")
+SUFFIXES = (".mcap", ".tracks", ".bag", ".db3", *CARMEN_SUFFIXES)
+"""What the files of recordings are usually called; none is needed to be read."""
+ROS2_METADATA = "metadata.yaml"
 
 
 def open_recording(
@@ -64,6 +67,8 @@ def _open_ros(
     if not (path.is_dir() or head.startswith((MCAP_MAGIC, ROS1_MAGIC, SQLITE_MAGIC))):
         kinds = "MCAP, simulated tracks, ROS 1 bag, ROS 2 bag or CARMEN log (.clf, .clf.bz2)"
         raise RecordingError(f"{path}: not a recording that gridtrack reads: {kinds}")
+    if path.is_dir() and not _is_ros2_bag(path):
+        raise RecordingError(f"{path}: a folder that holds no ROS 2 bag (no {ROS2_METADATA}): name a recording's file")
     from gridtrack.common.recordings import ros
 
     if head.startswith(ROS1_MAGIC):
@@ -81,10 +86,21 @@ def _head(path: Path) -> bytes:
         with path.open("rb") as file:
             return file.read(16)
     except FileNotFoundError:
-        near = did_you_mean(path.name, (p.name for p in path.parent.iterdir())) if path.parent.is_dir() else ""
-        raise RecordingError(f"{path}: no such recording; {near}") from None
+        beside = [p.name for p in path.parent.iterdir() if _may_be_one(p)] if path.parent.is_dir() else []
+        near = f"; {did_you_mean(path.name, beside)}" if beside else ""
+        raise RecordingError(f"{path}: no such recording{near}") from None
     except OSError as error:
         raise RecordingError(f"{path}: cannot be read ({error.strerror})") from None
+
+
+def _is_ros2_bag(folder: Path) -> bool:
+    """Whether a folder holds a ROS 2 bag, or at least the MCAP files of one."""
+    return (folder / ROS2_METADATA).is_file() or any(folder.glob("*.mcap"))
+
+
+def _may_be_one(path: Path) -> bool:
+    """Whether it looks like a recording, by its name or as a folder."""
+    return (path / ROS2_METADATA).is_file() if path.is_dir() else path.name.endswith(SUFFIXES)
 
 
 def _is_native(path: Path) -> bool:

@@ -23,6 +23,8 @@ def held(folder: Path) -> Iterator[None]:
     The lock is on a file that stays; none of the processes started meanwhile inherits it, so it never outlives this
     one. Raises RunError where another run has it, or where the folder cannot be made.
     """
+    if folder.is_file():
+        raise RunError(f"{folder}: a file, and a run is kept in a folder: name one with --out")
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:

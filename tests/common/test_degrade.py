@@ -92,9 +92,11 @@ def test_what_is_asked_for_is_read_and_unknown_kinds_are_refused() -> None:
     assert asked.kinds == ("beam_dropout", "range_noise", "frame_drop", "pose_jitter")
     assert parse_degradation("frame-drop=0.1").kinds == ("frame_drop",)
     assert asked.only("range_noise") == Degradation(range_noise=0.05)
-    with pytest.raises(ConfigurationError, match=r"--degrade: .*beam_dropuot.*did you mean 'beam_dropout'"):
+    with pytest.raises(ConfigurationError, match=r"--degrade: .*beam-dropuot.*did you mean 'beam-dropout'"):
         parse_degradation("beam-dropuot=0.2")
-    with pytest.raises(ConfigurationError, match="less than or equal to 1"):
+    with pytest.raises(ConfigurationError, match="'foo'; known: beam-dropout, frame-drop, pose-jitter, range-noise"):
+        parse_degradation("foo=1")
+    with pytest.raises(ConfigurationError, match=r"'beam-dropout' = 20: .*less than or equal to 1"):
         parse_degradation("beam-dropout=20")
     for nothing in ("", "beam-dropout=0"):
         with pytest.raises(ConfigurationError, match="degrades nothing"):
