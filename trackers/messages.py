@@ -79,12 +79,16 @@ def frame_from(message: Message) -> GridFrame:
 
 
 def forecast_parts(forecast: Forecast) -> tuple[dict[str, Any], Arrays]:
-    """`forecast` as JSON fields and arrays, for the answer to `predict`. Raises WireError for what is no array."""
+    """`forecast` as JSON fields and arrays, for the answer to `predict`.
+
+    Raises WireError for what is no array or no TrackedObject.
+    """
     planes = {"occupancy": forecast.occupancy, "semantics": forecast.semantics, "velocity": forecast.velocity}
     arrays = {name: plane for name, plane in planes.items() if plane is not None}
     for name, plane in arrays.items():
         if not isinstance(plane, np.ndarray):
             raise WireError(f"{name} is a {type(plane).__name__}; expected a numpy array")
+    _refuse_other_objects(forecast.objects)
     if not forecast.objects:
         return {}, arrays
     objects = forecast.objects
@@ -97,9 +101,18 @@ def forecast_parts(forecast: Forecast) -> tuple[dict[str, Any], Arrays]:
             "object_covariance": np.stack([o.covariance for o in objects]).astype(np.float32),
             "object_label": np.array([labels.index(o.label) if o.label else -1 for o in objects], np.int32),
         }
-    except ValueError as error:
-        raise WireError(f"the objects of the forecast differ in shape ({error})") from None
+    except (TypeError, ValueError) as error:
+        raise WireError(f"the objects of the forecast are not numbers, or differ in shape ({error})") from None
     return {"labels": labels}, arrays
+
+
+def _refuse_other_objects(objects: Any) -> None:
+    """Raises WireError unless they are TrackedObjects, or none."""
+    if objects is not None and not isinstance(objects, (tuple, list)):
+        raise WireError(f"objects is a {type(objects).__name__}; expected a tuple of TrackedObject")
+    for tracked in objects or ():
+        if not isinstance(tracked, TrackedObject):
+            raise WireError(f"objects holds something of type {type(tracked).__name__}; expected TrackedObject only")
 
 
 def forecast_limit(grid: GridSpec, steps: int, classes: int) -> int:

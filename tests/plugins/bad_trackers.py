@@ -143,6 +143,17 @@ class PredictsNone(Good):
         return None
 
 
+class OtherObjects(Good):
+    """Objects that are numbers, or no sequence of objects at all."""
+
+    class Options(Settings):
+        objects: Any = (1, 2)
+        at: str = ""
+
+    def predict(self, steps: int) -> Forecast:
+        return Forecast(self.occupancy(steps), objects=self.options.objects)
+
+
 class LopsidedClasses(Good):
     """Class probabilities that sum to 0.8."""
 

@@ -138,6 +138,8 @@ def test_a_memory_error_is_out_of_memory(log: Path) -> None:
         ("has-value", {"value": "2.0"}, "occupancy goes from 0 to 2; expected probabilities in [0, 1]"),
         ("has-value", {"value": "-0.1"}, "occupancy goes from -0.1 to 0; expected probabilities in [0, 1]"),
         ("predicts-none", {}, "predict returned a NoneType; expected a Forecast"),
+        ("other-objects", {}, "objects holds something of type int; expected TrackedObject only"),
+        ("other-objects", {"objects": "word"}, "objects is a str; expected a tuple of TrackedObject"),
         ("lopsided-classes", {}, "semantics sum to 1 over the classes; here they miss it by up to 0.2"),
     ],
 )
