@@ -41,7 +41,7 @@ class RunFolder:
         if earlier is not None and not plan.settings.resume:
             raise RunError(f"{path} holds a run already: continue it with --resume, or name another folder with --out")
         if earlier is not None and earlier.get("configuration") != identity:
-            changed = _first_difference(earlier.get("configuration"), identity)
+            changed = _what_changed(earlier.get("configuration"), identity)
             raise RunError(
                 f"{path} holds a run of another configuration ({changed}): name another folder with --out, or ask for"
                 " what it was made with"
@@ -120,6 +120,26 @@ def _read_run(path: Path) -> dict[str, Any] | None:
     if not isinstance(content, dict) or content.get("schema") != SCHEMA:
         raise RunError(f"{path}: not schema {SCHEMA} of a run: name another folder with --out")
     return content
+
+
+def _what_changed(earlier: Any, now: Mapping[str, Any]) -> str:
+    """What two configurations differ in first, in words: what was compared, before any detail of it."""
+    if isinstance(earlier, dict):
+        for what, names in (("recording", _recordings), ("tracker", _labels)):
+            then, asked = names(earlier), names(now)
+            if then != asked:
+                added, left = sorted(asked - then), sorted(then - asked)
+                was_not = f"{what} '{added[0]}' was not in it" if added else ""
+                return was_not or f"{what} '{left[0]}' was in it and is not asked for now"
+    return _first_difference(earlier, now)
+
+
+def _recordings(configuration: Mapping[str, Any]) -> set[str]:
+    return set(configuration.get("recordings") or ())
+
+
+def _labels(configuration: Mapping[str, Any]) -> set[str]:
+    return {trial.partition("@")[0] for trial in configuration.get("trials") or ()}
 
 
 def _first_difference(earlier: Any, now: Any, where: str = "") -> str:

@@ -39,6 +39,19 @@ def test_a_tracker_that_is_another_program_now_is_another_configuration(settings
         run(resolve(settings("mine", trackers_toml=toml, resume=True)), (), told)
 
 
+def test_what_was_not_in_the_run_is_named_as_it_was_asked_for(settings, record, told):
+    run(resolve(settings("blank", "persistence")), (), told)
+    more = settings("blank", "persistence", "still=persistence", resume=True)
+    what_to_do = r": name another folder with --out, or ask for what it was made with"
+    with pytest.raises(RunError, match=r"another configuration \(tracker 'still' was not in it\)" + what_to_do):
+        run(resolve(more), (), told)
+    with pytest.raises(RunError, match=r"\(tracker 'persistence' was in it and is not asked for now\)"):
+        run(resolve(settings("blank", resume=True)), (), told)
+    other = settings("blank", "persistence", recordings=(str(record("other")),), resume=True)
+    with pytest.raises(RunError, match=r"\(recording 'other' was not in it\)"):
+        run(resolve(other), (), told)
+
+
 def test_a_trial_whose_counts_are_gone_runs_again(settings, tmp_path, told):
     run(resolve(settings("blank")), (), told)
     (tmp_path / "run" / "blank@room" / HISTOGRAM).unlink()
