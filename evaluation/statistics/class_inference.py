@@ -12,7 +12,7 @@ from gridtrack.evaluation.scoring.semantics import KINDS
 from gridtrack.evaluation.statistics.curves import curve
 from gridtrack.evaluation.statistics.frame_counts import FrameCounts, common_frames
 from gridtrack.evaluation.statistics.inference import ALL_RECORDINGS, Ended, Inference, plain_curve
-from gridtrack.evaluation.statistics.pooling import summed_by_unit, too_short
+from gridtrack.evaluation.statistics.pooling import OTHER_FRAMES, OTHER_RETURNS, summed_by_unit, too_short
 from gridtrack.evaluation.statistics.uncertainty import LEAST_UNITS, ratio_differences, ratio_interval
 
 SCORE = "nll_per_scan"
@@ -98,7 +98,7 @@ class ClassInference:
             "frames": sum(len(one.stamps_ns) for one, _ in pairs),
         }
         if not said["frames"]:
-            why = "no frames in common: it was delivered others than the reference"
+            why = OTHER_FRAMES if own[0].points == others[0].points else OTHER_RETURNS
             return {**said, "units": 0, "interval": why, "kinds": {}}
         block_s = self._inference.block_s(names)
         sides, units = summed_by_unit([[pair[side] for pair in pairs] for side in (0, 1)], block_s)

@@ -19,6 +19,7 @@ from gridtrack.evaluation.scoring.scores import read_tally
 from gridtrack.evaluation.statistics.curves import curve, curves_of, plain_number
 from gridtrack.evaluation.statistics.frame_counts import FrameCounts, read_frame_counts
 from gridtrack.evaluation.statistics.pooling import (
+    OTHER_RETURNS,
     Comparison,
     Scope,
     common_strata,
@@ -147,6 +148,8 @@ class Inference:
                 what = f"{len(complete)} of {len(names)} recordings complete" if len(names) > 1 else "not complete"
                 return Comparison(label, 0, 0, f"not compared: {row} is {what}" if len(names) == 1 else
                                   f"not compared: {row} has {what}")  # fmt: skip
+        if own[0].points != others[0].points:
+            return Comparison(label, 0, 0, OTHER_RETURNS)
         scope = self._scope(names, own + others)
         sides = [[_in(self.frames_of(trial), trial.strata, scope.strata) for trial in side] for side in (others, own)]
         return compare_with(sides[0], sides[1], label, scope, self.block_s(names))

@@ -25,6 +25,8 @@ from gridtrack.evaluation.statistics.units import BLOCK_TIMES, autocorrelation_t
 HEADLINE_STRATA, HEADLINE_HORIZONS_S = ("moving", "visible"), (0.5, 1.0, 2.5)
 """The family that Holm's correction is over: F1 in these strata at these horizons, each tracker and the reference."""
 ALPHA = 0.05
+OTHER_FRAMES = "no frames in common: it was delivered others than the reference"
+OTHER_RETURNS = "not compared: a row of raw returns and one of the centres of cells are given other frames, so no pairs"
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,7 +106,7 @@ def compare_with(
     paired = [common_frames(one, other) for one, other in zip(tracker, reference, strict=True)]
     frames = sum(len(one.stamps_ns) for one, _ in paired)
     if not frames:
-        return Comparison(label, 0, 0, "no frames in common: it was delivered others than the reference")
+        return Comparison(label, 0, 0, OTHER_FRAMES)
     sides = [[pair[side] for pair in paired] for side in (0, 1)]
     (own, others), number = summed_by_unit(sides, block_s)
     found = differences(own, others, "f1")

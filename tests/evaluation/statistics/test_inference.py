@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -167,6 +169,16 @@ def test_frames_of_another_delivery_are_not_paired(tmp_path):
     others = FrameCounts(odd.stamps_ns[1:], np.array(["x", *odd.delivered[2:]]), odd.counts[1:])
     one, other = common_frames(odd, others)
     assert one.stamps_ns.tolist() == other.stamps_ns.tolist() == odd.stamps_ns[2:].tolist()
+
+
+def test_a_row_of_raw_returns_is_not_compared_with_one_of_cells_centres_and_says_so(tmp_path):
+    reference, raw = (
+        synthetic.write_trial(tmp_path, label, "a", 0.6, seed=0, frames=4, delivered=delivered)
+        for label, delivered in (("persistence", ""), ("kalman", "f"))
+    )
+    told = difference(summary_of([reference, replace(raw, points="raw")], ["a"]), "kalman")
+    assert (told["frames"], told["headline"]) == (0, [])
+    assert told["interval"].startswith("not compared: a row of raw returns and one of the centres of cells")
 
 
 def test_scores_of_other_steps_are_refused(tmp_path):
