@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from gridtrack.reports.run import Run
-from gridtrack.reports.table import Cell, HeadlineTable, Row
+from gridtrack.reports.table import HeadlineTable, Row
 
 MAX_LINES = 2000
 """Of provenance; what is beyond is counted, and stands in run.json."""
@@ -35,26 +35,38 @@ def title_of(runs: Sequence[Run]) -> str:
 
 
 def lead_of(table: HeadlineTable) -> str:
-    """The finding in a sentence: the best tracker on moving cells against the best of the floor; empty without one."""
+    """The finding in a sentence: the highest F1 on moving cells against the floor's; empty without one.
+
+    Nobody is called best: whether a difference would hold elsewhere is for the paired differences to say.
+    """
     if not table.comparable:
         return ""
     at = table.columns.index(table.decisive)
-    best, floor = (_best(table.standing(standing), at) for standing in ("ranked", "floor"))
-    heading = table.decisive.heading
-    if best is None:
-        return _why_no_best(table)
-    if floor is not None and _value(best[1]) <= _value(floor[1]):
-        return (
-            f"No tracker beats the floor on moving cells {heading} ahead: {floor[0].name} has an F1 of {floor[1].text},"
-            f" the best tracker, {best[0].name}, {best[1].text}."
-        )
-    lead = f"{best[0].name} forecasts moving cells {heading} ahead best, with an F1 of {best[1].text}"
-    if floor is None:
-        return lead + "; no floor was run with it."
-    return f"{lead}; the best of the floor, {floor[0].name}, has {floor[1].text}."
+    ranked, floor = (_highest(table.standing(standing), at) for standing in ("ranked", "floor"))
+    ahead = f"moving cells {table.decisive.heading} ahead"
+    if not ranked:
+        return _why_none(table)
+    f1, of_floor = ranked[0].cells[at].text, floor[0].cells[at].text if floor else ""
+    if not max(float(f1), float(of_floor or 0.0)):
+        return f"On {ahead} every tracker has an F1 of {f1}."
+    alone = len(table.standing("ranked")) == 1
+    if floor and float(f1) <= float(of_floor):
+        who = _listed(ranked) if alone else f"the highest of the trackers, {_listed(ranked)},"
+        return f"No tracker beats the floor on {ahead}: {_listed(floor)} at an F1 of {of_floor}, {who} at {f1}."
+    against = f"the floor has {of_floor} at most ({_listed(floor)})" if floor else "no floor was run with it"
+    return f"{_scored(ranked, f1, ahead, alone)}; {against}."
 
 
-def _why_no_best(table: HeadlineTable) -> str:
+def _scored(highest: Sequence[Row], f1: str, ahead: str, alone: bool) -> str:
+    """What the highest of the ranked trackers have, several where they are equal; `alone`: there is no other."""
+    if len(highest) > 1:
+        return f"{_listed(highest)} have the highest F1 on {ahead}, {f1} each"
+    if alone:
+        return f"{highest[0].name} has an F1 of {f1} on {ahead}"
+    return f"{highest[0].name} has the highest F1 on {ahead}, {f1}"
+
+
+def _why_none(table: HeadlineTable) -> str:
     """What is true where no tracker has a score to be ranked by."""
     if table.standing("ranked"):
         return (
@@ -66,13 +78,16 @@ def _why_no_best(table: HeadlineTable) -> str:
     return f"Only the floor was run on {table.recording}."
 
 
-def _best(rows: Sequence[Row], at: int) -> tuple[Row, Cell] | None:
-    defined = [(row, row.cells[at]) for row in rows if row.cells[at].value is not None]
-    return max(defined, key=lambda pair: _value(pair[1]), default=None)
+def _highest(rows: Sequence[Row], at: int) -> tuple[Row, ...]:
+    """The rows whose F1 in the column `at` is the highest to the shown digits; none where no row has one."""
+    defined = [row for row in rows if row.cells[at].value is not None]
+    top = max((row.cells[at].text for row in defined), key=float, default="")
+    return tuple(row for row in defined if row.cells[at].text == top)
 
 
-def _value(cell: Cell) -> float:
-    return -1.0 if cell.value is None else cell.value
+def _listed(rows: Sequence[Row]) -> str:
+    names = [row.name for row in rows]
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
 
 
 def facts_of(run: Run) -> tuple[Fact, ...]:

@@ -212,3 +212,51 @@ def test_where_only_the_floor_ran_the_lead_says_so(make_run, tmp_path):
     nothing = np.zeros((21, 32, 32), np.float32)
     run = make_run(tmp_path / "run", trackers={"blank": ("blank", lambda _: nothing)})
     assert lead_of_run(run, tmp_path) == "Only the floor was run on crossing."
+
+
+def with_moving_f1(run, target, **f1):
+    """The run with only these rows, each with this F1 of moving cells at every step."""
+    shutil.copytree(run, target)
+    summary = json.loads((target / "summary.json").read_text())
+    summary["trackers"] = {label: summary["trackers"][label] for label in f1}
+    for label, value in f1.items():
+        moving = summary["trackers"][label]["recordings"]["crossing"]["strata"]["moving"]
+        moving["f1"] = [value] * len(moving["f1"])
+    (target / "summary.json").write_text(json.dumps(summary))
+    return target
+
+
+@pytest.mark.parametrize(
+    ("f1", "lead"),
+    [
+        (
+            {"good": 0.61234, "fair": 0.5, "persistence": 0.2},
+            "good has the highest F1 on moving cells 1 s ahead, 0.612; the floor has 0.200 at most (persistence).",
+        ),
+        (
+            {"good": 0.6},
+            "good has an F1 of 0.600 on moving cells 1 s ahead; no floor was run with it.",
+        ),
+        (
+            {"good": 0.60001, "fair": 0.6, "blank": 0.0, "persistence": 0.0},
+            "good and fair have the highest F1 on moving cells 1 s ahead, 0.600 each; the floor has 0.000 at most"
+            " (blank and persistence).",
+        ),
+        (
+            {"good": 0.0, "fair": 0.0002, "blank": 0.0},
+            "On moving cells 1 s ahead every tracker has an F1 of 0.000.",
+        ),
+        ({"good": 0.0}, "On moving cells 1 s ahead every tracker has an F1 of 0.000."),
+        (
+            {"good": 0.2001, "fair": 0.1, "persistence": 0.2},
+            "No tracker beats the floor on moving cells 1 s ahead: persistence at an F1 of 0.200, the highest of the"
+            " trackers, good, at 0.200.",
+        ),
+        (
+            {"good": 0.0, "persistence": 0.2},
+            "No tracker beats the floor on moving cells 1 s ahead: persistence at an F1 of 0.200, good at 0.000.",
+        ),
+    ],
+)
+def test_the_lead_says_who_has_the_highest_score_and_calls_nobody_best(run_folder, tmp_path, f1, lead):
+    assert lead_of_run(with_moving_f1(run_folder, tmp_path / "run", **f1), tmp_path) == lead
