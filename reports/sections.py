@@ -20,7 +20,7 @@ COLOURS = 8
 PANELS = (("moving", (740, 470), 140.0), ("visible", (370, 227), 0.0), ("static", (370, 227), 0.0))
 """Stratum, size and label width of the curves: the stratum to look at first is the largest."""
 TIME_WIDTH = 150.0
-MARK_WIDTH = 110.0
+MARK_WIDTH = 70.0
 MARKED_HORIZONS = 3
 
 
