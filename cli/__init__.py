@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import sys
-from typing import NoReturn
+from typing import Annotated, NoReturn
 
 import typer
 
 from gridtrack.cli import recordings, regress, runs, simulate, trackers
 from gridtrack.common.errors import GridtrackError, plain
+
+Debug = Annotated[
+    bool, typer.Option("--debug", help="Anywhere on the line: show a traceback where an error would be one line")
+]
 
 app = typer.Typer(no_args_is_help=True, add_completion=False, help="Occupancy-grid trackers under one referee.")
 app.command()(runs.compare)
@@ -18,6 +22,11 @@ app.command()(trackers.train)
 app.add_typer(trackers.app, name="trackers")
 app.add_typer(recordings.app, name="recording")
 app.add_typer(simulate.app, name="simulate")
+
+
+@app.callback()
+def everywhere(debug: Debug = False) -> None:
+    """What every command takes; `main` reads it wherever it stands."""
 
 
 def main() -> None:

@@ -82,6 +82,10 @@ def test_debug_shows_where_an_error_comes_from():
     assert "Traceback" in gridtrack("--debug", "recording", "info", "nowhere.bag", code=1).stderr
 
 
+def test_debug_stands_in_the_help():
+    assert "--debug" in gridtrack("--help").stdout
+
+
 def test_every_registered_tracker_is_listed():
     rows = json.loads(gridtrack("trackers", "list", "--json").stdout)
     assert [row["name"] for row in rows] == sorted(row["name"] for row in rows)
