@@ -85,16 +85,12 @@ THREE_STRETCHES := $(foreach each,0s-320s 1300s-1620s 2600s-2920s,data/junction/
     --validation data/junction/validation.tracks@0s-96s
 # The settings of a street that searches begin from: of the three best of a longer search the one that did best on the
 # validation recording (docs/trackers/model-free.md). `train kalman` without them searches for itself.
-STREET = $$($(BIN)/python -c 'from gridtrack.trackers.model_free.tuning import STARTS; $(call OPTIONS,STARTS[1].model_dump(exclude_unset=True))')
-# On the leg_tracker recording `factor-graph` has the settings that the search with `kalman` finds: with them it is better on
-# validation than with what a search of its own found.
-HALL = $$($(BIN)/python -c 'import tomllib; $(call OPTIONS,tomllib.load(open("data/weights/kalman/leg_tracker.toml", "rb"))["settings"])')
-OPTIONS = print(",".join(f"{key}={value}" for key, value in $(1).items()))
+STREET = $$($(BIN)/python -c 'from gridtrack.trackers.model_free.tuning import STARTS; \
+    print(",".join(f"{key}={value}" for key, value in STARTS[1].model_dump(exclude_unset=True).items()))')
 
 weights: $(VENV)/.installed-dev
-	for tracker in static-map kalman dogma deep-tracking-rnn:$(RNN) dilated-convgru:$(GRU); do \
+	for tracker in static-map kalman factor-graph dogma deep-tracking-rnn:$(RNN) dilated-convgru:$(GRU); do \
 	    $(BIN)/gridtrack train $$tracker $(DEMO) --out data/weights || exit 1; done
-	$(BIN)/gridtrack train factor-graph:$(HALL) $(DEMO) --out data/weights
 	$(BIN)/gridtrack train static-map $(AT_JUNCTION) --out data/weights
 	for tracker in kalman factor-graph; do \
 	    $(BIN)/gridtrack train $$tracker:$(STREET),stage=occupancy $(AT_JUNCTION)@0s-96s --out data/weights || exit 1; done
