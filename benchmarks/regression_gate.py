@@ -38,7 +38,7 @@ from gridtrack.evaluation.regression.spread import PRIOR_FREEDOM, beyond_spread,
 from gridtrack.evaluation.statistics.uncertainty import differences, holm
 
 JUNCTION = Path(__file__).parents[1] / "data" / "junction"
-SETTINGS = ("", ":position_noise_m=0.1", ":acceleration=2", ":link_m=1.5")
+SETTINGS = ("", ":position_noise_m=0.05", ":acceleration=0.1", ":link_m=0.3")
 """Of `kalman`, about as good as each other: in place of trainings where none are given."""
 RESAMPLED, FALLS = 200, 100
 FALL, STRATUM, BAND = 0.02, "moving", "middle"
