@@ -37,7 +37,7 @@ def compare(
     jobs: Annotated[int | None, typer.Option(help="Trials side by side; default: one a core")] = None,
     threads: Annotated[int, typer.Option(help="Compute threads of each tracker")] = 1,
     memory: Annotated[int, typer.Option(help="Memory limit of each tracker, MB")] = 4096,
-    start_timeout: Annotated[str, typer.Option(help="A tracker's time to start")] = "60s",
+    start_timeout: Annotated[str, typer.Option(help="A tracker's time to start")] = "180s",
     update_timeout: Annotated[str, typer.Option(help="Its time for each frame")] = "5s",
     predict_timeout: Annotated[str, typer.Option(help="Its time for each forecast")] = "30s",
     seed: int = 0,

@@ -39,7 +39,8 @@ THREAD_VARIABLES = (
 class Limits(Settings):
     """What a trial may take: seconds for each kind of call, resident memory of all its processes, threads."""
 
-    start_s: float = Field(60.0, gt=0)
+    start_s: float = Field(180.0, gt=0)
+    """Some trackers compile at their first start on a machine: half a minute, or several times that on busy cores."""
     update_s: float = Field(5.0, gt=0)
     predict_s: float = Field(30.0, gt=0)
     memory_mb: int = Field(4096, gt=0)
