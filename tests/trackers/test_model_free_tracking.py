@@ -2,67 +2,18 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
-
 import numpy as np
 import pytest
 
 pytest.importorskip("filterpy")
-from gridtrack.common.errors import RecordingError, WeightsError
 from gridtrack.common.geometry import SE2
-from gridtrack.common.grid import GridFrame, GridSpec, with_neighbours
-from gridtrack.common.raycast import cast_scan
-from gridtrack.common.scan import Scan
-from gridtrack.trackers.contract import FitOutput, StreamSpec, StretchScore
-from gridtrack.trackers.model_free import KalmanTracker, tuning
-from gridtrack.trackers.model_free.calibration import IDENTITY
-from gridtrack.trackers.model_free.settings import ModelFreeSettings, PipelineSettings
-from gridtrack.trackers.weights import Card, read_card, save_weights
+from gridtrack.common.grid import GridFrame, with_neighbours
+from gridtrack.trackers.contract import StreamSpec
+from gridtrack.trackers.model_free import KalmanTracker
+from gridtrack.trackers.model_free.settings import PipelineSettings
+from gridtrack.trackers.weights import save_weights
 
-GRID = GridSpec(60, 0.1, (0.0, -3.0))
-PERIOD_S = 0.1
-RADIUS_M = 0.2
-WALL = (2.0, 4.0, 0.15)
-"""Centre and radius of a pillar that stands in the background."""
-GLIDING = np.zeros((31, 31), np.float32)
-"""The life table of returns that never stay."""
-OPEN = {
-    "rate": np.full(GRID.shape, 1e-3, np.float32),
-    "solid": np.zeros(GRID.shape, np.float32),
-    "calibration": IDENTITY,
-}
-"""The map of a hall with nothing in it."""
-
-
-def frame_of(people: list[tuple[float, float]], step: int = 0, wall: bool = False) -> GridFrame:
-    """What a laser at the origin sees of discs at the given places, and of the pillar."""
-    angles = -np.pi / 2 + np.arange(512) * np.pi / 511
-    beams = np.stack([np.cos(angles), np.sin(angles)], 1)
-    ranges = np.full(512, np.inf)
-    for x, y, radius in [(x, y, RADIUS_M) for x, y in people] + ([WALL] if wall else []):
-        along = beams @ np.array([x, y])
-        inside = radius**2 - (x * x + y * y - along**2)
-        hit = (inside > 0) & (along > 0)
-        ranges[hit] = np.minimum(ranges[hit], along[hit] - np.sqrt(inside[hit]))
-    visible, occupied = np.zeros(GRID.shape, bool), np.zeros(GRID.shape, bool)
-    scan = Scan(0, ranges.astype(np.float32), -np.pi / 2, np.pi / 511, 0.02, 6.0)
-    cast_scan(scan, GRID, SE2(), visible, occupied)
-    points = GRID.cell_centres(occupied)
-    origin = np.zeros((1, 2), np.float32)
-    return GridFrame(step * 100_000_000, visible, occupied, SE2(), origin, points, np.zeros(len(points), np.uint8))
-
-
-def card(**settings) -> Card:
-    return Card(
-        tracker="kalman",
-        site="hall",
-        grid=str(GRID),
-        period_s=PERIOD_S,
-        seed=0,
-        command="",
-        train=(),
-        settings=settings,
-    )
+from hall import GLIDING, GRID, OPEN, PERIOD_S, card, frame_of, walk
 
 
 @pytest.fixture
@@ -76,10 +27,6 @@ def weights(tmp_path):
 @pytest.fixture
 def tracker(weights):
     return KalmanTracker(StreamSpec(GRID, PERIOD_S, "hall", weights=weights), PipelineSettings())
-
-
-def walk(start, velocity, steps):
-    return [(start[0] + velocity[0] * PERIOD_S * n, start[1] + velocity[1] * PERIOD_S * n) for n in range(steps)]
 
 
 def watch(tracker, *paths):
@@ -170,6 +117,21 @@ def test_a_hidden_object_goes_on_being_forecast_and_a_vanished_one_does_not(trac
     assert tracker.predict(1).occupancy.max() < 0.01
 
 
+def test_the_box_of_an_object_is_as_large_as_the_cells_that_it_spans(tracker):
+    frame = frame_of([])
+    frame.occupied[30, 40], frame.occupied[30, 43] = True, True
+    points = GRID.cell_centres(frame.occupied)
+    for step in range(8):
+        tracker.update(
+            GridFrame(
+                step * 100_000_000, frame.visible, frame.occupied, SE2(), frame.origins, points, np.zeros(2, np.uint8)
+            )
+        )
+    (one,) = tracker.predict(0).objects
+    assert one.box[:2] == pytest.approx(points.mean(axis=0), abs=0.05)
+    assert one.box[3:] == pytest.approx((0.4, 0.1), abs=0.02)
+
+
 def test_two_people_apart_keep_their_identities(tracker):
     one, other = walk((2.0, -2.0), (0.2, 0.8), 40), walk((4.0, 2.0), (0.0, -0.8), 40)
     seen = watch(tracker, one, other)[5:]
@@ -238,109 +200,6 @@ def test_an_empty_stream_is_forecast_as_background(tracker):
     occupancy = tracker.predict(2).occupancy
     assert occupancy.shape == (3, *GRID.shape)
     assert occupancy.max() < 2e-3
-
-
-# Weights and fit
-
-
-def test_without_weights_it_says_how_to_make_them():
-    with pytest.raises(WeightsError, match="gridtrack train kalman"):
-        KalmanTracker(StreamSpec(GRID, PERIOD_S, "hall"), PipelineSettings())
-
-
-@pytest.mark.parametrize(
-    ("name", "spoilt", "message"),
-    [
-        ("rate", np.nan, "'rate' is not finite"),
-        ("solid", -0.1, "'solid' does not hold probabilities"),
-        ("dwell", 1.5, "'dwell' does not hold probabilities"),
-    ],
-)
-def test_weights_whose_maps_are_no_probabilities_are_refused(tmp_path, name, spoilt, message):
-    arrays = OPEN | {"dwell": GLIDING}
-    save_weights(tmp_path / "hall.toml", card(), arrays | {name: np.full_like(arrays[name], spoilt)})
-    with pytest.raises(WeightsError, match=message):
-        KalmanTracker(StreamSpec(GRID, PERIOD_S, "hall", weights=tmp_path / "hall.toml"), PipelineSettings())
-
-
-def test_weights_with_a_setting_that_is_not_one_are_refused(tmp_path):
-    path = tmp_path / "hall.toml"
-    save_weights(path, card(link=1.0), OPEN | {"dwell": GLIDING})
-    with pytest.raises(WeightsError, match="link_m"):
-        KalmanTracker(StreamSpec(GRID, PERIOD_S, "hall", weights=path), PipelineSettings())
-
-
-class Source:
-    """Frames of a stretch, from memory."""
-
-    name, sha256, grid, period_s, site, classes = "hall@0s-3s", "0" * 64, GRID, PERIOD_S, "hall", ()
-
-    def __init__(self):
-        self.frames = [frame_of([place], step) for step, place in enumerate(walk((3.0, -1.5), (0.0, 1.0), 30))]
-
-    def __iter__(self):
-        return iter(self.frames)
-
-    def __len__(self):
-        return len(self.frames)
-
-
-def test_fit_finds_the_settings_that_score_best_and_keeps_those_that_were_given(tmp_path, monkeypatch):
-    monkeypatch.setattr(tuning, "TRIALS", 25)
-    asked = []
-
-    def score(tracker, source, steps):
-        settings = tracker._settings
-        asked.append(settings)
-        far = abs(np.log(settings.acceleration / 0.3))
-        loss = np.full(steps + 1, far)
-        return StretchScore({"moving": 1 - loss, "visible": 1 - loss}, {"moving": loss, "visible": loss})
-
-    paths = [tmp_path / run / "hall.toml" for run in ("one", "two")]
-    for path in paths:
-        out = FitOutput(path, "gridtrack train kalman", 3, path.parent / "log", report=lambda line: None)
-        KalmanTracker.fit([Source()], [Source()], score, out, ModelFreeSettings(link_m=0.77))
-    one, two = (read_card(path) for path in paths)
-    assert one == two
-    assert all(settings.link_m == 0.77 for settings in asked)
-    assert asked[1].dwell_speed == tuning.STARTS[1].dwell_speed
-    losses = [abs(np.log(settings.acceleration / 0.3)) for settings in asked[:25]]
-    assert one.settings["acceleration"] == asked[int(np.argmin(losses))].acceleration
-    assert len(set(losses)) > 20
-    assert any(a != b for a, b in pairwise(losses))
-    tracker = KalmanTracker(StreamSpec(GRID, PERIOD_S, "hall", weights=paths[0]), PipelineSettings(acceleration=0.2))
-    assert tracker._settings == ModelFreeSettings(**one.settings | {"acceleration": 0.2})
-
-
-def fit_hall(tmp_path, score, told):
-    out = FitOutput(tmp_path / "hall.toml", "gridtrack train kalman", 3, tmp_path / "log", report=told.append)
-    KalmanTracker.fit([Source()], [Source()], score, out, ModelFreeSettings())
-
-
-def test_a_stretch_on_which_nothing_can_be_scored_is_told_in_one_line(tmp_path):
-    def score(tracker, source, steps):
-        undefined = np.full(steps + 1, np.nan)
-        return StretchScore({"moving": undefined, "visible": undefined}, {"moving": undefined, "visible": undefined})
-
-    with pytest.raises(RecordingError, match=r"mean F1 is not defined on what is trained on: .*name a longer stretch"):
-        fit_hall(tmp_path, score, [])
-    assert not (tmp_path / "hall.toml").exists()
-
-
-def test_an_interrupted_search_tells_the_best_so_far(tmp_path, caplog):
-    told, values = [], iter([0.3, 0.5, 0.4])
-
-    def score(tracker, source, steps):
-        try:
-            flat = np.full(steps + 1, next(values))
-        except StopIteration:
-            raise KeyboardInterrupt from None
-        return StretchScore({"moving": flat, "visible": flat}, {"moving": flat, "visible": flat})
-
-    with pytest.raises(KeyboardInterrupt):
-        fit_hall(tmp_path, score, told)
-    assert told[-1].startswith("interrupted; best of 3 trials, mean F1 0.50000: unforeseen_share=0.541,")
-    assert not caplog.records
 
 
 def test_a_smoother_that_begins_anew_is_counted_until_the_reset(weights):
