@@ -30,7 +30,6 @@ LAG_S = 1.0
 CAUCHY = 5.0
 """A measurement this many standard deviations off counts half. Geman-McClure's kernel of this width lets go of more:
 it never caught up with an object much faster than expected."""
-
 GATE = 21.1
 """Squared Mahalanobis distance of a pose from its prediction that one in ten thousand exceeds: chi-square, three
 degrees of freedom. Within it the measurement is believed at first, beyond it the prediction."""
