@@ -12,9 +12,9 @@ from itertools import islice
 import numpy as np
 
 from gridtrack.common.grid import GridFrame
-from gridtrack.common.recordings import packaged_recording
-from gridtrack.common.stream import open_stream
 from gridtrack.evaluation.comparison.learned import find_weights
+from gridtrack.recordings import packaged_recording
+from gridtrack.recordings.stream import open_stream
 from gridtrack.trackers.contract import StreamSpec, stream_of
 from gridtrack.trackers.dogma import DogmaTracker
 from gridtrack.trackers.dogma.settings import DogmaSettings

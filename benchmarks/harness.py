@@ -16,11 +16,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from gridtrack.common.recordings import open_recording, packaged_recording, write_native
 from gridtrack.common.scan import Scan
 from gridtrack.evaluation.comparison.plan import CompareSettings, resolve
 from gridtrack.evaluation.comparison.runner import run
 from gridtrack.evaluation.scoring.record import TrialRecord
+from gridtrack.recordings import open_recording, packaged_recording, write_native
 
 DEMO = packaged_recording("leg_tracker")
 LOOPS = 10

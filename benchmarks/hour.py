@@ -13,9 +13,9 @@ import time
 import numpy as np
 import psutil
 
-from gridtrack.common.recordings import packaged_recording
-from gridtrack.common.stream import open_stream
 from gridtrack.evaluation.comparison.learned import find_weights
+from gridtrack.recordings import packaged_recording
+from gridtrack.recordings.stream import open_stream
 from gridtrack.trackers import registry
 from gridtrack.trackers.contract import Tracker, stream_of
 

@@ -15,10 +15,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TypeVar
 
-from gridtrack.common.recordings import open_recording
-from gridtrack.common.simulation.junction import simulate_junction
-from gridtrack.common.simulation.traffic import examine
-from gridtrack.common.simulation.writing import write_recording
+from gridtrack.recordings import open_recording
+from gridtrack.simulation.junction import simulate_junction
+from gridtrack.simulation.traffic import examine
+from gridtrack.simulation.writing import write_recording
 
 MINUTES = 75.0
 Result = TypeVar("Result")

@@ -23,10 +23,10 @@ import torch
 from torch import Tensor
 
 from gridtrack.common.config import validated
-from gridtrack.common.stream import GridStream, open_stream
 from gridtrack.evaluation.scoring.referee import Delivery, Schedule
 from gridtrack.evaluation.scoring.semantics import KINDS, Matching, count_classes, match_classes
 from gridtrack.evaluation.scoring.target import Target
+from gridtrack.recordings.stream import GridStream, open_stream
 from gridtrack.trackers.cell_classifier import CellClassifier, ClassifierSettings
 from gridtrack.trackers.cell_training import LabelledCells, calibrated, train_classifier
 from gridtrack.trackers.contract import stream_of

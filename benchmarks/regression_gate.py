@@ -31,7 +31,7 @@ from scipy.special import stdtrit
 from gridtrack.evaluation.comparison.plan import CompareSettings, resolve
 from gridtrack.evaluation.comparison.runner import run
 from gridtrack.evaluation.regression import Baseline, GateSettings, measure
-from gridtrack.evaluation.regression.chance import chances
+from gridtrack.evaluation.regression.p_values import chances
 from gridtrack.evaluation.regression.pairing import PairedRow, pair
 from gridtrack.evaluation.regression.significance import FAMILY_LEVEL, f1_of, fall_p_values
 from gridtrack.evaluation.regression.spread import PRIOR_FREEDOM, beyond_spread, spread_between

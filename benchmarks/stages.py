@@ -21,10 +21,10 @@ import numpy as np
 from velocity import JUNCTION, bodies, cells_of, rigid_velocity
 
 from gridtrack.common.grid import GridFrame, GridSpec
-from gridtrack.common.stream import Observation, open_stream
 from gridtrack.evaluation.comparison.learned import find_weights
-from gridtrack.evaluation.scoring.courses import static_cells
+from gridtrack.evaluation.scoring.splits import static_cells
 from gridtrack.evaluation.scoring.strata import PLACES, places_round
+from gridtrack.recordings.stream import Observation, open_stream
 from gridtrack.trackers import registry
 from gridtrack.trackers.contract import stream_of
 from gridtrack.trackers.model_free.pipeline import Pipeline

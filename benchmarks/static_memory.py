@@ -12,10 +12,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from gridtrack.common.recordings import open_recording
-from gridtrack.common.stream import GridStream
-from gridtrack.common.truth import static_cells
 from gridtrack.evaluation.comparison.learned import find_weights
+from gridtrack.recordings import open_recording
+from gridtrack.recordings.stream import GridStream
+from gridtrack.recordings.truth import static_cells
 from gridtrack.reports.pictures import probability_png
 from gridtrack.trackers import registry
 from gridtrack.trackers.contract import stream_of

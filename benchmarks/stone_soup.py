@@ -40,12 +40,12 @@ from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec
 from gridtrack.common.raycast import cast_scan
 from gridtrack.common.scene import Scene, SceneObject
-from gridtrack.common.simulation.laser import Laser
+from gridtrack.simulation.laser import Laser
 from gridtrack.trackers.model_free.background import BackgroundMap
-from gridtrack.trackers.model_free.dwell import table_shape
 from gridtrack.trackers.model_free.forecast import objects
 from gridtrack.trackers.model_free.motion import KalmanEstimator
 from gridtrack.trackers.model_free.pipeline import Pipeline
+from gridtrack.trackers.model_free.residence import table_shape
 from gridtrack.trackers.model_free.segmentation import clusters_of, segment
 from gridtrack.trackers.model_free.settings import PipelineSettings
 

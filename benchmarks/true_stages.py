@@ -21,9 +21,9 @@ from velocity import JUNCTION, bodies, cells_of, rigid_velocity
 from gridtrack.common.geometry import SE2, wrap_angle
 from gridtrack.common.grid import GridFrame, GridSpec
 from gridtrack.common.scene import SceneObject
-from gridtrack.common.stream import GridStream, Observation, open_stream
 from gridtrack.evaluation.comparison.learned import find_weights
 from gridtrack.evaluation.scoring.in_process import score_in_process
+from gridtrack.recordings.stream import GridStream, Observation, open_stream
 from gridtrack.trackers import registry
 from gridtrack.trackers.contract import Forecast, stream_of
 from gridtrack.trackers.model_free.matches import Match

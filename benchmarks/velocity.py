@@ -16,10 +16,10 @@ import numpy as np
 
 from gridtrack.common.geometry import SE2, wrap_angle
 from gridtrack.common.grid import GridSpec
-from gridtrack.common.recordings import packaged_recording
 from gridtrack.common.scene import Scene, SceneObject
-from gridtrack.common.stream import Observation, open_stream
 from gridtrack.evaluation.comparison.learned import find_weights
+from gridtrack.recordings import packaged_recording
+from gridtrack.recordings.stream import Observation, open_stream
 from gridtrack.trackers import registry
 from gridtrack.trackers.contract import Forecast, Tracker, stream_of
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from gridtrack.evaluation.scoring.samples import SAMPLES, Sample, read_samples
 from gridtrack.evaluation.scoring.scores import SCORES
-from gridtrack.reports.moments import ScoredMoment, scored_moments
+from gridtrack.reports.chosen_frames import ScoredMoment, scored_moments
 from gridtrack.reports.pictures import frame_png, probability_png
 from gridtrack.reports.run import Run, read_runs
 

@@ -26,7 +26,7 @@ def recording_info(
     as_json: AsJson = False,
 ) -> None:
     """What a recording holds: topics, sensors, rate, gaps, range limits, and what is wrong with it."""
-    from gridtrack.common.recordings import open_recording
+    from gridtrack.recordings import open_recording
 
     summary = open_recording(recording, topic=topic, pose_topic=pose_topic, strict=strict).summary()
     typer.echo(summary.model_dump_json(indent=1) if as_json else "\n".join(map(plain, str(summary).split("\n"))))
@@ -57,8 +57,8 @@ def recording_import(
 ) -> None:
     """Write any recording (ROS 1 or 2 bag, ROS MCAP, CARMEN log) as a native one."""
     from gridtrack.common.config import parse_pairs, validated
-    from gridtrack.common.recordings import CloudSlice, import_recording
-    from gridtrack.common.stream import parse_named_stretch
+    from gridtrack.recordings import CloudSlice, import_recording
+    from gridtrack.recordings.stream import parse_named_stretch
 
     where = "--cloud-slice"
     recording = import_recording(

@@ -63,10 +63,10 @@ def compare(
     Exit code: 0 all trials complete, 2 wrong use, 3 some trial is not or lacks a figure that was asked for, 130
     interrupted.
     """
-    from gridtrack.common.degrade import parse_degradation
     from gridtrack.evaluation.comparison.plan import CompareSettings, resolve
     from gridtrack.evaluation.comparison.runner import run
     from gridtrack.evaluation.processes.tracker_process import Limits
+    from gridtrack.recordings.degradation import parse_degradation
     from gridtrack.reports.page import render_report
     from gridtrack.reports.terminal import RunProgress, print_tables
 
@@ -111,7 +111,7 @@ def compare(
 
 def _tell_missing(plan: Plan) -> bool:
     """Tell of figures that were asked for and that a complete trial lacks; whether there are any."""
-    from gridtrack.evaluation.comparison.figures import missing_figures
+    from gridtrack.evaluation.comparison.measurements import missing_figures
     from gridtrack.evaluation.scoring.record import read_record
 
     records = [read_record(plan.settings.out / trial.name) for trial in plan.trials]

@@ -12,7 +12,7 @@ from gridtrack.cli.options import seconds
 from gridtrack.common.errors import ConfigurationError, plain
 
 if TYPE_CHECKING:
-    from gridtrack.common.simulation.tracks import Tracks
+    from gridtrack.simulation.tracks import Tracks
 
 app = typer.Typer(no_args_is_help=True, help="Recordings whose truth is known: junction, junction-set, tracks, check.")
 FAULTY = 3
@@ -31,8 +31,8 @@ def simulate_junction(
 
     Exit code: 0 as it should be, 2 wrong use, 3 somebody walks through a wall or the traffic stands.
     """
-    from gridtrack.common.simulation.junction import simulate_junction as simulate
-    from gridtrack.common.simulation.writing import refuse_other_suffix, write_recording
+    from gridtrack.simulation.junction import simulate_junction as simulate
+    from gridtrack.simulation.writing import refuse_other_suffix, write_recording
 
     refuse_other_suffix(out)
     tracks = simulate(minutes, seed, seconds(start))
@@ -45,9 +45,9 @@ def simulate_junction_set(
     out: Annotated[Path, typer.Option(help="Folder of the set")] = Path("data/junction"),
 ) -> None:
     """The whole junction set as tracks: 65 minutes to train on, 5 to choose thresholds on, 20 times one to test."""
-    from gridtrack.common.simulation.junction import JUNCTION_SET
-    from gridtrack.common.simulation.junction import simulate_junction as simulate
-    from gridtrack.common.simulation.writing import write_recording
+    from gridtrack.simulation.junction import JUNCTION_SET
+    from gridtrack.simulation.junction import simulate_junction as simulate
+    from gridtrack.simulation.writing import write_recording
 
     for name, (minutes, seed, start_s) in JUNCTION_SET.items():
         tracks = simulate(minutes, seed, start_s)
@@ -76,8 +76,8 @@ def simulate_tracks(
     Exit code: 0 as it should be, 2 wrong use, 3 somebody walks through the laser.
     """
     from gridtrack.common.config import validated
-    from gridtrack.common.simulation.stanford import Video, read_stanford
-    from gridtrack.common.simulation.writing import refuse_other_suffix, write_recording
+    from gridtrack.simulation.stanford import Video, read_stanford
+    from gridtrack.simulation.writing import refuse_other_suffix, write_recording
 
     if layout != "sdd":
         raise ConfigurationError(f"--format {layout}: known is sdd, the Stanford Drone Dataset's")
@@ -120,14 +120,14 @@ def check_tracks(tracks: Annotated[list[Path], typer.Argument(metavar="TRACKS...
 
     Exit code: 0 as it should be, 2 wrong use, 3 not.
     """
-    from gridtrack.common.simulation.tracks import read_tracks
+    from gridtrack.simulation.tracks import read_tracks
 
     for path in tracks:
         _report(path, read_tracks(path))
 
 
 def _report(path: Path, tracks: Tracks) -> None:
-    from gridtrack.common.simulation.traffic import examine
+    from gridtrack.simulation.traffic import examine
 
     traffic = examine(tracks)
     typer.echo("\n".join([plain(str(path)), *(f"  {plain(line)}" for line in str(traffic).splitlines())]))

@@ -177,7 +177,7 @@ def _refuse_untrained(launched: Any, options: Any, site: str) -> None:
 
 def _stream(recording: str | None) -> Any:
     from gridtrack.common.grid import GridSpec
-    from gridtrack.common.stream import open_stream
+    from gridtrack.recordings.stream import open_stream
     from gridtrack.trackers.contract import StreamSpec, stream_of
 
     return stream_of(open_stream(recording)) if recording else StreamSpec(GridSpec(), 0.125)

@@ -12,7 +12,7 @@ from typing import Annotated, Any
 from pydantic import Field, ValidationError, model_validator
 
 from gridtrack.common.errors import GridtrackError
-from gridtrack.evaluation.scoring.courses import ORACLE
+from gridtrack.evaluation.scoring.splits import ORACLE
 from gridtrack.evaluation.statistics.inference import ALL_RECORDINGS
 from gridtrack.evaluation.statistics.summary import SCHEMA, SUMMARY
 from gridtrack.reports.trial import Curve, Number, Read, Trial

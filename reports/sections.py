@@ -9,7 +9,7 @@ from gridtrack.reports.classes import Classes, classes_of
 from gridtrack.reports.conditions import Deadlines, RobustnessTable, deadlines_of, robustness_of
 from gridtrack.reports.differences import Differences, differences_of
 from gridtrack.reports.figures import Axis, Band, CurvePanel, Series, Span, TimeScale, curve_panel, time_scale
-from gridtrack.reports.film import Film, film_of
+from gridtrack.reports.filmstrip import Film, film_of
 from gridtrack.reports.run import FLOOR, Run
 from gridtrack.reports.table import HeadlineTable, Row
 from gridtrack.reports.trial import Latency, StratumScores, Trial

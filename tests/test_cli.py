@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from gridtrack.common.recordings import packaged_recording
+from gridtrack.recordings import packaged_recording
 
 DEMO = str(packaged_recording("leg_tracker"))
 PACKAGE = str(Path(DEMO).parents[2])

@@ -46,7 +46,10 @@ def test_the_front_door_gives_a_plugin_author_every_name_it_promises():
 
 def test_every_package_is_in_the_distribution():
     declared = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]["packages"]
-    tops = [ROOT / name for name in ("common", "trackers", "evaluation", "reports", "cli", "data")]
+    tops = [
+        ROOT / name
+        for name in ("common", "recordings", "simulation", "trackers", "evaluation", "reports", "cli", "data")
+    ]
     found = [p.parent for top in tops for p in top.rglob("__init__.py")]
     assert sorted(declared) == sorted(
         ["gridtrack", *(".".join(("gridtrack", *p.relative_to(ROOT).parts)) for p in found)]
@@ -66,7 +69,7 @@ def test_the_built_wheel_compares_its_own_demo_recording_without_the_repository(
     assert where.startswith(str(site))
     demo = python(
         "-c",
-        "from gridtrack.common.recordings import packaged_recording as p; print(p('leg_tracker'))",
+        "from gridtrack.recordings import packaged_recording as p; print(p('leg_tracker'))",
         **elsewhere,
     ).strip()
     arguments = ["compare", demo, "--tracker", "persistence", "--tracker", "static-map", "--out", "run", "--json"]

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from gridtrack.common.recordings import open_recording, packaged_recording
+from gridtrack.recordings import open_recording, packaged_recording
 
 LINES = "\n".join(f'0 {10 + f} 10 {30 + f} 30 {f} 0 0 0 "Pedestrian"' for f in range(90)) + "\n"
 

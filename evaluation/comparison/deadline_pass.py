@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from gridtrack.evaluation.comparison.plan import Trial
 from gridtrack.evaluation.comparison.replay import replayed_f1
 from gridtrack.evaluation.processes.tracker_process import TrackerProcess
-from gridtrack.evaluation.scoring.courses import Regions
 from gridtrack.evaluation.scoring.deadline import RATES, Costs, OnTime, Timeline, spare_steps, timeline
 from gridtrack.evaluation.scoring.record import AtRate, Curves, Deadline, Quantiles, ThresholdsUsed
 from gridtrack.evaluation.scoring.referee import WARM_UP, Delivery
+from gridtrack.evaluation.scoring.splits import Regions
 from gridtrack.trackers.contract import stream_of
 
 FRAMES, FEWEST, ENOUGH_S = 120, 30, 30.0

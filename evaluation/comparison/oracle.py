@@ -17,15 +17,15 @@ from numpy.typing import NDArray
 
 from gridtrack.common.grid import GridFrame, GridSpec
 from gridtrack.common.raycast import cast_scan
-from gridtrack.common.simulation.laser import sweep
-from gridtrack.common.stream import GridStream, Observation
-from gridtrack.common.truth import OUTLINE, truth_grid
 from gridtrack.evaluation.comparison.trial import OnFrame
-from gridtrack.evaluation.scoring.courses import ORACLE, Course, Regions
 from gridtrack.evaluation.scoring.record import RECORD, ThresholdsUsed, Times, TrialRecord
 from gridtrack.evaluation.scoring.referee import Delivery, moments
 from gridtrack.evaluation.scoring.scorekeeper import FILES, Scorekeeper
+from gridtrack.evaluation.scoring.splits import ORACLE, Course, Regions
 from gridtrack.evaluation.scoring.thresholds import half
+from gridtrack.recordings.stream import GridStream, Observation
+from gridtrack.recordings.truth import OUTLINE, truth_grid
+from gridtrack.simulation.laser import sweep
 from gridtrack.trackers.contract import Forecast
 
 

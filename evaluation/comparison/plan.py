@@ -12,14 +12,14 @@ from typing import Any
 from pydantic import Field
 
 from gridtrack.common.config import Settings
-from gridtrack.common.degrade import Degradation
 from gridtrack.common.errors import ConfigurationError, PluginError, did_you_mean
 from gridtrack.common.grid import GridSpec
-from gridtrack.common.stream import GridStream
 from gridtrack.evaluation.comparison.learned import LearnedWeights, find_weights, weights_in
 from gridtrack.evaluation.processes.tracker_process import Limits, describe
-from gridtrack.evaluation.scoring.courses import ORACLE, Course, Sampling, plan_courses, was_seen, with_points
+from gridtrack.evaluation.scoring.splits import ORACLE, Course, Sampling, plan_courses, was_seen, with_points
 from gridtrack.evaluation.statistics.inference import ALL_RECORDINGS
+from gridtrack.recordings.degradation import Degradation
+from gridtrack.recordings.stream import GridStream
 from gridtrack.trackers import registry
 from gridtrack.trackers.selection import Launch, Selection, launch, parse_selections, read_trackers_toml
 

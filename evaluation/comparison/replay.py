@@ -10,9 +10,9 @@ import numpy as np
 from gridtrack.evaluation.comparison.plan import Trial
 from gridtrack.evaluation.scoring import metrics
 from gridtrack.evaluation.scoring.counting import EDGES, Tally, count_forecast
-from gridtrack.evaluation.scoring.courses import Regions
 from gridtrack.evaluation.scoring.record import Curves, ThresholdsUsed
 from gridtrack.evaluation.scoring.referee import Watching, moments
+from gridtrack.evaluation.scoring.splits import Regions
 from gridtrack.evaluation.scoring.target import Target
 
 

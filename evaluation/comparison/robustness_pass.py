@@ -5,15 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from gridtrack.common.degrade import Degradation, degrader
 from gridtrack.common.grid import GridFrame
 from gridtrack.evaluation.comparison.plan import Trial
 from gridtrack.evaluation.comparison.replay import replayed_f1
 from gridtrack.evaluation.processes.tracker_process import TrackerProcess
-from gridtrack.evaluation.scoring.courses import Regions
 from gridtrack.evaluation.scoring.record import AtStrength, Robustness, ThresholdsUsed
 from gridtrack.evaluation.scoring.referee import Delivery, Watching
+from gridtrack.evaluation.scoring.splits import Regions
 from gridtrack.evaluation.scoring.target import targets
+from gridtrack.recordings.degradation import Degradation, degrader
 from gridtrack.trackers.contract import Forecast, stream_of
 
 STRENGTHS = (0.25, 0.5, 1.0)

@@ -11,9 +11,9 @@ from typing import Any
 
 from gridtrack.evaluation.comparison.plan import Plan
 from gridtrack.evaluation.comparison.provenance import machine, versions
-from gridtrack.evaluation.scoring.courses import ORACLE
 from gridtrack.evaluation.scoring.record import MAX_BYTES, RunError, TrialRecord, read_record
 from gridtrack.evaluation.scoring.scores import HISTOGRAM, SCORES
+from gridtrack.evaluation.scoring.splits import ORACLE
 from gridtrack.evaluation.statistics.inference import Ended
 from gridtrack.evaluation.statistics.summary import SUMMARY, summarise, write_json
 

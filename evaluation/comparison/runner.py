@@ -11,18 +11,18 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from gridtrack.evaluation.comparison.deadline_pass import measure_deadline
-from gridtrack.evaluation.comparison.hold import held
 from gridtrack.evaluation.comparison.latency_pass import measure_latency
 from gridtrack.evaluation.comparison.oracle import run_oracle
 from gridtrack.evaluation.comparison.plan import Plan, Trial
 from gridtrack.evaluation.comparison.provenance import usable_cores
 from gridtrack.evaluation.comparison.robustness_pass import RobustnessRun
 from gridtrack.evaluation.comparison.run_folder import RunFolder
+from gridtrack.evaluation.comparison.run_lock import held
 from gridtrack.evaluation.comparison.shared_thresholds import SharedThresholds
 from gridtrack.evaluation.comparison.trial import Interrupted, TrialRun, failed, unstarted, where_it_failed
 from gridtrack.evaluation.processes.outcome import TrialEnded
-from gridtrack.evaluation.scoring.courses import Course, Regions
 from gridtrack.evaluation.scoring.record import TrialRecord
+from gridtrack.evaluation.scoring.splits import Course, Regions
 
 WAKE_S = 0.2
 """How often the main thread wakes to look for an interrupt: a library may have had its wait go on over signals."""

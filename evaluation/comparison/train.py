@@ -10,11 +10,11 @@ from typing import Any
 from gridtrack.common.config import validated
 from gridtrack.common.errors import ConfigurationError, PluginError
 from gridtrack.common.grid import GridSpec
-from gridtrack.common.recordings import open_recording
-from gridtrack.common.stream import GridStream, parse_stretch
 from gridtrack.evaluation.comparison.learned import weights_path
-from gridtrack.evaluation.scoring.courses import TRAIN, VALIDATION, own_validation, shares_frames
 from gridtrack.evaluation.scoring.in_process import score_in_process
+from gridtrack.evaluation.scoring.splits import TRAIN, VALIDATION, own_validation, shares_frames
+from gridtrack.recordings import open_recording
+from gridtrack.recordings.stream import GridStream, parse_stretch
 from gridtrack.trackers import registry
 from gridtrack.trackers.contract import FitOutput
 

@@ -14,11 +14,11 @@ from gridtrack.evaluation.comparison.shared_thresholds import SharedThresholds
 from gridtrack.evaluation.processes.outcome import TrialEnded
 from gridtrack.evaluation.processes.tracker_process import TrackerProcess
 from gridtrack.evaluation.scoring.counting import Tally, count_forecast
-from gridtrack.evaluation.scoring.courses import Regions
 from gridtrack.evaluation.scoring.record import RECORD, Ending, ThresholdsUsed, Times, TrialRecord
 from gridtrack.evaluation.scoring.referee import Delivery, moments
 from gridtrack.evaluation.scoring.scorekeeper import FILES, Scorekeeper
 from gridtrack.evaluation.scoring.scores import HISTOGRAM, SCORES
+from gridtrack.evaluation.scoring.splits import Regions
 from gridtrack.evaluation.scoring.thresholds import Thresholds, best_thresholds, half
 from gridtrack.trackers.contract import stream_of
 

@@ -9,9 +9,8 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from gridtrack.common.degrade import Degradation
 from gridtrack.common.errors import GridtrackError
-from gridtrack.evaluation.comparison.figures import missing_figures
+from gridtrack.evaluation.comparison.measurements import missing_figures
 from gridtrack.evaluation.comparison.run_folder import RUN, SCHEMA
 from gridtrack.evaluation.regression.measurement import (
     BLOCK_S,
@@ -24,6 +23,7 @@ from gridtrack.evaluation.regression.measurement import (
 from gridtrack.evaluation.regression.units import read_units
 from gridtrack.evaluation.scoring.record import MAX_BYTES, RunError, TrialRecord, read_record
 from gridtrack.evaluation.statistics.uncertainty import LEAST_UNITS
+from gridtrack.recordings.degradation import Degradation
 
 KEYS = frozenset(CourseKey.model_fields)
 

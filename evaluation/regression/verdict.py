@@ -12,8 +12,8 @@ from pydantic import Field
 
 from gridtrack.common.config import Settings
 from gridtrack.common.errors import ConfigurationError, did_you_mean
-from gridtrack.evaluation.regression.chance import Chance, chances
 from gridtrack.evaluation.regression.measurement import Baseline, Measurement, Unmeasured
+from gridtrack.evaluation.regression.p_values import Chance, chances
 from gridtrack.evaluation.regression.pairing import PairedRow, pair
 from gridtrack.evaluation.regression.significance import FAMILY_LEVEL, f1_of
 from gridtrack.evaluation.regression.speed import SpeedRow, judge_speed

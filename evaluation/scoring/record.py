@@ -8,10 +8,10 @@ from typing import Literal, Self
 from pydantic import Field, ValidationError
 
 from gridtrack.common.config import Settings
-from gridtrack.common.degrade import Degradation
 from gridtrack.common.errors import GridtrackError
 from gridtrack.evaluation.processes.outcome import Outcome
 from gridtrack.evaluation.scoring.thresholds import Thresholds
+from gridtrack.recordings.degradation import Degradation
 
 SCHEMA = 1
 RECORD = "outcome.json"

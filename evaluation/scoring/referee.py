@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 from gridtrack.common.errors import RecordingError
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame
-from gridtrack.common.stream import frame_digest
 from gridtrack.evaluation.scoring.strata import LastSeen, same_place
 from gridtrack.evaluation.scoring.target import Target, targets
+from gridtrack.recordings.stream import frame_digest
 from gridtrack.trackers.contract import Forecast, FrameSource
 
 WARM_UP = 20

@@ -9,11 +9,11 @@ from typing import Self
 
 from gridtrack.evaluation.scoring.class_store import CLASSES, SEMANTICS, ClassWriter
 from gridtrack.evaluation.scoring.counting import count_forecast
-from gridtrack.evaluation.scoring.courses import Course
 from gridtrack.evaluation.scoring.referee import Moment
 from gridtrack.evaluation.scoring.samples import SAMPLES, SampleWriter, kept_moments
 from gridtrack.evaluation.scoring.scores import HISTOGRAM, SCORES, ScoreWriter
 from gridtrack.evaluation.scoring.semantics import count_classes, count_found, match_classes
+from gridtrack.evaluation.scoring.splits import Course
 from gridtrack.evaluation.scoring.strata import Areas
 from gridtrack.evaluation.scoring.thresholds import Thresholds
 

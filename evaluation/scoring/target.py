@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridtrack.common.grid import GridFrame, GridSpec
-from gridtrack.common.labelled import check_labels, labelled_returns
-from gridtrack.common.recordings.labels import UNLABELLED
-from gridtrack.common.stream import GridStream, Observation
-from gridtrack.common.truth import FREE, INTERIOR, OUTLINE, TruthGrid, truth_grid
+from gridtrack.recordings.cell_labels import check_labels, labelled_returns
+from gridtrack.recordings.labels import UNLABELLED
+from gridtrack.recordings.stream import GridStream, Observation
+from gridtrack.recordings.truth import FREE, INTERIOR, OUTLINE, TruthGrid, truth_grid
 from gridtrack.trackers.contract import FrameSource
 
 SEEN_FREE, SEEN_OCCUPIED, HIDDEN_FREE, HIDDEN_OCCUPIED, NOT_SCORED = range(5)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from gridtrack.evaluation.scoring.courses import ORACLE
+from gridtrack.evaluation.scoring.splits import ORACLE
 
 FLOORS = ("persistence", "static-map")
 LEAST_WAY = 0.01

@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridtrack.evaluation.scoring.counting import Tally
-from gridtrack.evaluation.scoring.courses import ORACLE
 from gridtrack.evaluation.scoring.record import TrialRecord
 from gridtrack.evaluation.scoring.scores import read_tally
+from gridtrack.evaluation.scoring.splits import ORACLE
 from gridtrack.evaluation.statistics.curves import curve, curves_of, plain_number
 from gridtrack.evaluation.statistics.frame_counts import FrameCounts, read_frame_counts
 from gridtrack.evaluation.statistics.pooling import (

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from gridtrack.common.geometry import SE2
-from gridtrack.common.recordings import RecordingInfo, write_native
 from gridtrack.common.scan import Scan
 from gridtrack.evaluation.scoring.record import TrialRecord
+from gridtrack.recordings import RecordingInfo, write_native
 
 RATE_HZ, SECONDS, BEAMS = 10, 20, 120
 STRETCHES = {"train": (0.0, 4.0), "validation": (4.0, 9.0), "test": (9.0, None)}

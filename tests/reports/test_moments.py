@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gridtrack.evaluation.scoring.scores import SCORES
-from gridtrack.reports.moments import ScoredMoment, choose_moments, scored_moments
+from gridtrack.reports.chosen_frames import ScoredMoment, choose_moments, scored_moments
 from gridtrack.reports.run import ReportError
 
 

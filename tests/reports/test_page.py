@@ -171,7 +171,7 @@ def test_samples_of_another_grid_are_refused(run_folder, make_run, tmp_path, mon
     def shifted(path):
         return iter([replace(s, grid=GridSpec(32, 0.3)) for s in samples] if "fair" in str(path) else samples)
 
-    monkeypatch.setattr("gridtrack.reports.film.read_samples", shifted)
+    monkeypatch.setattr("gridtrack.reports.filmstrip.read_samples", shifted)
     with pytest.raises(ReportError, match="fair: its samples are of another grid"):
         render_report([run])
 

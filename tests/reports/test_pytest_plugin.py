@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from gridtrack.common.recordings import packaged_recording
+from gridtrack.recordings import packaged_recording
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "example_tracker" / "example_tracker.py"
 TEST = """

@@ -12,7 +12,7 @@ from gridtrack.reports.run import read_runs
 from gridtrack.reports.table import as_markdown, foremost, headline_tables
 from gridtrack.reports.terminal import print_tables
 
-import synthetic_run as synthetic
+from scenes import synthetic_run as synthetic
 
 RECORDINGS = [f"seed-{i:02}" for i in range(20)]
 SKILLS = {"persistence": 0.6, "good": 0.8, "<b>even": 0.6, "unlucky": 0.9, "oracle": 1.0}

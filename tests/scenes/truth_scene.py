@@ -3,10 +3,10 @@
 import numpy as np
 
 from gridtrack.common.geometry import SE2
-from gridtrack.common.recordings import RecordingInfo, write_native
 from gridtrack.common.scan import Scan
 from gridtrack.common.scene import Scene, SceneObject
-from gridtrack.common.simulation.laser import sweep
+from gridtrack.recordings import RecordingInfo, write_native
+from gridtrack.simulation.laser import sweep
 
 CLASSES = ("pedestrian", "cyclist", "static")
 RATE_HZ, BEAMS, RANGE_MAX_M = 10, 721, 20.0

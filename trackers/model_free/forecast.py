@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 
 from gridtrack.common.grid import GridFrame, GridSpec
 from gridtrack.trackers.contract import TrackedObject
-from gridtrack.trackers.model_free.dwell import still_there
 from gridtrack.trackers.model_free.motion import Regimes, propagate
 from gridtrack.trackers.model_free.ragged import bounds_of, means_of, owners_of
 from gridtrack.trackers.model_free.rasterise import Motions, Staying, Surfaces, draw_tracks
+from gridtrack.trackers.model_free.residence import still_there
 from gridtrack.trackers.model_free.settings import PipelineSettings
 from gridtrack.trackers.model_free.shape import in_view, rotation, to_body
 from gridtrack.trackers.model_free.tracks import Status, Track, boundaries_of, poses_of

@@ -11,15 +11,15 @@ from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec, Mask
 from gridtrack.trackers.model_free.association import assign, distances_to, share_out
 from gridtrack.trackers.model_free.background import Background, BackgroundMap
-from gridtrack.trackers.model_free.births import Estimator, begin
 from gridtrack.trackers.model_free.classes import attribute, normalise, place_weighted
-from gridtrack.trackers.model_free.dwell import NOT_OCCUPIED, next_ages
 from gridtrack.trackers.model_free.forecast import add_tracks
+from gridtrack.trackers.model_free.initiation import Estimator, begin
 from gridtrack.trackers.model_free.matches import Match
 from gridtrack.trackers.model_free.measurement import belonging, compare, measured
 from gridtrack.trackers.model_free.merging import Companions, stands
 from gridtrack.trackers.model_free.occlusion import BACKGROUND, cut_off
 from gridtrack.trackers.model_free.ragged import bounds_of, owners_of, split
+from gridtrack.trackers.model_free.residence import NOT_OCCUPIED, next_ages
 from gridtrack.trackers.model_free.segmentation import Cluster, clusters_of, segment
 from gridtrack.trackers.model_free.settings import PipelineSettings
 from gridtrack.trackers.model_free.shape import Shape, in_view, to_body, to_grid

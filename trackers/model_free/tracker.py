@@ -16,10 +16,10 @@ from gridtrack.trackers.model_free.background import BackgroundMap, unknown_plac
 from gridtrack.trackers.model_free.calibration import Calibration
 from gridtrack.trackers.model_free.classes import ClassFilter, ClassModel
 from gridtrack.trackers.model_free.classes import compile_ahead as compile_classes
-from gridtrack.trackers.model_free.dwell import table_shape
 from gridtrack.trackers.model_free.forecast import objects
 from gridtrack.trackers.model_free.motion import FactorGraphEstimator, KalmanEstimator, MotionEstimator, MotionModel
 from gridtrack.trackers.model_free.pipeline import Array, Pipeline, compile_ahead
+from gridtrack.trackers.model_free.residence import table_shape
 from gridtrack.trackers.model_free.settings import ModelFreeSettings, PipelineSettings
 from gridtrack.trackers.model_free.tracks import Track
 from gridtrack.trackers.weights import array, load_weights, probabilities, tuned_settings

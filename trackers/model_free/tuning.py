@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from gridtrack.trackers.contract import FitOutput, FrameSource, Score, StretchScore, stream_of
 from gridtrack.trackers.model_free.background import fit_background
 from gridtrack.trackers.model_free.calibration import IDENTITY, fit_calibration
-from gridtrack.trackers.model_free.dwell import fit_dwell, table_shape
+from gridtrack.trackers.model_free.residence import fit_dwell, table_shape
 from gridtrack.trackers.model_free.settings import PipelineSettings
 from gridtrack.trackers.tuning import HeldSource, Measure, search, step_of, summary
 from gridtrack.trackers.weights import card_for, save_weights

@@ -7,7 +7,6 @@ import shutil
 
 import pytest
 
-from gridtrack.common.degrade import Degradation
 from gridtrack.evaluation.comparison import deadline_pass
 from gridtrack.evaluation.comparison.plan import CompareSettings, resolve
 from gridtrack.evaluation.comparison.robustness_pass import RobustnessRun
@@ -16,6 +15,7 @@ from gridtrack.evaluation.scoring import scorekeeper
 from gridtrack.evaluation.scoring.deadline import Costs
 from gridtrack.evaluation.scoring.record import AtStrength, Robustness, TrialRecord
 from gridtrack.evaluation.scoring.robustness import shown_others
+from gridtrack.recordings.degradation import Degradation
 
 pytestmark = pytest.mark.usefixtures("staged")
 

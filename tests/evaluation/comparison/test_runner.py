@@ -18,11 +18,11 @@ from gridtrack.evaluation.comparison import trial
 from gridtrack.evaluation.comparison.plan import CompareSettings, resolve
 from gridtrack.evaluation.comparison.runner import run
 from gridtrack.evaluation.comparison.train import train
-from gridtrack.evaluation.scoring.courses import Course
 from gridtrack.evaluation.scoring.record import RunError, read_record
 from gridtrack.evaluation.scoring.referee import Delivery
 from gridtrack.evaluation.scoring.samples import read_samples
 from gridtrack.evaluation.scoring.scores import read_deliveries
+from gridtrack.evaluation.scoring.splits import Course
 
 pytestmark = pytest.mark.usefixtures("staged")
 

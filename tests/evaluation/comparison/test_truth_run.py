@@ -14,7 +14,7 @@ from gridtrack.evaluation.scoring.class_store import SEMANTICS
 from gridtrack.evaluation.scoring.scores import SCORES
 from gridtrack.evaluation.scoring.strata import STRATA, STRATA_WITH_TRUTH
 
-import truth_scene
+from scenes import truth_scene
 
 HORIZON_S, STEPS = 1.0, 10
 

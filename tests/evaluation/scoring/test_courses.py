@@ -7,7 +7,7 @@ from gridtrack.common.grid import GridSpec
 from gridtrack.evaluation.comparison.learned import find_weights, users_folder, weights_path
 from gridtrack.evaluation.comparison.plan import CompareSettings, resolve
 from gridtrack.evaluation.comparison.train import train
-from gridtrack.evaluation.scoring.courses import Sampling, plan_course, was_seen
+from gridtrack.evaluation.scoring.splits import Sampling, plan_course, was_seen
 from gridtrack.evaluation.scoring.strata import PLACES
 from gridtrack.trackers.weights import Card, TrainingData, save_weights
 

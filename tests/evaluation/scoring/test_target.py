@@ -10,7 +10,6 @@ from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec
 from gridtrack.common.scan import Scan
 from gridtrack.common.scene import Scene, SceneObject
-from gridtrack.common.stream import Observation
 from gridtrack.evaluation.scoring.target import (
     HIDDEN_FREE,
     HIDDEN_OCCUPIED,
@@ -20,6 +19,7 @@ from gridtrack.evaluation.scoring.target import (
     Target,
     target_of,
 )
+from gridtrack.recordings.stream import Observation
 
 GRID = GridSpec(5, 1.0, (0.0, 0.0))
 NAMES = ("pedestrian", "static")

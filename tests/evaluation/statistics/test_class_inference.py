@@ -9,7 +9,7 @@ from scipy import stats
 from gridtrack.evaluation.scoring.class_store import ClassWriter
 from gridtrack.evaluation.statistics.summary import summarise
 
-import synthetic_run as synthetic
+from scenes import synthetic_run as synthetic
 
 CLASSES = ("pedestrian", "car")
 FRAMES, CELLS = 4, 5

@@ -14,7 +14,7 @@ from gridtrack.evaluation.statistics.summary import summarise
 from gridtrack.evaluation.statistics.uncertainty import COUNTS, interval
 from gridtrack.evaluation.statistics.units import autocorrelation_time, sum_by_unit, units_of
 
-import synthetic_run as synthetic
+from scenes import synthetic_run as synthetic
 
 RECORDINGS = [f"seed-{i:02}" for i in range(20)]
 

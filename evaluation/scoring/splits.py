@@ -1,0 +1,263 @@
+"""A course: a recording as every tracker is run over it, with its test and validation stretches, steps and strata."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from gridtrack.common.errors import ConfigurationError, RecordingError
+from gridtrack.common.geometry import SE2
+from gridtrack.common.grid import GridSpec, Points
+from gridtrack.evaluation.scoring.referee import WARM_UP, Schedule
+from gridtrack.evaluation.scoring.strata import (
+    STRATA,
+    STRATA_WITH_TRUTH,
+    Areas,
+    areas_of,
+    places_of,
+    places_round,
+    same_place,
+)
+from gridtrack.recordings import Recording, Stretch, open_recording
+from gridtrack.recordings.stream import GridStream, parse_stretch
+from gridtrack.recordings.truth import static_cells
+from gridtrack.trackers.weights import TrainingData
+
+TEST, VALIDATION, TRAIN = "test", "validation", "train"
+"""The stretches that a recording may name for these uses."""
+ORACLE = "oracle"
+"""Label of the ceiling, which the referee computes where there is truth; no tracker may take it."""
+AT_HALF = ", so every threshold is 0.5; name one with --validation"
+MAX_FORECAST_BYTES = 1 << 30
+VALIDATION_FORECASTS = 60
+"""About so many forecasts, at least, choose the thresholds; on ten or twenty of them the choice is noise."""
+
+
+@dataclass(frozen=True, slots=True)
+class Sampling:
+    """How recordings become streams, and how far and how often to look ahead; None: the recording's own."""
+
+    horizon_s: float
+    every_s: float
+    grid: GridSpec | None = None
+    rate_hz: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Regions:
+    """Where cells belong, seen from where the tested and from where the validation stretch stands.
+
+    Thresholds chosen on another recording, or from another place, are chosen on the strata that are seen from there.
+    """
+
+    test: Areas
+    validation: Areas
+
+
+@dataclass(frozen=True, slots=True)
+class Course:
+    """One recording of a comparison, resolved; `name` is unique in a run and names it in every file."""
+
+    name: str
+    path: Path
+    test: GridStream
+    validation: GridStream | None
+    steps: int
+    every: int
+    notices: tuple[str, ...] = ()
+
+    @property
+    def schedule(self) -> Schedule:
+        """Which frames of the test stretch are forecast from."""
+        return Schedule(len(self.test), self.steps, self.every)
+
+    @property
+    def strata(self) -> tuple[str, ...]:
+        """What is scored apart."""
+        return STRATA_WITH_TRUTH if self.test.has_truth else STRATA
+
+    @property
+    def oracle_name(self) -> str:
+        """The name of the oracle's folder."""
+        return f"{ORACLE}@{self.name}"
+
+    @property
+    def validation_schedule(self) -> Schedule:
+        """Which frames of the validation stretch are forecast from: as often as in the test, or more on a short one."""
+        assert self.validation is not None
+        frames = len(self.validation)
+        enough = -(-(frames - WARM_UP - self.steps) // VALIDATION_FORECASTS)
+        return Schedule(frames, self.steps, min(self.every, enough))
+
+    def regions(self) -> Regions:
+        """Regions of both stretches; where they show the same place of one recording, a single pass over it."""
+        test = _areas(self.test, self.strata)
+        if self.validation is None or _shows_the_same(self.test, self.validation):
+            return Regions(test, test)
+        return Regions(test, _areas(self.validation, self.strata))
+
+    def description(self) -> dict[str, Any]:
+        """What the summary says of it beside the scores."""
+        return {
+            "horizons_s": [round(step * self.test.period_s, 6) for step in range(self.steps + 1)],
+            "stretch": self.test.name,
+            "validation": self.validation.name if self.validation else "",
+            "site": self.test.site,
+            "classes": list(self.test.classes),
+            "grid": str(self.test.grid),
+            "rate_hz": round(1 / self.test.period_s, 6),
+            "frames": len(self.test),
+            "warm_up_frames": WARM_UP,
+            "forecast_every_frames": self.every,
+            "cycle_s": self.test.recording.info.cycle_s,
+        }
+
+    def identity(self) -> dict[str, Any]:
+        """What decides the scores on it: a resumed run must have the same."""
+        validation = self.validation
+        return self.description() | {
+            "stretch_s": list(self.test.stretch_s),
+            "sha256": self.test.sha256,
+            "validation_s": list(validation.stretch_s) if validation else None,
+            "validation_sha256": validation.sha256 if validation else "",
+        }
+
+
+def plan_courses(texts: Iterable[str], validation: str | None, sampling: Sampling) -> tuple[Course, ...]:
+    """The course of each RECORDING[@range], as `plan_course`; what they have for validation is surveyed once."""
+    opened = open_recording(parse_stretch(validation)[0]) if validation else None
+    return tuple(plan_course(text, validation, sampling, opened) for text in texts)
+
+
+def plan_course(text: str, validation: str | None, sampling: Sampling, opened: Recording | None = None) -> Course:
+    """The course of RECORDING[@range]: its named test stretch, or the whole, where no range is given.
+
+    Thresholds are chosen on `validation`, RECORDING[@range], else on the recording's own validation stretch; `opened`
+    is the recording of `validation` where it is open already. Raises RecordingError, and ConfigurationError where the
+    horizon or the stretches do not fit.
+    """
+    path, stretch = parse_stretch(text)
+    recording = open_recording(path)
+    name = path.stem if stretch is None else f"{path.stem}@{text.rpartition('@')[2]}"
+    if stretch is None and TEST in recording.info.stretches:
+        stretch = TEST
+    test = GridStream(recording, stretch, grid=sampling.grid, rate_hz=sampling.rate_hz)
+    steps = _steps(test, sampling.horizon_s)
+    every = max(1, round(sampling.every_s / test.period_s))
+    if not Schedule(len(test), steps, every).expected:
+        raise ConfigurationError(f"{_too_short(test, steps)}: name a longer stretch, or a shorter --horizon")
+    chosen_on, notices = _validation_stretch(test, validation, steps, opened)
+    return Course(name, path, test, chosen_on, steps, every, (*recording.warnings, *notices))
+
+
+def _steps(stream: GridStream, horizon_s: float) -> int:
+    """The horizon in steps. Raises ConfigurationError where it is none, or its forecasts would be too large."""
+    steps = round(horizon_s / stream.period_s)
+    if steps < 1:
+        raise ConfigurationError(
+            f"a horizon of {horizon_s:g} s is less than half a frame of {stream.name} ({stream.period_s:g} s): give a"
+            " longer one with --horizon"
+        )
+    size = (steps + 1) * stream.grid.size**2 * 4
+    if size > MAX_FORECAST_BYTES:
+        raise ConfigurationError(
+            f"forecasts of {steps} steps on {stream.grid.size} x {stream.grid.size} cells take {size} bytes each; more"
+            f" than {MAX_FORECAST_BYTES} are refused: choose a shorter --horizon, a lower --rate or a smaller --grid"
+        )
+    return steps
+
+
+def _too_short(stream: GridStream, steps: int) -> str:
+    return (
+        f"{stream.name}: {len(stream)} frames leave nothing to score after {WARM_UP} frames of warm-up and with {steps}"
+        " steps ahead"
+    )
+
+
+def _validation_stretch(
+    test: GridStream, asked: str | None, steps: int, opened: Recording | None
+) -> tuple[GridStream | None, tuple[str, ...]]:
+    """The stretch to choose thresholds on, or None and why; never one that shares a frame with the tested one.
+
+    What cannot be used is an error where it was asked for, and a notice where the recording merely names it.
+    """
+    if asked is not None:
+        path, named = parse_stretch(asked)
+        stretch = GridStream(opened or open_recording(path), named, grid=test.grid, rate_hz=1e9 / test.period_ns)
+    elif VALIDATION in test.recording.info.stretches:
+        stretch = own_validation(test)
+    else:
+        return None, (f"{test.name}: no validation stretch{AT_HALF}",)
+    problem = ""
+    if shares_frames(test, stretch):
+        problem = f"{test.name} shares frames with its validation {stretch.name}"
+    elif len(stretch) <= WARM_UP + steps:
+        problem = _too_short(stretch, steps)
+    if problem and asked is not None:
+        raise ConfigurationError(f"{problem}: name another --validation")
+    return (None, (problem + AT_HALF,)) if problem else (stretch, ())
+
+
+def own_validation(stream: GridStream) -> GridStream:
+    """The stretch that the recording names for validation. Raises RecordingError, which says how to name another."""
+    try:
+        return like(stream, VALIDATION)
+    except RecordingError as error:
+        raise RecordingError(f"{error} with --validation RECORDING@range") from None
+
+
+def like(stream: GridStream, stretch: Stretch | str | None = None, points: Points | None = None) -> GridStream:
+    """Another stretch of the same recording, on the same grid and period; None: the whole."""
+    return GridStream(
+        stream.recording,
+        stretch,
+        grid=stream.grid,
+        rate_hz=1e9 / stream.period_ns,
+        points=points or stream.points,
+    )
+
+
+def with_points(stream: GridStream, points: Points) -> GridStream:
+    """The same stretch with other returns."""
+    return stream if points == stream.points else like(stream, stream.stretch_s, points)
+
+
+def _areas(stream: GridStream, strata: tuple[str, ...]) -> Areas:
+    """Where cells belong, by what stands there; where that is not known, by a pass over the whole recording."""
+    first = next(iter(stream.observations()))
+    grid, pose = stream.grid, first.frame.world_T_grid
+    if first.scene is not None:
+        places = places_round(static_cells(first.scene, grid, pose))
+    else:
+        places = places_of(like(stream), grid, pose)
+    return areas_of(places, grid, first.frame.origins, strata)
+
+
+def _standing(stream: GridStream) -> SE2:
+    return next(iter(stream)).world_T_grid
+
+
+def _shows_the_same(one: GridStream, other: GridStream) -> bool:
+    return one.sha256 == other.sha256 and same_place(_standing(one), _standing(other))
+
+
+def shares_frames(one: GridStream, other: GridStream) -> bool:
+    """Whether two stretches are of the same file and overlap in time."""
+    return one.sha256 == other.sha256 and _overlap(one.stretch_s, other.stretch_s)
+
+
+def was_seen(test: GridStream, seen: TrainingData) -> bool:
+    """Whether what weights were made from shares frames with `test`; a stretch that cannot be found again counts."""
+    if seen.sha256 != test.sha256:
+        return False
+    _, stretch = parse_stretch(seen.recording)
+    if isinstance(stretch, str):
+        stretch = test.recording.info.stretches.get(stretch)
+    return stretch is None or _overlap(test.stretch_s, stretch)
+
+
+def _overlap(one: Stretch, other: Stretch) -> bool:
+    ends = [float("inf") if end is None else end for _, end in (one, other)]
+    return one[0] < ends[1] and other[0] < ends[0]

@@ -1,0 +1,110 @@
+"""CARMEN logs (`.clf`, `.clf.bz2`): FLASER and ROBOTLASER1 lines, with the pose of the laser that each carries.
+
+Format: http://carmen.sourceforge.net/doc/logger_file_format.html
+"""
+
+from __future__ import annotations
+
+import bz2
+import math
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from gridtrack.common.geometry import SE2
+from gridtrack.common.scan import Scan
+from gridtrack.recordings.recording import DamageError, Recording, Topics
+
+MAX_LINE_BYTES = 1 << 20
+SICK_RANGE_MAX_M = 81.8
+"""What a SICK LMS answers where nothing returns is 81.83 m or more; its true reach is shorter."""
+STEP_DEG = {180: 1.0, 181: 1.0, 360: 0.5, 361: 0.5, 401: 0.25}
+"""FLASER lines do not carry the angle between beams: CARMEN takes it from their number."""
+
+
+class CarmenLog(Recording):
+    """A CARMEN log. FLASER and ROBOTLASER1 are two forms of the same scan: the one that comes first is read."""
+
+    def read(self, topics: Topics) -> Iterator[Scan]:
+        """The scans as they stand in the file; counts in `topics` what it meets; DamageError where the file ends."""
+        wanted = self.topic
+        for number, words in _lines(self.path):
+            kind = words[0]
+            topics.meet(kind, "CARMEN", kind in ("FLASER", "ROBOTLASER1"))
+            wanted = wanted or (kind if kind in topics.scans else None)
+            if self.topic is None and len(topics.scans) > 1:
+                self.complain(f"holds FLASER and ROBOTLASER1; {wanted} is read, name the other as topic to have it")
+            if kind == wanted and kind in topics.scans:
+                yield self._scan(kind, words, number)
+
+    def _scan(self, kind: str, words: list[str], line: int) -> Scan:
+        try:
+            return _flaser(words) if kind == "FLASER" else _robotlaser(words)
+        except (ValueError, IndexError) as error:
+            raise DamageError(f"line {line}: not a {kind} that can be read ({error})") from None
+
+
+def _lines(path: Path) -> Iterator[tuple[int, list[str]]]:
+    """Number and words of each line that says something. Raises DamageError."""
+    with bz2.open(path) if path.suffix == ".bz2" else path.open("rb") as file:
+        number = 0
+        try:
+            while line := file.readline(MAX_LINE_BYTES):
+                number += 1
+                if len(line) == MAX_LINE_BYTES:
+                    raise DamageError(f"line {number} is longer than {MAX_LINE_BYTES} bytes")
+                words = line.decode("ascii").split()
+                if words and not words[0].startswith("#"):
+                    yield number, words
+        except (EOFError, OSError, UnicodeDecodeError) as error:
+            raise DamageError(f"damaged after line {number} ({error})") from None
+
+
+def _flaser(words: list[str]) -> Scan:
+    """FLASER n r_1..r_n x y theta odom_x odom_y odom_theta ipc_timestamp host logger_timestamp."""
+    beams = int(words[1])
+    ranges, rest = words[2 : 2 + beams], words[2 + beams :]
+    if beams < 2 or len(rest) != 9:
+        raise ValueError(f"{len(words)} words for {beams} beams")
+    step = math.radians(STEP_DEG.get(beams, 180.0 / (beams - 1)))
+    field_of_view = math.radians(100.0) if beams == 401 else math.pi
+    return Scan(
+        stamp_ns=_nanoseconds(rest[6]),
+        ranges=np.array(ranges, np.float32),
+        angle_min=-field_of_view / 2.0,
+        angle_increment=step,
+        range_min=0.0,
+        range_max=SICK_RANGE_MAX_M,
+        sensor="scan",
+        world_T_sensor=SE2(*(float(word) for word in rest[:3])),
+    )
+
+
+def _robotlaser(words: list[str]) -> Scan:
+    """ROBOTLASER1 type start fov step range_max accuracy mode n r_1..r_n m i_1..i_m x y theta ... stamp host stamp."""
+    beams = int(words[8])
+    ranges, rest = words[9 : 9 + beams], words[9 + beams :]
+    remissions = int(rest[0])
+    tail = rest[1 + remissions :]
+    if len(ranges) != beams or len(tail) != 14:
+        raise ValueError(f"{len(words)} words for {beams} beams and {remissions} remissions")
+    return Scan(
+        stamp_ns=_nanoseconds(tail[11]),
+        ranges=np.array(ranges, np.float32),
+        angle_min=float(words[2]),
+        angle_increment=float(words[4]),
+        range_min=0.0,
+        range_max=float(words[5]),
+        sensor="scan",
+        world_T_sensor=SE2(*(float(word) for word in tail[:3])),
+    )
+
+
+def _nanoseconds(seconds: str) -> int:
+    """Decimal seconds, exactly."""
+    whole, _, fraction = seconds.partition(".")
+    stamp = int(whole) * 1_000_000_000 + int((fraction + "000000000")[:9])
+    if stamp < 0:
+        raise ValueError(f"stamp {seconds}")
+    return stamp

@@ -1,0 +1,115 @@
+"""Importing a recording: written once more as a native one, with what a comparison needs to know about it."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+from gridtrack.common.config import validated
+from gridtrack.common.errors import RecordingError
+from gridtrack.common.scan import Scan
+from gridtrack.recordings.labels import classes_in, with_labels
+from gridtrack.recordings.native import write_native
+from gridtrack.recordings.opening import open_recording
+from gridtrack.recordings.recording import Recording, RecordingInfo, Stretch, stretch_text
+from gridtrack.recordings.ros_messages import CloudSlice
+
+
+def import_recording(
+    source: Path | str,
+    out: Path | str,
+    *,
+    topic: str | None = None,
+    site: str | None = None,
+    grid: str | None = None,
+    rate_hz: float | None = None,
+    stretches: Mapping[str, Stretch] | None = None,
+    licence: str = "",
+    credit: str = "",
+    labels: Path | str | None = None,
+    cloud_slice: CloudSlice | None = None,
+    pose_topic: str | None = None,
+    strict: bool = False,
+) -> Recording:
+    """Write the recording at `source`, in any format, as a native one at `out`, and open it.
+
+    Ranges are kept as they are, NaN and infinities included; the same source and options give the same bytes. The
+    warnings of the source are the first of the result's. `site` defaults to what the
+    source says, or its file name. Raises RecordingError
+    and ConfigurationError; `out` is then as it was before.
+    """
+    out = Path(out)
+    recording = open_recording(source, topic=topic, strict=strict, cloud_slice=cloud_slice, pose_topic=pose_topic)
+    if out.suffix != ".mcap":
+        raise RecordingError(f"{out}: a recording is written as .mcap")
+    if out.exists() and out.samefile(recording.path):
+        raise RecordingError(f"{out}: is the source itself; choose another name for the result")
+    given: dict[str, Any] = {
+        "site": site,
+        "grid": grid,
+        "licence": licence,
+        "credit": credit,
+        "rate_hz": rate_hz,
+        "stretches": dict(stretches or {}),
+    }
+    info = _info(recording, given, labels)
+    command = _command(recording, out, {**given, "cloud_slice": cloud_slice, "pose-topic": pose_topic}, labels)
+    scans: Iterable[Scan] = recording.scans()
+    if labels is not None:
+        scans = with_labels(scans, Path(labels), info.classes)
+    _write(out, info.model_copy(update={"command": command}), scans)
+    imported = open_recording(out, strict=strict)
+    imported.warnings.extend(recording.warnings)
+    return imported
+
+
+def _info(recording: Recording, given: Mapping[str, Any], labels: Path | str | None) -> RecordingInfo:
+    """What the source says about itself, overruled by what is `given`."""
+    values = recording.info.model_dump() | {key: value for key, value in given.items() if value}
+    values |= {"source": recording.name, "source_sha256": recording.sha256}
+    if labels is not None:
+        values["classes"] = classes_in(Path(labels))
+    return validated(RecordingInfo, values, "import")
+
+
+def _command(recording: Recording, out: Path, given: Mapping[str, Any], labels: Path | str | None) -> str:
+    """The command line that does the same again, without the folders of this machine."""
+    options: dict[str, Any] = {
+        "out": out.name,
+        "topic": recording.topic,
+        "labels": labels and Path(labels).name,
+        **given,
+    }
+    words = ["gridtrack", "recording", "import", recording.name]
+    for name, value in options.items():
+        if name == "stretches":
+            for stretch_name, stretch in value.items():
+                words += ["--stretch", f"{stretch_name}={stretch_text(stretch)}"]
+        elif name == "rate_hz" and value:
+            words += ["--rate", f"{value:g}"]
+        elif name == "cloud_slice" and value:
+            words += ["--cloud-slice", _pairs(value)]
+        elif value:
+            words += [f"--{name}", str(value)]
+    return shlex.join(words)
+
+
+def _pairs(settings: CloudSlice) -> str:
+    """The settings that were given, as the command line takes them."""
+    given = settings.model_dump(exclude_unset=True)
+    return ",".join(f"{key}={value if isinstance(value, str) else f'{value:g}'}" for key, value in given.items())
+
+
+def _write(out: Path, info: RecordingInfo, scans: Iterable[Scan]) -> None:
+    partial = out.with_name(out.name + ".partial")
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        with partial.open("wb") as file:
+            write_native(file, info, scans)
+        partial.replace(out)
+    except OSError as error:
+        raise RecordingError(f"{out}: cannot be written ({error.strerror})") from None
+    finally:
+        partial.unlink(missing_ok=True)

@@ -1,0 +1,128 @@
+"""The records of an MCAP file, read in order: sizes bounded before memory is taken, checksums verified."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Iterator
+from io import BytesIO
+from pathlib import Path
+from typing import BinaryIO, NamedTuple
+
+import lz4.frame  # type: ignore[import-untyped]
+import zstandard
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
+from mcap.opcode import Opcode
+from mcap.records import Channel, Chunk, DataEnd, Metadata, Schema
+
+from gridtrack.recordings.recording import DamageError
+
+MAGIC = b"\x89MCAP0\r\n"
+MAX_RECORD_BYTES = 1 << 28
+ENVELOPE = struct.Struct("<BQ")
+MESSAGE = struct.Struct("<HIQQ")
+
+
+class Message(NamedTuple):
+    """One message, still encoded, with the channel and schema that it came under."""
+
+    schema: Schema
+    channel: Channel
+    log_time_ns: int
+    data: bytes
+
+
+class McapFile:
+    """An MCAP file that is read from its beginning to its end, or to where it breaks off."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.metadata: dict[str, dict[str, str]] = {}
+        self.channels: dict[int, Channel] = {}
+        self._schemas: dict[int, Schema] = {}
+
+    def messages(self) -> Iterator[Message]:
+        """All messages in the order of the file; `metadata` and `channels` fill up on the way.
+
+        Raises DamageError where the file is cut off or corrupt.
+        """
+        with self.path.open("rb") as file:
+            try:
+                yield from self._data_section(file)
+            except (McapError, struct.error, UnicodeDecodeError, zstandard.ZstdError) as error:
+                raise DamageError(
+                    f"damaged {file.tell()} bytes into the file ({error or type(error).__name__})"
+                ) from None
+
+    def _data_section(self, file: BinaryIO) -> Iterator[Message]:
+        if file.read(len(MAGIC)) != MAGIC:
+            raise DamageError("does not begin as an MCAP file")
+        checksum = zlib.crc32(MAGIC)
+        for opcode, content in _records(file):
+            stream = ReadDataStream(BytesIO(content))
+            if opcode == Opcode.CHUNK:
+                for inner_opcode, inner in _records(BytesIO(_unpacked(Chunk.read(stream)))):
+                    yield from self._take(inner_opcode, inner)
+            elif opcode == Opcode.METADATA:
+                record = Metadata.read(stream)
+                self.metadata[record.name] = record.metadata
+            elif opcode == Opcode.DATA_END:
+                if DataEnd.read(stream).data_section_crc not in (0, checksum):
+                    raise DamageError("corrupt: the checksum of the whole file does not fit")
+                return
+            else:
+                yield from self._take(opcode, content)
+            checksum = zlib.crc32(content, zlib.crc32(ENVELOPE.pack(opcode, len(content)), checksum))
+        raise DamageError("cut off: the end of the data is missing")
+
+    def _take(self, opcode: int, content: bytes) -> Iterator[Message]:
+        if opcode == Opcode.MESSAGE:
+            channel_id, _, log_time_ns, _ = MESSAGE.unpack_from(content)
+            channel = self.channels.get(channel_id)
+            schema = self._schemas.get(channel.schema_id) if channel else None
+            if channel is None or schema is None:
+                raise DamageError(f"corrupt: a message of channel {channel_id}, which the file does not describe")
+            yield Message(schema, channel, log_time_ns, content[MESSAGE.size :])
+        elif opcode == Opcode.SCHEMA:
+            schema = Schema.read(ReadDataStream(BytesIO(content)))
+            self._schemas[schema.id] = schema
+        elif opcode == Opcode.CHANNEL:
+            channel = Channel.read(ReadDataStream(BytesIO(content)))
+            self.channels[channel.id] = channel
+
+
+def _records(file: BinaryIO) -> Iterator[tuple[int, bytes]]:
+    """Opcode and content of each record. Raises DamageError for one that is cut off or absurdly large."""
+    while head := file.read(ENVELOPE.size):
+        if len(head) < ENVELOPE.size:
+            raise DamageError("cut off in the middle of a record")
+        opcode, size = ENVELOPE.unpack(head)
+        if size > MAX_RECORD_BYTES:
+            raise DamageError(f"corrupt: a record of {size} bytes, where at most {MAX_RECORD_BYTES} are read")
+        content = file.read(size)
+        if len(content) < size:
+            raise DamageError("cut off in the middle of a record")
+        yield opcode, content
+
+
+def _unpacked(chunk: Chunk) -> bytes:
+    """The records inside a chunk. Raises DamageError where they are too large, or their checksum does not fit."""
+    size = chunk.uncompressed_size
+    if size > MAX_RECORD_BYTES:
+        raise DamageError(f"corrupt: a chunk of {size} bytes, where at most {MAX_RECORD_BYTES} are read")
+    if chunk.compression == "zstd":
+        with zstandard.ZstdDecompressor().stream_reader(chunk.data) as stream:
+            content = stream.read(size)
+    elif chunk.compression == "lz4":
+        try:
+            content = lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, size)
+        except RuntimeError as error:
+            raise DamageError(f"corrupt: a chunk does not unpack ({error})") from None
+    elif chunk.compression == "":
+        content = chunk.data
+    else:
+        raise DamageError(f"a chunk is packed as '{chunk.compression}', which is neither zstd nor lz4")
+    if len(content) != size or (chunk.uncompressed_crc and zlib.crc32(content) != chunk.uncompressed_crc):
+        raise DamageError("corrupt: the checksum of a chunk does not fit")
+    return content

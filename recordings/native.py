@@ -1,0 +1,228 @@
+"""gridtrack's own recording: an MCAP file of Foxglove messages, so that it opens in Foxglove as it is.
+
+`/scan` or `/scan/SENSOR` (foxglove.LaserScan; the channel's metadata carry the range limits), `/pose`
+(foxglove.FrameTransform, world_T_sensor, written where it changes), `/labels` or `/labels/SENSOR` (the labelled scan
+once more, with the index of each beam's class as its intensity; 255: unlabelled), `/outlines` and `/objects` (the true
+scene, where it is known: see truth.py). The metadata record `gridtrack` holds the RecordingInfo.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import math
+from collections.abc import Iterable, Iterator
+from functools import cached_property
+from typing import BinaryIO, TypeVar
+
+import numpy as np
+from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
+from foxglove_schemas_protobuf.LaserScan_pb2 import LaserScan
+from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
+from google.protobuf.message import DecodeError
+from google.protobuf.timestamp_pb2 import Timestamp
+from mcap.writer import Writer
+from mcap_protobuf.schema import register_schema
+
+from gridtrack.common.config import validated
+from gridtrack.common.errors import RecordingError
+from gridtrack.common.geometry import SE2
+from gridtrack.common.scan import Scan
+from gridtrack.common.scene import Scene
+from gridtrack.recordings.mcap_file import McapFile, Message
+from gridtrack.recordings.recording import DamageError, Recording, RecordingInfo, Topics
+from gridtrack.recordings.scene_messages import OBJECTS, OUTLINES, WORLD, SceneReader, SceneWriter
+
+SCHEMA = "1"
+CHUNK_BYTES = 128 * 1024
+DEFAULT_SENSOR = "scan"
+MAX_CHANNELS = 1024
+
+Decoded = TypeVar("Decoded", LaserScan, FrameTransform)
+
+
+class NativeRecording(Recording):
+    """A recording that gridtrack has written."""
+
+    @cached_property
+    def info(self) -> RecordingInfo:
+        """What the recording says about itself. Raises RecordingError where it says nothing that can be read."""
+        file = McapFile(self.path)
+        with contextlib.suppress(DamageError):  # told when the scans are read
+            next(file.messages(), None)
+        found = file.metadata.get("gridtrack")
+        if found is None:
+            raise RecordingError(
+                f"{self.path}: not a recording of gridtrack: import it with `gridtrack recording import`"
+            )
+        if found.get("schema") != SCHEMA:
+            raise RecordingError(
+                f"{self.path}: schema {found.get('schema')}; this gridtrack reads {SCHEMA}: import again"
+            )
+        return _read_info(found.get("info", ""), f"{self.path}: its metadata")
+
+    def read(self, topics: Topics) -> Iterator[Scan]:
+        """The scans as they stand in the file; counts in `topics` what it meets; DamageError where the file ends."""
+        poses: dict[str, SE2] = {}
+        labels: dict[str, LaserScan] = {}
+        truth: SceneReader | None = None
+        for message in McapFile(self.path).messages():
+            topic = message.channel.topic
+            is_scan = topic == "/scan" or topic.startswith("/scan/")
+            topics.meet(topic, message.schema.name, is_scan)
+            if topic == "/pose":
+                transform = _decoded(FrameTransform(), message)
+                poses[transform.child_frame_id] = _pose(transform)
+            elif topic == "/labels" or topic.startswith("/labels/"):
+                labelled = _decoded(LaserScan(), message)
+                labels[labelled.frame_id] = labelled
+            elif topic in (OUTLINES, OBJECTS):
+                truth = truth or SceneReader(self.info.classes)
+                truth.take(topic, message.data)
+            elif is_scan and self.topic in (None, topic):
+                scan = _decoded(LaserScan(), message)
+                scene = truth.scene_at(_stamp_ns(scan)) if truth is not None else None
+                yield _scan(scan, message, poses.get(scan.frame_id, SE2()), labels.pop(scan.frame_id, None), scene)
+
+
+def write_native(file: BinaryIO, info: RecordingInfo, scans: Iterable[Scan]) -> None:
+    """Write `scans` in the order given; same input, same bytes. Raises RecordingError."""
+    writer = _NativeWriter(file, info)
+    for scan in scans:
+        writer.write(scan)
+    writer.finish()
+
+
+class _NativeWriter:
+    def __init__(self, file: BinaryIO, info: RecordingInfo) -> None:
+        self._mcap = Writer(file, chunk_size=CHUNK_BYTES, enable_data_crcs=True)
+        self._mcap.start(library="gridtrack")
+        self._mcap.add_metadata("gridtrack", {"schema": SCHEMA, "info": info.model_dump_json()})
+        self._schemas = {kind: register_schema(self._mcap, kind) for kind in (LaserScan, FrameTransform, SceneUpdate)}
+        self._channels: dict[tuple[str, float, float], int] = {}
+        self._poses: dict[str, SE2] = {}
+        self._truth = SceneWriter(info.classes)
+        self._written: tuple[int, Scene] | None = None
+
+    def write(self, scan: Scan) -> None:
+        """Pose, truth and labels first, so that a reader has them when the scan comes."""
+        if self._poses.get(scan.sensor) != scan.world_T_sensor:
+            self._poses[scan.sensor] = scan.world_T_sensor
+            self._add("/pose", _transform_message(scan), scan.stamp_ns)
+        if scan.scene is not None:
+            self._write_truth(scan.scene, scan.stamp_ns)
+        message = _scan_message(scan)
+        if scan.labels is not None:
+            labelled = LaserScan()
+            labelled.CopyFrom(message)
+            labelled.intensities.extend(scan.labels.astype(np.float64).tolist())
+            self._add(_topic("/labels", scan.sensor), labelled, scan.stamp_ns)
+        self._add(_topic("/scan", scan.sensor), message, scan.stamp_ns, (scan.range_min, scan.range_max))
+
+    def _write_truth(self, scene: Scene, stamp_ns: int) -> None:
+        """Once for a stamp, though several sensors may see the scene then."""
+        if self._written is not None and self._written[0] == stamp_ns and self._written[1] is scene:
+            return
+        self._written = (stamp_ns, scene)
+        if (outlines := self._truth.outlines(scene, stamp_ns)) is not None:
+            self._add(OUTLINES, outlines, stamp_ns)
+        self._add(OBJECTS, self._truth.objects(scene, stamp_ns), stamp_ns)
+
+    def finish(self) -> None:
+        """Write the end of the file."""
+        self._mcap.finish()  # type: ignore[no-untyped-call]
+
+    def _add(
+        self,
+        topic: str,
+        message: LaserScan | FrameTransform | SceneUpdate,
+        stamp_ns: int,
+        limits: tuple[float, float] | None = None,
+    ) -> None:
+        key = (topic, *(limits or (0.0, 0.0)))
+        if key not in self._channels:
+            if len(self._channels) == MAX_CHANNELS:
+                raise RecordingError(f"{topic}: the range limits change with the scans; expected those of the laser")
+            metadata = {"range_min": repr(limits[0]), "range_max": repr(limits[1])} if limits else {}
+            schema = self._schemas[type(message)]
+            self._channels[key] = self._mcap.register_channel(topic, "protobuf", schema, metadata)
+        self._mcap.add_message(self._channels[key], stamp_ns, message.SerializeToString(deterministic=True), stamp_ns)
+
+
+def _topic(kind: str, sensor: str) -> str:
+    return kind if sensor == DEFAULT_SENSOR else f"{kind}/{sensor}"
+
+
+def _timestamp(stamp_ns: int) -> Timestamp:
+    return Timestamp(seconds=stamp_ns // 1_000_000_000, nanos=stamp_ns % 1_000_000_000)
+
+
+def _scan_message(scan: Scan) -> LaserScan:
+    message = LaserScan(timestamp=_timestamp(scan.stamp_ns), frame_id=scan.sensor, start_angle=scan.angle_min)
+    message.end_angle = scan.angle_min + scan.angle_increment * max(scan.ranges.size - 1, 0)
+    message.pose.orientation.w = 1.0
+    message.ranges.extend(scan.ranges.astype(np.float64).tolist())
+    return message
+
+
+def _transform_message(scan: Scan) -> FrameTransform:
+    pose = scan.world_T_sensor
+    message = FrameTransform(timestamp=_timestamp(scan.stamp_ns), parent_frame_id=WORLD, child_frame_id=scan.sensor)
+    message.translation.x, message.translation.y = pose.x, pose.y
+    message.rotation.z, message.rotation.w = math.sin(pose.theta / 2.0), math.cos(pose.theta / 2.0)
+    return message
+
+
+def _read_info(text: str, where: str) -> RecordingInfo:
+    try:
+        values = json.loads(text)
+    except json.JSONDecodeError as error:
+        raise RecordingError(f"{where} cannot be read ({error})") from None
+    return validated(RecordingInfo, values, where)
+
+
+def _decoded(message: Decoded, received: Message) -> Decoded:
+    try:
+        message.ParseFromString(received.data)
+    except DecodeError:
+        raise DamageError(f"corrupt: a message of {received.channel.topic} is not a {received.schema.name}") from None
+    return message
+
+
+def _pose(transform: FrameTransform) -> SE2:
+    theta = 2.0 * math.atan2(transform.rotation.z, transform.rotation.w)
+    return SE2(transform.translation.x, transform.translation.y, theta)
+
+
+def _stamp_ns(message: LaserScan) -> int:
+    return int(message.timestamp.seconds) * 1_000_000_000 + int(message.timestamp.nanos)
+
+
+def _scan(
+    message: LaserScan, received: Message, world_T_sensor: SE2, labels: LaserScan | None, scene: Scene | None
+) -> Scan:
+    beams = len(message.ranges)
+    if labels is not None and len(labels.intensities) != beams:
+        raise DamageError(f"corrupt: labels of {len(labels.intensities)} beams for a scan of {beams}")
+    range_min, range_max = _range_limits(received)
+    return Scan(
+        stamp_ns=_stamp_ns(message),
+        ranges=np.fromiter(message.ranges, np.float64, beams).astype(np.float32),
+        angle_min=message.start_angle,
+        angle_increment=(message.end_angle - message.start_angle) / max(beams - 1, 1),
+        range_min=range_min,
+        range_max=range_max,
+        sensor=message.frame_id,
+        world_T_sensor=world_T_sensor,
+        labels=None if labels is None else np.array(labels.intensities).astype(np.uint8),
+        scene=scene,
+    )
+
+
+def _range_limits(received: Message) -> tuple[float, float]:
+    """range_min and range_max, metres, which foxglove.LaserScan has no fields for."""
+    channel = received.channel
+    try:
+        return float(channel.metadata["range_min"]), float(channel.metadata["range_max"])
+    except (KeyError, ValueError):
+        raise RecordingError(f"{channel.topic}: its channel does not name range_min and range_max in metres") from None

@@ -1,0 +1,203 @@
+"""A recording: scans of one or more lasers in the order of their stamps, whatever the file format they come from."""
+
+from __future__ import annotations
+
+import hashlib
+from abc import ABC, abstractmethod
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+
+from pydantic import Field, field_validator
+
+from gridtrack.common.config import Settings
+from gridtrack.common.errors import RecordingError, did_you_mean
+from gridtrack.common.grid import GridSpec
+from gridtrack.common.scan import Scan
+from gridtrack.recordings.order import StampOrder
+from gridtrack.recordings.survey import Summary, Survey
+
+Stretch = tuple[float, float | None]
+"""(start, end) in seconds from the recording's first scan, the end excluded; None: to the end of the recording."""
+
+
+def stretch_text(stretch: Stretch) -> str:
+    """A stretch as the command line writes it: `75s-90s`, or `90s-` to the end."""
+    start_s, end_s = stretch
+    return f"{start_s:g}s-" if end_s is None else f"{start_s:g}s-{end_s:g}s"
+
+
+class DamageError(RecordingError):
+    """Where a file breaks off: what stands before can be used, what comes after cannot."""
+
+
+class RecordingInfo(Settings):
+    """What a recording says about itself: `site`, `classes` of its labels, recommended `grid` and `rate_hz`, the period
+    `cycle_s` of a place where what happens repeats, such as traffic lights, named `stretches`, and where it comes from.
+    """
+
+    site: str = Field(min_length=1)
+    classes: tuple[str, ...] = Field(default=(), max_length=255)
+    grid: str | None = None
+    rate_hz: float | None = Field(default=None, gt=0.0, le=10_000.0)
+    cycle_s: float | None = Field(default=None, gt=0.0, le=86_400.0)
+    stretches: dict[str, Stretch] = Field(default_factory=dict)
+    licence: str = ""
+    credit: str = ""
+    source: str = ""
+    source_sha256: str = ""
+    command: str = ""
+
+    @field_validator("grid")
+    @classmethod
+    def _grid_reads(cls, grid: str | None) -> str | None:
+        return None if grid is None else str(GridSpec.parse(grid))
+
+    @field_validator("stretches")
+    @classmethod
+    def _stretches_run_forward(cls, stretches: dict[str, Stretch]) -> dict[str, Stretch]:
+        for name, (start_s, end_s) in stretches.items():
+            if start_s < 0.0 or (end_s is not None and end_s <= start_s):
+                raise ValueError(f"stretch '{name}' runs from {start_s} s to {end_s} s")
+        return stretches
+
+
+@dataclass
+class Topics:
+    """What one pass over a file met: the type and the number of messages of every topic."""
+
+    types: dict[str, str] = field(default_factory=dict)
+    counts: dict[str, int] = field(default_factory=dict)
+    scans: set[str] = field(default_factory=set)
+    """Topics that can be read as scans."""
+
+    def meet(self, topic: str, kind: str, is_scan: bool) -> None:
+        """Count one message of `topic`."""
+        self.types[topic] = kind
+        self.counts[topic] = self.counts.get(topic, 0) + 1
+        if is_scan:
+            self.scans.add(topic)
+
+
+class Recording(ABC):
+    """A file of scans, read streaming.
+
+    `warnings` holds one line for each thing that was wrong in what has been read so far, each told once however often
+    the recording is read; `damage` says where the file was found to break off. With `strict` the first such thing is a
+    RecordingError instead.
+    """
+
+    def __init__(self, path: Path, topic: str | None = None, strict: bool = False) -> None:
+        self.path = path
+        self.topic = topic
+        self.strict = strict
+        self.warnings: list[str] = []
+        self.damage = ""
+
+    @property
+    def name(self) -> str:
+        """The file's name."""
+        return self.path.name
+
+    @cached_property
+    def sha256(self) -> str:
+        """Hash of the file; of all its files, in the order of their names, where the recording is a folder."""
+        digest = hashlib.sha256()
+        files = sorted(p for p in self.path.iterdir() if p.is_file()) if self.path.is_dir() else [self.path]
+        for file in files:
+            with file.open("rb") as stream:
+                while block := stream.read(1 << 20):
+                    digest.update(block)
+        return digest.hexdigest()
+
+    @cached_property
+    def info(self) -> RecordingInfo:
+        """What the recording says about itself; a format that says nothing has only its file name as `site`."""
+        return RecordingInfo(site=self.name.partition(".")[0] or self.name)
+
+    @abstractmethod
+    def read(self, topics: Topics) -> Iterator[Scan]:
+        """The scans as they stand in the file; counts in `topics` what it meets; DamageError where the file ends."""
+
+    def scans(self, start_s: float | None = None, end_s: float | None = None) -> Iterator[Scan]:
+        """Scans with start_s <= stamp < end_s, seconds from the first scan, in the order of their stamps.
+
+        Raises RecordingError where there are none, or where nothing of the file can be read.
+        """
+        first_ns: int | None = None
+        for scan in self._in_order(Topics()):
+            first_ns = scan.stamp_ns if first_ns is None else first_ns
+            since_s = (scan.stamp_ns - first_ns) / 1e9
+            if end_s is not None and since_s >= end_s:
+                return
+            if start_s is None or since_s >= start_s:
+                yield scan
+
+    @cached_property
+    def survey(self) -> Survey:
+        """What a pass over the whole recording finds; takes 8 bytes of memory for each scan."""
+        topics, survey = Topics(), Survey()
+        for scan in self._in_order(topics):
+            survey.add(scan)
+        survey.topics = {topic: (kind, topics.counts[topic]) for topic, kind in topics.types.items()}
+        return survey
+
+    def summary(self) -> Summary:
+        """The whole recording in a few lines, as `gridtrack recording info` shows it."""
+        survey = self.survey
+        return Summary(
+            path=str(self.path),
+            sha256=self.sha256,
+            info=self.info.model_dump(mode="json"),
+            topics={topic: f"{kind}, {count}" for topic, (kind, count) in survey.topics.items()},
+            duration_s=survey.duration_s,
+            sensors=survey.sensor_summaries(),
+            warnings=tuple(self.warnings),
+        )
+
+    def complain(self, text: str) -> None:
+        """Tell once that something is wrong with the scans. Raises RecordingError where `strict`."""
+        if self.strict:
+            raise RecordingError(text)
+        self.tell(text)
+
+    def tell(self, text: str) -> None:
+        """Tell once what a user should know about the recording, though nothing is wrong with the file."""
+        line = f"{self.path}: {text}"
+        if line not in self.warnings:
+            self.warnings.append(line)
+
+    def _in_order(self, topics: Topics) -> Iterator[Scan]:
+        order = StampOrder(self.complain)
+        try:
+            for scan in self._until_damage(topics):
+                yield from order.push(scan)
+            yield from order.flush()
+            self._refuse_empty(order, topics)
+        except RecordingError as error:
+            raise RecordingError(f"{self.path}: {str(error).removeprefix(f'{self.path}: ')}") from None
+        except OSError as error:
+            raise RecordingError(f"{self.path}: cannot be read ({error.strerror})") from None
+
+    def _until_damage(self, topics: Topics) -> Iterator[Scan]:
+        try:
+            yield from self.read(topics)
+        except DamageError as damage:
+            self.damage = str(damage)
+            self.complain(f"{damage}; what comes after is left out")
+
+    def _refuse_empty(self, order: StampOrder, topics: Topics) -> None:
+        if order.empty:
+            raise RecordingError(self._why_no_scans(topics))
+
+    def _why_no_scans(self, topics: Topics) -> str:
+        present = ", ".join(f"{t} ({k})" for t, k in sorted(topics.types.items())) or "none"
+        if self.warnings:
+            return f"no scans before the damage ({self.warnings[-1].removeprefix(f'{self.path}: ')})"
+        if self.topic is not None and self.topic not in topics.types:
+            return f"no topic '{self.topic}'; {did_you_mean(self.topic, topics.scans or topics.types)}"
+        if self.topic is not None and self.topic not in topics.scans:
+            scans = ", ".join(sorted(topics.scans)) or "none"
+            return f"topic '{self.topic}' is {topics.types[self.topic]}, not scans; topics with scans: {scans}"
+        return f"no scans; topics: {present}"

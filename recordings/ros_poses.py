@@ -1,0 +1,95 @@
+"""Poses in ROS recordings: where the sensor stands when a scan is taken, between the poses before and after it."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from typing import Any
+
+from gridtrack.common.geometry import SE2, wrap_angle
+from gridtrack.common.scan import Scan
+from gridtrack.recordings.recording import DamageError
+
+POSES = (
+    "nav_msgs/msg/Odometry",
+    "geometry_msgs/msg/PoseStamped",
+    "geometry_msgs/msg/PoseWithCovarianceStamped",
+)
+TRANSFORMS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
+NEVER_MOVES = "/tf_static"
+LONGEST_PAUSE_NS = 1_000_000_000
+
+
+def planar_pose(message: Any) -> SE2:
+    """x, y and heading of a message of one of the kinds in POSES; height, roll and pitch are left out.
+
+    Raises DamageError where it holds no finite pose.
+    """
+    pose = message.pose.pose if hasattr(message.pose, "pose") else message.pose
+    x, y, q = float(pose.position.x), float(pose.position.y), pose.orientation
+    heading = math.atan2(2.0 * (q.w * q.z + q.x * q.y), 1.0 - 2.0 * (q.y * q.y + q.z * q.z))
+    if not all(map(math.isfinite, (x, y, heading))):
+        raise DamageError("corrupt: a pose that is not finite")
+    return SE2(x, y, heading)
+
+
+def why_not_read(topic: str, kind: str) -> str | None:
+    """What to tell of a topic that says where the sensor is, and that nobody has asked to read; None for any other."""
+    standing = f"on {topic} ({kind}) are not read, so the sensor is taken to stand still"
+    if kind in POSES:
+        return f"poses {standing}: import the recording with --pose-topic {topic} to read them"
+    if kind in TRANSFORMS and topic != NEVER_MOVES:
+        return (
+            f"transforms {standing}: record its pose as nav_msgs/Odometry or geometry_msgs/PoseStamped where it moves"
+        )
+    return None
+
+
+class ScansOnPoses:
+    """Holds scans back until the pose after them has come, and places each between the poses around it.
+
+    A scan before the first pose stands at it, one after the last at that. Where no pose comes for a second, `complain`
+    is told, and scans stand at the last pose before them.
+    """
+
+    def __init__(self, topic: str, complain: Callable[[str], None]) -> None:
+        self._topic, self._complain = topic, complain
+        self._waiting: deque[Scan] = deque()
+        self._last: tuple[int, SE2] | None = None
+
+    def scan(self, scan: Scan) -> Iterator[Scan]:
+        """Take in the next scan, and give those that wait no longer. Raises RecordingError where `complain` does."""
+        self._waiting.append(scan)
+        while scan.stamp_ns - self._waiting[0].stamp_ns > LONGEST_PAUSE_NS:
+            self._complain(f"no poses on {self._topic} for more than 1 s: scans there stand at the last pose before")
+            yield self._at_the_last(self._waiting.popleft())
+
+    def pose(self, stamp_ns: int, pose: SE2) -> Iterator[Scan]:
+        """Take in the next pose, and give the scans that it was waited for."""
+        before = self._last or (stamp_ns, pose)
+        self._last = (stamp_ns, pose)
+        while self._waiting and self._waiting[0].stamp_ns <= stamp_ns:
+            scan = self._waiting.popleft()
+            yield replace(scan, world_T_sensor=_between(before, self._last, scan.stamp_ns))
+
+    def flush(self) -> Iterator[Scan]:
+        """Give the scans after the last pose."""
+        while self._waiting:
+            yield self._at_the_last(self._waiting.popleft())
+
+    def _at_the_last(self, scan: Scan) -> Scan:
+        return replace(scan, world_T_sensor=self._last[1]) if self._last else scan
+
+
+def _between(before: tuple[int, SE2], after: tuple[int, SE2], stamp_ns: int) -> SE2:
+    """The pose at `stamp_ns`, position and heading each interpolated on a straight line; none beyond either end."""
+    (from_ns, one), (to_ns, other) = before, after
+    if stamp_ns >= to_ns or to_ns <= from_ns:
+        return other
+    share = max(stamp_ns - from_ns, 0) / (to_ns - from_ns)
+    turn = wrap_angle(other.theta - one.theta)
+    return SE2(
+        one.x + share * (other.x - one.x), one.y + share * (other.y - one.y), wrap_angle(one.theta + share * turn)
+    )

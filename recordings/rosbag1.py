@@ -1,0 +1,125 @@
+"""ROS 1 bags (format 2.0), read record by record, so that a bag without an index or cut in the middle still reads.
+
+Format: http://wiki.ros.org/Bags/Format/2.0
+"""
+
+from __future__ import annotations
+
+import bz2
+import struct
+from collections.abc import Iterator
+from io import BytesIO
+from pathlib import Path
+from typing import BinaryIO, NamedTuple
+
+import lz4.frame  # type: ignore[import-untyped]
+
+from gridtrack.recordings.recording import DamageError
+
+MAGIC = b"#ROSBAG V2.0\n"
+MAX_RECORD_BYTES = 1 << 28
+MESSAGE, BAG_HEADER, CHUNK, CONNECTION = 2, 3, 5, 7
+
+Fields = dict[str, bytes]
+
+
+class BagMessage(NamedTuple):
+    """One message, still encoded: its topic, its type (`package/Name`), and when it was received."""
+
+    topic: str
+    kind: str
+    received_ns: int
+    data: bytes
+
+
+def bag_messages(path: Path) -> Iterator[BagMessage]:
+    """All messages of a bag in the order of the file. Raises DamageError where it is cut off or corrupt."""
+    with path.open("rb") as file:
+        if file.read(len(MAGIC)) != MAGIC:
+            raise DamageError("does not begin as a ROS 1 bag of format 2.0")
+        connections: dict[bytes, tuple[str, str]] = {}
+        chunks_left = 0
+        try:
+            for header, data in _records(file):
+                operation = header["op"][0]
+                if operation == BAG_HEADER:
+                    (chunks_left,) = struct.unpack("<I", header["chunk_count"])
+                elif operation == CHUNK:
+                    chunks_left -= 1
+                    yield from _chunk(header, data, connections)
+                else:
+                    yield from _take(header, data, connections)
+        except (struct.error, KeyError, UnicodeDecodeError, IndexError, ValueError) as error:
+            raise DamageError(f"corrupt {file.tell()} bytes into the file ({error})") from None
+        if chunks_left > 0:
+            raise DamageError(f"cut off: {chunks_left} of the chunks that the bag's header counts are missing")
+
+
+def _chunk(header: Fields, data: bytes, connections: dict[bytes, tuple[str, str]]) -> Iterator[BagMessage]:
+    """The messages inside a chunk; of one that is cut off, those before the cut."""
+    (size,) = struct.unpack("<I", header["size"])
+    content = _unpacked(header["compression"].decode(), data, size)
+    for inner, body in _records(BytesIO(content)):
+        yield from _take(inner, body, connections)
+    if len(content) != size:
+        raise DamageError(f"cut off or corrupt: a chunk of {len(content)} bytes, where its header says {size}")
+
+
+def _take(header: Fields, data: bytes, connections: dict[bytes, tuple[str, str]]) -> Iterator[BagMessage]:
+    operation = header["op"][0]
+    if operation == CONNECTION:
+        kind = _fields(data)["type"].decode()
+        connections[header["conn"]] = (header["topic"].decode(), kind)
+    elif operation == MESSAGE:
+        topic, kind = connections[header["conn"]]
+        seconds, nanoseconds = struct.unpack("<II", header["time"])
+        yield BagMessage(topic, kind, seconds * 1_000_000_000 + nanoseconds, data)
+
+
+def _records(file: BinaryIO) -> Iterator[tuple[Fields, bytes]]:
+    while size := file.read(4):
+        header_bytes, header_is_whole = _sized(file, size)
+        header = _fields(header_bytes) if header_is_whole else {}
+        data, data_is_whole = _sized(file, file.read(4))
+        if data_is_whole or header.get("op") == bytes([CHUNK]):
+            yield header, data
+        if not data_is_whole:
+            raise DamageError("cut off in the middle of a record")
+
+
+def _sized(file: BinaryIO, size_bytes: bytes) -> tuple[bytes, bool]:
+    """As many bytes as the length before them says, and whether there were so many. Raises DamageError."""
+    (size,) = struct.unpack("<I", size_bytes) if len(size_bytes) == 4 else (0,)
+    if size > MAX_RECORD_BYTES:
+        raise DamageError(f"corrupt: a record of {size} bytes, where at most {MAX_RECORD_BYTES} are read")
+    content = file.read(size)
+    return content, len(content) == size and len(size_bytes) == 4
+
+
+def _fields(data: bytes) -> Fields:
+    """The `name=value` fields of a record's header."""
+    fields, at = {}, 0
+    while at < len(data):
+        (size,) = struct.unpack_from("<I", data, at)
+        name, equals, value = data[at + 4 : at + 4 + size].partition(b"=")
+        if not equals:
+            raise DamageError("corrupt: a record's header cannot be read")
+        fields[name.decode()] = value
+        at += 4 + size
+    return fields
+
+
+def _unpacked(compression: str, data: bytes, size: int) -> bytes:
+    """The records inside a chunk, at most `size` bytes. Raises DamageError."""
+    if size > MAX_RECORD_BYTES:
+        raise DamageError(f"corrupt: a chunk of {size} bytes, where at most {MAX_RECORD_BYTES} are read")
+    if compression == "none":
+        return data
+    try:
+        if compression == "bz2":
+            return bz2.BZ2Decompressor().decompress(data, size)
+        if compression == "lz4":
+            return bytes(lz4.frame.LZ4FrameDecompressor().decompress(data, size))
+    except (OSError, RuntimeError) as error:
+        raise DamageError(f"corrupt: a chunk does not unpack ({error})") from None
+    raise DamageError(f"a chunk is packed as '{compression}', which is none of none, bz2 and lz4")

@@ -1,0 +1,199 @@
+"""The true scene in a native recording, as Foxglove draws it: foxglove.SceneUpdate messages of outlines.
+
+`/outlines` holds the static outlines, written where they change; `/objects` the road users, once for each scan and
+with its stamp. An entity's id is the object's track, its metadata name the class, and its one line loop is the outline
+in the object's own frame, placed by the line's pose.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from foxglove_schemas_protobuf.LinePrimitive_pb2 import LinePrimitive
+from foxglove_schemas_protobuf.SceneEntity_pb2 import SceneEntity
+from foxglove_schemas_protobuf.SceneEntityDeletion_pb2 import SceneEntityDeletion
+from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
+from google.protobuf.message import DecodeError
+from google.protobuf.timestamp_pb2 import Timestamp
+
+from gridtrack.common.errors import RecordingError
+from gridtrack.common.geometry import SE2
+from gridtrack.common.scene import Outline, Scene, SceneObject
+from gridtrack.recordings.recording import DamageError
+
+OUTLINES, OBJECTS = "/outlines", "/objects"
+WORLD = "world"
+NO_CLASS = 255
+MAX_MESSAGE_BYTES = 1 << 23
+MAX_ENTITIES, MAX_CORNERS, MAX_TRACK = 4096, 1024, 1 << 62
+MAX_REMEMBERED = 4096
+LINE_M = 0.06
+COLOURS = ((0.90, 0.62, 0.0), (0.34, 0.71, 0.91), (0.0, 0.62, 0.45), (0.84, 0.37, 0.0), (0.6, 0.6, 0.6))
+"""Of the classes, in their order and then over again: Okabe and Ito's, which the colour-blind can tell apart."""
+
+
+class SceneWriter:
+    """Scenes into messages; what stays the same of a track from scan to scan is made once."""
+
+    def __init__(self, classes: Sequence[str]) -> None:
+        self._classes = classes
+        self._static: tuple[Outline, ...] | None = None
+        self._entities: dict[int, tuple[Outline, int, SceneEntity]] = {}
+
+    def outlines(self, scene: Scene, stamp_ns: int) -> SceneUpdate | None:
+        """What stands, or None where it is what the last call wrote. Raises RecordingError."""
+        if self._static is scene.static:
+            return None
+        self._static = scene.static
+        update = _update(stamp_ns)
+        for i, outline in enumerate(scene.static):
+            update.entities.append(self._entity(f"static {i}", outline, scene.static_label))
+            _place(update.entities[-1], SE2(), stamp_ns)
+        return update
+
+    def objects(self, scene: Scene, stamp_ns: int) -> SceneUpdate:
+        """What moves, whole: it takes the place of all that was drawn before. Raises RecordingError."""
+        update = _update(stamp_ns)
+        for thing in scene.objects:
+            entity = self._remembered(thing)
+            _place(entity, thing.world_T_object, stamp_ns)
+            update.entities.append(entity)
+        return update
+
+    def _remembered(self, thing: SceneObject) -> SceneEntity:
+        outline, label, entity = self._entities.get(thing.track, (None, None, None))
+        if entity is None or outline is not thing.outline or label != thing.label:
+            if len(self._entities) >= MAX_REMEMBERED:
+                self._entities.clear()
+            entity = self._entity(str(thing.track), thing.outline, thing.label)
+            self._entities[thing.track] = (thing.outline, thing.label, entity)
+        return entity
+
+    def _entity(self, name: str, outline: Outline, label: int) -> SceneEntity:
+        if label != NO_CLASS and label >= len(self._classes):
+            raise RecordingError(f"'{name}' is of class {label}; the recording names only {len(self._classes)}")
+        entity = SceneEntity(id=name, frame_id=WORLD)
+        if label != NO_CLASS:
+            entity.metadata.add(key="class", value=self._classes[label])
+        line = entity.lines.add(type=LinePrimitive.LINE_LOOP, thickness=LINE_M)
+        line.color.r, line.color.g, line.color.b = COLOURS[label % len(COLOURS)]
+        line.color.a = 1.0
+        for x, y in outline.astype(np.float64).tolist():
+            line.points.add(x=x, y=y)
+        return entity
+
+
+class SceneReader:
+    """Messages into scenes; a body that is the same from scan to scan is read once and shared."""
+
+    def __init__(self, classes: Sequence[str]) -> None:
+        self._labels = {name: label for label, name in enumerate(classes)}
+        self._static: tuple[Outline, ...] = ()
+        self._static_label = NO_CLASS
+        self._bodies: dict[bytes, _Body] = {}
+        self._scene: tuple[int, Scene] | None = None
+
+    def take(self, topic: str, data: bytes) -> None:
+        """Take in a message of OUTLINES or OBJECTS. Raises DamageError for one that is none, or absurdly large."""
+        update = _decoded(topic, data)
+        placed = [(_pose(topic, entity), self._body(topic, entity)) for entity in update.entities]
+        if topic == OUTLINES:
+            self._static = tuple(_frozen(pose.apply(body.outline)) for pose, body in placed)
+            self._static_label = placed[0][1].label if placed else NO_CLASS
+            return
+        objects = tuple(SceneObject(_track(body.name), body.label, pose, body.outline) for pose, body in placed)
+        stamp_ns = _stamp_ns(update.deletions[0].timestamp) if update.deletions else -1
+        self._scene = (stamp_ns, Scene(self._static, self._static_label, objects))
+
+    def scene_at(self, stamp_ns: int) -> Scene | None:
+        """The scene of the scan stamped so, where the last message was for it."""
+        return self._scene[1] if self._scene is not None and self._scene[0] == stamp_ns else None
+
+    def _body(self, topic: str, entity: SceneEntity) -> _Body:
+        """What an entity is but for its pose and stamp, which it loses here."""
+        entity.ClearField("timestamp")
+        for line in entity.lines:
+            line.ClearField("pose")
+        key = entity.SerializeToString(deterministic=True)
+        if key not in self._bodies:
+            if len(self._bodies) >= MAX_REMEMBERED:
+                self._bodies.clear()
+            self._bodies[key] = self._read_body(topic, entity)
+        return self._bodies[key]
+
+    def _read_body(self, topic: str, entity: SceneEntity) -> _Body:
+        name = next((pair.value for pair in entity.metadata if pair.key == "class"), None)
+        if name is not None and name not in self._labels:
+            raise DamageError(f"corrupt: an entity of {topic} is of a class that the recording does not name")
+        if not 3 <= len(entity.lines[0].points) <= MAX_CORNERS:
+            raise DamageError(f"corrupt: an entity of {topic} is not an outline of 3 to {MAX_CORNERS} corners")
+        outline = _frozen([(point.x, point.y) for point in entity.lines[0].points])
+        if not np.isfinite(outline).all():
+            raise DamageError(f"corrupt: an outline of {topic} has a corner that is nowhere")
+        return _Body(entity.id, NO_CLASS if name is None else self._labels[name], outline)
+
+
+class _Body(NamedTuple):
+    name: str
+    label: int
+    outline: Outline
+
+
+def _pose(topic: str, entity: SceneEntity) -> SE2:
+    if len(entity.lines) != 1:
+        raise DamageError(f"corrupt: an entity of {topic} has {len(entity.lines)} lines; expected its outline")
+    found = entity.lines[0].pose
+    pose = SE2(found.position.x, found.position.y, 2.0 * math.atan2(found.orientation.z, found.orientation.w))
+    if not math.isfinite(pose.x + pose.y + pose.theta):
+        raise DamageError(f"corrupt: an entity of {topic} stands at {pose.x:g}, {pose.y:g}; expected a place")
+    return pose
+
+
+def _decoded(topic: str, data: bytes) -> SceneUpdate:
+    if len(data) > MAX_MESSAGE_BYTES:
+        raise DamageError(f"corrupt: a message of {topic} of {len(data)} bytes; at most {MAX_MESSAGE_BYTES} are read")
+    update = SceneUpdate()
+    try:
+        update.ParseFromString(data)
+    except DecodeError:
+        raise DamageError(f"corrupt: a message of {topic} is not a foxglove.SceneUpdate") from None
+    if len(update.entities) > MAX_ENTITIES:
+        raise DamageError(f"corrupt: {len(update.entities)} entities in a message of {topic}; at most {MAX_ENTITIES}")
+    return update
+
+
+def _frozen(corners: object) -> Outline:
+    outline = np.array(corners, np.float32)
+    outline.flags.writeable = False
+    return outline
+
+
+def _track(name: str) -> int:
+    if name.isascii() and name.isdecimal() and len(name) < 20 and int(name) < MAX_TRACK:
+        return int(name)
+    raise DamageError(f"corrupt: an object's id is not the number of a track below {MAX_TRACK}")
+
+
+def _update(stamp_ns: int) -> SceneUpdate:
+    """An update that first clears what the topic drew before; the deletion carries the stamp of the scan."""
+    update = SceneUpdate()
+    update.deletions.add(type=SceneEntityDeletion.ALL, timestamp=_timestamp(stamp_ns))
+    return update
+
+
+def _place(entity: SceneEntity, world_T_object: SE2, stamp_ns: int) -> None:
+    entity.timestamp.seconds, entity.timestamp.nanos = divmod(stamp_ns, 1_000_000_000)
+    pose = entity.lines[0].pose
+    pose.position.x, pose.position.y = world_T_object.x, world_T_object.y
+    pose.orientation.z, pose.orientation.w = math.sin(world_T_object.theta / 2.0), math.cos(world_T_object.theta / 2.0)
+
+
+def _timestamp(stamp_ns: int) -> Timestamp:
+    return Timestamp(seconds=stamp_ns // 1_000_000_000, nanos=stamp_ns % 1_000_000_000)
+
+
+def _stamp_ns(timestamp: Timestamp) -> int:
+    return int(timestamp.seconds) * 1_000_000_000 + int(timestamp.nanos)

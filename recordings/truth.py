@@ -1,0 +1,146 @@
+"""Truth on the grid: the cells that the outlines of a scene pass through, and the cells that lie wholly inside."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from gridtrack.common.errors import RecordingError
+from gridtrack.common.geometry import SE2
+from gridtrack.common.grid import GridSpec, Mask
+from gridtrack.common.raycast import FURTHEST, cross
+from gridtrack.common.scene import Outline, Scene
+from gridtrack.recordings.labels import UNLABELLED
+
+FREE, OUTLINE, INTERIOR = 0, 1, 2
+"""What truly is in a cell: nothing, a surface that a laser could meet, or the inside of something."""
+
+
+@dataclass(frozen=True, slots=True)
+class TruthGrid:
+    """A scene on the grid.
+
+    `cover` (M, M) uint8: FREE, OUTLINE or INTERIOR. `labels` (M, M) uint8: the class of each outline cell, UNLABELLED
+    elsewhere.
+    """
+
+    cover: NDArray[np.uint8]
+    labels: NDArray[np.uint8]
+
+
+def truth_grid(scene: Scene, grid: GridSpec, world_T_grid: SE2) -> TruthGrid:
+    """What is truly in each cell of a grid that lies at `world_T_grid`. Raises RecordingError.
+
+    A cell that any outline has length in is OUTLINE, whatever else it is inside of; where several do, its class is
+    that of a road user before that of what stands, and of the later object in the scene. INTERIOR cells are wholly
+    inside one outline and on none.
+    """
+    truth = _blank(grid)
+    outlines = [*scene.static, *(body.outline for body in scene.objects)]
+    poses = [SE2()] * len(scene.static) + [body.world_T_object for body in scene.objects]
+    labels = [scene.static_label] * len(scene.static) + [body.label for body in scene.objects]
+    _draw(truth, grid, world_T_grid, outlines, poses, labels)
+    return truth
+
+
+def static_cells(scene: Scene, grid: GridSpec, world_T_grid: SE2) -> Mask:
+    """Cells (M, M) that an outline of what stands passes through. Raises RecordingError."""
+    truth = _blank(grid)
+    _draw(truth, grid, world_T_grid, scene.static, [SE2()] * len(scene.static), [UNLABELLED] * len(scene.static))
+    standing: Mask = truth.cover == OUTLINE
+    return standing
+
+
+def _blank(grid: GridSpec) -> TruthGrid:
+    return TruthGrid(np.full(grid.shape, FREE, np.uint8), np.full(grid.shape, UNLABELLED, np.uint8))
+
+
+def _draw(
+    truth: TruthGrid,
+    grid: GridSpec,
+    world_T_grid: SE2,
+    outlines: list[Outline] | tuple[Outline, ...],
+    poses: list[SE2],
+    labels: list[int],
+) -> None:
+    """Draw `outlines`, each in its own frame that `poses` place in the world."""
+    if not outlines:
+        return
+    sizes = np.array([len(outline) for outline in outlines])
+    with np.errstate(invalid="ignore"):  # corners that are not finite are refused below
+        corners = _placed(np.concatenate(outlines).astype(np.float64), np.repeat(_coefficients(poses), sizes, axis=0))
+        corners = (world_T_grid.inverse().apply(corners) - grid.origin) / grid.cell_m
+    if not (np.abs(corners) < FURTHEST).all():
+        raise RecordingError("an outline of the true scene has corners that are no places: the recording is damaged")
+    starts = np.concatenate([[0], sizes.cumsum()])
+    _fill(corners, starts, truth.cover)
+    _trace(corners, starts, np.array(labels, np.uint8), truth.cover, truth.labels, np.zeros(grid.size**2, np.bool_))
+
+
+def _coefficients(poses: list[SE2]) -> NDArray[np.float64]:
+    """x, y, cos and sin (N, 4) of poses."""
+    return np.array([(pose.x, pose.y, math.cos(pose.theta), math.sin(pose.theta)) for pose in poses])
+
+
+def _placed(points: NDArray[np.float64], pose: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Points (N, 2), each moved by a pose of its own: x, y, cos and sin (N, 4)."""
+    (x, y), (dx, dy, cos, sin) = points.T, pose.T
+    return np.stack([dx + cos * x - sin * y, dy + sin * x + cos * y], axis=1)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _fill(corners, starts, cover):  # type: ignore[no-untyped-def]
+    """Mark as INTERIOR the cells whose centres lie inside an outline (even-odd rule), row by row.
+
+    Right for cells that no outline passes through, which lie wholly on one side: `_trace` then marks the others.
+    """
+    size = cover.shape[0]
+    crossings = np.empty(corners.shape[0])
+    for polygon in range(starts.size - 1):
+        first, last = starts[polygon], starts[polygon + 1]
+        if last == first:
+            continue
+        lowest, highest = corners[first:last, 1].min(), corners[first:last, 1].max()
+        for row in range(max(math.floor(lowest), 0), min(math.floor(highest) + 1, size)):
+            y = row + 0.5
+            count = 0
+            x0, y0 = corners[last - 1, 0], corners[last - 1, 1]
+            for i in range(first, last):
+                x1, y1 = corners[i, 0], corners[i, 1]
+                if (y0 <= y) != (y1 <= y):
+                    crossings[count] = x0 + (y - y0) / (y1 - y0) * (x1 - x0)
+                    count += 1
+                x0, y0 = x1, y1
+            inside = np.sort(crossings[:count])
+            for k in range(0, count - 1, 2):
+                for column in range(max(math.ceil(inside[k] - 0.5), 0), min(math.ceil(inside[k + 1] - 0.5), size)):
+                    cover[row, column] = INTERIOR
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _trace(corners, starts, labels, cover, classes, crossed):  # type: ignore[no-untyped-def]
+    """Mark as OUTLINE the cells that outlines pass through, and their class, later outlines over earlier ones."""
+    size = cover.shape[0]
+    for polygon in range(starts.size - 1):
+        first, last = starts[polygon], starts[polygon + 1]
+        if last == first:
+            continue
+        x0, y0 = corners[last - 1, 0], corners[last - 1, 1]
+        left = right = x0
+        bottom = top = y0
+        for i in range(first, last):
+            x1, y1 = corners[i, 0], corners[i, 1]
+            cross(x0, y0, x1 - x0, y1 - y0, size, crossed)
+            left, right, bottom, top = min(left, x1), max(right, x1), min(bottom, y1), max(top, y1)
+            x0, y0 = x1, y1
+        # one cell more each way: rounding may have put an edge on a border into the cell beside it
+        for row in range(max(math.floor(bottom) - 1, 0), min(math.floor(top) + 2, size)):
+            for column in range(max(math.floor(left) - 1, 0), min(math.floor(right) + 2, size)):
+                if crossed[row * size + column]:
+                    crossed[row * size + column] = False
+                    cover[row, column] = OUTLINE
+                    classes[row, column] = labels[polygon]

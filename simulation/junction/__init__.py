@@ -1,0 +1,124 @@
+"""A signalled junction with pedestrians, cyclists, cars and buses, and a laser on its corner."""
+
+from __future__ import annotations
+
+import tempfile
+from importlib import resources
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gridtrack.common.errors import ConfigurationError
+from gridtrack.recordings.recording import RecordingInfo
+from gridtrack.simulation.junction import demand, place
+from gridtrack.simulation.junction.patience import Patience
+from gridtrack.simulation.motion import headings, pieces, smoothed, trailing_headings
+from gridtrack.simulation.sumo import STEP_S, Movements, run_sumo, sumo_version
+from gridtrack.simulation.tracks import Tracks, TracksInfo
+
+WARM_UP_S = 300.0
+"""From the empty streets to steady traffic: three signal cycles of 96 s."""
+MAX_MINUTES = 600.0
+MARGIN_S = 3.0
+"""Simulated on either side of what is kept, so that smoothing has both sides there too."""
+WALKING_STD_STEPS, ROLLING_STD_STEPS = 4.0, 1.0
+WHEELS_BEHIND = 0.8
+"""Where a vehicle's rear wheels are, as a share of its length from the front bumper."""
+JUNCTION_SET = {
+    "train": (65.0, 1, WARM_UP_S),
+    "validation": (5.0, 2, WARM_UP_S),
+    **{f"test-{101 + k}": (1.0, 101 + k, WARM_UP_S + 5.0 * k) for k in range(20)},
+}
+"""Minutes, seed and start in seconds of the recordings that ship: no seed is trained and tested on, and the tests begin
+all over the signals' cycle, since a minute is shorter than it."""
+LICENCE = "BSD-3-Clause"
+CREDIT = "simulated with Eclipse SUMO and JuPedSim"
+
+
+def simulate_junction(minutes: float, seed: int, start_s: float = WARM_UP_S) -> Tracks:
+    """`minutes` of the junction from `start_s` after the streets were empty; the same seed gives the same tracks.
+
+    Raises ConfigurationError where SUMO is not installed or the times make no sense, SimulationError where it fails.
+    """
+    if not (0.0 < minutes <= MAX_MINUTES and 0.0 <= start_s <= MAX_MINUTES * 60.0):
+        raise ConfigurationError(
+            f"{minutes:g} minutes from {start_s:g} s on: expected up to {MAX_MINUTES:g} minutes, and no start before 0"
+        )
+    frames = max(round(minutes * 60.0 * place.RATE_HZ), 1)
+    start_s = round(start_s / STEP_S) * STEP_S
+    before_s = min(MARGIN_S, start_s)
+    span_s = (start_s - before_s, start_s + frames * STEP_S + MARGIN_S)
+    here = Path(str(resources.files("gridtrack.simulation.junction")))
+    with tempfile.TemporaryDirectory() as folder:
+        signals = (here / "signals.add.xml",)
+        movements = run_sumo(
+            Path(folder), here / "network.net.xml", demand.routes(), signals, span_s, seed, Patience(place.JUNCTION)
+        )
+    info = _info(frames, seed, f"gridtrack simulate junction --minutes {minutes:g} --seed {seed} --start {start_s:g}s")
+    return _near(_tracks(info, movements, round(before_s / STEP_S)))
+
+
+def _info(frames: int, seed: int, command: str) -> TracksInfo:
+    return TracksInfo(
+        recording=RecordingInfo(
+            site=place.SITE,
+            classes=place.CLASSES,
+            grid=place.GRID,
+            rate_hz=place.RATE_HZ,
+            cycle_s=place.CYCLE_S,
+            licence=LICENCE,
+            credit=CREDIT,
+            command=command,
+        ),
+        laser=place.LASER,
+        frames=frames,
+        rate_hz=place.RATE_HZ,
+        noise_seed=seed,
+        static=place.static_outlines(),
+        static_class="static",
+        made_with={"eclipse-sumo": sumo_version()},
+    )
+
+
+def _tracks(info: TracksInfo, movements: Movements, first_step: int) -> Tracks:
+    """Smooth bodies from SUMO's points; each unbroken piece is a track, numbered in the order of the names."""
+    poses, users = np.empty((len(movements.user), 3)), np.empty(len(movements.user), np.int64)
+    for number, rows in enumerate(pieces(movements.user, movements.step)):
+        kind = demand.KINDS[movements.kind[movements.user[rows.start]]]
+        users[rows] = number
+        poses[rows] = _walker(movements, rows) if kind.label == "pedestrian" else _vehicle(movements, rows, kind)
+    kinds = [demand.KINDS[name] for name in movements.kind]
+    frame = movements.step - first_step
+    kept = (frame >= 0) & (frame < info.frames)
+    order = np.lexsort((users[kept], frame[kept]))
+    of_row = movements.user[kept][order]
+    return Tracks(
+        info=info,
+        frame=frame[kept][order],
+        track=users[kept][order],
+        label=np.array([place.CLASSES.index(kind.label) for kind in kinds])[of_row],
+        pose=poses[kept][order],
+        size=np.array([(kind.length_m, kind.width_m) for kind in kinds])[of_row],
+    )
+
+
+def _walker(movements: Movements, rows: slice) -> NDArray[np.float64]:
+    """JuPedSim's walkers sway and turn on the spot; people's bodies do not."""
+    position = smoothed(movements.position[rows], WALKING_STD_STEPS)
+    return np.column_stack([position, headings(position, STEP_S, WALKING_STD_STEPS)])
+
+
+def _vehicle(movements: Movements, rows: slice, kind: demand.Kind) -> NDArray[np.float64]:
+    """From the front bumper to the middle. SUMO lets standing vehicles turn on the spot: here the rear follows."""
+    front = smoothed(movements.position[rows], ROLLING_STD_STEPS)
+    heading = trailing_headings(front, WHEELS_BEHIND * kind.length_m, float(movements.heading[rows.start]))
+    ahead = np.column_stack([np.cos(heading), np.sin(heading)])
+    return np.column_stack([front - kind.length_m / 2.0 * ahead, heading])
+
+
+def _near(tracks: Tracks) -> Tracks:
+    """Only what the laser could reach, as a file of tracks keeps it."""
+    laser = tracks.info.laser
+    distance = np.hypot(tracks.pose[:, 0] - laser.x, tracks.pose[:, 1] - laser.y)
+    return tracks.where(distance < laser.range_max + tracks.size[:, 0] / 2.0).rounded()

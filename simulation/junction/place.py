@@ -1,0 +1,63 @@
+"""The junction's place: what stands there, where the scanner stands, and the window that is scored.
+
+Two streets cross at the origin of the world frame, x east, y north. Each has a lane of 4.2 m and a pavement of 2.8 m
+either side, so houses begin 7 m from the middle of the street; each corner is cut, where people wait to cross. The
+scanner stands on the north-western corner, between the pavement and the house behind it.
+"""
+
+from __future__ import annotations
+
+import math
+
+from gridtrack.simulation.bodies import ellipse
+from gridtrack.simulation.laser import Laser
+
+CLASSES = ("pedestrian", "cyclist", "car", "bus", "static")
+SITE = "junction"
+JUNCTION = "C"
+"""Its name in the network."""
+RATE_HZ = 8.0
+CYCLE_S = 96.0
+"""Of the signals: each street's turn, and then everybody on foot."""
+GRID = "100x0.2@-4,-16"
+"""The window, 20 m square, in the frame of the scanner, which looks along the world's axes from (-8, 8)."""
+LASER = Laser(x=-8.0, y=8.0, angle_min=-math.pi)
+"""Its blind quarter is the house behind it, to the north-west."""
+
+Corners = tuple[tuple[float, float], ...]
+
+BLOCK_M = 45.0
+"""How far the houses reach: further than the laser does."""
+SOUTH_EAST, NORTH_WEST, SOUTH_WEST = -1, 1, 2
+"""Quarters of the junction, in turns from the north-eastern one."""
+
+
+def static_outlines() -> tuple[Corners, ...]:
+    """Four houses with cut corners; the north-eastern one stands back behind trees and a kiosk."""
+    houses = (
+        _house(9.5, 11.0),
+        _turned(_house(7.3, 9.7), NORTH_WEST),
+        _turned(_house(7.3, 8.8), SOUTH_WEST),
+        _turned(_house(7.3, 8.8), SOUTH_EAST),
+    )
+    kiosk = ((7.3, 9.0), (8.9, 9.0), (8.9, 10.8), (7.3, 10.8))
+    trees = [_round(7.55, y, 0.2) for y in (11.7, 14.5, 17.5, 20.5)] + [_round(x, 7.6, 0.2) for x in (11.5, 15.0, 18.5)]
+    posts = [_turned(_round(7.87, 7.87, 0.08), turn) for turn in (0, SOUTH_WEST, SOUTH_EAST)]
+    return (*houses, kiosk, *trees, *posts)
+
+
+def _house(facade_m: float, corner_m: float) -> Corners:
+    """The north-eastern house: fronts `facade_m` from the middle of the streets, cut at `corner_m`."""
+    fronts = ((corner_m, facade_m), (BLOCK_M, facade_m), (BLOCK_M, BLOCK_M))
+    return (*fronts, (facade_m, BLOCK_M), (facade_m, corner_m))
+
+
+def _turned(outline: Corners, turns: int) -> Corners:
+    """`outline` turned about the middle of the junction by quarters, counter-clockwise."""
+    for _ in range(turns % 4):
+        outline = tuple((0.0 - y, x) for x, y in outline)
+    return outline
+
+
+def _round(x: float, y: float, radius: float) -> Corners:
+    return tuple((round(x + dx, 4), round(y + dy, 4)) for dx, dy in ellipse(2.0 * radius, 2.0 * radius, 8))

@@ -1,0 +1,203 @@
+"""Annotated videos in the layout of the Stanford Drone Dataset as tracks: real people's paths under a simulated laser.
+
+One line for each road user in each video frame, separated by spaces: `track xmin ymin xmax ymax frame lost occluded
+generated "Label"`, boxes in pixels, y downwards, 30 frames a second (Robicquet et al., "Learning social etiquette",
+ECCV 2016). Boxes lie along the image's axes, so headings come from the smoothed motion, and bodies have the usual size
+of their class.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from gridtrack.common.config import Settings
+from gridtrack.common.errors import RecordingError
+from gridtrack.recordings.recording import RecordingInfo
+from gridtrack.simulation.laser import Laser
+from gridtrack.simulation.motion import headings, pieces, smoothed
+from gridtrack.simulation.tracks import MAX_THERE, Tracks, TracksInfo
+
+VIDEO_HZ = 30.0
+SMOOTHING_STEPS = 10.0
+"""A third of a second: what hand-drawn boxes jitter in, and nobody's gait."""
+CLASSES = ("pedestrian", "cyclist", "car", "bus")
+BODIES = {
+    "Pedestrian": ("pedestrian", 0.3, 0.5),
+    "Skater": ("pedestrian", 0.3, 0.5),
+    "Biker": ("cyclist", 1.75, 0.6),
+    "Cart": ("car", 2.4, 1.2),
+    "Car": ("car", 4.5, 1.82),
+    "Bus": ("bus", 11.5, 2.55),
+}
+"""Class here, length and width in metres of each label."""
+COLUMNS = 10
+CLEAR_M = 0.75
+"""So far the laser keeps from everybody's middle where a place is chosen for it."""
+MAX_LINES, MAX_PIXELS, MAX_FRAME = 5_000_000, 1e6, 5_000_000
+
+
+class Video(Settings):
+    """What the annotations do not say: metres to a pixel, the recording's site and rate, and where the laser stands,
+    metres, x right and y up from the image's upper left corner."""
+
+    scale: float = Field(gt=0.0, le=10.0)
+    site: str = Field(min_length=1)
+    rate_hz: float = Field(default=8.0, gt=0.0, le=VIDEO_HZ)
+    grid: str = "100x0.2"
+    laser_at: tuple[float, float] | None = None
+    """None: the place nearest to the middle of all paths that nobody comes near."""
+    seed: int = Field(default=0, ge=0)
+    licence: str = ""
+    credit: str = ""
+
+
+@dataclass(frozen=True)
+class _Boxes:
+    """Rows of the file: `track`, `frame` (N,) int64, `box` (N, 4) float64 pixels, `label` (N,) by BODIES."""
+
+    track: NDArray[np.int64]
+    frame: NDArray[np.int64]
+    box: NDArray[np.float64]
+    label: NDArray[np.int64]
+
+
+def read_stanford(path: Path, video: Video, command: str = "") -> Tracks:
+    """The road users of an annotation file as tracks, at the video's rate. Raises RecordingError."""
+    boxes = _read(path)
+    middle = np.column_stack([boxes.box[:, [0, 2]].mean(axis=1), -boxes.box[:, [1, 3]].mean(axis=1)]) * video.scale
+    first = boxes.frame.min()
+    found = [
+        _resampled(number, (boxes.frame[rows] - first) / VIDEO_HZ, middle[rows], _resting(boxes, rows), video.rate_hz)
+        for number, rows in enumerate(pieces(boxes.track, boxes.frame))
+    ]
+    of_piece = [boxes.label[rows.start] for rows in pieces(boxes.track, boxes.frame)]
+    frame, track, pose = (np.concatenate(column) for column in zip(*found, strict=True))
+    kinds = [list(BODIES.values())[label] for label in of_piece]
+    order = np.lexsort((track, frame))
+    frame, track, pose = frame[order], track[order], pose[order]
+    if np.bincount(frame).max() > MAX_THERE:
+        raise RecordingError(f"{path}: more than {MAX_THERE} road users in one frame")
+    frames = int(frame.max()) + 1
+    laser = _laser(video.laser_at or _clear_place(path, pose[:, :2]))
+    tracks = Tracks(
+        info=_info(video, laser, frames, command),
+        frame=frame,
+        track=track,
+        label=np.array([CLASSES.index(name) for name, _, _ in kinds])[track],
+        pose=pose,
+        size=np.array([size for _, *size in kinds])[track],
+    )
+    return tracks.rounded()
+
+
+def _info(video: Video, laser: Laser, frames: int, command: str) -> TracksInfo:
+    recording = RecordingInfo(
+        site=video.site,
+        classes=CLASSES,
+        grid=video.grid,
+        rate_hz=video.rate_hz,
+        licence=video.licence,
+        credit=video.credit,
+        command=command,
+    )
+    return TracksInfo(recording=recording, laser=laser, frames=frames, rate_hz=video.rate_hz, noise_seed=video.seed)
+
+
+def _read(path: Path) -> _Boxes:
+    """The rows that are in view, sorted by track and frame."""
+    rows = []
+    try:
+        with path.open(encoding="utf-8", newline="") as file:
+            for number, row in _lines(path, file):
+                values = _values(path, number, row)
+                if not int(values[6]):
+                    rows.append((*values[:6], list(BODIES).index(row[9])))
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise RecordingError(f"{path}: cannot be read ({error})") from None
+    if not rows:
+        raise RecordingError(f"{path}: nobody is ever in view")
+    table = np.array(rows)
+    order = np.lexsort((table[:, 5], table[:, 0]))
+    table = table[order]
+    return _Boxes(
+        track=table[:, 0].astype(np.int64),
+        frame=table[:, 5].astype(np.int64),
+        box=table[:, 1:5],
+        label=table[:, 6].astype(np.int64),
+    )
+
+
+def _lines(path: Path, file: Iterator[str]) -> Iterator[tuple[int, list[str]]]:
+    for number, row in enumerate(csv.reader(file, delimiter=" "), 1):
+        if number > MAX_LINES:
+            raise RecordingError(f"{path}: more than {MAX_LINES} lines")
+        if row:
+            yield number, row
+
+
+def _values(path: Path, number: int, row: list[str]) -> list[float]:
+    """The nine numbers of a line. Raises RecordingError."""
+    if len(row) < COLUMNS or row[9] not in BODIES:
+        raise RecordingError(
+            f"{path}, line {number}: expected `track xmin ymin xmax ymax frame lost occluded generated"
+            f' "Label"` with one of {", ".join(BODIES)}'
+        )
+    try:
+        values = [float(text) for text in row[:9]]
+    except ValueError:
+        raise RecordingError(f"{path}, line {number}: a value is not a number") from None
+    sizes = all(abs(value) <= MAX_PIXELS for value in values[:5])
+    if not (sizes and values[0] >= 0 and 0 <= values[5] <= MAX_FRAME and values[6] in (0, 1)):
+        raise RecordingError(f"{path}, line {number}: a track, box or frame that cannot be")
+    return values
+
+
+def _resting(boxes: _Boxes, rows: slice) -> float:
+    """The heading of what never moves: along the longer side of its box."""
+    left, top, right, bottom = boxes.box[rows.start]
+    return math.pi / 2.0 if bottom - top > right - left else 0.0
+
+
+def _resampled(
+    number: int, time_s: NDArray[np.float64], position: NDArray[np.float64], resting: float, rate_hz: float
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
+    """Frames, track and poses (n, 3) of one unbroken track at the recording's ticks."""
+    position = smoothed(position, SMOOTHING_STEPS)
+    heading = headings(position, 1.0 / VIDEO_HZ, SMOOTHING_STEPS, resting)
+    frame = np.arange(math.ceil(time_s[0] * rate_hz - 1e-9), math.floor(time_s[-1] * rate_hz + 1e-9) + 1)
+    columns = [np.interp(frame / rate_hz, time_s, column) for column in (*position.T, heading)]
+    return frame, np.full(len(frame), number), np.stack(columns, axis=1)
+
+
+def _laser(at: tuple[float, float]) -> Laser:
+    """All round: there is no house behind it."""
+    return Laser(x=at[0], y=at[1], angle_min=-math.pi, beams=1440)
+
+
+def _clear_place(path: Path, positions: NDArray[np.float64]) -> tuple[float, float]:
+    """The place on a raster nearest to the middle of all paths that nobody's middle comes within CLEAR_M of."""
+    raster = CLEAR_M / 3.0
+    low = positions.min(axis=0)
+    cells = np.unique(np.floor((positions - low) / raster).astype(np.int64), axis=0)
+    taken = np.zeros(tuple(cells.max(axis=0) + 1), np.bool_)
+    taken[tuple(cells.T)] = True
+    reach = math.ceil(CLEAR_M / raster) + 1
+    padded = np.pad(taken, reach)
+    near = np.zeros_like(taken)
+    for i in range(2 * reach + 1):
+        for j in range(2 * reach + 1):
+            if math.hypot(i - reach, j - reach) <= reach:
+                near |= padded[i : i + taken.shape[0], j : j + taken.shape[1]]
+    free = low + (np.argwhere(~near) + 0.5) * raster
+    if not len(free):
+        raise RecordingError(f"{path}: people walk everywhere; say where the laser stands with --laser-at X,Y")
+    best = free[np.argmin(np.linalg.norm(free - np.median(positions, axis=0), axis=1))]
+    return round(float(best[0]), 2), round(float(best[1]), 2)

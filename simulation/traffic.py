@@ -1,0 +1,191 @@
+"""What tracks are worth as a test: who moves through the window, and whether everybody keeps to the streets."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gridtrack.common.grid import GridSpec
+from gridtrack.common.scene import Scene
+from gridtrack.recordings.truth import OUTLINE, truth_grid
+from gridtrack.simulation.bodies import body
+from gridtrack.simulation.tracks import Tracks
+
+MOVING_M_S = 0.3
+STRIDE = 4
+"""Every so many frames are drawn on the grid to count cells."""
+GRIDLOCK_S = 240.0
+"""Longer than any queue stands at a signal: more than two cycles of the junction's."""
+
+
+@dataclass(frozen=True)
+class ClassTraffic:
+    """Of one class in the window: the share of frames in which any is there, and in which any moves, and the outline
+    cells of moving ones in a minute of frames."""
+
+    name: str
+    present: float
+    moving: float
+    moving_cells_per_minute: float
+
+
+@dataclass(frozen=True)
+class Traffic:
+    """What moves in the window, and what must not happen: `faults` are lines that say it did."""
+
+    minutes: float
+    classes: tuple[ClassTraffic, ...]
+    longest_stand_s: float
+    faults: tuple[str, ...]
+
+    def __str__(self) -> str:
+        lines = [f"{self.minutes:g} minutes; the longest that a vehicle stands: {self.longest_stand_s:.1f} s"]
+        lines += [
+            f"{c.name}: in {c.present:.1%} of frames, moving in {c.moving:.1%},"
+            f" {c.moving_cells_per_minute:.0f} moving cells a minute"
+            for c in self.classes
+        ]
+        return "\n".join(lines + [f"fault: {fault}" for fault in self.faults])
+
+
+def examine(tracks: Tracks) -> Traffic:
+    """Look at all of `tracks`, in the window that its recording names."""
+    speed = _speeds(tracks)
+    grid = GridSpec.parse(tracks.info.recording.grid) if tracks.info.recording.grid else GridSpec()
+    inside = _in_window(tracks, grid)
+    stand_s, who = _longest_stand(tracks, speed)
+    faults = [*_through_walls(tracks), *_through_the_scanner(tracks)]
+    if stand_s > GRIDLOCK_S:
+        faults.append(f"gridlock: a vehicle stands for {stand_s:.0f} s, {who}")
+    moving = speed > MOVING_M_S
+    cells = _moving_cells(tracks, moving, grid)
+    frames, minutes = tracks.info.frames, tracks.info.frames / tracks.info.rate_hz / 60.0
+    names = [name for name in tracks.info.recording.classes if name != tracks.info.static_class]
+    classes = []
+    for name in names:
+        there = inside & (tracks.label == tracks.info.recording.classes.index(name))
+        present, moved = (np.unique(tracks.frame[rows]).size / frames for rows in (there, there & moving))
+        classes.append(ClassTraffic(name, present, moved, cells[name] / minutes))
+    return Traffic(minutes, tuple(classes), stand_s, tuple(faults))
+
+
+def _by_track(tracks: Tracks) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    """Rows in the order of track and frame, and which of them follows its neighbour before directly."""
+    order = np.lexsort((tracks.frame, tracks.track))
+    track, frame = tracks.track[order], tracks.frame[order]
+    return order, np.concatenate([[False], (np.diff(track) == 0) & (np.diff(frame) == 1)])
+
+
+def _speeds(tracks: Tracks) -> NDArray[np.float64]:
+    """Metres a second since the frame before, (N,); of a track's first frame as in its second."""
+    order, follows = _by_track(tracks)
+    step = np.diff(tracks.pose[order, :2], axis=0, prepend=tracks.pose[order[:1], :2])
+    speed = np.hypot(step[:, 0], step[:, 1]) * tracks.info.rate_hz
+    first = np.flatnonzero(~follows)
+    after = np.minimum(first + 1, len(order) - 1)
+    speed[first] = np.where(follows[after], speed[after], 0.0)
+    found = np.empty_like(speed)
+    found[order] = speed
+    return found
+
+
+def _in_window(tracks: Tracks, grid: GridSpec) -> NDArray[np.bool_]:
+    """Whether the middle of the body is in the window, (N,)."""
+    _, inside = grid.cells_of(tracks.info.laser.world_T_sensor.inverse().apply(tracks.pose[:, :2]))
+    return inside
+
+
+def _longest_stand(tracks: Tracks, speed: NDArray[np.float64]) -> tuple[float, str]:
+    """How long a vehicle within reach of the laser stands in one go, seconds, and which, where and from when."""
+    classes = tracks.info.recording.classes
+    order, follows = _by_track(tracks)
+    walks = [i for i, name in enumerate(classes) if name == "pedestrian"]
+    stands = (speed[order] <= MOVING_M_S) & ~np.isin(tracks.label[order], walks)
+    if not stands.any():
+        return 0.0, ""
+    runs = np.cumsum(~(stands & follows))
+    frames = np.bincount(runs[stands])
+    first = order[np.flatnonzero(stands & (runs == frames.argmax()))[0]]
+    x, y, _ = tracks.pose[first]
+    who = f"the {classes[tracks.label[first]]} of track {tracks.track[first]} at ({x:.1f}, {y:.1f})"
+    return float(frames.max()) / tracks.info.rate_hz, f"{who} from frame {tracks.frame[first]} on"
+
+
+def _moving_cells(tracks: Tracks, moving: NDArray[np.bool_], grid: GridSpec) -> dict[str, float]:
+    """Outline cells of the road users that move, summed over all frames, by class."""
+    classes = tracks.info.recording.classes
+    total = np.zeros(256)
+    for k, scene in enumerate(tracks.where(moving).scenes()):
+        if k % STRIDE == 0:
+            truth = truth_grid(Scene((), 255, scene.objects), grid, tracks.info.laser.world_T_sensor)
+            total += np.bincount(truth.labels[truth.cover == OUTLINE], minlength=256)
+    return {name: float(total[label]) * STRIDE for label, name in enumerate(classes)}
+
+
+def _through_walls(tracks: Tracks) -> list[str]:
+    """A line for each class of which a body's corner comes to lie inside a static outline."""
+    hit = np.zeros(len(tracks.frame), np.bool_)
+    for rows, outline in _bodies(tracks):
+        corners = _placed(outline, tracks.pose[rows])
+        for standing in tracks.info.static:
+            hit[rows] |= _inside(corners.reshape(-1, 2), np.array(standing)).reshape(len(rows), -1).any(axis=1)
+    return _told(tracks, hit, "inside a static outline")
+
+
+def _through_the_scanner(tracks: Tracks) -> list[str]:
+    """A line for each class of which a body covers the scanner or comes nearer than it can measure."""
+    laser = tracks.info.laser
+    hit = np.zeros(len(tracks.frame), np.bool_)
+    for rows, outline in _bodies(tracks):
+        x, y, heading = tracks.pose[rows].T
+        c, s = np.cos(heading), np.sin(heading)
+        scanner = np.column_stack([c * (laser.x - x) + s * (laser.y - y), c * (laser.y - y) - s * (laser.x - x)])
+        nearest = np.linalg.norm(scanner[:, None] - outline, axis=2).min(axis=1)
+        hit[rows] = _inside(scanner, outline) | (nearest < laser.range_min)
+    return _told(tracks, hit, "on the scanner")
+
+
+def _told(tracks: Tracks, hit: NDArray[np.bool_], where: str) -> list[str]:
+    lines = []
+    for label, name in enumerate(tracks.info.recording.classes):
+        rows = np.flatnonzero(hit & (tracks.label == label))
+        if rows.size:
+            first = rows[0]
+            lines.append(
+                f"{name} {where} in {rows.size} positions, the first of track {tracks.track[first]} in frame"
+                f" {tracks.frame[first]}"
+            )
+    return lines
+
+
+def _bodies(tracks: Tracks) -> Iterator[tuple[NDArray[np.int64], NDArray[np.float64]]]:
+    """The rows (n,) of each kind of body, and its outline (N, 2) in its own frame."""
+    classes = tracks.info.recording.classes
+    kinds, kind = np.unique(np.column_stack([tracks.label, tracks.size]), axis=0, return_inverse=True)
+    for k, (label, length, width) in enumerate(kinds.tolist()):
+        yield np.flatnonzero(kind == k), body(classes[int(label)], length, width).astype(np.float64)
+
+
+def _placed(outline: NDArray[np.float64], pose: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The outline at each pose (n, 3): (n, N, 2), world frame."""
+    c, s = np.cos(pose[:, 2, None]), np.sin(pose[:, 2, None])
+    x = pose[:, 0, None] + c * outline[:, 0] - s * outline[:, 1]
+    y = pose[:, 1, None] + s * outline[:, 0] + c * outline[:, 1]
+    return np.stack([x, y], axis=2)
+
+
+def _inside(points: NDArray[np.float64], outline: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Which points (P, 2) lie inside a closed outline (N, 2), by the number of its sides to their right."""
+    low, high = outline.min(axis=0), outline.max(axis=0)
+    near = np.flatnonzero(((points >= low) & (points <= high)).all(axis=1))
+    x, y = points[near, 0], points[near, 1]
+    odd = np.zeros(len(near), np.bool_)
+    for (px, py), (qx, qy) in zip(outline, np.roll(outline, -1, axis=0), strict=True):
+        if py != qy:
+            odd ^= ((py > y) != (qy > y)) & (x < (qx - px) * (y - py) / (qy - py) + px)
+    found = np.zeros(len(points), np.bool_)
+    found[near] = odd
+    return found

@@ -1,0 +1,38 @@
+"""Writing simulated tracks as a recording: as tracks, or rendered to scans."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from gridtrack.common.errors import RecordingError
+from gridtrack.recordings.native import write_native
+from gridtrack.simulation.tracks import Tracks, write_tracks
+
+SUFFIXES = (".tracks", ".mcap")
+
+
+def refuse_other_suffix(out: Path) -> None:
+    """Raise RecordingError for a name that says neither tracks nor scans; before an hour has been simulated."""
+    if out.suffix not in SUFFIXES:
+        raise RecordingError(f"{out}: a simulated recording is written as .tracks or as .mcap")
+
+
+def write_recording(out: Path, tracks: Tracks) -> None:
+    """Write `tracks` as `out.tracks`, or their scans as `out.mcap`; the scans are the same either way.
+
+    Same tracks, same bytes. Raises RecordingError; `out` is then as it was before.
+    """
+    refuse_other_suffix(out)
+    partial = out.with_name(out.name + ".partial")
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        with partial.open("wb") as file:
+            if out.suffix == ".tracks":
+                write_tracks(file, tracks)
+            else:
+                write_native(file, tracks.info.recording, tracks.scans())
+        partial.replace(out)
+    except OSError as error:
+        raise RecordingError(f"{out}: cannot be written ({error.strerror})") from None
+    finally:
+        partial.unlink(missing_ok=True)

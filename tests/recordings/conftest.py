@@ -1,0 +1,60 @@
+"""Scans and recordings that the tests of recordings and streams are made from."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gridtrack.common.geometry import SE2
+from gridtrack.common.scan import Scan
+from gridtrack.recordings import RecordingInfo, write_native
+
+START_NS = 1_700_000_000_123_456_789
+PERIOD_NS = 100_000_000
+
+
+def make_scan(k: int, sensor: str = "scan", pose: SE2 | None = None, offset_ns: int = 0, beams: int = 36) -> Scan:
+    """Scan k of a 10 Hz sensor, its ranges told by k, with one beam each that did not return and that is invalid."""
+    ranges = np.random.default_rng(k).uniform(0.5, 4.5, beams).astype(np.float32)
+    ranges[:3] = np.inf, np.nan, -np.inf
+    return Scan(START_NS + k * PERIOD_NS + offset_ns, ranges, -1.5, 3.0 / (beams - 1), 0.05, 5.0, sensor, pose or SE2())
+
+
+@pytest.fixture
+def scan() -> Callable[..., Scan]:
+    return make_scan
+
+
+@pytest.fixture
+def write(tmp_path: Path) -> Callable[..., Path]:
+    """Writes scans as a native recording and returns its path."""
+
+    def write_recording(scans: Iterable[Scan], name: str = "made.mcap", **info: object) -> Path:
+        path = tmp_path / name
+        with path.open("wb") as file:
+            write_native(file, RecordingInfo.model_validate({"site": "here"} | info), scans)
+        return path
+
+    return write_recording
+
+
+@pytest.fixture
+def same_scans() -> Callable[[Iterator[Scan], Iterable[Scan]], None]:
+    """Asserts that two sequences of scans are equal to the last bit, their headings to rounding."""
+
+    def assert_same(found: Iterator[Scan], expected: Iterable[Scan]) -> None:
+        for a, b in zip(found, expected, strict=True):
+            assert (a.stamp_ns, a.sensor, a.range_min, a.range_max) == (b.stamp_ns, b.sensor, b.range_min, b.range_max)
+            np.testing.assert_array_equal(a.ranges, b.ranges)
+            np.testing.assert_array_equal(a.labels, b.labels)
+            assert a.ranges.dtype == np.float32
+            np.testing.assert_allclose(
+                [a.angle_min, a.angle_increment], [b.angle_min, b.angle_increment], rtol=1e-15, atol=0.0
+            )
+            assert (a.world_T_sensor.x, a.world_T_sensor.y) == (b.world_T_sensor.x, b.world_T_sensor.y)
+            assert abs(a.world_T_sensor.theta - b.world_T_sensor.theta) < 1e-12
+
+    return assert_same

@@ -1,0 +1,114 @@
+"""CARMEN logs read as scans with the pose that each line carries, damaged ones up to the damage."""
+
+from __future__ import annotations
+
+import bz2
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gridtrack.common.errors import RecordingError
+from gridtrack.common.geometry import SE2
+from gridtrack.recordings import open_recording
+
+
+def flaser(k: int, ranges: list[str], seconds: str | None = None) -> str:
+    stamp = seconds or f"{100 + k}.250000"
+    return f"FLASER {len(ranges)} {' '.join(ranges)} 1.5 {k} 0.5 9 9 9 {stamp} host {k}.0"
+
+
+def robotlaser(k: int) -> str:
+    ranges, remissions = "1.0 2.0 30.5 4.0", "7 8"
+    return (
+        f"ROBOTLASER1 0 -0.3 0.6 0.2 30.0 0.01 0 4 {ranges} 2 {remissions}"
+        f" 1.5 {k} 0.5 9 9 9 0.1 0.2 0.3 0.4 1e6 {100 + k}.25 host {k}.0"
+    )
+
+
+def log(path: Path, *lines: str) -> Path:
+    text = "\n".join(["# message_name [message contents]", "PARAM robot_use_laser on nohost 0", *lines, ""])
+    path.write_bytes(bz2.compress(text.encode()) if path.suffix == ".bz2" else text.encode())
+    return path
+
+
+@pytest.mark.parametrize("name", ["a.clf", "a.clf.bz2"])
+def test_flaser_lines(name: str, tmp_path: Path) -> None:
+    ranges = [f"{0.01 * (i + 1):.2f}" for i in range(179)] + ["81.83"]
+    odometry = "ODOM 0 0 0 0 0 0 100.1 host 0.1"
+    recording = open_recording(log(tmp_path / name, odometry, flaser(0, ranges), flaser(1, ranges)))
+    first, second = recording.scans()
+    assert (first.stamp_ns, second.stamp_ns) == (100_250_000_000, 101_250_000_000)
+    assert second.world_T_sensor == SE2(1.5, 1.0, 0.5)
+    assert (first.angle_min, first.angle_increment) == (-math.pi / 2, math.radians(1.0))
+    np.testing.assert_array_equal(first.ranges, np.array(ranges, np.float32))
+    assert first.ranges[-1] > first.range_max, "what the laser answers where nothing returns is no return"
+    assert recording.survey.topics == {"PARAM": ("CARMEN", 1), "ODOM": ("CARMEN", 1), "FLASER": ("CARMEN", 2)}
+    assert recording.info.site == "a"
+
+
+@pytest.mark.parametrize(
+    ("beams", "first_deg", "step_deg"),
+    [(180, -90, 1.0), (181, -90, 1.0), (361, -90, 0.5), (401, -50, 0.25), (91, -90, 2.0)],
+)
+def test_the_step_follows_from_the_number_of_beams(
+    beams: int, first_deg: float, step_deg: float, tmp_path: Path
+) -> None:
+    (scan,) = open_recording(log(tmp_path / "a.clf", flaser(0, ["1.0"] * beams))).scans()
+    assert math.degrees(scan.angle_min) == pytest.approx(first_deg)
+    assert math.degrees(scan.angle_increment) == pytest.approx(step_deg)
+
+
+def test_robotlaser_lines_say_their_angles_themselves(tmp_path: Path) -> None:
+    (scan,) = open_recording(log(tmp_path / "a.clf", robotlaser(3))).scans()
+    assert (scan.angle_min, scan.angle_increment, scan.range_max) == (-0.3, 0.2, 30.0)
+    assert scan.ranges.tolist() == [1.0, 2.0, 30.5, 4.0]
+    assert (scan.stamp_ns, scan.world_T_sensor) == (103_250_000_000, SE2(1.5, 3.0, 0.5))
+
+
+def test_of_two_forms_of_the_same_scan_the_first_is_read(tmp_path: Path) -> None:
+    lines = [line for k in range(3) for line in (robotlaser(k), flaser(k, ["1.0"] * 180))]
+    path = log(tmp_path / "a.clf", *lines)
+    recording = open_recording(path)
+    assert [s.ranges.size for s in recording.scans()] == [4, 4, 4]
+    assert len(recording.warnings) == 1
+    assert "ROBOTLASER1 is read" in recording.warnings[0]
+    assert [s.ranges.size for s in open_recording(path, topic="FLASER").scans()] == [180, 180, 180]
+
+
+def test_stamps_are_exact_to_the_nanosecond(tmp_path: Path) -> None:
+    (scan,) = open_recording(log(tmp_path / "a.clf", flaser(0, ["1"] * 180, "976052857.337284"))).scans()
+    assert scan.stamp_ns == 976_052_857_337_284_000
+
+
+@pytest.mark.parametrize("line", ["FLASER 180 1.0 2.0", "FLASER x", "FLASER", flaser(0, ["1.0"] * 179 + ["far"])])
+def test_a_line_that_cannot_be_read_is_told_by_its_number(line: str, tmp_path: Path) -> None:
+    path = log(tmp_path / "a.clf", flaser(0, ["1.0"] * 180), line, flaser(2, ["1.0"] * 180))
+    recording = open_recording(path)
+    assert len(list(recording.scans())) == 1
+    assert len(recording.warnings) == 1
+    assert "line 4: not a FLASER" in recording.warnings[0]
+    with pytest.raises(RecordingError, match="line 4"):
+        list(open_recording(path, strict=True).scans())
+
+
+def test_a_cut_archive_gives_the_lines_before_the_cut(tmp_path: Path) -> None:
+    random = np.random.default_rng(0)
+    lines = [flaser(k, [f"{r:.2f}" for r in random.uniform(0, 80, 180)]) for k in range(2000)]
+    path = log(tmp_path / "a.clf.bz2", *lines)
+    content = path.read_bytes()
+    path.write_bytes(content[: len(content) * 3 // 4])
+    recording = open_recording(path)
+    found = [s.stamp_ns for s in recording.scans()]
+    assert found == [(100 + k) * 10**9 + 250_000_000 for k in range(len(found))]
+    assert 200 < len(found) < 2000
+    assert len(recording.warnings) == 1
+
+
+def test_a_wrong_topic_is_told(tmp_path: Path) -> None:
+    path = log(tmp_path / "a.clf", flaser(0, ["1.0"] * 180))
+    with pytest.raises(RecordingError, match="no topic 'FLASR'; did you mean 'FLASER'"):
+        list(open_recording(path, topic="FLASR").scans())
+    with pytest.raises(RecordingError, match="'PARAM' is CARMEN, not scans; topics with scans: FLASER"):
+        list(open_recording(path, topic="PARAM").scans())

@@ -1,0 +1,150 @@
+"""Importing writes the same scans in the native form, with what was said about them, or leaves nothing behind."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gridtrack.common.errors import ConfigurationError, GridtrackError, RecordingError
+from gridtrack.common.scan import Scan
+from gridtrack.recordings import import_recording, open_recording, packaged_recording
+
+
+@pytest.fixture
+def log(tmp_path: Path) -> Path:
+    """A CARMEN log of five scans, a second apart, the sensor moving."""
+    path = tmp_path / "building.clf"
+    path.write_text("".join(f"FLASER 3 1.0 2.0 {k}.5 {k} 0 0.1 0 0 0 {k + 10}.5 host {k}.0\n" for k in range(5)))
+    return path
+
+
+def test_an_import_holds_the_scans_of_its_source(log: Path, tmp_path: Path, same_scans) -> None:
+    imported = import_recording(log, tmp_path / "out.mcap")
+    same_scans(imported.scans(), open_recording(log).scans())
+    assert imported.info.site == "building"
+
+
+def test_an_import_says_where_it_comes_from(log: Path, tmp_path: Path) -> None:
+    stretches = {"train": (0.0, 3.0), "test": (3.0, None)}
+    info = import_recording(
+        log, tmp_path / "out.mcap", site="hall", grid="50x0.2", rate_hz=1.0, stretches=stretches, credit="A. Body"
+    ).info
+    assert info.source == "building.clf"
+    assert info.source_sha256 == hashlib.sha256(log.read_bytes()).hexdigest()
+    assert (info.site, info.grid, info.rate_hz, info.credit) == ("hall", "50x0.2@-5,-5", 1.0, "A. Body")
+    assert info.command == (
+        "gridtrack recording import building.clf --out out.mcap --site hall --grid 50x0.2"
+        " --credit 'A. Body' --rate 1 --stretch train=0s-3s --stretch test=3s-"
+    )
+    assert str(tmp_path) not in info.command
+
+
+def test_importing_again_gives_the_same_bytes(log: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out.mcap"
+    once = import_recording(log, out, site="hall").path.read_bytes()
+    assert import_recording(log, out, site="hall").path.read_bytes() == once
+
+
+def test_a_native_recording_keeps_what_it_says_unless_told_otherwise(
+    write: Callable[..., Path], scan: Callable[..., Scan], tmp_path: Path
+) -> None:
+    source = write([scan(0), scan(1)], site="hall", licence="CC0", rate_hz=10.0)
+    info = import_recording(source, tmp_path / "out.mcap", rate_hz=5.0).info
+    assert (info.site, info.licence, info.rate_hz) == ("hall", "CC0", 5.0)
+
+
+def test_warnings_of_the_source_are_kept(log: Path, tmp_path: Path) -> None:
+    log.write_text(log.read_text() + "FLASER 3 1.0\n")
+    imported = import_recording(log, tmp_path / "out.mcap")
+    assert len(imported.survey.sensors["scan"].stamps) == 5
+    assert "line 6" in imported.warnings[0]
+
+
+def test_a_failed_import_leaves_what_was_there(log: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out.mcap"
+    out.write_bytes(b"earlier")
+    log.write_text(log.read_text() + "FLASER 3 1.0\n")
+    with pytest.raises(RecordingError, match="line 6"):
+        import_recording(log, out, strict=True)
+    with pytest.raises(ConfigurationError, match="rate_hz"):
+        import_recording(log, out, rate_hz=-1.0)
+    assert out.read_bytes() == b"earlier"
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["building.clf", "out.mcap"]
+
+
+def test_the_source_is_never_overwritten(write: Callable[..., Path], scan: Callable[..., Scan]) -> None:
+    path = write([scan(0)])
+    with pytest.raises(RecordingError, match="is the source itself"):
+        import_recording(path, path)
+    with pytest.raises(RecordingError, match=r"written as \.mcap"):
+        import_recording(path, path.with_suffix(".bag"))
+
+
+def csv_of(path: Path, rows: list[str], columns: str = "stamp_ns,beam,class,sensor") -> Path:
+    path.write_text("\n".join([columns, *rows]) + "\n")
+    return path
+
+
+def test_labels_come_from_a_csv(
+    write: Callable[..., Path], scan: Callable[..., Scan], same_scans, tmp_path: Path
+) -> None:
+    scans = [scan(k) for k in range(4)]
+    stamps = [s.stamp_ns for s in scans]
+    rows = [f"{stamps[1]},0,person,", f"{stamps[1]},35,car,scan", f"{stamps[3]},7,person,scan"]
+    labels = csv_of(tmp_path / "labels.csv", rows)
+    imported = import_recording(write(scans), tmp_path / "out.mcap", labels=labels)
+    assert imported.info.classes == ("car", "person")
+    one, three = np.full(36, 255, np.uint8), np.full(36, 255, np.uint8)
+    one[0], one[35], three[7] = 1, 0, 1
+    same_scans(imported.scans(), [scans[0], replace(scans[1], labels=one), scans[2], replace(scans[3], labels=three)])
+    assert imported.summary().sensors["scan"].labelled_scans == 2
+
+
+@pytest.mark.parametrize(
+    ("rows", "complaint"),
+    [
+        (["{0},99,car,scan"], r"line 2: beam 99 of a scan of 36 beams"),
+        (["5,0,car,scan"], r"line 2: no scan of sensor 'scan' is stamped 5"),
+        (["{1},0,car,front"], r"line 2: no scan of sensor 'front'"),
+        (["{1},0,car,scan", "{0},0,car,scan"], r"line 3: (stamps run backwards|no scan)"),
+        (["{0},0,car,scan", "99999999999999999999,0,car,scan"], r"line 3: no scan"),
+        (["now,0,car,scan"], r"line 2: invalid literal"),
+    ],
+)
+def test_labels_that_fit_no_beam_are_told_by_their_line(
+    rows: list[str], complaint: str, write: Callable[..., Path], scan: Callable[..., Scan], tmp_path: Path
+) -> None:
+    scans = [scan(k) for k in range(3)]
+    labels = csv_of(tmp_path / "labels.csv", [row.format(*(s.stamp_ns for s in scans)) for row in rows])
+    with pytest.raises(RecordingError, match=complaint):
+        import_recording(write(scans), tmp_path / "out.mcap", labels=labels)
+    assert not (tmp_path / "out.mcap").exists()
+
+
+def test_a_csv_without_the_columns_is_refused(
+    write: Callable[..., Path], scan: Callable[..., Scan], tmp_path: Path
+) -> None:
+    labels = csv_of(tmp_path / "labels.csv", [], columns="time,class")
+    with pytest.raises(RecordingError, match="expected the columns stamp_ns, beam, class"):
+        import_recording(write([scan(0)]), tmp_path / "out.mcap", labels=labels)
+
+
+def test_the_packaged_recording_is_found_by_its_name() -> None:
+    recording = open_recording(packaged_recording("leg_tracker"))
+    summary = recording.summary()
+    assert (summary.sensors["scan"].scans, summary.sensors["scan"].beams) == (1265, (512, 512))
+    assert set(recording.info.stretches) == {"train", "validation", "test"}
+    assert recording.survey.rate_hz == recording.info.rate_hz == 10.0
+    assert recording.warnings == []
+    assert recording.info.licence == "BSD-3-Clause"
+    assert (recording.path.parent / "LICENSE").is_file()
+
+
+def test_an_unknown_packaged_recording_is_told() -> None:
+    with pytest.raises(GridtrackError, match="did you mean 'leg_tracker'"):
+        packaged_recording("leg-tracker")

@@ -1,0 +1,256 @@
+"""The native recording gives back exactly what was written, streaming, with its metadata, as Foxglove reads it."""
+
+from __future__ import annotations
+
+import math
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from mcap.reader import make_reader
+from mcap_protobuf.decoder import DecoderFactory
+
+from gridtrack.common.errors import ConfigurationError, GridtrackError, RecordingError
+from gridtrack.common.geometry import SE2
+from gridtrack.common.scan import Scan
+from gridtrack.recordings import RecordingInfo, open_recording
+
+
+def test_scans_come_back_to_the_last_bit(write: Callable[..., Path], scan: Callable[..., Scan], same_scans) -> None:
+    scans = [scan(k) for k in range(50)]
+    same_scans(open_recording(write(scans)).scans(), scans)
+
+
+def test_extreme_ranges_and_angles_come_back(write: Callable[..., Path], scan: Callable[..., Scan], same_scans) -> None:
+    smallest, largest = np.finfo(np.float32).smallest_subnormal, np.finfo(np.float32).max
+    ranges = np.array([np.inf, -np.inf, np.nan, 0.0, -0.0, smallest, largest, 1 / 3], np.float32)
+    odd = replace(scan(0), ranges=ranges, angle_min=-1.5707963705062866, angle_increment=0.006135923322290182)
+    same_scans(open_recording(write([odd])).scans(), [odd])
+
+
+def test_one_beam_and_no_beam(write: Callable[..., Path], scan: Callable[..., Scan]) -> None:
+    for beams in (0, 1):
+        (found,) = open_recording(write([replace(scan(0), ranges=np.ones(beams, np.float32))])).scans()
+        assert found.ranges.size == beams
+
+
+def test_sensors_are_merged_by_stamp_with_their_own_poses_and_labels(
+    write: Callable[..., Path], scan: Callable[..., Scan], same_scans
+) -> None:
+    labels = np.arange(36, dtype=np.uint8) % 3
+    labels[5] = 255
+    scans = []
+    for k in range(20):
+        scans.append(replace(scan(k, "front", SE2(0.1 * k, -k, 0.3 * k - 3.0)), labels=labels if k % 4 == 0 else None))
+        scans.append(scan(k, "rear/left", SE2(-1.0, 0.0, math.pi), offset_ns=3_000_001))
+    path = write(scans, classes=["person", "car", "bike"])
+    recording = open_recording(path)
+    same_scans(recording.scans(), scans)
+    assert recording.survey.moves
+    assert {name: s.moved for name, s in recording.survey.sensors.items()} == {"front": True, "rear/left": False}
+    assert {s.sensor for s in open_recording(path, topic="/scan/front").scans()} == {"front"}
+
+
+def test_range_limits_may_change(write: Callable[..., Path], scan: Callable[..., Scan], same_scans) -> None:
+    scans = [replace(scan(k), range_max=5.0 + k // 5) for k in range(20)]
+    same_scans(open_recording(write(scans)).scans(), scans)
+
+
+def test_same_scans_same_bytes(write: Callable[..., Path], scan: Callable[..., Scan]) -> None:
+    once = write((scan(k) for k in range(30)), "once.mcap")
+    again = write((scan(k) for k in range(30)), "again.mcap")
+    assert once.read_bytes() == again.read_bytes()
+
+
+def test_a_stretch_is_read_by_seconds_from_the_first_scan(
+    write: Callable[..., Path], scan: Callable[..., Scan]
+) -> None:
+    recording = open_recording(write(scan(k) for k in range(50)))
+    stamps = [s.stamp_ns for s in recording.scans()]
+    assert [s.stamp_ns for s in recording.scans(1.0, 2.0)] == stamps[10:20]
+    assert [s.stamp_ns for s in recording.scans(start_s=4.5)] == stamps[45:]
+    assert [s.stamp_ns for s in recording.scans(end_s=0.1)] == stamps[:1]
+
+
+def test_foxglove_reads_standard_messages(write: Callable[..., Path], scan: Callable[..., Scan]) -> None:
+    path = write([replace(scan(0, pose=SE2(1.0, 2.0, math.pi / 2)), labels=np.zeros(36, np.uint8))])
+    with path.open("rb") as file:
+        reader = make_reader(file, validate_crcs=True, decoder_factories=[DecoderFactory()])
+        found = {m.channel.topic: (m.schema.name, m.decoded_message) for m in reader.iter_decoded_messages()}
+    assert {topic: name for topic, (name, _) in found.items()} == {
+        "/pose": "foxglove.FrameTransform",
+        "/labels": "foxglove.LaserScan",
+        "/scan": "foxglove.LaserScan",
+    }
+    message, transform = found["/scan"][1], found["/pose"][1]
+    assert (transform.parent_frame_id, transform.child_frame_id) == ("world", message.frame_id)
+    assert message.end_angle == pytest.approx(1.5)
+    assert message.timestamp.seconds * 10**9 + message.timestamp.nanos == scan(0).stamp_ns
+    assert transform.rotation.z == pytest.approx(math.sqrt(0.5))
+
+
+def test_info_comes_back(write: Callable[..., Path], scan: Callable[..., Scan]) -> None:
+    stretches = {"train": (0.0, 3.0), "test": (3.0, None)}
+    path = write([scan(0)], site="hall", grid="100x0.1@-2,-4.5", rate_hz=10.0, stretches=stretches, classes=["car"])
+    info = open_recording(path).info
+    assert info == RecordingInfo(
+        site="hall", grid="100x0.1@-2,-4.5", rate_hz=10.0, stretches=stretches, classes=("car",)
+    )
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        {},
+        {"site": ""},
+        {"site": "a", "grid": "big"},
+        {"site": "a", "rate_hz": 0},
+        {"site": "a", "stretches": {"t": (5, 3)}},
+    ],
+)
+def test_info_that_makes_no_sense_is_refused(values: dict[str, object]) -> None:
+    with pytest.raises((ValueError, ConfigurationError)):
+        RecordingInfo.model_validate(values)
+
+
+@given(st.floats(-1e6, 1e6), st.floats(-1e6, 1e6), st.floats(-math.pi, math.pi))
+def test_poses_come_back(tmp_path_factory: pytest.TempPathFactory, x: float, y: float, theta: float) -> None:
+    from gridtrack.recordings import write_native
+
+    path = tmp_path_factory.mktemp("pose") / "pose.mcap"
+    original = Scan(7, np.ones(3, np.float32), 0.0, 0.1, 0.0, 5.0, world_T_sensor=SE2(x, y, theta))
+    with path.open("wb") as file:
+        write_native(file, RecordingInfo(site="here"), [original])
+    (found,) = open_recording(path).scans()
+    assert (found.world_T_sensor.x, found.world_T_sensor.y) == (x, y)
+    assert abs(math.remainder(found.world_T_sensor.theta - theta, 2 * math.pi)) < 1e-12
+
+
+def test_summary_tells_what_is_in_it(write: Callable[..., Path], scan: Callable[..., Scan]) -> None:
+    path = write([scan(k) for k in range(50) if not 20 <= k < 30], site="hall")
+    summary = open_recording(path).summary()
+    sensor = summary.sensors["scan"]
+    assert (sensor.scans, sensor.rate_hz, sensor.gaps, sensor.longest_gap_s) == (40, 10.0, 1, 1.1)
+    assert (sensor.beams, sensor.range_min, sensor.range_max, sensor.moves) == ((36, 36), 0.05, 5.0, False)
+    assert sensor.no_return_share == pytest.approx(1 / 36, abs=1e-4)
+    assert sensor.invalid_share == pytest.approx(2 / 36, abs=1e-4)
+    assert sensor.field_of_view_deg == pytest.approx(math.degrees(3.0), abs=0.01)
+    assert summary.topics == {"/pose": "foxglove.FrameTransform, 1", "/scan": "foxglove.LaserScan, 40"}
+    assert "40 scans, 10 Hz, jitter 0 ms, gaps: 1, the longest 1.1 s" in str(summary)
+    assert type(summary).model_validate_json(summary.model_dump_json()) == summary
+
+
+def test_rate_is_that_of_the_slowest_sensor_to_a_tenth(write: Callable[..., Path], scan: Callable[..., Scan]) -> None:
+    front = [scan(k, "front", offset_ns=31_000 * (k % 3)) for k in range(40)]
+    rear = [scan(k, "rear", offset_ns=1) for k in range(0, 40, 2)]
+    merged = sorted(front + rear, key=lambda s: s.stamp_ns)
+    assert open_recording(write(merged)).survey.rate_hz == 5.0
+
+
+def test_a_wrong_topic_is_told_with_those_present(write: Callable[..., Path], scan: Callable[..., Scan]) -> None:
+    path = write([scan(0, "front"), scan(1, "rear")])
+    with pytest.raises(RecordingError, match="no topic '/scan/frnt'; did you mean '/scan/front'"):
+        list(open_recording(path, topic="/scan/frnt").scans())
+    with pytest.raises(
+        RecordingError, match=r"'/pose' is foxglove.FrameTransform, not scans; .*: /scan/front, /scan/rear"
+    ):
+        list(open_recording(path, topic="/pose").scans())
+
+
+def test_a_recording_without_scans_says_so(write: Callable[..., Path]) -> None:
+    with pytest.raises(RecordingError, match=r"made\.mcap: no scans; topics: none"):
+        list(open_recording(write([])).scans())
+
+
+def test_a_missing_file_is_told_with_the_nearest_name(write: Callable[..., Path], scan: Callable[..., Scan]) -> None:
+    path = write([scan(0)])
+    with pytest.raises(RecordingError, match=r"no such recording; did you mean 'made\.mcap'"):
+        open_recording(path.with_name("maed.mcap"))
+
+
+def test_other_files_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "notes.txt"
+    path.write_text("not a recording")
+    with pytest.raises(RecordingError, match="not a recording that gridtrack reads"):
+        open_recording(path)
+
+
+def test_scans_whose_stamps_do_not_go_forward_are_left_out_and_told_once(
+    write: Callable[..., Path], scan: Callable[..., Scan]
+) -> None:
+    path = write(scan(k) for k in [0, 1, 3, 2, 4, 5, 7, 6, 8, 8, 9])
+    recording = open_recording(path)
+    for _ in range(2):
+        assert [s.stamp_ns for s in recording.scans()] == [scan(k).stamp_ns for k in [0, 1, 3, 4, 5, 7, 8, 9]]
+    assert len(recording.warnings) == 1
+    assert "not stamped after the one before, left out: 3 of them, the first 0.200 s after" in recording.warnings[0]
+    with pytest.raises(RecordingError, match="not stamped after the one before"):
+        list(open_recording(path, strict=True).scans())
+
+
+def test_sensors_written_late_are_merged_up_to_a_second_and_told_beyond(
+    write: Callable[..., Path], scan: Callable[..., Scan]
+) -> None:
+    def late(by: int) -> list[Scan]:
+        front, rear = ([scan(k, sensor) for k in range(40)] for sensor in ("front", "rear"))
+        return [s for pair in zip(front[by:], rear, strict=False) for s in pair] + rear[40 - by :]
+
+    recording = open_recording(write(late(9)))
+    stamps = [s.stamp_ns for s in recording.scans()]
+    assert stamps == sorted(stamps)
+    assert len(stamps) == 31 + 40
+    assert recording.warnings == []
+    recording = open_recording(write(late(15)))
+    stamps = [s.stamp_ns for s in recording.scans()]
+    assert stamps == sorted(stamps)
+    assert "sensor 'rear' stamped more than a second before those of other sensors" in recording.warnings[0]
+
+
+def test_a_changing_number_of_beams_is_told(write: Callable[..., Path], scan: Callable[..., Scan]) -> None:
+    recording = open_recording(write(scan(k, beams=30 + 6 * (k // 5)) for k in range(15)))
+    assert len(list(recording.scans())) == 15
+    assert "number of beams differs from the one before: 2 of them" in recording.warnings[0]
+    assert recording.summary().sensors["scan"].beams == (30, 42)
+
+
+@pytest.mark.parametrize("limits", [(0.0, math.inf), (3.0, 1.0), (-1.0, 2.0), (0.0, math.nan)])
+def test_range_limits_that_mean_nothing_are_refused(
+    write: Callable[..., Path], scan: Callable[..., Scan], limits: tuple[float, float]
+) -> None:
+    path = write([replace(scan(0), range_min=limits[0], range_max=limits[1])])
+    with pytest.raises(RecordingError, match="range limits"):
+        list(open_recording(path).scans())
+
+
+def test_a_pose_that_is_no_place_leaves_its_scan_out_and_the_first_one_is_refused(
+    write: Callable[..., Path], scan: Callable[..., Scan]
+) -> None:
+    nowhere = SE2(math.nan, 0.0, 0.0)
+    recording = open_recording(write([scan(0), replace(scan(1), world_T_sensor=nowhere), scan(2)]))
+    assert [s.stamp_ns for s in recording.scans()] == [scan(0).stamp_ns, scan(2).stamp_ns]
+    assert "whose pose is not finite, left out: 1 of them" in recording.warnings[0]
+    with pytest.raises(RecordingError, match="a pose of nan, 0, 0; expected a place"):
+        list(open_recording(write([replace(scan(0), world_T_sensor=nowhere)])).scans())
+
+
+def test_every_complaint_is_one_line(write: Callable[..., Path], scan: Callable[..., Scan]) -> None:
+    for topic in ("/pose", "/nothing"):
+        with pytest.raises(GridtrackError) as caught:
+            list(open_recording(write([scan(0)]), topic=topic).scans())
+        assert "\n" not in str(caught.value)
+
+
+def test_native_recordings_are_read_without_rosbags(write: Callable[..., Path], scan: Callable[..., Scan]) -> None:
+    path = write([scan(0)])
+    program = (
+        "import sys; from gridtrack.recordings.stream import open_stream\n"
+        f"list(open_stream({str(path)!r}, rate_hz=10.0))\n"
+        "assert not any(m.partition('.')[0] in ('rosbags', 'mcap_ros2') for m in sys.modules)"
+    )
+    subprocess.run([sys.executable, "-c", program], check=True)

@@ -1,0 +1,299 @@
+"""ROS bags and ROS MCAP files read as the scans that were put in, damaged ones up to the damage."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import struct
+import sys
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from mcap.writer import Writer as McapWriter
+from rosbags.rosbag1 import Writer as Writer1
+from rosbags.rosbag2 import StoragePlugin
+from rosbags.rosbag2 import Writer as Writer2
+from rosbags.typesys import Stores, get_typestore
+
+from gridtrack.common.errors import GridtrackError, RecordingError
+from gridtrack.common.scan import Scan
+from gridtrack.recordings import CloudSlice, import_recording, open_recording
+
+ROS1, ROS2 = get_typestore(Stores.ROS1_NOETIC), get_typestore(Stores.LATEST)
+LASER, CLOUD, STRING = "sensor_msgs/msg/LaserScan", "sensor_msgs/msg/PointCloud2", "std_msgs/msg/String"
+
+
+def header(store: Any, stamp_ns: int) -> Any:
+    stamp = store.types["builtin_interfaces/msg/Time"](sec=stamp_ns // 10**9, nanosec=stamp_ns % 10**9)
+    sequence = {"seq": 0} if store is ROS1 else {}
+    return store.types["std_msgs/msg/Header"](stamp=stamp, frame_id="laser", **sequence)
+
+
+def laser(store: Any, scan: Scan) -> Any:
+    return store.types[LASER](
+        header=header(store, scan.stamp_ns),
+        angle_min=scan.angle_min,
+        angle_max=scan.angle_min + scan.angle_increment * (scan.ranges.size - 1),
+        angle_increment=scan.angle_increment,
+        time_increment=0.0,
+        scan_time=0.1,
+        range_min=scan.range_min,
+        range_max=scan.range_max,
+        ranges=scan.ranges,
+        intensities=np.empty(0, np.float32),
+    )
+
+
+def cloud(store: Any, points: np.ndarray, stamp_ns: int = 5) -> Any:
+    """Points (N, 3) with padding and a field of another type in between, as drivers send them."""
+    kind = np.dtype({"names": ["x", "y", "z"], "formats": ["<f4"] * 3, "offsets": [0, 4, 8], "itemsize": 32})
+    packed = np.zeros(len(points), kind)
+    packed["x"], packed["y"], packed["z"] = points.T
+    fields = [
+        store.types["sensor_msgs/msg/PointField"](name=name, offset=offset, datatype=datatype, count=1)
+        for name, offset, datatype in (("x", 0, 7), ("y", 4, 7), ("ring", 16, 4), ("z", 8, 7))
+    ]
+    return store.types[CLOUD](
+        header=header(store, stamp_ns),
+        height=1,
+        width=len(points),
+        fields=fields,
+        is_bigendian=False,
+        point_step=32,
+        row_step=32 * len(points),
+        data=np.frombuffer(packed.tobytes(), np.uint8),
+        is_dense=False,
+    )
+
+
+Messages = Iterable[tuple[str, str, int, Any]]
+"""(topic, type, time of reception, message)."""
+
+
+def ros1_bag(path: Path, messages: Messages, compression: Any = None, chunk_bytes: int = 4096) -> Path:
+    with Writer1(path) as writer:
+        writer.chunk_threshold = chunk_bytes
+        if compression:
+            writer.compression = compression
+        connections: dict[str, Any] = {}
+        for topic, kind, received_ns, message in messages:
+            if topic not in connections:
+                connections[topic] = writer.add_connection(topic, kind, typestore=ROS1)
+            writer.write(connections[topic], received_ns, ROS1.serialize_ros1(message, kind))
+    return path
+
+
+def ros2_bag(path: Path, messages: Messages, storage: StoragePlugin = StoragePlugin.SQLITE3) -> Path:
+    with Writer2(path, version=9, storage_plugin=storage) as writer:
+        connections: dict[str, Any] = {}
+        for topic, kind, received_ns, message in messages:
+            if topic not in connections:
+                connections[topic] = writer.add_connection(topic, kind, typestore=ROS2)
+            writer.write(connections[topic], received_ns, ROS2.serialize_cdr(message, kind))
+    return path
+
+
+def ros1_mcap(path: Path, messages: Messages) -> Path:
+    with path.open("wb") as file:
+        writer = McapWriter(file, chunk_size=1024)
+        writer.start(profile="ros1")
+        channels: dict[str, int] = {}
+        for topic, kind, received_ns, message in messages:
+            if topic not in channels:
+                text, _ = ROS1.generate_msgdef(kind)
+                schema = writer.register_schema(kind.replace("/msg/", "/"), "ros1msg", text.encode())
+                channels[topic] = writer.register_channel(topic, "ros1", schema)
+            writer.add_message(channels[topic], received_ns, bytes(ROS1.serialize_ros1(message, kind)), received_ns)
+        writer.finish()
+    return path
+
+
+def float32(value: float) -> float:
+    return float(np.float32(value))
+
+
+@pytest.fixture
+def scans(scan: Callable[..., Scan]) -> list[Scan]:
+    """Scans of two sensors whose fields are exact in the 32 bits that ROS gives them."""
+    made = []
+    for k in range(40):
+        for sensor, offset_ns in (("scan", 0), ("rear/scan", 40_000_000)):
+            s = scan(k, sensor, offset_ns=offset_ns)
+            exact = {n: float32(getattr(s, n)) for n in ("angle_min", "angle_increment", "range_min", "range_max")}
+            made.append(replace(s, **exact))
+    return made
+
+
+def messages_of(store: Any, scans: Iterable[Scan]) -> Messages:
+    for s in scans:
+        yield f"/{s.sensor}", LASER, s.stamp_ns + 10_000_000, laser(store, s)
+        yield "/chatter", STRING, s.stamp_ns + 11_000_000, store.types[STRING](data="hello")
+
+
+MAKERS: dict[str, Callable[[Path, list[Scan]], Path]] = {
+    "ros1 bag": lambda folder, scans: ros1_bag(folder / "a.bag", messages_of(ROS1, scans)),
+    "ros1 bag, bz2": lambda folder, scans: ros1_bag(
+        folder / "a.bag", messages_of(ROS1, scans), Writer1.CompressionFormat.BZ2
+    ),
+    "ros1 bag, lz4": lambda folder, scans: ros1_bag(
+        folder / "a.bag", messages_of(ROS1, scans), Writer1.CompressionFormat.LZ4
+    ),
+    "ros2 bag, sqlite": lambda folder, scans: ros2_bag(folder / "a", messages_of(ROS2, scans)),
+    "ros2 bag, one db3": lambda folder, scans: next(ros2_bag(folder / "a", messages_of(ROS2, scans)).glob("*.db3")),
+    "ros2 bag, mcap": lambda folder, scans: ros2_bag(folder / "a", messages_of(ROS2, scans), StoragePlugin.MCAP),
+    "ros2 mcap": lambda folder, scans: next(
+        ros2_bag(folder / "a", messages_of(ROS2, scans), StoragePlugin.MCAP).glob("*.mcap")
+    ),
+    "ros1 mcap": lambda folder, scans: ros1_mcap(folder / "a.mcap", messages_of(ROS1, scans)),
+}
+
+
+@pytest.mark.parametrize("kind", MAKERS)
+def test_laser_scans_come_back_from(kind: str, tmp_path: Path, scans: list[Scan], same_scans) -> None:
+    recording = open_recording(MAKERS[kind](tmp_path, scans))
+    same_scans(recording.scans(), scans)
+    assert recording.warnings == []
+    assert recording.survey.topics["/chatter"] == (STRING, 80)
+
+
+@pytest.mark.parametrize("kind", MAKERS)
+def test_one_topic_of_several(kind: str, tmp_path: Path, scans: list[Scan], same_scans) -> None:
+    path = MAKERS[kind](tmp_path, scans)
+    same_scans(open_recording(path, topic="/rear/scan").scans(), [s for s in scans if s.sensor == "rear/scan"])
+    with pytest.raises(RecordingError, match="no topic '/raer/scan'; did you mean '/rear/scan'"):
+        list(open_recording(path, topic="/raer/scan").scans())
+    with pytest.raises(RecordingError, match="'/chatter' is std_msgs/msg/String, not scans"):
+        list(open_recording(path, topic="/chatter").scans())
+
+
+def test_headers_without_a_stamp_take_the_time_of_reception_and_say_so(tmp_path: Path, scans: list[Scan]) -> None:
+    messages = [("/scan", LASER, 10**9 + k, laser(ROS1, replace(s, stamp_ns=0))) for k, s in enumerate(scans[:3])]
+    recording = open_recording(ros1_bag(tmp_path / "a.bag", messages))
+    assert [s.stamp_ns for s in recording.scans()] == [10**9, 10**9 + 1, 10**9 + 2]
+    assert len(recording.warnings) == 1
+    assert "time of reception" in recording.warnings[0]
+
+
+def test_a_bag_without_scans_lists_what_it_has(tmp_path: Path) -> None:
+    path = ros1_bag(tmp_path / "a.bag", [("/chatter", STRING, 5, ROS1.types[STRING](data="hello"))])
+    with pytest.raises(RecordingError, match=r"no scans; topics: /chatter \(std_msgs/msg/String\)"):
+        list(open_recording(path).scans())
+
+
+@pytest.mark.parametrize("kind", ["ros1 bag", "ros1 bag, bz2", "ros1 mcap"])
+def test_a_cut_file_gives_what_stands_before_the_cut(kind: str, tmp_path: Path, scans: list[Scan]) -> None:
+    path = MAKERS[kind](tmp_path, scans)
+    content = path.read_bytes()
+    path.write_bytes(content[: len(content) * 3 // 5])
+    recording = open_recording(path)
+    found = [s.stamp_ns for s in recording.scans()]
+    assert found == [s.stamp_ns for s in scans][: len(found)]
+    assert len(found) > len(scans) // 3
+    assert len(recording.warnings) == 1
+    assert "cut off" in recording.warnings[0]
+    with pytest.raises(RecordingError, match="cut off"):
+        list(open_recording(path, strict=True).scans())
+
+
+def test_a_bag_cut_inside_a_chunk_gives_the_messages_before_the_cut(tmp_path: Path, scans: list[Scan]) -> None:
+    path = ros1_bag(tmp_path / "a.bag", messages_of(ROS1, scans), chunk_bytes=1 << 20)
+    content = path.read_bytes()
+    path.write_bytes(content[: content.index(b"op=\x05") + 8000])
+    recording = open_recording(path)
+    found = [s.stamp_ns for s in recording.scans()]
+    assert found == [s.stamp_ns for s in scans][: len(found)]
+    assert len(found) > 15
+    assert len(recording.warnings) == 1
+
+
+def test_a_bag_that_lost_its_index_still_reads(tmp_path: Path, scans: list[Scan], same_scans) -> None:
+    path = MAKERS["ros1 bag"](tmp_path, scans)
+    content = bytearray(path.read_bytes())
+    at = content.index(b"index_pos=") + len(b"index_pos=")
+    (index_pos,) = struct.unpack_from("<Q", content, at)
+    content[at : at + 8] = bytes(8)
+    path.write_bytes(content[:index_pos])
+    same_scans(open_recording(path).scans(), scans)
+
+
+def test_a_damaged_database_gives_what_stands_before_the_damage(tmp_path: Path, scans: list[Scan]) -> None:
+    path = MAKERS["ros2 bag, one db3"](tmp_path, scans)
+    content = path.read_bytes()
+    path.write_bytes(content[: len(content) // 2])
+    with pytest.raises(RecordingError, match="damaged"):
+        list(open_recording(path, strict=True).scans())
+
+
+@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.data())
+def test_whatever_is_damaged_in_a_bag_nothing_but_our_errors_is_raised(
+    tmp_path: Path, scans: list[Scan], data: st.DataObject
+) -> None:
+    whole = tmp_path / "whole.bag"
+    if not whole.exists():
+        ros1_bag(whole, messages_of(ROS1, scans))
+    content = bytearray(whole.read_bytes())
+    for _ in range(data.draw(st.integers(1, 3))):
+        content[data.draw(st.integers(4096, len(content) - 1))] = data.draw(st.integers(0, 255))
+    path = tmp_path / "damaged.bag"
+    path.write_bytes(content[: data.draw(st.integers(5000, len(content)))])
+    with contextlib.suppress(GridtrackError):
+        list(open_recording(path).scans())
+
+
+def test_a_cloud_is_cut_at_a_height_to_the_nearest_point_of_each_bearing(tmp_path: Path) -> None:
+    points = np.array(
+        [[2.0, 0.1, 0.5], [4.0, 0.2, 0.5], [1.0, 0.0, 1.5], [-0.1, 3.0, 0.6], [math.nan, 0.0, 0.5], [60.0, 0.1, 0.5]]
+    )
+    path = ros2_bag(tmp_path / "a", [("/points", CLOUD, 5, cloud(ROS2, points))])
+    cut = CloudSlice(low_m=0.0, high_m=1.0, beams=36)
+    (scan,) = open_recording(path, topic="/points", cloud_slice=cut).scans()
+    angles = scan.angle_min + scan.angle_increment * np.arange(36)
+    returned = np.isfinite(scan.ranges)
+    np.testing.assert_allclose(np.degrees(angles[returned]), [5.0, 95.0], atol=1e-6)
+    np.testing.assert_allclose(scan.ranges[returned], [math.hypot(2.0, 0.1), math.hypot(0.1, 3.0)], rtol=1e-6)
+    assert (scan.sensor, scan.stamp_ns, scan.range_max) == ("points", 5, 50.0)
+    imported = import_recording(path, tmp_path / "cut.mcap", topic="/points", cloud_slice=cut)
+    assert "--cloud-slice low_m=0,high_m=1,beams=36" in imported.info.command
+
+
+def test_what_a_bearing_without_points_means_is_chosen(tmp_path: Path) -> None:
+    path = ros2_bag(tmp_path / "a", [("/points", CLOUD, 5, cloud(ROS2, np.array([[2.0, 0.1, 0.5]])))])
+    seen = {}
+    for empty in ("free", "unknown"):
+        cut = CloudSlice(low_m=0.0, high_m=1.0, beams=36, range_max_m=6.0, empty=empty)
+        (seen[empty],) = open_recording(path, topic="/points", cloud_slice=cut).scans()
+    assert np.isposinf(seen["free"].ranges).sum() == np.isnan(seen["unknown"].ranges).sum() == 35
+    assert seen["free"].range_max == 6.0
+    imported = import_recording(path, tmp_path / "cut.mcap", topic="/points", cloud_slice=cut)
+    assert "range_max_m=6,empty=unknown" in imported.info.command
+
+
+def test_a_cloud_wants_its_topic_and_its_heights_named(tmp_path: Path) -> None:
+    path = ros1_bag(tmp_path / "a.bag", [("/points", CLOUD, 5, cloud(ROS1, np.ones((3, 3))))])
+    with pytest.raises(RecordingError, match=r"no scans; topics: /points \(sensor_msgs/msg/PointCloud2\)"):
+        list(open_recording(path).scans())
+    with pytest.raises(RecordingError, match="point cloud: give the heights"):
+        list(open_recording(path, topic="/points").scans())
+
+
+def test_a_cloud_that_says_more_than_it_holds_is_refused(tmp_path: Path) -> None:
+    message = replace(cloud(ROS1, np.ones((3, 3))), width=1000)
+    path = ros1_bag(tmp_path / "a.bag", [("/points", CLOUD, 5, message)])
+    with pytest.raises(RecordingError, match="1 x 1000 points in 96 bytes"):
+        list(open_recording(path, topic="/points", cloud_slice=CloudSlice(low_m=0, high_m=2)).scans())
+
+
+def test_without_rosbags_the_extra_is_named(tmp_path: Path, scans: list[Scan], monkeypatch: pytest.MonkeyPatch) -> None:
+    path = MAKERS["ros1 bag"](tmp_path, scans)
+    monkeypatch.delattr("gridtrack.recordings.ros", raising=False)
+    monkeypatch.delitem(sys.modules, "gridtrack.recordings.ros", raising=False)
+    monkeypatch.setitem(sys.modules, "rosbags.rosbag2", None)
+    with pytest.raises(RecordingError, match=r"pip install gridtrack\[ros\]"):
+        open_recording(path)

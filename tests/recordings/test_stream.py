@@ -1,0 +1,250 @@
+"""A grid stream is the same regular frames for everybody: slices of one whole, in the frame of the first sensor."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gridtrack.common.errors import GridtrackError, RecordingError
+from gridtrack.common.geometry import SE2
+from gridtrack.common.grid import GridFrame, GridSpec
+from gridtrack.common.raycast import cast_scan
+from gridtrack.common.scan import Scan
+from gridtrack.recordings import open_recording, packaged_recording
+from gridtrack.recordings.stream import GridStream, frame_digest, open_stream, parse_stretch
+
+GRID = GridSpec(60, 0.2)
+
+
+def one_beam(scan: Scan, distance: float, **changes: object) -> Scan:
+    """A scan that sees one thing, straight ahead."""
+    return replace(scan, ranges=np.array([distance], np.float32), angle_min=0.0, angle_increment=0.0, **changes)
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("demo.mcap", ("demo.mcap", None)),
+        ("demo.mcap@30s-90s", ("demo.mcap", (30.0, 90.0))),
+        ("demo.mcap@30-90.5", ("demo.mcap", (30.0, 90.5))),
+        ("demo.mcap@90s-", ("demo.mcap", (90.0, None))),
+        ("a@b/demo.mcap@test", ("a@b/demo.mcap", "test")),
+        ("demo.mcap@leave-one-out", ("demo.mcap", "leave-one-out")),
+    ],
+)
+def test_a_stretch_is_read_from_text(text: str, expected: tuple[str, object]) -> None:
+    path, stretch = parse_stretch(text)
+    assert (str(path), stretch) == expected
+
+
+def test_a_file_with_an_at_sign_in_its_name_is_a_file(tmp_path: Path) -> None:
+    path = tmp_path / "demo@home"
+    path.touch()
+    assert parse_stretch(str(path)) == (path, None)
+
+
+@pytest.mark.parametrize("text", ["demo.mcap@", "@test", "demo.mcap@90s-30s"])
+def test_a_stretch_that_cannot_be_read_is_told(text: str) -> None:
+    with pytest.raises(RecordingError, match=r"'.*': "):
+        parse_stretch(text)
+
+
+def test_frames_are_the_scans_cast_into_the_grid(write: Callable[..., Path], scan: Callable[..., Scan]) -> None:
+    scans = [scan(k) for k in range(12)]
+    stream = open_stream(write(scans), grid=GRID)
+    frames = list(stream)
+    assert len(stream) == len(frames) == 12
+    assert stream.period_s == 0.1
+    for frame, source in zip(frames, scans, strict=True):
+        visible, occupied = np.zeros(GRID.shape, bool), np.zeros(GRID.shape, bool)
+        cast_scan(source, GRID, SE2(), visible, occupied)
+        np.testing.assert_array_equal(frame.visible, visible)
+        np.testing.assert_array_equal(frame.occupied, occupied)
+        assert frame.stamp_ns == source.stamp_ns
+
+
+def test_every_iteration_starts_over(write: Callable[..., Path], scan: Callable[..., Scan]) -> None:
+    stream = open_stream(write(scan(k) for k in range(12)))
+    begun = iter(stream)
+    next(begun)
+    once = [frame_digest(f) for f in stream]
+    assert once == [frame_digest(f) for f in stream]
+    assert [frame_digest(f) for f in begun] == once[1:]
+
+
+def test_a_stretch_is_a_slice_of_the_whole(write: Callable[..., Path], scan: Callable[..., Scan]) -> None:
+    stretches = {"train": (0.0, 1.5), "validation": (1.5, 2.04), "test": (2.04, None)}
+    path = write((scan(k, offset_ns=(k * 7919) % 30_000_000) for k in range(40)), stretches=stretches)
+    whole = [frame_digest(f) for f in open_stream(path, rate_hz=10.0)]
+    parts = [open_stream(f"{path}@{name}", rate_hz=10.0) for name in stretches]
+    assert [len(p) for p in parts] == [15, 6, len(whole) - 21]
+    assert [frame_digest(f) for part in parts for f in part] == whole
+    assert [frame_digest(f) for f in open_stream(f"{path}@1.5s-2.04s", rate_hz=10.0)] == whole[15:21]
+
+
+def test_names_and_what_the_recording_says_are_passed_on(write: Callable[..., Path], scan: Callable[..., Scan]) -> None:
+    path = write(
+        (scan(k) for k in range(30)),
+        site="hall",
+        grid="50x0.1@-1,-2.5",
+        rate_hz=5.0,
+        classes=["car"],
+        stretches={"test": (1.0, None)},
+    )
+    stream = open_stream(f"{path}@test")
+    assert (stream.name, stream.site, stream.classes) == ("made.mcap@test", "hall", ("car",))
+    assert (str(stream.grid), stream.period_s, stream.stretch_s) == ("50x0.1@-1,-2.5", 0.2, (1.0, pytest.approx(2.9)))
+    assert open_stream(f"{path}@0s-2s").name == "made.mcap@0s-2s"
+    assert open_stream(path, rate_hz=10.0, grid=GRID).period_s == 0.1
+    assert stream.sha256 == open_recording(path).sha256
+
+
+def test_without_advice_the_grid_is_the_default_and_the_rate_the_median(
+    write: Callable[..., Path], scan: Callable[..., Scan]
+) -> None:
+    stream = open_stream(write(scan(k, offset_ns=-k * 300_000) for k in range(30)))
+    assert stream.grid == GridSpec(100, 0.2)
+    assert stream.period_s == 0.1
+
+
+@pytest.mark.parametrize(
+    ("stretch", "complaint"),
+    [
+        ("@tset", "no stretch 'tset'; did you mean 'test'"),
+        ("@5s-9s", r"the recording is 2\.9 s long"),
+        ("@3.5s-", r"the recording is 2\.9 s long"),
+        ("@1.01s-1.02s", "no frame at 10 Hz"),
+    ],
+)
+def test_a_stretch_that_is_not_there_is_told(
+    stretch: str, complaint: str, write: Callable[..., Path], scan: Callable[..., Scan]
+) -> None:
+    path = write((scan(k) for k in range(30)), stretches={"test": (1.0, None)})
+    with pytest.raises(GridtrackError, match=complaint):
+        open_stream(f"{path}{stretch}")
+
+
+def test_a_rate_that_cannot_be_is_refused(write: Callable[..., Path], scan: Callable[..., Scan]) -> None:
+    path = write([scan(0)])
+    with pytest.raises(RecordingError, match="give one with --rate"):
+        open_stream(path)
+    with pytest.raises(RecordingError, match="a rate of -1 Hz"):
+        open_stream(path, rate_hz=-1.0)
+
+
+def test_gaps_are_counted_told_and_empty(write: Callable[..., Path], scan: Callable[..., Scan]) -> None:
+    path = write(scan(k) for k in range(40) if not 10 <= k < 15 and k != 20)
+    stream = open_stream(path)
+    frames = list(stream)
+    assert len(frames) == 40
+    assert stream.gaps == 1
+    empty = [k for k, frame in enumerate(frames) if not frame.visible.any()]
+    assert empty == [10, 11, 12, 13, 14]
+    assert all(len(frames[k].points) == 0 and frames[k].origins.shape == (1, 2) for k in empty)
+    assert len(stream.recording.warnings) == 1
+    assert (
+        "gaps longer than two periods of 0.1 s in 0s-3.9s: 1, the longest 0.60 s from 0.90 s on"
+        in (stream.recording.warnings[0])
+    )
+    assert open_stream(f"{path}@2s-3s").gaps == 0
+
+
+def test_the_grid_of_a_standing_sensor_stands_in_its_frame(
+    write: Callable[..., Path], scan: Callable[..., Scan]
+) -> None:
+    pose = SE2(10.0, 20.0, math.pi / 2)
+    frames = list(open_stream(write(one_beam(scan(k), 3.0, world_T_sensor=pose) for k in range(3)), grid=GRID))
+    for frame in frames:
+        assert (frame.world_T_grid.x, frame.world_T_grid.y) == (10.0, 20.0)
+        np.testing.assert_allclose(frame.origins, [[0.0, 0.0]], atol=1e-6)
+        np.testing.assert_allclose(frame.points, [[3.1, 0.1]], atol=1e-6)
+        np.testing.assert_allclose(frame.world_T_grid.apply(frame.points), [[9.9, 23.1]], atol=1e-5)
+
+
+def test_the_grid_follows_a_sensor_that_moves(write: Callable[..., Path], scan: Callable[..., Scan]) -> None:
+    scans = [one_beam(scan(k), 3.0, world_T_sensor=SE2(0.5 * k, 0.0, 0.1 * k)) for k in range(4)]
+    for k, frame in enumerate(open_stream(write(scans), grid=GRID)):
+        assert (frame.world_T_grid.x, frame.world_T_grid.theta) == (0.5 * k, pytest.approx(0.1 * k))
+        np.testing.assert_allclose(frame.origins, [[0.0, 0.0]], atol=1e-6)
+        np.testing.assert_allclose(frame.points, [[3.1, 0.1]], atol=1e-6)
+
+
+def two_sensors(scan: Callable[..., Scan]) -> list[Scan]:
+    """A front sensor at the origin, and 2 m behind it one that looks back; each sees one thing 1.1 m away."""
+    scans = []
+    for k in range(5):
+        scans.append(one_beam(scan(k, "front"), 1.1))
+        back = SE2(-2.0, 0.0, math.pi)
+        scans.append(one_beam(scan(k, "rear", offset_ns=1), 1.1, world_T_sensor=back))
+    return scans
+
+
+def test_several_sensors_share_the_frame_of_the_first(write: Callable[..., Path], scan: Callable[..., Scan]) -> None:
+    path = write(two_sensors(scan))
+    for points in ("centres", "raw"):
+        for frame in open_stream(path, grid=GRID, points=points, rate_hz=10.0):
+            np.testing.assert_allclose(frame.origins, [[0.0, 0.0], [-2.0, 0.0]], atol=1e-6)
+            order = np.argsort(frame.point_origin)
+            np.testing.assert_allclose(frame.points[order][:, 0], [1.1, -3.1], atol=0.11)
+            assert frame.point_origin[order].tolist() == [0, 1]
+            assert frame.point_origin.dtype == np.uint8
+
+
+def test_raw_points_are_the_returns_and_centres_those_of_the_occupied_cells(
+    write: Callable[..., Path], scan: Callable[..., Scan]
+) -> None:
+    path = write([scan(0), scan(1)])
+    (raw, *_), (centres, *_) = open_stream(path, grid=GRID, points="raw"), open_stream(path, grid=GRID)
+    np.testing.assert_array_equal(raw.occupied, centres.occupied)
+    returned = np.isfinite(scan(0).ranges)
+    angles = (-1.5 + 3.0 / 35 * np.arange(36))[returned]
+    expected = scan(0).ranges[returned, None] * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    np.testing.assert_allclose(raw.points, expected, atol=1e-5)
+    np.testing.assert_array_equal(centres.points, GRID.cell_centres(centres.occupied))
+    assert len(centres.point_origin) == len(centres.points) == centres.occupied.sum()
+
+
+def test_a_digest_changes_with_every_part_of_a_frame(write: Callable[..., Path], scan: Callable[..., Scan]) -> None:
+    (frame,) = open_stream(write([scan(0)]), rate_hz=10.0)
+
+    def changed(**fields: object) -> GridFrame:
+        return replace(frame, **fields)
+
+    flipped = frame.visible.copy()
+    flipped[0, 0] ^= True
+    others = [
+        changed(stamp_ns=frame.stamp_ns + 1),
+        changed(visible=flipped),
+        changed(occupied=flipped),
+        changed(world_T_grid=SE2(1e-12, 0.0, 0.0)),
+        changed(origins=frame.origins + np.float32(1e-3)),
+        changed(points=frame.points[1:], point_origin=frame.point_origin[1:]),
+        changed(point_origin=frame.point_origin + np.uint8(1)),
+    ]
+    digests = {frame_digest(f) for f in [frame, *others]}
+    assert len(digests) == 1 + len(others)
+    assert all(len(d) == 32 for d in digests)
+    assert frame_digest(replace(frame, visible=frame.visible.copy())) == frame_digest(frame)
+
+
+def test_the_demo_looks_as_it_should() -> None:
+    stream = open_stream(f"{packaged_recording('leg_tracker')}@test")
+    assert (str(stream.grid), stream.period_s, stream.site) == ("100x0.1@-2,-4.5", 0.1, "leg_tracker")
+    assert (len(stream), stream.gaps) == (360, 0)
+    frame = next(iter(stream))
+    assert not frame.visible[:, :19].any(), "nothing is seen behind a laser that looks along x"
+    wall = frame.occupied[90:100, 20:35]
+    assert wall.any(axis=0).mean() > 0.8, "there is a wall to the left, at y = 5 m"
+    assert isinstance(GridStream(stream.recording, (0.0, 75.0)), GridStream)
+
+
+def test_sensors_without_poses_are_told(write: Callable[..., Path], scan: Callable[..., Scan]) -> None:
+    scans = [scan(k, sensor) for k in range(5) for sensor in ("front", "rear")]
+    stream = open_stream(write(scans))
+    assert len(stream.recording.warnings) == 1
+    assert "2 sensors and no poses: all are taken to stand in one place" in stream.recording.warnings[0]

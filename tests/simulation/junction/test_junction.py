@@ -1,0 +1,153 @@
+"""The junction: its place leaves the streets free, its demand is what it says, and the set that ships keeps to both."""
+
+from __future__ import annotations
+
+import importlib.util
+import itertools
+import xml.etree.ElementTree as ET
+from io import BytesIO
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gridtrack.common.errors import ConfigurationError
+from gridtrack.common.grid import GridSpec
+from gridtrack.recordings import open_recording, packaged_recording
+from gridtrack.simulation import junction, sumo
+from gridtrack.simulation.junction import JUNCTION_SET, demand, place, simulate_junction
+from gridtrack.simulation.junction.patience import Patience
+from gridtrack.simulation.tracks import read_tracks, write_tracks
+from gridtrack.simulation.traffic import examine
+
+NETWORK = Path(junction.__file__).with_name("network.net.xml")
+TESTS = [name for name in JUNCTION_SET if name.startswith("test-")]
+
+
+def street_points() -> np.ndarray:
+    """Points all over the lanes, pavements, crossings and waiting areas of the network, 5 cm apart across them."""
+    points = []
+    for lane in ET.parse(NETWORK).getroot().iter("lane"):
+        shape = np.array([tuple(map(float, corner.split(","))) for corner in lane.get("shape").split()])
+        if ":C_w" in lane.get("id"):
+            points.append(shape)
+            continue
+        for start, end in itertools.pairwise(shape):
+            along = (end - start) / np.linalg.norm(end - start)
+            across = np.array([-along[1], along[0]]) * float(lane.get("width")) / 2.0
+            shares = np.linspace(0.0, 1.0, 30)[:, None]
+            points += [start + shares * (end - start) + side * across for side in np.linspace(-1.0, 1.0, 11)]
+    return np.concatenate(points)
+
+
+def inside(points: np.ndarray, outline: np.ndarray) -> np.ndarray:
+    """Inside a convex, counter-clockwise outline: left of all its sides."""
+    sides = np.roll(outline, -1, axis=0) - outline
+    to = points[:, None] - outline
+    return (sides[:, 0] * to[..., 1] - sides[:, 1] * to[..., 0] > 0.0).all(axis=1)
+
+
+def test_nothing_stands_in_the_streets() -> None:
+    streets = street_points()
+    assert len(streets) > 1000
+    for outline in place.static_outlines():
+        assert not inside(streets, np.array(outline)).any(), outline
+
+
+def test_the_scanner_stands_beside_the_streets_and_in_no_house() -> None:
+    at = np.array([[place.LASER.x, place.LASER.y]])
+    assert not any(inside(at, np.array(outline)).any() for outline in place.static_outlines())
+    assert np.linalg.norm(street_points() - at, axis=1).min() > 0.3
+
+
+def test_the_window_is_twenty_metres_with_the_middle_of_the_junction_in_it() -> None:
+    grid = GridSpec.parse(place.GRID)
+    assert (grid.size, grid.cell_m) == (100, 0.2)
+    middle = place.LASER.world_T_sensor.inverse().apply(np.zeros((1, 2)))
+    assert grid.cells_of(middle)[1].all()
+
+
+def test_the_signals_repeat_in_the_cycle_that_the_recording_names() -> None:
+    phases = ET.parse(NETWORK.with_name("signals.add.xml")).getroot().iter("phase")
+    assert sum(float(phase.get("duration")) for phase in phases) == place.CYCLE_S
+
+
+def test_the_demand_sums_to_what_it_says() -> None:
+    root = ET.fromstring(demand.routes())
+    rates = dict.fromkeys(("car", "bus", "cyclist", "pedestrian"), 0.0)
+    for flow in (*root.iter("flow"), *root.iter("personFlow")):
+        rates[flow.get("type")] += float(flow.get("period")[4:-1])
+    assert rates == pytest.approx(
+        {
+            "car": demand.CARS,
+            "bus": demand.BUSES,
+            "cyclist": demand.CYCLISTS,
+            "pedestrian": demand.PEDESTRIANS,
+        },
+        abs=1e-4,
+    )
+    for distribution in root.iter("vTypeDistribution"):
+        assert sum(float(kind.get("probability")) for kind in distribution) == pytest.approx(1.0)
+
+
+def test_the_tests_begin_all_over_the_cycle() -> None:
+    begins = sorted(start_s % place.CYCLE_S for name, (_, _, start_s) in JUNCTION_SET.items() if name in TESTS)
+    assert np.diff([*begins, begins[0] + place.CYCLE_S]).max() <= 6.0
+
+
+def test_the_set_that_ships_is_whole_and_small() -> None:
+    files = [packaged_recording(f"junction/{name}") for name in JUNCTION_SET]
+    assert len(TESTS) == 20
+    assert sum(path.stat().st_size for path in files) < 4_000_000
+    for name, path in zip(JUNCTION_SET, files, strict=True):
+        info = read_tracks(path).info
+        minutes, seed, _ = JUNCTION_SET[name]
+        assert (info.frames, info.noise_seed, info.recording.site) == (minutes * 480, seed, "junction")
+        assert (info.recording.classes, info.recording.grid) == (place.CLASSES, str(GridSpec.parse(place.GRID)))
+
+
+def test_nobody_in_the_tests_walks_through_walls_and_everybody_moves_enough_to_be_scored() -> None:
+    shares = []
+    for name in TESTS:
+        traffic = examine(read_tracks(packaged_recording(f"junction/{name}")))
+        assert traffic.faults == ()
+        shares.append([kind.moving for kind in traffic.classes])
+    pedestrian, cyclist, car, bus = np.mean(shares, axis=0)
+    assert min(pedestrian, cyclist, car) >= 0.3
+    assert bus >= 0.05
+
+
+def test_a_recording_that_ships_renders_with_truth(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    recording = open_recording(packaged_recording("junction/test-101"))
+    summary = recording.summary().sensors["scan"]
+    assert (summary.scans, summary.labelled_scans, summary.scans_with_truth, summary.beams) == (
+        480,
+        480,
+        480,
+        (1081,) * 2,
+    )
+    assert not recording.warnings
+
+
+def test_without_sumo_the_error_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(__import__("sys").modules, "sumo", None)
+    with pytest.raises(ConfigurationError, match=r"pip install 'gridtrack\[sim\]'"):
+        simulate_junction(0.1, 1)
+
+
+def test_sumo_s_words_reach_the_user_where_it_fails(tmp_path: Path) -> None:
+    pytest.importorskip("sumo", reason="SUMO is not installed")
+    with pytest.raises(sumo.SimulationError, match=r"SUMO failed with seed 3: Error: .*; try another seed"):
+        sumo.run_sumo(tmp_path, NETWORK, "<routes><flow/></routes>", (), (0.0, 1.0), 3, Patience(place.JUNCTION))
+
+
+@pytest.mark.skipif(importlib.util.find_spec("sumo") is None, reason="SUMO is not installed")
+def test_the_same_seed_gives_the_same_bytes_and_another_seed_other_traffic() -> None:
+    files = []
+    for seed in (1, 1, 2):
+        file = BytesIO()
+        write_tracks(file, simulate_junction(0.1, seed, start_s=60.0))
+        files.append(file.getvalue())
+    assert files[0] == files[1]
+    assert files[0] != files[2]

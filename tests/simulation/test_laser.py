@@ -1,0 +1,116 @@
+"""The simulated laser sees the nearest side of any outline, against an implementation that tries them all."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from gridtrack.common.geometry import SE2
+from gridtrack.common.scene import Scene, SceneObject
+from gridtrack.simulation.laser import TICK_M, sweep, with_noise
+
+SQUARE = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]], np.float32)
+
+
+def every_side(scene: Scene, pose: SE2, angle_min: float, increment: float, beams: int, range_max: float):
+    """Each beam as a complex direction against each side, in the world frame: slow, and plain to see."""
+    sides = [(outline.astype(np.float64), scene.static_label) for outline in scene.static]
+    sides += [(thing.world_T_object.apply(thing.outline), thing.label) for thing in scene.objects]
+    ranges, labels = np.full(beams, np.inf), np.full(beams, 255)
+    for i in range(beams):
+        angle = pose.theta + angle_min + i * increment
+        for corners, label in sides:
+            for p, q in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+                matrix = np.array([[math.cos(angle), p[0] - q[0]], [math.sin(angle), p[1] - q[1]]])
+                if abs(np.linalg.det(matrix)) < 1e-12:
+                    continue
+                distance, share = np.linalg.solve(matrix, p - [pose.x, pose.y])
+                if 0 <= share <= 1 and 0 <= distance <= range_max and distance < ranges[i]:
+                    ranges[i], labels[i] = distance, label
+    return ranges, labels
+
+
+def test_a_hand_drawn_scene():
+    """A car 5 m ahead in front of a wall at 10 m, a pedestrian to the left, nothing to the right."""
+    wall = np.array([[10, -20], [11, -20], [11, 20], [10, 20]], np.float32)
+    car = SceneObject(7, 2, SE2(6.0, 0.0, math.pi / 2), SQUARE)
+    pedestrian = SceneObject(8, 0, SE2(0.0, 3.0, 0.0), SQUARE)
+    ranges, labels = sweep(Scene((wall,), 4, (car, pedestrian)), SE2(), -math.pi / 2, math.pi / 4, 5, 30.0)
+    assert ranges == pytest.approx([math.inf, 10 * math.sqrt(2), 5.0, 10 * math.sqrt(2), 2.0])
+    assert labels.tolist() == [255, 4, 2, 4, 0]
+    assert (ranges.dtype, labels.dtype) == (np.float32, np.uint8)
+
+
+def test_the_sensor_s_own_turn_counts():
+    wall = np.array([[-20, 4], [20, 4], [20, 5], [-20, 5]], np.float32)
+    ranges, _ = sweep(Scene((wall,), 4, ()), SE2(3.0, 1.0, math.pi / 2), 0.0, 0.1, 1, 30.0)
+    assert ranges.tolist() == pytest.approx([3.0])
+
+
+def test_a_wall_beyond_the_range_limit_returns_nothing():
+    ranges, labels = sweep(Scene((np.add(SQUARE, [9, 0]),), 4, ()), SE2(), 0.0, 0.1, 1, 7.9)
+    assert (ranges.tolist(), labels.tolist()) == ([math.inf], [255])
+
+
+def test_an_empty_scene_returns_nothing():
+    ranges, labels = sweep(Scene((), 4, ()), SE2(), 0.0, 0.1, 3, 7.9)
+    assert (ranges.tolist(), labels.tolist()) == ([math.inf] * 3, [255] * 3)
+
+
+def test_no_beam_slips_through_a_corner():
+    ranges, _ = sweep(Scene((SQUARE * 5,), 4, ()), SE2(), -math.pi, math.pi / 720, 1440, 30.0)
+    assert np.isfinite(ranges).all()
+    assert ranges.min() == pytest.approx(5.0)
+    assert ranges.max() == pytest.approx(5.0 * math.sqrt(2))
+
+
+def invented(random: np.random.Generator) -> tuple[Scene, SE2]:
+    """Three to six crooked outlines, which may cross each other, and a sensor that may stand inside one."""
+
+    def outline() -> np.ndarray:
+        return random.uniform(-4, 4, (random.integers(3, 7), 2)).astype(np.float32)
+
+    def pose() -> SE2:
+        return SE2(*random.uniform(-7, 7, 3))
+
+    things = tuple(SceneObject(i, i, pose(), outline()) for i in range(random.integers(1, 4)))
+    return Scene(tuple(outline() for _ in range(random.integers(2, 4))), 4, things), pose()
+
+
+@pytest.mark.parametrize("seed", range(24))
+def test_it_agrees_with_every_beam_against_every_side(seed: int):
+    random = np.random.default_rng(seed)
+    scene, pose = invented(random)
+    angle_min, increment = random.uniform(-7, 7), random.choice([-1, 1]) * random.uniform(0.02, 0.3)
+    ranges, labels = sweep(scene, pose, angle_min, increment, 60, 12.0)
+    expected, expected_labels = every_side(scene, pose, angle_min, increment, 60, 12.0)
+    assert ranges == pytest.approx(expected, rel=1e-5, abs=1e-5)
+    assert labels.tolist() == expected_labels.tolist()
+
+
+def test_range_noise_is_that_of_the_laser():
+    random = np.random.default_rng(1)
+    near = with_noise(np.full(20_000, 5.0, np.float32), 30.0, random)
+    far = with_noise(np.full(20_000, 20.0, np.float32), 30.0, random)
+    assert (near.mean(), near.std()) == (pytest.approx(5.0, abs=0.001), pytest.approx(0.03, rel=0.03))
+    assert (far.mean(), far.std()) == (pytest.approx(20.0, abs=0.002), pytest.approx(0.05, rel=0.03))
+
+
+def test_noise_neither_makes_returns_nor_loses_them():
+    measured = with_noise(np.array([29.999, np.inf, 0.001] * 1000, np.float32), 30.0, np.random.default_rng(1))
+    assert np.isinf(measured[1::3]).all()
+    assert measured[0::3].max() <= 30.0
+    assert measured[2::3].min() >= 0.0
+
+
+def test_ranges_come_in_whole_ticks():
+    measured = with_noise(np.linspace(0.5, 29, 1000, dtype=np.float32), 30.0, np.random.default_rng(1)) / TICK_M
+    assert (measured == np.round(measured)).all()
+
+
+def test_the_same_seed_gives_the_same_noise():
+    ranges = np.linspace(0.5, 29, 100, dtype=np.float32)
+    first, again = (with_noise(ranges, 30.0, np.random.default_rng([3, 17])) for _ in range(2))
+    assert (first == again).all()

@@ -1,0 +1,226 @@
+"""Tracks as a file: what is written comes back, hostile files are one line, and a recording is rendered from them."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from io import BytesIO
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from gridtrack.common.errors import GridtrackError, RecordingError
+from gridtrack.recordings import RecordingInfo, open_recording
+from gridtrack.simulation.bodies import body
+from gridtrack.simulation.laser import Laser
+from gridtrack.simulation.rendered import cache_folder
+from gridtrack.simulation.tracks import KEY, Tracks, TracksInfo, read_tracks, write_tracks
+from gridtrack.simulation.traffic import GRIDLOCK_S, examine
+from gridtrack.simulation.writing import write_recording
+
+CLASSES = ("pedestrian", "cyclist", "car", "bus", "static")
+WALL = ((5.0, -5.0), (6.0, -5.0), (6.0, 5.0), (5.0, 5.0))
+
+
+def walk(frames: int = 16, **changes: object) -> Tracks:
+    """A pedestrian who walks north 3 m ahead of the laser at 1 m/s, and a car that stands behind it."""
+    info = TracksInfo(
+        recording=RecordingInfo(site="yard", classes=CLASSES, grid="100x0.2", rate_hz=8.0),
+        laser=Laser(angle_min=-np.pi, angle_increment=np.radians(1.0), beams=360),
+        frames=frames,
+        rate_hz=8.0,
+        noise_seed=3,
+        static=(WALL,),
+        static_class="static",
+    )
+    frame = np.repeat(np.arange(frames), 2)
+    track, label = np.tile([0, 1], frames), np.tile([0, 2], frames)
+    y = np.column_stack([np.arange(frames) / 8.0 - 1.0, np.zeros(frames)]).ravel()
+    x, heading = np.tile([3.0, -6.0], frames), np.tile([np.pi / 2, -3.0], frames)
+    size = np.tile([[0.3, 0.5], [4.5, 1.82]], (frames, 1))
+    tracks = Tracks(info, frame, track, label, np.column_stack([x, y, heading]), size)
+    return dataclasses.replace(tracks, **changes).rounded()
+
+
+@pytest.fixture(autouse=True)
+def own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    return tmp_path / "cache"
+
+
+def test_tracks_come_back_to_the_centimetre_and_the_milliradian(tmp_path: Path) -> None:
+    tracks = walk()
+    write_recording(tmp_path / "yard.tracks", tracks)
+    found = read_tracks(tmp_path / "yard.tracks")
+    assert found.info == tracks.info
+    for name in ("frame", "track", "label", "pose", "size"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(tracks, name))
+    random = np.random.default_rng(0)
+    crooked = dataclasses.replace(tracks, pose=random.uniform(-20, 20, tracks.pose.shape))
+    write_recording(tmp_path / "yard.tracks", crooked)
+    difference = read_tracks(tmp_path / "yard.tracks").pose - crooked.pose
+    assert abs(difference[:, :2]).max() <= 0.00501
+    assert abs(np.angle(np.exp(1j * difference[:, 2]))).max() <= 0.001
+
+
+def test_same_tracks_same_bytes() -> None:
+    once, again = BytesIO(), BytesIO()
+    write_tracks(once, walk())
+    write_tracks(again, walk())
+    assert once.getvalue() == again.getvalue()
+
+
+def test_tracks_open_as_a_recording_whose_scans_see_them(tmp_path: Path) -> None:
+    write_recording(tmp_path / "yard.tracks", walk())
+    recording = open_recording(tmp_path / "yard.tracks")
+    scans = list(recording.scans())
+    assert (recording.name, recording.info.site) == ("yard.tracks", "yard")
+    assert [scan.stamp_ns for scan in scans] == [k * 125_000_000 for k in range(16)]
+    ahead = scans[8]
+    assert ahead.labels is not None
+    assert ahead.scene is not None
+    assert ahead.labels[[180, 210, 0]].tolist() == [0, 4, 2]
+    # A body 0.3 m deep that stands crosswise, 0.5 m wide towards the laser, 3 m ahead; and the car's near end.
+    assert ahead.ranges[180] == pytest.approx(3.0 - 0.25, abs=0.12)
+    assert ahead.scene.objects[0].world_T_object.y == pytest.approx(0.0)
+    assert np.array_equal(ahead.scene.static[0], np.array(WALL, np.float32))
+
+
+def test_the_rendering_is_kept_and_made_again_where_it_is_damaged(tmp_path: Path, own_cache: Path) -> None:
+    path = tmp_path / "yard.tracks"
+    write_recording(path, walk())
+    expected = [scan.ranges for scan in open_recording(path).scans()]
+    (kept,) = cache_folder().glob("*.mcap")
+    assert own_cache in kept.parents
+    made = kept.stat().st_mtime_ns
+    np.testing.assert_array_equal([scan.ranges for scan in open_recording(path).scans()], expected)
+    assert kept.stat().st_mtime_ns == made
+    content = kept.read_bytes()
+    kept.write_bytes(content[:-100] + bytes(100))
+    np.testing.assert_array_equal([scan.ranges for scan in open_recording(path).scans()], expected)
+    assert kept.read_bytes() == content
+    assert sorted(p.suffix for p in cache_folder().iterdir()) == [".mcap", ".sha256"]
+
+
+def test_other_tracks_of_the_same_name_are_rendered_anew(tmp_path: Path) -> None:
+    path = tmp_path / "yard.tracks"
+    for frames in (16, 24):
+        write_recording(path, walk(frames))
+        assert len(list(open_recording(path).scans())) == frames
+
+
+def test_a_recording_of_scans_is_what_its_tracks_are_rendered_to(tmp_path: Path) -> None:
+    write_recording(tmp_path / "yard.tracks", walk())
+    write_recording(tmp_path / "yard.mcap", walk())
+    list(open_recording(tmp_path / "yard.tracks").scans())
+    (kept,) = cache_folder().glob("*.mcap")
+    assert kept.read_bytes() == (tmp_path / "yard.mcap").read_bytes()
+
+
+def test_a_cache_that_cannot_be_written_says_what_to_do(tmp_path: Path, own_cache: Path) -> None:
+    own_cache.write_text("a file where the folder should be")
+    write_recording(tmp_path / "yard.tracks", walk())
+    with pytest.raises(RecordingError, match="set XDG_CACHE_HOME"):
+        list(open_recording(tmp_path / "yard.tracks").scans())
+
+
+def parquet(path: Path, change: dict[str, list[object]] | None = None, about: object = None) -> Path:
+    """The file of `walk()` with other columns or other metadata."""
+    write_recording(path, walk())
+    table = pq.read_table(path)
+    for name, values in (change or {}).items():
+        column = pa.array(values + table[name].to_pylist()[len(values) :], table.schema.field(name).type)
+        table = table.set_column(table.schema.names.index(name), name, column)
+    values = json.loads(table.schema.metadata[KEY]) | about if isinstance(about, dict) else about
+    if about is not None:
+        table = table.replace_schema_metadata({KEY: json.dumps(values)})
+    pq.write_table(table, path)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("change", "about", "told"),
+    [
+        ({"frame": [99]}, None, "a frame outside 0 to 15"),
+        ({"frame": [-1]}, None, "a frame outside 0 to 15"),
+        ({"frame": [1]}, None, "a track twice in one frame"),
+        ({"track": [-4]}, None, "a track below 0"),
+        ({"class": [5]}, None, "a class beyond the 5"),
+        ({"length_cm": [0]}, None, "without extent"),
+        ({"x_cm": [None]}, None, "a value is missing"),
+        (None, {"schema": 2}, "schema 2; this gridtrack reads 1"),
+        (None, [], "schema None"),
+        (None, {"colour": "red"}, "there is no option 'colour'"),
+        (None, {"static": [[[0, 0], [1, 1]]]}, "3 to 1000 corners"),
+        (None, {"static_class": "wall"}, "none of its classes"),
+        (None, {"frames": 10**12}, "less than or equal to 5000000"),
+        (None, {"frames": 5_000_000}, "beams to render; at most 1000000000"),
+        (None, {"laser": {"beams": 10**9}}, "less than or equal to 100000"),
+    ],
+)
+def test_a_file_from_which_no_scene_can_be_made_is_one_line(
+    tmp_path: Path, change: dict[str, list[object]] | None, about: object, told: str
+) -> None:
+    path = parquet(tmp_path / "odd.tracks", change, about)
+    with pytest.raises(GridtrackError, match=told) as error:
+        list(open_recording(path).scans())
+    assert str(error.value).count("odd.tracks") == 1
+    assert "\n" not in str(error.value)
+
+
+def test_damaged_and_foreign_files_are_one_line(tmp_path: Path) -> None:
+    path = tmp_path / "odd.tracks"
+    write_recording(path, walk())
+    content = path.read_bytes()
+    for damaged in (content[:200], content[:100] + b"\xff" * 200 + content[300:], content[:-30]):
+        path.write_bytes(damaged)
+        with pytest.raises(RecordingError, match="damaged") as error:
+            list(open_recording(path).scans())
+        assert "\n" not in str(error.value)
+    pq.write_table(pa.table({"a": [1]}), path)
+    with pytest.raises(RecordingError, match="not a file of tracks"):
+        list(open_recording(path).scans())
+
+
+def test_a_body_is_closed_counter_clockwise_and_as_large_as_it_says() -> None:
+    for kind, length, width in (("pedestrian", 0.3, 0.5), ("cyclist", 1.75, 0.6), ("car", 4.5, 1.8), ("tram", 20, 3)):
+        outline = body(kind, length, width).astype(np.float64)
+        x, y = outline.T
+        assert np.ptp(x) == pytest.approx(length, rel=1e-6)
+        assert np.ptp(y) == pytest.approx(width, rel=1e-6)
+        assert (x * np.roll(y, -1) - np.roll(x, -1) * y).sum() > 0.0
+
+
+def test_the_check_counts_who_moves_and_who_stands() -> None:
+    traffic = examine(walk(160))
+    walker, _, car, _ = traffic.classes
+    assert (walker.present, walker.moving, car.present, car.moving) == (
+        pytest.approx(88 / 160),
+        pytest.approx(88 / 160),
+        1.0,
+        0.0,
+    )
+    assert walker.moving_cells_per_minute > 0.0
+    assert car.moving_cells_per_minute == 0.0
+    assert traffic.longest_stand_s == pytest.approx(20.0)
+    assert traffic.faults == ()
+
+
+def test_the_check_tells_who_walks_through_walls_and_through_the_scanner_and_who_blocks_the_street() -> None:
+    tracks = walk(4000)
+    pose = tracks.pose.copy()
+    pose[20::2][:3, :2] = (5.5, 0.0)
+    pose[60::2][:2, :2] = (0.05, 0.05)
+    faults = "\n".join(examine(dataclasses.replace(tracks, pose=pose)).faults)
+    assert "pedestrian inside a static outline in 3 positions, the first of track 0 in frame 10" in faults
+    assert "pedestrian on the scanner in 2 positions, the first of track 0 in frame 30" in faults
+    assert "gridlock: a vehicle stands for 500 s, the car of track 1 at (" in faults
+    assert "from frame 0 on" in faults
+
+
+def test_who_misses_two_greens_is_no_gridlock() -> None:
+    assert examine(walk(round(GRIDLOCK_S * 8.0))).faults == ()
+    assert "gridlock" in examine(walk(round(GRIDLOCK_S * 8.0) + 8)).faults[0]

@@ -1,0 +1,162 @@
+"""Calibration: what is forecast with a probability comes that often, and what was more probable stays so."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+pytest.importorskip("filterpy")
+from gridtrack.common.errors import WeightsError
+from gridtrack.common.geometry import SE2
+from gridtrack.common.grid import GridFrame, GridSpec
+from gridtrack.recordings import packaged_recording
+from gridtrack.recordings.stream import open_stream
+from gridtrack.trackers.contract import stream_of
+from gridtrack.trackers.model_free import KalmanTracker
+from gridtrack.trackers.model_free.calibration import IDENTITY, Calibration, fit_calibration
+from gridtrack.trackers.model_free.settings import PipelineSettings
+
+GRID, STEPS, PERIOD_S = GridSpec(40, 0.2), 3, 0.125
+PARAMETERS = np.array([[0.7, 3.0, -2.0], [0.9, 1.2, -0.5]], np.float32)
+TRUE = Calibration(PARAMETERS)
+
+
+class Crystal:
+    """A tracker that says of each cell the same at every step, from a list of its own, one grid after the other."""
+
+    def __init__(self, said):
+        self.said, self.frame = said, -1
+
+    def reset(self, seed):
+        self.frame, self.hidden_s = -1, np.full(GRID.shape, np.inf)
+
+    def update(self, frame):
+        self.frame += 1
+        self.hidden_s = np.where(frame.visible, 0.0, self.hidden_s + PERIOD_S)
+
+    def predict(self, steps):
+        return SimpleNamespace(occupancy=np.repeat(self.said[self.frame][None], steps + 1, axis=0))
+
+
+def frame_of(occupied, visible=None):
+    points = GRID.cell_centres(occupied)
+    seen = np.ones(GRID.shape, bool) if visible is None else visible
+    return GridFrame(0, seen, occupied, SE2(), np.zeros((1, 2), np.float32), points, np.zeros(len(points), np.uint8))
+
+
+def mapped(calibration, p, hidden_s=0.0):
+    """Probabilities, one after the other, as calibrated in cells that were seen so long ago."""
+    forecast = np.array(p, np.float32).reshape(-1, 1, 1)
+    calibration.apply(forecast, np.full((1, 1), hidden_s))
+    return forecast.ravel()
+
+
+def scene(count=120, seed=0):
+    """Forecasts drawn log-uniformly that stay, and frames in which cells are occupied as often as TRUE says."""
+    draw = np.random.default_rng(seed)
+    said = np.exp(draw.uniform(np.log(1e-3), np.log(0.97), GRID.shape)).astype(np.float32)
+    often = mapped(TRUE, said).reshape(GRID.shape)
+    return Crystal([said] * count), [frame_of(draw.random(GRID.shape) < often) for _ in range(count)]
+
+
+def test_what_is_learned_is_how_often_what_was_forecast_came():
+    learned = Calibration(fit_calibration([scene()], STEPS))
+    at = np.array([0.003, 0.02, 0.1, 0.3, 0.6, 0.9], np.float32)
+    assert mapped(learned, at) == pytest.approx(mapped(TRUE, at), rel=0.1)
+
+
+def test_what_cannot_be_seen_when_it_comes_is_not_counted():
+    tracker, frames = scene()
+    hidden = np.zeros(GRID.shape, bool)
+    hidden[:, :20] = True
+    blinded = [frame_of(frame.occupied & ~hidden, ~hidden) for frame in frames]
+    at = np.array([0.02, 0.3, 0.9], np.float32)
+    learned = Calibration(fit_calibration([(tracker, blinded)], STEPS))
+    assert mapped(learned, at) == pytest.approx(mapped(TRUE, at), rel=0.15)
+
+
+def test_the_formula_is_kept_to_a_fiftieth_and_what_is_certain_stays_certain():
+    a, b, c = PARAMETERS[0]
+    p = np.concatenate([np.geomspace(1e-4, 0.5, 300), 1.0 - np.geomspace(1e-4, 0.5, 300)]).astype(np.float32)
+    log_odds = c + a * np.log(p) - b * np.log1p(-p)
+    assert mapped(TRUE, p) == pytest.approx(1.0 / (1.0 + np.exp(-log_odds)), rel=2e-2)
+    assert mapped(TRUE, [0.0, 1.0]).tolist() == [0.0, 1.0]
+
+
+def test_more_probable_stays_more_probable():
+    p = np.linspace(0.0, 1.0, 20_001, dtype=np.float32)
+    assert (np.diff(mapped(TRUE, p)) >= 0.0).all()
+
+
+def test_the_identity_changes_nothing():
+    p = np.geomspace(3e-4, 1.0, 500).astype(np.float32)
+    assert mapped(Calibration(IDENTITY), p) == pytest.approx(p, rel=2e-2)
+
+
+def test_what_has_been_hidden_for_long_has_a_map_of_its_own():
+    seen_as, hidden_as = (1.0 / (1.0 + np.exp(-c + (a - b) * np.log(2.0))) for a, b, c in PARAMETERS)
+    forecast, hidden_s = np.full((2, 2, 2), 0.5, np.float32), np.array([[0.0, 0.9], [1.1, np.inf]])
+    TRUE.apply(forecast, hidden_s)
+    assert forecast == pytest.approx(np.array([[[seen_as] * 2, [hidden_as] * 2]] * 2), rel=1e-3)
+
+
+def test_both_maps_are_learned_from_what_comes_into_view():
+    """The left half is out of sight for two seconds of three; the map of what is hidden long is another one."""
+    draw = np.random.default_rng(0)
+    said = np.exp(draw.uniform(np.log(1e-3), np.log(0.97), GRID.shape)).astype(np.float32)
+    left, frames = np.zeros(GRID.shape, bool), []
+    left[:, :20] = True
+    hidden_s = np.zeros(GRID.shape)
+    for n in range(600):
+        visible = ~left | (n % 24 >= 16)
+        often = np.where(hidden_s < 1.0, *(mapped(TRUE, said, s).reshape(GRID.shape) for s in (0.0, 2.0)))
+        frames.append(frame_of((draw.random(GRID.shape) < often) & visible, visible))
+        hidden_s = np.where(visible, 0.0, hidden_s + PERIOD_S)
+    learned = Calibration(fit_calibration([(Crystal([said] * 600), frames)], 1))
+    at = np.array([0.02, 0.3, 0.9], np.float32)
+    for age in (0.0, 2.0):
+        assert mapped(learned, at, age) == pytest.approx(mapped(TRUE, at, age), rel=0.25)
+    assert mapped(learned, at, 2.0)[0] > 1.5 * mapped(learned, at, 0.0)[0]
+
+
+def test_what_is_no_probability_becomes_one():
+    odd = mapped(TRUE, [-0.5, 1.5, np.nan, np.inf])
+    assert ((odd >= 0.0) & (odd <= 1.0)).all()
+
+
+@pytest.mark.parametrize("parameters", [(np.nan, 1.0, 0.0), (-1.0, 1.0, 0.0), (1.0, 0.0, 0.0), (1.0, 1.0, np.inf)])
+def test_hostile_parameters_give_one_clear_line(parameters):
+    with pytest.raises(WeightsError, match=r"calibration .*train again"):
+        Calibration(np.array([(1.0, 1.0, 0.0), parameters], np.float32))
+
+
+def test_where_nothing_ever_comes_nothing_is_learned_that_is_certain():
+    """No return in all the training: rarer than was said, but not impossible."""
+    tracker, frames = scene(count=20)
+    empty = [frame_of(np.zeros(GRID.shape, bool))] * len(frames)
+    learned = Calibration(fit_calibration([(tracker, empty)], STEPS))
+    low, high = mapped(learned, [0.01, 0.9]).tolist()
+    assert 0.0 < low < high < 0.2
+
+
+DATA = packaged_recording("leg_tracker").parents[1]
+HELD_OUT = {
+    "leg_tracker": f"{DATA}/leg_tracker/leg_tracker.mcap@75s-90s",
+    "junction": f"{DATA}/junction/validation.tracks@0s-20s",
+}
+
+
+@pytest.mark.parametrize("site", HELD_OUT)
+def test_what_ships_foretells_as_many_returns_as_come_where_it_is_unsure(site):
+    stream = open_stream(HELD_OUT[site])
+    tracker = KalmanTracker(stream_of(stream, DATA / "weights" / "kalman" / f"{site}.toml"), PipelineSettings())
+    frames, ahead = list(stream), round(1.0 / stream.period_s)
+    said = came = 0.0
+    for frame, later in zip(frames, frames[ahead:], strict=False):
+        tracker.update(frame)
+        forecast = tracker.predict(ahead).occupancy[ahead]
+        unsure = later.visible & (forecast > 0.05) & (forecast < 0.5)
+        said, came = said + forecast[unsure].sum(), came + later.occupied[unsure].sum()
+    assert 0.6 < said / came < 1.6

@@ -1,0 +1,194 @@
+"""Classes of the model-free trackers: how they are learned, kept in weights and checked."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("filterpy")
+pytest.importorskip("sklearn")
+
+from gridtrack.common.errors import ConfigurationError, WeightsError
+from gridtrack.common.grid import LabelledFrame
+from gridtrack.trackers.contract import FitOutput, StretchScore, stream_of
+from gridtrack.trackers.labelled import LabelledStretch
+from gridtrack.trackers.model_free import FactorGraphTracker, KalmanTracker, tuning
+from gridtrack.trackers.model_free.class_training import count_cells
+from gridtrack.trackers.model_free.classes import ClassModel
+from gridtrack.trackers.model_free.settings import ModelFreeSettings
+from gridtrack.trackers.weights import load_weights, read_card, save_weights
+
+from scenes.street import GRID, Street
+
+
+def no_score(tracker, source, steps):
+    flat = np.zeros(steps + 1)
+    return StretchScore({"moving": flat, "visible": flat}, {"moving": flat})
+
+
+def fit(folder, tracker=KalmanTracker, street=None, **options):
+    street = street or Street()
+    out = FitOutput(folder / "street.toml", f"gridtrack train {options}", 3, folder / "log", lambda line: None)
+    settings = ModelFreeSettings(**({"labelled_scans": 80, "link_m": 0.5} | options))
+    tracker.fit([street], [street], no_score, out, settings)
+    return out.path
+
+
+@pytest.fixture(scope="module", autouse=True)
+def one_trial():
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(tuning, "TRIALS", 1)
+        yield
+
+
+@pytest.fixture(scope="module")
+def path(tmp_path_factory):
+    return fit(tmp_path_factory.mktemp("street"))
+
+
+def test_what_was_learned_from_labelled_scans_tells_the_classes_of_cells_and_objects_now_and_ahead(path):
+    tracker, source = KalmanTracker(stream_of(Street(), path), ModelFreeSettings()), Street(34)
+    assert tracker.classes == ("pedestrian", "car")
+    for item in source.labelled():
+        tracker.update(item.frame)
+    forecast = tracker.predict(4)
+    assert forecast.semantics.shape == (5, 2, *GRID.shape)
+    assert forecast.semantics.dtype == np.float32
+    assert forecast.semantics.min() >= 0.0
+    assert forecast.semantics.sum(axis=1) == pytest.approx(np.ones((5, *GRID.shape)), abs=1e-5)
+    for step, then in enumerate(list(Street(38).labelled())[33:]):
+        said = forecast.semantics[step].reshape(2, -1)[:, then.cells].argmax(axis=0)
+        assert (said == then.labels).mean() > 0.9, step
+    assert {(one.label, one.box[0] > 6.0) for one in forecast.objects} == {("pedestrian", False), ("car", True)}
+    before = forecast.semantics.copy()
+    assert (tracker.predict(4).semantics == before).all()
+
+
+SCENES = Path(__file__).parents[2]
+STARTED_AND_FED = """
+import sys
+from pathlib import Path
+from gridtrack.trackers.contract import stream_of
+from gridtrack.trackers.model_free import KalmanTracker, classes, rasterise
+from gridtrack.trackers.model_free.settings import ModelFreeSettings
+
+sys.path.append(sys.argv[1])
+from scenes.street import Street
+
+def compiled():
+    kernels = rasterise.draw_tracks, classes._features, classes._log_densities, classes._normalise
+    return [len(kernel.signatures) for kernel in kernels]
+
+tracker = KalmanTracker(stream_of(Street(), Path(sys.argv[2])), ModelFreeSettings())
+before = compiled()
+for frame in Street(30):
+    tracker.update(frame)
+tracker.predict(20)
+print(before, compiled())
+"""
+
+
+def test_what_is_compiled_on_first_use_is_compiled_when_it_starts(path):
+    command = [sys.executable, "-c", STARTED_AND_FED, str(SCENES), str(path)]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert done.stdout == "[1, 1, 1, 1] [1, 1, 1, 1]\n"
+
+
+def test_the_card_says_what_was_learned_from_what(path):
+    card = read_card(path)
+    assert card.classes == ("pedestrian", "car")
+    assert card.settings["labelled_scans"] == 80
+    told = card.results["classes"]
+    assert told["labelled"].startswith("street.mcap, 80 scans from")
+    assert told["tracks"]["pedestrian"] >= 2
+    assert told["validation_log_loss"] < 0.2
+
+
+def test_classes_are_added_to_weights_that_stay_as_they_are_bit_for_bit_and_fitted_twice_are_the_same(path, tmp_path):
+    other = fit(tmp_path, stage="occupancy")
+    before = load_weights(stream_of(Street(), other), "kalman")
+    assert before.card.classes == ()
+    fit(tmp_path, stage="classes")
+    after = load_weights(stream_of(Street(), other), "kalman")
+    assert all(after.arrays[name].tobytes() == array.tobytes() for name, array in before.arrays.items())
+    assert after.card.command == before.card.command
+    assert "'stage': 'classes'" in after.card.results["classes"]["command"]
+    at_once = load_weights(stream_of(Street(), path), "kalman")
+    assert {k: v.tobytes() for k, v in at_once.arrays.items()} == {k: v.tobytes() for k, v in after.arrays.items()}
+
+
+def test_classes_take_the_place_of_others_even_of_such_as_cannot_be_read(path, tmp_path):
+    weights = load_weights(stream_of(Street(), path), "kalman")
+    other = tmp_path / "street.toml"
+    save_weights(other, weights.card, weights.arrays | {"class_means": np.zeros((2, 1, 99)), "class_old": np.zeros(3)})
+    fit(tmp_path, stage="classes")
+    again = load_weights(stream_of(Street(), other), "kalman")
+    assert {k: v.tobytes() for k, v in weights.arrays.items()} == {k: v.tobytes() for k, v in again.arrays.items()}
+
+
+def test_a_recording_without_labels_is_trained_without_classes_and_the_card_says_so(tmp_path):
+    path = fit(tmp_path, FactorGraphTracker, Street(classes=()))
+    card = read_card(path)
+    assert card.classes == ()
+    assert card.results["classes"] == "none: street.mcap has no labels"
+    tracker = FactorGraphTracker(stream_of(Street(), path), ModelFreeSettings())
+    tracker.update(next(iter(Street())))
+    forecast = tracker.predict(2)
+    assert forecast.semantics is None
+    assert {one.label for one in forecast.objects} <= {""}
+    with pytest.raises(ConfigurationError, match=r"street\.mcap: nowhere 80 labelled scans in a row"):
+        fit(tmp_path, FactorGraphTracker, Street(classes=()), stage="classes")
+
+
+def test_too_few_labels_are_told_before_the_search_and_classes_without_weights_too(tmp_path):
+    with pytest.raises(ConfigurationError, match="nowhere 121 labelled scans in a row"):
+        fit(tmp_path, labelled_scans=121)
+    assert not list(tmp_path.iterdir())
+    with pytest.raises(WeightsError, match=r"street\.toml: no weights to add classes to"):
+        fit(tmp_path, stage="classes")
+
+
+def spoilt(name, change):
+    def of(arrays):
+        return arrays | {f"class_{name}": change(arrays[f"class_{name}"])}
+
+    return of
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (spoilt("means", lambda a: a * np.nan), "'class_means' is not finite"),
+        (spoilt("means", lambda a: a + 1e30), "'class_means' is not finite or beyond 1e\\+09"),
+        (spoilt("means", lambda a: a[..., :3]), r"'class_means' is \(2, \d+, 3\), expected"),
+        (spoilt("place", lambda a: a[:, :9]), r"'class_place' is \(2, 9, 60\), expected"),
+        (spoilt("place", lambda a: -a), "'class_place' does not hold probabilities"),
+        (spoilt("frequency", lambda a: np.array([1.0, 0.0], np.float32)), "'class_frequency' rules a class out"),
+        (spoilt("shares", lambda a: a * 2), "'class_shares' does not hold probabilities"),
+        (spoilt("shares", lambda a: np.zeros((2, 10**4), np.float32)), "10000 Gaussians of a class, expected 1 to 64"),
+        (spoilt("shares", lambda a: a[0]), r"'class_shares' is \(\d+,\), expected"),
+        (spoilt("whitening", lambda a: a * 0), "'class_whitening' is singular"),
+        (spoilt("powers", lambda a: a + 1e6), "'class_powers' are not from 0 to 10"),
+        (lambda arrays: {k: v for k, v in arrays.items() if k != "class_powers"}, "'class_powers' is missing"),
+    ],
+)
+def test_hostile_weights_give_one_clear_line(path, tmp_path, change, message):
+    weights = load_weights(stream_of(Street(), path), "kalman")
+    spoiled = tmp_path / "street.toml"
+    save_weights(spoiled, weights.card, change(weights.arrays))
+    with pytest.raises(WeightsError, match=message) as raised:
+        KalmanTracker(stream_of(Street(), spoiled), ModelFreeSettings())
+    assert "\n" not in str(raised.value)
+
+
+def test_only_labelled_cells_of_learned_classes_are_counted():
+    items = [LabelledFrame(None, np.array([3, 3600 - 1]), np.array(labels, np.uint8)) for labels in ([0, 2], [0, 0])]
+    stretch = LabelledStretch(Street(), 0, 0, items)
+    count = count_cells(stretch, ("horse", "pedestrian"))
+    assert count.sum() == 4.0
+    assert (count[1, 0, 3], count[0, 59, 59], count[1, 59, 59]) == (2.0, 1.0, 1.0)
+    assert ClassModel._fields == ("shares", "means", "whitening", "frequency", "powers", "place")

@@ -1,0 +1,117 @@
+"""Weights of the model-free trackers: what is refused, and how they are fitted."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+pytest.importorskip("filterpy")
+from gridtrack.common.errors import RecordingError, WeightsError
+from gridtrack.trackers.contract import FitOutput, StreamSpec, StretchScore
+from gridtrack.trackers.model_free import KalmanTracker, tuning
+from gridtrack.trackers.model_free.settings import ModelFreeSettings, PipelineSettings
+from gridtrack.trackers.weights import read_card, save_weights
+
+from scenes.hall import GLIDING, GRID, OPEN, PERIOD_S, card, frame_of, walk
+
+
+def test_without_weights_it_says_how_to_make_them():
+    with pytest.raises(WeightsError, match="gridtrack train kalman"):
+        KalmanTracker(StreamSpec(GRID, PERIOD_S, "hall"), PipelineSettings())
+
+
+@pytest.mark.parametrize(
+    ("name", "spoilt", "message"),
+    [
+        ("rate", np.nan, "'rate' is not finite"),
+        ("solid", -0.1, "'solid' does not hold probabilities"),
+        ("dwell", 1.5, "'dwell' does not hold probabilities"),
+    ],
+)
+def test_weights_whose_maps_are_no_probabilities_are_refused(tmp_path, name, spoilt, message):
+    arrays = OPEN | {"dwell": GLIDING}
+    save_weights(tmp_path / "hall.toml", card(), arrays | {name: np.full_like(arrays[name], spoilt)})
+    with pytest.raises(WeightsError, match=message):
+        KalmanTracker(StreamSpec(GRID, PERIOD_S, "hall", weights=tmp_path / "hall.toml"), PipelineSettings())
+
+
+def test_weights_with_a_setting_that_is_not_one_are_refused(tmp_path):
+    path = tmp_path / "hall.toml"
+    save_weights(path, card(link=1.0), OPEN | {"dwell": GLIDING})
+    with pytest.raises(WeightsError, match="link_m"):
+        KalmanTracker(StreamSpec(GRID, PERIOD_S, "hall", weights=path), PipelineSettings())
+
+
+class Source:
+    """Frames of a stretch, from memory."""
+
+    name, sha256, grid, period_s, site, classes = "hall@0s-3s", "0" * 64, GRID, PERIOD_S, "hall", ()
+
+    def __init__(self):
+        self.frames = [frame_of([place], step) for step, place in enumerate(walk((3.0, -1.5), (0.0, 1.0), 30))]
+
+    def __iter__(self):
+        return iter(self.frames)
+
+    def __len__(self):
+        return len(self.frames)
+
+
+def test_fit_finds_the_settings_that_score_best_and_keeps_those_that_were_given(tmp_path, monkeypatch):
+    monkeypatch.setattr(tuning, "TRIALS", 25)
+    asked = []
+
+    def score(tracker, source, steps):
+        settings = tracker._settings
+        asked.append(settings)
+        far = abs(np.log(settings.acceleration / 0.3))
+        loss = np.full(steps + 1, far)
+        return StretchScore({"moving": 1 - loss, "visible": 1 - loss}, {"moving": loss, "visible": loss})
+
+    paths = [tmp_path / run / "hall.toml" for run in ("one", "two")]
+    for path in paths:
+        out = FitOutput(path, "gridtrack train kalman", 3, path.parent / "log", report=lambda line: None)
+        KalmanTracker.fit([Source()], [Source()], score, out, ModelFreeSettings(link_m=0.77))
+    one, two = (read_card(path) for path in paths)
+    assert one == two
+    assert all(settings.link_m == 0.77 for settings in asked)
+    assert asked[1].dwell_speed == tuning.STARTS[1].dwell_speed
+    losses = [abs(np.log(settings.acceleration / 0.3)) for settings in asked[:25]]
+    assert one.settings["acceleration"] == asked[int(np.argmin(losses))].acceleration
+    assert len(set(losses)) > 20
+    assert any(a != b for a, b in pairwise(losses))
+    tracker = KalmanTracker(StreamSpec(GRID, PERIOD_S, "hall", weights=paths[0]), PipelineSettings(acceleration=0.2))
+    assert tracker._settings == ModelFreeSettings(**one.settings | {"acceleration": 0.2})
+
+
+def fit_hall(tmp_path, score, told):
+    out = FitOutput(tmp_path / "hall.toml", "gridtrack train kalman", 3, tmp_path / "log", report=told.append)
+    KalmanTracker.fit([Source()], [Source()], score, out, ModelFreeSettings())
+
+
+def test_a_stretch_on_which_nothing_can_be_scored_is_told_in_one_line(tmp_path):
+    def score(tracker, source, steps):
+        undefined = np.full(steps + 1, np.nan)
+        return StretchScore({"moving": undefined, "visible": undefined}, {"moving": undefined, "visible": undefined})
+
+    with pytest.raises(RecordingError, match=r"mean F1 is not defined on what is trained on: .*name a longer stretch"):
+        fit_hall(tmp_path, score, [])
+    assert not (tmp_path / "hall.toml").exists()
+
+
+def test_an_interrupted_search_tells_the_best_so_far(tmp_path, caplog):
+    told, values = [], iter([0.3, 0.5, 0.4])
+
+    def score(tracker, source, steps):
+        try:
+            flat = np.full(steps + 1, next(values))
+        except StopIteration:
+            raise KeyboardInterrupt from None
+        return StretchScore({"moving": flat, "visible": flat}, {"moving": flat, "visible": flat})
+
+    with pytest.raises(KeyboardInterrupt):
+        fit_hall(tmp_path, score, told)
+    assert told[-1].startswith("interrupted; best of 3 trials, mean F1 0.50000: unforeseen_share=0.541,")
+    assert not caplog.records

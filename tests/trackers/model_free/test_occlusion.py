@@ -1,0 +1,123 @@
+"""Occlusion and births on hand-drawn scenes: where a surface is cut off, and what then comes into view beside it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+pytest.importorskip("filterpy")
+from gridtrack.common.geometry import SE2
+from gridtrack.common.grid import GridFrame, GridSpec
+from gridtrack.trackers.model_free.initiation import MOVES_MPS, begin
+from gridtrack.trackers.model_free.motion import KalmanEstimator, SwitchingEstimator
+from gridtrack.trackers.model_free.occlusion import BACKGROUND, cut_off
+from gridtrack.trackers.model_free.segmentation import Cluster
+from gridtrack.trackers.model_free.settings import PipelineSettings
+from gridtrack.trackers.model_free.shape import Shape
+from gridtrack.trackers.model_free.tracks import Track
+
+GRID = GridSpec(9, 1.0, (0.0, 0.0))
+SETTINGS = PipelineSettings()
+
+
+def drawn(*rows: str) -> tuple[GridFrame, np.ndarray]:
+    """A frame and the label of each of its returns: the rows from the top, `.` free, `#` hidden, letters are returns.
+
+    The sensor stands in the middle of the bottom row; a digit is the cluster of its return, `w` is background.
+    """
+    cells = np.array([list(row) for row in reversed(rows)])
+    occupied = (cells != ".") & (cells != "#")
+    points = GRID.cell_centres(occupied)
+    origin = np.array([[4.5, 0.5]], np.float32)
+    frame = GridFrame(0, cells != "#", occupied, SE2(), origin, points, np.zeros(len(points), np.uint8))
+    labels = np.array([BACKGROUND if cell == "w" else int(cell) for cell in cells[occupied]])
+    return frame, labels
+
+
+def cells_cut_off(*rows: str) -> set[tuple[int, int]]:
+    frame, labels = drawn(*rows)
+    columns, lines = frame.points[cut_off(frame, GRID, labels)].astype(int).T
+    return set(zip(lines.tolist(), columns.tolist(), strict=True))
+
+
+def test_a_side_is_cut_off_where_a_nearer_object_hides_it_and_not_where_it_ends():
+    assert cells_cut_off(
+        "...#####.",
+        "...######",
+        "...######",
+        "...0000##",
+        ".......##",
+        "......##.",
+        "......1..",
+        ".........",
+        ".........",
+    ) == {(5, 6)}
+
+
+def test_a_wall_cuts_off_as_an_object_does():
+    assert cells_cut_off(
+        "...#####.",
+        "...######",
+        "...######",
+        "...0000##",
+        ".......##",
+        "......##.",
+        "......w..",
+        ".........",
+        ".........",
+    ) == {(5, 6)}
+
+
+def test_a_body_does_not_cut_itself_off():
+    assert not cells_cut_off(
+        "..#####..",
+        "..#####..",
+        "..####0..",
+        "..####0..",
+        "..00000..",
+        ".........",
+        ".........",
+        ".........",
+        ".........",
+    )
+
+
+def test_a_body_goes_on_beyond_the_grid():
+    nothing = "........."
+    assert cells_cut_off(nothing, nothing, nothing, nothing, "0000.....", *[nothing] * 4) == {(4, 0)}
+
+
+def moving_body(speed: float, length_m: float = 4.0) -> Track:
+    """A body along x whose front, at x = 0, is cut off; it moves along x."""
+    offsets = np.stack([np.linspace(-length_m, 0.0, 9), np.zeros(9)], 1)
+    estimator = SwitchingEstimator(KalmanEstimator, np.zeros(3), np.eye(3) * 0.01, SETTINGS.motion(0.1))
+    mean = np.array([0.0, 0.0, 0.0, speed, 0.0, 0.0])
+    estimator.begin_anew(mean, np.eye(6) * 0.01)
+    shape = Shape.of(offsets, np.arange(9) == 8, 0.1)
+    return Track(0, estimator, shape, offsets, np.zeros(9, np.int64), 0.9, confirmed=True)
+
+
+def born(tracks: list[Track], x: float, cut: bool) -> SwitchingEstimator:
+    points = np.array([[x, 0.0], [x + 0.5, 0.0]])
+    cluster = Cluster(points, np.array([cut, False]))
+    return begin(KalmanEstimator, cluster, tracks, SETTINGS.motion(0.1), SETTINGS)
+
+
+def test_what_comes_into_view_beyond_a_shadow_moves_with_the_body_that_the_shadow_cuts_off():
+    moving = born([moving_body(6.0)], 1.0, cut=True)
+    assert moving.mean[3:5] == pytest.approx([6.0, 0.0])
+    assert np.sqrt(moving.covariance[3, 3]) < SETTINGS.initial_speed
+
+
+@pytest.mark.parametrize(
+    ("body", "x", "cut"),
+    [
+        (moving_body(6.0), 5.0, True),
+        (moving_body(6.0), 1.0, False),
+        (moving_body(0.9 * MOVES_MPS), 1.0, True),
+        (moving_body(6.0, length_m=0.5), 1.0, True),
+    ],
+    ids=["far away", "seen whole", "a body that stands", "a person"],
+)
+def test_other_clusters_begin_without_a_velocity(body, x, cut):
+    assert born([body], x, cut).mean[3:5] == pytest.approx([0.0, 0.0])

@@ -1,0 +1,168 @@
+"""Each stage of the model-free pipeline against a hand-computed case or an independent implementation."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+pytest.importorskip("filterpy")
+from gridtrack.common.geometry import SE2
+from gridtrack.common.grid import GridFrame
+from gridtrack.trackers.model_free.background import Background, BackgroundMap, fit_background
+from gridtrack.trackers.model_free.residence import NOT_OCCUPIED, PRIOR_RETURNS, fit_dwell, next_ages, still_there
+from gridtrack.trackers.model_free.settings import PipelineSettings
+from gridtrack.trackers.model_free.tracks import existence_when_detected, existence_when_missed
+from gridtrack.trackers.site_rate import PRIOR_FRAMES
+
+
+def frame_of(visible, occupied):
+    nothing = np.empty((0, 2), np.float32)
+    return GridFrame(0, visible, occupied, SE2(), np.zeros((1, 2), np.float32), nothing, np.empty(0, np.uint8))
+
+
+# Background
+
+
+def test_background_is_the_occupied_share_of_each_cell_drawn_to_the_base_rate():
+    visible, occupied = np.zeros((5, 5), bool), np.zeros((5, 5), bool)
+    visible[:2] = True
+    occupied[0, 0] = True
+    empty = np.zeros((5, 5), bool)
+    background = fit_background([frame_of(visible, occupied)] * 3 + [frame_of(visible, empty)], (5, 5))
+    base_rate = 3 / 40  # three occupied among ten visible cells in four frames
+    assert background.rate[0, 0] == pytest.approx((3 + PRIOR_FRAMES * base_rate) / (4 + PRIOR_FRAMES))
+    assert background.rate[1, 4] == pytest.approx(PRIOR_FRAMES * base_rate / (4 + PRIOR_FRAMES))
+    assert background.rate[4, 4] == pytest.approx(base_rate)
+
+
+def test_a_wall_over_which_returns_flicker_is_solid_and_a_place_that_is_busy_as_often_is_not():
+    seen = np.ones((5, 9), bool)
+    frames = []
+    for step in range(1000):
+        occupied = np.zeros((5, 9), bool)
+        occupied[2, 1 + step % 2] = True
+        occupied[2, 6:8] = step % 2 == 0
+        frames.append(frame_of(seen, occupied))
+    background = fit_background(frames, (5, 9))
+    assert background.rate[2, [1, 2, 6, 7]] == pytest.approx(0.5, abs=0.01)
+    assert (background.solid[1:4, 1:3] > 0.98).all()
+    assert (background.solid[:, 5:] < 0.55).all()
+
+
+MAP_FRAMES = 40
+
+
+def background_of(rate, solid=0.0, **settings):
+    given = {"explained_above": 0.9, "unforeseen_share": 0.5, "return_s": 2.0, "sink_above": 0.3, "sink_s": 5.0}
+    given["map_s"] = 0.1 * MAP_FRAMES
+    rate = np.asarray(rate, np.float32)
+    fitted = BackgroundMap(rate, np.broadcast_to(np.asarray(solid, np.float32), rate.shape))
+    return Background(fitted, 0.1, PipelineSettings(**given | settings))
+
+
+def test_forecast_keeps_walls_and_the_base_rate_of_what_was_never_seen():
+    background = background_of([[0.9, 0.1], [0.31, 0.0]], [[1.0, 0.0], [0.0, 0.0]])
+    assert background.probabilities(1) == pytest.approx(np.array([[[0.9, 0.1], [0.31, 0.0]]] * 2))
+
+
+def test_a_cell_seen_empty_comes_back_to_its_base_rate_ahead_in_time_and_while_it_is_hidden():
+    background = background_of([[0.1]], unforeseen_share=0.25, return_s=2.0)
+    seen, empty = np.ones((1, 1), bool), np.zeros((1, 1), bool)
+    background.observe(frame_of(seen, empty))
+    for hidden in range(3):
+        shares = [1 - 0.75 * math.exp(-(hidden + step) * 0.1 / 2.0) for step in range(3)]
+        assert background.probabilities(2).ravel() == pytest.approx([0.1 * share for share in shares], rel=1e-5)
+        background.observe(frame_of(empty, empty))
+    background.observe(frame_of(seen, empty))
+    assert background.probabilities(0).item() == pytest.approx(0.025)
+
+
+def test_what_stands_sinks_into_the_background_and_what_has_left_leaves_it():
+    background = background_of([[0.0, 0.0]])
+    seen, parked = np.ones((1, 2), bool), np.array([[True, False]])
+    for _ in range(100):
+        background.observe(frame_of(seen, parked))
+    keep = math.exp(-0.1 / 5.0)
+    frames = (1 - keep**100) / (1 - keep)
+    sunk = np.array([[frames / (frames + MAP_FRAMES), 0.0]])
+    assert background.probabilities(0)[0] == pytest.approx(sunk)
+    for _ in range(100):
+        background.observe(frame_of(~seen, ~seen))
+    assert background.probabilities(0)[0] == pytest.approx(sunk)  # hidden is not gone
+    for _ in range(100):
+        background.observe(frame_of(seen, ~seen))
+    assert background.probabilities(0)[0] == pytest.approx(np.zeros((1, 2)))
+
+
+def test_a_frame_after_missed_ones_stands_for_all_of_them():
+    seen, parked, hidden = np.ones((1, 2), bool), np.array([[True, False]]), np.zeros((1, 2), bool)
+    missed, whole = (background_of([[0.1, 0.1]], unforeseen_share=0.25) for _ in range(2))
+    for background, periods in ((missed, (3, 2)), (whole, (1, 1, 1, 1, 1))):
+        for count in periods:
+            background.observe(frame_of(seen, parked), count)
+    assert missed.probabilities(2) == pytest.approx(whole.probabilities(2), rel=1e-5)
+    missed.observe(frame_of(hidden, hidden), 4)
+    for _ in range(4):
+        whole.observe(frame_of(hidden, hidden))
+    assert missed.probabilities(2) == pytest.approx(whole.probabilities(2), rel=1e-5)
+    assert missed.hidden_s == pytest.approx(np.full((1, 2), 0.4))
+
+
+def test_a_wall_that_is_taken_away_is_forgotten():
+    background = background_of([[0.9]], 1.0)
+    for _ in range(1000):
+        background.observe(frame_of(np.ones((1, 1), bool), np.zeros((1, 1), bool)))
+    frames = 1 / (1 - math.exp(-0.1 / 5.0))
+    assert background.probabilities(0)[0, 0, 0] == pytest.approx(0.9 * MAP_FRAMES / (MAP_FRAMES + frames), rel=1e-5)
+
+
+# Dwell
+
+
+def cells_at(*cells):
+    occupied = np.zeros((5, 5), bool)
+    for cell in cells:
+        occupied[cell] = True
+    return occupied
+
+
+def test_the_age_of_a_return_goes_on_in_the_next_cell_and_starts_anew_elsewhere():
+    ages = np.full((5, 5), NOT_OCCUPIED)
+    for occupied in (cells_at((1, 1)), cells_at((1, 2)), cells_at((1, 2), (4, 4))):
+        ages = next_ages(ages, occupied, oldest=10)
+    assert (ages[1, 2], ages[4, 4]) == (2, 0)
+    assert (ages == NOT_OCCUPIED).sum() == 23
+    assert next_ages(ages, cells_at((1, 2)), oldest=2)[1, 2] == 2
+    late = next_ages(ages, cells_at((1, 2), (0, 4)), oldest=10, periods=3)
+    assert (late[1, 2], late[0, 4]) == (5, 0)
+
+
+def test_life_table_counts_who_is_still_there_where_it_can_be_seen():
+    seen, hidden = np.ones((5, 5), bool), np.zeros((5, 5), bool)
+    frames = [frame_of(seen, cells_at((1, 1))), frame_of(seen, cells_at((1, 1))), frame_of(hidden, cells_at())]
+    table = fit_dwell([frames] * 100, np.ones((5, 5), bool), (3, 3))
+    known = 1.0 / (1.0 + PRIOR_RETURNS / 100)
+    assert table[0] == pytest.approx([known, known, 0.0])  # after two steps nothing is seen: the prior stands
+    assert table[1] == pytest.approx([known, 0.0, 0.0])
+
+
+def test_life_table_is_read_from_the_age_and_from_the_time_since_last_seen():
+    table = np.array([[1.0, 0.5, 0.2], [0.9, 0.8, 0.7]], np.float32)
+    assert still_there(table, np.array([0, 5]), unseen=np.array([0, 0]), steps=3) == pytest.approx(
+        np.array([[1.0, 0.5, 0.2, 0.2], [0.9, 0.8, 0.7, 0.7]])
+    )
+    assert still_there(table, np.array([0]), unseen=np.array([1]), steps=1) == pytest.approx(np.array([[0.5, 0.2]]))
+
+
+# Life of a track
+
+
+def test_existence_follows_bayes_rule():
+    assert existence_when_detected(0.5, 0.9, 0.1) == pytest.approx(0.45 / (0.45 + 0.05))
+    assert existence_when_missed(0.5, 0.9) == pytest.approx(0.05 / (0.05 + 0.5))
+
+
+def test_a_miss_where_nothing_could_be_seen_says_nothing():
+    assert existence_when_missed(0.7, 0.0) == 0.7

@@ -1,0 +1,41 @@
+"""Starting the kalman tracker: what takes seconds on a new machine is over before the first frame."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import pytest
+
+pytest.importorskip("filterpy")
+
+STARTED_AND_FED = """
+from gridtrack.recordings.stream import open_stream
+from gridtrack.recordings import packaged_recording
+from gridtrack.trackers.contract import stream_of
+from gridtrack.trackers.model_free import KalmanTracker, association, matching, occlusion, rasterise, segmentation
+from gridtrack.trackers.model_free import calibration, shape
+from gridtrack.trackers.model_free.motion import kalman, model, regimes
+from gridtrack.trackers.model_free.settings import PipelineSettings
+
+def compiled():
+    kernels = segmentation._segment, occlusion._cut_off, association._distances_to, matching._match, shape._absorb
+    kernels = *kernels, model.advance, model.propagate_all, regimes._weighed, regimes._mixture, rasterise.draw_tracks
+    kernels = *kernels, calibration._apply, kalman._settled
+    return [len(kernel.signatures) for kernel in kernels]
+
+demo = packaged_recording("leg_tracker")
+stream = open_stream(f"{demo}@90s-100s")
+card = demo.parents[1] / "weights" / "kalman" / "leg_tracker.toml"
+tracker = KalmanTracker(stream_of(stream, card), PipelineSettings())
+before = compiled()
+for frame in stream:
+    tracker.update(frame)
+tracker.predict(20)
+print(set(before), set(compiled()))
+"""
+
+
+def test_what_is_compiled_on_first_use_is_compiled_when_it_starts():
+    done = subprocess.run([sys.executable, "-c", STARTED_AND_FED], capture_output=True, text=True, check=True)
+    assert done.stdout == "{1} {1}\n"

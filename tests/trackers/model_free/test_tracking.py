@@ -1,0 +1,221 @@
+"""The kalman tracker on scenes whose truth is known: a laser in a corner, and round people who walk past it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+pytest.importorskip("filterpy")
+from gridtrack.common.geometry import SE2
+from gridtrack.common.grid import GridFrame, with_neighbours
+from gridtrack.trackers.contract import StreamSpec
+from gridtrack.trackers.model_free import KalmanTracker
+from gridtrack.trackers.model_free.settings import PipelineSettings
+from gridtrack.trackers.weights import save_weights
+
+from scenes.hall import GLIDING, GRID, OPEN, PERIOD_S, card, frame_of, walk
+
+
+@pytest.fixture
+def weights(tmp_path):
+    """An open hall with nothing in it; the people here are discs that glide, and their velocity lasts."""
+    path = tmp_path / "hall.toml"
+    save_weights(path, card(velocity_memory_s=50.0), OPEN | {"dwell": GLIDING})
+    return path
+
+
+@pytest.fixture
+def tracker(weights):
+    return KalmanTracker(StreamSpec(GRID, PERIOD_S, "hall", weights=weights), PipelineSettings())
+
+
+def watch(tracker, *paths):
+    """Show the people who walk along `paths`; the forecast objects after each frame."""
+    seen = []
+    for step, people in enumerate(zip(*paths, strict=True)):
+        tracker.update(frame_of(list(people), step))
+        seen.append(tracker.predict(0).objects)
+    return seen
+
+
+def nearest(objects, place):
+    return min(objects, key=lambda one: np.hypot(*(one.box[:2] - np.array(place))))
+
+
+@pytest.mark.parametrize("velocity", [(1.0, 0.0), (0.0, 1.0), (-0.5, -0.8), (0.0, 0.0)])
+def test_velocity_is_known_after_a_second(tracker, velocity):
+    path = walk((3.0, -velocity[1]), velocity, 21)
+    seen = watch(tracker, path)
+    assert all(len(objects) == 1 for objects in seen[5:])
+    errors = np.array([objects[0].velocity - np.array(velocity) for objects in seen[11:]])
+    assert np.sqrt((errors**2).mean()) < 0.2
+
+
+@pytest.mark.parametrize("every", [2, 3])
+def test_missed_frames_are_bridged(tracker, every):
+    path = walk((3.0, -1.5), (0.0, 1.2), 37)
+    for step in range(0, 25, every):
+        tracker.update(frame_of([path[step]], step))
+    objects = tracker.predict(0).objects
+    assert len(objects) == 1
+    assert objects[0].velocity == pytest.approx((0.0, 1.2), abs=0.15)
+    ahead = tracker.predict(10).occupancy[10]
+    came = frame_of([path[34]]).occupied
+    assert ahead[came].mean() > 4 * ahead[with_neighbours(frame_of([path[24]]).occupied)].mean()
+
+
+@pytest.mark.parametrize("velocity", [(0.8, 0.0), (0.0, 0.8), (-0.6, 0.6)])
+def test_the_forecast_leads_the_object_to_where_it_will_be(tracker, velocity):
+    path = walk((3.0, -velocity[1]), velocity, 31)
+    watch(tracker, path[:21])
+    occupancy = tracker.predict(10).occupancy
+    for step in (5, 10):
+        came = frame_of([path[20 + step]])
+        rows, columns = np.nonzero(came.occupied)
+        mass = occupancy[step] - occupancy[step].min()
+        centre = np.array([(mass.sum(0) * np.arange(60)).sum(), (mass.sum(1) * np.arange(60)).sum()]) / mass.sum()
+        assert np.hypot(centre[0] - columns.mean(), centre[1] - rows.mean()) < 2.0  # cells; it moved by 8 of them
+
+
+def test_a_forecast_grows_more_uncertain_and_stays_a_probability(tracker):
+    watch(tracker, walk((3.0, -1.0), (0.0, 1.0), 20))
+    occupancy = tracker.predict(10).occupancy
+    assert occupancy.dtype == np.float32
+    assert occupancy.min() >= 0.0
+    assert occupancy.max() <= 1.0
+    assert (np.diff(occupancy[2:].max(axis=(1, 2))) < 0).all()
+
+
+def test_an_object_keeps_its_identity_through_a_full_occlusion(tracker):
+    standing, passing = [(1.5, 0.0)] * 45, walk((3.5, -2.0), (0.0, 0.9), 45)
+    hidden = [step for step in range(45) if not _sees(standing[step], passing[step])]
+    assert 4 <= len(hidden) <= 20
+    identities = []
+    for step, objects in enumerate(watch(tracker, standing, passing)):
+        if step >= 5:
+            one = nearest(objects, passing[step])
+            identities.append(one.track)
+            assert np.hypot(*(one.box[:2] - np.array(passing[step]))) < 0.6
+    assert len(set(identities)) == 1
+
+
+def _sees(occluder, place) -> bool:
+    alone, both = frame_of([occluder]), frame_of([occluder, place])
+    return int(both.occupied.sum()) > int(alone.occupied.sum())
+
+
+def test_a_hidden_object_goes_on_being_forecast_and_a_vanished_one_does_not(tracker):
+    standing, passing = [(1.5, 0.0)] * 45, walk((3.5, -2.0), (0.0, 0.9), 45)
+    first_hidden = next(step for step in range(45) if not _sees(standing[step], passing[step]))
+    watch(tracker, standing[: first_hidden + 3], passing[: first_hidden + 3])
+    column, row = (np.array(passing[first_hidden + 3]) - np.array(GRID.origin)) // GRID.cell_m
+    about = np.s_[1, int(row) - 4 : int(row) + 5, int(column) - 4 : int(column) + 5]
+    assert tracker.predict(1).occupancy[about].sum() > 1.0
+    for step in range(10):
+        tracker.update(frame_of([], step))
+    assert tracker.predict(1).objects == ()
+    assert tracker.predict(1).occupancy.max() < 0.01
+
+
+def test_the_box_of_an_object_is_as_large_as_the_cells_that_it_spans(tracker):
+    frame = frame_of([])
+    frame.occupied[30, 40], frame.occupied[30, 43] = True, True
+    points = GRID.cell_centres(frame.occupied)
+    for step in range(8):
+        tracker.update(
+            GridFrame(
+                step * 100_000_000, frame.visible, frame.occupied, SE2(), frame.origins, points, np.zeros(2, np.uint8)
+            )
+        )
+    (one,) = tracker.predict(0).objects
+    assert one.box[:2] == pytest.approx(points.mean(axis=0), abs=0.05)
+    assert one.box[3:] == pytest.approx((0.4, 0.1), abs=0.02)
+
+
+def test_two_people_apart_keep_their_identities(tracker):
+    one, other = walk((2.0, -2.0), (0.2, 0.8), 40), walk((4.0, 2.0), (0.0, -0.8), 40)
+    seen = watch(tracker, one, other)[5:]
+    for path in (one, other):
+        tracks = {nearest(objects, place).track for objects, place in zip(seen, path[5:], strict=True)}
+        assert len(tracks) == 1
+    assert {len(objects) for objects in seen} == {2}
+
+
+def test_a_wall_that_flickers_bears_no_track(tmp_path):
+    rate, solid = OPEN["rate"].copy(), OPEN["solid"].copy()
+    pillar = frame_of([], wall=True).occupied
+    rate[pillar] = 0.9
+    solid[with_neighbours(pillar)] = 1.0
+    path = tmp_path / "hall.toml"
+    save_weights(path, card(), OPEN | {"rate": rate, "solid": solid, "dwell": GLIDING})
+    tracker = KalmanTracker(StreamSpec(GRID, PERIOD_S, "hall", weights=path), PipelineSettings())
+    for step in range(20):
+        tracker.update(frame_of([], step, wall=step % 3 > 0))
+    forecast = tracker.predict(5)
+    assert forecast.objects == ()
+    assert forecast.occupancy[5][pillar] == pytest.approx(0.9)
+
+
+def test_who_stands_is_forecast_to_stand_as_the_life_table_says(tmp_path):
+    table = GLIDING.copy()
+    table[20:] = 0.75
+    path = tmp_path / "hall.toml"
+    save_weights(path, card(sink_above=0.99), OPEN | {"dwell": table})
+    tracker = KalmanTracker(StreamSpec(GRID, PERIOD_S, "hall", weights=path), PipelineSettings())
+    frame = frame_of([(3.0, 1.0)])
+    for step in range(30):
+        tracker.update(frame)
+        if step == 10:
+            at_first = tracker.predict(10).occupancy[10][frame.occupied].mean()
+    assert tracker.predict(10).occupancy[10][frame.occupied].mean() > at_first + 0.2
+
+
+def test_now_is_forecast_as_it_was_seen(tracker):
+    watch(tracker, walk((3.0, -1.0), (0.0, 1.0), 5))
+    frame = frame_of([(3.0, -0.5)])
+    tracker.update(frame)
+    assert np.array_equal(tracker.predict(3).occupancy[0][frame.visible], frame.occupied[frame.visible])
+
+
+def test_predicting_changes_nothing_and_a_reset_forgets(tracker):
+    path = walk((3.0, -1.0), (0.3, 0.7), 20)
+
+    def forecasts(ask: bool):
+        tracker.reset(seed=1)
+        for step, place in enumerate(path):
+            tracker.update(frame_of([place], step))
+            if ask:
+                tracker.predict(7)
+        return tracker.predict(5).occupancy
+
+    once = forecasts(ask=False)
+    watch(tracker, walk((5.0, 1.0), (-1.0, 0.0), 9))
+    assert np.array_equal(once, forecasts(ask=True))
+
+
+def test_an_empty_stream_is_forecast_as_background(tracker):
+    nothing = np.zeros(GRID.shape, bool)
+    no_points = np.empty((0, 2), np.float32)
+    tracker.update(GridFrame(0, nothing, nothing, SE2(), no_points, no_points, np.empty(0, np.uint8)))
+    occupancy = tracker.predict(2).occupancy
+    assert occupancy.shape == (3, *GRID.shape)
+    assert occupancy.max() < 2e-3
+
+
+def test_a_smoother_that_begins_anew_is_counted_until_the_reset(weights):
+    gtsam = pytest.importorskip("gtsam")
+    from gridtrack.trackers.model_free import FactorGraphTracker
+    from gridtrack.trackers.model_free.motion.factor_graph import LAG_S
+
+    save_weights(weights, card().model_copy(update={"tracker": "factor-graph"}), OPEN | {"dwell": GLIDING})
+    tracker = FactorGraphTracker(StreamSpec(GRID, PERIOD_S, "hall", weights=weights), PipelineSettings())
+    path = walk((3.0, -1.0), (0.0, 1.0), 12)
+    watch(tracker, path[:10])
+    assert tracker.recoveries == 0
+    knows_nothing = gtsam.IncrementalFixedLagSmoother(LAG_S)
+    tracker.tracks[0].estimator.estimators[0]._smoother = knows_nothing
+    seen = watch(tracker, path[10:])
+    assert tracker.recoveries == 1
+    assert seen[-1][0].track == 0
+    tracker.reset(seed=0)
+    assert tracker.recoveries == 0
