@@ -1,0 +1,86 @@
+"""Files: replaced whole or left as they were, read within a bound, identified by their hash; the user's folders."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import platformdirs
+
+from gridtrack.common.errors import GridtrackError
+
+APPLICATION = "gridtrack"
+
+
+@contextmanager
+def atomic_write(path: Path, *, keep_on_error: bool = False) -> Iterator[BinaryIO]:
+    """Open a file beside `path` that takes the place of `path` when the block ends.
+
+    A reader sees the old content or the new one and never a part of it. When the block raises, `path` stays as it was;
+    with `keep_on_error` it is replaced by what was written until then. Raises OSError.
+    """
+    partial = path.with_name(path.name + ".partial")
+    try:
+        with partial.open("wb") as file:
+            yield file
+    except BaseException:
+        if keep_on_error and partial.exists():
+            partial.replace(path)
+        partial.unlink(missing_ok=True)
+        raise
+    partial.replace(path)
+
+
+def write_text(path: Path, text: str) -> None:
+    """Replace the content of `path` by `text`, UTF-8. Raises OSError."""
+    with atomic_write(path) as file:
+        file.write(text.encode())
+
+
+def read_bounded(path: Path, max_bytes: int, error: type[GridtrackError]) -> bytes:
+    """The content of `path`, refused before it is read where it is larger than `max_bytes`.
+
+    Raises FileNotFoundError, for the caller to say what is missing, and `error` where the file cannot be read.
+    """
+    try:
+        with path.open("rb") as file:
+            content = file.read(max_bytes + 1)
+    except FileNotFoundError:
+        raise
+    except OSError as problem:
+        raise error(f"{path}: cannot be read ({problem.strerror})") from None
+    if len(content) > max_bytes:
+        raise error(f"{path}: larger than {max_bytes} bytes: refused")
+    return content
+
+
+def read_json(path: Path, max_bytes: int, error: type[GridtrackError]) -> dict[str, Any]:
+    """The JSON object in `path`. Raises FileNotFoundError, and `error` for what is no JSON object of this size."""
+    text = read_bounded(path, max_bytes, error)
+    try:
+        content = json.loads(text)
+    except (ValueError, RecursionError) as problem:
+        raise error(f"{path}: not JSON ({str(problem)[:80]})") from None
+    if not isinstance(content, dict):
+        raise error(f"{path}: expected one JSON object, found {type(content).__name__}")
+    return content
+
+
+def sha256_of(path: Path) -> str:
+    """SHA-256 of a file, 64 hexadecimal digits; the file is read in pieces. Raises OSError."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def user_data_folder() -> Path:
+    """The folder for what the user made and keeps: `$XDG_DATA_HOME/gridtrack` on Linux. It need not exist."""
+    return Path(platformdirs.user_data_path(APPLICATION))
+
+
+def user_cache_folder() -> Path:
+    """The folder for what can be made again: `$XDG_CACHE_HOME/gridtrack` on Linux. It need not exist."""
+    return Path(platformdirs.user_cache_path(APPLICATION))

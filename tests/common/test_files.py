@@ -1,0 +1,97 @@
+"""Files are replaced whole or left as they were, and read within a bound."""
+
+from __future__ import annotations
+
+import hashlib
+
+import pytest
+
+from gridtrack.common.errors import GridtrackError
+from gridtrack.common.files import (
+    atomic_write,
+    read_bounded,
+    read_json,
+    sha256_of,
+    user_cache_folder,
+    user_data_folder,
+    write_text,
+)
+
+
+class FileError(GridtrackError):
+    pass
+
+
+def write_and_fail(path, text, **options):
+    with atomic_write(path, **options) as file:
+        file.write(text)
+        raise ZeroDivisionError
+
+
+def test_a_file_is_replaced_when_the_block_ends(tmp_path):
+    path = tmp_path / "a.bin"
+    path.write_bytes(b"old")
+    with atomic_write(path) as file:
+        file.write(b"new")
+        assert path.read_bytes() == b"old"
+    assert path.read_bytes() == b"new"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_file_stays_as_it_was_when_the_block_raises(tmp_path):
+    path = tmp_path / "a.bin"
+    path.write_bytes(b"old")
+    with pytest.raises(ZeroDivisionError):
+        write_and_fail(path, b"half of the new")
+    assert path.read_bytes() == b"old"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_what_was_written_before_an_error_can_be_kept(tmp_path):
+    path = tmp_path / "a.bin"
+    with pytest.raises(ZeroDivisionError):
+        write_and_fail(path, b"scored so far", keep_on_error=True)
+    assert path.read_bytes() == b"scored so far"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_file_above_the_bound_is_refused(tmp_path):
+    path = tmp_path / "a.bin"
+    path.write_bytes(b"12345")
+    assert read_bounded(path, 5, FileError) == b"12345"
+    with pytest.raises(FileError, match="larger than 4 bytes"):
+        read_bounded(path, 4, FileError)
+
+
+def test_a_missing_file_is_left_to_the_caller_and_a_folder_is_refused(tmp_path):
+    with pytest.raises(FileNotFoundError):
+        read_bounded(tmp_path / "missing", 5, FileError)
+    with pytest.raises(FileError, match="cannot be read"):
+        read_bounded(tmp_path, 5, FileError)
+
+
+@pytest.mark.parametrize("text", ["[1, 2]", "{", '"text"', "[" * 100_000, "\x00"])
+def test_only_a_json_object_is_read(tmp_path, text):
+    path = tmp_path / "a.json"
+    write_text(path, text)
+    with pytest.raises(FileError, match=r"a\.json: (not JSON|expected one JSON object)"):
+        read_json(path, 1 << 20, FileError)
+
+
+def test_text_is_utf8(tmp_path):
+    path = tmp_path / "a.json"
+    write_text(path, '{"place": "São Paulo"}')
+    assert read_json(path, 100, FileError) == {"place": "São Paulo"}
+
+
+def test_the_hash_of_a_file(tmp_path):
+    path = tmp_path / "a.bin"
+    path.write_bytes(b"x" * 3_000_000)
+    assert sha256_of(path) == hashlib.sha256(b"x" * 3_000_000).hexdigest()
+
+
+def test_the_folders_of_a_user_follow_the_environment(monkeypatch, tmp_path):
+    monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path / "data"))
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    assert user_data_folder() == tmp_path / "data" / "gridtrack"
+    assert user_cache_folder() == tmp_path / "cache" / "gridtrack"
