@@ -25,7 +25,7 @@ results: $(VENV)/.installed-demo
 	    $(foreach tracker,persistence static-map blank kalman factor-graph dogma one-shot deep-tracking-rnn dilated-convgru,\
         --tracker $(tracker)) \
 	    --reference dilated-convgru --out runs/results
-	$(BIN)/python benchmarks/static_memory.py
+	$(BIN)/python -m studies.static_memory
 
 # What the paper claims of its network taken away, one claim at a time, each trained with 625 updates.
 SHORT := burn_in=10,validate_every=125,warm_up=50,learning_rate=0.004,updates=625,stage=occupancy
@@ -63,10 +63,10 @@ lint: $(VENV)/.installed-dev
 	PYTHONPATH=.link $(BIN)/lint-imports
 
 # Those that need nothing but what `make test` installs; the others say in their first lines what they ask for.
-BENCHMARKS := import_time raycast scoring harness recurrent inference dogma model_free estimators stages true_stages \
-    velocity intervals regression_gate hour
+BENCHMARKS := import_time raycast scoring harness recurrent inference dogma model_free estimators \
+    hour
 bench: $(VENV)/.installed-dev
-	for benchmark in $(BENCHMARKS); do $(BIN)/python benchmarks/$$benchmark.py || exit 1; done
+	for benchmark in $(BENCHMARKS); do $(BIN)/python -m benchmarks.$$benchmark || exit 1; done
 
 # What our own trackers are held against by tests/test_own_trackers.py: after a change that is meant to change them.
 baseline: $(VENV)/.installed-dev

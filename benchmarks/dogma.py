@@ -1,6 +1,6 @@
 """Speed of the particle grid: one update and one 20-step forecast at the junction, by the number of particles.
 
-Run it by itself: `python benchmarks/dogma.py`. Aim: both together within 60 ms at p95 with 100,000 particles on
+Run it by itself: `python -m benchmarks.dogma`. Aim: both together within 60 ms at p95 with 100,000 particles on
 100 x 100 cells, on one thread.
 """
 

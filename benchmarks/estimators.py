@@ -3,7 +3,7 @@
 Beside them in the table of errors: a Kalman filter that leaves out what lies beyond the factor graph's gate; and each
 in two regimes, as tracks have them.
 
-Run it by itself: `python benchmarks/estimators.py [--runs 200]` (about eight minutes). Aims: an update in 0.1 ms
+Run it by itself: `python -m benchmarks.estimators [--runs 200]` (about eight minutes). Aims: an update in 0.1 ms
 (Kalman filter) and 0.4 ms (factor graph) a track; 30 tracks and their forecast within 25 ms at p95; an hour
 at 8 Hz without growth of memory or of time. Times are processor time of one thread: other work is felt in caches only.
 """

@@ -1,6 +1,6 @@
 """What the harness costs beside the trackers: time a frame, time over the demo set, memory by a recording's length.
 
-Run it by itself: `python benchmarks/harness.py [TRACKER...]`. Aims: 5 ms a frame beside the tracker's own time,
+Run it by itself: `python -m benchmarks.harness [TRACKER...]`. Aims: 5 ms a frame beside the tracker's own time,
 printed for `blank`; 1.1 x the trackers' own time over the set (every tracker that has weights, or those named);
 and the same memory for a recording ten times as long.
 """

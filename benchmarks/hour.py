@@ -1,6 +1,6 @@
 """An hour of frames through a whole tracker: memory, time of an update and of a forecast, and recoveries as it goes.
 
-Run it by itself: `python benchmarks/hour.py [TRACKER...]` (kalman, factor-graph and dogma unless named). A minute of
+Run it by itself: `python -m benchmarks.hour [TRACKER...]` (kalman, factor-graph and dogma unless named). A minute of
 the junction is looped sixty times without a reset; at each seam everything that moves jumps. A forecast of 20 steps is
 asked for every two seconds.
 """

@@ -1,4 +1,4 @@
-"""Speed of the recurrent networks on one thread, beside others that compute the same: `python benchmarks/inference.py`.
+"""Speed of the recurrent networks on one thread, beside others that compute the same: `python -m benchmarks.inference`.
 
 For the dilated ConvGRU: ours, also with `inference=bfloat16`; a straightforward PyTorch ConvGRU, gate by gate on
 concatenated input; and that one in ONNX Runtime, where `pip install onnxruntime onnx onnxscript` has been run. All have

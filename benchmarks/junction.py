@@ -1,6 +1,6 @@
 """The junction: how long 75 minutes take to simulate, check and render, and what moves in them.
 
-Run it by itself: `python benchmarks/junction.py [SEED...]`; seeds 1 to 10 are the check that the traffic never
+Run it by itself: `python -m benchmarks.junction [SEED...]`; seeds 1 to 10 are the check that the traffic never
 gridlocks, nobody walks through walls or the scanner, and each class moves. Aims: 6 minutes on two cores, faults none,
 each class moving in 30 % of the frames, buses in 5 %.
 """

@@ -1,6 +1,6 @@
 """Speed of the model-free pipeline by the number of road users, and the time of each of its stages at thirty.
 
-Run it by itself: `python benchmarks/model_free.py`. Aims for one update and a 20-step forecast at thirty tracks, 95th
+Run it by itself: `python -m benchmarks.model_free`. Aims for one update and a 20-step forecast at thirty tracks, 95th
 percentile, one thread: 10 ms with Kalman filters, 25 ms with the factor graph. One in three of those who move is a car.
 """
 

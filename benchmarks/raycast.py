@@ -1,4 +1,4 @@
-"""How long one scan takes to become a grid frame: `python benchmarks/raycast.py`. The aim: at most 0.1 ms."""
+"""How long one scan takes to become a grid frame: `python -m benchmarks.raycast`. The aim: at most 0.1 ms."""
 
 from __future__ import annotations
 

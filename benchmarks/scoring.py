@@ -1,6 +1,6 @@
 """Speed of scoring one forecast: 21 steps of 100 x 100 cells, every stratum, histogram and losses, and its rows.
 
-Run it by itself: `python benchmarks/scoring.py`. Aims, on one core: 2 ms to count a forecast, and 20 x faster than
+Run it by itself: `python -m benchmarks.scoring`. Aims, on one core: 2 ms to count a forecast, and 20 x faster than
 scikit-learn's figures for the same cells (F1, average precision, Brier score, log loss and the histogram of each
 stratum and step), which stand beside it as peers.
 """

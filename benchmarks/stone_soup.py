@@ -1,6 +1,6 @@
 """The model-free pipeline beside Stone Soup's trackers on the same clusters: error and time.
 
-`pip install stonesoup==1.9.1`, then `python benchmarks/stone_soup.py`. Round people walk through a hall before a laser
+`pip install stonesoup==1.9.1`, then `python -m benchmarks.stone_soup`. Round people walk through a hall before a laser
 and hide one another; every tracker gets the clusters that our segmentation makes of the same grid frames, and the same
 motion and measurement noise. Stone Soup's are its Kalman filters with global nearest neighbours and with joint
 probabilistic data association (by loopy belief propagation). When a track begins and ends is tuned for each on a seed

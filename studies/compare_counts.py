@@ -1,6 +1,6 @@
 """Are the counts of two runs the same? Compares every trial's Parquet files, row by row.
 
-    python studies/compare_counts.py RUN OTHER [--tolerance 0]
+    python -m studies.compare_counts RUN OTHER [--tolerance 0]
 
 Counts must be equal; sums of squared errors and log losses may differ by the relative tolerance. Trials are matched by
 the name of their folder. The exit code is 1 where a trial is missing or a count differs: for a change of the code that

@@ -1,7 +1,7 @@
 """Intervals of pooled scores, and paired differences of two trackers, from the counts of units.
 
 A unit is a whole recording, or a block of time that is longer than what frames have in common (`units`). How the
-method was chosen, and what its coverage is: docs/statistics.md, `benchmarks/intervals.py`.
+method was chosen, and what its coverage is: docs/statistics.md, `studies/intervals.py`.
 """
 
 from __future__ import annotations

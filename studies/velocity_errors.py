@@ -1,9 +1,9 @@
 """Velocity error against truth at the junction, of the seen cells of what moves, for trackers that say velocities.
 
-Run it by itself: `python benchmarks/velocity.py [TRACKER...]` (dogma and kalman unless named). The truth of a cell is
-the rigid motion of the body whose outline it lies on, by the poses a frame before and after. A tracker that gives
-objects instead of a field has each object's velocity painted on the cells of its box, of boxes that overlap the
-smallest one's (a bus passes a person); a cell without a velocity counts as 0.
+`python -m studies.velocity_errors [TRACKER...]` (dogma and kalman by default). The true velocity of a cell is the rigid
+motion of the body on whose outline it lies, from the poses one frame before and after. Where a tracker gives objects in
+place of a velocity field, each cell of an object's box has the object's velocity; where boxes overlap, that of the
+smallest (a bus passes a person). A cell without a velocity counts as 0.
 """
 
 from __future__ import annotations

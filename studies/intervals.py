@@ -1,6 +1,6 @@
 """Coverage of the interval methods on correlated series of counts, the chosen one and the rejected; and their speed.
 
-Run it by itself: `python benchmarks/intervals.py` (about two minutes). Aims: the chosen method covers 93 to 97 % at 20
+Run it by itself: `python -m studies.intervals` (about two minutes). Aims: the chosen method covers 93 to 97 % at 20
 units in every setting; intervals and differences for 10 trackers x 21 steps x 8 strata from 20 recordings in 10 s.
 """
 

@@ -1,6 +1,6 @@
 """Where each tracker fails: the moments at which its forecast of moving cells was worst, pictured.
 
-`python benchmarks/worst_moments.py RUN` reads a run's folder and writes RUN/worst-moments.html: for each tracker the
+`python -m studies.worst_moments RUN` reads a run's folder and writes RUN/worst-moments.html: for each tracker the
 kept moments with the least moving F1 one second ahead, at most one of a recording and of moments in which enough
 moving cells came; what it saw, what came, its forecast, and that forecast at its threshold: hit, missed, false alarm.
 """

@@ -1,6 +1,6 @@
 """The label budget as a curve: what `label_budget.py` measured, mean and range over its draws.
 
-`python benchmarks/label_curve.py` draws docs/results/junction/label-budget.svg from the table beside it.
+`python -m studies.label_curve` draws docs/results/junction/label-budget.svg from the table beside it.
 """
 
 from __future__ import annotations
@@ -11,9 +11,9 @@ from collections import defaultdict
 from html import escape
 from pathlib import Path
 
-from label_budget import BUDGETS, COLUMNS, read
-
 from gridtrack.reports.figures import Axis
+
+from studies.label_budget import BUDGETS, COLUMNS, read
 
 TABLE = Path("docs/results/junction/label-budget.csv")
 STYLES = {"one-shot": "#c2410c", "latent": "#1d4ed8", "latent, linear": "#0f766e"}

@@ -1,6 +1,6 @@
 """What a tracker expects of a place before it has seen anything: y_1 from no input, beside the place's outlines.
 
-`python benchmarks/static_memory.py [TRACKER...]` draws log P(occupied) of each tracker's shipped weights for the
+`python -m studies.static_memory [TRACKER...]` draws log P(occupied) of each tracker's shipped weights for the
 junction into docs/results/junction. For the dilated ConvGRU that is its static memory (Ondruska et al., 2016, fig. 5).
 """
 

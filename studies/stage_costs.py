@@ -1,6 +1,6 @@
 """What each stage of the model-free pipeline costs in F1: the junction with the truth in a stage's place.
 
-Run it by itself: `python benchmarks/true_stages.py [kalman|factor-graph]`. The validation recording, scored as while
+Run it by itself: `python -m studies.stage_costs [kalman|factor-graph]`. The validation recording, scored as while
 tuning (moving and visible cells, each step's best threshold), as the pipeline is and then with one thing from the
 truth: all returns of a body as one cluster; how the body has moved since it was first matched, in place of each later
 match; the velocity and turn rate of every track that is seen, or of those that are at most a second old, at the time of
@@ -15,8 +15,6 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from stages import most
-from velocity import JUNCTION, bodies, cells_of, rigid_velocity
 
 from gridtrack.common.geometry import SE2, wrap_angle
 from gridtrack.common.grid import GridFrame, GridSpec
@@ -30,6 +28,9 @@ from gridtrack.trackers.model_free.matches import Match
 from gridtrack.trackers.model_free.segmentation import Cluster, joined
 from gridtrack.trackers.model_free.tracker import ModelFreeTracker
 from gridtrack.trackers.model_free.tracks import Track
+
+from studies.stage_errors import most
+from studies.velocity_errors import JUNCTION, bodies, cells_of, rigid_velocity
 
 STEPS, HORIZONS = 20, {"0.5 s": 4, "1 s": 8, "2 s": 16}
 YOUNG_S = 1.0

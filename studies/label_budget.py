@@ -1,6 +1,6 @@
 """How many labels classes need: log loss of a scan by labelled scans, from the latent state and from one scan.
 
-Run it by itself: `python benchmarks/label_budget.py`; rows that lie in the file `--out` are not measured again. Three
+Run it by itself: `python -m studies.label_budget`; rows that lie in the file `--out` are not measured again. Three
 stretches of the junction's training recording are drawn; of each the first 50, 100, 200, 400 and 800 scans are
 labelled. The network is the shipped one and stays as it is. Settings of the shipped classifiers are kept (chosen once,
 with 800 scans), the best state of each training is chosen on the first 90 s of the validation recording, and the

@@ -1,6 +1,6 @@
 """The demo recording in five folds: moving F1 of each tracker beside persistence's, each fold unseen by what it tests.
 
-`python benchmarks/leg_folds.py [TRACKER...]` (five minutes a fold and tracker; what lies in `--out` is kept). The demo
+`python -m studies.leg_folds [TRACKER...]` (five minutes a fold and tracker; what lies in `--out` is kept). The demo
 tests 36 s with thresholds from 15 s. Here every fifth of the two minutes is tested once: the thresholds are chosen on
 the fifth after it, and what is fitted is fitted on the three others. The referee's own counts are put together with the
 statistics of a comparison, which say whether two minutes are enough for an interval (docs/statistics.md).

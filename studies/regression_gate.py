@@ -1,6 +1,6 @@
 """How often the gate is wrong: false alarms between trainings of one tracker, and falls that it misses.
 
-Run it by itself: `python benchmarks/regression_gate.py [RUN RUN RUN...]`, three runs or more of the same tracker,
+Run it by itself: `python -m studies.regression_gate [RUN RUN RUN...]`, three runs or more of the same tracker,
 trained anew for each, on the same twenty recordings or more; without them, `kalman` with four settings is run on the
 junction's test recordings. It takes some minutes. Aims: worse in at most 5 % of 200 resampled comparisons; a fall of
 0.02 F1 on moving cells in the step band of 1 s found in at least 95 of 100.
@@ -24,7 +24,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from harness import Quiet
 from numpy.typing import NDArray
 from scipy.special import stdtrit
 
@@ -36,6 +35,8 @@ from gridtrack.evaluation.regression.pairing import PairedRow, pair
 from gridtrack.evaluation.regression.significance import FAMILY_LEVEL, f1_of, fall_p_values
 from gridtrack.evaluation.regression.spread import PRIOR_FREEDOM, beyond_spread, spread_between
 from gridtrack.evaluation.statistics.uncertainty import differences, holm
+
+from benchmarks.harness import Quiet
 
 JUNCTION = Path(__file__).parents[1] / "data" / "junction"
 SETTINGS = ("", ":position_noise_m=0.05", ":acceleration=0.1", ":link_m=0.3")

@@ -1,6 +1,6 @@
 """Error of each stage of the model-free pipeline at the junction, against the truth: where its weakest link is.
 
-Run it by itself: `python benchmarks/stages.py [kalman|factor-graph]`. Two stretches of the validation recording, by
+Run it by itself: `python -m studies.stage_errors [kalman|factor-graph]`. Two stretches of the validation recording, by
 class of the true body, over bodies of which at least two cells are seen:
 
 - segmentation: the share of bodies that are whole in one cluster, and of those that are alone in theirs;
@@ -18,7 +18,6 @@ from collections import defaultdict
 from collections.abc import Sequence
 
 import numpy as np
-from velocity import JUNCTION, bodies, cells_of, rigid_velocity
 
 from gridtrack.common.grid import GridFrame, GridSpec
 from gridtrack.evaluation.comparison.learned import find_weights
@@ -31,6 +30,8 @@ from gridtrack.trackers.model_free.pipeline import Pipeline
 from gridtrack.trackers.model_free.segmentation import Cluster
 from gridtrack.trackers.model_free.tracker import ModelFreeTracker
 from gridtrack.trackers.model_free.tracks import Track
+
+from studies.velocity_errors import JUNCTION, bodies, cells_of, rigid_velocity
 
 STRETCHES = ("0s-50s", "200s-250s")
 WARM_UP, EVERY, SECOND = 20, 5, 8
