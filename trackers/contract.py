@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar, Protocol
+from typing import Any, ClassVar, Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,10 @@ from gridtrack.common.config import Settings
 from gridtrack.common.grid import GridFrame, GridSpec, LabelledFrame
 
 API = 1
+Role = Literal["tracker", "floor"]
+"""The role of a row in a comparison: a tracker, or a floor, which every tracker must beat."""
+Comparison = Literal["occupancy", "classes"]
+"""What two rows are compared by: their forecasts of occupancy, or of classes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,6 +132,10 @@ class Tracker(ABC):
     """Whether it can follow a sensor that moves."""
     learns: ClassVar[bool] = False
     """Whether `fit` must have run for the site before the tracker can be used."""
+    role: ClassVar[Role] = "tracker"
+    """A floor is a row that every tracker must beat, such as persistence."""
+    reference_for: ClassVar[frozenset[Comparison]] = frozenset()
+    """The comparisons in which the other rows are compared with this tracker, unless the user names another row."""
 
     def __init__(self, stream: StreamSpec, options: Any) -> None:
         self.stream = stream

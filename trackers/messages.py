@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec
-from gridtrack.trackers.contract import Forecast, StreamSpec, TrackedObject
+from gridtrack.trackers.contract import Comparison, Forecast, Role, StreamSpec, TrackedObject
 from gridtrack.trackers.wire import Message, WireError
 
 MAX_OBJECTS = 4096
@@ -47,6 +47,24 @@ def stream_from(message: Message) -> StreamSpec:
         tuple(stream.value("classes", list)),
         None if weights is None else Path(weights),
     )
+
+
+def role_from(message: Message) -> Role:
+    """The role that `started` and `described` name; "tracker" where they name none. Raises WireError."""
+    found: Any = message.fields.get("role", "tracker")
+    if found not in get_args(Role):
+        raise WireError(f"'{message.kind}': role is {found!r:.80}; expected one of {', '.join(get_args(Role))}")
+    role: Role = found
+    return role
+
+
+def reference_for_from(message: Message) -> frozenset[Comparison]:
+    """The comparisons that `started` and `described` list in `reference_for`, none where absent. Raises WireError."""
+    found: Any = message.fields.get("reference_for", [])
+    if not isinstance(found, list) or not all(name in get_args(Comparison) for name in found):
+        expected = ", ".join(get_args(Comparison))
+        raise WireError(f"'{message.kind}': reference_for is {found!r:.80}; expected a list of {expected}")
+    return frozenset(found)
 
 
 def frame_arrays(frame: GridFrame) -> Arrays:

@@ -7,11 +7,11 @@ import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from importlib.metadata import Distribution, EntryPoint, distributions
-from typing import Any
+from typing import Any, get_args
 
 from gridtrack.common.config import Settings
 from gridtrack.common.errors import PluginError, did_you_mean
-from gridtrack.trackers.contract import API, Tracker
+from gridtrack.trackers.contract import API, Comparison, Role, Tracker
 
 GROUP = "gridtrack.trackers"
 NAME = re.compile(r"[a-z0-9][a-z0-9._-]{0,63}")
@@ -149,6 +149,10 @@ def _attribute_breach(found: type[Tracker]) -> str:
     for flag in ("moving_sensor", "learns"):
         if not isinstance(getattr(found, flag), bool):
             return f"{flag} is {getattr(found, flag)!r}; expected True or False"
+    if found.role not in get_args(Role):
+        return f"role is {found.role!r}; expected one of {', '.join(get_args(Role))}"
+    if not isinstance(found.reference_for, frozenset) or not found.reference_for <= set(get_args(Comparison)):
+        return f"reference_for is {found.reference_for!r}; expected a frozenset of {', '.join(get_args(Comparison))}"
     if found.learns and found.fit.__func__ is Tracker.fit.__func__:  # type: ignore[attr-defined]
         return "it learns, but has no fit"
     return ""

@@ -162,6 +162,8 @@ def _description(kind: type[Tracker], classes: Any, options: Settings) -> dict[s
         "classes": list(classes),
         "moving_sensor": kind.moving_sensor,
         "learns": kind.learns,
+        "role": kind.role,
+        "reference_for": sorted(kind.reference_for),
         "options": options.model_dump(mode="json"),
         "options_schema": schema if len(json.dumps(schema)) < MAX_HEADER // 2 else {},
     }

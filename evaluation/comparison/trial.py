@@ -7,12 +7,13 @@ import traceback
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 from gridtrack.common.errors import RecordingError
 from gridtrack.evaluation.comparison.plan import Trial
 from gridtrack.evaluation.comparison.shared_thresholds import SharedThresholds
 from gridtrack.evaluation.processes.outcome import TrialEnded
-from gridtrack.evaluation.processes.tracker_process import TrackerProcess
+from gridtrack.evaluation.processes.tracker_process import Started, TrackerProcess
 from gridtrack.evaluation.scoring.counting import Tally, count_forecast
 from gridtrack.evaluation.scoring.record import RECORD, Ending, ThresholdsUsed, Times, TrialRecord
 from gridtrack.evaluation.scoring.referee import Delivery, moments
@@ -51,7 +52,7 @@ class TrialRun:
         self._test = trial.course.schedule
         self._delivery = Delivery(trial.test, on_frame)
         self._scored = 0
-        self._classes: tuple[str, ...] = ()
+        self._started: Started | None = None
         self._start_s = self._wall_s = 0.0
         self._interrupted = False
         self._process = TrackerProcess(
@@ -77,7 +78,7 @@ class TrialRun:
         try:
             with self._process:
                 self._start_s = time.perf_counter() - began
-                self._classes = self._process.started.classes
+                self._started = self._process.started
                 self._thresholds = self._shared.of(self.trial, self._choose_thresholds)
                 with self._clock():
                     self._score(self._thresholds)
@@ -129,7 +130,7 @@ class TrialRun:
     def _score(self, thresholds: Thresholds) -> None:
         """Stream the test stretch, and write what each forecast scored as soon as its last frame has come."""
         course, areas = self.trial.course, self._regions.test
-        with Scorekeeper(self._folder, course, areas, thresholds, self._classes) as scorekeeper:
+        with Scorekeeper(self._folder, course, areas, thresholds, self._process.started.classes) as scorekeeper:
             for moment in moments(self._process, self._delivery, self._test, self.trial.seed):
                 scorekeeper.add(moment, self._delivery.digest)
                 self._scored = scorekeeper.scored
@@ -149,7 +150,7 @@ class TrialRun:
                 "frames_delivered": self._delivery.frames,
                 "delivered": self._delivery.digest,
                 "thresholds": ThresholdsUsed.of(chosen),
-                "classes": self._classes,
+                **self._description(),
                 "times": Times(
                     start_s=self._start_s,
                     update_s=timings.update.total_ms / 1000,
@@ -161,6 +162,14 @@ class TrialRun:
                 "peak_rss_mb": self._process.peak_rss_mb,
             }
         )
+
+    def _description(self) -> dict[str, Any]:
+        """The fields of the record that the tracker reports of itself; the defaults where it did not start."""
+        started = self._started
+        if started is None:
+            return {}
+        reference_for = tuple(sorted(started.reference_for))
+        return {"classes": started.classes, "role": started.role, "reference_for": reference_for}
 
 
 def unstarted(trial: Trial) -> TrialRecord:

@@ -21,7 +21,7 @@ from gridtrack.evaluation.processes.latency import Latencies
 from gridtrack.evaluation.processes.outcome import TrialEnded
 from gridtrack.evaluation.processes.supervised import Supervised
 from gridtrack.trackers import messages
-from gridtrack.trackers.contract import API, Forecast, StreamSpec
+from gridtrack.trackers.contract import API, Comparison, Forecast, Role, StreamSpec
 from gridtrack.trackers.selection import Launch
 from gridtrack.trackers.wire import Message, WireError
 
@@ -58,6 +58,9 @@ class Started:
     options_schema: Mapping[str, Any]
     """JSON schema of its options; empty where it gives none."""
     about: str
+    role: Role = "tracker"
+    reference_for: frozenset[Comparison] = frozenset()
+    """The comparisons in which the other rows are compared with this tracker by default."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -253,4 +256,6 @@ def _started(answer: Message) -> Started:
         answer.value("options", dict),
         answer.value("options_schema", dict),
         answer.value("about", str),
+        messages.role_from(answer),
+        messages.reference_for_from(answer),
     )

@@ -12,6 +12,7 @@ from gridtrack.common.errors import GridtrackError
 from gridtrack.evaluation.processes.outcome import Outcome
 from gridtrack.evaluation.scoring.thresholds import Thresholds
 from gridtrack.recordings.degradation import Degradation
+from gridtrack.trackers.contract import Comparison, Role
 
 SCHEMA = 1
 RECORD = "outcome.json"
@@ -138,6 +139,9 @@ class TrialRecord(Settings):
     thresholds: ThresholdsUsed = ThresholdsUsed()
     classes: tuple[str, ...] = ()
     """What the tracker gives probabilities for."""
+    role: Role = "tracker"
+    reference_for: tuple[Comparison, ...] = ()
+    """The comparisons in which the other rows are compared with this tracker by default."""
     weights_sha256: str = ""
     recoveries: int = 0
     """How often something in the tracker failed and it went on from what was sound, by its own count."""

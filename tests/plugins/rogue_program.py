@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import sys
 import time
@@ -72,8 +73,9 @@ def main() -> None:
         except EOFError:
             return
         if request.kind == "start":
+            described = json.loads(sys.argv[2]) if len(sys.argv) > 2 else {}
             named = [f"class {i}" for i in range(10_000)] if sys.argv[1] == "many-classes" else []
-            write_to(1, encode(Message("started", request.number, STARTED | {"classes": named})))
+            write_to(1, encode(Message("started", request.number, STARTED | {"classes": named} | described)))
             if sys.argv[1] == "stops-reading":
                 time.sleep(3600)
         elif request.kind == "update":

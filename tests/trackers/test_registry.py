@@ -47,6 +47,15 @@ class LongConstructor(Fine):
 class CannotLearn(Fine):
     learns = True
 
+class Ceiling(Fine):
+    role = "ceiling"
+
+class ReferenceForAll(Fine):
+    reference_for = "occupancy"
+
+class ReferenceForSpeed(Fine):
+    reference_for = frozenset({"speed"})
+
 class OddFlag(Fine):
     moving_sensor = "yes"
 
@@ -80,6 +89,9 @@ def test_a_tracker_that_keeps_the_contract_loads(one: Callable[..., str], attrib
         ("ShortSignature", r"update\(self\) cannot be called as update\(frame\)"),
         ("LongConstructor", r"__init__\(self, stream, options, device\) cannot be called"),
         ("CannotLearn", "it learns, but has no fit"),
+        ("Ceiling", "role is 'ceiling'; expected one of tracker, floor"),
+        ("ReferenceForAll", "reference_for is 'occupancy'; expected a frozenset of occupancy, classes"),
+        ("ReferenceForSpeed", r"reference_for is frozenset\({'speed'}\); expected a frozenset of occupancy, classes"),
         ("OddFlag", "moving_sensor is 'yes'; expected True or False"),
         ("a_function", "is not a subclass of gridtrack.trackers.contract.Tracker"),
         ("Missing", "cannot be imported: AttributeError: .*Missing"),
@@ -165,3 +177,22 @@ def test_a_tracker_s_process_imports_only_what_it_needs() -> None:
         "print(sorted({'torch', 'gtsam', 'numba', 'polars', 'typer', 'rich', 'plotly', 'mcap'} & set(sys.modules)))"
     )
     assert subprocess.check_output([sys.executable, "-c", code], text=True) == "[]\n"
+
+
+@pytest.mark.parametrize(
+    ("name", "role", "reference_for"),
+    [
+        ("persistence", "floor", {"occupancy"}),
+        ("static-map", "floor", set()),
+        ("blank", "floor", set()),
+    ],
+)
+def test_the_baselines_are_floors_and_persistence_the_reference(name: str, role: str, reference_for: set[str]) -> None:
+    tracker = registry.load(name)
+    assert (tracker.role, tracker.reference_for) == (role, reference_for)
+
+
+def test_the_one_shot_classifier_is_the_reference_for_classes() -> None:
+    pytest.importorskip("torch")
+    tracker = registry.load("one-shot")
+    assert (tracker.role, tracker.reference_for) == ("tracker", {"classes"})

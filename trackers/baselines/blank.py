@@ -11,6 +11,8 @@ from gridtrack.trackers.contract import Forecast, Tracker
 class BlankTracker(Tracker):
     """Forecasts no occupied cell, whatever it sees."""
 
+    role = "floor"
+
     def reset(self, seed: int) -> None:
         """Nothing to forget."""
 

@@ -13,6 +13,9 @@ from gridtrack.trackers.contract import Forecast, StreamSpec, Tracker
 class PersistenceTracker(Tracker):
     """Forecasts each cell as it was last visible, and 0 where it never was."""
 
+    role = "floor"
+    reference_for = frozenset({"occupancy"})
+
     def __init__(self, stream: StreamSpec, options: Any) -> None:
         super().__init__(stream, options)
         self.last_seen = np.zeros(stream.grid.shape, np.float32)

@@ -29,6 +29,7 @@ class StaticMapTracker(Tracker):
 
     Options = StaticMapOptions
     learns = True
+    role = "floor"
 
     def __init__(self, stream: StreamSpec, options: StaticMapOptions) -> None:
         super().__init__(stream, options)

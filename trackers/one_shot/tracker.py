@@ -11,7 +11,7 @@ import torch
 from gridtrack.common.config import Settings
 from gridtrack.common.grid import GridFrame
 from gridtrack.trackers.cell_classifier import CellClassifier
-from gridtrack.trackers.contract import FitOutput, Forecast, FrameSource, Score, StreamSpec, Tracker
+from gridtrack.trackers.contract import Comparison, FitOutput, Forecast, FrameSource, Score, StreamSpec, Tracker
 from gridtrack.trackers.one_shot.settings import NAME, OneShotSettings
 from gridtrack.trackers.restoring import restore, trained_settings
 from gridtrack.trackers.weights import load_weights
@@ -28,6 +28,7 @@ class OneShotTracker(Tracker):
 
     Options: ClassVar[type[Settings]] = OneShotSettings
     learns: ClassVar[bool] = True
+    reference_for: ClassVar[frozenset[Comparison]] = frozenset({"classes"})
 
     def __init__(self, stream: StreamSpec, options: OneShotSettings) -> None:
         """Raises WeightsError without weights for the stream's site, grid and period."""

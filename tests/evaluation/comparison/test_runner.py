@@ -82,7 +82,10 @@ def test_every_tracker_is_delivered_the_same_frames_and_progress_is_told(setting
     one, other = (read_deliveries(tmp_path / "run" / f"{label}@room") for label in ("persistence", "blank"))
     assert one == other
     assert told.frames == told.delivered == {"persistence@room": 110 + 50, "blank@room": 110 + 50}
-    assert told.records["blank@room"].delivered == told.records["persistence@room"].delivered
+    blank, persistence = (told.records[f"{label}@room"] for label in ("blank", "persistence"))
+    assert blank.delivered == persistence.delivered
+    assert (blank.role, blank.reference_for) == ("floor", ())
+    assert (persistence.role, persistence.reference_for) == ("floor", ("occupancy",))
 
 
 def test_a_tracker_that_was_delivered_other_frames_is_told_apart(settings, told, monkeypatch):

@@ -284,6 +284,12 @@ def test_describe_gives_the_options_with_their_defaults() -> None:
     assert found.options == {"at": "update", "how": "setsid", "pid_file": "", "die": False}
     assert found.options_schema["additionalProperties"] is False
     assert not found.learns
+    assert (found.role, found.reference_for) == ("tracker", frozenset())
+
+
+def test_describe_gives_role_and_comparisons() -> None:
+    found = describe(launch("persistence"), {}, LIMITS)
+    assert (found.role, found.reference_for) == ("floor", {"occupancy"})
 
 
 def test_describe_refuses_an_unknown_option_with_a_suggestion() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -13,7 +14,7 @@ import pytest
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec
 from gridtrack.evaluation.processes.outcome import TrialEnded
-from gridtrack.evaluation.processes.tracker_process import Limits, TrackerProcess
+from gridtrack.evaluation.processes.tracker_process import Limits, Started, TrackerProcess
 from gridtrack.trackers.contract import StreamSpec
 from gridtrack.trackers.selection import Launch
 
@@ -55,6 +56,35 @@ def test_a_tracker_of_countless_classes_is_refused_when_it_starts(tmp_path):
     process = TrackerProcess(program, StreamSpec(GridSpec(20, 0.2), 0.125), {}, LIMITS, tmp_path / "stderr.log")
     with pytest.raises(TrialEnded, match="invalid-output: start: 10000 classes; at most 255"), process:
         pass
+
+
+def described(fields: dict[str, object], tmp_path: Path) -> Started:
+    """How a tracker that starts with these fields describes itself."""
+    program = Launch("rogue", (sys.executable, str(PROGRAM), "garbage", json.dumps(fields)))
+    process = TrackerProcess(program, StreamSpec(GridSpec(20, 0.2), 0.125), {}, LIMITS, tmp_path / "stderr.log")
+    with process:
+        return process.started
+
+
+def test_a_program_may_name_its_role_and_the_comparisons_that_it_is_the_reference_of(tmp_path: Path) -> None:
+    floor = described({"role": "floor", "reference_for": ["classes", "occupancy"]}, tmp_path)
+    assert (floor.role, floor.reference_for) == ("floor", {"occupancy", "classes"})
+    plain = described({}, tmp_path)
+    assert (plain.role, plain.reference_for) == ("tracker", frozenset())
+
+
+@pytest.mark.parametrize(
+    ("fields", "reason"),
+    [
+        ({"role": "ceiling"}, "'started': role is 'ceiling'; expected one of tracker, floor"),
+        ({"role": None}, "'started': role is None; expected one of tracker, floor"),
+        ({"reference_for": "occupancy"}, "'started': reference_for is 'occupancy'; expected a list of occupancy"),
+        ({"reference_for": [["classes"]]}, r"'started': reference_for is \[\['classes'\]\]; expected a list of"),
+    ],
+)
+def test_an_unknown_role_or_comparison_is_refused(fields: dict[str, object], reason: str, tmp_path: Path) -> None:
+    with pytest.raises(TrialEnded, match=f"invalid-output: start: {reason}"):
+        described(fields, tmp_path)
 
 
 @pytest.mark.parametrize(
