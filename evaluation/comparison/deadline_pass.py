@@ -42,7 +42,7 @@ def measure_deadline(trial: Trial, regions: Regions, thresholds: ThresholdsUsed,
 
 def _measure(process: TrackerProcess, trial: Trial) -> tuple[Costs, int]:
     """What frames cost by the tracker's own clock, and how many steps ahead its forecasts reach at that."""
-    steps, period_ms = trial.course.steps, trial.test.period_s * 1e3
+    steps, period_ms = trial.split.steps, trial.test.period_s * 1e3
     update_ms: list[float] = []
     predict_ms: list[float] = []
     tried_ms = 0.0
@@ -67,7 +67,7 @@ def _at_every_rate(
     process: TrackerProcess, trial: Trial, regions: Regions, thresholds: ThresholdsUsed, costs: Costs, reach: int
 ) -> tuple[AtRate, ...]:
     """Scores at each rate; where two rates give the same timeline, the tracker is streamed only once."""
-    schedule, period_ms = trial.course.schedule, trial.test.period_s * 1e3
+    schedule, period_ms = trial.split.schedule, trial.test.period_s * 1e3
     known: dict[bytes, Curves] = {}
     results = []
     for rate in RATES:

@@ -29,10 +29,10 @@ def measure_latency(trial: Trial, folder: Path) -> Latency:
                 continue
             update.add(process.last_ms)
             if index % 2 == 0:
-                process.predict(trial.course.steps)
+                process.predict(trial.split.steps)
                 predict.add(process.last_ms)
     return Latency(
-        update=_quantiles(update), predict=_quantiles(predict), predict_step=_quantiles(predict, trial.course.steps)
+        update=_quantiles(update), predict=_quantiles(predict), predict_step=_quantiles(predict, trial.split.steps)
     )
 
 

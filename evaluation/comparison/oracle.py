@@ -21,7 +21,7 @@ from gridtrack.evaluation.comparison.trial import OnFrame
 from gridtrack.evaluation.scoring.record import RECORD, ThresholdsUsed, Times, TrialRecord
 from gridtrack.evaluation.scoring.referee import Delivery, moments
 from gridtrack.evaluation.scoring.scorekeeper import FILES, Scorekeeper
-from gridtrack.evaluation.scoring.splits import ORACLE, Course, Regions
+from gridtrack.evaluation.scoring.splits import ORACLE, EvaluationSplit, Regions
 from gridtrack.evaluation.scoring.thresholds import half
 from gridtrack.recordings.stream import GridStream, Observation
 from gridtrack.recordings.truth import OUTLINE, truth_grid
@@ -76,8 +76,8 @@ def ideal_grid(observation: Observation, grid: GridSpec) -> NDArray[np.float32]:
     return np.where(frame.visible, occupied, outlines).astype(np.float32)
 
 
-def run_oracle(course: Course, regions: Regions, folder: Path, on_frame: OnFrame) -> TrialRecord:
-    """Score the oracle on a course as any tracker is, and leave its record; `on_frame` is called before each frame.
+def run_oracle(split: EvaluationSplit, regions: Regions, folder: Path, on_frame: OnFrame) -> TrialRecord:
+    """Score the oracle on a split as any tracker is, and leave its record; `on_frame` is called before each frame.
 
     Raises what `on_frame` raises, RecordingError and OSError; nothing is recorded then.
     """
@@ -85,19 +85,19 @@ def run_oracle(course: Course, regions: Regions, folder: Path, on_frame: OnFrame
     for left_by_an_earlier_attempt in (RECORD, *FILES):
         (folder / left_by_an_earlier_attempt).unlink(missing_ok=True)
     began = time.perf_counter()
-    thresholds, delivery = half(course.steps, course.strata), Delivery(course.test, on_frame)
-    with Scorekeeper(folder, course, regions.test, thresholds, ()) as scorekeeper:
-        for moment in moments(Oracle(course.test), delivery, course.schedule, seed=0):
+    thresholds, delivery = half(split.steps, split.strata), Delivery(split.test, on_frame)
+    with Scorekeeper(folder, split, regions.test, thresholds, ()) as scorekeeper:
+        for moment in moments(Oracle(split.test), delivery, split.schedule, seed=0):
             scorekeeper.add(moment, delivery.digest)
     record = TrialRecord(
         label=ORACLE,
-        recording=course.name,
+        recording=split.name,
         outcome="ok",
         frames_scored=scorekeeper.scored,
-        frames_expected=course.schedule.expected,
+        frames_expected=split.schedule.expected,
         frames_delivered=delivery.frames,
         delivered=delivery.digest,
-        steps=course.steps,
+        steps=split.steps,
         thresholds=ThresholdsUsed.of(thresholds),
         times=Times(wall_s=time.perf_counter() - began, frames=delivery.frames),
     )

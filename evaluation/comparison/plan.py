@@ -16,7 +16,7 @@ from gridtrack.common.errors import ConfigurationError, PluginError, did_you_mea
 from gridtrack.common.grid import GridSpec
 from gridtrack.evaluation.comparison.learned import LearnedWeights, find_weights, weights_in
 from gridtrack.evaluation.processes.tracker_process import Limits, describe
-from gridtrack.evaluation.scoring.splits import ORACLE, Course, Sampling, plan_courses, was_seen, with_points
+from gridtrack.evaluation.scoring.splits import ORACLE, EvaluationSplit, Sampling, plan_splits, was_seen, with_points
 from gridtrack.evaluation.statistics.inference import ALL_RECORDINGS
 from gridtrack.recordings.degradation import Degradation
 from gridtrack.recordings.stream import GridStream
@@ -58,7 +58,7 @@ class Trial:
 
     selection: Selection
     launch: Launch
-    course: Course
+    split: EvaluationSplit
     weights: LearnedWeights | None
     seed: int
     limits: Limits
@@ -71,31 +71,31 @@ class Trial:
     @property
     def name(self) -> str:
         """The name of the trial's folder."""
-        return f"{self.label}@{self.course.name}"
+        return f"{self.label}@{self.split.name}"
 
     @property
     def test(self) -> GridStream:
         """The tested stretch, with the returns this tracker asked for."""
-        return with_points(self.course.test, self.selection.points)
+        return with_points(self.split.test, self.selection.points)
 
     @property
     def validation(self) -> GridStream | None:
         """The stretch to choose thresholds on, or None."""
-        stretch = self.course.validation
+        stretch = self.split.validation
         return stretch and with_points(stretch, self.selection.points)
 
     @property
     def how_to_train(self) -> str:
         """What to do when the tracker has not learned the recording's site yet, in one line."""
-        command = ["gridtrack", "train", self.selection.name, str(self.course.path), *self._sampling_options()]
+        command = ["gridtrack", "train", self.selection.name, str(self.split.path), *self._sampling_options()]
         return (
-            f"nothing learned for site '{self.course.test.site}' yet; run `{shlex.join(command)}`, then compare again"
+            f"nothing learned for site '{self.split.test.site}' yet; run `{shlex.join(command)}`, then compare again"
             " with --resume"
         )
 
     def _sampling_options(self) -> list[str]:
         """The grid and rate of this comparison as options, where they are not the recording's own."""
-        test = self.course.test
+        test = self.split.test
         own = GridStream(test.recording)
         grid = [] if test.grid == own.grid else ["--grid", str(test.grid)]
         return grid if test.period_ns == own.period_ns else [*grid, "--rate", f"{1 / test.period_s:g}"]
@@ -117,14 +117,14 @@ class Plan:
     """Everything that a comparison will run."""
 
     settings: CompareSettings
-    courses: tuple[Course, ...]
+    splits: tuple[EvaluationSplit, ...]
     trials: tuple[Trial, ...]
     notices: tuple[str, ...]
 
     def identity(self) -> dict[str, Any]:
         """The resolved configuration: a resumed run must have the same."""
         return {
-            "recordings": {course.name: course.identity() for course in self.courses},
+            "recordings": {split.name: split.identity() for split in self.splits},
             "trials": {trial.name: trial.identity() for trial in self.trials},
         }
 
@@ -144,23 +144,23 @@ def resolve(settings: CompareSettings) -> Plan:
     sampling = Sampling(
         settings.horizon_s, settings.every_s, GridSpec.parse(settings.grid) if settings.grid else None, settings.rate_hz
     )
-    courses = plan_courses(settings.recordings, settings.validation, sampling)
-    _refuse_equal_names(courses)
+    splits = plan_splits(settings.recordings, settings.validation, sampling)
+    _refuse_equal_names(splits)
     trials = tuple(
         Trial(
             selection,
             launches[selection.label],
-            course,
-            _weights_of(selection, course.test.site, settings.weights),
+            split,
+            _weights_of(selection, split.test.site, settings.weights),
             settings.seed,
             settings.limits,
         )
-        for course in courses
+        for split in splits
         for selection in selections
     )
-    notices = [notice for course in courses for notice in course.notices]
+    notices = [notice for split in splits for notice in split.notices]
     notices += [notice for trial in trials for notice in _seen_before(trial)]
-    return Plan(settings, courses, trials, tuple(notices))
+    return Plan(settings, splits, trials, tuple(notices))
 
 
 def _every_tracker(external: Mapping[str, Launch]) -> tuple[str, ...]:
@@ -191,19 +191,19 @@ def _refuse_unknown_reference(reference: str | None, selections: Sequence[Select
         raise ConfigurationError(f"--reference {reference}: no row is called that; {did_you_mean(reference, labels)}")
 
 
-def _refuse_equal_names(courses: tuple[Course, ...]) -> None:
+def _refuse_equal_names(splits: tuple[EvaluationSplit, ...]) -> None:
     seen: dict[str, Path] = {}
-    for course in courses:
-        if course.name == ALL_RECORDINGS:
+    for split in splits:
+        if split.name == ALL_RECORDINGS:
             raise ConfigurationError(
-                f"{course.path}: '{ALL_RECORDINGS}' is what all of them are called: rename the file"
+                f"{split.path}: '{ALL_RECORDINGS}' is what all of them are called: rename the file"
             )
-        if course.name in seen:
+        if split.name in seen:
             raise ConfigurationError(
-                f"{seen[course.name]} and {course.path} would both be called '{course.name}' in the results: name each"
+                f"{seen[split.name]} and {split.path} would both be called '{split.name}' in the results: name each"
                 " recording and stretch once, and rename one of two files of the same name"
             )
-        seen[course.name] = course.path
+        seen[split.name] = split.path
 
 
 def _weights_of(selection: Selection, site: str, override: Path | None) -> LearnedWeights | None:
@@ -217,12 +217,12 @@ def _seen_before(trial: Trial) -> Iterator[str]:
     if trial.weights is None:
         return
     card = trial.weights.card
-    if any(was_seen(trial.course.test, data) for data in (*card.train, *card.validation)):
+    if any(was_seen(trial.split.test, data) for data in (*card.train, *card.validation)):
         yield (
-            f"{trial.label} learned from frames of the tested {trial.course.test.name} ({trial.weights.name}): its"
+            f"{trial.label} learned from frames of the tested {trial.split.test.name} ({trial.weights.name}): its"
             " scores there are not those of an unseen recording"
         )
-    if trial.course.validation and any(was_seen(trial.course.validation, data) for data in card.train):
+    if trial.split.validation and any(was_seen(trial.split.validation, data) for data in card.train):
         yield (
-            f"{trial.label} was trained on frames of {trial.course.validation.name}, on which its thresholds are chosen"
+            f"{trial.label} was trained on frames of {trial.split.validation.name}, on which its thresholds are chosen"
         )

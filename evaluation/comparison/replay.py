@@ -20,8 +20,8 @@ def replayed_f1(
     tracker: Watching, frames: Iterable[Target], trial: Trial, regions: Regions, thresholds: ThresholdsUsed
 ) -> Curves:
     """F1 per stratum and step of `tracker` on the trial's `frames`, counted at the moments that the trial counted."""
-    tally = Tally.empty(trial.course.steps, regions.test.strata)
-    for moment in moments(tracker, frames, trial.course.schedule, trial.seed):
+    tally = Tally.empty(trial.split.steps, regions.test.strata)
+    for moment in moments(tracker, frames, trial.split.schedule, trial.seed):
         tally.add(count_forecast(moment.forecast.occupancy, moment.targets, regions.test, moment.ages))
     values = np.array([thresholds.values[name] for name in tally.strata]).T
     f1 = metrics.f1_score(tally.confusion(np.abs(values[..., None] - EDGES).argmin(axis=-1)))

@@ -55,7 +55,7 @@ class RunFolder:
         if not self.plan.settings.resume:
             return {}
         weights = {trial.name: trial.weights.sha256 if trial.weights else "" for trial in self.plan.trials}
-        weights |= {course.oracle_name: "" for course in self.plan.courses if course.test.has_truth}
+        weights |= {split.oracle_name: "" for split in self.plan.splits if split.test.has_truth}
         records = {name: read_record(self.path / name) for name in weights}
         return {n: record for n, record in records.items() if record and _is_done(weights[n], record, self.path / n)}
 
@@ -66,9 +66,9 @@ class RunFolder:
             Ended(records[t.name], self.path / t.name, t.selection.name, t.selection.options, t.selection.points)
             for t in plan.trials
         ]
-        oracles = [name for course in plan.courses if (name := course.oracle_name) in records]
+        oracles = [name for split in plan.splits if (name := split.oracle_name) in records]
         ended += [Ended(records[name], self.path / name, ORACLE, {}, "centres") for name in oracles]
-        recordings = {course.name: course.description() for course in plan.courses}
+        recordings = {split.name: split.description() for split in plan.splits}
         summary = summarise(recordings, ended, [*plan.notices, *notices], interrupted, plan.settings.reference)
         write_json(self.path / SUMMARY, summary)
         write_json(
@@ -84,8 +84,8 @@ def _is_done(weights_sha256: str, record: TrialRecord, folder: Path) -> bool:
 
 
 def _provenance(plan: Plan, command: Sequence[str], identity: Mapping[str, Any]) -> dict[str, Any]:
-    inputs = {str(course.path): course.test.sha256 for course in plan.courses}
-    inputs |= {str(c.validation.recording.path): c.validation.sha256 for c in plan.courses if c.validation}
+    inputs = {str(split.path): split.test.sha256 for split in plan.splits}
+    inputs |= {str(c.validation.recording.path): c.validation.sha256 for c in plan.splits if c.validation}
     return {
         "schema": SCHEMA,
         "command": list(command),

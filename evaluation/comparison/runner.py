@@ -22,7 +22,7 @@ from gridtrack.evaluation.comparison.shared_thresholds import SharedThresholds
 from gridtrack.evaluation.comparison.trial import Interrupted, TrialRun, failed, unstarted, where_it_failed
 from gridtrack.evaluation.processes.outcome import TrialEnded
 from gridtrack.evaluation.scoring.record import TrialRecord
-from gridtrack.evaluation.scoring.splits import Course, Regions
+from gridtrack.evaluation.scoring.splits import EvaluationSplit, Regions
 
 WAKE_S = 0.2
 """How often the main thread wakes to look for an interrupt: a library may have had its wait go on over signals."""
@@ -96,16 +96,16 @@ class _Crew:
 
     def run_oracles(self) -> None:
         """Score the ceiling of every recording with truth; where that fails, the run goes on without."""
-        for course in self._plan.courses:
-            name = course.oracle_name
-            if not course.test.has_truth or name in self._records:
+        for split in self._plan.splits:
+            name = split.oracle_name
+            if not split.test.has_truth or name in self._records:
                 continue
-            self._progress.started(name, len(course.test))
+            self._progress.started(name, len(split.test))
             try:
                 on_frame = partial(self._next_frame, name)
-                record = run_oracle(course, self._regions_of(course), self._folder / name, on_frame)
+                record = run_oracle(split, self._regions_of(split), self._folder / name, on_frame)
             except Exception as error:  # noqa: BLE001 as for a trial
-                self.notices.append(f"{course.name}: no ceiling: {where_it_failed(error)}")
+                self.notices.append(f"{split.name}: no ceiling: {where_it_failed(error)}")
                 self._progress.note(self.notices[-1])
                 continue
             self._records[name] = record
@@ -129,7 +129,7 @@ class _Crew:
                     self._add(trial, latency_ms=measure_latency(trial, folder))
             if settings.deadline and record.deadline is None:
                 with self._measuring(trial, "deadlines, alone on the machine"):
-                    regions = self._regions_of(trial.course)
+                    regions = self._regions_of(trial.split)
                     self._add(trial, deadline=measure_deadline(trial, regions, record.thresholds, folder))
 
     def all_records(self) -> dict[str, TrialRecord]:
@@ -139,17 +139,17 @@ class _Crew:
     def _complete(self) -> list[Trial]:
         return [trial for trial in self._plan.trials if self._records[trial.name].outcome == "ok"]
 
-    def _regions_of(self, course: Course) -> Regions:
-        """Regions of a course, found once."""
-        if course.name not in self._regions:
-            self._progress.note(f"{course.name}: finding its static cells")
-            self._regions[course.name] = course.regions()
-        return self._regions[course.name]
+    def _regions_of(self, split: EvaluationSplit) -> Regions:
+        """Regions of a split, found once."""
+        if split.name not in self._regions:
+            self._progress.note(f"{split.name}: finding its static cells")
+            self._regions[split.name] = split.regions()
+        return self._regions[split.name]
 
     def _side_by_side(self, see_through: Callable[[Trial], None], trials: Sequence[Trial]) -> None:
         """See trials through at the same time; on an error or an interrupt, end all of them before it is raised."""
         for trial in trials:
-            self._regions_of(trial.course)
+            self._regions_of(trial.split)
         settings = self._plan.settings
         jobs = settings.jobs or max(1, usable_cores() // settings.limits.threads)
         with ThreadPoolExecutor(jobs, "trial") as pool:
@@ -167,7 +167,7 @@ class _Crew:
     def _run_trial(self, trial: Trial) -> None:
         """A trial that fails for no fault of its tracker ends as that, and stops no other."""
         try:
-            regions = self._regions_of(trial.course)
+            regions = self._regions_of(trial.split)
             on_frame = partial(self._next_frame, trial.name)
             run = TrialRun(trial, regions, self._folder / trial.name, on_frame, self._thresholds)
             self._progress.started(trial.name, run.frames)
@@ -185,7 +185,7 @@ class _Crew:
         with self._measuring(trial, "degraded input"):
             run = RobustnessRun(trial, asked, folder)
             with self._interruptible(run):
-                found = run.run(self._regions_of(trial.course), record.thresholds, self._unless_stopped)
+                found = run.run(self._regions_of(trial.split), record.thresholds, self._unless_stopped)
             self._add(trial, robustness=found)
 
     @contextmanager

@@ -35,17 +35,17 @@ class SharedThresholds:
 
 def _what_decides(trial: Trial) -> str:
     """Everything that the thresholds depend on: the tracker as it is run, and the frames that they are chosen on."""
-    course, validation = trial.course, trial.validation
+    split, validation = trial.split, trial.validation
     stretch = (
         {
             "sha256": validation.sha256,
             "stretch_s": list(validation.stretch_s),
             "period_ns": validation.period_ns,
             "grid": str(validation.grid),
-            "every": course.validation_schedule.every,
+            "every": split.validation_schedule.every,
         }
         if validation
         else None
     )
     weights = trial.weights.sha256 if trial.weights else ""
-    return json.dumps([trial.identity(), weights, stretch, course.steps, course.strata, trial.course.test.site])
+    return json.dumps([trial.identity(), weights, stretch, split.steps, split.strata, trial.split.test.site])

@@ -39,7 +39,7 @@ class TrialRun:
     def __init__(
         self, trial: Trial, regions: Regions, folder: Path, on_frame: OnFrame, shared: SharedThresholds
     ) -> None:
-        """`regions` as of `trial.course.regions`; the trial's files are left in `folder`.
+        """`regions` as of `trial.split.regions`; the trial's files are left in `folder`.
 
         `shared` holds the thresholds that trials before this one have chosen in the same run.
         """
@@ -49,7 +49,7 @@ class TrialRun:
         self.trial, self._regions, self._folder, self._on_frame = trial, regions, folder, on_frame
         self._shared = shared
         self._thresholds: Thresholds | None = None
-        self._test = trial.course.schedule
+        self._test = trial.split.schedule
         self._delivery = Delivery(trial.test, on_frame)
         self._scored = 0
         self._started: Started | None = None
@@ -116,12 +116,12 @@ class TrialRun:
         """Stream the validation stretch and choose each step's threshold by it; 0.5 where there is none."""
         stretch = self.trial.validation
         if stretch is None:
-            return half(self.trial.course.steps, self.trial.course.strata)
-        tally = Tally.empty(self.trial.course.steps, self.trial.course.strata)
+            return half(self.trial.split.steps, self.trial.split.strata)
+        tally = Tally.empty(self.trial.split.steps, self.trial.split.strata)
         delivery, areas = Delivery(stretch, self._on_frame), self._regions.validation
         try:
             with self._clock():
-                for moment in moments(self._process, delivery, self.trial.course.validation_schedule, self.trial.seed):
+                for moment in moments(self._process, delivery, self.trial.split.validation_schedule, self.trial.seed):
                     tally.add(count_forecast(moment.forecast.occupancy, moment.targets, areas, moment.ages))
         except TrialEnded as ended:
             raise TrialEnded(ended.outcome, f"in the validation stretch {stretch.name}: {ended.reason}") from None
@@ -129,8 +129,8 @@ class TrialRun:
 
     def _score(self, thresholds: Thresholds) -> None:
         """Stream the test stretch, and write what each forecast scored as soon as its last frame has come."""
-        course, areas = self.trial.course, self._regions.test
-        with Scorekeeper(self._folder, course, areas, thresholds, self._process.started.classes) as scorekeeper:
+        split, areas = self.trial.split, self._regions.test
+        with Scorekeeper(self._folder, split, areas, thresholds, self._process.started.classes) as scorekeeper:
             for moment in moments(self._process, self._delivery, self._test, self.trial.seed):
                 scorekeeper.add(moment, self._delivery.digest)
                 self._scored = scorekeeper.scored
@@ -140,7 +140,7 @@ class TrialRun:
         return all((self._folder / name).is_file() for name in (SCORES, HISTOGRAM))
 
     def _record(self, ending: Ending, reason: str) -> TrialRecord:
-        chosen = self._thresholds or half(self.trial.course.steps, self.trial.course.strata)
+        chosen = self._thresholds or half(self.trial.split.steps, self.trial.split.strata)
         timings = self._process.timings
         return unstarted(self.trial).model_copy(
             update={
@@ -176,11 +176,11 @@ def unstarted(trial: Trial) -> TrialRecord:
     """The record of a trial that an interrupt kept from starting."""
     return TrialRecord(
         label=trial.label,
-        recording=trial.course.name,
+        recording=trial.split.name,
         outcome="interrupted",
         reason=INTERRUPTED,
-        frames_expected=trial.course.schedule.expected,
-        steps=trial.course.steps,
+        frames_expected=trial.split.schedule.expected,
+        steps=trial.split.steps,
         weights_sha256=trial.weights.sha256 if trial.weights else "",
     )
 

@@ -35,7 +35,7 @@ class Unmeasured(GridtrackError):
         self.reasons = tuple(reasons)
 
 
-class CourseKey(Settings):
+class SplitKey(Settings):
     """What must be equal on a recording for the frames and thresholds of two runs to pair."""
 
     sha256: str
@@ -88,7 +88,7 @@ class Measurement(Settings):
     command: tuple[str, ...]
     versions: dict[str, str]
     block_s: Annotated[float, Field(gt=0.0)] | None
-    recordings: Annotated[dict[Name, CourseKey], Field(min_length=1)]
+    recordings: Annotated[dict[Name, SplitKey], Field(min_length=1)]
     trackers: Annotated[dict[Name, TrackerCounts], Field(min_length=1)]
 
     @model_validator(mode="after")

@@ -14,9 +14,9 @@ from gridtrack.evaluation.comparison.measurements import missing_figures
 from gridtrack.evaluation.comparison.run_folder import RUN, SCHEMA
 from gridtrack.evaluation.regression.measurement import (
     BLOCK_S,
-    CourseKey,
     Measurement,
     Speed,
+    SplitKey,
     TrialCounts,
     Unmeasured,
 )
@@ -25,7 +25,7 @@ from gridtrack.evaluation.scoring.record import MAX_BYTES, RunError, TrialRecord
 from gridtrack.evaluation.statistics.uncertainty import LEAST_UNITS
 from gridtrack.recordings.degradation import Degradation
 
-KEYS = frozenset(CourseKey.model_fields)
+KEYS = frozenset(SplitKey.model_fields)
 
 
 class _Part(BaseModel):
@@ -70,7 +70,7 @@ def measure(run: Path, like: Measurement | None = None) -> Measurement:
         raise Unmeasured([f"{run}: the run is '{file.status}', not complete: continue it with --resume"])
     if not file.configuration.trials:
         raise Unmeasured([f"{run}: the run has no trials: nothing was measured"])
-    courses = {name: _course_key(run, name, course) for name, course in file.configuration.recordings.items()}
+    splits = {name: _split_key(run, name, split) for name, split in file.configuration.recordings.items()}
     block_s = like.block_s if like else _block_s(file.configuration.recordings)
     trackers: dict[str, dict[str, Any]] = {}
     reasons: list[str] = []
@@ -78,7 +78,7 @@ def measure(run: Path, like: Measurement | None = None) -> Measurement:
         label, _, recording = name.partition("@")
         entry = trackers.setdefault(label, {"tracker": asked.tracker, "options": asked.options, "recordings": {}})
         try:
-            entry["recordings"][recording] = _trial_counts(run, name, courses.get(recording), block_s, file.settings)
+            entry["recordings"][recording] = _trial_counts(run, name, splits.get(recording), block_s, file.settings)
         except Unmeasured as error:
             reasons += error.reasons
         except GridtrackError as error:
@@ -87,24 +87,24 @@ def measure(run: Path, like: Measurement | None = None) -> Measurement:
             reasons.append(f"{name}: its scores cannot be kept ({error.errors()[0]['msg']})")
     if reasons:
         raise Unmeasured(reasons)
-    return _measurement(run, file, courses, trackers, block_s)
+    return _measurement(run, file, splits, trackers, block_s)
 
 
-def _block_s(courses: Mapping[str, Mapping[str, Any]]) -> float | None:
+def _block_s(splits: Mapping[str, Mapping[str, Any]]) -> float | None:
     """None, whole recordings, where these are enough units; else longer than the cycle of any place."""
-    cycles = (course.get("cycle_s") for course in courses.values())
+    cycles = (split.get("cycle_s") for split in splits.values())
     longest = max((float(cycle) for cycle in cycles if isinstance(cycle, int | float)), default=0.0)
-    return None if len(courses) >= LEAST_UNITS else max(BLOCK_S, longest)
+    return None if len(splits) >= LEAST_UNITS else max(BLOCK_S, longest)
 
 
 def _measurement(
-    run: Path, file: _RunFile, courses: Mapping[str, CourseKey], trackers: Mapping[str, Any], block_s: float | None
+    run: Path, file: _RunFile, splits: Mapping[str, SplitKey], trackers: Mapping[str, Any], block_s: float | None
 ) -> Measurement:
     content = {
         "command": file.command,
         "versions": file.versions,
         "block_s": block_s,
-        "recordings": courses,
+        "recordings": splits,
         "trackers": trackers,
     }
     try:
@@ -114,10 +114,10 @@ def _measurement(
 
 
 def _trial_counts(
-    run: Path, name: str, course: CourseKey | None, block_s: float | None, asked: _AskedFigures
+    run: Path, name: str, split: SplitKey | None, block_s: float | None, asked: _AskedFigures
 ) -> TrialCounts:
     folder = run / name
-    if course is None or folder.parent != run:
+    if split is None or folder.parent != run:
         raise RunError(f"{run / RUN}: '{name}' is no trial of this run")
     record = read_record(folder)
     _refuse_incomplete(name, record)
@@ -125,7 +125,7 @@ def _trial_counts(
     if missing := list(missing_figures(asked, record)):
         raise Unmeasured(missing)
     strata = tuple(record.thresholds.values)
-    units = read_units(folder, course.horizons_s, strata, block_s, record.frames_scored)
+    units = read_units(folder, split.horizons_s, strata, block_s, record.frames_scored)
     latency = record.latency_ms
     timed = latency is not None and min(latency.update.p50, latency.predict.p50) > 0.0
     speed = Speed(update_ms=latency.update.p50, predict_ms=latency.predict.p50) if latency and timed else None
@@ -150,9 +150,9 @@ def _refuse_incomplete(name: str, record: TrialRecord | None) -> None:
         raise Unmeasured([f"{name}: partial, {record.frames_scored} of {record.frames_expected} forecasts were scored"])
 
 
-def _course_key(run: Path, name: str, course: Mapping[str, Any]) -> CourseKey:
+def _split_key(run: Path, name: str, split: Mapping[str, Any]) -> SplitKey:
     try:
-        return CourseKey.model_validate({key: value for key, value in course.items() if key in KEYS})
+        return SplitKey.model_validate({key: value for key, value in split.items() if key in KEYS})
     except ValidationError as error:
         first = error.errors()[0]
         raise RunError(f"{run / RUN}: recording '{name}': {first['loc'][0]}: {first['msg']}") from None

@@ -12,8 +12,8 @@ from gridtrack.common.errors import ConfigurationError
 from gridtrack.evaluation.regression.measurement import (
     BANDS,
     Baseline,
-    CourseKey,
     Measurement,
+    SplitKey,
     TrialCounts,
     Unmeasured,
 )
@@ -80,7 +80,7 @@ def refuse_unlike(runs: Sequence[Measurement]) -> None:
 
 def _refuse_unpaired(baseline: Measurement, run: Measurement) -> None:
     """Raises Unmeasured, with every reason why `run` does not hold what `baseline` holds."""
-    reasons = [*_missing(baseline, run), *_other_courses(baseline, run)]
+    reasons = [*_missing(baseline, run), *_other_splits(baseline, run)]
     if not reasons:
         reasons = [*_other_units(baseline, run), *_missing_figures(baseline, run)]
     if reasons:
@@ -94,10 +94,10 @@ def _missing(baseline: Measurement, run: Measurement) -> Iterator[str]:
         yield f"recording {name} of the baseline is missing in the run: run it too, or make the baseline again"
 
 
-def _other_courses(baseline: Measurement, run: Measurement) -> Iterator[str]:
+def _other_splits(baseline: Measurement, run: Measurement) -> Iterator[str]:
     for name, then in baseline.recordings.items():
         now = run.recordings.get(name, then)
-        differing = [key for key in CourseKey.model_fields if getattr(then, key) != getattr(now, key)]
+        differing = [key for key in SplitKey.model_fields if getattr(then, key) != getattr(now, key)]
         if differing:
             key = differing[0]
             yield (

@@ -13,7 +13,7 @@ from gridtrack.evaluation.scoring.referee import Moment
 from gridtrack.evaluation.scoring.samples import SAMPLES, SampleWriter, kept_moments
 from gridtrack.evaluation.scoring.scores import HISTOGRAM, SCORES, ScoreWriter
 from gridtrack.evaluation.scoring.semantics import count_classes, count_found, match_classes
-from gridtrack.evaluation.scoring.splits import Course
+from gridtrack.evaluation.scoring.splits import EvaluationSplit
 from gridtrack.evaluation.scoring.strata import Areas
 from gridtrack.evaluation.scoring.thresholds import Thresholds
 
@@ -25,19 +25,19 @@ class Scorekeeper:
     """A context manager: what was scored until it is left lies in whole files."""
 
     def __init__(
-        self, folder: Path, course: Course, areas: Areas, thresholds: Thresholds, classes: tuple[str, ...]
+        self, folder: Path, split: EvaluationSplit, areas: Areas, thresholds: Thresholds, classes: tuple[str, ...]
     ) -> None:
         """`classes` are those that the tracker gives probabilities for."""
-        known = course.test.classes
+        known = split.test.classes
         self._areas, self._thresholds, self._classes = areas, thresholds, len(known)
         self._matching = match_classes(classes, known) if classes and known else None
-        self._kept = kept_moments(course.schedule)
+        self._kept = kept_moments(split.schedule)
         self.scored = 0
         with ExitStack() as files:
-            self._scores = files.enter_context(ScoreWriter(folder, course.steps, thresholds))
+            self._scores = files.enter_context(ScoreWriter(folder, split.steps, thresholds))
             by_class = ClassWriter(folder, known, self._matching is not None) if known else None
             self._by_class = by_class and files.enter_context(by_class)
-            samples = SampleWriter(folder / SAMPLES, course.test.grid, course.test.period_s, course.steps)
+            samples = SampleWriter(folder / SAMPLES, split.test.grid, split.test.period_s, split.steps)
             self._samples = files.enter_context(samples)
             self._files = files.pop_all()
 

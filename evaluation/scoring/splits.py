@@ -1,4 +1,4 @@
-"""A course: a recording as every tracker is run over it, with its test and validation stretches, steps and strata."""
+"""A split: a recording as every tracker is run over it, with its test and validation stretches, steps and strata."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ class Regions:
 
 
 @dataclass(frozen=True, slots=True)
-class Course:
+class EvaluationSplit:
     """One recording of a comparison, resolved; `name` is unique in a run and names it in every file."""
 
     name: str
@@ -125,14 +125,16 @@ class Course:
         }
 
 
-def plan_courses(texts: Iterable[str], validation: str | None, sampling: Sampling) -> tuple[Course, ...]:
-    """The course of each RECORDING[@range], as `plan_course`; what they have for validation is surveyed once."""
+def plan_splits(texts: Iterable[str], validation: str | None, sampling: Sampling) -> tuple[EvaluationSplit, ...]:
+    """The split of each RECORDING[@range], as `plan_split`; what they have for validation is surveyed once."""
     opened = open_recording(parse_stretch(validation)[0]) if validation else None
-    return tuple(plan_course(text, validation, sampling, opened) for text in texts)
+    return tuple(plan_split(text, validation, sampling, opened) for text in texts)
 
 
-def plan_course(text: str, validation: str | None, sampling: Sampling, opened: Recording | None = None) -> Course:
-    """The course of RECORDING[@range]: its named test stretch, or the whole, where no range is given.
+def plan_split(
+    text: str, validation: str | None, sampling: Sampling, opened: Recording | None = None
+) -> EvaluationSplit:
+    """The split of RECORDING[@range]: its named test stretch, or the whole, where no range is given.
 
     Thresholds are chosen on `validation`, RECORDING[@range], else on the recording's own validation stretch; `opened`
     is the recording of `validation` where it is open already. Raises RecordingError, and ConfigurationError where the
@@ -149,7 +151,7 @@ def plan_course(text: str, validation: str | None, sampling: Sampling, opened: R
     if not Schedule(len(test), steps, every).expected:
         raise ConfigurationError(f"{_too_short(test, steps)}: name a longer stretch, or a shorter --horizon")
     chosen_on, notices = _validation_stretch(test, validation, steps, opened)
-    return Course(name, path, test, chosen_on, steps, every, (*recording.warnings, *notices))
+    return EvaluationSplit(name, path, test, chosen_on, steps, every, (*recording.warnings, *notices))
 
 
 def _steps(stream: GridStream, horizon_s: float) -> int:

@@ -22,7 +22,7 @@ from gridtrack.evaluation.scoring.record import RunError, read_record
 from gridtrack.evaluation.scoring.referee import Delivery
 from gridtrack.evaluation.scoring.samples import read_samples
 from gridtrack.evaluation.scoring.scores import read_deliveries
-from gridtrack.evaluation.scoring.splits import Course
+from gridtrack.evaluation.scoring.splits import EvaluationSplit
 
 pytestmark = pytest.mark.usefixtures("staged")
 
@@ -73,7 +73,7 @@ def test_a_run_leaves_every_file_and_the_floor_scores_as_it_must(settings, told,
     run_file = json.loads((tmp_path / "run" / "run.json").read_text())
     assert run_file["status"] == "complete"
     assert run_file["command"] == ["gridtrack", "compare"]
-    assert list(run_file["inputs"].values()) == [resolve(settings("blank")).courses[0].test.sha256]
+    assert list(run_file["inputs"].values()) == [resolve(settings("blank")).splits[0].test.sha256]
 
 
 def test_every_tracker_is_delivered_the_same_frames_and_progress_is_told(settings, told, tmp_path):
@@ -313,8 +313,8 @@ def test_a_run_with_learned_weights_is_scored_and_says_what_it_learned_from(sett
 
 def test_runner_regions_are_found_once_for_each_recording(settings, told, monkeypatch):
     found = []
-    original = Course.regions
-    monkeypatch.setattr(Course, "regions", lambda course: (found.append(course.name), original(course))[1])
+    original = EvaluationSplit.regions
+    monkeypatch.setattr(EvaluationSplit, "regions", lambda split: (found.append(split.name), original(split))[1])
     compare(settings("blank", "persistence"), told)
     assert found == ["room"]
 

@@ -76,7 +76,7 @@ def write_trial(run: Path, label: str, recording: str, made: Made) -> None:
     ).write(folder)  # fmt: skip
 
 
-def course_of(recording: str) -> dict[str, Any]:
+def split_of(recording: str) -> dict[str, Any]:
     return {
         "sha256": f"hash of {recording}", "stretch": f"{recording}.mcap", "stretch_s": [0.0, 60.0], "grid": "100x0.2",
         "rate_hz": 8.0, "horizons_s": [n * PERIOD_S for n in range(STEPS + 1)], "warm_up_frames": 20,
@@ -103,7 +103,7 @@ def write_run(tmp_path: Path) -> WriteRun:
             for label, made in trackers.items()
             for recording in names
         }
-        configuration = {"recordings": {name: course_of(name) for name in names}, "trials": trials}
+        configuration = {"recordings": {name: split_of(name) for name in names}, "trials": trials}
         provenance = {"schema": 1, "command": ["gridtrack", "compare"], "versions": {"python": "3"}}
         run.mkdir(exist_ok=True)
         (run / "run.json").write_text(json.dumps({**provenance, "configuration": configuration, "status": "complete"}))

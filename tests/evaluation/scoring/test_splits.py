@@ -1,4 +1,4 @@
-"""Courses: which stretch is tested, on which one thresholds are chosen, and what may not be mixed."""
+"""Splits: which stretch is tested, on which one thresholds are chosen, and what may not be mixed."""
 
 import pytest
 
@@ -7,7 +7,7 @@ from gridtrack.common.grid import GridSpec
 from gridtrack.evaluation.comparison.learned import find_weights, users_folder, weights_path
 from gridtrack.evaluation.comparison.plan import CompareSettings, resolve
 from gridtrack.evaluation.comparison.train import train
-from gridtrack.evaluation.scoring.splits import Sampling, plan_course, was_seen
+from gridtrack.evaluation.scoring.splits import Sampling, plan_split, was_seen
 from gridtrack.evaluation.scoring.strata import PLACES
 from gridtrack.trackers.weights import Card, TrainingData, save_weights
 
@@ -15,57 +15,57 @@ SECOND = Sampling(horizon_s=1.0, every_s=0.5)
 
 
 def test_the_named_test_and_validation_stretches_are_the_default(record):
-    course = plan_course(str(record()), None, SECOND)
-    assert (course.name, course.test.name, course.validation.name) == ("room", "room.mcap@test", "room.mcap@validation")
-    assert (course.steps, course.every) == (10, 5)
-    assert course.description()["horizons_s"] == [round(0.1 * n, 1) for n in range(11)]
-    assert course.notices == ()
+    split = plan_split(str(record()), None, SECOND)
+    assert (split.name, split.test.name, split.validation.name) == ("room", "room.mcap@test", "room.mcap@validation")
+    assert (split.steps, split.every) == (10, 5)
+    assert split.description()["horizons_s"] == [round(0.1 * n, 1) for n in range(11)]
+    assert split.notices == ()
 
 
 def test_a_recording_that_names_no_stretches_is_tested_whole_at_one_half(record):
-    course = plan_course(str(record(stretches={})), None, SECOND)
-    assert len(course.test) == 200
-    assert course.validation is None
-    assert "every threshold is 0.5" in course.notices[0]
+    split = plan_split(str(record(stretches={})), None, SECOND)
+    assert len(split.test) == 200
+    assert split.validation is None
+    assert "every threshold is 0.5" in split.notices[0]
 
 
 def test_a_range_of_its_own_has_a_name_of_its_own(record):
-    course = plan_course(f"{record()}@9s-20s", None, SECOND)
-    assert (course.name, len(course.test)) == ("room@9s-20s", 110)
-    assert course.validation.name == "room.mcap@validation"
+    split = plan_split(f"{record()}@9s-20s", None, SECOND)
+    assert (split.name, len(split.test)) == ("room@9s-20s", 110)
+    assert split.validation.name == "room.mcap@validation"
 
 
 def test_thresholds_are_never_chosen_on_frames_that_are_tested(record):
     path = record()
-    course = plan_course(f"{path}@8s-20s", None, SECOND)
-    assert course.validation is None
-    assert "shares frames with its validation room.mcap@validation, so every threshold is 0.5" in course.notices[0]
+    split = plan_split(f"{path}@8s-20s", None, SECOND)
+    assert split.validation is None
+    assert "shares frames with its validation room.mcap@validation, so every threshold is 0.5" in split.notices[0]
     with pytest.raises(ConfigurationError, match=r"shares frames with its validation room\.mcap@0s-8\.5s: name"):
-        plan_course(f"{path}@8s-20s", f"{path}@0s-8.5s", SECOND)
+        plan_split(f"{path}@8s-20s", f"{path}@0s-8.5s", SECOND)
 
 
 def test_a_validation_stretch_too_short_to_choose_on_is_told(record):
     stretches = {"validation": (0.0, 2.5), "test": (9.0, None)}
-    course = plan_course(str(record(stretches=stretches)), None, SECOND)
-    assert course.validation is None
-    assert "25 frames leave nothing to score" in course.notices[0]
+    split = plan_split(str(record(stretches=stretches)), None, SECOND)
+    assert split.validation is None
+    assert "25 frames leave nothing to score" in split.notices[0]
     with pytest.raises(ConfigurationError, match="name another --validation"):
-        plan_course(str(record()), f"{record()}@0s-2.5s", SECOND)
+        plan_split(str(record()), f"{record()}@0s-2.5s", SECOND)
 
 
 def test_a_short_validation_stretch_is_forecast_from_more_often_than_the_test(record):
-    often = plan_course(str(record(stretches={"validation": (0.0, 9.9), "test": (10.0, None)})), None, SECOND)
+    often = plan_split(str(record(stretches={"validation": (0.0, 9.9), "test": (10.0, None)})), None, SECOND)
     assert often.validation_schedule.every == 2
     assert often.validation_schedule.expected == len(range(20, 99 - 10, 2))
-    seldom = plan_course(str(record(seconds=60)), f"{record('long', seconds=60, stretches={})}", SECOND)
+    seldom = plan_split(str(record(seconds=60)), f"{record('long', seconds=60, stretches={})}", SECOND)
     assert seldom.validation_schedule.every == seldom.every == 5
 
 
 def test_another_recording_can_be_the_validation(record):
     other = record("other", seconds=8, stretches={})
-    course = plan_course(str(record()), str(other), SECOND)
-    assert course.validation.name == "other.mcap"
-    assert course.validation.grid == course.test.grid
+    split = plan_split(str(record()), str(other), SECOND)
+    assert split.validation.name == "other.mcap"
+    assert split.validation.grid == split.test.grid
 
 
 @pytest.mark.parametrize(
@@ -78,18 +78,18 @@ def test_another_recording_can_be_the_validation(record):
 )
 def test_what_leaves_nothing_to_score_is_refused_in_one_line(record, text, sampling, message):
     with pytest.raises(ConfigurationError, match=message):
-        plan_course(f"{record()}{text}", None, sampling)
+        plan_split(f"{record()}{text}", None, sampling)
 
 
 def test_grid_and_rate_can_be_given(record):
-    course = plan_course(str(record()), None, Sampling(0.6, 1.0, GridSpec(30, 0.1), 5.0))
-    assert (course.test.grid, course.validation.grid, len(course.test)) == (GridSpec(30, 0.1), GridSpec(30, 0.1), 55)
+    split = plan_split(str(record()), None, Sampling(0.6, 1.0, GridSpec(30, 0.1), 5.0))
+    assert (split.test.grid, split.validation.grid, len(split.test)) == (GridSpec(30, 0.1), GridSpec(30, 0.1), 55)
 
 
 def test_static_cells_come_from_the_whole_recording(record):
     path = record()
     one, other = (
-        plan_course(f"{path}@{stretch}", None, SECOND).regions().test.places for stretch in ("0s-5s", "9s-20s")
+        plan_split(f"{path}@{stretch}", None, SECOND).regions().test.places for stretch in ("0s-5s", "9s-20s")
     )
     assert (one == other).all()
     wall = one[20, int((3.0 + 1.0) / 0.2)]
@@ -103,7 +103,7 @@ def test_two_recordings_of_one_name_are_refused(record, tmp_path):
         resolve(settings)
 
 
-def test_every_recording_is_a_course_for_every_tracker(record, tmp_path):
+def test_every_recording_is_run_by_every_tracker(record, tmp_path):
     recordings = (str(record()), str(record("hall")))
     settings = CompareSettings(recordings=recordings, trackers=("blank", "b=blank"), out=tmp_path / "run")
     names = [trial.name for trial in resolve(settings).trials]
@@ -112,7 +112,7 @@ def test_every_recording_is_a_course_for_every_tracker(record, tmp_path):
 
 def test_a_recording_that_is_not_there_is_one_line(tmp_path):
     with pytest.raises(RecordingError, match="no such recording"):
-        plan_course(str(tmp_path / "nowhere.mcap"), None, SECOND)
+        plan_split(str(tmp_path / "nowhere.mcap"), None, SECOND)
 
 
 @pytest.mark.parametrize(
@@ -129,7 +129,7 @@ def test_a_recording_that_is_not_there_is_one_line(tmp_path):
     ],
 )
 def test_what_was_seen_in_training_is_found_out(record, seen, expected):
-    test = plan_course(str(record()), None, SECOND).test
+    test = plan_split(str(record()), None, SECOND).test
     assert was_seen(test, TrainingData(recording=seen, sha256=test.sha256)) is expected
     assert not was_seen(test, TrainingData(recording=seen, sha256="another"))
 
@@ -175,9 +175,9 @@ def test_training_what_cannot_learn_or_on_no_stretch_is_refused(record, tmp_path
 
 def test_thresholds_of_another_recording_are_chosen_on_its_own_strata(record):
     here, elsewhere = record("here"), record("elsewhere", wall_m=2.2)
-    regions = plan_course(str(here), f"{elsewhere}@4s-9s", SECOND).regions()
+    regions = plan_split(str(here), f"{elsewhere}@4s-9s", SECOND).regions()
     assert (regions.test.places != regions.validation.places).any()
-    alone = plan_course(str(elsewhere), None, SECOND).regions().test
+    alone = plan_split(str(elsewhere), None, SECOND).regions().test
     assert (regions.validation.places == alone.places).all()
-    own = plan_course(str(here), None, SECOND).regions()
+    own = plan_split(str(here), None, SECOND).regions()
     assert own.validation is own.test
