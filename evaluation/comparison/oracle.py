@@ -19,7 +19,7 @@ from gridtrack.common.grid import GridFrame, GridSpec
 from gridtrack.common.raycast import cast_scan
 from gridtrack.evaluation.comparison.trial import OnFrame
 from gridtrack.evaluation.scoring.record import RECORD, ThresholdsUsed, Times, TrialRecord
-from gridtrack.evaluation.scoring.referee import Delivery, moments
+from gridtrack.evaluation.scoring.referee import Delivery, scored_forecasts
 from gridtrack.evaluation.scoring.scorekeeper import FILES, Scorekeeper
 from gridtrack.evaluation.scoring.splits import ORACLE, EvaluationSplit, Regions
 from gridtrack.evaluation.scoring.thresholds import half
@@ -87,8 +87,8 @@ def run_oracle(split: EvaluationSplit, regions: Regions, folder: Path, on_frame:
     began = time.perf_counter()
     thresholds, delivery = half(split.steps, split.strata), Delivery(split.test, on_frame)
     with Scorekeeper(folder, split, regions.test, thresholds, ()) as scorekeeper:
-        for moment in moments(Oracle(split.test), delivery, split.schedule, seed=0):
-            scorekeeper.add(moment, delivery.digest)
+        for scored in scored_forecasts(Oracle(split.test), delivery, split.schedule, seed=0):
+            scorekeeper.add(scored, delivery.digest)
     record = TrialRecord(
         label=ORACLE,
         recording=split.name,

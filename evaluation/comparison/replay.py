@@ -11,18 +11,18 @@ from gridtrack.evaluation.comparison.plan import Trial
 from gridtrack.evaluation.scoring import metrics
 from gridtrack.evaluation.scoring.counting import EDGES, Tally, count_forecast
 from gridtrack.evaluation.scoring.record import Curves, ThresholdsUsed
-from gridtrack.evaluation.scoring.referee import Watching, moments
+from gridtrack.evaluation.scoring.referee import TrackerLike, scored_forecasts
 from gridtrack.evaluation.scoring.splits import Regions
 from gridtrack.evaluation.scoring.target import Target
 
 
 def replayed_f1(
-    tracker: Watching, frames: Iterable[Target], trial: Trial, regions: Regions, thresholds: ThresholdsUsed
+    tracker: TrackerLike, frames: Iterable[Target], trial: Trial, regions: Regions, thresholds: ThresholdsUsed
 ) -> Curves:
-    """F1 per stratum and step of `tracker` on the trial's `frames`, counted at the moments that the trial counted."""
+    """F1 per stratum and step of `tracker` on the trial's `frames`, counted at the frames that the trial counted."""
     tally = Tally.empty(trial.split.steps, regions.test.strata)
-    for moment in moments(tracker, frames, trial.split.schedule, trial.seed):
-        tally.add(count_forecast(moment.forecast.occupancy, moment.targets, regions.test, moment.ages))
+    for scored in scored_forecasts(tracker, frames, trial.split.schedule, trial.seed):
+        tally.add(count_forecast(scored.forecast.occupancy, scored.targets, regions.test, scored.ages))
     values = np.array([thresholds.values[name] for name in tally.strata]).T
     f1 = metrics.f1_score(tally.confusion(np.abs(values[..., None] - EDGES).argmin(axis=-1)))
     return {

@@ -10,7 +10,7 @@ from gridtrack.evaluation.comparison.plan import Trial
 from gridtrack.evaluation.comparison.replay import replayed_f1
 from gridtrack.evaluation.processes.tracker_process import TrackerProcess
 from gridtrack.evaluation.scoring.record import AtStrength, Robustness, ThresholdsUsed
-from gridtrack.evaluation.scoring.referee import Delivery, Watching
+from gridtrack.evaluation.scoring.referee import Delivery, TrackerLike
 from gridtrack.evaluation.scoring.splits import Regions
 from gridtrack.evaluation.scoring.target import targets
 from gridtrack.recordings.degradation import Degradation, degrader
@@ -57,7 +57,7 @@ class RobustnessRun:
 class _ShownOthers:
     """A tracker that is shown the frames of `shown` where the referee delivers those that it scores against."""
 
-    def __init__(self, tracker: Watching, shown: Delivery) -> None:
+    def __init__(self, tracker: TrackerLike, shown: Delivery) -> None:
         self._tracker, self._shown = tracker, iter(shown)
 
     def reset(self, seed: int) -> None:
@@ -65,7 +65,7 @@ class _ShownOthers:
         self._tracker.reset(seed)
 
     def update(self, frame: GridFrame) -> None:
-        """Give it the frame of the same moment."""
+        """Give it the frame with the same stamp."""
         degraded = next(self._shown).frame
         assert degraded.stamp_ns == frame.stamp_ns
         self._tracker.update(degraded)

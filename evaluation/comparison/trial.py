@@ -16,7 +16,7 @@ from gridtrack.evaluation.processes.outcome import TrialEnded
 from gridtrack.evaluation.processes.tracker_process import Started, TrackerProcess
 from gridtrack.evaluation.scoring.counting import Tally, count_forecast
 from gridtrack.evaluation.scoring.record import RECORD, Ending, ThresholdsUsed, Times, TrialRecord
-from gridtrack.evaluation.scoring.referee import Delivery, moments
+from gridtrack.evaluation.scoring.referee import Delivery, scored_forecasts
 from gridtrack.evaluation.scoring.scorekeeper import FILES, Scorekeeper
 from gridtrack.evaluation.scoring.scores import HISTOGRAM, SCORES
 from gridtrack.evaluation.scoring.splits import Regions
@@ -121,8 +121,10 @@ class TrialRun:
         delivery, areas = Delivery(stretch, self._on_frame), self._regions.validation
         try:
             with self._clock():
-                for moment in moments(self._process, delivery, self.trial.split.validation_schedule, self.trial.seed):
-                    tally.add(count_forecast(moment.forecast.occupancy, moment.targets, areas, moment.ages))
+                for scored in scored_forecasts(
+                    self._process, delivery, self.trial.split.validation_schedule, self.trial.seed
+                ):
+                    tally.add(count_forecast(scored.forecast.occupancy, scored.targets, areas, scored.ages))
         except TrialEnded as ended:
             raise TrialEnded(ended.outcome, f"in the validation stretch {stretch.name}: {ended.reason}") from None
         return best_thresholds(tally, stretch.name)
@@ -131,8 +133,8 @@ class TrialRun:
         """Stream the test stretch, and write what each forecast scored as soon as its last frame has come."""
         split, areas = self.trial.split, self._regions.test
         with Scorekeeper(self._folder, split, areas, thresholds, self._process.started.classes) as scorekeeper:
-            for moment in moments(self._process, self._delivery, self._test, self.trial.seed):
-                scorekeeper.add(moment, self._delivery.digest)
+            for scored in scored_forecasts(self._process, self._delivery, self._test, self.trial.seed):
+                scorekeeper.add(scored, self._delivery.digest)
                 self._scored = scorekeeper.scored
 
     def _kept_whole(self) -> bool:

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridtrack.common.grid import GridFrame
-from gridtrack.evaluation.scoring.referee import Schedule, Watching
+from gridtrack.evaluation.scoring.referee import Schedule, TrackerLike
 from gridtrack.trackers.contract import Forecast
 
 RATES = (0.5, 1.0, 2.0, 4.0)
@@ -91,7 +91,7 @@ class OnTime:
     Forecasts that no question of `schedule` reads are not asked for: they cost time on the clock only.
     """
 
-    def __init__(self, tracker: Watching, kept: Timeline, schedule: Schedule, reach: int) -> None:
+    def __init__(self, tracker: TrackerLike, kept: Timeline, schedule: Schedule, reach: int) -> None:
         """`reach`: how many steps ahead its forecasts go."""
         self._tracker, self._timeline, self._reach = tracker, kept, reach
         self._asked = {int(kept.newest[index]) for index in range(schedule.frames) if schedule.due(index)}

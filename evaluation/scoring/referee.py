@@ -27,7 +27,7 @@ WARM_UP = 20
 """Frames at the start of a stretch that are delivered, and not scored."""
 
 
-class Watching(Protocol):
+class TrackerLike(Protocol):
     """What the referee needs of a tracker, in its own process or in this one."""
 
     def reset(self, seed: int) -> None: ...  # noqa: D102
@@ -59,7 +59,7 @@ class Schedule:
 
 
 @dataclass(frozen=True, slots=True)
-class Moment:
+class ScoredForecast:
     """A forecast made at frame t, the `targets` t..t+steps that came, and the band (M, M) of each cell's age at t."""
 
     forecast: Forecast
@@ -77,7 +77,9 @@ class Moment:
         return self.targets[0].frame.stamp_ns
 
 
-def moments(tracker: Watching, stream: Iterable[Target], schedule: Schedule, seed: int) -> Iterator[Moment]:
+def scored_forecasts(
+    tracker: TrackerLike, stream: Iterable[Target], schedule: Schedule, seed: int
+) -> Iterator[ScoredForecast]:
     """Show the tracker the frames of `stream`, and yield each scheduled forecast once its last frame has come."""
     tracker.reset(seed)
     recent: deque[Target] = deque(maxlen=schedule.steps + 1)
@@ -92,7 +94,7 @@ def moments(tracker: Watching, stream: Iterable[Target], schedule: Schedule, see
             waiting.append((index + schedule.steps, tracker.predict(schedule.steps), ages))
         if waiting and waiting[0][0] == index:
             _, forecast, ages = waiting.popleft()
-            yield Moment(forecast, tuple(recent), ages)
+            yield ScoredForecast(forecast, tuple(recent), ages)
 
 
 class Delivery:

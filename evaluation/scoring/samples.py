@@ -28,11 +28,11 @@ from zstandard import ZstdError
 
 from gridtrack.common.errors import GridtrackError
 from gridtrack.common.grid import GridSpec, Mask
-from gridtrack.evaluation.scoring.referee import Moment, Schedule
+from gridtrack.evaluation.scoring.referee import Schedule, ScoredForecast
 
 SAMPLES = "forecasts.mcap"
 KEPT = 40
-"""Samples kept of a trial: the same moments for every tracker, evenly spaced over the scored frames."""
+"""Samples kept of a trial: of the same frames for every tracker, evenly spaced over the scored frames."""
 HORIZONS_S = (0.5, 1.0, 2.0)
 MAX_CHUNK_BYTES = 1 << 26
 MAX_TOPICS = 64
@@ -68,7 +68,7 @@ class Sample:
     came_occupied: Mask
 
 
-def kept_moments(schedule: Schedule) -> frozenset[int]:
+def kept_forecasts(schedule: Schedule) -> frozenset[int]:
     """Which scored frames (0 .. expected-1) are kept for viewing."""
     expected = schedule.expected
     return frozenset(np.linspace(0, expected - 1, min(KEPT, expected)).round().astype(int).tolist())
@@ -95,15 +95,15 @@ class SampleWriter:
             self._writer.finish()  # type: ignore[no-untyped-call]
         self._partial.replace(self._path)
 
-    def add(self, moment: Moment) -> None:
-        """Keep one moment."""
-        stamp_ns, frames = moment.stamp_ns, moment.frames
+    def add(self, scored: ScoredForecast) -> None:
+        """Keep one forecast."""
+        stamp_ns, frames = scored.stamp_ns, scored.frames
         self._write("/input", stamp_ns, _planes(frames[0].visible, frames[0].occupied), OCCUPANCY_FIELDS)
         self._write_message(SENSORS, stamp_ns, _places(frames[0].origins, stamp_ns))
         for horizon, step in self._steps.items():
             came = frames[step]
             self._write(f"/came/{horizon:g}s", stamp_ns, _planes(came.visible, came.occupied), OCCUPANCY_FIELDS)
-            probability = (moment.forecast.occupancy[step] * 255).round().astype(np.uint8)
+            probability = (scored.forecast.occupancy[step] * 255).round().astype(np.uint8)
             self._write(f"/forecast/{horizon:g}s", stamp_ns, probability[..., None], PROBABILITY_FIELDS)
 
     def _write(self, topic: str, stamp_ns: int, planes: NDArray[np.uint8], fields: tuple[str, ...]) -> None:

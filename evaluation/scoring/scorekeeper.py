@@ -9,8 +9,8 @@ from typing import Self
 
 from gridtrack.evaluation.scoring.class_store import CLASSES, SEMANTICS, ClassWriter
 from gridtrack.evaluation.scoring.counting import count_forecast
-from gridtrack.evaluation.scoring.referee import Moment
-from gridtrack.evaluation.scoring.samples import SAMPLES, SampleWriter, kept_moments
+from gridtrack.evaluation.scoring.referee import ScoredForecast
+from gridtrack.evaluation.scoring.samples import SAMPLES, SampleWriter, kept_forecasts
 from gridtrack.evaluation.scoring.scores import HISTOGRAM, SCORES, ScoreWriter
 from gridtrack.evaluation.scoring.semantics import count_classes, count_found, match_classes
 from gridtrack.evaluation.scoring.splits import EvaluationSplit
@@ -31,7 +31,7 @@ class Scorekeeper:
         known = split.test.classes
         self._areas, self._thresholds, self._classes = areas, thresholds, len(known)
         self._matching = match_classes(classes, known) if classes and known else None
-        self._kept = kept_moments(split.schedule)
+        self._kept = kept_forecasts(split.schedule)
         self.scored = 0
         with ExitStack() as files:
             self._scores = files.enter_context(ScoreWriter(folder, split.steps, thresholds))
@@ -49,19 +49,19 @@ class Scorekeeper:
     ) -> None:
         self._files.__exit__(kind, error, trace)
 
-    def add(self, moment: Moment, delivered: str) -> None:
+    def add(self, scored: ScoredForecast, delivered: str) -> None:
         """Score one forecast; `delivered` is the digest of the frames delivered up to its last step."""
-        tally = count_forecast(moment.forecast.occupancy, moment.targets, self._areas, moment.ages)
-        self._scores.add(moment.stamp_ns, delivered, tally)
+        tally = count_forecast(scored.forecast.occupancy, scored.targets, self._areas, scored.ages)
+        self._scores.add(scored.stamp_ns, delivered, tally)
         if self._by_class is not None:
-            self._count_classes(moment, self._by_class)
+            self._count_classes(scored, self._by_class)
         if self.scored in self._kept:
-            self._samples.add(moment)
+            self._samples.add(scored)
         self.scored += 1
 
-    def _count_classes(self, moment: Moment, writer: ClassWriter) -> None:
-        forecast, targets = moment.forecast, moment.targets
+    def _count_classes(self, scored: ScoredForecast, writer: ClassWriter) -> None:
+        forecast, targets = scored.forecast, scored.targets
         found = count_found(forecast.occupancy, targets, self._areas.places, self._thresholds, self._classes)
-        writer.add_found(moment.stamp_ns, found)
+        writer.add_found(scored.stamp_ns, found)
         if self._matching is not None and forecast.semantics is not None:
-            writer.add_semantics(moment.stamp_ns, *count_classes(forecast.semantics, targets, self._matching))
+            writer.add_semantics(scored.stamp_ns, *count_classes(forecast.semantics, targets, self._matching))

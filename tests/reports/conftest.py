@@ -9,7 +9,7 @@ from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec
 from gridtrack.evaluation.scoring.counting import count_forecast
 from gridtrack.evaluation.scoring.record import Latency, Quantiles, ThresholdsUsed, TrialRecord
-from gridtrack.evaluation.scoring.referee import Moment
+from gridtrack.evaluation.scoring.referee import ScoredForecast
 from gridtrack.evaluation.scoring.samples import SAMPLES, SampleWriter
 from gridtrack.evaluation.scoring.scores import ScoreWriter
 from gridtrack.evaluation.scoring.strata import STRATA, areas_of, places_of
@@ -85,7 +85,7 @@ LATENCY = Latency(
 
 
 def write_trial(run, label, forecast, scored=EXPECTED, outcome="ok", reason="", chosen_on="crossing@0s-15s"):
-    """Score `forecast` on the first `scored` moments and leave the trial's folder, as the referee does."""
+    """Score `forecast` on the first `scored` frames and leave the trial's folder, as the referee does."""
     folder = run / f"{label}@{RECORDING}"
     folder.mkdir(parents=True)
     thresholds = Thresholds(np.full((STEPS + 1, len(STRATA)), 20 if chosen_on else 25), chosen_on)
@@ -95,9 +95,9 @@ def write_trial(run, label, forecast, scored=EXPECTED, outcome="ok", reason="", 
     ):
         for t in list(range(WARM_UP, FRAMES - STEPS, EVERY))[:scored]:
             targets = tuple(Target.of_frame(came) for came in FRAME_LIST[t : t + STEPS + 1])
-            moment = Moment(Forecast(forecast(t)), targets, JUST_SEEN)
-            scores.add(moment.stamp_ns, f"{t:032x}", count_forecast(moment.forecast.occupancy, targets, AREAS))
-            samples.add(moment)
+            one = ScoredForecast(Forecast(forecast(t)), targets, JUST_SEEN)
+            scores.add(one.stamp_ns, f"{t:032x}", count_forecast(one.forecast.occupancy, targets, AREAS))
+            samples.add(one)
     record = TrialRecord(
         schema=1,
         label=label,

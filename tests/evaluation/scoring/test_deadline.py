@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec
 from gridtrack.evaluation.scoring.deadline import Costs, OnTime, Timeline, spare_steps, timeline
-from gridtrack.evaluation.scoring.referee import Schedule, moments
+from gridtrack.evaluation.scoring.referee import Schedule, scored_forecasts
 from gridtrack.evaluation.scoring.target import Target
 from gridtrack.trackers.contract import Forecast
 
@@ -120,8 +120,8 @@ def answers(kept: Timeline, steps: int, reach: int, frames: int = 60) -> tuple[C
     tracker = Clockwork()
     schedule = Schedule(frames, steps, 5)
     on_time = OnTime(tracker, kept, schedule, reach)
-    scored = moments(on_time, map(target, range(frames)), schedule, seed=0)
-    said = [np.rint(100 * moment.forecast.occupancy[:, 0, 0]).astype(int).tolist() for moment in scored]
+    scored = scored_forecasts(on_time, map(target, range(frames)), schedule, seed=0)
+    said = [np.rint(100 * one.forecast.occupancy[:, 0, 0]).astype(int).tolist() for one in scored]
     return tracker, said
 
 
@@ -149,7 +149,7 @@ def test_where_no_forecast_is_there_yet_nothing_is_called_occupied() -> None:
 def test_one_that_takes_no_time_answers_exactly_as_untimed() -> None:
     tracker, said = answers(of(0.0, frames=60), steps=4, reach=4)
     untimed = Clockwork()
-    plain = moments(untimed, map(target, range(60)), Schedule(60, 4, 5), seed=0)
+    plain = scored_forecasts(untimed, map(target, range(60)), Schedule(60, 4, 5), seed=0)
     assert said == [np.rint(100 * m.forecast.occupancy[:, 0, 0]).astype(int).tolist() for m in plain]
     assert tracker.updates == untimed.updates
     assert tracker.predictions == untimed.predictions

@@ -13,7 +13,7 @@ from gridtrack.common.grid import GridFrame, GridSpec
 from gridtrack.evaluation.scoring import metrics
 from gridtrack.evaluation.scoring.counting import Tally, count_forecast
 from gridtrack.evaluation.scoring.in_process import score_in_process
-from gridtrack.evaluation.scoring.referee import WARM_UP, Delivery, Schedule, moments
+from gridtrack.evaluation.scoring.referee import WARM_UP, Delivery, Schedule, scored_forecasts
 from gridtrack.evaluation.scoring.strata import PLACES, areas_of
 from gridtrack.evaluation.scoring.target import Target
 from gridtrack.evaluation.scoring.thresholds import half
@@ -75,8 +75,8 @@ def delivery(stream):
 
 def f1_per_step(stream, tracker, every=3):
     tally = Tally.empty(STEPS)
-    for moment in moments(tracker, delivery(stream), Schedule(len(stream), STEPS, every), seed=7):
-        tally.add(count_forecast(moment.forecast.occupancy, moment.targets, ALL_MOVING, moment.ages))
+    for scored in scored_forecasts(tracker, delivery(stream), Schedule(len(stream), STEPS, every), seed=7):
+        tally.add(count_forecast(scored.forecast.occupancy, scored.targets, ALL_MOVING, scored.ages))
     return metrics.f1_score(tally.confusion(half(STEPS).bins))[:, 0]
 
 
@@ -106,11 +106,11 @@ def test_only_the_step_that_knows_scores_one():
 def test_warm_up_and_tail_are_delivered_and_not_forecast_from():
     stream = FakeStream(40)
     tracker = Seer(stream)
-    scored = list(moments(tracker, delivery(stream), Schedule(40, STEPS, 5), seed=7))
+    scored = list(scored_forecasts(tracker, delivery(stream), Schedule(40, STEPS, 5), seed=7))
     assert tracker.calls[0] == ("reset", 7)
     assert [i for call, i in tracker.calls if call == "update"] == list(range(40))
     assert [i for call, i in tracker.calls if call == "predict"] == [20, 25, 30, 35]
-    assert [moment.stamp_ns // 100_000_000 for moment in scored] == [20, 25, 30, 35]
+    assert [one.stamp_ns // 100_000_000 for one in scored] == [20, 25, 30, 35]
 
 
 @given(frames=st.integers(0, 90), steps=st.integers(0, 30), every=st.integers(1, 20))
@@ -141,9 +141,9 @@ def test_no_more_than_a_horizon_of_frames_is_held():
             return Forecast(np.zeros((steps + 1, 1, 1), np.float32))
 
     stream = (Target(Held(index), np.zeros((1, 1), np.uint8)) for index in range(200))
-    for moment in moments(Still(), stream, Schedule(200, STEPS, 1), seed=0):
-        assert len(moment.frames) == STEPS + 1
-        del moment
+    for scored in scored_forecasts(Still(), stream, Schedule(200, STEPS, 1), seed=0):
+        assert len(scored.frames) == STEPS + 1
+        del scored
 
 
 def test_the_digest_covers_every_frame_in_its_order():

@@ -7,8 +7,8 @@ from mcap_protobuf.decoder import DecoderFactory
 
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec
-from gridtrack.evaluation.scoring.referee import Moment, Schedule
-from gridtrack.evaluation.scoring.samples import SAMPLES, SamplesError, SampleWriter, kept_moments, read_samples
+from gridtrack.evaluation.scoring.referee import Schedule, ScoredForecast
+from gridtrack.evaluation.scoring.samples import SAMPLES, SamplesError, SampleWriter, kept_forecasts, read_samples
 from gridtrack.evaluation.scoring.target import Target
 from gridtrack.trackers.contract import Forecast
 
@@ -17,7 +17,7 @@ STEPS, PERIOD_S = 15, 0.1
 ORIGINS = np.array([[0.5, 2.25], [-0.75, 3.0]], np.float32)
 
 
-def random_moment(seed):
+def random_forecast(seed):
     rng = np.random.default_rng(seed)
     nothing = np.zeros((0, 2), np.float32)
     frames = []
@@ -27,36 +27,36 @@ def random_moment(seed):
         stamp_ns = seed * 1_000_000_000 + n * 100_000_000
         frames.append(GridFrame(stamp_ns, visible, occupied, SE2(), ORIGINS, nothing, np.zeros(0, np.uint8)))
     forecast = Forecast(rng.random((STEPS + 1, *GRID.shape), dtype=np.float32))
-    return Moment(forecast, tuple(Target.of_frame(frame) for frame in frames), np.zeros(GRID.shape, np.uint8))
+    return ScoredForecast(forecast, tuple(Target.of_frame(frame) for frame in frames), np.zeros(GRID.shape, np.uint8))
 
 
 @pytest.fixture
 def written(tmp_path):
-    moments = [random_moment(seed) for seed in (1, 2, 3)]
+    written_forecasts = [random_forecast(seed) for seed in (1, 2, 3)]
     with SampleWriter(tmp_path / SAMPLES, GRID, PERIOD_S, STEPS) as writer:
-        for moment in moments:
-            writer.add(moment)
-    return tmp_path / SAMPLES, moments
+        for scored in written_forecasts:
+            writer.add(scored)
+    return tmp_path / SAMPLES, written_forecasts
 
 
 def test_what_was_kept_is_what_is_read(written):
-    path, moments = written
+    path, written_forecasts = written
     samples = list(read_samples(path))
-    assert [s.stamp_ns for s in samples] == [m.stamp_ns for m in moments]
-    for sample, moment in zip(samples, moments, strict=True):
+    assert [s.stamp_ns for s in samples] == [m.stamp_ns for m in written_forecasts]
+    for sample, scored in zip(samples, written_forecasts, strict=True):
         assert sample.grid == GRID
         assert sample.horizons_s == (0.5, 1.0)
-        assert np.array_equal(sample.visible, moment.frames[0].visible)
-        assert np.array_equal(sample.occupied, moment.frames[0].occupied)
+        assert np.array_equal(sample.visible, scored.frames[0].visible)
+        assert np.array_equal(sample.occupied, scored.frames[0].occupied)
         assert np.array_equal(sample.origins, ORIGINS)
         for i, step in enumerate((5, 10)):
-            assert np.array_equal(sample.came_visible[i], moment.frames[step].visible)
-            assert np.array_equal(sample.came_occupied[i], moment.frames[step].occupied)
-            assert np.abs(sample.forecast[i] - moment.forecast.occupancy[step]).max() <= 0.5 / 255 + 1e-6
+            assert np.array_equal(sample.came_visible[i], scored.frames[step].visible)
+            assert np.array_equal(sample.came_occupied[i], scored.frames[step].occupied)
+            assert np.abs(sample.forecast[i] - scored.forecast.occupancy[step]).max() <= 0.5 / 255 + 1e-6
 
 
 def test_foxglove_finds_grids_with_x_along_columns_and_y_along_rows(written):
-    path, moments = written
+    path, written_forecasts = written
     with path.open("rb") as file:
         reader = make_reader(file, decoder_factories=[DecoderFactory()])
         schema, channel, _, grid = next(reader.iter_decoded_messages(topics=["/input"]))
@@ -65,12 +65,12 @@ def test_foxglove_finds_grids_with_x_along_columns_and_y_along_rows(written):
     assert [field.name for field in grid.fields] == ["visible", "occupied"]
     row, column = 7, 2
     offset = row * grid.row_stride + column * grid.cell_stride
-    assert (grid.data[offset] == 255) == moments[0].frames[0].visible[row, column]
+    assert (grid.data[offset] == 255) == written_forecasts[0].frames[0].visible[row, column]
 
 
 def test_a_run_that_looks_less_far_ahead_than_any_horizon_keeps_its_input(tmp_path):
     with SampleWriter(tmp_path / SAMPLES, GRID, PERIOD_S, steps=2) as writer:
-        writer.add(random_moment(1))
+        writer.add(random_forecast(1))
     (sample,) = read_samples(tmp_path / SAMPLES)
     assert sample.horizons_s == ()
     assert sample.forecast.shape == (0, 12, 12)
@@ -97,7 +97,7 @@ def test_another_file_is_refused(tmp_path):
 @pytest.mark.parametrize(("frames", "expected"), [(30, 0), (36, 1), (60, 25), (1000, 40)])
 def test_the_moments_kept_are_spread_over_all_and_bounded(frames, expected):
     schedule = Schedule(frames, STEPS, every=1)
-    kept = sorted(kept_moments(schedule))
+    kept = sorted(kept_forecasts(schedule))
     assert len(kept) == expected
     if kept:
         assert (kept[0], kept[-1]) == (0, schedule.expected - 1)
