@@ -22,13 +22,13 @@ from gridtrack.evaluation.scoring.counting import EDGES, count_forecast
 from gridtrack.evaluation.scoring.scores import ScoreWriter
 from gridtrack.evaluation.scoring.semantics import count_classes, count_found, match_classes
 from gridtrack.evaluation.scoring.strata import (
-    PLACES,
+    CELL_KINDS,
     REGIONS,
     STRATA,
     STRATA_WITH_TRUTH,
     SUMS_OF_REGIONS,
-    Areas,
-    areas_of,
+    RegionMaps,
+    region_maps_of,
 )
 from gridtrack.evaluation.scoring.target import HIDDEN_FREE, NOT_SCORED, SEEN_FREE, Target
 from gridtrack.evaluation.scoring.thresholds import half
@@ -47,13 +47,13 @@ def median_ms(call: Callable[[], object], times: int) -> float:
     return 1e3 * float(np.median(spent))
 
 
-def street(strata: tuple[str, ...]) -> Areas:
+def street(strata: tuple[str, ...]) -> RegionMaps:
     """Two walls along a street, seen from its near end."""
-    places = np.full(GRID.shape, PLACES.index("moving"), np.uint8)
+    cell_kinds = np.full(GRID.shape, CELL_KINDS.index("moving"), np.uint8)
     for column in (15, 85):
-        places[:, column - 1 : column + 2] = PLACES.index("ring")
-        places[:, column] = PLACES.index("static")
-    return areas_of(places, GRID, np.array([[0.0, 1.0]], np.float32), strata)
+        cell_kinds[:, column - 1 : column + 2] = CELL_KINDS.index("ring")
+        cell_kinds[:, column] = CELL_KINDS.index("static")
+    return region_maps_of(cell_kinds, GRID, np.array([[0.0, 1.0]], np.float32), strata)
 
 
 def targets(rng: np.random.Generator, truth: bool) -> list[Target]:
@@ -72,11 +72,11 @@ def targets(rng: np.random.Generator, truth: bool) -> list[Target]:
     return found
 
 
-def with_scikit_learn(occupancy: np.ndarray, came: Sequence[Target], areas: Areas, ages: np.ndarray) -> None:
+def with_scikit_learn(occupancy: np.ndarray, came: Sequence[Target], region_maps: RegionMaps, ages: np.ndarray) -> None:
     for step, target in enumerate(came):
-        region = np.where(target.state < HIDDEN_FREE, areas.visible, areas.hidden + ages)
+        region = np.where(target.state < HIDDEN_FREE, region_maps.visible, region_maps.hidden + ages)
         scored = target.state != NOT_SCORED
-        for stratum in areas.strata:
+        for stratum in region_maps.strata:
             regions = np.flatnonzero(SUMS_OF_REGIONS[STRATA_WITH_TRUTH.index(stratum)])
             members = scored & np.isin(region, regions)
             truth, p = target.state[members] % 2 == 1, occupancy[step][members]
@@ -97,11 +97,11 @@ def main() -> None:
         "zeros and ones": (rng.random((STEPS + 1, SIZE, SIZE)) < 0.03).astype(np.float32),
     }
     for strata, truth in ((STRATA, False), (STRATA_WITH_TRUTH, True)):
-        areas, came = street(strata), targets(rng, truth)
+        region_maps, came = street(strata), targets(rng, truth)
         for name, occupancy in forecasts.items():
-            ms = median_ms(lambda o=occupancy, c=came, a=areas: count_forecast(o, c, a, ages), 200)
+            ms = median_ms(lambda o=occupancy, c=came, a=region_maps: count_forecast(o, c, a, ages), 200)
             print(f"count a forecast, {len(strata):2} strata of {REGIONS} regions, {name:14}: {ms:7.2f} ms")
-    tally = count_forecast(occupancy, came, areas, ages)
+    tally = count_forecast(occupancy, came, region_maps, ages)
     with tempfile.TemporaryDirectory() as folder, ScoreWriter(Path(folder), STEPS, half(STEPS, strata)) as writer:
         stamps = iter(range(0, 10**15, 500_000_000))
         print(f"write its rows: {median_ms(lambda: writer.add(next(stamps), '', tally), 200):.2f} ms")
@@ -110,10 +110,10 @@ def main() -> None:
     matching, thresholds = match_classes(names, names), half(STEPS, strata)
     ms = median_ms(lambda: count_classes(semantics, came, matching), 200)
     print(f"count its classes ({CLASSES}): {ms:.2f} ms")
-    ms = median_ms(lambda: count_found(occupancy, came, areas.places, thresholds, CLASSES), 200)
+    ms = median_ms(lambda: count_found(occupancy, came, region_maps.cell_kinds, thresholds, CLASSES), 200)
     print(f"count what it found of each class: {ms:.2f} ms")
-    ours = median_ms(lambda: count_forecast(forecasts["spread thin"], came, areas, ages), 200)
-    peers = median_ms(lambda: with_scikit_learn(forecasts["spread thin"], came, areas, ages), 3)
+    ours = median_ms(lambda: count_forecast(forecasts["spread thin"], came, region_maps, ages), 200)
+    peers = median_ms(lambda: with_scikit_learn(forecasts["spread thin"], came, region_maps, ages), 3)
     print(f"the same figures by scikit-learn: {peers:.0f} ms, {peers / ours:.0f} x as long")
 
 

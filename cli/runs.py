@@ -111,12 +111,12 @@ def compare(
 
 def _tell_missing(plan: Plan) -> bool:
     """Tell of figures that were asked for and that a complete trial lacks; whether there are any."""
-    from gridtrack.evaluation.comparison.measurements import missing_figures
+    from gridtrack.evaluation.comparison.measurements import missing_measurements
     from gridtrack.evaluation.scoring.record import read_record
 
     records = [read_record(plan.settings.out / trial.name) for trial in plan.trials]
     complete = [record for record in records if record and record.outcome == "ok"]
-    missing = [line for record in complete for line in missing_figures(plan.settings, record)]
+    missing = [line for record in complete for line in missing_measurements(plan.settings, record)]
     for line in missing:
         typer.echo(f"gridtrack: not measured: {plain(line)}", err=True)
     return bool(missing)

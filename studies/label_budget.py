@@ -24,7 +24,7 @@ from torch import Tensor
 
 from gridtrack.common.config import validated
 from gridtrack.evaluation.scoring.referee import Delivery, Schedule
-from gridtrack.evaluation.scoring.semantics import KINDS, Matching, count_classes, match_classes
+from gridtrack.evaluation.scoring.semantics import VISIBILITIES, Matching, count_classes, match_classes
 from gridtrack.evaluation.scoring.target import Target
 from gridtrack.recordings.stream import GridStream, open_stream
 from gridtrack.trackers.cell_classifier import CellClassifier, ClassifierSettings
@@ -146,8 +146,10 @@ def losses(classifier: CellClassifier, source: str, test: Sequence[Reading], mat
         confusion, log_loss = count_classes(semantics, reading.targets, matching)
         cells, loss = confusion.sum(axis=(-2, -1)), log_loss.sum(axis=(-2, -1))
         for column, (step, kind) in COLUMNS.items():
-            if cells[step, KINDS.index(kind)]:
-                per_scan[column].append(float(loss[step, KINDS.index(kind)] / cells[step, KINDS.index(kind)]))
+            if cells[step, VISIBILITIES.index(kind)]:
+                per_scan[column].append(
+                    float(loss[step, VISIBILITIES.index(kind)] / cells[step, VISIBILITIES.index(kind)])
+                )
     return {column: statistics.fmean(values) for column, values in per_scan.items()}
 
 

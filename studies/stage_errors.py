@@ -22,7 +22,7 @@ import numpy as np
 from gridtrack.common.grid import GridFrame, GridSpec
 from gridtrack.evaluation.comparison.learned import find_weights
 from gridtrack.evaluation.scoring.splits import static_cells
-from gridtrack.evaluation.scoring.strata import PLACES, places_round
+from gridtrack.evaluation.scoring.strata import CELL_KINDS, cell_kinds_around
 from gridtrack.recordings.stream import Observation, open_stream
 from gridtrack.trackers import registry
 from gridtrack.trackers.contract import stream_of
@@ -148,7 +148,7 @@ def note_forecast(
 ) -> None:
     grid, occupancy = tracker.stream.grid, tracker.predict(max(AHEAD)).occupancy
     start, pose = bodies(ahead[0].scene), ahead[0].frame.world_T_grid
-    moving = (places_round(static_cells(ahead[0].scene, grid, pose)) == PLACES.index("moving")).reshape(-1)
+    moving = (cell_kinds_around(static_cells(ahead[0].scene, grid, pose)) == CELL_KINDS.index("moving")).reshape(-1)
     for steps in AHEAD:
         later = ahead[steps]
         occupied, kind = later.frame.occupied.reshape(-1), np.full(grid.size**2, -1)

@@ -14,7 +14,7 @@ from gridtrack.evaluation.processes.tracker_process import TrackerProcess
 from gridtrack.evaluation.scoring.deadline import RATES, Costs, OnTime, Timeline, spare_steps, timeline
 from gridtrack.evaluation.scoring.record import AtRate, Curves, Deadline, Quantiles, ThresholdsUsed
 from gridtrack.evaluation.scoring.referee import WARM_UP, Delivery
-from gridtrack.evaluation.scoring.splits import Regions
+from gridtrack.evaluation.scoring.splits import SplitRegions
 from gridtrack.trackers.contract import stream_of
 
 FRAMES, FEWEST, ENOUGH_S = 120, 30, 30.0
@@ -25,7 +25,7 @@ TRIED = 4
 LOG = "deadline.log"
 
 
-def measure_deadline(trial: Trial, regions: Regions, thresholds: ThresholdsUsed, folder: Path) -> Deadline:
+def measure_deadline(trial: Trial, regions: SplitRegions, thresholds: ThresholdsUsed, folder: Path) -> Deadline:
     """Time the tracker, then score it on the clock at every rate; its log goes to `folder`. Raises TrialEnded."""
     stream = stream_of(trial.test, trial.weights.path if trial.weights else None)
     with TrackerProcess(trial.launch, stream, trial.selection.options, trial.limits, folder / LOG) as process:
@@ -64,7 +64,7 @@ def _measure(process: TrackerProcess, trial: Trial) -> tuple[Costs, int]:
 
 
 def _at_every_rate(
-    process: TrackerProcess, trial: Trial, regions: Regions, thresholds: ThresholdsUsed, costs: Costs, reach: int
+    process: TrackerProcess, trial: Trial, regions: SplitRegions, thresholds: ThresholdsUsed, costs: Costs, reach: int
 ) -> tuple[AtRate, ...]:
     """Scores at each rate; where two rates give the same timeline, the tracker is streamed only once."""
     schedule, period_ms = trial.split.schedule, trial.test.period_s * 1e3

@@ -9,7 +9,7 @@ from gridtrack.evaluation.scoring.record import TrialRecord
 from gridtrack.recordings.degradation import Degradation
 
 
-class AskedFigures(Protocol):
+class RequestedMeasurements(Protocol):
     """What `compare` was asked for with `--latency`, `--deadline` and `--degrade`."""
 
     @property
@@ -25,7 +25,7 @@ class AskedFigures(Protocol):
         """What input to score on beside the undegraded one."""
 
 
-def missing_figures(asked: AskedFigures, record: TrialRecord) -> Iterator[str]:
+def missing_measurements(asked: RequestedMeasurements, record: TrialRecord) -> Iterator[str]:
     """A line for each figure that was asked for and is not in the record of a complete trial."""
     there = {
         "--latency": not asked.latency or record.latency_ms is not None,

@@ -21,7 +21,7 @@ from gridtrack.evaluation.comparison.trial import OnFrame
 from gridtrack.evaluation.scoring.record import RECORD, ThresholdsUsed, Times, TrialRecord
 from gridtrack.evaluation.scoring.referee import Delivery, scored_forecasts
 from gridtrack.evaluation.scoring.scorekeeper import FILES, Scorekeeper
-from gridtrack.evaluation.scoring.splits import ORACLE, EvaluationSplit, Regions
+from gridtrack.evaluation.scoring.splits import ORACLE, EvaluationSplit, SplitRegions
 from gridtrack.evaluation.scoring.thresholds import half
 from gridtrack.recordings.stream import GridStream, Observation
 from gridtrack.recordings.truth import OUTLINE, truth_grid
@@ -76,7 +76,7 @@ def ideal_grid(observation: Observation, grid: GridSpec) -> NDArray[np.float32]:
     return np.where(frame.visible, occupied, outlines).astype(np.float32)
 
 
-def run_oracle(split: EvaluationSplit, regions: Regions, folder: Path, on_frame: OnFrame) -> TrialRecord:
+def run_oracle(split: EvaluationSplit, regions: SplitRegions, folder: Path, on_frame: OnFrame) -> TrialRecord:
     """Score the oracle on a split as any tracker is, and leave its record; `on_frame` is called before each frame.
 
     Raises what `on_frame` raises, RecordingError and OSError; nothing is recorded then.

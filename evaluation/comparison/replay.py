@@ -12,12 +12,12 @@ from gridtrack.evaluation.scoring import metrics
 from gridtrack.evaluation.scoring.counting import EDGES, Tally, count_forecast
 from gridtrack.evaluation.scoring.record import Curves, ThresholdsUsed
 from gridtrack.evaluation.scoring.referee import TrackerLike, scored_forecasts
-from gridtrack.evaluation.scoring.splits import Regions
+from gridtrack.evaluation.scoring.splits import SplitRegions
 from gridtrack.evaluation.scoring.target import Target
 
 
 def replayed_f1(
-    tracker: TrackerLike, frames: Iterable[Target], trial: Trial, regions: Regions, thresholds: ThresholdsUsed
+    tracker: TrackerLike, frames: Iterable[Target], trial: Trial, regions: SplitRegions, thresholds: ThresholdsUsed
 ) -> Curves:
     """F1 per stratum and step of `tracker` on the trial's `frames`, counted at the frames that the trial counted."""
     tally = Tally.empty(trial.split.steps, regions.test.strata)

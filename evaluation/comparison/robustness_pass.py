@@ -11,7 +11,7 @@ from gridtrack.evaluation.comparison.replay import replayed_f1
 from gridtrack.evaluation.processes.tracker_process import TrackerProcess
 from gridtrack.evaluation.scoring.record import AtStrength, Robustness, ThresholdsUsed
 from gridtrack.evaluation.scoring.referee import Delivery, TrackerLike
-from gridtrack.evaluation.scoring.splits import Regions
+from gridtrack.evaluation.scoring.splits import SplitRegions
 from gridtrack.evaluation.scoring.target import targets
 from gridtrack.recordings.degradation import Degradation, degrader
 from gridtrack.trackers.contract import Forecast, stream_of
@@ -29,7 +29,7 @@ class RobustnessRun:
         stream = stream_of(trial.test, trial.weights.path if trial.weights else None)
         self._process = TrackerProcess(trial.launch, stream, trial.selection.options, trial.limits, folder / LOG)
 
-    def run(self, regions: Regions, thresholds: ThresholdsUsed, on_frame: Callable[[], None]) -> Robustness:
+    def run(self, regions: SplitRegions, thresholds: ThresholdsUsed, on_frame: Callable[[], None]) -> Robustness:
         """Run it; `on_frame` is called before each frame and may raise to end it. Raises TrialEnded."""
         with self._process:
             return Robustness(
@@ -45,7 +45,12 @@ class RobustnessRun:
         self._process.kill()
 
     def _at(
-        self, kind: str, strength: float, regions: Regions, thresholds: ThresholdsUsed, on_frame: Callable[[], None]
+        self,
+        kind: str,
+        strength: float,
+        regions: SplitRegions,
+        thresholds: ThresholdsUsed,
+        on_frame: Callable[[], None],
     ) -> AtStrength:
         trial, degradation = self._trial, self._degradation.only(kind).scaled(strength)
         shown = Delivery(trial.test.degraded(degrader(degradation, trial.seed)), on_frame)

@@ -33,7 +33,7 @@ class RunFolder:
     def prepare(cls, plan: Plan, command: Sequence[str]) -> RunFolder:
         """Begin a run in the folder, or take up an earlier one of the same configuration with `resume`.
 
-        The folder is there, and held (`hold`). Raises RunError where it holds another run.
+        The folder exists and is locked (`run_lock`). Raises RunError where it holds another run.
         """
         path = plan.settings.out
         identity = _plain(plan.identity())

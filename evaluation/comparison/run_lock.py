@@ -17,7 +17,7 @@ NO_LOCKS = (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP)
 
 
 @contextmanager
-def held(folder: Path) -> Iterator[None]:
+def run_lock(folder: Path) -> Iterator[None]:
     """Make `folder` where there is none, and keep every other run out of it.
 
     The lock is on a file that stays; none of the processes started meanwhile inherits it, so it never outlives this

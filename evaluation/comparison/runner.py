@@ -17,12 +17,12 @@ from gridtrack.evaluation.comparison.plan import Plan, Trial
 from gridtrack.evaluation.comparison.provenance import usable_cores
 from gridtrack.evaluation.comparison.robustness_pass import RobustnessRun
 from gridtrack.evaluation.comparison.run_folder import RunFolder
-from gridtrack.evaluation.comparison.run_lock import held
+from gridtrack.evaluation.comparison.run_lock import run_lock
 from gridtrack.evaluation.comparison.shared_thresholds import SharedThresholds
 from gridtrack.evaluation.comparison.trial import Interrupted, TrialRun, failed, unstarted, where_it_failed
 from gridtrack.evaluation.processes.outcome import TrialEnded
 from gridtrack.evaluation.scoring.record import TrialRecord
-from gridtrack.evaluation.scoring.splits import EvaluationSplit, Regions
+from gridtrack.evaluation.scoring.splits import EvaluationSplit, SplitRegions
 
 WAKE_S = 0.2
 """How often the main thread wakes to look for an interrupt: a library may have had its wait go on over signals."""
@@ -50,7 +50,7 @@ def run(plan: Plan, command: Sequence[str], progress: Progress) -> dict[str, Any
     An interrupt (Ctrl-C) ends the trackers, keeps what was scored, and returns the summary with `interrupted` true.
     Raises RunError where the run's folder holds another run, or one is still going on there.
     """
-    with held(plan.settings.out):
+    with run_lock(plan.settings.out):
         return _run(plan, command, progress)
 
 
@@ -58,21 +58,21 @@ def _run(plan: Plan, command: Sequence[str], progress: Progress) -> dict[str, An
     folder = RunFolder.prepare(plan, command)
     for notice in plan.notices:
         progress.note(notice)
-    crew = _Crew(plan, folder.path, progress)
+    pool = TrialPool(plan, folder.path, progress)
     for name, record in folder.kept_records().items():
-        crew.keep(name, record)
+        pool.keep(name, record)
     interrupted = False
     try:
-        crew.run_trials()
-        crew.run_oracles()
-        crew.degrade()
-        crew.measure_alone()
+        pool.run_trials()
+        pool.run_oracles()
+        pool.degrade()
+        pool.measure_alone()
     except KeyboardInterrupt:
         interrupted = True
-    return folder.finish(crew.all_records(), crew.notices, interrupted)
+    return folder.finish(pool.all_records(), pool.notices, interrupted)
 
 
-class _Crew:
+class TrialPool:
     """The threads that each see one trial through, and what they have brought back."""
 
     def __init__(self, plan: Plan, folder: Path, progress: Progress) -> None:
@@ -82,7 +82,7 @@ class _Crew:
         self._stop = threading.Event()
         self._running: set[TrialRun | RobustnessRun] = set()
         self._records: dict[str, TrialRecord] = {}
-        self._regions: dict[str, Regions] = {}
+        self._regions: dict[str, SplitRegions] = {}
         self._thresholds = SharedThresholds()
 
     def keep(self, name: str, record: TrialRecord) -> None:
@@ -139,8 +139,8 @@ class _Crew:
     def _complete(self) -> list[Trial]:
         return [trial for trial in self._plan.trials if self._records[trial.name].outcome == "ok"]
 
-    def _regions_of(self, split: EvaluationSplit) -> Regions:
-        """Regions of a split, found once."""
+    def _regions_of(self, split: EvaluationSplit) -> SplitRegions:
+        """Region maps of a split, computed once."""
         if split.name not in self._regions:
             self._progress.note(f"{split.name}: finding its static cells")
             self._regions[split.name] = split.regions()

@@ -19,7 +19,7 @@ from gridtrack.evaluation.scoring.record import RECORD, Ending, ThresholdsUsed, 
 from gridtrack.evaluation.scoring.referee import Delivery, scored_forecasts
 from gridtrack.evaluation.scoring.scorekeeper import FILES, Scorekeeper
 from gridtrack.evaluation.scoring.scores import HISTOGRAM, SCORES
-from gridtrack.evaluation.scoring.splits import Regions
+from gridtrack.evaluation.scoring.splits import SplitRegions
 from gridtrack.evaluation.scoring.thresholds import Thresholds, best_thresholds, half
 from gridtrack.trackers.contract import stream_of
 
@@ -37,7 +37,7 @@ class TrialRun:
     """A trial while it runs: how far it has come is what its record tells when it ends early."""
 
     def __init__(
-        self, trial: Trial, regions: Regions, folder: Path, on_frame: OnFrame, shared: SharedThresholds
+        self, trial: Trial, regions: SplitRegions, folder: Path, on_frame: OnFrame, shared: SharedThresholds
     ) -> None:
         """`regions` as of `trial.split.regions`; the trial's files are left in `folder`.
 
@@ -118,21 +118,21 @@ class TrialRun:
         if stretch is None:
             return half(self.trial.split.steps, self.trial.split.strata)
         tally = Tally.empty(self.trial.split.steps, self.trial.split.strata)
-        delivery, areas = Delivery(stretch, self._on_frame), self._regions.validation
+        delivery, region_maps = Delivery(stretch, self._on_frame), self._regions.validation
         try:
             with self._clock():
                 for scored in scored_forecasts(
                     self._process, delivery, self.trial.split.validation_schedule, self.trial.seed
                 ):
-                    tally.add(count_forecast(scored.forecast.occupancy, scored.targets, areas, scored.ages))
+                    tally.add(count_forecast(scored.forecast.occupancy, scored.targets, region_maps, scored.ages))
         except TrialEnded as ended:
             raise TrialEnded(ended.outcome, f"in the validation stretch {stretch.name}: {ended.reason}") from None
         return best_thresholds(tally, stretch.name)
 
     def _score(self, thresholds: Thresholds) -> None:
         """Stream the test stretch, and write what each forecast scored as soon as its last frame has come."""
-        split, areas = self.trial.split, self._regions.test
-        with Scorekeeper(self._folder, split, areas, thresholds, self._process.started.classes) as scorekeeper:
+        split, region_maps = self.trial.split, self._regions.test
+        with Scorekeeper(self._folder, split, region_maps, thresholds, self._process.started.classes) as scorekeeper:
             for scored in scored_forecasts(self._process, self._delivery, self._test, self.trial.seed):
                 scorekeeper.add(scored, self._delivery.digest)
                 self._scored = scorekeeper.scored

@@ -24,7 +24,7 @@ SEED = 7
 TOLERANCE = 1e-5
 """Forecasts as equal as this are the same: sums may be rounded in another order."""
 
-Verdict = Literal["passed", "failed", "skipped"]
+CheckVerdict = Literal["passed", "failed", "skipped"]
 Forecasts = list[tuple[int, Forecast]]
 """Forecasts, each with the number of frames that it was made from."""
 
@@ -34,7 +34,7 @@ class CheckResult:
     """One promise of the contract, whether it is kept, and what was seen."""
 
     name: str
-    verdict: Verdict
+    verdict: CheckVerdict
     detail: str
 
 

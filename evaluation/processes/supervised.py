@@ -23,7 +23,7 @@ KILL_S = 10.0
 
 
 @dataclass(frozen=True, slots=True)
-class Ending:
+class ProcessExit:
     """How a supervised program ended: `status` as `os.waitpid` gives it, or None where it is not known."""
 
     status: int | None = None
@@ -75,7 +75,7 @@ class Supervised:
         for pipe in (self._stdin, self._stdout):
             os.set_blocking(pipe.fileno(), False)
             widen(pipe.fileno())
-        self._ending: Ending | None = None
+        self._ending: ProcessExit | None = None
         self.killed = False
         """Whether `kill` was called."""
 
@@ -120,7 +120,7 @@ class Supervised:
         poll.register(self._control.fileno(), select.POLLIN)
         return bool(poll.poll(within_s * 1000))
 
-    def close(self, orderly: bool = True) -> Ending:
+    def close(self, orderly: bool = True) -> ProcessExit:
         """End the program, all that it started, and the supervisor; an orderly end gives it time to go by itself."""
         if self._ending is None:
             self._stdin.close()
@@ -131,7 +131,7 @@ class Supervised:
             self._control.close()
         return self._ending
 
-    def _account(self) -> Ending:
+    def _account(self) -> ProcessExit:
         self._control.settimeout(KILL_S)
         try:
             with self._control.makefile("rb") as lines:
@@ -142,7 +142,7 @@ class Supervised:
         if self._supervisor.poll() is None:  # nothing but a stopped or stuck supervisor comes here
             self._supervisor.kill()
             self._supervisor.wait()
-        return Ending(**json.loads(line)) if line else Ending()
+        return ProcessExit(**json.loads(line)) if line else ProcessExit()
 
 
 def _wait(fd: int, event: int, deadline: float) -> None:

@@ -10,7 +10,7 @@ from typing import Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from gridtrack.common.errors import GridtrackError
-from gridtrack.evaluation.comparison.measurements import missing_figures
+from gridtrack.evaluation.comparison.measurements import missing_measurements
 from gridtrack.evaluation.comparison.run_folder import RUN, SCHEMA
 from gridtrack.evaluation.regression.measurement import (
     BLOCK_S,
@@ -39,7 +39,7 @@ class _AskedTrial(_Part):
     options: dict[str, Any]
 
 
-class _AskedFigures(_Part):
+class _RequestedMeasurements(_Part):
     latency: bool = False
     deadline: bool = False
     degrade: Degradation | None = None
@@ -55,7 +55,7 @@ class _RunFile(_Part):
     status: str
     command: tuple[str, ...]
     versions: dict[str, str]
-    settings: _AskedFigures = _AskedFigures()
+    settings: _RequestedMeasurements = _RequestedMeasurements()
     configuration: _Configuration
 
 
@@ -114,7 +114,7 @@ def _measurement(
 
 
 def _trial_counts(
-    run: Path, name: str, split: SplitKey | None, block_s: float | None, asked: _AskedFigures
+    run: Path, name: str, split: SplitKey | None, block_s: float | None, asked: _RequestedMeasurements
 ) -> TrialCounts:
     folder = run / name
     if split is None or folder.parent != run:
@@ -122,7 +122,7 @@ def _trial_counts(
     record = read_record(folder)
     _refuse_incomplete(name, record)
     assert record is not None
-    if missing := list(missing_figures(asked, record)):
+    if missing := list(missing_measurements(asked, record)):
         raise Unmeasured(missing)
     strata = tuple(record.thresholds.values)
     units = read_units(folder, split.horizons_s, strata, block_s, record.frames_scored)

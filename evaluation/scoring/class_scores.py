@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from gridtrack.evaluation.scoring.class_store import CLASSES, SemanticsCounts, pooled, read_found, read_semantics
 from gridtrack.evaluation.scoring.metrics import Scores, balanced_accuracy, ratio
 from gridtrack.evaluation.scoring.record import TrialRecord
-from gridtrack.evaluation.scoring.semantics import KINDS
+from gridtrack.evaluation.scoring.semantics import VISIBILITIES
 
 HEADLINE_S = (0.0, 0.5, 1.0, 2.5)
 """Horizons whose confusion matrices are kept, as far as a run looks ahead; all other scores are kept of every step."""
@@ -49,11 +49,11 @@ def unknown_classes(record: TrialRecord, recording: Mapping[str, Any]) -> str:
 
 
 def _recall(found: NDArray[np.int64], classes: Sequence[str]) -> dict[str, dict[str, Any]]:
-    """Per kind and class the share of its cells that was found at every step, and how many there were."""
+    """Per visibility and class the share of its cells that was found at every step, and how many there were."""
     tp, fn, tp_half, fn_half = np.moveaxis(found, -1, 0)
     recall, recall_at_half, cells = ratio(tp, tp + fn), ratio(tp_half, tp_half + fn_half), tp + fn
     return {
-        kind: {
+        visibility: {
             name: {
                 "recall": _curve(recall[:, i, k]),
                 "recall_at_half": _curve(recall_at_half[:, i, k]),
@@ -61,19 +61,19 @@ def _recall(found: NDArray[np.int64], classes: Sequence[str]) -> dict[str, dict[
             }
             for k, name in enumerate(classes)
         }
-        for i, kind in enumerate(KINDS)
+        for i, visibility in enumerate(VISIBILITIES)
         if cells[:, i].any()
     }
 
 
 def _semantics(counts: SemanticsCounts, classes: Sequence[str], horizons_s: Sequence[float]) -> dict[str, Any]:
-    """Per kind the scores of every step, and the confusion matrices of the headline ones."""
+    """Per visibility the scores of every step, and the confusion matrices of the headline ones."""
     cells = counts.confusion.sum(axis=(-2, -1))
     per_cell, per_scan = ratio(counts.log_loss, cells), ratio(counts.scan_log_loss, counts.scans)
     accuracy = balanced_accuracy(counts.confusion)
     steps = [horizons_s.index(horizon) for horizon in HEADLINE_S if horizon in horizons_s]
     kinds = {
-        kind: {
+        visibility: {
             "nll_per_scan": _curve(per_scan[:, i]),
             "nll_summed_over_scans": _curve(counts.scan_log_loss[:, i]),
             "nll_per_cell": _curve(per_cell[:, i]),
@@ -82,7 +82,7 @@ def _semantics(counts: SemanticsCounts, classes: Sequence[str], horizons_s: Sequ
             "scans": counts.scans[:, i].tolist(),
             "confusion": [{"step": step, "cells": counts.confusion[step, i].tolist()} for step in steps],
         }
-        for i, kind in enumerate(KINDS)
+        for i, visibility in enumerate(VISIBILITIES)
         if cells[:, i].any()
     }
     return {"classes": list(classes), "kinds": kinds}

@@ -19,7 +19,7 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from gridtrack.evaluation.scoring.scores import RowGroups, ScoresError
-from gridtrack.evaluation.scoring.semantics import KINDS
+from gridtrack.evaluation.scoring.semantics import VISIBILITIES
 
 CLASSES, SEMANTICS = "classes.parquet", "semantics.parquet"
 FOUND = ("tp", "fn", "tp_half", "fn_half")
@@ -70,7 +70,7 @@ class ClassWriter:
         return {
             "stamp_ns": np.full(step.size, stamp_ns),
             "step": step.astype(np.int16),
-            "kind": _named(kind, list(KINDS)),
+            "kind": _named(kind, list(VISIBILITIES)),
         }
 
 
@@ -117,17 +117,17 @@ def read_semantics(folder: Path, steps: int, classes: Sequence[str]) -> Semantic
         pl.col("log_loss").sum(), scan_log_loss=(pl.col("log_loss") / pl.col("cells")).sum(), scans=pl.len()
     )
     counts = SemanticsCounts(
-        np.zeros((steps + 1, len(KINDS), len(names), len(names) + 1), np.int64),
-        np.zeros((steps + 1, len(KINDS))),
-        np.zeros((steps + 1, len(KINDS))),
-        np.zeros((steps + 1, len(KINDS)), np.int64),
+        np.zeros((steps + 1, len(VISIBILITIES), len(names), len(names) + 1), np.int64),
+        np.zeros((steps + 1, len(VISIBILITIES))),
+        np.zeros((steps + 1, len(VISIBILITIES))),
+        np.zeros((steps + 1, len(VISIBILITIES)), np.int64),
     )
     try:
         for step, kind, true, predicted, cells in entries.collect().iter_rows():
             column = len(names) if predicted is None else names.index(predicted)
-            counts.confusion[_within(step, steps), KINDS.index(kind), names.index(true), column] = cells
+            counts.confusion[_within(step, steps), VISIBILITIES.index(kind), names.index(true), column] = cells
         for step, kind, log_loss, scan_log_loss, scored in per_step.collect().iter_rows():
-            at = _within(step, steps), KINDS.index(kind)
+            at = _within(step, steps), VISIBILITIES.index(kind)
             counts.log_loss[at], counts.scan_log_loss[at], counts.scans[at] = log_loss, scan_log_loss, scored
     except (pl.exceptions.PolarsError, OSError, ValueError) as error:
         raise _unreadable(folder / SEMANTICS, error) from None
@@ -139,13 +139,13 @@ def read_scan_losses(folder: Path, stamps_ns: NDArray[np.int64], steps: int) -> 
 
     `stamps_ns` (F,) are those of the frames forecast from, increasing. Raises ScoresError.
     """
-    losses = np.zeros((stamps_ns.size, steps + 1, len(KINDS), 2), np.float32)
+    losses = np.zeros((stamps_ns.size, steps + 1, len(VISIBILITIES), 2), np.float32)
     rows = _scan(folder / SEMANTICS, _SEMANTICS_SCHEMA).group_by("stamp_ns", "step", "kind")
     try:
         scans = rows.agg(pl.col("log_loss").sum() / pl.col("cells").sum()).collect()
         frame = _found_at(scans["stamp_ns"].to_numpy(), stamps_ns)
         step = [_within(step, steps) for step in scans["step"]]
-        kind = [KINDS.index(kind) for kind in scans["kind"]]
+        kind = [VISIBILITIES.index(kind) for kind in scans["kind"]]
     except (pl.exceptions.PolarsError, OSError, ValueError) as error:
         raise _unreadable(folder / SEMANTICS, error) from None
     losses[frame, step, kind] = np.stack([scans["log_loss"].to_numpy(), np.ones(len(scans))], axis=-1)
@@ -155,12 +155,12 @@ def read_scan_losses(folder: Path, stamps_ns: NDArray[np.int64], steps: int) -> 
 def read_found(folder: Path, steps: int, classes: Sequence[str]) -> NDArray[np.int64]:
     """TP, FN, TP and FN at 0.5 (S, kind, K, 4) that a trial counted by class, pooled. Raises ScoresError."""
     names = list(classes)
-    found = np.zeros((steps + 1, len(KINDS), len(names), len(FOUND)), np.int64)
+    found = np.zeros((steps + 1, len(VISIBILITIES), len(names), len(FOUND)), np.int64)
     rows = _scan(folder / CLASSES, _CLASSES_SCHEMA).group_by("step", "kind", "class")
     try:
         together = rows.agg(pl.col(name).cast(pl.Int64).sum() for name in FOUND).collect()
         for step, kind, name, *counts in together.iter_rows():
-            found[_within(step, steps), KINDS.index(kind), names.index(name)] = counts
+            found[_within(step, steps), VISIBILITIES.index(kind), names.index(name)] = counts
     except (pl.exceptions.PolarsError, OSError, ValueError) as error:
         raise _unreadable(folder / CLASSES, error) from None
     return found

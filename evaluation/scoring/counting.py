@@ -13,7 +13,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from gridtrack.evaluation.scoring.strata import REGIONS, STRATA, STRATA_WITH_TRUTH, SUMS_OF_REGIONS, Areas
+from gridtrack.evaluation.scoring.strata import REGIONS, STRATA, STRATA_WITH_TRUTH, SUMS_OF_REGIONS, RegionMaps
 from gridtrack.evaluation.scoring.target import NOT_SCORED, SEEN_OCCUPIED, Target
 
 BINS = 50
@@ -87,29 +87,32 @@ class Tally:
 
 
 def count_forecast(
-    occupancy: NDArray[np.float32], targets: Sequence[Target], areas: Areas, ages: NDArray[np.uint8] | None = None
+    occupancy: NDArray[np.float32],
+    targets: Sequence[Target],
+    region_maps: RegionMaps,
+    ages: NDArray[np.uint8] | None = None,
 ) -> Tally:
     """Score a forecast made at frame t: step n against frame t+n, on the cells that the target of that frame scores.
 
     `occupancy` (steps+1, M, M) float32 in [0, 1]; `targets` t..t+steps; `ages` (M, M) uint8: the band of each cell's
     age as of t, which hidden cells are sorted by; None where all have just been seen.
     """
-    steps, seen = len(targets) - 1, areas.visible.reshape(-1)
-    hidden = (areas.hidden if ages is None else areas.hidden + ages).reshape(-1)
+    steps, seen = len(targets) - 1, region_maps.visible.reshape(-1)
+    hidden = (region_maps.hidden if ages is None else region_maps.hidden + ages).reshape(-1)
     cells, positives = np.zeros((2, steps + 1, REGIONS, BINS), np.int64)
     p_sum = np.zeros((steps + 1, REGIONS, BINS))
     squared_error, log_loss = np.zeros((2, steps + 1, REGIONS))
     for n, target in enumerate(targets):
         p, state = occupancy[n].reshape(-1), target.state.reshape(-1)
         _count_step(p, state, seen, hidden, cells[n], positives[n], p_sum[n], squared_error[n], log_loss[n])
-    sums = SUMS_OF_REGIONS[[STRATA_WITH_TRUTH.index(name) for name in areas.strata]].astype(np.float64)
+    sums = SUMS_OF_REGIONS[[STRATA_WITH_TRUTH.index(name) for name in region_maps.strata]].astype(np.float64)
     return Tally(
         (sums @ cells.astype(np.float64)).astype(np.int64),
         (sums @ positives.astype(np.float64)).astype(np.int64),
         sums @ p_sum,
         squared_error @ sums.T,
         log_loss @ sums.T,
-        areas.strata,
+        region_maps.strata,
     )
 
 

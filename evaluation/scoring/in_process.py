@@ -6,7 +6,7 @@ from gridtrack.common.errors import RecordingError
 from gridtrack.evaluation.scoring import metrics
 from gridtrack.evaluation.scoring.counting import Tally, count_forecast
 from gridtrack.evaluation.scoring.referee import Delivery, Schedule, scored_forecasts
-from gridtrack.evaluation.scoring.strata import STRATA, areas_of, places_of
+from gridtrack.evaluation.scoring.strata import STRATA, cell_kinds_of, region_maps_of
 from gridtrack.evaluation.scoring.thresholds import best_thresholds
 from gridtrack.trackers.contract import FrameSource, StretchScore, Tracker
 
@@ -24,10 +24,10 @@ def score_in_process(tracker: Tracker, source: FrameSource, steps: int) -> Stret
     if not schedule.expected:
         raise RecordingError(f"{source.name}: {len(source)} frames are too few to score forecasts of {steps} steps")
     first = next(iter(source))
-    areas = areas_of(places_of(source, source.grid, first.world_T_grid), source.grid, first.origins)
+    region_maps = region_maps_of(cell_kinds_of(source, source.grid, first.world_T_grid), source.grid, first.origins)
     tally = Tally.empty(steps)
     for scored in scored_forecasts(tracker, Delivery(source, lambda: None), schedule, seed=0):
-        tally.add(count_forecast(scored.forecast.occupancy, scored.targets, areas))
+        tally.add(count_forecast(scored.forecast.occupancy, scored.targets, region_maps))
     confusion = tally.confusion(best_thresholds(tally, source.name).bins)
     f1, log_loss = metrics.f1_score(confusion), metrics.log_loss(tally)
     return StretchScore(

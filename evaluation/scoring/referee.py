@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from gridtrack.common.errors import RecordingError
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame
-from gridtrack.evaluation.scoring.strata import LastSeen, same_place
+from gridtrack.evaluation.scoring.strata import LastSeen, same_pose
 from gridtrack.evaluation.scoring.target import Target, targets
 from gridtrack.recordings.stream import frame_digest
 from gridtrack.trackers.contract import Forecast, FrameSource
@@ -116,7 +116,7 @@ class Delivery:
         for target in targets(self._stream):
             frame = target.frame
             standing = standing or frame.world_T_grid
-            if not same_place(frame.world_T_grid, standing):
+            if not same_pose(frame.world_T_grid, standing):
                 raise RecordingError(
                     f"{self._stream.name}: the sensor moves at {frame.stamp_ns / 1e9:.3f} s, and only a standing one"
                     " can be scored: name a stretch in which it stands, such as RECORDING@30s-90s"

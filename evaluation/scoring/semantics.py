@@ -11,15 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridtrack.evaluation.scoring.counting import CLIP, EDGES, HALF
-from gridtrack.evaluation.scoring.strata import PLACES
+from gridtrack.evaluation.scoring.strata import CELL_KINDS
 from gridtrack.evaluation.scoring.target import SEEN_OCCUPIED, Target
 from gridtrack.evaluation.scoring.thresholds import Thresholds
 
-KINDS = ("visible", "occluded")
+VISIBILITIES = ("visible", "occluded")
 """Where the class of a cell is known: of what beams that end in it met; and, with truth, of outlines not seen."""
 _FOUND_AT = ("moving", "occluded")
-"""The stratum whose threshold decides whether a cell was found, by kind."""
-_MOVING = PLACES.index("moving")
+"""The stratum whose threshold decides whether a cell was found, by visibility."""
+_MOVING = CELL_KINDS.index("moving")
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,14 +44,14 @@ def match_classes(trackers: Sequence[str], recordings: Sequence[str]) -> Matchin
 def count_classes(
     semantics: NDArray[np.float32], targets: Sequence[Target], matching: Matching
 ) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
-    """Confusion counts and log loss (S, kind, K, K+1) of one forecast, on the cells whose class is known.
+    """Confusion counts and log loss (S, visibility, K, K+1) of one forecast, on the cells whose class is known.
 
     `semantics` (S, T, M, M) float32. Rows are true classes, columns the most probable ones, the last one for a class
     that the recording does not have. The log loss, in nats, is summed over the cells of each entry; a class that the
     tracker does not give has probability 0, clipped like all others.
     """
     classes = matching.row.size
-    shape = (len(targets), len(KINDS), classes, classes + 1)
+    shape = (len(targets), len(VISIBILITIES), classes, classes + 1)
     confusion, log_loss = np.zeros(shape, np.int32), np.zeros(shape)
     for n, target in enumerate(targets):
         p, state = semantics[n].reshape(semantics.shape[1], -1), target.state.reshape(-1)
@@ -62,39 +62,39 @@ def count_classes(
 def count_found(
     occupancy: NDArray[np.float32],
     targets: Sequence[Target],
-    places: NDArray[np.uint8],
+    cell_kinds: NDArray[np.uint8],
     thresholds: Thresholds,
     classes: int,
 ) -> NDArray[np.int32]:
-    """TP, FN, TP at 0.5 and FN at 0.5 (S, kind, K, 4) of one forecast, by true class, where things move.
+    """TP, FN, TP at 0.5 and FN at 0.5 (S, visibility, K, 4) of one forecast, by true class, where things move.
 
-    `occupancy` (S, M, M) float32; `places` (M, M) uint8. Cells that are seen are called occupied at the threshold of
-    moving cells, hidden ones at that of occluded cells.
+    `occupancy` (S, M, M) float32; `cell_kinds` (M, M) uint8. Visible cells are called occupied at the threshold
+    of the stratum `moving`, hidden cells at that of `occluded`.
     """
-    found = np.zeros((len(targets), len(KINDS), classes, 4), np.int32)
+    found = np.zeros((len(targets), len(VISIBILITIES), classes, 4), np.int32)
     values = thresholds.values.astype(np.float32)
     at = [values[:, thresholds.strata.index(name)] if name in thresholds.strata else values[:, 0] for name in _FOUND_AT]
     for n, target in enumerate(targets):
-        cells = places.reshape(-1)[target.cells] == _MOVING
+        cells = cell_kinds.reshape(-1)[target.cells] == _MOVING
         p, labels = occupancy[n].reshape(-1)[target.cells[cells]], target.labels[cells]
-        kind = (target.state.reshape(-1)[target.cells[cells]] != SEEN_OCCUPIED).astype(np.int64)
-        threshold = np.array([at[0][n], at[1][n]], np.float32)[kind]
+        visibility = (target.state.reshape(-1)[target.cells[cells]] != SEEN_OCCUPIED).astype(np.int64)
+        threshold = np.array([at[0][n], at[1][n]], np.float32)[visibility]
         missed = np.stack([p < threshold, p < EDGES[HALF]], axis=1)
         for i in range(2):
-            np.add.at(found[n], (kind, labels, 2 * i + missed[:, i].astype(np.int64)), 1)
+            np.add.at(found[n], (visibility, labels, 2 * i + missed[:, i].astype(np.int64)), 1)
     return found
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _count_classes(semantics, state, cells, labels, column, row, confusion, log_loss):  # type: ignore[no-untyped-def]
-    """Add one step's labelled cells (N,) to `confusion` and `log_loss` (kind, K, K+1); `semantics` (T, M*M)."""
+    """Add one step's labelled cells (N,) to `confusion` and `log_loss` (visibility, K, K+1); `semantics` (T, M*M)."""
     for i in range(cells.size):
         cell, label = cells[i], labels[i]
-        kind = 0 if state[cell] == SEEN_OCCUPIED else 1
+        visibility = 0 if state[cell] == SEEN_OCCUPIED else 1
         best = 0
         for k in range(1, column.size):
             if semantics[k, cell] > semantics[best, cell]:
                 best = k
         p = float(semantics[row[label], cell]) if row[label] >= 0 else 0.0
-        confusion[kind, label, column[best]] += 1
-        log_loss[kind, label, column[best]] -= math.log(min(max(p, CLIP), 1.0 - CLIP))
+        confusion[visibility, label, column[best]] += 1
+        log_loss[visibility, label, column[best]] -= math.log(min(max(p, CLIP), 1.0 - CLIP))

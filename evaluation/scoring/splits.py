@@ -14,11 +14,11 @@ from gridtrack.evaluation.scoring.referee import WARM_UP, Schedule
 from gridtrack.evaluation.scoring.strata import (
     STRATA,
     STRATA_WITH_TRUTH,
-    Areas,
-    areas_of,
-    places_of,
-    places_round,
-    same_place,
+    RegionMaps,
+    cell_kinds_around,
+    cell_kinds_of,
+    region_maps_of,
+    same_pose,
 )
 from gridtrack.recordings import Recording, Stretch, open_recording
 from gridtrack.recordings.stream import GridStream, parse_stretch
@@ -46,14 +46,14 @@ class Sampling:
 
 
 @dataclass(frozen=True, slots=True)
-class Regions:
+class SplitRegions:
     """Where cells belong, seen from where the tested and from where the validation stretch stands.
 
     Thresholds chosen on another recording, or from another place, are chosen on the strata that are seen from there.
     """
 
-    test: Areas
-    validation: Areas
+    test: RegionMaps
+    validation: RegionMaps
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,12 +91,12 @@ class EvaluationSplit:
         enough = -(-(frames - WARM_UP - self.steps) // VALIDATION_FORECASTS)
         return Schedule(frames, self.steps, min(self.every, enough))
 
-    def regions(self) -> Regions:
-        """Regions of both stretches; where they show the same place of one recording, a single pass over it."""
-        test = _areas(self.test, self.strata)
+    def regions(self) -> SplitRegions:
+        """Region maps of both stretches; a single pass where both show one recording from the same pose."""
+        test = _region_maps(self.test, self.strata)
         if self.validation is None or _shows_the_same(self.test, self.validation):
-            return Regions(test, test)
-        return Regions(test, _areas(self.validation, self.strata))
+            return SplitRegions(test, test)
+        return SplitRegions(test, _region_maps(self.validation, self.strata))
 
     def description(self) -> dict[str, Any]:
         """What the summary says of it beside the scores."""
@@ -226,15 +226,15 @@ def with_points(stream: GridStream, points: Points) -> GridStream:
     return stream if points == stream.points else like(stream, stream.stretch_s, points)
 
 
-def _areas(stream: GridStream, strata: tuple[str, ...]) -> Areas:
+def _region_maps(stream: GridStream, strata: tuple[str, ...]) -> RegionMaps:
     """Where cells belong, by what stands there; where that is not known, by a pass over the whole recording."""
     first = next(iter(stream.observations()))
     grid, pose = stream.grid, first.frame.world_T_grid
     if first.scene is not None:
-        places = places_round(static_cells(first.scene, grid, pose))
+        cell_kinds = cell_kinds_around(static_cells(first.scene, grid, pose))
     else:
-        places = places_of(like(stream), grid, pose)
-    return areas_of(places, grid, first.frame.origins, strata)
+        cell_kinds = cell_kinds_of(like(stream), grid, pose)
+    return region_maps_of(cell_kinds, grid, first.frame.origins, strata)
 
 
 def _standing(stream: GridStream) -> SE2:
@@ -242,7 +242,7 @@ def _standing(stream: GridStream) -> SE2:
 
 
 def _shows_the_same(one: GridStream, other: GridStream) -> bool:
-    return one.sha256 == other.sha256 and same_place(_standing(one), _standing(other))
+    return one.sha256 == other.sha256 and same_pose(_standing(one), _standing(other))
 
 
 def shares_frames(one: GridStream, other: GridStream) -> bool:

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from gridtrack.common.geometry import SE2, wrap_angle
 from gridtrack.common.grid import GridFrame, GridSpec, Mask, with_neighbours
 
-PLACES = ("ring", "static", "moving")
-"""Disjoint kinds of place; an array of places (M, M) uint8 holds indices into this."""
+CELL_KINDS = ("ring", "static", "moving")
+"""Disjoint kinds of cells; an array `cell_kinds` (M, M) uint8 holds indices into this."""
 RANGES_M = (5.0, 10.0)
 """Where bands of the distance to the nearest sensor end; the last has no end."""
 AGES_S = (0.5, 1.0, 2.0, 4.0)
@@ -22,19 +22,19 @@ AGES_S = (0.5, 1.0, 2.0, 4.0)
 _RANGE_NAMES = ("to 5 m", "5-10 m", "over 10 m")
 _AGE_NAMES = ("to 0.5 s", "0.5-1 s", "1-2 s", "2-4 s", "over 4 s")
 _STANDING, _MOVING = range(2)
-SEEN_REGIONS = tuple(product(PLACES, _RANGE_NAMES))
+SEEN_REGIONS = tuple(product(CELL_KINDS, _RANGE_NAMES))
 HIDDEN_REGIONS = tuple(product((_STANDING, _MOVING), _AGE_NAMES))
 REGIONS = len(SEEN_REGIONS) + len(HIDDEN_REGIONS)
-"""Disjoint regions that every scored cell falls into: by place and range where it is visible, where not by whether
+"""Disjoint regions that every scored cell falls into: by kind and range where it is visible, where not by whether
 what moves could be there and by age. Strata are sums of them."""
 
 
-def _seen(places: Iterable[str] = PLACES, ranges: Iterable[str] = _RANGE_NAMES) -> list[int]:
-    return [SEEN_REGIONS.index(region) for region in product(places, ranges)]
+def _seen(cell_kinds: Iterable[str] = CELL_KINDS, ranges: Iterable[str] = _RANGE_NAMES) -> list[int]:
+    return [SEEN_REGIONS.index(region) for region in product(cell_kinds, ranges)]
 
 
-def _hidden(places: Iterable[int] = (_STANDING, _MOVING), ages: Iterable[str] = _AGE_NAMES) -> list[int]:
-    return [len(SEEN_REGIONS) + HIDDEN_REGIONS.index(region) for region in product(places, ages)]
+def _hidden(motions: Iterable[int] = (_STANDING, _MOVING), ages: Iterable[str] = _AGE_NAMES) -> list[int]:
+    return [len(SEEN_REGIONS) + HIDDEN_REGIONS.index(region) for region in product(motions, ages)]
 
 
 _REGIONS_OF: Mapping[str, list[int]] = {
@@ -60,52 +60,52 @@ SUMS_OF_REGIONS = np.array([np.bincount(regions, minlength=REGIONS) for regions 
 
 
 @dataclass(frozen=True, slots=True)
-class Areas:
+class RegionMaps:
     """Where the cells of a stretch belong.
 
     `visible` (M, M) uint8: the region of a cell when it is visible. `hidden` (M, M) uint8: when it is not and has just
-    been seen; the band of its age is added to that. `places` (M, M) uint8; `strata` are the names of those scored.
+    been seen; the band of its age is added to that. `cell_kinds` (M, M) uint8; `strata` are the names of those scored.
     """
 
     visible: NDArray[np.uint8]
     hidden: NDArray[np.uint8]
-    places: NDArray[np.uint8]
+    cell_kinds: NDArray[np.uint8]
     strata: tuple[str, ...]
 
 
-def areas_of(
-    places: NDArray[np.uint8], grid: GridSpec, origins: NDArray[np.float32], strata: tuple[str, ...] = STRATA
-) -> Areas:
-    """Areas of a stretch whose sensors stand at `origins` (S, 2), metres, grid frame."""
+def region_maps_of(
+    cell_kinds: NDArray[np.uint8], grid: GridSpec, origins: NDArray[np.float32], strata: tuple[str, ...] = STRATA
+) -> RegionMaps:
+    """Region maps of a stretch whose sensors stand at `origins` (S, 2), metres, grid frame."""
     centres = grid.cell_centres(np.ones(grid.shape, np.bool_)).astype(np.float64)
     distance = np.linalg.norm(centres - origins.reshape(-1, 1, 2), axis=2).min(axis=0, initial=np.inf)
     band = np.searchsorted(RANGES_M, distance).reshape(grid.shape)
-    moving = places == PLACES.index("moving")
-    visible = places * len(_RANGE_NAMES) + band
+    moving = cell_kinds == CELL_KINDS.index("moving")
+    visible = cell_kinds * len(_RANGE_NAMES) + band
     hidden = len(SEEN_REGIONS) + np.where(moving, _MOVING, _STANDING) * len(_AGE_NAMES)
-    return Areas(visible.astype(np.uint8), hidden.astype(np.uint8), places, strata)
+    return RegionMaps(visible.astype(np.uint8), hidden.astype(np.uint8), cell_kinds, strata)
 
 
-def places_of(frames: Iterable[GridFrame], grid: GridSpec, world_T_grid: SE2) -> NDArray[np.uint8]:
-    """Place of each cell (M, M), from every frame of a recording whose grid lies at `world_T_grid`.
+def cell_kinds_of(frames: Iterable[GridFrame], grid: GridSpec, world_T_grid: SE2) -> NDArray[np.uint8]:
+    """Kind of each cell (M, M), from every frame of a recording whose grid lies at `world_T_grid`.
 
     Static: occupied in more than half of the frames in which the cell is visible. Ring: the eight neighbours of a
     static cell, where range noise flickers. Moving: all others.
     """
     seen, hits = np.zeros(grid.shape, np.int64), np.zeros(grid.shape, np.int64)
     for frame in frames:
-        if same_place(frame.world_T_grid, world_T_grid):
+        if same_pose(frame.world_T_grid, world_T_grid):
             seen += frame.visible
             hits += frame.occupied
-    return places_round(2 * hits > seen)
+    return cell_kinds_around(2 * hits > seen)
 
 
-def places_round(static: Mask) -> NDArray[np.uint8]:
-    """Place of each cell (M, M), from those that are static."""
-    places = np.full(static.shape, PLACES.index("moving"), np.uint8)
-    places[with_neighbours(static)] = PLACES.index("ring")
-    places[static] = PLACES.index("static")
-    return places
+def cell_kinds_around(static: Mask) -> NDArray[np.uint8]:
+    """Kind of each cell (M, M), from those that are static."""
+    cell_kinds = np.full(static.shape, CELL_KINDS.index("moving"), np.uint8)
+    cell_kinds[with_neighbours(static)] = CELL_KINDS.index("ring")
+    cell_kinds[static] = CELL_KINDS.index("static")
+    return cell_kinds
 
 
 class LastSeen:
@@ -129,7 +129,7 @@ class LastSeen:
         return bands
 
 
-def same_place(one: SE2, other: SE2) -> bool:
-    """Whether two poses of a grid agree to a millimetre and a milliradian: its cells are then the same places."""
+def same_pose(one: SE2, other: SE2) -> bool:
+    """Whether two poses of a grid agree to a millimetre and a milliradian: a cell is then the same place in both."""
     turned = abs(wrap_angle(one.theta - other.theta))
     return max(abs(one.x - other.x), abs(one.y - other.y), turned) < 1e-3

@@ -8,7 +8,7 @@ from typing import Any
 
 from gridtrack.evaluation.scoring.class_scores import class_scores
 from gridtrack.evaluation.scoring.class_store import SEMANTICS, read_scan_losses
-from gridtrack.evaluation.scoring.semantics import KINDS
+from gridtrack.evaluation.scoring.semantics import VISIBILITIES
 from gridtrack.evaluation.statistics.curves import curve
 from gridtrack.evaluation.statistics.frame_counts import FrameCounts, common_frames
 from gridtrack.evaluation.statistics.inference import ALL_RECORDINGS, Ended, Inference, plain_curve
@@ -82,11 +82,11 @@ class ClassInference:
         (losses,), units = summed_by_unit([[self._losses_of(trial) for trial in trials]], block_s)
         if units < LEAST_UNITS:
             why = too_short(units, len(names), block_s)
-            return {kind: {f"{SCORE}_low": None, f"{SCORE}_high": None, "interval": why} for kind in KINDS}
+            return {kind: {f"{SCORE}_low": None, f"{SCORE}_high": None, "interval": why} for kind in VISIBILITIES}
         low, high = ratio_interval(losses[..., 0], losses[..., 1])
         return {
             kind: {f"{SCORE}_low": curve(low[:, i]), f"{SCORE}_high": curve(high[:, i]), "interval": ""}
-            for i, kind in enumerate(KINDS)
+            for i, kind in enumerate(VISIBILITIES)
         }
 
     def _difference(self, own: Sequence[Ended], others: Sequence[Ended], names: Sequence[str]) -> dict[str, Any]:
@@ -106,7 +106,8 @@ class ClassInference:
         found = ratio_differences(mine, theirs)
         ends = {SCORE: found.value, f"{SCORE}_low": found.low, f"{SCORE}_high": found.high, f"{SCORE}_p": found.p}
         kinds = {
-            kind: {key: plain_curve(key, values[:, i]) for key, values in ends.items()} for i, kind in enumerate(KINDS)
+            kind: {key: plain_curve(key, values[:, i]) for key, values in ends.items()}
+            for i, kind in enumerate(VISIBILITIES)
         }
         why = too_short(units, len(names), block_s) if units < LEAST_UNITS else ""
         return {**said, "units": units, "interval": why, "kinds": kinds}

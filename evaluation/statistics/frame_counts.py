@@ -16,7 +16,7 @@ from gridtrack.evaluation.statistics.uncertainty import COUNTS
 @dataclass(frozen=True, slots=True)
 class FrameCounts:
     """Counts (F, S, K, C) float32 of scored frames x steps x strata, C as `uncertainty.COUNTS`; a frame's counts of
-    cells are exact in float32. Of classes, K are `semantics.KINDS` and C as of `class_store.read_scan_losses`.
+    cells are exact in float32. Of classes, K are `semantics.VISIBILITIES` and C as of `class_store.read_scan_losses`.
 
     `stamps_ns` (F,) increase; `delivered` (F,) are the digests of what the tracker had been given by then.
     """

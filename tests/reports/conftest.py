@@ -12,7 +12,7 @@ from gridtrack.evaluation.scoring.record import Latency, Quantiles, ThresholdsUs
 from gridtrack.evaluation.scoring.referee import ScoredForecast
 from gridtrack.evaluation.scoring.samples import SAMPLES, SampleWriter
 from gridtrack.evaluation.scoring.scores import ScoreWriter
-from gridtrack.evaluation.scoring.strata import STRATA, areas_of, places_of
+from gridtrack.evaluation.scoring.strata import STRATA, cell_kinds_of, region_maps_of
 from gridtrack.evaluation.scoring.target import Target
 from gridtrack.evaluation.scoring.thresholds import Thresholds
 from gridtrack.evaluation.statistics.inference import Ended
@@ -46,7 +46,7 @@ def frame(index):
 
 
 FRAME_LIST = [frame(index) for index in range(FRAMES)]
-AREAS = areas_of(places_of(FRAME_LIST, GRID, SE2()), GRID, FRAME_LIST[0].origins)
+REGION_MAPS = region_maps_of(cell_kinds_of(FRAME_LIST, GRID, SE2()), GRID, FRAME_LIST[0].origins)
 JUST_SEEN = np.zeros(GRID.shape, np.uint8)
 
 
@@ -96,7 +96,7 @@ def write_trial(run, label, forecast, scored=EXPECTED, outcome="ok", reason="", 
         for t in list(range(WARM_UP, FRAMES - STEPS, EVERY))[:scored]:
             targets = tuple(Target.of_frame(came) for came in FRAME_LIST[t : t + STEPS + 1])
             one = ScoredForecast(Forecast(forecast(t)), targets, JUST_SEEN)
-            scores.add(one.stamp_ns, f"{t:032x}", count_forecast(one.forecast.occupancy, targets, AREAS))
+            scores.add(one.stamp_ns, f"{t:032x}", count_forecast(one.forecast.occupancy, targets, REGION_MAPS))
             samples.add(one)
     record = TrialRecord(
         schema=1,

@@ -8,12 +8,12 @@ from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec
 from gridtrack.evaluation.scoring import metrics
 from gridtrack.evaluation.scoring.counting import BINS, EDGES, Tally, count_forecast
-from gridtrack.evaluation.scoring.strata import PLACES, STRATA, STRATA_WITH_TRUTH, areas_of
+from gridtrack.evaluation.scoring.strata import CELL_KINDS, STRATA, STRATA_WITH_TRUTH, region_maps_of
 from gridtrack.evaluation.scoring.target import NOT_SCORED, Target
 from gridtrack.evaluation.scoring.thresholds import half
 
 VISIBLE, MOVING, STATIC = (STRATA.index(name) for name in ("visible", "moving", "static"))
-RING, STANDING, MOVES = (PLACES.index(name) for name in ("ring", "static", "moving"))
+RING, STANDING, MOVES = (CELL_KINDS.index(name) for name in ("ring", "static", "moving"))
 
 
 def frame(visible, occupied, stamp_ns=0):
@@ -22,14 +22,14 @@ def frame(visible, occupied, stamp_ns=0):
     return GridFrame(stamp_ns, visible, occupied & visible, SE2(), nothing, nothing, np.zeros(0, np.uint8))
 
 
-def areas(places, strata=STRATA):
+def region_maps(cell_kinds, strata=STRATA):
     """Places on cells of 1 m, seen from the lower left corner."""
-    places = np.array(places, np.uint8)
-    return areas_of(places, GridSpec(len(places), 1.0, (0.0, 0.0)), np.zeros((1, 2), np.float32), strata)
+    cell_kinds = np.array(cell_kinds, np.uint8)
+    return region_maps_of(cell_kinds, GridSpec(len(cell_kinds), 1.0, (0.0, 0.0)), np.zeros((1, 2), np.float32), strata)
 
 
-def count(occupancy, frames, places):
-    return count_forecast(occupancy, [Target.of_frame(came) for came in frames], areas(places))
+def count(occupancy, frames, cell_kinds):
+    return count_forecast(occupancy, [Target.of_frame(came) for came in frames], region_maps(cell_kinds))
 
 
 def random_forecast(rng, size, steps):
@@ -49,8 +49,8 @@ def random_case(seed, size=30, steps=3):
 def test_a_hand_computed_forecast():
     occupancy = np.array([[[0.9, 0.4], [0.6, 0.8]]], np.float32)
     came = frame([[1, 1], [1, 0]], [[1, 1], [0, 0]])
-    places = [[STANDING, MOVES], [MOVES, MOVES]]
-    tally = count(occupancy, [came], places)
+    cell_kinds = [[STANDING, MOVES], [MOVES, MOVES]]
+    tally = count(occupancy, [came], cell_kinds)
     at_half = tally.confusion(half(0).bins)
     assert at_half[0, VISIBLE].tolist() == [1, 1, 1, 0]
     assert at_half[0, STATIC].tolist() == [1, 0, 0, 0]
@@ -72,20 +72,20 @@ def test_cells_not_visible_when_they_come_are_not_scored():
     assert tally.squared_error.sum() == tally.log_loss.sum() == 0
 
 
-def members_of(places, state, ages):
+def members_of(cell_kinds, state, ages):
     """Which cells each stratum scores, by what its name says: an independent reading of the definitions."""
-    rows, columns = np.indices(places.shape) + 0.5
+    rows, columns = np.indices(cell_kinds.shape) + 0.5
     distance = np.hypot(rows, columns)
     seen, hidden = state < 2, (state >= 2) & (state != NOT_SCORED)
     return {
         "visible": seen,
-        "moving": seen & (places == MOVES),
-        "static": seen & (places == STANDING),
+        "moving": seen & (cell_kinds == MOVES),
+        "static": seen & (cell_kinds == STANDING),
         "visible to 5 m": seen & (distance <= 5),
         "visible 5-10 m": seen & (distance > 5) & (distance <= 10),
         "visible over 10 m": seen & (distance > 10),
         "occluded": hidden,
-        "occluded moving": hidden & (places == MOVES),
+        "occluded moving": hidden & (cell_kinds == MOVES),
         "occluded to 0.5 s": hidden & (ages == 0),
         "occluded 0.5-1 s": hidden & (ages == 1),
         "occluded 1-2 s": hidden & (ages == 2),
@@ -98,15 +98,15 @@ def members_of(places, state, ages):
 def test_every_score_of_every_stratum_agrees_with_scikit_learn(seed):
     rng = np.random.default_rng(seed)
     size, steps = 30, 2
-    occupancy, places = random_forecast(rng, size, steps), rng.integers(0, 3, (size, size)).astype(np.uint8)
+    occupancy, cell_kinds = random_forecast(rng, size, steps), rng.integers(0, 3, (size, size)).astype(np.uint8)
     states = rng.integers(0, 5, occupancy.shape).astype(np.uint8)
     ages = rng.integers(0, 5, (size, size)).astype(np.uint8)
     targets = [Target(frame(state < 2, state == 1), state) for state in states]
     bins = rng.choice([5, 25, 40, 49], (steps + 1, len(STRATA_WITH_TRUTH)))
-    tally = count_forecast(occupancy, targets, areas(places, STRATA_WITH_TRUTH), ages)
+    tally = count_forecast(occupancy, targets, region_maps(cell_kinds, STRATA_WITH_TRUTH), ages)
     confusion = tally.confusion(bins)
     for step, state in enumerate(states):
-        members = members_of(places, state, ages)
+        members = members_of(cell_kinds, state, ages)
         assert tuple(members) == tally.strata
         for k, scored in enumerate(members.values()):
             truth, p = state[scored] % 2 == 1, occupancy[step][scored]
@@ -131,14 +131,16 @@ def calibration_error(truth, p, binned):
 
 
 def test_average_precision_of_bins_is_close_to_that_of_the_probabilities():
-    occupancy, frames, places = random_case(9, size=100, steps=0)
+    occupancy, frames, cell_kinds = random_case(9, size=100, steps=0)
     exact = average_precision_score(frames[0].occupied[frames[0].visible], occupancy[0][frames[0].visible])
-    assert metrics.average_precision(count(occupancy, frames, places))[0, VISIBLE] == pytest.approx(exact, abs=0.005)
+    assert metrics.average_precision(count(occupancy, frames, cell_kinds))[0, VISIBLE] == pytest.approx(
+        exact, abs=0.005
+    )
 
 
 def test_the_parts_of_the_brier_score_agree_with_their_definitions_and_add_up():
-    occupancy, frames, places = random_case(4)
-    tally = count(occupancy, frames, places)
+    occupancy, frames, cell_kinds = random_case(4)
+    tally = count(occupancy, frames, cell_kinds)
     parts = metrics.brier_parts(tally)
     for step, came in enumerate(frames):
         truth, p = came.occupied[came.visible].astype(float), occupancy[step][came.visible].astype(float)
@@ -160,8 +162,8 @@ def test_f1_and_average_precision_agree_with_torchmetrics(seed):
     import torch
     from torchmetrics.functional.classification import binary_average_precision, binary_f1_score
 
-    occupancy, frames, places = random_case(seed, steps=0)
-    tally = count(occupancy, frames, places)
+    occupancy, frames, cell_kinds = random_case(seed, steps=0)
+    tally = count(occupancy, frames, cell_kinds)
     seen = frames[0].visible
     truth = torch.from_numpy(frames[0].occupied[seen].astype(np.int64))
     binned = torch.from_numpy(EDGES[(np.digitize(occupancy[0][seen], EDGES) - 1).clip(0, BINS - 1)])

@@ -14,7 +14,7 @@ from gridtrack.evaluation.scoring import metrics
 from gridtrack.evaluation.scoring.counting import Tally, count_forecast
 from gridtrack.evaluation.scoring.in_process import score_in_process
 from gridtrack.evaluation.scoring.referee import WARM_UP, Delivery, Schedule, scored_forecasts
-from gridtrack.evaluation.scoring.strata import PLACES, areas_of
+from gridtrack.evaluation.scoring.strata import CELL_KINDS, region_maps_of
 from gridtrack.evaluation.scoring.target import Target
 from gridtrack.evaluation.scoring.thresholds import half
 from gridtrack.trackers.contract import Forecast
@@ -22,7 +22,9 @@ from gridtrack.trackers.contract import Forecast
 GRID = GridSpec(8, 1.0)
 NOTHING = np.zeros((0, 2), np.float32)
 STEPS = 4
-ALL_MOVING = areas_of(np.full(GRID.shape, PLACES.index("moving"), np.uint8), GRID, np.zeros((1, 2), np.float32))
+ALL_MOVING = region_maps_of(
+    np.full(GRID.shape, CELL_KINDS.index("moving"), np.uint8), GRID, np.zeros((1, 2), np.float32)
+)
 
 
 def random_frame(index, pose):

@@ -18,7 +18,7 @@ from gridtrack.evaluation.scoring.class_store import (
 from gridtrack.evaluation.scoring.record import TrialRecord
 from gridtrack.evaluation.scoring.scores import ScoresError
 from gridtrack.evaluation.scoring.semantics import count_classes, count_found, match_classes
-from gridtrack.evaluation.scoring.strata import PLACES
+from gridtrack.evaluation.scoring.strata import CELL_KINDS
 from gridtrack.evaluation.scoring.target import HIDDEN_OCCUPIED, SEEN_OCCUPIED, Target
 from gridtrack.evaluation.scoring.thresholds import Thresholds
 
@@ -127,15 +127,15 @@ def test_a_class_that_only_one_side_has_is_the_last_column_or_costs_the_clip(cas
 def test_recall_counts_cells_of_a_class_where_things_move_at_the_threshold_of_their_stratum():
     state = np.full((4, 4), SEEN_OCCUPIED, np.uint8)
     state[2:] = HIDDEN_OCCUPIED
-    places = np.full((4, 4), PLACES.index("moving"), np.uint8)
-    places[:, 0] = PLACES.index("static")
+    cell_kinds = np.full((4, 4), CELL_KINDS.index("moving"), np.uint8)
+    cell_kinds[:, 0] = CELL_KINDS.index("static")
     occupancy = np.full((1, 4, 4), 0.4, np.float32)
     occupancy[0, :, 3] = 0.6
     frame = GridFrame(0, state < 2, state == 1, SE2(), NOTHING, NOTHING, np.zeros(0, np.uint8))
     target = Target(frame, state, np.arange(16), np.repeat([0, 1, 0, 1], 4).astype(np.uint8))
     strata = ("visible", "moving", "static", "occluded")
     bins = np.array([[25, 10, 25, 40]])  # moving from below 0.4 on, occluded only above 0.6
-    (found,) = count_found(occupancy, [target], places, Thresholds(bins, strata=strata), 2)
+    (found,) = count_found(occupancy, [target], cell_kinds, Thresholds(bins, strata=strata), 2)
     visible, occluded = found
     assert visible.tolist() == [[3, 0, 1, 2], [3, 0, 1, 2]]
     assert occluded.tolist() == [[0, 3, 1, 2], [0, 3, 1, 2]]

@@ -8,7 +8,7 @@ from gridtrack.evaluation.comparison.learned import find_weights, users_folder, 
 from gridtrack.evaluation.comparison.plan import CompareSettings, resolve
 from gridtrack.evaluation.comparison.train import train
 from gridtrack.evaluation.scoring.splits import Sampling, plan_split, was_seen
-from gridtrack.evaluation.scoring.strata import PLACES
+from gridtrack.evaluation.scoring.strata import CELL_KINDS
 from gridtrack.trackers.weights import Card, TrainingData, save_weights
 
 SECOND = Sampling(horizon_s=1.0, every_s=0.5)
@@ -89,11 +89,11 @@ def test_grid_and_rate_can_be_given(record):
 def test_static_cells_come_from_the_whole_recording(record):
     path = record()
     one, other = (
-        plan_split(f"{path}@{stretch}", None, SECOND).regions().test.places for stretch in ("0s-5s", "9s-20s")
+        plan_split(f"{path}@{stretch}", None, SECOND).regions().test.cell_kinds for stretch in ("0s-5s", "9s-20s")
     )
     assert (one == other).all()
     wall = one[20, int((3.0 + 1.0) / 0.2)]
-    assert PLACES[wall] == "static"
+    assert CELL_KINDS[wall] == "static"
 
 
 def test_two_recordings_of_one_name_are_refused(record, tmp_path):
@@ -176,8 +176,8 @@ def test_training_what_cannot_learn_or_on_no_stretch_is_refused(record, tmp_path
 def test_thresholds_of_another_recording_are_chosen_on_its_own_strata(record):
     here, elsewhere = record("here"), record("elsewhere", wall_m=2.2)
     regions = plan_split(str(here), f"{elsewhere}@4s-9s", SECOND).regions()
-    assert (regions.test.places != regions.validation.places).any()
+    assert (regions.test.cell_kinds != regions.validation.cell_kinds).any()
     alone = plan_split(str(elsewhere), None, SECOND).regions().test
-    assert (regions.validation.places == alone.places).all()
+    assert (regions.validation.cell_kinds == alone.cell_kinds).all()
     own = plan_split(str(here), None, SECOND).regions()
     assert own.validation is own.test

@@ -9,14 +9,14 @@ from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec
 from gridtrack.evaluation.scoring.strata import (
     AGES_S,
-    PLACES,
+    CELL_KINDS,
     STRATA,
     STRATA_WITH_TRUTH,
     SUMS_OF_REGIONS,
     THRESHOLD_OF,
     LastSeen,
-    areas_of,
-    places_of,
+    cell_kinds_of,
+    region_maps_of,
 )
 
 GRID = GridSpec(7, 1.0)
@@ -34,48 +34,48 @@ def frames_with_cell_occupied(times, of, cell=(3, 3)):
         yield frame(np.ones(GRID.shape, bool), occupied)
 
 
-def names(places):
-    return np.array(PLACES)[places]
+def names(cell_kinds):
+    return np.array(CELL_KINDS)[cell_kinds]
 
 
 def test_static_is_occupied_in_more_than_half_of_the_frames():
-    assert names(places_of(frames_with_cell_occupied(3, 5), GRID, SE2()))[3, 3] == "static"
-    assert (names(places_of(frames_with_cell_occupied(2, 4), GRID, SE2())) == "moving").all()
+    assert names(cell_kinds_of(frames_with_cell_occupied(3, 5), GRID, SE2()))[3, 3] == "static"
+    assert (names(cell_kinds_of(frames_with_cell_occupied(2, 4), GRID, SE2())) == "moving").all()
 
 
 def test_the_half_is_of_the_frames_in_which_the_cell_is_visible():
     seen_once = np.zeros(GRID.shape, bool)
     seen_once[3, 3] = True
     frames = [frame(seen_once, seen_once), *(frame(~seen_once, ~np.ones(GRID.shape, bool)) for _ in range(9))]
-    assert names(places_of(frames, GRID, SE2()))[3, 3] == "static"
+    assert names(cell_kinds_of(frames, GRID, SE2()))[3, 3] == "static"
 
 
 def test_the_ring_is_the_eight_neighbours():
-    place_names = names(places_of(frames_with_cell_occupied(1, 1), GRID, SE2()))
-    assert (place_names[2:5, 2:5] != "ring").sum() == 1
-    assert (place_names == "ring").sum() == 8
-    assert (place_names == "moving").sum() == 49 - 9
+    kind_names = names(cell_kinds_of(frames_with_cell_occupied(1, 1), GRID, SE2()))
+    assert (kind_names[2:5, 2:5] != "ring").sum() == 1
+    assert (kind_names == "ring").sum() == 8
+    assert (kind_names == "moving").sum() == 49 - 9
 
 
 def test_the_ring_does_not_wrap_round_the_grids_edge():
-    place_names = names(places_of(frames_with_cell_occupied(1, 1, cell=(0, 0)), GRID, SE2()))
-    assert (place_names == "ring").sum() == 3
+    kind_names = names(cell_kinds_of(frames_with_cell_occupied(1, 1, cell=(0, 0)), GRID, SE2()))
+    assert (kind_names == "ring").sum() == 3
 
 
 def test_frames_from_elsewhere_say_nothing_about_these_cells():
     walls = np.ones(GRID.shape, bool)
     elsewhere = [frame(walls, walls, SE2(1.0, 0.0, 0.0)) for _ in range(5)]
     here = list(frames_with_cell_occupied(0, 2))
-    assert (names(places_of(elsewhere + here, GRID, SE2())) == "moving").all()
+    assert (names(cell_kinds_of(elsewhere + here, GRID, SE2())) == "moving").all()
 
 
 @given(st.lists(st.lists(st.booleans(), min_size=49, max_size=49), min_size=1, max_size=5))
 def test_places_agree_with_a_dilation(planes):
     occupied = [np.array(plane).reshape(GRID.shape) for plane in planes]
-    places = places_of((frame(np.ones(GRID.shape, bool), o) for o in occupied), GRID, SE2())
+    cell_kinds = cell_kinds_of((frame(np.ones(GRID.shape, bool), o) for o in occupied), GRID, SE2())
     static = np.mean(occupied, axis=0) > 0.5
-    assert np.array_equal(places == PLACES.index("static"), static)
-    assert np.array_equal(places == PLACES.index("moving"), ~binary_dilation(static, np.ones((3, 3))))
+    assert np.array_equal(cell_kinds == CELL_KINDS.index("static"), static)
+    assert np.array_equal(cell_kinds == CELL_KINDS.index("moving"), ~binary_dilation(static, np.ones((3, 3))))
 
 
 def test_strata_without_truth_come_first_so_their_indices_agree():
@@ -102,8 +102,10 @@ def test_bands_share_the_threshold_of_their_whole_and_moving_and_static_have_the
 
 def test_the_range_of_a_cell_is_that_to_the_nearest_sensor():
     grid = GridSpec(20, 1.0, (0.0, 0.0))
-    places = np.full(grid.shape, PLACES.index("moving"), np.uint8)
-    corners = areas_of(places, grid, np.array([[0.0, 0.0], [20.0, 20.0]], np.float32)).visible - 3 * places
+    cell_kinds = np.full(grid.shape, CELL_KINDS.index("moving"), np.uint8)
+    corners = (
+        region_maps_of(cell_kinds, grid, np.array([[0.0, 0.0], [20.0, 20.0]], np.float32)).visible - 3 * cell_kinds
+    )
     assert corners[0, 0] == corners[19, 19] == 0
     assert corners[6, 5] == corners[14, 15] == 1
     assert corners[0, 19] == 2
