@@ -1,15 +1,18 @@
 """Recordings of laser scans: the native MCAP form, and ROS bags, ROS MCAP files and CARMEN logs read in place."""
 
+from gridtrack.recordings.format import RecordingFormat
+from gridtrack.recordings.formats.native import write_native
 from gridtrack.recordings.importing import import_recording
-from gridtrack.recordings.native import write_native
 from gridtrack.recordings.opening import open_recording, packaged_recording
+from gridtrack.recordings.read_options import CloudSlice, ReadOptions
 from gridtrack.recordings.recording import Recording, RecordingInfo, Stretch
-from gridtrack.recordings.ros_messages import CloudSlice
 from gridtrack.recordings.survey import Summary
 
 __all__ = [
     "CloudSlice",
+    "ReadOptions",
     "Recording",
+    "RecordingFormat",
     "RecordingInfo",
     "Stretch",
     "Summary",

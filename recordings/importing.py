@@ -10,11 +10,11 @@ from typing import Any
 from gridtrack.common.config import validated
 from gridtrack.common.errors import RecordingError
 from gridtrack.common.scan import Scan
+from gridtrack.recordings.formats.native import write_native
 from gridtrack.recordings.labels import classes_in, with_labels
-from gridtrack.recordings.native import write_native
 from gridtrack.recordings.opening import open_recording
+from gridtrack.recordings.read_options import CloudSlice
 from gridtrack.recordings.recording import Recording, RecordingInfo, Stretch, stretch_text
-from gridtrack.recordings.ros_messages import CloudSlice
 
 
 def import_recording(
@@ -78,7 +78,7 @@ def _command(recording: Recording, out: Path, given: Mapping[str, Any], labels: 
     """The command line that does the same again, without the folders of this machine."""
     options: dict[str, Any] = {
         "out": out.name,
-        "topic": recording.topic,
+        "topic": recording.options.topic,
         "labels": labels and Path(labels).name,
         **given,
     }

@@ -18,13 +18,13 @@ from mcap.records import Channel, Chunk, DataEnd, Metadata, Schema
 
 from gridtrack.recordings.recording import DamageError
 
-MAGIC = b"\x89MCAP0\r\n"
+MCAP_MAGIC = b"\x89MCAP0\r\n"
 MAX_RECORD_BYTES = 1 << 28
 ENVELOPE = struct.Struct("<BQ")
-MESSAGE = struct.Struct("<HIQQ")
+MESSAGE_HEADER = struct.Struct("<HIQQ")
 
 
-class Message(NamedTuple):
+class McapMessage(NamedTuple):
     """One message, still encoded, with the channel and schema that it came under."""
 
     schema: Schema
@@ -42,7 +42,7 @@ class McapFile:
         self.channels: dict[int, Channel] = {}
         self._schemas: dict[int, Schema] = {}
 
-    def messages(self) -> Iterator[Message]:
+    def messages(self) -> Iterator[McapMessage]:
         """All messages in the order of the file; `metadata` and `channels` fill up on the way.
 
         Raises DamageError where the file is cut off or corrupt.
@@ -55,10 +55,10 @@ class McapFile:
                     f"damaged {file.tell()} bytes into the file ({error or type(error).__name__})"
                 ) from None
 
-    def _data_section(self, file: BinaryIO) -> Iterator[Message]:
-        if file.read(len(MAGIC)) != MAGIC:
+    def _data_section(self, file: BinaryIO) -> Iterator[McapMessage]:
+        if file.read(len(MCAP_MAGIC)) != MCAP_MAGIC:
             raise DamageError("does not begin as an MCAP file")
-        checksum = zlib.crc32(MAGIC)
+        checksum = zlib.crc32(MCAP_MAGIC)
         for opcode, content in _records(file):
             stream = ReadDataStream(BytesIO(content))
             if opcode == Opcode.CHUNK:
@@ -76,14 +76,14 @@ class McapFile:
             checksum = zlib.crc32(content, zlib.crc32(ENVELOPE.pack(opcode, len(content)), checksum))
         raise DamageError("cut off: the end of the data is missing")
 
-    def _take(self, opcode: int, content: bytes) -> Iterator[Message]:
+    def _take(self, opcode: int, content: bytes) -> Iterator[McapMessage]:
         if opcode == Opcode.MESSAGE:
-            channel_id, _, log_time_ns, _ = MESSAGE.unpack_from(content)
+            channel_id, _, log_time_ns, _ = MESSAGE_HEADER.unpack_from(content)
             channel = self.channels.get(channel_id)
             schema = self._schemas.get(channel.schema_id) if channel else None
             if channel is None or schema is None:
                 raise DamageError(f"corrupt: a message of channel {channel_id}, which the file does not describe")
-            yield Message(schema, channel, log_time_ns, content[MESSAGE.size :])
+            yield McapMessage(schema, channel, log_time_ns, content[MESSAGE_HEADER.size :])
         elif opcode == Opcode.SCHEMA:
             schema = Schema.read(ReadDataStream(BytesIO(content)))
             self._schemas[schema.id] = schema

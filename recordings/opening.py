@@ -1,28 +1,21 @@
-"""Opening a recording in whatever format it is in; formats that need an extra are loaded when they are met."""
+"""Opening a recording in any registered format."""
 
 from __future__ import annotations
 
 from importlib.resources import files
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from gridtrack.common.errors import RecordingError, did_you_mean
-from gridtrack.recordings.carmen import CarmenLog
-from gridtrack.recordings.mcap_file import MAGIC as MCAP_MAGIC
-from gridtrack.recordings.mcap_file import McapFile
-from gridtrack.recordings.native import NativeRecording
-from gridtrack.recordings.recording import DamageError, Recording
-from gridtrack.recordings.rosbag1 import MAGIC as ROS1_MAGIC
+from gridtrack.common.errors import GridtrackError, RecordingError, did_you_mean
+from gridtrack.recordings.format import HEAD_BYTES, RecordingFormat
+from gridtrack.recordings.read_options import CloudSlice, ReadOptions
+from gridtrack.recordings.recording import Recording
+from gridtrack.recordings.registry import FormatRegistry
 
-if TYPE_CHECKING:
-    from gridtrack.recordings.ros_messages import CloudSlice
-
-TRACKS_MAGIC = b"PAR1"
-SQLITE_MAGIC = b"SQLite format 3\x00"
-CARMEN_SUFFIXES = (".clf", ".clf.bz2", ".log", ".log.bz2")
-SUFFIXES = (".mcap", ".tracks", ".bag", ".db3", *CARMEN_SUFFIXES)
-"""What the files of recordings are usually called; none is needed to be read."""
-ROS2_METADATA = "metadata.yaml"
+OPTION_PURPOSE = {
+    "topic": "--topic is for recordings with several topics",
+    "cloud_slice": "--cloud-slice is for ROS recordings with point clouds",
+    "pose_topic": "--pose-topic is for ROS recordings",
+}
 
 
 def open_recording(
@@ -33,94 +26,72 @@ def open_recording(
     cloud_slice: CloudSlice | None = None,
     pose_topic: str | None = None,
 ) -> Recording:
-    """The recording at `path`, whatever its format; nothing but its first bytes is read yet.
+    """The recording at `path`, in any format; nothing but the beginning of the file is read yet.
 
     `topic` keeps one sensor of several; of ROS recordings `cloud_slice` says how a PointCloud2 topic becomes a scan,
     and `pose_topic` where the sensor's poses are; `strict` turns what would be a warning into an error.
-    Raises RecordingError.
+    Raises RecordingError, and PluginError where two formats are registered under one name.
     """
     path = Path(path)
-    other = _other_than_ros(path, topic, strict)
-    if other is None:
-        return _open_ros(path, topic, strict, cloud_slice, pose_topic)
-    if pose_topic is not None:
-        raise RecordingError(f"{path}: --pose-topic is for ROS recordings; one of this format has poses of its own")
-    return other
+    options = ReadOptions(topic=topic, strict=strict, cloud_slice=cloud_slice, pose_topic=pose_topic)
+    registry = FormatRegistry()
+    recording_format = registry.recognising(path, _head(path, registry))
+    if recording_format is None:
+        raise RecordingError(_why_unknown(path, registry))
+    for name, purpose in OPTION_PURPOSE.items():
+        if getattr(options, name) is not None and name not in recording_format.options:
+            raise RecordingError(f"{path}: {purpose}; a {recording_format.name} has no use for it: leave it out")
+    recording = _opened(path, recording_format, options)
+    for problem in registry.problems:
+        recording.notify(problem)
+    return recording
 
 
-def _other_than_ros(path: Path, topic: str | None, strict: bool) -> Recording | None:
-    if _is_native(path):
-        return NativeRecording(path, topic, strict)
-    if _head(path).startswith(TRACKS_MAGIC):
-        from gridtrack.simulation.rendered import RenderedRecording
-
-        return RenderedRecording(path, topic, strict)
-    if _is_carmen(path):
-        return CarmenLog(path, topic, strict)
-    return None
+def _opened(path: Path, recording_format: RecordingFormat, options: ReadOptions) -> Recording:
+    try:
+        return recording_format.open(path, options)
+    except GridtrackError:
+        raise
+    except Exception as error:
+        reason = f"{type(error).__name__}: {error}"
+        raise RecordingError(f"{path}: cannot be opened as {recording_format.name} ({reason})") from error
 
 
-def _open_ros(
-    path: Path, topic: str | None, strict: bool, cloud_slice: CloudSlice | None, pose_topic: str | None
-) -> Recording:
-    head = _head(path)
-    if not (path.is_dir() or head.startswith((MCAP_MAGIC, ROS1_MAGIC, SQLITE_MAGIC))):
-        kinds = "MCAP, simulated tracks, ROS 1 bag, ROS 2 bag or CARMEN log (.clf, .clf.bz2)"
-        raise RecordingError(f"{path}: not a recording that gridtrack reads: {kinds}")
-    if path.is_dir() and not _is_ros2_bag(path):
-        raise RecordingError(f"{path}: a folder that holds no ROS 2 bag (no {ROS2_METADATA}): name a recording's file")
-    from gridtrack.recordings import ros
-
-    if head.startswith(ROS1_MAGIC):
-        return ros.Ros1Bag(path, topic, strict, cloud_slice, pose_topic)
-    if head.startswith(MCAP_MAGIC) or (path.is_dir() and ros.is_ros2_folder_of_mcap(path)):
-        return ros.RosMcap(path, topic, strict, cloud_slice, pose_topic)
-    return ros.Ros2Bag(path, topic, strict, cloud_slice, pose_topic)
-
-
-def _head(path: Path) -> bytes:
+def _head(path: Path, registry: FormatRegistry) -> bytes:
     """The first bytes of a file, none for a folder. Raises RecordingError."""
     if path.is_dir():
         return b""
     try:
         with path.open("rb") as file:
-            return file.read(16)
+            return file.read(HEAD_BYTES)
     except FileNotFoundError:
-        beside = [p.name for p in path.parent.iterdir() if _may_be_one(p)] if path.parent.is_dir() else []
-        near = f"; {did_you_mean(path.name, beside)}" if beside else ""
-        raise RecordingError(f"{path}: no such recording{near}") from None
+        candidates = _recordings_in(path.parent, registry) if path.parent.is_dir() else []
+        suggestion = f"; {did_you_mean(path.name, candidates)}" if candidates else ""
+        raise RecordingError(f"{path}: no such recording{suggestion}") from None
     except OSError as error:
         raise RecordingError(f"{path}: cannot be read ({error.strerror})") from None
 
 
-def _is_ros2_bag(folder: Path) -> bool:
-    """Whether a folder holds a ROS 2 bag, or at least the MCAP files of one."""
-    return (folder / ROS2_METADATA).is_file() or any(folder.glob("*.mcap"))
+def _recordings_in(folder: Path, registry: FormatRegistry) -> list[str]:
+    """Names in `folder` that look like recordings: by the end of a file's name, by the content of a folder."""
+    suffixes = tuple(suffix for found in registry.formats() for suffix in found.suffixes)
+    return [
+        path.name
+        for path in folder.iterdir()
+        if (registry.recognising(path, b"") if path.is_dir() else path.name.endswith(suffixes))
+    ]
 
 
-def _may_be_one(path: Path) -> bool:
-    """Whether it looks like a recording, by its name or as a folder."""
-    return (path / ROS2_METADATA).is_file() if path.is_dir() else path.name.endswith(SUFFIXES)
-
-
-def _is_native(path: Path) -> bool:
-    """Whether it is an MCAP file whose messages are not ROS messages."""
-    if not _head(path).startswith(MCAP_MAGIC):
-        return False
-    file = McapFile(path)
-    try:
-        first = next(file.messages(), None)
-    except DamageError:
-        first = None
-    return "gridtrack" in file.metadata or first is None or first.schema.encoding == "protobuf"
-
-
-def _is_carmen(path: Path) -> bool:
-    return path.is_file() and path.name.endswith(CARMEN_SUFFIXES)
+def _why_unknown(path: Path, registry: FormatRegistry) -> str:
+    known = ", ".join(f"{found.name} ({', '.join(found.suffixes)})" for found in registry.formats())
+    broken = f"; not available: {'; '.join(registry.problems)}" if registry.problems else ""
+    if path.is_dir():
+        return f"{path}: a folder that is no recording (a ROS 2 bag has metadata.yaml): name a recording's file{broken}"
+    return f"{path}: not a recording that gridtrack reads; formats: {known}{broken}"
 
 
 def packaged_recording(name: str) -> Path:
-    """The file of a recording that gridtrack brings along, such as `leg_tracker` or `junction/train`.
+    """The file of a recording in the gridtrack package, such as `leg_tracker` or `junction/train`.
 
     Raises RecordingError.
     """

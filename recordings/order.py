@@ -18,11 +18,11 @@ class StampOrder:
     """Merges the sensors of a file by stamp, holding scans back for a second, as one sensor may be written late.
 
     Of one sensor the order of the file is the true one: a scan that is not stamped after the one before has a wrong
-    stamp, and is left out. What is wrong goes to `complain`, one line for each kind and sensor with count and place.
+    stamp, and is left out. What is wrong goes to `warn`, one line for each kind and sensor with count and place.
     """
 
-    def __init__(self, complain: Callable[[str], None]) -> None:
-        self._complain = complain
+    def __init__(self, warn: Callable[[str], None]) -> None:
+        self._warn = warn
         self._waiting: list[tuple[int, int, Scan]] = []
         self._arrived = 0
         self._first_ns = 0
@@ -54,7 +54,7 @@ class StampOrder:
         while self._waiting:
             yield heapq.heappop(self._waiting)[2]
         for fault, (count, where_s) in self._faults.items():
-            self._complain(f"{fault}: {count} of them, the first {where_s:.3f} s after the first scan")
+            self._warn(f"{fault}: {count} of them, the first {where_s:.3f} s after the first scan")
 
     def _takes(self, scan: Scan) -> bool:
         """Whether the scan has a place in the order. Raises RecordingError where it can be no scan at all."""

@@ -16,6 +16,7 @@ from gridtrack.common.errors import RecordingError, did_you_mean
 from gridtrack.common.grid import GridSpec
 from gridtrack.common.scan import Scan
 from gridtrack.recordings.order import StampOrder
+from gridtrack.recordings.read_options import ReadOptions
 from gridtrack.recordings.survey import Summary, Survey
 
 Stretch = tuple[float, float | None]
@@ -72,7 +73,7 @@ class Topics:
     scans: set[str] = field(default_factory=set)
     """Topics that can be read as scans."""
 
-    def meet(self, topic: str, kind: str, is_scan: bool) -> None:
+    def add(self, topic: str, kind: str, is_scan: bool) -> None:
         """Count one message of `topic`."""
         self.types[topic] = kind
         self.counts[topic] = self.counts.get(topic, 0) + 1
@@ -88,10 +89,9 @@ class Recording(ABC):
     RecordingError instead.
     """
 
-    def __init__(self, path: Path, topic: str | None = None, strict: bool = False) -> None:
+    def __init__(self, path: Path, options: ReadOptions) -> None:
         self.path = path
-        self.topic = topic
-        self.strict = strict
+        self.options = options
         self.warnings: list[str] = []
         self.damage = ""
 
@@ -118,7 +118,7 @@ class Recording(ABC):
 
     @abstractmethod
     def read(self, topics: Topics) -> Iterator[Scan]:
-        """The scans as they stand in the file; counts in `topics` what it meets; DamageError where the file ends."""
+        """The scans in the order of the file; counts the messages in `topics`. DamageError where it is damaged."""
 
     def scans(self, start_s: float | None = None, end_s: float | None = None) -> Iterator[Scan]:
         """Scans with start_s <= stamp < end_s, seconds from the first scan, in the order of their stamps.
@@ -156,20 +156,20 @@ class Recording(ABC):
             warnings=tuple(self.warnings),
         )
 
-    def complain(self, text: str) -> None:
-        """Tell once that something is wrong with the scans. Raises RecordingError where `strict`."""
-        if self.strict:
+    def warn(self, text: str) -> None:
+        """Add a warning about an error in the file, once. Raises RecordingError instead if options are strict."""
+        if self.options.strict:
             raise RecordingError(text)
-        self.tell(text)
+        self.notify(text)
 
-    def tell(self, text: str) -> None:
-        """Tell once what a user should know about the recording, though nothing is wrong with the file."""
+    def notify(self, text: str) -> None:
+        """Add a warning about the recording that is not an error in the file, once."""
         line = f"{self.path}: {text}"
         if line not in self.warnings:
             self.warnings.append(line)
 
     def _in_order(self, topics: Topics) -> Iterator[Scan]:
-        order = StampOrder(self.complain)
+        order = StampOrder(self.warn)
         try:
             for scan in self._until_damage(topics):
                 yield from order.push(scan)
@@ -185,19 +185,20 @@ class Recording(ABC):
             yield from self.read(topics)
         except DamageError as damage:
             self.damage = str(damage)
-            self.complain(f"{damage}; what comes after is left out")
+            self.warn(f"{damage}; what comes after is left out")
 
     def _refuse_empty(self, order: StampOrder, topics: Topics) -> None:
         if order.empty:
             raise RecordingError(self._why_no_scans(topics))
 
     def _why_no_scans(self, topics: Topics) -> str:
-        present = ", ".join(f"{t} ({k})" for t, k in sorted(topics.types.items())) or "none"
+        topic = self.options.topic
+        present = ", ".join(f"{name} ({kind})" for name, kind in sorted(topics.types.items())) or "none"
         if self.warnings:
             return f"no scans before the damage ({self.warnings[-1].removeprefix(f'{self.path}: ')})"
-        if self.topic is not None and self.topic not in topics.types:
-            return f"no topic '{self.topic}'; {did_you_mean(self.topic, topics.scans or topics.types)}"
-        if self.topic is not None and self.topic not in topics.scans:
+        if topic is not None and topic not in topics.types:
+            return f"no topic '{topic}'; {did_you_mean(topic, topics.scans or topics.types)}"
+        if topic is not None and topic not in topics.scans:
             scans = ", ".join(sorted(topics.scans)) or "none"
-            return f"topic '{self.topic}' is {topics.types[self.topic]}, not scans; topics with scans: {scans}"
+            return f"topic '{topic}' is {topics.types[topic]}, not scans; topics with scans: {scans}"
         return f"no scans; topics: {present}"

@@ -3,42 +3,34 @@
 from __future__ import annotations
 
 import math
-from typing import Any, Literal
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, model_validator
 
-from gridtrack.common.config import Settings
 from gridtrack.common.errors import RecordingError
 from gridtrack.common.scan import Scan
+from gridtrack.recordings.read_options import CloudSlice
 
 LASER_SCAN = "sensor_msgs/msg/LaserScan"
 POINT_CLOUD = "sensor_msgs/msg/PointCloud2"
 POINT_FIELD_TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 
 
-class CloudSlice(Settings):
-    """How a point cloud becomes a scan: the nearest point of each bearing between two heights, metres, sensor frame.
+class RosMessage(NamedTuple):
+    """One message, still encoded as `ros1` or `cdr`; `kind` as ROS 2 writes it, `package/msg/Name`."""
 
-    A bearing without a point in the slice is `empty`: "free" up to `range_max_m`, as if a laser's beam had not
-    returned, or "unknown", as if there were no beam. Free is right where the cloud is dense and sees over whatever
-    stands below the slice; with few rings, or a slice above low obstacles, it calls free what nobody has looked at:
-    give a shorter `range_max_m`, or "unknown".
-    """
+    topic: str
+    kind: str
+    received_ns: int
+    encoding: str
+    data: bytes
 
-    low_m: float
-    high_m: float
-    beams: int = Field(default=720, ge=1, le=36_000)
-    range_min_m: float = Field(default=0.1, ge=0.0)
-    range_max_m: float = Field(default=50.0, gt=0.0)
-    empty: Literal["free", "unknown"] = "free"
 
-    @model_validator(mode="after")
-    def _limits_in_order(self) -> CloudSlice:
-        if self.low_m >= self.high_m or self.range_min_m >= self.range_max_m:
-            raise ValueError("the lower limit must be below the upper one")
-        return self
+def ros2_name(kind: str) -> str:
+    """`package/Name` of ROS 1 as ROS 2's `package/msg/Name`."""
+    package, _, name = kind.partition("/")
+    return kind if name.startswith(("msg/", "srv/", "action/")) else f"{package}/msg/{name}"
 
 
 def stamp_ns(message: Any) -> int:

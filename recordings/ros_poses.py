@@ -35,7 +35,7 @@ def planar_pose(message: Any) -> SE2:
     return SE2(x, y, heading)
 
 
-def why_not_read(topic: str, kind: str) -> str | None:
+def unread_poses_warning(topic: str, kind: str) -> str | None:
     """What to tell of a topic that says where the sensor is, and that nobody has asked to read; None for any other."""
     standing = f"on {topic} ({kind}) are not read, so the sensor is taken to stand still"
     if kind in POSES:
@@ -50,20 +50,20 @@ def why_not_read(topic: str, kind: str) -> str | None:
 class ScansOnPoses:
     """Holds scans back until the pose after them has come, and places each between the poses around it.
 
-    A scan before the first pose stands at it, one after the last at that. Where no pose comes for a second, `complain`
+    A scan before the first pose stands at it, one after the last at that. Where no pose comes for a second, `warn`
     is told, and scans stand at the last pose before them.
     """
 
-    def __init__(self, topic: str, complain: Callable[[str], None]) -> None:
-        self._topic, self._complain = topic, complain
+    def __init__(self, topic: str, warn: Callable[[str], None]) -> None:
+        self._topic, self._warn = topic, warn
         self._waiting: deque[Scan] = deque()
         self._last: tuple[int, SE2] | None = None
 
     def scan(self, scan: Scan) -> Iterator[Scan]:
-        """Take in the next scan, and give those that wait no longer. Raises RecordingError where `complain` does."""
+        """Take in the next scan, and give those that wait no longer. Raises RecordingError where `warn` does."""
         self._waiting.append(scan)
         while scan.stamp_ns - self._waiting[0].stamp_ns > LONGEST_PAUSE_NS:
-            self._complain(f"no poses on {self._topic} for more than 1 s: scans there stand at the last pose before")
+            self._warn(f"no poses on {self._topic} for more than 1 s: scans there stand at the last pose before")
             yield self._at_the_last(self._waiting.popleft())
 
     def pose(self, stamp_ns: int, pose: SE2) -> Iterator[Scan]:

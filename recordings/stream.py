@@ -128,7 +128,7 @@ class GridStream:
         if not self._ticks:
             raise RecordingError(f"{self.name}: no frame at {1 / self.period_s:g} Hz in this stretch")
         if len(survey.poses) > 1 and len(set(survey.poses.values())) == 1:
-            recording.tell(f"{len(survey.poses)} sensors and no poses: all are taken to stand in one place")
+            recording.notify(f"{len(survey.poses)} sensors and no poses: all are taken to stand in one place")
         self.gaps = self._count_gaps()
         self._degrade: Callable[[Scan], Scan] | None = None
 
@@ -212,7 +212,7 @@ class GridStream:
         ]
         if gaps:
             longest = max(gaps, key=lambda gap: int(gap[1] - gap[0]))
-            self.recording.tell(
+            self.recording.notify(
                 f"gaps longer than two periods of {self.period_s:g} s in {stretch_text(self.stretch_s)}: {len(gaps)},"
                 f" the longest {(longest[1] - longest[0]) / 1e9:.2f} s from"
                 f" {(longest[0] - survey.first_ns) / 1e9:.2f} s on; frames in them are empty"

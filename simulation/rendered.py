@@ -11,7 +11,7 @@ from pathlib import Path
 
 from gridtrack.common.errors import RecordingError
 from gridtrack.common.scan import Scan
-from gridtrack.recordings.native import NativeRecording, write_native
+from gridtrack.recordings.formats.native import NativeRecording, write_native
 from gridtrack.recordings.recording import Recording, RecordingInfo, Topics
 from gridtrack.simulation.tracks import read_tracks
 
@@ -32,7 +32,7 @@ class RenderedRecording(Recording):
 
     def read(self, topics: Topics) -> Iterator[Scan]:
         """The scans of the rendering."""
-        return NativeRecording(self.rendering, self.topic, self.strict).read(topics)
+        return NativeRecording(self.rendering, self.options).read(topics)
 
     @cached_property
     def rendering(self) -> Path:

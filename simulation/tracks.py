@@ -29,7 +29,6 @@ from gridtrack.recordings.recording import RecordingInfo
 from gridtrack.simulation.bodies import body
 from gridtrack.simulation.laser import Laser
 
-MAGIC = b"PAR1"
 SCHEMA = 1
 KEY = b"gridtrack.tracks"
 COLUMNS = {

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from gridtrack.common.errors import RecordingError
-from gridtrack.recordings.native import write_native
+from gridtrack.recordings.formats.native import write_native
 from gridtrack.simulation.tracks import Tracks, write_tracks
 
 SUFFIXES = (".tracks", ".mcap")

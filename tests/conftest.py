@@ -25,12 +25,16 @@ def install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Install:
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join(filter(None, (str(site), os.environ.get("PYTHONPATH")))))
 
     def install(
-        distribution: str, points: Mapping[str, str], files: Mapping[str, str] | None = None, requires: str = ""
+        distribution: str,
+        points: Mapping[str, str],
+        files: Mapping[str, str] | None = None,
+        requires: str = "",
+        group: str = "gridtrack.trackers",
     ) -> Path:
         info = site / f"{distribution.replace('-', '_')}-1.0.dist-info"
         info.mkdir()
         (info / "METADATA").write_text(f"Metadata-Version: 2.4\nName: {distribution}\nVersion: 1.0\n{requires}")
-        lines = ["[gridtrack.trackers]", *(f"{name} = {value}" for name, value in points.items())]
+        lines = [f"[{group}]", *(f"{name} = {value}" for name, value in points.items())]
         (info / "entry_points.txt").write_text("\n".join(lines) + "\n")
         for name, text in (files or {}).items():
             (site / name).write_text(text)

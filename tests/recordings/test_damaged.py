@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from gridtrack.common.errors import GridtrackError, RecordingError
 from gridtrack.common.scan import Scan
 from gridtrack.recordings import RecordingInfo, open_recording, write_native
-from gridtrack.recordings.mcap_file import MAGIC
+from gridtrack.recordings.mcap_file import MCAP_MAGIC
 
 SCANS = 600
 
@@ -69,8 +69,8 @@ def test_a_flipped_bit_is_noticed(whole: Path, tmp_path: Path) -> None:
 
 def test_an_absurd_size_is_refused_before_memory_is_taken(whole: Path, tmp_path: Path) -> None:
     content = whole.read_bytes()
-    header_size = struct.unpack_from("<Q", content, len(MAGIC) + 1)[0]
-    at = len(MAGIC) + 9 + header_size
+    header_size = struct.unpack_from("<Q", content, len(MCAP_MAGIC) + 1)[0]
+    at = len(MCAP_MAGIC) + 9 + header_size
     (metadata_size,) = struct.unpack_from("<Q", content, at + 1)
     absurd = content[: at + 9 + metadata_size] + struct.pack("<BQ", 6, 1 << 50)
     tracemalloc.start()

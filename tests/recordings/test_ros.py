@@ -292,8 +292,8 @@ def test_a_cloud_that_says_more_than_it_holds_is_refused(tmp_path: Path) -> None
 
 def test_without_rosbags_the_extra_is_named(tmp_path: Path, scans: list[Scan], monkeypatch: pytest.MonkeyPatch) -> None:
     path = MAKERS["ros1 bag"](tmp_path, scans)
-    monkeypatch.delattr("gridtrack.recordings.ros", raising=False)
-    monkeypatch.delitem(sys.modules, "gridtrack.recordings.ros", raising=False)
-    monkeypatch.setitem(sys.modules, "rosbags.rosbag2", None)
+    monkeypatch.delattr("gridtrack.recordings.ros_decoding", raising=False)
+    monkeypatch.delitem(sys.modules, "gridtrack.recordings.ros_decoding", raising=False)
+    monkeypatch.setitem(sys.modules, "rosbags.typesys", None)
     with pytest.raises(RecordingError, match=r"pip install gridtrack\[ros\]"):
         open_recording(path)

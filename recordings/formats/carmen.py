@@ -14,8 +14,10 @@ import numpy as np
 
 from gridtrack.common.geometry import SE2
 from gridtrack.common.scan import Scan
+from gridtrack.recordings.format import RecordingFormat
 from gridtrack.recordings.recording import DamageError, Recording, Topics
 
+CARMEN_SUFFIXES = (".clf", ".clf.bz2", ".log", ".log.bz2")
 MAX_LINE_BYTES = 1 << 20
 SICK_RANGE_MAX_M = 81.8
 """What a SICK LMS answers where nothing returns is 81.83 m or more; its true reach is shorter."""
@@ -27,14 +29,14 @@ class CarmenLog(Recording):
     """A CARMEN log. FLASER and ROBOTLASER1 are two forms of the same scan: the one that comes first is read."""
 
     def read(self, topics: Topics) -> Iterator[Scan]:
-        """The scans as they stand in the file; counts in `topics` what it meets; DamageError where the file ends."""
-        wanted = self.topic
+        """The scans in the order of the file; counts the messages in `topics`. DamageError where it is damaged."""
+        wanted = self.options.topic
         for number, words in _lines(self.path):
             kind = words[0]
-            topics.meet(kind, "CARMEN", kind in ("FLASER", "ROBOTLASER1"))
+            topics.add(kind, "CARMEN", kind in ("FLASER", "ROBOTLASER1"))
             wanted = wanted or (kind if kind in topics.scans else None)
-            if self.topic is None and len(topics.scans) > 1:
-                self.complain(f"holds FLASER and ROBOTLASER1; {wanted} is read, name the other as topic to have it")
+            if self.options.topic is None and len(topics.scans) > 1:
+                self.warn(f"holds FLASER and ROBOTLASER1; {wanted} is read: name the other as topic to read it instead")
             if kind == wanted and kind in topics.scans:
                 yield self._scan(kind, words, number)
 
@@ -43,6 +45,16 @@ class CarmenLog(Recording):
             return _flaser(words) if kind == "FLASER" else _robotlaser(words)
         except (ValueError, IndexError) as error:
             raise DamageError(f"line {line}: not a {kind} that can be read ({error})") from None
+
+
+def is_carmen_log(path: Path, head: bytes) -> bool:
+    """Whether the name is that of a CARMEN log and the file begins as text, or as bzip2 where the name says so."""
+    if not path.name.endswith(CARMEN_SUFFIXES) or path.is_dir():
+        return False
+    return path.suffix == ".bz2" or head.isascii()
+
+
+FORMAT = RecordingFormat("CARMEN log", CARMEN_SUFFIXES, is_carmen_log, CarmenLog)
 
 
 def _lines(path: Path) -> Iterator[tuple[int, list[str]]]:

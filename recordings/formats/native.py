@@ -3,7 +3,7 @@
 `/scan` or `/scan/SENSOR` (foxglove.LaserScan; the channel's metadata carry the range limits), `/pose`
 (foxglove.FrameTransform, world_T_sensor, written where it changes), `/labels` or `/labels/SENSOR` (the labelled scan
 once more, with the index of each beam's class as its intensity; 255: unlabelled), `/outlines` and `/objects` (the true
-scene, where it is known: see truth.py). The metadata record `gridtrack` holds the RecordingInfo.
+scene, where it is known: see scene_messages.py). The metadata record `gridtrack` holds the RecordingInfo.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import json
 import math
 from collections.abc import Iterable, Iterator
 from functools import cached_property
+from pathlib import Path
 from typing import BinaryIO, TypeVar
 
 import numpy as np
@@ -29,11 +30,13 @@ from gridtrack.common.errors import RecordingError
 from gridtrack.common.geometry import SE2
 from gridtrack.common.scan import Scan
 from gridtrack.common.scene import Scene
-from gridtrack.recordings.mcap_file import McapFile, Message
+from gridtrack.recordings.format import RecordingFormat
+from gridtrack.recordings.mcap_file import MCAP_MAGIC, McapFile, McapMessage
 from gridtrack.recordings.recording import DamageError, Recording, RecordingInfo, Topics
 from gridtrack.recordings.scene_messages import OBJECTS, OUTLINES, WORLD, SceneReader, SceneWriter
 
 SCHEMA = "1"
+METADATA_NAME = "gridtrack"
 CHUNK_BYTES = 128 * 1024
 DEFAULT_SENSOR = "scan"
 MAX_CHANNELS = 1024
@@ -50,7 +53,7 @@ class NativeRecording(Recording):
         file = McapFile(self.path)
         with contextlib.suppress(DamageError):  # told when the scans are read
             next(file.messages(), None)
-        found = file.metadata.get("gridtrack")
+        found = file.metadata.get(METADATA_NAME)
         if found is None:
             raise RecordingError(
                 f"{self.path}: not a recording of gridtrack: import it with `gridtrack recording import`"
@@ -62,14 +65,14 @@ class NativeRecording(Recording):
         return _read_info(found.get("info", ""), f"{self.path}: its metadata")
 
     def read(self, topics: Topics) -> Iterator[Scan]:
-        """The scans as they stand in the file; counts in `topics` what it meets; DamageError where the file ends."""
+        """The scans in the order of the file; counts the messages in `topics`. DamageError where it is damaged."""
         poses: dict[str, SE2] = {}
         labels: dict[str, LaserScan] = {}
         truth: SceneReader | None = None
         for message in McapFile(self.path).messages():
             topic = message.channel.topic
             is_scan = topic == "/scan" or topic.startswith("/scan/")
-            topics.meet(topic, message.schema.name, is_scan)
+            topics.add(topic, message.schema.name, is_scan)
             if topic == "/pose":
                 transform = _decoded(FrameTransform(), message)
                 poses[transform.child_frame_id] = _pose(transform)
@@ -79,10 +82,25 @@ class NativeRecording(Recording):
             elif topic in (OUTLINES, OBJECTS):
                 truth = truth or SceneReader(self.info.classes)
                 truth.take(topic, message.data)
-            elif is_scan and self.topic in (None, topic):
+            elif is_scan and self.options.topic in (None, topic):
                 scan = _decoded(LaserScan(), message)
                 scene = truth.scene_at(_stamp_ns(scan)) if truth is not None else None
                 yield _scan(scan, message, poses.get(scan.frame_id, SE2()), labels.pop(scan.frame_id, None), scene)
+
+
+def is_native(path: Path, head: bytes) -> bool:
+    """Whether it is an MCAP file with the metadata of gridtrack, with Protobuf messages, or without readable ones."""
+    if not head.startswith(MCAP_MAGIC):
+        return False
+    file = McapFile(path)
+    try:
+        first = next(file.messages(), None)
+    except DamageError:
+        first = None
+    return METADATA_NAME in file.metadata or first is None or first.schema.encoding == "protobuf"
+
+
+FORMAT = RecordingFormat("native MCAP", (".mcap",), is_native, NativeRecording)
 
 
 def write_native(file: BinaryIO, info: RecordingInfo, scans: Iterable[Scan]) -> None:
@@ -97,7 +115,7 @@ class _NativeWriter:
     def __init__(self, file: BinaryIO, info: RecordingInfo) -> None:
         self._mcap = Writer(file, chunk_size=CHUNK_BYTES, enable_data_crcs=True)
         self._mcap.start(library="gridtrack")
-        self._mcap.add_metadata("gridtrack", {"schema": SCHEMA, "info": info.model_dump_json()})
+        self._mcap.add_metadata(METADATA_NAME, {"schema": SCHEMA, "info": info.model_dump_json()})
         self._schemas = {kind: register_schema(self._mcap, kind) for kind in (LaserScan, FrameTransform, SceneUpdate)}
         self._channels: dict[tuple[str, float, float], int] = {}
         self._poses: dict[str, SE2] = {}
@@ -181,7 +199,7 @@ def _read_info(text: str, where: str) -> RecordingInfo:
     return validated(RecordingInfo, values, where)
 
 
-def _decoded(message: Decoded, received: Message) -> Decoded:
+def _decoded(message: Decoded, received: McapMessage) -> Decoded:
     try:
         message.ParseFromString(received.data)
     except DecodeError:
@@ -199,7 +217,7 @@ def _stamp_ns(message: LaserScan) -> int:
 
 
 def _scan(
-    message: LaserScan, received: Message, world_T_sensor: SE2, labels: LaserScan | None, scene: Scene | None
+    message: LaserScan, received: McapMessage, world_T_sensor: SE2, labels: LaserScan | None, scene: Scene | None
 ) -> Scan:
     beams = len(message.ranges)
     if labels is not None and len(labels.intensities) != beams:
@@ -219,7 +237,7 @@ def _scan(
     )
 
 
-def _range_limits(received: Message) -> tuple[float, float]:
+def _range_limits(received: McapMessage) -> tuple[float, float]:
     """range_min and range_max, metres, which foxglove.LaserScan has no fields for."""
     channel = received.channel
     try:

@@ -14,13 +14,33 @@ from typing import BinaryIO, NamedTuple
 
 import lz4.frame  # type: ignore[import-untyped]
 
+from gridtrack.recordings.format import RecordingFormat
 from gridtrack.recordings.recording import DamageError
+from gridtrack.recordings.ros_messages import RosMessage, ros2_name
+from gridtrack.recordings.ros_recording import ROS_OPTIONS, RosRecording
 
-MAGIC = b"#ROSBAG V2.0\n"
+ROS1_MAGIC = b"#ROSBAG V2.0\n"
 MAX_RECORD_BYTES = 1 << 28
-MESSAGE, BAG_HEADER, CHUNK, CONNECTION = 2, 3, 5, 7
+MESSAGE_OP, BAG_HEADER_OP, CHUNK_OP, CONNECTION_OP = 2, 3, 5, 7
 
 Fields = dict[str, bytes]
+
+
+class Ros1Bag(RosRecording):
+    """A ROS 1 bag."""
+
+    def messages(self) -> Iterator[RosMessage]:
+        """All messages in the order of the file. Raises DamageError where it is cut off or corrupt."""
+        for message in bag_messages(self.path):
+            yield RosMessage(message.topic, ros2_name(message.kind), message.received_ns, "ros1", message.data)
+
+
+def is_ros1_bag(path: Path, head: bytes) -> bool:
+    """Whether the file begins as a ROS 1 bag."""
+    return head.startswith(ROS1_MAGIC)
+
+
+FORMAT = RecordingFormat("ROS 1 bag", (".bag",), is_ros1_bag, Ros1Bag, ROS_OPTIONS)
 
 
 class BagMessage(NamedTuple):
@@ -35,16 +55,16 @@ class BagMessage(NamedTuple):
 def bag_messages(path: Path) -> Iterator[BagMessage]:
     """All messages of a bag in the order of the file. Raises DamageError where it is cut off or corrupt."""
     with path.open("rb") as file:
-        if file.read(len(MAGIC)) != MAGIC:
+        if file.read(len(ROS1_MAGIC)) != ROS1_MAGIC:
             raise DamageError("does not begin as a ROS 1 bag of format 2.0")
         connections: dict[bytes, tuple[str, str]] = {}
         chunks_left = 0
         try:
             for header, data in _records(file):
                 operation = header["op"][0]
-                if operation == BAG_HEADER:
+                if operation == BAG_HEADER_OP:
                     (chunks_left,) = struct.unpack("<I", header["chunk_count"])
-                elif operation == CHUNK:
+                elif operation == CHUNK_OP:
                     chunks_left -= 1
                     yield from _chunk(header, data, connections)
                 else:
@@ -67,10 +87,10 @@ def _chunk(header: Fields, data: bytes, connections: dict[bytes, tuple[str, str]
 
 def _take(header: Fields, data: bytes, connections: dict[bytes, tuple[str, str]]) -> Iterator[BagMessage]:
     operation = header["op"][0]
-    if operation == CONNECTION:
+    if operation == CONNECTION_OP:
         kind = _fields(data)["type"].decode()
         connections[header["conn"]] = (header["topic"].decode(), kind)
-    elif operation == MESSAGE:
+    elif operation == MESSAGE_OP:
         topic, kind = connections[header["conn"]]
         seconds, nanoseconds = struct.unpack("<II", header["time"])
         yield BagMessage(topic, kind, seconds * 1_000_000_000 + nanoseconds, data)
@@ -81,7 +101,7 @@ def _records(file: BinaryIO) -> Iterator[tuple[Fields, bytes]]:
         header_bytes, header_is_whole = _sized(file, size)
         header = _fields(header_bytes) if header_is_whole else {}
         data, data_is_whole = _sized(file, file.read(4))
-        if data_is_whole or header.get("op") == bytes([CHUNK]):
+        if data_is_whole or header.get("op") == bytes([CHUNK_OP]):
             yield header, data
         if not data_is_whole:
             raise DamageError("cut off in the middle of a record")

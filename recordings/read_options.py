@@ -1,0 +1,45 @@
+"""Options of reading a recording: the topic, strictness, and for ROS recordings the point clouds and the poses."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import Field, model_validator
+
+from gridtrack.common.config import Settings
+
+
+class CloudSlice(Settings):
+    """How a point cloud becomes a scan: the nearest point of each bearing between two heights, metres, sensor frame.
+
+    A bearing without a point in the slice is `empty`: "free" up to `range_max_m`, as if a laser's beam had not
+    returned, or "unknown", as if there were no beam. Free is right where the cloud is dense and sees over whatever
+    stands below the slice; with few rings, or a slice above low obstacles, it calls free what nobody has looked at:
+    give a shorter `range_max_m`, or "unknown".
+    """
+
+    low_m: float
+    high_m: float
+    beams: int = Field(default=720, ge=1, le=36_000)
+    range_min_m: float = Field(default=0.1, ge=0.0)
+    range_max_m: float = Field(default=50.0, gt=0.0)
+    empty: Literal["free", "unknown"] = "free"
+
+    @model_validator(mode="after")
+    def _limits_in_order(self) -> CloudSlice:
+        if self.low_m >= self.high_m or self.range_min_m >= self.range_max_m:
+            raise ValueError("the lower limit must be below the upper one")
+        return self
+
+
+class ReadOptions(Settings):
+    """How a recording is read. An option that the format of the file cannot use is refused when the file is opened."""
+
+    topic: str | None = None
+    """Read the scans of this topic only."""
+    strict: bool = False
+    """Raise RecordingError for what otherwise is a warning."""
+    cloud_slice: CloudSlice | None = None
+    """How a point cloud becomes a scan."""
+    pose_topic: str | None = None
+    """The topic with the poses of the sensor."""

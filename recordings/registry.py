@@ -1,0 +1,71 @@
+"""The registry of recording formats: found by entry point, loaded one after the other until one recognises the file."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from importlib.metadata import EntryPoint
+from pathlib import Path
+
+from gridtrack.common.entry_points import Registration, registrations
+from gridtrack.common.errors import PluginError
+from gridtrack.recordings.format import RecordingFormat
+
+GROUP = "gridtrack.recordings"
+
+
+class FormatRegistry:
+    """The installed formats, each loaded when its turn comes: those of gridtrack first, then the others by name.
+
+    A format that cannot be loaded, or fails on a file, is left out; `problems` holds one line for each.
+    """
+
+    def __init__(self) -> None:
+        """Raises PluginError where two distributions register a format of the same name."""
+        found = registrations(GROUP).values()
+        self._registrations = sorted(found, key=lambda entry: entry.distribution_name != "gridtrack")
+        self._loaded: dict[str, RecordingFormat] = {}
+        self.problems: list[str] = []
+        for entry in found:
+            if entry.registered_twice:
+                raise PluginError(f"recording format '{entry.name}': {entry.problem}")
+
+    def recognising(self, path: Path, head: bytes) -> RecordingFormat | None:
+        """The first format that recognises the file at `path`, whose first bytes are `head`; None where none does."""
+        return next((found for found in self.formats() if self._recognises(found, path, head)), None)
+
+    def formats(self) -> Iterator[RecordingFormat]:
+        """All formats that can be loaded."""
+        for entry in self._registrations:
+            if entry.name not in self._loaded:
+                try:
+                    self._loaded[entry.name] = load_format(entry)
+                except PluginError as error:
+                    self._note(str(error))
+                    continue
+            yield self._loaded[entry.name]
+
+    def _recognises(self, found: RecordingFormat, path: Path, head: bytes) -> bool:
+        try:
+            return found.recognises(path, head)
+        except Exception as error:  # noqa: BLE001  a plugin's failure must not stop the other formats
+            self._note(f"{found.name}: its `recognises` failed on {path} ({type(error).__name__}: {error})")
+            return False
+
+    def _note(self, problem: str) -> None:
+        line = " ".join(problem.split())
+        if line not in self.problems:
+            self.problems.append(line)
+
+
+def load_format(entry: Registration) -> RecordingFormat:
+    """Import a registered format. Raises PluginError, which names the format, its distribution and the reason."""
+    where = f"recording format '{entry.name}' of {entry.distribution}"
+    if entry.problem:
+        raise PluginError(f"{where}: {entry.problem}")
+    try:
+        found = EntryPoint(entry.name, entry.value, GROUP).load()
+    except (Exception, SystemExit) as error:
+        raise PluginError(f"{where} cannot be imported ({type(error).__name__}: {error})") from error
+    if not isinstance(found, RecordingFormat):
+        raise PluginError(f"{where}: {entry.value} is not a gridtrack.recordings.format.RecordingFormat")
+    return found

@@ -1,0 +1,139 @@
+"""Any installed format is found by its entry point; a broken one is reported and does not stop the others."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from gridtrack.common.errors import PluginError, RecordingError
+from gridtrack.common.scan import Scan
+from gridtrack.recordings import CloudSlice, open_recording
+
+Install = Callable[..., Path]
+
+CSV_FORMAT = '''
+import numpy as np
+from gridtrack.common.scan import Scan
+from gridtrack.recordings import Recording, RecordingFormat
+
+class CsvRecording(Recording):
+    """One scan a line: the stamp in nanoseconds, then the ranges."""
+    def read(self, topics):
+        for line in self.path.read_text().splitlines()[1:]:
+            stamp_ns, *ranges = line.split(",")
+            topics.add("csv", "CSV", True)
+            yield Scan(int(stamp_ns), np.array(ranges, np.float32), -1.0, 0.1, 0.05, 5.0)
+
+def recognises(path, head):
+    return head.startswith(b"scans")
+
+def recognises_with_a_bug(path, head):
+    return head[99]
+
+def open_with_a_bug(path, options):
+    raise ValueError("no header")
+
+FORMAT = RecordingFormat("CSV of scans", (".csv",), recognises, CsvRecording, options=())
+FORGETFUL = RecordingFormat("forgetful", (".bug",), recognises_with_a_bug, CsvRecording)
+UNOPENABLE = RecordingFormat("unopenable", (".csv",), recognises, open_with_a_bug)
+NO_FORMAT = CsvRecording
+'''
+
+
+@pytest.fixture
+def csv_file(tmp_path: Path) -> Path:
+    path = tmp_path / "walk.csv"
+    path.write_text("scans\n1000,1.5,2.5\n2000,1.5,inf\n")
+    return path
+
+
+@pytest.fixture
+def install_formats(install: Install) -> Callable[[dict[str, str]], None]:
+    """Registers formats of the module `csv_scans` from the distribution `csv-scans`."""
+
+    def install_formats(points: dict[str, str]) -> None:
+        install("csv-scans", points, {"csv_scans.py": CSV_FORMAT}, group="gridtrack.recordings")
+
+    yield install_formats
+    sys.modules.pop("csv_scans", None)
+
+
+def test_a_recording_is_read_in_a_format_of_another_distribution(install_formats, csv_file: Path) -> None:
+    with pytest.raises(RecordingError, match=r"not a recording that gridtrack reads; formats: .*CARMEN log \(\.clf"):
+        open_recording(csv_file)
+    install_formats({"csv": "csv_scans:FORMAT"})
+    recording = open_recording(csv_file)
+    assert [scan.stamp_ns for scan in recording.scans()] == [1000, 2000]
+    assert recording.summary().topics == {"csv": "CSV, 2"}
+    assert recording.warnings == []
+    with pytest.raises(RecordingError, match=r"no such recording; did you mean 'walk\.csv'"):
+        open_recording(csv_file.with_name("wakl.csv"))
+
+
+def test_an_option_that_the_format_cannot_use_is_refused(install_formats, csv_file: Path) -> None:
+    install_formats({"csv": "csv_scans:FORMAT"})
+    with pytest.raises(RecordingError, match=r"--topic is for recordings with several topics; a CSV of scans"):
+        open_recording(csv_file, topic="front")
+    with pytest.raises(RecordingError, match=r"--cloud-slice is for ROS recordings with point clouds"):
+        open_recording(csv_file, cloud_slice=CloudSlice(low_m=0.0, high_m=1.0))
+
+
+def test_a_broken_format_is_reported_and_does_not_stop_the_others(
+    install_formats, csv_file: Path, write: Callable[..., Path], scan: Callable[..., Scan]
+) -> None:
+    install_formats(
+        {
+            "absent": "csv_scans:ABSENT",
+            "buggy": "csv_scans:FORGETFUL",
+            "csv": "csv_scans:FORMAT",
+            "missing": "no_such_module:FORMAT",
+            "Wrong": "csv_scans:FORMAT",
+            "a-type": "csv_scans:NO_FORMAT",
+        }
+    )
+    assert len(list(open_recording(write([scan(0)])).scans())) == 1
+    recording = open_recording(csv_file)
+    assert len(list(recording.scans())) == 2
+    warnings = "\n".join(recording.warnings)
+    assert "recording format 'absent' of csv-scans 1.0 cannot be imported" in warnings
+    assert "forgetful: its `recognises` failed" in warnings
+    assert "recording format 'a-type' of csv-scans 1.0: csv_scans:NO_FORMAT is not a" in warnings
+    assert "'Wrong' is not a valid name" in warnings
+    csv_file.write_text("something else")
+    with pytest.raises(RecordingError, match=r"not available: .*No module named 'no_such_module'") as error:
+        open_recording(csv_file)
+    assert "\n" not in str(error.value)
+
+
+def test_a_format_that_fails_to_open_is_one_error_with_its_reason(install_formats, csv_file: Path) -> None:
+    install_formats({"csv": "csv_scans:UNOPENABLE"})
+    with pytest.raises(RecordingError, match=r"cannot be opened as unopenable \(ValueError: no header\)"):
+        open_recording(csv_file)
+
+
+def test_two_formats_of_one_name_are_one_clear_error(install_formats, write, scan) -> None:
+    path = write([scan(0)])
+    install_formats({"carmen": "csv_scans:FORMAT"})
+    with pytest.raises(PluginError, match=r"'carmen': registered by two distributions, .*csv-scans 1\.0"):
+        open_recording(path)
+
+
+def test_a_format_loads_its_libraries_only_when_a_file_of_it_is_opened(
+    tmp_path: Path, write: Callable[..., Path], scan: Callable[..., Scan]
+) -> None:
+    def loaded(statement: str) -> list[str]:
+        program = f"import gridtrack.recordings, json, sys\n{statement}\nprint(json.dumps(sorted(sys.modules)))"
+        done = subprocess.run([sys.executable, "-c", program], check=True, capture_output=True, text=True)
+        heavy = ("rosbags", "pyarrow", "numba", "gridtrack.simulation")
+        return [name for name in json.loads(done.stdout) if name.startswith(heavy)]
+
+    log = tmp_path / "a.clf"
+    log.write_text("")
+    opening = "from gridtrack.recordings import open_recording as o\n"
+    assert loaded("") == []
+    assert loaded(f"{opening}o({str(write([scan(0)]))!r}); o({str(log)!r})") == []
