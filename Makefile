@@ -55,11 +55,14 @@ junction: $(VENV)/.installed-sim
 test: lint
 	$(BIN)/python -m pytest -n auto --dist worksteal
 
+EXAMPLE := examples/example_tracker
 lint: $(VENV)/.installed-dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+	$(BIN)/codespell
 	mkdir -p .link && ln -sfn .. .link/gridtrack
 	MYPYPATH=.link $(BIN)/mypy -p gridtrack
+	MYPYPATH=.link:$(EXAMPLE):$(EXAMPLE)/tests $(BIN)/mypy -m example_tracker -m test_example_tracker
 	PYTHONPATH=.link $(BIN)/lint-imports
 
 # Those that need nothing but what `make test` installs; the others say in their first lines what they ask for.

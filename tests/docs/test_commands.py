@@ -1,0 +1,97 @@
+"""Commands, tracker options and files that the pages name exist."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from collections.abc import Iterator
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import pytest
+import typer
+
+from gridtrack.cli import app
+from gridtrack.trackers import registry
+from gridtrack.trackers.selection import parse_selection
+
+from docs.pages import PAGES, ROOT, commands, name_of, prose
+
+MODULES = ("gridtrack.trackers.serve",)
+HISTORY = ("CHANGELOG.md", "docs/notebook/")
+PAST = [page for page in PAGES if name_of(page).startswith(HISTORY)]
+CURRENT = [page for page in PAGES if page not in PAST]
+FOLDERS = (
+    r"(?:common|recordings|simulation|trackers|evaluation|reports|cli|tests|benchmarks|studies|examples|docs|data)"
+)
+FILE = re.compile(rf"`({FOLDERS}/[\w./-]+\.(?:py|md|toml|json|tracks|mcap|xml|svg))`")
+
+
+def targets() -> set[str]:
+    return set(re.findall(r"^([\w-]+):", (ROOT / "Makefile").read_text("utf-8"), re.MULTILINE))
+
+
+def problem_of(line: str) -> str:
+    """What is wrong with a command line, "" if nothing is."""
+    program, *words = shlex.split(line)
+    if program == "make":
+        return "" if not words or words[0] in targets() else f"{line}: no such target"
+    if program == "python":
+        script = words[1].replace(".", "/") + ".py" if words[0] == "-m" else words[0]
+        return "" if (ROOT / script).is_file() or words[1] in MODULES else f"{line}: no such module or script"
+    return next(wrong_words(line, words), "")
+
+
+def wrong_words(line: str, words: list[str]) -> Iterator[str]:
+    command: Any = typer.main.get_command(app)
+    rest = list(words)
+    while rest and (commands_of := getattr(command, "commands", None)) is not None:
+        name = rest.pop(0)
+        if name not in commands_of:
+            yield f"{line}: no such command '{name}'"
+            return
+        command = commands_of[name]
+    known = {option for parameter in command.params for option in parameter.opts} | {"--debug", "--help"}
+    for word in rest:
+        if word.startswith("--") and word.partition("=")[0] not in known:
+            yield f"{line}: no such option {word}"
+    chosen = [after for word, after in pairwise(rest) if word == "--tracker"]
+    for selection in [*chosen, *(rest[:1] if words[0] == "train" else [])]:
+        if problem := unknown_options(selection):
+            yield f"{line}: {problem}"
+
+
+def unknown_options(text: str) -> str:
+    """Which of the options in `NAME:key=value,...` the built-in tracker NAME lacks; `key=value,...` stands for any."""
+    selection = parse_selection(text.replace(",...", ""))
+    if selection.name not in registry.entries():
+        return ""
+    fields = registry.load(selection.name).Options.model_fields
+    missing = [key for key in selection.options if key not in (*fields, "key")]
+    return f"{selection.name} has no option {', '.join(missing)}" if missing else ""
+
+
+@pytest.mark.parametrize("page", CURRENT, ids=name_of)
+def test_the_commands_of_a_page_exist(page: Path) -> None:
+    assert [problem for line in commands(page) if (problem := problem_of(line))] == []
+
+
+@pytest.mark.parametrize("page", CURRENT, ids=name_of)
+def test_the_files_that_a_page_names_exist(page: Path) -> None:
+    assert [file for file in FILE.findall(prose(page)) if not (ROOT / file).exists()] == []
+
+
+@pytest.mark.parametrize(
+    ("line", "problem"),
+    [
+        ("make absent", "no such target"),
+        ("python -m benchmarks.absent 1", "no such module or script"),
+        ("gridtrack absent", "no such command 'absent'"),
+        ("gridtrack compare a.mcap --absent 1", "no such option --absent"),
+        ("gridtrack compare a.mcap --tracker x=kalman:absent=1", "kalman has no option absent"),
+        ("gridtrack train kalman:absent=1 a.mcap", "kalman has no option absent"),
+    ],
+)
+def test_a_wrong_command_is_found(line: str, problem: str) -> None:
+    assert problem_of(line) == f"{line}: {problem}"
