@@ -10,7 +10,7 @@ PAGES = sorted(
     [*ROOT.glob("*.md"), *(page for folder in ("docs", "data", "examples") for page in (ROOT / folder).rglob("*.md"))]
 )
 FENCE = re.compile(r"^```(\w*)\n(.*?)^```", re.MULTILINE | re.DOTALL)
-COMMAND = re.compile(r"(gridtrack|make|python) .*")
+COMMAND = re.compile(r"(gridtrack|make|python) (?!=)[^<]*")
 
 
 def name_of(page: Path) -> str:

@@ -46,7 +46,7 @@ def problem_of(line: str) -> str:
 def wrong_words(line: str, words: list[str]) -> Iterator[str]:
     command: Any = typer.main.get_command(app)
     rest = list(words)
-    while rest and (commands_of := getattr(command, "commands", None)) is not None:
+    while rest and not rest[0].startswith("-") and (commands_of := getattr(command, "commands", None)) is not None:
         name = rest.pop(0)
         if name not in commands_of:
             yield f"{line}: no such command '{name}'"
