@@ -41,7 +41,13 @@ def regress(
     Exit code: 0 no worse, 1 worse, 2 wrong use, 3 not measured: something failed, is missing, or does not pair.
     """
     from gridtrack.common.config import validated
-    from gridtrack.evaluation.regression import GateSettings, Unmeasured, judge, measure, read_baseline
+    from gridtrack.evaluation.regression import (
+        GateSettings,
+        Unmeasured,
+        compare_with_baseline,
+        measure_run,
+        read_baseline,
+    )
 
     given = {"margin": margin, "tolerance": dict(map(_tolerance, tolerance or ())), "speed_reference": speed_reference}
     if speed_margin is not None:
@@ -56,7 +62,7 @@ def regress(
         if len(runs) > 1:
             raise ConfigurationError(f"{len(runs)} runs: one is judged at a time; --update makes a baseline of several")
         against = read_baseline(baseline)
-        verdict = judge(against, measure(runs[0], like=against.first), settings)
+        verdict = compare_with_baseline(against, measure_run(runs[0], like=against.first), settings)
     except Unmeasured as error:
         _tell_unmeasured(error.reasons, junit, markdown, as_json)
         raise typer.Exit(UNMEASURED) from None
@@ -67,13 +73,13 @@ def regress(
 
 def _update(runs: Sequence[Path], baseline: Path) -> None:
     """Write `runs` as the baseline and tell what it holds."""
-    from gridtrack.evaluation.regression import measure, write_baseline
+    from gridtrack.evaluation.regression import measure_run, write_baseline
     from gridtrack.reports.regression import text_of_update
 
     if len({run.resolve() for run in runs}) < len(runs):
         raise ConfigurationError("a run is given twice: each is a training or a seed of its own")
-    first = measure(runs[0])
-    written = write_baseline(baseline, [first, *(measure(run, like=first) for run in runs[1:])])
+    first = measure_run(runs[0])
+    written = write_baseline(baseline, [first, *(measure_run(run, like=first) for run in runs[1:])])
     typer.echo(text_of_update(baseline, written))
 
 

@@ -14,7 +14,7 @@ COLUMNS = ("stamp_ns", "step", "stratum", "tp", "fp", "fn")
 
 
 @dataclass(frozen=True)
-class ScoredMoment:
+class FrameScore:
     """One tracker's moving cells at one scored frame and step: hits, false alarms and misses."""
 
     tp: int
@@ -33,7 +33,7 @@ class ScoredMoment:
 
 
 @dataclass(frozen=True)
-class ChosenMoment:
+class ChosenFrame:
     """A moment to picture, and what it was chosen for."""
 
     stamp_ns: int
@@ -41,7 +41,7 @@ class ChosenMoment:
 
 
 def rule(parts: int, horizon_s: float) -> str:
-    """How `choose_moments` chooses, in words."""
+    """How `choose_frames` chooses, in words."""
     each = f"each of {parts} equal parts of the stretch gives" if parts > 1 else "the stretch gives"
     return (
         f"Chosen by rule, the same for every tracker, out of the moments kept for viewing: {each} the one with the most"
@@ -50,9 +50,9 @@ def rule(parts: int, horizon_s: float) -> str:
     )
 
 
-def choose_moments(
-    scored: Mapping[str, Mapping[int, ScoredMoment]], trackers: Sequence[str], parts: int
-) -> tuple[ChosenMoment, ...]:
+def choose_frames(
+    scored: Mapping[str, Mapping[int, FrameScore]], trackers: Sequence[str], parts: int
+) -> tuple[ChosenFrame, ...]:
     """At most `parts` + 1 moments in the order of time, out of those that every one of the trials in `scored` has.
 
     `scored` holds one tracker's moments by stamp; `trackers` names those whose disagreement counts.
@@ -74,14 +74,14 @@ def choose_moments(
         apart = max(rest, key=lambda s: (spread[s], -s))
         if spread[apart] >= 0.01:
             chosen[apart] = f"where trackers differ most: moving F1 {spread[apart]:.2f} apart"
-    return tuple(ChosenMoment(stamp, chosen[stamp]) for stamp in sorted(chosen))
+    return tuple(ChosenFrame(stamp, chosen[stamp]) for stamp in sorted(chosen))
 
 
 def _spread(values: Sequence[float]) -> float:
     return max(values) - min(values)
 
 
-def scored_moments(path: Path, step: int) -> dict[int, ScoredMoment]:
+def frame_scores(path: Path, step: int) -> dict[int, FrameScore]:
     """The moving cells of every scored frame at `step`, by stamp, from a trial's scores.parquet. Raises ReportError."""
     try:
         rows = (
@@ -93,4 +93,4 @@ def scored_moments(path: Path, step: int) -> dict[int, ScoredMoment]:
         )
     except (OSError, pl.exceptions.PolarsError) as error:
         raise ReportError(f"{path}: cannot be read as scores ({str(error).splitlines()[0]}); run it again") from None
-    return {stamp: ScoredMoment(tp, fp, fn) for stamp, tp, fp, fn in rows.iter_rows()}
+    return {stamp: FrameScore(tp, fp, fn) for stamp, tp, fp, fn in rows.iter_rows()}

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from gridtrack.reports.run import ClassDifference, Run
-from gridtrack.reports.table import HeadlineTable, Row
+from gridtrack.reports.table import HeadlineTable, TableRow
 from gridtrack.reports.trial import ClassScores, Curve, Trial
 
 KINDS = ("visible", "occluded")
@@ -32,18 +32,18 @@ class Meaning:
 class MeaningRow:
     """One tracker that gives classes: its meanings in the order of the columns."""
 
-    row: Row
+    row: TableRow
     meanings: tuple[Meaning, ...]
 
 
 @dataclass(frozen=True)
-class Classes:
+class ClassTables:
     """What was found of each class at the decisive step, and what cells were taken for, now and then."""
 
     horizon: str
     columns: tuple[tuple[str, str], ...]
     """Kind and class of every column of recall."""
-    recalls: tuple[tuple[Row, tuple[Value, ...]], ...]
+    recalls: tuple[tuple[TableRow, tuple[Value, ...]], ...]
     meant: tuple[tuple[str, str], ...]
     """Kind and horizon of every column of meanings; none where no tracker gives classes."""
     meanings: tuple[MeaningRow, ...]
@@ -53,8 +53,8 @@ class Classes:
     """Why a log loss has no interval, where it has none."""
 
 
-def classes_of(table: HeadlineTable, run: Run | None) -> Classes | None:
-    """The rows of a recording whose classes are known; None without. Differences are of one `run`, if there is one."""
+def class_tables(table: HeadlineTable, run: Run | None) -> ClassTables | None:
+    """The rows of a recording whose classes are known; None without. Differences are of one `run`, if given."""
     rows = [row for row in table.rows if row.trial.recall_by_class]
     if not rows:
         return None
@@ -66,7 +66,7 @@ def classes_of(table: HeadlineTable, run: Run | None) -> Classes | None:
     paired = run.summary.class_differences if run else ()
     differences = {one.tracker: one for one in paired if one.recordings == table.recording}
     found = [of for row in meaning for kind in kinds if (of := _of_kind(row.trial, kind))]
-    return Classes(
+    return ClassTables(
         horizon,
         columns,
         tuple((row, _recalls(row.trial, columns, step)) for row in rows),
@@ -93,7 +93,7 @@ def _of_kind(trial: Trial, kind: str) -> ClassScores | None:
     return trial.semantics.kinds.get(kind) if trial.semantics else None
 
 
-def _meaning(row: Row, kind: str, step: int, differences: Mapping[str, ClassDifference]) -> Meaning:
+def _meaning(row: TableRow, kind: str, step: int, differences: Mapping[str, ClassDifference]) -> Meaning:
     scores = _of_kind(row.trial, kind)
     if scores is None:
         return Meaning(None, None, None, None, None)

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from gridtrack.reports.figures import Axis, Series
-from gridtrack.reports.table import Column, HeadlineTable, Row
+from gridtrack.reports.table import HeadlineTable, TableColumn, TableRow
 from gridtrack.reports.trial import Curves, Deadline
 
 STRATA = ("moving", "visible")
@@ -48,7 +48,7 @@ class SweepPanel:
 class DeadlineRow:
     """One tracker in time: what it takes, and per rate its F1 and the share of frames that it missed."""
 
-    row: Row
+    row: TableRow
     deadline: Deadline
     untimed: float | None
     in_time: tuple[tuple[float | None, float], ...]
@@ -61,10 +61,10 @@ class DeadlineRow:
 
 
 @dataclass(frozen=True)
-class Deadlines:
+class DeadlineTable:
     """Scores in time, of moving cells at the shortest horizon of the table, where lateness shows first."""
 
-    column: Column
+    column: TableColumn
     rates: tuple[tuple[float, float], ...]
     """Multiples of the stream's rate, and Hz."""
     rows: tuple[DeadlineRow, ...]
@@ -75,7 +75,7 @@ class Deadlines:
 class RobustnessTable:
     """F1 on degraded input at the shortest horizon: per kind the panels of it, and its values in words."""
 
-    column: Column
+    column: TableColumn
     panels: tuple[SweepPanel, ...]
 
     @property
@@ -84,7 +84,7 @@ class RobustnessTable:
         return tuple(dict.fromkeys(series for panel in self.panels for series, _ in panel.series))
 
 
-def deadlines_of(table: HeadlineTable, styles: Mapping[str, str]) -> Deadlines | None:
+def deadline_table(table: HeadlineTable, styles: Mapping[str, str]) -> DeadlineTable | None:
     """Scores in time of every trial that has them; None where no trial has."""
     known = [(row, row.trial.deadline) for row in table.rows if row.trial.deadline and row.trial.strata]
     if not known:
@@ -119,10 +119,10 @@ def deadlines_of(table: HeadlineTable, styles: Mapping[str, str]) -> Deadlines |
         )
         for stratum in STRATA
     )
-    return Deadlines(column, rates, rows, panels)
+    return DeadlineTable(column, rates, rows, panels)
 
 
-def robustness_of(table: HeadlineTable, styles: Mapping[str, str]) -> RobustnessTable | None:
+def robustness_table(table: HeadlineTable, styles: Mapping[str, str]) -> RobustnessTable | None:
     """Scores on degraded input of every trial that has them; None where no trial has."""
     column = table.columns[0]
     known = [(row, row.trial.robustness) for row in table.rows if row.trial.robustness]

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from gridtrack.reports.run import Run
-from gridtrack.reports.table import HeadlineTable, Row
+from gridtrack.reports.table import HeadlineTable, TableRow
 
-MAX_LINES = 2000
+MAX_PROVENANCE_LINES = 2000
 """Of provenance; what is beyond is counted, and stands in run.json."""
 
 
@@ -42,14 +42,14 @@ def lead_of(table: HeadlineTable) -> str:
     if not table.comparable:
         return ""
     at = table.columns.index(table.decisive)
-    ranked, floor = (_highest(table.standing(standing), at) for standing in ("ranked", "floor"))
+    ranked, floor = (_highest(table.rows_in(standing), at) for standing in ("ranked", "floor"))
     ahead = f"moving cells {table.decisive.heading} ahead"
     if not ranked:
         return _why_none(table)
     f1, of_floor = ranked[0].cells[at].text, floor[0].cells[at].text if floor else ""
     if not max(float(f1), float(of_floor or 0.0)):
         return f"On {ahead} every tracker has an F1 of {f1}."
-    alone = len(table.standing("ranked")) == 1
+    alone = len(table.rows_in("ranked")) == 1
     if floor and float(f1) <= float(of_floor):
         who = _listed(ranked) if alone else f"the highest of the trackers, {_listed(ranked)},"
         return f"No tracker beats the floor on {ahead}: {_listed(floor)} at an F1 of {of_floor}, {who} at {f1}."
@@ -57,7 +57,7 @@ def lead_of(table: HeadlineTable) -> str:
     return f"{_scored(ranked, f1, ahead, alone)}; {against}."
 
 
-def _scored(highest: Sequence[Row], f1: str, ahead: str, alone: bool) -> str:
+def _scored(highest: Sequence[TableRow], f1: str, ahead: str, alone: bool) -> str:
     """What the highest of the ranked trackers have, several where they are equal; `alone`: there is no other."""
     if len(highest) > 1:
         return f"{_listed(highest)} have the highest F1 on {ahead}, {f1} each"
@@ -68,24 +68,24 @@ def _scored(highest: Sequence[Row], f1: str, ahead: str, alone: bool) -> str:
 
 def _why_none(table: HeadlineTable) -> str:
     """What is true where no tracker has a score to be ranked by."""
-    if table.standing("ranked"):
+    if table.rows_in("ranked"):
         return (
             f"No tracker has an F1 on moving cells {table.decisive.heading} ahead on {table.recording}: none of"
             " them was occupied in the frames that came."
         )
-    if table.standing("apart"):
+    if table.rows_in("unranked"):
         return f"No tracker finished on {table.recording}."
     return f"Only the floor was run on {table.recording}."
 
 
-def _highest(rows: Sequence[Row], at: int) -> tuple[Row, ...]:
+def _highest(rows: Sequence[TableRow], at: int) -> tuple[TableRow, ...]:
     """The rows whose F1 in the column `at` is the highest to the shown digits; none where no row has one."""
     defined = [row for row in rows if row.cells[at].value is not None]
     top = max((row.cells[at].text for row in defined), key=float, default="")
     return tuple(row for row in defined if row.cells[at].text == top)
 
 
-def _listed(rows: Sequence[Row]) -> str:
+def _listed(rows: Sequence[TableRow]) -> str:
     names = [row.name for row in rows]
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
 
@@ -124,8 +124,8 @@ def _recording(run: Run, name: str) -> str:
 def provenance_of(run: Run) -> tuple[Fact, ...]:
     """run.json line by line."""
     lines = list(_flat("", run.provenance))
-    if len(lines) > MAX_LINES:
-        lines[MAX_LINES:] = [Fact("…", f"{len(lines) - MAX_LINES} more lines stand in run.json")]
+    if len(lines) > MAX_PROVENANCE_LINES:
+        lines[MAX_PROVENANCE_LINES:] = [Fact("…", f"{len(lines) - MAX_PROVENANCE_LINES} more lines stand in run.json")]
     return tuple(lines)
 
 

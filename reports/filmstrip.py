@@ -11,10 +11,10 @@ import numpy as np
 from gridtrack.common.grid import GridSpec
 from gridtrack.evaluation.scoring.samples import SAMPLES, Sample, SamplesError, read_samples
 from gridtrack.evaluation.scoring.scores import SCORES
-from gridtrack.reports.chosen_frames import ChosenMoment, choose_moments, rule, scored_moments
+from gridtrack.reports.chosen_frames import ChosenFrame, choose_frames, frame_scores, rule
 from gridtrack.reports.pictures import frame_png, probability_png
 from gridtrack.reports.run import ReportError
-from gridtrack.reports.table import HeadlineTable, Row
+from gridtrack.reports.table import HeadlineTable, TableRow
 
 PICTURES = 320
 """About how many pictures a page holds: where there are more recordings or trackers, fewer moments are shown."""
@@ -29,8 +29,8 @@ class Picture:
 
 
 @dataclass(frozen=True)
-class Strip:
-    """One moment: the input, and per horizon its name, what came, and every tracker's forecast (as `Film.rows`)."""
+class FilmstripRow:
+    """One chosen frame: the input, and per horizon the observed frame and every tracker's forecast."""
 
     when: str
     why: str
@@ -39,20 +39,20 @@ class Strip:
 
 
 @dataclass(frozen=True)
-class Film:
+class Filmstrip:
     """The chosen moments of one recording, the rows (trackers) that are pictured, and the rule of choice."""
 
     grid: GridSpec
     sensors: tuple[tuple[float, float], ...]
     """Where the sensors stand, in picture coordinates: cells from the upper left corner."""
     rule: str
-    rows: tuple[Row, ...]
-    strips: tuple[Strip, ...]
+    rows: tuple[TableRow, ...]
+    strips: tuple[FilmstripRow, ...]
 
 
-def film_of(
+def filmstrip_of(
     table: HeadlineTable, folders: Mapping[str, Path], step: int, horizon_s: float, recordings: int
-) -> tuple[Film | None, tuple[str, ...]]:
+) -> tuple[Filmstrip | None, tuple[str, ...]]:
     """The film of one recording out of `recordings`, and notices of samples that could not be read.
 
     `folders` are the trials' by label. Moments are chosen by the moving cells at `step`, `horizon_s` ahead. There is no
@@ -62,25 +62,25 @@ def film_of(
     rows = tuple(row for row in table.rows if kept.get(row.label))
     if not rows:
         return None, notices
-    judged = [row for row in rows if row.standing != "apart"] or list(rows)
+    judged = [row for row in rows if row.group != "unranked"] or list(rows)
     scored = {
-        row.label: {s: m for s, m in scored_moments(folders[row.label] / SCORES, step).items() if s in kept[row.label]}
+        row.label: {s: m for s, m in frame_scores(folders[row.label] / SCORES, step).items() if s in kept[row.label]}
         for row in judged
     }
     parts = 3 if recordings * 4 * (4 + 3 * len(rows)) <= PICTURES else 1
-    chosen = choose_moments(scored, [row.label for row in judged if row.standing != "floor"], parts)
+    chosen = choose_frames(scored, [row.label for row in judged if row.group != "floor"], parts)
     if not chosen:
         return None, notices
     wanted = {moment.stamp_ns for moment in chosen}
     samples = {row.label: _samples_at(folders[row.label] / SAMPLES, wanted) for row in rows}
     reference = samples[judged[0].label]
     start_ns = min(kept[judged[0].label])
-    strips = tuple(_strip(moment, rows, samples, reference[moment.stamp_ns], start_ns) for moment in chosen)
+    strips = tuple(_filmstrip_row(moment, rows, samples, reference[moment.stamp_ns], start_ns) for moment in chosen)
     first = reference[chosen[0].stamp_ns]
-    return Film(first.grid, _sensors(first), rule(parts, horizon_s), rows, strips), notices
+    return Filmstrip(first.grid, _sensors(first), rule(parts, horizon_s), rows, strips), notices
 
 
-def _kept_stamps(rows: Sequence[Row], folders: Mapping[str, Path]) -> tuple[dict[str, set[int]], tuple[str, ...]]:
+def _kept_stamps(rows: Sequence[TableRow], folders: Mapping[str, Path]) -> tuple[dict[str, set[int]], tuple[str, ...]]:
     """Stamps of the samples of each trial by label; of a damaged file, those before the damage and a notice."""
     kept: dict[str, set[int]] = {}
     notices = []
@@ -111,13 +111,13 @@ def _samples_at(path: Path, stamps: set[int]) -> dict[int, Sample]:
     return found
 
 
-def _strip(
-    moment: ChosenMoment,
-    rows: Sequence[Row],
+def _filmstrip_row(
+    moment: ChosenFrame,
+    rows: Sequence[TableRow],
     samples: Mapping[str, Mapping[int, Sample]],
     reference: Sample,
     start_ns: int,
-) -> Strip:
+) -> FilmstripRow:
     now = f"{(moment.stamp_ns - start_ns) / 1e9:.1f} s"
     size = reference.visible.sum()
     words = f"Input at {now}: {size} cells visible, {reference.occupied.sum()} of them occupied"
@@ -130,10 +130,10 @@ def _strip(
         )
         forecasts = tuple(_forecast(row, samples[row.label].get(moment.stamp_ns), reference, h, now) for row in rows)
         later.append((f"{horizon_s:g} s", came, forecasts))
-    return Strip(now, moment.why, Picture(frame_png(reference.visible, reference.occupied), words), tuple(later))
+    return FilmstripRow(now, moment.why, Picture(frame_png(reference.visible, reference.occupied), words), tuple(later))
 
 
-def _forecast(row: Row, sample: Sample | None, reference: Sample, h: int, now: str) -> Picture:
+def _forecast(row: TableRow, sample: Sample | None, reference: Sample, h: int, now: str) -> Picture:
     """One tracker's forecast for horizon `h`. Raises ReportError where it was made for another grid or horizons."""
     horizon_s = reference.horizons_s[h]
     if sample is None:

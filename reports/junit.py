@@ -8,7 +8,7 @@ from xml.etree import ElementTree
 from gridtrack.common.errors import plain
 from gridtrack.evaluation.regression import Verdict
 from gridtrack.evaluation.regression.speed import SpeedRow
-from gridtrack.evaluation.regression.verdict import Row
+from gridtrack.evaluation.regression.verdict import VerdictRow
 from gridtrack.reports.regression import band_text, rule_of, sentence_of
 
 SUITE = "gridtrack regress"
@@ -17,13 +17,13 @@ SUITE = "gridtrack regress"
 def junit_of(verdict: Verdict) -> str:
     """A case for each tracker, stratum and step band, and for each speed; what is worse is a failure."""
     rows, failures = verdict.decisive, len(verdict.worse)
-    skipped = sum(row.standing == "nothing to find" for row in rows)
+    skipped = sum(row.verdict == "nothing to find" for row in rows)
     suite = _suite(tests=len(rows), failures=failures, errors=0, skipped=skipped)
     for row in rows:
         case = _case(suite, row.label, _name(row))
-        if row.standing == "worse":
+        if row.verdict == "worse":
             ElementTree.SubElement(case, "failure", message=plain(sentence_of(row)))
-        elif row.standing == "nothing to find":
+        elif row.verdict == "nothing to find":
             ElementTree.SubElement(case, "skipped", message="no cell was occupied")
     ElementTree.SubElement(suite, "system-out").text = plain("; ".join([rule_of(verdict), *verdict.notes]))
     return _text(suite)
@@ -45,7 +45,7 @@ def _case(suite: ElementTree.Element, label: str, name: str) -> ElementTree.Elem
     return ElementTree.SubElement(suite, "testcase", classname=f"{SUITE}.{plain(label)}", name=plain(name))
 
 
-def _name(row: Row | SpeedRow) -> str:
+def _name(row: VerdictRow | SpeedRow) -> str:
     return f"speed of {row.call}" if isinstance(row, SpeedRow) else f"{row.stratum}, {band_text(row.band)}"
 
 

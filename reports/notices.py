@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from gridtrack.reports.run import Run
-from gridtrack.reports.table import HeadlineTable, Row
+from gridtrack.reports.table import HeadlineTable, TableRow
 
 
 @dataclass(frozen=True)
@@ -43,12 +43,12 @@ def _of_parity(tables: Sequence[HeadlineTable]) -> Iterator[Notice]:
 
 def _of_trials(tables: Sequence[HeadlineTable]) -> Iterator[Notice]:
     for table in tables:
-        for row in table.standing("apart"):
+        for row in table.rows_in("unranked"):
             where = f" on {table.recording}" if len(tables) > 1 else ""
             yield Notice(f"{row.name}{where}: {_what_became_of(row)}", serious=True)
 
 
-def _what_became_of(row: Row) -> str:
+def _what_became_of(row: TableRow) -> str:
     scored = f"{row.frames} frames scored, not ranked" if row.trial.frames_scored else "nothing scored"
     return "; ".join(filter(None, (row.trial.outcome, row.trial.reason, scored)))
 
@@ -57,7 +57,7 @@ def _of_intervals(tables: Sequence[HeadlineTable]) -> Iterator[Notice]:
     without: dict[str, list[str]] = defaultdict(list)
     pooled = [table for table in tables if table.pooled]
     for table in pooled or tables:
-        complete = [row.trial for row in table.rows if row.standing != "apart"]
+        complete = [row.trial for row in table.rows if row.group != "unranked"]
         intervals = {s.interval for trial in complete for s in trial.strata.values() if s.interval}
         for interval in intervals:
             without[interval].append(table.recording)

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from gridtrack.common.grid import Mask
 
-LEVELS = 65
+SHADES = 65
 """Shades of probability, 0 to 1: finer than the eye tells apart, and small to store."""
-UNOBSERVED = LEVELS
+UNOBSERVED = SHADES
 """Palette index of cells that no beam reached."""
 UNOBSERVED_RGB = (198, 200, 204)
 
@@ -27,19 +27,19 @@ _HUE_DEG = ((0.0, 0.1, 0.3, 0.55, 0.8, 1.0), (90.0, 84.0, 60.0, 22.0, -20.0, -60
 
 def probability_png(probability: NDArray[np.float32]) -> str:
     """A forecast (M, M) float32 in [0, 1] as a PNG data address."""
-    levels = np.rint(np.clip(probability, 0.0, 1.0) * (LEVELS - 1))
+    levels = np.rint(np.clip(probability, 0.0, 1.0) * (SHADES - 1))
     return _png(np.asarray(levels, np.uint8))
 
 
 def frame_png(visible: Mask, occupied: Mask) -> str:
     """A frame, `visible` and `occupied` (M, M) bool, as a PNG data address: free, occupied, and grey for unobserved."""
-    levels = np.where(visible, np.where(occupied, LEVELS - 1, 0), UNOBSERVED)
+    levels = np.where(visible, np.where(occupied, SHADES - 1, 0), UNOBSERVED)
     return _png(levels.astype(np.uint8))
 
 
 def scale_png() -> str:
     """The colours of probability 0 to 1 from left to right, one pixel high, as a PNG data address."""
-    return _png(np.arange(LEVELS, dtype=np.uint8)[None])
+    return _png(np.arange(SHADES, dtype=np.uint8)[None])
 
 
 def _png(levels: NDArray[np.uint8]) -> str:
@@ -58,8 +58,8 @@ def _chunk(kind: bytes, content: bytes) -> bytes:
 
 @lru_cache(maxsize=1)
 def palette() -> NDArray[np.uint8]:
-    """Colours (LEVELS + 1, 3) sRGB: the probabilities 0 to 1, then unobserved."""
-    p = np.linspace(0.0, 1.0, LEVELS)
+    """Colours (SHADES + 1, 3) sRGB: the probabilities 0 to 1, then unobserved."""
+    p = np.linspace(0.0, 1.0, SHADES)
     hue = np.deg2rad(np.interp(p, *_HUE_DEG))
     chroma = np.interp(p, *_CHROMA)
     lab = np.stack([np.interp(p, (0.0, 1.0), _LIGHTNESS), chroma * np.cos(hue), chroma * np.sin(hue)], axis=1)

@@ -87,24 +87,24 @@ class TrackerRegression:
 
     def _verdict(self, plan: Plan, baseline: Path, margin: float, tolerance: float | None) -> Verdict:
         from gridtrack.common.config import validated
-        from gridtrack.evaluation.regression import GateSettings, judge, read_baseline
+        from gridtrack.evaluation.regression import GateSettings, compare_with_baseline, read_baseline
 
         stated = {} if tolerance is None else {plan.trials[0].label: tolerance}
         settings = validated(GateSettings, {"margin": margin, "tolerance": stated}, "tracker_regression")
         against = read_baseline(baseline)
-        return judge(against, self._measured(plan, against.first), settings)
+        return compare_with_baseline(against, self._measured(plan, against.first), settings)
 
     def _measured(self, plan: Plan, like: Measurement | None) -> Measurement:
         """Run the plan, and measure what it left."""
         from gridtrack.evaluation.comparison.runner import run
-        from gridtrack.evaluation.regression import measure
+        from gridtrack.evaluation.regression import measure_run
         from gridtrack.reports.terminal import RunProgress
 
         with RunProgress() as progress:
             summary = run(plan, ("pytest", self._test), progress)
         if summary["interrupted"]:
             raise KeyboardInterrupt
-        return measure(plan.settings.out, like)
+        return measure_run(plan.settings.out, like)
 
     def _how(self, error: str) -> str:
         """How to make the baseline here, where the error is that there is none."""

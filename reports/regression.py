@@ -13,9 +13,10 @@ from gridtrack.common.errors import plain
 from gridtrack.evaluation.regression import Baseline, Verdict
 from gridtrack.evaluation.regression.measurement import BANDS
 from gridtrack.evaluation.regression.pairing import pair
-from gridtrack.evaluation.regression.significance import FAMILY_LEVEL, f1_of
+from gridtrack.evaluation.regression.significance import FAMILY_LEVEL
 from gridtrack.evaluation.regression.speed import SpeedRow
-from gridtrack.evaluation.regression.verdict import Row
+from gridtrack.evaluation.regression.verdict import VerdictRow
+from gridtrack.evaluation.scoring.metrics import f1_score
 from gridtrack.evaluation.statistics.uncertainty import LEAST_UNITS
 from gridtrack.reports.run import UNDEFINED
 
@@ -40,10 +41,10 @@ def text_of(verdict: Verdict) -> str:
 def markdown_of(verdict: Verdict) -> str:
     """The verdict as a Markdown page, names escaped."""
     parts = [f"## gridtrack regress: {'worse' if verdict.worse else 'no worse'}", _escaped(rule_of(verdict))]
-    moved = [row for row in verdict.rows if row.standing in {"worse", "no worse"}]
-    moved.sort(key=lambda row: (row.standing != "worse", -row.fall))
+    moved = [row for row in verdict.rows if row.verdict in {"worse", "no worse"}]
+    moved.sort(key=lambda row: (row.verdict != "worse", -row.fall))
     parts += _table(
-        "Over all units", ["verdict", *_HEADINGS, "p"], moved, lambda row: [row.standing, *_cells(row), _p(row)]
+        "Over all units", ["verdict", *_HEADINGS, "p"], moved, lambda row: [row.verdict, *_cells(row), _p(row)]
     )
     parts += _table("Fell on one recording (not judged)", ["recording", *_HEADINGS], verdict.fallen, _cells_of_one)
     parts += _table(
@@ -68,11 +69,16 @@ def data_of(verdict: Verdict) -> dict[str, Any]:
         "units": verdict.units,
         "trainings": verdict.trainings,
         "significance": verdict.significance,
-        "rows": [asdict(row) | {"fall": row.fall} for row in verdict.rows],
-        "fallen": [asdict(row) | {"fall": row.fall} for row in verdict.fallen],
-        "speed": [asdict(row) | {"standing": row.standing} for row in verdict.speed],
+        "rows": [_row_data(row) for row in verdict.rows],
+        "fallen": [_row_data(row) for row in verdict.fallen],
+        "speed": [asdict(row) | {"standing": row.verdict} for row in verdict.speed],
         "notes": list(verdict.notes),
     }
+
+
+def _row_data(row: VerdictRow) -> dict[str, Any]:
+    values = asdict(row)
+    return {**values, "standing": values.pop("verdict"), "fall": row.fall}
 
 
 def text_of_update(path: Path, baseline: Baseline) -> str:
@@ -82,7 +88,7 @@ def text_of_update(path: Path, baseline: Baseline) -> str:
     lines = [f"baseline: {path}, of {len(baseline.runs)} runs"]
     rows = pair(baseline, baseline.first)
     for label in baseline.first.trackers:
-        apart = {np.ptp(np.nan_to_num(f1_of(r.trainings.sum(axis=1)))): r for r in rows if r.label == label}
+        apart = {np.ptp(np.nan_to_num(f1_score(r.trainings.sum(axis=1)))): r for r in rows if r.label == label}
         widest = max(apart)
         where = f"{apart[widest].stratum}, {band_text(apart[widest].band)}"
         lines.append(
@@ -91,7 +97,7 @@ def text_of_update(path: Path, baseline: Baseline) -> str:
     return "\n".join(map(plain, lines))
 
 
-def sentence_of(row: Row | SpeedRow) -> str:
+def sentence_of(row: VerdictRow | SpeedRow) -> str:
     """One row in words."""
     if isinstance(row, SpeedRow):
         return (
@@ -117,7 +123,7 @@ def band_text(band: str) -> str:
 
 def rule_of(verdict: Verdict) -> str:
     """How it was judged, in one line."""
-    judged = sum(row.standing != "nothing to find" for row in verdict.rows)
+    judged = sum(row.verdict != "nothing to find" for row in verdict.rows)
     over = f"{judged} comparisons over {verdict.units} paired unit{'s' if verdict.units != 1 else ''}"
     if verdict.significance:
         trainings = (
@@ -145,7 +151,7 @@ def _conclusion(verdict: Verdict) -> str:
 
 def _equal(verdict: Verdict) -> list[str]:
     """Trackers of which every count is as it was."""
-    moved = {row.label for row in verdict.rows if row.standing in {"worse", "no worse"}}
+    moved = {row.label for row in verdict.rows if row.verdict in {"worse", "no worse"}}
     return [label for label in dict.fromkeys(row.label for row in verdict.rows) if label not in moved]
 
 
@@ -160,21 +166,21 @@ def _table(title: str, headings: Sequence[str], rows: Sequence[Any], cells: Any)
         yield f"and {len(rows) - MAX_ROWS} more"
 
 
-def _cells(row: Row) -> list[str]:
+def _cells(row: VerdictRow) -> list[str]:
     losses = [_number(row.log_loss_baseline), _number(row.log_loss_run)]
     scores = [_number(row.f1_baseline), _number(row.f1_run), f"{row.fall:+.4f}", _number(row.spread), f"{row.margin:g}"]
     return [row.label, row.stratum, band_text(row.band), *scores, *losses]
 
 
-def _cells_of_one(row: Row) -> list[str]:
+def _cells_of_one(row: VerdictRow) -> list[str]:
     return [row.recording, *_cells(row)]
 
 
 def _times(row: SpeedRow) -> list[str]:
-    return [row.standing, row.label, row.call, row.reference, f"{row.ratio_baseline:.3g}", f"{row.ratio_run:.3g}"]
+    return [row.verdict, row.label, row.call, row.reference, f"{row.ratio_baseline:.3g}", f"{row.ratio_run:.3g}"]
 
 
-def _p(row: Row) -> str:
+def _p(row: VerdictRow) -> str:
     return UNDEFINED if row.p is None else f"{row.p:.4f}"
 
 

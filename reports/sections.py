@@ -5,19 +5,19 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
-from gridtrack.reports.classes import Classes, classes_of
-from gridtrack.reports.conditions import Deadlines, RobustnessTable, deadlines_of, robustness_of
-from gridtrack.reports.differences import Differences, differences_of
+from gridtrack.reports.classes import ClassTables, class_tables
+from gridtrack.reports.conditions import DeadlineTable, RobustnessTable, deadline_table, robustness_table
+from gridtrack.reports.differences import DifferenceTable, difference_table
 from gridtrack.reports.figures import Axis, Band, CurvePanel, Series, Span, TimeScale, curve_panel, time_scale
-from gridtrack.reports.filmstrip import Film, film_of
+from gridtrack.reports.filmstrip import Filmstrip, filmstrip_of
 from gridtrack.reports.run import FLOOR, Run
-from gridtrack.reports.table import HeadlineTable, Row
+from gridtrack.reports.table import HeadlineTable, TableRow
 from gridtrack.reports.trial import Latency, StratumScores, Trial
-from gridtrack.reports.truth import SIDE, Calibration, Hidden, calibrations_of, hidden_of
+from gridtrack.reports.truth import SIDE, Hidden, ReliabilityDiagram, hidden_of, reliability_diagrams
 
-COLOURS = 8
+TRACKER_COLOURS = 8
 """Trackers beyond this many repeat the colours, with broken lines."""
-PANELS = (("moving", (740, 470), 140.0), ("visible", (370, 227), 0.0), ("static", (370, 227), 0.0))
+CURVE_PANELS = (("moving", (740, 470), 140.0), ("visible", (370, 227), 0.0), ("static", (370, 227), 0.0))
 """Stratum, size and label width of the curves: the stratum to look at first is the largest."""
 TIME_WIDTH = 150.0
 MARK_WIDTH = 70.0
@@ -43,7 +43,7 @@ class ThresholdMark:
 class TimeRow:
     """What one tracker takes, and whether that is fast enough for the stream."""
 
-    row: Row
+    row: TableRow
     latency: Latency | None
     update: Span | None
     predict: Span | None
@@ -56,7 +56,7 @@ class Detail:
 
     horizon: str
     step: int
-    strata: tuple[tuple[str, tuple[tuple[Row, StratumScores], ...]], ...]
+    strata: tuple[tuple[str, tuple[tuple[TableRow, StratumScores], ...]], ...]
 
 
 @dataclass(frozen=True)
@@ -65,21 +65,21 @@ class Section:
 
     table: HeadlineTable
     details: tuple[Detail, ...]
-    differences: Differences | None
+    differences: DifferenceTable | None
     """From the reference, on the page of one run."""
     curves: tuple[tuple[str, tuple[CurvePanel, ...]], ...]
     """Per run its name (empty where there is only one) and its panels."""
     threshold_horizons: tuple[str, ...]
-    thresholds: tuple[tuple[Row, tuple[ThresholdMark, ...]], ...]
+    thresholds: tuple[tuple[TableRow, tuple[ThresholdMark, ...]], ...]
     period_ms: float
     time_scale: TimeScale
     times: tuple[TimeRow, ...]
-    deadlines: Deadlines | None
+    deadlines: DeadlineTable | None
     robustness: RobustnessTable | None
-    film: Film | None
+    film: Filmstrip | None
     hidden: Hidden | None
-    classes: Classes | None
-    calibrations: tuple[Calibration, ...]
+    classes: ClassTables | None
+    calibrations: tuple[ReliabilityDiagram, ...]
     calibration_side: float = SIDE
     time_width: float = TIME_WIDTH
     mark_width: float = MARK_WIDTH
@@ -103,7 +103,7 @@ def styles_of(runs: Sequence[Run]) -> dict[str, str]:
             elif entry.floor:
                 styles[label] = f"f{FLOOR.index(entry.tracker)}"
             else:
-                styles[label] = f"t{coloured % COLOURS}" + (" again" if coloured >= COLOURS else "")
+                styles[label] = f"t{coloured % TRACKER_COLOURS}" + (" again" if coloured >= TRACKER_COLOURS else "")
                 coloured += 1
     return styles
 
@@ -114,23 +114,23 @@ def section_of(runs: Sequence[Run], table: HeadlineTable, styles: Mapping[str, s
     period_ms = shown[0].summary.recordings[table.recording].period_s * 1e3
     scale = time_scale(_times(table.rows), period_ms, TIME_WIDTH)
     horizons, thresholds = _thresholds(table)
-    film, notices = _film(runs, table)
-    calibrations, unread = calibrations_of(runs, table)
+    film, notices = _filmstrip(runs, table)
+    calibrations, unread = reliability_diagrams(runs, table)
     section = Section(
         table=table,
         details=tuple(_details(table)),
-        differences=differences_of(runs[0], table.recording) if len(runs) == 1 else None,
+        differences=difference_table(runs[0], table.recording) if len(runs) == 1 else None,
         curves=tuple((run.name if len(runs) > 1 else "", _panels(run, table, styles)) for run in shown),
         threshold_horizons=horizons,
         thresholds=thresholds,
         period_ms=period_ms,
         time_scale=scale,
         times=tuple(_time_row(row, scale, period_ms) for row in table.rows),
-        deadlines=deadlines_of(table, styles),
-        robustness=robustness_of(table, styles),
+        deadlines=deadline_table(table, styles),
+        robustness=robustness_table(table, styles),
         film=film,
         hidden=hidden_of(table),
-        classes=classes_of(table, runs[0] if len(runs) == 1 else None),
+        classes=class_tables(table, runs[0] if len(runs) == 1 else None),
         calibrations=calibrations,
     )
     return section, (*notices, *unread)
@@ -162,7 +162,7 @@ def _panels(run: Run, table: HeadlineTable, styles: Mapping[str, str]) -> tuple[
             label,
             [_band(t.strata[name]) for _, t in trials if name in t.strata],
         )
-        for name, size, label in PANELS
+        for name, size, label in CURVE_PANELS
         if any(name in trial.strata for _, trial in trials)
     )
 
@@ -176,7 +176,7 @@ def _series(label: str, style: str, trial: Trial) -> Series:
     return Series(label, style) if trial.complete else Series(f"{label} (partial)", f"{style} partial")
 
 
-def _thresholds(table: HeadlineTable) -> tuple[tuple[str, ...], tuple[tuple[Row, tuple[ThresholdMark, ...]], ...]]:
+def _thresholds(table: HeadlineTable) -> tuple[tuple[str, ...], tuple[tuple[TableRow, tuple[ThresholdMark, ...]], ...]]:
     columns = [c for c in table.columns if c.score == "f1" and c.stratum == "moving"][:MARKED_HORIZONS]
     rows = [row for row in table.rows if "moving" in row.trial.strata and row.trial.threshold_chosen_on]
     strata = [row.trial.strata["moving"] for row in rows]
@@ -185,19 +185,19 @@ def _thresholds(table: HeadlineTable) -> tuple[tuple[str, ...], tuple[tuple[Row,
     return tuple(c.heading for c in columns), tuple((r, tuple(_mark(r, c.step, axis) for c in columns)) for r in rows)
 
 
-def _mark(row: Row, step: int, axis: Axis) -> ThresholdMark:
+def _mark(row: TableRow, step: int, axis: Axis) -> ThresholdMark:
     scores = row.trial.strata["moving"]
     f1, half = scores.f1[step], scores.f1_at_half[step]
     at, at_half = (None if value is None else axis(value) for value in (f1, half))
     return ThresholdMark(scores.threshold[step], f1, scores.f1_at_visible[step], half, at, at_half)
 
 
-def _times(rows: Iterable[Row]) -> list[float]:
+def _times(rows: Iterable[TableRow]) -> list[float]:
     latencies = [row.trial.latency_ms for row in rows if row.trial.latency_ms]
     return [t for latency in latencies for q in (latency.update, latency.predict) for t in (q.p50, q.p95, q.p99) if t]
 
 
-def _time_row(row: Row, scale: TimeScale, period_ms: float) -> TimeRow:
+def _time_row(row: TableRow, scale: TimeScale, period_ms: float) -> TimeRow:
     latency = row.trial.latency_ms
     if latency is None:
         return TimeRow(row, None, None, None, "not measured")
@@ -214,11 +214,11 @@ def keeps_up(latency: Latency, period_ms: float) -> str:
     return "updates only" if update <= period_ms else "no"
 
 
-def _film(runs: Sequence[Run], table: HeadlineTable) -> tuple[Film | None, tuple[str, ...]]:
+def _filmstrip(runs: Sequence[Run], table: HeadlineTable) -> tuple[Filmstrip | None, tuple[str, ...]]:
     """The filmstrip, on the page of one run: side by side, each run's own page has it."""
     if len(runs) > 1 or table.pooled:
         return None, ()
     run, step = runs[0], table.decisive.step
     folders = {row.label: run.trial_folder(row.label, table.recording) for row in table.rows}
     horizon_s = run.summary.recordings[table.recording].horizons_s[step]
-    return film_of(table, folders, step, horizon_s, len(run.summary.recordings))
+    return filmstrip_of(table, folders, step, horizon_s, len(run.summary.recordings))

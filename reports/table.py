@@ -10,17 +10,17 @@ from typing import Literal
 from gridtrack.reports.run import UNDEFINED, ReportError, Run, TrackerEntry
 from gridtrack.reports.trial import StratumScores, Trial
 
-HORIZONS_S = (0.5, 1.0, 2.0, 2.5)
+HEADLINE_HORIZONS_S = (0.5, 1.0, 2.0, 2.5)
 """The horizons that F1 is shown at, as far as a run looks ahead."""
 DETAIL_HORIZON_S = 1.0
 """The horizon of the other scores; also the one that rows are sorted by."""
 
-Standing = Literal["ceiling", "ranked", "floor", "apart"]
+RowGroup = Literal["ceiling", "ranked", "floor", "unranked"]
 """What could be had, complete trials of trackers, those of the floor, and trials that are partial or gave nothing."""
 
 
 @dataclass(frozen=True)
-class Column:
+class TableColumn:
     """A score at one step: where it is found, what it is called, and which way is better (0: neither by itself)."""
 
     group: str
@@ -45,7 +45,7 @@ class Column:
 
 
 @dataclass(frozen=True)
-class Cell:
+class TableCell:
     """One number of the table, its confidence interval, and whether it is the best of its column among complete
     trials."""
 
@@ -65,15 +65,15 @@ class Cell:
 
 
 @dataclass(frozen=True)
-class Row:
+class TableRow:
     """One tracker on one recording."""
 
     run: str
     label: str
     entry: TrackerEntry
     trial: Trial
-    standing: Standing
-    cells: tuple[Cell, ...]
+    group: RowGroup
+    cells: tuple[TableCell, ...]
 
     @property
     def name(self) -> str:
@@ -92,9 +92,9 @@ class HeadlineTable:
     """The table of one recording: rows ranked first, then the floor, then what stands apart."""
 
     recording: str
-    columns: tuple[Column, ...]
-    rows: tuple[Row, ...]
-    decisive: Column
+    columns: tuple[TableColumn, ...]
+    rows: tuple[TableRow, ...]
+    decisive: TableColumn
     """The column that rows are sorted by."""
     comparable: bool
     """Whether all rows are of the same frames: only then is a best one marked."""
@@ -111,9 +111,9 @@ class HeadlineTable:
         """The groups of columns, and how many columns each has."""
         return tuple((group, len(list(columns))) for group, columns in groupby(self.columns, key=lambda c: c.group))
 
-    def standing(self, standing: Standing) -> tuple[Row, ...]:
-        """The rows of one standing."""
-        return tuple(row for row in self.rows if row.standing == standing)
+    def rows_in(self, group: RowGroup) -> tuple[TableRow, ...]:
+        """The rows of one group."""
+        return tuple(row for row in self.rows if row.group == group)
 
 
 def headline_tables(runs: Sequence[Run]) -> tuple[HeadlineTable, ...]:
@@ -137,10 +137,10 @@ def _table(runs: Sequence[Run], recording: str) -> HeadlineTable:
         for label, entry in run.summary.trackers.items()
         if recording in entry.recordings
     ]
-    order, labels = ("ceiling", "ranked", "floor", "apart"), list(dict.fromkeys(row.label for row in rows))
+    order, labels = ("ceiling", "ranked", "floor", "unranked"), list(dict.fromkeys(row.label for row in rows))
     rows.sort(
         key=lambda row: (
-            order.index(row.standing),
+            order.index(row.group),
             -_or_least(row.cells[decisive].value),
             labels.index(row.label),
         )
@@ -169,36 +169,36 @@ def _of_the_same_frames(runs: Sequence[Run], recording: str) -> bool:
     return all(stretch.parity for stretch, _ in described) and described.count(described[0]) == len(described)
 
 
-def _columns(horizons_s: Sequence[float]) -> Iterator[Column]:
+def _columns(horizons_s: Sequence[float]) -> Iterator[TableColumn]:
     """F1 at the marked horizons (the last one where none of them is reached), and the other scores at one of them."""
     period_s = horizons_s[1] - horizons_s[0]
-    marked = [round(h / period_s) for h in HORIZONS_S]
+    marked = [round(h / period_s) for h in HEADLINE_HORIZONS_S]
     steps = sorted({step for step in marked if 0 < step < len(horizons_s)}) or [len(horizons_s) - 1]
     for stratum in ("moving", "visible"):
         for step in steps:
-            yield Column(f"F1, {stratum}", _heading(horizons_s[step]), stratum, "f1", step)
+            yield TableColumn(f"F1, {stratum}", _heading(horizons_s[step]), stratum, "f1", step)
     step = round(DETAIL_HORIZON_S / period_s)
     step = step if step in steps else steps[0]
     group = f"moving, {_heading(horizons_s[step])}"
-    yield Column(group, "precision", "moving", "precision", step, 0)
-    yield Column(group, "recall", "moving", "recall", step, 0)
-    yield Column(group, "PR-AUC", "moving", "pr_auc", step)
-    yield Column(group, "log loss", "moving", "nll", step, -1)
-    yield Column(group, "Brier", "moving", "brier", step, -1)
+    yield TableColumn(group, "precision", "moving", "precision", step, 0)
+    yield TableColumn(group, "recall", "moving", "recall", step, 0)
+    yield TableColumn(group, "PR-AUC", "moving", "pr_auc", step)
+    yield TableColumn(group, "log loss", "moving", "nll", step, -1)
+    yield TableColumn(group, "Brier", "moving", "brier", step, -1)
 
 
 def _heading(horizon_s: float) -> str:
     return f"{horizon_s:.3g} s"
 
 
-def _row(run: str, label: str, entry: TrackerEntry, trial: Trial, columns: Sequence[Column]) -> Row:
-    cells = tuple(Cell(column.of(trial), interval=column.interval_of(trial)) for column in columns)
-    return Row(run, label, entry, trial, _standing(entry, trial), cells)
+def _row(run: str, label: str, entry: TrackerEntry, trial: Trial, columns: Sequence[TableColumn]) -> TableRow:
+    cells = tuple(TableCell(column.of(trial), interval=column.interval_of(trial)) for column in columns)
+    return TableRow(run, label, entry, trial, _group_of(entry, trial), cells)
 
 
-def _standing(entry: TrackerEntry, trial: Trial) -> Standing:
+def _group_of(entry: TrackerEntry, trial: Trial) -> RowGroup:
     if not trial.complete:
-        return "apart"
+        return "unranked"
     return "ceiling" if entry.ceiling else "floor" if entry.floor else "ranked"
 
 
@@ -206,16 +206,16 @@ def _or_least(value: float | None) -> float:
     return -1.0 if value is None else value
 
 
-def _with_best(rows: Sequence[Row], columns: Sequence[Column]) -> Iterator[Row]:
+def _with_best(rows: Sequence[TableRow], columns: Sequence[TableColumn]) -> Iterator[TableRow]:
     """Mark the best complete trials of each column; equal to the shown digits is equally good."""
     best: list[str | None] = []
     for i, column in enumerate(columns):
-        values = [v for row in rows if row.standing in ("ranked", "floor") and (v := row.cells[i].value) is not None]
+        values = [v for row in rows if row.group in ("ranked", "floor") and (v := row.cells[i].value) is not None]
         pick = max if column.better > 0 else min
-        best.append(Cell(pick(values)).text if len(values) > 1 and column.better else None)
+        best.append(TableCell(pick(values)).text if len(values) > 1 and column.better else None)
     for row in rows:
         marked = (replace(cell, best=cell.text == top) for cell, top in zip(row.cells, best, strict=True))
-        yield row if row.standing in ("apart", "ceiling") else replace(row, cells=tuple(marked))
+        yield row if row.group in ("unranked", "ceiling") else replace(row, cells=tuple(marked))
 
 
 def curve_of(scores: StratumScores, score: str) -> tuple[float | None, ...]:
@@ -224,7 +224,7 @@ def curve_of(scores: StratumScores, score: str) -> tuple[float | None, ...]:
     return curve
 
 
-def as_markdown(table: HeadlineTable) -> str:
+def headline_markdown(table: HeadlineTable) -> str:
     """The table for a terminal or a CI log, best numbers in bold; what stands apart is named by its outcome."""
     head = ["tracker", *(f"{c.group} {c.heading}" for c in table.columns), "frames", "outcome"]
     lines = [head, ["---", *("---:" for _ in head[1:-1]), "---"]]
@@ -235,7 +235,7 @@ def as_markdown(table: HeadlineTable) -> str:
     return "".join(f"| {' | '.join(line)} |\n" for line in lines)
 
 
-def _in_markdown(cell: Cell) -> str:
+def _in_markdown(cell: TableCell) -> str:
     return f"{f'**{cell.text}**' if cell.best else cell.text} {cell.interval_text}".rstrip()
 
 

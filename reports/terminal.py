@@ -15,12 +15,11 @@ from rich.table import Table
 
 from gridtrack.common.errors import plain
 from gridtrack.evaluation.scoring.record import TrialRecord
-from gridtrack.reports.differences import Differences, differences_of
-from gridtrack.reports.differences import as_markdown as differences_as_markdown
+from gridtrack.reports.differences import DifferenceTable, difference_markdown, difference_table
 from gridtrack.reports.run import read_runs
-from gridtrack.reports.table import HeadlineTable, Row, as_markdown, foremost, headline_tables
+from gridtrack.reports.table import HeadlineTable, TableRow, foremost, headline_markdown, headline_tables
 
-STYLES = {"ceiling": "italic", "ranked": "", "floor": "dim", "apart": "yellow"}
+GROUP_STYLES = {"ceiling": "italic", "ranked": "", "floor": "dim", "unranked": "yellow"}
 
 
 class RunProgress:
@@ -69,22 +68,22 @@ def print_tables(run: Path) -> None:
     console = Console()
     runs = read_runs([run])
     for table in foremost(headline_tables(runs)):
-        differences = differences_of(runs[0], table.recording)
+        differences = difference_table(runs[0], table.recording)
         if console.is_terminal:
             console.print(_rich(table))
             if differences:
                 console.print(_rich_differences(differences))
             continue
-        print(f"{plain(table.recording)}\n\n{as_markdown(table)}")
+        print(f"{plain(table.recording)}\n\n{headline_markdown(table)}")
         if differences:
-            print(f"{_title(differences)}\n\n{differences_as_markdown(differences)}")
+            print(f"{_title(differences)}\n\n{difference_markdown(differences)}")
 
 
-def _title(differences: Differences) -> str:
+def _title(differences: DifferenceTable) -> str:
     return plain(f"F1 less that of {differences.reference}, paired over {differences.units}; p after Holm")
 
 
-def _rich_differences(differences: Differences) -> Table:
+def _rich_differences(differences: DifferenceTable) -> Table:
     shown = Table(title=escape(_title(differences)), box=box.SIMPLE_HEAD)
     shown.add_column("tracker")
     for stratum, horizon_s in differences.columns:
@@ -102,17 +101,17 @@ def _rich(table: HeadlineTable) -> Table:
         shown.add_column(f"{column.group}\n{column.heading}", justify="right")
     shown.add_column("frames", justify="right")
     for row in table.rows:
-        shown.add_row(*_cells(row), style=STYLES[row.standing])
+        shown.add_row(*_cells(row), style=GROUP_STYLES[row.group])
     return shown
 
 
-def _cells(row: Row) -> list[str]:
+def _cells(row: TableRow) -> list[str]:
     numbers = [
         (f"[bold]{cell.text}[/bold]" if cell.best else cell.text)
         + (f"\n{escape(cell.interval_text)}" if cell.interval else "")
         for cell in row.cells
     ]
-    outcome = "" if row.standing != "apart" else f" ({row.trial.outcome})"
+    outcome = "" if row.group != "unranked" else f" ({row.trial.outcome})"
     return [escape(row.name) + outcome, *numbers, row.frames]
 
 

@@ -9,7 +9,7 @@ from gridtrack.evaluation.scoring.counting import Tally
 from gridtrack.evaluation.scoring.scores import ScoresError, read_tally
 from gridtrack.reports.figures import Axis
 from gridtrack.reports.run import Run
-from gridtrack.reports.table import HeadlineTable, Row
+from gridtrack.reports.table import HeadlineTable, TableRow
 
 HIDDEN = "occluded"
 SIDE, LEAST_CELLS = 170.0, 50
@@ -21,7 +21,7 @@ Value = float | None
 class HiddenRow:
     """One tracker where nothing is seen: F1 of each stratum, the gap to what is seen, and the share of the oracle."""
 
-    row: Row
+    row: TableRow
     f1: tuple[Value, ...]
     gap: Value
     shares: tuple[Value, ...]
@@ -37,10 +37,10 @@ class Hidden:
 
 
 @dataclass(frozen=True)
-class Calibration:
+class ReliabilityDiagram:
     """One tracker's reliability diagram: of the cells given about p, how many were occupied."""
 
-    row: Row
+    row: TableRow
     points: tuple[tuple[float, float], ...]
     line: str
     parts: tuple[Value, Value, Value]
@@ -58,7 +58,7 @@ def hidden_of(table: HeadlineTable) -> Hidden | None:
     return Hidden(table.decisive.heading, names, tuple(_hidden_row(row, names, step) for row in rows))
 
 
-def _hidden_row(row: Row, names: Sequence[str], step: int) -> HiddenRow:
+def _hidden_row(row: TableRow, names: Sequence[str], step: int) -> HiddenRow:
     strata, gap = row.trial.strata, row.trial.gap_to_truth
     shares = (strata[n].share_of_oracle if n in strata else None for n in ("moving", HIDDEN))
     return HiddenRow(
@@ -69,7 +69,9 @@ def _hidden_row(row: Row, names: Sequence[str], step: int) -> HiddenRow:
     )
 
 
-def calibrations_of(runs: Sequence[Run], table: HeadlineTable) -> tuple[tuple[Calibration, ...], tuple[str, ...]]:
+def reliability_diagrams(
+    runs: Sequence[Run], table: HeadlineTable
+) -> tuple[tuple[ReliabilityDiagram, ...], tuple[str, ...]]:
     """Reliability diagrams of the ranked rows at the decisive step, on the page of one run.
 
     And notices of files that could not be read.
@@ -78,18 +80,18 @@ def calibrations_of(runs: Sequence[Run], table: HeadlineTable) -> tuple[tuple[Ca
         return (), ()
     drawn, notices = [], []
     steps = len(runs[0].summary.recordings[table.recording].horizons_s) - 1
-    for row in table.standing("ranked"):
+    for row in table.rows_in("ranked"):
         folder = runs[0].trial_folder(row.label, table.recording)
         try:
             tally = read_tally(folder, steps, (table.decisive.stratum,))
         except ScoresError as error:
             notices.append(f"{row.name}: no calibration drawn: {error}")
             continue
-        drawn.append(_calibration(row, tally, table.decisive.step, table.decisive.stratum))
+        drawn.append(_reliability_diagram(row, tally, table.decisive.step, table.decisive.stratum))
     return tuple(drawn), tuple(notices)
 
 
-def _calibration(row: Row, tally: Tally, step: int, stratum: str) -> Calibration:
+def _reliability_diagram(row: TableRow, tally: Tally, step: int, stratum: str) -> ReliabilityDiagram:
     cells, positives, p_sum = (counts[step, 0] for counts in (tally.cells, tally.positives, tally.p_sum))
     enough = cells >= LEAST_CELLS
     x, y = Axis(0.0, 1.0, 0.0, SIDE), Axis(0.0, 1.0, SIDE, 0.0)
@@ -98,7 +100,7 @@ def _calibration(row: Row, tally: Tally, step: int, stratum: str) -> Calibration
     scores = row.trial.strata[stratum]
     parts = (scores.brier_reliability, scores.brier_resolution, scores.brier_uncertainty)
     reliability, resolution, uncertainty = (None if part is None else part[step] for part in parts)
-    return Calibration(
+    return ReliabilityDiagram(
         row,
         points,
         " ".join(f"{px},{py}" for px, py in points),

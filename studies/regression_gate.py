@@ -29,11 +29,12 @@ from scipy.special import stdtrit
 
 from gridtrack.evaluation.comparison.plan import CompareSettings, resolve
 from gridtrack.evaluation.comparison.runner import run
-from gridtrack.evaluation.regression import Baseline, GateSettings, measure
-from gridtrack.evaluation.regression.p_values import chances
+from gridtrack.evaluation.regression import Baseline, GateSettings, measure_run
+from gridtrack.evaluation.regression.p_values import row_p_values
 from gridtrack.evaluation.regression.pairing import PairedRow, pair
-from gridtrack.evaluation.regression.significance import FAMILY_LEVEL, f1_of, fall_p_values
+from gridtrack.evaluation.regression.significance import FAMILY_LEVEL, fall_p_values
 from gridtrack.evaluation.regression.spread import PRIOR_FREEDOM, beyond_spread, spread_between
+from gridtrack.evaluation.scoring.metrics import f1_score
 from gridtrack.evaluation.statistics.uncertainty import differences, holm
 
 from benchmarks.harness import Quiet
@@ -70,7 +71,7 @@ class Runs:
             replace(row, trainings=trainings[:, :, i], run=judged[:, i], recordings=("",) * judged.shape[0])
             for i, row in enumerate(self.rows)
         ]
-        return np.array([chance.p for chance in chances(paired)])
+        return np.array([chance.p for chance in row_p_values(paired)])
 
 
 def by_holm(trainings: Floats, judged: Floats) -> Floats:
@@ -100,7 +101,7 @@ def with_prior(freedom: float) -> Rule:
 
     def rule(trainings: Floats, judged: Floats) -> Floats:
         spread = spread_between(trainings, freedom)
-        fall = np.nan_to_num(f1_of(trainings.mean(axis=0).sum(axis=0)) - f1_of(judged.sum(axis=0)))
+        fall = np.nan_to_num(f1_score(trainings.mean(axis=0).sum(axis=0)) - f1_score(judged.sum(axis=0)))
         return np.maximum(by_units(trainings, judged), beyond_spread(fall, spread, judged.shape[1]))
 
     return rule
@@ -108,7 +109,7 @@ def with_prior(freedom: float) -> Rule:
 
 def is_worse(rule: Rule, trainings: Floats, judged: Floats) -> NDArray[np.bool_]:
     """Which rows (R,) are worse: beyond the margin, and no chance."""
-    fall = np.nan_to_num(f1_of(trainings.mean(axis=0).sum(axis=0)) - f1_of(judged.sum(axis=0)))
+    fall = np.nan_to_num(f1_score(trainings.mean(axis=0).sum(axis=0)) - f1_score(judged.sum(axis=0)))
     return (fall > MARGIN) & (rule(trainings, judged) <= FAMILY_LEVEL)
 
 
@@ -119,13 +120,13 @@ def made_worse(counts: Floats, row: int, rng: np.random.Generator) -> Floats:
     """
     made = counts.copy()
     varies = rng.gamma(4.0, 0.25, len(counts))
-    target = f1_of(counts[:, row].sum(axis=0)) - FALL
+    target = f1_score(counts[:, row].sum(axis=0)) - FALL
     low, high = 0.0, 1.0
     for _ in range(40):
         share = (low + high) / 2
         lost = np.round(counts[:, row, 0] * np.clip(share * varies, 0.0, 1.0))
         made[:, row, 0], made[:, row, 2] = counts[:, row, 0] - lost, counts[:, row, 2] + lost
-        low, high = (share, high) if f1_of(made[:, row].sum(axis=0)) > target else (low, share)
+        low, high = (share, high) if f1_score(made[:, row].sum(axis=0)) > target else (low, share)
     return made
 
 
@@ -177,7 +178,7 @@ def heading(title: str) -> None:
 
 def print_tables(runs: Runs) -> None:
     trainings, aim, gate = runs.trainings, runs.aim, runs.by_gate
-    f1 = f1_of(trainings.sum(axis=1))
+    f1 = f1_score(trainings.sum(axis=1))
     print(f"{trainings.shape[1]} units, {trainings.shape[2]} rows, {len(trainings)} runs, the best one first")
     print(
         f"F1 from run to run up to {np.nanmax(np.ptp(f1, axis=0)):.4f} apart; {STRATUM}, {BAND}: {f1[:, aim].round(4)}"
@@ -233,11 +234,11 @@ def junction_runs(folder: Path) -> list[Path]:
 
 def read_runs(paths: list[Path]) -> Runs:
     """What the runs counted, the best by its mean F1 over all rows first."""
-    first = measure(paths[0])
-    baseline = Baseline(runs=(first, *(measure(path, like=first) for path in paths[1:])))
+    first = measure_run(paths[0])
+    baseline = Baseline(runs=(first, *(measure_run(path, like=first) for path in paths[1:])))
     rows = pair(baseline, first)
     trainings = np.stack([row.trainings for row in rows], axis=2)
-    best = np.argsort(-np.nanmean(f1_of(trainings.sum(axis=1)), axis=1))
+    best = np.argsort(-np.nanmean(f1_score(trainings.sum(axis=1)), axis=1))
     return Runs(trainings[best], rows)
 
 

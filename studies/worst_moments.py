@@ -17,7 +17,7 @@ import numpy as np
 
 from gridtrack.evaluation.scoring.samples import SAMPLES, Sample, read_samples
 from gridtrack.evaluation.scoring.scores import SCORES
-from gridtrack.reports.chosen_frames import ScoredMoment, scored_moments
+from gridtrack.reports.chosen_frames import FrameScore, frame_scores
 from gridtrack.reports.pictures import frame_png, probability_png
 from gridtrack.reports.run import Run, read_runs
 
@@ -33,7 +33,7 @@ class Failure:
     """One tracker at one moment of one recording, and the threshold that its forecast is held against."""
 
     recording: str
-    scored: ScoredMoment
+    scored: FrameScore
     sample: Sample
     threshold: float
 
@@ -46,7 +46,7 @@ def worst(run: Run, label: str) -> list[Failure]:
             continue
         step = round(HORIZON_S / run.summary.recordings[recording].period_s)
         folder = run.trial_folder(label, recording)
-        scored = {s: m for s, m in scored_moments(folder / SCORES, step).items() if m.occupied >= ENOUGH_CELLS}
+        scored = {s: m for s, m in frame_scores(folder / SCORES, step).items() if m.occupied >= ENOUGH_CELLS}
         kept = [sample for sample in read_samples(folder / SAMPLES) if sample.stamp_ns in scored]
         if kept:
             sample = min(kept, key=lambda one: scored[one.stamp_ns].f1)

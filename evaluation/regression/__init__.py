@@ -2,8 +2,8 @@
 
 from gridtrack.evaluation.regression.baseline import read_baseline, write_baseline
 from gridtrack.evaluation.regression.measurement import Baseline, Measurement, Unmeasured
-from gridtrack.evaluation.regression.measuring import measure
-from gridtrack.evaluation.regression.verdict import GateSettings, Verdict, judge
+from gridtrack.evaluation.regression.measuring import measure_run
+from gridtrack.evaluation.regression.verdict import GateSettings, Verdict, compare_with_baseline
 
 __all__ = [
     "Baseline",
@@ -11,8 +11,8 @@ __all__ = [
     "Measurement",
     "Unmeasured",
     "Verdict",
-    "judge",
-    "measure",
+    "compare_with_baseline",
+    "measure_run",
     "read_baseline",
     "write_baseline",
 ]

@@ -11,10 +11,10 @@ from typing import Any
 from pydantic import ValidationError
 
 from gridtrack.common.errors import GridtrackError
-from gridtrack.evaluation.regression.measurement import SCHEMA, Baseline, Measurement, Unmeasured
-from gridtrack.evaluation.regression.pairing import refuse_unlike
+from gridtrack.evaluation.regression.measurement import BASELINE_SCHEMA, Baseline, Measurement, Unmeasured
+from gridtrack.evaluation.regression.pairing import require_comparable
 
-MAX_BYTES = 16 << 20
+MAX_BASELINE_BYTES = 16 << 20
 """A larger file is refused before it is read; twenty recordings of six trackers take a hundredth of it."""
 _LIST_OF_NUMBERS = re.compile(r"\[\n[-0-9.eE,\s]+\]")
 _BANDS_OF_COUNTS = re.compile(r"\{\n\s*\"\w+\": \[[^\[\]{}]*\](,\s+\"\w+\": \[[^\[\]{}]*\])*\s+\}")
@@ -27,9 +27,9 @@ class BaselineError(GridtrackError):
 def write_baseline(path: Path, runs: Sequence[Measurement]) -> Baseline:
     """Leave a baseline of `runs` at `path`, replaced whole; a line for each unit and stratum for git to compare.
 
-    Raises BaselineError where the file cannot be written, and what `refuse_unlike` raises.
+    Raises BaselineError where the file cannot be written, and what `require_comparable` raises.
     """
-    refuse_unlike(runs)
+    require_comparable(runs)
     baseline = Baseline(runs=tuple(runs))
     text = json.dumps(baseline.model_dump(mode="json", by_alias=True), indent=0, allow_nan=False)
     for on_one_line in (_LIST_OF_NUMBERS, _BANDS_OF_COUNTS):
@@ -47,10 +47,10 @@ def read_baseline(path: Path) -> Baseline:
     """The baseline in `path`. Raises BaselineError, and Unmeasured where it holds nothing."""
     content = _migrated(_read_json(path))
     schema = content.get("schema")
-    if schema != SCHEMA:
+    if schema != BASELINE_SCHEMA:
         raise BaselineError(
-            f"{path}: schema {str(schema)[:20]!r} of a baseline; this gridtrack reads schemas 1 to {SCHEMA}: read it"
-            " with the version that wrote it, or make it again with --update"
+            f"{path}: schema {str(schema)[:20]!r} of a baseline; this gridtrack reads schemas 1 to {BASELINE_SCHEMA}:"
+            " read it with the version that wrote it, or make it again with --update"
         )
     if _is_empty(content.get("runs")):
         raise Unmeasured(
@@ -60,7 +60,7 @@ def read_baseline(path: Path) -> Baseline:
         baseline = Baseline.model_validate(content)
     except (ValidationError, RecursionError) as error:
         raise BaselineError(f"{path}: not a baseline ({_first(error)}): make it again with --update") from None
-    refuse_unlike(baseline.runs)
+    require_comparable(baseline.runs)
     return baseline
 
 
@@ -68,7 +68,7 @@ def _migrated(content: dict[str, Any]) -> dict[str, Any]:
     """Schema 1 was the measurement of one run, by itself."""
     if content.get("schema") != 1:
         return content
-    return {"schema": SCHEMA, "runs": [{key: value for key, value in content.items() if key != "schema"}]}
+    return {"schema": BASELINE_SCHEMA, "runs": [{key: value for key, value in content.items() if key != "schema"}]}
 
 
 def _is_empty(runs: Any) -> bool:
@@ -87,8 +87,10 @@ def _first(error: ValidationError | RecursionError) -> str:
 
 def _read_json(path: Path) -> dict[str, Any]:
     try:
-        if path.stat().st_size > MAX_BYTES:
-            raise BaselineError(f"{path}: {path.stat().st_size} bytes; a baseline of more than {MAX_BYTES} is refused")
+        if path.stat().st_size > MAX_BASELINE_BYTES:
+            raise BaselineError(
+                f"{path}: {path.stat().st_size} bytes; a baseline of more than {MAX_BASELINE_BYTES} is refused"
+            )
         content = json.loads(path.read_text("utf-8"))
     except FileNotFoundError:
         raise BaselineError(f"{path}: there is no such baseline; --update makes one of the run") from None

@@ -13,7 +13,7 @@ from pydantic import Field, model_validator
 from gridtrack.common.config import Settings
 from gridtrack.common.errors import GridtrackError
 
-SCHEMA: Final = 2
+BASELINE_SCHEMA: Final = 2
 BANDS: dict[str, tuple[float, float]] = {"short": (0.0, 0.5), "middle": (0.5, 1.5), "long": (1.5, 3600.0)}
 """Horizons of each step band in seconds, the first excluded: step 0 on visible cells is copying."""
 BLOCK_S = 100.0
@@ -49,7 +49,7 @@ class SplitKey(Settings):
     validation_sha256: str
 
 
-class Unit(Settings):
+class UnitCounts(Settings):
     """The scored frames of one unit: how many, which (`delivered`, a digest of their stamps and what was shown until
     then), and their counts by stratum and step band."""
 
@@ -69,7 +69,7 @@ class TrialCounts(Settings):
     """One tracker on one recording; `figures` names what was measured of it beside its scores."""
 
     weights_sha256: str = ""
-    units: Annotated[tuple[Unit, ...], Field(min_length=1, max_length=100_000)]
+    units: Annotated[tuple[UnitCounts, ...], Field(min_length=1, max_length=100_000)]
     speed: Speed | None = None
     figures: tuple[Literal["deadline", "degrade"], ...] = ()
 
@@ -110,10 +110,10 @@ class Measurement(Settings):
 class Baseline(Settings):
     """What a run is held against: the measurements of one run, or of several, each of a training or a seed of its own.
 
-    Several are of the same trackers with the same options, on the same frames (`pairing.refuse_unlike`).
+    Several are of the same trackers with the same options, on the same frames (`pairing.require_comparable`).
     """
 
-    schema_version: Literal[2] = Field(default=SCHEMA, alias="schema")
+    schema_version: Literal[2] = Field(default=BASELINE_SCHEMA, alias="schema")
     runs: Annotated[tuple[Measurement, ...], Field(min_length=1, max_length=100)]
 
     @property

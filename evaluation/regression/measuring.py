@@ -59,7 +59,7 @@ class _RunFile(_Part):
     configuration: _Configuration
 
 
-def measure(run: Path, like: Measurement | None = None) -> Measurement:
+def measure_run(run: Path, like: Measurement | None = None) -> Measurement:
     """Everything that a run's folder counted, in the units of `like`, else in units chosen for it.
 
     Raises Unmeasured where the run is not complete: a trial failed, is partial or missing, nothing was scored, or a

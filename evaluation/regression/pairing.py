@@ -50,19 +50,19 @@ class PairedRow:
 
 def pair(baseline: Baseline, run: Measurement) -> tuple[PairedRow, ...]:
     """Rows of everything that the baseline holds. Raises Unmeasured, with every reason why something does not pair."""
-    _refuse_unpaired(baseline.first, run)
+    _require_paired(baseline.first, run)
     return tuple(row for label in baseline.first.trackers for row in _rows(label, baseline, run))
 
 
-def refuse_unlike(runs: Sequence[Measurement]) -> None:
+def require_comparable(runs: Sequence[Measurement]) -> None:
     """Whether `runs` are a baseline together: each a training or a seed of the same trackers, on the same frames.
 
     Raises Unmeasured where they do not pair, ConfigurationError where what lies between them could not be judged.
     """
     first, *others = runs
     for other in others:
-        _refuse_unpaired(first, other)
-        _refuse_unpaired(other, first)
+        _require_paired(first, other)
+        _require_paired(other, first)
         for label, entry in first.trackers.items():
             same = other.trackers[label]
             if (entry.tracker, entry.options) != (same.tracker, same.options):
@@ -78,7 +78,7 @@ def refuse_unlike(runs: Sequence[Measurement]) -> None:
         )
 
 
-def _refuse_unpaired(baseline: Measurement, run: Measurement) -> None:
+def _require_paired(baseline: Measurement, run: Measurement) -> None:
     """Raises Unmeasured, with every reason why `run` does not hold what `baseline` holds."""
     reasons = [*_missing(baseline, run), *_other_splits(baseline, run)]
     if not reasons:

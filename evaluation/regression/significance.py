@@ -11,17 +11,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from gridtrack.evaluation.scoring.metrics import f1_score
+
 SWAPS = 9999
 FAMILY_LEVEL = 0.05
 """How often at most a run that is no worse is called worse in any row."""
-
-
-def f1_of(counts: NDArray[np.float64]) -> NDArray[np.float64]:
-    """F1 (...) of TP, FP, FN, TN (..., 4); NaN where nothing was occupied: there is nothing to find."""
-    tp, fp, fn = counts[..., 0], counts[..., 1], counts[..., 2]
-    f1 = np.full(tp.shape, np.nan)
-    np.divide(2 * tp, 2 * tp + fp + fn, out=f1, where=tp + fn > 0)
-    return f1
 
 
 def fall_p_values(baseline: NDArray[np.float64], run: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -34,7 +28,7 @@ def fall_p_values(baseline: NDArray[np.float64], run: NDArray[np.float64]) -> ND
     swapped = np.random.default_rng(0).integers(0, 2, (SWAPS, units)).astype(np.float64)
     stay = np.vstack([np.zeros(units), swapped])
     difference = (stay @ (run - baseline).reshape(units, -1)).reshape(len(stay), *baseline.shape[1:])
-    falls = f1_of(baseline.sum(axis=0) + difference) - f1_of(run.sum(axis=0) - difference)
+    falls = f1_score(baseline.sum(axis=0) + difference) - f1_score(run.sum(axis=0) - difference)
     spread = falls.std(axis=0)
     standardised = np.zeros_like(falls)
     np.divide(falls, spread, out=standardised, where=spread > 1e-12)

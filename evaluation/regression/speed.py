@@ -27,12 +27,12 @@ class SpeedRow:
         return self.ratio_run / self.ratio_baseline - 1.0
 
     @property
-    def standing(self) -> Literal["worse", "no worse"]:
+    def verdict(self) -> Literal["worse", "no worse"]:
         """Whether it grew beyond the margin."""
         return "worse" if self.growth > self.margin else "no worse"
 
 
-def judge_speed(
+def compare_speed(
     baseline: Baseline, run: Measurement, reference: str | None, margin: float
 ) -> tuple[tuple[SpeedRow, ...], tuple[str, ...]]:
     """The rows of every tracker but the reference, and what to know where speed is not judged.

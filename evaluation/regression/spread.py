@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import stdtr
 
-from gridtrack.evaluation.regression.significance import f1_of
+from gridtrack.evaluation.scoring.metrics import f1_score
 
 Floats = NDArray[np.float64]
 PRIOR_FREEDOM = 1.5
@@ -38,7 +38,7 @@ def spread_between(trainings: Floats, prior_freedom: float = PRIOR_FREEDOM) -> S
 
     A row in which all of them are equal in every unit, or have nothing to find, has a deviation of 0.
     """
-    own = np.nan_to_num(f1_of(trainings.sum(axis=1)).var(axis=0, ddof=1))
+    own = np.nan_to_num(f1_score(trainings.sum(axis=1)).var(axis=0, ddof=1))
     by_units = _variance_by_units(trainings)
     moved = by_units > 0
     ratio = own[moved] / by_units[moved]
@@ -70,7 +70,7 @@ def _variance_by_units(trainings: Floats) -> Floats:
     hits = 2 * trainings[..., 0]
     sizes = hits + trainings[..., 1] + trainings[..., 2]
     whole = sizes.sum(axis=1, keepdims=True)
-    f1 = np.nan_to_num(f1_of(trainings.sum(axis=1)))[:, None]
+    f1 = np.nan_to_num(f1_score(trainings.sum(axis=1)))[:, None]
     shares = np.divide(hits - f1 * sizes, whole, out=np.zeros_like(hits), where=whole > 0)
     apart = shares - shares.mean(axis=0)
     variance: Floats = (apart**2).sum(axis=(0, 1)) / (count - 1) * units / (units - 1)

@@ -9,28 +9,28 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from gridtrack.evaluation.regression.measurement import BANDS, BandCounts, Unit, Unmeasured
+from gridtrack.evaluation.regression.measurement import BANDS, BandCounts, UnitCounts, Unmeasured
 from gridtrack.evaluation.scoring.scores import CONFUSION
 from gridtrack.evaluation.statistics.frame_counts import FrameCounts, read_frame_counts
 from gridtrack.evaluation.statistics.uncertainty import COUNTS
 
-CELLS = [COUNTS.index(name) for name in CONFUSION]
+CONFUSION_COLUMNS = [COUNTS.index(name) for name in CONFUSION]
 LOG_LOSS = COUNTS.index("log_loss")
 
 
 def read_units(
     folder: Path, horizons_s: Sequence[float], strata: tuple[str, ...], block_s: float | None, frames: int
-) -> tuple[Unit, ...]:
+) -> tuple[UnitCounts, ...]:
     """The units of the trial in `folder`, in the order of time; blocks of at least `block_s`, None: one for the whole.
 
     Raises ScoresError where the scores cannot be read, Unmeasured where they are not those of `frames` scored frames.
     """
     scored = read_frame_counts(folder, len(horizons_s) - 1, strata)
-    if len(scored.stamps_ns) != frames or (scored.counts[..., CELLS] < 0).any():
+    if len(scored.stamps_ns) != frames or (scored.counts[..., CONFUSION_COLUMNS] < 0).any():
         raise Unmeasured(
             [f"{folder.name}: its scores are not those of the {frames} forecasts it tells of: run it again"]
         )
-    blocks = _blocks(scored.stamps_ns, block_s)
+    blocks = _block_numbers(scored.stamps_ns, block_s)
     return tuple(_unit(scored.at(blocks == block), horizons_s, strata) for block in np.unique(blocks))
 
 
@@ -39,7 +39,7 @@ def band_of(horizon_s: float) -> str | None:
     return next((name for name, (low, high) in BANDS.items() if low < horizon_s <= high + 1e-9), None)
 
 
-def _blocks(stamps_ns: NDArray[np.int64], block_s: float | None) -> NDArray[np.int64]:
+def _block_numbers(stamps_ns: NDArray[np.int64], block_s: float | None) -> NDArray[np.int64]:
     """The number of each frame's block: as many equal ones as fit with `block_s` each, at least one."""
     since_ns = stamps_ns - stamps_ns[0]
     span_ns = max(1, int(since_ns[-1]))
@@ -48,16 +48,16 @@ def _blocks(stamps_ns: NDArray[np.int64], block_s: float | None) -> NDArray[np.i
     return numbers
 
 
-def _unit(scored: FrameCounts, horizons_s: Sequence[float], strata: tuple[str, ...]) -> Unit:
+def _unit(scored: FrameCounts, horizons_s: Sequence[float], strata: tuple[str, ...]) -> UnitCounts:
     per_step = scored.counts.sum(axis=0, dtype=np.float64)
     bands = [band_of(horizon) for horizon in horizons_s]
     counts: dict[str, dict[str, BandCounts]] = {stratum: {} for stratum in strata}
     for band in (name for name in BANDS if name in bands):
         steps = [step for step, its in enumerate(bands) if its == band]
         for stratum, sums in zip(strata, per_step[steps].sum(axis=0), strict=True):
-            tp, fp, fn, tn = (int(count) for count in sums[CELLS])
+            tp, fp, fn, tn = (int(count) for count in sums[CONFUSION_COLUMNS])
             counts[stratum][band] = (tp, fp, fn, tn, float(f"{sums[LOG_LOSS]:.6g}"))
-    return Unit(frames=len(scored.stamps_ns), delivered=_digest(scored), counts=counts)
+    return UnitCounts(frames=len(scored.stamps_ns), delivered=_digest(scored), counts=counts)
 
 
 def _digest(scored: FrameCounts) -> str:

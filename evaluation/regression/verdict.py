@@ -13,13 +13,14 @@ from pydantic import Field
 from gridtrack.common.config import Settings
 from gridtrack.common.errors import ConfigurationError, did_you_mean
 from gridtrack.evaluation.regression.measurement import Baseline, Measurement, Unmeasured
-from gridtrack.evaluation.regression.p_values import Chance, chances
+from gridtrack.evaluation.regression.p_values import RowPValue, row_p_values
 from gridtrack.evaluation.regression.pairing import PairedRow, pair
-from gridtrack.evaluation.regression.significance import FAMILY_LEVEL, f1_of
-from gridtrack.evaluation.regression.speed import SpeedRow, judge_speed
+from gridtrack.evaluation.regression.significance import FAMILY_LEVEL
+from gridtrack.evaluation.regression.speed import SpeedRow, compare_speed
+from gridtrack.evaluation.scoring.metrics import f1_score
 from gridtrack.evaluation.statistics.uncertainty import LEAST_UNITS
 
-Standing = Literal["worse", "no worse", "equal", "nothing to find"]
+RowVerdict = Literal["worse", "no worse", "equal", "nothing to find"]
 SMALLEST_FALL = 1e-9
 """A smaller fall in F1 is rounding."""
 
@@ -41,7 +42,7 @@ class GateSettings(Settings):
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
+class VerdictRow:
     """One tracker, stratum and step band over all units; `recording` names one where the row is of that one only.
 
     F1 is pooled over steps and frames; None where nothing was occupied. `log_loss` is the mean of a cell, in nats.
@@ -61,7 +62,7 @@ class Row:
     margin: float
     p: float | None
     spread: float | None
-    standing: Standing
+    verdict: RowVerdict
 
     @property
     def fall(self) -> float:
@@ -74,8 +75,8 @@ class Verdict:
     """`rows` decide, over all units, and `speed` where it was asked for; `fallen` are each
     tracker's deepest falls on single recordings, told and not judged; `notes` are what else to know."""
 
-    rows: tuple[Row, ...]
-    fallen: tuple[Row, ...]
+    rows: tuple[VerdictRow, ...]
+    fallen: tuple[VerdictRow, ...]
     speed: tuple[SpeedRow, ...]
     units: int
     trainings: int
@@ -85,17 +86,17 @@ class Verdict:
     notes: tuple[str, ...]
 
     @property
-    def decisive(self) -> tuple[Row | SpeedRow, ...]:
+    def decisive(self) -> tuple[VerdictRow | SpeedRow, ...]:
         """Every row that decides."""
         return (*self.rows, *self.speed)
 
     @property
-    def worse(self) -> tuple[Row | SpeedRow, ...]:
+    def worse(self) -> tuple[VerdictRow | SpeedRow, ...]:
         """The rows that are worse: with none, the run passes."""
-        return tuple(row for row in self.decisive if row.standing == "worse")
+        return tuple(row for row in self.decisive if row.verdict == "worse")
 
 
-def judge(baseline: Baseline, run: Measurement, settings: GateSettings | None = None) -> Verdict:
+def compare_with_baseline(baseline: Baseline, run: Measurement, settings: GateSettings | None = None) -> Verdict:
     """Compare a run with a baseline, paired by units.
 
     Raises Unmeasured where they do not pair or hold nothing to judge, ConfigurationError for a label that is unknown.
@@ -107,10 +108,10 @@ def judge(baseline: Baseline, run: Measurement, settings: GateSettings | None = 
             raise ConfigurationError(f"the baseline has no tracker '{label}'; {did_you_mean(label, known)}")
     paired = pair(baseline, run)
     units = len(paired[0].recordings) if paired else 0
-    rows = tuple(_judged(row, settings, chance) for row, chance in zip(paired, chances(paired), strict=True))
-    if all(row.standing == "nothing to find" for row in rows):
+    rows = tuple(_judged(row, settings, chance) for row, chance in zip(paired, row_p_values(paired), strict=True))
+    if all(row.verdict == "nothing to find" for row in rows):
         raise Unmeasured(["no cell was occupied in any stratum and step band: nothing was measured"])
-    speed, spoken = judge_speed(baseline, run, settings.speed_reference, settings.speed_margin)
+    speed, spoken = compare_speed(baseline, run, settings.speed_reference, settings.speed_margin)
     return Verdict(
         rows,
         _fallen(paired, settings),
@@ -122,44 +123,44 @@ def judge(baseline: Baseline, run: Measurement, settings: GateSettings | None = 
     )
 
 
-def _judged(row: PairedRow, settings: GateSettings, chance: Chance) -> Row:
+def _judged(row: PairedRow, settings: GateSettings, chance: RowPValue) -> VerdictRow:
     """The row over all units, with its standing."""
     tolerance = settings.tolerance.get(row.label)
     margin = (0.0 if chance.p is None else settings.margin) if tolerance is None else tolerance
     plain = _row(row, np.ones(len(row.recordings), bool), "", margin, chance)
     beyond = plain.fall > margin + SMALLEST_FALL and (chance.p is None or chance.p <= FAMILY_LEVEL)
-    standing: Standing = "worse" if beyond and plain.standing == "no worse" else plain.standing
-    return replace(plain, standing=standing)
+    verdict: RowVerdict = "worse" if beyond and plain.verdict == "no worse" else plain.verdict
+    return replace(plain, verdict=verdict)
 
 
-def _row(row: PairedRow, members: NDArray[np.bool_], recording: str, margin: float, chance: Chance) -> Row:
+def _row(row: PairedRow, members: NDArray[np.bool_], recording: str, margin: float, chance: RowPValue) -> VerdictRow:
     """The row over some of its units, not judged yet."""
     then, now = row.baseline[members].sum(axis=0), row.run[members].sum(axis=0)
-    f1_then, f1_now = (None if np.isnan(f1) else float(f1) for f1 in (f1_of(then), f1_of(now)))
+    f1_then, f1_now = (None if np.isnan(f1) else float(f1) for f1 in (f1_score(then), f1_score(now)))
     cells = then.sum() or np.nan
     loss_then, loss_now = (
         None if np.isnan(loss) else float(loss)
         for loss in (row.log_losses.mean(axis=0)[members].sum() / cells, row.run_log_loss[members].sum() / cells)
     )
-    standing: Standing = "no worse"
+    verdict: RowVerdict = "no worse"
     if f1_then is None:
-        standing = "nothing to find"
+        verdict = "nothing to find"
     elif row.equal:
-        standing = "equal"
-    return Row(
+        verdict = "equal"
+    return VerdictRow(
         row.label, row.stratum, row.band, recording, f1_then, f1_now, loss_then, loss_now, margin, chance.p,
-        chance.spread, standing,
+        chance.spread, verdict,
     )  # fmt: skip
 
 
-def _fallen(paired: Sequence[PairedRow], settings: GateSettings) -> tuple[Row, ...]:
+def _fallen(paired: Sequence[PairedRow], settings: GateSettings) -> tuple[VerdictRow, ...]:
     """The deepest fall of each tracker on each single recording, where it is beyond the margin; the deepest first."""
-    deepest: dict[tuple[str, str], Row] = {}
+    deepest: dict[tuple[str, str], VerdictRow] = {}
     for row in paired:
         names = np.array(row.recordings)
         margin = settings.tolerance.get(row.label, settings.margin)
         for name in dict.fromkeys(row.recordings):
-            one = _row(row, names == name, name, margin, Chance())
+            one = _row(row, names == name, name, margin, RowPValue())
             known = deepest.get((row.label, name))
             if one.fall > margin and (known is None or one.fall > known.fall):
                 deepest[row.label, name] = one

@@ -13,7 +13,7 @@ from gridtrack.evaluation.scoring.counting import Tally
 Scores = NDArray[np.float64]
 
 
-def f1_score(confusion: NDArray[np.int64]) -> Scores:
+def f1_score(confusion: NDArray[np.int64] | NDArray[np.float64]) -> Scores:
     """F1 (...) of TP, FP, FN, TN (..., 4): 2 TP / (2 TP + FP + FN); undefined where no cell was occupied."""
     tp, fp, fn = (confusion[..., i] for i in range(3))
     return ratio(2 * tp, 2 * tp + fp + fn, defined=tp + fn > 0)

@@ -6,7 +6,7 @@ import shutil
 import pytest
 
 from gridtrack.reports.run import ReportError, read_runs
-from gridtrack.reports.table import as_markdown, headline_tables
+from gridtrack.reports.table import headline_markdown, headline_tables
 
 
 @pytest.fixture
@@ -41,9 +41,9 @@ def test_columns_are_the_marked_horizons(table):
 
 
 def test_partial_trials_stand_apart_and_are_never_best(table):
-    assert [row.label for row in table.standing("ranked")] == ["good", "fair"]
-    assert [row.label for row in table.standing("floor")] == ["persistence", "blank"]
-    (apart,) = table.standing("apart")
+    assert [row.label for row in table.rows_in("ranked")] == ["good", "fair"]
+    assert [row.label for row in table.rows_in("floor")] == ["persistence", "blank"]
+    (apart,) = table.rows_in("unranked")
     assert (apart.label, apart.frames, apart.trial.outcome) == ("unlucky", "7 of 20", "crashed")
     assert not any(cell.best for cell in apart.cells)
 
@@ -62,7 +62,7 @@ def test_a_partial_trial_cannot_take_the_best_mark_by_scoring_higher(run_folder,
 
 def test_less_is_better_for_log_loss_and_precision_alone_is_not_ranked(table):
     values = {column.heading: i for i, column in enumerate(table.columns)}
-    complete = [row for row in table.rows if row.standing != "apart"]
+    complete = [row for row in table.rows if row.group != "unranked"]
     least = min(row.cells[values["log loss"]].value for row in complete)
     assert {row.cells[values["log loss"]].value for row in complete if row.cells[values["log loss"]].best} == {least}
     assert not any(row.cells[values["precision"]].best for row in complete)
@@ -104,7 +104,7 @@ def test_two_runs_share_a_table_and_each_row_names_its_run(run_folder, tmp_path)
     other = shutil.copytree(run_folder, tmp_path / "other")
     (table,) = headline_tables(read_runs([run_folder, other]))
     assert table.comparable
-    assert {row.name for row in table.standing("ranked")} == {"demo: good", "demo: fair", "other: good", "other: fair"}
+    assert {row.name for row in table.rows_in("ranked")} == {"demo: good", "demo: fair", "other: good", "other: fair"}
 
 
 def test_runs_of_another_input_are_not_ranked_against_each_other(run_folder, tmp_path):
@@ -131,7 +131,7 @@ def test_markdown_has_a_row_for_each_tracker_and_names_cannot_break_it(run_folde
         summary["trackers"]["a | b\n| c"] = summary["trackers"].pop("fair")
 
     (table,) = headline_tables(read_runs([rewritten(run_folder, tmp_path / "run", rename)]))
-    lines = as_markdown(table).splitlines()
+    lines = headline_markdown(table).splitlines()
     assert len(lines) == 2 + 5
     assert len({line.replace("\\|", "").count("|") for line in lines}) == 1
     assert any(line.startswith("| good | **1.000** |") for line in lines)

@@ -9,7 +9,7 @@ import pytest
 from gridtrack.evaluation.statistics.summary import summarise, write_json
 from gridtrack.reports.page import render_page
 from gridtrack.reports.run import read_runs
-from gridtrack.reports.table import as_markdown, foremost, headline_tables
+from gridtrack.reports.table import foremost, headline_markdown, headline_tables
 from gridtrack.reports.terminal import print_tables
 
 from scenes import synthetic_run as synthetic
@@ -58,21 +58,21 @@ def test_all_recordings_stand_first_and_are_what_a_run_is_read_by(run, pooled):
 
 
 def test_every_f1_of_a_complete_row_has_its_interval_around_it(pooled):
-    for row in pooled.standing("ranked") + pooled.standing("floor"):
+    for row in pooled.rows_in("ranked") + pooled.rows_in("floor"):
         f1 = [cell for column, cell in zip(pooled.columns, row.cells, strict=True) if column.score == "f1"]
         assert len(f1) == 8
         assert all(cell.interval[0] < cell.value < cell.interval[1] for cell in f1)
 
 
 def test_the_ceiling_stands_apart_and_is_never_best_though_it_is(pooled):
-    (oracle,) = pooled.standing("ceiling")
-    assert oracle.cells[0].value > max(row.cells[0].value for row in pooled.standing("ranked"))
+    (oracle,) = pooled.rows_in("ceiling")
+    assert oracle.cells[0].value > max(row.cells[0].value for row in pooled.rows_in("ranked"))
     assert not any(cell.best for cell in oracle.cells)
     assert [row.label for row in pooled.rows if row.cells[0].best] == ["good"]
 
 
 def test_a_tracker_that_missed_a_recording_is_not_ranked_and_says_how_many_it_has(pooled, page):
-    assert [row.label for row in pooled.standing("apart")] == ["unlucky"]
+    assert [row.label for row in pooled.rows_in("unranked")] == ["unlucky"]
     assert "19 of 20 recordings complete (seed-00: crashed)" in page
 
 
@@ -100,6 +100,6 @@ def test_the_terminal_shows_the_pooled_table_and_the_differences_only(run, capsy
 
 
 def test_markdown_has_the_interval_beside_the_number(pooled):
-    (line,) = [line for line in as_markdown(pooled).splitlines() if line.startswith("| good")]
-    cell = pooled.standing("ranked")[0].cells[0]
+    (line,) = [line for line in headline_markdown(pooled).splitlines() if line.startswith("| good")]
+    cell = pooled.rows_in("ranked")[0].cells[0]
     assert f"**{cell.text}** [{cell.interval[0]:.3f}, {cell.interval[1]:.3f}]" in line

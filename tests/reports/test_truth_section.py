@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from gridtrack.evaluation.scoring.counting import BINS, Tally
-from gridtrack.reports.classes import classes_of
+from gridtrack.reports.classes import class_tables
 from gridtrack.reports.page import render_report
 from gridtrack.reports.run import ReportError, read_runs
 from gridtrack.reports.table import headline_tables
-from gridtrack.reports.truth import SIDE, calibrations_of, hidden_of
+from gridtrack.reports.truth import SIDE, hidden_of, reliability_diagrams
 
 STEPS = 20
 
@@ -62,7 +62,7 @@ def test_hidden_cells_have_a_table_with_the_gap(truth_run):
 
 
 def test_classes_that_were_there_have_a_column_and_trackers_without_semantics_no_row(truth_run):
-    classes = classes_of(table_of(truth_run), *read_runs([truth_run]))
+    classes = class_tables(table_of(truth_run), *read_runs([truth_run]))
     assert classes.columns == (("visible", "<b>bus</b>"),)
     assert [(row.label, recalls) for row, recalls in classes.recalls][:2] == [("good", (0.75,)), ("fair", (0.75,))]
     assert [one.row.label for one in classes.meanings] == ["good"]
@@ -70,7 +70,7 @@ def test_classes_that_were_there_have_a_column_and_trackers_without_semantics_no
 
 
 def test_what_cells_are_taken_for_stands_with_its_interval_and_less_the_reference(truth_run):
-    classes = classes_of(table_of(truth_run), *read_runs([truth_run]))
+    classes = class_tables(table_of(truth_run), *read_runs([truth_run]))
     now, then = classes.meanings[0].meanings
     assert (then.loss, then.interval, then.accuracy) == (0.625, (0.5, 0.75), 0.625)
     assert (then.less, then.less_interval) == (-0.375, (-0.5, -0.25))
@@ -81,7 +81,7 @@ def test_what_cells_are_taken_for_stands_with_its_interval_and_less_the_referenc
 
 
 def test_several_runs_side_by_side_have_no_differences(truth_run):
-    assert classes_of(table_of(truth_run), None).meanings[0].meanings[0].less is None
+    assert class_tables(table_of(truth_run), None).meanings[0].meanings[0].less is None
 
 
 def test_the_page_shows_them_with_every_name_escaped(truth_run):
@@ -94,7 +94,7 @@ def test_the_page_shows_them_with_every_name_escaped(truth_run):
 
 def test_a_run_without_truth_has_no_such_section(run_folder):
     assert hidden_of(table_of(run_folder)) is None
-    assert classes_of(table_of(run_folder), *read_runs([run_folder])) is None
+    assert class_tables(table_of(run_folder), *read_runs([run_folder])) is None
     page = render_report([run_folder], run_folder / "page.html").read_text()
     assert "What was hidden" not in page
 
@@ -104,7 +104,7 @@ def test_a_calibrated_forecast_lies_on_the_diagonal(run_folder, monkeypatch):
     p = np.linspace(0.01, 0.99, BINS)
     tally = Tally(cells, (cells * p).astype(int), cells * p, *np.zeros((2, STEPS + 1, 1)), ("moving",))
     monkeypatch.setattr("gridtrack.reports.truth.read_tally", lambda *_: tally)
-    drawn, notices = calibrations_of(read_runs([run_folder]), table_of(run_folder))
+    drawn, notices = reliability_diagrams(read_runs([run_folder]), table_of(run_folder))
     assert [one.row.label for one in drawn] == ["good", "fair"]
     assert notices == ()
     assert all(x == pytest.approx(SIDE - y, abs=0.3) for x, y in drawn[0].points)
@@ -113,7 +113,7 @@ def test_a_calibrated_forecast_lies_on_the_diagonal(run_folder, monkeypatch):
 def test_a_histogram_that_cannot_be_read_is_told_and_the_page_goes_on(truth_run):
     (truth_run / "good@crossing" / "histogram.parquet").write_bytes(b"not")
     runs = read_runs([truth_run])
-    drawn, notices = calibrations_of(runs, table_of(truth_run))
+    drawn, notices = reliability_diagrams(runs, table_of(truth_run))
     assert [one.row.label for one in drawn] == ["fair"]
     assert notices[0].startswith("good: no calibration drawn")
 

@@ -7,7 +7,8 @@ from itertools import product
 import numpy as np
 import pytest
 
-from gridtrack.evaluation.regression.significance import f1_of, fall_p_values
+from gridtrack.evaluation.regression.significance import fall_p_values
+from gridtrack.evaluation.scoring.metrics import f1_score
 
 
 def counts(rng, units, rows, recall):
@@ -62,6 +63,6 @@ def test_the_same_runs_get_the_same_p():
 
 
 def test_f1_is_the_harmonic_mean_of_precision_and_recall_and_undefined_where_nothing_was_occupied():
-    f1 = f1_of(np.array([[6, 2, 4, 88], [0, 3, 0, 97]], float))
+    f1 = f1_score(np.array([[6, 2, 4, 88], [0, 3, 0, 97]], float))
     assert f1[0] == pytest.approx(2 / (1 / (6 / 8) + 1 / (6 / 10)))
     assert np.isnan(f1[1])

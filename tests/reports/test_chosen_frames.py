@@ -4,44 +4,44 @@ import numpy as np
 import pytest
 
 from gridtrack.evaluation.scoring.scores import SCORES
-from gridtrack.reports.chosen_frames import ScoredMoment, choose_moments, scored_moments
+from gridtrack.reports.chosen_frames import FrameScore, choose_frames, frame_scores
 from gridtrack.reports.run import ReportError
 
 
 def perfect(occupied):
-    return {stamp: ScoredMoment(tp=n, fp=0, fn=0) for stamp, n in occupied.items()}
+    return {stamp: FrameScore(tp=n, fp=0, fn=0) for stamp, n in occupied.items()}
 
 
 def test_each_part_gives_its_busiest_moment_the_earliest_of_equals():
     occupied = {0: 3, 1: 9, 2: 9, 10: 1, 11: 2, 20: 5, 21: 4}
-    chosen = choose_moments({"a": perfect(occupied)}, ["a"], 3)
+    chosen = choose_frames({"a": perfect(occupied)}, ["a"], 3)
     assert [moment.stamp_ns for moment in chosen] == [1, 11, 20]
 
 
 def test_one_more_is_where_the_trackers_differ_most_the_floor_aside():
     occupied = dict.fromkeys(range(9), 4)
     scored = {name: perfect(occupied) for name in ("a", "b", "floor")}
-    scored["b"][5] = ScoredMoment(tp=1, fp=3, fn=3)
-    scored["floor"][7] = ScoredMoment(tp=0, fp=4, fn=4)
-    chosen = choose_moments(scored, ["a", "b"], 3)
+    scored["b"][5] = FrameScore(tp=1, fp=3, fn=3)
+    scored["floor"][7] = FrameScore(tp=0, fp=4, fn=4)
+    chosen = choose_frames(scored, ["a", "b"], 3)
     assert [moment.stamp_ns for moment in chosen] == [0, 3, 5, 6]
     assert "differ most: moving F1 0.75 apart" in chosen[2].why
 
 
 def test_where_trackers_agree_no_moment_claims_that_they_differ():
     scored = {name: perfect(dict.fromkeys(range(9), 4)) for name in "ab"}
-    assert len(choose_moments(scored, ["a", "b"], 3)) == 3
+    assert len(choose_frames(scored, ["a", "b"], 3)) == 3
 
 
 def test_only_moments_that_every_trial_has_are_chosen():
-    chosen = choose_moments({"a": perfect({0: 1, 1: 9, 2: 1}), "b": perfect({0: 1, 2: 2})}, ["a", "b"], 1)
+    chosen = choose_frames({"a": perfect({0: 1, 1: 9, 2: 1}), "b": perfect({0: 1, 2: 2})}, ["a", "b"], 1)
     assert [moment.stamp_ns for moment in chosen] == [2]
-    assert choose_moments({"a": perfect({0: 1}), "b": {}}, ["a", "b"], 3) == ()
-    assert choose_moments({}, [], 3) == ()
+    assert choose_frames({"a": perfect({0: 1}), "b": {}}, ["a", "b"], 3) == ()
+    assert choose_frames({}, [], 3) == ()
 
 
 def test_counts_are_those_of_the_store_at_the_step(run_folder):
-    moments = scored_moments(run_folder / "blank@crossing" / SCORES, 8)
+    moments = frame_scores(run_folder / "blank@crossing" / SCORES, 8)
     assert len(moments) == 20
     assert all(moment.tp == moment.fp == 0 and moment.occupied == 4 for moment in moments.values())
     assert np.array_equal(sorted(moments), list(moments))
@@ -50,5 +50,5 @@ def test_counts_are_those_of_the_store_at_the_step(run_folder):
 def test_scores_that_cannot_be_read_are_told_in_one_line(tmp_path):
     (tmp_path / SCORES).write_bytes(b"not parquet")
     with pytest.raises(ReportError, match="cannot be read as scores") as refused:
-        scored_moments(tmp_path / SCORES, 8)
+        frame_scores(tmp_path / SCORES, 8)
     assert "\n" not in str(refused.value)
