@@ -10,42 +10,76 @@ from typing import Annotated, Any
 
 import typer
 
-from gridtrack.cli.options import AsJson, Grid, Rate, Recordings, Weights, command_line
+from gridtrack.cli.options import AsJson, Grid, Rate, Weights
 from gridtrack.common.errors import ConfigurationError, GridtrackError, PluginError
 
 app = typer.Typer(no_args_is_help=True, help="The trackers: list, show, check, new.")
 
 
 def train(
-    tracker: Annotated[str, typer.Argument(metavar="NAME[:KEY=VALUE,...]")],
-    recordings: Recordings,
+    arguments: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="[NAME[:KEY=VALUE,...]] RECORDING[@RANGE]...",
+            help="A tracker and the recordings to train it on; may be left out where --recipe or --like names them",
+            show_default=False,
+        ),
+    ] = None,
+    recipe: Annotated[
+        Path | None, typer.Option(help="TOML file with the settings of a training; what else is given overrides it")
+    ] = None,
+    like: Annotated[
+        Path | None, typer.Option(metavar="CARD", help="Train with the tracker, settings and seed of this card")
+    ] = None,
     validation: Annotated[
         list[str] | None, typer.Option(help="RECORDING[@RANGE]; default: the recording's own validation stretch")
     ] = None,
     out: Annotated[Path | None, typer.Option(help="Folder of weights; default: your own")] = None,
-    seed: Annotated[int, typer.Option(min=0, max=2**31 - 1)] = 1,
+    seed: Annotated[int | None, typer.Option(help="Default: that of the recipe or the card, else 1")] = None,
     grid: Grid = None,
     rate: Rate = None,
 ) -> None:
-    """Let a tracker learn a site: weights, map and settings, with the command that made them."""
-    from gridtrack.common.grid import GridSpec
-    from gridtrack.evaluation.comparison.learned import users_folder
+    """Train a tracker for a site: its weights and settings, on a card with the command that repeats the training."""
+    from gridtrack.evaluation.comparison.recipe import complete_recipe
     from gridtrack.evaluation.comparison.train import train as train_tracker
 
-    chosen = _tracker_alone(tracker)
-    card = train_tracker(
-        chosen.name,
-        recordings,
-        validation or [],
-        out or users_folder(),
-        chosen.options,
-        seed,
-        command_line(),
-        grid=GridSpec.parse(grid) if grid else None,
-        rate_hz=rate,
-        report=typer.echo,
-    )
+    given = {
+        **_tracker_and_recordings(arguments or [], named_elsewhere=bool(recipe or like)),
+        "validation": validation,
+        "out": out,
+        "seed": seed,
+        "grid": grid,
+        "rate_hz": rate,
+    }
+    overrides = {key: value for key, value in given.items() if value is not None}
+    card = train_tracker(complete_recipe(_base_recipe(recipe, like), overrides), typer.echo)
     typer.echo(f"weights: {card}")
+
+
+def _tracker_and_recordings(arguments: list[str], *, named_elsewhere: bool) -> dict[str, Any]:
+    """The fields of a recipe that the arguments of `train` give.
+
+    The first argument is a tracker; where the tracker may be `named_elsewhere`, only if a tracker of this name exists.
+    """
+    from gridtrack.trackers import registry
+
+    given: dict[str, Any] = {}
+    if arguments and not (named_elsewhere and arguments[0].partition(":")[0] not in registry.entries()):
+        chosen = _tracker_alone(arguments[0])
+        given = {"tracker": chosen.name, "options": chosen.options}
+        arguments = arguments[1:]
+    return {**given, "recordings": arguments} if arguments else given
+
+
+def _base_recipe(recipe: Path | None, like: Path | None) -> Any:
+    """The recipe that the command line overrides. Raises ConfigurationError where both are given."""
+    from gridtrack.evaluation.comparison.recipe import Recipe, read_recipe, recipe_like
+
+    if recipe and like:
+        raise ConfigurationError("--recipe and --like: give one of them")
+    if recipe:
+        return read_recipe(recipe)
+    return recipe_like(like) if like else Recipe()
 
 
 @app.command("list")

@@ -6,6 +6,7 @@ from gridtrack.common.errors import ConfigurationError, PluginError, RecordingEr
 from gridtrack.common.grid import GridSpec
 from gridtrack.evaluation.comparison.learned import find_weights, users_folder, weights_path
 from gridtrack.evaluation.comparison.plan import CompareSettings, resolve
+from gridtrack.evaluation.comparison.recipe import Recipe
 from gridtrack.evaluation.comparison.train import train
 from gridtrack.evaluation.scoring.splits import Sampling, plan_split, was_seen
 from gridtrack.evaluation.scoring.strata import CELL_KINDS
@@ -160,17 +161,21 @@ def test_a_sites_name_cannot_lead_out_of_the_folder(tmp_path):
 def test_training_and_choosing_on_the_same_frames_is_refused(record, tmp_path):
     path = str(record())
     with pytest.raises(ConfigurationError, match="shares frames with"):
-        train("static-map", [f"{path}@0s-10s"], [], tmp_path, {}, 0, "")
+        train(Recipe(tracker="static-map", recordings=(f"{path}@0s-10s",), out=tmp_path))
 
 
 def test_training_what_cannot_learn_or_on_no_stretch_is_refused(record, tmp_path):
     path = str(record())
     with pytest.raises(PluginError, match="nothing to learn"):
-        train("blank", [path], [], tmp_path, {}, 0, "")
+        train(Recipe(tracker="blank", recordings=(path,), out=tmp_path))
     with pytest.raises(ConfigurationError, match="no validation stretch"):
-        train("static-map", [str(record("bare", stretches={}))], [], tmp_path, {}, 0, "")
+        train(Recipe(tracker="static-map", recordings=(str(record("bare", stretches={})),), out=tmp_path))
     with pytest.raises(ConfigurationError, match="no stretch 'train'; name one of test"):
-        train("static-map", [str(record("half", stretches={"test": (0.0, 5.0)}))], [], tmp_path, {}, 0, "")
+        train(
+            Recipe(
+                tracker="static-map", recordings=(str(record("half", stretches={"test": (0.0, 5.0)})),), out=tmp_path
+            )
+        )
 
 
 def test_thresholds_of_another_recording_are_chosen_on_its_own_strata(record):

@@ -1,0 +1,92 @@
+"""The recipe of a training: tracker, options, recordings and seed, from a TOML file, a card or the command line."""
+
+from __future__ import annotations
+
+import json
+import re
+import shlex
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from pydantic import Field
+
+from gridtrack.common.config import Settings, validated
+from gridtrack.common.errors import ConfigurationError
+from gridtrack.common.files import read_bounded
+from gridtrack.trackers.weights import read_card
+
+MAX_RECIPE_BYTES = 1 << 20
+
+
+class Recipe(Settings):
+    """One training of one tracker. Paths are relative to the working directory, as on the command line.
+
+    `recordings` and `validation` as RECORDING[@range]; without `validation` it is the recordings' own validation
+    stretch. `grid` as CELLSxMETRES[@X,Y]; without `grid` and `rate_hz` they are the recordings'. `out` is the folder of
+    weights. A recipe file may leave `tracker` and `recordings` to the command line.
+    """
+
+    tracker: str = ""
+    options: dict[str, Any] = Field(default_factory=dict)
+    recordings: tuple[str, ...] = ()
+    validation: tuple[str, ...] = ()
+    seed: int = Field(1, ge=0, lt=2**31)
+    out: Path | None = None
+    grid: str | None = None
+    rate_hz: float | None = Field(None, gt=0.0, le=1000.0)
+
+    @property
+    def command(self) -> str:
+        """The command line that repeats this training, whatever becomes of the file that the recipe was read from."""
+        options = ",".join(f"{key}={_option_text(value)}" for key, value in self.options.items())
+        words = ["gridtrack", "train", f"{self.tracker}:{options}" if options else self.tracker, *self.recordings]
+        for stretch in self.validation:
+            words += ["--validation", stretch]
+        words += ["--seed", str(self.seed)]
+        words += ["--grid", self.grid] if self.grid else []
+        words += ["--rate", f"{self.rate_hz:g}"] if self.rate_hz else []
+        words += ["--out", str(self.out)] if self.out else []
+        return shlex.join(words)
+
+
+def _option_text(value: Any) -> str:
+    """An option's value as `parse_pairs` reads it: a plain word as it is, anything else as JSON."""
+    text = json.dumps(value, separators=(",", ":"))
+    return str(value) if isinstance(value, str) and re.fullmatch("[a-z-]+", value) and value != text else text
+
+
+def read_recipe(path: Path) -> Recipe:
+    """The recipe in the TOML file `path`. Raises ConfigurationError, also for an unknown key."""
+    try:
+        fields = tomllib.loads(read_bounded(path, MAX_RECIPE_BYTES, ConfigurationError).decode())
+    except FileNotFoundError:
+        raise ConfigurationError(f"{path}: no such recipe") from None
+    except (ValueError, RecursionError) as error:
+        raise ConfigurationError(f"{path}: not TOML ({error})") from None
+    return validated(Recipe, fields, str(path))
+
+
+def recipe_like(path: Path) -> Recipe:
+    """Tracker, settings and seed of the training that wrote the card at `path`. Raises WeightsError.
+
+    A card names recordings without their folders, and its grid belongs to its site: the user names both.
+    """
+    card = read_card(path)
+    return Recipe(tracker=card.tracker, options=card.settings, seed=card.seed)
+
+
+def complete_recipe(base: Recipe, overrides: Mapping[str, Any]) -> Recipe:
+    """`base` with the fields in `overrides` replaced, and of its options those that `overrides` name.
+
+    Raises ConfigurationError where a field is invalid, or no tracker or recording is named.
+    """
+    fields = base.model_dump(exclude_unset=True) | dict(overrides)
+    fields["options"] = {**base.options, **overrides.get("options", {})}
+    recipe = validated(Recipe, fields, "training")
+    if not recipe.tracker:
+        raise ConfigurationError("no tracker to train: name one, as in `gridtrack train NAME RECORDING`")
+    if not recipe.recordings:
+        raise ConfigurationError(f"no recording to train {recipe.tracker} on: name one after the tracker")
+    return recipe

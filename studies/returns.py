@@ -1,0 +1,22 @@
+"""What a map of the site and the cells' centres change for `kalman`: without the map, and with the laser's returns.
+
+`python -m studies.returns` compares the rows in studies/recipes/returns.toml in runs/returns.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+
+from studies.comparison import compare_at_junction
+
+RECIPE = Path("studies/recipes/returns.toml")
+
+
+def main() -> None:
+    rows = tomllib.loads(RECIPE.read_text())
+    compare_at_junction(rows["trackers"], rows["reference"], Path(rows["out"]))
+
+
+if __name__ == "__main__":
+    main()
