@@ -27,26 +27,13 @@ results: $(VENV)/.installed-demo
 	    --reference dilated-convgru --out runs/results
 	$(BIN)/python -m studies.static_memory
 
-# What the paper claims of its network taken away, one claim at a time, each trained with 625 updates.
-SHORT := burn_in=10,validate_every=125,warm_up=50,learning_rate=0.004,updates=625,stage=occupancy
-BLANKS := shown=10,blank=20,cycles=1
-ABLATIONS := whole:$(BLANKS) no-static-memory:$(BLANKS),static_gates=[] no-dilation:$(BLANKS),dilated=false \
-    no-gates:$(BLANKS),cell=plain papers-scheme:shown=10,blank=10,cycles=2
+# The dilated ConvGRU without each of the parts that the paper names, by the recipes in studies/recipes/ablations.
 ablations: $(VENV)/.installed-dev
-	for each in $(ABLATIONS); do \
-	    $(BIN)/gridtrack train "dilated-convgru:$(SHORT),$${each#*:}" $(AT_JUNCTION)@0s-90s \
-	        --out runs/trained/$${each%%:*} || exit 1; done
-	rm -rf runs/ablations
-	$(BIN)/gridtrack compare $(JUNCTION) --validation data/junction/validation.tracks --tracker persistence \
-	    $(foreach each,$(ABLATIONS),--tracker $(firstword $(subst :, ,$(each)))=dilated-convgru:weights=runs/trained/$(firstword $(subst :, ,$(each)))) \
-	    --every 2s --reference whole --out runs/ablations
+	$(BIN)/python -m studies.ablations
 
-# The pipeline without a map of the place, and with the laser's own returns: what of their settings differs was searched for.
-RETURNS := link_m=0.264,surface_m=0.08,return_noise_m=0.03
+# The pipeline without a map of the site, and with the laser's own returns.
 returns: $(VENV)/.installed-demo
-	rm -rf runs/returns
-	$(BIN)/gridtrack compare $(JUNCTION) --validation data/junction/validation.tracks --tracker kalman \
-	    --tracker cold=kalman:background=none --tracker raw=kalman:points=raw,$(RETURNS) --reference kalman --out runs/returns
+	$(BIN)/python -m studies.returns
 
 # The set that the demo is run on, made again with SUMO (about ten minutes on two cores).
 junction: $(VENV)/.installed-sim
@@ -78,30 +65,9 @@ baseline: $(VENV)/.installed-dev
 	    --weights data/weights --horizon 1s --every 0.5s --out runs/baseline
 	$(BIN)/gridtrack regress runs/baseline --baseline tests/baselines/own_trackers.json --update
 
-# What ships in data/weights, made again (five hours on two cores).
-GRU := shown=10,blank=20,cycles=1,reverse=true,updates=1500,validate_every=100,learning_rate=0.005,warm_up=20
-RNN := shown=20,blank=20,cycles=1,reverse=true,superpose=true,updates=1000,validate_every=100,learning_rate=0.003,warm_up=100
-RNN_AT_JUNCTION := burn_in=20,shown=20,blank=20,cycles=1,validate_every=250,warm_up=100,learning_rate=0.003,updates=4000
-GRU_AT_JUNCTION := burn_in=10,shown=10,blank=20,cycles=1,validate_every=250,warm_up=50,learning_rate=0.004,updates=4000
-AT_JUNCTION := data/junction/train.tracks --validation data/junction/validation.tracks
-THREE_STRETCHES := $(foreach each,0s-320s 1300s-1620s 2600s-2920s,data/junction/train.tracks@$(each)) \
-    --validation data/junction/validation.tracks@0s-96s
-# The settings of a street that searches begin from: of the three best of a longer search the one that did best on the
-# validation recording (docs/trackers/model-free.md). `train kalman` without them searches for itself.
-STREET = $$($(BIN)/python -c 'from gridtrack.trackers.model_free.tuning import STARTS; \
-    print(",".join(f"{key}={value}" for key, value in STARTS[1].model_dump(exclude_unset=True).items()))')
-
+# What ships in data/weights, by the recipes in studies/recipes/weights (five hours on two cores).
 weights: $(VENV)/.installed-dev
-	for tracker in static-map kalman factor-graph dogma deep-tracking-rnn:$(RNN) dilated-convgru:$(GRU); do \
-	    $(BIN)/gridtrack train $$tracker $(DEMO) --out data/weights || exit 1; done
-	$(BIN)/gridtrack train static-map $(AT_JUNCTION) --out data/weights
-	for tracker in kalman factor-graph; do \
-	    $(BIN)/gridtrack train $$tracker:$(STREET),stage=occupancy $(AT_JUNCTION)@0s-96s --out data/weights || exit 1; done
-	$(BIN)/gridtrack train dogma $(THREE_STRETCHES) --out data/weights
-	$(BIN)/gridtrack train deep-tracking-rnn:$(RNN_AT_JUNCTION) $(AT_JUNCTION)@0s-90s --out data/weights
-	for tracker in dilated-convgru:$(GRU_AT_JUNCTION),stage=occupancy \
-	    $(foreach each,dilated-convgru kalman factor-graph,$(each):stage=classes) one-shot; do \
-	    $(BIN)/gridtrack train $$tracker $(AT_JUNCTION)@0s-90s --seed 1 --out data/weights || exit 1; done
+	for recipe in studies/recipes/weights/*.toml; do $(BIN)/gridtrack train --recipe $$recipe || exit 1; done
 
 $(VENV)/.installed-demo: pyproject.toml constraints.txt | $(VENV)
 	$(BIN)/pip install --constraint constraints.txt --editable '.[deep,model-free]'

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from gridtrack.evaluation.comparison.recipe import read_recipe
 from gridtrack.evaluation.comparison.train import train
+
 from studies.comparison import compare_at_junction
 
 RECIPES = Path("studies/recipes/ablations")

@@ -53,8 +53,9 @@ class Recipe(Settings):
 
 def _option_text(value: Any) -> str:
     """An option's value as `parse_pairs` reads it: a plain word as it is, anything else as JSON."""
-    text = json.dumps(value, separators=(",", ":"))
-    return str(value) if isinstance(value, str) and re.fullmatch("[a-z-]+", value) and value != text else text
+    if isinstance(value, str) and re.fullmatch("[a-z-]+", value) and value not in ("true", "false", "null"):
+        return value
+    return json.dumps(value, separators=(",", ":"))
 
 
 def read_recipe(path: Path) -> Recipe:

@@ -1,0 +1,139 @@
+"""A training is described by a recipe, a card or the command line, and its card has the command that repeats it."""
+
+from __future__ import annotations
+
+import shlex
+from importlib import resources
+from pathlib import Path
+
+import pytest
+
+from gridtrack.common.config import parse_pairs, validated
+from gridtrack.common.errors import ConfigurationError, WeightsError
+from gridtrack.evaluation.comparison.recipe import Recipe, complete_recipe, read_recipe, recipe_like
+from gridtrack.evaluation.comparison.train import train
+from gridtrack.trackers import registry
+from gridtrack.trackers.selection import parse_selection
+from gridtrack.trackers.weights import read_card
+
+RECIPES = Path(__file__).parents[3] / "studies" / "recipes"
+CARDS = sorted(Path(str(resources.files("gridtrack.data"))).glob("weights/*/*.toml"))
+
+
+def named(path: Path) -> str:
+    return "/".join(path.parts[-2:])
+
+
+def recipes(*folders: str) -> list[Path]:
+    return sorted(path for folder in folders for path in RECIPES.glob(f"{folder}/*.toml"))
+
+
+def options_of(recipe: Recipe) -> object:
+    pytest.importorskip("torch")
+    return validated(registry.load(recipe.tracker).Options, dict(recipe.options), "options")
+
+
+def test_there_is_a_recipe_for_every_card_that_ships():
+    found = {(r.tracker, Path(r.recordings[0]).stem) for r in map(read_recipe, recipes("weights"))}
+    sites = {"train": "junction"}
+    assert {(tracker, sites.get(name, name)) for tracker, name in found} == {
+        (path.parent.name, path.stem) for path in CARDS
+    }
+
+
+@pytest.mark.parametrize("path", recipes("weights", "ablations"), ids=named)
+def test_every_recipe_is_one_training_that_its_tracker_accepts(path):
+    recipe = complete_recipe(read_recipe(path), {})
+    assert set(recipe.options) <= set(options_of(recipe).model_fields_set)
+    assert recipe.out is not None
+    root = RECIPES.parents[1]
+    assert all((root / stretch.partition("@")[0]).exists() for stretch in (*recipe.recordings, *recipe.validation))
+
+
+@pytest.mark.parametrize("path", recipes("weights"), ids=named)
+def test_the_cards_that_ship_have_the_settings_of_their_recipes(path):
+    recipe = read_recipe(path)
+    site = "junction" if "junction" in path.stem else "leg_tracker"
+    card = read_card(RECIPES.parents[1] / recipe.out / recipe.tracker / f"{site}.toml")
+    asked = {key: value for key, value in recipe.options.items() if key != "stage"}
+    assert {key: card.settings[key] for key in asked} == asked
+    assert card.seed == recipe.seed
+
+
+@pytest.mark.parametrize("path", CARDS, ids=named)
+def test_a_recipe_like_a_card_has_its_tracker_settings_and_seed(path):
+    card, recipe = read_card(path), recipe_like(path)
+    assert (recipe.tracker, recipe.options, recipe.seed) == (card.tracker, card.settings, card.seed)
+    assert recipe.recordings == ()
+    settings = options_of(recipe)
+    assert all(getattr(settings, key) is not None for key in card.settings)
+
+
+def test_a_training_like_a_card_writes_the_settings_of_that_card(record, tmp_path):
+    first = train(
+        Recipe(tracker="static-map", options={"prior_frames": 3.0}, recordings=(str(record()),), out=tmp_path), print
+    )
+    again = complete_recipe(
+        recipe_like(first), {"recordings": (str(record("other")),), "out": tmp_path / "other", "seed": 5}
+    )
+    card = read_card(train(again))
+    assert card.settings == read_card(first).settings == {"prior_frames": 3.0}
+    assert (card.train[0].recording, card.seed) == ("other.mcap@train", 5)
+
+
+def test_a_recipe_trains_and_its_card_has_the_command_that_repeats_it(record, tmp_path):
+    path = tmp_path / "recipe.toml"
+    path.write_text(
+        f'tracker = "static-map"\nrecordings = ["{record()}"]\nvalidation = ["{record()}@4s-9s"]\nseed = 3\n'
+        f'out = "{tmp_path / "weights"}"\nrate_hz = 5.0\n\n[options]\nprior_frames = 2.5\n'
+    )
+    recipe = complete_recipe(read_recipe(path), {})
+    card = read_card(train(recipe))
+    assert (card.settings, card.seed, card.period_s) == ({"prior_frames": 2.5}, 3, 0.2)
+    assert shlex.split(card.command) == [
+        "gridtrack", "train", "static-map:prior_frames=2.5", str(record()), "--validation", f"{record()}@4s-9s",
+        "--seed", "3", "--rate", "5", "--out", str(tmp_path / "weights"),
+    ]  # fmt: skip
+
+
+def test_the_command_of_a_recipe_names_every_option_as_the_command_line_reads_it():
+    options = {"static_gates": [], "dilated": False, "cell": "plain", "rate": 1e-3, "name": "a, b", "word": "true"}
+    recipe = Recipe(tracker="my-tracker", options=options, recordings=("a b.mcap@0s-9s",), grid="50x0.4")
+    words = shlex.split(recipe.command)
+    assert words[2:] == [words[2], "a b.mcap@0s-9s", "--seed", "1", "--grid", "50x0.4"]
+    assert parse_selection(words[2]).options == parse_pairs(words[2].partition(":")[2], "") == options
+
+
+def test_what_is_given_overrides_the_recipe_and_options_one_by_one():
+    base = Recipe(tracker="kalman", options={"a": 1, "b": 2}, recordings=("a.mcap",), seed=4)
+    recipe = complete_recipe(base, {"options": {"b": 3}, "recordings": ("b.mcap",), "validation": ("c.mcap",)})
+    assert recipe.options == {"a": 1, "b": 3}
+    assert (recipe.tracker, recipe.recordings, recipe.validation) == ("kalman", ("b.mcap",), ("c.mcap",))
+    assert recipe.seed == 4
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("trackers = 1", r"r\.toml: there is no option 'trackers'; did you mean 'tracker'"),
+        ("seed = -1", r"r\.toml: 'seed' = -1: "),
+        ("recordings = [", r"r\.toml: not TOML"),
+        ("seed = 1\nseed = 2", r"r\.toml: not TOML"),
+    ],
+)
+def test_a_recipe_that_is_none_is_refused(text, message, tmp_path):
+    path = tmp_path / "r.toml"
+    path.write_text(text)
+    with pytest.raises(ConfigurationError, match=message):
+        read_recipe(path)
+    with pytest.raises(ConfigurationError, match="no such recipe"):
+        read_recipe(tmp_path / "missing.toml")
+
+
+def test_a_training_without_tracker_or_recording_is_refused(tmp_path):
+    with pytest.raises(ConfigurationError, match="no tracker to train: name one"):
+        complete_recipe(Recipe(recordings=("a.mcap",)), {})
+    with pytest.raises(ConfigurationError, match="no recording to train kalman on"):
+        complete_recipe(Recipe(tracker="kalman"), {})
+    with pytest.raises(WeightsError, match="cannot be read"):
+        recipe_like(tmp_path / "missing.toml")
