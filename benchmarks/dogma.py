@@ -16,8 +16,8 @@ from gridtrack.evaluation.comparison.learned import find_weights
 from gridtrack.recordings import packaged_recording
 from gridtrack.recordings.stream import open_stream
 from gridtrack.trackers.contract import StreamSpec, stream_of
-from gridtrack.trackers.dogma import DogmaTracker
 from gridtrack.trackers.dogma.settings import DogmaSettings
+from gridtrack.trackers.dogma.tracker import DogmaTracker
 
 RECORDING = packaged_recording("leg_tracker").parents[1] / "junction" / "test-101.tracks"
 FRAMES, WARM_UP, STEPS = 240, 20, 20

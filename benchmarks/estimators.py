@@ -19,16 +19,12 @@ import numpy as np
 import psutil
 
 from gridtrack.common.geometry import wrap_angle
-from gridtrack.trackers.model_free.motion import (
-    FactorGraphEstimator,
-    KalmanEstimator,
-    MotionEstimator,
-    MotionModel,
-    SwitchingEstimator,
-    propagate,
-    warm_up,
-)
-from gridtrack.trackers.model_free.motion.factor_graph import GATE
+from gridtrack.trackers.model_free.motion.estimator import MotionEstimator, warm_up
+from gridtrack.trackers.model_free.motion.factor_graph import GATE, FactorGraphEstimator
+from gridtrack.trackers.model_free.motion.kalman import KalmanEstimator
+from gridtrack.trackers.model_free.motion.model import propagate
+from gridtrack.trackers.model_free.motion.parameters import MotionModel
+from gridtrack.trackers.model_free.motion.regimes import SwitchingEstimator
 from gridtrack.trackers.model_free.tuning import STARTS
 
 

@@ -16,10 +16,11 @@ import numpy as np
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec
 from gridtrack.recordings import packaged_recording
-from gridtrack.trackers.model_free import FactorGraphTracker, KalmanTracker
 from gridtrack.trackers.model_free.background import BackgroundMap
 from gridtrack.trackers.model_free.calibration import IDENTITY, Calibration
 from gridtrack.trackers.model_free.classes import FEATURES, ClassFilter, ClassModel
+from gridtrack.trackers.model_free.factor_graph import FactorGraphTracker
+from gridtrack.trackers.model_free.kalman import KalmanTracker
 from gridtrack.trackers.model_free.pipeline import Pipeline
 from gridtrack.trackers.model_free.residence import table_shape
 from gridtrack.trackers.model_free.settings import PipelineSettings

@@ -1,5 +1,1 @@
-"""The particle grid: Dempster-Shafer masses of every cell, and particles that know where the occupied mass is going."""
-
-from gridtrack.trackers.dogma.tracker import DogmaTracker
-
-__all__ = ["DogmaTracker"]
+"""The particle grid: Dempster-Shafer masses of the cells, and particles that carry the velocities."""

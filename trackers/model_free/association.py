@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from functools import cache
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -14,13 +14,11 @@ from scipy.optimize import linear_sum_assignment
 from scipy.sparse.csgraph import connected_components
 from scipy.stats import chi2
 
+from gridtrack.trackers.model_free.arrays import Array
 from gridtrack.trackers.model_free.ragged import bounds_of, split
 from gridtrack.trackers.model_free.segmentation import Cluster, joined
+from gridtrack.trackers.model_free.settings import AssociationMethod
 
-Array = NDArray[np.float64]
-
-Method = Literal["hungarian", "jcbb"]
-"""How clusters are assigned to tracks: each pair likely, or the whole set of pairs."""
 MOST_FREEDOM = 3
 """The most degrees of freedom that a pair has: x, y and heading."""
 MAX_NODES = 2000
@@ -28,7 +26,7 @@ MAX_NODES = 2000
 
 
 def assign(
-    costs: Array, distances: Array, freedom: NDArray[np.int64], probability: float, method: Method
+    costs: Array, distances: Array, freedom: NDArray[np.int64], probability: float, method: AssociationMethod
 ) -> dict[int, int]:
     """Track -> cluster, from `costs` and squared Mahalanobis `distances` (T, C), infinite where out of question.
 

@@ -24,11 +24,11 @@ from scipy.special import expit, log_expit
 
 from gridtrack.common.errors import WeightsError
 from gridtrack.common.grid import GridFrame
+from gridtrack.trackers.model_free.arrays import Array
 
 if TYPE_CHECKING:
     from gridtrack.trackers.model_free.tracker import ModelFreeTracker
 
-Array = NDArray[np.float64]
 
 IDENTITY = np.array([[1.0, 1.0, 0.0]] * 2, np.float32)
 """The parameters a, b, c with which nothing is changed: of cells seen of late, and of others."""

@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 
 from gridtrack.common.errors import WeightsError
 from gridtrack.common.grid import GridFrame, GridSpec, Mask
+from gridtrack.trackers.model_free.arrays import Array
 from gridtrack.trackers.model_free.ragged import bounds_of
 from gridtrack.trackers.model_free.tracks import Track
 from gridtrack.trackers.weights import Weights, array
 
-Array = NDArray[np.float64]
 Planes = NDArray[np.float32]
 
 FEATURES = ("length", "along", "across", "speed", "range")

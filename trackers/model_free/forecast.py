@@ -9,15 +9,15 @@ from numpy.typing import NDArray
 
 from gridtrack.common.grid import GridFrame, GridSpec
 from gridtrack.trackers.contract import TrackedObject
-from gridtrack.trackers.model_free.motion import Regimes, propagate
+from gridtrack.trackers.model_free.arrays import Array
+from gridtrack.trackers.model_free.motion.model import propagate
+from gridtrack.trackers.model_free.motion.parameters import Regimes
 from gridtrack.trackers.model_free.ragged import bounds_of, means_of, owners_of
 from gridtrack.trackers.model_free.rasterise import Motions, Staying, Surfaces, draw_tracks
 from gridtrack.trackers.model_free.residence import still_there
 from gridtrack.trackers.model_free.settings import PipelineSettings
 from gridtrack.trackers.model_free.shape import in_view, rotation, to_body
 from gridtrack.trackers.model_free.tracks import Status, Track, boundaries_of, poses_of
-
-Array = NDArray[np.float64]
 
 RETURNS_AGAIN = 0.9
 """P(a return of an object that moves on with it is there in the frames after)."""

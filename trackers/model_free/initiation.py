@@ -5,16 +5,17 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from gridtrack.trackers.model_free.arrays import Array
 from gridtrack.trackers.model_free.association import distances_to
 from gridtrack.trackers.model_free.measurement import TURNS_FROM_M, noise
-from gridtrack.trackers.model_free.motion import MotionEstimator, MotionModel, Regimes, SwitchingEstimator
+from gridtrack.trackers.model_free.motion.estimator import MotionEstimator
+from gridtrack.trackers.model_free.motion.parameters import MotionModel, Regimes
+from gridtrack.trackers.model_free.motion.regimes import SwitchingEstimator
 from gridtrack.trackers.model_free.segmentation import Cluster
 from gridtrack.trackers.model_free.settings import PipelineSettings
 from gridtrack.trackers.model_free.tracks import Track
 
-Array = NDArray[np.float64]
 Estimator = Callable[[Array, Array, MotionModel], MotionEstimator]
 """Begins to estimate a motion, from a pose (3,), its covariance (3, 3) and the motion model."""
 

@@ -8,10 +8,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from gridtrack.common.grid import Mask
+from gridtrack.trackers.model_free.arrays import Array
 from gridtrack.trackers.model_free.ragged import bounds_of
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 
 class Outlines(NamedTuple):

@@ -15,12 +15,9 @@ import math
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
+from gridtrack.common.grid import Mask
 from gridtrack.trackers.model_free.matches import Matches, Outlines, Pairs
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 WIDEST = 4.0
 """The widest kernel, in surface widths; each is half as wide as the one before."""

@@ -10,6 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridtrack.common.geometry import wrap_angle
+from gridtrack.common.grid import Mask
+from gridtrack.trackers.model_free.arrays import Array
 from gridtrack.trackers.model_free.association import distances_to, gaps
 from gridtrack.trackers.model_free.matches import Match, Matches, Outlines, Pairs
 from gridtrack.trackers.model_free.matching import match
@@ -17,9 +19,6 @@ from gridtrack.trackers.model_free.ragged import bounds_of, means_of, spans_of
 from gridtrack.trackers.model_free.segmentation import Cluster
 from gridtrack.trackers.model_free.settings import PipelineSettings
 from gridtrack.trackers.model_free.tracks import Track, boundaries_of, poses_of
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 TURNS_FROM_M = 1.0
 """A body whose boundary and whose returns are both this long shows its heading; a person does not."""

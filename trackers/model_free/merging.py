@@ -5,15 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import chi2
 
+from gridtrack.trackers.model_free.arrays import Array
 from gridtrack.trackers.model_free.association import distances_to
 from gridtrack.trackers.model_free.ragged import bounds_of
 from gridtrack.trackers.model_free.shape import to_body
 from gridtrack.trackers.model_free.tracks import Status, Track, boundaries_of
-
-Array = NDArray[np.float64]
 
 DIFFERENT = float(chi2.ppf(0.95, 2))
 """Squared Mahalanobis distance of two velocities from which on they are told apart."""

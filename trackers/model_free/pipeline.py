@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec, Mask
+from gridtrack.trackers.model_free.arrays import Array
 from gridtrack.trackers.model_free.association import assign, distances_to, share_out
 from gridtrack.trackers.model_free.background import Background, BackgroundMap
 from gridtrack.trackers.model_free.classes import attribute, normalise, place_weighted
@@ -30,8 +31,6 @@ from gridtrack.trackers.model_free.tracks import (
     existence_when_missed,
     poses_of,
 )
-
-Array = NDArray[np.float64]
 
 
 class Pipeline:

@@ -9,7 +9,8 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from gridtrack.trackers.model_free.arrays import Array
+
 U = np.uint64
 """An index in the loops that take the time: an unsigned one is never counted from the end, so that they vectorise on
 whole arrays. A view of each row would do, but to count the references to it takes longer than the row."""

@@ -8,8 +8,10 @@ from pydantic import Field
 
 from gridtrack.common.config import Settings
 from gridtrack.trackers.labelled import LabelSettings
-from gridtrack.trackers.model_free.association import Method
-from gridtrack.trackers.model_free.motion import MotionModel, Regimes
+from gridtrack.trackers.model_free.motion.parameters import MotionModel, Regimes
+
+AssociationMethod = Literal["hungarian", "jcbb"]
+"""How clusters are assigned to tracks: by gating each pair, or the whole set of pairs."""
 
 
 class PipelineSettings(Settings):
@@ -68,7 +70,7 @@ class PipelineSettings(Settings):
     """The same of a matched heading, rad."""
 
     # Association
-    association: Method = "hungarian"
+    association: AssociationMethod = "hungarian"
     """How clusters are assigned: `hungarian` gates each pair, `jcbb` the whole set of pairs."""
     gate_probability: float = Field(0.9997, gt=0.5, lt=1)
     """The share of an object's own clusters that its gate lets in."""

@@ -11,9 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridtrack.common.grid import GridSpec, Mask
+from gridtrack.trackers.model_free.arrays import Array
 from gridtrack.trackers.model_free.ragged import split
-
-Array = NDArray[np.float64]
 
 MAX_POINTS = 256
 """The most boundary points that a track carries; the weakest go first."""

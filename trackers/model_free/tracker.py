@@ -1,4 +1,4 @@
-"""The `kalman` and `factor-graph` trackers: one model-free pipeline, two estimators, behind the plugin contract."""
+"""The model-free pipeline behind the plugin contract; a subclass for each estimator registers as a tracker."""
 
 from __future__ import annotations
 
@@ -12,13 +12,15 @@ from numpy.typing import NDArray
 from gridtrack.common.config import Settings
 from gridtrack.common.grid import GridFrame
 from gridtrack.trackers.contract import FitOutput, Forecast, FrameSource, Score, StreamSpec, TrackedObject, Tracker
+from gridtrack.trackers.model_free.arrays import Array
 from gridtrack.trackers.model_free.background import BackgroundMap, unknown_place
 from gridtrack.trackers.model_free.calibration import Calibration
 from gridtrack.trackers.model_free.classes import ClassFilter, ClassModel
 from gridtrack.trackers.model_free.classes import compile_ahead as compile_classes
 from gridtrack.trackers.model_free.forecast import objects
-from gridtrack.trackers.model_free.motion import FactorGraphEstimator, KalmanEstimator, MotionEstimator, MotionModel
-from gridtrack.trackers.model_free.pipeline import Array, Pipeline, compile_ahead
+from gridtrack.trackers.model_free.motion.estimator import MotionEstimator
+from gridtrack.trackers.model_free.motion.parameters import MotionModel
+from gridtrack.trackers.model_free.pipeline import Pipeline, compile_ahead
 from gridtrack.trackers.model_free.residence import table_shape
 from gridtrack.trackers.model_free.settings import ModelFreeSettings, PipelineSettings
 from gridtrack.trackers.model_free.tracks import Track
@@ -127,17 +129,3 @@ class ModelFreeTracker(Tracker):
             fit_pipeline(cls, train, validation, score, out, options)
         if stretch is not None:
             add_classes(cls, stretch, train, validation, out, options)
-
-
-class KalmanTracker(ModelFreeTracker):
-    """The pipeline with extended Kalman filters."""
-
-    name = "kalman"
-    estimator = staticmethod(KalmanEstimator)
-
-
-class FactorGraphTracker(ModelFreeTracker):
-    """The pipeline with fixed-lag smoothers, whose measurements are robust."""
-
-    name = "factor-graph"
-    estimator = staticmethod(FactorGraphEstimator)

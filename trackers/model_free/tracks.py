@@ -9,12 +9,10 @@ from enum import Enum
 import numpy as np
 from numpy.typing import NDArray
 
-from gridtrack.trackers.model_free.motion import SwitchingEstimator
+from gridtrack.trackers.model_free.arrays import Array
+from gridtrack.trackers.model_free.motion.regimes import SwitchingEstimator
 from gridtrack.trackers.model_free.ragged import bounds_of, owners_of, split
 from gridtrack.trackers.model_free.shape import Shape, to_grid
-
-Array = NDArray[np.float64]
-
 
 NOWHERE = np.empty(0), np.empty(0), np.empty((0, 2))
 """A boundary that has not been placed."""

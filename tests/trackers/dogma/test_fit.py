@@ -9,8 +9,9 @@ pytest.importorskip("optuna")
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec
 from gridtrack.trackers.contract import FitOutput, StreamSpec, StretchScore
-from gridtrack.trackers.dogma import DogmaTracker, tuning
+from gridtrack.trackers.dogma import tuning
 from gridtrack.trackers.dogma.settings import DogmaSettings
+from gridtrack.trackers.dogma.tracker import DogmaTracker
 from gridtrack.trackers.tuning import HeldSource
 from gridtrack.trackers.weights import load_weights, read_card
 

@@ -14,11 +14,11 @@ from gridtrack.common.grid import GridFrame, GridSpec
 from gridtrack.common.raycast import cast_scan
 from gridtrack.common.scan import Scan
 from gridtrack.trackers.contract import StreamSpec
-from gridtrack.trackers.dogma import DogmaTracker
 from gridtrack.trackers.dogma.filter import ParticleGrid
 from gridtrack.trackers.dogma.forecast import forecast
 from gridtrack.trackers.dogma.moments import dynamic_cells, velocities
 from gridtrack.trackers.dogma.settings import DogmaSettings
+from gridtrack.trackers.dogma.tracker import DogmaTracker
 from gridtrack.trackers.weights import Card, save_weights
 
 GRID = GridSpec(80, 0.2, (-2.0, -8.0))
@@ -257,7 +257,8 @@ STARTED_AND_FED = """
 from gridtrack.common.grid import GridSpec
 from gridtrack.evaluation.processes.contract_scene import scene
 from gridtrack.trackers.contract import StreamSpec
-from gridtrack.trackers.dogma import DogmaTracker, forecast, moments, particles
+from gridtrack.trackers.dogma import forecast, moments, particles
+from gridtrack.trackers.dogma.tracker import DogmaTracker
 from gridtrack.trackers.dogma.settings import DogmaSettings
 from pathlib import Path
 

@@ -14,8 +14,8 @@ from gridtrack.common.grid import GridFrame, GridSpec
 from gridtrack.recordings import packaged_recording
 from gridtrack.recordings.stream import open_stream
 from gridtrack.trackers.contract import stream_of
-from gridtrack.trackers.model_free import KalmanTracker
 from gridtrack.trackers.model_free.calibration import IDENTITY, Calibration, fit_calibration
+from gridtrack.trackers.model_free.kalman import KalmanTracker
 from gridtrack.trackers.model_free.settings import PipelineSettings
 
 GRID, STEPS, PERIOD_S = GridSpec(40, 0.2), 3, 0.125

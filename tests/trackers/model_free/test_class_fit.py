@@ -16,9 +16,11 @@ from gridtrack.common.errors import ConfigurationError, WeightsError
 from gridtrack.common.grid import LabelledFrame
 from gridtrack.trackers.contract import FitOutput, StretchScore, stream_of
 from gridtrack.trackers.labelled import LabelledStretch
-from gridtrack.trackers.model_free import FactorGraphTracker, KalmanTracker, tuning
+from gridtrack.trackers.model_free import tuning
 from gridtrack.trackers.model_free.class_training import count_cells
 from gridtrack.trackers.model_free.classes import ClassModel
+from gridtrack.trackers.model_free.factor_graph import FactorGraphTracker
+from gridtrack.trackers.model_free.kalman import KalmanTracker
 from gridtrack.trackers.model_free.settings import ModelFreeSettings
 from gridtrack.trackers.weights import load_weights, read_card, save_weights
 
@@ -73,7 +75,8 @@ STARTED_AND_FED = """
 import sys
 from pathlib import Path
 from gridtrack.trackers.contract import stream_of
-from gridtrack.trackers.model_free import KalmanTracker, classes, rasterise
+from gridtrack.trackers.model_free import classes, rasterise
+from gridtrack.trackers.model_free.kalman import KalmanTracker
 from gridtrack.trackers.model_free.settings import ModelFreeSettings
 
 sys.path.append(sys.argv[1])

@@ -10,7 +10,8 @@ import pytest
 pytest.importorskip("filterpy")
 from gridtrack.common.errors import RecordingError, WeightsError
 from gridtrack.trackers.contract import FitOutput, StreamSpec, StretchScore
-from gridtrack.trackers.model_free import KalmanTracker, tuning
+from gridtrack.trackers.model_free import tuning
+from gridtrack.trackers.model_free.kalman import KalmanTracker
 from gridtrack.trackers.model_free.settings import ModelFreeSettings, PipelineSettings
 from gridtrack.trackers.weights import read_card, save_weights
 

@@ -9,7 +9,8 @@ pytest.importorskip("filterpy")
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec
 from gridtrack.trackers.model_free.initiation import MOVES_MPS, begin
-from gridtrack.trackers.model_free.motion import KalmanEstimator, SwitchingEstimator
+from gridtrack.trackers.model_free.motion.kalman import KalmanEstimator
+from gridtrack.trackers.model_free.motion.regimes import SwitchingEstimator
 from gridtrack.trackers.model_free.occlusion import BACKGROUND, cut_off
 from gridtrack.trackers.model_free.segmentation import Cluster
 from gridtrack.trackers.model_free.settings import PipelineSettings

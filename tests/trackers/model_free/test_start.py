@@ -13,7 +13,8 @@ STARTED_AND_FED = """
 from gridtrack.recordings.stream import open_stream
 from gridtrack.recordings import packaged_recording
 from gridtrack.trackers.contract import stream_of
-from gridtrack.trackers.model_free import KalmanTracker, association, matching, occlusion, rasterise, segmentation
+from gridtrack.trackers.model_free import association, matching, occlusion, rasterise, segmentation
+from gridtrack.trackers.model_free.kalman import KalmanTracker
 from gridtrack.trackers.model_free import calibration, shape
 from gridtrack.trackers.model_free.motion import kalman, model, regimes
 from gridtrack.trackers.model_free.settings import PipelineSettings

@@ -9,7 +9,7 @@ pytest.importorskip("filterpy")
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, with_neighbours
 from gridtrack.trackers.contract import StreamSpec
-from gridtrack.trackers.model_free import KalmanTracker
+from gridtrack.trackers.model_free.kalman import KalmanTracker
 from gridtrack.trackers.model_free.settings import PipelineSettings
 from gridtrack.trackers.weights import save_weights
 
@@ -204,7 +204,7 @@ def test_an_empty_stream_is_forecast_as_background(tracker):
 
 def test_a_smoother_that_begins_anew_is_counted_until_the_reset(weights):
     gtsam = pytest.importorskip("gtsam")
-    from gridtrack.trackers.model_free import FactorGraphTracker
+    from gridtrack.trackers.model_free.factor_graph import FactorGraphTracker
     from gridtrack.trackers.model_free.motion.factor_graph import LAG_S
 
     save_weights(weights, card().model_copy(update={"tracker": "factor-graph"}), OPEN | {"dwell": GLIDING})

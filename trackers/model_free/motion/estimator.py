@@ -9,7 +9,9 @@ from typing import Protocol
 import numba
 import numpy as np
 
-from gridtrack.trackers.model_free.motion.model import Array, MotionModel, propagate
+from gridtrack.trackers.model_free.arrays import Array
+from gridtrack.trackers.model_free.motion.model import propagate
+from gridtrack.trackers.model_free.motion.parameters import MotionModel
 
 
 class MotionEstimator(Protocol):

@@ -14,16 +14,16 @@ import numba
 import numpy as np
 
 from gridtrack.common.geometry import wrap_angle
+from gridtrack.trackers.model_free.arrays import Array
 from gridtrack.trackers.model_free.motion.estimator import checked, first_state, is_positive_definite
 from gridtrack.trackers.model_free.motion.model import (
-    Array,
     Discretisation,
-    MotionModel,
     advance,
     discretise,
     propagate_all,
     transition,
 )
+from gridtrack.trackers.model_free.motion.parameters import MotionModel
 
 LAG_S = 1.0
 """For how long a state can be revised; older ones are summed up in a prior."""

@@ -9,8 +9,10 @@ import numpy as np
 from filterpy.kalman import update
 
 from gridtrack.common.geometry import wrap_angle
+from gridtrack.trackers.model_free.arrays import Array
 from gridtrack.trackers.model_free.motion.estimator import checked, first_state
-from gridtrack.trackers.model_free.motion.model import Array, MotionModel, advance, discretise, wrapped
+from gridtrack.trackers.model_free.motion.model import advance, discretise, wrapped
+from gridtrack.trackers.model_free.motion.parameters import MotionModel
 
 MEASURED = np.eye(3, 6)
 """The measured pose as a function of the state."""

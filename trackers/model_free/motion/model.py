@@ -16,36 +16,15 @@ from typing import NamedTuple
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
 from gridtrack.common.geometry import wrap_angle
+from gridtrack.trackers.model_free.arrays import Array
+from gridtrack.trackers.model_free.motion.parameters import MotionModel
 
-Array = NDArray[np.float64]
 INLINED = numba.njit(inline="always", error_model="numpy")
 """For what is called in a loop: a call counts the references to each array it is given, which takes as long as this."""
 wrapped = numba.njit(wrap_angle)
 """`wrap_angle` for what is compiled."""
-
-
-class MotionModel(NamedTuple):
-    """How an object is expected to move, and what is known of its motion at first; every number positive and finite."""
-
-    acceleration: float
-    """White noise along each axis: the square root of its density, m/s^2 per sqrt(Hz)."""
-    surge: float
-    """White noise of the speed's relative growth: what is fast speeds up and brakes harder; 1/s per sqrt(Hz)."""
-    turn_acceleration: float
-    """The same of the turn rate, rad/s^2 per sqrt(Hz)."""
-    velocity_memory_s: float
-    """Time constant with which a velocity is forgotten; large: nearly constant velocity."""
-    turn_memory_s: float
-    """Time constant with which a turn rate is forgotten."""
-    initial_speed: float
-    """Standard deviation of a new track's velocity along each axis, m/s."""
-    initial_turn_rate: float
-    """Standard deviation of a new track's turn rate, rad/s."""
-    period_s: float
-    """From one frame to the next."""
 
 
 class Discretisation(NamedTuple):

@@ -10,34 +10,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import NamedTuple
 
 import numba
 import numpy as np
 
+from gridtrack.trackers.model_free.arrays import Array
 from gridtrack.trackers.model_free.motion.estimator import MotionEstimator
-from gridtrack.trackers.model_free.motion.model import Array, MotionModel, wrapped
+from gridtrack.trackers.model_free.motion.model import wrapped
+from gridtrack.trackers.model_free.motion.parameters import MotionModel, Regimes
 
 DISPROVED = 0.02
 """Probability of a regime below which its estimator begins anew."""
-
-
-class Regimes(NamedTuple):
-    """The motion model of each regime, and the probability `switching` (2, 2) of one after another in a period."""
-
-    models: tuple[MotionModel, MotionModel]
-    switching: tuple[tuple[float, float], tuple[float, float]]
-
-    @classmethod
-    def of(cls, steady: MotionModel, agility: float, steady_s: float, agile_s: float) -> Regimes:
-        """`steady`, and the same with `agility` times the process noise; each lasts for so many seconds in the mean."""
-        agile = steady._replace(
-            acceleration=steady.acceleration * agility,
-            surge=steady.surge * agility,
-            turn_acceleration=steady.turn_acceleration * agility,
-        )
-        leaves, settles = (-math.expm1(-steady.period_s / lasting) for lasting in (steady_s, agile_s))
-        return cls((steady, agile), ((1.0 - leaves, leaves), (settles, 1.0 - settles)))
 
 
 class SwitchingEstimator:

@@ -7,7 +7,10 @@ import pytest
 from scipy.stats import chi2
 
 from gridtrack.common.geometry import wrap_angle
-from gridtrack.trackers.model_free.motion import FactorGraphEstimator, KalmanEstimator, MotionModel, warm_up
+from gridtrack.trackers.model_free.motion.estimator import warm_up
+from gridtrack.trackers.model_free.motion.factor_graph import FactorGraphEstimator
+from gridtrack.trackers.model_free.motion.kalman import KalmanEstimator
+from gridtrack.trackers.model_free.motion.parameters import MotionModel
 
 PERIOD_S = 0.125
 MODEL = MotionModel(

@@ -6,8 +6,10 @@ import gtsam
 import numpy as np
 import pytest
 
-from gridtrack.trackers.model_free.motion import FactorGraphEstimator, KalmanEstimator, MotionModel, propagate
-from gridtrack.trackers.model_free.motion.factor_graph import LAG_S
+from gridtrack.trackers.model_free.motion.factor_graph import LAG_S, FactorGraphEstimator
+from gridtrack.trackers.model_free.motion.kalman import KalmanEstimator
+from gridtrack.trackers.model_free.motion.model import propagate
+from gridtrack.trackers.model_free.motion.parameters import MotionModel
 
 MODEL = MotionModel(
     acceleration=0.5,

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from filterpy.common import van_loan_discretization
 
-from gridtrack.trackers.model_free.motion import MotionModel, propagate
-from gridtrack.trackers.model_free.motion.model import discretise, propagate_all, transition
+from gridtrack.trackers.model_free.motion.model import discretise, propagate, propagate_all, transition
+from gridtrack.trackers.model_free.motion.parameters import MotionModel
 
 MODEL = MotionModel(
     acceleration=0.8,

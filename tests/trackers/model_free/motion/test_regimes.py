@@ -8,14 +8,10 @@ import pytest
 pytest.importorskip("filterpy")
 pytest.importorskip("gtsam")
 from gridtrack.common.geometry import wrap_angle
-from gridtrack.trackers.model_free.motion import (
-    FactorGraphEstimator,
-    KalmanEstimator,
-    MotionModel,
-    Regimes,
-    SwitchingEstimator,
-)
-from gridtrack.trackers.model_free.motion.regimes import DISPROVED
+from gridtrack.trackers.model_free.motion.factor_graph import FactorGraphEstimator
+from gridtrack.trackers.model_free.motion.kalman import KalmanEstimator
+from gridtrack.trackers.model_free.motion.parameters import MotionModel, Regimes
+from gridtrack.trackers.model_free.motion.regimes import DISPROVED, SwitchingEstimator
 
 PERIOD_S = 0.125
 STEADY = MotionModel(
