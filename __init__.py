@@ -1,6 +1,6 @@
-"""gridtrack: occupancy-grid trackers side by side, on one stream, under one referee.
+"""gridtrack: compare trackers on occupancy grids, on one stream of frames, with one set of scores.
 
-The names that a plugin author needs, imported when they are first used.
+The public names for the author of a tracker, imported at first use, and `__version__`.
 """
 
 from __future__ import annotations
@@ -14,6 +14,8 @@ if TYPE_CHECKING:
     from gridtrack.common.geometry import SE2
     from gridtrack.common.grid import GridFrame, GridSpec
     from gridtrack.trackers.contract import Forecast, StreamSpec, TrackedObject, Tracker
+
+    __version__: str
 
 __all__ = [
     "SE2",
@@ -41,6 +43,8 @@ _HOMES = {
 
 
 def __getattr__(name: str) -> Any:
+    if name == "__version__":
+        return import_module("importlib.metadata").version("gridtrack")
     if name not in _HOMES:
         raise AttributeError(f"module 'gridtrack' has no attribute '{name}'")
     return getattr(import_module(f"gridtrack.{_HOMES[name]}"), name)

@@ -1,4 +1,4 @@
-"""The command line: arguments in, library calls, print; a failure that a user can cause is one line and exit 2."""
+"""The command line `gridtrack`: its commands, and every user error as one line on stderr with exit code 2."""
 
 from __future__ import annotations
 
@@ -10,27 +10,44 @@ import typer
 from gridtrack.cli import recordings, regress, runs, simulate, trackers
 from gridtrack.common.errors import GridtrackError, plain
 
-Debug = Annotated[
-    bool, typer.Option("--debug", help="Anywhere on the line: show a traceback where an error would be one line")
+
+def _print_version(requested: bool) -> None:
+    if requested:
+        import gridtrack
+
+        typer.echo(f"gridtrack {gridtrack.__version__}")
+        raise typer.Exit
+
+
+DebugOption = Annotated[
+    bool,
+    typer.Option("--debug", help="Show the traceback of an error; accepted before and after the name of a command"),
+]
+VersionOption = Annotated[
+    bool, typer.Option("--version", help="Print the version and exit", callback=_print_version, is_eager=True)
 ]
 
-app = typer.Typer(no_args_is_help=True, add_completion=False, help="Occupancy-grid trackers under one referee.")
-app.command()(runs.compare)
-app.command()(runs.report)
-app.command()(regress.regress)
-app.command()(trackers.train)
+app = typer.Typer(
+    no_args_is_help=True,
+    add_completion=False,
+    help="Compare trackers on occupancy grids: the same frames, the same scores, statistics with intervals.",
+)
+app.command("compare")(runs.compare_command)
+app.command("report")(runs.report_command)
+app.command("regress")(regress.regress_command)
+app.command("train")(trackers.train_command)
 app.add_typer(trackers.app, name="trackers")
 app.add_typer(recordings.app, name="recording")
 app.add_typer(simulate.app, name="simulate")
 
 
 @app.callback()
-def everywhere(debug: Debug = False) -> None:
-    """What every command takes; `main` reads it wherever it stands."""
+def common_options(debug: DebugOption = False, version: VersionOption = False) -> None:
+    """Options of every command. `main` reads --debug itself, so that it can follow the name of a command."""
 
 
 def main() -> None:
-    """Run the command line; `--debug` shows tracebacks instead of one-line errors."""
+    """Run the command line. An error of the user is one line and exit code 2; `--debug` shows its traceback."""
     debug = "--debug" in sys.argv
     try:
         app([argument for argument in sys.argv[1:] if argument != "--debug"])

@@ -1,4 +1,4 @@
-"""What several commands take: arguments, options, and how their texts are read."""
+"""Options that several commands share, and the reading of their text."""
 
 from __future__ import annotations
 
@@ -11,11 +11,15 @@ import typer
 
 from gridtrack.common.errors import ConfigurationError
 
-Recordings = Annotated[list[str], typer.Argument(metavar="RECORDING[@RANGE]...", help="e.g. demo.mcap@30s-90s")]
-Grid = Annotated[str | None, typer.Option(help="CELLSxMETRES[@X,Y], e.g. 100x0.2; default: the recording's")]
-Rate = Annotated[float | None, typer.Option(help="Frames per second; default: the recording's")]
-Weights = Annotated[Path | None, typer.Option(help="Folder of trained weights, before your own and the shipped ones")]
-AsJson = Annotated[bool, typer.Option("--json", help="Print JSON")]
+RecordingsArgument = Annotated[
+    list[str], typer.Argument(metavar="RECORDING[@RANGE]...", help="For example demo.mcap@30s-90s")
+]
+GridOption = Annotated[str | None, typer.Option(help="CELLSxMETRES[@X,Y], e.g. 100x0.2; default: the recording's")]
+RateOption = Annotated[float | None, typer.Option(help="Frames per second; default: the recording's")]
+WeightsOption = Annotated[
+    Path | None, typer.Option(help="Folder of learned weights, searched before the user's own and the shipped ones")
+]
+JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON")]
 
 
 def seconds(text: str) -> float:
@@ -27,5 +31,5 @@ def seconds(text: str) -> float:
 
 
 def command_line() -> str:
-    """The command as typed, to be kept with its results."""
+    """The command as the user entered it, for run.json and for cards of learned weights."""
     return shlex.join(["gridtrack", *sys.argv[1:]])

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from gridtrack.cli.options import AsJson, Grid, Rate
+from gridtrack.cli.options import GridOption, JsonOption, RateOption
 from gridtrack.common.errors import plain
 
 PoseTopic = Annotated[
@@ -23,7 +23,7 @@ def recording_info(
     topic: str | None = None,
     pose_topic: PoseTopic = None,
     strict: bool = False,
-    as_json: AsJson = False,
+    as_json: JsonOption = False,
 ) -> None:
     """What a recording holds: topics, sensors, rate, gaps, range limits, and what is wrong with it."""
     from gridtrack.recordings import open_recording
@@ -38,8 +38,8 @@ def recording_import(
     out: Annotated[Path, typer.Option(help="The .mcap to write")],
     topic: Annotated[str | None, typer.Option(help="Of a bag with several")] = None,
     site: Annotated[str | None, typer.Option(help="The place where the sensor stands")] = None,
-    grid: Grid = None,
-    rate: Rate = None,
+    grid: GridOption = None,
+    rate: RateOption = None,
     stretch: Annotated[list[str] | None, typer.Option(metavar="NAME=RANGE", help="e.g. train=0s-75s")] = None,
     licence: str = "",
     credit: str = "",

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from gridtrack.cli.options import AsJson
+from gridtrack.cli.options import JsonOption
 from gridtrack.common.errors import ConfigurationError, plain
 
 if TYPE_CHECKING:
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 WORSE, UNMEASURED = 1, 3
 
 
-def regress(
+def regress_command(
     runs: Annotated[
         list[Path], typer.Argument(metavar="RUN...", help="A run's folder; with --update several, each a training")
     ],
@@ -34,7 +34,7 @@ def regress(
         str | None, typer.Option(metavar="LABEL", help="Judge speed too, as a ratio to this tracker's")
     ] = None,
     speed_margin: Annotated[float | None, typer.Option(help="Growth of that ratio that does not matter; 0.5")] = None,
-    as_json: AsJson = False,
+    as_json: JsonOption = False,
 ) -> None:
     """Is a run worse than a baseline? A baseline of several trainings counts what separates them as chance.
 

@@ -9,7 +9,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from gridtrack.cli.options import AsJson, Grid, Rate, Recordings, Weights, command_line, seconds
+from gridtrack.cli.options import (
+    GridOption,
+    JsonOption,
+    RateOption,
+    RecordingsArgument,
+    WeightsOption,
+    command_line,
+    seconds,
+)
 from gridtrack.common.errors import plain
 
 if TYPE_CHECKING:
@@ -18,8 +26,8 @@ if TYPE_CHECKING:
 INCOMPLETE, INTERRUPTED = 3, 130
 
 
-def compare(
-    recordings: Recordings,
+def compare_command(
+    recordings: RecordingsArgument,
     tracker: Annotated[
         list[str] | None, typer.Option(metavar="[LABEL=]NAME[:KEY=VALUE,...]", help="Repeat; default: all")
     ] = None,
@@ -32,8 +40,8 @@ def compare(
     ] = None,
     horizon: Annotated[str, typer.Option(help="How far to forecast")] = "2.5s",
     every: Annotated[str, typer.Option(help="Time between scored forecasts")] = "1s",
-    grid: Grid = None,
-    rate: Rate = None,
+    grid: GridOption = None,
+    rate: RateOption = None,
     jobs: Annotated[int | None, typer.Option(help="Trials side by side; default: one a core")] = None,
     threads: Annotated[int, typer.Option(help="Compute threads of each tracker")] = 1,
     memory: Annotated[int, typer.Option(help="Memory limit of each tracker, MB")] = 4096,
@@ -41,7 +49,7 @@ def compare(
     update_timeout: Annotated[str, typer.Option(help="Its time for each frame")] = "5s",
     predict_timeout: Annotated[str, typer.Option(help="Its time for each forecast")] = "30s",
     seed: int = 0,
-    weights: Weights = None,
+    weights: WeightsOption = None,
     trackers_toml: Annotated[Path | None, typer.Option(help="Trackers of other environments and programs")] = None,
     resume: Annotated[bool, typer.Option(help="Run only what is missing in the folder")] = False,
     latency: Annotated[bool, typer.Option(help="Afterwards time each tracker alone")] = False,
@@ -56,7 +64,7 @@ def compare(
             " pose-jitter=0.05 (m); each by itself, at a quarter, half and all of its value",
         ),
     ] = None,
-    as_json: AsJson = False,
+    as_json: JsonOption = False,
 ) -> None:
     """Run trackers on recordings, each in its own process, score them, and write a report.
 
@@ -128,7 +136,7 @@ def _settings(model: Any, values: dict[str, Any]) -> Any:
     return validated(model, values, "gridtrack compare")
 
 
-def report(runs: Annotated[list[Path], typer.Argument(metavar="RUN...")], out: Path | None = None) -> None:
+def report_command(runs: Annotated[list[Path], typer.Argument(metavar="RUN...")], out: Path | None = None) -> None:
     """Render the report of a run again, or of several runs side by side."""
     from gridtrack.reports.page import render_report
 

@@ -21,7 +21,7 @@ Out = Annotated[Path, typer.Option(help="The recording to write: .tracks, render
 
 
 @app.command("junction")
-def simulate_junction(
+def junction_command(
     minutes: Annotated[float, typer.Option(help="How long")],
     out: Out,
     seed: Annotated[int, typer.Option(min=0, max=2**31 - 1)] = 1,

@@ -10,13 +10,13 @@ from typing import Annotated, Any
 
 import typer
 
-from gridtrack.cli.options import AsJson, Grid, Rate, Weights
+from gridtrack.cli.options import GridOption, JsonOption, RateOption, WeightsOption
 from gridtrack.common.errors import ConfigurationError, GridtrackError, PluginError
 
 app = typer.Typer(no_args_is_help=True, help="The trackers: list, show, check, new.")
 
 
-def train(
+def train_command(
     arguments: Annotated[
         list[str] | None,
         typer.Argument(
@@ -36,8 +36,8 @@ def train(
     ] = None,
     out: Annotated[Path | None, typer.Option(help="Folder of weights; default: your own")] = None,
     seed: Annotated[int | None, typer.Option(help="Default: that of the recipe or the card, else 1")] = None,
-    grid: Grid = None,
-    rate: Rate = None,
+    grid: GridOption = None,
+    rate: RateOption = None,
 ) -> None:
     """Train a tracker for a site: its weights and settings, on a card with the command that repeats the training."""
     from gridtrack.evaluation.comparison.recipe import complete_recipe
@@ -83,7 +83,7 @@ def _base_recipe(recipe: Path | None, like: Path | None) -> Any:
 
 
 @app.command("list")
-def list_trackers(as_json: AsJson = False) -> None:
+def list_trackers(as_json: JsonOption = False) -> None:
     """Every registered tracker, the broken ones with the reason. Each is asked in a process of its own."""
     from concurrent.futures import ThreadPoolExecutor
 
@@ -115,7 +115,7 @@ def _describe(name: str) -> Any:
 
 
 @app.command("show")
-def show_tracker(name: str, as_json: AsJson = False) -> None:
+def show_tracker(name: str, as_json: JsonOption = False) -> None:
     """What a tracker is, whether it learns, and its options with their defaults."""
     from gridtrack.reports.terminal import print_rows
     from gridtrack.trackers import registry
@@ -146,14 +146,14 @@ def show_tracker(name: str, as_json: AsJson = False) -> None:
 
 
 @app.command("check")
-def check_tracker(
+def check_command(
     tracker: Annotated[str, typer.Argument(metavar="NAME[:KEY=VALUE,...]")],
     recording: Annotated[
         str | None, typer.Option(help="Check on this recording's grid, rate and site; default: 100x0.2 at 8 Hz")
     ] = None,
-    weights: Weights = None,
+    weights: WeightsOption = None,
     trackers_toml: Annotated[Path | None, typer.Option(help="Trackers of other environments and programs")] = None,
-    as_json: AsJson = False,
+    as_json: JsonOption = False,
 ) -> None:
     """Try every promise of the plugin contract on a tracker, in its own process. Exit code 1 where one is broken."""
     from gridtrack.evaluation.comparison.learned import find_weights
@@ -175,7 +175,7 @@ def check_tracker(
 
 
 @app.command("new")
-def new_tracker(
+def new_command(
     name: str, out: Annotated[Path | None, typer.Option(help="The folder to make; default: the name")] = None
 ) -> None:
     """Write a whole tracker package to begin with: one class, one entry point, one test."""

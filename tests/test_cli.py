@@ -6,6 +6,7 @@ import json
 import re
 import subprocess
 import sys
+from importlib import metadata
 from pathlib import Path
 
 import pytest
@@ -82,8 +83,14 @@ def test_debug_shows_where_an_error_comes_from():
     assert "Traceback" in gridtrack("--debug", "recording", "info", "nowhere.bag", code=1).stderr
 
 
-def test_debug_stands_in_the_help():
-    assert "--debug" in gridtrack("--help").stdout
+def test_the_help_lists_debug_and_version():
+    shown = gridtrack("--help").stdout
+    assert "--debug" in shown
+    assert "--version" in shown
+
+
+def test_the_version_is_the_one_of_the_installed_distribution():
+    assert gridtrack("--version").stdout == f"gridtrack {metadata.version('gridtrack')}\n"
 
 
 def test_every_registered_tracker_is_listed():

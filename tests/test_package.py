@@ -8,6 +8,7 @@ import shutil
 import subprocess
 import sys
 import tomllib
+from importlib import metadata
 from pathlib import Path
 
 import pytest
@@ -40,6 +41,7 @@ def test_the_front_door_gives_a_plugin_author_every_name_it_promises():
 
     for name in gridtrack.__all__:
         assert getattr(gridtrack, name).__name__ == name
+    assert gridtrack.__version__ == metadata.version("gridtrack")
     with pytest.raises(AttributeError, match="no attribute 'Trakcer'"):
         _ = gridtrack.Trakcer
 
