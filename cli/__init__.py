@@ -8,7 +8,7 @@ from typing import Annotated, NoReturn
 import typer
 
 from gridtrack.cli import recordings, regress, runs, simulate, trackers
-from gridtrack.common.errors import GridtrackError, plain
+from gridtrack.common.errors import GridtrackError, printable
 
 
 def _print_version(requested: bool) -> None:
@@ -62,5 +62,5 @@ def main() -> None:
 
 
 def _fail(reason: str) -> NoReturn:
-    typer.echo(f"gridtrack: {plain(reason)}", err=True)
+    typer.echo(f"gridtrack: {printable(reason)}", err=True)
     sys.exit(2)

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from gridtrack.cli.options import GridOption, JsonOption, RateOption
-from gridtrack.common.errors import plain
+from gridtrack.common.errors import printable
 
 PoseTopic = Annotated[
     str | None, typer.Option(help="Of a ROS recording: nav_msgs/Odometry or PoseStamped of the sensor")
@@ -28,8 +28,8 @@ def recording_info(
     """What a recording holds: topics, sensors, rate, gaps, range limits, and what is wrong with it."""
     from gridtrack.recordings import open_recording
 
-    summary = open_recording(recording, topic=topic, pose_topic=pose_topic, strict=strict).summary()
-    typer.echo(summary.model_dump_json(indent=1) if as_json else "\n".join(map(plain, str(summary).split("\n"))))
+    summary = open_recording(recording, topic=topic, pose_topic=pose_topic, strict=strict).overview()
+    typer.echo(summary.model_dump_json(indent=1) if as_json else "\n".join(map(printable, str(summary).split("\n"))))
 
 
 @app.command("import")
@@ -76,4 +76,4 @@ def recording_import(
         pose_topic=pose_topic,
         strict=strict,
     )
-    typer.echo(str(recording.summary()))
+    typer.echo(str(recording.overview()))

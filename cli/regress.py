@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from gridtrack.cli.options import JsonOption
-from gridtrack.common.errors import ConfigurationError, plain
+from gridtrack.common.errors import ConfigurationError, printable
 
 if TYPE_CHECKING:
     from gridtrack.evaluation.regression import Verdict
@@ -109,7 +109,7 @@ def _tell_unmeasured(reasons: Sequence[str], junit: Path | None, markdown: Path 
     if as_json:
         typer.echo(json.dumps({"verdict": "not measured", "reasons": list(reasons)}, indent=1))
     for reason in reasons:
-        typer.echo(f"gridtrack: not measured: {plain(reason)}", err=True)
+        typer.echo(f"gridtrack: not measured: {printable(reason)}", err=True)
 
 
 def _write(path: Path | None, rendered: Any, content: Any) -> None:

@@ -18,7 +18,7 @@ from gridtrack.cli.options import (
     command_line,
     seconds,
 )
-from gridtrack.common.errors import plain
+from gridtrack.common.errors import printable
 
 if TYPE_CHECKING:
     from gridtrack.evaluation.comparison.plan import Plan
@@ -126,7 +126,7 @@ def _tell_missing(plan: Plan) -> bool:
     complete = [record for record in records if record and record.outcome == "ok"]
     missing = [line for record in complete for line in missing_measurements(plan.settings, record)]
     for line in missing:
-        typer.echo(f"gridtrack: not measured: {plain(line)}", err=True)
+        typer.echo(f"gridtrack: not measured: {printable(line)}", err=True)
     return bool(missing)
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from gridtrack.cli.options import seconds
-from gridtrack.common.errors import ConfigurationError, plain
+from gridtrack.common.errors import ConfigurationError, printable
 
 if TYPE_CHECKING:
     from gridtrack.simulation.tracks import Tracks
@@ -130,6 +130,6 @@ def _report(path: Path, tracks: Tracks) -> None:
     from gridtrack.simulation.traffic import examine
 
     traffic = examine(tracks)
-    typer.echo("\n".join([plain(str(path)), *(f"  {plain(line)}" for line in str(traffic).splitlines())]))
+    typer.echo("\n".join([printable(str(path)), *(f"  {printable(line)}" for line in str(traffic).splitlines())]))
     if traffic.faults:
         raise typer.Exit(FAULTY)

@@ -39,6 +39,11 @@ def did_you_mean(name: str, known: Iterable[str]) -> str:
     return "known: " + ", ".join(names[:MAX_NAMES]) + more if names else "there are none"
 
 
-def plain(line: str) -> str:
-    """`line` as it may stand on a terminal: what could steer one, in a file made by a stranger, becomes a space."""
+def printable(line: str) -> str:
+    """`line` with a space in place of each character that cannot be printed, such as a terminal's control codes."""
     return "".join(character if character.isprintable() else " " for character in line)
+
+
+def one_line(text: str, max_chars: int) -> str:
+    """`text` as one printable line of at most `max_chars` characters, its runs of spaces made one."""
+    return " ".join(printable(text[:max_chars]).split())

@@ -71,9 +71,16 @@ def read_json(path: Path, max_bytes: int, error: type[GridtrackError]) -> dict[s
 
 
 def sha256_of(path: Path) -> str:
-    """SHA-256 of a file, 64 hexadecimal digits; the file is read in pieces. Raises OSError."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
+    """SHA-256 of a file, 64 hexadecimal digits; of all its files, in the order of their names, for a folder.
+
+    The files are read in pieces. Raises OSError.
+    """
+    digest = hashlib.sha256()
+    for part in sorted(p for p in path.iterdir() if p.is_file()) if path.is_dir() else [path]:
+        with part.open("rb") as file:
+            while block := file.read(1 << 20):
+                digest.update(block)
+    return digest.hexdigest()
 
 
 def user_data_folder() -> Path:

@@ -14,7 +14,7 @@ from gridtrack.common.grid import GridSpec, Mask
 from gridtrack.common.scan import Scan
 
 FRACTION_BITS = 40
-FURTHEST, LONGEST = 1e9, 1e300
+MAX_COORDINATE_CELLS, MAX_BEAM_CELLS = 1e9, 1e300
 """Cells from the grid to a sensor, and length of a beam in cells: beyond, and not a number, is no beam at all."""
 Beams = tuple[NDArray[np.float32], NDArray[np.float64], float, float, float, float, float]
 
@@ -78,7 +78,7 @@ def _cast(ranges, directions, range_min, range_max, x0, y0, cell_m, visible, occ
     What is not finite is left out here, and not only where recordings are read: the walk would leave the arrays.
     """
     inside = 0
-    if not abs(x0) + abs(y0) < FURTHEST:
+    if not abs(x0) + abs(y0) < MAX_COORDINATE_CELLS:
         return inside
     for i in range(ranges.size):
         distance = float(ranges[i])
@@ -86,7 +86,7 @@ def _cast(ranges, directions, range_min, range_max, x0, y0, cell_m, visible, occ
             continue
         length = min(distance, range_max) / cell_m
         dx, dy = directions[i, 0] * length, directions[i, 1] * length
-        if not abs(dx) + abs(dy) < LONGEST:
+        if not abs(dx) + abs(dy) < MAX_BEAM_CELLS:
             continue
         cross(x0, y0, dx, dy, size, visible)
         row, column = math.floor(y0 + dy), math.floor(x0 + dx)
@@ -102,7 +102,7 @@ def _cast(ranges, directions, range_min, range_max, x0, y0, cell_m, visible, occ
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _ends(ranges, directions, range_min, range_max, x0, y0, cell_m, size, cells):  # type: ignore[no-untyped-def]
     """Cells in which the beams end; coordinates in cells, from the lower-left corner, with `_cast`'s arithmetic."""
-    reachable = abs(x0) + abs(y0) < FURTHEST
+    reachable = abs(x0) + abs(y0) < MAX_COORDINATE_CELLS
     for i in range(ranges.size):
         cells[i] = -1
         distance = float(ranges[i])
@@ -110,7 +110,7 @@ def _ends(ranges, directions, range_min, range_max, x0, y0, cell_m, size, cells)
             continue
         length = distance / cell_m
         dx, dy = directions[i, 0] * length, directions[i, 1] * length
-        if not abs(dx) + abs(dy) < LONGEST:
+        if not abs(dx) + abs(dy) < MAX_BEAM_CELLS:
             continue
         row, column = math.floor(y0 + dy), math.floor(x0 + dx)
         if 0 <= row < size and 0 <= column < size:

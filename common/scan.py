@@ -17,8 +17,9 @@ class Scan:
 
     `ranges` (B,) float32 in metres, beam i at `angle_min + i * angle_increment` (radians, counter-clockwise, sensor
     frame). A range of +inf or beyond `range_max` is "no return": free up to `range_max`. NaN, -inf and anything below
-    `range_min` say nothing (ROS REP 117). `labels` (B,) uint8 indexes the recording's classes, 255 where unlabelled.
-    `scene` is what was truly there, where the recording knows it. Neither ever reaches a tracker.
+    `range_min` is invalid and gives no information (ROS REP 117). `labels` (B,) uint8 are indices into the recording's
+    classes, UNLABELLED where the class is not known. `scene` is the true scene, where the recording has it. Labels and
+    scene are never sent to a tracker.
     """
 
     stamp_ns: int

@@ -9,6 +9,9 @@ from numpy.typing import NDArray
 
 from gridtrack.common.geometry import SE2
 
+UNLABELLED = 255
+"""The label of a beam, a cell or an outline whose class is not known."""
+
 Outline = NDArray[np.float32]
 """A simple closed polygon (N, 2) float32, metres, counter-clockwise; the last corner joins the first."""
 
@@ -31,7 +34,7 @@ class SceneObject:
 class Scene:
     """Everything that is there at one instant.
 
-    `static` outlines in the world frame, `static_label` their class (255: none); `objects` are the road users.
+    `static` outlines in the world frame, `static_label` their class, or UNLABELLED; `objects` are the road users.
     """
 
     static: tuple[Outline, ...]

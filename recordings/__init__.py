@@ -6,7 +6,7 @@ from gridtrack.recordings.importing import import_recording
 from gridtrack.recordings.opening import open_recording, packaged_recording
 from gridtrack.recordings.read_options import CloudSlice, ReadOptions
 from gridtrack.recordings.recording import Recording, RecordingInfo, Stretch
-from gridtrack.recordings.survey import Summary
+from gridtrack.recordings.survey import RecordingOverview
 
 __all__ = [
     "CloudSlice",
@@ -14,8 +14,8 @@ __all__ = [
     "Recording",
     "RecordingFormat",
     "RecordingInfo",
+    "RecordingOverview",
     "Stretch",
-    "Summary",
     "import_recording",
     "open_recording",
     "packaged_recording",

@@ -12,7 +12,7 @@ from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridSpec
 from gridtrack.common.raycast import end_cells
 from gridtrack.common.scan import Scan
-from gridtrack.recordings.labels import UNLABELLED
+from gridtrack.common.scene import UNLABELLED
 
 
 def labelled_returns(

@@ -9,6 +9,7 @@ from typing import Any
 
 from gridtrack.common.config import validated
 from gridtrack.common.errors import RecordingError
+from gridtrack.common.files import atomic_write
 from gridtrack.common.scan import Scan
 from gridtrack.recordings.formats.native import write_native
 from gridtrack.recordings.labels import classes_in, with_labels
@@ -103,13 +104,9 @@ def _pairs(settings: CloudSlice) -> str:
 
 
 def _write(out: Path, info: RecordingInfo, scans: Iterable[Scan]) -> None:
-    partial = out.with_name(out.name + ".partial")
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
-        with partial.open("wb") as file:
+        with atomic_write(out) as file:
             write_native(file, info, scans)
-        partial.replace(out)
     except OSError as error:
         raise RecordingError(f"{out}: cannot be written ({error.strerror})") from None
-    finally:
-        partial.unlink(missing_ok=True)

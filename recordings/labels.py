@@ -13,8 +13,8 @@ import numpy as np
 
 from gridtrack.common.errors import RecordingError, did_you_mean
 from gridtrack.common.scan import Scan
+from gridtrack.common.scene import UNLABELLED
 
-UNLABELLED = 255
 MAX_FIELD = 1024
 
 

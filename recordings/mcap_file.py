@@ -19,7 +19,7 @@ from mcap.records import Channel, Chunk, DataEnd, Metadata, Schema
 from gridtrack.recordings.recording import DamageError
 
 MCAP_MAGIC = b"\x89MCAP0\r\n"
-MAX_RECORD_BYTES = 1 << 28
+MAX_MCAP_RECORD_BYTES = 1 << 28
 ENVELOPE = struct.Struct("<BQ")
 MESSAGE_HEADER = struct.Struct("<HIQQ")
 
@@ -98,8 +98,8 @@ def _records(file: BinaryIO) -> Iterator[tuple[int, bytes]]:
         if len(head) < ENVELOPE.size:
             raise DamageError("cut off in the middle of a record")
         opcode, size = ENVELOPE.unpack(head)
-        if size > MAX_RECORD_BYTES:
-            raise DamageError(f"corrupt: a record of {size} bytes, where at most {MAX_RECORD_BYTES} are read")
+        if size > MAX_MCAP_RECORD_BYTES:
+            raise DamageError(f"corrupt: a record of {size} bytes, where at most {MAX_MCAP_RECORD_BYTES} are read")
         content = file.read(size)
         if len(content) < size:
             raise DamageError("cut off in the middle of a record")
@@ -109,8 +109,8 @@ def _records(file: BinaryIO) -> Iterator[tuple[int, bytes]]:
 def _unpacked(chunk: Chunk) -> bytes:
     """The records inside a chunk. Raises DamageError where they are too large, or their checksum does not fit."""
     size = chunk.uncompressed_size
-    if size > MAX_RECORD_BYTES:
-        raise DamageError(f"corrupt: a chunk of {size} bytes, where at most {MAX_RECORD_BYTES} are read")
+    if size > MAX_MCAP_RECORD_BYTES:
+        raise DamageError(f"corrupt: a chunk of {size} bytes, where at most {MAX_MCAP_RECORD_BYTES} are read")
     if chunk.compression == "zstd":
         with zstandard.ZstdDecompressor().stream_reader(chunk.data) as stream:
             content = stream.read(size)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -13,11 +12,12 @@ from pydantic import Field, field_validator
 
 from gridtrack.common.config import Settings
 from gridtrack.common.errors import RecordingError, did_you_mean
+from gridtrack.common.files import sha256_of
 from gridtrack.common.grid import GridSpec
 from gridtrack.common.scan import Scan
 from gridtrack.recordings.order import StampOrder
 from gridtrack.recordings.read_options import ReadOptions
-from gridtrack.recordings.survey import Summary, Survey
+from gridtrack.recordings.survey import RecordingOverview, Survey
 
 Stretch = tuple[float, float | None]
 """(start, end) in seconds from the recording's first scan, the end excluded; None: to the end of the recording."""
@@ -103,13 +103,7 @@ class Recording(ABC):
     @cached_property
     def sha256(self) -> str:
         """Hash of the file; of all its files, in the order of their names, where the recording is a folder."""
-        digest = hashlib.sha256()
-        files = sorted(p for p in self.path.iterdir() if p.is_file()) if self.path.is_dir() else [self.path]
-        for file in files:
-            with file.open("rb") as stream:
-                while block := stream.read(1 << 20):
-                    digest.update(block)
-        return digest.hexdigest()
+        return sha256_of(self.path)
 
     @cached_property
     def info(self) -> RecordingInfo:
@@ -143,16 +137,16 @@ class Recording(ABC):
         survey.topics = {topic: (kind, topics.counts[topic]) for topic, kind in topics.types.items()}
         return survey
 
-    def summary(self) -> Summary:
+    def overview(self) -> RecordingOverview:
         """The whole recording in a few lines, as `gridtrack recording info` shows it."""
         survey = self.survey
-        return Summary(
+        return RecordingOverview(
             path=str(self.path),
             sha256=self.sha256,
             info=self.info.model_dump(mode="json"),
             topics={topic: f"{kind}, {count}" for topic, (kind, count) in survey.topics.items()},
             duration_s=survey.duration_s,
-            sensors=survey.sensor_summaries(),
+            sensors=survey.sensor_overviews(),
             warnings=tuple(self.warnings),
         )
 

@@ -10,7 +10,7 @@ from gridtrack.common.entry_points import Registration, registrations
 from gridtrack.common.errors import PluginError
 from gridtrack.recordings.format import RecordingFormat
 
-GROUP = "gridtrack.recordings"
+FORMAT_GROUP = "gridtrack.recordings"
 
 
 class FormatRegistry:
@@ -21,7 +21,7 @@ class FormatRegistry:
 
     def __init__(self) -> None:
         """Raises PluginError where two distributions register a format of the same name."""
-        found = registrations(GROUP).values()
+        found = registrations(FORMAT_GROUP).values()
         self._registrations = sorted(found, key=lambda entry: entry.distribution_name != "gridtrack")
         self._loaded: dict[str, RecordingFormat] = {}
         self.problems: list[str] = []
@@ -63,7 +63,7 @@ def load_format(entry: Registration) -> RecordingFormat:
     if entry.problem:
         raise PluginError(f"{where}: {entry.problem}")
     try:
-        found = EntryPoint(entry.name, entry.value, GROUP).load()
+        found = EntryPoint(entry.name, entry.value, FORMAT_GROUP).load()
     except (Exception, SystemExit) as error:
         raise PluginError(f"{where} cannot be imported ({type(error).__name__}: {error})") from error
     if not isinstance(found, RecordingFormat):

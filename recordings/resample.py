@@ -17,7 +17,7 @@ class Tick:
     scans: dict[str, Scan]
 
 
-def resample(scans: Iterable[Scan], period_ns: int, *, origin_ns: int, ticks: range) -> Iterator[Tick]:
+def resample_scans(scans: Iterable[Scan], period_ns: int, *, origin_ns: int, ticks: range) -> Iterator[Tick]:
     """Ticks at `origin_ns + k * period_ns` for k in `ticks`, from `scans` in the order of their stamps.
 
     A tick has of each sensor the scan nearest to it, the earlier of two equally near: always when that is within half

@@ -17,21 +17,20 @@ from foxglove_schemas_protobuf.SceneEntity_pb2 import SceneEntity
 from foxglove_schemas_protobuf.SceneEntityDeletion_pb2 import SceneEntityDeletion
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from google.protobuf.message import DecodeError
-from google.protobuf.timestamp_pb2 import Timestamp
 
 from gridtrack.common.errors import RecordingError
 from gridtrack.common.geometry import SE2
-from gridtrack.common.scene import Outline, Scene, SceneObject
+from gridtrack.common.scene import UNLABELLED, Outline, Scene, SceneObject
+from gridtrack.recordings.protobuf_time import nanoseconds_of, timestamp_of
 from gridtrack.recordings.recording import DamageError
 
 OUTLINES, OBJECTS = "/outlines", "/objects"
 WORLD = "world"
-NO_CLASS = 255
 MAX_MESSAGE_BYTES = 1 << 23
-MAX_ENTITIES, MAX_CORNERS, MAX_TRACK = 4096, 1024, 1 << 62
+MAX_ENTITIES, MAX_ENTITY_CORNERS, MAX_TRACK = 4096, 1024, 1 << 62
 MAX_REMEMBERED = 4096
 LINE_M = 0.06
-COLOURS = ((0.90, 0.62, 0.0), (0.34, 0.71, 0.91), (0.0, 0.62, 0.45), (0.84, 0.37, 0.0), (0.6, 0.6, 0.6))
+CLASS_COLOURS = ((0.90, 0.62, 0.0), (0.34, 0.71, 0.91), (0.0, 0.62, 0.45), (0.84, 0.37, 0.0), (0.6, 0.6, 0.6))
 """Of the classes, in their order and then over again: Okabe and Ito's, which the colour-blind can tell apart."""
 
 
@@ -73,13 +72,13 @@ class SceneWriter:
         return entity
 
     def _entity(self, name: str, outline: Outline, label: int) -> SceneEntity:
-        if label != NO_CLASS and label >= len(self._classes):
+        if label != UNLABELLED and label >= len(self._classes):
             raise RecordingError(f"'{name}' is of class {label}; the recording names only {len(self._classes)}")
         entity = SceneEntity(id=name, frame_id=WORLD)
-        if label != NO_CLASS:
+        if label != UNLABELLED:
             entity.metadata.add(key="class", value=self._classes[label])
         line = entity.lines.add(type=LinePrimitive.LINE_LOOP, thickness=LINE_M)
-        line.color.r, line.color.g, line.color.b = COLOURS[label % len(COLOURS)]
+        line.color.r, line.color.g, line.color.b = CLASS_COLOURS[label % len(CLASS_COLOURS)]
         line.color.a = 1.0
         for x, y in outline.astype(np.float64).tolist():
             line.points.add(x=x, y=y)
@@ -92,7 +91,7 @@ class SceneReader:
     def __init__(self, classes: Sequence[str]) -> None:
         self._labels = {name: label for label, name in enumerate(classes)}
         self._static: tuple[Outline, ...] = ()
-        self._static_label = NO_CLASS
+        self._static_label = UNLABELLED
         self._bodies: dict[bytes, _Body] = {}
         self._scene: tuple[int, Scene] | None = None
 
@@ -102,10 +101,10 @@ class SceneReader:
         placed = [(_pose(topic, entity), self._body(topic, entity)) for entity in update.entities]
         if topic == OUTLINES:
             self._static = tuple(_frozen(pose.apply(body.outline)) for pose, body in placed)
-            self._static_label = placed[0][1].label if placed else NO_CLASS
+            self._static_label = placed[0][1].label if placed else UNLABELLED
             return
         objects = tuple(SceneObject(_track(body.name), body.label, pose, body.outline) for pose, body in placed)
-        stamp_ns = _stamp_ns(update.deletions[0].timestamp) if update.deletions else -1
+        stamp_ns = nanoseconds_of(update.deletions[0].timestamp) if update.deletions else -1
         self._scene = (stamp_ns, Scene(self._static, self._static_label, objects))
 
     def scene_at(self, stamp_ns: int) -> Scene | None:
@@ -128,12 +127,12 @@ class SceneReader:
         name = next((pair.value for pair in entity.metadata if pair.key == "class"), None)
         if name is not None and name not in self._labels:
             raise DamageError(f"corrupt: an entity of {topic} is of a class that the recording does not name")
-        if not 3 <= len(entity.lines[0].points) <= MAX_CORNERS:
-            raise DamageError(f"corrupt: an entity of {topic} is not an outline of 3 to {MAX_CORNERS} corners")
+        if not 3 <= len(entity.lines[0].points) <= MAX_ENTITY_CORNERS:
+            raise DamageError(f"corrupt: an entity of {topic} is not an outline of 3 to {MAX_ENTITY_CORNERS} corners")
         outline = _frozen([(point.x, point.y) for point in entity.lines[0].points])
         if not np.isfinite(outline).all():
             raise DamageError(f"corrupt: an outline of {topic} has a corner that is nowhere")
-        return _Body(entity.id, NO_CLASS if name is None else self._labels[name], outline)
+        return _Body(entity.id, UNLABELLED if name is None else self._labels[name], outline)
 
 
 class _Body(NamedTuple):
@@ -180,7 +179,7 @@ def _track(name: str) -> int:
 def _update(stamp_ns: int) -> SceneUpdate:
     """An update that first clears what the topic drew before; the deletion carries the stamp of the scan."""
     update = SceneUpdate()
-    update.deletions.add(type=SceneEntityDeletion.ALL, timestamp=_timestamp(stamp_ns))
+    update.deletions.add(type=SceneEntityDeletion.ALL, timestamp=timestamp_of(stamp_ns))
     return update
 
 
@@ -189,11 +188,3 @@ def _place(entity: SceneEntity, world_T_object: SE2, stamp_ns: int) -> None:
     pose = entity.lines[0].pose
     pose.position.x, pose.position.y = world_T_object.x, world_T_object.y
     pose.orientation.z, pose.orientation.w = math.sin(world_T_object.theta / 2.0), math.cos(world_T_object.theta / 2.0)
-
-
-def _timestamp(stamp_ns: int) -> Timestamp:
-    return Timestamp(seconds=stamp_ns // 1_000_000_000, nanos=stamp_ns % 1_000_000_000)
-
-
-def _stamp_ns(timestamp: Timestamp) -> int:
-    return int(timestamp.seconds) * 1_000_000_000 + int(timestamp.nanos)

@@ -25,7 +25,7 @@ from gridtrack.common.scene import Scene
 from gridtrack.recordings import Recording, open_recording
 from gridtrack.recordings.cell_labels import check_labels, labelled_returns
 from gridtrack.recordings.recording import Stretch, stretch_text
-from gridtrack.recordings.resample import Tick, resample
+from gridtrack.recordings.resample import Tick, resample_scans
 
 
 def parse_stretch(text: str) -> tuple[Path, Stretch | str | None]:
@@ -160,7 +160,7 @@ class GridStream:
         poses = dict(survey.poses)
         reference = next(iter(poses))
         world_T_grid = poses[reference]
-        for tick in resample(scans, self.period_ns, origin_ns=survey.first_ns, ticks=self._ticks):
+        for tick in resample_scans(scans, self.period_ns, origin_ns=survey.first_ns, ticks=self._ticks):
             poses.update({sensor: scan.world_T_sensor for sensor, scan in tick.scans.items()})
             if survey.moves:
                 world_T_grid = poses[reference]

@@ -103,12 +103,12 @@ class Survey:
         rate = 1.0 / max(periods)
         return round(rate, 1) if rate >= 1.0 else float(f"{rate:.2g}")
 
-    def sensor_summaries(self) -> dict[str, SensorSummary]:
+    def sensor_overviews(self) -> dict[str, SensorOverview]:
         """The figures that `recording info` shows of each sensor."""
-        return {name: _summarise(sensor) for name, sensor in self.sensors.items()}
+        return {name: _overview(sensor) for name, sensor in self.sensors.items()}
 
 
-class SensorSummary(Settings):
+class SensorOverview(Settings):
     """One sensor of a recording; `jitter_ms` is the 95th percentile of a period's distance from the median."""
 
     scans: int
@@ -128,12 +128,12 @@ class SensorSummary(Settings):
     moves: bool
 
 
-def _summarise(sensor: SensorSurvey) -> SensorSummary:
+def _overview(sensor: SensorSurvey) -> SensorOverview:
     first, period_s = sensor.first, sensor.period_s
     periods = np.diff(sensor.stamps_ns) / 1e9
     gaps = sensor.gaps(round(period_s * 1e9)) if period_s else np.empty((0, 2), np.int64)
     span = (gaps[:, 1] - gaps[:, 0]) / 1e9
-    return SensorSummary(
+    return SensorOverview(
         scans=len(sensor.stamps),
         rate_hz=round(1.0 / period_s, 3) if period_s else None,
         jitter_ms=round(float(np.percentile(abs(periods - period_s), 95)) * 1e3, 3) if period_s else None,
@@ -152,7 +152,7 @@ def _summarise(sensor: SensorSurvey) -> SensorSummary:
     )
 
 
-class Summary(Settings):
+class RecordingOverview(Settings):
     """A recording in a few lines: prints as text, `model_dump_json()` for a script."""
 
     path: str
@@ -160,7 +160,7 @@ class Summary(Settings):
     info: dict[str, object]
     topics: dict[str, str]
     duration_s: float
-    sensors: dict[str, SensorSummary]
+    sensors: dict[str, SensorOverview]
     warnings: tuple[str, ...]
 
     def __str__(self) -> str:
@@ -182,7 +182,7 @@ def _plain(value: object) -> str:
     return str(value)
 
 
-def _sensor_lines(s: SensorSummary) -> list[str]:
+def _sensor_lines(s: SensorOverview) -> list[str]:
     beams = f"{s.beams[0]}" if s.beams[0] == s.beams[1] else f"{s.beams[0]} to {s.beams[1]}"
     rate = "one scan" if s.rate_hz is None else f"{s.rate_hz:g} Hz, jitter {s.jitter_ms:g} ms"
     return [

@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 from gridtrack.common.errors import RecordingError
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridSpec, Mask
-from gridtrack.common.raycast import FURTHEST, cross
-from gridtrack.common.scene import Outline, Scene
-from gridtrack.recordings.labels import UNLABELLED
+from gridtrack.common.raycast import MAX_COORDINATE_CELLS, cross
+from gridtrack.common.scene import UNLABELLED, Outline, Scene
 
 FREE, OUTLINE, INTERIOR = 0, 1, 2
 """What truly is in a cell: nothing, a surface that a laser could meet, or the inside of something."""
@@ -74,7 +73,7 @@ def _draw(
     with np.errstate(invalid="ignore"):  # corners that are not finite are refused below
         corners = _placed(np.concatenate(outlines).astype(np.float64), np.repeat(_coefficients(poses), sizes, axis=0))
         corners = (world_T_grid.inverse().apply(corners) - grid.origin) / grid.cell_m
-    if not (np.abs(corners) < FURTHEST).all():
+    if not (np.abs(corners) < MAX_COORDINATE_CELLS).all():
         raise RecordingError("an outline of the true scene has corners that are no places: the recording is damaged")
     starts = np.concatenate([[0], sizes.cumsum()])
     _fill(corners, starts, truth.cover)

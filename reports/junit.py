@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from xml.etree import ElementTree
 
-from gridtrack.common.errors import plain
+from gridtrack.common.errors import printable
 from gridtrack.evaluation.regression import Verdict
 from gridtrack.evaluation.regression.speed import SpeedRow
 from gridtrack.evaluation.regression.verdict import VerdictRow
@@ -22,10 +22,10 @@ def junit_of(verdict: Verdict) -> str:
     for row in rows:
         case = _case(suite, row.label, _name(row))
         if row.verdict == "worse":
-            ElementTree.SubElement(case, "failure", message=plain(sentence_of(row)))
+            ElementTree.SubElement(case, "failure", message=printable(sentence_of(row)))
         elif row.verdict == "nothing to find":
             ElementTree.SubElement(case, "skipped", message="no cell was occupied")
-    ElementTree.SubElement(suite, "system-out").text = plain("; ".join([rule_of(verdict), *verdict.notes]))
+    ElementTree.SubElement(suite, "system-out").text = printable("; ".join([rule_of(verdict), *verdict.notes]))
     return _text(suite)
 
 
@@ -33,7 +33,7 @@ def junit_of_unmeasured(reasons: Sequence[str]) -> str:
     """A case that is an error for each reason why nothing was measured."""
     suite = _suite(tests=len(reasons), failures=0, errors=len(reasons), skipped=0)
     for number, reason in enumerate(reasons, 1):
-        ElementTree.SubElement(_case(suite, "run", f"measured {number}"), "error", message=plain(reason))
+        ElementTree.SubElement(_case(suite, "run", f"measured {number}"), "error", message=printable(reason))
     return _text(suite)
 
 
@@ -42,7 +42,7 @@ def _suite(**counts: int) -> ElementTree.Element:
 
 
 def _case(suite: ElementTree.Element, label: str, name: str) -> ElementTree.Element:
-    return ElementTree.SubElement(suite, "testcase", classname=f"{SUITE}.{plain(label)}", name=plain(name))
+    return ElementTree.SubElement(suite, "testcase", classname=f"{SUITE}.{printable(label)}", name=printable(name))
 
 
 def _name(row: VerdictRow | SpeedRow) -> str:

@@ -57,7 +57,7 @@ class TrackerRegression:
         those of a comparison: horizon_s, every_s, grid, rate_hz, seed, weights and the others of `CompareSettings`.
         Returns the verdict; None where the baseline was written instead.
         """
-        from gridtrack.common.errors import GridtrackError, plain
+        from gridtrack.common.errors import GridtrackError, printable
         from gridtrack.evaluation.regression import write_baseline
         from gridtrack.reports.regression import text_of
 
@@ -68,7 +68,7 @@ class TrackerRegression:
                 return None
             verdict = self._verdict(plan, self._beside / baseline, margin, tolerance)
         except GridtrackError as error:
-            pytest.fail(f"{tracker} was not measured: {plain(str(error))}{self._how(str(error))}", pytrace=False)
+            pytest.fail(f"{tracker} was not measured: {printable(str(error))}{self._how(str(error))}", pytrace=False)
         if verdict.worse:
             pytest.fail(f"{text_of(verdict)}\nIf that is wanted: pytest {self._test} {UPDATE}", pytrace=False)
         return verdict

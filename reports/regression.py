@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from gridtrack.common.errors import plain
+from gridtrack.common.errors import printable
 from gridtrack.evaluation.regression import Baseline, Verdict
 from gridtrack.evaluation.regression.measurement import BANDS
 from gridtrack.evaluation.regression.pairing import pair
@@ -35,7 +35,7 @@ def text_of(verdict: Verdict) -> str:
         lines.append(f"fell on one recording, not judged: {len(verdict.fallen) - MAX_FALLEN} more, see --markdown")
     lines += [f"note: {note}" for note in verdict.notes]
     lines += [f"{label}: every count is as in the baseline" for label in _equal(verdict)]
-    return "\n".join(map(plain, [*lines, rule_of(verdict), _conclusion(verdict)]))
+    return "\n".join(map(printable, [*lines, rule_of(verdict), _conclusion(verdict)]))
 
 
 def markdown_of(verdict: Verdict) -> str:
@@ -84,7 +84,7 @@ def _row_data(row: VerdictRow) -> dict[str, Any]:
 def text_of_update(path: Path, baseline: Baseline) -> str:
     """What `--update` left for a terminal: of how many runs, and how far apart each tracker's trainings lie in them."""
     if len(baseline.runs) == 1:
-        return plain(f"baseline: {path}; {UNKNOWN_SPREAD}")
+        return printable(f"baseline: {path}; {UNKNOWN_SPREAD}")
     lines = [f"baseline: {path}, of {len(baseline.runs)} runs"]
     rows = pair(baseline, baseline.first)
     for label in baseline.first.trackers:
@@ -94,7 +94,7 @@ def text_of_update(path: Path, baseline: Baseline) -> str:
         lines.append(
             f"{label}: F1 lies up to {widest:.4f} apart ({where})" if widest else f"{label}: F1 is the same in all"
         )
-    return "\n".join(map(plain, lines))
+    return "\n".join(map(printable, lines))
 
 
 def sentence_of(row: VerdictRow | SpeedRow) -> str:
@@ -190,5 +190,5 @@ def _number(value: float | None) -> str:
 
 def _escaped(text: str) -> str:
     """Text that Markdown and the HTML in it leave as it is."""
-    text = plain(text).replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
+    text = printable(text).replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
     return "".join(f"\\{sign}" if sign in "\\`*_[]|#!~@" else sign for sign in text)

@@ -13,7 +13,7 @@ from rich.markup import escape
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
-from gridtrack.common.errors import plain
+from gridtrack.common.errors import printable
 from gridtrack.evaluation.scoring.record import TrialRecord
 from gridtrack.reports.differences import DifferenceTable, difference_markdown, difference_table
 from gridtrack.reports.run import read_runs
@@ -74,13 +74,13 @@ def print_tables(run: Path) -> None:
             if differences:
                 console.print(_rich_differences(differences))
             continue
-        print(f"{plain(table.recording)}\n\n{headline_markdown(table)}")
+        print(f"{printable(table.recording)}\n\n{headline_markdown(table)}")
         if differences:
             print(f"{_title(differences)}\n\n{difference_markdown(differences)}")
 
 
 def _title(differences: DifferenceTable) -> str:
-    return plain(f"F1 less that of {differences.reference}, paired over {differences.units}; p after Holm")
+    return printable(f"F1 less that of {differences.reference}, paired over {differences.units}; p after Holm")
 
 
 def _rich_differences(differences: DifferenceTable) -> Table:

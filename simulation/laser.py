@@ -12,15 +12,14 @@ from pydantic import Field
 from gridtrack.common.config import Settings
 from gridtrack.common.geometry import SE2
 from gridtrack.common.scan import Scan
-from gridtrack.common.scene import Scene
+from gridtrack.common.scene import UNLABELLED, Scene
 
-UNLABELLED = 255
 MAX_BEAMS = 100_000
 TICK_M = 2.0**-10
 """Ranges are multiples of it, as a real laser counts millimetres; a power of two, so that they also pack well."""
-NEAR_M = 10.0
-NEAR_STD_M, FAR_STD_M = 0.03, 0.05
-"""Range noise of the Hokuyo UTM-30LX up to NEAR_M and beyond (its data sheet)."""
+NEAR_RANGE_M = 10.0
+NEAR_NOISE_M, FAR_NOISE_M = 0.03, 0.05
+"""Range noise of the Hokuyo UTM-30LX up to NEAR_RANGE_M and beyond (its data sheet)."""
 TOUCHING = 1e-9
 """So near to a side, as a share of its length, the sensor stands on it: the side then has no angle to speak of."""
 
@@ -67,7 +66,7 @@ def sweep(
     """Ranges (B,) float32 in metres, free of noise, and labels (B,) uint8 of what a laser at `world_T_sensor` sees.
 
     Beam i leaves at `angle_min + i * angle_increment` (radians, counter-clockwise, sensor frame). A range is the
-    distance to the nearest side of any outline, from outside or inside; +inf with label 255 where there is none
+    distance to the nearest side of any outline, from outside or inside; +inf with label UNLABELLED where there is none
     within `range_max`.
     """
     outlines = [*scene.static, *(thing.outline for thing in scene.objects)]
@@ -90,7 +89,7 @@ def sweep(
 
 def with_noise(ranges: NDArray[np.float32], range_max: float, random: np.random.Generator) -> NDArray[np.float32]:
     """`ranges` (B,) as the laser would measure them: normal noise, in whole ticks, never beyond `range_max`."""
-    std = np.where(ranges <= NEAR_M, NEAR_STD_M, FAR_STD_M)
+    std = np.where(ranges <= NEAR_RANGE_M, NEAR_NOISE_M, FAR_NOISE_M)
     ticks = np.round((ranges + std * random.standard_normal(ranges.size)) / TICK_M)
     measured = np.clip(ticks * TICK_M, 0.0, math.floor(range_max / TICK_M) * TICK_M)
     return np.where(np.isfinite(ranges), measured, np.inf).astype(np.float32)

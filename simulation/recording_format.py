@@ -23,4 +23,4 @@ def open_tracks(path: Path, options: ReadOptions) -> Recording:
     return RenderedRecording(path, options)
 
 
-FORMAT = RecordingFormat("file of simulated tracks", (".tracks",), is_tracks, open_tracks)
+TRACKS_FORMAT = RecordingFormat("file of simulated tracks", (".tracks",), is_tracks, open_tracks)

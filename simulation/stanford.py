@@ -23,12 +23,12 @@ from gridtrack.common.errors import RecordingError
 from gridtrack.recordings.recording import RecordingInfo
 from gridtrack.simulation.laser import Laser
 from gridtrack.simulation.motion import headings, pieces, smoothed
-from gridtrack.simulation.tracks import MAX_THERE, Tracks, TracksInfo
+from gridtrack.simulation.tracks import MAX_USERS_PER_FRAME, Tracks, TracksInfo
 
 VIDEO_HZ = 30.0
 SMOOTHING_STEPS = 10.0
 """A third of a second: what hand-drawn boxes jitter in, and nobody's gait."""
-CLASSES = ("pedestrian", "cyclist", "car", "bus")
+STANFORD_CLASSES = ("pedestrian", "cyclist", "car", "bus")
 BODIES = {
     "Pedestrian": ("pedestrian", 0.3, 0.5),
     "Skater": ("pedestrian", 0.3, 0.5),
@@ -38,10 +38,10 @@ BODIES = {
     "Bus": ("bus", 11.5, 2.55),
 }
 """Class here, length and width in metres of each label."""
-COLUMNS = 10
+ANNOTATION_COLUMNS = 10
 CLEAR_M = 0.75
 """So far the laser keeps from everybody's middle where a place is chosen for it."""
-MAX_LINES, MAX_PIXELS, MAX_FRAME = 5_000_000, 1e6, 5_000_000
+MAX_ANNOTATION_LINES, MAX_PIXELS, MAX_FRAME = 5_000_000, 1e6, 5_000_000
 
 
 class Video(Settings):
@@ -83,15 +83,15 @@ def read_stanford(path: Path, video: Video, command: str = "") -> Tracks:
     kinds = [list(BODIES.values())[label] for label in of_piece]
     order = np.lexsort((track, frame))
     frame, track, pose = frame[order], track[order], pose[order]
-    if np.bincount(frame).max() > MAX_THERE:
-        raise RecordingError(f"{path}: more than {MAX_THERE} road users in one frame")
+    if np.bincount(frame).max() > MAX_USERS_PER_FRAME:
+        raise RecordingError(f"{path}: more than {MAX_USERS_PER_FRAME} road users in one frame")
     frames = int(frame.max()) + 1
     laser = _laser(video.laser_at or _clear_place(path, pose[:, :2]))
     tracks = Tracks(
         info=_info(video, laser, frames, command),
         frame=frame,
         track=track,
-        label=np.array([CLASSES.index(name) for name, _, _ in kinds])[track],
+        label=np.array([STANFORD_CLASSES.index(name) for name, _, _ in kinds])[track],
         pose=pose,
         size=np.array([size for _, *size in kinds])[track],
     )
@@ -101,7 +101,7 @@ def read_stanford(path: Path, video: Video, command: str = "") -> Tracks:
 def _info(video: Video, laser: Laser, frames: int, command: str) -> TracksInfo:
     recording = RecordingInfo(
         site=video.site,
-        classes=CLASSES,
+        classes=STANFORD_CLASSES,
         grid=video.grid,
         rate_hz=video.rate_hz,
         licence=video.licence,
@@ -137,15 +137,15 @@ def _read(path: Path) -> _Boxes:
 
 def _lines(path: Path, file: Iterator[str]) -> Iterator[tuple[int, list[str]]]:
     for number, row in enumerate(csv.reader(file, delimiter=" "), 1):
-        if number > MAX_LINES:
-            raise RecordingError(f"{path}: more than {MAX_LINES} lines")
+        if number > MAX_ANNOTATION_LINES:
+            raise RecordingError(f"{path}: more than {MAX_ANNOTATION_LINES} lines")
         if row:
             yield number, row
 
 
 def _values(path: Path, number: int, row: list[str]) -> list[float]:
     """The nine numbers of a line. Raises RecordingError."""
-    if len(row) < COLUMNS or row[9] not in BODIES:
+    if len(row) < ANNOTATION_COLUMNS or row[9] not in BODIES:
         raise RecordingError(
             f"{path}, line {number}: expected `track xmin ymin xmax ymax frame lost occluded generated"
             f' "Label"` with one of {", ".join(BODIES)}'

@@ -30,7 +30,7 @@ OPTIONS = {
     "pedestrian.jupedsim.step-length": "0.025",
 }
 CONNECTION_TRIES, CONNECTION_WAIT_S = 600, 0.1
-LAST_WORDS_S = 30.0
+EXIT_TIMEOUT_S = 30.0
 
 
 class SimulationError(GridtrackError):
@@ -139,7 +139,7 @@ def _simulate(command: list[str], end_s: float, watch: Watch) -> None:
             traffic.close()
         except (FatalTraCIError, TraCIException):
             with contextlib.suppress(subprocess.TimeoutExpired):
-                process.wait(LAST_WORDS_S)  # SUMO tells what went wrong after it has let go of the connection
+                process.wait(EXIT_TIMEOUT_S)  # SUMO tells what went wrong after it has let go of the connection
             raise
         finally:
             process.kill()

@@ -24,14 +24,14 @@ from gridtrack.common.config import Settings, validated
 from gridtrack.common.errors import RecordingError
 from gridtrack.common.geometry import SE2
 from gridtrack.common.scan import Scan
-from gridtrack.common.scene import Scene, SceneObject
+from gridtrack.common.scene import UNLABELLED, Scene, SceneObject
 from gridtrack.recordings.recording import RecordingInfo
 from gridtrack.simulation.bodies import body
 from gridtrack.simulation.laser import Laser
 
-SCHEMA = 1
-KEY = b"gridtrack.tracks"
-COLUMNS = {
+TRACKS_SCHEMA = 1
+METADATA_KEY = b"gridtrack.tracks"
+TRACK_COLUMNS = {
     "frame": pa.int32(),
     "track": pa.int32(),
     "class": pa.uint8(),
@@ -41,11 +41,11 @@ COLUMNS = {
     "length_cm": pa.uint16(),
     "width_cm": pa.uint16(),
 }
-MAX_ROWS, MAX_FRAMES, MAX_THERE = 5_000_000, 5_000_000, 1000
+MAX_TRACK_ROWS, MAX_FRAMES, MAX_USERS_PER_FRAME = 5_000_000, 5_000_000, 1000
 HALF_TURN_MRAD = 3141
-MAX_BEAMS = 1_000_000_000
+MAX_RENDERED_BEAMS = 1_000_000_000
 """Of a recording in all: a small file must not fill the disk when it is rendered."""
-MAX_OUTLINES, MAX_CORNERS = 1000, 1000
+MAX_OUTLINES, MAX_OUTLINE_CORNERS = 1000, 1000
 
 Corner = tuple[float, float]
 
@@ -69,8 +69,8 @@ class TracksInfo(Settings):
     @field_validator("static")
     @classmethod
     def _outlines_have_corners(cls, static: tuple[tuple[Corner, ...], ...]) -> tuple[tuple[Corner, ...], ...]:
-        if any(not 3 <= len(outline) <= MAX_CORNERS for outline in static):
-            raise ValueError(f"an outline has 3 to {MAX_CORNERS} corners")
+        if any(not 3 <= len(outline) <= MAX_OUTLINE_CORNERS for outline in static):
+            raise ValueError(f"an outline has 3 to {MAX_OUTLINE_CORNERS} corners")
         return static
 
 
@@ -93,7 +93,7 @@ class Tracks:
         """The true scene of each frame, in order."""
         classes = self.info.recording.classes
         static = tuple(np.array(outline, np.float32) for outline in self.info.static)
-        static_label = classes.index(self.info.static_class) if self.info.static_class else 255
+        static_label = classes.index(self.info.static_class) if self.info.static_class else UNLABELLED
         starts = np.searchsorted(self.frame, np.arange(self.info.frames + 1)).tolist()
         for rows in itertools.starmap(slice, itertools.pairwise(starts)):
             columns = (column[rows].tolist() for column in (self.track, self.label, self.pose, self.size))
@@ -147,10 +147,10 @@ def write_tracks(file: BinaryIO, tracks: Tracks) -> None:
         "length_cm": np.round(tracks.size[:, 0] * 100.0),
         "width_cm": np.round(tracks.size[:, 1] * 100.0),
     }
-    about = json.dumps({"schema": SCHEMA} | tracks.info.model_dump(mode="json"))
-    schema = pa.schema(list(COLUMNS.items()), metadata={KEY: about})
-    columns = [pa.array(values[name][order].astype(kind.to_pandas_dtype())) for name, kind in COLUMNS.items()]
-    slowly = [name for name in COLUMNS if name not in ("class", "length_cm", "width_cm")]
+    about = json.dumps({"schema": TRACKS_SCHEMA} | tracks.info.model_dump(mode="json"))
+    schema = pa.schema(list(TRACK_COLUMNS.items()), metadata={METADATA_KEY: about})
+    columns = [pa.array(values[name][order].astype(kind.to_pandas_dtype())) for name, kind in TRACK_COLUMNS.items()]
+    slowly = [name for name in TRACK_COLUMNS if name not in ("class", "length_cm", "width_cm")]
     pq.write_table(
         pa.Table.from_arrays(columns, schema=schema),
         file,
@@ -159,7 +159,7 @@ def write_tracks(file: BinaryIO, tracks: Tracks) -> None:
         use_dictionary=["class", "length_cm", "width_cm"],
         column_encoding=dict.fromkeys(slowly, "DELTA_BINARY_PACKED"),
         write_statistics=False,
-        row_group_size=MAX_ROWS,
+        row_group_size=MAX_TRACK_ROWS,
         data_page_size=1 << 20,
     )
 
@@ -169,13 +169,13 @@ def read_tracks(path: Path) -> Tracks:
     try:
         with pq.ParquetFile(path) as file:
             info = _read_info(path, file)
-            table = file.read(columns=list(COLUMNS))
+            table = file.read(columns=list(TRACK_COLUMNS))
     except (pa.ArrowException, OSError) as error:
         raise RecordingError(
             f"{path}: damaged ({str(error).splitlines()[0] if str(error) else 'unreadable'})"
         ) from None
-    _refuse(path, "a value is missing", any(table[name].null_count for name in COLUMNS))
-    columns = {name: table[name].to_numpy().astype(np.int64) for name in COLUMNS}
+    _refuse(path, "a value is missing", any(table[name].null_count for name in TRACK_COLUMNS))
+    columns = {name: table[name].to_numpy().astype(np.int64) for name in TRACK_COLUMNS}
     order = np.lexsort((columns["track"], columns["frame"]))
     columns = {name: column[order] for name, column in columns.items()}
     _refuse_absurd(path, info, columns)
@@ -191,11 +191,11 @@ def read_tracks(path: Path) -> Tracks:
 
 def _read_info(path: Path, file: pq.ParquetFile) -> TracksInfo:
     """What the file says about itself, before any of its columns is unpacked."""
-    about = (file.schema_arrow.metadata or {}).get(KEY)
-    if about is None or file.metadata.num_rows > MAX_ROWS:
-        reason = "not a file of tracks" if about is None else f"more than {MAX_ROWS} rows"
+    about = (file.schema_arrow.metadata or {}).get(METADATA_KEY)
+    if about is None or file.metadata.num_rows > MAX_TRACK_ROWS:
+        reason = "not a file of tracks" if about is None else f"more than {MAX_TRACK_ROWS} rows"
         raise RecordingError(f"{path}: {reason}; expected one that `gridtrack simulate` wrote")
-    for name, kind in COLUMNS.items():
+    for name, kind in TRACK_COLUMNS.items():
         if name not in file.schema_arrow.names or file.schema_arrow.field(name).type != kind:
             raise RecordingError(f"{path}: damaged (no column {name} of {kind})")
     try:
@@ -203,8 +203,8 @@ def _read_info(path: Path, file: pq.ParquetFile) -> TracksInfo:
     except (ValueError, RecursionError):
         raise RecordingError(f"{path}: its metadata are not JSON") from None
     schema = values.pop("schema", None) if isinstance(values, dict) else None
-    if schema != SCHEMA:
-        raise RecordingError(f"{path}: schema {schema!r:.20}; this gridtrack reads {SCHEMA}: simulate again")
+    if schema != TRACKS_SCHEMA:
+        raise RecordingError(f"{path}: schema {schema!r:.20}; this gridtrack reads {TRACKS_SCHEMA}: simulate again")
     return validated(TracksInfo, values, f"{path}: its metadata")
 
 
@@ -215,8 +215,10 @@ def _refuse_absurd(path: Path, info: TracksInfo, columns: dict[str, NDArray[np.i
     if info.static_class is not None and info.static_class not in classes:
         raise RecordingError(f"{path}: its static class is none of its classes")
     beams = info.frames * info.laser.beams
-    if beams > MAX_BEAMS:
-        raise RecordingError(f"{path}: {beams} beams to render; at most {MAX_BEAMS}: fewer frames, or a coarser laser")
+    if beams > MAX_RENDERED_BEAMS:
+        raise RecordingError(
+            f"{path}: {beams} beams to render; at most {MAX_RENDERED_BEAMS}: fewer frames, or a coarser laser"
+        )
     if not frame.size:
         return
     _refuse(path, f"a frame outside 0 to {info.frames - 1}", frame.min() < 0 or frame.max() >= info.frames)
@@ -224,7 +226,11 @@ def _refuse_absurd(path: Path, info: TracksInfo, columns: dict[str, NDArray[np.i
     _refuse(path, f"a class beyond the {len(classes)} that it names", columns["class"].max() >= len(classes))
     _refuse(path, "a body without extent", min(columns["length_cm"].min(), columns["width_cm"].min()) < 1)
     _refuse(path, "a track twice in one frame", ((np.diff(frame) == 0) & (np.diff(track) == 0)).any())
-    _refuse(path, f"more than {MAX_THERE} road users in one frame", np.bincount(frame).max() > MAX_THERE)
+    _refuse(
+        path,
+        f"more than {MAX_USERS_PER_FRAME} road users in one frame",
+        np.bincount(frame).max() > MAX_USERS_PER_FRAME,
+    )
 
 
 def _refuse(path: Path, fault: str, found: bool | np.bool_) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridtrack.common.grid import GridSpec
-from gridtrack.common.scene import Scene
+from gridtrack.common.scene import UNLABELLED, Scene
 from gridtrack.recordings.truth import OUTLINE, truth_grid
 from gridtrack.simulation.bodies import body
 from gridtrack.simulation.tracks import Tracks
@@ -120,7 +120,7 @@ def _moving_cells(tracks: Tracks, moving: NDArray[np.bool_], grid: GridSpec) -> 
     total = np.zeros(256)
     for k, scene in enumerate(tracks.where(moving).scenes()):
         if k % STRIDE == 0:
-            truth = truth_grid(Scene((), 255, scene.objects), grid, tracks.info.laser.world_T_sensor)
+            truth = truth_grid(Scene((), UNLABELLED, scene.objects), grid, tracks.info.laser.world_T_sensor)
             total += np.bincount(truth.labels[truth.cover == OUTLINE], minlength=256)
     return {name: float(total[label]) * STRIDE for label, name in enumerate(classes)}
 

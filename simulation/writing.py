@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from gridtrack.common.errors import RecordingError
+from gridtrack.common.files import atomic_write
 from gridtrack.recordings.formats.native import write_native
 from gridtrack.simulation.tracks import Tracks, write_tracks
 
@@ -23,16 +24,12 @@ def write_recording(out: Path, tracks: Tracks) -> None:
     Same tracks, same bytes. Raises RecordingError; `out` is then as it was before.
     """
     refuse_other_suffix(out)
-    partial = out.with_name(out.name + ".partial")
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
-        with partial.open("wb") as file:
+        with atomic_write(out) as file:
             if out.suffix == ".tracks":
                 write_tracks(file, tracks)
             else:
                 write_native(file, tracks.info.recording, tracks.scans())
-        partial.replace(out)
     except OSError as error:
         raise RecordingError(f"{out}: cannot be written ({error.strerror})") from None
-    finally:
-        partial.unlink(missing_ok=True)

@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from gridtrack.common.config import Settings, validated
-from gridtrack.common.errors import ConfigurationError, GridtrackError, PluginError, WeightsError
+from gridtrack.common.errors import ConfigurationError, GridtrackError, PluginError, WeightsError, one_line
 from gridtrack.trackers import messages, registry
 from gridtrack.trackers.contract import API, Forecast, StreamSpec, Tracker
 from gridtrack.trackers.wire import MAX_HEADER, Message, WireError, encode, fill_from, receive, widen, write_to
@@ -120,7 +120,7 @@ class Server:
     def _failure(self, request: Message, error: Exception) -> Message:
         if isinstance(error, ImportError) and request.kind == "start":
             error = PluginError(f"tracker '{self.name}': {error}{registry.install_hint(self.name, error)}")
-        fields = {"outcome": self._outcome(request, error), "reason": one_line(error)}
+        fields = {"outcome": self._outcome(request, error), "reason": error_line(error)}
         return Message("error", request.number, fields)
 
     def _outcome(self, request: Message, error: Exception) -> str:
@@ -139,10 +139,10 @@ class Server:
         return "crashed"
 
 
-def one_line(error: BaseException) -> str:
+def error_line(error: BaseException) -> str:
     """`error` as one bounded line; the type is named unless the message was written for a reader."""
     text = str(error) if isinstance(error, GridtrackError) and str(error) else f"{type(error).__name__}: {error}"
-    return " ".join(text.split())[:MAX_LINE]
+    return one_line(text, MAX_LINE)
 
 
 def _timed(method: Callable[[Any], Any], argument: Any) -> tuple[Any, dict[str, int]]:

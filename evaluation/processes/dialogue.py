@@ -9,6 +9,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, NoReturn
 
+from gridtrack.common.errors import one_line
 from gridtrack.evaluation.processes.outcome import OUTCOMES, TrialEnded
 from gridtrack.evaluation.processes.supervised import Supervised
 from gridtrack.trackers.messages import Arrays
@@ -82,7 +83,7 @@ class Dialogue:
     def _failed(self, answer: Message) -> NoReturn:
         """The tracker says itself what went wrong."""
         outcome = answer.value("outcome", str)
-        reason = printable(answer.value("reason", str))
+        reason = one_line(answer.value("reason", str), MAX_REASON)
         where = "" if self.what in {"start", "describe"} else f"{self.what}: "
         for known in OUTCOMES:
             if outcome == known != "ok":
@@ -109,12 +110,6 @@ class Dialogue:
         with self.log.open("rb") as log:
             size = log.seek(0, 2)
             log.seek(max(0, size - LOG_END_BYTES))
-            lines = [printable(line) for line in log.read().decode(errors="replace").splitlines()]
+            lines = [one_line(line, MAX_REASON) for line in log.read().decode(errors="replace").splitlines()]
         last = next((line for line in reversed(lines) if line), "")
         return f" ({last})" if last else ""
-
-
-def printable(text: str) -> str:
-    """`text` as one bounded line that does nothing to a terminal."""
-    line = "".join(c if c.isprintable() else " " for c in text[:MAX_REASON])
-    return " ".join(line.split())

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridtrack.common.grid import GridFrame, GridSpec
+from gridtrack.common.scene import UNLABELLED
 from gridtrack.recordings.cell_labels import check_labels, labelled_returns
-from gridtrack.recordings.labels import UNLABELLED
 from gridtrack.recordings.stream import GridStream, Observation
 from gridtrack.recordings.truth import FREE, INTERIOR, OUTLINE, TruthGrid, truth_grid
 from gridtrack.trackers.contract import FrameSource

@@ -54,7 +54,7 @@ def is_carmen_log(path: Path, head: bytes) -> bool:
     return path.suffix == ".bz2" or head.isascii()
 
 
-FORMAT = RecordingFormat("CARMEN log", CARMEN_SUFFIXES, is_carmen_log, CarmenLog)
+CARMEN_FORMAT = RecordingFormat("CARMEN log", CARMEN_SUFFIXES, is_carmen_log, CarmenLog)
 
 
 def _lines(path: Path) -> Iterator[tuple[int, list[str]]]:

@@ -21,7 +21,6 @@ from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
 from foxglove_schemas_protobuf.LaserScan_pb2 import LaserScan
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from google.protobuf.message import DecodeError
-from google.protobuf.timestamp_pb2 import Timestamp
 from mcap.writer import Writer
 from mcap_protobuf.schema import register_schema
 
@@ -32,10 +31,11 @@ from gridtrack.common.scan import Scan
 from gridtrack.common.scene import Scene
 from gridtrack.recordings.format import RecordingFormat
 from gridtrack.recordings.mcap_file import MCAP_MAGIC, McapFile, McapMessage
+from gridtrack.recordings.protobuf_time import nanoseconds_of, timestamp_of
 from gridtrack.recordings.recording import DamageError, Recording, RecordingInfo, Topics
 from gridtrack.recordings.scene_messages import OBJECTS, OUTLINES, WORLD, SceneReader, SceneWriter
 
-SCHEMA = "1"
+NATIVE_SCHEMA = "1"
 METADATA_NAME = "gridtrack"
 CHUNK_BYTES = 128 * 1024
 DEFAULT_SENSOR = "scan"
@@ -58,9 +58,9 @@ class NativeRecording(Recording):
             raise RecordingError(
                 f"{self.path}: not a recording of gridtrack: import it with `gridtrack recording import`"
             )
-        if found.get("schema") != SCHEMA:
+        if found.get("schema") != NATIVE_SCHEMA:
             raise RecordingError(
-                f"{self.path}: schema {found.get('schema')}; this gridtrack reads {SCHEMA}: import again"
+                f"{self.path}: schema {found.get('schema')}; this gridtrack reads {NATIVE_SCHEMA}: import again"
             )
         return _read_info(found.get("info", ""), f"{self.path}: its metadata")
 
@@ -84,7 +84,7 @@ class NativeRecording(Recording):
                 truth.take(topic, message.data)
             elif is_scan and self.options.topic in (None, topic):
                 scan = _decoded(LaserScan(), message)
-                scene = truth.scene_at(_stamp_ns(scan)) if truth is not None else None
+                scene = truth.scene_at(nanoseconds_of(scan.timestamp)) if truth is not None else None
                 yield _scan(scan, message, poses.get(scan.frame_id, SE2()), labels.pop(scan.frame_id, None), scene)
 
 
@@ -100,7 +100,7 @@ def is_native(path: Path, head: bytes) -> bool:
     return METADATA_NAME in file.metadata or first is None or first.schema.encoding == "protobuf"
 
 
-FORMAT = RecordingFormat("native MCAP", (".mcap",), is_native, NativeRecording)
+NATIVE_FORMAT = RecordingFormat("native MCAP", (".mcap",), is_native, NativeRecording)
 
 
 def write_native(file: BinaryIO, info: RecordingInfo, scans: Iterable[Scan]) -> None:
@@ -115,7 +115,7 @@ class _NativeWriter:
     def __init__(self, file: BinaryIO, info: RecordingInfo) -> None:
         self._mcap = Writer(file, chunk_size=CHUNK_BYTES, enable_data_crcs=True)
         self._mcap.start(library="gridtrack")
-        self._mcap.add_metadata(METADATA_NAME, {"schema": SCHEMA, "info": info.model_dump_json()})
+        self._mcap.add_metadata(METADATA_NAME, {"schema": NATIVE_SCHEMA, "info": info.model_dump_json()})
         self._schemas = {kind: register_schema(self._mcap, kind) for kind in (LaserScan, FrameTransform, SceneUpdate)}
         self._channels: dict[tuple[str, float, float], int] = {}
         self._poses: dict[str, SE2] = {}
@@ -171,12 +171,8 @@ def _topic(kind: str, sensor: str) -> str:
     return kind if sensor == DEFAULT_SENSOR else f"{kind}/{sensor}"
 
 
-def _timestamp(stamp_ns: int) -> Timestamp:
-    return Timestamp(seconds=stamp_ns // 1_000_000_000, nanos=stamp_ns % 1_000_000_000)
-
-
 def _scan_message(scan: Scan) -> LaserScan:
-    message = LaserScan(timestamp=_timestamp(scan.stamp_ns), frame_id=scan.sensor, start_angle=scan.angle_min)
+    message = LaserScan(timestamp=timestamp_of(scan.stamp_ns), frame_id=scan.sensor, start_angle=scan.angle_min)
     message.end_angle = scan.angle_min + scan.angle_increment * max(scan.ranges.size - 1, 0)
     message.pose.orientation.w = 1.0
     message.ranges.extend(scan.ranges.astype(np.float64).tolist())
@@ -185,7 +181,7 @@ def _scan_message(scan: Scan) -> LaserScan:
 
 def _transform_message(scan: Scan) -> FrameTransform:
     pose = scan.world_T_sensor
-    message = FrameTransform(timestamp=_timestamp(scan.stamp_ns), parent_frame_id=WORLD, child_frame_id=scan.sensor)
+    message = FrameTransform(timestamp=timestamp_of(scan.stamp_ns), parent_frame_id=WORLD, child_frame_id=scan.sensor)
     message.translation.x, message.translation.y = pose.x, pose.y
     message.rotation.z, message.rotation.w = math.sin(pose.theta / 2.0), math.cos(pose.theta / 2.0)
     return message
@@ -212,10 +208,6 @@ def _pose(transform: FrameTransform) -> SE2:
     return SE2(transform.translation.x, transform.translation.y, theta)
 
 
-def _stamp_ns(message: LaserScan) -> int:
-    return int(message.timestamp.seconds) * 1_000_000_000 + int(message.timestamp.nanos)
-
-
 def _scan(
     message: LaserScan, received: McapMessage, world_T_sensor: SE2, labels: LaserScan | None, scene: Scene | None
 ) -> Scan:
@@ -224,7 +216,7 @@ def _scan(
         raise DamageError(f"corrupt: labels of {len(labels.intensities)} beams for a scan of {beams}")
     range_min, range_max = _range_limits(received)
     return Scan(
-        stamp_ns=_stamp_ns(message),
+        stamp_ns=nanoseconds_of(message.timestamp),
         ranges=np.fromiter(message.ranges, np.float64, beams).astype(np.float32),
         angle_min=message.start_angle,
         angle_increment=(message.end_angle - message.start_angle) / max(beams - 1, 1),

@@ -20,7 +20,7 @@ from gridtrack.recordings.ros_messages import RosMessage, ros2_name
 from gridtrack.recordings.ros_recording import ROS_OPTIONS, RosRecording
 
 ROS1_MAGIC = b"#ROSBAG V2.0\n"
-MAX_RECORD_BYTES = 1 << 28
+MAX_BAG_RECORD_BYTES = 1 << 28
 MESSAGE_OP, BAG_HEADER_OP, CHUNK_OP, CONNECTION_OP = 2, 3, 5, 7
 
 Fields = dict[str, bytes]
@@ -40,7 +40,7 @@ def is_ros1_bag(path: Path, head: bytes) -> bool:
     return head.startswith(ROS1_MAGIC)
 
 
-FORMAT = RecordingFormat("ROS 1 bag", (".bag",), is_ros1_bag, Ros1Bag, ROS_OPTIONS)
+ROS1_BAG_FORMAT = RecordingFormat("ROS 1 bag", (".bag",), is_ros1_bag, Ros1Bag, ROS_OPTIONS)
 
 
 class BagMessage(NamedTuple):
@@ -110,8 +110,8 @@ def _records(file: BinaryIO) -> Iterator[tuple[Fields, bytes]]:
 def _sized(file: BinaryIO, size_bytes: bytes) -> tuple[bytes, bool]:
     """As many bytes as the length before them says, and whether there were so many. Raises DamageError."""
     (size,) = struct.unpack("<I", size_bytes) if len(size_bytes) == 4 else (0,)
-    if size > MAX_RECORD_BYTES:
-        raise DamageError(f"corrupt: a record of {size} bytes, where at most {MAX_RECORD_BYTES} are read")
+    if size > MAX_BAG_RECORD_BYTES:
+        raise DamageError(f"corrupt: a record of {size} bytes, where at most {MAX_BAG_RECORD_BYTES} are read")
     content = file.read(size)
     return content, len(content) == size and len(size_bytes) == 4
 
@@ -131,8 +131,8 @@ def _fields(data: bytes) -> Fields:
 
 def _unpacked(compression: str, data: bytes, size: int) -> bytes:
     """The records inside a chunk, at most `size` bytes. Raises DamageError."""
-    if size > MAX_RECORD_BYTES:
-        raise DamageError(f"corrupt: a chunk of {size} bytes, where at most {MAX_RECORD_BYTES} are read")
+    if size > MAX_BAG_RECORD_BYTES:
+        raise DamageError(f"corrupt: a chunk of {size} bytes, where at most {MAX_BAG_RECORD_BYTES} are read")
     if compression == "none":
         return data
     try:

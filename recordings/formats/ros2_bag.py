@@ -38,4 +38,4 @@ def is_ros2_bag(path: Path, head: bytes) -> bool:
     return head.startswith(SQLITE_MAGIC)
 
 
-FORMAT = RecordingFormat("ROS 2 bag", (".db3",), is_ros2_bag, Ros2Bag, ROS_OPTIONS)
+ROS2_BAG_FORMAT = RecordingFormat("ROS 2 bag", (".db3",), is_ros2_bag, Ros2Bag, ROS_OPTIONS)

@@ -40,4 +40,4 @@ def is_ros_mcap(path: Path, head: bytes) -> bool:
     return head.startswith(MCAP_MAGIC) and not is_native(path, head)
 
 
-FORMAT = RecordingFormat("ROS MCAP", (".mcap",), is_ros_mcap, RosMcap, ROS_OPTIONS)
+ROS_MCAP_FORMAT = RecordingFormat("ROS MCAP", (".mcap",), is_ros_mcap, RosMcap, ROS_OPTIONS)

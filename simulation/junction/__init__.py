@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from gridtrack.common.errors import ConfigurationError
 from gridtrack.recordings.recording import RecordingInfo
-from gridtrack.simulation.junction import demand, place
+from gridtrack.simulation.junction import demand, layout
 from gridtrack.simulation.junction.patience import Patience
 from gridtrack.simulation.motion import headings, pieces, smoothed, trailing_headings
 from gridtrack.simulation.sumo import STEP_S, Movements, run_sumo, sumo_version
@@ -45,7 +45,7 @@ def simulate_junction(minutes: float, seed: int, start_s: float = WARM_UP_S) -> 
         raise ConfigurationError(
             f"{minutes:g} minutes from {start_s:g} s on: expected up to {MAX_MINUTES:g} minutes, and no start before 0"
         )
-    frames = max(round(minutes * 60.0 * place.RATE_HZ), 1)
+    frames = max(round(minutes * 60.0 * layout.RATE_HZ), 1)
     start_s = round(start_s / STEP_S) * STEP_S
     before_s = min(MARGIN_S, start_s)
     span_s = (start_s - before_s, start_s + frames * STEP_S + MARGIN_S)
@@ -53,7 +53,13 @@ def simulate_junction(minutes: float, seed: int, start_s: float = WARM_UP_S) -> 
     with tempfile.TemporaryDirectory() as folder:
         signals = (here / "signals.add.xml",)
         movements = run_sumo(
-            Path(folder), here / "network.net.xml", demand.routes(), signals, span_s, seed, Patience(place.JUNCTION)
+            Path(folder),
+            here / "network.net.xml",
+            demand.routes(),
+            signals,
+            span_s,
+            seed,
+            Patience(layout.JUNCTION_NODE),
         )
     info = _info(frames, seed, f"gridtrack simulate junction --minutes {minutes:g} --seed {seed} --start {start_s:g}s")
     return _near(_tracks(info, movements, round(before_s / STEP_S)))
@@ -62,20 +68,20 @@ def simulate_junction(minutes: float, seed: int, start_s: float = WARM_UP_S) -> 
 def _info(frames: int, seed: int, command: str) -> TracksInfo:
     return TracksInfo(
         recording=RecordingInfo(
-            site=place.SITE,
-            classes=place.CLASSES,
-            grid=place.GRID,
-            rate_hz=place.RATE_HZ,
-            cycle_s=place.CYCLE_S,
+            site=layout.JUNCTION_SITE,
+            classes=layout.JUNCTION_CLASSES,
+            grid=layout.JUNCTION_GRID,
+            rate_hz=layout.RATE_HZ,
+            cycle_s=layout.CYCLE_S,
             licence=LICENCE,
             credit=CREDIT,
             command=command,
         ),
-        laser=place.LASER,
+        laser=layout.LASER,
         frames=frames,
-        rate_hz=place.RATE_HZ,
+        rate_hz=layout.RATE_HZ,
         noise_seed=seed,
-        static=place.static_outlines(),
+        static=layout.static_outlines(),
         static_class="static",
         made_with={"eclipse-sumo": sumo_version()},
     )
@@ -85,10 +91,10 @@ def _tracks(info: TracksInfo, movements: Movements, first_step: int) -> Tracks:
     """Smooth bodies from SUMO's points; each unbroken piece is a track, numbered in the order of the names."""
     poses, users = np.empty((len(movements.user), 3)), np.empty(len(movements.user), np.int64)
     for number, rows in enumerate(pieces(movements.user, movements.step)):
-        kind = demand.KINDS[movements.kind[movements.user[rows.start]]]
+        kind = demand.ROAD_USER_TYPES[movements.kind[movements.user[rows.start]]]
         users[rows] = number
         poses[rows] = _walker(movements, rows) if kind.label == "pedestrian" else _vehicle(movements, rows, kind)
-    kinds = [demand.KINDS[name] for name in movements.kind]
+    kinds = [demand.ROAD_USER_TYPES[name] for name in movements.kind]
     frame = movements.step - first_step
     kept = (frame >= 0) & (frame < info.frames)
     order = np.lexsort((users[kept], frame[kept]))
@@ -97,7 +103,7 @@ def _tracks(info: TracksInfo, movements: Movements, first_step: int) -> Tracks:
         info=info,
         frame=frame[kept][order],
         track=users[kept][order],
-        label=np.array([place.CLASSES.index(kind.label) for kind in kinds])[of_row],
+        label=np.array([layout.JUNCTION_CLASSES.index(kind.label) for kind in kinds])[of_row],
         pose=poses[kept][order],
         size=np.array([(kind.length_m, kind.width_m) for kind in kinds])[of_row],
     )
@@ -109,7 +115,7 @@ def _walker(movements: Movements, rows: slice) -> NDArray[np.float64]:
     return np.column_stack([position, headings(position, STEP_S, WALKING_STD_STEPS)])
 
 
-def _vehicle(movements: Movements, rows: slice, kind: demand.Kind) -> NDArray[np.float64]:
+def _vehicle(movements: Movements, rows: slice, kind: demand.RoadUserType) -> NDArray[np.float64]:
     """From the front bumper to the middle. SUMO lets standing vehicles turn on the spot: here the rear follows."""
     front = smoothed(movements.position[rows], ROLLING_STD_STEPS)
     heading = trailing_headings(front, WHEELS_BEHIND * kind.length_m, float(movements.heading[rows.start]))

@@ -12,7 +12,7 @@ STRAIGHT_SHARE = {"NS": 2.0, "SN": 2.0, "EW": 3.0, "WE": 3.0}
 """Of the routes; a turn has 1. The street from east to west is the main one, and the buses' only one."""
 
 
-class Kind(NamedTuple):
+class RoadUserType(NamedTuple):
     """A SUMO vehicle type: its class here, length and width in metres, its share of its class, other attributes."""
 
     label: str
@@ -33,16 +33,16 @@ _BICYCLE = (
 _WALKER = 'vClass="pedestrian" minGap="0.30" speedFactor="normc(1,0.15,0.6,1.6)"'
 _BUS = 'vClass="bus" minGap="2.5" accel="1.0" decel="3.0" speedFactor="normc(0.85,0.05,0.6,1)" sigma="0.3"'
 
-KINDS = {
-    "car_small": Kind("car", 3.9, 1.7, 0.4, f'vClass="passenger" {_CAR}'),
-    "car_large": Kind("car", 4.5, 1.82, 0.45, f'vClass="passenger" {_CAR}'),
-    "van": Kind("car", 5.4, 2.0, 0.15, f'vClass="delivery" {_CAR}'),
-    "bus_solo": Kind("bus", 11.5, 2.55, 1.0, _BUS),
-    "bicycle_fast": Kind("cyclist", 1.75, 0.6, 0.6, f'{_BICYCLE} maxSpeed="5.5" accel="1.1"'),
-    "bicycle_slow": Kind("cyclist", 1.6, 0.65, 0.4, f'{_BICYCLE} maxSpeed="4.2" accel="0.9"'),
-    "walker_fast": Kind("pedestrian", 0.3, 0.5, 0.7, f'{_WALKER} desiredMaxSpeed="1.35"'),
-    "walker_slow": Kind("pedestrian", 0.3, 0.55, 0.2, f'{_WALKER} desiredMaxSpeed="1.05"'),
-    "walker_small": Kind("pedestrian", 0.25, 0.4, 0.1, f'{_WALKER} desiredMaxSpeed="1.2"'),
+ROAD_USER_TYPES = {
+    "car_small": RoadUserType("car", 3.9, 1.7, 0.4, f'vClass="passenger" {_CAR}'),
+    "car_large": RoadUserType("car", 4.5, 1.82, 0.45, f'vClass="passenger" {_CAR}'),
+    "van": RoadUserType("car", 5.4, 2.0, 0.15, f'vClass="delivery" {_CAR}'),
+    "bus_solo": RoadUserType("bus", 11.5, 2.55, 1.0, _BUS),
+    "bicycle_fast": RoadUserType("cyclist", 1.75, 0.6, 0.6, f'{_BICYCLE} maxSpeed="5.5" accel="1.1"'),
+    "bicycle_slow": RoadUserType("cyclist", 1.6, 0.65, 0.4, f'{_BICYCLE} maxSpeed="4.2" accel="0.9"'),
+    "walker_fast": RoadUserType("pedestrian", 0.3, 0.5, 0.7, f'{_WALKER} desiredMaxSpeed="1.35"'),
+    "walker_slow": RoadUserType("pedestrian", 0.3, 0.55, 0.2, f'{_WALKER} desiredMaxSpeed="1.05"'),
+    "walker_small": RoadUserType("pedestrian", 0.25, 0.4, 0.1, f'{_WALKER} desiredMaxSpeed="1.2"'),
 }
 
 
@@ -62,12 +62,12 @@ def routes() -> str:
 def _types() -> list[str]:
     """One distribution of types for each class."""
     lines = []
-    for label in dict.fromkeys(kind.label for kind in KINDS.values()):
+    for label in dict.fromkeys(kind.label for kind in ROAD_USER_TYPES.values()):
         lines.append(f'<vTypeDistribution id="{label}">')
         lines += [
             f'<vType id="{name}" length="{kind.length_m}" width="{kind.width_m}" probability="{kind.share}"'
             f" {kind.attributes}/>"
-            for name, kind in KINDS.items()
+            for name, kind in ROAD_USER_TYPES.items()
             if kind.label == label
         ]
         lines.append("</vTypeDistribution>")

@@ -69,7 +69,7 @@ def test_a_recording_is_read_in_a_format_of_another_distribution(install_formats
     install_formats({"csv": "csv_scans:FORMAT"})
     recording = open_recording(csv_file)
     assert [scan.stamp_ns for scan in recording.scans()] == [1000, 2000]
-    assert recording.summary().topics == {"csv": "CSV, 2"}
+    assert recording.overview().topics == {"csv": "CSV, 2"}
     assert recording.warnings == []
     with pytest.raises(RecordingError, match=r"no such recording; did you mean 'walk\.csv'"):
         open_recording(csv_file.with_name("wakl.csv"))

@@ -102,7 +102,7 @@ def test_labels_come_from_a_csv(
     one, three = np.full(36, 255, np.uint8), np.full(36, 255, np.uint8)
     one[0], one[35], three[7] = 1, 0, 1
     same_scans(imported.scans(), [scans[0], replace(scans[1], labels=one), scans[2], replace(scans[3], labels=three)])
-    assert imported.summary().sensors["scan"].labelled_scans == 2
+    assert imported.overview().sensors["scan"].labelled_scans == 2
 
 
 @pytest.mark.parametrize(
@@ -136,7 +136,7 @@ def test_a_csv_without_the_columns_is_refused(
 
 def test_the_packaged_recording_is_found_by_its_name() -> None:
     recording = open_recording(packaged_recording("leg_tracker"))
-    summary = recording.summary()
+    summary = recording.overview()
     assert (summary.sensors["scan"].scans, summary.sensors["scan"].beams) == (1265, (512, 512))
     assert set(recording.info.stretches) == {"train", "validation", "test"}
     assert recording.survey.rate_hz == recording.info.rate_hz == 10.0

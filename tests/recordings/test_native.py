@@ -134,7 +134,7 @@ def test_poses_come_back(tmp_path_factory: pytest.TempPathFactory, x: float, y: 
 
 def test_summary_tells_what_is_in_it(write: Callable[..., Path], scan: Callable[..., Scan]) -> None:
     path = write([scan(k) for k in range(50) if not 20 <= k < 30], site="hall")
-    summary = open_recording(path).summary()
+    summary = open_recording(path).overview()
     sensor = summary.sensors["scan"]
     assert (sensor.scans, sensor.rate_hz, sensor.gaps, sensor.longest_gap_s) == (40, 10.0, 1, 1.1)
     assert (sensor.beams, sensor.range_min, sensor.range_max, sensor.moves) == ((36, 36), 0.05, 5.0, False)
@@ -216,7 +216,7 @@ def test_a_changing_number_of_beams_is_told(write: Callable[..., Path], scan: Ca
     recording = open_recording(write(scan(k, beams=30 + 6 * (k // 5)) for k in range(15)))
     assert len(list(recording.scans())) == 15
     assert "number of beams differs from the one before: 2 of them" in recording.warnings[0]
-    assert recording.summary().sensors["scan"].beams == (30, 42)
+    assert recording.overview().sensors["scan"].beams == (30, 42)
 
 
 @pytest.mark.parametrize("limits", [(0.0, math.inf), (3.0, 1.0), (-1.0, 2.0), (0.0, math.nan)])

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gridtrack.common.scan import Scan
-from gridtrack.recordings.resample import resample
+from gridtrack.recordings.resample import resample_scans
 
 PERIOD = 100
 
@@ -20,7 +20,7 @@ def chosen(stamps: list[int], ticks: range, origin: int = 1000) -> list[int | No
     """Of each tick, the stamp of its scan since the origin."""
     return [
         tick.scans["scan"].stamp_ns - origin if "scan" in tick.scans else None
-        for tick in resample(scans_at([origin + s for s in stamps]), PERIOD, origin_ns=origin, ticks=ticks)
+        for tick in resample_scans(scans_at([origin + s for s in stamps]), PERIOD, origin_ns=origin, ticks=ticks)
     ]
 
 
@@ -51,7 +51,7 @@ def test_before_the_first_and_after_the_last_scan_there_is_nothing() -> None:
 
 
 def test_ticks_are_stamped_regularly() -> None:
-    stamps = [tick.stamp_ns for tick in resample(scans_at([7, 111, 193]), PERIOD, origin_ns=7, ticks=range(5, 8))]
+    stamps = [tick.stamp_ns for tick in resample_scans(scans_at([7, 111, 193]), PERIOD, origin_ns=7, ticks=range(5, 8))]
     assert stamps == [507, 607, 707]
 
 
@@ -65,7 +65,8 @@ def test_a_recording_begun_in_the_middle_has_the_same_ticks() -> None:
 def test_each_sensor_has_its_own_scans() -> None:
     merged = sorted(scans_at([0, 100, 200], "a") + scans_at([30, 430], "b"), key=lambda s: s.stamp_ns)
     ticks = [
-        {n: s.stamp_ns for n, s in tick.scans.items()} for tick in resample(merged, PERIOD, origin_ns=0, ticks=range(5))
+        {n: s.stamp_ns for n, s in tick.scans.items()}
+        for tick in resample_scans(merged, PERIOD, origin_ns=0, ticks=range(5))
     ]
     assert ticks == [{"a": 0, "b": 30}, {"a": 100}, {"a": 200}, {}, {"b": 430}]
 

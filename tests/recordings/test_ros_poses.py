@@ -88,7 +88,7 @@ def bag(tmp_path: Path):
 def test_poses_that_are_not_read_are_told_once_with_what_to_do(bag) -> None:
     path = bag([scan(k * 100) for k in range(5)] + [odometry(k * 20, SE2(k * 0.1)) for k in range(20)])
     recording = open_recording(path)
-    summary = recording.summary()
+    summary = recording.overview()
     assert summary.warnings == (
         f"{path}: poses on /odom (nav_msgs/msg/Odometry) are not read, so the sensor is taken to stand still: import"
         " the recording with --pose-topic /odom to read them",
@@ -119,7 +119,7 @@ def test_a_scan_stands_between_the_poses_before_and_after_it(bag, message) -> No
     expected = [(1.0, 2.0, 0.0), (1.1, 2.0, 0.0), (1.6, 2.0, 0.0), (1.6, 2.0, 0.25), (1.6, 2.0, 1.0)]
     np.testing.assert_allclose([(p.x, p.y, p.theta) for p in poses], expected, atol=1e-9)
     assert recording.warnings == []
-    assert recording.summary().sensors["scan"].moves
+    assert recording.overview().sensors["scan"].moves
 
 
 def test_a_pause_of_the_poses_is_told_and_holds_no_scans_back(bag) -> None:

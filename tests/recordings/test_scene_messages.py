@@ -77,16 +77,16 @@ def test_sensors_that_scan_at_once_share_the_scene(write: Callable[..., Path], s
 
 
 def test_what_stands_is_written_once(recording: Path) -> None:
-    topics = open_recording(recording).summary().topics
+    topics = open_recording(recording).overview().topics
     assert topics[OUTLINES] == "foxglove.SceneUpdate, 1"
     assert topics[OBJECTS] == "foxglove.SceneUpdate, 20"
 
 
 def test_info_tells_that_there_is_truth(recording: Path, write: Callable[..., Path], scan: Callable[..., Scan]) -> None:
-    text = str(open_recording(recording).summary())
+    text = str(open_recording(recording).overview())
     assert "20 scans with truth" in text
     assert "classes: pedestrian, car, static" in text
-    assert "with truth" not in str(open_recording(write([scan(0)], "bare.mcap")).summary())
+    assert "with truth" not in str(open_recording(write([scan(0)], "bare.mcap")).overview())
 
 
 def test_foxglove_draws_outlines_where_the_bodies_stand(recording: Path) -> None:

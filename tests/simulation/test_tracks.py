@@ -16,8 +16,8 @@ from gridtrack.common.errors import GridtrackError, RecordingError
 from gridtrack.recordings import RecordingInfo, open_recording
 from gridtrack.simulation.bodies import body
 from gridtrack.simulation.laser import Laser
-from gridtrack.simulation.rendered import cache_folder
-from gridtrack.simulation.tracks import KEY, Tracks, TracksInfo, read_tracks, write_tracks
+from gridtrack.simulation.rendered import rendering_folder
+from gridtrack.simulation.tracks import METADATA_KEY, Tracks, TracksInfo, read_tracks, write_tracks
 from gridtrack.simulation.traffic import GRIDLOCK_S, examine
 from gridtrack.simulation.writing import write_recording
 
@@ -93,7 +93,7 @@ def test_the_rendering_is_kept_and_made_again_where_it_is_damaged(tmp_path: Path
     path = tmp_path / "yard.tracks"
     write_recording(path, walk())
     expected = [scan.ranges for scan in open_recording(path).scans()]
-    (kept,) = cache_folder().glob("*.mcap")
+    (kept,) = rendering_folder().glob("*.mcap")
     assert own_cache in kept.parents
     made = kept.stat().st_mtime_ns
     np.testing.assert_array_equal([scan.ranges for scan in open_recording(path).scans()], expected)
@@ -102,7 +102,7 @@ def test_the_rendering_is_kept_and_made_again_where_it_is_damaged(tmp_path: Path
     kept.write_bytes(content[:-100] + bytes(100))
     np.testing.assert_array_equal([scan.ranges for scan in open_recording(path).scans()], expected)
     assert kept.read_bytes() == content
-    assert sorted(p.suffix for p in cache_folder().iterdir()) == [".mcap", ".sha256"]
+    assert sorted(p.suffix for p in rendering_folder().iterdir()) == [".mcap", ".sha256"]
 
 
 def test_other_tracks_of_the_same_name_are_rendered_anew(tmp_path: Path) -> None:
@@ -116,7 +116,7 @@ def test_a_recording_of_scans_is_what_its_tracks_are_rendered_to(tmp_path: Path)
     write_recording(tmp_path / "yard.tracks", walk())
     write_recording(tmp_path / "yard.mcap", walk())
     list(open_recording(tmp_path / "yard.tracks").scans())
-    (kept,) = cache_folder().glob("*.mcap")
+    (kept,) = rendering_folder().glob("*.mcap")
     assert kept.read_bytes() == (tmp_path / "yard.mcap").read_bytes()
 
 
@@ -134,9 +134,9 @@ def parquet(path: Path, change: dict[str, list[object]] | None = None, about: ob
     for name, values in (change or {}).items():
         column = pa.array(values + table[name].to_pylist()[len(values) :], table.schema.field(name).type)
         table = table.set_column(table.schema.names.index(name), name, column)
-    values = json.loads(table.schema.metadata[KEY]) | about if isinstance(about, dict) else about
+    values = json.loads(table.schema.metadata[METADATA_KEY]) | about if isinstance(about, dict) else about
     if about is not None:
-        table = table.replace_schema_metadata({KEY: json.dumps(values)})
+        table = table.replace_schema_metadata({METADATA_KEY: json.dumps(values)})
     pq.write_table(table, path)
     return path
 

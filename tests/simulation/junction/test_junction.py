@@ -15,7 +15,7 @@ from gridtrack.common.errors import ConfigurationError
 from gridtrack.common.grid import GridSpec
 from gridtrack.recordings import open_recording, packaged_recording
 from gridtrack.simulation import junction, sumo
-from gridtrack.simulation.junction import JUNCTION_SET, demand, place, simulate_junction
+from gridtrack.simulation.junction import JUNCTION_SET, demand, layout, simulate_junction
 from gridtrack.simulation.junction.patience import Patience
 from gridtrack.simulation.tracks import read_tracks, write_tracks
 from gridtrack.simulation.traffic import examine
@@ -50,26 +50,26 @@ def inside(points: np.ndarray, outline: np.ndarray) -> np.ndarray:
 def test_nothing_stands_in_the_streets() -> None:
     streets = street_points()
     assert len(streets) > 1000
-    for outline in place.static_outlines():
+    for outline in layout.static_outlines():
         assert not inside(streets, np.array(outline)).any(), outline
 
 
 def test_the_scanner_stands_beside_the_streets_and_in_no_house() -> None:
-    at = np.array([[place.LASER.x, place.LASER.y]])
-    assert not any(inside(at, np.array(outline)).any() for outline in place.static_outlines())
+    at = np.array([[layout.LASER.x, layout.LASER.y]])
+    assert not any(inside(at, np.array(outline)).any() for outline in layout.static_outlines())
     assert np.linalg.norm(street_points() - at, axis=1).min() > 0.3
 
 
 def test_the_window_is_twenty_metres_with_the_middle_of_the_junction_in_it() -> None:
-    grid = GridSpec.parse(place.GRID)
+    grid = GridSpec.parse(layout.JUNCTION_GRID)
     assert (grid.size, grid.cell_m) == (100, 0.2)
-    middle = place.LASER.world_T_sensor.inverse().apply(np.zeros((1, 2)))
+    middle = layout.LASER.world_T_sensor.inverse().apply(np.zeros((1, 2)))
     assert grid.cells_of(middle)[1].all()
 
 
 def test_the_signals_repeat_in_the_cycle_that_the_recording_names() -> None:
     phases = ET.parse(NETWORK.with_name("signals.add.xml")).getroot().iter("phase")
-    assert sum(float(phase.get("duration")) for phase in phases) == place.CYCLE_S
+    assert sum(float(phase.get("duration")) for phase in phases) == layout.CYCLE_S
 
 
 def test_the_demand_sums_to_what_it_says() -> None:
@@ -91,8 +91,8 @@ def test_the_demand_sums_to_what_it_says() -> None:
 
 
 def test_the_tests_begin_all_over_the_cycle() -> None:
-    begins = sorted(start_s % place.CYCLE_S for name, (_, _, start_s) in JUNCTION_SET.items() if name in TESTS)
-    assert np.diff([*begins, begins[0] + place.CYCLE_S]).max() <= 6.0
+    begins = sorted(start_s % layout.CYCLE_S for name, (_, _, start_s) in JUNCTION_SET.items() if name in TESTS)
+    assert np.diff([*begins, begins[0] + layout.CYCLE_S]).max() <= 6.0
 
 
 def test_the_set_that_ships_is_whole_and_small() -> None:
@@ -103,7 +103,10 @@ def test_the_set_that_ships_is_whole_and_small() -> None:
         info = read_tracks(path).info
         minutes, seed, _ = JUNCTION_SET[name]
         assert (info.frames, info.noise_seed, info.recording.site) == (minutes * 480, seed, "junction")
-        assert (info.recording.classes, info.recording.grid) == (place.CLASSES, str(GridSpec.parse(place.GRID)))
+        assert (info.recording.classes, info.recording.grid) == (
+            layout.JUNCTION_CLASSES,
+            str(GridSpec.parse(layout.JUNCTION_GRID)),
+        )
 
 
 def test_nobody_in_the_tests_walks_through_walls_and_everybody_moves_enough_to_be_scored() -> None:
@@ -120,7 +123,7 @@ def test_nobody_in_the_tests_walks_through_walls_and_everybody_moves_enough_to_b
 def test_a_recording_that_ships_renders_with_truth(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     recording = open_recording(packaged_recording("junction/test-101"))
-    summary = recording.summary().sensors["scan"]
+    summary = recording.overview().sensors["scan"]
     assert (summary.scans, summary.labelled_scans, summary.scans_with_truth, summary.beams) == (
         480,
         480,
@@ -139,7 +142,7 @@ def test_without_sumo_the_error_says_what_to_install(monkeypatch: pytest.MonkeyP
 def test_sumo_s_words_reach_the_user_where_it_fails(tmp_path: Path) -> None:
     pytest.importorskip("sumo", reason="SUMO is not installed")
     with pytest.raises(sumo.SimulationError, match=r"SUMO failed with seed 3: Error: .*; try another seed"):
-        sumo.run_sumo(tmp_path, NETWORK, "<routes><flow/></routes>", (), (0.0, 1.0), 3, Patience(place.JUNCTION))
+        sumo.run_sumo(tmp_path, NETWORK, "<routes><flow/></routes>", (), (0.0, 1.0), 3, Patience(layout.JUNCTION_NODE))
 
 
 @pytest.mark.skipif(importlib.util.find_spec("sumo") is None, reason="SUMO is not installed")

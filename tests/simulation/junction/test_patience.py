@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from gridtrack.simulation import junction
-from gridtrack.simulation.junction import JUNCTION_SET, MARGIN_S, patience, place
+from gridtrack.simulation.junction import JUNCTION_SET, MARGIN_S, layout, patience
 from gridtrack.simulation.junction.patience import FROM_S, PATIENCE_S, Patience
 from gridtrack.simulation.sumo import Movements, run_sumo
 
@@ -116,8 +116,8 @@ def test_sumo_s_drivers_do_as_they_are_told(tmp_path: Path, monkeypatch: pytest.
         folder.mkdir()
         signals = (HERE / "signals.add.xml",)
         movements = run_sumo(
-            folder, HERE / "network.net.xml", SNAIL, signals, (0.0, 420.0), 1, Patience(place.JUNCTION)
+            folder, HERE / "network.net.xml", SNAIL, signals, (0.0, 420.0), 1, Patience(layout.JUNCTION_NODE)
         )
         waits.append(longest_wait_s(movements))
-    assert waits[0] <= 60.0 + place.CYCLE_S
+    assert waits[0] <= 60.0 + layout.CYCLE_S
     assert waits[1] > 240.0

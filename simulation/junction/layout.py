@@ -12,19 +12,19 @@ import math
 from gridtrack.simulation.bodies import ellipse
 from gridtrack.simulation.laser import Laser
 
-CLASSES = ("pedestrian", "cyclist", "car", "bus", "static")
-SITE = "junction"
-JUNCTION = "C"
-"""Its name in the network."""
+JUNCTION_CLASSES = ("pedestrian", "cyclist", "car", "bus", "static")
+JUNCTION_SITE = "junction"
+JUNCTION_NODE = "C"
+"""The name of the junction in the network."""
 RATE_HZ = 8.0
 CYCLE_S = 96.0
 """Of the signals: each street's turn, and then everybody on foot."""
-GRID = "100x0.2@-4,-16"
+JUNCTION_GRID = "100x0.2@-4,-16"
 """The window, 20 m square, in the frame of the scanner, which looks along the world's axes from (-8, 8)."""
 LASER = Laser(x=-8.0, y=8.0, angle_min=-math.pi)
 """Its blind quarter is the house behind it, to the north-west."""
 
-Corners = tuple[tuple[float, float], ...]
+CornerList = tuple[tuple[float, float], ...]
 
 BLOCK_M = 45.0
 """How far the houses reach: further than the laser does."""
@@ -32,7 +32,7 @@ SOUTH_EAST, NORTH_WEST, SOUTH_WEST = -1, 1, 2
 """Quarters of the junction, in turns from the north-eastern one."""
 
 
-def static_outlines() -> tuple[Corners, ...]:
+def static_outlines() -> tuple[CornerList, ...]:
     """Four houses with cut corners; the north-eastern one stands back behind trees and a kiosk."""
     houses = (
         _house(9.5, 11.0),
@@ -46,18 +46,18 @@ def static_outlines() -> tuple[Corners, ...]:
     return (*houses, kiosk, *trees, *posts)
 
 
-def _house(facade_m: float, corner_m: float) -> Corners:
+def _house(facade_m: float, corner_m: float) -> CornerList:
     """The north-eastern house: fronts `facade_m` from the middle of the streets, cut at `corner_m`."""
     fronts = ((corner_m, facade_m), (BLOCK_M, facade_m), (BLOCK_M, BLOCK_M))
     return (*fronts, (facade_m, BLOCK_M), (facade_m, corner_m))
 
 
-def _turned(outline: Corners, turns: int) -> Corners:
+def _turned(outline: CornerList, turns: int) -> CornerList:
     """`outline` turned about the middle of the junction by quarters, counter-clockwise."""
     for _ in range(turns % 4):
         outline = tuple((0.0 - y, x) for x, y in outline)
     return outline
 
 
-def _round(x: float, y: float, radius: float) -> Corners:
+def _round(x: float, y: float, radius: float) -> CornerList:
     return tuple((round(x + dx, 4), round(y + dy, 4)) for dx, dy in ellipse(2.0 * radius, 2.0 * radius, 8))
