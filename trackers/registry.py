@@ -4,74 +4,23 @@ from __future__ import annotations
 
 import inspect
 import re
-from collections.abc import Iterator
-from dataclasses import dataclass
-from importlib.metadata import Distribution, EntryPoint, distributions
+from importlib.metadata import Distribution, EntryPoint
 from typing import Any, get_args
 
 from gridtrack.common.config import Settings
+from gridtrack.common.entry_points import Registration, registrations
 from gridtrack.common.errors import PluginError, did_you_mean
 from gridtrack.trackers.contract import API, Comparison, Role, Tracker
 
-GROUP = "gridtrack.trackers"
-NAME = re.compile(r"[a-z0-9][a-z0-9._-]{0,63}")
+TRACKER_GROUP = "gridtrack.trackers"
 
 
-@dataclass(frozen=True, slots=True)
-class Entry:
-    """A tracker that a distribution registers; `problem` says why it cannot be loaded, where that shows already."""
-
-    name: str
-    value: str
-    distribution: str
-    """Name and version, for messages."""
-    problem: str = ""
-
-
-def entries() -> dict[str, Entry]:
+def entries() -> dict[str, Registration]:
     """Every registered tracker by name, in order, none of them imported; broken ones carry their `problem`."""
-    found: dict[str, Entry] = {}
-    for entry in _registered():
-        known = found.get(entry.name)
-        found[entry.name] = entry if known is None else _registered_twice(known, entry)
-    return dict(sorted(found.items()))
+    return registrations(TRACKER_GROUP)
 
 
-def _registered_twice(one: Entry, other: Entry) -> Entry:
-    both = f"{one.distribution} and {other.distribution}"
-    return Entry(one.name, "", both, f"registered by two distributions, {both}: uninstall one")
-
-
-def _registered() -> Iterator[Entry]:
-    seen: set[str] = set()
-    for distribution in distributions():
-        text = distribution.read_text("entry_points.txt") or ""
-        if GROUP not in text:
-            continue
-        name = distribution.metadata["Name"] or "a distribution without a name"
-        if name in seen:  # further along the path: hidden from import as well
-            continue
-        seen.add(name)
-        yield from _entries_of(distribution, f"{name} {distribution.metadata['Version']}")
-
-
-def _entries_of(distribution: Distribution, label: str) -> list[Entry]:
-    try:
-        points = list(distribution.entry_points.select(group=GROUP))
-    except (TypeError, ValueError, AttributeError) as error:
-        # the standard parser has no error of its own for a damaged file
-        return [Entry(f"({label})", "", label, f"its entry_points.txt cannot be read ({error})")]
-    return [_entry(point, label) for point in points]
-
-
-def _entry(point: EntryPoint, label: str) -> Entry:
-    problem = ""
-    if not NAME.fullmatch(point.name):
-        problem = f"'{point.name}' is no name for a tracker: use a-z, 0-9, '.', '_' and '-', at most 64"
-    return Entry(point.name, point.value, label, problem)
-
-
-def find(name: str) -> Entry:
+def find(name: str) -> Registration:
     """The entry of the tracker `name`, not imported. Raises PluginError where it is unknown or broken."""
     known = entries()
     entry = known.get(name)
@@ -91,7 +40,7 @@ def load(name: str) -> type[Tracker]:
     entry = find(name)
     where = f"tracker '{name}' ({entry.value}) of {entry.distribution}"
     try:
-        found = EntryPoint(name, entry.value, GROUP).load()
+        found = EntryPoint(name, entry.value, TRACKER_GROUP).load()
     except ImportError as error:
         raise PluginError(f"{where} cannot be imported: {error}{install_hint(name, error)}") from error
     except (Exception, SystemExit) as error:
@@ -108,7 +57,7 @@ def install_hint(name: str, error: ImportError) -> str:
     if not isinstance(error, ModuleNotFoundError) or not error.name:
         return ""
     module = error.name.partition(".")[0]
-    distribution = find(name).distribution.split()[0]
+    distribution = find(name).distribution_name
     extras = []
     for requirement in Distribution.from_name(distribution).requires or ():
         match = re.match(r"([A-Za-z0-9._-]+).*\bextra\s*==\s*['\"]([^'\"]+)", requirement)

@@ -15,6 +15,7 @@ from typing import Any
 from pydantic import model_validator
 
 from gridtrack.common.config import Settings, parse_pairs, validated
+from gridtrack.common.entry_points import VALID_NAME
 from gridtrack.common.errors import ConfigurationError, PluginError, did_you_mean
 from gridtrack.common.grid import Points
 from gridtrack.trackers import registry
@@ -62,7 +63,7 @@ def parse_selection(text: str) -> Selection:
     if not equals:
         label = name = head.strip()
     where = f"tracker '{text}'"
-    if not registry.NAME.fullmatch(name):
+    if not VALID_NAME.fullmatch(name):
         raise ConfigurationError(f"{where}: '{name}' is no tracker's name; expected [LABEL=]NAME[:key=value,...]")
     if not LABEL.fullmatch(label):
         raise ConfigurationError(
@@ -109,7 +110,7 @@ class ExternalTracker(Settings):
             raise ValueError("give either python or command")
         if self.command is not None and self.tracker is not None:
             raise ValueError("tracker goes with python, not with command")
-        if self.tracker is not None and not registry.NAME.fullmatch(self.tracker):
+        if self.tracker is not None and not VALID_NAME.fullmatch(self.tracker):
             raise ValueError(f"'{self.tracker}' is no tracker's name")
         return self
 
@@ -129,7 +130,7 @@ def read_trackers_toml(path: Path) -> dict[str, Launch]:
     launches = {}
     for name, table in tables.items():
         where = f"{path}: [{name}]"
-        if not registry.NAME.fullmatch(name) or not isinstance(table, dict):
+        if not VALID_NAME.fullmatch(name) or not isinstance(table, dict):
             raise ConfigurationError(f"{where}: expected a table named with a-z, 0-9, '.', '_' and '-', at most 64")
         if name in registered:
             raise ConfigurationError(f"{where}: {registered[name].distribution} has a tracker of this name: rename it")

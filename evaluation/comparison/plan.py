@@ -12,6 +12,7 @@ from typing import Any
 from pydantic import Field
 
 from gridtrack.common.config import Settings
+from gridtrack.common.entry_points import VALID_NAME
 from gridtrack.common.errors import ConfigurationError, PluginError, did_you_mean
 from gridtrack.common.grid import GridSpec
 from gridtrack.evaluation.comparison.learned import LearnedWeights, find_weights, weights_in
@@ -165,7 +166,7 @@ def resolve(settings: CompareSettings) -> Plan:
 
 def _every_tracker(external: Mapping[str, Launch]) -> tuple[str, ...]:
     """Names of all that can be selected; `gridtrack trackers list` tells of those that cannot be."""
-    return (*(name for name in registry.entries() if registry.NAME.fullmatch(name)), *external)
+    return (*(name for name in registry.entries() if VALID_NAME.fullmatch(name)), *external)
 
 
 def _check_options(selection: Selection, start: Launch, limits: Limits) -> None:

@@ -143,8 +143,8 @@ def test_a_broken_tracker_hides_no_other(install: Install) -> None:
     install("hostile", {"../../etc": "os:system", "Big": "a:b", "fine-one": "fine:Fine"})
     found = registry.entries()
     assert {"persistence", "static-map", "blank", "fine-one"} <= set(found)
-    assert "is no name for a tracker" in found["../../etc"].problem
-    assert "is no name for a tracker" in found["Big"].problem
+    assert "is not a valid name" in found["../../etc"].problem
+    assert "is not a valid name" in found["Big"].problem
     assert "entry_points.txt cannot be read" in found["(damaged 1.0)"].problem
     assert found["fine-one"].problem == ""
 
