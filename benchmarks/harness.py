@@ -17,8 +17,9 @@ from pathlib import Path
 from typing import Any
 
 from gridtrack.common.scan import Scan
-from gridtrack.evaluation.comparison.plan import CompareSettings, resolve
+from gridtrack.evaluation.comparison.plan import resolve
 from gridtrack.evaluation.comparison.runner import run
+from gridtrack.evaluation.comparison.settings import CompareSettings
 from gridtrack.evaluation.scoring.record import TrialRecord
 from gridtrack.recordings import open_recording, packaged_recording, write_native
 

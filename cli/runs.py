@@ -71,9 +71,10 @@ def compare_command(
     Exit code: 0 all trials complete, 2 wrong use, 3 some trial is not or lacks a figure that was asked for, 130
     interrupted.
     """
-    from gridtrack.evaluation.comparison.plan import CompareSettings, resolve
+    from gridtrack.evaluation.comparison.plan import resolve
     from gridtrack.evaluation.comparison.runner import run
-    from gridtrack.evaluation.processes.tracker_process import Limits
+    from gridtrack.evaluation.comparison.settings import CompareSettings
+    from gridtrack.evaluation.processes.limits import Limits
     from gridtrack.recordings.degradation import parse_degradation
     from gridtrack.reports.page import render_report
     from gridtrack.reports.terminal import RunProgress, print_tables

@@ -108,7 +108,8 @@ def _first_line(text: str) -> str:
 
 
 def _describe(name: str) -> Any:
-    from gridtrack.evaluation.processes.tracker_process import Limits, describe
+    from gridtrack.evaluation.processes.limits import Limits
+    from gridtrack.evaluation.processes.tracker_process import describe
     from gridtrack.trackers.selection import launch
 
     return describe(launch(name), {}, Limits())
@@ -198,7 +199,8 @@ def _tracker_alone(text: str) -> Any:
 
 def _refuse_untrained(launched: Any, options: Any, site: str) -> None:
     """Nothing to try of a tracker that must learn first, and no promise broken. Raises ConfigurationError."""
-    from gridtrack.evaluation.processes.tracker_process import Limits, describe
+    from gridtrack.evaluation.processes.limits import Limits
+    from gridtrack.evaluation.processes.tracker_process import describe
 
     where = f"of site '{site}'" if site else "here"
     with suppress(PluginError):  # one that cannot be loaded breaks its first promise

@@ -75,7 +75,8 @@ class TrackerRegression:
 
     def _plan(self, tracker: str, recording: str, options: dict[str, Any]) -> Plan:
         from gridtrack.common.config import validated
-        from gridtrack.evaluation.comparison.plan import CompareSettings, resolve
+        from gridtrack.evaluation.comparison.plan import resolve
+        from gridtrack.evaluation.comparison.settings import CompareSettings
 
         given = {
             "recordings": (str(self._beside / recording),),

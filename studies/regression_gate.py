@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import stdtrit
 
-from gridtrack.evaluation.comparison.plan import CompareSettings, resolve
+from gridtrack.evaluation.comparison.plan import resolve
 from gridtrack.evaluation.comparison.runner import run
 from gridtrack.evaluation.regression import Baseline, GateSettings, measure_run
 from gridtrack.evaluation.regression.p_values import row_p_values

@@ -9,48 +9,18 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from pydantic import Field
-
-from gridtrack.common.config import Settings
 from gridtrack.common.entry_points import VALID_NAME
 from gridtrack.common.errors import ConfigurationError, PluginError, did_you_mean
 from gridtrack.common.grid import GridSpec
 from gridtrack.evaluation.comparison.learned import LearnedWeights, find_weights, weights_in
-from gridtrack.evaluation.processes.tracker_process import Limits, describe
+from gridtrack.evaluation.comparison.settings import CompareSettings
+from gridtrack.evaluation.processes.limits import Limits
+from gridtrack.evaluation.processes.tracker_process import describe
 from gridtrack.evaluation.scoring.splits import ORACLE, EvaluationSplit, Sampling, plan_splits, was_seen, with_points
 from gridtrack.evaluation.statistics.inference import ALL_RECORDINGS
-from gridtrack.recordings.degradation import Degradation
 from gridtrack.recordings.stream import GridStream
 from gridtrack.trackers import registry
 from gridtrack.trackers.selection import Launch, Selection, launch, parse_selections, read_trackers_toml
-
-
-class CompareSettings(Settings):
-    """A comparison as it is asked for.
-
-    `recordings` as RECORDING[@range], `trackers` as [LABEL=]NAME[:key=value,...] (none: every registered one);
-    `reference` the label of the row that the others are set against (none: `persistence`, else the first);
-    `validation` a RECORDING[@range] to choose thresholds on, in place of each recording's own validation stretch.
-    """
-
-    recordings: tuple[str, ...] = Field(min_length=1)
-    trackers: tuple[str, ...] = ()
-    out: Path
-    validation: str | None = None
-    reference: str | None = None
-    horizon_s: float = Field(2.5, gt=0.0, le=60.0)
-    every_s: float = Field(1.0, gt=0.0, le=3600.0)
-    grid: str | None = None
-    rate_hz: float | None = Field(None, gt=0.0, le=1000.0)
-    seed: int = Field(0, ge=0, lt=2**31)
-    weights: Path | None = None
-    trackers_toml: Path | None = None
-    limits: Limits = Limits()
-    jobs: int | None = Field(None, ge=1)
-    resume: bool = False
-    latency: bool = False
-    deadline: bool = False
-    degrade: Degradation | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,8 +14,9 @@ import numpy as np
 
 from gridtrack.common.grid import GridFrame, GridSpec
 from gridtrack.evaluation.processes.contract_scene import empty_stream, scene
+from gridtrack.evaluation.processes.limits import Limits
 from gridtrack.evaluation.processes.outcome import TrialEnded
-from gridtrack.evaluation.processes.tracker_process import Limits, TrackerProcess
+from gridtrack.evaluation.processes.tracker_process import TrackerProcess
 from gridtrack.trackers.contract import Forecast, StreamSpec
 from gridtrack.trackers.selection import Launch
 

@@ -11,13 +11,11 @@ from tempfile import TemporaryDirectory
 from types import TracebackType
 from typing import Any
 
-from pydantic import Field
-
-from gridtrack.common.config import Settings
 from gridtrack.common.errors import ConfigurationError, PluginError
 from gridtrack.common.grid import GridFrame
 from gridtrack.evaluation.processes.dialogue import Dialogue, Request
 from gridtrack.evaluation.processes.latency import Latencies
+from gridtrack.evaluation.processes.limits import Limits
 from gridtrack.evaluation.processes.outcome import TrialEnded
 from gridtrack.evaluation.processes.supervised import Supervised
 from gridtrack.trackers import messages
@@ -34,17 +32,6 @@ THREAD_VARIABLES = (
     "NUMBA_NUM_THREADS",
     "TBB_NUM_THREADS",
 )
-
-
-class Limits(Settings):
-    """What a trial may take: seconds for each kind of call, resident memory of all its processes, threads."""
-
-    start_s: float = Field(180.0, gt=0)
-    """Some trackers compile at their first start on a machine: half a minute, or several times that on busy cores."""
-    update_s: float = Field(5.0, gt=0)
-    predict_s: float = Field(30.0, gt=0)
-    memory_mb: int = Field(4096, gt=0)
-    threads: int = Field(1, gt=0)
 
 
 @dataclass(frozen=True, slots=True)

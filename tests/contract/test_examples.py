@@ -14,7 +14,8 @@ import pytest
 from gridtrack.common.grid import GridSpec
 from gridtrack.evaluation.processes.contract_scene import scene
 from gridtrack.evaluation.processes.contract_suite import check_tracker
-from gridtrack.evaluation.processes.tracker_process import Limits, TrackerProcess
+from gridtrack.evaluation.processes.limits import Limits
+from gridtrack.evaluation.processes.tracker_process import TrackerProcess
 from gridtrack.trackers.contract import StreamSpec
 from gridtrack.trackers.selection import Launch, launch, read_trackers_toml
 from gridtrack.trackers.template import new_tracker

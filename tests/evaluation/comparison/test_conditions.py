@@ -8,9 +8,10 @@ import shutil
 import pytest
 
 from gridtrack.evaluation.comparison import deadline_pass
-from gridtrack.evaluation.comparison.plan import CompareSettings, resolve
+from gridtrack.evaluation.comparison.plan import resolve
 from gridtrack.evaluation.comparison.robustness_pass import RobustnessRun
 from gridtrack.evaluation.comparison.runner import run
+from gridtrack.evaluation.comparison.settings import CompareSettings
 from gridtrack.evaluation.scoring import scorekeeper
 from gridtrack.evaluation.scoring.deadline import Costs
 from gridtrack.evaluation.scoring.record import AtStrength, Robustness, TrialRecord

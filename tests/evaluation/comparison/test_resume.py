@@ -11,9 +11,10 @@ import pytest
 
 from gridtrack.common.errors import WeightsError
 from gridtrack.evaluation.comparison.learned import find_weights
-from gridtrack.evaluation.comparison.plan import CompareSettings, resolve
+from gridtrack.evaluation.comparison.plan import resolve
 from gridtrack.evaluation.comparison.recipe import Recipe
 from gridtrack.evaluation.comparison.runner import run
+from gridtrack.evaluation.comparison.settings import CompareSettings
 from gridtrack.evaluation.comparison.train import train
 from gridtrack.evaluation.scoring.record import RunError
 from gridtrack.evaluation.scoring.scores import HISTOGRAM

@@ -15,9 +15,10 @@ import pytest
 
 from gridtrack.common.errors import ConfigurationError
 from gridtrack.evaluation.comparison import trial
-from gridtrack.evaluation.comparison.plan import CompareSettings, resolve
+from gridtrack.evaluation.comparison.plan import resolve
 from gridtrack.evaluation.comparison.recipe import Recipe
 from gridtrack.evaluation.comparison.runner import run
+from gridtrack.evaluation.comparison.settings import CompareSettings
 from gridtrack.evaluation.comparison.train import train
 from gridtrack.evaluation.scoring.record import RunError, read_record
 from gridtrack.evaluation.scoring.referee import Delivery
@@ -206,7 +207,8 @@ def test_raw_returns_reach_the_tracker_that_asks_for_them(settings, told):
 def start(settings, tmp_path, *trackers):
     """`compare` in a process of its own, as a terminal would start it."""
     program = (
-        "import sys; from gridtrack.evaluation.comparison.plan import CompareSettings, resolve;"
+        "import sys; from gridtrack.evaluation.comparison.plan import resolve;"
+        "from gridtrack.evaluation.comparison.settings import CompareSettings;"
         "from gridtrack.evaluation.comparison.runner import run; sys.path.insert(0, sys.argv[2]);"
         "from told import Told;"
         "run(resolve(CompareSettings.model_validate_json(sys.argv[1])), (), Told())"

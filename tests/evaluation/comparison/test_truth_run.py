@@ -8,8 +8,9 @@ import polars as pl
 import pytest
 
 from gridtrack.common.errors import ConfigurationError
-from gridtrack.evaluation.comparison.plan import CompareSettings, resolve
+from gridtrack.evaluation.comparison.plan import resolve
 from gridtrack.evaluation.comparison.runner import run
+from gridtrack.evaluation.comparison.settings import CompareSettings
 from gridtrack.evaluation.scoring.class_store import SEMANTICS
 from gridtrack.evaluation.scoring.scores import SCORES
 from gridtrack.evaluation.scoring.strata import STRATA, STRATA_WITH_TRUTH

@@ -16,8 +16,9 @@ import pytest
 from gridtrack.common.errors import ConfigurationError, PluginError
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec
+from gridtrack.evaluation.processes.limits import Limits
 from gridtrack.evaluation.processes.outcome import TrialEnded
-from gridtrack.evaluation.processes.tracker_process import Limits, TrackerProcess, describe
+from gridtrack.evaluation.processes.tracker_process import TrackerProcess, describe
 from gridtrack.trackers.contract import StreamSpec
 from gridtrack.trackers.selection import Launch, launch
 
@@ -261,7 +262,7 @@ def test_a_killed_referee_takes_the_tracker_and_its_children_along(log: Path, tm
 import time
 from pathlib import Path
 from gridtrack.common.grid import GridSpec
-from gridtrack.evaluation.processes.tracker_process import Limits, TrackerProcess
+from gridtrack.evaluation.processes.tracker_process import TrackerProcess
 from gridtrack.trackers.contract import StreamSpec
 from gridtrack.trackers.selection import launch
 options = {{"at": "reset", "how": "setsid", "pid_file": {str(pid_file)!r}}}

@@ -5,8 +5,9 @@ import pytest
 from gridtrack.common.errors import ConfigurationError, PluginError, RecordingError, WeightsError
 from gridtrack.common.grid import GridSpec
 from gridtrack.evaluation.comparison.learned import find_weights, users_folder, weights_path
-from gridtrack.evaluation.comparison.plan import CompareSettings, resolve
+from gridtrack.evaluation.comparison.plan import resolve
 from gridtrack.evaluation.comparison.recipe import Recipe
+from gridtrack.evaluation.comparison.settings import CompareSettings
 from gridtrack.evaluation.comparison.train import train
 from gridtrack.evaluation.scoring.splits import Sampling, plan_split, was_seen
 from gridtrack.evaluation.scoring.strata import CELL_KINDS

@@ -1,0 +1,39 @@
+"""The settings of a comparison. Light to import: the command line reads its defaults here."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from pydantic import Field
+
+from gridtrack.common.config import Settings
+from gridtrack.evaluation.processes.limits import Limits
+from gridtrack.recordings.degradation import Degradation
+
+
+class CompareSettings(Settings):
+    """A requested comparison.
+
+    `recordings` as RECORDING[@range], `trackers` as [LABEL=]NAME[:key=value,...] (none: every registered one);
+    `reference` the label of the row that the others are compared with (none: `persistence`, else the first);
+    `validation` a RECORDING[@range] to choose thresholds on, instead of each recording's own validation stretch.
+    """
+
+    recordings: tuple[str, ...] = Field(min_length=1)
+    trackers: tuple[str, ...] = ()
+    out: Path
+    validation: str | None = None
+    reference: str | None = None
+    horizon_s: float = Field(2.5, gt=0.0, le=60.0)
+    every_s: float = Field(1.0, gt=0.0, le=3600.0)
+    grid: str | None = None
+    rate_hz: float | None = Field(None, gt=0.0, le=1000.0)
+    seed: int = Field(0, ge=0, lt=2**31)
+    weights: Path | None = None
+    trackers_toml: Path | None = None
+    limits: Limits = Limits()
+    jobs: int | None = Field(None, ge=1)
+    resume: bool = False
+    latency: bool = False
+    deadline: bool = False
+    degrade: Degradation | None = None
