@@ -29,6 +29,7 @@ from scipy.special import stdtrit
 
 from gridtrack.evaluation.comparison.plan import resolve
 from gridtrack.evaluation.comparison.runner import run
+from gridtrack.evaluation.comparison.settings import CompareSettings
 from gridtrack.evaluation.regression import Baseline, GateSettings, measure_run
 from gridtrack.evaluation.regression.p_values import row_p_values
 from gridtrack.evaluation.regression.pairing import PairedRow, pair

@@ -17,23 +17,23 @@ from gridtrack.evaluation.scoring.referee import WARM_UP, Delivery
 from gridtrack.evaluation.scoring.splits import SplitRegions
 from gridtrack.trackers.contract import stream_of
 
-FRAMES, FEWEST, ENOUGH_S = 120, 30, 30.0
-"""Frames whose update and forecast are timed after the warm-up; of a slow tracker, once there are FEWEST, no more than
-ENOUGH_S seconds' worth."""
-TRIED = 4
-"""Frames at the end of the warm-up that are forecast from, to find how far ahead the forecasts must reach."""
-LOG = "deadline.log"
+MAX_TIMED_FRAMES, MIN_TIMED_FRAMES, MAX_TIMED_S = 120, 30, 30.0
+"""Frames whose update and forecast are timed after the warm-up: at most MAX_TIMED_FRAMES; of a slow tracker at least
+MIN_TIMED_FRAMES, and no further one after MAX_TIMED_S seconds of calls."""
+TRIAL_FORECASTS = 4
+"""Forecasts at the end of the warm-up; their duration decides how far ahead the timed forecasts must reach."""
+DEADLINE_LOG = "deadline.log"
 
 
 def measure_deadline(trial: Trial, regions: SplitRegions, thresholds: ThresholdsUsed, folder: Path) -> Deadline:
     """Time the tracker, then score it on the clock at every rate; its log goes to `folder`. Raises TrialEnded."""
     stream = stream_of(trial.test, trial.weights.path if trial.weights else None)
-    with TrackerProcess(trial.launch, stream, trial.selection.options, trial.limits, folder / LOG) as process:
+    with TrackerProcess(trial.launch, stream, trial.selection.options, trial.limits, folder / DEADLINE_LOG) as process:
         costs, reach = _measure(process, trial)
         return Deadline(
-            update_ms=_quantiles(np.asarray(costs.update_ms)),
-            predict_ms=_quantiles(np.asarray(costs.predict_ms)),
-            busy_ms=_quantiles(costs.busy_ms),
+            update_ms=_exact_quantiles(np.asarray(costs.update_ms)),
+            predict_ms=_exact_quantiles(np.asarray(costs.predict_ms)),
+            busy_ms=_exact_quantiles(costs.busy_ms),
             highest_rate_hz=costs.highest_rate_hz,
             forecast_steps=reach,
             rates=_at_every_rate(process, trial, regions, thresholds, costs, reach),
@@ -47,19 +47,19 @@ def _measure(process: TrackerProcess, trial: Trial) -> tuple[Costs, int]:
     predict_ms: list[float] = []
     tried_ms = 0.0
     process.reset(trial.seed)
-    for index, frame in enumerate(islice(trial.test, WARM_UP + FRAMES)):
+    for index, frame in enumerate(islice(trial.test, WARM_UP + MAX_TIMED_FRAMES)):
         process.update(frame)
         took_ms = process.last_ms
         if index >= WARM_UP:
             process.predict(steps + spare_steps(tried_ms, period_ms, steps))
             update_ms.append(took_ms)
             predict_ms.append(process.last_ms)
-            if len(update_ms) >= FEWEST and sum(update_ms) + sum(predict_ms) > ENOUGH_S * 1e3:
+            if len(update_ms) >= MIN_TIMED_FRAMES and sum(update_ms) + sum(predict_ms) > MAX_TIMED_S * 1e3:
                 break
-        elif index >= WARM_UP - TRIED:
+        elif index >= WARM_UP - TRIAL_FORECASTS:
             process.predict(steps)
             # the first forecast of all may compile and allocate: it does not count
-            tried_ms = max(tried_ms, took_ms + process.last_ms) if index > WARM_UP - TRIED else 0.0
+            tried_ms = max(tried_ms, took_ms + process.last_ms) if index > WARM_UP - TRIAL_FORECASTS else 0.0
     return Costs(update_ms, predict_ms), steps + spare_steps(tried_ms, period_ms, steps)
 
 
@@ -82,7 +82,7 @@ def _at_every_rate(
                 rate_hz=round(rate * 1000.0 / period_ms, 6),
                 frames=schedule.frames,
                 missed=kept.missed,
-                age_frames=_quantiles(_ages(kept)),
+                age_frames=_exact_quantiles(_ages(kept)),
                 f1=known[same],
             )
         )
@@ -95,6 +95,6 @@ def _ages(kept: Timeline) -> NDArray[np.int64]:
     return ages
 
 
-def _quantiles(values: NDArray[np.float64] | NDArray[np.int64]) -> Quantiles:
+def _exact_quantiles(values: NDArray[np.float64] | NDArray[np.int64]) -> Quantiles:
     p50, p95, p99 = np.percentile(values, (50, 95, 99), method="higher")
     return Quantiles(p50=float(p50), p95=float(p95), p99=float(p99))

@@ -12,18 +12,18 @@ from gridtrack.evaluation.scoring.record import Latency, Quantiles
 from gridtrack.evaluation.scoring.referee import WARM_UP
 from gridtrack.trackers.contract import stream_of
 
-FRAMES = 120
+TIMED_FRAMES = 120
 """Frames timed after the warm-up: of these every second one is forecast from."""
-LOG = "latency.log"
+LATENCY_LOG = "latency.log"
 
 
 def measure_latency(trial: Trial, folder: Path) -> Latency:
     """Time a tracker's updates and forecasts by its own clock; its log goes to `folder`. Raises TrialEnded."""
     stream = stream_of(trial.test, trial.weights.path if trial.weights else None)
     update, predict = Latencies(), Latencies()
-    with TrackerProcess(trial.launch, stream, trial.selection.options, trial.limits, folder / LOG) as process:
+    with TrackerProcess(trial.launch, stream, trial.selection.options, trial.limits, folder / LATENCY_LOG) as process:
         process.reset(trial.seed)
-        for index, frame in enumerate(islice(trial.test, WARM_UP + FRAMES)):
+        for index, frame in enumerate(islice(trial.test, WARM_UP + TIMED_FRAMES)):
             process.update(frame)
             if index < WARM_UP:
                 continue
@@ -32,9 +32,11 @@ def measure_latency(trial: Trial, folder: Path) -> Latency:
                 process.predict(trial.split.steps)
                 predict.add(process.last_ms)
     return Latency(
-        update=_quantiles(update), predict=_quantiles(predict), predict_step=_quantiles(predict, trial.split.steps)
+        update=_histogram_quantiles(update),
+        predict=_histogram_quantiles(predict),
+        predict_step=_histogram_quantiles(predict, trial.split.steps),
     )
 
 
-def _quantiles(latencies: Latencies, divided_by: int = 1) -> Quantiles:
+def _histogram_quantiles(latencies: Latencies, divided_by: int = 1) -> Quantiles:
     return Quantiles(**{name: value / divided_by for name, value in latencies.summary().items()})

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -10,10 +9,10 @@ from importlib import resources
 from pathlib import Path
 
 from gridtrack.common.errors import WeightsError
-from gridtrack.evaluation.comparison.provenance import sha256_of
+from gridtrack.common.files import sha256_of, user_data_folder
 from gridtrack.trackers.weights import Card, read_card
 
-SITE = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,127}")
+SITE_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,127}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +45,7 @@ def find_weights(tracker: str, site: str, override: Path | None) -> LearnedWeigh
         raise WeightsError(
             f"{override}: no such folder of weights; without --weights your own and the shipped are used"
         )
-    if not SITE.fullmatch(site):
+    if not SITE_NAME.fullmatch(site):
         return None
     for folder in _folders(override):
         if weights_path(folder, tracker, site).is_file():
@@ -64,7 +63,7 @@ def weights_in(folder: Path, tracker: str, site: str) -> LearnedWeights:
 
 def weights_path(folder: Path, tracker: str, site: str) -> Path:
     """`<folder>/<tracker>/<site>.toml`. Raises WeightsError for a site whose name is not one of a file."""
-    if not SITE.fullmatch(site):
+    if not SITE_NAME.fullmatch(site):
         raise WeightsError(
             f"site '{site}' cannot name a weights file: letters, digits and . _ - only; set it when the recording is"
             " imported (`gridtrack recording import --site NAME`)"
@@ -72,15 +71,13 @@ def weights_path(folder: Path, tracker: str, site: str) -> Path:
     return folder / tracker / f"{site}.toml"
 
 
-def users_folder() -> Path:
-    """The user's own weights, where the platform keeps such data: `$XDG_DATA_HOME/gridtrack/weights` on Linux."""
-    home = os.environ.get("XDG_DATA_HOME", "")
-    base = Path(home) if Path(home).is_absolute() else Path.home() / ".local" / "share"
-    return base / "gridtrack" / "weights"
+def user_weights_folder() -> Path:
+    """The user's own weights: `$XDG_DATA_HOME/gridtrack/weights` on Linux."""
+    return user_data_folder() / "weights"
 
 
 def _folders(override: Path | None) -> Iterator[Path]:
     if override is not None:
         yield override
-    yield users_folder()
+    yield user_weights_folder()
     yield Path(str(resources.files("gridtrack.data") / "weights"))

@@ -20,7 +20,7 @@ from gridtrack.common.raycast import cast_scan
 from gridtrack.evaluation.comparison.trial import OnFrame
 from gridtrack.evaluation.scoring.record import RECORD, ThresholdsUsed, Times, TrialRecord
 from gridtrack.evaluation.scoring.referee import Delivery, scored_forecasts
-from gridtrack.evaluation.scoring.scorekeeper import FILES, Scorekeeper
+from gridtrack.evaluation.scoring.scorekeeper import SCORE_FILES, Scorekeeper
 from gridtrack.evaluation.scoring.splits import ORACLE, EvaluationSplit, SplitRegions
 from gridtrack.evaluation.scoring.thresholds import half
 from gridtrack.recordings.stream import GridStream, Observation
@@ -82,7 +82,7 @@ def run_oracle(split: EvaluationSplit, regions: SplitRegions, folder: Path, on_f
     Raises what `on_frame` raises, RecordingError and OSError; nothing is recorded then.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    for left_by_an_earlier_attempt in (RECORD, *FILES):
+    for left_by_an_earlier_attempt in (RECORD, *SCORE_FILES):
         (folder / left_by_an_earlier_attempt).unlink(missing_ok=True)
     began = time.perf_counter()
     thresholds, delivery = half(split.steps, split.strata), Delivery(split.test, on_frame)

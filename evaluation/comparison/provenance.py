@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import platform
 from importlib import metadata
 from pathlib import Path
@@ -41,12 +40,6 @@ def machine() -> dict[str, Any]:
 def usable_cores() -> int:
     """Cores that this process may use."""
     return len(psutil.Process().cpu_affinity() or ()) or psutil.cpu_count() or 1
-
-
-def sha256_of(path: Path) -> str:
-    """Hash of a file, read in pieces."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def _cpu_model() -> str:

@@ -18,7 +18,7 @@ from gridtrack.trackers.contract import Forecast, stream_of
 
 STRENGTHS = (0.25, 0.5, 1.0)
 """Shares of what was asked for; 0, the trial's own score, stands before them."""
-LOG = "robustness.log"
+ROBUSTNESS_LOG = "robustness.log"
 
 
 class RobustnessRun:
@@ -27,7 +27,9 @@ class RobustnessRun:
     def __init__(self, trial: Trial, degradation: Degradation, folder: Path) -> None:
         self._trial, self._degradation = trial, degradation
         stream = stream_of(trial.test, trial.weights.path if trial.weights else None)
-        self._process = TrackerProcess(trial.launch, stream, trial.selection.options, trial.limits, folder / LOG)
+        self._process = TrackerProcess(
+            trial.launch, stream, trial.selection.options, trial.limits, folder / ROBUSTNESS_LOG
+        )
 
     def run(self, regions: SplitRegions, thresholds: ThresholdsUsed, on_frame: Callable[[], None]) -> Robustness:
         """Run it; `on_frame` is called before each frame and may raise to end it. Raises TrialEnded."""

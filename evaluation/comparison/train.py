@@ -9,7 +9,7 @@ from pathlib import Path
 from gridtrack.common.config import validated
 from gridtrack.common.errors import ConfigurationError, PluginError
 from gridtrack.common.grid import GridSpec
-from gridtrack.evaluation.comparison.learned import users_folder, weights_path
+from gridtrack.evaluation.comparison.learned import user_weights_folder, weights_path
 from gridtrack.evaluation.comparison.recipe import Recipe
 from gridtrack.evaluation.scoring.in_process import score_in_process
 from gridtrack.evaluation.scoring.splits import TRAIN, VALIDATION, own_validation, shares_frames
@@ -36,7 +36,7 @@ def train(recipe: Recipe, report: Callable[[str], None] = print) -> Path:
     validate_on = [_stretch(text, VALIDATION, grid, recipe.rate_hz) for text in recipe.validation]
     validate_on = validate_on or _own_validation(train_on)
     _refuse_shared(train_on, validate_on)
-    path = weights_path(recipe.out or users_folder(), name, train_on[0].site)
+    path = weights_path(recipe.out or user_weights_folder(), name, train_on[0].site)
     _make_folder(path.parent)
     output = FitOutput(path, recipe.command, recipe.seed, path.with_suffix(".logs"), report)
     tracker.fit(train_on, validate_on, score_in_process, output, settings)

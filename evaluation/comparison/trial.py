@@ -17,14 +17,14 @@ from gridtrack.evaluation.processes.tracker_process import Started, TrackerProce
 from gridtrack.evaluation.scoring.counting import Tally, count_forecast
 from gridtrack.evaluation.scoring.record import RECORD, Ending, ThresholdsUsed, Times, TrialRecord
 from gridtrack.evaluation.scoring.referee import Delivery, scored_forecasts
-from gridtrack.evaluation.scoring.scorekeeper import FILES, Scorekeeper
+from gridtrack.evaluation.scoring.scorekeeper import SCORE_FILES, Scorekeeper
 from gridtrack.evaluation.scoring.scores import HISTOGRAM, SCORES
 from gridtrack.evaluation.scoring.splits import SplitRegions
 from gridtrack.evaluation.scoring.thresholds import Thresholds, best_thresholds, half
 from gridtrack.trackers.contract import stream_of
 
 STDERR = "stderr.log"
-INTERRUPTED = "the run was interrupted; continue it with --resume"
+INTERRUPTED_REASON = "the run was interrupted; continue it with --resume"
 OnFrame = Callable[[], None]
 """Called before each frame is delivered; it raises Interrupted to stop the trial."""
 
@@ -44,7 +44,7 @@ class TrialRun:
         `shared` holds the thresholds that trials before this one have chosen in the same run.
         """
         folder.mkdir(parents=True, exist_ok=True)
-        for left_by_an_earlier_attempt in (RECORD, *FILES):
+        for left_by_an_earlier_attempt in (RECORD, *SCORE_FILES):
             (folder / left_by_an_earlier_attempt).unlink(missing_ok=True)
         self.trial, self._regions, self._folder, self._on_frame = trial, regions, folder, on_frame
         self._shared = shared
@@ -67,7 +67,7 @@ class TrialRun:
         """Run to the end, whatever that is, and write the record."""
         ending, reason = self._run()
         if self._interrupted and ending != "ok":
-            ending, reason = "interrupted", INTERRUPTED
+            ending, reason = "interrupted", INTERRUPTED_REASON
         record = self._record(ending, reason)
         record.write(self._folder)
         return record
@@ -85,7 +85,7 @@ class TrialRun:
         except TrialEnded as ended:
             return ended.outcome, self.trial.how_to_train if ended.outcome == "untrained" else ended.reason
         except Interrupted:
-            return "interrupted", INTERRUPTED
+            return "interrupted", INTERRUPTED_REASON
         except RecordingError as error:
             return "not-applicable", str(error)
         except Exception as error:  # noqa: BLE001 a full disk, a mistake in the scoring: the other trials go on
@@ -180,7 +180,7 @@ def unstarted(trial: Trial) -> TrialRecord:
         label=trial.label,
         recording=trial.split.name,
         outcome="interrupted",
-        reason=INTERRUPTED,
+        reason=INTERRUPTED_REASON,
         frames_expected=trial.split.schedule.expected,
         steps=trial.split.steps,
         weights_sha256=trial.weights.sha256 if trial.weights else "",

@@ -20,9 +20,9 @@ from gridtrack.evaluation.processes.tracker_process import TrackerProcess
 from gridtrack.trackers.contract import Forecast, StreamSpec
 from gridtrack.trackers.selection import Launch
 
-FRAMES, TURN, STEPS = 16, 10, 5
-SEED = 7
-TOLERANCE = 1e-5
+STREAM_FRAMES, TURN_FRAME, FORECAST_STEPS = 16, 10, 5
+RESET_SEED = 7
+FORECAST_TOLERANCE = 1e-5
 """Forecasts as equal as this are the same: sums may be rounded in another order."""
 
 CheckVerdict = Literal["passed", "failed", "skipped"]
@@ -100,19 +100,19 @@ class _Subject:
         return TrackerProcess(self._launch, stream, self._options, self._limits, self._log)
 
     def scene(self, seed: int = 1, turn_seed: int | None = None) -> list[GridFrame]:
-        """A scene on the stream's grid; with a `turn_seed`, the motion changes at frame `TURN`."""
-        turn = None if turn_seed is None else (TURN, turn_seed)
-        return scene(self.stream.grid, self.stream.period_s, FRAMES, seed, turn)
+        """A scene on the stream's grid; with a `turn_seed`, the motion changes at frame `TURN_FRAME`."""
+        turn = None if turn_seed is None else (TURN_FRAME, turn_seed)
+        return scene(self.stream.grid, self.stream.period_s, STREAM_FRAMES, seed, turn)
 
-    def forecasts(self, frames: Sequence[GridFrame], at: Iterable[int] = range(4, FRAMES + 1, 4)) -> Forecasts:
+    def forecasts(self, frames: Sequence[GridFrame], at: Iterable[int] = range(4, STREAM_FRAMES + 1, 4)) -> Forecasts:
         """Reset, show `frames`, and forecast after the 1-based frames `at`, as often as each is named there."""
         tracker = self.process()
-        tracker.reset(SEED)
+        tracker.reset(RESET_SEED)
         wanted = list(at)
         made = []
         for count, frame in enumerate(frames, start=1):
             tracker.update(frame)
-            made += [(count, tracker.predict(STEPS)) for _ in range(wanted.count(count))]
+            made += [(count, tracker.predict(FORECAST_STEPS)) for _ in range(wanted.count(count))]
         return made
 
 
@@ -141,17 +141,17 @@ def gives_valid_forecasts(subject: _Subject) -> str:
     """Forecasts have the right shape, type and range."""
     subject.forecasts(subject.scene(), at=[])
     tracker = subject.process()
-    for steps in (0, 1, 4 * STEPS):
+    for steps in (0, 1, 4 * FORECAST_STEPS):
         forecast = tracker.predict(steps)
         if tracker.started.classes and forecast.semantics is None:
             raise BrokenPromiseError(f"it names the classes {', '.join(tracker.started.classes)}, and gives none")
-    return f"0, 1 and {4 * STEPS} steps ahead"
+    return f"0, 1 and {4 * FORECAST_STEPS} steps ahead"
 
 
 def bears_empty_input(subject: _Subject) -> str:
     """Works on empty input from the first frame."""
-    subject.forecasts(empty_stream(subject.stream.grid, subject.stream.period_s, FRAMES), at=[1, FRAMES])
-    return f"{FRAMES} frames in which nothing is visible"
+    subject.forecasts(empty_stream(subject.stream.grid, subject.stream.period_s, STREAM_FRAMES), at=[1, STREAM_FRAMES])
+    return f"{STREAM_FRAMES} frames in which nothing is visible"
 
 
 def is_deterministic(subject: _Subject) -> str:
@@ -167,21 +167,21 @@ def is_deterministic(subject: _Subject) -> str:
 def predict_leaves_the_state_alone(subject: _Subject) -> str:
     """Predict leaves the state alone."""
     frames = subject.scene()
-    often = subject.forecasts(frames, at=[count for count in range(1, FRAMES + 1) for _ in range(2)])
+    often = subject.forecasts(frames, at=[count for count in range(1, STREAM_FRAMES + 1) for _ in range(2)])
     for (count, one), (again, other) in pairwise(often):
         if count == again:
             _same([(count, one)], [(count, other)], "predicted twice in a row")
-    _same(subject.forecasts(frames, at=[FRAMES]), often[-1:], "with and without predictions in between")
+    _same(subject.forecasts(frames, at=[STREAM_FRAMES]), often[-1:], "with and without predictions in between")
     return "predicted twice after every frame, or only once at the end"
 
 
 def is_causal(subject: _Subject) -> str:
     """Future frames change nothing before them."""
-    moments = range(2, TURN + 1, 2)
+    moments = range(2, TURN_FRAME + 1, 2)
     first = subject.forecasts(subject.scene(turn_seed=2), at=moments)
     second = subject.forecasts(subject.scene(turn_seed=3), at=moments)
-    _same(first, second, f"two streams that part only after frame {TURN}")
-    return f"two streams that part after frame {TURN} are forecast the same up to there"
+    _same(first, second, f"two streams that part only after frame {TURN_FRAME}")
+    return f"two streams that part after frame {TURN_FRAME} are forecast the same up to there"
 
 
 def reset_forgets(subject: _Subject) -> str:
@@ -189,7 +189,7 @@ def reset_forgets(subject: _Subject) -> str:
     subject.renew()
     frames = subject.scene()
     fresh = subject.forecasts(frames)
-    subject.forecasts(subject.scene(seed=4), at=[FRAMES])
+    subject.forecasts(subject.scene(seed=4), at=[STREAM_FRAMES])
     _same(fresh, subject.forecasts(frames), "in a fresh process, and after another stream and a reset")
     return "the same forecasts as in a fresh process"
 
@@ -223,10 +223,10 @@ def _elsewhere(subject: _Subject, stream: StreamSpec, what: str) -> str:
     process = subject.elsewhere(stream)
     try:
         with process:
-            process.reset(SEED)
-            for frame in scene(stream.grid, stream.period_s, FRAMES, seed=1):
+            process.reset(RESET_SEED)
+            for frame in scene(stream.grid, stream.period_s, STREAM_FRAMES, seed=1):
                 process.update(frame)
-            process.predict(STEPS)
+            process.predict(FORECAST_STEPS)
     except TrialEnded as ended:
         if ended.outcome in {"not-applicable", "untrained"}:
             return f"{what}: it says that it cannot ({ended.reason})"
@@ -238,7 +238,7 @@ def _same(one: Forecasts, other: Forecasts, what: str) -> None:
     """Raises BrokenPromiseError where two series of forecasts differ."""
     for (count, a), (_, b) in zip(one, other, strict=True):
         difference = _difference(a, b)
-        if difference > TOLERANCE:
+        if difference > FORECAST_TOLERANCE:
             raise BrokenPromiseError(f"{what}: after frame {count} the forecasts differ by up to {difference:.3g}")
 
 

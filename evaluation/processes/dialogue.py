@@ -11,11 +11,11 @@ from typing import Any, NoReturn
 
 from gridtrack.common.errors import one_line
 from gridtrack.evaluation.processes.outcome import OUTCOMES, TrialEnded
-from gridtrack.evaluation.processes.supervised import Supervised
+from gridtrack.evaluation.processes.supervised import SupervisedProgram
 from gridtrack.trackers.messages import Arrays
 from gridtrack.trackers.wire import Message, WireError, encode, receive
 
-LAST_WORDS_S = 1.0
+EXIT_WAIT_S = 1.0
 LOG_END_BYTES = 4096
 MAX_REASON = 600
 
@@ -36,7 +36,7 @@ class Request:
 class Dialogue:
     """The wire to one process, whose stderr goes to `log`."""
 
-    def __init__(self, process: Supervised, log: Path, memory_mb: int) -> None:
+    def __init__(self, process: SupervisedProgram, log: Path, memory_mb: int) -> None:
         self.process = process
         self.log = log
         self.memory_mb = memory_mb
@@ -92,7 +92,7 @@ class Dialogue:
 
     def _silent(self) -> NoReturn:
         """The wire is closed at the other end: find out why."""
-        lives = not self.process.ended(LAST_WORDS_S)
+        lives = not self.process.ended(EXIT_WAIT_S)
         by_referee = self.process.killed
         ending = self.process.close(orderly=False)
         if ending.over_memory:

@@ -9,21 +9,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 LOWEST_MS, HIGHEST_MS, GROWTH = 1e-3, 1e6, 1.02
-BINS = math.ceil(math.log(HIGHEST_MS / LOWEST_MS) / math.log(GROWTH)) + 1
+LATENCY_BINS = math.ceil(math.log(HIGHEST_MS / LOWEST_MS) / math.log(GROWTH)) + 1
 
 
 @dataclass(slots=True)
 class Latencies:
     """How long calls took: counts in bins of milliseconds, each 2 % wider than the last, from 1 microsecond up."""
 
-    counts: NDArray[np.int64] = field(default_factory=lambda: np.zeros(BINS, np.int64))
+    counts: NDArray[np.int64] = field(default_factory=lambda: np.zeros(LATENCY_BINS, np.int64))
     total_ms: float = 0.0
     max_ms: float = 0.0
 
     def add(self, ms: float) -> None:
         """Count one call."""
         place = math.log(max(ms, LOWEST_MS) / LOWEST_MS) / math.log(GROWTH)
-        self.counts[min(int(place), BINS - 1)] += 1
+        self.counts[min(int(place), LATENCY_BINS - 1)] += 1
         self.total_ms += ms
         self.max_ms = max(self.max_ms, ms)
 

@@ -43,7 +43,7 @@ class ProcessExit:
         return f"exited with code {os.WEXITSTATUS(self.status)}"
 
 
-class Supervised:
+class SupervisedProgram:
     """A program started as a child of a supervisor process, in a session of its own.
 
     Whatever happens to this process, the supervisor ends the program and all that it started. `read` and `write` are

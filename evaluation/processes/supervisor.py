@@ -39,7 +39,7 @@ def main() -> None:
     os.set_blocking(notify, False)
     signal.set_wakeup_fd(notify, warn_on_full_buffer=False)
     signal.signal(signal.SIGCHLD, lambda *_: None)
-    tracker = Tracker(sys.argv[3:], memory_kb=int(sys.argv[2]) * 1024)
+    tracker = ChildProcess(sys.argv[3:], memory_kb=int(sys.argv[2]) * 1024)
     tracker.watch(control.fileno(), wake)
     tracker.end()
     # the referee may be gone: then nobody needs the line
@@ -50,7 +50,7 @@ def main() -> None:
             return
 
 
-class Tracker:
+class ChildProcess:
     """The tracker's process: its exit status, peak memory and log."""
 
     def __init__(self, command: list[str], memory_kb: int) -> None:
@@ -61,7 +61,7 @@ class Tracker:
         self.start_error = ""
         self.stderr, stderr = os.pipe()
         os.set_blocking(self.stderr, False)
-        self.log = Log(2)
+        self.log = BoundedLog(2)
         failure, fail = os.pipe()  # closes by itself when the program has been started
         self.pid = os.fork()
         if self.pid == 0:
@@ -135,7 +135,7 @@ class Tracker:
         }
 
 
-class Log:
+class BoundedLog:
     """A log of bounded size: its first and its last MiB; what fell out between is counted."""
 
     def __init__(self, fd: int) -> None:

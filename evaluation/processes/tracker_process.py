@@ -17,7 +17,7 @@ from gridtrack.evaluation.processes.dialogue import Dialogue, Request
 from gridtrack.evaluation.processes.latency import Latencies
 from gridtrack.evaluation.processes.limits import Limits
 from gridtrack.evaluation.processes.outcome import TrialEnded
-from gridtrack.evaluation.processes.supervised import Supervised
+from gridtrack.evaluation.processes.supervised import SupervisedProgram
 from gridtrack.trackers import messages
 from gridtrack.trackers.contract import API, Comparison, Forecast, Role, StreamSpec
 from gridtrack.trackers.selection import Launch
@@ -208,7 +208,7 @@ def describe(launch: Launch, options: Mapping[str, Any], limits: Limits) -> Star
 
 def _dialogue(launch: Launch, limits: Limits, log: Path) -> Dialogue:
     env = dict(os.environ) | dict.fromkeys(THREAD_VARIABLES, str(limits.threads))
-    return Dialogue(Supervised(launch.argv, log, limits.memory_mb, env, launch.cwd), log, limits.memory_mb)
+    return Dialogue(SupervisedProgram(launch.argv, log, limits.memory_mb, env, launch.cwd), log, limits.memory_mb)
 
 
 def _nanoseconds(answer: Message, name: str) -> int:

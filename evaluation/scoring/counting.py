@@ -16,17 +16,19 @@ from numpy.typing import NDArray
 from gridtrack.evaluation.scoring.strata import REGIONS, STRATA, STRATA_WITH_TRUTH, SUMS_OF_REGIONS, RegionMaps
 from gridtrack.evaluation.scoring.target import NOT_SCORED, SEEN_OCCUPIED, Target
 
-BINS = 50
-HALF = BINS // 2
+PROBABILITY_BINS = 50
+HALF = PROBABILITY_BINS // 2
 _SLOTS = 4096
-EDGES = (np.round(_SLOTS * np.sin(0.5 * np.pi * np.arange(BINS + 1) / BINS) ** 2) / _SLOTS).astype(np.float32)
+EDGES = (
+    np.round(_SLOTS * np.sin(0.5 * np.pi * np.arange(PROBABILITY_BINS + 1) / PROBABILITY_BINS) ** 2) / _SLOTS
+).astype(np.float32)
 """Bin b holds `EDGES[b] <= p < EDGES[b + 1]`, the last one p = 1 too; a threshold is a bin's lower edge.
 
 Edges lie at sin^2: bins are a thousandth wide next to 0 and 1, and 0.03 in the middle, where one edge is 0.5. A
 forecast of a distant step is spread thin, and in bins of equal width nearly all of it would fall into the first. They
 are whole 4096ths, so that a table of as many slots tells the bin of any probability.
 """
-_BIN_OF_SLOT = (np.searchsorted(EDGES, np.arange(_SLOTS + 1) / _SLOTS, side="right") - 1).clip(0, BINS - 1)
+_BIN_OF_SLOT = (np.searchsorted(EDGES, np.arange(_SLOTS + 1) / _SLOTS, side="right") - 1).clip(0, PROBABILITY_BINS - 1)
 CLIP = 1e-3
 """Probabilities are clipped to [CLIP, 1 - CLIP] for the log loss."""
 
@@ -50,7 +52,7 @@ class Tally:
     @classmethod
     def empty(cls, steps: int, strata: tuple[str, ...] = STRATA) -> Tally:
         """Nothing counted yet, for steps 0..steps."""
-        bins, plain = (steps + 1, len(strata), BINS), (steps + 1, len(strata))
+        bins, plain = (steps + 1, len(strata), PROBABILITY_BINS), (steps + 1, len(strata))
         cells, positives, p_sum = np.zeros(bins, np.int64), np.zeros(bins, np.int64), np.zeros(bins)
         return cls(cells, positives, p_sum, np.zeros(plain), np.zeros(plain), strata)
 
@@ -76,7 +78,7 @@ class Tally:
 
     def confusion(self, threshold_bins: NDArray[np.int64]) -> NDArray[np.int64]:
         """TP, FP, FN, TN (S, K, 4) when cells of bin `threshold_bins` (S, K) and above are called occupied."""
-        called = np.arange(BINS) >= threshold_bins[..., None]
+        called = np.arange(PROBABILITY_BINS) >= threshold_bins[..., None]
         true_positive = (self.positives * called).sum(axis=-1)
         called_cells = (self.cells * called).sum(axis=-1)
         positives, cells = self.positives.sum(axis=-1), self.cells.sum(axis=-1)
@@ -99,8 +101,8 @@ def count_forecast(
     """
     steps, seen = len(targets) - 1, region_maps.visible.reshape(-1)
     hidden = (region_maps.hidden if ages is None else region_maps.hidden + ages).reshape(-1)
-    cells, positives = np.zeros((2, steps + 1, REGIONS, BINS), np.int64)
-    p_sum = np.zeros((steps + 1, REGIONS, BINS))
+    cells, positives = np.zeros((2, steps + 1, REGIONS, PROBABILITY_BINS), np.int64)
+    p_sum = np.zeros((steps + 1, REGIONS, PROBABILITY_BINS))
     squared_error, log_loss = np.zeros((2, steps + 1, REGIONS))
     for n, target in enumerate(targets):
         p, state = occupancy[n].reshape(-1), target.state.reshape(-1)

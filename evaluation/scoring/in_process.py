@@ -10,7 +10,7 @@ from gridtrack.evaluation.scoring.strata import STRATA, cell_kinds_of, region_ma
 from gridtrack.evaluation.scoring.thresholds import best_thresholds
 from gridtrack.trackers.contract import FrameSource, StretchScore, Tracker
 
-EVERY = 5
+FIT_FORECAST_EVERY = 5
 """Forecast after every fifth frame: near enough to the whole for choosing, at a fifth of its cost."""
 
 
@@ -20,7 +20,7 @@ def score_in_process(tracker: Tracker, source: FrameSource, steps: int) -> Stret
     Each step's threshold is the best one on this very stretch, and the strata come from it too: a score to choose
     parameters by, and not one to report. Raises RecordingError where the stretch is too short to score anything.
     """
-    schedule = Schedule(len(source), steps, EVERY)
+    schedule = Schedule(len(source), steps, FIT_FORECAST_EVERY)
     if not schedule.expected:
         raise RecordingError(f"{source.name}: {len(source)} frames are too few to score forecasts of {steps} steps")
     first = next(iter(source))

@@ -17,7 +17,7 @@ from gridtrack.evaluation.scoring.splits import EvaluationSplit
 from gridtrack.evaluation.scoring.strata import RegionMaps
 from gridtrack.evaluation.scoring.thresholds import Thresholds
 
-FILES = (SCORES, HISTOGRAM, CLASSES, SEMANTICS, SAMPLES)
+SCORE_FILES = (SCORES, HISTOGRAM, CLASSES, SEMANTICS, SAMPLES)
 """What a trial's scores are kept in; classes only where the recording has any, semantics where the tracker gives it."""
 
 

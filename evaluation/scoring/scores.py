@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from pyarrow import ArrowException, parquet
 
 from gridtrack.common.errors import GridtrackError
-from gridtrack.evaluation.scoring.counting import BINS, Tally
+from gridtrack.evaluation.scoring.counting import PROBABILITY_BINS, Tally
 from gridtrack.evaluation.scoring.strata import STRATA, STRATA_WITH_TRUTH
 from gridtrack.evaluation.scoring.thresholds import Thresholds, half
 
@@ -36,7 +36,7 @@ _SCORES_SCHEMA = pa.schema(
     + [(name, pa.int32()) for name in CONFUSION + CONFUSION_AT_HALF]
     + [("squared_error", pa.float64()), ("log_loss", pa.float64())]
 )
-_BINS_OF_COUNTS, _BINS_OF_SUMS = pa.list_(pa.int32(), BINS), pa.list_(pa.float64(), BINS)
+_BINS_OF_COUNTS, _BINS_OF_SUMS = pa.list_(pa.int32(), PROBABILITY_BINS), pa.list_(pa.float64(), PROBABILITY_BINS)
 _HISTOGRAM_SCHEMA = pa.schema(
     [
         ("second", pa.int64()),
@@ -112,7 +112,7 @@ class ScoreWriter:
             ("positives", self._in_second.positives, pa.int32()),
             ("p_sum", self._in_second.p_sum, pa.float64()),
         ):
-            rows[name] = pa.FixedSizeListArray.from_arrays(pa.array(values.ravel(), kind), BINS)
+            rows[name] = pa.FixedSizeListArray.from_arrays(pa.array(values.ravel(), kind), PROBABILITY_BINS)
         self._histogram.append(rows)
         self._in_second = Tally.empty(self._steps, self._strata)
         self._second = None

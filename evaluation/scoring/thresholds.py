@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gridtrack.evaluation.scoring.counting import BINS, EDGES, HALF, Tally
+from gridtrack.evaluation.scoring.counting import EDGES, HALF, PROBABILITY_BINS, Tally
 from gridtrack.evaluation.scoring.metrics import f1_score
 from gridtrack.evaluation.scoring.strata import STRATA, THRESHOLD_OF
 
@@ -44,7 +44,7 @@ def best_thresholds(tally: Tally, chosen_on: str) -> Thresholds:
     everything lies above any honest probability of a person's next place, and calls nothing there occupied. Bands of
     range and of age share the threshold of the whole that they are parts of.
     """
-    candidates = np.array(sorted(range(1, BINS), key=lambda b: abs(b - HALF)))
+    candidates = np.array(sorted(range(1, PROBABILITY_BINS), key=lambda b: abs(b - HALF)))
     f1 = np.stack([f1_score(tally.confusion(np.full(tally.squared_error.shape, b))) for b in candidates])
     best = candidates[np.nan_to_num(f1).argmax(axis=0)]
     whole = [tally.strata.index(THRESHOLD_OF[name]) for name in tally.strata]

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gridtrack.evaluation.scoring.counting import BINS, Tally
+from gridtrack.evaluation.scoring.counting import PROBABILITY_BINS, Tally
 from gridtrack.reports.classes import class_tables
 from gridtrack.reports.page import render_report
 from gridtrack.reports.run import ReportError, read_runs
@@ -100,8 +100,8 @@ def test_a_run_without_truth_has_no_such_section(run_folder):
 
 
 def test_a_calibrated_forecast_lies_on_the_diagonal(run_folder, monkeypatch):
-    cells = np.full((STEPS + 1, 1, BINS), 1000)
-    p = np.linspace(0.01, 0.99, BINS)
+    cells = np.full((STEPS + 1, 1, PROBABILITY_BINS), 1000)
+    p = np.linspace(0.01, 0.99, PROBABILITY_BINS)
     tally = Tally(cells, (cells * p).astype(int), cells * p, *np.zeros((2, STEPS + 1, 1)), ("moving",))
     monkeypatch.setattr("gridtrack.reports.truth.read_tally", lambda *_: tally)
     drawn, notices = reliability_diagrams(read_runs([run_folder]), table_of(run_folder))

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gridtrack.evaluation.scoring.counting import BINS, Tally
+from gridtrack.evaluation.scoring.counting import PROBABILITY_BINS, Tally
 from gridtrack.evaluation.scoring.record import ThresholdsUsed, TrialRecord
 from gridtrack.evaluation.scoring.scores import ScoreWriter
 from gridtrack.evaluation.scoring.strata import STRATA
@@ -28,7 +28,7 @@ def tally(rng: np.random.Generator, skill: float, strata: tuple[str, ...] = STRA
     shape = counted.squared_error.shape
     occupied = rng.poisson(30.0, shape)
     found, false = rng.binomial(occupied, skill), rng.poisson(8.0, shape)
-    top, bottom = BINS - 5, 5
+    top, bottom = PROBABILITY_BINS - 5, 5
     counted.positives[..., top], counted.positives[..., bottom] = found, occupied - found
     counted.cells[..., top], counted.cells[..., bottom] = found + false, occupied - found + 2000
     counted.p_sum += 0.5 * counted.cells

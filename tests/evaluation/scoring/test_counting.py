@@ -7,7 +7,7 @@ from sklearn.metrics import average_precision_score, brier_score_loss, f1_score,
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec
 from gridtrack.evaluation.scoring import metrics
-from gridtrack.evaluation.scoring.counting import BINS, EDGES, Tally, count_forecast
+from gridtrack.evaluation.scoring.counting import EDGES, PROBABILITY_BINS, Tally, count_forecast
 from gridtrack.evaluation.scoring.strata import CELL_KINDS, STRATA, STRATA_WITH_TRUTH, region_maps_of
 from gridtrack.evaluation.scoring.target import NOT_SCORED, Target
 from gridtrack.evaluation.scoring.thresholds import half
@@ -110,7 +110,7 @@ def test_every_score_of_every_stratum_agrees_with_scikit_learn(seed):
         assert tuple(members) == tally.strata
         for k, scored in enumerate(members.values()):
             truth, p = state[scored] % 2 == 1, occupancy[step][scored]
-            binned = (np.digitize(p, EDGES) - 1).clip(0, BINS - 1)
+            binned = (np.digitize(p, EDGES) - 1).clip(0, PROBABILITY_BINS - 1)
             called = binned >= bins[step, k]
             assert metrics.f1_score(confusion)[step, k] == pytest.approx(f1_score(truth, called))
             assert metrics.precision(confusion)[step, k] == pytest.approx(
@@ -144,7 +144,7 @@ def test_the_parts_of_the_brier_score_agree_with_their_definitions_and_add_up():
     parts = metrics.brier_parts(tally)
     for step, came in enumerate(frames):
         truth, p = came.occupied[came.visible].astype(float), occupancy[step][came.visible].astype(float)
-        binned = (np.digitize(occupancy[step][came.visible], EDGES) - 1).clip(0, BINS - 1)
+        binned = (np.digitize(occupancy[step][came.visible], EDGES) - 1).clip(0, PROBABILITY_BINS - 1)
         bins = [(p[binned == b], truth[binned == b]) for b in np.unique(binned)]
         reliability = sum(q.size * (q.mean() - t.mean()) ** 2 for q, t in bins) / p.size
         murphys_resolution = sum(q.size * (t.mean() - truth.mean()) ** 2 for q, t in bins) / p.size
@@ -166,7 +166,7 @@ def test_f1_and_average_precision_agree_with_torchmetrics(seed):
     tally = count(occupancy, frames, cell_kinds)
     seen = frames[0].visible
     truth = torch.from_numpy(frames[0].occupied[seen].astype(np.int64))
-    binned = torch.from_numpy(EDGES[(np.digitize(occupancy[0][seen], EDGES) - 1).clip(0, BINS - 1)])
+    binned = torch.from_numpy(EDGES[(np.digitize(occupancy[0][seen], EDGES) - 1).clip(0, PROBABILITY_BINS - 1)])
     assert metrics.f1_score(tally.confusion(half(0).bins))[0, VISIBLE] == pytest.approx(
         float(binary_f1_score((binned >= 0.5).long(), truth))
     )
@@ -185,10 +185,10 @@ def test_the_log_loss_of_many_certain_mistakes_does_not_underflow():
 def test_a_probability_on_a_bins_edge_belongs_to_the_bin_above():
     edges = np.append(EDGES, np.zeros(64 - len(EDGES), np.float32)).reshape(1, 8, 8)
     tally = count(edges, [frame(np.ones((8, 8)), np.zeros((8, 8)))], np.full((8, 8), MOVES))
-    assert tally.cells[0, VISIBLE].tolist() == [1 + 64 - len(EDGES)] + [1] * (BINS - 2) + [2]
+    assert tally.cells[0, VISIBLE].tolist() == [1 + 64 - len(EDGES)] + [1] * (PROBABILITY_BINS - 2) + [2]
     below = np.nextafter(edges, np.float32(-1)).clip(0, 1)
     tally = count(below, [frame(np.ones((8, 8)), np.zeros((8, 8)))], np.full((8, 8), MOVES))
-    assert tally.cells[0, VISIBLE].tolist() == [2 + 64 - len(EDGES)] + [1] * (BINS - 1)
+    assert tally.cells[0, VISIBLE].tolist() == [2 + 64 - len(EDGES)] + [1] * (PROBABILITY_BINS - 1)
 
 
 def test_scores_of_an_empty_tally_are_undefined():

@@ -5,7 +5,7 @@ import polars as pl
 import pytest
 from pyarrow import parquet
 
-from gridtrack.evaluation.scoring.counting import BINS, HALF, Tally
+from gridtrack.evaluation.scoring.counting import HALF, PROBABILITY_BINS, Tally
 from gridtrack.evaluation.scoring.scores import (
     CONFUSION,
     HISTOGRAM,
@@ -25,7 +25,7 @@ THRESHOLDS = Thresholds(np.array([[HALF, 10, 40], [3, 25, 8], [11, 49, 1]]), "va
 
 def random_tally(seed):
     rng = np.random.default_rng(seed)
-    shape = (STEPS + 1, len(STRATA), BINS)
+    shape = (STEPS + 1, len(STRATA), PROBABILITY_BINS)
     positives = rng.integers(0, 9, shape)
     return Tally(positives + rng.integers(0, 9, shape), positives, rng.random(shape), *rng.random((2, *shape[:2])))
 

@@ -4,7 +4,7 @@ import pytest
 
 from gridtrack.common.errors import ConfigurationError, PluginError, RecordingError, WeightsError
 from gridtrack.common.grid import GridSpec
-from gridtrack.evaluation.comparison.learned import find_weights, users_folder, weights_path
+from gridtrack.evaluation.comparison.learned import find_weights, user_weights_folder, weights_path
 from gridtrack.evaluation.comparison.plan import resolve
 from gridtrack.evaluation.comparison.recipe import Recipe
 from gridtrack.evaluation.comparison.settings import CompareSettings
@@ -143,11 +143,11 @@ def learned(folder, tracker="static-map", site="room"):
 
 def test_weights_are_looked_for_where_told_then_at_the_users_then_in_the_package(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path))
-    assert users_folder() == tmp_path / "gridtrack" / "weights"
+    assert user_weights_folder() == tmp_path / "gridtrack" / "weights"
     assert find_weights("no-such-tracker", "room", None) is None
-    learned(users_folder())
+    learned(user_weights_folder())
     (tmp_path / "told").mkdir()
-    assert find_weights("static-map", "room", tmp_path / "told").card.command == str(users_folder())
+    assert find_weights("static-map", "room", tmp_path / "told").card.command == str(user_weights_folder())
     learned(tmp_path / "told")
     assert find_weights("static-map", "room", tmp_path / "told").card.command == str(tmp_path / "told")
     assert find_weights("static-map", "elsewhere", tmp_path / "told") is None

@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from sklearn.metrics import f1_score
 
-from gridtrack.evaluation.scoring.counting import BINS, Tally
+from gridtrack.evaluation.scoring.counting import PROBABILITY_BINS, Tally
 from gridtrack.evaluation.scoring.strata import STRATA
 from gridtrack.evaluation.scoring.thresholds import best_thresholds, half
 
@@ -22,7 +22,7 @@ def tally_of(positives, negatives):
     return tally
 
 
-counts = arrays(np.int64, BINS, elements=st.integers(0, 3))
+counts = arrays(np.int64, PROBABILITY_BINS, elements=st.integers(0, 3))
 
 
 @settings(max_examples=20, deadline=None)
@@ -30,18 +30,20 @@ counts = arrays(np.int64, BINS, elements=st.integers(0, 3))
 def test_no_threshold_has_a_better_f1_in_its_stratum(positives, negatives):
     chosen = best_thresholds(tally_of(positives, negatives), "validation").bins[0, VISIBLE]
     truth = np.repeat([True, False], [positives.sum(), negatives.sum()])
-    bins = np.concatenate([np.repeat(np.arange(BINS), positives), np.repeat(np.arange(BINS), negatives)])
+    bins = np.concatenate(
+        [np.repeat(np.arange(PROBABILITY_BINS), positives), np.repeat(np.arange(PROBABILITY_BINS), negatives)]
+    )
 
     def f1(threshold):
         return f1_score(truth, bins >= threshold, zero_division=0.0) if truth.any() else 0.0
 
-    assert 1 <= chosen < BINS
-    assert f1(chosen) >= max(f1(b) for b in range(1, BINS)) - 1e-12
+    assert 1 <= chosen < PROBABILITY_BINS
+    assert f1(chosen) >= max(f1(b) for b in range(1, PROBABILITY_BINS)) - 1e-12
 
 
 def test_a_forecast_of_zeros_and_ones_gets_one_half():
-    ones = np.eye(1, BINS, BINS - 1, dtype=np.int64)[0]
-    zeros = np.eye(1, BINS, 0, dtype=np.int64)[0]
+    ones = np.eye(1, PROBABILITY_BINS, PROBABILITY_BINS - 1, dtype=np.int64)[0]
+    zeros = np.eye(1, PROBABILITY_BINS, 0, dtype=np.int64)[0]
     assert best_thresholds(tally_of(5 * ones + zeros, 2 * ones + 9 * zeros), "v").values[0, VISIBLE] == 0.5
 
 
@@ -50,9 +52,9 @@ def test_a_step_at_which_nothing_was_occupied_gets_one_half():
 
 
 def test_a_blurred_forecast_gets_a_low_threshold():
-    blurred = np.zeros(BINS, np.int64)
+    blurred = np.zeros(PROBABILITY_BINS, np.int64)
     blurred[10] = 7
-    free = np.zeros(BINS, np.int64)
+    free = np.zeros(PROBABILITY_BINS, np.int64)
     free[0] = 100
     assert 0.02 <= best_thresholds(tally_of(blurred, free), "v").values[0, VISIBLE] <= 0.2
 
