@@ -21,7 +21,7 @@ from gridtrack.cli.options import (
 from gridtrack.common.errors import printable
 
 if TYPE_CHECKING:
-    from gridtrack.evaluation.comparison.plan import Plan
+    from gridtrack.evaluation.comparison.plan import ComparisonPlan
 
 INCOMPLETE, INTERRUPTED = 3, 130
 
@@ -118,7 +118,7 @@ def compare_command(
         raise typer.Exit(INCOMPLETE)
 
 
-def _tell_missing(plan: Plan) -> bool:
+def _tell_missing(plan: ComparisonPlan) -> bool:
     """Tell of figures that were asked for and that a complete trial lacks; whether there are any."""
     from gridtrack.evaluation.comparison.measurements import missing_measurements
     from gridtrack.evaluation.scoring.record import read_record

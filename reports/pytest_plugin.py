@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 if TYPE_CHECKING:
-    from gridtrack.evaluation.comparison.plan import Plan
+    from gridtrack.evaluation.comparison.plan import ComparisonPlan
     from gridtrack.evaluation.regression import Measurement, Verdict
 
 UPDATE = "--gridtrack-update-baseline"
@@ -73,7 +73,7 @@ class TrackerRegression:
             pytest.fail(f"{text_of(verdict)}\nIf that is wanted: pytest {self._test} {UPDATE}", pytrace=False)
         return verdict
 
-    def _plan(self, tracker: str, recording: str, options: dict[str, Any]) -> Plan:
+    def _plan(self, tracker: str, recording: str, options: dict[str, Any]) -> ComparisonPlan:
         from gridtrack.common.config import validated
         from gridtrack.evaluation.comparison.plan import resolve
         from gridtrack.evaluation.comparison.settings import CompareSettings
@@ -86,7 +86,7 @@ class TrackerRegression:
         }
         return resolve(validated(CompareSettings, given, "tracker_regression"))
 
-    def _verdict(self, plan: Plan, baseline: Path, margin: float, tolerance: float | None) -> Verdict:
+    def _verdict(self, plan: ComparisonPlan, baseline: Path, margin: float, tolerance: float | None) -> Verdict:
         from gridtrack.common.config import validated
         from gridtrack.evaluation.regression import GateSettings, compare_with_baseline, read_baseline
 
@@ -95,7 +95,7 @@ class TrackerRegression:
         against = read_baseline(baseline)
         return compare_with_baseline(against, self._measured(plan, against.first), settings)
 
-    def _measured(self, plan: Plan, like: Measurement | None) -> Measurement:
+    def _measured(self, plan: ComparisonPlan, like: Measurement | None) -> Measurement:
         """Run the plan, and measure what it left."""
         from gridtrack.evaluation.comparison.runner import run
         from gridtrack.evaluation.regression import measure_run

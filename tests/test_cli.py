@@ -52,7 +52,7 @@ def gridtrack(*arguments: str, code: int = 0) -> subprocess.CompletedProcess[str
         (("compare", PACKAGE), f"{PACKAGE}: a folder that holds no ROS 2 bag (no metadata.yaml)"),
         (("compare", f"{PACKAGE}/nope.bag"), "nope.bag: no such recording\n"),
         (("compare", f"{PACKAGE}/data/leg_tracker/demo.bag"), "demo.bag: no such recording; known: leg_tracker.mcap\n"),
-        (("compare", DEMO, "--out", __file__), "test_cli.py: a file, and a run is kept in a folder"),
+        (("compare", DEMO, "--out", __file__), "test_cli.py: is a file; a run needs a folder"),
         (("report", "nowhere"), "nowhere"),
     ],
 )

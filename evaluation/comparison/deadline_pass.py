@@ -1,4 +1,4 @@
-"""The deadline pass: what a tracker's calls take when it is alone on the machine, and what it is worth at that."""
+"""The deadline pass: a tracker timed alone on the machine, and its scores on a simulated clock with these times."""
 
 from __future__ import annotations
 
@@ -15,7 +15,6 @@ from gridtrack.evaluation.scoring.deadline import RATES, Costs, OnTime, Timeline
 from gridtrack.evaluation.scoring.record import AtRate, Curves, Deadline, Quantiles, ThresholdsUsed
 from gridtrack.evaluation.scoring.referee import WARM_UP, Delivery
 from gridtrack.evaluation.scoring.splits import SplitRegions
-from gridtrack.trackers.contract import stream_of
 
 MAX_TIMED_FRAMES, MIN_TIMED_FRAMES, MAX_TIMED_S = 120, 30, 30.0
 """Frames whose update and forecast are timed after the warm-up: at most MAX_TIMED_FRAMES; of a slow tracker at least
@@ -26,9 +25,11 @@ DEADLINE_LOG = "deadline.log"
 
 
 def measure_deadline(trial: Trial, regions: SplitRegions, thresholds: ThresholdsUsed, folder: Path) -> Deadline:
-    """Time the tracker, then score it on the clock at every rate; its log goes to `folder`. Raises TrialEnded."""
-    stream = stream_of(trial.test, trial.weights.path if trial.weights else None)
-    with TrackerProcess(trial.launch, stream, trial.selection.options, trial.limits, folder / DEADLINE_LOG) as process:
+    """Time the tracker, then score it on the simulated clock at every rate of RATES; its log goes to `folder`.
+
+    Raises TrialEnded.
+    """
+    with trial.tracker_process(folder / DEADLINE_LOG) as process:
         costs, reach = _measure(process, trial)
         return Deadline(
             update_ms=_exact_quantiles(np.asarray(costs.update_ms)),
@@ -41,41 +42,41 @@ def measure_deadline(trial: Trial, regions: SplitRegions, thresholds: Thresholds
 
 
 def _measure(process: TrackerProcess, trial: Trial) -> tuple[Costs, int]:
-    """What frames cost by the tracker's own clock, and how many steps ahead its forecasts reach at that."""
+    """The duration of the calls by the tracker's own clock, and how many steps ahead its forecasts must reach."""
     steps, period_ms = trial.split.steps, trial.test.period_s * 1e3
     update_ms: list[float] = []
     predict_ms: list[float] = []
-    tried_ms = 0.0
+    trial_ms = 0.0
     process.reset(trial.seed)
     for index, frame in enumerate(islice(trial.test, WARM_UP + MAX_TIMED_FRAMES)):
         process.update(frame)
         took_ms = process.last_ms
         if index >= WARM_UP:
-            process.predict(steps + spare_steps(tried_ms, period_ms, steps))
+            process.predict(steps + spare_steps(trial_ms, period_ms, steps))
             update_ms.append(took_ms)
             predict_ms.append(process.last_ms)
             if len(update_ms) >= MIN_TIMED_FRAMES and sum(update_ms) + sum(predict_ms) > MAX_TIMED_S * 1e3:
                 break
         elif index >= WARM_UP - TRIAL_FORECASTS:
             process.predict(steps)
-            # the first forecast of all may compile and allocate: it does not count
-            tried_ms = max(tried_ms, took_ms + process.last_ms) if index > WARM_UP - TRIAL_FORECASTS else 0.0
-    return Costs(update_ms, predict_ms), steps + spare_steps(tried_ms, period_ms, steps)
+            # the very first forecast may compile and allocate: it is left out
+            trial_ms = max(trial_ms, took_ms + process.last_ms) if index > WARM_UP - TRIAL_FORECASTS else 0.0
+    return Costs(update_ms, predict_ms), steps + spare_steps(trial_ms, period_ms, steps)
 
 
 def _at_every_rate(
     process: TrackerProcess, trial: Trial, regions: SplitRegions, thresholds: ThresholdsUsed, costs: Costs, reach: int
 ) -> tuple[AtRate, ...]:
-    """Scores at each rate; where two rates give the same timeline, the tracker is streamed only once."""
+    """Scores at each rate; rates with the same timeline share one pass over the stream."""
     schedule, period_ms = trial.split.schedule, trial.test.period_s * 1e3
-    known: dict[bytes, Curves] = {}
+    f1_of: dict[bytes, Curves] = {}
     results = []
     for rate in RATES:
         kept = timeline(schedule.frames, period_ms / rate, costs)
-        same = kept.taken.tobytes() + kept.newest.tobytes()
-        if same not in known:
+        key = kept.taken.tobytes() + kept.newest.tobytes()
+        if key not in f1_of:
             frames = Delivery(trial.test, lambda: None)
-            known[same] = replayed_f1(OnTime(process, kept, schedule, reach), frames, trial, regions, thresholds)
+            f1_of[key] = replayed_f1(OnTime(process, kept, schedule, reach), frames, trial, regions, thresholds)
         results.append(
             AtRate(
                 rate=rate,
@@ -83,14 +84,14 @@ def _at_every_rate(
                 frames=schedule.frames,
                 missed=kept.missed,
                 age_frames=_exact_quantiles(_ages(kept)),
-                f1=known[same],
+                f1=f1_of[key],
             )
         )
     return tuple(results)
 
 
 def _ages(kept: Timeline) -> NDArray[np.int64]:
-    """Of how many frames ago the newest forecast is, at each frame after the warm-up."""
+    """Age (F - WARM_UP,) of the newest delivered forecast at each frame after the warm-up, frames."""
     ages: NDArray[np.int64] = (np.arange(len(kept.newest)) - kept.newest)[WARM_UP:]
     return ages
 

@@ -7,21 +7,18 @@ from pathlib import Path
 
 from gridtrack.evaluation.comparison.plan import Trial
 from gridtrack.evaluation.processes.latency import Latencies
-from gridtrack.evaluation.processes.tracker_process import TrackerProcess
 from gridtrack.evaluation.scoring.record import Latency, Quantiles
 from gridtrack.evaluation.scoring.referee import WARM_UP
-from gridtrack.trackers.contract import stream_of
 
 TIMED_FRAMES = 120
-"""Frames timed after the warm-up: of these every second one is forecast from."""
+"""Frames timed after the warm-up; every second one is forecast from."""
 LATENCY_LOG = "latency.log"
 
 
 def measure_latency(trial: Trial, folder: Path) -> Latency:
     """Time a tracker's updates and forecasts by its own clock; its log goes to `folder`. Raises TrialEnded."""
-    stream = stream_of(trial.test, trial.weights.path if trial.weights else None)
     update, predict = Latencies(), Latencies()
-    with TrackerProcess(trial.launch, stream, trial.selection.options, trial.limits, folder / LATENCY_LOG) as process:
+    with trial.tracker_process(folder / LATENCY_LOG) as process:
         process.reset(trial.seed)
         for index, frame in enumerate(islice(trial.test, WARM_UP + TIMED_FRAMES)):
             process.update(frame)

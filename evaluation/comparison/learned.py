@@ -1,4 +1,4 @@
-"""Where a tracker's learned weights for a site are found, and what they were made from."""
+"""Learned weights: where a tracker's weights for a site are found, and their provenance."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ SITE_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,127}")
 class LearnedWeights:
     """The weights of one tracker for one site: the card's path, its content and its hash.
 
-    The card names the hash of its arrays, so one hash stands for both.
+    The card contains the hash of its arrays, so its own hash identifies both.
     """
 
     path: Path
@@ -28,22 +28,22 @@ class LearnedWeights:
 
     @property
     def name(self) -> str:
-        """`<tracker>/<site>.toml`: without the folders of this machine, for what is handed on."""
+        """`<tracker>/<site>.toml`, without the folders of this machine: the name in results."""
         return "/".join(self.path.parts[-2:])
 
     def provenance(self) -> dict[str, str]:
-        """What run.json keeps of them."""
+        """The entry of these weights in run.json."""
         return {"name": self.name, "sha256": self.sha256}
 
 
 def find_weights(tracker: str, site: str, override: Path | None) -> LearnedWeights | None:
     """The weights of `tracker` for `site`: in `override`, else the user's own, else the shipped ones, else None.
 
-    Raises WeightsError where the file found cannot be read, or there is no folder `override`.
+    Raises WeightsError where the file cannot be read, or where there is no folder `override`.
     """
     if override is not None and not override.is_dir():
         raise WeightsError(
-            f"{override}: no such folder of weights; without --weights your own and the shipped are used"
+            f"{override}: no such folder of weights; omit --weights to use your own and the shipped ones"
         )
     if not SITE_NAME.fullmatch(site):
         return None
@@ -54,7 +54,7 @@ def find_weights(tracker: str, site: str, override: Path | None) -> LearnedWeigh
 
 
 def weights_in(folder: Path, tracker: str, site: str) -> LearnedWeights:
-    """The weights of `tracker` for `site` in `folder` and nowhere else. Raises WeightsError where there are none."""
+    """The weights of `tracker` for `site` in `folder` only. Raises WeightsError where there are none."""
     path = weights_path(folder, tracker, site)
     if not path.is_file():
         raise WeightsError(f"{folder}: no weights of {tracker} for the site '{site}' ({path} is missing)")
@@ -62,7 +62,7 @@ def weights_in(folder: Path, tracker: str, site: str) -> LearnedWeights:
 
 
 def weights_path(folder: Path, tracker: str, site: str) -> Path:
-    """`<folder>/<tracker>/<site>.toml`. Raises WeightsError for a site whose name is not one of a file."""
+    """`<folder>/<tracker>/<site>.toml`. Raises WeightsError for a site whose name cannot name a file."""
     if not SITE_NAME.fullmatch(site):
         raise WeightsError(
             f"site '{site}' cannot name a weights file: letters, digits and . _ - only; set it when the recording is"

@@ -1,4 +1,4 @@
-"""The figures that a run is asked for beside its scores, and which of them a trial has to show."""
+"""Measurements that a run may request beside its scores: latency, deadlines, degraded input."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from gridtrack.recordings.degradation import Degradation
 
 
 class RequestedMeasurements(Protocol):
-    """What `compare` was asked for with `--latency`, `--deadline` and `--degrade`."""
+    """The options `--latency`, `--deadline` and `--degrade` of `compare`."""
 
     @property
     def latency(self) -> bool:
@@ -18,23 +18,23 @@ class RequestedMeasurements(Protocol):
 
     @property
     def deadline(self) -> bool:
-        """Whether to score on a simulated clock."""
+        """Whether to score each tracker on a simulated clock."""
 
     @property
     def degrade(self) -> Degradation | None:
-        """What input to score on beside the undegraded one."""
+        """The degradation of a second, degraded input; None: no such input."""
 
 
-def missing_measurements(asked: RequestedMeasurements, record: TrialRecord) -> Iterator[str]:
-    """A line for each figure that was asked for and is not in the record of a complete trial."""
-    there = {
-        "--latency": not asked.latency or record.latency_ms is not None,
-        "--deadline": not asked.deadline or record.deadline is not None,
-        "--degrade": asked.degrade is None
-        or (record.robustness is not None and record.robustness.degradation == asked.degrade),
+def missing_measurements(requested: RequestedMeasurements, record: TrialRecord) -> Iterator[str]:
+    """A line for each requested measurement that is missing in the record of a complete trial."""
+    present = {
+        "--latency": not requested.latency or record.latency_ms is not None,
+        "--deadline": not requested.deadline or record.deadline is not None,
+        "--degrade": requested.degrade is None
+        or (record.robustness is not None and record.robustness.degradation == requested.degrade),
     }
-    for option in (option for option, measured in there.items() if not measured):
+    for option in (option for option, measured in present.items() if not measured):
         yield (
-            f"{record.label}@{record.recording}: {option} was asked for and failed (why: `notices` in summary.json):"
+            f"{record.label}@{record.recording}: {option} was requested and failed (reason: `notices` in summary.json):"
             " compare again with --resume"
         )

@@ -1,7 +1,7 @@
-"""The oracle: the ceiling of a recording with truth, computed by the referee because no tracker sees the truth.
+"""The oracle: a forecaster that knows the truth. Its score, the ceiling, is what range noise leaves attainable.
 
-It forecasts what a laser free of noise would see of the true scene at t+n, as zeros and ones; where a cell turns out
-hidden, the truth's own outlines. What it misses is what range noise takes from anybody.
+It runs in the referee's process, because no tracker receives the truth. Its forecast for t+n is binary: the grid that
+a laser without noise would measure of the true scene at t+n, and in cells hidden at t+n the true outlines.
 """
 
 from __future__ import annotations
@@ -30,38 +30,38 @@ from gridtrack.trackers.contract import Forecast
 
 
 class Oracle:
-    """Watches as a tracker does, and has read ahead: one horizon of the recording is all that it holds."""
+    """A TrackerLike that reads ahead in the recording; it holds the ideal grids of one horizon."""
 
     def __init__(self, stream: GridStream) -> None:
         self._stream = stream
 
     def reset(self, seed: int) -> None:
-        """A new stream begins; nothing is left to chance."""
+        """Start at the first frame; `seed` is not used."""
         self._ahead: Iterator[Observation] = iter(self._stream.observations())
-        self._known: deque[tuple[int, NDArray[np.float32]]] = deque()
+        self._grids: deque[tuple[int, NDArray[np.float32]]] = deque()
 
     def update(self, frame: GridFrame) -> None:
-        """The next frame has come: what was known of those before it is let go."""
-        while self._known and self._known[0][0] < frame.stamp_ns:
-            self._known.popleft()
-        while not self._known:
+        """Discard the ideal grids of earlier frames."""
+        while self._grids and self._grids[0][0] < frame.stamp_ns:
+            self._grids.popleft()
+        while not self._grids:
             self._read()
-            if self._known[0][0] < frame.stamp_ns:
-                self._known.popleft()
+            if self._grids[0][0] < frame.stamp_ns:
+                self._grids.popleft()
 
     def predict(self, steps: int) -> Forecast:
-        """What will truly be there."""
-        while len(self._known) <= steps:
+        """The ideal grids of steps 0..steps."""
+        while len(self._grids) <= steps:
             self._read()
-        return Forecast(np.stack([grid for _, grid in self._known][: steps + 1]))
+        return Forecast(np.stack([grid for _, grid in self._grids][: steps + 1]))
 
     def _read(self) -> None:
         observation = next(self._ahead)
-        self._known.append((observation.frame.stamp_ns, ideal_grid(observation, self._stream.grid)))
+        self._grids.append((observation.frame.stamp_ns, ideal_grid(observation, self._stream.grid)))
 
 
 def ideal_grid(observation: Observation, grid: GridSpec) -> NDArray[np.float32]:
-    """The true scene (M, M), zeros and ones: where a cell is visible as seen without noise, elsewhere its outlines."""
+    """Binary occupancy (M, M) of the true scene: visible cells as measured without noise, hidden cells by outlines."""
     frame, scene = observation.frame, observation.scene
     if scene is None:
         return np.zeros(grid.shape, np.float32)
@@ -77,13 +77,14 @@ def ideal_grid(observation: Observation, grid: GridSpec) -> NDArray[np.float32]:
 
 
 def run_oracle(split: EvaluationSplit, regions: SplitRegions, folder: Path, on_frame: OnFrame) -> TrialRecord:
-    """Score the oracle on a split as any tracker is, and leave its record; `on_frame` is called before each frame.
+    """Score the oracle on the test stretch of a split like a tracker, and write its record to `folder`.
 
-    Raises what `on_frame` raises, RecordingError and OSError; nothing is recorded then.
+    `on_frame` is called before each frame. Raises what `on_frame` raises, RecordingError and OSError; no record is
+    written then.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    for left_by_an_earlier_attempt in (RECORD, *SCORE_FILES):
-        (folder / left_by_an_earlier_attempt).unlink(missing_ok=True)
+    for stale in (RECORD, *SCORE_FILES):
+        (folder / stale).unlink(missing_ok=True)
     began = time.perf_counter()
     thresholds, delivery = half(split.steps, split.strata), Delivery(split.test, on_frame)
     with Scorekeeper(folder, split, regions.test, thresholds, ()) as scorekeeper:

@@ -1,4 +1,4 @@
-"""What a comparison will run: its settings, resolved to one trial for each tracker on each recording."""
+"""The plan of a comparison: its settings resolved to one trial for each tracker on each recording."""
 
 from __future__ import annotations
 
@@ -15,17 +15,18 @@ from gridtrack.common.grid import GridSpec
 from gridtrack.evaluation.comparison.learned import LearnedWeights, find_weights, weights_in
 from gridtrack.evaluation.comparison.settings import CompareSettings
 from gridtrack.evaluation.processes.limits import Limits
-from gridtrack.evaluation.processes.tracker_process import describe
+from gridtrack.evaluation.processes.tracker_process import TrackerProcess, describe
 from gridtrack.evaluation.scoring.splits import ORACLE, EvaluationSplit, Sampling, plan_splits, was_seen, with_points
 from gridtrack.evaluation.statistics.inference import ALL_RECORDINGS
 from gridtrack.recordings.stream import GridStream
 from gridtrack.trackers import registry
+from gridtrack.trackers.contract import stream_of
 from gridtrack.trackers.selection import Launch, Selection, launch, parse_selections, read_trackers_toml
 
 
 @dataclass(frozen=True, slots=True)
 class Trial:
-    """One tracker on one recording, resolved: all that is needed to run it."""
+    """One tracker on one recording, with everything that is needed to run it."""
 
     selection: Selection
     launch: Launch
@@ -46,18 +47,23 @@ class Trial:
 
     @property
     def test(self) -> GridStream:
-        """The tested stretch, with the returns this tracker asked for."""
+        """The test stretch, with the returns that this tracker requested."""
         return with_points(self.split.test, self.selection.points)
 
     @property
     def validation(self) -> GridStream | None:
-        """The stretch to choose thresholds on, or None."""
+        """The stretch on which thresholds are chosen, with the requested returns, or None."""
         stretch = self.split.validation
         return stretch and with_points(stretch, self.selection.points)
 
+    def tracker_process(self, log: Path) -> TrackerProcess:
+        """The tracker, not started yet, on the test stretch's grid and period; its stderr goes to `log`."""
+        stream = stream_of(self.test, self.weights.path if self.weights else None)
+        return TrackerProcess(self.launch, stream, self.selection.options, self.limits, log)
+
     @property
     def how_to_train(self) -> str:
-        """What to do when the tracker has not learned the recording's site yet, in one line."""
+        """The reason of the outcome `untrained`: how to train the tracker at the recording's site, in one line."""
         command = ["gridtrack", "train", self.selection.name, str(self.split.path), *self._sampling_options()]
         return (
             f"nothing learned for site '{self.split.test.site}' yet; run `{shlex.join(command)}`, then compare again"
@@ -65,14 +71,14 @@ class Trial:
         )
 
     def _sampling_options(self) -> list[str]:
-        """The grid and rate of this comparison as options, where they are not the recording's own."""
+        """The grid and rate of this comparison as command-line options, where they differ from the recording's own."""
         test = self.split.test
         own = GridStream(test.recording)
         grid = [] if test.grid == own.grid else ["--grid", str(test.grid)]
         return grid if test.period_ns == own.period_ns else [*grid, "--rate", f"{1 / test.period_s:g}"]
 
     def identity(self) -> dict[str, Any]:
-        """What decides the trial's scores, and so whether a resumed run may keep them; learned weights apart."""
+        """What the trial's scores depend on, learned weights apart; a resumed run keeps scores of the same identity."""
         return {
             "tracker": self.selection.name,
             "options": dict(self.selection.options),
@@ -84,8 +90,8 @@ class Trial:
 
 
 @dataclass(frozen=True, slots=True)
-class Plan:
-    """Everything that a comparison will run."""
+class ComparisonPlan:
+    """A comparison before it runs: settings, splits, trials, and notices for the user."""
 
     settings: CompareSettings
     splits: tuple[EvaluationSplit, ...]
@@ -93,21 +99,21 @@ class Plan:
     notices: tuple[str, ...]
 
     def identity(self) -> dict[str, Any]:
-        """The resolved configuration: a resumed run must have the same."""
+        """The resolved configuration; a resumed run must have the same."""
         return {
             "recordings": {split.name: split.identity() for split in self.splits},
             "trials": {trial.name: trial.identity() for trial in self.trials},
         }
 
 
-def resolve(settings: CompareSettings) -> Plan:
-    """Look everything up that the settings name, before anything runs.
+def resolve(settings: CompareSettings) -> ComparisonPlan:
+    """Look up everything that `settings` names, before any trial runs.
 
-    Raises a GridtrackError for a recording, stretch, tracker, option or weights file that does not fit.
+    Raises a GridtrackError for a recording, stretch, tracker, option or weights file that cannot be used.
     """
     external = read_trackers_toml(settings.trackers_toml) if settings.trackers_toml else {}
     selections = parse_selections(settings.trackers or _every_tracker(external))
-    _refuse_ceilings_label(selections)
+    _refuse_oracle_label(selections)
     _refuse_unknown_reference(settings.reference, selections)
     launches = {selection.label: launch(selection.name, external) for selection in selections}
     for selection in selections:
@@ -130,28 +136,28 @@ def resolve(settings: CompareSettings) -> Plan:
         for selection in selections
     )
     notices = [notice for split in splits for notice in split.notices]
-    notices += [notice for trial in trials for notice in _seen_before(trial)]
-    return Plan(settings, splits, trials, tuple(notices))
+    notices += [notice for trial in trials for notice in _training_overlaps(trial)]
+    return ComparisonPlan(settings, splits, trials, tuple(notices))
 
 
 def _every_tracker(external: Mapping[str, Launch]) -> tuple[str, ...]:
-    """Names of all that can be selected; `gridtrack trackers list` tells of those that cannot be."""
+    """Names of all trackers that can be selected; `gridtrack trackers list` reports the others."""
     return (*(name for name in registry.entries() if VALID_NAME.fullmatch(name)), *external)
 
 
 def _check_options(selection: Selection, start: Launch, limits: Limits) -> None:
-    """Ask the tracker whether it takes its options; defaults need no check, and starting a process costs time."""
+    """Let the tracker validate its options; defaults need no check, and starting a process costs time."""
     if not selection.options:
         return
-    # one that cannot be loaded ends as `unavailable` in its own trial, and stops no other
+    # a tracker that cannot be loaded ends as `unavailable` in its own trial, and stops no other
     with suppress(PluginError):
         describe(start, selection.options, limits)
 
 
-def _refuse_ceilings_label(selections: Sequence[Selection]) -> None:
+def _refuse_oracle_label(selections: Sequence[Selection]) -> None:
     if any(selection.label.casefold() == ORACLE for selection in selections):
         raise ConfigurationError(
-            f"'{ORACLE}' is the referee's own row, what an ideal tracker could score: give the tracker another label,"
+            f"'{ORACLE}' is the referee's own row, the ceiling of the scores: give the tracker another label,"
             " as in --tracker LABEL=NAME"
         )
 
@@ -159,7 +165,7 @@ def _refuse_ceilings_label(selections: Sequence[Selection]) -> None:
 def _refuse_unknown_reference(reference: str | None, selections: Sequence[Selection]) -> None:
     labels = [selection.label for selection in selections]
     if reference is not None and reference not in labels:
-        raise ConfigurationError(f"--reference {reference}: no row is called that; {did_you_mean(reference, labels)}")
+        raise ConfigurationError(f"--reference {reference}: no such label; {did_you_mean(reference, labels)}")
 
 
 def _refuse_equal_names(splits: tuple[EvaluationSplit, ...]) -> None:
@@ -167,12 +173,12 @@ def _refuse_equal_names(splits: tuple[EvaluationSplit, ...]) -> None:
     for split in splits:
         if split.name == ALL_RECORDINGS:
             raise ConfigurationError(
-                f"{split.path}: '{ALL_RECORDINGS}' is what all of them are called: rename the file"
+                f"{split.path}: '{ALL_RECORDINGS}' is the name of all recordings together: rename the file"
             )
         if split.name in seen:
             raise ConfigurationError(
                 f"{seen[split.name]} and {split.path} would both be called '{split.name}' in the results: name each"
-                " recording and stretch once, and rename one of two files of the same name"
+                " recording and stretch once, and rename one of two files with the same name"
             )
         seen[split.name] = split.path
 
@@ -183,15 +189,15 @@ def _weights_of(selection: Selection, site: str, override: Path | None) -> Learn
     return find_weights(selection.name, site, override)
 
 
-def _seen_before(trial: Trial) -> Iterator[str]:
-    """A notice where the tracker learned from frames that it is tested or its thresholds are chosen on."""
+def _training_overlaps(trial: Trial) -> Iterator[str]:
+    """A notice for each stretch of the trial that shares frames with what the tracker was trained on."""
     if trial.weights is None:
         return
     card = trial.weights.card
     if any(was_seen(trial.split.test, data) for data in (*card.train, *card.validation)):
         yield (
             f"{trial.label} learned from frames of the tested {trial.split.test.name} ({trial.weights.name}): its"
-            " scores there are not those of an unseen recording"
+            " scores there are not scores on unseen data"
         )
     if trial.split.validation and any(was_seen(trial.split.validation, data) for data in card.train):
         yield (

@@ -1,4 +1,4 @@
-"""What a run was made with: versions, the machine, and hashes of files."""
+"""Provenance of a run: versions of distributions, and the machine."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ DISTRIBUTIONS = (
 
 
 def versions() -> dict[str, str]:
-    """Python's version and those of the distributions that are installed."""
+    """Versions of Python and of the installed distributions of DISTRIBUTIONS."""
     found = {"python": platform.python_version()}
     for name in DISTRIBUTIONS:
         try:
@@ -28,7 +28,7 @@ def versions() -> dict[str, str]:
 
 
 def machine() -> dict[str, Any]:
-    """The machine as far as it bears on a latency figure; no name and no address."""
+    """The properties of the machine that latency depends on; no host name, no address."""
     return {
         "cpu": _cpu_model(),
         "cores": usable_cores(),

@@ -1,4 +1,4 @@
-"""A trial's test stretch scored once more under another condition, at the thresholds that the trial was scored with."""
+"""A trial's test stretch scored again under another condition, at the thresholds of the trial."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from gridtrack.evaluation.scoring.target import Target
 def replayed_f1(
     tracker: TrackerLike, frames: Iterable[Target], trial: Trial, regions: SplitRegions, thresholds: ThresholdsUsed
 ) -> Curves:
-    """F1 per stratum and step of `tracker` on the trial's `frames`, counted at the frames that the trial counted."""
+    """F1 per stratum and step of `tracker` on the trial's `frames`, at the frames that the trial scored."""
     tally = Tally.empty(trial.split.steps, regions.test.strata)
     for scored in scored_forecasts(tracker, frames, trial.split.schedule, trial.seed):
         tally.add(count_forecast(scored.forecast.occupancy, scored.targets, regions.test, scored.ages))

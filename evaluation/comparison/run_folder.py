@@ -9,7 +9,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from gridtrack.evaluation.comparison.plan import Plan
+from gridtrack.evaluation.comparison.plan import ComparisonPlan
 from gridtrack.evaluation.comparison.provenance import machine, versions
 from gridtrack.evaluation.scoring.record import MAX_BYTES, RunError, TrialRecord, read_record
 from gridtrack.evaluation.scoring.scores import HISTOGRAM, SCORES
@@ -26,11 +26,11 @@ class RunFolder:
     """The folder of one run while it is filled."""
 
     path: Path
-    plan: Plan
+    plan: ComparisonPlan
     provenance: Mapping[str, Any]
 
     @classmethod
-    def prepare(cls, plan: Plan, command: Sequence[str]) -> RunFolder:
+    def prepare(cls, plan: ComparisonPlan, command: Sequence[str]) -> RunFolder:
         """Begin a run in the folder, or take up an earlier one of the same configuration with `resume`.
 
         The folder exists and is locked (`run_lock`). Raises RunError where it holds another run.
@@ -83,7 +83,7 @@ def _is_done(weights_sha256: str, record: TrialRecord, folder: Path) -> bool:
     return whole and record.outcome == "ok" and record.weights_sha256 == weights_sha256
 
 
-def _provenance(plan: Plan, command: Sequence[str], identity: Mapping[str, Any]) -> dict[str, Any]:
+def _provenance(plan: ComparisonPlan, command: Sequence[str], identity: Mapping[str, Any]) -> dict[str, Any]:
     inputs = {str(split.path): split.test.sha256 for split in plan.splits}
     inputs |= {str(c.validation.recording.path): c.validation.sha256 for c in plan.splits if c.validation}
     return {

@@ -1,4 +1,4 @@
-"""One run at a time in a folder: a lock that the system lets go of when its process ends, however it ends."""
+"""The run lock: one run at a time in a folder. The system releases the lock when the process ends."""
 
 from __future__ import annotations
 
@@ -12,23 +12,23 @@ from typing import TextIO
 from gridtrack.evaluation.scoring.record import RunError
 
 LOCK = ".lock"
-NO_LOCKS = (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP)
-"""What a file system answers that keeps no locks, as some of those shared by many machines: a run goes on without."""
+UNSUPPORTED = (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP)
+"""Errors of file systems without locks, such as some network file systems: the run continues without a lock."""
 
 
 @contextmanager
 def run_lock(folder: Path) -> Iterator[None]:
-    """Make `folder` where there is none, and keep every other run out of it.
+    """Create `folder` where there is none, and lock it against other runs.
 
-    The lock is on a file that stays; none of the processes started meanwhile inherits it, so it never outlives this
-    one. Raises RunError where another run has it, or where the folder cannot be made.
+    The lock file is never removed. Child processes do not inherit the lock, so it ends with this process. Raises
+    RunError where another run has the lock, or where the folder cannot be created.
     """
     if folder.is_file():
-        raise RunError(f"{folder}: a file, and a run is kept in a folder: name one with --out")
+        raise RunError(f"{folder}: is a file; a run needs a folder: name one with --out")
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise RunError(f"{folder}: cannot be made ({error.strerror}): name another folder with --out") from None
+        raise RunError(f"{folder}: cannot be created ({error.strerror}): name another folder with --out") from None
     with (folder / LOCK).open("a+", encoding="utf-8") as file:
         _lock(file, folder)
         file.truncate(0)
@@ -38,16 +38,16 @@ def run_lock(folder: Path) -> Iterator[None]:
 
 
 def _lock(file: TextIO, folder: Path) -> None:
-    import fcntl  # POSIX only, as the limits of a tracker's process are: what only reads runs does without
+    import fcntl  # POSIX only, like the limits of a tracker process; modules that only read runs do not need it
 
     try:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
         file.seek(0)
         raise RunError(
-            f"{folder}: a run is still going on in it (process {file.read(20).strip() or 'unknown'}): wait until it has"
-            " ended or stop it, or name another folder with --out"
+            f"{folder}: in use by another run (process {file.read(20).strip() or 'unknown'}): wait until it has ended,"
+            " stop it, or name another folder with --out"
         ) from None
     except OSError as error:
-        if error.errno not in NO_LOCKS:
+        if error.errno not in UNSUPPORTED:
             raise

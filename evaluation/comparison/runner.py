@@ -1,4 +1,4 @@
-"""The runner: the trials of a plan side by side, each in its own process, whatever becomes of the others."""
+"""The runner: the trials of a plan in parallel, each in its own process, unaffected by failures of the others."""
 
 from __future__ import annotations
 
@@ -13,48 +13,48 @@ from typing import Any, Protocol
 from gridtrack.evaluation.comparison.deadline_pass import measure_deadline
 from gridtrack.evaluation.comparison.latency_pass import measure_latency
 from gridtrack.evaluation.comparison.oracle import run_oracle
-from gridtrack.evaluation.comparison.plan import Plan, Trial
+from gridtrack.evaluation.comparison.plan import ComparisonPlan, Trial
 from gridtrack.evaluation.comparison.provenance import usable_cores
 from gridtrack.evaluation.comparison.robustness_pass import RobustnessRun
 from gridtrack.evaluation.comparison.run_folder import RunFolder
 from gridtrack.evaluation.comparison.run_lock import run_lock
 from gridtrack.evaluation.comparison.shared_thresholds import SharedThresholds
-from gridtrack.evaluation.comparison.trial import Interrupted, TrialRun, failed, unstarted, where_it_failed
+from gridtrack.evaluation.comparison.trial import Interrupted, TrialRun, failed, error_with_location, unstarted
 from gridtrack.evaluation.processes.outcome import TrialEnded
 from gridtrack.evaluation.scoring.record import TrialRecord
 from gridtrack.evaluation.scoring.splits import EvaluationSplit, SplitRegions
 
 WAKE_S = 0.2
-"""How often the main thread wakes to look for an interrupt: a library may have had its wait go on over signals."""
+"""Period at which the main thread checks for an interrupt: a library may have made its wait ignore signals."""
 
 
 class Progress(Protocol):
-    """Whoever shows how far a run is. Called from several threads; a trial is named as its folder is."""
+    """Receives the progress of a run, from several threads; a trial is named like its folder."""
 
     def note(self, text: str) -> None:
-        """Something to know, in one line."""
+        """A message for the user, one line."""
 
     def started(self, trial: str, frames: int) -> None:
-        """A trial begins, and is to be delivered `frames` frames."""
+        """A trial starts; it will receive `frames` frames."""
 
     def advanced(self, trial: str) -> None:
-        """One more frame is being delivered."""
+        """The next frame is delivered."""
 
     def ended(self, trial: str, record: TrialRecord) -> None:
-        """A trial has ended, or is kept from an earlier run."""
+        """A trial has ended, or its record is kept from an earlier run."""
 
 
-def run(plan: Plan, command: Sequence[str], progress: Progress) -> dict[str, Any]:
-    """Run what `plan` names and return the summary; `command` is the command line to keep with the results.
+def run(plan: ComparisonPlan, command: Sequence[str], progress: Progress) -> dict[str, Any]:
+    """Run `plan` and return the summary; `command` is the command line, stored with the results.
 
-    An interrupt (Ctrl-C) ends the trackers, keeps what was scored, and returns the summary with `interrupted` true.
-    Raises RunError where the run's folder holds another run, or one is still going on there.
+    An interrupt (Ctrl-C) ends the trackers, keeps the scores so far, and returns the summary with `interrupted` true.
+    Raises RunError where the run's folder contains another run, or another run has locked it.
     """
     with run_lock(plan.settings.out):
         return _run(plan, command, progress)
 
 
-def _run(plan: Plan, command: Sequence[str], progress: Progress) -> dict[str, Any]:
+def _run(plan: ComparisonPlan, command: Sequence[str], progress: Progress) -> dict[str, Any]:
     folder = RunFolder.prepare(plan, command)
     for notice in plan.notices:
         progress.note(notice)
@@ -65,7 +65,7 @@ def _run(plan: Plan, command: Sequence[str], progress: Progress) -> dict[str, An
     try:
         pool.run_trials()
         pool.run_oracles()
-        pool.degrade()
+        pool.measure_robustness()
         pool.measure_alone()
     except KeyboardInterrupt:
         interrupted = True
@@ -73,11 +73,11 @@ def _run(plan: Plan, command: Sequence[str], progress: Progress) -> dict[str, An
 
 
 class TrialPool:
-    """The threads that each see one trial through, and what they have brought back."""
+    """A pool of threads that run the trials of a plan, and the records so far."""
 
-    def __init__(self, plan: Plan, folder: Path, progress: Progress) -> None:
+    def __init__(self, plan: ComparisonPlan, folder: Path, progress: Progress) -> None:
         self.notices: list[str] = []
-        """What could not be measured of a complete trial, and why."""
+        """Failed measurements of complete trials, with their reasons."""
         self._plan, self._folder, self._progress = plan, folder, progress
         self._stop = threading.Event()
         self._running: set[TrialRun | RobustnessRun] = set()
@@ -86,16 +86,16 @@ class TrialPool:
         self._thresholds = SharedThresholds()
 
     def keep(self, name: str, record: TrialRecord) -> None:
-        """Take over the record of a trial that need not run again."""
+        """Keep the record of a trial that does not run again."""
         self._records[name] = record
         self._progress.ended(name, record)
 
     def run_trials(self) -> None:
         """Run every trial that has no record yet."""
-        self._side_by_side(self._run_trial, [t for t in self._plan.trials if t.name not in self._records])
+        self._in_parallel(self._run_trial, [t for t in self._plan.trials if t.name not in self._records])
 
     def run_oracles(self) -> None:
-        """Score the ceiling of every recording with truth; where that fails, the run goes on without."""
+        """Score the oracle on every recording with truth; where that fails, the run continues without it."""
         for split in self._plan.splits:
             name = split.oracle_name
             if not split.test.has_truth or name in self._records:
@@ -105,22 +105,22 @@ class TrialPool:
                 on_frame = partial(self._next_frame, name)
                 record = run_oracle(split, self._regions_of(split), self._folder / name, on_frame)
             except Exception as error:  # noqa: BLE001 as for a trial
-                self.notices.append(f"{split.name}: no ceiling: {where_it_failed(error)}")
+                self.notices.append(f"{split.name}: no oracle: {error_with_location(error)}")
                 self._progress.note(self.notices[-1])
                 continue
             self._records[name] = record
             self._progress.ended(name, record)
 
-    def degrade(self) -> None:
-        """Show degraded frames to the tracker of every complete trial, where that was asked for and not done yet."""
-        asked = self._plan.settings.degrade
-        if asked is None:
+    def measure_robustness(self) -> None:
+        """Run the robustness pass of every complete trial, where it is requested and missing."""
+        degradation = self._plan.settings.degrade
+        if degradation is None:
             return
-        done = {name for name, r in self._records.items() if r.robustness and r.robustness.degradation == asked}
-        self._side_by_side(self._degrade_trial, [trial for trial in self._complete() if trial.name not in done])
+        done = {name for name, r in self._records.items() if r.robustness and r.robustness.degradation == degradation}
+        self._in_parallel(self._measure_robustness, [trial for trial in self._complete() if trial.name not in done])
 
     def measure_alone(self) -> None:
-        """Measure what wants the machine for one tracker alone, where that was asked for and not done yet."""
+        """Run the passes that need the machine for one tracker alone, where they are requested and missing."""
         settings = self._plan.settings
         for trial in self._complete():
             record, folder = self._records[trial.name], self._folder / trial.name
@@ -133,27 +133,27 @@ class TrialPool:
                     self._add(trial, deadline=measure_deadline(trial, regions, record.thresholds, folder))
 
     def all_records(self) -> dict[str, TrialRecord]:
-        """The record of every trial of the plan, those that an interrupt kept from starting say so, and of oracles."""
+        """The record of every trial of the plan, also of those that an interrupt prevented, and of the oracles."""
         return {trial.name: unstarted(trial) for trial in self._plan.trials} | self._records
 
     def _complete(self) -> list[Trial]:
         return [trial for trial in self._plan.trials if self._records[trial.name].outcome == "ok"]
 
     def _regions_of(self, split: EvaluationSplit) -> SplitRegions:
-        """Region maps of a split, computed once."""
+        """Region maps of a split, computed once in a run."""
         if split.name not in self._regions:
             self._progress.note(f"{split.name}: finding its static cells")
             self._regions[split.name] = split.regions()
         return self._regions[split.name]
 
-    def _side_by_side(self, see_through: Callable[[Trial], None], trials: Sequence[Trial]) -> None:
-        """See trials through at the same time; on an error or an interrupt, end all of them before it is raised."""
+    def _in_parallel(self, task: Callable[[Trial], None], trials: Sequence[Trial]) -> None:
+        """Run `task` on trials in parallel; on an error or an interrupt, end all of them before it is raised."""
         for trial in trials:
             self._regions_of(trial.split)
         settings = self._plan.settings
         jobs = settings.jobs or max(1, usable_cores() // settings.limits.threads)
         with ThreadPoolExecutor(jobs, "trial") as pool:
-            futures = [pool.submit(see_through, trial) for trial in trials]
+            futures = [pool.submit(task, trial) for trial in trials]
             try:
                 pending = set(futures)
                 while pending:
@@ -165,7 +165,7 @@ class TrialPool:
                 raise
 
     def _run_trial(self, trial: Trial) -> None:
-        """A trial that fails for no fault of its tracker ends as that, and stops no other."""
+        """Run one trial; an error outside its tracker gives the outcome `failed` and stops no other trial."""
         try:
             regions = self._regions_of(trial.split)
             on_frame = partial(self._next_frame, trial.name)
@@ -173,20 +173,20 @@ class TrialPool:
             self._progress.started(trial.name, run.frames)
             with self._interruptible(run):
                 record = run.run()
-        except Exception as error:  # noqa: BLE001 whatever it is: the others go on, and the summary tells of it
+        except Exception as error:  # noqa: BLE001 the other trials continue, and the summary reports it
             record = failed(trial, error)
         self._records[trial.name] = record
         self._progress.ended(trial.name, record)
 
-    def _degrade_trial(self, trial: Trial) -> None:
-        asked, folder = self._plan.settings.degrade, self._folder / trial.name
-        assert asked is not None
+    def _measure_robustness(self, trial: Trial) -> None:
+        degradation, folder = self._plan.settings.degrade, self._folder / trial.name
+        assert degradation is not None
         record = self._records[trial.name]
         with self._measuring(trial, "degraded input"):
-            run = RobustnessRun(trial, asked, folder)
+            run = RobustnessRun(trial, degradation, folder)
             with self._interruptible(run):
-                found = run.run(self._regions_of(trial.split), record.thresholds, self._unless_stopped)
-            self._add(trial, robustness=found)
+                robustness = run.run(self._regions_of(trial.split), record.thresholds, self._raise_if_stopped)
+            self._add(trial, robustness=robustness)
 
     @contextmanager
     def _interruptible(self, run: TrialRun | RobustnessRun) -> Iterator[None]:
@@ -198,7 +198,7 @@ class TrialPool:
 
     @contextmanager
     def _measuring(self, trial: Trial, what: str) -> Iterator[None]:
-        """Whatever goes wrong inside leaves the trial without these figures, and is told."""
+        """An error in the block leaves the trial without this measurement, with a notice."""
         self._progress.note(f"{trial.name}: {what}")
         reason = ""
         try:
@@ -208,26 +208,26 @@ class TrialPool:
         except TrialEnded as ended:
             reason = str(ended)
         except Exception as error:  # noqa: BLE001 as for a trial
-            reason = where_it_failed(error)
+            reason = error_with_location(error)
         if reason and not self._stop.is_set():
-            self.notices.append(f"{trial.name}: no figures of {what}: {reason}")
+            self.notices.append(f"{trial.name}: no measurement of {what}: {reason}")
             self._progress.note(self.notices[-1])
 
-    def _add(self, trial: Trial, **found: Any) -> None:
-        """Add what was measured to the trial's record."""
-        self._records[trial.name] = self._records[trial.name].model_copy(update=found)
+    def _add(self, trial: Trial, **measured: Any) -> None:
+        """Add measurements to the trial's record, and write it."""
+        self._records[trial.name] = self._records[trial.name].model_copy(update=measured)
         self._records[trial.name].write(self._folder / trial.name)
 
     def _next_frame(self, name: str) -> None:
-        self._unless_stopped()
+        self._raise_if_stopped()
         self._progress.advanced(name)
 
-    def _unless_stopped(self) -> None:
+    def _raise_if_stopped(self) -> None:
         if self._stop.is_set():
             raise Interrupted
 
     def _end_all(self, futures: Sequence[Future[None]]) -> None:
-        """End the trackers now: those still waiting never start, those busy with a call end in it."""
+        """End the trackers now: waiting trials never start, running calls are interrupted."""
         self._stop.set()
         for future in futures:
             future.cancel()

@@ -1,4 +1,4 @@
-"""Thresholds chosen once for all trials that would choose the same: many recordings may share a validation stretch."""
+"""Thresholds that trials with the same tracker and validation stretch share: chosen once in a run."""
 
 from __future__ import annotations
 
@@ -11,30 +11,30 @@ from gridtrack.evaluation.scoring.thresholds import Thresholds
 
 
 class SharedThresholds:
-    """What a run has chosen so far; called from several threads, of which one chooses while the others wait."""
+    """The thresholds chosen so far in a run. Thread-safe: one thread chooses while the others wait."""
 
     def __init__(self) -> None:
         self._guard = threading.Lock()
-        self._turns: dict[str, threading.Lock] = {}
+        self._choosing: dict[str, threading.Lock] = {}
         self._chosen: dict[str, Thresholds] = {}
 
     def known(self, trial: Trial) -> bool:
-        """Whether a trial like this has chosen already."""
-        return _what_decides(trial) in self._chosen
+        """Whether the thresholds of `trial` have been chosen."""
+        return _key(trial) in self._chosen
 
     def of(self, trial: Trial, choose: Callable[[], Thresholds]) -> Thresholds:
-        """Those of `trial`, by `choose` where no trial like it has chosen yet; what that raises is raised."""
-        key = _what_decides(trial)
+        """The thresholds of `trial`, by `choose()` where they have not been chosen yet. Raises what `choose` raises."""
+        key = _key(trial)
         with self._guard:
-            turn = self._turns.setdefault(key, threading.Lock())
-        with turn:
+            choosing = self._choosing.setdefault(key, threading.Lock())
+        with choosing:
             if key not in self._chosen:
                 self._chosen[key] = choose()
             return self._chosen[key]
 
 
-def _what_decides(trial: Trial) -> str:
-    """Everything that the thresholds depend on: the tracker as it is run, and the frames that they are chosen on."""
+def _key(trial: Trial) -> str:
+    """Everything that the thresholds depend on: the tracker with its settings, and the validation frames."""
     split, validation = trial.split, trial.validation
     stretch = (
         {

@@ -1,4 +1,4 @@
-"""One trial: a tracker in its process, streamed a validation and then a test stretch, scored as it goes."""
+"""One trial: a tracker in its own process, streamed a validation and then a test stretch, scored frame by frame."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from gridtrack.common.errors import RecordingError
 from gridtrack.evaluation.comparison.plan import Trial
 from gridtrack.evaluation.comparison.shared_thresholds import SharedThresholds
 from gridtrack.evaluation.processes.outcome import TrialEnded
-from gridtrack.evaluation.processes.tracker_process import Started, TrackerProcess
+from gridtrack.evaluation.processes.tracker_process import Started
 from gridtrack.evaluation.scoring.counting import Tally, count_forecast
 from gridtrack.evaluation.scoring.record import RECORD, Ending, ThresholdsUsed, Times, TrialRecord
 from gridtrack.evaluation.scoring.referee import Delivery, scored_forecasts
@@ -21,31 +21,30 @@ from gridtrack.evaluation.scoring.scorekeeper import SCORE_FILES, Scorekeeper
 from gridtrack.evaluation.scoring.scores import HISTOGRAM, SCORES
 from gridtrack.evaluation.scoring.splits import SplitRegions
 from gridtrack.evaluation.scoring.thresholds import Thresholds, best_thresholds, half
-from gridtrack.trackers.contract import stream_of
 
-STDERR = "stderr.log"
+STDERR_LOG = "stderr.log"
 INTERRUPTED_REASON = "the run was interrupted; continue it with --resume"
 OnFrame = Callable[[], None]
 """Called before each frame is delivered; it raises Interrupted to stop the trial."""
 
 
 class Interrupted(Exception):
-    """The run was interrupted: what the trial has scored is kept."""
+    """The run was interrupted; the scores so far are kept."""
 
 
 class TrialRun:
-    """A trial while it runs: how far it has come is what its record tells when it ends early."""
+    """A trial while it runs. A trial that ends early leaves a record of the frames scored until then."""
 
     def __init__(
         self, trial: Trial, regions: SplitRegions, folder: Path, on_frame: OnFrame, shared: SharedThresholds
     ) -> None:
-        """`regions` as of `trial.split.regions`; the trial's files are left in `folder`.
+        """`regions` as of `trial.split.regions`; the trial's files are written to `folder`.
 
-        `shared` holds the thresholds that trials before this one have chosen in the same run.
+        `shared` holds the thresholds that earlier trials of the same run have chosen.
         """
         folder.mkdir(parents=True, exist_ok=True)
-        for left_by_an_earlier_attempt in (RECORD, *SCORE_FILES):
-            (folder / left_by_an_earlier_attempt).unlink(missing_ok=True)
+        for stale in (RECORD, *SCORE_FILES):
+            (folder / stale).unlink(missing_ok=True)
         self.trial, self._regions, self._folder, self._on_frame = trial, regions, folder, on_frame
         self._shared = shared
         self._thresholds: Thresholds | None = None
@@ -55,16 +54,10 @@ class TrialRun:
         self._started: Started | None = None
         self._start_s = self._wall_s = 0.0
         self._interrupted = False
-        self._process = TrackerProcess(
-            trial.launch,
-            stream_of(trial.test, trial.weights.path if trial.weights else None),
-            trial.selection.options,
-            trial.limits,
-            folder / STDERR,
-        )
+        self._process = trial.tracker_process(folder / STDERR_LOG)
 
     def run(self) -> TrialRecord:
-        """Run to the end, whatever that is, and write the record."""
+        """Run until the trial ends, successfully or not, and write the record."""
         ending, reason = self._run()
         if self._interrupted and ending != "ok":
             ending, reason = "interrupted", INTERRUPTED_REASON
@@ -73,7 +66,7 @@ class TrialRun:
         return record
 
     def _run(self) -> tuple[Ending, str]:
-        """Run, and say how it ended and why."""
+        """Run; the ending and its reason."""
         began = time.perf_counter()
         try:
             with self._process:
@@ -88,13 +81,13 @@ class TrialRun:
             return "interrupted", INTERRUPTED_REASON
         except RecordingError as error:
             return "not-applicable", str(error)
-        except Exception as error:  # noqa: BLE001 a full disk, a mistake in the scoring: the other trials go on
-            return "failed", where_it_failed(error)
+        except Exception as error:  # noqa: BLE001 a full disk or a defect in the scoring must not stop the other trials
+            return "failed", error_with_location(error)
         return "ok", ""
 
     @contextmanager
     def _clock(self) -> Iterator[None]:
-        """Add the time of what is done inside, however it ends."""
+        """Add the duration of the block to the wall time, also when it raises."""
         began = time.perf_counter()
         try:
             yield
@@ -103,17 +96,17 @@ class TrialRun:
 
     @property
     def frames(self) -> int:
-        """How many frames the trial delivers, on both stretches."""
+        """Number of frames that the trial will deliver, on both stretches."""
         validation = () if self._shared.known(self.trial) else self.trial.validation or ()
         return len(self.trial.test) + len(validation)
 
     def interrupt(self) -> None:
-        """End the trial from another thread, also in the middle of a call."""
+        """End the trial from another thread, also during a call."""
         self._interrupted = True
         self._process.kill()
 
     def _choose_thresholds(self) -> Thresholds:
-        """Stream the validation stretch and choose each step's threshold by it; 0.5 where there is none."""
+        """Stream the validation stretch and choose the thresholds on it; 0.5 where there is no validation stretch."""
         stretch = self.trial.validation
         if stretch is None:
             return half(self.trial.split.steps, self.trial.split.strata)
@@ -130,15 +123,15 @@ class TrialRun:
         return best_thresholds(tally, stretch.name)
 
     def _score(self, thresholds: Thresholds) -> None:
-        """Stream the test stretch, and write what each forecast scored as soon as its last frame has come."""
+        """Stream the test stretch and write the score of each forecast once its last frame is observed."""
         split, region_maps = self.trial.split, self._regions.test
         with Scorekeeper(self._folder, split, region_maps, thresholds, self._process.started.classes) as scorekeeper:
             for scored in scored_forecasts(self._process, self._delivery, self._test, self.trial.seed):
                 scorekeeper.add(scored, self._delivery.digest)
                 self._scored = scorekeeper.scored
 
-    def _kept_whole(self) -> bool:
-        """Whether what was scored lies in whole files: a disk may be full before the last is written."""
+    def _has_scores(self) -> bool:
+        """Whether the score files are complete: the disk may be full before the last one is written."""
         return all((self._folder / name).is_file() for name in (SCORES, HISTOGRAM))
 
     def _record(self, ending: Ending, reason: str) -> TrialRecord:
@@ -148,7 +141,7 @@ class TrialRun:
             update={
                 "outcome": ending,
                 "reason": reason,
-                "frames_scored": self._scored if self._kept_whole() else 0,
+                "frames_scored": self._scored if self._has_scores() else 0,
                 "frames_delivered": self._delivery.frames,
                 "delivered": self._delivery.digest,
                 "thresholds": ThresholdsUsed.of(chosen),
@@ -175,7 +168,7 @@ class TrialRun:
 
 
 def unstarted(trial: Trial) -> TrialRecord:
-    """The record of a trial that an interrupt kept from starting."""
+    """The record of a trial that did not start because of an interrupt."""
     return TrialRecord(
         label=trial.label,
         recording=trial.split.name,
@@ -188,12 +181,12 @@ def unstarted(trial: Trial) -> TrialRecord:
 
 
 def failed(trial: Trial, error: Exception) -> TrialRecord:
-    """The record of a trial that could not even leave one."""
-    return unstarted(trial).model_copy(update={"outcome": "failed", "reason": where_it_failed(error)})
+    """The record of a trial that could not write one."""
+    return unstarted(trial).model_copy(update={"outcome": "failed", "reason": error_with_location(error)})
 
 
-def where_it_failed(error: Exception) -> str:
-    """An error that nobody foresaw, and the line of code that it comes from, in one line."""
-    last = traceback.extract_tb(error.__traceback__)[-1]
+def error_with_location(error: Exception) -> str:
+    """An unexpected error with the file and line that raised it, as one line of text."""
+    origin = traceback.extract_tb(error.__traceback__)[-1]
     words = " ".join(str(error).split())
-    return f"{type(error).__name__}: {words} ({Path(last.filename).name}, line {last.lineno})"
+    return f"{type(error).__name__}: {words} ({Path(origin.filename).name}, line {origin.lineno})"

@@ -95,7 +95,7 @@ def test_a_tracker_that_ends_on_the_clock_keeps_its_score_and_that_is_told(compa
     assert (ended["outcome"], ended["deadline"]) == ("ok", None)
     assert other["deadline"] is not None
     assert any(
-        "staged@plain: no figures of deadlines" in notice and "crashed" in notice for notice in summary["notices"]
+        "staged@plain: no measurement of deadlines" in notice and "crashed" in notice for notice in summary["notices"]
     )
 
 

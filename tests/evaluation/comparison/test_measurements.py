@@ -41,7 +41,7 @@ def compare(gridtrack, record, tmp_path):
 def test_a_figure_that_was_asked_for_and_failed_is_exit_3_of_compare_and_of_regress(
     compare, gridtrack, tmp_path, asked
 ):
-    said = f"gridtrack: not measured: staged@plain: {asked[0]} was asked for and failed"
+    said = f"gridtrack: not measured: staged@plain: {asked[0]} was requested and failed"
     baseline = tmp_path / "baseline.json"
     assert compare("then")[0] == 0
     code, err = compare("now", *asked)

@@ -264,7 +264,7 @@ def test_a_folder_in_which_a_run_is_going_on_is_refused_until_it_has_ended(setti
     host = start(settings, tmp_path, *trackers)
     wait_until((tmp_path / "run" / "staged@room" / "stderr.log").exists)
     for resume in (True, False):
-        with pytest.raises(RunError, match=rf"run: a run is still going on in it \(process {host.pid}\): wait until"):
+        with pytest.raises(RunError, match=rf"run: in use by another run \(process {host.pid}\): wait until"):
             compare(settings(*trackers, resume=resume), told)
     assert told.delivered == {}
     family = children(host)
