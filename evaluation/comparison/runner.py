@@ -19,7 +19,7 @@ from gridtrack.evaluation.comparison.robustness_pass import RobustnessRun
 from gridtrack.evaluation.comparison.run_folder import RunFolder
 from gridtrack.evaluation.comparison.run_lock import run_lock
 from gridtrack.evaluation.comparison.shared_thresholds import SharedThresholds
-from gridtrack.evaluation.comparison.trial import Interrupted, TrialRun, failed, error_with_location, unstarted
+from gridtrack.evaluation.comparison.trial import Interrupted, TrialRun, error_with_location, failed, unstarted
 from gridtrack.evaluation.processes.outcome import TrialEnded
 from gridtrack.evaluation.scoring.record import TrialRecord
 from gridtrack.evaluation.scoring.splits import EvaluationSplit, SplitRegions
