@@ -38,8 +38,10 @@ def problem_of(line: str) -> str:
     if program == "make":
         return "" if not words or words[0] in targets() else f"{line}: no such target"
     if program == "python":
+        if words[0] == "-m" and words[1] in MODULES:
+            return ""
         script = words[1].replace(".", "/") + ".py" if words[0] == "-m" else words[0]
-        return "" if (ROOT / script).is_file() or words[1] in MODULES else f"{line}: no such module or script"
+        return "" if (ROOT / script).is_file() else f"{line}: no such module or script"
     return next(wrong_words(line, words), "")
 
 
@@ -57,7 +59,7 @@ def wrong_words(line: str, words: list[str]) -> Iterator[str]:
         if word.startswith("--") and word.partition("=")[0] not in known:
             yield f"{line}: no such option {word}"
     chosen = [after for word, after in pairwise(rest) if word == "--tracker"]
-    for selection in [*chosen, *(rest[:1] if words[0] == "train" else [])]:
+    for selection in [*chosen, *(rest[:1] if words[0] == "train" and rest and not rest[0].startswith("-") else [])]:
         if problem := unknown_options(selection):
             yield f"{line}: {problem}"
 

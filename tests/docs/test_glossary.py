@@ -1,0 +1,14 @@
+"""The glossary is in alphabetical order and defines each word once."""
+
+from __future__ import annotations
+
+import re
+
+from docs.pages import ROOT
+
+WORDS = [word.lower() for word in re.findall(r"^- \*\*(.+?)\*\*", (ROOT / "docs/glossary.md").read_text("utf-8"), re.M)]
+
+
+def test_the_words_are_in_alphabetical_order_and_defined_once() -> None:
+    assert WORDS
+    assert sorted(set(WORDS)) == WORDS
