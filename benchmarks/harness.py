@@ -1,15 +1,15 @@
-"""What the harness costs beside the trackers: time a frame, time over the demo set, memory by a recording's length.
+"""Cost of the harness beside the trackers: time a frame, time over the demo set, memory by a recording's length.
 
-Run it by itself: `python -m benchmarks.harness [TRACKER...]`. Aims: 5 ms a frame beside the tracker's own time,
+`python -m benchmarks.harness [TRACKER...]` (some minutes). Aims: 5 ms a frame beside the tracker's own time,
 printed for `blank`; 1.1 x the trackers' own time over the set (every tracker that has weights, or those named);
 and the same memory for a recording ten times as long.
 """
 
 from __future__ import annotations
 
+import argparse
 import multiprocessing
 import resource
-import sys
 import tempfile
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -20,38 +20,23 @@ from gridtrack.common.scan import Scan
 from gridtrack.evaluation.comparison.plan import resolve
 from gridtrack.evaluation.comparison.runner import run
 from gridtrack.evaluation.comparison.settings import CompareSettings
-from gridtrack.evaluation.scoring.record import TrialRecord
-from gridtrack.recordings import open_recording, packaged_recording, write_native
+from gridtrack.recordings import open_recording, write_native
 
-DEMO = packaged_recording("leg_tracker")
+from studies.support.progress import NoProgress
+from studies.support.shipped import DEMO
+
 LOOPS = 10
-
-
-class Quiet:
-    """A progress that shows nothing."""
-
-    def note(self, text: str) -> None:
-        """Not shown."""
-
-    def started(self, trial: str, frames: int) -> None:
-        """Not shown."""
-
-    def advanced(self, trial: str) -> None:
-        """Not shown."""
-
-    def ended(self, trial: str, record: TrialRecord) -> None:
-        """Not shown."""
 
 
 def compare(recording: str, trackers: Sequence[str]) -> dict[str, Any]:
     """The summary of a run, one trial at a time."""
     with tempfile.TemporaryDirectory() as folder:
         settings = CompareSettings(recordings=(recording,), trackers=tuple(trackers), out=Path(folder), jobs=1)
-        return run(resolve(settings), (), Quiet())
+        return run(resolve(settings), (), NoProgress())
 
 
 def looped(times: int) -> Iterator[Scan]:
-    """The demo's scans, over and over."""
+    """The scans of the demo recording, repeated."""
     recording = open_recording(DEMO)
     length_ns = recording.survey.last_ns - recording.survey.first_ns + 100_000_000
     for loop in range(times):
@@ -98,7 +83,9 @@ def print_memory() -> None:
 
 
 def main() -> None:
-    print_times(sys.argv[1:])
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("trackers", nargs="*", help="default: every tracker that has weights")
+    print_times(parser.parse_args().trackers)
     print_memory()
 
 

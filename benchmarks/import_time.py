@@ -1,27 +1,35 @@
-"""How long `import gridtrack` and the command line's --help take, whole processes, medians of 9 runs."""
+"""Time of `import gridtrack` and of the command line's --help: whole processes, medians of nine runs.
+
+`python -m benchmarks.import_time` (ten seconds).
+"""
 
 from __future__ import annotations
 
-import statistics
+import argparse
 import subprocess
 import sys
-import time
+
+from benchmarks.timing import median_ms
+
+CASES = {
+    "import gridtrack": ("-c", "import gridtrack"),
+    "a plugin's imports": ("-c", "from gridtrack import Tracker, Forecast, GridFrame"),
+    "gridtrack --help": ("-m", "gridtrack.cli", "--help"),
+}
+RUNS = 9
 
 
-def median_s(*arguments: str) -> float:
-    times = []
-    for _ in range(9):
-        start = time.perf_counter()
-        subprocess.run([sys.executable, *arguments], check=True, capture_output=True)
-        times.append(time.perf_counter() - start)
-    return statistics.median(times)
+def process_ms(*arguments: str) -> float:
+    """The median time of one Python process."""
+    return median_ms(lambda: subprocess.run([sys.executable, *arguments], check=True, capture_output=True), RUNS)
+
+
+def main() -> None:
+    argparse.ArgumentParser(description=__doc__.partition("\n")[0]).parse_args()
+    empty = process_ms("-c", "pass")
+    for name, arguments in CASES.items():
+        print(f"{name}: {process_ms(*arguments):.0f} ms (an empty Python process: {empty:.0f} ms)")
 
 
 if __name__ == "__main__":
-    bare = median_s("-c", "pass")
-    for what, arguments in (
-        ("import gridtrack", ("-c", "import gridtrack")),
-        ("a plugin's imports", ("-c", "from gridtrack import Tracker, Forecast, GridFrame")),
-        ("gridtrack --help", ("-m", "gridtrack.cli", "--help")),
-    ):
-        print(f"{what}: {median_s(*arguments):.3f} s (an empty Python: {bare:.3f} s)")
+    main()

@@ -1,9 +1,10 @@
-"""Speed of the recurrent networks on one thread, beside others that compute the same: `python -m benchmarks.inference`.
+"""Speed of the recurrent networks on one thread, beside other implementations of the same networks.
 
-For the dilated ConvGRU: ours, also with `inference=bfloat16`; a straightforward PyTorch ConvGRU, gate by gate on
-concatenated input; and that one in ONNX Runtime, where `pip install onnxruntime onnx onnxscript` has been run. All have
-the same weights, and that their forecasts agree is asserted. They take turns, and what counts is the thread's processor
-time: other work on the machine is felt in the caches only. The aim: 5 ms in float32.
+`python -m benchmarks.inference` (two minutes). For the dilated ConvGRU: ours, also with `inference=bfloat16`; a
+straightforward PyTorch ConvGRU, gate by gate on concatenated input; and that one in ONNX Runtime, where `pip install
+onnxruntime onnx onnxscript` has been run. All have the same weights; that their forecasts agree is asserted. They take
+turns, and the thread's processor time is measured: other work on the machine affects the caches only. Aim: 5 ms in
+float32.
 """
 
 from __future__ import annotations
@@ -150,7 +151,7 @@ def assert_agreement(found: dict[str, Any]) -> dict[str, State]:
     return states
 
 
-def times_ms(calls: dict[str, Callable[[], object]], rounds: int) -> dict[str, np.ndarray]:
+def processor_times_ms(calls: dict[str, Callable[[], object]], rounds: int) -> dict[str, np.ndarray]:
     """Processor time of each call, in turns, after one of its own that is not counted."""
     times: dict[str, list[float]] = {name: [] for name in calls}
     for _ in range(rounds):
@@ -178,7 +179,7 @@ def best_rate(rounds: int) -> float:
         a, b, out = torch.randn(n, n), torch.randn(n, n), torch.empty(n, n)
         calls[f"product {n}"] = lambda a=a, b=b, out=out: torch.mm(a, b, out=out)
         operations[f"product {n}"] = 2 * n**3
-    rates = {name: 1e-6 * operations[name] / values.min() for name, values in times_ms(calls, rounds).items()}
+    rates = {name: 1e-6 * operations[name] / values.min() for name, values in processor_times_ms(calls, rounds).items()}
     best = max(rates, key=lambda name: rates[name])
     print(f"best float32 rate: {rates[best]:.0f} GFLOP/s ({best})")
     return rates[best]
@@ -193,20 +194,20 @@ CASES: dict[str, tuple[int, Callable[[Any, State], object]]] = {
 """Steps, and what is timed from a network and its state."""
 
 
-def side_by_side(found: dict[str, Any], operations: int, rate: float, rounds: int) -> None:
+def print_comparison(found: dict[str, Any], operations: int, rate: float, rounds: int) -> None:
     """Times of all cases; `operations` are those of a step's convolutions by the definition."""
     states = assert_agreement(found)
     at_best = 1e-6 * operations / rate
     print(f"  a step's convolutions by the definition would take {at_best:.2f} ms at the best rate")
     for case, (steps, call) in CASES.items():
         calls = {name: lambda name=name, call=call: call(found[name], states[name]) for name in found}
-        for name, ms in times_ms(calls, max(3, rounds // steps)).items():
+        for name, ms in processor_times_ms(calls, max(3, rounds // steps)).items():
             median, share = np.median(ms), at_best * steps / np.median(ms)
             print(f"  {case:22} {name:24} median {median:7.2f} ms, least {ms.min():7.2f} ms; {share:4.0%} of the rate")
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--rounds", type=int, default=40)
     rounds = parser.parse_args().rounds
     torch.set_num_threads(1)
@@ -215,11 +216,11 @@ def main() -> None:
         gru = trained_like(DilatedConvGRU(SIZE, DilatedConvGRUTracker.Options()))
         between_states = 2 * 9 * SIZE**2 * 3 * gru.channels**2
         print("dilated-convgru")
-        side_by_side(contestants(gru), between_states * (2 * len(gru.layers) - 1), rate, rounds)
+        print_comparison(contestants(gru), between_states * (2 * len(gru.layers) - 1), rate, rounds)
         rnn = trained_like(DeepTrackingRNN(SIZE, DeepTrackingRNNTracker.Options()))
         print("deep-tracking-rnn")
         both = {"ours, float32": InferenceRNN(rnn), "straightforward PyTorch": rnn}
-        side_by_side(both, 2 * rnn.recur.weight.numel() * SIZE**2, rate, rounds)
+        print_comparison(both, 2 * rnn.recur.weight.numel() * SIZE**2, rate, rounds)
 
 
 if __name__ == "__main__":

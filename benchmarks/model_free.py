@@ -1,11 +1,13 @@
 """Speed of the model-free pipeline by the number of road users, and the time of each of its stages at thirty.
 
-Run it by itself: `python -m benchmarks.model_free`. Aims for one update and a 20-step forecast at thirty tracks, 95th
-percentile, one thread: 10 ms with Kalman filters, 25 ms with the factor graph. One in three of those who move is a car.
+`python -m benchmarks.model_free` (one minute). Aims for one update and a 20-step forecast at thirty tracks, 95th
+percentile, one thread: 10 ms with Kalman filters, 25 ms with the factor graph. One in three road users is a car.
 """
 
 from __future__ import annotations
 
+import argparse
+import functools
 import time
 from collections import defaultdict
 from collections.abc import Callable
@@ -15,7 +17,6 @@ import numpy as np
 
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec
-from gridtrack.recordings import packaged_recording
 from gridtrack.trackers.model_free.background import BackgroundMap
 from gridtrack.trackers.model_free.calibration import IDENTITY, Calibration
 from gridtrack.trackers.model_free.classes import FEATURES, ClassFilter, ClassModel
@@ -26,45 +27,36 @@ from gridtrack.trackers.model_free.residence import table_shape
 from gridtrack.trackers.model_free.settings import PipelineSettings
 from gridtrack.trackers.weights import read_card
 
+from benchmarks.timing import p50_p95
+from studies.support.shipped import WEIGHTS
+
 GRID = GridSpec(100, 0.2)
 PERIOD_S = 0.125
 STEPS = 20
 FRAMES, WARM_UP = 200, 40
-CARD = packaged_recording("leg_tracker").parents[1] / "weights" / "kalman" / "junction.toml"
-TUNED = read_card(CARD).settings
+TUNED = read_card(WEIGHTS / "kalman" / "junction.toml").settings
 STREET = PipelineSettings(**{name: TUNED[name] for name in PipelineSettings.model_fields})
 """The settings that ship for the junction."""
-STAGES = {
-    "segmentation": "_segment",
-    "prediction": "_predict",
-    "association": "_associate",
-    "estimation, shape": "_correct",
-    "life": "_judge",
-    "merging": "_merge",
-    "forecast": "forecast",
-}
-"""What is measured apart, and the pipeline's method that does it; what is left of an update is the background."""
 CALIBRATION = "calibration"
-"""What the tracker does with the pipeline's forecast."""
 CLASSES, GAUSSIANS = 5, 8
 MORE = "classes, CPU, more"
-"""What a tracker that knows so many classes, each of so many Gaussians, does more in an update and a forecast."""
+"""What so many classes, each of so many Gaussians, add to the processor time of an update and a forecast."""
 
 
 def side_of_car() -> np.ndarray:
-    """What a laser sees of a car, (N, 2) metres about its centre: one side and the front."""
+    """The laser's returns of a car, (N, 2) metres about its centre: one side and the front."""
     along = np.arange(-2.1, 2.15, 0.1)
     across = np.arange(-0.8, 0.85, 0.1)
     return np.concatenate([np.stack([along, 0 * along - 0.85], 1), np.stack([0 * across + 2.15, across], 1)])
 
 
 def person() -> np.ndarray:
-    """What a laser sees of a person, (N, 2) metres."""
+    """The laser's returns of a person, (N, 2) metres."""
     return np.array([(0.0, 0.0), (0.2, 0.0), (0.2, 0.2)])
 
 
 def frame_of(count: int, step: int) -> GridFrame:
-    """All visible; `count` road users go round in circles at places of their own, one in three a car."""
+    """All visible; `count` road users move in circles about positions of their own, one in three a car."""
     occupied = np.zeros(GRID.shape, bool)
     phase = 0.06 * step
     for n in range(count):
@@ -78,25 +70,33 @@ def frame_of(count: int, step: int) -> GridFrame:
     return GridFrame(0, np.ones(GRID.shape, bool), occupied, SE2(), sensor, points, np.zeros(len(points), np.uint8))
 
 
-class Timed(Pipeline):
-    """A pipeline that notes how long each call of each of STAGES takes, in seconds."""
+def timed(stage: str, method: Callable[..., Any]) -> Callable[..., Any]:
+    """A method of the pipeline that records the time of each call, in seconds, under `stage`."""
+
+    @functools.wraps(method)
+    def call(pipeline: TimedPipeline, *arguments: Any) -> Any:
+        start = time.perf_counter()
+        answer = method(pipeline, *arguments)
+        pipeline.seconds[stage].append(time.perf_counter() - start)
+        return answer
+
+    return call
+
+
+class TimedPipeline(Pipeline):
+    """A pipeline that records the times of its stages; what is left of an update is the background."""
 
     def __init__(self, *arguments: Any) -> None:
         super().__init__(*arguments)
         self.seconds: dict[str, list[float]] = defaultdict(list)
-        for stage, method in STAGES.items():
-            setattr(self, method, self.timed(stage, getattr(self, method)))
 
-    def timed(self, stage: str, method: Callable[..., Any]) -> Callable[..., Any]:
-        """The same method, which notes how long each call takes."""
-
-        def timed(*arguments: Any) -> Any:
-            start = time.perf_counter()
-            answer = method(*arguments)
-            self.seconds[stage].append(time.perf_counter() - start)
-            return answer
-
-        return timed
+    _segment = timed("segmentation", Pipeline._segment)
+    _predict = timed("prediction", Pipeline._predict)
+    _associate = timed("association", Pipeline._associate)
+    _correct = timed("estimation, shape", Pipeline._correct)
+    _judge = timed("existence", Pipeline._judge)
+    _merge = timed("merging", Pipeline._merge)
+    forecast = timed("forecast", Pipeline.forecast)
 
 
 def some_classes() -> ClassFilter:
@@ -108,7 +108,7 @@ def some_classes() -> ClassFilter:
     return ClassFilter(ClassModel(shares, means, whitening, place[:, 0, 0], np.array([0.5, 0.5]), place), GRID)
 
 
-def measure_classes(pipeline: Timed, classes: ClassFilter, frame: GridFrame) -> None:
+def measure_classes(pipeline: TimedPipeline, classes: ClassFilter, frame: GridFrame) -> None:
     """Note how much more processor time an update and a forecast with classes take than without."""
     start = time.process_time()
     Pipeline.forecast(pipeline, STEPS)
@@ -118,33 +118,35 @@ def measure_classes(pipeline: Timed, classes: ClassFilter, frame: GridFrame) -> 
     pipeline.seconds[MORE].append(time.process_time() - between - (between - start))
 
 
-def measure(tracker: type[KalmanTracker] | type[FactorGraphTracker], count: int) -> tuple[Timed, np.ndarray]:
+def measure(tracker: type[KalmanTracker] | type[FactorGraphTracker], count: int) -> tuple[TimedPipeline, np.ndarray]:
     """The pipeline at the end, and the seconds of each update and forecast together."""
     place = BackgroundMap(np.full(GRID.shape, 1e-3, np.float32), np.zeros(GRID.shape, np.float32))
     dwell = np.full(table_shape(PERIOD_S), 0.3, np.float32)
-    pipeline = Timed(GRID, PERIOD_S, place, dwell, STREET, tracker.estimator)
-    calibrate = pipeline.timed(CALIBRATION, Calibration(IDENTITY).apply)
+    pipeline = TimedPipeline(GRID, PERIOD_S, place, dwell, STREET, tracker.estimator)
+    calibration = Calibration(IDENTITY)
     seconds, classes, seen = [], some_classes(), np.zeros(GRID.shape)
     for step in range(FRAMES):
         frame = frame_of(count, step)
         start = time.perf_counter()
         pipeline.update(frame)
-        calibrate(pipeline.forecast(STEPS), seen)
+        occupancy = pipeline.forecast(STEPS)
+        forecast = time.perf_counter()
+        calibration.apply(occupancy, seen)
         seconds.append(time.perf_counter() - start)
+        pipeline.seconds[CALIBRATION].append(time.perf_counter() - forecast)
         measure_classes(pipeline, classes, frame)
     return pipeline, np.array(seconds[WARM_UP:])
 
 
 def main() -> None:
+    argparse.ArgumentParser(description=__doc__.partition("\n")[0]).parse_args()
     print(f"{'tracker':12} {'movers':>6} {'tracks':>6}   update and {STEPS}-step forecast, p50 / p95 ms")
     for tracker in (KalmanTracker, FactorGraphTracker):
         for count in (3, 10, 30):
             pipeline, seconds = measure(tracker, count)
-            p50, p95 = np.percentile(seconds * 1e3, [50, 95])
-            print(f"{tracker.name:12} {count:>6} {len(pipeline.tracks):>6}   {p50:8.2f} / {p95:.2f}")
-        for stage in (*STAGES, CALIBRATION, MORE):
-            p50, p95 = np.percentile(np.array(pipeline.seconds[stage][WARM_UP:]) * 1e3, [50, 95])
-            print(f"    {stage:20} {p50:8.2f} / {p95:.2f}")
+            print(f"{tracker.name:12} {count:>6} {len(pipeline.tracks):>6}   {p50_p95(1e3 * seconds, 2):>16}")
+        for stage in pipeline.seconds:
+            print(f"    {stage:20} {p50_p95(1e3 * np.array(pipeline.seconds[stage][WARM_UP:]), 2):>16}")
 
 
 if __name__ == "__main__":

@@ -1,15 +1,15 @@
 """Speed of scoring one forecast: 21 steps of 100 x 100 cells, every stratum, histogram and losses, and its rows.
 
-Run it by itself: `python -m benchmarks.scoring`. Aims, on one core: 2 ms to count a forecast, and 20 x faster than
-scikit-learn's figures for the same cells (F1, average precision, Brier score, log loss and the histogram of each
-stratum and step), which stand beside it as peers.
+`python -m benchmarks.scoring` (half a minute). Aims, on one core: 2 ms to count a forecast, and 20 x faster than
+scikit-learn's functions for the same cells (F1, average precision, Brier score, log loss and the histogram of each
+stratum and step).
 """
 
 from __future__ import annotations
 
+import argparse
 import tempfile
-import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -33,18 +33,10 @@ from gridtrack.evaluation.scoring.strata import (
 from gridtrack.evaluation.scoring.target import HIDDEN_FREE, NOT_SCORED, SEEN_FREE, Target
 from gridtrack.evaluation.scoring.thresholds import half
 
+from benchmarks.timing import median_ms
+
 STEPS, SIZE, CLASSES = 20, 100, 5
 GRID = GridSpec(SIZE, 0.2, (-10.0, 0.0))
-
-
-def median_ms(call: Callable[[], object], times: int) -> float:
-    call()
-    spent = []
-    for _ in range(times):
-        began = time.perf_counter()
-        call()
-        spent.append(time.perf_counter() - began)
-    return 1e3 * float(np.median(spent))
 
 
 def street(strata: tuple[str, ...]) -> RegionMaps:
@@ -90,6 +82,7 @@ def with_scikit_learn(occupancy: np.ndarray, came: Sequence[Target], region_maps
 
 
 def main() -> None:
+    argparse.ArgumentParser(description=__doc__.partition("\n")[0]).parse_args()
     rng = np.random.default_rng(0)
     ages = rng.integers(0, 5, (10, 10)).repeat(10, axis=0).repeat(10, axis=1).astype(np.uint8)
     forecasts = {
@@ -114,7 +107,7 @@ def main() -> None:
     print(f"count what it found of each class: {ms:.2f} ms")
     ours = median_ms(lambda: count_forecast(forecasts["spread thin"], came, region_maps, ages), 200)
     peers = median_ms(lambda: with_scikit_learn(forecasts["spread thin"], came, region_maps, ages), 3)
-    print(f"the same figures by scikit-learn: {peers:.0f} ms, {peers / ours:.0f} x as long")
+    print(f"the same scores by scikit-learn: {peers:.0f} ms, {peers / ours:.0f} x as long")
 
 
 if __name__ == "__main__":

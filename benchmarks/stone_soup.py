@@ -1,11 +1,11 @@
 """The model-free pipeline beside Stone Soup's trackers on the same clusters: error and time.
 
-`pip install stonesoup==1.9.1`, then `python -m benchmarks.stone_soup`. Round people walk through a hall before a laser
-and hide one another; every tracker gets the clusters that our segmentation makes of the same grid frames, and the same
-motion and measurement noise. Stone Soup's are its Kalman filters with global nearest neighbours and with joint
-probabilistic data association (by loopy belief propagation). When a track begins and ends is tuned for each on a seed
-of its own, by the measure that they are judged by: Stone Soup's own OSPA (cut-off 1 m, order 1) to the people who were
-seen within the last second.
+`pip install stonesoup==1.9.1`, then `python -m benchmarks.stone_soup` (ten minutes). Round people walk through a hall
+with a laser and occlude one another; every tracker receives the clusters that our segmentation makes of the same grid
+frames, and has the same motion and measurement noise. Stone Soup's are its Kalman filters with global nearest
+neighbours and with joint probabilistic data association (by loopy belief propagation). The initiation and deletion of
+tracks are tuned for each on a seed of its own, by the measure of the comparison: Stone Soup's own OSPA (cut-off 1 m,
+order 1) to the people who were seen within the last second.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Moment:
+class HallFrame:
     """A frame and where the people are who were seen within the last second, (N, 2)."""
 
     frame: GridFrame
@@ -95,14 +95,14 @@ def seen_in(places: Array, laser: Laser, random: np.random.Generator, step: int)
     return frame, np.isin(np.arange(len(places)), scan.labels)
 
 
-def hall(people: int, frames: int, seed: int) -> list[Moment]:
+def hall(people: int, frames: int, seed: int) -> list[HallFrame]:
     random, laser = np.random.default_rng(seed), Laser(x=0.5)
     last_seen = np.full(people, -(10**6))
     moments = []
     for step, places in enumerate(walks(people, frames, random)):
         frame, seen = seen_in(places, laser, random, step)
         last_seen[seen] = step
-        moments.append(Moment(frame, places[step - last_seen <= 1.0 / PERIOD_S]))
+        moments.append(HallFrame(frame, places[step - last_seen <= 1.0 / PERIOD_S]))
     return moments
 
 
@@ -110,7 +110,7 @@ Tracked = tuple[list[Array], list[float]]
 """Positions (N, 2) that are found in each frame, and the seconds of processor time that it took."""
 
 
-def centres_of(moments: list[Moment], settings: PipelineSettings) -> Tracked:
+def centres_of(moments: list[HallFrame], settings: PipelineSettings) -> Tracked:
     """Centres (C, 2) of the clusters in each frame, and the seconds that segmentation takes."""
     found, seconds = [], []
     for frame in (moment.frame for moment in moments):
@@ -124,7 +124,7 @@ def centres_of(moments: list[Moment], settings: PipelineSettings) -> Tracked:
     return found, seconds
 
 
-def ours(moments: list[Moment], settings: PipelineSettings) -> Tracked:
+def ours(moments: list[HallFrame], settings: PipelineSettings) -> Tracked:
     """The pipeline with Kalman filters, segmentation and all."""
     empty = BackgroundMap(np.full(GRID.shape, 1e-3, np.float32), np.zeros(GRID.shape, np.float32))
     dwell = np.full(table_shape(PERIOD_S), 0.1, np.float32)
@@ -186,7 +186,7 @@ def stone_soup(segmented: Tracked, settings: PipelineSettings, life: Life, *, jo
     return found, [a + b for a, b in zip(begun_with, seconds, strict=True)]
 
 
-def ospa(found: list[Array], moments: list[Moment]) -> Array:
+def ospa(found: list[Array], moments: list[HallFrame]) -> Array:
     """Of every frame after the first two seconds."""
     metric = OSPAMetric(p=1, c=CUT_OFF_M, measure=Euclidean())
 
@@ -201,20 +201,20 @@ def ospa(found: list[Array], moments: list[Moment]) -> Array:
     return np.array(values, float)
 
 
-def best_life(moments: list[Moment], clusters: Tracked, settings: PipelineSettings, *, joint: bool) -> Life:
+def best_life(moments: list[HallFrame], clusters: Tracked, settings: PipelineSettings, *, joint: bool) -> Life:
     """The life of Stone Soup's tracks with the least OSPA."""
     lives = [Life(*each) for each in itertools.product((2, 4), (4, 8, 16))]
     return min(lives, key=lambda life: ospa(stone_soup(clusters, settings, life, joint=joint)[0], moments).mean())
 
 
-def best_settings(moments: list[Moment], settings: PipelineSettings) -> PipelineSettings:
+def best_settings(moments: list[HallFrame], settings: PipelineSettings) -> PipelineSettings:
     """The same of ours: from which probability on a track is confirmed, and for how long it may coast."""
     each = itertools.product((0.6, 0.8), (0.1, 0.3), (2.0, 15.0))
     tried = [settings.model_copy(update={"confirm_above": c, "dead_below": d, "life_s": life}) for c, d, life in each]
     return min(tried, key=lambda one: ospa(ours(moments, one)[0], moments).mean())
 
 
-def side_by_side(people: int, frames: int, seeds: range) -> None:
+def print_comparison(people: int, frames: int, seeds: range) -> None:
     settings = PipelineSettings(acceleration=WANDER, agility=1.0, velocity_memory_s=TURN_MEMORY_S, initial_speed=SPEED)
     practice = hall(people, frames, seeds.start - 1)
     clusters = centres_of(practice, settings)
@@ -251,10 +251,14 @@ def show(results: dict[str, list[tuple[float, Array]]]) -> None:
         )
 
 
-if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__)
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--people", type=int, default=30)
     parser.add_argument("--frames", type=int, default=160)
     parser.add_argument("--seeds", type=int, default=5)
-    given = parser.parse_args()
-    side_by_side(given.people, given.frames, range(1, 1 + given.seeds))
+    arguments = parser.parse_args()
+    print_comparison(arguments.people, arguments.frames, range(1, 1 + arguments.seeds))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,23 +1,23 @@
-"""Coverage of the interval methods on correlated series of counts, the chosen one and the rejected; and their speed.
+"""Coverage of the interval methods on correlated series of counts, the chosen method and the rejected ones.
 
-Run it by itself: `python -m studies.intervals` (about two minutes). Aims: the chosen method covers 93 to 97 % at 20
-units in every setting; intervals and differences for 10 trackers x 21 steps x 8 strata from 20 recordings in 10 s.
+`python -m studies.intervals` (two minutes). Aim: the chosen method covers 93 to 97 % at 20 units in every setting. Its
+speed: `benchmarks/statistics.py`.
 """
 
 from __future__ import annotations
 
-import time
+import argparse
 from collections.abc import Callable
 
 import numpy as np
 from scipy.special import expit, logit, ndtr, ndtri, stdtrit
 
-from gridtrack.evaluation.statistics.uncertainty import COUNTS, differences, holm, interval
+from gridtrack.evaluation.statistics.uncertainty import COUNTS, differences, interval
 from gridtrack.evaluation.statistics.units import BLOCK_TIMES, autocorrelation_time, residuals, sum_by_unit, units_of
 
 Counts = np.ndarray  # (U, R, C): units, repetitions, counts
 Interval = tuple[np.ndarray, np.ndarray]
-REPETITIONS, FRAMES, RESAMPLES = 2000, 30, 500
+FRAMES, RESAMPLES = 30, 500
 WEIGHTS = np.array([2.0, 0, 0, 0, 0, 0]), np.array([2.0, 1, 1, 0, 0, 0])
 SETTINGS: dict[str, dict[str, float]] = {
     "recordings alike": {"unlike": 0.1, "traffic": 0.1},
@@ -70,7 +70,7 @@ def f1(counts: np.ndarray) -> float:
 
 
 def linearised(counts: Counts) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The ratio (R,), its standard error (R,) by the delta method, and what it moves by without each unit (U, R)."""
+    """The ratio (R,), its standard error (R,) by the delta method, and the ratio without each unit (U, R)."""
     part, whole = parts(counts)
     ratio = part.sum(0) / whole.sum(0)
     units = len(part)
@@ -99,7 +99,7 @@ def jackknife_t(counts: Counts) -> Interval:
 
 
 def log_odds_jackknife_t(counts: Counts) -> Interval:
-    """As the chosen one, with as many degrees of freedom as units less one."""
+    """The chosen method with one degree of freedom less than units."""
     ratio, _, without = linearised(counts)
     units, odds = len(counts), logit(without.clip(1e-9, 1 - 1e-9))
     error = np.sqrt((units - 1) / units * ((odds - odds.mean(0)) ** 2).sum(0))
@@ -169,13 +169,15 @@ METHODS: dict[str, Callable[[Counts], Interval]] = {
 }
 
 
-def print_coverage(rng: np.random.Generator) -> None:
-    print(f"share of {REPETITIONS} intervals at 95 % that hold the truth, %; units are recordings of {FRAMES} frames")
+def print_coverage(rng: np.random.Generator, repetitions: int) -> None:
+    print(
+        f"share of {repetitions} intervals at 95 % that contain the truth, %; units are recordings of {FRAMES} frames"
+    )
     print(f"{'':24}{'':>6}" + "".join(f"{name[:13]:>14}" for name in METHODS) + f"{'difference':>14}{'p < 0.05':>10}")
     for name, setting in SETTINGS.items():
         truth = np.mean([f1(c) for c in two_trackers(rng, 200, 300, **setting)])
         for units in (20, 30, 60):
-            one, other = (c.sum(axis=2) for c in two_trackers(rng, units, REPETITIONS, **setting))
+            one, other = (c.sum(axis=2) for c in two_trackers(rng, units, repetitions, **setting))
             with np.errstate(all="ignore"):
                 found = [method(one) for method in METHODS.values()]
                 gap = differences(one, other)
@@ -186,8 +188,8 @@ def print_coverage(rng: np.random.Generator) -> None:
             )
 
 
-def print_blocks(rng: np.random.Generator, repetitions: int = 400) -> None:
-    """One long recording, cut into blocks as long as its own autocorrelation asks for."""
+def print_blocks(rng: np.random.Generator, repetitions: int) -> None:
+    """One long recording, cut into blocks as long as its own autocorrelation requires."""
     print(f"\none recording cut into blocks of {BLOCK_TIMES:g} autocorrelation times, as measured on it:")
     for frames in (4000, 8000):
         series = two_trackers(rng, 1, repetitions, frames, unlike=0.0, traffic=0.0)[0][0]
@@ -202,27 +204,16 @@ def print_blocks(rng: np.random.Generator, repetitions: int = 400) -> None:
                 held.append(bool(low <= truth <= high))
         print(
             f"{frames:6} frames: {np.median(units):.0f} units, long enough in {100 * len(held) / repetitions:.0f} %,"
-            f" of which {100 * np.mean(held):.1f} % hold the truth"
+            f" of which {100 * np.mean(held):.1f} % contain the truth"
         )
 
 
-def print_speed(rng: np.random.Generator) -> None:
-    trackers = rng.poisson(50.0, (10, 20, 21, 8, len(COUNTS))).astype(np.float64)
-    began = time.perf_counter()
-    for counts in trackers:
-        for score in ("f1", "precision", "recall", "brier", "nll"):
-            interval(counts, score)
-    gaps = [differences(counts, trackers[0]) for counts in trackers[1:]]
-    holm(np.concatenate([gap.p[[4, 8, 20], :2].ravel() for gap in gaps]))
-    spent = time.perf_counter() - began
-    print(f"\n10 trackers x 21 steps x 8 strata from 20 recordings: five intervals and the differences {spent:.3f} s")
-
-
 def main() -> None:
-    rng = np.random.default_rng(0)
-    print_coverage(rng)
-    print_blocks(rng)
-    print_speed(rng)
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--repetitions", type=int, default=2000, help="simulated sets of recordings for each setting")
+    repetitions, rng = parser.parse_args().repetitions, np.random.default_rng(0)
+    print_coverage(rng, repetitions)
+    print_blocks(rng, repetitions // 5)
 
 
 if __name__ == "__main__":

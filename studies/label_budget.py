@@ -1,16 +1,15 @@
-"""How many labels classes need: log loss of a scan by labelled scans, from the latent state and from one scan.
+"""Label budget: the log loss of a scan's classes by the number of labelled scans, from the latent state and one scan.
 
-Run it by itself: `python -m studies.label_budget`; rows that lie in the file `--out` are not measured again. Three
-stretches of the junction's training recording are drawn; of each the first 50, 100, 200, 400 and 800 scans are
-labelled. The network is the shipped one and stays as it is. Settings of the shipped classifiers are kept (chosen once,
-with 800 scans), the best state of each training is chosen on the first 90 s of the validation recording, and the
-referee's own counts are taken on test recordings, a forecast every 2 s.
+`python -m studies.label_budget` (a quarter of an hour and more); rows that are in the file `--out` are not measured
+again. Three stretches of the junction's training recording are drawn; of each the first 50, 100, 200, 400 and 800
+scans are labelled. The network is the shipped one and is not trained. The settings of the shipped classifiers are kept
+(chosen once, with 800 scans), the best state of each training is chosen on the first 90 s of the validation recording,
+and the referee's own counts are taken on test recordings, a forecast every 2 s.
 """
 
 from __future__ import annotations
 
 import argparse
-import csv
 import statistics
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -29,7 +28,6 @@ from gridtrack.evaluation.scoring.target import Target
 from gridtrack.recordings.stream import GridStream, open_stream
 from gridtrack.trackers.cell_classifier import CellClassifier, ClassifierSettings
 from gridtrack.trackers.cell_training import LabelledCells, calibrated, train_classifier
-from gridtrack.trackers.contract import stream_of
 from gridtrack.trackers.labelled import LEAD_IN, VALIDATE_ON, learned_classes
 from gridtrack.trackers.one_shot.settings import OneShotSettings
 from gridtrack.trackers.one_shot.tracker import PLANES, planes_of
@@ -38,19 +36,19 @@ from gridtrack.trackers.recurrent import DilatedConvGRUTracker
 from gridtrack.trackers.recurrent.transfer import cells_of as cells_of_states
 from gridtrack.trackers.weights import read_card
 
-DATA, WEIGHTS = Path("data/junction"), Path("data/weights")
-BUDGETS, DRAWS, SCANS = (50, 100, 200, 400, 800), (1, 2, 3), 800
+from studies.support.label_table import BUDGETS, COLUMNS, append_row, read_rows
+from studies.support.shipped import JUNCTION, WEIGHTS, junction_tests, shipped_tracker
+
+DRAWS, SCANS = (1, 2, 3), 800
 STEPS, AHEAD, EVERY = 20, 8, 16
 """Steps of a forecast, the later one that is scored (1 s), and frames from one scored forecast to the next (2 s)."""
 LINEAR = ClassifierSettings(learning_rate=0.0172, weight_decay=0.000377)
 """Best of the ten trials of `dilated-convgru:stage=classes,class_layers=1` with all SCANS of draw 1."""
-COLUMNS = {"visible now": (0, "visible"), "visible 1 s": (1, "visible"), "occluded now": (0, "occluded")}
-"""What is scored: of now and AHEAD the first or second, and the kind of cells."""
 
 
 @dataclass(frozen=True)
 class Reading:
-    """What can be read at a scored frame and in the forecast from it, and what truly was there.
+    """Inputs of the classifiers at a scored frame and in its forecast, and their targets.
 
     `planes` by source, each (2, C, M, M), now and AHEAD: `state`, and `scan`, which is the same twice.
     """
@@ -61,7 +59,7 @@ class Reading:
 
 @dataclass(frozen=True)
 class Method:
-    """A classifier of what is read from `source`: how it is made for so many classes, and trained."""
+    """A classifier of the planes of `source`: how it is built for a number of classes, and its training settings."""
 
     name: str
     source: str
@@ -70,8 +68,8 @@ class Method:
 
 
 @dataclass(frozen=True)
-class Wanted:
-    """What has not been measured of one draw: a method, with so many scans."""
+class Measurement:
+    """One missing row of a draw: a method and its number of labelled scans."""
 
     scans: int
     method: Method
@@ -96,8 +94,9 @@ def methods() -> list[Method]:
 
 def latent_tracker(source: GridStream) -> DilatedConvGRUTracker:
     """The shipped network on a stream."""
-    weights = WEIGHTS / "dilated-convgru/junction.toml"
-    return DilatedConvGRUTracker(stream_of(source, weights), DilatedConvGRUTracker.Options())
+    tracker = shipped_tracker("dilated-convgru", source)
+    assert isinstance(tracker, DilatedConvGRUTracker)
+    return tracker
 
 
 def drawn(whole: GridStream, seed: int) -> tuple[GridStream, int]:
@@ -113,7 +112,7 @@ def drawn(whole: GridStream, seed: int) -> tuple[GridStream, int]:
 
 def readings(name: str) -> Iterator[Reading]:
     """Of one test recording, at the frames that a comparison `--every 2s` scores."""
-    stream = open_stream(DATA / f"{name}.tracks")
+    stream = open_stream(JUNCTION / f"{name}.tracks")
     schedule, tracker = Schedule(len(stream), STEPS, EVERY), latent_tracker(stream)
     frames: list[Target] = []
     pending: list[tuple[int, dict[str, Tensor]]] = []
@@ -154,9 +153,9 @@ def losses(classifier: CellClassifier, source: str, test: Sequence[Reading], mat
 
 
 @cache
-def held_out(classes: tuple[str, ...]) -> dict[str, LabelledCells]:
-    """What is chosen by, by source."""
-    stream = open_stream(f"{DATA / 'validation.tracks'}@0s-90s")
+def validation_cells(classes: tuple[str, ...]) -> dict[str, LabelledCells]:
+    """The validation cells, by source."""
+    stream = open_stream(f"{JUNCTION / 'validation.tracks'}@0s-90s")
     frames = list(stream.labelled())
     return {
         "scan": cells_of_scans([(stream.classes, frames[::VALIDATE_ON])], classes),
@@ -164,13 +163,15 @@ def held_out(classes: tuple[str, ...]) -> dict[str, LabelledCells]:
     }
 
 
-def measure(whole: GridStream, seed: int, wanted: Sequence[Wanted], test: Sequence[Reading], out: Path) -> None:
-    """Train what is `wanted` on the first scans of one draw, and append what it scores to `out`."""
+def measure_draw(
+    whole: GridStream, seed: int, missing: Sequence[Measurement], test: Sequence[Reading], out: Path
+) -> None:
+    """Train the `missing` classifiers on the first scans of one draw, and append their scores to `out`."""
     stream, lead_in = drawn(whole, seed)
     names, frames = stream.classes, list(stream.labelled())
     frames[:lead_in] = [item._replace(cells=item.cells[:0], labels=item.labels[:0]) for item in frames[:lead_in]]
     tracker = latent_tracker(stream)
-    for budget, of_budget in groupby(wanted, key=lambda one: one.scans):
+    for budget, of_budget in groupby(missing, key=lambda one: one.scans):
         labelled = frames[: lead_in + budget]
         classes = learned_classes(names, (item.labels for item in labelled))
         learned = {
@@ -179,31 +180,12 @@ def measure(whole: GridStream, seed: int, wanted: Sequence[Wanted], test: Sequen
         }
         for method in (one.method for one in of_budget):
             torch.manual_seed(seed)
-            chosen_by = held_out(classes)[method.source]
-            trained = train_classifier(method.build(len(classes)), method.settings, learned[method.source], chosen_by)
-            classifier = calibrated(trained, chosen_by).classifier
+            validation = validation_cells(classes)[method.source]
+            trained = train_classifier(method.build(len(classes)), method.settings, learned[method.source], validation)
+            classifier = calibrated(trained, validation).classifier
             found = losses(classifier, method.source, test, match_classes(classes, names))
-            append(out, {"method": method.name, "scans": budget, "draw": seed, "classes": len(classes), **found})
+            append_row(out, {"method": method.name, "scans": budget, "draw": seed, "classes": len(classes), **found})
             print(f"draw {seed}, {budget} scans, {method.name}: {found}", flush=True)
-
-
-def append(out: Path, row: dict[str, object]) -> None:
-    """One more line of the table of results."""
-    new = not out.exists()
-    out.parent.mkdir(parents=True, exist_ok=True)
-    with out.open("a", newline="") as file:
-        writer = csv.DictWriter(file, list(row))
-        if new:
-            writer.writeheader()
-        writer.writerow(row)
-
-
-def read(out: Path) -> list[dict[str, str]]:
-    """The results so far."""
-    if not out.exists():
-        return []
-    with out.open(newline="") as file:
-        return list(csv.DictReader(file))
 
 
 def print_table(rows: Sequence[dict[str, str]]) -> None:
@@ -222,24 +204,26 @@ def spread(values: Sequence[float]) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--out", type=Path, default=Path("runs/label_budget.csv"))
     parser.add_argument("--draws", type=int, nargs="+", default=DRAWS, help="seeds of the stretches to measure now")
     parser.add_argument("--recordings", type=int, default=20, help="test recordings to score on, out of twenty")
     arguments = parser.parse_args()
     torch.set_num_threads(1)
-    done = {(row["method"], int(row["scans"]), int(row["draw"])) for row in read(arguments.out)}
+    done = {(row["method"], int(row["scans"]), int(row["draw"])) for row in read_rows(arguments.out)}
     missing = {
-        seed: [Wanted(n, method) for n, method in product(BUDGETS, methods()) if (method.name, n, seed) not in done]
+        seed: [
+            Measurement(n, method) for n, method in product(BUDGETS, methods()) if (method.name, n, seed) not in done
+        ]
         for seed in arguments.draws
     }
     if any(missing.values()):
-        names = sorted(path.stem for path in DATA.glob("test-*.tracks"))
+        names = [path.stem for path in junction_tests()]
         test = [reading for name in names[:: -(-len(names) // arguments.recordings)] for reading in readings(name)]
-        whole = open_stream(DATA / "train.tracks")
-        for seed, wanted in missing.items():
-            measure(whole, seed, wanted, test, arguments.out)
-    print_table(read(arguments.out))
+        whole = open_stream(JUNCTION / "train.tracks")
+        for seed, of_draw in missing.items():
+            measure_draw(whole, seed, of_draw, test, arguments.out)
+    print_table(read_rows(arguments.out))
 
 
 if __name__ == "__main__":

@@ -1,19 +1,20 @@
-"""The label budget as a curve: what `label_budget.py` measured, mean and range over its draws.
+"""Label budget as curves: the mean and the range over draws of the table of `studies/label_budget.py`.
 
-`python -m studies.label_curve` draws docs/results/junction/label-budget.svg from the table beside it.
+`python -m studies.label_curve [TABLE]` (one second) draws the table into an SVG file beside it.
 """
 
 from __future__ import annotations
 
+import argparse
 import statistics
-import sys
 from collections import defaultdict
 from html import escape
 from pathlib import Path
 
 from gridtrack.reports.figures import Axis
 
-from studies.label_budget import BUDGETS, COLUMNS, read
+from studies.support.label_table import BUDGETS, COLUMNS, read_rows
+from studies.support.svg import document
 
 TABLE = Path("docs/results/junction/label-budget.csv")
 STYLES = {"one-shot": "#c2410c", "latent": "#1d4ed8", "latent, linear": "#0f766e"}
@@ -28,7 +29,7 @@ Points = list[tuple[int, float, float, float]]
 def curves(path: Path, column: str) -> dict[str, Points]:
     """The curve of each method."""
     values: dict[str, dict[int, list[float]]] = defaultdict(lambda: defaultdict(list))
-    for row in read(path):
+    for row in read_rows(path):
         values[row["method"]][int(row["scans"])].append(float(row[column]))
     return {
         method: [(scans, statistics.fmean(own), min(own), max(own)) for scans, own in sorted(of_scans.items())]
@@ -36,7 +37,7 @@ def curves(path: Path, column: str) -> dict[str, Points]:
     }
 
 
-def panel(number: int, title: str, lines: dict[str, Points]) -> str:
+def curve_panel(number: int, title: str, lines: dict[str, Points]) -> str:
     """One column of the table as axes and curves."""
     left = LEFT + number * (WIDTH + GAP)
     x = Axis(BUDGETS[0], BUDGETS[-1], left, left + WIDTH, logarithmic=True)
@@ -57,9 +58,9 @@ def panel(number: int, title: str, lines: dict[str, Points]) -> str:
     return "".join(parts)
 
 
-def draw(path: Path) -> str:
+def drawing(path: Path) -> str:
     """The figure, SVG."""
-    panels = [panel(number, title, curves(path, title)) for number, title in enumerate(COLUMNS)]
+    panels = [curve_panel(number, title, curves(path, title)) for number, title in enumerate(COLUMNS)]
     foot, width = TOP + HEIGHT + 36, LEFT + len(panels) * (WIDTH + GAP)
     keys = [
         f'<path d="M{LEFT + 150 * k} {foot - 4}h22" stroke="{colour}" stroke-width="2"/>'
@@ -67,13 +68,15 @@ def draw(path: Path) -> str:
         for k, (method, colour) in enumerate(STYLES.items())
     ]
     caption = f'<text x="{width - GAP}" y="{foot}" text-anchor="end">log loss, nats a scan, by labelled scans</text>'
-    return (
-        f'<svg xmlns="http://www.w3.org/2000/svg" width="{width}" height="{TOP + HEIGHT + BOTTOM}"'
-        f' font-family="sans-serif" font-size="12"><rect width="100%" height="100%" fill="white"/>'
-        f"{''.join(panels)}{''.join(keys)}{caption}</svg>\n"
-    )
+    return document(width, TOP + HEIGHT + BOTTOM, [*panels, *keys, caption], font_size=12)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("table", type=Path, nargs="?", default=TABLE)
+    table = parser.parse_args().table
+    table.with_suffix(".svg").write_text(drawing(table))
 
 
 if __name__ == "__main__":
-    table = Path(sys.argv[1]) if sys.argv[1:] else TABLE
-    table.with_suffix(".svg").write_text(draw(table))
+    main()

@@ -1,9 +1,9 @@
-"""The demo recording in five folds: moving F1 of each tracker beside persistence's, each fold unseen by what it tests.
+"""Demo recording in five folds: moving F1 of each tracker and of persistence, with every part tested once.
 
-`python -m studies.leg_folds [TRACKER...]` (five minutes a fold and tracker; what lies in `--out` is kept). The demo
+`python -m studies.leg_folds [TRACKER...]` (five minutes a fold and tracker; what is in `--out` is kept). The demo
 tests 36 s with thresholds from 15 s. Here every fifth of the two minutes is tested once: the thresholds are chosen on
-the fifth after it, and what is fitted is fitted on the three others. The referee's own counts are put together with the
-statistics of a comparison, which say whether two minutes are enough for an interval (docs/statistics.md).
+the fifth after it, and the trackers are fitted on the three others. The referee's counts of the five folds are pooled
+by the statistics of a comparison, which decide whether two minutes are enough for an interval (docs/statistics.md).
 """
 
 from __future__ import annotations
@@ -29,12 +29,12 @@ SHOWN = {"f1": (0.5, 1.0, 2.0), "pr_auc": (0.5, 1.0)}
 
 
 def gridtrack(*arguments: object) -> None:
-    """Run the command line; what it says goes to stderr."""
+    """Run the command line, its output sent to stderr."""
     subprocess.run([sys.executable, "-m", "gridtrack.cli", *map(str, arguments)], check=True, stdout=sys.stderr)
 
 
-def compared(fold: int, trackers: Sequence[str], out: Path) -> Path:
-    """The folder of the comparison on this fold, with the trackers fitted on what is neither it nor the next one."""
+def compare_fold(fold: int, trackers: Sequence[str], out: Path) -> Path:
+    """The folder of the comparison on this fold, with the trackers fitted on neither this fold nor the next one."""
     folder, weights = out / f"fold-{fold}", out / f"weights-{fold}"
     following = (fold + 1) % len(FOLDS)
     tested, chosen_on = (f"{RECORDING}@{FOLDS[n]}" for n in (fold, following))
@@ -49,7 +49,7 @@ def compared(fold: int, trackers: Sequence[str], out: Path) -> Path:
     return folder
 
 
-def ended(folder: Path, summary: Mapping[str, Any]) -> list[Ended]:
+def finished_trials(folder: Path, summary: Mapping[str, Any]) -> list[Ended]:
     """The trials of a comparison."""
     found = []
     for label, row in summary["trackers"].items():
@@ -61,15 +61,15 @@ def ended(folder: Path, summary: Mapping[str, Any]) -> list[Ended]:
     return found
 
 
-def moving(curves: Mapping[str, Any]) -> str:
-    """What is SHOWN of them."""
+def moving_scores(curves: Mapping[str, Any]) -> str:
+    """The scores in SHOWN, as text."""
     return "  ".join(
         f"{curves['moving'][score][round(h / PERIOD_S)]:.3f}" for score, horizons in SHOWN.items() for h in horizons
     )
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("trackers", nargs="*", default=["static-map", "kalman"])
     parser.add_argument("--out", type=Path, default=Path("runs/folds"))
     arguments = parser.parse_args()
@@ -77,16 +77,16 @@ def main() -> None:
     trials: list[Ended] = []
     print("moving cells:", "; ".join(f"{score} at {', '.join(f'{h:g} s' for h in at)}" for score, at in SHOWN.items()))
     for fold, stretch in enumerate(FOLDS):
-        folder = compared(fold, arguments.trackers, arguments.out)
+        folder = compare_fold(fold, arguments.trackers, arguments.out)
         summary = json.loads((folder / SUMMARY).read_text())
         recordings |= summary["recordings"]
-        trials += ended(folder, summary)
+        trials += finished_trials(folder, summary)
         for label, row in summary["trackers"].items():
             for scores in row["recordings"].values():
-                print(f"{stretch:>10}  {label:14} {moving(scores['strata'])}")
+                print(f"{stretch:>10}  {label:14} {moving_scores(scores['strata'])}")
     inference = Inference(recordings, trials, REFERENCE)
     for label, pooled in (inference.pooled() or {}).items():
-        print(f"{'all':>10}  {label:14} {moving(pooled['strata'])}")
+        print(f"{'all':>10}  {label:14} {moving_scores(pooled['strata'])}")
     for difference in inference.differences():
         for test in difference["headline"]:
             if test["stratum"] == "moving":

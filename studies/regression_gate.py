@@ -1,23 +1,22 @@
-"""How often the gate is wrong: false alarms between trainings of one tracker, and falls that it misses.
+"""Error rates of the regression gate: false alarms between trainings of one tracker, and missed regressions.
 
-Run it by itself: `python -m studies.regression_gate [RUN RUN RUN...]`, three runs or more of the same tracker,
-trained anew for each, on the same twenty recordings or more; without them, `kalman` with four settings is run on the
-junction's test recordings. It takes some minutes. Aims: worse in at most 5 % of 200 resampled comparisons; a fall of
-0.02 F1 on moving cells in the step band of 1 s found in at least 95 of 100.
+`python -m studies.regression_gate [RUN RUN RUN...]` (some minutes): three runs or more of the same tracker, trained
+anew for each, on the same twenty recordings or more; without them, `kalman` with four settings is run on the junction's
+test recordings. Aims: worse in at most 5 % of 200 resampled comparisons; a decrease of 0.02 F1 on moving cells in the
+step band of 1 s found in at least 95 of 100.
 
-Every comparison draws as many recordings as there are, with replacement. Falls are hits of the judged run turned into
-misses, more in some recordings than in others, until moving F1 has fallen by 0.02. Three tables:
+Every comparison draws as many recordings as there are, with replacement. For a decrease, hits of the judged run become
+misses, more in some recordings than in others, until moving F1 has decreased by 0.02. Three tables:
 
-1. Chance of the units: of the two best runs it is chance in each recording which one is the baseline.
-2. Trainings as they are: each run but the best against baselines of others, with the best one among them; and each run
-   against all others.
-3. Trainings drawn: a normal mixture of what separates the runs, so that of any number none differs from the others but
-   by chance.
+1. Exchanged units: in each recording it is random which of the two best runs is the baseline.
+2. Trainings as observed: each run but the best against baselines of others that include the best; and each run against
+   all others.
+3. Simulated trainings: a normal mixture of the runs' deviations from their mean, of which none differs systematically.
 """
 
 from __future__ import annotations
 
-import sys
+import argparse
 import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
@@ -38,11 +37,11 @@ from gridtrack.evaluation.regression.spread import PRIOR_FREEDOM, beyond_spread,
 from gridtrack.evaluation.scoring.metrics import f1_score
 from gridtrack.evaluation.statistics.uncertainty import differences, holm
 
-from benchmarks.harness import Quiet
+from studies.support.progress import NoProgress
+from studies.support.shipped import JUNCTION, junction_tests
 
-JUNCTION = Path(__file__).parents[1] / "data" / "junction"
 SETTINGS = ("", ":position_noise_m=0.05", ":acceleration=0.1", ":link_m=0.3")
-"""Of `kalman`, about as good as each other: in place of trainings where none are given."""
+"""Options of `kalman` with nearly equal scores: in place of trainings where none are given."""
 RESAMPLED, FALLS = 200, 100
 FALL, STRATUM, BAND = 0.02, "moving", "middle"
 MARGIN = GateSettings().margin
@@ -88,7 +87,7 @@ def uncorrected(trainings: Floats, judged: Floats) -> Floats:
 
 
 def no_statistics(trainings: Floats, judged: Floats) -> Floats:
-    """Whatever fell beyond the margin."""
+    """p = 0: every decrease beyond the margin counts."""
     return np.zeros(judged.shape[1])
 
 
@@ -114,7 +113,7 @@ def is_worse(rule: Rule, trainings: Floats, judged: Floats) -> NDArray[np.bool_]
     return (fall > MARGIN) & (rule(trainings, judged) <= FAMILY_LEVEL)
 
 
-def made_worse(counts: Floats, row: int, rng: np.random.Generator) -> Floats:
+def with_decrease(counts: Floats, row: int, rng: np.random.Generator) -> Floats:
     """`counts` with hits of the stratum's `row` turned into misses until its F1 has fallen by FALL.
 
     A unit loses a share of its hits that varies by half from unit to unit.
@@ -131,14 +130,14 @@ def made_worse(counts: Floats, row: int, rng: np.random.Generator) -> Floats:
     return made
 
 
-def swapped(one: Floats, other: Floats, rng: np.random.Generator) -> Comparison:
+def exchanged(one: Floats, other: Floats, rng: np.random.Generator) -> Comparison:
     """Of two runs, in each unit drawn, chance decides which is the baseline's."""
     drawn = rng.integers(0, len(one), len(one))
     swap = rng.integers(0, 2, (len(one), 1, 1)).astype(bool)
     return np.where(swap, other[drawn], one[drawn])[None], np.where(swap, one[drawn], other[drawn])
 
 
-def as_they_are(trainings: Floats, others: int, rng: np.random.Generator) -> Comparison:
+def as_observed(trainings: Floats, others: int, rng: np.random.Generator) -> Comparison:
     """A run but the best, the first, against a baseline of the best and, but for it, `others` drawn among the rest."""
     judged, *rest = rng.permutation(np.arange(1, len(trainings)))
     drawn = rng.integers(0, trainings.shape[1], trainings.shape[1])
@@ -152,7 +151,7 @@ def left_out(trainings: Floats, rng: np.random.Generator) -> Comparison:
     return np.delete(trainings, judged, axis=0)[:, drawn], trainings[judged][drawn]
 
 
-def mixed(trainings: Floats, count: int, rng: np.random.Generator) -> Comparison:
+def simulated(trainings: Floats, count: int, rng: np.random.Generator) -> Comparison:
     """`count` trainings and one more, each the runs' mean and a normal mixture of their deviations from it."""
     mean = trainings.mean(axis=0)
     weights = rng.standard_normal((count + 1, len(trainings))) / np.sqrt(len(trainings) - 1)
@@ -162,19 +161,19 @@ def mixed(trainings: Floats, count: int, rng: np.random.Generator) -> Comparison
 
 
 def print_rule(name: str, rule: Rule, draw: Callable[[np.random.Generator], Comparison], aim: int) -> None:
-    """How often `rule` calls what `draw` gives worse, and how often it finds the fall in it."""
+    """Print how often `rule` calls a drawn comparison worse, and how often it finds a decrease in it."""
     rng = np.random.default_rng(1)
     alarms = found = 0
     for number in range(RESAMPLED):
         trainings, judged = draw(rng)
         alarms += is_worse(rule, trainings, judged).any()
         if number < FALLS:
-            found += is_worse(rule, trainings, made_worse(judged, aim, rng))[aim]
+            found += is_worse(rule, trainings, with_decrease(judged, aim, rng))[aim]
     print(f"{name:50} {f'{100 * alarms / RESAMPLED:.1f} %':>14} {f'{found} of {FALLS}':>12}", flush=True)
 
 
-def heading(title: str) -> None:
-    print(f"\n{title:50} {'called worse':>14} {'falls found':>12}")
+def print_heading(title: str) -> None:
+    print(f"\n{title:50} {'called worse':>14} {'found':>12}")
 
 
 def print_tables(runs: Runs) -> None:
@@ -185,7 +184,7 @@ def print_tables(runs: Runs) -> None:
         f"F1 from run to run up to {np.nanmax(np.ptp(f1, axis=0)):.4f} apart; {STRATUM}, {BAND}: {f1[:, aim].round(4)}"
     )
 
-    heading("1. chance of the units")
+    print_heading("1. exchanged units")
     rules = {
         "the gate's: swaps, max-T over the family": gate,
         "t test, Holm over the family": by_holm,
@@ -193,12 +192,12 @@ def print_tables(runs: Runs) -> None:
         "margin alone": no_statistics,
     }
     for name, rule in rules.items():
-        print_rule(name, rule, lambda rng: swapped(trainings[0], trainings[1], rng), aim)
+        print_rule(name, rule, lambda rng: exchanged(trainings[0], trainings[1], rng), aim)
 
-    heading("2. trainings as they are: baseline of")
+    print_heading("2. trainings as observed: baseline of")
     for others in range(len(trainings) - 1):
         name = f"the best and {others} more" if others else "the best alone"
-        print_rule(name, gate, lambda rng, others=others: as_they_are(trainings, others, rng), aim)
+        print_rule(name, gate, lambda rng, others=others: as_observed(trainings, others, rng), aim)
     print_rule("all but the one judged", gate, lambda rng: left_out(trainings, rng), aim)
 
     print("\nsmallest fall that can be found, in standard deviations from training to training")
@@ -206,13 +205,13 @@ def print_tables(runs: Runs) -> None:
         t = stdtrit(PRIOR_FREEDOM + count - 1, 1 - FAMILY_LEVEL / trainings.shape[2])
         print(f"baseline of {count}: {t * np.sqrt(1 + 1 / count):.1f}")
 
-    heading("3. trainings drawn")
-    for name, rule, count in drawn_rules(gate):
-        print_rule(f"{name}, baseline of {count}", rule, lambda rng, count=count: mixed(trainings, count, rng), aim)
+    print_heading("3. simulated trainings")
+    for name, rule, count in simulation_rules(gate):
+        print_rule(f"{name}, baseline of {count}", rule, lambda rng, count=count: simulated(trainings, count, rng), aim)
 
 
-def drawn_rules(gate: Rule) -> Iterator[tuple[str, Rule, int]]:
-    """Rules for trainings that are drawn, and of how many of them the baseline is."""
+def simulation_rules(gate: Rule) -> Iterator[tuple[str, Rule, int]]:
+    """Rules for simulated trainings, and the number of trainings of the baseline."""
     for count in (1, 2, 3, 5):
         yield "the gate's", gate, count
     for freedom in (0.0, PRIOR_FREEDOM / 2, PRIOR_FREEDOM * 2):
@@ -222,14 +221,14 @@ def drawn_rules(gate: Rule) -> Iterator[tuple[str, Rule, int]]:
 
 def junction_runs(folder: Path) -> list[Path]:
     """Runs of `kalman` on the junction's test recordings, each with other settings."""
-    recordings = tuple(map(str, sorted(JUNCTION.glob("test-*.tracks"))))
+    recordings = tuple(map(str, junction_tests()))
     made = [folder / str(number) for number in range(len(SETTINGS))]
     for out, options in zip(made, SETTINGS, strict=True):
         settings = CompareSettings(
             recordings=recordings, trackers=(f"kalman=kalman{options}",), out=out,
             validation=f"{JUNCTION / 'validation.tracks'}@0s-60s",
         )  # fmt: skip
-        run(resolve(settings), (), Quiet())
+        run(resolve(settings), (), NoProgress())
     return made
 
 
@@ -244,8 +243,11 @@ def read_runs(paths: list[Path]) -> Runs:
 
 
 def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("runs", type=Path, nargs="*", help="folders of runs; default: four settings of kalman are run")
+    arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
-        print_tables(read_runs(list(map(Path, sys.argv[1:])) or junction_runs(Path(folder))))
+        print_tables(read_runs(arguments.runs or junction_runs(Path(folder))))
 
 
 if __name__ == "__main__":

@@ -1,55 +1,59 @@
-"""What each stage of the model-free pipeline costs in F1: the junction with the truth in a stage's place.
+"""Cost of each stage of the model-free pipeline in F1: the junction with the truth in a stage's place.
 
-Run it by itself: `python -m studies.stage_costs [kalman|factor-graph]`. The validation recording, scored as while
-tuning (moving and visible cells, each step's best threshold), as the pipeline is and then with one thing from the
-truth: all returns of a body as one cluster; how the body has moved since it was first matched, in place of each later
-match; the velocity and turn rate of every track that is seen, or of those that are at most a second old, at the time of
-the forecast.
+`python -m studies.stage_costs [kalman|factor-graph]` (ten minutes). The validation recording, scored as in tuning
+(moving and visible cells, each step's best threshold), with the pipeline as it is and then with one thing from the
+truth: all returns of a body as one cluster; how the body has moved since its first match, in place of each later
+match; the velocity and turn rate of every visible track, or of those that are at most a second old, at the time of the
+forecast.
 """
 
 from __future__ import annotations
 
+import argparse
 import math
-import sys
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gridtrack.common.geometry import SE2, wrap_angle
-from gridtrack.common.grid import GridFrame, GridSpec
+from gridtrack.common.grid import GridFrame, GridSpec, Mask
 from gridtrack.common.scene import SceneObject
-from gridtrack.evaluation.comparison.learned import find_weights
 from gridtrack.evaluation.scoring.in_process import score_in_process
 from gridtrack.recordings.stream import GridStream, Observation, open_stream
-from gridtrack.trackers import registry
-from gridtrack.trackers.contract import Forecast, stream_of
+from gridtrack.trackers.contract import Forecast
+from gridtrack.trackers.model_free.factor_graph import FactorGraphTracker
+from gridtrack.trackers.model_free.kalman import KalmanTracker
 from gridtrack.trackers.model_free.matches import Match
+from gridtrack.trackers.model_free.pipeline import Pipeline
 from gridtrack.trackers.model_free.segmentation import Cluster, joined
 from gridtrack.trackers.model_free.tracker import ModelFreeTracker
 from gridtrack.trackers.model_free.tracks import Track
 
-from studies.stage_errors import most
-from studies.velocity_errors import JUNCTION, bodies, cells_of, rigid_velocity
+from studies.support.shipped import JUNCTION, shipped_stream
+from studies.support.true_bodies import Points, bodies, body_cells, most_frequent, rigid_velocity
 
 STEPS, HORIZONS = 20, {"0.5 s": 4, "1 s": 8, "2 s": 16}
 YOUNG_S = 1.0
 VELOCITY_SD, TURN_RATE_SD = 0.03, 0.01
 POSE_SD = 0.03
-"""How well the truth is known, m/s, rad/s, and m and rad."""
+"""Standard deviations given to the truth: m/s, rad/s, and m and rad."""
+REPLACED = ("nothing", "clusters", "poses", "velocity", "young")
+TRACKERS: dict[str, type[ModelFreeTracker]] = {kind.name: kind for kind in (KalmanTracker, FactorGraphTracker)}
 
 
-class Truth(NamedTuple):
-    """Of one frame: the number of the body on each cell (M, M), -1 for none, and the bodies before, now and after."""
+class TrueFrame(NamedTuple):
+    """The bodies of one frame, the one before and the one after; `owner` (M, M): the body on each cell, -1: none."""
 
-    owner: np.ndarray
+    owner: NDArray[np.int64]
     before: dict[int, SceneObject]
     now: dict[int, SceneObject]
     after: dict[int, SceneObject]
     elapsed_s: float
     world_T_grid: SE2
 
-    def motion(self, body: int, at: np.ndarray) -> tuple[np.ndarray, float] | None:
+    def motion(self, body: int, at: Points) -> tuple[Points, float] | None:
         """Velocity (2,) of the body at a point (1, 2), grid frame, and its turn rate; None at its first and last."""
         if body not in self.before or body not in self.after:
             return None
@@ -58,60 +62,86 @@ class Truth(NamedTuple):
         return rigid_velocity(*poses, self.elapsed_s, self.world_T_grid, at).mean(axis=1), turned / self.elapsed_s
 
 
-def truths(observations: Sequence[Observation], grid: GridSpec) -> dict[int, Truth]:
-    """By stamp."""
+def true_frames(observations: Sequence[Observation], grid: GridSpec) -> dict[int, TrueFrame]:
+    """The true frames by their stamp."""
     centres, found = grid.cell_centres(np.ones(grid.shape, bool)), {}
     for number, now in enumerate(observations):
         before, after = observations[max(number - 1, 0)], observations[min(number + 1, len(observations) - 1)]
         owner, occupied = np.full(grid.size**2, -1), now.frame.occupied.reshape(-1)
         for key, body in bodies(now.scene).items():
-            owner[cells_of(body, now.frame.world_T_grid, centres, occupied, grid)] = key
+            owner[body_cells(body, now.frame.world_T_grid, centres, occupied, grid)] = key
         scenes = bodies(before.scene), bodies(now.scene), bodies(after.scene)
         elapsed_s = (after.frame.stamp_ns - before.frame.stamp_ns) * 1e-9
-        found[now.frame.stamp_ns] = Truth(owner.reshape(grid.shape), *scenes, elapsed_s, now.frame.world_T_grid)
+        found[now.frame.stamp_ns] = TrueFrame(owner.reshape(grid.shape), *scenes, elapsed_s, now.frame.world_T_grid)
     return found
 
 
-def informed(kind: type[ModelFreeTracker], truth: Mapping[int, Truth], told: str) -> type[ModelFreeTracker]:
-    """The tracker, but `told` one thing from the truth: `clusters`, `poses`, `velocity`, `young` or nothing."""
+def informed_pipeline(replaced: str, truth: Mapping[int, TrueFrame]) -> type[Pipeline]:
+    """The pipeline, with the clusters or the poses from the truth where `replaced` names them."""
 
-    class Informed(kind):  # type: ignore[misc, valid-type]
+    class InformedPipeline(Pipeline):
+        def __init__(self, *arguments: Any) -> None:
+            super().__init__(*arguments)
+            self._first: dict[int, tuple[int, SE2]] = {}
+
+        def update(self, frame: GridFrame) -> None:
+            self._now = truth[frame.stamp_ns]
+            super().update(frame)
+
+        def _segment(self, frame: GridFrame) -> list[Cluster]:
+            clusters = super()._segment(frame)
+            return one_per_body(clusters, self._now, self.grid) if replaced == "clusters" else clusters
+
+        def _correct(self, shares: dict[int, Cluster], poses: dict[int, Match], visible: Mask) -> None:
+            if replaced == "poses":
+                poses = true_poses(self.tracks, shares, poses, self._first, self._now, self.grid)
+            super()._correct(shares, poses, visible)
+
+    return InformedPipeline
+
+
+def informed_tracker(
+    kind: type[ModelFreeTracker], replaced: str, truth: Mapping[int, TrueFrame]
+) -> type[ModelFreeTracker]:
+    """The tracker, with one of REPLACED from the truth."""
+
+    class InformedTracker(kind):  # type: ignore[misc, valid-type]
+        pipeline = informed_pipeline(replaced, truth)
+
         def reset(self, seed: int) -> None:
             super().reset(seed)
-            self._seen_for: dict[int, int] = {}
-            if told == "clusters":
-                segment = self._pipeline._segment
-                self._pipeline._segment = lambda frame: whole(segment(frame), truth[frame.stamp_ns], self.stream.grid)
-            if told == "poses":
-                correct, first = self._pipeline._correct, dict[int, tuple[int, SE2]]()
-                self._pipeline._correct = lambda shares, matches, visible: correct(
-                    shares, posed(self.tracks, shares, matches, first, self._now, self.stream.grid), visible
-                )
+            self._visible_for: dict[int, int] = {}
 
         def update(self, frame: GridFrame) -> None:
             self._now = truth[frame.stamp_ns]
             super().update(frame)
             for track in self.tracks:
-                self._seen_for[track.identity] = self._seen_for.get(track.identity, 0) + (not track.unseen)
+                self._visible_for[track.identity] = self._visible_for.get(track.identity, 0) + (not track.unseen)
 
         def predict(self, steps: int) -> Forecast:
-            wanted = [track for track in self.tracks if told in ("velocity", "young") and not track.unseen]
-            if told == "young":
-                wanted = [t for t in wanted if self._seen_for[t.identity] * self.stream.period_s <= YOUNG_S]
-            estimators = [one for track in wanted for one in track.estimator.estimators]
+            tracks = self._tracks_to_correct()
+            estimators = [one for track in tracks for one in track.estimator.estimators]
             kept = [(one, one.mean, one.covariance) for one in estimators]
-            for track in wanted:
-                tell(track, self._now, self.stream.grid)
+            for track in tracks:
+                set_true_velocity(track, self._now, self.stream.grid)
             forecast: Forecast = super().predict(steps)
             for one, mean, covariance in kept:
                 one.mean, one.covariance = mean, covariance
             return forecast
 
-    return Informed
+        def _tracks_to_correct(self) -> list[Track]:
+            visible = [track for track in self.tracks if not track.unseen]
+            if replaced == "velocity":
+                return visible
+            if replaced == "young":
+                return [t for t in visible if self._visible_for[t.identity] * self.stream.period_s <= YOUNG_S]
+            return []
+
+    return InformedTracker
 
 
-def tell(track: Track, truth: Truth, grid: GridSpec) -> None:
-    """Let the estimators of a track know how the body moves that most of its returns are of."""
+def set_true_velocity(track: Track, truth: TrueFrame, grid: GridSpec) -> None:
+    """Give the estimators of a track the velocity of the body that most of its returns are on."""
     body = owner_of(track.returns, truth, grid)
     motion = None if body is None else truth.motion(body, track.returns.mean(axis=0, keepdims=True))
     if motion is None:
@@ -124,21 +154,21 @@ def tell(track: Track, truth: Truth, grid: GridSpec) -> None:
         estimator.mean, estimator.covariance = mean, covariance
 
 
-def posed(
+def true_poses(
     tracks: Sequence[Track],
     shares: Mapping[int, Cluster],
     matches: Mapping[int, Match],
     first: dict[int, tuple[int, SE2]],
-    truth: Truth,
+    truth: TrueFrame,
     grid: GridSpec,
 ) -> dict[int, Match]:
-    """The matches, track number -> match, but after each track's first on a body as that body has moved since.
+    """The matches by track number; after a track's first match on a body, its pose follows the body's true motion.
 
-    `first` is by identity: the body that the track was first matched on, and the track's pose in that body's frame.
+    `first` is by identity: the body of the track's first match, and the track's pose in that body's frame.
     """
-    told = {}
+    corrected = {}
     for number, match in matches.items():
-        told[number] = match
+        corrected[number] = match
         body, identity = owner_of(shares[number].points, truth, grid), tracks[number].identity
         if body is None:
             continue
@@ -150,12 +180,12 @@ def posed(
         pose = np.array([true.x, true.y, true.theta])
         if match.covariance[2, 2] > math.pi**2:  # which shows no heading
             pose[2], covariance[2, 2] = match.pose[2], match.covariance[2, 2]
-        told[number] = match._replace(pose=pose, covariance=covariance)
-    return told
+        corrected[number] = match._replace(pose=pose, covariance=covariance)
+    return corrected
 
 
-def whole(clusters: Sequence[Cluster], truth: Truth, grid: GridSpec) -> list[Cluster]:
-    """The clusters, those of which most returns are of one body as one."""
+def one_per_body(clusters: Sequence[Cluster], truth: TrueFrame, grid: GridSpec) -> list[Cluster]:
+    """The clusters; those of which most returns are on the same body are joined."""
     of_body: dict[int, list[Cluster]] = {}
     for number, cluster in enumerate(clusters):
         body = owner_of(cluster.points, truth, grid)
@@ -163,29 +193,33 @@ def whole(clusters: Sequence[Cluster], truth: Truth, grid: GridSpec) -> list[Clu
     return [joined(parts) for parts in of_body.values()]
 
 
-def owner_of(points: np.ndarray, truth: Truth, grid: GridSpec) -> int | None:
+def owner_of(points: Points, truth: TrueFrame, grid: GridSpec) -> int | None:
     """The body that most of `points` (N, 2) are on."""
     cells, inside = grid.cells_of(points)
-    body = most(truth.owner[tuple(cells[inside].T)])
+    body = most_frequent(truth.owner[tuple(cells[inside].T)])
     return None if body < 0 else body
 
 
-def score(kind: type[ModelFreeTracker], stream: GridStream) -> list[float]:
+def scores(kind: type[ModelFreeTracker], stream: GridStream) -> list[float]:
     """F1 of moving and of visible cells at HORIZONS."""
-    learned = find_weights(kind.name, stream.site, None)
-    found = score_in_process(kind(stream_of(stream, learned.path if learned else None), kind.Options()), stream, STEPS)
+    found = score_in_process(kind(shipped_stream(kind.name, stream), kind.Options()), stream, STEPS)
     return [float(found.f1[stratum][step]) for stratum in ("moving", "visible") for step in HORIZONS.values()]
 
 
 def main() -> None:
-    kind = registry.load((sys.argv[1:] or ["kalman"])[0])
-    stream = open_stream(JUNCTION / "validation.tracks")
-    truth = truths(list(stream.observations()), stream.grid)
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("tracker", nargs="?", choices=list(TRACKERS), default="kalman")
+    parser.add_argument("--stretch", help="of the validation recording, such as 0s-20s; default: all of it")
+    arguments = parser.parse_args()
+    kind = TRACKERS[arguments.tracker]
+    recording = JUNCTION / "validation.tracks"
+    stream = open_stream(f"{recording}@{arguments.stretch}" if arguments.stretch else recording)
+    truth = true_frames(list(stream.observations()), stream.grid)
     columns = [f"{stratum} {horizon}" for stratum in ("moving", "visible") for horizon in HORIZONS]
-    print(f"| {kind.name}, told | {' | '.join(columns)} |\n|---|{'--:|' * len(columns)}")
-    for told in ("nothing", "clusters", "poses", "velocity", "young"):
-        values = score(informed(kind, truth, told), stream)
-        print(f"| {told} | {' | '.join(f'{value:.3f}' for value in values)} |", flush=True)
+    print(f"| {kind.name}, from the truth | {' | '.join(columns)} |\n|---|{'--:|' * len(columns)}")
+    for replaced in REPLACED:
+        values = scores(informed_tracker(kind, replaced, truth), stream)
+        print(f"| {replaced} | {' | '.join(f'{value:.3f}' for value in values)} |", flush=True)
 
 
 if __name__ == "__main__":

@@ -1,10 +1,10 @@
-"""Error of each stage of the model-free pipeline at the junction, against the truth: where its weakest link is.
+"""Error of each stage of the model-free pipeline at the junction, against the truth: which stage is the weakest.
 
-Run it by itself: `python -m studies.stage_errors [kalman|factor-graph]`. Two stretches of the validation recording, by
-class of the true body, over bodies of which at least two cells are seen:
+`python -m studies.stage_errors [kalman|factor-graph]` (two minutes). Two stretches of the validation recording, by
+class of the true body, over bodies of which at least two cells are visible:
 
 - segmentation: the share of bodies that are whole in one cluster, and of those that are alone in theirs;
-- association: how often a second a body's returns go to another track than in the frame before;
+- association: how often a second the returns of a body go to another track than in the frame before;
 - estimation: error of the velocity along and across the true one (median, root mean square), of bodies in view for a
   second that move, and the median of the squared normalised error (1.4 where it is consistent);
 - forecast: the share of the cells of bodies that have moved by 0.2 m which is forecast above the threshold that is best
@@ -13,54 +13,69 @@ class of the true body, over bodies of which at least two cells are seen:
 
 from __future__ import annotations
 
-import sys
+import argparse
 from collections import defaultdict
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gridtrack.common.grid import GridFrame, GridSpec
-from gridtrack.evaluation.comparison.learned import find_weights
-from gridtrack.evaluation.scoring.splits import static_cells
 from gridtrack.evaluation.scoring.strata import CELL_KINDS, cell_kinds_around
 from gridtrack.recordings.stream import Observation, open_stream
-from gridtrack.trackers import registry
-from gridtrack.trackers.contract import stream_of
+from gridtrack.recordings.truth import static_cells
+from gridtrack.trackers.model_free.factor_graph import FactorGraphTracker
+from gridtrack.trackers.model_free.kalman import KalmanTracker
 from gridtrack.trackers.model_free.pipeline import Pipeline
 from gridtrack.trackers.model_free.segmentation import Cluster
 from gridtrack.trackers.model_free.tracker import ModelFreeTracker
 from gridtrack.trackers.model_free.tracks import Track
 
-from studies.velocity_errors import JUNCTION, bodies, cells_of, rigid_velocity
+from studies.support.shipped import JUNCTION, shipped_stream
+from studies.support.true_bodies import MOVING_MPS, Points, bodies, body_cells, most_frequent, rigid_velocity
 
 STRETCHES = ("0s-50s", "200s-250s")
 WARM_UP, EVERY, SECOND = 20, 5, 8
 PERIOD_S = 0.125
 AHEAD = (1, 4, 8)
-MOVES_MPS, MOVED_M = 0.3, 0.2
+MOVED_M = 0.2
 NOTHING = np.empty((0, 2))
 
 Found = dict[tuple[str, str], list[float]]
 """By class and measure every value."""
-Forecasts = dict[int, list[tuple[np.ndarray, ...]]]
+Forecasts = dict[int, list[tuple[NDArray[Any], ...]]]
 """By steps ahead: probability, truth and class (-1: of nothing that moved) of visible cells where things move."""
 
 
-def keep_clusters(pipeline: Pipeline) -> list[Cluster]:
-    """A list that holds the clusters of the pipeline's newest frame from now on."""
-    newest: list[Cluster] = []
-    segment = pipeline._segment
+class ClusterRecorder(Pipeline):
+    """A pipeline that keeps the clusters of its newest frame."""
 
-    def kept(frame: GridFrame) -> list[Cluster]:
-        newest[:] = segment(frame)
-        return list(newest)
+    clusters: Sequence[Cluster] = ()
 
-    pipeline._segment = kept
-    return newest
+    def _segment(self, frame: GridFrame) -> list[Cluster]:
+        clusters = super()._segment(frame)
+        self.clusters = tuple(clusters)
+        return clusters
 
 
-def owners(groups: Sequence[np.ndarray], grid: GridSpec) -> np.ndarray:
-    """The number of the group of points (N, 2) that each cell's returns belong to (M*M,); -1: none."""
+class RecordedKalman(KalmanTracker):
+    """`kalman`, its clusters kept."""
+
+    pipeline = ClusterRecorder
+
+
+class RecordedFactorGraph(FactorGraphTracker):
+    """`factor-graph`, its clusters kept."""
+
+    pipeline = ClusterRecorder
+
+
+TRACKERS: dict[str, type[ModelFreeTracker]] = {kind.name: kind for kind in (RecordedKalman, RecordedFactorGraph)}
+
+
+def cell_owners(groups: Sequence[Points], grid: GridSpec) -> NDArray[np.int64]:
+    """The number (M*M,) of the group of points (N, 2) that has returns in each cell; -1: none."""
     owner = np.full(grid.size**2, -1)
     for number, points in enumerate(groups):
         cells, inside = grid.cells_of(points)
@@ -68,16 +83,13 @@ def owners(groups: Sequence[np.ndarray], grid: GridSpec) -> np.ndarray:
     return owner
 
 
-def most(numbers: np.ndarray) -> int:
-    """The most frequent of numbers that are not -1; -1 where there is none."""
-    known = numbers[numbers >= 0]
-    return int(np.bincount(known).argmax()) if known.size else -1
-
-
-def look(tracker: ModelFreeTracker, observations: Sequence[Observation], found: Found, forecasts: Forecasts) -> None:
-    """Stream one stretch through the tracker and note what each stage made of every body that is seen."""
+def measure_stretch(
+    tracker: ModelFreeTracker, observations: Sequence[Observation], found: Found, forecasts: Forecasts
+) -> None:
+    """Run the tracker over one stretch and add the errors of each stage for every visible body."""
     tracker.reset(0)
-    grid, newest = tracker.stream.grid, keep_clusters(tracker._pipeline)
+    grid, pipeline = tracker.stream.grid, tracker._pipeline
+    assert isinstance(pipeline, ClusterRecorder)
     centres = grid.cell_centres(np.ones(grid.shape, bool))
     identities: dict[int, int] = {}
     seen_for: dict[int, int] = defaultdict(int)
@@ -86,17 +98,17 @@ def look(tracker: ModelFreeTracker, observations: Sequence[Observation], found: 
         if number < WARM_UP:
             continue
         occupied = now.frame.occupied.reshape(-1)
-        clusters = owners([cluster.points for cluster in newest], grid)
-        tracks = owners([track.returns if not track.unseen else NOTHING for track in tracker.tracks], grid)
+        clusters = cell_owners([cluster.points for cluster in pipeline.clusters], grid)
+        tracks = cell_owners([track.returns if not track.unseen else NOTHING for track in tracker.tracks], grid)
         seen = {
-            key: cells_of(body, now.frame.world_T_grid, centres, occupied, grid)
+            key: body_cells(body, now.frame.world_T_grid, centres, occupied, grid)
             for key, body in bodies(now.scene).items()
         }
         for key, cells in seen.items():
             seen_for[key] = seen_for[key] + 1 if cells.size else 0
-        note_segmentation(found, tracker, now, clusters, seen)
+        add_segmentation(found, tracker, now, clusters, seen)
         for key, cells in seen.items():
-            owner = most(tracks[cells])
+            owner = most_frequent(tracks[cells])
             if cells.size < 2 or owner < 0:
                 continue
             label, track = tracker.stream.classes[bodies(now.scene)[key].label], tracker.tracks[owner]
@@ -104,13 +116,17 @@ def look(tracker: ModelFreeTracker, observations: Sequence[Observation], found: 
                 found[label, "switches"].append(identities[key] != track.identity)
             identities[key] = track.identity
             if seen_for[key] >= SECOND:
-                note_velocity(found, label, track, key, observations[number - 1 : number + 2], centres[cells])
+                add_velocity(found, label, track, key, observations[number - 1 : number + 2], centres[cells])
         if number % EVERY == 0:
-            note_forecast(forecasts, tracker, observations[number : number + max(AHEAD) + 1], centres)
+            add_forecast(forecasts, tracker, observations[number : number + max(AHEAD) + 1], centres)
 
 
-def note_segmentation(
-    found: Found, tracker: ModelFreeTracker, now: Observation, clusters: np.ndarray, seen: dict[int, np.ndarray]
+def add_segmentation(
+    found: Found,
+    tracker: ModelFreeTracker,
+    now: Observation,
+    clusters: NDArray[np.int64],
+    seen: dict[int, NDArray[np.int64]],
 ) -> None:
     of_cluster: dict[int, set[int]] = defaultdict(set)
     for key, cells in seen.items():
@@ -124,8 +140,8 @@ def note_segmentation(
             found[label, "alone"].append(all(of_cluster[int(cluster)] == {key} for cluster in own))
 
 
-def note_velocity(
-    found: Found, label: str, track: Track, key: int, around: Sequence[Observation], cells: np.ndarray
+def add_velocity(
+    found: Found, label: str, track: Track, key: int, around: Sequence[Observation], cells: Points
 ) -> None:
     """The error against the velocity of the body `key` at its `cells` (N, 2), by the frames before, now and after."""
     before, now, after = around
@@ -136,18 +152,19 @@ def note_velocity(
     poses = [scene[key].world_T_object for scene in scenes]
     true = rigid_velocity(*poses, elapsed_s, now.frame.world_T_grid, cells).mean(axis=1)
     speed = np.hypot(*true)
-    if speed > MOVES_MPS:
+    if speed > MOVING_MPS:
         off, spread = track.estimator.mean[3:5] - true, track.estimator.covariance[3:5, 3:5]
         found[label, "along"].append(off @ true / speed)
         found[label, "across"].append((true[0] * off[1] - true[1] * off[0]) / speed)
         found[label, "normalised"].append(off @ np.linalg.solve(spread, off))
 
 
-def note_forecast(
-    forecasts: Forecasts, tracker: ModelFreeTracker, ahead: Sequence[Observation], centres: np.ndarray
+def add_forecast(
+    forecasts: Forecasts, tracker: ModelFreeTracker, ahead: Sequence[Observation], centres: Points
 ) -> None:
     grid, occupancy = tracker.stream.grid, tracker.predict(max(AHEAD)).occupancy
     start, pose = bodies(ahead[0].scene), ahead[0].frame.world_T_grid
+    assert ahead[0].scene is not None  # as `bodies` has checked
     moving = (cell_kinds_around(static_cells(ahead[0].scene, grid, pose)) == CELL_KINDS.index("moving")).reshape(-1)
     for steps in AHEAD:
         later = ahead[steps]
@@ -155,32 +172,36 @@ def note_forecast(
         for key, body in bodies(later.scene).items():
             was, now = start.get(key), body.world_T_object
             if was is not None and np.hypot(was.world_T_object.x - now.x, was.world_T_object.y - now.y) >= MOVED_M:
-                kind[cells_of(body, later.frame.world_T_grid, centres, occupied, grid)] = body.label
+                kind[body_cells(body, later.frame.world_T_grid, centres, occupied, grid)] = body.label
         counted = later.frame.visible.reshape(-1) & moving
         forecasts[steps].append((occupancy[steps].reshape(-1)[counted], occupied[counted], kind[counted]))
 
 
-def best_threshold(p: np.ndarray, occupied: np.ndarray) -> float:
-    """Of the bins' edges the one with the highest F1."""
+def best_threshold(p: NDArray[np.float32], occupied: NDArray[np.bool_]) -> float:
+    """The threshold with the highest F1, of the edges of the probability bins."""
     thresholds = np.sin(np.pi * np.arange(1, 50) / 100) ** 2
     scores = [2 * (occupied & (p >= t)).sum() / ((p >= t).sum() + occupied.sum()) for t in thresholds]
     return float(thresholds[int(np.argmax(scores))])
 
 
 def main() -> None:
-    name = (sys.argv[1:] or ["kalman"])[0]
-    found, forecasts = defaultdict(list), defaultdict(list)
-    for stretch in STRETCHES:
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("tracker", nargs="?", choices=list(TRACKERS), default="kalman")
+    parser.add_argument("--stretches", nargs="+", default=STRETCHES, help="of the validation recording")
+    arguments = parser.parse_args()
+    found: Found = defaultdict(list)
+    forecasts: Forecasts = defaultdict(list)
+    for stretch in arguments.stretches:
         stream = open_stream(f"{JUNCTION / 'validation.tracks'}@{stretch}")
-        kind, learned = registry.load(name), find_weights(name, stream.site, None)
-        tracker = kind(stream_of(stream, learned.path if learned else None), kind.Options())
-        look(tracker, list(stream.observations()), found, forecasts)
+        kind = TRACKERS[arguments.tracker]
+        tracker = kind(shipped_stream(kind.name, stream), kind.Options())
+        measure_stretch(tracker, list(stream.observations()), found, forecasts)
     parts = {steps: [np.concatenate(part) for part in zip(*forecasts[steps], strict=True)] for steps in AHEAD}
     hits = {steps: p >= best_threshold(p, occupied) for steps, (p, occupied, _) in parts.items()}
     print(
         f"{'':11}segmentation   association   estimation: velocity error, m/s           forecast: recall of what moved"
     )
-    print(f"{name:11}whole  alone   switches/s    along        across     normalised   0.125 s   0.5 s     1 s")
+    print(f"{kind.name:11}whole  alone   switches/s    along        across     normalised   0.125 s   0.5 s     1 s")
     for label, text in enumerate(tracker.stream.classes):
         if (text, "along") not in found:
             continue

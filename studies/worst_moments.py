@@ -1,8 +1,9 @@
-"""Where each tracker fails: the moments at which its forecast of moving cells was worst, pictured.
+"""Worst moments: pictures of the forecasts of moving cells with the least F1, for each tracker of a run.
 
-`python -m studies.worst_moments RUN` reads a run's folder and writes RUN/worst-moments.html: for each tracker the
-kept moments with the least moving F1 one second ahead, at most one of a recording and of moments in which enough
-moving cells came; what it saw, what came, its forecast, and that forecast at its threshold: hit, missed, false alarm.
+`python -m studies.worst_moments RUN` (some seconds) reads a run's folder and writes RUN/worst-moments.html: for each
+tracker the kept frames with the least moving F1 one second ahead, at most one of a recording and only frames with
+enough moving cells; the input, the observed frame, the forecast, and the forecast at its threshold: hit, missed, false
+alarm.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ COLOURS = {"hit": "#1a1a1a", "missed": "#d81b60", "false alarm": "#1e88e5"}
 
 @dataclass(frozen=True)
 class Failure:
-    """One tracker at one moment of one recording, and the threshold that its forecast is held against."""
+    """The forecast of one tracker at one frame of one recording, and the threshold that applies to it."""
 
     recording: str
     scored: FrameScore
@@ -56,8 +57,8 @@ def worst(run: Run, label: str) -> list[Failure]:
     return sorted(found, key=lambda failure: failure.scored.f1)[:SHOWN]
 
 
-def cells(failure: Failure) -> Iterator[str]:
-    """Every visible cell that is forecast above the threshold, or came occupied."""
+def compared_cells(failure: Failure) -> Iterator[str]:
+    """Every visible cell that is forecast above the threshold, or was observed occupied."""
     sample, h = failure.sample, failure.sample.horizons_s.index(HORIZON_S)
     above = (sample.forecast[h] >= failure.threshold) & sample.came_visible[h]
     came, size = sample.came_occupied[h], sample.grid.size
@@ -68,7 +69,7 @@ def cells(failure: Failure) -> Iterator[str]:
 
 
 def pictures(failure: Failure) -> str:
-    """Input, what came, forecast, and the forecast's hits and errors, side by side."""
+    """Input, observed frame, forecast, and the forecast's hits and errors, side by side."""
     sample, h = failure.sample, failure.sample.horizons_s.index(HORIZON_S)
     nothing = np.zeros_like(sample.visible)
     ground = frame_png(sample.came_visible[h], nothing)
@@ -79,7 +80,7 @@ def pictures(failure: Failure) -> str:
     )
     size = sample.grid.size
     below = f'style="background:url({ground}) 0 0/100% 100%"'
-    errors = f'<svg viewBox="0 0 {size} {size}" {below}>{"".join(cells(failure))}</svg>'
+    errors = f'<svg viewBox="0 0 {size} {size}" {below}>{"".join(compared_cells(failure))}</svg>'
     shown = "".join(f'<img src="{image}">' for image in images) + errors
     moment = failure.scored
     return (
@@ -88,13 +89,15 @@ def pictures(failure: Failure) -> str:
     )
 
 
-def page(run: Run, labels: list[str]) -> str:
+def failures_page(run: Run, labels: list[str]) -> str:
     style = (
         f"body{{font-family:sans-serif;margin:1em}} img,svg{{width:{SIDE}px;height:{SIDE}px;image-rendering:pixelated;"
         "border:1px solid #999;margin-right:8px} h3{font-weight:normal;margin:.6em 0 .2em}"
     )
     key = ", ".join(f'<b style="color:{colour}">{kind}</b>' for kind, colour in COLOURS.items())
-    head = f"<p>Input; what came {HORIZON_S:g} s later; forecast of it; the forecast at its threshold: {key}.</p>"
+    head = (
+        f"<p>Input; the frame observed {HORIZON_S:g} s later; its forecast; the forecast at its threshold: {key}.</p>"
+    )
     parts = []
     for label in labels:
         failures = worst(run, label)
@@ -102,13 +105,19 @@ def page(run: Run, labels: list[str]) -> str:
         for failure in failures:
             moment = failure.scored
             at_s = failure.sample.stamp_ns / 1e9
-            print(f"{label:20} {failure.recording:12} {at_s:8.2f} s  F1 {moment.f1:.2f}  {moment.occupied} cells came")
+            print(
+                f"{label:20} {failure.recording:12} {at_s:8.2f} s  F1 {moment.f1:.2f}  {moment.occupied} occupied cells"
+            )
     return f"<!doctype html><meta charset=utf-8><style>{style}</style>{head}{''.join(parts)}"
 
 
-if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__)
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("run", type=Path)
-    (shown,) = read_runs([parser.parse_args().run])
-    wanted = [label for label, entry in shown.summary.trackers.items() if not entry.ceiling]
-    (shown.path / "worst-moments.html").write_text(page(shown, wanted))
+    (run,) = read_runs([parser.parse_args().run])
+    labels = [label for label, entry in run.summary.trackers.items() if not entry.ceiling]
+    (run.path / "worst-moments.html").write_text(failures_page(run, labels))
+
+
+if __name__ == "__main__":
+    main()

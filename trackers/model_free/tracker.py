@@ -41,6 +41,8 @@ class ModelFreeTracker(Tracker):
     """What it is registered as."""
     estimator: ClassVar[staticmethod[[Array, Array, MotionModel], MotionEstimator]]
     """What estimates the motion of a track; the only thing in which the subclasses differ."""
+    pipeline: ClassVar[type[Pipeline]] = Pipeline
+    """The stages; a subclass may replace one of them, to measure what it contributes."""
 
     def __init__(self, stream: StreamSpec, options: PipelineSettings) -> None:
         """Raises WeightsError without a fitted background for the stream's site, grid and period."""
@@ -64,8 +66,10 @@ class ModelFreeTracker(Tracker):
 
     def reset(self, seed: int) -> None:
         """Forget every track and its class; nothing here is random."""
-        stream, begin = self.stream, type(self).estimator
-        self._pipeline = Pipeline(stream.grid, stream.period_s, self._background, self._dwell, self._settings, begin)
+        kind, stream = type(self), self.stream
+        self._pipeline = kind.pipeline(
+            stream.grid, stream.period_s, self._background, self._dwell, self._settings, kind.estimator
+        )
         self._filter = None if self._model is None else ClassFilter(self._model, stream.grid)
 
     def update(self, frame: GridFrame) -> None:

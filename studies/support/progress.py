@@ -1,0 +1,21 @@
+"""A progress display for comparisons that a study starts itself."""
+
+from __future__ import annotations
+
+from gridtrack.evaluation.scoring.record import TrialRecord
+
+
+class NoProgress:
+    """A progress display that shows nothing."""
+
+    def note(self, text: str) -> None:
+        """Show nothing."""
+
+    def started(self, trial: str, frames: int) -> None:
+        """Show nothing."""
+
+    def advanced(self, trial: str) -> None:
+        """Show nothing."""
+
+    def ended(self, trial: str, record: TrialRecord) -> None:
+        """Show nothing."""

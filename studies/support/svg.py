@@ -1,0 +1,13 @@
+"""SVG documents of the drawings in docs/results."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+
+def document(width: float, height: float, parts: Sequence[str], font_size: int) -> str:
+    """`parts` on a white page of this size."""
+    return (
+        f'<svg xmlns="http://www.w3.org/2000/svg" width="{width}" height="{height}" font-family="sans-serif"'
+        f' font-size="{font_size}"><rect width="100%" height="100%" fill="white"/>{"".join(parts)}</svg>\n'
+    )
