@@ -1,1 +1,1 @@
-"""Scores and kept samples to HTML."""
+"""Results as HTML, Markdown, JUnit XML and text."""

@@ -1,4 +1,4 @@
-"""Choosing the moments that a report pictures: by one rule that is the same for every tracker, and said on the page."""
+"""The choice of the frames that a report shows as pictures: one rule for every tracker, stated on the page."""
 
 from __future__ import annotations
 
@@ -10,12 +10,14 @@ import polars as pl
 
 from gridtrack.reports.run import ReportError
 
-COLUMNS = ("stamp_ns", "step", "stratum", "tp", "fp", "fn")
+SCORE_COLUMNS = ("stamp_ns", "step", "stratum", "tp", "fp", "fn")
+LEAST_DIFFERENCE = 0.01
+"""Trackers whose F1 differ by less are not shown as differing."""
 
 
 @dataclass(frozen=True)
 class FrameScore:
-    """One tracker's moving cells at one scored frame and step: hits, false alarms and misses."""
+    """The counts of one tracker on moving cells, at one scored frame and step."""
 
     tp: int
     fp: int
@@ -23,70 +25,70 @@ class FrameScore:
 
     @property
     def occupied(self) -> int:
-        """Occupied moving cells that came: the same for every tracker."""
+        """Occupied moving cells of the observed frame: the same for every tracker."""
         return self.tp + self.fn
 
     @property
     def f1(self) -> float:
-        """F1 of this moment alone; 0 where nothing was there and nothing was forecast."""
+        """F1 of this frame alone; 0 where no cell was occupied and none was forecast."""
         return 2 * self.tp / max(2 * self.tp + self.fp + self.fn, 1)
 
 
 @dataclass(frozen=True)
 class ChosenFrame:
-    """A moment to picture, and what it was chosen for."""
+    """A scored frame to show, and the reason why it was chosen."""
 
     stamp_ns: int
-    why: str
+    reason: str
 
 
-def rule(parts: int, horizon_s: float) -> str:
-    """How `choose_frames` chooses, in words."""
-    each = f"each of {parts} equal parts of the stretch gives" if parts > 1 else "the stretch gives"
+def selection_rule(parts: int, horizon_s: float) -> str:
+    """The rule of `choose_frames` as a sentence."""
+    each = f"from each of {parts} equal parts of the stretch" if parts > 1 else "from the stretch"
     return (
-        f"Chosen by rule, the same for every tracker, out of the moments kept for viewing: {each} the one with the most"
-        f" occupied moving cells {horizon_s:.3g} s later; one more is where the trackers' moving F1 at that horizon"
-        " differ most (the floor aside)."
+        "Chosen by one rule for every tracker, among the frames whose forecasts the run kept:"
+        f" {each} the frame with the most occupied moving cells {horizon_s:.3g} s later; and one more, where the"
+        " trackers' F1 on moving cells at that horizon differ most (the floor is not counted)."
     )
 
 
 def choose_frames(
-    scored: Mapping[str, Mapping[int, FrameScore]], trackers: Sequence[str], parts: int
+    scores: Mapping[str, Mapping[int, FrameScore]], trackers: Sequence[str], parts: int
 ) -> tuple[ChosenFrame, ...]:
-    """At most `parts` + 1 moments in the order of time, out of those that every one of the trials in `scored` has.
+    """At most `parts` + 1 frames in the order of time, among the frames that every trial in `scores` has.
 
-    `scored` holds one tracker's moments by stamp; `trackers` names those whose disagreement counts.
+    `scores`: the scores of each trial by label and stamp; `trackers`: the labels whose F1 are compared.
     """
-    stamps = sorted(set.intersection(*(set(moments) for moments in scored.values()))) if scored else []
+    stamps = sorted(set.intersection(*(set(frames) for frames in scores.values()))) if scores else []
     if not stamps:
         return ()
-    occupied = {stamp: moments[stamp].occupied for moments in scored.values() for stamp in stamps}
+    occupied = {stamp: frames[stamp].occupied for frames in scores.values() for stamp in stamps}
     chosen: dict[int, str] = {}
     width = (stamps[-1] - stamps[0]) // parts + 1
     for part in range(parts):
         inside = [s for s in stamps if part == (s - stamps[0]) // width]
         if inside:
             busiest = max(inside, key=lambda s: (occupied[s], -s))
-            chosen[busiest] = f"busiest of part {part + 1}: {occupied[busiest]} occupied moving cells came"
+            chosen[busiest] = f"most occupied moving cells of part {part + 1}: {occupied[busiest]}"
     rest = [s for s in stamps if s not in chosen]
     if rest and len(trackers) > 1:
-        spread = {s: _spread([scored[name][s].f1 for name in trackers]) for s in rest}
-        apart = max(rest, key=lambda s: (spread[s], -s))
-        if spread[apart] >= 0.01:
-            chosen[apart] = f"where trackers differ most: moving F1 {spread[apart]:.2f} apart"
+        ranges = {s: _range([scores[name][s].f1 for name in trackers]) for s in rest}
+        widest = max(rest, key=lambda s: (ranges[s], -s))
+        if ranges[widest] >= LEAST_DIFFERENCE:
+            chosen[widest] = f"largest difference between trackers: {ranges[widest]:.2f} in F1 on moving cells"
     return tuple(ChosenFrame(stamp, chosen[stamp]) for stamp in sorted(chosen))
 
 
-def _spread(values: Sequence[float]) -> float:
+def _range(values: Sequence[float]) -> float:
     return max(values) - min(values)
 
 
 def frame_scores(path: Path, step: int) -> dict[int, FrameScore]:
-    """The moving cells of every scored frame at `step`, by stamp, from a trial's scores.parquet. Raises ReportError."""
+    """The scores of moving cells at `step` by stamp, from the scores.parquet of a trial. Raises ReportError."""
     try:
         rows = (
             pl.scan_parquet(path)
-            .select(COLUMNS)
+            .select(SCORE_COLUMNS)
             .filter((pl.col("step") == step) & (pl.col("stratum") == "moving"))
             .select("stamp_ns", "tp", "fp", "fn")
             .collect()

@@ -1,112 +1,113 @@
-"""What things are, on the page: which of each class were found, and what occupied cells were taken for."""
+"""Scores of classes: the recall of each class, and the quality of the class probabilities of occupied cells."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
+from gridtrack.evaluation.scoring.semantics import VISIBILITIES
 from gridtrack.reports.run import ClassDifference, Run
 from gridtrack.reports.table import HeadlineTable, TableRow
 from gridtrack.reports.trial import ClassScores, Curve, Trial
 
-KINDS = ("visible", "occluded")
-Value = float | None
-Interval = tuple[float, float] | None
-
 
 @dataclass(frozen=True)
-class Meaning:
-    """What a tracker took the cells of one kind for at one step: log loss a scan, and balanced accuracy.
+class ClassCell:
+    """The class probabilities of one tracker, on cells of one visibility at one step.
 
-    `less` is the log loss less that of the reference.
+    `loss` is the log loss of a scan and `accuracy` the balanced accuracy; `difference` is the log loss less that of the
+    reference. None where it is not known.
     """
 
-    loss: Value
-    interval: Interval
-    less: Value
-    less_interval: Interval
-    accuracy: Value
+    loss: float | None
+    interval: tuple[float, float] | None
+    difference: float | None
+    difference_interval: tuple[float, float] | None
+    accuracy: float | None
 
 
 @dataclass(frozen=True)
-class MeaningRow:
-    """One tracker that gives classes: its meanings in the order of the columns."""
+class ClassRow:
+    """One tracker that forecasts classes: its cells in the order of the columns."""
 
     row: TableRow
-    meanings: tuple[Meaning, ...]
+    cells: tuple[ClassCell, ...]
 
 
 @dataclass(frozen=True)
 class ClassTables:
-    """What was found of each class at the decisive step, and what cells were taken for, now and then."""
+    """Recall by class at the decisive step, and the class probabilities at step 0 and at the decisive step."""
 
     horizon: str
+    recall_columns: tuple[tuple[str, str], ...]
+    """Visibility and class of each column."""
+    recalls: tuple[tuple[TableRow, tuple[float | None, ...]], ...]
     columns: tuple[tuple[str, str], ...]
-    """Kind and class of every column of recall."""
-    recalls: tuple[tuple[TableRow, tuple[Value, ...]], ...]
-    meant: tuple[tuple[str, str], ...]
-    """Kind and horizon of every column of meanings; none where no tracker gives classes."""
-    meanings: tuple[MeaningRow, ...]
+    """Visibility and horizon of each pair of columns; none where no tracker forecasts classes."""
+    rows: tuple[ClassRow, ...]
     reference: str
-    """Whose log loss the others' is set against; empty where nothing is paired."""
-    why_none: str
-    """Why a log loss has no interval, where it has none."""
+    """The row that the differences are taken from; empty where there are none."""
+    why_no_interval: str
+    """Why the log loss has no interval; empty where it has one."""
 
 
 def class_tables(table: HeadlineTable, run: Run | None) -> ClassTables | None:
-    """The rows of a recording whose classes are known; None without. Differences are of one `run`, if given."""
+    """The tables of a recording whose classes are known; None for one without.
+
+    Differences are those of `run`; with None there are none.
+    """
     rows = [row for row in table.rows if row.trial.recall_by_class]
     if not rows:
         return None
     step, horizon = table.decisive.step, table.decisive.heading
-    columns = tuple(dict.fromkeys(column for row in rows for column in _known(row.trial, step)))
-    meaning = [row for row in rows if row.trial.semantics]
-    kinds = [kind for kind in KINDS if any(_of_kind(row.trial, kind) for row in meaning)]
-    marks = [(kind, when, at) for kind in kinds for when, at in (("now", 0), (horizon, step))]
-    paired = run.summary.class_differences if run else ()
-    differences = {one.tracker: one for one in paired if one.recordings == table.recording}
-    found = [of for row in meaning for kind in kinds if (of := _of_kind(row.trial, kind))]
+    recall_columns = tuple(dict.fromkeys(column for row in rows for column in _occurring(row.trial, step)))
+    forecasting = [row for row in rows if row.trial.semantics]
+    visibilities = [v for v in VISIBILITIES if any(_class_scores(row.trial, v) for row in forecasting)]
+    columns = [(visibility, when, at) for visibility in visibilities for when, at in (("now", 0), (horizon, step))]
+    differences = run.summary.class_differences if run else ()
+    paired = {one.tracker: one for one in differences if one.recordings == table.recording}
+    found = [scores for row in forecasting for v in visibilities if (scores := _class_scores(row.trial, v))]
     return ClassTables(
         horizon,
-        columns,
-        tuple((row, _recalls(row.trial, columns, step)) for row in rows),
-        tuple((kind, when) for kind, when, _ in marks),
-        tuple(MeaningRow(row, tuple(_meaning(row, kind, at, differences) for kind, _, at in marks)) for row in meaning),
-        next((one.reference for one in differences.values()), ""),
-        next((of.interval for of in found if of.interval), ""),
+        recall_columns,
+        tuple((row, _recalls(row.trial, recall_columns, step)) for row in rows),
+        tuple((visibility, when) for visibility, when, _ in columns),
+        tuple(ClassRow(row, tuple(_class_cell(row, v, at, paired) for v, _, at in columns)) for row in forecasting),
+        next((one.reference for one in paired.values()), ""),
+        next((scores.interval for scores in found if scores.interval), ""),
     )
 
 
-def _known(trial: Trial, step: int) -> Iterator[tuple[str, str]]:
-    """Kind and class of what there is to find at `step`."""
-    by_kind = trial.recall_by_class or {}
-    return ((kind, name) for kind in KINDS for name, c in by_kind.get(kind, {}).items() if c.cells[step])
+def _occurring(trial: Trial, step: int) -> Iterator[tuple[str, str]]:
+    """Visibility and class of which there are cells at `step`."""
+    recalls = trial.recall_by_class or {}
+    return ((v, name) for v in VISIBILITIES for name, c in recalls.get(v, {}).items() if c.cells[step])
 
 
-def _recalls(trial: Trial, columns: Sequence[tuple[str, str]], step: int) -> tuple[Value, ...]:
-    by_kind = trial.recall_by_class or {}
-    found = (by_kind.get(kind, {}).get(name) for kind, name in columns)
+def _recalls(trial: Trial, columns: Sequence[tuple[str, str]], step: int) -> tuple[float | None, ...]:
+    recalls = trial.recall_by_class or {}
+    found = (recalls.get(visibility, {}).get(name) for visibility, name in columns)
     return tuple(None if one is None else one.recall[step] for one in found)
 
 
-def _of_kind(trial: Trial, kind: str) -> ClassScores | None:
-    return trial.semantics.kinds.get(kind) if trial.semantics else None
+def _class_scores(trial: Trial, visibility: str) -> ClassScores | None:
+    return trial.semantics.kinds.get(visibility) if trial.semantics else None
 
 
-def _meaning(row: TableRow, kind: str, step: int, differences: Mapping[str, ClassDifference]) -> Meaning:
-    scores = _of_kind(row.trial, kind)
+def _class_cell(row: TableRow, visibility: str, step: int, differences: Mapping[str, ClassDifference]) -> ClassCell:
+    scores = _class_scores(row.trial, visibility)
     if scores is None:
-        return Meaning(None, None, None, None, None)
-    less = differences[row.label].kinds.get(kind) if row.label in differences else None
-    return Meaning(
+        return ClassCell(None, None, None, None, None)
+    paired = differences[row.label].kinds.get(visibility) if row.label in differences else None
+    return ClassCell(
         scores.nll_per_scan[step],
-        _interval(scores.nll_per_scan_low, scores.nll_per_scan_high, step),
-        None if less is None else less.nll_per_scan[step],
-        None if less is None else _interval(less.nll_per_scan_low, less.nll_per_scan_high, step),
+        _interval_at(scores.nll_per_scan_low, scores.nll_per_scan_high, step),
+        None if paired is None else paired.nll_per_scan[step],
+        None if paired is None else _interval_at(paired.nll_per_scan_low, paired.nll_per_scan_high, step),
         scores.balanced_accuracy[step],
     )
 
 
-def _interval(low: Curve | None, high: Curve | None, step: int) -> Interval:
+def _interval_at(low: Curve | None, high: Curve | None, step: int) -> tuple[float, float] | None:
     ends = (low[step] if low else None), (high[step] if high else None)
     return None if ends[0] is None or ends[1] is None else (ends[0], ends[1])

@@ -1,4 +1,4 @@
-"""What the page shows of other conditions: scores in time and on degraded input, as tables and small figures."""
+"""Scores under a deadline and on degraded input, as tables and small figures."""
 
 from __future__ import annotations
 
@@ -10,82 +10,83 @@ from gridtrack.reports.figures import Axis, Series
 from gridtrack.reports.table import HeadlineTable, TableColumn, TableRow
 from gridtrack.reports.trial import Curves, Deadline
 
-STRATA = ("moving", "visible")
-SIZE = (270, 180)
-KINDS = {
-    "beam_dropout": ("beams that say nothing", ""),
+SWEEP_STRATA = ("moving", "visible")
+SWEEP_SIZE = (270, 180)
+"""Width and height of a panel, in SVG user units."""
+DEGRADATION_TEXTS = {
+    "beam_dropout": ("beams without a return", ""),
     "range_noise": ("range noise", " m"),
-    "frame_drop": ("frames lost", ""),
+    "frame_drop": ("frames dropped", ""),
     "pose_jitter": ("pose jitter", " m"),
 }
-"""What each kind of degradation is called on the page, and its unit."""
+"""The name of each kind of degradation on the page, and its unit of measurement."""
 HIGHEST_HZ = 1000.0
-"""No stream comes faster: what holds up to more is said to hold up to more than this."""
+"""Faster than any stream: a higher rate is shown as more than this."""
 
 
 @dataclass(frozen=True)
 class SweepPanel:
-    """F1 of every tracker over a condition that gets harder to the right."""
+    """F1 of every tracker over a condition, the most difficult value at the right."""
 
     title: str
     series: tuple[tuple[Series, tuple[float | None, ...]], ...]
     ticks: tuple[tuple[float, str], ...]
     y_ticks: tuple[tuple[float, str], ...]
     lines: tuple[tuple[Series, str, tuple[tuple[float, float], ...]], ...]
-    """Each with its path and its points."""
+    """Series, SVG path and points of each line."""
     x: Axis
-    width: int = SIZE[0]
-    height: int = SIZE[1]
+    width: int = SWEEP_SIZE[0]
+    height: int = SWEEP_SIZE[1]
 
     @property
     def words(self) -> str:
-        """The panel in words: where each line begins and ends."""
-        ends = [f"{s.name} from {_text(values[0])} to {_text(values[-1])}" for s, values in self.series]
+        """The panel in words: the first and the last value of each line."""
+        ends = [f"{s.name} from {_score_text(values[0])} to {_score_text(values[-1])}" for s, values in self.series]
         return f"F1, {self.title}: {', '.join(ends)}"
 
 
 @dataclass(frozen=True)
 class DeadlineRow:
-    """One tracker in time: what it takes, and per rate its F1 and the share of frames that it missed."""
+    """One tracker under a deadline: its times, and for each rate its F1 and the share of frames that it missed."""
 
     row: TableRow
     deadline: Deadline
     untimed: float | None
-    in_time: tuple[tuple[float | None, float], ...]
+    at_rates: tuple[tuple[float | None, float], ...]
 
     @property
-    def holds_up_to(self) -> str:
-        """The highest rate held, Hz."""
+    def highest_rate(self) -> str:
+        """The highest rate of frames that the tracker processes in time, Hz."""
         hz = self.deadline.highest_rate_hz
         return f"> {HIGHEST_HZ:g}" if hz > HIGHEST_HZ else f"{hz:.3g}"
 
 
 @dataclass(frozen=True)
 class DeadlineTable:
-    """Scores in time, of moving cells at the shortest horizon of the table, where lateness shows first."""
+    """Scores under a deadline, of moving cells at the shortest horizon of the table: delays change these first."""
 
     column: TableColumn
     rates: tuple[tuple[float, float], ...]
-    """Multiples of the stream's rate, and Hz."""
+    """Each rate as a multiple of the stream's, and in Hz."""
     rows: tuple[DeadlineRow, ...]
     panels: tuple[SweepPanel, ...]
 
 
 @dataclass(frozen=True)
 class RobustnessTable:
-    """F1 on degraded input at the shortest horizon: per kind the panels of it, and its values in words."""
+    """F1 on degraded input at the shortest horizon of the table: a panel for each stratum and kind of degradation."""
 
     column: TableColumn
     panels: tuple[SweepPanel, ...]
 
     @property
     def series(self) -> tuple[Series, ...]:
-        """Every tracker that is drawn in any panel, once."""
+        """Every tracker that a panel shows, once."""
         return tuple(dict.fromkeys(series for panel in self.panels for series, _ in panel.series))
 
 
 def deadline_table(table: HeadlineTable, styles: Mapping[str, str]) -> DeadlineTable | None:
-    """Scores in time of every trial that has them; None where no trial has."""
+    """The table of every trial with scores under a deadline; None where there is none."""
     known = [(row, row.trial.deadline) for row in table.rows if row.trial.deadline and row.trial.strata]
     if not known:
         return None
@@ -97,7 +98,7 @@ def deadline_table(table: HeadlineTable, styles: Mapping[str, str]) -> DeadlineT
             row,
             deadline,
             column.of(row.trial),
-            tuple((_at(at.f1, column.stratum, column.step), at.missed / max(at.frames, 1)) for at in deadline.rates),
+            tuple((_f1_at(at.f1, column.stratum, column.step), at.missed / max(at.frames, 1)) for at in deadline.rates),
         )
         for row, deadline in shown
     )
@@ -110,34 +111,34 @@ def deadline_table(table: HeadlineTable, styles: Mapping[str, str]) -> DeadlineT
                 (
                     Series(row.name, styles[row.label]),
                     (
-                        _at({name: scores.f1 for name, scores in row.trial.strata.items()}, stratum, column.step),
-                        *(_at(at.f1, stratum, column.step) for at in deadline.rates),
+                        _f1_at({name: scores.f1 for name, scores in row.trial.strata.items()}, stratum, column.step),
+                        *(_f1_at(at.f1, stratum, column.step) for at in deadline.rates),
                     ),
                 )
                 for row, deadline in shown
             ],
         )
-        for stratum in STRATA
+        for stratum in SWEEP_STRATA
     )
     return DeadlineTable(column, rates, rows, panels)
 
 
 def robustness_table(table: HeadlineTable, styles: Mapping[str, str]) -> RobustnessTable | None:
-    """Scores on degraded input of every trial that has them; None where no trial has."""
+    """The panels of every trial with scores on degraded input; None where there is none."""
     column = table.columns[0]
     known = [(row, row.trial.robustness) for row in table.rows if row.trial.robustness]
     panels = []
-    for stratum in STRATA:
+    for stratum in SWEEP_STRATA:
         for kind in dict.fromkeys(kind for _, robustness in known for kind in robustness.kinds):
             curves = [(row, robustness.kinds[kind]) for row, robustness in known if kind in robustness.kinds]
             values = tuple(point.value for point in curves[0][1])
-            words, unit = KINDS.get(kind, (kind, ""))
+            words, unit = DEGRADATION_TEXTS.get(kind, (kind, ""))
             panels.append(
                 sweep_panel(
                     f"{stratum} cells; {words}",
                     [(value, f"{value:.3g}{unit if value == values[-1] else ''}") for value in values],
                     [
-                        (Series(row.name, styles[row.label]), tuple(_at(p.f1, stratum, column.step) for p in points))
+                        (Series(row.name, styles[row.label]), tuple(_f1_at(p.f1, stratum, column.step) for p in points))
                         for row, points in curves
                         if tuple(p.value for p in points) == values
                     ],
@@ -149,8 +150,8 @@ def robustness_table(table: HeadlineTable, styles: Mapping[str, str]) -> Robustn
 def sweep_panel(
     title: str, ticks: Sequence[tuple[float, str]], series: Sequence[tuple[Series, Sequence[float | None]]]
 ) -> SweepPanel:
-    """Lay out one line per tracker over the values in `ticks`, from zero to the highest F1 of all."""
-    width, height = SIZE
+    """Lay out one line for each tracker over the values of `ticks`; the axis of F1 ends at the highest value of all."""
+    width, height = SWEEP_SIZE
     highest = max((value for _, values in series for value in values if value is not None), default=0.0)
     top = max(math.ceil(highest * 10) / 10, 0.1)
     x = Axis(ticks[0][0], ticks[-1][0], 34.0, width - 22.0)
@@ -169,9 +170,9 @@ def sweep_panel(
     )
 
 
-def _at(f1: Curves, stratum: str, step: int) -> float | None:
+def _f1_at(f1: Curves, stratum: str, step: int) -> float | None:
     return f1[stratum][step] if stratum in f1 else None
 
 
-def _text(value: float | None) -> str:
+def _score_text(value: float | None) -> str:
     return "undefined" if value is None else f"{value:.3f}"

@@ -1,4 +1,4 @@
-"""What was compared, and what came of it in one sentence: the words at the top of the page."""
+"""The setup of a run as lines of text, and its main result in one sentence."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from gridtrack.reports.run import Run
 from gridtrack.reports.table import HeadlineTable, TableRow
 
 MAX_PROVENANCE_LINES = 2000
-"""Of provenance; what is beyond is counted, and stands in run.json."""
+"""Lines of run.json beyond this number are counted and not shown."""
 
 
 @dataclass(frozen=True)
 class Fact:
-    """One line of what was compared."""
+    """One line of the setup or of run.json."""
 
     name: str
     value: str
 
 
 def title_of(runs: Sequence[Run]) -> str:
-    """What the page is of: how many trackers on which recording, or which runs."""
+    """The title of the page: the number of trackers and the recording, or the names of the runs."""
     if len(runs) > 1:
         return " and ".join(run.name for run in runs) + " side by side"
     summary = runs[0].summary
@@ -35,63 +35,63 @@ def title_of(runs: Sequence[Run]) -> str:
 
 
 def lead_of(table: HeadlineTable) -> str:
-    """The finding in a sentence: the highest F1 on moving cells against the floor's; empty without one.
+    """The main result in a sentence: the highest F1 on moving cells, and the floor's; empty if rows do not compare.
 
-    Nobody is called best: whether a difference would hold elsewhere is for the paired differences to say.
+    No tracker is called the best: the paired differences decide whether a difference is significant.
     """
     if not table.comparable:
         return ""
     at = table.columns.index(table.decisive)
-    ranked, floor = (_highest(table.rows_in(standing), at) for standing in ("ranked", "floor"))
+    ranked, floor = (_highest(table.rows_in(group), at) for group in ("ranked", "floor"))
     ahead = f"moving cells {table.decisive.heading} ahead"
     if not ranked:
-        return _why_none(table)
+        return _why_no_result(table)
     f1, of_floor = ranked[0].cells[at].text, floor[0].cells[at].text if floor else ""
     if not max(float(f1), float(of_floor or 0.0)):
         return f"On {ahead} every tracker has an F1 of {f1}."
     alone = len(table.rows_in("ranked")) == 1
     if floor and float(f1) <= float(of_floor):
-        who = _listed(ranked) if alone else f"the highest of the trackers, {_listed(ranked)},"
-        return f"No tracker beats the floor on {ahead}: {_listed(floor)} at an F1 of {of_floor}, {who} at {f1}."
-    against = f"the floor has {of_floor} at most ({_listed(floor)})" if floor else "no floor was run with it"
+        highest = _names(ranked) if alone else f"the highest of the trackers, {_names(ranked)},"
+        return f"No tracker beats the floor on {ahead}: {_names(floor)} at an F1 of {of_floor}, {highest} at {f1}."
+    against = f"the floor reaches {of_floor} ({_names(floor)})" if floor else "no tracker of the floor was run"
     return f"{_scored(ranked, f1, ahead, alone)}; {against}."
 
 
 def _scored(highest: Sequence[TableRow], f1: str, ahead: str, alone: bool) -> str:
-    """What the highest of the ranked trackers have, several where they are equal; `alone`: there is no other."""
+    """The ranked trackers with the highest F1, several where they are equal; `alone`: there is one ranked tracker."""
     if len(highest) > 1:
-        return f"{_listed(highest)} have the highest F1 on {ahead}, {f1} each"
+        return f"{_names(highest)} have the highest F1 on {ahead}, {f1} each"
     if alone:
         return f"{highest[0].name} has an F1 of {f1} on {ahead}"
     return f"{highest[0].name} has the highest F1 on {ahead}, {f1}"
 
 
-def _why_none(table: HeadlineTable) -> str:
-    """What is true where no tracker has a score to be ranked by."""
+def _why_no_result(table: HeadlineTable) -> str:
+    """The result where no tracker has a score to be ranked by."""
     if table.rows_in("ranked"):
         return (
-            f"No tracker has an F1 on moving cells {table.decisive.heading} ahead on {table.recording}: none of"
-            " them was occupied in the frames that came."
+            f"No tracker has an F1 on moving cells {table.decisive.heading} ahead on {table.recording}: no moving cell"
+            " was occupied in the observed frames."
         )
     if table.rows_in("unranked"):
-        return f"No tracker finished on {table.recording}."
-    return f"Only the floor was run on {table.recording}."
+        return f"No tracker completed {table.recording}."
+    return f"Only trackers of the floor were run on {table.recording}."
 
 
 def _highest(rows: Sequence[TableRow], at: int) -> tuple[TableRow, ...]:
-    """The rows whose F1 in the column `at` is the highest to the shown digits; none where no row has one."""
+    """The rows with the highest F1 in the column `at`, to the digits shown; none where no row has one."""
     defined = [row for row in rows if row.cells[at].value is not None]
     top = max((row.cells[at].text for row in defined), key=float, default="")
     return tuple(row for row in defined if row.cells[at].text == top)
 
 
-def _listed(rows: Sequence[TableRow]) -> str:
+def _names(rows: Sequence[TableRow]) -> str:
     names = [row.name for row in rows]
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
 
 
 def facts_of(run: Run) -> tuple[Fact, ...]:
-    """What was compared, on what, by which command, as far as the run's folder tells."""
+    """The recordings, command, machine and versions of a run, as far as its folder holds them."""
     recordings = [name for name, recording in run.summary.recordings.items() if not recording.pooled]
     facts = [Fact(f"recording {name}", _recording(run, name)) for name in recordings]
     command = run.provenance.get("command")
@@ -108,33 +108,33 @@ def facts_of(run: Run) -> tuple[Fact, ...]:
 
 def _recording(run: Run, name: str) -> str:
     recording = run.summary.recordings[name]
-    parts = (
+    items = (
         recording.stretch,
         f"site {recording.site}" if recording.site else "",
         f"{recording.frames} frames at {1 / recording.period_s:.3g} Hz",
-        f"the first {recording.warm_up_frames} to warm up",
+        f"the first {recording.warm_up_frames} are warm-up",
         f"forecasts {recording.horizons_s[-1]:.3g} s ahead"
-        + (f" at every {n} frames" if (n := recording.forecast_every_frames) > 1 else " at every frame"),
+        + (f", every {n} frames" if (n := recording.forecast_every_frames) > 1 else ", every frame"),
         f"grid {recording.grid}",
-        f"thresholds chosen on {recording.validation}" if recording.validation else "thresholds 0.5, chosen on nothing",
+        f"thresholds chosen on {recording.validation}" if recording.validation else "every threshold is 0.5",
     )
-    return "; ".join(filter(None, parts))
+    return "; ".join(filter(None, items))
 
 
 def provenance_of(run: Run) -> tuple[Fact, ...]:
-    """run.json line by line."""
-    lines = list(_flat("", run.provenance))
+    """run.json as lines of key and value."""
+    lines = list(_flattened("", run.provenance))
     if len(lines) > MAX_PROVENANCE_LINES:
-        lines[MAX_PROVENANCE_LINES:] = [Fact("…", f"{len(lines) - MAX_PROVENANCE_LINES} more lines stand in run.json")]
+        lines[MAX_PROVENANCE_LINES:] = [Fact("…", f"{len(lines) - MAX_PROVENANCE_LINES} more lines in run.json")]
     return tuple(lines)
 
 
-def _flat(prefix: str, value: Any) -> Iterator[Fact]:
+def _flattened(prefix: str, value: Any) -> Iterator[Fact]:
     if isinstance(value, Mapping) and value:
         for key, inner in value.items():
-            yield from _flat(f"{prefix}.{key}" if prefix else str(key), inner)
+            yield from _flattened(f"{prefix}.{key}" if prefix else str(key), inner)
     elif isinstance(value, list) and any(isinstance(inner, dict | list) for inner in value):
         for i, inner in enumerate(value):
-            yield from _flat(f"{prefix}[{i}]", inner)
+            yield from _flattened(f"{prefix}[{i}]", inner)
     else:
         yield Fact(prefix, value if isinstance(value, str) else json.dumps(value, ensure_ascii=False))

@@ -1,4 +1,4 @@
-"""Geometry of the report's figures: scores and times to positions, in SVG user units, for the templates to draw."""
+"""Geometry of the report's figures: positions of scores and times, in SVG user units, for the templates."""
 
 from __future__ import annotations
 
@@ -11,9 +11,8 @@ from gridtrack.reports.run import UNDEFINED
 from gridtrack.reports.trial import Curve, Quantiles
 
 ROW_HEIGHT = 17.0
-"""Of one line of text in a figure."""
+"""Height of one line of text in a figure."""
 SHORTEST_MS = 0.01
-
 
 Band = tuple[Curve, Curve]
 """The confidence interval of a curve at each step: low and high."""
@@ -21,7 +20,7 @@ Band = tuple[Curve, Curve]
 
 @dataclass(frozen=True)
 class Series:
-    """One tracker wherever it is drawn: its name, and the style (a CSS class) that is its own on the whole page."""
+    """One tracker in a figure: its name, and its style (CSS classes), the same on the whole page."""
 
     name: str
     style: str
@@ -38,7 +37,7 @@ class Axis:
     logarithmic: bool = False
 
     def __call__(self, value: float) -> float:
-        """Position of `value`, held inside the axis, to a tenth of a unit."""
+        """Position of `value`, clamped to the axis, rounded to a tenth of a unit."""
         low, high, value = (math.log(v) if self.logarithmic else v for v in (self.low, self.high, max(value, self.low)))
         share = (value - low) / (high - low)
         return round(self.start + min(max(share, 0.0), 1.0) * (self.end - self.start), 1)
@@ -46,7 +45,7 @@ class Axis:
 
 @dataclass(frozen=True)
 class Line:
-    """One curve: step 0, which is copying and not ranked, is led to by a dashed piece."""
+    """One curve. Step 0 is the input frame and not ranked: a dashed piece leads to it."""
 
     series: Series
     pieces: tuple[str, ...]
@@ -55,12 +54,12 @@ class Line:
     bands: tuple[str, ...]
     """The outlines of its confidence band."""
     label_at: tuple[float, float, float] | None
-    """Where the label stands beside the curve's end: x, y, and the y of the end itself."""
+    """Position of the label beside the curve's end: x, y, and the y of the end itself."""
 
 
 @dataclass(frozen=True)
 class Reading:
-    """What every curve is at one step, the best first: shown when the pointer is there."""
+    """The values of every curve at one step, the highest first: shown while the pointer is at that step."""
 
     x: float
     left: float
@@ -68,12 +67,12 @@ class Reading:
     heading: str
     box: tuple[float, float, float, float]
     rows: tuple[tuple[Series, str, float, float], ...]
-    """Series, its value in words, the y of its text line, and the y of its point."""
+    """Series, value as text, the y of the line of text, and the y of the point."""
 
 
 @dataclass(frozen=True)
 class CurvePanel:
-    """F1 over the horizon in one stratum, one line per tracker; the curves themselves stand beside their geometry."""
+    """F1 over the horizon in one stratum, one line per tracker: the values and their geometry."""
 
     title: str
     horizons_s: tuple[float, ...]
@@ -89,7 +88,7 @@ class CurvePanel:
 
     @property
     def words(self) -> str:
-        """The panel in words: where each curve ends."""
+        """The panel in words: the last value of each curve."""
         ends = [
             f"{series.name} {UNDEFINED if (v := curve[-1]) is None else f'{v:.3f}'}" for series, curve in self.curves
         ]
@@ -104,9 +103,9 @@ def curve_panel(
     label_width: float = 0.0,
     bands: Sequence[Band | None] = (),
 ) -> CurvePanel:
-    """Lay out F1 curves over `horizons_s` in a panel of `size`; with `label_width` each curve is named at its end.
+    """Lay out F1 curves over `horizons_s` in a panel of `size`; with `label_width` each curve has a label at its end.
 
-    `bands` are the curves' intervals, in the same order; none at all where it is empty.
+    `bands`: the confidence bands of the curves, in the same order; empty for none.
     """
     width, height = size
     x = Axis(0.0, max(horizons_s[-1], 1e-9), 34.0, width - max(label_width, 12.0))
@@ -155,16 +154,16 @@ def _line(
 
 
 def _outlines(band: Band, horizons_s: Sequence[float], x: Axis, y: Axis) -> Iterator[str]:
-    """The band from step 1 on, one closed outline for each stretch in which it is defined."""
+    """The band from step 1 on: one closed outline for each range of steps in which it is defined."""
     steps = list(zip(horizons_s, *band, strict=True))[1:]
     for defined, run in groupby(steps, key=lambda step: step[1] is not None and step[2] is not None):
         if defined:
-            stretch = [(x(h), y(low or 0.0), y(high or 0.0)) for h, low, high in run]
-            yield _path([(at, top) for at, _, top in stretch] + [(at, bottom) for at, bottom, _ in reversed(stretch)])
+            corners = [(x(h), y(low or 0.0), y(high or 0.0)) for h, low, high in run]
+            yield _path([(at, top) for at, _, top in corners] + [(at, bottom) for at, bottom, _ in reversed(corners)])
 
 
 def _unbroken(points: Sequence[tuple[float, float] | None]) -> Iterator[list[tuple[float, float]]]:
-    """The stretches of a curve between its undefined points."""
+    """The pieces of a curve between its undefined points."""
     for defined, run in groupby(points, key=lambda point: point is not None):
         if defined:
             yield [point for point in run if point is not None]
@@ -175,7 +174,7 @@ def _path(points: Sequence[tuple[float, float]]) -> str:
 
 
 def _label_heights(ends: Sequence[float | None], top: float, bottom: float) -> list[float | None]:
-    """Heights near `ends` at which labels do not overlap: kept in order, at least a line of text apart."""
+    """Heights near `ends` at which labels do not overlap: in the same order, at least one line of text apart."""
     order = sorted((end, i) for i, end in enumerate(ends) if end is not None)
     heights = [min(end, bottom) for end, _ in order]
     for k in range(1, len(heights)):
@@ -205,7 +204,7 @@ def _reading(
         (series, f"{value:.3f}", round(top + ROW_HEIGHT * (i + 2), 1), y(value))
         for i, (value, series) in enumerate(values)
     )
-    heading = f"{horizons_s[step]:.3g} s, step {step}" + (": copying, not ranked" if step == 0 else "")
+    heading = f"{horizons_s[step]:.3g} s, step {step}" + (": input frame, not ranked" if step == 0 else "")
     return Reading(at, round(at - pitch / 2, 2), round(pitch, 2), heading, (round(left, 1), top, width, height), rows)
 
 
@@ -220,21 +219,21 @@ class Span:
 
 @dataclass(frozen=True)
 class TimeScale:
-    """A logarithmic axis of milliseconds that every row of a table shares, with the stream's period marked on it."""
+    """A logarithmic axis of milliseconds, shared by the rows of a table; `period`: position of the stream's period."""
 
     axis: Axis
     ticks: tuple[tuple[float, str], ...]
     period: float
 
     def span(self, times: Quantiles | None) -> Span | None:
-        """Positions of the three quantiles, None where they were not measured."""
+        """Positions of the three quantiles; None where they were not measured."""
         if times is None or times.p50 is None or times.p95 is None or times.p99 is None:
             return None
         return Span(self.axis(times.p50), self.axis(times.p95), self.axis(times.p99))
 
 
 def time_scale(times_ms: Sequence[float], period_ms: float, width: float) -> TimeScale:
-    """Whole decades that hold all of `times_ms` and the period; what is shorter than SHORTEST_MS stands at the edge."""
+    """Whole decades that contain `times_ms` and the period; times below SHORTEST_MS are drawn at the edge."""
     known = [period_ms, *(max(t, SHORTEST_MS) for t in times_ms)]
     low = math.floor(math.log10(min(known)))
     high = max(math.ceil(math.log10(max(known))), low + 1)

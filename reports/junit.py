@@ -1,4 +1,4 @@
-"""JUnit XML, as continuous integration reads it: a test case for each comparison that a verdict judged."""
+"""The verdict of the regression gate as JUnit XML: a test case for each comparison."""
 
 from __future__ import annotations
 
@@ -15,26 +15,26 @@ SUITE = "gridtrack regress"
 
 
 def junit_of(verdict: Verdict) -> str:
-    """A case for each tracker, stratum and step band, and for each speed; what is worse is a failure."""
+    """A test case for each tracker, stratum and step band, and for each speed; a worse one is a failure."""
     rows, failures = verdict.decisive, len(verdict.worse)
     skipped = sum(row.verdict == "nothing to find" for row in rows)
     suite = _suite(tests=len(rows), failures=failures, errors=0, skipped=skipped)
     for row in rows:
-        case = _case(suite, row.label, _name(row))
+        case = _case(suite, row.label, _case_name(row))
         if row.verdict == "worse":
             ElementTree.SubElement(case, "failure", message=printable(sentence_of(row)))
         elif row.verdict == "nothing to find":
             ElementTree.SubElement(case, "skipped", message="no cell was occupied")
     ElementTree.SubElement(suite, "system-out").text = printable("; ".join([rule_of(verdict), *verdict.notes]))
-    return _text(suite)
+    return _xml(suite)
 
 
 def junit_of_unmeasured(reasons: Sequence[str]) -> str:
-    """A case that is an error for each reason why nothing was measured."""
+    """A test case with an error for each reason why nothing was measured."""
     suite = _suite(tests=len(reasons), failures=0, errors=len(reasons), skipped=0)
     for number, reason in enumerate(reasons, 1):
         ElementTree.SubElement(_case(suite, "run", f"measured {number}"), "error", message=printable(reason))
-    return _text(suite)
+    return _xml(suite)
 
 
 def _suite(**counts: int) -> ElementTree.Element:
@@ -45,10 +45,10 @@ def _case(suite: ElementTree.Element, label: str, name: str) -> ElementTree.Elem
     return ElementTree.SubElement(suite, "testcase", classname=f"{SUITE}.{printable(label)}", name=printable(name))
 
 
-def _name(row: VerdictRow | SpeedRow) -> str:
+def _case_name(row: VerdictRow | SpeedRow) -> str:
     return f"speed of {row.call}" if isinstance(row, SpeedRow) else f"{row.stratum}, {band_text(row.band)}"
 
 
-def _text(suite: ElementTree.Element) -> str:
+def _xml(suite: ElementTree.Element) -> str:
     ElementTree.indent(suite)
     return '<?xml version="1.0" encoding="utf-8"?>\n' + ElementTree.tostring(suite, encoding="unicode") + "\n"

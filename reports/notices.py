@@ -1,4 +1,4 @@
-"""What a reader must know before the numbers: what the run tells, trials that did not finish, missing intervals."""
+"""Notices above the scores: warnings of the run, trials that are not complete, missing intervals."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from gridtrack.reports.table import HeadlineTable, TableRow
 
 @dataclass(frozen=True)
 class Notice:
-    """One thing to know; `serious` where it keeps a trial or a recording out of the ranking."""
+    """One notice; `serious` where a trial or a recording is not ranked because of it, or the run itself gave it."""
 
     text: str
     serious: bool = False
 
 
 def notices_of(runs: Sequence[Run], tables: Sequence[HeadlineTable]) -> list[Notice]:
-    """Every notice, serious ones first; what a run itself tells comes in its own words."""
+    """Every notice, serious ones first."""
     found = [*_of_runs(runs), *_of_parity(tables), *_of_trials(tables), *_of_intervals(tables)]
     return sorted(dict.fromkeys(found), key=lambda notice: not notice.serious)
 
@@ -28,7 +28,7 @@ def _of_runs(runs: Sequence[Run]) -> Iterator[Notice]:
     for run in runs:
         before = f"{run.name}: " if len(runs) > 1 else ""
         if run.summary.interrupted:
-            yield Notice(f"{before}the run was interrupted: what had been scored by then is shown", serious=True)
+            yield Notice(f"{before}the run was interrupted: the page shows what was scored until then", serious=True)
         for text in run.summary.notices:
             yield Notice(before + text, serious=True)
 
@@ -37,7 +37,8 @@ def _of_parity(tables: Sequence[HeadlineTable]) -> Iterator[Notice]:
     for table in tables:
         if not table.comparable:
             yield Notice(
-                f"{table.recording}: not all rows are of the same frames, so none is marked best", serious=True
+                f"{table.recording}: the rows are not scored on the same frames, none is marked as best",
+                serious=True,
             )
 
 
@@ -45,10 +46,10 @@ def _of_trials(tables: Sequence[HeadlineTable]) -> Iterator[Notice]:
     for table in tables:
         for row in table.rows_in("unranked"):
             where = f" on {table.recording}" if len(tables) > 1 else ""
-            yield Notice(f"{row.name}{where}: {_what_became_of(row)}", serious=True)
+            yield Notice(f"{row.name}{where}: {_outcome_text(row)}", serious=True)
 
 
-def _what_became_of(row: TableRow) -> str:
+def _outcome_text(row: TableRow) -> str:
     scored = f"{row.frames} frames scored, not ranked" if row.trial.frames_scored else "nothing scored"
     return "; ".join(filter(None, (row.trial.outcome, row.trial.reason, scored)))
 
@@ -63,6 +64,6 @@ def _of_intervals(tables: Sequence[HeadlineTable]) -> Iterator[Notice]:
             without[interval].append(table.recording)
     for interval, recordings in without.items():
         yield Notice(
-            f"{', '.join(recordings)}: {interval}; the numbers say what happened on this stretch, not that"
-            " one tracker is better than another in general"
+            f"{', '.join(recordings)}: {interval}; the scores describe this stretch only and do not show that"
+            " one tracker is better than another"
         )

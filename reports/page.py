@@ -1,4 +1,4 @@
-"""The report page: one HTML file that opens from disk, with no script in it and nothing to fetch."""
+"""The report page: one HTML file that opens from disk, without scripts and without network access."""
 
 from __future__ import annotations
 
@@ -10,27 +10,26 @@ from pathlib import Path
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
+from gridtrack.common.files import write_text
 from gridtrack.reports.facts import facts_of, lead_of, provenance_of, title_of
 from gridtrack.reports.notices import Notice, notices_of
 from gridtrack.reports.pictures import scale_png
 from gridtrack.reports.run import UNDEFINED, Run, read_runs
 from gridtrack.reports.sections import section_of, styles_of
-from gridtrack.reports.table import foremost, headline_tables
+from gridtrack.reports.table import headline_tables, main_tables
 
 TEMPLATES = Path(__file__).parent / "templates"
 
 
 def render_report(runs: Sequence[Path], out: Path | None = None) -> Path:
-    """Write the report of `runs` and return its path: `out`, or index.html in the run's folder `report`.
+    """Write the report of `runs` and return its path: `out`, or report/index.html in the run's folder.
 
-    Several runs stand side by side on one page, without `out` in side-by-side.html of the first. Raises ReportError.
+    Several runs are on one page, side by side: `out`, or report/side-by-side.html of the first. Raises ReportError.
     """
     content = render_page(read_runs(runs))
     path = out or runs[0] / "report" / ("index.html" if len(runs) == 1 else "side-by-side.html")
     path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_name(path.name + ".partial")
-    partial.write_text(content, "utf-8")
-    partial.replace(path)
+    write_text(path, content)
     return path
 
 
@@ -45,20 +44,20 @@ def render_page(runs: Sequence[Run]) -> str:
         .get_template("page.html.j2")
         .render(
             title=title_of(runs),
-            leads=[lead_of(table) for table in foremost(tables)] if len(runs) == 1 else [],
+            leads=[lead_of(table) for table in main_tables(tables)] if len(runs) == 1 else [],
             runs=[(run, facts_of(run), provenance_of(run)) for run in runs],
             notices=[Notice(text, serious=True) for texts in unreadable for text in texts] + notices_of(runs, tables),
             sections=sections,
             styles=styles,
             scale=scale_png(),
-            css=Markup(css),  # our own file, not a name from a run
+            css=Markup(css),  # a file of this package, no text of a run
             css_hash=base64.b64encode(hashlib.sha256(css.encode()).digest()).decode(),
         )
     )
 
 
 def _environment() -> Environment:
-    """Templates with every value escaped: names and reasons in a run's folder may be anything."""
+    """Templates with every value escaped: names and reasons in a run's folder are not trusted."""
     environment = Environment(
         loader=FileSystemLoader(TEMPLATES),
         autoescape=True,
@@ -76,7 +75,7 @@ def _score(value: float | None, digits: int = 3) -> str:
 
 
 def _milliseconds(value: float | None) -> str:
-    """Two or three digits that count, and no exponent."""
+    """Two or three significant digits, without an exponent."""
     if value is None:
         return UNDEFINED
     if value < 0.001:

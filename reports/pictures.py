@@ -13,13 +13,13 @@ from numpy.typing import NDArray
 from gridtrack.common.grid import Mask
 
 SHADES = 65
-"""Shades of probability, 0 to 1: finer than the eye tells apart, and small to store."""
+"""Number of shades of probability from 0 to 1: finer than the eye can resolve, and small to store."""
 UNOBSERVED = SHADES
-"""Palette index of cells that no beam reached."""
+"""Palette index of cells that are not visible."""
 UNOBSERVED_RGB = (198, 200, 204)
 
 # White (certainly free) to near black (certainly occupied) by way of yellow, red and violet, as OKLCH: equal steps of
-# probability are equal steps of lightness, and the hue keeps a middling probability apart from the neutral grey.
+# probability are equal steps of lightness, and the hue separates a medium probability from the neutral grey.
 _LIGHTNESS = (1.0, 0.18)
 _CHROMA = ((0.0, 0.1, 0.3, 0.55, 0.8, 1.0), (0.0, 0.085, 0.15, 0.17, 0.12, 0.04))
 _HUE_DEG = ((0.0, 0.1, 0.3, 0.55, 0.8, 1.0), (90.0, 84.0, 60.0, 22.0, -20.0, -60.0))
@@ -32,7 +32,7 @@ def probability_png(probability: NDArray[np.float32]) -> str:
 
 
 def frame_png(visible: Mask, occupied: Mask) -> str:
-    """A frame, `visible` and `occupied` (M, M) bool, as a PNG data address: free, occupied, and grey for unobserved."""
+    """A frame, `visible` and `occupied` (M, M) bool, as a PNG data address; cells that are not visible are grey."""
     levels = np.where(visible, np.where(occupied, SHADES - 1, 0), UNOBSERVED)
     return _png(levels.astype(np.uint8))
 
@@ -48,17 +48,17 @@ def _png(levels: NDArray[np.uint8]) -> str:
     lines = np.pad(levels[::-1], ((0, 0), (1, 0)))  # a leading 0 in each line: no filter
     header = struct.pack(">IIBBBBB", columns, rows, 8, 3, 0, 0, 0)
     chunks = ((b"IHDR", header), (b"PLTE", palette().tobytes()), (b"IDAT", zlib.compress(lines.tobytes(), 9)))
-    blob = b"\x89PNG\r\n\x1a\n" + b"".join(_chunk(kind, content) for kind, content in (*chunks, (b"IEND", b"")))
+    blob = b"\x89PNG\r\n\x1a\n" + b"".join(_png_chunk(kind, content) for kind, content in (*chunks, (b"IEND", b"")))
     return "data:image/png;base64," + base64.b64encode(blob).decode()
 
 
-def _chunk(kind: bytes, content: bytes) -> bytes:
+def _png_chunk(kind: bytes, content: bytes) -> bytes:
     return struct.pack(">I", len(content)) + kind + content + struct.pack(">I", zlib.crc32(kind + content))
 
 
 @lru_cache(maxsize=1)
 def palette() -> NDArray[np.uint8]:
-    """Colours (SHADES + 1, 3) sRGB: the probabilities 0 to 1, then unobserved."""
+    """Colours (SHADES + 1, 3) sRGB: the probabilities 0 to 1, then not visible."""
     p = np.linspace(0.0, 1.0, SHADES)
     hue = np.deg2rad(np.interp(p, *_HUE_DEG))
     chroma = np.interp(p, *_CHROMA)

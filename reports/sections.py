@@ -1,4 +1,4 @@
-"""What the page shows of one recording: table, curves, thresholds, times and filmstrip, laid out for the templates."""
+"""The section of one recording on the page: tables, curves and filmstrip, laid out for the templates."""
 
 from __future__ import annotations
 
@@ -10,15 +10,16 @@ from gridtrack.reports.conditions import DeadlineTable, RobustnessTable, deadlin
 from gridtrack.reports.differences import DifferenceTable, difference_table
 from gridtrack.reports.figures import Axis, Band, CurvePanel, Series, Span, TimeScale, curve_panel, time_scale
 from gridtrack.reports.filmstrip import Filmstrip, filmstrip_of
+from gridtrack.reports.occluded import OccludedTable, occluded_table
+from gridtrack.reports.reliability import DIAGRAM_SIDE, LEAST_CELLS, ReliabilityDiagram, reliability_diagrams
 from gridtrack.reports.run import FLOOR, Run
 from gridtrack.reports.table import HeadlineTable, TableRow
 from gridtrack.reports.trial import Latency, StratumScores, Trial
-from gridtrack.reports.truth import SIDE, Hidden, ReliabilityDiagram, hidden_of, reliability_diagrams
 
 TRACKER_COLOURS = 8
-"""Trackers beyond this many repeat the colours, with broken lines."""
+"""Further trackers repeat the colours, with broken lines."""
 CURVE_PANELS = (("moving", (740, 470), 140.0), ("visible", (370, 227), 0.0), ("static", (370, 227), 0.0))
-"""Stratum, size and label width of the curves: the stratum to look at first is the largest."""
+"""Stratum, size and label width of each panel of curves; the most important stratum is the largest."""
 TIME_WIDTH = 150.0
 MARK_WIDTH = 70.0
 MARKED_HORIZONS = 3
@@ -26,9 +27,9 @@ MARKED_HORIZONS = 3
 
 @dataclass(frozen=True)
 class ThresholdMark:
-    """F1 of moving cells at one horizon, at three thresholds: the stratum's own, the one of all visible cells, and 0.5.
+    """F1 of moving cells at one horizon, at three thresholds: that of the stratum, that of all visible cells, and 0.5.
 
-    `at` and `at_half` are where the first and the last stand in a drawing.
+    `at` and `at_half` are the positions of the first and the last in the figure.
     """
 
     threshold: float | None
@@ -41,7 +42,7 @@ class ThresholdMark:
 
 @dataclass(frozen=True)
 class TimeRow:
-    """What one tracker takes, and whether that is fast enough for the stream."""
+    """The times of one tracker, and whether it keeps up with the stream."""
 
     row: TableRow
     latency: Latency | None
@@ -51,8 +52,8 @@ class TimeRow:
 
 
 @dataclass(frozen=True)
-class Detail:
-    """Every score at one step: per stratum the trials that have it, in the order of the headline table."""
+class ScoreDetail:
+    """Every score at one step: for each stratum the rows that have it, in the order of the headline table."""
 
     horizon: str
     step: int
@@ -61,14 +62,14 @@ class Detail:
 
 @dataclass(frozen=True)
 class Section:
-    """Everything that the page shows of one recording."""
+    """The content of the page for one recording."""
 
     table: HeadlineTable
-    details: tuple[Detail, ...]
+    details: tuple[ScoreDetail, ...]
     differences: DifferenceTable | None
-    """From the reference, on the page of one run."""
+    """Only on the page of one run."""
     curves: tuple[tuple[str, tuple[CurvePanel, ...]], ...]
-    """Per run its name (empty where there is only one) and its panels."""
+    """For each run its name (empty where there is only one) and its panels."""
     threshold_horizons: tuple[str, ...]
     thresholds: tuple[tuple[TableRow, tuple[ThresholdMark, ...]], ...]
     period_ms: float
@@ -76,11 +77,12 @@ class Section:
     times: tuple[TimeRow, ...]
     deadlines: DeadlineTable | None
     robustness: RobustnessTable | None
-    film: Filmstrip | None
-    hidden: Hidden | None
+    filmstrip: Filmstrip | None
+    occluded: OccludedTable | None
     classes: ClassTables | None
-    calibrations: tuple[ReliabilityDiagram, ...]
-    calibration_side: float = SIDE
+    reliability_diagrams: tuple[ReliabilityDiagram, ...]
+    diagram_side: float = DIAGRAM_SIDE
+    least_cells: int = LEAST_CELLS
     time_width: float = TIME_WIDTH
     mark_width: float = MARK_WIDTH
 
@@ -91,7 +93,7 @@ class Section:
 
 
 def styles_of(runs: Sequence[Run]) -> dict[str, str]:
-    """One style (CSS classes) for each label on the whole page: a colour for a tracker, a grey for the floor."""
+    """The style (CSS classes) of each label on the page: a colour for a tracker, a grey for the floor."""
     styles: dict[str, str] = {}
     coloured = 0
     for run in runs:
@@ -112,10 +114,10 @@ def section_of(runs: Sequence[Run], table: HeadlineTable, styles: Mapping[str, s
     """The section of one recording, and notices of files that could not be read. Raises ReportError."""
     shown = [run for run in runs if table.recording in run.summary.recordings]
     period_ms = shown[0].summary.recordings[table.recording].period_s * 1e3
-    scale = time_scale(_times(table.rows), period_ms, TIME_WIDTH)
+    scale = time_scale(_latency_quantiles(table.rows), period_ms, TIME_WIDTH)
     horizons, thresholds = _thresholds(table)
-    film, notices = _filmstrip(runs, table)
-    calibrations, unread = reliability_diagrams(runs, table)
+    filmstrip, notices = _filmstrip(runs, table)
+    diagrams, unreadable = reliability_diagrams(runs, table)
     section = Section(
         table=table,
         details=tuple(_details(table)),
@@ -128,24 +130,24 @@ def section_of(runs: Sequence[Run], table: HeadlineTable, styles: Mapping[str, s
         times=tuple(_time_row(row, scale, period_ms) for row in table.rows),
         deadlines=deadline_table(table, styles),
         robustness=robustness_table(table, styles),
-        film=film,
-        hidden=hidden_of(table),
+        filmstrip=filmstrip,
+        occluded=occluded_table(table),
         classes=class_tables(table, runs[0] if len(runs) == 1 else None),
-        calibrations=calibrations,
+        reliability_diagrams=diagrams,
     )
-    return section, (*notices, *unread)
+    return section, (*notices, *unreadable)
 
 
-def _details(table: HeadlineTable) -> Iterator[Detail]:
+def _details(table: HeadlineTable) -> Iterator[ScoreDetail]:
     strata = dict.fromkeys(name for row in table.rows for name in row.trial.strata)
     for column in table.columns:
         if column.score == "f1" and column.stratum == "moving":
             scores = ((n, tuple((r, r.trial.strata[n]) for r in table.rows if n in r.trial.strata)) for n in strata)
-            yield Detail(column.heading, column.step, tuple(scores))
+            yield ScoreDetail(column.heading, column.step, tuple(scores))
 
 
 def _panels(run: Run, table: HeadlineTable, styles: Mapping[str, str]) -> tuple[CurvePanel, ...]:
-    """F1 of every trial that has scores, drawn in the order of the table so that the best lies on top."""
+    """F1 of every trial with scores, in the reverse order of the table, so that the best is drawn on top."""
     recording = run.summary.recordings[table.recording]
     order = {row.label: at for at, row in reversed(list(enumerate(table.rows)))}
     trials = [
@@ -172,7 +174,7 @@ def _band(scores: StratumScores) -> Band | None:
 
 
 def _series(label: str, style: str, trial: Trial) -> Series:
-    """How a trial is drawn: faint, and named partial, where it is not ranked."""
+    """The name and style of a trial: faint, and marked as partial, where it is not ranked."""
     return Series(label, style) if trial.complete else Series(f"{label} (partial)", f"{style} partial")
 
 
@@ -192,7 +194,7 @@ def _mark(row: TableRow, step: int, axis: Axis) -> ThresholdMark:
     return ThresholdMark(scores.threshold[step], f1, scores.f1_at_visible[step], half, at, at_half)
 
 
-def _times(rows: Iterable[TableRow]) -> list[float]:
+def _latency_quantiles(rows: Iterable[TableRow]) -> list[float]:
     latencies = [row.trial.latency_ms for row in rows if row.trial.latency_ms]
     return [t for latency in latencies for q in (latency.update, latency.predict) for t in (q.p50, q.p95, q.p99) if t]
 
@@ -205,7 +207,7 @@ def _time_row(row: TableRow, scale: TimeScale, period_ms: float) -> TimeRow:
 
 
 def keeps_up(latency: Latency, period_ms: float) -> str:
-    """Whether a tracker can follow the stream: judged by 99th percentiles against the period."""
+    """Whether a tracker keeps up with the stream: its 99th percentiles against the period."""
     update, predict = latency.update.p99, latency.predict.p99
     if update is None or predict is None:
         return "not measured"
@@ -215,7 +217,7 @@ def keeps_up(latency: Latency, period_ms: float) -> str:
 
 
 def _filmstrip(runs: Sequence[Run], table: HeadlineTable) -> tuple[Filmstrip | None, tuple[str, ...]]:
-    """The filmstrip, on the page of one run: side by side, each run's own page has it."""
+    """The filmstrip; none on the page of several runs, and none of pooled recordings."""
     if len(runs) > 1 or table.pooled:
         return None, ()
     run, step = runs[0], table.decisive.step

@@ -1,4 +1,4 @@
-"""The headline table, shared by page and terminal: one row per tracker, the scores a comparison is read by."""
+"""The headline table of page and terminal: one row per tracker, with the main scores of a comparison."""
 
 from __future__ import annotations
 
@@ -7,21 +7,22 @@ from dataclasses import dataclass, replace
 from itertools import groupby
 from typing import Literal
 
+from gridtrack.reports.markdown import cell_text, markdown_table
 from gridtrack.reports.run import UNDEFINED, ReportError, Run, TrackerEntry
 from gridtrack.reports.trial import StratumScores, Trial
 
 HEADLINE_HORIZONS_S = (0.5, 1.0, 2.0, 2.5)
-"""The horizons that F1 is shown at, as far as a run looks ahead."""
+"""The horizons of the columns of F1, as far as a run forecasts."""
 DETAIL_HORIZON_S = 1.0
-"""The horizon of the other scores; also the one that rows are sorted by."""
+"""The horizon of the other scores, by which the rows are sorted too."""
 
 RowGroup = Literal["ceiling", "ranked", "floor", "unranked"]
-"""What could be had, complete trials of trackers, those of the floor, and trials that are partial or gave nothing."""
+"""The ceiling; complete trials of trackers; complete trials of the floor; trials that are not complete."""
 
 
 @dataclass(frozen=True)
 class TableColumn:
-    """A score at one step: where it is found, what it is called, and which way is better (0: neither by itself)."""
+    """A score at one step: its headings, its name in summary.json, and the better direction (1, -1; 0: neither)."""
 
     group: str
     heading: str
@@ -31,12 +32,12 @@ class TableColumn:
     better: int = 1
 
     def of(self, trial: Trial) -> float | None:
-        """Its value for one trial, None where it is not defined."""
+        """Its value for one trial; None where it is undefined."""
         scores = trial.strata.get(self.stratum)
         return None if scores is None else curve_of(scores, self.score)[self.step]
 
     def interval_of(self, trial: Trial) -> tuple[float, float] | None:
-        """The confidence interval of an F1; None where there is none, and for what is shown beside F1."""
+        """The confidence interval of an F1; None where there is none, and for every other score."""
         scores = trial.strata.get(self.stratum)
         if scores is None or self.score != "f1" or scores.f1_low is None or scores.f1_high is None:
             return None
@@ -46,8 +47,7 @@ class TableColumn:
 
 @dataclass(frozen=True)
 class TableCell:
-    """One number of the table, its confidence interval, and whether it is the best of its column among complete
-    trials."""
+    """One score, its confidence interval, and whether it is the best of its column among complete trials."""
 
     value: float | None
     best: bool = False
@@ -55,12 +55,12 @@ class TableCell:
 
     @property
     def text(self) -> str:
-        """Three decimals, or a dash where the score is not defined."""
+        """Three decimals, or a dash where the score is undefined."""
         return UNDEFINED if self.value is None else f"{self.value:.3f}"
 
     @property
     def interval_text(self) -> str:
-        """The interval in brackets, or nothing."""
+        """The interval in brackets; empty where there is none."""
         return "" if self.interval is None else f"[{self.interval[0]:.3f}, {self.interval[1]:.3f}]"
 
 
@@ -77,7 +77,7 @@ class TableRow:
 
     @property
     def name(self) -> str:
-        """The label, before it the run where several are shown."""
+        """The label; where several runs are shown, with the name of the run before it."""
         return f"{self.run}: {self.label}" if self.run else self.label
 
     @property
@@ -89,7 +89,7 @@ class TableRow:
 
 @dataclass(frozen=True)
 class HeadlineTable:
-    """The table of one recording: rows ranked first, then the floor, then what stands apart."""
+    """The table of one recording: the ceiling, ranked rows, the floor, rows that are not ranked."""
 
     recording: str
     columns: tuple[TableColumn, ...]
@@ -97,18 +97,18 @@ class HeadlineTable:
     decisive: TableColumn
     """The column that rows are sorted by."""
     comparable: bool
-    """Whether all rows are of the same frames: only then is a best one marked."""
+    """Whether all rows are scored on the same frames: only then the best are marked."""
     pooled: bool
-    """Whether it is of all recordings together."""
+    """Whether it is pooled over all recordings."""
 
     @property
     def has_intervals(self) -> bool:
-        """Whether any number has one."""
+        """Whether any cell has an interval."""
         return any(cell.interval for row in self.rows for cell in row.cells)
 
     @property
     def groups(self) -> tuple[tuple[str, int], ...]:
-        """The groups of columns, and how many columns each has."""
+        """The headings of the groups of columns, and the number of columns in each."""
         return tuple((group, len(list(columns))) for group, columns in groupby(self.columns, key=lambda c: c.group))
 
     def rows_in(self, group: RowGroup) -> tuple[TableRow, ...]:
@@ -117,22 +117,22 @@ class HeadlineTable:
 
 
 def headline_tables(runs: Sequence[Run]) -> tuple[HeadlineTable, ...]:
-    """One table per recording; with several runs their rows stand in one table, each named by its run."""
+    """One table per recording; the rows of several runs are in the same table, each with the name of its run."""
     names = dict.fromkeys(name for run in runs for name in run.summary.recordings)
-    return tuple(_table(runs, name) for name in names)
+    return tuple(_headline_table(runs, name) for name in names)
 
 
-def foremost(tables: Sequence[HeadlineTable]) -> Sequence[HeadlineTable]:
-    """What a run is read by: all recordings together where they are pooled, else each of them."""
+def main_tables(tables: Sequence[HeadlineTable]) -> Sequence[HeadlineTable]:
+    """The table pooled over all recordings, where there is one; else all tables."""
     return [table for table in tables if table.pooled] or tables
 
 
-def _table(runs: Sequence[Run], recording: str) -> HeadlineTable:
+def _headline_table(runs: Sequence[Run], recording: str) -> HeadlineTable:
     shown = [run for run in runs if recording in run.summary.recordings]
-    columns = tuple(_columns(_horizons_of_all(shown, recording)))
+    columns = tuple(_columns(_common_horizons(shown, recording)))
     decisive = next(i for i, column in enumerate(columns) if column.step == columns[-1].step)
     rows = [
-        _row(run.name if len(runs) > 1 else "", label, entry, entry.recordings[recording], columns)
+        _table_row(run.name if len(runs) > 1 else "", label, entry, entry.recordings[recording], columns)
         for run in shown
         for label, entry in run.summary.trackers.items()
         if recording in entry.recordings
@@ -145,15 +145,15 @@ def _table(runs: Sequence[Run], recording: str) -> HeadlineTable:
             labels.index(row.label),
         )
     )
-    comparable = _of_the_same_frames(shown, recording)
+    comparable = _same_frames(shown, recording)
     pooled = any(run.summary.recordings[recording].pooled for run in shown)
     if comparable:
         rows = list(_with_best(rows, columns))
     return HeadlineTable(recording, columns, tuple(rows), columns[decisive], comparable, pooled)
 
 
-def _horizons_of_all(runs: Sequence[Run], recording: str) -> tuple[float, ...]:
-    """The horizons that every run looks ahead to. Raises ReportError where rates, and so the times of steps, differ."""
+def _common_horizons(runs: Sequence[Run], recording: str) -> tuple[float, ...]:
+    """The horizons that every run has. Raises ReportError where their rates differ."""
     stretches = [run.summary.recordings[recording] for run in runs]
     for run, stretch in zip(runs, stretches, strict=True):
         if abs(stretch.period_s - stretches[0].period_s) > 1e-6:
@@ -164,22 +164,22 @@ def _horizons_of_all(runs: Sequence[Run], recording: str) -> tuple[float, ...]:
     return min((stretch.horizons_s for stretch in stretches), key=len)
 
 
-def _of_the_same_frames(runs: Sequence[Run], recording: str) -> bool:
+def _same_frames(runs: Sequence[Run], recording: str) -> bool:
     described = [(run.summary.recordings[recording], run.identity_of(recording)) for run in runs]
     return all(stretch.parity for stretch, _ in described) and described.count(described[0]) == len(described)
 
 
 def _columns(horizons_s: Sequence[float]) -> Iterator[TableColumn]:
-    """F1 at the marked horizons (the last one where none of them is reached), and the other scores at one of them."""
+    """F1 at the headline horizons (at the last horizon where the run reaches none), and the other scores at one."""
     period_s = horizons_s[1] - horizons_s[0]
-    marked = [round(h / period_s) for h in HEADLINE_HORIZONS_S]
-    steps = sorted({step for step in marked if 0 < step < len(horizons_s)}) or [len(horizons_s) - 1]
+    wanted = [round(h / period_s) for h in HEADLINE_HORIZONS_S]
+    steps = sorted({step for step in wanted if 0 < step < len(horizons_s)}) or [len(horizons_s) - 1]
     for stratum in ("moving", "visible"):
         for step in steps:
-            yield TableColumn(f"F1, {stratum}", _heading(horizons_s[step]), stratum, "f1", step)
+            yield TableColumn(f"F1, {stratum}", _horizon_text(horizons_s[step]), stratum, "f1", step)
     step = round(DETAIL_HORIZON_S / period_s)
     step = step if step in steps else steps[0]
-    group = f"moving, {_heading(horizons_s[step])}"
+    group = f"moving, {_horizon_text(horizons_s[step])}"
     yield TableColumn(group, "precision", "moving", "precision", step, 0)
     yield TableColumn(group, "recall", "moving", "recall", step, 0)
     yield TableColumn(group, "PR-AUC", "moving", "pr_auc", step)
@@ -187,11 +187,11 @@ def _columns(horizons_s: Sequence[float]) -> Iterator[TableColumn]:
     yield TableColumn(group, "Brier", "moving", "brier", step, -1)
 
 
-def _heading(horizon_s: float) -> str:
+def _horizon_text(horizon_s: float) -> str:
     return f"{horizon_s:.3g} s"
 
 
-def _row(run: str, label: str, entry: TrackerEntry, trial: Trial, columns: Sequence[TableColumn]) -> TableRow:
+def _table_row(run: str, label: str, entry: TrackerEntry, trial: Trial, columns: Sequence[TableColumn]) -> TableRow:
     cells = tuple(TableCell(column.of(trial), interval=column.interval_of(trial)) for column in columns)
     return TableRow(run, label, entry, trial, _group_of(entry, trial), cells)
 
@@ -207,38 +207,32 @@ def _or_least(value: float | None) -> float:
 
 
 def _with_best(rows: Sequence[TableRow], columns: Sequence[TableColumn]) -> Iterator[TableRow]:
-    """Mark the best complete trials of each column; equal to the shown digits is equally good."""
+    """Mark the best complete trials of each column; values that are equal to the digits shown are equally good."""
     best: list[str | None] = []
     for i, column in enumerate(columns):
         values = [v for row in rows if row.group in ("ranked", "floor") and (v := row.cells[i].value) is not None]
         pick = max if column.better > 0 else min
         best.append(TableCell(pick(values)).text if len(values) > 1 and column.better else None)
     for row in rows:
-        marked = (replace(cell, best=cell.text == top) for cell, top in zip(row.cells, best, strict=True))
-        yield row if row.group in ("unranked", "ceiling") else replace(row, cells=tuple(marked))
+        cells = (replace(cell, best=cell.text == top) for cell, top in zip(row.cells, best, strict=True))
+        yield row if row.group in ("unranked", "ceiling") else replace(row, cells=tuple(cells))
 
 
 def curve_of(scores: StratumScores, score: str) -> tuple[float | None, ...]:
-    """One score's curve by the name that summary.json gives it."""
+    """The curve of a score by its name in summary.json."""
     curve: tuple[float | None, ...] = getattr(scores, score)
     return curve
 
 
 def headline_markdown(table: HeadlineTable) -> str:
-    """The table for a terminal or a CI log, best numbers in bold; what stands apart is named by its outcome."""
-    head = ["tracker", *(f"{c.group} {c.heading}" for c in table.columns), "frames", "outcome"]
-    lines = [head, ["---", *("---:" for _ in head[1:-1]), "---"]]
-    lines += [
-        [_plain(row.name), *(_in_markdown(cell) for cell in row.cells), row.frames, row.trial.outcome]
+    """The table as Markdown, for a terminal or a log of continuous integration; the best values are bold."""
+    headings = ["tracker", *(f"{c.group} {c.heading}" for c in table.columns), "frames", "outcome"]
+    rows = [
+        [cell_text(row.name), *(_cell_markdown(cell) for cell in row.cells), row.frames, row.trial.outcome]
         for row in table.rows
     ]
-    return "".join(f"| {' | '.join(line)} |\n" for line in lines)
+    return markdown_table(headings, rows, aligned_right=range(1, len(headings) - 1))
 
 
-def _in_markdown(cell: TableCell) -> str:
+def _cell_markdown(cell: TableCell) -> str:
     return f"{f'**{cell.text}**' if cell.best else cell.text} {cell.interval_text}".rstrip()
-
-
-def _plain(name: str) -> str:
-    """A name that cannot break out of its table cell."""
-    return " ".join(name.replace("|", "\\|").split())

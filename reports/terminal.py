@@ -1,4 +1,4 @@
-"""What a terminal shows: progress while a run lasts, and its headline table; plain lines where it is no terminal."""
+"""Output on a terminal: the progress of a run and its tables; plain lines and Markdown where there is no terminal."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from gridtrack.common.errors import printable
 from gridtrack.evaluation.scoring.record import TrialRecord
 from gridtrack.reports.differences import DifferenceTable, difference_markdown, difference_table
 from gridtrack.reports.run import read_runs
-from gridtrack.reports.table import HeadlineTable, TableRow, foremost, headline_markdown, headline_tables
+from gridtrack.reports.table import HeadlineTable, TableRow, headline_markdown, headline_tables, main_tables
 
 GROUP_STYLES = {"ceiling": "italic", "ranked": "", "floor": "dim", "unranked": "yellow"}
 
 
 class RunProgress:
-    """Shows how far a run is: bars on a terminal, elsewhere a line when a trial ends."""
+    """The progress of a run: bars on a terminal, elsewhere one line at the end of each trial."""
 
     def __init__(self) -> None:
         self._console = Console(stderr=True)
@@ -43,19 +43,19 @@ class RunProgress:
         self._bars.stop()
 
     def note(self, text: str) -> None:
-        """Something to know, in one line."""
+        """Print one line."""
         self._console.print(escape(text), highlight=False, soft_wrap=True)
 
     def started(self, trial: str, frames: int) -> None:
-        """A trial begins."""
+        """Show a bar for a trial of `frames` frames."""
         self._tasks[trial] = self._bars.add_task(escape(trial), total=frames)
 
     def advanced(self, trial: str) -> None:
-        """One more frame of it is being delivered."""
+        """Count one more frame that is delivered."""
         self._bars.advance(self._tasks[trial])
 
     def ended(self, trial: str, record: TrialRecord) -> None:
-        """It has ended, or is kept from an earlier run."""
+        """Print the outcome of a trial that has ended, or is kept from an earlier run."""
         if trial in self._tasks:
             self._bars.remove_task(self._tasks.pop(trial))
         scored = f"{record.frames_scored}/{record.frames_expected} forecasts scored"
@@ -64,48 +64,50 @@ class RunProgress:
 
 
 def print_tables(run: Path) -> None:
-    """The headline tables of a run: rich on a terminal, Markdown elsewhere. Raises ReportError."""
+    """Print the main tables of a run: formatted on a terminal, Markdown elsewhere. Raises ReportError."""
     console = Console()
     runs = read_runs([run])
-    for table in foremost(headline_tables(runs)):
+    for table in main_tables(headline_tables(runs)):
         differences = difference_table(runs[0], table.recording)
         if console.is_terminal:
-            console.print(_rich(table))
+            console.print(_rich_headline_table(table))
             if differences:
-                console.print(_rich_differences(differences))
+                console.print(_rich_difference_table(differences))
             continue
         print(f"{printable(table.recording)}\n\n{headline_markdown(table)}")
         if differences:
-            print(f"{_title(differences)}\n\n{difference_markdown(differences)}")
+            print(f"{_difference_title(differences)}\n\n{difference_markdown(differences)}")
 
 
-def _title(differences: DifferenceTable) -> str:
-    return printable(f"F1 less that of {differences.reference}, paired over {differences.units}; p after Holm")
+def _difference_title(differences: DifferenceTable) -> str:
+    return printable(
+        f"F1 less that of {differences.reference}, paired over {differences.units}; p corrected after Holm"
+    )
 
 
-def _rich_differences(differences: DifferenceTable) -> Table:
-    shown = Table(title=escape(_title(differences)), box=box.SIMPLE_HEAD)
+def _rich_difference_table(differences: DifferenceTable) -> Table:
+    shown = Table(title=escape(_difference_title(differences)), box=box.SIMPLE_HEAD)
     shown.add_column("tracker")
     for stratum, horizon_s in differences.columns:
         shown.add_column(f"{stratum}\n{horizon_s:g} s", justify="right")
     for row in differences.rows:
-        cells = [f"{s.value}\n{escape(s.interval)}\n{s.p}\n{s.verdict}" for s in row.shown]
-        shown.add_row(escape(row.tracker), *(cells or [escape(row.why_none)]))
+        cells = [f"{c.value}\n{escape(c.interval)}\n{c.p}\n{c.verdict}" for c in row.cells]
+        shown.add_row(escape(row.tracker), *(cells or [escape(row.reason)]))
     return shown
 
 
-def _rich(table: HeadlineTable) -> Table:
+def _rich_headline_table(table: HeadlineTable) -> Table:
     shown = Table(title=escape(table.recording), box=box.SIMPLE_HEAD)
     shown.add_column("tracker")
     for column in table.columns:
         shown.add_column(f"{column.group}\n{column.heading}", justify="right")
     shown.add_column("frames", justify="right")
     for row in table.rows:
-        shown.add_row(*_cells(row), style=GROUP_STYLES[row.group])
+        shown.add_row(*_row_texts(row), style=GROUP_STYLES[row.group])
     return shown
 
 
-def _cells(row: TableRow) -> list[str]:
+def _row_texts(row: TableRow) -> list[str]:
     numbers = [
         (f"[bold]{cell.text}[/bold]" if cell.best else cell.text)
         + (f"\n{escape(cell.interval_text)}" if cell.interval else "")
@@ -116,7 +118,7 @@ def _cells(row: TableRow) -> list[str]:
 
 
 def print_rows(rows: Sequence[Mapping[str, str]]) -> None:
-    """Rows of the same keys as a table: columns on a terminal, tab-separated elsewhere."""
+    """Print rows of the same keys: as a table on a terminal, tab-separated elsewhere."""
     console = Console()
     if not console.is_terminal:
         for row in rows:

@@ -1,4 +1,4 @@
-"""Moments are chosen by the rule that the page states."""
+"""Frames are chosen by the rule that the page states."""
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ def perfect(occupied):
     return {stamp: FrameScore(tp=n, fp=0, fn=0) for stamp, n in occupied.items()}
 
 
-def test_each_part_gives_its_busiest_moment_the_earliest_of_equals():
+def test_each_part_gives_its_busiest_frame_the_earliest_of_equals():
     occupied = {0: 3, 1: 9, 2: 9, 10: 1, 11: 2, 20: 5, 21: 4}
     chosen = choose_frames({"a": perfect(occupied)}, ["a"], 3)
     assert [moment.stamp_ns for moment in chosen] == [1, 11, 20]
@@ -25,15 +25,15 @@ def test_one_more_is_where_the_trackers_differ_most_the_floor_aside():
     scored["floor"][7] = FrameScore(tp=0, fp=4, fn=4)
     chosen = choose_frames(scored, ["a", "b"], 3)
     assert [moment.stamp_ns for moment in chosen] == [0, 3, 5, 6]
-    assert "differ most: moving F1 0.75 apart" in chosen[2].why
+    assert "largest difference between trackers: 0.75 in F1 on moving cells" in chosen[2].reason
 
 
-def test_where_trackers_agree_no_moment_claims_that_they_differ():
+def test_where_trackers_agree_no_frame_is_chosen_for_a_difference():
     scored = {name: perfect(dict.fromkeys(range(9), 4)) for name in "ab"}
     assert len(choose_frames(scored, ["a", "b"], 3)) == 3
 
 
-def test_only_moments_that_every_trial_has_are_chosen():
+def test_only_frames_that_every_trial_has_are_chosen():
     chosen = choose_frames({"a": perfect({0: 1, 1: 9, 2: 1}), "b": perfect({0: 1, 2: 2})}, ["a", "b"], 1)
     assert [moment.stamp_ns for moment in chosen] == [2]
     assert choose_frames({"a": perfect({0: 1}), "b": {}}, ["a", "b"], 3) == ()
@@ -47,7 +47,7 @@ def test_counts_are_those_of_the_store_at_the_step(run_folder):
     assert np.array_equal(sorted(moments), list(moments))
 
 
-def test_scores_that_cannot_be_read_are_told_in_one_line(tmp_path):
+def test_scores_that_cannot_be_read_are_an_error_of_one_line(tmp_path):
     (tmp_path / SCORES).write_bytes(b"not parquet")
     with pytest.raises(ReportError, match="cannot be read as scores") as refused:
         frame_scores(tmp_path / SCORES, 8)

@@ -1,4 +1,4 @@
-"""Scores in time and on degraded input on the page: all that summary.json has, and no more."""
+"""Scores under a deadline and on degraded input on the page: all that summary.json has, and no more."""
 
 import copy
 import json
@@ -59,13 +59,13 @@ def text_of(html):
     return " ".join(re.sub(r"<[^>]*>", " ", html).split())
 
 
-def test_without_other_conditions_the_page_says_nothing_of_them(page_of):
-    assert "In time" not in page_of()
+def test_without_other_conditions_the_page_has_no_section_of_them(page_of):
+    assert "Under a deadline" not in page_of()
     assert "On degraded input" not in page_of()
 
 
-def test_scores_in_time_stand_beside_the_untimed_one(page_of, run_folder, summary_of):
-    text = text_of(page_of(DEADLINE)).partition("In time")[2]
+def test_scores_under_a_deadline_are_shown_beside_the_untimed_one(page_of, run_folder, summary_of):
+    text = text_of(page_of(DEADLINE)).partition("Under a deadline")[2]
     untimed = summary_of(run_folder)["trackers"]["good"]["recordings"]["crossing"]["strata"]["moving"]["f1"][4]
     assert f"good 41.0 44.0 46.5 21.5 {untimed:.3f} 0.413 0.217 −50 %" in text
     assert "×1, 8 Hz ×4, 32 Hz" in text
@@ -80,7 +80,7 @@ def test_degraded_input_is_drawn_per_kind_and_given_in_numbers(page_of):
 
 
 @pytest.mark.parametrize("damage", ["short", "backwards", "infinite"])
-def test_conditions_that_make_no_sense_are_refused_in_one_line(page_of, damage):
+def test_invalid_conditions_are_refused_in_one_line(page_of, damage):
     deadline, robustness = copy.deepcopy(DEADLINE), copy.deepcopy(ROBUSTNESS)
     if damage == "short":
         deadline["rates"][0]["f1"]["moving"] = [0.5]

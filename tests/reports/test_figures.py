@@ -31,7 +31,7 @@ def test_a_curve_goes_through_its_scores():
         assert (drawn.y.start - y) / height == pytest.approx(value, abs=0.06 / height)
 
 
-def test_step_0_is_drawn_apart():
+def test_step_0_is_drawn_separately():
     line = panel((1.0, 0.75, 0.5, 0.0)).lines[0]
     assert line.at_zero == points(line.to_zero)[0]
     assert points(line.to_zero)[1] == points(line.pieces[0])[0]

@@ -40,12 +40,12 @@ def test_columns_are_the_marked_horizons(table):
     assert [c.heading for c in table.columns[:4]] == ["0.5 s", "1 s", "2 s", "2.5 s"]
 
 
-def test_partial_trials_stand_apart_and_are_never_best(table):
+def test_partial_trials_are_not_ranked_and_are_never_best(table):
     assert [row.label for row in table.rows_in("ranked")] == ["good", "fair"]
     assert [row.label for row in table.rows_in("floor")] == ["persistence", "blank"]
-    (apart,) = table.rows_in("unranked")
-    assert (apart.label, apart.frames, apart.trial.outcome) == ("unlucky", "7 of 20", "crashed")
-    assert not any(cell.best for cell in apart.cells)
+    (partial,) = table.rows_in("unranked")
+    assert (partial.label, partial.frames, partial.trial.outcome) == ("unlucky", "7 of 20", "crashed")
+    assert not any(cell.best for cell in partial.cells)
 
 
 def test_a_partial_trial_cannot_take_the_best_mark_by_scoring_higher(run_folder, tmp_path):

@@ -62,7 +62,7 @@ def assert_self_contained(page):
     assert policy.startswith("default-src 'none'; img-src data:; style-src 'sha256-")
 
 
-def test_it_lies_in_the_run_and_refers_to_nothing_outside_itself(run_folder, page):
+def test_the_page_is_in_the_run_folder_and_refers_to_nothing_outside_itself(run_folder, page):
     assert_self_contained(page)
     path = render_report([run_folder])
     assert path == run_folder / "report" / "index.html"
@@ -70,7 +70,7 @@ def test_it_lies_in_the_run_and_refers_to_nothing_outside_itself(run_folder, pag
     assert path.stat().st_size < 1 << 20
 
 
-def test_every_picture_and_figure_is_told_in_words(page):
+def test_every_picture_and_figure_has_a_description_in_words(page):
     pictures = [a for tag, a in Elements(page).elements if tag == "svg" and a.get("role") == "img"]
     assert len(pictures) > 40
     assert all(picture.get("aria-label") for picture in pictures)
@@ -97,7 +97,7 @@ def test_the_pictures_are_the_samples(page, run_folder):
         assert all(frame_png(v, o) in shown for v, o in zip(sample.came_visible, sample.came_occupied, strict=True))
 
 
-def test_the_sensor_is_marked_where_it_stands(page):
+def test_the_sensor_is_marked_at_its_position(page):
     # (0.0, 0.3) m on a grid from (-3.2, 0) in cells of 0.2 m: 16 cells from the left, 1.5 from the bottom of 32
     marks = [a["transform"] for tag, a in Elements(page).elements if tag == "path" and "transform" in a]
     assert marks
@@ -112,12 +112,12 @@ def test_a_tracker_has_one_style_everywhere(page):
     assert len({next(iter(own)) for own in styles.values()}) == len(styles) == 5
 
 
-def test_a_partial_trial_is_told_first_and_shown_apart(page):
+def test_a_partial_trial_has_a_notice_and_is_shown_as_not_ranked(page):
     text = " ".join("".join(Elements(page).text).split())
     assert "unlucky: crashed; ValueError: lost my way; 7 of 20 frames scored, not ranked" in text
     assert "not ranked: not every frame was scored" in text
     assert "unlucky (partial)" in text
-    assert "unlucky did not reach" in text
+    assert "unlucky has no forecast at" in text
 
 
 def test_hostile_names_are_text_and_nothing_else(make_run, run_folder, tmp_path):
@@ -143,7 +143,7 @@ def test_hostile_names_are_text_and_nothing_else(make_run, run_folder, tmp_path)
 def test_without_thresholds_of_a_validation_stretch_there_is_no_figure_of_them(make_run, tmp_path):
     run = make_run(tmp_path / "run", chosen_on="", notices=["no validation stretch, so every threshold is 0.5"])
     page = page_of(run, out=tmp_path / "page.html")
-    assert "What the threshold does" not in page
+    assert "Effect of the threshold" not in page
     assert "no validation stretch, so every threshold is 0.5" in page
 
 
@@ -152,16 +152,16 @@ def test_a_run_of_which_nothing_was_kept_for_viewing_has_no_filmstrip(run_folder
     for samples in run.glob(f"*/{SAMPLES}"):
         samples.unlink()
     page = page_of(run, out=tmp_path / "page.html")
-    assert "Chosen moments" not in page
+    assert "Chosen frames" not in page
 
 
-def test_damaged_samples_are_told_and_the_rest_is_shown(run_folder, tmp_path):
+def test_damaged_samples_have_a_notice_and_the_rest_is_shown(run_folder, tmp_path):
     run = shutil.copytree(run_folder, tmp_path / "run")
     path = run / "fair@crossing" / SAMPLES
     path.write_bytes(path.read_bytes()[:-4000])
     page = page_of(run, out=tmp_path / "page.html")
-    assert "fair has pictures only of the moments before the damage" in page
-    assert "Chosen moments" in page
+    assert "fair has pictures only of the frames before the damage" in page
+    assert "Chosen frames" in page
 
 
 def test_samples_of_another_grid_are_refused(run_folder, make_run, tmp_path, monkeypatch):
@@ -176,7 +176,7 @@ def test_samples_of_another_grid_are_refused(run_folder, make_run, tmp_path, mon
         render_report([run])
 
 
-def test_runs_side_by_side_are_named_and_lie_beside_the_first(run_folder, tmp_path):
+def test_runs_side_by_side_are_named_and_the_page_is_in_the_folder_of_the_first(run_folder, tmp_path):
     first, second = (shutil.copytree(run_folder, tmp_path / name) for name in ("before", "after"))
     path = render_report([first, second])
     assert path == first / "report" / "side-by-side.html"
@@ -189,7 +189,7 @@ def test_runs_side_by_side_are_named_and_lie_beside_the_first(run_folder, tmp_pa
 def test_a_run_in_which_every_trial_failed_is_still_a_page(make_run, tmp_path):
     run = make_run(tmp_path / "run", trackers={}, broken=[("net", 0, "untrained", "nothing learned for site 'x' yet")])
     page = page_of(run, out=tmp_path / "page.html")
-    assert "No tracker finished on crossing" in page
+    assert "No tracker completed crossing" in page
     assert page.count("nothing learned for site") == 1
 
 
@@ -198,7 +198,7 @@ def lead_of_run(run, tmp_path):
     return lead
 
 
-def test_where_nothing_moved_the_lead_does_not_say_that_nobody_finished(make_run, tmp_path, summary_of):
+def test_where_nothing_moved_the_lead_does_not_say_that_no_tracker_completed(make_run, tmp_path, summary_of):
     run = make_run(tmp_path / "run")
     summary = summary_of(run)
     for entry in summary["trackers"].values():
@@ -211,7 +211,7 @@ def test_where_nothing_moved_the_lead_does_not_say_that_nobody_finished(make_run
 def test_where_only_the_floor_ran_the_lead_says_so(make_run, tmp_path):
     nothing = np.zeros((21, 32, 32), np.float32)
     run = make_run(tmp_path / "run", trackers={"blank": ("blank", lambda _: nothing)})
-    assert lead_of_run(run, tmp_path) == "Only the floor was run on crossing."
+    assert lead_of_run(run, tmp_path) == "Only trackers of the floor were run on crossing."
 
 
 def with_moving_f1(run, target, **f1):
@@ -231,15 +231,15 @@ def with_moving_f1(run, target, **f1):
     [
         (
             {"good": 0.61234, "fair": 0.5, "persistence": 0.2},
-            "good has the highest F1 on moving cells 1 s ahead, 0.612; the floor has 0.200 at most (persistence).",
+            "good has the highest F1 on moving cells 1 s ahead, 0.612; the floor reaches 0.200 (persistence).",
         ),
         (
             {"good": 0.6},
-            "good has an F1 of 0.600 on moving cells 1 s ahead; no floor was run with it.",
+            "good has an F1 of 0.600 on moving cells 1 s ahead; no tracker of the floor was run.",
         ),
         (
             {"good": 0.60001, "fair": 0.6, "blank": 0.0, "persistence": 0.0},
-            "good and fair have the highest F1 on moving cells 1 s ahead, 0.600 each; the floor has 0.000 at most"
+            "good and fair have the highest F1 on moving cells 1 s ahead, 0.600 each; the floor reaches 0.000"
             " (blank and persistence).",
         ),
         (
@@ -258,5 +258,5 @@ def with_moving_f1(run, target, **f1):
         ),
     ],
 )
-def test_the_lead_says_who_has_the_highest_score_and_calls_nobody_best(run_folder, tmp_path, f1, lead):
+def test_the_lead_names_the_highest_score_and_calls_no_tracker_the_best(run_folder, tmp_path, f1, lead):
     assert lead_of_run(with_moving_f1(run_folder, tmp_path / "run", **f1), tmp_path) == lead

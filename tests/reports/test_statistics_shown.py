@@ -9,7 +9,7 @@ import pytest
 from gridtrack.evaluation.statistics.summary import summarise, write_json
 from gridtrack.reports.page import render_page
 from gridtrack.reports.run import read_runs
-from gridtrack.reports.table import foremost, headline_markdown, headline_tables
+from gridtrack.reports.table import headline_markdown, headline_tables, main_tables
 from gridtrack.reports.terminal import print_tables
 
 from scenes import synthetic_run as synthetic
@@ -41,7 +41,7 @@ def run(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def pooled(run):
-    (table,) = foremost(headline_tables(read_runs([run])))
+    (table,) = main_tables(headline_tables(read_runs([run])))
     return table
 
 
@@ -50,7 +50,7 @@ def page(run):
     return render_page(read_runs([run]))
 
 
-def test_all_recordings_stand_first_and_are_what_a_run_is_read_by(run, pooled):
+def test_all_recordings_together_are_the_first_and_the_main_table(run, pooled):
     tables = headline_tables(read_runs([run]))
     assert [table.recording for table in tables] == ["all recordings", *RECORDINGS]
     assert pooled is not tables[1]
@@ -64,7 +64,7 @@ def test_every_f1_of_a_complete_row_has_its_interval_around_it(pooled):
         assert all(cell.interval[0] < cell.value < cell.interval[1] for cell in f1)
 
 
-def test_the_ceiling_stands_apart_and_is_never_best_though_it_is(pooled):
+def test_the_ceiling_is_a_group_of_its_own_and_never_marked_best(pooled):
     (oracle,) = pooled.rows_in("ceiling")
     assert oracle.cells[0].value > max(row.cells[0].value for row in pooled.rows_in("ranked"))
     assert not any(cell.best for cell in oracle.cells)

@@ -1,4 +1,4 @@
-"""What the page shows of truth, classes and calibration, and that it leaves out what a run does not have."""
+"""Occluded cells, classes and calibration on the page; a section without content is left out."""
 
 import json
 from pathlib import Path
@@ -8,10 +8,11 @@ import pytest
 
 from gridtrack.evaluation.scoring.counting import PROBABILITY_BINS, Tally
 from gridtrack.reports.classes import class_tables
+from gridtrack.reports.occluded import occluded_table
 from gridtrack.reports.page import render_report
+from gridtrack.reports.reliability import DIAGRAM_SIDE, reliability_diagrams
 from gridtrack.reports.run import ReportError, read_runs
 from gridtrack.reports.table import headline_tables
-from gridtrack.reports.truth import SIDE, hidden_of, reliability_diagrams
 
 STEPS = 20
 
@@ -54,68 +55,68 @@ def table_of(run):
     return table
 
 
-def test_hidden_cells_have_a_table_with_the_gap(truth_run):
-    hidden = hidden_of(table_of(truth_run))
-    assert hidden.strata == ("occluded", "occluded to 0.5 s")
-    assert {row.f1 for row in hidden.rows} == {(0.25, 0.5)}
-    assert {row.gap for row in hidden.rows} == {0.125}
+def test_occluded_cells_have_a_table_with_the_gap(truth_run):
+    occluded = occluded_table(table_of(truth_run))
+    assert occluded.strata == ("occluded", "occluded to 0.5 s")
+    assert {row.f1 for row in occluded.rows} == {(0.25, 0.5)}
+    assert {row.gap for row in occluded.rows} == {0.125}
 
 
-def test_classes_that_were_there_have_a_column_and_trackers_without_semantics_no_row(truth_run):
+def test_classes_that_occur_have_a_column_and_trackers_without_semantics_no_row(truth_run):
     classes = class_tables(table_of(truth_run), *read_runs([truth_run]))
-    assert classes.columns == (("visible", "<b>bus</b>"),)
+    assert classes.recall_columns == (("visible", "<b>bus</b>"),)
     assert [(row.label, recalls) for row, recalls in classes.recalls][:2] == [("good", (0.75,)), ("fair", (0.75,))]
-    assert [one.row.label for one in classes.meanings] == ["good"]
-    assert classes.meant == (("visible", "now"), ("visible", "1 s"))
+    assert [one.row.label for one in classes.rows] == ["good"]
+    assert classes.columns == (("visible", "now"), ("visible", "1 s"))
 
 
-def test_what_cells_are_taken_for_stands_with_its_interval_and_less_the_reference(truth_run):
+def test_class_probabilities_have_an_interval_and_a_difference_from_the_reference(truth_run):
     classes = class_tables(table_of(truth_run), *read_runs([truth_run]))
-    now, then = classes.meanings[0].meanings
+    now, then = classes.rows[0].cells
     assert (then.loss, then.interval, then.accuracy) == (0.625, (0.5, 0.75), 0.625)
-    assert (then.less, then.less_interval) == (-0.375, (-0.5, -0.25))
-    assert (now.less, now.less_interval) == (-0.375, None)
+    assert (then.difference, then.difference_interval) == (-0.375, (-0.5, -0.25))
+    assert (now.difference, now.difference_interval) == (-0.375, None)
     page = render_report([truth_run]).read_text()
     assert "0.625<small>[0.500, 0.750]</small><small>-0.375 [-0.500, -0.250]</small>" in page
     assert "less that of &lt;i&gt;one-shot&lt;/i&gt;, paired" in page
 
 
 def test_several_runs_side_by_side_have_no_differences(truth_run):
-    assert class_tables(table_of(truth_run), None).meanings[0].meanings[0].less is None
+    assert class_tables(table_of(truth_run), None).rows[0].cells[0].difference is None
 
 
 def test_the_page_shows_them_with_every_name_escaped(truth_run):
     page = render_report([truth_run]).read_text()
-    for heading in ("What was hidden", "Classes", "Calibration"):
+    for heading in ("Occluded cells", "Classes", "Calibration"):
         assert f"<h2>{heading}</h2>" in page
     assert "&lt;b&gt;bus&lt;/b&gt;" in page
     assert "<b>bus" not in page
 
 
 def test_a_run_without_truth_has_no_such_section(run_folder):
-    assert hidden_of(table_of(run_folder)) is None
+    assert occluded_table(table_of(run_folder)) is None
     assert class_tables(table_of(run_folder), *read_runs([run_folder])) is None
     page = render_report([run_folder], run_folder / "page.html").read_text()
-    assert "What was hidden" not in page
+    assert "Occluded cells" not in page
 
 
 def test_a_calibrated_forecast_lies_on_the_diagonal(run_folder, monkeypatch):
     cells = np.full((STEPS + 1, 1, PROBABILITY_BINS), 1000)
     p = np.linspace(0.01, 0.99, PROBABILITY_BINS)
     tally = Tally(cells, (cells * p).astype(int), cells * p, *np.zeros((2, STEPS + 1, 1)), ("moving",))
-    monkeypatch.setattr("gridtrack.reports.truth.read_tally", lambda *_: tally)
+    monkeypatch.setattr("gridtrack.reports.reliability.read_tally", lambda *_: tally)
     drawn, notices = reliability_diagrams(read_runs([run_folder]), table_of(run_folder))
     assert [one.row.label for one in drawn] == ["good", "fair"]
     assert notices == ()
-    assert all(x == pytest.approx(SIDE - y, abs=0.3) for x, y in drawn[0].points)
+    assert all(x == pytest.approx(DIAGRAM_SIDE - y, abs=0.3) for x, y in drawn[0].points)
 
 
-def test_a_histogram_that_cannot_be_read_is_told_and_the_page_goes_on(truth_run):
+def test_a_histogram_that_cannot_be_read_has_a_notice_and_the_page_is_complete(truth_run):
     (truth_run / "good@crossing" / "histogram.parquet").write_bytes(b"not")
     runs = read_runs([truth_run])
     drawn, notices = reliability_diagrams(runs, table_of(truth_run))
     assert [one.row.label for one in drawn] == ["fair"]
-    assert notices[0].startswith("good: no calibration drawn")
+    assert notices[0].startswith("good: no reliability diagram")
 
 
 def test_curves_by_class_that_do_not_reach_every_horizon_are_refused(truth_run):
