@@ -114,15 +114,15 @@ def measure_classes(pipeline: TimedPipeline, classes: ClassFilter, frame: GridFr
     Pipeline.forecast(pipeline, STEPS)
     between = time.process_time()
     classes.observe(pipeline.tracks, frame)
-    pipeline.forecast_classes(STEPS, classes.place, classes.posteriors(pipeline.tracks))
+    pipeline.forecast_classes(STEPS, classes.cell_prior, classes.posteriors(pipeline.tracks))
     pipeline.seconds[MORE].append(time.process_time() - between - (between - start))
 
 
 def measure(tracker: type[KalmanTracker] | type[FactorGraphTracker], count: int) -> tuple[TimedPipeline, np.ndarray]:
     """The pipeline at the end, and the seconds of each update and forecast together."""
     place = BackgroundMap(np.full(GRID.shape, 1e-3, np.float32), np.zeros(GRID.shape, np.float32))
-    dwell = np.full(table_shape(PERIOD_S), 0.3, np.float32)
-    pipeline = TimedPipeline(GRID, PERIOD_S, place, dwell, STREET, tracker.estimator)
+    residence = np.full(table_shape(PERIOD_S), 0.3, np.float32)
+    pipeline = TimedPipeline(GRID, PERIOD_S, place, residence, STREET, tracker.estimator)
     calibration = Calibration(IDENTITY)
     seconds, classes, seen = [], some_classes(), np.zeros(GRID.shape)
     for step in range(FRAMES):

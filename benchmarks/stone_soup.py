@@ -127,8 +127,8 @@ def centres_of(moments: list[HallFrame], settings: PipelineSettings) -> Tracked:
 def ours(moments: list[HallFrame], settings: PipelineSettings) -> Tracked:
     """The pipeline with Kalman filters, segmentation and all."""
     empty = BackgroundMap(np.full(GRID.shape, 1e-3, np.float32), np.zeros(GRID.shape, np.float32))
-    dwell = np.full(table_shape(PERIOD_S), 0.1, np.float32)
-    pipeline = Pipeline(GRID, PERIOD_S, empty, dwell, settings, KalmanEstimator)
+    residence = np.full(table_shape(PERIOD_S), 0.1, np.float32)
+    pipeline = Pipeline(GRID, PERIOD_S, empty, residence, settings, KalmanEstimator)
     found, seconds = [], []
     for moment in moments:
         begun = time.thread_time()
@@ -210,18 +210,26 @@ def best_life(moments: list[HallFrame], clusters: Tracked, settings: PipelineSet
 def best_settings(moments: list[HallFrame], settings: PipelineSettings) -> PipelineSettings:
     """The same of ours: from which probability on a track is confirmed, and for how long it may coast."""
     each = itertools.product((0.6, 0.8), (0.1, 0.3), (2.0, 15.0))
-    tried = [settings.model_copy(update={"confirm_above": c, "dead_below": d, "life_s": life}) for c, d, life in each]
+    tried = [
+        settings.model_copy(update={"confirm_above": c, "delete_below": d, "mean_lifetime_s": life})
+        for c, d, life in each
+    ]
     return min(tried, key=lambda one: ospa(ours(moments, one)[0], moments).mean())
 
 
 def print_comparison(people: int, frames: int, seeds: range) -> None:
-    settings = PipelineSettings(acceleration=WANDER, agility=1.0, velocity_memory_s=TURN_MEMORY_S, initial_speed=SPEED)
+    settings = PipelineSettings(
+        acceleration=WANDER, manoeuvre_noise=1.0, velocity_memory_s=TURN_MEMORY_S, initial_speed=SPEED
+    )
     practice = hall(people, frames, seeds.start - 1)
     clusters = centres_of(practice, settings)
     lives = {joint: best_life(practice, clusters, settings, joint=joint) for joint in (False, True)}
     settings = best_settings(practice, settings)
     print(f"{people} people, {frames} frames, {len(seeds)} seeds; {lives}")
-    print(f"ours: confirmed above {settings.confirm_above}, dead below {settings.dead_below}, life {settings.life_s} s")
+    print(
+        f"ours: confirmed above {settings.confirm_above}, deleted below {settings.delete_below},"
+        f" mean lifetime {settings.mean_lifetime_s} s"
+    )
     results: dict[str, list[tuple[float, Array]]] = {}
     for seed in seeds:
         moments = hall(people, frames, seed)

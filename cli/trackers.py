@@ -1,4 +1,4 @@
-"""`train` and `trackers list | show | check | new`: what trackers there are, what they promise, what they learn."""
+"""`train` and `trackers list | show | check | new | migrate`: the registered trackers and their learned weights."""
 
 from __future__ import annotations
 
@@ -13,7 +13,9 @@ import typer
 from gridtrack.cli.options import GridOption, JsonOption, RateOption, WeightsOption
 from gridtrack.common.errors import ConfigurationError, GridtrackError, PluginError
 
-app = typer.Typer(no_args_is_help=True, help="The trackers: list, show, check, new.")
+app = typer.Typer(
+    no_args_is_help=True, help="The trackers: list, show, check, new; migrate: rewrite older weights cards."
+)
 
 
 def train_command(
@@ -185,6 +187,18 @@ def new_command(
     module = write(name, out or Path(name))
     folder = module.parent
     typer.echo(f"tracker: {module}\nnext: pip install -e {folder} && gridtrack trackers check {name}")
+
+
+@app.command("migrate")
+def migrate_weights(cards: Annotated[list[Path], typer.Argument(metavar="CARD_OR_FOLDER...")]) -> None:
+    """Rewrite weights cards of an older gridtrack in place: options and arrays get their present names."""
+    from gridtrack.common.errors import WeightsError
+    from gridtrack.trackers.migration import migrate_cards
+
+    done = migrate_cards(cards)
+    typer.echo(f"weights: {len(done.rewritten)} cards migrated, {len(done.unchanged)} have the present schema")
+    if done.errors:
+        raise WeightsError(f"{len(done.errors)} cards are left as they are; the first: {done.errors[0]}")
 
 
 def _tracker_alone(text: str) -> Any:

@@ -1,14 +1,16 @@
-"""What a tracker learned for a site: a readable `.toml` card, and the arrays in the `.safetensors` beside it.
+"""Learned weights of a tracker for a site: a card (`.toml`) and the arrays in the `.safetensors` file beside it.
 
-The card carries the grid, the period, the training recordings' hashes, the seed and the command that made it, so that
-weights used on another grid or period are refused by name instead of broadcast.
+The card has the grid, the period, the hashes of the training recordings, the seed and the training command. Weights of
+another grid, period, site or tracker are refused.
 """
 
 from __future__ import annotations
 
 import hashlib
+import shlex
 import tomllib
 from collections.abc import Iterable, Mapping
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
@@ -22,11 +24,12 @@ from safetensors.numpy import load, save
 
 from gridtrack.common.config import Settings, validated
 from gridtrack.common.errors import ConfigurationError, WeightsError
+from gridtrack.common.files import atomic_write, read_bounded
 from gridtrack.common.grid import GridSpec
 from gridtrack.trackers.contract import FitOutput, FrameSource, StreamSpec
 
-SCHEMA = 1
-MAX_BYTES = 1 << 30
+CARD_SCHEMA = 2
+MAX_ARRAYS_BYTES = 1 << 30
 MAX_CARD_BYTES = 1 << 20
 
 Tuned = TypeVar("Tuned", bound=Settings)
@@ -42,7 +45,7 @@ class TrainingData(Settings):
 class Card(Settings):
     """The readable half of a tracker's weights."""
 
-    schema_version: int = SCHEMA
+    schema_version: int = CARD_SCHEMA
     tracker: str
     site: str
     grid: str
@@ -129,36 +132,46 @@ def _data_of(sources: Iterable[FrameSource]) -> tuple[TrainingData, ...]:
 
 
 def save_weights(path: Path, card: Card, arrays: Mapping[str, NDArray[Any]]) -> None:
-    """Write `path` (`.toml`) and, where there are arrays, the `.safetensors` beside it; either is replaced whole."""
+    """Write `path` (`.toml`) and, where there are arrays, the `.safetensors` file beside it, each atomically.
+
+    Both are written before either is replaced, and the card, which has the hash of the arrays, is replaced last. Raises
+    OSError.
+    """
     path.parent.mkdir(parents=True, exist_ok=True)
-    if arrays:
-        blob = save({name: np.ascontiguousarray(array) for name, array in arrays.items()})
-        card = card.model_copy(update={"arrays_sha256": hashlib.sha256(blob).hexdigest()})
-        _replace(path.with_suffix(".safetensors"), blob)
-    _replace(path, tomli_w.dumps(card.model_dump(mode="json")).encode())
-
-
-def _replace(path: Path, content: bytes) -> None:
-    partial = path.with_name(path.name + ".partial")
-    partial.write_bytes(content)
-    partial.replace(path)
+    with ExitStack() as files:
+        card_file = files.enter_context(atomic_write(path))
+        if arrays:
+            blob = save({name: np.ascontiguousarray(array) for name, array in arrays.items()})
+            card = card.model_copy(update={"arrays_sha256": hashlib.sha256(blob).hexdigest()})
+            files.enter_context(atomic_write(path.with_suffix(".safetensors"))).write(blob)
+        card_file.write(tomli_w.dumps(card.model_dump(mode="json")).encode())
 
 
 def read_card(path: Path) -> Card:
-    """The card at `path`. Raises WeightsError."""
+    """The card at `path`. Raises WeightsError for a damaged card, and for one of another schema."""
+    card = parse_card(path)
+    if card.schema_version < CARD_SCHEMA:
+        raise WeightsError(
+            f"{path}: schema {card.schema_version}; this gridtrack reads {CARD_SCHEMA}:"
+            f" run `gridtrack trackers migrate {shlex.quote(str(path))}`"
+        )
+    if card.schema_version > CARD_SCHEMA:
+        raise WeightsError(
+            f"{path}: schema {card.schema_version}; this gridtrack reads {CARD_SCHEMA}: update gridtrack or train again"
+        )
+    return card
+
+
+def parse_card(path: Path) -> Card:
+    """The card at `path`, of any schema. Raises WeightsError for a damaged card."""
     try:
-        with path.open("rb") as file:
-            text = file.read(MAX_CARD_BYTES + 1)
-        if len(text) > MAX_CARD_BYTES:
-            raise WeightsError(f"{path}: not a weights card of gridtrack (more than {MAX_CARD_BYTES} bytes)")
+        text = read_bounded(path, MAX_CARD_BYTES, WeightsError)
         card = validated(Card, tomllib.loads(text.decode()), "weights card")
         GridSpec.parse(card.grid)
-    except OSError as error:
+    except FileNotFoundError as error:
         raise WeightsError(f"{path}: cannot be read ({error.strerror})") from None
     except (ValueError, RecursionError, ConfigurationError) as error:
         raise WeightsError(f"{path}: not a weights card of gridtrack ({error})") from None
-    if card.schema_version != SCHEMA:
-        raise WeightsError(f"{path}: schema {card.schema_version}; this gridtrack reads {SCHEMA}: train again")
     return card
 
 
@@ -185,15 +198,18 @@ def load_weights(stream: StreamSpec, tracker: str) -> Weights:
             f"{path}: made for a period of {card.period_s:g} s ({1 / card.period_s:g} Hz), but this stream's is"
             f" {stream.period_s:g} s: compare with --rate {1 / card.period_s:g}, or train for this rate"
         )
-    return Weights(card, _read_arrays(path.with_suffix(".safetensors"), card.arrays_sha256))
+    return Weights(card, read_arrays(path.with_suffix(".safetensors"), card.arrays_sha256))
 
 
-def _read_arrays(path: Path, sha256: str) -> dict[str, NDArray[Any]]:
+def read_arrays(path: Path, sha256: str) -> dict[str, NDArray[Any]]:
+    """The arrays by name; none without a hash. Raises WeightsError where the file does not have this `sha256`."""
     if not sha256:
         return {}
     try:
-        if path.stat().st_size > MAX_BYTES:
-            raise WeightsError(f"{path}: {path.stat().st_size} bytes; weights of more than {MAX_BYTES} are refused")
+        if path.stat().st_size > MAX_ARRAYS_BYTES:
+            raise WeightsError(
+                f"{path}: {path.stat().st_size} bytes; weights of more than {MAX_ARRAYS_BYTES} are refused"
+            )
         blob = path.read_bytes()
         if hashlib.sha256(blob).hexdigest() != sha256:
             raise WeightsError(f"{path}: its sha256 is not the one on its card: the file is damaged or was exchanged")

@@ -10,7 +10,7 @@ from gridtrack.trackers.model_free.motion.parameters import MotionModel
 Array = NDArray[np.float64]
 MODEL = MotionModel(
     acceleration=0.7,
-    surge=0.001,
+    speed_noise=0.001,
     turn_acceleration=0.3,
     velocity_memory_s=20.0,
     turn_memory_s=3.0,

@@ -19,8 +19,8 @@ WALL = (2.0, 4.0, 0.15)
 GLIDING = np.zeros((31, 31), np.float32)
 """The life table of returns that never stay."""
 OPEN = {
-    "rate": np.full(GRID.shape, 1e-3, np.float32),
-    "solid": np.zeros(GRID.shape, np.float32),
+    "occupancy_rate": np.full(GRID.shape, 1e-3, np.float32),
+    "neighbourhood_rate": np.zeros(GRID.shape, np.float32),
     "calibration": IDENTITY,
 }
 """The map of a hall with nothing in it."""

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from gridtrack.common.errors import WeightsError
 from gridtrack.common.grid import GridSpec
 from gridtrack.trackers.contract import FitOutput, FrameSource, StreamSpec
-from gridtrack.trackers.weights import MAX_BYTES, Card, array, card_for, load_weights, read_card, save_weights
+from gridtrack.trackers.weights import MAX_ARRAYS_BYTES, Card, array, card_for, load_weights, read_card, save_weights
 
 GRID = GridSpec(100, 0.1, (-2.0, -4.5))
 
@@ -127,7 +127,7 @@ def test_a_flipped_bit_in_the_arrays_is_found(tmp_path_factory: pytest.TempPathF
 
 def test_arrays_too_large_are_refused_unread(path: Path) -> None:
     with path.with_suffix(".safetensors").open("r+b") as file:
-        file.truncate(MAX_BYTES + 1)  # sparse: nothing is written
+        file.truncate(MAX_ARRAYS_BYTES + 1)  # sparse: nothing is written
     with pytest.raises(WeightsError, match="are refused"):
         load(path)
 
@@ -135,13 +135,13 @@ def test_arrays_too_large_are_refused_unread(path: Path) -> None:
 @pytest.mark.parametrize(
     ("edit", "complaint"),
     [
-        (lambda text: text.replace("schema_version = 1", "schema_version = 9"), "schema 9; this gridtrack reads 1"),
+        (lambda text: text.replace("schema_version = 2", "schema_version = 9"), "schema 9; this gridtrack reads 2"),
         (lambda text: 'secret = "x"\n' + text, "there is no option"),
         (lambda text: text.replace('site = "lab"\n', ""), "'site'"),
         (lambda text: text.replace("period_s = 0.1", "period_s = 0.0"), "'period_s' = 0.0"),
         (lambda text: text.replace("100x0.1@-2,-4.5", "huge"), "grid 'huge'"),
         (lambda text: "[" + text, "not a weights card"),
-        (lambda text: "#" * (1 << 20) + text, "more than 1048576 bytes"),
+        (lambda text: "#" * (1 << 20) + text, "larger than 1048576 bytes"),
     ],
 )
 def test_a_damaged_card_is_one_clear_line(path: Path, edit: Callable[[str], str], complaint: str) -> None:

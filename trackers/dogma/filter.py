@@ -35,14 +35,14 @@ class ParticleGrid:
         self._starts = np.empty(grid.size**2 + 2, np.int32)
         self._weights = np.empty(settings.particles, np.float32)
         speed = settings.birth_speed * period_s / grid.cell_m
-        self._birth = Birth(np.float32(settings.rest_share), np.float32(speed))
+        self._birth = Birth(np.float32(settings.static_share), np.float32(speed))
 
     def update(self, frame: GridFrame) -> None:
         """Take in one frame."""
         elapsed = 1.0 if self.frame is None else (frame.stamp_ns - self.frame.stamp_ns) * 1e-9 / self.period_s
         self.frame = frame
         predicted = self._predict(elapsed)
-        evidence = measured(frame.visible, frame.occupied, self.settings.hit_mass, self.settings.crossed_mass)
+        evidence = measured(frame.visible, frame.occupied, self.settings.occupied_mass, self.settings.free_mass)
         self.masses = combined(predicted, evidence)
         born = newborn(self.masses.occupied, predicted.occupied, self.settings.birth_probability)
         self._resample(np.where(frame.visible, born, np.float32(0.0)))
@@ -54,19 +54,19 @@ class ParticleGrid:
             periods,
             settings.position_noise_m / cell_m * math.sqrt(periods),
             settings.acceleration * math.sqrt(time_s) * self.period_s / cell_m,
-            -math.expm1(-time_s / settings.start_s),
-            -math.expm1(-time_s / settings.stop_s),
-            settings.creep_speed * self.period_s / cell_m,
+            -math.expm1(-time_s / settings.time_to_start_s),
+            -math.expm1(-time_s / settings.time_to_stop_s),
+            settings.start_stop_speed * self.period_s / cell_m,
         )
         return Motion(*map(np.float32, values))
 
     def keep_free(self, periods: float) -> float:
         """The share of free mass that stays so for so many periods."""
-        return math.exp(-periods * self.period_s / self.settings.free_s)
+        return math.exp(-periods * self.period_s / self.settings.free_decay_s)
 
     def survival(self, periods: float) -> float:
         """The probability p_S that what is there is still somewhere after so many periods."""
-        return math.exp(-periods * self.period_s / self.settings.life_s)
+        return math.exp(-periods * self.period_s / self.settings.mean_lifetime_s)
 
     def _predict(self, periods: float) -> Masses:
         """Move and sort the particles, and say what masses to expect."""

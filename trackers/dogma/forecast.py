@@ -1,4 +1,4 @@
-"""The forecast: particles carried ahead, and what is known free or unknown falling to what is usual there."""
+"""The forecast: particles moved ahead, and free and unknown mass approaching the occupancy rate of the cell."""
 
 from __future__ import annotations
 
@@ -12,11 +12,12 @@ from gridtrack.trackers.dogma.particles import moved
 from gridtrack.trackers.dogma.random_numbers import after, stream
 
 
-def forecast(state: ParticleGrid, usual: Mass, steps: int) -> NDArray[np.float32]:
+def forecast(state: ParticleGrid, occupancy_rate: Mass, steps: int) -> NDArray[np.float32]:
     """P(occupied) (steps+1, M, M) float32 of steps 0..steps; where step 0 is visible it is what was seen.
 
-    `usual` (M, M) is P(occupied) where nothing is known. Unknown mass is shared out by it, free mass becomes unknown
-    with time, and occupied mass is where the particles go. `state` stays as it is: chance is a stream of its own.
+    `occupancy_rate` (M, M) is P(occupied | visible), counted at the site. A cell's unknown mass counts as occupied with
+    that probability; free mass decays to unknown mass; occupied mass moves with the particles. `state` does not change:
+    the noise is drawn from a random stream of the forecast.
     """
     counts = np.zeros((steps + 1, *state.grid.shape), np.float32)
     carry(state.particles, state.count, state.motion(1.0), stream(~state.seed, state.draws), counts)
@@ -25,7 +26,7 @@ def forecast(state: ParticleGrid, usual: Mass, steps: int) -> NDArray[np.float32
         weight = np.float32(state.weight * state.survival(step))
         occupied = np.minimum(counts[step] * weight, MOST_EXPECTED)
         free = predicted_free(state.masses.free, state.keep_free(step), occupied)
-        occupancy[step] = occupied + (1 - occupied - free) * usual
+        occupancy[step] = occupied + (1 - occupied - free) * occupancy_rate
     if state.frame is not None:
         occupancy[0] = np.where(state.frame.visible, state.frame.occupied, occupancy[0])
     return occupancy

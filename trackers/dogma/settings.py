@@ -17,9 +17,9 @@ class DogmaSettings(Settings):
     """How many particles there are; as many persist as are resampled."""
 
     # Inverse sensor model
-    hit_mass: float = Field(0.9, gt=0, lt=1)
+    occupied_mass: float = Field(0.9, gt=0, lt=1)
     """Mass of occupied that a return gives its cell."""
-    crossed_mass: float = Field(0.9, gt=0, lt=1)
+    free_mass: float = Field(0.9, gt=0, lt=1)
     """Mass of free that a cell gets which beams only cross."""
     return_noise_m: float = Field(0.1, gt=0, le=10)
     """Standard deviation of a return about the surface, along each axis; for centres of cells, of those about it."""
@@ -29,11 +29,11 @@ class DogmaSettings(Settings):
     # Birth and life
     birth_probability: float = Field(0.005, gt=0, lt=1)
     """Probability p_B that an object appears in a cell within a period."""
-    life_s: float = Field(10.0, gt=0, le=3600)
+    mean_lifetime_s: float = Field(10.0, gt=0, le=3600)
     """Mean time until what is not seen is no longer believed in."""
-    free_s: float = Field(3.0, gt=0, le=3600)
+    free_decay_s: float = Field(3.0, gt=0, le=3600)
     """Time constant with which free mass becomes unknown."""
-    rest_share: float = Field(0.2, ge=0, le=1)
+    static_share: float = Field(0.2, ge=0, le=1)
     """The share of newborn particles that rest."""
     birth_speed: float = Field(5.0, gt=0, le=100)
     """Standard deviation of the velocity of the others along each axis, m/s."""
@@ -43,9 +43,9 @@ class DogmaSettings(Settings):
     """White-noise acceleration of what moves: square root of its density, m/s^2 per sqrt(Hz)."""
     position_noise_m: float = Field(0.02, ge=0, le=10)
     """Noise of the place of what moves, metres in a period: legs alternate, surfaces come and go."""
-    creep_speed: float = Field(0.5, gt=0, le=100)
+    start_stop_speed: float = Field(0.5, gt=0, le=100)
     """Below this what moves may stop, and about this fast it starts, m/s."""
-    start_s: float = Field(30.0, gt=0, le=3600)
+    time_to_start_s: float = Field(30.0, gt=0, le=3600)
     """Mean time at rest."""
-    stop_s: float = Field(10.0, gt=0, le=3600)
+    time_to_stop_s: float = Field(10.0, gt=0, le=3600)
     """Mean time until what creeps stops."""

@@ -30,7 +30,7 @@ class DogmaTracker(Tracker):
         super().__init__(stream, options)
         weights = load_weights(stream, NAME)
         self._settings = tuned_settings(DogmaSettings, weights, options)
-        self._usual = probabilities(weights, "usual", stream.grid.shape)
+        self._occupancy_rate = probabilities(weights, "occupancy_rate", stream.grid.shape)
         compile_ahead(stream.period_s)
         self.reset(seed=0)
 
@@ -44,7 +44,7 @@ class DogmaTracker(Tracker):
 
     def predict(self, steps: int) -> Forecast:
         """Forecast steps 0..steps, and the mean velocity of each cell now."""
-        return _forecast(self._state, self._usual, steps)
+        return _forecast(self._state, self._occupancy_rate, steps)
 
     @classmethod
     def fit(
@@ -61,8 +61,8 @@ class DogmaTracker(Tracker):
         fit_dogma(cls, train, validation, score, out, options)
 
 
-def _forecast(state: ParticleGrid, usual: Mass, steps: int) -> Forecast:
-    return Forecast(forecast(state, usual, steps), velocity=velocities(state).mean)
+def _forecast(state: ParticleGrid, occupancy_rate: Mass, steps: int) -> Forecast:
+    return Forecast(forecast(state, occupancy_rate, steps), velocity=velocities(state).mean)
 
 
 def compile_ahead(period_s: float) -> None:

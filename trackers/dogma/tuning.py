@@ -24,16 +24,16 @@ TUNED_ON_S = 96.0
 TUNED_WITH = 4
 """The search makes do with the number of particles divided by this, for its speed; the results reported do not."""
 RANGES = {
-    "hit_mass": (0.8, 0.98),
-    "crossed_mass": (0.7, 0.98),
+    "occupied_mass": (0.8, 0.98),
+    "free_mass": (0.7, 0.98),
     "birth_probability": (1e-4, 0.1),
-    "free_s": (0.5, 20.0),
+    "free_decay_s": (0.5, 20.0),
     "birth_speed": (0.5, 15.0),
     "acceleration": (0.05, 3.0),
     "position_noise_m": (0.002, 0.1),
-    "creep_speed": (0.1, 3.0),
-    "start_s": (2.0, 200.0),
-    "stop_s": (0.3, 30.0),
+    "start_stop_speed": (0.1, 3.0),
+    "time_to_start_s": (2.0, 200.0),
+    "time_to_stop_s": (0.3, 30.0),
 }
 """Settings that are tuned, each from its range, log-uniformly."""
 
@@ -51,7 +51,7 @@ def fit_dogma(
     A setting given in `options` stays as given. `validation` is scored with the result, and reported only. Raises
     WeightsError where the recordings differ in grid, period or site.
     """
-    arrays = {"usual": usual_occupancy(train)}
+    arrays = {"occupancy_rate": count_occupancy_rate(train)}
     held = [HeldSource.beginning(source, TUNED_ON_S) for source in train]
     with TemporaryDirectory() as folder:
         draft = Path(folder) / f"{NAME}.toml"
@@ -75,7 +75,7 @@ def fit_dogma(
     save_weights(out.path, card_for(NAME, out, train, validation, settings.model_dump(), results), arrays)
 
 
-def usual_occupancy(train: Sequence[FrameSource]) -> Mass:
+def count_occupancy_rate(train: Sequence[FrameSource]) -> Mass:
     """P(occupied | visible) of each cell, (M, M) float32, over all frames of `train`, as a posterior mean."""
     visible, occupied = np.zeros((2, *train[0].grid.shape))
     for frame in (frame for source in train for frame in source):

@@ -129,7 +129,7 @@ def _components(possible: NDArray[np.bool_]) -> list[list[int]]:
     return [[int(t) for t in np.flatnonzero(labels == label)] for label in np.unique(labels)]
 
 
-def share_out(
+def assign_returns(
     clusters: Sequence[Cluster], pairs: dict[int, int], distances: Array, near: NDArray[np.bool_]
 ) -> tuple[dict[int, Cluster], list[Cluster]]:
     """Give each return to a track: track -> its returns, and the clusters that are left for new tracks.

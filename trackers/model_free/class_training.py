@@ -228,7 +228,7 @@ def _results(
         "features": list(FEATURES),
         "tracks": dict(zip(classes, tracks, strict=True)),
         "frames_of_tracks": dict(zip(classes, np.bincount(targets, minlength=len(classes)).tolist(), strict=True)),
-        "gaussians": dict(zip(classes, np.count_nonzero(model.shares, axis=1).tolist(), strict=True)),
+        "gaussians": dict(zip(classes, np.count_nonzero(model.mixture_weights, axis=1).tolist(), strict=True)),
         "life_power": float(model.powers[0]),
         "place_power": float(model.powers[1]),
         "validation_log_loss": round(loss, 5),

@@ -38,30 +38,30 @@ class ClassModel(NamedTuple):
     track is at goes before the frequency.
     """
 
-    shares: Array
+    mixture_weights: Array
     means: Array
     whitening: Array
     frequency: Array
     powers: Array
-    place: Array
+    cell_prior: Array
 
     @classmethod
     def of(cls, weights: Weights, grid: GridSpec) -> ClassModel:
         """The model in `weights`, checked. Raises WeightsError."""
         kinds, features = len(weights.card.classes), len(FEATURES)
-        shares = weights.arrays.get(PREFIX + "shares")
+        shares = weights.arrays.get(PREFIX + "mixture_weights")
         components = shares.shape[1] if shares is not None and shares.ndim == 2 else 1
         if not 1 <= components <= MAX_COMPONENTS:
             raise WeightsError(
                 f"weights of {weights.card.tracker}: {components} Gaussians of a class, expected 1 to {MAX_COMPONENTS}"
             )
         shapes: dict[str, tuple[int, ...]] = {
-            "shares": (kinds, components),
+            "mixture_weights": (kinds, components),
             "means": (kinds, components, features),
             "whitening": (kinds, features, features),
             "frequency": (kinds,),
             "powers": (2,),
-            "place": (kinds, *grid.shape),
+            "cell_prior": (kinds, *grid.shape),
         }
         found = {name: array(weights, PREFIX + name, shape) for name, shape in shapes.items()}
         model = cls(**{name: np.ascontiguousarray(each, np.float64) for name, each in found.items()})
@@ -77,11 +77,11 @@ class ClassModel(NamedTuple):
         for name, value in self._asdict().items():
             if not (np.abs(value) <= LARGEST).all():
                 raise WeightsError(f"{where}: array '{PREFIX}{name}' is not finite or beyond {LARGEST:g}: train again")
-        for name, axis in (("shares", 1), ("frequency", 0), ("place", 0)):
+        for name, axis in (("mixture_weights", 1), ("frequency", 0), ("cell_prior", 0)):
             value = getattr(self, name)
             if (value < 0).any() or np.abs(value.sum(axis=axis) - 1.0).max() > 1e-3:
                 raise WeightsError(f"{where}: array '{PREFIX}{name}' does not hold probabilities: train again")
-            if (value <= 0).any() and name != "shares":
+            if (value <= 0).any() and name != "mixture_weights":
                 raise WeightsError(f"{where}: array '{PREFIX}{name}' rules a class out: train again")
         if not np.linalg.det(self.whitening).all():
             raise WeightsError(f"{where}: array '{PREFIX}whitening' is singular: train again")
@@ -90,19 +90,19 @@ class ClassModel(NamedTuple):
 
     def of_unknown_place(self) -> ClassModel:
         """The same where nothing is known of the place: each class is everywhere as frequent as in the mean of it."""
-        mean = self.place.mean(axis=(1, 2), keepdims=True)
-        return self._replace(place=np.broadcast_to(mean, self.place.shape).copy())
+        mean = self.cell_prior.mean(axis=(1, 2), keepdims=True)
+        return self._replace(cell_prior=np.broadcast_to(mean, self.cell_prior.shape).copy())
 
     def log_densities(self, features: Array) -> Array:
         """log p(features | class) (T, K) of `features` (T, F)."""
-        return np.asarray(_log_densities(features, self.shares, self.means, self.whitening))
+        return np.asarray(_log_densities(features, self.mixture_weights, self.means, self.whitening))
 
     def log_place(self, tracks: Sequence[Track], grid: GridSpec) -> Array:
         """log P(class) (T, K) where the newest returns of the tracks lie, the mean over them."""
         cells, inside = grid.cells_of(np.concatenate([track.returns for track in tracks]))
         owner = np.repeat(np.arange(len(tracks)), [len(track.returns) for track in tracks])[inside]
         found = np.zeros((len(tracks), len(self.frequency)))
-        np.add.at(found, owner, self.place[:, cells[inside, 0], cells[inside, 1]].T)
+        np.add.at(found, owner, self.cell_prior[:, cells[inside, 0], cells[inside, 1]].T)
         return np.log(found / np.maximum(np.bincount(owner, minlength=len(tracks)), 1)[:, None])
 
     def posteriors(self, evidence: Array, log_place: Array) -> Array:
@@ -130,7 +130,7 @@ class ClassFilter:
     """
 
     def __init__(self, model: ClassModel, grid: GridSpec) -> None:
-        self.model, self.place, self._grid = model, model.place.astype(np.float32), grid
+        self.model, self.cell_prior, self._grid = model, model.cell_prior.astype(np.float32), grid
         self._evidence: dict[int, Evidence] = {}
 
     def observe(self, tracks: Sequence[Track], frame: GridFrame) -> None:
@@ -149,7 +149,7 @@ class ClassFilter:
     def posteriors(self, tracks: Sequence[Track]) -> Planes:
         """P(class) (T, K) float32 of tracks that have been observed."""
         if not tracks:
-            return np.zeros((0, len(self.place)), np.float32)
+            return np.zeros((0, len(self.cell_prior)), np.float32)
         evidence = [self._evidence[track.identity] for track in tracks]
         means = np.stack([one.densities / one.frames for one in evidence])
         return self.model.posteriors(means, np.stack([one.log_place for one in evidence])).astype(np.float32)
@@ -173,21 +173,21 @@ def features_of(tracks: Sequence[Track], frame: GridFrame) -> Array:
     return np.asarray(_features(points, ends, motions, frame.origins.astype(np.float64)))
 
 
-def place_weighted(occupancy: Planes, place: Planes) -> Planes:
-    """Semantics (steps+1, K, M, M), not normalised: what the background shows has the classes of the `place`."""
-    semantics = np.empty((len(occupancy), *place.shape), np.float32)
-    _place_weighted(semantics, occupancy, place)
+def weight_by_cell_prior(occupancy: Planes, cell_prior: Planes) -> Planes:
+    """Semantics (steps+1, K, M, M), not normalised: what the background shows has the classes of `cell_prior`."""
+    semantics = np.empty((len(occupancy), *cell_prior.shape), np.float32)
+    _weight_by_cell_prior(semantics, occupancy, cell_prior)
     return semantics
 
 
 def attribute(
-    semantics: Planes, place: Planes, occupied: Mask, tracks: Sequence[Track], classes: Planes, grid: GridSpec
+    semantics: Planes, cell_prior: Planes, occupied: Mask, tracks: Sequence[Track], classes: Planes, grid: GridSpec
 ) -> None:
     """Give the cells seen `occupied` (M, M) the classes of what is seen there, in `semantics` (K, M, M) of that frame.
 
-    A track's own returns have its `classes` (T, K); the others are the background's, with the classes of the `place`.
+    A track's own returns have its `classes` (T, K); the others are the background's, with the classes of `cell_prior`.
     """
-    semantics[:, occupied] = place[:, occupied]
+    semantics[:, occupied] = cell_prior[:, occupied]
     seen = [number for number, track in enumerate(tracks) if not track.unseen]
     if seen:
         cells, inside = grid.cells_of(np.concatenate([tracks[number].returns for number in seen]))
@@ -250,7 +250,7 @@ def _log_densities(features, shares, means, whitening):  # type: ignore[no-untyp
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _place_weighted(semantics, occupancy, place):  # type: ignore[no-untyped-def]
+def _weight_by_cell_prior(semantics, occupancy, place):  # type: ignore[no-untyped-def]
     steps, kinds, size, _ = semantics.shape
     for step in range(steps):
         for k in range(kinds):

@@ -32,22 +32,22 @@ def add_tracks(
     regimes: Regimes,
     frame: GridFrame,
     grid: GridSpec,
-    dwell: NDArray[np.float32],
+    residence: NDArray[np.float32],
     settings: PipelineSettings,
     semantics: NDArray[np.float32],
     classes: NDArray[np.float32],
 ) -> None:
-    """Combine into `occupancy` (steps+1, M, M) what every track's object, if it exists, shows at steps 0..steps.
+    """Combine the expected occupancy of each track into `occupancy` (steps+1, M, M) float32, at steps 0..steps.
 
-    Alternatives for its returns. They are still where they were last seen, as the life table `dwell` expects of their
-    age and its speed allows. Or they have moved on with the object, steadily or not, blurred by the uncertainty of that
-    motion. An object survives from one step to the next with probability `survival`. What each shows is added to
-    `semantics` (steps+1, K, M, M) too, shared out by its `classes` (T, K).
+    The returns of a track are a mixture: they stay where they were last seen, with the probability that the life table
+    `residence` gives for their age, reduced for a fast track; or they move with the object, in one of two regimes,
+    blurred by the covariance of its position. The object survives each step with probability `survival`. The expected
+    occupancy is also added to `semantics` (steps+1, K, M, M), multiplied by the `classes` (T, K) of the track.
     """
     if not tracks:
         return
     steps = np.arange(len(occupancy))
-    staying = _staying(tracks, grid, dwell, len(steps) - 1, settings)
+    staying = _staying(tracks, grid, residence, len(steps) - 1, settings)
     moved = 1.0 - means_of(staying.still, staying.bounds)
     steadily = np.array([track.estimator.probabilities[:1] for track in tracks]) * regimes.switching[0][0] ** steps
     poses, spreads = _motions(tracks, regimes, len(steps) - 1, grid)
@@ -99,16 +99,16 @@ def _surfaces(tracks: Sequence[Track], frame: GridFrame, grid: GridSpec) -> Surf
 
 
 def _staying(
-    tracks: Sequence[Track], grid: GridSpec, dwell: NDArray[np.float32], steps: int, settings: PipelineSettings
+    tracks: Sequence[Track], grid: GridSpec, residence: NDArray[np.float32], steps: int, settings: PipelineSettings
 ) -> Staying:
     """The tracks' newest returns where they were seen: each still there by its age, and less if its track is fast."""
     returns = [track.returns for track in tracks]
     bounds = bounds_of(returns)
     owners = owners_of(bounds)
     velocities = np.array([track.estimator.mean[3:5] for track in tracks])
-    slow = np.exp(-(velocities**2).sum(axis=1) / settings.dwell_speed**2).astype(np.float32)
+    slow = np.exp(-(velocities**2).sum(axis=1) / settings.residence_speed**2).astype(np.float32)
     unseen = np.array([track.unseen for track in tracks])
-    still = still_there(dwell, np.concatenate([track.ages for track in tracks]), unseen[owners], steps)
+    still = still_there(residence, np.concatenate([track.ages for track in tracks]), unseen[owners], steps)
     still *= slow[owners, None]
     return Staying(in_cells(np.concatenate(returns), grid), bounds, still, settings.return_noise_m / grid.cell_m)
 

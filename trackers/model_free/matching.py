@@ -45,21 +45,21 @@ UNKNOWN = (1e4, 1e4, 1e3)
 """Variance of a direction that the returns say nothing of, along x and y (m^2) and of the heading (rad^2)."""
 
 
-def match(boundaries: Outlines, seen: Mask, returns: Outlines, pairs: Pairs, surface_m: float) -> Matches:
-    """Match boundaries in their bodies' frames, of which the points `seen` (N,) are in view, to returns in the grid's.
+def match(boundaries: Outlines, seen: Mask, returns: Outlines, pairs: Pairs, surface_noise_m: float) -> Matches:
+    """Match boundaries, in body frames, to returns, in the grid frame; the boundary points `seen` (N,) are in view.
 
-    `surface_m` is the standard deviation of a return about the boundary. The best end of all starts is taken: from a
-    wide kernel, a body of which more has come into view than its boundary holds is drawn towards that; from a narrow
-    one, a start that is far off finds nothing. What does not turn keeps the heading of the start, and its variance is
-    that of the unknown.
+    `surface_noise_m` is the standard deviation of a return about the boundary. Of the optima reached from all starts
+    the best is returned: a wide kernel biases the pose towards parts of a body that its boundary does not contain yet;
+    a narrow kernel does not converge from a distant start. A pair that does not turn keeps the heading of the start,
+    with the variance UNKNOWN.
     """
     pairs = pairs._replace(numbers=np.ascontiguousarray(pairs.numbers))
-    poses, covariances, residuals = _match(boundaries, seen, returns, pairs, surface_m)
+    poses, covariances, residuals = _match(boundaries, seen, returns, pairs, surface_noise_m)
     return Matches(poses, covariances, residuals, np.where(pairs.turns, 3, 2))
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _match(boundaries, seen, returns, pairs, surface_m):  # type: ignore[no-untyped-def]
+def _match(boundaries, seen, returns, pairs, surface_noise_m):  # type: ignore[no-untyped-def]
     """Poses (P, 3), covariances (P, 3, 3) and residuals (P,); see `match`."""
     count = len(pairs.numbers)
     poses, covariances, residuals = np.empty((count, 3)), np.empty((count, 3, 3)), np.empty(count)
@@ -72,15 +72,15 @@ def _match(boundaries, seen, returns, pairs, surface_m):  # type: ignore[no-unty
             seen[own],
             (returns.points[theirs], returns.weights[theirs], returns.cut[theirs] & pairs.goes_on[p]),
             pairs.starts[p],
-            _widths(pairs.unsure_m[p], surface_m),
-            surface_m,
+            _widths(pairs.unsure_m[p], surface_noise_m),
+            surface_noise_m,
             pairs.turns[p],
         )
     return poses, covariances, residuals
 
 
 @numba.njit(error_model="numpy")
-def _best_match(boundary, seen, returns, starts, widths, surface_m, turns):  # type: ignore[no-untyped-def]
+def _best_match(boundary, seen, returns, starts, widths, surface_noise_m, turns):  # type: ignore[no-untyped-def]
     """Pose (3,), covariance (3, 3) and residual of the best match of one pair from any of the starts (S, 3)."""
     (offsets, weights, cut), (positions, trust, returns_cut) = boundary, returns
     points, placed = np.empty((2, len(positions)), np.float32), np.empty((2, len(offsets)), np.float32)
@@ -89,8 +89,8 @@ def _best_match(boundary, seen, returns, starts, widths, surface_m, turns):  # t
     met, meets = np.empty((6, len(positions)), np.float32), np.empty((6, len(offsets)), np.float32)
     _place(positions, -starts[0, 0], -starts[0, 1], 0.0, points)
     _place(offsets, 0.0, 0.0, starts[0, 2], placed)
-    telling = _telling(points, there, returns_cut, GOES_ON * surface_m)
-    told = _telling(placed, likely, cut, GOES_ON * surface_m)
+    telling = _telling(points, there, returns_cut, GOES_ON * surface_noise_m)
+    told = _telling(placed, likely, cut, GOES_ON * surface_noise_m)
     best, covariance, residual = starts[0], np.empty((3, 3)), np.inf
     for start in starts[np.isfinite(starts[:, 0])]:
         moved = np.array([0.0, 0.0, start[2]])  # from the start, for single precision
@@ -112,13 +112,13 @@ def _best_match(boundary, seen, returns, starts, widths, surface_m, turns):  # t
 
 
 @numba.njit(error_model="numpy")
-def _widths(unsure_m, surface_m):  # type: ignore[no-untyped-def]
+def _widths(unsure_m, surface_noise_m):  # type: ignore[no-untyped-def]
     """The kernel's width, metres, at each step of Newton's method, and at last, where no step follows: (n+1,)."""
-    kernel = min(max(unsure_m / surface_m, 1.0), WIDEST)
+    kernel = min(max(unsure_m / surface_noise_m, 1.0), WIDEST)
     kernels = 1 + math.ceil(math.log2(kernel))
-    widths = np.full(kernels * NEWTON_STEPS + 1, surface_m)
+    widths = np.full(kernels * NEWTON_STEPS + 1, surface_noise_m)
     for n in range(kernels - 1):
-        widths[n * NEWTON_STEPS : (n + 1) * NEWTON_STEPS] = surface_m * max(kernel / 2.0**n, 1.0)
+        widths[n * NEWTON_STEPS : (n + 1) * NEWTON_STEPS] = surface_noise_m * max(kernel / 2.0**n, 1.0)
     return widths
 
 

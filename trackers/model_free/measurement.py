@@ -51,13 +51,13 @@ def measure(
     # A person does not go on for long behind what hides the rest: no end is cut off.
     goes_on = spans_of(boundaries.points, boundaries.bounds)[t] >= TURNS_FROM_M
     turns = goes_on & (spans_of(returns.points, returns.bounds)[c] >= TURNS_FROM_M)
-    pairs = Pairs(numbers, *_starts(tracks, returns, numbers, settings.surface_m), goes_on, turns)
-    found = match(boundaries, np.concatenate(views), returns, pairs, settings.surface_m)
+    pairs = Pairs(numbers, *_starts(tracks, returns, numbers, settings.surface_noise_m), goes_on, turns)
+    found = match(boundaries, np.concatenate(views), returns, pairs, settings.surface_noise_m)
     return found._replace(covariances=found.covariances + noise(settings))
 
 
 def _starts(
-    tracks: Sequence[Track], returns: Outlines, numbers: NDArray[np.int64], surface_m: float
+    tracks: Sequence[Track], returns: Outlines, numbers: NDArray[np.int64], surface_noise_m: float
 ) -> tuple[Array, Array]:
     """Where the match of each pair starts (P, 2, 3), and how uncertain that is (P,), metres: at the predicted pose.
 
@@ -69,7 +69,7 @@ def _starts(
     shifts = means_of(returns.points, returns.bounds)[c] - centres[t]
     unsure_m = np.sqrt(_covariances(tracks)[:, (0, 1), (0, 1)].max(axis=1))[t]
     starts = np.repeat(poses_of(tracks)[t, None], 2, axis=1)
-    starts[:, 1, :2] += np.where(unsure_m > UNSURE * surface_m, shifts.T, np.nan).T
+    starts[:, 1, :2] += np.where(unsure_m > UNSURE * surface_noise_m, shifts.T, np.nan).T
     return starts, unsure_m
 
 
@@ -115,7 +115,7 @@ def compare(
     return Pairing(costs, mahalanobis, freedom, {(t, c): found.of(p) for p, (t, c) in enumerate(numbers.tolist())})
 
 
-def belonging(
+def membership(
     tracks: Sequence[Track], clusters: Sequence[Cluster], pairs: dict[int, int], settings: PipelineSettings
 ) -> NDArray[np.bool_]:
     """Which clusters may be parts of which tracks, (T, C), beside the assigned `pairs` (track -> cluster).
@@ -128,7 +128,7 @@ def belonging(
     seen = [clusters[pairs[t]].points if t in pairs else boundary for t, boundary in enumerate(boundaries)]
     lasting = [boundary[track.shape.established] for boundary, track in zip(boundaries, tracks, strict=True)]
     within_reach = gaps(distances_to(points, seen), clusters) <= settings.reach_m
-    on_it = distances_to(points, lasting) <= ON_BOUNDARY * settings.surface_m
+    on_it = distances_to(points, lasting) <= ON_BOUNDARY * settings.surface_noise_m
     return np.asarray(within_reach | (means_of(on_it, bounds_of(clusters)).T >= MOST))
 
 

@@ -31,7 +31,7 @@ def stands(track: Track) -> bool:
     return bool(covariance.trace() <= SURE_MPS**2) and velocities_agree(mean, covariance)
 
 
-class Companions:
+class TrackMerger:
     """For how many periods in a row pairs of tracks have moved alike and touched; after so many they are one."""
 
     def __init__(self, touch_m: float, periods: int) -> None:

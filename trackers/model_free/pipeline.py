@@ -10,14 +10,14 @@ from numpy.typing import NDArray
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec, Mask
 from gridtrack.trackers.model_free.arrays import Array
-from gridtrack.trackers.model_free.association import assign, distances_to, share_out
+from gridtrack.trackers.model_free.association import assign, assign_returns, distances_to
 from gridtrack.trackers.model_free.background import Background, BackgroundMap
-from gridtrack.trackers.model_free.classes import attribute, normalise, place_weighted
+from gridtrack.trackers.model_free.classes import attribute, normalise, weight_by_cell_prior
 from gridtrack.trackers.model_free.forecast import add_tracks
 from gridtrack.trackers.model_free.initiation import Estimator, begin
 from gridtrack.trackers.model_free.matches import Match
-from gridtrack.trackers.model_free.measurement import belonging, compare, measured
-from gridtrack.trackers.model_free.merging import Companions, stands
+from gridtrack.trackers.model_free.measurement import compare, measured, membership
+from gridtrack.trackers.model_free.merging import TrackMerger, stands
 from gridtrack.trackers.model_free.occlusion import BACKGROUND, cut_off
 from gridtrack.trackers.model_free.ragged import bounds_of, owners_of, split
 from gridtrack.trackers.model_free.residence import NOT_OCCUPIED, next_ages
@@ -36,7 +36,7 @@ from gridtrack.trackers.model_free.tracks import (
 class Pipeline:
     """Tracks of what moves before a static background, and their forecast.
 
-    `background` is the place's map, `dwell` (A, S) float32 the life table of returns in place.
+    `background` is the place's map, `residence` (A, S) float32 the life table of returns in place.
     Positions are in metres in the grid frame, which must not move.
     """
 
@@ -45,17 +45,17 @@ class Pipeline:
         grid: GridSpec,
         period_s: float,
         background: BackgroundMap,
-        dwell: NDArray[np.float32],
+        residence: NDArray[np.float32],
         settings: PipelineSettings,
         estimator: Estimator,
     ) -> None:
-        self.grid, self.dwell, self.settings, self.begin_estimator = grid, dwell, settings, estimator
+        self.grid, self.residence, self.settings, self.begin_estimator = grid, residence, settings, estimator
         self.background = Background(background, period_s, settings)
         self.regimes = settings.motion(period_s)
         self.period_s = period_s
-        self.survival = math.exp(-period_s / settings.life_s)
-        self.settle_periods = round(settings.settle_s / period_s)
-        self.companions = Companions(settings.link_m, round(settings.merge_s / period_s))
+        self.survival = math.exp(-period_s / settings.mean_lifetime_s)
+        self.background_merge_periods = round(settings.background_merge_s / period_s)
+        self.track_merger = TrackMerger(settings.link_m, round(settings.track_merge_s / period_s))
         self.ages = np.full(grid.shape, NOT_OCCUPIED)
         self.tracks: list[Track] = []
         self.frame: GridFrame | None = None
@@ -85,7 +85,7 @@ class Pipeline:
     def _segment(self, frame: GridFrame) -> list[Cluster]:
         """Clusters of the returns that the background does not explain; how long each has been in place is kept."""
         explained = self.background.explained
-        self.ages = next_ages(self.ages, frame.occupied & ~explained, len(self.dwell) - 1, self.elapsed)
+        self.ages = next_ages(self.ages, frame.occupied & ~explained, len(self.residence) - 1, self.elapsed)
         cells, inside = self.grid.cells_of(frame.points)
         new = inside.copy()
         new[inside] = ~explained[cells[inside, 0], cells[inside, 1]]
@@ -113,8 +113,8 @@ class Pipeline:
         pairing = compare(self.tracks, clusters, distances, views, self.settings)
         gate, method = self.settings.gate_probability, self.settings.association
         pairs = assign(pairing.costs, pairing.distances, pairing.freedom, gate, method)
-        near = belonging(self.tracks, clusters, pairs, self.settings)
-        shares, left = share_out(clusters, pairs, distances, near)
+        near = membership(self.tracks, clusters, pairs, self.settings)
+        shares, left = assign_returns(clusters, pairs, distances, near)
         return shares, measured(self.tracks, shares, clusters, pairing, views, self.settings), left
 
     def _correct(self, shares: dict[int, Cluster], poses: dict[int, Match], visible: Mask) -> None:
@@ -143,7 +143,7 @@ class Pipeline:
         gain = -math.expm1(-self.elapsed * self.period_s / self.settings.shape_memory_s)
         for track, cluster, ages, body, known, seen in each:
             track.returns, track.ages = cluster.points, ages
-            track.shape.absorb(body, cluster.cut, ~known, seen, self.settings.surface_m, gain)
+            track.shape.absorb(body, cluster.cut, ~known, seen, self.settings.surface_noise_m, gain)
 
     def _judge(self, shares: dict[int, Cluster], views: list[Mask]) -> None:
         """Weigh each track's existence by what was and was not seen of it, as it was in view; drop the dead."""
@@ -152,7 +152,7 @@ class Pipeline:
             if number in shares:
                 track.unseen = 0
                 track.existence = existence_when_detected(
-                    track.existence, settings.detection_probability, settings.false_alarm
+                    track.existence, settings.detection_probability, settings.clutter_probability
                 )
                 track.confirmed |= track.existence >= settings.confirm_above
             else:
@@ -164,7 +164,7 @@ class Pipeline:
 
     def _lives(self, track: Track) -> bool:
         """Whether the track has neither been disproved nor left the grid."""
-        if track.existence < self.settings.dead_below:
+        if track.existence < self.settings.delete_below:
             return False
         return not track.unseen or bool(self.grid.cells_of(track.boundary)[1].any())
 
@@ -173,10 +173,10 @@ class Pipeline:
         seen = [track for track in self.tracks if not track.unseen]
         for track in seen:
             track.standing = track.standing + self.elapsed if stands(track) else 0
-        settled = [track for track in seen if track.standing >= self.settle_periods]
+        settled = [track for track in seen if track.standing >= self.background_merge_periods]
         for track in settled:
-            self.background.take_in(self._cells_of(track.returns))
-        self.tracks = self.companions.merged([track for track in self.tracks if track not in settled], self.elapsed)
+            self.background.add_stopped(self._cells_of(track.returns))
+        self.tracks = self.track_merger.merged([track for track in self.tracks if track not in settled], self.elapsed)
 
     def _cells_of(self, points: Array) -> Mask:
         """The cells (M, M) in which `points` (N, 2) lie."""
@@ -189,8 +189,8 @@ class Pipeline:
         grown_up = tuple(self.tracks)
         for cluster, ages in zip(clusters, self._ages_of(clusters), strict=True):
             estimator = begin(self.begin_estimator, cluster, grown_up, self.regimes, self.settings)
-            shape = Shape.of(to_body(cluster.points, estimator.mean[:3]), cluster.cut, self.settings.surface_m)
-            existence = self.settings.birth_probability
+            shape = Shape.of(to_body(cluster.points, estimator.mean[:3]), cluster.cut, self.settings.surface_noise_m)
+            existence = self.settings.initiation_probability
             self.tracks.append(Track(self.born, estimator, shape, cluster.points, ages, existence))
             self.born += 1
 
@@ -200,15 +200,15 @@ class Pipeline:
         return self.forecast_classes(steps, *no_classes)[0]
 
     def forecast_classes(
-        self, steps: int, place: NDArray[np.float32], classes: NDArray[np.float32]
+        self, steps: int, cell_prior: NDArray[np.float32], classes: NDArray[np.float32]
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """`forecast`, and P(class | occupied) (steps+1, K, M, M): tracks have `classes` (T, K), the rest has the
-        `place`'s (K, M, M).
+        """`forecast`, and P(class | occupied) (steps+1, K, M, M): tracks have `classes` (T, K), the rest has
+        those of `cell_prior` (K, M, M).
 
         A cell's classes are those of what may show there, by how much of its occupancy each is.
         """
         occupancy = self.background.probabilities(steps)
-        semantics = place_weighted(occupancy, place)
+        semantics = weight_by_cell_prior(occupancy, cell_prior)
         if self.frame is not None:
             add_tracks(
                 occupancy,
@@ -217,14 +217,14 @@ class Pipeline:
                 regimes=self.regimes,
                 frame=self.frame,
                 grid=self.grid,
-                dwell=self.dwell,
+                residence=self.residence,
                 settings=self.settings,
                 semantics=semantics,
                 classes=classes,
             )
             occupancy[0] = np.where(self.frame.visible, self.frame.occupied, occupancy[0])
-            if len(place):
-                attribute(semantics[0], place, self.frame.occupied, self.tracks, classes, self.grid)
+            if len(cell_prior):
+                attribute(semantics[0], cell_prior, self.frame.occupied, self.tracks, classes, self.grid)
         normalise(semantics)
         return occupancy, semantics
 
@@ -237,7 +237,7 @@ class Pipeline:
 
 
 def compile_ahead(
-    period_s: float, dwell: NDArray[np.float32], settings: PipelineSettings, estimator: Estimator
+    period_s: float, residence: NDArray[np.float32], settings: PipelineSettings, estimator: Estimator
 ) -> None:
     """Run every stage once on a scene of three frames, so that what is compiled on first use has been.
 
@@ -245,7 +245,7 @@ def compile_ahead(
     """
     grid = GridSpec(8, 0.1)
     empty = BackgroundMap(*np.zeros((2, *grid.shape), np.float32))
-    pipeline = Pipeline(grid, period_s, empty, dwell, settings, estimator)
+    pipeline = Pipeline(grid, period_s, empty, residence, settings, estimator)
     occupied, visible = np.zeros(grid.shape, bool), np.ones(grid.shape, bool)
     occupied[4, 4:6] = True
     for cells in (occupied, occupied, ~visible):

@@ -40,7 +40,7 @@ def next_ages(ages: Ages, occupied: Mask, oldest: int, periods: int = 1) -> Ages
     return np.where(occupied, grown, NOT_OCCUPIED)
 
 
-def fit_dwell(
+def fit_residence(
     stretches: Iterable[Iterable[GridFrame]], open_cells: Mask, shape: tuple[int, int]
 ) -> NDArray[np.float32]:
     """Life table `shape` (A, S) float32: P(a return is still there after s steps | it has been there for a frames).

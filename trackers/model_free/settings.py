@@ -22,15 +22,15 @@ class PipelineSettings(Settings):
     """Where the map comes from: the place's own, or none of it (a cold start), and walls have to sink in first."""
     explained_above: float = Field(0.96, gt=0, lt=1)
     """A return is explained by the background where that has one, in its cell or beside it, in this share of frames."""
-    unforeseen_share: float = Field(0.05, ge=0, le=1)
+    untracked_share: float = Field(0.05, ge=0, le=1)
     """The share of the past traffic through open cells that no track announces, in a cell that is seen empty."""
-    return_s: float = Field(1.0, gt=0, le=1000)
+    rate_recovery_s: float = Field(1.0, gt=0, le=1000)
     """Time constant with which a cell that was seen empty comes back to all of its past traffic."""
-    sink_above: float = Field(0.5, gt=0, lt=1)
+    static_above: float = Field(0.5, gt=0, lt=1)
     """The share of the recent frames in which a cell must have been occupied to be forecast as background."""
-    sink_s: float = Field(5.0, gt=0, le=3600)
+    adaptation_s: float = Field(5.0, gt=0, le=3600)
     """Time constant of that record: how long something stands before it sinks in, or is gone before it is forgotten."""
-    map_s: float = Field(2.0, gt=0, le=3600)
+    map_weight_s: float = Field(2.0, gt=0, le=3600)
     """How long a cell has to be seen for that record to weigh as much as the map's."""
 
     # Segmentation
@@ -42,7 +42,7 @@ class PipelineSettings(Settings):
     # Estimation
     acceleration: float = Field(0.1, gt=0, le=100)
     """White-noise acceleration along each axis: square root of its density, m/s^2 per sqrt(Hz)."""
-    surge: float = Field(0.05, gt=0, le=10)
+    speed_noise: float = Field(0.05, gt=0, le=10)
     """White noise of the speed's relative growth, 1/s per sqrt(Hz): of what is fast, along its motion."""
     velocity_memory_s: float = Field(3.0, gt=0, le=1000)
     """Time constant with which a velocity is forgotten; large: truly constant velocity, small: a walk at random."""
@@ -50,11 +50,11 @@ class PipelineSettings(Settings):
     """White-noise acceleration of the turn rate, rad/s^2 per sqrt(Hz)."""
     turn_memory_s: float = Field(1.0, gt=0, le=1000)
     """Time constant with which a turn rate is forgotten."""
-    agility: float = Field(8.0, ge=1, le=100)
+    manoeuvre_noise: float = Field(8.0, ge=1, le=100)
     """How many times these three noises are larger while an object brakes, sets off or turns."""
-    steady_s: float = Field(5.0, gt=0, le=1000)
+    steady_duration_s: float = Field(5.0, gt=0, le=1000)
     """For how long an object moves steadily, in the mean."""
-    agile_s: float = Field(1.0, gt=0, le=1000)
+    manoeuvre_duration_s: float = Field(1.0, gt=0, le=1000)
     """For how long it then does not."""
     initial_speed: float = Field(0.7, gt=0, le=100)
     """Standard deviation of a new track's velocity along each axis, m/s."""
@@ -62,7 +62,7 @@ class PipelineSettings(Settings):
     """Standard deviation of a new track's turn rate, rad/s."""
 
     # Measurement
-    surface_m: float = Field(0.1, gt=0, le=2)
+    surface_noise_m: float = Field(0.1, gt=0, le=2)
     """Standard deviation of a return about the boundary it is matched to; boundary points are so far apart."""
     position_noise_m: float = Field(0.08, gt=0, le=10)
     """Standard deviation of a matched position beside that: legs alternate, surfaces come and go."""
@@ -78,29 +78,29 @@ class PipelineSettings(Settings):
     """How far from a track's boundary further returns of it may lie."""
 
     # Life of a track
-    birth_probability: float = Field(0.4, gt=0, lt=1)
+    initiation_probability: float = Field(0.4, gt=0, lt=1)
     """Existence probability of a track that has just been born."""
     detection_probability: float = Field(0.85, gt=0, lt=1)
     """Probability that an object standing where the laser sees it gives a cluster."""
-    false_alarm: float = Field(0.15, gt=0, lt=1)
+    clutter_probability: float = Field(0.15, gt=0, lt=1)
     """Probability of a cluster inside a track's gate where there is no object."""
-    life_s: float = Field(15.0, gt=0)
+    mean_lifetime_s: float = Field(15.0, gt=0)
     """Mean time until an object leaves unseen."""
     confirm_above: float = Field(0.8, gt=0, lt=1)
     """Existence probability at which a tentative track becomes confirmed."""
-    dead_below: float = Field(0.1, gt=0, lt=1)
+    delete_below: float = Field(0.1, gt=0, lt=1)
     """Existence probability below which a track is dropped."""
 
     # Merging
-    settle_s: float = Field(60.0, gt=0, le=3600)
+    background_merge_s: float = Field(60.0, gt=0, le=3600)
     """A track whose velocity could not be told from zero for so long becomes background."""
-    merge_s: float = Field(2.0, gt=0, le=3600)
+    track_merge_s: float = Field(2.0, gt=0, le=3600)
     """Two tracks that touch and whose velocities could not be told apart for so long become one."""
 
     # Shape and forecast
     shape_memory_s: float = Field(0.8, gt=0, le=60)
     """How long a track's points count: about half a stride, so that both legs are in the shape."""
-    dwell_speed: float = Field(10.0, gt=0, le=1000)
+    residence_speed: float = Field(10.0, gt=0, le=1000)
     """Speed, m/s, from which on returns do not stay in place: a walker's feet do, a vehicle's side does not."""
     return_noise_m: float = Field(0.05, gt=0, le=10)
     """Standard deviation of one return about its surface, along each axis."""
@@ -109,7 +109,7 @@ class PipelineSettings(Settings):
         """The motion models of every track."""
         steady = MotionModel(
             self.acceleration,
-            self.surge,
+            self.speed_noise,
             self.turn_acceleration,
             self.velocity_memory_s,
             self.turn_memory_s,
@@ -117,7 +117,7 @@ class PipelineSettings(Settings):
             self.initial_turn_rate,
             period_s,
         )
-        return Regimes.of(steady, self.agility, self.steady_s, self.agile_s)
+        return Regimes.of(steady, self.manoeuvre_noise, self.steady_duration_s, self.manoeuvre_duration_s)
 
 
 class ModelFreeSettings(LabelSettings, PipelineSettings):

@@ -13,7 +13,7 @@ from gridtrack.common.config import Settings
 from gridtrack.common.grid import GridFrame
 from gridtrack.trackers.contract import FitOutput, Forecast, FrameSource, Score, StreamSpec, TrackedObject, Tracker
 from gridtrack.trackers.model_free.arrays import Array
-from gridtrack.trackers.model_free.background import BackgroundMap, unknown_place
+from gridtrack.trackers.model_free.background import BackgroundMap, uninformed_map
 from gridtrack.trackers.model_free.calibration import Calibration
 from gridtrack.trackers.model_free.classes import ClassFilter, ClassModel
 from gridtrack.trackers.model_free.classes import compile_ahead as compile_classes
@@ -52,14 +52,14 @@ class ModelFreeTracker(Tracker):
         self._background = BackgroundMap(
             *(probabilities(weights, name, stream.grid.shape) for name in BackgroundMap._fields)
         )
-        self._dwell = probabilities(weights, "dwell", table_shape(stream.period_s))
+        self._residence = probabilities(weights, "residence", table_shape(stream.period_s))
         self._calibration = Calibration(array(weights, "calibration", (2, 3)))
         self.classes = weights.card.classes
         self._model = ClassModel.of(weights, stream.grid) if self.classes else None
         if self._settings.background == "none":
-            self._background = unknown_place(self._background)
+            self._background = uninformed_map(self._background)
             self._model = self._model and self._model.of_unknown_place()
-        compile_ahead(stream.period_s, self._dwell, self._settings, type(self).estimator)
+        compile_ahead(stream.period_s, self._residence, self._settings, type(self).estimator)
         if self._model is not None:
             compile_classes(self._model)
         self.reset(seed=0)
@@ -68,7 +68,7 @@ class ModelFreeTracker(Tracker):
         """Forget every track and its class; nothing here is random."""
         kind, stream = type(self), self.stream
         self._pipeline = kind.pipeline(
-            stream.grid, stream.period_s, self._background, self._dwell, self._settings, kind.estimator
+            stream.grid, stream.period_s, self._background, self._residence, self._settings, kind.estimator
         )
         self._filter = None if self._model is None else ClassFilter(self._model, stream.grid)
 
@@ -94,7 +94,7 @@ class ModelFreeTracker(Tracker):
         if self._filter is None:
             return Forecast(self._calibrated(self._pipeline.forecast(steps)), objects=self._objects())
         kinds = self._filter.posteriors(tracks)
-        occupancy, semantics = self._pipeline.forecast_classes(steps, self._filter.place, kinds)
+        occupancy, semantics = self._pipeline.forecast_classes(steps, self._filter.cell_prior, kinds)
         labels = {track.identity: self.classes[kind.argmax()] for track, kind in zip(tracks, kinds, strict=True)}
         labelled = tuple(replace(one, label=labels[one.track]) for one in self._objects())
         return Forecast(self._calibrated(occupancy), semantics, objects=labelled)

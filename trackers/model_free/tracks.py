@@ -86,10 +86,10 @@ def boundaries_of(tracks: Sequence[Track]) -> list[Array]:
     return [track._placed[2] for track in tracks]
 
 
-def existence_when_detected(existence: float, detection_probability: float, false_alarm: float) -> float:
+def existence_when_detected(existence: float, detection_probability: float, clutter_probability: float) -> float:
     """Bayes' rule for the existence probability after a detection in the gate (Musicki and Evans 1994)."""
     hit = existence * detection_probability
-    return hit / (hit + (1.0 - existence) * false_alarm)
+    return hit / (hit + (1.0 - existence) * clutter_probability)
 
 
 def existence_when_missed(existence: float, detection_probability: float) -> float:

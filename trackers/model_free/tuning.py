@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from gridtrack.trackers.contract import FitOutput, FrameSource, Score, StretchScore, stream_of
 from gridtrack.trackers.model_free.background import fit_background
 from gridtrack.trackers.model_free.calibration import IDENTITY, fit_calibration
-from gridtrack.trackers.model_free.residence import fit_dwell, table_shape
+from gridtrack.trackers.model_free.residence import fit_residence, table_shape
 from gridtrack.trackers.model_free.settings import PipelineSettings
 from gridtrack.trackers.tuning import HeldSource, Measure, search, step_of, summary
 from gridtrack.trackers.weights import card_for, save_weights
@@ -25,30 +25,30 @@ TRIALS = 40
 STARTS = (
     PipelineSettings(),
     PipelineSettings(
-        unforeseen_share=0.541,
-        return_s=0.628,
-        sink_above=0.119,
-        sink_s=1.29,
-        map_s=1.01,
+        untracked_share=0.541,
+        rate_recovery_s=0.628,
+        static_above=0.119,
+        adaptation_s=1.29,
+        map_weight_s=1.01,
         link_m=0.245,
         acceleration=0.0643,
-        surge=0.0719,
+        speed_noise=0.0719,
         turn_acceleration=0.0519,
-        agility=5.2,
-        steady_s=9.71,
-        agile_s=2.05,
+        manoeuvre_noise=5.2,
+        steady_duration_s=9.71,
+        manoeuvre_duration_s=2.05,
         velocity_memory_s=22.5,
         initial_speed=5.11,
         initial_turn_rate=0.0511,
-        surface_m=0.0915,
+        surface_noise_m=0.0915,
         position_noise_m=0.0297,
         reach_m=0.209,
-        birth_probability=0.171,
+        initiation_probability=0.171,
         detection_probability=0.792,
-        false_alarm=0.121,
-        life_s=19.2,
+        clutter_probability=0.121,
+        mean_lifetime_s=19.2,
         shape_memory_s=1.83,
-        dwell_speed=0.306,
+        residence_speed=0.306,
         return_noise_m=0.182,
     ),
 )
@@ -60,30 +60,30 @@ STRATA = ("moving", "visible")
 """What is tuned for: the mean F1 over these. In a minute or two, what waits at a red light counts as static, and is
 scored among the visible cells alone."""
 RANGES = {
-    "unforeseen_share": (0.02, 1.0),
-    "return_s": (0.3, 10.0),
-    "sink_above": (0.1, 0.8),
-    "sink_s": (0.5, 10.0),
-    "map_s": (0.2, 5.0),
+    "untracked_share": (0.02, 1.0),
+    "rate_recovery_s": (0.3, 10.0),
+    "static_above": (0.1, 0.8),
+    "adaptation_s": (0.5, 10.0),
+    "map_weight_s": (0.2, 5.0),
     "link_m": (0.15, 1.2),
     "acceleration": (0.02, 1.0),
-    "surge": (0.01, 0.3),
+    "speed_noise": (0.01, 0.3),
     "turn_acceleration": (0.01, 0.5),
-    "agility": (2.0, 40.0),
-    "steady_s": (1.0, 30.0),
-    "agile_s": (0.3, 5.0),
+    "manoeuvre_noise": (2.0, 40.0),
+    "steady_duration_s": (1.0, 30.0),
+    "manoeuvre_duration_s": (0.3, 5.0),
     "velocity_memory_s": (0.5, 50.0),
     "initial_speed": (0.5, 8.0),
     "initial_turn_rate": (0.02, 1.0),
-    "surface_m": (0.05, 0.25),
+    "surface_noise_m": (0.05, 0.25),
     "position_noise_m": (0.02, 0.3),
     "reach_m": (0.2, 1.5),
-    "birth_probability": (0.1, 0.8),
+    "initiation_probability": (0.1, 0.8),
     "detection_probability": (0.5, 0.98),
-    "false_alarm": (0.02, 0.5),
-    "life_s": (2.0, 60.0),
+    "clutter_probability": (0.02, 0.5),
+    "mean_lifetime_s": (2.0, 60.0),
     "shape_memory_s": (0.2, 4.0),
-    "dwell_speed": (0.2, 20.0),
+    "residence_speed": (0.2, 20.0),
     "return_noise_m": (0.02, 0.2),
 }
 """Settings that are tuned, each from its range, log-uniformly."""
@@ -167,9 +167,9 @@ def _without_classes(train: Sequence[FrameSource]) -> str:
 def fit_arrays(train: Sequence[FrameSource], options: PipelineSettings) -> dict[str, NDArray[np.float32]]:
     """What is counted and not tuned: the background map, and the life table of the returns in front of it."""
     background = fit_background((frame for source in train for frame in source), train[0].grid.shape)
-    open_cells = background.solid < options.explained_above
-    dwell = fit_dwell(train, open_cells, table_shape(train[0].period_s))
-    return {**background._asdict(), "dwell": dwell}
+    open_cells = background.neighbourhood_rate < options.explained_above
+    residence = fit_residence(train, open_cells, table_shape(train[0].period_s))
+    return {**background._asdict(), "residence": residence}
 
 
 def _f1(score: StretchScore, source: FrameSource) -> float:

@@ -39,12 +39,12 @@ class Source:
 
 
 def test_the_map_is_each_cells_share_shrunk_to_the_base_rate() -> None:
-    usual = tuning.usual_occupancy([Source(), Source()])
+    rate = tuning.count_occupancy_rate([Source(), Source()])
     base_rate = (40 + 20) / (6 * 40)
-    assert usual[WALL] == pytest.approx((80 + 20 * base_rate) / 100)
-    assert usual[DOOR] == pytest.approx((40 + 20 * base_rate) / 100)
-    assert usual[0, 1] == pytest.approx(20 * base_rate / 100)
-    assert usual[2] == pytest.approx([base_rate] * 3)
+    assert rate[WALL] == pytest.approx((80 + 20 * base_rate) / 100)
+    assert rate[DOOR] == pytest.approx((40 + 20 * base_rate) / 100)
+    assert rate[0, 1] == pytest.approx(20 * base_rate / 100)
+    assert rate[2] == pytest.approx([base_rate] * 3)
 
 
 def test_the_beginning_of_a_source_is_held_frame_for_frame() -> None:
@@ -67,16 +67,18 @@ def test_fit_finds_the_settings_that_score_best_and_keeps_those_that_were_given(
     paths = [tmp_path / run / "yard.toml" for run in ("one", "two")]
     for path in paths:
         out = FitOutput(path, "gridtrack train dogma", 3, path.parent / "log", report=lambda line: None)
-        DogmaTracker.fit([Source()], [Source()], score, out, DogmaSettings(particles=800, free_s=4.0))
+        DogmaTracker.fit([Source()], [Source()], score, out, DogmaSettings(particles=800, free_decay_s=4.0))
     one, two = (read_card(path) for path in paths)
     assert one == two
-    assert all(settings.free_s == 4.0 for settings in asked)
+    assert all(settings.free_decay_s == 4.0 for settings in asked)
     assert [settings.particles for settings in asked[:14]] == [200] * 12 + [800] * 2
     assert one.settings["particles"] == 800
     losses = [abs(np.log(settings.acceleration / 1.3)) for settings in asked[:12]]
     assert one.settings["acceleration"] == asked[int(np.argmin(losses))].acceleration
     assert len(set(losses)) == 12
     stream = StreamSpec(GRID, PERIOD_S, "yard", weights=paths[0])
-    assert np.array_equal(load_weights(stream, "dogma").arrays["usual"], tuning.usual_occupancy([Source()]))
+    assert np.array_equal(
+        load_weights(stream, "dogma").arrays["occupancy_rate"], tuning.count_occupancy_rate([Source()])
+    )
     tracker = DogmaTracker(stream, DogmaSettings(acceleration=0.2))
     assert tracker._settings == DogmaSettings(**one.settings | {"acceleration": 0.2})

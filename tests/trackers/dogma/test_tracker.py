@@ -27,7 +27,7 @@ BEAMS = 1440
 WALL = (7.0, 5.1, 10.0, 0.4)
 """Centre x, y, length in x and width in y of a box, metres."""
 SETTINGS = DogmaSettings(particles=30_000)
-USUAL = np.full(GRID.shape, 0.01, np.float32)
+OCCUPANCY_RATE = np.full(GRID.shape, 0.01, np.float32)
 
 Box = tuple[float, float, float, float]
 
@@ -148,22 +148,22 @@ def test_the_forecast_leads_a_box_to_where_it_will_be(start, velocity) -> None:
     grid = state()
     for step in range(13):
         grid.update(frame_of([driving(start, velocity, step)], step))
-    occupancy = forecast(grid, USUAL, 8)
+    occupancy = forecast(grid, OCCUPANCY_RATE, 8)
     for step in (4, 8):
-        mass = occupancy[step] - USUAL
+        mass = occupancy[step] - OCCUPANCY_RATE
         mass[mass < 0.02] = 0.0
         centre = (GRID.cell_centres(mass > 0) * mass[mass > 0, None]).sum(0) / mass.sum()
         x, y, *_ = driving(start, velocity, 12 + step)
         assert np.hypot(centre[0] - x, centre[1] - y) < 0.6  # of 1.3 to 5 m
 
 
-def test_where_nothing_is_known_the_usual_is_forecast_and_what_is_free_falls_to_it() -> None:
+def test_where_nothing_is_known_the_occupancy_rate_is_forecast_and_what_is_free_falls_to_it() -> None:
     grid = state()
     frame = frame_of([(4.0, 0.0, 0.4, 6.0)])
     for step in range(5):
         grid.update(frame_of([(4.0, 0.0, 0.4, 6.0)], step))
-    usual = np.full(GRID.shape, 0.3, np.float32)
-    occupancy = forecast(grid, usual, 16)
+    rate = np.full(GRID.shape, 0.3, np.float32)
+    occupancy = forecast(grid, rate, 16)
     away = ~about((4.0, 0.0, 4.0, 10.0))  # what is newborn may fly off
     assert np.allclose(occupancy[:, ~frame.visible & away].mean(1), 0.3, atol=0.02)
     free = frame.visible & away
@@ -183,7 +183,9 @@ def test_a_missed_frame_is_bridged() -> None:
 
 
 def test_what_has_gone_out_of_sight_is_somewhere_for_as_long_as_it_lives() -> None:
-    grid = ParticleGrid(GRID, PERIOD_S, SETTINGS.model_copy(update={"life_s": 2.0, "birth_probability": 1e-6}), seed=1)
+    grid = ParticleGrid(
+        GRID, PERIOD_S, SETTINGS.model_copy(update={"mean_lifetime_s": 2.0, "birth_probability": 1e-6}), seed=1
+    )
     start, velocity = DRIVES[0]
     for step in range(6):
         grid.update(frame_of([driving(start, velocity, step)], step))
@@ -207,7 +209,7 @@ def weights(tmp_path):
         train=(),
         settings={"particles": 5000},
     )
-    save_weights(tmp_path / "yard.toml", card, {"usual": USUAL})
+    save_weights(tmp_path / "yard.toml", card, {"occupancy_rate": OCCUPANCY_RATE})
     return tmp_path / "yard.toml"
 
 

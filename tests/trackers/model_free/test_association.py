@@ -14,11 +14,11 @@ from scipy.stats import chi2
 pytest.importorskip("filterpy")
 from gridtrack.trackers.model_free.association import (
     assign,
+    assign_returns,
     distances_to,
     gaps,
     hungarian,
     joint_compatibility,
-    share_out,
 )
 from gridtrack.trackers.model_free.segmentation import Cluster
 
@@ -137,7 +137,7 @@ def test_distance_from_a_boundary_is_that_of_its_nearest_point():
 def shared(clusters, pairs, positions, reach_m):
     points = np.concatenate([cluster.points for cluster in clusters])
     distances = distances_to(points, [np.array([place]) for place in positions])
-    return share_out(clusters, pairs, distances, gaps(distances, clusters) <= reach_m)
+    return assign_returns(clusters, pairs, distances, gaps(distances, clusters) <= reach_m)
 
 
 def test_a_stray_leg_joins_its_person_and_does_not_become_another():

@@ -168,12 +168,15 @@ def spoilt(name, change):
         (spoilt("means", lambda a: a * np.nan), "'class_means' is not finite"),
         (spoilt("means", lambda a: a + 1e30), "'class_means' is not finite or beyond 1e\\+09"),
         (spoilt("means", lambda a: a[..., :3]), r"'class_means' is \(2, \d+, 3\), expected"),
-        (spoilt("place", lambda a: a[:, :9]), r"'class_place' is \(2, 9, 60\), expected"),
-        (spoilt("place", lambda a: -a), "'class_place' does not hold probabilities"),
+        (spoilt("cell_prior", lambda a: a[:, :9]), r"'class_cell_prior' is \(2, 9, 60\), expected"),
+        (spoilt("cell_prior", lambda a: -a), "'class_cell_prior' does not hold probabilities"),
         (spoilt("frequency", lambda a: np.array([1.0, 0.0], np.float32)), "'class_frequency' rules a class out"),
-        (spoilt("shares", lambda a: a * 2), "'class_shares' does not hold probabilities"),
-        (spoilt("shares", lambda a: np.zeros((2, 10**4), np.float32)), "10000 Gaussians of a class, expected 1 to 64"),
-        (spoilt("shares", lambda a: a[0]), r"'class_shares' is \(\d+,\), expected"),
+        (spoilt("mixture_weights", lambda a: a * 2), "'class_mixture_weights' does not hold probabilities"),
+        (
+            spoilt("mixture_weights", lambda a: np.zeros((2, 10**4), np.float32)),
+            "10000 Gaussians of a class, expected 1 to 64",
+        ),
+        (spoilt("mixture_weights", lambda a: a[0]), r"'class_mixture_weights' is \(\d+,\), expected"),
         (spoilt("whitening", lambda a: a * 0), "'class_whitening' is singular"),
         (spoilt("powers", lambda a: a + 1e6), "'class_powers' are not from 0 to 10"),
         (lambda arrays: {k: v for k, v in arrays.items() if k != "class_powers"}, "'class_powers' is missing"),
@@ -194,4 +197,4 @@ def test_only_labelled_cells_of_learned_classes_are_counted():
     count = count_cells(stretch, ("horse", "pedestrian"))
     assert count.sum() == 4.0
     assert (count[1, 0, 3], count[0, 59, 59], count[1, 59, 59]) == (2.0, 1.0, 1.0)
-    assert ClassModel._fields == ("shares", "means", "whitening", "frequency", "powers", "place")
+    assert ClassModel._fields == ("mixture_weights", "means", "whitening", "frequency", "powers", "cell_prior")

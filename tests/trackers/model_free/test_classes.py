@@ -19,7 +19,7 @@ from gridtrack.trackers.model_free.classes import (
     attribute,
     features_of,
     normalise,
-    place_weighted,
+    weight_by_cell_prior,
 )
 from gridtrack.trackers.model_free.rasterise import draw_track
 
@@ -95,7 +95,7 @@ def test_densities_are_those_of_scipys_gaussians(model):
     expected = np.zeros((len(features), 2))
     for k in range(2):
         factor = np.linalg.inv(model.whitening[k])
-        for share, mean in zip(model.shares[k], model.means[k], strict=True):
+        for share, mean in zip(model.mixture_weights[k], model.means[k], strict=True):
             expected[:, k] += share * multivariate_normal(mean, factor.T @ factor).pdf(features)
     assert model.log_densities(features) == pytest.approx(np.log(expected))
 
@@ -121,7 +121,7 @@ def test_what_looks_alike_is_what_the_place_says_as_far_as_its_power_goes(model)
     place = anywhere()
     place[:, :, :30], place[:, :, 30:] = [[[0.9]], [[0.1]]], [[[0.2]], [[0.8]]]
     left, right = track_of(legs((2.0, 0.0)), (0.0, 1.0)), track_of(legs((10.0, 0.0)), (0.0, 1.0))
-    told = model._replace(powers=np.array([0.0, 1.0]), place=place)
+    told = model._replace(powers=np.array([0.0, 1.0]), cell_prior=place)
     log_place = told.log_place([left, right], GRID)
     assert told.posteriors(np.zeros((2, 2)), log_place) == pytest.approx(np.array([[0.9, 0.1], [0.2, 0.8]]))
     untold = told._replace(powers=np.zeros(2))
@@ -173,7 +173,7 @@ def test_semantics_are_shared_out_by_what_background_and_tracks_show():
     occupancy = np.full((1, 9, 9), 0.2, np.float32)
     place = np.zeros((2, 9, 9), np.float32)
     place[PEDESTRIAN] = 1.0
-    semantics = place_weighted(occupancy, place)
+    semantics = weight_by_cell_prior(occupancy, place)
     body = np.zeros((1, 2)), np.ones(1), np.array([[[4.5, 4.5, 0.0]]]), np.zeros((1, 1, 2, 2)), np.ones((1, 1))
     still, classes = np.zeros((0, 1), np.float32), np.array([0.25, 0.75], np.float32)
     draw_track(occupancy, *body, np.empty((0, 2)), 0.3, still, np.array([0.5]), semantics, classes)

@@ -26,13 +26,13 @@ def test_without_weights_it_says_how_to_make_them():
 @pytest.mark.parametrize(
     ("name", "spoilt", "message"),
     [
-        ("rate", np.nan, "'rate' is not finite"),
-        ("solid", -0.1, "'solid' does not hold probabilities"),
-        ("dwell", 1.5, "'dwell' does not hold probabilities"),
+        ("occupancy_rate", np.nan, "'occupancy_rate' is not finite"),
+        ("neighbourhood_rate", -0.1, "'neighbourhood_rate' does not hold probabilities"),
+        ("residence", 1.5, "'residence' does not hold probabilities"),
     ],
 )
 def test_weights_whose_maps_are_no_probabilities_are_refused(tmp_path, name, spoilt, message):
-    arrays = OPEN | {"dwell": GLIDING}
+    arrays = OPEN | {"residence": GLIDING}
     save_weights(tmp_path / "hall.toml", card(), arrays | {name: np.full_like(arrays[name], spoilt)})
     with pytest.raises(WeightsError, match=message):
         KalmanTracker(StreamSpec(GRID, PERIOD_S, "hall", weights=tmp_path / "hall.toml"), PipelineSettings())
@@ -40,7 +40,7 @@ def test_weights_whose_maps_are_no_probabilities_are_refused(tmp_path, name, spo
 
 def test_weights_with_a_setting_that_is_not_one_are_refused(tmp_path):
     path = tmp_path / "hall.toml"
-    save_weights(path, card(link=1.0), OPEN | {"dwell": GLIDING})
+    save_weights(path, card(link=1.0), OPEN | {"residence": GLIDING})
     with pytest.raises(WeightsError, match="link_m"):
         KalmanTracker(StreamSpec(GRID, PERIOD_S, "hall", weights=path), PipelineSettings())
 
@@ -78,7 +78,7 @@ def test_fit_finds_the_settings_that_score_best_and_keeps_those_that_were_given(
     one, two = (read_card(path) for path in paths)
     assert one == two
     assert all(settings.link_m == 0.77 for settings in asked)
-    assert asked[1].dwell_speed == tuning.STARTS[1].dwell_speed
+    assert asked[1].residence_speed == tuning.STARTS[1].residence_speed
     losses = [abs(np.log(settings.acceleration / 0.3)) for settings in asked[:25]]
     assert one.settings["acceleration"] == asked[int(np.argmin(losses))].acceleration
     assert len(set(losses)) > 20
@@ -114,5 +114,5 @@ def test_an_interrupted_search_tells_the_best_so_far(tmp_path, caplog):
 
     with pytest.raises(KeyboardInterrupt):
         fit_hall(tmp_path, score, told)
-    assert told[-1].startswith("interrupted; best of 3 trials, mean F1 0.50000: unforeseen_share=0.541,")
+    assert told[-1].startswith("interrupted; best of 3 trials, mean F1 0.50000: untracked_share=0.541,")
     assert not caplog.records

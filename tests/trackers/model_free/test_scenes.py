@@ -26,8 +26,8 @@ BEAMS = np.linspace(-np.pi / 2, np.pi / 2, 721)
 PERSON = np.array([(0.25 * np.cos(a), 0.15 * np.sin(a)) for a in np.linspace(0, 2 * np.pi, 16, endpoint=False)])
 CAR = np.array([(-2.2, -0.9), (2.2, -0.9), (2.2, 0.9), (-2.2, 0.9)])
 POST = np.array([(-0.2, -0.2), (0.2, -0.2), (0.2, 0.2), (-0.2, 0.2)])
-WALKERS = {"link_m": 0.25, "surface_m": 0.1, "reach_m": 0.45, "velocity_memory_s": 20.0, "initial_speed": 1.5}
-TRAFFIC = {"link_m": 0.6, "surface_m": 0.1, "reach_m": 0.6, "velocity_memory_s": 40.0, "initial_speed": 5.0}
+WALKERS = {"link_m": 0.25, "surface_noise_m": 0.1, "reach_m": 0.45, "velocity_memory_s": 20.0, "initial_speed": 1.5}
+TRAFFIC = {"link_m": 0.6, "surface_noise_m": 0.1, "reach_m": 0.6, "velocity_memory_s": 40.0, "initial_speed": 5.0}
 ESTIMATORS = pytest.mark.parametrize("estimator", [KalmanEstimator, FactorGraphEstimator])
 
 
@@ -57,8 +57,8 @@ def scanned(bodies, random=None, raw=False) -> GridFrame:
 def pipeline_of(estimator, **settings) -> Pipeline:
     """In an open place with nothing in it, where no return stays for long."""
     place = BackgroundMap(np.full(GRID.shape, 1e-3, np.float32), np.zeros(GRID.shape, np.float32))
-    dwell = np.zeros(table_shape(PERIOD_S), np.float32)
-    return Pipeline(GRID, PERIOD_S, place, dwell, PipelineSettings(**settings), estimator)
+    residence = np.zeros(table_shape(PERIOD_S), np.float32)
+    return Pipeline(GRID, PERIOD_S, place, residence, PipelineSettings(**settings), estimator)
 
 
 def at(pipeline, x, y):
@@ -106,7 +106,7 @@ def test_two_people_who_cross_keep_their_identities(estimator, association):
 
 @ESTIMATORS
 def test_a_car_that_parks_becomes_background_and_one_that_leaves_is_tracked_again(estimator):
-    pipeline = pipeline_of(estimator, **TRAFFIC, settle_s=5.0, sink_s=3.0)
+    pipeline = pipeline_of(estimator, **TRAFFIC, background_merge_s=5.0, adaptation_s=3.0)
     parked = scanned([(CAR, 8.0, 0.0, np.pi / 2)])
     for _ in range(64):
         pipeline.update(parked)
@@ -124,7 +124,7 @@ def test_a_car_that_parks_becomes_background_and_one_that_leaves_is_tracked_agai
 
 @ESTIMATORS
 def test_a_person_merges_into_a_group_and_out_of_it(estimator):
-    pipeline = pipeline_of(estimator, **WALKERS, settle_s=100.0, merge_s=1.0)
+    pipeline = pipeline_of(estimator, **WALKERS, background_merge_s=100.0, track_merge_s=1.0)
     count = []
     for step in range(120):
         y = 2.5 - min(2.0, 0.8 * step * PERIOD_S) + max(0.0, 0.8 * (step - 80) * PERIOD_S)
@@ -140,7 +140,7 @@ def test_a_person_merges_into_a_group_and_out_of_it(estimator):
 @ESTIMATORS
 def test_a_vehicle_seen_in_two_pieces_becomes_one(estimator):
     """A post hides its middle all the time, from the first frame on."""
-    pipeline = pipeline_of(estimator, **TRAFFIC | {"link_m": 0.5, "reach_m": 0.3}, merge_s=0.5)
+    pipeline = pipeline_of(estimator, **TRAFFIC | {"link_m": 0.5, "reach_m": 0.3}, track_merge_s=0.5)
     count = []
     for step in range(24):
         y = -1.4 + 0.8 * step * PERIOD_S
@@ -189,7 +189,7 @@ def test_the_velocity_of_a_car_is_known(estimator, raw, limit, turn_rate):
     for seed in range(3):
         random = np.random.default_rng(seed)
         surface = 0.05 if raw else 0.1
-        settings = TRAFFIC | {"surface_m": surface, "acceleration": 0.2, "turn_acceleration": 0.2}
+        settings = TRAFFIC | {"surface_noise_m": surface, "acceleration": 0.2, "turn_acceleration": 0.2}
         pipeline = pipeline_of(estimator, **settings, position_noise_m=0.02 if raw else 0.05, shape_memory_s=2.0)
         x, y, heading = 8.0, -5.0, np.pi / 2
         for step in range(24):

@@ -11,7 +11,7 @@ pytest.importorskip("filterpy")
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame
 from gridtrack.trackers.model_free.background import Background, BackgroundMap, fit_background
-from gridtrack.trackers.model_free.residence import NOT_OCCUPIED, PRIOR_RETURNS, fit_dwell, next_ages, still_there
+from gridtrack.trackers.model_free.residence import NOT_OCCUPIED, PRIOR_RETURNS, fit_residence, next_ages, still_there
 from gridtrack.trackers.model_free.settings import PipelineSettings
 from gridtrack.trackers.model_free.tracks import existence_when_detected, existence_when_missed
 from gridtrack.trackers.site_rate import PRIOR_FRAMES
@@ -32,9 +32,9 @@ def test_background_is_the_occupied_share_of_each_cell_drawn_to_the_base_rate():
     empty = np.zeros((5, 5), bool)
     background = fit_background([frame_of(visible, occupied)] * 3 + [frame_of(visible, empty)], (5, 5))
     base_rate = 3 / 40  # three occupied among ten visible cells in four frames
-    assert background.rate[0, 0] == pytest.approx((3 + PRIOR_FRAMES * base_rate) / (4 + PRIOR_FRAMES))
-    assert background.rate[1, 4] == pytest.approx(PRIOR_FRAMES * base_rate / (4 + PRIOR_FRAMES))
-    assert background.rate[4, 4] == pytest.approx(base_rate)
+    assert background.occupancy_rate[0, 0] == pytest.approx((3 + PRIOR_FRAMES * base_rate) / (4 + PRIOR_FRAMES))
+    assert background.occupancy_rate[1, 4] == pytest.approx(PRIOR_FRAMES * base_rate / (4 + PRIOR_FRAMES))
+    assert background.occupancy_rate[4, 4] == pytest.approx(base_rate)
 
 
 def test_a_wall_over_which_returns_flicker_is_solid_and_a_place_that_is_busy_as_often_is_not():
@@ -46,19 +46,25 @@ def test_a_wall_over_which_returns_flicker_is_solid_and_a_place_that_is_busy_as_
         occupied[2, 6:8] = step % 2 == 0
         frames.append(frame_of(seen, occupied))
     background = fit_background(frames, (5, 9))
-    assert background.rate[2, [1, 2, 6, 7]] == pytest.approx(0.5, abs=0.01)
-    assert (background.solid[1:4, 1:3] > 0.98).all()
-    assert (background.solid[:, 5:] < 0.55).all()
+    assert background.occupancy_rate[2, [1, 2, 6, 7]] == pytest.approx(0.5, abs=0.01)
+    assert (background.neighbourhood_rate[1:4, 1:3] > 0.98).all()
+    assert (background.neighbourhood_rate[:, 5:] < 0.55).all()
 
 
 MAP_FRAMES = 40
 
 
-def background_of(rate, solid=0.0, **settings):
-    given = {"explained_above": 0.9, "unforeseen_share": 0.5, "return_s": 2.0, "sink_above": 0.3, "sink_s": 5.0}
-    given["map_s"] = 0.1 * MAP_FRAMES
+def background_of(rate, neighbourhood_rate=0.0, **settings):
+    given = {
+        "explained_above": 0.9,
+        "untracked_share": 0.5,
+        "rate_recovery_s": 2.0,
+        "static_above": 0.3,
+        "adaptation_s": 5.0,
+    }
+    given["map_weight_s"] = 0.1 * MAP_FRAMES
     rate = np.asarray(rate, np.float32)
-    fitted = BackgroundMap(rate, np.broadcast_to(np.asarray(solid, np.float32), rate.shape))
+    fitted = BackgroundMap(rate, np.broadcast_to(np.asarray(neighbourhood_rate, np.float32), rate.shape))
     return Background(fitted, 0.1, PipelineSettings(**given | settings))
 
 
@@ -68,7 +74,7 @@ def test_forecast_keeps_walls_and_the_base_rate_of_what_was_never_seen():
 
 
 def test_a_cell_seen_empty_comes_back_to_its_base_rate_ahead_in_time_and_while_it_is_hidden():
-    background = background_of([[0.1]], unforeseen_share=0.25, return_s=2.0)
+    background = background_of([[0.1]], untracked_share=0.25, rate_recovery_s=2.0)
     seen, empty = np.ones((1, 1), bool), np.zeros((1, 1), bool)
     background.observe(frame_of(seen, empty))
     for hidden in range(3):
@@ -98,7 +104,7 @@ def test_what_stands_sinks_into_the_background_and_what_has_left_leaves_it():
 
 def test_a_frame_after_missed_ones_stands_for_all_of_them():
     seen, parked, hidden = np.ones((1, 2), bool), np.array([[True, False]]), np.zeros((1, 2), bool)
-    missed, whole = (background_of([[0.1, 0.1]], unforeseen_share=0.25) for _ in range(2))
+    missed, whole = (background_of([[0.1, 0.1]], untracked_share=0.25) for _ in range(2))
     for background, periods in ((missed, (3, 2)), (whole, (1, 1, 1, 1, 1))):
         for count in periods:
             background.observe(frame_of(seen, parked), count)
@@ -142,7 +148,7 @@ def test_the_age_of_a_return_goes_on_in_the_next_cell_and_starts_anew_elsewhere(
 def test_life_table_counts_who_is_still_there_where_it_can_be_seen():
     seen, hidden = np.ones((5, 5), bool), np.zeros((5, 5), bool)
     frames = [frame_of(seen, cells_at((1, 1))), frame_of(seen, cells_at((1, 1))), frame_of(hidden, cells_at())]
-    table = fit_dwell([frames] * 100, np.ones((5, 5), bool), (3, 3))
+    table = fit_residence([frames] * 100, np.ones((5, 5), bool), (3, 3))
     known = 1.0 / (1.0 + PRIOR_RETURNS / 100)
     assert table[0] == pytest.approx([known, known, 0.0])  # after two steps nothing is seen: the prior stands
     assert table[1] == pytest.approx([known, 0.0, 0.0])

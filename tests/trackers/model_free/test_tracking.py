@@ -20,7 +20,7 @@ from scenes.hall import GLIDING, GRID, OPEN, PERIOD_S, card, frame_of, walk
 def weights(tmp_path):
     """An open hall with nothing in it; the people here are discs that glide, and their velocity lasts."""
     path = tmp_path / "hall.toml"
-    save_weights(path, card(velocity_memory_s=50.0), OPEN | {"dwell": GLIDING})
+    save_weights(path, card(velocity_memory_s=50.0), OPEN | {"residence": GLIDING})
     return path
 
 
@@ -142,12 +142,12 @@ def test_two_people_apart_keep_their_identities(tracker):
 
 
 def test_a_wall_that_flickers_bears_no_track(tmp_path):
-    rate, solid = OPEN["rate"].copy(), OPEN["solid"].copy()
+    rate, wall = OPEN["occupancy_rate"].copy(), OPEN["neighbourhood_rate"].copy()
     pillar = frame_of([], wall=True).occupied
     rate[pillar] = 0.9
-    solid[with_neighbours(pillar)] = 1.0
+    wall[with_neighbours(pillar)] = 1.0
     path = tmp_path / "hall.toml"
-    save_weights(path, card(), OPEN | {"rate": rate, "solid": solid, "dwell": GLIDING})
+    save_weights(path, card(), OPEN | {"occupancy_rate": rate, "neighbourhood_rate": wall, "residence": GLIDING})
     tracker = KalmanTracker(StreamSpec(GRID, PERIOD_S, "hall", weights=path), PipelineSettings())
     for step in range(20):
         tracker.update(frame_of([], step, wall=step % 3 > 0))
@@ -160,7 +160,7 @@ def test_who_stands_is_forecast_to_stand_as_the_life_table_says(tmp_path):
     table = GLIDING.copy()
     table[20:] = 0.75
     path = tmp_path / "hall.toml"
-    save_weights(path, card(sink_above=0.99), OPEN | {"dwell": table})
+    save_weights(path, card(static_above=0.99), OPEN | {"residence": table})
     tracker = KalmanTracker(StreamSpec(GRID, PERIOD_S, "hall", weights=path), PipelineSettings())
     frame = frame_of([(3.0, 1.0)])
     for step in range(30):
@@ -207,7 +207,7 @@ def test_a_smoother_that_begins_anew_is_counted_until_the_reset(weights):
     from gridtrack.trackers.model_free.factor_graph import FactorGraphTracker
     from gridtrack.trackers.model_free.motion.factor_graph import LAG_S
 
-    save_weights(weights, card().model_copy(update={"tracker": "factor-graph"}), OPEN | {"dwell": GLIDING})
+    save_weights(weights, card().model_copy(update={"tracker": "factor-graph"}), OPEN | {"residence": GLIDING})
     tracker = FactorGraphTracker(StreamSpec(GRID, PERIOD_S, "hall", weights=weights), PipelineSettings())
     path = walk((3.0, -1.0), (0.0, 1.0), 12)
     watch(tracker, path[:10])

@@ -4,7 +4,7 @@ State (6,): x, y, heading, vx, vy, turn rate; metres, radians and seconds in the
 a quarter turn and w white noise (white-noise acceleration: Bar-Shalom, Li and Kirubarajan 2001, section 6.2.2; with an
 unknown turn rate: their chapter 11; both rates are Ornstein-Uhlenbeck processes here):
 
-    d position = v dt     dv = (turn_rate J v - v / velocity_memory_s) dt + acceleration dw + surge v dw
+    d position = v dt     dv = (turn_rate J v - v / velocity_memory_s) dt + acceleration dw + speed_noise v dw
     d heading = turn_rate dt     d turn_rate = -turn_rate / turn_memory_s dt + turn_acceleration dw
 """
 
@@ -44,7 +44,7 @@ class Discretisation(NamedTuple):
     noise: Array
     """Covariance (6, 6) that the acceleration adds in one period."""
     surge_noise: Array
-    """Covariance (2, 2) of the surge's integrals: of the growth over the period, and the growth."""
+    """Covariance (2, 2) of the speed_noise's integrals: of the growth over the period, and the growth."""
     turn_noise: Array
     """Covariance (3, 3) of the turn acceleration's integrals: of the heading over the period, heading, turn rate."""
 
@@ -70,7 +70,7 @@ def discretise(model: MotionModel) -> Discretisation:
         turning,
         float(turn_keeping[-1]),
         noise,
-        unit * model.surge**2,
+        unit * model.speed_noise**2,
         turned,
     )
 
@@ -119,18 +119,18 @@ def _transition(mean, step, moved, jacobian):  # type: ignore[no-untyped-def]
 def _process_noise(moved, step, noise):  # type: ignore[no-untyped-def]
     """Write the covariance that one period adds into `noise` (6, 6); `moved` (6,) is the state at its end.
 
-    What the turn acceleration turned the heading by, it turned the velocity by, and the surge stretched the velocity:
-    both grow with the speed, one across the motion, the other along it.
+    The turn acceleration rotates heading and velocity by the same angle, and the speed noise scales the velocity: both
+    terms grow with the speed, the first across the motion, the second along it.
     """
     noise[:] = step.noise
-    surge, turn = step.surge_noise, step.turn_noise
+    speed_noise, turn = step.surge_noise, step.turn_noise
     along, across = (moved[3], moved[4]), (-moved[4], moved[3])
     for a in range(2):  # 0 for the position and the heading, 1 for their rates
         for b in range(2):
             for i in range(2):
                 for j in range(2):
                     noise[i + 3 * a, j + 3 * b] += (
-                        surge[a, b] * along[i] * along[j] + turn[a, b] * across[i] * across[j]
+                        speed_noise[a, b] * along[i] * along[j] + turn[a, b] * across[i] * across[j]
                     )
                 noise[i + 3 * a, 2 + 3 * b] = noise[2 + 3 * b, i + 3 * a] = turn[a, b + 1] * across[i]
             noise[2 + 3 * a, 2 + 3 * b] = turn[a + 1, b + 1]

@@ -11,7 +11,7 @@ class MotionModel(NamedTuple):
 
     acceleration: float
     """White noise along each axis: the square root of its density, m/s^2 per sqrt(Hz)."""
-    surge: float
+    speed_noise: float
     """White noise of the speed's relative growth: what is fast speeds up and brakes harder; 1/s per sqrt(Hz)."""
     turn_acceleration: float
     """The same of the turn rate, rad/s^2 per sqrt(Hz)."""
@@ -34,12 +34,14 @@ class Regimes(NamedTuple):
     switching: tuple[tuple[float, float], tuple[float, float]]
 
     @classmethod
-    def of(cls, steady: MotionModel, agility: float, steady_s: float, agile_s: float) -> Regimes:
-        """`steady`, and the same with `agility` times the process noise; each lasts for so many seconds in the mean."""
-        agile = steady._replace(
-            acceleration=steady.acceleration * agility,
-            surge=steady.surge * agility,
-            turn_acceleration=steady.turn_acceleration * agility,
+    def of(
+        cls, steady: MotionModel, manoeuvre_noise: float, steady_duration_s: float, manoeuvre_duration_s: float
+    ) -> Regimes:
+        """`steady`, and a manoeuvre with `manoeuvre_noise` times its process noise; mean durations in seconds."""
+        manoeuvre = steady._replace(
+            acceleration=steady.acceleration * manoeuvre_noise,
+            speed_noise=steady.speed_noise * manoeuvre_noise,
+            turn_acceleration=steady.turn_acceleration * manoeuvre_noise,
         )
-        leaves, settles = (-math.expm1(-steady.period_s / lasting) for lasting in (steady_s, agile_s))
-        return cls((steady, agile), ((1.0 - leaves, leaves), (settles, 1.0 - settles)))
+        starts, ends = (-math.expm1(-steady.period_s / mean_s) for mean_s in (steady_duration_s, manoeuvre_duration_s))
+        return cls((steady, manoeuvre), ((1.0 - starts, starts), (ends, 1.0 - ends)))

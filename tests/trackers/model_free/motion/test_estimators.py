@@ -15,7 +15,7 @@ from gridtrack.trackers.model_free.motion.parameters import MotionModel
 PERIOD_S = 0.125
 MODEL = MotionModel(
     acceleration=0.1,
-    surge=0.001,
+    speed_noise=0.001,
     turn_acceleration=0.1,
     velocity_memory_s=100.0,
     turn_memory_s=5.0,
@@ -25,7 +25,7 @@ MODEL = MotionModel(
 )
 AGILE = MotionModel(
     acceleration=0.7,
-    surge=0.001,
+    speed_noise=0.001,
     turn_acceleration=0.4,
     velocity_memory_s=4.0,
     turn_memory_s=2.0,

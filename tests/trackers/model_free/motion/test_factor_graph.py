@@ -13,7 +13,7 @@ from gridtrack.trackers.model_free.motion.parameters import MotionModel
 
 MODEL = MotionModel(
     acceleration=0.5,
-    surge=0.001,
+    speed_noise=0.001,
     turn_acceleration=0.3,
     velocity_memory_s=5.0,
     turn_memory_s=2.0,

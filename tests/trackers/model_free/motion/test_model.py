@@ -11,7 +11,7 @@ from gridtrack.trackers.model_free.motion.parameters import MotionModel
 
 MODEL = MotionModel(
     acceleration=0.8,
-    surge=0.1,
+    speed_noise=0.1,
     turn_acceleration=0.6,
     velocity_memory_s=4.0,
     turn_memory_s=1.5,
@@ -41,7 +41,7 @@ def simulate(state, seconds, model, rng, samples, substeps):
         )
         noise = np.zeros_like(states)
         noise[:, 3:5] = model.acceleration * rng.standard_normal((samples, 2))
-        noise[:, 3:5] += model.surge * rng.standard_normal((samples, 1)) * states[:, 3:5]
+        noise[:, 3:5] += model.speed_noise * rng.standard_normal((samples, 1)) * states[:, 3:5]
         noise[:, 5] = model.turn_acceleration * rng.standard_normal(samples)
         states = states + drift * dt + noise * np.sqrt(dt)
     return states
@@ -57,7 +57,7 @@ def test_mean_and_noise_of_one_period_are_those_of_the_differential_equations():
 
 
 def test_the_mean_follows_a_turning_object_for_a_second():
-    still = MODEL._replace(acceleration=1e-9, surge=1e-9, turn_acceleration=1e-9)
+    still = MODEL._replace(acceleration=1e-9, speed_noise=1e-9, turn_acceleration=1e-9)
     (truth,) = simulate(TURNING, 1.0, still, np.random.default_rng(0), 1, 20_000)
     means, _ = propagate(TURNING[None], NOTHING, 8, MODEL)
     assert np.allclose(means[0, 8], truth, atol=1e-3)

@@ -16,7 +16,7 @@ from gridtrack.trackers.model_free.motion.regimes import DISPROVED, SwitchingEst
 PERIOD_S = 0.125
 STEADY = MotionModel(
     acceleration=0.06,
-    surge=0.04,
+    speed_noise=0.04,
     turn_acceleration=0.04,
     velocity_memory_s=50.0,
     turn_memory_s=1.0,
@@ -24,7 +24,7 @@ STEADY = MotionModel(
     initial_turn_rate=0.1,
     period_s=PERIOD_S,
 )
-REGIMES = Regimes.of(STEADY, agility=10.0, steady_s=6.0, agile_s=1.0)
+REGIMES = Regimes.of(STEADY, manoeuvre_noise=10.0, steady_duration_s=6.0, manoeuvre_duration_s=1.0)
 NOISE = np.diag([0.08, 0.08, 0.05]) ** 2
 ESTIMATORS = pytest.mark.parametrize("begin", [KalmanEstimator, FactorGraphEstimator])
 
@@ -132,7 +132,7 @@ def switching_walk(frames, rng, substeps=10):
             noise = rng.standard_normal(4) * np.sqrt(dt)
             state = state + drift * dt
             state[3:] += noise[:3] * [*[model.acceleration] * 2, model.turn_acceleration]
-            state[3:5] += model.surge * noise[3] * np.array([vx, vy])
+            state[3:5] += model.speed_noise * noise[3] * np.array([vx, vy])
         kept.append(state)
     return np.array(kept)
 

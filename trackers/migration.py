@@ -1,0 +1,147 @@
+"""Migration of weights cards from schema 1: options and arrays get the names of schema 2."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from gridtrack.common.errors import WeightsError
+from gridtrack.trackers.weights import CARD_SCHEMA, Card, parse_card, read_arrays, save_weights
+
+
+class Renames(NamedTuple):
+    """Old name -> new name, of the options of a tracker and of the arrays in its weights."""
+
+    options: Mapping[str, str] = {}
+    arrays: Mapping[str, str] = {}
+
+
+MODEL_FREE = Renames(
+    options={
+        "unforeseen_share": "untracked_share",
+        "return_s": "rate_recovery_s",
+        "sink_above": "static_above",
+        "sink_s": "adaptation_s",
+        "map_s": "map_weight_s",
+        "surge": "speed_noise",
+        "agility": "manoeuvre_noise",
+        "steady_s": "steady_duration_s",
+        "agile_s": "manoeuvre_duration_s",
+        "surface_m": "surface_noise_m",
+        "birth_probability": "initiation_probability",
+        "false_alarm": "clutter_probability",
+        "life_s": "mean_lifetime_s",
+        "dead_below": "delete_below",
+        "settle_s": "background_merge_s",
+        "merge_s": "track_merge_s",
+        "dwell_speed": "residence_speed",
+    },
+    arrays={
+        "rate": "occupancy_rate",
+        "solid": "neighbourhood_rate",
+        "dwell": "residence",
+        "class_shares": "class_mixture_weights",
+        "class_place": "class_cell_prior",
+    },
+)
+DOGMA = Renames(
+    options={
+        "hit_mass": "occupied_mass",
+        "crossed_mass": "free_mass",
+        "life_s": "mean_lifetime_s",
+        "free_s": "free_decay_s",
+        "rest_share": "static_share",
+        "creep_speed": "start_stop_speed",
+        "start_s": "time_to_start_s",
+        "stop_s": "time_to_stop_s",
+    },
+    arrays={"usual": "occupancy_rate"},
+)
+RENAMES: Mapping[str, Renames] = {
+    "kalman": MODEL_FREE,
+    "factor-graph": MODEL_FREE,
+    "dogma": DOGMA,
+    "static-map": Renames(),
+    "dilated-convgru": Renames(),
+    "deep-tracking-rnn": Renames(),
+    "one-shot": Renames(),
+}
+"""The renames of each tracker from schema 1 to schema 2; the card of any other tracker keeps its names."""
+
+OPTION = re.compile(r"(?<=[:,])\w+(?==)")
+"""The name of an option in a training command: `kalman:link_m=0.4,reach_m=0.5`."""
+
+
+class Migration(NamedTuple):
+    """The cards that were rewritten, those that had the present schema, and for each other card the error."""
+
+    rewritten: list[Path]
+    unchanged: list[Path]
+    errors: list[str]
+
+
+def migrate_cards(cards_or_folders: Iterable[Path]) -> Migration:
+    """Migrate each card, and each card in each folder. Raises WeightsError where there is no card."""
+    done = Migration([], [], [])
+    for path in _cards_in(cards_or_folders):
+        try:
+            (done.rewritten if migrate_card(path) else done.unchanged).append(path)
+        except WeightsError as error:
+            done.errors.append(str(error))
+    return done
+
+
+def _cards_in(cards_or_folders: Iterable[Path]) -> list[Path]:
+    cards: list[Path] = []
+    for path in cards_or_folders:
+        found = sorted(path.rglob("*.toml")) if path.is_dir() else [path]
+        if not found:
+            raise WeightsError(f"{path}: no weights card (.toml) in this folder")
+        cards += found
+    return list(dict.fromkeys(cards))
+
+
+def migrate_card(path: Path) -> bool:
+    """Rewrite the card at `path` and its arrays in the present schema; False where the card has it already.
+
+    Both files are written whole before either is replaced, the card last. Raises WeightsError, and leaves both files as
+    they are, where the card or its arrays are damaged or the card is of a later schema.
+    """
+    card = parse_card(path)
+    if card.schema_version == CARD_SCHEMA:
+        return False
+    if card.schema_version != 1:
+        raise WeightsError(f"{path}: schema {card.schema_version}; this gridtrack migrates 1 to {CARD_SCHEMA}")
+    renames = RENAMES.get(card.tracker, Renames())
+    arrays = read_arrays(path.with_suffix(".safetensors"), card.arrays_sha256)
+    try:
+        save_weights(path, _migrated(card, renames), _renamed(arrays, renames.arrays))
+    except OSError as error:
+        raise WeightsError(f"{path}: cannot be written ({error.strerror})") from None
+    return True
+
+
+def _migrated(card: Card, renames: Renames) -> Card:
+    results = dict(card.results)
+    classes = results.get("classes")
+    if isinstance(classes, dict) and isinstance(classes.get("command"), str):
+        results["classes"] = classes | {"command": _migrated_command(classes["command"], renames)}
+    return card.model_copy(
+        update={
+            "schema_version": CARD_SCHEMA,
+            "command": _migrated_command(card.command, renames),
+            "settings": _renamed(card.settings, renames.options),
+            "results": results,
+        }
+    )
+
+
+def _migrated_command(command: str, renames: Renames) -> str:
+    """The command as it was typed, with the present names of its options."""
+    return OPTION.sub(lambda match: renames.options.get(match[0], match[0]), command)
+
+
+def _renamed(values: Mapping[str, Any], names: Mapping[str, str]) -> dict[str, Any]:
+    return {names.get(name, name): value for name, value in values.items()}
