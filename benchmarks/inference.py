@@ -23,11 +23,13 @@ import torch
 from torch import Tensor, nn
 from torch.nn.functional import conv2d
 
-from gridtrack.trackers.recurrent import DeepTrackingRNNTracker, DilatedConvGRUTracker
+from gridtrack.trackers.recurrent.convgru_tracker import DilatedConvGRUTracker
 from gridtrack.trackers.recurrent.deep_tracking_rnn import DeepTrackingRNN
-from gridtrack.trackers.recurrent.dilated_convgru import GATES, DilatedConvGRU
+from gridtrack.trackers.recurrent.dilated_convgru import DilatedConvGRU
 from gridtrack.trackers.recurrent.inference import InferenceConvGRU, InferenceRNN, as_tensor
-from gridtrack.trackers.recurrent.network import RecurrentNetwork, State, channels_last
+from gridtrack.trackers.recurrent.network import LatentState, RecurrentNetwork, channels_last
+from gridtrack.trackers.recurrent.rnn_tracker import DeepTrackingRNNTracker
+from gridtrack.trackers.recurrent.settings import GATES
 
 SIZE, STEPS = 100, 20
 TOLERANCE = {"ours, bfloat16": 0.05}
@@ -41,7 +43,7 @@ class StraightforwardStep(nn.Module):
         super().__init__()
         self.network = network
 
-    def forward(self, x: Tensor, *state: Tensor) -> State:
+    def forward(self, x: Tensor, *state: Tensor) -> LatentState:
         """x (1, 2, M, M) and h (1, C, M, M) of every layer -> h' of every layer."""
         new: list[Tensor] = []
         for layer, h in zip(self.network.layers, state, strict=True):
@@ -66,7 +68,7 @@ class Straightforward:
         self._step, self._decoder = step, decoder
         self._empty = torch.zeros(1, 2, SIZE, SIZE)
 
-    def step(self, x: Tensor | None, state: State) -> State:
+    def step(self, x: Tensor | None, state: LatentState) -> LatentState:
         """h_t."""
         return tuple(self._step(self._empty if x is None else x, *state))
 
@@ -109,7 +111,7 @@ def contestants(network: DilatedConvGRU) -> dict[str, Any]:
     return found
 
 
-def forecast(network: RecurrentNetwork, state: State, steps: int) -> Tensor:
+def forecast(network: RecurrentNetwork, state: LatentState, steps: int) -> Tensor:
     """P(occupied) (steps + 1, M, M)."""
     decoded = [network.occupancy(network.features(state))]
     for _ in range(steps):
@@ -135,7 +137,7 @@ def observed(seed: int) -> Tensor:
     return as_tensor(np.stack([visible, occupied], axis=2).astype(np.float32))
 
 
-def assert_agreement(found: dict[str, Any]) -> dict[str, State]:
+def assert_agreement(found: dict[str, Any]) -> dict[str, LatentState]:
     """The state of each after some frames, from which its forecast is the others'."""
     states, forecasts = {}, {}
     for name, network in found.items():
@@ -185,7 +187,7 @@ def best_rate(rounds: int) -> float:
     return rates[best]
 
 
-CASES: dict[str, tuple[int, Callable[[Any, State], object]]] = {
+CASES: dict[str, tuple[int, Callable[[Any, LatentState], object]]] = {
     "update with input": (1, lambda network, state: network.step(observed(9), state)),
     "update without": (1, lambda network, state: network.step(None, state)),
     "forecast step, decoded": (1, lambda network, state: forecast(network, network.step(None, state), 0)),

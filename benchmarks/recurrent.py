@@ -10,8 +10,9 @@ import argparse
 import numpy as np
 import torch
 
-from gridtrack.trackers.recurrent import DeepTrackingRNNTracker, DilatedConvGRUTracker
-from gridtrack.trackers.recurrent.tracker import RecurrentTracker
+from gridtrack.trackers.recurrent.convgru_tracker import DilatedConvGRUTracker
+from gridtrack.trackers.recurrent.recurrent_tracker import RecurrentTracker
+from gridtrack.trackers.recurrent.rnn_tracker import DeepTrackingRNNTracker
 
 from benchmarks.timing import median_ms
 

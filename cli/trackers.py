@@ -43,7 +43,7 @@ def train_command(
 ) -> None:
     """Train a tracker for a site: its weights and settings, on a card with the command that repeats the training."""
     from gridtrack.evaluation.comparison.recipe import complete_recipe
-    from gridtrack.evaluation.comparison.train import train as train_tracker
+    from gridtrack.evaluation.comparison.train import train_tracker
 
     given = {
         **_tracker_and_recordings(arguments or [], named_elsewhere=bool(recipe or like)),

@@ -9,7 +9,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from gridtrack.evaluation.comparison.recipe import read_recipe
-from gridtrack.evaluation.comparison.train import train
+from gridtrack.evaluation.comparison.train import train_tracker
 
 from studies.comparison import compare_at_junction
 
@@ -22,7 +22,7 @@ def main() -> None:
     rows = ["persistence"]
     for path in sorted(RECIPES.glob("*.toml"), key=lambda path: (path.stem != REFERENCE, path.stem)):
         recipe = read_recipe(path)
-        train(recipe)
+        train_tracker(recipe)
         rows.append(f"{path.stem}={recipe.tracker}:weights={recipe.out}")
     compare_at_junction(rows, REFERENCE, OUT, "--every", "2s")
 

@@ -26,14 +26,15 @@ from gridtrack.evaluation.scoring.referee import Delivery, Schedule
 from gridtrack.evaluation.scoring.semantics import VISIBILITIES, Matching, count_classes, match_classes
 from gridtrack.evaluation.scoring.target import Target
 from gridtrack.recordings.stream import GridStream, open_stream
-from gridtrack.trackers.cell_classifier import CellClassifier, ClassifierSettings
+from gridtrack.trackers.cell_classifier import CellClassifier
 from gridtrack.trackers.cell_training import LabelledCells, calibrated, train_classifier
-from gridtrack.trackers.labelled import LEAD_IN, VALIDATE_ON, learned_classes
+from gridtrack.trackers.label_settings import ClassifierSettings
+from gridtrack.trackers.labelled_stretch import LEAD_IN, VALIDATE_ON, learned_classes
 from gridtrack.trackers.one_shot.settings import OneShotSettings
 from gridtrack.trackers.one_shot.tracker import PLANES, planes_of
-from gridtrack.trackers.one_shot.training import cells_of as cells_of_scans
-from gridtrack.trackers.recurrent import DilatedConvGRUTracker
-from gridtrack.trackers.recurrent.transfer import cells_of as cells_of_states
+from gridtrack.trackers.one_shot.training import scan_cells
+from gridtrack.trackers.recurrent.convgru_tracker import DilatedConvGRUTracker
+from gridtrack.trackers.recurrent.transfer import latent_cells
 from gridtrack.trackers.weights import read_card
 
 from studies.support.label_table import BUDGETS, COLUMNS, append_row, read_rows
@@ -158,8 +159,8 @@ def validation_cells(classes: tuple[str, ...]) -> dict[str, LabelledCells]:
     stream = open_stream(f"{JUNCTION / 'validation.tracks'}@0s-90s")
     frames = list(stream.labelled())
     return {
-        "scan": cells_of_scans([(stream.classes, frames[::VALIDATE_ON])], classes),
-        "state": cells_of_states(latent_tracker(stream), [(stream.classes, frames)], classes, VALIDATE_ON),
+        "scan": scan_cells([(stream.classes, frames[::VALIDATE_ON])], classes),
+        "state": latent_cells(latent_tracker(stream), [(stream.classes, frames)], classes, VALIDATE_ON),
     }
 
 
@@ -175,8 +176,8 @@ def measure_draw(
         labelled = frames[: lead_in + budget]
         classes = learned_classes(names, (item.labels for item in labelled))
         learned = {
-            "scan": cells_of_scans([(names, labelled)], classes),
-            "state": cells_of_states(tracker, [(names, labelled)], classes, every=1),
+            "scan": scan_cells([(names, labelled)], classes),
+            "state": latent_cells(tracker, [(names, labelled)], classes, every=1),
         }
         for method in (one.method for one in of_budget):
             torch.manual_seed(seed)

@@ -11,24 +11,8 @@ from collections.abc import Sequence
 from itertools import pairwise
 from typing import Any
 
-from pydantic import Field
 from torch import Tensor, nn
 from torch.nn import functional
-
-from gridtrack.common.config import Settings
-
-
-class ClassifierSettings(Settings):
-    """The width of a classifier, and its training by AdamW on the cells whose class is known."""
-
-    channels: int = Field(32, ge=1, le=256)
-    """Of every layer but the last."""
-    learning_rate: float = Field(3e-3, gt=0)
-    weight_decay: float = Field(1e-2, ge=0)
-    updates: int = Field(2000, ge=1)
-    """At most; kept is the state that classifies the validation stretch best."""
-    batch: int = Field(256, ge=1)
-    """Labelled cells in an update."""
 
 
 class CellClassifier(nn.Module):

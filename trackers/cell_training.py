@@ -14,10 +14,11 @@ from torch import Tensor
 from torch.nn import functional
 
 from gridtrack.common.grid import LabelledFrame
-from gridtrack.trackers.cell_classifier import CellClassifier, ClassifierSettings
-from gridtrack.trackers.labelled import class_indices, inverse_frequency
+from gridtrack.trackers.cell_classifier import CellClassifier
+from gridtrack.trackers.label_settings import ClassifierSettings
+from gridtrack.trackers.labelled_stretch import class_indices, inverse_frequency
 
-TRIALS = 10
+SETTINGS_TRIED = 10
 CHANNELS = (8, 16, 32)
 LEARNING_RATES = (1e-3, 2e-2)
 WEIGHT_DECAYS = (1e-4, 1.0)
@@ -97,12 +98,12 @@ def best_classifier(
     seed: int,
     report: Callable[[str], None],
 ) -> Trained:
-    """The one that is best for `held_out` out of TRIALS settings; one that is `given` stays as given.
+    """The one that is best for `held_out` out of SETTINGS_TRIED settings; one that is `given` stays as given.
 
     `build` makes an untrained classifier.
     """
     best = None
-    for settings in trials(given, seed):
+    for settings in candidate_settings(given, seed):
         torch.manual_seed(seed)
         tried = calibrated(train_classifier(build(settings), settings, learned, held_out), held_out)
         best = tried if best is None or tried.log_loss < best.log_loss else best
@@ -114,11 +115,11 @@ def best_classifier(
     return best
 
 
-def trials(given: Mapping[str, Any], seed: int) -> Iterator[ClassifierSettings]:
+def candidate_settings(given: Mapping[str, Any], seed: int) -> Iterator[ClassifierSettings]:
     """The defaults, and then draws of what is not `given`; the same seed, the same trials."""
     draw = np.random.default_rng(seed)
     yield ClassifierSettings(**given)
-    for _ in range(TRIALS - 1 if {"channels", "learning_rate", "weight_decay"} - given.keys() else 0):
+    for _ in range(SETTINGS_TRIED - 1 if {"channels", "learning_rate", "weight_decay"} - given.keys() else 0):
         drawn = {
             "channels": int(draw.choice(CHANNELS)),
             "learning_rate": _log_uniform(draw, *LEARNING_RATES),

@@ -17,7 +17,7 @@ from gridtrack.common.grid import GridFrame, GridSpec, LabelledFrame
 API = 1
 Role = Literal["tracker", "floor"]
 """The role of a row in a comparison: a tracker, or a floor, which every tracker must beat."""
-Comparison = Literal["occupancy", "classes"]
+ComparedPart = Literal["occupancy", "classes"]
 """What two rows are compared by: their forecasts of occupancy, or of classes."""
 
 
@@ -134,7 +134,7 @@ class Tracker(ABC):
     """Whether `fit` must have run for the site before the tracker can be used."""
     role: ClassVar[Role] = "tracker"
     """A floor is a row that every tracker must beat, such as persistence."""
-    reference_for: ClassVar[frozenset[Comparison]] = frozenset()
+    reference_for: ClassVar[frozenset[ComparedPart]] = frozenset()
     """The comparisons in which the other rows are compared with this tracker, unless the user names another row."""
 
     def __init__(self, stream: StreamSpec, options: Any) -> None:

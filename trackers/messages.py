@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec
-from gridtrack.trackers.contract import Comparison, Forecast, Role, StreamSpec, TrackedObject
+from gridtrack.trackers.contract import ComparedPart, Forecast, Role, StreamSpec, TrackedObject
 from gridtrack.trackers.wire import Message, WireError
 
 MAX_OBJECTS = 4096
@@ -58,11 +58,11 @@ def role_from(message: Message) -> Role:
     return role
 
 
-def reference_for_from(message: Message) -> frozenset[Comparison]:
+def reference_for_from(message: Message) -> frozenset[ComparedPart]:
     """The comparisons that `started` and `described` list in `reference_for`, none where absent. Raises WireError."""
     found: Any = message.fields.get("reference_for", [])
-    if not isinstance(found, list) or not all(name in get_args(Comparison) for name in found):
-        expected = ", ".join(get_args(Comparison))
+    if not isinstance(found, list) or not all(name in get_args(ComparedPart) for name in found):
+        expected = ", ".join(get_args(ComparedPart))
         raise WireError(f"'{message.kind}': reference_for is {found!r:.80}; expected a list of {expected}")
     return frozenset(found)
 

@@ -10,7 +10,7 @@ from typing import Any, get_args
 from gridtrack.common.config import Settings
 from gridtrack.common.entry_points import Registration, registrations
 from gridtrack.common.errors import PluginError, did_you_mean
-from gridtrack.trackers.contract import API, Comparison, Role, Tracker
+from gridtrack.trackers.contract import API, ComparedPart, Role, Tracker
 
 TRACKER_GROUP = "gridtrack.trackers"
 
@@ -100,8 +100,8 @@ def _attribute_breach(found: type[Tracker]) -> str:
             return f"{flag} is {getattr(found, flag)!r}; expected True or False"
     if found.role not in get_args(Role):
         return f"role is {found.role!r}; expected one of {', '.join(get_args(Role))}"
-    if not isinstance(found.reference_for, frozenset) or not found.reference_for <= set(get_args(Comparison)):
-        return f"reference_for is {found.reference_for!r}; expected a frozenset of {', '.join(get_args(Comparison))}"
+    if not isinstance(found.reference_for, frozenset) or not found.reference_for <= set(get_args(ComparedPart)):
+        return f"reference_for is {found.reference_for!r}; expected a frozenset of {', '.join(get_args(ComparedPart))}"
     if found.learns and found.fit.__func__ is Tracker.fit.__func__:  # type: ignore[attr-defined]
         return "it learns, but has no fit"
     return ""

@@ -11,8 +11,8 @@ from gridtrack.common.errors import ConfigurationError
 from gridtrack.trackers import registry
 
 EXAMPLE = "examples/example_tracker"
-FILES = ("README.md", "pyproject.toml", "example_tracker.py", "tests/test_example_tracker.py")
-NAME = re.compile(r"[a-z][a-z0-9]*(-[a-z0-9]+)*")
+TEMPLATE_FILES = ("README.md", "pyproject.toml", "example_tracker.py", "tests/test_example_tracker.py")
+PACKAGE_NAME = re.compile(r"[a-z][a-z0-9]*(-[a-z0-9]+)*")
 
 
 def new_tracker(name: str, folder: Path) -> Path:
@@ -21,13 +21,13 @@ def new_tracker(name: str, folder: Path) -> Path:
     It installs, passes its tests and keeps the contract as it is. Raises ConfigurationError.
     """
     module = name.replace("-", "_")
-    if not NAME.fullmatch(name) or keyword.iskeyword(module):
+    if not PACKAGE_NAME.fullmatch(name) or keyword.iskeyword(module):
         raise ConfigurationError(f"'{name}' is no name for a tracker: expected small letters, digits and -: my-tracker")
     if name in registry.entries():
         raise ConfigurationError(f"there is a tracker '{name}' already: choose another name")
     if folder.exists():
         raise ConfigurationError(f"{folder}: exists already; choose another folder with --out")
-    for file in FILES:
+    for file in TEMPLATE_FILES:
         path = folder / file.replace("example_tracker", module)
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(_renamed(files("gridtrack").joinpath(EXAMPLE, file).read_text("utf-8"), name, module), "utf-8")

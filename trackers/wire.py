@@ -22,7 +22,7 @@ from gridtrack.common.errors import GridtrackError
 
 MAGIC = b"GTW"
 VERSION = 1
-PREFIX = struct.Struct("<3sBIQ")
+MESSAGE_PREFIX = struct.Struct("<3sBIQ")
 """Magic, version, header length and body length in bytes: 16 bytes."""
 MAX_HEADER = 1 << 20
 MAX_ARRAYS = 64
@@ -45,7 +45,7 @@ RESERVED = ("type", "id", "arrays")
 
 Fill = Callable[[list[memoryview]], None]
 """Fills every buffer given, in order, from the sender; raises where it cannot."""
-Value = TypeVar("Value")
+FieldType = TypeVar("FieldType")
 
 
 class WireError(GridtrackError):
@@ -61,7 +61,7 @@ class Message:
     fields: Mapping[str, Any] = field(default_factory=dict)
     arrays: Mapping[str, NDArray[Any]] = field(default_factory=dict)
 
-    def value(self, name: str, kind: type[Value]) -> Value:
+    def value(self, name: str, kind: type[FieldType]) -> FieldType:
         """The JSON field `name`, which must be a `kind`; an integer passes for a float. Raises WireError."""
         found = self.fields.get(name)
         if kind is float and type(found) is int:
@@ -102,15 +102,15 @@ def encode(message: Message) -> list[memoryview]:
         raise WireError(f"'{message.kind}': a field is not JSON ({error})") from None
     if len(header) > MAX_HEADER:
         raise WireError(f"'{message.kind}': a header of {len(header)} bytes; at most {MAX_HEADER}")
-    prefix = PREFIX.pack(MAGIC, VERSION, len(header), sum(b.nbytes for b in buffers))
+    prefix = MESSAGE_PREFIX.pack(MAGIC, VERSION, len(header), sum(b.nbytes for b in buffers))
     return [memoryview(prefix + header), *buffers]
 
 
 def receive(fill: Fill, max_body: int) -> Message:
     """Read one message whose body is at most `max_body` bytes. Raises WireError, and whatever `fill` raises."""
-    prefix = bytearray(PREFIX.size)
+    prefix = bytearray(MESSAGE_PREFIX.size)
     fill([memoryview(prefix)])
-    magic, version, header_bytes, body_bytes = PREFIX.unpack(prefix)
+    magic, version, header_bytes, body_bytes = MESSAGE_PREFIX.unpack(prefix)
     if magic != MAGIC:
         raise WireError(f"not a message: it starts with {bytes(prefix[:8])!r} instead of {MAGIC!r}")
     if version != VERSION:

@@ -19,7 +19,7 @@ from gridtrack.trackers import registry
 from gridtrack.trackers.contract import FitOutput
 
 
-def train(recipe: Recipe, report: Callable[[str], None] = print) -> Path:
+def train_tracker(recipe: Recipe, report: Callable[[str], None] = print) -> Path:
     """Fit the recipe's tracker to the recordings' site and return the card it wrote, `<out>/<tracker>/<site>.toml`.
 
     A recording without a range, and validation where none is given, is the recording's stretch of that name. Runs in

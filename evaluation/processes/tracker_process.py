@@ -19,7 +19,7 @@ from gridtrack.evaluation.processes.limits import Limits
 from gridtrack.evaluation.processes.outcome import TrialEnded
 from gridtrack.evaluation.processes.supervised import SupervisedProgram
 from gridtrack.trackers import messages
-from gridtrack.trackers.contract import API, Comparison, Forecast, Role, StreamSpec
+from gridtrack.trackers.contract import API, ComparedPart, Forecast, Role, StreamSpec
 from gridtrack.trackers.selection import Launch
 from gridtrack.trackers.wire import Message, WireError
 
@@ -46,7 +46,7 @@ class Started:
     """JSON schema of its options; empty where it gives none."""
     about: str
     role: Role = "tracker"
-    reference_for: frozenset[Comparison] = frozenset()
+    reference_for: frozenset[ComparedPart] = frozenset()
     """The comparisons in which the other rows are compared with this tracker by default."""
 
 

@@ -12,7 +12,7 @@ from gridtrack.common.errors import GridtrackError
 from gridtrack.evaluation.processes.outcome import Outcome
 from gridtrack.evaluation.scoring.thresholds import Thresholds
 from gridtrack.recordings.degradation import Degradation
-from gridtrack.trackers.contract import Comparison, Role
+from gridtrack.trackers.contract import ComparedPart, Role
 
 SCHEMA = 1
 RECORD = "outcome.json"
@@ -140,7 +140,7 @@ class TrialRecord(Settings):
     classes: tuple[str, ...] = ()
     """What the tracker gives probabilities for."""
     role: Role = "tracker"
-    reference_for: tuple[Comparison, ...] = ()
+    reference_for: tuple[ComparedPart, ...] = ()
     """The comparisons in which the other rows are compared with this tracker by default."""
     weights_sha256: str = ""
     recoveries: int = 0

@@ -7,7 +7,7 @@ import os
 import sys
 import time
 
-from gridtrack.trackers.wire import PREFIX, Message, encode, fill_from, receive, write_to
+from gridtrack.trackers.wire import MESSAGE_PREFIX, Message, encode, fill_from, receive, write_to
 
 TIMES = {"elapsed_ns": 1, "cpu_ns": 1}
 STARTED = {
@@ -22,7 +22,7 @@ STARTED = {
 
 
 def header(text: str) -> bytes:
-    return PREFIX.pack(b"GTW", 1, len(text), 0) + text.encode()
+    return MESSAGE_PREFIX.pack(b"GTW", 1, len(text), 0) + text.encode()
 
 
 def answer(number: int, kind: str = "done", **fields: object) -> bytes:
@@ -34,9 +34,9 @@ def misbehave(how: str, number: int) -> None:
     answers = {
         "twice": done + done,
         "garbage": b"Hello, I am a tracker\n" * 10,
-        "huge-body": PREFIX.pack(b"GTW", 1, 2, 1 << 62) + b"{}",
-        "huge-header": PREFIX.pack(b"GTW", 1, (1 << 32) - 1, 0),
-        "other-version": PREFIX.pack(b"GTW", 9, 2, 0) + b"{}",
+        "huge-body": MESSAGE_PREFIX.pack(b"GTW", 1, 2, 1 << 62) + b"{}",
+        "huge-header": MESSAGE_PREFIX.pack(b"GTW", 1, (1 << 32) - 1, 0),
+        "other-version": MESSAGE_PREFIX.pack(b"GTW", 9, 2, 0) + b"{}",
         "half-a-message": done[: len(done) // 2],
         "not-json": header("{what"),
         "nested-json": header("[" * 100_000),

@@ -16,12 +16,13 @@ from gridtrack.common.errors import ConfigurationError, WeightsError  # noqa: E4
 from gridtrack.common.geometry import SE2  # noqa: E402
 from gridtrack.common.grid import GridFrame, GridSpec, LabelledFrame  # noqa: E402
 from gridtrack.trackers import cell_training  # noqa: E402
-from gridtrack.trackers.cell_classifier import CellClassifier, ClassifierSettings  # noqa: E402
-from gridtrack.trackers.cell_training import CellCollector, LabelledCells, train_classifier, trials  # noqa: E402
+from gridtrack.trackers.cell_classifier import CellClassifier  # noqa: E402
+from gridtrack.trackers.cell_training import CellCollector, LabelledCells, candidate_settings, train_classifier  # noqa: E402
 from gridtrack.trackers.contract import FitOutput, StretchScore, stream_of  # noqa: E402
-from gridtrack.trackers.labelled import class_indices, draw_labelled, inverse_frequency, possible_starts  # noqa: E402
-from gridtrack.trackers.one_shot import OneShotTracker  # noqa: E402
-from gridtrack.trackers.recurrent import DilatedConvGRUTracker  # noqa: E402
+from gridtrack.trackers.label_settings import ClassifierSettings  # noqa: E402
+from gridtrack.trackers.labelled_stretch import class_indices, draw_labelled, inverse_frequency, possible_starts  # noqa: E402
+from gridtrack.trackers.one_shot.tracker import OneShotTracker  # noqa: E402
+from gridtrack.trackers.recurrent.convgru_tracker import DilatedConvGRUTracker  # noqa: E402
 from gridtrack.trackers.weights import load_weights, read_card, save_weights  # noqa: E402
 
 SIZE, ROUND = 16, 12
@@ -100,7 +101,9 @@ def one_short_trial():
     """Of the class decoder, instead of ten: a toy needs no search."""
     with pytest.MonkeyPatch.context() as patch:
         short = {"learning_rate": 0.01, "updates": 300, "batch": 64}
-        patch.setattr(cell_training, "trials", lambda given, seed: [ClassifierSettings(**(short | dict(given)))])
+        patch.setattr(
+            cell_training, "candidate_settings", lambda given, seed: [ClassifierSettings(**(short | dict(given)))]
+        )
         yield
 
 
@@ -282,9 +285,9 @@ def test_labelled_cells_are_gathered_with_the_planes_of_their_own_frame():
 
 
 def test_the_same_seed_tries_the_same_settings_and_what_is_given_stays():
-    tried = list(trials({"channels": 8}, 3))
-    assert tried == list(trials({"channels": 8}, 3))
+    tried = list(candidate_settings({"channels": 8}, 3))
+    assert tried == list(candidate_settings({"channels": 8}, 3))
     assert (len(tried), {settings.channels for settings in tried}) == (10, {8})
     assert len({settings.learning_rate for settings in tried}) == 10
     given = {"channels": 8, "learning_rate": 0.1, "weight_decay": 0.0}
-    assert list(trials(given, 3)) == [ClassifierSettings(**given)]
+    assert list(candidate_settings(given, 3)) == [ClassifierSettings(**given)]

@@ -171,6 +171,15 @@ def test_listing_imports_no_tracker(install: Install) -> None:
     assert subprocess.check_output([sys.executable, "-c", code], text=True) == "[]\n"
 
 
+@pytest.mark.parametrize("package", ["recurrent", "one_shot"])
+def test_the_settings_of_a_learned_tracker_need_neither_torch_nor_numba(package: str) -> None:
+    code = (
+        f"import sys, gridtrack.trackers.{package}.settings;"
+        "print(sorted({'torch', 'lightning', 'numba'} & set(sys.modules)))"
+    )
+    assert subprocess.check_output([sys.executable, "-c", code], text=True) == "[]\n"
+
+
 def test_a_tracker_s_process_imports_only_what_it_needs() -> None:
     code = (
         "import sys, gridtrack.trackers.serve, gridtrack.trackers.baselines.blank;"

@@ -14,7 +14,7 @@ from gridtrack.common.grid import GridFrame
 from gridtrack.trackers.contract import FitOutput, Forecast, FrameSource, Score, StreamSpec, Tracker
 from gridtrack.trackers.weights import array, card_for, load_weights, save_weights
 
-NAME = "static-map"
+STATIC_MAP = "static-map"
 
 
 class StaticMapOptions(Settings):
@@ -33,11 +33,11 @@ class StaticMapTracker(Tracker):
 
     def __init__(self, stream: StreamSpec, options: StaticMapOptions) -> None:
         super().__init__(stream, options)
-        weights = load_weights(stream, NAME)
+        weights = load_weights(stream, STATIC_MAP)
         occupied, visible = (array(weights, name, stream.grid.shape) for name in ("occupied", "visible"))
         if not ((occupied >= 0) & (occupied <= visible)).all():
             raise WeightsError(
-                f"weights of {NAME}: a cell was occupied in more frames than it was visible in; train again"
+                f"weights of {STATIC_MAP}: a cell was occupied in more frames than it was visible in; train again"
             )
         self.frequency = frequency(occupied, visible, options.prior_frames)
 
@@ -64,16 +64,18 @@ class StaticMapTracker(Tracker):
 
         Raises WeightsError where the stretches differ in grid, period or site, or show nothing.
         """
-        card = card_for(NAME, out, train, validation, options.model_dump(mode="json"))
+        card = card_for(STATIC_MAP, out, train, validation, options.model_dump(mode="json"))
         shape = train[0].grid.shape
         occupied, visible = np.zeros(shape, np.int64), np.zeros(shape, np.int64)
         for frame in (frame for source in train for frame in source):
             visible += frame.visible
             occupied += frame.occupied
         if not visible.any():
-            raise WeightsError(f"{NAME}: no cell is visible in {', '.join(source.name for source in train)}")
+            raise WeightsError(f"{STATIC_MAP}: no cell is visible in {', '.join(source.name for source in train)}")
         save_weights(out.path, card, {"occupied": occupied, "visible": visible})
-        out.report(f"{NAME}: {np.count_nonzero(visible)} cells seen, overall rate {occupied.sum() / visible.sum():.4f}")
+        out.report(
+            f"{STATIC_MAP}: {np.count_nonzero(visible)} cells seen, overall rate {occupied.sum() / visible.sum():.4f}"
+        )
 
 
 def frequency(occupied: NDArray[np.int64], visible: NDArray[np.int64], prior_frames: float) -> NDArray[np.float32]:

@@ -18,7 +18,7 @@ from sklearn.mixture import GaussianMixture
 from gridtrack.common.errors import ConfigurationError, WeightsError
 from gridtrack.common.grid import LabelledFrame
 from gridtrack.trackers.contract import FitOutput, FrameSource, stream_of
-from gridtrack.trackers.labelled import LabelledStretch, class_indices, draw_labelled, learned_classes
+from gridtrack.trackers.labelled_stretch import LabelledStretch, class_indices, draw_labelled, learned_classes
 from gridtrack.trackers.model_free.classes import FEATURES, PREFIX, ClassModel, features_of
 from gridtrack.trackers.model_free.settings import ModelFreeSettings
 from gridtrack.trackers.weights import load_weights, save_weights, with_classes

@@ -7,7 +7,7 @@ from typing import Literal
 from pydantic import Field
 
 from gridtrack.common.config import Settings
-from gridtrack.trackers.labelled import LabelSettings
+from gridtrack.trackers.label_settings import LabelSettings
 from gridtrack.trackers.model_free.motion.parameters import MotionModel, Regimes
 
 AssociationMethod = Literal["hungarian", "jcbb"]

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from gridtrack.trackers.cell_classifier import ClassifierSettings
-from gridtrack.trackers.labelled import LabelSettings
+from gridtrack.trackers.label_settings import ClassifierSettings, LabelSettings
 
-NAME = "one-shot"
+ONE_SHOT = "one-shot"
 LAYERS = 3
 
 

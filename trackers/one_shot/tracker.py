@@ -11,8 +11,8 @@ import torch
 from gridtrack.common.config import Settings
 from gridtrack.common.grid import GridFrame
 from gridtrack.trackers.cell_classifier import CellClassifier
-from gridtrack.trackers.contract import Comparison, FitOutput, Forecast, FrameSource, Score, StreamSpec, Tracker
-from gridtrack.trackers.one_shot.settings import NAME, OneShotSettings
+from gridtrack.trackers.contract import ComparedPart, FitOutput, Forecast, FrameSource, Score, StreamSpec, Tracker
+from gridtrack.trackers.one_shot.settings import ONE_SHOT, OneShotSettings
 from gridtrack.trackers.restoring import restore, trained_settings
 from gridtrack.trackers.weights import load_weights
 
@@ -28,12 +28,12 @@ class OneShotTracker(Tracker):
 
     Options: ClassVar[type[Settings]] = OneShotSettings
     learns: ClassVar[bool] = True
-    reference_for: ClassVar[frozenset[Comparison]] = frozenset({"classes"})
+    reference_for: ClassVar[frozenset[ComparedPart]] = frozenset({"classes"})
 
     def __init__(self, stream: StreamSpec, options: OneShotSettings) -> None:
         """Raises WeightsError without weights for the stream's site, grid and period."""
         super().__init__(stream, options)
-        weights = load_weights(stream, NAME)
+        weights = load_weights(stream, ONE_SHOT)
         self.classes = weights.card.classes
         settings = trained_settings(stream, weights, options)
         self._network = CellClassifier(PLANES, settings.hidden, len(self.classes)).eval()

@@ -9,11 +9,12 @@ from typing import Any
 import torch
 
 from gridtrack.common.grid import LabelledFrame
-from gridtrack.trackers.cell_classifier import CellClassifier, ClassifierSettings
+from gridtrack.trackers.cell_classifier import CellClassifier
 from gridtrack.trackers.cell_training import CellCollector, LabelledCells, best_classifier
 from gridtrack.trackers.contract import FitOutput, FrameSource
-from gridtrack.trackers.labelled import VALIDATE_ON, draw_labelled, learned_classes
-from gridtrack.trackers.one_shot.settings import NAME, OneShotSettings
+from gridtrack.trackers.label_settings import ClassifierSettings
+from gridtrack.trackers.labelled_stretch import VALIDATE_ON, draw_labelled, learned_classes
+from gridtrack.trackers.one_shot.settings import ONE_SHOT, OneShotSettings
 from gridtrack.trackers.one_shot.tracker import PLANES, planes_of
 from gridtrack.trackers.weights import card_for, save_weights
 
@@ -30,8 +31,8 @@ def fit_classifier(
     names = stretch.source.classes
     classes = learned_classes(names, (item.labels for item in stretch.frames))
     out.report(f"classes {', '.join(classes)} from {stretch.name}")
-    learned = cells_of([(names, stretch.frames)], classes)
-    held_out = cells_of([(s.classes, islice(s.labelled(), 0, None, VALIDATE_ON)) for s in validation], classes)
+    learned = scan_cells([(names, stretch.frames)], classes)
+    held_out = scan_cells([(s.classes, islice(s.labelled(), 0, None, VALIDATE_ON)) for s in validation], classes)
 
     def build(settings: ClassifierSettings) -> CellClassifier:
         chosen = OneShotSettings(**settings.model_dump())
@@ -48,12 +49,12 @@ def fit_classifier(
         "validation_log_loss": round(best.log_loss, 5),
     }
     settings = {"labelled_scans": options.labelled_scans, **best.settings.model_dump(mode="json")}
-    card = card_for(NAME, out, train, validation, settings, results)
+    card = card_for(ONE_SHOT, out, train, validation, settings, results)
     arrays = {name: value.numpy() for name, value in best.classifier.state_dict().items()}
     save_weights(out.path, card.model_copy(update={"classes": classes}), arrays)
 
 
-def cells_of(
+def scan_cells(
     labelled: Iterable[tuple[Sequence[str], Iterable[LabelledFrame]]], classes: Sequence[str]
 ) -> LabelledCells:
     """What frames show, and their cells of one of `classes`. Labels index the names that come with the frames."""

@@ -10,20 +10,11 @@ throughout and 78,449 parameters (the default); the paper's own 1.0 has 11,193 (
 
 from __future__ import annotations
 
-from typing import Literal
-
 import torch
 from torch import Tensor, nn
 
-from gridtrack.common.config import Settings
-from gridtrack.trackers.recurrent.network import State
-
-
-class DeepTrackingRNNSettings(Settings):
-    """The shape of the network: the published code's version 1.1, or the paper's 1.0."""
-
-    variant: Literal["code", "paper"] = "code"
-
+from gridtrack.trackers.recurrent.network import LatentState
+from gridtrack.trackers.recurrent.settings import DeepTrackingRNNSettings
 
 ENCODER = {"code": (16, 7), "paper": (8, 7)}
 RECURRENCE = {"code": (32, 7), "paper": (16, 5)}
@@ -57,12 +48,12 @@ class DeepTrackingRNN(nn.Module):
         self.recur.weight[unit, unit % encoded, centre, centre] += 4.0
         nn.init.constant_(self.recur.bias, -2.0)  # type: ignore[arg-type]
 
-    def initial(self, batch: int) -> State:
+    def initial(self, batch: int) -> LatentState:
         """h_0 = 0."""
         zero = self.decode.weight.new_zeros((batch, self.channels, self.size, self.size))
         return (zero.contiguous(memory_format=torch.channels_last),)
 
-    def step(self, x: Tensor | None, state: State) -> State:
+    def step(self, x: Tensor | None, state: LatentState) -> LatentState:
         """h_t from x_t and h_{t-1}."""
         (h,) = state
         return (torch.sigmoid(self.recur(torch.cat([self.encoded(x, h.shape[0]), h], dim=1))),)
@@ -74,7 +65,7 @@ class DeepTrackingRNN(nn.Module):
         bias = torch.sigmoid(self.encode.bias)  # type: ignore[arg-type]
         return bias.view(1, -1, 1, 1).expand(batch, -1, self.size, self.size)
 
-    def features(self, state: State) -> Tensor:
+    def features(self, state: LatentState) -> Tensor:
         """The state itself."""
         return state[0]
 

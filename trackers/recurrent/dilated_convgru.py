@@ -16,38 +16,14 @@ paper's text cannot be had from its printed equations.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Literal
 
 import torch
-from pydantic import Field
 from torch import Tensor, nn
 from torch.nn import functional
 
-from gridtrack.common.config import Settings
 from gridtrack.trackers.cell_classifier import CellClassifier
-from gridtrack.trackers.recurrent.network import State
-
-Gate = Literal["keep", "reset", "candidate"]
-GATES: tuple[Gate, ...] = ("keep", "reset", "candidate")
-
-
-class DilatedConvGRUSettings(Settings):
-    """The shape of the network; the defaults are the paper's, and each of the last three takes one of its claims away.
-
-    `static_gates` are those whose bias is a map; the others have one bias a channel. `dilated=false` leaves all
-    convolutions dense. `cell=plain` is h' = tanh(Wxh*x + Whh*h + bh), the candidate alone.
-    """
-
-    layers: int = Field(3, ge=1, le=8)
-    channels: int = Field(16, ge=1, le=256)
-    static_gates: tuple[Gate, ...] = GATES
-    dilated: bool = True
-    cell: Literal["gru", "plain"] = "gru"
-
-    @property
-    def gates(self) -> tuple[Gate, ...]:
-        """What a cell computes, in the order of its convolutions' channels."""
-        return GATES if self.cell == "gru" else ("candidate",)
+from gridtrack.trackers.recurrent.network import LatentState
+from gridtrack.trackers.recurrent.settings import DilatedConvGRUSettings
 
 
 def convgru_gates(x: Tensor | None, h_conv: Tensor, biases: tuple[Tensor, ...], h: Tensor) -> Tensor:
@@ -140,12 +116,12 @@ class DilatedConvGRU(nn.Module):
         nn.init.normal_(self.decode_occupancy.weight, std=0.3)
         self.decode_semantics = CellClassifier(settings.channels, class_hidden, classes) if classes else None
 
-    def initial(self, batch: int) -> State:
+    def initial(self, batch: int) -> LatentState:
         """h_0 = 0 in every layer."""
         zero = self.decode_occupancy.weight.new_zeros((batch, self.channels, self.size, self.size))
         return (zero.contiguous(memory_format=torch.channels_last),) * len(self.layers)
 
-    def step(self, x: Tensor | None, state: State) -> State:
+    def step(self, x: Tensor | None, state: LatentState) -> LatentState:
         """h_t of all layers: each layer's new state is the next one's input."""
         states = []
         for layer, h in zip(self.layers, state, strict=True):
@@ -153,7 +129,7 @@ class DilatedConvGRU(nn.Module):
             states.append(x)
         return tuple(states)
 
-    def features(self, state: State) -> Tensor:
+    def features(self, state: LatentState) -> Tensor:
         """The last layer's state."""
         return state[-1]
 

@@ -19,8 +19,8 @@ from torch.nn.functional import conv2d
 from gridtrack.trackers.recurrent.deep_tracking_rnn import DeepTrackingRNN
 from gridtrack.trackers.recurrent.dilated_convgru import DilatedConvGRU, DilatedConvGRULayer
 from gridtrack.trackers.recurrent.fused import fused_gates, kernel
-from gridtrack.trackers.recurrent.network import State
-from gridtrack.trackers.recurrent.winograd import Array, WinogradConvolution
+from gridtrack.trackers.recurrent.network import LatentState
+from gridtrack.trackers.recurrent.winograd import Float32Array, WinogradConvolution
 
 
 class InferenceConvGRU:
@@ -39,13 +39,13 @@ class InferenceConvGRU:
         self._decode_occupancy = OccupancyDecoder(network.decode_occupancy, self.size)
         self._decode_semantics = network.decode_semantics
 
-    def initial(self, batch: int) -> State:
+    def initial(self, batch: int) -> LatentState:
         """h_0 = 0 in every layer."""
         assert batch == 1
         zero = np.zeros((self.size, self.size, self.channels), np.float32)
         return (as_tensor(zero),) * (1 + len(self._others))
 
-    def step(self, x: Tensor | None, state: State) -> State:
+    def step(self, x: Tensor | None, state: LatentState) -> LatentState:
         """h_t of all layers: each layer's new state is the next one's input. An empty input is not convolved."""
         h, *others = (as_cells(each) for each in state)
         new = [self._first_without_input(h) if x is None else self._first(h, as_cells(x))]
@@ -53,7 +53,7 @@ class InferenceConvGRU:
             new.append(cell(h, new[-1]))
         return tuple(as_tensor(each) for each in new)
 
-    def features(self, state: State) -> Tensor:
+    def features(self, state: LatentState) -> Tensor:
         """The last layer's state."""
         return state[-1]
 
@@ -79,7 +79,7 @@ class InferenceRNN:
             self._empty = conv2d(empty, input_weight, network.recur.bias, padding="same")
             self._state_weight = state_weight.contiguous(memory_format=torch.channels_last)
 
-    def step(self, x: Tensor | None, state: State) -> State:
+    def step(self, x: Tensor | None, state: LatentState) -> LatentState:
         """h_t; an empty input is not convolved."""
         if x is not None:
             return self._network.step(x, state)
@@ -101,7 +101,7 @@ class Cell:
             for gate in layer.gates
         ]
 
-    def __call__(self, h: Array, *x: Array) -> Array:
+    def __call__(self, h: Float32Array, *x: Float32Array) -> Float32Array:
         """h' (M, M, C)."""
         new = np.empty_like(h)
         for rows, sums in self._convolution.bands((h, *x)):
@@ -118,7 +118,7 @@ class BFloat16Convolution:
         self._image = torch.zeros(1, size, size, sum(channels), dtype=torch.bfloat16).permute(0, 3, 1, 2)
         self._parts = torch.split(self._image, list(channels), dim=1)
 
-    def bands(self, images: Sequence[Array]) -> Iterator[tuple[range, Array]]:
+    def bands(self, images: Sequence[Float32Array]) -> Iterator[tuple[range, Float32Array]]:
         """All rows, and their sums (M, M, N) as bits in uint16."""
         for part, image in zip(self._parts, images, strict=True):
             part.copy_(as_tensor(image))
@@ -178,12 +178,12 @@ def add_shifted(maps, bias, out):  # type: ignore[no-untyped-def]
                     out[r, : size - j + reach] += seen[j - reach :]
 
 
-def as_cells(tensor: Tensor) -> Array:
+def as_cells(tensor: Tensor) -> Float32Array:
     """(1, C, M, M) in channels-last memory as (M, M, C), without copying."""
-    cells: Array = tensor[0].permute(1, 2, 0).numpy()
+    cells: Float32Array = tensor[0].permute(1, 2, 0).numpy()
     return cells
 
 
-def as_tensor(cells: Array) -> Tensor:
+def as_tensor(cells: Float32Array) -> Tensor:
     """(M, M, C) as (1, C, M, M) in channels-last memory, without copying."""
     return torch.from_numpy(cells).permute(2, 0, 1)[None]

@@ -8,22 +8,22 @@ from typing import Any, Protocol
 import torch
 from torch import Tensor, nn
 
-State = tuple[Tensor, ...]
+LatentState = tuple[Tensor, ...]
 """The latent state: one tensor (B, C, M, M) for each recurrent layer."""
 
 
 class RecurrentNetwork(Protocol):
     """A network that carries a latent state from frame to frame and decodes it into grids."""
 
-    def initial(self, batch: int) -> State:
+    def initial(self, batch: int) -> LatentState:
         """h_0."""
         ...
 
-    def step(self, x: Tensor | None, state: State) -> State:
+    def step(self, x: Tensor | None, state: LatentState) -> LatentState:
         """h_t from x_t (B, 2, M, M), the planes visible and occupied, and h_{t-1}. None is the empty input."""
         ...
 
-    def features(self, state: State) -> Tensor:
+    def features(self, state: LatentState) -> Tensor:
         """The part of the latent state that the decoders read, (B, C, M, M)."""
         ...
 

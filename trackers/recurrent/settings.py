@@ -7,7 +7,35 @@ from typing import Literal
 from pydantic import Field
 
 from gridtrack.common.config import Settings
-from gridtrack.trackers.labelled import LabelSettings
+from gridtrack.trackers.label_settings import LabelSettings
+
+Gate = Literal["keep", "reset", "candidate"]
+GATES: tuple[Gate, ...] = ("keep", "reset", "candidate")
+
+
+class DilatedConvGRUSettings(Settings):
+    """The shape of the network; the defaults are the paper's, and each of the last three takes one of its claims away.
+
+    `static_gates` are those whose bias is a map; the others have one bias a channel. `dilated=false` leaves all
+    convolutions dense. `cell=plain` is h' = tanh(Wxh*x + Whh*h + bh), the candidate alone.
+    """
+
+    layers: int = Field(3, ge=1, le=8)
+    channels: int = Field(16, ge=1, le=256)
+    static_gates: tuple[Gate, ...] = GATES
+    dilated: bool = True
+    cell: Literal["gru", "plain"] = "gru"
+
+    @property
+    def gates(self) -> tuple[Gate, ...]:
+        """What a cell computes, in the order of its convolutions' channels."""
+        return GATES if self.cell == "gru" else ("candidate",)
+
+
+class DeepTrackingRNNSettings(Settings):
+    """The shape of the network: the published code's version 1.1, or the paper's 1.0."""
+
+    variant: Literal["code", "paper"] = "code"
 
 
 class TrainingSettings(Settings):
@@ -68,3 +96,11 @@ class TransferSettings(LabelSettings):
     def class_hidden(self) -> tuple[int, ...]:
         """Channels of every layer of the class decoder but the last."""
         return (self.class_channels,) * (self.class_layers - 1)
+
+
+class DilatedConvGRUOptions(DilatedConvGRUSettings, TrainingSettings, TransferSettings, InferenceSettings):
+    """Shape and training of the dilated ConvGRU, and of its class decoder, and how it follows a stream."""
+
+
+class DeepTrackingRNNOptions(DeepTrackingRNNSettings, TrainingSettings):
+    """Shape and training of the Deep Tracking RNN."""

@@ -26,7 +26,7 @@ class LayerState(NamedTuple):
     rounded: Tensor
 
 
-State = tuple[LayerState, ...]
+TrainingState = tuple[LayerState, ...]
 
 
 class TrainingConvGRU:
@@ -37,7 +37,7 @@ class TrainingConvGRU:
         self._layers: list[Any] = list(network.layers)
         self.occupancy, self.semantics = network.occupancy, network.semantics
 
-    def initial(self, batch: int) -> State:
+    def initial(self, batch: int) -> TrainingState:
         """h_0 = 0 in every layer, at the beginning of a sequence."""
         precision = torch.get_autocast_dtype("cpu") if torch.is_autocast_enabled("cpu") else torch.float32
         (zero, *_) = self._network.initial(batch)
@@ -49,7 +49,7 @@ class TrainingConvGRU:
 
         return tuple(begin(layer) for layer in self._layers)
 
-    def step(self, x: Tensor | None, state: State) -> State:
+    def step(self, x: Tensor | None, state: TrainingState) -> TrainingState:
         """h_t of all layers: each layer's new state is the next one's input."""
         new = []
         for layer, before in zip(self._layers, state, strict=True):
@@ -60,7 +60,7 @@ class TrainingConvGRU:
             new.append(before._replace(h=h, rounded=x))
         return tuple(new)
 
-    def features(self, state: State) -> Tensor:
+    def features(self, state: TrainingState) -> Tensor:
         """The last layer's state."""
         return state[-1].rounded
 

@@ -16,23 +16,24 @@ from torch import Tensor
 from gridtrack.common.config import validated
 from gridtrack.common.errors import WeightsError
 from gridtrack.common.grid import LabelledFrame
-from gridtrack.trackers.cell_classifier import CellClassifier, ClassifierSettings
+from gridtrack.trackers.cell_classifier import CellClassifier
 from gridtrack.trackers.cell_training import CellCollector, LabelledCells, Trained, best_classifier
 from gridtrack.trackers.contract import FitOutput, FrameSource, stream_of
-from gridtrack.trackers.labelled import VALIDATE_ON, LabelledStretch, draw_labelled, learned_classes
-from gridtrack.trackers.recurrent.network import State
+from gridtrack.trackers.label_settings import ClassifierSettings
+from gridtrack.trackers.labelled_stretch import VALIDATE_ON, LabelledStretch, draw_labelled, learned_classes
+from gridtrack.trackers.recurrent.network import LatentState
+from gridtrack.trackers.recurrent.recurrent_tracker import RecurrentTracker
 from gridtrack.trackers.recurrent.settings import TransferSettings
-from gridtrack.trackers.recurrent.tracker import RecurrentTracker
 from gridtrack.trackers.weights import load_weights, save_weights, with_classes
 
-STEPS = 20
+FORECAST_STEPS = 20
 """How far ahead classes are learned: c_t .. c_{t+20}."""
 FORECAST_EVERY = 20
 """Frames from one forecast that is learned from to the next: neighbouring ones say nearly the same."""
 DECODER = "decode_semantics."
 
 
-def add_classes(
+def fit_class_decoder(
     kind: type[RecurrentTracker],
     train: Sequence[FrameSource],
     validation: Sequence[FrameSource],
@@ -49,8 +50,8 @@ def add_classes(
     classes = learned_classes(names, (item.labels for item in stretch.frames))
     out.report(f"classes {', '.join(classes)} from {stretch.name}")
 
-    learned = cells_of(tracker, [(names, stretch.frames)], classes, every=1)
-    held_out = cells_of(tracker, ((s.classes, list(s.labelled())) for s in validation), classes, every=VALIDATE_ON)
+    learned = latent_cells(tracker, [(names, stretch.frames)], classes, every=1)
+    held_out = latent_cells(tracker, ((s.classes, list(s.labelled())) for s in validation), classes, every=VALIDATE_ON)
 
     def build(settings: ClassifierSettings) -> CellClassifier:
         chosen = options.model_copy(update={"class_channels": settings.channels})
@@ -80,7 +81,7 @@ def _trained(kind: type[RecurrentTracker], source: FrameSource, out: FitOutput, 
 
 
 @torch.no_grad()
-def cells_of(
+def latent_cells(
     tracker: RecurrentTracker,
     labelled: Iterable[tuple[Sequence[str], Sequence[LabelledFrame]]],
     classes: Sequence[str],
@@ -97,14 +98,14 @@ def cells_of(
             tracker.update(now.frame)
             if t % every:
                 continue
-            to_come = frames[t : t + 1 + (0 if t % (every * FORECAST_EVERY) else STEPS)]
+            to_come = frames[t : t + 1 + (0 if t % (every * FORECAST_EVERY) else FORECAST_STEPS)]
             for features, then in zip(_forecast(tracker.network, tracker.state), to_come, strict=False):
                 if then.cells.size:
                     collector.add(features[0].half(), then, names)
     return collector.cells()
 
 
-def _forecast(network: Any, state: State) -> Iterator[Tensor]:
+def _forecast(network: Any, state: LatentState) -> Iterator[Tensor]:
     """What the decoders read (1, C, M, M), now and after each step with empty input, without end."""
     while True:
         yield network.features(state)

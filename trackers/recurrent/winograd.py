@@ -24,8 +24,8 @@ from torch import Tensor
 
 from gridtrack.trackers.recurrent.fused import FLAGS, kernel
 
-Array = NDArray[np.float32]
-Kernel = Callable[[Array, int, Array], None]
+Float32Array = NDArray[np.float32]
+Kernel = Callable[[Float32Array, int, Float32Array], None]
 """From an array, with a dilation, to another that it fills."""
 
 TILE = 4
@@ -59,7 +59,7 @@ class WinogradConvolution:
         self._transforms = [tile_transform(each, sum(channels[:k])) for k, each in enumerate(channels)]
         self._inverse = inverse_transform(outputs)
 
-    def bands(self, images: Sequence[Array]) -> Iterator[tuple[range, Array]]:
+    def bands(self, images: Sequence[Float32Array]) -> Iterator[tuple[range, Float32Array]]:
         """Rows of the result and their sums (rows, `size` or more, N), which stand until the next; each row once."""
         for band in self._bands:
             for image, padded, transform in zip(images, self._padded, self._transforms, strict=True):
@@ -84,8 +84,8 @@ class _Band:
     rows: range
     tiles: Tensor
     products: Tensor
-    tile_grid: Array
-    product_grid: Array
+    tile_grid: Float32Array
+    product_grid: Float32Array
 
     @classmethod
     def within(cls, tiles: Tensor, products: Tensor, rows: range, across: int) -> _Band:

@@ -11,7 +11,7 @@ import pytest
 from gridtrack.common.config import parse_pairs, validated
 from gridtrack.common.errors import ConfigurationError, WeightsError
 from gridtrack.evaluation.comparison.recipe import Recipe, complete_recipe, read_recipe, recipe_like
-from gridtrack.evaluation.comparison.train import train
+from gridtrack.evaluation.comparison.train import train_tracker
 from gridtrack.trackers import registry
 from gridtrack.trackers.selection import parse_selection
 from gridtrack.trackers.weights import read_card
@@ -70,13 +70,13 @@ def test_a_recipe_like_a_card_has_its_tracker_settings_and_seed(path):
 
 
 def test_a_training_like_a_card_writes_the_settings_of_that_card(record, tmp_path):
-    first = train(
+    first = train_tracker(
         Recipe(tracker="static-map", options={"prior_frames": 3.0}, recordings=(str(record()),), out=tmp_path), print
     )
     again = complete_recipe(
         recipe_like(first), {"recordings": (str(record("other")),), "out": tmp_path / "other", "seed": 5}
     )
-    card = read_card(train(again))
+    card = read_card(train_tracker(again))
     assert card.settings == read_card(first).settings == {"prior_frames": 3.0}
     assert (card.train[0].recording, card.seed) == ("other.mcap@train", 5)
 
@@ -88,7 +88,7 @@ def test_a_recipe_trains_and_its_card_has_the_command_that_repeats_it(record, tm
         f'out = "{tmp_path / "weights"}"\nrate_hz = 5.0\n\n[options]\nprior_frames = 2.5\n'
     )
     recipe = complete_recipe(read_recipe(path), {})
-    card = read_card(train(recipe))
+    card = read_card(train_tracker(recipe))
     assert (card.settings, card.seed, card.period_s) == ({"prior_frames": 2.5}, 3, 0.2)
     assert shlex.split(card.command) == [
         "gridtrack", "train", "static-map:prior_frames=2.5", str(record()), "--validation", f"{record()}@4s-9s",

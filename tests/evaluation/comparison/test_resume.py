@@ -15,7 +15,7 @@ from gridtrack.evaluation.comparison.plan import resolve
 from gridtrack.evaluation.comparison.recipe import Recipe
 from gridtrack.evaluation.comparison.runner import run
 from gridtrack.evaluation.comparison.settings import CompareSettings
-from gridtrack.evaluation.comparison.train import train
+from gridtrack.evaluation.comparison.train import train_tracker
 from gridtrack.evaluation.scoring.record import RunError
 from gridtrack.evaluation.scoring.scores import HISTOGRAM
 
@@ -76,7 +76,7 @@ def test_a_folder_of_weights_that_is_not_there_is_refused_and_never_passed_over(
 
 def test_a_run_names_its_weights_without_the_folders_of_the_machine(settings, record, tmp_path, told):
     weights = tmp_path / "weights"
-    train(Recipe(tracker="static-map", recordings=(str(record()),), out=weights), lambda _: None)
+    train_tracker(Recipe(tracker="static-map", recordings=(str(record()),), out=weights), lambda _: None)
     run(resolve(settings("static-map", weights=weights)), (), told)
     kept = json.loads(Path(tmp_path, "run", "run.json").read_text())["weights"]
     assert kept["static-map@room"]["name"] == "static-map/room.toml"
@@ -85,7 +85,7 @@ def test_a_run_names_its_weights_without_the_folders_of_the_machine(settings, re
 
 def test_two_trainings_of_a_tracker_are_compared_each_with_the_weights_of_its_row(settings, record, tmp_path):
     for name in ("first", "second"):
-        train(Recipe(tracker="static-map", recordings=(str(record()),), out=tmp_path / name), lambda _: None)
+        train_tracker(Recipe(tracker="static-map", recordings=(str(record()),), out=tmp_path / name), lambda _: None)
     first, second = resolve(
         settings(*(f"{n}=static-map:weights={tmp_path / n}" for n in ("first", "second")), weights=tmp_path / "first")
     ).trials
@@ -93,6 +93,6 @@ def test_two_trainings_of_a_tracker_are_compared_each_with_the_weights_of_its_ro
 
 
 def test_a_row_whose_weights_are_not_in_their_folder_gets_no_others(settings, record, tmp_path):
-    train(Recipe(tracker="static-map", recordings=(str(record()),), out=tmp_path / "given"), lambda _: None)
+    train_tracker(Recipe(tracker="static-map", recordings=(str(record()),), out=tmp_path / "given"), lambda _: None)
     with pytest.raises(WeightsError, match=r"empty: no weights of static-map for the site 'room'"):
         resolve(settings(f"static-map:weights={tmp_path / 'empty'}", weights=tmp_path / "given"))

@@ -19,7 +19,7 @@ from gridtrack.evaluation.comparison.plan import resolve
 from gridtrack.evaluation.comparison.recipe import Recipe
 from gridtrack.evaluation.comparison.runner import run
 from gridtrack.evaluation.comparison.settings import CompareSettings
-from gridtrack.evaluation.comparison.train import train
+from gridtrack.evaluation.comparison.train import train_tracker
 from gridtrack.evaluation.scoring.record import RunError, read_record
 from gridtrack.evaluation.scoring.referee import Delivery
 from gridtrack.evaluation.scoring.samples import read_samples
@@ -302,7 +302,7 @@ def test_a_tracker_that_is_killed_ends_alone(settings, tmp_path):
 
 
 def test_a_run_with_learned_weights_is_scored_and_says_what_it_learned_from(settings, told, tmp_path, record):
-    path = train(Recipe(tracker="static-map", recordings=(str(record()),), out=tmp_path / "weights"), told.note)
+    path = train_tracker(Recipe(tracker="static-map", recordings=(str(record()),), out=tmp_path / "weights"), told.note)
     assert path == tmp_path / "weights" / "static-map" / "room.toml"
     summary = compare(settings("static-map", weights=tmp_path / "weights"), told)
     assert trial_of(summary, "static-map")["outcome"] == "ok"

@@ -8,7 +8,7 @@ from gridtrack.evaluation.comparison.learned import find_weights, user_weights_f
 from gridtrack.evaluation.comparison.plan import resolve
 from gridtrack.evaluation.comparison.recipe import Recipe
 from gridtrack.evaluation.comparison.settings import CompareSettings
-from gridtrack.evaluation.comparison.train import train
+from gridtrack.evaluation.comparison.train import train_tracker
 from gridtrack.evaluation.scoring.splits import Sampling, plan_split, was_seen
 from gridtrack.evaluation.scoring.strata import CELL_KINDS
 from gridtrack.trackers.weights import Card, TrainingData, save_weights
@@ -162,17 +162,17 @@ def test_a_sites_name_cannot_lead_out_of_the_folder(tmp_path):
 def test_training_and_choosing_on_the_same_frames_is_refused(record, tmp_path):
     path = str(record())
     with pytest.raises(ConfigurationError, match="shares frames with"):
-        train(Recipe(tracker="static-map", recordings=(f"{path}@0s-10s",), out=tmp_path))
+        train_tracker(Recipe(tracker="static-map", recordings=(f"{path}@0s-10s",), out=tmp_path))
 
 
 def test_training_what_cannot_learn_or_on_no_stretch_is_refused(record, tmp_path):
     path = str(record())
     with pytest.raises(PluginError, match="nothing to learn"):
-        train(Recipe(tracker="blank", recordings=(path,), out=tmp_path))
+        train_tracker(Recipe(tracker="blank", recordings=(path,), out=tmp_path))
     with pytest.raises(ConfigurationError, match="no validation stretch"):
-        train(Recipe(tracker="static-map", recordings=(str(record("bare", stretches={})),), out=tmp_path))
+        train_tracker(Recipe(tracker="static-map", recordings=(str(record("bare", stretches={})),), out=tmp_path))
     with pytest.raises(ConfigurationError, match="no stretch 'train'; name one of test"):
-        train(
+        train_tracker(
             Recipe(
                 tracker="static-map", recordings=(str(record("half", stretches={"test": (0.0, 5.0)})),), out=tmp_path
             )

@@ -16,8 +16,9 @@ from gridtrack.common.config import Settings
 from gridtrack.common.errors import WeightsError
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec
-from gridtrack.trackers.baselines import BlankTracker, PersistenceTracker, StaticMapTracker
-from gridtrack.trackers.baselines.static_map import StaticMapOptions, frequency
+from gridtrack.trackers.baselines.blank import BlankTracker
+from gridtrack.trackers.baselines.persistence import PersistenceTracker
+from gridtrack.trackers.baselines.static_map import StaticMapOptions, StaticMapTracker, frequency
 from gridtrack.trackers.contract import FitOutput, StreamSpec, StretchScore
 
 GRID = GridSpec(2, 1.0)

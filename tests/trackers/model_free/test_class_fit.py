@@ -15,7 +15,7 @@ pytest.importorskip("sklearn")
 from gridtrack.common.errors import ConfigurationError, WeightsError
 from gridtrack.common.grid import LabelledFrame
 from gridtrack.trackers.contract import FitOutput, StretchScore, stream_of
-from gridtrack.trackers.labelled import LabelledStretch
+from gridtrack.trackers.labelled_stretch import LabelledStretch
 from gridtrack.trackers.model_free import tuning
 from gridtrack.trackers.model_free.class_training import count_cells
 from gridtrack.trackers.model_free.classes import ClassModel

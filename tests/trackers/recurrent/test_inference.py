@@ -8,17 +8,17 @@ torch = pytest.importorskip("torch")
 from torch.nn.functional import conv2d  # noqa: E402
 
 from gridtrack.common.errors import ConfigurationError  # noqa: E402
-from gridtrack.trackers.recurrent import DilatedConvGRUTracker  # noqa: E402
-from gridtrack.trackers.recurrent.deep_tracking_rnn import DeepTrackingRNN, DeepTrackingRNNSettings  # noqa: E402
-from gridtrack.trackers.recurrent.dilated_convgru import (  # noqa: E402
-    GATES,
-    DilatedConvGRU,
-    DilatedConvGRUSettings,
-    convgru_gates,
-)
+from gridtrack.trackers.recurrent.convgru_tracker import DilatedConvGRUTracker  # noqa: E402
+from gridtrack.trackers.recurrent.deep_tracking_rnn import DeepTrackingRNN  # noqa: E402
+from gridtrack.trackers.recurrent.dilated_convgru import DilatedConvGRU, convgru_gates  # noqa: E402
 from gridtrack.trackers.recurrent.fused import fused_gates  # noqa: E402
 from gridtrack.trackers.recurrent.inference import InferenceConvGRU, InferenceRNN, as_cells  # noqa: E402
 from gridtrack.trackers.recurrent.network import channels_last  # noqa: E402
+from gridtrack.trackers.recurrent.settings import (  # noqa: E402
+    GATES,
+    DeepTrackingRNNSettings,
+    DilatedConvGRUSettings,
+)
 from gridtrack.trackers.recurrent.winograd import WinogradConvolution  # noqa: E402
 
 CHANNELS = 4

@@ -7,16 +7,16 @@ import pytest
 torch = pytest.importorskip("torch")
 from torch.nn.functional import conv2d  # noqa: E402
 
-from gridtrack.trackers.recurrent.deep_tracking_rnn import DeepTrackingRNN, DeepTrackingRNNSettings  # noqa: E402
+from gridtrack.trackers.recurrent.deep_tracking_rnn import DeepTrackingRNN  # noqa: E402
 from gridtrack.trackers.recurrent.differentiable import StaticMemory, differentiable_gates  # noqa: E402
-from gridtrack.trackers.recurrent.dilated_convgru import (  # noqa: E402
-    GATES,
-    DilatedConvGRU,
-    DilatedConvGRUSettings,
-    convgru_gates,
-)
+from gridtrack.trackers.recurrent.dilated_convgru import DilatedConvGRU, convgru_gates  # noqa: E402
 from gridtrack.trackers.recurrent.network import channels_last, start_from_rate  # noqa: E402
-from gridtrack.trackers.recurrent.settings import TrainingSettings  # noqa: E402
+from gridtrack.trackers.recurrent.settings import (  # noqa: E402
+    GATES,
+    DeepTrackingRNNSettings,
+    DilatedConvGRUSettings,
+    TrainingSettings,
+)
 
 
 def parameters(network) -> int:

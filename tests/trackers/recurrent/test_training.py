@@ -15,7 +15,8 @@ from gridtrack.common.errors import ConfigurationError, WeightsError  # noqa: E4
 from gridtrack.common.geometry import SE2  # noqa: E402
 from gridtrack.common.grid import GridFrame, GridSpec  # noqa: E402
 from gridtrack.trackers.contract import FitOutput, StretchScore, stream_of  # noqa: E402
-from gridtrack.trackers.recurrent import DeepTrackingRNNTracker, DilatedConvGRUTracker  # noqa: E402
+from gridtrack.trackers.recurrent.convgru_tracker import DilatedConvGRUTracker  # noqa: E402
+from gridtrack.trackers.recurrent.rnn_tracker import DeepTrackingRNNTracker  # noqa: E402
 from gridtrack.trackers.recurrent.sequences import EpochSampler, SequenceDataset, occupied_rate, superposed  # noqa: E402
 from gridtrack.trackers.recurrent.settings import TrainingSettings  # noqa: E402
 from gridtrack.trackers.recurrent.training import sequence_loss  # noqa: E402

@@ -13,7 +13,7 @@ from torch import Tensor, nn
 
 from gridtrack.common.grid import GridFrame
 from gridtrack.trackers.contract import FitOutput, Forecast, FrameSource, Score, StreamSpec, Tracker, stream_of
-from gridtrack.trackers.recurrent.network import RecurrentNetwork, State, channels_last
+from gridtrack.trackers.recurrent.network import LatentState, RecurrentNetwork, channels_last
 from gridtrack.trackers.recurrent.settings import InferenceSettings
 from gridtrack.trackers.restoring import restore, trained_settings
 from gridtrack.trackers.weights import Weights, card_for, load_weights, save_weights
@@ -31,7 +31,7 @@ class RecurrentTracker(Tracker):
         """Without a `network`, the one of the site's weights. Raises WeightsError."""
         super().__init__(stream, options)
         self.network: Any = network or self._restored(load_weights(stream, self.name))
-        self.state: State = self.network.initial(1)
+        self.state: LatentState = self.network.initial(1)
 
     @classmethod
     @abstractmethod
@@ -74,7 +74,7 @@ class RecurrentTracker(Tracker):
                 torch.cat(semantics).contiguous().numpy() if self.classes else None,
             )
 
-    def _decoded(self, state: State) -> tuple[Tensor, Tensor | None]:
+    def _decoded(self, state: LatentState) -> tuple[Tensor, Tensor | None]:
         """P(occupied) (1, M, M), and P(class) (1, K, M, M) where it gives classes."""
         features = self.network.features(state)
         occupancy = torch.sigmoid(self.network.occupancy(features))

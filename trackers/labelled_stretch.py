@@ -8,9 +8,7 @@ from itertools import islice
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
 
-from gridtrack.common.config import Settings
 from gridtrack.common.errors import ConfigurationError
 from gridtrack.common.grid import LabelledFrame
 from gridtrack.trackers.contract import FrameSource
@@ -19,13 +17,6 @@ LEAD_IN = 40
 """Frames before the labelled ones, given without their labels: a tracker's state has followed the stream by then."""
 VALIDATE_ON = 5
 """Every fifth validation scan is chosen by: neighbouring ones say nearly the same."""
-
-
-class LabelSettings(Settings):
-    """How many labels a tracker is given."""
-
-    labelled_scans: int = Field(800, ge=1)
-    """Labelled scans in a row that the classes are learned from; the seed draws where they begin."""
 
 
 @dataclass(frozen=True, slots=True)

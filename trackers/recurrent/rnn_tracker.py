@@ -1,0 +1,36 @@
+"""The `deep-tracking-rnn` tracker: the original Deep Tracking RNN follows the stream."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+from torch import nn
+
+from gridtrack.trackers.recurrent.deep_tracking_rnn import DeepTrackingRNN
+from gridtrack.trackers.recurrent.inference import InferenceRNN
+from gridtrack.trackers.recurrent.network import RecurrentNetwork, start_from_rate
+from gridtrack.trackers.recurrent.recurrent_tracker import RecurrentTracker
+from gridtrack.trackers.recurrent.settings import DeepTrackingRNNOptions
+
+
+class DeepTrackingRNNTracker(RecurrentTracker):
+    """The original Deep Tracking RNN (Ondruska and Posner, 2016)."""
+
+    name = "deep-tracking-rnn"
+    Options: ClassVar[type[DeepTrackingRNNOptions]] = DeepTrackingRNNOptions
+
+    @classmethod
+    def build(cls, size: int, options: Any, classes: int) -> nn.Module:
+        """The untrained network; it has no classes."""
+        return DeepTrackingRNN(size, options)
+
+    @classmethod
+    def prepare_training(cls, network: Any, rate: float) -> Any:
+        """Output bias at the occupied rate."""
+        start_from_rate(network.decode, rate)
+        return network
+
+    @classmethod
+    def prepare_inference(cls, network: Any, options: Any) -> RecurrentNetwork:
+        """The empty input's convolution done beforehand."""
+        return InferenceRNN(network)
