@@ -1,4 +1,4 @@
-"""`recording info | import`: what a recording holds, and writing any as a native one."""
+"""`recording info | import`: the content of a recording, and its conversion to a native one."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ def recording_info(
     strict: bool = False,
     as_json: JsonOption = False,
 ) -> None:
-    """What a recording holds: topics, sensors, rate, gaps, range limits, and what is wrong with it."""
+    """The content of a recording: topics, sensors, rate, gaps, range limits, and warnings."""
     from gridtrack.recordings import open_recording
 
-    summary = open_recording(recording, topic=topic, pose_topic=pose_topic, strict=strict).overview()
-    typer.echo(summary.model_dump_json(indent=1) if as_json else "\n".join(map(printable, str(summary).split("\n"))))
+    overview = open_recording(recording, topic=topic, pose_topic=pose_topic, strict=strict).overview()
+    typer.echo(overview.model_dump_json(indent=1) if as_json else "\n".join(map(printable, str(overview).split("\n"))))
 
 
 @app.command("import")
@@ -37,7 +37,7 @@ def recording_import(
     source: Path,
     out: Annotated[Path, typer.Option(help="The .mcap to write")],
     topic: Annotated[str | None, typer.Option(help="Of a bag with several")] = None,
-    site: Annotated[str | None, typer.Option(help="The place where the sensor stands")] = None,
+    site: Annotated[str | None, typer.Option(help="The site of the sensor")] = None,
     grid: GridOption = None,
     rate: RateOption = None,
     stretch: Annotated[list[str] | None, typer.Option(metavar="NAME=RANGE", help="e.g. train=0s-75s")] = None,
@@ -55,7 +55,7 @@ def recording_import(
     pose_topic: PoseTopic = None,
     strict: bool = False,
 ) -> None:
-    """Write any recording (ROS 1 or 2 bag, ROS MCAP, CARMEN log) as a native one."""
+    """Write a recording of any format (ROS 1 or 2 bag, ROS MCAP, CARMEN log, ...) as a native one."""
     from gridtrack.common.config import parse_pairs, validated
     from gridtrack.recordings import CloudSlice, import_recording
     from gridtrack.recordings.stream import parse_named_stretch

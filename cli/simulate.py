@@ -1,4 +1,4 @@
-"""`simulate`: recordings whose truth is known, of a junction or of annotated tracks."""
+"""`simulate`: recordings with ground truth, of a junction or of annotated tracks."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from gridtrack.common.errors import ConfigurationError, printable
 if TYPE_CHECKING:
     from gridtrack.simulation.tracks import Tracks
 
-app = typer.Typer(no_args_is_help=True, help="Recordings whose truth is known: junction, junction-set, tracks, check.")
+app = typer.Typer(no_args_is_help=True, help="Recordings with ground truth: junction, junction-set, tracks, check.")
 FAULTY = 3
 
 Out = Annotated[Path, typer.Option(help="The recording to write: .tracks, rendered on first use, or .mcap, scans")]
@@ -22,19 +22,19 @@ Out = Annotated[Path, typer.Option(help="The recording to write: .tracks, render
 
 @app.command("junction")
 def junction_command(
-    minutes: Annotated[float, typer.Option(help="How long")],
+    minutes: Annotated[float, typer.Option(help="Duration of the recording")],
     out: Out,
     seed: Annotated[int, typer.Option(min=0, max=2**31 - 1)] = 1,
-    start: Annotated[str, typer.Option(help="Left out at the beginning, while the streets fill")] = "300s",
+    start: Annotated[str, typer.Option(help="Omitted at the beginning, while the streets fill")] = "300s",
 ) -> None:
     """A laser at a signalled junction with pedestrians, cyclists, cars and buses (needs the extra `sim`).
 
-    Exit code: 0 as it should be, 2 wrong use, 3 somebody walks through a wall or the traffic stands.
+    Exit code: 0 correct, 2 wrong use, 3 a road user moves through a wall, or gridlock.
     """
     from gridtrack.simulation.junction import simulate_junction as simulate
-    from gridtrack.simulation.writing import refuse_other_suffix, write_recording
+    from gridtrack.simulation.writing import check_suffix, write_recording
 
-    refuse_other_suffix(out)
+    check_suffix(out)
     tracks = simulate(minutes, seed, seconds(start))
     write_recording(out, tracks)
     _report(out, tracks)
@@ -61,7 +61,7 @@ def simulate_tracks(
     out: Out,
     scale: Annotated[float, typer.Option(help="Metres to a pixel")],
     layout: Annotated[str, typer.Option("--format", help="sdd: the Stanford Drone Dataset's annotations")] = "sdd",
-    site: Annotated[str | None, typer.Option(help="The place; default: the name of the result")] = None,
+    site: Annotated[str | None, typer.Option(help="The site; default: the name of the result")] = None,
     rate: Annotated[float, typer.Option(help="Scans per second")] = 8.0,
     grid: Annotated[str, typer.Option(help="CELLSxMETRES[@X,Y] round the laser")] = "100x0.2",
     laser_at: Annotated[
@@ -71,17 +71,17 @@ def simulate_tracks(
     licence: str = "",
     credit: str = "",
 ) -> None:
-    """A simulated laser among annotated road users: real people's paths, and the truth about all of them.
+    """A simulated laser among annotated road users: recorded paths, with ground truth for all of them.
 
-    Exit code: 0 as it should be, 2 wrong use, 3 somebody walks through the laser.
+    Exit code: 0 correct, 2 wrong use, 3 a road user moves through the laser.
     """
     from gridtrack.common.config import validated
     from gridtrack.simulation.stanford import Video, read_stanford
-    from gridtrack.simulation.writing import refuse_other_suffix, write_recording
+    from gridtrack.simulation.writing import check_suffix, write_recording
 
     if layout != "sdd":
         raise ConfigurationError(f"--format {layout}: known is sdd, the Stanford Drone Dataset's")
-    refuse_other_suffix(out)
+    check_suffix(out)
     values: dict[str, Any] = {
         "scale": scale,
         "site": site or out.stem,
@@ -98,7 +98,7 @@ def simulate_tracks(
 
 
 def _command(source: Path, out: Path, values: dict[str, Any]) -> str:
-    """The command line that does the same again, without the folders of this machine."""
+    """The command line that repeats the simulation, without the folders of this machine."""
     names = {
         "scale": "scale",
         "site": "site",
@@ -116,9 +116,9 @@ def _command(source: Path, out: Path, values: dict[str, Any]) -> str:
 
 @app.command("check")
 def check_tracks(tracks: Annotated[list[Path], typer.Argument(metavar="TRACKS...")]) -> None:
-    """Who moves through the window of a .tracks file, and whether anybody walks through walls or all stand.
+    """The traffic in the window of a .tracks file, and its faults: collisions with walls or the laser, gridlock.
 
-    Exit code: 0 as it should be, 2 wrong use, 3 not.
+    Exit code: 0 correct, 2 wrong use, 3 a fault was found.
     """
     from gridtrack.simulation.tracks import read_tracks
 

@@ -1,1 +1,1 @@
-"""What everything shares: grid and frame types, geometry, ray casting, recordings, configuration, errors."""
+"""Shared by all packages: grid and frame types, scans, geometry, ray casting, configuration, files, errors."""

@@ -1,4 +1,4 @@
-"""Configuration: frozen models that refuse unknown keys, and `NAME:key=value` from the command line."""
+"""Configuration: frozen models that refuse unknown keys, and `key=value,key=value` from the command line."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ Model = TypeVar("Model", bound=BaseModel)
 
 
 def parse_pairs(text: str, where: str) -> dict[str, Any]:
-    """Read `key=value,key=value`; a value is JSON where it reads as JSON, else a string.
+    """Read `key=value,key=value`; a value is JSON where it parses as JSON, else a string.
 
     A comma inside brackets or double quotes belongs to the value.
 
@@ -42,7 +42,7 @@ def parse_pairs(text: str, where: str) -> dict[str, Any]:
 
 
 def _split(text: str) -> list[str]:
-    """`text` cut at the commas that stand outside brackets and double quotes."""
+    """`text` split at the commas outside brackets and double quotes."""
     parts, depth, quoted = [""], 0, False
     for position, char in enumerate(text):
         if char == '"' and text[position - 1 : position] != "\\":
@@ -58,40 +58,40 @@ def _split(text: str) -> list[str]:
 
 def _value(text: str) -> Any:
     try:
-        return json.loads(text, parse_constant=_refuse, parse_float=_finite)
+        return json.loads(text, parse_constant=_raise_not_json, parse_float=_finite_float)
     except ValueError:
         return text
 
 
-def _finite(text: str) -> float:
-    """Python reads 1e999 as infinity, which is no JSON and could not be sent to a tracker."""
+def _finite_float(text: str) -> float:
+    """Python reads 1e999 as infinity, which JSON does not have, so that it could not be sent to a tracker."""
     value = float(text)
-    return value if math.isfinite(value) else _refuse(text)
+    return value if math.isfinite(value) else _raise_not_json(text)
 
 
-def _refuse(constant: str) -> NoReturn:
+def _raise_not_json(constant: str) -> NoReturn:
     """Python reads NaN and Infinity as JSON; JSON has no such numbers."""
     raise ValueError(constant)
 
 
 def validated(model: type[Model], values: dict[str, Any], where: str) -> Model:
-    """`model(**values)`, with every complaint as one clear line and a suggestion for an unknown key.
+    """`model(**values)`; all errors in one line, with a suggestion for an unknown key.
 
     Raises ConfigurationError.
     """
     try:
         return model.model_validate(values)
     except ValidationError as error:
-        raise ConfigurationError("; ".join(_complaint(model, e, where) for e in error.errors())) from None
+        raise ConfigurationError("; ".join(_error_text(model, e, where) for e in error.errors())) from None
 
 
-def _complaint(model: type[BaseModel], error: Any, where: str) -> str:
+def _error_text(model: type[BaseModel], error: Any, where: str) -> str:
     key = ".".join(str(part) for part in error["loc"])
     if error["type"] == "extra_forbidden":
-        return f"{where}: there is no option '{key}'; {did_you_mean(key, _names(model))}"
+        return f"{where}: there is no option '{key}'; {did_you_mean(key, _field_names(model))}"
     return f"{where}: '{key}' = {error['input']!r}: {error['msg']}"
 
 
-def _names(model: type[BaseModel]) -> list[str]:
-    """Of its fields, as they are written."""
+def _field_names(model: type[BaseModel]) -> list[str]:
+    """Names of the fields, as a user writes them."""
     return [field.alias or name for name, field in model.model_fields.items()]

@@ -1,4 +1,4 @@
-"""Errors that a user can cause; the command line turns each into one line and exit code 2."""
+"""Errors that a user can cause, printed by the command line as one line with exit code 2; parts of their messages."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import difflib
 from collections.abc import Iterable
 
 MAX_NAMES = 20
-"""So many names are listed in one error line."""
+"""Limit of the names listed in one error line."""
 
 
 class GridtrackError(Exception):
@@ -14,11 +14,11 @@ class GridtrackError(Exception):
 
 
 class ConfigurationError(GridtrackError):
-    """An option, name or value that does not fit."""
+    """An option, name or value that is not valid."""
 
 
 class RecordingError(GridtrackError):
-    """A recording that cannot be read, or not in full."""
+    """A recording that cannot be read, or only in part."""
 
 
 class WeightsError(GridtrackError):
@@ -26,11 +26,11 @@ class WeightsError(GridtrackError):
 
 
 class PluginError(GridtrackError):
-    """A tracker plugin that is unknown, or that cannot be loaded."""
+    """A plugin (tracker, recording format) that is unknown, or that cannot be loaded."""
 
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:
-    """A suggestion to end an error line with: the nearest known name, or those there are when none is near."""
+    """The end of an error line: the known name closest to `name`, or the known names where none is close."""
     names = sorted(known)
     near = difflib.get_close_matches(name, names, n=1, cutoff=0.6)
     if near:

@@ -1,4 +1,4 @@
-"""Files: replaced whole or left as they were, read within a bound, identified by their hash; the user's folders."""
+"""Files: atomic writes, bounded reads, hashes; the user's folders for data and cache."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ APPLICATION = "gridtrack"
 
 @contextmanager
 def atomic_write(path: Path, *, keep_on_error: bool = False) -> Iterator[BinaryIO]:
-    """Open a file beside `path` that takes the place of `path` when the block ends.
+    """Open a file beside `path` that replaces `path` when the block ends.
 
-    A reader sees the old content or the new one and never a part of it. When the block raises, `path` stays as it was;
-    with `keep_on_error` it is replaced by what was written until then. Raises OSError.
+    A reader sees the old content or the new one and never a part of it. When the block raises, `path` is not changed;
+    with `keep_on_error` it is replaced by the content written so far. Raises OSError.
     """
     partial = path.with_name(path.name + ".partial")
     try:
@@ -42,9 +42,10 @@ def write_text(path: Path, text: str) -> None:
 
 
 def read_bounded(path: Path, max_bytes: int, error: type[GridtrackError]) -> bytes:
-    """The content of `path`, refused before it is read where it is larger than `max_bytes`.
+    """The content of `path`, of which at most `max_bytes` + 1 bytes are read.
 
-    Raises FileNotFoundError, for the caller to say what is missing, and `error` where the file cannot be read.
+    Raises FileNotFoundError, so that the caller can name the missing file, and `error` for a file that cannot be read
+    or is larger than `max_bytes`.
     """
     try:
         with path.open("rb") as file:
@@ -59,7 +60,7 @@ def read_bounded(path: Path, max_bytes: int, error: type[GridtrackError]) -> byt
 
 
 def read_json(path: Path, max_bytes: int, error: type[GridtrackError]) -> dict[str, Any]:
-    """The JSON object in `path`. Raises FileNotFoundError, and `error` for what is no JSON object of this size."""
+    """The JSON object in `path`. Raises FileNotFoundError; `error` if it is larger, or not a JSON object."""
     text = read_bounded(path, max_bytes, error)
     try:
         content = json.loads(text)
@@ -84,10 +85,10 @@ def sha256_of(path: Path) -> str:
 
 
 def user_data_folder() -> Path:
-    """The folder for what the user made and keeps: `$XDG_DATA_HOME/gridtrack` on Linux. It need not exist."""
+    """The folder for data that the user keeps: `$XDG_DATA_HOME/gridtrack` on Linux. It may not exist."""
     return Path(platformdirs.user_data_path(APPLICATION))
 
 
 def user_cache_folder() -> Path:
-    """The folder for what can be made again: `$XDG_CACHE_HOME/gridtrack` on Linux. It need not exist."""
+    """The folder for data that can be recomputed: `$XDG_CACHE_HOME/gridtrack` on Linux. It may not exist."""
     return Path(platformdirs.user_cache_path(APPLICATION))

@@ -1,4 +1,4 @@
-"""Rigid motion in the plane."""
+"""Poses in the plane: SE(2), and angles wrapped to [-pi, pi)."""
 
 from __future__ import annotations
 

@@ -14,7 +14,7 @@ from gridtrack.common.geometry import SE2
 
 Mask = NDArray[np.bool_]
 Points = Literal["centres", "raw"]
-"""What a frame carries as its points: the centres of the occupied cells, or the laser's own returns."""
+"""The points of a frame: the centres of the occupied cells, or the returns of the laser."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,7 +53,7 @@ class GridSpec:
 
     @property
     def extent(self) -> tuple[float, float, float, float]:
-        """(x_min, x_max, y_min, y_max) in metres, as matplotlib's and plotly's images want it."""
+        """(x_min, x_max, y_min, y_max) in metres, in the order of `extent` in matplotlib."""
         x, y = self.origin
         side = self.size * self.cell_m
         return (x, x + side, y, y + side)
@@ -93,7 +93,7 @@ class GridFrame:
     """One grid observation x_t.
 
     `visible`, `occupied` (M, M) bool, occupied within visible; `world_T_grid` the pose of the grid frame;
-    `origins` (S, 2) float32, where the sensors stand, metres, grid frame; `points` (N, 2) float32, the returns inside
+    `origins` (S, 2) float32, positions of the sensors, metres, grid frame; `points` (N, 2) float32, the returns inside
     the grid window, metres, grid frame, each from sensor `point_origin` (N,) uint8.
     """
 
@@ -107,7 +107,7 @@ class GridFrame:
 
 
 class LabelledFrame(NamedTuple):
-    """A frame, and the class of each visible occupied cell whose class is known.
+    """A frame, and the class of each occupied cell whose class is known.
 
     `cells` (N,) int64, row * M + column; `labels` (N,) uint8, indices into the recording's classes.
     """

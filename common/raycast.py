@@ -1,4 +1,4 @@
-"""Exact traversal of every laser beam through the grid: no cell that a beam crosses is missed, none is added."""
+"""Exact traversal of laser beams through the grid: exactly the cells that a beam has length in."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from gridtrack.common.scan import Scan
 
 FRACTION_BITS = 40
 MAX_COORDINATE_CELLS, MAX_BEAM_CELLS = 1e9, 1e300
-"""Cells from the grid to a sensor, and length of a beam in cells: beyond, and not a number, is no beam at all."""
+"""Limits of a coordinate and of the length of a beam, in cells. A beam beyond them, or not finite, is ignored."""
 Beams = tuple[NDArray[np.float32], NDArray[np.float64], float, float, float, float, float]
 
 
 def cast_scan(scan: Scan, grid: GridSpec, grid_T_sensor: SE2, visible: Mask, occupied: Mask) -> NDArray[np.float32]:
-    """Mark in `visible` and `occupied` (M, M) bool, C-contiguous, what `scan` shows, and return its points.
+    """Mark in `visible` and `occupied` (M, M) bool, C-contiguous, the observation of `scan`, and return its points.
 
-    The cells that a beam crosses and the one it ends in become visible; the one it ends in becomes occupied when the
-    beam returned. Marks are only ever added, so occupied wins over free and several scans can share the arrays.
+    The cells that a beam crosses and its end cell become visible; the end cell becomes occupied when the beam returned.
+    Marks are only added, so occupied wins over free and several scans can share the arrays.
     Points are the returns inside the grid window, (N, 2) float32, metres, grid frame.
     """
     points = np.empty((scan.ranges.size, 2), np.float32)
@@ -38,7 +38,7 @@ def cast_scan(scan: Scan, grid: GridSpec, grid_T_sensor: SE2, visible: Mask, occ
 
 
 def end_cells(scan: Scan, grid: GridSpec, grid_T_sensor: SE2) -> NDArray[np.int64]:
-    """The cell (B,) that each beam's return lies in, row * M + column; -1 for no return, or one outside the grid.
+    """The cell (B,) of each beam's return, row * M + column; -1 for no return, or a return outside the grid.
 
     The cells are those that `cast_scan` marks occupied.
     """
@@ -52,7 +52,7 @@ def end_cells(scan: Scan, grid: GridSpec, grid_T_sensor: SE2) -> NDArray[np.int6
 
 
 def _beams(scan: Scan, grid: GridSpec, grid_T_sensor: SE2) -> Beams:
-    """What both walks begin with: ranges, directions, range limits, the sensor's place in cells, and a cell's size."""
+    """Ranges, directions, range limits, the sensor's position in cells, and the size of a cell in metres."""
     return (
         np.ascontiguousarray(scan.ranges, np.float32),
         _directions(scan.angle_min + grid_T_sensor.theta, scan.angle_increment, scan.ranges.size),
@@ -66,16 +66,16 @@ def _beams(scan: Scan, grid: GridSpec, grid_T_sensor: SE2) -> Beams:
 
 @lru_cache(maxsize=64)
 def _directions(angle_0: float, angle_step: float, beams: int) -> NDArray[np.float64]:
-    """Unit vectors (B, 2) of the beams: the same for every scan of a sensor that stands still."""
+    """Unit vectors (B, 2) of the beams: the same for every scan of a static sensor."""
     angles = angle_0 + angle_step * np.arange(beams)
     return np.stack([np.cos(angles), np.sin(angles)], axis=1)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _cast(ranges, directions, range_min, range_max, x0, y0, cell_m, visible, occupied, size, points):  # type: ignore[no-untyped-def]
-    """Cast all beams; coordinates in cells, from the lower-left corner. Returns how many returns lie inside.
+    """Cast all beams; coordinates in cells, from the lower-left corner. Returns the number of points.
 
-    What is not finite is left out here, and not only where recordings are read: the walk would leave the arrays.
+    Values that are not finite are also checked here: the traversal would write outside the arrays.
     """
     inside = 0
     if not abs(x0) + abs(y0) < MAX_COORDINATE_CELLS:
@@ -131,12 +131,12 @@ def cross(x0, y0, dx, dy, size, visible):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _cross_slabs(u0, v0, du, dv, enter, leave, size, stride_u, stride_v, visible):  # type: ignore[no-untyped-def]
-    """Walk the unit slabs of the axis u along which the segment is longer, so |dv/du| <= 1.
+    """Traverse the unit slabs of the axis u along which the segment is longer, so |dv/du| <= 1.
 
     Within one slab the segment crosses one cell or two: the one where it enters and the one where it leaves. Where it
     passes from slab to slab it leaves one cell and enters the next at the same v; a segment through a corner crosses
     the two cells that it has length in, and not their neighbours. v is kept in fixed point (2^-40 of a cell), which
-    leaves the loop without a branch or a conversion: that is what makes it fast.
+    leaves the loop without a branch or a conversion, for speed.
     """
     slope = dv / du
     first, last = u0 + enter * du, u0 + leave * du

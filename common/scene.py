@@ -1,4 +1,4 @@
-"""The true scene of a recording: what stands and what moves, as outlines, whether the laser saw it or not."""
+"""The true scene of a recording: outlines of all static and moving objects, also of those the laser does not see."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ Outline = NDArray[np.float32]
 class SceneObject:
     """A road user at one instant.
 
-    `label` indexes the recording's classes; `world_T_object` places `outline`, which is given in the object's own
-    frame: x forward, origin at the middle of the body. `track` is the same for the same body over time.
+    `label` is an index into the recording's classes; `outline` is in the object's own frame (x forward, origin at the
+    centre of the body), whose pose is `world_T_object`; `track` identifies the object over time.
     """
 
     track: int
@@ -32,7 +32,7 @@ class SceneObject:
 
 @dataclass(frozen=True, slots=True)
 class Scene:
-    """Everything that is there at one instant.
+    """All objects at one instant.
 
     `static` outlines in the world frame, `static_label` their class, or UNLABELLED; `objects` are the road users.
     """

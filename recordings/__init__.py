@@ -1,4 +1,4 @@
-"""Recordings of laser scans: the native MCAP form, and ROS bags, ROS MCAP files and CARMEN logs read in place."""
+"""Recordings of laser scans: read in any registered format, written in the native one."""
 
 from gridtrack.recordings.format import RecordingFormat
 from gridtrack.recordings.formats.native import write_native

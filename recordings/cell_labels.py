@@ -1,4 +1,4 @@
-"""The class of each occupied cell, where the beams that end in it are labelled."""
+"""The class of each occupied cell, from the labels of the beams that end in it."""
 
 from __future__ import annotations
 
@@ -18,7 +18,10 @@ from gridtrack.common.scene import UNLABELLED
 def labelled_returns(
     scans: Sequence[Scan], grid_T_sensor: Sequence[SE2], grid: GridSpec
 ) -> tuple[NDArray[np.int64], NDArray[np.uint8]]:
-    """Cells (N,) and labels (N,) of the returns: the label of most beams that end in a cell, the lowest of equals."""
+    """Cells (N,), row * M + column, and labels (N,) of the labelled returns: the most frequent label of each cell.
+
+    Of equally frequent labels the lowest; cells whose most frequent label is UNLABELLED are left out.
+    """
     votes = [
         end_cells(scan, grid, pose) * (UNLABELLED + 1) + scan.labels
         for scan, pose in zip(scans, grid_T_sensor, strict=True)
@@ -26,9 +29,9 @@ def labelled_returns(
     ]
     if not votes:
         return np.zeros(0, np.int64), np.zeros(0, np.uint8)
-    ballots, count = np.unique(np.concatenate(votes), return_counts=True)
-    ballots, count = ballots[ballots >= 0], count[ballots >= 0]
-    cells, labels = np.divmod(ballots, UNLABELLED + 1)
+    pairs, count = np.unique(np.concatenate(votes), return_counts=True)
+    pairs, count = pairs[pairs >= 0], count[pairs >= 0]
+    cells, labels = np.divmod(pairs, UNLABELLED + 1)
     order = np.lexsort((labels, -count, cells))
     winners = order[np.flatnonzero(np.diff(cells[order], prepend=-1))]
     winners = winners[labels[winners] != UNLABELLED]
@@ -36,7 +39,7 @@ def labelled_returns(
 
 
 def check_labels(labels: NDArray[np.uint8], classes: Sequence[str], stamp_ns: int) -> None:
-    """Raises RecordingError for a label that is none of `classes`."""
+    """Raise RecordingError for a label that is not an index into `classes`."""
     if labels.size and labels.max() >= len(classes):
         raise RecordingError(
             f"a label names class {labels.max()} at {stamp_ns / 1e9:.3f} s, and the recording has"

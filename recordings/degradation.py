@@ -1,4 +1,4 @@
-"""Degraded scans: what a worse laser, a worse link or worse poses would have delivered, the same for every tracker."""
+"""Degraded scans: lost beams, range noise, lost scans and pose noise, the same for every tracker."""
 
 from __future__ import annotations
 
@@ -17,34 +17,34 @@ from gridtrack.common.scan import Scan
 
 OPTION = "--degrade"
 JITTER_LEVER_M = 5.0
-"""A pose is turned so far that what lies at this distance moves as much as the sensor itself is shifted."""
+"""Standard deviation of the position over that of the heading: at this distance both move a point equally."""
 
 
 class Degradation(Settings):
-    """How much worse scans are made; 0 leaves them as they are. Spelt with hyphens where a user writes or reads it."""
+    """The amount of each kind of degradation; 0 is none. The command line and messages use hyphens in the names."""
 
     model_config = ConfigDict(alias_generator=lambda name: name.replace("_", "-"), populate_by_name=True)
 
     beam_dropout: float = Field(0.0, ge=0.0, le=1.0)
-    """Probability that a beam says nothing (NaN), for each beam of each scan by itself."""
+    """Probability that a beam becomes invalid (NaN), independent for each beam of each scan."""
     range_noise: float = Field(0.0, ge=0.0, le=100.0)
-    """Standard deviation added to the range of each return, metres; kept within the laser's range limits."""
+    """Standard deviation of the noise on the range of each return, metres; clipped to the laser's range limits."""
     frame_drop: float = Field(0.0, ge=0.0, le=1.0)
-    """Probability that a scan is lost: its frame comes in its turn, and is empty."""
+    """Probability that a scan is lost: its frame is delivered at its time, and is empty."""
     pose_jitter: float = Field(0.0, ge=0.0, le=100.0)
-    """Standard deviation of the pose of each scan, in x and in y, metres; of its heading a fifth as many radians."""
+    """Standard deviation of the noise on the x and y of each pose, metres; a fifth of it on the heading, radians."""
 
     @property
     def kinds(self) -> tuple[str, ...]:
-        """The names of those that degrade anything."""
+        """The names of the kinds that are not 0."""
         return tuple(kind for kind, value in self if value > 0.0)
 
     def only(self, kind: str) -> Degradation:
-        """One kind of it, by itself."""
+        """This degradation with one kind only."""
         return Degradation(**{kind: getattr(self, kind)})
 
     def scaled(self, share: float) -> Degradation:
-        """Every kind at `share` of its value."""
+        """This degradation with every kind at `share` of its value."""
         return Degradation(**{kind: share * value for kind, value in self})
 
 
@@ -62,14 +62,14 @@ def parse_degradation(text: str) -> Degradation:
 
 
 def degrader(degradation: Degradation, seed: int) -> Callable[[Scan], Scan]:
-    """A function that degrades one scan; labels and the true scene stay as they are.
+    """A function that degrades one scan; labels and the true scene are not changed.
 
-    Chance depends on `seed`, the scan's stamp and its sensor only: a scan is degraded in the same way however often
-    and by whomever it is read, and what a weaker degradation drops or shifts a stronger one does too, and further.
+    The random numbers depend on `seed`, the scan's stamp and its sensor only: every reading of a scan is degraded in
+    the same way, and a stronger degradation drops or shifts whatever a weaker one does, and further.
     """
 
     def degrade(scan: Scan) -> Scan:
-        # drawn in full and in this order whatever is asked for, so that one kind does not change another's chance
+        # always drawn in full and in this order, so that one kind does not change the random numbers of another
         rng = np.random.default_rng([seed, scan.stamp_ns, zlib.crc32(scan.sensor.encode())])
         lost, (dx, dy, turn) = rng.random(), rng.standard_normal(3)
         dropped, noise = rng.random(scan.ranges.size), rng.standard_normal(scan.ranges.size)
@@ -81,7 +81,7 @@ def degrader(degradation: Degradation, seed: int) -> Callable[[Scan], Scan]:
         if lost < degradation.frame_drop:
             ranges[:] = math.nan
         pose, sigma = scan.world_T_sensor, degradation.pose_jitter
-        shaken = SE2(pose.x + sigma * dx, pose.y + sigma * dy, pose.theta + sigma * turn / JITTER_LEVER_M)
-        return replace(scan, ranges=ranges, world_T_sensor=shaken if sigma else pose)
+        jittered = SE2(pose.x + sigma * dx, pose.y + sigma * dy, pose.theta + sigma * turn / JITTER_LEVER_M)
+        return replace(scan, ranges=ranges, world_T_sensor=jittered if sigma else pose)
 
     return degrade

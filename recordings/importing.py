@@ -1,4 +1,4 @@
-"""Importing a recording: written once more as a native one, with what a comparison needs to know about it."""
+"""Importing a recording: written as a native one, with the site, grid and stretches that a comparison uses."""
 
 from __future__ import annotations
 
@@ -36,10 +36,9 @@ def import_recording(
 ) -> Recording:
     """Write the recording at `source`, in any format, as a native one at `out`, and open it.
 
-    Ranges are kept as they are, NaN and infinities included; the same source and options give the same bytes. The
-    warnings of the source are the first of the result's. `site` defaults to what the
-    source says, or its file name. Raises RecordingError
-    and ConfigurationError; `out` is then as it was before.
+    Ranges are copied exactly, NaN and infinities included; the same source and options give the same bytes. The
+    warnings of the source become the first warnings of the result. `site` defaults to the site that the source names,
+    or to its file name. Raises RecordingError and ConfigurationError; `out` is then not changed.
     """
     out = Path(out)
     recording = open_recording(source, topic=topic, strict=strict, cloud_slice=cloud_slice, pose_topic=pose_topic)
@@ -67,7 +66,7 @@ def import_recording(
 
 
 def _info(recording: Recording, given: Mapping[str, Any], labels: Path | str | None) -> RecordingInfo:
-    """What the source says about itself, overruled by what is `given`."""
+    """The metadata of the source, with the values that are `given` in place of its own."""
     values = recording.info.model_dump() | {key: value for key, value in given.items() if value}
     values |= {"source": recording.name, "source_sha256": recording.sha256}
     if labels is not None:
@@ -76,7 +75,7 @@ def _info(recording: Recording, given: Mapping[str, Any], labels: Path | str | N
 
 
 def _command(recording: Recording, out: Path, given: Mapping[str, Any], labels: Path | str | None) -> str:
-    """The command line that does the same again, without the folders of this machine."""
+    """The command line that repeats the import, without the folders of this machine."""
     options: dict[str, Any] = {
         "out": out.name,
         "topic": recording.options.topic,
@@ -98,7 +97,7 @@ def _command(recording: Recording, out: Path, given: Mapping[str, Any], labels: 
 
 
 def _pairs(settings: CloudSlice) -> str:
-    """The settings that were given, as the command line takes them."""
+    """The settings that were given, in the form of the command line."""
     given = settings.model_dump(exclude_unset=True)
     return ",".join(f"{key}={value if isinstance(value, str) else f'{value:g}'}" for key, value in given.items())
 

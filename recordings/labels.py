@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from itertools import groupby
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, NoReturn
 
 import numpy as np
 
@@ -15,11 +15,9 @@ from gridtrack.common.errors import RecordingError, did_you_mean
 from gridtrack.common.scan import Scan
 from gridtrack.common.scene import UNLABELLED
 
-MAX_FIELD = 1024
-
 
 class BeamLabel(NamedTuple):
-    """One row of the CSV."""
+    """One row of the CSV: the class of one beam."""
 
     stamp_ns: int
     sensor: str
@@ -30,39 +28,41 @@ class BeamLabel(NamedTuple):
 
 def classes_in(path: Path) -> tuple[str, ...]:
     """The classes that the CSV names, sorted. Raises RecordingError."""
-    names = {label.name for label in _rows(path)}
+    names = {label.name for label in _read_labels(path)}
     if len(names) > UNLABELLED:
         raise RecordingError(f"{path}: {len(names)} classes; at most {UNLABELLED}")
     return tuple(sorted(names))
 
 
 def with_labels(scans: Iterable[Scan], path: Path, classes: tuple[str, ...]) -> Iterator[Scan]:
-    """`scans` with the labels of the CSV, whose rows stand in the order of their stamps.
+    """`scans` with the labels of the CSV, whose rows are sorted by stamp.
 
-    A row without a sensor labels the sensor `scan`. Raises RecordingError for a row that fits no scan.
+    A row without a sensor labels the sensor `scan`. Raises RecordingError for a row that belongs to no scan.
     """
     index = {name: i for i, name in enumerate(classes)}
-    groups = groupby(_rows(path), key=lambda row: (row.stamp_ns, row.sensor))
+    groups = groupby(_read_labels(path), key=lambda row: (row.stamp_ns, row.sensor))
     pending: dict[tuple[int, str], list[BeamLabel]] = {}
     read_to_ns = -1
     for scan in scans:
         while read_to_ns <= scan.stamp_ns and (group := next(groups, None)) is not None:
             key, rows = group
             if key[0] < read_to_ns:
-                raise RecordingError(f"{path}, line {next(rows).line}: stamps run backwards; sort the rows by stamp")
+                raise RecordingError(
+                    f"{path}, line {next(rows).line}: a stamp before that of the row above; sort the rows by stamp"
+                )
             read_to_ns = key[0]
             pending[key] = list(rows)
         labels = pending.pop((scan.stamp_ns, scan.sensor), None)
         yield scan if labels is None else replace(scan, labels=_labels(labels, scan, index, path))
         for key in [key for key in pending if key[0] < scan.stamp_ns]:
-            _refuse(pending[key][0], path)
+            _raise_no_scan(pending[key][0], path)
     for rest in pending.values():
-        _refuse(rest[0], path)
+        _raise_no_scan(rest[0], path)
     for _, rows in groups:
-        _refuse(next(rows), path)
+        _raise_no_scan(next(rows), path)
 
 
-def _refuse(row: BeamLabel, path: Path) -> None:
+def _raise_no_scan(row: BeamLabel, path: Path) -> NoReturn:
     raise RecordingError(f"{path}, line {row.line}: no scan of sensor '{row.sensor}' is stamped {row.stamp_ns}")
 
 
@@ -77,12 +77,12 @@ def _labels(rows: list[BeamLabel], scan: Scan, index: dict[str, int], path: Path
     return labels
 
 
-def _rows(path: Path) -> Iterator[BeamLabel]:
+def _read_labels(path: Path) -> Iterator[BeamLabel]:
     try:
         with path.open(newline="", encoding="utf-8") as file:
             reader = csv.DictReader(file, restval="")
             if not {"stamp_ns", "beam", "class"} <= set(reader.fieldnames or ()):
-                raise RecordingError(f"{path}: expected the columns stamp_ns, beam, class and perhaps sensor")
+                raise RecordingError(f"{path}: expected the columns stamp_ns, beam, class and optionally sensor")
             for row in reader:
                 try:
                     stamp_ns, beam = int(row["stamp_ns"]), int(row["beam"])

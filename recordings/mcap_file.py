@@ -1,4 +1,7 @@
-"""The records of an MCAP file, read in order: sizes bounded before memory is taken, checksums verified."""
+"""The records of an MCAP file, read in order: sizes are checked before memory is allocated, checksums verified.
+
+Format: https://mcap.dev/spec
+"""
 
 from __future__ import annotations
 
@@ -25,7 +28,7 @@ MESSAGE_HEADER = struct.Struct("<HIQQ")
 
 
 class McapMessage(NamedTuple):
-    """One message, still encoded, with the channel and schema that it came under."""
+    """One message, still encoded, with its channel and schema."""
 
     schema: Schema
     channel: Channel
@@ -34,7 +37,7 @@ class McapMessage(NamedTuple):
 
 
 class McapFile:
-    """An MCAP file that is read from its beginning to its end, or to where it breaks off."""
+    """An MCAP file that is read from its beginning to its end, or to the first damage."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -43,7 +46,7 @@ class McapFile:
         self._schemas: dict[int, Schema] = {}
 
     def messages(self) -> Iterator[McapMessage]:
-        """All messages in the order of the file; `metadata` and `channels` fill up on the way.
+        """All messages in the order of the file; `metadata` and `channels` are filled while it is read.
 
         Raises DamageError where the file is cut off or corrupt.
         """
@@ -62,27 +65,27 @@ class McapFile:
         for opcode, content in _records(file):
             stream = ReadDataStream(BytesIO(content))
             if opcode == Opcode.CHUNK:
-                for inner_opcode, inner in _records(BytesIO(_unpacked(Chunk.read(stream)))):
-                    yield from self._take(inner_opcode, inner)
+                for inner_opcode, inner in _records(BytesIO(_decompressed(Chunk.read(stream)))):
+                    yield from self._read_record(inner_opcode, inner)
             elif opcode == Opcode.METADATA:
                 record = Metadata.read(stream)
                 self.metadata[record.name] = record.metadata
             elif opcode == Opcode.DATA_END:
                 if DataEnd.read(stream).data_section_crc not in (0, checksum):
-                    raise DamageError("corrupt: the checksum of the whole file does not fit")
+                    raise DamageError("corrupt: the checksum of the whole file is wrong")
                 return
             else:
-                yield from self._take(opcode, content)
+                yield from self._read_record(opcode, content)
             checksum = zlib.crc32(content, zlib.crc32(ENVELOPE.pack(opcode, len(content)), checksum))
         raise DamageError("cut off: the end of the data is missing")
 
-    def _take(self, opcode: int, content: bytes) -> Iterator[McapMessage]:
+    def _read_record(self, opcode: int, content: bytes) -> Iterator[McapMessage]:
         if opcode == Opcode.MESSAGE:
             channel_id, _, log_time_ns, _ = MESSAGE_HEADER.unpack_from(content)
             channel = self.channels.get(channel_id)
             schema = self._schemas.get(channel.schema_id) if channel else None
             if channel is None or schema is None:
-                raise DamageError(f"corrupt: a message of channel {channel_id}, which the file does not describe")
+                raise DamageError(f"corrupt: a message of channel {channel_id}, which the file does not define")
             yield McapMessage(schema, channel, log_time_ns, content[MESSAGE_HEADER.size :])
         elif opcode == Opcode.SCHEMA:
             schema = Schema.read(ReadDataStream(BytesIO(content)))
@@ -93,7 +96,7 @@ class McapFile:
 
 
 def _records(file: BinaryIO) -> Iterator[tuple[int, bytes]]:
-    """Opcode and content of each record. Raises DamageError for one that is cut off or absurdly large."""
+    """Opcode and content of each record. Raises DamageError for one that is cut off or too large."""
     while head := file.read(ENVELOPE.size):
         if len(head) < ENVELOPE.size:
             raise DamageError("cut off in the middle of a record")
@@ -106,8 +109,8 @@ def _records(file: BinaryIO) -> Iterator[tuple[int, bytes]]:
         yield opcode, content
 
 
-def _unpacked(chunk: Chunk) -> bytes:
-    """The records inside a chunk. Raises DamageError where they are too large, or their checksum does not fit."""
+def _decompressed(chunk: Chunk) -> bytes:
+    """The records inside a chunk. Raises DamageError where they are too large or their checksum is wrong."""
     size = chunk.uncompressed_size
     if size > MAX_MCAP_RECORD_BYTES:
         raise DamageError(f"corrupt: a chunk of {size} bytes, where at most {MAX_MCAP_RECORD_BYTES} are read")
@@ -118,11 +121,11 @@ def _unpacked(chunk: Chunk) -> bytes:
         try:
             content = lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, size)
         except RuntimeError as error:
-            raise DamageError(f"corrupt: a chunk does not unpack ({error})") from None
+            raise DamageError(f"corrupt: a chunk cannot be decompressed ({error})") from None
     elif chunk.compression == "":
         content = chunk.data
     else:
-        raise DamageError(f"a chunk is packed as '{chunk.compression}', which is neither zstd nor lz4")
+        raise DamageError(f"a chunk is compressed as '{chunk.compression}', which is neither zstd nor lz4")
     if len(content) != size or (chunk.uncompressed_crc and zlib.crc32(content) != chunk.uncompressed_crc):
-        raise DamageError("corrupt: the checksum of a chunk does not fit")
+        raise DamageError("corrupt: the checksum of a chunk is wrong")
     return content

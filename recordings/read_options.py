@@ -12,10 +12,10 @@ from gridtrack.common.config import Settings
 class CloudSlice(Settings):
     """How a point cloud becomes a scan: the nearest point of each bearing between two heights, metres, sensor frame.
 
-    A bearing without a point in the slice is `empty`: "free" up to `range_max_m`, as if a laser's beam had not
-    returned, or "unknown", as if there were no beam. Free is right where the cloud is dense and sees over whatever
-    stands below the slice; with few rings, or a slice above low obstacles, it calls free what nobody has looked at:
-    give a shorter `range_max_m`, or "unknown".
+    `empty` is the meaning of a bearing without a point in the slice: "free" up to `range_max_m`, like a laser's beam
+    without a return, or "unknown", like no beam. Free is right for a dense cloud from a sensor that looks over all
+    obstacles below the slice. With few rings, or a slice above low obstacles, it marks unobserved cells as free: use a
+    shorter `range_max_m`, or "unknown".
     """
 
     low_m: float
@@ -26,7 +26,7 @@ class CloudSlice(Settings):
     empty: Literal["free", "unknown"] = "free"
 
     @model_validator(mode="after")
-    def _limits_in_order(self) -> CloudSlice:
+    def _check_limits(self) -> CloudSlice:
         if self.low_m >= self.high_m or self.range_min_m >= self.range_max_m:
             raise ValueError("the lower limit must be below the upper one")
         return self

@@ -1,4 +1,4 @@
-"""A recording: scans of one or more lasers in the order of their stamps, whatever the file format they come from."""
+"""A recording: the scans of one or more lasers in the order of their stamps, independent of the file format."""
 
 from __future__ import annotations
 
@@ -24,18 +24,18 @@ Stretch = tuple[float, float | None]
 
 
 def stretch_text(stretch: Stretch) -> str:
-    """A stretch as the command line writes it: `75s-90s`, or `90s-` to the end."""
+    """A stretch in the form of the command line: `75s-90s`, or `90s-` to the end."""
     start_s, end_s = stretch
     return f"{start_s:g}s-" if end_s is None else f"{start_s:g}s-{end_s:g}s"
 
 
 class DamageError(RecordingError):
-    """Where a file breaks off: what stands before can be used, what comes after cannot."""
+    """A file is cut off or corrupt: the scans before the damage can be used, those after it cannot."""
 
 
 class RecordingInfo(Settings):
-    """What a recording says about itself: `site`, `classes` of its labels, recommended `grid` and `rate_hz`, the period
-    `cycle_s` of a place where what happens repeats, such as traffic lights, named `stretches`, and where it comes from.
+    """Metadata of a recording: `site`, `classes` of its labels, recommended `grid` and `rate_hz`, named `stretches`,
+    the period `cycle_s` of events that repeat at the site, such as a cycle of traffic lights, and its origin.
     """
 
     site: str = Field(min_length=1)
@@ -52,21 +52,23 @@ class RecordingInfo(Settings):
 
     @field_validator("grid")
     @classmethod
-    def _grid_reads(cls, grid: str | None) -> str | None:
+    def _check_grid(cls, grid: str | None) -> str | None:
         return None if grid is None else str(GridSpec.parse(grid))
 
     @field_validator("stretches")
     @classmethod
-    def _stretches_run_forward(cls, stretches: dict[str, Stretch]) -> dict[str, Stretch]:
+    def _check_stretches(cls, stretches: dict[str, Stretch]) -> dict[str, Stretch]:
         for name, (start_s, end_s) in stretches.items():
             if start_s < 0.0 or (end_s is not None and end_s <= start_s):
-                raise ValueError(f"stretch '{name}' runs from {start_s} s to {end_s} s")
+                raise ValueError(
+                    f"stretch '{name}' is from {start_s} s to {end_s} s: expected 0 or more, and an end after the start"
+                )
         return stretches
 
 
 @dataclass
 class Topics:
-    """What one pass over a file met: the type and the number of messages of every topic."""
+    """The type and the number of messages of every topic, counted in one pass over a file."""
 
     types: dict[str, str] = field(default_factory=dict)
     counts: dict[str, int] = field(default_factory=dict)
@@ -82,11 +84,11 @@ class Topics:
 
 
 class Recording(ABC):
-    """A file of scans, read streaming.
+    """A file of scans, read as a stream.
 
-    `warnings` holds one line for each thing that was wrong in what has been read so far, each told once however often
-    the recording is read; `damage` says where the file was found to break off. With `strict` the first such thing is a
-    RecordingError instead.
+    `warnings` holds one line for each fault in the part that has been read, once even if the recording is read
+    several times; `damage` is the reason why the rest of the file cannot be read. With the option `strict` the first
+    fault raises RecordingError instead.
     """
 
     def __init__(self, path: Path, options: ReadOptions) -> None:
@@ -102,12 +104,12 @@ class Recording(ABC):
 
     @cached_property
     def sha256(self) -> str:
-        """Hash of the file; of all its files, in the order of their names, where the recording is a folder."""
+        """SHA-256 of the file; of all its files, in the order of their names, where the recording is a folder."""
         return sha256_of(self.path)
 
     @cached_property
     def info(self) -> RecordingInfo:
-        """What the recording says about itself; a format that says nothing has only its file name as `site`."""
+        """The metadata of the recording; for a format without any, its file name as `site`."""
         return RecordingInfo(site=self.name.partition(".")[0] or self.name)
 
     @abstractmethod
@@ -117,7 +119,7 @@ class Recording(ABC):
     def scans(self, start_s: float | None = None, end_s: float | None = None) -> Iterator[Scan]:
         """Scans with start_s <= stamp < end_s, seconds from the first scan, in the order of their stamps.
 
-        Raises RecordingError where there are none, or where nothing of the file can be read.
+        Raises RecordingError where the file has no scans or cannot be read.
         """
         first_ns: int | None = None
         for scan in self._in_order(Topics()):
@@ -130,7 +132,7 @@ class Recording(ABC):
 
     @cached_property
     def survey(self) -> Survey:
-        """What a pass over the whole recording finds; takes 8 bytes of memory for each scan."""
+        """Statistics of the whole recording, from one pass over it; takes 8 bytes of memory for each scan."""
         topics, survey = Topics(), Survey()
         for scan in self._in_order(topics):
             survey.add(scan)
@@ -138,7 +140,7 @@ class Recording(ABC):
         return survey
 
     def overview(self) -> RecordingOverview:
-        """The whole recording in a few lines, as `gridtrack recording info` shows it."""
+        """The content of the recording, as `gridtrack recording info` prints it."""
         survey = self.survey
         return RecordingOverview(
             path=str(self.path),
@@ -165,23 +167,23 @@ class Recording(ABC):
     def _in_order(self, topics: Topics) -> Iterator[Scan]:
         order = StampOrder(self.warn)
         try:
-            for scan in self._until_damage(topics):
+            for scan in self._before_damage(topics):
                 yield from order.push(scan)
             yield from order.flush()
-            self._refuse_empty(order, topics)
+            self._require_scans(order, topics)
         except RecordingError as error:
             raise RecordingError(f"{self.path}: {str(error).removeprefix(f'{self.path}: ')}") from None
         except OSError as error:
             raise RecordingError(f"{self.path}: cannot be read ({error.strerror})") from None
 
-    def _until_damage(self, topics: Topics) -> Iterator[Scan]:
+    def _before_damage(self, topics: Topics) -> Iterator[Scan]:
         try:
             yield from self.read(topics)
         except DamageError as damage:
             self.damage = str(damage)
-            self.warn(f"{damage}; what comes after is left out")
+            self.warn(f"{damage}; the rest is left out")
 
-    def _refuse_empty(self, order: StampOrder, topics: Topics) -> None:
+    def _require_scans(self, order: StampOrder, topics: Topics) -> None:
         if order.empty:
             raise RecordingError(self._why_no_scans(topics))
 

@@ -1,4 +1,4 @@
-"""Scans at a fixed period: for every tick, the nearest scan of each sensor."""
+"""Scans at a fixed period: the nearest scan of each sensor for every tick."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from gridtrack.common.scan import Scan
 
 @dataclass(frozen=True, slots=True)
 class Tick:
-    """One moment of a stream and the scans that stand for it, by sensor; none where a gap is too long."""
+    """One instant of a stream, and the scan of each sensor for it; a sensor in a long gap has none."""
 
     stamp_ns: int
     scans: dict[str, Scan]
@@ -20,9 +20,9 @@ class Tick:
 def resample_scans(scans: Iterable[Scan], period_ns: int, *, origin_ns: int, ticks: range) -> Iterator[Tick]:
     """Ticks at `origin_ns + k * period_ns` for k in `ticks`, from `scans` in the order of their stamps.
 
-    A tick has of each sensor the scan nearest to it, the earlier of two equally near: always when that is within half
-    a period; up to a whole period away only where the sensor's pause around the tick is at most two periods, so that
-    a missing scan is bridged by its neighbour while a longer gap stays empty. Memory holds a few periods of scans.
+    A tick has the nearest scan of each sensor, the earlier of two equally near ones, if it is within half a period. A
+    scan up to a whole period away is used where the sensor's gap around the tick is at most two periods: a neighbour
+    replaces one missing scan, and a longer gap stays empty. Memory holds a few periods of scans.
     """
     ahead = iter(scans)
     recent: dict[str, deque[Scan]] = {}
@@ -41,7 +41,7 @@ def resample_scans(scans: Iterable[Scan], period_ns: int, *, origin_ns: int, tic
 
 
 def _nearest(scans: deque[Scan], stamp_ns: int, period_ns: int) -> Scan | None:
-    """The scan that stands for the tick at `stamp_ns`, of one sensor's scans around it."""
+    """The scan of one sensor for the tick at `stamp_ns`, out of its scans around it."""
     before = [scan for scan in scans if scan.stamp_ns <= stamp_ns][-1:]
     after = [scan for scan in scans if scan.stamp_ns > stamp_ns][:1]
     if not before and not after:

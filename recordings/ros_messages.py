@@ -34,12 +34,12 @@ def ros2_name(kind: str) -> str:
 
 
 def stamp_ns(message: Any) -> int:
-    """The stamp of a message's header."""
+    """The stamp of a message's header, nanoseconds."""
     return int(message.header.stamp.sec) * 1_000_000_000 + int(message.header.stamp.nanosec)
 
 
 def scan_of_laser(message: Any, sensor: str, received_ns: int) -> Scan:
-    """A sensor_msgs/LaserScan as a scan, stamped by its header, or by its reception where the header has no stamp."""
+    """A sensor_msgs/LaserScan as a scan; the stamp is that of the header, or of reception where the header has none."""
     return Scan(
         stamp_ns=stamp_ns(message) or received_ns,
         ranges=np.array(message.ranges, np.float32),
@@ -52,7 +52,7 @@ def scan_of_laser(message: Any, sensor: str, received_ns: int) -> Scan:
 
 
 def scan_of_cloud(message: Any, sensor: str, received_ns: int, cut: CloudSlice) -> Scan:
-    """A height slice of a sensor_msgs/PointCloud2 as a scan: bearings from -pi to pi, empty ones as `cut` says."""
+    """A height slice of a sensor_msgs/PointCloud2 as a scan: bearings from -pi to pi."""
     points = cloud_points(message)
     points = points[(points[:, 2] >= cut.low_m) & (points[:, 2] <= cut.high_m)]
     distance = np.hypot(points[:, 0], points[:, 1])
@@ -78,7 +78,7 @@ def scan_of_cloud(message: Any, sensor: str, received_ns: int, cut: CloudSlice) 
 def cloud_points(message: Any) -> NDArray[np.float64]:
     """x, y, z (N, 3) of a sensor_msgs/PointCloud2, metres, sensor frame; points with a NaN are left out.
 
-    Raises RecordingError where the cloud has no such fields or fewer bytes than it says.
+    Raises RecordingError where the cloud lacks these fields, or has fewer bytes than its header declares.
     """
     fields = {f.name: f for f in message.fields}
     order = ">" if message.is_bigendian else "<"

@@ -1,4 +1,4 @@
-"""Poses in ROS recordings: where the sensor stands when a scan is taken, between the poses before and after it."""
+"""Poses in ROS recordings: the pose of each scan, interpolated between the poses before and after it."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ POSES = (
     "geometry_msgs/msg/PoseWithCovarianceStamped",
 )
 TRANSFORMS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
-NEVER_MOVES = "/tf_static"
-LONGEST_PAUSE_NS = 1_000_000_000
+STATIC_TRANSFORMS = "/tf_static"
+MAX_GAP_NS = 1_000_000_000
 
 
 def planar_pose(message: Any) -> SE2:
-    """x, y and heading of a message of one of the kinds in POSES; height, roll and pitch are left out.
+    """x, y and heading of a message of one of the types in POSES; height, roll and pitch are ignored.
 
     Raises DamageError where it holds no finite pose.
     """
@@ -36,22 +36,20 @@ def planar_pose(message: Any) -> SE2:
 
 
 def unread_poses_warning(topic: str, kind: str) -> str | None:
-    """What to tell of a topic that says where the sensor is, and that nobody has asked to read; None for any other."""
-    standing = f"on {topic} ({kind}) are not read, so the sensor is taken to stand still"
+    """The warning about a topic with poses or transforms that the options do not name; None for any other topic."""
+    unread = f"on {topic} ({kind}) are not read, so the sensor is taken to stand still"
     if kind in POSES:
-        return f"poses {standing}: import the recording with --pose-topic {topic} to read them"
-    if kind in TRANSFORMS and topic != NEVER_MOVES:
-        return (
-            f"transforms {standing}: record its pose as nav_msgs/Odometry or geometry_msgs/PoseStamped where it moves"
-        )
+        return f"poses {unread}: import the recording with --pose-topic {topic} to read them"
+    if kind in TRANSFORMS and topic != STATIC_TRANSFORMS:
+        return f"transforms {unread}: record its pose as nav_msgs/Odometry or geometry_msgs/PoseStamped where it moves"
     return None
 
 
 class ScansOnPoses:
-    """Holds scans back until the pose after them has come, and places each between the poses around it.
+    """Delays scans until the pose after them is read, and interpolates the pose of each scan.
 
-    A scan before the first pose stands at it, one after the last at that. Where no pose comes for a second, `warn`
-    is told, and scans stand at the last pose before them.
+    A scan before the first pose has the first pose, one after the last pose the last. In a gap of the poses longer
+    than a second scans have the last pose before the gap, and `warn` receives a line.
     """
 
     def __init__(self, topic: str, warn: Callable[[str], None]) -> None:
@@ -60,31 +58,31 @@ class ScansOnPoses:
         self._last: tuple[int, SE2] | None = None
 
     def scan(self, scan: Scan) -> Iterator[Scan]:
-        """Take in the next scan, and give those that wait no longer. Raises RecordingError where `warn` does."""
+        """Add the next scan, and yield the scans that no longer wait. Raises RecordingError where `warn` does."""
         self._waiting.append(scan)
-        while scan.stamp_ns - self._waiting[0].stamp_ns > LONGEST_PAUSE_NS:
-            self._warn(f"no poses on {self._topic} for more than 1 s: scans there stand at the last pose before")
-            yield self._at_the_last(self._waiting.popleft())
+        while scan.stamp_ns - self._waiting[0].stamp_ns > MAX_GAP_NS:
+            self._warn(f"no poses on {self._topic} for more than 1 s: scans there have the last pose before it")
+            yield self._with_last_pose(self._waiting.popleft())
 
     def pose(self, stamp_ns: int, pose: SE2) -> Iterator[Scan]:
-        """Take in the next pose, and give the scans that it was waited for."""
+        """Add the next pose, and yield the scans up to it."""
         before = self._last or (stamp_ns, pose)
         self._last = (stamp_ns, pose)
         while self._waiting and self._waiting[0].stamp_ns <= stamp_ns:
             scan = self._waiting.popleft()
-            yield replace(scan, world_T_sensor=_between(before, self._last, scan.stamp_ns))
+            yield replace(scan, world_T_sensor=_interpolated(before, self._last, scan.stamp_ns))
 
     def flush(self) -> Iterator[Scan]:
-        """Give the scans after the last pose."""
+        """Yield the scans after the last pose."""
         while self._waiting:
-            yield self._at_the_last(self._waiting.popleft())
+            yield self._with_last_pose(self._waiting.popleft())
 
-    def _at_the_last(self, scan: Scan) -> Scan:
+    def _with_last_pose(self, scan: Scan) -> Scan:
         return replace(scan, world_T_sensor=self._last[1]) if self._last else scan
 
 
-def _between(before: tuple[int, SE2], after: tuple[int, SE2], stamp_ns: int) -> SE2:
-    """The pose at `stamp_ns`, position and heading each interpolated on a straight line; none beyond either end."""
+def _interpolated(before: tuple[int, SE2], after: tuple[int, SE2], stamp_ns: int) -> SE2:
+    """The pose at `stamp_ns`: position and heading interpolated linearly between two poses, constant outside."""
     (from_ns, one), (to_ns, other) = before, after
     if stamp_ns >= to_ns or to_ns <= from_ns:
         return other

@@ -1,4 +1,4 @@
-"""What the ROS formats share: laser and point cloud topics read as scans, placed by the poses of a topic."""
+"""The common part of the ROS formats: laser and point cloud topics as scans, with the poses of a topic."""
 
 from __future__ import annotations
 
@@ -46,19 +46,19 @@ class RosRecording(Recording):
     def read(self, topics: Topics) -> Iterator[Scan]:
         """The scans in the order of the file; counts the messages in `topics`. DamageError where it is damaged."""
         topic, pose_topic = self.options.topic, self.options.pose_topic
-        placed = None if pose_topic is None else ScansOnPoses(pose_topic, self.warn)
+        scans_on_poses = None if pose_topic is None else ScansOnPoses(pose_topic, self.warn)
         for message in self.messages():
-            if placed is None and message.topic not in topics.types:
+            if scans_on_poses is None and message.topic not in topics.types:
                 self._warn_of_unread_poses(message)
             topics.add(message.topic, message.kind, message.kind in (LASER_SCAN, POINT_CLOUD))
             by_name = message.topic == topic and message.topic in topics.scans
             if by_name or (topic is None and message.kind == LASER_SCAN):
                 scan = self._scan(message)
-                yield from placed.scan(scan) if placed else (scan,)
-            elif placed and message.topic == pose_topic and message.kind in POSES:
-                yield from placed.pose(*self._pose(message))
-        if placed:
-            yield from placed.flush()
+                yield from scans_on_poses.scan(scan) if scans_on_poses else (scan,)
+            elif scans_on_poses and message.topic == pose_topic and message.kind in POSES:
+                yield from scans_on_poses.pose(*self._pose(message))
+        if scans_on_poses:
+            yield from scans_on_poses.flush()
             self._require_poses(topics)
 
     def _warn_of_unread_poses(self, message: RosMessage) -> None:

@@ -1,8 +1,8 @@
-"""The true scene in a native recording, as Foxglove draws it: foxglove.SceneUpdate messages of outlines.
+"""The true scene in a native recording: foxglove.SceneUpdate messages with the outlines of all objects.
 
 `/outlines` holds the static outlines, written where they change; `/objects` the road users, once for each scan and
 with its stamp. An entity's id is the object's track, its metadata name the class, and its one line loop is the outline
-in the object's own frame, placed by the line's pose.
+in the object's own frame; the pose of the line is `world_T_object`.
 """
 
 from __future__ import annotations
@@ -28,14 +28,14 @@ OUTLINES, OBJECTS = "/outlines", "/objects"
 WORLD = "world"
 MAX_MESSAGE_BYTES = 1 << 23
 MAX_ENTITIES, MAX_ENTITY_CORNERS, MAX_TRACK = 4096, 1024, 1 << 62
-MAX_REMEMBERED = 4096
+MAX_CACHED = 4096
 LINE_M = 0.06
 CLASS_COLOURS = ((0.90, 0.62, 0.0), (0.34, 0.71, 0.91), (0.0, 0.62, 0.45), (0.84, 0.37, 0.0), (0.6, 0.6, 0.6))
-"""Of the classes, in their order and then over again: Okabe and Ito's, which the colour-blind can tell apart."""
+"""RGB of the classes, in their order and then repeated: from the palette of Okabe and Ito (2008), colour-blind safe."""
 
 
 class SceneWriter:
-    """Scenes into messages; what stays the same of a track from scan to scan is made once."""
+    """Converts scenes to messages; the unchanged parts of an object's entity are built once."""
 
     def __init__(self, classes: Sequence[str]) -> None:
         self._classes = classes
@@ -43,29 +43,29 @@ class SceneWriter:
         self._entities: dict[int, tuple[Outline, int, SceneEntity]] = {}
 
     def outlines(self, scene: Scene, stamp_ns: int) -> SceneUpdate | None:
-        """What stands, or None where it is what the last call wrote. Raises RecordingError."""
+        """The static outlines, or None where the last call returned the same. Raises RecordingError."""
         if self._static is scene.static:
             return None
         self._static = scene.static
-        update = _update(stamp_ns)
+        update = _empty_update(stamp_ns)
         for i, outline in enumerate(scene.static):
             update.entities.append(self._entity(f"static {i}", outline, scene.static_label))
-            _place(update.entities[-1], SE2(), stamp_ns)
+            _set_pose(update.entities[-1], SE2(), stamp_ns)
         return update
 
     def objects(self, scene: Scene, stamp_ns: int) -> SceneUpdate:
-        """What moves, whole: it takes the place of all that was drawn before. Raises RecordingError."""
-        update = _update(stamp_ns)
+        """All objects; the message replaces the one before. Raises RecordingError."""
+        update = _empty_update(stamp_ns)
         for thing in scene.objects:
-            entity = self._remembered(thing)
-            _place(entity, thing.world_T_object, stamp_ns)
+            entity = self._cached_entity(thing)
+            _set_pose(entity, thing.world_T_object, stamp_ns)
             update.entities.append(entity)
         return update
 
-    def _remembered(self, thing: SceneObject) -> SceneEntity:
+    def _cached_entity(self, thing: SceneObject) -> SceneEntity:
         outline, label, entity = self._entities.get(thing.track, (None, None, None))
         if entity is None or outline is not thing.outline or label != thing.label:
-            if len(self._entities) >= MAX_REMEMBERED:
+            if len(self._entities) >= MAX_CACHED:
                 self._entities.clear()
             entity = self._entity(str(thing.track), thing.outline, thing.label)
             self._entities[thing.track] = (thing.outline, thing.label, entity)
@@ -86,7 +86,7 @@ class SceneWriter:
 
 
 class SceneReader:
-    """Messages into scenes; a body that is the same from scan to scan is read once and shared."""
+    """Converts messages to scenes; a body that does not change from scan to scan is read once and shared."""
 
     def __init__(self, classes: Sequence[str]) -> None:
         self._labels = {name: label for label, name in enumerate(classes)}
@@ -95,12 +95,12 @@ class SceneReader:
         self._bodies: dict[bytes, _Body] = {}
         self._scene: tuple[int, Scene] | None = None
 
-    def take(self, topic: str, data: bytes) -> None:
-        """Take in a message of OUTLINES or OBJECTS. Raises DamageError for one that is none, or absurdly large."""
+    def add(self, topic: str, data: bytes) -> None:
+        """Read a message of OUTLINES or OBJECTS. Raises DamageError for one that is invalid or too large."""
         update = _decoded(topic, data)
         placed = [(_pose(topic, entity), self._body(topic, entity)) for entity in update.entities]
         if topic == OUTLINES:
-            self._static = tuple(_frozen(pose.apply(body.outline)) for pose, body in placed)
+            self._static = tuple(_read_only(pose.apply(body.outline)) for pose, body in placed)
             self._static_label = placed[0][1].label if placed else UNLABELLED
             return
         objects = tuple(SceneObject(_track(body.name), body.label, pose, body.outline) for pose, body in placed)
@@ -108,17 +108,17 @@ class SceneReader:
         self._scene = (stamp_ns, Scene(self._static, self._static_label, objects))
 
     def scene_at(self, stamp_ns: int) -> Scene | None:
-        """The scene of the scan stamped so, where the last message was for it."""
+        """The scene at `stamp_ns`; None where the last message of OBJECTS has another stamp."""
         return self._scene[1] if self._scene is not None and self._scene[0] == stamp_ns else None
 
     def _body(self, topic: str, entity: SceneEntity) -> _Body:
-        """What an entity is but for its pose and stamp, which it loses here."""
+        """The name, class and outline of an entity. Removes its pose and stamp, to look it up by the rest."""
         entity.ClearField("timestamp")
         for line in entity.lines:
             line.ClearField("pose")
         key = entity.SerializeToString(deterministic=True)
         if key not in self._bodies:
-            if len(self._bodies) >= MAX_REMEMBERED:
+            if len(self._bodies) >= MAX_CACHED:
                 self._bodies.clear()
             self._bodies[key] = self._read_body(topic, entity)
         return self._bodies[key]
@@ -126,12 +126,12 @@ class SceneReader:
     def _read_body(self, topic: str, entity: SceneEntity) -> _Body:
         name = next((pair.value for pair in entity.metadata if pair.key == "class"), None)
         if name is not None and name not in self._labels:
-            raise DamageError(f"corrupt: an entity of {topic} is of a class that the recording does not name")
+            raise DamageError(f"corrupt: an entity of {topic} has a class that the recording does not name")
         if not 3 <= len(entity.lines[0].points) <= MAX_ENTITY_CORNERS:
             raise DamageError(f"corrupt: an entity of {topic} is not an outline of 3 to {MAX_ENTITY_CORNERS} corners")
-        outline = _frozen([(point.x, point.y) for point in entity.lines[0].points])
+        outline = _read_only([(point.x, point.y) for point in entity.lines[0].points])
         if not np.isfinite(outline).all():
-            raise DamageError(f"corrupt: an outline of {topic} has a corner that is nowhere")
+            raise DamageError(f"corrupt: an outline of {topic} has a corner that is not finite")
         return _Body(entity.id, UNLABELLED if name is None else self._labels[name], outline)
 
 
@@ -147,7 +147,7 @@ def _pose(topic: str, entity: SceneEntity) -> SE2:
     found = entity.lines[0].pose
     pose = SE2(found.position.x, found.position.y, 2.0 * math.atan2(found.orientation.z, found.orientation.w))
     if not math.isfinite(pose.x + pose.y + pose.theta):
-        raise DamageError(f"corrupt: an entity of {topic} stands at {pose.x:g}, {pose.y:g}; expected a place")
+        raise DamageError(f"corrupt: an entity of {topic} is at {pose.x:g}, {pose.y:g}; expected a finite pose")
     return pose
 
 
@@ -164,7 +164,7 @@ def _decoded(topic: str, data: bytes) -> SceneUpdate:
     return update
 
 
-def _frozen(corners: object) -> Outline:
+def _read_only(corners: object) -> Outline:
     outline = np.array(corners, np.float32)
     outline.flags.writeable = False
     return outline
@@ -173,17 +173,17 @@ def _frozen(corners: object) -> Outline:
 def _track(name: str) -> int:
     if name.isascii() and name.isdecimal() and len(name) < 20 and int(name) < MAX_TRACK:
         return int(name)
-    raise DamageError(f"corrupt: an object's id is not the number of a track below {MAX_TRACK}")
+    raise DamageError(f"corrupt: an object's id is not a track number below {MAX_TRACK}")
 
 
-def _update(stamp_ns: int) -> SceneUpdate:
-    """An update that first clears what the topic drew before; the deletion carries the stamp of the scan."""
+def _empty_update(stamp_ns: int) -> SceneUpdate:
+    """An update that deletes the entities before it; the deletion has the stamp of the scan."""
     update = SceneUpdate()
     update.deletions.add(type=SceneEntityDeletion.ALL, timestamp=timestamp_of(stamp_ns))
     return update
 
 
-def _place(entity: SceneEntity, world_T_object: SE2, stamp_ns: int) -> None:
+def _set_pose(entity: SceneEntity, world_T_object: SE2, stamp_ns: int) -> None:
     entity.timestamp.seconds, entity.timestamp.nanos = divmod(stamp_ns, 1_000_000_000)
     pose = entity.lines[0].pose
     pose.position.x, pose.position.y = world_T_object.x, world_T_object.y

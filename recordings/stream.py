@@ -1,4 +1,4 @@
-"""The grid stream: a stretch of a recording as occupancy-grid frames of one fixed period."""
+"""The grid stream: a stretch of a recording as occupancy-grid frames at one fixed period."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def parse_named_stretch(text: str) -> tuple[str, Stretch]:
 
 
 def _seconds(stretch: str, where: str) -> Stretch | None:
-    """`30s-90s` or `90s-` as (start, end); None for what is no range of seconds."""
+    """`30s-90s` or `90s-` as (start, end); None for a text that is not a range of seconds."""
     seconds = re.fullmatch(r"(\d+(?:\.\d*)?)s?-(?:(\d+(?:\.\d*)?)s?)?", stretch)
     if seconds is None:
         return None
@@ -70,7 +70,7 @@ def open_stream(
     topic: str | None = None,
     strict: bool = False,
 ) -> GridStream:
-    """The stream of `RECORDING` or `RECORDING@STRETCH`, on the recording's own grid and rate unless others are given.
+    """The stream of `RECORDING` or `RECORDING@STRETCH`; grid and rate default to those of the recording.
 
     Raises RecordingError.
     """
@@ -81,7 +81,7 @@ def open_stream(
 
 @dataclass(frozen=True, slots=True)
 class Observation:
-    """A frame, and what only the referee may know of it: the `scans` it was made of, with labels and truth.
+    """A frame and the `scans` it was made of, with labels and truth, for the referee only.
 
     `grid_T_sensor` are the poses of the scans' sensors in the frame's grid, in the same order.
     """
@@ -92,17 +92,17 @@ class Observation:
 
     @property
     def scene(self) -> Scene | None:
-        """What was truly there, where the recording knows it."""
+        """The true scene, where the recording has it."""
         return next((scan.scene for scan in self.scans if scan.scene is not None), None)
 
 
 class GridStream:
-    """A stretch of a recording as frames; every iteration starts over from its first frame.
+    """A stretch of a recording as frames; every iteration starts at the first frame.
 
-    Frame k of a recording is stamped k periods after its first scan, whatever the stretch: a stretch is a slice of
-    the whole. The grid stands in the frame of the first sensor's first scan; where a sensor moves, it follows the
-    first sensor. `points` of the frames are the centres of the occupied cells, the same stream for every tracker, or
-    with "raw" the returns themselves.
+    The stamp of frame k of a recording is k periods after its first scan, in every stretch: a stretch is a slice of
+    the whole. The grid frame is that of the first sensor at its first scan; where a sensor moves, the grid follows the
+    first sensor. `points` of the frames are the centres of the occupied cells, the same for every tracker, or with
+    "raw" the returns of the laser.
     """
 
     def __init__(
@@ -128,12 +128,12 @@ class GridStream:
         if not self._ticks:
             raise RecordingError(f"{self.name}: no frame at {1 / self.period_s:g} Hz in this stretch")
         if len(survey.poses) > 1 and len(set(survey.poses.values())) == 1:
-            recording.notify(f"{len(survey.poses)} sensors and no poses: all are taken to stand in one place")
+            recording.notify(f"{len(survey.poses)} sensors and no poses: all are taken to have the same pose")
         self.gaps = self._count_gaps()
         self._degrade: Callable[[Scan], Scan] | None = None
 
     def degraded(self, degrade: Callable[[Scan], Scan]) -> GridStream:
-        """The same stretch made of degraded scans: the same ticks, and the grid where the true poses put it."""
+        """The same stretch of scans degraded by `degrade`, at the same ticks."""
         other = copy(self)
         other._degrade = degrade
         return other
@@ -146,11 +146,11 @@ class GridStream:
 
     @cached_property
     def has_truth(self) -> bool:
-        """Whether the recording knows what was truly there, seen or not."""
+        """Whether the recording has the true scene."""
         return any(scan.scene is not None for scan in islice(self.recording.scans(), len(self.recording.survey.poses)))
 
     def observations(self) -> Iterator[Observation]:
-        """The frames with the scans they were made of, for the referee; no tracker is ever handed one."""
+        """The frames with the scans they were made of. For the referee only: no tracker receives one."""
         survey = self.recording.survey
         margin_s = 3 * self.period_s
         start_s, end_s = self._ticks[0] * self.period_s, self._ticks[-1] * self.period_s
@@ -165,15 +165,15 @@ class GridStream:
             if survey.moves:
                 world_T_grid = poses[reference]
             grid_T_world = world_T_grid.inverse()
-            # The sensor whose frame the grid's is stands at its origin exactly, not to within rounding.
+            # The sensor that defines the grid frame is at its origin exactly, without rounding errors.
             grid_T_sensor = {s: SE2() if pose == world_T_grid else grid_T_world @ pose for s, pose in poses.items()}
             frame = self._frame(tick, grid_T_sensor, world_T_grid)
             yield Observation(frame, tuple(tick.scans.values()), tuple(grid_T_sensor[s] for s in tick.scans))
 
     def labelled(self) -> Iterator[LabelledFrame]:
-        """The frames with the classes of their occupied cells, for training; a tracker that runs is handed none.
+        """The frames with the classes of their occupied cells, for training. A tracker in a trial receives none.
 
-        Raises RecordingError for a label that names no class.
+        Raises RecordingError for a label without a class.
         """
         for observation in self.observations():
             cells, labels = labelled_returns(observation.scans, observation.grid_T_sensor, self.grid)
@@ -200,7 +200,7 @@ class GridStream:
         return GridFrame(tick.stamp_ns, visible, occupied, world_T_grid, origins, points, point_origin)
 
     def _count_gaps(self) -> int:
-        """Pauses of a sensor longer than two periods within the stretch; told as a warning of the recording."""
+        """Gaps of a sensor longer than two periods within the stretch; adds a warning to the recording."""
         survey = self.recording.survey
         start_ns = survey.first_ns + self._ticks[0] * self.period_ns
         end_ns = survey.first_ns + self._ticks[-1] * self.period_ns
@@ -223,14 +223,14 @@ class GridStream:
 def _rate(recording: Recording, rate_hz: float | None) -> float:
     rate = rate_hz or recording.info.rate_hz or recording.survey.rate_hz
     if rate is None:
-        raise RecordingError(f"{recording.path}: one scan does not make a rate: give one with --rate")
+        raise RecordingError(f"{recording.path}: a single scan has no rate: give one with --rate")
     if not (math.isfinite(rate) and 1e-3 <= rate <= 1e4):
         raise RecordingError(f"{recording.path}: a rate of {rate:g} Hz; expected 0.001 to 10000 Hz")
     return rate
 
 
 def _stretch(recording: Recording, stretch: Stretch | str | None) -> tuple[Stretch, str]:
-    """The stretch in seconds, its end known, and its name for messages. Raises RecordingError."""
+    """The stretch in seconds, with its end, and its name for messages. Raises RecordingError."""
     duration_s = recording.survey.duration_s
     if stretch is None:
         return (0.0, duration_s), recording.name
@@ -249,7 +249,7 @@ def _stretch(recording: Recording, stretch: Stretch | str | None) -> tuple[Stret
 
 
 def _ticks(duration_ns: int, period_ns: int, stretch_s: Stretch) -> range:
-    """Numbers of the ticks in the stretch: its start included, its end excluded unless it is the recording's."""
+    """Numbers of the ticks in the stretch: its start included, its end excluded unless the recording ends there."""
     start_s, end_s = stretch_s
     end = duration_ns // period_ns + 1
     if end_s is not None and round(end_s * 1e9) < duration_ns:
@@ -258,7 +258,7 @@ def _ticks(duration_ns: int, period_ns: int, stretch_s: Stretch) -> range:
 
 
 def frame_digest(frame: GridFrame) -> bytes:
-    """A hash of everything in a frame, 32 bytes: two trackers were given the same frame where it is the same."""
+    """A hash of the content of a frame, 32 bytes: equal for two trackers that received the same frame."""
     digest = hashlib.blake2b(digest_size=32)
     pose = frame.world_T_grid
     digest.update(struct.pack("<qddd", frame.stamp_ns, pose.x, pose.y, pose.theta))

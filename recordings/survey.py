@@ -1,4 +1,4 @@
-"""What a recording holds: its sensors, their rate, field of view and gaps, found in one pass over its scans."""
+"""Statistics of a recording from one pass over its scans: sensors, rate, field of view, gaps; and their overview."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from gridtrack.common.scan import Scan
 
 @dataclass
 class SensorSurvey:
-    """What the scans of one sensor have in common, and when they were taken."""
+    """Stamps and counts of the scans of one sensor."""
 
     first: Scan
     stamps: array[int] = field(default_factory=lambda: array("q"))
@@ -29,7 +29,7 @@ class SensorSurvey:
     with_truth: int = 0
 
     def add(self, scan: Scan) -> None:
-        """Take in the sensor's next scan."""
+        """Add the sensor's next scan."""
         self.stamps.append(scan.stamp_ns)
         self.beams.add(scan.ranges.size)
         self.moved = self.moved or scan.world_T_sensor != self.first.world_T_sensor
@@ -41,7 +41,7 @@ class SensorSurvey:
 
     @property
     def stamps_ns(self) -> NDArray[np.int64]:
-        """When the scans were taken, (n,) int64."""
+        """Stamps of the scans, (n,) int64."""
         return np.frombuffer(self.stamps, np.int64)
 
     @property
@@ -50,7 +50,7 @@ class SensorSurvey:
         return float(np.median(np.diff(self.stamps_ns))) / 1e9 if len(self.stamps) > 1 else None
 
     def gaps(self, period_ns: int) -> NDArray[np.int64]:
-        """Which pauses between scans are longer than two periods: (n, 2) int64, from and to in ns."""
+        """Gaps between scans longer than two periods: (n, 2) int64, start and end in ns."""
         stamps = self.stamps_ns
         (before,) = np.nonzero(np.diff(stamps) > 2 * period_ns)
         return np.stack([stamps[before], stamps[before + 1]], axis=1)
@@ -64,7 +64,7 @@ class Survey:
     topics: dict[str, tuple[str, int]] = field(default_factory=dict)
 
     def add(self, scan: Scan) -> None:
-        """Take in the next scan."""
+        """Add the next scan."""
         if scan.sensor not in self.sensors:
             self.sensors[scan.sensor] = SensorSurvey(scan)
         self.sensors[scan.sensor].add(scan)
@@ -91,12 +91,12 @@ class Survey:
 
     @property
     def poses(self) -> dict[str, SE2]:
-        """Where each sensor stands at its first scan, `world_T_sensor`."""
+        """The pose of each sensor at its first scan, `world_T_sensor`."""
         return {name: s.first.world_T_sensor for name, s in self.sensors.items()}
 
     @property
     def rate_hz(self) -> float | None:
-        """The rate at which every sensor has a scan for every tick: the slowest median, to a tenth of a hertz."""
+        """The lowest median rate of a sensor, rounded to 0.1 Hz: at it every sensor has a scan for every tick."""
         periods = [p for s in self.sensors.values() if (p := s.period_s) is not None]
         if not periods:
             return None
@@ -104,12 +104,12 @@ class Survey:
         return round(rate, 1) if rate >= 1.0 else float(f"{rate:.2g}")
 
     def sensor_overviews(self) -> dict[str, SensorOverview]:
-        """The figures that `recording info` shows of each sensor."""
+        """The overview of each sensor for `recording info`."""
         return {name: _overview(sensor) for name, sensor in self.sensors.items()}
 
 
 class SensorOverview(Settings):
-    """One sensor of a recording; `jitter_ms` is the 95th percentile of a period's distance from the median."""
+    """One sensor of a recording; `jitter_ms` is the 95th percentile of |period - median period|."""
 
     scans: int
     rate_hz: float | None
@@ -153,7 +153,7 @@ def _overview(sensor: SensorSurvey) -> SensorOverview:
 
 
 class RecordingOverview(Settings):
-    """A recording in a few lines: prints as text, `model_dump_json()` for a script."""
+    """The content of a recording: `str()` for people, `model_dump_json()` for programs."""
 
     path: str
     sha256: str
@@ -165,16 +165,16 @@ class RecordingOverview(Settings):
 
     def __str__(self) -> str:
         lines = [f"{self.path}: {self.duration_s:.1f} s, sha256 {self.sha256[:16]}..."]
-        lines += [f"  {key}: {_plain(value)}" for key, value in self.info.items() if value]
+        lines += [f"  {key}: {_as_text(value)}" for key, value in self.info.items() if value]
         lines += [f"  topic {topic}: {what}" for topic, what in self.topics.items()]
         for name, sensor in self.sensors.items():
             lines += [f"  sensor {name}: {line}" for line in _sensor_lines(sensor)]
         return "\n".join(lines + [f"  warning: {w}" for w in self.warnings])
 
 
-def _plain(value: object) -> str:
+def _as_text(value: object) -> str:
     if isinstance(value, dict):
-        return ", ".join(f"{k} {_plain(v)}" for k, v in value.items())
+        return ", ".join(f"{k} {_as_text(v)}" for k, v in value.items())
     if isinstance(value, list | tuple) and all(isinstance(v, str) for v in value):
         return ", ".join(map(str, value))
     if isinstance(value, list | tuple):

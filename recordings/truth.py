@@ -1,4 +1,4 @@
-"""Truth on the grid: the cells that the outlines of a scene pass through, and the cells that lie wholly inside."""
+"""Rasterised ground truth: the cells that the outlines of a scene pass through, and the cells wholly inside them."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from gridtrack.common.raycast import MAX_COORDINATE_CELLS, cross
 from gridtrack.common.scene import UNLABELLED, Outline, Scene
 
 FREE, OUTLINE, INTERIOR = 0, 1, 2
-"""What truly is in a cell: nothing, a surface that a laser could meet, or the inside of something."""
+"""True state of a cell: free, on a surface that a laser could hit, or inside an object."""
 
 
 @dataclass(frozen=True, slots=True)
 class TruthGrid:
-    """A scene on the grid.
+    """The true state and class of every cell.
 
     `cover` (M, M) uint8: FREE, OUTLINE or INTERIOR. `labels` (M, M) uint8: the class of each outline cell, UNLABELLED
     elsewhere.
@@ -32,13 +32,13 @@ class TruthGrid:
 
 
 def truth_grid(scene: Scene, grid: GridSpec, world_T_grid: SE2) -> TruthGrid:
-    """What is truly in each cell of a grid that lies at `world_T_grid`. Raises RecordingError.
+    """The true state of each cell of a grid at the pose `world_T_grid`. Raises RecordingError.
 
-    A cell that any outline has length in is OUTLINE, whatever else it is inside of; where several do, its class is
-    that of a road user before that of what stands, and of the later object in the scene. INTERIOR cells are wholly
-    inside one outline and on none.
+    A cell in which any outline has length is OUTLINE, even inside another outline. Where several outlines pass through
+    it, its class is that of a road user rather than of a static outline, and of the last object in the scene. INTERIOR
+    cells are wholly inside one outline and on none.
     """
-    truth = _blank(grid)
+    truth = _free_grid(grid)
     outlines = [*scene.static, *(body.outline for body in scene.objects)]
     poses = [SE2()] * len(scene.static) + [body.world_T_object for body in scene.objects]
     labels = [scene.static_label] * len(scene.static) + [body.label for body in scene.objects]
@@ -47,14 +47,14 @@ def truth_grid(scene: Scene, grid: GridSpec, world_T_grid: SE2) -> TruthGrid:
 
 
 def static_cells(scene: Scene, grid: GridSpec, world_T_grid: SE2) -> Mask:
-    """Cells (M, M) that an outline of what stands passes through. Raises RecordingError."""
-    truth = _blank(grid)
+    """Cells (M, M) that a static outline passes through. Raises RecordingError."""
+    truth = _free_grid(grid)
     _draw(truth, grid, world_T_grid, scene.static, [SE2()] * len(scene.static), [UNLABELLED] * len(scene.static))
-    standing: Mask = truth.cover == OUTLINE
-    return standing
+    cells: Mask = truth.cover == OUTLINE
+    return cells
 
 
-def _blank(grid: GridSpec) -> TruthGrid:
+def _free_grid(grid: GridSpec) -> TruthGrid:
     return TruthGrid(np.full(grid.shape, FREE, np.uint8), np.full(grid.shape, UNLABELLED, np.uint8))
 
 
@@ -66,15 +66,17 @@ def _draw(
     poses: list[SE2],
     labels: list[int],
 ) -> None:
-    """Draw `outlines`, each in its own frame that `poses` place in the world."""
+    """Draw `outlines`, each given in its own frame; `poses` are world_T_outline."""
     if not outlines:
         return
     sizes = np.array([len(outline) for outline in outlines])
-    with np.errstate(invalid="ignore"):  # corners that are not finite are refused below
-        corners = _placed(np.concatenate(outlines).astype(np.float64), np.repeat(_coefficients(poses), sizes, axis=0))
+    with np.errstate(invalid="ignore"):  # corners that are not finite raise an error below
+        corners = _transformed(
+            np.concatenate(outlines).astype(np.float64), np.repeat(_coefficients(poses), sizes, axis=0)
+        )
         corners = (world_T_grid.inverse().apply(corners) - grid.origin) / grid.cell_m
     if not (np.abs(corners) < MAX_COORDINATE_CELLS).all():
-        raise RecordingError("an outline of the true scene has corners that are no places: the recording is damaged")
+        raise RecordingError("an outline of the true scene has corners that are not finite: the recording is damaged")
     starts = np.concatenate([[0], sizes.cumsum()])
     _fill(corners, starts, truth.cover)
     _trace(corners, starts, np.array(labels, np.uint8), truth.cover, truth.labels, np.zeros(grid.size**2, np.bool_))
@@ -85,8 +87,8 @@ def _coefficients(poses: list[SE2]) -> NDArray[np.float64]:
     return np.array([(pose.x, pose.y, math.cos(pose.theta), math.sin(pose.theta)) for pose in poses])
 
 
-def _placed(points: NDArray[np.float64], pose: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Points (N, 2), each moved by a pose of its own: x, y, cos and sin (N, 4)."""
+def _transformed(points: NDArray[np.float64], pose: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Points (N, 2), each transformed by its own pose: x, y, cos and sin (N, 4)."""
     (x, y), (dx, dy, cos, sin) = points.T, pose.T
     return np.stack([dx + cos * x - sin * y, dy + sin * x + cos * y], axis=1)
 
@@ -95,7 +97,7 @@ def _placed(points: NDArray[np.float64], pose: NDArray[np.float64]) -> NDArray[n
 def _fill(corners, starts, cover):  # type: ignore[no-untyped-def]
     """Mark as INTERIOR the cells whose centres lie inside an outline (even-odd rule), row by row.
 
-    Right for cells that no outline passes through, which lie wholly on one side: `_trace` then marks the others.
+    Correct for cells that no outline passes through; `_trace` then marks the others.
     """
     size = cover.shape[0]
     crossings = np.empty(corners.shape[0])
@@ -136,7 +138,7 @@ def _trace(corners, starts, labels, cover, classes, crossed):  # type: ignore[no
             cross(x0, y0, x1 - x0, y1 - y0, size, crossed)
             left, right, bottom, top = min(left, x1), max(right, x1), min(bottom, y1), max(top, y1)
             x0, y0 = x1, y1
-        # one cell more each way: rounding may have put an edge on a border into the cell beside it
+        # one cell more on each side: rounding may have put an edge on a border into the next cell
         for row in range(max(math.floor(bottom) - 1, 0), min(math.floor(top) + 2, size)):
             for column in range(max(math.floor(left) - 1, 0), min(math.floor(right) + 2, size)):
                 if crossed[row * size + column]:

@@ -1,1 +1,1 @@
-"""Scenes made up and measured: a laser in them, road users' tracks, and the junction they meet at."""
+"""Simulated recordings with ground truth: a laser model, tracks of road users, the junction and its traffic."""

@@ -1,4 +1,4 @@
-"""What road users look like to a laser: outlines in their own frame, x forward, origin at the middle."""
+"""Outlines of road users at the height of the laser, in their own frame: x forward, origin at the centre."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ ELLIPSE_CORNERS = 12
 
 
 @lru_cache(maxsize=4096)
-def body(kind: str, length_m: float, width_m: float) -> Outline:
-    """The outline (N, 2) float32 of a road user of class `kind`, counter-clockwise; the same array for the same body.
+def body_outline(class_name: str, length_m: float, width_m: float) -> Outline:
+    """The outline (N, 2) float32, metres, of a road user, counter-clockwise; the same array for equal arguments.
 
     Pedestrians are ellipses, cyclists a thin frame with the rider's ellipse on it, cars and buses rectangles with cut
     corners; any other class is a rectangle.
     """
-    if kind == "pedestrian":
+    if class_name == "pedestrian":
         corners = ellipse(length_m, width_m, ELLIPSE_CORNERS)
-    elif kind == "cyclist":
+    elif class_name == "cyclist":
         corners = _cyclist(length_m, width_m)
     else:
-        corners = _cut_rectangle(length_m, width_m, CUT_M.get(kind, 0.0))
+        corners = _cut_rectangle(length_m, width_m, CUT_M.get(class_name, 0.0))
     outline = np.array(corners, np.float32)
     outline.flags.writeable = False
     return outline
@@ -40,10 +40,10 @@ def ellipse(length_m: float, width_m: float, corners: int) -> list[tuple[float, 
 
 
 def _cyclist(length_m: float, width_m: float) -> list[tuple[float, float]]:
-    """Out along the frame's right side to the front wheel, and back along the left; the rider bulges from both."""
+    """A thin frame from the rear to the front wheel, with the rider's ellipse around its middle."""
     rider = min(RIDER_LENGTH_M, length_m)
     frame = min(FRAME_WIDTH_M, width_m)
-    # The rider's arc begins where the ellipse leaves the frame.
+    # The rider's arc starts where the ellipse leaves the frame.
     leave = math.asin(frame / width_m)
     arc = [leave + (math.pi - 2.0 * leave) * i / 4.0 for i in range(5)]
     left = [(rider / 2.0 * math.cos(angle), width_m / 2.0 * math.sin(angle)) for angle in arc]

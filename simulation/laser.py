@@ -1,4 +1,4 @@
-"""A planar laser in a scene: what each beam would return, and of which class, exactly and then with noise."""
+"""A planar laser in a scene: range and class of each beam, exact and with noise."""
 
 from __future__ import annotations
 
@@ -16,22 +16,22 @@ from gridtrack.common.scene import UNLABELLED, Scene
 
 MAX_BEAMS = 100_000
 TICK_M = 2.0**-10
-"""Ranges are multiples of it, as a real laser counts millimetres; a power of two, so that they also pack well."""
+"""Resolution of the ranges. A power of two compresses well."""
 NEAR_RANGE_M = 10.0
 NEAR_NOISE_M, FAR_NOISE_M = 0.03, 0.05
-"""Range noise of the Hokuyo UTM-30LX up to NEAR_RANGE_M and beyond (its data sheet)."""
+"""Standard deviation of the range up to NEAR_RANGE_M and beyond it: Hokuyo UTM-30LX, data sheet."""
 TOUCHING = 1e-9
-"""So near to a side, as a share of its length, the sensor stands on it: the side then has no angle to speak of."""
+"""Distance to a side, as a share of its length, below which the sensor is taken to be on the side."""
 
 
 class Laser(Settings):
-    """A planar laser and where it stands, `world_T_sensor`; the defaults are those of the Hokuyo UTM-30LX."""
+    """A planar laser and its pose `world_T_sensor`; the defaults are those of the Hokuyo UTM-30LX."""
 
     x: float = 0.0
     y: float = 0.0
     theta: float = 0.0
     angle_min: float = math.radians(-135.0)
-    """Of beam 0, radians, sensor frame; beam i leaves at `angle_min + i * angle_increment`."""
+    """Angle of beam 0, radians, sensor frame; beam i has the angle `angle_min + i * angle_increment`."""
     angle_increment: float = math.radians(0.25)
     beams: int = Field(default=1081, ge=1, le=MAX_BEAMS)
     range_min: float = Field(default=0.1, ge=0.0, le=1e3)
@@ -39,11 +39,11 @@ class Laser(Settings):
 
     @property
     def world_T_sensor(self) -> SE2:
-        """Where it stands."""
+        """The pose of the laser."""
         return SE2(self.x, self.y, self.theta)
 
     def scan(self, scene: Scene, stamp_ns: int, random: np.random.Generator) -> Scan:
-        """What it measures of `scene`, with noise drawn from `random`; the truth goes along."""
+        """A scan of `scene` with noise from `random`, labels and the true scene."""
         ranges, labels = sweep(
             scene, self.world_T_sensor, self.angle_min, self.angle_increment, self.beams, self.range_max
         )
@@ -63,10 +63,10 @@ class Laser(Settings):
 def sweep(
     scene: Scene, world_T_sensor: SE2, angle_min: float, angle_increment: float, beams: int, range_max: float
 ) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
-    """Ranges (B,) float32 in metres, free of noise, and labels (B,) uint8 of what a laser at `world_T_sensor` sees.
+    """Ranges (B,) float32 in metres, free of noise, and labels (B,) uint8 of a laser at `world_T_sensor`.
 
-    Beam i leaves at `angle_min + i * angle_increment` (radians, counter-clockwise, sensor frame). A range is the
-    distance to the nearest side of any outline, from outside or inside; +inf with label UNLABELLED where there is none
+    Beam i has the angle `angle_min + i * angle_increment` (radians, counter-clockwise, sensor frame). A range is the
+    distance to the nearest side of any outline, from outside or inside; +inf, labelled UNLABELLED, where there is none
     within `range_max`.
     """
     outlines = [*scene.static, *(thing.outline for thing in scene.objects)]
@@ -88,7 +88,7 @@ def sweep(
 
 
 def with_noise(ranges: NDArray[np.float32], range_max: float, random: np.random.Generator) -> NDArray[np.float32]:
-    """`ranges` (B,) as the laser would measure them: normal noise, in whole ticks, never beyond `range_max`."""
+    """`ranges` (B,) with normal noise, rounded to TICK_M, at most `range_max`; infinite ones are not changed."""
     std = np.where(ranges <= NEAR_RANGE_M, NEAR_NOISE_M, FAR_NOISE_M)
     ticks = np.round((ranges + std * random.standard_normal(ranges.size)) / TICK_M)
     measured = np.clip(ticks * TICK_M, 0.0, math.floor(range_max / TICK_M) * TICK_M)
@@ -96,7 +96,7 @@ def with_noise(ranges: NDArray[np.float32], range_max: float, random: np.random.
 
 
 def _poses(scene: Scene, sensor_T_world: SE2) -> NDArray[np.float64]:
-    """Where each outline stands, static ones first: (O, 3) as x, y, theta in the sensor frame."""
+    """The pose of each outline, static ones first: (O, 3) as x, y, theta in the sensor frame."""
     poses = [sensor_T_world] * len(scene.static)
     poses += [sensor_T_world @ thing.world_T_object for thing in scene.objects]
     return np.array([(pose.x, pose.y, pose.theta) for pose in poses])
@@ -104,7 +104,7 @@ def _poses(scene: Scene, sensor_T_world: SE2) -> NDArray[np.float64]:
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _sweep(corners, counts, poses, outline_labels, angle_min, angle_increment, range_max, nearest, labels):  # type: ignore[no-untyped-def]
-    """Lower `nearest` (B,) to the distance of each outline's sides, and set `labels` (B,) with it."""
+    """Lower `nearest` (B,) to the distance of each outline's sides, and set `labels` (B,) accordingly."""
     first = 0
     for o in range(counts.size):
         c, s = math.cos(poses[o, 2]), math.sin(poses[o, 2])
@@ -128,16 +128,16 @@ def _sweep(corners, counts, poses, outline_labels, angle_min, angle_increment, r
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _side(px, py, qx, qy, angle_min, angle_increment, range_max, label, nearest, labels):  # type: ignore[no-untyped-def]
-    """One side from p to q, sensor frame: only the beams between the angles of its ends can meet it."""
+    """One side from p to q, sensor frame: only the beams between the angles of its ends can intersect it."""
     ex, ey = qx - px, qy - py
     length = math.hypot(ex, ey)
     across = px * qy - py * qx
     if length == 0.0 or abs(across) >= length * range_max * (1.0 + 1e-9):
         return
     if abs(across) <= TOUCHING * length * length:
-        _hit(0, nearest.size, px, py, ex, ey, angle_min, angle_increment, range_max, label, nearest, labels)
+        _intersect(0, nearest.size, px, py, ex, ey, angle_min, angle_increment, range_max, label, nearest, labels)
         return
-    # Mirrored where the beams run clockwise, so that beams and angles always rise together.
+    # Mirrored for clockwise beams, so that angles always increase with the beam number.
     turn = 1.0 if angle_increment >= 0.0 else -1.0
     step = max(abs(angle_increment), 1e-12)
     span = math.atan2(abs(across), px * qx + py * qy)
@@ -146,13 +146,13 @@ def _side(px, py, qx, qy, angle_min, angle_increment, range_max, label, nearest,
     while start <= step * nearest.size:
         begin = min(max(math.ceil(start / step) - 1, 0), nearest.size)
         end = min(max(math.floor((start + span) / step) + 2, 0), nearest.size)
-        _hit(begin, end, px, py, ex, ey, angle_min, angle_increment, range_max, label, nearest, labels)
+        _intersect(begin, end, px, py, ex, ey, angle_min, angle_increment, range_max, label, nearest, labels)
         start += 2.0 * math.pi
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _hit(begin, end, px, py, ex, ey, angle_min, angle_increment, range_max, label, nearest, labels):  # type: ignore[no-untyped-def]
-    """Meet beams begin..end-1 with the line p + u * e, 0 <= u <= 1."""
+def _intersect(begin, end, px, py, ex, ey, angle_min, angle_increment, range_max, label, nearest, labels):  # type: ignore[no-untyped-def]
+    """Intersect beams begin..end-1 with the segment p + u * e, 0 <= u <= 1."""
     for i in range(begin, end):
         angle = angle_min + i * angle_increment
         dx, dy = math.cos(angle), math.sin(angle)

@@ -1,4 +1,4 @@
-"""Annotated videos in the layout of the Stanford Drone Dataset as tracks: real people's paths under a simulated laser.
+"""Annotated videos in the format of the Stanford Drone Dataset as tracks: recorded paths under a simulated laser.
 
 One line for each road user in each video frame, separated by spaces: `track xmin ymin xmax ymax frame lost occluded
 generated "Label"`, boxes in pixels, y downwards, 30 frames a second (Robicquet et al., "Learning social etiquette",
@@ -22,14 +22,14 @@ from gridtrack.common.config import Settings
 from gridtrack.common.errors import RecordingError
 from gridtrack.recordings.recording import RecordingInfo
 from gridtrack.simulation.laser import Laser
-from gridtrack.simulation.motion import headings, pieces, smoothed
+from gridtrack.simulation.motion import headings, smoothed, unbroken_tracks
 from gridtrack.simulation.tracks import MAX_USERS_PER_FRAME, Tracks, TracksInfo
 
 VIDEO_HZ = 30.0
 SMOOTHING_STEPS = 10.0
-"""A third of a second: what hand-drawn boxes jitter in, and nobody's gait."""
+"""A third of a second: removes the jitter of hand-drawn boxes and keeps the motion."""
 STANFORD_CLASSES = ("pedestrian", "cyclist", "car", "bus")
-BODIES = {
+ROAD_USERS = {
     "Pedestrian": ("pedestrian", 0.3, 0.5),
     "Skater": ("pedestrian", 0.3, 0.5),
     "Biker": ("cyclist", 1.75, 0.6),
@@ -37,23 +37,23 @@ BODIES = {
     "Car": ("car", 4.5, 1.82),
     "Bus": ("bus", 11.5, 2.55),
 }
-"""Class here, length and width in metres of each label."""
+"""Class, length and width in metres of each label of the annotations."""
 ANNOTATION_COLUMNS = 10
-CLEAR_M = 0.75
-"""So far the laser keeps from everybody's middle where a place is chosen for it."""
+CLEARANCE_M = 0.75
+"""Distance between a chosen position of the laser and the centre of every road user."""
 MAX_ANNOTATION_LINES, MAX_PIXELS, MAX_FRAME = 5_000_000, 1e6, 5_000_000
 
 
 class Video(Settings):
-    """What the annotations do not say: metres to a pixel, the recording's site and rate, and where the laser stands,
-    metres, x right and y up from the image's upper left corner."""
+    """Values that the annotations do not contain: metres to a pixel, site and rate of the recording, position of the
+    laser, metres, x right and y up from the image's upper left corner."""
 
     scale: float = Field(gt=0.0, le=10.0)
     site: str = Field(min_length=1)
     rate_hz: float = Field(default=8.0, gt=0.0, le=VIDEO_HZ)
     grid: str = "100x0.2"
     laser_at: tuple[float, float] | None = None
-    """None: the place nearest to the middle of all paths that nobody comes near."""
+    """None: the position nearest to the median of all paths that every road user stays CLEARANCE_M away from."""
     seed: int = Field(default=0, ge=0)
     licence: str = ""
     credit: str = ""
@@ -61,7 +61,7 @@ class Video(Settings):
 
 @dataclass(frozen=True)
 class _Boxes:
-    """Rows of the file: `track`, `frame` (N,) int64, `box` (N, 4) float64 pixels, `label` (N,) by BODIES."""
+    """Rows of the file: `track`, `frame` (N,) int64, `box` (N, 4) float64 pixels, `label` (N,) indexes ROAD_USERS."""
 
     track: NDArray[np.int64]
     frame: NDArray[np.int64]
@@ -74,19 +74,19 @@ def read_stanford(path: Path, video: Video, command: str = "") -> Tracks:
     boxes = _read(path)
     middle = np.column_stack([boxes.box[:, [0, 2]].mean(axis=1), -boxes.box[:, [1, 3]].mean(axis=1)]) * video.scale
     first = boxes.frame.min()
-    found = [
-        _resampled(number, (boxes.frame[rows] - first) / VIDEO_HZ, middle[rows], _resting(boxes, rows), video.rate_hz)
-        for number, rows in enumerate(pieces(boxes.track, boxes.frame))
-    ]
-    of_piece = [boxes.label[rows.start] for rows in pieces(boxes.track, boxes.frame)]
-    frame, track, pose = (np.concatenate(column) for column in zip(*found, strict=True))
-    kinds = [list(BODIES.values())[label] for label in of_piece]
+    parts = unbroken_tracks(boxes.track, boxes.frame)
+    columns = []
+    for number, rows in enumerate(parts):
+        time_s, resting = (boxes.frame[rows] - first) / VIDEO_HZ, _resting_heading(boxes, rows)
+        columns.append(_resampled(number, time_s, middle[rows], resting, video.rate_hz))
+    frame, track, pose = (np.concatenate(column) for column in zip(*columns, strict=True))
+    kinds = [list(ROAD_USERS.values())[boxes.label[rows.start]] for rows in parts]
     order = np.lexsort((track, frame))
     frame, track, pose = frame[order], track[order], pose[order]
     if np.bincount(frame).max() > MAX_USERS_PER_FRAME:
         raise RecordingError(f"{path}: more than {MAX_USERS_PER_FRAME} road users in one frame")
     frames = int(frame.max()) + 1
-    laser = _laser(video.laser_at or _clear_place(path, pose[:, :2]))
+    laser = _laser(video.laser_at or _clear_position(path, pose[:, :2]))
     tracks = Tracks(
         info=_info(video, laser, frames, command),
         frame=frame,
@@ -112,18 +112,18 @@ def _info(video: Video, laser: Laser, frames: int, command: str) -> TracksInfo:
 
 
 def _read(path: Path) -> _Boxes:
-    """The rows that are in view, sorted by track and frame."""
+    """The rows that are not marked as lost, sorted by track and frame."""
     rows = []
     try:
         with path.open(encoding="utf-8", newline="") as file:
             for number, row in _lines(path, file):
                 values = _values(path, number, row)
                 if not int(values[6]):
-                    rows.append((*values[:6], list(BODIES).index(row[9])))
+                    rows.append((*values[:6], list(ROAD_USERS).index(row[9])))
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise RecordingError(f"{path}: cannot be read ({error})") from None
     if not rows:
-        raise RecordingError(f"{path}: nobody is ever in view")
+        raise RecordingError(f"{path}: no road user is ever in view")
     table = np.array(rows)
     order = np.lexsort((table[:, 5], table[:, 0]))
     table = table[order]
@@ -145,10 +145,10 @@ def _lines(path: Path, file: Iterator[str]) -> Iterator[tuple[int, list[str]]]:
 
 def _values(path: Path, number: int, row: list[str]) -> list[float]:
     """The nine numbers of a line. Raises RecordingError."""
-    if len(row) < ANNOTATION_COLUMNS or row[9] not in BODIES:
+    if len(row) < ANNOTATION_COLUMNS or row[9] not in ROAD_USERS:
         raise RecordingError(
             f"{path}, line {number}: expected `track xmin ymin xmax ymax frame lost occluded generated"
-            f' "Label"` with one of {", ".join(BODIES)}'
+            f' "Label"` with one of {", ".join(ROAD_USERS)}'
         )
     try:
         values = [float(text) for text in row[:9]]
@@ -156,12 +156,12 @@ def _values(path: Path, number: int, row: list[str]) -> list[float]:
         raise RecordingError(f"{path}, line {number}: a value is not a number") from None
     sizes = all(abs(value) <= MAX_PIXELS for value in values[:5])
     if not (sizes and values[0] >= 0 and 0 <= values[5] <= MAX_FRAME and values[6] in (0, 1)):
-        raise RecordingError(f"{path}, line {number}: a track, box or frame that cannot be")
+        raise RecordingError(f"{path}, line {number}: a track, box or frame outside the valid range")
     return values
 
 
-def _resting(boxes: _Boxes, rows: slice) -> float:
-    """The heading of what never moves: along the longer side of its box."""
+def _resting_heading(boxes: _Boxes, rows: slice) -> float:
+    """The heading of a road user that never moves: along the longer side of its box."""
     left, top, right, bottom = boxes.box[rows.start]
     return math.pi / 2.0 if bottom - top > right - left else 0.0
 
@@ -178,18 +178,18 @@ def _resampled(
 
 
 def _laser(at: tuple[float, float]) -> Laser:
-    """All round: there is no house behind it."""
+    """A laser with a field of view of 360 degrees."""
     return Laser(x=at[0], y=at[1], angle_min=-math.pi, beams=1440)
 
 
-def _clear_place(path: Path, positions: NDArray[np.float64]) -> tuple[float, float]:
-    """The place on a raster nearest to the middle of all paths that nobody's middle comes within CLEAR_M of."""
-    raster = CLEAR_M / 3.0
+def _clear_position(path: Path, positions: NDArray[np.float64]) -> tuple[float, float]:
+    """The position on a raster nearest to the median of all paths with CLEARANCE_M to every road user's centre."""
+    raster = CLEARANCE_M / 3.0
     low = positions.min(axis=0)
     cells = np.unique(np.floor((positions - low) / raster).astype(np.int64), axis=0)
     taken = np.zeros(tuple(cells.max(axis=0) + 1), np.bool_)
     taken[tuple(cells.T)] = True
-    reach = math.ceil(CLEAR_M / raster) + 1
+    reach = math.ceil(CLEARANCE_M / raster) + 1
     padded = np.pad(taken, reach)
     near = np.zeros_like(taken)
     for i in range(2 * reach + 1):
@@ -198,6 +198,6 @@ def _clear_place(path: Path, positions: NDArray[np.float64]) -> tuple[float, flo
                 near |= padded[i : i + taken.shape[0], j : j + taken.shape[1]]
     free = low + (np.argwhere(~near) + 0.5) * raster
     if not len(free):
-        raise RecordingError(f"{path}: people walk everywhere; say where the laser stands with --laser-at X,Y")
+        raise RecordingError(f"{path}: no position is clear of road users; give that of the laser with --laser-at X,Y")
     best = free[np.argmin(np.linalg.norm(free - np.median(positions, axis=0), axis=1))]
     return round(float(best[0]), 2), round(float(best[1]), 2)

@@ -1,6 +1,6 @@
-"""Traffic from Eclipse SUMO with pedestrians by JuPedSim: run it, and read where everybody was.
+"""Traffic from Eclipse SUMO with pedestrians by JuPedSim: runs the simulation and reads the positions.
 
-SUMO gives the front bumper, and headings in degrees clockwise from north; here they become the body's middle, and
+SUMO gives the position of the front bumper, and headings in degrees clockwise from north, which are converted to
 radians counter-clockwise from x.
 """
 
@@ -39,7 +39,7 @@ class SimulationError(GridtrackError):
 
 @dataclass(frozen=True)
 class Movements:
-    """Who was where, sorted by road user and then step.
+    """Positions of all road users, sorted by road user and then step.
 
     `user` (N,) int64 numbers the road users in the order of their names; `kind` (users,) is the vehicle type of each;
     `step` (N,) int64 counts from the first; `position` (N, 2) float64 is SUMO's reference point, metres; `heading`
@@ -53,16 +53,16 @@ class Movements:
     heading: NDArray[np.float64]
 
 
-class Watch(Protocol):
-    """Looks at the traffic while it is simulated, and may act on it, through a connection of SUMO's TraCI."""
+class TrafficObserver(Protocol):
+    """Observes the traffic while it is simulated, and may act on it, through a TraCI connection to SUMO."""
 
     every_s: float
 
-    def begin(self, traffic: Any) -> None:
-        """Before the first step."""
+    def start(self, traffic: Any) -> None:
+        """Called before the first step."""
 
-    def look(self, traffic: Any) -> None:
-        """After every `every_s` seconds of the simulation, and at its end."""
+    def observe(self, traffic: Any) -> None:
+        """Called after every `every_s` seconds of the simulation, and at its end."""
 
 
 def run_sumo(
@@ -72,9 +72,9 @@ def run_sumo(
     additional: tuple[Path, ...],
     span_s: tuple[float, float],
     seed: int,
-    watch: Watch,
+    observer: TrafficObserver,
 ) -> Movements:
-    """Simulate from time 0 and give what happened in `span_s`; files that it needs are made in `folder`.
+    """Simulate from time 0 and return the movements in `span_s`; temporary files are written to `folder`.
 
     `routes` is the XML of the demand. The same version and arguments give the same movements. Raises
     ConfigurationError where SUMO is not installed, SimulationError where it fails.
@@ -94,11 +94,11 @@ def run_sumo(
         "error-log": str(errors),
     }
     options = [f"--{name}={value}" for name, value in (OPTIONS | arguments).items()]
-    command = [str(_program()), *options, "--no-step-log", "--no-warnings"]
+    command = [str(_sumo_program()), *options, "--no-step-log", "--no-warnings"]
     from traci.exceptions import FatalTraCIError, TraCIException
 
     try:
-        _simulate(command, span_s[1], watch)
+        _simulate(command, span_s[1], observer)
     except (FatalTraCIError, TraCIException) as error:
         reason = _first_error(errors) or error
         raise SimulationError(f"SUMO failed with seed {seed}: {reason}; try another seed") from error
@@ -109,11 +109,11 @@ def sumo_version() -> str:
     """The version of the installed SUMO. Raises ConfigurationError."""
     from importlib.metadata import version
 
-    _program()
+    _sumo_program()
     return version("eclipse-sumo")
 
 
-def _program() -> Path:
+def _sumo_program() -> Path:
     try:
         import sumo
         import traci  # noqa: F401
@@ -122,8 +122,8 @@ def _program() -> Path:
     return Path(sumo.SUMO_HOME) / "bin" / "sumo"
 
 
-def _simulate(command: list[str], end_s: float, watch: Watch) -> None:
-    """Run `command` up to `end_s` while `watch` looks on. Raises TraCI's errors where SUMO ends before."""
+def _simulate(command: list[str], end_s: float, observer: TrafficObserver) -> None:
+    """Run `command` up to `end_s` with an observer. Raises TraCI's errors where SUMO ends before."""
     from sumolib.miscutils import getFreeSocketPort
     from traci.exceptions import FatalTraCIError, TraCIException
 
@@ -132,14 +132,14 @@ def _simulate(command: list[str], end_s: float, watch: Watch) -> None:
     with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
         try:
             traffic = _connected(process, port)
-            watch.begin(traffic)
-            for k in range(1, math.ceil(end_s / watch.every_s) + 1):
-                traffic.simulationStep(min(k * watch.every_s, end_s))
-                watch.look(traffic)
+            observer.start(traffic)
+            for k in range(1, math.ceil(end_s / observer.every_s) + 1):
+                traffic.simulationStep(min(k * observer.every_s, end_s))
+                observer.observe(traffic)
             traffic.close()
         except (FatalTraCIError, TraCIException):
             with contextlib.suppress(subprocess.TimeoutExpired):
-                process.wait(EXIT_TIMEOUT_S)  # SUMO tells what went wrong after it has let go of the connection
+                process.wait(EXIT_TIMEOUT_S)  # SUMO writes its error after it has closed the connection
             raise
         finally:
             process.kill()
@@ -148,15 +148,15 @@ def _simulate(command: list[str], end_s: float, watch: Watch) -> None:
 
 
 def _connected(process: subprocess.Popen[bytes], port: int) -> Any:
-    """TraCI's connection to the process, once it listens."""
+    """The TraCI connection to the process, once it listens."""
     import traci
 
-    with contextlib.redirect_stdout(io.StringIO()):  # it prints every try
+    with contextlib.redirect_stdout(io.StringIO()):  # it prints every attempt
         return traci.connect(port, CONNECTION_TRIES, proc=process, waitBetweenRetries=CONNECTION_WAIT_S)
 
 
 def _first_error(log: Path) -> str:
-    """What SUMO told first of what went wrong, or nothing."""
+    """The first error in SUMO's log, or an empty text."""
     lines = log.read_text().splitlines() if log.is_file() else []
     return next((line for line in lines if line.startswith("Error")), "")
 

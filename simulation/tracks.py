@@ -1,7 +1,7 @@
-"""Tracks as a file: where every road user was in each frame, from which a recording is rendered.
+"""Tracks as a file: the pose of every road user in each frame, from which a recording is rendered.
 
-A Parquet file with one row for each road user in each frame, whole numbers in the unit that the column names, and in
-its metadata, as JSON, what else the recording is made of (TracksInfo). An hour of a busy junction takes about two
+A Parquet file with one row for each road user in each frame, integers in the unit of measurement in the column's name,
+and the rest of the recording (TracksInfo) as JSON in its metadata. An hour of a busy junction takes about two
 megabytes.
 """
 
@@ -26,7 +26,7 @@ from gridtrack.common.geometry import SE2
 from gridtrack.common.scan import Scan
 from gridtrack.common.scene import UNLABELLED, Scene, SceneObject
 from gridtrack.recordings.recording import RecordingInfo
-from gridtrack.simulation.bodies import body
+from gridtrack.simulation.bodies import body_outline
 from gridtrack.simulation.laser import Laser
 
 TRACKS_SCHEMA = 1
@@ -44,14 +44,14 @@ TRACK_COLUMNS = {
 MAX_TRACK_ROWS, MAX_FRAMES, MAX_USERS_PER_FRAME = 5_000_000, 5_000_000, 1000
 HALF_TURN_MRAD = 3141
 MAX_RENDERED_BEAMS = 1_000_000_000
-"""Of a recording in all: a small file must not fill the disk when it is rendered."""
+"""Beams of all frames together: a small file must not fill the disk when it is rendered."""
 MAX_OUTLINES, MAX_OUTLINE_CORNERS = 1000, 1000
 
 Corner = tuple[float, float]
 
 
 class TracksInfo(Settings):
-    """What a recording is made of besides its tracks.
+    """The input of a recording besides its tracks.
 
     `static` outlines are corners in metres, world frame, counter-clockwise; `noise_seed` seeds the laser's noise.
     """
@@ -68,7 +68,7 @@ class TracksInfo(Settings):
 
     @field_validator("static")
     @classmethod
-    def _outlines_have_corners(cls, static: tuple[tuple[Corner, ...], ...]) -> tuple[tuple[Corner, ...], ...]:
+    def _check_corners(cls, static: tuple[tuple[Corner, ...], ...]) -> tuple[tuple[Corner, ...], ...]:
         if any(not 3 <= len(outline) <= MAX_OUTLINE_CORNERS for outline in static):
             raise ValueError(f"an outline has 3 to {MAX_OUTLINE_CORNERS} corners")
         return static
@@ -79,7 +79,7 @@ class Tracks:
     """Road users over time, row by row in the order of frame and track.
 
     `frame` and `track` (N,) int64; `label` (N,) int64 indexes `info.recording.classes`; `pose` (N, 3) float64 is x, y,
-    heading of the body's middle, world frame; `size` (N, 2) float64 its length and width; metres and radians.
+    heading of the body's centre, world frame; `size` (N, 2) float64 its length and width; metres and radians.
     """
 
     info: TracksInfo
@@ -98,13 +98,13 @@ class Tracks:
         for rows in itertools.starmap(slice, itertools.pairwise(starts)):
             columns = (column[rows].tolist() for column in (self.track, self.label, self.pose, self.size))
             objects = tuple(
-                SceneObject(track, label, SE2(*pose), body(classes[label], *size))
+                SceneObject(track, label, SE2(*pose), body_outline(classes[label], *size))
                 for track, label, pose, size in zip(*columns, strict=True)
             )
             yield Scene(static, static_label, objects)
 
     def scans(self) -> Iterator[Scan]:
-        """What the laser measures in each frame; the noise of a frame is its own, whichever came before."""
+        """The scan of each frame; its noise depends on the seed and the frame number only."""
         period_ns = round(1e9 / self.info.rate_hz)
         for frame, scene in enumerate(self.scenes()):
             random = np.random.default_rng([self.info.noise_seed, frame])
@@ -122,7 +122,7 @@ class Tracks:
         )
 
     def rounded(self) -> Tracks:
-        """As they are when read from a file."""
+        """The tracks with the resolution of the file."""
         heading = np.arctan2(np.sin(self.pose[:, 2]), np.cos(self.pose[:, 2]))
         heading_mrad = np.clip(np.round(heading * 1000.0), -HALF_TURN_MRAD, HALF_TURN_MRAD)
         whole = np.column_stack([np.round(self.pose[:, :2] * 100.0), heading_mrad])
@@ -133,7 +133,7 @@ class Tracks:
 def write_tracks(file: BinaryIO, tracks: Tracks) -> None:
     """Write `tracks`, positions to the centimetre and headings to the milliradian; same input, same bytes.
 
-    Rows are kept track by track, where successive numbers are nearly alike and take a byte or two.
+    Rows are sorted by track, so that successive numbers differ little and take a byte or two.
     """
     tracks = tracks.rounded()
     order = np.lexsort((tracks.frame, tracks.track))
@@ -150,14 +150,14 @@ def write_tracks(file: BinaryIO, tracks: Tracks) -> None:
     about = json.dumps({"schema": TRACKS_SCHEMA} | tracks.info.model_dump(mode="json"))
     schema = pa.schema(list(TRACK_COLUMNS.items()), metadata={METADATA_KEY: about})
     columns = [pa.array(values[name][order].astype(kind.to_pandas_dtype())) for name, kind in TRACK_COLUMNS.items()]
-    slowly = [name for name in TRACK_COLUMNS if name not in ("class", "length_cm", "width_cm")]
+    delta_encoded = [name for name in TRACK_COLUMNS if name not in ("class", "length_cm", "width_cm")]
     pq.write_table(
         pa.Table.from_arrays(columns, schema=schema),
         file,
         compression="zstd",
         compression_level=19,
         use_dictionary=["class", "length_cm", "width_cm"],
-        column_encoding=dict.fromkeys(slowly, "DELTA_BINARY_PACKED"),
+        column_encoding=dict.fromkeys(delta_encoded, "DELTA_BINARY_PACKED"),
         write_statistics=False,
         row_group_size=MAX_TRACK_ROWS,
         data_page_size=1 << 20,
@@ -165,7 +165,7 @@ def write_tracks(file: BinaryIO, tracks: Tracks) -> None:
 
 
 def read_tracks(path: Path) -> Tracks:
-    """The tracks of a file that may come from anywhere. Raises RecordingError for one that is damaged or absurd."""
+    """The tracks of an untrusted file. Raises RecordingError for one that is damaged or exceeds a limit."""
     try:
         with pq.ParquetFile(path) as file:
             info = _read_info(path, file)
@@ -174,11 +174,11 @@ def read_tracks(path: Path) -> Tracks:
         raise RecordingError(
             f"{path}: damaged ({str(error).splitlines()[0] if str(error) else 'unreadable'})"
         ) from None
-    _refuse(path, "a value is missing", any(table[name].null_count for name in TRACK_COLUMNS))
+    _raise_if(path, "a value is missing", any(table[name].null_count for name in TRACK_COLUMNS))
     columns = {name: table[name].to_numpy().astype(np.int64) for name in TRACK_COLUMNS}
     order = np.lexsort((columns["track"], columns["frame"]))
     columns = {name: column[order] for name, column in columns.items()}
-    _refuse_absurd(path, info, columns)
+    _check_rows(path, info, columns)
     return Tracks(
         info=info,
         frame=columns["frame"],
@@ -190,7 +190,7 @@ def read_tracks(path: Path) -> Tracks:
 
 
 def _read_info(path: Path, file: pq.ParquetFile) -> TracksInfo:
-    """What the file says about itself, before any of its columns is unpacked."""
+    """The metadata of the file, read before any of its columns is decompressed."""
     about = (file.schema_arrow.metadata or {}).get(METADATA_KEY)
     if about is None or file.metadata.num_rows > MAX_TRACK_ROWS:
         reason = "not a file of tracks" if about is None else f"more than {MAX_TRACK_ROWS} rows"
@@ -208,12 +208,12 @@ def _read_info(path: Path, file: pq.ParquetFile) -> TracksInfo:
     return validated(TracksInfo, values, f"{path}: its metadata")
 
 
-def _refuse_absurd(path: Path, info: TracksInfo, columns: dict[str, NDArray[np.int64]]) -> None:
-    """Raise RecordingError for rows from which no scene can be made."""
+def _check_rows(path: Path, info: TracksInfo, columns: dict[str, NDArray[np.int64]]) -> None:
+    """Raise RecordingError for rows that are not a scene."""
     frame, track = columns["frame"], columns["track"]
     classes = info.recording.classes
     if info.static_class is not None and info.static_class not in classes:
-        raise RecordingError(f"{path}: its static class is none of its classes")
+        raise RecordingError(f"{path}: its static class is not one of its classes")
     beams = info.frames * info.laser.beams
     if beams > MAX_RENDERED_BEAMS:
         raise RecordingError(
@@ -221,18 +221,18 @@ def _refuse_absurd(path: Path, info: TracksInfo, columns: dict[str, NDArray[np.i
         )
     if not frame.size:
         return
-    _refuse(path, f"a frame outside 0 to {info.frames - 1}", frame.min() < 0 or frame.max() >= info.frames)
-    _refuse(path, "a track below 0", track.min() < 0)
-    _refuse(path, f"a class beyond the {len(classes)} that it names", columns["class"].max() >= len(classes))
-    _refuse(path, "a body without extent", min(columns["length_cm"].min(), columns["width_cm"].min()) < 1)
-    _refuse(path, "a track twice in one frame", ((np.diff(frame) == 0) & (np.diff(track) == 0)).any())
-    _refuse(
+    _raise_if(path, f"a frame outside 0 to {info.frames - 1}", frame.min() < 0 or frame.max() >= info.frames)
+    _raise_if(path, "a track below 0", track.min() < 0)
+    _raise_if(path, f"a class beyond the {len(classes)} that it names", columns["class"].max() >= len(classes))
+    _raise_if(path, "a body without extent", min(columns["length_cm"].min(), columns["width_cm"].min()) < 1)
+    _raise_if(path, "a track twice in one frame", ((np.diff(frame) == 0) & (np.diff(track) == 0)).any())
+    _raise_if(
         path,
         f"more than {MAX_USERS_PER_FRAME} road users in one frame",
         np.bincount(frame).max() > MAX_USERS_PER_FRAME,
     )
 
 
-def _refuse(path: Path, fault: str, found: bool | np.bool_) -> None:
+def _raise_if(path: Path, fault: str, found: bool | np.bool_) -> None:
     if found:
         raise RecordingError(f"{path}: damaged ({fault})")

@@ -1,4 +1,4 @@
-"""What tracks are worth as a test: who moves through the window, and whether everybody keeps to the streets."""
+"""Checks of simulated traffic: presence and motion in the window, gridlock, collisions with walls and the laser."""
 
 from __future__ import annotations
 
@@ -11,20 +11,20 @@ from numpy.typing import NDArray
 from gridtrack.common.grid import GridSpec
 from gridtrack.common.scene import UNLABELLED, Scene
 from gridtrack.recordings.truth import OUTLINE, truth_grid
-from gridtrack.simulation.bodies import body
+from gridtrack.simulation.bodies import body_outline
 from gridtrack.simulation.tracks import Tracks
 
 MOVING_M_S = 0.3
 STRIDE = 4
-"""Every so many frames are drawn on the grid to count cells."""
+"""Cells are counted in every STRIDE-th frame."""
 GRIDLOCK_S = 240.0
-"""Longer than any queue stands at a signal: more than two cycles of the junction's."""
+"""Longer than any queue at a signal: more than two signal cycles of the junction."""
 
 
 @dataclass(frozen=True)
 class ClassTraffic:
-    """Of one class in the window: the share of frames in which any is there, and in which any moves, and the outline
-    cells of moving ones in a minute of frames."""
+    """One class in the window: the share of frames with at least one road user of it, with at least one moving, and the
+    outline cells of moving ones per minute of frames."""
 
     name: str
     present: float
@@ -34,7 +34,7 @@ class ClassTraffic:
 
 @dataclass(frozen=True)
 class Traffic:
-    """What moves in the window, and what must not happen: `faults` are lines that say it did."""
+    """Traffic in the window; `faults` has one line for each fault of the simulation."""
 
     minutes: float
     classes: tuple[ClassTraffic, ...]
@@ -52,14 +52,14 @@ class Traffic:
 
 
 def examine(tracks: Tracks) -> Traffic:
-    """Look at all of `tracks`, in the window that its recording names."""
+    """Check `tracks`, in the window of its recording."""
     speed = _speeds(tracks)
     grid = GridSpec.parse(tracks.info.recording.grid) if tracks.info.recording.grid else GridSpec()
     inside = _in_window(tracks, grid)
-    stand_s, who = _longest_stand(tracks, speed)
-    faults = [*_through_walls(tracks), *_through_the_scanner(tracks)]
+    stand_s, vehicle = _longest_stand(tracks, speed)
+    faults = [*_through_walls(tracks), *_on_the_laser(tracks)]
     if stand_s > GRIDLOCK_S:
-        faults.append(f"gridlock: a vehicle stands for {stand_s:.0f} s, {who}")
+        faults.append(f"gridlock: a vehicle stands for {stand_s:.0f} s, {vehicle}")
     moving = speed > MOVING_M_S
     cells = _moving_cells(tracks, moving, grid)
     frames, minutes = tracks.info.frames, tracks.info.frames / tracks.info.rate_hz / 60.0
@@ -73,14 +73,14 @@ def examine(tracks: Tracks) -> Traffic:
 
 
 def _by_track(tracks: Tracks) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    """Rows in the order of track and frame, and which of them follows its neighbour before directly."""
+    """Rows in the order of track and frame, and which of them directly follows the row before."""
     order = np.lexsort((tracks.frame, tracks.track))
     track, frame = tracks.track[order], tracks.frame[order]
     return order, np.concatenate([[False], (np.diff(track) == 0) & (np.diff(frame) == 1)])
 
 
 def _speeds(tracks: Tracks) -> NDArray[np.float64]:
-    """Metres a second since the frame before, (N,); of a track's first frame as in its second."""
+    """Metres per second since the frame before, (N,); in a track's first frame that of its second."""
     order, follows = _by_track(tracks)
     step = np.diff(tracks.pose[order, :2], axis=0, prepend=tracks.pose[order[:1], :2])
     speed = np.hypot(step[:, 0], step[:, 1]) * tracks.info.rate_hz
@@ -93,13 +93,13 @@ def _speeds(tracks: Tracks) -> NDArray[np.float64]:
 
 
 def _in_window(tracks: Tracks, grid: GridSpec) -> NDArray[np.bool_]:
-    """Whether the middle of the body is in the window, (N,)."""
+    """Whether the centre of the body is in the window, (N,)."""
     _, inside = grid.cells_of(tracks.info.laser.world_T_sensor.inverse().apply(tracks.pose[:, :2]))
     return inside
 
 
 def _longest_stand(tracks: Tracks, speed: NDArray[np.float64]) -> tuple[float, str]:
-    """How long a vehicle within reach of the laser stands in one go, seconds, and which, where and from when."""
+    """The longest continuous stand of a vehicle, seconds, and a text with the vehicle, its position and the frame."""
     classes = tracks.info.recording.classes
     order, follows = _by_track(tracks)
     walks = [i for i, name in enumerate(classes) if name == "pedestrian"]
@@ -110,12 +110,12 @@ def _longest_stand(tracks: Tracks, speed: NDArray[np.float64]) -> tuple[float, s
     frames = np.bincount(runs[stands])
     first = order[np.flatnonzero(stands & (runs == frames.argmax()))[0]]
     x, y, _ = tracks.pose[first]
-    who = f"the {classes[tracks.label[first]]} of track {tracks.track[first]} at ({x:.1f}, {y:.1f})"
-    return float(frames.max()) / tracks.info.rate_hz, f"{who} from frame {tracks.frame[first]} on"
+    vehicle = f"the {classes[tracks.label[first]]} of track {tracks.track[first]} at ({x:.1f}, {y:.1f})"
+    return float(frames.max()) / tracks.info.rate_hz, f"{vehicle} from frame {tracks.frame[first]} on"
 
 
 def _moving_cells(tracks: Tracks, moving: NDArray[np.bool_], grid: GridSpec) -> dict[str, float]:
-    """Outline cells of the road users that move, summed over all frames, by class."""
+    """Outline cells of the moving road users, summed over all frames, by class."""
     classes = tracks.info.recording.classes
     total = np.zeros(256)
     for k, scene in enumerate(tracks.where(moving).scenes()):
@@ -126,29 +126,29 @@ def _moving_cells(tracks: Tracks, moving: NDArray[np.bool_], grid: GridSpec) -> 
 
 
 def _through_walls(tracks: Tracks) -> list[str]:
-    """A line for each class of which a body's corner comes to lie inside a static outline."""
+    """A line for each class with a body's corner inside a static outline."""
     hit = np.zeros(len(tracks.frame), np.bool_)
     for rows, outline in _bodies(tracks):
-        corners = _placed(outline, tracks.pose[rows])
+        corners = _transformed(outline, tracks.pose[rows])
         for standing in tracks.info.static:
             hit[rows] |= _inside(corners.reshape(-1, 2), np.array(standing)).reshape(len(rows), -1).any(axis=1)
-    return _told(tracks, hit, "inside a static outline")
+    return _fault_lines(tracks, hit, "inside a static outline")
 
 
-def _through_the_scanner(tracks: Tracks) -> list[str]:
-    """A line for each class of which a body covers the scanner or comes nearer than it can measure."""
+def _on_the_laser(tracks: Tracks) -> list[str]:
+    """A line for each class with a body that covers the laser or is nearer than its minimum range."""
     laser = tracks.info.laser
     hit = np.zeros(len(tracks.frame), np.bool_)
     for rows, outline in _bodies(tracks):
         x, y, heading = tracks.pose[rows].T
         c, s = np.cos(heading), np.sin(heading)
-        scanner = np.column_stack([c * (laser.x - x) + s * (laser.y - y), c * (laser.y - y) - s * (laser.x - x)])
-        nearest = np.linalg.norm(scanner[:, None] - outline, axis=2).min(axis=1)
-        hit[rows] = _inside(scanner, outline) | (nearest < laser.range_min)
-    return _told(tracks, hit, "on the scanner")
+        laser_position = np.column_stack([c * (laser.x - x) + s * (laser.y - y), c * (laser.y - y) - s * (laser.x - x)])
+        nearest = np.linalg.norm(laser_position[:, None] - outline, axis=2).min(axis=1)
+        hit[rows] = _inside(laser_position, outline) | (nearest < laser.range_min)
+    return _fault_lines(tracks, hit, "on the laser")
 
 
-def _told(tracks: Tracks, hit: NDArray[np.bool_], where: str) -> list[str]:
+def _fault_lines(tracks: Tracks, hit: NDArray[np.bool_], where: str) -> list[str]:
     lines = []
     for label, name in enumerate(tracks.info.recording.classes):
         rows = np.flatnonzero(hit & (tracks.label == label))
@@ -162,14 +162,14 @@ def _told(tracks: Tracks, hit: NDArray[np.bool_], where: str) -> list[str]:
 
 
 def _bodies(tracks: Tracks) -> Iterator[tuple[NDArray[np.int64], NDArray[np.float64]]]:
-    """The rows (n,) of each kind of body, and its outline (N, 2) in its own frame."""
+    """The rows (n,) of each distinct body, and its outline (N, 2) in its own frame."""
     classes = tracks.info.recording.classes
     kinds, kind = np.unique(np.column_stack([tracks.label, tracks.size]), axis=0, return_inverse=True)
     for k, (label, length, width) in enumerate(kinds.tolist()):
-        yield np.flatnonzero(kind == k), body(classes[int(label)], length, width).astype(np.float64)
+        yield np.flatnonzero(kind == k), body_outline(classes[int(label)], length, width).astype(np.float64)
 
 
-def _placed(outline: NDArray[np.float64], pose: NDArray[np.float64]) -> NDArray[np.float64]:
+def _transformed(outline: NDArray[np.float64], pose: NDArray[np.float64]) -> NDArray[np.float64]:
     """The outline at each pose (n, 3): (n, N, 2), world frame."""
     c, s = np.cos(pose[:, 2, None]), np.sin(pose[:, 2, None])
     x = pose[:, 0, None] + c * outline[:, 0] - s * outline[:, 1]

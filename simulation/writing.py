@@ -9,21 +9,21 @@ from gridtrack.common.files import atomic_write
 from gridtrack.recordings.formats.native import write_native
 from gridtrack.simulation.tracks import Tracks, write_tracks
 
-SUFFIXES = (".tracks", ".mcap")
+SIMULATED_SUFFIXES = (".tracks", ".mcap")
 
 
-def refuse_other_suffix(out: Path) -> None:
-    """Raise RecordingError for a name that says neither tracks nor scans; before an hour has been simulated."""
-    if out.suffix not in SUFFIXES:
+def check_suffix(out: Path) -> None:
+    """Raise RecordingError for a name that ends neither in .tracks nor in .mcap; for use before a long simulation."""
+    if out.suffix not in SIMULATED_SUFFIXES:
         raise RecordingError(f"{out}: a simulated recording is written as .tracks or as .mcap")
 
 
 def write_recording(out: Path, tracks: Tracks) -> None:
     """Write `tracks` as `out.tracks`, or their scans as `out.mcap`; the scans are the same either way.
 
-    Same tracks, same bytes. Raises RecordingError; `out` is then as it was before.
+    Same tracks, same bytes. Raises RecordingError; `out` is then not changed.
     """
-    refuse_other_suffix(out)
+    check_suffix(out)
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
         with atomic_write(out) as file:

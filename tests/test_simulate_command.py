@@ -1,4 +1,4 @@
-"""`gridtrack simulate` as its users meet it, without SUMO."""
+"""The command `gridtrack simulate`, without SUMO."""
 
 from __future__ import annotations
 
@@ -48,12 +48,12 @@ def test_annotated_tracks_become_a_recording_with_truth(annotations: Path) -> No
     )
 
 
-def test_who_walks_through_the_laser_is_told_with_exit_code_3(annotations: Path) -> None:
+def test_a_road_user_on_the_laser_is_a_fault_with_exit_code_3(annotations: Path) -> None:
     done = simulate_tracks(annotations, annotations.with_name("walk.tracks"), "--laser-at", "3,-1", code=3)
-    assert "fault: pedestrian on the scanner in" in done.stdout
+    assert "fault: pedestrian on the laser in" in done.stdout
 
 
-def test_the_check_reads_what_ships() -> None:
+def test_the_check_reads_a_packaged_recording() -> None:
     done = gridtrack("simulate", "check", str(packaged_recording("junction/test-104")))
     assert "1 minutes; the longest that a vehicle stands" in done.stdout
     assert "fault" not in done.stdout

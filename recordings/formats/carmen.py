@@ -1,4 +1,4 @@
-"""CARMEN logs (`.clf`, `.clf.bz2`): FLASER and ROBOTLASER1 lines, with the pose of the laser that each carries.
+"""CARMEN logs (`.clf`, `.clf.bz2`): FLASER and ROBOTLASER1 lines, each with the pose of the laser.
 
 Format: http://carmen.sourceforge.net/doc/logger_file_format.html
 """
@@ -20,13 +20,13 @@ from gridtrack.recordings.recording import DamageError, Recording, Topics
 CARMEN_SUFFIXES = (".clf", ".clf.bz2", ".log", ".log.bz2")
 MAX_LINE_BYTES = 1 << 20
 SICK_RANGE_MAX_M = 81.8
-"""What a SICK LMS answers where nothing returns is 81.83 m or more; its true reach is shorter."""
+"""A SICK LMS reports 81.83 m or more for a beam without a return; its real maximum range is shorter."""
 STEP_DEG = {180: 1.0, 181: 1.0, 360: 0.5, 361: 0.5, 401: 0.25}
-"""FLASER lines do not carry the angle between beams: CARMEN takes it from their number."""
+"""Angle between beams, degrees, by their number: FLASER lines do not contain it."""
 
 
 class CarmenLog(Recording):
-    """A CARMEN log. FLASER and ROBOTLASER1 are two forms of the same scan: the one that comes first is read."""
+    """A CARMEN log. FLASER and ROBOTLASER1 are two forms of the same scan: the first one in the file is read."""
 
     def read(self, topics: Topics) -> Iterator[Scan]:
         """The scans in the order of the file; counts the messages in `topics`. DamageError where it is damaged."""
@@ -58,7 +58,7 @@ CARMEN_FORMAT = RecordingFormat("CARMEN log", CARMEN_SUFFIXES, is_carmen_log, Ca
 
 
 def _lines(path: Path) -> Iterator[tuple[int, list[str]]]:
-    """Number and words of each line that says something. Raises DamageError."""
+    """Number and words of each line but comments and empty ones. Raises DamageError."""
     with bz2.open(path) if path.suffix == ".bz2" else path.open("rb") as file:
         number = 0
         try:
@@ -82,7 +82,7 @@ def _flaser(words: list[str]) -> Scan:
     step = math.radians(STEP_DEG.get(beams, 180.0 / (beams - 1)))
     field_of_view = math.radians(100.0) if beams == 401 else math.pi
     return Scan(
-        stamp_ns=_nanoseconds(rest[6]),
+        stamp_ns=_stamp_ns(rest[6]),
         ranges=np.array(ranges, np.float32),
         angle_min=-field_of_view / 2.0,
         angle_increment=step,
@@ -102,7 +102,7 @@ def _robotlaser(words: list[str]) -> Scan:
     if len(ranges) != beams or len(tail) != 14:
         raise ValueError(f"{len(words)} words for {beams} beams and {remissions} remissions")
     return Scan(
-        stamp_ns=_nanoseconds(tail[11]),
+        stamp_ns=_stamp_ns(tail[11]),
         ranges=np.array(ranges, np.float32),
         angle_min=float(words[2]),
         angle_increment=float(words[4]),
@@ -113,7 +113,7 @@ def _robotlaser(words: list[str]) -> Scan:
     )
 
 
-def _nanoseconds(seconds: str) -> int:
+def _stamp_ns(seconds: str) -> int:
     """Decimal seconds, exactly."""
     whole, _, fraction = seconds.partition(".")
     stamp = int(whole) * 1_000_000_000 + int((fraction + "000000000")[:9])

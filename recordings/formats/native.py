@@ -1,9 +1,9 @@
-"""gridtrack's own recording: an MCAP file of Foxglove messages, so that it opens in Foxglove as it is.
+"""The native recording: an MCAP file of Foxglove messages, which the Foxglove viewer opens directly.
 
 `/scan` or `/scan/SENSOR` (foxglove.LaserScan; the channel's metadata carry the range limits), `/pose`
 (foxglove.FrameTransform, world_T_sensor, written where it changes), `/labels` or `/labels/SENSOR` (the labelled scan
 once more, with the index of each beam's class as its intensity; 255: unlabelled), `/outlines` and `/objects` (the true
-scene, where it is known: see scene_messages.py). The metadata record `gridtrack` holds the RecordingInfo.
+scene, where it is known; see scene_messages.py). The metadata record `gridtrack` holds the RecordingInfo.
 """
 
 from __future__ import annotations
@@ -45,13 +45,13 @@ Decoded = TypeVar("Decoded", LaserScan, FrameTransform)
 
 
 class NativeRecording(Recording):
-    """A recording that gridtrack has written."""
+    """A recording written by gridtrack."""
 
     @cached_property
     def info(self) -> RecordingInfo:
-        """What the recording says about itself. Raises RecordingError where it says nothing that can be read."""
+        """The metadata of the recording. Raises RecordingError where they are missing or cannot be read."""
         file = McapFile(self.path)
-        with contextlib.suppress(DamageError):  # told when the scans are read
+        with contextlib.suppress(DamageError):  # reported when the scans are read
             next(file.messages(), None)
         found = file.metadata.get(METADATA_NAME)
         if found is None:
@@ -81,7 +81,7 @@ class NativeRecording(Recording):
                 labels[labelled.frame_id] = labelled
             elif topic in (OUTLINES, OBJECTS):
                 truth = truth or SceneReader(self.info.classes)
-                truth.take(topic, message.data)
+                truth.add(topic, message.data)
             elif is_scan and self.options.topic in (None, topic):
                 scan = _decoded(LaserScan(), message)
                 scene = truth.scene_at(nanoseconds_of(scan.timestamp)) if truth is not None else None
@@ -123,7 +123,7 @@ class _NativeWriter:
         self._written: tuple[int, Scene] | None = None
 
     def write(self, scan: Scan) -> None:
-        """Pose, truth and labels first, so that a reader has them when the scan comes."""
+        """Pose, truth and labels first, so that a reader has them when it reads the scan."""
         if self._poses.get(scan.sensor) != scan.world_T_sensor:
             self._poses[scan.sensor] = scan.world_T_sensor
             self._add("/pose", _transform_message(scan), scan.stamp_ns)
@@ -138,7 +138,7 @@ class _NativeWriter:
         self._add(_topic("/scan", scan.sensor), message, scan.stamp_ns, (scan.range_min, scan.range_max))
 
     def _write_truth(self, scene: Scene, stamp_ns: int) -> None:
-        """Once for a stamp, though several sensors may see the scene then."""
+        """Once for each stamp, even where several sensors have a scan then."""
         if self._written is not None and self._written[0] == stamp_ns and self._written[1] is scene:
             return
         self._written = (stamp_ns, scene)
@@ -160,7 +160,9 @@ class _NativeWriter:
         key = (topic, *(limits or (0.0, 0.0)))
         if key not in self._channels:
             if len(self._channels) == MAX_CHANNELS:
-                raise RecordingError(f"{topic}: the range limits change with the scans; expected those of the laser")
+                raise RecordingError(
+                    f"{topic}: the range limits change from scan to scan; expected the constant limits of the laser"
+                )
             metadata = {"range_min": repr(limits[0]), "range_max": repr(limits[1])} if limits else {}
             schema = self._schemas[type(message)]
             self._channels[key] = self._mcap.register_channel(topic, "protobuf", schema, metadata)
@@ -230,7 +232,7 @@ def _scan(
 
 
 def _range_limits(received: McapMessage) -> tuple[float, float]:
-    """range_min and range_max, metres, which foxglove.LaserScan has no fields for."""
+    """range_min and range_max, metres: foxglove.LaserScan has no fields for them."""
     channel = received.channel
     try:
         return float(channel.metadata["range_min"]), float(channel.metadata["range_max"])

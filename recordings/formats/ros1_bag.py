@@ -1,4 +1,4 @@
-"""ROS 1 bags (format 2.0), read record by record, so that a bag without an index or cut in the middle still reads.
+"""ROS 1 bags (format 2.0), read record by record, so that a bag without an index or cut in the middle can be read.
 
 Format: http://wiki.ros.org/Bags/Format/2.0
 """
@@ -68,7 +68,7 @@ def bag_messages(path: Path) -> Iterator[BagMessage]:
                     chunks_left -= 1
                     yield from _chunk(header, data, connections)
                 else:
-                    yield from _take(header, data, connections)
+                    yield from _read_record(header, data, connections)
         except (struct.error, KeyError, UnicodeDecodeError, IndexError, ValueError) as error:
             raise DamageError(f"corrupt {file.tell()} bytes into the file ({error})") from None
         if chunks_left > 0:
@@ -76,16 +76,16 @@ def bag_messages(path: Path) -> Iterator[BagMessage]:
 
 
 def _chunk(header: Fields, data: bytes, connections: dict[bytes, tuple[str, str]]) -> Iterator[BagMessage]:
-    """The messages inside a chunk; of one that is cut off, those before the cut."""
+    """The messages inside a chunk; for one that is cut off, those before the cut."""
     (size,) = struct.unpack("<I", header["size"])
-    content = _unpacked(header["compression"].decode(), data, size)
+    content = _decompressed(header["compression"].decode(), data, size)
     for inner, body in _records(BytesIO(content)):
-        yield from _take(inner, body, connections)
+        yield from _read_record(inner, body, connections)
     if len(content) != size:
         raise DamageError(f"cut off or corrupt: a chunk of {len(content)} bytes, where its header says {size}")
 
 
-def _take(header: Fields, data: bytes, connections: dict[bytes, tuple[str, str]]) -> Iterator[BagMessage]:
+def _read_record(header: Fields, data: bytes, connections: dict[bytes, tuple[str, str]]) -> Iterator[BagMessage]:
     operation = header["op"][0]
     if operation == CONNECTION_OP:
         kind = _fields(data)["type"].decode()
@@ -108,7 +108,7 @@ def _records(file: BinaryIO) -> Iterator[tuple[Fields, bytes]]:
 
 
 def _sized(file: BinaryIO, size_bytes: bytes) -> tuple[bytes, bool]:
-    """As many bytes as the length before them says, and whether there were so many. Raises DamageError."""
+    """The bytes whose number `size_bytes` gives, and whether the file has all of them. Raises DamageError."""
     (size,) = struct.unpack("<I", size_bytes) if len(size_bytes) == 4 else (0,)
     if size > MAX_BAG_RECORD_BYTES:
         raise DamageError(f"corrupt: a record of {size} bytes, where at most {MAX_BAG_RECORD_BYTES} are read")
@@ -129,7 +129,7 @@ def _fields(data: bytes) -> Fields:
     return fields
 
 
-def _unpacked(compression: str, data: bytes, size: int) -> bytes:
+def _decompressed(compression: str, data: bytes, size: int) -> bytes:
     """The records inside a chunk, at most `size` bytes. Raises DamageError."""
     if size > MAX_BAG_RECORD_BYTES:
         raise DamageError(f"corrupt: a chunk of {size} bytes, where at most {MAX_BAG_RECORD_BYTES} are read")
@@ -141,5 +141,5 @@ def _unpacked(compression: str, data: bytes, size: int) -> bytes:
         if compression == "lz4":
             return bytes(lz4.frame.LZ4FrameDecompressor().decompress(data, size))
     except (OSError, RuntimeError) as error:
-        raise DamageError(f"corrupt: a chunk does not unpack ({error})") from None
-    raise DamageError(f"a chunk is packed as '{compression}', which is none of none, bz2 and lz4")
+        raise DamageError(f"corrupt: a chunk cannot be decompressed ({error})") from None
+    raise DamageError(f"a chunk is compressed as '{compression}', which is none of none, bz2 and lz4")

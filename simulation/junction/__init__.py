@@ -1,4 +1,4 @@
-"""A signalled junction with pedestrians, cyclists, cars and buses, and a laser on its corner."""
+"""Simulation of a signalled junction with pedestrians, cyclists, cars and buses, and a laser on its corner."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from gridtrack.common.errors import ConfigurationError
 from gridtrack.recordings.recording import RecordingInfo
 from gridtrack.simulation.junction import demand, layout
 from gridtrack.simulation.junction.patience import Patience
-from gridtrack.simulation.motion import headings, pieces, smoothed, trailing_headings
+from gridtrack.simulation.motion import headings, smoothed, trailing_headings, unbroken_tracks
 from gridtrack.simulation.sumo import STEP_S, Movements, run_sumo, sumo_version
 from gridtrack.simulation.tracks import Tracks, TracksInfo
 
@@ -21,25 +21,25 @@ WARM_UP_S = 300.0
 """From the empty streets to steady traffic: three signal cycles of 96 s."""
 MAX_MINUTES = 600.0
 MARGIN_S = 3.0
-"""Simulated on either side of what is kept, so that smoothing has both sides there too."""
+"""Simulated before and after the recording, for the smoothing at both ends."""
 WALKING_STD_STEPS, ROLLING_STD_STEPS = 4.0, 1.0
 WHEELS_BEHIND = 0.8
-"""Where a vehicle's rear wheels are, as a share of its length from the front bumper."""
+"""Distance of a vehicle's rear wheels from the front bumper, as a share of its length."""
 JUNCTION_SET = {
     "train": (65.0, 1, WARM_UP_S),
     "validation": (5.0, 2, WARM_UP_S),
     **{f"test-{101 + k}": (1.0, 101 + k, WARM_UP_S + 5.0 * k) for k in range(20)},
 }
-"""Minutes, seed and start in seconds of the recordings that ship: no seed is trained and tested on, and the tests begin
-all over the signals' cycle, since a minute is shorter than it."""
+"""Minutes, seed and start in seconds of the recordings in the package. No seed is used for both training and test; the
+tests, shorter than a signal cycle, start at different times of the cycle."""
 LICENCE = "BSD-3-Clause"
 CREDIT = "simulated with Eclipse SUMO and JuPedSim"
 
 
 def simulate_junction(minutes: float, seed: int, start_s: float = WARM_UP_S) -> Tracks:
-    """`minutes` of the junction from `start_s` after the streets were empty; the same seed gives the same tracks.
+    """`minutes` of the junction from `start_s` after the start with empty streets; same seed, same tracks.
 
-    Raises ConfigurationError where SUMO is not installed or the times make no sense, SimulationError where it fails.
+    Raises ConfigurationError where SUMO is not installed or the times are invalid, SimulationError where it fails.
     """
     if not (0.0 < minutes <= MAX_MINUTES and 0.0 <= start_s <= MAX_MINUTES * 60.0):
         raise ConfigurationError(
@@ -62,7 +62,7 @@ def simulate_junction(minutes: float, seed: int, start_s: float = WARM_UP_S) -> 
             Patience(layout.JUNCTION_NODE),
         )
     info = _info(frames, seed, f"gridtrack simulate junction --minutes {minutes:g} --seed {seed} --start {start_s:g}s")
-    return _near(_tracks(info, movements, round(before_s / STEP_S)))
+    return _within_range(_tracks(info, movements, round(before_s / STEP_S)))
 
 
 def _info(frames: int, seed: int, command: str) -> TracksInfo:
@@ -88,12 +88,13 @@ def _info(frames: int, seed: int, command: str) -> TracksInfo:
 
 
 def _tracks(info: TracksInfo, movements: Movements, first_step: int) -> Tracks:
-    """Smooth bodies from SUMO's points; each unbroken piece is a track, numbered in the order of the names."""
+    """Smoothed tracks from SUMO's positions; each unbroken part is a track, numbered in the order of the names."""
     poses, users = np.empty((len(movements.user), 3)), np.empty(len(movements.user), np.int64)
-    for number, rows in enumerate(pieces(movements.user, movements.step)):
+    for number, rows in enumerate(unbroken_tracks(movements.user, movements.step)):
         kind = demand.ROAD_USER_TYPES[movements.kind[movements.user[rows.start]]]
         users[rows] = number
-        poses[rows] = _walker(movements, rows) if kind.label == "pedestrian" else _vehicle(movements, rows, kind)
+        walks = kind.label == "pedestrian"
+        poses[rows] = _pedestrian_poses(movements, rows) if walks else _vehicle_poses(movements, rows, kind)
     kinds = [demand.ROAD_USER_TYPES[name] for name in movements.kind]
     frame = movements.step - first_step
     kept = (frame >= 0) & (frame < info.frames)
@@ -109,22 +110,22 @@ def _tracks(info: TracksInfo, movements: Movements, first_step: int) -> Tracks:
     )
 
 
-def _walker(movements: Movements, rows: slice) -> NDArray[np.float64]:
-    """JuPedSim's walkers sway and turn on the spot; people's bodies do not."""
+def _pedestrian_poses(movements: Movements, rows: slice) -> NDArray[np.float64]:
+    """Poses (n, 3), smoothed: pedestrians of JuPedSim sway and turn on the spot."""
     position = smoothed(movements.position[rows], WALKING_STD_STEPS)
     return np.column_stack([position, headings(position, STEP_S, WALKING_STD_STEPS)])
 
 
-def _vehicle(movements: Movements, rows: slice, kind: demand.RoadUserType) -> NDArray[np.float64]:
-    """From the front bumper to the middle. SUMO lets standing vehicles turn on the spot: here the rear follows."""
+def _vehicle_poses(movements: Movements, rows: slice, kind: demand.RoadUserType) -> NDArray[np.float64]:
+    """Poses (n, 3) of the centre, from the front bumper. Vehicles of SUMO turn on the spot: here the rear follows."""
     front = smoothed(movements.position[rows], ROLLING_STD_STEPS)
     heading = trailing_headings(front, WHEELS_BEHIND * kind.length_m, float(movements.heading[rows.start]))
     ahead = np.column_stack([np.cos(heading), np.sin(heading)])
     return np.column_stack([front - kind.length_m / 2.0 * ahead, heading])
 
 
-def _near(tracks: Tracks) -> Tracks:
-    """Only what the laser could reach, as a file of tracks keeps it."""
+def _within_range(tracks: Tracks) -> Tracks:
+    """The rows within the maximum range of the laser, with the resolution of a file of tracks."""
     laser = tracks.info.laser
     distance = np.hypot(tracks.pose[:, 0] - laser.x, tracks.pose[:, 1] - laser.y)
     return tracks.where(distance < laser.range_max + tracks.size[:, 0] / 2.0).rounded()

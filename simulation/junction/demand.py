@@ -1,4 +1,4 @@
-"""The junction's traffic: kinds of road users, how many come, from where to where."""
+"""The junction's traffic demand: types of road users, their rates and their routes."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ ARMS = "NESW"
 CARS, BUSES, CYCLISTS, PEDESTRIANS = 0.17, 0.022, 0.22, 0.25
 """Road users a second, all routes together."""
 STRAIGHT_SHARE = {"NS": 2.0, "SN": 2.0, "EW": 3.0, "WE": 3.0}
-"""Of the routes; a turn has 1. The street from east to west is the main one, and the buses' only one."""
+"""Relative demand of the straight routes; a turn has 1. The main street runs east-west; buses use only that one."""
 
 
 class RoadUserType(NamedTuple):
-    """A SUMO vehicle type: its class here, length and width in metres, its share of its class, other attributes."""
+    """A SUMO vehicle type: class label, length and width in metres, share of its class, other SUMO attributes."""
 
     label: str
     length_m: float
@@ -47,7 +47,7 @@ ROAD_USER_TYPES = {
 
 
 def routes() -> str:
-    """The demand as SUMO reads it."""
+    """The demand in the XML of SUMO."""
     ways = {a + b: STRAIGHT_SHARE.get(a + b, 1.0) for a in ARMS for b in ARMS if a != b}
     whole = sum(ways.values())
     lines = ["<routes>", *_types()]
@@ -60,7 +60,7 @@ def routes() -> str:
 
 
 def _types() -> list[str]:
-    """One distribution of types for each class."""
+    """One distribution of vehicle types for each class."""
     lines = []
     for label in dict.fromkeys(kind.label for kind in ROAD_USER_TYPES.values()):
         lines.append(f'<vTypeDistribution id="{label}">')
@@ -75,7 +75,7 @@ def _types() -> list[str]:
 
 
 def _flow(label: str, way: str, per_second: float) -> str:
-    """Vehicles that come at random, from one arm's inward street to another's outward one."""
+    """Vehicles at random times, from one arm's inward street to another's outward one."""
     return (
         f'<flow id="{label}{way}" type="{label}" begin="0" end="{HOURS * 3600}" period="exp({per_second:.6f})"'
         f' from="{way[0]}C" to="C{way[1]}" departLane="best" departSpeed="desired"/>'

@@ -1,4 +1,4 @@
-"""Configuration refuses what it does not know, in one line that names the nearest thing it does."""
+"""Configuration refuses unknown keys, in one line that suggests the nearest known one."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def test_settings_are_frozen_and_refuse_unknown_keys_and_infinities() -> None:
         Filter(gate_m=float("inf"))
 
 
-def test_pairs_are_json_where_they_read_as_json() -> None:
+def test_values_of_pairs_are_json_where_they_parse_as_json() -> None:
     assert parse_pairs("gate-m=1.5, robust=true,name=cauchy,empty=", "kalman") == {
         "gate_m": 1.5,
         "robust": True,
@@ -33,11 +33,9 @@ def test_pairs_are_json_where_they_read_as_json() -> None:
     assert parse_pairs("", "kalman") == {}
 
 
-@pytest.mark.parametrize(
-    ("text", "complaint"), [("gate", "key=value"), ("=1", "key=value"), ("a=1,a=2", "given twice")]
-)
-def test_pairs_that_cannot_be_read_are_refused(text: str, complaint: str) -> None:
-    with pytest.raises(ConfigurationError, match=f"kalman: .*{complaint}"):
+@pytest.mark.parametrize(("text", "message"), [("gate", "key=value"), ("=1", "key=value"), ("a=1,a=2", "given twice")])
+def test_pairs_that_cannot_be_read_are_refused(text: str, message: str) -> None:
+    with pytest.raises(ConfigurationError, match=f"kalman: .*{message}"):
         parse_pairs(text, "kalman")
 
 
@@ -50,7 +48,7 @@ def test_an_unknown_option_is_refused_with_a_suggestion_in_one_line() -> None:
     assert "\n" not in message
 
 
-def test_what_validates_is_returned() -> None:
+def test_valid_values_are_returned() -> None:
     assert validated(Filter, {"gate_m": 2}, "kalman") == Filter(gate_m=2.0)
 
 

@@ -1,4 +1,4 @@
-"""Files are replaced whole or left as they were, and read within a bound."""
+"""Files are replaced whole or not changed, and read within a bound."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def test_a_file_is_replaced_when_the_block_ends(tmp_path):
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_a_file_stays_as_it_was_when_the_block_raises(tmp_path):
+def test_a_file_is_not_changed_when_the_block_raises(tmp_path):
     path = tmp_path / "a.bin"
     path.write_bytes(b"old")
     with pytest.raises(ZeroDivisionError):
@@ -47,7 +47,7 @@ def test_a_file_stays_as_it_was_when_the_block_raises(tmp_path):
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_what_was_written_before_an_error_can_be_kept(tmp_path):
+def test_the_content_written_before_an_error_can_be_kept(tmp_path):
     path = tmp_path / "a.bin"
     with pytest.raises(ZeroDivisionError):
         write_and_fail(path, b"scored so far", keep_on_error=True)

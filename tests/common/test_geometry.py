@@ -1,4 +1,4 @@
-"""Planar poses form a group, and move points as the matrices of that group do."""
+"""Planar poses form a group, and transform points like the matrices of that group."""
 
 from __future__ import annotations
 

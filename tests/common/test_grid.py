@@ -1,4 +1,4 @@
-"""A grid's cells lie where the conventions say, and its text form is read back as the same grid."""
+"""The cells of a grid follow the conventions, and its text form round-trips."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def test_rows_run_along_y_and_columns_along_x() -> None:
     assert cells[:3].tolist() == [[0, 0], [1, 3], [3, 0]]
 
 
-def test_centres_come_row_by_row() -> None:
+def test_centres_are_in_row_major_order() -> None:
     marked = np.zeros((4, 4), bool)
     marked[0, 3] = marked[2, 1] = marked[2, 2] = True
     centres = GridSpec(4, 0.5, (10.0, 20.0)).cell_centres(marked)
@@ -58,7 +58,7 @@ def test_text_forms() -> None:
 @pytest.mark.parametrize(
     "text", ["", "100", "100x", "x0.2", "100x0.2@1", "100x0.2@1,2,3", "100x-", "1e2x0.2", "100x0.2 m"]
 )
-def test_text_that_is_no_grid_is_refused_with_an_example(text: str) -> None:
+def test_an_invalid_grid_text_is_refused_with_an_example(text: str) -> None:
     with pytest.raises(ConfigurationError, match=r"100x0\.2"):
         GridSpec.parse(text)
 

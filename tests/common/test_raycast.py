@@ -1,4 +1,4 @@
-"""Every cell that a beam crosses is seen and no other, against a slow implementation that is obviously right."""
+"""The visible cells are exactly those that beams cross, against a slow implementation that is obviously correct."""
 
 from __future__ import annotations
 
@@ -111,7 +111,7 @@ def test_no_return_is_free_up_to_the_largest_range() -> None:
 
 
 @pytest.mark.parametrize("distance", [math.nan, -math.inf, 0.0, 0.29, -3.0])
-def test_what_is_no_reading_says_nothing(distance: float) -> None:
+def test_an_invalid_range_marks_no_cell(distance: float) -> None:
     visible, occupied, points = cast(beam(0.0, distance, range_min=0.3), UNIT, SE2(0.5, 2.5))
     assert not visible.any()
     assert not occupied.any()
@@ -157,7 +157,7 @@ def test_agrees_with_splitting_every_beam_at_every_grid_line(scene: tuple[Scan, 
 
 
 def near_a_corner(scan: Scan, grid: GridSpec, pose: SE2) -> np.ndarray:
-    """Cells with a corner or border that a beam, or its end, passes closer than rounding can tell."""
+    """Cells with a corner or border that a beam, or its end, passes within the rounding error."""
     near = np.zeros(grid.shape, bool)
     corners = np.stack(np.meshgrid(np.arange(grid.size + 1), np.arange(grid.size + 1)), axis=-1).reshape(-1, 2)
     start = np.array([pose.x - grid.origin[0], pose.y - grid.origin[1]]) / grid.cell_m
@@ -206,7 +206,7 @@ def test_turning_and_mirroring_the_scene_turns_and_mirrors_the_grid(
     ],
 )
 @pytest.mark.filterwarnings("ignore:invalid value encountered:RuntimeWarning")
-def test_what_is_not_finite_shows_nothing_and_touches_nothing_else(scan: Scan, pose: SE2) -> None:
+def test_values_that_are_not_finite_mark_no_cell_and_change_no_other_memory(scan: Scan, pose: SE2) -> None:
     grid = GridSpec(20, 0.01)
     guarded = np.zeros((2, 1 << 20), bool)
     visible, occupied = guarded[:, 1 << 19 : (1 << 19) + 400].reshape(2, 20, 20)
@@ -214,7 +214,7 @@ def test_what_is_not_finite_shows_nothing_and_touches_nothing_else(scan: Scan, p
     assert not guarded.any()
 
 
-def test_a_laser_without_a_limit_sees_to_the_edge() -> None:
+def test_a_laser_without_a_range_limit_observes_cells_to_the_edge() -> None:
     assert drawn(beam(0.0, math.inf, range_max=3.4e38), SE2(0.5, 0.5)).splitlines()[-1] == "....."
 
 
@@ -224,7 +224,7 @@ def test_a_laser_without_a_limit_sees_to_the_edge() -> None:
     x=st.floats(-8.0, 8.0),
     theta=st.floats(-3.2, 3.2),
 )
-def test_the_cells_in_which_beams_end_are_those_that_become_occupied(ranges, x, theta):
+def test_the_end_cells_of_beams_are_the_occupied_cells(ranges, x, theta):
     scan = Scan(0, np.array(ranges, np.float32), -1.0, 2.0 / len(ranges), 0.1, 10.0)
     grid, pose = GridSpec(20, 0.5), SE2(x, 0.3, theta)
     occupied = np.zeros(grid.shape, bool)

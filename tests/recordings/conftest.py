@@ -1,4 +1,4 @@
-"""Scans and recordings that the tests of recordings and streams are made from."""
+"""Scans and recordings for the tests of recordings and streams."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ PERIOD_NS = 100_000_000
 
 
 def make_scan(k: int, sensor: str = "scan", pose: SE2 | None = None, offset_ns: int = 0, beams: int = 36) -> Scan:
-    """Scan k of a 10 Hz sensor, its ranges told by k, with one beam each that did not return and that is invalid."""
+    """Scan k of a 10 Hz sensor, with ranges seeded by k; the first three beams are +inf, NaN and -inf."""
     ranges = np.random.default_rng(k).uniform(0.5, 4.5, beams).astype(np.float32)
     ranges[:3] = np.inf, np.nan, -np.inf
     return Scan(START_NS + k * PERIOD_NS + offset_ns, ranges, -1.5, 3.0 / (beams - 1), 0.05, 5.0, sensor, pose or SE2())

@@ -1,4 +1,4 @@
-"""CARMEN logs read as scans with the pose that each line carries, damaged ones up to the damage."""
+"""CARMEN logs are read as scans with the pose of each line, damaged ones up to the damage."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def test_the_step_follows_from_the_number_of_beams(
     assert math.degrees(scan.angle_increment) == pytest.approx(step_deg)
 
 
-def test_robotlaser_lines_say_their_angles_themselves(tmp_path: Path) -> None:
+def test_robotlaser_lines_contain_their_angles(tmp_path: Path) -> None:
     (scan,) = open_recording(log(tmp_path / "a.clf", robotlaser(3))).scans()
     assert (scan.angle_min, scan.angle_increment, scan.range_max) == (-0.3, 0.2, 30.0)
     assert scan.ranges.tolist() == [1.0, 2.0, 30.5, 4.0]
@@ -83,7 +83,7 @@ def test_stamps_are_exact_to_the_nanosecond(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("line", ["FLASER 180 1.0 2.0", "FLASER x", "FLASER", flaser(0, ["1.0"] * 179 + ["far"])])
-def test_a_line_that_cannot_be_read_is_told_by_its_number(line: str, tmp_path: Path) -> None:
+def test_a_warning_gives_the_number_of_an_invalid_line(line: str, tmp_path: Path) -> None:
     path = log(tmp_path / "a.clf", flaser(0, ["1.0"] * 180), line, flaser(2, ["1.0"] * 180))
     recording = open_recording(path)
     assert len(list(recording.scans())) == 1
@@ -106,7 +106,7 @@ def test_a_cut_archive_gives_the_lines_before_the_cut(tmp_path: Path) -> None:
     assert len(recording.warnings) == 1
 
 
-def test_a_wrong_topic_is_told(tmp_path: Path) -> None:
+def test_the_error_for_a_wrong_topic_suggests_another(tmp_path: Path) -> None:
     path = log(tmp_path / "a.clf", flaser(0, ["1.0"] * 180))
     with pytest.raises(RecordingError, match="no topic 'FLASR'; did you mean 'FLASER'"):
         list(open_recording(path, topic="FLASR").scans())

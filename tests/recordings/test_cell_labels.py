@@ -1,4 +1,4 @@
-"""Training on labels is given the frames of the stream with the class of each occupied cell that is known."""
+"""Labelled frames have the class of each occupied cell whose beams are labelled."""
 
 from __future__ import annotations
 
@@ -18,9 +18,7 @@ def labelled(scan: Scan, label: int) -> Scan:
     return replace(scan, labels=np.full(scan.ranges.size, label, np.uint8))
 
 
-def test_the_frames_come_with_the_class_of_every_occupied_cell(
-    write: Callable[..., Path], scan: Callable[..., Scan]
-) -> None:
+def test_frames_have_the_class_of_every_occupied_cell(write: Callable[..., Path], scan: Callable[..., Scan]) -> None:
     scans = [labelled(scan(k), k % 2) if k < 6 else scan(k) for k in range(9)]
     stream = open_stream(write(scans, classes=["car", "wall"]))
     found = list(stream.labelled())
@@ -31,14 +29,14 @@ def test_the_frames_come_with_the_class_of_every_occupied_cell(
         assert labels.dtype == np.uint8
 
 
-def test_beams_without_a_label_leave_their_cells_out(write: Callable[..., Path], scan: Callable[..., Scan]) -> None:
+def test_cells_of_beams_without_a_label_have_no_class(write: Callable[..., Path], scan: Callable[..., Scan]) -> None:
     half = labelled(scan(0), 0)
     half.labels[: half.labels.size // 2] = 255
     frame, cells, _ = next(open_stream(write([half, scan(1)], classes=["car"])).labelled())
     assert 0 < cells.size < frame.occupied.sum()
 
 
-def test_a_label_that_names_no_class_is_refused(write: Callable[..., Path], scan: Callable[..., Scan]) -> None:
+def test_a_label_without_a_class_is_refused(write: Callable[..., Path], scan: Callable[..., Scan]) -> None:
     stream = open_stream(write([labelled(scan(k), 1) for k in range(3)], classes=["car"]))
     with pytest.raises(RecordingError, match=r"a label names class 1 at .* and the recording has 1 classes"):
         list(stream.labelled())

@@ -39,7 +39,7 @@ def read(path: Path, content: bytes) -> tuple[list[int], list[str]]:
     return [scan.stamp_ns // 10**8 for scan in recording.scans()], recording.warnings
 
 
-def test_a_cut_file_gives_all_but_the_chunk_that_was_cut(whole: Path, tmp_path: Path) -> None:
+def test_a_cut_file_gives_all_scans_before_the_cut_chunk(whole: Path, tmp_path: Path) -> None:
     content = whole.read_bytes()
     numbers, warnings = read(tmp_path / "cut.mcap", content[: len(content) * 2 // 3])
     assert numbers == list(range(len(numbers)))
@@ -50,7 +50,7 @@ def test_a_cut_file_gives_all_but_the_chunk_that_was_cut(whole: Path, tmp_path: 
         list(open_recording(tmp_path / "cut.mcap", strict=True).scans())
 
 
-def test_a_writer_that_was_killed_leaves_its_scans(whole: Path, tmp_path: Path) -> None:
+def test_the_scans_of_a_killed_writer_can_be_read(whole: Path, tmp_path: Path) -> None:
     content = whole.read_bytes()
     numbers, warnings = read(tmp_path / "killed.mcap", content[: content.rindex(b"\x0f\x04\0\0\0\0\0\0\0")])
     assert numbers == list(range(SCANS))
@@ -67,7 +67,7 @@ def test_a_flipped_bit_is_noticed(whole: Path, tmp_path: Path) -> None:
     assert len(warnings) == 1
 
 
-def test_an_absurd_size_is_refused_before_memory_is_taken(whole: Path, tmp_path: Path) -> None:
+def test_a_record_that_is_too_large_is_refused_before_memory_is_allocated(whole: Path, tmp_path: Path) -> None:
     content = whole.read_bytes()
     header_size = struct.unpack_from("<Q", content, len(MCAP_MAGIC) + 1)[0]
     at = len(MCAP_MAGIC) + 9 + header_size
@@ -83,7 +83,7 @@ def test_an_absurd_size_is_refused_before_memory_is_taken(whole: Path, tmp_path:
 
 @settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.data())
-def test_whatever_is_damaged_nothing_wrong_is_read_and_nothing_else_is_raised(
+def test_random_damage_gives_no_wrong_scan_and_only_our_errors(
     whole: Path, tmp_path: Path, data: st.DataObject
 ) -> None:
     content = bytearray(whole.read_bytes())

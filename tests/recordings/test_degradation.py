@@ -1,4 +1,4 @@
-"""Degraded scans: each kind does what its unit says, in the same way whenever the same scan is read again."""
+"""Degraded scans: each kind has its stated effect, the same for every reading of a scan."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ def scans(count: int) -> list[Scan]:
     return [replace(SCAN, stamp_ns=10**9 + k * 10**8) for k in range(count)]
 
 
-def test_a_dropped_beam_says_nothing() -> None:
+def test_a_dropped_beam_is_invalid() -> None:
     lost = np.isnan(degrader(Degradation(beam_dropout=0.2), seed=1)(SCAN).ranges)
     assert lost.mean() == pytest.approx(0.2, abs=4 * math.sqrt(0.2 * 0.8 / BEAMS))
 
 
-def test_noise_is_metres_of_standard_deviation_on_returns_only() -> None:
+def test_range_noise_is_a_standard_deviation_in_metres_of_returns_only() -> None:
     scan = replace(SCAN, ranges=SCAN.ranges.copy())
     scan.ranges[:4] = math.inf, math.nan, 9.0, 0.01
     noisy = degrader(Degradation(range_noise=0.05), seed=1)(scan).ranges
@@ -52,14 +52,14 @@ def test_a_dropped_frame_is_empty() -> None:
     assert all((scan.ranges == 3.0).all() for scan, gone in zip(seen, dropped, strict=True) if not gone)
 
 
-def test_jitter_moves_the_pose_and_turns_it_by_as_much_at_the_lever() -> None:
+def test_pose_jitter_shifts_and_turns_the_pose() -> None:
     poses = [degrader(Degradation(pose_jitter=0.05), seed=1)(scan).world_T_sensor for scan in scans(2000)]
     off = np.array([(p.x - 1.0, p.y - 2.0, (p.theta - 0.3) * JITTER_LEVER_M) for p in poses])
     np.testing.assert_allclose(off.std(axis=0), 0.05, rtol=0.08)
     np.testing.assert_allclose(off.mean(axis=0), 0.0, atol=4 * 0.05 / math.sqrt(2000))
 
 
-def test_the_same_seed_and_scan_are_degraded_the_same_and_others_are_not() -> None:
+def test_the_degradation_depends_on_the_seed_and_the_scan_only() -> None:
     everything = Degradation(beam_dropout=0.2, range_noise=0.05, frame_drop=0.1, pose_jitter=0.05)
     one, again, other = (degrader(everything, seed)(SCAN) for seed in (1, 1, 2))
     np.testing.assert_array_equal(one.ranges, again.ranges)
@@ -69,8 +69,8 @@ def test_the_same_seed_and_scan_are_degraded_the_same_and_others_are_not() -> No
     assert not np.array_equal(one.ranges, another_sensor.ranges, equal_nan=True)
 
 
-def test_a_weaker_degradation_is_a_part_of_the_stronger() -> None:
-    """The same beams and frames go first: a curve over the strength has no jumps of chance."""
+def test_a_weaker_degradation_is_part_of_a_stronger_one() -> None:
+    """The same beams and frames are lost first: a curve over the strength has no random jumps."""
     strong = Degradation(beam_dropout=0.4, range_noise=0.1)
     at = {share: degrader(strong.scaled(share), seed=1)(SCAN).ranges for share in (0.25, 0.5, 1.0)}
     assert np.isnan(at[0.5])[np.isnan(at[0.25])].all()
@@ -79,14 +79,14 @@ def test_a_weaker_degradation_is_a_part_of_the_stronger() -> None:
     np.testing.assert_allclose((at[1.0] - 3.0)[both], 2 * (at[0.5] - 3.0)[both], atol=1e-5)
 
 
-def test_truth_and_stamp_stay_as_they_are() -> None:
+def test_truth_and_stamp_are_not_changed() -> None:
     labels = np.zeros(BEAMS, np.uint8)
     degraded = degrader(Degradation(beam_dropout=0.5, frame_drop=1.0), seed=1)(replace(SCAN, labels=labels))
     assert degraded.labels is labels
     assert degraded.stamp_ns == SCAN.stamp_ns
 
 
-def test_what_is_asked_for_is_read_and_unknown_kinds_are_refused() -> None:
+def test_the_text_of_a_degradation_is_read_and_unknown_kinds_are_refused() -> None:
     asked = parse_degradation("beam-dropout=0.2,range-noise=0.05,frame-drop=0.1,pose-jitter=0.05")
     assert asked == Degradation(beam_dropout=0.2, range_noise=0.05, frame_drop=0.1, pose_jitter=0.05)
     assert asked.kinds == ("beam_dropout", "range_noise", "frame_drop", "pose_jitter")
@@ -103,7 +103,7 @@ def test_what_is_asked_for_is_read_and_unknown_kinds_are_refused() -> None:
             parse_degradation(nothing)
 
 
-def test_a_degraded_stream_keeps_its_ticks_and_its_grid_in_place(write: Callable[..., Path], scan) -> None:
+def test_a_degraded_stream_has_the_ticks_and_the_grid_of_the_original(write: Callable[..., Path], scan) -> None:
     path = write([scan(k, beams=360) for k in range(40)], grid="40x0.25", rate_hz=10.0)
     stream = open_stream(path)
     plain = list(stream)

@@ -1,4 +1,4 @@
-"""Importing writes the same scans in the native form, with what was said about them, or leaves nothing behind."""
+"""An import writes the same scans and metadata in the native format, or no file."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ from gridtrack.recordings import import_recording, open_recording, packaged_reco
 
 @pytest.fixture
 def log(tmp_path: Path) -> Path:
-    """A CARMEN log of five scans, a second apart, the sensor moving."""
+    """A CARMEN log of five scans, a second apart, of a moving sensor."""
     path = tmp_path / "building.clf"
     path.write_text("".join(f"FLASER 3 1.0 2.0 {k}.5 {k} 0 0.1 0 0 0 {k + 10}.5 host {k}.0\n" for k in range(5)))
     return path
 
 
-def test_an_import_holds_the_scans_of_its_source(log: Path, tmp_path: Path, same_scans) -> None:
+def test_an_import_has_the_scans_of_its_source(log: Path, tmp_path: Path, same_scans) -> None:
     imported = import_recording(log, tmp_path / "out.mcap")
     same_scans(imported.scans(), open_recording(log).scans())
     assert imported.info.site == "building"
 
 
-def test_an_import_says_where_it_comes_from(log: Path, tmp_path: Path) -> None:
+def test_an_import_names_its_source(log: Path, tmp_path: Path) -> None:
     stretches = {"train": (0.0, 3.0), "test": (3.0, None)}
     info = import_recording(
         log, tmp_path / "out.mcap", site="hall", grid="50x0.2", rate_hz=1.0, stretches=stretches, credit="A. Body"
@@ -50,7 +50,7 @@ def test_importing_again_gives_the_same_bytes(log: Path, tmp_path: Path) -> None
     assert import_recording(log, out, site="hall").path.read_bytes() == once
 
 
-def test_a_native_recording_keeps_what_it_says_unless_told_otherwise(
+def test_an_import_keeps_the_metadata_that_no_option_replaces(
     write: Callable[..., Path], scan: Callable[..., Scan], tmp_path: Path
 ) -> None:
     source = write([scan(0), scan(1)], site="hall", licence="CC0", rate_hz=10.0)
@@ -65,7 +65,7 @@ def test_warnings_of_the_source_are_kept(log: Path, tmp_path: Path) -> None:
     assert "line 6" in imported.warnings[0]
 
 
-def test_a_failed_import_leaves_what_was_there(log: Path, tmp_path: Path) -> None:
+def test_a_failed_import_does_not_change_an_existing_file(log: Path, tmp_path: Path) -> None:
     out = tmp_path / "out.mcap"
     out.write_bytes(b"earlier")
     log.write_text(log.read_text() + "FLASER 3 1.0\n")
@@ -90,7 +90,7 @@ def csv_of(path: Path, rows: list[str], columns: str = "stamp_ns,beam,class,sens
     return path
 
 
-def test_labels_come_from_a_csv(
+def test_labels_are_read_from_a_csv(
     write: Callable[..., Path], scan: Callable[..., Scan], same_scans, tmp_path: Path
 ) -> None:
     scans = [scan(k) for k in range(4)]
@@ -106,22 +106,22 @@ def test_labels_come_from_a_csv(
 
 
 @pytest.mark.parametrize(
-    ("rows", "complaint"),
+    ("rows", "message"),
     [
         (["{0},99,car,scan"], r"line 2: beam 99 of a scan of 36 beams"),
         (["5,0,car,scan"], r"line 2: no scan of sensor 'scan' is stamped 5"),
         (["{1},0,car,front"], r"line 2: no scan of sensor 'front'"),
-        (["{1},0,car,scan", "{0},0,car,scan"], r"line 3: (stamps run backwards|no scan)"),
+        (["{1},0,car,scan", "{0},0,car,scan"], r"line 3: (a stamp before that of the row above|no scan)"),
         (["{0},0,car,scan", "99999999999999999999,0,car,scan"], r"line 3: no scan"),
         (["now,0,car,scan"], r"line 2: invalid literal"),
     ],
 )
-def test_labels_that_fit_no_beam_are_told_by_their_line(
-    rows: list[str], complaint: str, write: Callable[..., Path], scan: Callable[..., Scan], tmp_path: Path
+def test_the_error_for_a_label_without_a_beam_names_its_line(
+    rows: list[str], message: str, write: Callable[..., Path], scan: Callable[..., Scan], tmp_path: Path
 ) -> None:
     scans = [scan(k) for k in range(3)]
     labels = csv_of(tmp_path / "labels.csv", [row.format(*(s.stamp_ns for s in scans)) for row in rows])
-    with pytest.raises(RecordingError, match=complaint):
+    with pytest.raises(RecordingError, match=message):
         import_recording(write(scans), tmp_path / "out.mcap", labels=labels)
     assert not (tmp_path / "out.mcap").exists()
 
@@ -145,6 +145,6 @@ def test_the_packaged_recording_is_found_by_its_name() -> None:
     assert (recording.path.parent / "LICENSE").is_file()
 
 
-def test_an_unknown_packaged_recording_is_told() -> None:
+def test_the_error_for_an_unknown_packaged_recording_suggests_another() -> None:
     with pytest.raises(GridtrackError, match="did you mean 'leg_tracker'"):
         packaged_recording("leg-tracker")

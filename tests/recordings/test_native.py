@@ -1,4 +1,4 @@
-"""The native recording gives back exactly what was written, streaming, with its metadata, as Foxglove reads it."""
+"""A native recording round-trips exactly, with its metadata, in messages that Foxglove reads."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ from gridtrack.common.scan import Scan
 from gridtrack.recordings import RecordingInfo, open_recording
 
 
-def test_scans_come_back_to_the_last_bit(write: Callable[..., Path], scan: Callable[..., Scan], same_scans) -> None:
+def test_scans_round_trip_bit_for_bit(write: Callable[..., Path], scan: Callable[..., Scan], same_scans) -> None:
     scans = [scan(k) for k in range(50)]
     same_scans(open_recording(write(scans)).scans(), scans)
 
 
-def test_extreme_ranges_and_angles_come_back(write: Callable[..., Path], scan: Callable[..., Scan], same_scans) -> None:
+def test_extreme_values_round_trip(write: Callable[..., Path], scan: Callable[..., Scan], same_scans) -> None:
     smallest, largest = np.finfo(np.float32).smallest_subnormal, np.finfo(np.float32).max
     ranges = np.array([np.inf, -np.inf, np.nan, 0.0, -0.0, smallest, largest, 1 / 3], np.float32)
     odd = replace(scan(0), ranges=ranges, angle_min=-1.5707963705062866, angle_increment=0.006135923322290182)
@@ -95,7 +95,7 @@ def test_foxglove_reads_standard_messages(write: Callable[..., Path], scan: Call
     assert transform.rotation.z == pytest.approx(math.sqrt(0.5))
 
 
-def test_info_comes_back(write: Callable[..., Path], scan: Callable[..., Scan]) -> None:
+def test_metadata_round_trip(write: Callable[..., Path], scan: Callable[..., Scan]) -> None:
     stretches = {"train": (0.0, 3.0), "test": (3.0, None)}
     path = write([scan(0)], site="hall", grid="100x0.1@-2,-4.5", rate_hz=10.0, stretches=stretches, classes=["car"])
     info = open_recording(path).info
@@ -114,13 +114,13 @@ def test_info_comes_back(write: Callable[..., Path], scan: Callable[..., Scan]) 
         {"site": "a", "stretches": {"t": (5, 3)}},
     ],
 )
-def test_info_that_makes_no_sense_is_refused(values: dict[str, object]) -> None:
+def test_invalid_metadata_are_refused(values: dict[str, object]) -> None:
     with pytest.raises((ValueError, ConfigurationError)):
         RecordingInfo.model_validate(values)
 
 
 @given(st.floats(-1e6, 1e6), st.floats(-1e6, 1e6), st.floats(-math.pi, math.pi))
-def test_poses_come_back(tmp_path_factory: pytest.TempPathFactory, x: float, y: float, theta: float) -> None:
+def test_poses_round_trip(tmp_path_factory: pytest.TempPathFactory, x: float, y: float, theta: float) -> None:
     from gridtrack.recordings import write_native
 
     path = tmp_path_factory.mktemp("pose") / "pose.mcap"
@@ -132,7 +132,7 @@ def test_poses_come_back(tmp_path_factory: pytest.TempPathFactory, x: float, y: 
     assert abs(math.remainder(found.world_T_sensor.theta - theta, 2 * math.pi)) < 1e-12
 
 
-def test_summary_tells_what_is_in_it(write: Callable[..., Path], scan: Callable[..., Scan]) -> None:
+def test_the_overview_describes_the_content(write: Callable[..., Path], scan: Callable[..., Scan]) -> None:
     path = write([scan(k) for k in range(50) if not 20 <= k < 30], site="hall")
     summary = open_recording(path).overview()
     sensor = summary.sensors["scan"]
@@ -153,7 +153,7 @@ def test_rate_is_that_of_the_slowest_sensor_to_a_tenth(write: Callable[..., Path
     assert open_recording(write(merged)).survey.rate_hz == 5.0
 
 
-def test_a_wrong_topic_is_told_with_those_present(write: Callable[..., Path], scan: Callable[..., Scan]) -> None:
+def test_the_error_for_a_wrong_topic_lists_the_topics(write: Callable[..., Path], scan: Callable[..., Scan]) -> None:
     path = write([scan(0, "front"), scan(1, "rear")])
     with pytest.raises(RecordingError, match="no topic '/scan/frnt'; did you mean '/scan/front'"):
         list(open_recording(path, topic="/scan/frnt").scans())
@@ -163,12 +163,12 @@ def test_a_wrong_topic_is_told_with_those_present(write: Callable[..., Path], sc
         list(open_recording(path, topic="/pose").scans())
 
 
-def test_a_recording_without_scans_says_so(write: Callable[..., Path]) -> None:
+def test_a_recording_without_scans_is_refused(write: Callable[..., Path]) -> None:
     with pytest.raises(RecordingError, match=r"made\.mcap: no scans; topics: none"):
         list(open_recording(write([])).scans())
 
 
-def test_a_missing_file_is_told_with_the_nearest_name(write: Callable[..., Path], scan: Callable[..., Scan]) -> None:
+def test_a_missing_file_is_an_error_with_a_suggestion(write: Callable[..., Path], scan: Callable[..., Scan]) -> None:
     path = write([scan(0)])
     with pytest.raises(RecordingError, match=r"no such recording; did you mean 'made\.mcap'"):
         open_recording(path.with_name("maed.mcap"))
@@ -181,7 +181,7 @@ def test_other_files_are_refused(tmp_path: Path) -> None:
         open_recording(path)
 
 
-def test_scans_whose_stamps_do_not_go_forward_are_left_out_and_told_once(
+def test_scans_with_decreasing_stamps_are_left_out_with_one_warning(
     write: Callable[..., Path], scan: Callable[..., Scan]
 ) -> None:
     path = write(scan(k) for k in [0, 1, 3, 2, 4, 5, 7, 6, 8, 8, 9])
@@ -194,9 +194,7 @@ def test_scans_whose_stamps_do_not_go_forward_are_left_out_and_told_once(
         list(open_recording(path, strict=True).scans())
 
 
-def test_sensors_written_late_are_merged_up_to_a_second_and_told_beyond(
-    write: Callable[..., Path], scan: Callable[..., Scan]
-) -> None:
+def test_sensors_written_late_are_merged_up_to_a_second(write: Callable[..., Path], scan: Callable[..., Scan]) -> None:
     def late(by: int) -> list[Scan]:
         front, rear = ([scan(k, sensor) for k in range(40)] for sensor in ("front", "rear"))
         return [s for pair in zip(front[by:], rear, strict=False) for s in pair] + rear[40 - by :]
@@ -212,7 +210,7 @@ def test_sensors_written_late_are_merged_up_to_a_second_and_told_beyond(
     assert "sensor 'rear' stamped more than a second before those of other sensors" in recording.warnings[0]
 
 
-def test_a_changing_number_of_beams_is_told(write: Callable[..., Path], scan: Callable[..., Scan]) -> None:
+def test_a_changing_number_of_beams_is_a_warning(write: Callable[..., Path], scan: Callable[..., Scan]) -> None:
     recording = open_recording(write(scan(k, beams=30 + 6 * (k // 5)) for k in range(15)))
     assert len(list(recording.scans())) == 15
     assert "number of beams differs from the one before: 2 of them" in recording.warnings[0]
@@ -220,7 +218,7 @@ def test_a_changing_number_of_beams_is_told(write: Callable[..., Path], scan: Ca
 
 
 @pytest.mark.parametrize("limits", [(0.0, math.inf), (3.0, 1.0), (-1.0, 2.0), (0.0, math.nan)])
-def test_range_limits_that_mean_nothing_are_refused(
+def test_invalid_range_limits_are_refused(
     write: Callable[..., Path], scan: Callable[..., Scan], limits: tuple[float, float]
 ) -> None:
     path = write([replace(scan(0), range_min=limits[0], range_max=limits[1])])
@@ -228,18 +226,18 @@ def test_range_limits_that_mean_nothing_are_refused(
         list(open_recording(path).scans())
 
 
-def test_a_pose_that_is_no_place_leaves_its_scan_out_and_the_first_one_is_refused(
+def test_a_scan_with_a_pose_that_is_not_finite_is_left_out_and_refused_as_the_first(
     write: Callable[..., Path], scan: Callable[..., Scan]
 ) -> None:
     nowhere = SE2(math.nan, 0.0, 0.0)
     recording = open_recording(write([scan(0), replace(scan(1), world_T_sensor=nowhere), scan(2)]))
     assert [s.stamp_ns for s in recording.scans()] == [scan(0).stamp_ns, scan(2).stamp_ns]
     assert "whose pose is not finite, left out: 1 of them" in recording.warnings[0]
-    with pytest.raises(RecordingError, match="a pose of nan, 0, 0; expected a place"):
+    with pytest.raises(RecordingError, match="a pose of nan, 0, 0; expected finite numbers"):
         list(open_recording(write([replace(scan(0), world_T_sensor=nowhere)])).scans())
 
 
-def test_every_complaint_is_one_line(write: Callable[..., Path], scan: Callable[..., Scan]) -> None:
+def test_every_error_is_one_line(write: Callable[..., Path], scan: Callable[..., Scan]) -> None:
     for topic in ("/pose", "/nothing"):
         with pytest.raises(GridtrackError) as caught:
             list(open_recording(write([scan(0)]), topic=topic).scans())

@@ -17,14 +17,14 @@ def scans_at(stamps: list[int], sensor: str = "scan") -> list[Scan]:
 
 
 def chosen(stamps: list[int], ticks: range, origin: int = 1000) -> list[int | None]:
-    """Of each tick, the stamp of its scan since the origin."""
+    """The stamp of the scan of each tick, relative to the origin."""
     return [
         tick.scans["scan"].stamp_ns - origin if "scan" in tick.scans else None
         for tick in resample_scans(scans_at([origin + s for s in stamps]), PERIOD, origin_ns=origin, ticks=ticks)
     ]
 
 
-def test_regular_scans_are_their_ticks() -> None:
+def test_regular_scans_are_used_unchanged() -> None:
     assert chosen([0, 100, 200, 300], range(4)) == [0, 100, 200, 300]
 
 
@@ -46,16 +46,16 @@ def test_a_gap_of_more_than_two_periods_is_empty_but_for_its_edges() -> None:
     assert chosen([0, 100, 301], range(4)) == [0, 100, None, 301]
 
 
-def test_before_the_first_and_after_the_last_scan_there_is_nothing() -> None:
+def test_ticks_before_the_first_and_after_the_last_scan_are_empty() -> None:
     assert chosen([200, 300], range(6)) == [None, None, 200, 300, None, None]
 
 
-def test_ticks_are_stamped_regularly() -> None:
+def test_the_stamps_of_the_ticks_are_regular() -> None:
     stamps = [tick.stamp_ns for tick in resample_scans(scans_at([7, 111, 193]), PERIOD, origin_ns=7, ticks=range(5, 8))]
     assert stamps == [507, 607, 707]
 
 
-def test_a_recording_begun_in_the_middle_has_the_same_ticks() -> None:
+def test_a_recording_read_from_the_middle_has_the_same_ticks() -> None:
     stamps = list(range(0, 3000, 97))
     whole = chosen(stamps, range(30))
     assert chosen(stamps, range(10, 20)) == whole[10:20]
@@ -72,7 +72,7 @@ def test_each_sensor_has_its_own_scans() -> None:
 
 
 def rule(stamps: list[int], tick: int) -> int | None:
-    """What the tick should have, from all stamps at once."""
+    """The expected scan of a tick, by a search over all stamps."""
     nearest = min(stamps, key=lambda s: (abs(s - tick), s), default=None)
     if nearest is None or abs(nearest - tick) > PERIOD:
         return None
@@ -82,6 +82,6 @@ def rule(stamps: list[int], tick: int) -> int | None:
 
 
 @given(st.sets(st.integers(0, 3000), max_size=40), st.integers(0, 10), st.integers(0, 25))
-def test_agrees_with_looking_at_all_scans_at_once(stamps: set[int], first: int, count: int) -> None:
+def test_agrees_with_a_search_over_all_scans(stamps: set[int], first: int, count: int) -> None:
     ticks = range(first, first + count)
     assert chosen(sorted(stamps), ticks) == [rule(sorted(stamps), k * PERIOD) for k in ticks]

@@ -1,4 +1,4 @@
-"""ROS bags and ROS MCAP files read as the scans that were put in, damaged ones up to the damage."""
+"""ROS bags and ROS MCAP files are read as the scans that were written, damaged ones up to the damage."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def laser(store: Any, scan: Scan) -> Any:
 
 
 def cloud(store: Any, points: np.ndarray, stamp_ns: int = 5) -> Any:
-    """Points (N, 3) with padding and a field of another type in between, as drivers send them."""
+    """Points (N, 3) with padding and a field of another type in between, as in the messages of drivers."""
     kind = np.dtype({"names": ["x", "y", "z"], "formats": ["<f4"] * 3, "offsets": [0, 4, 8], "itemsize": 32})
     packed = np.zeros(len(points), kind)
     packed["x"], packed["y"], packed["z"] = points.T
@@ -155,7 +155,7 @@ MAKERS: dict[str, Callable[[Path, list[Scan]], Path]] = {
 
 
 @pytest.mark.parametrize("kind", MAKERS)
-def test_laser_scans_come_back_from(kind: str, tmp_path: Path, scans: list[Scan], same_scans) -> None:
+def test_laser_scans_round_trip_through(kind: str, tmp_path: Path, scans: list[Scan], same_scans) -> None:
     recording = open_recording(MAKERS[kind](tmp_path, scans))
     same_scans(recording.scans(), scans)
     assert recording.warnings == []
@@ -172,7 +172,7 @@ def test_one_topic_of_several(kind: str, tmp_path: Path, scans: list[Scan], same
         list(open_recording(path, topic="/chatter").scans())
 
 
-def test_headers_without_a_stamp_take_the_time_of_reception_and_say_so(tmp_path: Path, scans: list[Scan]) -> None:
+def test_headers_without_a_stamp_get_the_time_of_reception_and_a_warning(tmp_path: Path, scans: list[Scan]) -> None:
     messages = [("/scan", LASER, 10**9 + k, laser(ROS1, replace(s, stamp_ns=0))) for k, s in enumerate(scans[:3])]
     recording = open_recording(ros1_bag(tmp_path / "a.bag", messages))
     assert [s.stamp_ns for s in recording.scans()] == [10**9, 10**9 + 1, 10**9 + 2]
@@ -180,14 +180,14 @@ def test_headers_without_a_stamp_take_the_time_of_reception_and_say_so(tmp_path:
     assert "time of reception" in recording.warnings[0]
 
 
-def test_a_bag_without_scans_lists_what_it_has(tmp_path: Path) -> None:
+def test_the_error_for_a_bag_without_scans_lists_its_topics(tmp_path: Path) -> None:
     path = ros1_bag(tmp_path / "a.bag", [("/chatter", STRING, 5, ROS1.types[STRING](data="hello"))])
     with pytest.raises(RecordingError, match=r"no scans; topics: /chatter \(std_msgs/msg/String\)"):
         list(open_recording(path).scans())
 
 
 @pytest.mark.parametrize("kind", ["ros1 bag", "ros1 bag, bz2", "ros1 mcap"])
-def test_a_cut_file_gives_what_stands_before_the_cut(kind: str, tmp_path: Path, scans: list[Scan]) -> None:
+def test_a_cut_file_gives_the_scans_before_the_cut(kind: str, tmp_path: Path, scans: list[Scan]) -> None:
     path = MAKERS[kind](tmp_path, scans)
     content = path.read_bytes()
     path.write_bytes(content[: len(content) * 3 // 5])
@@ -212,7 +212,7 @@ def test_a_bag_cut_inside_a_chunk_gives_the_messages_before_the_cut(tmp_path: Pa
     assert len(recording.warnings) == 1
 
 
-def test_a_bag_that_lost_its_index_still_reads(tmp_path: Path, scans: list[Scan], same_scans) -> None:
+def test_a_bag_without_its_index_can_be_read(tmp_path: Path, scans: list[Scan], same_scans) -> None:
     path = MAKERS["ros1 bag"](tmp_path, scans)
     content = bytearray(path.read_bytes())
     at = content.index(b"index_pos=") + len(b"index_pos=")
@@ -222,7 +222,7 @@ def test_a_bag_that_lost_its_index_still_reads(tmp_path: Path, scans: list[Scan]
     same_scans(open_recording(path).scans(), scans)
 
 
-def test_a_damaged_database_gives_what_stands_before_the_damage(tmp_path: Path, scans: list[Scan]) -> None:
+def test_a_damaged_database_is_an_error_where_strict(tmp_path: Path, scans: list[Scan]) -> None:
     path = MAKERS["ros2 bag, one db3"](tmp_path, scans)
     content = path.read_bytes()
     path.write_bytes(content[: len(content) // 2])
@@ -232,9 +232,7 @@ def test_a_damaged_database_gives_what_stands_before_the_damage(tmp_path: Path, 
 
 @settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.data())
-def test_whatever_is_damaged_in_a_bag_nothing_but_our_errors_is_raised(
-    tmp_path: Path, scans: list[Scan], data: st.DataObject
-) -> None:
+def test_random_damage_of_a_bag_raises_only_our_errors(tmp_path: Path, scans: list[Scan], data: st.DataObject) -> None:
     whole = tmp_path / "whole.bag"
     if not whole.exists():
         ros1_bag(whole, messages_of(ROS1, scans))
@@ -263,7 +261,7 @@ def test_a_cloud_is_cut_at_a_height_to_the_nearest_point_of_each_bearing(tmp_pat
     assert "--cloud-slice low_m=0,high_m=1,beams=36" in imported.info.command
 
 
-def test_what_a_bearing_without_points_means_is_chosen(tmp_path: Path) -> None:
+def test_a_bearing_without_points_is_free_or_unknown(tmp_path: Path) -> None:
     path = ros2_bag(tmp_path / "a", [("/points", CLOUD, 5, cloud(ROS2, np.array([[2.0, 0.1, 0.5]])))])
     seen = {}
     for empty in ("free", "unknown"):
@@ -275,7 +273,7 @@ def test_what_a_bearing_without_points_means_is_chosen(tmp_path: Path) -> None:
     assert "range_max_m=6,empty=unknown" in imported.info.command
 
 
-def test_a_cloud_wants_its_topic_and_its_heights_named(tmp_path: Path) -> None:
+def test_a_cloud_needs_its_topic_and_its_heights(tmp_path: Path) -> None:
     path = ros1_bag(tmp_path / "a.bag", [("/points", CLOUD, 5, cloud(ROS1, np.ones((3, 3))))])
     with pytest.raises(RecordingError, match=r"no scans; topics: /points \(sensor_msgs/msg/PointCloud2\)"):
         list(open_recording(path).scans())
@@ -283,7 +281,7 @@ def test_a_cloud_wants_its_topic_and_its_heights_named(tmp_path: Path) -> None:
         list(open_recording(path, topic="/points").scans())
 
 
-def test_a_cloud_that_says_more_than_it_holds_is_refused(tmp_path: Path) -> None:
+def test_a_cloud_that_declares_more_points_than_it_has_is_refused(tmp_path: Path) -> None:
     message = replace(cloud(ROS1, np.ones((3, 3))), width=1000)
     path = ros1_bag(tmp_path / "a.bag", [("/points", CLOUD, 5, message)])
     with pytest.raises(RecordingError, match="1 x 1000 points in 96 bytes"):

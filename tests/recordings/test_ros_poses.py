@@ -1,4 +1,4 @@
-"""Poses in ROS recordings: read where they are asked for, and never passed over in silence."""
+"""Poses in ROS recordings: read where an option names their topic, else a warning."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ def bag(tmp_path: Path):
     return bag
 
 
-def test_poses_that_are_not_read_are_told_once_with_what_to_do(bag) -> None:
+def test_unread_poses_are_one_warning_with_the_remedy(bag) -> None:
     path = bag([scan(k * 100) for k in range(5)] + [odometry(k * 20, SE2(k * 0.1)) for k in range(20)])
     recording = open_recording(path)
     summary = recording.overview()
@@ -96,7 +96,7 @@ def test_poses_that_are_not_read_are_told_once_with_what_to_do(bag) -> None:
     assert not summary.sensors["scan"].moves
 
 
-def test_transforms_are_not_read_and_that_is_told(bag) -> None:
+def test_unread_transforms_are_a_warning(bag) -> None:
     path = bag([scan(0), scan(100), ("/tf", TF, START_NS, make(TF, transforms=[]))])
     recording = open_recording(path)
     list(recording.scans())
@@ -107,7 +107,7 @@ def test_transforms_are_not_read_and_that_is_told(bag) -> None:
 
 
 @pytest.mark.parametrize("message", [odometry, stamped])
-def test_a_scan_stands_between_the_poses_before_and_after_it(bag, message) -> None:
+def test_the_pose_of_a_scan_is_interpolated(bag, message) -> None:
     path = bag(
         [scan(at) for at in (0, 50, 100, 125, 300)]
         + [message(40, SE2(1.0, 2.0, 0.0)), message(100, SE2(1.6, 2.0, 0.0)), message(200, SE2(1.6, 2.0, 1.0))]
@@ -122,7 +122,7 @@ def test_a_scan_stands_between_the_poses_before_and_after_it(bag, message) -> No
     assert recording.overview().sensors["scan"].moves
 
 
-def test_a_pause_of_the_poses_is_told_and_holds_no_scans_back(bag) -> None:
+def test_a_gap_in_the_poses_is_a_warning_and_delays_no_scans(bag) -> None:
     path = bag([scan(k * 100) for k in range(100)] + [odometry(0, SE2()), odometry(9000, SE2(9.0))])
     recording = open_recording(path, pose_topic="/odom")
     poses = [s.world_T_sensor.x for s in recording.scans()]
@@ -135,15 +135,15 @@ def test_a_pause_of_the_poses_is_told_and_holds_no_scans_back(bag) -> None:
 
 
 @pytest.mark.parametrize(
-    ("topic", "says"),
+    ("topic", "message"),
     [
         ("/odmo", "no topic '/odmo' with poses; did you mean '/odom'"),
         ("/scan", "no topic '/scan' with poses; known: /odom"),
     ],
 )
-def test_a_topic_without_poses_is_refused(bag, topic, says) -> None:
+def test_a_topic_without_poses_is_refused(bag, topic, message) -> None:
     path = bag([scan(0), scan(100), odometry(0, SE2())])
-    with pytest.raises(RecordingError, match=says):
+    with pytest.raises(RecordingError, match=message):
         list(open_recording(path, pose_topic=topic).scans())
 
 

@@ -1,4 +1,4 @@
-"""A recording carries its true scene, as Foxglove draws it, and gives it back with the scan it belongs to."""
+"""The true scene round-trips with its scan, in messages that Foxglove draws."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ WALLS = (BOX + np.float32(20), np.array([[0, 0], [1, 0], [0, 1]], np.float32))
 
 
 def scene(k: int) -> Scene:
-    """Two road users, of whom the second is there in every other scan only."""
+    """Two road users; the second is in every other scan only."""
     walker = SceneObject(3, 0, SE2(0.1 * k, 1 / 7, 0.3), BOX / np.float32(4))
     car = SceneObject(4_000_000_000, 1, SE2(-k, 0.0, -3.1), BOX)
     return Scene(WALLS, 2, (walker, car) if k % 2 else (walker,))
@@ -50,17 +50,17 @@ def recording(write: Callable[..., Path], scan: Callable[..., Scan]) -> Path:
     return write([replace(scan(k), scene=scene(k)) for k in range(20)], classes=CLASSES)
 
 
-def test_every_scan_comes_back_with_its_scene(recording: Path) -> None:
+def test_every_scan_round_trips_with_its_scene(recording: Path) -> None:
     for k, found in enumerate(open_recording(recording).scans()):
         assert_same_scene(found.scene, scene(k))
 
 
-def test_nobody_there_is_known_too(write: Callable[..., Path], scan: Callable[..., Scan]) -> None:
+def test_an_empty_scene_round_trips(write: Callable[..., Path], scan: Callable[..., Scan]) -> None:
     (found,) = open_recording(write([replace(scan(0), scene=Scene((), 255, ()))], classes=CLASSES)).scans()
     assert found.scene == Scene((), 255, ())
 
 
-def test_a_scan_without_truth_does_not_inherit_that_of_the_one_before(
+def test_a_scan_without_truth_does_not_get_that_of_the_scan_before(
     write: Callable[..., Path], scan: Callable[..., Scan]
 ) -> None:
     path = write([replace(scan(0), scene=scene(0)), scan(1)], classes=CLASSES)
@@ -76,20 +76,20 @@ def test_sensors_that_scan_at_once_share_the_scene(write: Callable[..., Path], s
         assert found.scene is not None
 
 
-def test_what_stands_is_written_once(recording: Path) -> None:
+def test_static_outlines_are_written_once(recording: Path) -> None:
     topics = open_recording(recording).overview().topics
     assert topics[OUTLINES] == "foxglove.SceneUpdate, 1"
     assert topics[OBJECTS] == "foxglove.SceneUpdate, 20"
 
 
-def test_info_tells_that_there_is_truth(recording: Path, write: Callable[..., Path], scan: Callable[..., Scan]) -> None:
+def test_the_overview_counts_truth(recording: Path, write: Callable[..., Path], scan: Callable[..., Scan]) -> None:
     text = str(open_recording(recording).overview())
     assert "20 scans with truth" in text
     assert "classes: pedestrian, car, static" in text
     assert "with truth" not in str(open_recording(write([scan(0)], "bare.mcap")).overview())
 
 
-def test_foxglove_draws_outlines_where_the_bodies_stand(recording: Path) -> None:
+def test_the_messages_place_the_outlines_at_the_poses(recording: Path) -> None:
     with recording.open("rb") as file:
         reader = make_reader(file, validate_crcs=True, decoder_factories=[DecoderFactory()])
         updates = [m.decoded_message for m in reader.iter_decoded_messages(topics=[OBJECTS])]
@@ -108,7 +108,7 @@ def test_an_object_of_a_class_that_the_recording_does_not_name_is_refused(
         write([replace(scan(0), scene=scene(0))])
 
 
-def message(change: Callable[[SceneUpdate], object]) -> bytes:
+def changed_message(change: Callable[[SceneUpdate], object]) -> bytes:
     update = SceneWriter(CLASSES).objects(scene(1), 7)
     change(update)
     return update.SerializeToString()
@@ -125,28 +125,28 @@ def many_entities(update: SceneUpdate) -> None:
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "message"),
     [
         (lambda u: u.entities[0].lines.add(), "has 2 lines; expected its outline"),
         (lambda u: u.entities[0].ClearField("lines"), "has 0 lines"),
         (lambda u: u.entities[0].lines[0].ClearField("points"), "not an outline of 3 to 1024 corners"),
         (many_corners, "not an outline of 3 to 1024 corners"),
         (many_entities, "5002 entities in a message of /objects; at most 4096"),
-        (lambda u: setattr(u.entities[0].lines[0].points[0], "x", float("nan")), "a corner that is nowhere"),
-        (lambda u: setattr(u.entities[0].lines[0].pose.position, "y", float("inf")), "expected a place"),
+        (lambda u: setattr(u.entities[0].lines[0].points[0], "x", float("nan")), "a corner that is not finite"),
+        (lambda u: setattr(u.entities[0].lines[0].pose.position, "y", float("inf")), "expected a finite pose"),
         (lambda u: setattr(u.entities[0].metadata[0], "value", "<b>ghost"), "a class that the recording does not name"),
-        (lambda u: setattr(u.entities[0], "id", "-3"), "not the number of a track"),
-        (lambda u: setattr(u.entities[0], "id", "9" * 5000), "not the number of a track"),
+        (lambda u: setattr(u.entities[0], "id", "-3"), "not a track number"),
+        (lambda u: setattr(u.entities[0], "id", "9" * 5000), "not a track number"),
     ],
 )
-def test_a_message_that_is_no_scene_is_one_clear_line(change: Callable[[SceneUpdate], object], told: str) -> None:
-    with pytest.raises(DamageError, match=told) as error:
-        SceneReader(CLASSES).take(OBJECTS, message(change))
+def test_an_invalid_message_is_one_clear_line(change: Callable[[SceneUpdate], object], message: str) -> None:
+    with pytest.raises(DamageError, match=message) as error:
+        SceneReader(CLASSES).add(OBJECTS, changed_message(change))
     assert "\n" not in str(error.value)
 
 
-def test_bytes_that_are_no_message_at_all_and_absurdly_large_ones_are_refused() -> None:
+def test_bytes_that_are_not_a_message_and_too_large_messages_are_refused() -> None:
     with pytest.raises(DamageError, match=r"not a foxglove\.SceneUpdate"):
-        SceneReader(CLASSES).take(OBJECTS, b"\xff" * 40)
+        SceneReader(CLASSES).add(OBJECTS, b"\xff" * 40)
     with pytest.raises(DamageError, match="at most 8388608 are read"):
-        SceneReader(CLASSES).take(OBJECTS, b"\0" * (1 << 24))
+        SceneReader(CLASSES).add(OBJECTS, b"\0" * (1 << 24))

@@ -1,4 +1,4 @@
-"""A grid stream is the same regular frames for everybody: slices of one whole, in the frame of the first sensor."""
+"""A grid stream has the same regular frames for every reader: slices of one whole, in the frame of the first sensor."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ GRID = GridSpec(60, 0.2)
 
 
 def one_beam(scan: Scan, distance: float, **changes: object) -> Scan:
-    """A scan that sees one thing, straight ahead."""
+    """A scan with one return, straight ahead."""
     return replace(scan, ranges=np.array([distance], np.float32), angle_min=0.0, angle_increment=0.0, **changes)
 
 
@@ -49,7 +49,7 @@ def test_a_file_with_an_at_sign_in_its_name_is_a_file(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("text", ["demo.mcap@", "@test", "demo.mcap@90s-30s"])
-def test_a_stretch_that_cannot_be_read_is_told(text: str) -> None:
+def test_an_invalid_stretch_is_refused(text: str) -> None:
     with pytest.raises(RecordingError, match=r"'.*': "):
         parse_stretch(text)
 
@@ -68,7 +68,7 @@ def test_frames_are_the_scans_cast_into_the_grid(write: Callable[..., Path], sca
         assert frame.stamp_ns == source.stamp_ns
 
 
-def test_every_iteration_starts_over(write: Callable[..., Path], scan: Callable[..., Scan]) -> None:
+def test_every_iteration_starts_at_the_first_frame(write: Callable[..., Path], scan: Callable[..., Scan]) -> None:
     stream = open_stream(write(scan(k) for k in range(12)))
     begun = iter(stream)
     next(begun)
@@ -87,7 +87,7 @@ def test_a_stretch_is_a_slice_of_the_whole(write: Callable[..., Path], scan: Cal
     assert [frame_digest(f) for f in open_stream(f"{path}@1.5s-2.04s", rate_hz=10.0)] == whole[15:21]
 
 
-def test_names_and_what_the_recording_says_are_passed_on(write: Callable[..., Path], scan: Callable[..., Scan]) -> None:
+def test_the_stream_has_the_metadata_of_the_recording(write: Callable[..., Path], scan: Callable[..., Scan]) -> None:
     path = write(
         (scan(k) for k in range(30)),
         site="hall",
@@ -104,7 +104,7 @@ def test_names_and_what_the_recording_says_are_passed_on(write: Callable[..., Pa
     assert stream.sha256 == open_recording(path).sha256
 
 
-def test_without_advice_the_grid_is_the_default_and_the_rate_the_median(
+def test_without_metadata_the_grid_is_the_default_and_the_rate_the_median(
     write: Callable[..., Path], scan: Callable[..., Scan]
 ) -> None:
     stream = open_stream(write(scan(k, offset_ns=-k * 300_000) for k in range(30)))
@@ -113,7 +113,7 @@ def test_without_advice_the_grid_is_the_default_and_the_rate_the_median(
 
 
 @pytest.mark.parametrize(
-    ("stretch", "complaint"),
+    ("stretch", "message"),
     [
         ("@tset", "no stretch 'tset'; did you mean 'test'"),
         ("@5s-9s", r"the recording is 2\.9 s long"),
@@ -121,15 +121,15 @@ def test_without_advice_the_grid_is_the_default_and_the_rate_the_median(
         ("@1.01s-1.02s", "no frame at 10 Hz"),
     ],
 )
-def test_a_stretch_that_is_not_there_is_told(
-    stretch: str, complaint: str, write: Callable[..., Path], scan: Callable[..., Scan]
+def test_a_stretch_outside_the_recording_is_refused(
+    stretch: str, message: str, write: Callable[..., Path], scan: Callable[..., Scan]
 ) -> None:
     path = write((scan(k) for k in range(30)), stretches={"test": (1.0, None)})
-    with pytest.raises(GridtrackError, match=complaint):
+    with pytest.raises(GridtrackError, match=message):
         open_stream(f"{path}{stretch}")
 
 
-def test_a_rate_that_cannot_be_is_refused(write: Callable[..., Path], scan: Callable[..., Scan]) -> None:
+def test_an_invalid_rate_is_refused(write: Callable[..., Path], scan: Callable[..., Scan]) -> None:
     path = write([scan(0)])
     with pytest.raises(RecordingError, match="give one with --rate"):
         open_stream(path)
@@ -137,7 +137,7 @@ def test_a_rate_that_cannot_be_is_refused(write: Callable[..., Path], scan: Call
         open_stream(path, rate_hz=-1.0)
 
 
-def test_gaps_are_counted_told_and_empty(write: Callable[..., Path], scan: Callable[..., Scan]) -> None:
+def test_gaps_are_counted_and_their_frames_empty(write: Callable[..., Path], scan: Callable[..., Scan]) -> None:
     path = write(scan(k) for k in range(40) if not 10 <= k < 15 and k != 20)
     stream = open_stream(path)
     frames = list(stream)
@@ -154,7 +154,7 @@ def test_gaps_are_counted_told_and_empty(write: Callable[..., Path], scan: Calla
     assert open_stream(f"{path}@2s-3s").gaps == 0
 
 
-def test_the_grid_of_a_standing_sensor_stands_in_its_frame(
+def test_the_grid_of_a_static_sensor_has_the_frame_of_the_sensor(
     write: Callable[..., Path], scan: Callable[..., Scan]
 ) -> None:
     pose = SE2(10.0, 20.0, math.pi / 2)
@@ -175,7 +175,7 @@ def test_the_grid_follows_a_sensor_that_moves(write: Callable[..., Path], scan: 
 
 
 def two_sensors(scan: Callable[..., Scan]) -> list[Scan]:
-    """A front sensor at the origin, and 2 m behind it one that looks back; each sees one thing 1.1 m away."""
+    """A front sensor at the origin, and 2 m behind it one that faces backwards; each has one return at 1.1 m."""
     scans = []
     for k in range(5):
         scans.append(one_beam(scan(k, "front"), 1.1))
@@ -232,7 +232,7 @@ def test_a_digest_changes_with_every_part_of_a_frame(write: Callable[..., Path],
     assert frame_digest(replace(frame, visible=frame.visible.copy())) == frame_digest(frame)
 
 
-def test_the_demo_looks_as_it_should() -> None:
+def test_the_demo_recording_has_its_known_frames() -> None:
     stream = open_stream(f"{packaged_recording('leg_tracker')}@test")
     assert (str(stream.grid), stream.period_s, stream.site) == ("100x0.1@-2,-4.5", 0.1, "leg_tracker")
     assert (len(stream), stream.gaps) == (360, 0)
@@ -243,8 +243,8 @@ def test_the_demo_looks_as_it_should() -> None:
     assert isinstance(GridStream(stream.recording, (0.0, 75.0)), GridStream)
 
 
-def test_sensors_without_poses_are_told(write: Callable[..., Path], scan: Callable[..., Scan]) -> None:
+def test_sensors_without_poses_are_a_warning(write: Callable[..., Path], scan: Callable[..., Scan]) -> None:
     scans = [scan(k, sensor) for k in range(5) for sensor in ("front", "rear")]
     stream = open_stream(write(scans))
     assert len(stream.recording.warnings) == 1
-    assert "2 sensors and no poses: all are taken to stand in one place" in stream.recording.warnings[0]
+    assert "2 sensors and no poses: all are taken to have the same pose" in stream.recording.warnings[0]

@@ -1,4 +1,4 @@
-"""Truth on the grid, against hand-drawn cases and a slow version that clips every edge against every cell."""
+"""Rasterised truth, against hand-drawn cases and a slow version that clips every edge against every cell."""
 
 import math
 
@@ -60,7 +60,7 @@ def test_a_triangles_slope_passes_through_the_cells_it_has_length_in():
     ]
 
 
-def test_an_edge_on_a_border_lies_in_the_cell_that_begins_there():
+def test_an_edge_on_a_border_is_in_the_cell_that_starts_there():
     truth = truth_grid(scene(static=[box(1, 1, 2, 2)]), GRID, HERE)
     assert drawn(truth.cover) == [
         ".....",
@@ -71,7 +71,7 @@ def test_an_edge_on_a_border_lies_in_the_cell_that_begins_there():
     ]
 
 
-def test_what_reaches_beyond_the_grid_is_cut_off_and_what_lies_beyond_is_not_there():
+def test_outlines_are_clipped_to_the_grid():
     truth = truth_grid(scene(static=[box(2.5, -50, 100, 52.5), box(40, 40, 1, 1)]), GRID, HERE)
     assert drawn(truth.cover) == [
         ".....",
@@ -82,7 +82,7 @@ def test_what_reaches_beyond_the_grid_is_cut_off_and_what_lies_beyond_is_not_the
     ]
 
 
-def test_an_object_stands_where_its_pose_puts_it_in_a_grid_that_lies_anywhere():
+def test_objects_and_grid_are_placed_by_their_poses():
     turned = body(box(-2, -1, 4, 2), label=2, pose=SE2(12.5, 7.5, math.pi / 2))
     truth = truth_grid(scene(objects=[turned]), GRID, SE2(10.0, 5.0, 0.0))
     assert drawn(truth.cover) == [
@@ -95,7 +95,7 @@ def test_an_object_stands_where_its_pose_puts_it_in_a_grid_that_lies_anywhere():
     assert (truth.labels == 2).sum() == (truth.cover == OUTLINE).sum()
 
 
-def test_the_outline_of_one_thing_inside_another_counts_and_a_road_users_class_before_what_stands():
+def test_an_outline_inside_another_object_counts_and_road_users_take_precedence():
     room, within = box(0.5, 0.5, 4, 4), box(2.2, 2.2, 0.5, 0.5)
     truth = truth_grid(scene(static=[room], objects=[body(within, label=1)]), GRID, HERE)
     assert drawn(truth.cover)[2] == "#i#i#"
@@ -104,7 +104,7 @@ def test_the_outline_of_one_thing_inside_another_counts_and_a_road_users_class_b
     assert leaning.labels[0].tolist() == [3, 3, 4, 4, 4]
 
 
-def test_static_cells_are_the_outlines_of_what_stands_and_nothing_else():
+def test_static_cells_are_those_of_static_outlines_only():
     found = static_cells(scene(static=[box(0.5, 0.5, 4, 4)], objects=[body(box(2.2, 2.2, 0.5, 0.5))]), GRID, HERE)
     assert found.sum() == 16
     assert not found[2, 2]
@@ -116,13 +116,13 @@ def test_an_empty_scene_is_free_everywhere():
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, 1e30])
-def test_corners_that_are_no_places_are_refused(bad):
-    with pytest.raises(RecordingError, match="no places"):
+def test_corners_that_are_not_finite_are_refused(bad):
+    with pytest.raises(RecordingError, match="not finite"):
         truth_grid(scene(objects=[body(outline((0, 0), (1, 0), (1, bad)))]), GRID, HERE)
 
 
 def length_inside(a, b, row, column):
-    """How long the segment a-b is inside the closed cell, by clipping it against each side in turn."""
+    """Length of the segment a-b inside the closed cell, by clipping it against each side in turn."""
     enter, leave = 0.0, 1.0
     for start, along, low in ((a[0], b[0] - a[0], column), (a[1], b[1] - a[1], row)):
         if abs(along) < 1e-15:

@@ -1,4 +1,4 @@
-"""The simulated laser sees the nearest side of any outline, against an implementation that tries them all."""
+"""The simulated laser measures the nearest side of any outline, against an implementation that tries them all."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ SQUARE = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]], np.float32)
 
 
 def every_side(scene: Scene, pose: SE2, angle_min: float, increment: float, beams: int, range_max: float):
-    """Each beam as a complex direction against each side, in the world frame: slow, and plain to see."""
+    """Each beam as a complex direction against each side, in the world frame: slow and simple."""
     sides = [(outline.astype(np.float64), scene.static_label) for outline in scene.static]
     sides += [(thing.world_T_object.apply(thing.outline), thing.label) for thing in scene.objects]
     ranges, labels = np.full(beams, np.inf), np.full(beams, 255)
@@ -43,7 +43,7 @@ def test_a_hand_drawn_scene():
     assert (ranges.dtype, labels.dtype) == (np.float32, np.uint8)
 
 
-def test_the_sensor_s_own_turn_counts():
+def test_beams_turn_with_the_sensor():
     wall = np.array([[-20, 4], [20, 4], [20, 5], [-20, 5]], np.float32)
     ranges, _ = sweep(Scene((wall,), 4, ()), SE2(3.0, 1.0, math.pi / 2), 0.0, 0.1, 1, 30.0)
     assert ranges.tolist() == pytest.approx([3.0])
@@ -59,7 +59,7 @@ def test_an_empty_scene_returns_nothing():
     assert (ranges.tolist(), labels.tolist()) == ([math.inf] * 3, [255] * 3)
 
 
-def test_no_beam_slips_through_a_corner():
+def test_no_beam_passes_through_a_corner():
     ranges, _ = sweep(Scene((SQUARE * 5,), 4, ()), SE2(), -math.pi, math.pi / 720, 1440, 30.0)
     assert np.isfinite(ranges).all()
     assert ranges.min() == pytest.approx(5.0)
@@ -67,7 +67,7 @@ def test_no_beam_slips_through_a_corner():
 
 
 def invented(random: np.random.Generator) -> tuple[Scene, SE2]:
-    """Three to six crooked outlines, which may cross each other, and a sensor that may stand inside one."""
+    """Three to six irregular outlines, which may cross each other, and a sensor that may be inside one."""
 
     def outline() -> np.ndarray:
         return random.uniform(-4, 4, (random.integers(3, 7), 2)).astype(np.float32)
@@ -98,14 +98,14 @@ def test_range_noise_is_that_of_the_laser():
     assert (far.mean(), far.std()) == (pytest.approx(20.0, abs=0.002), pytest.approx(0.05, rel=0.03))
 
 
-def test_noise_neither_makes_returns_nor_loses_them():
+def test_noise_neither_adds_nor_removes_returns():
     measured = with_noise(np.array([29.999, np.inf, 0.001] * 1000, np.float32), 30.0, np.random.default_rng(1))
     assert np.isinf(measured[1::3]).all()
     assert measured[0::3].max() <= 30.0
     assert measured[2::3].min() >= 0.0
 
 
-def test_ranges_come_in_whole_ticks():
+def test_ranges_are_multiples_of_the_resolution():
     measured = with_noise(np.linspace(0.5, 29, 1000, dtype=np.float32), 30.0, np.random.default_rng(1)) / TICK_M
     assert (measured == np.round(measured)).all()
 

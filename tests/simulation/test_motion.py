@@ -1,14 +1,14 @@
-"""Smoothed paths stay where they are, and headings neither flip nor turn a body that stands."""
+"""Smoothing does not shift paths, and headings neither flip nor turn a standing body."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from gridtrack.simulation.motion import headings, pieces, smoothed, trailing_headings
+from gridtrack.simulation.motion import headings, smoothed, trailing_headings, unbroken_tracks
 
 
-def test_smoothing_keeps_what_stands_and_averages_what_jitters() -> None:
+def test_smoothing_keeps_constants_and_averages_jitter() -> None:
     assert smoothed(np.full((30, 2), 7.0), 4.0) == pytest.approx(7.0)
     assert smoothed(np.full((1, 2), 7.0), 4.0) == pytest.approx(7.0)
     jitter = np.random.default_rng(0).normal(0.0, 1.0, (2000, 1))
@@ -27,19 +27,19 @@ def test_the_heading_is_that_of_the_motion_and_kept_while_standing() -> None:
     assert headings(path, 0.125, 2.0) == pytest.approx(np.pi / 2)
 
 
-def test_a_body_that_never_moves_looks_where_it_is_told() -> None:
+def test_a_body_that_never_moves_has_the_resting_heading() -> None:
     assert headings(np.zeros((5, 2)), 0.125, 2.0, resting=1.0) == pytest.approx(1.0)
     assert headings(np.zeros((1, 2)), 0.125, 2.0, resting=1.0) == pytest.approx(1.0)
 
 
-def test_a_circle_turns_on_through_the_back_without_a_jump() -> None:
+def test_the_heading_on_a_circle_has_no_jump() -> None:
     angle = np.linspace(0.0, 4.0 * np.pi, 400)
     turned = headings(np.column_stack([np.cos(angle), np.sin(angle)]) * 5.0, 0.125, 2.0)
     assert np.abs(np.diff(turned)).max() < 0.05
     assert turned[-20] - turned[20] == pytest.approx(angle[-20] - angle[20], abs=0.01)
 
 
-def test_a_vehicle_s_rear_follows_its_front_and_it_stands_still_where_it_stands() -> None:
+def test_a_vehicle_s_rear_follows_its_front_and_a_standing_vehicle_does_not_turn() -> None:
     straight = np.column_stack([np.linspace(0.0, 20.0, 5000), np.zeros(5000)])
     found = trailing_headings(np.concatenate([straight, np.repeat(straight[-1:], 20, axis=0)]), 3.0, 0.5)
     # The tractrix of a straight pull: tan(heading / 2) falls exponentially with the way over the wheelbase.
@@ -47,7 +47,7 @@ def test_a_vehicle_s_rear_follows_its_front_and_it_stands_still_where_it_stands(
     assert found[4999:] == pytest.approx(found[4999], abs=1e-12)
 
 
-def test_pieces_are_the_unbroken_tracks() -> None:
+def test_gaps_split_tracks() -> None:
     user, step = np.array([0, 0, 0, 1, 1, 2]), np.array([3, 4, 6, 7, 8, 9])
-    assert pieces(user, step) == [slice(0, 2), slice(2, 3), slice(3, 5), slice(5, 6)]
-    assert pieces(np.array([], int), np.array([], int)) == []
+    assert unbroken_tracks(user, step) == [slice(0, 2), slice(2, 3), slice(3, 5), slice(5, 6)]
+    assert unbroken_tracks(np.array([], int), np.array([], int)) == []

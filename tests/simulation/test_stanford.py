@@ -1,4 +1,4 @@
-"""Annotated videos become tracks in metres, y up, headed where they move; on an invented file of the same layout."""
+"""Annotated videos become tracks in metres, y up, with headings along the motion; on a synthetic annotation file."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def annotations(tmp_path: Path) -> Path:
     return written(tmp_path / "annotations.txt", lines)
 
 
-def test_paths_come_out_in_metres_with_y_up_at_the_recording_s_rate(annotations: Path) -> None:
+def test_paths_are_in_metres_with_y_up_at_the_recording_s_rate(annotations: Path) -> None:
     tracks = read_stanford(annotations, VIDEO)
     assert tracks.info.frames == 40
     walker = tracks.pose[tracks.label == 0]
@@ -46,13 +46,13 @@ def test_paths_come_out_in_metres_with_y_up_at_the_recording_s_rate(annotations:
     assert walker[middle, 1] == pytest.approx(-(100 + frame[middle] / 8.0 * 30.0) * 0.05, abs=0.02)
 
 
-def test_headings_follow_the_motion_and_the_box_of_what_never_moves(annotations: Path) -> None:
+def test_headings_follow_the_motion_or_the_longer_side_of_the_box(annotations: Path) -> None:
     tracks = read_stanford(annotations, VIDEO)
     for label, heading in ((0, -np.pi / 2), (1, 0.0), (2, np.pi / 2)):
         assert tracks.pose[tracks.label == label, 2] == pytest.approx(heading, abs=0.002)
 
 
-def test_who_leaves_the_view_comes_back_as_another_track(annotations: Path) -> None:
+def test_a_road_user_that_leaves_the_view_returns_as_another_track(annotations: Path) -> None:
     tracks = read_stanford(annotations, VIDEO)
     walker = tracks.label == 0
     assert np.unique(tracks.track[walker]).size == 2
@@ -76,32 +76,32 @@ def test_the_laser_sees_them(annotations: Path, tmp_path: Path, monkeypatch: pyt
     assert {0, 1, 2} <= set(np.unique(np.concatenate([scan.labels for scan in scans])))
 
 
-def test_a_place_that_nobody_comes_near_is_found_for_the_laser(annotations: Path) -> None:
+def test_the_laser_gets_a_position_clear_of_road_users(annotations: Path) -> None:
     tracks = read_stanford(annotations, Video(scale=0.05, site="quad"))
     laser = tracks.info.laser
     assert np.hypot(*(tracks.pose[:, :2] - (laser.x, laser.y)).T).min() > 0.75
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "message"),
     [
-        ("", "nobody is ever in view"),
-        (line(1, 5, 5, 0, "Pedestrian", lost=1), "nobody is ever in view"),
+        ("", "no road user is ever in view"),
+        (line(1, 5, 5, 0, "Pedestrian", lost=1), "no road user is ever in view"),
         ("1 2 3 4 5", "line 1: expected `track xmin"),
         (line(1, 5, 5, 0, "Ghost"), "line 1: expected .* with one of Pedestrian, Skater"),
         (line(1, 5, 5, 0, "Car").replace(" 0 0 0 ", " 0 zero 0 "), "line 1: a value is not a number"),
-        (line(1, float("nan"), 5, 0, "Car"), "line 1: a track, box or frame that cannot be"),
-        (line(1, 5, 5, -1, "Car"), "line 1: a track, box or frame that cannot be"),
-        (line(1, 5, 5, 10**12, "Car"), "line 1: a track, box or frame that cannot be"),
-        (line(1, 5e9, 5, 0, "Car"), "line 1: a track, box or frame that cannot be"),
+        (line(1, float("nan"), 5, 0, "Car"), "line 1: a track, box or frame outside the valid range"),
+        (line(1, 5, 5, -1, "Car"), "line 1: a track, box or frame outside the valid range"),
+        (line(1, 5, 5, 10**12, "Car"), "line 1: a track, box or frame outside the valid range"),
+        (line(1, 5e9, 5, 0, "Car"), "line 1: a track, box or frame outside the valid range"),
     ],
 )
-def test_what_is_no_annotation_is_told_with_its_line(tmp_path: Path, text: str, told: str) -> None:
-    with pytest.raises(RecordingError, match=told) as error:
+def test_the_error_for_an_invalid_annotation_names_its_line(tmp_path: Path, text: str, message: str) -> None:
+    with pytest.raises(RecordingError, match=message) as error:
         read_stanford(written(tmp_path / "a.txt", [text]), VIDEO)
     assert "\n" not in str(error.value)
 
 
-def test_a_missing_file_is_told(tmp_path: Path) -> None:
+def test_a_missing_file_is_an_error(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match="cannot be read"):
         read_stanford(tmp_path / "nowhere.txt", VIDEO)

@@ -1,4 +1,4 @@
-"""Tracks as a file: what is written comes back, hostile files are one line, and a recording is rendered from them."""
+"""Files of tracks: they round-trip, hostile files are one error line, and a recording is rendered from them."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import pytest
 
 from gridtrack.common.errors import GridtrackError, RecordingError
 from gridtrack.recordings import RecordingInfo, open_recording
-from gridtrack.simulation.bodies import body
+from gridtrack.simulation.bodies import body_outline
 from gridtrack.simulation.laser import Laser
 from gridtrack.simulation.rendered import rendering_folder
 from gridtrack.simulation.tracks import METADATA_KEY, Tracks, TracksInfo, read_tracks, write_tracks
@@ -26,7 +26,7 @@ WALL = ((5.0, -5.0), (6.0, -5.0), (6.0, 5.0), (5.0, 5.0))
 
 
 def walk(frames: int = 16, **changes: object) -> Tracks:
-    """A pedestrian who walks north 3 m ahead of the laser at 1 m/s, and a car that stands behind it."""
+    """A pedestrian who walks north 3 m ahead of the laser at 1 m/s, and a standing car behind the laser."""
     info = TracksInfo(
         recording=RecordingInfo(site="yard", classes=CLASSES, grid="100x0.2", rate_hz=8.0),
         laser=Laser(angle_min=-np.pi, angle_increment=np.radians(1.0), beams=360),
@@ -51,7 +51,7 @@ def own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path / "cache"
 
 
-def test_tracks_come_back_to_the_centimetre_and_the_milliradian(tmp_path: Path) -> None:
+def test_tracks_round_trip_to_the_centimetre_and_the_milliradian(tmp_path: Path) -> None:
     tracks = walk()
     write_recording(tmp_path / "yard.tracks", tracks)
     found = read_tracks(tmp_path / "yard.tracks")
@@ -73,7 +73,7 @@ def test_same_tracks_same_bytes() -> None:
     assert once.getvalue() == again.getvalue()
 
 
-def test_tracks_open_as_a_recording_whose_scans_see_them(tmp_path: Path) -> None:
+def test_tracks_open_as_a_recording_with_scans_of_them(tmp_path: Path) -> None:
     write_recording(tmp_path / "yard.tracks", walk())
     recording = open_recording(tmp_path / "yard.tracks")
     scans = list(recording.scans())
@@ -89,7 +89,7 @@ def test_tracks_open_as_a_recording_whose_scans_see_them(tmp_path: Path) -> None
     assert np.array_equal(ahead.scene.static[0], np.array(WALL, np.float32))
 
 
-def test_the_rendering_is_kept_and_made_again_where_it_is_damaged(tmp_path: Path, own_cache: Path) -> None:
+def test_the_rendering_is_cached_and_repeated_where_it_is_damaged(tmp_path: Path, own_cache: Path) -> None:
     path = tmp_path / "yard.tracks"
     write_recording(path, walk())
     expected = [scan.ranges for scan in open_recording(path).scans()]
@@ -105,14 +105,14 @@ def test_the_rendering_is_kept_and_made_again_where_it_is_damaged(tmp_path: Path
     assert sorted(p.suffix for p in rendering_folder().iterdir()) == [".mcap", ".sha256"]
 
 
-def test_other_tracks_of_the_same_name_are_rendered_anew(tmp_path: Path) -> None:
+def test_other_tracks_of_the_same_name_are_rendered_again(tmp_path: Path) -> None:
     path = tmp_path / "yard.tracks"
     for frames in (16, 24):
         write_recording(path, walk(frames))
         assert len(list(open_recording(path).scans())) == frames
 
 
-def test_a_recording_of_scans_is_what_its_tracks_are_rendered_to(tmp_path: Path) -> None:
+def test_a_recording_of_scans_equals_the_rendering_of_its_tracks(tmp_path: Path) -> None:
     write_recording(tmp_path / "yard.tracks", walk())
     write_recording(tmp_path / "yard.mcap", walk())
     list(open_recording(tmp_path / "yard.tracks").scans())
@@ -120,7 +120,7 @@ def test_a_recording_of_scans_is_what_its_tracks_are_rendered_to(tmp_path: Path)
     assert kept.read_bytes() == (tmp_path / "yard.mcap").read_bytes()
 
 
-def test_a_cache_that_cannot_be_written_says_what_to_do(tmp_path: Path, own_cache: Path) -> None:
+def test_the_error_for_a_cache_that_cannot_be_written_names_the_remedy(tmp_path: Path, own_cache: Path) -> None:
     own_cache.write_text("a file where the folder should be")
     write_recording(tmp_path / "yard.tracks", walk())
     with pytest.raises(RecordingError, match="set XDG_CACHE_HOME"):
@@ -142,7 +142,7 @@ def parquet(path: Path, change: dict[str, list[object]] | None = None, about: ob
 
 
 @pytest.mark.parametrize(
-    ("change", "about", "told"),
+    ("change", "about", "message"),
     [
         ({"frame": [99]}, None, "a frame outside 0 to 15"),
         ({"frame": [-1]}, None, "a frame outside 0 to 15"),
@@ -155,23 +155,23 @@ def parquet(path: Path, change: dict[str, list[object]] | None = None, about: ob
         (None, [], "schema None"),
         (None, {"colour": "red"}, "there is no option 'colour'"),
         (None, {"static": [[[0, 0], [1, 1]]]}, "3 to 1000 corners"),
-        (None, {"static_class": "wall"}, "none of its classes"),
+        (None, {"static_class": "wall"}, "not one of its classes"),
         (None, {"frames": 10**12}, "less than or equal to 5000000"),
         (None, {"frames": 5_000_000}, "beams to render; at most 1000000000"),
         (None, {"laser": {"beams": 10**9}}, "less than or equal to 100000"),
     ],
 )
-def test_a_file_from_which_no_scene_can_be_made_is_one_line(
-    tmp_path: Path, change: dict[str, list[object]] | None, about: object, told: str
+def test_a_file_without_valid_scenes_is_one_error_line(
+    tmp_path: Path, change: dict[str, list[object]] | None, about: object, message: str
 ) -> None:
     path = parquet(tmp_path / "odd.tracks", change, about)
-    with pytest.raises(GridtrackError, match=told) as error:
+    with pytest.raises(GridtrackError, match=message) as error:
         list(open_recording(path).scans())
     assert str(error.value).count("odd.tracks") == 1
     assert "\n" not in str(error.value)
 
 
-def test_damaged_and_foreign_files_are_one_line(tmp_path: Path) -> None:
+def test_damaged_and_foreign_files_are_one_error_line(tmp_path: Path) -> None:
     path = tmp_path / "odd.tracks"
     write_recording(path, walk())
     content = path.read_bytes()
@@ -185,16 +185,16 @@ def test_damaged_and_foreign_files_are_one_line(tmp_path: Path) -> None:
         list(open_recording(path).scans())
 
 
-def test_a_body_is_closed_counter_clockwise_and_as_large_as_it_says() -> None:
+def test_a_body_is_counter_clockwise_and_has_its_size() -> None:
     for kind, length, width in (("pedestrian", 0.3, 0.5), ("cyclist", 1.75, 0.6), ("car", 4.5, 1.8), ("tram", 20, 3)):
-        outline = body(kind, length, width).astype(np.float64)
+        outline = body_outline(kind, length, width).astype(np.float64)
         x, y = outline.T
         assert np.ptp(x) == pytest.approx(length, rel=1e-6)
         assert np.ptp(y) == pytest.approx(width, rel=1e-6)
         assert (x * np.roll(y, -1) - np.roll(x, -1) * y).sum() > 0.0
 
 
-def test_the_check_counts_who_moves_and_who_stands() -> None:
+def test_the_check_counts_moving_and_standing_road_users() -> None:
     traffic = examine(walk(160))
     walker, _, car, _ = traffic.classes
     assert (walker.present, walker.moving, car.present, car.moving) == (
@@ -209,18 +209,18 @@ def test_the_check_counts_who_moves_and_who_stands() -> None:
     assert traffic.faults == ()
 
 
-def test_the_check_tells_who_walks_through_walls_and_through_the_scanner_and_who_blocks_the_street() -> None:
+def test_the_check_finds_collisions_with_walls_and_the_laser_and_gridlock() -> None:
     tracks = walk(4000)
     pose = tracks.pose.copy()
     pose[20::2][:3, :2] = (5.5, 0.0)
     pose[60::2][:2, :2] = (0.05, 0.05)
     faults = "\n".join(examine(dataclasses.replace(tracks, pose=pose)).faults)
     assert "pedestrian inside a static outline in 3 positions, the first of track 0 in frame 10" in faults
-    assert "pedestrian on the scanner in 2 positions, the first of track 0 in frame 30" in faults
+    assert "pedestrian on the laser in 2 positions, the first of track 0 in frame 30" in faults
     assert "gridlock: a vehicle stands for 500 s, the car of track 1 at (" in faults
     assert "from frame 0 on" in faults
 
 
-def test_who_misses_two_greens_is_no_gridlock() -> None:
+def test_a_wait_of_two_green_phases_is_not_gridlock() -> None:
     assert examine(walk(round(GRIDLOCK_S * 8.0))).faults == ()
     assert "gridlock" in examine(walk(round(GRIDLOCK_S * 8.0) + 8)).faults[0]

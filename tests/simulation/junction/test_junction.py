@@ -1,4 +1,4 @@
-"""The junction: its place leaves the streets free, its demand is what it says, and the set that ships keeps to both."""
+"""The junction: its layout keeps the streets free, its demand has the stated rates, the packaged set follows both."""
 
 from __future__ import annotations
 
@@ -47,14 +47,14 @@ def inside(points: np.ndarray, outline: np.ndarray) -> np.ndarray:
     return (sides[:, 0] * to[..., 1] - sides[:, 1] * to[..., 0] > 0.0).all(axis=1)
 
 
-def test_nothing_stands_in_the_streets() -> None:
+def test_the_streets_have_no_static_objects() -> None:
     streets = street_points()
     assert len(streets) > 1000
     for outline in layout.static_outlines():
         assert not inside(streets, np.array(outline)).any(), outline
 
 
-def test_the_scanner_stands_beside_the_streets_and_in_no_house() -> None:
+def test_the_laser_is_beside_the_streets_and_outside_the_houses() -> None:
     at = np.array([[layout.LASER.x, layout.LASER.y]])
     assert not any(inside(at, np.array(outline)).any() for outline in layout.static_outlines())
     assert np.linalg.norm(street_points() - at, axis=1).min() > 0.3
@@ -72,7 +72,7 @@ def test_the_signals_repeat_in_the_cycle_that_the_recording_names() -> None:
     assert sum(float(phase.get("duration")) for phase in phases) == layout.CYCLE_S
 
 
-def test_the_demand_sums_to_what_it_says() -> None:
+def test_the_demand_sums_to_its_rates() -> None:
     root = ET.fromstring(demand.routes())
     rates = dict.fromkeys(("car", "bus", "cyclist", "pedestrian"), 0.0)
     for flow in (*root.iter("flow"), *root.iter("personFlow")):
@@ -90,12 +90,12 @@ def test_the_demand_sums_to_what_it_says() -> None:
         assert sum(float(kind.get("probability")) for kind in distribution) == pytest.approx(1.0)
 
 
-def test_the_tests_begin_all_over_the_cycle() -> None:
+def test_the_test_recordings_start_all_over_the_signal_cycle() -> None:
     begins = sorted(start_s % layout.CYCLE_S for name, (_, _, start_s) in JUNCTION_SET.items() if name in TESTS)
     assert np.diff([*begins, begins[0] + layout.CYCLE_S]).max() <= 6.0
 
 
-def test_the_set_that_ships_is_whole_and_small() -> None:
+def test_the_packaged_set_is_complete_and_small() -> None:
     files = [packaged_recording(f"junction/{name}") for name in JUNCTION_SET]
     assert len(TESTS) == 20
     assert sum(path.stat().st_size for path in files) < 4_000_000
@@ -109,7 +109,7 @@ def test_the_set_that_ships_is_whole_and_small() -> None:
         )
 
 
-def test_nobody_in_the_tests_walks_through_walls_and_everybody_moves_enough_to_be_scored() -> None:
+def test_the_test_recordings_have_no_faults_and_enough_motion_to_be_scored() -> None:
     shares = []
     for name in TESTS:
         traffic = examine(read_tracks(packaged_recording(f"junction/{name}")))
@@ -120,7 +120,7 @@ def test_nobody_in_the_tests_walks_through_walls_and_everybody_moves_enough_to_b
     assert bus >= 0.05
 
 
-def test_a_recording_that_ships_renders_with_truth(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_packaged_recording_renders_with_truth(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     recording = open_recording(packaged_recording("junction/test-101"))
     summary = recording.overview().sensors["scan"]
@@ -139,7 +139,7 @@ def test_without_sumo_the_error_says_what_to_install(monkeypatch: pytest.MonkeyP
         simulate_junction(0.1, 1)
 
 
-def test_sumo_s_words_reach_the_user_where_it_fails(tmp_path: Path) -> None:
+def test_an_error_of_sumo_reaches_the_user(tmp_path: Path) -> None:
     pytest.importorskip("sumo", reason="SUMO is not installed")
     with pytest.raises(sumo.SimulationError, match=r"SUMO failed with seed 3: Error: .*; try another seed"):
         sumo.run_sumo(tmp_path, NETWORK, "<routes><flow/></routes>", (), (0.0, 1.0), 3, Patience(layout.JUNCTION_NODE))

@@ -1,4 +1,4 @@
-"""Drivers give way to people who walk, and after a cycle and a half no longer to those who only stand."""
+"""Drivers give way to walking pedestrians, and after one and a half signal cycles no longer to standing ones."""
 
 from __future__ import annotations
 
@@ -25,25 +25,25 @@ SNAIL = """
  <flow id="car" type="car" begin="0" end="200" period="60" from="NC" to="CS" departLane="best"/>
 </routes>
 """
-"""Whoever crosses at 3 cm a second keeps the northern arm from two greens."""
+"""A pedestrian who crosses at 3 cm a second blocks the northern arm for two green phases."""
 
 
 class Traffic:
-    """What Patience sees of SUMO, from a script: at each look the vehicles' waiting times and where people are."""
+    """A scripted TraCI connection: the vehicles' waiting times and the pedestrians' positions at each observation."""
 
     def __init__(self, time_s: float = FROM_S) -> None:
         self.junction, self.vehicle, self.simulation = self, self, self
         self.time_s = time_s
-        self.told: dict[str, dict[int, Any]] = {}
+        self.values: dict[str, dict[int, Any]] = {}
         self.ignored: dict[str, str] = {}
         self.patience = Patience("C")
-        self.patience.begin(self)
+        self.patience.start(self)
 
     def subscribeContext(self, *about: object) -> None:
         pass
 
     def getContextSubscriptionResults(self, junction: str) -> dict[str, dict[int, Any]]:
-        return self.told
+        return self.values
 
     def getTime(self) -> float:
         return self.time_s
@@ -52,50 +52,52 @@ class Traffic:
         assert key == "junctionModel.ignoreIDs"
         self.ignored[vehicle] = value
 
-    def look(self, waited_s: dict[str, float], people: dict[str, tuple[float, float]]) -> dict[str, str]:
-        """What the vehicles were told at this look."""
+    def observe(self, waited_s: dict[str, float], people: dict[str, tuple[float, float]]) -> dict[str, str]:
+        """The parameters of the vehicles that were set at this observation."""
         from traci import constants
 
-        self.told = {name: {constants.VAR_WAITING_TIME: value} for name, value in waited_s.items()}
-        self.told |= {name: {constants.VAR_POSITION: value} for name, value in people.items()}
+        self.values = {name: {constants.VAR_WAITING_TIME: value} for name, value in waited_s.items()}
+        self.values |= {name: {constants.VAR_POSITION: value} for name, value in people.items()}
         self.ignored = {}
-        self.patience.look(self)
+        self.patience.observe(self)
         return self.ignored
 
 
-def test_ordinary_traffic_is_left_alone() -> None:
+def test_ordinary_traffic_is_not_changed() -> None:
     traffic = Traffic()
     for waited_s in np.arange(0.0, PATIENCE_S + 1.0, 4.0):
-        assert traffic.look({"car": float(waited_s)}, {"anna": CORNER}) == {}
+        assert traffic.observe({"car": float(waited_s)}, {"anna": CORNER}) == {}
 
 
-def test_the_short_recordings_that_ship_are_over_before_patience_begins() -> None:
+def test_the_short_packaged_recordings_end_before_patience_starts() -> None:
     ends_s = [start_s + minutes * 60.0 for name, (minutes, _, start_s) in JUNCTION_SET.items() if name[:4] == "test"]
     assert max(ends_s) + MARGIN_S <= FROM_S
     traffic = Traffic(FROM_S - 4.0)
-    traffic.look({"car": 396.0}, {"anna": CORNER})
-    assert traffic.look({"car": 400.0}, {"anna": CORNER}) == {}
+    traffic.observe({"car": 396.0}, {"anna": CORNER})
+    assert traffic.observe({"car": 400.0}, {"anna": CORNER}) == {}
 
 
-def test_drivers_go_who_have_waited_a_cycle_and_a_half_but_not_before_people_who_walk_or_stand_in_their_way() -> None:
+def test_drivers_ignore_standing_pedestrians_after_a_cycle_and_a_half_but_not_walking_ones_or_those_ahead() -> None:
     traffic = Traffic()
-    traffic.look({"car": 156.0}, {"anna": CORNER, "ben": OTHER_CORNER, "carl": MIDDLE})
+    traffic.observe({"car": 156.0}, {"anna": CORNER, "ben": OTHER_CORNER, "carl": MIDDLE})
     walked = (OTHER_CORNER[0] + 1.5, OTHER_CORNER[1])
-    told = traffic.look({"car": 160.0, "bus": 3.0}, {"anna": CORNER, "ben": walked, "carl": MIDDLE, "dora": CORNER})
-    assert told == {"car": "anna", "bus": "anna"}
+    ignored = traffic.observe(
+        {"car": 160.0, "bus": 3.0}, {"anna": CORNER, "ben": walked, "carl": MIDDLE, "dora": CORNER}
+    )
+    assert ignored == {"car": "anna", "bus": "anna"}
 
 
-def test_patience_lasts_while_who_stood_there_stands_and_then_comes_back() -> None:
+def test_drivers_give_way_again_when_the_standing_pedestrians_have_moved() -> None:
     traffic = Traffic()
-    traffic.look({"car": 156.0}, {"anna": CORNER})
-    assert traffic.look({"car": 160.0}, {"anna": CORNER, "ben": OTHER_CORNER}) == {"car": "anna"}
-    assert traffic.look({"bus": 0.0}, {"anna": CORNER, "ben": OTHER_CORNER}) == {"bus": "anna ben"}
-    assert traffic.look({"bus": 4.0}, {"ben": OTHER_CORNER}) == {"bus": ""}
-    assert traffic.look({"bus": 8.0}, {"ben": OTHER_CORNER}) == {}
+    traffic.observe({"car": 156.0}, {"anna": CORNER})
+    assert traffic.observe({"car": 160.0}, {"anna": CORNER, "ben": OTHER_CORNER}) == {"car": "anna"}
+    assert traffic.observe({"bus": 0.0}, {"anna": CORNER, "ben": OTHER_CORNER}) == {"bus": "anna ben"}
+    assert traffic.observe({"bus": 4.0}, {"ben": OTHER_CORNER}) == {"bus": ""}
+    assert traffic.observe({"bus": 8.0}, {"ben": OTHER_CORNER}) == {}
 
 
 def longest_wait_s(movements: Movements) -> float:
-    """Of the cars at the stop line or in the queue behind it."""
+    """The longest wait of a car at the stop line or in the queue behind it."""
     found = 0
     for user, kind in enumerate(movements.kind):
         if kind == "car":
@@ -105,7 +107,7 @@ def longest_wait_s(movements: Movements) -> float:
     return found * 0.125
 
 
-def test_sumo_s_drivers_do_as_they_are_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_drivers_of_sumo_follow_the_parameters(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("sumo", reason="SUMO is not installed")
     monkeypatch.setattr(patience, "CORNER_M", 0.0)  # the snail stands in the way
     monkeypatch.setattr(patience, "FROM_S", 0.0)
