@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from gridtrack.evaluation.comparison.plan import Trial
 from gridtrack.evaluation.comparison.replay import replayed_f1
 from gridtrack.evaluation.processes.tracker_process import TrackerProcess
-from gridtrack.evaluation.scoring.deadline import RATES, Costs, OnTime, Timeline, spare_steps, timeline
+from gridtrack.evaluation.scoring.deadline import RATES, Costs, DeadlineTracker, Timeline, spare_steps, timeline
 from gridtrack.evaluation.scoring.record import AtRate, Curves, Deadline, Quantiles, ThresholdsUsed
 from gridtrack.evaluation.scoring.referee import WARM_UP, Delivery
 from gridtrack.evaluation.scoring.splits import SplitRegions
@@ -72,27 +72,29 @@ def _at_every_rate(
     f1_of: dict[bytes, Curves] = {}
     results = []
     for rate in RATES:
-        kept = timeline(schedule.frames, period_ms / rate, costs)
-        key = kept.taken.tobytes() + kept.newest.tobytes()
+        clock = timeline(schedule.frames, period_ms / rate, costs)
+        key = clock.accepted.tobytes() + clock.newest.tobytes()
         if key not in f1_of:
             frames = Delivery(trial.test, lambda: None)
-            f1_of[key] = replayed_f1(OnTime(process, kept, schedule, reach), frames, trial, regions, thresholds)
+            f1_of[key] = replayed_f1(
+                DeadlineTracker(process, clock, schedule, reach), frames, trial, regions, thresholds
+            )
         results.append(
             AtRate(
                 rate=rate,
                 rate_hz=round(rate * 1000.0 / period_ms, 6),
                 frames=schedule.frames,
-                missed=kept.missed,
-                age_frames=_exact_quantiles(_ages(kept)),
+                missed=clock.missed,
+                age_frames=_exact_quantiles(_ages(clock)),
                 f1=f1_of[key],
             )
         )
     return tuple(results)
 
 
-def _ages(kept: Timeline) -> NDArray[np.int64]:
+def _ages(clock: Timeline) -> NDArray[np.int64]:
     """Age (F - WARM_UP,) of the newest delivered forecast at each frame after the warm-up, frames."""
-    ages: NDArray[np.int64] = (np.arange(len(kept.newest)) - kept.newest)[WARM_UP:]
+    ages: NDArray[np.int64] = (np.arange(len(clock.newest)) - clock.newest)[WARM_UP:]
     return ages
 
 

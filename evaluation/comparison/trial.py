@@ -13,7 +13,7 @@ from gridtrack.common.errors import RecordingError
 from gridtrack.evaluation.comparison.plan import Trial
 from gridtrack.evaluation.comparison.shared_thresholds import SharedThresholds
 from gridtrack.evaluation.processes.outcome import TrialEnded
-from gridtrack.evaluation.processes.tracker_process import Started
+from gridtrack.evaluation.processes.tracker_process import TrackerDescription
 from gridtrack.evaluation.scoring.counting import Tally, count_forecast
 from gridtrack.evaluation.scoring.record import RECORD, Ending, ThresholdsUsed, Times, TrialRecord
 from gridtrack.evaluation.scoring.referee import Delivery, scored_forecasts
@@ -51,7 +51,7 @@ class TrialRun:
         self._test = trial.split.schedule
         self._delivery = Delivery(trial.test, on_frame)
         self._scored = 0
-        self._started: Started | None = None
+        self._description: TrackerDescription | None = None
         self._start_s = self._wall_s = 0.0
         self._interrupted = False
         self._process = trial.tracker_process(folder / STDERR_LOG)
@@ -71,7 +71,7 @@ class TrialRun:
         try:
             with self._process:
                 self._start_s = time.perf_counter() - began
-                self._started = self._process.started
+                self._description = self._process.description
                 self._thresholds = self._shared.of(self.trial, self._choose_thresholds)
                 with self._clock():
                     self._score(self._thresholds)
@@ -124,8 +124,8 @@ class TrialRun:
 
     def _score(self, thresholds: Thresholds) -> None:
         """Stream the test stretch and write the score of each forecast once its last frame is observed."""
-        split, region_maps = self.trial.split, self._regions.test
-        with Scorekeeper(self._folder, split, region_maps, thresholds, self._process.started.classes) as scorekeeper:
+        split, classes = self.trial.split, self._process.description.classes
+        with Scorekeeper(self._folder, split, self._regions.test, thresholds, classes) as scorekeeper:
             for scored in scored_forecasts(self._process, self._delivery, self._test, self.trial.seed):
                 scorekeeper.add(scored, self._delivery.digest)
                 self._scored = scorekeeper.scored
@@ -145,7 +145,7 @@ class TrialRun:
                 "frames_delivered": self._delivery.frames,
                 "delivered": self._delivery.digest,
                 "thresholds": ThresholdsUsed.of(chosen),
-                **self._description(),
+                **self._reported_fields(),
                 "times": Times(
                     start_s=self._start_s,
                     update_s=timings.update.total_ms / 1000,
@@ -158,13 +158,13 @@ class TrialRun:
             }
         )
 
-    def _description(self) -> dict[str, Any]:
+    def _reported_fields(self) -> dict[str, Any]:
         """The fields of the record that the tracker reports of itself; the defaults where it did not start."""
-        started = self._started
-        if started is None:
+        description = self._description
+        if description is None:
             return {}
-        reference_for = tuple(sorted(started.reference_for))
-        return {"classes": started.classes, "role": started.role, "reference_for": reference_for}
+        reference_for = tuple(sorted(description.reference_for))
+        return {"classes": description.classes, "role": description.role, "reference_for": reference_for}
 
 
 def unstarted(trial: Trial) -> TrialRecord:

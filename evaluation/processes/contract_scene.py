@@ -1,4 +1,4 @@
-"""Small synthetic streams to try a tracker on: a wall, and boxes that move and hide one another from a laser."""
+"""Small synthetic streams for the contract suite: a wall and moving boxes that occlude one another."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ NS_PER_S = 1_000_000_000
 def scene(
     grid: GridSpec, period_s: float, frames: int, seed: int, turn: tuple[int, int] | None = None
 ) -> list[GridFrame]:
-    """`frames` frames of a scene that `seed` decides, seen from a sensor at rest near the left edge of the grid.
+    """`frames` frames of a random scene, observed by a sensor at rest near the left edge of the grid.
 
-    With `turn` = (frame, seed), the boxes move from that frame on as the other seed decides: two scenes that differ in
-    nothing but that seed are the same up to there.
+    `seed` determines the boxes. With `turn` = (frame, other seed), the other seed determines their velocities from
+    that frame on: two scenes that differ only in the other seed have equal frames before it.
     """
     x_min, x_max, y_min, y_max = grid.extent
     side = x_max - x_min
@@ -53,7 +53,7 @@ def _velocities(rng: np.random.Generator) -> NDArray[np.float64]:
 
 
 def _outline(half_side: float, spacing: float) -> NDArray[np.float64]:
-    """Points (N, 2) round a square, metres."""
+    """Points (N, 2) on the sides of a square about the origin, metres."""
     along = np.linspace(-half_side, half_side, max(8, int(2 * half_side / spacing)))
     edge = np.full_like(along, half_side)
     sides = [(along, -edge), (along, edge), (-edge, along), (edge, along)]
@@ -61,7 +61,7 @@ def _outline(half_side: float, spacing: float) -> NDArray[np.float64]:
 
 
 def _seen(grid: GridSpec, sensor: NDArray[np.float64], surfaces: NDArray[np.float64], stamp_ns: int) -> GridFrame:
-    """What a laser at `sensor` sees of `surfaces` (N, 2): the nearest one each way, and what lies before it."""
+    """Scan of `surfaces` (N, 2) by a laser at `sensor`: per beam the nearest surface, and the free cells before it."""
     distance, beam = _polar(surfaces - sensor)
     reach = np.full(BEAMS, np.inf)
     np.minimum.at(reach, beam, distance)

@@ -1,4 +1,4 @@
-"""The contract suite: what a tracker promises, tried over the wire, so that programs in any language are checked."""
+"""The contract suite: checks of the tracker contract over the wire, for trackers in any language."""
 
 from __future__ import annotations
 
@@ -23,24 +23,24 @@ from gridtrack.trackers.selection import Launch
 STREAM_FRAMES, TURN_FRAME, FORECAST_STEPS = 16, 10, 5
 RESET_SEED = 7
 FORECAST_TOLERANCE = 1e-5
-"""Forecasts as equal as this are the same: sums may be rounded in another order."""
+"""Largest difference of equal forecasts, in probability: the order of summation may change the rounding."""
 
 CheckVerdict = Literal["passed", "failed", "skipped"]
 Forecasts = list[tuple[int, Forecast]]
-"""Forecasts, each with the number of frames that it was made from."""
+"""Forecasts, each with the number of frames observed before it."""
 
 
 @dataclass(frozen=True, slots=True)
 class CheckResult:
-    """One promise of the contract, whether it is kept, and what was seen."""
+    """The result of one check: its name, verdict and a detail in one line."""
 
     name: str
     verdict: CheckVerdict
     detail: str
 
 
-class BrokenPromiseError(Exception):
-    """A check that fails; the message is its detail."""
+class ContractViolationError(Exception):
+    """A failed check; the message is the detail."""
 
 
 def check_tracker(
@@ -50,10 +50,10 @@ def check_tracker(
     limits: Limits | None = None,
     report: Callable[[CheckResult], None] | None = None,
 ) -> list[CheckResult]:
-    """Try every promise of the contract on small synthetic streams; `report` is told each result as it comes.
+    """Run every check of the contract on small synthetic streams; `report` receives each result.
 
-    `stream` gives the grid, the period and, for a tracker that learns, its weights. A tracker that cannot start, for
-    want of weights or of a library, is checked no further.
+    `stream` contains the grid, the period and, for a tracker that learns, its weights. Where a tracker cannot start
+    because weights or a library are missing, the other checks are not run.
     """
     results: list[CheckResult] = []
     with TemporaryDirectory() as folder, _Subject(launch, stream, options or {}, limits or Limits(), folder) as subject:
@@ -67,7 +67,7 @@ def check_tracker(
 
 
 class _Subject:
-    """The tracker under test: one process, started anew after it was lost."""
+    """The tracker under test: one process, restarted after a failure."""
 
     def __init__(
         self, launch: Launch, stream: StreamSpec, options: Mapping[str, Any], limits: Limits, folder: str
@@ -85,34 +85,34 @@ class _Subject:
         self._running.close()
 
     def process(self) -> TrackerProcess:
-        """The running process."""
+        """The running process, started where there is none."""
         if self._process is None:
-            self._process = self._running.enter_context(self.elsewhere(self.stream))
+            self._process = self._running.enter_context(self.process_on(self.stream))
         return self._process
 
-    def renew(self) -> None:
-        """Let the next use start a fresh process."""
+    def restart(self) -> None:
+        """End the process; the next use starts a new one."""
         self._process = None
         self._running.close()
 
-    def elsewhere(self, stream: StreamSpec) -> TrackerProcess:
-        """A process of its own for another stream, not yet started."""
+    def process_on(self, stream: StreamSpec) -> TrackerProcess:
+        """A separate process on another stream, not started yet."""
         return TrackerProcess(self._launch, stream, self._options, self._limits, self._log)
 
     def scene(self, seed: int = 1, turn_seed: int | None = None) -> list[GridFrame]:
-        """A scene on the stream's grid; with a `turn_seed`, the motion changes at frame `TURN_FRAME`."""
+        """A scene on the stream's grid; with `turn_seed`, the velocities change at frame TURN_FRAME."""
         turn = None if turn_seed is None else (TURN_FRAME, turn_seed)
         return scene(self.stream.grid, self.stream.period_s, STREAM_FRAMES, seed, turn)
 
     def forecasts(self, frames: Sequence[GridFrame], at: Iterable[int] = range(4, STREAM_FRAMES + 1, 4)) -> Forecasts:
-        """Reset, show `frames`, and forecast after the 1-based frames `at`, as often as each is named there."""
+        """Reset, stream `frames`, and forecast after the 1-based frames `at`, as often as each occurs there."""
         tracker = self.process()
         tracker.reset(RESET_SEED)
-        wanted = list(at)
+        due = list(at)
         made = []
         for count, frame in enumerate(frames, start=1):
             tracker.update(frame)
-            made += [(count, tracker.predict(FORECAST_STEPS)) for _ in range(wanted.count(count))]
+            made += [(count, tracker.predict(FORECAST_STEPS)) for _ in range(due.count(count))]
         return made
 
 
@@ -123,18 +123,19 @@ def _result(check: Check, subject: _Subject) -> CheckResult:
     name = (check.__doc__ or "").partition(".")[0].lower()
     try:
         return CheckResult(name, "passed", check(subject))
-    except BrokenPromiseError as broken:
-        return CheckResult(name, "failed", str(broken))
+    except ContractViolationError as violation:
+        return CheckResult(name, "failed", str(violation))
     except TrialEnded as ended:
-        subject.renew()
+        subject.restart()
         cannot_start = check is starts and ended.outcome in {"untrained", "unavailable"}
         return CheckResult(name, "skipped" if cannot_start else "failed", str(ended))
 
 
 def starts(subject: _Subject) -> str:
     """Starts on the stream."""
-    started = subject.process().started
-    return f"classes: {', '.join(started.classes) or 'none'}; moving sensor: {'yes' if started.moving_sensor else 'no'}"
+    description = subject.process().description
+    moving_sensor = "yes" if description.moving_sensor else "no"
+    return f"classes: {', '.join(description.classes) or 'none'}; moving sensor: {moving_sensor}"
 
 
 def gives_valid_forecasts(subject: _Subject) -> str:
@@ -143,12 +144,14 @@ def gives_valid_forecasts(subject: _Subject) -> str:
     tracker = subject.process()
     for steps in (0, 1, 4 * FORECAST_STEPS):
         forecast = tracker.predict(steps)
-        if tracker.started.classes and forecast.semantics is None:
-            raise BrokenPromiseError(f"it names the classes {', '.join(tracker.started.classes)}, and gives none")
+        if tracker.description.classes and forecast.semantics is None:
+            raise ContractViolationError(
+                f"declares the classes {', '.join(tracker.description.classes)} and forecasts no semantics"
+            )
     return f"0, 1 and {4 * FORECAST_STEPS} steps ahead"
 
 
-def bears_empty_input(subject: _Subject) -> str:
+def accepts_empty_input(subject: _Subject) -> str:
     """Works on empty input from the first frame."""
     subject.forecasts(empty_stream(subject.stream.grid, subject.stream.period_s, STREAM_FRAMES), at=[1, STREAM_FRAMES])
     return f"{STREAM_FRAMES} frames in which nothing is visible"
@@ -158,69 +161,70 @@ def is_deterministic(subject: _Subject) -> str:
     """Same seed and frames, same forecasts."""
     frames = subject.scene()
     first = subject.forecasts(frames)
-    _same(first, subject.forecasts(frames), "the same stream again, after reset with the same seed")
-    subject.renew()
-    _same(first, subject.forecasts(frames), "the same stream with the same seed, in a fresh process")
+    _require_equal(first, subject.forecasts(frames), "the same stream again, after reset with the same seed")
+    subject.restart()
+    _require_equal(first, subject.forecasts(frames), "the same stream with the same seed, in a fresh process")
     return "after reset, and in a fresh process"
 
 
-def predict_leaves_the_state_alone(subject: _Subject) -> str:
-    """Predict leaves the state alone."""
+def predict_keeps_the_state(subject: _Subject) -> str:
+    """Predict does not change the state."""
     frames = subject.scene()
     often = subject.forecasts(frames, at=[count for count in range(1, STREAM_FRAMES + 1) for _ in range(2)])
     for (count, one), (again, other) in pairwise(often):
         if count == again:
-            _same([(count, one)], [(count, other)], "predicted twice in a row")
-    _same(subject.forecasts(frames, at=[STREAM_FRAMES]), often[-1:], "with and without predictions in between")
+            _require_equal([(count, one)], [(count, other)], "predicted twice in a row")
+    _require_equal(subject.forecasts(frames, at=[STREAM_FRAMES]), often[-1:], "with and without predictions in between")
     return "predicted twice after every frame, or only once at the end"
 
 
 def is_causal(subject: _Subject) -> str:
-    """Future frames change nothing before them."""
-    moments = range(2, TURN_FRAME + 1, 2)
-    first = subject.forecasts(subject.scene(turn_seed=2), at=moments)
-    second = subject.forecasts(subject.scene(turn_seed=3), at=moments)
-    _same(first, second, f"two streams that part only after frame {TURN_FRAME}")
-    return f"two streams that part after frame {TURN_FRAME} are forecast the same up to there"
+    """Forecasts do not depend on future frames."""
+    before_turn = range(2, TURN_FRAME + 1, 2)
+    first = subject.forecasts(subject.scene(turn_seed=2), at=before_turn)
+    second = subject.forecasts(subject.scene(turn_seed=3), at=before_turn)
+    _require_equal(first, second, f"two streams that differ only after frame {TURN_FRAME}")
+    return f"two streams that differ after frame {TURN_FRAME} have the same forecasts up to that frame"
 
 
-def reset_forgets(subject: _Subject) -> str:
-    """Reset forgets the last stream."""
-    subject.renew()
+def reset_clears_the_state(subject: _Subject) -> str:
+    """Reset clears the state of the last stream."""
+    subject.restart()
     frames = subject.scene()
     fresh = subject.forecasts(frames)
     subject.forecasts(subject.scene(seed=4), at=[STREAM_FRAMES])
-    _same(fresh, subject.forecasts(frames), "in a fresh process, and after another stream and a reset")
+    _require_equal(fresh, subject.forecasts(frames), "in a fresh process, and after another stream and a reset")
     return "the same forecasts as in a fresh process"
 
 
-def bears_another_grid(subject: _Subject) -> str:
-    """Works on another grid, or says clearly that it cannot."""
+def accepts_another_grid(subject: _Subject) -> str:
+    """Works on another grid, or reports that it cannot."""
     grid = subject.stream.grid
     other = GridSpec(max(8, grid.size * 2 // 3), grid.cell_m * 1.25)
-    return _elsewhere(subject, replace(subject.stream, grid=other), f"grid {other}")
+    return _works_on(subject, replace(subject.stream, grid=other), f"grid {other}")
 
 
-def bears_another_period(subject: _Subject) -> str:
-    """Works at another period, or says clearly that it cannot."""
+def accepts_another_period(subject: _Subject) -> str:
+    """Works at another period, or reports that it cannot."""
     period_s = 1.6 * subject.stream.period_s
-    return _elsewhere(subject, replace(subject.stream, period_s=period_s), f"period {period_s:g} s")
+    return _works_on(subject, replace(subject.stream, period_s=period_s), f"period {period_s:g} s")
 
 
 CHECKS: tuple[Check, ...] = (
     gives_valid_forecasts,
-    bears_empty_input,
+    accepts_empty_input,
     is_deterministic,
-    predict_leaves_the_state_alone,
+    predict_keeps_the_state,
     is_causal,
-    reset_forgets,
-    bears_another_grid,
-    bears_another_period,
+    reset_clears_the_state,
+    accepts_another_grid,
+    accepts_another_period,
 )
 
 
-def _elsewhere(subject: _Subject, stream: StreamSpec, what: str) -> str:
-    process = subject.elsewhere(stream)
+def _works_on(subject: _Subject, stream: StreamSpec, what: str) -> str:
+    """The detail of a check on another stream: works, or reports that it cannot. Raises TrialEnded otherwise."""
+    process = subject.process_on(stream)
     try:
         with process:
             process.reset(RESET_SEED)
@@ -229,17 +233,17 @@ def _elsewhere(subject: _Subject, stream: StreamSpec, what: str) -> str:
             process.predict(FORECAST_STEPS)
     except TrialEnded as ended:
         if ended.outcome in {"not-applicable", "untrained"}:
-            return f"{what}: it says that it cannot ({ended.reason})"
+            return f"{what}: reports that it cannot ({ended.reason})"
         raise
     return f"{what}: works"
 
 
-def _same(one: Forecasts, other: Forecasts, what: str) -> None:
-    """Raises BrokenPromiseError where two series of forecasts differ."""
+def _require_equal(one: Forecasts, other: Forecasts, what: str) -> None:
+    """Raise ContractViolationError where two series of forecasts differ."""
     for (count, a), (_, b) in zip(one, other, strict=True):
         difference = _difference(a, b)
         if difference > FORECAST_TOLERANCE:
-            raise BrokenPromiseError(f"{what}: after frame {count} the forecasts differ by up to {difference:.3g}")
+            raise ContractViolationError(f"{what}: after frame {count} the forecasts differ by up to {difference:.3g}")
 
 
 def _difference(a: Forecast, b: Forecast) -> float:

@@ -1,4 +1,4 @@
-"""Requests to a tracker process and their answers, each by its deadline, and the meaning of every way to fail."""
+"""Requests to a tracker process and their answers: deadlines, and the outcome of each failure."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ MAX_REASON = 600
 
 @dataclass(frozen=True, slots=True)
 class Request:
-    """One request: its `kind`, the kind of `answer` expected, what it holds, and `limit`, the answer's largest body."""
+    """One request: its `kind`, the expected kind of `answer`, its content, and `limit`, the answer's largest body."""
 
     kind: str
     answer: str
@@ -30,7 +30,7 @@ class Request:
     arrays: Arrays = field(default_factory=dict)
     limit: int = 0
     what: str = ""
-    """What is being asked, for messages, where the kind does not say it all."""
+    """Name of the request in messages; empty: its kind."""
 
 
 class Dialogue:
@@ -53,9 +53,9 @@ class Dialogue:
         self.process.close(orderly=kind is None)
 
     def ask(self, request: Request, limit_s: float) -> Message:
-        """Send `request` and receive its answer within `limit_s`; `round_trip_ms` is then what that took.
+        """Send `request` and receive its answer within `limit_s`; sets `round_trip_ms`.
 
-        Raises TrialEnded, and WireError for an answer that is none.
+        Raises TrialEnded, and WireError for an invalid answer.
         """
         self._number += 1
         self.what = request.what or request.kind
@@ -64,16 +64,16 @@ class Dialogue:
         deadline = began + limit_s
         try:
             if self.process.has_unread():
-                raise WireError("before it, bytes came that nobody had asked for")
+                raise WireError("unrequested bytes before the answer")
             self.process.write(encode(message), deadline)
             answer = receive(lambda buffers: self.process.read(buffers, deadline), request.limit)
         except TimeoutError:
             raise TrialEnded("timeout", f"{self.what}: no answer within {limit_s:g} s") from None
         except (EOFError, BrokenPipeError):
-            self._silent()
+            self._closed()
         self.round_trip_ms = (time.monotonic() - began) * 1000.0
         if answer.number != self._number:
-            raise WireError(f"an answer to request {answer.number} where {self._number} was asked")
+            raise WireError(f"answers request {answer.number}; expected {self._number}")
         if answer.kind == "error":
             self._failed(answer)
         if answer.kind != request.answer:
@@ -81,7 +81,7 @@ class Dialogue:
         return answer
 
     def _failed(self, answer: Message) -> NoReturn:
-        """The tracker says itself what went wrong."""
+        """Raise the failure that the tracker reports."""
         outcome = answer.value("outcome", str)
         reason = one_line(answer.value("reason", str), MAX_REASON)
         where = "" if self.what in {"start", "describe"} else f"{self.what}: "
@@ -90,23 +90,23 @@ class Dialogue:
                 raise TrialEnded(known, where + reason)
         raise WireError(f"an error with outcome '{outcome:.40}'; expected one of {', '.join(OUTCOMES[1:])}")
 
-    def _silent(self) -> NoReturn:
-        """The wire is closed at the other end: find out why."""
-        lives = not self.process.ended(EXIT_WAIT_S)
+    def _closed(self) -> NoReturn:
+        """Raise the reason why the other end of the wire is closed."""
+        alive = not self.process.ended(EXIT_WAIT_S)
         by_referee = self.process.killed
-        ending = self.process.close(orderly=False)
-        if ending.over_memory:
+        process_exit = self.process.close(orderly=False)
+        if process_exit.over_memory:
             raise TrialEnded("out-of-memory", f"{self.what}: more than {self.memory_mb} MB of resident memory")
-        if ending.start_error:
-            raise TrialEnded("unavailable", str(ending))
+        if process_exit.start_error:
+            raise TrialEnded("unavailable", str(process_exit))
         if by_referee:
             raise TrialEnded("crashed", f"{self.what}: ended by the referee")
-        if lives:
+        if alive:
             raise TrialEnded("crashed", f"{self.what}: closed its end of the wire")
-        raise TrialEnded("crashed", f"{self.what}: {ending}{self._last_line()}")
+        raise TrialEnded("crashed", f"{self.what}: {process_exit}{self._last_line()}")
 
     def _last_line(self) -> str:
-        """The last line of the log, as the end of a reason."""
+        """The last line of the log in parentheses, to append to a reason."""
         with self.log.open("rb") as log:
             size = log.seek(0, 2)
             log.seek(max(0, size - LOG_END_BYTES))

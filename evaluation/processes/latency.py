@@ -1,4 +1,4 @@
-"""Latencies in bounded memory: a histogram whose percentiles are right to one per cent, for streams of any length."""
+"""Latencies in bounded memory: a histogram with percentiles accurate to 1 %, for streams of any length."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ LATENCY_BINS = math.ceil(math.log(HIGHEST_MS / LOWEST_MS) / math.log(GROWTH)) + 
 
 @dataclass(slots=True)
 class Latencies:
-    """How long calls took: counts in bins of milliseconds, each 2 % wider than the last, from 1 microsecond up."""
+    """Histogram of call durations: geometric bins, each 2 % wider than the last, from LOWEST_MS to HIGHEST_MS."""
 
     counts: NDArray[np.int64] = field(default_factory=lambda: np.zeros(LATENCY_BINS, np.int64))
     total_ms: float = 0.0
@@ -22,8 +22,8 @@ class Latencies:
 
     def add(self, ms: float) -> None:
         """Count one call."""
-        place = math.log(max(ms, LOWEST_MS) / LOWEST_MS) / math.log(GROWTH)
-        self.counts[min(int(place), LATENCY_BINS - 1)] += 1
+        position = math.log(max(ms, LOWEST_MS) / LOWEST_MS) / math.log(GROWTH)
+        self.counts[min(int(position), LATENCY_BINS - 1)] += 1
         self.total_ms += ms
         self.max_ms = max(self.max_ms, ms)
 
@@ -31,12 +31,12 @@ class Latencies:
         return int(self.counts.sum())
 
     def percentile(self, percent: float) -> float:
-        """The smallest time, in ms, that `percent` of the calls did not exceed; NaN where there was no call."""
+        """Percentile of the call durations, ms; NaN where there was no call."""
         if not len(self):
             return math.nan
         rank = max(1, math.ceil(percent / 100.0 * len(self)))
-        place = int(np.searchsorted(np.cumsum(self.counts), rank))
-        return float(min(LOWEST_MS * GROWTH ** (place + 0.5), self.max_ms))
+        bin_ = int(np.searchsorted(np.cumsum(self.counts), rank))
+        return float(min(LOWEST_MS * GROWTH ** (bin_ + 0.5), self.max_ms))
 
     def summary(self) -> dict[str, float]:
         """p50, p95 and p99 in ms."""

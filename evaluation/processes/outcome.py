@@ -1,4 +1,4 @@
-"""How a trial ended: one word that a table can count, and one line that says why."""
+"""The outcome of a trial: one of a few words, with a reason in one line."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ OUTCOMES: tuple[Outcome, ...] = get_args(Outcome)
 
 
 class TrialEnded(GridtrackError):
-    """A trial that cannot go on: its `outcome`, and the `reason` in one line."""
+    """A trial that cannot continue: its `outcome`, and the `reason` in one line."""
 
     def __init__(self, outcome: Outcome, reason: str) -> None:
         super().__init__(f"{outcome}: {reason}")

@@ -1,4 +1,4 @@
-"""A program under supervision: bytes to and from it with deadlines, and a certain end, whatever it does."""
+"""A supervised program: reads and writes with deadlines, and a guaranteed end of all its processes."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ KILL_S = 10.0
 
 @dataclass(frozen=True, slots=True)
 class ProcessExit:
-    """How a supervised program ended: `status` as `os.waitpid` gives it, or None where it is not known."""
+    """Exit of a supervised program: `status` as of `os.waitpid`, None where unknown; `peak_kb` resident memory, KiB."""
 
     status: int | None = None
     peak_kb: int = 0
@@ -35,7 +35,7 @@ class ProcessExit:
         if self.start_error:
             return f"cannot be started ({self.start_error})"
         if self.status is None:
-            return "ended in an unknown way"
+            return "ended for an unknown reason"
         if os.WIFSIGNALED(self.status):
             number = os.WTERMSIG(self.status)
             names = {s.value: s.name for s in signal.Signals}
@@ -44,26 +44,26 @@ class ProcessExit:
 
 
 class SupervisedProgram:
-    """A program started as a child of a supervisor process, in a session of its own.
+    """A program started as a child of a supervisor process, in its own session.
 
-    Whatever happens to this process, the supervisor ends the program and all that it started. `read` and `write` are
-    for one thread; `kill` may be called from any.
+    The supervisor ends the program and all processes that it started, also when this process dies. `read` and `write`
+    are for one thread; `kill` may be called from any thread.
     """
 
     def __init__(
         self, argv: tuple[str, ...], log: Path, memory_mb: int, env: Mapping[str, str], cwd: Path | None = None
     ) -> None:
-        """Start it; `log` takes what it writes to stderr. Raises OSError where the log cannot be opened."""
-        control, theirs = socket.socketpair()
-        command = [sys.executable, "-I", "-S", str(SUPERVISOR), str(theirs.fileno()), str(memory_mb), *argv]
-        with theirs, log.open("wb") as stderr:
+        """Start the program; its stderr goes to `log`. Raises OSError where the log cannot be opened."""
+        control, supervisors_end = socket.socketpair()
+        command = [sys.executable, "-I", "-S", str(SUPERVISOR), str(supervisors_end.fileno()), str(memory_mb), *argv]
+        with supervisors_end, log.open("wb") as stderr:
             self._supervisor = subprocess.Popen(
                 command,
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=stderr,
                 bufsize=0,
-                pass_fds=(theirs.fileno(),),
+                pass_fds=(supervisors_end.fileno(),),
                 env=dict(env),
                 cwd=cwd,
                 start_new_session=True,
@@ -75,7 +75,7 @@ class SupervisedProgram:
         for pipe in (self._stdin, self._stdout):
             os.set_blocking(pipe.fileno(), False)
             widen(pipe.fileno())
-        self._ending: ProcessExit | None = None
+        self._exit: ProcessExit | None = None
         self.killed = False
         """Whether `kill` was called."""
 
@@ -102,7 +102,7 @@ class SupervisedProgram:
             left = without(left, count)
 
     def has_unread(self) -> bool:
-        """Whether bytes have come that nobody has read."""
+        """Whether there are received bytes that have not been read."""
         poll = select.poll()
         poll.register(self._stdout.fileno(), select.POLLIN)
         return any(event & select.POLLIN for _, event in poll.poll(0))
@@ -110,28 +110,28 @@ class SupervisedProgram:
     def kill(self) -> None:
         """End the program and everything that it started, without waiting for it."""
         self.killed = True
-        # it may have been closed already, by this thread or another
+        # another thread may have closed it already
         with contextlib.suppress(OSError):
             self._control.shutdown(socket.SHUT_WR)
 
     def ended(self, within_s: float) -> bool:
-        """Whether the program ends by itself in that time."""
+        """Whether the program ends by itself within `within_s`."""
         poll = select.poll()
         poll.register(self._control.fileno(), select.POLLIN)
         return bool(poll.poll(within_s * 1000))
 
     def close(self, orderly: bool = True) -> ProcessExit:
-        """End the program, all that it started, and the supervisor; an orderly end gives it time to go by itself."""
-        if self._ending is None:
+        """End the program, all that it started, and the supervisor; an `orderly` end first lets it exit by itself."""
+        if self._exit is None:
             self._stdin.close()
             if not orderly or not self.ended(ORDERLY_END_S):
                 self.kill()
-            self._ending = self._account()
+            self._exit = self._collect_exit()
             self._stdout.close()
             self._control.close()
-        return self._ending
+        return self._exit
 
-    def _account(self) -> ProcessExit:
+    def _collect_exit(self) -> ProcessExit:
         self._control.settimeout(KILL_S)
         try:
             with self._control.makefile("rb") as lines:
@@ -139,7 +139,7 @@ class SupervisedProgram:
             self._supervisor.wait(KILL_S)
         except (TimeoutError, subprocess.TimeoutExpired):
             line = b""
-        if self._supervisor.poll() is None:  # nothing but a stopped or stuck supervisor comes here
+        if self._supervisor.poll() is None:  # only a stopped or blocked supervisor is still alive here
             self._supervisor.kill()
             self._supervisor.wait()
         return ProcessExit(**json.loads(line)) if line else ProcessExit()

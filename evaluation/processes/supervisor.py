@@ -1,13 +1,13 @@
-"""The supervisor of one tracker process: starts it, bounds its memory and its log, and leaves nothing of it behind.
+"""The supervisor of one tracker process: starts it, limits its memory and its log, and kills all its processes.
 
-Run as a program of its own, with the standard library only, so that it starts in a few hundredths of a second:
+A separate program that uses the standard library only, so that it starts in a few hundredths of a second:
 
     python -I -S supervisor.py CONTROL_FD MEMORY_MB PROGRAM [ARGUMENT...]
 
 Descriptors 0 and 1 are the tracker's wire, 2 is its log. On CONTROL_FD, a socket to the referee, the end of the stream
-means "end the tracker now": the referee closed it, or is dead. When the tracker has ended, in whichever way, every
-process that it left behind is killed, one line of JSON is sent, and the supervisor ends. Being a process of its own,
-it needs no help from the referee's threads, and orphans of the tracker become its children and nobody else's.
+means "end the tracker now": the referee closed it or died. When the tracker has ended, the supervisor kills every
+process that the tracker started, sends one line of JSON, and exits. As a separate process it does not depend on the
+referee's threads, and it is the only process that adopts orphans of the tracker.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ import socket
 import sys
 import time
 
-WATCH_S = 0.05
+MEMORY_PERIOD_S = 0.05
 GIVE_UP_S = 5.0
 LOG_BYTES = 1 << 20
 PR_SET_PDEATHSIG, PR_SET_CHILD_SUBREAPER = 1, 36
@@ -42,10 +42,10 @@ def main() -> None:
     tracker = ChildProcess(sys.argv[3:], memory_kb=int(sys.argv[2]) * 1024)
     tracker.watch(control.fileno(), wake)
     tracker.end()
-    # the referee may be gone: then nobody needs the line
+    # the referee may have died: the line is then not needed
     with control:
         try:
-            control.sendall(json.dumps(tracker.account()).encode() + b"\n")
+            control.sendall(json.dumps(tracker.exit_report()).encode() + b"\n")
         except OSError:
             return
 
@@ -62,10 +62,10 @@ class ChildProcess:
         self.stderr, stderr = os.pipe()
         os.set_blocking(self.stderr, False)
         self.log = BoundedLog(2)
-        failure, fail = os.pipe()  # closes by itself when the program has been started
+        failure, fail = os.pipe()  # exec closes it when the program starts
         self.pid = os.fork()
         if self.pid == 0:
-            become(command, stderr, fail)
+            exec_program(command, stderr, fail)
         for fd in (stderr, fail):
             os.close(fd)
         nothing = os.open(os.devnull, os.O_RDWR)
@@ -74,13 +74,13 @@ class ChildProcess:
         self.start_error = os.read(failure, 4096).decode(errors="replace")
 
     def watch(self, control: int, wake: int) -> None:
-        """Return when the tracker has ended, must end by the referee's word, or has taken too much memory."""
+        """Return when the tracker has ended, exceeds its memory limit, or the referee requests its end."""
         poll = select.poll()
         for fd in (control, wake, self.stderr):
             poll.register(fd, select.POLLIN)
-        next_look = time.monotonic()
+        next_measurement = time.monotonic()
         while self.status is None and not self.over_memory:
-            ready = {fd for fd, _ in poll.poll(max(0.0, next_look - time.monotonic()) * 1000)}
+            ready = {fd for fd, _ in poll.poll(max(0.0, next_measurement - time.monotonic()) * 1000)}
             if control in ready:
                 return
             if wake in ready:
@@ -88,19 +88,19 @@ class ChildProcess:
                 self.reap()
             if self.stderr in ready and not self.log.take(self.stderr):
                 poll.unregister(self.stderr)
-            if time.monotonic() >= next_look:
-                self.look()
-                next_look = time.monotonic() + WATCH_S
+            if time.monotonic() >= next_measurement:
+                self.measure_memory()
+                next_measurement = time.monotonic() + MEMORY_PERIOD_S
 
-    def look(self) -> None:
-        """Measure the resident memory of the tracker and of everything that it started."""
+    def measure_memory(self) -> None:
+        """Measure the resident memory of the tracker and of all its descendants."""
         sizes = [resident_kb(pid) for pid in (self.pid, *descendants(self.pid))]
         total = sum(now for now, _ in sizes)
         self.peak_kb = max(self.peak_kb, total, sizes[0][1])
         self.over_memory = total > self.memory_kb
 
     def reap(self) -> bool:
-        """Take note of every child that has ended, orphans of the tracker included; whether any child is left."""
+        """Collect the status of every ended child, adopted orphans included; whether any child is left."""
         while True:
             try:
                 pid, status = os.waitpid(-1, os.WNOHANG)
@@ -112,9 +112,10 @@ class ChildProcess:
                 self.status = status
 
     def end(self) -> None:
-        """Kill the tracker and all that it started, and write what is left of its log.
+        """Kill the tracker and all its descendants, and write the rest of its log.
 
-        Repeated, because what is killed hands its own children to the supervisor; given up on what no kill can end.
+        Repeated, because the supervisor adopts the children of each killed process; after GIVE_UP_S it gives up on
+        processes that do not die.
         """
         give_up = time.monotonic() + GIVE_UP_S
         while self.reap() and time.monotonic() < give_up:
@@ -125,8 +126,8 @@ class ChildProcess:
             pass
         self.log.close()
 
-    def account(self) -> dict[str, object]:
-        """What the referee is told."""
+    def exit_report(self) -> dict[str, object]:
+        """The line of JSON for the referee: fields of ProcessExit."""
         return {
             "status": self.status,
             "peak_kb": self.peak_kb,
@@ -136,7 +137,7 @@ class ChildProcess:
 
 
 class BoundedLog:
-    """A log of bounded size: its first and its last MiB; what fell out between is counted."""
+    """A log of bounded size: its first and last LOG_BYTES; the bytes left out between them are counted."""
 
     def __init__(self, fd: int) -> None:
         self.fd = fd
@@ -146,7 +147,7 @@ class BoundedLog:
         self.left_out = 0
 
     def take(self, source: int) -> bool:
-        """Take in what `source` holds; whether there may be more."""
+        """Read from `source` once; whether there may be more."""
         try:
             text = os.read(source, 1 << 16)
         except BlockingIOError:
@@ -158,20 +159,20 @@ class BoundedLog:
             self.tail.append(tail)
             self.tail_bytes += len(tail)
         while self.tail_bytes > LOG_BYTES:
-            gone = len(self.tail.popleft())
-            self.tail_bytes -= gone
-            self.left_out += gone
+            dropped = len(self.tail.popleft())
+            self.tail_bytes -= dropped
+            self.left_out += dropped
         return bool(text)
 
     def close(self) -> None:
-        """Write the last part."""
+        """Write the number of bytes left out, and the tail."""
         if self.left_out:
             self.write(f"\n... {self.left_out} bytes left out ...\n".encode())
         for part in self.tail:
             self.write(part)
 
     def write(self, text: bytes) -> None:
-        """Write `text` whole; a full disk costs the log, not the trial."""
+        """Write all of `text`; a full disk ends the log, not the trial."""
         try:
             while text:
                 text = text[os.write(self.fd, text) :]
@@ -179,8 +180,8 @@ class BoundedLog:
             self.head_left = 0
 
 
-def become(command: list[str], stderr: int, fail: int) -> None:
-    """In the forked child: turn into the tracker's program; the reason is written to `fail` where that cannot be."""
+def exec_program(command: list[str], stderr: int, fail: int) -> None:
+    """In the forked child: execute the tracker's program; where that fails, write the reason to `fail`."""
     supervisor = os.getppid()
     try:
         prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
@@ -198,28 +199,28 @@ def become(command: list[str], stderr: int, fail: int) -> None:
 
 
 def prctl(option: int, value: int) -> None:
-    """Set one of Linux's process attributes; elsewhere only the tracker itself can be followed."""
+    """Set a process attribute on Linux; on other systems only the tracker itself is supervised."""
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(option, value, 0, 0, 0)
 
 
 def descendants(pid: int) -> list[int]:
-    """Every process below `pid`, by way of /proc."""
+    """All descendants of `pid`, from /proc."""
     found: list[int] = []
-    waiting = [pid]
-    while waiting:
+    unvisited = [pid]
+    while unvisited:
         try:
-            for task in pathlib.Path(f"/proc/{waiting.pop()}/task").iterdir():
-                below = [int(child) for child in (task / "children").read_text().split()]
-                found += below
-                waiting += below
-        except OSError:  # it ended meanwhile
+            for task in pathlib.Path(f"/proc/{unvisited.pop()}/task").iterdir():
+                children = [int(child) for child in (task / "children").read_text().split()]
+                found += children
+                unvisited += children
+        except OSError:  # it has ended in the meantime
             continue
     return found
 
 
 def resident_kb(pid: int) -> tuple[int, int]:
-    """Resident memory of `pid` in KiB, now and at its highest; (0, 0) where it has ended."""
+    """Current and peak resident memory of `pid`, KiB; (0, 0) where it has ended."""
     sizes = {"VmRSS": 0, "VmHWM": 0}
     try:
         status = pathlib.Path(f"/proc/{pid}/status").read_text()
@@ -233,7 +234,7 @@ def resident_kb(pid: int) -> tuple[int, int]:
 
 
 def kill(pid: int) -> None:
-    """Kill `pid`, unless it has ended meanwhile."""
+    """Kill `pid`, unless it has ended already."""
     try:
         os.kill(pid, signal.SIGKILL)
     except ProcessLookupError:

@@ -1,4 +1,4 @@
-"""A tracker in its own process, as the referee sees it: started, fed, asked, timed, and ended whatever it does."""
+"""The referee's side of a tracker process: start, updates, forecasts, timing, and a guaranteed end."""
 
 from __future__ import annotations
 
@@ -35,15 +35,15 @@ THREAD_VARIABLES = (
 
 
 @dataclass(frozen=True, slots=True)
-class Started:
-    """What a tracker says of itself: its classes, what it can do, and its options with every default filled in."""
+class TrackerDescription:
+    """A tracker's description of itself: its classes, capabilities, and options with all defaults."""
 
     classes: tuple[str, ...]
     moving_sensor: bool
     learns: bool
     options: Mapping[str, Any]
     options_schema: Mapping[str, Any]
-    """JSON schema of its options; empty where it gives none."""
+    """JSON schema of its options; empty where it has none."""
     about: str
     role: Role = "tracker"
     reference_for: frozenset[ComparedPart] = frozenset()
@@ -52,7 +52,7 @@ class Started:
 
 @dataclass(frozen=True, slots=True)
 class Call:
-    """How long one call took, in ms: by the tracker's own clock, its processor time, and there and back."""
+    """Durations of one call, ms: by the tracker's own clock, its processor time, and the round trip."""
 
     own_ms: float
     cpu_ms: float
@@ -61,7 +61,7 @@ class Call:
 
 @dataclass(slots=True)
 class Timings:
-    """The calls of a trial so far, in memory that does not grow with their number."""
+    """Durations of the calls so far, in bounded memory."""
 
     update: Latencies = field(default_factory=Latencies)
     predict: Latencies = field(default_factory=Latencies)
@@ -70,10 +70,10 @@ class Timings:
 
 
 class TrackerProcess:
-    """A context manager: entering starts the tracker on `stream`, leaving ends it and everything that it started.
+    """A context manager: entering starts the tracker on `stream`, leaving ends it and all its processes.
 
-    Every method raises TrialEnded when the trial cannot go on, and has ended the process by then. Use one instance from
-    one thread; several may live in several threads. `kill` may be called from any thread.
+    Every method raises TrialEnded when the trial cannot continue; the process has then been ended. An instance is for
+    one thread; only `kill` may be called from any thread.
     """
 
     def __init__(
@@ -93,8 +93,8 @@ class TrackerProcess:
         self.last_call: Call | None = None
         self._recoveries = [0]
         self.peak_rss_mb = 0.0
-        """Highest resident memory of all its processes together, MiB, by samples 20 times a second; once it ended."""
-        self.started: Started
+        """Peak resident memory of all its processes together, MiB, sampled 20 times a second; set when it has ended."""
+        self.description: TrackerDescription
         self._frames = 0
         self._killed = False
         self._dialogue: Dialogue | None = None
@@ -105,7 +105,7 @@ class TrackerProcess:
         with self._ending_on_error():
             if self._killed:
                 self._dialogue.process.kill()
-            self.started = _started(self._dialogue.ask(request, self.limits.start_s))
+            self.description = _description(self._dialogue.ask(request, self.limits.start_s))
         return self
 
     def __exit__(
@@ -121,7 +121,7 @@ class TrackerProcess:
             self._wire.ask(Request("reset", "done", {"seed": seed}), self.limits.start_s)
 
     def update(self, frame: GridFrame) -> None:
-        """Hand x_t over."""
+        """Send frame x_t."""
         self._frames += 1
         what = f"update with frame {self._frames}"
         request = Request("update", "done", arrays=messages.frame_arrays(frame), what=what)
@@ -131,8 +131,8 @@ class TrackerProcess:
             self._recoveries[-1] = _recoveries(answer)
 
     def predict(self, steps: int) -> Forecast:
-        """The forecast of steps 0..steps, checked: shapes, types, finite, in [0, 1], semantics that sum to 1."""
-        classes, grid = len(self.started.classes), self.stream.grid
+        """The forecast of steps 0..steps, validated: shapes, types, finite, in [0, 1], semantics sum to 1."""
+        classes, grid = len(self.description.classes), self.stream.grid
         request = Request(
             "predict",
             "forecast",
@@ -146,19 +146,19 @@ class TrackerProcess:
             return messages.forecast_from(answer, grid, steps, classes)
 
     def kill(self) -> None:
-        """End the tracker from another thread: the call that it is busy with, or about to start, raises TrialEnded."""
+        """End the tracker from any thread: the current or next call raises TrialEnded."""
         self._killed = True
         if self._dialogue is not None:
             self._dialogue.process.kill()
 
     @property
     def recoveries(self) -> int:
-        """How often something in it failed and it went on, by its own count, over all streams."""
+        """Number of failures that the tracker recovered from, by its own count, over all streams."""
         return sum(self._recoveries)
 
     @property
     def last_ms(self) -> float:
-        """What the last update or forecast took by the tracker's own clock, milliseconds."""
+        """Duration of the last update or forecast by the tracker's own clock, ms."""
         assert self.last_call is not None
         return self.last_call.own_ms
 
@@ -175,7 +175,7 @@ class TrackerProcess:
 
     @contextmanager
     def _ending_on_error(self) -> Iterator[None]:
-        """Whatever goes wrong ends the process, and an answer that is none ends the trial."""
+        """An error in the block ends the process; an invalid answer ends the trial."""
         try:
             yield
         except WireError as error:
@@ -189,15 +189,15 @@ class TrackerProcess:
         self.peak_rss_mb = self._wire.process.close(orderly).peak_kb / 1024
 
 
-def describe(launch: Launch, options: Mapping[str, Any], limits: Limits) -> Started:
-    """What the tracker says of itself and of these options, before there is a stream.
+def describe(launch: Launch, options: Mapping[str, Any], limits: Limits) -> TrackerDescription:
+    """The tracker's description of itself with `options`, without a stream.
 
     Raises ConfigurationError for options that it refuses, PluginError where it cannot be loaded.
     """
     request = Request("describe", "described", {"options": dict(options)})
     with TemporaryDirectory() as folder, _dialogue(launch, limits, Path(folder, "stderr.log")) as dialogue:
         try:
-            return _started(dialogue.ask(request, limits.start_s))
+            return _description(dialogue.ask(request, limits.start_s))
         except WireError as error:
             raise PluginError(f"tracker '{launch.name}': describe: {error}") from None
         except TrialEnded as ended:
@@ -212,31 +212,34 @@ def _dialogue(launch: Launch, limits: Limits, log: Path) -> Dialogue:
 
 
 def _nanoseconds(answer: Message, name: str) -> int:
-    """A span of time by the tracker's own clock. Raises WireError for one that none can show."""
+    """A duration by the tracker's own clock, ns. Raises WireError where it is negative or too large."""
     span = answer.value(name, int)
     if not 0 <= span < 1 << 63:
-        raise WireError(f"'{name}' is no span of time")
+        raise WireError(f"'{name}' is no duration; expected nanoseconds from 0 to 2^63 - 1")
     return span
 
 
 def _recoveries(answer: Message) -> int:
-    """How often something failed in the tracker since the stream began, if it says so. Raises WireError."""
+    """Number of failures since the start of the stream that the tracker recovered from; 0 where it reports none.
+
+    Raises WireError.
+    """
     count = answer.value("recoveries", int) if "recoveries" in answer.fields else 0
     if not 0 <= count < 1 << 31:
         raise WireError(f"'recoveries' is {count}; expected a count from 0 to 2^31 - 1")
     return count
 
 
-def _started(answer: Message) -> Started:
-    """What `started` and `described` say. Raises WireError."""
+def _description(answer: Message) -> TrackerDescription:
+    """The content of the answers `started` and `described`. Raises WireError."""
     classes = answer.value("classes", list)
     if len(classes) > messages.MAX_CLASSES:
         raise WireError(f"{len(classes)} classes; at most {messages.MAX_CLASSES}")
     if not all(isinstance(name, str) for name in classes) or len(set(classes)) != len(classes):
-        raise WireError(f"classes {classes!r:.80} are not names that differ")
+        raise WireError(f"classes {classes!r:.80} are not distinct names")
     if answer.value("api", int) != API:
         raise WireError(f"made for contract {answer.value('api', int)}; this gridtrack has contract {API}")
-    return Started(
+    return TrackerDescription(
         tuple(classes),
         answer.value("moving_sensor", bool),
         answer.value("learns", bool),

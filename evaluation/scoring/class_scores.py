@@ -1,4 +1,4 @@
-"""What the summary says of classes: which of each were found, and what occupied cells were taken for."""
+"""Class scores of the summary: recall of occupancy by class, and classification of occupied cells."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from gridtrack.evaluation.scoring.record import TrialRecord
 from gridtrack.evaluation.scoring.semantics import VISIBILITIES
 
 HEADLINE_S = (0.0, 0.5, 1.0, 2.5)
-"""Horizons whose confusion matrices are kept, as far as a run looks ahead; all other scores are kept of every step."""
+"""Horizons of the confusion matrices in the summary, as far as the run forecasts; other scores cover every step."""
 
 
 def class_scores(
     trials: Sequence[tuple[TrialRecord, Path]], classes: Sequence[str], horizons_s: Sequence[float]
 ) -> dict[str, Any]:
-    """`recall_by_class` and `semantics` of trials together, each None where there is nothing to say.
+    """`recall_by_class` and `semantics` of trials together, each None where there are no counts.
 
     `classes` and `horizons_s` are those of their recordings. Raises ScoresError.
     """
@@ -38,18 +38,18 @@ def class_scores(
 
 
 def unknown_classes(record: TrialRecord, recording: Mapping[str, Any]) -> str:
-    """What to tell of classes that a tracker which names some has never heard of; empty where there are none."""
+    """A notice of the recording's classes that a tracker with classes lacks; empty where there are none."""
     missing = [name for name in recording.get("classes", ()) if name not in record.classes]
     if not record.classes or not missing:
         return ""
     return (
-        f"{record.label} names no class {', '.join(missing)}, which {record.recording} has: cells of it count as taken"
-        " for another, with probability 0"
+        f"{record.label} does not forecast the classes {', '.join(missing)} of {record.recording}: their cells count as"
+        " misclassified, with probability 0"
     )
 
 
 def _recall(found: NDArray[np.int64], classes: Sequence[str]) -> dict[str, dict[str, Any]]:
-    """Per visibility and class the share of its cells that was found at every step, and how many there were."""
+    """By visibility and class: recall at every step, and the number of cells."""
     tp, fn, tp_half, fn_half = np.moveaxis(found, -1, 0)
     recall, recall_at_half, cells = ratio(tp, tp + fn), ratio(tp_half, tp_half + fn_half), tp + fn
     return {
@@ -67,7 +67,7 @@ def _recall(found: NDArray[np.int64], classes: Sequence[str]) -> dict[str, dict[
 
 
 def _semantics(counts: SemanticsCounts, classes: Sequence[str], horizons_s: Sequence[float]) -> dict[str, Any]:
-    """Per visibility the scores of every step, and the confusion matrices of the headline ones."""
+    """By visibility: the scores of every step, and the confusion matrices at HEADLINE_S."""
     cells = counts.confusion.sum(axis=(-2, -1))
     per_cell, per_scan = ratio(counts.log_loss, cells), ratio(counts.scan_log_loss, counts.scans)
     accuracy = balanced_accuracy(counts.confusion)

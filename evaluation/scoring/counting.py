@@ -1,6 +1,6 @@
-"""Counting one forecast against the frames that came: histograms of probability, squared error and log loss.
+"""Counts of one forecast against the observed frames: histograms of probability, squared error and log loss.
 
-Everything else (F1 at any threshold, precision-recall curve, calibration) follows from these counts.
+F1 at any threshold, precision-recall curves and calibration are computed from these counts.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ _SLOTS = 4096
 EDGES = (
     np.round(_SLOTS * np.sin(0.5 * np.pi * np.arange(PROBABILITY_BINS + 1) / PROBABILITY_BINS) ** 2) / _SLOTS
 ).astype(np.float32)
-"""Bin b holds `EDGES[b] <= p < EDGES[b + 1]`, the last one p = 1 too; a threshold is a bin's lower edge.
+"""Bin b covers `EDGES[b] <= p < EDGES[b + 1]`, the last bin also p = 1; a threshold is a bin's lower edge.
 
-Edges lie at sin^2: bins are a thousandth wide next to 0 and 1, and 0.03 in the middle, where one edge is 0.5. A
-forecast of a distant step is spread thin, and in bins of equal width nearly all of it would fall into the first. They
-are whole 4096ths, so that a table of as many slots tells the bin of any probability.
+Edges are at sin^2: bins are 0.001 wide next to 0 and 1, and 0.03 in the middle, where one edge is 0.5. Probabilities
+of distant steps are small, and in bins of equal width nearly all would fall into the first. Edges are multiples of
+1/4096, so that a table of 4096 slots maps a probability to its bin.
 """
 _BIN_OF_SLOT = (np.searchsorted(EDGES, np.arange(_SLOTS + 1) / _SLOTS, side="right") - 1).clip(0, PROBABILITY_BINS - 1)
 CLIP = 1e-3
@@ -39,7 +39,7 @@ class Tally:
 
     `cells`, `positives` (S, K, B) int64: cells scored and those of them occupied; `p_sum` (S, K, B) float64: sum of the
     forecast probability; `squared_error`, `log_loss` (S, K) float64: sums over cells, log loss in nats. `strata` names
-    the K of them.
+    the K strata.
     """
 
     cells: NDArray[np.int64]
@@ -51,13 +51,13 @@ class Tally:
 
     @classmethod
     def empty(cls, steps: int, strata: tuple[str, ...] = STRATA) -> Tally:
-        """Nothing counted yet, for steps 0..steps."""
+        """Counts of zero for steps 0..steps."""
         bins, plain = (steps + 1, len(strata), PROBABILITY_BINS), (steps + 1, len(strata))
         cells, positives, p_sum = np.zeros(bins, np.int64), np.zeros(bins, np.int64), np.zeros(bins)
         return cls(cells, positives, p_sum, np.zeros(plain), np.zeros(plain), strata)
 
     def add(self, other: Tally) -> None:
-        """Take in what `other` counted."""
+        """Add the counts of `other`."""
         self.cells += other.cells
         self.positives += other.positives
         self.p_sum += other.p_sum
@@ -65,7 +65,7 @@ class Tally:
         self.log_loss += other.log_loss
 
     def of(self, strata: tuple[str, ...]) -> Tally:
-        """What was counted in these strata only."""
+        """The counts of these strata only."""
         k = [self.strata.index(name) for name in strata]
         return Tally(
             self.cells[:, k],
@@ -94,10 +94,10 @@ def count_forecast(
     region_maps: RegionMaps,
     ages: NDArray[np.uint8] | None = None,
 ) -> Tally:
-    """Score a forecast made at frame t: step n against frame t+n, on the cells that the target of that frame scores.
+    """Count a forecast made at frame t: step n against frame t+n, on the cells that are scored in that frame.
 
-    `occupancy` (steps+1, M, M) float32 in [0, 1]; `targets` t..t+steps; `ages` (M, M) uint8: the band of each cell's
-    age as of t, which hidden cells are sorted by; None where all have just been seen.
+    `occupancy` (steps+1, M, M) float32 in [0, 1]; `targets` t..t+steps; `ages` (M, M) uint8: the age band of
+    each cell at t, for hidden cells; None: all in the first band.
     """
     steps, seen = len(targets) - 1, region_maps.visible.reshape(-1)
     hidden = (region_maps.hidden if ages is None else region_maps.hidden + ages).reshape(-1)
@@ -122,8 +122,8 @@ def count_forecast(
 def _count_step(probability, state, seen, hidden, cells, positives, p_sum, squared_error, log_loss):  # type: ignore[no-untyped-def]
     """Add one step's scored cells (M*M,) to their regions' counts: histograms (R, B) and sums (R,).
 
-    The log loss is kept as a product of likelihoods, of which a logarithm is taken only before it could underflow:
-    one logarithm for a hundred cells instead of one for each.
+    The log loss is accumulated as a product of likelihoods, with a logarithm only before it could underflow: about one
+    logarithm per hundred cells instead of one per cell.
     """
     likelihood = np.ones(log_loss.size)
     for i in range(probability.size):

@@ -1,9 +1,8 @@
-"""Deadlines on a simulated clock: which frames a busy tracker misses, and which forecast is there at each frame.
+"""Deadlines on a simulated clock: the frames that a busy tracker misses, and the newest forecast at each frame.
 
-A tracker takes a frame when it comes, updates and forecasts; until the forecast is delivered it is busy, and the frames
-that come meanwhile are missed: it is never given them. What each call takes was measured; from there on nothing depends
-on the machine, so a timeline can be worked out by hand. (The idea of scoring what is there in time: Li, Wang, Ramanan,
-"Towards Streaming Perception", ECCV 2020.)
+A free tracker accepts a frame, updates and forecasts; until the forecast is delivered it is busy, and never receives
+the frames of that time. The durations of the calls are measured; given them, the timeline does not depend on the
+machine. Scoring the newest delivered forecast follows Li, Wang and Ramanan, "Towards Streaming Perception", ECCV 2020.
 """
 
 from __future__ import annotations
@@ -20,81 +19,81 @@ from gridtrack.evaluation.scoring.referee import Schedule, TrackerLike
 from gridtrack.trackers.contract import Forecast
 
 RATES = (0.5, 1.0, 2.0, 4.0)
-"""How fast the stream comes, as multiples of its own rate."""
+"""Simulated rates of the stream, as multiples of its own rate."""
 
 
 @dataclass(frozen=True, slots=True)
 class Costs:
-    """What taking a frame costs, milliseconds: `update_ms` and `predict_ms` of the same frames, in their order."""
+    """Measured durations, ms: `update_ms` and `predict_ms` of the same frames, in their order."""
 
     update_ms: Sequence[float]
     predict_ms: Sequence[float]
 
     @property
     def busy_ms(self) -> NDArray[np.float64]:
-        """From taking a frame until its forecast is delivered (n,)."""
+        """Time from accepting a frame to delivering its forecast (n,), ms."""
         return np.add(self.update_ms, self.predict_ms)
 
     @property
     def highest_rate_hz(self) -> float:
-        """The rate at which 99 of 100 frames are done before the next one comes."""
+        """The rate at which 99 % of the frames are finished before the next one."""
         return 1000.0 / max(float(np.percentile(self.busy_ms, 99, method="higher")), 1e-6)
 
 
 @dataclass(frozen=True, slots=True)
 class Timeline:
-    """What happens at each of F frames: `taken` (F,) bool, whether the tracker is free to take it, and `newest` (F,)
-    int64, the frame that the newest forecast delivered by then was made from; -1 where there is none yet."""
+    """A simulation over F frames: `accepted` (F,) bool, whether the tracker receives the frame, and `newest` (F,)
+    int64, the frame of the newest forecast delivered by then; -1 before the first."""
 
-    taken: NDArray[np.bool_]
+    accepted: NDArray[np.bool_]
     newest: NDArray[np.int64]
 
     @property
     def missed(self) -> int:
-        """How many frames the tracker is not given."""
-        return int((~self.taken).sum())
+        """Number of frames that the tracker does not receive."""
+        return int((~self.accepted).sum())
 
 
 def timeline(frames: int, period_ms: float, costs: Costs) -> Timeline:
-    """The timeline of `frames` that come one `period_ms` apart; the k-th frame taken costs as the k-th measured did.
+    """The timeline of `frames` frames at `period_ms`; the k-th accepted frame takes as long as the k-th measured one.
 
-    Costs are used over again where they are fewer. A forecast delivered, or a tracker free, at the very moment a frame
-    comes is in time for it. Times are kept in whole nanoseconds.
+    The measured durations are repeated where they are fewer. A forecast delivered, or a tracker free, exactly at the
+    stamp of a frame is in time for it. Times are integer nanoseconds.
     """
     period_ns = round(period_ms * 1e6)
     busy_ns = [round(u * 1e6) + round(p * 1e6) for u, p in zip(costs.update_ms, costs.predict_ms, strict=True)]
-    taken, newest = np.zeros(frames, np.bool_), np.full(frames, -1, np.int64)
+    accepted, newest = np.zeros(frames, np.bool_), np.full(frames, -1, np.int64)
     free_ns, count, current, delivered = 0, 0, -1, -1
     for index in range(frames):
         now_ns = index * period_ns
         if free_ns <= now_ns:
             delivered, current = current, index
             free_ns = now_ns + busy_ns[count % len(busy_ns)]
-            taken[index], count = True, count + 1
+            accepted[index], count = True, count + 1
         newest[index] = current if free_ns <= now_ns else delivered
-    return Timeline(taken, newest)
+    return Timeline(accepted, newest)
 
 
 def spare_steps(busy_ms: float, period_ms: float, steps: int) -> int:
-    """How many steps further a tracker must forecast so that its stalest forecast still reaches `steps` ahead.
+    """Number of extra steps to forecast, so that the oldest forecast in use still covers `steps` ahead.
 
-    At most as many again: who is slower than that has nothing to say about the end of the horizon.
+    At most `steps`: a slower tracker has no forecast for the end of the horizon.
     """
     return min(steps, 2 * math.ceil(busy_ms / period_ms))
 
 
-class OnTime:
-    """A tracker as the clock lets it be: it is not given the frames it misses, and answers with what is there.
+class DeadlineTracker:
+    """A TrackerLike on the simulated clock: it does not receive missed frames, and predicts with delivered forecasts.
 
-    A question at frame s about step n is answered by the newest delivered forecast, made at frame t, with its step
-    s - t + n; by its last step where it does not reach so far, and with nothing occupied where there is none yet.
-    Forecasts that no question of `schedule` reads are not asked for: they cost time on the clock only.
+    `predict` at frame s uses the newest delivered forecast, made at frame t: step n is its step s - t + n, or its last
+    step where it is shorter; all cells are free before the first delivery. Forecasts that `schedule` does not use are
+    not computed: they take time on the clock only.
     """
 
-    def __init__(self, tracker: TrackerLike, kept: Timeline, schedule: Schedule, reach: int) -> None:
-        """`reach`: how many steps ahead its forecasts go."""
-        self._tracker, self._timeline, self._reach = tracker, kept, reach
-        self._asked = {int(kept.newest[index]) for index in range(schedule.frames) if schedule.due(index)}
+    def __init__(self, tracker: TrackerLike, clock: Timeline, schedule: Schedule, reach: int) -> None:
+        """`reach`: the last step of the tracker's forecasts."""
+        self._tracker, self._timeline, self._reach = tracker, clock, reach
+        self._used = {int(clock.newest[index]) for index in range(schedule.frames) if schedule.due(index)}
 
     def reset(self, seed: int) -> None:
         """A new stream begins."""
@@ -104,21 +103,21 @@ class OnTime:
         self._shape = (0, 0)
 
     def update(self, frame: GridFrame) -> None:
-        """The next frame comes; the tracker is given it only where it is free."""
+        """Advance the clock by one frame; the tracker receives the frame if it is free."""
         self._index += 1
         self._shape = frame.occupied.shape
-        if self._timeline.taken[self._index]:
+        if self._timeline.accepted[self._index]:
             self._tracker.update(frame)
-            if self._index in self._asked:
+            if self._index in self._used:
                 self._forecasts[self._index] = self._tracker.predict(self._reach)
 
     def predict(self, steps: int) -> Forecast:
-        """What is there now, for steps 0..steps from the newest frame that came."""
+        """The newest delivered forecast, for steps 0..steps from the current frame."""
         made_at = int(self._timeline.newest[self._index])
         if made_at < 0:
             return Forecast(np.zeros((steps + 1, *self._shape), np.float32))
         self._forecasts = {index: f for index, f in self._forecasts.items() if index >= made_at}
         forecast = self._forecasts[made_at]
-        read = np.minimum(self._index - made_at + np.arange(steps + 1), self._reach)
-        semantics = None if forecast.semantics is None else forecast.semantics[read]
-        return Forecast(forecast.occupancy[read], semantics)
+        used_steps = np.minimum(self._index - made_at + np.arange(steps + 1), self._reach)
+        semantics = None if forecast.semantics is None else forecast.semantics[used_steps]
+        return Forecast(forecast.occupancy[used_steps], semantics)

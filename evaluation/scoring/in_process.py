@@ -1,4 +1,4 @@
-"""Scoring a tracker in this process: what `fit` is handed to tune and to choose by."""
+"""Scoring a tracker in this process: the `score` function that `fit` receives."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from gridtrack.evaluation.scoring.thresholds import best_thresholds
 from gridtrack.trackers.contract import FrameSource, StretchScore, Tracker
 
 FIT_FORECAST_EVERY = 5
-"""Forecast after every fifth frame: near enough to the whole for choosing, at a fifth of its cost."""
+"""A forecast after every fifth frame: accurate enough to choose parameters, at a fifth of the cost."""
 
 
 def score_in_process(tracker: Tracker, source: FrameSource, steps: int) -> StretchScore:
-    """Stream `source` through the tracker and score its forecasts as the referee does, with the same counts.
+    """Stream `source` through the tracker and score its forecasts with the referee's counts.
 
-    Each step's threshold is the best one on this very stretch, and the strata come from it too: a score to choose
-    parameters by, and not one to report. Raises RecordingError where the stretch is too short to score anything.
+    Thresholds and strata are chosen on the same stretch: a score for choosing parameters, not for reports. Raises
+    RecordingError where the stretch is too short to score a forecast.
     """
     schedule = Schedule(len(source), steps, FIT_FORECAST_EVERY)
     if not schedule.expected:

@@ -30,11 +30,11 @@ def recall(confusion: NDArray[np.int64]) -> Scores:
 
 
 def balanced_accuracy(confusion: NDArray[np.int64]) -> Scores:
-    """Mean over the classes that occur of the share of their cells taken for them (...), of (..., K, K+1) counts."""
-    right = np.diagonal(confusion, axis1=-2, axis2=-1)
-    shares = ratio(right, confusion.sum(axis=-1))
-    occur = ~np.isnan(shares)
-    return ratio(np.where(occur, shares, 0.0).sum(axis=-1), occur.sum(axis=-1))
+    """Mean recall of the classes that occur (...), of confusion counts (..., K, K+1)."""
+    correct = np.diagonal(confusion, axis1=-2, axis2=-1)
+    recalls = ratio(correct, confusion.sum(axis=-1))
+    occur = ~np.isnan(recalls)
+    return ratio(np.where(occur, recalls, 0.0).sum(axis=-1), occur.sum(axis=-1))
 
 
 def average_precision(tally: Tally) -> Scores:
@@ -52,7 +52,7 @@ def brier_score(tally: Tally) -> Scores:
 
 
 @dataclass(frozen=True, slots=True)
-class BrierParts:
+class BrierDecomposition:
     """Murphy's decomposition of the Brier score (S, K): `reliability` - `resolution` + `uncertainty` is the score."""
 
     reliability: Scores
@@ -60,19 +60,19 @@ class BrierParts:
     uncertainty: Scores
 
 
-def brier_parts(tally: Tally) -> BrierParts:
+def brier_decomposition(tally: Tally) -> BrierDecomposition:
     """Reliability, resolution and uncertainty over the bins of the histogram.
 
-    Within a bin the probabilities differ, which Murphy's parts (1973) leave out; their variance within bins and its
-    covariance with what came are counted to the resolution, so that the parts add up to the score exactly
-    (Stephenson, Coelho and Jolliffe, 2008, "Two extra components in the Brier score decomposition").
+    Murphy's decomposition (1973) assumes one probability per bin. The variance of the probability within bins and its
+    covariance with the occupancy are added to the resolution, so that the sum is exact (Stephenson, Coelho and
+    Jolliffe, 2008, "Two extra components in the Brier score decomposition").
     """
     cells, positives = tally.cells.sum(axis=-1), tally.positives.sum(axis=-1)
     rate, rate_of_bin = ratio(positives, cells), np.nan_to_num(ratio(tally.positives, tally.cells))
     p_of_bin = np.nan_to_num(ratio(tally.p_sum, tally.cells))
     reliability = ratio((tally.cells * (p_of_bin - rate_of_bin) ** 2).sum(axis=-1), cells)
     uncertainty = rate * (1.0 - rate)
-    return BrierParts(reliability, reliability + uncertainty - brier_score(tally), uncertainty)
+    return BrierDecomposition(reliability, reliability + uncertainty - brier_score(tally), uncertainty)
 
 
 def log_loss(tally: Tally) -> Scores:

@@ -1,7 +1,7 @@
-"""The referee: delivers the frames of a stretch to a tracker, and sets each forecast against the frames that came.
+"""The referee: delivers the frames of a stretch to a tracker, and pairs each forecast with the observed frames.
 
-A tracker is handed frames up to now and nothing else; what is held back is one horizon of frames and the forecasts
-still waiting for theirs, however long the stretch.
+A tracker receives past frames only. Memory is bounded by one horizon of frames and the forecasts within it, whatever
+the length of the stretch.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ from gridtrack.recordings.stream import frame_digest
 from gridtrack.trackers.contract import Forecast, FrameSource
 
 WARM_UP = 20
-"""Frames at the start of a stretch that are delivered, and not scored."""
+"""Frames at the start of a stretch that are delivered and not scored."""
 
 
 class TrackerLike(Protocol):
-    """What the referee needs of a tracker, in its own process or in this one."""
+    """The methods of a tracker that the referee calls, in the tracker's process or in this one."""
 
     def reset(self, seed: int) -> None: ...  # noqa: D102
 
@@ -39,9 +39,9 @@ class TrackerLike(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Schedule:
-    """Which frames of a stretch of `frames` are forecast from: the same for every tracker.
+    """The frames that are forecast from, of a stretch of `frames` frames: the same for every tracker.
 
-    Every `every`-th after the warm-up, as long as all `steps` ahead lie inside the stretch.
+    Every `every`-th frame after the warm-up whose `steps` following frames lie inside the stretch.
     """
 
     frames: int
@@ -54,13 +54,13 @@ class Schedule:
 
     @property
     def expected(self) -> int:
-        """How many frames are scored when nothing goes wrong."""
+        """Number of frames scored in a complete trial."""
         return len(range(WARM_UP, self.frames - self.steps, self.every))
 
 
 @dataclass(frozen=True, slots=True)
 class ScoredForecast:
-    """A forecast made at frame t, the `targets` t..t+steps that came, and the band (M, M) of each cell's age at t."""
+    """A forecast made at frame t, the observed `targets` t..t+steps, and the age band (M, M) of each cell at t."""
 
     forecast: Forecast
     targets: tuple[Target, ...]
@@ -73,17 +73,17 @@ class ScoredForecast:
 
     @property
     def stamp_ns(self) -> int:
-        """When the forecast was made: the stamp of frame t."""
+        """Stamp of frame t, at which the forecast was made."""
         return self.targets[0].frame.stamp_ns
 
 
 def scored_forecasts(
     tracker: TrackerLike, stream: Iterable[Target], schedule: Schedule, seed: int
 ) -> Iterator[ScoredForecast]:
-    """Show the tracker the frames of `stream`, and yield each scheduled forecast once its last frame has come."""
+    """Stream `stream` through the tracker, and yield each scheduled forecast when its last frame is observed."""
     tracker.reset(seed)
     recent: deque[Target] = deque(maxlen=schedule.steps + 1)
-    waiting: deque[tuple[int, Forecast, NDArray[np.uint8]]] = deque()
+    pending: deque[tuple[int, Forecast, NDArray[np.uint8]]] = deque()
     last_seen = LastSeen()
     for index, target in enumerate(stream):
         recent.append(target)
@@ -91,14 +91,14 @@ def scored_forecasts(
         tracker.update(target.frame)
         if schedule.due(index):
             ages = last_seen.bands(target.frame.stamp_ns)
-            waiting.append((index + schedule.steps, tracker.predict(schedule.steps), ages))
-        if waiting and waiting[0][0] == index:
-            _, forecast, ages = waiting.popleft()
+            pending.append((index + schedule.steps, tracker.predict(schedule.steps), ages))
+        if pending and pending[0][0] == index:
+            _, forecast, ages = pending.popleft()
             yield ScoredForecast(forecast, tuple(recent), ages)
 
 
 class Delivery:
-    """The frames of a stretch on their way to a tracker: counted, and hashed as they were delivered."""
+    """The frames of a stretch, counted and hashed as they are delivered to a tracker."""
 
     def __init__(self, stream: FrameSource, on_frame: Callable[[], None]) -> None:
         """`on_frame()` is called before each frame; what it raises ends the delivery."""
@@ -108,18 +108,18 @@ class Delivery:
         self._hash = hashlib.blake2b(digest_size=16)
 
     def __iter__(self) -> Iterator[Target]:
-        """The frames, once, each with what is held back to score against.
+        """The frames, once, as targets.
 
-        Raises RecordingError where the sensor moves: a cell is then not one place in the world.
+        Raises RecordingError where the sensor moves: a cell is then not a fixed place in the world.
         """
-        standing: SE2 | None = None
+        first_pose: SE2 | None = None
         for target in targets(self._stream):
             frame = target.frame
-            standing = standing or frame.world_T_grid
-            if not same_pose(frame.world_T_grid, standing):
+            first_pose = first_pose or frame.world_T_grid
+            if not same_pose(frame.world_T_grid, first_pose):
                 raise RecordingError(
-                    f"{self._stream.name}: the sensor moves at {frame.stamp_ns / 1e9:.3f} s, and only a standing one"
-                    " can be scored: name a stretch in which it stands, such as RECORDING@30s-90s"
+                    f"{self._stream.name}: the sensor moves at {frame.stamp_ns / 1e9:.3f} s, and only a sensor at"
+                    " rest can be scored: name a stretch in which it is at rest, such as RECORDING@30s-90s"
                 )
             self._on_frame()
             self._hash.update(frame_digest(frame))

@@ -1,4 +1,4 @@
-"""What degraded frames did to a trial, for the summary: curves over their strength, and whether all saw the same."""
+"""Robustness in the summary: F1 over the strength of degradation, and trials with mismatched degraded frames."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from gridtrack.evaluation.scoring.record import Robustness, TrialRecord
 
 
 def robustness_summary(robustness: Robustness, strata: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
-    """F1 of each kind by its strength; strength 0 is the trial's own score, as `strata` of the summary has it."""
+    """F1 of each kind of degradation by strength; strength 0 is the trial's own score, from `strata` of the summary."""
     undegraded = {
         "strength": 0.0,
         "value": 0.0,
@@ -24,20 +24,20 @@ def robustness_summary(robustness: Robustness, strata: Mapping[str, Mapping[str,
     return {"degradation": robustness.degradation.model_dump(), "kinds": kinds}
 
 
-def shown_others(records: Iterable[tuple[str, TrialRecord]]) -> list[str]:
-    """Labels of the trials of one recording that were shown other degraded frames than most, at equal strength.
+def mismatched_degradations(records: Iterable[tuple[str, TrialRecord]]) -> list[str]:
+    """Labels of the trials of one recording whose degraded frames differ from those of most trials.
 
-    `records` with the returns that each asked for: those that asked for others are compared among themselves.
+    `records` are pairs of the requested returns and the record; trials are compared at equal returns and strength.
     """
-    shown = [
+    deliveries = [
         (record.label, (points, kind, point.value), point.delivered)
         for points, record in records
         if record.robustness
         for kind, curve in record.robustness.kinds.items()
         for point in curve
     ]
-    usual: dict[tuple[str, str, float], Counter[str]] = {}
-    for _, condition, digest in shown:
-        usual.setdefault(condition, Counter())[digest] += 1
-    odd = (label for label, condition, digest in shown if digest != usual[condition].most_common(1)[0][0])
-    return list(dict.fromkeys(odd))
+    digests: dict[tuple[str, str, float], Counter[str]] = {}
+    for _, condition, digest in deliveries:
+        digests.setdefault(condition, Counter())[digest] += 1
+    mismatched = (label for label, condition, digest in deliveries if digest != digests[condition].most_common(1)[0][0])
+    return list(dict.fromkeys(mismatched))

@@ -1,4 +1,4 @@
-"""The scorekeeper: what each forecast of a trial scored, written down as soon as its last frame has come."""
+"""The scorekeeper: writes the score of each forecast of a trial when its last frame is observed."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from gridtrack.evaluation.scoring.strata import RegionMaps
 from gridtrack.evaluation.scoring.thresholds import Thresholds
 
 SCORE_FILES = (SCORES, HISTOGRAM, CLASSES, SEMANTICS, SAMPLES)
-"""What a trial's scores are kept in; classes only where the recording has any, semantics where the tracker gives it."""
+"""Files of a trial's scores; CLASSES only where the recording has classes, SEMANTICS where the tracker has them."""
 
 
 class Scorekeeper:
-    """A context manager: what was scored until it is left lies in whole files."""
+    """A context manager; on exit, also by an error, the scores so far are complete files."""
 
     def __init__(
         self,
@@ -32,7 +32,7 @@ class Scorekeeper:
         thresholds: Thresholds,
         classes: tuple[str, ...],
     ) -> None:
-        """`classes` are those that the tracker gives probabilities for."""
+        """`classes` are those for which the tracker forecasts probabilities."""
         known = split.test.classes
         self._region_maps, self._thresholds, self._classes = region_maps, thresholds, len(known)
         self._matching = match_classes(classes, known) if classes and known else None

@@ -1,4 +1,4 @@
-"""Counting classes: what a forecast says that occupied cells are, and which cells of each class it found at all."""
+"""Counts of classes: the forecast class of occupied cells, and the recall of occupancy by class."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from gridtrack.evaluation.scoring.target import SEEN_OCCUPIED, Target
 from gridtrack.evaluation.scoring.thresholds import Thresholds
 
 VISIBILITIES = ("visible", "occluded")
-"""Where the class of a cell is known: of what beams that end in it met; and, with truth, of outlines not seen."""
-_FOUND_AT = ("moving", "occluded")
-"""The stratum whose threshold decides whether a cell was found, by visibility."""
+"""Visibility of a labelled cell: a labelled beam ends in it; or, with truth, a hidden outline passes through it."""
+_THRESHOLD_STRATA = ("moving", "occluded")
+"""By visibility the stratum whose threshold decides whether a cell is found."""
 _MOVING = CELL_KINDS.index("moving")
 
 
 @dataclass(frozen=True, slots=True)
 class Matching:
-    """Classes matched by name.
+    """Classes of a tracker (T) and of a recording (K), matched by name.
 
-    `column` (T,) int64: for each of the tracker's classes its index among the recording's K, or K for one that the
-    recording does not have; `row` (K,) int64: for each of the recording's the tracker's, or -1.
+    `column` (T,) int64: index of each tracker class in the recording's classes, K where the recording lacks it; `row`
+    (K,) int64: index of each recording class in the tracker's classes, -1 where the tracker lacks it.
     """
 
     column: NDArray[np.int64]
@@ -46,9 +46,9 @@ def count_classes(
 ) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
     """Confusion counts and log loss (S, visibility, K, K+1) of one forecast, on the cells whose class is known.
 
-    `semantics` (S, T, M, M) float32. Rows are true classes, columns the most probable ones, the last one for a class
-    that the recording does not have. The log loss, in nats, is summed over the cells of each entry; a class that the
-    tracker does not give has probability 0, clipped like all others.
+    `semantics` (S, T, M, M) float32. Rows are true classes, columns the most probable ones; the last column is for
+    classes that the recording lacks. The log loss, in nats, is summed over the cells of each entry; a class that the
+    tracker lacks has probability 0, clipped like all others.
     """
     classes = matching.row.size
     shape = (len(targets), len(VISIBILITIES), classes, classes + 1)
@@ -66,19 +66,19 @@ def count_found(
     thresholds: Thresholds,
     classes: int,
 ) -> NDArray[np.int32]:
-    """TP, FN, TP at 0.5 and FN at 0.5 (S, visibility, K, 4) of one forecast, by true class, where things move.
+    """TP, FN, TP at 0.5 and FN at 0.5 (S, visibility, K, 4) of one forecast, by true class, in `moving` cells.
 
     `occupancy` (S, M, M) float32; `cell_kinds` (M, M) uint8. Visible cells are called occupied at the threshold
     of the stratum `moving`, hidden cells at that of `occluded`.
     """
     found = np.zeros((len(targets), len(VISIBILITIES), classes, 4), np.int32)
     values = thresholds.values.astype(np.float32)
-    at = [values[:, thresholds.strata.index(name)] if name in thresholds.strata else values[:, 0] for name in _FOUND_AT]
+    columns = [thresholds.strata.index(name) if name in thresholds.strata else 0 for name in _THRESHOLD_STRATA]
     for n, target in enumerate(targets):
         cells = cell_kinds.reshape(-1)[target.cells] == _MOVING
         p, labels = occupancy[n].reshape(-1)[target.cells[cells]], target.labels[cells]
         visibility = (target.state.reshape(-1)[target.cells[cells]] != SEEN_OCCUPIED).astype(np.int64)
-        threshold = np.array([at[0][n], at[1][n]], np.float32)[visibility]
+        threshold = values[n, columns][visibility]
         missed = np.stack([p < threshold, p < EDGES[HALF]], axis=1)
         for i in range(2):
             np.add.at(found[n], (visibility, labels, 2 * i + missed[:, i].astype(np.int64)), 1)

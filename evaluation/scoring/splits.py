@@ -1,4 +1,4 @@
-"""A split: a recording as every tracker is run over it, with its test and validation stretches, steps and strata."""
+"""Evaluation splits: the test and validation stretches of a recording, its steps, strata and schedule."""
 
 from __future__ import annotations
 
@@ -26,18 +26,18 @@ from gridtrack.recordings.truth import static_cells
 from gridtrack.trackers.weights import TrainingData
 
 TEST, VALIDATION, TRAIN = "test", "validation", "train"
-"""The stretches that a recording may name for these uses."""
+"""Names of stretches in a recording that have a use here."""
 ORACLE = "oracle"
-"""Label of the ceiling, which the referee computes where there is truth; no tracker may take it."""
-AT_HALF = ", so every threshold is 0.5; name one with --validation"
+"""Label of the oracle, which the referee runs where there is truth; no tracker may have this label."""
+_AT_HALF = ", so every threshold is 0.5; name one with --validation"
 MAX_FORECAST_BYTES = 1 << 30
 VALIDATION_FORECASTS = 60
-"""About so many forecasts, at least, choose the thresholds; on ten or twenty of them the choice is noise."""
+"""Approximate minimum of forecasts on which thresholds are chosen; with ten or twenty the choice is noise."""
 
 
 @dataclass(frozen=True, slots=True)
 class Sampling:
-    """How recordings become streams, and how far and how often to look ahead; None: the recording's own."""
+    """Grid and rate of the streams (None: the recording's own), horizon and period of the forecasts."""
 
     horizon_s: float
     every_s: float
@@ -47,9 +47,9 @@ class Sampling:
 
 @dataclass(frozen=True, slots=True)
 class SplitRegions:
-    """Where cells belong, seen from where the tested and from where the validation stretch stands.
+    """Region maps of the test and of the validation stretch.
 
-    Thresholds chosen on another recording, or from another place, are chosen on the strata that are seen from there.
+    They differ where the sensor has another pose in the two: thresholds are then chosen on the strata of the latter.
     """
 
     test: RegionMaps
@@ -58,7 +58,10 @@ class SplitRegions:
 
 @dataclass(frozen=True, slots=True)
 class EvaluationSplit:
-    """One recording of a comparison, resolved; `name` is unique in a run and names it in every file."""
+    """One recording of a comparison with its stretches, steps and forecast period in frames.
+
+    `name` is unique in a run and identifies the split in every file.
+    """
 
     name: str
     path: Path
@@ -70,12 +73,12 @@ class EvaluationSplit:
 
     @property
     def schedule(self) -> Schedule:
-        """Which frames of the test stretch are forecast from."""
+        """The frames of the test stretch that are forecast from."""
         return Schedule(len(self.test), self.steps, self.every)
 
     @property
     def strata(self) -> tuple[str, ...]:
-        """What is scored apart."""
+        """Names of the strata that are scored."""
         return STRATA_WITH_TRUTH if self.test.has_truth else STRATA
 
     @property
@@ -85,7 +88,7 @@ class EvaluationSplit:
 
     @property
     def validation_schedule(self) -> Schedule:
-        """Which frames of the validation stretch are forecast from: as often as in the test, or more on a short one."""
+        """The frames of the validation stretch that are forecast from: as often as in the test, more often if short."""
         assert self.validation is not None
         frames = len(self.validation)
         enough = -(-(frames - WARM_UP - self.steps) // VALIDATION_FORECASTS)
@@ -94,12 +97,12 @@ class EvaluationSplit:
     def regions(self) -> SplitRegions:
         """Region maps of both stretches; a single pass where both show one recording from the same pose."""
         test = _region_maps(self.test, self.strata)
-        if self.validation is None or _shows_the_same(self.test, self.validation):
+        if self.validation is None or _share_region_maps(self.test, self.validation):
             return SplitRegions(test, test)
         return SplitRegions(test, _region_maps(self.validation, self.strata))
 
     def description(self) -> dict[str, Any]:
-        """What the summary says of it beside the scores."""
+        """The recording's entry in the summary, scores apart."""
         return {
             "horizons_s": [round(step * self.test.period_s, 6) for step in range(self.steps + 1)],
             "stretch": self.test.name,
@@ -115,7 +118,7 @@ class EvaluationSplit:
         }
 
     def identity(self) -> dict[str, Any]:
-        """What decides the scores on it: a resumed run must have the same."""
+        """What the scores depend on; a resumed run must have the same."""
         validation = self.validation
         return self.description() | {
             "stretch_s": list(self.test.stretch_s),
@@ -126,7 +129,7 @@ class EvaluationSplit:
 
 
 def plan_splits(texts: Iterable[str], validation: str | None, sampling: Sampling) -> tuple[EvaluationSplit, ...]:
-    """The split of each RECORDING[@range], as `plan_split`; what they have for validation is surveyed once."""
+    """The split of each RECORDING[@range], as of `plan_split`; `validation` is opened once."""
     opened = open_recording(parse_stretch(validation)[0]) if validation else None
     return tuple(plan_split(text, validation, sampling, opened) for text in texts)
 
@@ -134,10 +137,10 @@ def plan_splits(texts: Iterable[str], validation: str | None, sampling: Sampling
 def plan_split(
     text: str, validation: str | None, sampling: Sampling, opened: Recording | None = None
 ) -> EvaluationSplit:
-    """The split of RECORDING[@range]: its named test stretch, or the whole, where no range is given.
+    """The split of RECORDING[@range]; without a range the stretch named `test`, else the whole recording.
 
     Thresholds are chosen on `validation`, RECORDING[@range], else on the recording's own validation stretch; `opened`
-    is the recording of `validation` where it is open already. Raises RecordingError, and ConfigurationError where the
+    is the recording of `validation` if it is open already. Raises RecordingError, and ConfigurationError where the
     horizon or the stretches do not fit.
     """
     path, stretch = parse_stretch(text)
@@ -155,7 +158,7 @@ def plan_split(
 
 
 def _steps(stream: GridStream, horizon_s: float) -> int:
-    """The horizon in steps. Raises ConfigurationError where it is none, or its forecasts would be too large."""
+    """The horizon in steps. Raises ConfigurationError for less than one step, and for forecasts that are too large."""
     steps = round(horizon_s / stream.period_s)
     if steps < 1:
         raise ConfigurationError(
@@ -165,8 +168,8 @@ def _steps(stream: GridStream, horizon_s: float) -> int:
     size = (steps + 1) * stream.grid.size**2 * 4
     if size > MAX_FORECAST_BYTES:
         raise ConfigurationError(
-            f"forecasts of {steps} steps on {stream.grid.size} x {stream.grid.size} cells take {size} bytes each; more"
-            f" than {MAX_FORECAST_BYTES} are refused: choose a shorter --horizon, a lower --rate or a smaller --grid"
+            f"forecasts of {steps} steps on {stream.grid.size} x {stream.grid.size} cells take {size} bytes each,"
+            f" more than the limit of {MAX_FORECAST_BYTES}: choose a shorter --horizon, lower --rate or smaller --grid"
         )
     return steps
 
@@ -179,31 +182,31 @@ def _too_short(stream: GridStream, steps: int) -> str:
 
 
 def _validation_stretch(
-    test: GridStream, asked: str | None, steps: int, opened: Recording | None
+    test: GridStream, requested: str | None, steps: int, opened: Recording | None
 ) -> tuple[GridStream | None, tuple[str, ...]]:
-    """The stretch to choose thresholds on, or None and why; never one that shares a frame with the tested one.
+    """The stretch on which thresholds are chosen, or None with notices; it shares no frame with the test stretch.
 
-    What cannot be used is an error where it was asked for, and a notice where the recording merely names it.
+    A stretch that cannot be used is an error where it was requested, and a notice where the recording names it.
     """
-    if asked is not None:
-        path, named = parse_stretch(asked)
+    if requested is not None:
+        path, named = parse_stretch(requested)
         stretch = GridStream(opened or open_recording(path), named, grid=test.grid, rate_hz=1e9 / test.period_ns)
     elif VALIDATION in test.recording.info.stretches:
         stretch = own_validation(test)
     else:
-        return None, (f"{test.name}: no validation stretch{AT_HALF}",)
+        return None, (f"{test.name}: no validation stretch{_AT_HALF}",)
     problem = ""
     if shares_frames(test, stretch):
         problem = f"{test.name} shares frames with its validation {stretch.name}"
     elif len(stretch) <= WARM_UP + steps:
         problem = _too_short(stretch, steps)
-    if problem and asked is not None:
+    if problem and requested is not None:
         raise ConfigurationError(f"{problem}: name another --validation")
-    return (None, (problem + AT_HALF,)) if problem else (stretch, ())
+    return (None, (problem + _AT_HALF,)) if problem else (stretch, ())
 
 
 def own_validation(stream: GridStream) -> GridStream:
-    """The stretch that the recording names for validation. Raises RecordingError, which says how to name another."""
+    """The stretch named `validation` of the recording. Raises RecordingError where there is none."""
     try:
         return like(stream, VALIDATION)
     except RecordingError as error:
@@ -211,7 +214,7 @@ def own_validation(stream: GridStream) -> GridStream:
 
 
 def like(stream: GridStream, stretch: Stretch | str | None = None, points: Points | None = None) -> GridStream:
-    """Another stretch of the same recording, on the same grid and period; None: the whole."""
+    """Another stretch of the same recording, on the same grid and period; None: the whole recording."""
     return GridStream(
         stream.recording,
         stretch,
@@ -222,12 +225,12 @@ def like(stream: GridStream, stretch: Stretch | str | None = None, points: Point
 
 
 def with_points(stream: GridStream, points: Points) -> GridStream:
-    """The same stretch with other returns."""
+    """The same stretch with the returns `points`."""
     return stream if points == stream.points else like(stream, stream.stretch_s, points)
 
 
 def _region_maps(stream: GridStream, strata: tuple[str, ...]) -> RegionMaps:
-    """Where cells belong, by what stands there; where that is not known, by a pass over the whole recording."""
+    """Region maps of a stretch, from the true scene; without truth from a pass over the whole recording."""
     first = next(iter(stream.observations()))
     grid, pose = stream.grid, first.frame.world_T_grid
     if first.scene is not None:
@@ -237,21 +240,21 @@ def _region_maps(stream: GridStream, strata: tuple[str, ...]) -> RegionMaps:
     return region_maps_of(cell_kinds, grid, first.frame.origins, strata)
 
 
-def _standing(stream: GridStream) -> SE2:
+def _first_pose(stream: GridStream) -> SE2:
     return next(iter(stream)).world_T_grid
 
 
-def _shows_the_same(one: GridStream, other: GridStream) -> bool:
-    return one.sha256 == other.sha256 and same_pose(_standing(one), _standing(other))
+def _share_region_maps(one: GridStream, other: GridStream) -> bool:
+    return one.sha256 == other.sha256 and same_pose(_first_pose(one), _first_pose(other))
 
 
 def shares_frames(one: GridStream, other: GridStream) -> bool:
-    """Whether two stretches are of the same file and overlap in time."""
+    """Whether two stretches belong to the same file and overlap in time."""
     return one.sha256 == other.sha256 and _overlap(one.stretch_s, other.stretch_s)
 
 
 def was_seen(test: GridStream, seen: TrainingData) -> bool:
-    """Whether what weights were made from shares frames with `test`; a stretch that cannot be found again counts."""
+    """Whether training data `seen` shares frames with `test`; a stretch that the recording no longer names counts."""
     if seen.sha256 != test.sha256:
         return False
     _, stretch = parse_stretch(seen.recording)

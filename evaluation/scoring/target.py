@@ -1,4 +1,4 @@
-"""The target of a forecast: what was there when its frame came, seen or, where there is truth, not seen."""
+"""Targets: the state of each cell in an observed frame, and with truth also of hidden cells."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from gridtrack.recordings.truth import FREE, INTERIOR, OUTLINE, TruthGrid, truth
 from gridtrack.trackers.contract import FrameSource
 
 SEEN_FREE, SEEN_OCCUPIED, HIDDEN_FREE, HIDDEN_OCCUPIED, NOT_SCORED = range(5)
-"""States of a cell in a frame. An odd one is a positive; a hidden cell is occupied where a true outline passes."""
+"""States of a cell in a frame; odd states are positives. A hidden cell is occupied if a true outline crosses it."""
 _STATE_OF_COVER = np.zeros(3, np.uint8)
 _STATE_OF_COVER[[FREE, OUTLINE, INTERIOR]] = HIDDEN_FREE, HIDDEN_OCCUPIED, NOT_SCORED
 _NO_CELLS, _NO_LABELS = np.zeros(0, np.int64), np.zeros(0, np.uint8)
@@ -24,11 +24,11 @@ _NO_CELLS, _NO_LABELS = np.zeros(0, np.int64), np.zeros(0, np.uint8)
 
 @dataclass(frozen=True, slots=True)
 class Target:
-    """A frame, and what a forecast of it is scored against.
+    """A frame, and the states that a forecast of it is scored against.
 
     `state` (M, M) uint8 of the states above; without truth no hidden cell is scored. `cells` (N,) int64, row * M +
-    column, are the occupied cells whose class is known, seen and hidden ones; `labels` (N,) uint8 their classes, as
-    indices into the recording's.
+    column: the occupied cells with a known class, visible and hidden; `labels` (N,) uint8: their classes, indices into
+    the recording's classes.
     """
 
     frame: GridFrame
@@ -38,19 +38,19 @@ class Target:
 
     @classmethod
     def of_frame(cls, frame: GridFrame) -> Target:
-        """The target of a frame of which nothing more is known."""
+        """The target of a frame without truth and labels."""
         return cls(frame, np.where(frame.visible, frame.occupied, np.uint8(NOT_SCORED)).astype(np.uint8))
 
 
 def targets(stream: FrameSource) -> Iterator[Target]:
-    """The frames of a stretch as targets; a GridStream knows more of them than the frames. Raises RecordingError."""
+    """The frames of a stretch as targets; of a GridStream with truth and labels. Raises RecordingError."""
     if isinstance(stream, GridStream):
         return (target_of(observation, stream.grid, stream.classes) for observation in stream.observations())
     return (Target.of_frame(frame) for frame in stream)
 
 
 def target_of(observation: Observation, grid: GridSpec, classes: Sequence[str]) -> Target:
-    """What forecasts of an observed frame are scored against. Raises RecordingError."""
+    """The target of an observation, with the truth and labels that it has. Raises RecordingError."""
     frame = observation.frame
     truth = _truth(observation, grid)
     target = Target.of_frame(frame)

@@ -1,4 +1,4 @@
-"""The threshold of each step and stratum: from which probability on a cell of a forecast is called occupied."""
+"""Thresholds by step and stratum: a cell with at least this probability is called occupied."""
 
 from __future__ import annotations
 
@@ -14,10 +14,9 @@ from gridtrack.evaluation.scoring.strata import STRATA, THRESHOLD_OF
 
 @dataclass(frozen=True, slots=True)
 class Thresholds:
-    """Histogram bins (S, K), a threshold for each step and stratum, and the stretch that they were chosen on.
+    """Thresholds as histogram bins (S, K) by step and stratum, and the stretch on which they were chosen.
 
-    `strata` names the K of them.
-    `chosen_on` is empty where there was no validation stretch; the thresholds are then 0.5.
+    `strata` names the K strata. `chosen_on` is empty without a validation stretch; all thresholds are then 0.5.
     """
 
     bins: NDArray[np.int64]
@@ -31,18 +30,18 @@ class Thresholds:
 
 
 def half(steps: int, strata: tuple[str, ...] = STRATA) -> Thresholds:
-    """0.5 at steps 0..steps, in every stratum."""
+    """Thresholds of 0.5 at steps 0..steps, in every stratum."""
     return Thresholds(np.full((steps + 1, len(strata)), HALF), strata=strata)
 
 
 def best_thresholds(tally: Tally, chosen_on: str) -> Thresholds:
-    """The thresholds that maximise each step's F1 in each stratum on the stretch that `tally` counts.
+    """The thresholds that maximise F1 at each step in each stratum of `tally`.
 
-    Candidates are the bins' edges. Among equals the one nearest to 0.5, so a forecast of zeros and ones gets 0.5,
-    and so does a step at which nothing was occupied. Each stratum has its own because the best threshold for F1 is
-    half the F1 that can be had (Lipton et al., 2014): where walls are nearly all that is seen, a threshold chosen on
-    everything lies above any honest probability of a person's next place, and calls nothing there occupied. Bands of
-    range and of age share the threshold of the whole that they are parts of.
+    Candidates are the edges of the bins; of equal ones the nearest to 0.5 is chosen, so a binary forecast gets 0.5, and
+    so does a step without occupied cells. Each stratum has its own threshold, because the best threshold for F1 is half
+    the attainable F1 (Lipton et al., 2014): where most visible cells are walls, one threshold for all cells is higher
+    than any calibrated probability of a moving object. Bands of range and of age use the threshold of the stratum that
+    they are parts of.
     """
     candidates = np.array(sorted(range(1, PROBABILITY_BINS), key=lambda b: abs(b - HALF)))
     f1 = np.stack([f1_score(tally.confusion(np.full(tally.squared_error.shape, b))) for b in candidates])

@@ -30,7 +30,7 @@ def curves_of(trials: Sequence[tuple[TrialRecord, Tally]], strata: tuple[str, ..
         at_threshold += tally.confusion(bins)
         at_visible += tally.confusion(np.broadcast_to(_bins(record, ("visible",)), bins.shape))
         chosen.append(_thresholds(record, strata))
-    parts = metrics.brier_parts(together)
+    parts = metrics.brier_decomposition(together)
     curves = {
         "f1": metrics.f1_score(at_threshold),
         "precision": metrics.precision(at_threshold),

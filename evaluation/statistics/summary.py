@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from gridtrack.evaluation.scoring.class_scores import unknown_classes
-from gridtrack.evaluation.scoring.robustness import robustness_summary, shown_others
+from gridtrack.evaluation.scoring.robustness import mismatched_degradations, robustness_summary
 from gridtrack.evaluation.scoring.scores import read_deliveries
 from gridtrack.evaluation.statistics.ceiling import add_ceiling
 from gridtrack.evaluation.statistics.class_inference import ClassInference
@@ -76,7 +76,7 @@ def _odd_things(
         found += filter(None, (unknown_classes(trial.record, description) for trial in of_recording))
         found += [
             f"{label} on {name} was shown other degraded frames than the rest: its robustness is not comparable"
-            for label in shown_others((trial.points, trial.record) for trial in of_recording)
+            for label in mismatched_degradations((trial.points, trial.record) for trial in of_recording)
         ]
         found += [
             f"{label} on {name} was delivered other frames than the rest: its scores are not comparable"

@@ -49,15 +49,15 @@ def failures(name: str, **options: object) -> dict[str, CheckResult]:
         ("rolls-dice", "same seed and frames", "the same stream again, after reset .* differ by"),
         (
             "counts-predictions",
-            "predict leaves the state alone",
+            "predict does not change the state",
             "twice in a row: after frame 1 .* by up to 0.5",
         ),
         (
             "remembers-the-future",
-            "future frames change nothing",
-            "two streams that part only after frame 10",
+            "forecasts do not depend on future frames",
+            "two streams that differ only after frame 10",
         ),
-        ("never-forgets", "reset forgets the last stream", "in a fresh process, and after another stream and a reset"),
+        ("never-forgets", "reset clears the state", "in a fresh process, and after another stream and a reset"),
         (
             "keeps-to-one-grid",
             "works on another grid",

@@ -15,7 +15,7 @@ from gridtrack.evaluation.comparison.settings import CompareSettings
 from gridtrack.evaluation.scoring import scorekeeper
 from gridtrack.evaluation.scoring.deadline import Costs
 from gridtrack.evaluation.scoring.record import AtStrength, Robustness, TrialRecord
-from gridtrack.evaluation.scoring.robustness import shown_others
+from gridtrack.evaluation.scoring.robustness import mismatched_degradations
 from gridtrack.recordings.degradation import Degradation
 
 pytestmark = pytest.mark.usefixtures("staged")
@@ -141,9 +141,11 @@ def test_other_degraded_frames_than_the_rest_are_found():
         return TrialRecord(schema=1, label=label, recording="room", outcome="ok", steps=1, robustness=robustness)
 
     same = [("centres", record(label, "aa")) for label in ("one", "two")]
-    assert shown_others(same) == []
-    assert shown_others([*same, ("centres", record("odd", "bb"))]) == ["odd"]
-    assert shown_others([*same, ("raw", record("raw", "cc")), ("centres", record("stronger", "dd", 0.2))]) == []
+    assert mismatched_degradations(same) == []
+    assert mismatched_degradations([*same, ("centres", record("odd", "bb"))]) == ["odd"]
+    assert (
+        mismatched_degradations([*same, ("raw", record("raw", "cc")), ("centres", record("stronger", "dd", 0.2))]) == []
+    )
 
 
 def test_a_resumed_run_degrades_again_only_where_other_strengths_are_asked_for(compare, monkeypatch):

@@ -151,11 +151,11 @@ def test_classes_are_scored_over_the_wire_by_name_now_and_later(complete):
     assert stored["cells"].sum() == sum(sum(scores["cells"]) for scores in semantics["kinds"].values())
 
 
-def test_a_class_that_a_tracker_never_heard_of_is_told_and_counts_against_it(complete):
+def test_a_class_that_a_tracker_lacks_gives_a_notice_and_counts_as_misclassified(complete):
     summary, _ = complete
     assert [notice for notice in summary["notices"] if "stranger" in notice] == [
-        "stranger names no class cyclist, static, which room has: cells of it count as taken for another, with"
-        " probability 0"
+        "stranger does not forecast the classes cyclist, static of room: their cells count as misclassified,"
+        " with probability 0"
     ]
     confusion = np.array(trial_of(summary, "stranger")["semantics"]["kinds"]["visible"]["confusion"][0]["cells"])
     cyclist, static = truth_scene.CLASSES.index("cyclist"), truth_scene.CLASSES.index("static")

@@ -15,7 +15,7 @@ from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec
 from gridtrack.evaluation.processes.limits import Limits
 from gridtrack.evaluation.processes.outcome import TrialEnded
-from gridtrack.evaluation.processes.tracker_process import Started, TrackerProcess
+from gridtrack.evaluation.processes.tracker_process import TrackerDescription, TrackerProcess
 from gridtrack.trackers.contract import StreamSpec
 from gridtrack.trackers.selection import Launch
 
@@ -59,12 +59,12 @@ def test_a_tracker_of_countless_classes_is_refused_when_it_starts(tmp_path):
         pass
 
 
-def described(fields: dict[str, object], tmp_path: Path) -> Started:
+def described(fields: dict[str, object], tmp_path: Path) -> TrackerDescription:
     """How a tracker that starts with these fields describes itself."""
     program = Launch("rogue", (sys.executable, str(PROGRAM), "garbage", json.dumps(fields)))
     process = TrackerProcess(program, StreamSpec(GridSpec(20, 0.2), 0.125), {}, LIMITS, tmp_path / "stderr.log")
     with process:
-        return process.started
+        return process.description
 
 
 def test_a_program_may_name_its_role_and_the_comparisons_that_it_is_the_reference_of(tmp_path: Path) -> None:
@@ -98,10 +98,10 @@ def test_an_unknown_role_or_comparison_is_refused(fields: dict[str, object], rea
         ("not-json", "the header is not JSON"),
         ("nested-json", "the header is not JSON"),
         ("a-list", "the header is not a JSON object"),
-        ("another-number", "an answer to request 9 where 2 was asked"),
+        ("another-number", "answers request 9; expected 2"),
         ("another-kind", "answered 'forecast'; expected 'done'"),
-        ("endless-time", "update with frame 1: 'elapsed_ns' is no span of time"),
-        ("negative-time", "update with frame 1: 'cpu_ns' is no span of time"),
+        ("endless-time", "update with frame 1: 'elapsed_ns' is no duration"),
+        ("negative-time", "update with frame 1: 'cpu_ns' is no duration"),
         ("no-times", "'done' needs a field 'elapsed_ns' of type int; found None"),
         ("made-up-outcome", "an error with outcome 'ok'; expected one of crashed, timeout"),
     ],
@@ -115,8 +115,8 @@ def test_an_answer_that_is_none_is_invalid_output(tmp_path: Path, how: str, reas
 def test_a_program_that_answers_twice_is_found_out_at_the_next_request(tmp_path: Path) -> None:
     # the second answer may come in a little later than the first: then it is taken for the next one's, by number
     assert end("twice", tmp_path) in [
-        ("invalid-output", "update with frame 2: before it, bytes came that nobody had asked for"),
-        ("invalid-output", "update with frame 2: an answer to request 2 where 3 was asked"),
+        ("invalid-output", "update with frame 2: unrequested bytes before the answer"),
+        ("invalid-output", "update with frame 2: answers request 2; expected 3"),
     ]
 
 

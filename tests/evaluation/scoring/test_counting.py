@@ -141,7 +141,7 @@ def test_average_precision_of_bins_is_close_to_that_of_the_probabilities():
 def test_the_parts_of_the_brier_score_agree_with_their_definitions_and_add_up():
     occupancy, frames, cell_kinds = random_case(4)
     tally = count(occupancy, frames, cell_kinds)
-    parts = metrics.brier_parts(tally)
+    parts = metrics.brier_decomposition(tally)
     for step, came in enumerate(frames):
         truth, p = came.occupied[came.visible].astype(float), occupancy[step][came.visible].astype(float)
         binned = (np.digitize(occupancy[step][came.visible], EDGES) - 1).clip(0, PROBABILITY_BINS - 1)

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec
-from gridtrack.evaluation.scoring.deadline import Costs, OnTime, Timeline, spare_steps, timeline
+from gridtrack.evaluation.scoring.deadline import Costs, DeadlineTracker, Timeline, spare_steps, timeline
 from gridtrack.evaluation.scoring.referee import Schedule, scored_forecasts
 from gridtrack.evaluation.scoring.target import Target
 from gridtrack.trackers.contract import Forecast
@@ -39,7 +39,7 @@ def test_a_forecast_that_is_ready_as_a_frame_comes_is_there_and_so_is_the_tracke
 
 def test_one_that_takes_a_period_and_a_half_misses_every_second_frame() -> None:
     busy = of(1.0, 0.5, frames=9)
-    assert busy.taken.tolist() == [True, False] * 4 + [True]
+    assert busy.accepted.tolist() == [True, False] * 4 + [True]
     # the forecast made from frame 0 is there at 1.5 periods, that from frame 2 at 3.5, ...
     assert busy.newest.tolist() == [-1, -1, 0, 0, 2, 2, 4, 4, 6]
 
@@ -47,7 +47,7 @@ def test_one_that_takes_a_period_and_a_half_misses_every_second_frame() -> None:
 def test_each_frame_taken_costs_what_the_next_one_measured_did() -> None:
     slow_first = timeline(6, PERIOD_MS, Costs((250.0, 10.0), (0.0, 10.0)))
     # 0 is busy to 2.5, 3 to 3.2, 4 to 6.5: the second forecast is the one of frame 3
-    assert slow_first.taken.tolist() == [True, False, False, True, True, False]
+    assert slow_first.accepted.tolist() == [True, False, False, True, True, False]
     assert slow_first.newest.tolist() == [-1, -1, -1, 0, 3, 3]
 
 
@@ -74,7 +74,7 @@ def test_time_never_runs_backwards(costs: list[tuple[float, float]], frames: int
             delivered.append((free, k))
             taken.append(k)
         assert found.newest[k] == max((f for at, f in delivered if at <= now), default=-1)
-    assert np.flatnonzero(found.taken).tolist() == taken
+    assert np.flatnonzero(found.accepted).tolist() == taken
 
 
 def test_the_highest_rate_held_is_that_of_the_99th_percentile() -> None:
@@ -119,7 +119,7 @@ class Clockwork:
 def answers(kept: Timeline, steps: int, reach: int, frames: int = 60) -> tuple[Clockwork, list[list[int]]]:
     tracker = Clockwork()
     schedule = Schedule(frames, steps, 5)
-    on_time = OnTime(tracker, kept, schedule, reach)
+    on_time = DeadlineTracker(tracker, kept, schedule, reach)
     scored = scored_forecasts(on_time, map(target, range(frames)), schedule, seed=0)
     said = [np.rint(100 * one.forecast.occupancy[:, 0, 0]).astype(int).tolist() for one in scored]
     return tracker, said
