@@ -262,6 +262,7 @@ def test_a_killed_referee_takes_the_tracker_and_its_children_along(log: Path, tm
 import time
 from pathlib import Path
 from gridtrack.common.grid import GridSpec
+from gridtrack.evaluation.processes.limits import Limits
 from gridtrack.evaluation.processes.tracker_process import TrackerProcess
 from gridtrack.trackers.contract import StreamSpec
 from gridtrack.trackers.selection import launch
