@@ -15,7 +15,7 @@ from gridtrack.common.errors import ConfigurationError
 from gridtrack.common.geometry import SE2
 from gridtrack.common.scan import Scan
 
-OPTION = "--degrade"
+DEGRADE_OPTION = "--degrade"
 JITTER_LEVER_M = 5.0
 """Standard deviation of the position over that of the heading: at this distance both move a point equally."""
 
@@ -53,11 +53,11 @@ def parse_degradation(text: str) -> Degradation:
 
     Raises ConfigurationError.
     """
-    pairs = {kind.replace("_", "-"): value for kind, value in parse_pairs(text, OPTION).items()}
-    degradation = validated(Degradation, pairs, OPTION)
+    pairs = {kind.replace("_", "-"): value for kind, value in parse_pairs(text, DEGRADE_OPTION).items()}
+    degradation = validated(Degradation, pairs, DEGRADE_OPTION)
     if not degradation.kinds:
         known = ", ".join(f"{field.alias}=..." for field in Degradation.model_fields.values())
-        raise ConfigurationError(f"{OPTION}: '{text}' degrades nothing; name one or more of {known}")
+        raise ConfigurationError(f"{DEGRADE_OPTION}: '{text}' degrades nothing; name one or more of {known}")
     return degradation
 
 

@@ -18,7 +18,7 @@ Install = Callable[..., Path]
 
 @pytest.fixture
 def install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Install:
-    """`install(distribution, {name: "module:attribute"}, {file: text})` puts a distribution on the path."""
+    """`install(distribution, {name: "module:attribute"}, {file: text})` installs a distribution with entry points."""
     site = tmp_path / "site"
     site.mkdir()
     monkeypatch.syspath_prepend(str(site))
