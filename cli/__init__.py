@@ -8,6 +8,7 @@ from typing import Annotated, NoReturn
 import typer
 
 from gridtrack.cli import recordings, regress, runs, simulate, trackers
+from gridtrack.cli.options import with_defaults
 from gridtrack.common.errors import GridtrackError, printable
 
 
@@ -32,10 +33,10 @@ app = typer.Typer(
     add_completion=False,
     help="Compare trackers on occupancy grids: the same frames, the same scores, statistics with intervals.",
 )
-app.command("compare")(runs.compare_command)
+app.command("compare", cls=with_defaults(runs.compare_defaults))(runs.compare_command)
 app.command("report")(runs.report_command)
-app.command("regress")(regress.regress_command)
-app.command("train")(trackers.train_command)
+app.command("regress", cls=with_defaults(regress.regress_defaults))(regress.regress_command)
+app.command("train", cls=with_defaults(trackers.train_defaults))(trackers.train_command)
 app.add_typer(trackers.app, name="trackers")
 app.add_typer(recordings.app, name="recording")
 app.add_typer(simulate.app, name="simulate")

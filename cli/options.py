@@ -4,22 +4,56 @@ from __future__ import annotations
 
 import shlex
 import sys
+from collections.abc import Callable, Mapping
+from copy import copy
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from typer.core import TyperCommand
 
 from gridtrack.common.errors import ConfigurationError
+
+if TYPE_CHECKING:
+    from pydantic import BaseModel
 
 RecordingsArgument = Annotated[
     list[str], typer.Argument(metavar="RECORDING[@RANGE]...", help="For example demo.mcap@30s-90s")
 ]
-GridOption = Annotated[str | None, typer.Option(help="CELLSxMETRES[@X,Y], e.g. 100x0.2; default: the recording's")]
+GridOption = Annotated[str | None, typer.Option(help=r"CELLSxMETRES\[@X,Y], e.g. 100x0.2; default: the recording's")]
 RateOption = Annotated[float | None, typer.Option(help="Frames per second; default: the recording's")]
 WeightsOption = Annotated[
     Path | None, typer.Option(help="Folder of learned weights, searched before the user's own and the shipped ones")
 ]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON")]
+
+
+def with_defaults(defaults: Callable[[], Mapping[str, str]]) -> type[TyperCommand]:
+    """A command whose help shows `defaults()`, by the name of the parameter.
+
+    The models of the settings hold the defaults; they are imported for the help and not for every command.
+    """
+
+    class WithDefaults(TyperCommand):
+        def format_help(self, ctx: typer.Context, formatter: Any) -> None:
+            texts = defaults()
+            shown = copy(self)
+            shown.params = [copy(parameter) for parameter in self.params]
+            for parameter in shown.params:
+                parameter.default = texts.get(parameter.name or "", parameter.default)
+            super(WithDefaults, shown).format_help(ctx, formatter)
+
+    return WithDefaults
+
+
+def default_of(model: type[BaseModel], field: str) -> Any:
+    """The default of a field of settings."""
+    return model.model_fields[field].default
+
+
+def seconds_text(value: float) -> str:
+    """Seconds as `seconds` reads them: 2.5 is `2.5s`."""
+    return f"{value:g}s"
 
 
 def seconds(text: str) -> float:

@@ -1,4 +1,4 @@
-"""`compare` and `report`: run trackers on recordings, and render what came of it."""
+"""`compare` and `report`: run trackers on recordings, and write the report of a run."""
 
 from __future__ import annotations
 
@@ -16,7 +16,9 @@ from gridtrack.cli.options import (
     RecordingsArgument,
     WeightsOption,
     command_line,
+    default_of,
     seconds,
+    seconds_text,
 )
 from gridtrack.common.errors import printable
 
@@ -29,46 +31,48 @@ INCOMPLETE, INTERRUPTED = 3, 130
 def compare_command(
     recordings: RecordingsArgument,
     tracker: Annotated[
-        list[str] | None, typer.Option(metavar="[LABEL=]NAME[:KEY=VALUE,...]", help="Repeat; default: all")
+        list[str] | None, typer.Option(metavar="[LABEL=]NAME[:KEY=VALUE,...]", help="Repeat; default: every tracker")
     ] = None,
-    out: Annotated[Path, typer.Option(help="The run's folder")] = Path("runs/latest"),
+    out: Annotated[Path | None, typer.Option(help="The run's folder")] = None,
     validation: Annotated[
-        str | None, typer.Option(help="RECORDING[@RANGE] to choose thresholds on; default: the recording's own")
+        str | None, typer.Option(help=r"RECORDING\[@RANGE] to choose thresholds on; default: the recording's own")
     ] = None,
     reference: Annotated[
-        str | None, typer.Option(metavar="LABEL", help="The row that others are set against; default: persistence")
+        str | None,
+        typer.Option(metavar="LABEL", help="The row that the others are compared with; default: persistence"),
     ] = None,
-    horizon: Annotated[str, typer.Option(help="How far to forecast")] = "2.5s",
-    every: Annotated[str, typer.Option(help="Time between scored forecasts")] = "1s",
+    horizon: Annotated[str | None, typer.Option(help="The longest horizon of a forecast")] = None,
+    every: Annotated[str | None, typer.Option(help="Time between scored forecasts")] = None,
     grid: GridOption = None,
     rate: RateOption = None,
-    jobs: Annotated[int | None, typer.Option(help="Trials side by side; default: one a core")] = None,
-    threads: Annotated[int, typer.Option(help="Compute threads of each tracker")] = 1,
-    memory: Annotated[int, typer.Option(help="Memory limit of each tracker, MB")] = 4096,
-    start_timeout: Annotated[str, typer.Option(help="A tracker's time to start")] = "180s",
-    update_timeout: Annotated[str, typer.Option(help="Its time for each frame")] = "5s",
-    predict_timeout: Annotated[str, typer.Option(help="Its time for each forecast")] = "30s",
-    seed: int = 0,
+    jobs: Annotated[int | None, typer.Option(help="Trials at the same time; default: one per processor core")] = None,
+    threads: Annotated[int | None, typer.Option(help="Compute threads of each tracker")] = None,
+    memory: Annotated[int | None, typer.Option(help="Memory limit of each tracker, MB")] = None,
+    start_timeout: Annotated[str | None, typer.Option(help="Time limit for the start of a tracker")] = None,
+    update_timeout: Annotated[str | None, typer.Option(help="Time limit for each frame")] = None,
+    predict_timeout: Annotated[str | None, typer.Option(help="Time limit for each forecast")] = None,
+    seed: Annotated[int | None, typer.Option(help="Seed of every tracker and of degraded input")] = None,
     weights: WeightsOption = None,
     trackers_toml: Annotated[Path | None, typer.Option(help="Trackers of other environments and programs")] = None,
-    resume: Annotated[bool, typer.Option(help="Run only what is missing in the folder")] = False,
-    latency: Annotated[bool, typer.Option(help="Afterwards time each tracker alone")] = False,
+    resume: Annotated[bool, typer.Option(help="Run only the trials that are missing in the run's folder")] = False,
+    latency: Annotated[bool, typer.Option(help="After the scores, measure the time of each tracker alone")] = False,
     deadline: Annotated[
-        bool, typer.Option(help="Afterwards time each tracker alone, and score what it would have done in time")
+        bool,
+        typer.Option(help="After the scores, measure the time of each tracker alone and score under a deadline"),
     ] = False,
     degrade: Annotated[
         str | None,
         typer.Option(
             metavar="KIND=VALUE,...",
-            help="Afterwards show degraded frames: beam-dropout=0.2, range-noise=0.05 (m), frame-drop=0.1,"
-            " pose-jitter=0.05 (m); each by itself, at a quarter, half and all of its value",
+            help="After the scores, score on degraded frames: beam-dropout=0.2, range-noise=0.05 (m), frame-drop=0.1,"
+            " pose-jitter=0.05 (m); one kind at a time, at a quarter, half and all of its value",
         ),
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Run trackers on recordings, each in its own process, score them, and write a report.
 
-    Exit code: 0 all trials complete, 2 wrong use, 3 some trial is not or lacks a figure that was asked for, 130
+    Exit code: 0 all trials complete, 2 wrong use, 3 a trial is not complete or lacks a requested measurement, 130
     interrupted.
     """
     from gridtrack.evaluation.comparison.plan import resolve
@@ -79,14 +83,21 @@ def compare_command(
     from gridtrack.reports.page import render_report
     from gridtrack.reports.terminal import RunProgress, print_tables
 
-    given: dict[str, Any] = {
+    limits = {
+        "start_s": start_timeout and seconds(start_timeout),
+        "update_s": update_timeout and seconds(update_timeout),
+        "predict_s": predict_timeout and seconds(predict_timeout),
+        "threads": threads,
+        "memory_mb": memory,
+    }
+    given = {
         "recordings": tuple(recordings),
         "trackers": tuple(tracker or ()),
         "out": out,
         "validation": validation,
         "reference": reference,
-        "horizon_s": seconds(horizon),
-        "every_s": seconds(every),
+        "horizon_s": horizon and seconds(horizon),
+        "every_s": every and seconds(every),
         "grid": grid,
         "rate_hz": rate,
         "jobs": jobs,
@@ -97,29 +108,44 @@ def compare_command(
         "latency": latency,
         "deadline": deadline,
         "degrade": parse_degradation(degrade) if degrade is not None else None,
+        "limits": _settings(Limits, limits),
     }
-    may_take = {"start_s": start_timeout, "update_s": update_timeout, "predict_s": predict_timeout}
-    limits = _settings(
-        Limits, {**{key: seconds(text) for key, text in may_take.items()}, "threads": threads, "memory_mb": memory}
-    )
-    plan = resolve(_settings(CompareSettings, {**given, "limits": limits}))
+    plan = resolve(_settings(CompareSettings, given))
     with RunProgress() as progress:
         summary = run(plan, shlex.split(command_line()), progress)
-    report = render_report([out])
+    report = render_report([plan.settings.out])
     if as_json:
         typer.echo(json.dumps(summary, indent=1))
     else:
-        print_tables(out)
+        print_tables(plan.settings.out)
         typer.echo(f"report: {report}")
     if summary["interrupted"]:
         raise typer.Exit(INTERRUPTED)
     outcomes = [trial["outcome"] for entry in summary["trackers"].values() for trial in entry["recordings"].values()]
-    if _tell_missing(plan) or any(outcome != "ok" for outcome in outcomes):
+    if _warn_of_missing(plan) or any(outcome != "ok" for outcome in outcomes):
         raise typer.Exit(INCOMPLETE)
 
 
-def _tell_missing(plan: ComparisonPlan) -> bool:
-    """Tell of figures that were asked for and that a complete trial lacks; whether there are any."""
+def compare_defaults() -> dict[str, str]:
+    """The default of each option of `compare`, as text."""
+    from gridtrack.evaluation.comparison.settings import CompareSettings
+    from gridtrack.evaluation.processes.limits import Limits
+
+    return {
+        "out": str(default_of(CompareSettings, "out")),
+        "horizon": seconds_text(default_of(CompareSettings, "horizon_s")),
+        "every": seconds_text(default_of(CompareSettings, "every_s")),
+        "threads": str(default_of(Limits, "threads")),
+        "memory": str(default_of(Limits, "memory_mb")),
+        "start_timeout": seconds_text(default_of(Limits, "start_s")),
+        "update_timeout": seconds_text(default_of(Limits, "update_s")),
+        "predict_timeout": seconds_text(default_of(Limits, "predict_s")),
+        "seed": str(default_of(CompareSettings, "seed")),
+    }
+
+
+def _warn_of_missing(plan: ComparisonPlan) -> bool:
+    """Print the requested measurements that a complete trial lacks; whether there are any."""
     from gridtrack.evaluation.comparison.measurements import missing_measurements
     from gridtrack.evaluation.scoring.record import read_record
 
@@ -132,13 +158,18 @@ def _tell_missing(plan: ComparisonPlan) -> bool:
 
 
 def _settings(model: Any, values: dict[str, Any]) -> Any:
+    """The model with the values that the user gave; None is an option that was not given."""
     from gridtrack.common.config import validated
 
-    return validated(model, values, "gridtrack compare")
+    given = {key: value for key, value in values.items() if value is not None}
+    return validated(model, given, "gridtrack compare")
 
 
-def report_command(runs: Annotated[list[Path], typer.Argument(metavar="RUN...")], out: Path | None = None) -> None:
-    """Render the report of a run again, or of several runs side by side."""
+def report_command(
+    runs: Annotated[list[Path], typer.Argument(metavar="RUN...", help="The folder of a run")],
+    out: Annotated[Path | None, typer.Option(help="The page; default: report/index.html in the run's folder")] = None,
+) -> None:
+    """Write the report of a run again, or of several runs side by side."""
     from gridtrack.reports.page import render_report
 
     typer.echo(f"report: {render_report(runs, out)}")

@@ -10,7 +10,7 @@ from typing import Annotated, Any
 
 import typer
 
-from gridtrack.cli.options import GridOption, JsonOption, RateOption, WeightsOption
+from gridtrack.cli.options import GridOption, JsonOption, RateOption, WeightsOption, default_of
 from gridtrack.common.errors import ConfigurationError, GridtrackError, PluginError
 
 app = typer.Typer(
@@ -34,10 +34,10 @@ def train_command(
         Path | None, typer.Option(metavar="CARD", help="Train with the tracker, settings and seed of this card")
     ] = None,
     validation: Annotated[
-        list[str] | None, typer.Option(help="RECORDING[@RANGE]; default: the recording's own validation stretch")
+        list[str] | None, typer.Option(help=r"RECORDING\[@RANGE]; default: the recording's own validation stretch")
     ] = None,
     out: Annotated[Path | None, typer.Option(help="Folder of weights; default: your own")] = None,
-    seed: Annotated[int | None, typer.Option(help="Default: that of the recipe or the card, else 1")] = None,
+    seed: Annotated[int | None, typer.Option(help="Without it, the seed of the recipe or the card")] = None,
     grid: GridOption = None,
     rate: RateOption = None,
 ) -> None:
@@ -56,6 +56,13 @@ def train_command(
     overrides = {key: value for key, value in given.items() if value is not None}
     card = train_tracker(complete_recipe(_base_recipe(recipe, like), overrides), typer.echo)
     typer.echo(f"weights: {card}")
+
+
+def train_defaults() -> dict[str, str]:
+    """The default of each option of `train`, as text."""
+    from gridtrack.evaluation.comparison.recipe import Recipe
+
+    return {"seed": str(default_of(Recipe, "seed"))}
 
 
 def _tracker_and_recordings(arguments: list[str], *, named_elsewhere: bool) -> dict[str, Any]:

@@ -6,9 +6,8 @@ from collections.abc import Sequence
 from xml.etree import ElementTree
 
 from gridtrack.common.errors import printable
-from gridtrack.evaluation.regression import Verdict
 from gridtrack.evaluation.regression.speed import SpeedRow
-from gridtrack.evaluation.regression.verdict import VerdictRow
+from gridtrack.evaluation.regression.verdict import Verdict, VerdictRow
 from gridtrack.reports.regression import band_text, rule_of, sentence_of
 
 SUITE = "gridtrack regress"

@@ -1,4 +1,4 @@
-"""The pytest plugin: a test in a tracker's own repository that fails when the tracker is worse than its baseline.
+"""The pytest plugin: a test in the repository of a tracker that fails when the tracker is worse than its baseline.
 
     def test_my_tracker(tracker_regression):
         tracker_regression("my-tracker", "demo.mcap", baseline="my-tracker.json")
@@ -16,13 +16,14 @@ import pytest
 
 if TYPE_CHECKING:
     from gridtrack.evaluation.comparison.plan import ComparisonPlan
-    from gridtrack.evaluation.regression import Measurement, Verdict
+    from gridtrack.evaluation.regression.measurement import Measurement
+    from gridtrack.evaluation.regression.verdict import Verdict
 
 UPDATE = "--gridtrack-update-baseline"
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """Add the option that writes baselines in place of comparing with them."""
+    """Add the option that writes baselines instead of comparing with them."""
     parser.getgroup("gridtrack").addoption(
         UPDATE, action="store_true", help="write what tracker_regression measures as the new baseline"
     )
@@ -30,15 +31,15 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 @pytest.fixture
 def tracker_regression(request: pytest.FixtureRequest, tmp_path: Path) -> TrackerRegression:
-    """Runs a tracker on a recording and fails the test where it is worse than its baseline, or was not measured."""
+    """Run a tracker on a recording; fail the test if it is worse than its baseline or could not be measured."""
     return TrackerRegression(request.path.parent, tmp_path, request.node.nodeid, request.config.getoption(UPDATE))
 
 
 class TrackerRegression:
-    """What the fixture gives: call it with a tracker and a recording."""
+    """The value of the fixture: a function of a tracker and a recording."""
 
     def __init__(self, beside: Path, scratch: Path, test: str, update: bool) -> None:
-        """Files are named from `beside`, the test's folder; runs are left in `scratch`."""
+        """`beside`: the folder of the test, to which paths are relative; `scratch`: the folder of the runs."""
         self._beside, self._scratch, self._test, self._update = beside, scratch, test, update
 
     def __call__(
@@ -47,30 +48,30 @@ class TrackerRegression:
         recording: str,
         *,
         baseline: str | Path,
-        margin: float = 0.005,
+        margin: float | None = None,
         tolerance: float | None = None,
         **options: Any,
     ) -> Verdict | None:
         """Compare `tracker`, [LABEL=]NAME[:key=value,...], on `recording`, RECORDING[@range], with `baseline`.
 
-        Paths are relative to the test's folder. `margin` and `tolerance` are those of `gridtrack regress`, `options`
-        those of a comparison: horizon_s, every_s, grid, rate_hz, seed, weights and the others of `CompareSettings`.
+        Paths are relative to the test's folder. `margin` and `tolerance` are those of `gridtrack regress`; None: its
+        defaults. `options` are the fields of `CompareSettings`: horizon_s, every_s, grid, rate_hz, seed, weights, ...
         Returns the verdict; None where the baseline was written instead.
         """
         from gridtrack.common.errors import GridtrackError, printable
-        from gridtrack.evaluation.regression import write_baseline
+        from gridtrack.evaluation.regression.baseline import write_baseline
         from gridtrack.reports.regression import text_of
 
         try:
             plan = self._plan(tracker, recording, options)
             if self._update:
-                write_baseline(self._beside / baseline, [self._measured(plan, None)])
+                write_baseline(self._beside / baseline, [self._measure(plan, None)])
                 return None
             verdict = self._verdict(plan, self._beside / baseline, margin, tolerance)
         except GridtrackError as error:
-            pytest.fail(f"{tracker} was not measured: {printable(str(error))}{self._how(str(error))}", pytrace=False)
+            pytest.fail(f"{tracker} was not measured: {printable(str(error))}{self._how_to(str(error))}", pytrace=False)
         if verdict.worse:
-            pytest.fail(f"{text_of(verdict)}\nIf that is wanted: pytest {self._test} {UPDATE}", pytrace=False)
+            pytest.fail(f"{text_of(verdict)}\nIf the change is intended: pytest {self._test} {UPDATE}", pytrace=False)
         return verdict
 
     def _plan(self, tracker: str, recording: str, options: dict[str, Any]) -> ComparisonPlan:
@@ -86,19 +87,25 @@ class TrackerRegression:
         }
         return resolve(validated(CompareSettings, given, "tracker_regression"))
 
-    def _verdict(self, plan: ComparisonPlan, baseline: Path, margin: float, tolerance: float | None) -> Verdict:
+    def _verdict(self, plan: ComparisonPlan, baseline: Path, margin: float | None, tolerance: float | None) -> Verdict:
         from gridtrack.common.config import validated
-        from gridtrack.evaluation.regression import GateSettings, compare_with_baseline, read_baseline
+        from gridtrack.evaluation.regression.baseline import read_baseline
+        from gridtrack.evaluation.regression.settings import GateSettings
+        from gridtrack.evaluation.regression.verdict import compare_with_baseline
 
-        stated = {} if tolerance is None else {plan.trials[0].label: tolerance}
-        settings = validated(GateSettings, {"margin": margin, "tolerance": stated}, "tracker_regression")
-        against = read_baseline(baseline)
-        return compare_with_baseline(against, self._measured(plan, against.first), settings)
+        values = {
+            "margin": margin,
+            "tolerance": None if tolerance is None else {plan.trials[0].label: tolerance},
+        }
+        given = {key: value for key, value in values.items() if value is not None}
+        settings = validated(GateSettings, given, "tracker_regression")
+        stored = read_baseline(baseline)
+        return compare_with_baseline(stored, self._measure(plan, stored.first), settings)
 
-    def _measured(self, plan: ComparisonPlan, like: Measurement | None) -> Measurement:
-        """Run the plan, and measure what it left."""
+    def _measure(self, plan: ComparisonPlan, like: Measurement | None) -> Measurement:
+        """Run the plan and measure the run."""
         from gridtrack.evaluation.comparison.runner import run
-        from gridtrack.evaluation.regression import measure_run
+        from gridtrack.evaluation.regression.measuring import measure_run
         from gridtrack.reports.terminal import RunProgress
 
         with RunProgress() as progress:
@@ -107,6 +114,6 @@ class TrackerRegression:
             raise KeyboardInterrupt
         return measure_run(plan.settings.out, like)
 
-    def _how(self, error: str) -> str:
-        """How to make the baseline here, where the error is that there is none."""
+    def _how_to(self, error: str) -> str:
+        """The command that makes the baseline, where `error` says that there is none."""
         return f"\nTo make it: pytest {self._test} {UPDATE}" if "--update" in error else ""

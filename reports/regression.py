@@ -10,12 +10,11 @@ from typing import Any
 import numpy as np
 
 from gridtrack.common.errors import printable
-from gridtrack.evaluation.regression import Baseline, Verdict
-from gridtrack.evaluation.regression.measurement import BANDS
+from gridtrack.evaluation.regression.measurement import BANDS, Baseline
 from gridtrack.evaluation.regression.pairing import pair
 from gridtrack.evaluation.regression.significance import FAMILY_LEVEL
 from gridtrack.evaluation.regression.speed import SpeedRow
-from gridtrack.evaluation.regression.verdict import VerdictRow
+from gridtrack.evaluation.regression.verdict import Verdict, VerdictRow
 from gridtrack.evaluation.scoring.metrics import f1_score
 from gridtrack.evaluation.statistics.uncertainty import LEAST_UNITS
 from gridtrack.reports.run import UNDEFINED

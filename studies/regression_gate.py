@@ -29,9 +29,11 @@ from scipy.special import stdtrit
 from gridtrack.evaluation.comparison.plan import resolve
 from gridtrack.evaluation.comparison.runner import run
 from gridtrack.evaluation.comparison.settings import CompareSettings
-from gridtrack.evaluation.regression import Baseline, GateSettings, measure_run
+from gridtrack.evaluation.regression.measurement import Baseline
+from gridtrack.evaluation.regression.measuring import measure_run
 from gridtrack.evaluation.regression.p_values import row_p_values
 from gridtrack.evaluation.regression.pairing import PairedRow, pair
+from gridtrack.evaluation.regression.settings import GateSettings
 from gridtrack.evaluation.regression.significance import FAMILY_LEVEL, fall_p_values
 from gridtrack.evaluation.regression.spread import PRIOR_FREEDOM, beyond_spread, spread_between
 from gridtrack.evaluation.scoring.metrics import f1_score

@@ -3,24 +3,31 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import subprocess
 import sys
 from importlib import metadata
 from pathlib import Path
+from typing import Any
 
 import pytest
+import typer
 
+from gridtrack.cli import app
+from gridtrack.evaluation.comparison.recipe import Recipe
+from gridtrack.evaluation.comparison.settings import CompareSettings
+from gridtrack.evaluation.processes.limits import Limits
+from gridtrack.evaluation.regression.settings import GateSettings
 from gridtrack.recordings import packaged_recording
 
 DEMO = str(packaged_recording("leg_tracker"))
 PACKAGE = str(Path(DEMO).parents[2])
 
 
-def gridtrack(*arguments: str, code: int = 0) -> subprocess.CompletedProcess[str]:
-    done = subprocess.run(
-        [sys.executable, "-m", "gridtrack.cli", *arguments], capture_output=True, text=True, check=False
-    )
+def gridtrack(*arguments: str, code: int = 0, **environment: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "gridtrack.cli", *arguments]
+    done = subprocess.run(command, env=os.environ | environment, capture_output=True, text=True, check=False)
     assert done.returncode == code, done.stdout + done.stderr
     return done
 
@@ -49,7 +56,7 @@ def gridtrack(*arguments: str, code: int = 0) -> subprocess.CompletedProcess[str
         (("trackers", "show", "blnk"), "did you mean 'blank'?"),
         (("recording", "info", "nowhere.bag"), "nowhere.bag: no such recording"),
         (("recording", "import", DEMO, "--out", "demo.bag"), "demo.bag: a recording is written as .mcap"),
-        (("compare", PACKAGE), f"{PACKAGE}: a folder that holds no ROS 2 bag (no metadata.yaml)"),
+        (("compare", PACKAGE), f"{PACKAGE}: a folder that is no recording (a ROS 2 bag has metadata.yaml)"),
         (("compare", f"{PACKAGE}/nope.bag"), "nope.bag: no such recording\n"),
         (("compare", f"{PACKAGE}/data/leg_tracker/demo.bag"), "demo.bag: no such recording; known: leg_tracker.mcap\n"),
         (("compare", DEMO, "--out", __file__), "test_cli.py: is a file; a run needs a folder"),
@@ -91,6 +98,45 @@ def test_the_help_lists_debug_and_version():
 
 def test_the_version_is_the_one_of_the_installed_distribution():
     assert gridtrack("--version").stdout == f"gridtrack {metadata.version('gridtrack')}\n"
+
+
+COMPARE = CompareSettings.model_fields
+LIMITS = Limits.model_fields
+GATE = GateSettings.model_fields
+
+
+@pytest.mark.parametrize(
+    ("command", "fields"),
+    [
+        (
+            "compare",
+            {
+                "out": COMPARE["out"],
+                "horizon": COMPARE["horizon_s"],
+                "every": COMPARE["every_s"],
+                "seed": COMPARE["seed"],
+                "threads": LIMITS["threads"],
+                "memory": LIMITS["memory_mb"],
+                "start-timeout": LIMITS["start_s"],
+                "update-timeout": LIMITS["update_s"],
+                "predict-timeout": LIMITS["predict_s"],
+            },
+        ),
+        ("regress", {"margin": GATE["margin"], "speed-margin": GATE["speed_margin"]}),
+        ("train", {"seed": Recipe.model_fields["seed"]}),
+    ],
+)
+def test_the_defaults_in_the_help_are_those_of_the_models_and_the_command_line_has_none_of_its_own(command, fields):
+    lines = gridtrack(command, "--help", COLUMNS="240").stdout.splitlines()
+    defaults = {found[1]: found[2] for line in lines if (found := re.search(r"--([\w-]+) .*\[default: (.*?)\]", line))}
+    flags = {name for name, text in defaults.items() if text == f"no-{name}"}
+    assert defaults.keys() - flags == fields.keys()
+    for name, field in fields.items():
+        shown = defaults[name]
+        value = Path(shown) if isinstance(field.default, Path) else float(shown.removesuffix("s"))
+        assert value == field.default, name
+    own: Any = typer.main.get_command(app)
+    assert {parameter.default for parameter in own.commands[command].params} <= {None, False}
 
 
 def test_every_registered_tracker_is_listed():

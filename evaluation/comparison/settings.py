@@ -21,7 +21,7 @@ class CompareSettings(Settings):
 
     recordings: tuple[str, ...] = Field(min_length=1)
     trackers: tuple[str, ...] = ()
-    out: Path
+    out: Path = Path("runs/latest")
     validation: str | None = None
     reference: str | None = None
     horizon_s: float = Field(2.5, gt=0.0, le=60.0)

@@ -4,17 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Annotated, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
 
-from gridtrack.common.config import Settings
 from gridtrack.common.errors import ConfigurationError, did_you_mean
 from gridtrack.evaluation.regression.measurement import Baseline, Measurement, Unmeasured
 from gridtrack.evaluation.regression.p_values import RowPValue, row_p_values
 from gridtrack.evaluation.regression.pairing import PairedRow, pair
+from gridtrack.evaluation.regression.settings import GateSettings
 from gridtrack.evaluation.regression.significance import FAMILY_LEVEL
 from gridtrack.evaluation.regression.speed import SpeedRow, compare_speed
 from gridtrack.evaluation.scoring.metrics import f1_score
@@ -23,22 +22,6 @@ from gridtrack.evaluation.statistics.uncertainty import LEAST_UNITS
 RowVerdict = Literal["worse", "no worse", "equal", "nothing to find"]
 SMALLEST_FALL = 1e-9
 """A smaller fall in F1 is rounding."""
-
-Margin = Annotated[float, Field(ge=0.0, lt=1.0)]
-
-
-class GateSettings(Settings):
-    """From which fall on a tracker is worse."""
-
-    margin: Margin = 0.005
-    """A fall in F1 that does not matter, however significant."""
-    tolerance: dict[str, Margin] = Field(default_factory=dict)
-    """By label, in place of the margin: what that tracker may lose. Where there are too few units for significance it
-    decides alone, and a tracker without one must not fall at all."""
-    speed_reference: str | None = None
-    """The tracker that speed is measured against; None: speed is not judged."""
-    speed_margin: Annotated[float, Field(ge=0.0)] = 0.5
-    """By which share a tracker's time may grow, as a ratio to that of the reference."""
 
 
 @dataclass(frozen=True, slots=True)

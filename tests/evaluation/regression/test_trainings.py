@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from gridtrack.evaluation.regression import read_baseline
+from gridtrack.evaluation.regression.baseline import read_baseline
 
 MIDDLE = slice(5, 13)
 
