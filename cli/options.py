@@ -35,7 +35,7 @@ def with_defaults(defaults: Callable[[], Mapping[str, str]]) -> type[TyperComman
     """
 
     class WithDefaults(TyperCommand):
-        def format_help(self, ctx: typer.Context, formatter: Any) -> None:
+        def format_help(self, ctx: Any, formatter: Any) -> None:
             texts = defaults()
             shown = copy(self)
             shown.params = [copy(parameter) for parameter in self.params]
