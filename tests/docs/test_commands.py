@@ -14,6 +14,7 @@ import typer
 
 from gridtrack.cli import app
 from gridtrack.trackers import registry
+from gridtrack.trackers.migration import RENAMES
 from gridtrack.trackers.selection import parse_selection
 
 from docs.pages import PAGES, ROOT, commands, name_of, prose
@@ -82,6 +83,12 @@ def test_the_commands_of_a_page_exist(page: Path) -> None:
 @pytest.mark.parametrize("page", CURRENT, ids=name_of)
 def test_the_files_that_a_page_names_exist(page: Path) -> None:
     assert [file for file in FILE.findall(prose(page)) if not (ROOT / file).exists()] == []
+
+
+@pytest.mark.parametrize("page", [page for page in CURRENT if page.parent.name == "trackers"], ids=name_of)
+def test_no_page_on_a_tracker_names_an_option_by_its_old_name(page: Path) -> None:
+    old = {name for renames in RENAMES.values() for name in renames.options}
+    assert old & set(re.findall(r"`(\w+)`", page.read_text("utf-8"))) == set()
 
 
 @pytest.mark.parametrize(

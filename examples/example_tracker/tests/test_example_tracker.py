@@ -1,4 +1,4 @@
-"""The fading memory, by hand, and through the contract suite that every tracker can be put to."""
+"""The fading memory against hand-computed values, and through the contract suite."""
 # ruff: noqa: D103
 
 from __future__ import annotations
