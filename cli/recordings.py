@@ -48,8 +48,8 @@ def recording_import(
         str | None,
         typer.Option(
             metavar="KEY=VALUE,...",
-            help="Of point clouds: low_m=0.2,high_m=1.0; bearings without points are free up to range_max_m=50, or"
-            " empty=unknown",
+            help="Of point clouds: low_m=0.2,high_m=1.0; bearings without points are free up to range_max_m, or"
+            " unknown with empty=unknown",
         ),
     ] = None,
     pose_topic: PoseTopic = None,

@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from gridtrack.cli.options import seconds
+from gridtrack.cli.options import default_of, seconds, seconds_text, with_defaults
 from gridtrack.common.errors import ConfigurationError, printable
 
 if TYPE_CHECKING:
+    from gridtrack.simulation.stanford import Video
     from gridtrack.simulation.tracks import Tracks
 
 app = typer.Typer(no_args_is_help=True, help="Recordings with ground truth: junction, junction-set, tracks, check.")
@@ -20,22 +21,39 @@ FAULTY = 3
 Out = Annotated[Path, typer.Option(help="The recording to write: .tracks, rendered on first use, or .mcap, scans")]
 
 
-@app.command("junction")
+def _junction_defaults() -> dict[str, str]:
+    from gridtrack.simulation.junction import WARM_UP_S
+
+    return {"start": seconds_text(WARM_UP_S)}
+
+
+def _tracks_defaults() -> dict[str, str]:
+    from gridtrack.simulation.stanford import Video
+
+    fields = {"rate": "rate_hz", "grid": "grid", "seed": "seed"}
+    return {option: str(default_of(Video, field)) for option, field in fields.items()}
+
+
+@app.command("junction", cls=with_defaults(_junction_defaults))
 def junction_command(
     minutes: Annotated[float, typer.Option(help="Duration of the recording")],
     out: Out,
     seed: Annotated[int, typer.Option(min=0, max=2**31 - 1)] = 1,
-    start: Annotated[str, typer.Option(help="Omitted at the beginning, while the streets fill")] = "300s",
+    start: Annotated[
+        str | None,
+        typer.Option(help="Omitted at the beginning, while the streets fill"),
+    ] = None,
 ) -> None:
     """A laser at a signalled junction with pedestrians, cyclists, cars and buses (needs the extra `sim`).
 
     Exit code: 0 correct, 2 wrong use, 3 a road user moves through a wall, or gridlock.
     """
+    from gridtrack.simulation.junction import WARM_UP_S
     from gridtrack.simulation.junction import simulate_junction as simulate
     from gridtrack.simulation.writing import check_suffix, write_recording
 
     check_suffix(out)
-    tracks = simulate(minutes, seed, seconds(start))
+    tracks = simulate(minutes, seed, WARM_UP_S if start is None else seconds(start))
     write_recording(out, tracks)
     _report(out, tracks)
 
@@ -55,21 +73,21 @@ def simulate_junction_set(
         _report(out / f"{name}.tracks", tracks)
 
 
-@app.command("tracks")
+@app.command("tracks", cls=with_defaults(_tracks_defaults))
 def simulate_tracks(
     source: Annotated[Path, typer.Argument(metavar="FILE")],
     out: Out,
     scale: Annotated[float, typer.Option(help="Metres to a pixel")],
     layout: Annotated[str, typer.Option("--format", help="sdd: the Stanford Drone Dataset's annotations")] = "sdd",
     site: Annotated[str | None, typer.Option(help="The site; default: the name of the result")] = None,
-    rate: Annotated[float, typer.Option(help="Scans per second")] = 8.0,
-    grid: Annotated[str, typer.Option(help="CELLSxMETRES[@X,Y] round the laser")] = "100x0.2",
+    rate: Annotated[float | None, typer.Option(help="Scans per second")] = None,
+    grid: Annotated[str | None, typer.Option(help="CELLSxMETRES[@X,Y] round the laser")] = None,
     laser_at: Annotated[
         str | None, typer.Option(metavar="X,Y", help="Metres from the image's upper left corner, y up; default: clear")
     ] = None,
-    seed: Annotated[int, typer.Option(min=0, help="Of the range noise")] = 0,
-    licence: str = "",
-    credit: str = "",
+    seed: Annotated[int | None, typer.Option(min=0, help="Of the range noise")] = None,
+    licence: str | None = None,
+    credit: str | None = None,
 ) -> None:
     """A simulated laser among annotated road users: recorded paths, with ground truth for all of them.
 
@@ -82,35 +100,38 @@ def simulate_tracks(
     if layout != "sdd":
         raise ConfigurationError(f"--format {layout}: known is sdd, the Stanford Drone Dataset's")
     check_suffix(out)
-    values: dict[str, Any] = {
+    given: dict[str, Any] = {
         "scale": scale,
         "site": site or out.stem,
         "rate_hz": rate,
         "grid": grid,
-        "laser_at": None if laser_at is None else laser_at.split(","),
+        "laser_at": laser_at and laser_at.split(","),
         "seed": seed,
         "licence": licence,
         "credit": credit,
     }
-    tracks = read_stanford(source, validated(Video, values, "simulate tracks"), _command(source, out, values))
+    video = validated(Video, {name: value for name, value in given.items() if value is not None}, "simulate tracks")
+    tracks = read_stanford(source, video, _command(source, out, video))
     write_recording(out, tracks)
     _report(out, tracks)
 
 
-def _command(source: Path, out: Path, values: dict[str, Any]) -> str:
+def _command(source: Path, out: Path, video: Video) -> str:
     """The command line that repeats the simulation, without the folders of this machine."""
-    names = {
-        "scale": "scale",
-        "site": "site",
-        "rate_hz": "rate",
-        "grid": "grid",
-        "laser_at": "laser-at",
-        "seed": "seed",
+    options = {
+        "scale": video.scale,
+        "site": video.site,
+        "rate": video.rate_hz,
+        "grid": video.grid,
+        "laser-at": video.laser_at and ",".join(f"{coordinate:.12g}" for coordinate in video.laser_at),
+        "seed": video.seed,
+        "licence": video.licence,
+        "credit": video.credit,
     }
     words = ["gridtrack", "simulate", "tracks", "--format", "sdd", source.name, "--out", out.name]
-    for key, name in {**names, "licence": "licence", "credit": "credit"}.items():
-        if values[key] is not None and values[key] != "":
-            words += [f"--{name}", ",".join(values[key]) if key == "laser_at" else f"{values[key]}"]
+    for name, value in options.items():
+        if value is not None and value != "":
+            words += [f"--{name}", f"{value}"]
     return shlex.join(words)
 
 
