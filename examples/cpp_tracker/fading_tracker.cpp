@@ -1,4 +1,4 @@
-// A fading memory over the wire (docs/wire.md): each cell as last seen, trusted less with time. No library needed.
+// A fading memory over the wire protocol (docs/wire.md): each cell as last visible, with a weight that decays. No library.
 #include <algorithm>
 #include <chrono>
 #include <cmath>
@@ -15,17 +15,17 @@ struct Message {
     std::vector<uint8_t> body;
 
     // The number after the first "key": in the header. The referee writes compact JSON, and a quote inside a string
-    // is escaped, so the search cannot be led astray by what a string holds. Use a JSON library for more than this.
+    // is escaped, so no string content can match. Use a JSON library for more than this.
     double number(const char *key) const {
-        const auto place = header.find('"' + std::string(key) + "\":");
-        if (place == std::string::npos) throw std::runtime_error("the request lacks a field");
-        return std::stod(header.substr(place + std::strlen(key) + 3));
+        const auto position = header.find('"' + std::string(key) + "\":");
+        if (position == std::string::npos) throw std::runtime_error("the request lacks a field");
+        return std::stod(header.substr(position + std::strlen(key) + 3));
     }
     bool is(const char *type) const { return header.rfind("{\"type\":\"" + std::string(type) + '"', 0) == 0; }
 };
 
 #pragma pack(push, 1)
-struct Prefix {  // 16 bytes, little-endian as this processor is
+struct Prefix {  // 16 bytes; assumes a little-endian processor
     char magic[3];
     uint8_t version;
     uint32_t header_bytes;
@@ -35,7 +35,7 @@ struct Prefix {  // 16 bytes, little-endian as this processor is
 
 bool receive(Message &message) {
     Prefix prefix;
-    if (std::fread(&prefix, sizeof prefix, 1, stdin) != 1) return false;  // the referee has closed the wire: the end
+    if (std::fread(&prefix, sizeof prefix, 1, stdin) != 1) return false;  // stdin closed: the trial is over
     if (std::memcmp(prefix.magic, "GTW", 3) != 0 || prefix.version != 1 || prefix.header_bytes > 1u << 20 ||
         prefix.body_bytes > 1u << 30)
         throw std::runtime_error("not a message of wire version 1");
@@ -61,7 +61,7 @@ struct FadingTracker {
     const double background = 0.02, half_life_s = 1.0;
     size_t size = 0, cells = 0;
     double trust_per_frame = 1.0;
-    std::vector<double> excess;  // by how much P(occupied) exceeds the background, row by row
+    std::vector<double> excess;  // P(occupied) less the background, row by row
 
     void start(const Message &request) {
         size = static_cast<size_t>(request.number("size"));
