@@ -17,7 +17,7 @@ from typing import TypeVar
 
 from gridtrack.recordings import open_recording
 from gridtrack.simulation.junction import simulate_junction
-from gridtrack.simulation.traffic import examine
+from gridtrack.simulation.traffic import check_traffic
 from gridtrack.simulation.writing import write_recording
 
 Result = TypeVar("Result")
@@ -33,7 +33,7 @@ def timed(call: Callable[[], Result]) -> tuple[Result, float, float]:
 
 def print_seed(seed: int, minutes: float) -> None:
     tracks, simulated_s, busy_s = timed(lambda: simulate_junction(minutes, seed))
-    traffic, checked_s, _ = timed(lambda: examine(tracks))
+    traffic, checked_s, _ = timed(lambda: check_traffic(tracks))
     with tempfile.TemporaryDirectory() as folder:
         small, whole = Path(folder) / "junction.tracks", Path(folder) / "junction.mcap"
         write_recording(small, tracks)

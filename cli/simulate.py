@@ -81,7 +81,7 @@ def simulate_tracks(
     layout: Annotated[str, typer.Option("--format", help="sdd: the Stanford Drone Dataset's annotations")] = "sdd",
     site: Annotated[str | None, typer.Option(help="The site; default: the name of the result")] = None,
     rate: Annotated[float | None, typer.Option(help="Scans per second")] = None,
-    grid: Annotated[str | None, typer.Option(help="CELLSxMETRES[@X,Y] round the laser")] = None,
+    grid: Annotated[str | None, typer.Option(help=r"CELLSxMETRES\[@X,Y] round the laser")] = None,
     laser_at: Annotated[
         str | None, typer.Option(metavar="X,Y", help="Metres from the image's upper left corner, y up; default: clear")
     ] = None,
@@ -148,9 +148,9 @@ def check_tracks(tracks: Annotated[list[Path], typer.Argument(metavar="TRACKS...
 
 
 def _report(path: Path, tracks: Tracks) -> None:
-    from gridtrack.simulation.traffic import examine
+    from gridtrack.simulation.traffic import check_traffic
 
-    traffic = examine(tracks)
+    traffic = check_traffic(tracks)
     typer.echo("\n".join([printable(str(path)), *(f"  {printable(line)}" for line in str(traffic).splitlines())]))
     if traffic.faults:
         raise typer.Exit(FAULTY)

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 from gridtrack.common.errors import RecordingError
 from gridtrack.common.scan import Scan
 
-WINDOW_NS = 1_000_000_000
+MAX_DELAY_NS = 1_000_000_000
 MAX_STAMP_NS = 1 << 63
 MAX_SENSORS = 255
 
@@ -46,7 +46,7 @@ class StampOrder:
             return
         self._newest_ns = max(self._newest_ns, scan.stamp_ns)
         heapq.heappush(self._waiting, (scan.stamp_ns, self._arrived, scan))
-        while self._waiting[0][0] < self._newest_ns - WINDOW_NS:
+        while self._waiting[0][0] < self._newest_ns - MAX_DELAY_NS:
             self._yielded_ns = self._waiting[0][0]
             yield heapq.heappop(self._waiting)[2]
 

@@ -56,19 +56,19 @@ class SceneWriter:
     def objects(self, scene: Scene, stamp_ns: int) -> SceneUpdate:
         """All objects; the message replaces the one before. Raises RecordingError."""
         update = _empty_update(stamp_ns)
-        for thing in scene.objects:
-            entity = self._cached_entity(thing)
-            _set_pose(entity, thing.world_T_object, stamp_ns)
+        for road_user in scene.objects:
+            entity = self._cached_entity(road_user)
+            _set_pose(entity, road_user.world_T_object, stamp_ns)
             update.entities.append(entity)
         return update
 
-    def _cached_entity(self, thing: SceneObject) -> SceneEntity:
-        outline, label, entity = self._entities.get(thing.track, (None, None, None))
-        if entity is None or outline is not thing.outline or label != thing.label:
+    def _cached_entity(self, road_user: SceneObject) -> SceneEntity:
+        outline, label, entity = self._entities.get(road_user.track, (None, None, None))
+        if entity is None or outline is not road_user.outline or label != road_user.label:
             if len(self._entities) >= MAX_CACHED:
                 self._entities.clear()
-            entity = self._entity(str(thing.track), thing.outline, thing.label)
-            self._entities[thing.track] = (thing.outline, thing.label, entity)
+            entity = self._entity(str(road_user.track), road_user.outline, road_user.label)
+            self._entities[road_user.track] = (road_user.outline, road_user.label, entity)
         return entity
 
     def _entity(self, name: str, outline: Outline, label: int) -> SceneEntity:

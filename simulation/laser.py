@@ -69,7 +69,7 @@ def sweep(
     distance to the nearest side of any outline, from outside or inside; +inf, labelled UNLABELLED, where there is none
     within `range_max`.
     """
-    outlines = [*scene.static, *(thing.outline for thing in scene.objects)]
+    outlines = [*scene.static, *(road_user.outline for road_user in scene.objects)]
     nearest = np.full(beams, np.inf)
     labels = np.full(beams, UNLABELLED, np.uint8)
     if outlines:
@@ -77,7 +77,9 @@ def sweep(
             np.concatenate(outlines).astype(np.float64),
             np.array([len(outline) for outline in outlines]),
             _poses(scene, world_T_sensor.inverse()),
-            np.array([scene.static_label] * len(scene.static) + [thing.label for thing in scene.objects], np.uint8),
+            np.array(
+                [scene.static_label] * len(scene.static) + [road_user.label for road_user in scene.objects], np.uint8
+            ),
             angle_min,
             angle_increment,
             range_max,
@@ -98,7 +100,7 @@ def with_noise(ranges: NDArray[np.float32], range_max: float, random: np.random.
 def _poses(scene: Scene, sensor_T_world: SE2) -> NDArray[np.float64]:
     """The pose of each outline, static ones first: (O, 3) as x, y, theta in the sensor frame."""
     poses = [sensor_T_world] * len(scene.static)
-    poses += [sensor_T_world @ thing.world_T_object for thing in scene.objects]
+    poses += [sensor_T_world @ road_user.world_T_object for road_user in scene.objects]
     return np.array([(pose.x, pose.y, pose.theta) for pose in poses])
 
 

@@ -51,7 +51,7 @@ class Traffic:
         return "\n".join(lines + [f"fault: {fault}" for fault in self.faults])
 
 
-def examine(tracks: Tracks) -> Traffic:
+def check_traffic(tracks: Tracks) -> Traffic:
     """Check `tracks`, in the window of its recording."""
     speed = _speeds(tracks)
     grid = GridSpec.parse(tracks.info.recording.grid) if tracks.info.recording.grid else GridSpec()

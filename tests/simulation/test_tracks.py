@@ -18,7 +18,7 @@ from gridtrack.simulation.bodies import body_outline
 from gridtrack.simulation.laser import Laser
 from gridtrack.simulation.rendered import rendering_folder
 from gridtrack.simulation.tracks import METADATA_KEY, Tracks, TracksInfo, read_tracks, write_tracks
-from gridtrack.simulation.traffic import GRIDLOCK_S, examine
+from gridtrack.simulation.traffic import GRIDLOCK_S, check_traffic
 from gridtrack.simulation.writing import write_recording
 
 CLASSES = ("pedestrian", "cyclist", "car", "bus", "static")
@@ -195,7 +195,7 @@ def test_a_body_is_counter_clockwise_and_has_its_size() -> None:
 
 
 def test_the_check_counts_moving_and_standing_road_users() -> None:
-    traffic = examine(walk(160))
+    traffic = check_traffic(walk(160))
     walker, _, car, _ = traffic.classes
     assert (walker.present, walker.moving, car.present, car.moving) == (
         pytest.approx(88 / 160),
@@ -214,7 +214,7 @@ def test_the_check_finds_collisions_with_walls_and_the_laser_and_gridlock() -> N
     pose = tracks.pose.copy()
     pose[20::2][:3, :2] = (5.5, 0.0)
     pose[60::2][:2, :2] = (0.05, 0.05)
-    faults = "\n".join(examine(dataclasses.replace(tracks, pose=pose)).faults)
+    faults = "\n".join(check_traffic(dataclasses.replace(tracks, pose=pose)).faults)
     assert "pedestrian inside a static outline in 3 positions, the first of track 0 in frame 10" in faults
     assert "pedestrian on the laser in 2 positions, the first of track 0 in frame 30" in faults
     assert "gridlock: a vehicle stands for 500 s, the car of track 1 at (" in faults
@@ -222,5 +222,5 @@ def test_the_check_finds_collisions_with_walls_and_the_laser_and_gridlock() -> N
 
 
 def test_a_wait_of_two_green_phases_is_not_gridlock() -> None:
-    assert examine(walk(round(GRIDLOCK_S * 8.0))).faults == ()
-    assert "gridlock" in examine(walk(round(GRIDLOCK_S * 8.0) + 8)).faults[0]
+    assert check_traffic(walk(round(GRIDLOCK_S * 8.0))).faults == ()
+    assert "gridlock" in check_traffic(walk(round(GRIDLOCK_S * 8.0) + 8)).faults[0]

@@ -18,7 +18,7 @@ from gridtrack.simulation import junction, sumo
 from gridtrack.simulation.junction import JUNCTION_SET, demand, layout, simulate_junction
 from gridtrack.simulation.junction.patience import Patience
 from gridtrack.simulation.tracks import read_tracks, write_tracks
-from gridtrack.simulation.traffic import examine
+from gridtrack.simulation.traffic import check_traffic
 
 NETWORK = Path(junction.__file__).with_name("network.net.xml")
 TESTS = [name for name in JUNCTION_SET if name.startswith("test-")]
@@ -112,7 +112,7 @@ def test_the_packaged_set_is_complete_and_small() -> None:
 def test_the_test_recordings_have_no_faults_and_enough_motion_to_be_scored() -> None:
     shares = []
     for name in TESTS:
-        traffic = examine(read_tracks(packaged_recording(f"junction/{name}")))
+        traffic = check_traffic(read_tracks(packaged_recording(f"junction/{name}")))
         assert traffic.faults == ()
         shares.append([kind.moving for kind in traffic.classes])
     pedestrian, cyclist, car, bus = np.mean(shares, axis=0)
