@@ -1,4 +1,4 @@
-"""What a verdict says: lines for a terminal, Markdown for a pull request, plain data for a script."""
+"""The verdict of the regression gate as text for a terminal, Markdown for a pull request, and data for a script."""
 
 from __future__ import annotations
 
@@ -17,52 +17,60 @@ from gridtrack.evaluation.regression.speed import SpeedRow
 from gridtrack.evaluation.regression.verdict import Verdict, VerdictRow
 from gridtrack.evaluation.scoring.metrics import f1_score
 from gridtrack.evaluation.statistics.uncertainty import LEAST_UNITS
+from gridtrack.reports.markdown import escaped, markdown_table
 from gridtrack.reports.run import UNDEFINED
 
-MAX_ROWS = 40
-"""So many rows are shown of a table; the rest is counted."""
+MAX_TABLE_ROWS = 40
+"""Further rows of a table are counted and not shown."""
 MAX_FALLEN = 3
-"""So many lines a terminal gives to single recordings."""
-UNKNOWN_SPREAD = "what separates trainings is unknown from one run, and not counted as chance"
+"""Largest number of lines on single recordings in the text."""
+UNKNOWN_SPREAD = "the baseline has one run: the spread between trainings is unknown and not taken into account"
 
 
 def text_of(verdict: Verdict) -> str:
-    """The verdict for a terminal: what is worse, what was judged and how, and what else to know."""
+    """The verdict for a terminal: what is worse, notes, the rule and the conclusion."""
     lines = [f"worse: {sentence_of(row)}" for row in verdict.worse]
-    lines += [f"fell on one recording, not judged: {sentence_of(row)}" for row in verdict.fallen[:MAX_FALLEN]]
+    lines += [f"fall on one recording, not judged: {sentence_of(row)}" for row in verdict.fallen[:MAX_FALLEN]]
     if len(verdict.fallen) > MAX_FALLEN:
-        lines.append(f"fell on one recording, not judged: {len(verdict.fallen) - MAX_FALLEN} more, see --markdown")
+        lines.append(f"fall on one recording, not judged: {len(verdict.fallen) - MAX_FALLEN} more, see --markdown")
     lines += [f"note: {note}" for note in verdict.notes]
-    lines += [f"{label}: every count is as in the baseline" for label in _equal(verdict)]
+    lines += [f"{label}: every count is as in the baseline" for label in _unchanged(verdict)]
     return "\n".join(map(printable, [*lines, rule_of(verdict), _conclusion(verdict)]))
 
 
 def markdown_of(verdict: Verdict) -> str:
-    """The verdict as a Markdown page, names escaped."""
-    parts = [f"## gridtrack regress: {'worse' if verdict.worse else 'no worse'}", _escaped(rule_of(verdict))]
-    moved = [row for row in verdict.rows if row.verdict in {"worse", "no worse"}]
-    moved.sort(key=lambda row: (row.verdict != "worse", -row.fall))
-    parts += _table(
-        "Over all units", ["verdict", *_HEADINGS, "p"], moved, lambda row: [row.verdict, *_cells(row), _p(row)]
+    """The verdict as a Markdown page, with names escaped."""
+    parts = [f"## gridtrack regress: {'worse' if verdict.worse else 'no worse'}", escaped(rule_of(verdict))]
+    changed = [row for row in verdict.rows if row.verdict in {"worse", "no worse"}]
+    changed.sort(key=lambda row: (row.verdict != "worse", -row.fall))
+    parts += _section(
+        "Over all units",
+        ["verdict", *_HEADINGS, "p"],
+        changed,
+        lambda row: [row.verdict, *_row_cells(row), _p_value_text(row)],
     )
-    parts += _table("Fell on one recording (not judged)", ["recording", *_HEADINGS], verdict.fallen, _cells_of_one)
-    parts += _table(
-        "Speed", ["verdict", "tracker", "call", "times as long as", "baseline", "run"], verdict.speed, _times
+    parts += _section(
+        "Falls on one recording (not judged)", ["recording", *_HEADINGS], verdict.fallen, _recording_cells
     )
-    parts += ["\n".join(f"- {_escaped(note)}" for note in verdict.notes)] if verdict.notes else []
+    parts += _section(
+        "Speed", ["verdict", "tracker", "call", "times as long as", "baseline", "run"], verdict.speed, _speed_cells
+    )
+    parts += ["\n".join(f"- {escaped(note)}" for note in verdict.notes)] if verdict.notes else []
     parts += (
-        [f"Every count is as in the baseline: {', '.join(map(_escaped, _equal(verdict)))}."] if _equal(verdict) else []
+        [f"Every count is as in the baseline: {', '.join(map(escaped, _unchanged(verdict)))}."]
+        if _unchanged(verdict)
+        else []
     )
     return "\n\n".join(parts) + "\n"
 
 
 def markdown_of_unmeasured(reasons: Sequence[str]) -> str:
-    """A page that says why nothing was measured."""
-    return "## gridtrack regress: not measured\n\n" + "\n".join(f"- {_escaped(reason)}" for reason in reasons) + "\n"
+    """The Markdown page of a comparison that could not be made."""
+    return "## gridtrack regress: not measured\n\n" + "\n".join(f"- {escaped(reason)}" for reason in reasons) + "\n"
 
 
 def data_of(verdict: Verdict) -> dict[str, Any]:
-    """The verdict as plain data."""
+    """The verdict as data for JSON."""
     return {
         "verdict": "worse" if verdict.worse else "no worse",
         "units": verdict.units,
@@ -81,39 +89,39 @@ def _row_data(row: VerdictRow) -> dict[str, Any]:
 
 
 def text_of_update(path: Path, baseline: Baseline) -> str:
-    """What `--update` left for a terminal: of how many runs, and how far apart each tracker's trainings lie in them."""
+    """The baseline that `--update` wrote, for a terminal: its runs, and the range of F1 of each tracker over them."""
     if len(baseline.runs) == 1:
         return printable(f"baseline: {path}; {UNKNOWN_SPREAD}")
     lines = [f"baseline: {path}, of {len(baseline.runs)} runs"]
     rows = pair(baseline, baseline.first)
     for label in baseline.first.trackers:
-        apart = {np.ptp(np.nan_to_num(f1_score(r.trainings.sum(axis=1)))): r for r in rows if r.label == label}
-        widest = max(apart)
-        where = f"{apart[widest].stratum}, {band_text(apart[widest].band)}"
+        ranges = {np.ptp(np.nan_to_num(f1_score(r.trainings.sum(axis=1)))): r for r in rows if r.label == label}
+        widest = max(ranges)
+        where = f"{ranges[widest].stratum}, {band_text(ranges[widest].band)}"
         lines.append(
-            f"{label}: F1 lies up to {widest:.4f} apart ({where})" if widest else f"{label}: F1 is the same in all"
+            f"{label}: F1 differs by up to {widest:.4f} ({where})" if widest else f"{label}: F1 is the same in all runs"
         )
     return "\n".join(map(printable, lines))
 
 
 def sentence_of(row: VerdictRow | SpeedRow) -> str:
-    """One row in words."""
+    """One row as a sentence."""
     if isinstance(row, SpeedRow):
         return (
             f"{row.label}: {row.call} takes {row.ratio_run:.3g} times as long as {row.reference}'s, in the baseline"
             f" {row.ratio_baseline:.3g}: {row.growth:+.0%}, margin {row.margin:.0%}"
         )
     where = f" on {row.recording}" if row.recording else ""
-    sure = "" if row.p is None else f", p {row.p:.4f}"
+    significance = "" if row.p is None else f", p {row.p:.4f}"
     spread = "" if row.spread is None else f", spread between trainings {row.spread:.4f}"
     return (
         f"{row.label}{where}, {row.stratum}, {band_text(row.band)}: F1 {_number(row.f1_baseline)} to"
-        f" {_number(row.f1_run)}, a fall of {row.fall:.4f}{sure}{spread}, margin {row.margin:g}"
+        f" {_number(row.f1_run)}, a fall of {row.fall:.4f}{significance}{spread}, margin {row.margin:g}"
     )
 
 
 def band_text(band: str) -> str:
-    """A step band with its horizons."""
+    """A step band and its horizons."""
     if band not in BANDS:
         return band
     low, high = BANDS[band]
@@ -121,24 +129,37 @@ def band_text(band: str) -> str:
 
 
 def rule_of(verdict: Verdict) -> str:
-    """How it was judged, in one line."""
+    """The rule of the verdict, in one line."""
     judged = sum(row.verdict != "nothing to find" for row in verdict.rows)
     over = f"{judged} comparisons over {verdict.units} paired unit{'s' if verdict.units != 1 else ''}"
     if verdict.significance:
         trainings = (
-            UNKNOWN_SPREAD if verdict.trainings == 1 else f"{verdict.trainings} trainings tell what separates two"
+            UNKNOWN_SPREAD
+            if verdict.trainings == 1
+            else f"the spread between trainings is that of the {verdict.trainings} runs of the baseline"
         )
         return (
-            f"{over}: worse is a fall in F1 beyond the margin that"
-            f" comes by chance in less than {FAMILY_LEVEL:.0%} of runs anywhere among them; {trainings}"
+            f"{over}: worse is a fall in F1 beyond the margin with p of at most {FAMILY_LEVEL:g}, corrected for all"
+            f" comparisons; {trainings}"
         )
     return (
-        f"{over}, of which significance wants {LEAST_UNITS}: worse is"
-        f" a fall in F1 beyond the tracker's stated tolerance, and any fall where none is stated; {UNKNOWN_SPREAD}"
+        f"{over}, too few for significance, which needs {LEAST_UNITS}: worse is a fall in F1 beyond the tolerance of"
+        f" the tracker, and any fall of a tracker without one; {UNKNOWN_SPREAD}"
     )
 
 
-_HEADINGS = ("tracker", "stratum", "steps", "F1 then", "F1 now", "fall", "spread", "margin", "log loss then", "now")
+_HEADINGS = (
+    "tracker",
+    "stratum",
+    "steps",
+    "F1 baseline",
+    "F1 run",
+    "fall",
+    "spread",
+    "margin",
+    "log loss baseline",
+    "run",
+)
 
 
 def _conclusion(verdict: Verdict) -> str:
@@ -148,46 +169,39 @@ def _conclusion(verdict: Verdict) -> str:
     return f"worse than the baseline: {', '.join(labels)}"
 
 
-def _equal(verdict: Verdict) -> list[str]:
-    """Trackers of which every count is as it was."""
-    moved = {row.label for row in verdict.rows if row.verdict in {"worse", "no worse"}}
-    return [label for label in dict.fromkeys(row.label for row in verdict.rows) if label not in moved]
+def _unchanged(verdict: Verdict) -> list[str]:
+    """The trackers whose every count is as in the baseline."""
+    changed = {row.label for row in verdict.rows if row.verdict in {"worse", "no worse"}}
+    return [label for label in dict.fromkeys(row.label for row in verdict.rows) if label not in changed]
 
 
-def _table(title: str, headings: Sequence[str], rows: Sequence[Any], cells: Any) -> Iterator[str]:
-    """A heading and a table, or nothing where there are no rows."""
+def _section(title: str, headings: Sequence[str], rows: Sequence[Any], cells: Any) -> Iterator[str]:
+    """A heading and a table; nothing where there are no rows."""
     if not rows:
         return
     yield f"### {title}"
-    lines = [headings, ["---"] * len(headings), *(list(map(_escaped, cells(row))) for row in rows[:MAX_ROWS])]
-    yield "\n".join("| " + " | ".join(line) + " |" for line in lines)
-    if len(rows) > MAX_ROWS:
-        yield f"and {len(rows) - MAX_ROWS} more"
+    yield markdown_table(headings, [list(map(escaped, cells(row))) for row in rows[:MAX_TABLE_ROWS]]).rstrip("\n")
+    if len(rows) > MAX_TABLE_ROWS:
+        yield f"and {len(rows) - MAX_TABLE_ROWS} more"
 
 
-def _cells(row: VerdictRow) -> list[str]:
+def _row_cells(row: VerdictRow) -> list[str]:
     losses = [_number(row.log_loss_baseline), _number(row.log_loss_run)]
     scores = [_number(row.f1_baseline), _number(row.f1_run), f"{row.fall:+.4f}", _number(row.spread), f"{row.margin:g}"]
     return [row.label, row.stratum, band_text(row.band), *scores, *losses]
 
 
-def _cells_of_one(row: VerdictRow) -> list[str]:
-    return [row.recording, *_cells(row)]
+def _recording_cells(row: VerdictRow) -> list[str]:
+    return [row.recording, *_row_cells(row)]
 
 
-def _times(row: SpeedRow) -> list[str]:
+def _speed_cells(row: SpeedRow) -> list[str]:
     return [row.verdict, row.label, row.call, row.reference, f"{row.ratio_baseline:.3g}", f"{row.ratio_run:.3g}"]
 
 
-def _p(row: VerdictRow) -> str:
+def _p_value_text(row: VerdictRow) -> str:
     return UNDEFINED if row.p is None else f"{row.p:.4f}"
 
 
 def _number(value: float | None) -> str:
     return UNDEFINED if value is None else f"{value:.4f}"
-
-
-def _escaped(text: str) -> str:
-    """Text that Markdown and the HTML in it leave as it is."""
-    text = printable(text).replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
-    return "".join(f"\\{sign}" if sign in "\\`*_[]|#!~@" else sign for sign in text)

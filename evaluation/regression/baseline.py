@@ -1,4 +1,4 @@
-"""A baseline: measurements in one JSON file of numbers and names, versioned, replaced whole, read with suspicion."""
+"""The baseline file: the counts of one or several runs as versioned JSON, validated on reading."""
 
 from __future__ import annotations
 
@@ -11,41 +11,40 @@ from typing import Any
 from pydantic import ValidationError
 
 from gridtrack.common.errors import GridtrackError
+from gridtrack.common.files import read_json, write_text
 from gridtrack.evaluation.regression.measurement import BASELINE_SCHEMA, Baseline, Measurement, Unmeasured
 from gridtrack.evaluation.regression.pairing import require_comparable
 
 MAX_BASELINE_BYTES = 16 << 20
 """A larger file is refused before it is read; twenty recordings of six trackers take a hundredth of it."""
 _LIST_OF_NUMBERS = re.compile(r"\[\n[-0-9.eE,\s]+\]")
-_BANDS_OF_COUNTS = re.compile(r"\{\n\s*\"\w+\": \[[^\[\]{}]*\](,\s+\"\w+\": \[[^\[\]{}]*\])*\s+\}")
+_COUNTS_BY_BAND = re.compile(r"\{\n\s*\"\w+\": \[[^\[\]{}]*\](,\s+\"\w+\": \[[^\[\]{}]*\])*\s+\}")
 
 
 class BaselineError(GridtrackError):
-    """A file that is no baseline which this version can read."""
+    """A file that is not a baseline of a version that can be read."""
 
 
 def write_baseline(path: Path, runs: Sequence[Measurement]) -> Baseline:
-    """Leave a baseline of `runs` at `path`, replaced whole; a line for each unit and stratum for git to compare.
+    """Write a baseline of `runs` to `path`, with one line for each unit and stratum, so that git can compare versions.
 
-    Raises BaselineError where the file cannot be written, and what `require_comparable` raises.
+    Raises BaselineError where the file cannot be written, and the errors of `require_comparable`.
     """
     require_comparable(runs)
     baseline = Baseline(runs=tuple(runs))
     text = json.dumps(baseline.model_dump(mode="json", by_alias=True), indent=0, allow_nan=False)
-    for on_one_line in (_LIST_OF_NUMBERS, _BANDS_OF_COUNTS):
+    for on_one_line in (_LIST_OF_NUMBERS, _COUNTS_BY_BAND):
         text = on_one_line.sub(lambda found: "".join(found[0].split()), text)
-    partial = path.with_name(path.name + ".partial")
     try:
-        partial.write_text(text + "\n", "utf-8")
-        partial.replace(path)
+        write_text(path, text + "\n")
     except OSError as error:
         raise BaselineError(f"{path}: the baseline cannot be written ({error.strerror})") from None
     return baseline
 
 
 def read_baseline(path: Path) -> Baseline:
-    """The baseline in `path`. Raises BaselineError, and Unmeasured where it holds nothing."""
-    content = _migrated(_read_json(path))
+    """The baseline in `path`. Raises BaselineError, and Unmeasured where it is empty."""
+    content = _migrated(_read_content(path))
     schema = content.get("schema")
     if schema != BASELINE_SCHEMA:
         raise BaselineError(
@@ -54,50 +53,41 @@ def read_baseline(path: Path) -> Baseline:
         )
     if _is_empty(content.get("runs")):
         raise Unmeasured(
-            [f"{path}: the baseline is empty, nothing can be compared with it: make it again with --update"]
+            [f"{path}: the baseline is empty, no run can be compared with it: make it again with --update"]
         )
     try:
         baseline = Baseline.model_validate(content)
     except (ValidationError, RecursionError) as error:
-        raise BaselineError(f"{path}: not a baseline ({_first(error)}): make it again with --update") from None
+        raise BaselineError(f"{path}: not a baseline ({_first_error(error)}): make it again with --update") from None
     require_comparable(baseline.runs)
     return baseline
 
 
+def _read_content(path: Path) -> dict[str, Any]:
+    try:
+        return read_json(path, MAX_BASELINE_BYTES, BaselineError)
+    except FileNotFoundError:
+        raise BaselineError(f"{path}: there is no such baseline; --update makes one of the run") from None
+    except BaselineError as error:
+        raise BaselineError(f"{error}: make the baseline again with --update") from None
+
+
 def _migrated(content: dict[str, Any]) -> dict[str, Any]:
-    """Schema 1 was the measurement of one run, by itself."""
+    """The content in the current schema; schema 1 was the measurement of one run."""
     if content.get("schema") != 1:
         return content
     return {"schema": BASELINE_SCHEMA, "runs": [{key: value for key, value in content.items() if key != "schema"}]}
 
 
 def _is_empty(runs: Any) -> bool:
-    """Whether there is no run, or one in which nothing was measured."""
+    """Whether there is no run, or one without trackers or recordings."""
     if not isinstance(runs, list):
         return False
     return not runs or any(isinstance(run, dict) and {} in (run.get("trackers"), run.get("recordings")) for run in runs)
 
 
-def _first(error: ValidationError | RecursionError) -> str:
+def _first_error(error: ValidationError | RecursionError) -> str:
     if isinstance(error, RecursionError):
         return "nested too deeply"
     first = error.errors()[0]
-    return f"{'.'.join(str(part)[:60] for part in first['loc']) or 'content'}: {first['msg']}"
-
-
-def _read_json(path: Path) -> dict[str, Any]:
-    try:
-        if path.stat().st_size > MAX_BASELINE_BYTES:
-            raise BaselineError(
-                f"{path}: {path.stat().st_size} bytes; a baseline of more than {MAX_BASELINE_BYTES} is refused"
-            )
-        content = json.loads(path.read_text("utf-8"))
-    except FileNotFoundError:
-        raise BaselineError(f"{path}: there is no such baseline; --update makes one of the run") from None
-    except OSError as error:
-        raise BaselineError(f"{path}: cannot be read ({error.strerror})") from None
-    except (ValueError, RecursionError) as error:
-        raise BaselineError(f"{path}: not JSON ({str(error)[:80]}): make it again with --update") from None
-    if not isinstance(content, dict):
-        raise BaselineError(f"{path}: expected one JSON object, found {type(content).__name__}")
-    return content
+    return f"{'.'.join(str(key)[:60] for key in first['loc']) or 'content'}: {first['msg']}"

@@ -1,6 +1,7 @@
-"""A measurement: what one run counted for each tracker, recording, unit, stratum and step band; small enough for git.
+"""The models of a measurement and of a baseline.
 
-A baseline is the measurements of one or several earlier runs, in a file.
+A measurement holds the counts of one run for each tracker, recording, statistical unit, stratum and step band, and is
+small enough for git. A baseline is the measurements of one or several earlier runs in one file.
 """
 
 from __future__ import annotations
@@ -15,20 +16,20 @@ from gridtrack.common.errors import GridtrackError
 
 BASELINE_SCHEMA: Final = 2
 BANDS: dict[str, tuple[float, float]] = {"short": (0.0, 0.5), "middle": (0.5, 1.5), "long": (1.5, 3600.0)}
-"""Horizons of each step band in seconds, the first excluded: step 0 on visible cells is copying."""
+"""Horizons of each step band in seconds, above the first and up to the second; step 0, the input frame, is in none."""
 BLOCK_S = 100.0
-"""Where the recordings are too few to be the units, these are blocks of at least this time: longer than people
-linger, and than most signals' cycles; where a place has a longer cycle, that long."""
+"""Shortest block of time, seconds, where blocks are the units because the recordings are too few: longer than the
+residence time of people and most cycles of traffic lights. A longer cycle of a recording replaces it."""
 
 Name = Annotated[str, Field(min_length=1, max_length=200)]
 Count = Annotated[int, Field(ge=0, le=2**53)]
 Milliseconds = Annotated[float, Field(gt=0.0, le=1e9)]
 BandCounts = tuple[Count, Count, Count, Count, Annotated[float, Field(ge=0.0)]]
-"""TP, FP, FN, TN at the thresholds that were in use, and the sum of the log loss in nats."""
+"""TP, FP, FN, TN at the thresholds of the run, and the sum of the log loss in nats."""
 
 
 class Unmeasured(GridtrackError):
-    """A comparison that cannot be made: it neither passes nor is anything worse. `reasons` holds one line for each."""
+    """A comparison that cannot be made: the verdict is neither `worse` nor `no worse`. `reasons`: one line each."""
 
     def __init__(self, reasons: Sequence[str]) -> None:
         super().__init__("; ".join(reasons))
@@ -50,8 +51,8 @@ class SplitKey(Settings):
 
 
 class UnitCounts(Settings):
-    """The scored frames of one unit: how many, which (`delivered`, a digest of their stamps and what was shown until
-    then), and their counts by stratum and step band."""
+    """The scored frames of one statistical unit: their number, a digest of their stamps and of the frames delivered
+    before them, and their counts by stratum and step band."""
 
     frames: Annotated[int, Field(ge=1, le=2**40)]
     delivered: Annotated[str, Field(pattern=r"^[0-9a-f]{32}$")]
@@ -59,19 +60,19 @@ class UnitCounts(Settings):
 
 
 class Speed(Settings):
-    """Median time of an update and of a forecast, alone on the machine, milliseconds."""
+    """Median times of an update and of a forecast, milliseconds, of a tracker that runs alone on the machine."""
 
     update_ms: Milliseconds
     predict_ms: Milliseconds
 
 
 class TrialCounts(Settings):
-    """One tracker on one recording; `figures` names what was measured of it beside its scores."""
+    """One tracker on one recording; `measurements` are those that the run made in addition to the scores."""
 
     weights_sha256: str = ""
     units: Annotated[tuple[UnitCounts, ...], Field(min_length=1, max_length=100_000)]
     speed: Speed | None = None
-    figures: tuple[Literal["deadline", "degrade"], ...] = ()
+    measurements: Annotated[tuple[Literal["deadline", "degrade"], ...], Field(alias="figures")] = ()
 
 
 class TrackerCounts(Settings):
@@ -83,7 +84,7 @@ class TrackerCounts(Settings):
 
 
 class Measurement(Settings):
-    """What a complete run counted. `block_s` is the length of its units in seconds; None: whole recordings."""
+    """The counts of a complete run. `block_s`: length of a unit in seconds; None: the units are whole recordings."""
 
     command: tuple[str, ...]
     versions: dict[str, str]
@@ -92,7 +93,7 @@ class Measurement(Settings):
     trackers: Annotated[dict[Name, TrackerCounts], Field(min_length=1)]
 
     @model_validator(mode="after")
-    def _every_trial_is_there(self) -> Measurement:
+    def _every_tracker_has_every_recording(self) -> Measurement:
         for label, entry in self.trackers.items():
             if entry.recordings.keys() != self.recordings.keys():
                 raise ValueError(
@@ -108,9 +109,9 @@ class Measurement(Settings):
 
 
 class Baseline(Settings):
-    """What a run is held against: the measurements of one run, or of several, each of a training or a seed of its own.
+    """The measurements that a run is compared with: of one run, or of several, each of its own training or seed.
 
-    Several are of the same trackers with the same options, on the same frames (`pairing.require_comparable`).
+    Several runs have the same trackers and options, on the same frames (`pairing.require_comparable`).
     """
 
     schema_version: Literal[2] = Field(default=BASELINE_SCHEMA, alias="schema")
@@ -118,5 +119,5 @@ class Baseline(Settings):
 
     @property
     def first(self) -> Measurement:
-        """Stands for all of them in what they have in common."""
+        """The first run, for all that the runs have in common."""
         return self.runs[0]

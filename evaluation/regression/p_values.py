@@ -1,4 +1,4 @@
-"""What chance could do to each row: by the units that happen to be in the test, and by the training that was run."""
+"""P-values of the rows: the chance of a fall in F1 by the choice of the units, and by the choice of the training."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from gridtrack.evaluation.statistics.uncertainty import LEAST_UNITS
 
 @dataclass(frozen=True, slots=True)
 class RowPValue:
-    """`p` of a row's fall, corrected for the family of all rows: None where units are too few for it.
+    """`p` of a row's fall, corrected for the family of all rows; None where there are too few units.
 
-    `spread` is the standard deviation of its F1 from training to training; None where one run tells nothing of it.
+    `spread`: the standard deviation of its F1 between trainings; None where the baseline has one run.
     """
 
     p: float | None = None
@@ -26,9 +26,9 @@ class RowPValue:
 
 
 def row_p_values(paired: Sequence[PairedRow]) -> list[RowPValue]:
-    """The chance of each row: a fall is as likely by chance as the likelier of the two, units and trainings, makes it.
+    """The p-value of each row: the larger of that from the units and that from the spread between trainings.
 
-    Where units are few there is none; where the baseline is of one run, trainings are unknown and units alone count.
+    With too few units p is None; with a baseline of one run the spread is unknown and the units alone decide.
     """
     if not paired or len(paired[0].recordings) < LEAST_UNITS:
         return [RowPValue() for _ in paired]

@@ -1,9 +1,8 @@
-"""Which falls in F1 are no chance: paired swaps of two runs over units, corrected for the whole family of comparisons.
+"""Significance of falls in F1: a paired permutation test over units, corrected for the whole family of comparisons.
 
-Where two runs are alike, it is chance which of them was called the baseline in a unit. Swapping them at random, in
-whole units, shows what falls come by chance alone; the largest of them over the family is what each fall is held
-against (single-step max-T of Westfall and Young, 1993), so a run that is no worse is called worse anywhere in at most
-the stated share of comparisons, however its strata and steps depend on each other.
+Under the null hypothesis the two runs are exchangeable in each unit. Swapping them at random, in whole units, gives the
+distribution of falls by chance. Each fall is compared with the largest of the family in every permutation (single-step
+max-T, Westfall and Young, 1993), which controls the family-wise error rate under any dependence of strata and steps.
 """
 
 from __future__ import annotations
@@ -15,14 +14,14 @@ from gridtrack.evaluation.scoring.metrics import f1_score
 
 SWAPS = 9999
 FAMILY_LEVEL = 0.05
-"""How often at most a run that is no worse is called worse in any row."""
+"""Family-wise error rate: how often at most a run that is no worse is called worse in any row."""
 
 
 def fall_p_values(baseline: NDArray[np.float64], run: NDArray[np.float64]) -> NDArray[np.float64]:
-    """P (R,) that a fall in pooled F1 as large as each row's, in its standard errors, comes by chance anywhere.
+    """P-values (R,) of the falls in pooled F1, in standard errors, corrected over the R rows.
 
     `baseline`, `run`: TP, FP, FN, TN (U, R, 4) of the same cells in U units and R rows. A row that is equal in every
-    unit, or has nothing to find, gets 1. The same counts give the same p: the swaps are drawn from a fixed seed.
+    unit, or has no occupied cell, gets 1. The same counts give the same p: the swaps are drawn from a fixed seed.
     """
     units = baseline.shape[0]
     swapped = np.random.default_rng(0).integers(0, 2, (SWAPS, units)).astype(np.float64)
@@ -33,7 +32,7 @@ def fall_p_values(baseline: NDArray[np.float64], run: NDArray[np.float64]) -> ND
     standardised = np.zeros_like(falls)
     np.divide(falls, spread, out=standardised, where=spread > 1e-12)
     largest = np.sort(standardised.max(axis=1, initial=-np.inf))
-    # a last bit must not decide whether a swap ties with what was found
-    beaten_by = len(largest) - np.searchsorted(largest, standardised[0] - 1e-9)
-    p = beaten_by / len(largest)
+    # rounding must not decide whether a swap ties with the observed fall
+    at_least = len(largest) - np.searchsorted(largest, standardised[0] - 1e-9)
+    p = at_least / len(largest)
     return np.where(spread > 1e-12, p, 1.0)

@@ -1,4 +1,4 @@
-"""Units of a trial: its scored frames in blocks of time, each reduced to counts by stratum and step band."""
+"""Statistical units of a trial: blocks of time, each reduced to counts by stratum and step band."""
 
 from __future__ import annotations
 
@@ -21,26 +21,26 @@ LOG_LOSS = COUNTS.index("log_loss")
 def read_units(
     folder: Path, horizons_s: Sequence[float], strata: tuple[str, ...], block_s: float | None, frames: int
 ) -> tuple[UnitCounts, ...]:
-    """The units of the trial in `folder`, in the order of time; blocks of at least `block_s`, None: one for the whole.
+    """The units of the trial in `folder`, in order of time: blocks of at least `block_s` seconds; None: one unit.
 
     Raises ScoresError where the scores cannot be read, Unmeasured where they are not those of `frames` scored frames.
     """
     scored = read_frame_counts(folder, len(horizons_s) - 1, strata)
     if len(scored.stamps_ns) != frames or (scored.counts[..., CONFUSION_COLUMNS] < 0).any():
         raise Unmeasured(
-            [f"{folder.name}: its scores are not those of the {frames} forecasts it tells of: run it again"]
+            [f"{folder.name}: its scores are not those of the {frames} forecasts of its record: run it again"]
         )
     blocks = _block_numbers(scored.stamps_ns, block_s)
-    return tuple(_unit(scored.at(blocks == block), horizons_s, strata) for block in np.unique(blocks))
+    return tuple(_unit_counts(scored.at(blocks == block), horizons_s, strata) for block in np.unique(blocks))
 
 
 def band_of(horizon_s: float) -> str | None:
-    """The step band in which a horizon lies; None for step 0."""
+    """The step band of a horizon; None for step 0."""
     return next((name for name, (low, high) in BANDS.items() if low < horizon_s <= high + 1e-9), None)
 
 
 def _block_numbers(stamps_ns: NDArray[np.int64], block_s: float | None) -> NDArray[np.int64]:
-    """The number of each frame's block: as many equal ones as fit with `block_s` each, at least one."""
+    """The block of each frame (F,): the largest number of equal blocks of at least `block_s`, and at least one."""
     since_ns = stamps_ns - stamps_ns[0]
     span_ns = max(1, int(since_ns[-1]))
     blocks = max(1, int(span_ns / 1e9 / block_s)) if block_s else 1
@@ -48,7 +48,7 @@ def _block_numbers(stamps_ns: NDArray[np.int64], block_s: float | None) -> NDArr
     return numbers
 
 
-def _unit(scored: FrameCounts, horizons_s: Sequence[float], strata: tuple[str, ...]) -> UnitCounts:
+def _unit_counts(scored: FrameCounts, horizons_s: Sequence[float], strata: tuple[str, ...]) -> UnitCounts:
     per_step = scored.counts.sum(axis=0, dtype=np.float64)
     bands = [band_of(horizon) for horizon in horizons_s]
     counts: dict[str, dict[str, BandCounts]] = {stratum: {} for stratum in strata}
@@ -61,6 +61,6 @@ def _unit(scored: FrameCounts, horizons_s: Sequence[float], strata: tuple[str, .
 
 
 def _digest(scored: FrameCounts) -> str:
-    """Of the scored frames' stamps and of every frame that was delivered until then."""
+    """A digest of the stamps of the scored frames and of every frame delivered until then."""
     frames = list(zip(scored.stamps_ns.tolist(), scored.delivered.tolist(), strict=True))
     return hashlib.blake2b(repr(frames).encode(), digest_size=16).hexdigest()

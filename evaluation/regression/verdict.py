@@ -1,4 +1,4 @@
-"""The verdict on a run: which trackers are worse than in the baseline, in which strata and step bands, and how sure."""
+"""The verdict on a run: the trackers that are worse than in the baseline, by stratum and step band."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ SMALLEST_FALL = 1e-9
 
 @dataclass(frozen=True, slots=True)
 class VerdictRow:
-    """One tracker, stratum and step band over all units; `recording` names one where the row is of that one only.
+    """One tracker, stratum and step band over all units, or over those of `recording` where it is not empty.
 
-    F1 is pooled over steps and frames; None where nothing was occupied. `log_loss` is the mean of a cell, in nats.
-    Both are of the mean counts where the baseline is of several runs. `p` is of the fall, corrected for the family;
-    None where units are too few, and for one recording. `spread` is the standard deviation of F1 from training to
-    training; None where that is not known.
+    F1 is pooled over steps and frames; None where no cell was occupied. `log_loss` is the mean over cells, in nats.
+    Both are of the mean counts where the baseline has several runs. `p`: the p-value of the fall, corrected for the
+    family; None with too few units, and for a single recording. `spread`: the standard deviation of F1 between
+    trainings; None where it is not known.
     """
 
     label: str
@@ -49,23 +49,23 @@ class VerdictRow:
 
     @property
     def fall(self) -> float:
-        """By how much F1 fell; negative where it rose."""
+        """F1 of the baseline less that of the run; negative where F1 rose."""
         return 0.0 if self.f1_baseline is None or self.f1_run is None else self.f1_baseline - self.f1_run
 
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """`rows` decide, over all units, and `speed` where it was asked for; `fallen` are each
-    tracker's deepest falls on single recordings, told and not judged; `notes` are what else to know."""
+    """The verdict: `rows`, over all units, and `speed`, where requested, decide. `fallen`: the largest fall of each
+    tracker on single recordings, shown and not judged; `notes`: other differences."""
 
     rows: tuple[VerdictRow, ...]
     fallen: tuple[VerdictRow, ...]
     speed: tuple[SpeedRow, ...]
     units: int
     trainings: int
-    """Of how many runs the baseline is; of one, what separates trainings is not known."""
+    """Number of runs of the baseline; with one, the spread between trainings is not known."""
     significance: bool
-    """Whether units were enough for it; else only equality and tolerances decide."""
+    """Whether there are enough units for p-values; else only equality and tolerances decide."""
     notes: tuple[str, ...]
 
     @property
@@ -75,14 +75,14 @@ class Verdict:
 
     @property
     def worse(self) -> tuple[VerdictRow | SpeedRow, ...]:
-        """The rows that are worse: with none, the run passes."""
+        """The rows that are worse; if there is none, the run passes."""
         return tuple(row for row in self.decisive if row.verdict == "worse")
 
 
 def compare_with_baseline(baseline: Baseline, run: Measurement, settings: GateSettings | None = None) -> Verdict:
-    """Compare a run with a baseline, paired by units.
+    """The verdict on `run`, paired with `baseline` by units.
 
-    Raises Unmeasured where they do not pair or hold nothing to judge, ConfigurationError for a label that is unknown.
+    Raises Unmeasured where they do not pair or no cell was occupied, ConfigurationError for an unknown label.
     """
     settings = settings or GateSettings()
     for label in (*settings.tolerance, *filter(None, [settings.speed_reference])):
@@ -91,33 +91,35 @@ def compare_with_baseline(baseline: Baseline, run: Measurement, settings: GateSe
             raise ConfigurationError(f"the baseline has no tracker '{label}'; {did_you_mean(label, known)}")
     paired = pair(baseline, run)
     units = len(paired[0].recordings) if paired else 0
-    rows = tuple(_judged(row, settings, chance) for row, chance in zip(paired, row_p_values(paired), strict=True))
+    rows = tuple(_judged_row(row, settings, p_value) for row, p_value in zip(paired, row_p_values(paired), strict=True))
     if all(row.verdict == "nothing to find" for row in rows):
         raise Unmeasured(["no cell was occupied in any stratum and step band: nothing was measured"])
-    speed, spoken = compare_speed(baseline, run, settings.speed_reference, settings.speed_margin)
+    speed, speed_notes = compare_speed(baseline, run, settings.speed_reference, settings.speed_margin)
     return Verdict(
         rows,
-        _fallen(paired, settings),
+        _largest_falls(paired, settings),
         speed,
         units,
         len(baseline.runs),
         units >= LEAST_UNITS,
-        (*_notes(baseline, run), *spoken),
+        (*_notes(baseline, run), *speed_notes),
     )
 
 
-def _judged(row: PairedRow, settings: GateSettings, chance: RowPValue) -> VerdictRow:
-    """The row over all units, with its standing."""
+def _judged_row(row: PairedRow, settings: GateSettings, p_value: RowPValue) -> VerdictRow:
+    """The row over all units, with its verdict."""
     tolerance = settings.tolerance.get(row.label)
-    margin = (0.0 if chance.p is None else settings.margin) if tolerance is None else tolerance
-    plain = _row(row, np.ones(len(row.recordings), bool), "", margin, chance)
-    beyond = plain.fall > margin + SMALLEST_FALL and (chance.p is None or chance.p <= FAMILY_LEVEL)
-    verdict: RowVerdict = "worse" if beyond and plain.verdict == "no worse" else plain.verdict
-    return replace(plain, verdict=verdict)
+    margin = (0.0 if p_value.p is None else settings.margin) if tolerance is None else tolerance
+    row_over_all = _verdict_row(row, np.ones(len(row.recordings), bool), "", margin, p_value)
+    beyond = row_over_all.fall > margin + SMALLEST_FALL and (p_value.p is None or p_value.p <= FAMILY_LEVEL)
+    verdict: RowVerdict = "worse" if beyond and row_over_all.verdict == "no worse" else row_over_all.verdict
+    return replace(row_over_all, verdict=verdict)
 
 
-def _row(row: PairedRow, members: NDArray[np.bool_], recording: str, margin: float, chance: RowPValue) -> VerdictRow:
-    """The row over some of its units, not judged yet."""
+def _verdict_row(
+    row: PairedRow, members: NDArray[np.bool_], recording: str, margin: float, p_value: RowPValue
+) -> VerdictRow:
+    """The row over the units `members`; its verdict is not `worse` before it is judged."""
     then, now = row.baseline[members].sum(axis=0), row.run[members].sum(axis=0)
     f1_then, f1_now = (None if np.isnan(f1) else float(f1) for f1 in (f1_score(then), f1_score(now)))
     cells = then.sum() or np.nan
@@ -131,27 +133,27 @@ def _row(row: PairedRow, members: NDArray[np.bool_], recording: str, margin: flo
     elif row.equal:
         verdict = "equal"
     return VerdictRow(
-        row.label, row.stratum, row.band, recording, f1_then, f1_now, loss_then, loss_now, margin, chance.p,
-        chance.spread, verdict,
+        row.label, row.stratum, row.band, recording, f1_then, f1_now, loss_then, loss_now, margin, p_value.p,
+        p_value.spread, verdict,
     )  # fmt: skip
 
 
-def _fallen(paired: Sequence[PairedRow], settings: GateSettings) -> tuple[VerdictRow, ...]:
-    """The deepest fall of each tracker on each single recording, where it is beyond the margin; the deepest first."""
-    deepest: dict[tuple[str, str], VerdictRow] = {}
+def _largest_falls(paired: Sequence[PairedRow], settings: GateSettings) -> tuple[VerdictRow, ...]:
+    """The largest fall of each tracker on each recording, if it exceeds the margin; the largest first."""
+    largest: dict[tuple[str, str], VerdictRow] = {}
     for row in paired:
         names = np.array(row.recordings)
         margin = settings.tolerance.get(row.label, settings.margin)
         for name in dict.fromkeys(row.recordings):
-            one = _row(row, names == name, name, margin, RowPValue())
-            known = deepest.get((row.label, name))
+            one = _verdict_row(row, names == name, name, margin, RowPValue())
+            known = largest.get((row.label, name))
             if one.fall > margin and (known is None or one.fall > known.fall):
-                deepest[row.label, name] = one
-    return tuple(sorted(deepest.values(), key=lambda row: -row.fall))
+                largest[row.label, name] = one
+    return tuple(sorted(largest.values(), key=lambda row: -row.fall))
 
 
 def _notes(baseline: Baseline, run: Measurement) -> list[str]:
-    """What differs between the two beside the counts."""
+    """The differences between the two in addition to the counts."""
     first = baseline.first
     notes = [
         f"tracker {label} is not in the baseline: not judged" for label in run.trackers if label not in first.trackers
@@ -164,10 +166,12 @@ def _notes(baseline: Baseline, run: Measurement) -> list[str]:
     for label, then in first.trackers.items():
         now = run.trackers[label]
         if (then.tracker, then.options) != (now.tracker, now.options):
-            notes.append(f"{label} was {_named(then.tracker, then.options)}, now {_named(now.tracker, now.options)}")
-        if others := _other_weights(label, baseline, run):
             notes.append(
-                f"{label} has other weights than in the baseline on {others} of {len(then.recordings)} recordings"
+                f"{label} was {_described(then.tracker, then.options)}, now {_described(now.tracker, now.options)}"
+            )
+        if others := _count_other_weights(label, baseline, run):
+            notes.append(
+                f"{label} has different weights from the baseline on {others} of {len(then.recordings)} recordings"
             )
     changed = [
         f"{name} {old}, now {run.versions.get(name, 'none')}"
@@ -177,8 +181,8 @@ def _notes(baseline: Baseline, run: Measurement) -> list[str]:
     return [*notes, *([f"versions: {'; '.join(changed)}"] if changed else [])]
 
 
-def _other_weights(label: str, baseline: Baseline, run: Measurement) -> int:
-    """On how many recordings the run has weights that no run of the baseline had."""
+def _count_other_weights(label: str, baseline: Baseline, run: Measurement) -> int:
+    """The number of recordings on which the run has weights that no run of the baseline has."""
     return sum(
         all(then.trackers[label].recordings[name].weights_sha256 != trial.weights_sha256 for then in baseline.runs)
         for name, trial in run.trackers[label].recordings.items()
@@ -186,5 +190,5 @@ def _other_weights(label: str, baseline: Baseline, run: Measurement) -> int:
     )
 
 
-def _named(tracker: str, options: Mapping[str, object]) -> str:
+def _described(tracker: str, options: Mapping[str, object]) -> str:
     return tracker + "".join(f" {key}={value}" for key, value in options.items())

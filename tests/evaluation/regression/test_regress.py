@@ -1,4 +1,4 @@
-"""`gridtrack regress` as its users meet it: what passes, what is worse, and what never passes."""
+"""`gridtrack regress`: what passes, what is worse, and what never passes."""
 
 from __future__ import annotations
 
@@ -72,23 +72,23 @@ def test_a_significant_fall_within_the_margin_or_the_tolerance_passes(baseline, 
     assert regress(run, "--baseline", baseline, "--tolerance", "persistence=0.1").code == 1
 
 
-def test_a_fall_on_one_recording_of_twenty_is_told_and_not_judged(baseline, write_run, regress):
+def test_a_fall_on_one_recording_of_twenty_is_printed_and_not_judged(baseline, write_run, regress):
     run = write_run("now", {**NAMES, "kalman": {"loss": 0.3, "only": "junction-07"}})
     done = regress(run, "--baseline", baseline)
     assert done.code == 0
-    assert "fell on one recording, not judged: kalman on junction-07, moving" in done.out
+    assert "fall on one recording, not judged: kalman on junction-07, moving" in done.out
 
 
 def test_on_too_few_units_any_fall_is_worse_unless_a_tolerance_is_stated(short_baseline, write_run, regress):
     run = write_run("now", {**NAMES, "kalman": {"loss": 0.01}}, recordings=2)
     done = regress(run, "--baseline", short_baseline)
     assert done.code == 1
-    assert "2 paired units, of which significance wants 20" in done.out
+    assert "2 paired units, too few for significance, which needs 20" in done.out
     assert "persistence: every count is as in the baseline" in done.out
     assert regress(run, "--baseline", short_baseline, "--tolerance", "kalman=0.05").code == 0
 
 
-def test_a_new_tracker_and_a_new_recording_are_told_and_not_judged(short_baseline, write_run, regress):
+def test_a_new_tracker_and_a_new_recording_are_noted_and_not_judged(short_baseline, write_run, regress):
     run = write_run("now", {**NAMES, "newcomer": {"recall": 0.1}}, recordings=3)
     done = regress(run, "--baseline", short_baseline)
     assert done.code == 0
@@ -96,7 +96,7 @@ def test_a_new_tracker_and_a_new_recording_are_told_and_not_judged(short_baselin
     assert "recording junction-02 is not in the baseline: not judged" in done.out
 
 
-def test_other_options_are_told(short_baseline, write_run, regress):
+def test_other_options_are_noted(short_baseline, write_run, regress):
     done = regress(
         write_run("now", {**NAMES, "kalman": {"options": {"gate": 3}}}, recordings=2), "--baseline", short_baseline
     )
@@ -238,7 +238,7 @@ def kalman_of(baseline):
         (lambda b: b.pop("schema"), 2, "schema 'None' of a baseline"),
         (lambda b: b.update(runs=[]), 3, "the baseline is empty"),
         (lambda b: b["runs"][0].update(trackers={}), 3, "the baseline is empty"),
-        (lambda b: b["runs"].append(b["runs"][0]), 2, "2 runs of 2 units: what separates trainings is judged on 20"),
+        (lambda b: b["runs"].append(b["runs"][0]), 2, "2 runs of 2 units: the spread between trainings needs 20"),
         (lambda b: b.update(extra=1), 2, "not a baseline (extra: "),
         (lambda b: kalman_of(b)["recordings"].pop("junction-00"), 2, "kalman was not measured on every"),
         (lambda b: kalman_of(b)["recordings"]["junction-00"].update(units=[]), 2, "units"),
@@ -309,12 +309,12 @@ def test_speed_is_judged_as_a_ratio_so_a_slower_machine_passes_and_a_slower_trac
     assert regress(slower, *asked, "--speed-margin", "0.7").code == 0
 
 
-def test_speed_that_was_not_measured_is_told_and_asked_for_never_passes(short_baseline, write_run, regress):
+def test_speed_that_was_not_measured_is_noted_and_where_requested_never_passes(short_baseline, write_run, regress):
     run = write_run("now", NAMES, recordings=2)
-    told = regress(run, "--baseline", short_baseline)
-    assert (told.code, "note: speed is not judged: kalman@junction-00 has no latency" in told.out) == (0, True)
-    asked = regress(run, "--baseline", short_baseline, "--speed-reference", "persistence")
-    assert (asked.code, "speed cannot be judged" in asked.err) == (3, True)
+    noted = regress(run, "--baseline", short_baseline)
+    assert (noted.code, "note: speed is not judged: kalman@junction-00 has no latency in the" in noted.out) == (0, True)
+    requested = regress(run, "--baseline", short_baseline, "--speed-reference", "persistence")
+    assert (requested.code, "speed cannot be judged" in requested.err) == (3, True)
 
 
 def test_junit_and_markdown_say_what_is_worse_and_escape_every_name(write_run, regress, tmp_path):
