@@ -37,7 +37,7 @@ from gridtrack.trackers.recurrent.convgru_tracker import DilatedConvGRUTracker
 from gridtrack.trackers.recurrent.transfer import latent_cells
 from gridtrack.trackers.weights import read_card
 
-from studies.support.label_table import BUDGETS, COLUMNS, append_row, read_rows
+from studies.support.label_table import BUDGETS, COLUMNS, append_row, budget_table, read_rows
 from studies.support.shipped import JUNCTION, WEIGHTS, junction_tests, shipped_tracker
 
 DRAWS, SCANS = (1, 2, 3), 800
@@ -189,21 +189,6 @@ def measure_draw(
             print(f"draw {seed}, {budget} scans, {method.name}: {found}", flush=True)
 
 
-def print_table(rows: Sequence[dict[str, str]]) -> None:
-    """Mean over draws and, in brackets, least and most, as Markdown."""
-    print(f"| method | scans | draws | {' | '.join(COLUMNS)} |\n|---|--:|--:|{'--:|' * len(COLUMNS)}")
-    for method, budget in product([method.name for method in methods()], BUDGETS):
-        own = [row for row in rows if row["method"] == method and int(row["scans"]) == budget]
-        if own:
-            shown = (spread([float(row[column]) for row in own]) for column in COLUMNS)
-            print(f"| {method} | {budget} | {len(own)} | {' | '.join(shown)} |")
-
-
-def spread(values: Sequence[float]) -> str:
-    """`0.321 [0.300, 0.350]`."""
-    return f"{statistics.fmean(values):.3f} [{min(values):.3f}, {max(values):.3f}]"
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--out", type=Path, default=Path("runs/label_budget.csv"))
@@ -224,7 +209,7 @@ def main() -> None:
         whole = open_stream(JUNCTION / "train.tracks")
         for seed, of_draw in missing.items():
             measure_draw(whole, seed, of_draw, test, arguments.out)
-    print_table(read_rows(arguments.out))
+    print(budget_table(arguments.out).markdown())
 
 
 if __name__ == "__main__":

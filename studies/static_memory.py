@@ -17,6 +17,7 @@ from gridtrack.recordings.stream import GridStream
 from gridtrack.recordings.truth import static_cells
 from gridtrack.reports.pictures import probability_png
 
+from studies.support.results_file import ResultSection, write_section
 from studies.support.shipped import shipped_tracker
 from studies.support.svg import document
 
@@ -46,30 +47,39 @@ def picture_panel(k: int, title: str, png: str) -> str:
     )
 
 
-def drawing(recording: Path, names: list[str]) -> str:
+def drawing(recording: Path, names: list[str]) -> tuple[str, dict[str, str]]:
+    """The pictures, SVG, and what is measured of each forecast."""
     stream = GridStream(open_recording(recording))
     first = next(iter(stream.observations()))
     if first.scene is None:
         raise SystemExit(f"{recording}: no true scene: choose a simulated recording")
     outlines = static_cells(first.scene, stream.grid, first.frame.world_T_grid)
+    values: dict[str, str] = {}
     panels = [picture_panel(0, "true outlines", probability_png(outlines.astype(np.float32)))]
     for k, name in enumerate(names, start=1):
         p = forecast_from_nothing(name, stream)
         panels.append(picture_panel(k, f"{name}: log P from {SMALLEST:g} to 1", probability_png(shade(p))))
-        print(
-            f"{name}: mean P {p[outlines].mean():.3f} on the outlines, {p[~outlines].mean():.4f} elsewhere;"
-            f" {100 * np.mean(p[outlines] > 0.5):.0f} % and {100 * np.mean(p[~outlines] > 0.5):.2f} % above one half"
-        )
+        measured = {
+            "mean P on the outlines": f"{p[outlines].mean():.2f}",
+            "mean P elsewhere": f"{p[~outlines].mean():.2f}",
+            "share above one half on the outlines": f"{100 * np.mean(p[outlines] > 0.5):.0f} %",
+            "share above one half elsewhere": f"{100 * np.mean(p[~outlines] > 0.5):.2f} %",
+        }
+        values.update({f"{name}, {key}": value for key, value in measured.items()})
     width, height = len(panels) * (SIDE + GAP) - GAP, TOP + SIDE
-    return document(width, height, panels, font_size=13)
+    return document(width, height, panels, font_size=13), values
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("trackers", nargs="*", default=TRACKERS)
-    parser.add_argument("--out", type=Path, default=PICTURE)
+    parser.add_argument("--out", type=Path, default=PICTURE.parent, help="folder of the picture and measurements.json")
     arguments = parser.parse_args()
-    arguments.out.write_text(drawing(RECORDING, arguments.trackers))
+    svg, values = drawing(RECORDING, arguments.trackers)
+    (arguments.out / PICTURE.name).write_text(svg)
+    section = ResultSection(command="python -m studies.static_memory", source="measured", values=values)
+    write_section(arguments.out / "measurements.json", "static memory", section)
+    print("\n".join(f"{name}: {value}" for name, value in values.items()))
 
 
 if __name__ == "__main__":

@@ -1,10 +1,14 @@
-"""The table of the label budget: its columns, and how its rows are read and appended."""
+"""The table of the label budget: its columns, how its rows are read and appended, and its summary."""
 
 from __future__ import annotations
 
 import csv
-from collections.abc import Mapping
+import statistics
+from collections.abc import Mapping, Sequence
+from itertools import product
 from pathlib import Path
+
+from studies.support.results_file import ResultTable
 
 BUDGETS = (50, 100, 200, 400, 800)
 """Numbers of labelled scans."""
@@ -29,3 +33,21 @@ def append_row(path: Path, row: Mapping[str, object]) -> None:
         if new:
             writer.writeheader()
         writer.writerow(row)
+
+
+def budget_table(path: Path) -> ResultTable:
+    """Mean over the draws and, in brackets, least and most, for each method and number of labelled scans."""
+    rows = read_rows(path)
+    methods = list(dict.fromkeys(row["method"] for row in rows))
+    lines = []
+    for method, budget in product(methods, BUDGETS):
+        own = [row for row in rows if row["method"] == method and int(row["scans"]) == budget]
+        if own:
+            texts = [_mean_and_range([float(row[column]) for row in own]) for column in COLUMNS]
+            lines.append((method, str(budget), str(len(own)), *texts))
+    columns = ("method", "scans", "draws", *COLUMNS)
+    return ResultTable(columns=columns, alignment=("---", *["--:"] * (len(columns) - 1)), rows=tuple(lines))
+
+
+def _mean_and_range(values: Sequence[float]) -> str:
+    return f"{statistics.fmean(values):.3f} [{min(values):.3f}, {max(values):.3f}]"

@@ -1,0 +1,128 @@
+"""Numbers and tables of the pages, filled from committed results.
+
+`python -m studies.figures [--check]` (one second). Between markers, which are HTML comments, a page has what the
+command writes:
+
+    <!-- value: junction: kalman: f1 moving 1 s -->0.693<!-- /value -->
+    <!-- value: trackers/dogma.json: time: processor time -->13<!-- /value -->
+    <!-- table: trackers/dogma.json: velocity: table -->...<!-- /table -->
+    <!-- table: junction: F1: kalman, dogma: f1 moving 1 s, f1 visible 1 s: intervals, best -->...<!-- /table -->
+    <!-- table: junction: confusion: kalman: visible -->...<!-- /table -->
+    <!-- table: label-budget -->...<!-- /table -->
+
+`junction` is docs/results/junction/summary.json (rows and columns: studies/support/junction_summary.py), `label-budget`
+docs/results/junction/label-budget.csv; any other source is a file below docs/results, its section and a name in it
+(studies/support/results_file.py). A results page has decimal numbers only between markers, in code, or among the
+constants it names: `<!-- constants: 0.5 2.5 -->`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import re
+import sys
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+
+from studies.support.junction_summary import JunctionSummary
+from studies.support.label_table import budget_table
+from studies.support.results_file import ResultSection, ResultTable, read_sections
+
+ROOT = Path(__file__).parents[1]
+RESULTS = ROOT / "docs" / "results"
+MARKED = re.compile(r"<!-- (?P<kind>value|table): (?P<address>.*?) -->(?P<content>.*?)<!-- /(?P=kind) -->", re.DOTALL)
+CONSTANTS = re.compile(r"<!-- constants: (.*?) -->", re.DOTALL)
+CODE = re.compile(r"^```.*?^```|^    .*?$|`[^`]*`|\]\([^)]*\)|<!--.*?-->", re.MULTILINE | re.DOTALL)
+DECIMAL = re.compile(r"(?<![\w.])\d*\.\d+(?![\w]|\.\d)")
+
+
+def results_pages(root: Path = ROOT) -> list[Path]:
+    """The pages whose numbers are generated."""
+    docs = root / "docs"
+    return sorted([root / "README.md", *docs.glob("results/**/*.md"), *docs.glob("trackers/*results*.md")])
+
+
+def filled(text: str) -> str:
+    """A page with every marker's content generated anew. Raises KeyError for an address that has no number."""
+    return MARKED.sub(_generated, text)
+
+
+def unmarked_decimals(text: str) -> Iterator[str]:
+    """The lines with a decimal number outside markers, code and the page's constants, each with that number."""
+    constants = {one for found in CONSTANTS.findall(text) for one in found.split()}
+    rest = CODE.sub(_blank, MARKED.sub(_blank, text))
+    for number, line in enumerate(rest.splitlines(), 1):
+        for decimal in DECIMAL.findall(line):
+            if decimal not in constants:
+                yield f"line {number}: {decimal}"
+
+
+def _blank(found: re.Match[str]) -> str:
+    """As many lines as the match has, without its text."""
+    return " " + "\n" * found[0].count("\n")
+
+
+def _generated(found: re.Match[str]) -> str:
+    address = [part.strip() for part in " ".join(found["address"].split()).split(": ")]
+    content = _value(address) if found["kind"] == "value" else f"\n{_table(address).markdown()}\n"
+    return f"<!-- {found['kind']}: {found['address']} -->{content}<!-- /{found['kind']} -->"
+
+
+def _value(address: list[str]) -> str:
+    if address[0] == "junction":
+        return _junction().value(*address[1:])
+    source, section, name = address
+    return _section(source, section).values[name]
+
+
+def _table(address: list[str]) -> ResultTable:
+    match address:
+        case ["label-budget"]:
+            return budget_table(RESULTS / "junction" / "label-budget.csv")
+        case ["junction", "confusion", tracker, visibility]:
+            return _junction().confusion(tracker, visibility)
+        case ["junction", corner, rows, columns, *options]:
+            given = [one for text in options for one in _names(text)]
+            return _junction().table(corner, _names(rows), _names(columns), given)
+        case [source, section, name]:
+            return _section(source, section).tables[name]
+    raise KeyError(f"no table '{': '.join(address)}'")
+
+
+def _names(text: str) -> list[str]:
+    return [one.strip() for one in text.split(",")]
+
+
+def _section(source: str, section: str) -> ResultSection:
+    return _sections(source)[section]
+
+
+@cache
+def _sections(source: str) -> dict[str, ResultSection]:
+    return read_sections(RESULTS / source)
+
+
+@cache
+def _junction() -> JunctionSummary:
+    return JunctionSummary(RESULTS / "junction" / "summary.json")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--check", action="store_true", help="write nothing; exit with 1 where a page differs")
+    check = parser.parse_args().check
+    stale = []
+    for page in results_pages():
+        text = page.read_text("utf-8")
+        new = filled(text)
+        if new != text:
+            stale.append(page.relative_to(ROOT).as_posix())
+            if not check:
+                page.write_text(new, "utf-8")
+    print(f"{'differ' if check else 'written'}: {', '.join(stale) or 'none'}")
+    sys.exit(check and bool(stale))
+
+
+if __name__ == "__main__":
+    main()

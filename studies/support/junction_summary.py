@@ -1,0 +1,153 @@
+"""Numbers of docs/results/junction/summary.json as the pages print them.
+
+A number is addressed by a row and a column. The row is a tracker, `TRACKER less REFERENCE` (a paired difference) or
+`TRACKER over OTHER` (a ratio). The column is a score, a stratum and a horizon, such as `f1 moving 1 s`. Scores: `f1`,
+`nll`, `class nll` (nats per scan), `share_of_oracle` (of the gap between persistence and the oracle), `lead` (F1 above
+the better of FLOORS) and `p` (Holm's, of a difference). `visible cyclist as car` is a share of the class's cells now.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Sequence
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from studies.support.results_file import ResultTable
+
+COLUMN = re.compile(r"(?P<score>f1|nll|share_of_oracle|lead|p|class nll) (?P<stratum>.+?) (?P<horizon>now|[\d.]+ s)")
+CONFUSION = re.compile(r"(?P<visibility>visible|occluded) (?P<true>\w+) as (?P<taken>\w+)")
+TITLES = {"f1": "", "nll": "log loss, ", "class nll": "class log loss, "}
+FLOORS = ("persistence", "static-map")
+
+
+class JunctionSummary:
+    """The pooled results of the trackers at the junction."""
+
+    def __init__(self, path: Path) -> None:
+        self._summary: dict[str, Any] = json.loads(path.read_text("utf-8"))
+
+    @cached_property
+    def _horizons_s(self) -> list[float]:
+        recording = next(iter(self._summary["recordings"].values()))
+        return [float(horizon) for horizon in recording["horizons_s"]]
+
+    def value(self, row: str, column: str, *, interval: bool = False) -> str:
+        """One number as text; with `interval`, followed by its 95 % interval. Raises KeyError: no such number."""
+        tracker, _, reference = row.partition(" less ")
+        if found := CONFUSION.fullmatch(column):
+            return f"{self._share(tracker, **found.groupdict()):.0%}".replace("%", " %")
+        found = COLUMN.fullmatch(column)
+        if found is None:
+            raise KeyError(f"no column '{column}' of the junction's summary")
+        score, stratum, step = found["score"], found["stratum"], self._step(found["horizon"])
+        if score == "share_of_oracle":
+            return f"{100 * self._pooled(tracker)['strata'][stratum][score][step]:.0f} %"
+        if score == "lead":
+            floor = max(self._pooled(one)["strata"][stratum]["f1"][step] for one in FLOORS)
+            return f"{self._pooled(tracker)['strata'][stratum]['f1'][step] - floor:.3f}"
+        if " over " in row:
+            values = [float(self.value(one, column)) for one in row.split(" over ")]
+            return f"{values[0] / values[1]:.2f}"
+        if score == "p":
+            return f"{self._p_value(tracker, reference, stratum, step):.2f}"
+        return self._score(tracker, reference, score, stratum, step, interval=interval)
+
+    def table(self, corner: str, rows: Sequence[str], columns: Sequence[str], options: Sequence[str]) -> ResultTable:
+        """Rows and columns as a table.
+
+        Options: `intervals`; `best` marks the highest number of each column among trackers that are no ceiling; `p`
+        marks differences by Holm's p.
+        """
+        cells = [[self._cell(row, column, options) for column in columns] for row in rows]
+        if "best" in options:
+            self._mark_best(rows, columns, cells)
+        return ResultTable(
+            columns=(corner, *map(_title, columns)),
+            alignment=("---",) * (len(columns) + 1),
+            rows=tuple((row, *texts) for row, texts in zip(rows, cells, strict=True)),
+        )
+
+    def confusion(self, tracker: str, visibility: str) -> ResultTable:
+        """Shares of each class's cells now, in per cent: a row for each true class."""
+        classes = self._semantics(tracker)["classes"]
+        return ResultTable(
+            columns=(f"{tracker}, {visibility} cells", *classes),
+            alignment=("---", *["--:"] * len(classes)),
+            rows=tuple(
+                (true, *(f"{100 * self._share(tracker, visibility, true, taken):.0f}" for taken in classes))
+                for true in classes
+            ),
+        )
+
+    def _cell(self, row: str, column: str, options: Sequence[str]) -> str:
+        text = self.value(row, column, interval="intervals" in options)
+        found = COLUMN.fullmatch(column)
+        if "p" not in options or found is None:
+            return text
+        tracker, _, reference = row.partition(" less ")
+        p = self._p_value(tracker, reference, found["stratum"], self._step(found["horizon"]))
+        return text if p < 0.001 else f"{text} *" if p < 0.05 else f"{text} °"
+
+    def _mark_best(self, rows: Sequence[str], columns: Sequence[str], cells: list[list[str]]) -> None:
+        for number, column in enumerate(columns):
+            values = {row: self.value(row, column) for row in rows if row != "oracle"}
+            best = max(values.values())
+            for row, texts in zip(rows, cells, strict=True):
+                if values.get(row) == best:
+                    texts[number] = re.sub(r"^[\d.]+", r"**\g<0>**", texts[number])
+
+    def _score(self, tracker: str, reference: str, score: str, stratum: str, step: int, *, interval: bool) -> str:
+        if score == "class nll":
+            key, signed = "nll_per_scan", bool(reference)
+            found = self._difference("class_differences", tracker, reference) if reference else self._semantics(tracker)
+            found = found["kinds"][stratum]
+        else:
+            key, signed = score, bool(reference)
+            found = self._difference("differences", tracker, reference) if reference else self._pooled(tracker)
+            found = found["strata"][stratum]
+        text = f"{found[key][step]:+.3f}" if signed else f"{found[key][step]:.3f}"
+        if not interval or found.get(f"{key}_low") is None or found[f"{key}_low"][step] is None:
+            return text
+        ends = (found[f"{key}_{end}"][step] for end in ("low", "high"))
+        return f"{text} [{', '.join(_short(end, signed=signed) for end in ends)}]"
+
+    def _p_value(self, tracker: str, reference: str, stratum: str, step: int) -> float:
+        headline = self._difference("differences", tracker, reference)["headline"]
+        return next(float(one["p_holm"]) for one in headline if (one["stratum"], one["step"]) == (stratum, step))
+
+    def _difference(self, kind: str, tracker: str, reference: str) -> dict[str, Any]:
+        pairs = {(one["tracker"], one["reference"]): one for one in self._summary[kind]}
+        if (tracker, reference) in pairs:
+            return dict(pairs[tracker, reference])
+        raise KeyError(f"no {kind} of {tracker} less {reference} in the junction's summary")
+
+    def _share(self, tracker: str, visibility: str, true: str, taken: str) -> float:
+        semantics = self._semantics(tracker)
+        confusion = next(one for one in semantics["kinds"][visibility]["confusion"] if one["step"] == 0)["cells"]
+        row = confusion[semantics["classes"].index(true)]
+        return float(row[semantics["classes"].index(taken)] / sum(row))
+
+    def _pooled(self, tracker: str) -> dict[str, Any]:
+        return dict(self._summary["trackers"][tracker]["pooled"])
+
+    def _semantics(self, tracker: str) -> dict[str, Any]:
+        return dict(self._pooled(tracker)["semantics"])
+
+    def _step(self, horizon: str) -> int:
+        return 0 if horizon == "now" else self._horizons_s.index(float(horizon.removesuffix(" s")))
+
+
+def _title(column: str) -> str:
+    found = COLUMN.fullmatch(column)
+    assert found is not None
+    comma = "," if re.search(r"\d", found["stratum"]) else ""
+    return f"{TITLES[found['score']]}{found['stratum']}{comma} {found['horizon']}"
+
+
+def _short(value: float, *, signed: bool) -> str:
+    """`.693`, `1.234` or `-.012`: an end of an interval."""
+    text = f"{value:+.3f}" if signed else f"{value:.3f}"
+    return re.sub(r"^([+-]?)0\.", r"\1.", text)

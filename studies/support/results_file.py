@@ -1,0 +1,67 @@
+"""Results of a study as a small JSON file, from which the pages in docs take their numbers."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from pydantic import BaseModel, ConfigDict
+
+
+class ResultTable(BaseModel):
+    """A table as it is printed: texts of the header, of each row, and how columns are aligned (Markdown's rule)."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+    columns: tuple[str, ...]
+    alignment: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+
+    def markdown(self) -> str:
+        """The table in Markdown."""
+        return "\n".join([_line(self.columns), f"|{'|'.join(self.alignment)}|", *map(_line, self.rows)])
+
+
+def _line(cells: Sequence[str]) -> str:
+    return "|" + "".join(f" {cell} |" if cell else " |" for cell in cells)
+
+
+class ResultSection(BaseModel):
+    """What one command measured."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+    command: str
+    source: str
+    tables: dict[str, ResultTable] = {}
+    values: dict[str, str] = {}
+
+
+def read_sections(path: Path) -> dict[str, ResultSection]:
+    """The sections of a results file by their names. Raises OSError or pydantic's ValidationError."""
+    return {name: ResultSection.model_validate(value) for name, value in json.loads(path.read_text("utf-8")).items()}
+
+
+def write_section(path: Path, name: str, section: ResultSection) -> None:
+    """Write one section of a results file, with the other sections kept."""
+    sections = read_sections(path) if path.exists() else {}
+    texts = {key: value.model_dump(mode="json") for key, value in {**sections, name: section}.items()}
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(json.dumps(texts, indent=1, ensure_ascii=False) + "\n", "utf-8")
+
+
+def write_table(
+    path: Path | None, section: str, columns: Sequence[str], rows: Sequence[Sequence[str]], command: str
+) -> None:
+    """Write a table that a study measured, first column left and the others right; nothing without a path."""
+    if path is None:
+        return
+    table = ResultTable(
+        columns=tuple(columns),
+        alignment=("---", *["--:"] * (len(columns) - 1)),
+        rows=tuple(tuple(row) for row in rows),
+    )
+    kept: Mapping[str, ResultSection] = read_sections(path) if path.exists() else {}
+    values = kept[section].values if section in kept else {}
+    write_section(
+        path, section, ResultSection(command=command, source="measured", tables={"table": table}, values=values)
+    )

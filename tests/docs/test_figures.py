@@ -1,0 +1,43 @@
+"""Numbers of the results pages come from committed results, by the command `python -m studies.figures`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from studies.figures import filled, results_pages, unmarked_decimals
+
+from docs.pages import name_of
+
+PAGES = results_pages()
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name_of)
+def test_a_page_has_what_the_command_writes(page: Path) -> None:
+    text = page.read_text("utf-8")
+    assert filled(text) == text, "run make figures"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name_of)
+def test_a_results_page_has_no_number_copied_by_hand(page: Path) -> None:
+    assert list(unmarked_decimals(page.read_text("utf-8"))) == []
+
+
+def test_a_value_and_a_table_are_filled_between_their_markers() -> None:
+    page = "F1 <!-- value: junction: oracle: f1 occluded 1 s -->0.1<!-- /value -->, at once."
+    assert filled(page) == "F1 <!-- value: junction: oracle: f1 occluded 1 s -->1.000<!-- /value -->, at once."
+    table = filled("<!-- table: junction: F1: oracle: f1 occluded 1 s -->\n<!-- /table -->")
+    assert "| F1 | occluded 1 s |\n|---|---|\n| oracle | 1.000 |\n<!-- /table -->" in table
+
+
+@pytest.mark.parametrize("address", ["value: junction: kalman: f2 moving 1 s", "table: nowhere"])
+def test_an_unknown_address_is_an_error(address: str) -> None:
+    kind = address.partition(":")[0]
+    with pytest.raises(KeyError, match="no "):
+        filled(f"<!-- {address} --><!-- /{kind} -->")
+
+
+def test_a_decimal_is_found_outside_markers_code_and_constants() -> None:
+    marked = "<!-- value: a -->0.3<!-- /value --> `0.4` [x](0.5) 1.9.1 v2\n\n    --rate 0.6\n"
+    assert list(unmarked_decimals(marked)) == []
+    assert list(unmarked_decimals("one\nF1 is 0.693 after 0.5 s\n<!-- constants: 0.5 -->")) == ["line 2: 0.693"]
