@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from studies.figures import filled, results_pages, unmarked_decimals
 
 from docs.pages import name_of
+from studies.figures import filled, results_pages, unmarked_decimals
 
 PAGES = results_pages()
 
