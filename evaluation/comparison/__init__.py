@@ -1,1 +1,1 @@
-"""Planning and running a comparison, and the folder that it leaves."""
+"""Planning and running a comparison, and the folder of its results."""

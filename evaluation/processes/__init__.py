@@ -1,1 +1,1 @@
-"""Trackers in processes of their own: limits, outcomes, and the contract suite over them."""
+"""Tracker processes: limits, outcomes, and the contract suite."""

@@ -1,1 +1,1 @@
-"""The referee: what came set against what was forecast, counted."""
+"""The referee: forecasts paired with the observed frames, and counts of their scores."""

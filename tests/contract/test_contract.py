@@ -1,4 +1,4 @@
-"""Every registered tracker keeps every promise of the contract; and each promise, broken, is found out."""
+"""Every registered tracker satisfies the contract; and the suite detects each violation."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ SMALL = StreamSpec(GridSpec(40, 0.2), 0.125, "here")
 
 
 @pytest.mark.parametrize("name", entries())
-def test_a_registered_tracker_keeps_the_contract(name: str) -> None:
+def test_a_registered_tracker_satisfies_the_contract(name: str) -> None:
     known = [
         (stream, learned) for stream in (LEG_TRACKER, JUNCTION) if (learned := find_weights(name, stream.site, None))
     ]
@@ -66,7 +66,7 @@ def failures(name: str, **options: object) -> dict[str, CheckResult]:
         ("keeps-to-one-period", "works at another period", "ZeroDivisionError"),
     ],
 )
-def test_each_broken_promise_is_found_out(name: str, broken: str | None, detail: str) -> None:
+def test_each_violation_is_detected(name: str, broken: str | None, detail: str) -> None:
     found = failures(name)
     if broken is None:
         assert found == {}
@@ -77,7 +77,7 @@ def test_each_broken_promise_is_found_out(name: str, broken: str | None, detail:
 
 
 @pytest.mark.usefixtures("bad_trackers")
-def test_a_tracker_that_cannot_start_is_checked_no_further() -> None:
+def test_a_tracker_that_cannot_start_is_not_checked_further() -> None:
     (result,) = check_tracker(launch("needs-weights"), SMALL, {"at": "start"})
     assert (result.verdict, result.detail) == ("skipped", "untrained: needs-weights: no weights")
     (result,) = check_tracker(launch("raises"), SMALL, {"at": "start"})
@@ -85,17 +85,17 @@ def test_a_tracker_that_cannot_start_is_checked_no_further() -> None:
 
 
 @pytest.mark.usefixtures("bad_trackers")
-def test_a_crash_in_one_check_does_not_spoil_the_next() -> None:
+def test_a_crash_in_one_check_does_not_affect_the_next() -> None:
     found = failures("fails-on-empty-input")
     assert set(found) == {"works on empty input from the first frame"}
 
 
-def test_results_are_reported_as_they_come() -> None:
+def test_each_result_is_reported() -> None:
     seen: list[CheckResult] = []
     assert check_tracker(launch("blank"), SMALL, report=seen.append) == seen
 
 
-def test_a_scene_moves_hides_and_turns() -> None:
+def test_a_scene_has_moving_boxes_and_occlusion_and_turns() -> None:
     grid = GridSpec(60, 0.2)
     one, other = (scene(grid, 0.1, 16, seed=1, turn=(10, seed)) for seed in (2, 3))
     for index, (a, b) in enumerate(zip(one, other, strict=True)):

@@ -1,4 +1,4 @@
-"""The examples do what their pages say: a package that is installed, and a program in C++ that speaks the wire."""
+"""The examples work as their pages describe: an installed package, and a C++ program that implements the wire."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ STREAM = StreamSpec(GridSpec(40, 0.2), 0.125)
 
 @pytest.fixture(scope="module")
 def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The example package, installed by pip into a folder of its own."""
+    """The example package, installed by pip into a separate folder."""
     folder = tmp_path_factory.mktemp("example")
     shutil.copytree(EXAMPLES / "example_tracker", folder / "source")
     pip_install(folder / "source", folder / "site")
@@ -63,7 +63,7 @@ def test_the_example_package_passes_its_own_tests(example: Path) -> None:
     subprocess.run(tests, cwd=example / "source", check=True)
 
 
-def test_a_new_tracker_package_installs_keeps_the_contract_and_passes_its_tests(
+def test_a_new_tracker_package_installs_satisfies_the_contract_and_passes_its_tests(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     module = new_tracker("my-own-2", tmp_path / "package")
@@ -81,11 +81,11 @@ def test_a_new_tracker_package_installs_keeps_the_contract_and_passes_its_tests(
     subprocess.run(tests, cwd=tmp_path / "package", check=True)
 
 
-def test_the_program_in_cpp_keeps_the_contract(program: Launch) -> None:
+def test_the_program_in_cpp_satisfies_the_contract(program: Launch) -> None:
     assert [r for r in check_tracker(program, STREAM) if r.verdict != "passed"] == []
 
 
-def test_the_program_in_cpp_refuses_options_clearly(program: Launch) -> None:
+def test_the_program_in_cpp_refuses_options(program: Launch) -> None:
     (result,) = check_tracker(program, STREAM, {"half_life_s": 2})
     assert (result.verdict, result.detail) == ("failed", "not-applicable: this tracker has no options")
 

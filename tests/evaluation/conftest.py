@@ -101,8 +101,8 @@ def staged(install: Callable[..., Path]) -> None:
     install("staged", {"staged": "staged_tracker:Staged"}, {"staged_tracker.py": STAGED})
 
 
-class Told:
-    """A progress that remembers what it was told."""
+class RecordedProgress:
+    """A Progress that records its calls."""
 
     def __init__(self) -> None:
         self.notes: list[str] = []
@@ -124,5 +124,5 @@ class Told:
 
 
 @pytest.fixture
-def told() -> Told:
-    return Told()
+def progress() -> RecordedProgress:
+    return RecordedProgress()

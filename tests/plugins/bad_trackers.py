@@ -1,4 +1,4 @@
-"""Trackers that do, on purpose, what a tracker must not; each fails where its option `at` says, or as its name says."""
+"""Trackers that violate the contract on purpose, at the call of the option `at` or as the name says."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ from gridtrack.common.errors import WeightsError
 from gridtrack.common.grid import GridFrame
 from gridtrack.trackers.contract import Forecast, StreamSpec, Tracker
 
-Moment = Literal["start", "reset", "update", "predict"]
+Stage = Literal["start", "reset", "update", "predict"]
 
 
 class At(Settings):
-    at: Moment = "update"
+    at: Stage = "update"
 
 
 class Good(Tracker):
-    """The well-behaved base: forecasts nothing."""
+    """The correct base class: forecasts free cells."""
 
     Options = At
 
@@ -47,12 +47,12 @@ class Good(Tracker):
     def occupancy(self, steps: int) -> Any:
         return np.zeros((steps + 1, *self.stream.grid.shape), np.float32)
 
-    def _maybe(self, moment: str) -> None:
-        if self.options.at == moment:
+    def _maybe(self, stage: str) -> None:
+        if self.options.at == stage:
             self.misbehave()
 
     def misbehave(self) -> None:
-        """What the subclass does wrong."""
+        """The violation of the subclass."""
 
 
 class Raises(Good):
@@ -144,7 +144,7 @@ class PredictsNone(Good):
 
 
 class OtherObjects(Good):
-    """Objects that are numbers, or no sequence of objects at all."""
+    """Objects that are numbers, or that are not a sequence."""
 
     class Options(Settings):
         objects: Any = (1, 2)
@@ -200,7 +200,7 @@ class ClosesItsPipe(Good):
 
 
 class Forks(Good):
-    """Leaves a child behind that lives on: in this session, or (`how=setsid`) detached as a daemon is."""
+    """Leaves a child process behind: in this session, or (`how=setsid`) detached like a daemon."""
 
     class Options(At):
         how: Literal["fork", "setsid"] = "fork"
@@ -235,7 +235,7 @@ class NeedsMissingModule(Good):
 
 
 class CountsPredictions(Good):
-    """Its state is changed by predict."""
+    """Its state changes in predict."""
 
     calls = 0
 
@@ -248,7 +248,7 @@ class CountsPredictions(Good):
 
 
 class Recovers(Good):
-    """Something in it fails in the third frame of a stream, or so it says."""
+    """Reports a recovered failure in the third frame of a stream."""
 
     class Options(At):
         count: int = 1
@@ -267,7 +267,7 @@ class Recovers(Good):
 
 
 class NeverForgets(Good):
-    """Reset leaves the last stream in its memory."""
+    """Reset does not clear the state of the last stream."""
 
     def __init__(self, stream: StreamSpec, options: Any) -> None:
         super().__init__(stream, options)
@@ -281,7 +281,7 @@ class NeverForgets(Good):
 
 
 class RollsDice(Good):
-    """Does not listen to its seed."""
+    """Ignores its seed."""
 
     def occupancy(self, steps: int) -> Any:
         return np.random.default_rng().random((steps + 1, *self.stream.grid.shape), np.float32)
@@ -303,7 +303,7 @@ class KeepsToOneGrid(Good):
 
 
 class RemembersTheFuture(Good):
-    """Keeps the last stream, and takes what came then for what comes now."""
+    """Keeps the last stream, and forecasts its frames in the next one."""
 
     def __init__(self, stream: StreamSpec, options: Any) -> None:
         super().__init__(stream, options)

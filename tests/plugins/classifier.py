@@ -1,4 +1,4 @@
-"""Trackers that say what things are: one that knows by where they are, and one that has never heard of some of them."""
+"""Trackers with classes: one that derives the class from the place, and one with classes that a recording lacks."""
 
 import numpy as np
 
@@ -6,7 +6,7 @@ from gridtrack.trackers.contract import Forecast, Tracker
 
 
 class Classifier(Tracker):
-    """Forecasts the last frame; calls what is near a cyclist, a band behind it pedestrian, and the rest static."""
+    """Forecasts the last frame; near cells are a cyclist, a band behind them a pedestrian, all others static."""
 
     classes = ("static", "pedestrian", "cyclist")
 
@@ -26,6 +26,6 @@ class Classifier(Tracker):
 
 
 class Stranger(Classifier):
-    """Knows pedestrians, and tells them from horses."""
+    """Has the class pedestrian, and two classes that the recording lacks."""
 
     classes = ("horse", "pedestrian", "walls")

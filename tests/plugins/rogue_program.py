@@ -1,4 +1,4 @@
-"""A program on the wire that starts as it should, and then answers an `update` in the way named by its argument."""
+"""A program on the wire that starts correctly, and answers an `update` in the way named by its argument."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A scene whose truth is known: a room, a screen that hides part of it, and boxes that pass behind and before it."""
+"""A scene with truth: a room, a screen that hides part of it, and boxes that move behind and in front of it."""
 
 import numpy as np
 
@@ -30,13 +30,13 @@ WALKERS_OUTLINE, RIDERS_OUTLINE = box(-0.3, -0.3, 0.6, 0.6), box(-0.8, -0.3, 1.6
 
 
 def to_and_fro(time_s, period_s, reach_m):
-    """A place between -reach_m and reach_m, at constant speed."""
+    """A position between -reach_m and reach_m, metres, moving to and fro at constant speed."""
     share = time_s / period_s % 1.0
     return reach_m * (4 * share - 1 if share < 0.5 else 3 - 4 * share)
 
 
 def scene(index):
-    """The pedestrian walks behind the screen, four seconds each way; the cyclist rides before it."""
+    """The pedestrian walks behind the screen, four seconds each way; the cyclist rides in front of it."""
     time_s = index / RATE_HZ
     return Scene(
         ROOM,
@@ -49,7 +49,7 @@ def scene(index):
 
 
 def scan(index, noise_m=0.0, with_truth=True):
-    """What a laser at the origin, looking along y, sees of it."""
+    """Scan of the scene by a laser at the origin, looking along y."""
     true_scene, pose = scene(index), SE2(0.0, 0.0, np.pi / 2)
     ranges, labels = sweep(true_scene, pose, ANGLE_MIN, STEP, BEAMS, RANGE_MAX_M)
     noise = noise_m * np.random.default_rng(index).standard_normal(BEAMS)
@@ -67,7 +67,7 @@ def scan(index, noise_m=0.0, with_truth=True):
 
 
 def write_recording(path, seconds=20, noise_m=0.0, with_truth=True, stretches=None):
-    """A native recording of it."""
+    """A native recording of the scene."""
     grid = "40x0.25@-1,-5"
     info = RecordingInfo(
         site="room",

@@ -22,13 +22,13 @@ pytestmark = pytest.mark.usefixtures("staged")
 
 
 @pytest.fixture
-def compare(record, tmp_path, told):
+def compare(record, tmp_path, progress):
     """`compare(*trackers, **settings)` runs on the small recording and gives the summary."""
     path = record()
 
     def compare(*trackers, **more):
         defaults = {"recordings": (str(path),), "out": tmp_path / "run", "horizon_s": 1.0, "every_s": 0.5, "jobs": 2}
-        return run(resolve(CompareSettings(trackers=trackers, **(defaults | more))), ("gridtrack", "compare"), told)
+        return run(resolve(CompareSettings(trackers=trackers, **(defaults | more))), ("gridtrack", "compare"), progress)
 
     return compare
 
@@ -51,7 +51,7 @@ def costing(monkeypatch):
     return costing
 
 
-def test_a_tracker_that_takes_no_time_scores_as_it_does_untimed(compare, costing):
+def test_a_tracker_without_delay_scores_as_without_a_clock(compare, costing):
     costing(0.0, 0.0)
     result = trial_of(compare("persistence", deadline=True), "persistence")
     assert [at["rate"] for at in result["deadline"]["rates"]] == [0.5, 1.0, 2.0, 4.0]
@@ -73,7 +73,7 @@ def test_a_busy_tracker_misses_frames_and_scores_less(compare, costing):
     assert own["f1"]["static"][0] > 0.9
 
 
-def test_what_is_measured_is_the_trackers_own_time(compare):
+def test_durations_are_measured_by_the_trackers_own_clock(compare):
     deadline = trial_of(compare("staged:sleep_s=0.005", deadline=True), "staged")["deadline"]
     assert deadline["update_ms"]["p50"] >= 5.0
     assert deadline["busy_ms"]["p99"] >= deadline["update_ms"]["p50"]
@@ -82,12 +82,12 @@ def test_what_is_measured_is_the_trackers_own_time(compare):
     assert all(at["missed"] <= at["frames"] for at in deadline["rates"])
 
 
-def test_without_deadline_there_is_none_and_a_resumed_run_adds_it(compare, tmp_path):
+def test_a_resumed_run_adds_the_deadline_scores(compare, tmp_path):
     assert trial_of(compare("blank"), "blank")["deadline"] is None
     assert trial_of(compare("blank", deadline=True, resume=True), "blank")["deadline"] is not None
 
 
-def test_a_tracker_that_ends_on_the_clock_keeps_its_score_and_that_is_told(compare, record):
+def test_a_tracker_that_fails_in_the_deadline_pass_keeps_its_score_with_a_notice(compare, record):
     # without a validation stretch the second stream that it is given is the first one on the clock
     path = record("plain", stretches={})
     summary = compare("staged:crash_at=60", "blank", recordings=(str(path),), deadline=True)
@@ -99,7 +99,7 @@ def test_a_tracker_that_ends_on_the_clock_keeps_its_score_and_that_is_told(compa
     )
 
 
-def test_an_interrupt_while_input_is_degraded_keeps_every_score(compare, told, monkeypatch):
+def test_an_interrupt_while_input_is_degraded_keeps_every_score(compare, progress, monkeypatch):
     def interrupted(*_):
         raise KeyboardInterrupt
 
@@ -125,7 +125,7 @@ def test_degraded_input_is_scored_against_the_undegraded_frames(compare):
     assert curves["frame_drop"][-1]["f1"]["visible"] == [0.0] * 11
 
 
-def test_every_tracker_is_given_the_same_degraded_frames(compare):
+def test_every_tracker_receives_the_same_degraded_frames(compare):
     summary = compare("persistence", "blank", degrade=Degradation(range_noise=0.1))
     one, other = (trial_of(summary, label)["robustness"]["kinds"]["range_noise"] for label in ("persistence", "blank"))
     digests = [[point["delivered"] for point in points] for points in (one, other)]
@@ -134,7 +134,7 @@ def test_every_tracker_is_given_the_same_degraded_frames(compare):
     assert summary["recordings"]["room"]["parity"] is True
 
 
-def test_other_degraded_frames_than_the_rest_are_found():
+def test_mismatched_degraded_frames_are_detected():
     def record(label, digest, value=0.1):
         point = AtStrength(strength=1.0, value=value, delivered=digest, f1={})
         robustness = Robustness(degradation=Degradation(range_noise=value), kinds={"range_noise": (point,)})
@@ -148,7 +148,7 @@ def test_other_degraded_frames_than_the_rest_are_found():
     )
 
 
-def test_a_resumed_run_degrades_again_only_where_other_strengths_are_asked_for(compare, monkeypatch):
+def test_a_resumed_run_degrades_again_only_for_other_strengths(compare, monkeypatch):
     compare("blank", degrade=Degradation(range_noise=0.1))
     passes = []
     original = RobustnessRun.run
@@ -159,8 +159,8 @@ def test_a_resumed_run_degrades_again_only_where_other_strengths_are_asked_for(c
     assert trial_of(summary, "blank")["robustness"]["kinds"]["range_noise"][-1]["value"] == 0.2
 
 
-def test_a_failure_that_is_no_outcome_ends_its_trial_and_no_other(compare, told, monkeypatch):
-    """A full disk, or a mistake in the scorer: whatever it is, the others are scored and the summary is written."""
+def test_an_unexpected_error_ends_its_trial_and_no_other(compare, progress, monkeypatch):
+    """After a full disk or a defect in the scorer the other trials are scored and the summary is written."""
     original = scorekeeper.count_forecast
 
     class FullDisk(OSError):
@@ -179,7 +179,7 @@ def test_a_failure_that_is_no_outcome_ends_its_trial_and_no_other(compare, told,
     assert "No space left on device" in failed["reason"]
     assert "test_conditions.py" in failed["reason"]
     assert trial_of(summary, "persistence")["outcome"] == "ok"
-    assert told.records["blank@room"].outcome == "failed"
+    assert progress.records["blank@room"].outcome == "failed"
 
 
 def test_a_trial_whose_folder_cannot_be_written_ends_alone(compare, tmp_path):

@@ -1,4 +1,4 @@
-"""A figure asked for beside the scores that could not be measured: `compare` and `regress` never pass over it."""
+"""Requested measurements that failed: `compare` and `regress` report them and do not pass."""
 
 from __future__ import annotations
 
@@ -29,31 +29,31 @@ def gridtrack(monkeypatch, capsys):
 
 @pytest.fixture
 def compare(gridtrack, record, tmp_path):
-    """`compare(folder, *asked)` runs `staged`, which dies in the second stream that it is given, and `blank`."""
+    """`compare(folder, *requested)` runs `staged`, which dies in its second stream, and `blank`."""
     # without a validation stretch the second stream is the first one after the trial
     path = record("plain", stretches={})
     trackers = ("--tracker", "staged:crash_at=60", "--tracker", "blank")
     fixed = ("compare", path, *trackers, "--horizon", "1s", "--every", "0.5s", "--out")
-    return lambda folder, *asked: gridtrack(*fixed, tmp_path / folder, *asked)
+    return lambda folder, *requested: gridtrack(*fixed, tmp_path / folder, *requested)
 
 
-@pytest.mark.parametrize("asked", [("--deadline",), ("--degrade", "range-noise=0.1")])
-def test_a_figure_that_was_asked_for_and_failed_is_exit_3_of_compare_and_of_regress(
-    compare, gridtrack, tmp_path, asked
+@pytest.mark.parametrize("requested", [("--deadline",), ("--degrade", "range-noise=0.1")])
+def test_a_requested_measurement_that_failed_is_exit_3_of_compare_and_of_regress(
+    compare, gridtrack, tmp_path, requested
 ):
-    said = f"gridtrack: not measured: staged@plain: {asked[0]} was requested and failed"
+    message = f"gridtrack: not measured: staged@plain: {requested[0]} was requested and failed"
     baseline = tmp_path / "baseline.json"
     assert compare("then")[0] == 0
-    code, err = compare("now", *asked)
-    assert (code, err.count("gridtrack: not measured: "), said in err) == (3, 1, True)
+    code, err = compare("now", *requested)
+    assert (code, err.count("gridtrack: not measured: "), message in err) == (3, 1, True)
     assert gridtrack("regress", tmp_path / "then", "--baseline", baseline, "--update")[0] == 0
     before = baseline.read_bytes()
     for update in ([], ["--update"]):
         code, err = gridtrack("regress", tmp_path / "now", "--baseline", baseline, *update)
-        assert (code, said in err, baseline.read_bytes() == before) == (3, True, True)
+        assert (code, message in err, baseline.read_bytes() == before) == (3, True, True)
 
 
-def test_a_run_without_the_figures_that_the_baseline_has_does_not_pass(gridtrack, record, tmp_path):
+def test_a_run_without_the_measurements_of_the_baseline_does_not_pass(gridtrack, record, tmp_path):
     path, baseline = record(), tmp_path / "baseline.json"
     fixed = ("compare", path, "--tracker", "blank", "--horizon", "1s", "--every", "0.5s", "--out")
     assert gridtrack(*fixed, tmp_path / "then", "--degrade", "range-noise=0.1")[0] == 0

@@ -1,4 +1,4 @@
-"""What a resumed run keeps and what it runs again, and what its folder tells of the machine it was made on."""
+"""Resumed runs: trials kept and trials run again; weights and their names in results."""
 
 from __future__ import annotations
 
@@ -28,56 +28,56 @@ def settings(record, tmp_path, monkeypatch):
     return lambda *trackers, **more: CompareSettings(trackers=trackers, **(given | more))
 
 
-def test_a_tracker_that_is_another_program_now_is_another_configuration(settings, tmp_path, told):
+def test_another_program_under_the_same_name_is_another_configuration(settings, tmp_path, progress):
     serve = f"{sys.executable} -P -m gridtrack.trackers.serve persistence"
     toml = tmp_path / "trackers.toml"
     toml.write_text(f"[mine]\ncommand = '{serve}'\n")
-    run(resolve(settings("mine", trackers_toml=toml)), (), told)
+    run(resolve(settings("mine", trackers_toml=toml)), (), progress)
     program = tmp_path / "another"
     program.write_text(f"#!/bin/sh\nexec {serve}\n")
     program.chmod(0o755)
     toml.write_text(f"[mine]\ncommand = '{program} {shlex.join(shlex.split(serve)[1:])}'\n")
     with pytest.raises(RunError, match=r"another configuration \(trials\.mine@room\.argv"):
-        run(resolve(settings("mine", trackers_toml=toml, resume=True)), (), told)
+        run(resolve(settings("mine", trackers_toml=toml, resume=True)), (), progress)
 
 
-def test_what_was_not_in_the_run_is_named_as_it_was_asked_for(settings, record, told):
-    run(resolve(settings("blank", "persistence")), (), told)
+def test_recordings_and_trackers_missing_in_the_run_are_named_as_requested(settings, record, progress):
+    run(resolve(settings("blank", "persistence")), (), progress)
     more = settings("blank", "persistence", "still=persistence", resume=True)
     what_to_do = r": name another folder with --out, or ask for what it was made with"
     with pytest.raises(RunError, match=r"another configuration \(tracker 'still' was not in it\)" + what_to_do):
-        run(resolve(more), (), told)
+        run(resolve(more), (), progress)
     with pytest.raises(RunError, match=r"\(tracker 'persistence' was in it and is not asked for now\)"):
-        run(resolve(settings("blank", resume=True)), (), told)
+        run(resolve(settings("blank", resume=True)), (), progress)
     other = settings("blank", "persistence", recordings=(str(record("other")),), resume=True)
     with pytest.raises(RunError, match=r"\(recording 'other' was not in it\)"):
-        run(resolve(other), (), told)
+        run(resolve(other), (), progress)
 
 
-def test_a_trial_whose_counts_are_gone_runs_again(settings, tmp_path, told):
-    run(resolve(settings("blank")), (), told)
+def test_a_trial_with_missing_counts_runs_again(settings, tmp_path, progress):
+    run(resolve(settings("blank")), (), progress)
     (tmp_path / "run" / "blank@room" / HISTOGRAM).unlink()
-    summary = run(resolve(settings("blank", resume=True)), (), told)
+    summary = run(resolve(settings("blank", resume=True)), (), progress)
     assert summary["trackers"]["blank"]["recordings"]["room"]["strata"]["visible"]["f1"] == [0.0] * 11
 
 
-def test_the_command_that_trains_is_for_the_grid_and_rate_of_the_comparison(settings):
+def test_the_suggested_training_has_the_grid_and_rate_of_the_comparison(settings):
     (trial,) = resolve(settings("static-map")).trials
     assert trial.how_to_train.endswith("room.mcap`, then compare again with --resume")
     (trial,) = resolve(settings("static-map", grid="30x0.1", rate_hz=5.0)).trials
     assert "room.mcap --grid 30x0.1@-1.5,-1.5 --rate 5`" in trial.how_to_train
 
 
-def test_a_folder_of_weights_that_is_not_there_is_refused_and_never_passed_over(settings, tmp_path):
+def test_a_missing_folder_of_weights_is_refused(settings, tmp_path):
     with pytest.raises(WeightsError, match="wieghts: no such folder of weights"):
         resolve(settings("static-map", weights=tmp_path / "wieghts"))
     assert find_weights("static-map", "room", tmp_path) is None
 
 
-def test_a_run_names_its_weights_without_the_folders_of_the_machine(settings, record, tmp_path, told):
+def test_a_run_names_its_weights_without_the_folders_of_the_machine(settings, record, tmp_path, progress):
     weights = tmp_path / "weights"
     train_tracker(Recipe(tracker="static-map", recordings=(str(record()),), out=weights), lambda _: None)
-    run(resolve(settings("static-map", weights=weights)), (), told)
+    run(resolve(settings("static-map", weights=weights)), (), progress)
     kept = json.loads(Path(tmp_path, "run", "run.json").read_text())["weights"]
     assert kept["static-map@room"]["name"] == "static-map/room.toml"
     assert set(kept["static-map@room"]) == {"name", "sha256"}
@@ -92,7 +92,7 @@ def test_two_trainings_of_a_tracker_are_compared_each_with_the_weights_of_its_ro
     assert [trial.weights.path.parent.parent.name for trial in (first, second)] == ["first", "second"]
 
 
-def test_a_row_whose_weights_are_not_in_their_folder_gets_no_others(settings, record, tmp_path):
+def test_a_row_with_its_own_folder_of_weights_uses_no_others(settings, record, tmp_path):
     train_tracker(Recipe(tracker="static-map", recordings=(str(record()),), out=tmp_path / "given"), lambda _: None)
     with pytest.raises(WeightsError, match=r"empty: no weights of static-map for the site 'room'"):
         resolve(settings(f"static-map:weights={tmp_path / 'empty'}", weights=tmp_path / "given"))

@@ -42,16 +42,16 @@ def settings(record, tmp_path, monkeypatch):
     return settings
 
 
-def compare(settings, told):
-    return run(resolve(settings), ("gridtrack", "compare"), told)
+def compare(settings, progress):
+    return run(resolve(settings), ("gridtrack", "compare"), progress)
 
 
 def trial_of(summary, label, recording="room"):
     return summary["trackers"][label]["recordings"][recording]
 
 
-def test_a_run_leaves_every_file_and_the_floor_scores_as_it_must(settings, told, tmp_path):
-    summary = compare(settings("persistence", "blank"), told)
+def test_a_run_writes_every_file_and_the_floor_has_its_known_scores(settings, progress, tmp_path):
+    summary = compare(settings("persistence", "blank"), progress)
     assert summary == json.loads((tmp_path / "run" / "summary.json").read_text())
     assert (summary["schema"], summary["interrupted"], summary["reference"]) == (1, False, "persistence")
     for label in ("persistence", "blank"):
@@ -78,19 +78,19 @@ def test_a_run_leaves_every_file_and_the_floor_scores_as_it_must(settings, told,
     assert list(run_file["inputs"].values()) == [resolve(settings("blank")).splits[0].test.sha256]
 
 
-def test_every_tracker_is_delivered_the_same_frames_and_progress_is_told(settings, told, tmp_path):
-    summary = compare(settings("persistence", "blank"), told)
+def test_every_tracker_receives_the_same_frames_and_progress_is_reported(settings, progress, tmp_path):
+    summary = compare(settings("persistence", "blank"), progress)
     assert summary["recordings"]["room"]["parity"] is True
     one, other = (read_deliveries(tmp_path / "run" / f"{label}@room") for label in ("persistence", "blank"))
     assert one == other
-    assert told.frames == told.delivered == {"persistence@room": 110 + 50, "blank@room": 110 + 50}
-    blank, persistence = (told.records[f"{label}@room"] for label in ("blank", "persistence"))
+    assert progress.frames == progress.delivered == {"persistence@room": 110 + 50, "blank@room": 110 + 50}
+    blank, persistence = (progress.records[f"{label}@room"] for label in ("blank", "persistence"))
     assert blank.delivered == persistence.delivered
     assert (blank.role, blank.reference_for) == ("floor", ())
     assert (persistence.role, persistence.reference_for) == ("floor", ("occupancy",))
 
 
-def test_a_tracker_that_was_delivered_other_frames_is_told_apart(settings, told, monkeypatch):
+def test_a_tracker_that_received_other_frames_is_reported(settings, progress, monkeypatch):
     class Tampered(Delivery):
         def __iter__(self):
             for target in super().__iter__():
@@ -106,15 +106,15 @@ def test_a_tracker_that_was_delivered_other_frames_is_told_apart(settings, told,
             self._delivery = Tampered(the_trial.test, on_frame)
 
     monkeypatch.setattr(trial.TrialRun, "__init__", tampering)
-    summary = compare(settings("persistence", "blank", "odd=blank"), told)
+    summary = compare(settings("persistence", "blank", "odd=blank"), progress)
     assert summary["recordings"]["room"]["parity"] is False
     assert [notice for notice in summary["notices"] if "other frames" in notice] == [
         "odd on room was delivered other frames than the rest: its scores are not comparable"
     ]
 
 
-def test_a_tracker_that_dies_keeps_what_it_scored_and_stops_no_other(settings, told):
-    summary = compare(settings("staged:crash_at=60", "persistence"), told)
+def test_a_tracker_that_dies_keeps_its_scores_and_stops_no_other(settings, progress):
+    summary = compare(settings("staged:crash_at=60", "persistence"), progress)
     partial = trial_of(summary, "staged")
     assert partial["outcome"] == "crashed"
     # forecasts at 20, 25 .. 45 have their last frame, 55, before the 60th update
@@ -123,16 +123,16 @@ def test_a_tracker_that_dies_keeps_what_it_scored_and_stops_no_other(settings, t
     assert trial_of(summary, "persistence")["outcome"] == "ok"
 
 
-def test_a_failure_says_in_which_stretch_it_was_and_counts_its_frames(settings, told):
-    summary = compare(settings("early=staged:crash_at=30,crash_in=1", "staged:crash_at=60"), told)
+def test_a_failure_names_its_stretch_and_counts_its_frames(settings, progress):
+    summary = compare(settings("early=staged:crash_at=30,crash_in=1", "staged:crash_at=60"), progress)
     early, late = (trial_of(summary, label) for label in ("early", "staged"))
     assert (early["outcome"], early["frames_scored"]) == ("crashed", 0)
     assert early["reason"].startswith("in the validation stretch room.mcap@validation: update with frame 30: killed by")
     assert late["reason"].startswith("update with frame 60: killed by SIGABRT")
 
 
-def test_what_a_tracker_recovered_from_stands_in_its_outcome_and_is_told(settings, told, tmp_path, bad_trackers):
-    summary = compare(settings("recovers", "persistence"), told)
+def test_recoveries_of_a_tracker_are_in_its_outcome_and_give_a_notice(settings, progress, tmp_path, bad_trackers):
+    summary = compare(settings("recovers", "persistence"), progress)
     assert trial_of(summary, "recovers")["outcome"] == "ok"
     assert trial_of(summary, "recovers")["recoveries"] == read_record(tmp_path / "run" / "recovers@room").recoveries
     assert trial_of(summary, "recovers")["recoveries"] in {1, 2}  # once in each stretch that it was shown
@@ -140,84 +140,86 @@ def test_what_a_tracker_recovered_from_stands_in_its_outcome_and_is_told(setting
     assert [notice for notice in summary["notices"] if notice.startswith("recovers on room went on")]
 
 
-def test_a_count_of_recoveries_that_is_none_ends_the_trial(settings, told, bad_trackers):
-    outcome = trial_of(compare(settings("recovers:count=-1"), told), "recovers")
+def test_an_invalid_count_of_recoveries_ends_the_trial(settings, progress, bad_trackers):
+    outcome = trial_of(compare(settings("recovers:count=-1"), progress), "recovers")
     assert outcome["outcome"] == "invalid-output"
     assert "'recoveries' is -1" in outcome["reason"]
 
 
-def test_a_resumed_run_repeats_only_what_is_incomplete(settings, told, tmp_path):
-    compare(settings("staged:crash_at=60", "persistence"), told)
+def test_a_resumed_run_repeats_only_what_is_incomplete(settings, progress, tmp_path):
+    compare(settings("staged:crash_at=60", "persistence"), progress)
     kept = (tmp_path / "run" / "persistence@room" / "scores.parquet").stat().st_mtime_ns
-    told.delivered.clear()
-    compare(settings("staged:crash_at=60", "persistence", resume=True), told)
-    assert set(told.delivered) == {"staged@room"}
+    progress.delivered.clear()
+    compare(settings("staged:crash_at=60", "persistence", resume=True), progress)
+    assert set(progress.delivered) == {"staged@room"}
     assert (tmp_path / "run" / "persistence@room" / "scores.parquet").stat().st_mtime_ns == kept
 
 
-def test_a_folder_that_holds_another_run_is_refused_in_one_line(settings, told):
-    compare(settings("blank"), told)
+def test_a_folder_that_holds_another_run_is_refused_in_one_line(settings, progress):
+    compare(settings("blank"), progress)
     with pytest.raises(RunError, match=r"holds a run already: continue it with --resume"):
-        compare(settings("blank"), told)
+        compare(settings("blank"), progress)
     with pytest.raises(RunError, match=r"another configuration \(recordings\.room\.horizons_s: then"):
-        compare(settings("blank", resume=True, horizon_s=0.5), told)
+        compare(settings("blank", resume=True, horizon_s=0.5), progress)
 
 
-def test_a_tracker_with_nothing_learned_names_the_command_that_trains_it(settings, told):
-    result = trial_of(compare(settings("static-map"), told), "static-map")
+def test_the_reason_of_an_untrained_tracker_is_the_command_that_trains_it(settings, progress):
+    result = trial_of(compare(settings("static-map"), progress), "static-map")
     assert result["outcome"] == "untrained"
     assert "`gridtrack train static-map " in result["reason"]
     assert result["strata"] == {}
 
 
-def test_a_recording_whose_sensor_moves_is_not_applicable_and_says_what_to_name(settings, told, record):
-    result = trial_of(compare(settings("blank", recordings=(str(record("drive", speed=0.5)),)), told), "blank", "drive")
+def test_a_recording_with_a_moving_sensor_is_not_applicable(settings, progress, record):
+    result = trial_of(
+        compare(settings("blank", recordings=(str(record("drive", speed=0.5)),)), progress), "blank", "drive"
+    )
     assert result["outcome"] == "not-applicable"
     assert "the sensor moves at" in result["reason"]
 
 
-def test_a_plugin_that_cannot_be_loaded_stops_no_other(settings, told, install):
+def test_a_plugin_that_cannot_be_loaded_stops_no_other(settings, progress, install):
     install("broken", {"broken": "no_such_module:Tracker"})
-    summary = compare(settings("broken:depth=3", "blank"), told)
+    summary = compare(settings("broken:depth=3", "blank"), progress)
     assert trial_of(summary, "broken")["outcome"] == "unavailable"
     assert trial_of(summary, "blank")["outcome"] == "ok"
 
 
-def test_the_latency_pass_times_complete_trials(settings, told):
-    latency = trial_of(compare(settings("blank", latency=True), told), "blank")["latency_ms"]
+def test_the_latency_pass_times_complete_trials(settings, progress):
+    latency = trial_of(compare(settings("blank", latency=True), progress), "blank")["latency_ms"]
     assert set(latency) == {"update", "predict", "predict_step"}
     assert 0 < latency["predict_step"]["p50"] < latency["predict"]["p50"] <= latency["predict"]["p99"]
 
 
-def test_options_that_a_tracker_does_not_know_are_refused_before_anything_runs(settings, tmp_path):
+def test_unknown_options_of_a_tracker_are_refused_before_any_trial(settings, tmp_path):
     with pytest.raises(ConfigurationError, match="did you mean 'crash_at'"):
         resolve(settings("staged:crash_att=3"))
     assert not (tmp_path / "run").exists()
 
 
-def test_raw_returns_reach_the_tracker_that_asks_for_them(settings, told):
+def test_raw_returns_reach_the_tracker_that_requests_them(settings, progress):
     plan = resolve(settings("raw=blank:points=raw", "blank"))
     raw, centres = (next(iter(trial.test)).points for trial in plan.trials)
     assert len(raw) > len(centres)
-    summary = run(plan, (), told)
+    summary = run(plan, (), progress)
     assert summary["recordings"]["room"]["parity"] is True
     assert summary["trackers"]["raw"]["points"] == "raw"
 
 
 def start(settings, tmp_path, *trackers):
-    """`compare` in a process of its own, as a terminal would start it."""
+    """`compare` in a separate process, as started from a terminal."""
     program = (
         "import sys; from gridtrack.evaluation.comparison.plan import resolve;"
         "from gridtrack.evaluation.comparison.settings import CompareSettings;"
         "from gridtrack.evaluation.comparison.runner import run; sys.path.insert(0, sys.argv[2]);"
-        "from told import Told;"
-        "run(resolve(CompareSettings.model_validate_json(sys.argv[1])), (), Told())"
+        "from silent_progress import SilentProgress;"
+        "run(resolve(CompareSettings.model_validate_json(sys.argv[1])), (), SilentProgress())"
     )
     source = (
-        "class Told:\n    def note(self, text): ...\n    def started(self, trial, frames): ...\n"
+        "class SilentProgress:\n    def note(self, text): ...\n    def started(self, trial, frames): ...\n"
         "    def advanced(self, trial): ...\n    def ended(self, trial, record): ...\n"
     )
-    (tmp_path / "told.py").write_text(source)
+    (tmp_path / "silent_progress.py").write_text(source)
     return subprocess.Popen([sys.executable, "-c", program, settings(*trackers).model_dump_json(), str(tmp_path)])
 
 
@@ -225,7 +227,7 @@ def wait_until(true, seconds=60.0):
     """Poll; the limit only ends a test that has failed."""
     end = time.monotonic() + seconds
     while not true():
-        assert time.monotonic() < end, "it never came"
+        assert time.monotonic() < end, "the condition is still false"
         time.sleep(0.02)
 
 
@@ -233,7 +235,7 @@ def children(process):
     return psutil.Process(process.pid).children(recursive=True)
 
 
-def test_an_interrupt_keeps_what_was_scored_and_leaves_no_process(settings, tmp_path):
+def test_an_interrupt_keeps_the_scores_and_leaves_no_process(settings, tmp_path):
     host = start(settings, tmp_path, "persistence", "staged:sleep_s=0.03", "blank")
     done = tmp_path / "run" / "persistence@room" / "outcome.json"
     wait_until(lambda: done.exists() and children(host))
@@ -259,22 +261,22 @@ def test_an_interrupt_ends_a_call_that_hangs(settings, tmp_path):
     assert json.loads((tmp_path / "run" / "summary.json").read_text())["interrupted"] is True
 
 
-def test_a_folder_in_which_a_run_is_going_on_is_refused_until_it_has_ended(settings, told, tmp_path):
+def test_a_folder_locked_by_a_run_is_refused_until_the_run_has_ended(settings, progress, tmp_path):
     trackers = ("staged:sleep_s=0.05",)
     host = start(settings, tmp_path, *trackers)
     wait_until((tmp_path / "run" / "staged@room" / "stderr.log").exists)
     for resume in (True, False):
         with pytest.raises(RunError, match=rf"run: in use by another run \(process {host.pid}\): wait until"):
-            compare(settings(*trackers, resume=resume), told)
-    assert told.delivered == {}
+            compare(settings(*trackers, resume=resume), progress)
+    assert progress.delivered == {}
     family = children(host)
     host.kill()
     host.wait()
     wait_until(lambda: not any(process.is_running() for process in family))
-    assert trial_of(compare(settings(*trackers, resume=True), told), "staged")["outcome"] == "ok"
+    assert trial_of(compare(settings(*trackers, resume=True), progress), "staged")["outcome"] == "ok"
 
 
-def test_a_run_whose_host_was_killed_is_taken_up_again(settings, told, tmp_path):
+def test_a_run_with_a_killed_host_is_resumed(settings, progress, tmp_path):
     trackers = ("persistence", "staged:sleep_s=0.01")
     host = start(settings, tmp_path, *trackers)
     wait_until((tmp_path / "run" / "persistence@room" / "outcome.json").exists)
@@ -283,9 +285,9 @@ def test_a_run_whose_host_was_killed_is_taken_up_again(settings, told, tmp_path)
     host.kill()
     host.wait()
     wait_until(lambda: not any(process.is_running() for process in family))
-    summary = compare(settings(*trackers, resume=True), told)
+    summary = compare(settings(*trackers, resume=True), progress)
     assert {trial_of(summary, label)["outcome"] for label in ("persistence", "staged")} == {"ok"}
-    assert set(told.delivered) == {"staged@room"}
+    assert set(progress.delivered) == {"staged@room"}
 
 
 def test_a_tracker_that_is_killed_ends_alone(settings, tmp_path):
@@ -301,10 +303,12 @@ def test_a_tracker_that_is_killed_ends_alone(settings, tmp_path):
     assert read_record(tmp_path / "run" / "staged@room").frames_scored < 16
 
 
-def test_a_run_with_learned_weights_is_scored_and_says_what_it_learned_from(settings, told, tmp_path, record):
-    path = train_tracker(Recipe(tracker="static-map", recordings=(str(record()),), out=tmp_path / "weights"), told.note)
+def test_a_run_with_learned_weights_is_scored_and_names_its_training_data(settings, progress, tmp_path, record):
+    path = train_tracker(
+        Recipe(tracker="static-map", recordings=(str(record()),), out=tmp_path / "weights"), progress.note
+    )
     assert path == tmp_path / "weights" / "static-map" / "room.toml"
-    summary = compare(settings("static-map", weights=tmp_path / "weights"), told)
+    summary = compare(settings("static-map", weights=tmp_path / "weights"), progress)
     assert trial_of(summary, "static-map")["outcome"] == "ok"
     assert np.array(trial_of(summary, "static-map")["strata"]["static"]["f1"]).min() > 0.9
     assert not [notice for notice in summary["notices"] if "learned from" in notice]
@@ -314,34 +318,34 @@ def test_a_run_with_learned_weights_is_scored_and_says_what_it_learned_from(sett
     assert any("static-map learned from frames of the tested" in notice for notice in resolve(on_train).notices)
 
 
-def test_runner_regions_are_found_once_for_each_recording(settings, told, monkeypatch):
+def test_region_maps_are_computed_once_for_each_recording(settings, progress, monkeypatch):
     found = []
     original = EvaluationSplit.regions
     monkeypatch.setattr(EvaluationSplit, "regions", lambda split: (found.append(split.name), original(split))[1])
-    compare(settings("blank", "persistence"), told)
+    compare(settings("blank", "persistence"), progress)
     assert found == ["room"]
 
 
-def test_trials_that_share_a_validation_stretch_choose_their_thresholds_on_it_once(settings, told, record):
+def test_trials_that_share_a_validation_stretch_choose_their_thresholds_on_it_once(settings, progress, record):
     tests = tuple(str(record(name, 8, {})) for name in ("one", "two", "three"))
     shared = settings("persistence", "blank", recordings=tests, validation=f"{record('other', 9, {})}@0s-9s", jobs=1)
-    summary = compare(shared, told)
-    assert told.frames == told.delivered
-    assert {name: frames for name, frames in told.delivered.items() if frames > 80} == {
+    summary = compare(shared, progress)
+    assert progress.frames == progress.delivered
+    assert {name: frames for name, frames in progress.delivered.items() if frames > 80} == {
         "persistence@one": 80 + 90,
         "blank@one": 80 + 90,
     }
     thresholds = [trial_of(summary, "persistence", n)["strata"]["visible"]["threshold"] for n in ("one", "two")]
     assert thresholds[0] == thresholds[1]
-    alone = compare(shared.model_copy(update={"recordings": tests[1:2], "out": shared.out / "alone"}), told)
+    alone = compare(shared.model_copy(update={"recordings": tests[1:2], "out": shared.out / "alone"}), progress)
     assert trial_of(alone, "persistence", "two")["strata"] == trial_of(summary, "persistence", "two")["strata"]
 
 
-def test_a_reference_that_is_no_row_is_refused_with_a_suggestion(settings):
+def test_an_unknown_reference_is_refused_with_a_suggestion(settings):
     with pytest.raises(ConfigurationError, match="did you mean 'persistence'"):
         resolve(settings("persistence", "blank", reference="persistance"))
 
 
-def test_the_reference_asked_for_is_the_one_that_others_are_set_against(settings, told):
-    summary = compare(settings("persistence", "blank", reference="blank"), told)
+def test_other_rows_are_compared_with_the_requested_reference(settings, progress):
+    summary = compare(settings("persistence", "blank", reference="blank"), progress)
     assert [(one["tracker"], one["reference"]) for one in summary["differences"]] == [("persistence", "blank")]

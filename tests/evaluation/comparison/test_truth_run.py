@@ -1,4 +1,4 @@
-"""A run on a recording that knows what was truly there: what is hidden is scored, there is a ceiling, classes count."""
+"""A run on a recording with truth: hidden cells, the oracle and classes."""
 
 import os
 from pathlib import Path
@@ -20,7 +20,7 @@ from scenes import truth_scene
 HORIZON_S, STEPS = 1.0, 10
 
 
-def compare(folder, told, *trackers, resume=False, **recording):
+def compare(folder, progress, *trackers, resume=False, **recording):
     """The summary of a run on the scene, and the run's folder."""
     path = folder / "room.mcap"
     if not resume:
@@ -34,7 +34,7 @@ def compare(folder, told, *trackers, resume=False, **recording):
         jobs=1,
         resume=resume,
     )
-    return run(resolve(settings), (), told), folder / "run"
+    return run(resolve(settings), (), progress), folder / "run"
 
 
 @pytest.fixture(scope="module")
@@ -85,38 +85,38 @@ def test_with_truth_hidden_cells_are_scored_and_the_oracle_is_the_ceiling(comple
     assert pl.read_parquet(folder / "persistence@room" / SCORES)["stratum"].n_unique() == len(STRATA_WITH_TRUTH)
 
 
-def test_range_noise_is_what_even_the_oracle_misses(tmp_path, told):
-    summary, _ = compare(tmp_path, told, "blank", noise_m=0.04)
+def test_the_oracle_misses_only_range_noise(tmp_path, progress):
+    summary, _ = compare(tmp_path, progress, "blank", noise_m=0.04)
     moving, occluded = (trial_of(summary, "oracle")["strata"][name]["f1"] for name in ("moving", "occluded"))
     assert all(0.5 < f1 < 0.99 for f1 in moving)
     assert occluded == [1.0] * (STEPS + 1)
 
 
-def test_the_static_cells_are_the_outlines_of_what_stands(complete):
-    """A cyclist who waits is no wall, though it is there in every frame: only the scene can tell."""
+def test_static_cells_are_the_outlines_of_static_objects(complete):
+    """A waiting cyclist is not static, though it occupies its cells in every frame: only the scene shows it."""
     summary, _ = complete
     recall = trial_of(summary, "persistence")["strata"]["static"]["recall"]
     assert min(recall) > 0.9
 
 
-def test_a_recording_without_truth_has_no_ceiling_and_the_strata_it_always_had(tmp_path, told):
-    summary, _ = compare(tmp_path, told, "persistence", with_truth=False)
+def test_a_recording_without_truth_has_no_oracle_and_no_occluded_strata(tmp_path, progress):
+    summary, _ = compare(tmp_path, progress, "persistence", with_truth=False)
     assert set(summary["trackers"]) == {"persistence"}
     assert tuple(trial_of(summary, "persistence")["strata"]) == STRATA
     assert trial_of(summary, "persistence")["semantics"] is None
 
 
-def test_a_resumed_run_keeps_its_oracle(tmp_path, told):
-    compare(tmp_path, told, "blank", seconds=12)
-    told.frames.clear()
-    summary, _ = compare(tmp_path, told, "blank", resume=True)
-    assert "oracle@room" not in told.frames
+def test_a_resumed_run_keeps_its_oracle(tmp_path, progress):
+    compare(tmp_path, progress, "blank", seconds=12)
+    progress.frames.clear()
+    summary, _ = compare(tmp_path, progress, "blank", resume=True)
+    assert "oracle@room" not in progress.frames
     assert trial_of(summary, "oracle")["outcome"] == "ok"
 
 
-def test_no_tracker_takes_the_oracles_name(tmp_path, told):
+def test_no_tracker_may_have_the_label_of_the_oracle(tmp_path, progress):
     with pytest.raises(ConfigurationError, match="'oracle' is the referee's own row"):
-        compare(tmp_path, told, "Oracle=blank", seconds=12)
+        compare(tmp_path, progress, "Oracle=blank", seconds=12)
 
 
 def test_the_share_of_the_way_to_the_oracle_is_0_at_the_floor_and_below_it_negative(complete):
@@ -130,7 +130,7 @@ def test_the_share_of_the_way_to_the_oracle_is_0_at_the_floor_and_below_it_negat
     assert trial_of(summary, "persistence")["gap_to_truth"][3] == pytest.approx(visible - occluded, abs=2e-6)
 
 
-def test_classes_are_scored_over_the_wire_by_name_now_and_later(complete):
+def test_classes_are_scored_over_the_wire_by_name_at_every_step(complete):
     summary, folder = complete
     assert trial_of(summary, "persistence")["semantics"] is None
     semantics = trial_of(summary, "classifier")["semantics"]
@@ -159,7 +159,7 @@ def test_a_class_that_a_tracker_lacks_gives_a_notice_and_counts_as_misclassified
     ]
     confusion = np.array(trial_of(summary, "stranger")["semantics"]["kinds"]["visible"]["confusion"][0]["cells"])
     cyclist, static = truth_scene.CLASSES.index("cyclist"), truth_scene.CLASSES.index("static")
-    assert confusion[static, :3].sum() < 0.2 * confusion[static].sum(), "most were taken for what is not in the set"
+    assert confusion[static, :3].sum() < 0.2 * confusion[static].sum(), "most get a class that the recording lacks"
     assert confusion[[cyclist, static], [cyclist, static]].sum() == 0
 
 
@@ -169,4 +169,4 @@ def test_recall_by_class_is_that_of_moving_cells_of_the_class(complete):
     assert recall["visible"]["cyclist"]["recall"][0] == 1.0, "step 0 of what is seen is copying"
     assert recall["visible"]["cyclist"]["recall"][STEPS] < 0.6, "it has ridden on by then"
     assert 0.0 < recall["occluded"]["pedestrian"]["recall"][0] < 0.5
-    assert sum(recall["visible"]["static"]["cells"]) == 0, "what stands does not move"
+    assert sum(recall["visible"]["static"]["cells"]) == 0, "static objects are not in moving cells"

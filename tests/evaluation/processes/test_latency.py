@@ -1,4 +1,4 @@
-"""Percentiles of any number of calls are right to one per cent, in memory that does not grow."""
+"""Percentiles of any number of calls, accurate to 1 %, in bounded memory."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A tracker process ends with the right outcome, in one line, and leaves nothing behind, whatever the tracker does."""
+"""Tracker processes: the outcome of each failure with a reason in one line, and no process left behind."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ STREAM = StreamSpec(GRID, 0.125, "here")
 LIMITS = Limits(memory_mb=400)
 SHORT = Limits(start_s=4.0, update_s=0.5, predict_s=0.5)
 STEPS = 3
-MOMENTS = ("start", "reset", "update", "predict")
+STAGES = ("start", "reset", "update", "predict")
 
 
 def frame(stamp_ns: int = 0) -> GridFrame:
@@ -54,7 +54,7 @@ def _leaves_no_process(bad_trackers: None) -> Iterator[None]:
 
 
 def run(name: str, log: Path, limits: Limits = LIMITS, **options: object) -> TrackerProcess:
-    """Two rounds of everything that a referee asks."""
+    """Two rounds of all requests of a referee."""
     with TrackerProcess(launch(name), STREAM, options, limits, log) as tracker:
         tracker.reset(0)
         for _ in range(2):
@@ -70,8 +70,8 @@ def outcome(name: str, log: Path, limits: Limits = LIMITS, **options: object) ->
     return ended.value.outcome, ended.value.reason
 
 
-def at(moment: str) -> str:
-    return {"update": "update with frame 1", "predict": "predict after frame 1"}.get(moment, moment)
+def at(stage: str) -> str:
+    return {"update": "update with frame 1", "predict": "predict after frame 1"}.get(stage, stage)
 
 
 def test_a_good_tracker_is_timed_and_measured(log: Path) -> None:
@@ -83,22 +83,22 @@ def test_a_good_tracker_is_timed_and_measured(log: Path) -> None:
     assert 10 < tracker.peak_rss_mb < 400
 
 
-@pytest.mark.parametrize("moment", MOMENTS)
-def test_an_exception_is_a_crash_whose_last_line_is_the_reason(log: Path, moment: str) -> None:
-    prefix = "" if moment == "start" else f"{at(moment)}: "
-    assert outcome("raises", log, at=moment) == ("crashed", f"{prefix}ValueError: the gate is negative")
+@pytest.mark.parametrize("stage", STAGES)
+def test_an_exception_is_a_crash_whose_last_line_is_the_reason(log: Path, stage: str) -> None:
+    prefix = "" if stage == "start" else f"{at(stage)}: "
+    assert outcome("raises", log, at=stage) == ("crashed", f"{prefix}ValueError: the gate is negative")
     assert "Traceback" in log.read_text()
 
 
-@pytest.mark.parametrize("moment", MOMENTS)
-def test_a_tracker_that_hangs_and_ignores_signals_is_a_timeout(log: Path, moment: str) -> None:
-    limit_s = SHORT.start_s if moment in {"start", "reset"} else SHORT.update_s
-    assert outcome("hangs", log, SHORT, at=moment) == ("timeout", f"{at(moment)}: no answer within {limit_s:g} s")
+@pytest.mark.parametrize("stage", STAGES)
+def test_a_tracker_that_hangs_and_ignores_signals_is_a_timeout(log: Path, stage: str) -> None:
+    limit_s = SHORT.start_s if stage in {"start", "reset"} else SHORT.update_s
+    assert outcome("hangs", log, SHORT, at=stage) == ("timeout", f"{at(stage)}: no answer within {limit_s:g} s")
 
 
-@pytest.mark.parametrize("moment", MOMENTS)
-def test_a_tracker_killed_by_a_signal_is_a_crash_that_names_it(log: Path, moment: str) -> None:
-    assert outcome("kills-itself", log, at=moment) == ("crashed", f"{at(moment)}: killed by SIGKILL")
+@pytest.mark.parametrize("stage", STAGES)
+def test_a_tracker_killed_by_a_signal_is_a_crash_that_names_it(log: Path, stage: str) -> None:
+    assert outcome("kills-itself", log, at=stage) == ("crashed", f"{at(stage)}: killed by SIGKILL")
 
 
 def test_a_segmentation_fault_is_a_crash_with_its_stack_in_the_log(log: Path) -> None:
@@ -108,11 +108,11 @@ def test_a_segmentation_fault_is_a_crash_with_its_stack_in_the_log(log: Path) ->
     assert "in misbehave" in log.read_text()
 
 
-def test_a_tracker_that_goes_without_a_word_is_a_crash(log: Path) -> None:
+def test_a_tracker_that_exits_silently_is_a_crash(log: Path) -> None:
     assert outcome("leaves", log) == ("crashed", "update with frame 1: exited with code 0")
 
 
-def test_a_tracker_that_exits_tells_its_last_line(log: Path) -> None:
+def test_the_reason_of_an_exit_has_the_last_line_of_the_log(log: Path) -> None:
     expected = "update with frame 1: exited with code 1 (no licence for this machine)"
     assert outcome("exits", log) == ("crashed", expected)
 
@@ -144,7 +144,7 @@ def test_a_memory_error_is_out_of_memory(log: Path) -> None:
         ("lopsided-classes", {}, "semantics sum to 1 over the classes; here they miss it by up to 0.2"),
     ],
 )
-def test_an_answer_that_breaks_the_contract_is_invalid_output(
+def test_an_answer_that_violates_the_contract_is_invalid_output(
     log: Path, name: str, options: dict[str, str], reason: str
 ) -> None:
     result, found = outcome(name, log, **options)
@@ -158,9 +158,9 @@ def test_classes_are_a_tuple_of_names(log: Path) -> None:
     assert outcome("classes-as-a-word", log) == ("invalid-output", expected)
 
 
-@pytest.mark.parametrize("moment", MOMENTS)
-def test_what_libraries_print_goes_to_the_log_and_never_into_the_wire(log: Path, moment: str) -> None:
-    run("prints-everywhere", log, at=moment)
+@pytest.mark.parametrize("stage", STAGES)
+def test_what_libraries_print_goes_to_the_log_and_never_into_the_wire(log: Path, stage: str) -> None:
+    run("prints-everywhere", log, at=stage)
     lines = log.read_text().splitlines()
     assert {"from python", "from C", "to descriptor 1", "from a subprocess"} <= set(lines)
 
@@ -180,7 +180,7 @@ def test_a_tracker_that_closes_its_pipe_has_crashed(log: Path) -> None:
 
 @pytest.mark.parametrize("how", ["fork", "setsid"])
 @pytest.mark.parametrize("die", [False, True])
-def test_a_child_that_the_tracker_leaves_behind_is_ended(log: Path, tmp_path: Path, how: str, die: bool) -> None:
+def test_child_processes_of_the_tracker_are_ended(log: Path, tmp_path: Path, how: str, die: bool) -> None:
     pid_file = tmp_path / "pid"
     options = {"how": how, "die": die, "pid_file": str(pid_file)}
     if die:
@@ -204,7 +204,7 @@ def test_a_module_that_is_not_installed_makes_a_tracker_unavailable(log: Path) -
     assert reason == "tracker 'needs-missing-module': No module named 'a_module_nobody_has'"
 
 
-def test_a_program_that_is_not_there_is_unavailable(log: Path) -> None:
+def test_a_missing_program_is_unavailable(log: Path) -> None:
     with (
         pytest.raises(TrialEnded, match=r"unavailable: cannot be started \(No such file or directory\)"),
         TrackerProcess(Launch("x", ("/nowhere/tracker",)), STREAM, {}, LIMITS, log),
@@ -212,7 +212,7 @@ def test_a_program_that_is_not_there_is_unavailable(log: Path) -> None:
         pass
 
 
-def test_threads_run_their_trackers_side_by_side(tmp_path: Path) -> None:
+def test_threads_run_their_trackers_in_parallel(tmp_path: Path) -> None:
     ends: dict[str, str] = {}
 
     def trial(name: str) -> None:
@@ -299,13 +299,13 @@ def test_describe_refuses_an_unknown_option_with_a_suggestion() -> None:
         describe(launch("good"), {"att": "start"}, LIMITS)
 
 
-def test_describe_of_an_environment_without_gridtrack_says_so(tmp_path: Path) -> None:
+def test_describe_reports_an_environment_without_gridtrack(tmp_path: Path) -> None:
     bare = Launch("x", (sys.executable, "-I", "-S", "-m", "gridtrack.trackers.serve", "x"))
     with pytest.raises(PluginError, match=r"exited with code 1 .*No module named"):
         describe(bare, {}, LIMITS)
 
 
-def test_the_referee_hands_no_descriptor_to_the_tracker(log: Path, tmp_path: Path) -> None:
+def test_the_tracker_inherits_no_file_descriptor(log: Path, tmp_path: Path) -> None:
     """What the referee has open, another trial's wire among it, is closed in the tracker."""
     read_fd, write_fd = os.pipe()
     script = tmp_path / "lists.py"

@@ -1,4 +1,4 @@
-"""Whatever a program writes to the wire, or does not read from it, ends its trial and nothing else."""
+"""Malformed answers and programs that do not read the wire end their own trial only."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def end(how: str, tmp_path: Path, limits: Limits = LIMITS, size: int = 20) -> tu
     return ended.value.outcome, ended.value.reason
 
 
-def test_a_tracker_of_countless_classes_is_refused_when_it_starts(tmp_path):
+def test_a_tracker_with_too_many_classes_is_refused_when_it_starts(tmp_path):
     program = Launch("rogue", (sys.executable, str(PROGRAM), "many-classes"))
     process = TrackerProcess(program, StreamSpec(GridSpec(20, 0.2), 0.125), {}, LIMITS, tmp_path / "stderr.log")
     with pytest.raises(TrialEnded, match="invalid-output: start: 10000 classes; at most 255"), process:
@@ -106,13 +106,13 @@ def test_an_unknown_role_or_comparison_is_refused(fields: dict[str, object], rea
         ("made-up-outcome", "an error with outcome 'ok'; expected one of crashed, timeout"),
     ],
 )
-def test_an_answer_that_is_none_is_invalid_output(tmp_path: Path, how: str, reason: str) -> None:
+def test_a_malformed_answer_is_invalid_output(tmp_path: Path, how: str, reason: str) -> None:
     outcome, found = end(how, tmp_path)
     assert outcome == "invalid-output"
     assert reason in found
 
 
-def test_a_program_that_answers_twice_is_found_out_at_the_next_request(tmp_path: Path) -> None:
+def test_a_second_answer_is_detected_at_the_next_request(tmp_path: Path) -> None:
     # the second answer may come in a little later than the first: then it is taken for the next one's, by number
     assert end("twice", tmp_path) in [
         ("invalid-output", "update with frame 2: unrequested bytes before the answer"),
@@ -124,12 +124,12 @@ def test_a_message_cut_short_is_a_crash(tmp_path: Path) -> None:
     assert end("half-a-message", tmp_path) == ("crashed", "update with frame 1: exited with code 0")
 
 
-def test_an_answer_that_drips_in_is_held_to_its_deadline(tmp_path: Path) -> None:
+def test_a_slow_answer_must_meet_its_deadline(tmp_path: Path) -> None:
     assert end("drips", tmp_path) == ("timeout", "update with frame 1: no answer within 0.5 s")
 
 
 def test_a_program_that_stops_reading_cannot_block_the_referee(tmp_path: Path) -> None:
-    """An update of 1500 x 1500 cells is larger than the pipe: without a deadline for writing it would stand still."""
+    """An update of 1500 x 1500 cells is larger than the pipe: without a deadline the write would block forever."""
     assert end("stops-reading", tmp_path, size=1500) == ("timeout", "update with frame 1: no answer within 0.5 s")
 
 
@@ -137,5 +137,5 @@ def test_a_program_that_closes_its_stdin_has_closed_the_wire(tmp_path: Path) -> 
     assert end("closes-stdin", tmp_path) == ("crashed", "update with frame 2: closed its end of the wire")
 
 
-def test_a_reason_does_nothing_to_a_terminal(tmp_path: Path) -> None:
+def test_a_reason_has_no_control_characters(tmp_path: Path) -> None:
     assert end("terminal-codes", tmp_path) == ("crashed", "update with frame 1: [31mred alert")

@@ -13,7 +13,7 @@ from gridtrack.evaluation.scoring.target import NOT_SCORED, Target
 from gridtrack.evaluation.scoring.thresholds import half
 
 VISIBLE, MOVING, STATIC = (STRATA.index(name) for name in ("visible", "moving", "static"))
-RING, STANDING, MOVES = (CELL_KINDS.index(name) for name in ("ring", "static", "moving"))
+RING, STATIC, MOVING = (CELL_KINDS.index(name) for name in ("ring", "static", "moving"))
 
 
 def frame(visible, occupied, stamp_ns=0):
@@ -29,7 +29,7 @@ def region_maps(cell_kinds, strata=STRATA):
 
 
 def count(occupancy, frames, cell_kinds):
-    return count_forecast(occupancy, [Target.of_frame(came) for came in frames], region_maps(cell_kinds))
+    return count_forecast(occupancy, [Target.of_frame(observed) for observed in frames], region_maps(cell_kinds))
 
 
 def random_forecast(rng, size, steps):
@@ -48,9 +48,9 @@ def random_case(seed, size=30, steps=3):
 
 def test_a_hand_computed_forecast():
     occupancy = np.array([[[0.9, 0.4], [0.6, 0.8]]], np.float32)
-    came = frame([[1, 1], [1, 0]], [[1, 1], [0, 0]])
-    cell_kinds = [[STANDING, MOVES], [MOVES, MOVES]]
-    tally = count(occupancy, [came], cell_kinds)
+    observed = frame([[1, 1], [1, 0]], [[1, 1], [0, 0]])
+    cell_kinds = [[STATIC, MOVING], [MOVING, MOVING]]
+    tally = count(occupancy, [observed], cell_kinds)
     at_half = tally.confusion(half(0).bins)
     assert at_half[0, VISIBLE].tolist() == [1, 1, 1, 0]
     assert at_half[0, STATIC].tolist() == [1, 0, 0, 0]
@@ -65,27 +65,27 @@ def test_a_ring_cell_counts_as_visible_only():
     assert tally.cells.sum(axis=(0, 2)).tolist() == [1, 0, 0]
 
 
-def test_cells_not_visible_when_they_come_are_not_scored():
+def test_cells_that_are_hidden_in_the_observed_frame_are_not_scored():
     nothing_seen = frame(np.zeros((5, 5)), np.zeros((5, 5)))
-    tally = count(np.ones((1, 5, 5), np.float32), [nothing_seen], np.full((5, 5), MOVES))
+    tally = count(np.ones((1, 5, 5), np.float32), [nothing_seen], np.full((5, 5), MOVING))
     assert tally.cells.sum() == 0
     assert tally.squared_error.sum() == tally.log_loss.sum() == 0
 
 
 def members_of(cell_kinds, state, ages):
-    """Which cells each stratum scores, by what its name says: an independent reading of the definitions."""
+    """The cells (M, M) of each stratum, by an independent implementation of the definitions."""
     rows, columns = np.indices(cell_kinds.shape) + 0.5
     distance = np.hypot(rows, columns)
     seen, hidden = state < 2, (state >= 2) & (state != NOT_SCORED)
     return {
         "visible": seen,
-        "moving": seen & (cell_kinds == MOVES),
-        "static": seen & (cell_kinds == STANDING),
+        "moving": seen & (cell_kinds == MOVING),
+        "static": seen & (cell_kinds == STATIC),
         "visible to 5 m": seen & (distance <= 5),
         "visible 5-10 m": seen & (distance > 5) & (distance <= 10),
         "visible over 10 m": seen & (distance > 10),
         "occluded": hidden,
-        "occluded moving": hidden & (cell_kinds == MOVES),
+        "occluded moving": hidden & (cell_kinds == MOVING),
         "occluded to 0.5 s": hidden & (ages == 0),
         "occluded 0.5-1 s": hidden & (ages == 1),
         "occluded 1-2 s": hidden & (ages == 2),
@@ -138,13 +138,13 @@ def test_average_precision_of_bins_is_close_to_that_of_the_probabilities():
     )
 
 
-def test_the_parts_of_the_brier_score_agree_with_their_definitions_and_add_up():
+def test_the_brier_decomposition_agrees_with_its_definition_and_adds_up():
     occupancy, frames, cell_kinds = random_case(4)
     tally = count(occupancy, frames, cell_kinds)
     parts = metrics.brier_decomposition(tally)
-    for step, came in enumerate(frames):
-        truth, p = came.occupied[came.visible].astype(float), occupancy[step][came.visible].astype(float)
-        binned = (np.digitize(occupancy[step][came.visible], EDGES) - 1).clip(0, PROBABILITY_BINS - 1)
+    for step, observed in enumerate(frames):
+        truth, p = observed.occupied[observed.visible].astype(float), occupancy[step][observed.visible].astype(float)
+        binned = (np.digitize(occupancy[step][observed.visible], EDGES) - 1).clip(0, PROBABILITY_BINS - 1)
         bins = [(p[binned == b], truth[binned == b]) for b in np.unique(binned)]
         reliability = sum(q.size * (q.mean() - t.mean()) ** 2 for q, t in bins) / p.size
         murphys_resolution = sum(q.size * (t.mean() - truth.mean()) ** 2 for q, t in bins) / p.size
@@ -178,16 +178,16 @@ def test_f1_and_average_precision_agree_with_torchmetrics(seed):
 def test_the_log_loss_of_many_certain_mistakes_does_not_underflow():
     size = 200
     everywhere = np.ones((size, size))
-    wrong = count(np.zeros((1, size, size), np.float32), [frame(everywhere, everywhere)], MOVES * everywhere)
+    wrong = count(np.zeros((1, size, size), np.float32), [frame(everywhere, everywhere)], MOVING * everywhere)
     assert wrong.log_loss[0, VISIBLE] == pytest.approx(-np.log(0.001) * size**2)
 
 
 def test_a_probability_on_a_bins_edge_belongs_to_the_bin_above():
     edges = np.append(EDGES, np.zeros(64 - len(EDGES), np.float32)).reshape(1, 8, 8)
-    tally = count(edges, [frame(np.ones((8, 8)), np.zeros((8, 8)))], np.full((8, 8), MOVES))
+    tally = count(edges, [frame(np.ones((8, 8)), np.zeros((8, 8)))], np.full((8, 8), MOVING))
     assert tally.cells[0, VISIBLE].tolist() == [1 + 64 - len(EDGES)] + [1] * (PROBABILITY_BINS - 2) + [2]
     below = np.nextafter(edges, np.float32(-1)).clip(0, 1)
-    tally = count(below, [frame(np.ones((8, 8)), np.zeros((8, 8)))], np.full((8, 8), MOVES))
+    tally = count(below, [frame(np.ones((8, 8)), np.zeros((8, 8)))], np.full((8, 8), MOVING))
     assert tally.cells[0, VISIBLE].tolist() == [2 + 64 - len(EDGES)] + [1] * (PROBABILITY_BINS - 1)
 
 
@@ -198,7 +198,7 @@ def test_scores_of_an_empty_tally_are_undefined():
     assert np.isnan(metrics.f1_score(tally.confusion(half(2).bins))).all()
 
 
-def test_f1_is_zero_where_something_was_occupied_and_nothing_found_and_undefined_where_nothing_was():
+def test_f1_is_zero_where_no_occupied_cell_is_found_and_undefined_without_occupied_cells():
     assert metrics.f1_score(np.array([0, 0, 4, 6])) == 0.0
     assert np.isnan(metrics.f1_score(np.array([0, 3, 0, 6])))
 

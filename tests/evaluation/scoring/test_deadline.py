@@ -1,4 +1,4 @@
-"""Deadline-aware scoring: which frames a busy tracker misses, and how old the forecast is that is there in time."""
+"""Deadline-aware scoring: the frames that a busy tracker misses, and the age of the newest delivered forecast."""
 
 from __future__ import annotations
 
@@ -22,36 +22,36 @@ def of(update_periods: float, predict_periods: float = 0.0, frames: int = 12) ->
     return timeline(frames, PERIOD_MS, Costs((update_periods * PERIOD_MS,), (predict_periods * PERIOD_MS,)))
 
 
-def test_a_tracker_that_takes_no_time_misses_nothing_and_answers_at_once() -> None:
+def test_a_tracker_without_delay_misses_no_frame_and_forecasts_at_once() -> None:
     assert of(0.0).missed == 0
     assert of(0.0).newest.tolist() == list(range(12))
 
 
-def test_one_that_takes_less_than_a_period_misses_nothing_and_is_one_frame_late() -> None:
+def test_a_tracker_faster_than_a_period_misses_no_frame_and_is_one_frame_late() -> None:
     assert of(0.3, 0.6).missed == 0
     assert of(0.3, 0.6).newest.tolist() == [-1, *range(11)]
 
 
-def test_a_forecast_that_is_ready_as_a_frame_comes_is_there_and_so_is_the_tracker() -> None:
+def test_a_forecast_finished_exactly_at_a_frame_is_in_time_and_its_tracker_is_free() -> None:
     assert of(0.5, 0.5).missed == 0
     assert of(0.5, 0.5).newest.tolist() == [-1, *range(11)]
 
 
-def test_one_that_takes_a_period_and_a_half_misses_every_second_frame() -> None:
+def test_a_tracker_that_needs_one_and_a_half_periods_misses_every_second_frame() -> None:
     busy = of(1.0, 0.5, frames=9)
     assert busy.accepted.tolist() == [True, False] * 4 + [True]
     # the forecast made from frame 0 is there at 1.5 periods, that from frame 2 at 3.5, ...
     assert busy.newest.tolist() == [-1, -1, 0, 0, 2, 2, 4, 4, 6]
 
 
-def test_each_frame_taken_costs_what_the_next_one_measured_did() -> None:
+def test_accepted_frames_take_the_measured_durations_in_order() -> None:
     slow_first = timeline(6, PERIOD_MS, Costs((250.0, 10.0), (0.0, 10.0)))
     # 0 is busy to 2.5, 3 to 3.2, 4 to 6.5: the second forecast is the one of frame 3
     assert slow_first.accepted.tolist() == [True, False, False, True, True, False]
     assert slow_first.newest.tolist() == [-1, -1, -1, 0, 3, 3]
 
 
-def test_the_same_tracker_at_half_the_rate_misses_nothing() -> None:
+def test_the_same_tracker_at_half_the_rate_misses_no_frame() -> None:
     costs = Costs((150.0,), (0.0,))
     assert timeline(9, PERIOD_MS, costs).missed == 4
     assert timeline(9, 2 * PERIOD_MS, costs).missed == 0
@@ -61,7 +61,7 @@ def test_the_same_tracker_at_half_the_rate_misses_nothing() -> None:
     st.lists(st.tuples(st.floats(0.0, 400.0), st.floats(0.0, 400.0)), min_size=1, max_size=7),
     st.integers(1, 60),
 )
-def test_time_never_runs_backwards(costs: list[tuple[float, float]], frames: int) -> None:
+def test_the_timeline_is_monotonic(costs: list[tuple[float, float]], frames: int) -> None:
     """Checked frame by frame against a clock in whole microseconds, written the slow way."""
     rounded = [(round(u, 3), round(p, 3)) for u, p in costs]
     found = timeline(frames, PERIOD_MS, Costs(tuple(u for u, _ in rounded), tuple(p for _, p in rounded)))
@@ -77,14 +77,14 @@ def test_time_never_runs_backwards(costs: list[tuple[float, float]], frames: int
     assert np.flatnonzero(found.accepted).tolist() == taken
 
 
-def test_the_highest_rate_held_is_that_of_the_99th_percentile() -> None:
+def test_the_highest_rate_is_that_of_the_99th_percentile() -> None:
     costs = Costs(tuple([10.0] * 98 + [40.0] * 2), tuple([10.0] * 100))
     assert costs.highest_rate_hz == pytest.approx(1000.0 / 50.0)
     assert timeline(1000, 50.0, costs).missed == 0
     assert timeline(1000, 49.0, costs).missed > 0
 
 
-def test_the_spare_steps_cover_the_delay_of_the_stalest_forecast() -> None:
+def test_the_spare_steps_cover_the_age_of_the_oldest_forecast() -> None:
     assert spare_steps(0.0, PERIOD_MS, 20) == 0
     assert spare_steps(30.0, PERIOD_MS, 20) == 2
     for busy in (30.0, 100.0, 170.0, 320.0):
@@ -101,7 +101,7 @@ def target(index: int) -> Target:
 
 
 class Clockwork:
-    """Forecasts, at step n, the hundredth of the frame number that it stands for; remembers what it was given."""
+    """Forecasts a hundredth of the number of frame t+n at step n; records the frames that it receives."""
 
     def reset(self, seed: int) -> None:
         self.updates: list[int] = []
@@ -121,35 +121,35 @@ def answers(kept: Timeline, steps: int, reach: int, frames: int = 60) -> tuple[C
     schedule = Schedule(frames, steps, 5)
     on_time = DeadlineTracker(tracker, kept, schedule, reach)
     scored = scored_forecasts(on_time, map(target, range(frames)), schedule, seed=0)
-    said = [np.rint(100 * one.forecast.occupancy[:, 0, 0]).astype(int).tolist() for one in scored]
-    return tracker, said
+    steps_read = [np.rint(100 * one.forecast.occupancy[:, 0, 0]).astype(int).tolist() for one in scored]
+    return tracker, steps_read
 
 
-def test_the_newest_forecast_is_read_at_the_stamp_that_the_question_is_about() -> None:
-    tracker, said = answers(of(1.0, 0.5, frames=60), steps=4, reach=7)
-    assert said == [list(range(t, t + 5)) for t in range(20, 56, 5)]
+def test_the_newest_forecast_is_read_at_the_requested_stamp() -> None:
+    tracker, steps_read = answers(of(1.0, 0.5, frames=60), steps=4, reach=7)
+    assert steps_read == [list(range(t, t + 5)) for t in range(20, 56, 5)]
     assert tracker.updates == list(range(0, 60, 2))
-    # at frame 20 the forecast of frame 18 is there, at 25 that of 22; no other is asked for
+    # at frame 20 the forecast of frame 18 is delivered, at 25 that of 22; no other is requested
     assert tracker.predictions == [18, 22, 28, 32, 38, 42, 48, 52]
 
 
-def test_a_forecast_that_does_not_reach_so_far_answers_with_its_last_step() -> None:
-    _, said = answers(of(1.0, 0.5, frames=60), steps=4, reach=4)
-    assert said[0] == [20, 21, 22, 22, 22]
-    assert said[1] == [25, 26, 26, 26, 26]
+def test_a_forecast_that_is_too_short_repeats_its_last_step() -> None:
+    _, steps_read = answers(of(1.0, 0.5, frames=60), steps=4, reach=4)
+    assert steps_read[0] == [20, 21, 22, 22, 22]
+    assert steps_read[1] == [25, 26, 26, 26, 26]
 
 
-def test_where_no_forecast_is_there_yet_nothing_is_called_occupied() -> None:
-    tracker, said = answers(of(22.0, 0.0, frames=60), steps=4, reach=8)
-    assert said[0] == [0] * 5
-    assert said[1][0] == 8  # made from frame 0, asked at 25 for 25: beyond its eight steps
+def test_before_the_first_delivered_forecast_no_cell_is_called_occupied() -> None:
+    tracker, steps_read = answers(of(22.0, 0.0, frames=60), steps=4, reach=8)
+    assert steps_read[0] == [0] * 5
+    assert steps_read[1][0] == 8  # made at frame 0, requested at 25 for frame 25: beyond its eight steps
     assert tracker.updates == [0, 22, 44]
 
 
-def test_one_that_takes_no_time_answers_exactly_as_untimed() -> None:
-    tracker, said = answers(of(0.0, frames=60), steps=4, reach=4)
+def test_a_tracker_without_delay_forecasts_exactly_like_an_untimed_one() -> None:
+    tracker, steps_read = answers(of(0.0, frames=60), steps=4, reach=4)
     untimed = Clockwork()
     plain = scored_forecasts(untimed, map(target, range(60)), Schedule(60, 4, 5), seed=0)
-    assert said == [np.rint(100 * m.forecast.occupancy[:, 0, 0]).astype(int).tolist() for m in plain]
+    assert steps_read == [np.rint(100 * m.forecast.occupancy[:, 0, 0]).astype(int).tolist() for m in plain]
     assert tracker.updates == untimed.updates
     assert tracker.predictions == untimed.predictions

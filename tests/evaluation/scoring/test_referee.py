@@ -1,4 +1,4 @@
-"""The referee: what is scored, when, against which frame, and how much is held in memory."""
+"""The referee: which forecasts are scored against which frames, and the bound of its memory."""
 
 import weakref
 
@@ -49,7 +49,7 @@ class FakeStream:
 
 
 class Seer:
-    """A tracker that has been told the future, and shows frame t+n at step n `late` steps late."""
+    """A tracker that knows the future frames, and forecasts frame t+n at step n, `late` steps late."""
 
     def __init__(self, stream, late=0):
         self.frames, self.late = list(stream), late
@@ -88,13 +88,13 @@ def test_a_tracker_that_knows_the_future_scores_one_at_every_step():
 
 
 @pytest.mark.parametrize("late", [-1, 1])
-def test_a_tracker_that_is_a_frame_off_does_not(late):
+def test_a_tracker_that_is_a_frame_off_scores_less(late):
     stream = FakeStream(60)
     stream_and_beyond = FakeStream(61)
     assert (f1_per_step(stream, Seer(stream_and_beyond, late)) < 0.5).all()
 
 
-def test_only_the_step_that_knows_scores_one():
+def test_only_the_step_with_the_correct_frame_scores_one():
     class KnowsStepTwo(Seer):
         def predict(self, steps):
             occupancy = np.zeros((steps + 1, *GRID.shape), np.float32)
@@ -116,14 +116,14 @@ def test_warm_up_and_tail_are_delivered_and_not_forecast_from():
 
 
 @given(frames=st.integers(0, 90), steps=st.integers(0, 30), every=st.integers(1, 20))
-def test_the_schedule_promises_as_many_as_it_asks_for(frames, steps, every):
+def test_the_schedule_expects_as_many_forecasts_as_are_due(frames, steps, every):
     schedule = Schedule(frames, steps, every)
     due = [index for index in range(frames) if schedule.due(index)]
     assert len(due) == schedule.expected
     assert all(index >= WARM_UP and index + steps <= frames - 1 for index in due)
 
 
-def test_no_more_than_a_horizon_of_frames_is_held():
+def test_no_more_than_a_horizon_of_frames_is_kept():
     alive = weakref.WeakSet()
 
     class Held:
@@ -148,7 +148,7 @@ def test_no_more_than_a_horizon_of_frames_is_held():
         del scored
 
 
-def test_the_digest_covers_every_frame_in_its_order():
+def test_the_digest_covers_every_frame_in_order():
     def digest(frames):
         delivered = delivery(frames)
         list(delivered)
@@ -163,7 +163,7 @@ def test_the_digest_covers_every_frame_in_its_order():
     assert len({digest(stream)[0] for stream in (FakeStream(5), FakeStream(6), Swapped(5))}) == 3
 
 
-def test_a_sensor_that_moves_is_refused_in_words():
+def test_a_moving_sensor_is_refused_with_a_message():
     stream = FakeStream(30, pose_of=lambda index: SE2(0.1 * (index >= 10), 0.0, 0.0))
     with pytest.raises(RecordingError, match=r"the sensor moves at 1\.000 s"):
         list(delivery(stream))

@@ -1,4 +1,4 @@
-"""Samples kept for viewing survive the round trip, and a file that is not whole is refused in one line."""
+"""Samples for viewing: round trip, and damaged files refused in one line."""
 
 import numpy as np
 import pytest
@@ -39,7 +39,7 @@ def written(tmp_path):
     return tmp_path / SAMPLES, written_forecasts
 
 
-def test_what_was_kept_is_what_is_read(written):
+def test_samples_survive_a_round_trip(written):
     path, written_forecasts = written
     samples = list(read_samples(path))
     assert [s.stamp_ns for s in samples] == [m.stamp_ns for m in written_forecasts]
@@ -68,7 +68,7 @@ def test_foxglove_finds_grids_with_x_along_columns_and_y_along_rows(written):
     assert (grid.data[offset] == 255) == written_forecasts[0].frames[0].visible[row, column]
 
 
-def test_a_run_that_looks_less_far_ahead_than_any_horizon_keeps_its_input(tmp_path):
+def test_a_run_shorter_than_every_sample_horizon_keeps_its_input(tmp_path):
     with SampleWriter(tmp_path / SAMPLES, GRID, PERIOD_S, steps=2) as writer:
         writer.add(random_forecast(1))
     (sample,) = read_samples(tmp_path / SAMPLES)
@@ -95,7 +95,7 @@ def test_another_file_is_refused(tmp_path):
 
 
 @pytest.mark.parametrize(("frames", "expected"), [(30, 0), (36, 1), (60, 25), (1000, 40)])
-def test_the_moments_kept_are_spread_over_all_and_bounded(frames, expected):
+def test_the_kept_forecasts_are_evenly_spaced_and_bounded(frames, expected):
     schedule = Schedule(frames, STEPS, every=1)
     kept = sorted(kept_forecasts(schedule))
     assert len(kept) == expected

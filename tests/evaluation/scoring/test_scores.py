@@ -1,4 +1,4 @@
-"""The scores store: what is written is what was counted, whole whatever happens, in bounded memory."""
+"""The store of scores: round trip, complete files after a failure, bounded memory."""
 
 import numpy as np
 import polars as pl
@@ -40,7 +40,7 @@ def write(folder, frames, every_ns=400_000_000):
 
 
 @pytest.mark.parametrize("frames", [0, 1, 7, 3 * ROW_GROUP])
-def test_what_is_read_is_what_was_counted(tmp_path, frames):
+def test_counts_survive_a_round_trip(tmp_path, frames):
     total, read = write(tmp_path, frames), read_tally(tmp_path, STEPS)
     assert np.array_equal(read.cells, total.cells)
     assert np.array_equal(read.positives, total.positives)
@@ -73,7 +73,7 @@ def test_rows_are_written_in_groups_so_memory_does_not_grow(tmp_path):
     assert parquet.ParquetFile(tmp_path / SCORES).num_row_groups == 4
 
 
-def test_what_was_counted_before_a_failure_is_kept(tmp_path):
+def test_counts_before_a_failure_are_kept(tmp_path):
     def crash_after_two():
         with ScoreWriter(tmp_path, STEPS, THRESHOLDS) as writer:
             writer.add(0, "a", random_tally(0))

@@ -1,4 +1,4 @@
-"""Classes of a forecast: counts against scikit-learn, what is found of each class, and what the files give back."""
+"""Class scores: counts against scikit-learn, recall by class, and the round trip of the files."""
 
 import numpy as np
 import pytest
@@ -89,7 +89,7 @@ def test_log_loss_per_scan_gives_every_scan_the_same_weight(tmp_path):
     assert counts.confusion[0, 0, 1, 2] == 4
 
 
-def test_the_loss_of_each_scan_is_read_back_beside_those_that_have_no_class(tmp_path):
+def test_the_loss_of_each_scan_is_read_back_also_for_scans_without_classes(tmp_path):
     """Three frames forecast from: the second one's scan has two cells of one class and one of another."""
     with ClassWriter(tmp_path, NAMES, semantics=True) as writer:
         confusion, log_loss_of = np.zeros((2, STEPS + 1, 2, len(NAMES), len(NAMES) + 1))
@@ -124,7 +124,7 @@ def test_a_class_that_only_one_side_has_is_the_last_column_or_costs_the_clip(cas
     assert strange[1][:, :, 0].sum() == pytest.approx(-pedestrians * np.log(0.001))
 
 
-def test_recall_counts_cells_of_a_class_where_things_move_at_the_threshold_of_their_stratum():
+def test_recall_counts_moving_cells_of_a_class_at_the_threshold_of_their_stratum():
     state = np.full((4, 4), SEEN_OCCUPIED, np.uint8)
     state[2:] = HIDDEN_OCCUPIED
     cell_kinds = np.full((4, 4), CELL_KINDS.index("moving"), np.uint8)
@@ -141,7 +141,7 @@ def test_recall_counts_cells_of_a_class_where_things_move_at_the_threshold_of_th
     assert occluded.tolist() == [[0, 3, 1, 2], [0, 3, 1, 2]]
 
 
-def test_what_is_read_is_what_was_found(tmp_path):
+def test_found_cells_survive_a_round_trip(tmp_path):
     rng = np.random.default_rng(1)
     found = rng.integers(0, 5, (70, STEPS + 1, 2, len(NAMES), 4)).astype(np.int32)
     with ClassWriter(tmp_path, NAMES, semantics=False) as writer:

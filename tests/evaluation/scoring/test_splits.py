@@ -1,4 +1,4 @@
-"""Splits: which stretch is tested, on which one thresholds are chosen, and what may not be mixed."""
+"""Splits: the test stretch, the validation stretch, and what must not overlap."""
 
 import pytest
 
@@ -24,14 +24,14 @@ def test_the_named_test_and_validation_stretches_are_the_default(record):
     assert split.notices == ()
 
 
-def test_a_recording_that_names_no_stretches_is_tested_whole_at_one_half(record):
+def test_a_recording_without_named_stretches_is_tested_whole_at_one_half(record):
     split = plan_split(str(record(stretches={})), None, SECOND)
     assert len(split.test) == 200
     assert split.validation is None
     assert "every threshold is 0.5" in split.notices[0]
 
 
-def test_a_range_of_its_own_has_a_name_of_its_own(record):
+def test_a_range_is_part_of_the_name_of_its_split(record):
     split = plan_split(f"{record()}@9s-20s", None, SECOND)
     assert (split.name, len(split.test)) == ("room@9s-20s", 110)
     assert split.validation.name == "room.mcap@validation"
@@ -46,7 +46,7 @@ def test_thresholds_are_never_chosen_on_frames_that_are_tested(record):
         plan_split(f"{path}@8s-20s", f"{path}@0s-8.5s", SECOND)
 
 
-def test_a_validation_stretch_too_short_to_choose_on_is_told(record):
+def test_a_validation_stretch_that_is_too_short_gives_a_notice(record):
     stretches = {"validation": (0.0, 2.5), "test": (9.0, None)}
     split = plan_split(str(record(stretches=stretches)), None, SECOND)
     assert split.validation is None
@@ -78,7 +78,7 @@ def test_another_recording_can_be_the_validation(record):
         ("", Sampling(60.0, 1.0, GridSpec(1000, 0.01)), r"forecasts of 600 steps on 1000 x 1000 cells take"),
     ],
 )
-def test_what_leaves_nothing_to_score_is_refused_in_one_line(record, text, sampling, message):
+def test_a_stretch_without_scored_frames_is_refused_in_one_line(record, text, sampling, message):
     with pytest.raises(ConfigurationError, match=message):
         plan_split(f"{record()}{text}", None, sampling)
 
@@ -98,7 +98,7 @@ def test_static_cells_come_from_the_whole_recording(record):
     assert CELL_KINDS[wall] == "static"
 
 
-def test_two_recordings_of_one_name_are_refused(record, tmp_path):
+def test_two_recordings_with_one_name_are_refused(record, tmp_path):
     path = str(record())
     settings = CompareSettings(recordings=(path, path), trackers=("blank",), out=tmp_path / "run")
     with pytest.raises(ConfigurationError, match="would both be called 'room'"):
@@ -112,7 +112,7 @@ def test_every_recording_is_run_by_every_tracker(record, tmp_path):
     assert names == ["blank@room", "b@room", "blank@hall", "b@hall"]
 
 
-def test_a_recording_that_is_not_there_is_one_line(tmp_path):
+def test_a_missing_recording_is_refused_in_one_line(tmp_path):
     with pytest.raises(RecordingError, match="no such recording"):
         plan_split(str(tmp_path / "nowhere.mcap"), None, SECOND)
 
@@ -130,7 +130,7 @@ def test_a_recording_that_is_not_there_is_one_line(tmp_path):
         ("room.mcap@no-longer-named", True),
     ],
 )
-def test_what_was_seen_in_training_is_found_out(record, seen, expected):
+def test_frames_seen_in_training_are_detected(record, seen, expected):
     test = plan_split(str(record()), None, SECOND).test
     assert was_seen(test, TrainingData(recording=seen, sha256=test.sha256)) is expected
     assert not was_seen(test, TrainingData(recording=seen, sha256="another"))
@@ -141,16 +141,16 @@ def learned(folder, tracker="static-map", site="room"):
     save_weights(weights_path(folder, tracker, site), card, {})
 
 
-def test_weights_are_looked_for_where_told_then_at_the_users_then_in_the_package(tmp_path, monkeypatch):
+def test_weights_are_found_in_the_given_folder_then_the_users_then_the_package(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path))
     assert user_weights_folder() == tmp_path / "gridtrack" / "weights"
     assert find_weights("no-such-tracker", "room", None) is None
     learned(user_weights_folder())
-    (tmp_path / "told").mkdir()
-    assert find_weights("static-map", "room", tmp_path / "told").card.command == str(user_weights_folder())
-    learned(tmp_path / "told")
-    assert find_weights("static-map", "room", tmp_path / "told").card.command == str(tmp_path / "told")
-    assert find_weights("static-map", "elsewhere", tmp_path / "told") is None
+    (tmp_path / "given").mkdir()
+    assert find_weights("static-map", "room", tmp_path / "given").card.command == str(user_weights_folder())
+    learned(tmp_path / "given")
+    assert find_weights("static-map", "room", tmp_path / "given").card.command == str(tmp_path / "given")
+    assert find_weights("static-map", "elsewhere", tmp_path / "given") is None
 
 
 def test_a_sites_name_cannot_lead_out_of_the_folder(tmp_path):

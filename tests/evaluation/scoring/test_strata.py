@@ -1,4 +1,4 @@
-"""Which cells are static, which are their ring, and which are moving."""
+"""Kinds of cells (static, ring, moving), and the regions and bands of strata."""
 
 import numpy as np
 from hypothesis import given
@@ -62,7 +62,7 @@ def test_the_ring_does_not_wrap_round_the_grids_edge():
     assert (kind_names == "ring").sum() == 3
 
 
-def test_frames_from_elsewhere_say_nothing_about_these_cells():
+def test_frames_with_another_pose_do_not_count():
     walls = np.ones(GRID.shape, bool)
     elsewhere = [frame(walls, walls, SE2(1.0, 0.0, 0.0)) for _ in range(5)]
     here = list(frames_with_cell_occupied(0, 2))
@@ -70,7 +70,7 @@ def test_frames_from_elsewhere_say_nothing_about_these_cells():
 
 
 @given(st.lists(st.lists(st.booleans(), min_size=49, max_size=49), min_size=1, max_size=5))
-def test_places_agree_with_a_dilation(planes):
+def test_cell_kinds_agree_with_a_dilation(planes):
     occupied = [np.array(plane).reshape(GRID.shape) for plane in planes]
     cell_kinds = cell_kinds_of((frame(np.ones(GRID.shape, bool), o) for o in occupied), GRID, SE2())
     static = np.mean(occupied, axis=0) > 0.5
@@ -78,11 +78,11 @@ def test_places_agree_with_a_dilation(planes):
     assert np.array_equal(cell_kinds == CELL_KINDS.index("moving"), ~binary_dilation(static, np.ones((3, 3))))
 
 
-def test_strata_without_truth_come_first_so_their_indices_agree():
+def test_strata_without_truth_are_first_so_their_indices_agree():
     assert STRATA_WITH_TRUTH[: len(STRATA)] == STRATA
 
 
-def test_every_cell_is_in_one_band_of_its_whole():
+def test_every_cell_is_in_exactly_one_band():
     def regions(prefix):
         return SUMS_OF_REGIONS[[i for i, name in enumerate(STRATA_WITH_TRUTH) if name.startswith(prefix)]]
 
@@ -94,7 +94,7 @@ def test_every_cell_is_in_one_band_of_its_whole():
     assert (whole["visible"] + whole["occluded"] == 1).all()
 
 
-def test_bands_share_the_threshold_of_their_whole_and_moving_and_static_have_their_own():
+def test_bands_use_the_threshold_of_the_whole_stratum_moving_and_static_their_own():
     assert {THRESHOLD_OF[name] for name in STRATA_WITH_TRUTH} == {"visible", "moving", "static", "occluded"}
     assert THRESHOLD_OF["visible 5-10 m"] == "visible"
     assert THRESHOLD_OF["occluded over 4 s"] == "occluded"

@@ -1,4 +1,4 @@
-"""What a forecast is scored against: states of cells, and the class of those whose class is known."""
+"""Targets: the states of cells, and the classes of labelled cells."""
 
 from dataclasses import replace
 
@@ -42,7 +42,7 @@ def test_without_truth_only_visible_cells_are_scored():
     assert (state[1:] == NOT_SCORED).all()
 
 
-def test_with_truth_hidden_outlines_are_occupied_interiors_not_scored_and_what_is_seen_is_as_it_was_seen():
+def test_with_truth_hidden_outlines_are_occupied_interiors_not_scored_and_visible_cells_as_observed():
     visible, occupied = np.zeros((2, 5, 5), bool)
     visible[0], occupied[0, 2] = True, True
     scene = Scene((box(0.5, 1.5, 3.9, 3.0),), 1, (SceneObject(7, 0, SE2(4.0, 0.5), box(0.2, -0.2, 0.4, 0.4)),))
@@ -85,7 +85,7 @@ def test_beams_of_all_sensors_vote_together():
     assert target_of(observation, GRID, NAMES).labels.tolist() == [1]
 
 
-def test_a_label_that_names_no_class_is_refused():
+def test_a_label_without_a_class_is_refused():
     observation = Observation(frame(np.ones((5, 5), bool), np.ones((5, 5), bool)), (fan([2]),), (SE2(2.5, 2.1),))
     with pytest.raises(RecordingError, match=r"names class 2 at 0\.000 s, and the recording has 2 classes"):
         target_of(observation, GRID, NAMES)

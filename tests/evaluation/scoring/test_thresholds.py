@@ -41,13 +41,13 @@ def test_no_threshold_has_a_better_f1_in_its_stratum(positives, negatives):
     assert f1(chosen) >= max(f1(b) for b in range(1, PROBABILITY_BINS)) - 1e-12
 
 
-def test_a_forecast_of_zeros_and_ones_gets_one_half():
+def test_a_binary_forecast_gets_one_half():
     ones = np.eye(1, PROBABILITY_BINS, PROBABILITY_BINS - 1, dtype=np.int64)[0]
     zeros = np.eye(1, PROBABILITY_BINS, 0, dtype=np.int64)[0]
     assert best_thresholds(tally_of(5 * ones + zeros, 2 * ones + 9 * zeros), "v").values[0, VISIBLE] == 0.5
 
 
-def test_a_step_at_which_nothing_was_occupied_gets_one_half():
+def test_a_step_without_occupied_cells_gets_one_half():
     assert best_thresholds(Tally.empty(3), "v").values.tolist() == half(3).values.tolist()
 
 
@@ -59,6 +59,6 @@ def test_a_blurred_forecast_gets_a_low_threshold():
     assert 0.02 <= best_thresholds(tally_of(blurred, free), "v").values[0, VISIBLE] <= 0.2
 
 
-def test_without_a_validation_stretch_it_is_one_half_and_says_so():
+def test_without_a_validation_stretch_thresholds_are_one_half():
     assert (half(2).values == 0.5).all()
     assert half(2).chosen_on == ""
