@@ -13,7 +13,7 @@ from gridtrack.evaluation.scoring.target import NOT_SCORED, Target
 from gridtrack.evaluation.scoring.thresholds import half
 
 VISIBLE, MOVING, STATIC = (STRATA.index(name) for name in ("visible", "moving", "static"))
-RING, STATIC, MOVING = (CELL_KINDS.index(name) for name in ("ring", "static", "moving"))
+RING_CELL, STATIC_CELL, MOVING_CELL = (CELL_KINDS.index(name) for name in ("ring", "static", "moving"))
 
 
 def frame(visible, occupied, stamp_ns=0):
@@ -49,7 +49,7 @@ def random_case(seed, size=30, steps=3):
 def test_a_hand_computed_forecast():
     occupancy = np.array([[[0.9, 0.4], [0.6, 0.8]]], np.float32)
     observed = frame([[1, 1], [1, 0]], [[1, 1], [0, 0]])
-    cell_kinds = [[STATIC, MOVING], [MOVING, MOVING]]
+    cell_kinds = [[STATIC_CELL, MOVING_CELL], [MOVING_CELL, MOVING_CELL]]
     tally = count(occupancy, [observed], cell_kinds)
     at_half = tally.confusion(half(0).bins)
     assert at_half[0, VISIBLE].tolist() == [1, 1, 1, 0]
@@ -61,13 +61,13 @@ def test_a_hand_computed_forecast():
 
 
 def test_a_ring_cell_counts_as_visible_only():
-    tally = count(np.full((1, 1, 1), 0.7, np.float32), [frame([[1]], [[1]])], [[RING]])
+    tally = count(np.full((1, 1, 1), 0.7, np.float32), [frame([[1]], [[1]])], [[RING_CELL]])
     assert tally.cells.sum(axis=(0, 2)).tolist() == [1, 0, 0]
 
 
 def test_cells_that_are_hidden_in_the_observed_frame_are_not_scored():
     nothing_seen = frame(np.zeros((5, 5)), np.zeros((5, 5)))
-    tally = count(np.ones((1, 5, 5), np.float32), [nothing_seen], np.full((5, 5), MOVING))
+    tally = count(np.ones((1, 5, 5), np.float32), [nothing_seen], np.full((5, 5), MOVING_CELL))
     assert tally.cells.sum() == 0
     assert tally.squared_error.sum() == tally.log_loss.sum() == 0
 
@@ -79,13 +79,13 @@ def members_of(cell_kinds, state, ages):
     seen, hidden = state < 2, (state >= 2) & (state != NOT_SCORED)
     return {
         "visible": seen,
-        "moving": seen & (cell_kinds == MOVING),
-        "static": seen & (cell_kinds == STATIC),
+        "moving": seen & (cell_kinds == MOVING_CELL),
+        "static": seen & (cell_kinds == STATIC_CELL),
         "visible to 5 m": seen & (distance <= 5),
         "visible 5-10 m": seen & (distance > 5) & (distance <= 10),
         "visible over 10 m": seen & (distance > 10),
         "occluded": hidden,
-        "occluded moving": hidden & (cell_kinds == MOVING),
+        "occluded moving": hidden & (cell_kinds == MOVING_CELL),
         "occluded to 0.5 s": hidden & (ages == 0),
         "occluded 0.5-1 s": hidden & (ages == 1),
         "occluded 1-2 s": hidden & (ages == 2),
@@ -178,16 +178,16 @@ def test_f1_and_average_precision_agree_with_torchmetrics(seed):
 def test_the_log_loss_of_many_certain_mistakes_does_not_underflow():
     size = 200
     everywhere = np.ones((size, size))
-    wrong = count(np.zeros((1, size, size), np.float32), [frame(everywhere, everywhere)], MOVING * everywhere)
+    wrong = count(np.zeros((1, size, size), np.float32), [frame(everywhere, everywhere)], MOVING_CELL * everywhere)
     assert wrong.log_loss[0, VISIBLE] == pytest.approx(-np.log(0.001) * size**2)
 
 
 def test_a_probability_on_a_bins_edge_belongs_to_the_bin_above():
     edges = np.append(EDGES, np.zeros(64 - len(EDGES), np.float32)).reshape(1, 8, 8)
-    tally = count(edges, [frame(np.ones((8, 8)), np.zeros((8, 8)))], np.full((8, 8), MOVING))
+    tally = count(edges, [frame(np.ones((8, 8)), np.zeros((8, 8)))], np.full((8, 8), MOVING_CELL))
     assert tally.cells[0, VISIBLE].tolist() == [1 + 64 - len(EDGES)] + [1] * (PROBABILITY_BINS - 2) + [2]
     below = np.nextafter(edges, np.float32(-1)).clip(0, 1)
-    tally = count(below, [frame(np.ones((8, 8)), np.zeros((8, 8)))], np.full((8, 8), MOVING))
+    tally = count(below, [frame(np.ones((8, 8)), np.zeros((8, 8)))], np.full((8, 8), MOVING_CELL))
     assert tally.cells[0, VISIBLE].tolist() == [2 + 64 - len(EDGES)] + [1] * (PROBABILITY_BINS - 1)
 
 
