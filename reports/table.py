@@ -11,7 +11,7 @@ from gridtrack.reports.markdown import cell_text, markdown_table
 from gridtrack.reports.run import UNDEFINED, ReportError, Run, TrackerEntry
 from gridtrack.reports.trial import StratumScores, Trial
 
-HEADLINE_HORIZONS_S = (0.5, 1.0, 2.0, 2.5)
+TABLE_HORIZONS_S = (0.5, 1.0, 2.0, 2.5)
 """The horizons of the columns of F1, as far as a run forecasts."""
 DETAIL_HORIZON_S = 1.0
 """The horizon of the other scores, by which the rows are sorted too."""
@@ -172,7 +172,7 @@ def _same_frames(runs: Sequence[Run], recording: str) -> bool:
 def _columns(horizons_s: Sequence[float]) -> Iterator[TableColumn]:
     """F1 at the headline horizons (at the last horizon where the run reaches none), and the other scores at one."""
     period_s = horizons_s[1] - horizons_s[0]
-    wanted = [round(h / period_s) for h in HEADLINE_HORIZONS_S]
+    wanted = [round(h / period_s) for h in TABLE_HORIZONS_S]
     steps = sorted({step for step in wanted if 0 < step < len(horizons_s)}) or [len(horizons_s) - 1]
     for stratum in ("moving", "visible"):
         for step in steps:

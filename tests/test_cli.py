@@ -1,4 +1,4 @@
-"""The command line as its users meet it: results on stdout, one clear line and exit code 2 for what they got wrong."""
+"""The command line: results on stdout; an error of the user is one line on stderr and exit code 2."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def gridtrack(*arguments: str, code: int = 0, **environment: str) -> subprocess.
         (("report", "nowhere"), "nowhere"),
     ],
 )
-def test_a_users_mistake_is_one_line_and_exit_code_2(arguments, says):
+def test_an_error_of_the_user_is_one_line_and_exit_code_2(arguments, says):
     done = gridtrack(*arguments, code=2)
     assert says in done.stderr
     assert done.stderr.startswith("gridtrack: ")
@@ -71,7 +71,7 @@ def test_a_users_mistake_is_one_line_and_exit_code_2(arguments, says):
     assert done.stdout == ""
 
 
-def test_of_a_recording_that_was_cut_off_what_is_whole_can_be_used(tmp_path):
+def test_the_undamaged_part_of_a_truncated_recording_can_be_used(tmp_path):
     cut, out = tmp_path / "cut.mcap", ("--out", str(tmp_path / "out"))
     content = Path(DEMO).read_bytes()
     cut.write_bytes(content[: len(content) // 2])
@@ -86,7 +86,7 @@ def test_of_a_recording_that_was_cut_off_what_is_whole_can_be_used(tmp_path):
     assert re.fullmatch(r"gridtrack: cut\.mcap@train \(0s-75s\): " + broken + r"\n", refused)
 
 
-def test_debug_shows_where_an_error_comes_from():
+def test_debug_shows_the_traceback_of_an_error():
     assert "Traceback" in gridtrack("--debug", "recording", "info", "nowhere.bag", code=1).stderr
 
 
@@ -147,34 +147,34 @@ def test_every_registered_tracker_is_listed():
     assert {row["state"] for row in rows if row["name"] in built_in} == {"ready"}
 
 
-def test_show_tells_the_options_and_their_defaults():
+def test_show_lists_the_options_and_their_defaults():
     shown = json.loads(gridtrack("trackers", "show", "static-map", "--json").stdout)
     assert shown["learns"] is True
     assert [option["option"] for option in shown["options"]] == ["prior_frames"]
 
 
-def test_check_tries_the_contract():
+def test_check_runs_the_contract_suite():
     rows = json.loads(gridtrack("trackers", "check", "persistence", "--json").stdout)
     assert {row["verdict"] for row in rows} == {"passed"}
     assert len(rows) == 9
 
 
-def test_what_only_a_row_of_a_comparison_has_is_not_passed_over_elsewhere():
+def test_settings_of_a_row_of_a_comparison_are_refused_by_other_commands():
     for command in (["check", "persistence:points=raw"], ["check", "static-map:weights=there"]):
         assert "points= and weights= are for rows of a comparison" in gridtrack("trackers", *command, code=2).stderr
 
 
-def test_a_tracker_that_has_learned_the_recordings_site_is_checked_on_it():
+def test_a_tracker_with_learned_weights_for_the_site_is_checked_on_the_recording():
     rows = json.loads(gridtrack("trackers", "check", "static-map", "--recording", DEMO, "--json").stdout)
     assert {row["verdict"] for row in rows} == {"passed"}
 
 
-def test_a_tracker_that_breaks_a_promise_is_exit_code_1(bad_trackers):
+def test_a_tracker_that_violates_the_contract_is_exit_code_1(bad_trackers):
     done = gridtrack("trackers", "check", "counts-predictions", code=1)
     assert "failed" in done.stdout
 
 
-def test_info_tells_what_a_recording_holds():
+def test_info_lists_the_content_of_a_recording():
     info = json.loads(gridtrack("recording", "info", DEMO, "--json").stdout)
     assert info["info"]["site"] == "leg_tracker"
     assert info["sensors"]["scan"]["scans"] == 1265
@@ -195,7 +195,7 @@ def test_a_tracker_is_trained_compared_and_reported(tmp_path):
     assert str(run) in gridtrack("report", str(run)).stdout
 
 
-def test_a_training_whose_weights_have_no_place_to_go_does_not_begin(tmp_path):
+def test_a_training_whose_weights_cannot_be_written_does_not_start(tmp_path):
     (tmp_path / "file").write_text("not a folder")
     done = gridtrack("train", "kalman", DEMO, "--out", str(tmp_path / "file"), code=2)
     assert f"{tmp_path / 'file' / 'kalman'}: cannot be made (Not a directory); name a folder" in done.stderr

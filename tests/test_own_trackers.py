@@ -1,6 +1,6 @@
-"""Our own trackers under our own gate: those without chance in them exactly, the others within a stated tolerance.
+"""The built-in trackers under the regression gate: deterministic ones exactly, the others within a tolerance.
 
-`make baseline` makes the baseline again, after a change that is meant to change what a tracker forecasts.
+`make baseline` writes the baseline again, after a change that is intended to change the forecasts of a tracker.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ ROOT = Path(__file__).parents[1]
 BASELINE = ROOT / "tests" / "baselines" / "own_trackers.json"
 EXACT = {"persistence", "static-map", "blank", "kalman"}
 TOLERANCE = {"deep-tracking-rnn": 0.01, "dilated-convgru": 0.01, "dogma": 0.01}
-"""F1 by which the sums of 32-bit numbers, done in another order on another processor, may move a score."""
+"""Change in F1 that the order of 32-bit sums on another processor may cause."""
 
 
 def gridtrack(*arguments: str) -> subprocess.CompletedProcess[str]:
@@ -22,13 +22,13 @@ def gridtrack(*arguments: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
 
 
-def test_no_tracker_of_ours_is_worse_than_its_baseline_and_those_without_chance_are_as_they_were(tmp_path):
+def test_no_built_in_tracker_is_worse_than_its_baseline_and_deterministic_ones_are_equal(tmp_path):
     (run,) = json.loads(BASELINE.read_text())["runs"]
-    _, *as_then, _ = run["command"]
-    compared = gridtrack(*as_then, str(tmp_path / "run"))
+    _, *arguments, _ = run["command"]
+    compared = gridtrack(*arguments, str(tmp_path / "run"))
     assert compared.returncode == 0, compared.stderr
-    stated = [f"--tolerance={label}={f1}" for label, f1 in TOLERANCE.items()]
-    done = gridtrack("regress", str(tmp_path / "run"), "--baseline", str(BASELINE), *stated, "--json")
+    tolerances = [f"--tolerance={label}={f1}" for label, f1 in TOLERANCE.items()]
+    done = gridtrack("regress", str(tmp_path / "run"), "--baseline", str(BASELINE), *tolerances, "--json")
     assert done.returncode == 0, done.stdout + done.stderr
     rows = json.loads(done.stdout)["rows"]
     assert {row["label"] for row in rows} == EXACT | TOLERANCE.keys()

@@ -1,4 +1,4 @@
-"""P-values of the rows: the chance of a fall in F1 by the choice of the units, and by the choice of the training."""
+"""P-values of the rows: of a fall in F1 given the variation between units, and given the spread between trainings."""
 
 from __future__ import annotations
 

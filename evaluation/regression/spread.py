@@ -13,12 +13,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import stdtr
 
 from gridtrack.evaluation.scoring.metrics import f1_score
+from gridtrack.evaluation.statistics.uncertainty import Floats
 
-Floats = NDArray[np.float64]
 PRIOR_FREEDOM = 1.5
 """Degrees of freedom of the mean ratio over a tracker's rows, added to the K - 1 of the row itself."""
 

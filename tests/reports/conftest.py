@@ -1,4 +1,4 @@
-"""A run's folder as the referee leaves it, of a synthetic scene: a wall, a block that crosses, and its shadow."""
+"""The folder of a run on a synthetic scene: a wall, a moving block, and the cells that it occludes."""
 
 import json
 

@@ -1,4 +1,4 @@
-"""Figures put every score where its axis says, and hide nothing: gaps stay gaps, labels do not overlap."""
+"""Figures place every score by its axis; undefined scores are gaps; labels do not overlap."""
 
 import math
 from itertools import pairwise
@@ -68,7 +68,7 @@ def test_the_time_axis_is_logarithmic_and_marks_the_period(time_ms, period_ms):
     assert at - scale.period == pytest.approx(decade * math.log10(time_ms / period_ms), abs=0.4)
 
 
-def test_an_axis_holds_what_lies_beyond_it():
+def test_an_axis_clamps_values_beyond_its_ends():
     axis = Axis(0.0, 1.0, 100.0, 0.0)
     assert (axis(-1.0), axis(0.25), axis(2.0)) == (100.0, 75.0, 0.0)
 

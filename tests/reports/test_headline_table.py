@@ -1,4 +1,4 @@
-"""The headline table says what summary.json says, ranks complete trials only, and marks the best of them."""
+"""The headline table has the values of summary.json, ranks complete trials only, and marks the best of them."""
 
 import json
 import shutil

@@ -1,4 +1,4 @@
-"""The page opens from disk, fetches nothing, runs nothing, escapes every name, and shows what the run holds."""
+"""The page opens from disk, has no scripts and no network access, escapes every name, and shows the run."""
 
 import json
 import re

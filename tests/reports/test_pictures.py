@@ -1,4 +1,4 @@
-"""Pictures show grids as they lie in the world: row 0 at the bottom, x right, y up; every shade has its meaning."""
+"""Pictures show grids with row 0 at the bottom, x to the right and y up, in the shades of the palette."""
 
 import base64
 import struct

@@ -1,4 +1,4 @@
-"""The pytest plugin as the author of a tracker meets it: pytest in a folder of its own, on a package of its own."""
+"""The pytest plugin in use: pytest in a separate folder, on the tests of a third-party tracker."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def suite(tmp_path: Path, install: Callable[..., Path]) -> Callable[..., subproc
     return suite
 
 
-def test_a_tracker_is_gated_by_a_test_of_its_own_repository(suite, tmp_path):
+def test_a_regression_test_in_the_repository_of_a_tracker_fails_when_it_is_worse(suite, tmp_path):
     missing = suite()
     assert missing.returncode == 1
     assert "there is no such baseline" in missing.stdout
@@ -51,14 +51,14 @@ def test_a_tracker_is_gated_by_a_test_of_its_own_repository(suite, tmp_path):
     assert suite(half_life_s=0.05, more=", tolerance=0.9").returncode == 0
 
 
-def test_an_option_that_does_not_exist_is_one_clear_line(suite):
+def test_an_option_that_does_not_exist_is_an_error_of_one_line(suite):
     done = suite(more=", horizon=2")
     assert done.returncode == 1
     assert "there is no option 'horizon'; did you mean 'horizon_s'?" in done.stdout
     assert "Traceback" not in done.stdout
 
 
-def test_the_plugin_loads_nothing_of_weight():
+def test_the_plugin_imports_no_large_library():
     code = "import gridtrack.reports.pytest_plugin, sys; print(*sorted(sys.modules))"
     loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
     assert not {"numpy", "pydantic", "polars", "pyarrow", "numba", "typer", "rich", "torch"} & set(loaded)

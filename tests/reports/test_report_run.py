@@ -1,4 +1,4 @@
-"""A run's folder is read as it was written, and one that cannot be reported is refused in one line."""
+"""A run's folder is read as it was written; a folder without a readable run is an error of one line."""
 
 import json
 import shutil
@@ -44,7 +44,7 @@ def test_only_trials_that_scored_every_frame_are_complete(run_folder):
     assert complete == {"good": True, "fair": True, "persistence": True, "blank": True, "unlucky": False}
 
 
-def test_a_run_that_did_not_finish_is_told_apart_from_a_folder_that_is_none(copied, tmp_path):
+def test_an_unfinished_run_and_a_missing_folder_have_different_errors(copied, tmp_path):
     (copied / "summary.json").unlink()
     assert "did not finish" in refusal(copied)
     assert "there is no such" in refusal(tmp_path / "nowhere")
@@ -75,7 +75,7 @@ def test_curves_that_do_not_reach_every_horizon_are_refused(copied):
 
 
 @pytest.mark.parametrize("last", [float("inf"), float("nan"), 1e12])
-def test_horizons_that_no_page_has_room_for_are_refused(copied, last):
+def test_horizons_beyond_the_limit_are_refused(copied, last):
     summary = json.loads((copied / "summary.json").read_text())
     summary["recordings"]["crossing"]["horizons_s"][-1] = last
     change(copied, **summary)
@@ -91,7 +91,7 @@ def test_unknown_keys_are_left_alone_and_nan_is_undefined(copied):
     assert run.summary.trackers["fair"].recordings["crossing"].strata["moving"].f1[3] is None
 
 
-def test_runs_of_one_name_are_told_apart_by_their_paths(run_folder, tmp_path):
+def test_runs_of_the_same_name_are_named_by_their_paths(run_folder, tmp_path):
     other = shutil.copytree(run_folder, tmp_path / run_folder.name)
     assert [run.name for run in read_runs([run_folder, other])] == [str(run_folder), str(other)]
 

@@ -1,4 +1,4 @@
-"""Twenty recordings are shown together first, with intervals, and differences with their verdicts."""
+"""The pooled table of twenty recordings comes first, with intervals, and differences have verdicts."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def test_a_tracker_that_missed_a_recording_is_not_ranked_and_says_how_many_it_ha
     assert "19 of 20 recordings complete (seed-00: crashed)" in page
 
 
-def test_the_page_says_better_only_of_what_is(page):
+def test_the_page_calls_better_only_a_significantly_better_tracker(page):
     differences = page.partition("Difference from persistence")[2].partition("</section>")[0]
     good, even = (differences.partition(name)[2].partition("</tr>")[0] for name in (">good<", "&lt;b&gt;even"))
     assert good.count(", better</small>") == 6

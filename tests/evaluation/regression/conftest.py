@@ -1,4 +1,4 @@
-"""Runs' folders with counts of one's choice, as `compare` leaves them, and the command line in this process."""
+"""Folders of runs with chosen counts, as `compare` writes them, and the command line in this process."""
 
 from __future__ import annotations
 

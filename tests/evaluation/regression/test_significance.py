@@ -1,4 +1,4 @@
-"""The swap test against every swap there is, one by one, and what it must say of runs that are equal."""
+"""The permutation test against the enumeration of every permutation, and on equal runs."""
 
 from __future__ import annotations
 
@@ -31,13 +31,13 @@ def p_of_every_swap(baseline, run):
     return np.array([(standardised.max(axis=1) >= t - 1e-9).mean() for t in standardised[0]])
 
 
-def test_drawn_swaps_agree_with_all_of_them():
+def test_random_permutations_agree_with_the_enumeration():
     rng = np.random.default_rng(5)
     baseline, run = counts(rng, 8, 3, 0.6), counts(rng, 8, 3, 0.57)
     np.testing.assert_allclose(fall_p_values(baseline, run), p_of_every_swap(baseline, run), atol=0.02)
 
 
-def test_equal_counts_and_rows_with_nothing_to_find_are_certain_to_be_no_worse():
+def test_equal_counts_and_rows_without_occupied_cells_have_p_1():
     same = counts(np.random.default_rng(0), 20, 4, 0.5)
     same[:, 1, :3] = 0
     assert fall_p_values(same, same).tolist() == [1.0] * 4

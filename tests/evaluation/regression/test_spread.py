@@ -1,4 +1,4 @@
-"""The spread between trainings against hand-computed cases, a plain two-way table, and trainings drawn alike."""
+"""The spread between trainings against hand-computed cases, a two-way analysis of variance, and simulated trainings."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ def trainings_of(recalls, occupied=100_000.0):
     return np.stack([tp, np.zeros_like(tp), occupied - tp, np.full_like(tp, occupied)], axis=-1)
 
 
-def drawn(rng, trainings, units, apart, unlike):
-    """Recalls (K, U, R): rows R whose trainings lie `apart` (R,), and differ from unit to unit by `unlike` (R,)."""
-    level = apart * rng.standard_normal((trainings, 1, len(apart)))
-    return 0.5 + level + unlike * rng.standard_normal((trainings, units, len(apart)))
+def drawn(rng, trainings, units, between, within):
+    """Recalls (K, U, R) with the standard deviations `between` (R,) trainings and `within` (R,), between units."""
+    level = between * rng.standard_normal((trainings, 1, len(between)))
+    return 0.5 + level + within * rng.standard_normal((trainings, units, len(between)))
 
 
 def test_with_one_row_the_spread_is_the_plain_standard_deviation_of_f1():
@@ -28,7 +28,7 @@ def test_with_one_row_the_spread_is_the_plain_standard_deviation_of_f1():
     assert spread_between(trainings).deviation == pytest.approx(np.std(f1, axis=0, ddof=1))
 
 
-def test_rows_are_drawn_towards_the_mean_ratio_of_the_two_variances_of_a_two_way_table():
+def test_rows_are_shrunk_towards_the_mean_ratio_of_the_two_variances_of_a_two_way_table():
     # recalls near 1/2 without false alarms: F1 = 2r / (1 + r) is as good as linear in so small deviations
     rng = np.random.default_rng(1)
     scale = 1e-4
@@ -51,8 +51,8 @@ def test_p_is_students_t_of_one_more_training_times_the_family():
 
 
 @pytest.mark.parametrize("trainings", [2, 3, 5])
-def test_one_more_training_is_seldom_beyond_the_spread_of_the_others_in_any_row(trainings):
-    # rows of unlike spread that all move together: what pooling over rows is hardest on
+def test_the_error_rate_of_one_more_training_is_near_the_level(trainings):
+    # rows of different spread with correlated changes: the most difficult case for pooling over rows
     rng = np.random.default_rng(trainings)
     called, draws = 0, 400
     for _ in range(draws):
@@ -66,7 +66,7 @@ def test_one_more_training_is_seldom_beyond_the_spread_of_the_others_in_any_row(
     assert called <= 0.08 * draws
 
 
-def test_rows_with_nothing_to_find_and_trainings_that_are_equal_have_no_spread():
+def test_rows_without_occupied_cells_and_equal_trainings_have_no_spread():
     trainings = trainings_of(np.full((3, 20, 2), 0.5))
     trainings[:, :, 1] = 0.0
     spread = spread_between(trainings)

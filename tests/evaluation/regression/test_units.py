@@ -1,4 +1,4 @@
-"""Units against plain sums over the rows of a trial's scores, and how a trial is cut into them."""
+"""Statistical units against plain sums over the rows of a trial's scores, and the division of a trial into units."""
 
 from __future__ import annotations
 
@@ -38,19 +38,19 @@ def test_counts_are_sums_over_the_frames_and_steps_of_each_unit(trial):
                 assert log_loss == pytest.approx(sum(row["log_loss"] for row in mine), rel=1e-5)
 
 
-def test_bands_part_at_half_a_second_and_at_one_and_a_half_and_leave_step_0_out():
+def test_bands_end_at_half_a_second_and_at_one_and_a_half_and_step_0_is_in_none():
     bands = [band_of(horizon) for horizon in (0.0, 0.125, 0.5, 0.625, 1.5, 1.625, 60.0)]
     assert bands == [None, "short", "short", "middle", "middle", "long", "long"]
 
 
 @pytest.mark.parametrize(("block_s", "units"), [(None, 1), (100.0, 1), (7.0, 1), (3.5, 2), (1.0, 7), (0.1, 8)])
-def test_blocks_last_at_least_what_is_asked_and_none_is_empty(trial, block_s, units):
+def test_blocks_have_at_least_the_requested_length_and_none_is_empty(trial, block_s, units):
     found = read_units(trial, HORIZONS_S, STRATA, block_s, FRAMES)
     assert len(found) == units
     assert sum(unit.frames for unit in found) == FRAMES
 
 
-def test_a_unit_tells_its_frames_apart_from_others(trial):
+def test_the_digest_of_a_unit_identifies_its_frames(trial):
     digests = [unit.delivered for unit in read_units(trial, HORIZONS_S, STRATA, 1.0, FRAMES)]
     assert len(set(digests)) == len(digests)
     whole = read_units(trial, HORIZONS_S, STRATA, None, FRAMES)[0]
