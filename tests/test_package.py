@@ -14,7 +14,10 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-HEAVY = ("torch", "lightning", "gtsam", "kiss_icp", "ray", "sklearn", "optuna", "filterpy", "numba", "rosbags")
+HEAVY = (
+    "torch", "lightning", "gtsam", "kiss_icp", "ray", "sklearn", "optuna", "filterpy", "numba", "rosbags", "scipy",
+    "polars", "pyarrow", "numpy", "pydantic",
+)  # fmt: skip
 
 
 def python(*arguments: str, **environment: str) -> str:
