@@ -85,7 +85,8 @@ def data_of(verdict: Verdict) -> dict[str, Any]:
 
 def _row_data(row: VerdictRow) -> dict[str, Any]:
     values = asdict(row)
-    return {**values, "standing": values.pop("verdict"), "fall": row.fall}
+    verdict = values.pop("verdict")
+    return {**values, "standing": verdict, "fall": row.fall}
 
 
 def text_of_update(path: Path, baseline: Baseline) -> str:

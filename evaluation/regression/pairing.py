@@ -82,7 +82,7 @@ def _require_paired(baseline: Measurement, run: Measurement) -> None:
     """Check that `run` pairs with `baseline`. Raises Unmeasured with every reason why it does not."""
     reasons = [*_missing_entries(baseline, run), *_other_splits(baseline, run)]
     if not reasons:
-        reasons = [*_other_units(baseline, run), *_missing_figures(baseline, run)]
+        reasons = [*_other_units(baseline, run), *_missing_measurements(baseline, run)]
     if reasons:
         raise Unmeasured(reasons)
 
@@ -100,9 +100,10 @@ def _other_splits(baseline: Measurement, run: Measurement) -> Iterator[str]:
         differing = [key for key in SplitKey.model_fields if getattr(then, key) != getattr(now, key)]
         if differing:
             key = differing[0]
+            old, new = (str(getattr(side, key))[:80] for side in (then, now))
             yield (
-                f"{name}: not run as for the baseline ({key}: then {str(getattr(then, key))[:80]}, now"
-                f" {str(getattr(now, key))[:80]}): compare as its `command` says, or make it again with --update"
+                f"{name}: not run as for the baseline ({key}: '{old}' in the baseline, '{new}' in the run): compare"
+                " with the command in the baseline, or make the baseline again with --update"
             )
 
 
@@ -113,17 +114,17 @@ def _other_units(baseline: Measurement, run: Measurement) -> Iterator[str]:
         if not problem and len(then.units) != usual.setdefault(name, len(then.units)):
             problem = "its number of units is not that of the other trackers"
         if problem:
-            yield f"{label}@{name}: {problem}, so it does not pair: make the baseline again with --update"
+            yield f"{label}@{name}: {problem}, so the trials do not pair: make the baseline again with --update"
 
 
-def _missing_figures(baseline: Measurement, run: Measurement) -> Iterator[str]:
+def _missing_measurements(baseline: Measurement, run: Measurement) -> Iterator[str]:
     """Measurements in addition to the scores are not judged here; a missing one is an error, so that none is lost."""
     for label, name, then in baseline.trials():
         for measurement in then.measurements:
             if measurement not in run.trackers[label].recordings[name].measurements:
                 yield (
-                    f"{label}@{name}: measured with --{measurement} for the baseline and not in the run: compare as its"
-                    " `command` says, or make it again with --update"
+                    f"{label}@{name}: measured with --{measurement} for the baseline and not in the run: compare with"
+                    " the command in the baseline, or make the baseline again with --update"
                 )
 
 

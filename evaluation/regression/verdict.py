@@ -110,10 +110,10 @@ def _judged_row(row: PairedRow, settings: GateSettings, p_value: RowPValue) -> V
     """The row over all units, with its verdict."""
     tolerance = settings.tolerance.get(row.label)
     margin = (0.0 if p_value.p is None else settings.margin) if tolerance is None else tolerance
-    row_over_all = _verdict_row(row, np.ones(len(row.recordings), bool), "", margin, p_value)
-    beyond = row_over_all.fall > margin + SMALLEST_FALL and (p_value.p is None or p_value.p <= FAMILY_LEVEL)
-    verdict: RowVerdict = "worse" if beyond and row_over_all.verdict == "no worse" else row_over_all.verdict
-    return replace(row_over_all, verdict=verdict)
+    over_all = _verdict_row(row, np.ones(len(row.recordings), bool), "", margin, p_value)
+    beyond = over_all.fall > margin + SMALLEST_FALL and (p_value.p is None or p_value.p <= FAMILY_LEVEL)
+    verdict: RowVerdict = "worse" if beyond and over_all.verdict == "no worse" else over_all.verdict
+    return replace(over_all, verdict=verdict)
 
 
 def _verdict_row(

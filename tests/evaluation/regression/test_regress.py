@@ -33,6 +33,10 @@ def test_a_run_compared_with_itself_passes_and_every_count_is_equal(baseline, wr
     assert (done.code, verdict["verdict"], verdict["units"]) == (0, "no worse", 20)
     assert {row["standing"] for row in verdict["rows"]} == {"equal"}
     assert {row["p"] for row in verdict["rows"]} == {1.0}
+    assert list(verdict["rows"][0]) == [
+        *("label", "stratum", "band", "recording", "f1_baseline", "f1_run", "log_loss_baseline", "log_loss_run"),
+        *("margin", "p", "spread", "standing", "fall"),
+    ]
     assert {(r["label"], r["stratum"], r["band"]) for r in verdict["rows"]} == {
         (label, stratum, band)
         for label in NAMES
@@ -135,10 +139,13 @@ def drop_recording(run_file):
         (keep_nothing, "the run has no trials"),
         (forget("kalman@junction-01"), "kalman was not measured on every recording"),
         (drop_recording, "recording junction-01 of the baseline is missing in the run"),
-        (other("sha256", "another file"), "junction-01: not run as for the baseline (sha256: then"),
-        (other("stretch_s", [0.0, 30.0]), "junction-01: not run as for the baseline (stretch_s: then"),
-        (other("forecast_every_frames", 4), "(forecast_every_frames: then 8, now 4)"),
-        (other("validation_sha256", ""), "(validation_sha256: then hash of another, now )"),
+        (
+            other("sha256", "another file"),
+            "junction-01: not run as for the baseline (sha256: 'hash of junction-01' in",
+        ),
+        (other("stretch_s", [0.0, 30.0]), "junction-01: not run as for the baseline (stretch_s: '(0.0, 60.0)' in the"),
+        (other("forecast_every_frames", 4), "(forecast_every_frames: '8' in the baseline, '4' in the run)"),
+        (other("validation_sha256", ""), "(validation_sha256: 'hash of another' in the baseline, '' in the run)"),
     ],
 )
 def test_a_run_that_is_not_complete_or_not_the_same_never_passes(
