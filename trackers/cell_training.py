@@ -1,4 +1,4 @@
-"""Training a classifier of cells: a seeded search of its few settings, each tried until validation stops gaining."""
+"""Training of a cell classifier: a seeded search of its settings, each kept at its best validation log loss."""
 
 from __future__ import annotations
 
@@ -19,21 +19,22 @@ from gridtrack.trackers.label_settings import ClassifierSettings
 from gridtrack.trackers.labelled_stretch import class_indices, inverse_frequency
 
 SETTINGS_TRIED = 10
+"""Iterations of the search."""
 CHANNELS = (8, 16, 32)
 LEARNING_RATES = (1e-3, 2e-2)
 WEIGHT_DECAYS = (1e-4, 1.0)
-"""What is searched: the channels uniformly among these, the others log-uniformly from their range."""
+"""Ranges of the search: channels uniformly among these, the others log-uniformly."""
 TEMPERATURES = tuple(round(1.05**n, 2) for n in range(-15, 30))
-"""About 0.5 to 4."""
+"""Candidates for the calibration, about 0.5 to 4."""
 VALIDATIONS = 10
-"""Times in a trial that the classifier is tried on the validation stretch."""
+"""Validations during one training."""
 
 
 @dataclass(frozen=True, slots=True)
 class LabelledCells:
-    """Planes, and the cells of them whose class is known.
+    """Input planes of T frames, and their labelled cells.
 
-    `planes` (T, M, M, C); of each cell (N,) int64 the plane that it is in (`at`), row * M + column (`cells`) and its
+    `planes` (T, M, M, C). For each cell, (N,) int64: its frame (`at`), its index row * M + column (`cells`) and its
     class (`targets`).
     """
 
@@ -43,7 +44,7 @@ class LabelledCells:
     targets: Tensor
 
     def patches(self, index: Tensor, reach: int) -> Tensor:
-        """Patches (n, C, P, P) float32 around some of the cells, P = 2 `reach` + 1, 0 beyond the edge of the grid."""
+        """Patches (n, C, P, P) float32 around the cells `index`, P = 2 `reach` + 1; 0 outside the grid."""
         size = self.planes.shape[1]
         around = torch.arange(-reach, reach + 1)
         row = (self.cells[index] // size)[:, None, None] + around[:, None]
@@ -54,7 +55,7 @@ class LabelledCells:
 
 
 class CellCollector:
-    """Gathers labelled cells scan by scan; those of a class that is none of `classes` are left out."""
+    """Collects the labelled cells of frames; cells of a class that is not in `classes` are left out."""
 
     def __init__(self, classes: Sequence[str]) -> None:
         self._classes = classes
@@ -63,24 +64,24 @@ class CellCollector:
         self._targets: list[NDArray[np.int64]] = []
 
     def add(self, planes: Tensor, labelled: LabelledFrame, names: Sequence[str]) -> None:
-        """Take in `planes` (C, M, M) and the cells of a frame whose labels index `names`."""
+        """Add the `planes` (C, M, M) of a frame and its labelled cells; labels index `names`."""
         target = class_indices(labelled.labels, names, self._classes)
         self._planes.append(planes.permute(1, 2, 0))
         self._cells.append(labelled.cells[target >= 0])
         self._targets.append(target[target >= 0])
 
     def cells(self) -> LabelledCells:
-        """All that was gathered."""
+        """All cells added so far."""
         at = np.repeat(np.arange(len(self._cells)), [cells.size for cells in self._cells])
         index, targets = np.concatenate(self._cells), np.concatenate(self._targets)
         return LabelledCells(torch.stack(self._planes), *map(torch.from_numpy, (at, index, targets)))
 
 
 @dataclass(frozen=True, slots=True)
-class Trained:
-    """A classifier where it was best: after `update` updates, at `log_loss` nats a cell of validation.
+class TrainedClassifier:
+    """A classifier with the weights after `update` updates, and its `log_loss` on the validation cells, nats a cell.
 
-    `temperature` is what its logits have been divided by.
+    `temperature`: the divisor of its logits, contained in the weights of the last layer.
     """
 
     settings: ClassifierSettings
@@ -94,18 +95,18 @@ def best_classifier(
     build: Callable[[ClassifierSettings], CellClassifier],
     given: Mapping[str, Any],
     learned: LabelledCells,
-    held_out: LabelledCells,
+    validation: LabelledCells,
     seed: int,
     report: Callable[[str], None],
-) -> Trained:
-    """The one that is best for `held_out` out of SETTINGS_TRIED settings; one that is `given` stays as given.
+) -> TrainedClassifier:
+    """The classifier with the least log loss on `validation` of SETTINGS_TRIED settings; `given` settings are fixed.
 
-    `build` makes an untrained classifier.
+    `build` returns an untrained classifier.
     """
     best = None
     for settings in candidate_settings(given, seed):
         torch.manual_seed(seed)
-        tried = calibrated(train_classifier(build(settings), settings, learned, held_out), held_out)
+        tried = calibrated(train_classifier(build(settings), settings, learned, validation), validation)
         best = tried if best is None or tried.log_loss < best.log_loss else best
         report(
             f"channels {settings.channels}, learning rate {settings.learning_rate:g}, weight decay"
@@ -116,7 +117,7 @@ def best_classifier(
 
 
 def candidate_settings(given: Mapping[str, Any], seed: int) -> Iterator[ClassifierSettings]:
-    """The defaults, and then draws of what is not `given`; the same seed, the same trials."""
+    """The defaults, then random values of the settings that are not `given`; equal for equal seeds."""
     draw = np.random.default_rng(seed)
     yield ClassifierSettings(**given)
     for _ in range(SETTINGS_TRIED - 1 if {"channels", "learning_rate", "weight_decay"} - given.keys() else 0):
@@ -129,16 +130,16 @@ def candidate_settings(given: Mapping[str, Any], seed: int) -> Iterator[Classifi
 
 
 def _log_uniform(draw: np.random.Generator, low: float, high: float) -> float:
-    """Three significant digits: a card is read by people, and the search must try what the card will say."""
+    """Three significant digits: the value on the card is exactly the value that was used."""
     return float(f"{math.exp(draw.uniform(math.log(low), math.log(high))):.3g}")
 
 
 def train_classifier(
-    classifier: CellClassifier, settings: ClassifierSettings, learned: LabelledCells, held_out: LabelledCells
-) -> Trained:
-    """AdamW on batches of `learned`, classes weighted by inverse frequency; the state that is best for `held_out`.
+    classifier: CellClassifier, settings: ClassifierSettings, learned: LabelledCells, validation: LabelledCells
+) -> TrainedClassifier:
+    """AdamW on batches of `learned`, classes weighted by inverse frequency; the weights best on `validation`.
 
-    Chance is PyTorch's own generator: seed it before the classifier is built.
+    Batches are drawn by PyTorch's global generator: seed it before the classifier is built.
     """
     classes = classifier.layers[-1].out_channels
     class_weights = torch.from_numpy(inverse_frequency(learned.targets.numpy(), int(classes)))  # type: ignore[arg-type]
@@ -155,24 +156,24 @@ def train_classifier(
         optimizer.step()
         schedule.step()
         if update % every == 0 or update == settings.updates:
-            log_loss = validation_log_loss(classifier, held_out)
+            log_loss = validation_log_loss(classifier, validation)
             if best is None or log_loss < best[0]:
                 best = log_loss, update, {name: value.clone() for name, value in classifier.state_dict().items()}
     assert best is not None
     classifier.load_state_dict(best[2])
-    return Trained(settings, classifier, best[1], best[0])
+    return TrainedClassifier(settings, classifier, best[1], best[0])
 
 
 @torch.no_grad()
-def calibrated(trained: Trained, held_out: LabelledCells) -> Trained:
-    """`trained`, its last layer divided by the temperature that is best for `held_out` (Guo et al., 2017).
+def calibrated(trained: TrainedClassifier, validation: LabelledCells) -> TrainedClassifier:
+    """`trained` with its last layer divided by the temperature that is best on `validation` (Guo et al., 2017).
 
-    Few labels make a classifier surer than it is right; its most probable classes stay the same.
+    Trained on few labels, a classifier is overconfident. The most probable class of a cell does not change.
     """
-    logits = logits_of(trained.classifier, held_out)
+    logits = logits_of(trained.classifier, validation)
 
     def log_loss(temperature: float) -> float:
-        return float(functional.cross_entropy(logits / temperature, held_out.targets))
+        return float(functional.cross_entropy(logits / temperature, validation.targets))
 
     temperature = min(TEMPERATURES, key=log_loss)
     for parameter in trained.classifier.layers[-1].parameters():
@@ -180,9 +181,9 @@ def calibrated(trained: Trained, held_out: LabelledCells) -> Trained:
     return replace(trained, temperature=temperature, log_loss=log_loss(temperature))
 
 
-def validation_log_loss(classifier: CellClassifier, held_out: LabelledCells) -> float:
-    """Mean over cells of -log P(class), nats, classes unweighted, as the referee counts it."""
-    return float(functional.cross_entropy(logits_of(classifier, held_out), held_out.targets))
+def validation_log_loss(classifier: CellClassifier, validation: LabelledCells) -> float:
+    """Mean of -log P(class) over cells, nats, classes unweighted, as the referee computes it."""
+    return float(functional.cross_entropy(logits_of(classifier, validation), validation.targets))
 
 
 @torch.no_grad()

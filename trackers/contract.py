@@ -1,4 +1,4 @@
-"""The plugin contract: what a tracker is given, what it must do, and what it answers."""
+"""The plugin contract: the inputs of a tracker, its methods, and the forecast that it returns."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ API = 1
 Role = Literal["tracker", "floor"]
 """The role of a row in a comparison: a tracker, or a floor, which every tracker must beat."""
 ComparedPart = Literal["occupancy", "classes"]
-"""What two rows are compared by: their forecasts of occupancy, or of classes."""
+"""The part of their forecasts by which two rows are compared."""
 
 
 @dataclass(frozen=True, slots=True)
 class StreamSpec:
-    """What a tracker knows before the first frame.
+    """The properties of a stream, known before its first frame.
 
     `grid` and `period_s` of the stream, its `site`, the `classes` its labels name, and `weights`: the settings file
     (`.toml`, arrays in the `.safetensors` beside it) that this tracker's `fit` wrote for the site, or None.
@@ -41,8 +41,8 @@ class TrackedObject:
     """One object of a forecast, at step 0, in the grid frame of the last update.
 
     `box` (5,): x, y, heading, length along it, width (metres, radians); `velocity` (2,) m/s and `covariance` (4, 4) of
-    (x, y, vx, vy): of the point that the tracker follows, which need not be the middle of what is seen; `label` a class
-    name, or "" where unknown; `track` the identity kept over time.
+    (x, y, vx, vy), of the tracked point, which need not be the centre of the box; `label`: the name of a class, or ""
+    where unknown; `track`: the identity over time.
     """
 
     track: int
@@ -67,7 +67,7 @@ class Forecast:
 
 
 class FrameSource(Protocol):
-    """A stretch of a recording as frames of one fixed period; every iteration starts over from its first frame."""
+    """A stretch of a recording as frames of one fixed period; every iteration starts at its first frame."""
 
     name: str
     """Recording and stretch, for messages: `demo.mcap@0s-75s`."""
@@ -83,12 +83,12 @@ class FrameSource(Protocol):
     def __len__(self) -> int: ...
 
     def labelled(self) -> Iterator[LabelledFrame]:
-        """The same frames with the classes of their occupied cells, for `fit`; none are known in most recordings."""
+        """The same frames with the classes of their occupied cells, for `fit`; most recordings have none."""
         ...
 
 
 def stream_of(source: FrameSource, weights: Path | None = None) -> StreamSpec:
-    """What a tracker is told about `source` before its first frame."""
+    """The stream of `source`, for a tracker with these `weights`."""
     return StreamSpec(source.grid, source.period_s, source.site, source.classes, weights)
 
 
@@ -106,19 +106,19 @@ Score = Callable[["Tracker", FrameSource, int], StretchScore]
 
 @dataclass(frozen=True, slots=True)
 class FitOutput:
-    """Where `fit` leaves what it learned (`path`, a `.toml` to be written), the command that made it, and the seed."""
+    """The card that `fit` writes (`path`, a `.toml`), the command for the card, and the seed."""
 
     path: Path
     command: str
     seed: int
     log_dir: Path
-    """A folder that `fit` may fill with logs and checkpoints; a second call with the same one resumes."""
+    """Folder for logs and checkpoints of `fit`; a second call with the same folder resumes."""
     report: Callable[[str], None] = print
     """One line of progress."""
 
 
 class Tracker(ABC):
-    """A tracker: takes in one grid frame at a time, and forecasts the steps ahead.
+    """A tracker: it is updated with one grid frame at a time, and forecasts the steps ahead.
 
     Subclasses override the class attributes that differ and the three methods `reset`, `update` and `predict`.
     """
@@ -127,9 +127,9 @@ class Tracker(ABC):
     Options: ClassVar[type[Settings]] = Settings
     """The tracker's own settings; unknown keys are refused."""
     classes: tuple[str, ...] = ()
-    """The classes it gives probabilities for; empty: occupancy only."""
+    """The classes that it estimates probabilities for; empty: occupancy only."""
     moving_sensor: ClassVar[bool] = False
-    """Whether it can follow a sensor that moves."""
+    """Whether it supports a moving sensor."""
     learns: ClassVar[bool] = False
     """Whether `fit` must have run for the site before the tracker can be used."""
     role: ClassVar[Role] = "tracker"
@@ -143,20 +143,20 @@ class Tracker(ABC):
 
     @property
     def recoveries(self) -> int:
-        """How often since `reset` something in it failed and it went on from what was sound; told in the outcome."""
+        """Failures since `reset` after which the tracker continued from a valid state; reported with the outcome."""
         return 0
 
     @abstractmethod
     def reset(self, seed: int) -> None:
-        """Forget everything seen so far: a new stream begins. Same seed and frames, same forecasts."""
+        """Set the state to that before the first frame. Equal seeds and frames give equal forecasts."""
 
     @abstractmethod
     def update(self, frame: GridFrame) -> None:
-        """Take in x_t. On a clock (`--deadline`) frames are missed: stamps then lie more than a period apart."""
+        """Update the state with frame x_t. With `--deadline` frames are missed: stamps then lie periods apart."""
 
     @abstractmethod
     def predict(self, steps: int) -> Forecast:
-        """Forecast steps 0..steps from x_1..x_t. Must not change the state."""
+        """Forecast steps 0..`steps` from x_1..x_t, without changing the state."""
 
     @classmethod
     def fit(
@@ -167,5 +167,5 @@ class Tracker(ABC):
         out: FitOutput,
         options: Any,
     ) -> None:
-        """Learn or tune on `train`, choose on `validation`, and write `out.path`. Only where `learns` is true."""
+        """Train on `train`, select on `validation`, and write the card `out.path`. Called only if `learns` is true."""
         raise NotImplementedError(f"{cls.__name__} has nothing to learn")

@@ -1,4 +1,4 @@
-"""What the wire's messages hold: streams, frames and forecasts as JSON fields and named arrays, and back."""
+"""Streams, frames and forecasts as the JSON fields and named arrays of messages, in both directions."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from gridtrack.trackers.wire import Message, WireError
 
 MAX_OBJECTS = 4096
 MAX_CLASSES = 255
-"""As many as a recording's labels can name; the size of an answer is bounded by it before memory is taken."""
+"""The most classes that a recording's labels can name; it bounds the size of an answer before memory is allocated."""
 FORECAST_DTYPES = ("float32", "float16")
 
 Arrays = dict[str, NDArray[Any]]
@@ -35,7 +35,7 @@ def stream_fields(stream: StreamSpec) -> dict[str, Any]:
 
 
 def stream_from(message: Message) -> StreamSpec:
-    """The stream that `start` announces. Raises WireError, ConfigurationError."""
+    """The stream in `start`. Raises WireError, ConfigurationError."""
     fields = message.value("stream", dict)
     stream = Message("stream", 0, fields)
     x, y = stream.value("origin_m", list)
@@ -82,7 +82,7 @@ def frame_arrays(frame: GridFrame) -> Arrays:
 
 
 def frame_from(message: Message) -> GridFrame:
-    """The frame that `update` brings. Raises WireError."""
+    """The frame in `update`. Raises WireError."""
     points = message.array("points", "float32", (None, 2))
     visible = message.array("visible", "bool", (None, None))
     return GridFrame(
@@ -96,10 +96,10 @@ def frame_from(message: Message) -> GridFrame:
     )
 
 
-def forecast_parts(forecast: Forecast) -> tuple[dict[str, Any], Arrays]:
+def forecast_fields(forecast: Forecast) -> tuple[dict[str, Any], Arrays]:
     """`forecast` as JSON fields and arrays, for the answer to `predict`.
 
-    Raises WireError for what is no array or no TrackedObject.
+    Raises WireError for a plane that is not an array and an object that is not a TrackedObject.
     """
     planes = {"occupancy": forecast.occupancy, "semantics": forecast.semantics, "velocity": forecast.velocity}
     arrays = {name: plane for name, plane in planes.items() if plane is not None}
@@ -125,24 +125,24 @@ def forecast_parts(forecast: Forecast) -> tuple[dict[str, Any], Arrays]:
 
 
 def _refuse_other_objects(objects: Any) -> None:
-    """Raises WireError unless they are TrackedObjects, or none."""
+    """Raises WireError unless all `objects` are TrackedObjects."""
     if objects is not None and not isinstance(objects, (tuple, list)):
         raise WireError(f"objects is a {type(objects).__name__}; expected a tuple of TrackedObject")
     for tracked in objects or ():
         if not isinstance(tracked, TrackedObject):
-            raise WireError(f"objects holds something of type {type(tracked).__name__}; expected TrackedObject only")
+            raise WireError(f"objects has an element of type {type(tracked).__name__}; expected only TrackedObject")
 
 
 def forecast_limit(grid: GridSpec, steps: int, classes: int) -> int:
-    """The most bytes that the answer to `predict` may hold in its body."""
+    """Upper bound of the body of an answer to `predict`, in bytes."""
     planes = (steps + 1) * (1 + classes) + 2
     return planes * grid.size**2 * 4 + MAX_OBJECTS * (8 + 4 * (5 + 2 + 16 + 1))
 
 
 def forecast_from(message: Message, grid: GridSpec, steps: int, classes: int) -> Forecast:
-    """The forecast that a tracker answers, every promise of `Forecast` checked. Raises WireError.
+    """The forecast in the answer to `predict`: shapes, types and ranges of `Forecast` are checked. Raises WireError.
 
-    `classes` is how many classes the tracker gives probabilities for.
+    `classes`: number of classes of the tracker.
     """
     semantics = None
     occupancy = _plane(message, "occupancy", (steps + 1, *grid.shape))
@@ -181,14 +181,14 @@ def _in_unit_range(name: str, values: NDArray[np.float32]) -> None:
 
 def _finite(name: str, values: NDArray[np.float32]) -> None:
     if not np.isfinite(values).all():
-        raise WireError(f"{name} holds {np.count_nonzero(~np.isfinite(values))} values that are not finite")
+        raise WireError(f"{name} has {np.count_nonzero(~np.isfinite(values))} values that are not finite")
 
 
 def _sums_to_one(semantics: NDArray[np.float32]) -> None:
-    # 5e-3: what K classes in float16 may miss by rounding alone
+    # 5e-3: bound of the rounding error of K classes in float16
     worst = float(np.abs(semantics.sum(axis=1) - 1.0).max())
     if worst > 5e-3:
-        raise WireError(f"semantics sum to 1 over the classes; here they miss it by up to {worst:.3g}")
+        raise WireError(f"semantics must sum to 1 over the classes; the largest error is {worst:.3g}")
 
 
 def _objects(message: Message) -> tuple[TrackedObject, ...]:
@@ -216,5 +216,5 @@ def _objects(message: Message) -> tuple[TrackedObject, ...]:
 
 
 def update_limit(grid: GridSpec) -> int:
-    """The most bytes that an `update` may hold in its body: two planes, and a million returns from 256 sensors."""
+    """Upper bound of the body of an `update`, in bytes: two planes, and a million returns from 256 sensors."""
     return 2 * grid.size**2 + 32 + 256 * 8 + (1 << 20) * 9

@@ -59,13 +59,22 @@ DOGMA = Renames(
     },
     arrays={"usual": "occupancy_rate"},
 )
+RECURRENT = Renames(
+    options={
+        "shown": "observed_frames",
+        "blank": "blank_frames",
+        "cycles": "repetitions",
+        "reverse": "time_reversal",
+        "superpose": "superposition",
+    }
+)
 RENAMES: Mapping[str, Renames] = {
     "kalman": MODEL_FREE,
     "factor-graph": MODEL_FREE,
     "dogma": DOGMA,
     "static-map": Renames(),
-    "dilated-convgru": Renames(),
-    "deep-tracking-rnn": Renames(),
+    "dilated-convgru": RECURRENT,
+    "deep-tracking-rnn": RECURRENT,
     "one-shot": Renames(),
 }
 """The renames of each tracker from schema 1 to schema 2; the card of any other tracker keeps its names."""

@@ -53,7 +53,7 @@ def load(name: str) -> type[Tracker]:
 
 
 def install_hint(name: str, error: ImportError) -> str:
-    """How to install what the tracker `name` misses, as the end of an error line; "" where nothing is missing."""
+    """How to install the module that the tracker `name` lacks, as the end of an error line; "" if none is missing."""
     if not isinstance(error, ModuleNotFoundError) or not error.name:
         return ""
     module = error.name.partition(".")[0]
@@ -69,7 +69,7 @@ def install_hint(name: str, error: ImportError) -> str:
 
 
 def contract_breach(found: Any) -> str:
-    """What keeps `found` from being a tracker of this contract, in one line; "" where nothing does."""
+    """The reason why `found` is not a tracker of this contract, in one line; "" if it is."""
     if not (isinstance(found, type) and issubclass(found, Tracker)):
         return f"{found!r} is not a subclass of gridtrack.trackers.contract.Tracker"
     if found.api != API:

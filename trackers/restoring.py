@@ -1,4 +1,4 @@
-"""A trained network from its weights: its settings checked against what is asked for, its arrays against its shape."""
+"""Loading a trained network: its settings are checked against the options, its arrays against its shapes."""
 
 from __future__ import annotations
 
@@ -16,24 +16,24 @@ Given = TypeVar("Given", bound=Settings)
 
 
 def trained_settings(stream: StreamSpec, weights: Weights, given: Given, running: type[Settings] = Settings) -> Given:
-    """The settings that `weights` were trained with, and of those that do not concern training, the `given` ones.
+    """The settings that `weights` were trained with; those in `running` do not depend on training: they are `given`.
 
-    The latter are the fields of `running`. Raises WeightsError where the trained ones contradict one that was given.
+    Raises WeightsError where another given setting differs from the trained one.
     """
-    at_will = given.model_dump(include=set(running.model_fields), exclude_unset=True)
-    trained = validated(type(given), weights.card.settings | at_will, str(stream.weights))
+    inference_only = given.model_dump(include=set(running.model_fields), exclude_unset=True)
+    trained = validated(type(given), weights.card.settings | inference_only, str(stream.weights))
     for key in given.model_fields_set:
         if getattr(given, key) != getattr(trained, key):
             raise WeightsError(
-                f"{stream.weights}: trained with {key}={getattr(trained, key)}, not {getattr(given, key)}: train anew"
-                " with that option"
+                f"{stream.weights}: trained with {key}={getattr(trained, key)}, not {getattr(given, key)}: train with"
+                " that option"
             )
     return trained
 
 
 def restore(network: nn.Module, stream: StreamSpec, weights: Weights) -> None:
-    """Fill `network` with `weights`. Raises WeightsError unless they are its arrays, in its shapes, and no others."""
+    """Load `weights` into `network`. Raises WeightsError unless the arrays are those of the network, in its shapes."""
     shapes = {name: tuple(value.shape) for name, value in network.state_dict().items()}
     if unknown := sorted(weights.arrays.keys() - shapes.keys()):
-        raise WeightsError(f"{stream.weights}: arrays that its card does not account for: {unknown}")
+        raise WeightsError(f"{stream.weights}: arrays that do not belong to the network on its card: {unknown}")
     network.load_state_dict({name: torch.from_numpy(array(weights, name, shape)) for name, shape in shapes.items()})

@@ -1,4 +1,4 @@
-"""Which trackers a run compares: `[LABEL=]NAME[:key=value,...]`, and how each is started as a process."""
+"""The trackers of a run, `[LABEL=]NAME[:key=value,...]`, and the command that starts the process of each."""
 
 from __future__ import annotations
 
@@ -17,9 +17,11 @@ from pydantic import model_validator
 from gridtrack.common.config import Settings, parse_pairs, validated
 from gridtrack.common.entry_points import VALID_NAME
 from gridtrack.common.errors import ConfigurationError, PluginError, did_you_mean
+from gridtrack.common.files import read_bounded
 from gridtrack.common.grid import Points
 from gridtrack.trackers import registry
 
+MAX_TOML_BYTES = 1 << 20
 LABEL = re.compile(r"[A-Za-z0-9]([A-Za-z0-9._ -]{0,62}[A-Za-z0-9_-])?")
 
 
@@ -27,9 +29,9 @@ LABEL = re.compile(r"[A-Za-z0-9]([A-Za-z0-9._ -]{0,62}[A-Za-z0-9_-])?")
 class Selection:
     """One row of a comparison.
 
-    `points` is what the frames carry as returns: the centres of the occupied cells, the same for everybody, or the
-    laser's own (`points=raw`). `weights` is the folder of this row's own weights (`weights=DIR`), so that two trainings
-    of a tracker can be compared. `options` are the tracker's own, not yet validated.
+    `points`: the returns in the frames, which are the centres of the occupied cells, or those of the laser
+    (`points=raw`). `weights`: the folder of weights of this row alone (`weights=DIR`), to compare two trainings of a
+    tracker. `options`: those of the tracker, not yet validated.
     """
 
     label: str
@@ -41,9 +43,9 @@ class Selection:
 
 @dataclass(frozen=True, slots=True)
 class Launch:
-    """How the process of the tracker `name` is started: the program and its arguments, and its working folder.
+    """How the process of the tracker `name` is started: the program with its arguments, and its working folder.
 
-    One that is registered here has no folder of its own, and runs in this Python, wherever that lies.
+    A tracker that is registered in this environment has no folder, and runs in this Python.
     """
 
     name: str
@@ -64,7 +66,9 @@ def parse_selection(text: str) -> Selection:
         label = name = head.strip()
     where = f"tracker '{text}'"
     if not VALID_NAME.fullmatch(name):
-        raise ConfigurationError(f"{where}: '{name}' is no tracker's name; expected [LABEL=]NAME[:key=value,...]")
+        raise ConfigurationError(
+            f"{where}: '{name}' is not a valid name of a tracker; expected [LABEL=]NAME[:key=value,...]"
+        )
     if not LABEL.fullmatch(label):
         raise ConfigurationError(
             f"{where}: label '{label}' must be 1 to 64 of A-Z a-z 0-9 . _ - and space, with a letter or digit first"
@@ -86,7 +90,7 @@ def parse_selections(texts: Iterable[str]) -> tuple[Selection, ...]:
     for selection in selections:
         if selection.label.casefold() in labels:
             raise ConfigurationError(
-                f"two trackers are labelled '{selection.label}'; name them apart: LABEL={selection.name}:..."
+                f"two trackers are labelled '{selection.label}': give one another label, LABEL={selection.name}:..."
             )
         labels.add(selection.label.casefold())
     return selections
@@ -95,9 +99,9 @@ def parse_selections(texts: Iterable[str]) -> tuple[Selection, ...]:
 class ExternalTracker(Settings):
     """A table of `trackers.toml`: a tracker of another Python environment, or any program that speaks the wire.
 
-    Either `python`, the interpreter of an environment in which gridtrack and the tracker are installed (`tracker` is
-    its name there, where it differs), or `command`, a program with its arguments: split as a shell splits it, run
-    without one, in the folder of `trackers.toml`.
+    Either `python`, the interpreter of an environment in which gridtrack and the tracker are installed (`tracker`: its
+    name there, if another), or `command`, a program with its arguments, split as by a shell and run without a shell in
+    the folder of `trackers.toml`.
     """
 
     python: str | None = None
@@ -111,18 +115,18 @@ class ExternalTracker(Settings):
         if self.command is not None and self.tracker is not None:
             raise ValueError("tracker goes with python, not with command")
         if self.tracker is not None and not VALID_NAME.fullmatch(self.tracker):
-            raise ValueError(f"'{self.tracker}' is no tracker's name")
+            raise ValueError(f"'{self.tracker}' is not a valid name of a tracker")
         return self
 
 
 def read_trackers_toml(path: Path) -> dict[str, Launch]:
-    """The trackers that `path` names, each a table `[NAME]`; relative programs are looked for beside the file.
+    """The trackers in `path`, each a table `[NAME]`; the path of a program is relative to the folder of the file.
 
-    Raises ConfigurationError, also for a name that is registered already.
+    Raises ConfigurationError, also for the name of a registered tracker.
     """
     try:
-        tables = tomllib.loads(path.read_text())
-    except OSError as error:
+        tables = tomllib.loads(read_bounded(path, MAX_TOML_BYTES, ConfigurationError).decode())
+    except FileNotFoundError as error:
         raise ConfigurationError(f"{path}: cannot be read ({error.strerror})") from None
     except (ValueError, RecursionError) as error:
         raise ConfigurationError(f"{path}: not TOML ({error})") from None
@@ -151,7 +155,7 @@ def _external(name: str, external: ExternalTracker, folder: Path, where: str) ->
 
 
 def _program(program: str, folder: Path) -> str:
-    """A path relative to `folder`; a bare word is left to PATH."""
+    """A path relative to `folder`; a name without a separator is searched in PATH."""
     return str(folder / Path(program).expanduser()) if os.sep in program else program
 
 
@@ -160,7 +164,7 @@ def _serve(python: str, name: str) -> tuple[str, ...]:
 
 
 def launch(name: str, external: Mapping[str, Launch] | None = None) -> Launch:
-    """How to start the tracker `name`, registered here or named in a `trackers.toml`. Raises PluginError."""
+    """How to start the tracker `name`, registered or one of the `external` trackers. Raises PluginError."""
     external = external or {}
     if name in external:
         return external[name]

@@ -35,9 +35,9 @@ def main() -> None:
 
 
 def take_wire() -> tuple[int, int]:
-    """Move the wire away from descriptors 0 and 1, so that nothing a library prints or reads can touch it.
+    """Move the wire away from descriptors 0 and 1, so that libraries can neither read from it nor print to it.
 
-    Returns the descriptors to read and to write. From here on stdout is stderr, for C code and subprocesses too.
+    Returns the descriptors to read from and to write to. Afterwards stdout is stderr, for C code and subprocesses too.
     """
     read_fd, write_fd = os.dup(0), os.dup(1)
     nothing = os.open(os.devnull, os.O_RDONLY)
@@ -51,7 +51,7 @@ def take_wire() -> tuple[int, int]:
 
 
 class Server:
-    """Answers one request after the other for the tracker `name`; a failure becomes an `error` answer."""
+    """Answers requests for the tracker `name` in their order; a failure becomes an `error` answer."""
 
     def __init__(self, name: str) -> None:
         self.name = name
@@ -67,10 +67,10 @@ class Server:
         }
 
     def answer(self, request: Message) -> list[memoryview]:
-        """The answer to `request`, encoded: never raises for what a tracker does short of ending the process."""
+        """The encoded answer to `request`; an exception of the tracker becomes an `error` answer."""
         try:
             return encode(self._answers.get(request.kind, self._unknown)(request))
-        except Exception as error:  # noqa: BLE001 - whatever a tracker raises belongs to the referee
+        except Exception as error:  # noqa: BLE001 - any exception of a tracker is reported to the referee
             traceback.print_exc()
             return encode(self._failure(request, error))
 
@@ -109,7 +109,7 @@ class Server:
         forecast, spent = _timed(self._running().predict, steps)
         if not isinstance(forecast, Forecast):
             raise WireError(f"predict returned a {type(forecast).__name__}; expected a Forecast")
-        fields, arrays = messages.forecast_parts(forecast)
+        fields, arrays = messages.forecast_fields(forecast)
         return Message("forecast", request.number, fields | spent, arrays)
 
     def _running(self) -> Tracker:
@@ -124,7 +124,7 @@ class Server:
         return Message("error", request.number, fields)
 
     def _outcome(self, request: Message, error: Exception) -> str:
-        """Which outcome of a trial `error` means."""
+        """The outcome of the trial that ends with `error`."""
         if isinstance(error, MemoryError):
             return "out-of-memory"
         if isinstance(error, PluginError):
@@ -140,13 +140,13 @@ class Server:
 
 
 def error_line(error: BaseException) -> str:
-    """`error` as one bounded line; the type is named unless the message was written for a reader."""
+    """`error` as one bounded line, with its type unless it is a GridtrackError."""
     text = str(error) if isinstance(error, GridtrackError) and str(error) else f"{type(error).__name__}: {error}"
     return one_line(text, MAX_LINE)
 
 
 def _timed(method: Callable[[Any], Any], argument: Any) -> tuple[Any, dict[str, int]]:
-    """What `method(argument)` returns, and the time and processor time it took in this process."""
+    """The result of `method(argument)`, with its elapsed time and processor time in this process."""
     elapsed, cpu = time.perf_counter_ns(), time.process_time_ns()
     result = method(argument)
     return result, {"elapsed_ns": time.perf_counter_ns() - elapsed, "cpu_ns": time.process_time_ns() - cpu}

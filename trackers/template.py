@@ -1,4 +1,4 @@
-"""A tracker package to begin with: the example, under a name of one's own."""
+"""A template of a tracker package: the example, under another name."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from importlib.resources import files
 from pathlib import Path
 
 from gridtrack.common.errors import ConfigurationError
+from gridtrack.common.files import write_text
 from gridtrack.trackers import registry
 
 EXAMPLE = "examples/example_tracker"
@@ -16,21 +17,23 @@ PACKAGE_NAME = re.compile(r"[a-z][a-z0-9]*(-[a-z0-9]+)*")
 
 
 def new_tracker(name: str, folder: Path) -> Path:
-    """Write a whole tracker package called `name` into `folder`, which must not exist yet, and return its module.
+    """Write a tracker package called `name` into the new folder `folder`, and return its module.
 
-    It installs, passes its tests and keeps the contract as it is. Raises ConfigurationError.
+    It can be installed, passes its tests and keeps the contract. Raises ConfigurationError.
     """
     module = name.replace("-", "_")
     if not PACKAGE_NAME.fullmatch(name) or keyword.iskeyword(module):
-        raise ConfigurationError(f"'{name}' is no name for a tracker: expected small letters, digits and -: my-tracker")
+        raise ConfigurationError(
+            f"'{name}' is not a valid name of a tracker package: use a-z, 0-9 and -, such as my-tracker"
+        )
     if name in registry.entries():
-        raise ConfigurationError(f"there is a tracker '{name}' already: choose another name")
+        raise ConfigurationError(f"a tracker '{name}' exists: choose another name")
     if folder.exists():
-        raise ConfigurationError(f"{folder}: exists already; choose another folder with --out")
+        raise ConfigurationError(f"{folder}: exists; choose another folder with --out")
     for file in TEMPLATE_FILES:
         path = folder / file.replace("example_tracker", module)
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(_renamed(files("gridtrack").joinpath(EXAMPLE, file).read_text("utf-8"), name, module), "utf-8")
+        write_text(path, _renamed(files("gridtrack").joinpath(EXAMPLE, file).read_text("utf-8"), name, module))
     return folder / f"{module}.py"
 
 
@@ -44,5 +47,5 @@ def _renamed(text: str, name: str, module: str) -> str:
         ("FadingOptions", f"{camel}Options"),
     ):
         text = text.replace(old, new)
-    # the registered name is `fading`; the method, a fading memory, keeps its name until it is replaced
+    # `fading` is the registered name; the method keeps its name, fading memory
     return re.sub(r"\bfading\b(?! memory)", name, text)

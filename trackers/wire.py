@@ -44,17 +44,17 @@ DTYPES = {
 RESERVED = ("type", "id", "arrays")
 
 Fill = Callable[[list[memoryview]], None]
-"""Fills every buffer given, in order, from the sender; raises where it cannot."""
+"""Fills the buffers in their order with received bytes; raises where it cannot."""
 FieldType = TypeVar("FieldType")
 
 
 class WireError(GridtrackError):
-    """Bytes that are not a message of this protocol, or a message that lacks what it must hold."""
+    """Bytes that are not a message of this protocol, or a message with missing or invalid content."""
 
 
 @dataclass(frozen=True, slots=True)
 class Message:
-    """One message: its `kind`, the `number` of the request that it is or answers, JSON `fields` and named `arrays`."""
+    """One message: its `kind`, the `number` of its request, JSON `fields` and named `arrays`."""
 
     kind: str
     number: int
@@ -71,7 +71,7 @@ class Message:
         return found
 
     def array(self, name: str, dtype: str, shape: tuple[int | None, ...]) -> NDArray[Any]:
-        """The array `name` of this dtype and shape, where None stands for any length. Raises WireError."""
+        """The array `name` of this dtype and shape; None is any length. Raises WireError."""
         found = self.arrays.get(name)
         if found is None:
             raise WireError(f"'{self.kind}' needs an array '{name}'")
@@ -81,12 +81,12 @@ class Message:
 
 
 def fits(shape: tuple[int, ...], expected: tuple[int | None, ...]) -> bool:
-    """Whether `shape` is the expected one, where None stands for any length."""
+    """Whether `shape` is the expected one; None is any length."""
     return len(shape) == len(expected) and all(e is None or s == e for s, e in zip(shape, expected, strict=True))
 
 
 def encode(message: Message) -> list[memoryview]:
-    """The bytes of a message, as buffers to be written one after the other. Raises WireError for a type not carried."""
+    """The bytes of a message as consecutive buffers. Raises WireError for a dtype that is not in DTYPES."""
     declared, buffers = [], []
     for name, array in message.arrays.items():
         code = array.dtype.name
@@ -107,7 +107,7 @@ def encode(message: Message) -> list[memoryview]:
 
 
 def receive(fill: Fill, max_body: int) -> Message:
-    """Read one message whose body is at most `max_body` bytes. Raises WireError, and whatever `fill` raises."""
+    """Read one message whose body is at most `max_body` bytes. Raises WireError, and the errors of `fill`."""
     prefix = bytearray(MESSAGE_PREFIX.size)
     fill([memoryview(prefix)])
     magic, version, header_bytes, body_bytes = MESSAGE_PREFIX.unpack(prefix)
@@ -140,7 +140,7 @@ def _decode(header: bytearray, body: NDArray[np.uint8]) -> Message:
 
 
 def _arrays(declared: Sequence[Any], body: NDArray[np.uint8]) -> dict[str, NDArray[Any]]:
-    """Views of `body`, as declared. They must fill it exactly."""
+    """Views of `body` as declared; raises WireError unless they fill it exactly."""
     if len(declared) > MAX_ARRAYS:
         raise WireError(f"{len(declared)} arrays in one message; at most {MAX_ARRAYS}")
     arrays: dict[str, NDArray[Any]] = {}
@@ -176,7 +176,7 @@ def _is_length(value: Any) -> bool:
 
 def _array(part: NDArray[np.uint8], dtype: np.dtype[Any]) -> NDArray[Any]:
     if dtype == np.bool_:
-        return np.not_equal(part, 0)  # a byte other than 0 and 1 is no bool that numpy could be trusted with
+        return np.not_equal(part, 0)  # in a numpy bool, bytes other than 0 and 1 are undefined
     return np.require(part.view(dtype), requirements="A")
 
 
@@ -202,7 +202,7 @@ def write_to(fd: int, buffers: list[memoryview]) -> None:
 
 
 def without(buffers: list[memoryview], count: int) -> list[memoryview]:
-    """What remains of the buffers after their first `count` bytes."""
+    """The buffers without their first `count` bytes."""
     for index, buffer in enumerate(buffers):
         if count < buffer.nbytes:
             return [buffer[count:], *buffers[index + 1 :]]
@@ -211,11 +211,11 @@ def without(buffers: list[memoryview], count: int) -> list[memoryview]:
 
 
 def widen(fd: int) -> None:
-    """Let the pipe `fd` hold 1 MiB where the system allows it, so that a forecast passes in few switches."""
+    """Set the capacity of the pipe `fd` to 1 MiB where the system allows it: a forecast needs fewer writes."""
     if sys.platform == "linux":
         import fcntl
 
         try:
             fcntl.fcntl(fd, fcntl.F_SETPIPE_SZ, PIPE_BYTES)
         except OSError:
-            return  # not a pipe, or a smaller limit: slower, not wrong
+            return  # not a pipe, or a lower limit: slower only

@@ -177,7 +177,7 @@ def test_the_card_names_the_classes_and_a_class_nobody_labelled_is_none_of_them(
 @pytest.mark.parametrize(
     ("classes", "message"),
     [
-        ((), "arrays that its card does not account for: .*decode_semantics"),
+        ((), "arrays that do not belong to the network on its card: .*decode_semantics"),
         (("stander", "stander"), "a class is named twice"),
         (("stander", "walker", "horse"), r"layers.1.weight' is \(2, 16, 3, 3\), expected \(3, 16, 3, 3\)"),
     ],
@@ -208,7 +208,7 @@ def test_labelled_scans_lie_in_a_row_where_all_are_labelled_and_the_same_seed_dr
         assert [item.labels.size > 0 for item in stretch.frames] == [False] * 40 + [True] * 50
     assert len({stretch.first for stretch in stretches}) > 4
     assert draw_labelled([source], 50, 5).first == stretches[5].first
-    with pytest.raises(ConfigurationError, match="toy-0: nowhere 141 labelled scans in a row"):
+    with pytest.raises(ConfigurationError, match="toy-0: no 141 consecutive labelled scans"):
         draw_labelled([source], 141, 0)
 
 

@@ -64,7 +64,7 @@ def test_what_is_no_selection_is_refused(text: str, complaint: str) -> None:
 
 
 def test_labels_must_differ_as_folders_do() -> None:
-    with pytest.raises(ConfigurationError, match="two trackers are labelled 'a'; name them apart"):
+    with pytest.raises(ConfigurationError, match="two trackers are labelled 'a': give one another label"):
         parse_selections(["A=blank", "a=kalman"])
     assert [s.label for s in parse_selections(["blank", "b=blank"])] == ["blank", "b"]
 

@@ -222,7 +222,7 @@ def full_forecast(steps: int = 2) -> Forecast:
 
 
 def over_the_wire(forecast: Forecast, steps: int = 2, classes: int = 3) -> Forecast:
-    fields, content = messages.forecast_parts(forecast)
+    fields, content = messages.forecast_fields(forecast)
     message = sent(Message("forecast", 1, fields, content), messages.forecast_limit(GRID, steps, classes))
     return messages.forecast_from(message, GRID, steps, classes)
 
@@ -249,7 +249,7 @@ def test_half_precision_is_accepted_and_read_as_single() -> None:
 
 def changed(**change: Any) -> Message:
     """The message of a full forecast with some arrays or fields replaced, or left out where None."""
-    fields, content = messages.forecast_parts(full_forecast())
+    fields, content = messages.forecast_fields(full_forecast())
     fields = {k: v for k, v in (fields | change).items() if k == "labels"}
     content = {k: v for k, v in (content | change).items() if k != "labels" and v is not None}
     return Message("forecast", 1, fields, content)
@@ -289,4 +289,4 @@ def test_semantics_without_named_classes_are_refused() -> None:
 def test_objects_of_differing_shapes_are_refused_where_they_are_made() -> None:
     odd = TrackedObject(1, np.zeros(4, np.float32), np.zeros(2, np.float32), np.zeros((4, 4), np.float32))
     with pytest.raises(WireError, match="differ in shape"):
-        messages.forecast_parts(Forecast(nothing, objects=(an_object(3, ""), odd)))
+        messages.forecast_fields(Forecast(nothing, objects=(an_object(3, ""), odd)))

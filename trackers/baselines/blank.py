@@ -1,4 +1,4 @@
-"""Blank: nothing anywhere."""
+"""The tracker `blank`: every cell is free."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ from gridtrack.trackers.contract import Forecast, Tracker
 
 
 class BlankTracker(Tracker):
-    """Forecasts no occupied cell, whatever it sees."""
+    """Forecasts P(occupied) = 0 for every cell and step."""
 
     role = "floor"
 
     def reset(self, seed: int) -> None:
-        """Nothing to forget."""
+        """The tracker has no state."""
 
     def update(self, frame: GridFrame) -> None:
-        """Nothing to learn."""
+        """The tracker has no state."""
 
     def predict(self, steps: int) -> Forecast:
         """Zero (steps+1, M, M)."""

@@ -1,4 +1,4 @@
-"""Static map: how often each cell was occupied in the training recordings."""
+"""The tracker `static-map`: the occupied rate of each cell in the training recordings."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ class StaticMapOptions(Settings):
     """Options of the static map."""
 
     prior_frames: float = Field(1.0, ge=0.0)
-    """How many frames the grid's overall rate counts for beside a cell's own: a cell hardly ever seen leans on it."""
+    """Weight of the overall rate as a prior, in frames: it dominates in cells that were rarely visible."""
 
 
 class StaticMapTracker(Tracker):
-    """Forecasts each cell's frequency of being occupied when visible, whatever it sees now."""
+    """Forecasts the occupied rate of each cell among its visible training frames, for every step."""
 
     Options = StaticMapOptions
     learns = True
@@ -36,16 +36,14 @@ class StaticMapTracker(Tracker):
         weights = load_weights(stream, STATIC_MAP)
         occupied, visible = (array(weights, name, stream.grid.shape) for name in ("occupied", "visible"))
         if not ((occupied >= 0) & (occupied <= visible)).all():
-            raise WeightsError(
-                f"weights of {STATIC_MAP}: a cell was occupied in more frames than it was visible in; train again"
-            )
+            raise WeightsError(f"weights of {STATIC_MAP}: a cell has more occupied than visible frames: train again")
         self.frequency = frequency(occupied, visible, options.prior_frames)
 
     def reset(self, seed: int) -> None:
-        """Nothing to forget."""
+        """The map does not change."""
 
     def update(self, frame: GridFrame) -> None:
-        """Nothing to learn."""
+        """The map does not change."""
 
     def predict(self, steps: int) -> Forecast:
         """The map (steps+1, M, M), the same for every step."""
@@ -60,9 +58,9 @@ class StaticMapTracker(Tracker):
         out: FitOutput,
         options: StaticMapOptions,
     ) -> None:
-        """Count, cell by cell, in how many frames of `train` it was visible, and occupied.
+        """Count the visible and the occupied frames of every cell in `train`.
 
-        Raises WeightsError where the stretches differ in grid, period or site, or show nothing.
+        Raises WeightsError where the stretches differ in grid, period or site, or no cell is visible.
         """
         card = card_for(STATIC_MAP, out, train, validation, options.model_dump(mode="json"))
         shape = train[0].grid.shape
@@ -79,9 +77,9 @@ class StaticMapTracker(Tracker):
 
 
 def frequency(occupied: NDArray[np.int64], visible: NDArray[np.int64], prior_frames: float) -> NDArray[np.float32]:
-    """P(occupied) (M, M) from counts of frames (M, M), shrunk towards the overall rate as by `prior_frames` frames.
+    """P(occupied) (M, M) from counts of frames (M, M), with the overall rate as a prior of weight `prior_frames`.
 
-    A cell that was never visible gets the overall rate.
+    A cell that was never visible has the overall rate.
     """
     rate = occupied.sum() / visible.sum()
     seen = visible + prior_frames

@@ -1,4 +1,4 @@
-"""The settings of the one-shot classifier; those that are not given are tuned when it is trained."""
+"""Settings of the one-shot classifier; those of the classifier that are not set are tuned in training."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ LAYERS = 3
 
 
 class OneShotSettings(LabelSettings, ClassifierSettings):
-    """The width of the classifier, its training, and how many labels it is given."""
+    """The width of the classifier, its training, and its number of labelled scans."""
 
     @property
     def hidden(self) -> tuple[int, ...]:

@@ -1,4 +1,4 @@
-"""The `one-shot` tracker: what is visible now, and the class of each cell as one scan shows it."""
+"""The tracker `one-shot`: the observed frame as the forecast of every step, with the classes of its cells."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ PLANES = 2
 
 
 class OneShotTracker(Tracker):
-    """What is visible now, and its classes from one scan alone (Ondruska et al., 2016).
+    """The observed frame, with classes from this scan alone (Ondruska et al., 2016).
 
-    Without memory: what classes from a latent state are compared with. Only step 0 is a claim; later steps repeat it.
+    Without memory: the reference of classes from a latent state. All steps are equal; only step 0 is estimated.
     """
 
     Options: ClassVar[type[Settings]] = OneShotSettings
@@ -41,15 +41,15 @@ class OneShotTracker(Tracker):
         self.reset(seed=0)
 
     def reset(self, seed: int) -> None:
-        """Nothing has been seen; nothing here is random."""
+        """Set both planes to zero; nothing is random, so the seed is not used."""
         self._planes = torch.zeros((2, *self.stream.grid.shape))
 
     def update(self, frame: GridFrame) -> None:
-        """Take in x_t, and forget what was before."""
+        """Store x_t in place of the frame before it."""
         self._planes = planes_of(frame).float()
 
     def predict(self, steps: int) -> Forecast:
-        """What is seen occupied now, and the classes of one scan, the same for every step."""
+        """The occupied plane and the class probabilities of x_t, the same for every step."""
         with torch.inference_mode():
             semantics = torch.softmax(self._network(self._planes[None]), dim=1).numpy()
         occupancy = self._planes[1:].numpy()
@@ -64,7 +64,7 @@ class OneShotTracker(Tracker):
         out: FitOutput,
         options: Any,
     ) -> None:
-        """Learn the classes of a few labelled scans; what `options` leave open is chosen on `validation`."""
+        """Train on labelled scans of `train`; settings that `options` do not set are chosen on `validation`."""
         from gridtrack.trackers.one_shot.training import fit_classifier
 
         fit_classifier(train, validation, out, options)

@@ -1,4 +1,4 @@
-"""Training the one-shot classifier: what scans show around the cells whose class is known."""
+"""Training of the one-shot classifier on the planes of scans around their labelled cells."""
 
 from __future__ import annotations
 
@@ -22,24 +22,26 @@ from gridtrack.trackers.weights import card_for, save_weights
 def fit_classifier(
     train: Sequence[FrameSource], validation: Sequence[FrameSource], out: FitOutput, options: OneShotSettings
 ) -> None:
-    """Write to `out.path` the classifier that is best on `validation`, out of a few settings tried.
+    """Train classifiers with several settings and write the best on `validation` to `out.path`.
 
-    A setting given in `options` stays as given. Raises ConfigurationError without labels, WeightsError where the
-    stretches differ in grid, period or site.
+    Settings in `options` are fixed. Raises ConfigurationError without labels, WeightsError where the stretches differ
+    in grid, period or site.
     """
     stretch = draw_labelled(train, options.labelled_scans, out.seed)
     names = stretch.source.classes
     classes = learned_classes(names, (item.labels for item in stretch.frames))
     out.report(f"classes {', '.join(classes)} from {stretch.name}")
     learned = scan_cells([(names, stretch.frames)], classes)
-    held_out = scan_cells([(s.classes, islice(s.labelled(), 0, None, VALIDATE_ON)) for s in validation], classes)
+    validation_cells = scan_cells(
+        [(s.classes, islice(s.labelled(), 0, None, VALIDATE_ON)) for s in validation], classes
+    )
 
     def build(settings: ClassifierSettings) -> CellClassifier:
         chosen = OneShotSettings(**settings.model_dump())
         return CellClassifier(PLANES, chosen.hidden, len(classes))
 
     given = options.model_dump(include=set(ClassifierSettings.model_fields), exclude_unset=True)
-    best = best_classifier(build, given, learned, held_out, out.seed, out.report)
+    best = best_classifier(build, given, learned, validation_cells, out.seed, out.report)
     count = torch.bincount(learned.targets, minlength=len(classes)).tolist()
     results: dict[str, Any] = {
         "labelled": stretch.name,
@@ -57,7 +59,7 @@ def fit_classifier(
 def scan_cells(
     labelled: Iterable[tuple[Sequence[str], Iterable[LabelledFrame]]], classes: Sequence[str]
 ) -> LabelledCells:
-    """What frames show, and their cells of one of `classes`. Labels index the names that come with the frames."""
+    """The planes of frames and their cells of one of `classes`; `labelled`: pairs of class names and frames."""
     collector = CellCollector(classes)
     for names, frames in labelled:
         for item in frames:

@@ -1,4 +1,4 @@
-"""The `dilated-convgru` tracker: the dilated ConvGRU follows the stream, and gives classes where it learned them."""
+"""The tracker `dilated-convgru`: occupancy, and classes where the site's weights have a class decoder."""
 
 from __future__ import annotations
 
@@ -30,20 +30,20 @@ class DilatedConvGRUTracker(RecurrentTracker):
 
     @classmethod
     def prepare_training(cls, network: Any, rate: float) -> Any:
-        """Output bias at the occupied rate; the gates and their gradient in one pass over memory."""
+        """Set the output bias to the occupied rate; the gates and their gradient are one pass over memory."""
         start_from_rate(network.decode_occupancy, rate)
         return TrainingConvGRU(network) if network.layers[0].gates == GATES else network
 
     @classmethod
     def prepare_inference(cls, network: Any, options: Any) -> RecurrentNetwork:
-        """Convolutions and gates together, in bands of rows; a cell without gates as it is.
+        """Convolutions and gates in bands of rows; a network without gates is returned unchanged.
 
-        Raises ConfigurationError where a cell without gates is asked for in bfloat16.
+        Raises ConfigurationError for a network without gates in bfloat16.
         """
         if network.layers[0].gates == GATES:
             return InferenceConvGRU(network, bfloat16=options.inference == "bfloat16")
         if options.inference != "float32":
-            raise ConfigurationError(f"inference={options.inference} is there for cell=gru; this network is cell=plain")
+            raise ConfigurationError(f"inference={options.inference} needs cell=gru; this network has cell=plain")
         return cast(RecurrentNetwork, network)
 
     @classmethod
@@ -55,7 +55,7 @@ class DilatedConvGRUTracker(RecurrentTracker):
         out: FitOutput,
         options: Any,
     ) -> None:
-        """The network on what is visible, and then, where classes are known, its class decoder on a few labels."""
+        """Train the network on visible cells and then, if the recording has classes, its class decoder on labels."""
         from gridtrack.trackers.recurrent.transfer import fit_class_decoder
 
         if options.stage != "classes":

@@ -34,10 +34,10 @@ class DeepTrackingRNN(nn.Module):
 
     @torch.no_grad()
     def _initialise(self) -> None:
-        """Xavier's noise, and a straight path for the occupied plane through every sigmoid.
+        """Xavier's noise, and an identity path for the occupied plane through every sigmoid.
 
-        With noise alone the sigmoids stay near one half and pass hardly any gradient on: the network answers the
-        occupied rate everywhere for thousands of updates.
+        With noise alone the sigmoids stay near one half, where gradients are small: for thousands of updates the
+        network forecasts the occupied rate in every cell.
         """
         for convolution in (self.encode, self.recur, self.decode):
             nn.init.xavier_uniform_(convolution.weight)
@@ -59,7 +59,7 @@ class DeepTrackingRNN(nn.Module):
         return (torch.sigmoid(self.recur(torch.cat([self.encoded(x, h.shape[0]), h], dim=1))),)
 
     def encoded(self, x: Tensor | None, batch: int) -> Tensor:
-        """e_t. An empty input is encoded as what the encoder's bias says, the same in every cell."""
+        """e_t (B, E, M, M). The encoding of an empty input is the sigmoid of the encoder's bias in every cell."""
         if x is not None:
             return torch.sigmoid(self.encode(x))
         bias = torch.sigmoid(self.encode.bias)  # type: ignore[arg-type]

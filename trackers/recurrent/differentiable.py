@@ -1,8 +1,8 @@
 """The gates of the ConvGRU and their gradient, each in one pass over memory, for training on a processor.
 
-Written with PyTorch's operations the gates take longer than the convolutions: every operation reads and writes a
-state's size. Here the forward pass reads every number once and keeps the gates for the backward pass, which adds the
-maps' gradients of all steps in one place. Where the convolutions are bfloat16, both read and write them as they are.
+With PyTorch's operations the gates take longer than the convolutions, because every operation reads and writes the
+whole state. Here the forward pass reads every number once and stores the gates for the backward pass, which sums the
+gradients of the static memory over all steps. Both read and write bfloat16 convolutions without conversion.
 """
 
 from __future__ import annotations
@@ -23,18 +23,18 @@ from torch import Tensor
 from gridtrack.trackers.recurrent.fused import FLAGS, activations, widened
 
 Rows = NDArray[Any]
-"""(B * M * M, N): the channels of one cell beside each other; bfloat16 as its bits in uint16."""
+"""(B * M * M, N): one row of channels for each cell; bfloat16 as its bits in uint16."""
 
-AT_ONCE = 100
-"""Cells whose maps stay in the processor's cache while every item of the batch is gone through."""
-_kept = numba.njit(cache=True, nogil=True, fastmath=FLAGS, error_model="numpy")
+CACHED_CELLS = 100
+"""Cells whose static memory stays in the processor's cache while all items of the batch are processed."""
+_compiled = numba.njit(cache=True, nogil=True, fastmath=FLAGS, error_model="numpy")
 
 
 class StaticMemory:
-    """The biases of one layer in the steps of one sequence, and their gradient, summed over those steps.
+    """The three biases of one layer, (C, M, M) or (C, 1, 1) each, and their gradient over the steps of a sequence.
 
-    Given three of (C, M, M) or (C, 1, 1). The steps add to `gradient` (M, M, 3C) themselves: summed by autograd, every
-    step would write and read the maps' size twice more. `token` stands for the biases in autograd's graph.
+    Each step adds to `gradient` (M, M, 3C); a sum by autograd would write and read it twice more a step. `token`
+    represents the biases in autograd's graph.
     """
 
     def __init__(self, biases: tuple[Tensor, ...], size: int) -> None:
@@ -47,9 +47,9 @@ class StaticMemory:
 def differentiable_gates(
     x: Tensor | None, h_conv: Tensor, memory: StaticMemory, h: Tensor
 ) -> tuple[Tensor, Tensor | None]:
-    """`dilated_convgru.convgru_gates` with its gradient, and h' a second time, as bfloat16 where `h_conv` is.
+    """`dilated_convgru.convgru_gates` with its gradient: h' in float32, and in bfloat16 if `h_conv` is bfloat16.
 
-    In float32 h' and the gradients are equal to 2e-6; beside convolutions in bfloat16 the gates are kept to 8e-6.
+    The error of h' and its gradients is below 2e-6 in float32; with bfloat16 the stored gates have an error of 8e-6.
     """
     new: tuple[Tensor, Tensor | None] = _Gates.apply(memory.token, memory, x, h_conv, h)  # type: ignore[no-untyped-call]
     return new
@@ -104,7 +104,7 @@ def _rows(tensor: Tensor | None) -> Any:
 def _in_threads(kernel: Callable[..., None], maps: tuple[Rows, ...], *rows: Any) -> None:
     """Run `kernel` on as many threads as PyTorch, each on a block of cells.
 
-    Threads of numba's own would share PyTorch's OpenMP, change its number of threads, and wait for it spinning.
+    Numba's own threads share PyTorch's OpenMP: they would change its number of threads, and wait for it actively.
     """
     bounds = np.linspace(0, len(maps[0]), torch.get_num_threads() + 1).astype(int)
     blocks = list(pairwise(bounds.tolist()))
@@ -118,7 +118,7 @@ def _threads() -> ThreadPoolExecutor:
 
 
 def _rounded(rows: Any, value: Any) -> Any:
-    """`value` as `rows` keeps it: bfloat16 is the nearest, ties to even; see the overload."""
+    """`value` in the type of `rows`; bfloat16 is rounded to nearest, ties to even. See the overload."""
 
 
 @overload(_rounded, inline="always")
@@ -134,42 +134,42 @@ def _rounded_overload(rows, value):  # type: ignore[no-untyped-def]
     return nearest
 
 
-def _counted(gates: Any, value: Any) -> Any:
-    """A gate in [0, 1] as `gates` keeps it: itself, or in 65535ths, since bfloat16 has too few digits near 1."""
+def _quantised(gates: Any, value: Any) -> Any:
+    """A gate in [0, 1] in the type of `gates`: float32, or uint16 in 65535ths; bfloat16 is too coarse near 1."""
 
 
-@overload(_counted, inline="always")
-def _counted_overload(gates, value):  # type: ignore[no-untyped-def]
+@overload(_quantised, inline="always")
+def _quantised_overload(gates, value):  # type: ignore[no-untyped-def]
     if gates.dtype == numba.float32:
         return lambda gates, value: value
     return lambda gates, value: np.uint16(np.int32(value * np.float32(65535.0) + np.float32(0.5)))
 
 
-def _gate(kept: Any) -> Any:
-    """The gate, float32, that `_counted` left as `kept`; see the overload."""
+def _dequantised(gate: Any) -> Any:
+    """The float32 gate that `_quantised` stored as `gate`; see the overload."""
 
 
-@overload(_gate, inline="always")
-def _gate_overload(kept):  # type: ignore[no-untyped-def]
-    if kept == numba.float32:
-        return lambda kept: kept
-    return lambda kept: np.float32(np.int32(kept)) * np.float32(1.0 / 65535.0)
+@overload(_dequantised, inline="always")
+def _dequantised_overload(gate):  # type: ignore[no-untyped-def]
+    if gate == numba.float32:
+        return lambda gate: gate
+    return lambda gate: np.float32(np.int32(gate)) * np.float32(1.0 / 65535.0)
 
 
 @cache
 def _kernels(channels: int) -> tuple[Callable[..., None], Callable[..., None]]:
-    """The passes forwards and backwards, on the cells `start` to `stop` - 1 of every item of the batch.
+    """The forward and the backward pass over the cells `start` to `stop` - 1 of every item of the batch.
 
-    The number of channels is written into them, and what they call is compiled with them and not kept apart: only so
-    do the loops become vector instructions. The candidate is kept as (1 + c) / 2.
+    The number of channels is a constant of the compiled code, and the functions that it calls are inlined: otherwise
+    the loops are not vectorised. The candidate is stored as (1 + c) / 2.
     """
     one, two, half = np.float32(1.0), np.float32(2.0), np.float32(0.5)
 
-    @_kept
+    @_compiled
     def forward(start, stop, b_keep, b_reset, b_candidate, x, h_conv, h, gates, new, rounded):  # type: ignore[no-untyped-def]
-        for at in range(start, stop, AT_ONCE):
+        for at in range(start, stop, CACHED_CELLS):
             for first in range(0, len(h), len(b_keep)):
-                for cell in range(at, min(at + AT_ONCE, stop)):
+                for cell in range(at, min(at + CACHED_CELLS, stop)):
                     i = first + cell
                     for c in range(channels):
                         keep, reset, candidate = b_keep[cell, c], b_reset[cell, c], b_candidate[cell, c]
@@ -180,24 +180,24 @@ def _kernels(channels: int) -> tuple[Callable[..., None], Callable[..., None]]:
                         keep += widened(h_conv[i, c])
                         reset += widened(h_conv[i, channels + c])
                         f, r, a = activations(keep, reset, candidate, widened(h_conv[i, 2 * channels + c]))
-                        gates[i, c] = _counted(gates, f)
-                        gates[i, channels + c] = _counted(gates, r)
-                        gates[i, 2 * channels + c] = _counted(gates, half * (one + a))
+                        gates[i, c] = _quantised(gates, f)
+                        gates[i, channels + c] = _quantised(gates, r)
+                        gates[i, 2 * channels + c] = _quantised(gates, half * (one + a))
                         new[i, c] = a + f * (h[i, c] - a)
                         if rounded is not None:
                             rounded[i, c] = _rounded(rounded, new[i, c])
 
-    @_kept
+    @_compiled
     def backward(  # type: ignore[no-untyped-def]
         start, stop, gradient, h_conv, h, gates, grad, grad_rounded, grad_x, grad_h_conv, grad_h
     ):
-        for at in range(start, stop, AT_ONCE):
+        for at in range(start, stop, CACHED_CELLS):
             for first in range(0, len(h), len(gradient)):
-                for cell in range(at, min(at + AT_ONCE, stop)):
+                for cell in range(at, min(at + CACHED_CELLS, stop)):
                     i = first + cell
                     for c in range(channels):
-                        f, r = _gate(gates[i, c]), _gate(gates[i, channels + c])
-                        a = two * _gate(gates[i, 2 * channels + c]) - one
+                        f, r = _dequantised(gates[i, c]), _dequantised(gates[i, channels + c])
+                        a = two * _dequantised(gates[i, 2 * channels + c]) - one
                         g = grad[i, c]
                         if grad_rounded is not None:
                             g += widened(grad_rounded[i, c])

@@ -1,16 +1,16 @@
 """The dilated ConvGRU with static memory and two decoders (Ondruska, Dequaire, Wang, Posner, 2016).
 
-    f = sigmoid(Wxz*x + Whz*h + bz)          what of the old state is kept
-    r = sigmoid(Wxr*x + Whr*h + br)          what of it the candidate sees
-    c = tanh(Wxh*x + r o (Whh*h) + bh)       the candidate
+    f = sigmoid(Wxz*x + Whz*h + bz)          keep gate
+    r = sigmoid(Wxr*x + Whr*h + br)          reset gate
+    c = tanh(Wxh*x + r o (Whh*h) + bh)       candidate
     h' = f o h + (1 - f) o c
 
 `*` is a 3x3 convolution with dilation 2^(k-1) in layer k, `o` is element-wise. The biases bz, br, bh have a value for
-each channel *and each cell*: they are the static memory, where the network keeps what is peculiar to the place.
+each channel *and each cell*: they are the static memory, in which the network learns the static structure of a site.
 
 The reset gate multiplies after the hidden convolution, so the three gates share one convolution of the state and one
-of the input. With 4 classes there are 1,476,149 parameters, 1,440,000 of them static memory; the 1,010,193 of the
-paper's text cannot be had from its printed equations.
+of the input. With 4 classes the network has 1,476,149 parameters, 1,440,000 of them static memory; the 1,010,193 in the
+paper's text do not follow from its equations.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ def convgru_gates(x: Tensor | None, h_conv: Tensor, biases: tuple[Tensor, ...], 
 
 
 def plain_cell(x: Tensor | None, h_conv: Tensor, biases: tuple[Tensor, ...], h: Tensor) -> Tensor:
-    """The same of a cell without gates: `x` and `h_conv` (B, C, M, M), one bias; `h` is not kept."""
+    """The element-wise half of a cell without gates: `x` and `h_conv` (B, C, M, M), one bias; `h` is not used."""
     (candidate,) = biases
     return torch.tanh(candidate + h_conv if x is None else candidate + h_conv + x)
 
@@ -71,10 +71,10 @@ class DilatedConvGRULayer(nn.Module):
 
     @torch.no_grad()
     def _initialise(self) -> None:
-        """Small noise, and a straight path for the input through every candidate.
+        """Small noise, and an identity path for the input through every candidate (Zagoruyko and Komodakis, 2017).
 
-        With noise alone hundreds of updates go by before what is seen reaches the decoder; the path (Dirac, Zagoruyko
-        and Komodakis, 2017) makes that immediate. The first layer sees the occupied plane, with both signs.
+        With noise alone the input reaches the decoder only after hundreds of updates. In the first layer the path
+        carries the occupied plane, with both signs.
         """
         for weight in (self.input_weight, self.state_weight):
             nn.init.normal_(weight, std=0.3 * (weight.shape[1] * 9) ** -0.5)
@@ -105,7 +105,7 @@ class DilatedConvGRU(nn.Module):
     def __init__(
         self, size: int, settings: DilatedConvGRUSettings, classes: int = 0, class_hidden: Sequence[int] = ()
     ) -> None:
-        """`class_hidden`: channels of the class decoder's layers but the last; none are the paper's linear one."""
+        """`class_hidden`: channels of the class decoder's layers but the last; () is the paper's linear decoder."""
         super().__init__()
         self.size, self.channels = size, settings.channels
         self.layers = nn.ModuleList(

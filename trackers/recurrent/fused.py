@@ -1,8 +1,7 @@
 """The element-wise half of the ConvGRU cell as one pass over memory, for inference on a processor.
 
-Written with PyTorch's operations the gates read and write the state's size some twenty times, and cost three times as
-much as the convolutions. Here every number is read once, and the exponential is a polynomial that the compiler turns
-into vector instructions.
+With PyTorch's operations the gates read and write the whole state about twenty times and take three times as long as
+the convolutions. Here every number is read once, and the exponential is a polynomial, which the compiler vectorises.
 """
 
 from __future__ import annotations
@@ -20,17 +19,17 @@ _LOG2_E = np.float32(1.0 / math.log(2.0))
 _TAYLOR = tuple(np.float32(math.log(2.0) ** k / math.factorial(k)) for k in range(7))
 """2^f = sum of _TAYLOR[k] f^k, to 2e-7 for |f| <= 1/2."""
 _ROUNDER = np.float32(1.5 * 2**23)
-"""Added to a small number it leaves the nearest whole one in the last bits of the sum."""
+"""Added to a small number, its sum has the nearest integer in the last bits."""
 FLAGS = {"contract", "nsz", "arcp"}
 
 
 def kernel(signature: str) -> Any:
-    """Compiled for that signature where it is defined: when a tracker's process starts, and not in its first update."""
+    """A decorator that compiles at definition: when the tracker's process starts, not in its first update."""
     return numba.njit(signature, cache=True, nogil=True, fastmath=FLAGS, error_model="numpy")
 
 
 def widened(value: Any) -> Any:
-    """`value` as float32: itself, or what the bits of a bfloat16 in a uint16 stand for; see the overload."""
+    """`value` as float32, from float32 or from the bits of a bfloat16 in a uint16; see the overload."""
 
 
 @overload(widened, inline="always")
@@ -56,9 +55,9 @@ def sigmoid(x):  # type: ignore[no-untyped-def]
 
 @numba.njit(fastmath=FLAGS)
 def activations(keep, reset, candidate, candidate_h):  # type: ignore[no-untyped-def]
-    """What the gates are of one channel of one cell, from their arguments: keep, reset, candidate.
+    """Keep gate, reset gate and candidate of one channel of one cell, from the arguments of their activations.
 
-    tanh(a) = 2 sigmoid(2 a) - 1. Compiled with whatever calls it, here and in differentiable.py.
+    tanh(a) = 2 sigmoid(2 a) - 1. Compiled with its callers, here and in differentiable.py.
     """
     f, r = sigmoid(keep), sigmoid(reset)
     a = candidate + r * candidate_h
@@ -74,14 +73,14 @@ def _cell(keep, reset, candidate, candidate_h, h):  # type: ignore[no-untyped-de
 
 @functools.cache
 def fused_gates(channels: int, *, with_input: bool, bfloat16: bool = False) -> Callable[..., None]:
-    """`dilated_convgru.convgru_gates`, equal to 2e-6, on some rows of the grid: the kernel
+    """`dilated_convgru.convgru_gates`, with an error below 2e-6, on some rows of the grid: the kernel
 
         gates(sums, top, step, keep, reset, candidate, h, out)
 
     `sums` (rows, M or more, N) are the convolutions of rows `top`, `top + step`, ...: C channels each for keep and
     reset, of input and state together; the candidate's of the state; and, `with_input`, the candidate's of the input;
-    float32, or the bits of `bfloat16` in uint16. The biases, `h` and `out` are (M, M, C). C is written into the kernel:
-    only so does it become vector instructions.
+    float32, or the bits of `bfloat16` in uint16. The biases, `h` and `out` are (M, M, C). C is a constant of the
+    kernel: otherwise its loops are not vectorised.
     """
 
     @kernel(

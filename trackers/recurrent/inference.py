@@ -1,9 +1,9 @@
-"""The networks as they follow one stream on a processor: what the trained ones compute, in less time.
+"""Fast inference on a processor: the same functions as the trained networks, for one stream.
 
-The dilated ConvGRU: convolutions are Winograd's (winograd.py), the gates one pass over memory (fused.py), both for a
-band of rows at a time, whose sums are used while they lie in the cache. Nothing is allocated but the new states. In
-bfloat16 the convolutions are oneDNN's, by the definition: that is faster still where the processor has instructions
-for it, and Winograd's sums would lose too many digits.
+Dilated ConvGRU: Winograd convolutions (winograd.py) and gates in one pass over memory (fused.py), both for one band of
+rows after the other, so that the sums stay in the cache. Only the new states are allocated. In bfloat16 the
+convolutions are the direct ones of oneDNN: they are faster where the processor has instructions for bfloat16, and
+Winograd's sums would lose too many digits.
 """
 
 from __future__ import annotations
@@ -24,18 +24,18 @@ from gridtrack.trackers.recurrent.winograd import Float32Array, WinogradConvolut
 
 
 class InferenceConvGRU:
-    """A RecurrentNetwork for batches of one and without gradients: the trained `network`, whose cells have gates.
+    """A RecurrentNetwork for batches of one, without gradients: the trained `network`, whose cells must have gates.
 
-    With `bfloat16` the convolutions of input and state are computed in it; states, gates and decoders are float32.
+    With `bfloat16` the convolutions of input and state are bfloat16; states, gates and decoders are float32.
     """
 
     def __init__(self, network: DilatedConvGRU, *, bfloat16: bool = False) -> None:
         self.size, self.channels = network.size, network.channels
         layers: list[Any] = list(network.layers)
         first, *others = layers
-        self._first = Cell(first, self.size, with_input=True, bfloat16=bfloat16)
-        self._first_without_input = Cell(first, self.size, with_input=False, bfloat16=bfloat16)
-        self._others = [Cell(layer, self.size, with_input=True, bfloat16=bfloat16) for layer in others]
+        self._first = InferenceLayer(first, self.size, with_input=True, bfloat16=bfloat16)
+        self._first_without_input = InferenceLayer(first, self.size, with_input=False, bfloat16=bfloat16)
+        self._others = [InferenceLayer(layer, self.size, with_input=True, bfloat16=bfloat16) for layer in others]
         self._decode_occupancy = OccupancyDecoder(network.decode_occupancy, self.size)
         self._decode_semantics = network.decode_semantics
 
@@ -49,8 +49,8 @@ class InferenceConvGRU:
         """h_t of all layers: each layer's new state is the next one's input. An empty input is not convolved."""
         h, *others = (as_cells(each) for each in state)
         new = [self._first_without_input(h) if x is None else self._first(h, as_cells(x))]
-        for cell, h in zip(self._others, others, strict=True):
-            new.append(cell(h, new[-1]))
+        for layer, h in zip(self._others, others, strict=True):
+            new.append(layer(h, new[-1]))
         return tuple(as_tensor(each) for each in new)
 
     def features(self, state: LatentState) -> Tensor:
@@ -67,7 +67,7 @@ class InferenceConvGRU:
 
 
 class InferenceRNN:
-    """A RecurrentNetwork: the trained `network`, with its convolution of the empty input done once and for all."""
+    """A RecurrentNetwork: the trained `network`, whose convolution of the empty input is computed once."""
 
     def __init__(self, network: DeepTrackingRNN) -> None:
         self._network = network
@@ -86,7 +86,7 @@ class InferenceRNN:
         return (torch.sigmoid(self._empty + conv2d(state[0], self._state_weight, padding="same")),)
 
 
-class Cell:
+class InferenceLayer:
     """One recurrent layer: h (M, M, C) and, `with_input`, x (M, M, I) -> h'."""
 
     def __init__(self, layer: DilatedConvGRULayer, size: int, *, with_input: bool, bfloat16: bool) -> None:
@@ -110,7 +110,7 @@ class Cell:
 
 
 class BFloat16Convolution:
-    """What WinogradConvolution computes, by the definition and in bfloat16, as one band."""
+    """The sums of WinogradConvolution, as direct convolutions in bfloat16 and one band."""
 
     def __init__(self, weight: Tensor, channels: Sequence[int], size: int, dilation: int) -> None:
         self._weight = weight.bfloat16().contiguous(memory_format=torch.channels_last)
@@ -128,9 +128,9 @@ class BFloat16Convolution:
 
 
 def weight_of_both(layer: DilatedConvGRULayer) -> Tensor:
-    """Filters (4C, C + I, 3, 3) of h and x together: for keep, reset, the candidate's part of h, and its part of x.
+    """Filters (4C, C + I, 3, 3) of h and x: keep gate, reset gate, candidate from h, candidate from x.
 
-    The reset gate multiplies one part of the candidate only, so these two are not added.
+    The candidate has two outputs because the reset gate multiplies only that of h.
     """
     h, x = layer.state_weight.detach(), layer.input_weight.detach()
     channels = h.shape[1]
@@ -145,7 +145,7 @@ def weight_of_both(layer: DilatedConvGRULayer) -> Tensor:
 
 
 class OccupancyDecoder:
-    """A convolution with one output: its taps as one matrix product, and the sum of their shifted maps."""
+    """A convolution with one output: a matrix product for all its taps, then the sum of their shifted maps."""
 
     def __init__(self, convolution: nn.Conv2d, size: int) -> None:
         (weight,) = convolution.weight.detach()
@@ -164,7 +164,7 @@ class OccupancyDecoder:
 
 @kernel("void(float32[:,:,:,::1], float32, float32[:,::1])")
 def add_shifted(maps, bias, out):  # type: ignore[no-untyped-def]
-    """out[r, x] = bias + the sum of maps[i, j, r + i - k, x + j - k] where it lies inside; i, j = 0..2k."""
+    """out[r, x] = bias + sum over i, j = 0..2k of maps[i, j, r + i - k, x + j - k], zero outside the grid."""
     size, side = out.shape[0], maps.shape[0]
     reach = side // 2
     for r in range(size):

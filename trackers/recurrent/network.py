@@ -1,4 +1,4 @@
-"""What a recurrent network must offer to be trained and run as a tracker."""
+"""The interface of a recurrent network that is trained and run as a tracker."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ LatentState = tuple[Tensor, ...]
 
 
 class RecurrentNetwork(Protocol):
-    """A network that carries a latent state from frame to frame and decodes it into grids."""
+    """A network with a latent state that is updated with each frame and decoded into grids."""
 
     def initial(self, batch: int) -> LatentState:
         """h_0."""
@@ -37,7 +37,7 @@ class RecurrentNetwork(Protocol):
 
 
 def channels_last(network: nn.Module) -> Any:
-    """The network with its convolutions' memory laid out as the processor is fastest at."""
+    """The network with its convolutions in channels-last memory, which is fastest on a processor."""
     to: Any = network.to
     return to(memory_format=torch.channels_last)
 
@@ -45,7 +45,7 @@ def channels_last(network: nn.Module) -> Any:
 def start_from_rate(decoder: nn.Conv2d, rate: float) -> None:
     """Set the output bias so that an untrained network answers the occupied `rate` in (0, 1), not one half.
 
-    Occupied cells are some 2 % of the visible ones; without this the first updates are spent on learning that number.
+    About 2 % of the visible cells are occupied; the first updates of training need not learn that number.
     """
     assert decoder.bias is not None
     with torch.no_grad():

@@ -1,4 +1,4 @@
-"""A recurrent network as a tracker: the latent state follows the frames; a forecast is updates with empty input."""
+"""Base of the recurrent trackers: frames update the latent state; a forecast is a series of updates without input."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ VALIDATION_HORIZONS_S = (0.5, 1.0, 2.0)
 
 
 class RecurrentTracker(Tracker):
-    """Base of the recurrent trackers; a subclass names itself and builds its network."""
+    """A recurrent network as a tracker; a subclass sets `name` and builds the network."""
 
     name: ClassVar[str]
     learns: ClassVar[bool] = True
 
     def __init__(self, stream: StreamSpec, options: Any, network: RecurrentNetwork | None = None) -> None:
-        """Without a `network`, the one of the site's weights. Raises WeightsError."""
+        """Loads the network from the site's weights unless `network` is passed. Raises WeightsError."""
         super().__init__(stream, options)
         self.network: Any = network or self._restored(load_weights(stream, self.name))
         self.state: LatentState = self.network.initial(1)
@@ -41,28 +41,28 @@ class RecurrentTracker(Tracker):
     @classmethod
     @abstractmethod
     def prepare_training(cls, network: Any, rate: float) -> Any:
-        """Set the output bias to the occupied `rate`; returns what is trained in place of `network` on a processor.
+        """Set the output bias to the occupied `rate`, and return the RecurrentNetwork that is trained on a processor.
 
-        That is a RecurrentNetwork, the same function of the same parameters, faster.
+        It is the same function of the same parameters as `network`, computed faster.
         """
 
     @classmethod
     @abstractmethod
     def prepare_inference(cls, network: Any, options: Any) -> RecurrentNetwork:
-        """What follows a stream in place of the trained `network`: the same function, faster."""
+        """The RecurrentNetwork for inference: the same function as the trained `network`, computed faster."""
 
     def reset(self, seed: int) -> None:
-        """h_0; the network draws nothing, so the seed does not matter."""
+        """Set the state to h_0; nothing is random, so the seed is not used."""
         self.state = self.network.initial(1)
 
     def update(self, frame: GridFrame) -> None:
-        """One step of the network on (visible, occupied)."""
-        x = planes(frame) if frame.visible.any() else None
+        """Update the state with the planes visible and occupied of x_t."""
+        x = input_planes(frame) if frame.visible.any() else None
         with torch.inference_mode():
             self.state = self.network.step(x, self.state)
 
     def predict(self, steps: int) -> Forecast:
-        """Steps with empty input from a copy of the state, every one decoded."""
+        """Decode the state, and each state after it without input; the state itself is not changed."""
         with torch.inference_mode():
             state, decoded = self.state, [self._decoded(self.state)]
             for _ in range(steps):
@@ -75,13 +75,13 @@ class RecurrentTracker(Tracker):
             )
 
     def _decoded(self, state: LatentState) -> tuple[Tensor, Tensor | None]:
-        """P(occupied) (1, M, M), and P(class) (1, K, M, M) where it gives classes."""
+        """P(occupied) (1, M, M), and P(class) (1, K, M, M) where the tracker has classes."""
         features = self.network.features(state)
         occupancy = torch.sigmoid(self.network.occupancy(features))
         return occupancy, torch.softmax(self.network.semantics(features), dim=1) if self.classes else None
 
     def _restored(self, weights: Weights) -> RecurrentNetwork:
-        """The trained network. Raises WeightsError where the weights do not fit it, or contradict a given option."""
+        """The trained network. Raises WeightsError where the weights do not fit it or contradict an option."""
         options = trained_settings(self.stream, weights, self.options, running=InferenceSettings)
         self.classes = weights.card.classes
         network = self.build(self.stream.grid.size, options, len(self.classes))
@@ -97,23 +97,24 @@ class RecurrentTracker(Tracker):
         out: FitOutput,
         options: Any,
     ) -> None:
-        """Train the network on `train`, keep what scores best on `validation`, and write its weights."""
+        """Train the network on `train` and write the weights that score best on `validation`."""
         from gridtrack.trackers.recurrent.sequences import SequenceDataset, occupied_rate
         from gridtrack.trackers.recurrent.training import train_network, validation_scores
 
         torch.manual_seed(out.seed)
-        dataset = SequenceDataset(train, options.length, out.seed, reverse=options.reverse, superpose=options.superpose)
+        augmentation = {"time_reversal": options.time_reversal, "superposition": options.superposition}
+        dataset = SequenceDataset(train, options.length, out.seed, **augmentation)
         network = cls.build(train[0].grid.size, options, classes=0)
         on_processor = cls.prepare_training(network, occupied_rate(dataset.stretches))
         steps = round(max(VALIDATION_HORIZONS_S) / train[0].period_s)
 
         def validate(trained: nn.Module) -> dict[str, float]:
-            following = cls.prepare_inference(channels_last(deepcopy(trained).cpu().eval()), options)
+            inference = cls.prepare_inference(channels_last(deepcopy(trained).cpu().eval()), options)
 
-            def as_tracker(source: FrameSource) -> Any:
-                return score(cls(stream_of(source), options, following), source, steps)
+            def score_on(source: FrameSource) -> Any:
+                return score(cls(stream_of(source), options, inference), source, steps)
 
-            return validation_scores(as_tracker, validation, VALIDATION_HORIZONS_S)
+            return validation_scores(score_on, validation, VALIDATION_HORIZONS_S)
 
         results = train_network(network, on_processor, dataset, options, validate, out)
         arrays = {name: value.detach().contiguous().numpy() for name, value in network.state_dict().items()}
@@ -121,7 +122,7 @@ class RecurrentTracker(Tracker):
         save_weights(out.path, card_for(cls.name, out, train, validation, settings, results), arrays)
 
 
-def planes(frame: GridFrame) -> Tensor:
+def input_planes(frame: GridFrame) -> Tensor:
     """x_t: (1, 2, M, M) float32 of 0 and 1, visible and occupied, in channels-last memory."""
     cells = np.stack([frame.visible, frame.occupied], axis=2).astype(np.float32)
     return torch.from_numpy(cells).permute(2, 0, 1)[None]

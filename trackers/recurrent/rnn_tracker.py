@@ -1,4 +1,4 @@
-"""The `deep-tracking-rnn` tracker: the original Deep Tracking RNN follows the stream."""
+"""The tracker `deep-tracking-rnn`: occupancy."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ class DeepTrackingRNNTracker(RecurrentTracker):
 
     @classmethod
     def prepare_training(cls, network: Any, rate: float) -> Any:
-        """Output bias at the occupied rate."""
+        """Set the output bias to the occupied rate."""
         start_from_rate(network.decode, rate)
         return network
 
     @classmethod
     def prepare_inference(cls, network: Any, options: Any) -> RecurrentNetwork:
-        """The empty input's convolution done beforehand."""
+        """The convolution of the empty input is computed in advance."""
         return InferenceRNN(network)

@@ -1,4 +1,4 @@
-"""Training sequences: windows of frames, some shown and some withheld, in a seeded order."""
+"""Training windows: consecutive frames of the training stretches, drawn and augmented by a seed."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def load_frames(source: FrameSource) -> NDArray[np.uint8]:
 
 
 def occupied_rate(stretches: Sequence[NDArray[np.uint8]]) -> float:
-    """The share of occupied among visible cells."""
+    """Occupied cells divided by visible cells; 1 occupied and 2 visible at least."""
     visible, occupied = (sum(int(np.bitwise_count(s[:, plane]).sum()) for s in stretches) for plane in (0, 1))
     return max(occupied, 1) / max(visible, 2)
 
@@ -29,28 +29,27 @@ def occupied_rate(stretches: Sequence[NDArray[np.uint8]]) -> float:
 class SequenceDataset(Dataset[Tensor]):
     """Windows of `length` frames as (length, 2, M, M) uint8; item i is drawn by a generator seeded with (seed, i).
 
-    With `reverse`, every second window runs backwards in time: what walks on a path may walk it the other way. With
-    `superpose`, every second window is two of them laid over one another, as if the movers of both had been there.
-    Raises ConfigurationError where a stretch is shorter than one window.
+    Augmentation: with `time_reversal`, every second window is in reverse order of time; with `superposition`, every
+    second window is the superposition of two. Raises ConfigurationError where a stretch is shorter than one window.
     """
 
     def __init__(
-        self, sources: Sequence[FrameSource], length: int, seed: int, *, reverse: bool, superpose: bool
+        self, sources: Sequence[FrameSource], length: int, seed: int, *, time_reversal: bool, superposition: bool
     ) -> None:
         self.sources = [(source.name, source.sha256) for source in sources]
         self.stretches = [load_frames(source) for source in sources]
         self.size, self.length, self.seed = sources[0].grid.size, length, seed
-        self.reverse, self.superpose = reverse, superpose
+        self.time_reversal, self.superposition = time_reversal, superposition
         for source, frames in zip(sources, self.stretches, strict=True):
             if len(frames) < length:
                 raise ConfigurationError(f"{source.name}: {len(frames)} frames; training needs at least {length}")
         self.starts = np.cumsum([len(frames) - length + 1 for frames in self.stretches])
 
     def __getitem__(self, index: int) -> Tensor:
-        """Window number `index` of an endless series."""
+        """Window number `index`; the series has no end."""
         draw = np.random.default_rng((self.seed, index))
         window = self._draw(draw)
-        if self.superpose and draw.integers(2):
+        if self.superposition and draw.integers(2):
             window = superposed(window, self._draw(draw))
         return torch.from_numpy(np.unpackbits(window, axis=-1, count=self.size))
 
@@ -59,21 +58,21 @@ class SequenceDataset(Dataset[Tensor]):
         stretch = int(np.searchsorted(self.starts, at, side="right"))
         start = at - (int(self.starts[stretch - 1]) if stretch else 0)
         window = self.stretches[stretch][start : start + self.length]
-        return window[::-1] if self.reverse and draw.integers(2) else window
+        return window[::-1] if self.time_reversal and draw.integers(2) else window
 
 
 def superposed(one: NDArray[np.uint8], other: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """What a laser would have seen had the movers of two windows (T, 2, M, ceil(M / 8)) been there at once.
+    """The frames of a laser if the moving objects of two windows (T, 2, M, ceil(M / 8)) were present together.
 
-    A beam ends at the nearer of its two returns: a cell is visible where it was in both, and occupied where it is
-    visible and was occupied in either.
+    A beam ends at the nearer of its two returns: a cell is visible if it is visible in both windows, and occupied if it
+    is visible and occupied in either.
     """
     visible = one[:, 0] & other[:, 0]
     return np.stack([visible, visible & (one[:, 1] | other[:, 1])], axis=1)
 
 
 class EpochSampler(Sampler[int]):
-    """Item numbers, epoch after epoch: a resumed training goes on with the windows that it had not seen."""
+    """Item numbers of one epoch after the other: a resumed training continues with the next unused window."""
 
     def __init__(self, items: int) -> None:
         self.items, self.epoch = items, 0

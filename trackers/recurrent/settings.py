@@ -1,4 +1,4 @@
-"""How a recurrent network is trained; the defaults are the paper's scheme."""
+"""Settings of the recurrent networks: shape, training, inference and class decoder."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ GATES: tuple[Gate, ...] = ("keep", "reset", "candidate")
 
 
 class DilatedConvGRUSettings(Settings):
-    """The shape of the network; the defaults are the paper's, and each of the last three takes one of its claims away.
+    """The shape of the dilated ConvGRU; the defaults are those of Ondruska et al. (2016).
 
-    `static_gates` are those whose bias is a map; the others have one bias a channel. `dilated=false` leaves all
+    `static_gates`: the gates whose bias is a map; the others have one bias a channel. `dilated=false` makes all
     convolutions dense. `cell=plain` is h' = tanh(Wxh*x + Whh*h + bh), the candidate alone.
     """
 
@@ -28,31 +28,35 @@ class DilatedConvGRUSettings(Settings):
 
     @property
     def gates(self) -> tuple[Gate, ...]:
-        """What a cell computes, in the order of its convolutions' channels."""
+        """The gates of a cell, in the order of its convolutions' channels."""
         return GATES if self.cell == "gru" else ("candidate",)
 
 
 class DeepTrackingRNNSettings(Settings):
-    """The shape of the network: the published code's version 1.1, or the paper's 1.0."""
+    """The shape of the Deep Tracking RNN: version 1.1 of the published code, or 1.0 of the paper."""
 
     variant: Literal["code", "paper"] = "code"
 
 
 class TrainingSettings(Settings):
-    """Sequences of `cycles` times `shown` frames given and `blank` frames withheld; Adam on the visible cells' loss.
+    """Training on sequences of `repetitions` x (`observed_frames`, `blank_frames`); Adam, loss on the visible cells.
 
-    The paper: 10 shown, 10 blank, twice. What lies further ahead than `blank` frames is never trained.
+    The defaults are the scheme of Ondruska et al. (2016): 10 observed and 10 blank frames, twice. Horizons beyond
+    `blank_frames` are never trained.
     """
 
-    shown: int = Field(10, ge=1)
-    blank: int = Field(10, ge=0)
-    cycles: int = Field(2, ge=1)
+    observed_frames: int = Field(10, ge=1)
+    """Consecutive frames that are the network's input."""
+    blank_frames: int = Field(10, ge=0)
+    """Consecutive frames after them whose input is empty, and which the network has to predict."""
+    repetitions: int = Field(2, ge=1)
+    """How often both follow each other in a sequence."""
     burn_in: int = Field(0, ge=0)
-    """Frames shown before a sequence, without loss: the state then starts as in a stream that has run for a while."""
-    reverse: bool = False
-    """Also train on windows that run backwards in time."""
-    superpose: bool = False
-    """Also train on two windows laid over one another, as if the movers of both had been there."""
+    """Observed frames before a sequence, without loss: the initial state is then that of a stream after some time."""
+    time_reversal: bool = False
+    """Augmentation: every second window is drawn in reverse order of time."""
+    superposition: bool = False
+    """Augmentation: every second window is the superposition of two, as if the moving objects of both were present."""
     updates: int = Field(4000, ge=1)
     batch: int = Field(2, ge=1)
     learning_rate: float = Field(2e-3, gt=0)
@@ -63,34 +67,35 @@ class TrainingSettings(Settings):
     validate_every: int = Field(250, ge=1)
     """Updates from one validation, and checkpoint, to the next."""
     precision: Literal["32-true", "bf16-mixed"] = "bf16-mixed"
-    """Of the convolutions; the latent state and the gates stay in float32."""
+    """Precision of the convolutions; the latent state and the gates are float32."""
 
     @property
     def length(self) -> int:
         """Frames in a training window: the burn-in and the sequence."""
-        return self.burn_in + self.cycles * (self.shown + self.blank)
+        return self.burn_in + self.repetitions * (self.observed_frames + self.blank_frames)
 
-    def is_shown(self, frame: int) -> bool:
-        """Whether the network is given this frame of a window."""
-        return frame < self.burn_in or (frame - self.burn_in) % (self.shown + self.blank) < self.shown
+    def is_observed(self, frame: int) -> bool:
+        """Whether frame number `frame` of a window is an input of the network."""
+        in_sequence = (frame - self.burn_in) % (self.observed_frames + self.blank_frames)
+        return frame < self.burn_in or in_sequence < self.observed_frames
 
 
 class InferenceSettings(Settings):
-    """How a trained network follows a stream; no other training is needed for it."""
+    """Settings of inference; they need no other training."""
 
     inference: Literal["float32", "bfloat16"] = "float32"
-    """Of the convolutions. bfloat16 is the faster one where the processor has instructions for it, slower elsewhere."""
+    """Precision of the convolutions. bfloat16 is faster where the processor has instructions for it, else slower."""
 
 
 class TransferSettings(LabelSettings):
-    """What is trained: the network, on what is visible; the class decoder, on its latent state and labels; or both."""
+    """Stages of training: the network on visible cells, its class decoder on labelled scans, or both."""
 
     stage: Literal["both", "occupancy", "classes"] = "both"
-    """`classes` adds a class decoder to the weights that are there; `both` where a recording has classes."""
+    """`classes` adds a class decoder to existing weights; `both` adds it where the recording has classes."""
     class_layers: int = Field(2, ge=1, le=3)
-    """Convolutions of the class decoder, with dilation 1, 2 and 4; one is the paper's, linear."""
+    """Convolutions of the class decoder, with dilation 1, 2 and 4; one is the paper's linear decoder."""
     class_channels: int = Field(32, ge=1, le=256)
-    """Of its hidden layers; chosen by the validation stretch where not given."""
+    """Channels of its hidden layers; unless set, the best on the validation stretch."""
 
     @property
     def class_hidden(self) -> tuple[int, ...]:
@@ -99,7 +104,7 @@ class TransferSettings(LabelSettings):
 
 
 class DilatedConvGRUOptions(DilatedConvGRUSettings, TrainingSettings, TransferSettings, InferenceSettings):
-    """Shape and training of the dilated ConvGRU, and of its class decoder, and how it follows a stream."""
+    """Shape, training and inference of the dilated ConvGRU and its class decoder."""
 
 
 class DeepTrackingRNNOptions(DeepTrackingRNNSettings, TrainingSettings):

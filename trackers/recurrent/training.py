@@ -1,7 +1,7 @@
-"""The one training program of the recurrent networks (Lightning): predict what is withheld, learn where it is seen.
+"""Unsupervised training of the recurrent networks with Lightning (Ondruska et al., 2016, section III).
 
-Unsupervised, after section III of Ondruska et al. (2016): some frames of a sequence are shown, the others replaced by
-the empty input; the loss is the binary cross-entropy of every frame on the cells that its own beams saw.
+The network observes some frames of a sequence and predicts the others from empty input; the loss is the binary
+cross-entropy of every frame on its visible cells.
 """
 
 from __future__ import annotations
@@ -22,13 +22,14 @@ from torch.nn import functional
 from torch.utils.data import DataLoader
 
 from gridtrack.common.errors import ConfigurationError
+from gridtrack.common.files import write_text
 from gridtrack.trackers.contract import FitOutput, FrameSource
 from gridtrack.trackers.recurrent.network import RecurrentNetwork, channels_last
 from gridtrack.trackers.recurrent.sequences import EpochSampler, SequenceDataset
 from gridtrack.trackers.recurrent.settings import InferenceSettings, TrainingSettings, TransferSettings
 
 Validate = Callable[[nn.Module], dict[str, float]]
-"""Scores the network as a tracker on the validation stretch; `score` is what the best one is kept by."""
+"""Scores the network as a tracker on the validation stretch; the network with the highest `score` is kept."""
 
 
 def train_network(
@@ -39,19 +40,21 @@ def train_network(
     validate: Validate,
     out: FitOutput,
 ) -> dict[str, float]:
-    """Train `network` in place and leave it with the weights that scored best; returns the scores of those.
+    """Train `network` in place to the weights with the best validation score, and return its scores.
 
-    `on_processor` computes what `network` does, with gradients, wherever the training runs on a processor.
-    `out.log_dir` takes logs (CSV, TensorBoard) and checkpoints; one that holds checkpoints of the same training is
-    resumed. Raises ConfigurationError where it holds another training.
+    On a processor the training computes with `on_processor`, the same function of the same parameters. Logs (CSV,
+    TensorBoard) and checkpoints are written to `out.log_dir`; checkpoints of the same training in it are resumed.
+    Raises ConfigurationError where it has checkpoints of another training.
     """
-    logging.getLogger("lightning.pytorch").setLevel(logging.WARNING)  # else it advertises other products
-    stage_1 = settings.model_dump(exclude={*TransferSettings.model_fields, *InferenceSettings.model_fields})
-    resumed = _resumable(out, {"seed": out.seed, "train": dataset.sources, **stage_1})
+    logging.getLogger("lightning.pytorch").setLevel(logging.WARNING)  # it prints advertisements
+    network_settings = settings.model_dump(exclude={*TransferSettings.model_fields, *InferenceSettings.model_fields})
+    resumed = _resumable(out, {"seed": out.seed, "train": dataset.sources, **network_settings})
     module = TrainingModule(network, on_processor, settings, validate, out.report)
     folder = out.log_dir / "checkpoints"
     best = ModelCheckpoint(folder, filename="best", monitor="score", mode="max", enable_version_counter=False)
-    last = ModelCheckpoint(folder, filename="last", enable_version_counter=False)  # after every epoch, better or not
+    last = ModelCheckpoint(
+        folder, filename="last", enable_version_counter=False
+    )  # after every epoch, whatever the score
     trainer = lightning.Trainer(
         max_epochs=math.ceil(settings.updates / settings.validate_every),
         precision=settings.precision,
@@ -70,18 +73,19 @@ def train_network(
     return dict(kept["scores"])
 
 
-def _resumable(out: FitOutput, what: dict[str, Any]) -> Path | None:
-    """The checkpoint to go on from, if there is one of the same training."""
-    described = json.dumps(what, sort_keys=True)
+def _resumable(out: FitOutput, training: dict[str, Any]) -> Path | None:
+    """The last checkpoint of this `training`, None without one; records `training` in the log folder."""
+    described = json.dumps(training, sort_keys=True)
     record, last = out.log_dir / "settings.json", out.log_dir / "checkpoints" / "last.ckpt"
     out.log_dir.mkdir(parents=True, exist_ok=True)
     if record.exists() and last.exists():
         if record.read_text() != described:
             raise ConfigurationError(
-                f"{out.log_dir}: holds a training of other settings, data or seed; delete it to start anew"
+                f"{out.log_dir}: checkpoints of a training with other settings, data or seed: delete the folder to"
+                " train from the start"
             )
         return last
-    record.write_text(described)
+    write_text(record, described)
     return None
 
 
@@ -109,7 +113,7 @@ class TrainingModule(lightning.LightningModule):
         return loss
 
     def configure_optimizers(self) -> Any:
-        """Adam; the learning rate warms up and then falls along a cosine."""
+        """AdamW; the learning rate rises linearly over `warm_up` updates and then falls along a cosine."""
         s = self.settings
         optimizer = torch.optim.AdamW(self.parameters(), lr=s.learning_rate, weight_decay=s.weight_decay)
 
@@ -125,16 +129,16 @@ class TrainingModule(lightning.LightningModule):
         """Score the network on the validation stretch."""
         self.scores = self.validate(self.network)
         self.log_dict(self.scores)
-        shown = "  ".join(f"{name} {value:.3f}" for name, value in self.scores.items())
-        self.report(f"update {self.global_step}  loss {float(self.trainer.callback_metrics['loss']):.4f}  {shown}")
+        scores = "  ".join(f"{name} {value:.3f}" for name, value in self.scores.items())
+        self.report(f"update {self.global_step}  loss {float(self.trainer.callback_metrics['loss']):.4f}  {scores}")
 
     def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
-        """Keep the scores beside the weights that have them."""
+        """Store the scores of the weights in their checkpoint."""
         checkpoint["scores"] = self.scores
 
 
 def sequence_loss(network: RecurrentNetwork, windows: Tensor, settings: TrainingSettings) -> Tensor:
-    """Binary cross-entropy of every frame's forecast on the frame's visible cells, over all of them, in nats a cell.
+    """Binary cross-entropy of the forecast of each frame on its visible cells: mean over all these cells, nats.
 
     `windows` (B, T, 2, M, M) of 0 and 1: visible and occupied. The burn-in has neither loss nor gradient.
     """
@@ -142,9 +146,9 @@ def sequence_loss(network: RecurrentNetwork, windows: Tensor, settings: Training
     state = network.initial(windows.shape[0])
     features = []
     for t, x in enumerate(frames):
-        shown = x.contiguous(memory_format=torch.channels_last) if settings.is_shown(t) else None
+        observed = x.contiguous(memory_format=torch.channels_last) if settings.is_observed(t) else None
         with torch.set_grad_enabled(t >= settings.burn_in):
-            state = network.step(shown, state)
+            state = network.step(observed, state)
         if t >= settings.burn_in:
             features.append(network.features(state))
     logits = network.occupancy(torch.cat(features)).float()
@@ -156,7 +160,7 @@ def sequence_loss(network: RecurrentNetwork, windows: Tensor, settings: Training
 def validation_scores(
     score: Callable[[FrameSource], Any], sources: Sequence[FrameSource], horizons_s: Sequence[float]
 ) -> dict[str, float]:
-    """F1 of moving and visible cells at the horizons, averaged over the stretches; `score` is the mean of them all."""
+    """F1 of moving and visible cells at the horizons, mean over the stretches; `score` is the mean of all of them."""
     results: dict[str, float] = {}
     for source in sources:
         found = score(source)

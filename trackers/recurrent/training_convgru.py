@@ -1,7 +1,7 @@
-"""The dilated ConvGRU as it is trained on a processor: what the network computes, with less traffic to memory.
+"""The dilated ConvGRU for training on a processor: the same function and gradient, with less memory traffic.
 
-The state is carried in float32 and once more in the precision of the convolutions, so that nothing is converted; the
-gates are one pass over memory (differentiable.py).
+The state is kept in float32 and in the precision of the convolutions, so that no step converts it; the gates are one
+pass over memory (differentiable.py).
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from gridtrack.trackers.recurrent.dilated_convgru import DilatedConvGRU, Dilated
 
 
 class LayerState(NamedTuple):
-    """One layer in one sequence: what stays, and the state h (B, C, M, M), float32 and as the convolutions read it."""
+    """One layer in one sequence: its parameters, and the state h (B, C, M, M), float32 and in convolution precision."""
 
     memory: StaticMemory
     input_weight: Tensor
@@ -30,7 +30,7 @@ TrainingState = tuple[LayerState, ...]
 
 
 class TrainingConvGRU:
-    """A RecurrentNetwork with gradients, on a processor: `network`, whose cells have gates."""
+    """A RecurrentNetwork with gradients on a processor: `network`, whose cells must have gates."""
 
     def __init__(self, network: DilatedConvGRU) -> None:
         self._network = network
@@ -38,26 +38,26 @@ class TrainingConvGRU:
         self.occupancy, self.semantics = network.occupancy, network.semantics
 
     def initial(self, batch: int) -> TrainingState:
-        """h_0 = 0 in every layer, at the beginning of a sequence."""
+        """h_0 = 0 in every layer, at the first frame of a sequence."""
         precision = torch.get_autocast_dtype("cpu") if torch.is_autocast_enabled("cpu") else torch.float32
         (zero, *_) = self._network.initial(batch)
 
-        def begin(layer: DilatedConvGRULayer) -> LayerState:
+        def initial_layer(layer: DilatedConvGRULayer) -> LayerState:
             memory = StaticMemory(tuple(layer.biases[gate] for gate in layer.gates), self._network.size)
             weights = (layer.input_weight.to(precision), layer.state_weight.to(precision))
             return LayerState(memory, *weights, zero, zero.to(precision))
 
-        return tuple(begin(layer) for layer in self._layers)
+        return tuple(initial_layer(layer) for layer in self._layers)
 
     def step(self, x: Tensor | None, state: TrainingState) -> TrainingState:
         """h_t of all layers: each layer's new state is the next one's input."""
         new = []
-        for layer, before in zip(self._layers, state, strict=True):
-            x_conv = None if x is None else _convolved(x, before.input_weight, layer.dilation)
-            h_conv = _convolved(before.rounded, before.state_weight, layer.dilation)
-            h, rounded = differentiable_gates(x_conv, h_conv, before.memory, before.h)
+        for layer, previous in zip(self._layers, state, strict=True):
+            x_conv = None if x is None else _convolved(x, previous.input_weight, layer.dilation)
+            h_conv = _convolved(previous.rounded, previous.state_weight, layer.dilation)
+            h, rounded = differentiable_gates(x_conv, h_conv, previous.memory, previous.h)
             x = h if rounded is None else rounded
-            new.append(before._replace(h=h, rounded=x))
+            new.append(previous._replace(h=h, rounded=x))
         return tuple(new)
 
     def features(self, state: TrainingState) -> Tensor:

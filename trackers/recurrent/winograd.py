@@ -1,12 +1,12 @@
-"""Dilated 3x3 convolutions with a quarter of the multiplications, for inference on a processor: Winograd's F(4x4, 3x3).
+"""Dilated 3x3 convolutions for inference on a processor, with a quarter of the multiplications: Winograd's F(4x4, 3x3).
 
     Y = A^T [ (G g G^T) o (B^T d B) ] A
 
-is the 4x4 cells that a 3x3 filter g makes of a 6x6 tile d, in 36 multiplications instead of 144 (Lavin and Gray, Fast
-Algorithms for Convolutional Neural Networks, 2016). Summed over channels, the products are 36 matrix products. A
-convolution of dilation d is d x d dense ones, each on every d-th row and column: so do its tiles lie.
+is the output of 4x4 cells of a 3x3 filter g on a 6x6 tile d, with 36 multiplications instead of 144 (Lavin and Gray,
+Fast Algorithms for Convolutional Neural Networks, 2016). Summed over channels, these are 36 matrix products. A
+convolution of dilation d is d x d dense convolutions, each on every d-th row and column; the tiles are arranged so.
 
-The work goes by bands of a few rows of tiles, so that what lies between two stages stays in the second-level cache.
+A band of a few rows of tiles is processed at a time, so that intermediate results stay in the second-level cache.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ from gridtrack.trackers.recurrent.fused import FLAGS, kernel
 
 Float32Array = NDArray[np.float32]
 Kernel = Callable[[Float32Array, int, Float32Array], None]
-"""From an array, with a dilation, to another that it fills."""
+"""Called with an input array, a dilation and the output array."""
 
 TILE = 4
-"""Cells that a tile makes, each way; it sees one more on every side."""
-BAND = 2
+"""Output cells of a tile along each axis; its input has one more on every side."""
+BAND_TILES = 2
 """Rows of tiles in a band: enough for fast matrix products, few enough for the cache."""
 G = (
     (1 / 4, 0, 0),
@@ -43,24 +43,24 @@ G = (
 
 
 class WinogradConvolution:
-    """The sum of the 3x3 convolutions of some images, each with its own filters; one dilation, zeros around them."""
+    """The sum of the 3x3 convolutions of several images, each with its own filters; one dilation, zero padding."""
 
     def __init__(self, weight: Tensor, channels: Sequence[int], size: int, dilation: int) -> None:
-        """`weight` (N, sum of `channels`, 3, 3); the images are (`size`, `size`, C) with C of `channels` in turn."""
+        """`weight` (N, sum of `channels`, 3, 3); image k is (`size`, `size`, `channels[k]`)."""
         outputs, inputs = weight.shape[:2]
         self.size, self.dilation = size, dilation
         self._filters = transformed_filters(weight)
         across = dilation * math.ceil(math.ceil(size / dilation) / TILE)
-        tiles, products = (torch.zeros(36 * BAND * across * each) for each in (inputs, outputs))
+        tiles, products = (torch.zeros(36 * BAND_TILES * across * each) for each in (inputs, outputs))
         self._bands = [_Band.within(tiles, products, rows, across) for rows in self._rows()]
-        self._sums = np.zeros((TILE * BAND, TILE * across, outputs), np.float32)
-        seen = (TILE * BAND + 2, TILE * across + 2 * dilation)
+        self._sums = np.zeros((TILE * BAND_TILES, TILE * across, outputs), np.float32)
+        seen = (TILE * BAND_TILES + 2, TILE * across + 2 * dilation)
         self._padded = [np.zeros((*seen, each), np.float32) for each in channels]
         self._transforms = [tile_transform(each, sum(channels[:k])) for k, each in enumerate(channels)]
         self._inverse = inverse_transform(outputs)
 
     def bands(self, images: Sequence[Float32Array]) -> Iterator[tuple[range, Float32Array]]:
-        """Rows of the result and their sums (rows, `size` or more, N), which stand until the next; each row once."""
+        """Rows of the result and their sums (rows, `size` or more, N), valid until the next band; every row once."""
         for band in self._bands:
             for image, padded, transform in zip(images, self._padded, self._transforms, strict=True):
                 pad(image, band.rows.start, self.dilation, padded)
@@ -70,8 +70,8 @@ class WinogradConvolution:
             yield band.rows, self._sums[: len(band.rows)]
 
     def _rows(self) -> Iterator[range]:
-        """Every d-th row from each of the first d on, cut into bands."""
-        height = TILE * BAND * self.dilation
+        """The rows of each band: every d-th row, from each of the first d rows on."""
+        height = TILE * BAND_TILES * self.dilation
         for phase in range(min(self.dilation, self.size)):
             for top in range(phase, self.size, height):
                 yield range(top, min(top + height, self.size), self.dilation)
@@ -79,7 +79,7 @@ class WinogradConvolution:
 
 @dataclass(frozen=True, slots=True)
 class _Band:
-    """Some rows, and room for their T tiles (36, T, K) and products (36, T, N); the grids are (6, 6, T, .) of it."""
+    """Some rows, and buffers of their T tiles (36, T, K) and products (36, T, N); the grids are (6, 6, T, .) views."""
 
     rows: range
     tiles: Tensor
@@ -89,9 +89,12 @@ class _Band:
 
     @classmethod
     def within(cls, tiles: Tensor, products: Tensor, rows: range, across: int) -> _Band:
-        """A band in the room that all bands share; `across` tiles lie side by side."""
+        """A band in the buffers that all bands share, with `across` tiles in a row."""
         count = math.ceil(len(rows) / TILE) * across
-        t, p = (room[: room.numel() * count // (BAND * across)].view(36, count, -1) for room in (tiles, products))
+        t, p = (
+            buffer[: buffer.numel() * count // (BAND_TILES * across)].view(36, count, -1)
+            for buffer in (tiles, products)
+        )
         return cls(rows, t, p, t.view(6, 6, count, -1).numpy(), p.view(6, 6, count, -1).numpy())
 
 
@@ -122,14 +125,14 @@ def _a_transposed(m0, m1, m2, m3, m4, m5):  # type: ignore[no-untyped-def]
 
 @numba.njit(inline="always")
 def _tile_corner(tile, across, dilation):  # type: ignore[no-untyped-def]
-    """Row within the band and column of a tile's first cell; `across` tiles lie side by side."""
+    """Row in the band and column of a tile's first cell; `across` tiles are in a row."""
     row, column = divmod(tile, across)
     return TILE * row, TILE * dilation * (column // dilation) + column % dilation
 
 
 @kernel("void(float32[:,:,::1], int64, int64, float32[:,:,::1])")
 def pad(image, top, dilation, padded):  # type: ignore[no-untyped-def]
-    """Fill `padded` with every d-th row of `image` from the one above `top` on, zeros around them."""
+    """Fill `padded` with every d-th row of `image`, the first one above row `top`, with zero padding."""
     size, _, channels = image.shape
     for i in range(padded.shape[0]):
         row = top + (i - 1) * dilation
@@ -141,7 +144,7 @@ def pad(image, top, dilation, padded):  # type: ignore[no-untyped-def]
             padded[i] = np.float32(0.0)
 
 
-# The channels' number is written into these kernels: only so do the loops over them become vector instructions.
+# The number of channels is a constant of these kernels: otherwise the loops over channels are not vectorised.
 @functools.cache
 def tile_transform(channels: int, offset: int) -> Kernel:
     """The kernel of B^T d B: from a padded image (rows, columns, C) to `tiles` (6, 6, T, K), columns `offset` on."""

@@ -134,14 +134,14 @@ def test_a_memory_error_is_out_of_memory(log: Path) -> None:
         ("wrong-type", {}, "occupancy is float64; expected float32 or float16"),
         ("object-array", {}, "array 'occupancy' is object; the wire carries bool, uint8"),
         ("not-an-array", {}, "occupancy is a list; expected a numpy array"),
-        ("has-value", {"value": "nan"}, "occupancy holds 1 values that are not finite"),
-        ("has-value", {"value": "inf"}, "occupancy holds 1 values that are not finite"),
+        ("has-value", {"value": "nan"}, "occupancy has 1 values that are not finite"),
+        ("has-value", {"value": "inf"}, "occupancy has 1 values that are not finite"),
         ("has-value", {"value": "2.0"}, "occupancy goes from 0 to 2; expected probabilities in [0, 1]"),
         ("has-value", {"value": "-0.1"}, "occupancy goes from -0.1 to 0; expected probabilities in [0, 1]"),
         ("predicts-none", {}, "predict returned a NoneType; expected a Forecast"),
-        ("other-objects", {}, "objects holds something of type int; expected TrackedObject only"),
+        ("other-objects", {}, "objects has an element of type int; expected only TrackedObject"),
         ("other-objects", {"objects": "word"}, "objects is a str; expected a tuple of TrackedObject"),
-        ("lopsided-classes", {}, "semantics sum to 1 over the classes; here they miss it by up to 0.2"),
+        ("lopsided-classes", {}, "semantics must sum to 1 over the classes; the largest error is 0.2"),
     ],
 )
 def test_an_answer_that_violates_the_contract_is_invalid_output(

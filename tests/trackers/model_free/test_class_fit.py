@@ -143,12 +143,12 @@ def test_a_recording_without_labels_is_trained_without_classes_and_the_card_says
     forecast = tracker.predict(2)
     assert forecast.semantics is None
     assert {one.label for one in forecast.objects} <= {""}
-    with pytest.raises(ConfigurationError, match=r"street\.mcap: nowhere 80 labelled scans in a row"):
+    with pytest.raises(ConfigurationError, match=r"street\.mcap: no 80 consecutive labelled scans"):
         fit(tmp_path, FactorGraphTracker, Street(classes=()), stage="classes")
 
 
 def test_too_few_labels_are_told_before_the_search_and_classes_without_weights_too(tmp_path):
-    with pytest.raises(ConfigurationError, match="nowhere 121 labelled scans in a row"):
+    with pytest.raises(ConfigurationError, match="no 121 consecutive labelled scans"):
         fit(tmp_path, labelled_scans=121)
     assert not list(tmp_path.iterdir())
     with pytest.raises(WeightsError, match=r"street\.toml: no weights to add classes to"):

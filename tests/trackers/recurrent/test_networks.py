@@ -146,5 +146,5 @@ def test_an_untrained_network_answers_the_occupied_rate():
 
 def test_the_papers_scheme_shows_ten_and_withholds_ten_twice():
     settings = TrainingSettings()
-    shown = [settings.is_shown(frame) for frame in range(settings.length)]
+    shown = [settings.is_observed(frame) for frame in range(settings.length)]
     assert shown == [*[True] * 10, *[False] * 10] * 2

@@ -150,7 +150,7 @@ def test_an_option_that_contradicts_the_weights_is_refused(tmp_path):
 
 
 def test_what_no_beam_saw_does_not_enter_the_loss():
-    settings = TrainingSettings(shown=2, blank=1, cycles=1)
+    settings = TrainingSettings(observed_frames=2, blank_frames=1, repetitions=1)
     network = DeepTrackingRNNTracker.build(SIZE, DeepTrackingRNNTracker.Options(variant="paper"), 0)
     windows = torch.zeros(1, 3, 2, SIZE, SIZE)
     windows[:, :, 0, 3, 4] = 1.0
@@ -165,9 +165,9 @@ def test_what_no_beam_saw_does_not_enter_the_loss():
 
 def test_the_burn_in_brings_the_state_along_and_has_neither_loss_nor_gradient():
     network = DilatedConvGRUTracker.build(SIZE, validated(DilatedConvGRUTracker.Options, {}, "test"), 0)
-    window = SequenceDataset([Shuttle()], 9, seed=0, reverse=False, superpose=False)[0][None].float()
-    settings = TrainingSettings(burn_in=5, shown=2, blank=2, cycles=1)
-    assert [settings.is_shown(frame) for frame in range(settings.length)] == [True] * 7 + [False] * 2
+    window = SequenceDataset([Shuttle()], 9, seed=0, time_reversal=False, superposition=False)[0][None].float()
+    settings = TrainingSettings(burn_in=5, observed_frames=2, blank_frames=2, repetitions=1)
+    assert [settings.is_observed(frame) for frame in range(settings.length)] == [True] * 7 + [False] * 2
 
     loss = sequence_loss(network, window, settings)
 
@@ -190,12 +190,14 @@ def test_the_burn_in_brings_the_state_along_and_has_neither_loss_nor_gradient():
 @pytest.mark.parametrize(("half", "tolerance"), [(False, 1e-5), (True, 0.01)])
 def test_what_is_trained_on_a_processor_has_the_networks_loss_and_gradient(half, tolerance):
     torch.manual_seed(3)
-    settings = validated(DilatedConvGRUTracker.Options, {"burn_in": 2, "shown": 3, "blank": 2, "cycles": 2}, "test")
+    settings = validated(
+        DilatedConvGRUTracker.Options, {"burn_in": 2, "observed_frames": 3, "blank_frames": 2, "repetitions": 2}, "test"
+    )
     network = DilatedConvGRUTracker.build(SIZE, settings, 0)
     on_processor = DilatedConvGRUTracker.prepare_training(network, 0.05)
     for parameter in network.parameters():
         torch.nn.init.normal_(parameter, std=0.3)
-    data = SequenceDataset([Shuttle()], settings.length, seed=0, reverse=False, superpose=False)
+    data = SequenceDataset([Shuttle()], settings.length, seed=0, time_reversal=False, superposition=False)
     windows = torch.stack([data[0], data[1]]).float()
 
     def loss_and_gradient(one):
@@ -213,8 +215,8 @@ def test_what_is_trained_on_a_processor_has_the_networks_loss_and_gradient(half,
 
 
 def test_windows_are_the_recordings_frames_and_depend_on_seed_and_number_only():
-    data = SequenceDataset([Shuttle(30), Shuttle(40)], 10, seed=1, reverse=True, superpose=False)
-    again = SequenceDataset([Shuttle(30), Shuttle(40)], 10, seed=1, reverse=True, superpose=False)
+    data = SequenceDataset([Shuttle(30), Shuttle(40)], 10, seed=1, time_reversal=True, superposition=False)
+    again = SequenceDataset([Shuttle(30), Shuttle(40)], 10, seed=1, time_reversal=True, superposition=False)
     directions = set()
     for number in range(40):
         window = data[number]
@@ -235,7 +237,7 @@ def test_superposed_windows_are_what_a_laser_would_have_seen_of_the_movers_of_bo
 
 
 def test_half_of_the_windows_are_superposed_where_that_is_asked_for():
-    data = SequenceDataset([Shuttle(60)], 10, seed=1, reverse=False, superpose=True)
+    data = SequenceDataset([Shuttle(60)], 10, seed=1, time_reversal=False, superposition=True)
     dots = [int(data[number][0, 1, 5].sum()) for number in range(200)]
     assert set(dots) == {1, 2}
     assert 60 < sum(count == 2 for count in dots) < 130
@@ -248,10 +250,10 @@ def test_epochs_go_through_the_series_of_windows_one_after_the_other():
 
 
 def test_the_occupied_rate_is_of_the_visible_cells():
-    data = SequenceDataset([Shuttle(12)], 10, seed=0, reverse=False, superpose=False)
+    data = SequenceDataset([Shuttle(12)], 10, seed=0, time_reversal=False, superposition=False)
     assert occupied_rate(data.stretches) == pytest.approx((SIZE + 1) / (SIZE * (SIZE - 1)))
 
 
 def test_a_stretch_shorter_than_a_sequence_is_refused_by_name():
     with pytest.raises(ConfigurationError, match="shuttle: 5 frames; training needs at least 40"):
-        SequenceDataset([Shuttle(5)], 40, seed=0, reverse=False, superpose=False)
+        SequenceDataset([Shuttle(5)], 40, seed=0, time_reversal=False, superposition=False)
