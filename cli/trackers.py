@@ -10,7 +10,7 @@ from typing import Annotated, Any
 
 import typer
 
-from gridtrack.cli.options import GridOption, JsonOption, RateOption, WeightsOption, default_of
+from gridtrack.cli.options import GridOption, JsonOption, RateOption, WeightsOption, default_of, with_defaults
 from gridtrack.common.errors import ConfigurationError, GridtrackError, PluginError
 
 app = typer.Typer(
@@ -28,7 +28,7 @@ def train_command(
         ),
     ] = None,
     recipe: Annotated[
-        Path | None, typer.Option(help="TOML file with the settings of a training; what else is given overrides it")
+        Path | None, typer.Option(help="TOML file with the settings of a training; other options override it")
     ] = None,
     like: Annotated[
         Path | None, typer.Option(metavar="CARD", help="Train with the tracker, settings and seed of this card")
@@ -93,7 +93,7 @@ def _base_recipe(recipe: Path | None, like: Path | None) -> Any:
 
 @app.command("list")
 def list_trackers(as_json: JsonOption = False) -> None:
-    """Every registered tracker, the broken ones with the reason. Each is asked in a process of its own."""
+    """List the registered trackers, with the reason for those that are unavailable. Each runs in its own process."""
     from concurrent.futures import ThreadPoolExecutor
 
     from gridtrack.reports.terminal import print_rows
@@ -126,26 +126,27 @@ def _describe(name: str) -> Any:
 
 @app.command("show")
 def show_tracker(name: str, as_json: JsonOption = False) -> None:
-    """What a tracker is, whether it learns, and its options with their defaults."""
+    """Show the description, the role and the options of a tracker, with their defaults."""
     from gridtrack.reports.terminal import print_rows
     from gridtrack.trackers import registry
 
-    entry, said = registry.find(name), _describe(name)
+    entry, described = registry.find(name), _describe(name)
     about = {
         "name": name,
-        "about": _first_line(said.about),
+        "about": _first_line(described.about),
         "from": f"{entry.value} of {entry.distribution}",
-        "learns": said.learns,
-        "moving_sensor": said.moving_sensor,
+        "role": described.role,
+        "learns": described.learns,
+        "moving_sensor": described.moving_sensor,
     }
-    schema = said.options_schema.get("properties", {})
+    schema = described.options_schema.get("properties", {})
     options = [
         {
             "option": key,
             "default": json.dumps(value),
             "about": " ".join(schema.get(key, {}).get("description", "").split()),
         }
-        for key, value in said.options.items()
+        for key, value in described.options.items()
     ]
     if as_json:
         typer.echo(json.dumps({**about, "options": options}, indent=1))
@@ -155,19 +156,23 @@ def show_tracker(name: str, as_json: JsonOption = False) -> None:
     print_rows(options)
 
 
-@app.command("check")
+def check_defaults() -> dict[str, str]:
+    """The stream of `check` without a recording, as text."""
+    stream = _stream(None)
+    return {"recording": f"none, {stream.grid} at {1 / stream.period_s:g} Hz"}
+
+
+@app.command("check", cls=with_defaults(check_defaults))
 def check_command(
     tracker: Annotated[str, typer.Argument(metavar="NAME[:KEY=VALUE,...]")],
-    recording: Annotated[
-        str | None, typer.Option(help="Check on this recording's grid, rate and site; default: 100x0.2 at 8 Hz")
-    ] = None,
+    recording: Annotated[str | None, typer.Option(help="Check with the grid, rate and site of this recording")] = None,
     weights: WeightsOption = None,
     trackers_toml: Annotated[Path | None, typer.Option(help="Trackers of other environments and programs")] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Try every promise of the plugin contract on a tracker, in its own process. Exit code 1 where one is broken."""
+    """Check that a tracker keeps the plugin contract, in its own process. Exit code 1 where it does not."""
     from gridtrack.evaluation.comparison.learned import find_weights
-    from gridtrack.evaluation.processes.contract_suite import check_tracker as check
+    from gridtrack.evaluation.processes.contract_suite import check_tracker
     from gridtrack.reports.terminal import print_rows
     from gridtrack.trackers.selection import launch, read_trackers_toml
 
@@ -177,7 +182,7 @@ def check_command(
     launched = launch(chosen.name, read_trackers_toml(trackers_toml) if trackers_toml else None)
     if found is None:
         _refuse_untrained(launched, chosen.options, stream.site)
-    results = check(launched, replace(stream, weights=found.path if found else None), chosen.options)
+    results = check_tracker(launched, replace(stream, weights=found.path if found else None), chosen.options)
     rows = [asdict(result) for result in results]
     typer.echo(json.dumps(rows, indent=1)) if as_json else print_rows(rows)
     if any(result.verdict != "passed" for result in results):
@@ -186,12 +191,12 @@ def check_command(
 
 @app.command("new")
 def new_command(
-    name: str, out: Annotated[Path | None, typer.Option(help="The folder to make; default: the name")] = None
+    name: str, out: Annotated[Path | None, typer.Option(help="The new folder; default: the name")] = None
 ) -> None:
-    """Write a whole tracker package to begin with: one class, one entry point, one test."""
-    from gridtrack.trackers.template import new_tracker as write
+    """Write the template of a tracker package: one class, one entry point, one test."""
+    from gridtrack.trackers.template import new_tracker
 
-    module = write(name, out or Path(name))
+    module = new_tracker(name, out or Path(name))
     folder = module.parent
     typer.echo(f"tracker: {module}\nnext: pip install -e {folder} && gridtrack trackers check {name}")
 
@@ -209,7 +214,7 @@ def migrate_weights(cards: Annotated[list[Path], typer.Argument(metavar="CARD_OR
 
 
 def _tracker_alone(text: str) -> Any:
-    """A selection without what only a row of a comparison can have."""
+    """A selection without `points` and `weights`, which only the row of a comparison has."""
     from gridtrack.trackers.selection import parse_selection
 
     chosen = parse_selection(text)
@@ -219,16 +224,16 @@ def _tracker_alone(text: str) -> Any:
 
 
 def _refuse_untrained(launched: Any, options: Any, site: str) -> None:
-    """Nothing to try of a tracker that must learn first, and no promise broken. Raises ConfigurationError."""
+    """Raises ConfigurationError for a tracker without the weights that it needs: nothing can be checked."""
     from gridtrack.evaluation.processes.limits import Limits
     from gridtrack.evaluation.processes.tracker_process import describe
 
     where = f"of site '{site}'" if site else "here"
-    with suppress(PluginError):  # one that cannot be loaded breaks its first promise
+    with suppress(PluginError):  # a tracker that cannot be loaded fails the first check
         if describe(launched, options, Limits()).learns:
             raise ConfigurationError(
-                f"tracker '{launched.name}' learns, and has learned nothing {where}: give --recording with a recording"
-                f" of a site that it has learned, or --weights with the folder of `gridtrack train {launched.name}`"
+                f"tracker '{launched.name}' needs weights, and there are none {where}: name a recording of a site with"
+                f" weights (--recording), or the folder of `gridtrack train {launched.name}` (--weights)"
             )
 
 

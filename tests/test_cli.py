@@ -49,12 +49,15 @@ def gridtrack(*arguments: str, code: int = 0, **environment: str) -> subprocess.
         (("compare", DEMO, "--degrade", "beam-dropuot=0.2"), "did you mean 'beam-dropout'?"),
         (("train", "persistence", DEMO), "tracker 'persistence' has nothing to learn"),
         (("train", "static-map", f"{DEMO}@0s-80s"), "shares frames with"),
-        (("trackers", "check", "static-map"), "'static-map' learns, and has learned nothing here: give --recording"),
+        (
+            ("trackers", "check", "static-map"),
+            "'static-map' needs weights, and there are none here: name a recording",
+        ),
         (
             ("trackers", "new", "My Tracker"),
             "'My Tracker' is not a valid name of a tracker package: use a-z, 0-9 and -",
         ),
-        (("trackers", "new", "kalman"), "there is a tracker 'kalman' already"),
+        (("trackers", "new", "kalman"), "a tracker 'kalman' exists: choose another name"),
         (("trackers", "new", "mine", "--out", DEMO), "exists; choose another folder with --out"),
         (("trackers", "show", "blnk"), "did you mean 'blank'?"),
         (("recording", "info", "nowhere.bag"), "nowhere.bag: no such recording"),

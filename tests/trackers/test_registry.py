@@ -81,7 +81,7 @@ def test_a_tracker_that_keeps_the_contract_loads(one: Callable[..., str], attrib
 
 
 @pytest.mark.parametrize(
-    ("attribute", "complaint"),
+    ("attribute", "message"),
     [
         ("OtherApi", "made for contract 2; this gridtrack has contract 1"),
         ("LooseOptions", "Options is not a subclass of gridtrack.common.config.Settings"),
@@ -98,17 +98,17 @@ def test_a_tracker_that_keeps_the_contract_loads(one: Callable[..., str], attrib
     ],
 )
 def test_a_breach_of_the_contract_names_plugin_and_distribution(
-    one: Callable[..., str], attribute: str, complaint: str
+    one: Callable[..., str], attribute: str, message: str
 ) -> None:
     name = one(f"breach_{attribute}:{attribute}")
     with pytest.raises(PluginError, match=rf"tracker 'mine' \(breach_{attribute}:{attribute}\) of my-trackers 1.0.*"):
         registry.load(name)
-    with pytest.raises(PluginError, match=complaint):
+    with pytest.raises(PluginError, match=message):
         registry.load(name)
 
 
 @pytest.mark.parametrize(
-    ("source", "complaint"),
+    ("source", "message"),
     [
         ("import nobody_has_this", "No module named 'nobody_has_this'"),
         ("1 / 0", "ZeroDivisionError: division by zero"),
@@ -116,10 +116,10 @@ def test_a_breach_of_the_contract_names_plugin_and_distribution(
         ("def", "SyntaxError"),
     ],
 )
-def test_a_plugin_that_fails_to_import_is_a_plugin_error(one: Callable[..., str], source: str, complaint: str) -> None:
+def test_a_plugin_that_fails_to_import_is_a_plugin_error(one: Callable[..., str], source: str, message: str) -> None:
     name = one(f"fails_{len(source)}:X", source)
     assert name in registry.entries()
-    with pytest.raises(PluginError, match=f"cannot be imported: .*{complaint}"):
+    with pytest.raises(PluginError, match=f"cannot be imported: .*{message}"):
         registry.load(name)
 
 

@@ -41,11 +41,11 @@ def test_a_selection_reads_as_it_is_written(text: str, expected: Selection) -> N
 
 
 @pytest.mark.parametrize(
-    ("text", "complaint"),
+    ("text", "message"),
     [
-        ("", "is no tracker's name"),
-        ("../kalman", "is no tracker's name"),
-        ("Kalman", "is no tracker's name"),
+        ("", "is not a valid name of a tracker"),
+        ("../kalman", "is not a valid name of a tracker"),
+        ("Kalman", "is not a valid name of a tracker"),
         ("..=kalman", "label '..' must be"),
         ("a/b=kalman", "label 'a/b' must be"),
         (f"{'x' * 65}=kalman", "label 'x+' must be"),
@@ -58,8 +58,8 @@ def test_a_selection_reads_as_it_is_written(text: str, expected: Selection) -> N
         ("kalman:points=[1]", r"points=\[1\]; expected centres or raw"),
     ],
 )
-def test_what_is_no_selection_is_refused(text: str, complaint: str) -> None:
-    with pytest.raises(ConfigurationError, match=complaint):
+def test_what_is_no_selection_is_refused(text: str, message: str) -> None:
+    with pytest.raises(ConfigurationError, match=message):
         parse_selection(text)
 
 
@@ -91,7 +91,7 @@ def test_trackers_live_in_other_environments_or_are_any_program(toml: Path) -> N
 
 
 @pytest.mark.parametrize(
-    ("text", "complaint"),
+    ("text", "message"),
     [
         ('[a]\npython = "p"\ncommand = "c"', "give either python or command"),
         ("[a]\n", "give either python or command"),
@@ -99,16 +99,16 @@ def test_trackers_live_in_other_environments_or_are_any_program(toml: Path) -> N
         ('[a]\ncomand = "c"', "there is no option 'comand'; did you mean 'command'"),
         ('[a]\ncommand = " "', "command is empty"),
         ('[a]\ncommand = "x \'"', "command: No closing quotation"),
-        ('[a]\npython = "p"\ntracker = "../x"', "is no tracker's name"),
+        ('[a]\npython = "p"\ntracker = "../x"', "is not a valid name of a tracker"),
         ('["A/b"]\ncommand = "c"', "expected a table named"),
         ("a = 3", "expected a table named"),
         ('[blank]\ncommand = "c"', "gridtrack .* has a tracker of this name"),
         ("[a", "not TOML"),
     ],
 )
-def test_a_mistake_in_trackers_toml_is_one_clear_line(toml: Path, text: str, complaint: str) -> None:
+def test_a_mistake_in_trackers_toml_is_one_clear_line(toml: Path, text: str, message: str) -> None:
     toml.write_text(text)
-    with pytest.raises(ConfigurationError, match=complaint) as error:
+    with pytest.raises(ConfigurationError, match=message) as error:
         read_trackers_toml(toml)
     assert str(toml) in str(error.value)
     assert "\n" not in str(error.value)

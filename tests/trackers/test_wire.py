@@ -98,7 +98,7 @@ def raw(declared: Any, body: bytes = b"", **other: Any) -> bytes:
 
 
 @pytest.mark.parametrize(
-    ("data", "complaint"),
+    ("data", "message"),
     [
         (b"HTTP/1.1 200 OK\n", "starts with b'HTTP/1.1'"),
         (b"GTW\x02" + bytes(12), "wire version 2"),
@@ -119,8 +119,8 @@ def raw(declared: Any, body: bytes = b"", **other: Any) -> bytes:
         (raw([], type=3), "needs 'type'"),
     ],
 )
-def test_what_is_no_message_is_refused_by_name(data: bytes, complaint: str) -> None:
-    with pytest.raises(WireError, match=complaint):
+def test_what_is_no_message_is_refused_by_name(data: bytes, message: str) -> None:
+    with pytest.raises(WireError, match=message):
         received(data)
 
 
@@ -259,16 +259,16 @@ nothing = np.zeros((2, *GRID.shape), np.float32)
 
 
 @pytest.mark.parametrize(
-    ("change", "complaint"),
+    ("change", "message"),
     [
         ({"occupancy": None}, "has no 'occupancy'"),
         ({"semantics": np.zeros((3, 2, *GRID.shape), np.float32)}, "semantics has shape"),
-        ({"semantics": np.full((3, 3, *GRID.shape), 0.3, np.float32)}, "miss it by up to 0.1"),
+        ({"semantics": np.full((3, 3, *GRID.shape), 0.3, np.float32)}, "the largest error is 0.1"),
         ({"velocity": nothing[:1]}, "velocity has shape"),
-        ({"velocity": nothing * np.nan}, "velocity holds 72 values that are not finite"),
+        ({"velocity": nothing * np.nan}, "velocity has 72 values that are not finite"),
         ({"velocity": nothing.astype(np.int64)}, "velocity is int64"),
         ({"object_box": np.zeros((2, 5), np.float32)}, "array 'object_box'"),
-        ({"object_box": np.full((3, 5), np.inf, np.float32)}, "object_box holds 15 values"),
+        ({"object_box": np.full((3, 5), np.inf, np.float32)}, "object_box has 15 values"),
         ({"object_label": np.array([0, 1, 2], np.int32)}, "there are 2 labels"),
         ({"labels": [1, 2]}, "not all strings"),
         ({"labels": "person"}, "needs a field 'labels'"),
@@ -276,8 +276,8 @@ nothing = np.zeros((2, *GRID.shape), np.float32)
         ({"object_track": np.zeros(5000, np.int64)}, "5000 objects"),
     ],
 )
-def test_every_promise_of_a_forecast_is_checked(change: dict[str, Any], complaint: str) -> None:
-    with pytest.raises(WireError, match=complaint):
+def test_every_promise_of_a_forecast_is_checked(change: dict[str, Any], message: str) -> None:
+    with pytest.raises(WireError, match=message):
         messages.forecast_from(changed(**change), GRID, 2, 3)
 
 
