@@ -1,4 +1,4 @@
-"""The oracle: a forecaster that knows the truth. Its score is the ceiling: range noise permits no better.
+"""The oracle: a forecaster that knows the truth. Its score is the ceiling of a recording.
 
 It runs in the referee's process, because no tracker receives the truth. Its forecast for t+n is binary: the grid that
 a laser without noise would measure of the true scene at t+n, and in cells hidden at t+n the true outlines.

@@ -66,7 +66,7 @@ class Trial:
         """The reason of the outcome `untrained`: how to train the tracker at the recording's site, in one line."""
         command = ["gridtrack", "train", self.selection.name, str(self.split.path), *self._sampling_options()]
         return (
-            f"nothing learned for site '{self.split.test.site}' yet; run `{shlex.join(command)}`, then compare again"
+            f"no weights for site '{self.split.test.site}'; run `{shlex.join(command)}`, then compare again"
             " with --resume"
         )
 
@@ -196,8 +196,8 @@ def _training_overlaps(trial: Trial) -> Iterator[str]:
     card = trial.weights.card
     if any(was_seen(trial.split.test, data) for data in (*card.train, *card.validation)):
         yield (
-            f"{trial.label} learned from frames of the tested {trial.split.test.name} ({trial.weights.name}): its"
-            " scores there are not scores on unseen data"
+            f"{trial.label} was trained on frames of the test stretch {trial.split.test.name} ({trial.weights.name}):"
+            " its scores there are not scores on unseen data"
         )
     if trial.split.validation and any(was_seen(trial.split.validation, data) for data in card.train):
         yield (

@@ -20,7 +20,7 @@ from gridtrack.evaluation.processes.tracker_process import TrackerProcess
 from gridtrack.trackers.contract import Forecast, StreamSpec
 from gridtrack.trackers.selection import Launch
 
-STREAM_FRAMES, TURN_FRAME, FORECAST_STEPS = 16, 10, 5
+STREAM_FRAMES, TURN_FRAME, CHECKED_STEPS = 16, 10, 5
 RESET_SEED = 7
 FORECAST_TOLERANCE = 1e-5
 """Largest difference of equal forecasts, in probability: the order of summation may change the rounding."""
@@ -112,7 +112,7 @@ class _Subject:
         made = []
         for count, frame in enumerate(frames, start=1):
             tracker.update(frame)
-            made += [(count, tracker.predict(FORECAST_STEPS)) for _ in range(due.count(count))]
+            made += [(count, tracker.predict(CHECKED_STEPS)) for _ in range(due.count(count))]
         return made
 
 
@@ -142,13 +142,13 @@ def gives_valid_forecasts(subject: _Subject) -> str:
     """Forecasts have the right shape, type and range."""
     subject.forecasts(subject.scene(), at=[])
     tracker = subject.process()
-    for steps in (0, 1, 4 * FORECAST_STEPS):
+    for steps in (0, 1, 4 * CHECKED_STEPS):
         forecast = tracker.predict(steps)
         if tracker.description.classes and forecast.semantics is None:
             raise ContractViolationError(
                 f"declares the classes {', '.join(tracker.description.classes)} and forecasts no semantics"
             )
-    return f"0, 1 and {4 * FORECAST_STEPS} steps ahead"
+    return f"0, 1 and {4 * CHECKED_STEPS} steps ahead"
 
 
 def accepts_empty_input(subject: _Subject) -> str:
@@ -230,7 +230,7 @@ def _works_on(subject: _Subject, stream: StreamSpec, what: str) -> str:
             process.reset(RESET_SEED)
             for frame in scene(stream.grid, stream.period_s, STREAM_FRAMES, seed=1):
                 process.update(frame)
-            process.predict(FORECAST_STEPS)
+            process.predict(CHECKED_STEPS)
     except TrialEnded as ended:
         if ended.outcome in {"not-applicable", "untrained"}:
             return f"{what}: reports that it cannot ({ended.reason})"

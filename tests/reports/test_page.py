@@ -187,10 +187,10 @@ def test_runs_side_by_side_are_named_and_the_page_is_in_the_folder_of_the_first(
 
 
 def test_a_run_in_which_every_trial_failed_is_still_a_page(make_run, tmp_path):
-    run = make_run(tmp_path / "run", trackers={}, broken=[("net", 0, "untrained", "nothing learned for site 'x' yet")])
+    run = make_run(tmp_path / "run", trackers={}, broken=[("net", 0, "untrained", "no weights for site 'x'")])
     page = page_of(run, out=tmp_path / "page.html")
     assert "No tracker completed crossing" in page
-    assert page.count("nothing learned for site") == 1
+    assert page.count("no weights for site") == 1
 
 
 def lead_of_run(run, tmp_path):
