@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -79,6 +78,7 @@ def compare_command(
     from gridtrack.evaluation.comparison.runner import run
     from gridtrack.evaluation.comparison.settings import CompareSettings
     from gridtrack.evaluation.processes.limits import Limits
+    from gridtrack.evaluation.results.files import json_of
     from gridtrack.recordings.degradation import parse_degradation
     from gridtrack.reports.page import render_report
     from gridtrack.reports.terminal import RunProgress, print_tables
@@ -115,13 +115,13 @@ def compare_command(
         summary = run(plan, shlex.split(command_line()), progress)
     report = render_report([plan.settings.out])
     if as_json:
-        typer.echo(json.dumps(summary, indent=1))
+        typer.echo(json_of(summary))
     else:
         print_tables(plan.settings.out)
         typer.echo(f"report: {report}")
-    if summary["interrupted"]:
+    if summary.interrupted:
         raise typer.Exit(INTERRUPTED)
-    outcomes = [trial["outcome"] for entry in summary["trackers"].values() for trial in entry["recordings"].values()]
+    outcomes = [trial.outcome for row in summary.trackers.values() for trial in row.recordings.values()]
     if _warn_of_missing(plan) or any(outcome != "ok" for outcome in outcomes):
         raise typer.Exit(INCOMPLETE)
 
@@ -147,9 +147,9 @@ def compare_defaults() -> dict[str, str]:
 def _warn_of_missing(plan: ComparisonPlan) -> bool:
     """Print the requested measurements that a complete trial lacks; whether there are any."""
     from gridtrack.evaluation.comparison.measurements import missing_measurements
-    from gridtrack.evaluation.scoring.record import read_record
+    from gridtrack.evaluation.results.trial_record import read_trial_record
 
-    records = [read_record(plan.settings.out / trial.name) for trial in plan.trials]
+    records = [read_trial_record(plan.settings.out / trial.name) for trial in plan.trials]
     complete = [record for record in records if record and record.outcome == "ok"]
     missing = [line for record in complete for line in missing_measurements(plan.settings, record)]
     for line in missing:

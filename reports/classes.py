@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
+from gridtrack.evaluation.results.summary import ClassDifference
+from gridtrack.evaluation.results.trial_summary import ClassScores, TrialSummary
+from gridtrack.evaluation.results.values import Curve
 from gridtrack.evaluation.scoring.semantics import VISIBILITIES
-from gridtrack.reports.run import ClassDifference, Run
+from gridtrack.reports.run import Run
 from gridtrack.reports.table import HeadlineTable, TableRow
-from gridtrack.reports.trial import ClassScores, Curve, Trial
 
 
 @dataclass(frozen=True)
@@ -78,19 +80,19 @@ def class_tables(table: HeadlineTable, run: Run | None) -> ClassTables | None:
     )
 
 
-def _occurring(trial: Trial, step: int) -> Iterator[tuple[str, str]]:
+def _occurring(trial: TrialSummary, step: int) -> Iterator[tuple[str, str]]:
     """Visibility and class of which there are cells at `step`."""
     recalls = trial.recall_by_class or {}
     return ((v, name) for v in VISIBILITIES for name, c in recalls.get(v, {}).items() if c.cells[step])
 
 
-def _recalls(trial: Trial, columns: Sequence[tuple[str, str]], step: int) -> tuple[float | None, ...]:
+def _recalls(trial: TrialSummary, columns: Sequence[tuple[str, str]], step: int) -> tuple[float | None, ...]:
     recalls = trial.recall_by_class or {}
     found = (recalls.get(visibility, {}).get(name) for visibility, name in columns)
     return tuple(None if one is None else one.recall[step] for one in found)
 
 
-def _class_scores(trial: Trial, visibility: str) -> ClassScores | None:
+def _class_scores(trial: TrialSummary, visibility: str) -> ClassScores | None:
     return trial.semantics.kinds.get(visibility) if trial.semantics else None
 
 

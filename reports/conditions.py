@@ -6,9 +6,10 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+from gridtrack.evaluation.results.passes import Deadline
+from gridtrack.evaluation.results.values import Curves
 from gridtrack.reports.figures import Axis, Series
 from gridtrack.reports.table import HeadlineTable, TableColumn, TableRow
-from gridtrack.reports.trial import Curves, Deadline
 
 SWEEP_STRATA = ("moving", "visible")
 SWEEP_SIZE = (270, 180)

@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from gridtrack.evaluation.results.summary import HeadlineTest, TrackerDifference
 from gridtrack.reports.markdown import cell_text, markdown_table
-from gridtrack.reports.run import UNDEFINED, Difference, HeadlineTest, Run
+from gridtrack.reports.run import UNDEFINED, Run
 
 
 @dataclass(frozen=True)
@@ -50,7 +51,7 @@ def difference_table(run: Run, recording: str) -> DifferenceTable | None:
     return DifferenceTable(tested[0].reference, columns, f"{tested[0].units} units, {tested[0].frames} frames", rows)
 
 
-def _cells_of(difference: Difference, columns: Sequence[tuple[str, float]]) -> tuple[DifferenceCell, ...]:
+def _cells_of(difference: TrackerDifference, columns: Sequence[tuple[str, float]]) -> tuple[DifferenceCell, ...]:
     if difference.interval:
         return ()
     tests = {(test.stratum, test.horizon_s): test for test in difference.headline}

@@ -27,9 +27,8 @@ def title_of(runs: Sequence[Run]) -> str:
     """The title of the page: the number of trackers and the recording, or the names of the runs."""
     if len(runs) > 1:
         return " and ".join(run.name for run in runs) + " side by side"
-    summary = runs[0].summary
-    recordings = [name for name, recording in summary.recordings.items() if not recording.pooled]
-    rows = sum(not entry.ceiling for entry in summary.trackers.values())
+    recordings = runs[0].recordings
+    rows = sum(not entry.ceiling for entry in runs[0].summary.trackers.values())
     trackers = f"{rows} tracker{'s' * (rows != 1)}"
     return f"{trackers} on {recordings[0] if len(recordings) == 1 else f'{len(recordings)} recordings'}"
 
@@ -92,17 +91,15 @@ def _names(rows: Sequence[TableRow]) -> str:
 
 def facts_of(run: Run) -> tuple[Fact, ...]:
     """The recordings, command, machine and versions of a run, as far as its folder holds them."""
-    recordings = [name for name, recording in run.summary.recordings.items() if not recording.pooled]
-    facts = [Fact(f"recording {name}", _recording(run, name)) for name in recordings]
-    command = run.provenance.get("command")
-    if command:
-        facts.append(Fact("command", shlex.join(map(str, command)) if isinstance(command, list) else str(command)))
-    machine, versions = (run.provenance.get(name) for name in ("machine", "versions"))
-    if isinstance(machine, Mapping):
-        units = {"cores": " cores", "memory_gb": " GB memory"}
-        facts.append(Fact("machine", ", ".join(f"{value}{units.get(key, '')}" for key, value in machine.items())))
-    if isinstance(versions, Mapping):
-        facts.append(Fact("versions", ", ".join(f"{name} {version}" for name, version in versions.items())))
+    facts = [Fact(f"recording {name}", _recording(run, name)) for name in run.recordings]
+    record = run.record
+    if record.command:
+        facts.append(Fact("command", shlex.join(record.command)))
+    if (machine := record.machine) is not None:
+        size = f"{machine.cores} cores, {machine.memory_gb:g} GB memory"
+        facts.append(Fact("machine", f"{machine.cpu}, {size}, {machine.system}"))
+    if record.versions:
+        facts.append(Fact("versions", ", ".join(f"{name} {version}" for name, version in record.versions.items())))
     return tuple(facts)
 
 
@@ -123,7 +120,7 @@ def _recording(run: Run, name: str) -> str:
 
 def provenance_of(run: Run) -> tuple[Fact, ...]:
     """run.json as lines of key and value."""
-    lines = list(_flattened("", run.provenance))
+    lines = list(_flattened("", run.record.model_dump(mode="json", by_alias=True)))
     if len(lines) > MAX_PROVENANCE_LINES:
         lines[MAX_PROVENANCE_LINES:] = [Fact("…", f"{len(lines) - MAX_PROVENANCE_LINES} more lines in run.json")]
     return tuple(lines)

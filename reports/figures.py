@@ -7,8 +7,9 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 
+from gridtrack.evaluation.results.passes import Quantiles
+from gridtrack.evaluation.results.values import Curve
 from gridtrack.reports.run import UNDEFINED
-from gridtrack.reports.trial import Curve, Quantiles
 
 ROW_HEIGHT = 17.0
 """Height of one line of text in a figure."""
@@ -225,10 +226,8 @@ class TimeScale:
     ticks: tuple[tuple[float, str], ...]
     period: float
 
-    def span(self, times: Quantiles | None) -> Span | None:
-        """Positions of the three quantiles; None where they were not measured."""
-        if times is None or times.p50 is None or times.p95 is None or times.p99 is None:
-            return None
+    def span(self, times: Quantiles) -> Span:
+        """Positions of the three quantiles."""
         return Span(self.axis(times.p50), self.axis(times.p95), self.axis(times.p99))
 
 

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from gridtrack.common.grid import GridSpec
+from gridtrack.evaluation.results.columns import SCORES_TABLE
 from gridtrack.evaluation.scoring.samples import SAMPLES, Sample, SamplesError, read_samples
-from gridtrack.evaluation.scoring.scores import SCORES
 from gridtrack.reports.chosen_frames import ChosenFrame, choose_frames, frame_scores, selection_rule
 from gridtrack.reports.pictures import frame_png, probability_png
 from gridtrack.reports.run import ReportError
@@ -65,7 +65,9 @@ def filmstrip_of(
         return None, notices
     complete = [row for row in trackers if row.group != "unranked"] or list(trackers)
     scores = {
-        row.label: {s: f for s, f in frame_scores(folders[row.label] / SCORES, step).items() if s in kept[row.label]}
+        row.label: {
+            s: f for s, f in frame_scores(folders[row.label] / SCORES_TABLE.file, step).items() if s in kept[row.label]
+        }
         for row in complete
     }
     parts = 3 if recordings * 4 * (4 + 3 * len(trackers)) <= MAX_PICTURES else 1

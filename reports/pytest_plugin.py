@@ -110,7 +110,7 @@ class TrackerRegression:
 
         with RunProgress() as progress:
             summary = run(plan, ("pytest", self._test), progress)
-        if summary["interrupted"]:
+        if summary.interrupted:
             raise KeyboardInterrupt
         return measure_run(plan.settings.out, like)
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
+from gridtrack.evaluation.results.passes import Latency
+from gridtrack.evaluation.results.trial_summary import StratumScores, TrialSummary
 from gridtrack.reports.classes import ClassTables, class_tables
 from gridtrack.reports.conditions import DeadlineTable, RobustnessTable, deadline_table, robustness_table
 from gridtrack.reports.differences import DifferenceTable, difference_table
@@ -12,12 +14,13 @@ from gridtrack.reports.figures import Axis, Band, CurvePanel, Series, Span, Time
 from gridtrack.reports.filmstrip import Filmstrip, filmstrip_of
 from gridtrack.reports.occluded import OccludedTable, occluded_table
 from gridtrack.reports.reliability import DIAGRAM_SIDE, LEAST_CELLS, ReliabilityDiagram, reliability_diagrams
-from gridtrack.reports.run import FLOOR, Run
+from gridtrack.reports.run import Run
 from gridtrack.reports.table import HeadlineTable, TableRow
-from gridtrack.reports.trial import Latency, StratumScores, Trial
 
 TRACKER_COLOURS = 8
 """Further trackers repeat the colours, with broken lines."""
+FLOOR_GREYS = 3
+"""Floors beyond this many repeat the greys."""
 CURVE_PANELS = (("moving", (740, 470), 140.0), ("visible", (370, 227), 0.0), ("static", (370, 227), 0.0))
 """Stratum, size and label width of each panel of curves; the most important stratum is the largest."""
 TIME_WIDTH = 150.0
@@ -95,7 +98,7 @@ class Section:
 def styles_of(runs: Sequence[Run]) -> dict[str, str]:
     """The style (CSS classes) of each label on the page: a colour for a tracker, a grey for the floor."""
     styles: dict[str, str] = {}
-    coloured = 0
+    coloured = floors = 0
     for run in runs:
         for label, entry in run.summary.trackers.items():
             if label in styles:
@@ -103,7 +106,8 @@ def styles_of(runs: Sequence[Run]) -> dict[str, str]:
             if entry.ceiling:
                 styles[label] = "ceiling"
             elif entry.floor:
-                styles[label] = f"f{FLOOR.index(entry.tracker)}"
+                styles[label] = f"f{floors % FLOOR_GREYS}"
+                floors += 1
             else:
                 styles[label] = f"t{coloured % TRACKER_COLOURS}" + (" again" if coloured >= TRACKER_COLOURS else "")
                 coloured += 1
@@ -173,7 +177,7 @@ def _band(scores: StratumScores) -> Band | None:
     return None if scores.f1_low is None or scores.f1_high is None else (scores.f1_low, scores.f1_high)
 
 
-def _series(label: str, style: str, trial: Trial) -> Series:
+def _series(label: str, style: str, trial: TrialSummary) -> Series:
     """The name and style of a trial: faint, and marked as partial, where it is not ranked."""
     return Series(label, style) if trial.complete else Series(f"{label} (partial)", f"{style} partial")
 
@@ -209,8 +213,6 @@ def _time_row(row: TableRow, scale: TimeScale, period_ms: float) -> TimeRow:
 def keeps_up(latency: Latency, period_ms: float) -> str:
     """Whether a tracker keeps up with the stream: its 99th percentiles against the period."""
     update, predict = latency.update.p99, latency.predict.p99
-    if update is None or predict is None:
-        return "not measured"
     if update + predict <= period_ms:
         return "yes"
     return "updates only" if update <= period_ms else "no"

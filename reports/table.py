@@ -7,9 +7,10 @@ from dataclasses import dataclass, replace
 from itertools import groupby
 from typing import Literal
 
+from gridtrack.evaluation.results.summary import TrackerSummary
+from gridtrack.evaluation.results.trial_summary import StratumScores, TrialSummary
 from gridtrack.reports.markdown import cell_text, markdown_table
-from gridtrack.reports.run import UNDEFINED, ReportError, Run, TrackerEntry
-from gridtrack.reports.trial import StratumScores, Trial
+from gridtrack.reports.run import UNDEFINED, ReportError, Run
 
 TABLE_HORIZONS_S = (0.5, 1.0, 2.0, 2.5)
 """The horizons of the columns of F1, as far as a run forecasts."""
@@ -31,12 +32,12 @@ class TableColumn:
     step: int
     better: int = 1
 
-    def of(self, trial: Trial) -> float | None:
+    def of(self, trial: TrialSummary) -> float | None:
         """Its value for one trial; None where it is undefined."""
         scores = trial.strata.get(self.stratum)
         return None if scores is None else curve_of(scores, self.score)[self.step]
 
-    def interval_of(self, trial: Trial) -> tuple[float, float] | None:
+    def interval_of(self, trial: TrialSummary) -> tuple[float, float] | None:
         """The confidence interval of an F1; None where there is none, and for every other score."""
         scores = trial.strata.get(self.stratum)
         if scores is None or self.score != "f1" or scores.f1_low is None or scores.f1_high is None:
@@ -70,8 +71,8 @@ class TableRow:
 
     run: str
     label: str
-    entry: TrackerEntry
-    trial: Trial
+    entry: TrackerSummary
+    trial: TrialSummary
     group: RowGroup
     cells: tuple[TableCell, ...]
 
@@ -146,7 +147,7 @@ def _headline_table(runs: Sequence[Run], recording: str) -> HeadlineTable:
         )
     )
     comparable = _same_frames(shown, recording)
-    pooled = any(run.summary.recordings[recording].pooled for run in shown)
+    pooled = any(run.is_pooled(recording) for run in shown)
     if comparable:
         rows = list(_with_best(rows, columns))
     return HeadlineTable(recording, columns, tuple(rows), columns[decisive], comparable, pooled)
@@ -191,12 +192,14 @@ def _horizon_text(horizon_s: float) -> str:
     return f"{horizon_s:.3g} s"
 
 
-def _table_row(run: str, label: str, entry: TrackerEntry, trial: Trial, columns: Sequence[TableColumn]) -> TableRow:
+def _table_row(
+    run: str, label: str, entry: TrackerSummary, trial: TrialSummary, columns: Sequence[TableColumn]
+) -> TableRow:
     cells = tuple(TableCell(column.of(trial), interval=column.interval_of(trial)) for column in columns)
     return TableRow(run, label, entry, trial, _group_of(entry, trial), cells)
 
 
-def _group_of(entry: TrackerEntry, trial: Trial) -> RowGroup:
+def _group_of(entry: TrackerSummary, trial: TrialSummary) -> RowGroup:
     if not trial.complete:
         return "unranked"
     return "ceiling" if entry.ceiling else "floor" if entry.floor else "ranked"

@@ -14,7 +14,7 @@ from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedCo
 from rich.table import Table
 
 from gridtrack.common.errors import printable
-from gridtrack.evaluation.scoring.record import TrialRecord
+from gridtrack.evaluation.results.trial_record import TrialRecord
 from gridtrack.reports.differences import DifferenceTable, difference_markdown, difference_table
 from gridtrack.reports.run import read_runs
 from gridtrack.reports.table import HeadlineTable, TableRow, headline_markdown, headline_tables, main_tables

@@ -16,7 +16,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from gridtrack.evaluation.scoring.record import read_record
+from gridtrack.evaluation.results.trial_record import read_trial_record
 from gridtrack.evaluation.statistics.inference import Ended, Inference
 from gridtrack.evaluation.statistics.summary import SUMMARY
 
@@ -55,7 +55,7 @@ def finished_trials(folder: Path, summary: Mapping[str, Any]) -> list[Ended]:
     for label, row in summary["trackers"].items():
         for name in row["recordings"]:
             trial = folder / f"{label}@{name}"
-            record = read_record(trial)
+            record = read_trial_record(trial)
             assert record is not None, trial
             found.append(Ended(record, trial, row["tracker"], row["options"], row["points"]))
     return found

@@ -16,8 +16,8 @@ from pathlib import Path
 
 import numpy as np
 
+from gridtrack.evaluation.results.columns import SCORES_TABLE
 from gridtrack.evaluation.scoring.samples import SAMPLES, Sample, read_samples
-from gridtrack.evaluation.scoring.scores import SCORES
 from gridtrack.reports.chosen_frames import FrameScore, frame_scores
 from gridtrack.reports.pictures import frame_png, probability_png
 from gridtrack.reports.run import Run, read_runs
@@ -43,11 +43,11 @@ def worst(run: Run, label: str) -> list[Failure]:
     """The worst kept moment of each recording, the SHOWN worst of these."""
     found: list[Failure] = []
     for recording, trial in run.summary.trackers[label].recordings.items():
-        if run.summary.recordings[recording].pooled or "moving" not in trial.strata:
+        if run.is_pooled(recording) or "moving" not in trial.strata:
             continue
         step = round(HORIZON_S / run.summary.recordings[recording].period_s)
         folder = run.trial_folder(label, recording)
-        scored = {s: m for s, m in frame_scores(folder / SCORES, step).items() if m.occupied >= ENOUGH_CELLS}
+        scored = {s: m for s, m in frame_scores(folder / SCORES_TABLE.file, step).items() if m.occupied >= ENOUGH_CELLS}
         kept = [sample for sample in read_samples(folder / SAMPLES) if sample.stamp_ns in scored]
         if kept:
             sample = min(kept, key=lambda one: scored[one.stamp_ns].f1)

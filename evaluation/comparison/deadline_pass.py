@@ -11,8 +11,10 @@ from numpy.typing import NDArray
 from gridtrack.evaluation.comparison.plan import Trial
 from gridtrack.evaluation.comparison.replay import replayed_f1
 from gridtrack.evaluation.processes.tracker_process import TrackerProcess
+from gridtrack.evaluation.results.passes import AtRate, Deadline, Quantiles
+from gridtrack.evaluation.results.trial_record import ThresholdsUsed
+from gridtrack.evaluation.results.values import Curves
 from gridtrack.evaluation.scoring.deadline import RATES, Costs, DeadlineTracker, Timeline, spare_steps, timeline
-from gridtrack.evaluation.scoring.record import AtRate, Curves, Deadline, Quantiles, ThresholdsUsed
 from gridtrack.evaluation.scoring.referee import WARM_UP, Delivery
 from gridtrack.evaluation.scoring.splits import SplitRegions
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from gridtrack.evaluation.comparison.plan import Trial
 from gridtrack.evaluation.processes.latency import Latencies
-from gridtrack.evaluation.scoring.record import Latency, Quantiles
+from gridtrack.evaluation.results.passes import Latency, Quantiles
 from gridtrack.evaluation.scoring.referee import WARM_UP
 
 TIMED_FRAMES = 120

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from gridtrack.common.errors import WeightsError
 from gridtrack.common.files import sha256_of, user_data_folder
+from gridtrack.evaluation.results.run_record import WeightsUsed
 from gridtrack.trackers.weights import Card, read_card
 
 SITE_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,127}")
@@ -31,9 +32,9 @@ class LearnedWeights:
         """`<tracker>/<site>.toml`, without the folders of this machine: the name in results."""
         return "/".join(self.path.parts[-2:])
 
-    def provenance(self) -> dict[str, str]:
-        """The entry of these weights in run.json."""
-        return {"name": self.name, "sha256": self.sha256}
+    def provenance(self) -> WeightsUsed:
+        """The entry of these weights in the record of a run."""
+        return WeightsUsed(name=self.name, sha256=self.sha256)
 
 
 def find_weights(tracker: str, site: str, override: Path | None) -> LearnedWeights | None:

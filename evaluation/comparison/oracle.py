@@ -18,10 +18,11 @@ from numpy.typing import NDArray
 from gridtrack.common.grid import GridFrame, GridSpec
 from gridtrack.common.raycast import cast_scan
 from gridtrack.evaluation.comparison.trial import OnFrame
-from gridtrack.evaluation.scoring.record import RECORD, ThresholdsUsed, Times, TrialRecord
+from gridtrack.evaluation.results.summary import ORACLE
+from gridtrack.evaluation.results.trial_record import OUTCOME_FILE, Times, TrialRecord
 from gridtrack.evaluation.scoring.referee import Delivery, scored_forecasts
 from gridtrack.evaluation.scoring.scorekeeper import SCORE_FILES, Scorekeeper
-from gridtrack.evaluation.scoring.splits import ORACLE, EvaluationSplit, SplitRegions
+from gridtrack.evaluation.scoring.splits import EvaluationSplit, SplitRegions
 from gridtrack.evaluation.scoring.thresholds import half
 from gridtrack.recordings.stream import GridStream, Observation
 from gridtrack.recordings.truth import OUTLINE, truth_grid
@@ -83,7 +84,7 @@ def run_oracle(split: EvaluationSplit, regions: SplitRegions, folder: Path, on_f
     written then.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    for stale in (RECORD, *SCORE_FILES):
+    for stale in (OUTCOME_FILE, *SCORE_FILES):
         (folder / stale).unlink(missing_ok=True)
     began = time.perf_counter()
     thresholds, delivery = half(split.steps, split.strata), Delivery(split.test, on_frame)
@@ -99,7 +100,7 @@ def run_oracle(split: EvaluationSplit, regions: SplitRegions, folder: Path, on_f
         frames_delivered=delivery.frames,
         delivered=delivery.digest,
         steps=split.steps,
-        thresholds=ThresholdsUsed.of(thresholds),
+        thresholds=thresholds.used(),
         times=Times(wall_s=time.perf_counter() - began, frames=delivery.frames),
     )
     record.write(folder)

@@ -7,7 +7,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from gridtrack.common.entry_points import VALID_NAME
 from gridtrack.common.errors import ConfigurationError, PluginError, did_you_mean
@@ -16,8 +15,9 @@ from gridtrack.evaluation.comparison.learned import LearnedWeights, find_weights
 from gridtrack.evaluation.comparison.settings import CompareSettings
 from gridtrack.evaluation.processes.limits import Limits
 from gridtrack.evaluation.processes.tracker_process import TrackerProcess, describe
-from gridtrack.evaluation.scoring.splits import ORACLE, EvaluationSplit, Sampling, plan_splits, was_seen, with_points
-from gridtrack.evaluation.statistics.inference import ALL_RECORDINGS
+from gridtrack.evaluation.results.run_record import RunConfiguration, TrialIdentity
+from gridtrack.evaluation.results.summary import ALL_RECORDINGS, ORACLE
+from gridtrack.evaluation.scoring.splits import EvaluationSplit, Sampling, plan_splits, was_seen, with_points
 from gridtrack.recordings.stream import GridStream
 from gridtrack.trackers import registry
 from gridtrack.trackers.contract import stream_of
@@ -77,16 +77,16 @@ class Trial:
         grid = [] if test.grid == own.grid else ["--grid", str(test.grid)]
         return grid if test.period_ns == own.period_ns else [*grid, "--rate", f"{1 / test.period_s:g}"]
 
-    def identity(self) -> dict[str, Any]:
+    def identity(self) -> TrialIdentity:
         """What the trial's scores depend on, learned weights apart; a resumed run keeps scores of the same identity."""
-        return {
-            "tracker": self.selection.name,
-            "options": dict(self.selection.options),
-            "points": self.selection.points,
-            "argv": list(self.launch.argv if self.launch.external else self.launch.argv[1:]),
-            "seed": self.seed,
-            "threads": self.limits.threads,
-        }
+        return TrialIdentity(
+            tracker=self.selection.name,
+            options=dict(self.selection.options),
+            points=self.selection.points,
+            argv=tuple(self.launch.argv if self.launch.external else self.launch.argv[1:]),
+            seed=self.seed,
+            threads=self.limits.threads,
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,12 +98,12 @@ class ComparisonPlan:
     trials: tuple[Trial, ...]
     notices: tuple[str, ...]
 
-    def identity(self) -> dict[str, Any]:
+    def identity(self) -> RunConfiguration:
         """The resolved configuration; a resumed run must have the same."""
-        return {
-            "recordings": {split.name: split.identity() for split in self.splits},
-            "trials": {trial.name: trial.identity() for trial in self.trials},
-        }
+        return RunConfiguration(
+            recordings={split.name: split.identity() for split in self.splits},
+            trials={trial.name: trial.identity() for trial in self.trials},
+        )
 
 
 def resolve(settings: CompareSettings) -> ComparisonPlan:

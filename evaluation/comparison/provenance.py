@@ -5,9 +5,10 @@ from __future__ import annotations
 import platform
 from importlib import metadata
 from pathlib import Path
-from typing import Any
 
 import psutil
+
+from gridtrack.evaluation.results.run_record import Machine
 
 DISTRIBUTIONS = (
     "gridtrack", "numpy", "numba", "pydantic", "polars", "pyarrow", "mcap", "safetensors",
@@ -27,14 +28,14 @@ def versions() -> dict[str, str]:
     return found
 
 
-def machine() -> dict[str, Any]:
+def machine() -> Machine:
     """The properties of the machine that latency depends on; no host name, no address."""
-    return {
-        "cpu": _cpu_model(),
-        "cores": usable_cores(),
-        "memory_gb": round(psutil.virtual_memory().total / 1e9, 1),
-        "system": f"{platform.system()} {platform.machine()}",
-    }
+    return Machine(
+        cpu=_cpu_model(),
+        cores=usable_cores(),
+        memory_gb=round(psutil.virtual_memory().total / 1e9, 1),
+        system=f"{platform.system()} {platform.machine()}",
+    )
 
 
 def usable_cores() -> int:

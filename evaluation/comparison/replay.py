@@ -8,9 +8,10 @@ from collections.abc import Iterable
 import numpy as np
 
 from gridtrack.evaluation.comparison.plan import Trial
+from gridtrack.evaluation.results.trial_record import ThresholdsUsed
+from gridtrack.evaluation.results.values import Curves
 from gridtrack.evaluation.scoring import metrics
 from gridtrack.evaluation.scoring.counting import EDGES, Tally, count_forecast
-from gridtrack.evaluation.scoring.record import Curves, ThresholdsUsed
 from gridtrack.evaluation.scoring.referee import TrackerLike, scored_forecasts
 from gridtrack.evaluation.scoring.splits import SplitRegions
 from gridtrack.evaluation.scoring.target import Target

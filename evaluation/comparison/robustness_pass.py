@@ -8,7 +8,8 @@ from pathlib import Path
 from gridtrack.common.grid import GridFrame
 from gridtrack.evaluation.comparison.plan import Trial
 from gridtrack.evaluation.comparison.replay import replayed_f1
-from gridtrack.evaluation.scoring.record import AtStrength, Robustness, ThresholdsUsed
+from gridtrack.evaluation.results.passes import AtStrength, Robustness
+from gridtrack.evaluation.results.trial_record import ThresholdsUsed
 from gridtrack.evaluation.scoring.referee import Delivery, TrackerLike
 from gridtrack.evaluation.scoring.splits import SplitRegions
 from gridtrack.evaluation.scoring.target import targets

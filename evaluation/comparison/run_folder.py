@@ -1,4 +1,4 @@
-"""A run's folder: run.json with the resolved configuration and provenance, the trials' folders, summary.json."""
+"""A run's folder while it is filled: its record, the folders of its trials, and its summary."""
 
 from __future__ import annotations
 
@@ -11,14 +11,13 @@ from typing import Any
 
 from gridtrack.evaluation.comparison.plan import ComparisonPlan
 from gridtrack.evaluation.comparison.provenance import machine, versions
-from gridtrack.evaluation.scoring.record import MAX_BYTES, RunError, TrialRecord, read_record
-from gridtrack.evaluation.scoring.scores import HISTOGRAM, SCORES
-from gridtrack.evaluation.scoring.splits import ORACLE
-from gridtrack.evaluation.statistics.inference import Ended
-from gridtrack.evaluation.statistics.summary import SUMMARY, summarise, write_json
-
-RUN = "run.json"
-SCHEMA = 1
+from gridtrack.evaluation.results.columns import HISTOGRAM_TABLE, SCORES_TABLE
+from gridtrack.evaluation.results.files import RunError
+from gridtrack.evaluation.results.run_record import RunConfiguration, RunRecord, RunSettings, read_run_record
+from gridtrack.evaluation.results.summary import ORACLE, RunSummary
+from gridtrack.evaluation.results.trial_record import TrialRecord, read_trial_record
+from gridtrack.evaluation.statistics.finished_trial import FinishedTrial
+from gridtrack.evaluation.statistics.summary import summarise
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,28 +26,27 @@ class RunFolder:
 
     path: Path
     plan: ComparisonPlan
-    provenance: Mapping[str, Any]
+    record: RunRecord
 
     @classmethod
     def prepare(cls, plan: ComparisonPlan, command: Sequence[str]) -> RunFolder:
-        """Begin a run in the folder, or take up an earlier one of the same configuration with `resume`.
+        """Start a run in the folder, or with `resume` continue an earlier one of the same configuration.
 
         The folder exists and is locked (`run_lock`). Raises RunError where it holds another run.
         """
         path = plan.settings.out
-        identity = _plain(plan.identity())
-        earlier = _read_run(path / RUN)
+        record = _new_record(plan, command)
+        earlier = _earlier_record(path)
         if earlier is not None and not plan.settings.resume:
             raise RunError(f"{path} holds a run already: continue it with --resume, or name another folder with --out")
-        if earlier is not None and earlier.get("configuration") != identity:
-            changed = _what_changed(earlier.get("configuration"), identity)
+        if earlier is not None and earlier.configuration != record.configuration:
+            changed = _what_changed(earlier.configuration, record.configuration)
             raise RunError(
                 f"{path} holds a run of another configuration ({changed}): name another folder with --out, or ask for"
                 " what it was made with"
             )
-        folder = cls(path, plan, _provenance(plan, command, identity))
-        write_json(path / RUN, {**folder.provenance, "status": "running"})
-        return folder
+        record.write(path)
+        return cls(path, plan, record)
 
     def kept_records(self) -> dict[str, TrialRecord]:
         """Records by trial name of what an earlier run scored in full with the same weights. Raises RunError."""
@@ -56,94 +54,83 @@ class RunFolder:
             return {}
         weights = {trial.name: trial.weights.sha256 if trial.weights else "" for trial in self.plan.trials}
         weights |= {split.oracle_name: "" for split in self.plan.splits if split.test.has_truth}
-        records = {name: read_record(self.path / name) for name in weights}
+        records = {name: read_trial_record(self.path / name) for name in weights}
         return {n: record for n, record in records.items() if record and _is_done(weights[n], record, self.path / n)}
 
-    def finish(self, records: Mapping[str, TrialRecord], notices: Sequence[str], interrupted: bool) -> dict[str, Any]:
+    def finish(self, records: Mapping[str, TrialRecord], notices: Sequence[str], interrupted: bool) -> RunSummary:
         """Write and return the summary of these records, by trial name, with `notices`, and close the run."""
         plan = self.plan
-        ended = [
-            Ended(records[t.name], self.path / t.name, t.selection.name, t.selection.options, t.selection.points)
+        trials = [
+            FinishedTrial(
+                records[t.name], self.path / t.name, t.selection.name, t.selection.options, t.selection.points
+            )
             for t in plan.trials
         ]
         oracles = [name for split in plan.splits if (name := split.oracle_name) in records]
-        ended += [Ended(records[name], self.path / name, ORACLE, {}, "centres") for name in oracles]
+        trials += [FinishedTrial(records[name], self.path / name, ORACLE, {}, "centres") for name in oracles]
         recordings = {split.name: split.description() for split in plan.splits}
-        summary = summarise(recordings, ended, [*plan.notices, *notices], interrupted, plan.settings.reference)
-        write_json(self.path / SUMMARY, summary)
-        write_json(
-            self.path / RUN,
-            {**self.provenance, "status": "interrupted" if interrupted else "complete", "finished": _now()},
-        )
+        summary = summarise(recordings, trials, [*plan.notices, *notices], interrupted, plan.settings.reference)
+        summary.write(self.path)
+        status = "interrupted" if interrupted else "complete"
+        self.record.model_copy(update={"status": status, "finished": _now()}).write(self.path)
         return summary
 
 
 def _is_done(weights_sha256: str, record: TrialRecord, folder: Path) -> bool:
-    whole = all((folder / name).is_file() for name in (SCORES, HISTOGRAM))
+    whole = all((folder / table.file).is_file() for table in (SCORES_TABLE, HISTOGRAM_TABLE))
     return whole and record.outcome == "ok" and record.weights_sha256 == weights_sha256
 
 
-def _provenance(plan: ComparisonPlan, command: Sequence[str], identity: Mapping[str, Any]) -> dict[str, Any]:
+def _new_record(plan: ComparisonPlan, command: Sequence[str]) -> RunRecord:
+    """The record of a run that starts now."""
+    validations = [split.validation for split in plan.splits if split.validation]
     inputs = {str(split.path): split.test.sha256 for split in plan.splits}
-    inputs |= {str(c.validation.recording.path): c.validation.sha256 for c in plan.splits if c.validation}
-    return {
-        "schema": SCHEMA,
-        "command": list(command),
-        "settings": plan.settings.model_dump(mode="json"),
-        "configuration": identity,
-        "inputs": inputs,
-        "weights": {t.name: t.weights.provenance() for t in plan.trials if t.weights},
-        "versions": versions(),
-        "machine": machine(),
-        "started": _now(),
-    }
+    inputs |= {str(stretch.recording.path): stretch.sha256 for stretch in validations}
+    return RunRecord(
+        command=tuple(command),
+        settings=RunSettings.model_validate(plan.settings.model_dump(mode="json")),
+        configuration=plan.identity(),
+        inputs=inputs,
+        weights={trial.name: trial.weights.provenance() for trial in plan.trials if trial.weights},
+        versions=versions(),
+        machine=machine(),
+        started=_now(),
+        status="running",
+    )
 
 
 def _now() -> str:
     return datetime.now(UTC).isoformat(timespec="seconds")
 
 
-def _plain(value: Any) -> Any:
-    """As JSON gives it back, so that what was written and what would be written compare."""
-    return json.loads(json.dumps(value, allow_nan=False))
-
-
-def _read_run(path: Path) -> dict[str, Any] | None:
+def _earlier_record(path: Path) -> RunRecord | None:
+    """The record of a run that is in the folder already. Raises RunError."""
     try:
-        if path.stat().st_size > MAX_BYTES:
-            raise RunError(f"{path}: {path.stat().st_size} bytes; more than {MAX_BYTES} are refused")
-        content = json.loads(path.read_text("utf-8"))
+        return read_run_record(path)
     except FileNotFoundError:
         return None
-    except (OSError, ValueError, RecursionError) as error:
-        raise RunError(f"{path}: cannot be read as JSON ({error}): name another folder with --out") from None
-    if not isinstance(content, dict) or content.get("schema") != SCHEMA:
-        raise RunError(f"{path}: not schema {SCHEMA} of a run: name another folder with --out")
-    return content
 
 
-def _what_changed(earlier: Any, now: Mapping[str, Any]) -> str:
-    """What two configurations differ in first, in words: what was compared, before any detail of it."""
-    if isinstance(earlier, dict):
-        for what, names in (("recording", _recordings), ("tracker", _labels)):
-            then, asked = names(earlier), names(now)
-            if then != asked:
-                added, left = sorted(asked - then), sorted(then - asked)
-                was_not = f"{what} '{added[0]}' was not in it" if added else ""
-                return was_not or f"{what} '{left[0]}' was in it and is not asked for now"
-    return _first_difference(earlier, now)
+def _what_changed(earlier: RunConfiguration, now: RunConfiguration) -> str:
+    """The first difference between two configurations, in words: recordings and trackers before their details."""
+    compared = (
+        ("recording", set(earlier.recordings), set(now.recordings)),
+        ("tracker", _labels(earlier), _labels(now)),
+    )
+    for what, then, requested in compared:
+        if added := sorted(requested - then):
+            return f"{what} '{added[0]}' was not in it"
+        if left := sorted(then - requested):
+            return f"{what} '{left[0]}' was in it and is not asked for now"
+    return _first_difference(earlier.model_dump(), now.model_dump())
 
 
-def _recordings(configuration: Mapping[str, Any]) -> set[str]:
-    return set(configuration.get("recordings") or ())
-
-
-def _labels(configuration: Mapping[str, Any]) -> set[str]:
-    return {trial.partition("@")[0] for trial in configuration.get("trials") or ()}
+def _labels(configuration: RunConfiguration) -> set[str]:
+    return {trial.partition("@")[0] for trial in configuration.trials}
 
 
 def _first_difference(earlier: Any, now: Any, where: str = "") -> str:
-    """Where two configurations part, in words."""
+    """The key at which two configurations differ first, and both values."""
     if isinstance(earlier, dict) and isinstance(now, dict):
         for key in sorted(earlier.keys() | now.keys()):
             if earlier.get(key) != now.get(key):

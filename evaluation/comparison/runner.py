@@ -21,7 +21,8 @@ from gridtrack.evaluation.comparison.run_lock import run_lock
 from gridtrack.evaluation.comparison.shared_thresholds import SharedThresholds
 from gridtrack.evaluation.comparison.trial import Interrupted, TrialRun, error_with_location, failed, unstarted
 from gridtrack.evaluation.processes.outcome import TrialEnded
-from gridtrack.evaluation.scoring.record import TrialRecord
+from gridtrack.evaluation.results.summary import RunSummary
+from gridtrack.evaluation.results.trial_record import TrialRecord
 from gridtrack.evaluation.scoring.splits import EvaluationSplit, SplitRegions
 
 WAKE_S = 0.2
@@ -44,7 +45,7 @@ class Progress(Protocol):
         """A trial has ended, or its record is kept from an earlier run."""
 
 
-def run(plan: ComparisonPlan, command: Sequence[str], progress: Progress) -> dict[str, Any]:
+def run(plan: ComparisonPlan, command: Sequence[str], progress: Progress) -> RunSummary:
     """Run `plan` and return the summary; `command` is the command line, stored with the results.
 
     An interrupt (Ctrl-C) ends the trackers, keeps the scores so far, and returns the summary with `interrupted` true.
@@ -54,7 +55,7 @@ def run(plan: ComparisonPlan, command: Sequence[str], progress: Progress) -> dic
         return _run(plan, command, progress)
 
 
-def _run(plan: ComparisonPlan, command: Sequence[str], progress: Progress) -> dict[str, Any]:
+def _run(plan: ComparisonPlan, command: Sequence[str], progress: Progress) -> RunSummary:
     folder = RunFolder.prepare(plan, command)
     for notice in plan.notices:
         progress.note(notice)

@@ -48,4 +48,6 @@ def _key(trial: Trial) -> str:
         else None
     )
     weights = trial.weights.sha256 if trial.weights else ""
-    return json.dumps([trial.identity(), weights, stretch, split.steps, split.strata, trial.split.test.site])
+    return json.dumps(
+        [trial.identity().model_dump(), weights, stretch, split.steps, split.strata, trial.split.test.site]
+    )

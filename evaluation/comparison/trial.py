@@ -14,11 +14,11 @@ from gridtrack.evaluation.comparison.plan import Trial
 from gridtrack.evaluation.comparison.shared_thresholds import SharedThresholds
 from gridtrack.evaluation.processes.outcome import TrialEnded
 from gridtrack.evaluation.processes.tracker_process import TrackerDescription
+from gridtrack.evaluation.results.columns import HISTOGRAM_TABLE, SCORES_TABLE
+from gridtrack.evaluation.results.trial_record import OUTCOME_FILE, Times, TrialEnding, TrialRecord
 from gridtrack.evaluation.scoring.counting import Tally, count_forecast
-from gridtrack.evaluation.scoring.record import RECORD, Ending, ThresholdsUsed, Times, TrialRecord
 from gridtrack.evaluation.scoring.referee import Delivery, scored_forecasts
 from gridtrack.evaluation.scoring.scorekeeper import SCORE_FILES, Scorekeeper
-from gridtrack.evaluation.scoring.scores import HISTOGRAM, SCORES
 from gridtrack.evaluation.scoring.splits import SplitRegions
 from gridtrack.evaluation.scoring.thresholds import Thresholds, best_thresholds, half
 
@@ -43,7 +43,7 @@ class TrialRun:
         `shared` holds the thresholds that earlier trials of the same run have chosen.
         """
         folder.mkdir(parents=True, exist_ok=True)
-        for stale in (RECORD, *SCORE_FILES):
+        for stale in (OUTCOME_FILE, *SCORE_FILES):
             (folder / stale).unlink(missing_ok=True)
         self.trial, self._regions, self._folder, self._on_frame = trial, regions, folder, on_frame
         self._shared = shared
@@ -65,7 +65,7 @@ class TrialRun:
         record.write(self._folder)
         return record
 
-    def _run(self) -> tuple[Ending, str]:
+    def _run(self) -> tuple[TrialEnding, str]:
         """Run; the ending and its reason."""
         began = time.perf_counter()
         try:
@@ -132,9 +132,9 @@ class TrialRun:
 
     def _has_scores(self) -> bool:
         """Whether the score files are complete: the disk may be full before the last one is written."""
-        return all((self._folder / name).is_file() for name in (SCORES, HISTOGRAM))
+        return all((self._folder / name).is_file() for name in (SCORES_TABLE.file, HISTOGRAM_TABLE.file))
 
-    def _record(self, ending: Ending, reason: str) -> TrialRecord:
+    def _record(self, ending: TrialEnding, reason: str) -> TrialRecord:
         chosen = self._thresholds or half(self.trial.split.steps, self.trial.split.strata)
         timings = self._process.timings
         return unstarted(self.trial).model_copy(
@@ -144,7 +144,7 @@ class TrialRun:
                 "frames_scored": self._scored if self._has_scores() else 0,
                 "frames_delivered": self._delivery.frames,
                 "delivered": self._delivery.digest,
-                "thresholds": ThresholdsUsed.of(chosen),
+                "thresholds": chosen.used(),
                 **self._reported_fields(),
                 "times": Times(
                     start_s=self._start_s,

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import ValidationError
 
 from gridtrack.common.errors import GridtrackError
 from gridtrack.evaluation.comparison.measurements import missing_measurements
-from gridtrack.evaluation.comparison.run_folder import RUN, SCHEMA
 from gridtrack.evaluation.regression.measurement import (
     BLOCK_S,
     Measurement,
@@ -21,64 +19,35 @@ from gridtrack.evaluation.regression.measurement import (
     Unmeasured,
 )
 from gridtrack.evaluation.regression.units import read_units
-from gridtrack.evaluation.scoring.record import MAX_BYTES, RunError, TrialRecord, read_record
+from gridtrack.evaluation.results.files import RunError
+from gridtrack.evaluation.results.recording import RecordingIdentity
+from gridtrack.evaluation.results.run_record import RUN_FILE, RunRecord, RunSettings, read_run_record
+from gridtrack.evaluation.results.trial_record import TrialRecord, read_trial_record
 from gridtrack.evaluation.statistics.uncertainty import LEAST_UNITS
-from gridtrack.recordings.degradation import Degradation
-
-KEYS = frozenset(SplitKey.model_fields)
-
-
-class _Part(BaseModel):
-    """A part of run.json: what the gate does not need, it leaves alone."""
-
-    model_config = ConfigDict(frozen=True, extra="ignore")
-
-
-class _AskedTrial(_Part):
-    tracker: str
-    options: dict[str, Any]
-
-
-class _RequestedMeasurements(_Part):
-    latency: bool = False
-    deadline: bool = False
-    degrade: Degradation | None = None
-
-
-class _Configuration(_Part):
-    recordings: dict[str, dict[str, Any]]
-    trials: dict[str, _AskedTrial]
-
-
-class _RunFile(_Part):
-    schema_version: Literal[1] = Field(alias="schema")
-    status: str
-    command: tuple[str, ...]
-    versions: dict[str, str]
-    settings: _RequestedMeasurements = _RequestedMeasurements()
-    configuration: _Configuration
 
 
 def measure_run(run: Path, like: Measurement | None = None) -> Measurement:
-    """Everything that a run's folder counted, in the units of `like`, else in units chosen for it.
+    """The counts of a complete run, in the statistical units of `like`, else in units chosen for it.
 
     Raises Unmeasured where the run is not complete: a trial failed, is partial or missing, nothing was scored, or a
-    figure that was asked for beside the scores is missing; RunError where `run` is not a run's folder.
+    requested measurement is missing; RunError where `run` is not a run's folder.
     """
-    file = _read_run_file(run)
-    if file.status != "complete":
-        raise Unmeasured([f"{run}: the run is '{file.status}', not complete: continue it with --resume"])
-    if not file.configuration.trials:
+    record = _read_run_record(run)
+    configuration = record.configuration
+    if record.status != "complete":
+        raise Unmeasured([f"{run}: the run is '{record.status}', not complete: continue it with --resume"])
+    if not configuration.trials:
         raise Unmeasured([f"{run}: the run has no trials: nothing was measured"])
-    splits = {name: _split_key(run, name, split) for name, split in file.configuration.recordings.items()}
-    block_s = like.block_s if like else _block_s(file.configuration.recordings)
+    splits = {name: _split_key(run, name, split) for name, split in configuration.recordings.items()}
+    block_s = like.block_s if like else _block_s(configuration.recordings)
     trackers: dict[str, dict[str, Any]] = {}
     reasons: list[str] = []
-    for name, asked in file.configuration.trials.items():
+    for name, trial in configuration.trials.items():
         label, _, recording = name.partition("@")
-        entry = trackers.setdefault(label, {"tracker": asked.tracker, "options": asked.options, "recordings": {}})
+        entry = trackers.setdefault(label, {"tracker": trial.tracker, "options": trial.options, "recordings": {}})
         try:
-            entry["recordings"][recording] = _trial_counts(run, name, splits.get(recording), block_s, file.settings)
+            counts = _trial_counts(run, name, splits.get(recording), block_s, record.settings)
+            entry["recordings"][recording] = counts
         except Unmeasured as error:
             reasons += error.reasons
         except GridtrackError as error:
@@ -87,22 +56,21 @@ def measure_run(run: Path, like: Measurement | None = None) -> Measurement:
             reasons.append(f"{name}: its scores cannot be kept ({error.errors()[0]['msg']})")
     if reasons:
         raise Unmeasured(reasons)
-    return _measurement(run, file, splits, trackers, block_s)
+    return _measurement(run, record, splits, trackers, block_s)
 
 
-def _block_s(splits: Mapping[str, Mapping[str, Any]]) -> float | None:
-    """None, whole recordings, where these are enough units; else longer than the cycle of any place."""
-    cycles = (split.get("cycle_s") for split in splits.values())
-    longest = max((float(cycle) for cycle in cycles if isinstance(cycle, int | float)), default=0.0)
-    return None if len(splits) >= LEAST_UNITS else max(BLOCK_S, longest)
+def _block_s(recordings: Mapping[str, RecordingIdentity]) -> float | None:
+    """None, whole recordings, where these are enough units; else longer than the cycle of any site."""
+    longest = max((split.cycle_s for split in recordings.values() if split.cycle_s), default=0.0)
+    return None if len(recordings) >= LEAST_UNITS else max(BLOCK_S, longest)
 
 
 def _measurement(
-    run: Path, file: _RunFile, splits: Mapping[str, SplitKey], trackers: Mapping[str, Any], block_s: float | None
+    run: Path, record: RunRecord, splits: Mapping[str, SplitKey], trackers: Mapping[str, Any], block_s: float | None
 ) -> Measurement:
     content = {
-        "command": file.command,
-        "versions": file.versions,
+        "command": record.command,
+        "versions": record.versions,
         "block_s": block_s,
         "recordings": splits,
         "trackers": trackers,
@@ -114,15 +82,15 @@ def _measurement(
 
 
 def _trial_counts(
-    run: Path, name: str, split: SplitKey | None, block_s: float | None, asked: _RequestedMeasurements
+    run: Path, name: str, split: SplitKey | None, block_s: float | None, requested: RunSettings
 ) -> TrialCounts:
     folder = run / name
     if split is None or folder.parent != run:
-        raise RunError(f"{run / RUN}: '{name}' is no trial of this run")
-    record = read_record(folder)
+        raise RunError(f"{run / RUN_FILE}: '{name}' is no trial of this run")
+    record = read_trial_record(folder)
     _refuse_incomplete(name, record)
     assert record is not None
-    if missing := list(missing_measurements(asked, record)):
+    if missing := list(missing_measurements(requested, record)):
         raise Unmeasured(missing)
     strata = tuple(record.thresholds.values)
     units = read_units(folder, split.horizons_s, strata, block_s, record.frames_scored)
@@ -150,29 +118,18 @@ def _refuse_incomplete(name: str, record: TrialRecord | None) -> None:
         raise Unmeasured([f"{name}: partial, {record.frames_scored} of {record.frames_expected} forecasts were scored"])
 
 
-def _split_key(run: Path, name: str, split: Mapping[str, Any]) -> SplitKey:
+def _split_key(run: Path, name: str, identity: RecordingIdentity) -> SplitKey:
     try:
-        return SplitKey.model_validate({key: value for key, value in split.items() if key in KEYS})
+        return SplitKey.model_validate(identity.model_dump(include=set(SplitKey.model_fields)))
     except ValidationError as error:
         first = error.errors()[0]
-        raise RunError(f"{run / RUN}: recording '{name}': {first['loc'][0]}: {first['msg']}") from None
+        raise RunError(f"{run / RUN_FILE}: recording '{name}': {first['loc'][0]}: {first['msg']}") from None
 
 
-def _read_run_file(run: Path) -> _RunFile:
-    path = run / RUN
+def _read_run_record(run: Path) -> RunRecord:
     if not run.is_dir():
         raise RunError(f"{run}: there is no such run's folder; `gridtrack compare ... --out RUN` makes one")
     try:
-        if path.stat().st_size > MAX_BYTES:
-            raise RunError(f"{path}: {path.stat().st_size} bytes; more than {MAX_BYTES} are refused")
-        content = json.loads(path.read_text("utf-8"))
-        if not isinstance(content, dict) or content.get("schema") != SCHEMA:
-            raise RunError(f"{path}: not schema {SCHEMA} of a run: compare again with this version")
-        return _RunFile.model_validate(content)
+        return read_run_record(run)
     except FileNotFoundError:
-        raise Unmeasured([f"{run}: it has no {RUN}, so nothing was measured: compare with --out {run}"]) from None
-    except ValidationError as error:
-        first = error.errors()[0]
-        raise RunError(f"{path}: {'.'.join(map(str, first['loc']))}: {first['msg']}: compare again") from None
-    except (OSError, ValueError, RecursionError) as error:
-        raise RunError(f"{path}: cannot be read as JSON ({str(error)[:80]})") from None
+        raise Unmeasured([f"{run}: it has no {RUN_FILE}, so nothing was measured: compare with --out {run}"]) from None

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridtrack.evaluation.regression.measurement import BANDS, BandCounts, UnitCounts, Unmeasured
-from gridtrack.evaluation.scoring.scores import CONFUSION
+from gridtrack.evaluation.results.columns import CONFUSION
 from gridtrack.evaluation.statistics.frame_counts import FrameCounts, read_frame_counts
 from gridtrack.evaluation.statistics.uncertainty import COUNTS
 

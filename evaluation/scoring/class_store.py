@@ -1,7 +1,7 @@
-"""The class store: two more Parquet files of a trial, of the cells whose class is known.
+"""The class store: two Parquet files of a trial with counts of the cells whose class is known.
 
-`classes.parquet` counts the cells of each class that were found, `semantics.parquet` what they were taken for
-(docs/run-folder.md lists the columns). Only rows that count something are kept.
+`classes.parquet` counts the cells of each class that were called occupied, `semantics.parquet` true by predicted
+classes (`results.columns` declares the columns). Rows that count nothing are not written.
 """
 
 from __future__ import annotations
@@ -18,30 +18,20 @@ import polars as pl
 import pyarrow as pa
 from numpy.typing import NDArray
 
+from gridtrack.evaluation.results.columns import CLASSES_TABLE, FOUND, SEMANTICS_TABLE, ParquetTable
 from gridtrack.evaluation.scoring.scores import RowGroups, ScoresError
 from gridtrack.evaluation.scoring.semantics import VISIBILITIES
 
-CLASSES, SEMANTICS = "classes.parquet", "semantics.parquet"
-FOUND = ("tp", "fn", "tp_half", "fn_half")
-_NAME = pa.dictionary(pa.int16(), pa.string())
-_KEY = [("stamp_ns", pa.int64()), ("step", pa.int16()), ("kind", _NAME)]
-_CLASSES_SCHEMA = pa.schema([*_KEY, ("class", _NAME), *((name, pa.int32()) for name in FOUND)])
-_SEMANTICS_SCHEMA = pa.schema(
-    [*_KEY, ("true", _NAME), ("predicted", _NAME), ("cells", pa.int32()), ("log_loss", pa.float64())]
-)
-
 
 class ClassWriter:
-    """Writes one trial's counts by class; closing it leaves whole files, however the trial ended."""
+    """Writes one trial's counts by class; on closing the files are complete, however the trial ended."""
 
     def __init__(self, folder: Path, classes: Sequence[str], semantics: bool) -> None:
         """`classes` of the recording; `semantics`: whether the tracker gives class probabilities."""
         self._names = list(classes)
         self._files = ExitStack()
-        self._classes = self._files.enter_context(RowGroups(folder / CLASSES, _CLASSES_SCHEMA))
-        self._semantics = (
-            self._files.enter_context(RowGroups(folder / SEMANTICS, _SEMANTICS_SCHEMA)) if semantics else None
-        )
+        self._classes = self._files.enter_context(RowGroups(folder, CLASSES_TABLE))
+        self._semantics = self._files.enter_context(RowGroups(folder, SEMANTICS_TABLE)) if semantics else None
 
     def __enter__(self) -> Self:
         return self
@@ -52,14 +42,14 @@ class ClassWriter:
         self._files.close()
 
     def add_found(self, stamp_ns: int, found: NDArray[np.int32]) -> None:
-        """Take in `found` (S, kind, K, 4), as of `semantics.count_found`, for the forecast made at `stamp_ns`."""
+        """Add `found` (S, visibility, K, 4), as of `semantics.count_found`, for the forecast made at `stamp_ns`."""
         step, kind, label = np.nonzero(found.any(axis=-1))
         counts = found[step, kind, label]
         rows = self._key(stamp_ns, step, kind) | {"class": _named(label, self._names)}
         self._classes.append(rows | {name: counts[:, i] for i, name in enumerate(FOUND)})
 
     def add_semantics(self, stamp_ns: int, confusion: NDArray[np.int32], log_loss: NDArray[np.float64]) -> None:
-        """Take in what `semantics.count_classes` counted for the forecast made at `stamp_ns`."""
+        """Add the result of `semantics.count_classes` for the forecast made at `stamp_ns`."""
         assert self._semantics is not None, "a tracker without semantics has none to count"
         step, kind, true, predicted = where = np.nonzero(confusion)
         rows = self._key(stamp_ns, step, kind)
@@ -75,17 +65,18 @@ class ClassWriter:
 
 
 def _named(index: NDArray[np.int64], names: list[str]) -> Any:
-    """Indices as names; null for one beyond them: a class that the recording does not have."""
+    """Indices as names; null for an index beyond them: a class that the recording does not have."""
     beyond = index >= len(names)
     return pa.DictionaryArray.from_arrays(pa.array(np.where(beyond, 0, index).astype(np.int16), mask=beyond), names)
 
 
 @dataclass(frozen=True, slots=True)
 class SemanticsCounts:
-    """What a trial's forecasts said of classes, pooled, for S steps, both kinds and K classes.
+    """Counts of a trial's class probabilities, pooled over its forecasts, for S steps, both visibilities and K classes.
 
-    `confusion` (S, kind, K, K+1) int64; `log_loss` (S, kind) float64 summed over cells, nats; `scan_log_loss` (S, kind)
-    summed over the scans, of each the mean over its cells; `scans` (S, kind) int64: those with any cell.
+    `confusion` (S, visibility, K, K+1) int64; `log_loss` (S, visibility) float64 summed over cells, nats;
+    `scan_log_loss` (S, visibility) summed over the scans, the mean over the cells of each; `scans` (S, visibility)
+    int64: those with any cell.
     """
 
     confusion: NDArray[np.int64]
@@ -94,8 +85,8 @@ class SemanticsCounts:
     scans: NDArray[np.int64]
 
 
-def pooled(counts: Sequence[SemanticsCounts]) -> SemanticsCounts:
-    """What several trials counted, together."""
+def add_semantics(counts: Sequence[SemanticsCounts]) -> SemanticsCounts:
+    """The sum of the counts of several trials."""
     first, *others = counts
     return SemanticsCounts(
         sum((other.confusion for other in others), first.confusion),
@@ -106,11 +97,12 @@ def pooled(counts: Sequence[SemanticsCounts]) -> SemanticsCounts:
 
 
 def read_semantics(folder: Path, steps: int, classes: Sequence[str]) -> SemanticsCounts | None:
-    """Everything that a trial counted of classes; None where its tracker gave none. Raises ScoresError."""
-    if not (folder / SEMANTICS).exists():
+    """Counts of a trial's class probabilities; None where its tracker gives none. Raises ScoresError."""
+    path = folder / SEMANTICS_TABLE.file
+    if not path.exists():
         return None
     names = list(classes)
-    rows = _scan(folder / SEMANTICS, _SEMANTICS_SCHEMA)
+    rows = _scan(path, SEMANTICS_TABLE)
     entries = rows.group_by("step", "kind", "true", "predicted").agg(pl.col("cells").cast(pl.Int64).sum())
     scans = rows.group_by("stamp_ns", "step", "kind").agg(pl.col("log_loss").sum(), pl.col("cells").sum())
     per_step = scans.group_by("step", "kind").agg(
@@ -130,56 +122,55 @@ def read_semantics(folder: Path, steps: int, classes: Sequence[str]) -> Semantic
             at = _within(step, steps), VISIBILITIES.index(kind)
             counts.log_loss[at], counts.scan_log_loss[at], counts.scans[at] = log_loss, scan_log_loss, scored
     except (pl.exceptions.PolarsError, OSError, ValueError) as error:
-        raise _unreadable(folder / SEMANTICS, error) from None
+        raise _unreadable(path, error) from None
     return counts
 
 
 def read_scan_losses(folder: Path, stamps_ns: NDArray[np.int64], steps: int) -> NDArray[np.float32]:
-    """Of every scan its mean log loss, nats, and 1, or 0 and 0 where the class of no cell is known: (F, S, kind, 2).
+    """Mean log loss of each scan, nats, and 1; 0 and 0 where the class of no cell is known: (F, S, visibility, 2).
 
-    `stamps_ns` (F,) are those of the frames forecast from, increasing. Raises ScoresError.
+    `stamps_ns` (F,) int64 are those of the frames forecast from, increasing. Raises ScoresError.
     """
     losses = np.zeros((stamps_ns.size, steps + 1, len(VISIBILITIES), 2), np.float32)
-    rows = _scan(folder / SEMANTICS, _SEMANTICS_SCHEMA).group_by("stamp_ns", "step", "kind")
+    path = folder / SEMANTICS_TABLE.file
+    rows = _scan(path, SEMANTICS_TABLE).group_by("stamp_ns", "step", "kind")
     try:
         scans = rows.agg(pl.col("log_loss").sum() / pl.col("cells").sum()).collect()
         frame = _found_at(scans["stamp_ns"].to_numpy(), stamps_ns)
         step = [_within(step, steps) for step in scans["step"]]
         kind = [VISIBILITIES.index(kind) for kind in scans["kind"]]
     except (pl.exceptions.PolarsError, OSError, ValueError) as error:
-        raise _unreadable(folder / SEMANTICS, error) from None
+        raise _unreadable(path, error) from None
     losses[frame, step, kind] = np.stack([scans["log_loss"].to_numpy(), np.ones(len(scans))], axis=-1)
     return losses
 
 
 def read_found(folder: Path, steps: int, classes: Sequence[str]) -> NDArray[np.int64]:
-    """TP, FN, TP and FN at 0.5 (S, kind, K, 4) that a trial counted by class, pooled. Raises ScoresError."""
+    """Counts FOUND (S, visibility, K, 4) int64 of a trial by class, pooled over its forecasts. Raises ScoresError."""
     names = list(classes)
     found = np.zeros((steps + 1, len(VISIBILITIES), len(names), len(FOUND)), np.int64)
-    rows = _scan(folder / CLASSES, _CLASSES_SCHEMA).group_by("step", "kind", "class")
+    path = folder / CLASSES_TABLE.file
+    rows = _scan(path, CLASSES_TABLE).group_by("step", "kind", "class")
     try:
         together = rows.agg(pl.col(name).cast(pl.Int64).sum() for name in FOUND).collect()
         for step, kind, name, *counts in together.iter_rows():
             found[_within(step, steps), VISIBILITIES.index(kind), names.index(name)] = counts
     except (pl.exceptions.PolarsError, OSError, ValueError) as error:
-        raise _unreadable(folder / CLASSES, error) from None
+        raise _unreadable(path, error) from None
     return found
 
 
-def _scan(path: Path, schema: Any) -> pl.LazyFrame:
-    """The rows of a file, read as they are needed. Raises ScoresError where it is not of this form."""
+def _scan(path: Path, table: ParquetTable) -> pl.LazyFrame:
+    """The rows of a file, read lazily, names as strings. Raises ScoresError unless its columns are those of `table`."""
     try:
         rows = pl.scan_parquet(path, glob=False)
         columns = rows.collect_schema().names()
     except (pl.exceptions.PolarsError, OSError) as error:
         raise _unreadable(path, error) from None
-    if columns != schema.names:
-        raise ScoresError(f"{path}: columns {', '.join(columns)}; expected {', '.join(schema.names)}: run it again")
-    return rows.with_columns(pl.col(name).cast(pl.String) for name, kind in _fields(schema) if kind == _NAME)
-
-
-def _fields(schema: Any) -> list[tuple[str, Any]]:
-    return [(schema_field.name, schema_field.type) for schema_field in schema]
+    if tuple(columns) != table.names:
+        raise ScoresError(f"{path}: columns {', '.join(columns)}; expected {', '.join(table.names)}: run it again")
+    categories = [column.name for column in table.columns if pa.types.is_dictionary(column.type)]
+    return rows.with_columns(pl.col(categories).cast(pl.String))
 
 
 def _within(step: int, steps: int) -> int:
@@ -189,7 +180,7 @@ def _within(step: int, steps: int) -> int:
 
 
 def _found_at(stamps: NDArray[np.int64], stamps_ns: NDArray[np.int64]) -> NDArray[np.intp]:
-    """Where `stamps` (N,) stand among `stamps_ns` (F,), which increase."""
+    """Indices of `stamps` (N,) in `stamps_ns` (F,), which increase."""
     at = np.searchsorted(stamps_ns, stamps)
     if not np.isin(stamps, stamps_ns).all():
         raise ValueError("a stamp at which no forecast was scored")

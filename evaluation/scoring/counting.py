@@ -13,10 +13,10 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from gridtrack.evaluation.results.columns import PROBABILITY_BINS
 from gridtrack.evaluation.scoring.strata import REGIONS, STRATA, STRATA_WITH_TRUTH, SUMS_OF_REGIONS, RegionMaps
 from gridtrack.evaluation.scoring.target import NOT_SCORED, SEEN_OCCUPIED, Target
 
-PROBABILITY_BINS = 50
 HALF = PROBABILITY_BINS // 2
 _SLOTS = 4096
 EDGES = (

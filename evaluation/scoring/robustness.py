@@ -1,43 +1,38 @@
-"""Robustness in the summary: F1 over the strength of degradation, and trials with mismatched degraded frames."""
+"""Scores on degraded frames for the summary, and whether every tracker received the same degraded frames."""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Mapping
-from typing import Any
 
-from gridtrack.evaluation.scoring.record import Robustness, TrialRecord
+from gridtrack.evaluation.results.passes import AtStrength, Robustness
+from gridtrack.evaluation.results.trial_record import TrialRecord
+from gridtrack.evaluation.results.trial_summary import StratumScores
 
 
-def robustness_summary(robustness: Robustness, strata: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
-    """F1 of each kind of degradation by strength; strength 0 is the trial's own score, from `strata` of the summary."""
-    undegraded = {
-        "strength": 0.0,
-        "value": 0.0,
-        "delivered": "",
-        "f1": {name: scores["f1"] for name, scores in strata.items()},
-    }
-    kinds = {
-        kind: [undegraded, *(point.model_dump(mode="json") for point in points)]
-        for kind, points in robustness.kinds.items()
-    }
-    return {"degradation": robustness.degradation.model_dump(), "kinds": kinds}
+def with_undegraded(robustness: Robustness, strata: Mapping[str, StratumScores]) -> Robustness:
+    """F1 of each kind by its strength; at strength 0 it is the trial's own, of `strata`."""
+    undegraded = AtStrength(
+        strength=0.0, value=0.0, delivered="", f1={name: scores.f1 for name, scores in strata.items()}
+    )
+    kinds = {kind: (undegraded, *points) for kind, points in robustness.kinds.items()}
+    return Robustness(degradation=robustness.degradation, kinds=kinds)
 
 
 def mismatched_degradations(records: Iterable[tuple[str, TrialRecord]]) -> list[str]:
-    """Labels of the trials of one recording whose degraded frames differ from those of most trials.
+    """Labels of the trials of one recording that received other degraded frames than most, at equal strength.
 
-    `records` are pairs of the requested returns and the record; trials are compared at equal returns and strength.
+    Each record comes with the returns that it requested: trials with other returns are compared among themselves.
     """
-    deliveries = [
+    received = [
         (record.label, (points, kind, point.value), point.delivered)
         for points, record in records
         if record.robustness
         for kind, curve in record.robustness.kinds.items()
         for point in curve
     ]
-    digests: dict[tuple[str, str, float], Counter[str]] = {}
-    for _, condition, digest in deliveries:
-        digests.setdefault(condition, Counter())[digest] += 1
-    mismatched = (label for label, condition, digest in deliveries if digest != digests[condition].most_common(1)[0][0])
-    return list(dict.fromkeys(mismatched))
+    usual: dict[tuple[str, str, float], Counter[str]] = {}
+    for _, condition, digest in received:
+        usual.setdefault(condition, Counter())[digest] += 1
+    labels = (label for label, condition, digest in received if digest != usual[condition].most_common(1)[0][0])
+    return list(dict.fromkeys(labels))

@@ -1,7 +1,7 @@
-"""The scored samples kept for viewing: an MCAP file of grids that opens in Foxglove, and that reports read back.
+"""Samples of a trial's forecasts: an MCAP file of grids that opens in Foxglove, and that reports read.
 
-A sample has log time t, when its forecast was made: `/input` is x_t, `/sensors` where the sensors stand in it,
-`/came/1s` the frame one second later and `/forecast/1s` what was forecast for it. Probabilities are kept in 255 steps.
+The log time of a sample is the stamp of frame t: `/input` is x_t, `/sensors` the positions of the sensors in it,
+`/came/1s` the frame observed one second later and `/forecast/1s` the forecast of it. Probabilities have 255 steps.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Iterator
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -27,12 +28,13 @@ from numpy.typing import NDArray
 from zstandard import ZstdError
 
 from gridtrack.common.errors import GridtrackError
+from gridtrack.common.files import atomic_write
 from gridtrack.common.grid import GridSpec, Mask
 from gridtrack.evaluation.scoring.referee import Schedule, ScoredForecast
 
 SAMPLES = "forecasts.mcap"
 KEPT = 40
-"""Samples kept of a trial: of the same frames for every tracker, evenly spaced over the scored frames."""
+"""Samples of a trial: the same scored frames for every tracker, evenly spaced."""
 HORIZONS_S = (0.5, 1.0, 2.0)
 MAX_CHUNK_BYTES = 1 << 26
 MAX_TOPICS = 64
@@ -50,11 +52,11 @@ class SamplesError(GridtrackError):
 
 @dataclass(frozen=True, slots=True)
 class Sample:
-    """A forecast kept for viewing, and what came.
+    """One forecast, and the frames that it is a forecast of.
 
-    `visible`, `occupied` (M, M) bool: x_t; `origins` (S, 2) float32: where the sensors stand, metres, grid frame; per
+    `visible`, `occupied` (M, M) bool: x_t; `origins` (S, 2) float32: positions of the sensors, metres, grid frame; per
     horizon H: `forecast` (H, M, M) float32 in [0, 1], and `came_visible`, `came_occupied` (H, M, M) bool, the frame
-    that it was a forecast of.
+    observed at that horizon.
     """
 
     stamp_ns: int
@@ -69,21 +71,20 @@ class Sample:
 
 
 def kept_forecasts(schedule: Schedule) -> frozenset[int]:
-    """Which scored frames (0 .. expected-1) are kept for viewing."""
+    """Indices of the scored frames (0 .. expected-1) that become samples."""
     expected = schedule.expected
     return frozenset(np.linspace(0, expected - 1, min(KEPT, expected)).round().astype(int).tolist())
 
 
 class SampleWriter:
-    """Writes samples; closing it leaves a whole file."""
+    """Writes samples; on closing the file is complete, however the trial ended."""
 
     def __init__(self, path: Path, grid: GridSpec, period_s: float, steps: int) -> None:
         self._grid = grid
         steps_of = {h: round(h / period_s) for h in HORIZONS_S}
         self._steps = {h: step for h, step in steps_of.items() if 1 <= step <= steps}
-        self._path, self._partial = path, path.with_name(path.name + ".partial")
-        self._file = self._partial.open("wb")
-        self._writer = Writer(self._file)
+        self._file = ExitStack()
+        self._writer = Writer(self._file.enter_context(atomic_write(path)))
 
     def __enter__(self) -> Self:
         return self
@@ -93,10 +94,9 @@ class SampleWriter:
     ) -> None:
         with self._file:
             self._writer.finish()  # type: ignore[no-untyped-call]
-        self._partial.replace(self._path)
 
     def add(self, scored: ScoredForecast) -> None:
-        """Keep one forecast."""
+        """Write one forecast, with the frames that it is a forecast of."""
         stamp_ns, frames = scored.stamp_ns, scored.frames
         self._write("/input", stamp_ns, _planes(frames[0].visible, frames[0].occupied), OCCUPANCY_FIELDS)
         self._write_message(SENSORS, stamp_ns, _places(frames[0].origins, stamp_ns))
@@ -114,7 +114,7 @@ class SampleWriter:
 
 
 def _places(origins: NDArray[np.float32], stamp_ns: int) -> Any:
-    """Sensors at `origins` (S, 2), metres, grid frame."""
+    """Message with the sensors at `origins` (S, 2), metres, grid frame."""
     message = PosesInFrame(frame_id="grid")
     message.timestamp.FromNanoseconds(stamp_ns)
     for x, y in origins.tolist():
@@ -144,7 +144,7 @@ def _message(grid: GridSpec, stamp_ns: int, planes: NDArray[np.uint8], fields: t
 def read_samples(path: Path) -> Iterator[Sample]:
     """The samples of a trial in the order of their stamps, one at a time in memory.
 
-    Raises SamplesError where the file is not a whole one of this form; the samples before the damage come first.
+    Raises SamplesError where the file is damaged or not of this form, after the samples before the damage.
     """
     stamp_ns: int | None = None
     topics: dict[str, Any] = {}
@@ -164,7 +164,7 @@ def read_samples(path: Path) -> Iterator[Sample]:
 
 
 def _messages(path: Path) -> Iterator[tuple[str, Message]]:
-    """Topic and message, in file order; no chunk is unpacked that says that it is larger than a chunk may be."""
+    """Topic and message, in file order; a chunk larger than MAX_CHUNK_BYTES is not unpacked."""
     topics: dict[int, str] = {}
     with path.open("rb") as file:
         for chunk in StreamReader(file, emit_chunks=True, record_size_limit=MAX_CHUNK_BYTES).records:
@@ -205,7 +205,7 @@ def _seconds(topic: str) -> float:
 
 
 def _decoded(message: Any, grid: GridSpec, fields: tuple[str, ...]) -> NDArray[np.uint8]:
-    """A grid's fields as (M, M, F) uint8, its layout checked before it is believed."""
+    """A grid's fields as (M, M, F) uint8, its layout checked before it is used."""
     layout = (message.column_count, message.cell_stride, message.row_stride, len(message.data))
     expected = (grid.size, len(fields), len(fields) * grid.size, len(fields) * grid.size**2)
     if layout != expected or tuple(field.name for field in message.fields) != fields:

@@ -7,18 +7,19 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-from gridtrack.evaluation.scoring.class_store import CLASSES, SEMANTICS, ClassWriter
+from gridtrack.evaluation.results.columns import TABLES
+from gridtrack.evaluation.scoring.class_store import ClassWriter
 from gridtrack.evaluation.scoring.counting import count_forecast
 from gridtrack.evaluation.scoring.referee import ScoredForecast
 from gridtrack.evaluation.scoring.samples import SAMPLES, SampleWriter, kept_forecasts
-from gridtrack.evaluation.scoring.scores import HISTOGRAM, SCORES, ScoreWriter
+from gridtrack.evaluation.scoring.scores import ScoreWriter
 from gridtrack.evaluation.scoring.semantics import count_classes, count_found, match_classes
 from gridtrack.evaluation.scoring.splits import EvaluationSplit
 from gridtrack.evaluation.scoring.strata import RegionMaps
 from gridtrack.evaluation.scoring.thresholds import Thresholds
 
-SCORE_FILES = (SCORES, HISTOGRAM, CLASSES, SEMANTICS, SAMPLES)
-"""Files of a trial's scores; CLASSES only where the recording has classes, SEMANTICS where the tracker has them."""
+SCORE_FILES = (*(table.file for table in TABLES), SAMPLES)
+"""Files of a trial's scores; classes only where the recording has classes, semantics where the tracker has them."""
 
 
 class Scorekeeper:

@@ -10,6 +10,8 @@ from typing import Any
 from gridtrack.common.errors import ConfigurationError, RecordingError
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridSpec, Points
+from gridtrack.evaluation.results.recording import RecordingDescription, RecordingIdentity
+from gridtrack.evaluation.results.summary import ORACLE
 from gridtrack.evaluation.scoring.referee import WARM_UP, Schedule
 from gridtrack.evaluation.scoring.strata import (
     STRATA,
@@ -27,8 +29,6 @@ from gridtrack.trackers.weights import TrainingData
 
 TEST, VALIDATION, TRAIN = "test", "validation", "train"
 """Names of stretches in a recording that have a use here."""
-ORACLE = "oracle"
-"""Label of the oracle, which the referee runs where there is truth; no tracker may have this label."""
 _AT_HALF = ", so every threshold is 0.5; name one with --validation"
 MAX_FORECAST_BYTES = 1 << 30
 VALIDATION_FORECASTS = 60
@@ -101,30 +101,35 @@ class EvaluationSplit:
             return SplitRegions(test, test)
         return SplitRegions(test, _region_maps(self.validation, self.strata))
 
-    def description(self) -> dict[str, Any]:
-        """The recording's entry in the summary, scores apart."""
+    def description(self) -> RecordingDescription:
+        """The split as the summary of a run describes it."""
+        return RecordingDescription(**self._described())
+
+    def identity(self) -> RecordingIdentity:
+        """What decides the scores on it: a resumed run must have the same."""
+        validation = self.validation
+        return RecordingIdentity(
+            **self._described(),
+            stretch_s=self.test.stretch_s,
+            sha256=self.test.sha256,
+            validation_s=validation.stretch_s if validation else None,
+            validation_sha256=validation.sha256 if validation else "",
+        )
+
+    def _described(self) -> dict[str, Any]:
+        """The fields of RecordingDescription."""
         return {
-            "horizons_s": [round(step * self.test.period_s, 6) for step in range(self.steps + 1)],
+            "horizons_s": tuple(round(step * self.test.period_s, 6) for step in range(self.steps + 1)),
             "stretch": self.test.name,
             "validation": self.validation.name if self.validation else "",
             "site": self.test.site,
-            "classes": list(self.test.classes),
+            "classes": tuple(self.test.classes),
             "grid": str(self.test.grid),
             "rate_hz": round(1 / self.test.period_s, 6),
             "frames": len(self.test),
             "warm_up_frames": WARM_UP,
             "forecast_every_frames": self.every,
             "cycle_s": self.test.recording.info.cycle_s,
-        }
-
-    def identity(self) -> dict[str, Any]:
-        """What the scores depend on; a resumed run must have the same."""
-        validation = self.validation
-        return self.description() | {
-            "stretch_s": list(self.test.stretch_s),
-            "sha256": self.test.sha256,
-            "validation_s": list(validation.stretch_s) if validation else None,
-            "validation_sha256": validation.sha256 if validation else "",
         }
 
 

@@ -7,7 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gridtrack.evaluation.scoring.counting import EDGES, HALF, PROBABILITY_BINS, Tally
+from gridtrack.evaluation.results.columns import PROBABILITY_BINS
+from gridtrack.evaluation.results.trial_record import ThresholdsUsed
+from gridtrack.evaluation.scoring.counting import EDGES, HALF, Tally
 from gridtrack.evaluation.scoring.metrics import f1_score
 from gridtrack.evaluation.scoring.strata import STRATA, THRESHOLD_OF
 
@@ -27,6 +29,11 @@ class Thresholds:
     def values(self) -> NDArray[np.float64]:
         """Thresholds (S, K) as probabilities."""
         return EDGES.astype(np.float64)[self.bins]
+
+    def used(self) -> ThresholdsUsed:
+        """As a trial's record holds them."""
+        columns = self.values.T.tolist()
+        return ThresholdsUsed(values=dict(zip(self.strata, map(tuple, columns), strict=True)), chosen_on=self.chosen_on)
 
 
 def half(steps: int, strata: tuple[str, ...] = STRATA) -> Thresholds:

@@ -1,23 +1,39 @@
-"""Every score of a trial, or of several pooled, per stratum and step, as the summary holds it."""
+"""Scores of a trial, or of several pooled, per stratum and step, from their counts."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gridtrack.evaluation.results.trial_record import TrialRecord
+from gridtrack.evaluation.results.trial_summary import StratumScores
+from gridtrack.evaluation.results.values import rounded_curve
 from gridtrack.evaluation.scoring import metrics
 from gridtrack.evaluation.scoring.counting import EDGES, Tally
-from gridtrack.evaluation.scoring.record import TrialRecord
 from gridtrack.evaluation.scoring.thresholds import half
 
-Curves = dict[str, list[float | None]]
+
+def stratum_scores(
+    trials: Sequence[tuple[TrialRecord, Tally]], strata: tuple[str, ...], intervals: Mapping[str, Mapping[str, Any]]
+) -> dict[str, StratumScores]:
+    """Scores of the summed counts of `trials`, each at its own thresholds; a threshold that differs is None.
+
+    `intervals` holds, by stratum, the fields of StratumScores that `pooling.intervals` gives.
+    """
+    curves = _curves_of(trials, strata)
+    return {
+        name: StratumScores(
+            **{score: rounded_curve(values[:, k]) for score, values in curves.items()}, **intervals[name]
+        )
+        for k, name in enumerate(strata)
+    }
 
 
-def curves_of(trials: Sequence[tuple[TrialRecord, Tally]], strata: tuple[str, ...]) -> dict[str, Curves]:
-    """Scores of what all `trials` counted together, each at its own thresholds; a threshold that differs is null."""
+def _curves_of(trials: Sequence[tuple[TrialRecord, Tally]], strata: tuple[str, ...]) -> dict[str, NDArray[np.float64]]:
+    """Every score (S, K) by its field in StratumScores."""
     steps = trials[0][0].steps
     together = Tally.empty(steps, strata)
     shape = (steps + 1, len(strata), 4)
@@ -31,7 +47,7 @@ def curves_of(trials: Sequence[tuple[TrialRecord, Tally]], strata: tuple[str, ..
         at_visible += tally.confusion(np.broadcast_to(_bins(record, ("visible",)), bins.shape))
         chosen.append(_thresholds(record, strata))
     parts = metrics.brier_decomposition(together)
-    curves = {
+    return {
         "f1": metrics.f1_score(at_threshold),
         "precision": metrics.precision(at_threshold),
         "recall": metrics.recall(at_threshold),
@@ -46,17 +62,6 @@ def curves_of(trials: Sequence[tuple[TrialRecord, Tally]], strata: tuple[str, ..
         "f1_at_visible": metrics.f1_score(at_visible),
         "f1_at_half": metrics.f1_score(together.confusion(half(steps, strata).bins)),
     }
-    return {name: {key: curve(values[:, k]) for key, values in curves.items()} for k, name in enumerate(strata)}
-
-
-def curve(values: NDArray[np.float64]) -> list[float | None]:
-    """One value per step; null where it is undefined."""
-    return [plain_number(value) for value in values.tolist()]
-
-
-def plain_number(value: float) -> float | None:
-    """As JSON has it: six decimals, and null where it is undefined."""
-    return None if math.isnan(value) else round(value, 6)
 
 
 def _thresholds(record: TrialRecord, strata: Sequence[str]) -> NDArray[np.float64]:

@@ -1,4 +1,4 @@
-"""What a trial counted at each scored frame, read back from its scores: what resampling and pairing work on."""
+"""Counts of a trial at each scored frame, read from its scores, for resampling and for pairing with other trials."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
-from gridtrack.evaluation.scoring.scores import SCORES, ScoresError
+from gridtrack.evaluation.results.columns import SCORES_TABLE
+from gridtrack.evaluation.scoring.scores import ScoresError
 from gridtrack.evaluation.statistics.uncertainty import COUNTS
 
 
@@ -18,7 +19,7 @@ class FrameCounts:
     """Counts (F, S, K, C) float32 of scored frames x steps x strata, C as `uncertainty.COUNTS`; a frame's counts of
     cells are exact in float32. Of classes, K are `semantics.VISIBILITIES` and C as of `class_store.read_scan_losses`.
 
-    `stamps_ns` (F,) increase; `delivered` (F,) are the digests of what the tracker had been given by then.
+    `stamps_ns` (F,) increase; `delivered` (F,) are the digests of the frames delivered until then.
     """
 
     stamps_ns: NDArray[np.int64]
@@ -35,7 +36,7 @@ def read_frame_counts(folder: Path, steps: int, strata: tuple[str, ...]) -> Fram
 
     Raises ScoresError.
     """
-    path = folder / SCORES
+    path = folder / SCORES_TABLE.file
     try:
         rows = pl.read_parquet(path, columns=["stamp_ns", "delivered", "step", "stratum", *COUNTS])
         cells = (steps + 1) * len(strata)
@@ -71,7 +72,7 @@ def _refuse_another_order(path: Path, rows: pl.DataFrame, frames: int, steps: in
 
 
 def common_frames(one: FrameCounts, other: FrameCounts) -> tuple[FrameCounts, FrameCounts]:
-    """The frames that both have: of the same stamp, after the same delivery."""
+    """The frames that both have: of the same stamp, after the same delivered frames."""
     _, of_one, of_other = np.intersect1d(one.stamps_ns, other.stamps_ns, assume_unique=True, return_indices=True)
     same = one.delivered[of_one] == other.delivered[of_other]
     return one.at(of_one[same]), other.at(of_other[same])

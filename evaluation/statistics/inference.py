@@ -1,69 +1,48 @@
-"""The statistics of a run for its summary: intervals of each trial, recordings pooled, and the paired differences."""
+"""The statistics of a run: intervals of each trial, recordings pooled, and paired differences from a reference."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
-from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
+from gridtrack.evaluation.results.recording import RecordingDescription
+from gridtrack.evaluation.results.summary import (
+    ALL_RECORDINGS,
+    ORACLE,
+    DifferenceCurves,
+    HeadlineTest,
+    TrackerDifference,
+)
+from gridtrack.evaluation.results.trial_summary import PooledSummary, StratumScores
+from gridtrack.evaluation.results.values import rounded_curve, rounded_p_curve
 from gridtrack.evaluation.scoring.counting import Tally
-from gridtrack.evaluation.scoring.record import TrialRecord
 from gridtrack.evaluation.scoring.scores import read_tally
-from gridtrack.evaluation.scoring.splits import ORACLE
-from gridtrack.evaluation.statistics.curves import curve, curves_of, plain_number
+from gridtrack.evaluation.statistics.curves import stratum_scores
+from gridtrack.evaluation.statistics.finished_trial import FinishedTrial, trials_on
 from gridtrack.evaluation.statistics.frame_counts import FrameCounts, read_frame_counts
 from gridtrack.evaluation.statistics.pooling import (
     OTHER_RETURNS,
-    Comparison,
     Scope,
+    TrackerComparison,
     common_strata,
     compare_with,
-    correct,
+    headline_tests,
     intervals,
     poolable,
 )
 
-ALL_RECORDINGS = "all recordings"
-P_VALUES = ("f1_p", "nll_per_scan_p", "p_holm")
-USUAL_REFERENCE = "persistence"
-"""The tracker whose row is the reference unless another is named: what the field compares with."""
-
-
-@dataclass(frozen=True, slots=True)
-class Ended:
-    """A trial that has ended: its record, and its folder with what it scored."""
-
-    record: TrialRecord
-    folder: Path
-    tracker: str
-    options: Mapping[str, Any]
-    points: str
-
-    @property
-    def complete(self) -> bool:
-        """Whether every frame that was to be scored was scored."""
-        return self.record.outcome == "ok" and 0 < self.record.frames_scored == self.record.frames_expected
-
-    @property
-    def strata(self) -> tuple[str, ...]:
-        """What it was scored in."""
-        return tuple(self.record.thresholds.values)
-
 
 class Inference:
-    """A run's trials under one set of rules: units, common frames, and one family of tests."""
+    """A run's trials under one set of rules: statistical units, common frames, and one family of tests."""
 
     def __init__(
-        self, recordings: Mapping[str, Mapping[str, Any]], trials: Sequence[Ended], reference: str | None = None
+        self,
+        recordings: Mapping[str, RecordingDescription],
+        trials: Sequence[FinishedTrial],
+        reference: str | None = None,
     ) -> None:
-        """`recordings` as the summary describes them; `reference` the label of a row, else the usual one, if it ran."""
-        self._recordings = recordings
+        """`reference` is the label of a row; None: the tracker that is the reference for occupancy, if it ran."""
+        self.recordings = recordings
         self._trials = [trial for trial in trials if trial.record.recording in recordings]
         self.labels = list(dict.fromkeys(trial.record.label for trial in self._trials))
         self._reference = reference
@@ -73,36 +52,36 @@ class Inference:
 
     @cached_property
     def reference(self) -> str | None:
-        """Label of the row that all others are set against: the one asked for, `persistence`, or the first."""
-        usual = [t.record.label for t in self._trials if t.tracker == USUAL_REFERENCE]
+        """Label of the row that all others are compared with: as requested, by its description, or the first row."""
+        described = [t.record.label for t in self._trials if "occupancy" in t.record.reference_for]
         ranked = [t.record.label for t in self._trials if t.tracker != ORACLE]
-        return self._reference or next(iter(usual + ranked), None)
+        return self._reference or next(iter(described + ranked), None)
+
+    @property
+    def pools(self) -> bool:
+        """Whether the scores of the recordings are pooled: there are several, of the same steps and grid."""
+        return len(self.recordings) > 1 and poolable(self.recordings)
 
     @property
     def groups(self) -> list[list[str]]:
         """The recordings that trackers are compared on together: all of them where they are pooled, else each."""
-        together = len(self._recordings) > 1 and poolable(self._recordings)
-        return [list(self._recordings)] if together else [[name] for name in self._recordings]
+        return [list(self.recordings)] if self.pools else [[name] for name in self.recordings]
 
-    def intervals_of(self, trial: Ended) -> dict[str, dict[str, Any]]:
-        """Intervals of every score of one trial, by stratum."""
-        name = trial.record.recording
-        return _by_stratum(intervals([self.frames_of(trial)], trial.strata, self.block_s([name])))
+    def strata_of(self, trial: FinishedTrial) -> dict[str, StratumScores]:
+        """Scores of one trial with their intervals, by stratum; empty where nothing was scored."""
+        if not trial.record.frames_scored:
+            return {}
+        ends = intervals([self.frames_of(trial)], trial.strata, self.block_s([trial.record.recording]))
+        return stratum_scores([(trial.record, self.tally_of(trial))], trial.strata, ends)
 
-    def tally_of(self, trial: Ended) -> Tally:
-        """Everything that a trial counted, read once. Raises ScoresError."""
+    def tally_of(self, trial: FinishedTrial) -> Tally:
+        """The counts of a trial, read once. Raises ScoresError."""
         key = trial.folder.name
         if key not in self._tallies:
             self._tallies[key] = read_tally(trial.folder, trial.record.steps, trial.strata)
         return self._tallies[key]
 
-    def pooled(self) -> dict[str, Any] | None:
-        """Every tracker over all recordings together, by label; None where there is only one, or they do not add up."""
-        if len(self._recordings) < 2 or not poolable(self._recordings):
-            return None
-        return {label: self._pooled_trial(label) for label in self.labels}
-
-    def differences(self) -> list[dict[str, Any]]:
+    def differences(self) -> list[TrackerDifference]:
         """Each tracker against the reference: over all recordings where they are pooled, else on each."""
         found = [
             (names, self._compared(label, names))
@@ -110,87 +89,94 @@ class Inference:
             for label in self.labels
             if label != self.reference and self._tracker(label) != ORACLE
         ]
-        correct([comparison for _, comparison in found])
-        return [self._as_data(names, comparison) for names, comparison in found]
+        tests = headline_tests([comparison for _, comparison in found])
+        return [self._difference(names, one, of_it) for (names, one), of_it in zip(found, tests, strict=True)]
 
-    def _pooled_trial(self, label: str) -> dict[str, Any]:
+    def pooled(self, label: str) -> PooledSummary:
+        """One tracker over all recordings together, of those that it completed."""
         trials = [trial for trial in self._trials if trial.record.label == label]
         complete = [trial for trial in trials if trial.complete]
-        missing = [f"{t.record.recording}: {t.record.outcome}" for t in trials if not t.complete]
-        strata = common_strata([trial.strata for trial in complete]) if complete else ()
-        curves: dict[str, dict[str, Any]] = {}
-        if complete:
-            curves = dict(curves_of([(trial.record, self.tally_of(trial)) for trial in complete], strata))
-            frames = [_in(self.frames_of(trial), trial.strata, strata) for trial in complete]
-            found = _by_stratum(intervals(frames, strata, self.block_s([t.record.recording for t in complete])))
-            curves = {name: {**curves[name], **found[name]} for name in strata}
-        whole = len(complete) == len(self._recordings)
         chosen = {trial.record.thresholds.chosen_on for trial in complete}
-        return {
-            "outcome": "ok" if whole else "partial",
-            "reason": ""
-            if whole
-            else f"{len(complete)} of {len(self._recordings)} recordings complete"
-            + (f" ({'; '.join(missing[:3])}{', ...' if len(missing) > 3 else ''})" if missing else ""),
-            "recordings_complete": len(complete),
-            "recordings_expected": len(self._recordings),
-            "frames_scored": sum(trial.record.frames_scored for trial in complete),
-            "frames_expected": sum(trial.record.frames_expected for trial in trials),
-            "threshold_chosen_on": chosen.pop() if len(chosen) == 1 else "",
-            "strata": curves,
-        }
+        whole = len(complete) == len(self.recordings)
+        return PooledSummary(
+            outcome="ok" if whole else "partial",
+            reason="" if whole else self._why_partial(trials),
+            recordings_complete=len(complete),
+            recordings_expected=len(self.recordings),
+            frames_scored=sum(trial.record.frames_scored for trial in complete),
+            frames_expected=sum(trial.record.frames_expected for trial in trials),
+            threshold_chosen_on=chosen.pop() if len(chosen) == 1 else "",
+            strata=self._pooled_strata(complete) if complete else {},
+        )
 
-    def _compared(self, label: str, names: Sequence[str]) -> Comparison:
+    def _pooled_strata(self, complete: Sequence[FinishedTrial]) -> dict[str, StratumScores]:
+        strata = common_strata([trial.strata for trial in complete])
+        frames = [_in_strata(self.frames_of(trial), trial.strata, strata) for trial in complete]
+        ends = intervals(frames, strata, self.block_s([trial.record.recording for trial in complete]))
+        return stratum_scores([(trial.record, self.tally_of(trial)) for trial in complete], strata, ends)
+
+    def _why_partial(self, trials: Sequence[FinishedTrial]) -> str:
+        missing = [f"{trial.record.recording}: {trial.record.outcome}" for trial in trials if not trial.complete]
+        complete = f"{len(trials) - len(missing)} of {len(self.recordings)} recordings complete"
+        shown = "; ".join(missing[:3]) + (", ..." if len(missing) > 3 else "")
+        return f"{complete} ({shown})" if missing else complete
+
+    def _compared(self, label: str, names: Sequence[str]) -> TrackerComparison:
         """`label` against the reference on `names`; both must have been scored in full on every one of them."""
         own, others = (self.complete(row, names) for row in (label, self.reference))
         for row, complete in ((self.reference, others), (label, own)):
             if len(complete) < len(names):
-                what = f"{len(complete)} of {len(names)} recordings complete" if len(names) > 1 else "not complete"
-                return Comparison(label, 0, 0, f"not compared: {row} is {what}" if len(names) == 1 else
-                                  f"not compared: {row} has {what}")  # fmt: skip
+                found = f"has {len(complete)} of {len(names)} recordings" if len(names) > 1 else "is not"
+                return TrackerComparison(label, 0, 0, f"not compared: {row} {found} complete")
         if own[0].points != others[0].points:
-            return Comparison(label, 0, 0, OTHER_RETURNS)
+            return TrackerComparison(label, 0, 0, OTHER_RETURNS)
         scope = self._scope(names, own + others)
-        sides = [[_in(self.frames_of(trial), trial.strata, scope.strata) for trial in side] for side in (others, own)]
+        sides = [
+            [_in_strata(self.frames_of(trial), trial.strata, scope.strata) for trial in side] for side in (others, own)
+        ]
         return compare_with(sides[0], sides[1], label, scope, self.block_s(names))
 
-    def _as_data(self, names: Sequence[str], comparison: Comparison) -> dict[str, Any]:
-        return {
-            "recordings": ALL_RECORDINGS if len(names) > 1 else names[0],
-            "tracker": comparison.tracker,
-            "reference": self.reference,
-            "units": comparison.units,
-            "frames": comparison.frames,
-            "interval": comparison.why_none,
-            "strata": {
-                name: {key: plain_curve(key, values) for key, values in curves.items()}
-                for name, curves in comparison.curves.items()
+    def _difference(
+        self, names: Sequence[str], comparison: TrackerComparison, tests: tuple[HeadlineTest, ...]
+    ) -> TrackerDifference:
+        assert self.reference is not None
+        return TrackerDifference(
+            recordings=ALL_RECORDINGS if len(names) > 1 else names[0],
+            tracker=comparison.tracker,
+            reference=self.reference,
+            units=comparison.units,
+            frames=comparison.frames,
+            interval=comparison.why_none,
+            strata={
+                name: DifferenceCurves(
+                    f1=rounded_curve(found.value),
+                    f1_low=rounded_curve(found.low),
+                    f1_high=rounded_curve(found.high),
+                    f1_p=rounded_p_curve(found.p),
+                )
+                for name, found in comparison.curves.items()
             },
-            "headline": [
-                {key: _plain(key, value) if isinstance(value, float) else value for key, value in test.items()}
-                for test in comparison.headline
-            ],
-        }
-
-    def _scope(self, names: Iterable[str], trials: Sequence[Ended]) -> Scope:
-        described = [self._recordings[name] for name in names]
-        cycles = [cycle for one in described if (cycle := one.get("cycle_s"))]
-        return Scope(
-            described[0]["horizons_s"], common_strata([trial.strata for trial in trials]), max(cycles, default=None)
+            headline=tests,
         )
 
+    def _scope(self, names: Iterable[str], trials: Sequence[FinishedTrial]) -> Scope:
+        described = [self.recordings[name] for name in names]
+        cycles = [one.cycle_s for one in described if one.cycle_s]
+        strata = common_strata([trial.strata for trial in trials])
+        return Scope(described[0].horizons_s, strata, max(cycles, default=None))
+
     def block_s(self, names: Sequence[str]) -> float:
-        """How long blocks are on these recordings: the same for every tracker, so that they can be paired."""
+        """Length of the blocks on these recordings, seconds: the same for every tracker, so that they are paired."""
         for name in names:
             if name not in self._blocks:
-                scored = [t for t in self._trials if t.record.recording == name and t.record.frames_scored]
-                trials = [t for t in scored if t.complete] or scored
+                scored = [trial for trial in trials_on(name, self._trials) if trial.record.frames_scored]
+                trials = [trial for trial in scored if trial.complete] or scored
                 scope = self._scope([name], trials)
-                frames = [[_in(self.frames_of(trial), trial.strata, scope.strata)] for trial in trials]
+                frames = [[_in_strata(self.frames_of(trial), trial.strata, scope.strata)] for trial in trials]
                 self._blocks[name] = scope.block_s(frames)
         return max(self._blocks[name] for name in names)
 
-    def complete(self, label: str | None, names: Sequence[str]) -> list[Ended]:
+    def complete(self, label: str | None, names: Sequence[str]) -> list[FinishedTrial]:
         """The complete trials of one row on these recordings, in their order."""
         found = {t.record.recording: t for t in self._trials if t.record.label == label and t.complete}
         return [found[name] for name in names if name in found]
@@ -198,36 +184,17 @@ class Inference:
     def _tracker(self, label: str) -> str:
         return next(trial.tracker for trial in self._trials if trial.record.label == label)
 
-    def frames_of(self, trial: Ended) -> FrameCounts:
-        """What a trial counted at each frame, read once. Raises ScoresError."""
+    def frames_of(self, trial: FinishedTrial) -> FrameCounts:
+        """The counts of a trial at each frame, read once. Raises ScoresError."""
         key = trial.folder.name
         if key not in self._frames:
             self._frames[key] = read_frame_counts(trial.folder, trial.record.steps, trial.strata)
         return self._frames[key]
 
 
-def _in(frames: FrameCounts, own: tuple[str, ...], strata: tuple[str, ...]) -> FrameCounts:
-    """What was counted in `strata`, some of the trial's own."""
+def _in_strata(frames: FrameCounts, own: tuple[str, ...], strata: tuple[str, ...]) -> FrameCounts:
+    """The counts in `strata`, some of the trial's own."""
     if strata == own:
         return frames
     chosen = [own.index(name) for name in strata]
     return FrameCounts(frames.stamps_ns, frames.delivered, frames.counts[:, :, chosen])
-
-
-def _by_stratum(by_stratum: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
-    return {
-        name: {key: curve(value) if isinstance(value, np.ndarray) else value for key, value in found.items()}
-        for name, found in by_stratum.items()
-    }
-
-
-def plain_curve(key: str, values: NDArray[np.float64]) -> list[float | None]:
-    """One value per step as JSON has it, by its key in `differences`: a score, an end of its interval or a p-value."""
-    return [_plain(key, value) for value in values.tolist()]
-
-
-def _plain(key: str, value: float) -> float | None:
-    """As JSON has it: a p-value to three digits that count, however small it is."""
-    if key in P_VALUES and not math.isnan(value):
-        return float(f"{value:.3g}")
-    return plain_number(value)

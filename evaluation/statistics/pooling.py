@@ -1,21 +1,24 @@
-"""What a run's counts allow to say: intervals of scores, and each tracker against the reference, Holm-corrected."""
+"""Intervals of scores, and each tracker against the reference, Holm-corrected, from the counts of a run."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gridtrack.evaluation.results.recording import RecordingDescription
+from gridtrack.evaluation.results.summary import HeadlineTest
+from gridtrack.evaluation.results.values import rounded, rounded_curve, rounded_p
 from gridtrack.evaluation.statistics.frame_counts import FrameCounts, common_frames
 from gridtrack.evaluation.statistics.uncertainty import (
     COUNTS,
     LEAST_UNITS,
-    SCORES,
+    RATIO_SCORES,
     TOO_SHORT,
+    PairedDifferences,
     differences,
     holm,
     interval,
@@ -25,15 +28,17 @@ from gridtrack.evaluation.statistics.units import BLOCK_TIMES, autocorrelation_t
 HEADLINE_STRATA, HEADLINE_HORIZONS_S = ("moving", "visible"), (0.5, 1.0, 2.5)
 """The family that Holm's correction is over: F1 in these strata at these horizons, each tracker and the reference."""
 ALPHA = 0.05
-OTHER_FRAMES = "no frames in common: it was delivered others than the reference"
-OTHER_RETURNS = "not compared: a row of raw returns and one of the centres of cells are given other frames, so no pairs"
+OTHER_FRAMES = "no frames in common: it was delivered other frames than the reference"
+OTHER_RETURNS = (
+    "not compared: a row of raw returns and one of the centres of cells receive other frames, so they are not paired"
+)
 
 
 @dataclass(frozen=True, slots=True)
 class Scope:
-    """What is told together: one recording, or several pooled.
+    """The recordings that are scored together: one, or several pooled.
 
-    `cycle_s` is the longest of their places' cycles, `horizons_s` those of steps 0..steps.
+    `cycle_s` is the longest cycle of their sites, `horizons_s` are those of steps 0..steps.
     """
 
     horizons_s: Sequence[float]
@@ -42,7 +47,7 @@ class Scope:
 
     @property
     def headline(self) -> list[tuple[str, float, int]]:
-        """Stratum, horizon and step of each comparison of the family, as far as the run looks ahead."""
+        """Stratum, horizon and step of each comparison of the family, as far as the run forecasts."""
         period_s = self.horizons_s[1] - self.horizons_s[0]
         steps = [(h, round(h / period_s)) for h in HEADLINE_HORIZONS_S]
         reached = [(h, step) for h, step in steps if 0 < step < len(self.horizons_s)]
@@ -51,7 +56,7 @@ class Scope:
     def block_s(self, trials: Sequence[Sequence[FrameCounts]]) -> float:
         """How long a block must last, s: longer than the cycle, and than the headline's autocorrelation in any trial.
 
-        `trials` holds the frames of each on every recording; 0 where none has two, as nothing tells how long that is.
+        `trials` holds the frames of each on every recording. 0 where none has two frames: there is no autocorrelation.
         """
         longest = [self.cycle_s or 0.0]
         for recordings in trials:
@@ -62,7 +67,7 @@ class Scope:
 
     def _headline_residuals(self, frames: FrameCounts) -> NDArray[np.float64]:
         """Of F1 (F, N), which the autocorrelation is measured on."""
-        part, whole = (np.array([side.get(name, 0.0) for name in COUNTS]) for side in SCORES["f1"])
+        part, whole = (np.array([side.get(name, 0.0) for name in COUNTS]) for side in RATIO_SCORES["f1"])
         marked = self.headline or [(self.strata[0], 0.0, len(self.horizons_s) - 1)]
         series = [frames.counts[:, step, self.strata.index(name)] for name, _, step in marked]
         return residuals(*(np.stack([s @ weights for s in series], axis=1) for weights in (part, whole)))
@@ -70,62 +75,88 @@ class Scope:
 
 def intervals(
     recordings: Sequence[FrameCounts], strata: Sequence[str], block_s: float
-) -> dict[str, dict[str, NDArray[np.float64] | str | None]]:
-    """Per stratum `f1_low`, `f1_high` and so on of every score, each (S,); where there is none, `interval` says why."""
+) -> dict[str, dict[str, tuple[float | None, ...] | str | None]]:
+    """Per stratum `f1_low`, `f1_high` and so on of every score, a value per step; without any, `interval` says why."""
     (counts,), number = summed_by_unit([recordings], block_s)
     if number < LEAST_UNITS:
-        nothing = {f"{score}_{end}": None for score in SCORES for end in ("low", "high")}
+        nothing = {f"{score}_{end}": None for score in RATIO_SCORES for end in ("low", "high")}
         return {name: {**nothing, "interval": too_short(number, len(recordings), block_s)} for name in strata}
-    found = {score: interval(counts, score) for score in SCORES}
+    found = {score: interval(counts, score) for score in RATIO_SCORES}
     return {
         name: {
-            **{f"{score}_low": low[:, k] for score, (low, _) in found.items()},
-            **{f"{score}_high": high[:, k] for score, (_, high) in found.items()},
+            **{f"{score}_low": rounded_curve(low[:, k]) for score, (low, _) in found.items()},
+            **{f"{score}_high": rounded_curve(high[:, k]) for score, (_, high) in found.items()},
             "interval": "",
         }
         for k, name in enumerate(strata)
     }
 
 
-@dataclass(slots=True)
-class Comparison:
-    """One tracker against the reference over a scope: arrays of the differences in F1, and the headline's tests."""
+@dataclass(frozen=True, slots=True)
+class HeadlineDifference:
+    """The difference in F1 in one stratum at one horizon, its interval and its p-value, not rounded."""
+
+    stratum: str
+    horizon_s: float
+    step: int
+    f1: float
+    f1_low: float
+    f1_high: float
+    f1_p: float
+
+    def test(self, p_holm: float) -> HeadlineTest:
+        """As the summary holds it, with its corrected p-value: better or worse only where it is significant."""
+        return HeadlineTest(
+            stratum=self.stratum,
+            horizon_s=round(self.horizon_s, 6),
+            step=self.step,
+            f1=rounded(self.f1),
+            f1_low=rounded(self.f1_low),
+            f1_high=rounded(self.f1_high),
+            f1_p=rounded_p(self.f1_p),
+            p_holm=rounded_p(p_holm),
+            verdict=_verdict(self.f1, p_holm),
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class TrackerComparison:
+    """One tracker against the reference over a scope: per stratum the differences in F1 (S,), and the headline's."""
 
     tracker: str
     units: int
     frames: int
     why_none: str
-    curves: dict[str, dict[str, NDArray[np.float64]]] = field(default_factory=dict)
-    headline: list[dict[str, Any]] = field(default_factory=list)
+    curves: Mapping[str, PairedDifferences] = field(default_factory=dict)
+    headline: tuple[HeadlineDifference, ...] = ()
 
 
 def compare_with(
     reference: Sequence[FrameCounts], tracker: Sequence[FrameCounts], label: str, scope: Scope, block_s: float
-) -> Comparison:
+) -> TrackerComparison:
     """Differences on the frames that both were scored on, recording by recording in the same order."""
     paired = [common_frames(one, other) for one, other in zip(tracker, reference, strict=True)]
     frames = sum(len(one.stamps_ns) for one, _ in paired)
     if not frames:
-        return Comparison(label, 0, 0, OTHER_FRAMES)
+        return TrackerComparison(label, 0, 0, OTHER_FRAMES)
     sides = [[pair[side] for pair in paired] for side in (0, 1)]
     (own, others), number = summed_by_unit(sides, block_s)
     found = differences(own, others, "f1")
     why = too_short(number, len(paired), block_s) if number < LEAST_UNITS else ""
-    arrays = {"f1": found.value, "f1_low": found.low, "f1_high": found.high, "f1_p": found.p}
-    comparison = Comparison(label, number, frames, why)
-    comparison.curves = {n: {key: a[:, k] for key, a in arrays.items()} for k, n in enumerate(scope.strata)}
-    for stratum, horizon_s, step in scope.headline:
-        at = {key: float(curve[step]) for key, curve in comparison.curves[stratum].items()}
-        comparison.headline.append({"stratum": stratum, "horizon_s": horizon_s, "step": step, **at})
-    return comparison
+    curves = {name: found.column(k) for k, name in enumerate(scope.strata)}
+    headline = (_at_step(curves[stratum], stratum, horizon_s, step) for stratum, horizon_s, step in scope.headline)
+    return TrackerComparison(label, number, frames, why, curves, tuple(headline))
 
 
-def correct(comparisons: Sequence[Comparison]) -> None:
-    """Add Holm's p-value over all headline tests, and the verdict on each: better or worse only where it is shown."""
-    tests = [test for comparison in comparisons for test in comparison.headline]
-    for test, adjusted in zip(tests, holm(np.array([test["f1_p"] for test in tests])).tolist(), strict=True):
-        test["p_holm"] = adjusted
-        test["verdict"] = _verdict(test["f1"], adjusted)
+def _at_step(curve: PairedDifferences, stratum: str, horizon_s: float, step: int) -> HeadlineDifference:
+    ends = (float(values[step]) for values in (curve.value, curve.low, curve.high, curve.p))
+    return HeadlineDifference(stratum, horizon_s, step, *ends)
+
+
+def headline_tests(comparisons: Sequence[TrackerComparison]) -> list[tuple[HeadlineTest, ...]]:
+    """The headline tests of each comparison, with Holm's correction over all of them as one family."""
+    adjusted = iter(holm(np.array([test.f1_p for one in comparisons for test in one.headline])).tolist())
+    return [tuple(test.test(next(adjusted)) for test in one.headline) for one in comparisons]
 
 
 def _verdict(difference: float, p: float) -> str:
@@ -159,7 +190,7 @@ def common_strata(strata: Sequence[Sequence[str]]) -> tuple[str, ...]:
     return tuple(name for name in strata[0] if all(name in others for others in strata))
 
 
-def poolable(recordings: Mapping[str, Mapping[str, Any]]) -> bool:
+def poolable(recordings: Mapping[str, RecordingDescription]) -> bool:
     """Whether steps and cells of all recordings are the same, so that their counts may be added."""
-    kinds = [(list(recording["horizons_s"]), recording.get("grid")) for recording in recordings.values()]
-    return all(one == other for one, other in pairwise(kinds))
+    sampled = [(recording.horizons_s, recording.grid) for recording in recordings.values()]
+    return all(one == other for one, other in pairwise(sampled))

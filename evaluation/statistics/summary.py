@@ -1,89 +1,125 @@
-"""summary.json: what a run found, machine-readable, made from the files that its trials left."""
+"""The summary of a run, computed from the records and the counts of its trials."""
 
 from __future__ import annotations
 
-import json
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from pathlib import Path
-from typing import Any
 
+from gridtrack.evaluation.results.recording import RecordingDescription, RecordingSummary
+from gridtrack.evaluation.results.summary import RunSummary, TrackerSummary
+from gridtrack.evaluation.results.trial_summary import PooledSummary, TrialSummary
 from gridtrack.evaluation.scoring.class_scores import unknown_classes
-from gridtrack.evaluation.scoring.robustness import mismatched_degradations, robustness_summary
+from gridtrack.evaluation.scoring.robustness import mismatched_degradations, with_undegraded
 from gridtrack.evaluation.scoring.scores import read_deliveries
-from gridtrack.evaluation.statistics.ceiling import add_ceiling
+from gridtrack.evaluation.statistics.ceiling import with_ceiling
 from gridtrack.evaluation.statistics.class_inference import ClassInference
-from gridtrack.evaluation.statistics.curves import curves_of
-from gridtrack.evaluation.statistics.inference import Ended, Inference
-
-SCHEMA = 1
-SUMMARY = "summary.json"
+from gridtrack.evaluation.statistics.finished_trial import FinishedTrial, trials_on
+from gridtrack.evaluation.statistics.inference import Inference
+from gridtrack.trackers.contract import Role
 
 
 def summarise(
-    recordings: Mapping[str, Mapping[str, Any]],
-    trials: Iterable[Ended],
+    recordings: Mapping[str, RecordingDescription],
+    trials: Iterable[FinishedTrial],
     notices: Sequence[str],
     interrupted: bool,
     reference: str | None = None,
-) -> dict[str, Any]:
-    """The summary as plain data; `recordings` holds what is said of each one beside its scores (docs/run-folder.md).
+) -> RunSummary:
+    """The summary of `trials` on `recordings`; `notices` come before those that the trials give rise to.
 
-    `reference` is the label of the row that the others are set against; None: the usual one.
+    `reference` is the label of the row that the others are compared with; None: the default one. Raises ScoresError.
     """
     trials = list(trials)
     inference = Inference(recordings, trials, reference)
-    pooled = inference.pooled()
-    trackers = _rows(trials, inference, pooled)
-    classes = ClassInference(recordings, trials, inference)
-    classes.add_scores(trackers)
-    add_ceiling(trackers)
-    odd = {name: odd_deliveries(_on(name, trials)) for name in recordings}
-    found = _odd_things(recordings, trials, odd)
-    if pooled is None and len(recordings) > 1:
+    classes = ClassInference(recordings, inference)
+    mismatched = {name: mismatched_deliveries(trials_on(name, trials)) for name in recordings}
+    found = _notices(recordings, trials, mismatched)
+    if not inference.pools and len(recordings) > 1:
         found.append("the recordings differ in rate, horizon or grid: no scores are pooled over them")
-    return {
-        "schema": SCHEMA,
-        "interrupted": interrupted,
-        "notices": [*notices, *found],
-        "recordings": {name: {**described, "parity": not odd[name]} for name, described in recordings.items()},
-        "trackers": trackers,
-        "reference": inference.reference,
-        "differences": inference.differences(),
-        "class_differences": classes.differences(),
-    }
+    return RunSummary(
+        interrupted=interrupted,
+        notices=(*notices, *found),
+        recordings={
+            name: RecordingSummary.model_validate({**dict(described), "parity": not mismatched[name]})
+            for name, described in recordings.items()
+        },
+        trackers=with_ceiling(_rows(trials, inference, classes)),
+        reference=inference.reference,
+        differences=tuple(inference.differences()),
+        class_differences=tuple(classes.differences()),
+    )
 
 
-def _rows(trials: Sequence[Ended], inference: Inference, pooled: Mapping[str, Any] | None) -> dict[str, Any]:
-    """Of each label what ran, its scores on each recording, and those `pooled` over them."""
-    rows: dict[str, Any] = {}
-    for trial in trials:
-        row = {"tracker": trial.tracker, "options": dict(trial.options), "points": trial.points, "recordings": {}}
-        label, recording = trial.record.label, trial.record.recording
-        rows.setdefault(label, row)["recordings"][recording] = _trial_summary(trial, inference)
-    for label, row in rows.items():
-        row["pooled"] = pooled[label] if pooled else None
+def _rows(trials: Sequence[FinishedTrial], inference: Inference, classes: ClassInference) -> dict[str, TrackerSummary]:
+    """The rows by label, with the scores of each trial and those pooled, without the shares of the oracle."""
+    rows = {}
+    for label in dict.fromkeys(trial.record.label for trial in trials):
+        own = [trial for trial in trials if trial.record.label == label]
+        rows[label] = TrackerSummary(
+            tracker=own[0].tracker,
+            role=_role(own),
+            options=dict(own[0].options),
+            points=own[0].points,
+            recordings={trial.record.recording: _trial_summary(trial, inference, classes) for trial in own},
+            pooled=_pooled_summary(own, inference, classes) if inference.pools else None,
+        )
     return rows
 
 
-def _odd_things(
-    recordings: Mapping[str, Mapping[str, Any]], trials: Sequence[Ended], odd: Mapping[str, Sequence[str]]
+def _role(trials: Sequence[FinishedTrial]) -> Role:
+    """The role of a row: by the description of its tracker, which a trial that did not start lacks."""
+    return next((trial.record.role for trial in trials if trial.record.role != "tracker"), "tracker")
+
+
+def _trial_summary(trial: FinishedTrial, inference: Inference, classes: ClassInference) -> TrialSummary:
+    record = trial.record
+    strata = inference.strata_of(trial)
+    by_class = classes.scores([trial], [record.recording])
+    return TrialSummary(
+        outcome=record.outcome,
+        reason=record.reason,
+        frames_scored=record.frames_scored,
+        frames_expected=record.frames_expected,
+        threshold_chosen_on=record.thresholds.chosen_on,
+        strata=strata,
+        recall_by_class=by_class.recall_by_class,
+        semantics=by_class.semantics,
+        weights_sha256=record.weights_sha256,
+        recoveries=record.recoveries,
+        latency_ms=record.latency_ms,
+        deadline=record.deadline,
+        robustness=with_undegraded(record.robustness, strata) if record.robustness else None,
+        times=record.times,
+        peak_rss_mb=record.peak_rss_mb,
+    )
+
+
+def _pooled_summary(trials: Sequence[FinishedTrial], inference: Inference, classes: ClassInference) -> PooledSummary:
+    pooled = inference.pooled(trials[0].record.label)
+    by_class = classes.scores([trial for trial in trials if trial.complete], list(inference.recordings))
+    return pooled.model_copy(update={"recall_by_class": by_class.recall_by_class, "semantics": by_class.semantics})
+
+
+def _notices(
+    recordings: Mapping[str, RecordingDescription],
+    trials: Sequence[FinishedTrial],
+    mismatched: Mapping[str, Sequence[str]],
 ) -> list[str]:
-    """What a reader must know before comparing; `odd` are the labels that were delivered other frames, by recording."""
+    """What to know before a comparison; `mismatched` are the labels that received other frames, by recording."""
     found: list[str] = []
     for name, description in recordings.items():
-        of_recording = _on(name, trials)
+        of_recording = trials_on(name, trials)
         found += filter(None, (unknown_classes(trial.record, description) for trial in of_recording))
         found += [
-            f"{label} on {name} was shown other degraded frames than the rest: its robustness is not comparable"
+            f"{label} on {name} was delivered other degraded frames than the rest: its robustness is not comparable"
             for label in mismatched_degradations((trial.points, trial.record) for trial in of_recording)
         ]
         found += [
             f"{label} on {name} was delivered other frames than the rest: its scores are not comparable"
-            for label in odd[name]
+            for label in mismatched[name]
         ]
     found += [
-        f"{trial.record.label} on {trial.record.recording} went on {trial.record.recoveries} times after a failure"
+        f"{trial.record.label} on {trial.record.recording} continued {trial.record.recoveries} times after a failure"
         " inside it, by its own count"
         for trial in trials
         if trial.record.recoveries
@@ -91,21 +127,10 @@ def _odd_things(
     return found
 
 
-def _on(recording: str, trials: Sequence[Ended]) -> list[Ended]:
-    return [trial for trial in trials if trial.record.recording == recording]
-
-
-def write_json(path: Path, content: Mapping[str, Any]) -> None:
-    """Leave `content` at `path`, replaced whole."""
-    partial = path.with_name(path.name + ".partial")
-    partial.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n")
-    partial.replace(path)
-
-
-def odd_deliveries(trials: Sequence[Ended]) -> list[str]:
+def mismatched_deliveries(trials: Sequence[FinishedTrial]) -> list[str]:
     """Labels of the trials of one recording that were delivered other frames than most at a stamp they share.
 
-    Trials that asked for raw returns are compared among themselves: their frames differ by design.
+    Trials of raw returns are compared among themselves: their frames differ by design. Raises ScoresError.
     """
     usual: dict[tuple[str, int], Counter[str]] = {}
     scored = [trial for trial in trials if trial.record.frames_scored]
@@ -118,28 +143,3 @@ def odd_deliveries(trials: Sequence[Ended]) -> list[str]:
         for trial, delivered in deliveries
         if any(digest != usual[trial.points, stamp].most_common(1)[0][0] for stamp, digest in delivered.items())
     ]
-
-
-def _trial_summary(trial: Ended, inference: Inference) -> dict[str, Any]:
-    record = trial.record
-    latency = record.latency_ms
-    strata: dict[str, dict[str, Any]] = {}
-    if record.frames_scored:
-        curves = curves_of([(record, inference.tally_of(trial))], trial.strata)
-        intervals = inference.intervals_of(trial)
-        strata = {name: {**curves[name], **intervals[name]} for name in trial.strata}
-    return {
-        "outcome": record.outcome,
-        "reason": record.reason,
-        "frames_scored": record.frames_scored,
-        "frames_expected": record.frames_expected,
-        "threshold_chosen_on": record.thresholds.chosen_on,
-        "weights_sha256": record.weights_sha256,
-        "recoveries": record.recoveries,
-        "strata": strata,
-        "latency_ms": latency.model_dump() if latency else None,
-        "deadline": record.deadline.model_dump(mode="json") if record.deadline else None,
-        "robustness": robustness_summary(record.robustness, strata) if record.robustness else None,
-        "times": record.times.model_dump(),
-        "peak_rss_mb": record.peak_rss_mb,
-    }

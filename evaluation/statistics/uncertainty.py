@@ -1,7 +1,7 @@
-"""Intervals of pooled scores, and paired differences of two trackers, from the counts of units.
+"""Intervals of pooled scores, and paired differences of two trackers, from the counts of statistical units.
 
-A unit is a whole recording, or a block of time that is longer than what frames have in common (`units`). How the
-method was chosen, and what its coverage is: docs/statistics.md, `studies/intervals.py`.
+A unit is a whole recording, or a block of time longer than the autocorrelation of the frames (`units`). How the
+method was chosen, and its coverage: docs/statistics.md, `studies/intervals.py`.
 """
 
 from __future__ import annotations
@@ -13,36 +13,42 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import expit, stdtr, stdtrit
 
+from gridtrack.evaluation.results.columns import CONFUSION
+
 Floats = NDArray[np.float64]
 
-COUNTS = ("tp", "fp", "fn", "tn", "squared_error", "log_loss")
+COUNTS = (*CONFUSION, "squared_error", "log_loss")
 """The columns C of counts (..., C): cells at the threshold in use, and sums over cells."""
-CELLS = {"tp": 1, "fp": 1, "fn": 1, "tn": 1}
-SCORES: dict[str, tuple[dict[str, int], dict[str, int]]] = {
+_CELLS = dict.fromkeys(CONFUSION, 1)
+RATIO_SCORES: dict[str, tuple[dict[str, int], dict[str, int]]] = {
     "f1": ({"tp": 2}, {"tp": 2, "fp": 1, "fn": 1}),
     "precision": ({"tp": 1}, {"tp": 1, "fp": 1}),
     "recall": ({"tp": 1}, {"tp": 1, "fn": 1}),
-    "brier": ({"squared_error": 1}, CELLS),
-    "nll": ({"log_loss": 1}, CELLS),
+    "brier": ({"squared_error": 1}, _CELLS),
+    "nll": ({"log_loss": 1}, _CELLS),
 }
 """The scores that are ratios of sums over cells: weights of the counts in the numerator and in the denominator."""
 PROPORTIONS = ("f1", "precision", "recall", "brier")
 """Those whose numerator is a part of their denominator."""
 LEVEL = 0.95
 LEAST_UNITS = 20
-"""Of fewer units no interval is drawn: none of the methods tried covers what it says on them."""
+"""From fewer units no interval is computed: none of the methods tried has its nominal coverage on them."""
 TOO_SHORT = "too short for an interval"
 HALF_A_COUNT = 0.5
 
 
 @dataclass(frozen=True, slots=True)
-class Differences:
+class PairedDifferences:
     """Score of a tracker less score of its reference (...), interval [low, high], p-value of no difference."""
 
     value: Floats
     low: Floats
     high: Floats
     p: Floats
+
+    def column(self, k: int) -> PairedDifferences:
+        """Those of one index of the last axis."""
+        return PairedDifferences(self.value[..., k], self.low[..., k], self.high[..., k], self.p[..., k])
 
 
 def pooled(counts: NDArray[np.floating], score: str) -> Floats:
@@ -65,14 +71,14 @@ def interval(counts: NDArray[np.floating], score: str = "f1", level: float = LEV
 
 
 def ratio_interval(part: Floats, whole: Floats, level: float = LEVEL) -> tuple[Floats, Floats]:
-    """`interval` of the ratio of two sums that each unit has its own (U, ...) of, neither a part of the other."""
+    """`interval` of the ratio of two sums over units (U, ...), neither a part of the other."""
     return _interval(part, whole, _ratio(part.sum(axis=0), whole.sum(axis=0)), np.exp, level)
 
 
 def _interval(
     part: Floats, other: Floats, value: Floats, back: Callable[[Floats], Floats], level: float
 ) -> tuple[Floats, Floats]:
-    """Of the score `value` (...), the logarithm of whose odds `part` to `other` (U, ...) `back` takes back to it."""
+    """Interval of the score `value` (...); `back` maps the logarithm of the odds `part` / `other` (U, ...) to it."""
     if len(part) < LEAST_UNITS:
         return np.full_like(value, np.nan), np.full_like(value, np.nan)
     without = [_without_each(sums) + HALF_A_COUNT for sums in (part, other)]
@@ -89,7 +95,7 @@ def _interval(
 
 def differences(
     counts: NDArray[np.floating], reference: NDArray[np.floating], score: str = "f1", level: float = LEVEL
-) -> Differences:
+) -> PairedDifferences:
     """Pooled score less the reference's, paired: `counts` and `reference` (U, ..., C) are of the same units.
 
     The jackknife over units of the difference itself, with Student's t as in `interval`. Two trackers with the same
@@ -101,7 +107,7 @@ def differences(
 
 def ratio_differences(
     own: tuple[Floats, Floats], reference: tuple[Floats, Floats], level: float = LEVEL
-) -> Differences:
+) -> PairedDifferences:
     """`differences` of the ratios of two sums, each side's part and whole (U, ...) by the same units."""
     ratios = [_ratio(part.sum(axis=0), whole.sum(axis=0)) for part, whole in (own, reference)]
     return _differences(own, reference, ratios[0] - ratios[1], level)
@@ -109,13 +115,13 @@ def ratio_differences(
 
 def _differences(
     own: tuple[Floats, Floats], reference: tuple[Floats, Floats], value: Floats, level: float
-) -> Differences:
+) -> PairedDifferences:
     units, others = len(own[0]), len(reference[0])
     if units != others:
         raise ValueError(f"{units} units cannot be paired with {others}")
     if units < LEAST_UNITS:
         nothing = np.full_like(value, np.nan)
-        return Differences(value, nothing, nothing.copy(), nothing.copy())
+        return PairedDifferences(value, nothing, nothing.copy(), nothing.copy())
     without = [_ratio(_without_each(part), _without_each(whole)) for part, whole in (own, reference)]
     error = _standard_error(np.nan_to_num(without[0] - without[1]))
     freedom = np.min([_effective_units(whole) for _, whole in (own, reference)], axis=0) - 1
@@ -123,7 +129,7 @@ def _differences(
     with np.errstate(divide="ignore", invalid="ignore"):
         p = np.where(value == 0, 1.0, 2 * stdtr(np.maximum(freedom, 1), -np.abs(value) / error))
     undefined = np.isnan(value)
-    return Differences(value, *(np.where(undefined, np.nan, x) for x in (value - reach, value + reach, p)))
+    return PairedDifferences(value, *(np.where(undefined, np.nan, x) for x in (value - reach, value + reach, p)))
 
 
 def holm(p: NDArray[np.floating]) -> Floats:
@@ -143,7 +149,7 @@ def holm(p: NDArray[np.floating]) -> Floats:
 
 def _parts(counts: NDArray[np.floating], score: str) -> tuple[Floats, Floats]:
     """Numerator and denominator (U, ...) of each unit."""
-    weights = (np.array([side.get(name, 0) for name in COUNTS], np.float64) for side in SCORES[score])
+    weights = (np.array([side.get(name, 0) for name in COUNTS], np.float64) for side in RATIO_SCORES[score])
     part, whole = (np.asarray(counts, np.float64) @ weight for weight in weights)
     return part, whole
 
@@ -175,7 +181,7 @@ def _standard_error(without: Floats) -> Floats:
 
 
 def _effective_units(sums: Floats) -> Floats:
-    """How many units of equal size would say as much (...) as units of these sizes (U, ...) do."""
+    """Effective number (...) of units of sizes (U, ...): of equal units with the same information (Kish 1965)."""
     return _ratio(sums.sum(axis=0) ** 2, (sums**2).sum(axis=0))
 
 

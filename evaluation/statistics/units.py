@@ -1,4 +1,4 @@
-"""Units of the statistics: whole recordings, or blocks of time longer than what neighbouring frames have in common."""
+"""Statistical units: whole recordings, or blocks of time longer than the autocorrelation of the frames."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from numpy.typing import NDArray
 from gridtrack.evaluation.statistics.uncertainty import LEAST_UNITS
 
 BLOCK_TIMES = 10.0
-"""A block lasts so many autocorrelation times: the means of neighbouring ones then have little in common."""
+"""Length of a block in autocorrelation times: the means of neighbouring blocks are then nearly independent."""
 WINDOW = 5.0
-"""The autocorrelation is summed as far as so many times the sum itself (Sokal 1997, section 3)."""
+"""The autocorrelation is summed up to a lag of this many times the sum itself (Sokal 1997, section 3)."""
 
 
 def autocorrelation_time(series: NDArray[np.float64]) -> float:
     """Integrated autocorrelation time of series (F, ...), in samples, the longest of them: 1 for independent samples.
 
     1 + 2 sum of the autocorrelations up to a lag of WINDOW times that sum (Sokal, Monte Carlo methods in statistical
-    mechanics, 1997). A constant series has nothing in common with itself.
+    mechanics, 1997). A constant series has 1.
     """
     columns = series.reshape(len(series), -1)
     centred = columns - columns.mean(axis=0)
@@ -36,7 +36,7 @@ def autocorrelation_time(series: NDArray[np.float64]) -> float:
 
 
 def residuals(part: NDArray[np.float64], whole: NDArray[np.float64]) -> NDArray[np.float64]:
-    """How much each frame's sums (F, ...) move the ratio of their totals away from what it is: its linearisation."""
+    """Linearised contribution (F, ...) of each frame's sums to the ratio of their totals."""
     total = whole.sum(axis=0)
     ratio = np.divide(part.sum(axis=0), total, out=np.zeros_like(total), where=total > 0)
     moved: NDArray[np.float64] = part - ratio * whole
@@ -46,8 +46,8 @@ def residuals(part: NDArray[np.float64], whole: NDArray[np.float64]) -> NDArray[
 def units_of(stamps_ns: Sequence[NDArray[np.int64]], block_s: float) -> list[NDArray[np.int64]]:
     """The unit of every scored frame, per recording (F,), counted through all of them.
 
-    Twenty recordings and more are the units themselves. Of fewer, each is cut into as many equal blocks of time as fit
-    with `block_s` each; one that is shorter is a unit of its own, and so is one of a single frame whatever `block_s`.
+    Twenty recordings or more are the units themselves. Of fewer, each is divided into as many equal blocks of time, of
+    at least `block_s`, as possible; a recording shorter than that, or of a single frame, is one unit.
     """
     whole = len(stamps_ns) >= LEAST_UNITS
     units, first = [], 0

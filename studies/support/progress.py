@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from gridtrack.evaluation.scoring.record import TrialRecord
+from gridtrack.evaluation.results.trial_record import TrialRecord
 
 
 class NoProgress:

@@ -7,17 +7,21 @@ import pytest
 
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec
+from gridtrack.evaluation.results.passes import Latency, Quantiles
+from gridtrack.evaluation.results.recording import RecordingDescription
+from gridtrack.evaluation.results.trial_record import TrialRecord
 from gridtrack.evaluation.scoring.counting import count_forecast
-from gridtrack.evaluation.scoring.record import Latency, Quantiles, ThresholdsUsed, TrialRecord
 from gridtrack.evaluation.scoring.referee import ScoredForecast
 from gridtrack.evaluation.scoring.samples import SAMPLES, SampleWriter
 from gridtrack.evaluation.scoring.scores import ScoreWriter
 from gridtrack.evaluation.scoring.strata import STRATA, cell_kinds_of, region_maps_of
 from gridtrack.evaluation.scoring.target import Target
 from gridtrack.evaluation.scoring.thresholds import Thresholds
-from gridtrack.evaluation.statistics.inference import Ended
-from gridtrack.evaluation.statistics.summary import summarise, write_json
+from gridtrack.evaluation.statistics.finished_trial import FinishedTrial
+from gridtrack.evaluation.statistics.summary import summarise
 from gridtrack.trackers.contract import Forecast
+
+from scenes.synthetic_run import DESCRIBED, write_run_record
 
 GRID = GridSpec(32, 0.2, (-3.2, 0.0))
 PERIOD_S, STEPS, FRAMES, WARM_UP, EVERY = 0.125, 20, 120, 20, 4
@@ -84,7 +88,7 @@ LATENCY = Latency(
 )
 
 
-def write_trial(run, label, forecast, scored=EXPECTED, outcome="ok", reason="", chosen_on="crossing@0s-15s"):
+def write_trial(run, label, tracker, forecast, scored=EXPECTED, outcome="ok", reason="", chosen_on="crossing@0s-15s"):
     """Score `forecast` on the first `scored` frames and leave the trial's folder, as the referee does."""
     folder = run / f"{label}@{RECORDING}"
     folder.mkdir(parents=True)
@@ -107,9 +111,10 @@ def write_trial(run, label, forecast, scored=EXPECTED, outcome="ok", reason="", 
         frames_scored=scored,
         frames_expected=EXPECTED,
         steps=STEPS,
-        thresholds=ThresholdsUsed.of(thresholds),
+        thresholds=thresholds.used(),
         peak_rss_mb=123.0,
         latency_ms=LATENCY if outcome == "ok" else None,
+        **DESCRIBED.get(tracker, {}),
     )
     record.write(folder)
     return record, folder
@@ -117,17 +122,16 @@ def write_trial(run, label, forecast, scored=EXPECTED, outcome="ok", reason="", 
 
 def write_run(run, trackers=None, broken=(), notices=(), chosen_on="crossing@0s-15s"):
     """A whole run's folder; `broken` are (label, scored, outcome, reason) of trials that did not finish."""
-    ended = []
+    trials = []
     for label, (tracker, forecast) in (TRACKERS if trackers is None else trackers).items():
-        record, folder = write_trial(run, label, forecast, chosen_on=chosen_on)
-        ended.append(Ended(record, folder, tracker, {}, ""))
+        record, folder = write_trial(run, label, tracker, forecast, chosen_on=chosen_on)
+        trials.append(FinishedTrial(record, folder, tracker, {}, ""))
     for label, scored, outcome, reason in broken:
-        record, folder = write_trial(run, label, blurred_future(1.0), scored, outcome, reason, chosen_on)
-        ended.append(Ended(record, folder, label, {}, ""))
-    description = {"horizons_s": HORIZONS_S, "stretch": "crossing.mcap@test", "grid": str(GRID), "frames": FRAMES}
-    write_json(run / "summary.json", summarise({RECORDING: description}, ended, list(notices), interrupted=False))
-    provenance = {"schema": 1, "command": ["gridtrack", "compare", "crossing.mcap"], "versions": {"gridtrack": "0.1.0"}}
-    (run / "run.json").write_text(json.dumps(provenance))
+        record, folder = write_trial(run, label, label, blurred_future(1.0), scored, outcome, reason, chosen_on)
+        trials.append(FinishedTrial(record, folder, label, {}, ""))
+    described = RecordingDescription(horizons_s=HORIZONS_S, stretch="crossing.mcap@test", grid=str(GRID), frames=FRAMES)
+    summarise({RECORDING: described}, trials, list(notices), interrupted=False).write(run)
+    write_run_record(run, {RECORDING: described})
     return run
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gridtrack.evaluation.scoring.scores import SCORES
+from gridtrack.evaluation.results.columns import SCORES_TABLE
 from gridtrack.reports.chosen_frames import FrameScore, choose_frames, frame_scores
 from gridtrack.reports.run import ReportError
 
@@ -41,14 +41,14 @@ def test_only_frames_that_every_trial_has_are_chosen():
 
 
 def test_counts_are_those_of_the_store_at_the_step(run_folder):
-    moments = frame_scores(run_folder / "blank@crossing" / SCORES, 8)
+    moments = frame_scores(run_folder / "blank@crossing" / SCORES_TABLE.file, 8)
     assert len(moments) == 20
     assert all(moment.tp == moment.fp == 0 and moment.occupied == 4 for moment in moments.values())
     assert np.array_equal(sorted(moments), list(moments))
 
 
 def test_scores_that_cannot_be_read_are_an_error_of_one_line(tmp_path):
-    (tmp_path / SCORES).write_bytes(b"not parquet")
+    (tmp_path / SCORES_TABLE.file).write_bytes(b"not parquet")
     with pytest.raises(ReportError, match="cannot be read as scores") as refused:
-        frame_scores(tmp_path / SCORES, 8)
+        frame_scores(tmp_path / SCORES_TABLE.file, 8)
     assert "\n" not in str(refused.value)

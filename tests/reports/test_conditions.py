@@ -7,10 +7,11 @@ import shutil
 
 import pytest
 
+from gridtrack.evaluation.results.files import RunError
 from gridtrack.reports.conditions import sweep_panel
 from gridtrack.reports.figures import Series
 from gridtrack.reports.page import render_page
-from gridtrack.reports.run import ReportError, read_runs
+from gridtrack.reports.run import read_runs
 
 STEPS = 20
 
@@ -19,6 +20,7 @@ def constant(value):
     return {name: [value] * (STEPS + 1) for name in ("visible", "moving", "static")}
 
 
+AGES = {"p50": 1.0, "p95": 2.0, "p99": 2.0}
 DEADLINE = {
     "update_ms": {"p50": 10.0, "p95": 12.0, "p99": 13.0},
     "predict_ms": {"p50": 30.0, "p95": 32.0, "p99": 33.0},
@@ -26,8 +28,8 @@ DEADLINE = {
     "highest_rate_hz": 21.505,
     "forecast_steps": 22,
     "rates": [
-        {"rate": 1.0, "rate_hz": 8.0, "frames": 120, "missed": 0, "age_frames": {}, "f1": constant(0.413)},
-        {"rate": 4.0, "rate_hz": 32.0, "frames": 120, "missed": 60, "age_frames": {}, "f1": constant(0.217)},
+        {"rate": 1.0, "rate_hz": 8.0, "frames": 120, "missed": 0, "age_frames": AGES, "f1": constant(0.413)},
+        {"rate": 4.0, "rate_hz": 32.0, "frames": 120, "missed": 60, "age_frames": AGES, "f1": constant(0.217)},
     ],
 }
 ROBUSTNESS = {
@@ -88,7 +90,7 @@ def test_invalid_conditions_are_refused_in_one_line(page_of, damage):
         robustness["kinds"]["range_noise"].reverse()
     else:
         deadline["rates"][0]["rate_hz"] = float("inf")
-    with pytest.raises(ReportError, match=r"summary\.json"):
+    with pytest.raises(RunError, match=r"summary\.json"):
         page_of(deadline, robustness)
 
 
@@ -99,7 +101,7 @@ def test_a_stratum_that_was_not_scored_leaves_a_gap(page_of):
 
 
 def test_names_are_escaped(page_of):
-    robustness = {"kinds": {"<script>": ROBUSTNESS["kinds"]["range_noise"]}}
+    robustness = ROBUSTNESS | {"kinds": {"<script>": ROBUSTNESS["kinds"]["range_noise"]}}
     assert "<script>" not in page_of(None, robustness)
 
 

@@ -110,7 +110,7 @@ def test_two_runs_share_a_table_and_each_row_names_its_run(run_folder, tmp_path)
 def test_runs_of_another_input_are_not_ranked_against_each_other(run_folder, tmp_path):
     other = shutil.copytree(run_folder, tmp_path / "other")
     run_json = json.loads((other / "run.json").read_text())
-    run_json["configuration"] = {"recordings": {"crossing": {"sha256": "another"}}}
+    run_json["configuration"]["recordings"]["crossing"]["sha256"] = "another"
     (other / "run.json").write_text(json.dumps(run_json))
     (table,) = headline_tables(read_runs([run_folder, other]))
     assert not table.comparable

@@ -6,12 +6,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gridtrack.evaluation.scoring.counting import PROBABILITY_BINS, Tally
+from gridtrack.evaluation.results.columns import PROBABILITY_BINS
+from gridtrack.evaluation.results.files import RunError
+from gridtrack.evaluation.scoring.counting import Tally
 from gridtrack.reports.classes import class_tables
 from gridtrack.reports.occluded import occluded_table
 from gridtrack.reports.page import render_report
 from gridtrack.reports.reliability import DIAGRAM_SIDE, reliability_diagrams
-from gridtrack.reports.run import ReportError, read_runs
+from gridtrack.reports.run import read_runs
 from gridtrack.reports.table import headline_tables
 
 STEPS = 20
@@ -29,7 +31,9 @@ def with_truth(run):
             found = {"recall": [0.75] * (STEPS + 1), "recall_at_half": [0.5] * (STEPS + 1), "cells": [9] * (STEPS + 1)}
             trial["recall_by_class"] = {"visible": {"<b>bus</b>": found, "car": {**found, "cells": [0] * (STEPS + 1)}}}
             if label == "good":
-                scores = dict.fromkeys(("nll_per_cell", "nll_per_scan", "balanced_accuracy"), [0.625] * (STEPS + 1))
+                curves = ("nll_per_cell", "nll_per_scan", "nll_summed_over_scans", "balanced_accuracy")
+                scores = dict.fromkeys(curves, [0.625] * (STEPS + 1))
+                scores |= dict.fromkeys(("cells", "scans"), [9] * (STEPS + 1))
                 ends = {
                     "nll_per_scan_low": [0.5] * (STEPS + 1),
                     "nll_per_scan_high": [0.75] * (STEPS + 1),
@@ -37,7 +41,7 @@ def with_truth(run):
                 }
                 trial["semantics"] = {"classes": ["<b>bus</b>", "car"], "kinds": {"visible": {**scores, **ends}}}
     less = {"nll_per_scan": [-0.375] * (STEPS + 1), "nll_per_scan_low": [-0.5] * (STEPS + 1)}
-    less["nll_per_scan_high"] = [None] + [-0.25] * STEPS
+    less |= {"nll_per_scan_high": [None] + [-0.25] * STEPS, "nll_per_scan_p": [0.5] * (STEPS + 1)}
     summary["class_differences"] = [
         {"recordings": "crossing", "tracker": "good", "reference": "<i>one-shot</i>", "kinds": {"visible": less}}
     ]
@@ -124,7 +128,7 @@ def test_curves_by_class_that_do_not_reach_every_horizon_are_refused(truth_run):
     summary = json.loads(path.read_text())
     summary["trackers"]["good"]["recordings"]["crossing"]["semantics"]["kinds"]["visible"]["nll_per_cell"].pop()
     path.write_text(json.dumps(summary))
-    with pytest.raises(ReportError, match="good on crossing"):
+    with pytest.raises(RunError, match="good on crossing"):
         read_runs([truth_run])
 
 
@@ -133,5 +137,5 @@ def test_class_differences_that_do_not_reach_every_horizon_are_refused(truth_run
     summary = json.loads(path.read_text())
     summary["class_differences"][0]["kinds"]["visible"]["nll_per_scan"].pop()
     path.write_text(json.dumps(summary))
-    with pytest.raises(ReportError, match="good on crossing: class differences not of 21 steps"):
+    with pytest.raises(RunError, match="good on crossing: class differences not of 21 steps"):
         read_runs([truth_run])

@@ -133,7 +133,10 @@ def test_hostile_names_are_text_and_nothing_else(make_run, run_folder, tmp_path)
     summary["trackers"][hostile_label] = summary["trackers"].pop("fair")
     (run / "fair@crossing").rename(run / f"{hostile_label}@crossing")
     path.write_text(json.dumps(summary))
-    (run / "run.json").write_text(json.dumps({"command": [HOSTILE], HOSTILE: HOSTILE, "machine": {"cpu": HOSTILE}}))
+    run_json = json.loads((run / "run.json").read_text())
+    machine = {"cpu": HOSTILE, "cores": 2, "memory_gb": 8.0, "system": HOSTILE}
+    hostile = {"command": [HOSTILE], HOSTILE: HOSTILE, "machine": machine, "versions": {HOSTILE: HOSTILE}}
+    (run / "run.json").write_text(json.dumps(run_json | hostile))
     page = page_of(run, out=tmp_path / "page.html")
     assert_self_contained(page)
     assert "".join(Elements(page).text).count(HOSTILE) >= 5

@@ -5,7 +5,9 @@ import shutil
 
 import pytest
 
-from gridtrack.reports.run import MAX_BYTES, ReportError, read_runs
+from gridtrack.evaluation.results.files import RunError
+from gridtrack.evaluation.results.summary import MAX_SUMMARY_BYTES
+from gridtrack.reports.run import ReportError, read_runs
 
 
 @pytest.fixture
@@ -19,7 +21,7 @@ def change(run, **changes):
 
 
 def refusal(run):
-    with pytest.raises(ReportError) as refused:
+    with pytest.raises(RunError) as refused:
         read_runs([run])
     message = str(refused.value)
     assert "\n" not in message
@@ -63,7 +65,7 @@ def test_what_is_not_a_json_object_is_refused(copied, content):
 
 def test_a_file_too_large_is_refused_before_it_is_read(copied):
     with (copied / "summary.json").open("r+b") as file:
-        file.truncate(MAX_BYTES + 1)
+        file.truncate(MAX_SUMMARY_BYTES + 1)
     assert "refused" in refusal(copied)
 
 

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import json
-
 import pytest
 
-from gridtrack.evaluation.statistics.summary import summarise, write_json
+from gridtrack.evaluation.statistics.summary import summarise
 from gridtrack.reports.page import render_page
 from gridtrack.reports.run import read_runs
 from gridtrack.reports.table import headline_markdown, headline_tables, main_tables
@@ -34,8 +32,9 @@ def run(tmp_path_factory):
         for i, name in enumerate(RECORDINGS)
         for label, skill in SKILLS.items()
     ]
-    write_json(folder / "summary.json", summarise({n: synthetic.description() for n in RECORDINGS}, trials, [], False))
-    (folder / "run.json").write_text(json.dumps({"schema": 1, "command": ["gridtrack", "compare"], "versions": {}}))
+    described = {name: synthetic.description() for name in RECORDINGS}
+    summarise(described, trials, [], False).write(folder)
+    synthetic.write_run_record(folder, described)
     return folder
 
 

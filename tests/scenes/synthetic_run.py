@@ -2,24 +2,54 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 
-from gridtrack.evaluation.scoring.counting import PROBABILITY_BINS, Tally
-from gridtrack.evaluation.scoring.record import ThresholdsUsed, TrialRecord
+from gridtrack.evaluation.results.columns import PROBABILITY_BINS
+from gridtrack.evaluation.results.recording import RecordingDescription, RecordingIdentity
+from gridtrack.evaluation.results.run_record import RunConfiguration, RunRecord
+from gridtrack.evaluation.results.trial_record import TrialRecord
+from gridtrack.evaluation.scoring.counting import Tally
 from gridtrack.evaluation.scoring.scores import ScoreWriter
 from gridtrack.evaluation.scoring.strata import STRATA
 from gridtrack.evaluation.scoring.thresholds import half
-from gridtrack.evaluation.statistics.inference import Ended
+from gridtrack.evaluation.statistics.finished_trial import FinishedTrial
 
 STEPS, PERIOD_S = 20, 0.125
+DESCRIBED = {
+    "persistence": {"role": "floor", "reference_for": ("occupancy",)},
+    "static-map": {"role": "floor"},
+    "blank": {"role": "floor"},
+    "one-shot": {"reference_for": ("classes",)},
+}
+"""What these trackers describe themselves as, by their names."""
 
 
-def description(frames: int = 40, cycle_s: float | None = None) -> dict[str, object]:
+def description(
+    frames: int = 40, cycle_s: float | None = None, grid: str = "100x0.2", classes: tuple[str, ...] = ()
+) -> RecordingDescription:
     """A recording as the summary describes it."""
-    horizons = [round(step * PERIOD_S, 6) for step in range(STEPS + 1)]
-    return {"horizons_s": horizons, "grid": "100x0.2", "frames": frames, "cycle_s": cycle_s}
+    horizons_s = tuple(round(step * PERIOD_S, 6) for step in range(STEPS + 1))
+    return RecordingDescription(horizons_s=horizons_s, grid=grid, frames=frames, cycle_s=cycle_s, classes=classes)
+
+
+def identity(description: RecordingDescription, sha256: str = "0" * 64) -> RecordingIdentity:
+    """A recording as the record of a run identifies it, without a validation stretch."""
+    unvalidated = {"validation_s": None, "validation_sha256": ""}
+    return RecordingIdentity(**dict(description), stretch_s=(0.0, None), sha256=sha256, **unvalidated)
+
+
+def write_run_record(folder: Path, recordings: Mapping[str, RecordingDescription]) -> None:
+    """The record of a complete run on `recordings`."""
+    identities = {name: identity(described) for name, described in recordings.items()}
+    RunRecord(
+        command=("gridtrack", "compare", "crossing.mcap"),
+        configuration=RunConfiguration(recordings=identities, trials={}),
+        versions={"gridtrack": "0.1.0"},
+        status="complete",
+    ).write(folder)
 
 
 def tally(rng: np.random.Generator, skill: float, strata: tuple[str, ...] = STRATA) -> Tally:
@@ -49,7 +79,7 @@ def write_trial(
     tracker: str = "",
     strata: tuple[str, ...] = STRATA,
     delivered: str = "",
-) -> Ended:
+) -> FinishedTrial:
     """A trial's folder and record; `seed` draws the frames' counts, `scored` of `frames` where it ended early."""
     folder = run / f"{label}@{recording}"
     folder.mkdir(parents=True)
@@ -69,7 +99,8 @@ def write_trial(
         frames_scored=done,
         frames_expected=frames,
         steps=STEPS,
-        thresholds=ThresholdsUsed.of(thresholds),
+        thresholds=thresholds.used(),
+        **DESCRIBED.get(tracker or label, {}),
     )
     record.write(folder)
-    return Ended(record, folder, tracker or label, {}, "centres")
+    return FinishedTrial(record, folder, tracker or label, {}, "centres")

@@ -12,9 +12,10 @@ from gridtrack.evaluation.comparison.plan import resolve
 from gridtrack.evaluation.comparison.robustness_pass import RobustnessRun
 from gridtrack.evaluation.comparison.runner import run
 from gridtrack.evaluation.comparison.settings import CompareSettings
+from gridtrack.evaluation.results.passes import AtStrength, Robustness
+from gridtrack.evaluation.results.trial_record import TrialRecord
 from gridtrack.evaluation.scoring import scorekeeper
 from gridtrack.evaluation.scoring.deadline import Costs
-from gridtrack.evaluation.scoring.record import AtStrength, Robustness, TrialRecord
 from gridtrack.evaluation.scoring.robustness import mismatched_degradations
 from gridtrack.recordings.degradation import Degradation
 
@@ -34,11 +35,11 @@ def compare(record, tmp_path, progress):
 
 
 def trial_of(summary, label):
-    return summary["trackers"][label]["recordings"]["room"]
+    return summary.trackers[label].recordings["room"]
 
 
 def f1_of(result):
-    return {name: scores["f1"] for name, scores in result["strata"].items()}
+    return {name: scores.f1 for name, scores in result.strata.items()}
 
 
 @pytest.fixture
@@ -54,48 +55,48 @@ def costing(monkeypatch):
 def test_a_tracker_without_delay_scores_as_without_a_clock(compare, costing):
     costing(0.0, 0.0)
     result = trial_of(compare("persistence", deadline=True), "persistence")
-    assert [at["rate"] for at in result["deadline"]["rates"]] == [0.5, 1.0, 2.0, 4.0]
-    assert [at["rate_hz"] for at in result["deadline"]["rates"]] == [5.0, 10.0, 20.0, 40.0]
-    for at in result["deadline"]["rates"]:
-        assert (at["missed"], at["frames"], at["age_frames"]["p99"]) == (0, 110, 0.0)
-        assert at["f1"] == f1_of(result)
+    assert [at.rate for at in result.deadline.rates] == [0.5, 1.0, 2.0, 4.0]
+    assert [at.rate_hz for at in result.deadline.rates] == [5.0, 10.0, 20.0, 40.0]
+    for at in result.deadline.rates:
+        assert (at.missed, at.frames, at.age_frames.p99) == (0, 110, 0.0)
+        assert at.f1 == f1_of(result)
 
 
 def test_a_busy_tracker_misses_frames_and_scores_less(compare, costing):
     costing(100.0, 50.0)
     result = trial_of(compare("persistence", deadline=True), "persistence")
-    half, own, double, _ = result["deadline"]["rates"]
-    assert [at["missed"] for at in (half, own, double)] == [0, 55, 73]
-    assert own["age_frames"]["p50"] in {2.0, 3.0}
-    assert result["deadline"]["highest_rate_hz"] == pytest.approx(1000 / 150)
+    half, own, double, _ = result.deadline.rates
+    assert [at.missed for at in (half, own, double)] == [0, 55, 73]
+    assert own.age_frames.p50 in {2.0, 3.0}
+    assert result.deadline.highest_rate_hz == pytest.approx(1000 / 150)
     # persistence's forecast of the step 0 is a copy: two or three frames late it is one of two or three frames ago
-    assert own["f1"]["moving"][0] < half["f1"]["moving"][0] < result["strata"]["moving"]["f1"][0] == 1.0
-    assert own["f1"]["static"][0] > 0.9
+    assert own.f1["moving"][0] < half.f1["moving"][0] < result.strata["moving"].f1[0] == 1.0
+    assert own.f1["static"][0] > 0.9
 
 
 def test_durations_are_measured_by_the_trackers_own_clock(compare):
-    deadline = trial_of(compare("staged:sleep_s=0.005", deadline=True), "staged")["deadline"]
-    assert deadline["update_ms"]["p50"] >= 5.0
-    assert deadline["busy_ms"]["p99"] >= deadline["update_ms"]["p50"]
-    assert deadline["highest_rate_hz"] == pytest.approx(1000 / deadline["busy_ms"]["p99"], rel=0.02)
-    assert deadline["forecast_steps"] >= 12
-    assert all(at["missed"] <= at["frames"] for at in deadline["rates"])
+    deadline = trial_of(compare("staged:sleep_s=0.005", deadline=True), "staged").deadline
+    assert deadline.update_ms.p50 >= 5.0
+    assert deadline.busy_ms.p99 >= deadline.update_ms.p50
+    assert deadline.highest_rate_hz == pytest.approx(1000 / deadline.busy_ms.p99, rel=0.02)
+    assert deadline.forecast_steps >= 12
+    assert all(at.missed <= at.frames for at in deadline.rates)
 
 
 def test_a_resumed_run_adds_the_deadline_scores(compare, tmp_path):
-    assert trial_of(compare("blank"), "blank")["deadline"] is None
-    assert trial_of(compare("blank", deadline=True, resume=True), "blank")["deadline"] is not None
+    assert trial_of(compare("blank"), "blank").deadline is None
+    assert trial_of(compare("blank", deadline=True, resume=True), "blank").deadline is not None
 
 
 def test_a_tracker_that_fails_in_the_deadline_pass_keeps_its_score_with_a_notice(compare, record):
     # without a validation stretch the second stream that it is given is the first one on the clock
     path = record("plain", stretches={})
     summary = compare("staged:crash_at=60", "blank", recordings=(str(path),), deadline=True)
-    ended, other = (summary["trackers"][label]["recordings"]["plain"] for label in ("staged", "blank"))
-    assert (ended["outcome"], ended["deadline"]) == ("ok", None)
-    assert other["deadline"] is not None
+    ended, other = (summary.trackers[label].recordings["plain"] for label in ("staged", "blank"))
+    assert (ended.outcome, ended.deadline) == ("ok", None)
+    assert other.deadline is not None
     assert any(
-        "staged@plain: no measurement of deadlines" in notice and "crashed" in notice for notice in summary["notices"]
+        "staged@plain: no measurement of deadlines" in notice and "crashed" in notice for notice in summary.notices
     )
 
 
@@ -105,39 +106,39 @@ def test_an_interrupt_while_input_is_degraded_keeps_every_score(compare, progres
 
     monkeypatch.setattr(RobustnessRun, "run", interrupted)
     summary = compare("blank", "persistence", degrade=Degradation(range_noise=0.1))
-    assert summary["interrupted"] is True
-    assert {trial_of(summary, label)["outcome"] for label in ("blank", "persistence")} == {"ok"}
+    assert summary.interrupted is True
+    assert {trial_of(summary, label).outcome for label in ("blank", "persistence")} == {"ok"}
 
 
 def test_degraded_input_is_scored_against_the_undegraded_frames(compare):
     summary = compare("persistence", degrade=Degradation(frame_drop=1.0, beam_dropout=0.5))
     result = trial_of(summary, "persistence")
-    curves = result["robustness"]["kinds"]
+    curves = result.robustness.kinds
     assert list(curves) == ["beam_dropout", "frame_drop"]
     for name, full in (("beam_dropout", 0.5), ("frame_drop", 1.0)):
-        assert [point["strength"] for point in curves[name]] == [0.0, 0.25, 0.5, 1.0]
-        assert [point["value"] for point in curves[name]] == [0.0, 0.25 * full, 0.5 * full, full]
-        assert curves[name][0]["f1"] == f1_of(result)
-        at_step_0 = [point["f1"]["visible"][0] for point in curves[name]]
+        assert [point.strength for point in curves[name]] == [0.0, 0.25, 0.5, 1.0]
+        assert [point.value for point in curves[name]] == [0.0, 0.25 * full, 0.5 * full, full]
+        assert curves[name][0].f1 == f1_of(result)
+        at_step_0 = [point.f1["visible"][0] for point in curves[name]]
         # copying a frame of which a part was lost is no copy of the whole
         assert at_step_0[0] == 1.0 > at_step_0[1] > at_step_0[2] > at_step_0[3]
     # at 1 every frame is lost: what persistence has not seen it does not call occupied
-    assert curves["frame_drop"][-1]["f1"]["visible"] == [0.0] * 11
+    assert curves["frame_drop"][-1].f1["visible"] == (0.0,) * 11
 
 
 def test_every_tracker_receives_the_same_degraded_frames(compare):
     summary = compare("persistence", "blank", degrade=Degradation(range_noise=0.1))
-    one, other = (trial_of(summary, label)["robustness"]["kinds"]["range_noise"] for label in ("persistence", "blank"))
-    digests = [[point["delivered"] for point in points] for points in (one, other)]
+    one, other = (trial_of(summary, label).robustness.kinds["range_noise"] for label in ("persistence", "blank"))
+    digests = [[point.delivered for point in points] for points in (one, other)]
     assert digests[0] == digests[1]
     assert len(set(digests[0])) == 4
-    assert summary["recordings"]["room"]["parity"] is True
+    assert summary.recordings["room"].parity is True
 
 
 def test_mismatched_degraded_frames_are_detected():
     def record(label, digest, value=0.1):
-        point = AtStrength(strength=1.0, value=value, delivered=digest, f1={})
-        robustness = Robustness(degradation=Degradation(range_noise=value), kinds={"range_noise": (point,)})
+        points = tuple(AtStrength(strength=s, value=s * value, delivered=digest, f1={}) for s in (0.3, 1.0))
+        robustness = Robustness(degradation=Degradation(range_noise=value), kinds={"range_noise": points})
         return TrialRecord(schema=1, label=label, recording="room", outcome="ok", steps=1, robustness=robustness)
 
     same = [("centres", record(label, "aa")) for label in ("one", "two")]
@@ -156,7 +157,7 @@ def test_a_resumed_run_degrades_again_only_for_other_strengths(compare, monkeypa
     compare("blank", degrade=Degradation(range_noise=0.1), resume=True)
     assert passes == []
     summary = compare("blank", degrade=Degradation(range_noise=0.2), resume=True)
-    assert trial_of(summary, "blank")["robustness"]["kinds"]["range_noise"][-1]["value"] == 0.2
+    assert trial_of(summary, "blank").robustness.kinds["range_noise"][-1].value == 0.2
 
 
 def test_an_unexpected_error_ends_its_trial_and_no_other(compare, progress, monkeypatch):
@@ -174,11 +175,11 @@ def test_an_unexpected_error_ends_its_trial_and_no_other(compare, progress, monk
     monkeypatch.setattr(scorekeeper, "count_forecast", counting)
     summary = compare("blank", "persistence")
     failed = trial_of(summary, "blank")
-    assert failed["outcome"] == "failed"
-    assert "FullDisk" in failed["reason"]
-    assert "No space left on device" in failed["reason"]
-    assert "test_conditions.py" in failed["reason"]
-    assert trial_of(summary, "persistence")["outcome"] == "ok"
+    assert failed.outcome == "failed"
+    assert "FullDisk" in failed.reason
+    assert "No space left on device" in failed.reason
+    assert "test_conditions.py" in failed.reason
+    assert trial_of(summary, "persistence").outcome == "ok"
     assert progress.records["blank@room"].outcome == "failed"
 
 
@@ -186,10 +187,10 @@ def test_a_trial_whose_folder_cannot_be_written_ends_alone(compare, tmp_path):
     (tmp_path / "run").mkdir()
     (tmp_path / "run" / "blank@room").write_text("in the way")
     summary = compare("blank", "persistence")
-    assert trial_of(summary, "blank")["outcome"] == "failed"
-    assert trial_of(summary, "blank")["strata"] == {}
-    assert trial_of(summary, "persistence")["outcome"] == "ok"
+    assert trial_of(summary, "blank").outcome == "failed"
+    assert trial_of(summary, "blank").strata == {}
+    assert trial_of(summary, "persistence").outcome == "ok"
     assert json.loads((tmp_path / "run" / "summary.json").read_text())["trackers"]["blank"]
     (tmp_path / "run" / "blank@room").unlink()
     shutil.rmtree(tmp_path / "run" / "persistence@room")
-    assert trial_of(compare("blank", "persistence", resume=True), "blank")["outcome"] == "ok"
+    assert trial_of(compare("blank", "persistence", resume=True), "blank").outcome == "ok"

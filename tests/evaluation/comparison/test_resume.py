@@ -16,8 +16,8 @@ from gridtrack.evaluation.comparison.recipe import Recipe
 from gridtrack.evaluation.comparison.runner import run
 from gridtrack.evaluation.comparison.settings import CompareSettings
 from gridtrack.evaluation.comparison.train import train_tracker
-from gridtrack.evaluation.scoring.record import RunError
-from gridtrack.evaluation.scoring.scores import HISTOGRAM
+from gridtrack.evaluation.results.columns import HISTOGRAM_TABLE
+from gridtrack.evaluation.results.files import RunError
 
 
 @pytest.fixture
@@ -56,9 +56,9 @@ def test_recordings_and_trackers_missing_in_the_run_are_named_as_requested(setti
 
 def test_a_trial_with_missing_counts_runs_again(settings, tmp_path, progress):
     run(resolve(settings("blank")), (), progress)
-    (tmp_path / "run" / "blank@room" / HISTOGRAM).unlink()
+    (tmp_path / "run" / "blank@room" / HISTOGRAM_TABLE.file).unlink()
     summary = run(resolve(settings("blank", resume=True)), (), progress)
-    assert summary["trackers"]["blank"]["recordings"]["room"]["strata"]["visible"]["f1"] == [0.0] * 11
+    assert summary.trackers["blank"].recordings["room"].strata["visible"].f1 == (0.0,) * 11
 
 
 def test_the_suggested_training_has_the_grid_and_rate_of_the_comparison(settings):

@@ -20,7 +20,9 @@ from gridtrack.evaluation.comparison.recipe import Recipe
 from gridtrack.evaluation.comparison.runner import run
 from gridtrack.evaluation.comparison.settings import CompareSettings
 from gridtrack.evaluation.comparison.train import train_tracker
-from gridtrack.evaluation.scoring.record import RunError, read_record
+from gridtrack.evaluation.results.files import RunError, json_of
+from gridtrack.evaluation.results.summary import read_summary
+from gridtrack.evaluation.results.trial_record import read_trial_record
 from gridtrack.evaluation.scoring.referee import Delivery
 from gridtrack.evaluation.scoring.samples import read_samples
 from gridtrack.evaluation.scoring.scores import read_deliveries
@@ -47,31 +49,32 @@ def compare(settings, progress):
 
 
 def trial_of(summary, label, recording="room"):
-    return summary["trackers"][label]["recordings"][recording]
+    return summary.trackers[label].recordings[recording]
 
 
 def test_a_run_writes_every_file_and_the_floor_has_its_known_scores(settings, progress, tmp_path):
     summary = compare(settings("persistence", "blank"), progress)
-    assert summary == json.loads((tmp_path / "run" / "summary.json").read_text())
-    assert (summary["schema"], summary["interrupted"], summary["reference"]) == (1, False, "persistence")
+    assert json.loads(json_of(summary)) == json.loads((tmp_path / "run" / "summary.json").read_text())
+    assert read_summary(tmp_path / "run") == summary
+    assert (summary.schema_version, summary.interrupted, summary.reference) == (1, False, "persistence")
     for label in ("persistence", "blank"):
         result = trial_of(summary, label)
-        assert result["outcome"] == "ok"
-        assert result["frames_scored"] == result["frames_expected"] == len(range(20, 110 - 10, 5))
+        assert result.outcome == "ok"
+        assert result.frames_scored == result.frames_expected == len(range(20, 110 - 10, 5))
         folder = tmp_path / "run" / f"{label}@room"
         assert {"outcome.json", "scores.parquet", "histogram.parquet", "forecasts.mcap", "stderr.log"} == {
             path.name for path in folder.iterdir()
         }
-        assert set(result["strata"]) == {"visible", "moving", "static"}
-        assert len(list(read_samples(folder / "forecasts.mcap"))) == result["frames_scored"]
-        assert {len(v) for v in result["strata"]["moving"].values() if isinstance(v, list)} == {11}
-    persistence, blank = (trial_of(summary, label)["strata"] for label in ("persistence", "blank"))
-    assert persistence["visible"]["f1"][0] == 1.0
-    assert persistence["static"]["f1"][10] > 0.9 > persistence["moving"]["f1"][10]
-    assert blank["visible"]["f1"] == [0.0] * 11
-    assert blank["visible"]["precision"] == [None] * 11
-    assert blank["visible"]["interval"].startswith("too short for an interval: 1 unit")
-    assert blank["visible"]["f1_low"] is None
+        assert set(result.strata) == {"visible", "moving", "static"}
+        assert len(list(read_samples(folder / "forecasts.mcap"))) == result.frames_scored
+        assert {len(curve) for _, curve in result.strata["moving"] if isinstance(curve, tuple)} == {11}
+    persistence, blank = (trial_of(summary, label).strata for label in ("persistence", "blank"))
+    assert persistence["visible"].f1[0] == 1.0
+    assert persistence["static"].f1[10] > 0.9 > persistence["moving"].f1[10]
+    assert blank["visible"].f1 == (0.0,) * 11
+    assert blank["visible"].precision == (None,) * 11
+    assert blank["visible"].interval.startswith("too short for an interval: 1 unit")
+    assert blank["visible"].f1_low is None
     run_file = json.loads((tmp_path / "run" / "run.json").read_text())
     assert run_file["status"] == "complete"
     assert run_file["command"] == ["gridtrack", "compare"]
@@ -80,7 +83,7 @@ def test_a_run_writes_every_file_and_the_floor_has_its_known_scores(settings, pr
 
 def test_every_tracker_receives_the_same_frames_and_progress_is_reported(settings, progress, tmp_path):
     summary = compare(settings("persistence", "blank"), progress)
-    assert summary["recordings"]["room"]["parity"] is True
+    assert summary.recordings["room"].parity is True
     one, other = (read_deliveries(tmp_path / "run" / f"{label}@room") for label in ("persistence", "blank"))
     assert one == other
     assert progress.frames == progress.delivered == {"persistence@room": 110 + 50, "blank@room": 110 + 50}
@@ -107,8 +110,8 @@ def test_a_tracker_that_received_other_frames_is_reported(settings, progress, mo
 
     monkeypatch.setattr(trial.TrialRun, "__init__", tampering)
     summary = compare(settings("persistence", "blank", "odd=blank"), progress)
-    assert summary["recordings"]["room"]["parity"] is False
-    assert [notice for notice in summary["notices"] if "other frames" in notice] == [
+    assert summary.recordings["room"].parity is False
+    assert [notice for notice in summary.notices if "other frames" in notice] == [
         "odd on room was delivered other frames than the rest: its scores are not comparable"
     ]
 
@@ -116,34 +119,34 @@ def test_a_tracker_that_received_other_frames_is_reported(settings, progress, mo
 def test_a_tracker_that_dies_keeps_its_scores_and_stops_no_other(settings, progress):
     summary = compare(settings("staged:crash_at=60", "persistence"), progress)
     partial = trial_of(summary, "staged")
-    assert partial["outcome"] == "crashed"
+    assert partial.outcome == "crashed"
     # forecasts at 20, 25 .. 45 have their last frame, 55, before the 60th update
-    assert (partial["frames_scored"], partial["frames_expected"]) == (len(range(20, 59 - 10 + 1, 5)), 16)
-    assert partial["strata"]["visible"]["f1"][0] == 1.0
-    assert trial_of(summary, "persistence")["outcome"] == "ok"
+    assert (partial.frames_scored, partial.frames_expected) == (len(range(20, 59 - 10 + 1, 5)), 16)
+    assert partial.strata["visible"].f1[0] == 1.0
+    assert trial_of(summary, "persistence").outcome == "ok"
 
 
 def test_a_failure_names_its_stretch_and_counts_its_frames(settings, progress):
     summary = compare(settings("early=staged:crash_at=30,crash_in=1", "staged:crash_at=60"), progress)
     early, late = (trial_of(summary, label) for label in ("early", "staged"))
-    assert (early["outcome"], early["frames_scored"]) == ("crashed", 0)
-    assert early["reason"].startswith("in the validation stretch room.mcap@validation: update with frame 30: killed by")
-    assert late["reason"].startswith("update with frame 60: killed by SIGABRT")
+    assert (early.outcome, early.frames_scored) == ("crashed", 0)
+    assert early.reason.startswith("in the validation stretch room.mcap@validation: update with frame 30: killed by")
+    assert late.reason.startswith("update with frame 60: killed by SIGABRT")
 
 
 def test_recoveries_of_a_tracker_are_in_its_outcome_and_give_a_notice(settings, progress, tmp_path, bad_trackers):
     summary = compare(settings("recovers", "persistence"), progress)
-    assert trial_of(summary, "recovers")["outcome"] == "ok"
-    assert trial_of(summary, "recovers")["recoveries"] == read_record(tmp_path / "run" / "recovers@room").recoveries
-    assert trial_of(summary, "recovers")["recoveries"] in {1, 2}  # once in each stretch that it was shown
-    assert trial_of(summary, "persistence")["recoveries"] == 0
-    assert [notice for notice in summary["notices"] if notice.startswith("recovers on room went on")]
+    assert trial_of(summary, "recovers").outcome == "ok"
+    assert trial_of(summary, "recovers").recoveries == read_trial_record(tmp_path / "run" / "recovers@room").recoveries
+    assert trial_of(summary, "recovers").recoveries in {1, 2}  # once in each stretch that it was shown
+    assert trial_of(summary, "persistence").recoveries == 0
+    assert [notice for notice in summary.notices if notice.startswith("recovers on room continued")]
 
 
 def test_an_invalid_count_of_recoveries_ends_the_trial(settings, progress, bad_trackers):
     outcome = trial_of(compare(settings("recovers:count=-1"), progress), "recovers")
-    assert outcome["outcome"] == "invalid-output"
-    assert "'recoveries' is -1" in outcome["reason"]
+    assert outcome.outcome == "invalid-output"
+    assert "'recoveries' is -1" in outcome.reason
 
 
 def test_a_resumed_run_repeats_only_what_is_incomplete(settings, progress, tmp_path):
@@ -165,30 +168,30 @@ def test_a_folder_that_holds_another_run_is_refused_in_one_line(settings, progre
 
 def test_the_reason_of_an_untrained_tracker_is_the_command_that_trains_it(settings, progress):
     result = trial_of(compare(settings("static-map"), progress), "static-map")
-    assert result["outcome"] == "untrained"
-    assert "`gridtrack train static-map " in result["reason"]
-    assert result["strata"] == {}
+    assert result.outcome == "untrained"
+    assert "`gridtrack train static-map " in result.reason
+    assert result.strata == {}
 
 
 def test_a_recording_with_a_moving_sensor_is_not_applicable(settings, progress, record):
     result = trial_of(
         compare(settings("blank", recordings=(str(record("drive", speed=0.5)),)), progress), "blank", "drive"
     )
-    assert result["outcome"] == "not-applicable"
-    assert "the sensor moves at" in result["reason"]
+    assert result.outcome == "not-applicable"
+    assert "the sensor moves at" in result.reason
 
 
 def test_a_plugin_that_cannot_be_loaded_stops_no_other(settings, progress, install):
     install("broken", {"broken": "no_such_module:Tracker"})
     summary = compare(settings("broken:depth=3", "blank"), progress)
-    assert trial_of(summary, "broken")["outcome"] == "unavailable"
-    assert trial_of(summary, "blank")["outcome"] == "ok"
+    assert trial_of(summary, "broken").outcome == "unavailable"
+    assert trial_of(summary, "blank").outcome == "ok"
 
 
 def test_the_latency_pass_times_complete_trials(settings, progress):
-    latency = trial_of(compare(settings("blank", latency=True), progress), "blank")["latency_ms"]
-    assert set(latency) == {"update", "predict", "predict_step"}
-    assert 0 < latency["predict_step"]["p50"] < latency["predict"]["p50"] <= latency["predict"]["p99"]
+    latency = trial_of(compare(settings("blank", latency=True), progress), "blank").latency_ms
+    assert set(dict(latency)) == {"update", "predict", "predict_step"}
+    assert 0 < latency.predict_step.p50 < latency.predict.p50 <= latency.predict.p99
 
 
 def test_unknown_options_of_a_tracker_are_refused_before_any_trial(settings, tmp_path):
@@ -202,8 +205,8 @@ def test_raw_returns_reach_the_tracker_that_requests_them(settings, progress):
     raw, centres = (next(iter(trial.test)).points for trial in plan.trials)
     assert len(raw) > len(centres)
     summary = run(plan, (), progress)
-    assert summary["recordings"]["room"]["parity"] is True
-    assert summary["trackers"]["raw"]["points"] == "raw"
+    assert summary.recordings["room"].parity is True
+    assert summary.trackers["raw"].points == "raw"
 
 
 def start(settings, tmp_path, *trackers):
@@ -245,11 +248,11 @@ def test_an_interrupt_keeps_the_scores_and_leaves_no_process(settings, tmp_path)
     assert host.wait(30) == 0
     assert not [process for process in family if process.is_running() and process.status() != psutil.STATUS_ZOMBIE]
     summary = json.loads((tmp_path / "run" / "summary.json").read_text())
-    assert summary["interrupted"] is True
+    assert summary.interrupted is True
     assert json.loads((tmp_path / "run" / "run.json").read_text())["status"] == "interrupted"
-    assert trial_of(summary, "persistence")["outcome"] == "ok"
-    assert trial_of(summary, "staged")["outcome"] == "interrupted"
-    assert trial_of(summary, "staged")["frames_scored"] < 16
+    assert trial_of(summary, "persistence").outcome == "ok"
+    assert trial_of(summary, "staged").outcome == "interrupted"
+    assert trial_of(summary, "staged").frames_scored < 16
 
 
 def test_an_interrupt_ends_a_call_that_hangs(settings, tmp_path):
@@ -273,7 +276,7 @@ def test_a_folder_locked_by_a_run_is_refused_until_the_run_has_ended(settings, p
     host.kill()
     host.wait()
     wait_until(lambda: not any(process.is_running() for process in family))
-    assert trial_of(compare(settings(*trackers, resume=True), progress), "staged")["outcome"] == "ok"
+    assert trial_of(compare(settings(*trackers, resume=True), progress), "staged").outcome == "ok"
 
 
 def test_a_run_with_a_killed_host_is_resumed(settings, progress, tmp_path):
@@ -286,7 +289,7 @@ def test_a_run_with_a_killed_host_is_resumed(settings, progress, tmp_path):
     host.wait()
     wait_until(lambda: not any(process.is_running() for process in family))
     summary = compare(settings(*trackers, resume=True), progress)
-    assert {trial_of(summary, label)["outcome"] for label in ("persistence", "staged")} == {"ok"}
+    assert {trial_of(summary, label).outcome for label in ("persistence", "staged")} == {"ok"}
     assert set(progress.delivered) == {"staged@room"}
 
 
@@ -297,10 +300,10 @@ def test_a_tracker_that_is_killed_ends_alone(settings, tmp_path):
     os.kill(victims[-1].pid, signal.SIGKILL)
     assert host.wait(60) == 0
     summary = json.loads((tmp_path / "run" / "summary.json").read_text())
-    assert trial_of(summary, "staged")["outcome"] == "crashed"
-    assert "SIGKILL" in trial_of(summary, "staged")["reason"]
-    assert trial_of(summary, "persistence")["outcome"] == "ok"
-    assert read_record(tmp_path / "run" / "staged@room").frames_scored < 16
+    assert trial_of(summary, "staged").outcome == "crashed"
+    assert "SIGKILL" in trial_of(summary, "staged").reason
+    assert trial_of(summary, "persistence").outcome == "ok"
+    assert read_trial_record(tmp_path / "run" / "staged@room").frames_scored < 16
 
 
 def test_a_run_with_learned_weights_is_scored_and_names_its_training_data(settings, progress, tmp_path, record):
@@ -309,9 +312,9 @@ def test_a_run_with_learned_weights_is_scored_and_names_its_training_data(settin
     )
     assert path == tmp_path / "weights" / "static-map" / "room.toml"
     summary = compare(settings("static-map", weights=tmp_path / "weights"), progress)
-    assert trial_of(summary, "static-map")["outcome"] == "ok"
-    assert np.array(trial_of(summary, "static-map")["strata"]["static"]["f1"]).min() > 0.9
-    assert not [notice for notice in summary["notices"] if "learned from" in notice]
+    assert trial_of(summary, "static-map").outcome == "ok"
+    assert np.array(trial_of(summary, "static-map").strata["static"].f1).min() > 0.9
+    assert not [notice for notice in summary.notices if "learned from" in notice]
     on_train = settings(
         "static-map", weights=tmp_path / "weights", recordings=(f"{record()}@0s-9s",), out=tmp_path / "other"
     )
@@ -335,10 +338,10 @@ def test_trials_that_share_a_validation_stretch_choose_their_thresholds_on_it_on
         "persistence@one": 80 + 90,
         "blank@one": 80 + 90,
     }
-    thresholds = [trial_of(summary, "persistence", n)["strata"]["visible"]["threshold"] for n in ("one", "two")]
+    thresholds = [trial_of(summary, "persistence", n).strata["visible"].threshold for n in ("one", "two")]
     assert thresholds[0] == thresholds[1]
     alone = compare(shared.model_copy(update={"recordings": tests[1:2], "out": shared.out / "alone"}), progress)
-    assert trial_of(alone, "persistence", "two")["strata"] == trial_of(summary, "persistence", "two")["strata"]
+    assert trial_of(alone, "persistence", "two").strata == trial_of(summary, "persistence", "two").strata
 
 
 def test_an_unknown_reference_is_refused_with_a_suggestion(settings):
@@ -348,4 +351,4 @@ def test_an_unknown_reference_is_refused_with_a_suggestion(settings):
 
 def test_other_rows_are_compared_with_the_requested_reference(settings, progress):
     summary = compare(settings("persistence", "blank", reference="blank"), progress)
-    assert [(one["tracker"], one["reference"]) for one in summary["differences"]] == [("persistence", "blank")]
+    assert [(one.tracker, one.reference) for one in summary.differences] == [("persistence", "blank")]

@@ -13,8 +13,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from gridtrack.evaluation.results.passes import Latency, Quantiles
+from gridtrack.evaluation.results.trial_record import TrialRecord
 from gridtrack.evaluation.scoring.counting import Tally
-from gridtrack.evaluation.scoring.record import Latency, Quantiles, ThresholdsUsed, TrialRecord
 from gridtrack.evaluation.scoring.scores import ScoreWriter
 from gridtrack.evaluation.scoring.strata import STRATA
 from gridtrack.evaluation.scoring.thresholds import half
@@ -71,7 +72,7 @@ def write_trial(run: Path, label: str, recording: str, made: Made) -> None:
     times = Quantiles(p50=made.ms, p95=made.ms, p99=made.ms) if made.ms else None
     TrialRecord(
         schema=1, label=label, recording=recording, outcome=made.outcome, frames_scored=made.scored,
-        frames_expected=FRAMES, steps=STEPS, thresholds=ThresholdsUsed.of(half(STEPS)),
+        frames_expected=FRAMES, steps=STEPS, thresholds=half(STEPS).used(),
         latency_ms=Latency(update=times, predict=times, predict_step=times) if times else None,
     ).write(folder)  # fmt: skip
 

@@ -6,8 +6,9 @@ from sklearn.metrics import average_precision_score, brier_score_loss, f1_score,
 
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec
+from gridtrack.evaluation.results.columns import PROBABILITY_BINS
 from gridtrack.evaluation.scoring import metrics
-from gridtrack.evaluation.scoring.counting import EDGES, PROBABILITY_BINS, Tally, count_forecast
+from gridtrack.evaluation.scoring.counting import EDGES, Tally, count_forecast
 from gridtrack.evaluation.scoring.strata import CELL_KINDS, STRATA, STRATA_WITH_TRUTH, region_maps_of
 from gridtrack.evaluation.scoring.target import NOT_SCORED, Target
 from gridtrack.evaluation.scoring.thresholds import half

@@ -5,17 +5,9 @@ import polars as pl
 import pytest
 from pyarrow import parquet
 
+from gridtrack.evaluation.results.columns import CONFUSION, HISTOGRAM_TABLE, SCORES_TABLE
 from gridtrack.evaluation.scoring.counting import HALF, PROBABILITY_BINS, Tally
-from gridtrack.evaluation.scoring.scores import (
-    CONFUSION,
-    HISTOGRAM,
-    ROW_GROUP,
-    SCORES,
-    ScoresError,
-    ScoreWriter,
-    read_deliveries,
-    read_tally,
-)
+from gridtrack.evaluation.scoring.scores import ROW_GROUP, ScoresError, ScoreWriter, read_deliveries, read_tally
 from gridtrack.evaluation.scoring.strata import STRATA
 from gridtrack.evaluation.scoring.thresholds import Thresholds, half
 
@@ -50,7 +42,7 @@ def test_counts_survive_a_round_trip(tmp_path, frames):
 
 def test_each_scored_frame_has_its_confusion_counts_per_step_and_stratum(tmp_path):
     write(tmp_path, 3)
-    scores = pl.read_parquet(tmp_path / SCORES)
+    scores = pl.read_parquet(tmp_path / SCORES_TABLE.file)
     assert len(scores) == 3 * (STEPS + 1) * len(STRATA)
     row = scores.filter((pl.col("stamp_ns") == 400_000_000) & (pl.col("step") == 2) & (pl.col("stratum") == "moving"))
     expected = random_tally(1).confusion(THRESHOLDS.bins)[2, STRATA.index("moving")]
@@ -61,16 +53,16 @@ def test_each_scored_frame_has_its_confusion_counts_per_step_and_stratum(tmp_pat
 
 def test_the_histogram_has_one_row_per_second_and_agrees_with_the_counts(tmp_path):
     write(tmp_path, 7)
-    histogram = pl.read_parquet(tmp_path / HISTOGRAM)
+    histogram = pl.read_parquet(tmp_path / HISTOGRAM_TABLE.file)
     assert histogram["second"].unique().sort().to_list() == [0, 1, 2]
     assert len(histogram) == 3 * (STEPS + 1) * len(STRATA)
-    scores = pl.read_parquet(tmp_path / SCORES)
+    scores = pl.read_parquet(tmp_path / SCORES_TABLE.file)
     assert histogram["count"].to_numpy().sum() == scores.select(pl.sum_horizontal(CONFUSION)).to_series().sum()
 
 
 def test_rows_are_written_in_groups_so_memory_does_not_grow(tmp_path):
     write(tmp_path, 3 * ROW_GROUP + 1)
-    assert parquet.ParquetFile(tmp_path / SCORES).num_row_groups == 4
+    assert parquet.ParquetFile(tmp_path / SCORES_TABLE.file).num_row_groups == 4
 
 
 def test_counts_before_a_failure_are_kept(tmp_path):
@@ -88,7 +80,7 @@ def test_counts_before_a_failure_are_kept(tmp_path):
 
 def test_a_file_that_is_no_store_is_refused_in_one_line(tmp_path):
     write(tmp_path, 1)
-    (tmp_path / SCORES).write_bytes(b"PAR1 not really")
+    (tmp_path / SCORES_TABLE.file).write_bytes(b"PAR1 not really")
     with pytest.raises(ScoresError, match=r"scores\.parquet: cannot be read") as refused:
         read_tally(tmp_path, STEPS)
     assert "\n" not in str(refused.value)

@@ -6,16 +6,10 @@ from sklearn.metrics import balanced_accuracy_score, confusion_matrix, log_loss
 
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame
+from gridtrack.evaluation.results.columns import CLASSES_TABLE, SEMANTICS_TABLE
+from gridtrack.evaluation.results.trial_record import TrialRecord
 from gridtrack.evaluation.scoring.class_scores import class_scores
-from gridtrack.evaluation.scoring.class_store import (
-    CLASSES,
-    SEMANTICS,
-    ClassWriter,
-    read_found,
-    read_scan_losses,
-    read_semantics,
-)
-from gridtrack.evaluation.scoring.record import TrialRecord
+from gridtrack.evaluation.scoring.class_store import ClassWriter, read_found, read_scan_losses, read_semantics
 from gridtrack.evaluation.scoring.scores import ScoresError
 from gridtrack.evaluation.scoring.semantics import count_classes, count_found, match_classes
 from gridtrack.evaluation.scoring.strata import CELL_KINDS
@@ -60,19 +54,19 @@ def test_confusion_log_loss_and_balanced_accuracy_agree_with_scikit_learn(case, 
         writer.add_semantics(0, *count_classes(semantics, targets, match_classes(NAMES, NAMES)))
         writer.add_found(0, np.zeros((STEPS + 1, 2, len(NAMES), 4), np.int32))
     record = TrialRecord(label="a", recording="r", outcome="ok", steps=STEPS, frames_scored=1)
-    kinds = class_scores([(record, tmp_path)], NAMES, [0.0, 0.5, 1.0])["semantics"]["kinds"]
+    kinds = class_scores([(record, tmp_path)], NAMES, [0.0, 0.5, 1.0]).semantics.kinds
     for kind, state in (("visible", SEEN_OCCUPIED), ("occluded", HIDDEN_OCCUPIED)):
         for n, target in enumerate(targets):
             truth, p = of_kind(target, semantics[n], state)
             matrix = confusion_matrix(truth, p.argmax(axis=1), labels=range(len(NAMES)))
-            assert np.array_equal(np.array(kinds[kind]["confusion"][n]["cells"])[:, :-1], matrix)
+            assert np.array_equal(np.array(kinds[kind].confusion[n].cells)[:, :-1], matrix)
             expected = balanced_accuracy_score(truth, p.argmax(axis=1))
-            assert kinds[kind]["balanced_accuracy"][n] == pytest.approx(expected, abs=1e-6)
+            assert kinds[kind].balanced_accuracy[n] == pytest.approx(expected, abs=1e-6)
             clipped = p.astype(float).clip(0.001, 0.999)
             # scikit-learn wants rows that sum to 1: the probability of the true class against all others together
             own = clipped[np.arange(len(truth)), truth]
             loss = log_loss(np.ones(len(truth)), np.stack([1 - own, own], axis=1), labels=[0, 1])
-            assert kinds[kind]["nll_per_cell"][n] == pytest.approx(loss, abs=1e-6)
+            assert kinds[kind].nll_per_cell[n] == pytest.approx(loss, abs=1e-6)
 
 
 def test_log_loss_per_scan_gives_every_scan_the_same_weight(tmp_path):
@@ -157,10 +151,10 @@ def test_a_file_that_is_no_store_or_of_other_classes_or_steps_is_refused_in_one_
     for steps, names in ((STEPS - 1, NAMES), (STEPS, NAMES[1:])):
         with pytest.raises(ScoresError, match=r"classes\.parquet: cannot be read as counts of classes"):
             read_found(tmp_path, steps, names)
-    (tmp_path / SEMANTICS).write_bytes((tmp_path / CLASSES).read_bytes())
+    (tmp_path / SEMANTICS_TABLE.file).write_bytes((tmp_path / CLASSES_TABLE.file).read_bytes())
     with pytest.raises(ScoresError, match=r"semantics\.parquet: columns stamp_ns"):
         read_semantics(tmp_path, STEPS, NAMES)
-    (tmp_path / CLASSES).write_bytes(b"PAR1 not really")
+    (tmp_path / CLASSES_TABLE.file).write_bytes(b"PAR1 not really")
     with pytest.raises(ScoresError) as refused:
         read_found(tmp_path, STEPS, NAMES)
     assert "\n" not in str(refused.value)

@@ -20,7 +20,7 @@ def test_the_named_test_and_validation_stretches_are_the_default(record):
     split = plan_split(str(record()), None, SECOND)
     assert (split.name, split.test.name, split.validation.name) == ("room", "room.mcap@test", "room.mcap@validation")
     assert (split.steps, split.every) == (10, 5)
-    assert split.description()["horizons_s"] == [round(0.1 * n, 1) for n in range(11)]
+    assert split.description().horizons_s == tuple(round(0.1 * n, 1) for n in range(11))
     assert split.notices == ()
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from scipy import stats
@@ -39,7 +41,7 @@ EXTRA = {"latent": 0.3 + 0.1 * RNG.random(len(RECORDINGS)), "shot": np.zeros(len
 
 
 def summary_of(trials, names, classes=CLASSES, reference=None):
-    described = {name: {**synthetic.description(FRAMES), "classes": classes} for name in names}
+    described = {name: synthetic.description(FRAMES, classes=classes) for name in names}
     return summarise(described, trials, [], False, reference)
 
 
@@ -54,60 +56,61 @@ def trials(tmp_path_factory):
 
 
 def test_the_log_loss_of_scans_has_the_interval_of_the_jackknife_over_recordings(trials):
-    visible = summary_of(trials, RECORDINGS)["trackers"]["shot"]["pooled"]["semantics"]["kinds"]["visible"]
+    visible = summary_of(trials, RECORDINGS).trackers["shot"].pooled.semantics.kinds["visible"]
     sums = HARD.sum(axis=1)
     without = np.log(sums.sum() - sums + 0.5) - np.log(FRAMES * 19 + 0.5)
     error = np.sqrt(19 / 20 * np.sum((without - without.mean()) ** 2))
     reach = stats.t.ppf(0.975, sums.sum() ** 2 / (sums**2).sum() - 1) * error
-    assert visible["nll_per_scan"][8] == pytest.approx(HARD.mean(), abs=1e-5)
-    assert visible["nll_per_scan_low"][8] == pytest.approx(HARD.mean() * np.exp(-reach), abs=1e-5)
-    assert visible["nll_per_scan_high"][8] == pytest.approx(HARD.mean() * np.exp(reach), abs=1e-5)
-    assert visible["interval"] == ""
+    assert visible.nll_per_scan[8] == pytest.approx(HARD.mean(), abs=1e-5)
+    assert visible.nll_per_scan_low[8] == pytest.approx(HARD.mean() * np.exp(-reach), abs=1e-5)
+    assert visible.nll_per_scan_high[8] == pytest.approx(HARD.mean() * np.exp(reach), abs=1e-5)
+    assert visible.interval == ""
 
 
 def test_each_tracker_that_gives_classes_is_set_against_one_shot_on_the_same_scans(trials):
-    (one,) = summary_of(trials, RECORDINGS)["class_differences"]
+    (one,) = summary_of(trials, RECORDINGS).class_differences
     extra = EXTRA["latent"]
     error = extra.std(ddof=1) / np.sqrt(20)  # units of equal size: the jackknife is the error of the mean
     reach = stats.t.ppf(0.975, 19) * error
-    assert (one["tracker"], one["reference"], one["recordings"]) == ("latent", "shot", "all recordings")
-    assert (one["units"], one["frames"], one["interval"]) == (20, 20 * FRAMES, "")
-    visible = {key: values[8] for key, values in one["kinds"]["visible"].items()}
-    assert visible["nll_per_scan"] == pytest.approx(extra.mean(), abs=1e-5)
-    assert visible["nll_per_scan_low"] == pytest.approx(extra.mean() - reach, abs=1e-5)
-    assert visible["nll_per_scan_high"] == pytest.approx(extra.mean() + reach, abs=1e-5)
-    assert 0 < visible["nll_per_scan_p"] < 1e-9
-    assert set(one["kinds"]["occluded"]["nll_per_scan"]) == {None}
+    assert (one.tracker, one.reference, one.recordings) == ("latent", "shot", "all recordings")
+    assert (one.units, one.frames, one.interval) == (20, 20 * FRAMES, "")
+    at_step_8 = {key: curve[8] for key, curve in one.kinds["visible"]}
+    visible = SimpleNamespace(**at_step_8)
+    assert visible.nll_per_scan == pytest.approx(extra.mean(), abs=1e-5)
+    assert visible.nll_per_scan_low == pytest.approx(extra.mean() - reach, abs=1e-5)
+    assert visible.nll_per_scan_high == pytest.approx(extra.mean() + reach, abs=1e-5)
+    assert 0 < visible.nll_per_scan_p < 1e-9
+    assert set(one.kinds["occluded"].nll_per_scan) == {None}
 
 
 def test_a_reference_asked_for_that_gives_classes_is_the_reference(trials):
-    (one,) = summary_of(trials, RECORDINGS, reference="latent")["class_differences"]
-    assert (one["tracker"], one["reference"]) == ("shot", "latent")
-    assert one["kinds"]["visible"]["nll_per_scan"][0] < 0
+    (one,) = summary_of(trials, RECORDINGS, reference="latent").class_differences
+    assert (one.tracker, one.reference) == ("shot", "latent")
+    assert one.kinds["visible"].nll_per_scan[0] < 0
 
 
 def test_the_classes_are_no_part_of_the_headline_family(trials):
-    tests = [test for one in summary_of(trials, RECORDINGS)["differences"] for test in one["headline"]]
-    assert {test["stratum"] for test in tests} == {"moving", "visible"}
+    tests = [test for one in summary_of(trials, RECORDINGS).differences for test in one.headline]
+    assert {test.stratum for test in tests} == {"moving", "visible"}
 
 
 def test_one_short_recording_has_no_interval_and_says_why(trials):
     summary = summary_of([t for t in trials if t.record.recording == RECORDINGS[0]], RECORDINGS[:1])
-    visible = summary["trackers"]["shot"]["recordings"][RECORDINGS[0]]["semantics"]["kinds"]["visible"]
-    assert visible["nll_per_scan_low"] is None
-    assert visible["interval"].startswith("too short for an interval: ")
-    (one,) = summary["class_differences"]
-    assert one["interval"].startswith("too short for an interval: ")
-    assert one["kinds"]["visible"]["nll_per_scan"][0] == pytest.approx(EXTRA["latent"][0], abs=1e-5)
+    visible = summary.trackers["shot"].recordings[RECORDINGS[0]].semantics.kinds["visible"]
+    assert visible.nll_per_scan_low is None
+    assert visible.interval.startswith("too short for an interval: ")
+    (one,) = summary.class_differences
+    assert one.interval.startswith("too short for an interval: ")
+    assert one.kinds["visible"].nll_per_scan[0] == pytest.approx(EXTRA["latent"][0], abs=1e-5)
 
 
 def test_a_tracker_that_was_shown_other_frames_is_not_paired(tmp_path):
     pair = [trial(tmp_path, "shot", 0, EXTRA["shot"]), trial(tmp_path, "latent", 0, EXTRA["latent"], delivered="f")]
-    (one,) = summary_of(pair, RECORDINGS[:1])["class_differences"]
-    assert one["frames"] == 0
-    assert one["interval"].startswith("no frames in common")
+    (one,) = summary_of(pair, RECORDINGS[:1]).class_differences
+    assert one.frames == 0
+    assert one.interval.startswith("no frames in common")
 
 
 def test_nobody_is_compared_where_the_classes_are_not_known_or_only_one_gives_them(trials, tmp_path):
-    assert summary_of(trials, RECORDINGS, classes=())["class_differences"] == []
-    assert summary_of([trial(tmp_path, "shot", 0, EXTRA["shot"])], RECORDINGS[:1])["class_differences"] == []
+    assert summary_of(trials, RECORDINGS, classes=()).class_differences == ()
+    assert summary_of([trial(tmp_path, "shot", 0, EXTRA["shot"])], RECORDINGS[:1]).class_differences == ()

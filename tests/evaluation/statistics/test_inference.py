@@ -43,7 +43,7 @@ def twenty(tmp_path_factory):
 
 
 def difference(summary, tracker):
-    (found,) = [one for one in summary["differences"] if one["tracker"] == tracker]
+    (found,) = [one for one in summary.differences if one.tracker == tracker]
     return found
 
 
@@ -51,79 +51,79 @@ def test_pooled_scores_are_of_the_sums_over_all_recordings(twenty):
     trials, summary = twenty
     own = [read_frame_counts(t.folder, synthetic.STEPS, STRATA) for t in trials if t.record.label == "good"]
     tp, fp, fn = np.concatenate([o.counts for o in own]).sum(axis=0)[8, STRATA.index("moving"), :3].astype(float)
-    pooled = summary["trackers"]["good"]["pooled"]
-    assert pooled["strata"]["moving"]["f1"][8] == pytest.approx(2 * tp / (2 * tp + fp + fn), abs=1e-6)
-    assert (pooled["outcome"], pooled["recordings_complete"], pooled["frames_scored"]) == ("ok", 20, 160)
+    pooled = summary.trackers["good"].pooled
+    assert pooled.strata["moving"].f1[8] == pytest.approx(2 * tp / (2 * tp + fp + fn), abs=1e-6)
+    assert (pooled.outcome, pooled.recordings_complete, pooled.frames_scored) == ("ok", 20, 160)
 
 
 def test_the_pooled_interval_takes_whole_recordings_as_units(twenty):
     trials, summary = twenty
     own = [read_frame_counts(t.folder, synthetic.STEPS, STRATA) for t in trials if t.record.label == "good"]
     low, high = interval(np.stack([o.counts.sum(axis=0, dtype=float) for o in own]), "f1")
-    moving = summary["trackers"]["good"]["pooled"]["strata"]["moving"]
-    assert moving["f1_low"][8] == pytest.approx(low[8, 1], abs=1e-6)
-    assert moving["f1_high"][8] == pytest.approx(high[8, 1], abs=1e-6)
-    assert moving["interval"] == ""
-    assert moving["brier_low"][8] <= moving["brier"][8] <= moving["brier_high"][8]
+    moving = summary.trackers["good"].pooled.strata["moving"]
+    assert moving.f1_low[8] == pytest.approx(low[8, 1], abs=1e-6)
+    assert moving.f1_high[8] == pytest.approx(high[8, 1], abs=1e-6)
+    assert moving.interval == ""
+    assert moving.brier_low[8] <= moving.brier[8] <= moving.brier_high[8]
 
 
 def test_a_single_recording_of_forty_frames_is_too_short_for_an_interval(twenty):
-    moving = twenty[1]["trackers"]["good"]["recordings"]["seed-00"]["strata"]["moving"]
-    assert moving["f1_low"] is None
-    assert moving["interval"].startswith("too short for an interval: ")
+    moving = twenty[1].trackers["good"].recordings["seed-00"].strata["moving"]
+    assert moving.f1_low is None
+    assert moving.interval.startswith("too short for an interval: ")
 
 
 def test_better_is_said_where_it_is_shown_over_the_whole_family(twenty):
     good = difference(twenty[1], "good")
-    assert (good["recordings"], good["reference"], good["units"], good["frames"]) == (
+    assert (good.recordings, good.reference, good.units, good.frames) == (
         "all recordings",
         "persistence",
         20,
         160,
     )
-    assert {(t["stratum"], t["horizon_s"]) for t in good["headline"]} == {
+    assert {(t.stratum, t.horizon_s) for t in good.headline} == {
         (stratum, h) for stratum in ("moving", "visible") for h in (0.5, 1.0, 2.5)
     }
-    for test in good["headline"]:
-        assert test["verdict"] == "better"
-        assert 0 < test["f1_low"] < test["f1"] < test["f1_high"]
-        assert test["f1_p"] <= test["p_holm"] < 0.05
+    for test in good.headline:
+        assert test.verdict == "better"
+        assert 0 < test.f1_low < test.f1 < test.f1_high
+        assert test.f1_p <= test.p_holm < 0.05
 
 
 def test_identical_trackers_differ_by_exactly_nothing_and_are_never_better(twenty):
     twin = difference(twenty[1], "twin")
-    assert {(t["f1"], t["f1_low"], t["f1_high"], t["p_holm"], t["verdict"]) for t in twin["headline"]} == {
+    assert {(t.f1, t.f1_low, t.f1_high, t.p_holm, t.verdict) for t in twin.headline} == {
         (0.0, 0.0, 0.0, 1.0, "no difference shown")
     }
 
 
 def test_a_tracker_that_completed_fewer_recordings_is_not_compared_and_says_so(twenty):
     _, summary = twenty
-    unlucky = summary["trackers"]["unlucky"]["pooled"]
-    assert unlucky["outcome"] == "partial"
-    assert unlucky["reason"] == "19 of 20 recordings complete (seed-00: crashed)"
+    unlucky = summary.trackers["unlucky"].pooled
+    assert unlucky.outcome == "partial"
+    assert unlucky.reason == "19 of 20 recordings complete (seed-00: crashed)"
     told = difference(summary, "unlucky")
-    assert told["headline"] == []
-    assert told["interval"] == "not compared: unlucky has 19 of 20 recordings complete"
+    assert told.headline == ()
+    assert told.interval == "not compared: unlucky has 19 of 20 recordings complete"
 
 
 def test_the_ceiling_is_compared_with_nobody(twenty):
-    assert {one["tracker"] for one in twenty[1]["differences"]} == {"good", "twin", "unlucky"}
-    assert twenty[1]["trackers"]["oracle"]["pooled"]["strata"]["moving"]["f1"][8] > 0.8
+    assert {one.tracker for one in twenty[1].differences} == {"good", "twin", "unlucky"}
+    assert twenty[1].trackers["oracle"].pooled.strata["moving"].f1[8] > 0.8
 
 
 def test_the_reference_can_be_named(tmp_path):
     trials = a_run(tmp_path, {"persistence": 0.6, "good": 0.8}, RECORDINGS[:2], frames=3)
     summary = summary_of(trials, RECORDINGS[:2], reference="good")
-    assert summary["reference"] == "good"
-    assert [one["tracker"] for one in summary["differences"]] == ["persistence"]
+    assert summary.reference == "good"
+    assert [one.tracker for one in summary.differences] == ["persistence"]
 
 
 def test_of_nineteen_recordings_nothing_is_tested(tmp_path):
     trials = a_run(tmp_path, {"persistence": 0.6, "good": 0.8}, RECORDINGS[:19], frames=3)
     told = difference(summary_of(trials, RECORDINGS[:19]), "good")
-    assert told["interval"] == "too short for an interval: 19 recordings, and 20 units are needed"
-    assert {test["verdict"] for test in told["headline"]} == {"not tested"}
+    assert told.interval == "too short for an interval: 19 recordings, and 20 units are needed"
+    assert {test.verdict for test in told.headline} == {"not tested"}
 
 
 def test_a_long_recording_is_cut_into_blocks_longer_than_the_cycle(tmp_path):
@@ -131,30 +131,30 @@ def test_a_long_recording_is_cut_into_blocks_longer_than_the_cycle(tmp_path):
     told = {
         cycle: difference(summary_of(trials, ["long"], cycle_s=cycle), "good") for cycle in (None, 24.0, 25.5, 96.0)
     }
-    assert told[None]["units"] > 20
-    assert told[24.0]["units"] == 20
-    assert told[25.5]["interval"].startswith("too short for an interval: 19 units, blocks of at least 25.5 s")
-    assert told[96.0]["units"] == 5
+    assert told[None].units > 20
+    assert told[24.0].units == 20
+    assert told[25.5].interval.startswith("too short for an interval: 19 units, blocks of at least 25.5 s")
+    assert told[96.0].units == 5
 
 
 @pytest.mark.parametrize("cycle_s", [None, 30.0])
 def test_a_single_forecast_has_scores_and_is_too_short_for_an_interval(tmp_path, cycle_s):
     trials = a_run(tmp_path, {"persistence": 0.6, "good": 0.8}, ["short"], frames=1)
     summary = summary_of(trials, ["short"], cycle_s=cycle_s)
-    moving = summary["trackers"]["good"]["recordings"]["short"]["strata"]["moving"]
-    assert moving["f1"][8] > 0
-    assert moving["f1_low"] is None
+    moving = summary.trackers["good"].recordings["short"].strata["moving"]
+    assert moving.f1[8] > 0
+    assert moving.f1_low is None
     blocks = "blocks of at least 30 s" if cycle_s else "a single forecast"
-    assert moving["interval"] == f"too short for an interval: 1 unit, {blocks}, and 20 are needed"
-    assert difference(summary, "good")["interval"] == moving["interval"]
+    assert moving.interval == f"too short for an interval: 1 unit, {blocks}, and 20 are needed"
+    assert difference(summary, "good").interval == moving.interval
 
 
 def test_recordings_of_different_grids_are_not_pooled_and_that_is_told(tmp_path):
     trials = a_run(tmp_path, {"persistence": 0.6}, ["a", "b"], frames=3)
-    described = {"a": synthetic.description(), "b": {**synthetic.description(), "grid": "50x0.4"}}
+    described = {"a": synthetic.description(), "b": synthetic.description(grid="50x0.4")}
     summary = summarise(described, trials, [], False)
-    assert summary["trackers"]["persistence"]["pooled"] is None
-    assert any("no scores are pooled" in notice for notice in summary["notices"])
+    assert summary.trackers["persistence"].pooled is None
+    assert any("no scores are pooled" in notice for notice in summary.notices)
 
 
 def test_frames_of_another_delivery_are_not_paired(tmp_path):
@@ -163,8 +163,8 @@ def test_frames_of_another_delivery_are_not_paired(tmp_path):
         synthetic.write_trial(tmp_path, "odd", "a", 0.6, seed=0, frames=4, delivered="f"),
     ]
     told = difference(summary_of(trials, ["a"]), "odd")
-    assert (told["frames"], told["headline"]) == (0, [])
-    assert told["interval"] == "no frames in common: it was delivered others than the reference"
+    assert (told.frames, told.headline) == (0, ())
+    assert told.interval == "no frames in common: it was delivered other frames than the reference"
     odd = read_frame_counts(trials[1].folder, synthetic.STEPS, STRATA)
     others = FrameCounts(odd.stamps_ns[1:], np.array(["x", *odd.delivered[2:]]), odd.counts[1:])
     one, other = common_frames(odd, others)
@@ -177,8 +177,8 @@ def test_a_row_of_raw_returns_is_not_compared_with_one_of_cells_centres_and_says
         for label, delivered in (("persistence", ""), ("kalman", "f"))
     )
     told = difference(summary_of([reference, replace(raw, points="raw")], ["a"]), "kalman")
-    assert (told["frames"], told["headline"]) == (0, [])
-    assert told["interval"].startswith("not compared: a row of raw returns and one of the centres of cells")
+    assert (told.frames, told.headline) == (0, ())
+    assert told.interval.startswith("not compared: a row of raw returns and one of the centres of cells")
 
 
 def test_scores_of_other_steps_are_refused(tmp_path):

@@ -1,0 +1,134 @@
+"""The columns of a trial's Parquet files: names, types and meaning, declared once for writers and readers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import pyarrow as pa
+
+PROBABILITY_BINS = 50
+"""Bins of a histogram of probabilities."""
+CONFUSION = ("tp", "fp", "fn", "tn")
+"""Counts of cells at the threshold of the step and stratum."""
+CONFUSION_AT_HALF = tuple(f"{name}_half" for name in CONFUSION)
+FOUND = ("tp", "fn", "tp_half", "fn_half")
+"""Counts of the cells of one class, at the threshold in use and at 0.5."""
+
+
+@dataclass(frozen=True, slots=True)
+class ParquetColumn:
+    """A column: its name, its Arrow type, and its meaning in one line."""
+
+    name: str
+    type: Any
+    meaning: str
+
+
+@dataclass(frozen=True, slots=True)
+class ParquetTable:
+    """A Parquet file of a trial: its name, what one row is, and its columns in their order."""
+
+    file: str
+    row: str
+    columns: tuple[ParquetColumn, ...]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the columns, in their order."""
+        return tuple(column.name for column in self.columns)
+
+    @property
+    def schema(self) -> Any:
+        """The columns as an Arrow schema."""
+        return pa.schema([(column.name, column.type) for column in self.columns])
+
+    def type_of(self, name: str) -> Any:
+        """The Arrow type of a column. Raises KeyError for a name that is none."""
+        return {column.name: column.type for column in self.columns}[name]
+
+
+_STRATUM = pa.dictionary(pa.int8(), pa.string())
+_NAME = pa.dictionary(pa.int16(), pa.string())
+_STAMP = ParquetColumn("stamp_ns", pa.int64(), "stamp of frame t, from which the forecast was made")
+_STEP = ParquetColumn("step", pa.int16(), "n, 0 to steps")
+_STRATUM_COLUMN = ParquetColumn("stratum", _STRATUM, "name of the stratum; every scored frame has the same ones")
+_KIND = ParquetColumn("kind", _NAME, "visibility of the cells: `visible` or `occluded`")
+
+
+def _counts(names: tuple[str, ...], meaning: str) -> tuple[ParquetColumn, ...]:
+    return tuple(ParquetColumn(name, pa.int32(), meaning) for name in names)
+
+
+SCORES_TABLE = ParquetTable(
+    "scores.parquet",
+    "scored frame x step x stratum",
+    (
+        _STAMP,
+        ParquetColumn(
+            "delivered",
+            pa.string(),
+            "hash of every frame delivered up to t+steps: equal for two trackers that received the same frames",
+        ),
+        _STEP,
+        _STRATUM_COLUMN,
+        *_counts(CONFUSION, "cells, at the threshold of the step and stratum"),
+        *_counts(CONFUSION_AT_HALF, "cells, at 0.5"),
+        ParquetColumn("squared_error", pa.float64(), "sum over cells of (p - occupied)^2"),
+        ParquetColumn(
+            "log_loss",
+            pa.float64(),
+            "sum over cells of the negative log likelihood, nats; p clipped to [0.001, 0.999]",
+        ),
+    ),
+)
+HISTOGRAM_TABLE = ParquetTable(
+    "histogram.parquet",
+    "second x step x stratum",
+    (
+        ParquetColumn("second", pa.int64(), "`stamp_ns` in whole seconds"),
+        _STEP,
+        _STRATUM_COLUMN,
+        ParquetColumn("count", pa.list_(pa.int32(), PROBABILITY_BINS), "cells, by forecast probability"),
+        ParquetColumn("positives", pa.list_(pa.int32(), PROBABILITY_BINS), "occupied cells, by forecast probability"),
+        ParquetColumn("p_sum", pa.list_(pa.float64(), PROBABILITY_BINS), "sum of the probabilities in each bin"),
+    ),
+)
+CLASSES_TABLE = ParquetTable(
+    "classes.parquet",
+    "scored frame x step x visibility x class, of moving cells",
+    (
+        _STAMP,
+        _STEP,
+        _KIND,
+        ParquetColumn("class", _NAME, "the recording's name of the class"),
+        *_counts(
+            FOUND[:2],
+            "cells called occupied, and not, at the threshold of `moving` for visible ones, of `occluded` for others",
+        ),
+        *_counts(FOUND[2:], "the same at 0.5"),
+    ),
+)
+SEMANTICS_TABLE = ParquetTable(
+    "semantics.parquet",
+    "scored frame x step x visibility x true x predicted class",
+    (
+        _STAMP,
+        _STEP,
+        _KIND,
+        ParquetColumn("true", _NAME, "the cell's class"),
+        ParquetColumn(
+            "predicted",
+            _NAME,
+            "the most probable of the tracker's classes; null for a class that the recording does not have",
+        ),
+        ParquetColumn("cells", pa.int32(), "number of cells"),
+        ParquetColumn(
+            "log_loss",
+            pa.float64(),
+            "sum over cells of -log P(true class), nats; P clipped to [0.001, 0.999], and 0 before that for a class"
+            " that the tracker does not have",
+        ),
+    ),
+)
+TABLES = (SCORES_TABLE, HISTOGRAM_TABLE, CLASSES_TABLE, SEMANTICS_TABLE)

@@ -1,0 +1,165 @@
+"""summary.json: the results of a run, with scores, intervals and paired differences."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, Final, Literal, Self
+
+from pydantic import Field, model_validator
+
+from gridtrack.evaluation.results.files import read_model, write_model
+from gridtrack.evaluation.results.recording import RecordingSummary
+from gridtrack.evaluation.results.trial_summary import PooledSummary, ScopeSummary, TrialSummary
+from gridtrack.evaluation.results.values import Curve, Number, ResultModel
+from gridtrack.trackers.contract import Role
+
+SUMMARY_SCHEMA: Final = 1
+SUMMARY_FILE = "summary.json"
+MAX_SUMMARY_BYTES = 256 << 20
+ALL_RECORDINGS = "all recordings"
+"""The name of all recordings of a run together; no recording may have it."""
+ORACLE = "oracle"
+"""Label of the ceiling, which the referee computes where there is truth; no tracker may have it."""
+
+
+class TrackerSummary(ResultModel):
+    """One row of the comparison: a tracker with its options, on every recording."""
+
+    tracker: str
+    role: Role = "tracker"
+    """A floor is a row that every tracker must beat."""
+    options: dict[str, Any] = Field(default_factory=dict)
+    points: str = ""
+    """The returns in each frame: `centres` of occupied cells, or `raw`."""
+    recordings: dict[str, TrialSummary]
+    pooled: PooledSummary | None = None
+    """Over all recordings; null for a single one, or where rate, horizon or grid differ."""
+
+    @property
+    def ceiling(self) -> bool:
+        """Whether it is the score of an ideal tracker: shown, and never ranked."""
+        return self.tracker == ORACLE
+
+    @property
+    def floor(self) -> bool:
+        """Whether it is one of the rows that every tracker must beat."""
+        return self.role == "floor"
+
+
+class HeadlineTest(ResultModel):
+    """A tracker's F1 less the reference's at one horizon, with its test."""
+
+    stratum: str
+    horizon_s: float
+    step: int = 0
+    f1: Number = None
+    f1_low: Number = None
+    f1_high: Number = None
+    f1_p: Number = None
+    p_holm: Number = None
+    """Corrected over all headline tests of the run (Holm 1979)."""
+    verdict: str
+    """`better`, `worse`, `no difference shown` or `not tested`."""
+
+
+class DifferenceCurves(ResultModel):
+    """F1 of a tracker less that of the reference in one stratum, per step."""
+
+    f1: Curve
+    f1_low: Curve
+    f1_high: Curve
+    f1_p: Curve
+
+
+class TrackerDifference(ResultModel):
+    """One tracker against the reference on a recording, or on all: paired differences of F1."""
+
+    recordings: str
+    """The name of the recording, or ALL_RECORDINGS."""
+    tracker: str
+    reference: str
+    units: int = 0
+    """Statistical units: whole recordings, or blocks of time."""
+    frames: int = 0
+    """Scored frames that both have."""
+    interval: str = ""
+    """Why there is no interval or no comparison; empty where there is."""
+    strata: dict[str, DifferenceCurves] = Field(default_factory=dict)
+    headline: tuple[HeadlineTest, ...] = Field(default=(), max_length=100)
+
+
+class ClassLossCurves(ResultModel):
+    """Log loss of the classes of a scan less the reference's, per step, nats."""
+
+    nll_per_scan: Curve
+    nll_per_scan_low: Curve
+    nll_per_scan_high: Curve
+    nll_per_scan_p: Curve
+
+
+class ClassDifference(ResultModel):
+    """One tracker's class probabilities against those of the reference for classes, on a recording, or on all."""
+
+    recordings: str
+    tracker: str
+    reference: str
+    frames: int = 0
+    units: int = 0
+    interval: str = ""
+    kinds: dict[str, ClassLossCurves] = Field(default_factory=dict)
+    """By visibility."""
+
+
+class RunSummary(ResultModel):
+    """The results of a run."""
+
+    schema_version: Literal[1] = Field(default=SUMMARY_SCHEMA, alias="schema")
+    interrupted: bool = False
+    notices: tuple[str, ...] = ()
+    """What to know before a comparison, a line for each."""
+    recordings: dict[str, RecordingSummary] = Field(min_length=1)
+    trackers: dict[str, TrackerSummary]
+    """By label."""
+    reference: str | None = None
+    """Label of the row that the others are compared with."""
+    differences: tuple[TrackerDifference, ...] = ()
+    class_differences: tuple[ClassDifference, ...] = ()
+
+    @property
+    def has_pooled(self) -> bool:
+        """Whether every row has scores over several recordings together."""
+        pooled = bool(self.trackers) and all(row.pooled is not None for row in self.trackers.values())
+        return pooled and len(self.recordings) > 1 and ALL_RECORDINGS not in self.recordings
+
+    @model_validator(mode="after")
+    def _curves_reach_every_horizon(self) -> Self:
+        steps = {name: len(recording.horizons_s) for name, recording in self.recordings.items()}
+        if self.has_pooled:
+            steps[ALL_RECORDINGS] = next(iter(steps.values()))
+        for label, row in self.trackers.items():
+            for name in row.recordings.keys() - self.recordings.keys():
+                raise ValueError(f"tracker {label} has scores on {name}, which is not among the recordings")
+            pooled = [(ALL_RECORDINGS, row.pooled)] if self.has_pooled and row.pooled else []
+            for name, scope in [*pooled, *row.recordings.items()]:
+                _refuse_other_lengths(f"{label} on {name}", scope, steps[name])
+        for one in self.class_differences:
+            expected = steps.get(one.recordings, 0)
+            if any(len(curve) != expected for losses in one.kinds.values() for _, curve in losses):
+                raise ValueError(f"{one.tracker} on {one.recordings}: class differences not of {expected} steps")
+        return self
+
+    def write(self, folder: Path) -> None:
+        """Write it into the run's folder. Raises OSError."""
+        write_model(folder / SUMMARY_FILE, self)
+
+
+def _refuse_other_lengths(where: str, scope: ScopeSummary, steps: int) -> None:
+    for name, curve in scope.curves():
+        if len(curve) != steps:
+            raise ValueError(f"{where}, {name}: {len(curve)} steps, expected {steps}")
+
+
+def read_summary(folder: Path) -> RunSummary:
+    """The summary in a run's folder. Raises FileNotFoundError where it has none, and RunError."""
+    remedy = "read it with the version that wrote it, or compare again"
+    return read_model(folder / SUMMARY_FILE, RunSummary, SUMMARY_SCHEMA, MAX_SUMMARY_BYTES, remedy)

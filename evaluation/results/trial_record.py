@@ -1,0 +1,100 @@
+"""outcome.json: the record of one trial, written when it ends."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Final, Literal
+
+from pydantic import Field
+
+from gridtrack.evaluation.processes.outcome import Outcome
+from gridtrack.evaluation.results.files import read_model, write_model
+from gridtrack.evaluation.results.passes import Deadline, Latency, Robustness
+from gridtrack.evaluation.results.values import ResultModel
+from gridtrack.trackers.contract import ComparedPart, Role
+
+TRIAL_SCHEMA: Final = 1
+OUTCOME_FILE = "outcome.json"
+MAX_OUTCOME_BYTES = 1 << 24
+
+TrialEnding = Outcome | Literal["interrupted", "failed"]
+"""How a trial ended; `interrupted` with its run, `failed` where the scoring failed and not the tracker."""
+
+
+class ThresholdsUsed(ResultModel):
+    """The threshold of each step, by stratum."""
+
+    values: dict[str, tuple[float, ...]] = Field(default_factory=dict)
+    chosen_on: str = ""
+    """The validation stretch; empty where there is none, and every threshold is 0.5."""
+
+
+class Times(ResultModel):
+    """Seconds that a trial takes over both stretches."""
+
+    start_s: float = 0.0
+    """Until the tracker is ready."""
+    update_s: float = 0.0
+    """By the tracker's own clock."""
+    predict_s: float = 0.0
+    """By the tracker's own clock."""
+    wall_s: float = 0.0
+    """From the first frame delivered to the last, the tracker's own time included."""
+    frames: int = 0
+    """Frames delivered."""
+
+
+class TrialRecord(ResultModel):
+    """One trial: its outcome, the number of frames, the thresholds, and what was measured."""
+
+    schema_version: Literal[1] = Field(default=TRIAL_SCHEMA, alias="schema")
+    label: str
+    recording: str
+    outcome: TrialEnding
+    reason: str = ""
+    """Why it ended, in one line; empty for `ok`."""
+    frames_scored: int = 0
+    frames_expected: int = 0
+    frames_delivered: int = 0
+    """Of the test stretch."""
+    delivered: str = ""
+    """Hash of the frames delivered, in their order."""
+    steps: int
+    """Of a forecast."""
+    thresholds: ThresholdsUsed = ThresholdsUsed()
+    classes: tuple[str, ...] = ()
+    """The classes that the tracker gives probabilities for."""
+    role: Role = "tracker"
+    """By the tracker's own description; `tracker` where it did not start."""
+    reference_for: tuple[ComparedPart, ...] = ()
+    """The comparisons in which the other rows are compared with this tracker by default."""
+    weights_sha256: str = ""
+    """Of the card of the weights used; empty without weights."""
+    recoveries: int = 0
+    """How often the tracker continued after a failure inside it, by its own count."""
+    times: Times = Times()
+    peak_rss_mb: float | None = None
+    """Highest resident memory of the tracker's processes, MiB."""
+    latency_ms: Latency | None = None
+    deadline: Deadline | None = None
+    robustness: Robustness | None = None
+
+    @property
+    def complete(self) -> bool:
+        """Whether every forecast of the test stretch was scored."""
+        return self.outcome == "ok" and 0 < self.frames_scored == self.frames_expected
+
+    def write(self, folder: Path) -> None:
+        """Write it into the trial's folder. Raises OSError."""
+        write_model(folder / OUTCOME_FILE, self)
+
+
+def read_trial_record(folder: Path) -> TrialRecord | None:
+    """The record in a trial's folder; None where the trial has not ended. Raises RunError."""
+    path = folder / OUTCOME_FILE
+    try:
+        return read_model(
+            path, TrialRecord, TRIAL_SCHEMA, MAX_OUTCOME_BYTES, "delete the folder and run the trial again"
+        )
+    except FileNotFoundError:
+        return None

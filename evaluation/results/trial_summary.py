@@ -1,0 +1,159 @@
+"""The scores of one tracker on one recording, or on several pooled, as summary.json holds them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+
+from pydantic import Field
+
+from gridtrack.evaluation.results.passes import Deadline, Latency, Robustness
+from gridtrack.evaluation.results.trial_record import Times
+from gridtrack.evaluation.results.values import CellCounts, Curve, Number, ResultModel
+
+
+class StratumScores(ResultModel):
+    """Scores in one stratum, each per step; `_low` and `_high` are the ends of 95 % confidence intervals."""
+
+    f1: Curve
+    precision: Curve
+    recall: Curve
+    pr_auc: Curve
+    """Average precision."""
+    brier: Curve
+    brier_reliability: Curve | None = None
+    brier_resolution: Curve | None = None
+    brier_uncertainty: Curve | None = None
+    nll: Curve
+    """Log loss, nats."""
+    ece: Curve
+    """Expected calibration error."""
+    threshold: Curve
+    f1_at_visible: Curve
+    """F1 at the threshold of all visible cells."""
+    f1_at_half: Curve
+    """F1 at the threshold 0.5."""
+    f1_low: Curve | None = None
+    precision_low: Curve | None = None
+    recall_low: Curve | None = None
+    brier_low: Curve | None = None
+    nll_low: Curve | None = None
+    f1_high: Curve | None = None
+    precision_high: Curve | None = None
+    recall_high: Curve | None = None
+    brier_high: Curve | None = None
+    nll_high: Curve | None = None
+    interval: str = ""
+    """Why there are no intervals; empty where there are."""
+    share_of_oracle: Curve | None = None
+    """(F1 - floor) / (oracle - floor), floor the best of the floors at each step; null without an oracle."""
+
+
+class ClassRecall(ResultModel):
+    """Cells of one class at each step, and the share of them that was called occupied."""
+
+    recall: Curve
+    recall_at_half: Curve
+    """At the threshold 0.5."""
+    cells: CellCounts
+
+
+class ConfusionAtStep(ResultModel):
+    """Confusion counts (K, K+1) at one step: true by predicted classes; the last: a class not in the recording."""
+
+    step: int
+    cells: tuple[tuple[int, ...], ...]
+
+
+class ClassScores(ResultModel):
+    """Scores of class probabilities at each step, of cells of one visibility whose class is known."""
+
+    nll_per_scan: Curve
+    """Mean over scans of the mean log loss of their cells, nats."""
+    nll_summed_over_scans: Curve
+    nll_per_cell: Curve
+    balanced_accuracy: Curve
+    cells: CellCounts
+    scans: CellCounts
+    confusion: tuple[ConfusionAtStep, ...] = ()
+    nll_per_scan_low: Curve | None = None
+    nll_per_scan_high: Curve | None = None
+    interval: str = ""
+    """Why there is no interval; empty where there is."""
+
+
+class SemanticScores(ResultModel):
+    """Scores of a tracker's class probabilities, by visibility: `visible` or `occluded`."""
+
+    classes: tuple[str, ...] = ()
+    kinds: dict[str, ClassScores]
+
+
+RecallByClass = dict[str, dict[str, ClassRecall]]
+"""By visibility and class."""
+
+
+class ScopeSummary(ResultModel):
+    """Scores of one tracker on one recording, or on all of them pooled."""
+
+    outcome: str
+    """That of the record; of pooled recordings `ok` or `partial`."""
+    reason: str = ""
+    frames_scored: int = 0
+    frames_expected: int = 0
+    threshold_chosen_on: str = ""
+    """The validation stretch; empty without one, or where recordings differ in it."""
+    strata: dict[str, StratumScores] = Field(default_factory=dict)
+    """Empty where nothing was scored."""
+    recall_by_class: RecallByClass | None = None
+    semantics: SemanticScores | None = None
+    gap_to_truth: Curve | None = None
+    """F1 on visible less F1 on occluded cells; null without truth."""
+
+    @property
+    def complete(self) -> bool:
+        """Whether every forecast was scored: only such trials are ranked."""
+        return self.outcome == "ok" and 0 < self.frames_scored == self.frames_expected
+
+    def curves(self) -> Iterator[tuple[str, tuple[float | None, ...]]]:
+        """Every curve, with the stratum, class or visibility that it is of."""
+        yield from _curves_of(self.strata)
+        if self.gap_to_truth is not None:
+            yield "visible less occluded", self.gap_to_truth
+        for by_class in (self.recall_by_class or {}).values():
+            yield from _curves_of(by_class)
+        if self.semantics is not None:
+            yield from _curves_of(self.semantics.kinds)
+
+
+class TrialSummary(ScopeSummary):
+    """One tracker on one recording."""
+
+    weights_sha256: str = ""
+    recoveries: int = 0
+    latency_ms: Latency | None = None
+    deadline: Deadline | None = None
+    robustness: Robustness | None = None
+    """With the undegraded scores as strength 0."""
+    times: Times = Times()
+    peak_rss_mb: Number = None
+
+    def curves(self) -> Iterator[tuple[str, tuple[float | None, ...]]]:
+        """Every curve, those under other conditions included."""
+        yield from super().curves()
+        for at in self.deadline.rates if self.deadline else ():
+            yield from at.f1.items()
+        for points in self.robustness.kinds.values() if self.robustness else ():
+            for point in points:
+                yield from point.f1.items()
+
+
+class PooledSummary(ScopeSummary):
+    """One tracker on all recordings together, of those that it completed."""
+
+    recordings_complete: int = 0
+    recordings_expected: int = 0
+
+
+def _curves_of(scores: Mapping[str, ResultModel]) -> Iterator[tuple[str, tuple[float | None, ...]]]:
+    for name, one in scores.items():
+        yield from ((name, curve) for key, curve in one if isinstance(curve, tuple) and key != "confusion")

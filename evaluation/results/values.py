@@ -1,0 +1,60 @@
+"""Values of the result files: the base of their models, scores and curves, and how they are rounded."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Annotated, Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, BeforeValidator, ConfigDict
+
+DECIMALS = 6
+"""Digits after the point of every score."""
+P_VALUE_DIGITS = 3
+"""Significant digits of a p-value."""
+
+
+class ResultModel(BaseModel):
+    """Base of every model of a result file: frozen. A key that this version does not know is ignored."""
+
+    model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False, use_attribute_docstrings=True)
+
+
+def _defined(value: Any) -> Any:
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _each_defined(values: Any) -> Any:
+    return tuple(map(_defined, values)) if isinstance(values, list | tuple) else values
+
+
+Number = Annotated[float | None, BeforeValidator(_defined)]
+"""A score; None where it is undefined (NaN and infinities are read as None)."""
+Curve = Annotated[tuple[float | None, ...], BeforeValidator(_each_defined)]
+"""One score at every step 0..n; None where it is undefined, as in a stratum without cells."""
+Curves = dict[str, Curve]
+"""A curve for each stratum."""
+CellCounts = tuple[int, ...]
+"""A number of cells, or of scans, at every step 0..n."""
+
+
+def rounded(value: float) -> float | None:
+    """A score as the files hold it: DECIMALS digits after the point, None for NaN."""
+    return None if math.isnan(value) else round(value, DECIMALS)
+
+
+def rounded_p(value: float) -> float | None:
+    """A p-value as the files hold it: P_VALUE_DIGITS significant digits, None for NaN."""
+    return None if math.isnan(value) else float(f"{value:.{P_VALUE_DIGITS}g}")
+
+
+def rounded_curve(values: NDArray[np.float64] | Sequence[float]) -> tuple[float | None, ...]:
+    """Scores (S,) of steps 0..S-1 as the files hold them."""
+    return tuple(rounded(float(value)) for value in values)
+
+
+def rounded_p_curve(values: NDArray[np.float64] | Sequence[float]) -> tuple[float | None, ...]:
+    """P-values (S,) of steps 0..S-1 as the files hold them."""
+    return tuple(rounded_p(float(value)) for value in values)

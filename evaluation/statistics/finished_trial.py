@@ -1,0 +1,36 @@
+"""A finished trial as the statistics read it: its record, its folder of counts, and the tracker that ran."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from gridtrack.evaluation.results.trial_record import TrialRecord
+
+
+@dataclass(frozen=True, slots=True)
+class FinishedTrial:
+    """A trial that has ended: its record, the folder of its files, and what decided which frames it received."""
+
+    record: TrialRecord
+    folder: Path
+    tracker: str
+    options: Mapping[str, Any]
+    points: str
+
+    @property
+    def complete(self) -> bool:
+        """Whether every forecast was scored."""
+        return self.record.complete
+
+    @property
+    def strata(self) -> tuple[str, ...]:
+        """The strata that it was scored in."""
+        return tuple(self.record.thresholds.values)
+
+
+def trials_on(recording: str, trials: Sequence[FinishedTrial]) -> list[FinishedTrial]:
+    """The trials of one recording."""
+    return [trial for trial in trials if trial.record.recording == recording]
