@@ -94,7 +94,7 @@ class TrainedClassifier:
 def best_classifier(
     build: Callable[[ClassifierSettings], CellClassifier],
     given: Mapping[str, Any],
-    learned: LabelledCells,
+    training: LabelledCells,
     validation: LabelledCells,
     seed: int,
     report: Callable[[str], None],
@@ -106,7 +106,7 @@ def best_classifier(
     best = None
     for settings in candidate_settings(given, seed):
         torch.manual_seed(seed)
-        tried = calibrated(train_classifier(build(settings), settings, learned, validation), validation)
+        tried = calibrated(train_classifier(build(settings), settings, training, validation), validation)
         best = tried if best is None or tried.log_loss < best.log_loss else best
         report(
             f"channels {settings.channels}, learning rate {settings.learning_rate:g}, weight decay"
@@ -135,22 +135,22 @@ def _log_uniform(draw: np.random.Generator, low: float, high: float) -> float:
 
 
 def train_classifier(
-    classifier: CellClassifier, settings: ClassifierSettings, learned: LabelledCells, validation: LabelledCells
+    classifier: CellClassifier, settings: ClassifierSettings, training: LabelledCells, validation: LabelledCells
 ) -> TrainedClassifier:
-    """AdamW on batches of `learned`, classes weighted by inverse frequency; the weights best on `validation`.
+    """AdamW on batches of `training`, classes weighted by inverse frequency; the weights best on `validation`.
 
     Batches are drawn by PyTorch's global generator: seed it before the classifier is built.
     """
     classes = classifier.layers[-1].out_channels
-    class_weights = torch.from_numpy(inverse_frequency(learned.targets.numpy(), int(classes)))  # type: ignore[arg-type]
+    class_weights = torch.from_numpy(inverse_frequency(training.targets.numpy(), int(classes)))  # type: ignore[arg-type]
     optimizer = torch.optim.AdamW(classifier.parameters(), settings.learning_rate, weight_decay=settings.weight_decay)
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, settings.updates)
     every = -(-settings.updates // VALIDATIONS)
     best: tuple[float, int, dict[str, Tensor]] | None = None
     for update in range(1, settings.updates + 1):
-        batch = torch.randint(len(learned.targets), (settings.batch,))
-        logits = classifier.of_patches(learned.patches(batch, classifier.reach))
-        loss = functional.cross_entropy(logits, learned.targets[batch], class_weights)
+        batch = torch.randint(len(training.targets), (settings.batch,))
+        logits = classifier.of_patches(training.patches(batch, classifier.reach))
+        loss = functional.cross_entropy(logits, training.targets[batch], class_weights)
         optimizer.zero_grad()
         loss.backward()  # type: ignore[no-untyped-call]
         optimizer.step()

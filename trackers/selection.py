@@ -113,7 +113,7 @@ class ExternalTracker(Settings):
         if (self.python is None) == (self.command is None):
             raise ValueError("give either python or command")
         if self.command is not None and self.tracker is not None:
-            raise ValueError("tracker goes with python, not with command")
+            raise ValueError("tracker is an option of python, not of command")
         if self.tracker is not None and not VALID_NAME.fullmatch(self.tracker):
             raise ValueError(f"'{self.tracker}' is not a valid name of a tracker")
         return self

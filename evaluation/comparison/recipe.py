@@ -39,7 +39,7 @@ class Recipe(Settings):
 
     @property
     def command(self) -> str:
-        """The command line that repeats this training, whatever becomes of the file that the recipe was read from."""
+        """The command line that repeats this training; it does not need the recipe file."""
         options = ",".join(f"{key}={_option_text(value)}" for key, value in self.options.items())
         words = ["gridtrack", "train", f"{self.tracker}:{options}" if options else self.tracker, *self.recordings]
         for stretch in self.validation:

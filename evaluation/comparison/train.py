@@ -1,4 +1,4 @@
-"""Training a tracker for a site, as a recipe says: `gridtrack train`."""
+"""Training of a tracker for a site by a recipe: `gridtrack train`."""
 
 from __future__ import annotations
 

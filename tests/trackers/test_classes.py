@@ -1,4 +1,4 @@
-"""What things are, learned from a few labels: from one scan by its shape, from a latent state also by its motion."""
+"""Classes learned from few labels: from the shape in one scan, and from the motion in a latent state."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ SIZE, ROUND = 16, 12
 
 
 class Scene:
-    """Every 12 frames two new things of one row each, somewhere: class 0, and class 1."""
+    """Every 12 frames two new objects at random positions: one of class 0, one of class 1."""
 
     sha256, site, classes = "0" * 64, "toy", ("stander", "walker", "horse")
     grid, period_s = GridSpec(SIZE, 0.5), 0.25
@@ -98,7 +98,7 @@ CLASSIFIER = {"channels": 16, "learning_rate": 0.01, "weight_decay": 0.001, "upd
 
 @pytest.fixture(scope="module", autouse=True)
 def one_short_trial():
-    """Of the class decoder, instead of ten: a toy needs no search."""
+    """The search of the class decoder has one iteration instead of ten: the scene needs no search."""
     with pytest.MonkeyPatch.context() as patch:
         short = {"learning_rate": 0.01, "updates": 300, "batch": 64}
         patch.setattr(
@@ -108,7 +108,7 @@ def one_short_trial():
 
 
 def accuracy(tracker, weights, things, from_frame=4):
-    """Of the classes of what is occupied, in a scene that it has not seen, some frames after each round's begin."""
+    """Accuracy of the classes of occupied cells in a new scene, `from_frame` frames after each new pair of objects."""
     source = Scene(things, 96, seed=2)
     made = tracker(stream_of(source, weights), tracker.Options())
     made.reset(0)
@@ -117,29 +117,29 @@ def accuracy(tracker, weights, things, from_frame=4):
         made.update(frame)
         if t % ROUND >= from_frame:
             semantics = made.predict(1).semantics[0].reshape(len(made.classes), -1)
-            said = semantics[:, cells].argmax(axis=0)
-            right += [made.classes[k] == source.classes[label] for k, label in zip(said, labels, strict=True)]
+            most_probable = semantics[:, cells].argmax(axis=0)
+            right += [made.classes[k] == source.classes[label] for k, label in zip(most_probable, labels, strict=True)]
     return np.mean(right)
 
 
 @pytest.fixture(scope="module")
 def latent(tmp_path_factory):
-    """Weights of a ConvGRU that has hardly been trained, its classes learned after its occupancy."""
+    """Weights of a ConvGRU after one update, with a class decoder trained after it."""
     return fit(DilatedConvGRUTracker, tmp_path_factory.mktemp("latent"), (stands, walks), **NETWORK, **DECODER)
 
 
-def test_a_latent_state_tells_apart_what_only_motion_does_and_one_scan_cannot(latent, tmp_path):
+def test_classes_that_differ_in_motion_are_separated_by_a_latent_state_and_not_by_one_scan(latent, tmp_path):
     assert accuracy(DilatedConvGRUTracker, latent, (stands, walks)) > 0.95
     one_shot = fit(OneShotTracker, tmp_path, (stands, walks), **CLASSIFIER)
     assert accuracy(OneShotTracker, one_shot, (stands, walks)) < 0.75
 
 
-def test_one_scan_tells_apart_two_shapes(tmp_path):
+def test_one_scan_separates_two_shapes(tmp_path):
     path = fit(OneShotTracker, tmp_path, (lies, towers), **CLASSIFIER)
     assert accuracy(OneShotTracker, path, (lies, towers), from_frame=0) > 0.95
 
 
-def test_one_shot_forecasts_what_is_visible_now_for_every_step(tmp_path):
+def test_one_shot_forecasts_the_observed_frame_for_every_step(tmp_path):
     path = fit(OneShotTracker, tmp_path, (lies, towers), **{**CLASSIFIER, "updates": 1})
     source = Scene((lies, towers), 30)
     tracker = OneShotTracker(stream_of(source, path), OneShotTracker.Options())
@@ -152,7 +152,7 @@ def test_one_shot_forecasts_what_is_visible_now_for_every_step(tmp_path):
     assert (forecast.semantics == forecast.semantics[0]).all()
 
 
-def test_the_occupancy_weights_stay_as_they_are_bit_for_bit(latent, tmp_path):
+def test_adding_classes_does_not_change_the_occupancy_weights(latent, tmp_path):
     path = fit(DilatedConvGRUTracker, tmp_path, (stands, walks), stage="occupancy", **NETWORK)
     before = load_weights(stream_of(Scene(()), path), "dilated-convgru")
     assert before.card.classes == ()
@@ -166,7 +166,7 @@ def test_the_occupancy_weights_stay_as_they_are_bit_for_bit(latent, tmp_path):
     assert {k: v.tobytes() for k, v in at_once.arrays.items()} == {k: v.tobytes() for k, v in after.arrays.items()}
 
 
-def test_the_card_names_the_classes_and_a_class_nobody_labelled_is_none_of_them(latent):
+def test_the_card_names_only_the_classes_with_labelled_cells(latent):
     card = read_card(latent)
     assert card.classes == ("stander", "walker")
     assert card.settings["labelled_scans"] == 150
@@ -182,7 +182,7 @@ def test_the_card_names_the_classes_and_a_class_nobody_labelled_is_none_of_them(
         (("stander", "walker", "horse"), r"layers.1.weight' is \(2, 16, 3, 3\), expected \(3, 16, 3, 3\)"),
     ],
 )
-def test_a_card_whose_classes_are_not_those_of_the_decoder_is_refused(latent, tmp_path, classes, message):
+def test_a_card_with_other_classes_than_the_decoder_is_refused(latent, tmp_path, classes, message):
     weights = load_weights(stream_of(Scene(()), latent), "dilated-convgru")
     path = tmp_path / "toy.toml"
     save_weights(path, weights.card.model_copy(update={"classes": classes}), weights.arrays)
@@ -190,14 +190,14 @@ def test_a_card_whose_classes_are_not_those_of_the_decoder_is_refused(latent, tm
         DilatedConvGRUTracker(stream_of(Scene(()), path), DilatedConvGRUTracker.Options())
 
 
-def test_classes_without_weights_to_add_them_to_or_for_other_ones_are_refused(latent, tmp_path):
+def test_classes_cannot_be_added_without_weights_or_to_a_network_of_other_shape(latent, tmp_path):
     with pytest.raises(WeightsError, match=r"toy\.toml: no weights to add classes to"):
         fit(DilatedConvGRUTracker, tmp_path, (stands, walks), stage="classes")
     with pytest.raises(WeightsError, match="trained with channels=8, not 4"):
         fit(DilatedConvGRUTracker, latent.parent, (stands, walks), stage="classes", channels=4)
 
 
-def test_labelled_scans_lie_in_a_row_where_all_are_labelled_and_the_same_seed_draws_the_same():
+def test_labelled_scans_are_consecutive_and_drawn_by_the_seed():
     source = Scene((stands, walks), 240, unlabelled=100)
     stretches = [draw_labelled([source], 50, seed) for seed in range(8)]
     for stretch in stretches:
@@ -228,7 +228,7 @@ def test_classes_are_matched_by_name_and_weighted_by_inverse_frequency():
     assert inverse_frequency(np.array([0, 0, 0, 1]), 2).tolist() == pytest.approx([4 / 6, 2.0])
 
 
-def test_a_decoder_of_one_layer_is_the_papers_and_takes_the_place_of_another(latent, tmp_path):
+def test_a_decoder_of_one_layer_replaces_another_decoder(latent, tmp_path):
     before = load_weights(stream_of(Scene(()), latent), "dilated-convgru")
     path = tmp_path / "toy.toml"
     save_weights(path, before.card, before.arrays)
@@ -241,7 +241,7 @@ def test_a_decoder_of_one_layer_is_the_papers_and_takes_the_place_of_another(lat
 
 
 @pytest.mark.parametrize("hidden", [(), (4,), (4, 5)])
-def test_a_cell_is_classified_from_its_patch_as_from_the_whole_grid(hidden):
+def test_the_classifier_gives_the_same_logits_on_patches_and_on_the_grid(hidden):
     torch.manual_seed(0)
     classifier, planes = CellClassifier(2, hidden, 3), torch.rand(1, 2, 20, 20)
     everywhere = torch.arange(400)
@@ -251,7 +251,7 @@ def test_a_cell_is_classified_from_its_patch_as_from_the_whole_grid(hidden):
     torch.testing.assert_close(classifier.of_patches(patches), classifier(planes)[0].flatten(1).T)
 
 
-def test_one_layer_learns_the_weighted_logistic_regression_of_scikit_learn():
+def test_one_layer_learns_the_class_weighted_logistic_regression_of_scikit_learn():
     linear_model = pytest.importorskip("sklearn.linear_model")
     draw = np.random.default_rng(0)
     targets = np.repeat([0, 1, 2], [360, 180, 60])
@@ -272,7 +272,7 @@ def test_one_layer_learns_the_weighted_logistic_regression_of_scikit_learn():
     assert np.abs(ours - unweighted.predict_proba(features)).mean() > 0.03
 
 
-def test_labelled_cells_are_gathered_with_the_planes_of_their_own_frame():
+def test_labelled_cells_are_stored_with_the_planes_of_their_frame():
     names = ("a", "b", "c")
     collector = CellCollector(("c", "a"))
     for t, (cells, labels) in enumerate((([5, 7], [0, 1]), ([2], [2]))):
@@ -284,7 +284,7 @@ def test_labelled_cells_are_gathered_with_the_planes_of_their_own_frame():
     assert found.patches(torch.tensor([1]), 1)[0, 0].tolist() == [[0, 0, 0], [1, 1, 0], [1, 1, 0]]
 
 
-def test_the_same_seed_tries_the_same_settings_and_what_is_given_stays():
+def test_the_search_tries_equal_settings_for_equal_seeds_and_keeps_given_ones():
     tried = list(candidate_settings({"channels": 8}, 3))
     assert tried == list(candidate_settings({"channels": 8}, 3))
     assert (len(tried), {settings.channels for settings in tried}) == (10, {8})

@@ -1,4 +1,4 @@
-"""Any installed tracker is found by name; a broken one says what is wrong with it and stops no other."""
+"""Every installed tracker is found by name; a broken one has an error message and does not affect the others."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ a_function = lambda: None
 
 @pytest.fixture
 def one(install: Install) -> Callable[[str], str]:
-    """Installs one tracker `mine`, and gives its name."""
+    """Installs one tracker `mine` and returns its name."""
 
     def one(value: str, source: str = SOURCE) -> str:
         module = value.partition(":")[0]
@@ -130,7 +130,7 @@ def test_a_missing_extra_is_named(install: Install) -> None:
         registry.load("mine")
 
 
-def test_a_missing_module_of_another_name_points_at_the_extras(install: Install) -> None:
+def test_a_missing_module_of_another_name_lists_the_extras(install: Install) -> None:
     requires = 'Requires-Dist: scikit-nothing; extra == "deep"\nRequires-Dist: other; extra == "view"\n'
     install("my-trackers", {"mine": "needs_other:X"}, {"needs_other.py": "import sknothing"}, requires)
     with pytest.raises(PluginError, match="it may belong to an extra of my-trackers: deep, view"):

@@ -1,4 +1,4 @@
-"""Trackers are selected as `[LABEL=]NAME[:key=value,...]` and started from here, another environment, or a program."""
+"""Trackers are selected as `[LABEL=]NAME[:key=value,...]`; they are registered, in another environment, or programs."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ from gridtrack.trackers.selection import (
         ("x=kalman:file=C:/a b", Selection("x", "kalman", {"file": "C:/a b"})),
     ],
 )
-def test_a_selection_reads_as_it_is_written(text: str, expected: Selection) -> None:
+def test_a_selection_is_parsed(text: str, expected: Selection) -> None:
     assert parse_selection(text) == expected
 
 
@@ -58,12 +58,12 @@ def test_a_selection_reads_as_it_is_written(text: str, expected: Selection) -> N
         ("kalman:points=[1]", r"points=\[1\]; expected centres or raw"),
     ],
 )
-def test_what_is_no_selection_is_refused(text: str, message: str) -> None:
+def test_an_invalid_selection_is_refused(text: str, message: str) -> None:
     with pytest.raises(ConfigurationError, match=message):
         parse_selection(text)
 
 
-def test_labels_must_differ_as_folders_do() -> None:
+def test_labels_must_differ_in_more_than_case() -> None:
     with pytest.raises(ConfigurationError, match="two trackers are labelled 'a': give one another label"):
         parse_selections(["A=blank", "a=kalman"])
     assert [s.label for s in parse_selections(["blank", "b=blank"])] == ["blank", "b"]
@@ -74,7 +74,7 @@ def toml(tmp_path: Path) -> Path:
     return tmp_path / "trackers.toml"
 
 
-def test_trackers_live_in_other_environments_or_are_any_program(toml: Path) -> None:
+def test_a_trackers_toml_names_other_environments_and_programs(toml: Path) -> None:
     toml.write_text(
         '[elsewhere]\npython = "env/bin/python"\ntracker = "blank"\n'
         "[mine]\ncommand = \"./my_tracker --fast 'two words' $HOME;ls\"\n"
@@ -95,7 +95,7 @@ def test_trackers_live_in_other_environments_or_are_any_program(toml: Path) -> N
     [
         ('[a]\npython = "p"\ncommand = "c"', "give either python or command"),
         ("[a]\n", "give either python or command"),
-        ('[a]\ncommand = "c"\ntracker = "t"', "tracker goes with python"),
+        ('[a]\ncommand = "c"\ntracker = "t"', "tracker is an option of python"),
         ('[a]\ncomand = "c"', "there is no option 'comand'; did you mean 'command'"),
         ('[a]\ncommand = " "', "command is empty"),
         ('[a]\ncommand = "x \'"', "command: No closing quotation"),
@@ -114,12 +114,12 @@ def test_a_mistake_in_trackers_toml_is_one_clear_line(toml: Path, text: str, mes
     assert "\n" not in str(error.value)
 
 
-def test_a_missing_trackers_toml_says_so(toml: Path) -> None:
+def test_a_missing_trackers_toml_is_refused(toml: Path) -> None:
     with pytest.raises(ConfigurationError, match="cannot be read"):
         read_trackers_toml(toml)
 
 
-def test_a_name_is_started_from_where_it_is_known() -> None:
+def test_an_external_tracker_and_a_registered_one_are_launched_by_name() -> None:
     external = {"mine": Launch("mine", ("x",))}
     assert launch("mine", external) is external["mine"]
     assert launch("blank").argv == (sys.executable, "-P", "-m", "gridtrack.trackers.serve", "blank")

@@ -1,4 +1,4 @@
-"""The wire carries every stream, frame and forecast unchanged, and refuses all else before it takes memory for it."""
+"""The wire carries streams, frames and forecasts unchanged, and refuses other bytes before memory is allocated."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ GRID = GridSpec(6, 0.5, (-1.0, 2.0))
 
 
 def sent(message: Message, max_body: int = 1 << 20) -> Message:
-    """What arrives at the other end."""
+    """The message that the receiver decodes."""
     return received(b"".join(encode(message)), max_body)
 
 
@@ -54,7 +54,7 @@ arrays = st.dictionaries(
 
 
 @given(arrays, st.integers(0, 2**53))
-def test_arrays_of_every_type_and_shape_come_back_bit_for_bit(content: dict[str, Any], number: int) -> None:
+def test_arrays_of_every_type_and_shape_are_carried_bit_by_bit(content: dict[str, Any], number: int) -> None:
     back = sent(Message("update", number, {"site": "Straße"}, content))
     assert (back.kind, back.number, back.fields) == ("update", number, {"site": "Straße"})
     assert list(back.arrays) == list(content)
@@ -65,8 +65,8 @@ def test_arrays_of_every_type_and_shape_come_back_bit_for_bit(content: dict[str,
         assert back.arrays[name].flags.aligned
 
 
-def test_the_bytes_are_those_of_the_page() -> None:
-    """docs/wire.md's worked example, by hand."""
+def test_the_bytes_are_those_of_the_documentation() -> None:
+    """The example in docs/wire.md."""
     page = (Path(__file__).parents[2] / "docs" / "wire.md").read_text()
     header = b'{"type":"reset","id":2,"arrays":[{"name":"a","dtype":"int32","shape":[2]}],"seed":7}'
     body = struct.pack("<2i", 1, -1)
@@ -77,7 +77,7 @@ def test_the_bytes_are_those_of_the_page() -> None:
     assert body[:4].hex(" ") + "  " + body[4:].hex(" ") in page
 
 
-def test_arrays_in_any_layout_and_byte_order_arrive_as_their_values() -> None:
+def test_arrays_in_any_layout_and_byte_order_keep_their_values() -> None:
     array = np.arange(12, dtype=">f4").reshape(3, 4).T[::2]
     assert np.array_equal(sent(Message("x", 1, {}, {"a": array})).arrays["a"], array)
 
@@ -87,7 +87,7 @@ def test_stamps_keep_every_nanosecond() -> None:
     assert messages.frame_from(sent(Message("update", 1, {}, messages.frame_arrays(frame)))).stamp_ns == 2**62 + 1
 
 
-def test_a_byte_that_is_no_bool_becomes_one() -> None:
+def test_a_byte_other_than_0_and_1_is_read_as_true() -> None:
     message = received(raw([{"name": "a", "dtype": "bool", "shape": [3]}], b"\x00\x02\xff"))
     assert message.arrays["a"].view(np.uint8).tolist() == [0, 1, 1]
 
@@ -119,22 +119,22 @@ def raw(declared: Any, body: bytes = b"", **other: Any) -> bytes:
         (raw([], type=3), "needs 'type'"),
     ],
 )
-def test_what_is_no_message_is_refused_by_name(data: bytes, message: str) -> None:
+def test_bytes_that_are_not_a_message_are_refused_with_the_reason(data: bytes, message: str) -> None:
     with pytest.raises(WireError, match=message):
         received(data)
 
 
 @given(st.binary(max_size=64), st.integers(0, 40))
-def test_damaged_messages_are_refused_or_cut_never_worse(noise: bytes, place: int) -> None:
+def test_damaged_messages_raise_only_errors_of_the_wire(noise: bytes, position: int) -> None:
     data = bytearray(raw([{"name": "a", "dtype": "float32", "shape": [4]}], bytes(16)))
-    data[place : place + len(noise)] = noise
+    data[position : position + len(noise)] = noise
     try:
         received(bytes(data))
     except (WireError, EOFError, AssertionError):
         return
 
 
-def test_a_declared_size_is_refused_before_memory_is_taken() -> None:
+def test_an_excessive_size_is_refused_before_memory_is_allocated() -> None:
     tracemalloc.start()
     with pytest.raises(WireError, match="at most 1048576 and 1000 are accepted"):
         received(b"GTW\x01" + struct.pack("<IQ", 2, 1 << 40) + b"{}", max_body=1000)
@@ -142,18 +142,18 @@ def test_a_declared_size_is_refused_before_memory_is_taken() -> None:
     tracemalloc.stop()
 
 
-def test_an_object_array_never_leaves() -> None:
+def test_an_object_array_is_not_encoded() -> None:
     with pytest.raises(WireError, match="array 'a' is object"):
         encode(Message("x", 1, {}, {"a": np.array([{}])}))
 
 
-def test_a_field_that_is_not_json_never_leaves() -> None:
+def test_a_field_that_is_not_json_is_not_encoded() -> None:
     for value in (float("nan"), {1, 2}):
         with pytest.raises(WireError, match="a field is not JSON"):
             encode(Message("x", 1, {"a": value}))
 
 
-def test_pipes_carry_messages_larger_than_they_hold() -> None:
+def test_pipes_carry_messages_larger_than_their_capacity() -> None:
     read_fd, write_fd = os.pipe()
     pid = os.fork()
     array = np.arange(1 << 20, dtype=np.float32)
@@ -175,7 +175,7 @@ def test_without_drops_exactly_the_bytes_written(parts: list[bytes], count: int)
 
 
 @pytest.mark.parametrize("weights", [None, Path("/data/static-map/here.toml")])
-def test_a_stream_comes_back(weights: Path | None) -> None:
+def test_a_stream_is_carried_unchanged(weights: Path | None) -> None:
     stream = StreamSpec(GRID, 0.1, "a site", ("car", "person"), weights)
     assert messages.stream_from(sent(Message("start", 1, {"stream": messages.stream_fields(stream)}))) == stream
 
@@ -195,7 +195,7 @@ def a_frame(stamp_ns: int = 5, seed: int = 0) -> GridFrame:
 
 
 @given(st.integers(0, 100))
-def test_a_frame_comes_back(seed: int) -> None:
+def test_a_frame_is_carried_unchanged(seed: int) -> None:
     frame = a_frame(seed=seed)
     back = messages.frame_from(sent(Message("update", 1, {}, messages.frame_arrays(frame))))
     assert back.world_T_grid == frame.world_T_grid
@@ -227,7 +227,7 @@ def over_the_wire(forecast: Forecast, steps: int = 2, classes: int = 3) -> Forec
     return messages.forecast_from(message, GRID, steps, classes)
 
 
-def test_a_forecast_with_everything_comes_back() -> None:
+def test_a_forecast_with_all_optional_parts_is_carried_unchanged() -> None:
     forecast = full_forecast()
     back = over_the_wire(forecast)
     for name in ("occupancy", "semantics", "velocity"):
@@ -276,7 +276,7 @@ nothing = np.zeros((2, *GRID.shape), np.float32)
         ({"object_track": np.zeros(5000, np.int64)}, "5000 objects"),
     ],
 )
-def test_every_promise_of_a_forecast_is_checked(change: dict[str, Any], message: str) -> None:
+def test_every_part_of_a_forecast_is_checked(change: dict[str, Any], message: str) -> None:
     with pytest.raises(WireError, match=message):
         messages.forecast_from(changed(**change), GRID, 2, 3)
 
@@ -286,7 +286,7 @@ def test_semantics_without_named_classes_are_refused() -> None:
         messages.forecast_from(changed(), GRID, 2, 0)
 
 
-def test_objects_of_differing_shapes_are_refused_where_they_are_made() -> None:
+def test_objects_of_differing_shapes_are_not_encoded() -> None:
     odd = TrackedObject(1, np.zeros(4, np.float32), np.zeros(2, np.float32), np.zeros((4, 4), np.float32))
     with pytest.raises(WireError, match="differ in shape"):
         messages.forecast_fields(Forecast(nothing, objects=(an_object(3, ""), odd)))

@@ -31,7 +31,7 @@ def fit_classifier(
     names = stretch.source.classes
     classes = learned_classes(names, (item.labels for item in stretch.frames))
     out.report(f"classes {', '.join(classes)} from {stretch.name}")
-    learned = scan_cells([(names, stretch.frames)], classes)
+    training_cells = scan_cells([(names, stretch.frames)], classes)
     validation_cells = scan_cells(
         [(s.classes, islice(s.labelled(), 0, None, VALIDATE_ON)) for s in validation], classes
     )
@@ -41,8 +41,8 @@ def fit_classifier(
         return CellClassifier(PLANES, chosen.hidden, len(classes))
 
     given = options.model_dump(include=set(ClassifierSettings.model_fields), exclude_unset=True)
-    best = best_classifier(build, given, learned, validation_cells, out.seed, out.report)
-    count = torch.bincount(learned.targets, minlength=len(classes)).tolist()
+    best = best_classifier(build, given, training_cells, validation_cells, out.seed, out.report)
+    count = torch.bincount(training_cells.targets, minlength=len(classes)).tolist()
     results: dict[str, Any] = {
         "labelled": stretch.name,
         "cells": dict(zip(classes, count, strict=True)),

@@ -26,7 +26,7 @@ from gridtrack.trackers.recurrent.settings import TransferSettings
 from gridtrack.trackers.weights import load_weights, save_weights, with_classes
 
 FORECAST_STEPS = 20
-"""Number of steps that classes are learned for: c_t .. c_{t+20}."""
+"""Number of steps of the forecasts that classes are learned from: c_t .. c_{t+20}."""
 FORECAST_EVERY = 20
 """Frames from one forecast in the training data to the next: neighbouring forecasts are nearly equal."""
 DECODER = "decode_semantics."
@@ -49,7 +49,7 @@ def fit_class_decoder(
     classes = learned_classes(names, (item.labels for item in labelled.frames))
     out.report(f"classes {', '.join(classes)} from {labelled.name}")
 
-    learned = latent_cells(tracker, [(names, labelled.frames)], classes, every=1)
+    training_cells = latent_cells(tracker, [(names, labelled.frames)], classes, every=1)
     validation_cells = latent_cells(
         tracker, ((s.classes, list(s.labelled())) for s in validation), classes, every=VALIDATE_ON
     )
@@ -59,14 +59,14 @@ def fit_class_decoder(
         return CellClassifier(tracker.network.channels, chosen.class_hidden, len(classes))
 
     given = {"channels": options.class_channels} if "class_channels" in options.model_fields_set else {}
-    best = best_classifier(build, given, learned, validation_cells, out.seed, out.report)
+    best = best_classifier(build, given, training_cells, validation_cells, out.seed, out.report)
     weights = load_weights(tracker.stream, kind.name)
     settings = {
         "labelled_scans": options.labelled_scans,
         "class_layers": options.class_layers,
         "class_channels": best.settings.channels,
     }
-    results = _card_results(labelled, classes, learned, best, out)
+    results = _card_results(labelled, classes, training_cells, best, out)
     card = with_classes(weights.card, classes, train, validation, settings, results)
     network = {name: array for name, array in weights.arrays.items() if not name.startswith(DECODER)}
     decoder = {DECODER + name: value.numpy() for name, value in best.classifier.state_dict().items()}
@@ -119,10 +119,14 @@ def _forecast_features(network: Any, state: LatentState) -> Iterator[Tensor]:
 
 
 def _card_results(
-    stretch: LabelledStretch, classes: Sequence[str], learned: LabelledCells, best: TrainedClassifier, out: FitOutput
+    stretch: LabelledStretch,
+    classes: Sequence[str],
+    training_cells: LabelledCells,
+    best: TrainedClassifier,
+    out: FitOutput,
 ) -> dict[str, Any]:
     """The card's results of this stage, with its command: the network may have been trained by another one."""
-    count = torch.bincount(learned.targets, minlength=len(classes)).tolist()
+    count = torch.bincount(training_cells.targets, minlength=len(classes)).tolist()
     return {
         "command": out.command,
         "seed": out.seed,

@@ -1,4 +1,4 @@
-"""The floor: persistence keeps what it saw, the static map counts, blank says nothing."""
+"""The floors: persistence, static map and blank forecast the values that their definitions give."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def no_score(*_: Any) -> StretchScore:
     raise AssertionError("the static map needs no score")
 
 
-def test_persistence_keeps_each_cell_as_last_seen_and_unseen_cells_free() -> None:
+def test_persistence_keeps_the_last_observed_state_and_unobserved_cells_free() -> None:
     tracker = PersistenceTracker(STREAM, Settings())
     tracker.reset(0)
     tracker.update(frame([[1, 1], [1, 0]], [[1, 0], [1, 0]]))
@@ -63,7 +63,7 @@ def test_persistence_keeps_each_cell_as_last_seen_and_unseen_cells_free() -> Non
     assert not tracker.predict(0).occupancy.any()
 
 
-def test_a_forecast_of_persistence_is_not_changed_by_what_comes_after() -> None:
+def test_a_forecast_of_persistence_does_not_change_with_later_frames() -> None:
     tracker = PersistenceTracker(STREAM, Settings())
     tracker.reset(0)
     forecast = tracker.predict(1).occupancy
@@ -71,24 +71,24 @@ def test_a_forecast_of_persistence_is_not_changed_by_what_comes_after() -> None:
     assert not forecast.any()
 
 
-def test_blank_forecasts_nothing() -> None:
+def test_blank_forecasts_zero() -> None:
     tracker = BlankTracker(STREAM, Settings())
     tracker.update(frame([[1, 1], [1, 1]], [[1, 1], [1, 1]]))
     assert tracker.predict(4).occupancy.shape == (5, 2, 2)
     assert not tracker.predict(4).occupancy.any()
 
 
-def test_the_static_map_is_each_cell_s_frequency_leaning_on_the_overall_rate(tmp_path: Path) -> None:
+def test_the_static_map_is_the_rate_of_each_cell_with_the_overall_rate_as_prior(tmp_path: Path) -> None:
     full = [[1, 1], [1, 0]]
     frames = [frame(full, [[1, 0], [0, 0]]), frame(full, [[1, 1], [0, 0]]), frame([[1, 0], [0, 0]], [[1, 0], [0, 0]])]
-    said: list[str] = []
-    out = FitOutput(tmp_path / "here.toml", "gridtrack train", 0, tmp_path, said.append)
+    lines: list[str] = []
+    out = FitOutput(tmp_path / "here.toml", "gridtrack train", 0, tmp_path, lines.append)
     StaticMapTracker.fit([Frames(frames)], [], no_score, out, StaticMapOptions())
     tracker = StaticMapTracker(StreamSpec(GRID, 0.1, "here", weights=out.path), StaticMapOptions(prior_frames=1.0))
     rate = 4 / 7  # 3 + 1 occupied of 3 + 2 + 2 visible
     expected = [[(3 + rate) / 4, (1 + rate) / 3], [rate / 3, rate]]
     np.testing.assert_allclose(tracker.predict(1).occupancy, [expected, expected], rtol=1e-6)
-    assert len(said) == 1
+    assert len(lines) == 1
 
 
 @given(st.lists(st.tuples(st.integers(0, 50), st.integers(0, 50)), min_size=1, max_size=9), st.floats(0.0, 100.0))
@@ -101,7 +101,7 @@ def test_a_frequency_is_a_probability(counts: list[tuple[int, int]], prior_frame
     assert ((found >= 0.0) & (found <= 1.0)).all()
 
 
-def test_the_static_map_refuses_training_in_which_nothing_is_visible(tmp_path: Path) -> None:
+def test_the_static_map_refuses_training_data_without_visible_cells(tmp_path: Path) -> None:
     out = FitOutput(tmp_path / "here.toml", "gridtrack train", 0, tmp_path)
     with pytest.raises(WeightsError, match="no cell is visible in rec@0s-1s"):
         StaticMapTracker.fit([Frames([frame([[0, 0]] * 2, [[0, 0]] * 2)])], [], no_score, out, StaticMapOptions())

@@ -1,4 +1,4 @@
-"""What follows a stream in place of a trained network computes the same, and nothing for an empty input."""
+"""The inference networks equal the trained networks, and do not convolve an empty input."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def rnn():
 
 
 def frames(size, count=3):
-    """Some frames, and as many that are empty."""
+    """`count` random frames, then `count` empty inputs."""
     seen = [(random(1, 2, size, size + t)[..., :size] > 0.3).float() for t in range(count)]
     return [x.contiguous(memory_format=torch.channels_last) for x in seen] + [None] * count
 
@@ -67,7 +67,7 @@ def test_winograd_sums_the_convolutions_of_all_images(size, dilation):
 @pytest.mark.parametrize("static_gates", [("keep", "reset", "candidate"), ("candidate",)])
 @pytest.mark.parametrize("with_input", [True, False])
 @pytest.mark.parametrize("bfloat16", [True, False])
-def test_the_fused_gates_are_the_gates(bfloat16, with_input, static_gates):
+def test_the_fused_gates_equal_the_gates(bfloat16, with_input, static_gates):
     network = convgru(9, static_gates=static_gates)
     biases = tuple(network.layers[0].biases[gate].expand(CHANNELS, 9, 9) for gate in GATES)
     x = random(1, 3 * CHANNELS, 9, 9, scale=10.0) if with_input else None
@@ -94,15 +94,15 @@ def test_the_fused_gates_are_the_gates(bfloat16, with_input, static_gates):
 
 
 @pytest.mark.parametrize("settings", [{}, {"static_gates": ("candidate",)}, {"dilated": False, "layers": 2}])
-def test_the_convgru_that_follows_a_stream_is_the_trained_one(settings):
+def test_the_inference_convgru_equals_the_trained_network(settings):
     assert_same_stream(network := convgru(**settings), InferenceConvGRU(network), network.size)
 
 
-def test_the_rnn_that_follows_a_stream_is_the_trained_one():
+def test_the_inference_rnn_equals_the_trained_network():
     assert_same_stream(network := rnn(), InferenceRNN(network), network.size)
 
 
-def test_in_bfloat16_it_follows_the_stream_to_three_digits():
+def test_the_bfloat16_network_equals_the_trained_one_to_three_digits():
     network = convgru()
     assert_same_stream(network, InferenceConvGRU(network, bfloat16=True), network.size, within=0.05)
 
@@ -117,7 +117,7 @@ def assert_same_stream(trained, following, size, within=1e-4):
         torch.testing.assert_close(found, expected, rtol=0, atol=within)
 
 
-def test_a_step_leaves_the_state_it_starts_from_as_it_was():
+def test_a_step_does_not_change_its_input_state():
     following = InferenceConvGRU(convgru())
     x, *_ = frames(following.size)
     state = following.step(x, following.initial(1))
@@ -133,7 +133,7 @@ def test_an_empty_input_is_not_convolved():
     assert all(h.isfinite().all() for h in following.step(None, following.initial(1)))
 
 
-def test_a_cell_without_gates_follows_a_stream_as_it_is():
+def test_a_network_without_gates_is_its_own_inference_network():
     network, options = convgru(cell="plain"), DilatedConvGRUTracker.Options
     assert DilatedConvGRUTracker.prepare_inference(network, options()) is network
     with pytest.raises(ConfigurationError, match="cell=gru"):

@@ -1,4 +1,4 @@
-"""The recurrent networks do what their papers' equations say."""
+"""The recurrent networks equal the equations of their papers."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def randomised(network):
     return network
 
 
-def test_convgru_has_as_many_parameters_as_its_printed_equations():
+def test_convgru_has_the_number_of_parameters_of_its_equations():
     assert parameters(DilatedConvGRU(100, DilatedConvGRUSettings(), classes=4)) == 1_476_149
 
 
@@ -40,12 +40,12 @@ def test_deep_tracking_rnn_has_the_published_number_of_parameters(variant, expec
     assert parameters(DeepTrackingRNN(100, DeepTrackingRNNSettings(variant=variant))) == expected
 
 
-def test_only_the_chosen_gates_have_a_static_memory():
+def test_only_static_gates_have_a_static_memory():
     some = DilatedConvGRU(10, DilatedConvGRUSettings(static_gates=("candidate",)))
     assert parameters(some) == parameters(DilatedConvGRU(10, DilatedConvGRUSettings())) - 3 * 2 * 16 * (100 - 1)
 
 
-def test_convgru_layer_is_the_printed_equations_with_six_separate_convolutions():
+def test_a_convgru_layer_equals_its_equations_with_six_separate_convolutions():
     network = randomised(DilatedConvGRU(11, DilatedConvGRUSettings(layers=2, channels=3)))
     layer = network.layers[1]
     x, h = torch.randn(2, 3, 11, 11), torch.randn(2, 3, 11, 11)
@@ -62,7 +62,7 @@ def test_convgru_layer_is_the_printed_equations_with_six_separate_convolutions()
     torch.testing.assert_close(layer(x, h), f * h + (1 - f) * c)
 
 
-def test_without_gates_a_cell_is_the_candidate_alone():
+def test_a_cell_without_gates_is_the_candidate():
     layer = randomised(DilatedConvGRU(7, DilatedConvGRUSettings(layers=2, channels=3, cell="plain"))).layers[1]
     x, h = torch.randn(2, 3, 7, 7), torch.randn(2, 3, 7, 7)
     x_conv, h_conv = (
@@ -72,14 +72,14 @@ def test_without_gates_a_cell_is_the_candidate_alone():
     torch.testing.assert_close(layer(x, h), torch.tanh(x_conv + h_conv + layer.biases["candidate"]))
 
 
-def test_without_dilation_a_step_sees_seven_cells_square():
+def test_without_dilation_the_receptive_field_is_seven_cells_square():
     assert receptive_field(DilatedConvGRUSettings(dilated=False)) == (12, 18, 12, 18)
 
 
 @pytest.mark.parametrize("precision", [torch.float32, torch.bfloat16])
 @pytest.mark.parametrize("static_gates", [("keep", "reset", "candidate"), ("reset",)])
 @pytest.mark.parametrize("with_input", [True, False])
-def test_the_gates_that_are_trained_have_the_gradient_of_the_gates(with_input, static_gates, precision):
+def test_the_differentiable_gates_equal_the_gates_and_their_gradient(with_input, static_gates, precision):
     settings = DilatedConvGRUSettings(channels=5, static_gates=static_gates)
     layer = channels_last(randomised(DilatedConvGRU(9, settings))).layers[0]
     biases = tuple(layer.biases[gate] for gate in GATES)
@@ -93,10 +93,10 @@ def test_the_gates_that_are_trained_have_the_gradient_of_the_gates(with_input, s
     torch.testing.assert_close(found, expected, rtol=0, atol=2e-6)
     assert rounded is None if precision == torch.float32 else torch.equal(rounded, found.bfloat16())
     tolerance = {"rtol": 1e-5, "atol": 1e-5} if precision == torch.float32 else {"rtol": 2**-7, "atol": 1e-4}
-    for mine, theirs in zip(
+    for found_gradient, expected_gradient in zip(
         torch.autograd.grad(found, leaves, above), torch.autograd.grad(expected, leaves, above), strict=True
     ):
-        torch.testing.assert_close(mine, theirs, **tolerance)
+        torch.testing.assert_close(found_gradient, expected_gradient, **tolerance)
 
 
 def receptive_field(settings):
@@ -107,7 +107,7 @@ def receptive_field(settings):
     return rows.min(), rows.max(), columns.min(), columns.max()
 
 
-def test_one_step_sees_a_receptive_field_of_fifteen_cells_square():
+def test_the_receptive_field_of_one_step_is_fifteen_cells_square():
     assert receptive_field(DilatedConvGRUSettings()) == (8, 22, 8, 22)
 
 
@@ -120,7 +120,7 @@ def test_one_step_sees_a_receptive_field_of_fifteen_cells_square():
     ],
     ids=["convgru", "plain", "rnn"],
 )
-def test_the_empty_input_is_both_planes_zero(network):
+def test_the_empty_input_equals_two_zero_planes(network):
     randomised(network)
     state = network.step((torch.rand(1, 2, 12, 12) < 0.3).float(), network.initial(1))
     for skipped, computed in zip(
@@ -129,7 +129,7 @@ def test_the_empty_input_is_both_planes_zero(network):
         torch.testing.assert_close(skipped, computed)
 
 
-def test_deep_tracking_rnn_is_its_equations():
+def test_the_deep_tracking_rnn_equals_its_equations():
     network = randomised(DeepTrackingRNN(9, DeepTrackingRNNSettings(variant="paper")))
     x, h = torch.rand(1, 2, 9, 9), torch.rand(1, 16, 9, 9)
     e = torch.sigmoid(conv2d(x, network.encode.weight, network.encode.bias, padding=3))
@@ -137,14 +137,14 @@ def test_deep_tracking_rnn_is_its_equations():
     torch.testing.assert_close(network.step(x, (h,))[0], expected)
 
 
-def test_an_untrained_network_answers_the_occupied_rate():
+def test_an_untrained_network_forecasts_the_occupied_rate():
     network = DilatedConvGRU(10, DilatedConvGRUSettings(channels=4))
     start_from_rate(network.decode_occupancy, 0.02)
     occupancy = torch.sigmoid(network.occupancy(network.features(network.initial(1))))
     torch.testing.assert_close(occupancy, torch.full((1, 10, 10), 0.02))
 
 
-def test_the_papers_scheme_shows_ten_and_withholds_ten_twice():
+def test_the_default_sequence_is_ten_observed_and_ten_blank_frames_twice():
     settings = TrainingSettings()
-    shown = [settings.is_observed(frame) for frame in range(settings.length)]
-    assert shown == [*[True] * 10, *[False] * 10] * 2
+    observed = [settings.is_observed(frame) for frame in range(settings.length)]
+    assert observed == [*[True] * 10, *[False] * 10] * 2

@@ -1,4 +1,4 @@
-"""The training program learns what it should, goes on where it stopped, and its weights make a tracker."""
+"""Training of the recurrent networks: the loss, the windows, resumption, and the card."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ SIZE = 12
 
 
 class Shuttle:
-    """A dot that runs along row 5, one cell a frame, round and round; row 0 is a wall; row 11 is never seen."""
+    """A dot moves along row 5, one cell a frame, and returns to column 0; row 0 is a wall; row 11 is never visible."""
 
     name, sha256, site, classes = "shuttle", "0" * 64, "shuttle", ()
     grid, period_s = GridSpec(SIZE, 0.5), 0.25
@@ -49,7 +49,7 @@ class Shuttle:
 
 
 def no_score(tracker, source, steps):
-    """The host's metric is not at hand below evaluation: log loss of step 1 stands in for it."""
+    """A score in place of the referee's, which trackers cannot import: 1 - log loss of step 1."""
     tracker.reset(0)
     frames, losses = list(source), []
     for now, future in pairwise(frames):
@@ -78,7 +78,7 @@ def forecast(tracker, weights, frames=25, steps=3):
     return made.predict(steps).occupancy
 
 
-def test_it_learns_a_short_sequence_better_than_persistence(tmp_path):
+def test_a_trained_network_forecasts_a_moving_dot(tmp_path):
     out, _ = fit(DilatedConvGRUTracker, tmp_path, updates=150, validate_every=75, learning_rate=0.01, channels=8)
     occupancy = forecast(DilatedConvGRUTracker, out.path)
     assert occupancy.shape == (4, SIZE, SIZE)
@@ -96,7 +96,7 @@ def fit_paper_rnn(folder, score):
     return read_card(out.path)
 
 
-def test_a_resumed_training_ends_as_one_that_ran_through(tmp_path):
+def test_a_resumed_training_equals_an_uninterrupted_one(tmp_path):
     def worse_and_worse(interrupt_at=None):
         """A score that falls from validation to validation, so that the best is not the last."""
         calls = iter(range(10))
@@ -133,7 +133,7 @@ def test_a_log_folder_of_another_training_is_refused(tmp_path):
         fit(DeepTrackingRNNTracker, tmp_path, updates=2, validate_every=1, variant="paper")
 
 
-def test_the_card_tells_how_the_weights_were_made(tmp_path):
+def test_the_card_has_the_settings_and_data_of_the_training(tmp_path):
     out, lines = fit(DeepTrackingRNNTracker, tmp_path, updates=2, validate_every=1, variant="paper")
     card = read_card(out.path)
     assert (card.tracker, card.site, card.seed, card.period_s) == ("deep-tracking-rnn", "shuttle", 7, 0.25)
@@ -149,7 +149,7 @@ def test_an_option_that_contradicts_the_weights_is_refused(tmp_path):
         DeepTrackingRNNTracker(stream, DeepTrackingRNNTracker.Options(variant="code"))
 
 
-def test_what_no_beam_saw_does_not_enter_the_loss():
+def test_cells_that_are_not_visible_have_no_loss():
     settings = TrainingSettings(observed_frames=2, blank_frames=1, repetitions=1)
     network = DeepTrackingRNNTracker.build(SIZE, DeepTrackingRNNTracker.Options(variant="paper"), 0)
     windows = torch.zeros(1, 3, 2, SIZE, SIZE)
@@ -163,7 +163,7 @@ def test_what_no_beam_saw_does_not_enter_the_loss():
     torch.testing.assert_close(loss, expected)
 
 
-def test_the_burn_in_brings_the_state_along_and_has_neither_loss_nor_gradient():
+def test_the_burn_in_updates_the_state_without_loss_or_gradient():
     network = DilatedConvGRUTracker.build(SIZE, validated(DilatedConvGRUTracker.Options, {}, "test"), 0)
     window = SequenceDataset([Shuttle()], 9, seed=0, time_reversal=False, superposition=False)[0][None].float()
     settings = TrainingSettings(burn_in=5, observed_frames=2, blank_frames=2, repetitions=1)
@@ -188,7 +188,7 @@ def test_the_burn_in_brings_the_state_along_and_has_neither_loss_nor_gradient():
 
 
 @pytest.mark.parametrize(("half", "tolerance"), [(False, 1e-5), (True, 0.01)])
-def test_what_is_trained_on_a_processor_has_the_networks_loss_and_gradient(half, tolerance):
+def test_the_training_network_has_the_loss_and_gradient_of_the_network(half, tolerance):
     torch.manual_seed(3)
     settings = validated(
         DilatedConvGRUTracker.Options, {"burn_in": 2, "observed_frames": 3, "blank_frames": 2, "repetitions": 2}, "test"
@@ -210,11 +210,11 @@ def test_what_is_trained_on_a_processor_has_the_networks_loss_and_gradient(half,
 
     assert on_processor is not network
     torch.testing.assert_close(found_loss, loss, rtol=tolerance, atol=0)
-    for mine, theirs in zip(found_gradient, gradient, strict=True):
-        assert (mine - theirs).norm() < tolerance * theirs.norm()
+    for found, expected in zip(found_gradient, gradient, strict=True):
+        assert (found - expected).norm() < tolerance * expected.norm()
 
 
-def test_windows_are_the_recordings_frames_and_depend_on_seed_and_number_only():
+def test_windows_are_frames_of_the_recordings_and_depend_only_on_seed_and_number():
     data = SequenceDataset([Shuttle(30), Shuttle(40)], 10, seed=1, time_reversal=True, superposition=False)
     again = SequenceDataset([Shuttle(30), Shuttle(40)], 10, seed=1, time_reversal=True, superposition=False)
     directions = set()
@@ -228,7 +228,7 @@ def test_windows_are_the_recordings_frames_and_depend_on_seed_and_number_only():
     assert directions == {1, SIZE - 1}
 
 
-def test_superposed_windows_are_what_a_laser_would_have_seen_of_the_movers_of_both():
+def test_superposed_windows_are_the_frames_of_a_laser_with_the_objects_of_both():
     # Along a beam from the left: `one` is hit in cell 2, `other` in cell 5; cells behind a return are not visible.
     one = np.array([[[1, 1, 1, 0, 0, 0, 0, 0], [0, 0, 1, 0, 0, 0, 0, 0]]], np.uint8)
     other = np.array([[[1, 1, 1, 1, 1, 1, 0, 0], [0, 0, 0, 0, 0, 1, 0, 0]]], np.uint8)
@@ -236,24 +236,24 @@ def test_superposed_windows_are_what_a_laser_would_have_seen_of_the_movers_of_bo
     assert np.array_equal(np.unpackbits(packed, axis=-1), one)
 
 
-def test_half_of_the_windows_are_superposed_where_that_is_asked_for():
+def test_superposition_applies_to_half_of_the_windows():
     data = SequenceDataset([Shuttle(60)], 10, seed=1, time_reversal=False, superposition=True)
     dots = [int(data[number][0, 1, 5].sum()) for number in range(200)]
     assert set(dots) == {1, 2}
     assert 60 < sum(count == 2 for count in dots) < 130
 
 
-def test_epochs_go_through_the_series_of_windows_one_after_the_other():
+def test_every_epoch_continues_the_series_of_windows():
     sampler = EpochSampler(3)
     sampler.set_epoch(2)
     assert list(sampler) == [6, 7, 8]
 
 
-def test_the_occupied_rate_is_of_the_visible_cells():
+def test_the_occupied_rate_is_that_of_the_visible_cells():
     data = SequenceDataset([Shuttle(12)], 10, seed=0, time_reversal=False, superposition=False)
     assert occupied_rate(data.stretches) == pytest.approx((SIZE + 1) / (SIZE * (SIZE - 1)))
 
 
-def test_a_stretch_shorter_than_a_sequence_is_refused_by_name():
+def test_a_stretch_shorter_than_a_window_is_refused_by_name():
     with pytest.raises(ConfigurationError, match="shuttle: 5 frames; training needs at least 40"):
         SequenceDataset([Shuttle(5)], 40, seed=0, time_reversal=False, superposition=False)
