@@ -14,7 +14,7 @@ import functools
 import importlib.util
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -37,7 +37,7 @@ TOLERANCE = {"ours, bfloat16": 0.05}
 
 
 class StraightforwardStep(nn.Module):
-    """A step as one would write it: keep and reset from [x, h], the candidate from x and from h; no input is zeros."""
+    """A step without optimisation: keep and reset from [x, h], the candidate from x and from h; no input is zeros."""
 
     def __init__(self, network: DilatedConvGRU) -> None:
         super().__init__()
@@ -46,7 +46,8 @@ class StraightforwardStep(nn.Module):
     def forward(self, x: Tensor, *state: Tensor) -> LatentState:
         """x (1, 2, M, M) and h (1, C, M, M) of every layer -> h' of every layer."""
         new: list[Tensor] = []
-        for layer, h in zip(self.network.layers, state, strict=True):
+        layers: Any = self.network.layers
+        for layer, h in zip(layers, state, strict=True):
             x = new[-1] if new else x
             both = torch.cat([x, h], dim=1)
             weights = zip(layer.input_weight.chunk(3), layer.state_weight.chunk(3), strict=True)
@@ -153,7 +154,7 @@ def assert_agreement(found: dict[str, Any]) -> dict[str, LatentState]:
     return states
 
 
-def processor_times_ms(calls: dict[str, Callable[[], object]], rounds: int) -> dict[str, np.ndarray]:
+def processor_times_ms(calls: Mapping[str, Callable[[], object]], rounds: int) -> dict[str, np.ndarray]:
     """Processor time of each call, in turns, after one of its own that is not counted."""
     times: dict[str, list[float]] = {name: [] for name in calls}
     for _ in range(rounds):

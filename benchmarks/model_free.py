@@ -124,7 +124,7 @@ def measure(tracker: type[KalmanTracker] | type[FactorGraphTracker], count: int)
     residence = np.full(table_shape(PERIOD_S), 0.3, np.float32)
     pipeline = TimedPipeline(GRID, PERIOD_S, place, residence, STREET, tracker.estimator)
     calibration = Calibration(IDENTITY)
-    seconds, classes, seen = [], some_classes(), np.zeros(GRID.shape)
+    seconds, classes, seen = [], some_classes(), np.zeros(GRID.shape, np.float32)
     for step in range(FRAMES):
         frame = frame_of(count, step)
         start = time.perf_counter()

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import argparse
+from typing import Any
 
 import numpy as np
 import torch
@@ -31,7 +32,7 @@ def print_training_rate(kind: type[RecurrentTracker], threads: int) -> None:
     from gridtrack.trackers.recurrent.training import sequence_loss
 
     torch.set_num_threads(threads)
-    options = kind.Options()
+    options: Any = kind.Options()
     network = kind.build(SIZE, options, 0).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
     on_processor = kind.prepare_training(network, 0.02)
     window = torch.from_numpy(np.stack([random_planes(t) for t in range(options.length)]))

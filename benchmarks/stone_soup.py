@@ -87,6 +87,7 @@ def seen_in(places: Array, laser: Laser, random: np.random.Generator, step: int)
     disc = (RADIUS_M * np.stack([np.cos(angles), np.sin(angles)], axis=1)).astype(np.float32)
     bodies = tuple(SceneObject(n, n, SE2(x, y, 0.0), disc) for n, (x, y) in enumerate(places.tolist()))
     scan = laser.scan(Scene((), 255, bodies), round(step * PERIOD_S * 1e9), random)
+    assert scan.labels is not None  # a laser that sees labelled bodies
     visible, occupied = np.zeros(GRID.shape, bool), np.zeros(GRID.shape, bool)
     cast_scan(scan, GRID, laser.world_T_sensor, visible, occupied)
     points = GRID.cell_centres(occupied)

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 
 def times_ms(
@@ -27,7 +27,7 @@ def median_ms(call: Callable[[], object], runs: int, prepare: Callable[[], objec
     return float(np.median(times_ms(call, runs, prepare)))
 
 
-def p50_p95(values: ArrayLike, digits: int = 1) -> str:
+def p50_p95(values: Sequence[float] | NDArray[np.float64], digits: int = 1) -> str:
     """`1.2 / 3.4`: the median and the 95th percentile."""
-    p50, p95 = np.percentile(values, [50, 95])
+    p50, p95 = np.percentile(np.asarray(values), [50, 95])
     return f"{p50:.{digits}f} / {p95:.{digits}f}"

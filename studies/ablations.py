@@ -6,12 +6,13 @@ quiet core, and compares the networks with each other and with persistence in ru
 
 from __future__ import annotations
 
+import argparse
 from pathlib import Path
 
 from gridtrack.evaluation.comparison.recipe import read_recipe
 from gridtrack.evaluation.comparison.train import train_tracker
 
-from studies.comparison import compare_at_junction
+from studies.support.comparison import compare_at_junction
 
 RECIPES = Path("studies/recipes/ablations")
 REFERENCE = "whole"
@@ -19,6 +20,7 @@ OUT = Path("runs/ablations")
 
 
 def main() -> None:
+    argparse.ArgumentParser(description=__doc__.partition("\n")[0]).parse_args()
     rows = ["persistence"]
     for path in sorted(RECIPES.glob("*.toml"), key=lambda path: (path.stem != REFERENCE, path.stem)):
         recipe = read_recipe(path)

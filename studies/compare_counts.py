@@ -1,10 +1,9 @@
-"""Are the counts of two runs the same? Compares every trial's Parquet files, row by row.
+"""Equality of the counts of two runs: every trial's Parquet files, row by row.
 
-    python -m studies.compare_counts RUN OTHER [--tolerance 0]
-
-Counts must be equal; sums of squared errors and log losses may differ by the relative tolerance. Trials are matched by
-the name of their folder. The exit code is 1 where a trial is missing or a count differs: for a change of the code that
-is meant to leave every score as it was.
+`python -m studies.compare_counts RUN OTHER [--tolerance 0]` (some seconds). For a change of the code that is meant to
+leave every score as it was. Counts must be equal; sums of squared errors and log losses may differ by the relative
+tolerance. Trials are matched by the name of their folder. The exit code is 1 where a trial is missing or a count
+differs.
 """
 
 from __future__ import annotations
@@ -20,16 +19,16 @@ FILES = ("scores.parquet", "histogram.parquet", "classes.parquet", "semantics.pa
 
 
 def main() -> None:
-    """Print one line for each trial, and end with 1 where any differs."""
+    """Print one line for each trial; exit with 1 where any differs."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("run", type=Path)
     parser.add_argument("other", type=Path)
-    parser.add_argument("--tolerance", type=float, default=0.0, help="relative, of sums that are no counts")
-    asked = parser.parse_args()
-    trials = sorted(_trials(asked.run) | _trials(asked.other))
+    parser.add_argument("--tolerance", type=float, default=0.0, help="relative, of sums that are not counts")
+    arguments = parser.parse_args()
+    trials = sorted(_trials(arguments.run) | _trials(arguments.other))
     failed = False
     for trial in trials:
-        found = list(differences(asked.run / trial, asked.other / trial, asked.tolerance))
+        found = list(differences(arguments.run / trial, arguments.other / trial, arguments.tolerance))
         print(f"{trial}: {'; '.join(found) or 'equal'}")
         failed = failed or bool(found)
     print(f"{len(trials)} trials: {'they differ' if failed or not trials else 'all counts are equal'}")
@@ -44,11 +43,11 @@ def differences(one: Path, other: Path, tolerance: float) -> Iterator[str]:
     """What differs between the files of two trials, one text for each file."""
     for name in FILES:
         paths = [folder / name for folder in (one, other)]
-        there = [path.exists() for path in paths]
-        if not any(there):
+        exists = [path.exists() for path in paths]
+        if not any(exists):
             continue
-        if not all(there):
-            yield f"{name} is missing in {(other if there[0] else one).parent}"
+        if not all(exists):
+            yield f"{name} is missing in {(other if exists[0] else one).parent}"
             continue
         left, right = (pl.read_parquet(path, glob=False) for path in paths)
         if left.columns != right.columns or len(left) != len(right):

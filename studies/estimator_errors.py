@@ -93,11 +93,12 @@ SCENES = {
 def truth_of(scene: Scene) -> Array:
     """True states (N, 6) at every frame of 9 s."""
     dt = MODEL.period_s / FINE
-    times_s = np.arange(round(9.0 / dt)) * dt
+    times_s = np.arange(round(9.0 / dt), dtype=np.float64) * dt
     speed, rate = scene.speed(times_s), scene.turn_rate(times_s)
     heading = 0.3 + np.cumsum(rate) * dt
     velocity = speed[:, None] * np.stack([np.cos(heading), np.sin(heading)], axis=1)
-    return np.column_stack([np.cumsum(velocity, axis=0) * dt, heading, velocity, rate])[::FINE]
+    states = np.column_stack([np.cumsum(velocity, axis=0) * dt, heading, velocity, rate])
+    return np.asarray(states[::FINE], np.float64)
 
 
 def squared_errors(kind: Callable[..., MotionEstimator], scene: Scene, truth: Array, seed: int) -> Array:
@@ -128,7 +129,7 @@ def root(squares: Array) -> tuple[Array, Array]:
 def print_errors(runs: int) -> None:
     print(f"RMS error over {runs} runs, 95 % intervals (normal, by run; differences are paired):")
     print("| object | estimator | position, m | velocity, m/s | 1 s ahead, m |\n|---|---|---:|---:|---:|")
-    alone = {
+    alone: dict[str, Callable[..., MotionEstimator]] = {
         "factor graph": FactorGraphEstimator,
         "Kalman filter": KalmanEstimator,
         "gated Kalman filter": GatedKalmanEstimator,

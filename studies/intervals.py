@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from scipy.special import expit, logit, ndtr, ndtri, stdtrit
@@ -19,7 +20,7 @@ Counts = np.ndarray  # (U, R, C): units, repetitions, counts
 Interval = tuple[np.ndarray, np.ndarray]
 FRAMES, RESAMPLES = 30, 500
 WEIGHTS = np.array([2.0, 0, 0, 0, 0, 0]), np.array([2.0, 1, 1, 0, 0, 0])
-SETTINGS: dict[str, dict[str, float]] = {
+SETTINGS: dict[str, dict[str, Any]] = {
     "recordings alike": {"unlike": 0.1, "traffic": 0.1},
     "recordings unlike": {"unlike": 0.8, "traffic": 0.8},
     "recordings very unlike": {"unlike": 1.0, "traffic": 1.2},

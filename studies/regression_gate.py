@@ -83,8 +83,10 @@ def by_holm(trainings: Floats, judged: Floats) -> Floats:
 
 def uncorrected(trainings: Floats, judged: Floats) -> Floats:
     """Student's t of the paired differences, each row by itself."""
-    sides = judged, trainings.mean(axis=0)
-    found = differences(*(np.concatenate([side, np.zeros((*side.shape[:2], 2))], axis=-1) for side in sides))
+    run, baseline = (
+        np.concatenate([side, np.zeros((*side.shape[:2], 2))], axis=-1) for side in (judged, trainings.mean(axis=0))
+    )
+    found = differences(run, baseline)
     return np.where(found.value < 0, found.p / 2, 1.0)
 
 
@@ -148,7 +150,7 @@ def as_observed(trainings: Floats, others: int, rng: np.random.Generator) -> Com
 
 def left_out(trainings: Floats, rng: np.random.Generator) -> Comparison:
     """A run against all others."""
-    judged = rng.integers(0, len(trainings))
+    judged = int(rng.integers(0, len(trainings)))
     drawn = rng.integers(0, trainings.shape[1], trainings.shape[1])
     return np.delete(trainings, judged, axis=0)[:, drawn], trainings[judged][drawn]
 
@@ -168,9 +170,9 @@ def print_rule(name: str, rule: Rule, draw: Callable[[np.random.Generator], Comp
     alarms = found = 0
     for number in range(RESAMPLED):
         trainings, judged = draw(rng)
-        alarms += is_worse(rule, trainings, judged).any()
+        alarms += bool(is_worse(rule, trainings, judged).any())
         if number < FALLS:
-            found += is_worse(rule, trainings, with_decrease(judged, aim, rng))[aim]
+            found += bool(is_worse(rule, trainings, with_decrease(judged, aim, rng))[aim])
     print(f"{name:50} {f'{100 * alarms / RESAMPLED:.1f} %':>14} {f'{found} of {FALLS}':>12}", flush=True)
 
 
@@ -187,7 +189,7 @@ def print_tables(runs: Runs) -> None:
     )
 
     print_heading("1. exchanged units")
-    rules = {
+    rules: dict[str, Rule] = {
         "the gate's: swaps, max-T over the family": gate,
         "t test, Holm over the family": by_holm,
         "t test, uncorrected": uncorrected,

@@ -1,19 +1,21 @@
 """What a map of the site and the cells' centres change for `kalman`: without the map, and with the laser's returns.
 
-`python -m studies.returns` compares the rows in studies/recipes/returns.toml in runs/returns.
+`python -m studies.returns` compares the rows in studies/recipes/returns.toml in runs/returns (ten minutes).
 """
 
 from __future__ import annotations
 
+import argparse
 import tomllib
 from pathlib import Path
 
-from studies.comparison import compare_at_junction
+from studies.support.comparison import compare_at_junction
 
 RECIPE = Path("studies/recipes/returns.toml")
 
 
 def main() -> None:
+    argparse.ArgumentParser(description=__doc__.partition("\n")[0]).parse_args()
     rows = tomllib.loads(RECIPE.read_text())
     compare_at_junction(rows["trackers"], rows["reference"], Path(rows["out"]))
 

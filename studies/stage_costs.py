@@ -31,7 +31,7 @@ from gridtrack.trackers.model_free.segmentation import Cluster, joined
 from gridtrack.trackers.model_free.tracker import ModelFreeTracker
 from gridtrack.trackers.model_free.tracks import Track
 
-from studies.support.shipped import JUNCTION, shipped_stream
+from studies.support.shipped import JUNCTION, with_shipped_weights
 from studies.support.true_bodies import Points, bodies, body_cells, most_frequent, rigid_velocity
 
 STEPS, HORIZONS = 20, {"0.5 s": 4, "1 s": 8, "2 s": 16}
@@ -105,7 +105,7 @@ def informed_tracker(
 ) -> type[ModelFreeTracker]:
     """The tracker, with one of REPLACED from the truth."""
 
-    class InformedTracker(kind):  # type: ignore[misc, valid-type]
+    class InformedTracker(kind):  # type: ignore[valid-type]
         pipeline = informed_pipeline(replaced, truth)
 
         def reset(self, seed: int) -> None:
@@ -202,7 +202,7 @@ def owner_of(points: Points, truth: TrueFrame, grid: GridSpec) -> int | None:
 
 def scores(kind: type[ModelFreeTracker], stream: GridStream) -> list[float]:
     """F1 of moving and of visible cells at HORIZONS."""
-    found = score_in_process(kind(shipped_stream(kind.name, stream), kind.Options()), stream, STEPS)
+    found = score_in_process(with_shipped_weights(kind, kind.name, stream), stream, STEPS)
     return [float(found.f1[stratum][step]) for stratum in ("moving", "visible") for step in HORIZONS.values()]
 
 

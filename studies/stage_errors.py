@@ -32,7 +32,7 @@ from gridtrack.trackers.model_free.segmentation import Cluster
 from gridtrack.trackers.model_free.tracker import ModelFreeTracker
 from gridtrack.trackers.model_free.tracks import Track
 
-from studies.support.shipped import JUNCTION, shipped_stream
+from studies.support.shipped import JUNCTION, with_shipped_weights
 from studies.support.true_bodies import MOVING_MPS, Points, bodies, body_cells, most_frequent, rigid_velocity
 
 STRETCHES = ("0s-50s", "200s-250s")
@@ -149,8 +149,8 @@ def add_velocity(
     if any(key not in scene for scene in scenes):
         return
     elapsed_s = (after.frame.stamp_ns - before.frame.stamp_ns) * 1e-9
-    poses = [scene[key].world_T_object for scene in scenes]
-    true = rigid_velocity(*poses, elapsed_s, now.frame.world_T_grid, cells).mean(axis=1)
+    earlier, later = (scene[key].world_T_object for scene in scenes)
+    true = rigid_velocity(earlier, later, elapsed_s, now.frame.world_T_grid, cells).mean(axis=1)
     speed = np.hypot(*true)
     if speed > MOVING_MPS:
         off, spread = track.estimator.mean[3:5] - true, track.estimator.covariance[3:5, 3:5]
@@ -194,7 +194,7 @@ def main() -> None:
     for stretch in arguments.stretches:
         stream = open_stream(f"{JUNCTION / 'validation.tracks'}@{stretch}")
         kind = TRACKERS[arguments.tracker]
-        tracker = kind(shipped_stream(kind.name, stream), kind.Options())
+        tracker = with_shipped_weights(kind, kind.name, stream)
         measure_stretch(tracker, list(stream.observations()), found, forecasts)
     parts = {steps: [np.concatenate(part) for part in zip(*forecasts[steps], strict=True)] for steps in AHEAD}
     hits = {steps: p >= best_threshold(p, occupied) for steps, (p, occupied, _) in parts.items()}

@@ -32,4 +32,4 @@ def measured_poses(truth: Array, noise: Array, outliers: float, rng: np.random.G
     wrong = rng.random(len(truth)) < outliers
     wrong[:3] = False
     poses[wrong] += rng.uniform(-1.0, 1.0, (wrong.sum(), 3)) * [1.5, 1.5, 0.5]
-    return np.asarray(poses)
+    return np.asarray(poses, np.float64)

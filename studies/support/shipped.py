@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TypeVar
 
 from gridtrack.evaluation.comparison.learned import find_weights
 from gridtrack.recordings import packaged_recording
@@ -14,6 +15,7 @@ DEMO = packaged_recording("leg_tracker")
 DATA = DEMO.parents[1]
 JUNCTION = DATA / "junction"
 WEIGHTS = DATA / "weights"
+AnyTracker = TypeVar("AnyTracker", bound=Tracker)
 
 
 def junction_tests() -> list[Path]:
@@ -29,7 +31,11 @@ def shipped_stream(name: str, source: GridStream) -> StreamSpec:
 
 def shipped_tracker(name: str, source: GridStream) -> Tracker:
     """Tracker `name` with its default options and its weights for the site of `source`, reset with seed 0."""
-    kind = registry.load(name)
+    return with_shipped_weights(registry.load(name), name, source)
+
+
+def with_shipped_weights(kind: type[AnyTracker], name: str, source: GridStream) -> AnyTracker:
+    """A tracker of class `kind`, such as a subclass of tracker `name`, with the weights of `name`."""
     tracker = kind(shipped_stream(name, source), kind.Options())
     tracker.reset(0)
     return tracker

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +12,7 @@ from gridtrack.common.geometry import SE2, wrap_angle
 from gridtrack.common.grid import GridSpec
 from gridtrack.common.scene import Scene, SceneObject
 
-Points = NDArray[np.float64]
+Points = NDArray[np.floating[Any]]
 MOVING_MPS = 0.3
 """A body below this speed, m/s, counts as standing."""
 
