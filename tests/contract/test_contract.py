@@ -44,7 +44,7 @@ def failures(name: str, **options: object) -> dict[str, CheckResult]:
     [
         ("good", None, ""),
         ("wrong-shape", "forecasts have the right shape", "invalid-output: .* has shape"),
-        ("lopsided-classes", "forecasts have the right shape", "semantics sum to 1"),
+        ("lopsided-classes", "forecasts have the right shape", "semantics must sum to 1"),
         ("fails-on-empty-input", "works on empty input", "invalid-output: .* not finite"),
         ("rolls-dice", "same seed and frames", "the same stream again, after reset .* differ by"),
         (
