@@ -26,6 +26,7 @@ CURRENT = [page for page in PAGES if page not in PAST]
 FOLDERS = (
     r"(?:common|recordings|simulation|trackers|evaluation|reports|cli|tests|benchmarks|studies|examples|docs|data)"
 )
+PACKAGES = ("common", "recordings", "simulation", "trackers", "evaluation", "reports", "cli")
 FILE = re.compile(rf"`({FOLDERS}/[\w./-]+\.(?:py|md|toml|json|tracks|mcap|xml|svg))`")
 
 
@@ -82,7 +83,10 @@ def test_the_commands_of_a_page_exist(page: Path) -> None:
 
 @pytest.mark.parametrize("page", CURRENT, ids=name_of)
 def test_the_files_that_a_page_names_exist(page: Path) -> None:
-    assert [file for file in FILE.findall(prose(page)) if not (ROOT / file).exists()] == []
+    text = prose(page)
+    modules = {path.name for package in PACKAGES for path in (ROOT / package).rglob("*.py")}
+    assert [file for file in FILE.findall(text) if not (ROOT / file).exists()] == []
+    assert [name for name in re.findall(r"`(\w+\.py)`", text) if name not in modules] == []
 
 
 @pytest.mark.parametrize("page", [page for page in CURRENT if page.parent.name == "trackers"], ids=name_of)
