@@ -10,7 +10,6 @@ import polars as pl
 
 from gridtrack.reports.run import ReportError
 
-SCORE_COLUMNS = ("stamp_ns", "step", "stratum", "tp", "fp", "fn")
 LEAST_DIFFERENCE = 0.01
 """Trackers whose F1 differ by less are not shown as differing."""
 
@@ -88,7 +87,6 @@ def frame_scores(path: Path, step: int) -> dict[int, FrameScore]:
     try:
         rows = (
             pl.scan_parquet(path)
-            .select(SCORE_COLUMNS)
             .filter((pl.col("step") == step) & (pl.col("stratum") == "moving"))
             .select("stamp_ns", "tp", "fp", "fn")
             .collect()

@@ -24,7 +24,8 @@ TEMPLATES = Path(__file__).parent / "templates"
 def render_report(runs: Sequence[Path], out: Path | None = None) -> Path:
     """Write the report of `runs` and return its path: `out`, or report/index.html in the run's folder.
 
-    Several runs are on one page, side by side: `out`, or report/side-by-side.html of the first. Raises ReportError.
+    Several runs are on one page, side by side: `out`, or report/side-by-side.html of the first. Raises RunError and
+    ReportError.
     """
     content = render_page(read_runs(runs))
     path = out or runs[0] / "report" / ("index.html" if len(runs) == 1 else "side-by-side.html")

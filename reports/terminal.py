@@ -64,7 +64,8 @@ class RunProgress:
 
 
 def print_tables(run: Path) -> None:
-    """Print the main tables of a run: formatted on a terminal, Markdown elsewhere. Raises ReportError."""
+    """Print the main tables of a run: formatted on a terminal, Markdown elsewhere. Raises RunError and
+    ReportError."""
     console = Console()
     runs = read_runs([run])
     for table in main_tables(headline_tables(runs)):

@@ -60,7 +60,7 @@ def measure_run(run: Path, like: Measurement | None = None) -> Measurement:
 
 
 def _block_s(recordings: Mapping[str, RecordingIdentity]) -> float | None:
-    """None, whole recordings, where these are enough units; else longer than the cycle of any site."""
+    """The length of a block; None, whole recordings, where these are enough units."""
     longest = max((split.cycle_s for split in recordings.values() if split.cycle_s), default=0.0)
     return None if len(recordings) >= LEAST_UNITS else max(BLOCK_S, longest)
 
@@ -88,7 +88,7 @@ def _trial_counts(
     if split is None or folder.parent != run:
         raise RunError(f"{run / RUN_FILE}: '{name}' is no trial of this run")
     record = read_trial_record(folder)
-    _refuse_incomplete(name, record)
+    _require_complete(name, record)
     assert record is not None
     if missing := list(missing_measurements(requested, record)):
         raise Unmeasured(missing)
@@ -98,14 +98,14 @@ def _trial_counts(
     timed = latency is not None and min(latency.update.p50, latency.predict.p50) > 0.0
     speed = Speed(update_ms=latency.update.p50, predict_ms=latency.predict.p50) if latency and timed else None
     measured = {"deadline": record.deadline, "degrade": record.robustness}
-    figures = tuple(name for name, found in measured.items() if found is not None)
+    measurements = tuple(name for name, found in measured.items() if found is not None)
     return TrialCounts.model_validate(
-        {"weights_sha256": record.weights_sha256, "units": units, "speed": speed, "figures": figures}
+        {"weights_sha256": record.weights_sha256, "units": units, "speed": speed, "figures": measurements}
     )
 
 
-def _refuse_incomplete(name: str, record: TrialRecord | None) -> None:
-    """Raises Unmeasured for a trial that did not score every frame it was to score."""
+def _require_complete(name: str, record: TrialRecord | None) -> None:
+    """Check that a trial scored every forecast. Raises Unmeasured."""
     if record is None:
         raise Unmeasured([f"{name}: the trial is missing: continue the run with --resume"])
     if record.outcome != "ok":
