@@ -14,12 +14,12 @@ import tempfile
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from gridtrack.common.scan import Scan
 from gridtrack.evaluation.comparison.plan import resolve
 from gridtrack.evaluation.comparison.runner import run
 from gridtrack.evaluation.comparison.settings import CompareSettings
+from gridtrack.evaluation.results.summary import RunSummary
 from gridtrack.recordings import open_recording, write_native
 
 from studies.support.progress import NoProgress
@@ -28,7 +28,7 @@ from studies.support.shipped import DEMO
 LOOPS = 10
 
 
-def compare(recording: str, trackers: Sequence[str]) -> dict[str, Any]:
+def compare(recording: str, trackers: Sequence[str]) -> RunSummary:
     """The summary of a run, one trial at a time."""
     with tempfile.TemporaryDirectory() as folder:
         settings = CompareSettings(recordings=(recording,), trackers=tuple(trackers), out=Path(folder), jobs=1)
@@ -58,18 +58,15 @@ def _run_and_measure(recording: str) -> float:
 def print_times(trackers: Sequence[str]) -> None:
     summary = compare(str(DEMO), trackers)
     own_total = wall_total = 0.0
-    for label, entry in summary["trackers"].items():
-        for trial in entry["recordings"].values():
-            if trial["outcome"] != "ok":
-                print(f"{label:20} {trial['outcome']}")
+    for label, entry in summary.trackers.items():
+        for trial in entry.recordings.values():
+            if trial.outcome != "ok":
+                print(f"{label:20} {trial.outcome}")
                 continue
-            times, frames = trial["times"], trial["times"]["frames"]
-            own = times["update_s"] + times["predict_s"]
-            own_total, wall_total = own_total + own, wall_total + times["wall_s"]
-            beside_ms = 1e3 * (times["wall_s"] - own) / frames
-            print(
-                f"{label:20} {own:8.2f} s own, {times['wall_s']:8.2f} s in all, {beside_ms:5.2f} ms a frame beside it"
-            )
+            own, wall = trial.times.update_s + trial.times.predict_s, trial.times.wall_s
+            own_total, wall_total = own_total + own, wall_total + wall
+            beside_ms = 1e3 * (wall - own) / trial.times.frames
+            print(f"{label:20} {own:8.2f} s own, {wall:8.2f} s in all, {beside_ms:5.2f} ms a frame beside it")
     print(f"{'together':20} {own_total:8.2f} s own, {wall_total:8.2f} s in all: {wall_total / own_total:.2f} x")
 
 

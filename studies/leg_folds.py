@@ -9,16 +9,17 @@ by the statistics of a comparison, which decide whether two minutes are enough f
 from __future__ import annotations
 
 import argparse
-import json
 import subprocess
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
+from gridtrack.evaluation.results.recording import RecordingSummary
+from gridtrack.evaluation.results.summary import SUMMARY_FILE, RunSummary, read_summary
 from gridtrack.evaluation.results.trial_record import read_trial_record
-from gridtrack.evaluation.statistics.inference import Ended, Inference
-from gridtrack.evaluation.statistics.summary import SUMMARY
+from gridtrack.evaluation.results.trial_summary import StratumScores
+from gridtrack.evaluation.statistics.finished_trial import FinishedTrial
+from gridtrack.evaluation.statistics.inference import Inference
 
 RECORDING = Path("data/leg_tracker/leg_tracker.mcap")
 FOLDS = ("0s-25s", "25s-50s", "50s-75s", "75s-100s", "100s-126s")
@@ -42,30 +43,29 @@ def compare_fold(fold: int, trackers: Sequence[str], out: Path) -> Path:
     for tracker in trackers:
         if not (weights / tracker / f"{RECORDING.stem}.toml").exists():
             gridtrack("train", tracker, *rest, "--validation", chosen_on, "--out", weights)
-    if not (folder / SUMMARY).exists():
+    if not (folder / SUMMARY_FILE).exists():
         rows = [word for tracker in (REFERENCE, *trackers) for word in ("--tracker", tracker)]
         chosen = "--validation", chosen_on, "--weights", weights
         gridtrack("compare", tested, *chosen, *rows, "--every", f"{PERIOD_S}s", "--out", folder)
     return folder
 
 
-def finished_trials(folder: Path, summary: Mapping[str, Any]) -> list[Ended]:
+def finished_trials(folder: Path, summary: RunSummary) -> list[FinishedTrial]:
     """The trials of a comparison."""
     found = []
-    for label, row in summary["trackers"].items():
-        for name in row["recordings"]:
+    for label, row in summary.trackers.items():
+        for name in row.recordings:
             trial = folder / f"{label}@{name}"
             record = read_trial_record(trial)
             assert record is not None, trial
-            found.append(Ended(record, trial, row["tracker"], row["options"], row["points"]))
+            found.append(FinishedTrial(record, trial, row.tracker, row.options, row.points))
     return found
 
 
-def moving_scores(curves: Mapping[str, Any]) -> str:
+def moving_scores(strata: Mapping[str, StratumScores]) -> str:
     """The scores in SHOWN, as text."""
-    return "  ".join(
-        f"{curves['moving'][score][round(h / PERIOD_S)]:.3f}" for score, horizons in SHOWN.items() for h in horizons
-    )
+    curves = strata["moving"].model_dump()
+    return "  ".join(f"{curves[score][round(h / PERIOD_S)]:.3f}" for score, at in SHOWN.items() for h in at)
 
 
 def main() -> None:
@@ -73,25 +73,29 @@ def main() -> None:
     parser.add_argument("trackers", nargs="*", default=["static-map", "kalman"])
     parser.add_argument("--out", type=Path, default=Path("runs/folds"))
     arguments = parser.parse_args()
-    recordings: dict[str, Any] = {}
-    trials: list[Ended] = []
+    recordings: dict[str, RecordingSummary] = {}
+    trials: list[FinishedTrial] = []
     print("moving cells:", "; ".join(f"{score} at {', '.join(f'{h:g} s' for h in at)}" for score, at in SHOWN.items()))
     for fold, stretch in enumerate(FOLDS):
         folder = compare_fold(fold, arguments.trackers, arguments.out)
-        summary = json.loads((folder / SUMMARY).read_text())
-        recordings |= summary["recordings"]
+        summary = read_summary(folder)
+        recordings |= summary.recordings
         trials += finished_trials(folder, summary)
-        for label, row in summary["trackers"].items():
-            for scores in row["recordings"].values():
-                print(f"{stretch:>10}  {label:14} {moving_scores(scores['strata'])}")
-    inference = Inference(recordings, trials, REFERENCE)
-    for label, pooled in (inference.pooled() or {}).items():
-        print(f"{'all':>10}  {label:14} {moving_scores(pooled['strata'])}")
+        for label, row in summary.trackers.items():
+            for scores in row.recordings.values():
+                print(f"{stretch:>10}  {label:14} {moving_scores(scores.strata)}")
+    print_pooled(Inference(recordings, trials, REFERENCE))
+
+
+def print_pooled(inference: Inference) -> None:
+    """Print the scores over all folds, and the paired differences of moving F1."""
+    for label in inference.labels if inference.pools else []:
+        print(f"{'all':>10}  {label:14} {moving_scores(inference.pooled(label).strata)}")
     for difference in inference.differences():
-        for test in difference["headline"]:
-            if test["stratum"] == "moving":
-                span = difference["interval"] or f"[{test['f1_low']:.3f}, {test['f1_high']:.3f}]"
-                print(f"{difference['tracker']} less {REFERENCE} at {test['horizon_s']:g} s: {test['f1']:+.3f} {span}")
+        for test in difference.headline:
+            if test.stratum == "moving":
+                span = difference.interval or f"[{test.f1_low:.3f}, {test.f1_high:.3f}]"
+                print(f"{difference.tracker} less {REFERENCE} at {test.horizon_s:g} s: {test.f1:+.3f} {span}")
 
 
 if __name__ == "__main__":
