@@ -94,7 +94,7 @@ class TimedPipeline(Pipeline):
     _predict = timed("prediction", Pipeline._predict)
     _associate = timed("association", Pipeline._associate)
     _correct = timed("estimation, shape", Pipeline._correct)
-    _judge = timed("existence", Pipeline._judge)
+    _update_existence = timed("existence", Pipeline._update_existence)
     _merge = timed("merging", Pipeline._merge)
     forecast = timed("forecast", Pipeline.forecast)
 

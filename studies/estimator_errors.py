@@ -18,7 +18,7 @@ from gridtrack.trackers.model_free.motion.factor_graph import GATE, FactorGraphE
 from gridtrack.trackers.model_free.motion.kalman import KalmanEstimator
 from gridtrack.trackers.model_free.motion.model import propagate
 from gridtrack.trackers.model_free.motion.regimes import SwitchingEstimator
-from gridtrack.trackers.model_free.tuning import STARTS
+from gridtrack.trackers.model_free.tuning import STARTING_SETTINGS
 
 from studies.support.measured_motion import FRAMES_PER_SECOND, MODEL, NOISE, Array, measured_poses
 
@@ -37,7 +37,7 @@ class GatedKalmanEstimator(KalmanEstimator):
             super().update(pose, covariance)
 
 
-REGIMES = STARTS[1].motion(MODEL.period_s)
+REGIMES = STARTING_SETTINGS[1].motion(MODEL.period_s)
 
 
 def in_two_regimes(initiate: Callable[..., MotionEstimator]) -> Callable[..., MotionEstimator]:

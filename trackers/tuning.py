@@ -1,4 +1,4 @@
-"""Tuning a tracker's few parameters: a seeded search, on frames held in memory, and what a card says of the result."""
+"""Tuning of the settings of a tracker: a seeded search, frames cached in memory, scores for the card."""
 
 from __future__ import annotations
 
@@ -16,13 +16,14 @@ from gridtrack.common.grid import GridFrame, GridSpec, LabelledFrame
 from gridtrack.trackers.contract import FitOutput, FrameSource, StretchScore
 
 REPORT_EVERY = 10
+"""Search iterations between two progress reports."""
 
-Tuned = TypeVar("Tuned", bound=Settings)
+_Tuned = TypeVar("_Tuned", bound=Settings)
 
 
 @dataclass(slots=True)
-class HeldSource:
-    """A part of another source, its frames made once and held in memory: a search streams it many times."""
+class CachedSource:
+    """A part of another source, its frames cached in memory: a search streams it many times."""
 
     name: str
     sha256: str
@@ -33,18 +34,18 @@ class HeldSource:
     frames: Sequence[GridFrame]
 
     @classmethod
-    def beginning(cls, source: FrameSource, seconds: float) -> HeldSource:
-        """The first `seconds` of `source`, or all of it where it is shorter."""
+    def beginning(cls, source: FrameSource, seconds: float) -> CachedSource:
+        """The first `seconds` of `source`, or all of a shorter one."""
         return cls._of(source, source.name, 0, max(1, round(seconds / source.period_s)))
 
     @classmethod
-    def excerpt(cls, source: FrameSource, first: int, count: int) -> HeldSource:
-        """The `count` frames of `source` from the `first` on, named by the seconds that they are."""
+    def excerpt(cls, source: FrameSource, first: int, count: int) -> CachedSource:
+        """The `count` frames of `source` from number `first` on, named by their time range."""
         name = f"{source.name}, {count * source.period_s:g} s from {first * source.period_s:g} s on"
         return cls._of(source, name, first, count)
 
     @classmethod
-    def _of(cls, source: FrameSource, name: str, first: int, count: int) -> HeldSource:
+    def _of(cls, source: FrameSource, name: str, first: int, count: int) -> CachedSource:
         frames = tuple(islice(source, first, first + count))
         return cls(name, source.sha256, source.grid, source.period_s, source.site, source.classes, frames)
 
@@ -55,59 +56,59 @@ class HeldSource:
         return len(self.frames)
 
     def labelled(self) -> Iterator[LabelledFrame]:
-        """No labels are held: what is tuned here is occupancy."""
-        raise NotImplementedError("classes are not learned from held frames")
+        """Not available: only occupancy is tuned on cached frames."""
+        raise NotImplementedError("classes are not trained on cached frames")
 
 
-class Measure(NamedTuple, Generic[Tuned]):
-    """What settings are chosen by: its `name` in reports, which way is better, and what it is `of` settings."""
+class Objective(NamedTuple, Generic[_Tuned]):
+    """The objective of a search: its `name` in reports, its direction, and its value `of` settings."""
 
     name: str
     better: Literal["minimize", "maximize"]
-    of: Callable[[Tuned], float]
+    of: Callable[[_Tuned], float]
 
 
-def search(
-    kind: type[Tuned],
+def search_settings(
+    kind: type[_Tuned],
     ranges: Mapping[str, tuple[float, float]],
-    measure: Measure[Tuned],
-    starts: Sequence[Tuned],
+    objective: Objective[_Tuned],
+    starts: Sequence[_Tuned],
     given: Mapping[str, Any],
-    trials: int,
+    iterations: int,
     out: FitOutput,
-) -> Tuned:
-    """The settings best by `measure` in `trials` trials of a tree-structured Parzen estimator, the `starts` first.
+) -> _Tuned:
+    """The best settings of `iterations` of a tree-structured Parzen estimator, which starts with `starts`.
 
-    Each key of `ranges` is searched from low to high, log-uniformly; settings in `given` are kept, and where they are
-    all that is searched they are the answer. The same seed makes the same search. One that is interrupted tells the
-    best so far. Raises RecordingError where the measure is not defined.
+    Each key of `ranges` is searched log-uniformly from low to high. Settings in `given` are not searched; if no key
+    remains they are returned. The same seed gives the same search. An interrupted search reports its best settings.
+    Raises RecordingError where the objective is undefined.
     """
     tuned = {key: bounds for key, bounds in ranges.items() if key not in given}
     if not tuned:
         return kind(**given)
 
-    def objective(trial: optuna.Trial) -> float:
-        value = measure.of(kind(**given, **{key: _suggested(trial, key, *tuned[key]) for key in tuned}))
+    def value_of(trial: optuna.Trial) -> float:
+        value = objective.of(kind(**given, **{key: _suggested(trial, key, *tuned[key]) for key in tuned}))
         if not math.isfinite(value):
             raise RecordingError(
-                f"{measure.name} is not defined on what is trained on: nothing that moves came into a cell that was in "
-                "view; name a longer stretch"
+                f"{objective.name} is not defined on the training recordings: no visible cell was occupied by a moving"
+                " object; use a longer stretch"
             )
         return value
 
-    def tell(study: optuna.Study, trial: optuna.trial.FrozenTrial) -> None:
+    def report(study: optuna.Study, trial: optuna.trial.FrozenTrial) -> None:
         if trial.number % REPORT_EVERY == 0:
-            out.report(f"trial {trial.number + 1} of {trials}, {measure.name} {study.best_value:.5f}")
+            out.report(f"search iteration {trial.number + 1} of {iterations}, {objective.name} {study.best_value:.5f}")
 
-    optuna.logging.set_verbosity(optuna.logging.ERROR)  # what an objective raises is raised, and need not be logged too
+    optuna.logging.set_verbosity(optuna.logging.ERROR)  # exceptions of the objective are raised, not logged as well
     sampler = optuna.samplers.TPESampler(seed=out.seed, multivariate=True)
-    study = optuna.create_study(direction=measure.better, sampler=sampler)
+    study = optuna.create_study(direction=objective.better, sampler=sampler)
     for start in starts:
         study.enqueue_trial({key: getattr(start, key) for key in tuned})
     try:
-        study.optimize(objective, n_trials=trials, callbacks=[tell])
+        study.optimize(value_of, n_trials=iterations, callbacks=[report])
     except KeyboardInterrupt:
-        _tell_best(study, measure.name, out)
+        _report_best(study, objective.name, out)
         raise
     return kind(**given, **_best(study))
 
@@ -116,16 +117,16 @@ def _best(study: optuna.Study) -> dict[str, float]:
     return {key: three_digits(value) for key, value in study.best_params.items()}
 
 
-def _tell_best(study: optuna.Study, name: str, out: FitOutput) -> None:
-    """Report what an interrupted search has found, as options with which another needs no search."""
+def _report_best(study: optuna.Study, name: str, out: FitOutput) -> None:
+    """Report the best settings of an interrupted search, in the form of options."""
     done = study.get_trials(states=[optuna.trial.TrialState.COMPLETE])
     if done:
         found = ",".join(f"{key}={value:g}" for key, value in _best(study).items())
-        out.report(f"interrupted; best of {len(done)} trials, {name} {study.best_value:.5f}: {found}")
+        out.report(f"interrupted; best of {len(done)} search iterations, {name} {study.best_value:.5f}: {found}")
 
 
-def summary(score: StretchScore, source: FrameSource, horizons_s: Sequence[float]) -> dict[str, Any]:
-    """What a card says of one stretch, as far as it is defined there."""
+def stretch_summary(score: StretchScore, source: FrameSource, horizons_s: Sequence[float]) -> dict[str, Any]:
+    """The scores of one stretch for a card, without undefined ones."""
     columns = {
         "moving_log_loss": score.log_loss["moving"],
         "visible_f1": score.f1["visible"],
@@ -139,12 +140,12 @@ def summary(score: StretchScore, source: FrameSource, horizons_s: Sequence[float
 
 
 def step_of(source: FrameSource, horizon_s: float) -> int:
-    """The step nearest to a horizon."""
+    """The step nearest to a horizon, at least 1."""
     return max(1, round(horizon_s / source.period_s))
 
 
 def three_digits(value: float) -> float:
-    """Three significant digits: a card is read by people, and the search must try what the card will say."""
+    """Three significant digits: the search evaluates the rounded values that the card has."""
     return float(f"{value:.3g}")
 
 

@@ -32,11 +32,11 @@ CARD_SCHEMA = 2
 MAX_ARRAYS_BYTES = 1 << 30
 MAX_CARD_BYTES = 1 << 20
 
-Tuned = TypeVar("Tuned", bound=Settings)
+_Tuned = TypeVar("_Tuned", bound=Settings)
 
 
 class TrainingData(Settings):
-    """A stretch that weights were made from."""
+    """A stretch of a recording that weights were trained on."""
 
     recording: str
     sha256: str
@@ -56,7 +56,7 @@ class Card(Settings):
     validation: tuple[TrainingData, ...] = ()
     arrays_sha256: str = ""
     classes: tuple[str, ...] = ()
-    """The classes that it tells apart, in its own order; scores match them with a recording's by name."""
+    """The classes of the tracker, in its order; scores match them with those of a recording by name."""
     settings: dict[str, Any] = Field(default_factory=dict)
     results: dict[str, Any] = Field(default_factory=dict)
 
@@ -70,7 +70,7 @@ class Card(Settings):
 
 @dataclass(frozen=True)
 class Weights:
-    """A card and its arrays, checked against each other."""
+    """A card and its arrays, consistent with each other."""
 
     card: Card
     arrays: dict[str, NDArray[Any]]
@@ -84,7 +84,7 @@ def card_for(
     settings: Mapping[str, Any],
     results: Mapping[str, Any] | None = None,
 ) -> Card:
-    """The card of what `fit` has just learned from `train`.
+    """The card of a training on `train`.
 
     Raises WeightsError where the training stretches differ in grid, period or site.
     """
@@ -115,7 +115,7 @@ def with_classes(
     settings: Mapping[str, Any],
     results: Mapping[str, Any],
 ) -> Card:
-    """The card of what was learned before, and what `stage=classes` has added from `train` and `validation`."""
+    """The card of an earlier training, with classes added from `train` and `validation` (`stage=classes`)."""
     return card.model_copy(
         update={
             "classes": classes,
@@ -176,10 +176,7 @@ def parse_card(path: Path) -> Card:
 
 
 def load_weights(stream: StreamSpec, tracker: str) -> Weights:
-    """The weights that `stream` names, checked: whole, this tracker's, and made for this grid and period.
-
-    Raises WeightsError.
-    """
+    """The weights that `stream` names. Raises WeightsError if damaged, or for another tracker, site, grid or period."""
     path = stream.weights
     if path is None:
         raise WeightsError(
@@ -220,7 +217,7 @@ def read_arrays(path: Path, sha256: str) -> dict[str, NDArray[Any]]:
         raise WeightsError(f"{path}: not a safetensors file ({error})") from None
 
 
-def tuned_settings(kind: type[Tuned], weights: Weights, given: Settings) -> Tuned:
+def tuned_settings(kind: type[_Tuned], weights: Weights, given: Settings) -> _Tuned:
     """The tuned settings of the card, overridden by the options that were `given`. Raises WeightsError."""
     where = f"weights of {weights.card.tracker}, settings"
     try:

@@ -1,4 +1,4 @@
-"""The filter: masses and particles of a grid, frame after frame (Nuss et al., IJRR 2018, section V)."""
+"""The filter: masses and particles of a grid, updated with each frame (Nuss et al., IJRR 2018, section V)."""
 
 from __future__ import annotations
 
@@ -7,20 +7,29 @@ import math
 import numpy as np
 
 from gridtrack.common.grid import GridFrame, GridSpec
-from gridtrack.trackers.dogma.masses import Mass, Masses, combined, measured, newborn, predicted_free
-from gridtrack.trackers.dogma.particles import Birth, Motion, Particles, Returns, advance, resample, sort_by_cell, weigh
-from gridtrack.trackers.dogma.random_numbers import stream
+from gridtrack.trackers.dogma.masses import Mass, Masses, combined, measured_masses, newborn_mass, predicted_free
+from gridtrack.trackers.dogma.particles import (
+    Birth,
+    Motion,
+    Particles,
+    Returns,
+    predict_particles,
+    resample_particles,
+    sort_by_cell,
+    weight_particles,
+)
+from gridtrack.trackers.dogma.random_numbers import random_stream
 from gridtrack.trackers.dogma.settings import DogmaSettings
 
-MOST_EXPECTED = np.float32(0.98)
-"""No cell is expected to be occupied more surely: what Dempster's rule holds for certain no return could change."""
+MAX_PREDICTED_MASS = np.float32(0.98)
+"""Upper bound of predicted occupied mass: Dempster's rule never revises a mass of 1."""
 
 
 class ParticleGrid:
-    """Masses and particles of a grid that does not move, in float32.
+    """Masses and particles, float32, of a grid that does not move.
 
-    `masses` (M, M) are those after the last frame, and the first `count` of `particles` weigh `weight` each. Of them
-    those from `persisted` (M * M, 2) int32, first to last exclusive, have come to be in that cell; others are newborn.
+    `masses` (M, M) are those after the last frame. The first `count` of `particles` have the weight `weight` each;
+    `persisted` (M * M, 2) int32 are the first and last (exclusive) persistent particles of a cell, others are newborn.
     """
 
     def __init__(self, grid: GridSpec, period_s: float, settings: DogmaSettings, seed: int) -> None:
@@ -38,17 +47,17 @@ class ParticleGrid:
         self._birth = Birth(np.float32(settings.static_share), np.float32(speed))
 
     def update(self, frame: GridFrame) -> None:
-        """Take in one frame."""
+        """Update with one frame."""
         elapsed = 1.0 if self.frame is None else (frame.stamp_ns - self.frame.stamp_ns) * 1e-9 / self.period_s
         self.frame = frame
         predicted = self._predict(elapsed)
-        evidence = measured(frame.visible, frame.occupied, self.settings.occupied_mass, self.settings.free_mass)
+        evidence = measured_masses(frame.visible, frame.occupied, self.settings.occupied_mass, self.settings.free_mass)
         self.masses = combined(predicted, evidence)
-        born = newborn(self.masses.occupied, predicted.occupied, self.settings.birth_probability)
+        born = newborn_mass(self.masses.occupied, predicted.occupied, self.settings.birth_probability)
         self._resample(np.where(frame.visible, born, np.float32(0.0)))
 
     def motion(self, periods: float) -> Motion:
-        """How particles move in so many periods."""
+        """Process model of the particles over so many periods."""
         settings, cell_m, time_s = self.settings, self.grid.cell_m, periods * self.period_s
         values = (
             periods,
@@ -60,43 +69,43 @@ class ParticleGrid:
         )
         return Motion(*map(np.float32, values))
 
-    def keep_free(self, periods: float) -> float:
-        """The share of free mass that stays so for so many periods."""
+    def free_retention(self, periods: float) -> float:
+        """Share of the free mass that remains free for so many periods."""
         return math.exp(-periods * self.period_s / self.settings.free_decay_s)
 
     def survival(self, periods: float) -> float:
-        """The probability p_S that what is there is still somewhere after so many periods."""
+        """Persistence probability p_S of an object over so many periods."""
         return math.exp(-periods * self.period_s / self.settings.mean_lifetime_s)
 
     def _predict(self, periods: float) -> Masses:
-        """Move and sort the particles, and say what masses to expect."""
+        """Predict and sort the particles, and predict the masses."""
         size, motion = self.grid.size, self.motion(periods)
-        advance(self.particles, self.count, size, motion, self._fresh(), self._cells, self._starts)
+        predict_particles(self.particles, self.count, size, motion, self._next_counter(), self._cells, self._starts)
         sort_by_cell(self.particles, self.count, self._cells, self._starts, self._moved)
-        held = np.diff(self._starts)[: size * size].reshape(size, size)
+        counts = np.diff(self._starts)[: size * size].reshape(size, size)
         weight = np.float32(self.weight * self.survival(periods))
-        occupied = np.minimum(held.astype(np.float32) * weight, MOST_EXPECTED)
-        return Masses(occupied, predicted_free(self.masses.free, self.keep_free(periods), occupied))
+        occupied = np.minimum(counts.astype(np.float32) * weight, MAX_PREDICTED_MASS)
+        return Masses(occupied, predicted_free(self.masses.free, self.free_retention(periods), occupied))
 
     def _resample(self, born: Mass) -> None:
-        """Share out the mass of each cell among the particles in it and newborn ones, and make them weigh the same."""
+        """Distribute the mass of each cell to its persistent and newborn particles, and resample to equal weights."""
         returns, persistent = self._returns(), self.masses.occupied - born
-        weigh(self._moved, self._starts, persistent.reshape(-1), returns, self._weights)
-        self.count = resample(
+        weight_particles(self._moved, self._starts, persistent.reshape(-1), returns, self._weights)
+        self.count = resample_particles(
             self._moved,
             self._starts,
             self._weights,
             born.reshape(-1),
             returns,
             self._birth,
-            self._fresh(),
+            self._next_counter(),
             self.particles,
             self.persisted,
         )
         self.weight = float(self.masses.occupied.sum(dtype=np.float64)) / max(self.count, 1)
 
     def _returns(self) -> Returns:
-        """A return of each cell of the frame: where it has several, the last."""
+        """One return of each cell of the frame: the last one of several."""
         assert self.frame is not None
         cells, inside = self.grid.cells_of(self.frame.points)
         rows, columns = cells[inside].T
@@ -105,6 +114,6 @@ class ParticleGrid:
         deviation = np.float32(self.settings.return_noise_m / self.grid.cell_m)
         return Returns(points, deviation, np.float32(self.settings.association_probability))
 
-    def _fresh(self) -> np.uint64:
+    def _next_counter(self) -> np.uint64:
         self.draws += 1
-        return stream(self.seed, self.draws)
+        return random_stream(self.seed, self.draws)

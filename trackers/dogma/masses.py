@@ -1,7 +1,7 @@
-"""Dempster-Shafer masses of cells: what a frame says, what was expected, both combined, and what of it is newborn.
+"""Dempster-Shafer masses of cells: measurement, prediction, combination, and newborn mass.
 
 Equations of Nuss et al., "A random finite set approach for dynamic occupancy grid maps with real-time application"
-(IJRR 2018, arXiv 1605.02406), section V. Masses are (M, M) float32; what neither holds is unknown, 1 - m_O - m_F.
+(IJRR 2018, arXiv 1605.02406), section V. Masses are (M, M) float32; the remaining mass 1 - m_O - m_F is unknown.
 """
 
 from __future__ import annotations
@@ -23,30 +23,30 @@ class Masses(NamedTuple):
     free: Mass
 
 
-def measured(visible: Mask, occupied: Mask, when_hit: float, when_crossed: float) -> Masses:
-    """What a frame says: an occupied cell is so with mass `when_hit`, one only crossed is free with `when_crossed`."""
-    hit = np.where(occupied, np.float32(when_hit), np.float32(0.0))
-    return Masses(hit, np.where(visible & ~occupied, np.float32(when_crossed), np.float32(0.0)))
+def measured_masses(visible: Mask, occupied: Mask, occupied_mass: float, free_mass: float) -> Masses:
+    """Masses of a frame: `occupied_mass` in cells with a return, `free_mass` in cells that beams only crossed."""
+    hit = np.where(occupied, np.float32(occupied_mass), np.float32(0.0))
+    return Masses(hit, np.where(visible & ~occupied, np.float32(free_mass), np.float32(0.0)))
 
 
 def predicted_free(free: Mass, keep: float, occupied: Mass) -> Mass:
-    """Free mass after a while in which the share `keep` of it stays, less what `occupied` mass has moved in."""
+    """Predicted free mass: the share `keep` of it, bounded by the mass that predicted `occupied` mass leaves."""
     return np.asarray(np.minimum(free * np.float32(keep), 1 - occupied))
 
 
 def combined(prior: Masses, evidence: Masses) -> Masses:
-    """Dempster's rule: both, less what they contradict each other in, which must not be everything."""
-    unknown, silent = 1 - prior.occupied - prior.free, 1 - evidence.occupied - evidence.free
+    """Dempster's rule of combination; the conflict must be below 1."""
+    unknown, ignorance = 1 - prior.occupied - prior.free, 1 - evidence.occupied - evidence.free
     conflict = prior.occupied * evidence.free + prior.free * evidence.occupied
-    occupied = prior.occupied * (evidence.occupied + silent) + unknown * evidence.occupied
-    free = prior.free * (evidence.free + silent) + unknown * evidence.free
+    occupied = prior.occupied * (evidence.occupied + ignorance) + unknown * evidence.occupied
+    free = prior.free * (evidence.free + ignorance) + unknown * evidence.free
     return Masses(occupied / (1 - conflict), free / (1 - conflict))
 
 
-def newborn(occupied: Mass, predicted: Mass, birth_probability: float) -> Mass:
-    """The share of the updated mass `occupied` that has just appeared, where `predicted` was expected.
+def newborn_mass(occupied: Mass, predicted: Mass, birth_probability: float) -> Mass:
+    """Newborn part of the updated mass `occupied`, given the `predicted` occupied mass; the rest is persistent.
 
-    rho_b = m_O p_B (1 - m_O+) / (m_O+ + p_B (1 - m_O+)); the rest has persisted.
+    rho_b = m_O p_B (1 - m_O+) / (m_O+ + p_B (1 - m_O+))
     """
     born = np.float32(birth_probability) * (1 - predicted)
     return np.asarray(occupied * born / (predicted + born), np.float32)

@@ -1,4 +1,4 @@
-"""The velocity of each cell: mean and covariance over the particles that have persisted, and whether it is at rest."""
+"""The velocity of each cell: mean and covariance of its persistent particles, and a test for motion."""
 
 from __future__ import annotations
 
@@ -11,48 +11,48 @@ from numpy.typing import NDArray
 from gridtrack.common.grid import Mask
 from gridtrack.trackers.dogma.filter import ParticleGrid
 
-FEWEST = 3
-"""Particles that a cell must hold for their moments to say something."""
-LIKELY = 0.5
-"""Occupied mass that a cell must hold to be called dynamic."""
-STILL_MPS = 0.1
-"""Standard deviation that every velocity has beside its particles': what drifts slower than this stands."""
-CHI_SQUARE = 5.99
-"""Squared Mahalanobis distance of rest from a cell's velocity at which it moves: 95 %, two degrees of freedom."""
+MIN_PARTICLES = 3
+"""Smallest number of particles of a cell with moments."""
+MIN_OCCUPIED_MASS = 0.5
+"""Smallest occupied mass of a dynamic cell."""
+VELOCITY_NOISE_MPS = 0.1
+"""Standard deviation added to that of the particles: slower drift is not motion."""
+MOTION_TEST = 5.99
+"""Squared Mahalanobis distance of zero velocity from which a cell is dynamic: 95 %, two degrees of freedom."""
 
 
 class Velocities(NamedTuple):
-    """`mean` (2, M, M) float32, m/s, x and y; `covariance` (3, M, M) of xx, xy, yy; 0 where nothing has persisted."""
+    """`mean` (2, M, M) float32, m/s, x and y; `covariance` (3, M, M), xx, xy, yy; 0 without persistent particles."""
 
     mean: NDArray[np.float32]
     covariance: NDArray[np.float32]
 
 
 def velocities(state: ParticleGrid) -> Velocities:
-    """First two moments of the velocity of each cell."""
+    """Mean and covariance of the velocity of each cell."""
     size, to_mps = state.grid.size, state.grid.cell_m / state.period_s
     moments = np.zeros((5, size * size), np.float32)
-    fill(state.particles, state.persisted, FEWEST, moments)
+    compute_moments(state.particles, state.persisted, MIN_PARTICLES, moments)
     mean, covariance = moments[:2].reshape(2, size, size), moments[2:].reshape(3, size, size)
     return Velocities(mean * np.float32(to_mps), covariance * np.float32(to_mps**2))
 
 
 def dynamic_cells(state: ParticleGrid, found: Velocities) -> Mask:
-    """The cells (M, M) that are occupied by what moves: rest lies outside the 95 % ellipse of their velocity."""
+    """The dynamic cells (M, M): occupied, and zero velocity is outside the 95 % ellipse of their velocity."""
     (vx, vy), (xx, xy, yy) = found.mean, found.covariance
-    xx, yy = xx + STILL_MPS**2, yy + STILL_MPS**2
+    xx, yy = xx + VELOCITY_NOISE_MPS**2, yy + VELOCITY_NOISE_MPS**2
     squared = (vx * vx * yy - 2.0 * vx * vy * xy + vy * vy * xx) / (xx * yy - xy * xy)
-    moving: Mask = (squared > CHI_SQUARE) & (state.masses.occupied >= LIKELY)
+    moving: Mask = (squared > MOTION_TEST) & (state.masses.occupied >= MIN_OCCUPIED_MASS)
     return moving
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def fill(particles, persisted, fewest, moments):  # type: ignore[no-untyped-def]
-    """Into `moments` (5, M * M) mean x, mean y, xx, xy, yy of the velocities of each cell with `fewest` or more."""
+def compute_moments(particles, persisted, min_particles, moments):  # type: ignore[no-untyped-def]
+    """Write mean x, mean y, xx, xy, yy of the velocities of cells with `min_particles` to `moments` (5, M * M)."""
     for cell in range(persisted.shape[0]):
         first, last = persisted[cell]
         count = np.float32(last - first)
-        if last - first < fewest:
+        if last - first < min_particles:
             continue
         x = y = np.float32(0.0)
         for i in range(first, last):

@@ -1,6 +1,6 @@
-"""Particles: places and velocities as float32 arrays, moved, sorted by cell without comparing, and resampled.
+"""Particles: positions and velocities as float32 arrays; prediction, counting sort by cell, weights, resampling.
 
-Places are in cells from the grid's corner, velocities in cells a period. All particles weigh the same.
+Positions are in cells from the corner of the grid, velocities in cells per period. All particles have equal weight.
 """
 
 from __future__ import annotations
@@ -12,25 +12,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridtrack.trackers.dogma.random_numbers import (
-    after,
     first_normal,
     fourth_normal,
     hashed,
+    next_counter,
     second_normal,
     third_normal,
     uniform,
 )
 
-Column = NDArray[np.float32]
+Component = NDArray[np.float32]
 
 
 class Particles(NamedTuple):
     """`x`, `y`, `vx`, `vy`, each (N,) float32."""
 
-    x: Column
-    y: Column
-    vx: Column
-    vy: Column
+    x: Component
+    y: Component
+    vx: Component
+    vy: Component
 
     @classmethod
     def empty(cls, count: int) -> Particles:
@@ -39,10 +39,10 @@ class Particles(NamedTuple):
 
 
 class Motion(NamedTuple):
-    """How a particle moves in a while, in cells and periods, each a float32.
+    """Process model over `periods`, in cells and periods, each a float32.
 
-    It lasts `periods`; `position` and `velocity` are standard deviations of the noise of what moves; what rests starts
-    with probability `start`, and what is slower than `creep` stops with probability `stop`.
+    `position` and `velocity` are standard deviations of the noise of moving particles. A particle at rest starts with
+    probability `start` at about `threshold_speed`; a slower one stops with probability `stop`.
     """
 
     periods: np.float32
@@ -50,13 +50,13 @@ class Motion(NamedTuple):
     velocity: np.float32
     start: np.float32
     stop: np.float32
-    creep: np.float32
+    threshold_speed: np.float32
 
 
 class Returns(NamedTuple):
-    """What a frame says of places inside cells: a return of each cell, `points` (M * M, 2), NaN where there is none.
+    """One return of each cell: `points` (M * M, 2), cells, NaN where there is none.
 
-    It lies about the surface with standard deviation `deviation`, and belongs to it with probability `association`.
+    It has the standard deviation `deviation` about the surface, and is informative with probability `association`.
     """
 
     points: NDArray[np.float32]
@@ -65,22 +65,22 @@ class Returns(NamedTuple):
 
 
 class Birth(NamedTuple):
-    """How newborn particles move, each a float32: the share `resting`, and the standard deviation `speed` of others."""
+    """Newborn particles, float32: the share `resting`, and the standard deviation `speed` of other velocities."""
 
     resting: np.float32
     speed: np.float32
 
 
 @numba.njit(error_model="numpy")
-def moved(x, y, vx, vy, motion, counter):  # type: ignore[no-untyped-def]
-    """Place and velocity of one particle after a while of `motion`: nearly constant velocity, or at rest."""
+def predict_particle(x, y, vx, vy, motion, counter):  # type: ignore[no-untyped-def]
+    """Position and velocity of one particle after `motion`: nearly constant velocity, or at rest."""
     bits = hashed(counter)
     chance = uniform(bits)
     if vx == 0.0 and vy == 0.0:
         if chance < motion.start:
-            vx, vy = motion.creep * first_normal(bits), motion.creep * second_normal(bits)
+            vx, vy = motion.threshold_speed * first_normal(bits), motion.threshold_speed * second_normal(bits)
         return x + motion.periods * vx, y + motion.periods * vy, vx, vy
-    if chance < motion.stop and vx * vx + vy * vy < motion.creep * motion.creep:
+    if chance < motion.stop and vx * vx + vy * vy < motion.threshold_speed * motion.threshold_speed:
         return x, y, np.float32(0.0), np.float32(0.0)
     ax, ay = motion.velocity * first_normal(bits), motion.velocity * second_normal(bits)
     half = np.float32(0.5)
@@ -90,16 +90,19 @@ def moved(x, y, vx, vy, motion, counter):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def advance(particles, count, size, motion, counter, cells, starts):  # type: ignore[no-untyped-def]
-    """Move the first `count` particles; into `cells` (N,) int32 the cell of each, row * size + column, `size`² outside.
+def predict_particles(particles, count, size, motion, counter, cells, starts):  # type: ignore[no-untyped-def]
+    """Predict the first `count` particles, and write the cell of each to `cells` (N,) int32.
 
-    Into `starts` (size² + 2,) int32 the place at which each cell's particles begin when they are sorted.
+    A cell is row * size + column, or size² outside the grid. `starts` (size² + 2,) int32 receives the index of the
+    first particle of each cell in sorted order.
     """
     starts[:] = 0
     outside = size * size
     for i in range(count):
-        counter = after(counter)
-        x, y, vx, vy = moved(particles.x[i], particles.y[i], particles.vx[i], particles.vy[i], motion, counter)
+        counter = next_counter(counter)
+        x, y, vx, vy = predict_particle(
+            particles.x[i], particles.y[i], particles.vx[i], particles.vy[i], motion, counter
+        )
         particles.x[i], particles.y[i], particles.vx[i], particles.vy[i] = x, y, vx, vy
         inside = 0.0 <= x < size and 0.0 <= y < size
         cell = np.int32(y) * size + np.int32(x) if inside else outside
@@ -111,85 +114,85 @@ def advance(particles, count, size, motion, counter, cells, starts):  # type: ig
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def sort_by_cell(particles, count, cells, starts, out):  # type: ignore[no-untyped-def]
-    """Into `out` the first `count` particles, those of a cell together: a counting sort.
+    """Write the first `count` particles, ordered by cell, to `out`: a counting sort.
 
-    `cells` and `starts` as from `advance`.
+    `cells` and `starts` are those of `predict_particles`.
     """
-    place = starts.copy()
+    position = starts.copy()
     for i in range(count):
-        at = place[cells[i]]
-        place[cells[i]] = at + 1
-        _place(out, at, particles.x[i], particles.y[i], particles.vx[i], particles.vy[i])
+        index = position[cells[i]]
+        position[cells[i]] = index + 1
+        _store(out, index, particles.x[i], particles.y[i], particles.vx[i], particles.vy[i])
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def weigh(particles, starts, persistent, returns, weights):  # type: ignore[no-untyped-def]
-    """Into `weights` (N,) float32 what each particle holds of the mass `persistent` (M * M,) of its cell.
+def weight_particles(particles, starts, persistent, returns, weights):  # type: ignore[no-untyped-def]
+    """Distribute the mass `persistent` (M * M,) of each cell to its particles, into `weights` (N,) float32.
 
-    A part 1 - p_A of it is shared out evenly, the rest by the likelihood g(z|x) of the cell's return; without a return
-    all of it evenly. `particles` are sorted, and `starts` as from `advance`.
+    The share 1 - p_A is distributed uniformly, the rest by the likelihood g(z|x) of the return of the cell; without a
+    return all of it uniformly. `particles` are sorted, `starts` are those of `predict_particles`.
     """
     weights[starts[persistent.size] : starts[persistent.size + 1]] = 0.0  # outside the grid
     for cell in range(persistent.size):
         first, last = starts[cell], starts[cell + 1]
         if last == first:
             continue
-        agreeing = np.float32(0.0)
+        total_likelihood = np.float32(0.0)
         if not np.isnan(returns.points[cell, 0]):
             for i in range(first, last):
                 weights[i] = _likelihood(particles.x[i], particles.y[i], returns.points[cell], returns.deviation)
-                agreeing += weights[i]
-        evenly = persistent[cell] / np.float32(last - first)
-        if agreeing == 0.0:
-            weights[first:last] = evenly
+                total_likelihood += weights[i]
+        uniform_share = persistent[cell] / np.float32(last - first)
+        if total_likelihood == 0.0:
+            weights[first:last] = uniform_share
             continue
-        by_return = persistent[cell] * returns.association / agreeing
-        evenly *= np.float32(1.0) - returns.association
+        likelihood_share = persistent[cell] * returns.association / total_likelihood
+        uniform_share *= np.float32(1.0) - returns.association
         for i in range(first, last):
-            weights[i] = evenly + by_return * weights[i]
+            weights[i] = uniform_share + likelihood_share * weights[i]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def resample(particles, starts, weights, born, returns, birth, counter, out, persisted):  # type: ignore[no-untyped-def]
-    """Fill `out` from particles (N,) of these `weights` and from the mass `born` (M * M,); the number it then holds.
+def resample_particles(particles, starts, weights, born, returns, birth, counter, out, persisted):  # type: ignore[no-untyped-def]
+    """Fill `out` from particles (N,) with `weights` and from the mass `born` (M * M,); return the number of particles.
 
-    Systematic resampling of the joint set, cell by cell: marks stand evenly along the sum of all mass, one for each
-    place in `out`. One that falls on a particle copies it, one that falls on newborn mass draws a particle. Into
-    `persisted` (M * M, 2) int32 the first place in `out` of each cell's copies, and the one after the last.
+    Systematic resampling of the joint set, cell by cell: thresholds are evenly spaced along the cumulative mass, one
+    for each particle of `out`. A threshold in the weight of a particle copies it; one in newborn mass draws a new one.
+    `persisted` (M * M, 2) int32 receives the first index in `out` of the copies of each cell, and the index after them.
     """
-    size, wanted = int(np.sqrt(born.size)), out.x.size
+    size, capacity = int(np.sqrt(born.size)), out.x.size
     count = starts[born.size]
-    spacing = (np.sum(weights[:count].astype(np.float64)) + np.sum(born.astype(np.float64))) / wanted
-    mark, passed, filled = spacing * uniform(hashed(counter)), 0.0, 0
+    spacing = (np.sum(weights[:count].astype(np.float64)) + np.sum(born.astype(np.float64))) / capacity
+    threshold, cumulative, filled = spacing * uniform(hashed(counter)), 0.0, 0
     for cell in range(born.size):
         persisted[cell, 0] = filled
         for i in range(starts[cell], starts[cell + 1]):
-            passed += weights[i]
-            while mark < passed and filled < wanted:
-                _place(out, filled, particles.x[i], particles.y[i], particles.vx[i], particles.vy[i])
+            cumulative += weights[i]
+            while threshold < cumulative and filled < capacity:
+                _store(out, filled, particles.x[i], particles.y[i], particles.vx[i], particles.vy[i])
                 filled += 1
-                mark += spacing
+                threshold += spacing
         persisted[cell, 1] = filled
-        passed += born[cell]
-        while mark < passed and filled < wanted:
-            counter = after(counter)
+        cumulative += born[cell]
+        while threshold < cumulative and filled < capacity:
+            counter = next_counter(counter)
             x, y, vx, vy = _newborn(cell % size, cell // size, returns, returns.points[cell], birth, counter)
-            _place(out, filled, x, y, vx, vy)
+            _store(out, filled, x, y, vx, vy)
             filled += 1
-            mark += spacing
+            threshold += spacing
     return filled
 
 
 @numba.njit(error_model="numpy")
 def _likelihood(x, y, point, deviation):  # type: ignore[no-untyped-def]
-    """g(z|x) of a return at `point` (2,) for a surface at x, y, up to a factor."""
+    """Likelihood g(z|x) of a return at `point` (2,) for a surface at x, y, up to a factor."""
     dx, dy = (x - point[0]) / deviation, (y - point[1]) / deviation
     return np.exp(np.float32(-0.5) * (dx * dx + dy * dy))
 
 
 @numba.njit(error_model="numpy")
 def _newborn(column, row, returns, point, birth, counter):  # type: ignore[no-untyped-def]
-    """A particle born in a cell: with probability p_A about its return, where there is one, else anywhere in it."""
+    """A newborn particle of a cell: with probability p_A near its return, if it has one, else anywhere in the cell."""
     bits, more, choice = hashed(counter), hashed(~counter), hashed(hashed(counter))
     x, y = np.float32(column) + uniform(bits), np.float32(row) + uniform(more)
     if not np.isnan(point[0]) and uniform(choice) < returns.association:
@@ -201,5 +204,5 @@ def _newborn(column, row, returns, point, birth, counter):  # type: ignore[no-un
 
 
 @numba.njit(error_model="numpy")
-def _place(out, at, x, y, vx, vy):  # type: ignore[no-untyped-def]
-    out.x[at], out.y[at], out.vx[at], out.vy[at] = x, y, vx, vy
+def _store(out, index, x, y, vx, vy):  # type: ignore[no-untyped-def]
+    out.x[index], out.y[index], out.vx[index], out.vy[index] = x, y, vx, vy

@@ -1,7 +1,7 @@
-"""Random numbers inside kernels: a counter hashed by SplitMix64, and normal deviates from a table of quantiles.
+"""Random numbers in compiled kernels: a counter hashed by SplitMix64, normal deviates from a table of quantiles.
 
-Steele, Lea and Flood, "Fast splittable pseudorandom number generators" (OOPSLA 2014). A counter needs no state but
-itself: a kernel takes one, and the same counter gives the same numbers.
+Steele, Lea and Flood, "Fast splittable pseudorandom number generators" (OOPSLA 2014). The counter is the only state:
+the same counter gives the same numbers.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from scipy.special import ndtri
 
 _QUANTILES = 4096
 NORMAL = ndtri((np.arange(_QUANTILES) + 0.5) / _QUANTILES).astype(np.float32)
-"""Equally likely values of a standard normal deviate; the outermost is 3.7."""
+"""Equally probable values of a standard normal deviate; the largest is 3.7."""
 
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 _MIX_1, _MIX_2 = np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)
@@ -22,8 +22,8 @@ _12, _24, _36, _48 = np.uint64(12), np.uint64(24), np.uint64(36), np.uint64(48)
 _UNIT = np.float32(2.0**-16)
 
 
-def stream(seed: int, number: int) -> np.uint64:
-    """The counter (uint64) at which stream `number` of `seed` begins; streams lie 2**40 draws apart in their order."""
+def random_stream(seed: int, number: int) -> np.uint64:
+    """The first counter (uint64) of stream `number` of `seed`; consecutive streams are 2**40 draws apart."""
     start = int(hashed(np.uint64(seed % 2**64))) + number * 2**40 * int(_GOLDEN)
     return np.uint64(start % 2**64)
 
@@ -37,7 +37,7 @@ def hashed(counter):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(error_model="numpy")
-def after(counter):  # type: ignore[no-untyped-def]
+def next_counter(counter):  # type: ignore[no-untyped-def]
     """The next counter."""
     return counter + _GOLDEN
 
@@ -50,23 +50,23 @@ def first_normal(bits):  # type: ignore[no-untyped-def]
 
 @numba.njit(error_model="numpy")
 def second_normal(bits):  # type: ignore[no-untyped-def]
-    """Another one, from bits 12 to 23."""
+    """A standard normal deviate, float32, from bits 12 to 23."""
     return NORMAL[(bits >> _12) & _INDEX]
 
 
 @numba.njit(error_model="numpy")
 def third_normal(bits):  # type: ignore[no-untyped-def]
-    """Another one, from bits 24 to 35."""
+    """A standard normal deviate, float32, from bits 24 to 35."""
     return NORMAL[(bits >> _24) & _INDEX]
 
 
 @numba.njit(error_model="numpy")
 def fourth_normal(bits):  # type: ignore[no-untyped-def]
-    """Another one, from bits 36 to 47."""
+    """A standard normal deviate, float32, from bits 36 to 47."""
     return NORMAL[(bits >> _36) & _INDEX]
 
 
 @numba.njit(error_model="numpy")
 def uniform(bits):  # type: ignore[no-untyped-def]
-    """A multiple of 2**-16 in [0, 1), float32, from bits 48 to 63: independent of the normal deviates."""
+    """A multiple of 2**-16 in [0, 1), float32, from bits 48 to 63, independent of the normal deviates."""
     return np.float32(bits >> _48) * _UNIT

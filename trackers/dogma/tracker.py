@@ -20,7 +20,7 @@ from gridtrack.trackers.weights import load_weights, probabilities, tuned_settin
 
 
 class DogmaTracker(Tracker):
-    """Dempster-Shafer masses of every cell, with particles that carry the occupied mass at velocities of their own."""
+    """Dempster-Shafer masses of the cells, with particles that carry the occupied mass and have velocities."""
 
     Options: ClassVar[type[Settings]] = DogmaSettings
     learns: ClassVar[bool] = True
@@ -31,15 +31,15 @@ class DogmaTracker(Tracker):
         weights = load_weights(stream, NAME)
         self._settings = tuned_settings(DogmaSettings, weights, options)
         self._occupancy_rate = probabilities(weights, "occupancy_rate", stream.grid.shape)
-        compile_ahead(stream.period_s)
+        compile_filter(stream.period_s)
         self.reset(seed=0)
 
     def reset(self, seed: int) -> None:
-        """Forget everything seen so far; chance starts over from `seed`."""
+        """Start with unknown masses and no particles; the random numbers follow from `seed`."""
         self._state = ParticleGrid(self.stream.grid, self.stream.period_s, self._settings, seed)
 
     def update(self, frame: GridFrame) -> None:
-        """Take in x_t."""
+        """Update the state with frame x_t."""
         self._state.update(frame)
 
     def predict(self, steps: int) -> Forecast:
@@ -55,7 +55,7 @@ class DogmaTracker(Tracker):
         out: FitOutput,
         options: Any,
     ) -> None:
-        """Count the map of the site, tune the settings on `train`, and report the score on `validation`."""
+        """Count the occupancy rate and tune the settings on `train`, and report the score on `validation`."""
         from gridtrack.trackers.dogma.tuning import fit_dogma
 
         fit_dogma(cls, train, validation, score, out, options)
@@ -65,10 +65,10 @@ def _forecast(state: ParticleGrid, occupancy_rate: Mass, steps: int) -> Forecast
     return Forecast(forecast(state, occupancy_rate, steps), velocity=velocities(state).mean)
 
 
-def compile_ahead(period_s: float) -> None:
-    """Run every stage once on a scene of two frames, so that what is compiled on first use has been.
+def compile_filter(period_s: float) -> None:
+    """Compile the kernels of all stages, by running them on a scene of two frames.
 
-    That takes seconds on a machine where nothing is compiled yet: a tracker has them when it starts, not in an update.
+    Compilation takes seconds on a machine without a cache; a tracker spends them at its start, not in an update.
     """
     grid = GridSpec(4, 0.2)
     state = ParticleGrid(grid, period_s, DogmaSettings(particles=100), seed=0)

@@ -1,14 +1,13 @@
-"""Calibration of the forecast: what is forecast with a probability is to come that often.
+"""Calibration of the forecast: beta calibration of its probabilities.
 
-The settings are searched for by F1, which only asks what lies above a threshold: how much is believed of what lies far
-below or above it, they leave open. So the log odds of what they forecast are mapped by three numbers, learned from the
-training recordings (beta calibration: Kull, Silva Filho and Flach, AISTATS 2017): with a and b positive,
+The search of the settings maximises F1 and leaves the probabilities far from the threshold undetermined. Their log odds
+are therefore mapped with three parameters, fitted on the training recordings (beta calibration: Kull, Silva Filho and
+Flach, AISTATS 2017); with a and b positive,
 
     logit calibrated = c + a ln p - b ln(1 - p).
 
-There are three for cells that were seen of late, and three for those that have been hidden for longer, of which little
-but the past traffic is known; both are learned from cells that are seen when it comes. Among the cells of one kind what
-was more probable stays more probable.
+There is one map for cells that were seen recently, and one for cells that have been hidden for longer, whose forecast
+is mainly their occupancy rate; both are fitted to cells that are visible at the forecast step. The maps are monotonic.
 """
 
 from __future__ import annotations
@@ -31,22 +30,21 @@ if TYPE_CHECKING:
 
 
 IDENTITY = np.array([[1.0, 1.0, 0.0]] * 2, np.float32)
-"""The parameters a, b, c with which nothing is changed: of cells seen of late, and of others."""
+"""The parameters a, b, c of the identity: of cells seen recently, and of others."""
 LEVELS = 4096
-"""Levels of the map from 0 to 1, evenly spread over the square root of the probability: most cells are next to
-impossible."""
-EVERY = 5
-"""A forecast after every fifth frame is counted."""
-STRENGTH = 10.0
-"""How strongly the identity is held on to: as by so many cells, spread over all levels, that came as it says."""
-OF_LATE_S = 1.0
-"""A cell that was seen within this time was seen of late."""
-LEAST = 1e-3
-"""The least that a and b may be."""
+"""Number of levels of the map from 0 to 1, uniform in the square root of the probability: most values are near 0."""
+COUNT_EVERY = 5
+"""Frames between the forecasts that are counted."""
+PRIOR_CELLS = 10.0
+"""Weight of the prior for the identity: so many cells, distributed over all levels."""
+RECENT_S = 1.0
+"""A cell was seen recently if it was seen within this time."""
+MIN_SLOPE = 1e-3
+"""Lower bound of a and b."""
 
 
 class Calibration:
-    """The maps of `parameters` (2, 3): a, b and c of cells seen of late, and of others.
+    """The maps with `parameters` (2, 3): a, b and c of cells seen recently, and of others.
 
     Raises WeightsError unless they are finite and a and b positive.
     """
@@ -59,36 +57,36 @@ class Calibration:
         self._maps = np.zeros((2, LEVELS + 1), np.float32)
         self._maps[:, 1:-1] = expit(_features(_levels()[1:-1]) @ parameters.T.astype(np.float64)).T
         self._maps[:, -1] = 1.0
-        self.apply(np.zeros((1, 1, 1), np.float32), np.zeros((1, 1), np.float32))  # compiled before the first forecast
+        self.apply(np.zeros((1, 1, 1), np.float32), np.zeros((1, 1), np.float32))  # compiles the kernel
 
     def apply(self, probabilities: NDArray[np.float32], hidden_s: NDArray[np.float32]) -> None:
-        """Calibrate a forecast (n+1, M, M) in place; each cell was seen `hidden_s` (M, M) ago. 0 and 1 stay 0 and 1."""
-        _apply(probabilities, hidden_s < OF_LATE_S, self._maps)
+        """Calibrate a forecast (n+1, M, M) in place; `hidden_s` (M, M): time since each cell was seen."""
+        _apply(probabilities, hidden_s < RECENT_S, self._maps)
 
 
 def fit_calibration(
     stretches: Iterable[tuple[ModelFreeTracker, Sequence[GridFrame]]], steps: int
 ) -> NDArray[np.float32]:
-    """The parameters (2, 3) of the highest likelihood, of trackers that are not calibrated, each on its frames.
+    """Maximum-likelihood parameters (2, 3), from trackers without calibration, each on its frames.
 
-    Counted is what they forecast for 1..steps ahead in the cells that are visible then.
+    Counted are their forecasts at steps 1..steps in the cells that are visible then.
     """
-    counts = sum((_counted(*stretch, steps) for stretch in stretches), np.zeros((2, 2, LEVELS + 1)))
-    return np.array([_most_likely(total[1:-1], came[1:-1]) for total, came in counts], np.float32)
+    counts = sum((_counts(*stretch, steps) for stretch in stretches), np.zeros((2, 2, LEVELS + 1)))
+    return np.array([_maximum_likelihood(total[1:-1], occupied[1:-1]) for total, occupied in counts], np.float32)
 
 
-def _most_likely(total: Array, came: Array) -> Array:
-    """The parameters (3,), where of `total` (LEVELS-1,) forecasts of each inner level `came` (LEVELS-1,) came."""
-    said = _levels()[1:-1]
-    total, came = total + STRENGTH / len(said), came + STRENGTH / len(said) * said
-    features = _features(said)
+def _maximum_likelihood(total: Array, occupied: Array) -> Array:
+    """The parameters (3,), from the numbers of forecasts `total` and of `occupied` cells of each inner level."""
+    forecast = _levels()[1:-1]
+    total, occupied = total + PRIOR_CELLS / len(forecast), occupied + PRIOR_CELLS / len(forecast) * forecast
+    features = _features(forecast)
 
     def loss(parameters: Array) -> tuple[float, Array]:
         log_odds = features @ parameters
-        value = -(came @ log_expit(log_odds) + (total - came) @ log_expit(-log_odds))
-        return value / total.sum(), (total * expit(log_odds) - came) @ features / total.sum()
+        value = -(occupied @ log_expit(log_odds) + (total - occupied) @ log_expit(-log_odds))
+        return value / total.sum(), (total * expit(log_odds) - occupied) @ features / total.sum()
 
-    bounds = [(LEAST, None), (LEAST, None), (None, None)]
+    bounds = [(MIN_SLOPE, None), (MIN_SLOPE, None), (None, None)]
     start = IDENTITY[0].astype(np.float64)
     best = minimize(loss, start, jac=True, bounds=bounds, options={"ftol": 1e-12, "gtol": 1e-8})
     return np.asarray(best.x)
@@ -100,38 +98,39 @@ def _levels() -> Array:
 
 
 def _features(p: Array) -> Array:
-    """What the log odds are linear in, (N, 3): ln p, -ln(1 - p) and 1."""
+    """Features in which the log odds are linear (N, 3): ln p, -ln(1 - p) and 1."""
     return np.stack([np.log(p), -np.log1p(-p), np.ones_like(p)], axis=1)
 
 
-def _counted(tracker: ModelFreeTracker, frames: Sequence[GridFrame], steps: int) -> Array:
-    """How many visible cells were forecast at each level, and how many were occupied: (2, 2, LEVELS+1).
+def _counts(tracker: ModelFreeTracker, frames: Sequence[GridFrame], steps: int) -> Array:
+    """Numbers of visible and of occupied cells at each forecast level, (2, 2, LEVELS+1).
 
-    First those that had been seen of late at the time of the forecast, then the others.
+    The first axis: cells seen recently at the time of the forecast, other cells.
     """
     counts = np.zeros((2, 2, LEVELS + 1))
     tracker.reset(seed=0)
     for index, frame in enumerate(frames):
         tracker.update(frame)
-        if index % EVERY == 0 and index + steps < len(frames):
+        if index % COUNT_EVERY == 0 and index + steps < len(frames):
             levels = np.rint(np.sqrt(tracker.predict(steps).occupancy) * LEVELS).astype(np.int64)
-            of_late = tracker.hidden_s < OF_LATE_S
+            recent = tracker.hidden_s < RECENT_S
             for level, later in zip(levels[1:], frames[index + 1 :], strict=False):
-                for count, kind in zip(counts, (of_late, ~of_late), strict=True):
-                    count[0] += np.bincount(level[kind & later.visible], minlength=LEVELS + 1)
-                    count[1] += np.bincount(level[kind & later.occupied], minlength=LEVELS + 1)
+                for count, group in zip(counts, (recent, ~recent), strict=True):
+                    count[0] += np.bincount(level[group & later.visible], minlength=LEVELS + 1)
+                    count[1] += np.bincount(level[group & later.occupied], minlength=LEVELS + 1)
     return counts
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=True)
-def _apply(probabilities, of_late, maps):  # type: ignore[no-untyped-def]
-    """Map `probabilities` (S, M, M), in place, to what stands for their nearest level in the first of the `maps`
-    (2, LEVELS+1), or where they were not seen `of_late` (M, M) in the second; what is no probability becomes one.
+def _apply(probabilities, recent, maps):  # type: ignore[no-untyped-def]
+    """Map `probabilities` (S, M, M) in place by their nearest level in `maps` (2, LEVELS+1).
+
+    The first map is that of the cells seen `recent` (M, M); values outside [0, 1] are mapped like 0 or 1.
     """
-    last, size = maps.shape[1] - 1, len(of_late)
+    last, size = maps.shape[1] - 1, len(recent)
     for step in range(len(probabilities)):
         for i in range(size):
             for j in range(size):
                 nearest = int(np.int32(np.sqrt(probabilities[step, i, j]) * np.float32(last) + np.float32(0.5)))
                 level = np.uint64(min(max(nearest, 0), last))
-                probabilities[step, i, j] = maps[0, level] if of_late[i, j] else maps[1, level]
+                probabilities[step, i, j] = maps[0, level] if recent[i, j] else maps[1, level]

@@ -1,4 +1,4 @@
-"""Learning classes: mixtures of Gaussians fitted to the features of tracks in labelled scans, and counts of a place."""
+"""Training of classes: Gaussian mixtures of the features of tracks in labelled scans, and counted cell priors."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from gridtrack.common.errors import ConfigurationError, WeightsError
 from gridtrack.common.grid import LabelledFrame
 from gridtrack.trackers.contract import FitOutput, FrameSource, stream_of
 from gridtrack.trackers.labelled_stretch import LabelledStretch, class_indices, draw_labelled, learned_classes
-from gridtrack.trackers.model_free.classes import FEATURES, PREFIX, ClassModel, features_of
+from gridtrack.trackers.model_free.classes import ARRAY_PREFIX, FEATURES, ClassModel, features_of
 from gridtrack.trackers.model_free.settings import ModelFreeSettings
 from gridtrack.trackers.weights import load_weights, save_weights, with_classes
 
@@ -28,22 +28,22 @@ if TYPE_CHECKING:
 
 COMPONENTS = (1, 2, 4, 8)
 LIFE_POWERS = (0.1, 0.15, 0.25, 0.35, 0.5, 0.7, 1.0)
-PLACE_POWERS = (0.0, 0.25, 0.5, 0.75, 1.0)
-"""What is chosen by the validation stretch: see ClassModel."""
+PRIOR_POWERS = (0.0, 0.25, 0.5, 0.75, 1.0)
+"""Candidates, chosen on the validation stretch: see ClassModel."""
 SHRINKAGE = 0.05
-"""Added to the variances of features of which each has variance 1."""
-TRACKS_A_COMPONENT = 40
-"""A Gaussian has at least so many frames of tracks of its class to learn from."""
-NEAR_M, NEAR_RETURNS, ANY_RETURNS = 1.6, 1.0, 10.0
-"""A cell's classes are those of its own returns and, worth NEAR_RETURNS of them, of those about it, under a Gaussian so
-wide; these in turn are worth what they are against ANY_RETURNS of all the place."""
+"""Added to the variances of the features, which are scaled to variance 1."""
+SAMPLES_PER_COMPONENT = 40
+"""Minimum number of samples (frames of tracks) of a class for each further Gaussian."""
+SMOOTHING_M, SMOOTHED_WEIGHT, GLOBAL_WEIGHT = 1.6, 1.0, 10.0
+"""The prior of a cell: its own returns, plus those of its surroundings, a Gaussian of deviation SMOOTHING_M, with a
+total weight of SMOOTHED_WEIGHT returns; the surroundings include all returns of the site with GLOBAL_WEIGHT returns."""
 
 
-class Tracked(NamedTuple):
-    """Tracks seen in labelled frames, one row for each track and frame, in order of track and then of time.
+class TrackSamples(NamedTuple):
+    """Tracks in labelled frames: one row for each track and frame, ordered by track and then by time.
 
-    `features` (N, F), `track` (N,) its number, `cells` (N, K) how many labelled cells of each class its returns lie in,
-    `returns` the cells (R,), row * M + column, of its newest returns.
+    `features` (N, F), `track` (N,) its number, `cells` (N, K) the number of labelled cells of each class among its
+    returns, `returns` the cells (R,), row * M + column, of its newest returns.
     """
 
     features: NDArray[np.float64]
@@ -52,7 +52,7 @@ class Tracked(NamedTuple):
     returns: list[NDArray[np.int64]]
 
     def mean_over_life(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
-        """The mean (N, K) of values (N, K) over the rows of a track up to each."""
+        """The mean (N, K) of values (N, K) over the rows of the same track up to each row."""
         sums = np.cumsum(values, axis=0)
         first = np.searchsorted(self.track, self.track)
         before = np.where(first[:, None] > 0, sums[first - 1], 0.0)
@@ -60,9 +60,10 @@ class Tracked(NamedTuple):
 
 
 def draw_scans(train: Sequence[FrameSource], out: FitOutput, options: ModelFreeSettings) -> LabelledStretch | None:
-    """The labelled scans to learn from; None where no classes are asked for, or none are there.
+    """The labelled scans of the training; None where no classes are requested or available.
 
-    Raises ConfigurationError where fewer scans are labelled, WeightsError where classes are to be added to no weights.
+    Raises ConfigurationError where too few scans are labelled, WeightsError where classes are to be added but there are
+    no weights.
     """
     if options.stage == "classes" and not out.path.exists():
         raise WeightsError(f"{out.path}: no weights to add classes to: train with stage=both, or put them there")
@@ -71,7 +72,7 @@ def draw_scans(train: Sequence[FrameSource], out: FitOutput, options: ModelFreeS
     return draw_labelled(train, options.labelled_scans, out.seed)
 
 
-def add_classes(
+def fit_classes(
     kind: type[ModelFreeTracker],
     stretch: LabelledStretch,
     train: Sequence[FrameSource],
@@ -79,40 +80,40 @@ def add_classes(
     out: FitOutput,
     options: ModelFreeSettings,
 ) -> None:
-    """Learn classes from `stretch` for the weights at `out.path`, and put them beside what is there, which stays.
+    """Train classes on `stretch` and add them to the weights at `out.path`, which are otherwise unchanged.
 
-    Raises ConfigurationError where `validation` has no labels to choose by.
+    Raises ConfigurationError where `validation` has no labels.
     """
     names = stretch.source.classes
     classes = learned_classes(names, (item.labels for item in stretch.frames))
     out.report(f"classes {', '.join(classes)} from {stretch.name}")
 
     weights = load_weights(stream_of(stretch.source, out.path), kind.name)
-    bare = {name: value for name, value in weights.arrays.items() if not name.startswith(PREFIX)}
+    bare = {name: value for name, value in weights.arrays.items() if not name.startswith(ARRAY_PREFIX)}
     with TemporaryDirectory() as folder:
         draft = Path(folder) / out.path.name
         save_weights(draft, weights.card.model_copy(update={"classes": ()}), bare)
         tracker = kind(stream_of(stretch.source, draft), ModelFreeSettings())
-    learned = tracked(tracker, [(names, stretch.frames)], classes)
-    held_out = tracked(tracker, ((source.classes, source.labelled()) for source in validation), classes)
+    training = track_samples(tracker, [(names, stretch.frames)], classes)
+    held_out = track_samples(tracker, ((source.classes, source.labelled()) for source in validation), classes)
     if not held_out.cells.any():
         names_of = ", ".join(source.name for source in validation)
         raise ConfigurationError(f"{names_of}: no track there has a label: give a --validation with labels")
-    place = place_classes(count_cells(stretch, classes), stretch.source.grid.cell_m)
-    model, loss = best_model(learned, held_out, place, out)
+    cell_prior = cell_prior_of(count_cells(stretch, classes), stretch.source.grid.cell_m)
+    model, loss = best_model(training, held_out, cell_prior, out)
 
-    results = _results(stretch, learned, classes, model, loss, out)
+    results = _results(stretch, training, classes, model, loss, out)
     settings = {"labelled_scans": options.labelled_scans}
     card = with_classes(weights.card, classes, train, validation, settings, results)
     save_weights(out.path, card, bare | model.arrays())
 
 
-def tracked(
+def track_samples(
     tracker: ModelFreeTracker,
     labelled: Iterable[tuple[Sequence[str], Iterable[LabelledFrame]]],
     classes: Sequence[str],
-) -> Tracked:
-    """The tracks in labelled streams, each from its beginning. Labels index the names that come with the frames."""
+) -> TrackSamples:
+    """Samples of the tracks in labelled streams, each from its first frame; labels index the names of the stream."""
     grid, rows = tracker.stream.grid, []
     for stretch, (names, frames) in enumerate(labelled):
         tracker.reset(0)
@@ -129,7 +130,7 @@ def tracked(
                 rows.append(((stretch, track.identity), features, count, returns))
     rows.sort(key=lambda row: row[0])
     identities = np.array([row[0] for row in rows]).reshape(-1, 2)
-    return Tracked(
+    return TrackSamples(
         np.array([row[1] for row in rows]).reshape(-1, len(FEATURES)),
         np.unique(identities, axis=0, return_inverse=True)[1].reshape(-1),
         np.array([row[2] for row in rows], np.int64).reshape(-1, len(classes)),
@@ -138,7 +139,7 @@ def tracked(
 
 
 def count_cells(stretch: LabelledStretch, classes: Sequence[str]) -> NDArray[np.float64]:
-    """How often each cell was labelled as each class, (K, M, M)."""
+    """Number of labels of each class in each cell (K, M, M)."""
     size = stretch.source.grid.size
     count = np.zeros((len(classes), size**2))
     for item in stretch.frames:
@@ -147,28 +148,28 @@ def count_cells(stretch: LabelledStretch, classes: Sequence[str]) -> NDArray[np.
     return count.reshape(-1, size, size)
 
 
-def place_classes(count: NDArray[np.float64], cell_m: float) -> NDArray[np.float64]:
-    """P(class) of a return in each cell (K, M, M) from counts (K, M, M), smoothed: see NEAR_M; all are positive."""
-    sigma = NEAR_M / cell_m
-    near = np.stack([gaussian_filter(each, sigma, mode="constant") for each in count]) * 2.0 * np.pi * sigma**2
-    near += ANY_RETURNS * (count.sum(axis=(1, 2)) / count.sum())[:, None, None]
-    smoothed = count + NEAR_RETURNS * near / near.sum(axis=0)
+def cell_prior_of(count: NDArray[np.float64], cell_m: float) -> NDArray[np.float64]:
+    """P(class) of a return in each cell (K, M, M) from counts (K, M, M), smoothed: see SMOOTHING_M; all positive."""
+    sigma = SMOOTHING_M / cell_m
+    smooth = np.stack([gaussian_filter(each, sigma, mode="constant") for each in count]) * 2.0 * np.pi * sigma**2
+    smooth += GLOBAL_WEIGHT * (count.sum(axis=(1, 2)) / count.sum())[:, None, None]
+    smoothed = count + SMOOTHED_WEIGHT * smooth / smooth.sum(axis=0)
     return np.asarray(smoothed / smoothed.sum(axis=0))
 
 
 def best_model(
-    learned: Tracked, held_out: Tracked, place: NDArray[np.float64], out: FitOutput
+    training: TrackSamples, held_out: TrackSamples, cell_prior: NDArray[np.float64], out: FitOutput
 ) -> tuple[ClassModel, float]:
-    """The model, out of COMPONENTS and powers, with the least log loss of `held_out` cells; and that, nats a cell."""
-    flat = place.reshape(len(place), -1)
-    log_place = np.log(np.stack([flat[:, returns].mean(axis=1) for returns in held_out.returns]))
+    """The model, over COMPONENTS and powers, with the least log loss of `held_out` cells; that loss, nats a cell."""
+    flat = cell_prior.reshape(len(cell_prior), -1)
+    log_prior = np.log(np.stack([flat[:, returns].mean(axis=1) for returns in held_out.returns]))
     best: tuple[ClassModel, float] | None = None
     for components in COMPONENTS:
-        model = fit_mixtures(learned, place, components, out.seed)
+        model = fit_mixtures(training, cell_prior, components, out.seed)
         evidence = held_out.mean_over_life(model.log_densities(held_out.features))
         tried = [
-            (candidate, log_loss(candidate.posteriors(evidence, log_place), held_out.cells))
-            for powers in product(LIFE_POWERS, PLACE_POWERS)
+            (candidate, cell_log_loss(candidate.posteriors(evidence, log_prior), held_out.cells))
+            for powers in product(LIFE_POWERS, PRIOR_POWERS)
             for candidate in [model._replace(powers=np.array(powers))]
         ]
         chosen = min(tried, key=lambda one: one[1])
@@ -181,26 +182,26 @@ def best_model(
     return best
 
 
-def fit_mixtures(learned: Tracked, place: NDArray[np.float64], components: int, seed: int) -> ClassModel:
-    """Mixture discriminant analysis (Hastie and Tibshirani, 1996): for each class Gaussians of one covariance.
+def fit_mixtures(training: TrackSamples, cell_prior: NDArray[np.float64], components: int, seed: int) -> ClassModel:
+    """Mixture discriminant analysis (Hastie and Tibshirani, 1996): Gaussians with one covariance for each class.
 
-    A track's class is that of most of its cells. Powers are yet to be chosen. A class that no track has is as all
-    tracks together are.
+    The class of a sample is that of most of its cells. A class without samples has the distribution of all samples. The
+    powers are not chosen here.
     """
-    known = learned.cells.any(axis=1)
-    features, targets = learned.features[known], learned.cells[known].argmax(axis=1)
+    known = training.cells.any(axis=1)
+    features, targets = training.features[known], training.cells[known].argmax(axis=1)
     mean, scale = features.mean(axis=0), features.std(axis=0) + 1e-9
-    kinds, count = len(place), features.shape[1]
-    shares, means = np.zeros((kinds, components)), np.zeros((kinds, components, count))
-    whitening = np.zeros((kinds, count, count))
-    for k in range(kinds):
+    classes, count = len(cell_prior), features.shape[1]
+    shares, means = np.zeros((classes, components)), np.zeros((classes, components, count))
+    whitening = np.zeros((classes, count, count))
+    for k in range(classes):
         of_class = features[targets == k] if np.count_nonzero(targets == k) > count else features
-        fitted = _mixture((of_class - mean) / scale, min(components, 1 + len(of_class) // TRACKS_A_COMPONENT), seed)
+        fitted = _mixture((of_class - mean) / scale, min(components, 1 + len(of_class) // SAMPLES_PER_COMPONENT), seed)
         number = len(fitted.weights_)
         shares[k, :number], means[k, :number] = fitted.weights_, fitted.means_ * scale + mean
         whitening[k] = fitted.precisions_cholesky_ / scale[:, None]
-    frequency = np.bincount(targets, minlength=kinds) + 1.0
-    return ClassModel(shares, means, whitening, frequency / frequency.sum(), np.array([1.0, 0.0]), place)
+    frequency = np.bincount(targets, minlength=classes) + 1.0
+    return ClassModel(shares, means, whitening, frequency / frequency.sum(), np.array([1.0, 0.0]), cell_prior)
 
 
 def _mixture(features: NDArray[np.float64], components: int, seed: int) -> GaussianMixture:
@@ -210,17 +211,22 @@ def _mixture(features: NDArray[np.float64], components: int, seed: int) -> Gauss
         return mixture.fit(features)
 
 
-def log_loss(posteriors: NDArray[np.float64], cells: NDArray[np.int64]) -> float:
-    """Mean over labelled cells of -log P(class), nats, clipped as the referee does; both (N, K)."""
+def cell_log_loss(posteriors: NDArray[np.float64], cells: NDArray[np.int64]) -> float:
+    """Mean over labelled cells of -log P(class), nats, clipped as in the scores; both arguments (N, K)."""
     return float(-(cells * np.log(np.clip(posteriors, 0.001, 0.999))).sum() / cells.sum())
 
 
 def _results(
-    stretch: LabelledStretch, learned: Tracked, classes: Sequence[str], model: ClassModel, loss: float, out: FitOutput
+    stretch: LabelledStretch,
+    training: TrackSamples,
+    classes: Sequence[str],
+    model: ClassModel,
+    loss: float,
+    out: FitOutput,
 ) -> dict[str, Any]:
-    """What the card says of the classes; their command is not that of the motion where it was tuned before."""
-    targets = learned.cells.argmax(axis=1)[learned.cells.any(axis=1)]
-    tracks = [len(np.unique(learned.track[learned.cells[:, k] > 0])) for k in range(len(classes))]
+    """The results of the classes in the card, with their own command: the settings may be from an earlier training."""
+    targets = training.cells.argmax(axis=1)[training.cells.any(axis=1)]
+    tracks = [len(np.unique(training.track[training.cells[:, k] > 0])) for k in range(len(classes))]
     return {
         "command": out.command,
         "seed": out.seed,

@@ -1,4 +1,4 @@
-"""Forecast: what tracks are expected to show: boundaries moved by the mean motion, blurred by its covariance."""
+"""Forecast: the expected occupancy of tracks, moved by their mean motion and blurred by its covariance; objects."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from gridtrack.trackers.model_free.arrays import Array
 from gridtrack.trackers.model_free.motion.model import propagate
 from gridtrack.trackers.model_free.motion.parameters import Regimes
 from gridtrack.trackers.model_free.ragged import bounds_of, means_of, owners_of
-from gridtrack.trackers.model_free.rasterise import Motions, Staying, Surfaces, draw_tracks
-from gridtrack.trackers.model_free.residence import still_there
+from gridtrack.trackers.model_free.rasterise import Motions, Resident, Surfaces, draw_tracks
+from gridtrack.trackers.model_free.residence import probability_in_place
 from gridtrack.trackers.model_free.settings import PipelineSettings
 from gridtrack.trackers.model_free.shape import in_view, rotation, to_body
 from gridtrack.trackers.model_free.tracks import Status, Track, boundaries_of, poses_of
 
-RETURNS_AGAIN = 0.9
-"""P(a return of an object that moves on with it is there in the frames after)."""
-OBSERVABLE_SPEED = 0.3
-"""Below this speed, m/s, an object's direction of motion is not its heading."""
+RETURN_PERSISTENCE = 0.9
+"""P(a return that moves with its object is present in later frames)."""
+HEADING_SPEED = 0.3
+"""Speed, m/s, from which the direction of motion is the heading of an object."""
 
 
 def add_tracks(
@@ -47,19 +47,19 @@ def add_tracks(
     if not tracks:
         return
     steps = np.arange(len(occupancy))
-    staying = _staying(tracks, grid, residence, len(steps) - 1, settings)
-    moved = 1.0 - means_of(staying.still, staying.bounds)
-    steadily = np.array([track.estimator.probabilities[:1] for track in tracks]) * regimes.switching[0][0] ** steps
+    resident = _resident(tracks, grid, residence, len(steps) - 1, settings)
+    moved = 1.0 - means_of(resident.probability, resident.bounds)
+    steady = np.array([track.estimator.probabilities[:1] for track in tracks]) * regimes.switching[0][0] ** steps
     poses, spreads = _motions(tracks, regimes, len(steps) - 1, grid)
-    motions = Motions(poses, spreads, np.stack([moved * steadily, moved * (1.0 - steadily)], axis=1))
+    motions = Motions(poses, spreads, np.stack([moved * steady, moved * (1.0 - steady)], axis=1))
     existence = np.array([[track.existence] for track in tracks]) * survival**steps
-    draw_tracks(occupancy, _surfaces(tracks, frame, grid), motions, staying, existence, semantics, classes)
+    draw_tracks(occupancy, _surfaces(tracks, frame, grid), motions, resident, existence, semantics, classes)
 
 
 def _motions(tracks: Sequence[Track], regimes: Regimes, steps: int, grid: GridSpec) -> tuple[Array, Array]:
-    """Each track's mean pose in each regime (T, 2, steps+1, 3) and the covariance of its position, in cells.
+    """Mean pose of each track in each regime (T, 2, steps+1, 3) and the covariance of its position, in cells.
 
-    Where a track is seen now, its returns are where they are: what is uncertain of their future is the motion alone.
+    The present pose of a track that is seen now is taken as exact: its returns are known, only its motion is uncertain.
     """
     poses, spreads = [], []
     seen = np.array([not track.unseen for track in tracks])
@@ -77,47 +77,43 @@ def _motions(tracks: Sequence[Track], regimes: Regimes, steps: int, grid: GridSp
 
 
 def _surfaces(tracks: Sequence[Track], frame: GridFrame, grid: GridSpec) -> Surfaces:
-    """What each track's object shows.
-
-    Of what is seen now its newest returns, and of its boundary what is hidden now; of what is not, all of its boundary.
-    """
+    """The surface of each track: its newest returns and the hidden part of its boundary, or, unobserved, all of it."""
     returns, boundaries = [track.returns for track in tracks], boundaries_of(tracks)
     seen, poses = np.array([not track.unseen for track in tracks]), poses_of(tracks)
-    returned, bounding = owners_of(bounds_of(returns)), owners_of(bounds_of(boundaries))
-    again = seen[returned]
-    hidden = ~(seen[bounding] & np.concatenate(in_view(boundaries, grid, frame.visible)))
+    return_owners, boundary_owners = owners_of(bounds_of(returns)), owners_of(bounds_of(boundaries))
+    observed = seen[return_owners]
+    hidden = ~(seen[boundary_owners] & np.concatenate(in_view(boundaries, grid, frame.visible)))
     shapes = [track.shape for track in tracks]
     points = (
-        to_body(np.concatenate(returns)[again], poses[returned[again]]),
+        to_body(np.concatenate(returns)[observed], poses[return_owners[observed]]),
         np.concatenate([shape.offsets for shape in shapes])[hidden],
     )
-    weights = np.full(len(points[0]), RETURNS_AGAIN), np.concatenate([shape.weights for shape in shapes])[hidden]
-    owners = np.concatenate([returned[again], bounding[hidden]])
+    weights = np.full(len(points[0]), RETURN_PERSISTENCE), np.concatenate([shape.weights for shape in shapes])[hidden]
+    owners = np.concatenate([return_owners[observed], boundary_owners[hidden]])
     order = np.argsort(owners, kind="stable")
     bounds = np.searchsorted(owners[order], np.arange(len(tracks) + 1))
     return Surfaces(np.concatenate(points)[order] / grid.cell_m, np.concatenate(weights)[order], bounds)
 
 
-def _staying(
+def _resident(
     tracks: Sequence[Track], grid: GridSpec, residence: NDArray[np.float32], steps: int, settings: PipelineSettings
-) -> Staying:
-    """The tracks' newest returns where they were seen: each still there by its age, and less if its track is fast."""
+) -> Resident:
+    """The newest returns of the tracks, with the probability that they stay in place, reduced by the track's speed."""
     returns = [track.returns for track in tracks]
     bounds = bounds_of(returns)
     owners = owners_of(bounds)
     velocities = np.array([track.estimator.mean[3:5] for track in tracks])
     slow = np.exp(-(velocities**2).sum(axis=1) / settings.residence_speed**2).astype(np.float32)
     unseen = np.array([track.unseen for track in tracks])
-    still = still_there(residence, np.concatenate([track.ages for track in tracks]), unseen[owners], steps)
-    still *= slow[owners, None]
-    return Staying(in_cells(np.concatenate(returns), grid), bounds, still, settings.return_noise_m / grid.cell_m)
+    probability = probability_in_place(
+        residence, np.concatenate([track.ages for track in tracks]), unseen[owners], steps
+    )
+    probability *= slow[owners, None]
+    return Resident(in_cells(np.concatenate(returns), grid), bounds, probability, settings.return_noise_m / grid.cell_m)
 
 
 def tracked_object(track: Track, cell_m: float) -> TrackedObject:
-    """The track as an object: its box about its boundary, along the motion or, where it stands, along itself.
-
-    A boundary point stands for as much as a cell, `cell_m`.
-    """
+    """The track as an object: the box of its boundary along its heading, enlarged by one cell of `cell_m`."""
     mean, covariance = track.estimator.mean, track.estimator.covariance
     boundary = track.boundary
     heading = _heading(mean[3:5], boundary)
@@ -135,18 +131,18 @@ def tracked_object(track: Track, cell_m: float) -> TrackedObject:
 
 
 def objects(tracks: Sequence[Track], cell_m: float) -> tuple[TrackedObject, ...]:
-    """The confirmed tracks, seen now or coasting, as objects."""
+    """The confirmed and the coasting tracks as objects."""
     return tuple(tracked_object(track, cell_m) for track in tracks if track.status is not Status.TENTATIVE)
 
 
 def in_cells(positions: Array, grid: GridSpec) -> Array:
-    """Positions (..., 2) in metres as cells from the grid's lower-left corner."""
+    """Positions (..., 2), metres, in cells from the lower-left corner of the grid."""
     return np.asarray((positions - np.array(grid.origin)) / grid.cell_m)
 
 
 def _heading(velocity: Array, boundary: Array) -> float:
-    """The direction of motion, or of what stands the longer axis of its boundary (N, 2)."""
-    if np.hypot(*velocity) >= OBSERVABLE_SPEED or len(boundary) < 2:
+    """The direction of motion; of a slow object the longer axis of its boundary (N, 2)."""
+    if np.hypot(*velocity) >= HEADING_SPEED or len(boundary) < 2:
         return float(np.arctan2(velocity[1], velocity[0]))
     along = np.linalg.svd(boundary - boundary.mean(axis=0), full_matrices=False)[2][0]
     return float(np.arctan2(along[1], along[0]))

@@ -1,4 +1,4 @@
-"""Birth of a track: where it is, and how it moves if it continues a body that something nearer cuts off."""
+"""Initiation of a track: its pose, and its velocity where it continues a partly hidden body with a track."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 
 from gridtrack.trackers.model_free.arrays import Array
 from gridtrack.trackers.model_free.association import distances_to
-from gridtrack.trackers.model_free.measurement import TURNS_FROM_M, noise
+from gridtrack.trackers.model_free.measurement import HEADING_FROM_M, pose_noise
 from gridtrack.trackers.model_free.motion.estimator import MotionEstimator
 from gridtrack.trackers.model_free.motion.parameters import MotionModel, Regimes
 from gridtrack.trackers.model_free.motion.regimes import SwitchingEstimator
@@ -17,37 +17,37 @@ from gridtrack.trackers.model_free.settings import PipelineSettings
 from gridtrack.trackers.model_free.tracks import Track
 
 Estimator = Callable[[Array, Array, MotionModel], MotionEstimator]
-"""Begins to estimate a motion, from a pose (3,), its covariance (3, 3) and the motion model."""
+"""Makes the estimator of one motion from a pose (3,), its covariance (3, 3) and the motion model."""
 
 SHADOW_M = 2.0
-"""A cluster cut off so near to where a body is cut off may be more of it, beyond the shadow."""
-MOVES_MPS = 1.0
-"""A slower body says nothing of what is beside it: queues stand side by side."""
-PARTS_MPS = 0.5
-"""Standard deviation of the velocity of such a cluster about that body's."""
+"""Largest gap between the cut-off ends of a body and of a cluster that may continue it behind an occluder."""
+MOVING_MPS = 1.0
+"""Slower bodies are not continued: in a queue, neighbours are different objects."""
+PART_VELOCITY_MPS = 0.5
+"""Standard deviation of the velocity of such a cluster about that of the body."""
 
 
-def begin(
+def initiate(
     estimator: Estimator, cluster: Cluster, tracks: Sequence[Track], regimes: Regimes, settings: PipelineSettings
 ) -> SwitchingEstimator:
-    """The motion of a new track; its body's frame lies at the cluster's centre, along the grid.
+    """The estimator of a new track; the body frame lies at the centre of the cluster, parallel to the grid.
 
-    It stands in the mean, or has the velocity of the long moving body of `tracks` that it seems to be more of: a bus
-    comes out from behind people window by window, and no window shows how fast it is.
+    The mean velocity is zero, or that of the long moving body of `tracks` that the cluster seems to continue: a bus
+    appears from behind pedestrians window by window, and the pose of a single window does not show its speed.
     """
-    begun = SwitchingEstimator(estimator, np.array([*cluster.centre, 0.0]), noise(settings), regimes)
+    initiated = SwitchingEstimator(estimator, np.array([*cluster.centre, 0.0]), pose_noise(settings), regimes)
     body = continued_by(cluster, tracks)
     if body is not None:
-        mean, covariance = begun.mean.copy(), begun.covariance.copy()
+        mean, covariance = initiated.mean.copy(), initiated.covariance.copy()
         mean[3:5] = body.estimator.mean[3:5]
-        covariance[3:5, 3:5] = body.estimator.covariance[3:5, 3:5] + PARTS_MPS**2 * np.eye(2)
-        begun.begin_anew(mean, covariance)
-    return begun
+        covariance[3:5, 3:5] = body.estimator.covariance[3:5, 3:5] + PART_VELOCITY_MPS**2 * np.eye(2)
+        initiated.reinitialise(mean, covariance)
+    return initiated
 
 
 def continued_by(cluster: Cluster, tracks: Sequence[Track]) -> Track | None:
-    """The confirmed, long and moving track whose cut-off boundary comes nearest to where the cluster is cut off."""
-    bodies = [track for track in tracks if _may_go_on(track)]
+    """The confirmed, long, moving track whose cut-off boundary points are nearest to those of the cluster."""
+    bodies = [track for track in tracks if _can_continue(track)]
     if not bodies or not cluster.cut.any():
         return None
     ends = [body.boundary[body.shape.cut] for body in bodies]
@@ -56,7 +56,7 @@ def continued_by(cluster: Cluster, tracks: Sequence[Track]) -> Track | None:
     return bodies[nearest] if gaps[nearest] <= SHADOW_M else None
 
 
-def _may_go_on(track: Track) -> bool:
-    fast = float(np.hypot(*track.estimator.mean[3:5])) > MOVES_MPS
-    long = track.shape.extent_m >= TURNS_FROM_M
-    return track.confirmed and not track.unseen and fast and long and bool(track.shape.cut.any())
+def _can_continue(track: Track) -> bool:
+    moving = float(np.hypot(*track.estimator.mean[3:5])) > MOVING_MPS
+    long = track.shape.extent_m >= HEADING_FROM_M
+    return track.confirmed and not track.unseen and moving and long and bool(track.shape.cut.any())

@@ -1,4 +1,4 @@
-"""What is matched, outlines of returns and of boundaries in pairs, and what comes of it."""
+"""Inputs and results of scan matching: outlines of returns and boundaries, pairs of them, and matched poses."""
 
 from __future__ import annotations
 
@@ -14,8 +14,9 @@ from gridtrack.trackers.model_free.ragged import bounds_of
 
 
 class Outlines(NamedTuple):
-    """G outlines one after the other: their points (N, 2) in metres, how likely each is to be there (N,), and at which
-    the outline is cut off (N,). Those of outline g are `bounds` (G+1,) [g] to [g+1].
+    """G concatenated outlines: points (N, 2), metres, their weights (N,), and where each outline is cut off (N,).
+
+    The points of outline g are those from `bounds` (G+1,) [g] to [g+1]; a weight is the probability of a return there.
     """
 
     points: Array
@@ -25,20 +26,17 @@ class Outlines(NamedTuple):
 
     @classmethod
     def of(cls, points: Sequence[Array], weights: Sequence[Array] | None, cut: Sequence[Mask]) -> Outlines:
-        """The outlines, from the points (N, 2), weights (N,) and cut-off ends (N,) of each; there is at least one.
-
-        Without weights all points are there.
-        """
+        """The outlines, at least one, from points (N, 2), weights (N,), by default 1, and cut-off ends (N,) of each."""
         bounds = bounds_of(points)
-        likely = np.ones(bounds[-1]) if weights is None else np.concatenate(weights)
-        return cls(np.concatenate(points), likely, np.concatenate(cut), bounds)
+        all_weights = np.ones(bounds[-1]) if weights is None else np.concatenate(weights)
+        return cls(np.concatenate(points), all_weights, np.concatenate(cut), bounds)
 
 
 class Match(NamedTuple):
     """A measured pose (3,): x, y, heading; its covariance (3, 3); and the `residual` of the returns.
 
-    The residual is the mean over returns of the squared distance to the boundary in kernel widths, as the mixture sees
-    it: 0 where they lie on it, 9 where none does.
+    The residual is -2 times the mean log likelihood of the returns under the mixture, comparable to a squared distance
+    in kernel widths: 0 where all lie on the boundary, 9 where none does.
     """
 
     pose: Array
@@ -47,9 +45,9 @@ class Match(NamedTuple):
 
 
 class Matches(NamedTuple):
-    """Those of P pairs: `poses` (P, 3), `covariances` (P, 3, 3) and `residuals` (P,), each as that of a Match.
+    """The matches of P pairs: `poses` (P, 3), `covariances` (P, 3, 3) and `residuals` (P,).
 
-    A pair has so many degrees of `freedom` (P,): a pose that shows no heading has two, and keeps the one it began with.
+    `freedom` (P,): degrees of freedom, 3, or 2 where the heading is not observable and that of the start is kept.
     """
 
     poses: Array
@@ -58,19 +56,20 @@ class Matches(NamedTuple):
     freedom: NDArray[np.int64]
 
     def of(self, pair: int) -> Match:
-        """That of one pair."""
+        """The match of one pair."""
         return Match(self.poses[pair], self.covariances[pair], float(self.residuals[pair]))
 
 
 class Pairs(NamedTuple):
-    """P pairs to match: which boundary and which outline of returns, `numbers` (P, 2), from which `starts` (P, S, 3).
+    """P pairs to match: `numbers` (P, 2) of the boundary and of the outline of returns, and `starts` (P, S, 3).
 
-    Each finite start, x, y and heading, is as uncertain as `unsure_m` (P,) in metres. Only what `goes_on` (P,) may go
-    on unseen where it is cut off; what `turns` (P,) is of which both show a heading.
+    A start is x, y and heading, ignored if not finite; `start_error_m` (P,) is its standard deviation in metres.
+    Cut-off ends are considered only in pairs that are `extended` (P,): the hidden continuation of a small body is
+    short. The heading is observable in pairs that are `oriented` (P,).
     """
 
     numbers: NDArray[np.int64]
     starts: Array
-    unsure_m: Array
-    goes_on: Mask
-    turns: Mask
+    start_error_m: Array
+    extended: Mask
+    oriented: Mask

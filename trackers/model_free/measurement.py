@@ -1,4 +1,4 @@
-"""Measurement: a track's pose from returns, by matching them to its boundary; and which clusters it may be."""
+"""Measurement: the pose of a track by matching returns to its boundary; costs of pairs and membership of clusters."""
 
 from __future__ import annotations
 
@@ -20,27 +20,27 @@ from gridtrack.trackers.model_free.segmentation import Cluster
 from gridtrack.trackers.model_free.settings import PipelineSettings
 from gridtrack.trackers.model_free.tracks import Track, boundaries_of, poses_of
 
-TURNS_FROM_M = 1.0
-"""A body whose boundary and whose returns are both this long shows its heading; a person does not."""
-UNSURE = 2.0
-"""From a predicted position as unsure as this many surface widths, matching starts from the cluster's centre too."""
+HEADING_FROM_M = 1.0
+"""Length of boundary and returns from which the heading is observable: of vehicles, not of pedestrians."""
+UNCERTAIN = 2.0
+"""Where the predicted position is more uncertain than this many surface widths, the cluster's centre is a start too."""
 REACH_SIGMAS = 3.0
-"""A cluster further beyond a track's reach than this many standard deviations of its position is no candidate."""
+"""A cluster is a candidate up to this many standard deviations of the position beyond a track's reach."""
 
-ON_BOUNDARY, MOST = 2.0, 0.8
-"""A cluster lies on a boundary where this share of its returns is within so many surface widths of it."""
+ON_BOUNDARY, ON_BOUNDARY_SHARE = 2.0, 0.8
+"""A cluster lies on a boundary if this share of its returns is within so many surface widths of it."""
 
 
-def measure(
+def match_pairs(
     tracks: Sequence[Track],
     views: Sequence[Mask],
     clusters: Sequence[Cluster],
     numbers: NDArray[np.int64],
     settings: PipelineSettings,
 ) -> Matches:
-    """The pose of a track as a cluster shows it, with all noise, for P pairs of them, `numbers` (P, 2).
+    """The pose of a track measured from a cluster, with its total covariance, for P pairs `numbers` (P, 2).
 
-    Of each track's boundary the points of its `views` (N,) are in view.
+    `views` (N,) of each track: which points of its boundary are in view.
     """
     shapes = [track.shape for track in tracks]
     boundaries = Outlines.of(
@@ -48,48 +48,49 @@ def measure(
     )
     returns = Outlines.of([cluster.points for cluster in clusters], None, [cluster.cut for cluster in clusters])
     t, c = numbers.T
-    # A person does not go on for long behind what hides the rest: no end is cut off.
-    goes_on = spans_of(boundaries.points, boundaries.bounds)[t] >= TURNS_FROM_M
-    turns = goes_on & (spans_of(returns.points, returns.bounds)[c] >= TURNS_FROM_M)
-    pairs = Pairs(numbers, *_starts(tracks, returns, numbers, settings.surface_noise_m), goes_on, turns)
+    # The hidden part of a person is short: none of its ends is treated as cut off.
+    extended = spans_of(boundaries.points, boundaries.bounds)[t] >= HEADING_FROM_M
+    oriented = extended & (spans_of(returns.points, returns.bounds)[c] >= HEADING_FROM_M)
+    pairs = Pairs(numbers, *_starts(tracks, returns, numbers, settings.surface_noise_m), extended, oriented)
     found = match(boundaries, np.concatenate(views), returns, pairs, settings.surface_noise_m)
-    return found._replace(covariances=found.covariances + noise(settings))
+    return found._replace(covariances=found.covariances + pose_noise(settings))
 
 
 def _starts(
     tracks: Sequence[Track], returns: Outlines, numbers: NDArray[np.int64], surface_noise_m: float
 ) -> tuple[Array, Array]:
-    """Where the match of each pair starts (P, 2, 3), and how uncertain that is (P,), metres: at the predicted pose.
+    """Start poses of each pair (P, 2, 3), and the standard deviation of the predicted position (P,), metres.
 
-    And if that is unsure, with the boundary's centre on the cluster's.
+    The first start is the predicted pose; the second one, if that is uncertain, has the boundary's centre at the
+    cluster's.
     """
     t, c = numbers.T
     boundaries = boundaries_of(tracks)
     centres = means_of(np.concatenate(boundaries), bounds_of(boundaries))
     shifts = means_of(returns.points, returns.bounds)[c] - centres[t]
-    unsure_m = np.sqrt(_covariances(tracks)[:, (0, 1), (0, 1)].max(axis=1))[t]
+    start_error_m = np.sqrt(_covariances(tracks)[:, (0, 1), (0, 1)].max(axis=1))[t]
     starts = np.repeat(poses_of(tracks)[t, None], 2, axis=1)
-    starts[:, 1, :2] += np.where(unsure_m > UNSURE * surface_noise_m, shifts.T, np.nan).T
-    return starts, unsure_m
+    starts[:, 1, :2] += np.where(start_error_m > UNCERTAIN * surface_noise_m, shifts.T, np.nan).T
+    return starts, start_error_m
 
 
 @lru_cache(maxsize=64)
-def noise(settings: PipelineSettings) -> Array:
-    """Covariance (3, 3) of a matched pose beside that of the match."""
+def pose_noise(settings: PipelineSettings) -> Array:
+    """Covariance (3, 3) that is added to that of a match."""
     return np.diag([settings.position_noise_m, settings.position_noise_m, settings.heading_noise]) ** 2
 
 
 class Pairing(NamedTuple):
-    """Every cluster as every track: `costs` and squared Mahalanobis `distances` (T, C), infinite out of question.
+    """All pairs of tracks and clusters: `costs` and squared Mahalanobis `distances` (T, C), infinite if impossible.
 
-    And of how many degrees of `freedom` (T, C) the distances are.
+    `freedom` (T, C) are the degrees of freedom of the distances.
     """
 
     costs: Array
     distances: Array
     freedom: NDArray[np.int64]
     matches: dict[tuple[int, int], Match]
-    """Those of the pairs that are not out of question."""
+    """The matches of the possible pairs."""
 
 
 def compare(
@@ -99,15 +100,15 @@ def compare(
     views: Sequence[Mask],
     settings: PipelineSettings,
 ) -> Pairing:
-    """Match the clusters near a track to its boundary; the cost is the distance from the prediction and the residual.
+    """Match each track to the clusters near it; the cost is the distance from the prediction plus the residual.
 
     `distances` (K, T) of the clusters' returns from the predicted boundaries, metres; `views` (T) of those.
     """
     costs, mahalanobis = np.full((2, len(tracks), len(clusters)), np.inf)
     freedom = np.zeros(costs.shape, np.int64)
-    reach = settings.reach_m + REACH_SIGMAS * _widest(_covariances(tracks))
+    reach = settings.reach_m + REACH_SIGMAS * _largest_deviation(_covariances(tracks))
     numbers = np.argwhere(gaps(distances, clusters) <= reach[:, None])
-    found = measure(tracks, views, clusters, numbers, settings)
+    found = match_pairs(tracks, views, clusters, numbers, settings)
     t, c = numbers.T
     mahalanobis[t, c] = squared_mahalanobis(found, tracks, t)
     costs[t, c] = mahalanobis[t, c] + found.residuals
@@ -118,21 +119,21 @@ def compare(
 def membership(
     tracks: Sequence[Track], clusters: Sequence[Cluster], pairs: dict[int, int], settings: PipelineSettings
 ) -> NDArray[np.bool_]:
-    """Which clusters may be parts of which tracks, (T, C), beside the assigned `pairs` (track -> cluster).
+    """Which clusters may belong to which tracks (T, C), in addition to the assigned `pairs` (track -> cluster).
 
-    A cluster within reach of the one that the track was assigned, as legs are, or where none was, of its boundary; and
-    one on the boundary as it has long been, as the far piece of a vehicle lies and who leaves a group does not.
+    A cluster within reach of the assigned one (the other leg), or of the boundary where none is assigned; and a cluster
+    on the established boundary: the far part of a vehicle, but not a person who leaves a group.
     """
     points = np.concatenate([cluster.points for cluster in clusters])
     boundaries = boundaries_of(tracks)
-    seen = [clusters[pairs[t]].points if t in pairs else boundary for t, boundary in enumerate(boundaries)]
-    lasting = [boundary[track.shape.established] for boundary, track in zip(boundaries, tracks, strict=True)]
-    within_reach = gaps(distances_to(points, seen), clusters) <= settings.reach_m
-    on_it = distances_to(points, lasting) <= ON_BOUNDARY * settings.surface_noise_m
-    return np.asarray(within_reach | (means_of(on_it, bounds_of(clusters)).T >= MOST))
+    nearby = [clusters[pairs[t]].points if t in pairs else boundary for t, boundary in enumerate(boundaries)]
+    established = [boundary[track.shape.established] for boundary, track in zip(boundaries, tracks, strict=True)]
+    within_reach = gaps(distances_to(points, nearby), clusters) <= settings.reach_m
+    on_it = distances_to(points, established) <= ON_BOUNDARY * settings.surface_noise_m
+    return np.asarray(within_reach | (means_of(on_it, bounds_of(clusters)).T >= ON_BOUNDARY_SHARE))
 
 
-def measured(
+def measured_poses(
     tracks: Sequence[Track],
     shares: dict[int, Cluster],
     clusters: Sequence[Cluster],
@@ -140,32 +141,32 @@ def measured(
     views: Sequence[Mask],
     settings: PipelineSettings,
 ) -> dict[int, Match]:
-    """Track -> the pose that its share of the returns shows; matched already where that is a whole cluster."""
+    """Track -> the pose measured from its returns; matches of whole clusters are those of `pairing`."""
     numbers = {id(cluster): number for number, cluster in enumerate(clusters)}
     found = {t: pairing.matches.get((t, numbers.get(id(share), -1))) for t, share in shares.items()}
     poses = {t: old for t, old in found.items() if old}
     new = [t for t in shares if t not in poses]
     if new:
         each = np.repeat(np.arange(len(new))[:, None], 2, axis=1)
-        more = measure([tracks[t] for t in new], [views[t] for t in new], [shares[t] for t in new], each, settings)
+        more = match_pairs([tracks[t] for t in new], [views[t] for t in new], [shares[t] for t in new], each, settings)
         poses |= {t: more.of(number) for number, t in enumerate(new)}
     return poses
 
 
 def squared_mahalanobis(found: Matches, tracks: Sequence[Track], owners: NDArray[np.int64]) -> Array:
-    """Squared Mahalanobis distances (P,) of matched poses from the predicted ones of their tracks, `owners` (P,)."""
-    off = found.poses - poses_of(tracks)[owners]
-    off[:, 2] = wrap_angle(off[:, 2])
+    """Squared Mahalanobis distances (P,) of matched poses from the predicted poses of the tracks `owners` (P,)."""
+    difference = found.poses - poses_of(tracks)[owners]
+    difference[:, 2] = wrap_angle(difference[:, 2])
     spreads = _covariances(tracks)[owners, :3, :3] + found.covariances
-    return np.asarray((off * np.linalg.solve(spreads, off[..., None])[..., 0]).sum(axis=1))
+    return np.asarray((difference * np.linalg.solve(spreads, difference[..., None])[..., 0]).sum(axis=1))
 
 
-def _widest(covariances: Array) -> Array:
-    """The largest standard deviation (T,) of a position in any direction, of the states' `covariances` (T, 6, 6)."""
+def _largest_deviation(covariances: Array) -> Array:
+    """The largest standard deviation (T,) of the position in any direction, of states with `covariances` (T, 6, 6)."""
     xx, xy, yy = covariances[:, 0, 0], covariances[:, 0, 1], covariances[:, 1, 1]
     return np.asarray(np.sqrt(0.5 * (xx + yy) + np.hypot(0.5 * (xx - yy), xy)))
 
 
 def _covariances(tracks: Sequence[Track]) -> Array:
-    """Of the tracks' states, (T, 6, 6)."""
+    """Covariances of the states of the tracks (T, 6, 6)."""
     return np.array([track.estimator.covariance for track in tracks])

@@ -1,4 +1,4 @@
-"""Merging: a track with the background once it stands, and with another one that moves as it does and touches it."""
+"""Merging: of a stopped track with the background, and of two tracks that touch and have the same velocity."""
 
 from __future__ import annotations
 
@@ -13,61 +13,61 @@ from gridtrack.trackers.model_free.ragged import bounds_of
 from gridtrack.trackers.model_free.shape import to_body
 from gridtrack.trackers.model_free.tracks import Status, Track, boundaries_of
 
-DIFFERENT = float(chi2.ppf(0.95, 2))
-"""Squared Mahalanobis distance of two velocities from which on they are told apart."""
-SURE_MPS = 0.5
-"""A velocity with a larger root mean square error is not known to be zero, even if it cannot be told from it."""
+SIGNIFICANT = float(chi2.ppf(0.95, 2))
+"""Squared Mahalanobis distance of two velocities from which they differ significantly."""
+KNOWN_MPS = 0.5
+"""A velocity with a larger root mean square error is not taken for zero, even if it does not differ significantly."""
 
 
 def velocities_agree(difference: Array, covariance: Array) -> bool:
-    """Whether a velocity, or a difference of two, (2,) m/s with its covariance (2, 2), cannot be told from zero."""
+    """Whether a velocity, or a difference of two, (2,) m/s with covariance (2, 2), is not significantly nonzero."""
     (x, y), ((xx, xy), (_, yy)) = difference.tolist(), covariance.tolist()
-    return bool(yy * x * x - 2.0 * xy * x * y + xx * y * y < DIFFERENT * (xx * yy - xy * xy))
+    return bool(yy * x * x - 2.0 * xy * x * y + xx * y * y < SIGNIFICANT * (xx * yy - xy * xy))
 
 
-def stands(track: Track) -> bool:
-    """Whether the track's velocity is known and cannot be told from zero."""
+def is_stopped(track: Track) -> bool:
+    """Whether the track's velocity is known and not significantly different from zero."""
     mean, covariance = track.estimator.mean[3:5], track.estimator.covariance[3:5, 3:5]
-    return bool(covariance.trace() <= SURE_MPS**2) and velocities_agree(mean, covariance)
+    return bool(covariance.trace() <= KNOWN_MPS**2) and velocities_agree(mean, covariance)
 
 
 class TrackMerger:
-    """For how many periods in a row pairs of tracks have moved alike and touched; after so many they are one."""
+    """Merges two tracks after `periods` consecutive periods in which they touched and their velocities agreed."""
 
     def __init__(self, touch_m: float, periods: int) -> None:
         self._touch_m, self._periods = touch_m, periods
         self._together: dict[tuple[int, int], int] = {}
 
     def merged(self, tracks: Sequence[Track], periods: int) -> list[Track]:
-        """The tracks so many periods later, the younger of two that are one taken into the older."""
+        """The tracks, `periods` after the last call; of two that are merged the older one remains."""
         seen = [track for track in tracks if track.status is Status.CONFIRMED]
         together = {}
-        taken: set[int] = set()
-        for one, other in _touching(seen, self._touch_m):
-            if _move_alike(one, other):
-                key = one.identity, other.identity
+        merged: set[int] = set()
+        for older, younger in _touching(seen, self._touch_m):
+            if _velocities_of_tracks_agree(older, younger):
+                key = older.identity, younger.identity
                 together[key] = self._together.get(key, 0) + periods
-                if together[key] >= self._periods and not taken & set(key):
-                    take_in(one, other)
-                    taken.add(other.identity)
+                if together[key] >= self._periods and not merged & set(key):
+                    merge_into(older, younger)
+                    merged.add(younger.identity)
         self._together = together
-        return [track for track in tracks if track.identity not in taken]
+        return [track for track in tracks if track.identity not in merged]
 
 
-def take_in(track: Track, other: Track) -> None:
-    """Make the boundary and the newest returns of `other` part of the track."""
+def merge_into(track: Track, other: Track) -> None:
+    """Add the boundary and the newest returns of `other` to `track`."""
     track.shape.extend(other.shape, to_body(other.boundary, track.pose))
     track.returns = np.concatenate([track.returns, other.returns])
     track.ages = np.concatenate([track.ages, other.ages])
 
 
-def _move_alike(one: Track, other: Track) -> bool:
+def _velocities_of_tracks_agree(one: Track, other: Track) -> bool:
     difference = one.estimator.mean[3:5] - other.estimator.mean[3:5]
     return velocities_agree(difference, one.estimator.covariance[3:5, 3:5] + other.estimator.covariance[3:5, 3:5])
 
 
 def _touching(tracks: Sequence[Track], touch_m: float) -> Iterator[tuple[Track, Track]]:
-    """Pairs of tracks, the older first, whose boundaries come within `touch_m`; their boxes are looked at first."""
+    """Pairs of tracks, the older first, whose boundaries come within `touch_m`; bounding boxes are compared first."""
     if not tracks:
         return
     boundaries = boundaries_of(tracks)

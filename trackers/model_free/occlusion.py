@@ -1,7 +1,7 @@
-"""Occlusion: at which returns a surface may go on unseen, because what is beside them is hidden by something else.
+"""Occlusion: the returns at which an occluder may hide the continuation of a surface.
 
-Where a nearer object cuts a surface off, the last return tells where that object ends, not where the surface does
-(Petrovskaya and Thrun, Autonomous Robots 2009, section 4, for vehicles): it must not be matched as the surface's end.
+Where a nearer object cuts a surface off, the last return is the end of that object and not of the surface (Petrovskaya
+and Thrun, Autonomous Robots 2009, section 4, for vehicles): it must not be matched as the end of the surface.
 """
 
 from __future__ import annotations
@@ -14,16 +14,16 @@ from numpy.typing import NDArray
 
 from gridtrack.common.grid import GridFrame, GridSpec, Mask
 
-BINS = 1440
-"""Bearings about a sensor that are told apart."""
-NOTHING, BACKGROUND = -2, -1
-"""Label of a bearing without a return, and of a return that is of no cluster."""
+BEARINGS = 1440
+"""Number of bearing bins around a sensor."""
+NO_RETURN, BACKGROUND = -2, -1
+"""Label of a bearing without a return, and of a return outside all clusters."""
 
 
-def cut_off(frame: GridFrame, grid: GridSpec, labels: NDArray[np.int64]) -> Mask:
-    """Which of the frame's returns (N,) have a cell beside them that is hidden by no return of their own cluster.
+def cut_off_returns(frame: GridFrame, grid: GridSpec, labels: NDArray[np.int64]) -> Mask:
+    """Which returns of the frame (N,) have a hidden neighbour cell that their own cluster does not hide.
 
-    `labels` (N,) say which cluster each is of, BACKGROUND where of none. Beyond the grid everything is hidden.
+    `labels` (N,) are cluster numbers, or BACKGROUND. Cells outside the grid count as hidden.
     """
     cut = np.zeros(len(frame.points), np.bool_)
     for sensor, origin in enumerate(frame.origins):
@@ -36,7 +36,7 @@ def cut_off(frame: GridFrame, grid: GridSpec, labels: NDArray[np.int64]) -> Mask
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _cut_off(points, labels, visible, corner, cell_m):  # type: ignore[no-untyped-def]
-    """As `cut_off` for one sensor at (0, 0), the grid's lower-left corner at `corner` (2,)."""
+    """`cut_off_returns` for one sensor at (0, 0), with the lower-left corner of the grid at `corner` (2,)."""
     ranges, nearest = _first_returns(points, labels, cell_m)
     size = len(visible)
     cut = np.zeros(len(points), np.bool_)
@@ -50,7 +50,7 @@ def _cut_off(points, labels, visible, corner, cell_m):  # type: ignore[no-untype
                 cut[i] = True
             elif not visible[r, c]:
                 x, y = corner[0] + (c + 0.5) * cell_m, corner[1] + (r + 0.5) * cell_m
-                b = _bin(math.atan2(y, x))
+                b = _bearing_bin(math.atan2(y, x))
                 if not (nearest[b] == labels[i] and ranges[b] <= math.hypot(x, y)):
                     cut[i] = True
     return cut
@@ -58,19 +58,19 @@ def _cut_off(points, labels, visible, corner, cell_m):  # type: ignore[no-untype
 
 @numba.njit(error_model="numpy")
 def _first_returns(points, labels, cell_m):  # type: ignore[no-untyped-def]
-    """Range and label (BINS,) of the nearest return at each bearing; a return is as wide as a cell."""
-    ranges, nearest = np.full(BINS, np.inf), np.full(BINS, NOTHING)
+    """Range and label (BEARINGS,) of the nearest return in each bearing bin; a return is one cell wide."""
+    ranges, nearest = np.full(BEARINGS, np.inf), np.full(BEARINGS, NO_RETURN)
     for i in range(len(points)):
         away = max(math.hypot(points[i, 0], points[i, 1]), 1e-6)
         bearing, half = math.atan2(points[i, 1], points[i, 0]), math.atan2(0.6 * cell_m, away)
-        first = math.floor((bearing - half) / (2.0 * math.pi) * BINS)
-        last = math.floor((bearing + half) / (2.0 * math.pi) * BINS)
+        first = math.floor((bearing - half) / (2.0 * math.pi) * BEARINGS)
+        last = math.floor((bearing + half) / (2.0 * math.pi) * BEARINGS)
         for b in range(first, last + 1):
-            if away < ranges[b % BINS]:
-                ranges[b % BINS], nearest[b % BINS] = away, labels[i]
+            if away < ranges[b % BEARINGS]:
+                ranges[b % BEARINGS], nearest[b % BEARINGS] = away, labels[i]
     return ranges, nearest
 
 
 @numba.njit(error_model="numpy")
-def _bin(bearing):  # type: ignore[no-untyped-def]
-    return math.floor(bearing / (2.0 * math.pi) * BINS) % BINS
+def _bearing_bin(bearing):  # type: ignore[no-untyped-def]
+    return math.floor(bearing / (2.0 * math.pi) * BEARINGS) % BEARINGS

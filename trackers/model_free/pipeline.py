@@ -1,4 +1,4 @@
-"""The pipeline from a grid frame to tracks, stage by stage (after Wang, Posner and Newman, IJRR 2015)."""
+"""The pipeline from a grid frame to tracks and their forecast (after Wang, Posner and Newman, IJRR 2015)."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from gridtrack.common.grid import GridFrame, GridSpec, Mask
 from gridtrack.trackers.model_free.arrays import Array
 from gridtrack.trackers.model_free.association import assign, assign_returns, distances_to
 from gridtrack.trackers.model_free.background import Background, BackgroundMap
-from gridtrack.trackers.model_free.classes import attribute, normalise, weight_by_cell_prior
 from gridtrack.trackers.model_free.forecast import add_tracks
-from gridtrack.trackers.model_free.initiation import Estimator, begin
+from gridtrack.trackers.model_free.initiation import Estimator, initiate
 from gridtrack.trackers.model_free.matches import Match
-from gridtrack.trackers.model_free.measurement import compare, measured, membership
-from gridtrack.trackers.model_free.merging import TrackMerger, stands
-from gridtrack.trackers.model_free.occlusion import BACKGROUND, cut_off
+from gridtrack.trackers.model_free.measurement import compare, measured_poses, membership
+from gridtrack.trackers.model_free.merging import TrackMerger, is_stopped
+from gridtrack.trackers.model_free.occlusion import BACKGROUND, cut_off_returns
 from gridtrack.trackers.model_free.ragged import bounds_of, owners_of, split
 from gridtrack.trackers.model_free.residence import NOT_OCCUPIED, next_ages
 from gridtrack.trackers.model_free.segmentation import Cluster, clusters_of, segment
+from gridtrack.trackers.model_free.semantics import attribute, normalise, weight_by_cell_prior
 from gridtrack.trackers.model_free.settings import PipelineSettings
 from gridtrack.trackers.model_free.shape import Shape, in_view, to_body, to_grid
 from gridtrack.trackers.model_free.tracks import (
@@ -34,9 +34,9 @@ from gridtrack.trackers.model_free.tracks import (
 
 
 class Pipeline:
-    """Tracks of what moves before a static background, and their forecast.
+    """Tracks of moving objects against a static background, and their forecast.
 
-    `background` is the place's map, `residence` (A, S) float32 the life table of returns in place.
+    `background` is the map of the site, `residence` (A, S) float32 the life table of returns that stay in place.
     Positions are in metres in the grid frame, which must not move.
     """
 
@@ -49,7 +49,7 @@ class Pipeline:
         settings: PipelineSettings,
         estimator: Estimator,
     ) -> None:
-        self.grid, self.residence, self.settings, self.begin_estimator = grid, residence, settings, estimator
+        self.grid, self.residence, self.settings, self.estimator = grid, residence, settings, estimator
         self.background = Background(background, period_s, settings)
         self.regimes = settings.motion(period_s)
         self.period_s = period_s
@@ -60,30 +60,30 @@ class Pipeline:
         self.tracks: list[Track] = []
         self.frame: GridFrame | None = None
         self.elapsed = 1
-        self.born = self.restarts = 0
+        self.initiated = self.restarts = 0
 
     def update(self, frame: GridFrame) -> None:
-        """Take in one frame: the stages in their order."""
+        """Update the tracks with one frame."""
         self.elapsed = self._periods_until(frame)
         self.background.observe(frame, self.elapsed)
         clusters = self._segment(frame)
         self._predict()
         views = in_view(boundaries_of(self.tracks), self.grid, frame.visible)
-        shares, poses, left = self._associate(clusters, views)
+        shares, poses, unassigned = self._associate(clusters, views)
         self._correct(shares, poses, frame.visible)
-        self._judge(shares, views)
+        self._update_existence(shares, views)
         self._merge()
-        self._give_birth(left)
+        self._initiate(unassigned)
         self.frame = frame
 
     def _periods_until(self, frame: GridFrame) -> int:
-        """How many periods have passed since the frame before: more than one where frames were missed."""
+        """Number of periods since the previous frame: more than one where frames are missing."""
         if self.frame is None:
             return 1
         return max(1, round((frame.stamp_ns - self.frame.stamp_ns) * 1e-9 / self.period_s))
 
     def _segment(self, frame: GridFrame) -> list[Cluster]:
-        """Clusters of the returns that the background does not explain; how long each has been in place is kept."""
+        """Clusters of the returns that the background does not explain; the residence ages of the cells are updated."""
         explained = self.background.explained
         self.ages = next_ages(self.ages, frame.occupied & ~explained, len(self.residence) - 1, self.elapsed)
         cells, inside = self.grid.cells_of(frame.points)
@@ -93,11 +93,12 @@ class Pipeline:
         ranges = np.linalg.norm(points - frame.origins[frame.point_origin[new]], axis=1)
         labels = np.full(len(new), BACKGROUND)
         labels[new] = segment(points, ranges, self.settings.link_m, self.settings.link_per_m)
-        return clusters_of(points, cut_off(frame, self.grid, labels)[new], labels[new])
+        return clusters_of(points, cut_off_returns(frame, self.grid, labels)[new], labels[new])
 
     def _predict(self) -> None:
+        """Predict the state and the existence of each track at the stamp of the frame."""
         for track in self.tracks:
-            track.before = track.pose
+            track.previous_pose = track.pose
             for _ in range(self.elapsed):
                 track.estimator.predict()
             track.existence *= self.survival**self.elapsed
@@ -105,7 +106,7 @@ class Pipeline:
     def _associate(
         self, clusters: list[Cluster], views: list[Mask]
     ) -> tuple[dict[int, Cluster], dict[int, Match], list[Cluster]]:
-        """Track number -> its returns, track number -> the pose that they show, and the clusters left over."""
+        """Track number -> its returns, track number -> its measured pose, and the unassigned clusters."""
         if not self.tracks or not clusters:
             return {}, {}, clusters
         points = np.concatenate([cluster.points for cluster in clusters])
@@ -113,27 +114,27 @@ class Pipeline:
         pairing = compare(self.tracks, clusters, distances, views, self.settings)
         gate, method = self.settings.gate_probability, self.settings.association
         pairs = assign(pairing.costs, pairing.distances, pairing.freedom, gate, method)
-        near = membership(self.tracks, clusters, pairs, self.settings)
-        shares, left = assign_returns(clusters, pairs, distances, near)
-        return shares, measured(self.tracks, shares, clusters, pairing, views, self.settings), left
+        candidates = membership(self.tracks, clusters, pairs, self.settings)
+        shares, unassigned = assign_returns(clusters, pairs, distances, candidates)
+        return shares, measured_poses(self.tracks, shares, clusters, pairing, views, self.settings), unassigned
 
     def _correct(self, shares: dict[int, Cluster], poses: dict[int, Match], visible: Mask) -> None:
-        """Correct each track by the pose its returns show, and let them extend its shape."""
+        """Update the state of each track with its measured pose, and its shape with its returns."""
         for number, found in poses.items():
             estimator = self.tracks[number].estimator
             before = estimator.restarts
             estimator.update(found.pose, found.covariance)
             self.restarts += estimator.restarts - before
         if shares:
-            self._extend([self.tracks[number] for number in shares], list(shares.values()), visible)
+            self._update_shapes([self.tracks[number] for number in shares], list(shares.values()), visible)
 
-    def _extend(self, tracks: list[Track], clusters: list[Cluster], visible: Mask) -> None:
-        """Let each track's shape take in its returns; what of them lies where nothing could be seen is revealed."""
-        assert self.frame is not None  # the one before, which the tracks are from
+    def _update_shapes(self, tracks: list[Track], clusters: list[Cluster], visible: Mask) -> None:
+        """Update the shape of each track with its returns; those whose place was hidden before are `revealed`."""
+        assert self.frame is not None  # the previous frame: there are tracks
         owners = owners_of(bounds_of(clusters))
         points = np.concatenate([cluster.points for cluster in clusters])
         bodies = to_body(points, poses_of(tracks)[owners])
-        past = split(to_grid(bodies, np.array([track.before for track in tracks])[owners]), clusters)
+        past = split(to_grid(bodies, np.array([track.previous_pose for track in tracks])[owners]), clusters)
         each = zip(
             *(tracks, clusters, self._ages_of(clusters), split(bodies, clusters)),
             in_view(past, self.grid, self.frame.visible),
@@ -143,10 +144,10 @@ class Pipeline:
         gain = -math.expm1(-self.elapsed * self.period_s / self.settings.shape_memory_s)
         for track, cluster, ages, body, known, seen in each:
             track.returns, track.ages = cluster.points, ages
-            track.shape.absorb(body, cluster.cut, ~known, seen, self.settings.surface_noise_m, gain)
+            track.shape.update(body, cluster.cut, ~known, seen, self.settings.surface_noise_m, gain)
 
-    def _judge(self, shares: dict[int, Cluster], views: list[Mask]) -> None:
-        """Weigh each track's existence by what was and was not seen of it, as it was in view; drop the dead."""
+    def _update_existence(self, shares: dict[int, Cluster], views: list[Mask]) -> None:
+        """Update the existence of each track with its detection, or its miss as far as it is in view; delete tracks."""
         settings = self.settings
         for number, track in enumerate(self.tracks):
             if number in shares:
@@ -157,13 +158,13 @@ class Pipeline:
                 track.confirmed |= track.existence >= settings.confirm_above
             else:
                 track.unseen += self.elapsed
-                in_sight = float(track.shape.weights[views[number]].sum() / track.shape.weights.sum())
-                detectable = settings.detection_probability * in_sight
+                visible_share = float(track.shape.weights[views[number]].sum() / track.shape.weights.sum())
+                detectable = settings.detection_probability * visible_share
                 track.existence = existence_when_missed(track.existence, detectable)
-        self.tracks = [track for track in self.tracks if self._lives(track)]
+        self.tracks = [track for track in self.tracks if self._is_alive(track)]
 
-    def _lives(self, track: Track) -> bool:
-        """Whether the track has neither been disproved nor left the grid."""
+    def _is_alive(self, track: Track) -> bool:
+        """Whether the track probably exists and has not left the grid unobserved."""
         if track.existence < self.settings.delete_below:
             return False
         return not track.unseen or bool(self.grid.cells_of(track.boundary)[1].any())
@@ -172,11 +173,11 @@ class Pipeline:
         """Merge tracks with the background and with each other."""
         seen = [track for track in self.tracks if not track.unseen]
         for track in seen:
-            track.standing = track.standing + self.elapsed if stands(track) else 0
-        settled = [track for track in seen if track.standing >= self.background_merge_periods]
-        for track in settled:
+            track.stopped = track.stopped + self.elapsed if is_stopped(track) else 0
+        static = [track for track in seen if track.stopped >= self.background_merge_periods]
+        for track in static:
             self.background.add_stopped(self._cells_of(track.returns))
-        self.tracks = self.track_merger.merged([track for track in self.tracks if track not in settled], self.elapsed)
+        self.tracks = self.track_merger.merged([track for track in self.tracks if track not in static], self.elapsed)
 
     def _cells_of(self, points: Array) -> Mask:
         """The cells (M, M) in which `points` (N, 2) lie."""
@@ -185,27 +186,28 @@ class Pipeline:
         marked[tuple(cells[inside].T)] = True
         return marked
 
-    def _give_birth(self, clusters: list[Cluster]) -> None:
-        grown_up = tuple(self.tracks)
+    def _initiate(self, clusters: list[Cluster]) -> None:
+        """Initiate a tentative track from each unassigned cluster."""
+        existing = tuple(self.tracks)
         for cluster, ages in zip(clusters, self._ages_of(clusters), strict=True):
-            estimator = begin(self.begin_estimator, cluster, grown_up, self.regimes, self.settings)
+            estimator = initiate(self.estimator, cluster, existing, self.regimes, self.settings)
             shape = Shape.of(to_body(cluster.points, estimator.mean[:3]), cluster.cut, self.settings.surface_noise_m)
             existence = self.settings.initiation_probability
-            self.tracks.append(Track(self.born, estimator, shape, cluster.points, ages, existence))
-            self.born += 1
+            self.tracks.append(Track(self.initiated, estimator, shape, cluster.points, ages, existence))
+            self.initiated += 1
 
     def forecast(self, steps: int) -> NDArray[np.float32]:
-        """P(occupied) (steps+1, M, M) float32 of steps 0..steps; where step 0 is visible it is what was seen."""
+        """P(occupied) (steps+1, M, M) float32 at steps 0..steps; visible cells of step 0 are as observed."""
         no_classes = np.zeros((0, *self.grid.shape), np.float32), np.zeros((len(self.tracks), 0), np.float32)
         return self.forecast_classes(steps, *no_classes)[0]
 
     def forecast_classes(
         self, steps: int, cell_prior: NDArray[np.float32], classes: NDArray[np.float32]
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """`forecast`, and P(class | occupied) (steps+1, K, M, M): tracks have `classes` (T, K), the rest has
-        those of `cell_prior` (K, M, M).
+        """`forecast`, and P(class | occupied) (steps+1, K, M, M) float32.
 
-        A cell's classes are those of what may show there, by how much of its occupancy each is.
+        Tracks have `classes` (T, K), the background has those of `cell_prior` (K, M, M); the classes of a cell are
+        weighted by the occupancy that each contributes.
         """
         occupancy = self.background.probabilities(steps)
         semantics = weight_by_cell_prior(occupancy, cell_prior)
@@ -229,19 +231,19 @@ class Pipeline:
         return occupancy, semantics
 
     def _ages_of(self, clusters: list[Cluster]) -> list[NDArray[np.int64]]:
-        """For how many periods each return of each cluster (N,) has been in place."""
+        """Residence age of each return (N,) of each cluster, periods."""
         if not clusters:
             return []
         cells, _ = self.grid.cells_of(np.concatenate([cluster.points for cluster in clusters]))
         return split(self.ages[cells[:, 0], cells[:, 1]], clusters)
 
 
-def compile_ahead(
+def compile_pipeline(
     period_s: float, residence: NDArray[np.float32], settings: PipelineSettings, estimator: Estimator
 ) -> None:
-    """Run every stage once on a scene of three frames, so that what is compiled on first use has been.
+    """Compile the kernels of all stages, by running them on a scene of three frames.
 
-    That takes seconds on a machine where nothing is compiled yet: a tracker has them when it starts, not in an update.
+    Compilation takes seconds on a machine without a cache; a tracker spends them at its start, not in an update.
     """
     grid = GridSpec(8, 0.1)
     empty = BackgroundMap(*np.zeros((2, *grid.shape), np.float32))

@@ -1,7 +1,8 @@
-"""Dwell: for how much longer a return that has stayed in place will stay, as a life table fitted to the place.
+"""Residence time: how much longer a return that has stayed in place will stay, as a life table fitted to the site.
 
-A walker's returns do not glide along with the body: a foot stands for a good half second and then swings past the
-other, and who has stood for three seconds will mostly stand on. Of cars, the table says that they glide or wait.
+The returns of a walker do not move continuously with the body: a foot rests for about half a second and then swings
+past the other, and a pedestrian who has stood for three seconds will probably stand on. For cars the table contains
+both queues and moving sides.
 """
 
 from __future__ import annotations
@@ -17,11 +18,11 @@ from gridtrack.common.grid import GridFrame, Mask
 Ages = NDArray[np.int64]
 
 SPAN_S = 3.0
-"""How far the table reaches, in age and in time ahead; the oldest stand for all that are older."""
+"""Range of the table, both in age and in time ahead; the last age includes all older returns."""
 NOT_OCCUPIED = -1
 """Age of a cell that is not occupied."""
 PRIOR_RETURNS = 10.0
-"""Weight of "it will be gone" against what was counted, in returns."""
+"""Weight of the prior "the return will be gone", in returns."""
 
 
 def table_shape(period_s: float) -> tuple[int, int]:
@@ -31,11 +32,11 @@ def table_shape(period_s: float) -> tuple[int, int]:
 
 
 def next_ages(ages: Ages, occupied: Mask, oldest: int, periods: int = 1) -> Ages:
-    """For how many periods each occupied cell (M, M), or one beside it, has been occupied: at most `oldest`.
+    """For how many periods each occupied cell (M, M), or one of its neighbours, has been occupied: at most `oldest`.
 
-    `ages` (M, M) are those of the frame before, so many `periods` ago; NOT_OCCUPIED where there is none.
+    `ages` (M, M) are those of the previous frame, `periods` earlier; NOT_OCCUPIED elsewhere.
     """
-    before = _largest_near(ages)
+    before = _neighbourhood_maximum(ages)
     grown = np.where(before == NOT_OCCUPIED, 0, np.minimum(before + periods, oldest))
     return np.where(occupied, grown, NOT_OCCUPIED)
 
@@ -43,10 +44,10 @@ def next_ages(ages: Ages, occupied: Mask, oldest: int, periods: int = 1) -> Ages
 def fit_residence(
     stretches: Iterable[Iterable[GridFrame]], open_cells: Mask, shape: tuple[int, int]
 ) -> NDArray[np.float32]:
-    """Life table `shape` (A, S) float32: P(a return is still there after s steps | it has been there for a frames).
+    """Life table of `shape` (A, S), float32: P(a return is in place after s steps | its age is a frames).
 
-    Counted over the returns in `open_cells` (M, M), where their cell is visible s steps later; "there" is the cell or
-    one of its eight neighbours. It never rises with s.
+    Counted over the returns in `open_cells` (M, M) whose cell is visible s steps later; a return is in place if its
+    cell or one of the eight neighbours is occupied. The table does not increase with s.
     """
     oldest = shape[0] - 1
     at_risk, stayed = np.full(shape, PRIOR_RETURNS), np.zeros(shape)
@@ -56,7 +57,7 @@ def fit_residence(
             occupied = frame.occupied & open_cells
             before = past[0] if past else np.full(occupied.shape, NOT_OCCUPIED)
             past.appendleft(next_ages(before, occupied, oldest))
-            near = _largest_near(occupied.astype(np.int64)) > 0
+            near = _neighbourhood_maximum(occupied.astype(np.int64)) > 0
             for step, ages in enumerate(past):
                 counted = (ages != NOT_OCCUPIED) & frame.visible
                 at_risk[:, step] += np.bincount(ages[counted], minlength=oldest + 1)
@@ -64,19 +65,19 @@ def fit_residence(
     return np.minimum.accumulate(stayed / at_risk, axis=1).astype(np.float32)
 
 
-def still_there(
+def probability_in_place(
     table: NDArray[np.float32], ages: NDArray[np.int64], unseen: NDArray[np.int64], steps: int
 ) -> NDArray[np.float32]:
-    """P(each return of `ages` (N,) is where it was seen, `unseen` (N,) frames ago) at steps 0..steps: (N, steps+1).
+    """P(a return is in place) at steps 0..steps, (N, steps+1), of returns last seen `unseen` (N,) frames ago.
 
-    Beyond the table its last column holds.
+    `ages` (N,) are their ages then. Beyond the table its last column is used.
     """
     ahead = np.minimum(unseen[:, None] + np.arange(steps + 1), table.shape[1] - 1)
     return np.asarray(table[np.minimum(ages, table.shape[0] - 1)[:, None], ahead])
 
 
-def _largest_near(values: Ages) -> Ages:
-    """The largest value in the 3 x 3 cells about each cell (M, M)."""
+def _neighbourhood_maximum(values: Ages) -> Ages:
+    """The largest value in the 3 x 3 neighbourhood of each cell (M, M)."""
     rows = values.copy()
     rows[1:] = np.maximum(rows[1:], values[:-1])
     rows[:-1] = np.maximum(rows[:-1], values[1:])

@@ -1,4 +1,4 @@
-"""Segmentation: the returns that the background does not explain, as clusters; the linking distance adapts to range."""
+"""Segmentation: single-linkage clusters of the foreground returns, with a linking distance that grows with range."""
 
 from __future__ import annotations
 
@@ -11,41 +11,40 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridtrack.common.grid import Mask
-
-Points = NDArray[np.float64]
+from gridtrack.trackers.model_free.arrays import Array
 
 
 @dataclass(frozen=True, slots=True)
 class Cluster:
-    """Returns that belong together: `points` (N, 2), metres, grid frame, and which of them are `cut` off (N,)."""
+    """Returns of one cluster: `points` (N, 2), metres, grid frame, and which of them are `cut` off (N,)."""
 
-    points: Points
+    points: Array
     cut: Mask
-    """At these the surface may go on unseen (`occlusion.cut_off`)."""
+    """Where an occluder may hide the continuation of the surface (`occlusion.cut_off_returns`)."""
 
     def __len__(self) -> int:
         return len(self.points)
 
     @property
-    def centre(self) -> Points:
+    def centre(self) -> Array:
         """Mean of the points, (2,), metres, grid frame."""
         return np.asarray(self.points.mean(axis=0))
 
 
-def segment(points: Points, ranges: NDArray[np.float64], link_m: float, link_per_m: float) -> NDArray[np.int64]:
+def segment(points: Array, ranges: Array, link_m: float, link_per_m: float) -> NDArray[np.int64]:
     """Single-linkage clusters of `points` (N, 2) in metres, each at its range (N,) from its sensor in metres.
 
-    Two points are linked when they are no further apart than `link_m + link_per_m * range` at the nearer's range.
-    Returns the number of the cluster that each is of (N,).
+    Two points are linked when their distance is at most `link_m + link_per_m * range`, at the range of the nearer one.
+    Returns the cluster number of each point (N,).
     """
     return np.asarray(_segment(points, link_m + link_per_m * ranges, np.argsort(points[:, 0])))
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _segment(points, reach, order):  # type: ignore[no-untyped-def]
-    """As `segment`, of points (N, 2) that each reach so far (N,), swept in the `order` (N,) of their x.
+    """`segment` of points (N, 2) with linking distances `reach` (N,), in the `order` (N,) of their x.
 
-    Clusters are trees of points that lead to their first one (union-find; Tarjan 1975).
+    Clusters are trees of points, rooted at the first one (union-find; Tarjan 1975).
     """
     parent = np.arange(len(points))
     for n in range(len(order)):
@@ -70,15 +69,15 @@ def _segment(points, reach, order):  # type: ignore[no-untyped-def]
 
 @numba.njit(error_model="numpy")
 def _first(parent, i):  # type: ignore[no-untyped-def]
-    """The first point of the cluster of point i; the way to it is halved."""
+    """The first point of the cluster of point i, with path halving."""
     while parent[i] != i:
         parent[i] = parent[parent[i]]
         i = parent[i]
     return i
 
 
-def clusters_of(points: Points, cut: Mask, labels: NDArray[np.int64]) -> list[Cluster]:
-    """The clusters that `segment` numbered."""
+def clusters_of(points: Array, cut: Mask, labels: NDArray[np.int64]) -> list[Cluster]:
+    """The clusters with the cluster numbers `labels` (N,) of `segment`."""
     if not len(points):
         return []
     order = np.argsort(labels, kind="stable")
@@ -87,7 +86,7 @@ def clusters_of(points: Points, cut: Mask, labels: NDArray[np.int64]) -> list[Cl
 
 
 def joined(parts: Sequence[Cluster]) -> Cluster:
-    """The parts as one, itself where there is only one."""
+    """One cluster of all parts; the part itself where there is only one."""
     if len(parts) == 1:
         return parts[0]
     return Cluster(np.concatenate([part.points for part in parts]), np.concatenate([part.cut for part in parts]))

@@ -1,4 +1,4 @@
-"""The pipeline's handful of parameters, stage by stage; `fit` tunes those that the place and its movers decide."""
+"""Settings of the model-free pipeline, stage by stage; `fit` tunes those that depend on the site and its traffic."""
 
 from __future__ import annotations
 
@@ -15,47 +15,47 @@ AssociationMethod = Literal["hungarian", "jcbb"]
 
 
 class PipelineSettings(Settings):
-    """Settings of the model-free pipeline; defaults suit walking people and an indoor laser."""
+    """Settings of the model-free pipeline; the defaults are for pedestrians and an indoor laser."""
 
     # Static background
     background: Literal["fitted", "none"] = "fitted"
-    """Where the map comes from: the place's own, or none of it (a cold start), and walls have to sink in first."""
+    """`fitted`: the map counted at the site; `none`: start without a map, and learn walls from the stream only."""
     explained_above: float = Field(0.96, gt=0, lt=1)
-    """A return is explained by the background where that has one, in its cell or beside it, in this share of frames."""
+    """A return is background in a cell that is occupied, itself or a neighbour, in more than this share of frames."""
     untracked_share: float = Field(0.05, ge=0, le=1)
-    """The share of the past traffic through open cells that no track announces, in a cell that is seen empty."""
+    """P(occupied) of a cell just seen empty, without a track, as a share of its fitted occupancy rate."""
     rate_recovery_s: float = Field(1.0, gt=0, le=1000)
-    """Time constant with which a cell that was seen empty comes back to all of its past traffic."""
+    """Time constant with which P(occupied) of a cell that was seen empty recovers to its fitted rate."""
     static_above: float = Field(0.5, gt=0, lt=1)
-    """The share of the recent frames in which a cell must have been occupied to be forecast as background."""
+    """A cell is forecast as background if it was occupied in more than this share of the recent frames."""
     adaptation_s: float = Field(5.0, gt=0, le=3600)
-    """Time constant of that record: how long something stands before it sinks in, or is gone before it is forgotten."""
+    """Adaptation time: time constant of that recent record."""
     map_weight_s: float = Field(2.0, gt=0, le=3600)
-    """How long a cell has to be seen for that record to weigh as much as the map's."""
+    """Map weight: the duration of observation that has the same weight in that record as the fitted rate."""
 
     # Segmentation
     link_m: float = Field(0.45, gt=0, le=10)
-    """Two returns belong to one cluster when they are this near, at the sensor: the gap between two legs."""
+    """Linking distance of two returns of one cluster at range 0: the gap between two legs."""
     link_per_m: float = Field(0.01, ge=0, le=1)
-    """By how much that distance grows with every metre of range, as neighbouring beams part."""
+    """Increase of the linking distance per metre of range, because beams diverge."""
 
     # Estimation
     acceleration: float = Field(0.1, gt=0, le=100)
     """White-noise acceleration along each axis: square root of its density, m/s^2 per sqrt(Hz)."""
     speed_noise: float = Field(0.05, gt=0, le=10)
-    """White noise of the speed's relative growth, 1/s per sqrt(Hz): of what is fast, along its motion."""
+    """White noise of the relative change of speed, along the motion: square root of its density, 1/s per sqrt(Hz)."""
     velocity_memory_s: float = Field(3.0, gt=0, le=1000)
-    """Time constant with which a velocity is forgotten; large: truly constant velocity, small: a walk at random."""
+    """Correlation time of the velocity; large: constant velocity, small: random walk."""
     turn_acceleration: float = Field(0.05, gt=0, le=100)
     """White-noise acceleration of the turn rate, rad/s^2 per sqrt(Hz)."""
     turn_memory_s: float = Field(1.0, gt=0, le=1000)
-    """Time constant with which a turn rate is forgotten."""
+    """Correlation time of the turn rate."""
     manoeuvre_noise: float = Field(8.0, ge=1, le=100)
-    """How many times these three noises are larger while an object brakes, sets off or turns."""
+    """Factor on these three noises during a manoeuvre: braking, setting off, turning."""
     steady_duration_s: float = Field(5.0, gt=0, le=1000)
-    """For how long an object moves steadily, in the mean."""
+    """Mean duration of steady motion."""
     manoeuvre_duration_s: float = Field(1.0, gt=0, le=1000)
-    """For how long it then does not."""
+    """Mean duration of a manoeuvre."""
     initial_speed: float = Field(0.7, gt=0, le=100)
     """Standard deviation of a new track's velocity along each axis, m/s."""
     initial_turn_rate: float = Field(0.2, gt=0, le=10)
@@ -63,45 +63,45 @@ class PipelineSettings(Settings):
 
     # Measurement
     surface_noise_m: float = Field(0.1, gt=0, le=2)
-    """Standard deviation of a return about the boundary it is matched to; boundary points are so far apart."""
+    """Standard deviation of a return about the boundary that it is matched to; also the spacing of boundary points."""
     position_noise_m: float = Field(0.08, gt=0, le=10)
-    """Standard deviation of a matched position beside that: legs alternate, surfaces come and go."""
+    """Standard deviation added to each matched position: legs alternate, surfaces appear and disappear."""
     heading_noise: float = Field(0.05, gt=0, le=3)
-    """The same of a matched heading, rad."""
+    """Standard deviation added to each matched heading, rad."""
 
     # Association
     association: AssociationMethod = "hungarian"
     """How clusters are assigned: `hungarian` gates each pair, `jcbb` the whole set of pairs."""
     gate_probability: float = Field(0.9997, gt=0.5, lt=1)
-    """The share of an object's own clusters that its gate lets in."""
+    """Probability that the gate of an object contains its own cluster."""
     reach_m: float = Field(0.45, gt=0, le=20)
-    """How far from a track's boundary further returns of it may lie."""
+    """Largest distance of further returns of an object from the boundary of its track."""
 
-    # Life of a track
+    # Existence
     initiation_probability: float = Field(0.4, gt=0, lt=1)
-    """Existence probability of a track that has just been born."""
+    """Existence probability of a new track."""
     detection_probability: float = Field(0.85, gt=0, lt=1)
-    """Probability that an object standing where the laser sees it gives a cluster."""
+    """Probability that an object in view of the laser yields a cluster."""
     clutter_probability: float = Field(0.15, gt=0, lt=1)
     """Probability of a cluster inside a track's gate where there is no object."""
     mean_lifetime_s: float = Field(15.0, gt=0)
-    """Mean time until an object leaves unseen."""
+    """Mean time until an object leaves unobserved."""
     confirm_above: float = Field(0.8, gt=0, lt=1)
-    """Existence probability at which a tentative track becomes confirmed."""
+    """Existence probability from which a tentative track is confirmed."""
     delete_below: float = Field(0.1, gt=0, lt=1)
-    """Existence probability below which a track is dropped."""
+    """Existence probability below which a track is deleted."""
 
     # Merging
     background_merge_s: float = Field(60.0, gt=0, le=3600)
-    """A track whose velocity could not be told from zero for so long becomes background."""
+    """A track whose velocity has not differed significantly from zero for this long becomes background."""
     track_merge_s: float = Field(2.0, gt=0, le=3600)
-    """Two tracks that touch and whose velocities could not be told apart for so long become one."""
+    """Two touching tracks whose velocities have not differed significantly for this long are merged."""
 
     # Shape and forecast
     shape_memory_s: float = Field(0.8, gt=0, le=60)
-    """How long a track's points count: about half a stride, so that both legs are in the shape."""
+    """Time constant of a track's boundary points: about half a stride, so that the shape has both legs."""
     residence_speed: float = Field(10.0, gt=0, le=1000)
-    """Speed, m/s, from which on returns do not stay in place: a walker's feet do, a vehicle's side does not."""
+    """Speed scale, m/s, above which returns do not stay in place: a walker's feet do, a vehicle's side does not."""
     return_noise_m: float = Field(0.05, gt=0, le=10)
     """Standard deviation of one return about its surface, along each axis."""
 
@@ -121,7 +121,7 @@ class PipelineSettings(Settings):
 
 
 class ModelFreeSettings(LabelSettings, PipelineSettings):
-    """The pipeline's settings, and what is fitted: its motion and background, the classes of its tracks, or both."""
+    """Settings of the pipeline, and of its training: motion and background, classes of tracks, or both."""
 
     stage: Literal["both", "occupancy", "classes"] = "both"
-    """`classes` adds classes to the weights that are there; `both` where a recording has classes."""
+    """What is trained: `classes` adds classes to existing weights; `both` needs recordings with labels."""

@@ -1,4 +1,4 @@
-"""The shape of a track: boundary points in the body's frame, each as often occupied as it has been of late."""
+"""The shape of a track: boundary points in the body frame, each with its recent rate of occupancy."""
 
 from __future__ import annotations
 
@@ -15,24 +15,24 @@ from gridtrack.trackers.model_free.arrays import Array
 from gridtrack.trackers.model_free.ragged import split
 
 MAX_POINTS = 256
-"""The most boundary points that a track carries; the weakest go first."""
+"""Maximum number of boundary points; those of the smallest weight are removed first."""
 ESTABLISHED_FRAMES = 8
-"""For as many frames a boundary point must have been there to be of the body, and not the trail of what leaves it."""
-HIDDEN_FADES = 0.1
-"""A boundary point whose place is hidden fades at this share of the speed of one that is seen not to be there."""
-REVEALED = 0.5
-"""How likely a boundary point is at first whose place was hidden before: it may always have been there."""
-FORGOTTEN = 0.6
-"""A boundary point that is less likely than a new one by this factor is dropped."""
+"""Age from which a boundary point belongs to the body, and not to the trail of an object that leaves it."""
+HIDDEN_DECAY = 0.1
+"""Decay rate of the weight of a hidden boundary point, relative to that of a point in view without a return."""
+REVEALED_WEIGHT = 0.5
+"""Initial weight of a boundary point whose place was hidden before: it may have existed all the time."""
+REMOVE_BELOW = 0.6
+"""A boundary point is removed below this multiple of the weight of a new point."""
 
 
 @dataclass(slots=True)
 class Shape:
-    """Boundary points `offsets` (N, 2) in the body's frame, metres, and `weights` (N,) in [0, 1].
+    """Boundary points `offsets` (N, 2) in the body frame, metres, and `weights` (N,) in [0, 1].
 
-    The weight of a point is the share of the frames of late in which a return was there. A point whose place is hidden
-    keeps it for longer: a vehicle's far side is remembered. `ages` (N,) say for how many frames each has been there; at
-    those that are `cut` (N,) the boundary may go on unseen; `frames` counts those that the shape was made from.
+    The weight of a point is the share of the recent frames in which it had a return. The weight of a hidden point
+    decays more slowly: the far side of a vehicle is remembered. `ages` (N,) are in frames; at points that are `cut`
+    off (N,) an occluder may hide the continuation of the boundary; `frames` is the number of frames in the shape.
     """
 
     offsets: Array
@@ -43,31 +43,29 @@ class Shape:
 
     @classmethod
     def of(cls, offsets: Array, cut: Mask, apart_m: float) -> Shape:
-        """The shape that one frame's points make, as points that are at least `apart_m` from each other.
-
-        It is `cut` off (N,) at some of them.
-        """
+        """The shape of the points of one frame, thinned to a spacing of `apart_m`; some are `cut` off (N,)."""
         shape = cls(np.empty((0, 2)), np.empty(0), np.empty(0, np.int64), np.empty(0, np.bool_))
         revealed = np.zeros(len(offsets), np.bool_)
-        shape.absorb(offsets, cut, revealed, np.empty(0, np.bool_), apart_m, gain=0.0)
+        shape.update(offsets, cut, revealed, np.empty(0, np.bool_), apart_m, gain=0.0)
         return shape
 
-    def absorb(self, found: Array, found_cut: Mask, revealed: Mask, in_view: Mask, apart_m: float, gain: float) -> None:
-        """Take in one frame's points `found` (K, 2), body's frame, and at which of them it is cut off (K,).
+    def update(self, found: Array, found_cut: Mask, revealed: Mask, in_view: Mask, apart_m: float, gain: float) -> None:
+        """Update with the points `found` (K, 2) in one frame, body frame, of which some are cut off (K,).
 
-        A boundary point within `apart_m` of one is met and gains the share `gain`; one that is not met loses it, slowly
-        if it is not `in_view` (N,); a point that meets none is a new one, which had been seen not to be there unless
-        its place is `revealed` (K,) now. The first frames count alike.
+        A boundary point within `apart_m` of a found point is matched: its weight approaches 1 by the share `gain`; that
+        of an unmatched point approaches 0, slowly where it is not `in_view` (N,). A found point without a match is a
+        new boundary point, of weight 0 before this frame unless its place is `revealed` (K,). The first frames of a
+        shape have equal weight.
         """
         gain = max(gain, 1.0 / (self.frames + 1))
-        self.offsets, self.weights, self.ages, self.cut = _absorb(
+        self.offsets, self.weights, self.ages, self.cut = _update(
             *(self.offsets, self.weights, self.ages, self.cut),
             *(found, found_cut, revealed, in_view, apart_m, gain),
         )
         self.frames += 1
 
     def extend(self, other: Shape, offsets: Array) -> None:
-        """Add the boundary points of another shape, which lie at `offsets` (K, 2) in this body's frame."""
+        """Add the boundary points of another shape, at `offsets` (K, 2) in this body frame."""
         weights = np.concatenate([self.weights, other.weights])
         strongest = np.argsort(-weights, kind="stable")[:MAX_POINTS]
         self.offsets = np.concatenate([self.offsets, offsets])[strongest]
@@ -76,23 +74,23 @@ class Shape:
 
     @property
     def established(self) -> Mask:
-        """Which points (N,) have been there for long, or in a young shape from the start."""
+        """Which points (N,) have the age ESTABLISHED_FRAMES, or in a younger shape the age of the oldest."""
         return np.asarray(self.ages >= min(ESTABLISHED_FRAMES, self.ages.max()))
 
     @property
     def extent_m(self) -> float:
-        """The longer side of the points' bounding box in the body's frame."""
+        """The longer side of the bounding box of the points in the body frame, metres."""
         return float(np.ptp(self.offsets, axis=0).max())
 
 
 def to_body(points: Array, pose: Array) -> Array:
-    """Points (N, 2) of the grid frame in the frame of a body at `pose` (3,); or (N, 3), each in that of its own."""
+    """Points (N, 2), grid frame, in the frame of a body at `pose` (3,), or of one body for each point (N, 3)."""
     (x, y), (cosine, sine) = (points - pose[..., :2]).T, (np.cos(pose[..., 2]), np.sin(pose[..., 2]))
     return np.stack([cosine * x + sine * y, cosine * y - sine * x], axis=1)
 
 
 def to_grid(points: Array, pose: Array) -> Array:
-    """The way back from `to_body`."""
+    """The inverse of `to_body`."""
     (x, y), (cosine, sine) = points.T, (np.cos(pose[..., 2]), np.sin(pose[..., 2]))
     return np.asarray(pose[..., :2] + np.stack([cosine * x - sine * y, sine * x + cosine * y], axis=1))
 
@@ -104,7 +102,7 @@ def rotation(angle: float) -> Array:
 
 
 def in_view(boundaries: Sequence[Array], grid: GridSpec, visible: Mask) -> list[Mask]:
-    """Which points of each boundary (N, 2), metres, grid frame, lie in a visible cell; none does outside the grid."""
+    """Which points of each boundary (N, 2), metres, grid frame, lie in a visible cell; none outside the grid."""
     if not boundaries:
         return []
     cells, inside = grid.cells_of(np.concatenate(boundaries))
@@ -114,8 +112,8 @@ def in_view(boundaries: Sequence[Array], grid: GridSpec, visible: Mask) -> list[
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _absorb(offsets, weights, ages, cut, found, found_cut, revealed, in_view, apart_m, gain):  # type: ignore
-    """Boundary points (N', 2), weights, ages and whether cut off (N',) after one frame; see `Shape.absorb`."""
+def _update(offsets, weights, ages, cut, found, found_cut, revealed, in_view, apart_m, gain):  # type: ignore
+    """Boundary points (N', 2), weights, ages and whether cut off (N',) after one frame; see `Shape.update`."""
     known = len(offsets)
     total = known
     points, likely = np.empty((known + len(found), 2)), np.zeros(known + len(found))
@@ -130,7 +128,7 @@ def _absorb(offsets, weights, ages, cut, found, found_cut, revealed, in_view, ap
                 nearest, distance = j, dx * dx + dy * dy
         if nearest < 0:
             points[total] = found[k]
-            likely[total] = REVEALED if revealed[k] else 0.0
+            likely[total] = REVEALED_WEIGHT if revealed[k] else 0.0
             met[total], ends[total] = True, found_cut[k]
             total += 1
         else:
@@ -140,8 +138,8 @@ def _absorb(offsets, weights, ages, cut, found, found_cut, revealed, in_view, ap
         if met[j]:
             likely[j] += gain * (1.0 - likely[j])
         else:
-            likely[j] -= gain * likely[j] * (1.0 if in_view[j] else HIDDEN_FADES)
-    kept = np.flatnonzero(likely[:total] > FORGOTTEN * gain)
+            likely[j] -= gain * likely[j] * (1.0 if in_view[j] else HIDDEN_DECAY)
+    kept = np.flatnonzero(likely[:total] > REMOVE_BELOW * gain)
     if len(kept) > MAX_POINTS:
         kept = np.sort(kept[np.argsort(likely[kept])[-MAX_POINTS:]])
     older = np.ones(total, np.int64)

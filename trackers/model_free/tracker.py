@@ -15,12 +15,11 @@ from gridtrack.trackers.contract import FitOutput, Forecast, FrameSource, Score,
 from gridtrack.trackers.model_free.arrays import Array
 from gridtrack.trackers.model_free.background import BackgroundMap, uninformed_map
 from gridtrack.trackers.model_free.calibration import Calibration
-from gridtrack.trackers.model_free.classes import ClassFilter, ClassModel
-from gridtrack.trackers.model_free.classes import compile_ahead as compile_classes
+from gridtrack.trackers.model_free.classes import ClassFilter, ClassModel, compile_densities
 from gridtrack.trackers.model_free.forecast import objects
 from gridtrack.trackers.model_free.motion.estimator import MotionEstimator
 from gridtrack.trackers.model_free.motion.parameters import MotionModel
-from gridtrack.trackers.model_free.pipeline import Pipeline, compile_ahead
+from gridtrack.trackers.model_free.pipeline import Pipeline, compile_pipeline
 from gridtrack.trackers.model_free.residence import table_shape
 from gridtrack.trackers.model_free.settings import ModelFreeSettings, PipelineSettings
 from gridtrack.trackers.model_free.tracks import Track
@@ -28,21 +27,21 @@ from gridtrack.trackers.weights import array, load_weights, probabilities, tuned
 
 
 class ModelFreeTracker(Tracker):
-    """Clusters before a fitted background, the motion of each estimated for itself.
+    """Tracks of clusters against a fitted background, with one motion estimator each.
 
-    Its weights are the background map, the life table of returns, the calibration of its probabilities and the tuned
-    settings; an option that is given goes before the tuned one. Where they name classes, also a model of what tracks of
-    each class look like. The forecast's `objects` are the confirmed tracks.
+    The weights are the background map, the life table of returns, the calibration of the probabilities, the tuned
+    settings (a given option has precedence) and, where they have classes, a model of the features of each class. The
+    `objects` of a forecast are the confirmed tracks.
     """
 
     Options: ClassVar[type[Settings]] = ModelFreeSettings
     learns: ClassVar[bool] = True
     name: ClassVar[str]
-    """What it is registered as."""
+    """Its registered name."""
     estimator: ClassVar[staticmethod[[Array, Array, MotionModel], MotionEstimator]]
-    """What estimates the motion of a track; the only thing in which the subclasses differ."""
+    """Makes the motion estimator of a track: the only difference between the subclasses."""
     pipeline: ClassVar[type[Pipeline]] = Pipeline
-    """The stages; a subclass may replace one of them, to measure what it contributes."""
+    """The stages; a study may replace one of them in a subclass, to measure its contribution."""
 
     def __init__(self, stream: StreamSpec, options: PipelineSettings) -> None:
         """Raises WeightsError without a fitted background for the stream's site, grid and period."""
@@ -58,14 +57,14 @@ class ModelFreeTracker(Tracker):
         self._model = ClassModel.of(weights, stream.grid) if self.classes else None
         if self._settings.background == "none":
             self._background = uninformed_map(self._background)
-            self._model = self._model and self._model.of_unknown_place()
-        compile_ahead(stream.period_s, self._residence, self._settings, type(self).estimator)
+            self._model = self._model and self._model.without_site()
+        compile_pipeline(stream.period_s, self._residence, self._settings, type(self).estimator)
         if self._model is not None:
-            compile_classes(self._model)
+            compile_densities(self._model)
         self.reset(seed=0)
 
     def reset(self, seed: int) -> None:
-        """Forget every track and its class; nothing here is random."""
+        """Delete every track and its class evidence; the pipeline has no randomness."""
         kind, stream = type(self), self.stream
         self._pipeline = kind.pipeline(
             stream.grid, stream.period_s, self._background, self._residence, self._settings, kind.estimator
@@ -73,19 +72,19 @@ class ModelFreeTracker(Tracker):
         self._filter = None if self._model is None else ClassFilter(self._model, stream.grid)
 
     def update(self, frame: GridFrame) -> None:
-        """Take in x_t."""
+        """Update the state with frame x_t."""
         self._pipeline.update(frame)
         if self._filter is not None:
             self._filter.observe(self.tracks, frame)
 
     @property
     def tracks(self) -> Sequence[Track]:
-        """The tracks as they stand."""
+        """The tracks after the last update."""
         return self._pipeline.tracks
 
     @property
     def hidden_s(self) -> NDArray[np.float32]:
-        """How long ago each cell (M, M) was seen, seconds."""
+        """Time since each cell (M, M) was last seen, seconds; infinite if never."""
         return self._pipeline.background.hidden_s
 
     def predict(self, steps: int) -> Forecast:
@@ -103,13 +102,13 @@ class ModelFreeTracker(Tracker):
         return objects(self.tracks, self.stream.grid.cell_m)
 
     def _calibrated(self, occupancy: NDArray[np.float32]) -> NDArray[np.float32]:
-        """The pipeline's forecast (n+1, M, M), calibrated in place."""
+        """The forecast of the pipeline (n+1, M, M), calibrated in place."""
         self._calibration.apply(occupancy, self.hidden_s)
         return occupancy
 
     @property
     def recoveries(self) -> int:
-        """How often an estimator had to begin anew since `reset`."""
+        """How often an estimator was re-initialised after a numerical failure since `reset`."""
         return self._pipeline.restarts
 
     @classmethod
@@ -121,15 +120,15 @@ class ModelFreeTracker(Tracker):
         out: FitOutput,
         options: Any,
     ) -> None:
-        """Fit the background map to `train`, tune the settings on it, and report the score on `validation`.
+        """Fit the background map and tune the settings on `train`, and report the score on `validation`.
 
-        Then, where `train` has classes, learn what tracks of each look like from a few labelled scans.
+        Where `train` has classes, then fit the features of the tracks of each class to a few labelled scans.
         """
-        from gridtrack.trackers.model_free.class_training import add_classes, draw_scans
+        from gridtrack.trackers.model_free.class_training import draw_scans, fit_classes
         from gridtrack.trackers.model_free.tuning import fit_pipeline
 
         stretch = draw_scans(train, out, options)
         if options.stage != "classes":
             fit_pipeline(cls, train, validation, score, out, options)
         if stretch is not None:
-            add_classes(cls, stretch, train, validation, out, options)
+            fit_classes(cls, stretch, train, validation, out, options)

@@ -1,4 +1,4 @@
-"""The life of a track: born tentative, confirmed by what it explains, coasting while unseen, dead when disproved."""
+"""Tracks: their state, shape and existence; tentative at first, confirmed by detections, coasting while unobserved."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from gridtrack.trackers.model_free.motion.regimes import SwitchingEstimator
 from gridtrack.trackers.model_free.ragged import bounds_of, owners_of, split
 from gridtrack.trackers.model_free.shape import Shape, to_grid
 
-NOWHERE = np.empty(0), np.empty(0), np.empty((0, 2))
-"""A boundary that has not been placed."""
+NOT_PLACED = np.empty(0), np.empty(0), np.empty((0, 2))
+"""The cached boundary of a track whose boundary has not been computed."""
 
 
 class Status(Enum):
-    """Where a track stands in its life."""
+    """The state of a track in its management."""
 
     TENTATIVE = "tentative"
     CONFIRMED = "confirmed"
@@ -28,25 +28,25 @@ class Status(Enum):
 
 @dataclass(slots=True, eq=False)
 class Track:
-    """One object followed over time; `existence` is the probability that there is one."""
+    """One object followed over time; `existence` is the probability that there is an object."""
 
     identity: int
     estimator: SwitchingEstimator
     shape: Shape
     returns: Array
-    """Its newest returns (N, 2), metres, grid frame, seen `unseen` periods ago."""
+    """Its newest returns (N, 2), metres, grid frame, observed `unseen` periods ago."""
     ages: NDArray[np.int64]
-    """For how many periods each return (N,) had then been in place."""
+    """For how many periods each return (N,) had been in place at that time."""
     existence: float
     confirmed: bool = False
     unseen: int = 0
-    """Periods since returns were last given to it."""
-    standing: int = 0
-    """Periods in a row in which its velocity could not be told from zero."""
-    before: Array = field(init=False)
-    """Its pose (3,) a frame ago."""
-    _placed: tuple[Array, Array, Array] = NOWHERE
-    """The state and the shape's points that the boundary was placed for, and the boundary."""
+    """Periods since returns were last assigned to it."""
+    stopped: int = 0
+    """Consecutive periods in which its velocity did not differ significantly from zero."""
+    previous_pose: Array = field(init=False)
+    """Its pose (3,) at the previous frame."""
+    _placed: tuple[Array, Array, Array] = NOT_PLACED
+    """Cache: the state and the offsets for which the boundary was computed, and the boundary."""
 
     @property
     def pose(self) -> Array:
@@ -60,7 +60,7 @@ class Track:
 
     @property
     def status(self) -> Status:
-        """Where it stands in its life."""
+        """Tentative, confirmed or coasting."""
         if not self.confirmed:
             return Status.TENTATIVE
         return Status.COASTING if self.unseen else Status.CONFIRMED
@@ -72,7 +72,7 @@ def poses_of(tracks: Sequence[Track]) -> Array:
 
 
 def boundaries_of(tracks: Sequence[Track]) -> list[Array]:
-    """The boundary points (N, 2) of each track, metres, grid frame; kept until its pose or shape change."""
+    """The boundary points (N, 2) of each track, metres, grid frame; cached until its pose or shape changes."""
     moved = [
         track
         for track in tracks
@@ -93,8 +93,8 @@ def existence_when_detected(existence: float, detection_probability: float, clut
 
 
 def existence_when_missed(existence: float, detection_probability: float) -> float:
-    """Bayes' rule for the existence probability after no detection.
+    """Bayes' rule for the existence probability after a missed detection.
 
-    `detection_probability` is that of an object which is there: 0 where it would be hidden, and the miss says nothing.
+    `detection_probability` is that of an existing object: 0 where it would be hidden, and a miss is uninformative.
     """
     return existence * (1.0 - detection_probability) / (1.0 - existence * detection_probability)

@@ -1,4 +1,4 @@
-"""Tuning: background and life table counted on the training recordings, the settings searched, then calibration."""
+"""Training of occupancy: background and life table are counted, settings searched, probabilities calibrated."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from gridtrack.trackers.model_free.background import fit_background
 from gridtrack.trackers.model_free.calibration import IDENTITY, fit_calibration
 from gridtrack.trackers.model_free.residence import fit_residence, table_shape
 from gridtrack.trackers.model_free.settings import PipelineSettings
-from gridtrack.trackers.tuning import HeldSource, Measure, search, step_of, summary
+from gridtrack.trackers.tuning import CachedSource, Objective, search_settings, step_of, stretch_summary
 from gridtrack.trackers.weights import card_for, save_weights
 
 if TYPE_CHECKING:
     from gridtrack.trackers.model_free.tracker import ModelFreeTracker
 
-TRIALS = 40
-STARTS = (
+SEARCH_ITERATIONS = 40
+STARTING_SETTINGS = (
     PipelineSettings(),
     PipelineSettings(
         untracked_share=0.541,
@@ -52,14 +52,14 @@ STARTS = (
         return_noise_m=0.182,
     ),
 )
-"""What a search begins from: people in a hall before an indoor laser, and the traffic of a street before a fast one."""
+"""Start of the search: pedestrians and an indoor laser; the traffic of a street and a fast laser."""
 EXCERPTS, EXCERPT_S = 2, 100.0
-"""The search runs over as many excerpts of a longer recording, each longer than a signal cycle."""
-HORIZONS_S = (0.5, 1.0, 2.0)
-STRATA = ("moving", "visible")
-"""What is tuned for: the mean F1 over these. In a minute or two, what waits at a red light counts as static, and is
-scored among the visible cells alone."""
-RANGES = {
+"""Number and duration of the excerpts of a long recording for the search; each is longer than a signal cycle."""
+OBJECTIVE_HORIZONS_S = (0.5, 1.0, 2.0)
+OBJECTIVE_STRATA = ("moving", "visible")
+"""The objective is the mean F1 over these. Vehicles that wait at a red light are static in a stretch of one or two
+minutes, and are scored among the visible cells only."""
+SETTING_RANGES = {
     "untracked_share": (0.02, 1.0),
     "rate_recovery_s": (0.3, 10.0),
     "static_above": (0.1, 0.8),
@@ -86,11 +86,11 @@ RANGES = {
     "residence_speed": (0.2, 20.0),
     "return_noise_m": (0.02, 0.2),
 }
-"""Settings that are tuned, each from its range, log-uniformly."""
+"""Ranges of the tuned settings, searched log-uniformly."""
 
 
 def excerpts(sources: Sequence[FrameSource]) -> list[FrameSource]:
-    """What the search runs over: the sources, and of a long one EXCERPTS of EXCERPT_S, evenly spread over it."""
+    """The sources for the search; a long one is replaced by EXCERPTS of EXCERPT_S, evenly distributed over it."""
     chosen: list[FrameSource] = []
     for source in sources:
         count = round(EXCERPT_S / source.period_s)
@@ -98,7 +98,7 @@ def excerpts(sources: Sequence[FrameSource]) -> list[FrameSource]:
             chosen.append(source)
         else:
             firsts = (round((2 * n + 1) * len(source) / (2 * EXCERPTS)) - count // 2 for n in range(EXCERPTS))
-            chosen += [HeldSource.excerpt(source, first, count) for first in firsts]
+            chosen += [CachedSource.excerpt(source, first, count) for first in firsts]
     return chosen
 
 
@@ -110,11 +110,10 @@ def fit_pipeline(
     out: FitOutput,
     options: PipelineSettings,
 ) -> None:
-    """Write to `out.path` the arrays that are counted, and the settings with the best F1 on excerpts of `train`.
+    """Write the counted arrays, and the settings with the best F1 on excerpts of `train`, to `out.path`.
 
-    A setting given in `options` stays as given. What is then forecast is calibrated on the same excerpts. `validation`
-    is scored with the result, and reported only. Raises WeightsError where the recordings differ in grid, period or
-    site.
+    A setting in `options` is not searched. The forecast is calibrated on the same excerpts. `validation` is scored with
+    the result and reported only. Raises WeightsError where the recordings differ in grid, period or site.
     """
     name = tracker.name
     arrays = fit_arrays(train, options) | {"calibration": IDENTITY}
@@ -125,30 +124,32 @@ def fit_pipeline(
 
         def scores(settings: PipelineSettings, sources: Sequence[FrameSource]) -> list[StretchScore]:
             return [
-                score(tracker(stream_of(source, draft), settings), source, step_of(source, max(HORIZONS_S)))
+                score(tracker(stream_of(source, draft), settings), source, step_of(source, max(OBJECTIVE_HORIZONS_S)))
                 for source in sources
             ]
 
         def calibrated(settings: PipelineSettings) -> NDArray[np.float32]:
             trackers = [(tracker(stream_of(source, draft), settings), list(source)) for source in searched]
-            found = fit_calibration(trackers, step_of(searched[0], max(HORIZONS_S)))
-            for kind, (a, b, c) in zip(("cells seen of late", "other cells"), found.tolist(), strict=True):
+            found = fit_calibration(trackers, step_of(searched[0], max(OBJECTIVE_HORIZONS_S)))
+            for kind, (a, b, c) in zip(("cells seen recently", "other cells"), found.tolist(), strict=True):
                 out.report(f"calibration, {kind}: logit = {c:.3f} + {a:.3f} ln p - {b:.3f} ln(1 - p)")
             return found
 
-        def goodness(settings: PipelineSettings) -> float:
+        def mean_f1(settings: PipelineSettings) -> float:
             found = zip(scores(settings, searched), searched, strict=True)
             return float(np.mean([_f1(one, source) for one, source in found]))
 
         given = options.model_dump(include=set(PipelineSettings.model_fields), exclude_unset=True)
-        settings = search(
-            PipelineSettings, RANGES, Measure("mean F1", "maximize", goodness), STARTS, given, TRIALS, out
+        objective = Objective("mean F1", "maximize", mean_f1)
+        settings = search_settings(
+            PipelineSettings, SETTING_RANGES, objective, STARTING_SETTINGS, given, SEARCH_ITERATIONS, out
         )
         arrays["calibration"] = calibrated(settings)
         save_weights(draft, card_for(name, out, train, validation, {}), arrays)
         results: dict[str, Any] = {
             stretch: [
-                summary(s, source, HORIZONS_S) for s, source in zip(scores(settings, sources), sources, strict=True)
+                stretch_summary(s, source, OBJECTIVE_HORIZONS_S)
+                for s, source in zip(scores(settings, sources), sources, strict=True)
             ]
             for stretch, sources in (("train", searched), ("validation", validation))
         }
@@ -158,14 +159,14 @@ def fit_pipeline(
 
 
 def _without_classes(train: Sequence[FrameSource]) -> str:
-    """What the card says of classes until they are added."""
+    """The entry for classes in the card of a training without them."""
     if any(source.classes for source in train):
         return "none yet: add them with stage=classes"
     return f"none: {', '.join(source.name for source in train)} has no labels"
 
 
 def fit_arrays(train: Sequence[FrameSource], options: PipelineSettings) -> dict[str, NDArray[np.float32]]:
-    """What is counted and not tuned: the background map, and the life table of the returns in front of it."""
+    """The counted arrays: the background map, and the life table of the returns in open cells."""
     background = fit_background((frame for source in train for frame in source), train[0].grid.shape)
     open_cells = background.neighbourhood_rate < options.explained_above
     residence = fit_residence(train, open_cells, table_shape(train[0].period_s))
@@ -173,6 +174,6 @@ def fit_arrays(train: Sequence[FrameSource], options: PipelineSettings) -> dict[
 
 
 def _f1(score: StretchScore, source: FrameSource) -> float:
-    """Mean F1 over HORIZONS_S and STRATA."""
-    steps = [step_of(source, horizon) for horizon in HORIZONS_S]
-    return float(np.mean([score.f1[stratum][steps] for stratum in STRATA]))
+    """Mean F1 over OBJECTIVE_HORIZONS_S and OBJECTIVE_STRATA."""
+    steps = [step_of(source, horizon) for horizon in OBJECTIVE_HORIZONS_S]
+    return float(np.mean([score.f1[stratum][steps] for stratum in OBJECTIVE_STRATA]))

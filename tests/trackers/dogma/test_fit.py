@@ -12,7 +12,7 @@ from gridtrack.trackers.contract import FitOutput, StreamSpec, StretchScore
 from gridtrack.trackers.dogma import tuning
 from gridtrack.trackers.dogma.settings import DogmaSettings
 from gridtrack.trackers.dogma.tracker import DogmaTracker
-from gridtrack.trackers.tuning import HeldSource
+from gridtrack.trackers.tuning import CachedSource
 from gridtrack.trackers.weights import load_weights, read_card
 
 GRID = GridSpec(3, 0.2)
@@ -48,15 +48,15 @@ def test_the_map_is_each_cells_share_shrunk_to_the_base_rate() -> None:
 
 
 def test_the_beginning_of_a_source_is_held_frame_for_frame() -> None:
-    held = HeldSource.beginning(Source(), 1.0)
+    held = CachedSource.beginning(Source(), 1.0)
     assert len(held) == 8
     stamps = [frame.stamp_ns for frame in held]
     assert stamps == [frame.stamp_ns for frame in held] == [step * 125_000_000 for step in range(8)]
-    assert len(HeldSource.beginning(Source(), 100.0)) == 40
+    assert len(CachedSource.beginning(Source(), 100.0)) == 40
 
 
 def test_fit_finds_the_settings_that_score_best_and_keeps_those_that_were_given(tmp_path, monkeypatch) -> None:
-    monkeypatch.setattr(tuning, "TRIALS", 12)
+    monkeypatch.setattr(tuning, "DOGMA_ITERATIONS", 12)
     asked = []
 
     def score(tracker, source, steps):

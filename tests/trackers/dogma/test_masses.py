@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gridtrack.trackers.dogma.masses import Masses, combined, measured, newborn, predicted_free
+from gridtrack.trackers.dogma.masses import Masses, combined, measured_masses, newborn_mass, predicted_free
 
 
 def cell(value: float) -> np.ndarray:
@@ -16,7 +16,7 @@ def cell(value: float) -> np.ndarray:
 
 def test_a_return_is_evidence_of_occupied_a_crossed_cell_of_free_and_a_hidden_one_of_nothing() -> None:
     visible, occupied = np.array([[True, True, False]]), np.array([[True, False, False]])
-    evidence = measured(visible, occupied, when_hit=0.9, when_crossed=0.7)
+    evidence = measured_masses(visible, occupied, occupied_mass=0.9, free_mass=0.7)
     assert evidence.occupied.tolist() == [[pytest.approx(0.9), 0.0, 0.0]]
     assert evidence.free.tolist() == [[0.0, pytest.approx(0.7), 0.0]]
 
@@ -43,11 +43,11 @@ def test_without_unknown_mass_the_rule_is_that_of_bayes() -> None:
 
 def test_birth_takes_its_share_of_one_cell_by_hand() -> None:
     # rho_b = 0.9 * 0.02 * 0.6 / (0.4 + 0.02 * 0.6)
-    assert newborn(cell(0.9), cell(0.4), 0.02)[0, 0] == pytest.approx(0.9 * 0.012 / 0.412, rel=1e-6)
+    assert newborn_mass(cell(0.9), cell(0.4), 0.02)[0, 0] == pytest.approx(0.9 * 0.012 / 0.412, rel=1e-6)
 
 
 def test_where_nothing_was_expected_all_that_is_there_is_newborn() -> None:
-    assert newborn(cell(0.9), cell(0.0), 0.02) == cell(0.9)
+    assert newborn_mass(cell(0.9), cell(0.0), 0.02) == cell(0.9)
 
 
 def test_free_mass_fades_and_makes_way_for_what_moves_in() -> None:
@@ -66,5 +66,5 @@ def test_masses_stay_masses(occupied: float, free: float, hit: float, crossed: f
         assert found.occupied >= 0.0
         assert found.free >= 0.0
         assert found.occupied + found.free <= 1.0 + 1e-6
-        born = newborn(found.occupied, prior.occupied, 0.02)
+        born = newborn_mass(found.occupied, prior.occupied, 0.02)
         assert 0.0 <= born <= found.occupied * (1 + 1e-6) + 1e-30

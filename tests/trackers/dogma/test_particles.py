@@ -10,12 +10,12 @@ from gridtrack.trackers.dogma.particles import (
     Motion,
     Particles,
     Returns,
-    advance,
-    resample,
+    predict_particles,
+    resample_particles,
     sort_by_cell,
-    weigh,
+    weight_particles,
 )
-from gridtrack.trackers.dogma.random_numbers import NORMAL, after, hashed, stream, uniform
+from gridtrack.trackers.dogma.random_numbers import NORMAL, hashed, next_counter, random_stream, uniform
 
 SIZE = 5
 STILL = Motion(*map(np.float32, (1.0, 0.0, 0.0, 0.0, 0.0, 0.1)))
@@ -36,7 +36,7 @@ def copied(particles: Particles) -> Particles:
 def sorted_by_cell(particles: Particles, motion: Motion = STILL) -> tuple[Particles, np.ndarray]:
     count = particles.x.size
     cells, starts, out = np.empty(count, np.int32), np.empty(SIZE * SIZE + 2, np.int32), Particles.empty(count)
-    advance(particles, count, SIZE, motion, stream(1, 1), cells, starts)
+    predict_particles(particles, count, SIZE, motion, random_stream(1, 1), cells, starts)
     sort_by_cell(particles, count, cells, starts, out)
     return out, starts
 
@@ -50,8 +50,10 @@ def cell_of(particles: Particles) -> np.ndarray:
 def resampled(particles: Particles, starts, persistent, born, returns=NOWHERE, wanted=1000, number=3):
     weights, out = np.empty(particles.x.size, np.float32), Particles.empty(wanted)
     persisted = np.empty((SIZE * SIZE, 2), np.int32)
-    weigh(particles, starts, persistent, returns, weights)
-    filled = resample(particles, starts, weights, born, returns, BIRTH, stream(1, number), out, persisted)
+    weight_particles(particles, starts, persistent, returns, weights)
+    filled = resample_particles(
+        particles, starts, weights, born, returns, BIRTH, random_stream(1, number), out, persisted
+    )
     return out, persisted, filled, weights
 
 
@@ -78,7 +80,7 @@ def test_process_noise_has_the_stated_moments() -> None:
     particles = Particles(zeros + 2, zeros + 2, zeros + 1, zeros.copy())
     motion = Motion(*map(np.float32, (1.0, 0.3, 0.5, 0.0, 0.0, 0.1)))
     cells, starts = np.empty(count, np.int32), np.empty(SIZE * SIZE + 2, np.int32)
-    advance(particles, count, SIZE, motion, stream(5, 1), cells, starts)
+    predict_particles(particles, count, SIZE, motion, random_stream(5, 1), cells, starts)
     assert particles.vx.mean() == pytest.approx(1.0, abs=0.005)
     assert particles.vx.std() == pytest.approx(0.5, rel=0.01)
     assert particles.x.mean() == pytest.approx(3.0, abs=0.005)
@@ -90,10 +92,10 @@ def test_what_rests_stays_until_it_starts_and_what_creeps_may_stop() -> None:
     count, zeros = 100_000, np.zeros(100_000, np.float32)
     cells, starts = np.empty(count, np.int32), np.empty(SIZE * SIZE + 2, np.int32)
     resting = Particles(*(zeros + 2 for _ in range(2)), zeros.copy(), zeros.copy())
-    advance(resting, count, SIZE, STILL._replace(start=np.float32(0.2)), stream(5, 1), cells, starts)
+    predict_particles(resting, count, SIZE, STILL._replace(start=np.float32(0.2)), random_stream(5, 1), cells, starts)
     assert ((resting.vx != 0) | (resting.vy != 0)).mean() == pytest.approx(0.2, abs=0.005)
     creeping = Particles(zeros + 2, zeros + 2, np.where(np.arange(count) < count // 2, 0.05, 1.0).astype("f4"), zeros)
-    advance(creeping, count, SIZE, STILL._replace(stop=np.float32(0.3)), stream(5, 1), cells, starts)
+    predict_particles(creeping, count, SIZE, STILL._replace(stop=np.float32(0.3)), random_stream(5, 1), cells, starts)
     stopped = creeping.vx == 0
     assert stopped[: count // 2].mean() == pytest.approx(0.3, abs=0.01)
     assert not stopped[count // 2 :].any()
@@ -152,10 +154,10 @@ def test_nothing_to_draw_from_leaves_nothing() -> None:
 
 def test_random_numbers_are_splitmix64_and_normal() -> None:
     # the first two outputs of SplitMix64 from state 0, as published with the algorithm
-    first = np.uint64(after(np.uint64(0)))
+    first = np.uint64(next_counter(np.uint64(0)))
     assert hashed(first) == 0xE220A8397B1DCDAF
-    assert hashed(np.uint64(after(first))) == 0x6E789E6AA1B965F4
+    assert hashed(np.uint64(next_counter(first))) == 0x6E789E6AA1B965F4
     assert 0.0 <= uniform(np.uint64(hashed(first))) < 1.0
     assert NORMAL.mean() == pytest.approx(0.0, abs=1e-6)
     assert NORMAL.std() == pytest.approx(1.0, abs=0.002)
-    assert stream(1, 2) != stream(2, 1)
+    assert random_stream(1, 2) != random_stream(2, 1)

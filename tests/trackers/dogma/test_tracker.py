@@ -264,7 +264,14 @@ from gridtrack.trackers.dogma.tracker import DogmaTracker
 from gridtrack.trackers.dogma.settings import DogmaSettings
 from pathlib import Path
 
-KERNELS = (particles.advance, particles.sort_by_cell, particles.weigh, particles.resample, forecast.carry, moments.fill)
+KERNELS = (
+    particles.predict_particles,
+    particles.sort_by_cell,
+    particles.weight_particles,
+    particles.resample_particles,
+    forecast.count_particles,
+    moments.compute_moments,
+)
 
 def compiled():
     return [len(kernel.signatures) for kernel in KERNELS]

@@ -43,7 +43,7 @@ def fit(folder, tracker=KalmanTracker, street=None, **options):
 @pytest.fixture(scope="module", autouse=True)
 def one_trial():
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(tuning, "TRIALS", 1)
+        patch.setattr(tuning, "SEARCH_ITERATIONS", 1)
         yield
 
 
@@ -75,7 +75,7 @@ STARTED_AND_FED = """
 import sys
 from pathlib import Path
 from gridtrack.trackers.contract import stream_of
-from gridtrack.trackers.model_free import classes, rasterise
+from gridtrack.trackers.model_free import classes, rasterise, semantics
 from gridtrack.trackers.model_free.kalman import KalmanTracker
 from gridtrack.trackers.model_free.settings import ModelFreeSettings
 
@@ -83,7 +83,7 @@ sys.path.append(sys.argv[1])
 from scenes.street import Street
 
 def compiled():
-    kernels = rasterise.draw_tracks, classes._features, classes._log_densities, classes._normalise
+    kernels = rasterise.draw_tracks, classes._features, classes._log_densities, semantics._normalise
     return [len(kernel.signatures) for kernel in kernels]
 
 tracker = KalmanTracker(stream_of(Street(), Path(sys.argv[2])), ModelFreeSettings())

@@ -12,16 +12,10 @@ pytest.importorskip("filterpy")
 pytest.importorskip("sklearn")
 from scipy.stats import multivariate_normal
 
-from gridtrack.trackers.model_free.class_training import Tracked, fit_mixtures, log_loss, place_classes
-from gridtrack.trackers.model_free.classes import (
-    FEATURES,
-    ClassFilter,
-    attribute,
-    features_of,
-    normalise,
-    weight_by_cell_prior,
-)
+from gridtrack.trackers.model_free.class_training import TrackSamples, cell_log_loss, cell_prior_of, fit_mixtures
+from gridtrack.trackers.model_free.classes import FEATURES, ClassFilter, features_of
 from gridtrack.trackers.model_free.rasterise import draw_track
+from gridtrack.trackers.model_free.semantics import attribute, normalise, weight_by_cell_prior
 
 from scenes.street import CAR, GRID, PEDESTRIAN, box, frame_of, legs
 
@@ -35,7 +29,7 @@ def track_of(points, velocity, identity=0, unseen=0):
 
 
 def some_people_and_cars(seed=0, count=80):
-    """Tracked: each track one frame, cars as long as cars, people as people are, where and as fast as they may be."""
+    """One frame of each track: cars and pedestrians with random sizes, positions and speeds."""
     draw, rows, cells = np.random.default_rng(seed), [], []
     for number in range(2 * count):
         kind, heading, at = number % 2, draw.uniform(0, 2 * math.pi), draw.uniform((3.0, -4.0), (10.0, 4.0))
@@ -44,7 +38,7 @@ def some_people_and_cars(seed=0, count=80):
         velocity = speed * np.array([math.cos(heading), math.sin(heading)])
         rows.append(features_of([track_of(body, velocity)], frame_of([]))[0])
         cells.append([len(body), 0] if kind == PEDESTRIAN else [0, len(body)])
-    return Tracked(np.array(rows), np.arange(2 * count), np.array(cells), [np.array([0])] * 2 * count)
+    return TrackSamples(np.array(rows), np.arange(2 * count), np.array(cells), [np.array([0])] * 2 * count)
 
 
 def anywhere(kinds=2, grid=GRID):
@@ -122,17 +116,17 @@ def test_what_looks_alike_is_what_the_place_says_as_far_as_its_power_goes(model)
     place[:, :, :30], place[:, :, 30:] = [[[0.9]], [[0.1]]], [[[0.2]], [[0.8]]]
     left, right = track_of(legs((2.0, 0.0)), (0.0, 1.0)), track_of(legs((10.0, 0.0)), (0.0, 1.0))
     told = model._replace(powers=np.array([0.0, 1.0]), cell_prior=place)
-    log_place = told.log_place([left, right], GRID)
-    assert told.posteriors(np.zeros((2, 2)), log_place) == pytest.approx(np.array([[0.9, 0.1], [0.2, 0.8]]))
+    log_prior = told.log_prior([left, right], GRID)
+    assert told.posteriors(np.zeros((2, 2)), log_prior) == pytest.approx(np.array([[0.9, 0.1], [0.2, 0.8]]))
     untold = told._replace(powers=np.zeros(2))
-    assert untold.posteriors(np.zeros((2, 2)), log_place) == pytest.approx(np.tile(model.frequency, (2, 1)))
+    assert untold.posteriors(np.zeros((2, 2)), log_prior) == pytest.approx(np.tile(model.frequency, (2, 1)))
 
 
 def test_probabilities_hold_what_they_promise_on_tracks_not_learned_from(model):
     fresh = some_people_and_cars(seed=2, count=400)
     found = model.posteriors(model.log_densities(fresh.features), np.log(np.full((800, 2), 0.5)))
-    assert log_loss(found, fresh.cells) < 0.1
-    assert log_loss(found[:, ::-1], fresh.cells) > 1.0
+    assert cell_log_loss(found, fresh.cells) < 0.1
+    assert cell_log_loss(found[:, ::-1], fresh.cells) > 1.0
 
 
 def test_a_class_that_no_track_has_is_as_all_tracks_are():
@@ -144,7 +138,7 @@ def test_a_class_that_no_track_has_is_as_all_tracks_are():
 
 
 def test_a_mean_over_a_life_ends_with_the_track():
-    tracked = Tracked(np.zeros((5, 5)), np.array([0, 0, 1, 1, 1]), np.zeros((5, 2), np.int64), [])
+    tracked = TrackSamples(np.zeros((5, 5)), np.array([0, 0, 1, 1, 1]), np.zeros((5, 2), np.int64), [])
     values = np.array([[1.0], [3.0], [10.0], [20.0], [60.0]])
     assert tracked.mean_over_life(values).ravel().tolist() == [1.0, 2.0, 10.0, 15.0, 30.0]
 
@@ -156,7 +150,7 @@ def test_a_cells_own_returns_go_before_those_beside_it_and_these_before_the_rest
     count = np.zeros((2, 80, 80))
     count[0, 5:8, 5:8], count[1, 5, 6] = 30.0, 60.0
     count[1, 30:34, 30:34] = 50.0
-    place = place_classes(count, 0.2)
+    place = cell_prior_of(count, 0.2)
     assert place.sum(axis=0) == pytest.approx(np.ones((80, 80)))
     assert place.min() > 0.0
     assert place[1, 5, 6] == pytest.approx(2 / 3, abs=0.02)

@@ -61,7 +61,7 @@ class Source:
 
 
 def test_fit_finds_the_settings_that_score_best_and_keeps_those_that_were_given(tmp_path, monkeypatch):
-    monkeypatch.setattr(tuning, "TRIALS", 25)
+    monkeypatch.setattr(tuning, "SEARCH_ITERATIONS", 25)
     asked = []
 
     def score(tracker, source, steps):
@@ -78,7 +78,7 @@ def test_fit_finds_the_settings_that_score_best_and_keeps_those_that_were_given(
     one, two = (read_card(path) for path in paths)
     assert one == two
     assert all(settings.link_m == 0.77 for settings in asked)
-    assert asked[1].residence_speed == tuning.STARTS[1].residence_speed
+    assert asked[1].residence_speed == tuning.STARTING_SETTINGS[1].residence_speed
     losses = [abs(np.log(settings.acceleration / 0.3)) for settings in asked[:25]]
     assert one.settings["acceleration"] == asked[int(np.argmin(losses))].acceleration
     assert len(set(losses)) > 20
@@ -97,7 +97,7 @@ def test_a_stretch_on_which_nothing_can_be_scored_is_told_in_one_line(tmp_path):
         undefined = np.full(steps + 1, np.nan)
         return StretchScore({"moving": undefined, "visible": undefined}, {"moving": undefined, "visible": undefined})
 
-    with pytest.raises(RecordingError, match=r"mean F1 is not defined on what is trained on: .*name a longer stretch"):
+    with pytest.raises(RecordingError, match=r"F1 is not defined on the training recordings: .*use a longer stretch"):
         fit_hall(tmp_path, score, [])
     assert not (tmp_path / "hall.toml").exists()
 
@@ -114,5 +114,5 @@ def test_an_interrupted_search_tells_the_best_so_far(tmp_path, caplog):
 
     with pytest.raises(KeyboardInterrupt):
         fit_hall(tmp_path, score, told)
-    assert told[-1].startswith("interrupted; best of 3 trials, mean F1 0.50000: untracked_share=0.541,")
+    assert told[-1].startswith("interrupted; best of 3 search iterations, mean F1 0.50000: untracked_share=0.541,")
     assert not caplog.records

@@ -189,9 +189,9 @@ def test_a_boundary_point_is_cut_off_until_a_return_there_is_not():
     place = np.array([[0.0, 0.0]])
     shape = Shape.of(place, np.ones(1, bool), 0.1)
     assert shape.cut.tolist() == [True]
-    shape.absorb(place, np.ones(1, bool), nowhere(1), np.ones(1, bool), 0.1, gain=0.1)
+    shape.update(place, np.ones(1, bool), nowhere(1), np.ones(1, bool), 0.1, gain=0.1)
     assert shape.cut.tolist() == [True]
-    shape.absorb(np.repeat(place, 2, axis=0), np.array([True, False]), nowhere(2), np.ones(1, bool), 0.1, gain=0.1)
+    shape.update(np.repeat(place, 2, axis=0), np.array([True, False]), nowhere(2), np.ones(1, bool), 0.1, gain=0.1)
     assert shape.cut.tolist() == [False]
 
 
@@ -199,19 +199,19 @@ def test_a_shape_is_as_often_occupied_as_its_points_were_met():
     shape = Shape.of(np.array([[0.0, 0.0], [1.0, 0.0]]), nowhere(2), 0.1)
     for step in range(400):
         found = np.array([[0.0, 0.0]]) if step % 2 else np.array([[0.0, 0.0], [1.0, 0.0]])
-        shape.absorb(found, *2 * [nowhere(len(found))], np.ones(2, bool), 0.1, gain=0.01)
+        shape.update(found, *2 * [nowhere(len(found))], np.ones(2, bool), 0.1, gain=0.01)
     assert shape.weights == pytest.approx([1.0, 0.5], abs=0.01)
 
 
 def test_a_side_that_is_hidden_is_remembered_longer_than_one_seen_to_be_gone():
     shape = Shape.of(np.array([[0.0, 0.0], [1.0, 0.0], [2.0, 0.0]]), nowhere(3), 0.1)
     for _ in range(12):
-        shape.absorb(np.array([[0.0, 0.0]]), *2 * [nowhere(1)], np.array([True, True, False]), 0.1, gain=0.1)
+        shape.update(np.array([[0.0, 0.0]]), *2 * [nowhere(1)], np.array([True, True, False]), 0.1, gain=0.1)
     assert shape.weights[0] == pytest.approx(1.0)
     assert shape.weights[1] < 0.2
     assert shape.weights[2] > 0.6
     for _ in range(12):
-        shape.absorb(np.array([[0.0, 0.0]]), *2 * [nowhere(1)], np.ones(len(shape.weights), bool), 0.1, gain=0.1)
+        shape.update(np.array([[0.0, 0.0]]), *2 * [nowhere(1)], np.ones(len(shape.weights), bool), 0.1, gain=0.1)
     assert len(shape.weights) == 2, "what has not been there for long is dropped"
 
 
@@ -219,10 +219,10 @@ def test_a_side_that_is_hidden_is_remembered_longer_than_one_seen_to_be_gone():
 def test_a_new_point_is_kept_for_some_frames_however_long_the_memory(gain):
     shape = Shape.of(np.array([[0.0, 0.0]]), nowhere(1), 0.1)
     for _ in range(100):
-        shape.absorb(np.array([[0.0, 0.0]]), *2 * [nowhere(1)], np.ones(1, bool), 0.1, gain)
-    shape.absorb(np.array([[0.0, 0.0], [1.0, 0.0]]), *2 * [nowhere(2)], np.ones(1, bool), 0.1, gain)
+        shape.update(np.array([[0.0, 0.0]]), *2 * [nowhere(1)], np.ones(1, bool), 0.1, gain)
+    shape.update(np.array([[0.0, 0.0], [1.0, 0.0]]), *2 * [nowhere(2)], np.ones(1, bool), 0.1, gain)
     assert shape.weights[1] == pytest.approx(gain)
-    shape.absorb(np.array([[0.0, 0.0]]), *2 * [nowhere(1)], np.ones(2, bool), 0.1, gain)
+    shape.update(np.array([[0.0, 0.0]]), *2 * [nowhere(1)], np.ones(2, bool), 0.1, gain)
     assert (len(shape.weights) == 2) == (gain < 0.4)
 
 
@@ -230,9 +230,9 @@ def test_what_was_hidden_before_may_always_have_been_there():
     """The rear of a car that turns into view is no return gone astray."""
     shape = Shape.of(np.array([[0.0, 0.0]]), nowhere(1), 0.1)
     for _ in range(30):
-        shape.absorb(np.array([[0.0, 0.0]]), *2 * [nowhere(1)], np.ones(1, bool), 0.1, gain=0.1)
+        shape.update(np.array([[0.0, 0.0]]), *2 * [nowhere(1)], np.ones(1, bool), 0.1, gain=0.1)
     found = np.array([[0.0, 0.0], [1.0, 0.0], [-1.0, 0.0]])
-    shape.absorb(found, nowhere(3), np.array([True, True, False]), np.ones(1, bool), 0.1, gain=0.1)
+    shape.update(found, nowhere(3), np.array([True, True, False]), np.ones(1, bool), 0.1, gain=0.1)
     assert shape.weights == pytest.approx([1.0, 0.55, 0.1])
 
 
@@ -241,7 +241,7 @@ def test_a_shape_carries_no_more_points_than_it_may(frames):
     random = np.random.default_rng(0)
     shape = Shape.of(random.uniform(-9, 9, (20, 2)), nowhere(20), 0.1)
     for _ in range(frames):
-        shape.absorb(random.uniform(-9, 9, (20, 2)), *2 * [nowhere(20)], nowhere(len(shape.weights)), 0.1, gain=0.1)
+        shape.update(random.uniform(-9, 9, (20, 2)), *2 * [nowhere(20)], nowhere(len(shape.weights)), 0.1, gain=0.1)
     assert len(shape.offsets) == len(shape.weights) <= MAX_POINTS
 
 

@@ -8,10 +8,10 @@ import pytest
 pytest.importorskip("filterpy")
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec
-from gridtrack.trackers.model_free.initiation import MOVES_MPS, begin
+from gridtrack.trackers.model_free.initiation import MOVING_MPS, initiate
 from gridtrack.trackers.model_free.motion.kalman import KalmanEstimator
 from gridtrack.trackers.model_free.motion.regimes import SwitchingEstimator
-from gridtrack.trackers.model_free.occlusion import BACKGROUND, cut_off
+from gridtrack.trackers.model_free.occlusion import BACKGROUND, cut_off_returns
 from gridtrack.trackers.model_free.segmentation import Cluster
 from gridtrack.trackers.model_free.settings import PipelineSettings
 from gridtrack.trackers.model_free.shape import Shape
@@ -24,7 +24,7 @@ SETTINGS = PipelineSettings()
 def drawn(*rows: str) -> tuple[GridFrame, np.ndarray]:
     """A frame and the label of each of its returns: the rows from the top, `.` free, `#` hidden, letters are returns.
 
-    The sensor stands in the middle of the bottom row; a digit is the cluster of its return, `w` is background.
+    The sensor is in the middle of the bottom row; a digit is the cluster of its return, `w` is background.
     """
     cells = np.array([list(row) for row in reversed(rows)])
     occupied = (cells != ".") & (cells != "#")
@@ -37,7 +37,7 @@ def drawn(*rows: str) -> tuple[GridFrame, np.ndarray]:
 
 def cells_cut_off(*rows: str) -> set[tuple[int, int]]:
     frame, labels = drawn(*rows)
-    columns, lines = frame.points[cut_off(frame, GRID, labels)].astype(int).T
+    columns, lines = frame.points[cut_off_returns(frame, GRID, labels)].astype(int).T
     return set(zip(lines.tolist(), columns.tolist(), strict=True))
 
 
@@ -93,19 +93,19 @@ def moving_body(speed: float, length_m: float = 4.0) -> Track:
     offsets = np.stack([np.linspace(-length_m, 0.0, 9), np.zeros(9)], 1)
     estimator = SwitchingEstimator(KalmanEstimator, np.zeros(3), np.eye(3) * 0.01, SETTINGS.motion(0.1))
     mean = np.array([0.0, 0.0, 0.0, speed, 0.0, 0.0])
-    estimator.begin_anew(mean, np.eye(6) * 0.01)
+    estimator.reinitialise(mean, np.eye(6) * 0.01)
     shape = Shape.of(offsets, np.arange(9) == 8, 0.1)
     return Track(0, estimator, shape, offsets, np.zeros(9, np.int64), 0.9, confirmed=True)
 
 
-def born(tracks: list[Track], x: float, cut: bool) -> SwitchingEstimator:
+def initiated(tracks: list[Track], x: float, cut: bool) -> SwitchingEstimator:
     points = np.array([[x, 0.0], [x + 0.5, 0.0]])
     cluster = Cluster(points, np.array([cut, False]))
-    return begin(KalmanEstimator, cluster, tracks, SETTINGS.motion(0.1), SETTINGS)
+    return initiate(KalmanEstimator, cluster, tracks, SETTINGS.motion(0.1), SETTINGS)
 
 
 def test_what_comes_into_view_beyond_a_shadow_moves_with_the_body_that_the_shadow_cuts_off():
-    moving = born([moving_body(6.0)], 1.0, cut=True)
+    moving = initiated([moving_body(6.0)], 1.0, cut=True)
     assert moving.mean[3:5] == pytest.approx([6.0, 0.0])
     assert np.sqrt(moving.covariance[3, 3]) < SETTINGS.initial_speed
 
@@ -115,10 +115,10 @@ def test_what_comes_into_view_beyond_a_shadow_moves_with_the_body_that_the_shado
     [
         (moving_body(6.0), 5.0, True),
         (moving_body(6.0), 1.0, False),
-        (moving_body(0.9 * MOVES_MPS), 1.0, True),
+        (moving_body(0.9 * MOVING_MPS), 1.0, True),
         (moving_body(6.0, length_m=0.5), 1.0, True),
     ],
-    ids=["far away", "seen whole", "a body that stands", "a person"],
+    ids=["far away", "seen whole", "a stopped body", "a person"],
 )
 def test_other_clusters_begin_without_a_velocity(body, x, cut):
-    assert born([body], x, cut).mean[3:5] == pytest.approx([0.0, 0.0])
+    assert initiated([body], x, cut).mean[3:5] == pytest.approx([0.0, 0.0])

@@ -8,14 +8,8 @@ import numpy as np
 import pytest
 
 pytest.importorskip("filterpy")
-from gridtrack.trackers.model_free.rasterise import (
-    WINDOW_SIGMAS,
-    Motions,
-    Staying,
-    Surfaces,
-    draw_track,
-    draw_tracks,
-)
+from gridtrack.trackers.model_free.blurring import WINDOW_SIGMAS
+from gridtrack.trackers.model_free.rasterise import Motions, Resident, Surfaces, draw_track, draw_tracks
 
 
 def gauss(low, high, mean, sigma):
@@ -127,16 +121,16 @@ def test_tracks_drawn_together_are_those_drawn_one_by_one():
     surfaces = Surfaces(random.uniform(-2, 2, (9, 2)), random.uniform(0, 1, 9), bounds)
     covariances = random.uniform(0.2, 2.0, (3, 2, steps, 1, 1)) * np.eye(2)
     motions = Motions(random.uniform(3, 18, (3, 2, steps, 3)), covariances, random.uniform(0, 0.5, (3, 2, steps)))
-    staying = Staying(random.uniform(2, 19, (7, 2)), shown, random.uniform(0, 1, (7, steps)).astype(np.float32), 0.5)
+    resident = Resident(random.uniform(2, 19, (7, 2)), shown, random.uniform(0, 1, (7, steps)).astype(np.float32), 0.5)
     existence, classes = random.uniform(0, 1, (3, steps)), random.uniform(0, 1, (3, 2)).astype(np.float32)
     together, apart = np.zeros((2, steps, 21, 21), np.float32)
     said, told = np.zeros((2, steps, 2, 21, 21), np.float32)
-    draw_tracks(together, surfaces, motions, staying, existence, said, classes)
+    draw_tracks(together, surfaces, motions, resident, existence, said, classes)
     for t in range(3):
-        own, places = slice(*bounds[t : t + 2]), slice(*shown[t : t + 2])
+        own, points = slice(*bounds[t : t + 2]), slice(*shown[t : t + 2])
         body = surfaces.offsets[own], surfaces.weights[own]
         motion = motions.poses[t], motions.covariances[t], motions.weights[t]
-        newest = staying.places[places], staying.blur, staying.still[places]
+        newest = resident.points[points], resident.blur, resident.probability[points]
         draw_track(apart, *body, *motion, *newest, existence[t], told, classes[t])
     assert together.max() > 0.3
     assert together.tolist() == apart.tolist()

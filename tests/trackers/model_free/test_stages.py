@@ -11,7 +11,13 @@ pytest.importorskip("filterpy")
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame
 from gridtrack.trackers.model_free.background import Background, BackgroundMap, fit_background
-from gridtrack.trackers.model_free.residence import NOT_OCCUPIED, PRIOR_RETURNS, fit_residence, next_ages, still_there
+from gridtrack.trackers.model_free.residence import (
+    NOT_OCCUPIED,
+    PRIOR_RETURNS,
+    fit_residence,
+    next_ages,
+    probability_in_place,
+)
 from gridtrack.trackers.model_free.settings import PipelineSettings
 from gridtrack.trackers.model_free.tracks import existence_when_detected, existence_when_missed
 from gridtrack.trackers.site_rate import PRIOR_FRAMES
@@ -156,10 +162,12 @@ def test_life_table_counts_who_is_still_there_where_it_can_be_seen():
 
 def test_life_table_is_read_from_the_age_and_from_the_time_since_last_seen():
     table = np.array([[1.0, 0.5, 0.2], [0.9, 0.8, 0.7]], np.float32)
-    assert still_there(table, np.array([0, 5]), unseen=np.array([0, 0]), steps=3) == pytest.approx(
+    assert probability_in_place(table, np.array([0, 5]), unseen=np.array([0, 0]), steps=3) == pytest.approx(
         np.array([[1.0, 0.5, 0.2, 0.2], [0.9, 0.8, 0.7, 0.7]])
     )
-    assert still_there(table, np.array([0]), unseen=np.array([1]), steps=1) == pytest.approx(np.array([[0.5, 0.2]]))
+    assert probability_in_place(table, np.array([0]), unseen=np.array([1]), steps=1) == pytest.approx(
+        np.array([[0.5, 0.2]])
+    )
 
 
 # Life of a track

@@ -20,9 +20,9 @@ from gridtrack.trackers.model_free.motion import kalman, model, regimes
 from gridtrack.trackers.model_free.settings import PipelineSettings
 
 def compiled():
-    kernels = segmentation._segment, occlusion._cut_off, association._distances_to, matching._match, shape._absorb
-    kernels = *kernels, model.advance, model.propagate_all, regimes._weighed, regimes._mixture, rasterise.draw_tracks
-    kernels = *kernels, calibration._apply, kalman._settled
+    kernels = segmentation._segment, occlusion._cut_off, association._distances_to, matching._match, shape._update
+    kernels = *kernels, model.predict_state, model.propagate_all, regimes._updated_probabilities, regimes._mixture
+    kernels = *kernels, rasterise.draw_tracks, calibration._apply, kalman._normalise_state
     return [len(kernel.signatures) for kernel in kernels]
 
 demo = packaged_recording("leg_tracker")

@@ -1,4 +1,4 @@
-"""What a track asks of the estimator of its motion, and what every estimator asks of a measured pose."""
+"""The interface of motion estimators, the check of measured poses, and the initial state."""
 
 from __future__ import annotations
 
@@ -13,12 +13,15 @@ from gridtrack.trackers.model_free.arrays import Array
 from gridtrack.trackers.model_free.motion.model import propagate
 from gridtrack.trackers.model_free.motion.parameters import MotionModel
 
+POSE_JACOBIAN = np.eye(3, 6)
+"""Jacobian of the measured pose by the state."""
+
 
 class MotionEstimator(Protocol):
-    """Where an object is and how it moves; state (6,): x, y, heading, vx, vy, turn rate, in the grid frame.
+    """Estimator of the state (6,) of one object: x, y, heading, vx, vy, turn rate, in the grid frame.
 
-    Metres, radians and seconds; the heading is in [-pi, pi). What changes `mean` or `covariance` makes new arrays: who
-    has kept one knows by its identity whether it still holds.
+    Metres, radians and seconds; the heading is in [-pi, pi). A change of `mean` or `covariance` makes new arrays:
+    caches compare their identity.
     """
 
     @property
@@ -33,36 +36,36 @@ class MotionEstimator(Protocol):
 
     @property
     def gate(self) -> float:
-        """The squared Mahalanobis distance from its prediction beyond which a measured pose is taken for a gross error.
+        """Squared Mahalanobis distance from the prediction beyond which a measured pose is a gross error.
 
-        Infinite where every measurement is believed.
+        Infinite for an estimator without robust measurements.
         """
         ...
 
     @property
     def restarts(self) -> int:
-        """How often the estimator failed and began anew from its last sound estimate."""
+        """How often the estimator failed numerically and was re-initialised from its last valid estimate."""
         ...
 
     def predict(self) -> None:
-        """Move on by one period."""
+        """Predict the state one period ahead."""
         ...
 
     def update(self, pose: Array, covariance: Array) -> None:
-        """Take in a measured pose (3,): x, y, heading, and its covariance (3, 3).
+        """Update with a measured pose (3,): x, y, heading, and its covariance (3, 3).
 
-        A direction that the measurement says nothing of has a large variance. Raises ValueError for a pose that is
-        not finite or a covariance that is not positive definite.
+        An unobserved direction has a large variance. Raises ValueError for a pose that is not finite or a covariance
+        that is not positive definite.
         """
         ...
 
-    def begin_anew(self, mean: Array, covariance: Array) -> None:
-        """Forget everything but this state (6,) and its covariance (6, 6)."""
+    def reinitialise(self, mean: Array, covariance: Array) -> None:
+        """Replace the estimate by this state (6,) and its covariance (6, 6), without earlier measurements."""
         ...
 
 
-def checked(pose: Array, covariance: Array) -> tuple[Array, Array]:
-    """The pose (3,) and its covariance (3, 3), float64; raises ValueError if they are not those of a measurement."""
+def validated_measurement(pose: Array, covariance: Array) -> tuple[Array, Array]:
+    """The pose (3,) and its covariance (3, 3), float64; raises ValueError if they are not valid."""
     pose = np.ascontiguousarray(pose, np.float64)
     covariance = np.ascontiguousarray(covariance, np.float64)
     if pose.shape != (3,) or not all(map(math.isfinite, pose.tolist())):
@@ -77,7 +80,7 @@ def checked(pose: Array, covariance: Array) -> tuple[Array, Array]:
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def is_positive_definite(matrix):  # type: ignore[no-untyped-def]
-    """Whether a matrix (N, N) is finite, symmetric and has a Cholesky factor."""
+    """Whether a matrix (N, N) is finite, symmetric and positive definite (it has a Cholesky factor)."""
     factor = np.zeros_like(matrix)
     for i in range(len(matrix)):
         for j in range(i + 1):
@@ -95,8 +98,8 @@ def is_positive_definite(matrix):  # type: ignore[no-untyped-def]
     return True
 
 
-def first_state(pose: Array, covariance: Array, model: MotionModel) -> tuple[Array, Array]:
-    """Mean (6,) and covariance (6, 6) of a new track, of which only a pose has been measured."""
+def initial_state(pose: Array, covariance: Array, model: MotionModel) -> tuple[Array, Array]:
+    """Mean (6,) and covariance (6, 6) of a new track, from one measured pose."""
     mean, spread = np.zeros(6), np.zeros((6, 6))
     mean[:3], spread[:3, :3] = pose, covariance
     spread[3, 3] = spread[4, 4] = model.initial_speed**2
@@ -105,7 +108,7 @@ def first_state(pose: Array, covariance: Array, model: MotionModel) -> tuple[Arr
 
 
 def warm_up(estimator: Callable[[Array, Array, MotionModel], MotionEstimator], model: MotionModel) -> None:
-    """Do everything once, so that what is compiled or loaded on first use has been: a tracker calls it at its start."""
+    """Compile the kernels of an estimator and of the prediction, by running each once."""
     track = estimator(np.zeros(3), np.eye(3), model)
     track.predict()
     track.update(np.zeros(3), np.eye(3))

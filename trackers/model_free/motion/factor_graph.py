@@ -1,8 +1,9 @@
 """A fixed-lag smoother of an object's motion: a factor graph with robust measurements, by gtsam.
 
-One variable a measured frame, the state; between two of them the motion model, by the extended Kalman filter's
-discretisation but linearised where smoothing has put them; on each a measured pose with a Cauchy kernel (Wang, Posner
-and Newman 2015; Dellaert and Kaess 2017). What a gross error may do is decided where its state is linearised first.
+Each measured frame has one variable, the state. Two consecutive states are connected by the motion model, discretised
+as in the extended Kalman filter but linearised at the smoothed states; each state has a measured pose with a Cauchy
+kernel (Wang, Posner and Newman 2015; Dellaert and Kaess 2017). The effect of a gross error depends on the point at
+which its state is linearised first.
 """
 
 from __future__ import annotations
@@ -15,34 +16,39 @@ import numpy as np
 
 from gridtrack.common.geometry import wrap_angle
 from gridtrack.trackers.model_free.arrays import Array
-from gridtrack.trackers.model_free.motion.estimator import checked, first_state, is_positive_definite
+from gridtrack.trackers.model_free.motion.estimator import (
+    POSE_JACOBIAN,
+    initial_state,
+    is_positive_definite,
+    validated_measurement,
+)
 from gridtrack.trackers.model_free.motion.model import (
     Discretisation,
-    advance,
     discretise,
+    predict_state,
     propagate_all,
     transition,
 )
 from gridtrack.trackers.model_free.motion.parameters import MotionModel
 
 LAG_S = 1.0
-"""For how long a state can be revised; older ones are summed up in a prior."""
-CAUCHY = 5.0
-"""A measurement this many standard deviations off counts half. Geman-McClure's kernel of this width lets go of more:
-it never caught up with an object much faster than expected."""
+"""Duration for which states are smoothed; older ones are marginalised into a prior."""
+CAUCHY_WIDTH = 5.0
+"""A measurement at this many standard deviations has half its weight. A Geman-McClure kernel of this width rejects
+more: it never converged to an object much faster than expected."""
 GATE = 21.1
-"""Squared Mahalanobis distance of a pose from its prediction that one in ten thousand exceeds: chi-square, three
-degrees of freedom. Within it the measurement is believed at first, beyond it the prediction."""
+"""Squared Mahalanobis distance of a pose from its prediction that is exceeded with probability 1e-4: chi-square, three
+degrees of freedom. Within it a state is linearised first at the measurement, beyond it at the prediction."""
 
-MEASURED, ITSELF = np.eye(3, 6), np.eye(6)
-"""The derivatives by a state of its measured pose, and of itself."""
+STATE_JACOBIAN = np.eye(6)
+"""Jacobian of the state by itself."""
 
 
 class FactorGraphEstimator:
     """Fixed-lag smoother: a MotionEstimator. `mean` (6,) and `covariance` (6, 6) are those of the newest frame.
 
-    `restarts` counts how often gtsam found the system singular or indeterminate: then the frame's measurement is left
-    out, and a new graph begins with the prediction. Raises ValueError as `update` does.
+    `restarts` counts how often gtsam found the system singular or indeterminate: the measurement of the frame is then
+    ignored, and a new graph starts from the prediction. Raises ValueError as `update` does.
     """
 
     gate = GATE
@@ -50,60 +56,60 @@ class FactorGraphEstimator:
     def __init__(self, pose: Array, covariance: Array, model: MotionModel) -> None:
         self._step, self._period_s = discretise(model), model.period_s
         self._frame = self.restarts = 0
-        self._settle(*first_state(*checked(pose, covariance), model))
-        self._begin()
+        self._store(*initial_state(*validated_measurement(pose, covariance), model))
+        self._reset_graph()
 
     def predict(self) -> None:
-        """Move on by one period; the graph hears of it with the next measurement."""
+        """Predict the state one period ahead; the graph is extended by the next measurement."""
         self._frame += 1
-        self._settle(*advance(self._mean, self.covariance, self._step))
+        self._store(*predict_state(self._mean, self.covariance, self._step))
 
     def update(self, pose: Array, covariance: Array) -> None:
-        """Take in a measured pose (3,) and its covariance (3, 3)."""
-        pose, covariance = checked(pose, covariance)
-        nearest = np.array([pose[0], pose[1], self._mean[2] + wrap_angle(pose[2] - self._mean[2])])
+        """Update with a measured pose (3,) and its covariance (3, 3)."""
+        pose, covariance = validated_measurement(pose, covariance)
+        measured = np.array([pose[0], pose[1], self._mean[2] + wrap_angle(pose[2] - self._mean[2])])
         try:
-            state = self._smoothed(nearest, covariance)
-        except RuntimeError:  # what gtsam raises
+            state = self._smoothed(measured, covariance)
+        except RuntimeError:  # raised by gtsam
             self.restarts += 1
-            self._begin()
+            self._reset_graph()
         else:
-            self._settle(*state)
+            self._store(*state)
             self._newest, self._newest_mean = self._frame, self._mean
 
     def _smoothed(self, pose: Array, covariance: Array) -> tuple[Array, Array]:
-        """The newest state's mean and covariance, given its pose too; raises RuntimeError where there is none."""
-        factors, guesses, stamps = _additions()
+        """Mean and covariance of the newest state after its measured pose; raises RuntimeError where gtsam fails."""
+        factors, values, stamps = _new_factors()
         if self._frame > self._newest:
-            guess = first_guess(self._mean, self.covariance, pose, covariance)
+            linearisation = linearisation_point(self._mean, self.covariance, pose, covariance)
             factors.add(motion_factor(self._newest, self._frame, self._newest_mean, self._step))
-            guesses.insert(self._frame, guess)
+            values.insert(self._frame, linearisation)
             stamps.insert((self._frame, self._frame * self._period_s))
         factors.add(pose_factor(self._frame, pose, covariance))
-        return self._solved(factors, guesses, stamps)
+        return self._solved(factors, values, stamps)
 
-    def begin_anew(self, mean: Array, covariance: Array) -> None:
-        """Forget everything but this state (6,) and its covariance (6, 6)."""
-        self._settle(mean.copy(), covariance.copy())
-        self._begin()
+    def reinitialise(self, mean: Array, covariance: Array) -> None:
+        """Replace the estimate by this state (6,) and its covariance (6, 6), without earlier measurements."""
+        self._store(mean.copy(), covariance.copy())
+        self._reset_graph()
 
-    def _begin(self) -> None:
-        """A new graph that knows the present mean and covariance, and nothing before."""
+    def _reset_graph(self) -> None:
+        """Start a new graph with the present mean and covariance as prior."""
         parameters = gtsam.ISAM2Params()
-        parameters.findUnusedFactorSlots = True  # else they grow for ever
-        parameters.setFactorization("QR")  # steady motion is known to a millimetre, a heading at times not at all
-        parameters.relinearizeSkip = 1  # a state is linearised again in the frame in which it has moved by 0.1
+        parameters.findUnusedFactorSlots = True  # otherwise their number grows without bound
+        parameters.setFactorization("QR")  # variances differ by orders of magnitude
+        parameters.relinearizeSkip = 1  # check in each frame; threshold 0.1
         self._smoother = gtsam.IncrementalFixedLagSmoother(LAG_S, parameters)
         self._newest, self._newest_mean = self._frame, self._mean
-        factors, guesses, stamps = _additions()
+        factors, values, stamps = _new_factors()
         noise = gtsam.noiseModel.Gaussian.Covariance(self.covariance)
         factors.add(gtsam.PriorFactorVector(self._frame, self._mean, noise))
-        guesses.insert(self._frame, self._mean)
+        values.insert(self._frame, self._mean)
         stamps.insert((self._frame, self._frame * self._period_s))
-        self._smoother.update(factors, guesses, stamps)
+        self._smoother.update(factors, values, stamps)
 
-    def _solved(self, factors: Any, guesses: Any, stamps: Any) -> tuple[Array, Array]:
-        self._smoother.update(factors, guesses, stamps)
+    def _solved(self, factors: Any, values: Any, stamps: Any) -> tuple[Array, Array]:
+        self._smoother.update(factors, values, stamps)
         mean = self._smoother.calculateEstimateVector(self._frame)
         covariance = self._smoother.marginalCovariance(self._frame)
         covariance = np.ascontiguousarray((covariance + covariance.T) / 2.0)
@@ -111,54 +117,54 @@ class FactorGraphEstimator:
             raise RuntimeError("the smoothed state is not finite or its covariance not positive definite")
         return mean, covariance
 
-    def _settle(self, mean: Array, covariance: Array) -> None:
-        """Keep the heading as the graph has it, not wrapped, and show it wrapped."""
+    def _store(self, mean: Array, covariance: Array) -> None:
+        """Store the state with the unwrapped heading of the graph; `mean` has it wrapped."""
         self._mean, self.covariance = mean, covariance
         self.mean = mean.copy()
         self.mean[2] = wrap_angle(mean[2])
 
 
-def _additions() -> tuple[Any, Any, Any]:
-    """What a smoother is told in one go: factors, first guesses of new variables, and their stamps in seconds."""
+def _new_factors() -> tuple[Any, Any, Any]:
+    """Empty inputs of one smoother update: factors, initial values of new variables, and their stamps in seconds."""
     return gtsam.NonlinearFactorGraph(), gtsam.Values(), gtsam.FixedLagSmootherKeyTimestampMap()
 
 
 def motion_factor(past: int, now: int, mean: Array, step: Discretisation) -> Any:
-    """The motion from frame `past`, where the state was about `mean` (6,), to frame `now`, as one factor.
+    """The motion factor from frame `past`, with a state near `mean` (6,), to frame `now`.
 
-    Frames between them, in which nothing was measured, need no variable: their noise is summed up.
+    Frames between them without a measurement have no variable: their noise is accumulated.
     """
     _, noise = propagate_all(mean[None], np.zeros((1, 6, 6)), now - past, step)
 
     def residual(_: Any, values: Any, jacobians: Any) -> Array:
         moved, jacobian = transition(values.atVector(past), now - past, step)
         if jacobians is not None:
-            jacobians[0], jacobians[1] = -jacobian, ITSELF
+            jacobians[0], jacobians[1] = -jacobian, STATE_JACOBIAN
         return np.asarray(values.atVector(now) - moved)
 
     return gtsam.CustomFactor(gtsam.noiseModel.Gaussian.Covariance(noise[0, -1]), [past, now], residual)
 
 
 def pose_factor(frame: int, pose: Array, covariance: Array) -> Any:
-    """A measured pose (3,) with its covariance (3, 3), the heading not wrapped, robust against gross errors."""
+    """The factor of a measured pose (3,), heading unwrapped, with its covariance (3, 3) and a Cauchy kernel."""
 
     def residual(_: Any, values: Any, jacobians: Any) -> Array:
         if jacobians is not None:
-            jacobians[0] = MEASURED
+            jacobians[0] = POSE_JACOBIAN
         return np.asarray(values.atVector(frame)[:3] - pose)
 
     noise = gtsam.noiseModel.Gaussian.Covariance(covariance)
-    kernel = gtsam.noiseModel.mEstimator.Cauchy.Create(CAUCHY)
+    kernel = gtsam.noiseModel.mEstimator.Cauchy.Create(CAUCHY_WIDTH)
     return gtsam.CustomFactor(gtsam.noiseModel.Robust.Create(kernel, noise), [frame], residual)
 
 
 @numba.njit(cache=True, nogil=True)
-def first_guess(mean, covariance, pose, pose_covariance):  # type: ignore[no-untyped-def]
-    """Where the new state (6,) is linearised first, which decides the first weight of its measurement.
+def linearisation_point(mean, covariance, pose, pose_covariance):  # type: ignore[no-untyped-def]
+    """The first linearisation point (6,) of the new state, which determines the initial weight of its measurement.
 
-    Within the gate it is the Kalman filter's estimate, near the measurement; beyond it the prediction, `mean` (6,) with
-    its `covariance` (6, 6), so that a gross error is recognised as such. A robust measurement far from the prediction
-    has a minimum at either.
+    Within the gate it is the estimate of the Kalman filter, near the measurement; beyond it the prediction, `mean` (6,)
+    with `covariance` (6, 6), so that a gross error is rejected. The cost of a robust measurement far from the
+    prediction has a minimum at each of the two.
     """
     innovation = pose - mean[:3]
     weighted = np.linalg.solve(covariance[:3, :3] + pose_covariance, innovation)

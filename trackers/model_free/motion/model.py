@@ -1,4 +1,4 @@
-"""The motion model: rigid motion in the plane with a coordinated turn, over whole periods, for one track or for all.
+"""The motion model: rigid planar motion with a coordinated turn, predicted over whole periods.
 
 State (6,): x, y, heading, vx, vy, turn rate; metres, radians and seconds in the grid frame. In continuous time, with J
 a quarter turn and w white noise (white-noise acceleration: Bar-Shalom, Li and Kirubarajan 2001, section 6.2.2; with an
@@ -22,36 +22,36 @@ from gridtrack.trackers.model_free.arrays import Array
 from gridtrack.trackers.model_free.motion.parameters import MotionModel
 
 INLINED = numba.njit(inline="always", error_model="numpy")
-"""For what is called in a loop: a call counts the references to each array it is given, which takes as long as this."""
+"""For functions that are called in a loop: counting the references of the arguments takes as long as the function."""
 wrapped = numba.njit(wrap_angle)
-"""`wrap_angle` for what is compiled."""
+"""`wrap_angle` for compiled functions."""
 
 
 class Discretisation(NamedTuple):
-    """What one period needs of the model: three Gauss-Legendre nodes of it, then its end, in arrays (4,); and noise.
+    """The model over one period, at three Gauss-Legendre nodes and the end of the period (4,), and its noise.
 
-    The velocity turns by the turn rate times `turning` and shrinks to `keeping`; the position is its integral.
+    The velocity is rotated by the turn rate times `turning` and scaled by `keeping`; the position is its integral.
     """
 
     weights: Array
-    """Of each node in that integral, s; nothing for the end (4,)."""
+    """Weight of each node in that integral, s; 0 for the end (4,)."""
     keeping: Array
-    """The share of the velocity that is left at each node (4,)."""
+    """Remaining share of the velocity at each node (4,)."""
     turning: Array
-    """For how long the first turn rate would have turned as far as it has at each node, s (4,)."""
+    """Integral of the remaining share of the turn rate up to each node, s (4,)."""
     turn_keeping: float
-    """The share of the turn rate that is left at the end."""
+    """Remaining share of the turn rate at the end."""
     noise: Array
-    """Covariance (6, 6) that the acceleration adds in one period."""
-    surge_noise: Array
-    """Covariance (2, 2) of the speed_noise's integrals: of the growth over the period, and the growth."""
+    """Covariance (6, 6) of the acceleration noise of one period."""
+    speed_covariance: Array
+    """Covariance (2, 2) of the integrals of the speed noise: of its effect on the position, and on the velocity."""
     turn_noise: Array
-    """Covariance (3, 3) of the turn acceleration's integrals: of the heading over the period, heading, turn rate."""
+    """Covariance (3, 3) of the integrals of the turn acceleration: effect on the position, heading, turn rate."""
 
 
 @lru_cache(maxsize=64)
 def discretise(model: MotionModel) -> Discretisation:
-    """The model over one period; raises ValueError if one of its numbers is not positive and finite."""
+    """The model over one period. Raises ValueError if one of its numbers is not positive and finite."""
     for name, value in model._asdict().items():
         if not (value > 0.0 and math.isfinite(value)):
             raise ValueError(f"motion model: {name} is {value}; give a positive, finite number")
@@ -76,14 +76,14 @@ def discretise(model: MotionModel) -> Discretisation:
 
 
 def _memory(times: Array, memory_s: float) -> tuple[Array, Array, Array]:
-    """What is left of a rate after `times` (N,), its integral up to then, and the integral of that, each (N,)."""
+    """Remaining share of a rate after `times` (N,), its integral, and the integral of that, each (N,)."""
     left = np.exp(-times / memory_s)
     integral = memory_s * -np.expm1(-times / memory_s)
     return left, integral, memory_s * (times - integral)
 
 
 def _integrals(period_s: float, memory_s: float) -> Array:
-    """Covariance (3, 3) of an integral's integral, a rate's integral and the rate, driven by unit white noise."""
+    """Covariance (3, 3) of a rate driven by unit white noise: of its double integral, its integral and itself."""
     nodes, weights = np.polynomial.legendre.leggauss(8)
     left, integral, twice = _memory((nodes + 1.0) / 2.0 * period_s, memory_s)
     impulses = np.stack([twice, integral, left])
@@ -92,7 +92,7 @@ def _integrals(period_s: float, memory_s: float) -> Array:
 
 @INLINED
 def _transition(mean, step, moved, jacobian):  # type: ignore[no-untyped-def]
-    """Write where `mean` (6,) is one period on into `moved` (6,), and the derivative of that into `jacobian` (6, 6)."""
+    """Write `mean` (6,) one period ahead into `moved` (6,), and its derivative by `mean` into `jacobian` (6, 6)."""
     vx, vy, rate = mean[3], mean[4], mean[5]
     jacobian[:] = 0.0
     x, y = mean[0], mean[1]
@@ -117,13 +117,13 @@ def _transition(mean, step, moved, jacobian):  # type: ignore[no-untyped-def]
 
 @INLINED
 def _process_noise(moved, step, noise):  # type: ignore[no-untyped-def]
-    """Write the covariance that one period adds into `noise` (6, 6); `moved` (6,) is the state at its end.
+    """Write the process noise of one period into `noise` (6, 6); `moved` (6,) is the state at its end.
 
     The turn acceleration rotates heading and velocity by the same angle, and the speed noise scales the velocity: both
     terms grow with the speed, the first across the motion, the second along it.
     """
     noise[:] = step.noise
-    speed_noise, turn = step.surge_noise, step.turn_noise
+    speed_noise, turn = step.speed_covariance, step.turn_noise
     along, across = (moved[3], moved[4]), (-moved[4], moved[3])
     for a in range(2):  # 0 for the position and the heading, 1 for their rates
         for b in range(2):
@@ -138,7 +138,7 @@ def _process_noise(moved, step, noise):  # type: ignore[no-untyped-def]
 
 @INLINED
 def _add_transformed(jacobian, covariance, total):  # type: ignore[no-untyped-def]
-    """Add J C J^T to `total` (6, 6), all (6, 6), exactly symmetric; the pose's columns of J are the identity's."""
+    """Add J C J^T to `total`, all (6, 6), exactly symmetric; the first three columns of J are those of the identity."""
     half = np.empty((6, 6))
     for i in range(6):
         for m in range(6):
@@ -156,7 +156,7 @@ def _add_transformed(jacobian, covariance, total):  # type: ignore[no-untyped-de
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def transition(mean, steps, step):  # type: ignore[no-untyped-def]
-    """`mean` (6,) after `steps` periods, the heading not wrapped, and the derivative (6, 6) of that by `mean`."""
+    """`mean` (6,) after `steps` periods, heading unwrapped, and its derivative (6, 6) by `mean`."""
     jacobian, one = np.eye(6), np.empty((6, 6))
     moved = mean.copy()
     for _ in range(steps):
@@ -167,24 +167,24 @@ def transition(mean, steps, step):  # type: ignore[no-untyped-def]
 
 
 @INLINED
-def _advance(mean, covariance, step, moved, spread, jacobian):  # type: ignore[no-untyped-def]
-    """Write where the state is one period on into `moved` (6,) and `spread` (6, 6), and its derivative too."""
+def _predict_state(mean, covariance, step, moved, spread, jacobian):  # type: ignore[no-untyped-def]
+    """Write the state one period ahead into `moved` (6,) and `spread` (6, 6), and its derivative into `jacobian`."""
     _transition(mean, step, moved, jacobian)
     _process_noise(moved, step, spread)
     _add_transformed(jacobian, covariance, spread)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def advance(mean, covariance, step):  # type: ignore[no-untyped-def]
-    """`mean` (6,) and `covariance` (6, 6) one period on, the heading not wrapped."""
+def predict_state(mean, covariance, step):  # type: ignore[no-untyped-def]
+    """`mean` (6,) and `covariance` (6, 6) one period ahead, heading unwrapped."""
     moved, spread = np.empty(6), np.empty((6, 6))
-    _advance(mean, covariance, step, moved, spread, np.empty((6, 6)))
+    _predict_state(mean, covariance, step, moved, spread, np.empty((6, 6)))
     return moved, spread
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def propagate_all(means, covariances, steps, step):  # type: ignore[no-untyped-def]
-    """As `propagate`, of a model that has been discretised."""
+    """`propagate` with a discretised model."""
     tracks = means.shape[0]
     all_means, all_covariances = np.empty((tracks, steps + 1, 6)), np.empty((tracks, steps + 1, 6, 6))
     all_means[:, 0], all_covariances[:, 0] = means, covariances
@@ -192,14 +192,14 @@ def propagate_all(means, covariances, steps, step):  # type: ignore[no-untyped-d
     for track in range(tracks):
         mean, spread = all_means[track], all_covariances[track]
         for n in range(steps):
-            _advance(mean[n], spread[n], step, mean[n + 1], spread[n + 1], jacobian)
+            _predict_state(mean[n], spread[n], step, mean[n + 1], spread[n + 1], jacobian)
     return all_means, all_covariances
 
 
 def propagate(means: Array, covariances: Array, steps: int, model: MotionModel) -> tuple[Array, Array]:
-    """Means (T, steps+1, 6) and covariances (T, steps+1, 6, 6) of steps 0..steps, for all tracks at once.
+    """Means (T, steps+1, 6) and covariances (T, steps+1, 6, 6) at steps 0..steps, for all tracks at once.
 
-    From the state of each, `means` (T, 6) and `covariances` (T, 6, 6). Headings are continuous, not wrapped at pi.
+    From the present `means` (T, 6) and `covariances` (T, 6, 6). Headings are unwrapped.
     """
     means, covariances = np.ascontiguousarray(means), np.ascontiguousarray(covariances)
     forecast: tuple[Array, Array] = propagate_all(means, covariances, steps, discretise(model))

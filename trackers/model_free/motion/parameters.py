@@ -7,28 +7,28 @@ from typing import NamedTuple
 
 
 class MotionModel(NamedTuple):
-    """How an object is expected to move, and what is known of its motion at first; every number positive and finite."""
+    """Process noise and initial uncertainty of the motion of an object; every number positive and finite."""
 
     acceleration: float
-    """White noise along each axis: the square root of its density, m/s^2 per sqrt(Hz)."""
+    """White-noise acceleration along each axis: square root of its density, m/s^2 per sqrt(Hz)."""
     speed_noise: float
-    """White noise of the speed's relative growth: what is fast speeds up and brakes harder; 1/s per sqrt(Hz)."""
+    """White noise of the relative change of speed: fast objects accelerate and brake harder; 1/s per sqrt(Hz)."""
     turn_acceleration: float
-    """The same of the turn rate, rad/s^2 per sqrt(Hz)."""
+    """White-noise acceleration of the turn rate, rad/s^2 per sqrt(Hz)."""
     velocity_memory_s: float
-    """Time constant with which a velocity is forgotten; large: nearly constant velocity."""
+    """Correlation time of the velocity; large: nearly constant velocity."""
     turn_memory_s: float
-    """Time constant with which a turn rate is forgotten."""
+    """Correlation time of the turn rate."""
     initial_speed: float
     """Standard deviation of a new track's velocity along each axis, m/s."""
     initial_turn_rate: float
     """Standard deviation of a new track's turn rate, rad/s."""
     period_s: float
-    """From one frame to the next."""
+    """Period of the frames."""
 
 
 class Regimes(NamedTuple):
-    """The motion model of each regime, and the probability `switching` (2, 2) of one after another in a period."""
+    """The motion model of each regime, and the transition probabilities `switching` (2, 2) in a period."""
 
     models: tuple[MotionModel, MotionModel]
     switching: tuple[tuple[float, float], tuple[float, float]]

@@ -11,7 +11,7 @@ from gridtrack.common.geometry import wrap_angle
 from gridtrack.trackers.model_free.motion.factor_graph import FactorGraphEstimator
 from gridtrack.trackers.model_free.motion.kalman import KalmanEstimator
 from gridtrack.trackers.model_free.motion.parameters import MotionModel, Regimes
-from gridtrack.trackers.model_free.motion.regimes import DISPROVED, SwitchingEstimator
+from gridtrack.trackers.model_free.motion.regimes import IMPROBABLE, SwitchingEstimator
 
 PERIOD_S = 0.125
 STEADY = MotionModel(
@@ -91,7 +91,7 @@ def test_a_regime_that_is_disproved_begins_anew_from_the_other(begin):
         x += speed * PERIOD_S
         estimator.predict()
         estimator.update(np.array([x, 0.0, 0.0]), NOISE)
-        if estimator.probabilities.min() < DISPROVED:
+        if estimator.probabilities.min() < IMPROBABLE:
             one, other = estimator.estimators
             assert np.array_equal(one.mean, other.mean)
             assert np.array_equal(one.covariance, other.covariance)
@@ -161,7 +161,7 @@ def test_mean_and_covariance_are_those_of_the_mixture():
 def test_headings_on_either_side_of_the_turn_are_near_to_each_other():
     estimator = SwitchingEstimator(KalmanEstimator, np.zeros(3), NOISE, REGIMES)
     for each, heading in zip(estimator.estimators, (np.pi - 0.1, -np.pi + 0.1), strict=True):
-        each.begin_anew(np.array([0.0, 0.0, heading, 0.0, 0.0, 0.0]), np.eye(6))
+        each.reinitialise(np.array([0.0, 0.0, heading, 0.0, 0.0, 0.0]), np.eye(6))
     estimator.predict()
     assert abs(abs(estimator.mean[2]) - np.pi) < 0.1
     assert estimator.covariance[2, 2] < 1.2
