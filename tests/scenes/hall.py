@@ -1,4 +1,4 @@
-"""A hall: a laser in a corner, discs that glide past it as people, and the weights of a tracker that knows it."""
+"""A hall: a laser in a corner, moving discs as pedestrians, and the weights of a tracker for the hall."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ GRID = GridSpec(60, 0.1, (0.0, -3.0))
 PERIOD_S = 0.1
 RADIUS_M = 0.2
 WALL = (2.0, 4.0, 0.15)
-"""Centre and radius of a pillar that stands in the background."""
+"""Centre and radius of a pillar in the background, metres."""
 GLIDING = np.zeros((31, 31), np.float32)
-"""The life table of returns that never stay."""
+"""The life table of returns that never stay in place."""
 OPEN = {
     "occupancy_rate": np.full(GRID.shape, 1e-3, np.float32),
     "neighbourhood_rate": np.zeros(GRID.shape, np.float32),
     "calibration": IDENTITY,
 }
-"""The map of a hall with nothing in it."""
+"""The map of the empty hall."""
 
 
 def frame_of(people: list[tuple[float, float]], step: int = 0, wall: bool = False) -> GridFrame:
-    """What a laser at the origin sees of discs at the given places, and of the pillar."""
+    """The frame of a laser at the origin, of discs at the given positions, with or without the pillar."""
     angles = -np.pi / 2 + np.arange(512) * np.pi / 511
     beams = np.stack([np.cos(angles), np.sin(angles)], 1)
     ranges = np.full(512, np.inf)

@@ -1,4 +1,4 @@
-"""A street: somebody walks up one side and a car drives down the other; every cell can be seen and is labelled."""
+"""A street: a pedestrian on one side, a car on the other; every cell is visible and labelled."""
 
 import math
 
@@ -12,7 +12,7 @@ PEDESTRIAN, CAR = 0, 1
 
 
 def frame_of(shapes, step=0, grid=GRID):
-    """All visible; `shapes` (N, 2) metres are occupied. The laser stands at the origin."""
+    """A frame in which all cells are visible and `shapes` (N, 2), metres, are occupied; the laser is at the origin."""
     occupied = np.zeros(grid.shape, bool)
     cells, inside = grid.cells_of(np.concatenate([np.empty((0, 2)), *shapes]))
     occupied[tuple(cells[inside].T)] = True
@@ -22,7 +22,7 @@ def frame_of(shapes, step=0, grid=GRID):
 
 
 def box(length, width, at, heading=0.0):
-    """The side and the front of a box whose centre is `at` a place, (N, 2) metres."""
+    """Points (N, 2), metres, on the side and the front of a box with its centre `at` a position."""
     along, across = np.arange(-length / 2, length / 2, 0.1), np.arange(-width / 2, width / 2, 0.1)
     side = np.stack([along, np.full_like(along, -width / 2)], 1)
     front = np.stack([np.full_like(across, length / 2), across], 1)
@@ -35,7 +35,7 @@ def legs(at, apart=0.3):
 
 
 class Street:
-    """Somebody walks up one side, and a box of three metres drives down the other; `classes` its labels'."""
+    """A source with a pedestrian and a car of three metres; `classes` are those of its labels."""
 
     name, sha256, grid, period_s, site = "street.mcap", "0" * 64, GRID, PERIOD_S, "street"
 

@@ -1,4 +1,4 @@
-"""Weights are used on the grid, period and tracker they were made for, whole, or refused by name."""
+"""Weights are used for their tracker, site, grid and period, undamaged, or refused with the reason."""
 
 from __future__ import annotations
 

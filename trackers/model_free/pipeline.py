@@ -129,7 +129,7 @@ class Pipeline:
             self._update_shapes([self.tracks[number] for number in shares], list(shares.values()), visible)
 
     def _update_shapes(self, tracks: list[Track], clusters: list[Cluster], visible: Mask) -> None:
-        """Update the shape of each track with its returns; those whose place was hidden before are `revealed`."""
+        """Update the shape of each track with its returns; those at previously hidden positions are `revealed`."""
         assert self.frame is not None  # the previous frame: there are tracks
         owners = owners_of(bounds_of(clusters))
         points = np.concatenate([cluster.points for cluster in clusters])

@@ -1,4 +1,4 @@
-"""Arrays of different lengths one after the other: the returns of clusters, the boundaries of tracks; none is empty."""
+"""Ragged arrays, concatenated: returns of clusters, boundaries of tracks; none is empty."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 
 
 def bounds_of(parts: Sequence[Sized]) -> NDArray[np.int64]:
-    """The rows (G+1,) of all G parts together at which each begins, and at which the last one ends."""
+    """The first row of each of G concatenated parts, and the end of the last one (G+1,)."""
     return np.array([*accumulate(map(len, parts), initial=0)])
 
 
 def owners_of(bounds: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Of which part each row (N,) is."""
+    """The number of the part of each row (N,)."""
     return np.repeat(np.arange(len(bounds) - 1), np.diff(bounds))
 
 
@@ -32,5 +32,5 @@ def means_of(rows: NDArray[Any], bounds: NDArray[np.int64]) -> NDArray[np.float6
 
 
 def split(rows: NDArray[Any], parts: Sequence[Sized]) -> list[NDArray[Any]]:
-    """The rows (N, ...) of all parts together, part by part."""
+    """The concatenated rows (N, ...) of the `parts`, part by part."""
     return [rows[first:last] for first, last in pairwise(accumulate(map(len, parts), initial=0))]

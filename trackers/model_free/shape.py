@@ -21,7 +21,7 @@ ESTABLISHED_FRAMES = 8
 HIDDEN_DECAY = 0.1
 """Decay rate of the weight of a hidden boundary point, relative to that of a point in view without a return."""
 REVEALED_WEIGHT = 0.5
-"""Initial weight of a boundary point whose place was hidden before: it may have existed all the time."""
+"""Initial weight of a boundary point at a position that was hidden before: it may have existed all the time."""
 REMOVE_BELOW = 0.6
 """A boundary point is removed below this multiple of the weight of a new point."""
 
@@ -54,7 +54,7 @@ class Shape:
 
         A boundary point within `apart_m` of a found point is matched: its weight approaches 1 by the share `gain`; that
         of an unmatched point approaches 0, slowly where it is not `in_view` (N,). A found point without a match is a
-        new boundary point, of weight 0 before this frame unless its place is `revealed` (K,). The first frames of a
+        new boundary point, of weight 0 before this frame unless its position is `revealed` (K,). The first frames of a
         shape have equal weight.
         """
         gain = max(gain, 1.0 / (self.frames + 1))

@@ -1,4 +1,4 @@
-"""Fitting the particle grid to a site: what is counted, what is searched, and what comes back from the weights."""
+"""Training of the particle grid: the counted rate, the search, and the weights."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ WALL, DOOR = (0, 0), (1, 1)
 
 
 class Source:
-    """Forty frames from memory: a wall always, a door every other frame, a row never seen."""
+    """Forty frames: a wall in each, a door in every other frame, a row that is never seen."""
 
     name, sha256, grid, period_s, site, classes = "yard@0s-5s", "0" * 64, GRID, PERIOD_S, "yard", ()
 
@@ -38,7 +38,7 @@ class Source:
         return 40
 
 
-def test_the_map_is_each_cells_share_shrunk_to_the_base_rate() -> None:
+def test_the_occupancy_rate_is_the_share_of_each_cell_shrunk_to_the_base_rate() -> None:
     rate = tuning.count_occupancy_rate([Source(), Source()])
     base_rate = (40 + 20) / (6 * 40)
     assert rate[WALL] == pytest.approx((80 + 20 * base_rate) / 100)
@@ -47,7 +47,7 @@ def test_the_map_is_each_cells_share_shrunk_to_the_base_rate() -> None:
     assert rate[2] == pytest.approx([base_rate] * 3)
 
 
-def test_the_beginning_of_a_source_is_held_frame_for_frame() -> None:
+def test_the_cached_beginning_of_a_source_has_its_frames() -> None:
     held = CachedSource.beginning(Source(), 1.0)
     assert len(held) == 8
     stamps = [frame.stamp_ns for frame in held]
@@ -55,7 +55,7 @@ def test_the_beginning_of_a_source_is_held_frame_for_frame() -> None:
     assert len(CachedSource.beginning(Source(), 100.0)) == 40
 
 
-def test_fit_finds_the_settings_that_score_best_and_keeps_those_that_were_given(tmp_path, monkeypatch) -> None:
+def test_fit_finds_the_best_settings_and_keeps_given_ones(tmp_path, monkeypatch) -> None:
     monkeypatch.setattr(tuning, "DOGMA_ITERATIONS", 12)
     asked = []
 

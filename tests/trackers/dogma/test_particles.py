@@ -1,4 +1,4 @@
-"""The particles' kernels against counting and arithmetic that numpy does independently."""
+"""The kernels of the particles against independent calculations with numpy."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ def test_process_noise_has_the_stated_moments() -> None:
     assert np.cov(particles.vx, particles.vy)[0, 1] == pytest.approx(0.0, abs=0.003)
 
 
-def test_what_rests_stays_until_it_starts_and_what_creeps_may_stop() -> None:
+def test_particles_at_rest_stay_until_they_start_and_slow_ones_can_stop() -> None:
     count, zeros = 100_000, np.zeros(100_000, np.float32)
     cells, starts = np.empty(count, np.int32), np.empty(SIZE * SIZE + 2, np.int32)
     resting = Particles(*(zeros + 2 for _ in range(2)), zeros.copy(), zeros.copy())
@@ -101,7 +101,7 @@ def test_what_rests_stays_until_it_starts_and_what_creeps_may_stop() -> None:
     assert not stopped[count // 2 :].any()
 
 
-def test_a_return_weighs_what_is_near_it_by_hand() -> None:
+def test_the_weights_of_particles_near_a_return_are_those_computed_by_hand() -> None:
     # two particles in cell [0, 0], at the return and two standard deviations from it
     particles = Particles(*(np.array(v, np.float32) for v in ([0.5, 0.5], [0.0, 0.8], [0, 0], [0, 0])))
     points = np.full((SIZE * SIZE, 2), np.nan, np.float32)
@@ -116,7 +116,7 @@ def test_a_return_weighs_what_is_near_it_by_hand() -> None:
     assert weights == pytest.approx([near, far], rel=1e-5)
 
 
-def test_resampling_keeps_the_number_and_shares_it_by_mass() -> None:
+def test_resampling_keeps_the_number_of_particles_and_distributes_them_by_mass() -> None:
     found, starts = sorted_by_cell(scattered(4000))
     rng = np.random.default_rng(3)
     persistent, born = rng.uniform(0, 0.9, (2, SIZE * SIZE)).astype(np.float32)
@@ -130,7 +130,7 @@ def test_resampling_keeps_the_number_and_shares_it_by_mass() -> None:
         assert (cell_of(Particles(*(column[first:last] for column in out))) == cell).all()
 
 
-def test_newborn_particles_fill_their_cell_and_rest_as_often_as_stated() -> None:
+def test_newborn_particles_fill_their_cell_and_the_stated_share_rests() -> None:
     found, starts = sorted_by_cell(scattered(10))
     born = np.zeros(SIZE * SIZE, np.float32)
     born[7] = 0.9
@@ -146,7 +146,7 @@ def test_newborn_particles_fill_their_cell_and_rest_as_often_as_stated() -> None
     assert abs(np.corrcoef(np.stack([out.x, out.y, out.vx, out.vy]))[np.triu_indices(4, 1)]).max() < 0.03
 
 
-def test_nothing_to_draw_from_leaves_nothing() -> None:
+def test_resampling_without_mass_gives_no_particles() -> None:
     found, starts = sorted_by_cell(scattered(10))
     nothing = np.zeros(SIZE * SIZE, np.float32)
     assert resampled(found, starts, nothing, nothing)[2] == 0

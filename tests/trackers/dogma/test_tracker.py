@@ -1,4 +1,4 @@
-"""The particle grid on scenes whose truth is known: boxes that drive past a laser, a wall, and what hides what."""
+"""The particle grid on scenes with ground truth: boxes that pass a laser, a wall, occlusion."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ Box = tuple[float, float, float, float]
 
 
 def frame_of(boxes: list[Box], step: int = 0) -> GridFrame:
-    """What a laser at the origin sees of boxes."""
+    """The frame of a laser at the origin, of boxes."""
     angles = -np.pi + np.arange(BEAMS) * 2 * np.pi / BEAMS
     beams = np.stack([np.cos(angles), np.sin(angles)], 1)
     ranges = np.full(BEAMS, np.inf)
@@ -57,7 +57,7 @@ def driving(start: Box, velocity: tuple[float, float], step: int) -> Box:
 
 
 def about(box: Box) -> np.ndarray:
-    """The cells (M, M) whose centres lie in a box or within a cell of it."""
+    """The cells (M, M) with centres in a box or at most one cell outside."""
     x, y, length, width = box
     cx, cy = np.moveaxis(GRID.cell_centres(np.ones(GRID.shape, bool)).reshape(*GRID.shape, 2), 2, 0)
     return (np.abs(cx - x) < length / 2 + GRID.cell_m) & (np.abs(cy - y) < width / 2 + GRID.cell_m)
@@ -72,7 +72,7 @@ DRIVES = [
     ((5.0, -6.0, 0.8, 1.0), (0.0, 4.0)),
     ((7.0, 3.0, 0.6, 0.6), (0.4, -1.3)),
 ]
-"""A cart across, one along, a walker: where each begins, and its velocity, m/s."""
+"""Two carts and a walker: start position and velocity, m/s."""
 
 
 @pytest.mark.parametrize(("start", "velocity"), DRIVES)
@@ -91,7 +91,7 @@ def test_a_moving_box_is_dynamic_and_its_velocity_right_after_a_second(start, ve
 
 
 @pytest.mark.parametrize(("start", "velocity"), DRIVES[:2])
-def test_what_drives_is_dynamic_within_three_frames(start, velocity) -> None:
+def test_a_moving_box_is_dynamic_within_three_frames(start, velocity) -> None:
     grid = state()
     for step in range(3):
         box = driving(start, velocity, step)
@@ -100,7 +100,7 @@ def test_what_drives_is_dynamic_within_three_frames(start, velocity) -> None:
     assert dynamic_cells(grid, velocities(grid))[frame.occupied & about(box)].mean() > 0.5
 
 
-def test_a_wall_never_moves_once_settled_whatever_drives_before_it() -> None:
+def test_a_wall_is_static_after_a_while_also_behind_traffic() -> None:
     grid = state()
     seen_for = np.zeros(GRID.shape, int)
     for step in range(30):
@@ -114,7 +114,7 @@ def test_a_wall_never_moves_once_settled_whatever_drives_before_it() -> None:
             assert grid.masses.occupied[settled].min() > 0.9
 
 
-def test_masses_stay_masses_on_every_frame() -> None:
+def test_masses_are_valid_after_every_frame() -> None:
     grid = state()
     for step in range(25):
         grid.update(frame_of([driving((3.0, -3.0, 1.8, 0.8), (5.0, 0.0), step), WALL] if step % 7 else [], step))
@@ -125,7 +125,7 @@ def test_masses_stay_masses_on_every_frame() -> None:
         assert grid.count in (0, SETTINGS.particles)
 
 
-def test_what_is_hidden_goes_on_and_comes_out() -> None:
+def test_a_hidden_box_is_predicted_and_reappears_with_its_velocity() -> None:
     pillar, start, velocity = (3.0, 0.0, 0.4, 2.0), (6.0, -4.0, 0.8, 0.8), (0.0, 2.5)
     grid = state()
     hidden = 0
@@ -144,7 +144,7 @@ def test_what_is_hidden_goes_on_and_comes_out() -> None:
 
 
 @pytest.mark.parametrize(("start", "velocity"), DRIVES)
-def test_the_forecast_leads_a_box_to_where_it_will_be(start, velocity) -> None:
+def test_the_forecast_of_a_box_is_at_its_future_position(start, velocity) -> None:
     grid = state()
     for step in range(13):
         grid.update(frame_of([driving(start, velocity, step)], step))
@@ -157,7 +157,7 @@ def test_the_forecast_leads_a_box_to_where_it_will_be(start, velocity) -> None:
         assert np.hypot(centre[0] - x, centre[1] - y) < 0.6  # of 1.3 to 5 m
 
 
-def test_where_nothing_is_known_the_occupancy_rate_is_forecast_and_what_is_free_falls_to_it() -> None:
+def test_unknown_cells_are_forecast_with_their_occupancy_rate_and_free_cells_approach_it() -> None:
     grid = state()
     frame = frame_of([(4.0, 0.0, 0.4, 6.0)])
     for step in range(5):
@@ -172,7 +172,7 @@ def test_where_nothing_is_known_the_occupancy_rate_is_forecast_and_what_is_free_
     assert (np.diff(by_step) > 0).all()
 
 
-def test_a_missed_frame_is_bridged() -> None:
+def test_a_missing_frame_is_bridged() -> None:
     start, velocity = DRIVES[0]
     grid = state()
     for step in [0, 1, 2, 3, 4, 7, 8]:
@@ -182,7 +182,7 @@ def test_a_missed_frame_is_bridged() -> None:
     assert np.median(velocities(grid).mean[0][frame.occupied & about(box)]) == pytest.approx(5.0, abs=0.5)
 
 
-def test_what_has_gone_out_of_sight_is_somewhere_for_as_long_as_it_lives() -> None:
+def test_a_hidden_box_persists_for_its_mean_lifetime() -> None:
     grid = ParticleGrid(
         GRID, PERIOD_S, SETTINGS.model_copy(update={"mean_lifetime_s": 2.0, "birth_probability": 1e-6}), seed=1
     )
@@ -226,7 +226,7 @@ def same(one: list[np.ndarray], other: list[np.ndarray]) -> bool:
     return all(np.array_equal(a, b) for a, b in zip(one, other, strict=True))
 
 
-def test_the_same_seed_gives_the_same_however_often_one_asks_and_a_reset_starts_over(weights) -> None:
+def test_the_same_seed_gives_the_same_forecast_after_any_number_of_predictions_and_after_a_reset(weights) -> None:
     tracker = DogmaTracker(StreamSpec(GRID, PERIOD_S, "yard", weights=weights), DogmaSettings())
     tracker.reset(7)
     first = streamed(tracker)
@@ -236,7 +236,7 @@ def test_the_same_seed_gives_the_same_however_often_one_asks_and_a_reset_starts_
     assert not same(first, streamed(tracker))
 
 
-def test_now_is_forecast_as_it_was_seen_and_at_the_velocity_it_has(weights) -> None:
+def test_step_0_is_the_observation_with_the_velocity_of_the_box(weights) -> None:
     tracker = DogmaTracker(StreamSpec(GRID, PERIOD_S, "yard", weights=weights), DogmaSettings())
     start, velocity = DRIVES[0]
     for step in range(10):
@@ -250,7 +250,7 @@ def test_now_is_forecast_as_it_was_seen_and_at_the_velocity_it_has(weights) -> N
     assert np.abs(np.median(found.velocity[:, frame.occupied & about(WALL)], axis=1)).max() < 0.05
 
 
-def test_without_weights_it_says_how_to_make_them() -> None:
+def test_without_weights_the_error_names_the_training_command() -> None:
     with pytest.raises(WeightsError, match="gridtrack train dogma"):
         DogmaTracker(StreamSpec(GRID, PERIOD_S, "yard"), DogmaSettings())
 
@@ -286,7 +286,7 @@ print(before, compiled())
 """
 
 
-def test_what_is_compiled_on_first_use_is_compiled_when_it_starts(weights) -> None:
+def test_kernels_are_compiled_when_the_tracker_starts(weights) -> None:
     program = STARTED_AND_FED.replace("THE_GRID", str(GRID)).replace("THE_WEIGHTS", str(weights))
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     assert done.stdout == "[1, 1, 1, 1, 1, 1] [1, 1, 1, 1, 1, 1]\n"

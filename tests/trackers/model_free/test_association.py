@@ -1,4 +1,4 @@
-"""Association: the best assignment, sets of pairs judged as a whole, and each return to the nearest boundary."""
+"""Association: optimal assignment, joint compatibility of pairs, and assignment of returns to the nearest boundary."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from gridtrack.trackers.model_free.segmentation import Cluster
 
 
 def cluster(points):
-    """A cluster that nothing cuts off."""
+    """A cluster without cut-off returns."""
     return Cluster(np.asarray(points, float), np.zeros(len(points), bool))
 
 
@@ -51,7 +51,7 @@ def test_assignment_is_the_best_of_all_assignments(costs):
     )
 )
 def test_joint_compatibility_finds_the_largest_likely_set_of_pairs(distances):
-    """Every pair is likely for itself, so that all tracks are one group that competes."""
+    """Each pair passes its gate, so that all tracks are one group of competitors."""
     limits = chi2.ppf(0.99, 3 * np.arange(1, 5))
     tracks, clusters = distances.shape
     costs = np.where(distances <= limits[0], distances, np.inf)
@@ -72,15 +72,15 @@ def assigned(distances, method, freedom=3):
     return assign(distances, distances, np.full(distances.shape, freedom), 0.99, method)
 
 
-def test_joint_compatibility_beats_taking_the_nearest():
-    """Two who walk abreast, both a little further than predicted: the nearest cluster of one is the other's."""
+def test_joint_compatibility_finds_more_pairs_than_nearest_neighbours():
+    """Two people side by side, both ahead of their predictions: the nearest cluster of one belongs to the other."""
     distances = np.array([[4.0, 2.0], [60.0, 3.0]])
     nearest = {int(t): int(distances[t].argmin()) for t in range(2)}
     assert nearest == {0: 1, 1: 1}
     assert assigned(distances, "jcbb") == {0: 0, 1: 1}
 
 
-def test_joint_compatibility_beats_gating_each_pair_for_itself():
+def test_joint_compatibility_finds_better_pairs_than_individual_gates():
     """The first has gone and the second is where it was expected; a newcomer is just near enough to that one.
 
     To give each a cluster, one has to take another's and the other a newcomer: likely for each, and not together.
@@ -100,7 +100,7 @@ def test_joint_compatibility_refuses_pairs_that_are_each_just_likely_but_not_tog
 
 
 @pytest.mark.parametrize("method", ["hungarian", "jcbb"])
-def test_the_gate_lets_in_the_stated_share_of_poses_with_and_without_a_heading(method):
+def test_the_gate_contains_the_stated_share_of_poses_with_and_without_a_heading(method):
     for freedom in (2, 3):
         gate = chi2.ppf(0.99, freedom)
         assert assigned([[0.999 * gate]], method, freedom) == {0: 0}
@@ -109,7 +109,7 @@ def test_the_gate_lets_in_the_stated_share_of_poses_with_and_without_a_heading(m
     assert len(assigned(both, method, freedom=3)) == 2
 
 
-def test_a_crowd_too_large_to_search_is_never_worse_off_than_by_the_hungarian_less_its_most_distant_pairs():
+def test_a_limited_search_is_at_least_as_good_as_the_pruned_hungarian_assignment():
     distances = np.full((10, 10), 0.6 * chi2.ppf(0.99, 3))
     pairs = assigned(distances, "jcbb")
     assert len(pairs) == 3
@@ -140,14 +140,14 @@ def shared(clusters, pairs, positions, reach_m):
     return assign_returns(clusters, pairs, distances, gaps(distances, clusters) <= reach_m)
 
 
-def test_a_stray_leg_joins_its_person_and_does_not_become_another():
+def test_a_separate_leg_belongs_to_its_person():
     legs = [cluster([[0.0, 0.0]]), cluster([[0.4, 0.0]])]
     shares, left = shared(legs, {0: 0}, [(0.1, 0.0)], reach_m=0.5)
     assert len(shares[0].points) == 2
     assert left == []
 
 
-def test_two_people_whose_returns_touch_stay_two():
+def test_two_people_whose_returns_touch_remain_two():
     both = cluster([[0.0, 0.0], [0.1, 0.0], [0.5, 0.0], [0.6, 0.0]])
     shares, left = shared([both], {0: 0}, [(0.0, 0.1), (0.6, 0.1)], reach_m=0.5)
     assert shares[0].points[:, 0].tolist() == [0.0, 0.1]
@@ -155,7 +155,7 @@ def test_two_people_whose_returns_touch_stay_two():
     assert left == []
 
 
-def test_a_cluster_out_of_reach_is_left_for_a_new_track():
+def test_a_cluster_out_of_reach_is_unassigned():
     clusters = [cluster([[0.0, 0.0]]), cluster([[3.0, 0.0]])]
     shares, left = shared(clusters, {0: 0}, [(0.0, 0.0)], reach_m=0.5)
     assert list(shares) == [0]

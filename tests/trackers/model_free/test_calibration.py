@@ -1,4 +1,4 @@
-"""Calibration: what is forecast with a probability comes that often, and what was more probable stays so."""
+"""Calibration: the fitted maps recover the observed frequencies and are monotonic."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ TRUE = Calibration(PARAMETERS)
 
 
 class Crystal:
-    """A tracker that says of each cell the same at every step, from a list of its own, one grid after the other."""
+    """A tracker that forecasts the next grid of a given list at all steps."""
 
     def __init__(self, said):
         self.said, self.frame = said, -1
@@ -47,27 +47,27 @@ def frame_of(occupied, visible=None):
 
 
 def mapped(calibration, p, hidden_s=0.0):
-    """Probabilities, one after the other, as calibrated in cells that were seen so long ago."""
+    """Calibrated probabilities (N,), of cells that were seen `hidden_s` ago."""
     forecast = np.array(p, np.float32).reshape(-1, 1, 1)
     calibration.apply(forecast, np.full((1, 1), hidden_s))
     return forecast.ravel()
 
 
 def scene(count=120, seed=0):
-    """Forecasts drawn log-uniformly that stay, and frames in which cells are occupied as often as TRUE says."""
+    """Constant forecasts, drawn log-uniformly, and frames with the occupancy probabilities of TRUE."""
     draw = np.random.default_rng(seed)
     said = np.exp(draw.uniform(np.log(1e-3), np.log(0.97), GRID.shape)).astype(np.float32)
     often = mapped(TRUE, said).reshape(GRID.shape)
     return Crystal([said] * count), [frame_of(draw.random(GRID.shape) < often) for _ in range(count)]
 
 
-def test_what_is_learned_is_how_often_what_was_forecast_came():
+def test_the_fit_recovers_the_true_calibration():
     learned = Calibration(fit_calibration([scene()], STEPS))
     at = np.array([0.003, 0.02, 0.1, 0.3, 0.6, 0.9], np.float32)
     assert mapped(learned, at) == pytest.approx(mapped(TRUE, at), rel=0.1)
 
 
-def test_what_cannot_be_seen_when_it_comes_is_not_counted():
+def test_cells_hidden_at_the_forecast_step_are_not_counted():
     tracker, frames = scene()
     hidden = np.zeros(GRID.shape, bool)
     hidden[:, :20] = True
@@ -77,7 +77,7 @@ def test_what_cannot_be_seen_when_it_comes_is_not_counted():
     assert mapped(learned, at) == pytest.approx(mapped(TRUE, at), rel=0.15)
 
 
-def test_the_formula_is_kept_to_a_fiftieth_and_what_is_certain_stays_certain():
+def test_the_map_has_two_percent_accuracy_and_keeps_0_and_1():
     a, b, c = PARAMETERS[0]
     p = np.concatenate([np.geomspace(1e-4, 0.5, 300), 1.0 - np.geomspace(1e-4, 0.5, 300)]).astype(np.float32)
     log_odds = c + a * np.log(p) - b * np.log1p(-p)
@@ -85,7 +85,7 @@ def test_the_formula_is_kept_to_a_fiftieth_and_what_is_certain_stays_certain():
     assert mapped(TRUE, [0.0, 1.0]).tolist() == [0.0, 1.0]
 
 
-def test_more_probable_stays_more_probable():
+def test_the_maps_are_monotonic():
     p = np.linspace(0.0, 1.0, 20_001, dtype=np.float32)
     assert (np.diff(mapped(TRUE, p)) >= 0.0).all()
 
@@ -95,15 +95,15 @@ def test_the_identity_changes_nothing():
     assert mapped(Calibration(IDENTITY), p) == pytest.approx(p, rel=2e-2)
 
 
-def test_what_has_been_hidden_for_long_has_a_map_of_its_own():
+def test_cells_hidden_for_long_have_their_own_map():
     seen_as, hidden_as = (1.0 / (1.0 + np.exp(-c + (a - b) * np.log(2.0))) for a, b, c in PARAMETERS)
     forecast, hidden_s = np.full((2, 2, 2), 0.5, np.float32), np.array([[0.0, 0.9], [1.1, np.inf]])
     TRUE.apply(forecast, hidden_s)
     assert forecast == pytest.approx(np.array([[[seen_as] * 2, [hidden_as] * 2]] * 2), rel=1e-3)
 
 
-def test_both_maps_are_learned_from_what_comes_into_view():
-    """The left half is out of sight for two seconds of three; the map of what is hidden long is another one."""
+def test_both_maps_are_fitted_to_cells_that_come_into_view():
+    """The left half is hidden for two of three seconds, with another true map."""
     draw = np.random.default_rng(0)
     said = np.exp(draw.uniform(np.log(1e-3), np.log(0.97), GRID.shape)).astype(np.float32)
     left, frames = np.zeros(GRID.shape, bool), []
@@ -121,7 +121,7 @@ def test_both_maps_are_learned_from_what_comes_into_view():
     assert mapped(learned, at, 2.0)[0] > 1.5 * mapped(learned, at, 0.0)[0]
 
 
-def test_what_is_no_probability_becomes_one():
+def test_values_that_are_not_probabilities_are_mapped_to_probabilities():
     odd = mapped(TRUE, [-0.5, 1.5, np.nan, np.inf])
     assert ((odd >= 0.0) & (odd <= 1.0)).all()
 
@@ -132,8 +132,8 @@ def test_hostile_parameters_give_one_clear_line(parameters):
         Calibration(np.array([(1.0, 1.0, 0.0), parameters], np.float32))
 
 
-def test_where_nothing_ever_comes_nothing_is_learned_that_is_certain():
-    """No return in all the training: rarer than was said, but not impossible."""
+def test_a_fit_without_occupied_cells_gives_no_certain_forecast():
+    """Without an occupied cell in training the probabilities are reduced and remain positive."""
     tracker, frames = scene(count=20)
     empty = [frame_of(np.zeros(GRID.shape, bool))] * len(frames)
     learned = Calibration(fit_calibration([(tracker, empty)], STEPS))
@@ -149,7 +149,7 @@ HELD_OUT = {
 
 
 @pytest.mark.parametrize("site", HELD_OUT)
-def test_what_ships_foretells_as_many_returns_as_come_where_it_is_unsure(site):
+def test_the_shipped_weights_forecast_the_observed_number_of_returns(site):
     stream = open_stream(HELD_OUT[site])
     tracker = KalmanTracker(stream_of(stream, DATA / "weights" / "kalman" / f"{site}.toml"), PipelineSettings())
     frames, ahead = list(stream), round(1.0 / stream.period_s)

@@ -1,4 +1,4 @@
-"""Classes of the model-free trackers: how they are learned, kept in weights and checked."""
+"""Classes of the model-free trackers: training, weights and their validation."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def path(tmp_path_factory):
     return fit(tmp_path_factory.mktemp("street"))
 
 
-def test_what_was_learned_from_labelled_scans_tells_the_classes_of_cells_and_objects_now_and_ahead(path):
+def test_trained_classes_are_right_for_cells_and_objects_at_all_steps(path):
     tracker, source = KalmanTracker(stream_of(Street(), path), ModelFreeSettings()), Street(34)
     assert tracker.classes == ("pedestrian", "car")
     for item in source.labelled():
@@ -95,13 +95,13 @@ print(before, compiled())
 """
 
 
-def test_what_is_compiled_on_first_use_is_compiled_when_it_starts(path):
+def test_kernels_are_compiled_when_the_tracker_starts(path):
     command = [sys.executable, "-c", STARTED_AND_FED, str(SCENES), str(path)]
     done = subprocess.run(command, capture_output=True, text=True, check=True)
     assert done.stdout == "[1, 1, 1, 1] [1, 1, 1, 1]\n"
 
 
-def test_the_card_says_what_was_learned_from_what(path):
+def test_the_card_describes_the_training_of_classes(path):
     card = read_card(path)
     assert card.classes == ("pedestrian", "car")
     assert card.settings["labelled_scans"] == 80
@@ -111,7 +111,7 @@ def test_the_card_says_what_was_learned_from_what(path):
     assert told["validation_log_loss"] < 0.2
 
 
-def test_classes_are_added_to_weights_that_stay_as_they_are_bit_for_bit_and_fitted_twice_are_the_same(path, tmp_path):
+def test_adding_classes_leaves_other_arrays_unchanged_and_is_reproducible(path, tmp_path):
     other = fit(tmp_path, stage="occupancy")
     before = load_weights(stream_of(Street(), other), "kalman")
     assert before.card.classes == ()
@@ -124,7 +124,7 @@ def test_classes_are_added_to_weights_that_stay_as_they_are_bit_for_bit_and_fitt
     assert {k: v.tobytes() for k, v in at_once.arrays.items()} == {k: v.tobytes() for k, v in after.arrays.items()}
 
 
-def test_classes_take_the_place_of_others_even_of_such_as_cannot_be_read(path, tmp_path):
+def test_new_classes_replace_earlier_ones_even_damaged_ones(path, tmp_path):
     weights = load_weights(stream_of(Street(), path), "kalman")
     other = tmp_path / "street.toml"
     save_weights(other, weights.card, weights.arrays | {"class_means": np.zeros((2, 1, 99)), "class_old": np.zeros(3)})
@@ -133,7 +133,7 @@ def test_classes_take_the_place_of_others_even_of_such_as_cannot_be_read(path, t
     assert {k: v.tobytes() for k, v in weights.arrays.items()} == {k: v.tobytes() for k, v in again.arrays.items()}
 
 
-def test_a_recording_without_labels_is_trained_without_classes_and_the_card_says_so(tmp_path):
+def test_a_recording_without_labels_is_trained_without_classes_and_its_card_states_it(tmp_path):
     path = fit(tmp_path, FactorGraphTracker, Street(classes=()))
     card = read_card(path)
     assert card.classes == ()
@@ -147,7 +147,7 @@ def test_a_recording_without_labels_is_trained_without_classes_and_the_card_says
         fit(tmp_path, FactorGraphTracker, Street(classes=()), stage="classes")
 
 
-def test_too_few_labels_are_told_before_the_search_and_classes_without_weights_too(tmp_path):
+def test_too_few_labels_and_missing_weights_are_refused_before_the_search(tmp_path):
     with pytest.raises(ConfigurationError, match="no 121 consecutive labelled scans"):
         fit(tmp_path, labelled_scans=121)
     assert not list(tmp_path.iterdir())
@@ -191,7 +191,7 @@ def test_hostile_weights_give_one_clear_line(path, tmp_path, change, message):
     assert "\n" not in str(raised.value)
 
 
-def test_only_labelled_cells_of_learned_classes_are_counted():
+def test_only_labelled_cells_of_the_trained_classes_are_counted():
     items = [LabelledFrame(None, np.array([3, 3600 - 1]), np.array(labels, np.uint8)) for labels in ([0, 2], [0, 0])]
     stretch = LabelledStretch(Street(), 0, 0, items)
     count = count_cells(stretch, ("horse", "pedestrian"))

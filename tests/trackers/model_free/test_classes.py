@@ -1,4 +1,4 @@
-"""Classes of the model-free trackers: what tells a car from a pedestrian, the place's own, and both in a forecast."""
+"""Classes of the model-free trackers: features of tracks, the prior of cells, and both in a forecast."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from scenes.street import CAR, GRID, PEDESTRIAN, box, frame_of, legs
 
 
 def track_of(points, velocity, identity=0, unseen=0):
-    """As much of a track as its class is read from."""
+    """The attributes of a track that determine its class."""
     mean = np.array([*points.mean(axis=0), 0.0, *velocity, 0.0])
     return SimpleNamespace(
         identity=identity, returns=points, estimator=SimpleNamespace(mean=mean), unseen=unseen, existence=1.0
@@ -50,7 +50,7 @@ def model():
     return fit_mixtures(some_people_and_cars(), anywhere(), components=2, seed=0)
 
 
-# What a track looks like
+# Features of tracks
 
 
 def test_a_box_of_car_size_at_8_m_per_s_is_a_car_and_two_legs_at_walking_speed_a_pedestrian(model):
@@ -75,7 +75,7 @@ def test_features_are_extents_speed_and_range():
     assert found[0] == pytest.approx(np.log(expected))
 
 
-def test_extents_do_not_depend_on_how_the_body_is_turned():
+def test_extents_do_not_depend_on_the_heading():
     found = [
         features_of([track_of(box(4.0, 1.6, (6.0, 0.0), turn), (math.cos(turn), math.sin(turn)))], frame_of([]))[0, :3]
         for turn in (0.0, 1.0, 2.5)
@@ -94,7 +94,7 @@ def test_densities_are_those_of_scipys_gaussians(model):
     assert model.log_densities(features) == pytest.approx(np.log(expected))
 
 
-def test_a_track_keeps_its_class_while_it_is_hidden_and_counts_every_frame_in_which_it_was_seen(model):
+def test_a_hidden_track_keeps_its_class_and_every_frame_in_view_counts(model):
     walker, crowd = track_of(legs((5.0, 0.0)), (0.0, 1.2)), track_of(box(1.4, 0.6, (5.0, 0.0)), (0.0, 1.2))
     classes = ClassFilter(model, GRID)
     densities = [model.log_densities(features_of([each], frame_of([])))[0] for each in (walker, crowd)]
@@ -111,7 +111,7 @@ def test_a_track_keeps_its_class_while_it_is_hidden_and_counts_every_frame_in_wh
         classes.posteriors([walker])
 
 
-def test_what_looks_alike_is_what_the_place_says_as_far_as_its_power_goes(model):
+def test_tracks_with_equal_features_have_the_cell_prior_with_its_power(model):
     place = anywhere()
     place[:, :, :30], place[:, :, 30:] = [[[0.9]], [[0.1]]], [[[0.2]], [[0.8]]]
     left, right = track_of(legs((2.0, 0.0)), (0.0, 1.0)), track_of(legs((10.0, 0.0)), (0.0, 1.0))
@@ -122,14 +122,14 @@ def test_what_looks_alike_is_what_the_place_says_as_far_as_its_power_goes(model)
     assert untold.posteriors(np.zeros((2, 2)), log_prior) == pytest.approx(np.tile(model.frequency, (2, 1)))
 
 
-def test_probabilities_hold_what_they_promise_on_tracks_not_learned_from(model):
+def test_probabilities_are_calibrated_on_other_tracks(model):
     fresh = some_people_and_cars(seed=2, count=400)
     found = model.posteriors(model.log_densities(fresh.features), np.log(np.full((800, 2), 0.5)))
     assert cell_log_loss(found, fresh.cells) < 0.1
     assert cell_log_loss(found[:, ::-1], fresh.cells) > 1.0
 
 
-def test_a_class_that_no_track_has_is_as_all_tracks_are():
+def test_a_class_without_samples_has_the_distribution_of_all_samples():
     learned = some_people_and_cars()
     third = learned._replace(cells=np.pad(learned.cells, ((0, 0), (0, 1))))
     model = fit_mixtures(third, anywhere(3), components=4, seed=0)
@@ -137,16 +137,16 @@ def test_a_class_that_no_track_has_is_as_all_tracks_are():
     assert 0.0 < model.frequency[2] < 0.01
 
 
-def test_a_mean_over_a_life_ends_with_the_track():
+def test_the_mean_over_a_lifetime_ends_with_the_track():
     tracked = TrackSamples(np.zeros((5, 5)), np.array([0, 0, 1, 1, 1]), np.zeros((5, 2), np.int64), [])
     values = np.array([[1.0], [3.0], [10.0], [20.0], [60.0]])
     assert tracked.mean_over_life(values).ravel().tolist() == [1.0, 2.0, 10.0, 15.0, 30.0]
 
 
-# The place
+# Prior of cells
 
 
-def test_a_cells_own_returns_go_before_those_beside_it_and_these_before_the_rest_of_the_place():
+def test_the_cell_prior_weights_its_own_returns_over_its_surroundings_and_the_site():
     count = np.zeros((2, 80, 80))
     count[0, 5:8, 5:8], count[1, 5, 6] = 30.0, 60.0
     count[1, 30:34, 30:34] = 50.0
@@ -160,10 +160,10 @@ def test_a_cells_own_returns_go_before_those_beside_it_and_these_before_the_rest
     assert place[1, 5, 78] == pytest.approx(860 / (860 + 270), abs=0.02)
 
 
-# What a forecast says
+# Semantics of a forecast
 
 
-def test_semantics_are_shared_out_by_what_background_and_tracks_show():
+def test_semantics_are_weighted_by_the_occupancy_of_background_and_tracks():
     occupancy = np.full((1, 9, 9), 0.2, np.float32)
     place = np.zeros((2, 9, 9), np.float32)
     place[PEDESTRIAN] = 1.0
@@ -177,7 +177,7 @@ def test_semantics_are_shared_out_by_what_background_and_tracks_show():
     assert semantics[0, :, 0, 0].tolist() == [1.0, 0.0]
 
 
-def test_what_is_seen_has_the_classes_of_whose_return_it_is():
+def test_an_observed_return_has_the_classes_of_its_track():
     semantics, place = np.zeros((2, *GRID.shape), np.float32), anywhere().astype(np.float32)
     body, behind = legs((5.0, 0.0)), legs((5.0, 4.0))
     frame = frame_of([body, np.array([(9.0, 3.0)])])

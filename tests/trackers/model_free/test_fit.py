@@ -1,4 +1,4 @@
-"""Weights of the model-free trackers: what is refused, and how they are fitted."""
+"""Weights of the model-free trackers: validation and training."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from gridtrack.trackers.weights import read_card, save_weights
 from scenes.hall import GLIDING, GRID, OPEN, PERIOD_S, card, frame_of, walk
 
 
-def test_without_weights_it_says_how_to_make_them():
+def test_without_weights_the_error_names_the_training_command():
     with pytest.raises(WeightsError, match="gridtrack train kalman"):
         KalmanTracker(StreamSpec(GRID, PERIOD_S, "hall"), PipelineSettings())
 
@@ -31,14 +31,14 @@ def test_without_weights_it_says_how_to_make_them():
         ("residence", 1.5, "'residence' does not hold probabilities"),
     ],
 )
-def test_weights_whose_maps_are_no_probabilities_are_refused(tmp_path, name, spoilt, message):
+def test_weights_whose_maps_are_not_probabilities_are_refused(tmp_path, name, spoilt, message):
     arrays = OPEN | {"residence": GLIDING}
     save_weights(tmp_path / "hall.toml", card(), arrays | {name: np.full_like(arrays[name], spoilt)})
     with pytest.raises(WeightsError, match=message):
         KalmanTracker(StreamSpec(GRID, PERIOD_S, "hall", weights=tmp_path / "hall.toml"), PipelineSettings())
 
 
-def test_weights_with_a_setting_that_is_not_one_are_refused(tmp_path):
+def test_weights_with_an_unknown_setting_are_refused(tmp_path):
     path = tmp_path / "hall.toml"
     save_weights(path, card(link=1.0), OPEN | {"residence": GLIDING})
     with pytest.raises(WeightsError, match="link_m"):
@@ -46,7 +46,7 @@ def test_weights_with_a_setting_that_is_not_one_are_refused(tmp_path):
 
 
 class Source:
-    """Frames of a stretch, from memory."""
+    """A source of 30 frames."""
 
     name, sha256, grid, period_s, site, classes = "hall@0s-3s", "0" * 64, GRID, PERIOD_S, "hall", ()
 
@@ -60,7 +60,7 @@ class Source:
         return len(self.frames)
 
 
-def test_fit_finds_the_settings_that_score_best_and_keeps_those_that_were_given(tmp_path, monkeypatch):
+def test_fit_finds_the_best_settings_and_keeps_given_ones(tmp_path, monkeypatch):
     monkeypatch.setattr(tuning, "SEARCH_ITERATIONS", 25)
     asked = []
 
@@ -92,7 +92,7 @@ def fit_hall(tmp_path, score, told):
     KalmanTracker.fit([Source()], [Source()], score, out, ModelFreeSettings())
 
 
-def test_a_stretch_on_which_nothing_can_be_scored_is_told_in_one_line(tmp_path):
+def test_a_stretch_without_scores_is_refused_in_one_line(tmp_path):
     def score(tracker, source, steps):
         undefined = np.full(steps + 1, np.nan)
         return StretchScore({"moving": undefined, "visible": undefined}, {"moving": undefined, "visible": undefined})
@@ -102,7 +102,7 @@ def test_a_stretch_on_which_nothing_can_be_scored_is_told_in_one_line(tmp_path):
     assert not (tmp_path / "hall.toml").exists()
 
 
-def test_an_interrupted_search_tells_the_best_so_far(tmp_path, caplog):
+def test_an_interrupted_search_reports_its_best_settings(tmp_path, caplog):
     told, values = [], iter([0.3, 0.5, 0.4])
 
     def score(tracker, source, steps):

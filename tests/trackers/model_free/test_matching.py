@@ -1,4 +1,4 @@
-"""Scan matching and shapes against hand-made bodies whose motion is known."""
+"""Scan matching and shapes, with bodies of known motion."""
 
 from __future__ import annotations
 
@@ -30,17 +30,17 @@ def placed(offsets, pose):
 
 
 def nowhere(count):
-    """No point is cut off, or seen."""
+    """A mask without points."""
     return np.zeros(count, bool)
 
 
 def outline(points, cut=None):
-    """Everything there, and nothing cut off unless said."""
+    """An outline of weight 1, by default without cut-off points."""
     return Outlines.of([points], [np.ones(len(points))], [nowhere(len(points)) if cut is None else cut])
 
 
 def matched(points, offsets, *starts, turns=True, unsure_m=0.4, cut=None, seen=None) -> Match:
-    """Starts at zero, and nothing of the boundary `offsets` is in view but its returns, unless said otherwise."""
+    """The match from start poses, by default zero, with the boundary `offsets` by default not in view."""
     starts = np.array([starts or [(0.0, 0.0, 0.0)]], float)
     pairs = Pairs(np.zeros((1, 2), int), starts, np.array([unsure_m]), np.ones(1, bool), np.array([turns]))
     seen = nowhere(len(offsets)) if seen is None else seen
@@ -55,7 +55,7 @@ def test_the_pose_of_a_corner_is_found(x, y, turn):
     assert found.residual < 0.5
 
 
-def test_it_starts_where_the_object_is_expected():
+def test_matching_starts_at_the_predicted_pose():
     pose = (8.0, -3.0, 1.2)
     found = matched(placed(L_SHAPE, pose), L_SHAPE, (7.8, -2.9, 1.1))
     assert found.pose == pytest.approx(pose, abs=0.03)
@@ -67,7 +67,7 @@ def test_the_best_of_several_starts_is_taken():
     assert found.pose == pytest.approx([5.0, 0.0, 0.0], abs=0.03)
 
 
-def test_pairs_are_matched_each_for_itself():
+def test_pairs_are_matched_independently():
     poses = np.array([[0.2, 0.1, 0.05], [-0.1, 0.2, 0.0]])
     one, other = L_SHAPE, WALL[:30]
     boundaries = Outlines.of([one, other], [np.ones(59), np.ones(30)], [nowhere(59), nowhere(30)])
@@ -82,7 +82,7 @@ def test_pairs_are_matched_each_for_itself():
             assert together == pytest.approx(by_itself)
 
 
-def test_a_wall_says_nothing_of_a_motion_along_itself():
+def test_a_wall_gives_no_information_along_itself():
     middle = WALL[25:56]
     found = matched(middle + np.array([0.0, 0.2]), WALL)
     deviations = np.sqrt(np.diag(found.covariance))
@@ -91,16 +91,16 @@ def test_a_wall_says_nothing_of_a_motion_along_itself():
     assert deviations[0] > 1.0
 
 
-def test_a_wall_of_cells_says_nothing_of_a_motion_along_itself():
-    """Whose points lie two surface widths apart: the grid's pattern is no feature of the wall."""
+def test_a_wall_of_cells_gives_no_information_along_itself():
+    """The points are two surface widths apart: the pattern of the grid is not a feature of the wall."""
     cells = WALL[::2]
     found = matched(cells[12:28], cells, unsure_m=0.1)
     assert math.sqrt(found.covariance[0, 0]) > 0.5
     assert math.sqrt(found.covariance[1, 1]) < 0.05
 
 
-def test_a_boundary_in_view_that_nothing_returns_draws_it_on():
-    """Of a bar that has moved on by 0.3 m the rear is seen to be gone, and its front goes on behind a shadow."""
+def test_a_boundary_in_view_without_returns_moves_the_pose():
+    """A bar has moved by 0.3 m: its rear is in view without returns, its front is hidden."""
     bar = np.stack([np.arange(0.0, 2.05, 0.1), np.zeros(21)], 1)
     front = np.zeros(21, bool)
     front[-4:] = True
@@ -113,7 +113,7 @@ def test_a_boundary_in_view_that_nothing_returns_draws_it_on():
     assert held.pose[0] < 0.1
 
 
-def test_a_turned_wall_says_nothing_along_its_own_direction():
+def test_a_rotated_wall_gives_no_information_along_itself():
     turn = math.radians(30)
     found = matched(placed(WALL[25:56], (0.0, 0.0, turn)), WALL, (0.0, 0.0, turn))
     spread = rotation(turn).T @ found.covariance[:2, :2] @ rotation(turn)
@@ -121,11 +121,11 @@ def test_a_turned_wall_says_nothing_along_its_own_direction():
     assert math.sqrt(spread[1, 1]) < 0.05
 
 
-def test_a_corner_settles_all_three():
+def test_a_corner_determines_position_and_heading():
     assert (np.sqrt(np.diag(matched(L_SHAPE, L_SHAPE).covariance)) < 0.1).all()
 
 
-def test_what_shows_no_heading_keeps_it_and_says_so():
+def test_a_pair_without_observable_heading_keeps_it_with_unknown_variance():
     found = matched(
         np.array([[0.1, 0.0], [0.3, 0.0]]), np.array([[0.0, 0.0], [0.2, 0.0]]), (0.0, 0.0, 0.4), turns=False
     )
@@ -133,29 +133,29 @@ def test_what_shows_no_heading_keeps_it_and_says_so():
     assert found.covariance[2, 2] == pytest.approx(UNKNOWN[2])
 
 
-def test_a_car_that_shows_more_of_its_side_has_not_moved():
-    """Its centre has, by more than a metre."""
+def test_a_car_of_which_more_comes_into_view_has_not_moved():
+    """Its centre moves by more than a metre."""
     front = L_SHAPE[30:]
     found = matched(L_SHAPE, front, unsure_m=0.1)
     assert np.hypot(*found.pose[:2]) < 0.1
     assert abs(found.pose[2]) < 0.1
 
 
-def test_returns_of_something_else_do_not_move_a_body():
+def test_outliers_do_not_move_a_body():
     other = np.stack([np.zeros(6), np.linspace(1.5, 2.0, 6)], 1)
     found = matched(np.concatenate([placed(L_SHAPE, (0.2, 0.1, 0.0)), other]), L_SHAPE)
     assert found.pose == pytest.approx([0.2, 0.1, 0.0], abs=0.03)
 
 
-def test_a_body_of_which_no_return_is_says_nothing():
+def test_a_body_without_returns_is_not_measured():
     found = matched(L_SHAPE + 50.0, L_SHAPE)
     assert found.residual == pytest.approx(9.0)
     assert np.diag(found.covariance) == pytest.approx(UNKNOWN)
 
 
 @pytest.mark.parametrize(("unsure_m", "held_at"), [(0.1, 0.15), (0.3, 0.02)])
-def test_the_edge_of_a_shadow_does_not_hold_a_wall_that_slides_past_it(unsure_m, held_at):
-    """Of a wall that moved by 0.3 m the same stretch is seen: its ends are the shadow's, not the wall's."""
+def test_a_cut_off_end_does_not_hold_a_sliding_wall(unsure_m, held_at):
+    """A wall has moved by 0.3 m behind a fixed window: the visible ends are those of the occluder."""
     window = WALL[25:56]
     ends = np.zeros(len(window), bool)
     ends[[*range(4), *range(-4, 0)]] = True
@@ -169,12 +169,12 @@ def test_the_edge_of_a_shadow_does_not_hold_a_wall_that_slides_past_it(unsure_m,
 
 
 def with_prediction(found, x, deviation):
-    """Where a body is along x by a match and a prediction together."""
+    """The x coordinate of a body after the update of a prediction with a match."""
     trust = deviation**2 / (deviation**2 + found.covariance[0, 0])
     return x + trust * (found.pose[0] - x)
 
 
-def test_who_has_no_outline_that_goes_on_is_held_by_every_end():
+def test_a_pair_that_is_not_extended_uses_every_end():
     window = WALL[25:56]
     everywhere = np.ones(len(window), bool)
     pairs = Pairs(np.zeros((1, 2), int), np.array([[[0.2, 0.0, 0.0]]]), np.array([0.3]), nowhere(1), nowhere(1))
@@ -185,7 +185,7 @@ def test_who_has_no_outline_that_goes_on_is_held_by_every_end():
 # Shape
 
 
-def test_a_boundary_point_is_cut_off_until_a_return_there_is_not():
+def test_a_boundary_point_is_cut_off_until_a_return_there_is_not_cut_off():
     place = np.array([[0.0, 0.0]])
     shape = Shape.of(place, np.ones(1, bool), 0.1)
     assert shape.cut.tolist() == [True]
@@ -195,7 +195,7 @@ def test_a_boundary_point_is_cut_off_until_a_return_there_is_not():
     assert shape.cut.tolist() == [False]
 
 
-def test_a_shape_is_as_often_occupied_as_its_points_were_met():
+def test_the_weight_of_a_boundary_point_is_its_rate_of_matches():
     shape = Shape.of(np.array([[0.0, 0.0], [1.0, 0.0]]), nowhere(2), 0.1)
     for step in range(400):
         found = np.array([[0.0, 0.0]]) if step % 2 else np.array([[0.0, 0.0], [1.0, 0.0]])
@@ -203,7 +203,7 @@ def test_a_shape_is_as_often_occupied_as_its_points_were_met():
     assert shape.weights == pytest.approx([1.0, 0.5], abs=0.01)
 
 
-def test_a_side_that_is_hidden_is_remembered_longer_than_one_seen_to_be_gone():
+def test_a_hidden_side_decays_more_slowly_than_one_in_view_without_returns():
     shape = Shape.of(np.array([[0.0, 0.0], [1.0, 0.0], [2.0, 0.0]]), nowhere(3), 0.1)
     for _ in range(12):
         shape.update(np.array([[0.0, 0.0]]), *2 * [nowhere(1)], np.array([True, True, False]), 0.1, gain=0.1)
@@ -216,7 +216,7 @@ def test_a_side_that_is_hidden_is_remembered_longer_than_one_seen_to_be_gone():
 
 
 @pytest.mark.parametrize("gain", [0.4, 0.02])
-def test_a_new_point_is_kept_for_some_frames_however_long_the_memory(gain):
+def test_a_new_point_is_kept_for_some_frames_with_any_memory(gain):
     shape = Shape.of(np.array([[0.0, 0.0]]), nowhere(1), 0.1)
     for _ in range(100):
         shape.update(np.array([[0.0, 0.0]]), *2 * [nowhere(1)], np.ones(1, bool), 0.1, gain)
@@ -226,8 +226,8 @@ def test_a_new_point_is_kept_for_some_frames_however_long_the_memory(gain):
     assert (len(shape.weights) == 2) == (gain < 0.4)
 
 
-def test_what_was_hidden_before_may_always_have_been_there():
-    """The rear of a car that turns into view is no return gone astray."""
+def test_a_revealed_point_starts_with_the_revealed_weight():
+    """A newly visible rear of a car is not an outlier."""
     shape = Shape.of(np.array([[0.0, 0.0]]), nowhere(1), 0.1)
     for _ in range(30):
         shape.update(np.array([[0.0, 0.0]]), *2 * [nowhere(1)], np.ones(1, bool), 0.1, gain=0.1)
@@ -237,7 +237,7 @@ def test_what_was_hidden_before_may_always_have_been_there():
 
 
 @given(st.integers(1, 40))
-def test_a_shape_carries_no_more_points_than_it_may(frames):
+def test_a_shape_has_at_most_the_maximum_number_of_points(frames):
     random = np.random.default_rng(0)
     shape = Shape.of(random.uniform(-9, 9, (20, 2)), nowhere(20), 0.1)
     for _ in range(frames):
@@ -246,7 +246,7 @@ def test_a_shape_carries_no_more_points_than_it_may(frames):
 
 
 @given(st.floats(-5, 5), st.floats(-5, 5), st.floats(-3.1, 3.1))
-def test_placing_and_taking_back_is_the_identity(x, y, turn):
+def test_to_grid_and_to_body_are_inverse(x, y, turn):
     pose = np.array([x, y, turn])
     shape = Shape.of(L_SHAPE, nowhere(len(L_SHAPE)), 0.01)
     assert to_body(to_grid(shape.offsets, pose), pose) == pytest.approx(shape.offsets, abs=1e-9)

@@ -1,4 +1,4 @@
-"""Occlusion and births on hand-drawn scenes: where a surface is cut off, and what then comes into view beside it."""
+"""Occlusion and initiation on drawn scenes: cut-off returns, and clusters that appear beside them."""
 
 from __future__ import annotations
 
@@ -83,13 +83,13 @@ def test_a_body_does_not_cut_itself_off():
     )
 
 
-def test_a_body_goes_on_beyond_the_grid():
+def test_a_body_is_cut_off_at_the_edge_of_the_grid():
     nothing = "........."
     assert cells_cut_off(nothing, nothing, nothing, nothing, "0000.....", *[nothing] * 4) == {(4, 0)}
 
 
 def moving_body(speed: float, length_m: float = 4.0) -> Track:
-    """A body along x whose front, at x = 0, is cut off; it moves along x."""
+    """A body along x that moves along x; its front, at x = 0, is cut off."""
     offsets = np.stack([np.linspace(-length_m, 0.0, 9), np.zeros(9)], 1)
     estimator = SwitchingEstimator(KalmanEstimator, np.zeros(3), np.eye(3) * 0.01, SETTINGS.motion(0.1))
     mean = np.array([0.0, 0.0, 0.0, speed, 0.0, 0.0])
@@ -104,7 +104,7 @@ def initiated(tracks: list[Track], x: float, cut: bool) -> SwitchingEstimator:
     return initiate(KalmanEstimator, cluster, tracks, SETTINGS.motion(0.1), SETTINGS)
 
 
-def test_what_comes_into_view_beyond_a_shadow_moves_with_the_body_that_the_shadow_cuts_off():
+def test_a_cluster_beyond_a_shadow_has_the_velocity_of_the_cut_off_body():
     moving = initiated([moving_body(6.0)], 1.0, cut=True)
     assert moving.mean[3:5] == pytest.approx([6.0, 0.0])
     assert np.sqrt(moving.covariance[3, 3]) < SETTINGS.initial_speed
@@ -120,5 +120,5 @@ def test_what_comes_into_view_beyond_a_shadow_moves_with_the_body_that_the_shado
     ],
     ids=["far away", "seen whole", "a stopped body", "a person"],
 )
-def test_other_clusters_begin_without_a_velocity(body, x, cut):
+def test_other_clusters_are_initiated_without_velocity(body, x, cut):
     assert initiated([body], x, cut).mean[3:5] == pytest.approx([0.0, 0.0])

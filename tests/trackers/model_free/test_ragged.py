@@ -1,4 +1,4 @@
-"""Parts one after the other: where they begin, whose each row is, and what each part is like."""
+"""Ragged arrays: bounds, owners, spans and means of the parts."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ PARTS = [np.array([(0.0, 0.0), (3.0, 1.0)]), np.array([(5.0, 5.0)]), np.array([(
 ROWS, BOUNDS = np.concatenate(PARTS), bounds_of(PARTS)
 
 
-def test_parts_are_where_they_were_put():
+def test_parts_keep_their_order():
     assert BOUNDS.tolist() == [0, 2, 3, 6]
     assert owners_of(BOUNDS).tolist() == [0, 0, 1, 2, 2, 2]
     assert [part.tolist() for part in split(ROWS, PARTS)] == [part.tolist() for part in PARTS]
@@ -24,6 +24,6 @@ def test_each_part_has_a_span_and_a_mean():
     assert means_of(ROWS > 2.0, BOUNDS).tolist() == [[0.5, 0.0], [1.0, 1.0], [1 / 3, 1 / 3]]
 
 
-def test_no_parts_have_no_rows():
+def test_without_parts_there_are_no_rows():
     assert bounds_of([]).tolist() == [0]
     assert split(np.empty((0, 2)), []) == []

@@ -18,17 +18,17 @@ def gauss(low, high, mean, sigma):
 
 NOWHERE = np.empty((0, 2))
 KEPT = math.erf(WINDOW_SIGMAS / math.sqrt(2)) ** 2
-"""The share of a blurred point's mass that lies within the window of the blur."""
+"""Share of the mass of a blurred point within the blur window."""
 
 
 def unclassed(occupancy):
-    """No classes, whose shares of what is drawn need no planes."""
+    """Semantics and classes of a tracker without classes."""
     steps, rows, columns = occupancy.shape
     return np.zeros((steps, 0, rows, columns), np.float32), np.zeros(0, np.float32)
 
 
 def drawn(offsets, poses, covariances, weights=None, size=61, existence=1.0):
-    """What a body shows, (n+1, M, M), all of it moved and none still."""
+    """The occupancy of a body (n+1, M, M), without resident returns."""
     steps = len(poses)
     occupancy = np.zeros((steps, size, size), np.float32)
     weights = np.ones(len(offsets)) if weights is None else weights
@@ -56,7 +56,7 @@ def test_a_blurred_point_is_the_gaussian_mass_of_every_cell():
 
 
 @pytest.mark.parametrize("covariance", [[[4.0, 0.0], [0.0, 9.0]], [[6.0, 3.5], [3.5, 4.0]], [[3.0, -2.0], [-2.0, 5.0]]])
-def test_blur_spreads_the_mass_as_the_covariance_says_and_keeps_it(covariance):
+def test_the_blur_has_the_covariance_and_keeps_the_mass(covariance):
     image = drawn([(0.0, 0.0)], [(30.2, 30.7, 0.0)], [covariance])[0].astype(float)
     rows, columns = np.mgrid[:61, :61] + 0.5
     assert KEPT < image.sum() <= 1.0
@@ -78,7 +78,7 @@ def test_points_of_one_cell_add_up_to_certainty_at_most():
     assert drawn([(0.0, 0.0)] * 2, pose, sharp, np.array([0.9, 0.9]))[0].sum() == pytest.approx(1.0, rel=1 - KEPT)
 
 
-def test_motions_that_exclude_each_other_share_the_body():
+def test_alternative_motions_share_the_mass_of_the_body():
     occupancy = np.zeros((1, 9, 9), np.float32)
     poses = np.array([[[2.5, 4.5, 0.0]], [[6.5, 4.5, 0.0]]])
     still = np.zeros((0, 1), np.float32)
@@ -88,7 +88,7 @@ def test_motions_that_exclude_each_other_share_the_body():
     assert occupancy[0, 4, [2, 4, 6]] == pytest.approx([0.7 * inside, 0.0, 0.3 * inside], abs=1e-5)
 
 
-def test_returns_that_stay_are_drawn_where_they_are_and_weighted_step_by_step():
+def test_resident_returns_are_drawn_in_place_with_the_weight_of_each_step():
     occupancy = np.zeros((2, 21, 21), np.float32)
     place = np.array([[8.5, 12.5]])
     nothing = np.empty((0, 2)), np.empty(0), np.full((1, 2, 3), 10.5), np.zeros((1, 2, 2, 2)), np.zeros((1, 2))
@@ -99,13 +99,13 @@ def test_returns_that_stay_are_drawn_where_they_are_and_weighted_step_by_step():
     assert occupancy[:, 12, 8] == pytest.approx([mass, 0.4 * mass], rel=1e-5)
 
 
-def test_what_leaves_the_grid_is_cut_off_at_its_edge():
+def test_mass_outside_the_grid_is_not_drawn():
     image = drawn([(0.0, 0.0)], [(0.0, 4.5, 0.0), (-500.0, 4.5, 0.0)], np.tile(np.diag([1.0, 0.09]), (2, 1, 1)), size=8)
     assert image[0].sum() == pytest.approx(0.5, rel=1 - KEPT)
     assert image[1].sum() == 0.0
 
 
-def test_a_track_is_combined_with_what_is_there_by_noisy_or():
+def test_a_track_is_combined_with_the_background_by_noisy_or():
     occupancy = np.full((1, 9, 9), 0.2, np.float32)
     body = np.zeros((1, 2)), np.ones(1), np.array([[[4.5, 4.5, 0.0]]]), np.zeros((1, 1, 2, 2)), np.ones((1, 1))
     draw_track(occupancy, *body, NOWHERE, 0.3, np.zeros((0, 1), np.float32), np.array([0.5]), *unclassed(occupancy))

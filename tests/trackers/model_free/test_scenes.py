@@ -1,4 +1,4 @@
-"""Both trackers of the pipeline on scenes whose truth is known: occlusion, crowds, stopping and leaving, velocities."""
+"""Both model-free trackers on scenes with ground truth: occlusion, crowds, stopping, departure, velocities."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ ESTIMATORS = pytest.mark.parametrize("estimator", [KalmanEstimator, FactorGraphE
 
 
 def scanned(bodies, random=None, raw=False) -> GridFrame:
-    """What a laser at the origin sees of bodies (outline (N, 2), x, y, heading): with `random`, noise of 0.03 m."""
+    """The frame of a laser at the origin, of bodies (outline (N, 2), x, y, heading); with `random`, noise of 0.03 m."""
     ranges = np.full(BEAMS.size, np.inf)
     directions = np.stack([np.cos(BEAMS), np.sin(BEAMS)], 1)
     for outline, x, y, heading in bodies:
@@ -55,14 +55,14 @@ def scanned(bodies, random=None, raw=False) -> GridFrame:
 
 
 def pipeline_of(estimator, **settings) -> Pipeline:
-    """In an open place with nothing in it, where no return stays for long."""
+    """A pipeline with an empty map and without resident returns."""
     place = BackgroundMap(np.full(GRID.shape, 1e-3, np.float32), np.zeros(GRID.shape, np.float32))
     residence = np.zeros(table_shape(PERIOD_S), np.float32)
     return Pipeline(GRID, PERIOD_S, place, residence, PipelineSettings(**settings), estimator)
 
 
 def at(pipeline, x, y):
-    """The confirmed track whose boundary comes nearest to a place, and how near."""
+    """The confirmed track with the boundary nearest to a position, and the distance."""
     tracks = [track for track in pipeline.tracks if track.status is not Status.TENTATIVE]
     distances = [np.linalg.norm(track.boundary - np.array([x, y]), axis=1).min() for track in tracks]
     nearest = int(np.argmin(distances))
@@ -91,7 +91,7 @@ def test_an_object_through_two_seconds_of_full_occlusion_is_the_same_track(estim
 @ESTIMATORS
 @pytest.mark.parametrize("association", ["hungarian", "jcbb"])
 def test_two_people_who_cross_keep_their_identities(estimator, association):
-    """They pass at half a metre, and touch on the grid."""
+    """Their distance is half a metre, and their cells touch."""
     pipeline = pipeline_of(estimator, **WALKERS, association=association)
     first, second = set(), set()
     for step in range(56):
@@ -139,7 +139,7 @@ def test_a_person_merges_into_a_group_and_out_of_it(estimator):
 
 @ESTIMATORS
 def test_a_vehicle_seen_in_two_pieces_becomes_one(estimator):
-    """A post hides its middle all the time, from the first frame on."""
+    """A post hides the middle of the vehicle in all frames."""
     pipeline = pipeline_of(estimator, **TRAFFIC | {"link_m": 0.5, "reach_m": 0.3}, track_merge_s=0.5)
     count = []
     for step in range(24):
@@ -156,7 +156,7 @@ def test_a_vehicle_seen_in_two_pieces_becomes_one(estimator):
 
 @ESTIMATORS
 def test_two_legs_that_part_are_one_person(estimator):
-    """Within reach of each other they are, though not linked."""
+    """They are within reach of each other, but not linked."""
     pipeline = pipeline_of(estimator, **WALKERS | {"link_m": 0.2, "reach_m": 0.5})
     for step in range(24):
         apart = 0.25 * np.sin(np.pi * step / 12) ** 2
@@ -166,7 +166,7 @@ def test_two_legs_that_part_are_one_person(estimator):
 
 
 @ESTIMATORS
-def test_what_is_hidden_of_a_seen_body_is_forecast(estimator):
+def test_the_hidden_part_of_a_visible_body_is_forecast(estimator):
     pipeline = pipeline_of(estimator, **TRAFFIC, shape_memory_s=2.0)
     screen = np.array([(-0.1, -0.8), (0.1, -0.8), (0.1, 0.8), (-0.1, 0.8)])
     for step in range(21):
@@ -184,7 +184,7 @@ def test_what_is_hidden_of_a_seen_body_is_forecast(estimator):
 @pytest.mark.parametrize(("raw", "limit"), [(True, 0.1), (False, 0.2)])
 @pytest.mark.parametrize("turn_rate", [0.0, 0.25])
 def test_the_velocity_of_a_car_is_known(estimator, raw, limit, turn_rate):
-    """Root-mean-square error after a second at 8 Hz, with the laser's noise, going straight and turning."""
+    """Root-mean-square error after a second at 8 Hz, with the noise of the laser, straight on and in a turn."""
     errors = []
     for seed in range(3):
         random = np.random.default_rng(seed)
@@ -204,6 +204,6 @@ def test_the_velocity_of_a_car_is_known(estimator, raw, limit, turn_rate):
 
 
 def reference_velocity(track, velocity, turn_rate, x, y):
-    """The velocity of the point of the body that the track's state is about: the body turns round its own centre."""
+    """The velocity of the body at the position of the track; the body rotates about its own centre."""
     lever = track.estimator.mean[:2] - [x, y]
     return velocity + turn_rate * np.array([-lever[1], lever[0]])

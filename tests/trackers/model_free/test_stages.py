@@ -31,7 +31,7 @@ def frame_of(visible, occupied):
 # Background
 
 
-def test_background_is_the_occupied_share_of_each_cell_drawn_to_the_base_rate():
+def test_the_occupancy_rate_is_the_share_of_each_cell_shrunk_to_the_base_rate():
     visible, occupied = np.zeros((5, 5), bool), np.zeros((5, 5), bool)
     visible[:2] = True
     occupied[0, 0] = True
@@ -43,7 +43,7 @@ def test_background_is_the_occupied_share_of_each_cell_drawn_to_the_base_rate():
     assert background.occupancy_rate[4, 4] == pytest.approx(base_rate)
 
 
-def test_a_wall_over_which_returns_flicker_is_solid_and_a_place_that_is_busy_as_often_is_not():
+def test_the_neighbourhood_rate_is_high_at_a_noisy_wall_and_not_at_an_equally_busy_cell():
     seen = np.ones((5, 9), bool)
     frames = []
     for step in range(1000):
@@ -74,12 +74,12 @@ def background_of(rate, neighbourhood_rate=0.0, **settings):
     return Background(fitted, 0.1, PipelineSettings(**given | settings))
 
 
-def test_forecast_keeps_walls_and_the_base_rate_of_what_was_never_seen():
+def test_the_forecast_has_walls_and_the_base_rate_of_cells_never_seen():
     background = background_of([[0.9, 0.1], [0.31, 0.0]], [[1.0, 0.0], [0.0, 0.0]])
     assert background.probabilities(1) == pytest.approx(np.array([[[0.9, 0.1], [0.31, 0.0]]] * 2))
 
 
-def test_a_cell_seen_empty_comes_back_to_its_base_rate_ahead_in_time_and_while_it_is_hidden():
+def test_a_cell_seen_empty_recovers_to_its_rate_ahead_in_time_and_while_hidden():
     background = background_of([[0.1]], untracked_share=0.25, rate_recovery_s=2.0)
     seen, empty = np.ones((1, 1), bool), np.zeros((1, 1), bool)
     background.observe(frame_of(seen, empty))
@@ -91,7 +91,7 @@ def test_a_cell_seen_empty_comes_back_to_its_base_rate_ahead_in_time_and_while_i
     assert background.probabilities(0).item() == pytest.approx(0.025)
 
 
-def test_what_stands_sinks_into_the_background_and_what_has_left_leaves_it():
+def test_stopped_objects_become_background_and_departed_ones_do_not_remain_in_it():
     background = background_of([[0.0, 0.0]])
     seen, parked = np.ones((1, 2), bool), np.array([[True, False]])
     for _ in range(100):
@@ -108,7 +108,7 @@ def test_what_stands_sinks_into_the_background_and_what_has_left_leaves_it():
     assert background.probabilities(0)[0] == pytest.approx(np.zeros((1, 2)))
 
 
-def test_a_frame_after_missed_ones_stands_for_all_of_them():
+def test_a_frame_after_missing_ones_counts_for_all_of_them():
     seen, parked, hidden = np.ones((1, 2), bool), np.array([[True, False]]), np.zeros((1, 2), bool)
     missed, whole = (background_of([[0.1, 0.1]], untracked_share=0.25) for _ in range(2))
     for background, periods in ((missed, (3, 2)), (whole, (1, 1, 1, 1, 1))):
@@ -122,7 +122,7 @@ def test_a_frame_after_missed_ones_stands_for_all_of_them():
     assert missed.hidden_s == pytest.approx(np.full((1, 2), 0.4))
 
 
-def test_a_wall_that_is_taken_away_is_forgotten():
+def test_a_removed_wall_is_forgotten():
     background = background_of([[0.9]], 1.0)
     for _ in range(1000):
         background.observe(frame_of(np.ones((1, 1), bool), np.zeros((1, 1), bool)))
@@ -130,7 +130,7 @@ def test_a_wall_that_is_taken_away_is_forgotten():
     assert background.probabilities(0)[0, 0, 0] == pytest.approx(0.9 * MAP_FRAMES / (MAP_FRAMES + frames), rel=1e-5)
 
 
-# Dwell
+# Residence
 
 
 def cells_at(*cells):
@@ -140,7 +140,7 @@ def cells_at(*cells):
     return occupied
 
 
-def test_the_age_of_a_return_goes_on_in_the_next_cell_and_starts_anew_elsewhere():
+def test_the_age_of_a_return_continues_in_a_neighbour_cell_and_restarts_elsewhere():
     ages = np.full((5, 5), NOT_OCCUPIED)
     for occupied in (cells_at((1, 1)), cells_at((1, 2)), cells_at((1, 2), (4, 4))):
         ages = next_ages(ages, occupied, oldest=10)
@@ -151,7 +151,7 @@ def test_the_age_of_a_return_goes_on_in_the_next_cell_and_starts_anew_elsewhere(
     assert (late[1, 2], late[0, 4]) == (5, 0)
 
 
-def test_life_table_counts_who_is_still_there_where_it_can_be_seen():
+def test_the_life_table_counts_returns_in_place_in_visible_cells():
     seen, hidden = np.ones((5, 5), bool), np.zeros((5, 5), bool)
     frames = [frame_of(seen, cells_at((1, 1))), frame_of(seen, cells_at((1, 1))), frame_of(hidden, cells_at())]
     table = fit_residence([frames] * 100, np.ones((5, 5), bool), (3, 3))
@@ -170,7 +170,7 @@ def test_life_table_is_read_from_the_age_and_from_the_time_since_last_seen():
     )
 
 
-# Life of a track
+# Existence
 
 
 def test_existence_follows_bayes_rule():
@@ -178,5 +178,5 @@ def test_existence_follows_bayes_rule():
     assert existence_when_missed(0.5, 0.9) == pytest.approx(0.05 / (0.05 + 0.5))
 
 
-def test_a_miss_where_nothing_could_be_seen_says_nothing():
+def test_a_miss_of_a_hidden_object_is_uninformative():
     assert existence_when_missed(0.7, 0.0) == 0.7

@@ -1,4 +1,4 @@
-"""Starting the kalman tracker: what takes seconds on a new machine is over before the first frame."""
+"""The start of the kalman tracker: kernels are compiled before the first frame."""
 
 from __future__ import annotations
 
@@ -37,6 +37,6 @@ print(set(before), set(compiled()))
 """
 
 
-def test_what_is_compiled_on_first_use_is_compiled_when_it_starts():
+def test_kernels_are_compiled_when_the_tracker_starts():
     done = subprocess.run([sys.executable, "-c", STARTED_AND_FED], capture_output=True, text=True, check=True)
     assert done.stdout == "{1} {1}\n"

@@ -1,4 +1,4 @@
-"""The kalman tracker on scenes whose truth is known: a laser in a corner, and round people who walk past it."""
+"""The kalman tracker on scenes with ground truth: a laser in a corner, and moving discs as pedestrians."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from scenes.hall import GLIDING, GRID, OPEN, PERIOD_S, card, frame_of, walk
 
 @pytest.fixture
 def weights(tmp_path):
-    """An open hall with nothing in it; the people here are discs that glide, and their velocity lasts."""
+    """Weights for an empty hall; the pedestrians are discs with constant velocity."""
     path = tmp_path / "hall.toml"
     save_weights(path, card(velocity_memory_s=50.0), OPEN | {"residence": GLIDING})
     return path
@@ -30,7 +30,7 @@ def tracker(weights):
 
 
 def watch(tracker, *paths):
-    """Show the people who walk along `paths`; the forecast objects after each frame."""
+    """The forecast objects after each frame of pedestrians on `paths`."""
     seen = []
     for step, people in enumerate(zip(*paths, strict=True)):
         tracker.update(frame_of(list(people), step))
@@ -65,7 +65,7 @@ def test_missed_frames_are_bridged(tracker, every):
 
 
 @pytest.mark.parametrize("velocity", [(0.8, 0.0), (0.0, 0.8), (-0.6, 0.6)])
-def test_the_forecast_leads_the_object_to_where_it_will_be(tracker, velocity):
+def test_the_forecast_of_an_object_is_at_its_future_position(tracker, velocity):
     path = walk((3.0, -velocity[1]), velocity, 31)
     watch(tracker, path[:21])
     occupancy = tracker.predict(10).occupancy
@@ -104,7 +104,7 @@ def _sees(occluder, place) -> bool:
     return int(both.occupied.sum()) > int(alone.occupied.sum())
 
 
-def test_a_hidden_object_goes_on_being_forecast_and_a_vanished_one_does_not(tracker):
+def test_a_hidden_object_is_still_forecast_and_a_vanished_one_is_not(tracker):
     standing, passing = [(1.5, 0.0)] * 45, walk((3.5, -2.0), (0.0, 0.9), 45)
     first_hidden = next(step for step in range(45) if not _sees(standing[step], passing[step]))
     watch(tracker, standing[: first_hidden + 3], passing[: first_hidden + 3])
@@ -141,7 +141,7 @@ def test_two_people_apart_keep_their_identities(tracker):
     assert {len(objects) for objects in seen} == {2}
 
 
-def test_a_wall_that_flickers_bears_no_track(tmp_path):
+def test_a_noisy_wall_initiates_no_track(tmp_path):
     rate, wall = OPEN["occupancy_rate"].copy(), OPEN["neighbourhood_rate"].copy()
     pillar = frame_of([], wall=True).occupied
     rate[pillar] = 0.9
@@ -156,7 +156,7 @@ def test_a_wall_that_flickers_bears_no_track(tmp_path):
     assert forecast.occupancy[5][pillar] == pytest.approx(0.9)
 
 
-def test_who_stands_is_forecast_to_stand_as_the_life_table_says(tmp_path):
+def test_a_standing_person_is_forecast_in_place_by_the_life_table(tmp_path):
     table = GLIDING.copy()
     table[20:] = 0.75
     path = tmp_path / "hall.toml"
@@ -170,14 +170,14 @@ def test_who_stands_is_forecast_to_stand_as_the_life_table_says(tmp_path):
     assert tracker.predict(10).occupancy[10][frame.occupied].mean() > at_first + 0.2
 
 
-def test_now_is_forecast_as_it_was_seen(tracker):
+def test_step_0_is_the_observation(tracker):
     watch(tracker, walk((3.0, -1.0), (0.0, 1.0), 5))
     frame = frame_of([(3.0, -0.5)])
     tracker.update(frame)
     assert np.array_equal(tracker.predict(3).occupancy[0][frame.visible], frame.occupied[frame.visible])
 
 
-def test_predicting_changes_nothing_and_a_reset_forgets(tracker):
+def test_predict_does_not_change_the_state_and_reset_does(tracker):
     path = walk((3.0, -1.0), (0.3, 0.7), 20)
 
     def forecasts(ask: bool):
@@ -202,7 +202,7 @@ def test_an_empty_stream_is_forecast_as_background(tracker):
     assert occupancy.max() < 2e-3
 
 
-def test_a_smoother_that_begins_anew_is_counted_until_the_reset(weights):
+def test_restarts_of_a_smoother_are_counted_until_the_reset(weights):
     gtsam = pytest.importorskip("gtsam")
     from gridtrack.trackers.model_free.factor_graph import FactorGraphTracker
     from gridtrack.trackers.model_free.motion.factor_graph import LAG_S

@@ -1,4 +1,4 @@
-"""Every state estimator on objects whose motion is known, and its own account of its errors."""
+"""State estimators on objects of known motion: their errors and their covariances."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def estimator(request):
 
 
 def moving(seconds, speed, turn_rate, heading=0.3):
-    """True states (N, 6) of an object that drives a circle, or straight on, forwards."""
+    """True states (N, 6) of an object on a circle or a straight line."""
     time = np.arange(round(seconds / PERIOD_S) + 1) * PERIOD_S
     angle = heading + turn_rate * time
     velocity = speed * np.stack([np.cos(angle), np.sin(angle)], axis=1)
@@ -90,7 +90,7 @@ def follow(estimator, poses, covariance, model=MODEL):
 
 
 def error(means, truth):
-    """Estimate less truth, the heading by the shorter way round; arrays (..., 6)."""
+    """Estimate minus truth (..., 6), with the heading difference wrapped."""
     off = means - truth
     off[..., 2] = (off[..., 2] + np.pi) % (2 * np.pi) - np.pi
     return off
@@ -127,8 +127,8 @@ def test_a_heading_is_followed_over_pi(estimator):
     assert np.abs(error(means, truth)[16:, [2, 5]]).max() < 0.15
 
 
-def test_where_nothing_was_measured_the_prediction_stands(estimator):
-    """A wall seen along its length: its place across is known, along it is not."""
+def test_an_unobserved_direction_keeps_its_prediction(estimator):
+    """A wall along its length: the position across it is observed, along it is not."""
     truth, rng = moving(4.0, 1.0, 0.0, heading=0.5), np.random.default_rng(0)
     along, across = np.array([np.cos(0.5), np.sin(0.5)]), np.array([-np.sin(0.5), np.cos(0.5)])
     blind = LASER.copy()
@@ -149,7 +149,7 @@ def test_where_nothing_was_measured_the_prediction_stands(estimator):
     assert abs((track.mean - state)[:2] @ across) < 0.1
 
 
-def test_after_two_seconds_unseen_it_is_found_again(estimator):
+def test_an_object_is_re_acquired_after_two_seconds_without_measurements(estimator):
     truth, rng = moving(6.0, 2.0, 0.2), np.random.default_rng(0)
     poses = measurements(truth, LASER, rng)
     track = estimator(poses[0], LASER, AGILE)
@@ -168,7 +168,7 @@ def test_after_two_seconds_unseen_it_is_found_again(estimator):
     assert track.restarts == 0
 
 
-def test_after_a_minute_unseen_it_still_takes_a_measurement(estimator):
+def test_a_measurement_is_accepted_after_a_minute_without_any(estimator):
     track = estimator(np.zeros(3), LASER, MODEL)
     for _ in range(480):
         track.predict()
@@ -195,7 +195,7 @@ ASYMMETRIC = np.array([[1.0, 0.1, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
         ([0.0, 0.0, 0.0], np.eye(2), "positive definite"),
     ],
 )
-def test_what_is_no_measurement_is_refused_and_changes_nothing(estimator, pose, covariance, complaint):
+def test_an_invalid_measurement_is_refused_and_changes_nothing(estimator, pose, covariance, complaint):
     track = estimator(np.zeros(3), LASER, MODEL)
     track.predict()
     mean, spread = track.mean.copy(), track.covariance.copy()
@@ -207,5 +207,5 @@ def test_what_is_no_measurement_is_refused_and_changes_nothing(estimator, pose, 
     assert np.array_equal(track.covariance, spread)
 
 
-def test_it_warms_up(estimator):
+def test_warm_up_runs_every_function_once(estimator):
     warm_up(estimator, MODEL)

@@ -1,4 +1,4 @@
-"""The fixed-lag smoother beside the Kalman filter: the same without gross errors, better with them, and restartable."""
+"""The fixed-lag smoother: equal to the Kalman filter without gross errors, better with them, and restartable."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def test_without_gross_errors_both_estimators_agree():
         assert 0.95 < np.median(ratio) < 1.15
 
 
-def test_of_twenty_measurements_one_grossly_wrong_the_smoother_is_hardly_moved():
+def test_one_gross_error_in_twenty_measurements_hardly_moves_the_smoother():
     squares = {KalmanEstimator: [], FactorGraphEstimator: []}
     truth = circle(80)
     for seed in range(20):
@@ -77,7 +77,7 @@ def test_of_twenty_measurements_one_grossly_wrong_the_smoother_is_hardly_moved()
     assert smoother[1] < 0.5 * kalman[1]
 
 
-def test_an_object_much_faster_than_expected_is_not_taken_for_gross_errors_for_long():
+def test_the_smoother_converges_to_an_object_much_faster_than_expected():
     truth = circle(24, speed=8.0, turn_rate=0.01)
     means, _ = follow(FactorGraphEstimator, measured(truth, 0))
     assert np.hypot(*(means[-1] - truth[-1])[3:5]) < 0.7
@@ -97,7 +97,7 @@ def test_a_second_measurement_in_the_same_frame_sharpens_the_first():
     assert track.restarts == 0
 
 
-def test_the_graph_holds_no_more_than_its_lag():
+def test_the_graph_contains_only_the_states_within_its_lag():
     track = FactorGraphEstimator(np.zeros(3), LASER, MODEL)
     slots = []
     for frame in range(300):
@@ -111,14 +111,14 @@ def test_the_graph_holds_no_more_than_its_lag():
 
 
 class Failing:
-    """A smoother that fails as gtsam does."""
+    """A smoother that raises the error of gtsam."""
 
     def update(self, *_):
         raise RuntimeError("Indeterminate linear system detected while working near variable 7")
 
 
 class Unsound:
-    """A smoother that answers with no number."""
+    """A smoother with a result that is not a number."""
 
     def update(self, *_):
         """Nothing."""
@@ -131,12 +131,12 @@ class Unsound:
 
 
 def without_prior():
-    """gtsam's own, with nothing in it: a motion from a state that it does not know."""
+    """An empty smoother of gtsam: the motion factor refers to an unknown state."""
     return gtsam.IncrementalFixedLagSmoother(LAG_S)
 
 
 @pytest.mark.parametrize("broken", [Failing, Unsound, without_prior])
-def test_after_a_failure_it_begins_anew_from_its_prediction_and_counts_it(broken):
+def test_after_a_failure_the_smoother_restarts_from_its_prediction_and_counts_it(broken):
     truth = circle(60)
     poses = measured(truth, 0)
     track = FactorGraphEstimator(poses[0], LASER, MODEL)

@@ -63,7 +63,7 @@ def test_the_mean_follows_a_turning_object_for_a_second():
     assert np.allclose(means[0, 8], truth, atol=1e-3)
 
 
-def test_a_turn_without_forgetting_is_a_circle():
+def test_a_turn_with_infinite_correlation_times_is_a_circle():
     endless = MODEL._replace(velocity_memory_s=1e6, turn_memory_s=1e6)
     means, _ = propagate(np.array([[0.0, 0.0, 0.0, 2.0, 0.0, 0.5]]), NOTHING, 40, endless)
     angle = 0.5 * 0.125 * np.arange(41)
@@ -81,7 +81,7 @@ def test_the_derivative_is_the_numerical_one(steps):
     assert np.allclose(jacobian, (np.array(ahead) - np.array(behind)).T / 2e-6, atol=1e-8)
 
 
-def test_standing_it_is_linear_and_agrees_with_van_loan():
+def test_at_rest_the_model_is_linear_and_agrees_with_van_loan():
     drift, noise = np.zeros((6, 6)), np.zeros((6, 3))
     drift[:3, 3:] = np.eye(3)
     drift[3:, 3:] = -np.diag([1 / MODEL.velocity_memory_s] * 2 + [1 / MODEL.turn_memory_s])
@@ -95,7 +95,7 @@ def test_standing_it_is_linear_and_agrees_with_van_loan():
     assert np.allclose(covariances[0, 1], added, atol=1e-12)
 
 
-def test_all_tracks_at_once_are_as_each_alone_step_by_step():
+def test_the_prediction_of_all_tracks_equals_that_of_each_step_by_step():
     rng = np.random.default_rng(1)
     means = rng.standard_normal((4, 6))
     factors = rng.standard_normal((4, 6, 6))

@@ -1,4 +1,4 @@
-"""Regimes of motion: steady and agile objects are told apart, and each is followed as its regime allows."""
+"""Motion regimes: steady motion and manoeuvres are distinguished, each with its own accuracy."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def test_the_probabilities_of_switching_are_those_of_the_mean_durations():
 
 
 @ESTIMATORS
-def test_who_keeps_a_velocity_is_steady_and_who_brakes_is_not(begin):
+def test_constant_velocity_is_steady_motion_and_braking_is_a_manoeuvre(begin):
     braking = np.concatenate([np.full(40, 6.0), np.maximum(6.0 - 3.0 * PERIOD_S * np.arange(1, 17), 0.0)])
     runs = np.array([followed(begin, braking, seed)[0] for seed in range(20)])
     assert runs[:, 30:40, 1].mean() > 0.8
@@ -65,7 +65,7 @@ def test_who_keeps_a_velocity_is_steady_and_who_brakes_is_not(begin):
 
 
 @ESTIMATORS
-def test_the_velocity_of_who_is_steady_is_known_better_than_by_the_agile_model_alone(begin):
+def test_the_velocity_in_steady_motion_has_a_smaller_error_than_with_the_manoeuvre_model_alone(begin):
     errors = {"switching": [], "agile": []}
     for seed in range(20):
         seen, estimator = followed(begin, np.full(48, 1.3), seed)
@@ -76,7 +76,7 @@ def test_the_velocity_of_who_is_steady_is_known_better_than_by_the_agile_model_a
 
 
 @ESTIMATORS
-def test_after_braking_the_steady_estimator_finds_back(begin):
+def test_the_steady_estimator_recovers_after_braking(begin):
     speeds = np.concatenate([np.full(40, 6.0), np.maximum(6.0 - 3.0 * PERIOD_S * np.arange(1, 17), 0.0), np.zeros(32)])
     final = [followed(begin, speeds, seed) for seed in range(10)]
     assert np.mean([seen[-1, 1] for seen, _ in final]) > 0.7
@@ -84,7 +84,7 @@ def test_after_braking_the_steady_estimator_finds_back(begin):
 
 
 @ESTIMATORS
-def test_a_regime_that_is_disproved_begins_anew_from_the_other(begin):
+def test_an_improbable_regime_is_re_initialised_from_the_other(begin):
     estimator = SwitchingEstimator(begin, np.zeros(3), NOISE, REGIMES)
     x, disproved = 0.0, []
     for speed in [6.0] * 30 + [3.0] * 10:
@@ -101,7 +101,7 @@ def test_a_regime_that_is_disproved_begins_anew_from_the_other(begin):
 
 @ESTIMATORS
 def test_its_covariance_is_nearly_that_of_its_errors_on_objects_that_switch(begin):
-    """Estimators that are not mixed are a little too sure: 6 is due, and it is at most a sixth more."""
+    """Estimators without mixing are slightly overconfident: at most a sixth above the expected value of 6."""
     runs, frames, rng = 200, 30, np.random.default_rng(5)
     squared = []
     for _ in range(runs):
@@ -119,7 +119,7 @@ def test_its_covariance_is_nearly_that_of_its_errors_on_objects_that_switch(begi
 
 
 def switching_walk(frames, rng, substeps=10):
-    """True states (frames, 6), drawn from the equations of both regimes and the chances of switching."""
+    """True states (frames, 6), drawn from the equations of both regimes and their transition probabilities."""
     state = rng.standard_normal(6) * [0, 0, 1, *[STEADY.initial_speed] * 2, STEADY.initial_turn_rate]
     regime, dt, kept = int(rng.random() < 1.0 / 7.0), PERIOD_S / substeps, [state]
     for _ in range(frames - 1):
@@ -137,7 +137,7 @@ def switching_walk(frames, rng, substeps=10):
     return np.array(kept)
 
 
-def test_a_gross_error_disproves_a_kalman_filters_regime_and_not_a_robust_smoothers():
+def test_a_gross_error_makes_the_steady_regime_improbable_for_a_kalman_filter_and_not_for_a_robust_smoother():
     squares = {
         begin: [np.square(followed(begin, np.full(72, 6.0), seed, gross=0.05)[0][16:, 0] - 6.0) for seed in range(10)]
         for begin in (KalmanEstimator, FactorGraphEstimator)
@@ -158,7 +158,7 @@ def test_mean_and_covariance_are_those_of_the_mixture():
     assert estimator.covariance == pytest.approx(np.cov(samples.T), abs=0.02)
 
 
-def test_headings_on_either_side_of_the_turn_are_near_to_each_other():
+def test_headings_near_pi_and_minus_pi_are_close():
     estimator = SwitchingEstimator(KalmanEstimator, np.zeros(3), NOISE, REGIMES)
     for each, heading in zip(estimator.estimators, (np.pi - 0.1, -np.pi + 0.1), strict=True):
         each.reinitialise(np.array([0.0, 0.0, heading, 0.0, 0.0, 0.0]), np.eye(6))
