@@ -60,5 +60,5 @@ def test_a_run_without_the_measurements_of_the_baseline_does_not_pass(gridtrack,
     assert gridtrack("regress", tmp_path / "then", "--baseline", baseline, "--update")[0] == 0
     assert gridtrack(*fixed, tmp_path / "now")[0] == 0
     code, err = gridtrack("regress", tmp_path / "now", "--baseline", baseline)
-    assert (code, "blank@room: measured with --degrade for the baseline, and not in the run" in err) == (3, True)
+    assert (code, "blank@room: measured with --degrade for the baseline and not in the run" in err) == (3, True)
     assert gridtrack("regress", tmp_path / "then", "--baseline", baseline)[0] == 0

@@ -247,7 +247,7 @@ def test_an_interrupt_keeps_the_scores_and_leaves_no_process(settings, tmp_path)
     host.send_signal(signal.SIGINT)
     assert host.wait(30) == 0
     assert not [process for process in family if process.is_running() and process.status() != psutil.STATUS_ZOMBIE]
-    summary = json.loads((tmp_path / "run" / "summary.json").read_text())
+    summary = read_summary(tmp_path / "run")
     assert summary.interrupted is True
     assert json.loads((tmp_path / "run" / "run.json").read_text())["status"] == "interrupted"
     assert trial_of(summary, "persistence").outcome == "ok"
@@ -299,7 +299,7 @@ def test_a_tracker_that_is_killed_ends_alone(settings, tmp_path):
     victims = [p for p in children(host) if p.cmdline()[-2:] == ["gridtrack.trackers.serve", "staged"]]
     os.kill(victims[-1].pid, signal.SIGKILL)
     assert host.wait(60) == 0
-    summary = json.loads((tmp_path / "run" / "summary.json").read_text())
+    summary = read_summary(tmp_path / "run")
     assert trial_of(summary, "staged").outcome == "crashed"
     assert "SIGKILL" in trial_of(summary, "staged").reason
     assert trial_of(summary, "persistence").outcome == "ok"
