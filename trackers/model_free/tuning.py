@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
@@ -102,6 +103,39 @@ def excerpts(sources: Sequence[FrameSource]) -> list[FrameSource]:
     return chosen
 
 
+@dataclass(frozen=True, slots=True)
+class _Draft:
+    """Weights in training: `tracker` runs with those at `path` and is scored by `score`."""
+
+    tracker: type[ModelFreeTracker]
+    path: Path
+    score: Score
+
+    def running(self, settings: PipelineSettings, source: FrameSource) -> ModelFreeTracker:
+        return self.tracker(stream_of(source, self.path), settings)
+
+    def scores(self, settings: PipelineSettings, sources: Sequence[FrameSource]) -> list[StretchScore]:
+        last = max(OBJECTIVE_HORIZONS_S)
+        return [self.score(self.running(settings, source), source, step_of(source, last)) for source in sources]
+
+    def mean_f1(self, settings: PipelineSettings, sources: Sequence[FrameSource]) -> float:
+        scored = zip(self.scores(settings, sources), sources, strict=True)
+        return float(np.mean([_f1(score, source) for score, source in scored]))
+
+    def summaries(self, settings: PipelineSettings, sources: Sequence[FrameSource]) -> list[dict[str, Any]]:
+        scored = zip(self.scores(settings, sources), sources, strict=True)
+        return [stretch_summary(score, source, OBJECTIVE_HORIZONS_S) for score, source in scored]
+
+    def calibration(
+        self, settings: PipelineSettings, sources: Sequence[FrameSource], out: FitOutput
+    ) -> NDArray[np.float32]:
+        trackers = [(self.running(settings, source), list(source)) for source in sources]
+        parameters = fit_calibration(trackers, step_of(sources[0], max(OBJECTIVE_HORIZONS_S)))
+        for group, (a, b, c) in zip(("cells seen recently", "other cells"), parameters.tolist(), strict=True):
+            out.report(f"calibration, {group}: logit = {c:.3f} + {a:.3f} ln p - {b:.3f} ln(1 - p)")
+        return parameters
+
+
 def fit_pipeline(
     tracker: type[ModelFreeTracker],
     train: Sequence[FrameSource],
@@ -115,46 +149,25 @@ def fit_pipeline(
     A setting in `options` is not searched. The forecast is calibrated on the same excerpts. `validation` is scored with
     the result and reported only. Raises WeightsError where the recordings differ in grid, period or site.
     """
-    name = tracker.name
     arrays = fit_arrays(train, options) | {"calibration": IDENTITY}
+    card = card_for(tracker.name, out, train, validation, {})
     searched = excerpts(train)
     with TemporaryDirectory() as folder:
-        draft = Path(folder) / f"{name}.toml"
-        save_weights(draft, card_for(name, out, train, validation, {}), arrays)
-
-        def scores(settings: PipelineSettings, sources: Sequence[FrameSource]) -> list[StretchScore]:
-            return [
-                score(tracker(stream_of(source, draft), settings), source, step_of(source, max(OBJECTIVE_HORIZONS_S)))
-                for source in sources
-            ]
-
-        def calibrated(settings: PipelineSettings) -> NDArray[np.float32]:
-            trackers = [(tracker(stream_of(source, draft), settings), list(source)) for source in searched]
-            found = fit_calibration(trackers, step_of(searched[0], max(OBJECTIVE_HORIZONS_S)))
-            for kind, (a, b, c) in zip(("cells seen recently", "other cells"), found.tolist(), strict=True):
-                out.report(f"calibration, {kind}: logit = {c:.3f} + {a:.3f} ln p - {b:.3f} ln(1 - p)")
-            return found
-
-        def mean_f1(settings: PipelineSettings) -> float:
-            found = zip(scores(settings, searched), searched, strict=True)
-            return float(np.mean([_f1(one, source) for one, source in found]))
-
+        draft = _Draft(tracker, Path(folder) / f"{tracker.name}.toml", score)
+        save_weights(draft.path, card, arrays)
         given = options.model_dump(include=set(PipelineSettings.model_fields), exclude_unset=True)
-        objective = Objective("mean F1", "maximize", mean_f1)
+        objective = Objective[PipelineSettings]("mean F1", "maximize", lambda tried: draft.mean_f1(tried, searched))
         settings = search_settings(
             PipelineSettings, SETTING_RANGES, objective, STARTING_SETTINGS, given, SEARCH_ITERATIONS, out
         )
-        arrays["calibration"] = calibrated(settings)
-        save_weights(draft, card_for(name, out, train, validation, {}), arrays)
+        arrays["calibration"] = draft.calibration(settings, searched, out)
+        save_weights(draft.path, card, arrays)
         results: dict[str, Any] = {
-            stretch: [
-                stretch_summary(s, source, OBJECTIVE_HORIZONS_S)
-                for s, source in zip(scores(settings, sources), sources, strict=True)
-            ]
-            for stretch, sources in (("train", searched), ("validation", validation))
+            "train": draft.summaries(settings, searched),
+            "validation": draft.summaries(settings, validation),
+            "classes": _without_classes(train),
         }
-    results["classes"] = _without_classes(train)
-    card = card_for(name, out, train, validation, settings.model_dump(), results)
+    card = card_for(tracker.name, out, train, validation, settings.model_dump(), results)
     save_weights(out.path, card, arrays)
 
 
