@@ -12,6 +12,7 @@ from __future__ import annotations
 import argparse
 import math
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -31,6 +32,7 @@ from gridtrack.trackers.model_free.segmentation import Cluster, joined
 from gridtrack.trackers.model_free.tracker import ModelFreeTracker
 from gridtrack.trackers.model_free.tracks import Track
 
+from studies.support.results_file import measured_table, write_table
 from studies.support.shipped import JUNCTION, with_shipped_weights
 from studies.support.true_bodies import Points, bodies, body_cells, most_frequent, rigid_velocity
 
@@ -39,7 +41,14 @@ YOUNG_S = 1.0
 VELOCITY_SD, TURN_RATE_SD = 0.03, 0.01
 POSE_SD = 0.03
 """Standard deviations given to the truth: m/s, rad/s, and m and rad."""
-REPLACED = ("nothing", "clusters", "poses", "velocity", "young")
+REPLACED = {
+    "nothing": "nothing",
+    "clusters": "which clusters are one object",
+    "poses": "how each object moved since it was first matched",
+    "velocity": "the velocity of every visible track",
+    "young": "the velocity of tracks visible for at most one second",
+}
+"""What is taken from the truth, and how the table names it."""
 TRACKERS: dict[str, type[ModelFreeTracker]] = {kind.name: kind for kind in (KalmanTracker, FactorGraphTracker)}
 
 
@@ -210,16 +219,20 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("tracker", nargs="?", choices=list(TRACKERS), default="kalman")
     parser.add_argument("--stretch", help="of the validation recording, such as 0s-20s; default: all of it")
+    parser.add_argument("--out", type=Path, help="results file, such as docs/results/trackers/model-free.json")
     arguments = parser.parse_args()
     kind = TRACKERS[arguments.tracker]
     recording = JUNCTION / "validation.tracks"
     stream = open_stream(f"{recording}@{arguments.stretch}" if arguments.stretch else recording)
     truth = true_frames(list(stream.observations()), stream.grid)
     columns = [f"{stratum} {horizon}" for stratum in ("moving", "visible") for horizon in HORIZONS]
-    print(f"| {kind.name}, from the truth | {' | '.join(columns)} |\n|---|{'--:|' * len(columns)}")
-    for replaced in REPLACED:
+    rows = []
+    for replaced, name in REPLACED.items():
         values = scores(informed_tracker(kind, replaced, truth), stream)
-        print(f"| {replaced} | {' | '.join(f'{value:.3f}' for value in values)} |", flush=True)
+        rows.append([name, *(f"{value:.3f}" for value in values)])
+    table = measured_table([f"{kind.name}, with the truth of", *columns], rows)
+    print(table.markdown())
+    write_table(arguments.out, "stage costs", table, f"python -m studies.stage_costs {kind.name}")
 
 
 if __name__ == "__main__":

@@ -16,6 +16,7 @@ from __future__ import annotations
 import argparse
 from collections import defaultdict
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -32,6 +33,7 @@ from gridtrack.trackers.model_free.segmentation import Cluster
 from gridtrack.trackers.model_free.tracker import ModelFreeTracker
 from gridtrack.trackers.model_free.tracks import Track
 
+from studies.support.results_file import measured_table, write_table
 from studies.support.shipped import JUNCTION, with_shipped_weights
 from studies.support.true_bodies import MOVING_MPS, Points, bodies, body_cells, most_frequent, rigid_velocity
 
@@ -40,6 +42,7 @@ WARM_UP, EVERY, SECOND = 20, 5, 8
 PERIOD_S = 0.125
 AHEAD = (1, 4, 8)
 MOVED_M = 0.2
+COLUMNS = ("whole", "alone", "switches/s", "along", "across", "normalised", "0.125 s", "0.5 s", "1 s")
 NOTHING = np.empty((0, 2))
 
 Found = dict[tuple[str, str], list[float]]
@@ -188,6 +191,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("tracker", nargs="?", choices=list(TRACKERS), default="kalman")
     parser.add_argument("--stretches", nargs="+", default=STRETCHES, help="of the validation recording")
+    parser.add_argument("--out", type=Path, help="results file, such as docs/results/trackers/model-free.json")
     arguments = parser.parse_args()
     found: Found = defaultdict(list)
     forecasts: Forecasts = defaultdict(list)
@@ -197,23 +201,26 @@ def main() -> None:
         tracker = with_shipped_weights(kind, kind.name, stream)
         measure_stretch(tracker, list(stream.observations()), found, forecasts)
     parts = {steps: [np.concatenate(part) for part in zip(*forecasts[steps], strict=True)] for steps in AHEAD}
-    hits = {steps: p >= best_threshold(p, occupied) for steps, (p, occupied, _) in parts.items()}
-    print(
-        f"{'':11}segmentation   association   estimation: velocity error, m/s           forecast: recall of what moved"
-    )
-    print(f"{kind.name:11}whole  alone   switches/s    along        across     normalised   0.125 s   0.5 s     1 s")
-    for label, text in enumerate(tracker.stream.classes):
-        if (text, "along") not in found:
-            continue
-        mean = {measure: np.mean(found[text, measure]) for measure in ("whole", "alone", "switches")}
-        errors = [np.array(found[text, measure]) for measure in ("along", "across")]
-        spread = "   ".join(f"{np.median(abs(e)):.2f}, {np.sqrt((e**2).mean()):.2f}" for e in errors)
-        recall = [hits[n][parts[n][1] & (parts[n][2] == label)] for n in AHEAD]
-        print(
-            f"{text:11}{mean['whole']:5.0%}  {mean['alone']:5.0%}   {mean['switches'] / PERIOD_S:10.2f}    {spread}"
-            f"  {np.median(found[text, 'normalised']):9.1f}   "
-            + "".join(f"{r.mean():8.0%} " if r.size else f"{'-':>8} " for r in recall)
-        )
+    classes = tracker.stream.classes
+    rows = [class_row(name, label, found, parts) for label, name in enumerate(classes)]
+    table = measured_table([kind.name, *COLUMNS], [row for row in rows if row])
+    print(table.markdown())
+    write_table(arguments.out, "stages", table, f"python -m studies.stage_errors {kind.name}")
+
+
+def class_row(name: str, label: int, found: Found, parts: dict[int, list[NDArray[Any]]]) -> list[str]:
+    """The errors of one class, a text for each of COLUMNS; empty where no body of it moved."""
+    if (name, "along") not in found:
+        return []
+    mean = {measure: np.mean(found[name, measure]) for measure in ("whole", "alone", "switches")}
+    errors = [np.array(found[name, measure]) for measure in ("along", "across")]
+    texts = [f"{100 * mean['whole']:.0f} %", f"{100 * mean['alone']:.0f} %", f"{mean['switches'] / PERIOD_S:.2f}"]
+    texts += [f"{np.median(abs(e)):.2f}, {np.sqrt((e**2).mean()):.2f}" for e in errors]
+    texts.append(f"{np.median(found[name, 'normalised']):.1f}")
+    for p, occupied, kinds in parts.values():
+        recall = (p >= best_threshold(p, occupied))[occupied & (kinds == label)]
+        texts.append(f"{100 * recall.mean():.0f} %" if recall.size else "")
+    return [name, *texts]
 
 
 if __name__ == "__main__":

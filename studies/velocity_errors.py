@@ -21,6 +21,7 @@ from gridtrack.common.grid import GridSpec
 from gridtrack.recordings.stream import Observation, open_stream
 from gridtrack.trackers.contract import Forecast
 
+from studies.support.results_file import measured_table, write_table
 from studies.support.shipped import JUNCTION, shipped_tracker
 from studies.support.true_bodies import MOVING_MPS, bodies, body_cells, points_within, rigid_velocity
 
@@ -89,13 +90,18 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("trackers", nargs="*", default=["dogma", "kalman"])
     parser.add_argument("--recordings", type=int, default=len(RECORDINGS), help="how many to measure on")
+    parser.add_argument("--out", type=Path, help="results file, such as docs/results/trackers/dogma.json")
     arguments = parser.parse_args()
-    print(f"{'tracker':14} {'class':12} {'cells':>7} {'RMS m/s':>8} {'median':>7} {'with a velocity':>15}")
+    rows: dict[str, list[str]] = {}
     for name in arguments.trackers:
         by_class = errors_by_class(name, RECORDINGS[: arguments.recordings])
         for label, (error, given) in {**by_class, "all": np.concatenate(list(by_class.values()), axis=1)}.items():
-            rms = math.sqrt((error**2).mean())
-            print(f"{name:14} {label:12} {error.size:7} {rms:8.2f} {np.median(error):7.2f} {given.mean():15.0%}")
+            texts = f"{math.sqrt((error**2).mean()):.2f}", f"{np.median(error):.2f}", f"{100 * given.mean():.0f} %"
+            rows.setdefault(label, [label, str(error.size)]).extend(texts)
+    columns = [text for name in arguments.trackers for text in (f"{name} RMS m/s", "median", "with a velocity")]
+    table = measured_table(["class", "cells", *columns], list(rows.values()))
+    print(table.markdown())
+    write_table(arguments.out, "velocity", table, "python -m studies.velocity_errors")
 
 
 if __name__ == "__main__":

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict
@@ -49,19 +49,20 @@ def write_section(path: Path, name: str, section: ResultSection) -> None:
     path.write_text(json.dumps(texts, indent=1, ensure_ascii=False) + "\n", "utf-8")
 
 
-def write_table(
-    path: Path | None, section: str, columns: Sequence[str], rows: Sequence[Sequence[str]], command: str
-) -> None:
-    """Write a table that a study measured, first column left and the others right; nothing without a path."""
-    if path is None:
-        return
-    table = ResultTable(
+def measured_table(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> ResultTable:
+    """A table with its first column left and the others right."""
+    return ResultTable(
         columns=tuple(columns),
         alignment=("---", *["--:"] * (len(columns) - 1)),
         rows=tuple(tuple(row) for row in rows),
     )
-    kept: Mapping[str, ResultSection] = read_sections(path) if path.exists() else {}
-    values = kept[section].values if section in kept else {}
-    write_section(
-        path, section, ResultSection(command=command, source="measured", tables={"table": table}, values=values)
-    )
+
+
+def write_table(path: Path | None, section: str, table: ResultTable, command: str) -> None:
+    """Write a measured table as one section of a results file, its values kept; nothing without a path."""
+    if path is None:
+        return
+    sections = read_sections(path) if path.exists() else {}
+    values = sections[section].values if section in sections else {}
+    measured = ResultSection(command=command, source="measured", tables={"table": table}, values=values)
+    write_section(path, section, measured)
