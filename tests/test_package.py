@@ -1,4 +1,4 @@
-"""The package: light to import, whole when built, and at work where the repository is not."""
+"""The package: import cost, public names, the contents of the wheel, and its use without the repository."""
 
 from __future__ import annotations
 
@@ -13,7 +13,11 @@ from pathlib import Path
 
 import pytest
 
+from docs.definitions import PACKAGES, definitions
+
 ROOT = Path(__file__).parents[1]
+CONVENTIONAL = ("app", "main")
+"""Names that may be defined in several modules: the typer application and the entry point of a command."""
 HEAVY = (
     "torch", "lightning", "gtsam", "kiss_icp", "ray", "sklearn", "optuna", "filterpy", "numba", "rosbags", "scipy",
     "polars", "pyarrow", "numpy", "pydantic",
@@ -49,13 +53,14 @@ def test_the_front_door_gives_a_plugin_author_every_name_it_promises():
         _ = gridtrack.Trakcer
 
 
+def test_a_public_name_is_defined_in_one_module():
+    twice = {name: modules for name, modules in definitions().items() if len(modules) > 1}
+    assert {name: modules for name, modules in twice.items() if name not in CONVENTIONAL} == {}
+
+
 def test_every_package_is_in_the_distribution():
     declared = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]["packages"]
-    tops = [
-        ROOT / name
-        for name in ("common", "recordings", "simulation", "trackers", "evaluation", "reports", "cli", "data")
-    ]
-    found = [p.parent for top in tops for p in top.rglob("__init__.py")]
+    found = [path.parent for name in (*PACKAGES, "data") for path in (ROOT / name).rglob("__init__.py")]
     assert sorted(declared) == sorted(
         ["gridtrack", *(".".join(("gridtrack", *p.relative_to(ROOT).parts)) for p in found)]
     )

@@ -12,7 +12,7 @@ from gridtrack.common.errors import GridtrackError
 from gridtrack.common.files import read_json, write_text
 from gridtrack.evaluation.results.values import ResultModel
 
-Model = TypeVar("Model", bound=ResultModel)
+_Model = TypeVar("_Model", bound=ResultModel)
 
 
 class RunError(GridtrackError):
@@ -29,7 +29,7 @@ def write_model(path: Path, content: ResultModel) -> None:
     write_text(path, json_of(content) + "\n")
 
 
-def read_model(path: Path, model: type[Model], schema: int, max_bytes: int, remedy: str) -> Model:
+def read_model(path: Path, model: type[_Model], schema: int, max_bytes: int, remedy: str) -> _Model:
     """The content of a result file, validated; `remedy` ends every error message and says what to do.
 
     Raises FileNotFoundError, for the caller to say what is missing, and RunError for a file that is larger than
