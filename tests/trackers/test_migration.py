@@ -138,3 +138,9 @@ def test_the_shipped_cards_have_the_present_schema_and_no_old_array():
         card = read_card(path)
         arrays = load_file(path.with_suffix(".safetensors"))
         assert not set(arrays) & set(RENAMES[card.tracker].arrays)
+
+
+def test_the_glossary_lists_every_renamed_option():
+    glossary = (Path(__file__).parents[2] / "docs" / "glossary.md").read_text()
+    rows = {f"| `{old}` | `{new}` |" for renames in RENAMES.values() for old, new in renames.options.items()}
+    assert rows <= set(glossary.splitlines())
