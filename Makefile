@@ -10,7 +10,7 @@ JUNCTION_TRACKERS := persistence static-map blank kalman factor-graph dogma dila
 COMPARE := $(BIN)/gridtrack compare
 chosen = $(foreach tracker,$(1),--tracker $(tracker))
 
-.PHONY: help demo demo-junction test lint bench results figures ablations returns junction weights baseline clean
+.PHONY: help demo demo-junction test lint bench results schemas figures ablations returns junction weights baseline clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):[^#]*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 15
@@ -44,6 +44,9 @@ results: $(VENV)/.installed-demo ## compare every tracker at the junction: the n
 	rm -rf runs/results
 	$(COMPARE) $(JUNCTION) $(call chosen,$(JUNCTION_TRACKERS) deep-tracking-rnn) --reference dilated-convgru --out runs/results
 	$(BIN)/python -m studies.static_memory
+
+schemas: $(VENV)/.installed-dev ## write the JSON Schemas of the result files into docs/schemas
+	$(BIN)/python -m gridtrack.evaluation.schemas docs/schemas
 
 figures: $(VENV)/.installed-dev ## write the numbers of the pages from docs/results, and draw the label budget
 	$(BIN)/python -m studies.label_curve

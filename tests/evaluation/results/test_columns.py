@@ -1,0 +1,55 @@
+"""The declared columns are those of the written files and of the documentation."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pytest
+from pyarrow import parquet
+
+from gridtrack.evaluation.results.columns import CLASSES_TABLE, SEMANTICS_TABLE, TABLES
+from gridtrack.evaluation.scoring.class_store import ClassWriter
+
+from scenes import synthetic_run as synthetic
+
+PAGE = Path(__file__).parents[3] / "docs" / "run-folder.md"
+STEPS, CLASSES = synthetic.STEPS, ("pedestrian", "car")
+
+
+@pytest.fixture(scope="module")
+def trial(tmp_path_factory):
+    """A trial with every file."""
+    finished = synthetic.write_trial(tmp_path_factory.mktemp("run"), "good", "room", 0.6, seed=0, frames=2)
+    with ClassWriter(finished.folder, CLASSES, semantics=True) as writer:
+        writer.add_found(10, np.ones((STEPS + 1, 2, len(CLASSES), 4), np.int32))
+        confusion = np.ones((STEPS + 1, 2, len(CLASSES), len(CLASSES) + 1), np.int32)
+        writer.add_semantics(10, confusion, confusion.astype(float))
+    return finished.folder
+
+
+@pytest.mark.parametrize("table", TABLES, ids=lambda table: table.file)
+def test_a_written_file_has_the_declared_columns(trial, table):
+    assert parquet.read_schema(trial / table.file).equals(table.schema)
+
+
+@pytest.mark.parametrize("table", TABLES, ids=lambda table: table.file)
+def test_the_page_names_every_column_and_its_type(table):
+    page = PAGE.read_text("utf-8")
+    start = page.index(f"`{table.file}`: one row") if table in (CLASSES_TABLE, SEMANTICS_TABLE) else None
+    section = page[page.index(f"\n## {table.file}") if start is None else start :]
+    lines = section.split("\n|---|---|---|\n", 1)[1].split("\n\n", 1)[0].splitlines()
+    rows = [[cell.strip() for cell in line.split("|")[1:3]] for line in lines]
+    named = [re.findall(r"`(\w+)`", names) for names, _ in rows]
+    assert [name for names in named for name in names] == list(table.names)
+    for names, (_, types) in zip(named, rows, strict=True):
+        shown = types.split(", ") if ", " in types else [types] * len(names)
+        assert not types or shown == [_type_text(table.type_of(name)) for name in names]
+
+
+def _type_text(kind):
+    if pa.types.is_dictionary(kind):
+        return "dictionary of string"
+    if pa.types.is_fixed_size_list(kind):
+        return f"{kind.list_size} x {_type_text(kind.value_type)}"
+    return {"double": "float64"}.get(str(kind), str(kind))

@@ -1,0 +1,21 @@
+"""The committed JSON Schemas are those of the models."""
+
+from pathlib import Path
+
+import pytest
+
+from gridtrack.evaluation.schemas import MODELS, schema_of, schema_texts
+
+SCHEMAS = Path(__file__).parents[3] / "docs" / "schemas"
+
+
+def test_the_committed_schemas_are_those_of_the_models():
+    committed = {path.name: path.read_text("utf-8") for path in SCHEMAS.iterdir()}
+    assert committed == schema_texts(), "run `make schemas`"
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_a_schema_describes_its_file_and_every_model_in_it(name):
+    schema = schema_of(name)
+    assert schema["properties"]["schema"]["const"] == (2 if name == "baseline" else 1)
+    assert all(definition.get("description") for definition in schema["$defs"].values())
