@@ -95,6 +95,12 @@ def test_no_page_on_a_tracker_names_an_option_by_its_old_name(page: Path) -> Non
     assert old & set(re.findall(r"`(\w+)`", page.read_text("utf-8"))) == set()
 
 
+def test_the_options_that_a_page_on_a_tracker_sets_exist() -> None:
+    known = {"points", "weights"}.union(*(registry.load(name).Options.model_fields for name in RENAMES))
+    pages = [page for page in CURRENT if page.parent.name == "trackers"]
+    assert {key for page in pages for key in re.findall(r"`(\w+)=[^`]+`", prose(page))} - known == set()
+
+
 @pytest.mark.parametrize(
     ("line", "problem"),
     [
