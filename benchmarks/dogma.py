@@ -20,9 +20,9 @@ from gridtrack.trackers.dogma.settings import DogmaSettings
 from gridtrack.trackers.dogma.tracker import DogmaTracker
 
 from benchmarks.timing import p50_p95
-from studies.support.shipped import JUNCTION, shipped_stream
+from studies.support.shipped import JUNCTION, STEPS, shipped_stream
 
-FRAMES, WARM_UP, STEPS = 240, 20, 20
+FRAMES, WARM_UP = 240, 20
 
 
 def measure(stream: StreamSpec, frames: list[GridFrame], particles: int) -> NDArray[np.float64]:

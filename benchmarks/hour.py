@@ -15,9 +15,9 @@ import psutil
 from gridtrack.recordings.stream import open_stream
 
 from benchmarks.timing import p50_p95
-from studies.support.shipped import JUNCTION, shipped_tracker
+from studies.support.shipped import JUNCTION, STEPS, shipped_tracker
 
-REPORT_EVERY, FORECAST_EVERY, STEPS = 10, 16, 20
+REPORT_EVERY, FORECAST_EVERY = 10, 16
 
 
 def main() -> None:

@@ -28,11 +28,10 @@ from gridtrack.trackers.model_free.settings import PipelineSettings
 from gridtrack.trackers.weights import read_card
 
 from benchmarks.timing import p50_p95
-from studies.support.shipped import WEIGHTS
+from studies.support.shipped import STEPS, WEIGHTS
 
 GRID = GridSpec(100, 0.2)
 PERIOD_S = 0.125
-STEPS = 20
 FRAMES, WARM_UP = 200, 40
 TUNED = read_card(WEIGHTS / "kalman" / "junction.toml").settings
 STREET = PipelineSettings(**{name: TUNED[name] for name in PipelineSettings.model_fields})

@@ -64,8 +64,10 @@ def targets(rng: np.random.Generator, truth: bool) -> list[Target]:
     return found
 
 
-def with_scikit_learn(occupancy: np.ndarray, came: Sequence[Target], region_maps: RegionMaps, ages: np.ndarray) -> None:
-    for step, target in enumerate(came):
+def with_scikit_learn(
+    occupancy: np.ndarray, observed: Sequence[Target], region_maps: RegionMaps, ages: np.ndarray
+) -> None:
+    for step, target in enumerate(observed):
         region = np.where(target.state < HIDDEN_FREE, region_maps.visible, region_maps.hidden + ages)
         scored = target.state != NOT_SCORED
         for stratum in region_maps.strata:
@@ -90,23 +92,23 @@ def main() -> None:
         "zeros and ones": (rng.random((STEPS + 1, SIZE, SIZE)) < 0.03).astype(np.float32),
     }
     for strata, truth in ((STRATA, False), (STRATA_WITH_TRUTH, True)):
-        region_maps, came = street(strata), targets(rng, truth)
+        region_maps, observed = street(strata), targets(rng, truth)
         for name, occupancy in forecasts.items():
-            ms = median_ms(lambda o=occupancy, c=came, a=region_maps: count_forecast(o, c, a, ages), 200)
+            ms = median_ms(lambda o=occupancy, c=observed, a=region_maps: count_forecast(o, c, a, ages), 200)
             print(f"count a forecast, {len(strata):2} strata of {REGIONS} regions, {name:14}: {ms:7.2f} ms")
-    tally = count_forecast(occupancy, came, region_maps, ages)
+    tally = count_forecast(occupancy, observed, region_maps, ages)
     with tempfile.TemporaryDirectory() as folder, ScoreWriter(Path(folder), STEPS, half(STEPS, strata)) as writer:
         stamps = iter(range(0, 10**15, 500_000_000))
         print(f"write its rows: {median_ms(lambda: writer.add(next(stamps), '', tally), 200):.2f} ms")
     semantics = np.full((STEPS + 1, CLASSES, SIZE, SIZE), 1 / CLASSES, np.float32)
     names = [str(k) for k in range(CLASSES)]
     matching, thresholds = match_classes(names, names), half(STEPS, strata)
-    ms = median_ms(lambda: count_classes(semantics, came, matching), 200)
+    ms = median_ms(lambda: count_classes(semantics, observed, matching), 200)
     print(f"count its classes ({CLASSES}): {ms:.2f} ms")
-    ms = median_ms(lambda: count_found(occupancy, came, region_maps.cell_kinds, thresholds, CLASSES), 200)
+    ms = median_ms(lambda: count_found(occupancy, observed, region_maps.cell_kinds, thresholds, CLASSES), 200)
     print(f"count what it found of each class: {ms:.2f} ms")
-    ours = median_ms(lambda: count_forecast(forecasts["spread thin"], came, region_maps, ages), 200)
-    peers = median_ms(lambda: with_scikit_learn(forecasts["spread thin"], came, region_maps, ages), 3)
+    ours = median_ms(lambda: count_forecast(forecasts["spread thin"], observed, region_maps, ages), 200)
+    peers = median_ms(lambda: with_scikit_learn(forecasts["spread thin"], observed, region_maps, ages), 3)
     print(f"the same scores by scikit-learn: {peers:.0f} ms, {peers / ours:.0f} x as long")
 
 

@@ -99,22 +99,22 @@ def seen_in(places: Array, laser: Laser, random: np.random.Generator, step: int)
 def hall(people: int, frames: int, seed: int) -> list[HallFrame]:
     random, laser = np.random.default_rng(seed), Laser(x=0.5)
     last_seen = np.full(people, -(10**6))
-    moments = []
+    hall_frames = []
     for step, places in enumerate(walks(people, frames, random)):
         frame, seen = seen_in(places, laser, random, step)
         last_seen[seen] = step
-        moments.append(HallFrame(frame, places[step - last_seen <= 1.0 / PERIOD_S]))
-    return moments
+        hall_frames.append(HallFrame(frame, places[step - last_seen <= 1.0 / PERIOD_S]))
+    return hall_frames
 
 
 Tracked = tuple[list[Array], list[float]]
 """Positions (N, 2) that are found in each frame, and the seconds of processor time that it took."""
 
 
-def centres_of(moments: list[HallFrame], settings: PipelineSettings) -> Tracked:
+def centres_of(hall_frames: list[HallFrame], settings: PipelineSettings) -> Tracked:
     """Centres (C, 2) of the clusters in each frame, and the seconds that segmentation takes."""
     found, seconds = [], []
-    for frame in (moment.frame for moment in moments):
+    for frame in (one.frame for one in hall_frames):
         begun = time.thread_time()
         points = frame.points.astype(np.float64)
         ranges = np.linalg.norm(points - frame.origins[0], axis=1)
@@ -125,15 +125,15 @@ def centres_of(moments: list[HallFrame], settings: PipelineSettings) -> Tracked:
     return found, seconds
 
 
-def ours(moments: list[HallFrame], settings: PipelineSettings) -> Tracked:
+def ours(hall_frames: list[HallFrame], settings: PipelineSettings) -> Tracked:
     """The pipeline with Kalman filters, segmentation and all."""
     empty = BackgroundMap(np.full(GRID.shape, 1e-3, np.float32), np.zeros(GRID.shape, np.float32))
     residence = np.full(table_shape(PERIOD_S), 0.1, np.float32)
     pipeline = Pipeline(GRID, PERIOD_S, empty, residence, settings, KalmanEstimator)
     found, seconds = [], []
-    for moment in moments:
+    for one in hall_frames:
         begun = time.thread_time()
-        pipeline.update(moment.frame)
+        pipeline.update(one.frame)
         seconds.append(time.thread_time() - begun)
         found.append(
             np.array([one.box[:2] for one in objects(pipeline.tracks, pipeline.grid.cell_m)], float).reshape(-1, 2)
@@ -187,35 +187,35 @@ def stone_soup(segmented: Tracked, settings: PipelineSettings, life: Life, *, jo
     return found, [a + b for a, b in zip(begun_with, seconds, strict=True)]
 
 
-def ospa(found: list[Array], moments: list[HallFrame]) -> Array:
+def ospa(found: list[Array], hall_frames: list[HallFrame]) -> Array:
     """Of every frame after the first two seconds."""
     metric = OSPAMetric(p=1, c=CUT_OFF_M, measure=Euclidean())
 
     def states(positions: Array, stamp: datetime) -> list[State]:
         return [State(position, timestamp=stamp) for position in positions]
 
-    each = zip(found, moments, strict=True)
+    each = zip(found, hall_frames, strict=True)
     values = [
-        metric.compute_OSPA_distance(states(tracks, BEGIN), states(moment.people, BEGIN)).value
-        for tracks, moment in itertools.islice(each, round(2.0 / PERIOD_S), None)
+        metric.compute_OSPA_distance(states(tracks, BEGIN), states(one.people, BEGIN)).value
+        for tracks, one in itertools.islice(each, round(2.0 / PERIOD_S), None)
     ]
     return np.array(values, float)
 
 
-def best_life(moments: list[HallFrame], clusters: Tracked, settings: PipelineSettings, *, joint: bool) -> Life:
+def best_life(hall_frames: list[HallFrame], clusters: Tracked, settings: PipelineSettings, *, joint: bool) -> Life:
     """The life of Stone Soup's tracks with the least OSPA."""
     lives = [Life(*each) for each in itertools.product((2, 4), (4, 8, 16))]
-    return min(lives, key=lambda life: ospa(stone_soup(clusters, settings, life, joint=joint)[0], moments).mean())
+    return min(lives, key=lambda life: ospa(stone_soup(clusters, settings, life, joint=joint)[0], hall_frames).mean())
 
 
-def best_settings(moments: list[HallFrame], settings: PipelineSettings) -> PipelineSettings:
+def best_settings(hall_frames: list[HallFrame], settings: PipelineSettings) -> PipelineSettings:
     """The same of ours: from which probability on a track is confirmed, and for how long it may coast."""
     each = itertools.product((0.6, 0.8), (0.1, 0.3), (2.0, 15.0))
     tried = [
         settings.model_copy(update={"confirm_above": c, "delete_below": d, "mean_lifetime_s": life})
         for c, d, life in each
     ]
-    return min(tried, key=lambda one: ospa(ours(moments, one)[0], moments).mean())
+    return min(tried, key=lambda one: ospa(ours(hall_frames, one)[0], hall_frames).mean())
 
 
 def print_comparison(people: int, frames: int, seeds: range) -> None:
@@ -233,16 +233,16 @@ def print_comparison(people: int, frames: int, seeds: range) -> None:
     )
     results: dict[str, list[tuple[float, Array]]] = {}
     for seed in seeds:
-        moments = hall(people, frames, seed)
-        clusters = centres_of(moments, settings)
+        hall_frames = hall(people, frames, seed)
+        clusters = centres_of(hall_frames, settings)
         runs: dict[str, Callable[[], Tracked]] = {
-            "ours, Kalman": lambda m=moments: ours(m, settings),
+            "ours, Kalman": lambda m=hall_frames: ours(m, settings),
             "Stone Soup, nearest": lambda c=clusters: stone_soup(c, settings, lives[False], joint=False),
             "Stone Soup, JPDA": lambda c=clusters: stone_soup(c, settings, lives[True], joint=True),
         }
         for name, run in runs.items():
             found, seconds = run()
-            results.setdefault(name, []).append((float(ospa(found, moments).mean()), 1e3 * np.array(seconds)))
+            results.setdefault(name, []).append((float(ospa(found, hall_frames).mean()), 1e3 * np.array(seconds)))
     show(results)
 
 

@@ -194,7 +194,7 @@ def print_blocks(rng: np.random.Generator, repetitions: int) -> None:
     print(f"\none recording cut into blocks of {BLOCK_TIMES:g} autocorrelation times, as measured on it:")
     for frames in (4000, 8000):
         series = two_trackers(rng, 1, repetitions, frames, unlike=0.0, traffic=0.0)[0][0]
-        truth, held, units = f1(series), [], []
+        truth, covered, units = f1(series), [], []
         stamps = np.arange(frames) * 1_000_000_000
         for counts in series:
             block = BLOCK_TIMES * autocorrelation_time(residuals(*(c[:, None] for c in parts(counts))))
@@ -202,10 +202,10 @@ def print_blocks(rng: np.random.Generator, repetitions: int) -> None:
             low, high = interval(summed)
             units.append(len(summed))
             if not np.isnan(low):
-                held.append(bool(low <= truth <= high))
+                covered.append(bool(low <= truth <= high))
         print(
-            f"{frames:6} frames: {np.median(units):.0f} units, long enough in {100 * len(held) / repetitions:.0f} %,"
-            f" of which {100 * np.mean(held):.1f} % contain the truth"
+            f"{frames:6} frames: {np.median(units):.0f} units, long enough in {100 * len(covered) / repetitions:.0f} %,"
+            f" of which {100 * np.mean(covered):.1f} % contain the truth"
         )
 
 

@@ -38,11 +38,11 @@ from gridtrack.trackers.recurrent.transfer import latent_cells
 from gridtrack.trackers.weights import read_card
 
 from studies.support.label_table import BUDGETS, COLUMNS, append_row, budget_table, read_rows
-from studies.support.shipped import JUNCTION, WEIGHTS, junction_tests, shipped_tracker
+from studies.support.shipped import JUNCTION, STEPS, WEIGHTS, junction_tests, shipped_tracker
 
 DRAWS, SCANS = (1, 2, 3), 800
-STEPS, AHEAD, EVERY = 20, 8, 16
-"""Steps of a forecast, the later one that is scored (1 s), and frames from one scored forecast to the next (2 s)."""
+AHEAD, EVERY = 8, 16
+"""The later step that is scored (1 s), and frames from one scored forecast to the next (2 s)."""
 LINEAR = ClassifierSettings(learning_rate=0.0172, weight_decay=0.000377)
 """Best of the ten trials of `dilated-convgru:stage=classes,class_layers=1` with all SCANS of draw 1."""
 

@@ -33,10 +33,10 @@ from gridtrack.trackers.model_free.tracker import ModelFreeTracker
 from gridtrack.trackers.model_free.tracks import Track
 
 from studies.support.results_file import measured_table, write_table
-from studies.support.shipped import JUNCTION, with_shipped_weights
+from studies.support.shipped import JUNCTION, STEPS, with_shipped_weights
 from studies.support.true_bodies import Points, bodies, body_cells, most_frequent, rigid_velocity
 
-STEPS, HORIZONS = 20, {"0.5 s": 4, "1 s": 8, "2 s": 16}
+HORIZONS = {"0.5 s": 4, "1 s": 8, "2 s": 16}
 YOUNG_S = 1.0
 VELOCITY_SD, TURN_RATE_SD = 0.03, 0.01
 POSE_SD = 0.03

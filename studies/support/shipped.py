@@ -15,6 +15,8 @@ DEMO = packaged_recording("leg_tracker")
 DATA = DEMO.parents[1]
 JUNCTION = DATA / "junction"
 WEIGHTS = DATA / "weights"
+STEPS = 20
+"""Steps of a forecast at the junction: 2.5 s."""
 AnyTracker = TypeVar("AnyTracker", bound=Tracker)
 
 

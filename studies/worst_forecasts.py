@@ -1,6 +1,6 @@
-"""Worst moments: pictures of the forecasts of moving cells with the least F1, for each tracker of a run.
+"""Worst forecasts: pictures of the forecasts of moving cells with the least F1, for each tracker of a run.
 
-`python -m studies.worst_moments RUN` (some seconds) reads a run's folder and writes RUN/worst-moments.html: for each
+`python -m studies.worst_forecasts RUN` (some seconds) reads a run and writes RUN/worst-forecasts.html: for each
 tracker the kept frames with the least moving F1 one second ahead, at most one of a recording and only frames with
 enough moving cells; the input, the observed frame, the forecast, and the forecast at its threshold: hit, missed, false
 alarm.
@@ -40,7 +40,7 @@ class Failure:
 
 
 def worst(run: Run, label: str) -> list[Failure]:
-    """The worst kept moment of each recording, the SHOWN worst of these."""
+    """The worst kept frame of each recording, the SHOWN worst of these."""
     found: list[Failure] = []
     for recording, trial in run.summary.trackers[label].recordings.items():
         if run.is_pooled(recording) or "moving" not in trial.strata:
@@ -61,8 +61,8 @@ def compared_cells(failure: Failure) -> Iterator[str]:
     """Every visible cell that is forecast above the threshold, or was observed occupied."""
     sample, h = failure.sample, failure.sample.horizons_s.index(HORIZON_S)
     above = (sample.forecast[h] >= failure.threshold) & sample.came_visible[h]
-    came, size = sample.came_occupied[h], sample.grid.size
-    for kind, where in (("hit", above & came), ("missed", came & ~above), ("false alarm", above & ~came)):
+    observed, size = sample.came_occupied[h], sample.grid.size
+    for kind, where in (("hit", above & observed), ("missed", observed & ~above), ("false alarm", above & ~observed)):
         rows, columns = np.nonzero(where)
         squares = "".join(f"M{c} {size - 1 - r}h1v1h-1z" for r, c in zip(rows, columns, strict=True))
         yield f'<path d="{squares}" fill="{COLOURS[kind]}"/>'
@@ -82,10 +82,10 @@ def pictures(failure: Failure) -> str:
     below = f'style="background:url({ground}) 0 0/100% 100%"'
     errors = f'<svg viewBox="0 0 {size} {size}" {below}>{"".join(compared_cells(failure))}</svg>'
     shown = "".join(f'<img src="{image}">' for image in images) + errors
-    moment = failure.scored
+    scored = failure.scored
     return (
-        f"<h3>{escape(failure.recording)}, {sample.stamp_ns / 1e9:.2f} s: moving F1 {moment.f1:.2f}"
-        f" ({moment.tp} hit, {moment.fn} missed, {moment.fp} false)</h3><div>{shown}</div>"
+        f"<h3>{escape(failure.recording)}, {sample.stamp_ns / 1e9:.2f} s: moving F1 {scored.f1:.2f}"
+        f" ({scored.tp} hit, {scored.fn} missed, {scored.fp} false)</h3><div>{shown}</div>"
     )
 
 
@@ -103,10 +103,10 @@ def failures_page(run: Run, labels: list[str]) -> str:
         failures = worst(run, label)
         parts.append(f"<h2>{escape(label)}</h2>" + "".join(map(pictures, failures)))
         for failure in failures:
-            moment = failure.scored
+            scored = failure.scored
             at_s = failure.sample.stamp_ns / 1e9
             print(
-                f"{label:20} {failure.recording:12} {at_s:8.2f} s  F1 {moment.f1:.2f}  {moment.occupied} occupied cells"
+                f"{label:20} {failure.recording:12} {at_s:8.2f} s  F1 {scored.f1:.2f}  {scored.occupied} occupied cells"
             )
     return f"<!doctype html><meta charset=utf-8><style>{style}</style>{head}{''.join(parts)}"
 
@@ -116,7 +116,7 @@ def main() -> None:
     parser.add_argument("run", type=Path)
     (run,) = read_runs([parser.parse_args().run])
     labels = [label for label, entry in run.summary.trackers.items() if not entry.ceiling]
-    (run.path / "worst-moments.html").write_text(failures_page(run, labels))
+    (run.path / "worst-forecasts.html").write_text(failures_page(run, labels))
 
 
 if __name__ == "__main__":
