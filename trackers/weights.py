@@ -24,7 +24,7 @@ from safetensors.numpy import load, save
 
 from gridtrack.common.config import Settings, validated
 from gridtrack.common.errors import ConfigurationError, WeightsError
-from gridtrack.common.files import atomic_write, read_bounded
+from gridtrack.common.files import atomic_write, read_bounded, write_text
 from gridtrack.common.grid import GridSpec
 from gridtrack.trackers.contract import FitOutput, FrameSource, StreamSpec
 
@@ -144,7 +144,28 @@ def save_weights(path: Path, card: Card, arrays: Mapping[str, NDArray[Any]]) -> 
             blob = save({name: np.ascontiguousarray(array) for name, array in arrays.items()})
             card = card.model_copy(update={"arrays_sha256": hashlib.sha256(blob).hexdigest()})
             files.enter_context(atomic_write(path.with_suffix(".safetensors"))).write(blob)
-        card_file.write(tomli_w.dumps(card.model_dump(mode="json")).encode())
+        card_file.write(_card_text(card).encode())
+
+
+def replace_in_card(path: Path, text: str, by: str) -> None:
+    """Replace each value of the card at `path` that is `text`; without one, the file is not changed.
+
+    Raises WeightsError, OSError.
+    """
+    if text.encode() not in read_bounded(path, MAX_CARD_BYTES, WeightsError):
+        return
+
+    def replaced(value: Any) -> Any:
+        if isinstance(value, dict):
+            return {key: replaced(item) for key, item in value.items()}
+        return by if value == text else value
+
+    card = Card.model_validate(replaced(read_card(path).model_dump()))
+    write_text(path, _card_text(card))
+
+
+def _card_text(card: Card) -> str:
+    return tomli_w.dumps(card.model_dump(mode="json"))
 
 
 def read_card(path: Path) -> Card:

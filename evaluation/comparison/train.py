@@ -5,42 +5,59 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
-from gridtrack.common.config import validated
-from gridtrack.common.errors import ConfigurationError, PluginError
+from gridtrack.common.errors import ConfigurationError
 from gridtrack.common.grid import GridSpec
 from gridtrack.evaluation.comparison.learned import user_weights_folder, weights_path
 from gridtrack.evaluation.comparison.recipe import Recipe
-from gridtrack.evaluation.scoring.in_process import score_in_process
+from gridtrack.evaluation.comparison.stored_stretch import store_stretch
+from gridtrack.evaluation.comparison.training_process import TrainingProcess
 from gridtrack.evaluation.scoring.splits import TRAIN, VALIDATION, own_validation, shares_frames
 from gridtrack.recordings import open_recording
 from gridtrack.recordings.stream import GridStream, parse_stretch
-from gridtrack.trackers import registry
 from gridtrack.trackers.contract import FitOutput
+from gridtrack.trackers.weights import replace_in_card
+
+COMMAND = "the command of the training"
+"""What `fit` receives in place of the command, which names the files of recordings; the card gets the command after."""
 
 
 def train_tracker(recipe: Recipe, report: Callable[[str], None] = print) -> Path:
     """Fit the recipe's tracker to the recordings' site and return the card it wrote, `<out>/<tracker>/<site>.toml`.
 
-    A recording without a range, and validation where none is given, is the recording's stretch of that name. Runs in
-    this process. Logs and checkpoints are written beside the card to `<site>.logs`; a second call resumes there.
-    Raises GridtrackError.
+    A recording without a range, and validation where none is given, is the recording's stretch of that name. `fit` runs
+    in a process of its own, which receives the frames of these stretches and nothing else of the recordings. Logs and
+    checkpoints are written beside the card to `<site>.logs`; a second call resumes there. Raises GridtrackError.
     """
-    name = recipe.tracker
-    tracker = registry.load(name)
-    if not tracker.learns:
-        raise PluginError(f"tracker '{name}' has nothing to learn: compare it as it is")
-    settings = validated(tracker.Options, dict(recipe.options), f"tracker '{name}'")
+    with TrainingProcess(recipe.tracker) as process, TemporaryDirectory(prefix="gridtrack-train-") as folder:
+        process.load(recipe.options)
+        train_on, validate_on = _stretches(recipe)
+        path = weights_path(recipe.out or user_weights_folder(), recipe.tracker, train_on[0].site)
+        _make_folder(path.parent)
+        output = FitOutput(path, COMMAND, recipe.seed, path.with_suffix(".logs"), report)
+        train, validation = _stored(train_on, Path(folder, "train")), _stored(validate_on, Path(folder, "validation"))
+        try:
+            process.fit(train, validation, output)
+        finally:
+            if path.exists():
+                replace_in_card(path, COMMAND, recipe.command)
+    return path
+
+
+def _stretches(recipe: Recipe) -> tuple[list[GridStream], list[GridStream]]:
+    """The stretches to train on and to validate on. Raises ConfigurationError, RecordingError."""
     grid = GridSpec.parse(recipe.grid) if recipe.grid else None
     train_on = [_stretch(text, TRAIN, grid, recipe.rate_hz) for text in recipe.recordings]
     validate_on = [_stretch(text, VALIDATION, grid, recipe.rate_hz) for text in recipe.validation]
     validate_on = validate_on or _own_validation(train_on)
     _refuse_shared(train_on, validate_on)
-    path = weights_path(recipe.out or user_weights_folder(), name, train_on[0].site)
-    _make_folder(path.parent)
-    output = FitOutput(path, recipe.command, recipe.seed, path.with_suffix(".logs"), report)
-    tracker.fit(train_on, validate_on, score_in_process, output, settings)
-    return path
+    return train_on, validate_on
+
+
+def _stored(streams: Sequence[GridStream], folder: Path) -> list[Path]:
+    folder.mkdir()
+    return [store_stretch(stream, folder / f"{number}.frames") for number, stream in enumerate(streams)]
 
 
 def _make_folder(folder: Path) -> None:

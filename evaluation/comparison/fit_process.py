@@ -1,0 +1,83 @@
+"""The training process: `python -m gridtrack.evaluation.comparison.fit_process NAME` runs a tracker's `fit`.
+
+It speaks messages of the wire with the command `train`, over its stdin and stdout: `load` is answered by `loaded`, and
+`fit` by any number of `report`, then `done`; a failure of either by `error`. It receives files of frames and no
+recording.
+"""
+
+from __future__ import annotations
+
+import faulthandler
+import signal
+import sys
+import traceback
+from collections.abc import Callable
+from pathlib import Path
+
+from gridtrack.common.config import Settings, validated
+from gridtrack.common.errors import GridtrackError, PluginError
+from gridtrack.evaluation.comparison.stored_stretch import StoredStretch
+from gridtrack.evaluation.processes.supervisor import PR_SET_PDEATHSIG, prctl
+from gridtrack.evaluation.scoring.in_process import score_in_process
+from gridtrack.trackers import registry
+from gridtrack.trackers.contract import FitOutput, Tracker
+from gridtrack.trackers.serve import error_line, take_wire
+from gridtrack.trackers.wire import Message, encode, fill_from, receive, write_to
+
+Report = Callable[[str], None]
+INTERRUPTED = 130
+"""Exit code after Ctrl-C, as of a shell."""
+
+
+def main() -> None:
+    """Load the tracker named on the command line, run its `fit`, and exit."""
+    read_fd, write_fd = take_wire()
+    faulthandler.enable()
+    prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
+    fill = fill_from(read_fd)
+
+    def send(kind: str, **fields: str) -> None:
+        write_to(write_fd, encode(Message(kind, 0, fields)))
+
+    try:
+        tracker, settings = _load(sys.argv[1], receive(fill, 0))
+        send("loaded")
+        _fit(tracker, settings, receive(fill, 0), lambda text: send("report", text=str(text)))
+        send("done")
+    except KeyboardInterrupt:
+        sys.exit(INTERRUPTED)
+    except Exception as error:  # noqa: BLE001 - any exception of `fit` is reported to the command
+        send("error", **_error_fields(error))
+
+
+def _load(name: str, request: Message) -> tuple[type[Tracker], Settings]:
+    """The tracker `name` and its validated options. Raises PluginError, ConfigurationError."""
+    tracker = registry.load(name)
+    if not tracker.learns:
+        raise PluginError(f"tracker '{name}' has nothing to learn: compare it as it is")
+    return tracker, validated(tracker.Options, request.value("options", dict), f"tracker '{name}'")
+
+
+def _fit(tracker: type[Tracker], settings: Settings, request: Message, report: Report) -> None:
+    """Run `fit` on the stretches of the request."""
+    train, validation = (
+        [StoredStretch(Path(path)) for path in request.value(use, list)] for use in ("train", "validation")
+    )
+    path, log_dir = (Path(request.value(name, str)) for name in ("path", "log_dir"))
+    output = FitOutput(path, request.value("command", str), request.value("seed", int), log_dir, report)
+    tracker.fit(train, validation, score_in_process, output, settings)
+
+
+def _error_fields(error: Exception) -> dict[str, str]:
+    """`error` as the fields of the answer `error`: `error` is "" for an exception that is not a user's error."""
+    if isinstance(error, GridtrackError):
+        return {"error": type(error).__name__, "reason": str(error), "trace": ""}
+    if isinstance(error, OSError) and error.filename:
+        return {"error": "GridtrackError", "reason": f"{error.filename}: {error.strerror}", "trace": ""}
+    where = traceback.extract_tb(error.__traceback__)[-1]
+    reason = f"{error_line(error)} ({Path(where.filename).name}, line {where.lineno})"
+    return {"error": "", "reason": reason, "trace": "".join(traceback.format_exception(error))}
+
+
+if __name__ == "__main__":
+    main()

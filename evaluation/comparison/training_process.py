@@ -1,0 +1,124 @@
+"""The command's side of a training process: what it receives, its lines of progress, and its end."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Any, NoReturn
+
+from gridtrack.common import errors
+from gridtrack.common.errors import GridtrackError, PluginError
+from gridtrack.evaluation.processes.supervised import ProcessExit
+from gridtrack.trackers.contract import FitOutput
+from gridtrack.trackers.wire import Message, WireError, encode, fill_from, receive, write_to
+
+INTERRUPT_S = 30.0
+"""Time for `fit` to end after Ctrl-C, in which it may save its state."""
+
+
+class TrainingProcess:
+    """A context manager: entering starts a process for the `fit` of the tracker `name`, leaving ends all its processes.
+
+    The process runs in a session of its own, so that Ctrl-C reaches it once, through this process.
+    """
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self._process: subprocess.Popen[bytes]
+
+    def __enter__(self) -> TrainingProcess:
+        command = [sys.executable, "-P", "-m", "gridtrack.evaluation.comparison.fit_process", self.name]
+        self._process = subprocess.Popen(
+            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, bufsize=0, start_new_session=True
+        )
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._end()
+        self._process.communicate()
+
+    def load(self, options: Mapping[str, Any]) -> None:
+        """Load the tracker with these options. Raises PluginError, ConfigurationError."""
+        self._send("load", options=dict(options))
+        self._answer("loaded", lambda text: None)
+
+    def fit(self, train: Sequence[Path], validation: Sequence[Path], output: FitOutput) -> None:
+        """Run `fit` on these files of stretches; its lines go to `output.report`. Raises GridtrackError."""
+        self._send(
+            "fit",
+            train=[str(path) for path in train],
+            validation=[str(path) for path in validation],
+            path=str(output.path),
+            command=output.command,
+            seed=output.seed,
+            log_dir=str(output.log_dir),
+        )
+        try:
+            self._answer("done", output.report)
+        except KeyboardInterrupt:
+            self._interrupt(output.report)
+            raise
+
+    def _interrupt(self, report: Callable[[str], None]) -> None:
+        """Interrupt `fit`, and wait at most INTERRUPT_S for its end; its last lines go to `report`."""
+        self._process.send_signal(signal.SIGINT)
+        too_late = threading.Timer(INTERRUPT_S, self._end)
+        too_late.start()
+        with contextlib.suppress(GridtrackError):
+            self._answer("done", report)
+        too_late.cancel()
+
+    def _end(self) -> None:
+        """Kill the process and all that it started in its session."""
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(self._process.pid, signal.SIGKILL)
+
+    def _send(self, kind: str, **fields: Any) -> None:
+        assert self._process.stdin is not None
+        with contextlib.suppress(BrokenPipeError):  # the missing answer says why it ended
+            write_to(self._process.stdin.fileno(), encode(Message(kind, 0, fields)))
+
+    def _answer(self, expected: str, report: Callable[[str], None]) -> None:
+        """Wait for the answer `expected`; lines of progress before it go to `report`."""
+        assert self._process.stdout is not None
+        fill = fill_from(self._process.stdout.fileno())
+        while True:
+            try:
+                answer = receive(fill, 0)
+            except EOFError:
+                raise self._failed(str(ProcessExit(_status(self._process.wait())))) from None
+            if answer.kind == "report":
+                report(answer.value("text", str))
+            elif answer.kind == "error":
+                self._raise(answer)
+            elif answer.kind == expected:
+                return
+            else:
+                raise WireError(f"training of '{self.name}': '{answer.kind:.40}'; expected '{expected}'")
+
+    def _raise(self, answer: Message) -> NoReturn:
+        """Raise the error that the process reports, with its traceback as a note."""
+        name, reason = answer.value("error", str), answer.value("reason", str)
+        if not name:
+            error = self._failed(f"{reason}; --debug shows where")
+            error.add_note(answer.value("trace", str))
+            raise error
+        known = getattr(errors, name, GridtrackError)
+        raise known(reason)
+
+    def _failed(self, reason: str) -> PluginError:
+        return PluginError(f"tracker '{self.name}': its training failed: {reason}")
+
+
+def _status(code: int) -> int:
+    """The exit code of a Popen as the status of `os.waitpid`."""
+    return -code if code < 0 else code << 8

@@ -1,0 +1,129 @@
+"""The training process: what `fit` can reach, its lines of progress, its errors and its end."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import psutil
+import pytest
+
+from gridtrack.common.errors import ConfigurationError, PluginError, WeightsError
+from gridtrack.evaluation.comparison.recipe import Recipe
+from gridtrack.evaluation.comparison.stored_stretch import StoredStretch, store_stretch
+from gridtrack.evaluation.comparison.train import train_tracker
+from gridtrack.recordings.stream import frame_digest, open_stream
+from gridtrack.trackers.weights import read_card
+from tests.conftest import PLUGINS
+
+FITS = '''
+import os, time
+from gridtrack.common.config import Settings
+from gridtrack.common.errors import WeightsError
+from gridtrack.trackers.baselines.static_map import StaticMapTracker
+from gridtrack.trackers.contract import Tracker
+
+
+class Options(Settings):
+    how: str = "raises"
+
+
+class Fits(StaticMapTracker):
+    """Its training fails as the option says."""
+
+    Options = Options
+
+    @classmethod
+    def fit(cls, train, validation, score, out, options):
+        out.report(f"{os.getpid()}")
+        if options.how == "raises":
+            raise ValueError("no\\nminimum")
+        if options.how == "refuses":
+            raise WeightsError("too few frames")
+        if options.how == "dies":
+            os.abort()
+        try:
+            time.sleep(60)
+        except KeyboardInterrupt:
+            out.report("saved")
+            raise
+'''
+
+
+@pytest.fixture
+def fits(install):
+    install("fits", {"fits": "fits_tracker:Fits"}, {"fits_tracker.py": FITS})
+
+
+def test_fit_reaches_the_frames_of_its_stretches_and_nothing_else_of_a_recording(record, install, tmp_path):
+    install("nosy", {"nosy": "nosy_trackers:Nosy"}, {"nosy_trackers.py": (PLUGINS / "nosy_trackers.py").read_text()})
+    path, found = record("hidden-name"), tmp_path / "found.json"
+    lines: list[str] = []
+    options = {"found": str(found), "secret": "hidden-name.mcap"}
+    card = train_tracker(
+        Recipe(tracker="nosy", options=options, recordings=(str(path),), out=tmp_path / "weights"), lines.append
+    )
+    assert json.loads(found.read_text()) == {
+        "members": [],
+        "attributes": [],
+        "objects": [],
+        "stack": [],
+        "frames": [40, 50],
+        "command": [],
+    }
+    assert lines == ["looked around"]
+    assert str(path) in read_card(card).command
+
+
+def test_a_stored_stretch_has_the_frames_and_labels_of_the_stream(record, tmp_path):
+    stream = open_stream(f"{record()}@validation")
+    stored = StoredStretch(store_stretch(stream, tmp_path / "stretch"))
+    for name in ("name", "sha256", "grid", "period_s", "site", "classes"):
+        assert getattr(stored, name) == getattr(stream, name)
+    assert len(stored) == len(stream)
+    for _ in range(2):
+        assert [frame_digest(frame) for frame in stored] == [frame_digest(frame) for frame in stream]
+    assert [item.cells.tolist() for item in stored.labelled()] == [item.cells.tolist() for item in stream.labelled()]
+
+
+@pytest.mark.parametrize(
+    ("how", "error", "message"),
+    [
+        ("raises", PluginError, r"'fits': its training failed: ValueError: no minimum \(fits_tracker.py, line \d+\)"),
+        ("refuses", WeightsError, "^too few frames$"),
+        ("dies", PluginError, "'fits': its training failed: killed by SIGABRT"),
+    ],
+)
+@pytest.mark.usefixtures("fits")
+def test_a_training_that_fails_is_one_line(how, error, message, record, tmp_path):
+    with pytest.raises(error, match=message) as raised:
+        train_tracker(
+            Recipe(tracker="fits", options={"how": how}, recordings=(str(record()),), out=tmp_path), lambda _: None
+        )
+    assert "\n" not in str(raised.value)
+
+
+def test_an_unknown_option_is_refused_before_the_recording_is_read(tmp_path):
+    with pytest.raises(ConfigurationError, match=r"tracker 'static-map'.*wrong"):
+        train_tracker(Recipe(tracker="static-map", options={"wrong": 1}, recordings=("none.mcap",), out=tmp_path))
+
+
+@pytest.mark.parametrize("end", [signal.SIGINT, signal.SIGKILL])
+@pytest.mark.usefixtures("fits")
+def test_ctrl_c_reaches_fit_and_no_process_survives_the_command(end, record, tmp_path):
+    command = [sys.executable, "-m", "gridtrack.cli", "train", "fits:how=sleeps", str(record()), "--out", str(tmp_path)]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    child = int(process.stdout.readline())
+    os.kill(process.pid, end)
+    rest, _ = process.communicate(timeout=20)
+    assert ("saved" in rest) == (end == signal.SIGINT)
+    assert process.returncode != 0
+    deadline = time.monotonic() + 10
+    while psutil.pid_exists(child) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert not psutil.pid_exists(child)

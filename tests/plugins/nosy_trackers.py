@@ -1,0 +1,141 @@
+"""Trackers that look for what they must not see, and write what they find to the file named in the option `found`."""
+
+from __future__ import annotations
+
+import gc
+import json
+import os
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gridtrack.common.config import Settings
+from gridtrack.common.grid import GridFrame
+from gridtrack.trackers.contract import FitOutput, Forecast, FrameSource, Score, StreamSpec, Tracker
+from gridtrack.trackers.weights import card_for, save_weights
+
+MEMBERS = {"name", "sha256", "grid", "period_s", "site", "classes", "labelled"}
+
+
+class Found(Settings):
+    found: str = ""
+    secret: str = ""
+    """The name of a file that no process of a tracker may be able to learn."""
+
+
+class Nosy(Tracker):
+    """Looks around in `fit`."""
+
+    Options = Found
+    learns = True
+
+    def reset(self, seed: int) -> None: ...
+
+    def update(self, frame: GridFrame) -> None: ...
+
+    def predict(self, steps: int) -> Forecast:
+        return Forecast(np.zeros((steps + 1, *self.stream.grid.shape), np.float32))
+
+    @classmethod
+    def fit(
+        cls,
+        train: Sequence[FrameSource],
+        validation: Sequence[FrameSource],
+        score: Score,
+        out: FitOutput,
+        options: Found,
+    ) -> None:
+        found = {
+            "members": sorted({n for s in (*train, *validation) for n in dir(s) if n[0] != "_"} - MEMBERS),
+            "attributes": reached((*train, *validation, out)),
+            "objects": suspects(gc.get_objects()),
+            "stack": stack(),
+            "frames": [sum(1 for _ in source) for source in (*train, *validation)],
+            "command": [out.command] if options.secret in out.command else [],
+        }
+        Path(options.found).write_text(json.dumps(found))
+        out.report("looked around")
+        save_weights(out.path, card_for("nosy", out, train, validation, {}), {})
+
+
+class NosyInTrial(Tracker):
+    """Looks around when it starts: its own process and those above it, as far as /proc shows them."""
+
+    Options = Found
+
+    def __init__(self, stream: StreamSpec, options: Any) -> None:
+        super().__init__(stream, options)
+        # the name comes split, so that it is in none of the arguments and requests itself
+        secret = options.secret[::-1]
+        Path(options.found).write_text(json.dumps(traces(secret)))
+
+    def reset(self, seed: int) -> None: ...
+
+    def update(self, frame: GridFrame) -> None: ...
+
+    def predict(self, steps: int) -> Forecast:
+        return Forecast(np.zeros((steps + 1, *self.stream.grid.shape), np.float32))
+
+
+def reached(roots: Sequence[Any]) -> list[str]:
+    """Types of the suspect objects that attributes, cells of closures and elements lead to from `roots`."""
+    seen: dict[int, Any] = {}
+    waiting = list(roots)
+    while waiting and len(seen) < 20_000:
+        item = waiting.pop()
+        if id(item) not in seen:
+            seen[id(item)] = item
+            waiting += [value for value in gc.get_referents(item) if not isinstance(value, type | np.ndarray)]
+    return suspects(seen.values())
+
+
+def suspects(objects: Any) -> list[str]:
+    """Names of the types of recordings, streams of them and scenes among `objects`."""
+    names = {type(item).__name__ for item in objects}
+    return sorted(n for n in names if n in {"GridStream", "Observation", "Scene", "Scan"} or n.endswith("Recording"))
+
+
+def stack() -> list[str]:
+    """Types of the suspect objects in the local variables of the calls above this one."""
+    found, frame = [], sys._getframe()
+    while frame is not None:
+        found += suspects(frame.f_locals.values())
+        frame = frame.f_back  # type: ignore[assignment]
+    return found
+
+
+def traces(secret: str) -> list[str]:
+    """Where /proc shows the text `secret` for this process and its ancestors."""
+    found, pid = [], os.getpid()
+    while pid > 1:
+        process = Path(f"/proc/{pid}")
+        for part in ("cmdline", "environ", "maps"):
+            found += [f"{part} of {pid}"] if secret in text(process / part) else []
+        for link in (process / "cwd", process / "exe", *listed(process / "fd")):
+            found += [f"{link}"] if secret in target(link) else []
+        pid = int(text(process / "stat").rpartition(")")[2].split()[1])
+    return found
+
+
+def text(path: Path) -> str:
+    try:
+        return path.read_bytes().decode(errors="replace")
+    except OSError:
+        return ""
+
+
+def listed(path: Path) -> list[Path]:
+    try:
+        return list(path.iterdir())
+    except OSError:
+        return []
+
+
+def target(link: Path) -> str:
+    try:
+        return str(link.readlink())
+    except OSError:
+        return ""
