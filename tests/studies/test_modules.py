@@ -25,7 +25,7 @@ QUICK = {
     "benchmarks.dogma": ["--particles", "1000"],
     "benchmarks.estimators": ["--frames", "5", "--hours", "0.001"],
     "studies.estimator_errors": ["--runs", "2"],
-    "studies.stage_errors": ["--stretches", "0s-10s"],
+    "studies.stage_errors": ["--stretches", "0s-5s"],
 }
 
 
