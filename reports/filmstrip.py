@@ -126,7 +126,7 @@ def _filmstrip_row(
     words = f"Input at {now}: {size} cells visible, {reference.occupied.sum()} of them occupied"
     horizons = []
     for h, horizon_s in enumerate(reference.horizons_s):
-        visible, occupied = reference.came_visible[h], reference.came_occupied[h]
+        visible, occupied = reference.observed_visible[h], reference.observed_occupied[h]
         observed = Picture(
             frame_png(visible, occupied),
             f"Observed {horizon_s:g} s after {now}: {visible.sum()} cells visible, {occupied.sum()} of them occupied",

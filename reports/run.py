@@ -35,7 +35,7 @@ class Run:
     pooled: bool = False
 
     def is_pooled(self, recording: str) -> bool:
-        """Whether a recording of the summary stands for all of them together."""
+        """Whether a recording of the summary is all recordings pooled."""
         return self.pooled and recording == ALL_RECORDINGS
 
     @property

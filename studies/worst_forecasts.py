@@ -60,8 +60,8 @@ def worst(run: Run, label: str) -> list[Failure]:
 def compared_cells(failure: Failure) -> Iterator[str]:
     """Every visible cell that is forecast above the threshold, or was observed occupied."""
     sample, h = failure.sample, failure.sample.horizons_s.index(HORIZON_S)
-    above = (sample.forecast[h] >= failure.threshold) & sample.came_visible[h]
-    observed, size = sample.came_occupied[h], sample.grid.size
+    above = (sample.forecast[h] >= failure.threshold) & sample.observed_visible[h]
+    observed, size = sample.observed_occupied[h], sample.grid.size
     for kind, where in (("hit", above & observed), ("missed", observed & ~above), ("false alarm", above & ~observed)):
         rows, columns = np.nonzero(where)
         squares = "".join(f"M{c} {size - 1 - r}h1v1h-1z" for r, c in zip(rows, columns, strict=True))
@@ -72,10 +72,10 @@ def pictures(failure: Failure) -> str:
     """Input, observed frame, forecast, and the forecast's hits and errors, side by side."""
     sample, h = failure.sample, failure.sample.horizons_s.index(HORIZON_S)
     nothing = np.zeros_like(sample.visible)
-    ground = frame_png(sample.came_visible[h], nothing)
+    ground = frame_png(sample.observed_visible[h], nothing)
     images = (
         frame_png(sample.visible, sample.occupied),
-        frame_png(sample.came_visible[h], sample.came_occupied[h]),
+        frame_png(sample.observed_visible[h], sample.observed_occupied[h]),
         probability_png(sample.forecast[h]),
     )
     size = sample.grid.size

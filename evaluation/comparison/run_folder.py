@@ -13,7 +13,7 @@ from gridtrack.evaluation.comparison.plan import ComparisonPlan
 from gridtrack.evaluation.comparison.provenance import machine, versions
 from gridtrack.evaluation.results.columns import HISTOGRAM_TABLE, SCORES_TABLE
 from gridtrack.evaluation.results.files import RunError
-from gridtrack.evaluation.results.run_record import RunConfiguration, RunRecord, RunSettings, read_run_record
+from gridtrack.evaluation.results.run_record import RUN_FILE, RunConfiguration, RunRecord, RunSettings, read_run_record
 from gridtrack.evaluation.results.summary import ORACLE, RunSummary
 from gridtrack.evaluation.results.trial_record import TrialRecord, read_trial_record
 from gridtrack.evaluation.statistics.finished_trial import FinishedTrial
@@ -42,8 +42,8 @@ class RunFolder:
         if earlier is not None and earlier.configuration != record.configuration:
             changed = _what_changed(earlier.configuration, record.configuration)
             raise RunError(
-                f"{path} holds a run of another configuration ({changed}): name another folder with --out, or ask for"
-                " what it was made with"
+                f"{path} holds a run of another configuration ({changed}): name another folder with --out, or repeat"
+                f" its command (`command` in {RUN_FILE})"
             )
         record.write(path)
         return cls(path, plan, record)
@@ -121,7 +121,7 @@ def _what_changed(earlier: RunConfiguration, now: RunConfiguration) -> str:
         if added := sorted(requested - then):
             return f"{what} '{added[0]}' was not in it"
         if left := sorted(then - requested):
-            return f"{what} '{left[0]}' was in it and is not asked for now"
+            return f"{what} '{left[0]}' was in it and is not requested now"
     return _first_difference(earlier.model_dump(), now.model_dump())
 
 

@@ -30,9 +30,9 @@ def write_model(path: Path, content: ResultModel) -> None:
 
 
 def read_model(path: Path, model: type[_Model], schema: int, max_bytes: int, remedy: str) -> _Model:
-    """The content of a result file, validated; `remedy` ends every error message and says what to do.
+    """The content of a result file, validated; `remedy` ends every error message: what to do about it.
 
-    Raises FileNotFoundError, for the caller to say what is missing, and RunError for a file that is larger than
+    Raises FileNotFoundError, for the caller to report what is missing, and RunError for a file that is larger than
     `max_bytes`, is no JSON object, has another schema number than `schema`, or does not fit the model.
     """
     content = read_json(path, max_bytes, RunError)

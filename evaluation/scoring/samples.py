@@ -55,8 +55,8 @@ class Sample:
     """One forecast, and the frames that it is a forecast of.
 
     `visible`, `occupied` (M, M) bool: x_t; `origins` (S, 2) float32: positions of the sensors, metres, grid frame; per
-    horizon H: `forecast` (H, M, M) float32 in [0, 1], and `came_visible`, `came_occupied` (H, M, M) bool, the frame
-    observed at that horizon.
+    horizon H: `forecast` (H, M, M) float32 in [0, 1], and `observed_visible`, `observed_occupied` (H, M, M) bool, the
+    frame observed at that horizon.
     """
 
     stamp_ns: int
@@ -66,8 +66,8 @@ class Sample:
     occupied: Mask
     origins: NDArray[np.float32]
     forecast: NDArray[np.float32]
-    came_visible: Mask
-    came_occupied: Mask
+    observed_visible: Mask
+    observed_occupied: Mask
 
 
 def kept_forecasts(schedule: Schedule) -> frozenset[int]:
@@ -99,10 +99,10 @@ class SampleWriter:
         """Write one forecast, with the frames that it is a forecast of."""
         stamp_ns, frames = scored.stamp_ns, scored.frames
         self._write("/input", stamp_ns, _planes(frames[0].visible, frames[0].occupied), OCCUPANCY_FIELDS)
-        self._write_message(SENSORS, stamp_ns, _places(frames[0].origins, stamp_ns))
+        self._write_message(SENSORS, stamp_ns, _sensor_poses(frames[0].origins, stamp_ns))
         for horizon, step in self._steps.items():
-            came = frames[step]
-            self._write(f"/came/{horizon:g}s", stamp_ns, _planes(came.visible, came.occupied), OCCUPANCY_FIELDS)
+            observed = frames[step]
+            self._write(f"/came/{horizon:g}s", stamp_ns, _planes(observed.visible, observed.occupied), OCCUPANCY_FIELDS)
             probability = (scored.forecast.occupancy[step] * 255).round().astype(np.uint8)
             self._write(f"/forecast/{horizon:g}s", stamp_ns, probability[..., None], PROBABILITY_FIELDS)
 
@@ -113,7 +113,7 @@ class SampleWriter:
         self._writer.write_message(topic, message, log_time=stamp_ns, publish_time=stamp_ns)
 
 
-def _places(origins: NDArray[np.float32], stamp_ns: int) -> Any:
+def _sensor_poses(origins: NDArray[np.float32], stamp_ns: int) -> Any:
     """Message with the sensors at `origins` (S, 2), metres, grid frame."""
     message = PosesInFrame(frame_id="grid")
     message.timestamp.FromNanoseconds(stamp_ns)
@@ -190,10 +190,10 @@ def _sample(stamp_ns: int, topics: dict[str, Any]) -> Sample:
     forecast = np.zeros((len(horizons), *grid.shape), np.float32)
     for i, h in enumerate(horizons):
         forecast[i] = _decoded(topics[f"/forecast/{h:g}s"], grid, PROBABILITY_FIELDS)[..., 0] / np.float32(255)
-    came = np.array(occupancy[1:], bool).reshape(len(horizons), *grid.shape, 2)
+    observed = np.array(occupancy[1:], bool).reshape(len(horizons), *grid.shape, 2)
     origins = np.array([(p.position.x, p.position.y) for p in topics[SENSORS].poses], np.float32).reshape(-1, 2)
     visible, occupied = np.moveaxis(occupancy[0], -1, 0)
-    return Sample(stamp_ns, horizons, grid, visible, occupied, origins, forecast, came[..., 0], came[..., 1])
+    return Sample(stamp_ns, horizons, grid, visible, occupied, origins, forecast, observed[..., 0], observed[..., 1])
 
 
 def _seconds(topic: str) -> float:

@@ -66,7 +66,7 @@ class ClassInference:
         return next(iter([*requested, *described, *rows]), None)
 
     def _with_intervals(self, semantics: SemanticScores, trials: Sequence[FinishedTrial]) -> SemanticScores:
-        """`semantics` with the intervals of the log loss of scans; where there are none, `interval` says why."""
+        """`semantics` with the intervals of the log loss of scans; where there are none, `interval` has the reason."""
         names = [trial.record.recording for trial in trials]
         block_s = self._inference.block_s(names)
         (losses,), units = summed_by_unit([[self._losses_of(trial) for trial in trials]], block_s)

@@ -76,7 +76,7 @@ class Scope:
 def intervals(
     recordings: Sequence[FrameCounts], strata: Sequence[str], block_s: float
 ) -> dict[str, dict[str, tuple[float | None, ...] | str | None]]:
-    """Per stratum `f1_low`, `f1_high` and so on of every score, a value per step; without any, `interval` says why."""
+    """Per stratum `f1_low`, `f1_high` and so on, one value per step; `interval` has the reason where there are none."""
     (counts,), number = summed_by_unit([recordings], block_s)
     if number < LEAST_UNITS:
         nothing = {f"{score}_{end}": None for score in RATIO_SCORES for end in ("low", "high")}

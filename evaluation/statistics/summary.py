@@ -25,7 +25,7 @@ def summarise(
     interrupted: bool,
     reference: str | None = None,
 ) -> RunSummary:
-    """The summary of `trials` on `recordings`; `notices` come before those that the trials give rise to.
+    """The summary of `trials` on `recordings`; `notices` precede those of the trials.
 
     `reference` is the label of the row that the others are compared with; None: the default one. Raises ScoresError.
     """

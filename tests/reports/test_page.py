@@ -94,7 +94,9 @@ def test_the_pictures_are_the_samples(page, run_folder):
     pictured = [s for s in inputs if all(probability_png(p) in shown for p in s.forecast)]
     assert len(pictured) >= 3
     for sample in pictured:
-        assert all(frame_png(v, o) in shown for v, o in zip(sample.came_visible, sample.came_occupied, strict=True))
+        assert all(
+            frame_png(v, o) in shown for v, o in zip(sample.observed_visible, sample.observed_occupied, strict=True)
+        )
 
 
 def test_the_sensor_is_marked_at_its_position(page):

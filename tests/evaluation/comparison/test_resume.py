@@ -44,10 +44,10 @@ def test_another_program_under_the_same_name_is_another_configuration(settings, 
 def test_recordings_and_trackers_missing_in_the_run_are_named_as_requested(settings, record, progress):
     run(resolve(settings("blank", "persistence")), (), progress)
     more = settings("blank", "persistence", "still=persistence", resume=True)
-    what_to_do = r": name another folder with --out, or ask for what it was made with"
+    what_to_do = r": name another folder with --out, or repeat its command"
     with pytest.raises(RunError, match=r"another configuration \(tracker 'still' was not in it\)" + what_to_do):
         run(resolve(more), (), progress)
-    with pytest.raises(RunError, match=r"\(tracker 'persistence' was in it and is not asked for now\)"):
+    with pytest.raises(RunError, match=r"\(tracker 'persistence' was in it and is not requested now\)"):
         run(resolve(settings("blank", resume=True)), (), progress)
     other = settings("blank", "persistence", recordings=(str(record("other")),), resume=True)
     with pytest.raises(RunError, match=r"\(recording 'other' was not in it\)"):

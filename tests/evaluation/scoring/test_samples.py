@@ -50,8 +50,8 @@ def test_samples_survive_a_round_trip(written):
         assert np.array_equal(sample.occupied, scored.frames[0].occupied)
         assert np.array_equal(sample.origins, ORIGINS)
         for i, step in enumerate((5, 10)):
-            assert np.array_equal(sample.came_visible[i], scored.frames[step].visible)
-            assert np.array_equal(sample.came_occupied[i], scored.frames[step].occupied)
+            assert np.array_equal(sample.observed_visible[i], scored.frames[step].visible)
+            assert np.array_equal(sample.observed_occupied[i], scored.frames[step].occupied)
             assert np.abs(sample.forecast[i] - scored.forecast.occupancy[step]).max() <= 0.5 / 255 + 1e-6
 
 
