@@ -19,8 +19,6 @@ class Registration:
     distribution: str
     """Name and version, for messages."""
     problem: str = ""
-    registered_twice: bool = False
-    """Two distributions register this name."""
 
     @property
     def distribution_name(self) -> str:
@@ -39,9 +37,7 @@ def registrations(group: str) -> dict[str, Registration]:
 
 def _registered_twice(one: Registration, other: Registration) -> Registration:
     both = f"{one.distribution} and {other.distribution}"
-    return Registration(
-        one.name, "", both, f"registered by two distributions, {both}: uninstall one", registered_twice=True
-    )
+    return Registration(one.name, "", both, f"registered by two distributions, {both}: uninstall one")
 
 
 def _registered(group: str) -> Iterator[Registration]:

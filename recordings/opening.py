@@ -30,7 +30,7 @@ def open_recording(
 
     `topic` keeps one sensor of several; of ROS recordings `cloud_slice` says how a PointCloud2 topic becomes a scan,
     and `pose_topic` where the sensor's poses are; `strict` turns what would be a warning into an error.
-    Raises RecordingError, and PluginError where two formats are registered under one name.
+    Raises RecordingError.
     """
     path = Path(path)
     options = ReadOptions(topic=topic, strict=strict, cloud_slice=cloud_slice, pose_topic=pose_topic)

@@ -16,18 +16,18 @@ FORMAT_GROUP = "gridtrack.recordings"
 class FormatRegistry:
     """The installed formats, each loaded when its turn comes: those of gridtrack first, then the others by name.
 
-    A format that cannot be loaded, or fails on a file, is left out; `problems` holds one line for each.
+    A format that cannot be loaded, that two distributions register, or that fails on a file, is left out; `problems`
+    holds one line for each.
     """
 
     def __init__(self) -> None:
-        """Raises PluginError where two distributions register a format of the same name."""
         found = registrations(FORMAT_GROUP).values()
         self._registrations = sorted(found, key=lambda entry: entry.distribution_name != "gridtrack")
         self._loaded: dict[str, RecordingFormat] = {}
         self.problems: list[str] = []
         for entry in found:
-            if entry.registered_twice:
-                raise PluginError(f"recording format '{entry.name}': {entry.problem}")
+            if entry.problem:
+                self._note(f"{_described(entry)}: {entry.problem}")
 
     def recognising(self, path: Path, head: bytes) -> RecordingFormat | None:
         """The first format that recognises the file at `path`, whose first bytes are `head`; None where none does."""
@@ -59,7 +59,7 @@ class FormatRegistry:
 
 def load_format(entry: Registration) -> RecordingFormat:
     """Import a registered format. Raises PluginError, which names the format, its distribution and the reason."""
-    where = f"recording format '{entry.name}' of {entry.distribution}"
+    where = _described(entry)
     if entry.problem:
         raise PluginError(f"{where}: {entry.problem}")
     try:
@@ -69,3 +69,7 @@ def load_format(entry: Registration) -> RecordingFormat:
     if not isinstance(found, RecordingFormat):
         raise PluginError(f"{where}: {entry.value} is not a gridtrack.recordings.format.RecordingFormat")
     return found
+
+
+def _described(entry: Registration) -> str:
+    return f"recording format '{entry.name}' of {entry.distribution}"

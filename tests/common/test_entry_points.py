@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import pytest
 
 from gridtrack.common.entry_points import VALID_NAME, registrations
@@ -25,8 +27,7 @@ def test_a_damaged_file_an_invalid_name_and_a_conflict_are_problems(install):
     found = registrations(GROUP)
     assert "entry_points.txt cannot be read" in found["(damaged 1.0)"].problem
     assert "is not a valid name" in found["Big"].problem
-    assert found["shared"].registered_twice
-    assert "uninstall one" in found["shared"].problem
+    assert re.search("registered by two distributions, .*: uninstall one", found["shared"].problem)
     assert found["fine"].problem == ""
 
 

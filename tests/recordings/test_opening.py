@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 import sys
 from collections.abc import Callable
@@ -10,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from gridtrack.common.errors import PluginError, RecordingError
+from gridtrack.common.errors import RecordingError
 from gridtrack.common.scan import Scan
 from gridtrack.recordings import CloudSlice, open_recording
 
@@ -116,11 +117,20 @@ def test_a_format_that_fails_to_open_is_one_error_with_its_reason(install_format
         open_recording(csv_file)
 
 
-def test_two_formats_of_one_name_are_one_clear_error(install_formats, write, scan) -> None:
-    path = write([scan(0)])
+def test_of_two_formats_of_one_name_neither_is_used_and_the_others_are(
+    install_formats, csv_file: Path, write: Callable[..., Path], scan: Callable[..., Scan], tmp_path: Path
+) -> None:
     install_formats({"carmen": "csv_scans:FORMAT"})
-    with pytest.raises(PluginError, match=r"'carmen': registered by two distributions, .*csv-scans 1\.0"):
-        open_recording(path)
+    recording = open_recording(write([scan(0)]))
+    assert len(list(recording.scans())) == 1
+    (warning,) = recording.warnings
+    assert re.search(r"recording format 'carmen' of .*: registered by two distributions, ", warning)
+    assert "gridtrack " in warning
+    assert "csv-scans 1.0" in warning
+    for path in (csv_file, tmp_path / "a.clf"):
+        path.write_text("scans")
+        with pytest.raises(RecordingError, match=r"not available: .*'carmen' of .*registered by two distributions"):
+            open_recording(path)
 
 
 def test_a_format_loads_its_libraries_only_when_a_file_of_it_is_opened(
