@@ -1,13 +1,15 @@
-"""Scans in the order of their stamps: several sensors merged, scans with an impossible stamp or pose left out."""
+"""Scans in the order of their stamps: several sensors merged, scans with a damaged stamp or pose left out."""
 
 from __future__ import annotations
 
 import heapq
+import itertools
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 
 from gridtrack.common.errors import RecordingError
 from gridtrack.common.scan import Scan
+from gridtrack.recordings.stamp_filter import StampFilter
 
 MAX_DELAY_NS = 1_000_000_000
 MAX_STAMP_NS = 1 << 63
@@ -17,73 +19,85 @@ MAX_SENSORS = 255
 class StampOrder:
     """Merges the sensors of a file by stamp. Scans wait for a second, since those of one sensor may be written late.
 
-    The order of one sensor's scans in the file is taken as correct: a scan that is not stamped after the one before has
-    a wrong stamp, and is left out. `warn` receives one line for each kind of fault and sensor, with the number of scans
-    and the time of the first.
+    Scans with a damaged stamp are left out (StampFilter). `warn` receives one line for each kind of fault and sensor,
+    with the number of scans and the time of the first.
     """
 
     def __init__(self, warn: Callable[[str], None]) -> None:
         self._warn = warn
         self._waiting: list[tuple[int, int, Scan]] = []
-        self._arrived = 0
-        self._first_ns = 0
+        self._numbers = itertools.count()
+        self._pushed = 0
+        self._first_ns: int | None = None
         self._newest_ns = -1
         self._yielded_ns = -1
+        self._filters: dict[str, StampFilter] = {}
         self._before: dict[str, Scan] = {}
-        self._faults: dict[str, tuple[int, float]] = {}
+        self._faults: dict[str, tuple[int, int]] = {}
 
     @property
     def empty(self) -> bool:
         """Whether no scan was pushed."""
-        return self._arrived == 0
+        return self._pushed == 0
 
     def push(self, scan: Scan) -> Iterator[Scan]:
         """Add the next scan of the file, and yield the scans that no longer wait. Raises RecordingError."""
-        if self.empty:
-            self._first_ns = scan.stamp_ns
-        self._arrived += 1
-        if not self._accepts(scan):
+        self._pushed += 1
+        if not 0 <= scan.stamp_ns < MAX_STAMP_NS:
+            self._fault(scan, "stamped outside 0 to 2^63 ns, left out", self._newest_ns)
             return
-        self._newest_ns = max(self._newest_ns, scan.stamp_ns)
-        heapq.heappush(self._waiting, (scan.stamp_ns, self._arrived, scan))
-        while self._waiting[0][0] < self._newest_ns - MAX_DELAY_NS:
+        if scan.sensor not in self._filters:
+            if len(self._filters) == MAX_SENSORS:
+                raise RecordingError(f"more than {MAX_SENSORS} sensors; read one of them with a topic")
+            self._filters[scan.sensor] = StampFilter(self._fault)
+        self._add(self._filters[scan.sensor].push(scan))
+        due_ns = self._newest_ns - MAX_DELAY_NS
+        for stamps in self._filters.values():
+            if stamps.held_before(due_ns):
+                self._add(stamps.release())
+        while self._waiting and self._waiting[0][0] < self._newest_ns - MAX_DELAY_NS:
             self._yielded_ns = self._waiting[0][0]
             yield heapq.heappop(self._waiting)[2]
 
     def flush(self) -> Iterator[Scan]:
-        """Yield the scans that still wait, and report the faults."""
+        """Yield the scans that still wait, and report the faults. Raises RecordingError where every scan has one."""
+        for stamps in self._filters.values():
+            self._add(stamps.flush())
         while self._waiting:
             yield heapq.heappop(self._waiting)[2]
-        for fault, (count, first_s) in self._faults.items():
+        for fault, (count, at_ns) in self._faults.items():
+            first_s = max(at_ns - (self._first_ns or 0), 0) / 1e9
             self._warn(f"{fault}: {count} of them, the first {first_s:.3f} s after the first scan")
+        if self._first_ns is None and self._faults:
+            raise RecordingError(f"no scan can be used: {next(iter(self._faults))}")
+
+    def _add(self, scans: Iterable[Scan]) -> None:
+        """Let `scans` wait that are accepted. Raises RecordingError for an impossible geometry."""
+        for scan in scans:
+            if self._accepts(scan):
+                self._first_ns = scan.stamp_ns if self._first_ns is None else min(self._first_ns, scan.stamp_ns)
+                self._newest_ns = max(self._newest_ns, scan.stamp_ns)
+                heapq.heappush(self._waiting, (scan.stamp_ns, next(self._numbers), scan))
 
     def _accepts(self, scan: Scan) -> bool:
-        """Whether the scan is kept. Raises RecordingError for an impossible geometry."""
         before = self._before.get(scan.sensor)
-        if before is None:
-            _check_scan(scan)
-            if len(self._before) == MAX_SENSORS:
-                raise RecordingError(f"more than {MAX_SENSORS} sensors; read one of them with a topic")
-        elif scan.stamp_ns <= before.stamp_ns:
-            self._fault(scan, "not stamped after the one before, left out")
+        if before is not None and not _has_finite_pose(scan):
+            self._fault(scan, "whose pose is not finite, left out", scan.stamp_ns)
             return False
-        elif not _has_finite_pose(scan):
-            self._fault(scan, "whose pose is not finite, left out")
-            return False
-        elif _geometry(scan) != _geometry(before) or scan.stamp_ns >= MAX_STAMP_NS:
+        if before is None or _geometry(scan) != _geometry(before):
             _check_scan(scan)
         if scan.stamp_ns < self._yielded_ns:
-            self._fault(scan, "stamped more than a second before those of other sensors, left out")
+            self._fault(scan, "stamped more than a second before those of other sensors, left out", scan.stamp_ns)
             return False
         if before is not None and before.ranges.size != scan.ranges.size:
-            self._fault(scan, "whose number of beams differs from the one before")
+            self._fault(scan, "whose number of beams differs from the one before", scan.stamp_ns)
         self._before[scan.sensor] = scan
         return True
 
-    def _fault(self, scan: Scan, what: str) -> None:
+    def _fault(self, scan: Scan, what: str, at_ns: int) -> None:
         text = f"scans of sensor '{scan.sensor}' {what}"
-        count, first_s = self._faults.get(text, (0, (scan.stamp_ns - self._first_ns) / 1e9))
-        self._faults[text] = (count + 1, first_s)
+        count, first_ns = self._faults.get(text, (0, at_ns))
+        self._faults[text] = (count + 1, first_ns)
 
 
 def _geometry(scan: Scan) -> tuple[float, float, float, float]:
@@ -96,9 +110,7 @@ def _has_finite_pose(scan: Scan) -> bool:
 
 
 def _check_scan(scan: Scan) -> None:
-    """Raise RecordingError for a stamp, geometry or pose that cannot be that of a scan."""
-    if not 0 <= scan.stamp_ns < MAX_STAMP_NS:
-        raise RecordingError(f"sensor '{scan.sensor}': a stamp of {scan.stamp_ns} ns; expected 0 to 2^63 ns")
+    """Raise RecordingError for a geometry or pose that cannot be that of a scan."""
     limits = f"range limits {scan.range_min:g} to {scan.range_max:g} m"
     if not (math.isfinite(scan.range_max) and 0.0 <= scan.range_min < scan.range_max):
         raise RecordingError(f"sensor '{scan.sensor}': {limits}; expected finite ones, the lower limit first")

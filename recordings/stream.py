@@ -27,6 +27,9 @@ from gridtrack.recordings.cell_labels import check_labels, labelled_returns
 from gridtrack.recordings.recording import Stretch, stretch_text
 from gridtrack.recordings.resample import Tick, resample_scans
 
+MAX_EMPTY_FRAMES = 6000
+"""Limit of the empty frames in one gap: ten minutes at 10 Hz."""
+
 
 def parse_stretch(text: str) -> tuple[Path, Stretch | str | None]:
     """Read `demo.mcap`, `demo.mcap@30s-90s`, `demo.mcap@90s-` or `demo.mcap@test`: a path and a stretch of it.
@@ -129,6 +132,7 @@ class GridStream:
             raise RecordingError(f"{self.name}: no frame at {1 / self.period_s:g} Hz in this stretch")
         if len(survey.poses) > 1 and len(set(survey.poses.values())) == 1:
             recording.notify(f"{len(survey.poses)} sensors and no poses: all are taken to have the same pose")
+        self._check_longest_gap()
         self.gaps = self._count_gaps()
         self._degrade: Callable[[Scan], Scan] | None = None
 
@@ -198,6 +202,29 @@ class GridStream:
             points, point_origin = self.grid.cell_centres(occupied), owner[occupied]
         origins = np.array([(pose.x, pose.y) for pose in grid_T_sensor.values()], np.float32)
         return GridFrame(tick.stamp_ns, visible, occupied, world_T_grid, origins, points, point_origin)
+
+    def all_frames(self) -> Iterator[GridFrame]:
+        """The frames of the whole recording on the same grid and period, those in the longest gaps left out."""
+        survey, period_s = self.recording.survey, self.period_s
+        long_gaps = (survey.gaps(MAX_EMPTY_FRAMES * self.period_ns) - survey.first_ns) / 1e9
+        starts = [0.0, *(end_s - period_s for _, end_s in long_gaps)]
+        ends = [*(start_s + period_s for start_s, _ in long_gaps), None]
+        for part in zip(starts, ends, strict=True):
+            yield from GridStream(self.recording, part, grid=self.grid, rate_hz=1e9 / self.period_ns)
+
+    def _check_longest_gap(self) -> None:
+        """Raise RecordingError for a gap in the stretch of more than MAX_EMPTY_FRAMES frames."""
+        survey = self.recording.survey
+        first_ns, last_ns = (survey.first_ns + tick * self.period_ns for tick in (self._ticks[0], self._ticks[-1]))
+        for start_ns, end_ns in survey.gaps(MAX_EMPTY_FRAMES * self.period_ns).tolist():
+            frames = (min(end_ns, last_ns) - max(start_ns, first_ns)) // self.period_ns
+            if frames > MAX_EMPTY_FRAMES:
+                start_s, end_s = ((at_ns - survey.first_ns) / 1e9 for at_ns in (start_ns, end_ns))
+                raise RecordingError(
+                    f"{self.name}: no scans from {start_s:.1f} s to {end_s:.1f} s, {frames} empty frames where at most"
+                    f" {MAX_EMPTY_FRAMES} are allowed: name a stretch before or after it"
+                    f" (@0s-{math.floor(start_s * 10) / 10:g}s, @{math.ceil(end_s * 10) / 10:.10g}s-)"
+                )
 
     def _count_gaps(self) -> int:
         """Gaps of a sensor longer than two periods within the stretch; adds a warning to the recording."""

@@ -84,6 +84,12 @@ class Survey:
         """From the first scan to the last."""
         return (self.last_ns - self.first_ns) / 1e9
 
+    def gaps(self, longer_than_ns: int) -> NDArray[np.int64]:
+        """Gaps in which no sensor has a scan: (n, 2) int64, start and end in ns."""
+        stamps = np.sort(np.concatenate([sensor.stamps_ns for sensor in self.sensors.values()]))
+        (before,) = np.nonzero(np.diff(stamps) > longer_than_ns)
+        return np.stack([stamps[before], stamps[before + 1]], axis=1)
+
     @property
     def moves(self) -> bool:
         """Whether any sensor changes its pose."""

@@ -241,7 +241,7 @@ def _region_maps(stream: GridStream, strata: tuple[str, ...]) -> RegionMaps:
     if first.scene is not None:
         cell_kinds = cell_kinds_around(static_cells(first.scene, grid, pose))
     else:
-        cell_kinds = cell_kinds_of(like(stream), grid, pose)
+        cell_kinds = cell_kinds_of(stream.all_frames(), grid, pose)
     return region_maps_of(cell_kinds, grid, first.frame.origins, strata)
 
 
