@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from gridtrack.common.errors import ConfigurationError
 from gridtrack.common.geometry import SE2
 
+MAX_ORIGIN_M = 1e6
 Mask = NDArray[np.bool_]
 Points = Literal["centres", "raw"]
 """The points of a frame: the centres of the occupied cells, or the returns of the laser."""
@@ -37,8 +38,10 @@ class GridSpec:
         if self.origin_m is None:
             half = -self.size * self.cell_m / 2.0
             object.__setattr__(self, "origin_m", (half, half))
-        elif not np.isfinite(self.origin_m).all():
-            raise ConfigurationError(f"grid: origin {self.origin_m} is not finite")
+        elif not all(abs(value) <= MAX_ORIGIN_M for value in self.origin_m):
+            raise ConfigurationError(
+                f"grid: origin {self.origin_m}; expected finite coordinates up to {MAX_ORIGIN_M:g} m"
+            )
 
     @property
     def origin(self) -> tuple[float, float]:
@@ -65,7 +68,7 @@ class GridSpec:
         Raises ConfigurationError.
         """
         number = r"[-+]?\d+(?:\.\d*)?(?:[eE][-+]?\d+)?|[-+]?\.\d+"
-        match = re.fullmatch(rf"(\d+)x({number})(?:@({number}),({number}))?", text.strip())
+        match = re.fullmatch(rf"(\d{{1,9}})x({number})(?:@({number}),({number}))?", text.strip())
         if not match:
             raise ConfigurationError(f"grid '{text}': expected CELLSxMETRES such as 100x0.2, or 100x0.1@-2,-4.5")
         size, cell, x, y = match.groups()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -9,6 +10,13 @@ from numpy.typing import NDArray
 
 from gridtrack.common.geometry import SE2
 from gridtrack.common.scene import Scene
+
+MAX_BEAMS = 100_000
+MAX_ANGLE_RAD = 4.0 * math.pi
+"""Limit of the angle of the first beam, and of the angle from the first beam to the last: two turns."""
+MAX_RANGE_M, MAX_POSITION_M = 1e6, 1e9
+"""Limits of the maximum range, and of a sensor's coordinates."""
+MIN_RATE_HZ, MAX_RATE_HZ = 1e-3, 1e4
 
 
 @dataclass(frozen=True, slots=True)

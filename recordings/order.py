@@ -8,7 +8,7 @@ import math
 from collections.abc import Callable, Iterable, Iterator
 
 from gridtrack.common.errors import RecordingError
-from gridtrack.common.scan import Scan
+from gridtrack.common.scan import MAX_ANGLE_RAD, MAX_BEAMS, MAX_POSITION_M, MAX_RANGE_M, Scan
 from gridtrack.recordings.stamp_filter import StampFilter
 
 MAX_DELAY_NS = 1_000_000_000
@@ -81,7 +81,7 @@ class StampOrder:
 
     def _accepts(self, scan: Scan) -> bool:
         before = self._before.get(scan.sensor)
-        if before is not None and not _has_finite_pose(scan):
+        if before is not None and not _has_valid_pose(scan):
             self._fault(scan, "whose pose is not finite, left out", scan.stamp_ns)
             return False
         if before is None or _geometry(scan) != _geometry(before):
@@ -100,24 +100,34 @@ class StampOrder:
         self._faults[text] = (count + 1, first_ns)
 
 
-def _geometry(scan: Scan) -> tuple[float, float, float, float]:
-    return scan.angle_min, scan.angle_increment, scan.range_min, scan.range_max
+def _geometry(scan: Scan) -> tuple[float, float, float, float, int]:
+    return scan.angle_min, scan.angle_increment, scan.range_min, scan.range_max, scan.ranges.size
 
 
-def _has_finite_pose(scan: Scan) -> bool:
+def _has_valid_pose(scan: Scan) -> bool:
     pose = scan.world_T_sensor
-    return math.isfinite(pose.x) and math.isfinite(pose.y) and math.isfinite(pose.theta)
+    return abs(pose.x) <= MAX_POSITION_M and abs(pose.y) <= MAX_POSITION_M and math.isfinite(pose.theta)
 
 
 def _check_scan(scan: Scan) -> None:
     """Raise RecordingError for a geometry or pose that cannot be that of a scan."""
     limits = f"range limits {scan.range_min:g} to {scan.range_max:g} m"
-    if not (math.isfinite(scan.range_max) and 0.0 <= scan.range_min < scan.range_max):
-        raise RecordingError(f"sensor '{scan.sensor}': {limits}; expected finite ones, the lower limit first")
-    if not (math.isfinite(scan.angle_min) and math.isfinite(scan.angle_increment)):
-        raise RecordingError(f"sensor '{scan.sensor}': beams from {scan.angle_min} every {scan.angle_increment} rad")
-    if not _has_finite_pose(scan):
+    if not 0.0 <= scan.range_min < scan.range_max <= MAX_RANGE_M:
+        raise RecordingError(
+            f"sensor '{scan.sensor}': {limits}; expected finite ones up to {MAX_RANGE_M:g} m, the lower limit first"
+        )
+    beams = scan.ranges.size
+    if beams > MAX_BEAMS:
+        raise RecordingError(f"sensor '{scan.sensor}': {beams} beams; at most {MAX_BEAMS}")
+    extent = abs(scan.angle_increment) * max(beams - 1, 1)
+    if not (abs(scan.angle_min) <= MAX_ANGLE_RAD and extent <= MAX_ANGLE_RAD):
+        raise RecordingError(
+            f"sensor '{scan.sensor}': {beams} beams from {scan.angle_min:g} rad every {scan.angle_increment:g} rad;"
+            f" expected radians, and at most two turns ({MAX_ANGLE_RAD:.4g} rad)"
+        )
+    if not _has_valid_pose(scan):
         p = scan.world_T_sensor
         raise RecordingError(
-            f"sensor '{scan.sensor}': a pose of {p.x:g}, {p.y:g}, {p.theta:g}; expected finite numbers"
+            f"sensor '{scan.sensor}': a pose of {p.x:g}, {p.y:g}, {p.theta:g}; expected finite numbers, and at most"
+            f" {MAX_POSITION_M:g} m"
         )

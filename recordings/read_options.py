@@ -7,6 +7,7 @@ from typing import Literal
 from pydantic import Field, model_validator
 
 from gridtrack.common.config import Settings
+from gridtrack.common.scan import MAX_RANGE_M
 
 
 class CloudSlice(Settings):
@@ -22,7 +23,7 @@ class CloudSlice(Settings):
     high_m: float
     beams: int = Field(default=720, ge=1, le=36_000)
     range_min_m: float = Field(default=0.1, ge=0.0)
-    range_max_m: float = Field(default=50.0, gt=0.0)
+    range_max_m: float = Field(default=50.0, gt=0.0, le=MAX_RANGE_M)
     empty: Literal["free", "unknown"] = "free"
 
     @model_validator(mode="after")

@@ -14,7 +14,7 @@ from gridtrack.common.config import Settings
 from gridtrack.common.errors import RecordingError, did_you_mean
 from gridtrack.common.files import sha256_of
 from gridtrack.common.grid import GridSpec
-from gridtrack.common.scan import Scan
+from gridtrack.common.scan import MAX_RATE_HZ, MIN_RATE_HZ, Scan
 from gridtrack.recordings.order import StampOrder
 from gridtrack.recordings.read_options import ReadOptions
 from gridtrack.recordings.survey import RecordingOverview, Survey
@@ -41,7 +41,7 @@ class RecordingInfo(Settings):
     site: str = Field(min_length=1)
     classes: tuple[str, ...] = Field(default=(), max_length=255)
     grid: str | None = None
-    rate_hz: float | None = Field(default=None, gt=0.0, le=10_000.0)
+    rate_hz: float | None = Field(default=None, ge=MIN_RATE_HZ, le=MAX_RATE_HZ)
     cycle_s: float | None = Field(default=None, gt=0.0, le=86_400.0)
     stretches: dict[str, Stretch] = Field(default_factory=dict)
     licence: str = ""

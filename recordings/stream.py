@@ -20,7 +20,7 @@ from gridtrack.common.errors import RecordingError, did_you_mean
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec, LabelledFrame, Points
 from gridtrack.common.raycast import cast_scan
-from gridtrack.common.scan import Scan
+from gridtrack.common.scan import MAX_RATE_HZ, MIN_RATE_HZ, Scan
 from gridtrack.common.scene import Scene
 from gridtrack.recordings import Recording, open_recording
 from gridtrack.recordings.cell_labels import check_labels, labelled_returns
@@ -251,8 +251,8 @@ def _rate(recording: Recording, rate_hz: float | None) -> float:
     rate = rate_hz or recording.info.rate_hz or recording.survey.rate_hz
     if rate is None:
         raise RecordingError(f"{recording.path}: a single scan has no rate: give one with --rate")
-    if not (math.isfinite(rate) and 1e-3 <= rate <= 1e4):
-        raise RecordingError(f"{recording.path}: a rate of {rate:g} Hz; expected 0.001 to 10000 Hz")
+    if not MIN_RATE_HZ <= rate <= MAX_RATE_HZ:
+        raise RecordingError(f"{recording.path}: a rate of {rate:g} Hz; expected {MIN_RATE_HZ:g} to {MAX_RATE_HZ:g} Hz")
     return rate
 
 

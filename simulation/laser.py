@@ -7,14 +7,15 @@ import math
 import numba
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from gridtrack.common.config import Settings
 from gridtrack.common.geometry import SE2
-from gridtrack.common.scan import Scan
+from gridtrack.common.scan import MAX_ANGLE_RAD, MAX_BEAMS, Scan
 from gridtrack.common.scene import UNLABELLED, Scene
 
-MAX_BEAMS = 100_000
+MAX_SCENE_M = 1e6
+"""Limit of the coordinates of a laser and of a static outline."""
 TICK_M = 2.0**-10
 """Resolution of the ranges. A power of two compresses well."""
 NEAR_RANGE_M = 10.0
@@ -27,15 +28,21 @@ TOUCHING = 1e-9
 class Laser(Settings):
     """A planar laser and its pose `world_T_sensor`; the defaults are those of the Hokuyo UTM-30LX."""
 
-    x: float = 0.0
-    y: float = 0.0
-    theta: float = 0.0
-    angle_min: float = math.radians(-135.0)
+    x: float = Field(default=0.0, ge=-MAX_SCENE_M, le=MAX_SCENE_M)
+    y: float = Field(default=0.0, ge=-MAX_SCENE_M, le=MAX_SCENE_M)
+    theta: float = Field(default=0.0, ge=-MAX_ANGLE_RAD, le=MAX_ANGLE_RAD)
+    angle_min: float = Field(default=math.radians(-135.0), ge=-MAX_ANGLE_RAD, le=MAX_ANGLE_RAD)
     """Angle of beam 0, radians, sensor frame; beam i has the angle `angle_min + i * angle_increment`."""
-    angle_increment: float = math.radians(0.25)
+    angle_increment: float = Field(default=math.radians(0.25), ge=-MAX_ANGLE_RAD, le=MAX_ANGLE_RAD)
     beams: int = Field(default=1081, ge=1, le=MAX_BEAMS)
     range_min: float = Field(default=0.1, ge=0.0, le=1e3)
     range_max: float = Field(default=30.0, gt=0.0, le=1e4)
+
+    @model_validator(mode="after")
+    def _check_field_of_view(self) -> Laser:
+        if abs(self.angle_increment) * (self.beams - 1) > MAX_ANGLE_RAD:
+            raise ValueError(f"the beams cover more than two turns ({MAX_ANGLE_RAD:.4g} rad)")
+        return self
 
     @property
     def world_T_sensor(self) -> SE2:

@@ -23,11 +23,11 @@ from pydantic import Field, field_validator
 from gridtrack.common.config import Settings, validated
 from gridtrack.common.errors import RecordingError
 from gridtrack.common.geometry import SE2
-from gridtrack.common.scan import Scan
+from gridtrack.common.scan import MIN_RATE_HZ, Scan
 from gridtrack.common.scene import UNLABELLED, Scene, SceneObject
 from gridtrack.recordings.recording import RecordingInfo
 from gridtrack.simulation.bodies import body_outline
-from gridtrack.simulation.laser import Laser
+from gridtrack.simulation.laser import MAX_SCENE_M, Laser
 
 TRACKS_SCHEMA = 1
 METADATA_KEY = b"gridtrack.tracks"
@@ -46,6 +46,8 @@ HALF_TURN_MRAD = 3141
 MAX_RENDERED_BEAMS = 1_000_000_000
 """Beams of all frames together: a small file must not fill the disk when it is rendered."""
 MAX_OUTLINES, MAX_OUTLINE_CORNERS = 1000, 1000
+MAX_INTERSECTIONS = 1_000_000_000
+"""Beams of one frame times corners of the static outlines: a frame is rendered in seconds."""
 
 Corner = tuple[float, float]
 
@@ -59,8 +61,8 @@ class TracksInfo(Settings):
     recording: RecordingInfo
     laser: Laser
     frames: int = Field(ge=1, le=MAX_FRAMES)
-    rate_hz: float = Field(gt=0.0, le=1000.0)
-    noise_seed: int = Field(default=0, ge=0)
+    rate_hz: float = Field(ge=MIN_RATE_HZ, le=1000.0)
+    noise_seed: int = Field(default=0, ge=0, lt=1 << 63)
     static: tuple[tuple[Corner, ...], ...] = Field(default=(), max_length=MAX_OUTLINES)
     static_class: str | None = None
     made_with: dict[str, str] = Field(default_factory=dict)
@@ -71,6 +73,8 @@ class TracksInfo(Settings):
     def _check_corners(cls, static: tuple[tuple[Corner, ...], ...]) -> tuple[tuple[Corner, ...], ...]:
         if any(not 3 <= len(outline) <= MAX_OUTLINE_CORNERS for outline in static):
             raise ValueError(f"an outline has 3 to {MAX_OUTLINE_CORNERS} corners")
+        if any(abs(value) > MAX_SCENE_M for outline in static for corner in outline for value in corner):
+            raise ValueError(f"a corner is further than {MAX_SCENE_M:g} m from the origin")
         return static
 
 
@@ -218,6 +222,12 @@ def _check_rows(path: Path, info: TracksInfo, columns: dict[str, NDArray[np.int6
     if beams > MAX_RENDERED_BEAMS:
         raise RecordingError(
             f"{path}: {beams} beams to render; at most {MAX_RENDERED_BEAMS}: fewer frames, or a coarser laser"
+        )
+    intersections = info.laser.beams * sum(map(len, info.static))
+    if intersections > MAX_INTERSECTIONS:
+        raise RecordingError(
+            f"{path}: {intersections} pairs of a beam and a static corner; at most {MAX_INTERSECTIONS}: fewer corners,"
+            " or a coarser laser"
         )
     if not frame.size:
         return

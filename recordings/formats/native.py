@@ -192,8 +192,8 @@ def _transform_message(scan: Scan) -> FrameTransform:
 def _read_info(text: str, where: str) -> RecordingInfo:
     try:
         values = json.loads(text)
-    except json.JSONDecodeError as error:
-        raise RecordingError(f"{where} cannot be read ({error})") from None
+    except (ValueError, RecursionError) as error:
+        raise RecordingError(f"{where} cannot be read ({str(error)[:80]})") from None
     return validated(RecordingInfo, values, where)
 
 

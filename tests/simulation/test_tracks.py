@@ -159,6 +159,18 @@ def parquet(path: Path, change: dict[str, list[object]] | None = None, about: ob
         (None, {"frames": 10**12}, "less than or equal to 5000000"),
         (None, {"frames": 5_000_000}, "beams to render; at most 1000000000"),
         (None, {"laser": {"beams": 10**9}}, "less than or equal to 100000"),
+        (None, {"laser": {"angle_increment": 1e308}}, "less than or equal to 12"),
+        (None, {"laser": {"angle_increment": 0.1, "beams": 1000}}, "the beams cover more than two turns"),
+        (None, {"laser": {"angle_min": -1e308}}, "greater than or equal to -12"),
+        (None, {"laser": {"x": 1e300}}, "less than or equal to 1000000"),
+        (None, {"rate_hz": 1e-300}, "greater than or equal to 0.001"),
+        (None, {"noise_seed": 10**30}, "less than 9223372036854775808"),
+        (None, {"static": [[[0, 0], [1, 1], [1e300, 0]]]}, "further than 1e\\+06 m"),
+        (
+            None,
+            {"laser": {"beams": 100_000, "angle_increment": 1e-5}, "frames": 9, "static": [[[0, 0]] * 1000] * 11},
+            "1100000000 pairs of a beam and a static corner",
+        ),
     ],
 )
 def test_a_file_without_valid_scenes_is_one_error_line(

@@ -111,6 +111,9 @@ def test_metadata_round_trip(write: Callable[..., Path], scan: Callable[..., Sca
         {"site": ""},
         {"site": "a", "grid": "big"},
         {"site": "a", "rate_hz": 0},
+        {"site": "a", "rate_hz": 1e-300},
+        {"site": "a", "grid": "100x0.2@1e300,0"},
+        {"site": "a", "grid": f"{'9' * 5000}x0.2"},
         {"site": "a", "stretches": {"t": (5, 3)}},
     ],
 )
@@ -217,12 +220,31 @@ def test_a_changing_number_of_beams_is_a_warning(write: Callable[..., Path], sca
     assert recording.overview().sensors["scan"].beams == (30, 42)
 
 
-@pytest.mark.parametrize("limits", [(0.0, math.inf), (3.0, 1.0), (-1.0, 2.0), (0.0, math.nan)])
+@pytest.mark.parametrize("limits", [(0.0, math.inf), (3.0, 1.0), (-1.0, 2.0), (0.0, math.nan), (0.0, 1e300)])
 def test_invalid_range_limits_are_refused(
     write: Callable[..., Path], scan: Callable[..., Scan], limits: tuple[float, float]
 ) -> None:
     path = write([replace(scan(0), range_min=limits[0], range_max=limits[1])])
     with pytest.raises(RecordingError, match="range limits"):
+        list(open_recording(path).scans())
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"angle_min": -135.0}, r"beams from -135 rad .*; expected radians, and at most two turns"),
+        ({"angle_increment": 1e300}, "every 1e[+]300 rad"),
+        ({"angle_increment": math.nan}, "every nan rad"),
+        ({"angle_min": math.inf}, "expected radians"),
+        ({"angle_increment": 1e-6, "ranges": np.ones(100_001, np.float32)}, "100001 beams; at most 100000"),
+    ],
+)
+@pytest.mark.parametrize("first", [True, False])
+def test_angles_and_numbers_of_beams_beyond_the_limits_are_refused(
+    write: Callable[..., Path], scan: Callable[..., Scan], changes: dict[str, object], message: str, first: bool
+) -> None:
+    path = write([*([] if first else [scan(0), scan(1)]), replace(scan(2), **changes)])
+    with pytest.raises(RecordingError, match=message):
         list(open_recording(path).scans())
 
 
