@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import sys
+import traceback
 from typing import Annotated, NoReturn
 
 import typer
 
 from gridtrack.cli import recordings, regress, runs, simulate, trackers
-from gridtrack.cli.options import with_defaults
+from gridtrack.cli.options import DEBUG_OPTION, with_defaults
 from gridtrack.common.errors import GridtrackError, printable
 
 
@@ -22,7 +23,7 @@ def _print_version(requested: bool) -> None:
 
 DebugOption = Annotated[
     bool,
-    typer.Option("--debug", help="Show the traceback of an error; accepted before and after the name of a command"),
+    typer.Option(DEBUG_OPTION, help="Show the traceback of an error; accepted before and after the name of a command"),
 ]
 VersionOption = Annotated[
     bool, typer.Option("--version", help="Print the version and exit", callback=_print_version, is_eager=True)
@@ -48,20 +49,17 @@ def common_options(debug: DebugOption = False, version: VersionOption = False) -
 
 
 def main() -> None:
-    """Run the command line. An error of the user is one line and exit code 2; `--debug` shows its traceback."""
-    debug = "--debug" in sys.argv
+    """Run the command line. An error of the user is one line and exit code 2; `--debug` also shows its traceback."""
     try:
-        app([argument for argument in sys.argv[1:] if argument != "--debug"])
+        app([argument for argument in sys.argv[1:] if argument != DEBUG_OPTION])
     except GridtrackError as error:
-        if debug:
-            raise
-        _fail(str(error))
+        _fail(error, str(error))
     except OSError as error:
-        if debug:
-            raise
-        _fail(f"{error.filename}: {error.strerror}" if error.filename else str(error))
+        _fail(error, f"{error.filename}: {error.strerror}" if error.filename else str(error))
 
 
-def _fail(reason: str) -> NoReturn:
+def _fail(error: Exception, reason: str) -> NoReturn:
+    if DEBUG_OPTION in sys.argv:
+        traceback.print_exception(error)
     typer.echo(f"gridtrack: {printable(reason)}", err=True)
     sys.exit(2)

@@ -17,6 +17,8 @@ from gridtrack.common.errors import ConfigurationError
 if TYPE_CHECKING:
     from pydantic import BaseModel
 
+DEBUG_OPTION = "--debug"
+"""Read from the command line itself, so that it can follow the name of a command."""
 RecordingsArgument = Annotated[
     list[str], typer.Argument(metavar="RECORDING[@RANGE]...", help="For example demo.mcap@30s-90s")
 ]

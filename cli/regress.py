@@ -3,19 +3,24 @@
 from __future__ import annotations
 
 import json
+import sys
+import traceback
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from gridtrack.cli.options import JsonOption, default_of
-from gridtrack.common.errors import ConfigurationError, printable
+from gridtrack.cli.options import DEBUG_OPTION, JsonOption, default_of
+from gridtrack.common.errors import ConfigurationError, GridtrackError, one_line, printable
 
 if TYPE_CHECKING:
+    from gridtrack.evaluation.regression.settings import GateSettings
     from gridtrack.evaluation.regression.verdict import Verdict
 
 WORSE, UNMEASURED = 1, 3
+MAX_CRASH_CHARS = 300
+"""Length limit of the description of an unexpected error."""
 
 
 def regress_command(
@@ -43,35 +48,28 @@ def regress_command(
 
     Exit code: 0 no worse, 1 worse, 2 wrong use, 3 not measured: a trial failed, is missing, or does not pair.
     """
-    from gridtrack.common.config import validated
-    from gridtrack.evaluation.regression.baseline import read_baseline
-    from gridtrack.evaluation.regression.measurement import Unmeasured
-    from gridtrack.evaluation.regression.measuring import measure_run
-    from gridtrack.evaluation.regression.settings import GateSettings
-    from gridtrack.evaluation.regression.verdict import compare_with_baseline
-
     if speed_margin is not None and speed_reference is None:
         raise ConfigurationError("--speed-margin: speed is judged only with --speed-reference LABEL")
+    if len(runs) > 1 and not update:
+        raise ConfigurationError(f"{len(runs)} runs: one is judged at a time; --update makes a baseline of several")
     values = {
         "margin": margin,
         "tolerance": dict(map(_tolerance, tolerance or ())),
         "speed_reference": speed_reference,
         "speed_margin": speed_margin,
     }
-    given = {key: value for key, value in values.items() if value is not None}
-    settings = validated(GateSettings, given, "gridtrack regress")
     try:
         if update:
             _update_baseline(runs, baseline)
             return
-        if len(runs) > 1:
-            raise ConfigurationError(f"{len(runs)} runs: one is judged at a time; --update makes a baseline of several")
-        stored = read_baseline(baseline)
-        verdict = compare_with_baseline(stored, measure_run(runs[0], like=stored.first), settings)
-    except Unmeasured as error:
-        _report_unmeasured(error.reasons, junit, markdown, as_json)
+        verdict = _judge(runs[0], baseline, _settings(values))
+        _report_verdict(verdict, junit, markdown, as_json)
+    except Exception as error:
+        reasons = _reasons_unmeasured(error)
+        if not reasons:
+            raise
+        _report_unmeasured(reasons, junit, markdown, as_json)
         raise typer.Exit(UNMEASURED) from None
-    _report_verdict(verdict, junit, markdown, as_json)
     if verdict.worse:
         raise typer.Exit(WORSE)
 
@@ -94,6 +92,43 @@ def _update_baseline(runs: Sequence[Path], baseline: Path) -> None:
     first = measure_run(runs[0])
     written = write_baseline(baseline, [first, *(measure_run(run, like=first) for run in runs[1:])])
     typer.echo(text_of_update(baseline, written))
+
+
+def _settings(values: dict[str, Any]) -> GateSettings:
+    """The settings of the gate from the options that were given."""
+    from gridtrack.common.config import validated
+    from gridtrack.evaluation.regression.settings import GateSettings
+
+    given = {key: value for key, value in values.items() if value is not None}
+    return validated(GateSettings, given, "gridtrack regress")
+
+
+def _judge(run: Path, baseline: Path, settings: GateSettings) -> Verdict:
+    """The verdict on the run in the folder `run`."""
+    from gridtrack.evaluation.regression.baseline import read_baseline
+    from gridtrack.evaluation.regression.measuring import measure_run
+    from gridtrack.evaluation.regression.verdict import compare_with_baseline
+
+    stored = read_baseline(baseline)
+    return compare_with_baseline(stored, measure_run(run, like=stored.first), settings)
+
+
+def _reasons_unmeasured(error: Exception) -> Sequence[str]:
+    """Why there is no verdict, one line each; none where `error` is wrong use, which the command line reports.
+
+    A crash is a reason: its exit code must not be 1, which means worse. `--debug` prints its traceback.
+    """
+    from gridtrack.evaluation.regression.measurement import Unmeasured
+
+    if isinstance(error, Unmeasured):
+        return error.reasons
+    # an OSError with a file name is a path in an option that cannot be read or written
+    if isinstance(error, GridtrackError) or (isinstance(error, OSError) and error.filename):
+        return ()
+    if DEBUG_OPTION in sys.argv:
+        traceback.print_exception(error)
+    what = one_line(f"{type(error).__name__}: {error}", MAX_CRASH_CHARS)
+    return [f"regress failed ({what}); {DEBUG_OPTION} shows the traceback"]
 
 
 def _tolerance(text: str) -> tuple[str, float]:

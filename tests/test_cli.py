@@ -92,8 +92,8 @@ def test_the_undamaged_part_of_a_truncated_recording_can_be_used(tmp_path):
     assert re.fullmatch(r"gridtrack: cut\.mcap@train \(0s-75s\): " + broken + r"\n", refused)
 
 
-def test_debug_shows_the_traceback_of_an_error():
-    assert "Traceback" in gridtrack("--debug", "recording", "info", "nowhere.bag", code=1).stderr
+def test_debug_shows_the_traceback_of_an_error_and_keeps_its_exit_code():
+    assert "Traceback" in gridtrack("--debug", "recording", "info", "nowhere.bag", code=2).stderr
 
 
 def test_the_help_lists_debug_and_version():

@@ -93,6 +93,8 @@ def _trial_counts(
     if missing := list(missing_measurements(requested, record)):
         raise Unmeasured(missing)
     strata = tuple(record.thresholds.values)
+    if not strata:
+        raise Unmeasured([f"{name}: its record has no thresholds, so no stratum was scored: run it again"])
     units = read_units(folder, split.horizons_s, strata, block_s, record.frames_scored)
     latency = record.latency_ms
     timed = latency is not None and min(latency.update.p50, latency.predict.p50) > 0.0

@@ -203,6 +203,37 @@ def test_a_trial_whose_files_are_damaged_or_gone_never_passes(short_baseline, wr
     assert done.code == (0 if file == "histogram.parquet" else 3)
 
 
+def test_a_trial_record_without_thresholds_never_passes(short_baseline, write_run, regress, edit):
+    run = write_run("now", NAMES, recordings=2)
+    edit(run / "kalman@junction-01" / "outcome.json", lambda record: record.update(thresholds={}))
+    done = regress(run, "--baseline", short_baseline)
+    assert (done.code, done.err.count("\n")) == (3, 1)
+    assert "kalman@junction-01: its record has no thresholds" in done.err
+
+
+@pytest.mark.parametrize("error", [ZeroDivisionError("division\nby zero"), MemoryError(), BrokenPipeError(32, "pipe")])
+@pytest.mark.parametrize("update", [[], ["--update"]])
+def test_a_crash_is_not_measured_in_one_line_and_debug_shows_its_traceback(
+    short_baseline, write_run, regress, monkeypatch, error, update, tmp_path
+):
+    def crash(*_, **__):
+        raise error
+
+    run = write_run("now", NAMES, recordings=2)
+    monkeypatch.setattr("gridtrack.evaluation.regression.measuring.measure_run", crash)
+    done = regress(run, "--baseline", short_baseline, "--junit", tmp_path / "junit.xml", *update)
+    assert (done.code, done.err.count("\n")) == (3, 1)
+    assert f"not measured: regress failed ({type(error).__name__}" in done.err
+    assert update or "regress failed" in (tmp_path / "junit.xml").read_text()
+    debugged = regress("--debug", run, "--baseline", short_baseline, *update)
+    assert (debugged.code, "Traceback" in debugged.err) == (3, True)
+
+
+def test_wrong_use_keeps_its_exit_code_under_debug(write_run, regress, tmp_path):
+    done = regress("--debug", write_run("now", NAMES, recordings=1), "--baseline", tmp_path / "none.json")
+    assert (done.code, "Traceback" in done.err) == (2, True)
+
+
 def test_the_scores_of_another_trial_never_pass(short_baseline, write_run, regress):
     run = write_run("now", NAMES, recordings=2)
     one, two = (run / f"kalman@junction-0{n}" for n in (0, 1))
