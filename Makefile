@@ -56,7 +56,7 @@ ablations: $(VENV)/.installed-dev ## train and compare the dilated ConvGRU witho
 	$(BIN)/python -m studies.ablations
 
 returns: $(VENV)/.installed-demo ## compare kalman without a map of the site, and with the laser's own returns
-	$(BIN)/python -m studies.returns
+	$(BIN)/python -m studies.map_and_returns
 
 junction: $(VENV)/.installed-sim ## simulate the junction's recordings with SUMO (ten minutes)
 	$(BIN)/gridtrack simulate junction-set --out data/junction

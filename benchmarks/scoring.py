@@ -19,7 +19,7 @@ from sklearn.metrics import average_precision_score, brier_score_loss, f1_score,
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec
 from gridtrack.evaluation.scoring.counting import EDGES, count_forecast
-from gridtrack.evaluation.scoring.scores import ScoreWriter
+from gridtrack.evaluation.scoring.score_store import ScoreWriter
 from gridtrack.evaluation.scoring.semantics import count_classes, count_found, match_classes
 from gridtrack.evaluation.scoring.strata import (
     CELL_KINDS,

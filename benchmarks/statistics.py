@@ -10,7 +10,7 @@ import argparse
 
 import numpy as np
 
-from gridtrack.evaluation.statistics.uncertainty import COUNTS, differences, holm, interval
+from gridtrack.evaluation.statistics.jackknife import COUNTS, differences, holm, interval
 
 from benchmarks.timing import median_ms
 

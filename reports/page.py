@@ -11,11 +11,11 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
 from gridtrack.common.files import write_text
-from gridtrack.reports.facts import facts_of, lead_of, provenance_of, title_of
 from gridtrack.reports.notices import Notice, notices_of
 from gridtrack.reports.pictures import scale_png
+from gridtrack.reports.recording_section import section_of, styles_of
 from gridtrack.reports.run import UNDEFINED, Run, read_runs
-from gridtrack.reports.sections import section_of, styles_of
+from gridtrack.reports.run_description import facts_of, lead_of, provenance_of, title_of
 from gridtrack.reports.table import headline_tables, main_tables
 
 TEMPLATES = Path(__file__).parent / "templates"

@@ -16,7 +16,7 @@ from gridtrack.evaluation.regression.significance import FAMILY_LEVEL
 from gridtrack.evaluation.regression.speed import SpeedRow
 from gridtrack.evaluation.regression.verdict import Verdict, VerdictRow
 from gridtrack.evaluation.scoring.metrics import f1_score
-from gridtrack.evaluation.statistics.uncertainty import LEAST_UNITS
+from gridtrack.evaluation.statistics.jackknife import LEAST_UNITS
 from gridtrack.reports.markdown import escaped, markdown_table
 from gridtrack.reports.run import UNDEFINED
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from gridtrack.evaluation.scoring.counting import Tally
-from gridtrack.evaluation.scoring.scores import ScoresError, read_tally
+from gridtrack.evaluation.scoring.score_store import ScoresError, read_tally
 from gridtrack.reports.figures import Axis
 from gridtrack.reports.run import Run
 from gridtrack.reports.table import HeadlineTable, TableRow

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from scipy.special import expit, logit, ndtr, ndtri, stdtrit
 
-from gridtrack.evaluation.statistics.uncertainty import COUNTS, differences, interval
+from gridtrack.evaluation.statistics.jackknife import COUNTS, differences, interval
 from gridtrack.evaluation.statistics.units import BLOCK_TIMES, autocorrelation_time, residuals, sum_by_unit, units_of
 
 Counts = np.ndarray  # (U, R, C): units, repetitions, counts

@@ -19,7 +19,7 @@ from gridtrack.evaluation.results.summary import SUMMARY_FILE, RunSummary, read_
 from gridtrack.evaluation.results.trial_record import read_trial_record
 from gridtrack.evaluation.results.trial_summary import StratumScores
 from gridtrack.evaluation.statistics.finished_trial import FinishedTrial
-from gridtrack.evaluation.statistics.inference import Inference
+from gridtrack.evaluation.statistics.run_statistics import RunStatistics
 
 RECORDING = Path("data/leg_tracker/leg_tracker.mcap")
 FOLDS = ("0s-25s", "25s-50s", "50s-75s", "75s-100s", "100s-126s")
@@ -84,14 +84,14 @@ def main() -> None:
         for label, row in summary.trackers.items():
             for scores in row.recordings.values():
                 print(f"{stretch:>10}  {label:14} {moving_scores(scores.strata)}")
-    print_pooled(Inference(recordings, trials, REFERENCE))
+    print_pooled(RunStatistics(recordings, trials, REFERENCE))
 
 
-def print_pooled(inference: Inference) -> None:
+def print_pooled(statistics: RunStatistics) -> None:
     """Print the scores over all folds, and the paired differences of moving F1."""
-    for label in inference.labels if inference.pools else []:
-        print(f"{'all':>10}  {label:14} {moving_scores(inference.pooled(label).strata)}")
-    for difference in inference.differences():
+    for label in statistics.labels if statistics.pools else []:
+        print(f"{'all':>10}  {label:14} {moving_scores(statistics.pooled(label).strata)}")
+    for difference in statistics.differences():
         for test in difference.headline:
             if test.stratum == "moving":
                 span = difference.interval or f"[{test.f1_low:.3f}, {test.f1_high:.3f}]"

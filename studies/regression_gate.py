@@ -37,7 +37,7 @@ from gridtrack.evaluation.regression.settings import GateSettings
 from gridtrack.evaluation.regression.significance import FAMILY_LEVEL, fall_p_values
 from gridtrack.evaluation.regression.spread import PRIOR_FREEDOM, beyond_spread, spread_between
 from gridtrack.evaluation.scoring.metrics import f1_score
-from gridtrack.evaluation.statistics.uncertainty import differences, holm
+from gridtrack.evaluation.statistics.jackknife import differences, holm
 
 from studies.support.progress import NoProgress
 from studies.support.shipped import JUNCTION, junction_tests

@@ -26,7 +26,7 @@ from gridtrack.recordings.stream import GridStream, Observation, open_stream
 from gridtrack.trackers.contract import Forecast
 from gridtrack.trackers.model_free.factor_graph import FactorGraphTracker
 from gridtrack.trackers.model_free.kalman import KalmanTracker
-from gridtrack.trackers.model_free.matches import Match
+from gridtrack.trackers.model_free.outlines import Match
 from gridtrack.trackers.model_free.pipeline import Pipeline
 from gridtrack.trackers.model_free.segmentation import Cluster, joined
 from gridtrack.trackers.model_free.tracker import ModelFreeTracker

@@ -23,7 +23,7 @@ from gridtrack.evaluation.results.files import RunError
 from gridtrack.evaluation.results.recording import RecordingIdentity
 from gridtrack.evaluation.results.run_record import RUN_FILE, RunRecord, RunSettings, read_run_record
 from gridtrack.evaluation.results.trial_record import TrialRecord, read_trial_record
-from gridtrack.evaluation.statistics.uncertainty import LEAST_UNITS
+from gridtrack.evaluation.statistics.jackknife import LEAST_UNITS
 
 
 def measure_run(run: Path, like: Measurement | None = None) -> Measurement:

@@ -11,7 +11,7 @@ from gridtrack.evaluation.regression.pairing import PairedRow
 from gridtrack.evaluation.regression.significance import fall_p_values
 from gridtrack.evaluation.regression.spread import beyond_spread, spread_between
 from gridtrack.evaluation.scoring.metrics import f1_score
-from gridtrack.evaluation.statistics.uncertainty import LEAST_UNITS
+from gridtrack.evaluation.statistics.jackknife import LEAST_UNITS
 
 
 @dataclass(frozen=True, slots=True)

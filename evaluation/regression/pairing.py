@@ -17,7 +17,7 @@ from gridtrack.evaluation.regression.measurement import (
     TrialCounts,
     Unmeasured,
 )
-from gridtrack.evaluation.statistics.uncertainty import LEAST_UNITS
+from gridtrack.evaluation.statistics.jackknife import LEAST_UNITS
 
 Counts = NDArray[np.float64]
 

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.special import stdtr
 
 from gridtrack.evaluation.scoring.metrics import f1_score
-from gridtrack.evaluation.statistics.uncertainty import Floats
+from gridtrack.evaluation.statistics.jackknife import Floats
 
 PRIOR_FREEDOM = 1.5
 """Degrees of freedom of the mean ratio over a tracker's rows, added to the K - 1 of the row itself."""

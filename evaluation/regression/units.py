@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from gridtrack.evaluation.regression.measurement import BANDS, BandCounts, UnitCounts, Unmeasured
 from gridtrack.evaluation.results.columns import CONFUSION
 from gridtrack.evaluation.statistics.frame_counts import FrameCounts, read_frame_counts
-from gridtrack.evaluation.statistics.uncertainty import COUNTS
+from gridtrack.evaluation.statistics.jackknife import COUNTS
 
 CONFUSION_COLUMNS = [COUNTS.index(name) for name in CONFUSION]
 LOG_LOSS = COUNTS.index("log_loss")

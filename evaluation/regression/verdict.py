@@ -17,7 +17,7 @@ from gridtrack.evaluation.regression.settings import GateSettings
 from gridtrack.evaluation.regression.significance import FAMILY_LEVEL
 from gridtrack.evaluation.regression.speed import SpeedRow, compare_speed
 from gridtrack.evaluation.scoring.metrics import f1_score
-from gridtrack.evaluation.statistics.uncertainty import LEAST_UNITS
+from gridtrack.evaluation.statistics.jackknife import LEAST_UNITS
 
 RowVerdict = Literal["worse", "no worse", "equal", "nothing to find"]
 SMALLEST_FALL = 1e-9

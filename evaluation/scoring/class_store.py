@@ -19,7 +19,7 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from gridtrack.evaluation.results.columns import CLASSES_TABLE, FOUND, SEMANTICS_TABLE, ParquetTable
-from gridtrack.evaluation.scoring.scores import RowGroups, ScoresError
+from gridtrack.evaluation.scoring.score_store import RowGroups, ScoresError
 from gridtrack.evaluation.scoring.semantics import VISIBILITIES
 
 

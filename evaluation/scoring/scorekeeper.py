@@ -12,7 +12,7 @@ from gridtrack.evaluation.scoring.class_store import ClassWriter
 from gridtrack.evaluation.scoring.counting import count_forecast
 from gridtrack.evaluation.scoring.referee import ScoredForecast
 from gridtrack.evaluation.scoring.samples import SAMPLES, SampleWriter, kept_forecasts
-from gridtrack.evaluation.scoring.scores import ScoreWriter
+from gridtrack.evaluation.scoring.score_store import ScoreWriter
 from gridtrack.evaluation.scoring.semantics import count_classes, count_found, match_classes
 from gridtrack.evaluation.scoring.splits import EvaluationSplit
 from gridtrack.evaluation.scoring.strata import RegionMaps

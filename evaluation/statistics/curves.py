@@ -21,7 +21,7 @@ def stratum_scores(
 ) -> dict[str, StratumScores]:
     """Scores of the summed counts of `trials`, each at its own thresholds; a threshold that differs is None.
 
-    `intervals` holds, by stratum, the fields of StratumScores that `pooling.intervals` gives.
+    `intervals` holds, by stratum, the fields of StratumScores that `score_intervals.intervals` gives.
     """
     curves = _curves_of(trials, strata)
     return {

@@ -10,13 +10,13 @@ import polars as pl
 from numpy.typing import NDArray
 
 from gridtrack.evaluation.results.columns import SCORES_TABLE
-from gridtrack.evaluation.scoring.scores import ScoresError
-from gridtrack.evaluation.statistics.uncertainty import COUNTS
+from gridtrack.evaluation.scoring.score_store import ScoresError
+from gridtrack.evaluation.statistics.jackknife import COUNTS
 
 
 @dataclass(frozen=True, slots=True)
 class FrameCounts:
-    """Counts (F, S, K, C) float32 of scored frames x steps x strata, C as `uncertainty.COUNTS`; a frame's counts of
+    """Counts (F, S, K, C) float32 of scored frames x steps x strata, C as `jackknife.COUNTS`; a frame's counts of
     cells are exact in float32. Of classes, K are `semantics.VISIBILITIES` and C as of `class_store.read_scan_losses`.
 
     `stamps_ns` (F,) increase; `delivered` (F,) are the digests of the frames delivered until then.

@@ -10,11 +10,11 @@ from gridtrack.evaluation.results.summary import RunSummary, TrackerSummary
 from gridtrack.evaluation.results.trial_summary import PooledSummary, TrialSummary
 from gridtrack.evaluation.scoring.class_scores import unknown_classes
 from gridtrack.evaluation.scoring.robustness import mismatched_degradations, with_undegraded
-from gridtrack.evaluation.scoring.scores import read_deliveries
+from gridtrack.evaluation.scoring.score_store import read_deliveries
 from gridtrack.evaluation.statistics.ceiling import with_ceiling
-from gridtrack.evaluation.statistics.class_inference import ClassInference
+from gridtrack.evaluation.statistics.class_statistics import ClassStatistics
 from gridtrack.evaluation.statistics.finished_trial import FinishedTrial, trials_on
-from gridtrack.evaluation.statistics.inference import Inference
+from gridtrack.evaluation.statistics.run_statistics import RunStatistics
 from gridtrack.trackers.contract import Role
 
 
@@ -30,11 +30,11 @@ def summarise(
     `reference` is the label of the row that the others are compared with; None: the default one. Raises ScoresError.
     """
     trials = list(trials)
-    inference = Inference(recordings, trials, reference)
-    classes = ClassInference(recordings, inference)
+    statistics = RunStatistics(recordings, trials, reference)
+    classes = ClassStatistics(recordings, statistics)
     mismatched = {name: mismatched_deliveries(trials_on(name, trials)) for name in recordings}
     found = _notices(recordings, trials, mismatched)
-    if not inference.pools and len(recordings) > 1:
+    if not statistics.pools and len(recordings) > 1:
         found.append("the recordings differ in rate, horizon or grid: no scores are pooled over them")
     return RunSummary(
         interrupted=interrupted,
@@ -43,14 +43,16 @@ def summarise(
             name: RecordingSummary.model_validate({**dict(described), "parity": not mismatched[name]})
             for name, described in recordings.items()
         },
-        trackers=with_ceiling(_rows(trials, inference, classes)),
-        reference=inference.reference,
-        differences=tuple(inference.differences()),
+        trackers=with_ceiling(_rows(trials, statistics, classes)),
+        reference=statistics.reference,
+        differences=tuple(statistics.differences()),
         class_differences=tuple(classes.differences()),
     )
 
 
-def _rows(trials: Sequence[FinishedTrial], inference: Inference, classes: ClassInference) -> dict[str, TrackerSummary]:
+def _rows(
+    trials: Sequence[FinishedTrial], statistics: RunStatistics, classes: ClassStatistics
+) -> dict[str, TrackerSummary]:
     """The rows by label, with the scores of each trial and those pooled, without the shares of the oracle."""
     rows = {}
     for label in dict.fromkeys(trial.record.label for trial in trials):
@@ -60,8 +62,8 @@ def _rows(trials: Sequence[FinishedTrial], inference: Inference, classes: ClassI
             role=_role(own),
             options=dict(own[0].options),
             points=own[0].points,
-            recordings={trial.record.recording: _trial_summary(trial, inference, classes) for trial in own},
-            pooled=_pooled_summary(own, inference, classes) if inference.pools else None,
+            recordings={trial.record.recording: _trial_summary(trial, statistics, classes) for trial in own},
+            pooled=_pooled_summary(own, statistics, classes) if statistics.pools else None,
         )
     return rows
 
@@ -71,9 +73,9 @@ def _role(trials: Sequence[FinishedTrial]) -> Role:
     return next((trial.record.role for trial in trials if trial.record.role != "tracker"), "tracker")
 
 
-def _trial_summary(trial: FinishedTrial, inference: Inference, classes: ClassInference) -> TrialSummary:
+def _trial_summary(trial: FinishedTrial, statistics: RunStatistics, classes: ClassStatistics) -> TrialSummary:
     record = trial.record
-    strata = inference.strata_of(trial)
+    strata = statistics.strata_of(trial)
     by_class = classes.scores([trial], [record.recording])
     return TrialSummary(
         outcome=record.outcome,
@@ -94,9 +96,11 @@ def _trial_summary(trial: FinishedTrial, inference: Inference, classes: ClassInf
     )
 
 
-def _pooled_summary(trials: Sequence[FinishedTrial], inference: Inference, classes: ClassInference) -> PooledSummary:
-    pooled = inference.pooled(trials[0].record.label)
-    by_class = classes.scores([trial for trial in trials if trial.complete], list(inference.recordings))
+def _pooled_summary(
+    trials: Sequence[FinishedTrial], statistics: RunStatistics, classes: ClassStatistics
+) -> PooledSummary:
+    pooled = statistics.pooled(trials[0].record.label)
+    by_class = classes.scores([trial for trial in trials if trial.complete], list(statistics.recordings))
     return pooled.model_copy(update={"recall_by_class": by_class.recall_by_class, "semantics": by_class.semantics})
 
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from gridtrack.evaluation.statistics.uncertainty import LEAST_UNITS
+from gridtrack.evaluation.statistics.jackknife import LEAST_UNITS
 
 BLOCK_TIMES = 10.0
 """Length of a block in autocorrelation times: the means of neighbouring blocks are then nearly independent."""

@@ -13,7 +13,7 @@ from gridtrack.evaluation.results.trial_record import TrialRecord
 from gridtrack.evaluation.scoring.counting import count_forecast
 from gridtrack.evaluation.scoring.referee import ScoredForecast
 from gridtrack.evaluation.scoring.samples import SAMPLES, SampleWriter
-from gridtrack.evaluation.scoring.scores import ScoreWriter
+from gridtrack.evaluation.scoring.score_store import ScoreWriter
 from gridtrack.evaluation.scoring.strata import STRATA, cell_kinds_of, region_maps_of
 from gridtrack.evaluation.scoring.target import Target
 from gridtrack.evaluation.scoring.thresholds import Thresholds

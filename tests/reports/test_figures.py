@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from gridtrack.evaluation.results.passes import Latency, Quantiles
 from gridtrack.reports.figures import ROW_HEIGHT, Axis, Series, curve_panel, time_scale
-from gridtrack.reports.sections import keeps_up
+from gridtrack.reports.recording_section import keeps_up
 
 HORIZONS_S = (0.0, 0.5, 1.0, 1.5)
 

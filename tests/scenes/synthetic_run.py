@@ -12,7 +12,7 @@ from gridtrack.evaluation.results.recording import RecordingDescription, Recordi
 from gridtrack.evaluation.results.run_record import RunConfiguration, RunRecord
 from gridtrack.evaluation.results.trial_record import TrialRecord
 from gridtrack.evaluation.scoring.counting import Tally
-from gridtrack.evaluation.scoring.scores import ScoreWriter
+from gridtrack.evaluation.scoring.score_store import ScoreWriter
 from gridtrack.evaluation.scoring.strata import STRATA
 from gridtrack.evaluation.scoring.thresholds import half
 from gridtrack.evaluation.statistics.finished_trial import FinishedTrial

@@ -17,7 +17,7 @@ import numba
 import numpy as np
 
 from gridtrack.common.grid import Mask
-from gridtrack.trackers.model_free.matches import Matches, Outlines, Pairs
+from gridtrack.trackers.model_free.outlines import Matches, Outlines, Pairs
 
 WIDEST = 4.0
 """The widest kernel, in surface widths; each further kernel has half the width."""

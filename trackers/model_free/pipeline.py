@@ -14,10 +14,10 @@ from gridtrack.trackers.model_free.association import assign, assign_returns, di
 from gridtrack.trackers.model_free.background import Background, BackgroundMap
 from gridtrack.trackers.model_free.forecast import add_tracks
 from gridtrack.trackers.model_free.initiation import Estimator, initiate
-from gridtrack.trackers.model_free.matches import Match
 from gridtrack.trackers.model_free.measurement import compare, measured_poses, membership
 from gridtrack.trackers.model_free.merging import TrackMerger, is_stopped
 from gridtrack.trackers.model_free.occlusion import BACKGROUND, cut_off_returns
+from gridtrack.trackers.model_free.outlines import Match
 from gridtrack.trackers.model_free.ragged import bounds_of, owners_of, split
 from gridtrack.trackers.model_free.residence import NOT_OCCUPIED, next_ages
 from gridtrack.trackers.model_free.segmentation import Cluster, clusters_of, segment

@@ -13,7 +13,7 @@ from gridtrack.common.grid import GridFrame
 from gridtrack.trackers.cell_classifier import CellClassifier
 from gridtrack.trackers.contract import ComparedPart, FitOutput, Forecast, FrameSource, Score, StreamSpec, Tracker
 from gridtrack.trackers.one_shot.settings import ONE_SHOT, OneShotSettings
-from gridtrack.trackers.restoring import restore, trained_settings
+from gridtrack.trackers.trained_network import restore, trained_settings
 from gridtrack.trackers.weights import load_weights
 
 PLANES = 2

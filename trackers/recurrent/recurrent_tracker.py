@@ -15,7 +15,7 @@ from gridtrack.common.grid import GridFrame
 from gridtrack.trackers.contract import FitOutput, Forecast, FrameSource, Score, StreamSpec, Tracker, stream_of
 from gridtrack.trackers.recurrent.network import LatentState, RecurrentNetwork, channels_last
 from gridtrack.trackers.recurrent.settings import InferenceSettings
-from gridtrack.trackers.restoring import restore, trained_settings
+from gridtrack.trackers.trained_network import restore, trained_settings
 from gridtrack.trackers.weights import Weights, card_for, load_weights, save_weights
 
 VALIDATION_HORIZONS_S = (0.5, 1.0, 2.0)

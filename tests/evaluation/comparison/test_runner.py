@@ -25,7 +25,7 @@ from gridtrack.evaluation.results.summary import read_summary
 from gridtrack.evaluation.results.trial_record import read_trial_record
 from gridtrack.evaluation.scoring.referee import Delivery
 from gridtrack.evaluation.scoring.samples import read_samples
-from gridtrack.evaluation.scoring.scores import read_deliveries
+from gridtrack.evaluation.scoring.score_store import read_deliveries
 from gridtrack.evaluation.scoring.splits import EvaluationSplit
 
 pytestmark = pytest.mark.usefixtures("staged")

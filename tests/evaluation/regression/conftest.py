@@ -16,7 +16,7 @@ import pytest
 from gridtrack.evaluation.results.passes import Latency, Quantiles
 from gridtrack.evaluation.results.trial_record import TrialRecord
 from gridtrack.evaluation.scoring.counting import Tally
-from gridtrack.evaluation.scoring.scores import ScoreWriter
+from gridtrack.evaluation.scoring.score_store import ScoreWriter
 from gridtrack.evaluation.scoring.strata import STRATA
 from gridtrack.evaluation.scoring.thresholds import half
 

@@ -10,7 +10,7 @@ from gridtrack.evaluation.results.columns import CLASSES_TABLE, SEMANTICS_TABLE
 from gridtrack.evaluation.results.trial_record import TrialRecord
 from gridtrack.evaluation.scoring.class_scores import class_scores
 from gridtrack.evaluation.scoring.class_store import ClassWriter, read_found, read_scan_losses, read_semantics
-from gridtrack.evaluation.scoring.scores import ScoresError
+from gridtrack.evaluation.scoring.score_store import ScoresError
 from gridtrack.evaluation.scoring.semantics import count_classes, count_found, match_classes
 from gridtrack.evaluation.scoring.strata import CELL_KINDS
 from gridtrack.evaluation.scoring.target import HIDDEN_OCCUPIED, SEEN_OCCUPIED, Target

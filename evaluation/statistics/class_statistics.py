@@ -16,26 +16,30 @@ from gridtrack.evaluation.scoring.class_store import read_scan_losses
 from gridtrack.evaluation.scoring.semantics import VISIBILITIES
 from gridtrack.evaluation.statistics.finished_trial import FinishedTrial
 from gridtrack.evaluation.statistics.frame_counts import FrameCounts, common_frames
-from gridtrack.evaluation.statistics.inference import Inference
-from gridtrack.evaluation.statistics.pooling import OTHER_FRAMES, OTHER_RETURNS, summed_by_unit, too_short
-from gridtrack.evaluation.statistics.uncertainty import LEAST_UNITS, ratio_differences, ratio_interval
+from gridtrack.evaluation.statistics.jackknife import LEAST_UNITS, ratio_differences, ratio_interval
+from gridtrack.evaluation.statistics.paired_tests import OTHER_FRAMES, OTHER_RETURNS
+from gridtrack.evaluation.statistics.run_statistics import RunStatistics
+from gridtrack.evaluation.statistics.score_intervals import summed_by_unit, too_short
 
 
-class ClassInference:
-    """A run's class probabilities under the rules of all its scores: the same units, differences on common frames."""
+class ClassStatistics:
+    """Statistics of the class probabilities of a run, with the statistical units of its other scores.
 
-    def __init__(self, recordings: Mapping[str, RecordingDescription], inference: Inference) -> None:
+    As with those, trackers are compared on the frames that both were scored on.
+    """
+
+    def __init__(self, recordings: Mapping[str, RecordingDescription], statistics: RunStatistics) -> None:
         self._recordings = recordings
-        self._inference = inference
+        self._statistics = statistics
         self._losses: dict[str, FrameCounts] = {}
 
     def scores(self, trials: Sequence[FinishedTrial], names: Sequence[str]) -> ScoresByClass:
-        """Scores by class of `trials` together, with intervals; `names` are the recordings that they are scores of.
+        """Scores by class of `trials`, pooled, with intervals; `names` are the recordings of the trials.
 
-        There are none where the recordings differ in their classes. Raises ScoresError.
+        Empty where the recordings have different classes. Raises ScoresError.
         """
         described = self._recordings[names[0]]
-        classes = described.classes if self._alike(names) else ()
+        classes = described.classes if self._same_classes(names) else ()
         scores = class_scores([(t.record, t.folder) for t in trials], classes, described.horizons_s)
         if scores.semantics is None:
             return scores
@@ -45,30 +49,34 @@ class ClassInference:
     def differences(self) -> list[ClassDifference]:
         """Log loss of each tracker's classes less the reference's: over all recordings if pooled, else on each.
 
-        Of the trackers that give classes on every one of them; none where the reference does not.
+        Only trackers with class probabilities on every recording are compared; empty where the reference has none.
         """
         found = []
-        for names in self._inference.groups:
-            rows = {
-                label: trials
-                for label in self._inference.labels
-                if len(trials := [t for t in self._inference.complete(label, names) if _gives_classes(t)]) == len(names)
-            }
+        for names in self._statistics.groups:
+            rows = {label: self._with_classes(label, names) for label in self._statistics.labels}
+            rows = {label: trials for label, trials in rows.items() if len(trials) == len(names)}
             reference = self._reference(rows)
-            if reference is not None and self._alike(names):
+            if reference is not None and self._same_classes(names):
                 found += [self._difference(rows[label], rows[reference], names) for label in rows if label != reference]
         return found
 
+    def _with_classes(self, label: str, names: Sequence[str]) -> list[FinishedTrial]:
+        """The complete trials of one row on these recordings that have class probabilities."""
+        return [trial for trial in self._statistics.complete(label, names) if _has_classes(trial)]
+
     def _reference(self, rows: Mapping[str, Sequence[FinishedTrial]]) -> str | None:
-        """The run's reference where it gives classes, else the first row that is one for classes, else the first."""
+        """The label of the reference for classes, of the rows with class probabilities; None where there is no row.
+
+        It is the reference of the run, else the first tracker whose description has that role, else the first row.
+        """
         described = [label for label, trials in rows.items() if "classes" in trials[0].record.reference_for]
-        requested = [label for label in rows if label == self._inference.reference]
+        requested = [label for label in rows if label == self._statistics.reference]
         return next(iter([*requested, *described, *rows]), None)
 
     def _with_intervals(self, semantics: SemanticScores, trials: Sequence[FinishedTrial]) -> SemanticScores:
-        """`semantics` with the intervals of the log loss of scans; where there are none, `interval` has the reason."""
+        """`semantics` with the intervals of the log loss per scan; without intervals, `interval` is the reason."""
         names = [trial.record.recording for trial in trials]
-        block_s = self._inference.block_s(names)
+        block_s = self._statistics.block_s(names)
         (losses,), units = summed_by_unit([[self._losses_of(trial) for trial in trials]], block_s)
         if units < LEAST_UNITS:
             why = too_short(units, len(names), block_s)
@@ -98,7 +106,7 @@ class ClassInference:
         if not difference.frames:
             why = OTHER_FRAMES if own[0].points == others[0].points else OTHER_RETURNS
             return difference.model_copy(update={"interval": why})
-        block_s = self._inference.block_s(names)
+        block_s = self._statistics.block_s(names)
         sides, units = summed_by_unit([[pair[side] for pair in pairs] for side in (0, 1)], block_s)
         mine, theirs = ((losses[..., 0], losses[..., 1]) for losses in sides)
         found = ratio_differences(mine, theirs)
@@ -115,18 +123,22 @@ class ClassInference:
         return difference.model_copy(update={"units": units, "interval": why, "kinds": kinds})
 
     def _losses_of(self, trial: FinishedTrial) -> FrameCounts:
-        """Per scored frame, step and visibility the mean loss over the scan's cells, and 1 for a scan with any."""
+        """Log loss of a trial at each scored frame, read once: counts (F, S, V, 2), V as VISIBILITIES.
+
+        The last axis is the mean loss over the cells of the scan whose class is known, and 1; 0 and 0 without any.
+        """
         key = trial.folder.name
         if key not in self._losses:
-            frames = self._inference.frames_of(trial)
+            frames = self._statistics.frames_of(trial)
             losses = read_scan_losses(trial.folder, frames.stamps_ns, trial.record.steps)
             self._losses[key] = FrameCounts(frames.stamps_ns, frames.delivered, losses)
         return self._losses[key]
 
-    def _alike(self, names: Sequence[str]) -> bool:
+    def _same_classes(self, names: Sequence[str]) -> bool:
+        """Whether the recordings have the same classes, at least one."""
         classes = [self._recordings[name].classes for name in names]
         return bool(classes[0]) and all(one == other for one, other in pairwise(classes))
 
 
-def _gives_classes(trial: FinishedTrial) -> bool:
+def _has_classes(trial: FinishedTrial) -> bool:
     return (trial.folder / SEMANTICS_TABLE.file).exists()

@@ -8,7 +8,7 @@ import shutil
 import pytest
 
 from gridtrack.evaluation.results.files import RunError
-from gridtrack.reports.conditions import sweep_panel
+from gridtrack.reports.deadline_and_robustness import sweep_panel
 from gridtrack.reports.figures import Series
 from gridtrack.reports.page import render_page
 from gridtrack.reports.run import read_runs

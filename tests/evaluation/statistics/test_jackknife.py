@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from gridtrack.evaluation.statistics.uncertainty import (
+from gridtrack.evaluation.statistics.jackknife import (
     COUNTS,
     LEAST_UNITS,
     differences,

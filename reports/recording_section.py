@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from gridtrack.evaluation.results.passes import Latency
 from gridtrack.evaluation.results.trial_summary import StratumScores, TrialSummary
 from gridtrack.reports.classes import ClassTables, class_tables
-from gridtrack.reports.conditions import DeadlineTable, RobustnessTable, deadline_table, robustness_table
+from gridtrack.reports.deadline_and_robustness import DeadlineTable, RobustnessTable, deadline_table, robustness_table
 from gridtrack.reports.differences import DifferenceTable, difference_table
 from gridtrack.reports.figures import Axis, Band, CurvePanel, Series, Span, TimeScale, curve_panel, time_scale
 from gridtrack.reports.filmstrip import Filmstrip, filmstrip_of

@@ -7,7 +7,7 @@ from pyarrow import parquet
 
 from gridtrack.evaluation.results.columns import CONFUSION, HISTOGRAM_TABLE, SCORES_TABLE
 from gridtrack.evaluation.scoring.counting import HALF, PROBABILITY_BINS, Tally
-from gridtrack.evaluation.scoring.scores import ROW_GROUP, ScoresError, ScoreWriter, read_deliveries, read_tally
+from gridtrack.evaluation.scoring.score_store import ROW_GROUP, ScoresError, ScoreWriter, read_deliveries, read_tally
 from gridtrack.evaluation.scoring.strata import STRATA
 from gridtrack.evaluation.scoring.thresholds import Thresholds, half
 

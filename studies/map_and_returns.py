@@ -1,6 +1,6 @@
 """What a map of the site and the cells' centres change for `kalman`: without the map, and with the laser's returns.
 
-`python -m studies.returns` compares the rows in studies/recipes/returns.toml in runs/returns (ten minutes).
+`python -m studies.map_and_returns` (ten minutes) runs studies/recipes/map-and-returns.toml in runs/returns.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from pathlib import Path
 
 from studies.support.comparison import compare_at_junction
 
-RECIPE = Path("studies/recipes/returns.toml")
+RECIPE = Path("studies/recipes/map-and-returns.toml")
 
 
 def main() -> None:

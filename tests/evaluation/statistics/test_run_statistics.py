@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gridtrack.evaluation.scoring.scores import ScoresError
+from gridtrack.evaluation.scoring.score_store import ScoresError
 from gridtrack.evaluation.scoring.strata import STRATA
 from gridtrack.evaluation.statistics.frame_counts import FrameCounts, common_frames, read_frame_counts
+from gridtrack.evaluation.statistics.jackknife import COUNTS, interval
 from gridtrack.evaluation.statistics.summary import summarise
-from gridtrack.evaluation.statistics.uncertainty import COUNTS, interval
 from gridtrack.evaluation.statistics.units import autocorrelation_time, sum_by_unit, units_of
 
 from scenes import synthetic_run as synthetic

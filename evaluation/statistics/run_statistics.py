@@ -16,23 +16,15 @@ from gridtrack.evaluation.results.summary import (
 from gridtrack.evaluation.results.trial_summary import PooledSummary, StratumScores
 from gridtrack.evaluation.results.values import rounded_curve, rounded_p_curve
 from gridtrack.evaluation.scoring.counting import Tally
-from gridtrack.evaluation.scoring.scores import read_tally
+from gridtrack.evaluation.scoring.score_store import read_tally
 from gridtrack.evaluation.statistics.curves import stratum_scores
 from gridtrack.evaluation.statistics.finished_trial import FinishedTrial, trials_on
 from gridtrack.evaluation.statistics.frame_counts import FrameCounts, read_frame_counts
-from gridtrack.evaluation.statistics.pooling import (
-    OTHER_RETURNS,
-    Scope,
-    TrackerComparison,
-    common_strata,
-    compare_with,
-    headline_tests,
-    intervals,
-    poolable,
-)
+from gridtrack.evaluation.statistics.paired_tests import OTHER_RETURNS, TrackerComparison, compare_with, headline_tests
+from gridtrack.evaluation.statistics.score_intervals import Scope, common_strata, intervals, poolable
 
 
-class Inference:
+class RunStatistics:
     """A run's trials under one set of rules: statistical units, common frames, and one family of tests."""
 
     def __init__(
