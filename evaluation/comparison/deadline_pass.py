@@ -27,20 +27,22 @@ DEADLINE_LOG = "deadline.log"
 
 
 def measure_deadline(trial: Trial, regions: SplitRegions, thresholds: ThresholdsUsed, folder: Path) -> Deadline:
-    """Time the tracker, then score it on the simulated clock at every rate of RATES; its log goes to `folder`.
+    """Time the tracker, then score it on the simulated clock at every rate of RATES.
 
-    Raises TrialEnded.
+    Every pass over the stream has a process of its own: a tracker that keeps frames over `reset` would know the stream.
+    The log of the last process goes to `folder`. Raises TrialEnded.
     """
-    with trial.tracker_process(folder / DEADLINE_LOG) as process:
+    log = folder / DEADLINE_LOG
+    with trial.tracker_process(log) as process:
         costs, reach = _measure(process, trial)
-        return Deadline(
-            update_ms=_exact_quantiles(np.asarray(costs.update_ms)),
-            predict_ms=_exact_quantiles(np.asarray(costs.predict_ms)),
-            busy_ms=_exact_quantiles(costs.busy_ms),
-            highest_rate_hz=costs.highest_rate_hz,
-            forecast_steps=reach,
-            rates=_at_every_rate(process, trial, regions, thresholds, costs, reach),
-        )
+    return Deadline(
+        update_ms=_exact_quantiles(np.asarray(costs.update_ms)),
+        predict_ms=_exact_quantiles(np.asarray(costs.predict_ms)),
+        busy_ms=_exact_quantiles(costs.busy_ms),
+        highest_rate_hz=costs.highest_rate_hz,
+        forecast_steps=reach,
+        rates=_at_every_rate(log, trial, regions, thresholds, costs, reach),
+    )
 
 
 def _measure(process: TrackerProcess, trial: Trial) -> tuple[Costs, int]:
@@ -67,7 +69,7 @@ def _measure(process: TrackerProcess, trial: Trial) -> tuple[Costs, int]:
 
 
 def _at_every_rate(
-    process: TrackerProcess, trial: Trial, regions: SplitRegions, thresholds: ThresholdsUsed, costs: Costs, reach: int
+    log: Path, trial: Trial, regions: SplitRegions, thresholds: ThresholdsUsed, costs: Costs, reach: int
 ) -> tuple[AtRate, ...]:
     """Scores at each rate; rates with the same timeline share one pass over the stream."""
     schedule, period_ms = trial.split.schedule, trial.test.period_s * 1e3
@@ -78,9 +80,9 @@ def _at_every_rate(
         key = clock.accepted.tobytes() + clock.newest.tobytes()
         if key not in f1_of:
             frames = Delivery(trial.test, lambda: None)
-            f1_of[key] = replayed_f1(
-                DeadlineTracker(process, clock, schedule, reach), frames, trial, regions, thresholds
-            )
+            with trial.tracker_process(log) as process:
+                tracker = DeadlineTracker(process, clock, schedule, reach)
+                f1_of[key] = replayed_f1(tracker, frames, trial, regions, thresholds)
         results.append(
             AtRate(
                 rate=rate,

@@ -8,6 +8,7 @@ from pathlib import Path
 from gridtrack.common.grid import GridFrame
 from gridtrack.evaluation.comparison.plan import Trial
 from gridtrack.evaluation.comparison.replay import replayed_f1
+from gridtrack.evaluation.processes.tracker_process import TrackerProcess
 from gridtrack.evaluation.results.passes import AtStrength, Robustness
 from gridtrack.evaluation.results.trial_record import ThresholdsUsed
 from gridtrack.evaluation.scoring.referee import Delivery, TrackerLike
@@ -22,26 +23,32 @@ ROBUSTNESS_LOG = "robustness.log"
 
 
 class RobustnessRun:
-    """Each kind of a degradation separately, at every strength, on one trial's test stretch."""
+    """Each kind of a degradation separately, at every strength, on one trial's test stretch.
+
+    Every condition has a process of its own: a tracker that keeps frames over `reset` would know the stream. The log of
+    the last process goes to `folder`.
+    """
 
     def __init__(self, trial: Trial, degradation: Degradation, folder: Path) -> None:
-        self._trial, self._degradation = trial, degradation
-        self._process = trial.tracker_process(folder / ROBUSTNESS_LOG)
+        self._trial, self._degradation, self._log = trial, degradation, folder / ROBUSTNESS_LOG
+        self._process: TrackerProcess | None = None
+        self._interrupted = False
 
     def run(self, regions: SplitRegions, thresholds: ThresholdsUsed, on_frame: Callable[[], None]) -> Robustness:
         """Run the pass; `on_frame` is called before each frame and may raise to end it. Raises TrialEnded."""
-        with self._process:
-            return Robustness(
-                degradation=self._degradation,
-                kinds={
-                    kind: tuple(self._at(kind, strength, regions, thresholds, on_frame) for strength in STRENGTHS)
-                    for kind in self._degradation.kinds
-                },
-            )
+        return Robustness(
+            degradation=self._degradation,
+            kinds={
+                kind: tuple(self._at(kind, strength, regions, thresholds, on_frame) for strength in STRENGTHS)
+                for kind in self._degradation.kinds
+            },
+        )
 
     def interrupt(self) -> None:
         """End the pass from another thread, also during a call."""
-        self._process.kill()
+        self._interrupted = True
+        if self._process is not None:
+            self._process.kill()
 
     def _at(
         self,
@@ -53,8 +60,12 @@ class RobustnessRun:
     ) -> AtStrength:
         trial, degradation = self._trial, self._degradation.only(kind).scaled(strength)
         degraded = Delivery(trial.test.degraded(degrader(degradation, trial.seed)), on_frame)
-        tracker = _DegradedInput(self._process, degraded)
-        f1 = replayed_f1(tracker, targets(trial.test), trial, regions, thresholds)
+        self._process = trial.tracker_process(self._log)
+        if self._interrupted:
+            self._process.kill()
+        with self._process as process:
+            tracker = _DegradedInput(process, degraded)
+            f1 = replayed_f1(tracker, targets(trial.test), trial, regions, thresholds)
         return AtStrength(strength=strength, value=getattr(degradation, kind), delivered=degraded.digest, f1=f1)
 
 

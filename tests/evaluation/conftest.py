@@ -28,16 +28,24 @@ class Options(Settings):
     crash_at: int = 0
     crash_in: int = 2
     sleep_s: float = 0.0
+    starts: str = ""
 
 
 class Staged(Tracker):
-    """Forecasts the last frame; dies at the update `crash_at` of the stretch `crash_in`, and takes its time."""
+    """Forecasts the last frame; dies at the update `crash_at` of the stretch `crash_in`, and takes its time.
+
+    Stretches are counted in one process; with a file `starts`, each earlier process counts as one.
+    """
 
     Options = Options
 
     def __init__(self, stream, options):
         super().__init__(stream, options)
         self.stretch = 0
+        if options.starts:
+            with open(options.starts, "ab") as file:
+                self.stretch = file.tell()
+                file.write(b".")
 
     def reset(self, seed):
         self.stretch, self.updates = self.stretch + 1, 0

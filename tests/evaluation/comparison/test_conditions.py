@@ -88,10 +88,20 @@ def test_a_resumed_run_adds_the_deadline_scores(compare, tmp_path):
     assert trial_of(compare("blank", deadline=True, resume=True), "blank").deadline is not None
 
 
-def test_a_tracker_that_fails_in_the_deadline_pass_keeps_its_score_with_a_notice(compare, record):
-    # without a validation stretch the second stream that it is given is the first one on the clock
-    path = record("plain", stretches={})
-    summary = compare("staged:crash_at=60", "blank", recordings=(str(path),), deadline=True)
+@pytest.mark.usefixtures("bad_trackers")
+def test_frames_kept_over_a_reset_are_of_no_use_in_another_condition(compare):
+    honest, hostile = "staged", "remembers-the-future"  # both forecast the last frame, if nothing is kept
+    summary = compare(honest, hostile, deadline=True, degrade=Degradation(beam_dropout=0.5))
+    one, other = (trial_of(summary, label) for label in (honest, hostile))
+    assert other.robustness.kinds["beam_dropout"][1:] == one.robustness.kinds["beam_dropout"][1:]
+    for rate in other.deadline.rates:
+        assert rate.f1["moving"][-1] < 0.9
+
+
+def test_a_tracker_that_fails_in_the_deadline_pass_keeps_its_score_with_a_notice(compare, record, tmp_path):
+    # without a validation stretch the second stream that it is given is that of the deadline pass
+    path, starts = record("plain", stretches={}), tmp_path / "starts"
+    summary = compare(f"staged:crash_at=60,starts={starts}", "blank", recordings=(str(path),), deadline=True)
     ended, other = (summary.trackers[label].recordings["plain"] for label in ("staged", "blank"))
     assert (ended.outcome, ended.deadline) == ("ok", None)
     assert other.deadline is not None
