@@ -11,6 +11,7 @@ from gridtrack.common.errors import GridtrackError
 from gridtrack.evaluation.results.files import RunError
 from gridtrack.evaluation.results.run_record import RUN_FILE, RunRecord, read_run_record
 from gridtrack.evaluation.results.summary import ALL_RECORDINGS, SUMMARY_FILE, RunSummary, read_summary
+from gridtrack.evaluation.results.trial_record import read_trial_record
 from gridtrack.evaluation.results.trial_summary import PooledSummary, ScopeSummary, TrialSummary
 
 UNDEFINED = "–"
@@ -77,6 +78,10 @@ def _read_run(path: Path, name: str) -> Run:
         summary = read_summary(path)
     except FileNotFoundError:
         raise RunError(f"{path} has no {SUMMARY_FILE}: the run did not finish; continue it with --resume") from None
+    for trial in (f"{label}@{name}" for label, row in summary.trackers.items() for name in row.recordings):
+        found = read_trial_record(path / trial) if (path / trial).parent == path else None
+        if found is not None:
+            found.require_own_files(path / trial)
     pooled = summary.has_pooled
     return Run(path, name, with_pooled(summary) if pooled else summary, record, pooled)
 

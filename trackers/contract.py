@@ -27,6 +27,7 @@ class StreamSpec:
 
     `grid` and `period_s` of the stream, its `site`, the `classes` its labels name, and `weights`: the settings file
     (`.toml`, arrays in the `.safetensors` beside it) that this tracker's `fit` wrote for the site, or None.
+    `weights_sha256`: the hash of that file, which `load_weights` checks; "" where it is not known.
     """
 
     grid: GridSpec
@@ -34,6 +35,7 @@ class StreamSpec:
     site: str = ""
     classes: tuple[str, ...] = ()
     weights: Path | None = None
+    weights_sha256: str = ""
 
 
 @dataclass(frozen=True, slots=True)

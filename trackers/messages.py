@@ -31,6 +31,7 @@ def stream_fields(stream: StreamSpec) -> dict[str, Any]:
         "site": stream.site,
         "classes": list(stream.classes),
         "weights": None if stream.weights is None else str(stream.weights.absolute()),
+        "weights_sha256": stream.weights_sha256 or None,
     }
 
 
@@ -46,6 +47,7 @@ def stream_from(message: Message) -> StreamSpec:
         stream.value("site", str),
         tuple(stream.value("classes", list)),
         None if weights is None else Path(weights),
+        str(fields.get("weights_sha256") or ""),
     )
 
 

@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import hashlib
 import shlex
+import shutil
 import tomllib
 from collections.abc import Iterable, Mapping
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
@@ -31,6 +32,7 @@ from gridtrack.trackers.contract import FitOutput, FrameSource, StreamSpec
 CARD_SCHEMA = 2
 MAX_ARRAYS_BYTES = 1 << 30
 MAX_CARD_BYTES = 1 << 20
+ARRAYS_SUFFIX = ".safetensors"
 
 _Tuned = TypeVar("_Tuned", bound=Settings)
 
@@ -134,17 +136,25 @@ def _data_of(sources: Iterable[FrameSource]) -> tuple[TrainingData, ...]:
 def save_weights(path: Path, card: Card, arrays: Mapping[str, NDArray[Any]]) -> None:
     """Write `path` (`.toml`) and, where there are arrays, the `.safetensors` file beside it, each atomically.
 
-    Both are written before either is replaced, and the card, which has the hash of the arrays, is replaced last. Raises
-    OSError.
+    Both are written before either is replaced, and the card, which has the hash of the arrays, is replaced last. Until
+    then the previous arrays are kept beside the new ones, for readers of the previous card. Raises OSError.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
+    arrays_path = path.with_suffix(ARRAYS_SUFFIX)
+    if arrays and arrays_path.exists():
+        shutil.copyfile(arrays_path, _previous(arrays_path))
     with ExitStack() as files:
         card_file = files.enter_context(atomic_write(path))
         if arrays:
             blob = save({name: np.ascontiguousarray(array) for name, array in arrays.items()})
             card = card.model_copy(update={"arrays_sha256": hashlib.sha256(blob).hexdigest()})
-            files.enter_context(atomic_write(path.with_suffix(".safetensors"))).write(blob)
+            files.enter_context(atomic_write(arrays_path)).write(blob)
         card_file.write(_card_text(card).encode())
+    _previous(arrays_path).unlink(missing_ok=True)
+
+
+def _previous(arrays_path: Path) -> Path:
+    return arrays_path.with_name(arrays_path.name + ".previous")
 
 
 def replace_in_card(path: Path, text: str, by: str) -> None:
@@ -168,9 +178,9 @@ def _card_text(card: Card) -> str:
     return tomli_w.dumps(card.model_dump(mode="json"))
 
 
-def read_card(path: Path) -> Card:
-    """The card at `path`. Raises WeightsError for a damaged card, and for one of another schema."""
-    card = parse_card(path)
+def read_card(path: Path, sha256: str = "") -> Card:
+    """The card at `path`. Raises WeightsError for a damaged card, and one of another schema or `sha256`."""
+    card = parse_card(path, sha256)
     if card.schema_version < CARD_SCHEMA:
         raise WeightsError(
             f"{path}: schema {card.schema_version}; this gridtrack reads {CARD_SCHEMA}:"
@@ -183,10 +193,12 @@ def read_card(path: Path) -> Card:
     return card
 
 
-def parse_card(path: Path) -> Card:
-    """The card at `path`, of any schema. Raises WeightsError for a damaged card."""
+def parse_card(path: Path, sha256: str = "") -> Card:
+    """The card at `path`, of any schema. Raises WeightsError for a damaged card, and for one of another `sha256`."""
     try:
         text = read_bounded(path, MAX_CARD_BYTES, WeightsError)
+        if sha256 and hashlib.sha256(text).hexdigest() != sha256:
+            raise WeightsError(f"{path}: its sha256 is not the one in the request: the card was exchanged")
         card = validated(Card, tomllib.loads(text.decode()), "weights card")
         GridSpec.parse(card.grid)
     except FileNotFoundError as error:
@@ -203,7 +215,7 @@ def load_weights(stream: StreamSpec, tracker: str) -> Weights:
         raise WeightsError(
             f"{tracker}: no weights for site '{stream.site}'; make them with `gridtrack train {tracker}`"
         )
-    card = read_card(path)
+    card = read_card(path, stream.weights_sha256)
     for what, made_for, found in (
         ("tracker", card.tracker, tracker),
         ("site", card.site, stream.site),
@@ -216,7 +228,7 @@ def load_weights(stream: StreamSpec, tracker: str) -> Weights:
             f"{path}: made for a period of {card.period_s:g} s ({1 / card.period_s:g} Hz), but this stream's is"
             f" {stream.period_s:g} s: compare with --rate {1 / card.period_s:g}, or train for this rate"
         )
-    return Weights(card, read_arrays(path.with_suffix(".safetensors"), card.arrays_sha256))
+    return Weights(card, read_arrays(path.with_suffix(ARRAYS_SUFFIX), card.arrays_sha256))
 
 
 def read_arrays(path: Path, sha256: str) -> dict[str, NDArray[Any]]:
@@ -224,18 +236,31 @@ def read_arrays(path: Path, sha256: str) -> dict[str, NDArray[Any]]:
     if not sha256:
         return {}
     try:
+        return load(arrays_content(path, sha256))
+    except SafetensorError as error:
+        raise WeightsError(f"{path}: not a safetensors file ({error})") from None
+
+
+def arrays_content(path: Path, sha256: str) -> bytes:
+    """The content of a file of arrays with this `sha256`: of `path`, or of the arrays that are being replaced there.
+
+    Raises WeightsError.
+    """
+    with suppress(OSError):
+        blob = _previous(path).read_bytes()
+        if hashlib.sha256(blob).hexdigest() == sha256:
+            return blob
+    try:
         if path.stat().st_size > MAX_ARRAYS_BYTES:
             raise WeightsError(
                 f"{path}: {path.stat().st_size} bytes; weights of more than {MAX_ARRAYS_BYTES} are refused"
             )
         blob = path.read_bytes()
-        if hashlib.sha256(blob).hexdigest() != sha256:
-            raise WeightsError(f"{path}: its sha256 is not the one on its card: the file is damaged or was exchanged")
-        return load(blob)
     except OSError as error:
         raise WeightsError(f"{path}: cannot be read ({error.strerror})") from None
-    except SafetensorError as error:
-        raise WeightsError(f"{path}: not a safetensors file ({error})") from None
+    if hashlib.sha256(blob).hexdigest() != sha256:
+        raise WeightsError(f"{path}: its sha256 is not the one on its card: the file is damaged or was exchanged")
+    return blob
 
 
 def tuned_settings(kind: type[_Tuned], weights: Weights, given: Settings) -> _Tuned:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import re
+import shutil
+import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from importlib import resources
@@ -11,9 +13,11 @@ from pathlib import Path
 from gridtrack.common.errors import WeightsError
 from gridtrack.common.files import sha256_of, user_data_folder
 from gridtrack.evaluation.results.run_record import WeightsUsed
-from gridtrack.trackers.weights import Card, read_card
+from gridtrack.trackers.weights import ARRAYS_SUFFIX, Card, arrays_content, read_card
 
 SITE_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,127}")
+READ_ATTEMPTS, READ_AGAIN_S = 3, 0.1
+"""Attempts to read a card and its arrays while they are replaced, and the time between two of them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,6 +30,8 @@ class LearnedWeights:
     path: Path
     card: Card
     sha256: str
+    original: Path
+    """The folder of the card, or of the one that it was copied from."""
 
     @property
     def name(self) -> str:
@@ -59,7 +65,33 @@ def weights_in(folder: Path, tracker: str, site: str) -> LearnedWeights:
     path = weights_path(folder, tracker, site)
     if not path.is_file():
         raise WeightsError(f"{folder}: no weights of {tracker} for the site '{site}' ({path} is missing)")
-    return LearnedWeights(path, read_card(path), sha256_of(path))
+    return _read(path, path.parent)
+
+
+def copy_weights(weights: LearnedWeights, folder: Path) -> LearnedWeights:
+    """A copy of card and arrays in `folder`, with the hash of the copied card.
+
+    Files that are being replaced are read again. Arrays that do not match their card are not copied: the tracker's
+    process refuses them. Raises WeightsError, OSError.
+    """
+    copied = weights_path(folder, weights.path.parent.name, weights.path.stem)
+    copied.parent.mkdir(parents=True)
+    for _ in range(READ_ATTEMPTS):
+        shutil.copyfile(weights.path, copied)
+        sha256 = read_card(copied).arrays_sha256
+        try:
+            if sha256:
+                content = arrays_content(weights.path.with_suffix(ARRAYS_SUFFIX), sha256)
+                copied.with_suffix(ARRAYS_SUFFIX).write_bytes(content)
+            return _read(copied, weights.original)
+        except WeightsError:
+            time.sleep(READ_AGAIN_S)
+    return weights
+
+
+def _read(path: Path, original: Path) -> LearnedWeights:
+    sha256 = sha256_of(path)
+    return LearnedWeights(path, read_card(path, sha256), sha256, original)
 
 
 def weights_path(folder: Path, tracker: str, site: str) -> Path:

@@ -19,7 +19,7 @@ from gridtrack.common.grid import GridFrame, GridSpec
 from gridtrack.common.raycast import cast_scan
 from gridtrack.evaluation.comparison.trial import OnFrame
 from gridtrack.evaluation.results.summary import ORACLE
-from gridtrack.evaluation.results.trial_record import OUTCOME_FILE, Times, TrialRecord
+from gridtrack.evaluation.results.trial_record import OUTCOME_FILE, Times, TrialRecord, hashes_of
 from gridtrack.evaluation.scoring.referee import Delivery, scored_forecasts
 from gridtrack.evaluation.scoring.scorekeeper import SCORE_FILES, Scorekeeper
 from gridtrack.evaluation.scoring.splits import EvaluationSplit, SplitRegions
@@ -101,6 +101,7 @@ def run_oracle(split: EvaluationSplit, regions: SplitRegions, folder: Path, on_f
         delivered=delivery.digest,
         steps=split.steps,
         thresholds=thresholds.used(),
+        files=hashes_of(folder, SCORE_FILES),
         times=Times(wall_s=time.perf_counter() - began, frames=delivery.frames),
     )
     record.write(folder)

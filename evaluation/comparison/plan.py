@@ -5,13 +5,13 @@ from __future__ import annotations
 import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from gridtrack.common.entry_points import VALID_NAME
 from gridtrack.common.errors import ConfigurationError, PluginError, did_you_mean
 from gridtrack.common.grid import GridSpec
-from gridtrack.evaluation.comparison.learned import LearnedWeights, find_weights, weights_in
+from gridtrack.evaluation.comparison.learned import LearnedWeights, copy_weights, find_weights, weights_in
 from gridtrack.evaluation.comparison.settings import CompareSettings
 from gridtrack.evaluation.processes.limits import Limits
 from gridtrack.evaluation.processes.tracker_process import TrackerProcess, describe
@@ -58,8 +58,14 @@ class Trial:
 
     def tracker_process(self, log: Path) -> TrackerProcess:
         """The tracker, not started yet, on the test stretch's grid and period; its stderr goes to `log`."""
-        stream = stream_of(self.test, self.weights.path if self.weights else None)
+        stream = stream_of(self.test)
+        if self.weights:
+            stream = replace(stream, weights=self.weights.path, weights_sha256=self.weights.sha256)
         return TrackerProcess(self.launch, stream, self.selection.options, self.limits, log)
+
+    def with_original_paths(self, reason: str) -> str:
+        """`reason` with the folder of the weights where it names that of their copy."""
+        return reason.replace(str(self.weights.path.parent), str(self.weights.original)) if self.weights else reason
 
     @property
     def how_to_train(self) -> str:
@@ -104,6 +110,17 @@ class ComparisonPlan:
             recordings={split.name: split.identity() for split in self.splits},
             trials={trial.name: trial.identity() for trial in self.trials},
         )
+
+
+def with_copied_weights(plan: ComparisonPlan, folder: Path) -> ComparisonPlan:
+    """`plan` with copies of all weights in `folder`, so that every trial uses the files whose hash is recorded.
+
+    Raises WeightsError, OSError.
+    """
+    found = {trial.weights.path: trial.weights for trial in plan.trials if trial.weights}
+    copies = {path: copy_weights(weights, folder / str(n)) for n, (path, weights) in enumerate(found.items())}
+    trials = (replace(trial, weights=copies[trial.weights.path]) if trial.weights else trial for trial in plan.trials)
+    return replace(plan, trials=tuple(trials))
 
 
 def resolve(settings: CompareSettings) -> ComparisonPlan:

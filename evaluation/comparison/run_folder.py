@@ -78,7 +78,8 @@ class RunFolder:
 
 def _is_done(weights_sha256: str, record: TrialRecord, folder: Path) -> bool:
     whole = all((folder / table.file).is_file() for table in (SCORES_TABLE, HISTOGRAM_TABLE))
-    return whole and record.outcome == "ok" and record.weights_sha256 == weights_sha256
+    same = record.weights_sha256 == weights_sha256 and record.changed_file(folder) is None
+    return whole and record.outcome == "ok" and same
 
 
 def _new_record(plan: ComparisonPlan, command: Sequence[str]) -> RunRecord:

@@ -8,12 +8,13 @@ from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, Protocol
 
 from gridtrack.evaluation.comparison.deadline_pass import measure_deadline
 from gridtrack.evaluation.comparison.latency_pass import measure_latency
 from gridtrack.evaluation.comparison.oracle import run_oracle
-from gridtrack.evaluation.comparison.plan import ComparisonPlan, Trial
+from gridtrack.evaluation.comparison.plan import ComparisonPlan, Trial, with_copied_weights
 from gridtrack.evaluation.comparison.provenance import usable_cores
 from gridtrack.evaluation.comparison.robustness_pass import RobustnessRun
 from gridtrack.evaluation.comparison.run_folder import RunFolder
@@ -51,8 +52,8 @@ def run(plan: ComparisonPlan, command: Sequence[str], progress: Progress) -> Run
     An interrupt (Ctrl-C) ends the trackers, keeps the scores so far, and returns the summary with `interrupted` true.
     Raises RunError where the run's folder contains another run, or another run has locked it.
     """
-    with run_lock(plan.settings.out):
-        return _run(plan, command, progress)
+    with run_lock(plan.settings.out), TemporaryDirectory(prefix="gridtrack-weights-") as folder:
+        return _run(with_copied_weights(plan, Path(folder)), command, progress)
 
 
 def _run(plan: ComparisonPlan, command: Sequence[str], progress: Progress) -> RunSummary:

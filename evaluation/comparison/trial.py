@@ -15,7 +15,7 @@ from gridtrack.evaluation.comparison.shared_thresholds import SharedThresholds
 from gridtrack.evaluation.processes.outcome import TrialEnded
 from gridtrack.evaluation.processes.tracker_process import TrackerDescription
 from gridtrack.evaluation.results.columns import HISTOGRAM_TABLE, SCORES_TABLE
-from gridtrack.evaluation.results.trial_record import OUTCOME_FILE, Times, TrialEnding, TrialRecord
+from gridtrack.evaluation.results.trial_record import OUTCOME_FILE, Times, TrialEnding, TrialRecord, hashes_of
 from gridtrack.evaluation.scoring.counting import Tally, count_forecast
 from gridtrack.evaluation.scoring.referee import Delivery, scored_forecasts
 from gridtrack.evaluation.scoring.scorekeeper import SCORE_FILES, Scorekeeper
@@ -76,7 +76,8 @@ class TrialRun:
                 with self._clock():
                     self._score(self._thresholds)
         except TrialEnded as ended:
-            return ended.outcome, self.trial.how_to_train if ended.outcome == "untrained" else ended.reason
+            untrained = ended.outcome == "untrained"
+            return ended.outcome, self.trial.how_to_train if untrained else self.trial.with_original_paths(ended.reason)
         except Interrupted:
             return "interrupted", INTERRUPTED_REASON
         except RecordingError as error:
@@ -154,6 +155,7 @@ class TrialRun:
                     frames=len(timings.update),
                 ),
                 "recoveries": self._process.recoveries,
+                "files": hashes_of(self._folder, SCORE_FILES),
                 "peak_rss_mb": self._process.peak_rss_mb,
             }
         )

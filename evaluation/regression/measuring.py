@@ -90,6 +90,7 @@ def _trial_counts(
     record = read_trial_record(folder)
     _require_complete(name, record)
     assert record is not None
+    record.require_own_files(folder)
     if missing := list(missing_measurements(requested, record)):
         raise Unmeasured(missing)
     strata = tuple(record.thresholds.values)

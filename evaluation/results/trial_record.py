@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Final, Literal
 
 from pydantic import Field
 
+from gridtrack.common.files import sha256_of
 from gridtrack.evaluation.processes.outcome import Outcome
-from gridtrack.evaluation.results.files import read_model, write_model
+from gridtrack.evaluation.results.files import RunError, read_model, write_model
 from gridtrack.evaluation.results.passes import Deadline, Latency, Robustness
 from gridtrack.evaluation.results.values import ResultModel
 from gridtrack.trackers.contract import ComparedPart, Role
@@ -70,6 +72,8 @@ class TrialRecord(ResultModel):
     """The comparisons in which the other rows are compared with this tracker by default."""
     weights_sha256: str = ""
     """Of the card of the weights used; empty without weights."""
+    files: dict[str, str] = Field(default_factory=dict)
+    """SHA-256 of the trial's other files, by name, when the trial ended."""
     recoveries: int = 0
     """How often the tracker continued after a failure inside it, by its own count."""
     times: Times = Times()
@@ -84,9 +88,30 @@ class TrialRecord(ResultModel):
         """Whether every forecast of the test stretch was scored."""
         return self.outcome == "ok" and 0 < self.frames_scored == self.frames_expected
 
+    def changed_file(self, folder: Path) -> Path | None:
+        """The first file in the trial's folder that is not the one that the trial wrote; a file may be missing."""
+        for name, sha256 in self.files.items():
+            path = folder / Path(name).name
+            if path.is_file() and sha256_of(path) != sha256:
+                return path
+        return None
+
+    def require_own_files(self, folder: Path) -> None:
+        """Raise RunError where a file in the trial's folder is not the one that the trial wrote."""
+        if changed := self.changed_file(folder):
+            raise RunError(
+                f"{changed}: changed since the trial wrote it (its sha256 is not the one in {OUTCOME_FILE}): compare"
+                " with --resume to score the trial again"
+            )
+
     def write(self, folder: Path) -> None:
         """Write it into the trial's folder. Raises OSError."""
         write_model(folder / OUTCOME_FILE, self)
+
+
+def hashes_of(folder: Path, names: Iterable[str]) -> dict[str, str]:
+    """SHA-256 of those files of a trial's folder that exist, by name. Raises OSError."""
+    return {name: sha256_of(folder / name) for name in names if (folder / name).is_file()}
 
 
 def read_trial_record(folder: Path) -> TrialRecord | None:

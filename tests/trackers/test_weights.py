@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gridtrack.common.errors import WeightsError
+from gridtrack.common.files import sha256_of
 from gridtrack.common.grid import GridSpec
 from gridtrack.trackers.contract import FitOutput, FrameSource, StreamSpec
 from gridtrack.trackers.weights import MAX_ARRAYS_BYTES, Card, array, card_for, load_weights, read_card, save_weights
@@ -123,6 +125,28 @@ def test_a_flipped_bit_in_the_arrays_is_found(tmp_path_factory: pytest.TempPathF
     arrays.write_bytes(blob)
     with pytest.raises(WeightsError, match="the file is damaged or was exchanged"):
         load(folder / "lab.toml")
+
+
+def test_a_card_that_was_exchanged_is_refused(path: Path) -> None:
+    stream = StreamSpec(GRID, 0.1, "lab", weights=path, weights_sha256=sha256_of(path))
+    load_weights(stream, "my")
+    path.write_text(path.read_text() + "\n")
+    with pytest.raises(WeightsError, match=r"lab\.toml: its sha256 is not the one in the request"):
+        load_weights(stream, "my")
+
+
+def test_a_reader_between_the_two_replacements_has_the_previous_weights(path: Path, monkeypatch: Any) -> None:
+    """So has one after a crash there: the arrays are replaced first, and the card last."""
+    other = {"w": np.zeros((2, 3)), "n": np.array([3, 4])}
+    replace = Path.replace
+    monkeypatch.setattr(Path, "replace", lambda self, to: None if to == path else replace(self, to))
+    monkeypatch.setattr(Path, "unlink", lambda self, missing_ok=False: None)
+    save_weights(path, card(path.parent), other)
+    assert load_weights(StreamSpec(GRID, 0.1, "lab", weights=path), "my").arrays["w"].any()
+    monkeypatch.undo()
+    save_weights(path, card(path.parent), other)
+    assert not load_weights(StreamSpec(GRID, 0.1, "lab", weights=path), "my").arrays["w"].any()
+    assert sorted(p.name for p in path.parent.iterdir() if p.suffix != ".partial") == ["lab.safetensors", "lab.toml"]
 
 
 def test_arrays_too_large_are_refused_unread(path: Path) -> None:

@@ -4,20 +4,25 @@ from __future__ import annotations
 
 import json
 import shlex
+import shutil
 import sys
 from pathlib import Path
 
+import polars as pl
 import pytest
 
-from gridtrack.common.errors import WeightsError
+from gridtrack.common.errors import GridtrackError, WeightsError
 from gridtrack.evaluation.comparison.learned import find_weights
 from gridtrack.evaluation.comparison.plan import resolve
 from gridtrack.evaluation.comparison.recipe import Recipe
 from gridtrack.evaluation.comparison.runner import run
 from gridtrack.evaluation.comparison.settings import CompareSettings
 from gridtrack.evaluation.comparison.train import train_tracker
+from gridtrack.evaluation.regression.measuring import measure_run
 from gridtrack.evaluation.results.columns import HISTOGRAM_TABLE
 from gridtrack.evaluation.results.files import RunError
+from gridtrack.evaluation.results.trial_record import read_trial_record
+from gridtrack.reports.run import read_runs
 
 
 @pytest.fixture
@@ -96,3 +101,50 @@ def test_a_row_with_its_own_folder_of_weights_uses_no_others(settings, record, t
     train_tracker(Recipe(tracker="static-map", recordings=(str(record()),), out=tmp_path / "given"), lambda _: None)
     with pytest.raises(WeightsError, match=r"empty: no weights of static-map for the site 'room'"):
         resolve(settings(f"static-map:weights={tmp_path / 'empty'}", weights=tmp_path / "given"))
+
+
+def test_weights_exchanged_in_mid_run_are_not_used(settings, record, tmp_path, progress):
+    """The trial uses the files whose hash is recorded, also where the site is trained again after the plan was made."""
+    for name, options in (("given", {}), ("other", {"prior_frames": 1000.0})):
+        walls = record(name, wall_m=3.0 if name == "given" else 2.0)
+        train_tracker(
+            Recipe(tracker="static-map", options=options, recordings=(str(walls),), out=tmp_path / name), lambda _: None
+        )
+    weights = tmp_path / "given" / "static-map"
+
+    class Exchanging(type(progress)):
+        def started(self, trial, frames):
+            shutil.copytree(tmp_path / "other" / "static-map", weights, dirs_exist_ok=True)
+
+    def scored(out, watching):
+        run(resolve(settings("static-map", weights=tmp_path / "given", out=tmp_path / out)), (), watching)
+        return read_trial_record(tmp_path / out / "static-map@room")
+
+    before, during, after = scored("a", progress), scored("b", Exchanging()), scored("c", progress)
+    assert before.weights_sha256 == during.weights_sha256 != after.weights_sha256
+    scores = "scores.parquet"
+    assert before.files[scores] == during.files[scores] != after.files[scores]
+
+
+def test_a_reason_names_the_users_file_of_weights_and_not_its_copy(settings, record, tmp_path, progress):
+    train_tracker(Recipe(tracker="static-map", recordings=(str(record()),), out=tmp_path / "w"), lambda _: None)
+    card, other_grid = tmp_path / "w" / "static-map" / "room.toml", settings("static-map", weights=tmp_path / "w")
+    summary = run(resolve(other_grid.model_copy(update={"grid": "20x0.4@-1,-4"})), (), progress)
+    result = summary.trackers["static-map"].recordings["room"]
+    assert result.outcome == "not-applicable"
+    assert result.reason.startswith(f"{card}: made for grid 40x0.2@-1,-4, but this is 20x0.4@-1,-4")
+
+
+def test_a_changed_file_of_scores_is_refused_by_readers_and_scored_again_with_resume(settings, tmp_path, progress):
+    run(resolve(settings("blank")), ("gridtrack", "compare"), progress)
+    path = tmp_path / "run" / "blank@room" / "scores.parquet"
+    record = read_trial_record(path.parent)
+    assert set(record.files) == {"scores.parquet", "histogram.parquet", "forecasts.mcap"}
+    original = path.read_bytes()
+    pl.read_parquet(path).with_columns(tp=pl.col("tp") + 1).write_parquet(path)
+    for read in (read_runs, lambda paths: [measure_run(path) for path in paths]):
+        with pytest.raises(GridtrackError, match=r"scores\.parquet: changed since the trial wrote it"):
+            read([tmp_path / "run"])
+    run(resolve(settings("blank", resume=True)), ("gridtrack", "compare"), progress)
+    assert pl.read_parquet(path).equals(pl.read_parquet(original))
+    assert read_runs([tmp_path / "run"])[0].summary.trackers
