@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from gridtrack.evaluation.comparison.plan import Trial
 from gridtrack.evaluation.comparison.replay import replayed_f1
-from gridtrack.evaluation.processes.tracker_process import TrackerProcess
+from gridtrack.evaluation.processes.clock import Clock
+from gridtrack.evaluation.processes.tracker_process import Call, Timings, TrackerProcess
 from gridtrack.evaluation.results.passes import AtRate, Deadline, Quantiles
 from gridtrack.evaluation.results.trial_record import ThresholdsUsed
 from gridtrack.evaluation.results.values import Curves
@@ -41,31 +42,47 @@ def measure_deadline(trial: Trial, regions: SplitRegions, thresholds: Thresholds
         busy_ms=_exact_quantiles(costs.busy_ms),
         highest_rate_hz=costs.highest_rate_hz,
         forecast_steps=reach,
+        clock=costs.clock,
         rates=_at_every_rate(log, trial, regions, thresholds, costs, reach),
     )
 
 
 def _measure(process: TrackerProcess, trial: Trial) -> tuple[Costs, int]:
-    """The duration of the calls by the tracker's own clock, and how many steps ahead its forecasts must reach."""
+    """The duration of the calls, and how many steps ahead the forecasts must reach."""
     steps, period_ms = trial.split.steps, trial.test.period_s * 1e3
-    update_ms: list[float] = []
-    predict_ms: list[float] = []
-    trial_ms = 0.0
+    timings = Timings()
+    update_calls: list[Call] = []
+    predict_calls: list[Call] = []
+    trial_ms = timed_ms = 0.0
     process.reset(trial.seed)
     for index, frame in enumerate(islice(trial.test, WARM_UP + MAX_TIMED_FRAMES)):
         process.update(frame)
-        took_ms = process.last_ms
+        took_ms, update_call = process.last_ms, _last_call(process)
         if index >= WARM_UP:
             process.predict(steps + spare_steps(trial_ms, period_ms, steps))
-            update_ms.append(took_ms)
-            predict_ms.append(process.last_ms)
-            if len(update_ms) >= MIN_TIMED_FRAMES and sum(update_ms) + sum(predict_ms) > MAX_TIMED_S * 1e3:
+            update_calls.append(update_call)
+            predict_calls.append(_last_call(process))
+            timings.add_update(update_calls[-1])
+            timings.add_predict(predict_calls[-1])
+            timed_ms += update_calls[-1].round_trip_ms + predict_calls[-1].round_trip_ms
+            if len(update_calls) >= MIN_TIMED_FRAMES and timed_ms > MAX_TIMED_S * 1e3:
                 break
         elif index >= WARM_UP - TRIAL_FORECASTS:
             process.predict(steps)
             # the very first forecast may compile and allocate: it is left out
             trial_ms = max(trial_ms, took_ms + process.last_ms) if index > WARM_UP - TRIAL_FORECASTS else 0.0
-    return Costs(update_ms, predict_ms), steps + spare_steps(trial_ms, period_ms, steps)
+    clock = timings.clock
+    update_ms, predict_ms = ([_duration(call, clock) for call in calls] for calls in (update_calls, predict_calls))
+    return Costs(update_ms, predict_ms, clock), steps + spare_steps(trial_ms, period_ms, steps)
+
+
+def _last_call(process: TrackerProcess) -> Call:
+    assert process.last_call is not None
+    return process.last_call
+
+
+def _duration(call: Call, clock: Clock) -> float:
+    return call.own_ms if clock == "tracker" else call.round_trip_ms
 
 
 def _at_every_rate(

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from gridtrack.evaluation.comparison.plan import Trial
 from gridtrack.evaluation.processes.latency import Latencies
+from gridtrack.evaluation.processes.tracker_process import Timings
 from gridtrack.evaluation.results.passes import Latency, Quantiles
 from gridtrack.evaluation.scoring.referee import WARM_UP
 
@@ -16,19 +17,22 @@ LATENCY_LOG = "latency.log"
 
 
 def measure_latency(trial: Trial, folder: Path) -> Latency:
-    """Time a tracker's updates and forecasts by its own clock; its log goes to `folder`. Raises TrialEnded."""
-    update, predict = Latencies(), Latencies()
+    """Time a tracker's updates and forecasts; its log goes to `folder`. Raises TrialEnded."""
+    timings = Timings()
     with trial.tracker_process(folder / LATENCY_LOG) as process:
         process.reset(trial.seed)
         for index, frame in enumerate(islice(trial.test, WARM_UP + TIMED_FRAMES)):
             process.update(frame)
             if index < WARM_UP:
                 continue
-            update.add(process.last_ms)
+            assert process.last_call is not None
+            timings.add_update(process.last_call)
             if index % 2 == 0:
                 process.predict(trial.split.steps)
-                predict.add(process.last_ms)
+                timings.add_predict(process.last_call)
+    update, predict = timings.counted()
     return Latency(
+        clock=timings.clock,
         update=_histogram_quantiles(update),
         predict=_histogram_quantiles(predict),
         predict_step=_histogram_quantiles(predict, trial.split.steps),

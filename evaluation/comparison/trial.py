@@ -138,6 +138,7 @@ class TrialRun:
     def _record(self, ending: TrialEnding, reason: str) -> TrialRecord:
         chosen = self._thresholds or half(self.trial.split.steps, self.trial.split.strata)
         timings = self._process.timings
+        update, predict = timings.counted()
         return unstarted(self.trial).model_copy(
             update={
                 "outcome": ending,
@@ -149,8 +150,8 @@ class TrialRun:
                 **self._reported_fields(),
                 "times": Times(
                     start_s=self._start_s,
-                    update_s=timings.update.total_ms / 1000,
-                    predict_s=timings.predict.total_ms / 1000,
+                    update_s=update.total_ms / 1000,
+                    predict_s=predict.total_ms / 1000,
                     wall_s=self._wall_s,
                     frames=len(timings.update),
                 ),

@@ -13,6 +13,7 @@ from typing import Any
 
 from gridtrack.common.errors import ConfigurationError, PluginError
 from gridtrack.common.grid import GridFrame
+from gridtrack.evaluation.processes.clock import Clock, clock_that_counts
 from gridtrack.evaluation.processes.dialogue import Dialogue, Request
 from gridtrack.evaluation.processes.latency import Latencies
 from gridtrack.evaluation.processes.limits import Limits
@@ -52,7 +53,7 @@ class TrackerDescription:
 
 @dataclass(frozen=True, slots=True)
 class Call:
-    """Durations of one call, ms: by the tracker's own clock, its processor time, and the round trip."""
+    """Durations of one call, ms: by the tracker's own clock, at most the round trip; processor time; round trip."""
 
     own_ms: float
     cpu_ms: float
@@ -67,6 +68,31 @@ class Timings:
     predict: Latencies = field(default_factory=Latencies)
     update_round_trip: Latencies = field(default_factory=Latencies)
     predict_round_trip: Latencies = field(default_factory=Latencies)
+
+    def add_update(self, call: Call) -> None:
+        """Count an update."""
+        self.update.add(call.own_ms)
+        self.update_round_trip.add(call.round_trip_ms)
+
+    def add_predict(self, call: Call) -> None:
+        """Count a forecast."""
+        self.predict.add(call.own_ms)
+        self.predict_round_trip.add(call.round_trip_ms)
+
+    @property
+    def clock(self) -> Clock:
+        """The clock that counts, by the medians of updates and of forecasts."""
+        pairs = ((self.update, self.update_round_trip), (self.predict, self.predict_round_trip))
+        clocks = {
+            clock_that_counts(own.percentile(50), round_trip.percentile(50)) for own, round_trip in pairs if len(own)
+        }
+        return "host" if "host" in clocks else "tracker"
+
+    def counted(self) -> tuple[Latencies, Latencies]:
+        """Updates and forecasts by the clock that counts."""
+        if self.clock == "tracker":
+            return self.update, self.predict
+        return self.update_round_trip, self.predict_round_trip
 
 
 class TrackerProcess:
@@ -127,7 +153,7 @@ class TrackerProcess:
         request = Request("update", "done", arrays=messages.frame_arrays(frame), what=what)
         with self._ending_on_error():
             answer = self._wire.ask(request, self.limits.update_s)
-            self._count(answer, self.timings.update, self.timings.update_round_trip)
+            self.timings.add_update(self._call(answer))
             self._recoveries[-1] = _recoveries(answer)
 
     def predict(self, steps: int) -> Forecast:
@@ -142,7 +168,7 @@ class TrackerProcess:
         )
         with self._ending_on_error():
             answer = self._wire.ask(request, self.limits.predict_s)
-            self._count(answer, self.timings.predict, self.timings.predict_round_trip)
+            self.timings.add_predict(self._call(answer))
             return messages.forecast_from(answer, grid, steps, classes)
 
     def kill(self) -> None:
@@ -158,20 +184,22 @@ class TrackerProcess:
 
     @property
     def last_ms(self) -> float:
-        """Duration of the last update or forecast by the tracker's own clock, ms."""
+        """Duration of the last update or forecast, ms, by the clock that counts for it alone."""
         assert self.last_call is not None
-        return self.last_call.own_ms
+        call = self.last_call
+        clock = clock_that_counts(call.own_ms, call.round_trip_ms)
+        return call.own_ms if clock == "tracker" else call.round_trip_ms
 
     @property
     def _wire(self) -> Dialogue:
         assert self._dialogue is not None, "a TrackerProcess is used in a with statement"
         return self._dialogue
 
-    def _count(self, answer: Message, own: Latencies, round_trip: Latencies) -> None:
+    def _call(self, answer: Message) -> Call:
         elapsed_ns, cpu_ns = _nanoseconds(answer, "elapsed_ns"), _nanoseconds(answer, "cpu_ns")
-        self.last_call = Call(elapsed_ns / 1e6, cpu_ns / 1e6, self._wire.round_trip_ms)
-        own.add(self.last_call.own_ms)
-        round_trip.add(self.last_call.round_trip_ms)
+        round_trip_ms = self._wire.round_trip_ms
+        self.last_call = Call(min(elapsed_ns / 1e6, round_trip_ms), cpu_ns / 1e6, round_trip_ms)
+        return self.last_call
 
     @contextmanager
     def _ending_on_error(self) -> Iterator[None]:

@@ -7,6 +7,7 @@ from typing import Annotated, Self
 
 from pydantic import Field, model_validator
 
+from gridtrack.evaluation.processes.clock import Clock
 from gridtrack.evaluation.results.values import Curves, ResultModel
 from gridtrack.recordings.degradation import Degradation
 
@@ -25,7 +26,10 @@ class Quantiles(ResultModel):
 
 
 class Latency(ResultModel):
-    """Milliseconds of calls by the tracker's own clock, alone on the machine."""
+    """Milliseconds of calls, alone on the machine."""
+
+    clock: Clock = "tracker"
+    """By the tracker's own clock; by the round trip (`host`) where that is far longer than the tracker reports."""
 
     update: Quantiles
     predict: Quantiles
@@ -56,6 +60,8 @@ class Deadline(ResultModel):
     """An update and the forecast after it."""
     highest_rate_hz: float = Field(gt=0.0)
     """The rate at which 99 of 100 frames are processed before the next one arrives."""
+    clock: Clock = "tracker"
+    """As of the latency."""
     forecast_steps: int
     """How many steps ahead the forecasts reach, for delays to be covered."""
     rates: tuple[AtRate, ...] = Field(min_length=1, max_length=MOST_CONDITIONS)

@@ -37,9 +37,9 @@ class Times(ResultModel):
     start_s: float = 0.0
     """Until the tracker is ready."""
     update_s: float = 0.0
-    """By the tracker's own clock."""
+    """By the tracker's own clock, or the round trip: see `clock` of the latency."""
     predict_s: float = 0.0
-    """By the tracker's own clock."""
+    """By the tracker's own clock, or the round trip: see `clock` of the latency."""
     wall_s: float = 0.0
     """From the first frame delivered to the last, the tracker's own time included."""
     frames: int = 0

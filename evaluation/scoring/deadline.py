@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridtrack.common.grid import GridFrame
+from gridtrack.evaluation.processes.clock import Clock
 from gridtrack.evaluation.scoring.referee import Schedule, TrackerLike
 from gridtrack.trackers.contract import Forecast
 
@@ -24,10 +25,11 @@ RATES = (0.5, 1.0, 2.0, 4.0)
 
 @dataclass(frozen=True, slots=True)
 class Costs:
-    """Measured durations, ms: `update_ms` and `predict_ms` of the same frames, in their order."""
+    """Measured durations, ms: `update_ms` and `predict_ms` of the same frames, in their order, by this `clock`."""
 
     update_ms: Sequence[float]
     predict_ms: Sequence[float]
+    clock: Clock = "tracker"
 
     @property
     def busy_ms(self) -> NDArray[np.float64]:

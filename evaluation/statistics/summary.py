@@ -128,6 +128,12 @@ def _notices(
         for trial in trials
         if trial.record.recoveries
     ]
+    found += [
+        f"{trial.record.label} on {trial.record.recording} reports far shorter times than the round trips of its calls:"
+        " the round trips count"
+        for trial in trials
+        if "host" in {measured.clock for measured in (trial.record.latency_ms, trial.record.deadline) if measured}
+    ]
     return found
 
 

@@ -125,6 +125,21 @@ class NotAnArray(Good):
         return [[0.0]]
 
 
+class StopsTheClock(Good):
+    """Takes 15 ms for each call, and none by the clock of its process."""
+
+    def __init__(self, stream: StreamSpec, options: Any) -> None:
+        super().__init__(stream, options)
+        time.perf_counter_ns = lambda: 0
+
+    def update(self, frame: GridFrame) -> None:
+        time.sleep(0.015)
+
+    def predict(self, steps: int) -> Forecast:
+        time.sleep(0.015)
+        return super().predict(steps)
+
+
 class HasValue(Good):
     """Puts `value` into one cell."""
 

@@ -83,6 +83,20 @@ def test_durations_are_measured_by_the_trackers_own_clock(compare):
     assert all(at.missed <= at.frames for at in deadline.rates)
 
 
+@pytest.mark.usefixtures("bad_trackers")
+def test_the_round_trip_counts_where_the_trackers_clock_is_not_plausible(compare):
+    summary = compare("stops-the-clock", "staged:sleep_s=0.015", latency=True, deadline=True)
+    liar, honest = (trial_of(summary, label) for label in ("stops-the-clock", "staged"))
+    assert (liar.latency_ms.clock, liar.deadline.clock) == ("host", "host")
+    assert min(liar.latency_ms.update.p50, liar.latency_ms.predict.p50, liar.deadline.update_ms.p50) >= 15.0
+    assert liar.deadline.highest_rate_hz < 1000 / 30
+    assert liar.times.update_s >= 110 * 0.015
+    assert (honest.latency_ms.clock, honest.deadline.clock) == ("tracker", "tracker")
+    assert [notice for notice in summary.notices if "the round trips count" in notice] == [
+        "stops-the-clock on room reports far shorter times than the round trips of its calls: the round trips count"
+    ]
+
+
 def test_a_resumed_run_adds_the_deadline_scores(compare, tmp_path):
     assert trial_of(compare("blank"), "blank").deadline is None
     assert trial_of(compare("blank", deadline=True, resume=True), "blank").deadline is not None
