@@ -8,6 +8,7 @@ import math
 from collections.abc import Callable, Iterable, Iterator
 
 from gridtrack.common.errors import RecordingError
+from gridtrack.common.names import LABEL_RULE, is_label
 from gridtrack.common.scan import MAX_ANGLE_RAD, MAX_BEAMS, MAX_POSITION_M, MAX_RANGE_M, Scan
 from gridtrack.recordings.stamp_filter import StampFilter
 
@@ -49,6 +50,8 @@ class StampOrder:
         if scan.sensor not in self._filters:
             if len(self._filters) == MAX_SENSORS:
                 raise RecordingError(f"more than {MAX_SENSORS} sensors; read one of them with a topic")
+            if scan.sensor and not is_label(scan.sensor):
+                raise RecordingError(f"sensor {scan.sensor[:40]!r}: {LABEL_RULE}")
             self._filters[scan.sensor] = StampFilter(self._fault)
         self._add(self._filters[scan.sensor].push(scan))
         due_ns = self._newest_ns - MAX_DELAY_NS

@@ -14,6 +14,7 @@ from gridtrack.common.config import Settings
 from gridtrack.common.errors import RecordingError, did_you_mean
 from gridtrack.common.files import sha256_of
 from gridtrack.common.grid import GridSpec
+from gridtrack.common.names import LABEL_RULE, NAME_RULE, is_label, is_name, name_from
 from gridtrack.common.scan import MAX_RATE_HZ, MIN_RATE_HZ, Scan
 from gridtrack.recordings.order import StampOrder
 from gridtrack.recordings.read_options import ReadOptions
@@ -38,7 +39,7 @@ class RecordingInfo(Settings):
     the period `cycle_s` of events that repeat at the site, such as a cycle of traffic lights, and its origin.
     """
 
-    site: str = Field(min_length=1)
+    site: str
     classes: tuple[str, ...] = Field(default=(), max_length=255)
     grid: str | None = None
     rate_hz: float | None = Field(default=None, ge=MIN_RATE_HZ, le=MAX_RATE_HZ)
@@ -55,10 +56,27 @@ class RecordingInfo(Settings):
     def _check_grid(cls, grid: str | None) -> str | None:
         return None if grid is None else str(GridSpec.parse(grid))
 
+    @field_validator("site")
+    @classmethod
+    def _check_site(cls, site: str) -> str:
+        if not is_name(site):
+            raise ValueError(NAME_RULE)
+        return site
+
+    @field_validator("classes")
+    @classmethod
+    def _check_classes(cls, classes: tuple[str, ...]) -> tuple[str, ...]:
+        for name in classes:
+            if not is_label(name):
+                raise ValueError(f"class {name[:40]!r}: {LABEL_RULE}")
+        return classes
+
     @field_validator("stretches")
     @classmethod
     def _check_stretches(cls, stretches: dict[str, Stretch]) -> dict[str, Stretch]:
         for name, (start_s, end_s) in stretches.items():
+            if not is_name(name):
+                raise ValueError(f"stretch {name[:40]!r}: {NAME_RULE}")
             if start_s < 0.0 or (end_s is not None and end_s <= start_s):
                 raise ValueError(
                     f"stretch '{name}' is from {start_s} s to {end_s} s: expected 0 or more, and an end after the start"
@@ -110,7 +128,7 @@ class Recording(ABC):
     @cached_property
     def info(self) -> RecordingInfo:
         """The metadata of the recording; for a format without any, its file name as `site`."""
-        return RecordingInfo(site=self.name.partition(".")[0] or self.name)
+        return RecordingInfo(site=name_from(self.name))
 
     @abstractmethod
     def read(self, topics: Topics) -> Iterator[Scan]:

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from gridtrack.common.errors import RecordingError, did_you_mean
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec, LabelledFrame, Points
+from gridtrack.common.names import NAME_RULE, is_name
 from gridtrack.common.raycast import cast_scan
 from gridtrack.common.scan import MAX_RATE_HZ, MIN_RATE_HZ, Scan
 from gridtrack.common.scene import Scene
@@ -41,6 +42,8 @@ def parse_stretch(text: str) -> tuple[Path, Stretch | str | None]:
         return Path(text), None
     if not path or not stretch:
         raise RecordingError(f"'{text}': expected RECORDING, RECORDING@30s-90s or RECORDING@NAME")
+    if not is_name(stretch):
+        raise RecordingError(f"'{text}': no such recording, and '{stretch}' is not the name of a stretch: {NAME_RULE}")
     return Path(path), _seconds(stretch, text) or stretch
 
 
@@ -50,6 +53,8 @@ def parse_named_stretch(text: str) -> tuple[str, Stretch]:
     seconds = _seconds(stretch, text)
     if not name or seconds is None:
         raise RecordingError(f"'{text}': expected NAME=30s-90s, or NAME=90s- to the end")
+    if not is_name(name):
+        raise RecordingError(f"'{text}': '{name}' cannot be the name of a stretch: {NAME_RULE}")
     return name, seconds
 
 

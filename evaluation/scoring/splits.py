@@ -10,6 +10,7 @@ from typing import Any
 from gridtrack.common.errors import ConfigurationError, RecordingError
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridSpec, Points
+from gridtrack.common.names import NAME_RULE, is_name
 from gridtrack.evaluation.results.recording import RecordingDescription, RecordingIdentity
 from gridtrack.evaluation.results.summary import ORACLE
 from gridtrack.evaluation.scoring.referee import WARM_UP, Schedule
@@ -151,6 +152,8 @@ def plan_split(
     path, stretch = parse_stretch(text)
     recording = open_recording(path)
     name = path.stem if stretch is None else f"{path.stem}@{text.rpartition('@')[2]}"
+    if not is_name(name):
+        raise ConfigurationError(f"{path}: '{name}' cannot be the name of a folder of results: {NAME_RULE}; rename it")
     if stretch is None and TEST in recording.info.stretches:
         stretch = TEST
     test = GridStream(recording, stretch, grid=sampling.grid, rate_hz=sampling.rate_hz)
