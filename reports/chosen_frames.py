@@ -86,7 +86,7 @@ def frame_scores(path: Path, step: int) -> dict[int, FrameScore]:
     """The scores of moving cells at `step` by stamp, from the scores.parquet of a trial. Raises ReportError."""
     try:
         rows = (
-            pl.scan_parquet(path)
+            pl.scan_parquet(path, glob=False)
             .filter((pl.col("step") == step) & (pl.col("stratum") == "moving"))
             .select("stamp_ns", "tp", "fp", "fn")
             .collect()

@@ -171,7 +171,7 @@ def _read(output: Path, span_s: tuple[float, float]) -> Movements:
         "vehicle_type": pl.String,
     }
     table = (
-        pl.scan_csv(output, separator=";", schema_overrides=columns)
+        pl.scan_csv(output, separator=";", schema_overrides=columns, glob=False)
         .select(list(columns))
         .drop_nulls("vehicle_id")
         .sort("vehicle_id", "timestep_time")

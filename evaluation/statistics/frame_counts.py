@@ -38,7 +38,8 @@ def read_frame_counts(folder: Path, steps: int, strata: tuple[str, ...]) -> Fram
     """
     path = folder / SCORES_TABLE.file
     try:
-        rows = pl.read_parquet(path, columns=["stamp_ns", "delivered", "step", "stratum", *COUNTS])
+        columns = ["stamp_ns", "delivered", "step", "stratum", *COUNTS]
+        rows = pl.read_parquet(path, columns=columns, glob=False)
         cells = (steps + 1) * len(strata)
         frames = len(rows) // cells
         _refuse_another_order(path, rows, frames, steps, strata)

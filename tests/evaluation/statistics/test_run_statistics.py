@@ -7,12 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from gridtrack.evaluation.results.columns import SCORES_TABLE
 from gridtrack.evaluation.scoring.score_store import ScoresError
 from gridtrack.evaluation.scoring.strata import STRATA
 from gridtrack.evaluation.statistics.frame_counts import FrameCounts, common_frames, read_frame_counts
 from gridtrack.evaluation.statistics.jackknife import COUNTS, interval
 from gridtrack.evaluation.statistics.summary import summarise
 from gridtrack.evaluation.statistics.units import autocorrelation_time, sum_by_unit, units_of
+from gridtrack.reports.chosen_frames import frame_scores
 
 from scenes import synthetic_run as synthetic
 
@@ -179,6 +181,19 @@ def test_a_row_of_raw_returns_is_not_compared_with_one_of_cells_centres_and_says
     told = difference(summary_of([reference, replace(raw, points="raw")], ["a"]), "kalman")
     assert (told.frames, told.headline) == (0, ())
     assert told.interval.startswith("not compared: a row of raw returns and one of the centres of cells")
+
+
+@pytest.mark.parametrize(("folder", "neighbour"), [("exp[1]", "exp1"), ("a*", "ab"), ("a?", "ac"), ("two words", "b")])
+def test_scores_are_read_from_the_folder_that_is_named_and_not_from_one_that_matches_it(tmp_path, folder, neighbour):
+    frames = {neighbour: 9, folder: 4}
+    trials = {
+        name: synthetic.write_trial(tmp_path / name, "persistence", "a", 0.6, seed=0, frames=count)
+        for name, count in frames.items()
+    }
+    for name, count in frames.items():
+        trial = trials[name]
+        assert len(read_frame_counts(trial.folder, trial.record.steps, trial.strata).stamps_ns) == count
+        assert len(frame_scores(trial.folder / SCORES_TABLE.file, 0)) == count
 
 
 def test_scores_of_other_steps_are_refused(tmp_path):
