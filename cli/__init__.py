@@ -10,7 +10,8 @@ import typer
 
 from gridtrack.cli import recordings, regress, runs, simulate, trackers
 from gridtrack.cli.options import DEBUG_OPTION, with_defaults
-from gridtrack.common.errors import GridtrackError, printable
+from gridtrack.common.errors import ConfigurationError, GridtrackError, printable
+from gridtrack.common.names import check_utf8
 
 
 def _print_version(requested: bool) -> None:
@@ -51,6 +52,8 @@ def common_options(debug: DebugOption = False, version: VersionOption = False) -
 def main() -> None:
     """Run the command line. An error of the user is one line and exit code 2; `--debug` also shows its traceback."""
     try:
+        for argument in sys.argv[1:]:
+            check_utf8(argument, ConfigurationError)
         app([argument for argument in sys.argv[1:] if argument != DEBUG_OPTION])
     except GridtrackError as error:
         _fail(error, str(error))

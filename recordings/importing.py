@@ -10,6 +10,7 @@ from typing import Any
 from gridtrack.common.config import validated
 from gridtrack.common.errors import RecordingError
 from gridtrack.common.files import atomic_write
+from gridtrack.common.names import check_utf8
 from gridtrack.common.scan import Scan
 from gridtrack.recordings.formats.native import write_native
 from gridtrack.recordings.labels import classes_in, with_labels
@@ -41,6 +42,7 @@ def import_recording(
     or to its file name. Raises RecordingError and ConfigurationError; `out` is then not changed.
     """
     out = Path(out)
+    check_utf8(out, RecordingError)
     recording = open_recording(source, topic=topic, strict=strict, cloud_slice=cloud_slice, pose_topic=pose_topic)
     if out.suffix != ".mcap":
         raise RecordingError(f"{out}: a recording is written as .mcap")

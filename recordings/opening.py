@@ -6,6 +6,7 @@ from importlib.resources import files
 from pathlib import Path
 
 from gridtrack.common.errors import GridtrackError, RecordingError, did_you_mean
+from gridtrack.common.names import check_utf8
 from gridtrack.recordings.format import HEAD_BYTES, RecordingFormat
 from gridtrack.recordings.read_options import CloudSlice, ReadOptions
 from gridtrack.recordings.recording import Recording
@@ -33,6 +34,7 @@ def open_recording(
     Raises RecordingError.
     """
     path = Path(path)
+    check_utf8(path, RecordingError)
     options = ReadOptions(topic=topic, strict=strict, cloud_slice=cloud_slice, pose_topic=pose_topic)
     registry = FormatRegistry()
     recording_format = registry.recognising(path, _head(path, registry))

@@ -11,6 +11,7 @@ from pathlib import Path
 from gridtrack.common.entry_points import VALID_NAME
 from gridtrack.common.errors import ConfigurationError, PluginError, did_you_mean
 from gridtrack.common.grid import GridSpec
+from gridtrack.common.names import check_utf8
 from gridtrack.evaluation.comparison.learned import LearnedWeights, copy_weights, find_weights, weights_in
 from gridtrack.evaluation.comparison.settings import CompareSettings
 from gridtrack.evaluation.processes.limits import Limits
@@ -128,6 +129,7 @@ def resolve(settings: CompareSettings) -> ComparisonPlan:
 
     Raises a GridtrackError for a recording, stretch, tracker, option or weights file that cannot be used.
     """
+    check_utf8(settings.out, ConfigurationError)
     external = read_trackers_toml(settings.trackers_toml) if settings.trackers_toml else {}
     selections = parse_selections(settings.trackers or _every_tracker(external))
     _refuse_oracle_label(selections)

@@ -13,7 +13,8 @@ import pytest
 
 from gridtrack.common.errors import RecordingError
 from gridtrack.common.scan import Scan
-from gridtrack.recordings import CloudSlice, open_recording
+from gridtrack.recordings import CloudSlice, import_recording, open_recording
+from gridtrack.recordings.stream import open_stream
 
 Install = Callable[..., Path]
 
@@ -147,3 +148,26 @@ def test_a_format_loads_its_libraries_only_when_a_file_of_it_is_opened(
     opening = "from gridtrack.recordings import open_recording as o\n"
     assert loaded("") == []
     assert loaded(f"{opening}o({str(write([scan(0)]))!r}); o({str(log)!r})") == []
+
+
+@pytest.mark.parametrize("folder", ["exp[1]", "a*b", "who?", "two words", "café"])
+def test_a_path_is_never_read_as_a_pattern(
+    folder: str, tmp_path: Path, write: Callable[..., Path], scan: Callable[..., Scan]
+) -> None:
+    for place, scans in (("exp1", 9), ("aXb", 9), ("whom", 9), ("twowords", 9), (folder, 3)):
+        (tmp_path / place).mkdir(exist_ok=True)
+        write((scan(k) for k in range(scans)), f"{place}/rec [1]*?.mcap")
+    path = tmp_path / folder / "rec [1]*?.mcap"
+    assert len(list(open_recording(path).scans())) == 3
+    imported = import_recording(path, tmp_path / folder / "out [2].mcap")
+    assert len(list(imported.scans())) == 3
+    assert len(open_stream(f"{path}@0s-0.15s")) == 2
+
+
+def test_a_path_that_is_not_utf_8_is_one_error_line(write, scan, tmp_path: Path) -> None:
+    path = write([scan(0)], "caf\udce9.mcap")
+    with pytest.raises(RecordingError, match=r"caf\\xe9\.mcap: this path is not UTF-8, .* rename it") as error:
+        open_recording(path)
+    assert str(error.value).isprintable()
+    with pytest.raises(RecordingError, match="this path is not UTF-8"):
+        import_recording(write([scan(0)]), tmp_path / "\udce9.mcap")
