@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -14,6 +14,11 @@ PoseTopic = Annotated[
     str | None, typer.Option(help="Of a ROS recording: nav_msgs/Odometry or PoseStamped of the sensor")
 ]
 
+ZeroRange = Annotated[
+    Literal["free", "unknown"] | None,
+    typer.Option(help="The meaning of a range of exactly 0.0: free up to the maximum range (no return), or unknown"),
+]
+
 app = typer.Typer(no_args_is_help=True, help="Recordings: info, import.")
 
 
@@ -22,13 +27,15 @@ def recording_info(
     recording: Path,
     topic: str | None = None,
     pose_topic: PoseTopic = None,
+    zero_range: ZeroRange = None,
     strict: bool = False,
     as_json: JsonOption = False,
 ) -> None:
     """The content of a recording: topics, sensors, rate, gaps, range limits, and warnings."""
     from gridtrack.recordings import open_recording
 
-    overview = open_recording(recording, topic=topic, pose_topic=pose_topic, strict=strict).overview()
+    opened = open_recording(recording, topic=topic, pose_topic=pose_topic, zero_range=zero_range, strict=strict)
+    overview = opened.overview()
     typer.echo(overview.model_dump_json(indent=1) if as_json else "\n".join(map(printable, str(overview).split("\n"))))
 
 
@@ -53,6 +60,7 @@ def recording_import(
         ),
     ] = None,
     pose_topic: PoseTopic = None,
+    zero_range: ZeroRange = None,
     strict: bool = False,
 ) -> None:
     """Write a recording of any format (ROS 1 or 2 bag, ROS MCAP, CARMEN log, ...) as a native one."""
@@ -74,6 +82,7 @@ def recording_import(
         labels=labels,
         cloud_slice=validated(CloudSlice, parse_pairs(cloud_slice, where), where) if cloud_slice else None,
         pose_topic=pose_topic,
+        zero_range=zero_range,
         strict=strict,
     )
     typer.echo(str(recording.overview()))

@@ -45,3 +45,9 @@ class SE2:
 def wrap_angle(theta: Angle) -> Angle:
     """The same angle in [-pi, pi)."""
     return (theta + math.pi) % (2.0 * math.pi) - math.pi
+
+
+def same_pose(one: SE2, other: SE2) -> bool:
+    """Whether two poses agree to a millimetre and a milliradian: a grid cell is then the same place in both."""
+    turned = abs(wrap_angle(one.theta - other.theta))
+    return max(abs(one.x - other.x), abs(one.y - other.y), turned) < 1e-3

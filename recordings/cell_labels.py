@@ -38,10 +38,10 @@ def labelled_returns(
     return cells[winners], labels[winners].astype(np.uint8)
 
 
-def check_labels(labels: NDArray[np.uint8], classes: Sequence[str], stamp_ns: int) -> None:
-    """Raise RecordingError for a label that is not an index into `classes`."""
+def check_labels(labels: NDArray[np.uint8], classes: Sequence[str], time_s: float) -> None:
+    """Raise RecordingError for a label, `time_s` after the first scan, that is not an index into `classes`."""
     if labels.size and labels.max() >= len(classes):
         raise RecordingError(
-            f"a label names class {labels.max()} at {stamp_ns / 1e9:.3f} s, and the recording has"
+            f"a label names class {labels.max()} at {time_s:.3f} s, and the recording has"
             f" {len(classes)} classes: it is damaged"
         )

@@ -28,7 +28,7 @@ class RecordingFormat:
     open: Callable[[Path, ReadOptions], Recording]
     """The recording at a path of this format, nothing of its scans read yet. Raises RecordingError."""
     options: tuple[str, ...] = ("topic",)
-    """The fields of ReadOptions that the format can use; `strict` holds for every format."""
+    """The fields of ReadOptions that the format can use; `strict` and `zero_range` hold for every format."""
 
 
 HEAD_BYTES = 16

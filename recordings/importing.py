@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -33,17 +33,21 @@ def import_recording(
     labels: Path | str | None = None,
     cloud_slice: CloudSlice | None = None,
     pose_topic: str | None = None,
+    zero_range: str | None = None,
     strict: bool = False,
 ) -> Recording:
     """Write the recording at `source`, in any format, as a native one at `out`, and open it.
 
-    Ranges are copied exactly, NaN and infinities included; the same source and options give the same bytes. The
-    warnings of the source become the first warnings of the result. `site` defaults to the site that the source names,
-    or to its file name. Raises RecordingError and ConfigurationError; `out` is then not changed.
+    Ranges are copied exactly, NaN and infinities included, but for those of 0.0 with `zero_range`; the same source and
+    options give the same bytes. The warnings of the source are written too: reading the result gives them again. `site`
+    defaults to the site that the source names, or to its file name. Raises RecordingError and ConfigurationError; `out`
+    is then not changed.
     """
     out = Path(out)
     check_utf8(out, RecordingError)
-    recording = open_recording(source, topic=topic, strict=strict, cloud_slice=cloud_slice, pose_topic=pose_topic)
+    recording = open_recording(
+        source, topic=topic, strict=strict, cloud_slice=cloud_slice, pose_topic=pose_topic, zero_range=zero_range
+    )
     if out.suffix != ".mcap":
         raise RecordingError(f"{out}: a recording is written as .mcap")
     if out.exists() and out.samefile(recording.path):
@@ -57,14 +61,27 @@ def import_recording(
         "stretches": dict(stretches or {}),
     }
     info = _info(recording, given, labels)
-    command = _command(recording, out, {**given, "cloud_slice": cloud_slice, "pose-topic": pose_topic}, labels)
-    scans: Iterable[Scan] = recording.scans()
+    command = _command(
+        recording,
+        out,
+        {**given, "cloud_slice": cloud_slice, "pose-topic": pose_topic, "zero-range": zero_range},
+        labels,
+    )
+    scans: Iterable[Scan] = _mounted(recording)
     if labels is not None:
         scans = with_labels(scans, Path(labels), info.classes)
-    _write(out, info.model_copy(update={"command": command}), scans)
-    imported = open_recording(out, strict=strict)
-    imported.warnings.extend(recording.warnings)
-    return imported
+    _write(out, info.model_copy(update={"command": command}), scans, recording.warning_texts)
+    return open_recording(out, strict=strict)
+
+
+def _mounted(recording: Recording) -> Iterator[Scan]:
+    """The scans. Raises RecordingError for several sensors where the format does not know how they are mounted."""
+    sensors: dict[str, None] = {}
+    for scan in recording.scans():
+        sensors[scan.sensor] = None
+        if len(sensors) > 1 and not recording.knows_mounting:
+            raise RecordingError(f"{recording.path}: {recording.unknown_mounting(sensors)}")
+        yield scan
 
 
 def _info(recording: Recording, given: Mapping[str, Any], labels: Path | str | None) -> RecordingInfo:
@@ -104,10 +121,10 @@ def _pairs(settings: CloudSlice) -> str:
     return ",".join(f"{key}={value if isinstance(value, str) else f'{value:g}'}" for key, value in given.items())
 
 
-def _write(out: Path, info: RecordingInfo, scans: Iterable[Scan]) -> None:
+def _write(out: Path, info: RecordingInfo, scans: Iterable[Scan], warnings: Callable[[], Sequence[str]]) -> None:
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
         with atomic_write(out) as file:
-            write_native(file, info, scans)
+            write_native(file, info, scans, warnings)
     except OSError as error:
         raise RecordingError(f"{out}: cannot be written ({error.strerror})") from None

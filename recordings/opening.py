@@ -5,6 +5,7 @@ from __future__ import annotations
 from importlib.resources import files
 from pathlib import Path
 
+from gridtrack.common.config import validated
 from gridtrack.common.errors import GridtrackError, RecordingError, did_you_mean
 from gridtrack.common.names import check_utf8
 from gridtrack.recordings.format import HEAD_BYTES, RecordingFormat
@@ -26,16 +27,24 @@ def open_recording(
     strict: bool = False,
     cloud_slice: CloudSlice | None = None,
     pose_topic: str | None = None,
+    zero_range: str | None = None,
 ) -> Recording:
     """The recording at `path`, in any format; nothing but the beginning of the file is read yet.
 
     `topic` keeps one sensor of several; of ROS recordings `cloud_slice` says how a PointCloud2 topic becomes a scan,
-    and `pose_topic` where the sensor's poses are; `strict` turns what would be a warning into an error.
-    Raises RecordingError.
+    and `pose_topic` where the sensor's poses are; `zero_range` is the meaning of a range of 0.0, "free" or "unknown";
+    `strict` turns what would be a warning into an error. Raises RecordingError and ConfigurationError.
     """
     path = Path(path)
     check_utf8(path, RecordingError)
-    options = ReadOptions(topic=topic, strict=strict, cloud_slice=cloud_slice, pose_topic=pose_topic)
+    given = {
+        "topic": topic,
+        "strict": strict,
+        "cloud_slice": cloud_slice,
+        "pose_topic": pose_topic,
+        "zero_range": zero_range,
+    }
+    options = validated(ReadOptions, given, str(path))
     registry = FormatRegistry()
     recording_format = registry.recognising(path, _head(path, registry))
     if recording_format is None:

@@ -44,3 +44,6 @@ class ReadOptions(Settings):
     """How a point cloud becomes a scan."""
     pose_topic: str | None = None
     """The topic with the poses of the sensor."""
+    zero_range: Literal["free", "unknown"] | None = None
+    """The meaning of a range of exactly 0.0, in every format: no return ("free" up to the maximum range) or invalid
+    ("unknown"). Without it such a range is as any other: invalid below the minimum range."""

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 
+import numpy as np
 from pydantic import Field, field_validator
 
 from gridtrack.common.config import Settings
@@ -109,6 +110,9 @@ class Recording(ABC):
     fault raises RecordingError instead.
     """
 
+    knows_mounting = True
+    """Whether the format has a pose for each of several sensors."""
+
     def __init__(self, path: Path, options: ReadOptions) -> None:
         self.path = path
         self.options = options
@@ -129,6 +133,18 @@ class Recording(ABC):
     def info(self) -> RecordingInfo:
         """The metadata of the recording; for a format without any, its file name as `site`."""
         return RecordingInfo(site=name_from(self.name))
+
+    def topic_of(self, sensor: str) -> str:
+        """The topic with the scans of `sensor`, as the option `topic` names it."""
+        return sensor
+
+    def unknown_mounting(self, sensors: Iterable[str]) -> str:
+        """The error text for several sensors whose poses relative to each other are not known."""
+        topics = " or ".join(f"--topic {self.topic_of(sensor)}" for sensor in sensors)
+        return (
+            f"several sensors ({', '.join(sensors)}), and how they are mounted is not known, so that their scans cannot"
+            f" share a grid: import one of them, `gridtrack recording import {self.name} --out FILE.mcap` with {topics}"
+        )
 
     @abstractmethod
     def read(self, topics: Topics) -> Iterator[Scan]:
@@ -154,8 +170,20 @@ class Recording(ABC):
         topics, survey = Topics(), Survey()
         for scan in self._in_order(topics):
             survey.add(scan)
+        for text in survey.warnings():
+            self.notify(text)
+        if len(survey.sensors) > 1 and not self._has_mounting(survey):
+            self.notify(self.unknown_mounting(survey.sensors))
         survey.topics = {topic: (kind, topics.counts[topic]) for topic, kind in topics.types.items()}
         return survey
+
+    def check_mounting(self) -> None:
+        """Raise RecordingError for several sensors whose poses relative to each other are not known."""
+        if len(self.survey.sensors) > 1 and not self._has_mounting(self.survey):
+            raise RecordingError(f"{self.path}: {self.unknown_mounting(self.survey.sensors)}")
+
+    def _has_mounting(self, survey: Survey) -> bool:
+        return self.knows_mounting and len(set(survey.poses.values())) > 1
 
     def overview(self) -> RecordingOverview:
         """The content of the recording, as `gridtrack recording info` prints it."""
@@ -169,6 +197,10 @@ class Recording(ABC):
             sensors=survey.sensor_overviews(),
             warnings=tuple(self.warnings),
         )
+
+    def warning_texts(self) -> list[str]:
+        """The warnings without the path of the recording."""
+        return [line.removeprefix(f"{self.path}: ") for line in self.warnings]
 
     def warn(self, text: str) -> None:
         """Add a warning about an error in the file, once. Raises RecordingError instead if options are strict."""
@@ -186,13 +218,20 @@ class Recording(ABC):
         order = StampOrder(self.warn)
         try:
             for scan in self._before_damage(topics):
-                yield from order.push(scan)
+                yield from order.push(self._with_zero_range(scan))
             yield from order.flush()
             self._require_scans(order, topics)
         except RecordingError as error:
             raise RecordingError(f"{self.path}: {str(error).removeprefix(f'{self.path}: ')}") from None
         except OSError as error:
             raise RecordingError(f"{self.path}: cannot be read ({error.strerror})") from None
+
+    def _with_zero_range(self, scan: Scan) -> Scan:
+        """The scan with ranges of 0.0 replaced as the options say."""
+        if self.options.zero_range is None:
+            return scan
+        meaning = np.float32(np.inf if self.options.zero_range == "free" else np.nan)
+        return replace(scan, ranges=np.where(scan.ranges == 0.0, meaning, scan.ranges))
 
     def _before_damage(self, topics: Topics) -> Iterator[Scan]:
         try:

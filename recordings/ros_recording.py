@@ -32,6 +32,8 @@ class RosRecording(Recording):
     mounted is not known.
     """
 
+    knows_mounting = False
+
     def __init__(self, path: Path, options: ReadOptions) -> None:
         """Raises RecordingError where rosbags is not installed."""
         from gridtrack.recordings.ros_decoding import RosDecoder
@@ -42,6 +44,10 @@ class RosRecording(Recording):
     @abstractmethod
     def messages(self) -> Iterator[RosMessage]:
         """All messages in the order of the file. Raises DamageError where it is cut off or corrupt."""
+
+    def topic_of(self, sensor: str) -> str:
+        """The topic with the scans of `sensor`."""
+        return f"/{sensor}"
 
     def read(self, topics: Topics) -> Iterator[Scan]:
         """The scans in the order of the file; counts the messages in `topics`. DamageError where it is damaged."""

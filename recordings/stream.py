@@ -91,12 +91,14 @@ def open_stream(
 class Observation:
     """A frame and the `scans` it was made of, with labels and truth, for the referee only.
 
-    `grid_T_sensor` are the poses of the scans' sensors in the frame's grid, in the same order.
+    `grid_T_sensor` are the poses of the scans' sensors in the frame's grid, in the same order; `time_s` is the time
+    since the first scan of the recording.
     """
 
     frame: GridFrame
     scans: tuple[Scan, ...] = ()
     grid_T_sensor: tuple[SE2, ...] = ()
+    time_s: float = 0.0
 
     @property
     def scene(self) -> Scene | None:
@@ -135,8 +137,7 @@ class GridStream:
         self._ticks = _ticks(survey.last_ns - survey.first_ns, self.period_ns, self.stretch_s)
         if not self._ticks:
             raise RecordingError(f"{self.name}: no frame at {1 / self.period_s:g} Hz in this stretch")
-        if len(survey.poses) > 1 and len(set(survey.poses.values())) == 1:
-            recording.notify(f"{len(survey.poses)} sensors and no poses: all are taken to have the same pose")
+        recording.check_mounting()
         self._check_longest_gap()
         self.gaps = self._count_gaps()
         self._degrade: Callable[[Scan], Scan] | None = None
@@ -152,6 +153,11 @@ class GridStream:
 
     def __iter__(self) -> Iterator[GridFrame]:
         return (observation.frame for observation in self.observations())
+
+    @property
+    def start_s(self) -> float:
+        """The time of the first frame since the first scan of the recording, seconds."""
+        return self._ticks[0] * self.period_s
 
     @cached_property
     def has_truth(self) -> bool:
@@ -177,7 +183,8 @@ class GridStream:
             # The sensor that defines the grid frame is at its origin exactly, without rounding errors.
             grid_T_sensor = {s: SE2() if pose == world_T_grid else grid_T_world @ pose for s, pose in poses.items()}
             frame = self._frame(tick, grid_T_sensor, world_T_grid)
-            yield Observation(frame, tuple(tick.scans.values()), tuple(grid_T_sensor[s] for s in tick.scans))
+            time_s = (tick.stamp_ns - survey.first_ns) / 1e9
+            yield Observation(frame, tuple(tick.scans.values()), tuple(grid_T_sensor[s] for s in tick.scans), time_s)
 
     def labelled(self) -> Iterator[LabelledFrame]:
         """The frames with the classes of their occupied cells, for training. A tracker in a trial receives none.
@@ -186,7 +193,7 @@ class GridStream:
         """
         for observation in self.observations():
             cells, labels = labelled_returns(observation.scans, observation.grid_T_sensor, self.grid)
-            check_labels(labels, self.classes, observation.frame.stamp_ns)
+            check_labels(labels, self.classes, observation.time_s)
             yield LabelledFrame(observation.frame, cells, labels)
 
     def _frame(self, tick: Tick, grid_T_sensor: dict[str, SE2], world_T_grid: SE2) -> GridFrame:

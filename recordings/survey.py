@@ -10,8 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridtrack.common.config import Settings
-from gridtrack.common.geometry import SE2
+from gridtrack.common.geometry import SE2, same_pose
 from gridtrack.common.scan import Scan
+
+MANY_INVALID, MANY_ZEROS = 0.2, 0.05
+"""Share of a sensor's ranges above which there is a warning, and above which it names those that are 0.0."""
+
+MIN_REST_S = 10.0
+"""A shorter rest of a sensor is not worth to be suggested as a stretch."""
 
 
 @dataclass
@@ -22,20 +28,30 @@ class SensorSurvey:
     stamps: array[int] = field(default_factory=lambda: array("q"))
     beams: set[int] = field(default_factory=set)
     moved: bool = False
+    rest_pose: SE2 = field(default_factory=SE2)
+    rest_ns: tuple[int, int] = (0, 0)
+    """The rest that the newest scan belongs to: stamps of its first and last scan."""
+    longest_rest_ns: tuple[int, int] = (0, 0)
     no_return: int = 0
     invalid: int = 0
+    zeros: int = 0
     readings: int = 0
     labelled: int = 0
     with_truth: int = 0
 
     def add(self, scan: Scan) -> None:
         """Add the sensor's next scan."""
+        if not self.stamps or not same_pose(scan.world_T_sensor, self.rest_pose):
+            self.rest_pose, self.rest_ns = scan.world_T_sensor, (scan.stamp_ns, scan.stamp_ns)
+        self.rest_ns = (self.rest_ns[0], scan.stamp_ns)
+        self.longest_rest_ns = max(self.longest_rest_ns, self.rest_ns, key=lambda rest: rest[1] - rest[0])
         self.stamps.append(scan.stamp_ns)
         self.beams.add(scan.ranges.size)
         self.moved = self.moved or scan.world_T_sensor != self.first.world_T_sensor
         self.readings += scan.ranges.size
         self.no_return += int(np.count_nonzero(scan.ranges > np.float32(scan.range_max)))
         self.invalid += int(np.count_nonzero(~(scan.ranges >= np.float32(scan.range_min))))
+        self.zeros += int(np.count_nonzero(scan.ranges == 0.0))
         self.labelled += scan.labels is not None
         self.with_truth += scan.scene is not None
 
@@ -48,6 +64,19 @@ class SensorSurvey:
     def period_s(self) -> float | None:
         """Median time between scans; None for fewer than two."""
         return float(np.median(np.diff(self.stamps_ns))) / 1e9 if len(self.stamps) > 1 else None
+
+    def warning(self) -> str | None:
+        """The warning about many ranges that are invalid or exactly 0.0."""
+        invalid, zeros = self.invalid / max(self.readings, 1), self.zeros / max(self.readings, 1)
+        if max(invalid, zeros) <= MANY_INVALID:
+            return None
+        text = f"sensor '{self.first.sensor}': {invalid:.1%} of the ranges are invalid (NaN or below range_min)"
+        if zeros > MANY_ZEROS:
+            text += (
+                f" and {zeros:.1%} exactly 0.0: where the driver writes 0.0 for no return, import the recording with"
+                " --zero-range free, else with --zero-range unknown"
+            )
+        return text
 
     def gaps(self, period_ns: int) -> NDArray[np.int64]:
         """Gaps between scans longer than two periods: (n, 2) int64, start and end in ns."""
@@ -68,6 +97,10 @@ class Survey:
         if scan.sensor not in self.sensors:
             self.sensors[scan.sensor] = SensorSurvey(scan)
         self.sensors[scan.sensor].add(scan)
+
+    def warnings(self) -> list[str]:
+        """The warnings about the ranges of the sensors."""
+        return [text for sensor in self.sensors.values() if (text := sensor.warning()) is not None]
 
     @property
     def first_ns(self) -> int:
@@ -94,6 +127,16 @@ class Survey:
     def moves(self) -> bool:
         """Whether any sensor changes its pose."""
         return any(s.moved for s in self.sensors.values())
+
+    def longest_rest_s(self, margin_s: float) -> tuple[float, float] | None:
+        """The longest stretch in which the first sensor is at rest, less a margin at both ends, in tenths of seconds.
+
+        None where it is shorter than MIN_REST_S.
+        """
+        first_ns, sensor = self.first_ns, next(iter(self.sensors.values()))
+        start_s, end_s = ((stamp_ns - first_ns) / 1e9 for stamp_ns in sensor.longest_rest_ns)
+        start_s, end_s = math.ceil((start_s + margin_s) * 10) / 10, math.floor((end_s - margin_s) * 10) / 10
+        return (start_s, end_s) if end_s - start_s >= MIN_REST_S else None
 
     @property
     def poses(self) -> dict[str, SE2]:
@@ -129,6 +172,8 @@ class SensorOverview(Settings):
     range_max: float
     no_return_share: float
     invalid_share: float
+    zero_share: float = 0.0
+    """Share of ranges that are exactly 0.0."""
     labelled_scans: int
     scans_with_truth: int
     moves: bool
@@ -152,6 +197,7 @@ def _overview(sensor: SensorSurvey) -> SensorOverview:
         range_max=round(first.range_max, 4),
         no_return_share=round(sensor.no_return / max(sensor.readings, 1), 4),
         invalid_share=round(sensor.invalid / max(sensor.readings, 1), 4),
+        zero_share=round(sensor.zeros / max(sensor.readings, 1), 4),
         labelled_scans=sensor.labelled,
         scans_with_truth=sensor.with_truth,
         moves=sensor.moved,
@@ -195,6 +241,7 @@ def _sensor_lines(s: SensorOverview) -> list[str]:
         f"{s.scans} scans, {rate}, " + (f"gaps: {s.gaps}, the longest {s.longest_gap_s:g} s" if s.gaps else "no gaps"),
         f"{beams} beams over {s.field_of_view_deg:g} deg from {s.angle_min_deg:g} deg,"
         f" {s.range_min:g} to {s.range_max:g} m, {'moves' if s.moves else 'stands still'}",
-        f"{s.no_return_share:.1%} no return, {s.invalid_share:.1%} invalid, {s.labelled_scans} scans labelled"
+        f"{s.no_return_share:.1%} no return, {s.invalid_share:.1%} invalid, {s.zero_share:.1%} exactly 0.0,"
+        f" {s.labelled_scans} scans labelled"
         + (f", {s.scans_with_truth} scans with truth" if s.scans_with_truth else ""),
     ]

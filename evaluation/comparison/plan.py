@@ -156,7 +156,7 @@ def resolve(settings: CompareSettings) -> ComparisonPlan:
     )
     notices = [notice for split in splits for notice in split.notices]
     notices += [notice for trial in trials for notice in _training_overlaps(trial)]
-    return ComparisonPlan(settings, splits, trials, tuple(notices))
+    return ComparisonPlan(settings, splits, trials, tuple(dict.fromkeys(notices)))
 
 
 def _every_tracker(external: Mapping[str, Launch]) -> tuple[str, ...]:

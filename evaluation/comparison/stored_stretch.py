@@ -26,6 +26,7 @@ def store_stretch(stream: GridStream, path: Path) -> Path:
         "name": stream.name,
         "sha256": stream.sha256,
         "frames": len(stream),
+        "start_s": stream.start_s,
     }
     with gzip.open(path, "wb", compresslevel=1) as file:
         file.writelines(encode(Message("stretch", 0, header)))
@@ -51,6 +52,7 @@ class StoredStretch:
         self.site = stream.site
         self.classes = stream.classes
         self._frames = header.value("frames", int)
+        self._start_s = header.value("start_s", float)
         self._path = path
 
     def __len__(self) -> int:
@@ -61,10 +63,10 @@ class StoredStretch:
 
     def labelled(self) -> Iterator[LabelledFrame]:
         """The frames with the classes of their occupied cells. Raises RecordingError for a label without a class."""
-        for message in self._messages():
+        for number, message in enumerate(self._messages()):
             frame = messages.frame_from(message)
             cells, labels = message.array("cells", "int64", (None,)), message.array("labels", "uint8", (None,))
-            check_labels(labels, self.classes, frame.stamp_ns)
+            check_labels(labels, self.classes, self._start_s + number * self.period_s)
             yield LabelledFrame(frame, cells, labels)
 
     def _messages(self) -> Iterator[Message]:

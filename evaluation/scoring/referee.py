@@ -16,11 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridtrack.common.errors import RecordingError
-from gridtrack.common.geometry import SE2
+from gridtrack.common.geometry import SE2, same_pose
 from gridtrack.common.grid import GridFrame
-from gridtrack.evaluation.scoring.strata import LastSeen, same_pose
+from gridtrack.evaluation.scoring.strata import LastSeen
 from gridtrack.evaluation.scoring.target import Target, targets
-from gridtrack.recordings.stream import frame_digest
+from gridtrack.recordings.recording import stretch_text
+from gridtrack.recordings.stream import GridStream, frame_digest
+from gridtrack.recordings.survey import MIN_REST_S
 from gridtrack.trackers.contract import Forecast, FrameSource
 
 WARM_UP = 20
@@ -113,18 +115,31 @@ class Delivery:
         Raises RecordingError where the sensor moves: a cell is then not a fixed place in the world.
         """
         first_pose: SE2 | None = None
+        first_ns: int | None = None
         for target in targets(self._stream):
             frame = target.frame
             first_pose = first_pose or frame.world_T_grid
+            first_ns = frame.stamp_ns if first_ns is None else first_ns
             if not same_pose(frame.world_T_grid, first_pose):
-                raise RecordingError(
-                    f"{self._stream.name}: the sensor moves at {frame.stamp_ns / 1e9:.3f} s, and only a sensor at"
-                    " rest can be scored: name a stretch in which it is at rest, such as RECORDING@30s-90s"
-                )
+                raise RecordingError(self._why_moving((frame.stamp_ns - first_ns) / 1e9))
             self._on_frame()
             self._hash.update(frame_digest(frame))
             self.frames += 1
             yield target
+
+    def _why_moving(self, after_s: float) -> str:
+        """The error text for a sensor that moves `after_s` seconds after the first frame."""
+        stream = self._stream
+        at_s, remedy = after_s, ""
+        if isinstance(stream, GridStream):
+            at_s += stream.start_s
+            rest = stream.recording.survey.longest_rest_s(2.0 * stream.period_s)
+            remedy = (
+                f": name a stretch in which it is at rest, such as {stream.recording.name}@{stretch_text(rest)}"
+                if rest is not None
+                else f", and this one is at rest nowhere for {MIN_REST_S:g} s"
+            )
+        return f"{stream.name}: the sensor moves at {at_s:.3f} s, and only a sensor at rest can be scored{remedy}"
 
     @property
     def digest(self) -> str:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from gridtrack.common.errors import ConfigurationError, RecordingError
-from gridtrack.common.geometry import SE2
+from gridtrack.common.geometry import SE2, same_pose
 from gridtrack.common.grid import GridSpec, Points
 from gridtrack.common.names import NAME_RULE, is_name
 from gridtrack.evaluation.results.recording import RecordingDescription, RecordingIdentity
@@ -21,7 +21,6 @@ from gridtrack.evaluation.scoring.strata import (
     cell_kinds_around,
     cell_kinds_of,
     region_maps_of,
-    same_pose,
 )
 from gridtrack.recordings import Recording, Stretch, open_recording
 from gridtrack.recordings.stream import GridStream, parse_stretch
@@ -162,7 +161,8 @@ def plan_split(
     if not Schedule(len(test), steps, every).expected:
         raise ConfigurationError(f"{_too_short(test, steps)}: name a longer stretch, or a shorter --horizon")
     chosen_on, notices = _validation_stretch(test, validation, steps, opened)
-    return EvaluationSplit(name, path, test, chosen_on, steps, every, (*recording.warnings, *notices))
+    warnings = (*recording.warnings, *(chosen_on.recording.warnings if chosen_on else ()))
+    return EvaluationSplit(name, path, test, chosen_on, steps, every, tuple(dict.fromkeys((*warnings, *notices))))
 
 
 def _steps(stream: GridStream, horizon_s: float) -> int:

@@ -9,7 +9,7 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from gridtrack.common.geometry import SE2, wrap_angle
+from gridtrack.common.geometry import SE2, same_pose
 from gridtrack.common.grid import GridFrame, GridSpec, Mask, with_neighbours
 
 CELL_KINDS = ("ring", "static", "moving")
@@ -127,9 +127,3 @@ class LastSeen:
         for age_s in AGES_S:
             bands += now_ns - self._stamp_ns > round(age_s * 1e9)
         return bands
-
-
-def same_pose(one: SE2, other: SE2) -> bool:
-    """Whether two poses of a grid agree to a millimetre and a milliradian: a cell is then the same place in both."""
-    turned = abs(wrap_angle(one.theta - other.theta))
-    return max(abs(one.x - other.x), abs(one.y - other.y), turned) < 1e-3

@@ -60,7 +60,7 @@ def target_of(observation: Observation, grid: GridSpec, classes: Sequence[str]) 
     if truth is not None:
         hidden = np.flatnonzero(~frame.visible & (truth.labels != UNLABELLED))
         cells, labels = np.concatenate([cells, hidden]), np.concatenate([labels, truth.labels.ravel()[hidden]])
-    check_labels(labels, classes, frame.stamp_ns)
+    check_labels(labels, classes, observation.time_s)
     return Target(frame, target.state, cells, labels)
 
 

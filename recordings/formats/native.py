@@ -11,7 +11,7 @@ from __future__ import annotations
 import contextlib
 import json
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import cached_property
 from pathlib import Path
 from typing import BinaryIO, TypeVar
@@ -25,7 +25,7 @@ from mcap.writer import Writer
 from mcap_protobuf.schema import register_schema
 
 from gridtrack.common.config import validated
-from gridtrack.common.errors import RecordingError
+from gridtrack.common.errors import RecordingError, one_line
 from gridtrack.common.geometry import SE2
 from gridtrack.common.scan import Scan
 from gridtrack.common.scene import Scene
@@ -36,7 +36,9 @@ from gridtrack.recordings.recording import DamageError, Recording, RecordingInfo
 from gridtrack.recordings.scene_messages import OBJECTS, OUTLINES, WORLD, SceneReader, SceneWriter
 
 NATIVE_SCHEMA = "1"
-METADATA_NAME = "gridtrack"
+METADATA_NAME, WARNINGS_NAME = "gridtrack", "gridtrack.warnings"
+MAX_SOURCE_WARNINGS, MAX_WARNING_CHARS = 100, 1000
+OF_SOURCE = "the source had: "
 CHUNK_BYTES = 128 * 1024
 DEFAULT_SENSOR = "scan"
 MAX_CHANNELS = 1024
@@ -69,7 +71,8 @@ class NativeRecording(Recording):
         poses: dict[str, SE2] = {}
         labels: dict[str, LaserScan] = {}
         truth: SceneReader | None = None
-        for message in McapFile(self.path).messages():
+        file = McapFile(self.path)
+        for message in file.messages():
             topic = message.channel.topic
             is_scan = topic == "/scan" or topic.startswith("/scan/")
             topics.add(topic, message.schema.name, is_scan)
@@ -86,6 +89,17 @@ class NativeRecording(Recording):
                 scan = _decoded(LaserScan(), message)
                 scene = truth.scene_at(nanoseconds_of(scan.timestamp)) if truth is not None else None
                 yield _scan(scan, message, poses.get(scan.frame_id, SE2()), labels.pop(scan.frame_id, None), scene)
+        self._report_source(file.metadata.get(WARNINGS_NAME, {}))
+
+    def topic_of(self, sensor: str) -> str:
+        """The topic with the scans of `sensor`."""
+        return _topic("/scan", sensor)
+
+    def _report_source(self, warnings: dict[str, str]) -> None:
+        """Add the warnings that the import gave."""
+        for number in sorted(warnings, key=lambda text: (len(text), text))[:MAX_SOURCE_WARNINGS]:
+            text = one_line(warnings[number], MAX_WARNING_CHARS).removeprefix(OF_SOURCE)
+            self.notify(f"{OF_SOURCE}{text}")
 
 
 def is_native(path: Path, head: bytes) -> bool:
@@ -103,12 +117,14 @@ def is_native(path: Path, head: bytes) -> bool:
 NATIVE_FORMAT = RecordingFormat("native MCAP", (".mcap",), is_native, NativeRecording)
 
 
-def write_native(file: BinaryIO, info: RecordingInfo, scans: Iterable[Scan]) -> None:
-    """Write `scans` in the order given; same input, same bytes. Raises RecordingError."""
+def write_native(
+    file: BinaryIO, info: RecordingInfo, scans: Iterable[Scan], warnings: Callable[[], Sequence[str]] = tuple
+) -> None:
+    """Write `scans` in the order given, and then their `warnings`; same input, same bytes. Raises RecordingError."""
     writer = _NativeWriter(file, info)
     for scan in scans:
         writer.write(scan)
-    writer.finish()
+    writer.finish(warnings())
 
 
 class _NativeWriter:
@@ -146,8 +162,10 @@ class _NativeWriter:
             self._add(OUTLINES, outlines, stamp_ns)
         self._add(OBJECTS, self._truth.objects(scene, stamp_ns), stamp_ns)
 
-    def finish(self) -> None:
-        """Write the end of the file."""
+    def finish(self, warnings: Sequence[str]) -> None:
+        """Write the warnings and the end of the file."""
+        if warnings:
+            self._mcap.add_metadata(WARNINGS_NAME, {str(number): text for number, text in enumerate(warnings)})
         self._mcap.finish()  # type: ignore[no-untyped-call]
 
     def _add(

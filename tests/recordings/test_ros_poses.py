@@ -15,6 +15,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from gridtrack.common.errors import RecordingError
 from gridtrack.common.geometry import SE2
 from gridtrack.recordings import import_recording, open_recording
+from gridtrack.recordings.stream import GridStream, open_stream
 
 ROS1 = get_typestore(Stores.ROS1_NOETIC)
 LASER, ODOMETRY, POSE = "sensor_msgs/msg/LaserScan", "nav_msgs/msg/Odometry", "geometry_msgs/msg/PoseStamped"
@@ -158,3 +159,32 @@ def test_a_format_without_ros_topics_has_no_pose_topic(tmp_path: Path) -> None:
     (tmp_path / "a.clf").write_text("")
     with pytest.raises(RecordingError, match=r"--pose-topic is for ROS recordings"):
         open_recording(tmp_path / "a.clf", pose_topic="/odom")
+
+
+def test_warnings_of_the_source_are_warnings_of_the_imported_recording(bag, tmp_path: Path) -> None:
+    path = bag([scan(0), scan(100), scan(200), ("/tf", TF, START_NS, make(TF, transforms=[]))])
+    import_recording(path, tmp_path / "drive.mcap")
+    recording = open_recording(tmp_path / "drive.mcap")
+    (warning,) = recording.overview().warnings
+    assert "drive.mcap: the source had: transforms on /tf (tf2_msgs/msg/TFMessage) are not read" in warning
+    assert str(tmp_path) not in warning.partition("the source had")[2]
+    assert open_stream(tmp_path / "drive.mcap").recording.warnings == [warning]
+    assert open_stream(path).recording.warnings == [warning.replace("the source had: ", "").replace("mcap", "bag")]
+    again = import_recording(tmp_path / "drive.mcap", tmp_path / "again.mcap")
+    assert len(again.overview().warnings) == 1
+
+
+@pytest.mark.parametrize("pose_topic", [None, "/odom"])
+def test_several_lasers_of_a_bag_are_refused_with_their_topics(bag, tmp_path: Path, pose_topic) -> None:
+    rear = [("/rear", *scan(k * 100 + 5)[1:]) for k in range(30)]
+    poses = [odometry(k * 20, SE2(k * 0.1)) for k in range(160)]
+    path = bag([*(scan(k * 100) for k in range(30)), *rear, *poses])
+    refused = r"several sensors \(scan, rear\), and how they are mounted is not known.*--topic /scan or --topic /rear"
+    with pytest.raises(RecordingError, match=refused):
+        import_recording(path, tmp_path / "drive.mcap", pose_topic=pose_topic)
+    assert not (tmp_path / "drive.mcap").exists()
+    with pytest.raises(RecordingError, match=refused):
+        GridStream(open_recording(path, pose_topic=pose_topic))
+    assert any("several sensors" in line for line in open_recording(path, pose_topic=pose_topic).overview().warnings)
+    one = import_recording(path, tmp_path / "rear.mcap", pose_topic=pose_topic, topic="/rear")
+    assert len(list(one.scans())) == 30

@@ -15,6 +15,7 @@ from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec
 from gridtrack.common.raycast import cast_scan
 from gridtrack.common.scan import Scan
+from gridtrack.evaluation.scoring.referee import Delivery
 from gridtrack.recordings import open_recording, packaged_recording
 from gridtrack.recordings.stream import GridStream, frame_digest, open_stream, parse_stretch
 
@@ -243,8 +244,51 @@ def test_the_demo_recording_has_its_known_frames() -> None:
     assert isinstance(GridStream(stream.recording, (0.0, 75.0)), GridStream)
 
 
-def test_sensors_without_poses_are_a_warning(write: Callable[..., Path], scan: Callable[..., Scan]) -> None:
-    scans = [scan(k, sensor) for k in range(5) for sensor in ("front", "rear")]
-    stream = open_stream(write(scans))
-    assert len(stream.recording.warnings) == 1
-    assert "2 sensors and no poses: all are taken to have the same pose" in stream.recording.warnings[0]
+def test_several_sensors_without_known_mounting_are_refused_with_the_topics(
+    write: Callable[..., Path], scan: Callable[..., Scan]
+) -> None:
+    path = write([scan(k, sensor) for k in range(5) for sensor in ("front", "rear")])
+    with pytest.raises(
+        RecordingError,
+        match=r"several sensors \(front, rear\).*import one of them.*--topic /scan/front or --topic /scan/rear",
+    ):
+        open_stream(path)
+    assert len(open_stream(path, topic="/scan/rear")) == 5
+    assert "several sensors (front, rear)" in open_recording(path).overview().warnings[0]
+
+
+def moving(scan: Callable[..., Scan], rest: range) -> list[Scan]:
+    """Forty seconds of a sensor that moves except while its scan is in `rest`, where it trembles."""
+    x, scans = 0.0, []
+    for k in range(400):
+        x += 0.0 if k in rest else 0.1
+        scans.append(scan(k, pose=SE2(x + 1e-4 * (k % 3))))
+    return scans
+
+
+def test_the_error_for_a_moving_sensor_has_the_time_in_the_recording_and_a_stretch_at_rest(
+    write: Callable[..., Path], scan: Callable[..., Scan]
+) -> None:
+    path = write(moving(scan, range(100, 300)))
+    hint = r"the sensor moves at 5\.100 s, and only a sensor at rest can be scored: name a stretch .* made\.mcap@(\S+)$"
+    with pytest.raises(RecordingError, match=hint) as error:
+        list(Delivery(open_stream(f"{path}@5s-30s"), lambda: None))
+    at_rest = open_stream(f"{path}@{str(error.value).rpartition('@')[2]}")
+    assert len(list(Delivery(at_rest, lambda: None))) == len(at_rest) > 190
+
+
+def test_the_error_for_a_sensor_that_never_rests_suggests_no_stretch(
+    write: Callable[..., Path], scan: Callable[..., Scan]
+) -> None:
+    path = write(moving(scan, range(100, 150)))
+    with pytest.raises(RecordingError, match=r"moves at 0\.100 s, .*, and this one is at rest nowhere for 10 s$"):
+        list(Delivery(open_stream(path), lambda: None))
+
+
+def test_the_error_for_a_wrong_label_has_the_time_in_the_recording(
+    write: Callable[..., Path], scan: Callable[..., Scan]
+) -> None:
+    labels = np.full(36, 7, np.uint8)
+    path = write([replace(scan(k), labels=labels if k == 25 else None) for k in range(40)], classes=["car"])
+    with pytest.raises(RecordingError, match=r"a label names class 7 at 2\.500 s"):
+        list(open_stream(f"{path}@2s-", grid=GRID).labelled())
