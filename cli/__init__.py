@@ -30,6 +30,9 @@ VersionOption = Annotated[
     bool, typer.Option("--version", help="Print the version and exit", callback=_print_version, is_eager=True)
 ]
 
+STARTS_TRACKERS = ("compare", "train", "trackers")
+"""Commands that run the code of trackers in processes below this one."""
+
 app = typer.Typer(
     no_args_is_help=True,
     add_completion=False,
@@ -51,10 +54,15 @@ def common_options(debug: DebugOption = False, version: VersionOption = False) -
 
 def main() -> None:
     """Run the command line. An error of the user is one line and exit code 2; `--debug` also shows its traceback."""
+    arguments = [argument for argument in sys.argv[1:] if argument != DEBUG_OPTION]
+    if arguments and arguments[0] in STARTS_TRACKERS:
+        from gridtrack.evaluation.processes.shielding import shield_host
+
+        shield_host(f"gridtrack {arguments[0]}")
     try:
         for argument in sys.argv[1:]:
             check_utf8(argument, ConfigurationError)
-        app([argument for argument in sys.argv[1:] if argument != DEBUG_OPTION])
+        app(arguments)
     except GridtrackError as error:
         _fail(error, str(error))
     except OSError as error:

@@ -15,6 +15,7 @@ from gridtrack.common.names import check_utf8
 from gridtrack.evaluation.comparison.learned import LearnedWeights, copy_weights, find_weights, weights_in
 from gridtrack.evaluation.comparison.settings import CompareSettings
 from gridtrack.evaluation.processes.limits import Limits
+from gridtrack.evaluation.processes.shielding import shielded_environment
 from gridtrack.evaluation.processes.tracker_process import TrackerProcess, describe
 from gridtrack.evaluation.results.run_record import RunConfiguration, TrialIdentity
 from gridtrack.evaluation.results.summary import ALL_RECORDINGS, ORACLE
@@ -62,7 +63,10 @@ class Trial:
         stream = stream_of(self.test)
         if self.weights:
             stream = replace(stream, weights=self.weights.path, weights_sha256=self.weights.sha256)
-        return TrackerProcess(self.launch, stream, self.selection.options, self.limits, log)
+        environment = shielded_environment(
+            stretch.recording.path for stretch in (self.split.test, self.split.validation) if stretch
+        )
+        return TrackerProcess(self.launch, stream, self.selection.options, self.limits, log, environment)
 
     def with_original_paths(self, reason: str) -> str:
         """`reason` with the folder of the weights where it names that of their copy."""

@@ -30,7 +30,11 @@ def train_tracker(recipe: Recipe, report: Callable[[str], None] = print) -> Path
     in a process of its own, which receives the frames of these stretches and nothing else of the recordings. Logs and
     checkpoints are written beside the card to `<site>.logs`; a second call resumes there. Raises GridtrackError.
     """
-    with TrainingProcess(recipe.tracker) as process, TemporaryDirectory(prefix="gridtrack-train-") as folder:
+    recordings = [parse_stretch(text)[0] for text in (*recipe.recordings, *recipe.validation)]
+    with (
+        TrainingProcess(recipe.tracker, recordings) as process,
+        TemporaryDirectory(prefix="gridtrack-train-") as folder,
+    ):
         process.load(recipe.options)
         train_on, validate_on = _stretches(recipe)
         path = weights_path(recipe.out or user_weights_folder(), recipe.tracker, train_on[0].site)

@@ -8,13 +8,14 @@ import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any, NoReturn
 
 from gridtrack.common import errors
 from gridtrack.common.errors import GridtrackError, PluginError
+from gridtrack.evaluation.processes.shielding import shielded_environment
 from gridtrack.evaluation.processes.supervised import ProcessExit
 from gridtrack.trackers.contract import FitOutput
 from gridtrack.trackers.wire import Message, WireError, encode, fill_from, receive, write_to
@@ -29,14 +30,21 @@ class TrainingProcess:
     The process runs in a session of its own, so that Ctrl-C reaches it once, through this process.
     """
 
-    def __init__(self, name: str) -> None:
+    def __init__(self, name: str, recordings: Iterable[Path]) -> None:
+        """The environment of the process contains no path of the `recordings`."""
         self.name = name
+        self._environment = shielded_environment(recordings)
         self._process: subprocess.Popen[bytes]
 
     def __enter__(self) -> TrainingProcess:
         command = [sys.executable, "-P", "-m", "gridtrack.evaluation.comparison.fit_process", self.name]
         self._process = subprocess.Popen(
-            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, bufsize=0, start_new_session=True
+            command,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            bufsize=0,
+            start_new_session=True,
+            env=self._environment,
         )
         return self
 

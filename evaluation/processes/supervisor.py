@@ -27,7 +27,7 @@ import time
 MEMORY_PERIOD_S = 0.05
 GIVE_UP_S = 5.0
 LOG_BYTES = 1 << 20
-PR_SET_PDEATHSIG, PR_SET_CHILD_SUBREAPER = 1, 36
+PR_SET_PDEATHSIG, PR_SET_DUMPABLE, PR_SET_CHILD_SUBREAPER = 1, 4, 36
 
 
 def main() -> None:
@@ -35,6 +35,7 @@ def main() -> None:
     control = socket.socket(fileno=int(sys.argv[1]))
     control.set_inheritable(False)
     prctl(PR_SET_CHILD_SUBREAPER, 1)
+    make_unreadable()
     wake, notify = os.pipe()
     os.set_blocking(notify, False)
     signal.set_wakeup_fd(notify, warn_on_full_buffer=False)
@@ -202,6 +203,11 @@ def prctl(option: int, value: int) -> None:
     """Set a process attribute on Linux; on other systems only the tracker itself is supervised."""
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(option, value, 0, 0, 0)
+
+
+def make_unreadable() -> None:
+    """Hide descriptors, environment and memory of this process from others in /proc: its log names the recording."""
+    prctl(PR_SET_DUMPABLE, 0)
 
 
 def descendants(pid: int) -> list[int]:

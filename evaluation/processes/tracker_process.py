@@ -109,12 +109,15 @@ class TrackerProcess:
         options: Mapping[str, Any],
         limits: Limits,
         stderr_path: Path,
+        environment: Mapping[str, str] | None = None,
     ) -> None:
+        """`environment`: of the process; default: that of this process."""
         self.launch = launch
         self.stream = stream
         self.options = dict(options)
         self.limits = limits
         self.stderr_path = stderr_path
+        self._environment = os.environ if environment is None else environment
         self.timings = Timings()
         self.last_call: Call | None = None
         self._recoveries = [0]
@@ -126,7 +129,7 @@ class TrackerProcess:
         self._dialogue: Dialogue | None = None
 
     def __enter__(self) -> TrackerProcess:
-        self._dialogue = _dialogue(self.launch, self.limits, self.stderr_path)
+        self._dialogue = _dialogue(self.launch, self.limits, self.stderr_path, self._environment)
         request = Request("start", "started", {"stream": messages.stream_fields(self.stream), "options": self.options})
         with self._ending_on_error():
             if self._killed:
@@ -223,7 +226,7 @@ def describe(launch: Launch, options: Mapping[str, Any], limits: Limits) -> Trac
     Raises ConfigurationError for options that it refuses, PluginError where it cannot be loaded.
     """
     request = Request("describe", "described", {"options": dict(options)})
-    with TemporaryDirectory() as folder, _dialogue(launch, limits, Path(folder, "stderr.log")) as dialogue:
+    with TemporaryDirectory() as folder, _dialogue(launch, limits, Path(folder, "stderr.log"), os.environ) as dialogue:
         try:
             return _description(dialogue.ask(request, limits.start_s))
         except WireError as error:
@@ -234,8 +237,8 @@ def describe(launch: Launch, options: Mapping[str, Any], limits: Limits) -> Trac
             raise PluginError(ended.reason) from None
 
 
-def _dialogue(launch: Launch, limits: Limits, log: Path) -> Dialogue:
-    env = dict(os.environ) | dict.fromkeys(THREAD_VARIABLES, str(limits.threads))
+def _dialogue(launch: Launch, limits: Limits, log: Path, environment: Mapping[str, str]) -> Dialogue:
+    env = dict(environment) | dict.fromkeys(THREAD_VARIABLES, str(limits.threads))
     return Dialogue(SupervisedProgram(launch.argv, log, limits.memory_mb, env, launch.cwd), log, limits.memory_mb)
 
 

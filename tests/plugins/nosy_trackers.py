@@ -23,7 +23,7 @@ MEMBERS = {"name", "sha256", "grid", "period_s", "site", "classes", "labelled"}
 class Found(Settings):
     found: str = ""
     secret: str = ""
-    """The name of a file that no process of a tracker may be able to learn."""
+    """The name of a file that no tracker may learn, reversed, so that it is in no argument of a process itself."""
 
 
 class Nosy(Tracker):
@@ -54,7 +54,8 @@ class Nosy(Tracker):
             "objects": suspects(gc.get_objects()),
             "stack": stack(),
             "frames": [sum(1 for _ in source) for source in (*train, *validation)],
-            "command": [out.command] if options.secret in out.command else [],
+            "command": [out.command] if options.secret[::-1] in out.command else [],
+            "traces": traces(options.secret[::-1]),
         }
         Path(options.found).write_text(json.dumps(found))
         out.report("looked around")
@@ -68,9 +69,7 @@ class NosyInTrial(Tracker):
 
     def __init__(self, stream: StreamSpec, options: Any) -> None:
         super().__init__(stream, options)
-        # the name comes split, so that it is in none of the arguments and requests itself
-        secret = options.secret[::-1]
-        Path(options.found).write_text(json.dumps(traces(secret)))
+        Path(options.found).write_text(json.dumps({"traces": traces(options.secret[::-1])}))
 
     def reset(self, seed: int) -> None: ...
 

@@ -59,11 +59,16 @@ def fits(install):
     install("fits", {"fits": "fits_tracker:Fits"}, {"fits_tracker.py": FITS})
 
 
-def test_fit_reaches_the_frames_of_its_stretches_and_nothing_else_of_a_recording(record, install, tmp_path):
+@pytest.fixture
+def nosy(install):
     install("nosy", {"nosy": "nosy_trackers:Nosy"}, {"nosy_trackers.py": (PLUGINS / "nosy_trackers.py").read_text()})
+
+
+@pytest.mark.usefixtures("nosy")
+def test_fit_reaches_the_frames_of_its_stretches_and_nothing_else_of_a_recording(record, tmp_path):
     path, found = record("hidden-name"), tmp_path / "found.json"
     lines: list[str] = []
-    options = {"found": str(found), "secret": "hidden-name.mcap"}
+    options = {"found": str(found), "secret": "eman-neddih"}
     card = train_tracker(
         Recipe(tracker="nosy", options=options, recordings=(str(path),), out=tmp_path / "weights"), lines.append
     )
@@ -74,6 +79,7 @@ def test_fit_reaches_the_frames_of_its_stretches_and_nothing_else_of_a_recording
         "stack": [],
         "frames": [40, 50],
         "command": [],
+        "traces": [],
     }
     assert lines == ["looked around"]
     assert str(path) in read_card(card).command
