@@ -34,8 +34,8 @@ GRID = GridSpec(100, 0.2)
 PERIOD_S = 0.125
 FRAMES, WARM_UP = 200, 40
 TUNED = read_card(WEIGHTS / "kalman" / "junction.toml").settings
-STREET = PipelineSettings(**{name: TUNED[name] for name in PipelineSettings.model_fields})
-"""The settings that ship for the junction."""
+STREET = PipelineSettings(**{name: TUNED[name] for name in PipelineSettings.model_fields if name in TUNED})
+"""The settings that ship for the junction; an option that their card does not have yet has its default."""
 CALIBRATION = "calibration"
 CLASSES, GAUSSIANS = 5, 8
 MORE = "classes, CPU, more"

@@ -38,7 +38,7 @@ app = typer.Typer(
     add_completion=False,
     help="Compare trackers on occupancy grids: the same frames, the same scores, statistics with intervals.",
 )
-app.command("compare", cls=with_defaults(runs.compare_defaults))(runs.compare_command)
+app.command("compare", cls=with_defaults(runs.compare_defaults, runs.compare_helps))(runs.compare_command)
 app.command("report")(runs.report_command)
 app.command("regress", cls=with_defaults(regress.regress_defaults))(regress.regress_command)
 app.command("train", cls=with_defaults(trackers.train_defaults))(trackers.train_command)

@@ -30,19 +30,24 @@ WeightsOption = Annotated[
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON")]
 
 
-def with_defaults(defaults: Callable[[], Mapping[str, str]]) -> type[TyperCommand]:
-    """A command whose help shows `defaults()`, by the name of the parameter.
+def with_defaults(
+    defaults: Callable[[], Mapping[str, str]], helps: Callable[[], Mapping[str, str]] = dict
+) -> type[TyperCommand]:
+    """A command whose help shows the texts of `defaults()` and `helps()`, by the name of the parameter.
 
-    The models of the settings hold the defaults; they are imported for the help and not for every command.
+    The models of the settings hold what they are made of; these are imported for the help and not for every command.
     """
 
     class WithDefaults(TyperCommand):
         def format_help(self, ctx: Any, formatter: Any) -> None:
-            texts = defaults()
+            default_texts, help_texts = defaults(), helps()
             shown = copy(self)
             shown.params = [copy(parameter) for parameter in self.params]
             for parameter in shown.params:
-                parameter.default = texts.get(parameter.name or "", parameter.default)
+                name = parameter.name or ""
+                parameter.default = default_texts.get(name, parameter.default)
+                if name in help_texts:
+                    parameter.help = help_texts[name]
             super(WithDefaults, shown).format_help(ctx, formatter)
 
     return WithDefaults

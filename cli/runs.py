@@ -63,8 +63,7 @@ def compare_command(
         str | None,
         typer.Option(
             metavar="KIND=VALUE,...",
-            help="After the scores, score on degraded frames: beam-dropout=0.2, range-noise=0.05 (m), frame-drop=0.1,"
-            " pose-jitter=0.05 (m); one kind at a time, at a quarter, half and all of its value",
+            help="After the scores, score on degraded frames, one kind at a time",
         ),
     ] = None,
     as_json: JsonOption = False,
@@ -141,6 +140,17 @@ def compare_defaults() -> dict[str, str]:
         "update_timeout": seconds_text(default_of(Limits, "update_s")),
         "predict_timeout": seconds_text(default_of(Limits, "predict_s")),
         "seed": str(default_of(CompareSettings, "seed")),
+    }
+
+
+def compare_helps() -> dict[str, str]:
+    """The help of the options of `compare` that depends on the settings."""
+    from gridtrack.recordings.degradation import Degradation
+
+    kinds = ", ".join(field.alias or "" for field in Degradation.model_fields.values())
+    return {
+        "degrade": f"After the scores, score on degraded frames: {kinds}; a value is a probability, or a standard"
+        " deviation in metres; one kind at a time, at a quarter, half and all of its value"
     }
 
 

@@ -49,7 +49,7 @@ class Degradation(Settings):
 
 
 def parse_degradation(text: str) -> Degradation:
-    """Read `beam-dropout=0.2,range-noise=0.05,frame-drop=0.1,pose-jitter=0.05`, or some of them.
+    """Read `KIND=VALUE,...`, such as `beam-dropout=0.2,range-noise=0.05`.
 
     Raises ConfigurationError.
     """

@@ -22,12 +22,12 @@ DEGRADATION_TEXTS = {
 }
 """The name of each kind of degradation on the page, and its unit of measurement."""
 HIGHEST_HZ = 1000.0
-"""Faster than any stream: a higher rate is shown as more than this."""
+"""Higher rates are shown as `> 1000`: no stream has them."""
 
 
 @dataclass(frozen=True)
 class SweepPanel:
-    """F1 of every tracker over a condition, the most difficult value at the right."""
+    """F1 of every tracker at each value of a condition; the most difficult value is at the right."""
 
     title: str
     series: tuple[tuple[Series, tuple[float | None, ...]], ...]

@@ -44,10 +44,10 @@ TRACK_COLUMNS = {
 MAX_TRACK_ROWS, MAX_FRAMES, MAX_USERS_PER_FRAME = 5_000_000, 5_000_000, 1000
 HALF_TURN_MRAD = 3141
 MAX_RENDERED_BEAMS = 1_000_000_000
-"""Beams of all frames together: a small file must not fill the disk when it is rendered."""
+"""Limit of the beams in all frames together: the rendered recording of a small file must not fill the disk."""
 MAX_OUTLINES, MAX_OUTLINE_CORNERS = 1000, 1000
 MAX_INTERSECTIONS = 1_000_000_000
-"""Beams of one frame times corners of the static outlines: a frame is rendered in seconds."""
+"""Limit of the beams of a frame times the corners of the static outlines: a frame is rendered within seconds."""
 
 Corner = tuple[float, float]
 

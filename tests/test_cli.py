@@ -20,6 +20,7 @@ from gridtrack.evaluation.comparison.settings import CompareSettings
 from gridtrack.evaluation.processes.limits import Limits
 from gridtrack.evaluation.regression.settings import GateSettings
 from gridtrack.recordings import packaged_recording
+from gridtrack.recordings.degradation import Degradation
 
 DEMO = str(packaged_recording("leg_tracker"))
 PACKAGE = str(Path(DEMO).parents[2])
@@ -146,6 +147,11 @@ def test_the_defaults_in_the_help_are_those_of_the_models_and_the_command_line_h
         assert value == field.default, name
     own: Any = typer.main.get_command(app)
     assert {parameter.default for parameter in own.commands[command].params} <= {None, False}
+
+
+def test_the_help_of_degraded_input_names_every_kind():
+    shown = gridtrack("compare", "--help", COLUMNS="240").stdout
+    assert [field.alias for field in Degradation.model_fields.values() if field.alias not in shown] == []
 
 
 def test_every_registered_tracker_is_listed():

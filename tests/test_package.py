@@ -66,6 +66,13 @@ def test_every_package_is_in_the_distribution():
     )
 
 
+def test_no_other_package_may_import_a_concrete_tracker():
+    contracts = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["importlinter"]["contracts"]
+    (forbidden,) = [one["forbidden_modules"] for one in contracts if "concrete tracker" in one["name"]]
+    families = [path.parent.name for path in (ROOT / "trackers").glob("*/__init__.py")]
+    assert sorted(forbidden) == sorted(f"gridtrack.trackers.{name}" for name in families)
+
+
 def test_the_built_wheel_compares_its_own_demo_recording_without_the_repository(tmp_path):
     source, site = tmp_path / "source", tmp_path / "site"
     shutil.copytree(ROOT, source, ignore=shutil.ignore_patterns(".*", "runs", "build", "*.egg-info", "__pycache__"))

@@ -1,4 +1,4 @@
-"""Migration of weights cards from schema 1: options and arrays get the names of schema 2."""
+"""Migration of weights cards of earlier schemas: options and arrays get their present names, schema by schema."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from gridtrack.common.errors import WeightsError
-from gridtrack.trackers.weights import CARD_SCHEMA, Card, parse_card, read_arrays, save_weights
+from gridtrack.trackers.weights import Card, parse_card, read_arrays, save_weights
 
 
 class Renames(NamedTuple):
@@ -68,16 +68,16 @@ RECURRENT = Renames(
         "superpose": "superposition",
     }
 )
-RENAMES: Mapping[str, Renames] = {
-    "kalman": MODEL_FREE,
-    "factor-graph": MODEL_FREE,
-    "dogma": DOGMA,
-    "static-map": Renames(),
-    "dilated-convgru": RECURRENT,
-    "deep-tracking-rnn": RECURRENT,
-    "one-shot": Renames(),
+RENAMES: Mapping[int, Mapping[str, Renames]] = {
+    2: {
+        "kalman": MODEL_FREE,
+        "factor-graph": MODEL_FREE,
+        "dogma": DOGMA,
+        "dilated-convgru": RECURRENT,
+        "deep-tracking-rnn": RECURRENT,
+    }
 }
-"""The renames of each tracker from schema 1 to schema 2; the card of any other tracker keeps its names."""
+"""For each schema up to CARD_SCHEMA the renames of each tracker from the schema before; other trackers have none."""
 
 OPTION = re.compile(r"(?<=[:,])\w+(?==)")
 """The name of an option in a training command: `kalman:link_m=0.4,reach_m=0.5`."""
@@ -112,34 +112,39 @@ def _cards_in(cards_or_folders: Iterable[Path]) -> list[Path]:
     return list(dict.fromkeys(cards))
 
 
-def migrate_card(path: Path) -> bool:
-    """Rewrite the card at `path` and its arrays in the present schema; False where the card has it already.
+def migrate_card(path: Path, steps: Mapping[int, Mapping[str, Renames]] = RENAMES) -> bool:
+    """Rewrite the card at `path` and its arrays in the last schema of `steps`; False where the card has it already.
 
+    A card of any earlier schema is taken through each step. `steps` has the renames of each tracker, by schema.
     Both files are written whole before either is replaced, the card last. Raises WeightsError, and leaves both files as
     they are, where the card or its arrays are damaged or the card is of a later schema.
     """
     card = parse_card(path)
-    if card.schema_version == CARD_SCHEMA:
+    first, last = min(steps) - 1, max(steps)
+    if card.schema_version == last:
         return False
-    if card.schema_version != 1:
-        raise WeightsError(f"{path}: schema {card.schema_version}; this gridtrack migrates 1 to {CARD_SCHEMA}")
-    renames = RENAMES.get(card.tracker, Renames())
+    if not first <= card.schema_version < last:
+        raise WeightsError(f"{path}: schema {card.schema_version}; this gridtrack migrates {first} to {last}")
     arrays = read_arrays(path.with_suffix(".safetensors"), card.arrays_sha256)
+    for schema in range(card.schema_version + 1, last + 1):
+        renames = steps[schema].get(card.tracker, Renames())
+        card, arrays = _migrated(card, schema, renames), _renamed(arrays, renames.arrays)
     try:
-        save_weights(path, _migrated(card, renames), _renamed(arrays, renames.arrays))
+        save_weights(path, card, arrays)
     except OSError as error:
         raise WeightsError(f"{path}: cannot be written ({error.strerror})") from None
     return True
 
 
-def _migrated(card: Card, renames: Renames) -> Card:
+def _migrated(card: Card, schema: int, renames: Renames) -> Card:
+    """The card in the next schema."""
     results = dict(card.results)
     classes = results.get("classes")
     if isinstance(classes, dict) and isinstance(classes.get("command"), str):
         results["classes"] = classes | {"command": _migrated_command(classes["command"], renames)}
     return card.model_copy(
         update={
-            "schema_version": CARD_SCHEMA,
+            "schema_version": schema,
             "command": _migrated_command(card.command, renames),
             "settings": _renamed(card.settings, renames.options),
             "results": results,
@@ -148,7 +153,7 @@ def _migrated(card: Card, renames: Renames) -> Card:
 
 
 def _migrated_command(command: str, renames: Renames) -> str:
-    """The command as it was typed, with the present names of its options."""
+    """The command as it was typed, with the new names of its options."""
     return OPTION.sub(lambda match: renames.options.get(match[0], match[0]), command)
 
 

@@ -1,1 +1,1 @@
-"""From counts to claims: intervals, paired differences, and the summary."""
+"""Statistics of the counts: intervals, paired differences, and the summary."""

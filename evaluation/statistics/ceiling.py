@@ -1,4 +1,4 @@
-"""Between floor and ceiling: each F1 as a share of the way from the best floor to the oracle."""
+"""F1 relative to the best floor, 0, and the oracle, 1."""
 
 from __future__ import annotations
 
@@ -8,17 +8,17 @@ from typing import Any
 from gridtrack.evaluation.results.summary import ORACLE, TrackerSummary
 from gridtrack.evaluation.results.trial_summary import ScopeSummary, StratumScores, TrialSummary
 
-LEAST_WAY = 0.01
-"""Where floor and oracle differ by less, a share of the way between them is noise."""
+MIN_ORACLE_GAP = 0.01
+"""No share is computed where oracle and floor differ by less: it would be noise."""
 F1Curve = tuple[float | None, ...]
 
 
 def with_ceiling(trackers: Mapping[str, TrackerSummary]) -> dict[str, TrackerSummary]:
     """The rows with `share_of_oracle` in each stratum, and `gap_to_truth`, on each recording and pooled.
 
-    The share is (f1 - floor) / (oracle - floor), floor the best of the rows whose role it is: 0 is no better than a
-    floor, 1 is the oracle's. None where a row is missing or the oracle is not LEAST_WAY above the floor. The gap is F1
-    on visible less F1 on occluded cells.
+    The share is (f1 - floor) / (oracle - floor), with the best of the rows with the role `floor`: 0 for the floor, 1
+    for the oracle. None where a row is missing or the oracle is not MIN_ORACLE_GAP above the floor. The gap is F1 on
+    visible less F1 on occluded cells.
     """
     return {label: _row_with_ceiling(label, row, trackers) for label, row in trackers.items()}
 
@@ -42,7 +42,7 @@ def _trial(row: TrackerSummary | None, name: str) -> TrialSummary | None:
 
 
 def _added(scope: ScopeSummary, oracle: ScopeSummary | None, floors: Sequence[ScopeSummary | None]) -> dict[str, Any]:
-    """The fields of one scope that depend on the oracle, the floors and the truth."""
+    """The fields of one scope that need the oracle, the floors or ground truth."""
     strata = {}
     for name, scores in scope.strata.items():
         best, lowest = _f1(oracle, name), [f1 for floor in floors if (f1 := _f1(floor, name))]
@@ -68,6 +68,6 @@ def _gap(strata: Mapping[str, StratumScores]) -> F1Curve | None:
 
 def _share(value: float | None, ceiling: float | None, floors: list[float | None]) -> float | None:
     known = [floor for floor in floors if floor is not None]
-    if value is None or ceiling is None or not known or ceiling < max(known) + LEAST_WAY:
+    if value is None or ceiling is None or not known or ceiling < max(known) + MIN_ORACLE_GAP:
         return None
     return round((value - max(known)) / (ceiling - max(known)), 6)

@@ -12,7 +12,7 @@ from gridtrack.evaluation.results.trial_record import TrialRecord
 
 @dataclass(frozen=True, slots=True)
 class FinishedTrial:
-    """A trial that has ended: its record, the folder of its files, and what decided which frames it received."""
+    """A trial that has ended: its record, the folder of its files, its tracker, options and kind of points."""
 
     record: TrialRecord
     folder: Path

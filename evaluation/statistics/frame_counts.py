@@ -16,10 +16,11 @@ from gridtrack.evaluation.statistics.jackknife import COUNTS
 
 @dataclass(frozen=True, slots=True)
 class FrameCounts:
-    """Counts (F, S, K, C) float32 of scored frames x steps x strata, C as `jackknife.COUNTS`; a frame's counts of
-    cells are exact in float32. Of classes, K are `semantics.VISIBILITIES` and C as of `class_store.read_scan_losses`.
+    """Counts (F, S, K, C) float32 of the F scored frames of a trial, at S steps.
 
-    `stamps_ns` (F,) increase; `delivered` (F,) are the digests of the frames delivered until then.
+    Of occupancy, K are the strata and C is `jackknife.COUNTS`; the number of cells of a frame is exact in float32. Of
+    classes, K is `semantics.VISIBILITIES` and C that of `class_store.read_scan_losses`. `stamps_ns` (F,) increase;
+    `delivered` (F,) are the digests of the frames delivered up to each.
     """
 
     stamps_ns: NDArray[np.int64]
@@ -27,7 +28,7 @@ class FrameCounts:
     counts: NDArray[np.float32]
 
     def at(self, frames: NDArray[np.intp] | NDArray[np.bool_]) -> FrameCounts:
-        """Some of the frames."""
+        """The counts of the chosen frames."""
         return FrameCounts(self.stamps_ns[frames], self.delivered[frames], self.counts[frames])
 
 
@@ -73,7 +74,7 @@ def _refuse_another_order(path: Path, rows: pl.DataFrame, frames: int, steps: in
 
 
 def common_frames(one: FrameCounts, other: FrameCounts) -> tuple[FrameCounts, FrameCounts]:
-    """The frames that both have: of the same stamp, after the same delivered frames."""
+    """The frames of both trials with the same stamp and the same digest of delivered frames."""
     _, of_one, of_other = np.intersect1d(one.stamps_ns, other.stamps_ns, assume_unique=True, return_indices=True)
     same = one.delivered[of_one] == other.delivered[of_other]
     return one.at(of_one[same]), other.at(of_other[same])

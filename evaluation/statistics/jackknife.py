@@ -29,10 +29,10 @@ RATIO_SCORES: dict[str, tuple[dict[str, int], dict[str, int]]] = {
 }
 """The scores that are ratios of sums over cells: weights of the counts in the numerator and in the denominator."""
 PROPORTIONS = ("f1", "precision", "recall", "brier")
-"""Those whose numerator is a part of their denominator."""
+"""The scores whose numerator is a part of their denominator."""
 LEVEL = 0.95
 LEAST_UNITS = 20
-"""From fewer units no interval is computed: none of the methods tried has its nominal coverage on them."""
+"""With fewer units no interval is computed: no method that was tried reaches its nominal coverage there."""
 TOO_SHORT = "too short for an interval"
 HALF_A_COUNT = 0.5
 
@@ -47,7 +47,7 @@ class PairedDifferences:
     p: Floats
 
     def column(self, k: int) -> PairedDifferences:
-        """Those of one index of the last axis."""
+        """The differences of one index of the last axis."""
         return PairedDifferences(self.value[..., k], self.low[..., k], self.high[..., k], self.p[..., k])
 
 
@@ -62,8 +62,8 @@ def interval(counts: NDArray[np.floating], score: str = "f1", level: float = LEV
     there are fewer than LEAST_UNITS, or the score is undefined.
 
     The jackknife over units of the logarithm of the odds (of the ratio, for `nll`), with Student's t: its degrees of
-    freedom are the effective number of units less one (Kish 1965), that of the scarcer of the two sums the odds are
-    made of. Where all units agree on 0, or on 1, the interval is that point.
+    freedom are the effective number of units less one (Kish 1965), the smaller of those of the two sums in the odds.
+    Where the score is 0 in all units, or 1 in all, the interval is that point.
     """
     part, whole = _parts(counts, score)
     other, back = (whole - part, expit) if score in PROPORTIONS else (whole, np.exp)
@@ -133,10 +133,10 @@ def _differences(
 
 
 def holm(p: NDArray[np.floating]) -> Floats:
-    """Holm's step-down correction of a family of p-values (N,): below 0.05, the error of the whole family is too.
+    """Holm's step-down correction (N,) of a family of p-values (N,), which bounds the family-wise error rate.
 
-    Holm, Scandinavian Journal of Statistics 6 (1979). NaN, a comparison that could not be made, stays NaN and does not
-    count as one of the family.
+    Holm, Scandinavian Journal of Statistics 6 (1979). NaN is a comparison without a result: it stays NaN and is not
+    part of the family.
     """
     p = np.asarray(p, np.float64)
     adjusted = np.full_like(p, np.nan)
@@ -173,7 +173,7 @@ def _without_each(sums: Floats) -> Floats:
 
 
 def _standard_error(without: Floats) -> Floats:
-    """The jackknife's, of estimates (U, ...) that each leave one unit out."""
+    """Jackknife standard error (...) of the estimates `without` (U, ...), each without one unit."""
     units = len(without)
     deviation = without - without.mean(axis=0)
     error: Floats = np.sqrt((units - 1) / units * (deviation**2).sum(axis=0))
@@ -186,6 +186,6 @@ def _effective_units(sums: Floats) -> Floats:
 
 
 def _quantile(freedom: Floats, level: float) -> Floats:
-    """Of Student's t, two-sided; never of fewer than one degree of freedom."""
+    """Two-sided quantile of Student's t, with at least one degree of freedom."""
     quantile: Floats = stdtrit(np.fmax(freedom, 1.0), 0.5 + level / 2)
     return quantile

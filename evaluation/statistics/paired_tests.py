@@ -33,7 +33,7 @@ class HeadlineDifference:
     f1_p: float
 
     def test(self, p_holm: float) -> HeadlineTest:
-        """As the summary holds it, with its corrected p-value: better or worse only where it is significant."""
+        """The test for the summary, with its corrected p-value: better or worse only where it is significant."""
         return HeadlineTest(
             stratum=self.stratum,
             horizon_s=round(self.horizon_s, 6),

@@ -25,7 +25,7 @@ from gridtrack.evaluation.statistics.score_intervals import Scope, common_strata
 
 
 class RunStatistics:
-    """A run's trials under one set of rules: statistical units, common frames, and one family of tests."""
+    """Statistics of the trials of a run: the same units and frames for all trackers, and one family of tests."""
 
     def __init__(
         self,
@@ -185,7 +185,7 @@ class RunStatistics:
 
 
 def _in_strata(frames: FrameCounts, own: tuple[str, ...], strata: tuple[str, ...]) -> FrameCounts:
-    """The counts in `strata`, some of the trial's own."""
+    """The counts in `strata`, which are some of the strata `own` of the trial."""
     if strata == own:
         return frames
     chosen = [own.index(name) for name in strata]

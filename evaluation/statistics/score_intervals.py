@@ -16,7 +16,7 @@ from gridtrack.evaluation.statistics.jackknife import COUNTS, LEAST_UNITS, RATIO
 from gridtrack.evaluation.statistics.units import BLOCK_TIMES, autocorrelation_time, residuals, sum_by_unit, units_of
 
 HEADLINE_STRATA, HEADLINE_HORIZONS_S = ("moving", "visible"), (0.5, 1.0, 2.5)
-"""The family that Holm's correction is over: F1 in these strata at these horizons, each tracker and the reference."""
+"""Strata and horizons of the headline tests: the family of Holm's correction is F1 in these, for each tracker."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,9 +39,9 @@ class Scope:
         return [(name, h, step) for name in HEADLINE_STRATA if name in self.strata for h, step in reached]
 
     def block_s(self, trials: Sequence[Sequence[FrameCounts]]) -> float:
-        """How long a block must last, s: longer than the cycle, and than the headline's autocorrelation in any trial.
+        """Shortest block, seconds: a cycle, and BLOCK_TIMES autocorrelation times of the headline scores of any trial.
 
-        `trials` holds the frames of each on every recording. 0 where none has two frames: there is no autocorrelation.
+        `trials` has the frames of each trial on each recording. 0 without a cycle and without a trial of two frames.
         """
         longest = [self.cycle_s or 0.0]
         for recordings in trials:
@@ -51,7 +51,7 @@ class Scope:
         return max(longest)
 
     def _headline_residuals(self, frames: FrameCounts) -> NDArray[np.float64]:
-        """Of F1 (F, N), which the autocorrelation is measured on."""
+        """Residuals (F, N) of F1 at the N headline strata and steps, from which the autocorrelation is computed."""
         part, whole = (np.array([side.get(name, 0.0) for name in COUNTS]) for side in RATIO_SCORES["f1"])
         marked = self.headline or [(self.strata[0], 0.0, len(self.horizons_s) - 1)]
         series = [frames.counts[:, step, self.strata.index(name)] for name, _, step in marked]
@@ -78,7 +78,7 @@ def intervals(
 
 
 def summed_by_unit(sides: Sequence[Sequence[FrameCounts]], block_s: float) -> tuple[list[NDArray[np.float64]], int]:
-    """Counts (U, S, K, C) by unit of each side, whose frames are the same; and how many units there are."""
+    """Counts (U, S, K, C) of the units for each side, and the number of units; the sides have the same frames."""
     units = units_of([frames.stamps_ns for frames in sides[0]], block_s)
     summed = [
         np.concatenate([sum_by_unit(f.counts, unit) for f, unit in zip(side, units, strict=True) if len(unit)])
@@ -88,7 +88,7 @@ def summed_by_unit(sides: Sequence[Sequence[FrameCounts]], block_s: float) -> tu
 
 
 def too_short(units: int, recordings: int, block_s: float) -> str:
-    """Why no interval is drawn from so many units."""
+    """The reason why there is no interval, for fewer than LEAST_UNITS units."""
     if units == recordings > 1:
         return f"{TOO_SHORT}: {units} recordings, and {LEAST_UNITS} units are needed"
     blocks = f"blocks of at least {block_s:.3g} s" if block_s else "a single forecast"
@@ -96,7 +96,7 @@ def too_short(units: int, recordings: int, block_s: float) -> str:
 
 
 def common_strata(strata: Sequence[Sequence[str]]) -> tuple[str, ...]:
-    """Those that every recording has, in the order of the first."""
+    """The strata that every recording has, in the order of the first."""
     return tuple(name for name in strata[0] if all(name in others for others in strata))
 
 

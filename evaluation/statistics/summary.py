@@ -69,7 +69,7 @@ def _rows(
 
 
 def _role(trials: Sequence[FinishedTrial]) -> Role:
-    """The role of a row: by the description of its tracker, which a trial that did not start lacks."""
+    """The role in the description of the tracker; a trial that did not start has no description."""
     return next((trial.record.role for trial in trials if trial.record.role != "tracker"), "tracker")
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import shlex
+import tomllib
 from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
@@ -26,6 +27,7 @@ CURRENT = [page for page in PAGES if page not in PAST]
 FOLDERS = (
     r"(?:common|recordings|simulation|trackers|evaluation|reports|cli|tests|benchmarks|studies|examples|docs|data)"
 )
+BUILT_IN = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["entry-points"]["gridtrack.trackers"]
 PACKAGES = ("common", "recordings", "simulation", "trackers", "evaluation", "reports", "cli")
 FILE = re.compile(rf"`({FOLDERS}/[\w./-]+\.(?:py|md|toml|json|tracks|mcap|xml|svg))`")
 
@@ -91,12 +93,12 @@ def test_the_files_that_a_page_names_exist(page: Path) -> None:
 
 @pytest.mark.parametrize("page", [page for page in CURRENT if page.parent.name == "trackers"], ids=name_of)
 def test_no_page_on_a_tracker_names_an_option_by_its_old_name(page: Path) -> None:
-    old = {name for renames in RENAMES.values() for name in renames.options}
+    old = {name for step in RENAMES.values() for renames in step.values() for name in renames.options}
     assert old & set(re.findall(r"`(\w+)`", page.read_text("utf-8"))) == set()
 
 
 def test_the_options_that_a_page_on_a_tracker_sets_exist() -> None:
-    known = {"points", "weights"}.union(*(registry.load(name).Options.model_fields for name in RENAMES))
+    known = {"points", "weights"}.union(*(registry.load(name).Options.model_fields for name in BUILT_IN))
     pages = [page for page in CURRENT if page.parent.name == "trackers"]
     assert {key for page in pages for key in re.findall(r"`(\w+)=[^`]+`", prose(page))} - known == set()
 

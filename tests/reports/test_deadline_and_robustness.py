@@ -4,11 +4,13 @@ import copy
 import json
 import re
 import shutil
+from pathlib import Path
 
 import pytest
 
 from gridtrack.evaluation.results.files import RunError
-from gridtrack.reports.deadline_and_robustness import sweep_panel
+from gridtrack.recordings.degradation import Degradation
+from gridtrack.reports.deadline_and_robustness import DEGRADATION_TEXTS, sweep_panel
 from gridtrack.reports.figures import Series
 from gridtrack.reports.page import render_page
 from gridtrack.reports.run import read_runs
@@ -98,6 +100,12 @@ def test_a_stratum_that_was_not_scored_leaves_a_gap(page_of):
     deadline = copy.deepcopy(DEADLINE)
     del deadline["rates"][1]["f1"]["moving"]
     assert "0.413 – −50 %" in text_of(page_of(deadline))
+
+
+def test_every_kind_of_degradation_has_a_text_and_a_row_in_the_documentation():
+    assert set(DEGRADATION_TEXTS) == set(Degradation.model_fields)
+    page = (Path(__file__).parents[2] / "docs" / "run-folder.md").read_text()
+    assert [field.alias for field in Degradation.model_fields.values() if f"| `{field.alias}` |" not in page] == []
 
 
 def test_names_are_escaped(page_of):

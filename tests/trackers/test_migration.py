@@ -1,4 +1,4 @@
-"""A weights card of schema 1 is refused with the command that migrates it, and has the present names after it."""
+"""A weights card of an earlier schema is refused with the command that migrates it to the present names."""
 
 from __future__ import annotations
 
@@ -15,11 +15,10 @@ from typer.testing import CliRunner
 from gridtrack.cli import app
 from gridtrack.common.errors import WeightsError
 from gridtrack.common.grid import GridSpec
+from gridtrack.trackers import registry
 from gridtrack.trackers.contract import StreamSpec
-from gridtrack.trackers.dogma.settings import DogmaSettings
-from gridtrack.trackers.migration import DOGMA, MODEL_FREE, RENAMES, migrate_card, migrate_cards
-from gridtrack.trackers.model_free.settings import ModelFreeSettings
-from gridtrack.trackers.weights import Card, load_weights, read_card, save_weights
+from gridtrack.trackers.migration import RENAMES, Renames, migrate_card, migrate_cards
+from gridtrack.trackers.weights import CARD_SCHEMA, Card, load_weights, parse_card, read_arrays, read_card, save_weights
 
 GRID = GridSpec(4, 0.5)
 COMMAND = "gridtrack train kalman:surge=0.07,link_m=0.2 'a b.mcap' --validation surge.mcap --out weights"
@@ -126,10 +125,47 @@ def test_a_folder_without_cards_is_an_error(tmp_path):
         migrate_cards([tmp_path])
 
 
-@pytest.mark.parametrize(("renames", "settings"), [(MODEL_FREE, ModelFreeSettings), (DOGMA, DogmaSettings)])
-def test_every_new_name_is_an_option_and_no_old_name_is(renames, settings):
-    assert set(renames.options.values()) <= set(settings.model_fields)
-    assert not set(renames.options) & set(settings.model_fields)
+NEXT = {
+    CARD_SCHEMA + 1: {
+        "kalman": Renames(options={"speed_noise": "along_noise", "link_m": "gap_m"}, arrays={"residence": "stay"})
+    }
+}
+"""A schema that does not exist, after the present one: it renames a renamed option, an old one and an array."""
+
+
+def test_a_card_is_taken_through_every_schema_after_its_own(old):
+    assert migrate_card(old, {**RENAMES, **NEXT})
+    card = parse_card(old)
+    assert card.schema_version == CARD_SCHEMA + 1
+    assert card.settings == {"along_noise": 0.07, "gap_m": 0.2, "initiation_probability": 0.3}
+    assert card.command == MIGRATED.replace("speed_noise", "along_noise").replace("link_m", "gap_m")
+    assert set(read_arrays(old.with_suffix(".safetensors"), card.arrays_sha256)) == {"stay", "calibration"}
+
+
+def test_a_card_of_the_present_schema_is_taken_through_the_later_ones_only(old):
+    migrate_card(old)
+    assert migrate_card(old, {**RENAMES, **NEXT})
+    assert parse_card(old).settings == {"along_noise": 0.07, "gap_m": 0.2, "initiation_probability": 0.3}
+
+
+def test_a_tracker_without_renames_needs_no_entry(tmp_path):
+    path = tmp_path / "other.toml"
+    save_weights(path, Card(schema_version=1, **{**OTHER, "tracker": "other"}), {})
+    assert migrate_card(path, {**RENAMES, **NEXT})
+    assert (parse_card(path).schema_version, parse_card(path).settings) == (CARD_SCHEMA + 1, {"link_m": 0.2})
+
+
+def test_every_schema_after_the_first_has_its_renames():
+    assert list(RENAMES) == list(range(2, CARD_SCHEMA + 1))
+
+
+@pytest.mark.parametrize("tracker", sorted({tracker for step in RENAMES.values() for tracker in step}))
+def test_every_new_name_is_an_option_and_no_old_name_is(tracker):
+    fields = registry.load(tracker).Options.model_fields
+    renames = [step[tracker].options for step in RENAMES.values() if tracker in step]
+    old_names = {name for options in renames for name in options}
+    assert {name for options in renames for name in options.values()} - old_names <= set(fields)
+    assert not old_names & set(fields)
 
 
 def test_the_shipped_cards_have_the_present_schema_and_no_old_array():
@@ -137,10 +173,11 @@ def test_the_shipped_cards_have_the_present_schema_and_no_old_array():
     for path in sorted(weights.rglob("*.toml")):
         card = read_card(path)
         arrays = load_file(path.with_suffix(".safetensors"))
-        assert not set(arrays) & set(RENAMES[card.tracker].arrays)
+        assert not set(arrays) & {old for step in RENAMES.values() for old in step.get(card.tracker, Renames()).arrays}
 
 
 def test_the_glossary_lists_every_renamed_option():
     glossary = (Path(__file__).parents[2] / "docs" / "glossary.md").read_text()
-    rows = {f"| `{old}` | `{new}` |" for renames in RENAMES.values() for old, new in renames.options.items()}
+    renames = [one for step in RENAMES.values() for one in step.values()]
+    rows = {f"| `{old}` | `{new}` |" for one in renames for old, new in one.options.items()}
     assert rows <= set(glossary.splitlines())

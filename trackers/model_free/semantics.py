@@ -1,4 +1,4 @@
-"""Classes of cells in a forecast: of the background by the prior of the cell, of observed returns by their tracks."""
+"""Class probabilities of the cells in a forecast: from the cell prior, and from the tracks of observed returns."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from gridtrack.trackers.model_free.tracks import Track
 Planes = NDArray[np.float32]
 
 MIN_PRIOR_WEIGHT = 1e-6
-"""Smallest weight of the prior in a cell: it decides where no track contributes."""
+"""Smallest weight of the prior in a cell: without a track, the classes of the cell are those of the prior."""
 
 
 def weight_by_cell_prior(occupancy: Planes, cell_prior: Planes) -> Planes:
