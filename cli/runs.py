@@ -19,12 +19,12 @@ from gridtrack.cli.options import (
     seconds,
     seconds_text,
 )
-from gridtrack.common.errors import printable
+from gridtrack.common.errors import INTERRUPTED_EXIT_CODE, printable
 
 if TYPE_CHECKING:
     from gridtrack.evaluation.comparison.plan import ComparisonPlan
 
-INCOMPLETE, INTERRUPTED = 3, 130
+INCOMPLETE = 3
 
 
 def compare_command(
@@ -119,7 +119,7 @@ def compare_command(
         print_tables(plan.settings.out)
         typer.echo(f"report: {report}")
     if summary.interrupted:
-        raise typer.Exit(INTERRUPTED)
+        raise typer.Exit(INTERRUPTED_EXIT_CODE)
     outcomes = [trial.outcome for row in summary.trackers.values() for trial in row.recordings.values()]
     if _warn_of_missing(plan) or any(outcome != "ok" for outcome in outcomes):
         raise typer.Exit(INCOMPLETE)

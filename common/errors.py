@@ -7,6 +7,8 @@ from collections.abc import Iterable
 
 MAX_NAMES = 20
 """Limit of the names listed in one error line."""
+INTERRUPTED_EXIT_CODE = 130
+"""Exit code of a process after Ctrl-C, as of a shell."""
 
 
 class GridtrackError(Exception):

@@ -15,7 +15,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from gridtrack.common.config import Settings, validated
-from gridtrack.common.errors import GridtrackError, PluginError
+from gridtrack.common.errors import INTERRUPTED_EXIT_CODE, GridtrackError, PluginError
 from gridtrack.evaluation.comparison.stored_stretch import StoredStretch
 from gridtrack.evaluation.processes.supervisor import PR_SET_PDEATHSIG, prctl
 from gridtrack.evaluation.scoring.in_process import score_in_process
@@ -25,8 +25,6 @@ from gridtrack.trackers.serve import error_line, take_wire
 from gridtrack.trackers.wire import Message, encode, fill_from, receive, write_to
 
 Report = Callable[[str], None]
-INTERRUPTED = 130
-"""Exit code after Ctrl-C, as of a shell."""
 
 
 def main() -> None:
@@ -45,7 +43,7 @@ def main() -> None:
         _fit(tracker, settings, receive(fill, 0), lambda text: send("report", text=str(text)))
         send("done")
     except KeyboardInterrupt:
-        sys.exit(INTERRUPTED)
+        sys.exit(INTERRUPTED_EXIT_CODE)
     except Exception as error:  # noqa: BLE001 - any exception of `fit` is reported to the command
         send("error", **_error_fields(error))
 
