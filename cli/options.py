@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from typer.core import TyperCommand
+from typer.core import TyperCommand, TyperOption
 
 from gridtrack.common.errors import ConfigurationError
 
@@ -46,7 +46,7 @@ def with_defaults(
             for parameter in shown.params:
                 name = parameter.name or ""
                 parameter.default = default_texts.get(name, parameter.default)
-                if name in help_texts:
+                if isinstance(parameter, TyperOption) and name in help_texts:
                     parameter.help = help_texts[name]
             super(WithDefaults, shown).format_help(ctx, formatter)
 
