@@ -165,8 +165,8 @@ def test_a_path_is_never_read_as_a_pattern(
 
 
 def test_a_path_that_is_not_utf_8_is_one_error_line(write, scan, tmp_path: Path) -> None:
-    path = write([scan(0)], "caf\udce9.mcap")
-    with pytest.raises(RecordingError, match=r"caf\\xe9\.mcap: this path is not UTF-8, .* rename it") as error:
+    path = write([scan(0)], "hall\udce9.mcap")
+    with pytest.raises(RecordingError, match=r"hall\\xe9\.mcap: this path is not UTF-8, .* rename it") as error:
         open_recording(path)
     assert str(error.value).isprintable()
     with pytest.raises(RecordingError, match="this path is not UTF-8"):
