@@ -87,7 +87,8 @@ def _mounted(recording: Recording) -> Iterator[Scan]:
 def _info(recording: Recording, given: Mapping[str, Any], labels: Path | str | None) -> RecordingInfo:
     """The metadata of the source, with the values that are `given` in place of its own."""
     values = recording.info.model_dump() | {key: value for key, value in given.items() if value}
-    values |= {"source": recording.name, "source_sha256": recording.sha256}
+    if not recording.info.source_sha256:  # else it was imported itself: the first source tells which recording it is
+        values |= {"source": recording.name, "source_sha256": recording.sha256}
     if labels is not None:
         values["classes"] = classes_in(Path(labels))
     return validated(RecordingInfo, values, "import")

@@ -129,6 +129,11 @@ class Recording(ABC):
         """SHA-256 of the file; of all its files, in the order of their names, where the recording is a folder."""
         return sha256_of(self.path)
 
+    @property
+    def source_sha256(self) -> str:
+        """SHA-256 of the file that the recording was first imported from, its own where it was not imported."""
+        return self.info.source_sha256 or self.sha256
+
     @cached_property
     def info(self) -> RecordingInfo:
         """The metadata of the recording; for a format without any, its file name as `site`."""

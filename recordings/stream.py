@@ -25,6 +25,7 @@ from gridtrack.common.scan import MAX_RATE_HZ, MIN_RATE_HZ, Scan
 from gridtrack.common.scene import Scene
 from gridtrack.recordings import Recording, open_recording
 from gridtrack.recordings.cell_labels import check_labels, labelled_returns
+from gridtrack.recordings.recorded_time import RecordedTime
 from gridtrack.recordings.recording import Stretch, stretch_text
 from gridtrack.recordings.resample import Tick, resample_scans
 
@@ -158,6 +159,13 @@ class GridStream:
     def start_s(self) -> float:
         """The time of the first frame since the first scan of the recording, seconds."""
         return self._ticks[0] * self.period_s
+
+    @property
+    def recorded(self) -> RecordedTime:
+        """The time that the frames cover."""
+        first_ns = self.recording.survey.first_ns
+        start_ns, end_ns = (first_ns + tick * self.period_ns for tick in (self._ticks.start, self._ticks.stop))
+        return RecordedTime(self.recording.source_sha256, self.site, start_ns, end_ns)
 
     @cached_property
     def has_truth(self) -> bool:
