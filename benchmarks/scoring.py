@@ -41,7 +41,7 @@ GRID = GridSpec(SIZE, 0.2, (-10.0, 0.0))
 
 def street(strata: tuple[str, ...]) -> RegionMaps:
     """Two walls along a street, seen from its near end."""
-    cell_kinds = np.full(GRID.shape, CELL_KINDS.index("moving"), np.uint8)
+    cell_kinds = np.full(GRID.shape, CELL_KINDS.index("dynamic"), np.uint8)
     for column in (15, 85):
         cell_kinds[:, column - 1 : column + 2] = CELL_KINDS.index("ring")
         cell_kinds[:, column] = CELL_KINDS.index("static")

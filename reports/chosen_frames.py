@@ -16,7 +16,7 @@ LEAST_DIFFERENCE = 0.01
 
 @dataclass(frozen=True)
 class FrameScore:
-    """The counts of one tracker on moving cells, at one scored frame and step."""
+    """The counts of one tracker on dynamic cells, at one scored frame and step."""
 
     tp: int
     fp: int
@@ -24,7 +24,7 @@ class FrameScore:
 
     @property
     def occupied(self) -> int:
-        """Occupied moving cells of the observed frame: the same for every tracker."""
+        """Occupied dynamic cells of the observed frame: the same for every tracker."""
         return self.tp + self.fn
 
     @property
@@ -46,8 +46,8 @@ def selection_rule(parts: int, horizon_s: float) -> str:
     each = f"from each of {parts} equal parts of the stretch" if parts > 1 else "from the stretch"
     return (
         "Chosen by one rule for every tracker, among the frames whose forecasts the run kept:"
-        f" {each} the frame with the most occupied moving cells {horizon_s:.3g} s later; and one more, where the"
-        " trackers' F1 on moving cells at that horizon differ most (the floor is not counted)."
+        f" {each} the frame with the most occupied dynamic cells {horizon_s:.3g} s later; and one more, where the"
+        " trackers' F1 on dynamic cells at that horizon differ most (the floor is not counted)."
     )
 
 
@@ -68,13 +68,13 @@ def choose_frames(
         inside = [s for s in stamps if part == (s - stamps[0]) // width]
         if inside:
             busiest = max(inside, key=lambda s: (occupied[s], -s))
-            chosen[busiest] = f"most occupied moving cells of part {part + 1}: {occupied[busiest]}"
+            chosen[busiest] = f"most occupied dynamic cells of part {part + 1}: {occupied[busiest]}"
     rest = [s for s in stamps if s not in chosen]
     if rest and len(trackers) > 1:
         ranges = {s: _range([scores[name][s].f1 for name in trackers]) for s in rest}
         widest = max(rest, key=lambda s: (ranges[s], -s))
         if ranges[widest] >= LEAST_DIFFERENCE:
-            chosen[widest] = f"largest difference between trackers: {ranges[widest]:.2f} in F1 on moving cells"
+            chosen[widest] = f"largest difference between trackers: {ranges[widest]:.2f} in F1 on dynamic cells"
     return tuple(ChosenFrame(stamp, chosen[stamp]) for stamp in sorted(chosen))
 
 
@@ -83,11 +83,11 @@ def _range(values: Sequence[float]) -> float:
 
 
 def frame_scores(path: Path, step: int) -> dict[int, FrameScore]:
-    """The scores of moving cells at `step` by stamp, from the scores.parquet of a trial. Raises ReportError."""
+    """The scores of dynamic cells at `step` by stamp, from the scores.parquet of a trial. Raises ReportError."""
     try:
         rows = (
             pl.scan_parquet(path, glob=False)
-            .filter((pl.col("step") == step) & (pl.col("stratum") == "moving"))
+            .filter((pl.col("step") == step) & (pl.col("stratum") == "dynamic"))
             .select("stamp_ns", "tp", "fp", "fn")
             .collect()
         )

@@ -56,8 +56,8 @@ def filmstrip_of(
 ) -> tuple[Filmstrip | None, tuple[str, ...]]:
     """The filmstrip of one recording out of `recordings`, and notices of samples that cannot be read.
 
-    `folders`: the folder of each trial by label. Frames are chosen by the scores of moving cells at `step`, `horizon_s`
-    ahead. The filmstrip is None where no trial kept samples.
+    `folders`: the folder of each trial by label. Frames are chosen by the scores of dynamic cells at `step`,
+    `horizon_s` ahead. The filmstrip is None where no trial kept samples.
     """
     kept, notices = _kept_stamps(table.rows, folders)
     trackers = tuple(row for row in table.rows if kept.get(row.label))

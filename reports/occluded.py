@@ -13,7 +13,7 @@ OCCLUDED = "occluded"
 @dataclass(frozen=True)
 class OccludedRow:
     """One tracker on occluded cells: F1 of each stratum, F1 on visible less F1 on occluded cells, and the shares of
-    the oracle on moving and on occluded cells; None where a score is undefined."""
+    the oracle on dynamic and on occluded cells; None where a score is undefined."""
 
     row: TableRow
     f1: tuple[float | None, ...]
@@ -42,7 +42,7 @@ def occluded_table(table: HeadlineTable) -> OccludedTable | None:
 
 def _occluded_row(row: TableRow, names: Sequence[str], step: int) -> OccludedRow:
     strata, gap = row.trial.strata, row.trial.gap_to_truth
-    shares = (strata[n].share_of_oracle if n in strata else None for n in ("moving", OCCLUDED))
+    shares = (strata[n].share_of_oracle if n in strata else None for n in ("dynamic", OCCLUDED))
     return OccludedRow(
         row,
         tuple(strata[name].f1[step] if name in strata else None for name in names),

@@ -175,17 +175,17 @@ def _columns(horizons_s: Sequence[float]) -> Iterator[TableColumn]:
     period_s = horizons_s[1] - horizons_s[0]
     wanted = [round(h / period_s) for h in TABLE_HORIZONS_S]
     steps = sorted({step for step in wanted if 0 < step < len(horizons_s)}) or [len(horizons_s) - 1]
-    for stratum in ("moving", "visible"):
+    for stratum in ("dynamic", "visible"):
         for step in steps:
             yield TableColumn(f"F1, {stratum}", _horizon_text(horizons_s[step]), stratum, "f1", step)
     step = round(DETAIL_HORIZON_S / period_s)
     step = step if step in steps else steps[0]
-    group = f"moving, {_horizon_text(horizons_s[step])}"
-    yield TableColumn(group, "precision", "moving", "precision", step, 0)
-    yield TableColumn(group, "recall", "moving", "recall", step, 0)
-    yield TableColumn(group, "PR-AUC", "moving", "pr_auc", step)
-    yield TableColumn(group, "log loss", "moving", "nll", step, -1)
-    yield TableColumn(group, "Brier", "moving", "brier", step, -1)
+    group = f"dynamic, {_horizon_text(horizons_s[step])}"
+    yield TableColumn(group, "precision", "dynamic", "precision", step, 0)
+    yield TableColumn(group, "recall", "dynamic", "recall", step, 0)
+    yield TableColumn(group, "PR-AUC", "dynamic", "pr_auc", step)
+    yield TableColumn(group, "log loss", "dynamic", "nll", step, -1)
+    yield TableColumn(group, "Brier", "dynamic", "brier", step, -1)
 
 
 def _horizon_text(horizon_s: float) -> str:

@@ -3,10 +3,10 @@
 `python -m studies.figures [--check]` (one second). Between markers, which are HTML comments, a page has what the
 command writes:
 
-    <!-- value: junction: kalman: f1 moving 1 s -->0.693<!-- /value -->
+    <!-- value: junction: kalman: f1 dynamic 1 s -->0.693<!-- /value -->
     <!-- value: trackers/dogma.json: time: processor time -->13<!-- /value -->
     <!-- table: trackers/dogma.json: velocity: table -->...<!-- /table -->
-    <!-- table: junction: F1: kalman, dogma: f1 moving 1 s, f1 visible 1 s: intervals, best -->...<!-- /table -->
+    <!-- table: junction: F1: kalman, dogma: f1 dynamic 1 s, f1 visible 1 s: intervals, best -->...<!-- /table -->
     <!-- table: junction: confusion: kalman: visible -->...<!-- /table -->
     <!-- table: label-budget -->...<!-- /table -->
 

@@ -1,4 +1,4 @@
-"""Demo recording in five folds: moving F1 of each tracker and of persistence, with every part tested once.
+"""Demo recording in five folds: dynamic F1 of each tracker and of persistence, with every part tested once.
 
 `python -m studies.leg_folds [TRACKER...]` (five minutes a fold and tracker; what is in `--out` is kept). The demo
 tests 36 s with thresholds from 15 s. Here every fifth of the two minutes is tested once: the thresholds are chosen on
@@ -26,7 +26,7 @@ FOLDS = ("0s-25s", "25s-50s", "50s-75s", "75s-100s", "100s-126s")
 REFERENCE = "persistence"
 PERIOD_S = 0.1
 SHOWN = {"f1": (0.5, 1.0, 2.0), "pr_auc": (0.5, 1.0)}
-"""Scores of moving cells, and at which horizons, s. No threshold goes into the PR-AUC."""
+"""Scores of dynamic cells, and at which horizons, s. No threshold goes into the PR-AUC."""
 
 
 def gridtrack(*arguments: object) -> None:
@@ -62,9 +62,9 @@ def finished_trials(folder: Path, summary: RunSummary) -> list[FinishedTrial]:
     return found
 
 
-def moving_scores(strata: Mapping[str, StratumScores]) -> str:
+def dynamic_scores(strata: Mapping[str, StratumScores]) -> str:
     """The scores in SHOWN, as text."""
-    curves = strata["moving"].model_dump()
+    curves = strata["dynamic"].model_dump()
     return "  ".join(f"{curves[score][round(h / PERIOD_S)]:.3f}" for score, at in SHOWN.items() for h in at)
 
 
@@ -75,7 +75,7 @@ def main() -> None:
     arguments = parser.parse_args()
     recordings: dict[str, RecordingSummary] = {}
     trials: list[FinishedTrial] = []
-    print("moving cells:", "; ".join(f"{score} at {', '.join(f'{h:g} s' for h in at)}" for score, at in SHOWN.items()))
+    print("dynamic cells:", "; ".join(f"{score} at {', '.join(f'{h:g} s' for h in at)}" for score, at in SHOWN.items()))
     for fold, stretch in enumerate(FOLDS):
         folder = compare_fold(fold, arguments.trackers, arguments.out)
         summary = read_summary(folder)
@@ -83,17 +83,17 @@ def main() -> None:
         trials += finished_trials(folder, summary)
         for label, row in summary.trackers.items():
             for scores in row.recordings.values():
-                print(f"{stretch:>10}  {label:14} {moving_scores(scores.strata)}")
+                print(f"{stretch:>10}  {label:14} {dynamic_scores(scores.strata)}")
     print_pooled(RunStatistics(recordings, trials, REFERENCE))
 
 
 def print_pooled(statistics: RunStatistics) -> None:
-    """Print the scores over all folds, and the paired differences of moving F1."""
+    """Print the scores over all folds, and the paired differences of dynamic F1."""
     for label in statistics.labels if statistics.pools else []:
-        print(f"{'all':>10}  {label:14} {moving_scores(statistics.pooled(label).strata)}")
+        print(f"{'all':>10}  {label:14} {dynamic_scores(statistics.pooled(label).strata)}")
     for difference in statistics.differences():
         for test in difference.headline:
-            if test.stratum == "moving":
+            if test.stratum == "dynamic":
                 span = difference.interval or f"[{test.f1_low:.3f}, {test.f1_high:.3f}]"
                 print(f"{difference.tracker} less {REFERENCE} at {test.horizon_s:g} s: {test.f1:+.3f} {span}")
 

@@ -2,11 +2,11 @@
 
 `python -m studies.regression_gate [RUN RUN RUN...]` (some minutes): three runs or more of the same tracker, trained
 anew for each, on the same twenty recordings or more; without them, `kalman` with four settings is run on the junction's
-test recordings. Aims: worse in at most 5 % of 200 resampled comparisons; a decrease of 0.02 F1 on moving cells in the
+test recordings. Aims: worse in at most 5 % of 200 resampled comparisons; a decrease of 0.02 F1 on dynamic cells in the
 step band of 1 s found in at least 95 of 100.
 
 Every comparison draws as many recordings as there are, with replacement. For a decrease, hits of the judged run become
-misses, more in some recordings than in others, until moving F1 has decreased by 0.02. Three tables:
+misses, more in some recordings than in others, until dynamic F1 has decreased by 0.02. Three tables:
 
 1. Exchanged units: in each recording it is random which of the two best runs is the baseline.
 2. Trainings as observed: each run but the best against baselines of others that include the best; and each run against
@@ -45,7 +45,7 @@ from studies.support.shipped import JUNCTION, junction_tests
 SETTINGS = ("", ":position_noise_m=0.05", ":acceleration=0.1", ":link_m=0.3")
 """Options of `kalman` with nearly equal scores: in place of trainings where none are given."""
 RESAMPLED, FALLS = 200, 100
-FALL, STRATUM, BAND = 0.02, "moving", "middle"
+FALL, STRATUM, BAND = 0.02, "dynamic", "middle"
 MARGIN = GateSettings().margin
 Floats = NDArray[np.float64]
 """Counts are TP, FP, FN, TN (U, R, 4) of units and rows; of trainings (K, U, R, 4)."""

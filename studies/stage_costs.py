@@ -1,7 +1,7 @@
 """Cost of each stage of the model-free pipeline in F1: the junction with the truth in a stage's place.
 
 `python -m studies.stage_costs [kalman|factor-graph]` (ten minutes). The validation recording, scored as in tuning
-(moving and visible cells, each step's best threshold), with the pipeline as it is and then with one thing from the
+(dynamic and visible cells, each step's best threshold), with the pipeline as it is and then with one thing from the
 truth: all returns of a body as one cluster; how the body has moved since its first match, in place of each later
 match; the velocity and turn rate of every visible track, or of those that are at most a second old, at the time of the
 forecast.
@@ -210,9 +210,9 @@ def owner_of(points: Points, truth: TrueFrame, grid: GridSpec) -> int | None:
 
 
 def scores(kind: type[ModelFreeTracker], stream: GridStream) -> list[float]:
-    """F1 of moving and of visible cells at HORIZONS."""
+    """F1 of dynamic and of visible cells at HORIZONS."""
     found = score_in_process(with_shipped_weights(kind, kind.name, stream), stream, STEPS)
-    return [float(found.f1[stratum][step]) for stratum in ("moving", "visible") for step in HORIZONS.values()]
+    return [float(found.f1[stratum][step]) for stratum in ("dynamic", "visible") for step in HORIZONS.values()]
 
 
 def main() -> None:
@@ -225,7 +225,7 @@ def main() -> None:
     recording = JUNCTION / "validation.tracks"
     stream = open_stream(f"{recording}@{arguments.stretch}" if arguments.stretch else recording)
     truth = true_frames(list(stream.observations()), stream.grid)
-    columns = [f"{stratum} {horizon}" for stratum in ("moving", "visible") for horizon in HORIZONS]
+    columns = [f"{stratum} {horizon}" for stratum in ("dynamic", "visible") for horizon in HORIZONS]
     rows = []
     for replaced, name in REPLACED.items():
         values = scores(informed_tracker(kind, replaced, truth), stream)

@@ -8,7 +8,7 @@ class of the true body, over bodies of which at least two cells are visible:
 - estimation: error of the velocity along and across the true one (median, root mean square), of bodies in view for a
   second that move, and the median of the squared normalised error (1.4 where it is consistent);
 - forecast: the share of the cells of bodies that have moved by 0.2 m which is forecast above the threshold that is best
-  for moving cells at that horizon: one frame, half a second and a second ahead.
+  for dynamic cells at that horizon: one frame, half a second and a second ahead.
 """
 
 from __future__ import annotations
@@ -168,7 +168,7 @@ def add_forecast(
     grid, occupancy = tracker.stream.grid, tracker.predict(max(AHEAD)).occupancy
     start, pose = bodies(ahead[0].scene), ahead[0].frame.world_T_grid
     assert ahead[0].scene is not None  # as `bodies` has checked
-    moving = (cell_kinds_around(static_cells(ahead[0].scene, grid, pose)) == CELL_KINDS.index("moving")).reshape(-1)
+    dynamic = (cell_kinds_around(static_cells(ahead[0].scene, grid, pose)) == CELL_KINDS.index("dynamic")).reshape(-1)
     for steps in AHEAD:
         later = ahead[steps]
         occupied, kind = later.frame.occupied.reshape(-1), np.full(grid.size**2, -1)
@@ -176,7 +176,7 @@ def add_forecast(
             was, now = start.get(key), body.world_T_object
             if was is not None and np.hypot(was.world_T_object.x - now.x, was.world_T_object.y - now.y) >= MOVED_M:
                 kind[body_cells(body, later.frame.world_T_grid, centres, occupied, grid)] = body.label
-        counted = later.frame.visible.reshape(-1) & moving
+        counted = later.frame.visible.reshape(-1) & dynamic
         forecasts[steps].append((occupancy[steps].reshape(-1)[counted], occupied[counted], kind[counted]))
 
 

@@ -1,8 +1,8 @@
-"""Worst forecasts: pictures of the forecasts of moving cells with the least F1, for each tracker of a run.
+"""Worst forecasts: pictures of the forecasts of dynamic cells with the least F1, for each tracker of a run.
 
 `python -m studies.worst_forecasts RUN` (some seconds) reads a run and writes RUN/worst-forecasts.html: for each
-tracker the kept frames with the least moving F1 one second ahead, at most one of a recording and only frames with
-enough moving cells; the input, the observed frame, the forecast, and the forecast at its threshold: hit, missed, false
+tracker the kept frames with the least dynamic F1 one second ahead, at most one of a recording and only frames with
+enough dynamic cells; the input, the observed frame, the forecast, and the forecast at its threshold: hit, missed, false
 alarm.
 """
 
@@ -43,7 +43,7 @@ def worst(run: Run, label: str) -> list[Failure]:
     """The worst kept frame of each recording, the SHOWN worst of these."""
     found: list[Failure] = []
     for recording, trial in run.summary.trackers[label].recordings.items():
-        if run.is_pooled(recording) or "moving" not in trial.strata:
+        if run.is_pooled(recording) or "dynamic" not in trial.strata:
             continue
         step = round(HORIZON_S / run.summary.recordings[recording].period_s)
         folder = run.trial_folder(label, recording)
@@ -84,7 +84,7 @@ def pictures(failure: Failure) -> str:
     shown = "".join(f'<img src="{image}">' for image in images) + errors
     scored = failure.scored
     return (
-        f"<h3>{escape(failure.recording)}, {sample.stamp_ns / 1e9:.2f} s: moving F1 {scored.f1:.2f}"
+        f"<h3>{escape(failure.recording)}, {sample.stamp_ns / 1e9:.2f} s: dynamic F1 {scored.f1:.2f}"
         f" ({scored.tp} hit, {scored.fn} missed, {scored.fp} false)</h3><div>{shown}</div>"
     )
 

@@ -128,9 +128,9 @@ def _report_best(study: optuna.Study, name: str, out: FitOutput) -> None:
 def stretch_summary(score: StretchScore, source: FrameSource, horizons_s: Sequence[float]) -> dict[str, Any]:
     """The scores of one stretch for a card, without undefined ones."""
     columns = {
-        "moving_log_loss": score.log_loss["moving"],
+        "dynamic_log_loss": score.log_loss["dynamic"],
         "visible_f1": score.f1["visible"],
-        "moving_f1": score.f1["moving"],
+        "dynamic_f1": score.f1["dynamic"],
     }
     at = {f"{horizon:g}s": step_of(source, horizon) for horizon in horizons_s}
     return {"stretch": source.name} | {

@@ -96,7 +96,7 @@ HISTOGRAM_TABLE = ParquetTable(
 )
 CLASSES_TABLE = ParquetTable(
     "classes.parquet",
-    "scored frame x step x visibility x class, of moving cells",
+    "scored frame x step x visibility x class, of dynamic cells",
     (
         _STAMP,
         _STEP,
@@ -104,7 +104,7 @@ CLASSES_TABLE = ParquetTable(
         ParquetColumn("class", _NAME, "the recording's name of the class"),
         *_counts(
             FOUND[:2],
-            "cells called occupied, and not, at the threshold of `moving` for visible ones, of `occluded` for others",
+            "cells called occupied, and not, at the threshold of `dynamic` for visible ones, of `occluded` for others",
         ),
         *_counts(FOUND[2:], "the same at 0.5"),
     ),

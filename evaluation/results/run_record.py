@@ -12,7 +12,7 @@ from gridtrack.evaluation.results.recording import RecordingIdentity
 from gridtrack.evaluation.results.values import ResultModel
 from gridtrack.recordings.degradation import Degradation
 
-RUN_SCHEMA: Final = 1
+RUN_SCHEMA: Final = 2
 RUN_FILE = "run.json"
 MAX_RUN_BYTES = 1 << 24
 
@@ -71,7 +71,7 @@ class Machine(ResultModel):
 class RunRecord(ResultModel):
     """A run: what was requested, with which inputs and versions, and how far it is."""
 
-    schema_version: Literal[1] = Field(default=RUN_SCHEMA, alias="schema")
+    schema_version: Literal[2] = Field(default=RUN_SCHEMA, alias="schema")
     command: tuple[str, ...]
     """The command line."""
     settings: RunSettings = RunSettings()

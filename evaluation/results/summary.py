@@ -13,7 +13,7 @@ from gridtrack.evaluation.results.trial_summary import PooledSummary, ScopeSumma
 from gridtrack.evaluation.results.values import Curve, Number, ResultModel
 from gridtrack.trackers.contract import Role
 
-SUMMARY_SCHEMA: Final = 1
+SUMMARY_SCHEMA: Final = 2
 SUMMARY_FILE = "summary.json"
 MAX_SUMMARY_BYTES = 256 << 20
 ALL_RECORDINGS = "all recordings"
@@ -113,7 +113,7 @@ class ClassDifference(ResultModel):
 class RunSummary(ResultModel):
     """The results of a run."""
 
-    schema_version: Literal[1] = Field(default=SUMMARY_SCHEMA, alias="schema")
+    schema_version: Literal[2] = Field(default=SUMMARY_SCHEMA, alias="schema")
     interrupted: bool = False
     notices: tuple[str, ...] = ()
     """What to know before a comparison, a line for each."""

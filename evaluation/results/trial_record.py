@@ -15,7 +15,7 @@ from gridtrack.evaluation.results.passes import Deadline, Latency, Robustness
 from gridtrack.evaluation.results.values import ResultModel
 from gridtrack.trackers.contract import ComparedPart, Role
 
-TRIAL_SCHEMA: Final = 1
+TRIAL_SCHEMA: Final = 2
 OUTCOME_FILE = "outcome.json"
 MAX_OUTCOME_BYTES = 1 << 24
 
@@ -49,7 +49,7 @@ class Times(ResultModel):
 class TrialRecord(ResultModel):
     """One trial: its outcome, the number of frames, the thresholds, and what was measured."""
 
-    schema_version: Literal[1] = Field(default=TRIAL_SCHEMA, alias="schema")
+    schema_version: Literal[2] = Field(default=TRIAL_SCHEMA, alias="schema")
     label: str
     recording: str
     outcome: TrialEnding

@@ -17,9 +17,9 @@ from gridtrack.evaluation.scoring.thresholds import Thresholds
 
 VISIBILITIES = ("visible", "occluded")
 """Visibility of a labelled cell: a labelled beam ends in it; or, with truth, a hidden outline passes through it."""
-_THRESHOLD_STRATA = ("moving", "occluded")
+_THRESHOLD_STRATA = ("dynamic", "occluded")
 """By visibility the stratum whose threshold decides whether a cell is found."""
-_MOVING = CELL_KINDS.index("moving")
+_DYNAMIC = CELL_KINDS.index("dynamic")
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,16 +66,16 @@ def count_found(
     thresholds: Thresholds,
     classes: int,
 ) -> NDArray[np.int32]:
-    """TP, FN, TP at 0.5 and FN at 0.5 (S, visibility, K, 4) of one forecast, by true class, in `moving` cells.
+    """TP, FN, TP at 0.5 and FN at 0.5 (S, visibility, K, 4) of one forecast, by true class, in `dynamic` cells.
 
     `occupancy` (S, M, M) float32; `cell_kinds` (M, M) uint8. Visible cells are called occupied at the threshold
-    of the stratum `moving`, hidden cells at that of `occluded`.
+    of the stratum `dynamic`, hidden cells at that of `occluded`.
     """
     found = np.zeros((len(targets), len(VISIBILITIES), classes, 4), np.int32)
     values = thresholds.values.astype(np.float32)
     columns = [thresholds.strata.index(name) if name in thresholds.strata else 0 for name in _THRESHOLD_STRATA]
     for n, target in enumerate(targets):
-        cells = cell_kinds.reshape(-1)[target.cells] == _MOVING
+        cells = cell_kinds.reshape(-1)[target.cells] == _DYNAMIC
         p, labels = occupancy[n].reshape(-1)[target.cells[cells]], target.labels[cells]
         visibility = (target.state.reshape(-1)[target.cells[cells]] != SEEN_OCCUPIED).astype(np.int64)
         threshold = values[n, columns][visibility]

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from gridtrack.common.geometry import SE2, same_pose
 from gridtrack.common.grid import GridFrame, GridSpec, Mask, with_neighbours
 
-CELL_KINDS = ("ring", "static", "moving")
+CELL_KINDS = ("ring", "static", "dynamic")
 """Disjoint kinds of cells; an array `cell_kinds` (M, M) uint8 holds indices into this."""
 RANGES_M = (5.0, 10.0)
 """Upper ends of the bands of distance to the nearest sensor, m; one more band is beyond the last."""
@@ -21,11 +21,11 @@ AGES_S = (0.5, 1.0, 2.0, 4.0)
 
 _RANGE_NAMES = ("to 5 m", "5-10 m", "over 10 m")
 _AGE_NAMES = ("to 0.5 s", "0.5-1 s", "1-2 s", "2-4 s", "over 4 s")
-_STATIC, _MOVING = range(2)
+_STATIC, _DYNAMIC = range(2)
 SEEN_REGIONS = tuple(product(CELL_KINDS, _RANGE_NAMES))
-HIDDEN_REGIONS = tuple(product((_STATIC, _MOVING), _AGE_NAMES))
+HIDDEN_REGIONS = tuple(product((_STATIC, _DYNAMIC), _AGE_NAMES))
 REGIONS = len(SEEN_REGIONS) + len(HIDDEN_REGIONS)
-"""Number of disjoint regions: visible cells by kind and range, hidden cells by whether they are `moving` and by age.
+"""Number of disjoint regions: visible cells by kind and range, hidden cells by whether they are `dynamic` and by age.
 Strata are sums of regions."""
 
 
@@ -33,20 +33,20 @@ def _seen(cell_kinds: Iterable[str] = CELL_KINDS, ranges: Iterable[str] = _RANGE
     return [SEEN_REGIONS.index(region) for region in product(cell_kinds, ranges)]
 
 
-def _hidden(motions: Iterable[int] = (_STATIC, _MOVING), ages: Iterable[str] = _AGE_NAMES) -> list[int]:
+def _hidden(motions: Iterable[int] = (_STATIC, _DYNAMIC), ages: Iterable[str] = _AGE_NAMES) -> list[int]:
     return [len(SEEN_REGIONS) + HIDDEN_REGIONS.index(region) for region in product(motions, ages)]
 
 
 _REGIONS_OF: Mapping[str, list[int]] = {
     "visible": _seen(),
-    "moving": _seen(["moving"]),
+    "dynamic": _seen(["dynamic"]),
     "static": _seen(["static"]),
     **{f"visible {name}": _seen(ranges=[name]) for name in _RANGE_NAMES},
     "occluded": _hidden(),
-    "occluded moving": _hidden([_MOVING]),
+    "occluded dynamic": _hidden([_DYNAMIC]),
     **{f"occluded {name}": _hidden(ages=[name]) for name in _AGE_NAMES},
 }
-STRATA = ("visible", "moving", "static")
+STRATA = ("visible", "dynamic", "static")
 """Strata of a recording without truth. The ring round static cells is part of `visible` only."""
 STRATA_WITH_TRUTH = tuple(_REGIONS_OF)
 """Strata of a recording with truth: first those of STRATA, so that indices agree."""
@@ -80,9 +80,9 @@ def region_maps_of(
     centres = grid.cell_centres(np.ones(grid.shape, np.bool_)).astype(np.float64)
     distance = np.linalg.norm(centres - origins.reshape(-1, 1, 2), axis=2).min(axis=0, initial=np.inf)
     band = np.searchsorted(RANGES_M, distance).reshape(grid.shape)
-    moving = cell_kinds == CELL_KINDS.index("moving")
+    dynamic = cell_kinds == CELL_KINDS.index("dynamic")
     visible = cell_kinds * len(_RANGE_NAMES) + band
-    hidden = len(SEEN_REGIONS) + np.where(moving, _MOVING, _STATIC) * len(_AGE_NAMES)
+    hidden = len(SEEN_REGIONS) + np.where(dynamic, _DYNAMIC, _STATIC) * len(_AGE_NAMES)
     return RegionMaps(visible.astype(np.uint8), hidden.astype(np.uint8), cell_kinds, strata)
 
 
@@ -90,7 +90,7 @@ def cell_kinds_of(frames: Iterable[GridFrame], grid: GridSpec, world_T_grid: SE2
     """Kind of each cell (M, M), from all frames of a recording with the grid pose `world_T_grid`.
 
     Static: occupied in more than half of the frames in which the cell is visible. Ring: the eight neighbours of a
-    static cell, where range noise flickers. Moving: all others.
+    static cell, where range noise flickers. Dynamic: all others.
     """
     seen, hits = np.zeros(grid.shape, np.int64), np.zeros(grid.shape, np.int64)
     for frame in frames:
@@ -102,7 +102,7 @@ def cell_kinds_of(frames: Iterable[GridFrame], grid: GridSpec, world_T_grid: SE2
 
 def cell_kinds_around(static: Mask) -> NDArray[np.uint8]:
     """Kind of each cell (M, M) uint8, from the mask of static cells."""
-    cell_kinds = np.full(static.shape, CELL_KINDS.index("moving"), np.uint8)
+    cell_kinds = np.full(static.shape, CELL_KINDS.index("dynamic"), np.uint8)
     cell_kinds[with_neighbours(static)] = CELL_KINDS.index("ring")
     cell_kinds[static] = CELL_KINDS.index("static")
     return cell_kinds

@@ -15,7 +15,7 @@ from gridtrack.evaluation.statistics.frame_counts import FrameCounts
 from gridtrack.evaluation.statistics.jackknife import COUNTS, LEAST_UNITS, RATIO_SCORES, TOO_SHORT, interval
 from gridtrack.evaluation.statistics.units import BLOCK_TIMES, autocorrelation_time, residuals, sum_by_unit, units_of
 
-HEADLINE_STRATA, HEADLINE_HORIZONS_S = ("moving", "visible"), (0.5, 1.0, 2.5)
+HEADLINE_STRATA, HEADLINE_HORIZONS_S = ("dynamic", "visible"), (0.5, 1.0, 2.5)
 """Strata and horizons of the headline tests: the family of Holm's correction is F1 in these, for each tracker."""
 
 

@@ -1,7 +1,7 @@
 """Numbers of docs/results/junction/summary.json as the pages print them.
 
 A number is addressed by a row and a column. The row is a tracker, `TRACKER less REFERENCE` (a paired difference) or
-`TRACKER over OTHER` (a ratio). The column is a score, a stratum and a horizon, such as `f1 moving 1 s`. Scores: `f1`,
+`TRACKER over OTHER` (a ratio). The column is a score, a stratum and a horizon, such as `f1 dynamic 1 s`. Scores: `f1`,
 `nll`, `class nll` (nats per scan), `share_of_oracle` (of the gap between persistence and the oracle), `lead` (F1 above
 the better of FLOORS) and `p` (Holm's, of a difference). `visible cyclist as car` is a share of the class's cells now.
 """

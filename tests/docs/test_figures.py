@@ -30,7 +30,7 @@ def test_a_value_and_a_table_are_filled_between_their_markers() -> None:
     assert "| F1 | occluded 1 s |\n|---|---|\n| oracle | 1.000 |\n<!-- /table -->" in table
 
 
-@pytest.mark.parametrize("address", ["value: junction: kalman: f2 moving 1 s", "table: nowhere"])
+@pytest.mark.parametrize("address", ["value: junction: kalman: f2 dynamic 1 s", "table: nowhere"])
 def test_an_unknown_address_is_an_error(address: str) -> None:
     kind = address.partition(":")[0]
     with pytest.raises(KeyError, match="no "):

@@ -103,7 +103,7 @@ def write_trial(run, label, tracker, forecast, scored=EXPECTED, outcome="ok", re
             scores.add(one.stamp_ns, f"{t:032x}", count_forecast(one.forecast.occupancy, targets, REGION_MAPS))
             samples.add(one)
     record = TrialRecord(
-        schema=1,
+        schema=2,
         label=label,
         recording=RECORDING,
         outcome=outcome,

@@ -25,7 +25,7 @@ def test_one_more_is_where_the_trackers_differ_most_the_floor_aside():
     scored["floor"][7] = FrameScore(tp=0, fp=4, fn=4)
     chosen = choose_frames(scored, ["a", "b"], 3)
     assert [moment.stamp_ns for moment in chosen] == [0, 3, 5, 6]
-    assert "largest difference between trackers: 0.75 in F1 on moving cells" in chosen[2].reason
+    assert "largest difference between trackers: 0.75 in F1 on dynamic cells" in chosen[2].reason
 
 
 def test_where_trackers_agree_no_frame_is_chosen_for_a_difference():

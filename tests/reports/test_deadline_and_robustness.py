@@ -19,7 +19,7 @@ STEPS = 20
 
 
 def constant(value):
-    return {name: [value] * (STEPS + 1) for name in ("visible", "moving", "static")}
+    return {name: [value] * (STEPS + 1) for name in ("visible", "dynamic", "static")}
 
 
 AGES = {"p50": 1.0, "p95": 2.0, "p99": 2.0}
@@ -70,14 +70,14 @@ def test_without_other_conditions_the_page_has_no_section_of_them(page_of):
 
 def test_scores_under_a_deadline_are_shown_beside_the_untimed_one(page_of, run_folder, summary_of):
     text = text_of(page_of(DEADLINE)).partition("Under a deadline")[2]
-    untimed = summary_of(run_folder)["trackers"]["good"]["recordings"]["crossing"]["strata"]["moving"]["f1"][4]
+    untimed = summary_of(run_folder)["trackers"]["good"]["recordings"]["crossing"]["strata"]["dynamic"]["f1"][4]
     assert f"good 41.0 44.0 46.5 21.5 {untimed:.3f} 0.413 0.217 −50 %" in text
     assert "×1, 8 Hz ×4, 32 Hz" in text
 
 
 def test_degraded_input_is_drawn_per_kind_and_given_in_numbers(page_of):
     html = page_of(None, ROBUSTNESS).partition("On degraded input")[2]
-    assert html.count("moving cells; range noise") >= 2
+    assert html.count("dynamic cells; range noise") >= 2
     assert "good 0.400 0.350 0.300" in text_of(html)
     assert "0.1 m" in html
     assert "scored against the undegraded frames" in text_of(html)
@@ -87,7 +87,7 @@ def test_degraded_input_is_drawn_per_kind_and_given_in_numbers(page_of):
 def test_invalid_conditions_are_refused_in_one_line(page_of, damage):
     deadline, robustness = copy.deepcopy(DEADLINE), copy.deepcopy(ROBUSTNESS)
     if damage == "short":
-        deadline["rates"][0]["f1"]["moving"] = [0.5]
+        deadline["rates"][0]["f1"]["dynamic"] = [0.5]
     elif damage == "backwards":
         robustness["kinds"]["range_noise"].reverse()
     else:
@@ -98,7 +98,7 @@ def test_invalid_conditions_are_refused_in_one_line(page_of, damage):
 
 def test_a_stratum_that_was_not_scored_leaves_a_gap(page_of):
     deadline = copy.deepcopy(DEADLINE)
-    del deadline["rates"][1]["f1"]["moving"]
+    del deadline["rates"][1]["f1"]["dynamic"]
     assert "0.413 – −50 %" in text_of(page_of(deadline))
 
 
@@ -115,10 +115,10 @@ def test_names_are_escaped(page_of):
 
 def test_a_panel_reaches_from_zero_to_the_highest_score():
     panel = sweep_panel(
-        "moving", [(0.0, "0"), (2.0, "2")], [(Series("a", "t0"), (0.24, None)), (Series("b", "t1"), (0.1, 0.3))]
+        "dynamic", [(0.0, "0"), (2.0, "2")], [(Series("a", "t0"), (0.24, None)), (Series("b", "t1"), (0.1, 0.3))]
     )
     assert [words for _, words in panel.y_ticks] == ["0", "0.15", "0.3"]
     (_, _, only), (_, _, both) = panel.lines
     assert len(only) == 1
     assert both[1] == (panel.x.end, panel.y_ticks[2][0])
-    assert panel.words == "F1, moving: a from 0.240 to undefined, b from 0.100 to 0.300"
+    assert panel.words == "F1, dynamic: a from 0.240 to undefined, b from 0.100 to 0.300"

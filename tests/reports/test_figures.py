@@ -16,7 +16,7 @@ HORIZONS_S = (0.0, 0.5, 1.0, 1.5)
 
 def panel(*curves, label_width=100.0):
     series = [(Series(f"s{i}", f"t{i}"), curve) for i, curve in enumerate(curves)]
-    return curve_panel("moving", HORIZONS_S, series, (740, 460), label_width)
+    return curve_panel("dynamic", HORIZONS_S, series, (740, 460), label_width)
 
 
 def points(text):

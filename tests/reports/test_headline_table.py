@@ -36,7 +36,7 @@ def test_every_number_is_the_one_of_the_summary_at_its_horizon(table, run_folder
 
 
 def test_columns_are_the_marked_horizons(table):
-    assert table.groups == (("F1, moving", 4), ("F1, visible", 4), ("moving, 1 s", 5))
+    assert table.groups == (("F1, dynamic", 4), ("F1, visible", 4), ("dynamic, 1 s", 5))
     assert [c.heading for c in table.columns[:4]] == ["0.5 s", "1 s", "2 s", "2.5 s"]
 
 
@@ -50,9 +50,9 @@ def test_partial_trials_are_not_ranked_and_are_never_best(table):
 
 def test_a_partial_trial_cannot_take_the_best_mark_by_scoring_higher(run_folder, tmp_path):
     def raise_partial(summary):
-        moving = summary["trackers"]["unlucky"]["recordings"]["crossing"]["strata"]["moving"]
-        moving["f1"] = [1.0] * len(moving["f1"])
-        fair = summary["trackers"]["good"]["recordings"]["crossing"]["strata"]["moving"]
+        dynamic = summary["trackers"]["unlucky"]["recordings"]["crossing"]["strata"]["dynamic"]
+        dynamic["f1"] = [1.0] * len(dynamic["f1"])
+        fair = summary["trackers"]["good"]["recordings"]["crossing"]["strata"]["dynamic"]
         fair["f1"] = [0.9] * len(fair["f1"])
 
     (table,) = headline_tables(read_runs([rewritten(run_folder, tmp_path / "run", raise_partial)]))
@@ -70,8 +70,8 @@ def test_less_is_better_for_log_loss_and_precision_alone_is_not_ranked(table):
 
 def test_an_undefined_score_is_a_dash(run_folder, tmp_path):
     def undefine(summary):
-        moving = summary["trackers"]["fair"]["recordings"]["crossing"]["strata"]["moving"]
-        moving["f1"] = [None] * len(moving["f1"])
+        dynamic = summary["trackers"]["fair"]["recordings"]["crossing"]["strata"]["dynamic"]
+        dynamic["f1"] = [None] * len(dynamic["f1"])
 
     (table,) = headline_tables(read_runs([rewritten(run_folder, tmp_path / "run", undefine)]))
     (fair,) = [row for row in table.rows if row.label == "fair"]

@@ -107,7 +107,7 @@ def test_a_run_without_truth_has_no_such_section(run_folder):
 def test_a_calibrated_forecast_lies_on_the_diagonal(run_folder, monkeypatch):
     cells = np.full((STEPS + 1, 1, PROBABILITY_BINS), 1000)
     p = np.linspace(0.01, 0.99, PROBABILITY_BINS)
-    tally = Tally(cells, (cells * p).astype(int), cells * p, *np.zeros((2, STEPS + 1, 1)), ("moving",))
+    tally = Tally(cells, (cells * p).astype(int), cells * p, *np.zeros((2, STEPS + 1, 1)), ("dynamic",))
     monkeypatch.setattr("gridtrack.reports.reliability.read_tally", lambda *_: tally)
     drawn, notices = reliability_diagrams(read_runs([run_folder]), table_of(run_folder))
     assert [one.row.label for one in drawn] == ["good", "fair"]

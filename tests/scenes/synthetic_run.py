@@ -92,7 +92,7 @@ def write_trial(
                 (frame + 10) * 1_000_000_000, (delivered + f"{frame:x}").rjust(32, "0"), tally(rng, skill, strata)
             )
     record = TrialRecord(
-        schema=1,
+        schema=2,
         label=label,
         recording=recording,
         outcome="ok" if done == frames else "crashed",

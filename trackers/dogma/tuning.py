@@ -17,7 +17,7 @@ from gridtrack.trackers.weights import card_for, save_weights
 
 DOGMA_ITERATIONS = 30
 DOGMA_HORIZONS_S = (0.2, 0.5, 1.0, 2.0)
-"""The objective is the mean log loss on moving cells over these. A proper score rewards the increasing uncertainty of
+"""The objective is the mean log loss on dynamic cells over these. A proper score rewards the increasing uncertainty of
 the forecast of a walker, which the F1 at the best threshold of a short stretch does not."""
 TUNED_ON_S = 96.0
 """Duration of the part of each training recording, from its start, for the search; the rate is counted on all of it."""
@@ -88,5 +88,5 @@ def count_occupancy_rate(train: Sequence[FrameSource]) -> Mass:
 
 
 def _moving_loss(score: StretchScore, source: FrameSource) -> float:
-    """Mean log loss on moving cells over DOGMA_HORIZONS_S."""
-    return float(np.mean([score.log_loss["moving"][step_of(source, horizon)] for horizon in DOGMA_HORIZONS_S]))
+    """Mean log loss on dynamic cells over DOGMA_HORIZONS_S."""
+    return float(np.mean([score.log_loss["dynamic"][step_of(source, horizon)] for horizon in DOGMA_HORIZONS_S]))

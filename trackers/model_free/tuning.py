@@ -57,7 +57,7 @@ STARTING_SETTINGS = (
 EXCERPTS, EXCERPT_S = 2, 100.0
 """Number and duration of the excerpts of a long recording for the search; each is longer than a signal cycle."""
 OBJECTIVE_HORIZONS_S = (0.5, 1.0, 2.0)
-OBJECTIVE_STRATA = ("moving", "visible")
+OBJECTIVE_STRATA = ("dynamic", "visible")
 """The objective is the mean F1 over these. Vehicles that wait at a red light are static in a stretch of one or two
 minutes, and are scored among the visible cells only."""
 SETTING_RANGES = {

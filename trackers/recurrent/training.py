@@ -160,11 +160,11 @@ def sequence_loss(network: RecurrentNetwork, windows: Tensor, settings: Training
 def validation_scores(
     score: Callable[[FrameSource], Any], sources: Sequence[FrameSource], horizons_s: Sequence[float]
 ) -> dict[str, float]:
-    """F1 of moving and visible cells at the horizons, mean over the stretches; `score` is the mean of all of them."""
+    """F1 of dynamic and visible cells at the horizons, mean over the stretches; `score` is the mean of all of them."""
     results: dict[str, float] = {}
     for source in sources:
         found = score(source)
-        for stratum in ("moving", "visible"):
+        for stratum in ("dynamic", "visible"):
             for horizon in horizons_s:
                 key = f"{stratum}_f1_{horizon:g}s"
                 f1 = float(found.f1[stratum][round(horizon / source.period_s)])

@@ -70,7 +70,7 @@ def test_a_busy_tracker_misses_frames_and_scores_less(compare, costing):
     assert own.age_frames.p50 in {2.0, 3.0}
     assert result.deadline.highest_rate_hz == pytest.approx(1000 / 150)
     # persistence's forecast of the step 0 is a copy: two or three frames late it is one of two or three frames ago
-    assert own.f1["moving"][0] < half.f1["moving"][0] < result.strata["moving"].f1[0] == 1.0
+    assert own.f1["dynamic"][0] < half.f1["dynamic"][0] < result.strata["dynamic"].f1[0] == 1.0
     assert own.f1["static"][0] > 0.9
 
 
@@ -109,7 +109,7 @@ def test_frames_kept_over_a_reset_are_of_no_use_in_another_condition(compare):
     one, other = (trial_of(summary, label) for label in (honest, hostile))
     assert other.robustness.kinds["beam_dropout"][1:] == one.robustness.kinds["beam_dropout"][1:]
     for rate in other.deadline.rates:
-        assert rate.f1["moving"][-1] < 0.9
+        assert rate.f1["dynamic"][-1] < 0.9
 
 
 def test_a_tracker_that_fails_in_the_deadline_pass_keeps_its_score_with_a_notice(compare, record, tmp_path):
@@ -163,7 +163,7 @@ def test_mismatched_degraded_frames_are_detected():
     def record(label, digest, value=0.1):
         points = tuple(AtStrength(strength=s, value=s * value, delivered=digest, f1={}) for s in (0.3, 1.0))
         robustness = Robustness(degradation=Degradation(range_noise=value), kinds={"range_noise": points})
-        return TrialRecord(schema=1, label=label, recording="room", outcome="ok", steps=1, robustness=robustness)
+        return TrialRecord(schema=2, label=label, recording="room", outcome="ok", steps=1, robustness=robustness)
 
     same = [("centres", record(label, "aa")) for label in ("one", "two")]
     assert mismatched_degradations(same) == []

@@ -56,7 +56,7 @@ def test_a_run_writes_every_file_and_the_floor_has_its_known_scores(settings, pr
     summary = compare(settings("persistence", "blank"), progress)
     assert json.loads(json_of(summary)) == json.loads((tmp_path / "run" / "summary.json").read_text())
     assert read_summary(tmp_path / "run") == summary
-    assert (summary.schema_version, summary.interrupted, summary.reference) == (1, False, "persistence")
+    assert (summary.schema_version, summary.interrupted, summary.reference) == (2, False, "persistence")
     for label in ("persistence", "blank"):
         result = trial_of(summary, label)
         assert result.outcome == "ok"
@@ -65,12 +65,12 @@ def test_a_run_writes_every_file_and_the_floor_has_its_known_scores(settings, pr
         assert {"outcome.json", "scores.parquet", "histogram.parquet", "forecasts.mcap", "stderr.log"} == {
             path.name for path in folder.iterdir()
         }
-        assert set(result.strata) == {"visible", "moving", "static"}
+        assert set(result.strata) == {"visible", "dynamic", "static"}
         assert len(list(read_samples(folder / "forecasts.mcap"))) == result.frames_scored
-        assert {len(curve) for _, curve in result.strata["moving"] if isinstance(curve, tuple)} == {11}
+        assert {len(curve) for _, curve in result.strata["dynamic"] if isinstance(curve, tuple)} == {11}
     persistence, blank = (trial_of(summary, label).strata for label in ("persistence", "blank"))
     assert persistence["visible"].f1[0] == 1.0
-    assert persistence["static"].f1[10] > 0.9 > persistence["moving"].f1[10]
+    assert persistence["static"].f1[10] > 0.9 > persistence["dynamic"].f1[10]
     assert blank["visible"].f1 == (0.0,) * 11
     assert blank["visible"].precision == (None,) * 11
     assert blank["visible"].interval.startswith("too short for an interval: 1 unit")

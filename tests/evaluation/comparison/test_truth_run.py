@@ -74,12 +74,12 @@ def test_with_truth_hidden_cells_are_scored_and_the_oracle_is_the_ceiling(comple
     assert oracle.outcome == "ok"
     assert oracle.frames_scored == oracle.frames_expected == trial_of(summary, "persistence").frames_scored
     assert tuple(oracle.strata) == STRATA_WITH_TRUTH
-    for stratum in ("visible", "moving", "static", "occluded", "occluded moving"):
+    for stratum in ("visible", "dynamic", "static", "occluded", "occluded dynamic"):
         assert oracle.strata[stratum].f1 == (1.0,) * (STEPS + 1), "nothing is noisy in this recording"
     persistence = trial_of(summary, "persistence").strata
     assert persistence["visible"].f1[0] == 1.0, "on what is seen, step 0 is copying"
-    assert persistence["occluded moving"].f1[0] < 0.2, "what is not seen is not where it was last seen"
-    assert 0.0 < persistence["moving"].f1[STEPS] < 1.0
+    assert persistence["occluded dynamic"].f1[0] < 0.2, "what is not seen is not where it was last seen"
+    assert 0.0 < persistence["dynamic"].f1[STEPS] < 1.0
     assert summary.recordings["room"].parity is True
     assert pl.read_parquet(folder / "persistence@room" / SCORES_TABLE.file)["stratum"].n_unique() == len(
         STRATA_WITH_TRUTH
@@ -88,8 +88,8 @@ def test_with_truth_hidden_cells_are_scored_and_the_oracle_is_the_ceiling(comple
 
 def test_the_oracle_misses_only_range_noise(tmp_path, progress):
     summary, _ = compare(tmp_path, progress, "blank", noise_m=0.04)
-    moving, occluded = (trial_of(summary, "oracle").strata[name].f1 for name in ("moving", "occluded"))
-    assert all(0.5 < f1 < 0.99 for f1 in moving)
+    dynamic, occluded = (trial_of(summary, "oracle").strata[name].f1 for name in ("dynamic", "occluded"))
+    assert all(0.5 < f1 < 0.99 for f1 in dynamic)
     assert occluded == [1.0] * (STEPS + 1)
 
 
@@ -122,7 +122,7 @@ def test_no_tracker_may_have_the_label_of_the_oracle(tmp_path, progress):
 
 def test_the_share_of_the_way_to_the_oracle_is_0_at_the_floor_and_below_it_negative(complete):
     summary, _ = complete
-    strata = {label: trial_of(summary, label).strata["moving"] for label in summary.trackers}
+    strata = {label: trial_of(summary, label).strata["dynamic"] for label in summary.trackers}
     floor = strata["persistence"].f1[STEPS]
     assert strata["persistence"].share_of_oracle[STEPS] == 0.0
     assert strata["blank"].share_of_oracle[STEPS] == pytest.approx(-floor / (1 - floor), abs=1e-5)
@@ -164,10 +164,10 @@ def test_a_class_that_a_tracker_lacks_gives_a_notice_and_counts_as_misclassified
     assert confusion[[cyclist, static], [cyclist, static]].sum() == 0
 
 
-def test_recall_by_class_is_that_of_moving_cells_of_the_class(complete):
+def test_recall_by_class_is_that_of_dynamic_cells_of_the_class(complete):
     summary, _ = complete
     recall = trial_of(summary, "persistence").recall_by_class
     assert recall["visible"]["cyclist"].recall[0] == 1.0, "step 0 of what is seen is copying"
     assert recall["visible"]["cyclist"].recall[STEPS] < 0.6, "it has ridden on by then"
     assert 0.0 < recall["occluded"]["pedestrian"].recall[0] < 0.5
-    assert sum(recall["visible"]["static"].cells) == 0, "static objects are not in moving cells"
+    assert sum(recall["visible"]["static"].cells) == 0, "static objects are not in dynamic cells"

@@ -21,13 +21,13 @@ from gridtrack.evaluation.scoring.strata import STRATA
 from gridtrack.evaluation.scoring.thresholds import half
 
 STEPS, PERIOD_S, FRAMES = 16, 0.125, 8
-OCCUPIED = {"visible": 300, "moving": 60, "static": 200}
+OCCUPIED = {"visible": 300, "dynamic": 60, "static": 200}
 FREE = 2000
 
 
 @dataclass
 class Made:
-    """A tracker's scores: recall by stratum, less `loss` at the steps `at` of the moving stratum."""
+    """A tracker's scores: recall by stratum, less `loss` at the steps `at` of the dynamic stratum."""
 
     recall: float = 0.6
     loss: float = 0.0
@@ -48,7 +48,7 @@ def tally_of(made: Made, recording: str, frame: int, rng: np.random.Generator, o
     cells = np.random.default_rng([zlib.crc32(recording.encode()), frame])
     recall = np.full((STEPS + 1, len(STRATA)), made.recall + offset)
     if made.only in {"", recording}:
-        recall[made.at, STRATA.index("moving")] -= made.loss
+        recall[made.at, STRATA.index("dynamic")] -= made.loss
     occupied = np.tile([cells.poisson(n) for n in OCCUPIED.values()], (STEPS + 1, 1))
     hits = rng.binomial(occupied, np.clip(recall, 0, 1))
     false_alarms = rng.binomial(occupied, 0.4)
@@ -71,7 +71,7 @@ def write_trial(run: Path, label: str, recording: str, made: Made) -> None:
             scores.add(10**15 + frame * 10**9, f"{zlib.crc32(recording.encode()):x}-{frame}", tally)
     times = Quantiles(p50=made.ms, p95=made.ms, p99=made.ms) if made.ms else None
     TrialRecord(
-        schema=1, label=label, recording=recording, outcome=made.outcome, frames_scored=made.scored,
+        schema=2, label=label, recording=recording, outcome=made.outcome, frames_scored=made.scored,
         frames_expected=FRAMES, steps=STEPS, thresholds=half(STEPS).used(),
         latency_ms=Latency(update=times, predict=times, predict_step=times) if times else None,
     ).write(folder)  # fmt: skip
@@ -105,7 +105,7 @@ def write_run(tmp_path: Path) -> WriteRun:
             for recording in names
         }
         configuration = {"recordings": {name: split_of(name) for name in names}, "trials": trials}
-        provenance = {"schema": 1, "command": ["gridtrack", "compare"], "versions": {"python": "3"}}
+        provenance = {"schema": 2, "command": ["gridtrack", "compare"], "versions": {"python": "3"}}
         run.mkdir(exist_ok=True)
         (run / "run.json").write_text(json.dumps({**provenance, "configuration": configuration, "status": "complete"}))
         return run

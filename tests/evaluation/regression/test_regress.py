@@ -40,7 +40,7 @@ def test_a_run_compared_with_itself_passes_and_every_count_is_equal(baseline, wr
     assert {(r["label"], r["stratum"], r["band"]) for r in verdict["rows"]} == {
         (label, stratum, band)
         for label in NAMES
-        for stratum in ("visible", "moving", "static")
+        for stratum in ("visible", "dynamic", "static")
         for band in ("short", "middle", "long")
     }
 
@@ -50,13 +50,13 @@ def test_the_baseline_of_twenty_recordings_and_two_trackers_is_small_and_has_no_
     assert json.loads(baseline.read_text())["schema"] == 2
 
 
-def test_a_tracker_that_lost_on_moving_cells_at_one_second_is_worse_there_and_only_there(baseline, write_run, regress):
+def test_a_tracker_that_lost_on_dynamic_cells_at_one_second_is_worse_there_and_only_there(baseline, write_run, regress):
     run = write_run("now", {**NAMES, "kalman": {"seed": 1, "loss": 0.05, "at": MIDDLE}})
     done = regress(run, "--baseline", baseline, "--json")
     worse = [(r["label"], r["stratum"], r["band"]) for r in json.loads(done.out)["rows"] if r["standing"] == "worse"]
-    assert (done.code, worse) == (1, [("kalman", "moving", "middle")])
+    assert (done.code, worse) == (1, [("kalman", "dynamic", "middle")])
     said = regress(run, "--baseline", baseline).out
-    assert "worse: kalman, moving, middle (0.5-1.5 s): F1 0." in said
+    assert "worse: kalman, dynamic, middle (0.5-1.5 s): F1 0." in said
     assert said.endswith("worse than the baseline: kalman\n")
 
 
@@ -80,7 +80,7 @@ def test_a_fall_on_one_recording_of_twenty_is_printed_and_not_judged(baseline, w
     run = write_run("now", {**NAMES, "kalman": {"loss": 0.3, "only": "junction-07"}})
     done = regress(run, "--baseline", baseline)
     assert done.code == 0
-    assert "fall on one recording, not judged: kalman on junction-07, moving" in done.out
+    assert "fall on one recording, not judged: kalman on junction-07, dynamic" in done.out
 
 
 def test_on_too_few_units_any_fall_is_worse_unless_a_tolerance_is_stated(short_baseline, write_run, regress):
@@ -256,7 +256,7 @@ def test_other_frames_do_not_pair(short_baseline, write_run, regress, edit):
 def test_other_cells_do_not_pair(short_baseline, write_run, regress, edit):
     def count_others(content):
         unit = content["runs"][0]["trackers"]["kalman"]["recordings"]["junction-00"]["units"][0]
-        unit["counts"]["moving"]["short"][2] += 1
+        unit["counts"]["dynamic"]["short"][2] += 1
 
     edit(short_baseline, count_others)
     done = regress(write_run("now", NAMES, recordings=2), "--baseline", short_baseline)
@@ -367,7 +367,7 @@ def test_junit_and_markdown_say_what_is_worse_and_escape_every_name(write_run, r
     page = markdown.read_text()
     assert "<script>" not in page
     assert "\x1b" not in page + junit.read_text()
-    assert "| worse | a-b.c\\_d e | moving | short (0-0.5 s) |" in page
+    assert "| worse | a-b.c\\_d e | dynamic | short (0-0.5 s) |" in page
 
 
 def test_junit_and_markdown_of_a_run_that_was_not_measured_hold_errors(short_baseline, write_run, regress, tmp_path):

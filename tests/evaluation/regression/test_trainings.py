@@ -50,7 +50,7 @@ def test_a_fall_beyond_the_spread_between_trainings_is_worse_and_the_spread_is_p
     run = write_run("now", {"net": {"recall": 0.61, "seed": 9, "loss": 0.06, "at": MIDDLE}})
     done = regress(run, "--baseline", path, "--json")
     worse = [row for row in json.loads(done.out)["rows"] if row["standing"] == "worse"]
-    assert (done.code, [(row["stratum"], row["band"]) for row in worse]) == (1, [("moving", "middle")])
+    assert (done.code, [(row["stratum"], row["band"]) for row in worse]) == (1, [("dynamic", "middle")])
     assert 0 < worse[0]["spread"] < worse[0]["fall"] / 4
     assert ", spread between trainings 0.0" in regress(run, "--baseline", path).out
 

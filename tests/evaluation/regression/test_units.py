@@ -10,7 +10,7 @@ from gridtrack.evaluation.regression.units import band_of, read_units
 
 HORIZONS_S = [n * 0.125 for n in range(17)]
 FRAMES = 8
-STRATA = ("visible", "moving", "static")
+STRATA = ("visible", "dynamic", "static")
 
 
 @pytest.fixture

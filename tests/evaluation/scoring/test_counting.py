@@ -13,8 +13,8 @@ from gridtrack.evaluation.scoring.strata import CELL_KINDS, STRATA, STRATA_WITH_
 from gridtrack.evaluation.scoring.target import NOT_SCORED, Target
 from gridtrack.evaluation.scoring.thresholds import half
 
-VISIBLE, MOVING, STATIC = (STRATA.index(name) for name in ("visible", "moving", "static"))
-RING_CELL, STATIC_CELL, MOVING_CELL = (CELL_KINDS.index(name) for name in ("ring", "static", "moving"))
+VISIBLE, DYNAMIC, STATIC = (STRATA.index(name) for name in ("visible", "dynamic", "static"))
+RING_CELL, STATIC_CELL, DYNAMIC_CELL = (CELL_KINDS.index(name) for name in ("ring", "static", "dynamic"))
 
 
 def frame(visible, occupied, stamp_ns=0):
@@ -50,15 +50,15 @@ def random_case(seed, size=30, steps=3):
 def test_a_hand_computed_forecast():
     occupancy = np.array([[[0.9, 0.4], [0.6, 0.8]]], np.float32)
     observed = frame([[1, 1], [1, 0]], [[1, 1], [0, 0]])
-    cell_kinds = [[STATIC_CELL, MOVING_CELL], [MOVING_CELL, MOVING_CELL]]
+    cell_kinds = [[STATIC_CELL, DYNAMIC_CELL], [DYNAMIC_CELL, DYNAMIC_CELL]]
     tally = count(occupancy, [observed], cell_kinds)
     at_half = tally.confusion(half(0).bins)
     assert at_half[0, VISIBLE].tolist() == [1, 1, 1, 0]
     assert at_half[0, STATIC].tolist() == [1, 0, 0, 0]
-    assert at_half[0, MOVING].tolist() == [0, 1, 1, 0]
+    assert at_half[0, DYNAMIC].tolist() == [0, 1, 1, 0]
     assert tally.squared_error[0] == pytest.approx([0.01 + 0.36 + 0.36, 0.36 + 0.36, 0.01], abs=1e-6)
     assert tally.log_loss[0, STATIC] == pytest.approx(-np.log(0.9))
-    assert tally.log_loss[0, MOVING] == pytest.approx(-2 * np.log(0.4))
+    assert tally.log_loss[0, DYNAMIC] == pytest.approx(-2 * np.log(0.4))
 
 
 def test_a_ring_cell_counts_as_visible_only():
@@ -68,7 +68,7 @@ def test_a_ring_cell_counts_as_visible_only():
 
 def test_cells_that_are_hidden_in_the_observed_frame_are_not_scored():
     nothing_seen = frame(np.zeros((5, 5)), np.zeros((5, 5)))
-    tally = count(np.ones((1, 5, 5), np.float32), [nothing_seen], np.full((5, 5), MOVING_CELL))
+    tally = count(np.ones((1, 5, 5), np.float32), [nothing_seen], np.full((5, 5), DYNAMIC_CELL))
     assert tally.cells.sum() == 0
     assert tally.squared_error.sum() == tally.log_loss.sum() == 0
 
@@ -80,13 +80,13 @@ def members_of(cell_kinds, state, ages):
     seen, hidden = state < 2, (state >= 2) & (state != NOT_SCORED)
     return {
         "visible": seen,
-        "moving": seen & (cell_kinds == MOVING_CELL),
+        "dynamic": seen & (cell_kinds == DYNAMIC_CELL),
         "static": seen & (cell_kinds == STATIC_CELL),
         "visible to 5 m": seen & (distance <= 5),
         "visible 5-10 m": seen & (distance > 5) & (distance <= 10),
         "visible over 10 m": seen & (distance > 10),
         "occluded": hidden,
-        "occluded moving": hidden & (cell_kinds == MOVING_CELL),
+        "occluded dynamic": hidden & (cell_kinds == DYNAMIC_CELL),
         "occluded to 0.5 s": hidden & (ages == 0),
         "occluded 0.5-1 s": hidden & (ages == 1),
         "occluded 1-2 s": hidden & (ages == 2),
@@ -179,16 +179,16 @@ def test_f1_and_average_precision_agree_with_torchmetrics(seed):
 def test_the_log_loss_of_many_certain_mistakes_does_not_underflow():
     size = 200
     everywhere = np.ones((size, size))
-    wrong = count(np.zeros((1, size, size), np.float32), [frame(everywhere, everywhere)], MOVING_CELL * everywhere)
+    wrong = count(np.zeros((1, size, size), np.float32), [frame(everywhere, everywhere)], DYNAMIC_CELL * everywhere)
     assert wrong.log_loss[0, VISIBLE] == pytest.approx(-np.log(0.001) * size**2)
 
 
 def test_a_probability_on_a_bins_edge_belongs_to_the_bin_above():
     edges = np.append(EDGES, np.zeros(64 - len(EDGES), np.float32)).reshape(1, 8, 8)
-    tally = count(edges, [frame(np.ones((8, 8)), np.zeros((8, 8)))], np.full((8, 8), MOVING_CELL))
+    tally = count(edges, [frame(np.ones((8, 8)), np.zeros((8, 8)))], np.full((8, 8), DYNAMIC_CELL))
     assert tally.cells[0, VISIBLE].tolist() == [1 + 64 - len(EDGES)] + [1] * (PROBABILITY_BINS - 2) + [2]
     below = np.nextafter(edges, np.float32(-1)).clip(0, 1)
-    tally = count(below, [frame(np.ones((8, 8)), np.zeros((8, 8)))], np.full((8, 8), MOVING_CELL))
+    tally = count(below, [frame(np.ones((8, 8)), np.zeros((8, 8)))], np.full((8, 8), DYNAMIC_CELL))
     assert tally.cells[0, VISIBLE].tolist() == [2 + 64 - len(EDGES)] + [1] * (PROBABILITY_BINS - 1)
 
 

@@ -22,8 +22,8 @@ from gridtrack.trackers.contract import Forecast
 GRID = GridSpec(8, 1.0)
 NOTHING = np.zeros((0, 2), np.float32)
 STEPS = 4
-ALL_MOVING = region_maps_of(
-    np.full(GRID.shape, CELL_KINDS.index("moving"), np.uint8), GRID, np.zeros((1, 2), np.float32)
+ALL_DYNAMIC = region_maps_of(
+    np.full(GRID.shape, CELL_KINDS.index("dynamic"), np.uint8), GRID, np.zeros((1, 2), np.float32)
 )
 
 
@@ -78,7 +78,7 @@ def delivery(stream):
 def f1_per_step(stream, tracker, every=3):
     tally = Tally.empty(STEPS)
     for scored in scored_forecasts(tracker, delivery(stream), Schedule(len(stream), STEPS, every), seed=7):
-        tally.add(count_forecast(scored.forecast.occupancy, scored.targets, ALL_MOVING, scored.ages))
+        tally.add(count_forecast(scored.forecast.occupancy, scored.targets, ALL_DYNAMIC, scored.ages))
     return metrics.f1_score(tally.confusion(half(STEPS).bins))[:, 0]
 
 
@@ -172,7 +172,7 @@ def test_a_moving_sensor_is_refused_with_a_message():
 def test_scoring_in_this_process_agrees_with_the_referee():
     stream = FakeStream(60)
     score = score_in_process(Seer(stream), stream, STEPS)
-    assert set(score.f1) == {"visible", "moving", "static"}
+    assert set(score.f1) == {"visible", "dynamic", "static"}
     assert score.f1["visible"].tolist() == [1.0] * (STEPS + 1)
     assert score.log_loss["visible"] == pytest.approx(-np.log(0.999))
 

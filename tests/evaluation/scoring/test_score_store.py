@@ -44,10 +44,10 @@ def test_each_scored_frame_has_its_confusion_counts_per_step_and_stratum(tmp_pat
     write(tmp_path, 3)
     scores = pl.read_parquet(tmp_path / SCORES_TABLE.file)
     assert len(scores) == 3 * (STEPS + 1) * len(STRATA)
-    row = scores.filter((pl.col("stamp_ns") == 400_000_000) & (pl.col("step") == 2) & (pl.col("stratum") == "moving"))
-    expected = random_tally(1).confusion(THRESHOLDS.bins)[2, STRATA.index("moving")]
+    row = scores.filter((pl.col("stamp_ns") == 400_000_000) & (pl.col("step") == 2) & (pl.col("stratum") == "dynamic"))
+    expected = random_tally(1).confusion(THRESHOLDS.bins)[2, STRATA.index("dynamic")]
     assert row.select(CONFUSION).row(0) == tuple(expected)
-    expected_at_half = random_tally(1).confusion(half(STEPS).bins)[2, STRATA.index("moving")]
+    expected_at_half = random_tally(1).confusion(half(STEPS).bins)[2, STRATA.index("dynamic")]
     assert row.select([f"{name}_half" for name in CONFUSION]).row(0) == tuple(expected_at_half)
 
 

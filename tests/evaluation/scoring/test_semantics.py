@@ -118,17 +118,17 @@ def test_a_class_that_only_one_side_has_is_the_last_column_or_costs_the_clip(cas
     assert strange[1][:, :, 0].sum() == pytest.approx(-pedestrians * np.log(0.001))
 
 
-def test_recall_counts_moving_cells_of_a_class_at_the_threshold_of_their_stratum():
+def test_recall_counts_dynamic_cells_of_a_class_at_the_threshold_of_their_stratum():
     state = np.full((4, 4), SEEN_OCCUPIED, np.uint8)
     state[2:] = HIDDEN_OCCUPIED
-    cell_kinds = np.full((4, 4), CELL_KINDS.index("moving"), np.uint8)
+    cell_kinds = np.full((4, 4), CELL_KINDS.index("dynamic"), np.uint8)
     cell_kinds[:, 0] = CELL_KINDS.index("static")
     occupancy = np.full((1, 4, 4), 0.4, np.float32)
     occupancy[0, :, 3] = 0.6
     frame = GridFrame(0, state < 2, state == 1, SE2(), NOTHING, NOTHING, np.zeros(0, np.uint8))
     target = Target(frame, state, np.arange(16), np.repeat([0, 1, 0, 1], 4).astype(np.uint8))
-    strata = ("visible", "moving", "static", "occluded")
-    bins = np.array([[25, 10, 25, 40]])  # moving from below 0.4 on, occluded only above 0.6
+    strata = ("visible", "dynamic", "static", "occluded")
+    bins = np.array([[25, 10, 25, 40]])  # dynamic from below 0.4 on, occluded only above 0.6
     (found,) = count_found(occupancy, [target], cell_kinds, Thresholds(bins, strata=strata), 2)
     visible, occluded = found
     assert visible.tolist() == [[3, 0, 1, 2], [3, 0, 1, 2]]

@@ -1,4 +1,4 @@
-"""Kinds of cells (static, ring, moving), and the regions and bands of strata."""
+"""Kinds of cells (static, ring, dynamic), and the regions and bands of strata."""
 
 import numpy as np
 from hypothesis import given
@@ -40,7 +40,7 @@ def names(cell_kinds):
 
 def test_static_is_occupied_in_more_than_half_of_the_frames():
     assert names(cell_kinds_of(frames_with_cell_occupied(3, 5), GRID, SE2()))[3, 3] == "static"
-    assert (names(cell_kinds_of(frames_with_cell_occupied(2, 4), GRID, SE2())) == "moving").all()
+    assert (names(cell_kinds_of(frames_with_cell_occupied(2, 4), GRID, SE2())) == "dynamic").all()
 
 
 def test_the_half_is_of_the_frames_in_which_the_cell_is_visible():
@@ -54,7 +54,7 @@ def test_the_ring_is_the_eight_neighbours():
     kind_names = names(cell_kinds_of(frames_with_cell_occupied(1, 1), GRID, SE2()))
     assert (kind_names[2:5, 2:5] != "ring").sum() == 1
     assert (kind_names == "ring").sum() == 8
-    assert (kind_names == "moving").sum() == 49 - 9
+    assert (kind_names == "dynamic").sum() == 49 - 9
 
 
 def test_the_ring_does_not_wrap_round_the_grids_edge():
@@ -66,7 +66,7 @@ def test_frames_with_another_pose_do_not_count():
     walls = np.ones(GRID.shape, bool)
     elsewhere = [frame(walls, walls, SE2(1.0, 0.0, 0.0)) for _ in range(5)]
     here = list(frames_with_cell_occupied(0, 2))
-    assert (names(cell_kinds_of(elsewhere + here, GRID, SE2())) == "moving").all()
+    assert (names(cell_kinds_of(elsewhere + here, GRID, SE2())) == "dynamic").all()
 
 
 @given(st.lists(st.lists(st.booleans(), min_size=49, max_size=49), min_size=1, max_size=5))
@@ -75,7 +75,7 @@ def test_cell_kinds_agree_with_a_dilation(planes):
     cell_kinds = cell_kinds_of((frame(np.ones(GRID.shape, bool), o) for o in occupied), GRID, SE2())
     static = np.mean(occupied, axis=0) > 0.5
     assert np.array_equal(cell_kinds == CELL_KINDS.index("static"), static)
-    assert np.array_equal(cell_kinds == CELL_KINDS.index("moving"), ~binary_dilation(static, np.ones((3, 3))))
+    assert np.array_equal(cell_kinds == CELL_KINDS.index("dynamic"), ~binary_dilation(static, np.ones((3, 3))))
 
 
 def test_strata_without_truth_are_first_so_their_indices_agree():
@@ -94,15 +94,15 @@ def test_every_cell_is_in_exactly_one_band():
     assert (whole["visible"] + whole["occluded"] == 1).all()
 
 
-def test_bands_use_the_threshold_of_the_whole_stratum_moving_and_static_their_own():
-    assert {THRESHOLD_OF[name] for name in STRATA_WITH_TRUTH} == {"visible", "moving", "static", "occluded"}
+def test_bands_use_the_threshold_of_the_whole_stratum_dynamic_and_static_their_own():
+    assert {THRESHOLD_OF[name] for name in STRATA_WITH_TRUTH} == {"visible", "dynamic", "static", "occluded"}
     assert THRESHOLD_OF["visible 5-10 m"] == "visible"
     assert THRESHOLD_OF["occluded over 4 s"] == "occluded"
 
 
 def test_the_range_of_a_cell_is_that_to_the_nearest_sensor():
     grid = GridSpec(20, 1.0, (0.0, 0.0))
-    cell_kinds = np.full(grid.shape, CELL_KINDS.index("moving"), np.uint8)
+    cell_kinds = np.full(grid.shape, CELL_KINDS.index("dynamic"), np.uint8)
     corners = (
         region_maps_of(cell_kinds, grid, np.array([[0.0, 0.0], [20.0, 20.0]], np.float32)).visible - 3 * cell_kinds
     )

@@ -12,8 +12,8 @@ def scores(f1):
     return StratumScores(**{**dict.fromkeys(REQUIRED, ()), "f1": f1})
 
 
-def row(tracker, moving, occluded=None, outcome="ok", pooled=None):
-    strata = {"visible": scores(moving), "moving": scores(moving)}
+def row(tracker, dynamic, occluded=None, outcome="ok", pooled=None):
+    strata = {"visible": scores(dynamic), "dynamic": scores(dynamic)}
     strata |= {"occluded": scores(occluded)} if occluded else {}
     return TrackerSummary(
         tracker=tracker,
@@ -24,7 +24,7 @@ def row(tracker, moving, occluded=None, outcome="ok", pooled=None):
 
 
 def shares(trackers, label):
-    return with_ceiling(trackers)[label].recordings["room"].strata["moving"].share_of_oracle
+    return with_ceiling(trackers)[label].recordings["room"].strata["dynamic"].share_of_oracle
 
 
 def test_the_floor_of_each_step_is_the_better_row():

@@ -52,9 +52,9 @@ def difference(summary, tracker):
 def test_pooled_scores_are_of_the_sums_over_all_recordings(twenty):
     trials, summary = twenty
     own = [read_frame_counts(t.folder, synthetic.STEPS, STRATA) for t in trials if t.record.label == "good"]
-    tp, fp, fn = np.concatenate([o.counts for o in own]).sum(axis=0)[8, STRATA.index("moving"), :3].astype(float)
+    tp, fp, fn = np.concatenate([o.counts for o in own]).sum(axis=0)[8, STRATA.index("dynamic"), :3].astype(float)
     pooled = summary.trackers["good"].pooled
-    assert pooled.strata["moving"].f1[8] == pytest.approx(2 * tp / (2 * tp + fp + fn), abs=1e-6)
+    assert pooled.strata["dynamic"].f1[8] == pytest.approx(2 * tp / (2 * tp + fp + fn), abs=1e-6)
     assert (pooled.outcome, pooled.recordings_complete, pooled.frames_scored) == ("ok", 20, 160)
 
 
@@ -62,17 +62,17 @@ def test_the_pooled_interval_takes_whole_recordings_as_units(twenty):
     trials, summary = twenty
     own = [read_frame_counts(t.folder, synthetic.STEPS, STRATA) for t in trials if t.record.label == "good"]
     low, high = interval(np.stack([o.counts.sum(axis=0, dtype=float) for o in own]), "f1")
-    moving = summary.trackers["good"].pooled.strata["moving"]
-    assert moving.f1_low[8] == pytest.approx(low[8, 1], abs=1e-6)
-    assert moving.f1_high[8] == pytest.approx(high[8, 1], abs=1e-6)
-    assert moving.interval == ""
-    assert moving.brier_low[8] <= moving.brier[8] <= moving.brier_high[8]
+    dynamic = summary.trackers["good"].pooled.strata["dynamic"]
+    assert dynamic.f1_low[8] == pytest.approx(low[8, 1], abs=1e-6)
+    assert dynamic.f1_high[8] == pytest.approx(high[8, 1], abs=1e-6)
+    assert dynamic.interval == ""
+    assert dynamic.brier_low[8] <= dynamic.brier[8] <= dynamic.brier_high[8]
 
 
 def test_a_single_recording_of_forty_frames_is_too_short_for_an_interval(twenty):
-    moving = twenty[1].trackers["good"].recordings["seed-00"].strata["moving"]
-    assert moving.f1_low is None
-    assert moving.interval.startswith("too short for an interval: ")
+    dynamic = twenty[1].trackers["good"].recordings["seed-00"].strata["dynamic"]
+    assert dynamic.f1_low is None
+    assert dynamic.interval.startswith("too short for an interval: ")
 
 
 def test_better_is_said_where_it_is_shown_over_the_whole_family(twenty):
@@ -84,7 +84,7 @@ def test_better_is_said_where_it_is_shown_over_the_whole_family(twenty):
         160,
     )
     assert {(t.stratum, t.horizon_s) for t in good.headline} == {
-        (stratum, h) for stratum in ("moving", "visible") for h in (0.5, 1.0, 2.5)
+        (stratum, h) for stratum in ("dynamic", "visible") for h in (0.5, 1.0, 2.5)
     }
     for test in good.headline:
         assert test.verdict == "better"
@@ -111,7 +111,7 @@ def test_a_tracker_that_completed_fewer_recordings_is_not_compared_and_says_so(t
 
 def test_the_ceiling_is_compared_with_nobody(twenty):
     assert {one.tracker for one in twenty[1].differences} == {"good", "twin", "unlucky"}
-    assert twenty[1].trackers["oracle"].pooled.strata["moving"].f1[8] > 0.8
+    assert twenty[1].trackers["oracle"].pooled.strata["dynamic"].f1[8] > 0.8
 
 
 def test_the_reference_can_be_named(tmp_path):
@@ -143,12 +143,12 @@ def test_a_long_recording_is_cut_into_blocks_longer_than_the_cycle(tmp_path):
 def test_a_single_forecast_has_scores_and_is_too_short_for_an_interval(tmp_path, cycle_s):
     trials = a_run(tmp_path, {"persistence": 0.6, "good": 0.8}, ["short"], frames=1)
     summary = summary_of(trials, ["short"], cycle_s=cycle_s)
-    moving = summary.trackers["good"].recordings["short"].strata["moving"]
-    assert moving.f1[8] > 0
-    assert moving.f1_low is None
+    dynamic = summary.trackers["good"].recordings["short"].strata["dynamic"]
+    assert dynamic.f1[8] > 0
+    assert dynamic.f1_low is None
     blocks = "blocks of at least 30 s" if cycle_s else "a single forecast"
-    assert moving.interval == f"too short for an interval: 1 unit, {blocks}, and 20 are needed"
-    assert difference(summary, "good").interval == moving.interval
+    assert dynamic.interval == f"too short for an interval: 1 unit, {blocks}, and 20 are needed"
+    assert difference(summary, "good").interval == dynamic.interval
 
 
 def test_recordings_of_different_grids_are_not_pooled_and_that_is_told(tmp_path):

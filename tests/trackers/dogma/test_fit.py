@@ -62,7 +62,7 @@ def test_fit_finds_the_best_settings_and_keeps_given_ones(tmp_path, monkeypatch)
     def score(tracker, source, steps):
         asked.append(tracker.options)
         loss = np.full(steps + 1, abs(np.log(tracker.options.acceleration / 1.3)))
-        return StretchScore({"moving": 1 - loss, "visible": 1 - loss}, {"moving": loss, "visible": loss})
+        return StretchScore({"dynamic": 1 - loss, "visible": 1 - loss}, {"dynamic": loss, "visible": loss})
 
     paths = [tmp_path / run / "yard.toml" for run in ("one", "two")]
     for path in paths:

@@ -29,7 +29,7 @@ from scenes.street import GRID, Street
 
 def no_score(tracker, source, steps):
     flat = np.zeros(steps + 1)
-    return StretchScore({"moving": flat, "visible": flat}, {"moving": flat})
+    return StretchScore({"dynamic": flat, "visible": flat}, {"dynamic": flat})
 
 
 def fit(folder, tracker=KalmanTracker, street=None, **options):

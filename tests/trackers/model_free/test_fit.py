@@ -69,7 +69,7 @@ def test_fit_finds_the_best_settings_and_keeps_given_ones(tmp_path, monkeypatch)
         asked.append(settings)
         far = abs(np.log(settings.acceleration / 0.3))
         loss = np.full(steps + 1, far)
-        return StretchScore({"moving": 1 - loss, "visible": 1 - loss}, {"moving": loss, "visible": loss})
+        return StretchScore({"dynamic": 1 - loss, "visible": 1 - loss}, {"dynamic": loss, "visible": loss})
 
     paths = [tmp_path / run / "hall.toml" for run in ("one", "two")]
     for path in paths:
@@ -95,7 +95,7 @@ def fit_hall(tmp_path, score, told):
 def test_a_stretch_without_scores_is_refused_in_one_line(tmp_path):
     def score(tracker, source, steps):
         undefined = np.full(steps + 1, np.nan)
-        return StretchScore({"moving": undefined, "visible": undefined}, {"moving": undefined, "visible": undefined})
+        return StretchScore({"dynamic": undefined, "visible": undefined}, {"dynamic": undefined, "visible": undefined})
 
     with pytest.raises(RecordingError, match=r"F1 is not defined on the training recordings: .*use a longer stretch"):
         fit_hall(tmp_path, score, [])
@@ -110,7 +110,7 @@ def test_an_interrupted_search_reports_its_best_settings(tmp_path, caplog):
             flat = np.full(steps + 1, next(values))
         except StopIteration:
             raise KeyboardInterrupt from None
-        return StretchScore({"moving": flat, "visible": flat}, {"moving": flat, "visible": flat})
+        return StretchScore({"dynamic": flat, "visible": flat}, {"dynamic": flat, "visible": flat})
 
     with pytest.raises(KeyboardInterrupt):
         fit_hall(tmp_path, score, told)

@@ -58,7 +58,7 @@ def no_score(tracker, source, steps):
         hit = future.occupied[future.visible]
         losses.append(-np.log(np.where(hit, p, 1 - p)).mean())
     f1 = np.full(steps + 1, 1.0 - np.mean(losses))
-    return StretchScore({"moving": f1, "visible": f1}, {})
+    return StretchScore({"dynamic": f1, "visible": f1}, {})
 
 
 def fit(tracker, folder, **options):
@@ -106,7 +106,7 @@ def test_a_resumed_training_equals_an_uninterrupted_one(tmp_path):
             if call == interrupt_at:
                 raise KeyboardInterrupt
             f1 = np.full(steps + 1, 0.9 - 0.1 * call)
-            return StretchScore({"moving": f1, "visible": f1}, {})
+            return StretchScore({"dynamic": f1, "visible": f1}, {})
 
         return score
 
