@@ -37,8 +37,14 @@ CODE = re.compile(r"^```.*?^```|^    .*?$|`[^`]*`|\]\([^)]*\)|<!--.*?-->", re.MU
 DECIMAL = re.compile(r"(?<![\w.])\d*\.\d+(?![\w]|\.\d)")
 
 
+def marked_pages(root: Path = ROOT) -> list[Path]:
+    """The pages with generated numbers: the results pages, and those on methods that were measured."""
+    methods = [root / "docs" / name for name in ("regress.md", "statistics.md")]
+    return [*results_pages(root), *filter(Path.exists, methods)]
+
+
 def results_pages(root: Path = ROOT) -> list[Path]:
-    """The pages whose numbers are generated."""
+    """The pages whose numbers are all generated."""
     docs = root / "docs"
     return sorted([root / "README.md", *docs.glob("results/**/*.md"), *docs.glob("trackers/*results*.md")])
 
@@ -113,7 +119,7 @@ def main() -> None:
     parser.add_argument("--check", action="store_true", help="write nothing; exit with 1 where a page differs")
     check = parser.parse_args().check
     stale = []
-    for page in results_pages():
+    for page in marked_pages():
         text = page.read_text("utf-8")
         new = filled(text)
         if new != text:

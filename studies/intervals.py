@@ -1,20 +1,30 @@
 """Coverage of the interval methods on correlated series of counts, the chosen method and the rejected ones.
 
-`python -m studies.intervals` (two minutes). Aim: the chosen method covers 93 to 97 % at 20 units in every setting. Its
-speed: `benchmarks/statistics.py`.
+`python -m studies.intervals` (five minutes; `--out docs/results/statistics.json` keeps the table of blocks). Aim: the
+chosen method covers 93 to 97 % at 20 units in every setting. Its speed: `benchmarks/statistics.py`.
 """
 
 from __future__ import annotations
 
 import argparse
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.signal import lfilter
 from scipy.special import expit, logit, ndtr, ndtri, stdtrit
 
 from gridtrack.evaluation.statistics.jackknife import COUNTS, differences, interval
-from gridtrack.evaluation.statistics.units import BLOCK_TIMES, autocorrelation_time, residuals, sum_by_unit, units_of
+from gridtrack.evaluation.statistics.units import (
+    UnitRule,
+    autocorrelation_time,
+    residuals,
+    shortest_block_s,
+    sum_by_unit,
+)
+
+from studies.support.results_file import measured_table, write_table
 
 Counts = np.ndarray  # (U, R, C): units, repetitions, counts
 Interval = tuple[np.ndarray, np.ndarray]
@@ -29,6 +39,15 @@ SETTINGS: dict[str, dict[str, Any]] = {
     "positives rare": {"cells": 0.05, "traffic": 1.0, "false": 0.5},
     "two in five empty": {"empty": 0.4, "cells": 1.0, "false": 0.2},
 }
+
+MEMORIES = {
+    "2 s": {2.0: 1.0},
+    "5 s": {5.0: 1.0},
+    "40 s": {40.0: 1.0},
+    "2 s, and 40 s with a tenth of the variance": {2.0: 0.9, 40.0: 0.1},
+    "2 s, and 40 s with a third of the variance": {2.0: 2 / 3, 40.0: 1 / 3},
+}
+"""Time constants of the drift within one recording, seconds, with their shares of its variance."""
 
 
 def autoregressive(shape: tuple[int, ...], rng: np.random.Generator, memory: float = 0.9) -> np.ndarray:
@@ -189,32 +208,64 @@ def print_coverage(rng: np.random.Generator, repetitions: int) -> None:
             )
 
 
-def print_blocks(rng: np.random.Generator, repetitions: int) -> None:
-    """One long recording, cut into blocks as long as its own autocorrelation requires."""
-    print(f"\none recording cut into blocks of {BLOCK_TIMES:g} autocorrelation times, as measured on it:")
-    for frames in (4000, 8000):
-        series = two_trackers(rng, 1, repetitions, frames, unlike=0.0, traffic=0.0)[0][0]
-        truth, covered, units = f1(series), [], []
-        stamps = np.arange(frames) * 1_000_000_000
-        for counts in series:
-            block = BLOCK_TIMES * autocorrelation_time(residuals(*(c[:, None] for c in parts(counts))))
-            summed = sum_by_unit(counts, units_of([stamps], block)[0])
-            low, high = interval(summed)
-            units.append(len(summed))
-            if not np.isnan(low):
-                covered.append(bool(low <= truth <= high))
-        print(
-            f"{frames:6} frames: {np.median(units):.0f} units, long enough in {100 * len(covered) / repetitions:.0f} %,"
-            f" of which {100 * np.mean(covered):.1f} % contain the truth"
-        )
+def with_memory(frames: int, seconds: float, rng: np.random.Generator) -> np.ndarray:
+    """An autoregressive series of unit variance, a frame a second, whose autocorrelation falls to 1/e in `seconds`."""
+    memory = np.exp(-1 / seconds)
+    run_in = int(10 * seconds)
+    noise = np.sqrt(1 - memory**2) * rng.standard_normal(frames + run_in)
+    return lfilter([1.0], [1.0, -memory], noise)[run_in:]
+
+
+def one_recording(frames: int, memory_s: dict[float, float], rng: np.random.Generator) -> np.ndarray:
+    """Counts (F, C) of one recording, a frame a second: traffic and difficulty have the memories `memory_s`, seconds,
+    with these shares of their variance."""
+
+    def drift() -> np.ndarray:
+        return sum(np.sqrt(share) * with_memory(frames, seconds, rng) for seconds, share in memory_s.items())
+
+    rate = 20.0 * np.exp(0.5 * drift())
+    occupied = rng.poisson(rate)
+    tp, fp = rng.binomial(occupied, expit(0.7 * drift())), rng.poisson(0.3 * (rate + 0.5))
+    nothing = np.zeros(frames)
+    return np.stack([tp, fp, occupied - tp, nothing, nothing, nothing], axis=-1).astype(np.float64)
+
+
+def blocks_drawn(frames: int, memory_s: dict[float, float], repetitions: int, rng: np.random.Generator) -> list[bool]:
+    """Of the recordings that are long enough for an interval by the rule of `units`, whether it holds the truth."""
+    truth = np.mean([f1(one_recording(20_000, memory_s, rng)) for _ in range(60)])
+    found = []
+    for _ in range(repetitions):
+        counts = one_recording(frames, memory_s, rng)
+        block_s = shortest_block_s(autocorrelation_time(residuals(*(c[:, None] for c in parts(counts)))), None)
+        units = UnitRule(("one",), block_s).units_of([np.arange(frames) * 1_000_000_000])
+        low, high = interval(sum_by_unit([counts], units))
+        if not np.isnan(low):
+            found.append(bool(low <= truth <= high))
+    return found
+
+
+def print_blocks(rng: np.random.Generator, repetitions: int, out: Path | None) -> None:
+    """Recordings cut into blocks as long as their own autocorrelation requires, by memory and length."""
+    rows = []
+    for name, memory_s in MEMORIES.items():
+        for frames in (600, 1200, 2400, 4800):
+            found = blocks_drawn(frames, memory_s, repetitions, rng)
+            drawn = f"{100 * len(found) / repetitions:.0f}"
+            rows.append((name, f"{frames}", drawn, f"{100 * np.mean(found):.0f}" if len(found) >= 10 else ""))
+    table = measured_table(("memory", "recording, s", "intervals drawn, %", "of them with the truth, %"), rows)
+    print(f"\n{table.markdown()}")
+    write_table(out, "blocks of one recording", table, "python -m studies.intervals")
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--repetitions", type=int, default=2000, help="simulated sets of recordings for each setting")
-    repetitions, rng = parser.parse_args().repetitions, np.random.default_rng(0)
-    print_coverage(rng, repetitions)
-    print_blocks(rng, repetitions // 5)
+    parser.add_argument("--blocks-only", action="store_true", help="only one recording cut into blocks")
+    parser.add_argument("--out", type=Path, help="results file for the table of blocks")
+    arguments = parser.parse_args()
+    if not arguments.blocks_only:
+        print_coverage(np.random.default_rng(0), arguments.repetitions)
+    print_blocks(np.random.default_rng(1), arguments.repetitions // 5, arguments.out)
 
 
 if __name__ == "__main__":

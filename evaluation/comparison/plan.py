@@ -6,6 +6,7 @@ import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from itertools import combinations
 from pathlib import Path
 
 from gridtrack.common.entry_points import VALID_NAME
@@ -146,6 +147,7 @@ def resolve(settings: CompareSettings) -> ComparisonPlan:
     )
     splits = plan_splits(settings.recordings, settings.validation, sampling)
     _refuse_equal_names(splits)
+    _refuse_overlaps(splits)
     trials = tuple(
         Trial(
             selection,
@@ -204,6 +206,18 @@ def _refuse_equal_names(splits: tuple[EvaluationSplit, ...]) -> None:
                 " recording and stretch once, and rename one of two files with the same name"
             )
         seen[split.name] = split.path
+
+
+def _refuse_overlaps(splits: tuple[EvaluationSplit, ...]) -> None:
+    """A frame is scored once: a repeated one looks like more evidence than there is."""
+    for one, other in combinations(splits, 2):
+        times = one.test.recorded, other.test.recorded
+        if times[0].source_sha256 == times[1].source_sha256 and times[0].overlaps(times[1]):
+            shared_ns = min(time.end_ns for time in times) - max(time.start_ns for time in times)
+            raise ConfigurationError(
+                f"{one.test.name} and {other.test.name} are of one source and have {shared_ns / 1e9:.10g} s in common:"
+                " leave one out, or name stretches that do not overlap"
+            )
 
 
 def _weights_of(selection: Selection, site: str, override: Path | None) -> LearnedWeights | None:

@@ -130,6 +130,7 @@ class EvaluationSplit:
             "warm_up_frames": WARM_UP,
             "forecast_every_frames": self.every,
             "cycle_s": self.test.recording.info.cycle_s,
+            "source_sha256": self.test.recording.source_sha256,
         }
 
 

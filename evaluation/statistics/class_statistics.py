@@ -19,7 +19,7 @@ from gridtrack.evaluation.statistics.frame_counts import FrameCounts, common_fra
 from gridtrack.evaluation.statistics.jackknife import LEAST_UNITS, ratio_differences, ratio_interval
 from gridtrack.evaluation.statistics.paired_tests import OTHER_FRAMES, OTHER_RETURNS
 from gridtrack.evaluation.statistics.run_statistics import RunStatistics
-from gridtrack.evaluation.statistics.score_intervals import summed_by_unit, too_short
+from gridtrack.evaluation.statistics.score_intervals import summed_by_unit
 
 
 class ClassStatistics:
@@ -76,10 +76,10 @@ class ClassStatistics:
     def _with_intervals(self, semantics: SemanticScores, trials: Sequence[FinishedTrial]) -> SemanticScores:
         """`semantics` with the intervals of the log loss per scan; without intervals, `interval` is the reason."""
         names = [trial.record.recording for trial in trials]
-        block_s = self._statistics.block_s(names)
-        (losses,), units = summed_by_unit([[self._losses_of(trial) for trial in trials]], block_s)
+        rule = self._statistics.unit_rule(names)
+        (losses,), units = summed_by_unit([[self._losses_of(trial) for trial in trials]], rule)
         if units < LEAST_UNITS:
-            why = too_short(units, len(names), block_s)
+            why = rule.too_short(units)
             ends: dict[str, dict[str, Any]] = {visibility: {"interval": why} for visibility in VISIBILITIES}
         else:
             low, high = ratio_interval(losses[..., 0], losses[..., 1])
@@ -106,8 +106,8 @@ class ClassStatistics:
         if not difference.frames:
             why = OTHER_FRAMES if own[0].points == others[0].points else OTHER_RETURNS
             return difference.model_copy(update={"interval": why})
-        block_s = self._statistics.block_s(names)
-        sides, units = summed_by_unit([[pair[side] for pair in pairs] for side in (0, 1)], block_s)
+        rule = self._statistics.unit_rule(names)
+        sides, units = summed_by_unit([[pair[side] for pair in pairs] for side in (0, 1)], rule)
         mine, theirs = ((losses[..., 0], losses[..., 1]) for losses in sides)
         found = ratio_differences(mine, theirs)
         kinds = {
@@ -119,7 +119,7 @@ class ClassStatistics:
             )
             for i, visibility in enumerate(VISIBILITIES)
         }
-        why = too_short(units, len(names), block_s) if units < LEAST_UNITS else ""
+        why = rule.too_short(units) if units < LEAST_UNITS else ""
         return difference.model_copy(update={"units": units, "interval": why, "kinds": kinds})
 
     def _losses_of(self, trial: FinishedTrial) -> FrameCounts:

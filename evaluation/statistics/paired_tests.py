@@ -11,7 +11,8 @@ from gridtrack.evaluation.results.summary import HeadlineTest
 from gridtrack.evaluation.results.values import rounded, rounded_p
 from gridtrack.evaluation.statistics.frame_counts import FrameCounts, common_frames
 from gridtrack.evaluation.statistics.jackknife import LEAST_UNITS, PairedDifferences, differences, holm
-from gridtrack.evaluation.statistics.score_intervals import Scope, summed_by_unit, too_short
+from gridtrack.evaluation.statistics.score_intervals import Scope, summed_by_unit
+from gridtrack.evaluation.statistics.units import UnitRule
 
 ALPHA = 0.05
 OTHER_FRAMES = "no frames in common: it was delivered other frames than the reference"
@@ -60,7 +61,7 @@ class TrackerComparison:
 
 
 def compare_with(
-    reference: Sequence[FrameCounts], tracker: Sequence[FrameCounts], label: str, scope: Scope, block_s: float
+    reference: Sequence[FrameCounts], tracker: Sequence[FrameCounts], label: str, scope: Scope, rule: UnitRule
 ) -> TrackerComparison:
     """Differences on the frames that both were scored on, recording by recording in the same order."""
     paired = [common_frames(one, other) for one, other in zip(tracker, reference, strict=True)]
@@ -68,9 +69,9 @@ def compare_with(
     if not frames:
         return TrackerComparison(label, 0, 0, OTHER_FRAMES)
     sides = [[pair[side] for pair in paired] for side in (0, 1)]
-    (own, others), number = summed_by_unit(sides, block_s)
+    (own, others), number = summed_by_unit(sides, rule)
     found = differences(own, others, "f1")
-    why = too_short(number, len(paired), block_s) if number < LEAST_UNITS else ""
+    why = rule.too_short(number) if number < LEAST_UNITS else ""
     curves = {name: found.column(k) for k, name in enumerate(scope.strata)}
     headline = (_at_step(curves[stratum], stratum, horizon_s, step) for stratum, horizon_s, step in scope.headline)
     return TrackerComparison(label, number, frames, why, curves, tuple(headline))

@@ -22,6 +22,7 @@ from gridtrack.evaluation.statistics.finished_trial import FinishedTrial, trials
 from gridtrack.evaluation.statistics.frame_counts import FrameCounts, read_frame_counts
 from gridtrack.evaluation.statistics.paired_tests import OTHER_RETURNS, TrackerComparison, compare_with, headline_tests
 from gridtrack.evaluation.statistics.score_intervals import Scope, common_strata, intervals, poolable
+from gridtrack.evaluation.statistics.units import UnitRule, enough_sources
 
 
 class RunStatistics:
@@ -63,7 +64,7 @@ class RunStatistics:
         """Scores of one trial with their intervals, by stratum; empty where nothing was scored."""
         if not trial.record.frames_scored:
             return {}
-        ends = intervals([self.frames_of(trial)], trial.strata, self.block_s([trial.record.recording]))
+        ends = intervals([self.frames_of(trial)], trial.strata, self.unit_rule([trial.record.recording]))
         return stratum_scores([(trial.record, self.tally_of(trial))], trial.strata, ends)
 
     def tally_of(self, trial: FinishedTrial) -> Tally:
@@ -104,7 +105,7 @@ class RunStatistics:
     def _pooled_strata(self, complete: Sequence[FinishedTrial]) -> dict[str, StratumScores]:
         strata = common_strata([trial.strata for trial in complete])
         frames = [_in_strata(self.frames_of(trial), trial.strata, strata) for trial in complete]
-        ends = intervals(frames, strata, self.block_s([trial.record.recording for trial in complete]))
+        ends = intervals(frames, strata, self.unit_rule([trial.record.recording for trial in complete]))
         return stratum_scores([(trial.record, self.tally_of(trial)) for trial in complete], strata, ends)
 
     def _why_partial(self, trials: Sequence[FinishedTrial]) -> str:
@@ -126,7 +127,7 @@ class RunStatistics:
         sides = [
             [_in_strata(self.frames_of(trial), trial.strata, scope.strata) for trial in side] for side in (others, own)
         ]
-        return compare_with(sides[0], sides[1], label, scope, self.block_s(names))
+        return compare_with(sides[0], sides[1], label, scope, self.unit_rule(names))
 
     def _difference(
         self, names: Sequence[str], comparison: TrackerComparison, tests: tuple[HeadlineTest, ...]
@@ -157,14 +158,19 @@ class RunStatistics:
         strata = common_strata([trial.strata for trial in trials])
         return Scope(described[0].horizons_s, strata, max(cycles, default=None))
 
-    def block_s(self, names: Sequence[str]) -> float:
-        """Length of the blocks on these recordings, seconds: the same for every tracker, so that they are paired."""
+    def unit_rule(self, names: Sequence[str]) -> UnitRule:
+        """How the frames of these recordings become units: the same for every tracker, so that they are paired."""
+        sources = tuple(self.recordings[name].source_sha256 or name for name in names)
+        return UnitRule(sources, None if enough_sources(sources) else self._block_s(names))
+
+    def _block_s(self, names: Sequence[str]) -> float:
+        """Length of the blocks on these recordings, seconds."""
         for name in names:
             if name not in self._blocks:
                 scored = [trial for trial in trials_on(name, self._trials) if trial.record.frames_scored]
                 trials = [trial for trial in scored if trial.complete] or scored
                 scope = self._scope([name], trials)
-                frames = [[_in_strata(self.frames_of(trial), trial.strata, scope.strata)] for trial in trials]
+                frames = [_in_strata(self.frames_of(trial), trial.strata, scope.strata) for trial in trials]
                 self._blocks[name] = scope.block_s(frames)
         return max(self._blocks[name] for name in names)
 

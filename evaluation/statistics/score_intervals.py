@@ -12,8 +12,14 @@ from numpy.typing import NDArray
 from gridtrack.evaluation.results.recording import RecordingDescription
 from gridtrack.evaluation.results.values import rounded_curve
 from gridtrack.evaluation.statistics.frame_counts import FrameCounts
-from gridtrack.evaluation.statistics.jackknife import COUNTS, LEAST_UNITS, RATIO_SCORES, TOO_SHORT, interval
-from gridtrack.evaluation.statistics.units import BLOCK_TIMES, autocorrelation_time, residuals, sum_by_unit, units_of
+from gridtrack.evaluation.statistics.jackknife import COUNTS, LEAST_UNITS, RATIO_SCORES, interval
+from gridtrack.evaluation.statistics.units import (
+    UnitRule,
+    autocorrelation_time,
+    residuals,
+    shortest_block_s,
+    sum_by_unit,
+)
 
 HEADLINE_STRATA, HEADLINE_HORIZONS_S = ("dynamic", "visible"), (0.5, 1.0, 2.5)
 """Strata and horizons of the headline tests: the family of Holm's correction is F1 in these, for each tracker."""
@@ -38,34 +44,29 @@ class Scope:
         reached = [(h, step) for h, step in steps if 0 < step < len(self.horizons_s)]
         return [(name, h, step) for name in HEADLINE_STRATA if name in self.strata for h, step in reached]
 
-    def block_s(self, trials: Sequence[Sequence[FrameCounts]]) -> float:
-        """Shortest block, seconds: a cycle, and BLOCK_TIMES autocorrelation times of the headline scores of any trial.
+    def block_s(self, trials: Sequence[FrameCounts]) -> float:
+        """Shortest block, seconds, for the longest autocorrelation time of F1 of any of `trials`, in any stratum."""
+        return shortest_block_s(max(map(self._correlated_s, trials), default=0.0), self.cycle_s)
 
-        `trials` has the frames of each trial on each recording. 0 without a cycle and without a trial of two frames.
-        """
-        longest = [self.cycle_s or 0.0]
-        for recordings in trials:
-            for frames in recordings:
-                spacing_s = float(np.median(np.diff(frames.stamps_ns))) / 1e9 if len(frames.stamps_ns) > 1 else 0.0
-                longest.append(BLOCK_TIMES * spacing_s * autocorrelation_time(self._headline_residuals(frames)))
-        return max(longest)
-
-    def _headline_residuals(self, frames: FrameCounts) -> NDArray[np.float64]:
-        """Residuals (F, N) of F1 at the N headline strata and steps, from which the autocorrelation is computed."""
+    def _correlated_s(self, frames: FrameCounts) -> float:
+        """The autocorrelation time, seconds, of F1 in every stratum at the headline's horizons."""
+        if len(frames.stamps_ns) < 2:
+            return 0.0
+        spacing_s = float(np.median(np.diff(frames.stamps_ns))) / 1e9
         part, whole = (np.array([side.get(name, 0.0) for name in COUNTS]) for side in RATIO_SCORES["f1"])
-        marked = self.headline or [(self.strata[0], 0.0, len(self.horizons_s) - 1)]
-        series = [frames.counts[:, step, self.strata.index(name)] for name, _, step in marked]
-        return residuals(*(np.stack([s @ weights for s in series], axis=1) for weights in (part, whole)))
+        steps = sorted({step for _, _, step in self.headline}) or [len(self.horizons_s) - 1]
+        counts = frames.counts[:, steps].astype(np.float64)
+        return spacing_s * autocorrelation_time(residuals(counts @ part, counts @ whole))
 
 
 def intervals(
-    recordings: Sequence[FrameCounts], strata: Sequence[str], block_s: float
+    recordings: Sequence[FrameCounts], strata: Sequence[str], rule: UnitRule
 ) -> dict[str, dict[str, tuple[float | None, ...] | str | None]]:
     """Per stratum `f1_low`, `f1_high` and so on, one value per step; `interval` has the reason where there are none."""
-    (counts,), number = summed_by_unit([recordings], block_s)
+    (counts,), number = summed_by_unit([recordings], rule)
     if number < LEAST_UNITS:
         nothing = {f"{score}_{end}": None for score in RATIO_SCORES for end in ("low", "high")}
-        return {name: {**nothing, "interval": too_short(number, len(recordings), block_s)} for name in strata}
+        return {name: {**nothing, "interval": rule.too_short(number)} for name in strata}
     found = {score: interval(counts, score) for score in RATIO_SCORES}
     return {
         name: {
@@ -77,22 +78,11 @@ def intervals(
     }
 
 
-def summed_by_unit(sides: Sequence[Sequence[FrameCounts]], block_s: float) -> tuple[list[NDArray[np.float64]], int]:
+def summed_by_unit(sides: Sequence[Sequence[FrameCounts]], rule: UnitRule) -> tuple[list[NDArray[np.float64]], int]:
     """Counts (U, S, K, C) of the units for each side, and the number of units; the sides have the same frames."""
-    units = units_of([frames.stamps_ns for frames in sides[0]], block_s)
-    summed = [
-        np.concatenate([sum_by_unit(f.counts, unit) for f, unit in zip(side, units, strict=True) if len(unit)])
-        for side in sides
-    ]
+    units = rule.units_of([frames.stamps_ns for frames in sides[0]])
+    summed = [sum_by_unit([frames.counts for frames in side], units) for side in sides]
     return summed, len(summed[0])
-
-
-def too_short(units: int, recordings: int, block_s: float) -> str:
-    """The reason why there is no interval, for fewer than LEAST_UNITS units."""
-    if units == recordings > 1:
-        return f"{TOO_SHORT}: {units} recordings, and {LEAST_UNITS} units are needed"
-    blocks = f"blocks of at least {block_s:.3g} s" if block_s else "a single forecast"
-    return f"{TOO_SHORT}: {units} unit{'s' * (units != 1)}, {blocks}, and {LEAST_UNITS} are needed"
 
 
 def common_strata(strata: Sequence[Sequence[str]]) -> tuple[str, ...]:

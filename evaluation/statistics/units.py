@@ -3,23 +3,80 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gridtrack.evaluation.statistics.jackknife import LEAST_UNITS
+from gridtrack.evaluation.statistics.jackknife import LEAST_UNITS, TOO_SHORT
 
 BLOCK_TIMES = 10.0
 """Length of a block in autocorrelation times: the means of neighbouring blocks are then nearly independent."""
+SHORTEST_BLOCK_S = 100.0
+"""No block is shorter, seconds, whatever was measured: longer than people stay and than most cycles of traffic lights.
+A memory that a recording is too short to show cannot be estimated from it."""
 WINDOW = 5.0
 """The autocorrelation is summed up to a lag of this many times the sum itself (Sokal 1997, section 3)."""
+UPPER_QUANTILE = 1.645
+"""Standard errors of the autocorrelation time that are added to it: a one-sided limit of 95 %."""
+
+
+@dataclass(frozen=True, slots=True)
+class UnitRule:
+    """How the frames of several recordings are divided into units.
+
+    `sources` has the source of each recording, such as its hash: recordings, and stretches of recordings, of one source
+    are one recording here. `block_s` is the shortest block, seconds; None: each source is one unit.
+    """
+
+    sources: tuple[str, ...]
+    block_s: float | None
+
+    def units_of(self, stamps_ns: Sequence[NDArray[np.int64]]) -> list[NDArray[np.int64]]:
+        """The unit of every scored frame, per recording (F,), counted through all of them; stamps (F,) increase.
+
+        Without `block_s` a unit is a source. Else each source is divided into as many equal blocks of at least
+        `block_s` as possible, in the time that its stretches cover together; one that covers less is one unit.
+        """
+        units = [np.zeros(len(stamps), np.int64) for stamps in stamps_ns]
+        first = 0
+        for source in dict.fromkeys(self.sources):
+            own = [i for i, name in enumerate(self.sources) if name == source and len(stamps_ns[i])]
+            own.sort(key=lambda i: int(stamps_ns[i][0]))
+            if not own:
+                continue
+            blocks = _blocks([stamps_ns[i] for i in own], self.block_s)
+            for i, block in zip(own, np.split(blocks, np.cumsum([len(stamps_ns[i]) for i in own])[:-1]), strict=True):
+                units[i] = first + block
+            first += int(blocks[-1]) + 1
+        return units
+
+    def too_short(self, units: int) -> str:
+        """The reason why there is no interval, for fewer than LEAST_UNITS units."""
+        sources = len(set(self.sources))
+        of_them = f", of {sources} recording{'s' * (sources != 1)}" if len(self.sources) > sources else ""
+        if units == sources > 1:
+            return f"{TOO_SHORT}: {units} recordings, and {LEAST_UNITS} units are needed"
+        blocks = f", blocks of at least {self.block_s:.3g} s" if self.block_s else ""
+        return f"{TOO_SHORT}: {units} unit{'s' * (units != 1)}{of_them}{blocks}, and {LEAST_UNITS} are needed"
+
+
+def enough_sources(sources: Sequence[str]) -> bool:
+    """Whether there are so many different sources that each is a unit."""
+    return len(set(sources)) >= LEAST_UNITS
+
+
+def shortest_block_s(correlated_s: float, cycle_s: float | None) -> float:
+    """The shortest block, seconds, for an autocorrelation time and the longest cycle of the sites."""
+    return max(SHORTEST_BLOCK_S, cycle_s or 0.0, BLOCK_TIMES * correlated_s)
 
 
 def autocorrelation_time(series: NDArray[np.float64]) -> float:
-    """Integrated autocorrelation time of series (F, ...), in samples, the longest of them: 1 for independent samples.
+    """Upper limit of the integrated autocorrelation time of series (F, ...), in samples, the longest of them.
 
-    1 + 2 sum of the autocorrelations up to a lag of WINDOW times that sum (Sokal, Monte Carlo methods in statistical
-    mechanics, 1997). A constant series has 1.
+    The time is 1 + 2 sum of the autocorrelations up to a lag of WINDOW times that sum, 1 for independent samples;
+    UPPER_QUANTILE of its standard errors, sqrt(2 (2 lag + 1) / F) of itself, are added (Sokal, Monte Carlo methods in
+    statistical mechanics, 1997, equations 3.16 to 3.20). A constant series has 1.
     """
     columns = series.reshape(len(series), -1)
     centred = columns - columns.mean(axis=0)
@@ -32,7 +89,8 @@ def autocorrelation_time(series: NDArray[np.float64]) -> float:
     times = 2 * (covariance[:, varying] / covariance[0, varying]).cumsum(axis=0) - 1
     reached = np.arange(len(times))[:, None] >= WINDOW * times
     lag = np.where(reached.any(axis=0), reached.argmax(axis=0), len(times) - 1)
-    return float(max(1.0, times[lag, np.arange(times.shape[1])].max()))
+    found = np.maximum(times[lag, np.arange(times.shape[1])], 1.0)
+    return float((found * (1 + UPPER_QUANTILE * np.sqrt(2 * (2 * lag + 1) / len(series)))).max())
 
 
 def residuals(part: NDArray[np.float64], whole: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -43,33 +101,27 @@ def residuals(part: NDArray[np.float64], whole: NDArray[np.float64]) -> NDArray[
     return moved
 
 
-def units_of(stamps_ns: Sequence[NDArray[np.int64]], block_s: float) -> list[NDArray[np.int64]]:
-    """The unit of every scored frame, per recording (F,), counted through all of them.
-
-    Twenty recordings or more are the units themselves. Of fewer, each is divided into as many equal blocks of time, of
-    at least `block_s`, as possible; a recording shorter than that, or of a single frame, is one unit.
-    """
-    whole = len(stamps_ns) >= LEAST_UNITS
-    units, first = [], 0
-    for stamps in stamps_ns:
-        cut = np.zeros(len(stamps), np.int64) if whole else _blocks(stamps, block_s)
-        units.append(first + cut)
-        first += int(cut[-1]) + 1 if len(cut) else 0
-    return units
-
-
-def _blocks(stamps_ns: NDArray[np.int64], block_s: float) -> NDArray[np.int64]:
-    if len(stamps_ns) < 2:
-        return np.zeros(len(stamps_ns), np.int64)
-    since_s = (stamps_ns - stamps_ns[0]) / 1e9
-    lasts_s = float(since_s[-1]) + float(np.median(np.diff(since_s)))
-    blocks = min(max(1, int(lasts_s / block_s + 1e-9)), len(stamps_ns))
-    block = (since_s / lasts_s * blocks).astype(np.int64)
-    return np.unique(block, return_inverse=True)[1].astype(np.int64)
-
-
-def sum_by_unit(counts: NDArray[np.floating], units: NDArray[np.int64]) -> NDArray[np.float64]:
-    """Counts (F, ...) of frames summed over each unit, in their order; `units` (F,) do not decrease."""
-    starts = np.flatnonzero(np.diff(units, prepend=-1))
-    summed: NDArray[np.float64] = np.add.reduceat(counts, starts, axis=0, dtype=np.float64)
+def sum_by_unit(counts: Sequence[NDArray[np.floating]], units: Sequence[NDArray[np.int64]]) -> NDArray[np.float64]:
+    """Counts (F, ...) of the frames of each recording summed over the units (U, ...) that `units` (F,) number."""
+    number = max((int(numbers.max()) + 1 for numbers in units if len(numbers)), default=0)
+    summed = np.zeros((number, *counts[0].shape[1:]))
+    for frames, numbers in zip(counts, units, strict=True):
+        starts = np.flatnonzero(np.diff(numbers, prepend=-1))
+        if len(starts):
+            summed[numbers[starts]] += np.add.reduceat(frames, starts, axis=0, dtype=np.float64)
     return summed
+
+
+def _blocks(stamps_ns: Sequence[NDArray[np.int64]], block_s: float | None) -> NDArray[np.int64]:
+    """The block of each frame (F,) of the stretches of one source, in their order, counted without gaps."""
+    frames = sum(map(len, stamps_ns))
+    if block_s is None or frames < 2:
+        return np.zeros(frames, np.int64)
+    at_s, lasts_s = [], 0.0
+    for stamps in stamps_ns:
+        since_s = (stamps - stamps[0]) / 1e9
+        at_s.append(lasts_s + since_s)
+        lasts_s += float(since_s[-1]) + (float(np.median(np.diff(since_s))) if len(stamps) > 1 else 0.0)
+    blocks = min(max(1, int(lasts_s / block_s + 1e-9)), frames) if lasts_s else 1
+    block = (np.concatenate(at_s) / max(lasts_s, 1e-9) * blocks).astype(np.int64)
+    return np.unique(np.minimum(block, blocks - 1), return_inverse=True)[1].astype(np.int64)

@@ -28,11 +28,21 @@ DESCRIBED = {
 
 
 def description(
-    frames: int = 40, cycle_s: float | None = None, grid: str = "100x0.2", classes: tuple[str, ...] = ()
+    frames: int = 40,
+    cycle_s: float | None = None,
+    grid: str = "100x0.2",
+    classes: tuple[str, ...] = (),
+    source_sha256: str = "",
 ) -> RecordingDescription:
     """A recording as the summary describes it."""
-    horizons_s = tuple(round(step * PERIOD_S, 6) for step in range(STEPS + 1))
-    return RecordingDescription(horizons_s=horizons_s, grid=grid, frames=frames, cycle_s=cycle_s, classes=classes)
+    return RecordingDescription(
+        horizons_s=tuple(round(step * PERIOD_S, 6) for step in range(STEPS + 1)),
+        grid=grid,
+        frames=frames,
+        cycle_s=cycle_s,
+        classes=classes,
+        source_sha256=source_sha256,
+    )
 
 
 def identity(description: RecordingDescription, sha256: str = "0" * 64) -> RecordingIdentity:
@@ -79,8 +89,10 @@ def write_trial(
     tracker: str = "",
     strata: tuple[str, ...] = STRATA,
     delivered: str = "",
+    start_s: int = 10,
 ) -> FinishedTrial:
-    """A trial's folder and record; `seed` draws the frames' counts, `scored` of `frames` where it ended early."""
+    """A trial's folder and record; `seed` draws the counts of its frames, one a second from `start_s` on, of which
+    `scored` are scored where it ended early."""
     folder = run / f"{label}@{recording}"
     folder.mkdir(parents=True)
     rng = np.random.default_rng(seed)
@@ -89,7 +101,7 @@ def write_trial(
     with ScoreWriter(folder, STEPS, thresholds) as scores:
         for frame in range(done):
             scores.add(
-                (frame + 10) * 1_000_000_000, (delivered + f"{frame:x}").rjust(32, "0"), tally(rng, skill, strata)
+                (frame + start_s) * 1_000_000_000, (delivered + f"{frame:x}").rjust(32, "0"), tally(rng, skill, strata)
             )
     record = TrialRecord(
         schema=2,

@@ -11,6 +11,7 @@ from gridtrack.evaluation.comparison.settings import CompareSettings
 from gridtrack.evaluation.comparison.train import train_tracker
 from gridtrack.evaluation.scoring.splits import Sampling, plan_split, was_seen
 from gridtrack.evaluation.scoring.strata import CELL_KINDS
+from gridtrack.recordings import import_recording
 from gridtrack.trackers.weights import Card, TrainingData, save_weights
 
 SECOND = Sampling(horizon_s=1.0, every_s=0.5)
@@ -105,8 +106,30 @@ def test_two_recordings_with_one_name_are_refused(record, tmp_path):
         resolve(settings)
 
 
+def test_a_copy_of_a_recording_is_refused_because_its_frames_are_no_more_evidence(record, tmp_path):
+    path = record()
+    copied = path.with_name("copy.mcap")
+    copied.write_bytes(path.read_bytes())
+    settings = CompareSettings(recordings=(str(path), str(copied)), trackers=("blank",), out=tmp_path / "run")
+    with pytest.raises(ConfigurationError, match=r"room.mcap@test and copy.mcap@test are of one source and have 11 s"):
+        resolve(settings)
+
+
+def test_an_import_under_another_name_is_of_the_same_source_and_stretches_that_overlap_are_refused(record, tmp_path):
+    path = record()
+    imported = import_recording(path, tmp_path / "other.mcap", site="elsewhere").path
+    again = import_recording(imported, tmp_path / "again.mcap").path
+    whole = {"trackers": ("blank",), "out": tmp_path / "run", "horizon_s": 0.5}
+    for other in (imported, again):
+        settings = CompareSettings(recordings=(f"{path}@0s-10s", f"{other}@8s-20s"), **whole)
+        with pytest.raises(ConfigurationError, match=r"@0s-10s and .*@8s-20s are of one source and have 2 s in common"):
+            resolve(settings)
+    settings = CompareSettings(recordings=(f"{path}@0s-10s", f"{again}@10s-20s"), **whole)
+    assert len({split.description().source_sha256 for split in resolve(settings).splits}) == 1
+
+
 def test_every_recording_is_run_by_every_tracker(record, tmp_path):
-    recordings = (str(record()), str(record("hall")))
+    recordings = (str(record()), str(record("hall", wall_m=3.4)))
     settings = CompareSettings(recordings=recordings, trackers=("blank", "b=blank"), out=tmp_path / "run")
     names = [trial.name for trial in resolve(settings).trials]
     assert names == ["blank@room", "b@room", "blank@hall", "b@hall"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -13,7 +14,7 @@ from gridtrack.evaluation.scoring.strata import STRATA
 from gridtrack.evaluation.statistics.frame_counts import FrameCounts, common_frames, read_frame_counts
 from gridtrack.evaluation.statistics.jackknife import COUNTS, interval
 from gridtrack.evaluation.statistics.summary import summarise
-from gridtrack.evaluation.statistics.units import autocorrelation_time, sum_by_unit, units_of
+from gridtrack.evaluation.statistics.units import UnitRule, autocorrelation_time, sum_by_unit
 from gridtrack.reports.chosen_frames import frame_scores
 
 from scenes import synthetic_run as synthetic
@@ -25,11 +26,18 @@ def summary_of(trials, recordings=RECORDINGS, reference=None, **described):
     return summarise({n: synthetic.description(**described) for n in recordings}, trials, [], False, reference)
 
 
-def a_run(tmp_path, skills, recordings=RECORDINGS, frames=8, **broken):
+def a_run(tmp_path, skills, recordings=RECORDINGS, frames=8, apart_s=0, **broken):
     """Every label at its skill; seeds differ by recording and not by label, so frames are paired."""
     return [
         synthetic.write_trial(
-            tmp_path, label, name, skill, seed=i, frames=frames, scored=broken.get(label) if i == 0 else None
+            tmp_path,
+            label,
+            name,
+            skill,
+            seed=i,
+            frames=frames,
+            scored=broken.get(label) if i == 0 else None,
+            start_s=10 + i * apart_s,
         )
         for i, name in enumerate(recordings)
         for label, skill in skills.items()
@@ -129,14 +137,27 @@ def test_of_nineteen_recordings_nothing_is_tested(tmp_path):
 
 
 def test_a_long_recording_is_cut_into_blocks_longer_than_the_cycle(tmp_path):
-    trials = a_run(tmp_path, {"persistence": 0.6, "good": 0.8}, ["long"], frames=500)
-    told = {
-        cycle: difference(summary_of(trials, ["long"], cycle_s=cycle), "good") for cycle in (None, 24.0, 25.5, 96.0)
-    }
-    assert told[None].units > 20
-    assert told[24.0].units == 20
-    assert told[25.5].interval.startswith("too short for an interval: 19 units, blocks of at least 25.5 s")
-    assert told[96.0].units == 5
+    trials = a_run(tmp_path, {"persistence": 0.6, "good": 0.8}, ["long"], frames=2500)
+    told = {cycle: difference(summary_of(trials, ["long"], cycle_s=cycle), "good") for cycle in (None, 125.0, 127.0)}
+    assert told[None].units == 25
+    assert told[125.0].units == 20
+    assert told[127.0].interval.startswith("too short for an interval: 19 units, blocks of at least 127 s")
+
+
+def test_no_block_is_shorter_than_people_stay_whatever_the_autocorrelation(tmp_path):
+    trials = a_run(tmp_path, {"persistence": 0.6, "good": 0.8}, ["short"], frames=600)
+    told = difference(summary_of(trials, ["short"]), "good")
+    assert told.interval == "too short for an interval: 6 units, blocks of at least 100 s, and 20 are needed"
+
+
+def test_one_recording_cut_into_twenty_stretches_is_one_recording_and_gives_no_verdict(tmp_path):
+    trials = a_run(tmp_path, {"persistence": 0.6, "good": 0.8}, RECORDINGS, frames=30, apart_s=30)
+    told = difference(summary_of(trials, source_sha256="one"), "good")
+    assert re.fullmatch(
+        r"too short for an interval: [1-6] units?, of 1 recording, blocks of at least \d+ s, and 20 are needed",
+        told.interval,
+    )
+    assert {test.verdict for test in told.headline} == {"not tested"}
 
 
 @pytest.mark.parametrize("cycle_s", [None, 30.0])
@@ -146,8 +167,7 @@ def test_a_single_forecast_has_scores_and_is_too_short_for_an_interval(tmp_path,
     dynamic = summary.trackers["good"].recordings["short"].strata["dynamic"]
     assert dynamic.f1[8] > 0
     assert dynamic.f1_low is None
-    blocks = "blocks of at least 30 s" if cycle_s else "a single forecast"
-    assert dynamic.interval == f"too short for an interval: 1 unit, {blocks}, and 20 are needed"
+    assert dynamic.interval == "too short for an interval: 1 unit, blocks of at least 100 s, and 20 are needed"
     assert difference(summary, "good").interval == dynamic.interval
 
 
@@ -207,23 +227,38 @@ def test_autocorrelation_time_of_an_autoregressive_series_is_the_textbooks():
     series = np.zeros((20_000, 2))
     for t in range(1, len(series)):
         series[t] = [0.8, 0.0] * series[t - 1] + rng.standard_normal(2)
-    assert autocorrelation_time(series[:, :1]) == pytest.approx((1 + 0.8) / (1 - 0.8), rel=0.15)
-    assert autocorrelation_time(series[:, 1:]) == pytest.approx(1.0, abs=0.1)
+    limits = [(1 + 0.8) / (1 - 0.8), 1.0]
+    assert limits[0] < autocorrelation_time(series[:, :1]) < 1.4 * limits[0]
+    assert limits[1] < autocorrelation_time(series[:, 1:]) < 1.1 * limits[1]
     assert autocorrelation_time(series) == autocorrelation_time(series[:, :1])
     assert autocorrelation_time(np.ones((50, 1))) == 1.0
 
 
+def every_second(frames, start_s=0):
+    return (start_s + np.arange(frames)) * 1_000_000_000
+
+
 def test_blocks_are_equal_long_enough_and_never_reach_over_two_recordings():
-    stamps = [np.arange(100) * 1_000_000_000, np.arange(30) * 1_000_000_000, np.arange(5) * 1_000_000_000]
-    units = units_of(stamps, block_s=10.0)
+    stamps = [every_second(100), every_second(30), every_second(5)]
+    units = UnitRule(("a", "b", "c"), 10.0).units_of(stamps)
     assert [np.unique(unit, return_counts=True)[1].tolist() for unit in units] == [[10] * 10, [10] * 3, [5]]
     assert np.concatenate(units).tolist() == sorted(np.concatenate(units).tolist())
     assert [unit[0] for unit in units] == [0, 10, 13]
-    twenty = units_of([stamps[0]] * 20, block_s=10.0)
+    twenty = UnitRule(tuple(map(str, range(20))), None).units_of([stamps[0]] * 20)
     assert [set(unit.tolist()) for unit in twenty] == [{i} for i in range(20)]
 
 
-def test_sums_by_unit_add_up():
-    counts = np.arange(12, dtype=np.float32).reshape(6, 2)
-    assert sum_by_unit(counts, np.array([3, 3, 4, 4, 4, 5])).tolist() == [[2, 4], [18, 21], [10, 11]]
+def test_stretches_of_one_source_are_divided_into_blocks_together_in_the_order_of_time():
+    stamps = [every_second(30, start_s=100), every_second(10), every_second(20), every_second(5)]
+    late, other, early, nothing = UnitRule(("one", "two", "one", "three"), 25.0).units_of([*stamps[:3], stamps[3][:0]])
+    assert early.tolist() == [0] * 20
+    assert late.tolist() == [0] * 5 + [1] * 25
+    assert other.tolist() == [2] * 10
+    assert nothing.tolist() == []
+
+
+def test_sums_by_unit_add_up_over_recordings():
+    counts = [np.arange(12, dtype=np.float32).reshape(6, 2), np.ones((2, 2), np.float32)]
+    summed = sum_by_unit(counts, [np.array([0, 0, 1, 1, 1, 2]), np.array([0, 3])])
+    assert summed.tolist() == [[3, 5], [18, 21], [10, 11], [1, 1]]
     assert len(COUNTS) == 6
