@@ -54,6 +54,9 @@ def compare_command(
     weights: WeightsOption = None,
     trackers_toml: Annotated[Path | None, typer.Option(help="Trackers of other environments and programs")] = None,
     resume: Annotated[bool, typer.Option(help="Run only the trials that are missing in the run's folder")] = False,
+    allow_leak: Annotated[
+        bool, typer.Option(help="Score a tracker on frames that it learned from too: it is marked and not ranked")
+    ] = False,
     latency: Annotated[bool, typer.Option(help="After the scores, measure the time of each tracker alone")] = False,
     deadline: Annotated[
         bool,
@@ -103,6 +106,7 @@ def compare_command(
         "seed": seed,
         "weights": weights,
         "trackers_toml": trackers_toml,
+        "allow_leak": allow_leak,
         "resume": resume,
         "latency": latency,
         "deadline": deadline,

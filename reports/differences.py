@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from gridtrack.evaluation.results.summary import HeadlineTest, TrackerDifference
 from gridtrack.reports.markdown import cell_text, markdown_table
 from gridtrack.reports.run import UNDEFINED, Run
+from gridtrack.reports.table import LEAK
 
 
 @dataclass(frozen=True)
@@ -47,8 +48,18 @@ def difference_table(run: Run, recording: str) -> DifferenceTable | None:
     if not tested:
         return None
     columns = tuple((test.stratum, test.horizon_s) for test in tested[0].headline)
-    rows = tuple(DifferenceRow(one.tracker, _cells_of(one, columns), one.interval) for one in found)
-    return DifferenceTable(tested[0].reference, columns, f"{tested[0].units} units, {tested[0].frames} frames", rows)
+    rows = tuple(
+        DifferenceRow(_marked(run, one.tracker, recording), _cells_of(one, columns), one.interval) for one in found
+    )
+    reference = _marked(run, tested[0].reference, recording)
+    return DifferenceTable(reference, columns, f"{tested[0].units} units, {tested[0].frames} frames", rows)
+
+
+def _marked(run: Run, label: str, recording: str) -> str:
+    """The label, marked where the tracker learned from frames of the recording."""
+    row = run.summary.trackers.get(label)
+    trial = row.recordings.get(recording) if row else None
+    return f"{label} ({LEAK})" if trial and trial.leak else label
 
 
 def _cells_of(difference: TrackerDifference, columns: Sequence[tuple[str, float]]) -> tuple[DifferenceCell, ...]:

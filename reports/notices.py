@@ -51,7 +51,7 @@ def _of_trials(tables: Sequence[HeadlineTable]) -> Iterator[Notice]:
 
 def _outcome_text(row: TableRow) -> str:
     scored = f"{row.frames} frames scored, not ranked" if row.trial.frames_scored else "nothing scored"
-    return "; ".join(filter(None, (row.trial.outcome, row.trial.reason, scored)))
+    return "; ".join(filter(None, (row.outcome, row.trial.reason, scored)))
 
 
 def _of_intervals(tables: Sequence[HeadlineTable]) -> Iterator[Notice]:

@@ -17,8 +17,12 @@ TABLE_HORIZONS_S = (0.5, 1.0, 2.0, 2.5)
 DETAIL_HORIZON_S = 1.0
 """The horizon of the other scores, by which the rows are sorted too."""
 
+LEAK = "learned from these frames"
+"""The mark of a row whose weights learned from frames that it is scored on."""
+
 RowGroup = Literal["ceiling", "ranked", "floor", "unranked"]
-"""The ceiling; complete trials of trackers; complete trials of the floor; trials that are not complete."""
+"""The ceiling; complete trials of trackers; complete trials of the floor; trials that are not complete, or scored on
+frames that they learned from."""
 
 
 @dataclass(frozen=True)
@@ -80,6 +84,11 @@ class TableRow:
     def name(self) -> str:
         """The label; where several runs are shown, with the name of the run before it."""
         return f"{self.run}: {self.label}" if self.run else self.label
+
+    @property
+    def outcome(self) -> str:
+        """The outcome of the trial, and whether it learned from frames that it is scored on."""
+        return f"{self.trial.outcome}, {LEAK}" if self.trial.leak else self.trial.outcome
 
     @property
     def frames(self) -> str:
@@ -200,7 +209,7 @@ def _table_row(
 
 
 def _group_of(entry: TrackerSummary, trial: TrialSummary) -> RowGroup:
-    if not trial.complete:
+    if not trial.complete or trial.leak:
         return "unranked"
     return "ceiling" if entry.ceiling else "floor" if entry.floor else "ranked"
 
@@ -231,7 +240,7 @@ def headline_markdown(table: HeadlineTable) -> str:
     """The table as Markdown, for a terminal or a log of continuous integration; the best values are bold."""
     headings = ["tracker", *(f"{c.group} {c.heading}" for c in table.columns), "frames", "outcome"]
     rows = [
-        [cell_text(row.name), *(_cell_markdown(cell) for cell in row.cells), row.frames, row.trial.outcome]
+        [cell_text(row.name), *(_cell_markdown(cell) for cell in row.cells), row.frames, row.outcome]
         for row in table.rows
     ]
     return markdown_table(headings, rows, aligned_right=range(1, len(headings) - 1))

@@ -114,7 +114,7 @@ def _row_texts(row: TableRow) -> list[str]:
         + (f"\n{escape(cell.interval_text)}" if cell.interval else "")
         for cell in row.cells
     ]
-    outcome = "" if row.group != "unranked" else f" ({row.trial.outcome})"
+    outcome = "" if row.group != "unranked" else f" ({row.outcome})"
     return [escape(row.name) + outcome, *numbers, row.frames]
 
 

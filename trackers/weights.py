@@ -10,7 +10,7 @@ import hashlib
 import shlex
 import shutil
 import tomllib
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -42,6 +42,11 @@ class TrainingData(Settings):
 
     recording: str
     sha256: str
+    source_sha256: str = ""
+    """Of the file that the recording was first imported from; "" on a card of an earlier gridtrack."""
+    start_ns: int = 0
+    end_ns: int = 0
+    """Stamps of the frames: from `start_ns` on, `end_ns` excluded; 0 where `source_sha256` is ""."""
 
 
 class Card(Settings):
@@ -157,21 +162,33 @@ def _previous(arrays_path: Path) -> Path:
     return arrays_path.with_name(arrays_path.name + ".previous")
 
 
-def replace_in_card(path: Path, text: str, by: str) -> None:
-    """Replace each value of the card at `path` that is `text`; without one, the file is not changed.
+def complete_card(
+    path: Path, placeholder: str, command: str, train: Sequence[TrainingData], validation: Sequence[TrainingData]
+) -> None:
+    """Complete the card that a `fit` wrote: `command` where it has the `placeholder`, and its training data in full.
 
-    Raises WeightsError, OSError.
+    `train` and `validation` are what the `fit` received, whether it named them or not. A card without the placeholder
+    is one of an earlier training, and is not changed. Raises WeightsError, OSError.
     """
-    if text.encode() not in read_bounded(path, MAX_CARD_BYTES, WeightsError):
+    if placeholder.encode() not in read_bounded(path, MAX_CARD_BYTES, WeightsError):
         return
 
     def replaced(value: Any) -> Any:
         if isinstance(value, dict):
             return {key: replaced(item) for key, item in value.items()}
-        return by if value == text else value
+        return command if value == placeholder else value
 
-    card = Card.model_validate(replaced(read_card(path).model_dump()))
-    write_text(path, _card_text(card))
+    card = read_card(path)
+    completed = Card.model_validate(replaced(card.model_dump())).model_copy(
+        update={"train": _with_all(card.train, train), "validation": _with_all(card.validation, validation)}
+    )
+    write_text(path, _card_text(completed))
+
+
+def _with_all(named: Iterable[TrainingData], received: Sequence[TrainingData]) -> tuple[TrainingData, ...]:
+    """The data on a card, those that were `received` in full."""
+    full = {(data.recording, data.sha256): data for data in received}
+    return tuple(dict.fromkeys([*(full.get((data.recording, data.sha256), data) for data in named), *received]))
 
 
 def _card_text(card: Card) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import combinations
@@ -13,6 +13,7 @@ from gridtrack.common.entry_points import VALID_NAME
 from gridtrack.common.errors import ConfigurationError, PluginError, did_you_mean
 from gridtrack.common.grid import GridSpec
 from gridtrack.common.names import check_utf8
+from gridtrack.evaluation.comparison.leaks import leaks_of, refuse_leaks
 from gridtrack.evaluation.comparison.learned import LearnedWeights, copy_weights, find_weights, weights_in
 from gridtrack.evaluation.comparison.settings import CompareSettings
 from gridtrack.evaluation.processes.limits import Limits
@@ -20,7 +21,7 @@ from gridtrack.evaluation.processes.shielding import shielded_environment
 from gridtrack.evaluation.processes.tracker_process import TrackerProcess, describe
 from gridtrack.evaluation.results.run_record import RunConfiguration, TrialIdentity
 from gridtrack.evaluation.results.summary import ALL_RECORDINGS, ORACLE
-from gridtrack.evaluation.scoring.splits import EvaluationSplit, Sampling, plan_splits, was_seen, with_points
+from gridtrack.evaluation.scoring.splits import EvaluationSplit, Sampling, plan_splits, with_points
 from gridtrack.recordings.stream import GridStream
 from gridtrack.trackers import registry
 from gridtrack.trackers.contract import stream_of
@@ -58,6 +59,11 @@ class Trial:
         """The stretch on which thresholds are chosen, with the requested returns, or None."""
         stretch = self.split.validation
         return stretch and with_points(stretch, self.selection.points)
+
+    @property
+    def leaks(self) -> tuple[str, ...]:
+        """What its weights learned from the frames that it is scored on, or that its thresholds are chosen on."""
+        return leaks_of(self.split, self.weights)
 
     def tracker_process(self, log: Path) -> TrackerProcess:
         """The tracker, not started yet, on the test stretch's grid and period; its stderr goes to `log`."""
@@ -161,7 +167,10 @@ def resolve(settings: CompareSettings) -> ComparisonPlan:
         for selection in selections
     )
     notices = [notice for split in splits for notice in split.notices]
-    notices += [notice for trial in trials for notice in _training_overlaps(trial)]
+    if settings.allow_leak:
+        notices += [f"{trial.label} is not ranked: {leak}" for trial in trials for leak in trial.leaks]
+    else:
+        refuse_leaks(trial.leaks for trial in trials)
     return ComparisonPlan(settings, splits, trials, tuple(dict.fromkeys(notices)))
 
 
@@ -224,19 +233,3 @@ def _weights_of(selection: Selection, site: str, override: Path | None) -> Learn
     if selection.weights is not None:
         return weights_in(selection.weights, selection.name, site)
     return find_weights(selection.name, site, override)
-
-
-def _training_overlaps(trial: Trial) -> Iterator[str]:
-    """A notice for each stretch of the trial that shares frames with what the tracker was trained on."""
-    if trial.weights is None:
-        return
-    card = trial.weights.card
-    if any(was_seen(trial.split.test, data) for data in (*card.train, *card.validation)):
-        yield (
-            f"{trial.label} was trained on frames of the test stretch {trial.split.test.name} ({trial.weights.name}):"
-            " its scores there are not scores on unseen data"
-        )
-    if trial.split.validation and any(was_seen(trial.split.validation, data) for data in card.train):
-        yield (
-            f"{trial.label} was trained on frames of {trial.split.validation.name}, on which its thresholds are chosen"
-        )

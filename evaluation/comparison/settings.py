@@ -33,6 +33,7 @@ class CompareSettings(Settings):
     trackers_toml: Path | None = None
     limits: Limits = Limits()
     jobs: int | None = Field(None, ge=1)
+    allow_leak: bool = False
     resume: bool = False
     latency: bool = False
     deadline: bool = False

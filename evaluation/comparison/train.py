@@ -17,7 +17,7 @@ from gridtrack.evaluation.scoring.splits import TRAIN, VALIDATION, own_validatio
 from gridtrack.recordings import open_recording
 from gridtrack.recordings.stream import GridStream, parse_stretch
 from gridtrack.trackers.contract import FitOutput
-from gridtrack.trackers.weights import replace_in_card
+from gridtrack.trackers.weights import TrainingData, complete_card
 
 COMMAND = "the command of the training"
 """What `fit` receives in place of the command, which names the files of recordings; the card gets the command after."""
@@ -45,7 +45,7 @@ def train_tracker(recipe: Recipe, report: Callable[[str], None] = print) -> Path
             process.fit(train, validation, output)
         finally:
             if path.exists():
-                replace_in_card(path, COMMAND, recipe.command)
+                complete_card(path, COMMAND, recipe.command, _data_of(train_on), _data_of(validate_on))
     return path
 
 
@@ -57,6 +57,21 @@ def _stretches(recipe: Recipe) -> tuple[list[GridStream], list[GridStream]]:
     validate_on = validate_on or _own_validation(train_on)
     _refuse_shared(train_on, validate_on)
     return train_on, validate_on
+
+
+def _data_of(streams: Sequence[GridStream]) -> list[TrainingData]:
+    """What tells the frames of `streams` again, under whatever name or cut their recordings come."""
+    recorded = [(stream, stream.recorded) for stream in streams]
+    return [
+        TrainingData(
+            recording=stream.name,
+            sha256=stream.sha256,
+            source_sha256=time.source_sha256,
+            start_ns=time.start_ns,
+            end_ns=time.end_ns,
+        )
+        for stream, time in recorded
+    ]
 
 
 def _stored(streams: Sequence[GridStream], folder: Path) -> list[Path]:

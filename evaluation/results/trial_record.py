@@ -72,6 +72,8 @@ class TrialRecord(ResultModel):
     """The comparisons in which the other rows are compared with this tracker by default."""
     weights_sha256: str = ""
     """Of the card of the weights used; empty without weights."""
+    leak: str = ""
+    """What its weights learned from frames of its test or validation stretch; empty where nothing."""
     files: dict[str, str] = Field(default_factory=dict)
     """SHA-256 of the trial's other files, by name, when the trial ended."""
     recoveries: int = 0

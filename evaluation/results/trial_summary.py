@@ -98,6 +98,8 @@ class ScopeSummary(ResultModel):
     outcome: str
     """That of the record; of pooled recordings `ok` or `partial`."""
     reason: str = ""
+    leak: str = ""
+    """What its weights learned from frames that it is scored on, or thresholds are chosen on: it is not ranked."""
     frames_scored: int = 0
     frames_expected: int = 0
     threshold_chosen_on: str = ""

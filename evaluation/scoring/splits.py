@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +23,7 @@ from gridtrack.evaluation.scoring.strata import (
     region_maps_of,
 )
 from gridtrack.recordings import Recording, Stretch, open_recording
+from gridtrack.recordings.recorded_time import RecordedTime
 from gridtrack.recordings.stream import GridStream, parse_stretch
 from gridtrack.recordings.truth import static_cells
 from gridtrack.trackers.weights import TrainingData
@@ -258,20 +259,25 @@ def _share_region_maps(one: GridStream, other: GridStream) -> bool:
 
 
 def shares_frames(one: GridStream, other: GridStream) -> bool:
-    """Whether two stretches belong to the same file and overlap in time."""
-    return one.sha256 == other.sha256 and _overlap(one.stretch_s, other.stretch_s)
+    """Whether two stretches hold a moment in common, under whatever name or cut their recordings come."""
+    return one.recorded.overlaps(other.recorded)
 
 
-def was_seen(test: GridStream, seen: TrainingData) -> bool:
-    """Whether training data `seen` shares frames with `test`; a stretch that the recording no longer names counts."""
-    if seen.sha256 != test.sha256:
-        return False
+def common_with(test: GridStream, seen: TrainingData) -> RecordedTime | None:
+    """The part of the stretch `test` that is in the training data `seen` of the same site, or None."""
+    if seen.source_sha256:
+        return test.recorded.common(RecordedTime(seen.source_sha256, test.site, seen.start_ns, seen.end_ns))
+    return _common_by_name(test, seen)
+
+
+def _common_by_name(test: GridStream, seen: TrainingData) -> RecordedTime | None:
+    """`common_with` of a card without stamps; a stretch that the recording no longer names is the whole of it."""
+    if seen.sha256 not in (test.sha256, test.recorded.source_sha256):
+        return None
     _, stretch = parse_stretch(seen.recording)
     if isinstance(stretch, str):
         stretch = test.recording.info.stretches.get(stretch)
-    return stretch is None or _overlap(test.stretch_s, stretch)
-
-
-def _overlap(one: Stretch, other: Stretch) -> bool:
-    ends = [float("inf") if end is None else end for _, end in (one, other)]
-    return one[0] < ends[1] and other[0] < ends[0]
+    start_s, end_s = stretch or (0.0, None)
+    survey = test.recording.survey
+    end_ns = survey.last_ns + test.period_ns if end_s is None else survey.first_ns + round(end_s * 1e9)
+    return test.recorded.common(replace(test.recorded, start_ns=survey.first_ns + round(start_s * 1e9), end_ns=end_ns))

@@ -80,6 +80,7 @@ def _trial_summary(trial: FinishedTrial, statistics: RunStatistics, classes: Cla
     return TrialSummary(
         outcome=record.outcome,
         reason=record.reason,
+        leak=record.leak,
         frames_scored=record.frames_scored,
         frames_expected=record.frames_expected,
         threshold_chosen_on=record.thresholds.chosen_on,
@@ -101,7 +102,10 @@ def _pooled_summary(
 ) -> PooledSummary:
     pooled = statistics.pooled(trials[0].record.label)
     by_class = classes.scores([trial for trial in trials if trial.complete], list(statistics.recordings))
-    return pooled.model_copy(update={"recall_by_class": by_class.recall_by_class, "semantics": by_class.semantics})
+    leak = next((trial.record.leak for trial in trials if trial.record.leak), "")
+    return pooled.model_copy(
+        update={"recall_by_class": by_class.recall_by_class, "semantics": by_class.semantics, "leak": leak}
+    )
 
 
 def _notices(

@@ -9,7 +9,7 @@ from gridtrack.evaluation.comparison.plan import resolve
 from gridtrack.evaluation.comparison.recipe import Recipe
 from gridtrack.evaluation.comparison.settings import CompareSettings
 from gridtrack.evaluation.comparison.train import train_tracker
-from gridtrack.evaluation.scoring.splits import Sampling, plan_split, was_seen
+from gridtrack.evaluation.scoring.splits import Sampling, common_with, plan_split
 from gridtrack.evaluation.scoring.strata import CELL_KINDS
 from gridtrack.recordings import import_recording
 from gridtrack.trackers.weights import Card, TrainingData, save_weights
@@ -155,8 +155,8 @@ def test_a_missing_recording_is_refused_in_one_line(tmp_path):
 )
 def test_frames_seen_in_training_are_detected(record, seen, expected):
     test = plan_split(str(record()), None, SECOND).test
-    assert was_seen(test, TrainingData(recording=seen, sha256=test.sha256)) is expected
-    assert not was_seen(test, TrainingData(recording=seen, sha256="another"))
+    assert (common_with(test, TrainingData(recording=seen, sha256=test.sha256)) is not None) is expected
+    assert common_with(test, TrainingData(recording=seen, sha256="another")) is None
 
 
 def learned(folder, tracker="static-map", site="room"):
