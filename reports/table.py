@@ -8,7 +8,7 @@ from itertools import groupby
 from typing import Literal
 
 from gridtrack.evaluation.results.summary import TrackerSummary
-from gridtrack.evaluation.results.trial_summary import StratumScores, TrialSummary
+from gridtrack.evaluation.results.trial_summary import TrialSummary
 from gridtrack.reports.markdown import cell_text, markdown_table
 from gridtrack.reports.run import UNDEFINED, ReportError, Run
 
@@ -39,7 +39,7 @@ class TableColumn:
     def of(self, trial: TrialSummary) -> float | None:
         """Its value for one trial; None where it is undefined."""
         scores = trial.strata.get(self.stratum)
-        return None if scores is None else curve_of(scores, self.score)[self.step]
+        return None if scores is None else scores.at(self.score, self.step)
 
     def interval_of(self, trial: TrialSummary) -> tuple[float, float] | None:
         """The confidence interval of an F1; None where there is none, and for every other score."""
@@ -228,12 +228,6 @@ def _with_best(rows: Sequence[TableRow], columns: Sequence[TableColumn]) -> Iter
     for row in rows:
         cells = (replace(cell, best=cell.text == top) for cell, top in zip(row.cells, best, strict=True))
         yield row if row.group in ("unranked", "ceiling") else replace(row, cells=tuple(cells))
-
-
-def curve_of(scores: StratumScores, score: str) -> tuple[float | None, ...]:
-    """The curve of a score by its name in summary.json."""
-    curve: tuple[float | None, ...] = getattr(scores, score)
-    return curve
 
 
 def headline_markdown(table: HeadlineTable) -> str:

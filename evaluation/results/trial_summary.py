@@ -47,6 +47,11 @@ class StratumScores(ResultModel):
     share_of_oracle: Curve | None = None
     """(F1 - floor) / (oracle - floor), floor the best of the floors at each step; null without an oracle."""
 
+    def at(self, score: str, step: int) -> float | None:
+        """A score by its name at one step; None where it is undefined, or where the run has no such score."""
+        curve: Curve | None = getattr(self, score)
+        return None if curve is None else curve[step]
+
 
 class ClassRecall(ResultModel):
     """Cells of one class at each step, and the share of them that was called occupied."""

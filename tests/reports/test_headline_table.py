@@ -135,3 +135,16 @@ def test_markdown_has_a_row_for_each_tracker_and_names_cannot_break_it(run_folde
     assert len(lines) == 2 + 5
     assert len({line.replace("\\|", "").count("|") for line in lines}) == 1
     assert any(line.startswith("| good | **1.000** |") for line in lines)
+
+
+def test_a_score_that_an_earlier_run_does_not_have_is_a_dash_and_not_an_error(run_folder, tmp_path):
+    def without_optional(summary):
+        for row in summary["trackers"].values():
+            for trial in row["recordings"].values():
+                for scores in trial["strata"].values():
+                    scores["brier_reliability"] = None
+
+    (run,) = read_runs([rewritten(run_folder, tmp_path / "run", without_optional)])
+    scores = run.summary.trackers["good"].recordings["crossing"].strata["dynamic"]
+    assert scores.at("brier_reliability", 8) is None
+    assert scores.at("f1", 8) is not None
