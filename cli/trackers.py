@@ -233,7 +233,8 @@ def _refuse_untrained(launched: Any, options: Any, site: str) -> None:
         if describe(launched, options, Limits()).learns:
             raise ConfigurationError(
                 f"tracker '{launched.name}' needs weights, and there are none {where}: name a recording of a site with"
-                f" weights (--recording), or the folder of `gridtrack train {launched.name}` (--weights)"
+                f" weights (--recording), or one of weights (--weights); `gridtrack train {launched.name} RECORDING`"
+                " writes one"
             )
 
 

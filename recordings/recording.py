@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
@@ -145,10 +146,13 @@ class Recording(ABC):
 
     def unknown_mounting(self, sensors: Iterable[str]) -> str:
         """The error text for several sensors whose poses relative to each other are not known."""
-        topics = " or ".join(f"--topic {self.topic_of(sensor)}" for sensor in sensors)
+        first, *others = (shlex.join(["--topic", self.topic_of(sensor)]) for sensor in sensors)
+        command = ["gridtrack", "recording", "import", str(self.path), "--out", f"{self.path.stem}-one.mcap"]
+        if self.options.pose_topic is not None:
+            command += ["--pose-topic", self.options.pose_topic]
         return (
             f"several sensors ({', '.join(sensors)}), and how they are mounted is not known, so that their scans cannot"
-            f" share a grid: import one of them, `gridtrack recording import {self.name} --out FILE.mcap` with {topics}"
+            f" share a grid: import one of them with `{shlex.join(command)} {first}`, or {', '.join(others)}"
         )
 
     @abstractmethod

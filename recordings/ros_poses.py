@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable, Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
+from gridtrack.common.errors import RecordingError
 from gridtrack.common.geometry import SE2, wrap_angle
 from gridtrack.common.scan import Scan
 from gridtrack.recordings.recording import DamageError
@@ -45,6 +46,17 @@ def unread_poses_warning(topic: str, kind: str) -> str | None:
     return None
 
 
+@dataclass(slots=True)
+class _Span:
+    """The first and the last stamp of a topic; `start_ns` is above `end_ns` where it has no messages."""
+
+    start_ns: float = math.inf
+    end_ns: float = -math.inf
+
+    def add(self, stamp_ns: int) -> None:
+        self.start_ns, self.end_ns = min(self.start_ns, stamp_ns), max(self.end_ns, stamp_ns)
+
+
 class ScansOnPoses:
     """Delays scans until the pose after them is read, and interpolates the pose of each scan.
 
@@ -56,9 +68,11 @@ class ScansOnPoses:
         self._topic, self._warn = topic, warn
         self._waiting: deque[Scan] = deque()
         self._last: tuple[int, SE2] | None = None
+        self._scans, self._poses = _Span(), _Span()
 
     def scan(self, scan: Scan) -> Iterator[Scan]:
         """Add the next scan, and yield the scans that no longer wait. Raises RecordingError where `warn` does."""
+        self._scans.add(scan.stamp_ns)
         self._waiting.append(scan)
         while scan.stamp_ns - self._waiting[0].stamp_ns > MAX_GAP_NS:
             self._warn(f"no poses on {self._topic} for more than 1 s: scans there have the last pose before it")
@@ -66,6 +80,7 @@ class ScansOnPoses:
 
     def pose(self, stamp_ns: int, pose: SE2) -> Iterator[Scan]:
         """Add the next pose, and yield the scans up to it."""
+        self._poses.add(stamp_ns)
         before = self._last or (stamp_ns, pose)
         self._last = (stamp_ns, pose)
         while self._waiting and self._waiting[0].stamp_ns <= stamp_ns:
@@ -76,6 +91,17 @@ class ScansOnPoses:
         """Yield the scans after the last pose."""
         while self._waiting:
             yield self._with_last_pose(self._waiting.popleft())
+
+    def check_clocks(self) -> None:
+        """Raise RecordingError where all poses are stamped long before or after all scans."""
+        before_ns = self._scans.start_ns - self._poses.end_ns
+        after_ns = self._poses.start_ns - self._scans.end_ns
+        if MAX_GAP_NS < max(before_ns, after_ns) < math.inf:
+            apart = f"{before_ns / 1e9:.1f} s before" if before_ns > 0 else f"{after_ns / 1e9:.1f} s after"
+            raise RecordingError(
+                f"no pose on {self._topic} at the time of a scan: they are stamped {apart} the scans: record poses and"
+                " scans with one clock"
+            )
 
     def _with_last_pose(self, scan: Scan) -> Scan:
         return replace(scan, world_T_sensor=self._last[1]) if self._last else scan

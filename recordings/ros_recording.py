@@ -66,6 +66,7 @@ class RosRecording(Recording):
         if scans_on_poses:
             yield from scans_on_poses.flush()
             self._require_poses(topics)
+            scans_on_poses.check_clocks()
 
     def _warn_of_unread_poses(self, message: RosMessage) -> None:
         warning = unread_poses_warning(message.topic, message.kind)
@@ -76,6 +77,11 @@ class RosRecording(Recording):
         """Raise RecordingError where the pose topic holds no poses."""
         pose_topic = self.options.pose_topic
         with_poses = [topic for topic, kind in topics.types.items() if kind in POSES]
+        if pose_topic in topics.types and pose_topic not in with_poses:
+            raise RecordingError(
+                f"topic '{pose_topic}' is {topics.types[pose_topic]}, not poses; expected one of {', '.join(POSES)}:"
+                f" topics with poses: {', '.join(with_poses) or 'none'}"
+            )
         if pose_topic is not None and pose_topic not in with_poses:
             raise RecordingError(f"no topic '{pose_topic}' with poses; {did_you_mean(pose_topic, with_poses)}")
 

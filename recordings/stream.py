@@ -243,7 +243,8 @@ class GridStream:
                 raise RecordingError(
                     f"{self.name}: no scans from {start_s:.1f} s to {end_s:.1f} s, {frames} empty frames where at most"
                     f" {MAX_EMPTY_FRAMES} are allowed: name a stretch before or after it"
-                    f" (@0s-{math.floor(start_s * 10) / 10:g}s, @{math.ceil(end_s * 10) / 10:.10g}s-)"
+                    f" ({self.recording.path}@0s-{math.floor(start_s * 10) / 10:g}s,"
+                    f" {self.recording.path}@{math.ceil(end_s * 10) / 10:.10g}s-)"
                 )
 
     def _count_gaps(self) -> int:
@@ -284,15 +285,20 @@ def _stretch(recording: Recording, stretch: Stretch | str | None) -> tuple[Stret
     if isinstance(stretch, str):
         if stretch not in recording.info.stretches:
             known = did_you_mean(stretch, recording.info.stretches)
-            raise RecordingError(f"{recording.path}: no stretch '{stretch}'; {known} (or seconds: @30s-90s)")
+            raise RecordingError(f"{recording.path}: no stretch '{stretch}'; {known} (or seconds: {_whole(recording)})")
         start_s, end_s = recording.info.stretches[stretch]
         name, runs = f"{recording.name}@{stretch}", f" ({stretch_text((start_s, end_s))})"
     else:
         name, runs, (start_s, end_s) = f"{recording.name}@{stretch_text(stretch)}", "", stretch
     if start_s > duration_s or (end_s is not None and end_s > math.ceil(duration_s)):
         long = f"{duration_s:.1f} s long" + (f" ({recording.damage})" if recording.damage else "")
-        raise RecordingError(f"{name}{runs}: the recording is {long}: name a range inside it (@30s-60s)")
+        raise RecordingError(f"{name}{runs}: the recording is {long}: name a range inside it ({_whole(recording)})")
     return (start_s, duration_s if end_s is None else end_s), name
+
+
+def _whole(recording: Recording) -> str:
+    """The whole recording as RECORDING@range."""
+    return f"{recording.path}@{stretch_text((0.0, recording.survey.whole_s))}"
 
 
 def _ticks(duration_ns: int, period_ns: int, stretch_s: Stretch) -> range:

@@ -117,6 +117,11 @@ class Survey:
         """From the first scan to the last."""
         return (self.last_ns - self.first_ns) / 1e9
 
+    @property
+    def whole_s(self) -> float:
+        """The duration in whole seconds where it is longer than one, else in milliseconds, rounded down."""
+        return math.floor(self.duration_s) if self.duration_s >= 1.0 else math.floor(self.duration_s * 1e3) / 1e3
+
     def gaps(self, longer_than_ns: int) -> NDArray[np.int64]:
         """Gaps in which no sensor has a scan: (n, 2) int64, start and end in ns."""
         stamps = np.sort(np.concatenate([sensor.stamps_ns for sensor in self.sensors.values()]))

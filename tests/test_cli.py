@@ -85,7 +85,7 @@ def test_the_undamaged_part_of_a_truncated_recording_can_be_used(tmp_path):
     cut, out = tmp_path / "cut.mcap", ("--out", str(tmp_path / "out"))
     content = Path(DEMO).read_bytes()
     cut.write_bytes(content[: len(content) // 2])
-    broken = r"the recording is 63\.6 s long \(cut off in the middle of a record\): name a range inside it \(@30s-60s\)"
+    broken = r"the recording is 63\.6 s long \(cut off in the middle of a record\): name a range .* \(.*@0s-63s\)"
     commands = (["compare", f"{cut}@0s-20s", "--tracker", "persistence"], ["train", "static-map", f"{cut}@0s-20s"])
     for command in commands:
         refused = gridtrack(*command, *out, code=2).stderr

@@ -230,7 +230,7 @@ def load_weights(stream: StreamSpec, tracker: str) -> Weights:
     path = stream.weights
     if path is None:
         raise WeightsError(
-            f"{tracker}: no weights for site '{stream.site}'; make them with `gridtrack train {tracker}`"
+            f"{tracker}: no weights for site '{stream.site}'; make them with `gridtrack train {tracker} RECORDING`"
         )
     card = read_card(path, stream.weights_sha256)
     for what, made_for, found in (

@@ -16,6 +16,7 @@ from gridtrack.common.names import check_utf8
 from gridtrack.evaluation.comparison.leaks import leaks_of, refuse_leaks
 from gridtrack.evaluation.comparison.learned import LearnedWeights, copy_weights, find_weights, weights_in
 from gridtrack.evaluation.comparison.settings import CompareSettings
+from gridtrack.evaluation.comparison.training_hints import stretches_to_train_on
 from gridtrack.evaluation.processes.limits import Limits
 from gridtrack.evaluation.processes.shielding import shielded_environment
 from gridtrack.evaluation.processes.tracker_process import TrackerProcess, describe
@@ -82,11 +83,17 @@ class Trial:
     @property
     def how_to_train(self) -> str:
         """The reason of the outcome `untrained`: how to train the tracker at the recording's site, in one line."""
-        command = ["gridtrack", "train", self.selection.name, str(self.split.path), *self._sampling_options()]
-        return (
-            f"no weights for site '{self.split.test.site}'; run `{shlex.join(command)}`, then compare again"
-            " with --resume"
+        missing = f"no weights for site '{self.split.test.site}'"
+        if self.launch.external:
+            return f"{missing}; train it where it is installed, and name the folder of its weights with --weights"
+        stretches = stretches_to_train_on(self.split)
+        if stretches is None:
+            return f"{missing}; train it on a longer recording of this site: this one has no part to spare"
+        command = shlex.join(
+            ["gridtrack", "train", self.selection.name, *stretches.arguments, *self._sampling_options()]
         )
+        then = f"the rest, {stretches.compare}, into another folder" if stretches.compare else "again with --resume"
+        return f"{missing}; run `{command}`, then compare {then}"
 
     def _sampling_options(self) -> list[str]:
         """The grid and rate of this comparison as command-line options, where they differ from the recording's own."""

@@ -12,9 +12,11 @@ from gridtrack.common.grid import GridSpec
 from gridtrack.evaluation.comparison.learned import user_weights_folder, weights_path
 from gridtrack.evaluation.comparison.recipe import Recipe
 from gridtrack.evaluation.comparison.stored_stretch import store_stretch
+from gridtrack.evaluation.comparison.training_hints import in_two
 from gridtrack.evaluation.comparison.training_process import TrainingProcess
 from gridtrack.evaluation.scoring.splits import TRAIN, VALIDATION, own_validation, shares_frames
 from gridtrack.recordings import open_recording
+from gridtrack.recordings.recording import stretch_text
 from gridtrack.recordings.stream import GridStream, parse_stretch
 from gridtrack.trackers.contract import FitOutput
 from gridtrack.trackers.weights import TrainingData, complete_card
@@ -54,7 +56,7 @@ def _stretches(recipe: Recipe) -> tuple[list[GridStream], list[GridStream]]:
     grid = GridSpec.parse(recipe.grid) if recipe.grid else None
     train_on = [_stretch(text, TRAIN, grid, recipe.rate_hz) for text in recipe.recordings]
     validate_on = [_stretch(text, VALIDATION, grid, recipe.rate_hz) for text in recipe.validation]
-    validate_on = validate_on or _own_validation(train_on)
+    validate_on = validate_on or _own_validation(recipe, train_on)
     _refuse_shared(train_on, validate_on)
     return train_on, validate_on
 
@@ -98,16 +100,20 @@ def _stretch(text: str, use: str, grid: GridSpec | None, rate_hz: float | None) 
     own = recording.info.stretches
     if stretch is None and own and use not in own:
         raise ConfigurationError(
-            f"{path}: it names no stretch '{use}'; name one of {', '.join(own)}, or seconds: @0s-75s"
+            f"{path}: it names no stretch '{use}'; name one of its own ({', '.join(f'{path}@{name}' for name in own)}),"
+            f" or seconds ({path}@{stretch_text((0.0, recording.survey.whole_s))})"
         )
     return GridStream(recording, use if stretch is None and own else stretch, grid=grid, rate_hz=rate_hz)
 
 
-def _own_validation(train_on: Sequence[GridStream]) -> list[GridStream]:
+def _own_validation(recipe: Recipe, train_on: Sequence[GridStream]) -> list[GridStream]:
     found = [own_validation(stream) for stream in train_on if VALIDATION in stream.recording.info.stretches]
     if not found:
+        cut = in_two(train_on[0])
+        recordings = (cut.recording, *recipe.recordings[1:])
+        command = recipe.model_copy(update={"recordings": recordings, "validation": (cut.validation,)}).command
         raise ConfigurationError(
-            f"{train_on[0].name}: no validation stretch; name one with --validation RECORDING[@range]"
+            f"{train_on[0].name}: no validation stretch; name one with --validation, or run `{command}`"
         )
     return found
 

@@ -135,7 +135,7 @@ class Delivery:
             at_s += stream.start_s
             rest = stream.recording.survey.longest_rest_s(2.0 * stream.period_s)
             remedy = (
-                f": name a stretch in which it is at rest, such as {stream.recording.name}@{stretch_text(rest)}"
+                f": name a stretch in which it is at rest, such as {stream.recording.path}@{stretch_text(rest)}"
                 if rest is not None
                 else f", and this one is at rest nowhere for {MIN_REST_S:g} s"
             )

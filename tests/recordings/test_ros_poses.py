@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import re
+import shlex
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -11,7 +13,9 @@ import numpy as np
 import pytest
 from rosbags.rosbag1 import Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from typer.testing import CliRunner
 
+from gridtrack.cli import app
 from gridtrack.common.errors import RecordingError
 from gridtrack.common.geometry import SE2
 from gridtrack.recordings import import_recording, open_recording
@@ -139,13 +143,22 @@ def test_a_gap_in_the_poses_is_a_warning_and_delays_no_scans(bag) -> None:
     ("topic", "message"),
     [
         ("/odmo", "no topic '/odmo' with poses; did you mean '/odom'"),
-        ("/scan", "no topic '/scan' with poses; known: /odom"),
+        ("/scan", r"topic '/scan' is sensor_msgs/msg/LaserScan, not poses; .* topics with poses: /odom"),
     ],
 )
 def test_a_topic_without_poses_is_refused(bag, topic, message) -> None:
     path = bag([scan(0), scan(100), odometry(0, SE2())])
     with pytest.raises(RecordingError, match=message):
         list(open_recording(path, pose_topic=topic).scans())
+
+
+@pytest.mark.parametrize(("late_s", "apart"), [(-900, "896.1 s before"), (1000, "996.0 s after")])
+def test_poses_of_another_clock_than_the_scans_are_refused(bag, late_s: int, apart: str) -> None:
+    poses = [(*odometry(k * 100 + late_s * 1000, SE2(k * 0.1))[:2], START_NS + k * 100 * MS) for k in range(40)]
+    messages = [odometry(k * 100 + late_s * 1000, SE2(k * 0.1))[3] for k in range(40)]
+    path = bag([scan(k * 100) for k in range(41)] + [(*p, m) for p, m in zip(poses, messages, strict=True)])
+    with pytest.raises(RecordingError, match=f"no pose on /odom at the time of a scan: they are stamped {apart}"):
+        open_recording(path, pose_topic="/odom").overview()
 
 
 def test_poses_are_kept_by_an_import_and_its_command(bag, tmp_path: Path) -> None:
@@ -179,7 +192,7 @@ def test_several_lasers_of_a_bag_are_refused_with_their_topics(bag, tmp_path: Pa
     rear = [("/rear", *scan(k * 100 + 5)[1:]) for k in range(30)]
     poses = [odometry(k * 20, SE2(k * 0.1)) for k in range(160)]
     path = bag([*(scan(k * 100) for k in range(30)), *rear, *poses])
-    refused = r"several sensors \(scan, rear\), and how they are mounted is not known.*--topic /scan or --topic /rear"
+    refused = r"several sensors \(scan, rear\), and how they are mounted is not known.*--topic /scan`, or --topic /rear"
     with pytest.raises(RecordingError, match=refused):
         import_recording(path, tmp_path / "drive.mcap", pose_topic=pose_topic)
     assert not (tmp_path / "drive.mcap").exists()
@@ -188,3 +201,16 @@ def test_several_lasers_of_a_bag_are_refused_with_their_topics(bag, tmp_path: Pa
     assert any("several sensors" in line for line in open_recording(path, pose_topic=pose_topic).overview().warnings)
     one = import_recording(path, tmp_path / "rear.mcap", pose_topic=pose_topic, topic="/rear")
     assert len(list(one.scans())) == 30
+
+
+@pytest.mark.parametrize("pose_topic", [None, "/odom"])
+def test_the_command_in_the_error_for_several_lasers_imports_one(bag, tmp_path: Path, monkeypatch, pose_topic) -> None:
+    rear = [("/rear", *scan(k * 100 + 5)[1:]) for k in range(30)]
+    path = bag([*(scan(k * 100) for k in range(30)), *rear, *(odometry(k * 20, SE2(k * 0.1)) for k in range(160))])
+    with pytest.raises(RecordingError) as error:
+        import_recording(path, tmp_path / "drive.mcap", pose_topic=pose_topic)
+    (command,) = re.findall(r"`gridtrack ([^`]*)`", str(error.value))
+    monkeypatch.chdir(tmp_path)
+    assert CliRunner().invoke(app, shlex.split(command), catch_exceptions=False).exit_code == 0
+    one = open_recording(tmp_path / "drive-one.mcap").overview().sensors["scan"]
+    assert (one.scans, one.moves) == (30, pose_topic is not None)

@@ -250,7 +250,7 @@ def test_several_sensors_without_known_mounting_are_refused_with_the_topics(
     path = write([scan(k, sensor) for k in range(5) for sensor in ("front", "rear")])
     with pytest.raises(
         RecordingError,
-        match=r"several sensors \(front, rear\).*import one of them.*--topic /scan/front or --topic /scan/rear",
+        match=r"several sensors \(front, rear\).*import one of them.*--topic /scan/front`, or --topic /scan/rear",
     ):
         open_stream(path)
     assert len(open_stream(path, topic="/scan/rear")) == 5
@@ -270,7 +270,7 @@ def test_the_error_for_a_moving_sensor_has_the_time_in_the_recording_and_a_stret
     write: Callable[..., Path], scan: Callable[..., Scan]
 ) -> None:
     path = write(moving(scan, range(100, 300)))
-    hint = r"the sensor moves at 5\.100 s, and only a sensor at rest can be scored: name a stretch .* made\.mcap@(\S+)$"
+    hint = r"the sensor moves at 5\.100 s, and only a sensor at rest can be scored: name a stretch .*made\.mcap@(\S+)$"
     with pytest.raises(RecordingError, match=hint) as error:
         list(Delivery(open_stream(f"{path}@5s-30s"), lambda: None))
     at_rest = open_stream(f"{path}@{str(error.value).rpartition('@')[2]}")

@@ -102,7 +102,7 @@ def test_a_period_that_differs_by_rounding_is_the_same(path: Path) -> None:
 
 
 def test_no_weights_names_the_command_that_makes_them() -> None:
-    with pytest.raises(WeightsError, match="my: no weights for site 'lab'; make them with `gridtrack train my`"):
+    with pytest.raises(WeightsError, match="no weights for site 'lab'; make them with `gridtrack train my RECORDING`"):
         load(None)
 
 

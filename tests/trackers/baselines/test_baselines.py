@@ -108,5 +108,5 @@ def test_the_static_map_refuses_training_data_without_visible_cells(tmp_path: Pa
 
 
 def test_the_static_map_without_weights_names_the_command_that_makes_them() -> None:
-    with pytest.raises(WeightsError, match="no weights for site 'here'; make them with `gridtrack train static-map`"):
+    with pytest.raises(WeightsError, match="make them with `gridtrack train static-map RECORDING`"):
         StaticMapTracker(STREAM, StaticMapOptions())

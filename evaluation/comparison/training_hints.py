@@ -1,0 +1,112 @@
+"""Hints of how to train: stretches to train and to validate on that share no frame with what is scored."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from gridtrack.common.errors import RecordingError
+from gridtrack.evaluation.scoring.referee import WARM_UP
+from gridtrack.evaluation.scoring.splits import TRAIN, VALIDATION, EvaluationSplit, like
+from gridtrack.recordings.recording import Stretch, stretch_text
+from gridtrack.recordings.stream import GridStream
+
+TRAIN_SHARE = 0.6
+"""Share of a stretch to train on; the rest is to validate on."""
+TRAIN_PART, VALIDATION_PART = 0.6, 0.8
+"""Ends of the parts to train and to validate on, where the rest of a recording is to be compared on."""
+
+
+@dataclass(frozen=True, slots=True)
+class TrainingStretches:
+    """Arguments of `gridtrack train`: `recording` and `validation` as RECORDING[@range], "" for the recording's own.
+
+    `compare` is the rest to compare on, "" where the stretch that was compared on can stay.
+    """
+
+    recording: str
+    validation: str = ""
+    compare: str = ""
+
+    @property
+    def arguments(self) -> tuple[str, ...]:
+        """The words of the command line."""
+        return (self.recording, *(("--validation", self.validation) if self.validation else ()))
+
+
+def stretches_to_train_on(split: EvaluationSplit) -> TrainingStretches | None:
+    """What to train on for a comparison on `split`; None where the recording is too short for it.
+
+    The recording's own stretches, else the longest part without frames of the comparison, else three parts of it all.
+    """
+    test, path = split.test, str(split.path)
+    if _has_own(split):
+        return TrainingStretches(path)
+    shortest_s = (WARM_UP + split.steps + 1) * test.period_s
+    free = max(_free(split), key=lambda part: part[1] - part[0], default=(0.0, 0.0))
+    if (free[1] - free[0]) * (1.0 - TRAIN_SHARE) > shortest_s:
+        recording, validation = _in_two(path, *free)
+        return TrainingStretches(recording, validation)
+    duration_s = test.recording.survey.duration_s
+    if duration_s * (1.0 - VALIDATION_PART) < shortest_s:
+        return None
+    train_end_s, validation_end_s = (_tenths(duration_s * part) for part in (TRAIN_PART, VALIDATION_PART))
+    return TrainingStretches(
+        _named(path, (0.0, train_end_s)),
+        _named(path, (train_end_s, validation_end_s)),
+        _named(path, (validation_end_s, None)),
+    )
+
+
+def _has_own(split: EvaluationSplit) -> bool:
+    """Whether the recording names stretches to train and to validate on, without frames of the comparison."""
+    if not {TRAIN, VALIDATION} <= split.test.recording.info.stretches.keys():
+        return False
+    try:
+        train, _ = like(split.test, TRAIN), like(split.test, VALIDATION)
+    except RecordingError:  # they lie beyond the end of a recording that is cut off
+        return False
+    return not any(train.recorded.overlaps(stretch.recorded) for stretch in _scored(split))
+
+
+def in_two(stream: GridStream) -> TrainingStretches:
+    """The stretch of `stream` cut in two, to train and to validate on."""
+    start_s, end_s = stream.stretch_s
+    end_s = stream.recording.survey.duration_s if end_s is None else end_s
+    return TrainingStretches(*_in_two(str(stream.recording.path), start_s, end_s))
+
+
+def _in_two(path: str, start_s: float, end_s: float) -> tuple[str, str]:
+    cut_s = _tenths(start_s + TRAIN_SHARE * (end_s - start_s))
+    return _named(path, (start_s, cut_s)), _named(path, (cut_s, end_s))
+
+
+def _scored(split: EvaluationSplit) -> Iterator[GridStream]:
+    """The stretches that weights must not have learned from."""
+    yield split.test
+    if split.validation is not None:
+        yield split.validation
+
+
+def _free(split: EvaluationSplit) -> Iterator[tuple[float, float]]:
+    """The parts of the recording without scored frames, seconds, in tenths."""
+    survey = split.test.recording.survey
+    taken = sorted(
+        tuple((at_ns - survey.first_ns) / 1e9 for at_ns in (stretch.recorded.start_ns, stretch.recorded.end_ns))
+        for stretch in _scored(split)
+        if stretch.recorded.overlaps(like(split.test).recorded)
+    )
+    free_from_s = 0.0
+    for start_s, end_s in (*taken, (survey.duration_s, survey.duration_s)):
+        if start_s > free_from_s:
+            yield free_from_s, _tenths(start_s)
+        free_from_s = max(free_from_s, math.ceil(end_s * 10) / 10)
+
+
+def _tenths(time_s: float) -> float:
+    return math.floor(time_s * 10) / 10
+
+
+def _named(path: str, stretch: Stretch) -> str:
+    return f"{path}@{stretch_text(stretch)}"
