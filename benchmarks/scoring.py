@@ -19,10 +19,12 @@ from sklearn.metrics import average_precision_score, brier_score_loss, f1_score,
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec
 from gridtrack.evaluation.scoring.counting import EDGES, count_forecast
+from gridtrack.evaluation.scoring.motion import parts_of
 from gridtrack.evaluation.scoring.score_store import ScoreWriter
 from gridtrack.evaluation.scoring.semantics import count_classes, count_found, match_classes
 from gridtrack.evaluation.scoring.strata import (
     CELL_KINDS,
+    RANGES,
     REGIONS,
     STRATA,
     STRATA_WITH_TRUTH,
@@ -30,7 +32,7 @@ from gridtrack.evaluation.scoring.strata import (
     RegionMaps,
     region_maps_of,
 )
-from gridtrack.evaluation.scoring.target import HIDDEN_FREE, NOT_SCORED, SEEN_FREE, Target
+from gridtrack.evaluation.scoring.target import HIDDEN_FREE, NOT_SCORED, SEEN_FREE, SEEN_OCCUPIED, Target
 from gridtrack.evaluation.scoring.thresholds import half
 
 from benchmarks.timing import median_ms
@@ -52,15 +54,16 @@ def targets(rng: np.random.Generator, truth: bool) -> list[Target]:
     """Frames in which half of the cells are seen, in shadows that turn; of the rest a tenth is inside something."""
     x, y = GRID.cell_centres(np.ones(GRID.shape, bool)).T.reshape(2, *GRID.shape)
     bearing, nothing = np.arctan2(y - 1.0, x), np.zeros((0, 2), np.float32)
-    found = []
+    found, dynamic = [], street(STRATA).dynamic
     for n in range(STEPS + 1):
         visible = np.sin(9 * bearing + 0.1 * n) > 0
         state = np.where(visible, SEEN_FREE, HIDDEN_FREE if truth else NOT_SCORED).astype(np.uint8)
         state[(rng.random(GRID.shape) < 0.02) & (state != NOT_SCORED)] += 1
         state[(rng.random(GRID.shape) < 0.1) & ~visible] = NOT_SCORED
+        motion = parts_of(rng.random(GRID.shape) < 0.3, state == SEEN_OCCUPIED, dynamic, GRID)
         cells = np.flatnonzero((state % 2 == 1) & (state != NOT_SCORED))
-        frame = GridFrame(n, visible, state == 1, SE2(), nothing, nothing, np.zeros(0, np.uint8))
-        found.append(Target(frame, state, cells, rng.integers(0, CLASSES, cells.size).astype(np.uint8)))
+        frame = GridFrame(n, visible, state == SEEN_OCCUPIED, SE2(), nothing, nothing, np.zeros(0, np.uint8))
+        found.append(Target(frame, state, motion, cells, rng.integers(0, CLASSES, cells.size).astype(np.uint8)))
     return found
 
 
@@ -68,7 +71,8 @@ def with_scikit_learn(
     occupancy: np.ndarray, observed: Sequence[Target], region_maps: RegionMaps, ages: np.ndarray
 ) -> None:
     for step, target in enumerate(observed):
-        region = np.where(target.state < HIDDEN_FREE, region_maps.visible, region_maps.hidden + ages)
+        seen = region_maps.visible + RANGES * target.motion
+        region = np.where(target.state < HIDDEN_FREE, seen, region_maps.hidden + ages)
         scored = target.state != NOT_SCORED
         for stratum in region_maps.strata:
             regions = np.flatnonzero(SUMS_OF_REGIONS[STRATA_WITH_TRUTH.index(stratum)])
@@ -96,6 +100,9 @@ def main() -> None:
         for name, occupancy in forecasts.items():
             ms = median_ms(lambda o=occupancy, c=observed, a=region_maps: count_forecast(o, c, a, ages), 200)
             print(f"count a forecast, {len(strata):2} strata of {REGIONS} regions, {name:14}: {ms:7.2f} ms")
+    returns, chosen = observed[0].frame.occupied, rng.random(GRID.shape) < 0.3
+    ms = median_ms(lambda: parts_of(chosen, returns, region_maps.dynamic, GRID), 200)
+    print(f"find the parts of a frame with {returns.sum()} returns: {ms:.2f} ms")
     tally = count_forecast(occupancy, observed, region_maps, ages)
     with tempfile.TemporaryDirectory() as folder, ScoreWriter(Path(folder), STEPS, half(STEPS, strata)) as writer:
         stamps = iter(range(0, 10**15, 500_000_000))

@@ -194,6 +194,12 @@ class GridStream:
             time_s = (tick.stamp_ns - survey.first_ns) / 1e9
             yield Observation(frame, tuple(tick.scans.values()), tuple(grid_T_sensor[s] for s in tick.scans), time_s)
 
+    def before(self, count: int) -> Iterator[GridFrame]:
+        """The frames of the recording directly before the stretch, at most `count`. For the referee only."""
+        earlier = copy(self)
+        earlier._ticks = range(max(0, self._ticks.start - count), self._ticks.start)
+        return iter(earlier) if earlier._ticks else iter(())
+
     def labelled(self) -> Iterator[LabelledFrame]:
         """The frames with the classes of their occupied cells, for training. A tracker in a trial receives none.
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numba
@@ -62,13 +63,25 @@ def _draw(
     truth: TruthGrid,
     grid: GridSpec,
     world_T_grid: SE2,
-    outlines: list[Outline] | tuple[Outline, ...],
-    poses: list[SE2],
-    labels: list[int],
+    outlines: Sequence[Outline],
+    poses: Sequence[SE2],
+    labels: Sequence[int],
 ) -> None:
     """Draw `outlines`, each given in its own frame; `poses` are world_T_outline."""
     if not outlines:
         return
+    corners, starts = placed_outlines(outlines, poses, grid, world_T_grid)
+    _fill(corners, starts, truth.cover)
+    _trace(corners, starts, np.array(labels, np.uint8), truth.cover, truth.labels, np.zeros(grid.size**2, np.bool_))
+
+
+def placed_outlines(
+    outlines: Sequence[Outline], poses: Sequence[SE2], grid: GridSpec, world_T_grid: SE2
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """The corners (N, 2) of all outlines, in cells of the grid as (x, y), and where each outline starts (K + 1,).
+
+    Each outline is given in its own frame; `poses` are world_T_outline. Raises RecordingError.
+    """
     sizes = np.array([len(outline) for outline in outlines])
     with np.errstate(invalid="ignore"):  # corners that are not finite raise an error below
         corners = _transformed(
@@ -77,12 +90,10 @@ def _draw(
         corners = (world_T_grid.inverse().apply(corners) - grid.origin) / grid.cell_m
     if not (np.abs(corners) < MAX_COORDINATE_CELLS).all():
         raise RecordingError("an outline of the true scene has corners that are not finite: the recording is damaged")
-    starts = np.concatenate([[0], sizes.cumsum()])
-    _fill(corners, starts, truth.cover)
-    _trace(corners, starts, np.array(labels, np.uint8), truth.cover, truth.labels, np.zeros(grid.size**2, np.bool_))
+    return corners, np.concatenate([[0], sizes.cumsum()])
 
 
-def _coefficients(poses: list[SE2]) -> NDArray[np.float64]:
+def _coefficients(poses: Sequence[SE2]) -> NDArray[np.float64]:
     """x, y, cos and sin (N, 4) of poses."""
     return np.array([(pose.x, pose.y, math.cos(pose.theta), math.sin(pose.theta)) for pose in poses])
 

@@ -22,6 +22,7 @@ import torch
 from torch import Tensor
 
 from gridtrack.common.config import validated
+from gridtrack.evaluation.scoring.motion import ObservedMotion
 from gridtrack.evaluation.scoring.referee import Delivery, Schedule
 from gridtrack.evaluation.scoring.semantics import VISIBILITIES, Matching, count_classes, match_classes
 from gridtrack.evaluation.scoring.target import Target
@@ -118,7 +119,8 @@ def readings(name: str) -> Iterator[Reading]:
     frames: list[Target] = []
     pending: list[tuple[int, dict[str, Tensor]]] = []
     tracker.reset(0)
-    for index, target in enumerate(Delivery(stream, lambda: None)):
+    no_parts = ObservedMotion(stream, np.zeros(stream.grid.shape, np.bool_))
+    for index, target in enumerate(Delivery(stream, lambda: None, no_parts)):
         frames.append(target)
         tracker.update(target.frame)
         if schedule.due(index):

@@ -20,6 +20,7 @@ from gridtrack.common.raycast import cast_scan
 from gridtrack.evaluation.comparison.trial import OnFrame
 from gridtrack.evaluation.results.summary import ORACLE
 from gridtrack.evaluation.results.trial_record import OUTCOME_FILE, Times, TrialRecord, hashes_of
+from gridtrack.evaluation.scoring.motion import ObservedMotion
 from gridtrack.evaluation.scoring.referee import Delivery, scored_forecasts
 from gridtrack.evaluation.scoring.scorekeeper import SCORE_FILES, Scorekeeper
 from gridtrack.evaluation.scoring.splits import EvaluationSplit, SplitRegions
@@ -87,7 +88,8 @@ def run_oracle(split: EvaluationSplit, regions: SplitRegions, folder: Path, on_f
     for stale in (OUTCOME_FILE, *SCORE_FILES):
         (folder / stale).unlink(missing_ok=True)
     began = time.perf_counter()
-    thresholds, delivery = half(split.steps, split.strata), Delivery(split.test, on_frame)
+    thresholds = half(split.steps, split.strata)
+    delivery = Delivery(split.test, on_frame, ObservedMotion(split.test, regions.test.dynamic))
     with Scorekeeper(folder, split, regions.test, thresholds, ()) as scorekeeper:
         for scored in scored_forecasts(Oracle(split.test), delivery, split.schedule, seed=0):
             scorekeeper.add(scored, delivery.digest)

@@ -17,6 +17,7 @@ from gridtrack.evaluation.processes.tracker_process import TrackerDescription
 from gridtrack.evaluation.results.columns import HISTOGRAM_TABLE, SCORES_TABLE
 from gridtrack.evaluation.results.trial_record import OUTCOME_FILE, Times, TrialEnding, TrialRecord, hashes_of
 from gridtrack.evaluation.scoring.counting import Tally, count_forecast
+from gridtrack.evaluation.scoring.motion import ObservedMotion
 from gridtrack.evaluation.scoring.referee import Delivery, scored_forecasts
 from gridtrack.evaluation.scoring.scorekeeper import SCORE_FILES, Scorekeeper
 from gridtrack.evaluation.scoring.splits import SplitRegions
@@ -49,7 +50,7 @@ class TrialRun:
         self._shared = shared
         self._thresholds: Thresholds | None = None
         self._test = trial.split.schedule
-        self._delivery = Delivery(trial.test, on_frame)
+        self._delivery = Delivery(trial.test, on_frame, ObservedMotion(trial.test, regions.test.dynamic))
         self._scored = 0
         self._description: TrackerDescription | None = None
         self._start_s = self._wall_s = 0.0
@@ -112,7 +113,8 @@ class TrialRun:
         if stretch is None:
             return half(self.trial.split.steps, self.trial.split.strata)
         tally = Tally.empty(self.trial.split.steps, self.trial.split.strata)
-        delivery, region_maps = Delivery(stretch, self._on_frame), self._regions.validation
+        region_maps = self._regions.validation
+        delivery = Delivery(stretch, self._on_frame, ObservedMotion(stretch, region_maps.dynamic))
         try:
             with self._clock():
                 for scored in scored_forecasts(

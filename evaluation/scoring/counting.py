@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridtrack.evaluation.results.columns import PROBABILITY_BINS
-from gridtrack.evaluation.scoring.strata import REGIONS, STRATA, STRATA_WITH_TRUTH, SUMS_OF_REGIONS, RegionMaps
+from gridtrack.evaluation.scoring.strata import RANGES, REGIONS, STRATA, STRATA_WITH_TRUTH, SUMS_OF_REGIONS, RegionMaps
 from gridtrack.evaluation.scoring.target import NOT_SCORED, SEEN_OCCUPIED, Target
 
 HALF = PROBABILITY_BINS // 2
@@ -105,8 +105,8 @@ def count_forecast(
     p_sum = np.zeros((steps + 1, REGIONS, PROBABILITY_BINS))
     squared_error, log_loss = np.zeros((2, steps + 1, REGIONS))
     for n, target in enumerate(targets):
-        p, state = occupancy[n].reshape(-1), target.state.reshape(-1)
-        _count_step(p, state, seen, hidden, cells[n], positives[n], p_sum[n], squared_error[n], log_loss[n])
+        p, state, motion = occupancy[n].reshape(-1), target.state.reshape(-1), target.motion.reshape(-1)
+        _count_step(p, state, motion, seen, hidden, cells[n], positives[n], p_sum[n], squared_error[n], log_loss[n])
     sums = SUMS_OF_REGIONS[[STRATA_WITH_TRUTH.index(name) for name in region_maps.strata]].astype(np.float64)
     return Tally(
         (sums @ cells.astype(np.float64)).astype(np.int64),
@@ -119,7 +119,7 @@ def count_forecast(
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _count_step(probability, state, seen, hidden, cells, positives, p_sum, squared_error, log_loss):  # type: ignore[no-untyped-def]
+def _count_step(probability, state, motion, seen, hidden, cells, positives, p_sum, squared_error, log_loss):  # type: ignore[no-untyped-def]
     """Add one step's scored cells (M*M,) to their regions' counts: histograms (R, B) and sums (R,).
 
     The log loss is accumulated as a product of likelihoods, with a logarithm only before it could underflow: about one
@@ -129,7 +129,7 @@ def _count_step(probability, state, seen, hidden, cells, positives, p_sum, squar
     for i in range(probability.size):
         if state[i] == NOT_SCORED:
             continue
-        region = seen[i] if state[i] <= SEEN_OCCUPIED else hidden[i]
+        region = seen[i] + RANGES * motion[i] if state[i] <= SEEN_OCCUPIED else hidden[i]
         bin_ = _BIN_OF_SLOT[int(probability[i] * np.float32(_SLOTS))]
         p = float(probability[i])
         cells[region, bin_] += 1

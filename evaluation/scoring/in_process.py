@@ -5,6 +5,7 @@ from __future__ import annotations
 from gridtrack.common.errors import RecordingError
 from gridtrack.evaluation.scoring import metrics
 from gridtrack.evaluation.scoring.counting import Tally, count_forecast
+from gridtrack.evaluation.scoring.motion import ObservedMotion
 from gridtrack.evaluation.scoring.referee import Delivery, Schedule, scored_forecasts
 from gridtrack.evaluation.scoring.strata import STRATA, cell_kinds_of, region_maps_of
 from gridtrack.evaluation.scoring.thresholds import best_thresholds
@@ -26,7 +27,8 @@ def score_in_process(tracker: Tracker, source: FrameSource, steps: int) -> Stret
     first = next(iter(source))
     region_maps = region_maps_of(cell_kinds_of(source, source.grid, first.world_T_grid), source.grid, first.origins)
     tally = Tally.empty(steps)
-    for scored in scored_forecasts(tracker, Delivery(source, lambda: None), schedule, seed=0):
+    delivery = Delivery(source, lambda: None, ObservedMotion(source, region_maps.dynamic))
+    for scored in scored_forecasts(tracker, delivery, schedule, seed=0):
         tally.add(count_forecast(scored.forecast.occupancy, scored.targets, region_maps))
     confusion = tally.confusion(best_thresholds(tally, source.name).bins)
     f1, log_loss = metrics.f1_score(confusion), metrics.log_loss(tally)

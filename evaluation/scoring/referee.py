@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from gridtrack.common.errors import RecordingError
 from gridtrack.common.geometry import SE2, same_pose
 from gridtrack.common.grid import GridFrame
+from gridtrack.evaluation.scoring.motion import Motion
 from gridtrack.evaluation.scoring.strata import LastSeen
 from gridtrack.evaluation.scoring.target import Target, targets
 from gridtrack.recordings.recording import stretch_text
@@ -102,11 +103,12 @@ def scored_forecasts(
 class Delivery:
     """The frames of a stretch, counted and hashed as they are delivered to a tracker."""
 
-    def __init__(self, stream: FrameSource, on_frame: Callable[[], None]) -> None:
-        """`on_frame()` is called before each frame; what it raises ends the delivery."""
+    def __init__(self, stream: FrameSource, on_frame: Callable[[], None], motion: Motion) -> None:
+        """`on_frame()` is called before each frame; what it raises ends the delivery. `motion` finds the parts."""
         self.frames = 0
         self._stream = stream
         self._on_frame = on_frame
+        self._motion = motion
         self._hash = hashlib.blake2b(digest_size=16)
 
     def __iter__(self) -> Iterator[Target]:
@@ -116,7 +118,7 @@ class Delivery:
         """
         first_pose: SE2 | None = None
         first_ns: int | None = None
-        for target in targets(self._stream):
+        for target in targets(self._stream, self._motion):
             frame = target.frame
             first_pose = first_pose or frame.world_T_grid
             first_ns = frame.stamp_ns if first_ns is None else first_ns

@@ -19,18 +19,26 @@ RANGES_M = (5.0, 10.0)
 AGES_S = (0.5, 1.0, 2.0, 4.0)
 """Upper ends of the age bands (time since a cell was visible), s; one more band also has the cells never visible."""
 
+PARTS = ("open", "standing", "in-motion")
+"""Parts of the dynamic cells of an observed frame; an array `motion` (M, M) uint8 holds indices into this, and 0 for
+cells of other kinds."""
+
 _RANGE_NAMES = ("to 5 m", "5-10 m", "over 10 m")
 _AGE_NAMES = ("to 0.5 s", "0.5-1 s", "1-2 s", "2-4 s", "over 4 s")
 _STATIC, _DYNAMIC = range(2)
-SEEN_REGIONS = tuple(product(CELL_KINDS, _RANGE_NAMES))
+_DYNAMIC_PARTS = tuple(f"dynamic {part}" for part in PARTS)
+_SEEN_KINDS = (*CELL_KINDS[:-1], *_DYNAMIC_PARTS)
+SEEN_REGIONS = tuple(product(_SEEN_KINDS, _RANGE_NAMES))
+RANGES = len(_RANGE_NAMES)
+"""Number of bands of distance to the nearest sensor."""
 HIDDEN_REGIONS = tuple(product((_STATIC, _DYNAMIC), _AGE_NAMES))
 REGIONS = len(SEEN_REGIONS) + len(HIDDEN_REGIONS)
-"""Number of disjoint regions: visible cells by kind and range, hidden cells by whether they are `dynamic` and by age.
-Strata are sums of regions."""
+"""Number of disjoint regions: visible cells by kind, part and range, hidden ones by whether they are dynamic and by
+age. Strata are sums of regions."""
 
 
-def _seen(cell_kinds: Iterable[str] = CELL_KINDS, ranges: Iterable[str] = _RANGE_NAMES) -> list[int]:
-    return [SEEN_REGIONS.index(region) for region in product(cell_kinds, ranges)]
+def _seen(kinds: Iterable[str] = _SEEN_KINDS, ranges: Iterable[str] = _RANGE_NAMES) -> list[int]:
+    return [SEEN_REGIONS.index(region) for region in product(kinds, ranges)]
 
 
 def _hidden(motions: Iterable[int] = (_STATIC, _DYNAMIC), ages: Iterable[str] = _AGE_NAMES) -> list[int]:
@@ -39,14 +47,16 @@ def _hidden(motions: Iterable[int] = (_STATIC, _DYNAMIC), ages: Iterable[str] = 
 
 _REGIONS_OF: Mapping[str, list[int]] = {
     "visible": _seen(),
-    "dynamic": _seen(["dynamic"]),
+    "dynamic": _seen(_DYNAMIC_PARTS),
     "static": _seen(["static"]),
+    "in-motion": _seen(["dynamic in-motion"]),
+    "standing": _seen(["dynamic standing"]),
     **{f"visible {name}": _seen(ranges=[name]) for name in _RANGE_NAMES},
     "occluded": _hidden(),
     "occluded dynamic": _hidden([_DYNAMIC]),
     **{f"occluded {name}": _hidden(ages=[name]) for name in _AGE_NAMES},
 }
-STRATA = ("visible", "dynamic", "static")
+STRATA = ("visible", "dynamic", "static", "in-motion", "standing")
 """Strata of a recording without truth. The ring round static cells is part of `visible` only."""
 STRATA_WITH_TRUTH = tuple(_REGIONS_OF)
 """Strata of a recording with truth: first those of STRATA, so that indices agree."""
@@ -63,14 +73,21 @@ SUMS_OF_REGIONS = np.array([np.bincount(regions, minlength=REGIONS) for regions 
 class RegionMaps:
     """The region of each cell of a stretch.
 
-    `visible` (M, M) uint8: the region of a cell while it is visible. `hidden` (M, M) uint8: its region while it is
-    hidden, at age 0; the index of its age band is added. `cell_kinds` (M, M) uint8; `strata`: names of those scored.
+    `visible` (M, M) uint8: the region of a cell while it is visible; a dynamic cell's is that of an open one, to which
+    RANGES times the index of its part is added. `hidden` (M, M) uint8: its region while it is hidden, at age 0; the
+    index of its age band is added. `cell_kinds` (M, M) uint8; `strata`: names of those scored.
     """
 
     visible: NDArray[np.uint8]
     hidden: NDArray[np.uint8]
     cell_kinds: NDArray[np.uint8]
     strata: tuple[str, ...]
+
+    @property
+    def dynamic(self) -> Mask:
+        """The dynamic cells (M, M)."""
+        cells: Mask = self.cell_kinds == CELL_KINDS.index("dynamic")
+        return cells
 
 
 def region_maps_of(
@@ -81,7 +98,7 @@ def region_maps_of(
     distance = np.linalg.norm(centres - origins.reshape(-1, 1, 2), axis=2).min(axis=0, initial=np.inf)
     band = np.searchsorted(RANGES_M, distance).reshape(grid.shape)
     dynamic = cell_kinds == CELL_KINDS.index("dynamic")
-    visible = cell_kinds * len(_RANGE_NAMES) + band
+    visible = cell_kinds * RANGES + band
     hidden = len(SEEN_REGIONS) + np.where(dynamic, _DYNAMIC, _STATIC) * len(_AGE_NAMES)
     return RegionMaps(visible.astype(np.uint8), hidden.astype(np.uint8), cell_kinds, strata)
 

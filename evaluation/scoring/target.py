@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from gridtrack.common.grid import GridFrame, GridSpec
 from gridtrack.common.scene import UNLABELLED
+from gridtrack.evaluation.scoring.motion import Motion
 from gridtrack.recordings.cell_labels import check_labels, labelled_returns
 from gridtrack.recordings.stream import GridStream, Observation
 from gridtrack.recordings.truth import FREE, INTERIOR, OUTLINE, TruthGrid, truth_grid
@@ -26,30 +27,32 @@ _NO_CELLS, _NO_LABELS = np.zeros(0, np.int64), np.zeros(0, np.uint8)
 class Target:
     """A frame, and the states that a forecast of it is scored against.
 
-    `state` (M, M) uint8 of the states above; without truth no hidden cell is scored. `cells` (N,) int64, row * M +
+    `state` (M, M) uint8 of the states above; without truth no hidden cell is scored. `motion` (M, M) uint8: the part of
+    each dynamic cell, an index into PARTS. `cells` (N,) int64, row * M +
     column: the occupied cells with a known class, visible and hidden; `labels` (N,) uint8: their classes, indices into
     the recording's classes.
     """
 
     frame: GridFrame
     state: NDArray[np.uint8]
+    motion: NDArray[np.uint8]
     cells: NDArray[np.int64] = field(default_factory=lambda: _NO_CELLS)
     labels: NDArray[np.uint8] = field(default_factory=lambda: _NO_LABELS)
 
     @classmethod
     def of_frame(cls, frame: GridFrame) -> Target:
-        """The target of a frame without truth and labels."""
-        return cls(frame, np.where(frame.visible, frame.occupied, np.uint8(NOT_SCORED)).astype(np.uint8))
+        """The target of a frame without truth and labels, in which every dynamic cell is open."""
+        state = np.where(frame.visible, frame.occupied, np.uint8(NOT_SCORED)).astype(np.uint8)
+        return cls(frame, state, np.zeros_like(state))
 
 
-def targets(stream: FrameSource) -> Iterator[Target]:
+def targets(stream: FrameSource, motion: Motion) -> Iterator[Target]:
     """The frames of a stretch as targets; of a GridStream with truth and labels. Raises RecordingError."""
-    if isinstance(stream, GridStream):
-        return (target_of(observation, stream.grid, stream.classes) for observation in stream.observations())
-    return (Target.of_frame(frame) for frame in stream)
+    observations = stream.observations() if isinstance(stream, GridStream) else map(Observation, stream)
+    return (target_of(observation, stream.grid, stream.classes, motion.of(observation)) for observation in observations)
 
 
-def target_of(observation: Observation, grid: GridSpec, classes: Sequence[str]) -> Target:
+def target_of(observation: Observation, grid: GridSpec, classes: Sequence[str], motion: NDArray[np.uint8]) -> Target:
     """The target of an observation, with the truth and labels that it has. Raises RecordingError."""
     frame = observation.frame
     truth = _truth(observation, grid)
@@ -61,7 +64,7 @@ def target_of(observation: Observation, grid: GridSpec, classes: Sequence[str]) 
         hidden = np.flatnonzero(~frame.visible & (truth.labels != UNLABELLED))
         cells, labels = np.concatenate([cells, hidden]), np.concatenate([labels, truth.labels.ravel()[hidden]])
     check_labels(labels, classes, observation.time_s)
-    return Target(frame, target.state, cells, labels)
+    return Target(frame, target.state, motion, cells, labels)
 
 
 def _truth(observation: Observation, grid: GridSpec) -> TruthGrid | None:

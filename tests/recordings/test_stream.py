@@ -15,6 +15,7 @@ from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec
 from gridtrack.common.raycast import cast_scan
 from gridtrack.common.scan import Scan
+from gridtrack.evaluation.scoring.motion import ObservedMotion
 from gridtrack.evaluation.scoring.referee import Delivery
 from gridtrack.recordings import open_recording, packaged_recording
 from gridtrack.recordings.stream import GridStream, frame_digest, open_stream, parse_stretch
@@ -266,15 +267,20 @@ def moving(scan: Callable[..., Scan], rest: range) -> list[Scan]:
     return scans
 
 
+def delivery(text: str | Path) -> Delivery:
+    stream = open_stream(text)
+    return Delivery(stream, lambda: None, ObservedMotion(stream, np.ones(stream.grid.shape, np.bool_)))
+
+
 def test_the_error_for_a_moving_sensor_has_the_time_in_the_recording_and_a_stretch_at_rest(
     write: Callable[..., Path], scan: Callable[..., Scan]
 ) -> None:
     path = write(moving(scan, range(100, 300)))
     hint = r"the sensor moves at 5\.100 s, and only a sensor at rest can be scored: name a stretch .*made\.mcap@(\S+)$"
     with pytest.raises(RecordingError, match=hint) as error:
-        list(Delivery(open_stream(f"{path}@5s-30s"), lambda: None))
-    at_rest = open_stream(f"{path}@{str(error.value).rpartition('@')[2]}")
-    assert len(list(Delivery(at_rest, lambda: None))) == len(at_rest) > 190
+        list(delivery(f"{path}@5s-30s"))
+    at_rest = f"{path}@{str(error.value).rpartition('@')[2]}"
+    assert len(list(delivery(at_rest))) == len(open_stream(at_rest)) > 190
 
 
 def test_the_error_for_a_sensor_that_never_rests_suggests_no_stretch(
@@ -282,7 +288,7 @@ def test_the_error_for_a_sensor_that_never_rests_suggests_no_stretch(
 ) -> None:
     path = write(moving(scan, range(100, 150)))
     with pytest.raises(RecordingError, match=r"moves at 0\.100 s, .*, and this one is at rest nowhere for 10 s$"):
-        list(Delivery(open_stream(path), lambda: None))
+        list(delivery(path))
 
 
 def test_the_error_for_a_wrong_label_has_the_time_in_the_recording(

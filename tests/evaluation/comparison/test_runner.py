@@ -65,7 +65,7 @@ def test_a_run_writes_every_file_and_the_floor_has_its_known_scores(settings, pr
         assert {"outcome.json", "scores.parquet", "histogram.parquet", "forecasts.mcap", "stderr.log"} == {
             path.name for path in folder.iterdir()
         }
-        assert set(result.strata) == {"visible", "dynamic", "static"}
+        assert set(result.strata) == {"visible", "dynamic", "static", "in-motion", "standing"}
         assert len(list(read_samples(folder / "forecasts.mcap"))) == result.frames_scored
         assert {len(curve) for _, curve in result.strata["dynamic"] if isinstance(curve, tuple)} == {11}
     persistence, blank = (trial_of(summary, label).strata for label in ("persistence", "blank"))

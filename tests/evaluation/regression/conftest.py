@@ -17,11 +17,11 @@ from gridtrack.evaluation.results.passes import Latency, Quantiles
 from gridtrack.evaluation.results.trial_record import TrialRecord
 from gridtrack.evaluation.scoring.counting import Tally
 from gridtrack.evaluation.scoring.score_store import ScoreWriter
-from gridtrack.evaluation.scoring.strata import STRATA
 from gridtrack.evaluation.scoring.thresholds import half
 
 STEPS, PERIOD_S, FRAMES = 16, 0.125, 8
 OCCUPIED = {"visible": 300, "dynamic": 60, "static": 200}
+STRATA = tuple(OCCUPIED)
 FREE = 2000
 
 
@@ -52,7 +52,7 @@ def tally_of(made: Made, recording: str, frame: int, rng: np.random.Generator, o
     occupied = np.tile([cells.poisson(n) for n in OCCUPIED.values()], (STEPS + 1, 1))
     hits = rng.binomial(occupied, np.clip(recall, 0, 1))
     false_alarms = rng.binomial(occupied, 0.4)
-    tally = Tally.empty(STEPS)
+    tally = Tally.empty(STEPS, STRATA)
     tally.positives[..., 40], tally.positives[..., 5] = hits, occupied - hits
     tally.cells[..., 40] = hits + false_alarms
     tally.cells[..., 5] = occupied - hits + FREE - false_alarms
@@ -65,14 +65,14 @@ def write_trial(run: Path, label: str, recording: str, made: Made) -> None:
     folder.mkdir(parents=True)
     rng = np.random.default_rng([made.seed, zlib.crc32(recording.encode())])
     offset = made.noise * rng.standard_normal()
-    with ScoreWriter(folder, STEPS, half(STEPS)) as scores:
+    with ScoreWriter(folder, STEPS, half(STEPS, STRATA)) as scores:
         for frame in range(made.scored):
             tally = tally_of(made, recording, frame, rng, offset)
             scores.add(10**15 + frame * 10**9, f"{zlib.crc32(recording.encode()):x}-{frame}", tally)
     times = Quantiles(p50=made.ms, p95=made.ms, p99=made.ms) if made.ms else None
     TrialRecord(
         schema=2, label=label, recording=recording, outcome=made.outcome, frames_scored=made.scored,
-        frames_expected=FRAMES, steps=STEPS, thresholds=half(STEPS).used(),
+        frames_expected=FRAMES, steps=STEPS, thresholds=half(STEPS, STRATA).used(),
         latency_ms=Latency(update=times, predict=times, predict_step=times) if times else None,
     ).write(folder)  # fmt: skip
 

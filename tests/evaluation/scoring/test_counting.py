@@ -9,7 +9,7 @@ from gridtrack.common.grid import GridFrame, GridSpec
 from gridtrack.evaluation.results.columns import PROBABILITY_BINS
 from gridtrack.evaluation.scoring import metrics
 from gridtrack.evaluation.scoring.counting import EDGES, Tally, count_forecast
-from gridtrack.evaluation.scoring.strata import CELL_KINDS, STRATA, STRATA_WITH_TRUTH, region_maps_of
+from gridtrack.evaluation.scoring.strata import CELL_KINDS, PARTS, STRATA, STRATA_WITH_TRUTH, region_maps_of
 from gridtrack.evaluation.scoring.target import NOT_SCORED, Target
 from gridtrack.evaluation.scoring.thresholds import half
 
@@ -56,14 +56,14 @@ def test_a_hand_computed_forecast():
     assert at_half[0, VISIBLE].tolist() == [1, 1, 1, 0]
     assert at_half[0, STATIC].tolist() == [1, 0, 0, 0]
     assert at_half[0, DYNAMIC].tolist() == [0, 1, 1, 0]
-    assert tally.squared_error[0] == pytest.approx([0.01 + 0.36 + 0.36, 0.36 + 0.36, 0.01], abs=1e-6)
+    assert tally.squared_error[0, :3] == pytest.approx([0.01 + 0.36 + 0.36, 0.36 + 0.36, 0.01], abs=1e-6)
     assert tally.log_loss[0, STATIC] == pytest.approx(-np.log(0.9))
     assert tally.log_loss[0, DYNAMIC] == pytest.approx(-2 * np.log(0.4))
 
 
 def test_a_ring_cell_counts_as_visible_only():
     tally = count(np.full((1, 1, 1), 0.7, np.float32), [frame([[1]], [[1]])], [[RING_CELL]])
-    assert tally.cells.sum(axis=(0, 2)).tolist() == [1, 0, 0]
+    assert tally.cells.sum(axis=(0, 2)).tolist() == [1, 0, 0, 0, 0]
 
 
 def test_cells_that_are_hidden_in_the_observed_frame_are_not_scored():
@@ -73,7 +73,7 @@ def test_cells_that_are_hidden_in_the_observed_frame_are_not_scored():
     assert tally.squared_error.sum() == tally.log_loss.sum() == 0
 
 
-def members_of(cell_kinds, state, ages):
+def members_of(cell_kinds, state, motion, ages):
     """The cells (M, M) of each stratum, by an independent implementation of the definitions."""
     rows, columns = np.indices(cell_kinds.shape) + 0.5
     distance = np.hypot(rows, columns)
@@ -82,6 +82,8 @@ def members_of(cell_kinds, state, ages):
         "visible": seen,
         "dynamic": seen & (cell_kinds == DYNAMIC_CELL),
         "static": seen & (cell_kinds == STATIC_CELL),
+        "in-motion": seen & (motion == PARTS.index("in-motion")),
+        "standing": seen & (motion == PARTS.index("standing")),
         "visible to 5 m": seen & (distance <= 5),
         "visible 5-10 m": seen & (distance > 5) & (distance <= 10),
         "visible over 10 m": seen & (distance > 10),
@@ -102,12 +104,15 @@ def test_every_score_of_every_stratum_agrees_with_scikit_learn(seed):
     occupancy, cell_kinds = random_forecast(rng, size, steps), rng.integers(0, 3, (size, size)).astype(np.uint8)
     states = rng.integers(0, 5, occupancy.shape).astype(np.uint8)
     ages = rng.integers(0, 5, (size, size)).astype(np.uint8)
-    targets = [Target(frame(state < 2, state == 1), state) for state in states]
+    motions = rng.integers(0, 3, occupancy.shape).astype(np.uint8) * (cell_kinds == DYNAMIC_CELL)
+    targets = [
+        Target(frame(state < 2, state == 1), state, motion) for state, motion in zip(states, motions, strict=True)
+    ]
     bins = rng.choice([5, 25, 40, 49], (steps + 1, len(STRATA_WITH_TRUTH)))
     tally = count_forecast(occupancy, targets, region_maps(cell_kinds, STRATA_WITH_TRUTH), ages)
     confusion = tally.confusion(bins)
     for step, state in enumerate(states):
-        members = members_of(cell_kinds, state, ages)
+        members = members_of(cell_kinds, state, motions[step], ages)
         assert tuple(members) == tally.strata
         for k, scored in enumerate(members.values()):
             truth, p = state[scored] % 2 == 1, occupancy[step][scored]

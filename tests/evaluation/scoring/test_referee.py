@@ -13,6 +13,7 @@ from gridtrack.common.grid import GridFrame, GridSpec
 from gridtrack.evaluation.scoring import metrics
 from gridtrack.evaluation.scoring.counting import Tally, count_forecast
 from gridtrack.evaluation.scoring.in_process import score_in_process
+from gridtrack.evaluation.scoring.motion import ObservedMotion
 from gridtrack.evaluation.scoring.referee import WARM_UP, Delivery, Schedule, scored_forecasts
 from gridtrack.evaluation.scoring.strata import CELL_KINDS, region_maps_of
 from gridtrack.evaluation.scoring.target import Target
@@ -72,7 +73,7 @@ class Seer:
 
 
 def delivery(stream):
-    return Delivery(stream, lambda: None)
+    return Delivery(stream, lambda: None, ObservedMotion(stream, ALL_DYNAMIC.dynamic))
 
 
 def f1_per_step(stream, tracker, every=3):
@@ -142,7 +143,7 @@ def test_no_more_than_a_horizon_of_frames_is_kept():
         def predict(self, steps):
             return Forecast(np.zeros((steps + 1, 1, 1), np.float32))
 
-    stream = (Target(Held(index), np.zeros((1, 1), np.uint8)) for index in range(200))
+    stream = (Target(Held(index), *np.zeros((2, 1, 1), np.uint8)) for index in range(200))
     for scored in scored_forecasts(Still(), stream, Schedule(200, STEPS, 1), seed=0):
         assert len(scored.frames) == STEPS + 1
         del scored
@@ -172,7 +173,7 @@ def test_a_moving_sensor_is_refused_with_a_message():
 def test_scoring_in_this_process_agrees_with_the_referee():
     stream = FakeStream(60)
     score = score_in_process(Seer(stream), stream, STEPS)
-    assert set(score.f1) == {"visible", "dynamic", "static"}
+    assert set(score.f1) == {"visible", "dynamic", "static", "in-motion", "standing"}
     assert score.f1["visible"].tolist() == [1.0] * (STEPS + 1)
     assert score.log_loss["visible"] == pytest.approx(-np.log(0.999))
 

@@ -12,7 +12,7 @@ from gridtrack.evaluation.scoring.strata import STRATA
 from gridtrack.evaluation.scoring.thresholds import Thresholds, half
 
 STEPS = 2
-THRESHOLDS = Thresholds(np.array([[HALF, 10, 40], [3, 25, 8], [11, 49, 1]]), "validation")
+THRESHOLDS = Thresholds(np.array([[HALF, 10, 40, 5, 6], [3, 25, 8, 7, 30], [11, 49, 1, 2, 44]]), "validation")
 
 
 def random_tally(seed):

@@ -27,7 +27,8 @@ def random_targets(rng):
         state = rng.integers(0, 4, (SIZE, SIZE)).astype(np.uint8)
         cells = rng.permutation(np.flatnonzero(state % 2 == 1))[:120]
         frame = GridFrame(0, state < 2, state == 1, SE2(), NOTHING, NOTHING, np.zeros(0, np.uint8))
-        found.append(Target(frame, state, cells, rng.integers(0, len(NAMES), cells.size).astype(np.uint8)))
+        labels = rng.integers(0, len(NAMES), cells.size).astype(np.uint8)
+        found.append(Target(frame, state, np.zeros_like(state), cells, labels))
     return found
 
 
@@ -126,7 +127,7 @@ def test_recall_counts_dynamic_cells_of_a_class_at_the_threshold_of_their_stratu
     occupancy = np.full((1, 4, 4), 0.4, np.float32)
     occupancy[0, :, 3] = 0.6
     frame = GridFrame(0, state < 2, state == 1, SE2(), NOTHING, NOTHING, np.zeros(0, np.uint8))
-    target = Target(frame, state, np.arange(16), np.repeat([0, 1, 0, 1], 4).astype(np.uint8))
+    target = Target(frame, state, np.zeros_like(state), np.arange(16), np.repeat([0, 1, 0, 1], 4).astype(np.uint8))
     strata = ("visible", "dynamic", "static", "occluded")
     bins = np.array([[25, 10, 25, 40]])  # dynamic from below 0.4 on, occluded only above 0.6
     (found,) = count_found(occupancy, [target], cell_kinds, Thresholds(bins, strata=strata), 2)

@@ -94,8 +94,15 @@ def test_every_cell_is_in_exactly_one_band():
     assert (whole["visible"] + whole["occluded"] == 1).all()
 
 
-def test_bands_use_the_threshold_of_the_whole_stratum_dynamic_and_static_their_own():
-    assert {THRESHOLD_OF[name] for name in STRATA_WITH_TRUTH} == {"visible", "dynamic", "static", "occluded"}
+def test_dynamic_cells_are_those_in_motion_those_that_stand_and_open_ones():
+    whole = dict(zip(STRATA_WITH_TRUTH, SUMS_OF_REGIONS, strict=True))
+    opened = whole["dynamic"] - whole["in-motion"] - whole["standing"]
+    assert opened.min() == 0
+    assert opened.sum() == whole["in-motion"].sum() == whole["standing"].sum() > 0
+
+
+def test_bands_use_the_threshold_of_the_whole_stratum_all_others_their_own():
+    assert {THRESHOLD_OF[name] for name in STRATA_WITH_TRUTH} == {*STRATA, "occluded"}
     assert THRESHOLD_OF["visible 5-10 m"] == "visible"
     assert THRESHOLD_OF["occluded over 4 s"] == "occluded"
 

@@ -23,6 +23,7 @@ from gridtrack.recordings.stream import Observation
 
 GRID = GridSpec(5, 1.0, (0.0, 0.0))
 NAMES = ("pedestrian", "static")
+NO_MOTION = np.zeros(GRID.shape, np.uint8)
 NOTHING = np.zeros((0, 2), np.float32)
 
 
@@ -47,7 +48,7 @@ def test_with_truth_hidden_outlines_are_occupied_interiors_not_scored_and_visibl
     visible[0], occupied[0, 2] = True, True
     scene = Scene((box(0.5, 1.5, 3.9, 3.0),), 1, (SceneObject(7, 0, SE2(4.0, 0.5), box(0.2, -0.2, 0.4, 0.4)),))
     scan = Scan(0, np.zeros(0, np.float32), 0.0, 0.1, 0.0, 9.0, scene=scene)
-    target = target_of(Observation(frame(visible, occupied), (scan,), (SE2(),)), GRID, NAMES)
+    target = target_of(Observation(frame(visible, occupied), (scan,), (SE2(),)), GRID, NAMES, NO_MOTION)
     free, seen = SEEN_FREE, SEEN_OCCUPIED
     assert target.state[0].tolist() == [free, free, seen, free, free], "the pedestrian's own cell was seen free"
     assert target.state[1].tolist() == [HIDDEN_OCCUPIED] * 5
@@ -72,7 +73,7 @@ def test_a_cell_has_the_class_of_most_beams_that_end_in_it(labels, found):
     occupied = np.zeros((5, 5), bool)
     occupied[2, 4] = True
     observation = Observation(frame(np.ones((5, 5), bool), occupied), (fan(labels),), (SE2(2.5, 2.1),))
-    target = target_of(observation, GRID, NAMES)
+    target = target_of(observation, GRID, NAMES, NO_MOTION)
     assert target.labels.tolist() == found
     assert target.cells.tolist() == [2 * 5 + 4] * len(found)
 
@@ -82,10 +83,10 @@ def test_beams_of_all_sensors_vote_together():
     occupied[2, 4] = True
     scans = (fan([0, 0]), replace(fan([1, 1, 1]), sensor="rear"))
     observation = Observation(frame(np.ones((5, 5), bool), occupied), scans, (SE2(2.5, 2.1), SE2(2.5, 2.1)))
-    assert target_of(observation, GRID, NAMES).labels.tolist() == [1]
+    assert target_of(observation, GRID, NAMES, NO_MOTION).labels.tolist() == [1]
 
 
 def test_a_label_without_a_class_is_refused():
     observation = Observation(frame(np.ones((5, 5), bool), np.ones((5, 5), bool)), (fan([2]),), (SE2(2.5, 2.1),))
     with pytest.raises(RecordingError, match=r"names class 2 at 0\.000 s, and the recording has 2 classes"):
-        target_of(observation, GRID, NAMES)
+        target_of(observation, GRID, NAMES, NO_MOTION)

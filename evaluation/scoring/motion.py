@@ -1,0 +1,184 @@
+"""Motion: the parts of the dynamic cells that are near returns in motion, and near returns that stand.
+
+They are regions of an observed frame and follow from the recording alone, so they are the same for every tracker.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterable
+from typing import Protocol
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from gridtrack.common.geometry import same_pose
+from gridtrack.common.grid import GridFrame, GridSpec, Mask
+from gridtrack.common.scene import Scene, SceneObject
+from gridtrack.evaluation.scoring.strata import PARTS
+from gridtrack.recordings.stream import GridStream, Observation
+from gridtrack.recordings.truth import placed_outlines
+from gridtrack.trackers.contract import FrameSource
+
+NEAR_M = 0.5
+"""Greatest distance between the centres of a cell and of a return's cell that the cell belongs to, m."""
+LOOKBACK_S = 1.0
+"""A return is in motion where its cell was visible and free this long before."""
+MIN_SPEED_MPS = 0.3
+"""With truth, a return is in motion where it is on an object that is faster than this."""
+RANGE_NOISE_M = 0.15
+"""Greatest distance of a measured point from the outline that it was measured on: three standard deviations of the
+noise of a laser that is 0.05 m accurate."""
+_OPEN, _STANDING, _IN_MOTION = range(len(PARTS))
+
+
+class Motion(Protocol):
+    """Finds the parts of the dynamic cells, frame by frame."""
+
+    def of(self, observation: Observation) -> NDArray[np.uint8]:
+        """`motion` (M, M) uint8 of the next observation of the stretch."""
+        ...
+
+
+def parts_of(moving: Mask, returns: Mask, dynamic: Mask, grid: GridSpec) -> NDArray[np.uint8]:
+    """`motion` (M, M) uint8 of a frame with these `returns` (M, M), of which those in `moving` are in motion.
+
+    In motion: `dynamic` cells within NEAR_M of a return in motion in a dynamic cell. Standing: those of the others that
+    are within NEAR_M of another dynamic return.
+    """
+    motion = np.full(grid.shape, _OPEN, np.uint8)
+    offsets = _offsets(grid)
+    _mark(np.argwhere(returns & dynamic & ~moving), offsets, dynamic, np.uint8(_STANDING), motion)
+    _mark(np.argwhere(returns & dynamic & moving), offsets, dynamic, np.uint8(_IN_MOTION), motion)
+    return motion
+
+
+def _offsets(grid: GridSpec) -> NDArray[np.int64]:
+    """Rows and columns (N, 2) to the cells whose centres are within NEAR_M."""
+    reach = int(NEAR_M / grid.cell_m)
+    rows, columns = np.mgrid[-reach : reach + 1, -reach : reach + 1]
+    near = np.hypot(rows, columns) * grid.cell_m <= NEAR_M + 1e-9
+    return np.stack([rows[near], columns[near]], axis=1)
+
+
+@numba.njit(cache=True, nogil=True)
+def _mark(cells, offsets, dynamic, part, motion):  # type: ignore[no-untyped-def]
+    """Set `part` in the `dynamic` cells at `offsets` (K, 2) from each of `cells` (N, 2)."""
+    size = motion.shape[0]
+    for i in range(cells.shape[0]):
+        for k in range(offsets.shape[0]):
+            row, column = cells[i, 0] + offsets[k, 0], cells[i, 1] + offsets[k, 1]
+            if 0 <= row < size and 0 <= column < size and dynamic[row, column]:
+                motion[row, column] = part
+
+
+class ObservedMotion:
+    """Motion in a stretch: with truth by the speed of objects, without truth by what was free one second before.
+
+    Observations are given in their order, every one of the stretch. A return whose past is not recorded stands.
+    """
+
+    def __init__(self, stream: FrameSource, dynamic: Mask) -> None:
+        """`dynamic` (M, M): the cells of that kind."""
+        self._dynamic, self._grid = dynamic, stream.grid
+        lookback = max(1, round(LOOKBACK_S / stream.period_s))
+        self._before = stream.before(lookback) if isinstance(stream, GridStream) else iter(())
+        self._earlier: deque[GridFrame] = deque(maxlen=lookback + 1)
+        self._speeds = _Speeds()
+
+    def of(self, observation: Observation) -> NDArray[np.uint8]:
+        """`motion` (M, M) uint8 of the next observation. Raises RecordingError for a scene that cannot be placed."""
+        return parts_of(self.moving(observation), observation.frame.occupied, self._dynamic, self._grid)
+
+    def moving(self, observation: Observation) -> Mask:
+        """The returns in motion (M, M) in the next observation, also those in cells that are not dynamic."""
+        self._earlier.extend(self._before)  # read when the first observation comes
+        self._earlier.append(observation.frame)
+        scan = next((scan for scan in observation.scans if scan.scene is not None), None)
+        if scan is None or scan.scene is None:
+            return self._on_cells_once_free()
+        self._speeds.add(scan.stamp_ns, scan.scene)
+        return returns_on(self._speeds.fast(scan.scene), scan.scene, observation.frame, self._grid)
+
+    def _on_cells_once_free(self) -> Mask:
+        """The returns (M, M) of the newest frame in cells that were visible and free LOOKBACK_S before."""
+        now, then = self._earlier[-1], self._earlier[0]
+        known = len(self._earlier) == self._earlier.maxlen and same_pose(then.world_T_grid, now.world_T_grid)
+        return now.occupied & then.visible & ~then.occupied & known
+
+
+class _Speeds:
+    """True speeds by track: the distance from the position in the scene before, over the time since then."""
+
+    def __init__(self) -> None:
+        self._stamp_ns: int | None = None
+        self._positions: dict[int, tuple[float, float]] = {}
+        self._speeds: dict[int, float] = {}
+
+    def add(self, stamp_ns: int, scene: Scene) -> None:
+        """Update with the next scene; the same one again changes nothing."""
+        if stamp_ns == self._stamp_ns:
+            return
+        positions = {body.track: (body.world_T_object.x, body.world_T_object.y) for body in scene.objects}
+        if self._stamp_ns is not None:
+            seconds = (stamp_ns - self._stamp_ns) / 1e9
+            self._speeds = {
+                track: float(np.hypot(*np.subtract(position, self._positions[track]))) / seconds
+                for track, position in positions.items()
+                if track in self._positions
+            }
+        self._stamp_ns, self._positions = stamp_ns, positions
+
+    def fast(self, scene: Scene) -> NDArray[np.bool_]:
+        """Which objects of the newest scene (N,) are faster than MIN_SPEED_MPS; those that are new in it are not."""
+        return np.array([self._speeds.get(body.track, 0.0) > MIN_SPEED_MPS for body in scene.objects], np.bool_)
+
+
+def returns_on(chosen: NDArray[np.bool_], scene: Scene, frame: GridFrame, grid: GridSpec) -> Mask:
+    """The occupied cells (M, M) of `frame` that lie on the `chosen` (N,) objects of `scene`. Raises RecordingError.
+
+    A return lies on the object whose outline is nearest to the centre of its cell, if that is within RANGE_NOISE_M and
+    half a diagonal of a cell.
+    """
+    on_chosen = np.zeros(grid.shape, np.bool_)
+    if not chosen.any():
+        return on_chosen
+    corners, starts = _placed(scene.objects, frame, grid)
+    cells = np.argwhere(frame.occupied)
+    reach = RANGE_NOISE_M / grid.cell_m + np.sqrt(0.5)
+    nearest = _nearest_outline(cells[:, ::-1] + 0.5, corners, starts, reach)
+    found = cells[(nearest >= 0) & chosen[nearest]]
+    on_chosen[found[:, 0], found[:, 1]] = True
+    return on_chosen
+
+
+def _placed(
+    objects: Iterable[SceneObject], frame: GridFrame, grid: GridSpec
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    outlines, poses = zip(*((body.outline, body.world_T_object) for body in objects), strict=True)
+    return placed_outlines(outlines, poses, grid, frame.world_T_grid)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _nearest_outline(points, corners, starts, reach):  # type: ignore[no-untyped-def]
+    """The outline (N,) that is nearest to each point (N, 2), within `reach`, else -1; all coordinates in cells."""
+    nearest = np.full(points.shape[0], -1, np.int64)
+    for i in range(points.shape[0]):
+        x, y = points[i, 0], points[i, 1]
+        least = reach * reach
+        for polygon in range(starts.size - 1):
+            first, last = starts[polygon], starts[polygon + 1]
+            if last == first:
+                continue
+            x0, y0 = corners[last - 1, 0], corners[last - 1, 1]
+            for k in range(first, last):
+                x1, y1 = corners[k, 0], corners[k, 1]
+                dx, dy = x1 - x0, y1 - y0
+                length = dx * dx + dy * dy
+                along = min(max(((x - x0) * dx + (y - y0) * dy) / length, 0.0), 1.0) if length > 0.0 else 0.0
+                squared = (x0 + along * dx - x) ** 2 + (y0 + along * dy - y) ** 2
+                if squared <= least:
+                    least, nearest[i] = squared, polygon
+                x0, y0 = x1, y1
+    return nearest
