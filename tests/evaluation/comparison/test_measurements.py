@@ -31,10 +31,15 @@ def gridtrack(monkeypatch, capsys):
 def compare(gridtrack, record, tmp_path):
     """`compare(folder, *requested)` runs `staged`, which dies in its second stream, and `blank`."""
     # without a validation stretch the second stream is the first one after the trial
-    path = record("plain", stretches={})
-    trackers = ("--tracker", "staged:crash_at=60", "--tracker", "blank")
+    path, starts = record("plain", stretches={}), tmp_path / "starts"
+    trackers = ("--tracker", f"staged:crash_at=60,starts={starts}", "--tracker", "blank")
     fixed = ("compare", path, *trackers, "--horizon", "1s", "--every", "0.5s", "--out")
-    return lambda folder, *requested: gridtrack(*fixed, tmp_path / folder, *requested)
+
+    def compare(folder, *requested):
+        starts.unlink(missing_ok=True)
+        return gridtrack(*fixed, tmp_path / folder, *requested)
+
+    return compare
 
 
 @pytest.mark.parametrize("requested", [("--deadline",), ("--degrade", "range-noise=0.1")])

@@ -90,7 +90,7 @@ def test_the_oracle_misses_only_range_noise(tmp_path, progress):
     summary, _ = compare(tmp_path, progress, "blank", noise_m=0.04)
     dynamic, occluded = (trial_of(summary, "oracle").strata[name].f1 for name in ("dynamic", "occluded"))
     assert all(0.5 < f1 < 0.99 for f1 in dynamic)
-    assert occluded == [1.0] * (STEPS + 1)
+    assert occluded == (1.0,) * (STEPS + 1)
 
 
 def test_static_cells_are_the_outlines_of_static_objects(complete):
