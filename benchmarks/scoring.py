@@ -18,7 +18,8 @@ from sklearn.metrics import average_precision_score, brier_score_loss, f1_score,
 
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec
-from gridtrack.evaluation.scoring.counting import EDGES, count_forecast
+from gridtrack.evaluation.results.columns import PROBABILITY_EDGES
+from gridtrack.evaluation.scoring.counting import count_forecast
 from gridtrack.evaluation.scoring.motion import parts_of
 from gridtrack.evaluation.scoring.score_store import ScoreWriter
 from gridtrack.evaluation.scoring.semantics import count_classes, count_found, match_classes
@@ -84,7 +85,7 @@ def with_scikit_learn(
                 brier_score_loss(truth, p)
                 log_loss(truth, p)
                 calibration_curve(truth, p, n_bins=50)
-                np.histogram(p, EDGES)
+                np.histogram(p, PROBABILITY_EDGES)
 
 
 def main() -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from gridtrack.evaluation.scoring.counting import Tally
+from gridtrack.evaluation.scoring.counting import Tally, for_calibration
 from gridtrack.evaluation.scoring.score_store import ScoresError, read_tally
 from gridtrack.reports.figures import Axis
 from gridtrack.reports.run import Run
@@ -53,7 +53,8 @@ def reliability_diagrams(
 
 
 def _reliability_diagram(row: TableRow, tally: Tally, step: int, stratum: str) -> ReliabilityDiagram:
-    cells, positives, p_sum = (counts[step, 0] for counts in (tally.cells, tally.positives, tally.p_sum))
+    cells, positives = (for_calibration(counts[step, 0]) for counts in (tally.cells, tally.positives))
+    p_sum = tally.p_sum[step, 0]
     enough = cells >= LEAST_CELLS
     x, y = Axis(0.0, 1.0, 0.0, DIAGRAM_SIDE), Axis(0.0, 1.0, DIAGRAM_SIDE, 0.0)
     means = zip(p_sum[enough] / cells[enough], positives[enough] / cells[enough], strict=True)

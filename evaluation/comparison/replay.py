@@ -11,10 +11,11 @@ from gridtrack.evaluation.comparison.plan import Trial
 from gridtrack.evaluation.results.trial_record import ThresholdsUsed
 from gridtrack.evaluation.results.values import Curves
 from gridtrack.evaluation.scoring import metrics
-from gridtrack.evaluation.scoring.counting import EDGES, Tally, count_forecast
+from gridtrack.evaluation.scoring.counting import Tally, count_forecast
 from gridtrack.evaluation.scoring.referee import TrackerLike, scored_forecasts
 from gridtrack.evaluation.scoring.splits import SplitRegions
 from gridtrack.evaluation.scoring.target import Target
+from gridtrack.evaluation.scoring.thresholds import bins_of
 
 
 def replayed_f1(
@@ -25,7 +26,7 @@ def replayed_f1(
     for scored in scored_forecasts(tracker, frames, trial.split.schedule, trial.seed):
         tally.add(count_forecast(scored.forecast.occupancy, scored.targets, regions.test, scored.ages))
     values = np.array([thresholds.values[name] for name in tally.strata]).T
-    f1 = metrics.f1_score(tally.confusion(np.abs(values[..., None] - EDGES).argmin(axis=-1)))
+    f1 = metrics.f1_score(tally.confusion(bins_of(values)))
     return {
         name: tuple(None if math.isnan(value) else round(value, 6) for value in f1[:, k].tolist())
         for k, name in enumerate(tally.strata)

@@ -5,10 +5,38 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 import pyarrow as pa
+from numpy.typing import NDArray
 
-PROBABILITY_BINS = 50
-"""Bins of a histogram of probabilities."""
+_LOWEST_OCTAVE, _LOWEST_OCTAVE_NEXT_TO_1 = 12, 7
+_COARSENING = 8
+
+
+def _edges(coarsening: int = 1) -> NDArray[np.float64]:
+    """Edges towards 0 by octaves of p, and towards 1 by octaves of 1 - p."""
+    near_0 = np.concatenate([_octave(k, coarsening) for k in range(_LOWEST_OCTAVE, 0, -1)])
+    near_1 = np.concatenate([_octave(k, coarsening) for k in range(_LOWEST_OCTAVE_NEXT_TO_1, 0, -1)])
+    return np.concatenate([[0.0], near_0, [0.5], 1.0 - near_1[::-1], [1.0]])
+
+
+def _octave(k: int, coarsening: int) -> NDArray[np.float64]:
+    """Lower edges of equal bins from 2^-(k+1) to 2^-k: 64 in the three octaves next to 0.5, 32 in three, then 16."""
+    bins = (64 if k <= 3 else 32 if k <= 6 else 16) // coarsening
+    return 2.0 ** -(k + 1) * (1.0 + np.arange(bins) / bins)
+
+
+PROBABILITY_EDGES = _edges()
+"""Edges (B+1,) of the bins of a histogram of probabilities, multiples of 2^-17; one of them is 0.5.
+
+Bin b covers `PROBABILITY_EDGES[b] <= p < PROBABILITY_EDGES[b + 1]`, the last bin also p = 1. The edges are nearly
+log-spaced towards 0, down to 2^-13, and towards 1: the order of small probabilities decides the PR-AUC of rare objects.
+"""
+PROBABILITY_BINS = len(PROBABILITY_EDGES) - 1
+CALIBRATION_EDGES = _edges(_COARSENING)
+"""Edges (C+1,) of the coarser bins for calibration, some of PROBABILITY_EDGES: in finer bins the share of occupied
+cells is mostly noise, which adds to every calibration error."""
+CALIBRATION_BINS = len(CALIBRATION_EDGES) - 1
 CONFUSION = ("tp", "fp", "fn", "tn")
 """Counts of cells at the threshold of the step and stratum."""
 CONFUSION_AT_HALF = tuple(f"{name}_half" for name in CONFUSION)
@@ -32,6 +60,7 @@ class ParquetTable:
     file: str
     row: str
     columns: tuple[ParquetColumn, ...]
+    version: int = 1
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -40,8 +69,9 @@ class ParquetTable:
 
     @property
     def schema(self) -> Any:
-        """The columns as an Arrow schema."""
-        return pa.schema([(column.name, column.type) for column in self.columns])
+        """The columns as an Arrow schema, with the version of the table as metadata."""
+        columns = [(column.name, column.type) for column in self.columns]
+        return pa.schema(columns, metadata={"version": str(self.version)})
 
     def type_of(self, name: str) -> Any:
         """The Arrow type of a column. Raises KeyError for a name that is none."""
@@ -84,15 +114,21 @@ SCORES_TABLE = ParquetTable(
 )
 HISTOGRAM_TABLE = ParquetTable(
     "histogram.parquet",
-    "second x step x stratum",
+    "scored frame x step x stratum",
     (
-        ParquetColumn("second", pa.int64(), "`stamp_ns` in whole seconds"),
+        _STAMP,
         _STEP,
         _STRATUM_COLUMN,
-        ParquetColumn("count", pa.list_(pa.int32(), PROBABILITY_BINS), "cells, by forecast probability"),
-        ParquetColumn("positives", pa.list_(pa.int32(), PROBABILITY_BINS), "occupied cells, by forecast probability"),
-        ParquetColumn("p_sum", pa.list_(pa.float64(), PROBABILITY_BINS), "sum of the probabilities in each bin"),
+        ParquetColumn("bin", pa.list_(pa.int16()), "the bins of forecast probability that have cells, in their order"),
+        ParquetColumn("count", pa.list_(pa.int32()), "cells in each of these bins"),
+        ParquetColumn("positives", pa.list_(pa.int32()), "occupied cells in each of these bins"),
+        ParquetColumn(
+            "p_sum",
+            pa.list_(pa.float32(), CALIBRATION_BINS),
+            "sum of the forecast probabilities in each bin for calibration",
+        ),
     ),
+    version=2,
 )
 CLASSES_TABLE = ParquetTable(
     "classes.parquet",

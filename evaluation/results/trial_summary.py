@@ -27,6 +27,8 @@ class StratumScores(ResultModel):
     """Log loss, nats."""
     ece: Curve
     """Expected calibration error."""
+    ece_above_1_percent: Curve | None = None
+    """The same over the cells with p of at least 10/1024, which the tracker considers possibly occupied."""
     threshold: Curve
     f1_at_visible: Curve
     """F1 at the threshold of all visible cells."""

@@ -13,33 +13,34 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from gridtrack.evaluation.results.columns import PROBABILITY_BINS
+from gridtrack.evaluation.results.columns import (
+    CALIBRATION_BINS,
+    CALIBRATION_EDGES,
+    PROBABILITY_BINS,
+    PROBABILITY_EDGES,
+)
 from gridtrack.evaluation.scoring.strata import RANGES, REGIONS, STRATA, STRATA_WITH_TRUTH, SUMS_OF_REGIONS, RegionMaps
 from gridtrack.evaluation.scoring.target import NOT_SCORED, SEEN_OCCUPIED, Target
 
-HALF = PROBABILITY_BINS // 2
-_SLOTS = 4096
-EDGES = (
-    np.round(_SLOTS * np.sin(0.5 * np.pi * np.arange(PROBABILITY_BINS + 1) / PROBABILITY_BINS) ** 2) / _SLOTS
-).astype(np.float32)
-"""Bin b covers `EDGES[b] <= p < EDGES[b + 1]`, the last bin also p = 1; a threshold is a bin's lower edge.
-
-Edges are at sin^2: bins are 0.001 wide next to 0 and 1, and 0.03 in the middle, where one edge is 0.5. Probabilities
-of distant steps are small, and in bins of equal width nearly all would fall into the first. Edges are multiples of
-1/4096, so that a table of 4096 slots maps a probability to its bin.
-"""
-_BIN_OF_SLOT = (np.searchsorted(EDGES, np.arange(_SLOTS + 1) / _SLOTS, side="right") - 1).clip(0, PROBABILITY_BINS - 1)
+HALF = int(np.searchsorted(PROBABILITY_EDGES, 0.5))
+"""The bin whose lower edge is 0.5."""
+FIRST_OF_CALIBRATION_BIN = np.searchsorted(PROBABILITY_EDGES, CALIBRATION_EDGES[:-1])
+"""The first bin (C,) of each bin for calibration."""
+_CALIBRATION_BIN = np.searchsorted(FIRST_OF_CALIBRATION_BIN, np.arange(PROBABILITY_BINS), side="right") - 1
+_SLOTS = 1 << 17
+"""Every edge is a multiple of 1 / _SLOTS, so that a table maps a probability to its bin."""
+_BIN_OF_SLOT = np.searchsorted(PROBABILITY_EDGES[1:-1], np.arange(_SLOTS + 1) / _SLOTS, side="right").astype(np.int16)
 CLIP = 1e-3
 """Probabilities are clipped to [CLIP, 1 - CLIP] for the log loss."""
 
 
 @dataclass(slots=True)
 class Tally:
-    """Counts over cells, per step S = steps+1, stratum K and probability bin B; tallies add up.
+    """Counts over cells, per step S = steps+1, stratum K and probability bin; tallies add up.
 
-    `cells`, `positives` (S, K, B) int64: cells scored and those of them occupied; `p_sum` (S, K, B) float64: sum of the
-    forecast probability; `squared_error`, `log_loss` (S, K) float64: sums over cells, log loss in nats. `strata` names
-    the K strata.
+    `cells`, `positives` (S, K, B) int64: cells scored and those of them occupied; `p_sum` (S, K, C) float64: sum of the
+    forecast probability in each bin for calibration; `squared_error`, `log_loss` (S, K) float64: sums over cells, log
+    loss in nats. `strata` names the K strata.
     """
 
     cells: NDArray[np.int64]
@@ -52,9 +53,9 @@ class Tally:
     @classmethod
     def empty(cls, steps: int, strata: tuple[str, ...] = STRATA) -> Tally:
         """Counts of zero for steps 0..steps."""
-        bins, plain = (steps + 1, len(strata), PROBABILITY_BINS), (steps + 1, len(strata))
-        cells, positives, p_sum = np.zeros(bins, np.int64), np.zeros(bins, np.int64), np.zeros(bins)
-        return cls(cells, positives, p_sum, np.zeros(plain), np.zeros(plain), strata)
+        plain = steps + 1, len(strata)
+        cells, positives = np.zeros((2, *plain, PROBABILITY_BINS), np.int64)
+        return cls(cells, positives, np.zeros((*plain, CALIBRATION_BINS)), np.zeros(plain), np.zeros(plain), strata)
 
     def add(self, other: Tally) -> None:
         """Add the counts of `other`."""
@@ -78,14 +79,14 @@ class Tally:
 
     def confusion(self, threshold_bins: NDArray[np.int64]) -> NDArray[np.int64]:
         """TP, FP, FN, TN (S, K, 4) when cells of bin `threshold_bins` (S, K) and above are called occupied."""
-        called = np.arange(PROBABILITY_BINS) >= threshold_bins[..., None]
-        true_positive = (self.positives * called).sum(axis=-1)
-        called_cells = (self.cells * called).sum(axis=-1)
-        positives, cells = self.positives.sum(axis=-1), self.cells.sum(axis=-1)
-        false_positive = called_cells - true_positive
-        false_negative = positives - true_positive
-        true_negative = cells - positives - false_positive
-        return np.stack([true_positive, false_positive, false_negative, true_negative], axis=-1)
+        found: NDArray[np.int64] = _confusion(self.cells, self.positives, np.ascontiguousarray(threshold_bins))
+        return found
+
+
+def for_calibration(counts: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Counts (..., B) of the bins summed over the bins for calibration (..., C)."""
+    summed: NDArray[np.int64] = np.add.reduceat(counts, FIRST_OF_CALIBRATION_BIN, axis=-1)
+    return summed
 
 
 def count_forecast(
@@ -101,26 +102,22 @@ def count_forecast(
     """
     steps, seen = len(targets) - 1, region_maps.visible.reshape(-1)
     hidden = (region_maps.hidden if ages is None else region_maps.hidden + ages).reshape(-1)
-    cells, positives = np.zeros((2, steps + 1, REGIONS, PROBABILITY_BINS), np.int64)
-    p_sum = np.zeros((steps + 1, REGIONS, PROBABILITY_BINS))
-    squared_error, log_loss = np.zeros((2, steps + 1, REGIONS))
+    tally = Tally.empty(steps, region_maps.strata)
+    sums = SUMS_OF_REGIONS[[STRATA_WITH_TRUTH.index(name) for name in region_maps.strata]]
     for n, target in enumerate(targets):
         p, state, motion = occupancy[n].reshape(-1), target.state.reshape(-1), target.motion.reshape(-1)
-        _count_step(p, state, motion, seen, hidden, cells[n], positives[n], p_sum[n], squared_error[n], log_loss[n])
-    sums = SUMS_OF_REGIONS[[STRATA_WITH_TRUTH.index(name) for name in region_maps.strata]].astype(np.float64)
-    return Tally(
-        (sums @ cells.astype(np.float64)).astype(np.int64),
-        (sums @ positives.astype(np.float64)).astype(np.int64),
-        sums @ p_sum,
-        squared_error @ sums.T,
-        log_loss @ sums.T,
-        region_maps.strata,
-    )
+        cells, positives = np.zeros((2, REGIONS, PROBABILITY_BINS), np.int32)
+        p_sum, losses = np.zeros((REGIONS, CALIBRATION_BINS)), np.zeros((2, REGIONS))
+        _count_step(p, state, motion, seen, hidden, cells, positives, p_sum, losses[0], losses[1])
+        _add_regions(sums, cells, positives, tally.cells[n], tally.positives[n])
+        tally.p_sum[n] = sums @ p_sum
+        tally.squared_error[n], tally.log_loss[n] = losses @ sums.T
+    return tally
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _count_step(probability, state, motion, seen, hidden, cells, positives, p_sum, squared_error, log_loss):  # type: ignore[no-untyped-def]
-    """Add one step's scored cells (M*M,) to their regions' counts: histograms (R, B) and sums (R,).
+    """Add one step's scored cells (M*M,) to their regions' counts: histograms (R, B), (R, C) and sums (R,).
 
     The log loss is accumulated as a product of likelihoods, with a logarithm only before it could underflow: about one
     logarithm per hundred cells instead of one per cell.
@@ -133,7 +130,7 @@ def _count_step(probability, state, motion, seen, hidden, cells, positives, p_su
         bin_ = _BIN_OF_SLOT[int(probability[i] * np.float32(_SLOTS))]
         p = float(probability[i])
         cells[region, bin_] += 1
-        p_sum[region, bin_] += p
+        p_sum[region, _CALIBRATION_BIN[bin_]] += p
         clipped = min(max(p, CLIP), 1.0 - CLIP)
         if state[i] & 1:
             positives[region, bin_] += 1
@@ -147,3 +144,35 @@ def _count_step(probability, state, motion, seen, hidden, cells, positives, p_su
             likelihood[region] = 1.0
     for region in range(log_loss.size):
         log_loss[region] -= math.log(likelihood[region])
+
+
+@numba.njit(cache=True, nogil=True)
+def _add_regions(sums, cells, positives, cells_of_stratum, positives_of_stratum):  # type: ignore[no-untyped-def]
+    """Add the counts (R, B) of regions to those (K, B) of the strata, whose regions are marked in `sums` (K, R)."""
+    for k in range(sums.shape[0]):
+        for region in range(sums.shape[1]):
+            if sums[k, region]:
+                for b in range(PROBABILITY_BINS):
+                    cells_of_stratum[k, b] += cells[region, b]
+                    positives_of_stratum[k, b] += positives[region, b]
+
+
+@numba.njit(cache=True, nogil=True)
+def _confusion(cells, positives, threshold_bins):  # type: ignore[no-untyped-def]
+    """TP, FP, FN, TN (S, K, 4) of histograms (S, K, B) at the bins (S, K)."""
+    found = np.zeros((cells.shape[0], cells.shape[1], 4), np.int64)
+    for s in range(cells.shape[0]):
+        for k in range(cells.shape[1]):
+            missed, others = 0, 0
+            for b in range(threshold_bins[s, k]):
+                missed += positives[s, k, b]
+                others += cells[s, k, b]
+            called, called_positives = 0, 0
+            for b in range(threshold_bins[s, k], cells.shape[2]):
+                called += cells[s, k, b]
+                called_positives += positives[s, k, b]
+            found[s, k, 0] = called_positives
+            found[s, k, 1] = called - called_positives
+            found[s, k, 2] = missed
+            found[s, k, 3] = others - missed
+    return found

@@ -8,9 +8,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gridtrack.evaluation.scoring.counting import Tally
+from gridtrack.evaluation.results.columns import CALIBRATION_EDGES
+from gridtrack.evaluation.scoring.counting import Tally, for_calibration
 
 Scores = NDArray[np.float64]
+THOUGHT_OCCUPIED = 10 / 1024
+"""Cells with at least this probability, about 1 %, are those that a tracker considers possibly occupied."""
 
 
 def f1_score(confusion: NDArray[np.int64] | NDArray[np.float64]) -> Scores:
@@ -61,16 +64,17 @@ class BrierDecomposition:
 
 
 def brier_decomposition(tally: Tally) -> BrierDecomposition:
-    """Reliability, resolution and uncertainty over the bins of the histogram.
+    """Reliability, resolution and uncertainty over the bins for calibration.
 
     Murphy's decomposition (1973) assumes one probability per bin. The variance of the probability within bins and its
     covariance with the occupancy are added to the resolution, so that the sum is exact (Stephenson, Coelho and
     Jolliffe, 2008, "Two extra components in the Brier score decomposition").
     """
-    cells, positives = tally.cells.sum(axis=-1), tally.positives.sum(axis=-1)
-    rate, rate_of_bin = ratio(positives, cells), np.nan_to_num(ratio(tally.positives, tally.cells))
-    p_of_bin = np.nan_to_num(ratio(tally.p_sum, tally.cells))
-    reliability = ratio((tally.cells * (p_of_bin - rate_of_bin) ** 2).sum(axis=-1), cells)
+    cells_of_bin, positives_of_bin = for_calibration(tally.cells), for_calibration(tally.positives)
+    cells, positives = cells_of_bin.sum(axis=-1), positives_of_bin.sum(axis=-1)
+    rate, rate_of_bin = ratio(positives, cells), np.nan_to_num(ratio(positives_of_bin, cells_of_bin))
+    p_of_bin = np.nan_to_num(ratio(tally.p_sum, cells_of_bin))
+    reliability = ratio((cells_of_bin * (p_of_bin - rate_of_bin) ** 2).sum(axis=-1), cells)
     uncertainty = rate * (1.0 - rate)
     return BrierDecomposition(reliability, reliability + uncertainty - brier_score(tally), uncertainty)
 
@@ -80,9 +84,15 @@ def log_loss(tally: Tally) -> Scores:
     return ratio(tally.log_loss, tally.cells.sum(axis=-1))
 
 
-def calibration_error(tally: Tally) -> Scores:
-    """Expected calibration error (S, K): |mean probability - share occupied| of each bin, weighted by its cells."""
-    return ratio(np.abs(tally.p_sum - tally.positives).sum(axis=-1), tally.cells.sum(axis=-1))
+def calibration_error(tally: Tally, from_p: float = 0.0) -> Scores:
+    """Expected calibration error (S, K): |mean probability - share occupied| of each bin for calibration, weighted by
+    its cells.
+
+    Over the cells with at least the probability `from_p`, one of CALIBRATION_EDGES.
+    """
+    first = int(np.searchsorted(CALIBRATION_EDGES, from_p))
+    apart = np.abs(tally.p_sum - for_calibration(tally.positives))[..., first:]
+    return ratio(apart.sum(axis=-1), for_calibration(tally.cells)[..., first:].sum(axis=-1))
 
 
 def ratio(part: NDArray[Any], whole: NDArray[Any], defined: NDArray[np.bool_] | None = None) -> Scores:

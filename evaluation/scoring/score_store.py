@@ -1,4 +1,4 @@
-"""The scores store: counts per scored frame, histograms per second, in two Parquet files of a trial's folder.
+"""The scores store: counts and histograms per scored frame, in two Parquet files of a trial's folder.
 
 They hold counts, not averages: every score, curve and resampling is computed from them without running a tracker
 again (`results.columns` declares the columns). Rows are written in groups, so memory does not grow.
@@ -6,7 +6,7 @@ again (`results.columns` declares the columns). Rows are written in groups, so m
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
 from pathlib import Path
 from types import TracebackType
@@ -20,6 +20,7 @@ from pyarrow import ArrowException, parquet
 from gridtrack.common.errors import GridtrackError
 from gridtrack.common.files import atomic_write
 from gridtrack.evaluation.results.columns import (
+    CALIBRATION_BINS,
     CONFUSION,
     CONFUSION_AT_HALF,
     HISTOGRAM_TABLE,
@@ -32,7 +33,7 @@ from gridtrack.evaluation.scoring.strata import STRATA, STRATA_WITH_TRUTH
 from gridtrack.evaluation.scoring.thresholds import Thresholds, half
 
 ROW_GROUP = 64
-"""Scored frames, or seconds of histogram, that are kept in memory before they are written."""
+"""Scored frames that are kept in memory before they are written."""
 
 _STRATUM_INDEX = {name: i for i, name in enumerate(STRATA_WITH_TRUTH)}
 
@@ -49,8 +50,6 @@ class ScoreWriter:
         self._strata = thresholds.strata
         self._bins = thresholds.bins
         self._half = half(steps, self._strata).bins
-        self._second: int | None = None
-        self._in_second = Tally.empty(steps, self._strata)
         self._files = ExitStack()
         self._scores = self._files.enter_context(RowGroups(folder, SCORES_TABLE))
         self._histogram = self._files.enter_context(RowGroups(folder, HISTOGRAM_TABLE))
@@ -61,51 +60,42 @@ class ScoreWriter:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        with self._files:
-            self._close_second()
+        self._files.close()
 
     def add(self, stamp_ns: int, delivered: str, tally: Tally) -> None:
         """Add the counts of the forecast made at `stamp_ns`.
 
         `delivered` is the digest of the frames delivered up to its last step. Stamps must not decrease.
         """
-        second = stamp_ns // 1_000_000_000
-        if second != self._second:
-            self._close_second()
-            self._second = second
-        self._in_second.add(tally)
-        rows = self._rows()
+        rows = self._rows(stamp_ns)
+        self._histogram.append(rows | _histogram_columns(tally))
         counts = np.concatenate([tally.confusion(self._bins), tally.confusion(self._half)], axis=-1)
         for i, name in enumerate(CONFUSION + CONFUSION_AT_HALF):
             rows[name] = counts[..., i].ravel()
-        rows["stamp_ns"] = np.full(len(rows["step"]), stamp_ns)
         rows["delivered"] = [delivered] * len(rows["step"])
         rows["squared_error"] = tally.squared_error.ravel()
         rows["log_loss"] = tally.log_loss.ravel()
         self._scores.append(rows)
 
-    def _rows(self) -> dict[str, Any]:
-        """Step and stratum of each row: steps x strata, strata varying fastest."""
+    def _rows(self, stamp_ns: int) -> dict[str, Any]:
+        """Stamp, step and stratum of each row: steps x strata, strata varying fastest."""
         steps, strata = np.indices((self._steps + 1, len(self._strata)), np.int16).reshape(2, -1)
         names = pa.DictionaryArray.from_arrays(strata.astype(np.int8), list(self._strata))
-        return {"step": steps, "stratum": names}
+        return {"stamp_ns": np.full(steps.size, stamp_ns), "step": steps, "stratum": names}
 
-    def _close_second(self) -> None:
-        if self._second is None:
-            return
-        rows = self._rows()
-        rows["second"] = np.full(len(rows["step"]), self._second)
-        histograms = {
-            "count": self._in_second.cells,
-            "positives": self._in_second.positives,
-            "p_sum": self._in_second.p_sum,
-        }
-        for name, values in histograms.items():
-            value_type = HISTOGRAM_TABLE.type_of(name).value_type
-            rows[name] = pa.FixedSizeListArray.from_arrays(pa.array(values.ravel(), value_type), PROBABILITY_BINS)
-        self._histogram.append(rows)
-        self._in_second = Tally.empty(self._steps, self._strata)
-        self._second = None
+
+def _histogram_columns(tally: Tally) -> dict[str, Any]:
+    """The histograms of each step and stratum: the bins that have cells, and their counts."""
+    cells, positives = tally.cells.reshape(-1, PROBABILITY_BINS), tally.positives.reshape(-1, PROBABILITY_BINS)
+    row, bins = np.nonzero(cells)
+    ends = np.searchsorted(row, np.arange(len(cells) + 1)).astype(np.int32)
+    lists = {"bin": bins, "count": cells[row, bins], "positives": positives[row, bins]}
+    columns: dict[str, Any] = {
+        name: pa.ListArray.from_arrays(ends, pa.array(values, HISTOGRAM_TABLE.type_of(name).value_type))
+        for name, values in lists.items()
+    }
+    p_sum = pa.array(tally.p_sum.ravel().astype(np.float32))
+    return columns | {"p_sum": pa.FixedSizeListArray.from_arrays(p_sum, CALIBRATION_BINS)}
 
 
 class RowGroups:
@@ -146,11 +136,24 @@ def read_tally(folder: Path, steps: int, strata: tuple[str, ...] = STRATA) -> Ta
     for columns in _batches(folder, SCORES_TABLE, ["squared_error", "log_loss"], steps):
         np.add.at(tally.squared_error, columns["where"], columns["squared_error"])
         np.add.at(tally.log_loss, columns["where"], columns["log_loss"])
-    for columns in _batches(folder, HISTOGRAM_TABLE, ["count", "positives", "p_sum"], steps):
-        np.add.at(tally.cells, columns["where"], columns["count"])
-        np.add.at(tally.positives, columns["where"], columns["positives"])
+    for columns in _batches(folder, HISTOGRAM_TABLE, ["bin", "count", "positives", "p_sum"], steps):
         np.add.at(tally.p_sum, columns["where"], columns["p_sum"])
+        row, bins, cells, positives = _histogram_entries(folder / HISTOGRAM_TABLE.file, columns)
+        where = tuple(index[row] for index in columns["where"])
+        np.add.at(tally.cells, (*where, bins), cells)
+        np.add.at(tally.positives, (*where, bins), positives)
     return tally.of(strata)
+
+
+def _histogram_entries(path: Path, columns: Mapping[str, Any]) -> tuple[NDArray[np.int64], ...]:
+    """Row, bin, cells and positives (N,) of the bins that have cells. Raises ScoresError for a bin that is none."""
+    lengths = [columns[name].value_lengths().to_numpy() for name in ("bin", "count", "positives")]
+    bins, cells, positives = (
+        columns[name].flatten().to_numpy().astype(np.int64) for name in ("bin", "count", "positives")
+    )
+    if any((length != lengths[0]).any() for length in lengths) or (bins < 0).any() or (bins >= PROBABILITY_BINS).any():
+        raise ScoresError(f"{path}: not histograms of {PROBABILITY_BINS} bins; run it again")
+    return np.repeat(np.arange(len(lengths[0])), lengths[0]), bins, cells, positives
 
 
 def read_deliveries(folder: Path) -> dict[int, str]:
@@ -174,10 +177,23 @@ def _batches(folder: Path, table: ParquetTable, names: list[str], steps: int) ->
         yield {"where": (step, strata), **{name: _as_numpy(batch[name]) for name in names}}
 
 
-def _as_numpy(column: Any) -> NDArray[Any]:
+def _as_numpy(column: Any) -> Any:
+    """A column as an array, of equally long lists as (rows, B); other lists stay an Arrow column."""
+    if pa.types.is_list(column.type):
+        return column
     if pa.types.is_fixed_size_list(column.type):
         return np.asarray(column.flatten()).reshape(len(column), -1)
     return np.asarray(column)
+
+
+def _require_version(path: Path, table: ParquetTable, schema: Any) -> None:
+    """Raises ScoresError for a file of another version of its table: version 1 of the histogram had fewer bins."""
+    version = (schema.metadata or {}).get(b"version", b"1").decode(errors="replace")
+    if version != str(table.version):
+        raise ScoresError(
+            f"{path}: version {version[:20]!r} of this file, and this gridtrack reads version {table.version}: read it"
+            " with the gridtrack that wrote it, or compare again"
+        )
 
 
 def _read(folder: Path, table: ParquetTable, names: list[str]) -> Iterator[Any]:
@@ -185,6 +201,7 @@ def _read(folder: Path, table: ParquetTable, names: list[str]) -> Iterator[Any]:
     path = folder / table.file
     try:
         with parquet.ParquetFile(path) as file:
+            _require_version(path, table, file.schema_arrow)
             for name in names:
                 if file.schema_arrow.field(name).type != table.type_of(name):
                     raise ScoresError(f"{path}: column '{name}' is {file.schema_arrow.field(name).type}")

@@ -10,7 +10,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from gridtrack.evaluation.scoring.counting import CLIP, EDGES, HALF
+from gridtrack.evaluation.scoring.counting import CLIP
 from gridtrack.evaluation.scoring.strata import CELL_KINDS
 from gridtrack.evaluation.scoring.target import SEEN_OCCUPIED, Target
 from gridtrack.evaluation.scoring.thresholds import Thresholds
@@ -79,7 +79,7 @@ def count_found(
         p, labels = occupancy[n].reshape(-1)[target.cells[cells]], target.labels[cells]
         visibility = (target.state.reshape(-1)[target.cells[cells]] != SEEN_OCCUPIED).astype(np.int64)
         threshold = values[n, columns][visibility]
-        missed = np.stack([p < threshold, p < EDGES[HALF]], axis=1)
+        missed = np.stack([p < threshold, p < np.float32(0.5)], axis=1)
         for i in range(2):
             np.add.at(found[n], (visibility, labels, 2 * i + missed[:, i].astype(np.int64)), 1)
     return found

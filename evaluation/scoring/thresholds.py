@@ -7,11 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gridtrack.evaluation.results.columns import PROBABILITY_BINS
+from gridtrack.evaluation.results.columns import PROBABILITY_BINS, PROBABILITY_EDGES
 from gridtrack.evaluation.results.trial_record import ThresholdsUsed
-from gridtrack.evaluation.scoring.counting import EDGES, HALF, Tally
-from gridtrack.evaluation.scoring.metrics import f1_score
+from gridtrack.evaluation.scoring.counting import HALF, Tally
+from gridtrack.evaluation.scoring.metrics import ratio
 from gridtrack.evaluation.scoring.strata import STRATA, THRESHOLD_OF
+
+NEAREST_TO_HALF = 1 + np.abs(PROBABILITY_EDGES[1:PROBABILITY_BINS] - 0.5).argsort(kind="stable")
+"""The bins that may be thresholds, the nearest to 0.5 first."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,7 +31,7 @@ class Thresholds:
     @property
     def values(self) -> NDArray[np.float64]:
         """Thresholds (S, K) as probabilities."""
-        return EDGES.astype(np.float64)[self.bins]
+        return PROBABILITY_EDGES[self.bins]
 
     def used(self) -> ThresholdsUsed:
         """As a trial's record holds them."""
@@ -41,6 +44,11 @@ def half(steps: int, strata: tuple[str, ...] = STRATA) -> Thresholds:
     return Thresholds(np.full((steps + 1, len(strata)), HALF), strata=strata)
 
 
+def bins_of(values: NDArray[np.float64]) -> NDArray[np.int64]:
+    """The bins (...) whose lower edges are these thresholds (...)."""
+    return PROBABILITY_EDGES.searchsorted(values)
+
+
 def best_thresholds(tally: Tally, chosen_on: str) -> Thresholds:
     """The thresholds that maximise F1 at each step in each stratum of `tally`.
 
@@ -50,8 +58,8 @@ def best_thresholds(tally: Tally, chosen_on: str) -> Thresholds:
     than any calibrated probability of a moving object. Bands of range and of age use the threshold of the stratum that
     they are parts of.
     """
-    candidates = np.array(sorted(range(1, PROBABILITY_BINS), key=lambda b: abs(b - HALF)))
-    f1 = np.stack([f1_score(tally.confusion(np.full(tally.squared_error.shape, b))) for b in candidates])
-    best = candidates[np.nan_to_num(f1).argmax(axis=0)]
+    called, found = (counts[..., ::-1].cumsum(axis=-1)[..., ::-1] for counts in (tally.cells, tally.positives))
+    f1 = ratio(2 * found, called + found[..., :1])[..., NEAREST_TO_HALF]
+    best = NEAREST_TO_HALF[np.nan_to_num(f1).argmax(axis=-1)]
     whole = [tally.strata.index(THRESHOLD_OF[name]) for name in tally.strata]
     return Thresholds(best[:, whole], chosen_on, tally.strata)

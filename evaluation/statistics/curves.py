@@ -12,8 +12,8 @@ from gridtrack.evaluation.results.trial_record import TrialRecord
 from gridtrack.evaluation.results.trial_summary import StratumScores
 from gridtrack.evaluation.results.values import rounded_curve
 from gridtrack.evaluation.scoring import metrics
-from gridtrack.evaluation.scoring.counting import EDGES, Tally
-from gridtrack.evaluation.scoring.thresholds import half
+from gridtrack.evaluation.scoring.counting import Tally
+from gridtrack.evaluation.scoring.thresholds import bins_of, half
 
 
 def stratum_scores(
@@ -42,9 +42,9 @@ def _curves_of(trials: Sequence[tuple[TrialRecord, Tally]], strata: tuple[str, .
     for record, counted in trials:
         tally = counted.of(strata)
         together.add(tally)
-        bins = _bins(record, strata)
+        bins = bins_of(_thresholds(record, strata))
         at_threshold += tally.confusion(bins)
-        at_visible += tally.confusion(np.broadcast_to(_bins(record, ("visible",)), bins.shape))
+        at_visible += tally.confusion(np.broadcast_to(bins_of(_thresholds(record, ("visible",))), bins.shape))
         chosen.append(_thresholds(record, strata))
     parts = metrics.brier_decomposition(together)
     return {
@@ -58,6 +58,7 @@ def _curves_of(trials: Sequence[tuple[TrialRecord, Tally]], strata: tuple[str, .
         "brier_uncertainty": parts.uncertainty,
         "nll": metrics.log_loss(together),
         "ece": metrics.calibration_error(together),
+        "ece_above_1_percent": metrics.calibration_error(together, metrics.THOUGHT_OCCUPIED),
         "threshold": np.where(np.ptp(chosen, axis=0) == 0, chosen[0], np.nan),
         "f1_at_visible": metrics.f1_score(at_visible),
         "f1_at_half": metrics.f1_score(together.confusion(half(steps, strata).bins)),
@@ -67,9 +68,3 @@ def _curves_of(trials: Sequence[tuple[TrialRecord, Tally]], strata: tuple[str, .
 def _thresholds(record: TrialRecord, strata: Sequence[str]) -> NDArray[np.float64]:
     """Thresholds (S, K) as probabilities."""
     return np.array([record.thresholds.values[name] for name in strata]).T
-
-
-def _bins(record: TrialRecord, strata: Sequence[str]) -> NDArray[np.int64]:
-    """Thresholds (S, K) as bins of the histogram."""
-    bins: NDArray[np.int64] = np.abs(_thresholds(record, strata)[..., None] - EDGES).argmin(axis=-1)
-    return bins

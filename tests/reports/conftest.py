@@ -16,7 +16,7 @@ from gridtrack.evaluation.scoring.samples import SAMPLES, SampleWriter
 from gridtrack.evaluation.scoring.score_store import ScoreWriter
 from gridtrack.evaluation.scoring.strata import STRATA, cell_kinds_of, region_maps_of
 from gridtrack.evaluation.scoring.target import Target
-from gridtrack.evaluation.scoring.thresholds import Thresholds
+from gridtrack.evaluation.scoring.thresholds import Thresholds, bins_of
 from gridtrack.evaluation.statistics.finished_trial import FinishedTrial
 from gridtrack.evaluation.statistics.summary import summarise
 from gridtrack.trackers.contract import Forecast
@@ -92,7 +92,8 @@ def write_trial(run, label, tracker, forecast, scored=EXPECTED, outcome="ok", re
     """Score `forecast` on the first `scored` frames and leave the trial's folder, as the referee does."""
     folder = run / f"{label}@{RECORDING}"
     folder.mkdir(parents=True)
-    thresholds = Thresholds(np.full((STEPS + 1, len(STRATA)), 20 if chosen_on else 25), chosen_on)
+    values = np.full((STEPS + 1, len(STRATA)), 0.375 if chosen_on else 0.5)
+    thresholds = Thresholds(bins_of(values), chosen_on)
     with (
         ScoreWriter(folder, STEPS, thresholds) as scores,
         SampleWriter(folder / SAMPLES, GRID, PERIOD_S, STEPS) as samples,

@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gridtrack.evaluation.results.columns import PROBABILITY_BINS
+from gridtrack.evaluation.results.columns import PROBABILITY_BINS, PROBABILITY_EDGES
 from gridtrack.evaluation.results.files import RunError
-from gridtrack.evaluation.scoring.counting import Tally
+from gridtrack.evaluation.scoring.counting import Tally, for_calibration
 from gridtrack.reports.classes import class_tables
 from gridtrack.reports.occluded import occluded_table
 from gridtrack.reports.page import render_report
@@ -106,8 +106,8 @@ def test_a_run_without_truth_has_no_such_section(run_folder):
 
 def test_a_calibrated_forecast_lies_on_the_diagonal(run_folder, monkeypatch):
     cells = np.full((STEPS + 1, 1, PROBABILITY_BINS), 1000)
-    p = np.linspace(0.01, 0.99, PROBABILITY_BINS)
-    tally = Tally(cells, (cells * p).astype(int), cells * p, *np.zeros((2, STEPS + 1, 1)), ("dynamic",))
+    positives = (cells * (PROBABILITY_EDGES[:-1] + PROBABILITY_EDGES[1:]) / 2).astype(int)
+    tally = Tally(cells, positives, for_calibration(positives), *np.zeros((2, STEPS + 1, 1)), ("dynamic",))
     monkeypatch.setattr("gridtrack.reports.reliability.read_tally", lambda *_: tally)
     drawn, notices = reliability_diagrams(read_runs([run_folder]), table_of(run_folder))
     assert [one.row.label for one in drawn] == ["good", "fair"]

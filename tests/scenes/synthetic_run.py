@@ -11,7 +11,7 @@ from gridtrack.evaluation.results.columns import PROBABILITY_BINS
 from gridtrack.evaluation.results.recording import RecordingDescription, RecordingIdentity
 from gridtrack.evaluation.results.run_record import RunConfiguration, RunRecord
 from gridtrack.evaluation.results.trial_record import TrialRecord
-from gridtrack.evaluation.scoring.counting import Tally
+from gridtrack.evaluation.scoring.counting import Tally, for_calibration
 from gridtrack.evaluation.scoring.score_store import ScoreWriter
 from gridtrack.evaluation.scoring.strata import STRATA
 from gridtrack.evaluation.scoring.thresholds import half
@@ -71,7 +71,7 @@ def tally(rng: np.random.Generator, skill: float, strata: tuple[str, ...] = STRA
     top, bottom = PROBABILITY_BINS - 5, 5
     counted.positives[..., top], counted.positives[..., bottom] = found, occupied - found
     counted.cells[..., top], counted.cells[..., bottom] = found + false, occupied - found + 2000
-    counted.p_sum += 0.5 * counted.cells
+    counted.p_sum += 0.5 * for_calibration(counted.cells)
     counted.squared_error += 0.2 * occupied
     counted.log_loss += 0.4 * occupied
     return counted

@@ -52,4 +52,6 @@ def _type_text(kind):
         return "dictionary of string"
     if pa.types.is_fixed_size_list(kind):
         return f"{kind.list_size} x {_type_text(kind.value_type)}"
-    return {"double": "float64"}.get(str(kind), str(kind))
+    if pa.types.is_list(kind):
+        return f"list of {_type_text(kind.value_type)}"
+    return {"double": "float64", "float": "float32"}.get(str(kind), str(kind))

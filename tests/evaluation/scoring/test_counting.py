@@ -6,9 +6,9 @@ from sklearn.metrics import average_precision_score, brier_score_loss, f1_score,
 
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec
-from gridtrack.evaluation.results.columns import PROBABILITY_BINS
+from gridtrack.evaluation.results.columns import CALIBRATION_EDGES, PROBABILITY_BINS, PROBABILITY_EDGES
 from gridtrack.evaluation.scoring import metrics
-from gridtrack.evaluation.scoring.counting import EDGES, Tally, count_forecast
+from gridtrack.evaluation.scoring.counting import HALF, Tally, count_forecast
 from gridtrack.evaluation.scoring.strata import CELL_KINDS, PARTS, STRATA, STRATA_WITH_TRUTH, region_maps_of
 from gridtrack.evaluation.scoring.target import NOT_SCORED, Target
 from gridtrack.evaluation.scoring.thresholds import half
@@ -27,6 +27,11 @@ def region_maps(cell_kinds, strata=STRATA):
     """Places on cells of 1 m, seen from the lower left corner."""
     cell_kinds = np.array(cell_kinds, np.uint8)
     return region_maps_of(cell_kinds, GridSpec(len(cell_kinds), 1.0, (0.0, 0.0)), np.zeros((1, 2), np.float32), strata)
+
+
+def binned_by(edges, p):
+    """The bin of each probability, the last one with p = 1 too."""
+    return (np.digitize(p, edges) - 1).clip(0, len(edges) - 2)
 
 
 def count(occupancy, frames, cell_kinds):
@@ -108,7 +113,7 @@ def test_every_score_of_every_stratum_agrees_with_scikit_learn(seed):
     targets = [
         Target(frame(state < 2, state == 1), state, motion) for state, motion in zip(states, motions, strict=True)
     ]
-    bins = rng.choice([5, 25, 40, 49], (steps + 1, len(STRATA_WITH_TRUTH)))
+    bins = rng.choice([5, 250, HALF + 15, PROBABILITY_BINS - 1], (steps + 1, len(STRATA_WITH_TRUTH)))
     tally = count_forecast(occupancy, targets, region_maps(cell_kinds, STRATA_WITH_TRUTH), ages)
     confusion = tally.confusion(bins)
     for step, state in enumerate(states):
@@ -116,7 +121,7 @@ def test_every_score_of_every_stratum_agrees_with_scikit_learn(seed):
         assert tuple(members) == tally.strata
         for k, scored in enumerate(members.values()):
             truth, p = state[scored] % 2 == 1, occupancy[step][scored]
-            binned = (np.digitize(p, EDGES) - 1).clip(0, PROBABILITY_BINS - 1)
+            binned = binned_by(PROBABILITY_EDGES, p)
             called = binned >= bins[step, k]
             assert metrics.f1_score(confusion)[step, k] == pytest.approx(f1_score(truth, called))
             assert metrics.precision(confusion)[step, k] == pytest.approx(
@@ -128,7 +133,12 @@ def test_every_score_of_every_stratum_agrees_with_scikit_learn(seed):
                 log_loss(truth, np.clip(p.astype(float), 0.001, 0.999)), rel=1e-6
             )
             assert metrics.average_precision(tally)[step, k] == pytest.approx(average_precision_score(truth, binned))
-            assert metrics.calibration_error(tally)[step, k] == calibration_error(truth, p, binned)
+            coarse = binned_by(CALIBRATION_EDGES, p)
+            assert metrics.calibration_error(tally)[step, k] == calibration_error(truth, p, coarse)
+            thought = p >= np.float32(metrics.THOUGHT_OCCUPIED)
+            assert metrics.calibration_error(tally, metrics.THOUGHT_OCCUPIED)[step, k] == calibration_error(
+                truth[thought], p[thought], coarse[thought]
+            )
 
 
 def calibration_error(truth, p, binned):
@@ -136,12 +146,31 @@ def calibration_error(truth, p, binned):
     return pytest.approx(sum(gaps), rel=1e-5)
 
 
-def test_average_precision_of_bins_is_close_to_that_of_the_probabilities():
-    occupancy, frames, cell_kinds = random_case(9, size=100, steps=0)
-    exact = average_precision_score(frames[0].occupied[frames[0].visible], occupancy[0][frames[0].visible])
-    assert metrics.average_precision(count(occupancy, frames, cell_kinds))[0, VISIBLE] == pytest.approx(
-        exact, abs=0.005
-    )
+SHAPES = {"mostly near 0": (0.02, 2.0), "spread": (0.3, 3.0), "even": (1.0, 1.0), "mostly near 1": (5.0, 0.3)}
+
+
+@pytest.mark.parametrize("shape", SHAPES.values(), ids=SHAPES)
+@pytest.mark.parametrize("strength", [1.0, 0.7], ids=["calibrated", "too timid"])
+def test_pr_auc_is_within_a_few_thousandths_of_that_of_the_probabilities_themselves(shape, strength):
+    rng = np.random.default_rng(9)
+    size = 300
+    p = rng.beta(*shape, (1, size, size)).astype(np.float32)
+    observed = frame(np.ones((size, size)), rng.random((size, size)) < p[0] ** strength)
+    exact = average_precision_score(observed.occupied.ravel(), p.ravel())
+    tally = count(p, [observed], np.full((size, size), DYNAMIC_CELL))
+    assert metrics.average_precision(tally)[0, VISIBLE] == pytest.approx(exact, abs=0.002)
+
+
+@pytest.mark.parametrize("levels", [2, 5, 30])
+def test_pr_auc_of_a_forecast_with_few_levels_is_exact(levels):
+    rng = np.random.default_rng(levels)
+    size = 100
+    values = PROBABILITY_EDGES[rng.choice(PROBABILITY_BINS, levels, replace=False)].astype(np.float32)
+    p = rng.choice(values, (1, size, size))
+    observed = frame(np.ones((size, size)), rng.random((size, size)) < p[0])
+    tally = count(p, [observed], np.full((size, size), DYNAMIC_CELL))
+    exact = average_precision_score(observed.occupied.ravel(), p.ravel())
+    assert metrics.average_precision(tally)[0, VISIBLE] == pytest.approx(exact)
 
 
 def test_the_brier_decomposition_agrees_with_its_definition_and_adds_up():
@@ -150,7 +179,7 @@ def test_the_brier_decomposition_agrees_with_its_definition_and_adds_up():
     parts = metrics.brier_decomposition(tally)
     for step, observed in enumerate(frames):
         truth, p = observed.occupied[observed.visible].astype(float), occupancy[step][observed.visible].astype(float)
-        binned = (np.digitize(occupancy[step][observed.visible], EDGES) - 1).clip(0, PROBABILITY_BINS - 1)
+        binned = binned_by(CALIBRATION_EDGES, occupancy[step][observed.visible])
         bins = [(p[binned == b], truth[binned == b]) for b in np.unique(binned)]
         reliability = sum(q.size * (q.mean() - t.mean()) ** 2 for q, t in bins) / p.size
         murphys_resolution = sum(q.size * (t.mean() - truth.mean()) ** 2 for q, t in bins) / p.size
@@ -172,7 +201,7 @@ def test_f1_and_average_precision_agree_with_torchmetrics(seed):
     tally = count(occupancy, frames, cell_kinds)
     seen = frames[0].visible
     truth = torch.from_numpy(frames[0].occupied[seen].astype(np.int64))
-    binned = torch.from_numpy(EDGES[(np.digitize(occupancy[0][seen], EDGES) - 1).clip(0, PROBABILITY_BINS - 1)])
+    binned = torch.from_numpy(PROBABILITY_EDGES[binned_by(PROBABILITY_EDGES, occupancy[0][seen])])
     assert metrics.f1_score(tally.confusion(half(0).bins))[0, VISIBLE] == pytest.approx(
         float(binary_f1_score((binned >= 0.5).long(), truth))
     )
@@ -189,12 +218,24 @@ def test_the_log_loss_of_many_certain_mistakes_does_not_underflow():
 
 
 def test_a_probability_on_a_bins_edge_belongs_to_the_bin_above():
-    edges = np.append(EDGES, np.zeros(64 - len(EDGES), np.float32)).reshape(1, 8, 8)
-    tally = count(edges, [frame(np.ones((8, 8)), np.zeros((8, 8)))], np.full((8, 8), DYNAMIC_CELL))
-    assert tally.cells[0, VISIBLE].tolist() == [1 + 64 - len(EDGES)] + [1] * (PROBABILITY_BINS - 2) + [2]
+    size = 27
+    more = size**2 - len(PROBABILITY_EDGES)
+    edges = np.append(PROBABILITY_EDGES, np.zeros(more)).astype(np.float32).reshape(1, size, size)
+    free, dynamic = frame(np.ones((size, size)), np.zeros((size, size))), np.full((size, size), DYNAMIC_CELL)
+    tally = count(edges, [free], dynamic)
+    assert tally.cells[0, VISIBLE].tolist() == [1 + more] + [1] * (PROBABILITY_BINS - 2) + [2]
     below = np.nextafter(edges, np.float32(-1)).clip(0, 1)
-    tally = count(below, [frame(np.ones((8, 8)), np.zeros((8, 8)))], np.full((8, 8), DYNAMIC_CELL))
-    assert tally.cells[0, VISIBLE].tolist() == [2 + 64 - len(EDGES)] + [1] * (PROBABILITY_BINS - 1)
+    tally = count(below, [free], dynamic)
+    assert tally.cells[0, VISIBLE].tolist() == [2 + more] + [1] * (PROBABILITY_BINS - 1)
+
+
+def test_edges_are_exact_and_the_bins_for_calibration_are_made_of_whole_bins():
+    assert np.array_equal(PROBABILITY_EDGES.astype(np.float32), PROBABILITY_EDGES)
+    assert (np.diff(PROBABILITY_EDGES) > 0).all()
+    for edges in (PROBABILITY_EDGES, CALIBRATION_EDGES):
+        assert (edges[0], edges[-1], 0.5 in edges) == (0.0, 1.0, True)
+    assert set(CALIBRATION_EDGES) <= set(PROBABILITY_EDGES)
+    assert metrics.THOUGHT_OCCUPIED in CALIBRATION_EDGES
 
 
 def test_scores_of_an_empty_tally_are_undefined():

@@ -2,24 +2,32 @@
 
 import numpy as np
 import polars as pl
+import pyarrow as pa
 import pytest
 from pyarrow import parquet
 
-from gridtrack.evaluation.results.columns import CONFUSION, HISTOGRAM_TABLE, SCORES_TABLE
-from gridtrack.evaluation.scoring.counting import HALF, PROBABILITY_BINS, Tally
+from gridtrack.evaluation.results.columns import (
+    CALIBRATION_BINS,
+    CONFUSION,
+    HISTOGRAM_TABLE,
+    PROBABILITY_BINS,
+    SCORES_TABLE,
+)
+from gridtrack.evaluation.scoring.counting import HALF, Tally
 from gridtrack.evaluation.scoring.score_store import ROW_GROUP, ScoresError, ScoreWriter, read_deliveries, read_tally
 from gridtrack.evaluation.scoring.strata import STRATA
 from gridtrack.evaluation.scoring.thresholds import Thresholds, half
 
 STEPS = 2
-THRESHOLDS = Thresholds(np.array([[HALF, 10, 40, 5, 6], [3, 25, 8, 7, 30], [11, 49, 1, 2, 44]]), "validation")
+THRESHOLDS = Thresholds(np.array([[HALF, 10, 400, 5, 6], [3, 25, 8, 7, 300], [11, 490, 1, 2, 44]]), "validation")
 
 
 def random_tally(seed):
     rng = np.random.default_rng(seed)
-    shape = (STEPS + 1, len(STRATA), PROBABILITY_BINS)
-    positives = rng.integers(0, 9, shape)
-    return Tally(positives + rng.integers(0, 9, shape), positives, rng.random(shape), *rng.random((2, *shape[:2])))
+    plain = (STEPS + 1, len(STRATA))
+    positives = rng.integers(0, 3, (*plain, PROBABILITY_BINS)) * (rng.random((*plain, PROBABILITY_BINS)) < 0.3)
+    cells = positives + rng.integers(0, 2, positives.shape)
+    return Tally(cells, positives, rng.random((*plain, CALIBRATION_BINS)), *rng.random((2, *plain)))
 
 
 def write(folder, frames, every_ns=400_000_000):
@@ -51,13 +59,37 @@ def test_each_scored_frame_has_its_confusion_counts_per_step_and_stratum(tmp_pat
     assert row.select([f"{name}_half" for name in CONFUSION]).row(0) == tuple(expected_at_half)
 
 
-def test_the_histogram_has_one_row_per_second_and_agrees_with_the_counts(tmp_path):
+def test_the_histogram_has_the_rows_of_the_scores_and_agrees_with_them(tmp_path):
     write(tmp_path, 7)
-    histogram = pl.read_parquet(tmp_path / HISTOGRAM_TABLE.file)
-    assert histogram["second"].unique().sort().to_list() == [0, 1, 2]
-    assert len(histogram) == 3 * (STEPS + 1) * len(STRATA)
-    scores = pl.read_parquet(tmp_path / SCORES_TABLE.file)
-    assert histogram["count"].to_numpy().sum() == scores.select(pl.sum_horizontal(CONFUSION)).to_series().sum()
+    histogram, scores = (pl.read_parquet(tmp_path / table.file) for table in (HISTOGRAM_TABLE, SCORES_TABLE))
+    for key in ("stamp_ns", "step", "stratum"):
+        assert histogram[key].equals(scores[key])
+    assert (
+        histogram["count"].list.sum().equals(scores.select(pl.sum_horizontal(CONFUSION)).to_series(), check_names=False)
+    )
+    assert histogram["count"].list.min().min() > 0
+
+
+def test_a_histogram_of_an_earlier_version_is_refused_in_one_line(tmp_path):
+    write(tmp_path, 1)
+    path = tmp_path / HISTOGRAM_TABLE.file
+    parquet.write_table(parquet.read_table(path).replace_schema_metadata(None), path)
+    with pytest.raises(ScoresError, match=r"histogram\.parquet: version '1' .* compare again") as refused:
+        read_tally(tmp_path, STEPS)
+    assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize("column", ["bin", "count"])
+def test_a_histogram_with_other_bins_than_declared_is_refused(tmp_path, column):
+    write(tmp_path, 1)
+    path = tmp_path / HISTOGRAM_TABLE.file
+    table = parquet.read_table(path)
+    other = [[PROBABILITY_BINS] if column == "bin" else [] for _ in range(len(table))]
+    at = table.schema.get_field_index(column)
+    changed = table.set_column(at, table.schema.field(column), pa.array(other, table.schema.field(column).type))
+    parquet.write_table(changed, path)
+    with pytest.raises(ScoresError, match="not histograms of"):
+        read_tally(tmp_path, STEPS)
 
 
 def test_rows_are_written_in_groups_so_memory_does_not_grow(tmp_path):

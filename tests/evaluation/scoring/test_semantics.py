@@ -14,7 +14,7 @@ from gridtrack.evaluation.scoring.score_store import ScoresError
 from gridtrack.evaluation.scoring.semantics import count_classes, count_found, match_classes
 from gridtrack.evaluation.scoring.strata import CELL_KINDS
 from gridtrack.evaluation.scoring.target import HIDDEN_OCCUPIED, SEEN_OCCUPIED, Target
-from gridtrack.evaluation.scoring.thresholds import Thresholds
+from gridtrack.evaluation.scoring.thresholds import Thresholds, bins_of
 
 NAMES = ("pedestrian", "cyclist", "car", "static")
 SIZE, STEPS = 20, 2
@@ -129,7 +129,7 @@ def test_recall_counts_dynamic_cells_of_a_class_at_the_threshold_of_their_stratu
     frame = GridFrame(0, state < 2, state == 1, SE2(), NOTHING, NOTHING, np.zeros(0, np.uint8))
     target = Target(frame, state, np.zeros_like(state), np.arange(16), np.repeat([0, 1, 0, 1], 4).astype(np.uint8))
     strata = ("visible", "dynamic", "static", "occluded")
-    bins = np.array([[25, 10, 25, 40]])  # dynamic from below 0.4 on, occluded only above 0.6
+    bins = bins_of(np.array([[0.5, 0.125, 0.5, 0.75]]))  # dynamic from below 0.4 on, occluded only above 0.6
     (found,) = count_found(occupancy, [target], cell_kinds, Thresholds(bins, strata=strata), 2)
     visible, occluded = found
     assert visible.tolist() == [[3, 0, 1, 2], [3, 0, 1, 2]]
