@@ -9,6 +9,7 @@ from pathlib import Path
 import polars as pl
 
 from gridtrack.reports.run import ReportError
+from gridtrack.reports.table import MAIN_STRATUM
 
 LEAST_DIFFERENCE = 0.01
 """Trackers whose F1 differ by less are not shown as differing."""
@@ -16,7 +17,7 @@ LEAST_DIFFERENCE = 0.01
 
 @dataclass(frozen=True)
 class FrameScore:
-    """The counts of one tracker on dynamic cells, at one scored frame and step."""
+    """The counts of one tracker on cells in motion, at one scored frame and step."""
 
     tp: int
     fp: int
@@ -24,7 +25,7 @@ class FrameScore:
 
     @property
     def occupied(self) -> int:
-        """Occupied dynamic cells of the observed frame: the same for every tracker."""
+        """Occupied in-motion cells of the observed frame: the same for every tracker."""
         return self.tp + self.fn
 
     @property
@@ -46,8 +47,8 @@ def selection_rule(parts: int, horizon_s: float) -> str:
     each = f"from each of {parts} equal parts of the stretch" if parts > 1 else "from the stretch"
     return (
         "Chosen by one rule for every tracker, among the frames whose forecasts the run kept:"
-        f" {each} the frame with the most occupied dynamic cells {horizon_s:.3g} s later; and one more, where the"
-        " trackers' F1 on dynamic cells at that horizon differ most (the floor is not counted)."
+        f" {each} the frame with the most occupied in-motion cells {horizon_s:.3g} s later; and one more, where the"
+        " trackers' F1 on in-motion cells at that horizon differ most (the floor is not counted)."
     )
 
 
@@ -68,13 +69,13 @@ def choose_frames(
         inside = [s for s in stamps if part == (s - stamps[0]) // width]
         if inside:
             busiest = max(inside, key=lambda s: (occupied[s], -s))
-            chosen[busiest] = f"most occupied dynamic cells of part {part + 1}: {occupied[busiest]}"
+            chosen[busiest] = f"most occupied in-motion cells of part {part + 1}: {occupied[busiest]}"
     rest = [s for s in stamps if s not in chosen]
     if rest and len(trackers) > 1:
         ranges = {s: _range([scores[name][s].f1 for name in trackers]) for s in rest}
         widest = max(rest, key=lambda s: (ranges[s], -s))
         if ranges[widest] >= LEAST_DIFFERENCE:
-            chosen[widest] = f"largest difference between trackers: {ranges[widest]:.2f} in F1 on dynamic cells"
+            chosen[widest] = f"largest difference between trackers: {ranges[widest]:.2f} in F1 on in-motion cells"
     return tuple(ChosenFrame(stamp, chosen[stamp]) for stamp in sorted(chosen))
 
 
@@ -83,11 +84,11 @@ def _range(values: Sequence[float]) -> float:
 
 
 def frame_scores(path: Path, step: int) -> dict[int, FrameScore]:
-    """The scores of dynamic cells at `step` by stamp, from the scores.parquet of a trial. Raises ReportError."""
+    """The scores of cells in motion at `step` by stamp, from the scores.parquet of a trial. Raises ReportError."""
     try:
         rows = (
             pl.scan_parquet(path, glob=False)
-            .filter((pl.col("step") == step) & (pl.col("stratum") == "dynamic"))
+            .filter((pl.col("step") == step) & (pl.col("stratum") == MAIN_STRATUM))
             .select("stamp_ns", "tp", "fp", "fn")
             .collect()
         )

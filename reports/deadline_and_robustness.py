@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from gridtrack.evaluation.results.passes import Deadline
 from gridtrack.evaluation.results.values import Curves
 from gridtrack.reports.figures import Axis, Series
-from gridtrack.reports.table import HeadlineTable, TableColumn, TableRow
+from gridtrack.reports.table import MAIN_STRATUM, HeadlineTable, TableColumn, TableRow
 
-SWEEP_STRATA = ("dynamic", "visible")
+SWEEP_STRATA = (MAIN_STRATUM, "visible")
 SWEEP_SIZE = (270, 180)
 """Width and height of a panel, in SVG user units."""
 DEGRADATION_TEXTS = {
@@ -64,7 +64,7 @@ class DeadlineRow:
 
 @dataclass(frozen=True)
 class DeadlineTable:
-    """Scores under a deadline, of dynamic cells at the shortest horizon of the table: delays change these first."""
+    """Scores under a deadline, of cells in motion at the shortest horizon of the table: delays change these first."""
 
     column: TableColumn
     rates: tuple[tuple[float, float], ...]

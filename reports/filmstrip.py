@@ -56,7 +56,7 @@ def filmstrip_of(
 ) -> tuple[Filmstrip | None, tuple[str, ...]]:
     """The filmstrip of one recording out of `recordings`, and notices of samples that cannot be read.
 
-    `folders`: the folder of each trial by label. Frames are chosen by the scores of dynamic cells at `step`,
+    `folders`: the folder of each trial by label. Frames are chosen by the scores of cells in motion at `step`,
     `horizon_s` ahead. The filmstrip is None where no trial kept samples.
     """
     kept, notices = _kept_stamps(table.rows, folders)

@@ -15,13 +15,17 @@ from gridtrack.reports.filmstrip import Filmstrip, filmstrip_of
 from gridtrack.reports.occluded import OccludedTable, occluded_table
 from gridtrack.reports.reliability import DIAGRAM_SIDE, LEAST_CELLS, ReliabilityDiagram, reliability_diagrams
 from gridtrack.reports.run import Run
-from gridtrack.reports.table import HeadlineTable, TableRow
+from gridtrack.reports.table import MAIN_STRATUM, HeadlineTable, TableRow
 
 TRACKER_COLOURS = 8
 """Further trackers repeat the colours, with broken lines."""
 FLOOR_GREYS = 3
 """Floors beyond this many repeat the greys."""
-CURVE_PANELS = (("dynamic", (740, 470), 140.0), ("visible", (370, 227), 0.0), ("static", (370, 227), 0.0))
+_SMALL = (370, 227)
+CURVE_PANELS = (
+    (MAIN_STRATUM, (740, 470), 140.0),
+    *((name, _SMALL, 0.0) for name in ("dynamic", "visible", "standing", "static")),
+)
 """Stratum, size and label width of each panel of curves; the most important stratum is the largest."""
 TIME_WIDTH = 150.0
 MARK_WIDTH = 70.0
@@ -30,7 +34,7 @@ MARKED_HORIZONS = 3
 
 @dataclass(frozen=True)
 class ThresholdMark:
-    """F1 of dynamic cells at one horizon, at three thresholds: that of the stratum, that of all visible cells, and 0.5.
+    """F1 on cells in motion at one horizon, at the thresholds of this stratum and of all visible cells, and at 0.5.
 
     `at` and `at_half` are the positions of the first and the last in the figure.
     """
@@ -145,7 +149,7 @@ def section_of(runs: Sequence[Run], table: HeadlineTable, styles: Mapping[str, s
 def _details(table: HeadlineTable) -> Iterator[ScoreDetail]:
     strata = dict.fromkeys(name for row in table.rows for name in row.trial.strata)
     for column in table.columns:
-        if column.score == "f1" and column.stratum == "dynamic":
+        if column.score == "f1" and column.stratum == MAIN_STRATUM:
             scores = ((n, tuple((r, r.trial.strata[n]) for r in table.rows if n in r.trial.strata)) for n in strata)
             yield ScoreDetail(column.heading, column.step, tuple(scores))
 
@@ -183,16 +187,16 @@ def _series(label: str, style: str, trial: TrialSummary) -> Series:
 
 
 def _thresholds(table: HeadlineTable) -> tuple[tuple[str, ...], tuple[tuple[TableRow, tuple[ThresholdMark, ...]], ...]]:
-    columns = [c for c in table.columns if c.score == "f1" and c.stratum == "dynamic"][:MARKED_HORIZONS]
-    rows = [row for row in table.rows if "dynamic" in row.trial.strata and row.trial.threshold_chosen_on]
-    strata = [row.trial.strata["dynamic"] for row in rows]
+    columns = [c for c in table.columns if c.score == "f1" and c.stratum == MAIN_STRATUM][:MARKED_HORIZONS]
+    rows = [row for row in table.rows if MAIN_STRATUM in row.trial.strata and row.trial.threshold_chosen_on]
+    strata = [row.trial.strata[MAIN_STRATUM] for row in rows]
     f1 = [v for s in strata for c in columns for v in (s.f1[c.step], s.f1_at_half[c.step]) if v is not None]
     axis = Axis(0.0, max(f1, default=0.0) or 1.0, 5.0, MARK_WIDTH - 5.0)
     return tuple(c.heading for c in columns), tuple((r, tuple(_mark(r, c.step, axis) for c in columns)) for r in rows)
 
 
 def _mark(row: TableRow, step: int, axis: Axis) -> ThresholdMark:
-    scores = row.trial.strata["dynamic"]
+    scores = row.trial.strata[MAIN_STRATUM]
     f1, half = scores.f1[step], scores.f1_at_half[step]
     at, at_half = (None if value is None else axis(value) for value in (f1, half))
     return ThresholdMark(scores.threshold[step], f1, scores.f1_at_visible[step], half, at, at_half)

@@ -34,7 +34,7 @@ def title_of(runs: Sequence[Run]) -> str:
 
 
 def lead_of(table: HeadlineTable) -> str:
-    """The main result in a sentence: the highest F1 on dynamic cells, and the floor's; empty if rows do not compare.
+    """The main result in a sentence: the highest F1 on cells in motion, and the floor's; empty if rows do not compare.
 
     No tracker is called the best: the paired differences decide whether a difference is significant.
     """
@@ -42,7 +42,7 @@ def lead_of(table: HeadlineTable) -> str:
         return ""
     at = table.columns.index(table.decisive)
     ranked, floor = (_highest(table.rows_in(group), at) for group in ("ranked", "floor"))
-    ahead = f"dynamic cells {table.decisive.heading} ahead"
+    ahead = f"{table.decisive.stratum} cells {table.decisive.heading} ahead"
     if not ranked:
         return _why_no_result(table)
     f1, of_floor = ranked[0].cells[at].text, floor[0].cells[at].text if floor else ""
@@ -69,8 +69,8 @@ def _why_no_result(table: HeadlineTable) -> str:
     """The result where no tracker has a score to be ranked by."""
     if table.rows_in("ranked"):
         return (
-            f"No tracker has an F1 on dynamic cells {table.decisive.heading} ahead on {table.recording}: no dynamic"
-            " cell was occupied in the observed frames."
+            f"No tracker has an F1 on {table.decisive.stratum} cells {table.decisive.heading} ahead on"
+            f" {table.recording}: no such cell was occupied in the observed frames."
         )
     if table.rows_in("unranked"):
         return f"No tracker completed {table.recording}."

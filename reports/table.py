@@ -9,13 +9,16 @@ from typing import Literal
 
 from gridtrack.evaluation.results.summary import TrackerSummary
 from gridtrack.evaluation.results.trial_summary import TrialSummary
+from gridtrack.evaluation.statistics.score_intervals import HEADLINE_HORIZONS_S, HEADLINE_STRATA
 from gridtrack.reports.markdown import cell_text, markdown_table
 from gridtrack.reports.run import UNDEFINED, ReportError, Run
 
-TABLE_HORIZONS_S = (0.5, 1.0, 2.0, 2.5)
-"""The horizons of the columns of F1, as far as a run forecasts."""
 DETAIL_HORIZON_S = 1.0
 """The horizon of the other scores, by which the rows are sorted too."""
+MAIN_STRATUM = HEADLINE_STRATA[0]
+"""The stratum of the other scores, by which the rows are sorted too."""
+STANDING = "standing"
+"""A stratum outside the headline family: F1 at the detail horizon is a column beside the others."""
 
 LEAK = "learned from these frames"
 """The mark of a row whose weights learned from frames that it is scored on."""
@@ -182,19 +185,20 @@ def _same_frames(runs: Sequence[Run], recording: str) -> bool:
 def _columns(horizons_s: Sequence[float]) -> Iterator[TableColumn]:
     """F1 at the headline horizons (at the last horizon where the run reaches none), and the other scores at one."""
     period_s = horizons_s[1] - horizons_s[0]
-    wanted = [round(h / period_s) for h in TABLE_HORIZONS_S]
+    wanted = [round(h / period_s) for h in HEADLINE_HORIZONS_S]
     steps = sorted({step for step in wanted if 0 < step < len(horizons_s)}) or [len(horizons_s) - 1]
-    for stratum in ("dynamic", "visible"):
+    for stratum in HEADLINE_STRATA:
         for step in steps:
             yield TableColumn(f"F1, {stratum}", _horizon_text(horizons_s[step]), stratum, "f1", step)
     step = round(DETAIL_HORIZON_S / period_s)
     step = step if step in steps else steps[0]
-    group = f"dynamic, {_horizon_text(horizons_s[step])}"
-    yield TableColumn(group, "precision", "dynamic", "precision", step, 0)
-    yield TableColumn(group, "recall", "dynamic", "recall", step, 0)
-    yield TableColumn(group, "PR-AUC", "dynamic", "pr_auc", step)
-    yield TableColumn(group, "log loss", "dynamic", "nll", step, -1)
-    yield TableColumn(group, "Brier", "dynamic", "brier", step, -1)
+    yield TableColumn(f"F1, {STANDING}", _horizon_text(horizons_s[step]), STANDING, "f1", step)
+    group = f"{MAIN_STRATUM}, {_horizon_text(horizons_s[step])}"
+    yield TableColumn(group, "precision", MAIN_STRATUM, "precision", step, 0)
+    yield TableColumn(group, "recall", MAIN_STRATUM, "recall", step, 0)
+    yield TableColumn(group, "PR-AUC", MAIN_STRATUM, "pr_auc", step)
+    yield TableColumn(group, "log loss", MAIN_STRATUM, "nll", step, -1)
+    yield TableColumn(group, "Brier", MAIN_STRATUM, "brier", step, -1)
 
 
 def _horizon_text(horizon_s: float) -> str:

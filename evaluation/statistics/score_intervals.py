@@ -21,7 +21,7 @@ from gridtrack.evaluation.statistics.units import (
     sum_by_unit,
 )
 
-HEADLINE_STRATA, HEADLINE_HORIZONS_S = ("dynamic", "visible"), (0.5, 1.0, 2.5)
+HEADLINE_STRATA, HEADLINE_HORIZONS_S = ("in-motion", "dynamic", "visible"), (0.5, 1.0, 2.5)
 """Strata and horizons of the headline tests: the family of Holm's correction is F1 in these, for each tracker."""
 
 

@@ -11,11 +11,12 @@ from gridtrack.evaluation.results.passes import Latency, Quantiles
 from gridtrack.evaluation.results.recording import RecordingDescription
 from gridtrack.evaluation.results.trial_record import TrialRecord
 from gridtrack.evaluation.scoring.counting import count_forecast
+from gridtrack.evaluation.scoring.motion import ObservedMotion
 from gridtrack.evaluation.scoring.referee import ScoredForecast
 from gridtrack.evaluation.scoring.samples import SAMPLES, SampleWriter
 from gridtrack.evaluation.scoring.score_store import ScoreWriter
 from gridtrack.evaluation.scoring.strata import STRATA, cell_kinds_of, region_maps_of
-from gridtrack.evaluation.scoring.target import Target
+from gridtrack.evaluation.scoring.target import targets as targets_of
 from gridtrack.evaluation.scoring.thresholds import Thresholds, bins_of
 from gridtrack.evaluation.statistics.finished_trial import FinishedTrial
 from gridtrack.evaluation.statistics.summary import summarise
@@ -51,6 +52,15 @@ def frame(index):
 
 FRAME_LIST = [frame(index) for index in range(FRAMES)]
 REGION_MAPS = region_maps_of(cell_kinds_of(FRAME_LIST, GRID, SE2()), GRID, FRAME_LIST[0].origins)
+
+
+class Frames(list):
+    """A FrameSource of the frames."""
+
+    grid, period_s, classes = GRID, PERIOD_S, ()
+
+
+TARGETS = list(targets_of(Frames(FRAME_LIST), ObservedMotion(Frames(), REGION_MAPS.dynamic)))
 JUST_SEEN = np.zeros(GRID.shape, np.uint8)
 
 
@@ -99,7 +109,7 @@ def write_trial(run, label, tracker, forecast, scored=EXPECTED, outcome="ok", re
         SampleWriter(folder / SAMPLES, GRID, PERIOD_S, STEPS) as samples,
     ):
         for t in list(range(WARM_UP, FRAMES - STEPS, EVERY))[:scored]:
-            targets = tuple(Target.of_frame(came) for came in FRAME_LIST[t : t + STEPS + 1])
+            targets = tuple(TARGETS[t : t + STEPS + 1])
             one = ScoredForecast(Forecast(forecast(t)), targets, JUST_SEEN)
             scores.add(one.stamp_ns, f"{t:032x}", count_forecast(one.forecast.occupancy, targets, REGION_MAPS))
             samples.add(one)

@@ -25,7 +25,7 @@ def test_one_more_is_where_the_trackers_differ_most_the_floor_aside():
     scored["floor"][7] = FrameScore(tp=0, fp=4, fn=4)
     chosen = choose_frames(scored, ["a", "b"], 3)
     assert [moment.stamp_ns for moment in chosen] == [0, 3, 5, 6]
-    assert "largest difference between trackers: 0.75 in F1 on dynamic cells" in chosen[2].reason
+    assert "largest difference between trackers: 0.75 in F1 on in-motion cells" in chosen[2].reason
 
 
 def test_where_trackers_agree_no_frame_is_chosen_for_a_difference():
@@ -43,7 +43,8 @@ def test_only_frames_that_every_trial_has_are_chosen():
 def test_counts_are_those_of_the_store_at_the_step(run_folder):
     moments = frame_scores(run_folder / "blank@crossing" / SCORES_TABLE.file, 8)
     assert len(moments) == 20
-    assert all(moment.tp == moment.fp == 0 and moment.occupied == 4 for moment in moments.values())
+    assert all(moment.tp == moment.fp == 0 and moment.occupied <= 4 for moment in moments.values())
+    assert max(moment.occupied for moment in moments.values()) == 4, "the block, when it does not turn"
     assert np.array_equal(sorted(moments), list(moments))
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from gridtrack.evaluation.results.files import RunError
+from gridtrack.evaluation.scoring.strata import STRATA
 from gridtrack.recordings.degradation import Degradation
 from gridtrack.reports.deadline_and_robustness import DEGRADATION_TEXTS, sweep_panel
 from gridtrack.reports.figures import Series
@@ -19,7 +20,7 @@ STEPS = 20
 
 
 def constant(value):
-    return {name: [value] * (STEPS + 1) for name in ("visible", "dynamic", "static")}
+    return {name: [value] * (STEPS + 1) for name in STRATA}
 
 
 AGES = {"p50": 1.0, "p95": 2.0, "p99": 2.0}
@@ -70,14 +71,14 @@ def test_without_other_conditions_the_page_has_no_section_of_them(page_of):
 
 def test_scores_under_a_deadline_are_shown_beside_the_untimed_one(page_of, run_folder, summary_of):
     text = text_of(page_of(DEADLINE)).partition("Under a deadline")[2]
-    untimed = summary_of(run_folder)["trackers"]["good"]["recordings"]["crossing"]["strata"]["dynamic"]["f1"][4]
+    untimed = summary_of(run_folder)["trackers"]["good"]["recordings"]["crossing"]["strata"]["in-motion"]["f1"][4]
     assert f"good 41.0 44.0 46.5 21.5 {untimed:.3f} 0.413 0.217 −50 %" in text
     assert "×1, 8 Hz ×4, 32 Hz" in text
 
 
 def test_degraded_input_is_drawn_per_kind_and_given_in_numbers(page_of):
     html = page_of(None, ROBUSTNESS).partition("On degraded input")[2]
-    assert html.count("dynamic cells; range noise") >= 2
+    assert html.count("in-motion cells; range noise") >= 2
     assert "good 0.400 0.350 0.300" in text_of(html)
     assert "0.1 m" in html
     assert "scored against the undegraded frames" in text_of(html)
@@ -87,7 +88,7 @@ def test_degraded_input_is_drawn_per_kind_and_given_in_numbers(page_of):
 def test_invalid_conditions_are_refused_in_one_line(page_of, damage):
     deadline, robustness = copy.deepcopy(DEADLINE), copy.deepcopy(ROBUSTNESS)
     if damage == "short":
-        deadline["rates"][0]["f1"]["dynamic"] = [0.5]
+        deadline["rates"][0]["f1"]["in-motion"] = [0.5]
     elif damage == "backwards":
         robustness["kinds"]["range_noise"].reverse()
     else:
@@ -98,7 +99,7 @@ def test_invalid_conditions_are_refused_in_one_line(page_of, damage):
 
 def test_a_stratum_that_was_not_scored_leaves_a_gap(page_of):
     deadline = copy.deepcopy(DEADLINE)
-    del deadline["rates"][1]["f1"]["dynamic"]
+    del deadline["rates"][1]["f1"]["in-motion"]
     assert "0.413 – −50 %" in text_of(page_of(deadline))
 
 

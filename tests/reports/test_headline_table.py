@@ -36,8 +36,12 @@ def test_every_number_is_the_one_of_the_summary_at_its_horizon(table, run_folder
 
 
 def test_columns_are_the_marked_horizons(table):
-    assert table.groups == (("F1, dynamic", 4), ("F1, visible", 4), ("dynamic, 1 s", 5))
-    assert [c.heading for c in table.columns[:4]] == ["0.5 s", "1 s", "2 s", "2.5 s"]
+    assert table.groups == (
+        *((f"F1, {stratum}", 3) for stratum in ("in-motion", "dynamic", "visible")),
+        ("F1, standing", 1),
+        ("in-motion, 1 s", 5),
+    )
+    assert [c.heading for c in table.columns[:3]] == ["0.5 s", "1 s", "2.5 s"]
 
 
 def test_partial_trials_are_not_ranked_and_are_never_best(table):
@@ -50,9 +54,9 @@ def test_partial_trials_are_not_ranked_and_are_never_best(table):
 
 def test_a_partial_trial_cannot_take_the_best_mark_by_scoring_higher(run_folder, tmp_path):
     def raise_partial(summary):
-        dynamic = summary["trackers"]["unlucky"]["recordings"]["crossing"]["strata"]["dynamic"]
-        dynamic["f1"] = [1.0] * len(dynamic["f1"])
-        fair = summary["trackers"]["good"]["recordings"]["crossing"]["strata"]["dynamic"]
+        in_motion = summary["trackers"]["unlucky"]["recordings"]["crossing"]["strata"]["in-motion"]
+        in_motion["f1"] = [1.0] * len(in_motion["f1"])
+        fair = summary["trackers"]["good"]["recordings"]["crossing"]["strata"]["in-motion"]
         fair["f1"] = [0.9] * len(fair["f1"])
 
     (table,) = headline_tables(read_runs([rewritten(run_folder, tmp_path / "run", raise_partial)]))
@@ -70,13 +74,13 @@ def test_less_is_better_for_log_loss_and_precision_alone_is_not_ranked(table):
 
 def test_an_undefined_score_is_a_dash(run_folder, tmp_path):
     def undefine(summary):
-        dynamic = summary["trackers"]["fair"]["recordings"]["crossing"]["strata"]["dynamic"]
-        dynamic["f1"] = [None] * len(dynamic["f1"])
+        in_motion = summary["trackers"]["fair"]["recordings"]["crossing"]["strata"]["in-motion"]
+        in_motion["f1"] = [None] * len(in_motion["f1"])
 
     (table,) = headline_tables(read_runs([rewritten(run_folder, tmp_path / "run", undefine)]))
     (fair,) = [row for row in table.rows if row.label == "fair"]
-    assert [cell.text for cell in fair.cells[:4]] == ["–"] * 4
-    assert not any(cell.best for cell in fair.cells[:4])
+    assert [cell.text for cell in fair.cells[:3]] == ["–"] * 3
+    assert not any(cell.best for cell in fair.cells[:3])
 
 
 def test_nothing_is_best_where_trackers_were_delivered_other_frames(run_folder, tmp_path):
@@ -96,7 +100,7 @@ def test_a_run_of_a_short_horizon_is_shown_at_its_last_step(run_folder, tmp_path
                 scores.update({k: v[:3] for k, v in scores.items() if isinstance(v, list)})
 
     (table,) = headline_tables(read_runs([rewritten(run_folder, tmp_path / "run", cut)]))
-    assert [c.heading for c in table.columns if c.score == "f1"] == ["0.25 s", "0.25 s"]
+    assert [c.heading for c in table.columns if c.score == "f1"] == ["0.25 s"] * 4
     assert table.decisive.step == 2
 
 
@@ -145,6 +149,6 @@ def test_a_score_that_an_earlier_run_does_not_have_is_a_dash_and_not_an_error(ru
                     scores["brier_reliability"] = None
 
     (run,) = read_runs([rewritten(run_folder, tmp_path / "run", without_optional)])
-    scores = run.summary.trackers["good"].recordings["crossing"].strata["dynamic"]
+    scores = run.summary.trackers["good"].recordings["crossing"].strata["in-motion"]
     assert scores.at("brier_reliability", 8) is None
     assert scores.at("f1", 8) is not None

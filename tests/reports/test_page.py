@@ -81,7 +81,7 @@ def test_every_picture_and_figure_has_a_description_in_words(page):
 def test_curves_and_tables_have_the_summarys_numbers(page, run_folder, summary_of):
     text = "".join(Elements(page).text)
     strata = summary_of(run_folder)["trackers"]["fair"]["recordings"]["crossing"]["strata"]
-    for stratum in ("dynamic", "visible", "static"):
+    for stratum in ("in-motion", "dynamic", "visible", "standing", "static"):
         for step in (0, 4, 8, 20):
             assert f"{strata[stratum]['f1'][step]:.3f}" in text
 
@@ -207,10 +207,10 @@ def test_where_nothing_moved_the_lead_does_not_say_that_no_tracker_completed(mak
     run = make_run(tmp_path / "run")
     summary = summary_of(run)
     for entry in summary["trackers"].values():
-        dynamic = entry["recordings"]["crossing"]["strata"]["dynamic"]
-        dynamic["f1"] = [None] * len(dynamic["f1"])
+        in_motion = entry["recordings"]["crossing"]["strata"]["in-motion"]
+        in_motion["f1"] = [None] * len(in_motion["f1"])
     (run / "summary.json").write_text(json.dumps(summary))
-    assert lead_of_run(run, tmp_path).startswith("No tracker has an F1 on dynamic cells 1 s ahead on crossing")
+    assert lead_of_run(run, tmp_path).startswith("No tracker has an F1 on in-motion cells 1 s ahead on crossing")
 
 
 def test_where_only_the_floor_ran_the_lead_says_so(make_run, tmp_path):
@@ -219,14 +219,14 @@ def test_where_only_the_floor_ran_the_lead_says_so(make_run, tmp_path):
     assert lead_of_run(run, tmp_path) == "Only trackers of the floor were run on crossing."
 
 
-def with_dynamic_f1(run, target, **f1):
-    """The run with only these rows, each with this F1 of dynamic cells at every step."""
+def with_f1_in_motion(run, target, **f1):
+    """The run with only these rows, each with this F1 of cells in motion at every step."""
     shutil.copytree(run, target)
     summary = json.loads((target / "summary.json").read_text())
     summary["trackers"] = {label: summary["trackers"][label] for label in f1}
     for label, value in f1.items():
-        dynamic = summary["trackers"][label]["recordings"]["crossing"]["strata"]["dynamic"]
-        dynamic["f1"] = [value] * len(dynamic["f1"])
+        in_motion = summary["trackers"][label]["recordings"]["crossing"]["strata"]["in-motion"]
+        in_motion["f1"] = [value] * len(in_motion["f1"])
     (target / "summary.json").write_text(json.dumps(summary))
     return target
 
@@ -236,32 +236,32 @@ def with_dynamic_f1(run, target, **f1):
     [
         (
             {"good": 0.61234, "fair": 0.5, "persistence": 0.2},
-            "good has the highest F1 on dynamic cells 1 s ahead, 0.612; the floor reaches 0.200 (persistence).",
+            "good has the highest F1 on in-motion cells 1 s ahead, 0.612; the floor reaches 0.200 (persistence).",
         ),
         (
             {"good": 0.6},
-            "good has an F1 of 0.600 on dynamic cells 1 s ahead; no tracker of the floor was run.",
+            "good has an F1 of 0.600 on in-motion cells 1 s ahead; no tracker of the floor was run.",
         ),
         (
             {"good": 0.60001, "fair": 0.6, "blank": 0.0, "persistence": 0.0},
-            "good and fair have the highest F1 on dynamic cells 1 s ahead, 0.600 each; the floor reaches 0.000"
+            "good and fair have the highest F1 on in-motion cells 1 s ahead, 0.600 each; the floor reaches 0.000"
             " (blank and persistence).",
         ),
         (
             {"good": 0.0, "fair": 0.0002, "blank": 0.0},
-            "On dynamic cells 1 s ahead every tracker has an F1 of 0.000.",
+            "On in-motion cells 1 s ahead every tracker has an F1 of 0.000.",
         ),
-        ({"good": 0.0}, "On dynamic cells 1 s ahead every tracker has an F1 of 0.000."),
+        ({"good": 0.0}, "On in-motion cells 1 s ahead every tracker has an F1 of 0.000."),
         (
             {"good": 0.2001, "fair": 0.1, "persistence": 0.2},
-            "No tracker beats the floor on dynamic cells 1 s ahead: persistence at an F1 of 0.200, the highest of the"
+            "No tracker beats the floor on in-motion cells 1 s ahead: persistence at an F1 of 0.200, the highest of the"
             " trackers, good, at 0.200.",
         ),
         (
             {"good": 0.0, "persistence": 0.2},
-            "No tracker beats the floor on dynamic cells 1 s ahead: persistence at an F1 of 0.200, good at 0.000.",
+            "No tracker beats the floor on in-motion cells 1 s ahead: persistence at an F1 of 0.200, good at 0.000.",
         ),
     ],
 )
 def test_the_lead_names_the_highest_score_and_calls_no_tracker_the_best(run_folder, tmp_path, f1, lead):
-    assert lead_of_run(with_dynamic_f1(run_folder, tmp_path / "run", **f1), tmp_path) == lead
+    assert lead_of_run(with_f1_in_motion(run_folder, tmp_path / "run", **f1), tmp_path) == lead

@@ -71,9 +71,9 @@ def test_a_file_too_large_is_refused_before_it_is_read(copied):
 
 def test_curves_that_do_not_reach_every_horizon_are_refused(copied):
     summary = json.loads((copied / "summary.json").read_text())
-    summary["trackers"]["fair"]["recordings"]["crossing"]["strata"]["dynamic"]["f1"].pop()
+    summary["trackers"]["fair"]["recordings"]["crossing"]["strata"]["in-motion"]["f1"].pop()
     change(copied, **summary)
-    assert "fair on crossing, dynamic" in refusal(copied)
+    assert "fair on crossing, in-motion" in refusal(copied)
 
 
 @pytest.mark.parametrize("last", [float("inf"), float("nan"), 1e12])
@@ -87,10 +87,10 @@ def test_horizons_beyond_the_limit_are_refused(copied, last):
 def test_unknown_keys_are_left_alone_and_nan_is_undefined(copied):
     summary = json.loads((copied / "summary.json").read_text())
     summary["later"] = {"anything": 1}
-    summary["trackers"]["fair"]["recordings"]["crossing"]["strata"]["dynamic"]["f1"][3] = float("nan")
+    summary["trackers"]["fair"]["recordings"]["crossing"]["strata"]["in-motion"]["f1"][3] = float("nan")
     change(copied, **summary)
     (run,) = read_runs([copied])
-    assert run.summary.trackers["fair"].recordings["crossing"].strata["dynamic"].f1[3] is None
+    assert run.summary.trackers["fair"].recordings["crossing"].strata["in-motion"].f1[3] is None
 
 
 def test_runs_of_the_same_name_are_named_by_their_paths(run_folder, tmp_path):

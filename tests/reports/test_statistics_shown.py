@@ -59,7 +59,7 @@ def test_all_recordings_together_are_the_first_and_the_main_table(run, pooled):
 def test_every_f1_of_a_complete_row_has_its_interval_around_it(pooled):
     for row in pooled.rows_in("ranked") + pooled.rows_in("floor"):
         f1 = [cell for column, cell in zip(pooled.columns, row.cells, strict=True) if column.score == "f1"]
-        assert len(f1) == 8
+        assert len(f1) == 10
         assert all(cell.interval[0] < cell.value < cell.interval[1] for cell in f1)
 
 
@@ -78,14 +78,14 @@ def test_a_tracker_that_missed_a_recording_is_not_ranked_and_says_how_many_it_ha
 def test_the_page_calls_better_only_a_significantly_better_tracker(page):
     differences = page.partition("Difference from persistence")[2].partition("</section>")[0]
     good, even = (differences.partition(name)[2].partition("</tr>")[0] for name in (">good<", "&lt;b&gt;even"))
-    assert good.count(", better</small>") == 6
-    assert even.count("no difference shown</small>") == 6
+    assert good.count(", better</small>") == 9
+    assert even.count("no difference shown</small>") == 9
     assert "<b>even" not in page
 
 
 def test_the_page_draws_a_band_round_every_curve_that_has_an_interval(page):
     together = page.partition('<details><summary class="name">')[0]
-    assert together.count('class="band"') == 3 * 4
+    assert together.count('class="band"') == 5 * 4
     assert 'class="band"' not in page[len(together) :]
 
 
@@ -94,7 +94,7 @@ def test_the_terminal_shows_the_pooled_table_and_the_differences_only(run, capsy
     shown = capsys.readouterr().out
     assert shown.startswith("all recordings\n")
     assert "seed-07" not in shown
-    assert shown.count(" better ") == 6
+    assert shown.count(" better ") == 9
     assert "not compared: unlucky has 19 of 20 recordings complete" in shown
 
 

@@ -91,7 +91,7 @@ def test_a_reference_asked_for_that_gives_classes_is_the_reference(trials):
 
 def test_the_classes_are_no_part_of_the_headline_family(trials):
     tests = [test for one in summary_of(trials, RECORDINGS).differences for test in one.headline]
-    assert {test.stratum for test in tests} == {"dynamic", "visible"}
+    assert {test.stratum for test in tests} == {"in-motion", "dynamic", "visible"}
 
 
 def test_one_short_recording_has_no_interval_and_says_why(trials):

@@ -92,7 +92,7 @@ def test_better_is_said_where_it_is_shown_over_the_whole_family(twenty):
         160,
     )
     assert {(t.stratum, t.horizon_s) for t in good.headline} == {
-        (stratum, h) for stratum in ("dynamic", "visible") for h in (0.5, 1.0, 2.5)
+        (stratum, h) for stratum in ("in-motion", "dynamic", "visible") for h in (0.5, 1.0, 2.5)
     }
     for test in good.headline:
         assert test.verdict == "better"
