@@ -27,6 +27,7 @@ RateOption = Annotated[float | None, typer.Option(help="Frames per second; defau
 WeightsOption = Annotated[
     Path | None, typer.Option(help="Folder of learned weights, searched before the user's own and the shipped ones")
 ]
+TrackersTomlOption = Annotated[Path | None, typer.Option(help="Trackers of other environments and programs")]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON")]
 
 

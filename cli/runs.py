@@ -13,6 +13,7 @@ from gridtrack.cli.options import (
     JsonOption,
     RateOption,
     RecordingsArgument,
+    TrackersTomlOption,
     WeightsOption,
     command_line,
     default_of,
@@ -52,7 +53,7 @@ def compare_command(
     predict_timeout: Annotated[str | None, typer.Option(help="Time limit for each forecast")] = None,
     seed: Annotated[int | None, typer.Option(help="Seed of every tracker and of degraded input")] = None,
     weights: WeightsOption = None,
-    trackers_toml: Annotated[Path | None, typer.Option(help="Trackers of other environments and programs")] = None,
+    trackers_toml: TrackersTomlOption = None,
     resume: Annotated[bool, typer.Option(help="Run only the trials that are missing in the run's folder")] = False,
     allow_leak: Annotated[
         bool, typer.Option(help="Score a tracker on frames that it learned from too: it is marked and not ranked")
@@ -181,7 +182,9 @@ def _settings(model: Any, values: dict[str, Any]) -> Any:
 
 def report_command(
     runs: Annotated[list[Path], typer.Argument(metavar="RUN...", help="The folder of a run")],
-    out: Annotated[Path | None, typer.Option(help="The page; default: report/index.html in the run's folder")] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="The folder of the page; default: report in the run's folder")
+    ] = None,
 ) -> None:
     """Write the report of a run again, or of several runs side by side."""
     from gridtrack.reports.page import render_report

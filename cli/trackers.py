@@ -10,8 +10,16 @@ from typing import Annotated, Any
 
 import typer
 
-from gridtrack.cli.options import GridOption, JsonOption, RateOption, WeightsOption, default_of, with_defaults
-from gridtrack.common.errors import ConfigurationError, GridtrackError, PluginError
+from gridtrack.cli.options import (
+    GridOption,
+    JsonOption,
+    RateOption,
+    TrackersTomlOption,
+    WeightsOption,
+    default_of,
+    with_defaults,
+)
+from gridtrack.common.errors import INTERRUPTED_EXIT_CODE, ConfigurationError, GridtrackError, PluginError, printable
 
 app = typer.Typer(
     no_args_is_help=True, help="The trackers: list, show, check, new; migrate: rewrite older weights cards."
@@ -54,7 +62,11 @@ def train_command(
         "rate_hz": rate,
     }
     overrides = {key: value for key, value in given.items() if value is not None}
-    card = train_tracker(complete_recipe(_base_recipe(recipe, like), overrides), typer.echo)
+    try:
+        card = train_tracker(complete_recipe(_base_recipe(recipe, like), overrides), typer.echo)
+    except KeyboardInterrupt as stopped:
+        typer.echo(f"gridtrack: {printable(str(stopped)) or 'interrupted before the training began'}", err=True)
+        raise typer.Exit(INTERRUPTED_EXIT_CODE) from None
     typer.echo(f"weights: {card}")
 
 
@@ -92,36 +104,53 @@ def _base_recipe(recipe: Path | None, like: Path | None) -> Any:
 
 
 @app.command("list")
-def list_trackers(as_json: JsonOption = False) -> None:
-    """List the registered trackers, with the reason for those that are unavailable. Each runs in its own process."""
+def list_trackers(
+    weights: WeightsOption = None, trackers_toml: TrackersTomlOption = None, as_json: JsonOption = False
+) -> None:
+    """List the trackers: ready, untrained (no weights for any site), or unavailable with the reason.
+
+    Each is described by its own process.
+    """
     from concurrent.futures import ThreadPoolExecutor
 
     from gridtrack.reports.terminal import print_rows
     from gridtrack.trackers import registry
+    from gridtrack.trackers.selection import read_trackers_toml
 
+    external = read_trackers_toml(trackers_toml) if trackers_toml else {}
+    origins = {name: entry.distribution for name, entry in registry.entries().items()}
+    origins |= dict.fromkeys(external, str(trackers_toml))
     with ThreadPoolExecutor() as pool:
-        rows = list(pool.map(_listed, registry.entries().values()))
+        rows = list(pool.map(lambda name: _listed(name, origins[name], external, weights), origins))
     typer.echo(json.dumps(rows, indent=1)) if as_json else print_rows(rows)
 
 
-def _listed(entry: Any) -> dict[str, str]:
-    row = {"name": entry.name, "from": entry.distribution}
+def _listed(name: str, origin: str, external: Any, weights: Path | None) -> dict[str, str]:
+    """The row of one tracker; `sites` are those that it has weights for, "" for one that needs none."""
+    from gridtrack.evaluation.comparison.learned import sites_with_weights
+    from gridtrack.trackers import registry
+
+    row = {"name": name, "from": origin}
     try:
-        return {**row, "state": "ready", "about": _first_line(_describe(entry.name).about)}
+        described = _describe(name, external)
+        sites = sites_with_weights(name, weights) if described.learns else ()
     except GridtrackError as error:
-        return {**row, "state": "unavailable", "about": entry.problem or str(error)}
+        problem = "" if name in external else registry.entries()[name].problem
+        return {**row, "state": "unavailable", "sites": "", "about": problem or str(error)}
+    state = "untrained" if described.learns and not sites else "ready"
+    return {**row, "state": state, "sites": ", ".join(sites), "about": _first_line(described.about)}
 
 
 def _first_line(text: str) -> str:
     return text.partition("\n")[0]
 
 
-def _describe(name: str) -> Any:
+def _describe(name: str, external: Any = None) -> Any:
     from gridtrack.evaluation.processes.limits import Limits
     from gridtrack.evaluation.processes.tracker_process import describe
     from gridtrack.trackers.selection import launch
 
-    return describe(launch(name), {}, Limits())
+    return describe(launch(name, external), {}, Limits())
 
 
 @app.command("show")
@@ -167,7 +196,7 @@ def check_command(
     tracker: Annotated[str, typer.Argument(metavar="NAME[:KEY=VALUE,...]")],
     recording: Annotated[str | None, typer.Option(help="Check with the grid, rate and site of this recording")] = None,
     weights: WeightsOption = None,
-    trackers_toml: Annotated[Path | None, typer.Option(help="Trackers of other environments and programs")] = None,
+    trackers_toml: TrackersTomlOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Check that a tracker keeps the plugin contract, in its own process. Exit code 1 where it does not."""

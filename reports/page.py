@@ -14,7 +14,7 @@ from gridtrack.common.files import write_text
 from gridtrack.reports.notices import Notice, notices_of
 from gridtrack.reports.pictures import scale_png
 from gridtrack.reports.recording_section import section_of, styles_of
-from gridtrack.reports.run import UNDEFINED, Run, read_runs
+from gridtrack.reports.run import UNDEFINED, ReportError, Run, read_runs
 from gridtrack.reports.run_description import facts_of, lead_of, provenance_of, title_of
 from gridtrack.reports.table import headline_tables, main_tables
 
@@ -22,13 +22,18 @@ TEMPLATES = Path(__file__).parent / "templates"
 
 
 def render_report(runs: Sequence[Path], out: Path | None = None) -> Path:
-    """Write the report of `runs` and return its path: `out`, or report/index.html in the run's folder.
+    """Write the report of `runs` and return its path: index.html in the folder `out`, or report of the run's folder.
 
-    Several runs are on one page, side by side: `out`, or report/side-by-side.html of the first. Raises RunError and
-    ReportError.
+    Several runs are on one page, side by side: without `out` it is report/side-by-side.html of the first. Raises
+    RunError and ReportError.
     """
+    if out is not None and (out.is_file() or out.suffix in (".html", ".htm")):
+        raise ReportError(
+            f"{out}: the report is index.html in a folder: name the folder, as in --out {out.with_suffix('')}"
+        )
     content = render_page(read_runs(runs))
-    path = out or runs[0] / "report" / ("index.html" if len(runs) == 1 else "side-by-side.html")
+    beside = runs[0] / "report" / ("index.html" if len(runs) == 1 else "side-by-side.html")
+    path = out / "index.html" if out is not None else beside
     path.parent.mkdir(parents=True, exist_ok=True)
     write_text(path, content)
     return path

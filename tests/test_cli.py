@@ -162,6 +162,19 @@ def test_every_registered_tracker_is_listed():
     assert {row["state"] for row in rows if row["name"] in built_in} == {"ready"}
 
 
+def test_a_tracker_that_learns_is_listed_with_its_sites_or_as_untrained(tmp_path):
+    toml = tmp_path / "trackers.toml"
+    toml.write_text(
+        f'[elsewhere]\npython = "{sys.executable}"\ntracker = "static-map"\n[broken]\ncommand = "./absent"\n'
+    )
+    rows = json.loads(gridtrack("trackers", "list", "--json", "--trackers-toml", str(toml)).stdout)
+    listed = {row["name"]: (row["state"], row["sites"]) for row in rows}
+    assert listed["static-map"] == ("ready", "junction, leg_tracker")
+    assert listed["persistence"] == ("ready", "")
+    assert listed["elsewhere"] == ("untrained", "")
+    assert listed["broken"] == ("unavailable", "")
+
+
 def test_show_lists_the_options_and_their_defaults():
     shown = json.loads(gridtrack("trackers", "show", "static-map", "--json").stdout)
     assert shown["learns"] is True

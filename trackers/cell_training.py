@@ -15,6 +15,7 @@ from torch.nn import functional
 
 from gridtrack.common.grid import LabelledFrame
 from gridtrack.trackers.cell_classifier import CellClassifier
+from gridtrack.trackers.contract import FitOutput
 from gridtrack.trackers.label_settings import ClassifierSettings
 from gridtrack.trackers.labelled_stretch import class_indices, inverse_frequency
 
@@ -89,6 +90,8 @@ class TrainedClassifier:
     update: int
     log_loss: float
     temperature: float = 1.0
+    reached: str = ""
+    """How far an interrupted search had come when this was its best classifier; "" for one that finished."""
 
 
 def best_classifier(
@@ -96,22 +99,31 @@ def best_classifier(
     given: Mapping[str, Any],
     training: LabelledCells,
     validation: LabelledCells,
-    seed: int,
-    report: Callable[[str], None],
+    out: FitOutput,
 ) -> TrainedClassifier:
     """The classifier with the least log loss on `validation` of SETTINGS_TRIED settings; `given` settings are fixed.
 
-    `build` returns an untrained classifier.
+    `build` returns an untrained classifier. An interrupt ends the search at the best so far. Raises KeyboardInterrupt
+    where there is none yet.
     """
-    best = None
-    for settings in candidate_settings(given, seed):
-        torch.manual_seed(seed)
-        tried = calibrated(train_classifier(build(settings), settings, training, validation), validation)
-        best = tried if best is None or tried.log_loss < best.log_loss else best
-        report(
-            f"channels {settings.channels}, learning rate {settings.learning_rate:g}, weight decay"
-            f" {settings.weight_decay:g}: validation log loss {tried.log_loss:.4f} nats a cell"
-        )
+    candidates, best = tuple(candidate_settings(given, out.seed)), None
+    with out.progress.stage("classifier", len(candidates)) as stage:
+        for settings in candidates:
+            torch.manual_seed(out.seed)
+            try:
+                with out.progress.stage("update", settings.updates) as updates:
+                    trained = train_classifier(build(settings), settings, training, validation, updates.advance)
+                tried = calibrated(trained, validation)
+            except KeyboardInterrupt:
+                if best is None:
+                    raise
+                return replace(best, reached=f"classifier {stage.done} of {len(candidates)}")
+            best = tried if best is None or tried.log_loss < best.log_loss else best
+            stage.advance()
+            out.report(
+                f"channels {settings.channels}, learning rate {settings.learning_rate:g}, weight decay"
+                f" {settings.weight_decay:g}: validation log loss {tried.log_loss:.4f} nats a cell"
+            )
     assert best is not None
     return best
 
@@ -135,7 +147,11 @@ def _log_uniform(draw: np.random.Generator, low: float, high: float) -> float:
 
 
 def train_classifier(
-    classifier: CellClassifier, settings: ClassifierSettings, training: LabelledCells, validation: LabelledCells
+    classifier: CellClassifier,
+    settings: ClassifierSettings,
+    training: LabelledCells,
+    validation: LabelledCells,
+    on_update: Callable[[], None] = lambda: None,
 ) -> TrainedClassifier:
     """AdamW on batches of `training`, classes weighted by inverse frequency; the weights best on `validation`.
 
@@ -155,6 +171,7 @@ def train_classifier(
         loss.backward()  # type: ignore[no-untyped-call]
         optimizer.step()
         schedule.step()
+        on_update()
         if update % every == 0 or update == settings.updates:
             log_loss = validation_log_loss(classifier, validation)
             if best is None or log_loss < best[0]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar, Literal, Protocol
 
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from gridtrack.common.config import Settings
 from gridtrack.common.grid import GridFrame, GridSpec, LabelledFrame
+from gridtrack.trackers.progress import Progress
 
 API = 1
 Role = Literal["tracker", "floor"]
@@ -116,7 +117,9 @@ class FitOutput:
     log_dir: Path
     """Folder for logs and checkpoints of `fit`; a second call with the same folder resumes."""
     report: Callable[[str], None] = print
-    """One line of progress."""
+    """One line for the user."""
+    progress: Progress = field(default_factory=Progress)
+    """The stages of `fit`; the host reports their rate and the time left every few seconds."""
 
 
 class Tracker(ABC):

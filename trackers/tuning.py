@@ -2,21 +2,25 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import islice
+from pathlib import Path
 from typing import Any, Generic, Literal, NamedTuple, TypeVar
 
 import optuna
 
 from gridtrack.common.config import Settings
 from gridtrack.common.errors import RecordingError
+from gridtrack.common.files import read_bounded, write_text
 from gridtrack.common.grid import GridFrame, GridSpec, LabelledFrame
 from gridtrack.trackers.contract import FitOutput, FrameSource, StretchScore
 
-REPORT_EVERY = 10
-"""Search iterations between two progress reports."""
+SEARCH_FILE = "search.json"
+MAX_LOG_BYTES = 1 << 24
 
 _Tuned = TypeVar("_Tuned", bound=Settings)
 
@@ -68,6 +72,41 @@ class Objective(NamedTuple, Generic[_Tuned]):
     of: Callable[[_Tuned], float]
 
 
+class SearchInterrupted(KeyboardInterrupt):
+    """A search was interrupted: its `best` settings so far, and how far it had `reached`."""
+
+    def __init__(self, best: Any, reached: str) -> None:
+        super().__init__(reached)
+        self.best, self.reached = best, reached
+
+
+class SearchLog:
+    """The values of the iterations of a search, in a file: a search of the same seed tries the same settings again."""
+
+    def __init__(self, path: Path, searched: Mapping[str, Any]) -> None:
+        """`searched` describes the search: values of another one are not used."""
+        self._path, self._searched = path, json.loads(json.dumps(searched))
+        self._values: dict[str, float] = {}
+        with suppress(FileNotFoundError, ValueError, RecursionError, AttributeError):
+            found = json.loads(read_bounded(path, MAX_LOG_BYTES, RecordingError))
+            if found.get("search") == self._searched:
+                self._values = {str(key): float(value) for key, value in found["values"].items()}
+
+    def value(self, tried: Mapping[str, float], evaluate: Callable[[], float]) -> float:
+        """The value of the settings `tried`: that of the file, else evaluated and written. Raises OSError."""
+        key = json.dumps(tried, sort_keys=True)
+        if key not in self._values:
+            self._values[key] = evaluate()
+            self._path.parent.mkdir(parents=True, exist_ok=True)
+            write_text(self._path, json.dumps({"search": self._searched, "values": self._values}))
+        return self._values[key]
+
+
+def delete_search_log(out: FitOutput) -> None:
+    """Delete the values of a search whose result is written: a search with other code must not use them."""
+    (out.log_dir / SEARCH_FILE).unlink(missing_ok=True)
+
+
 def search_settings(
     kind: type[_Tuned],
     ranges: Mapping[str, tuple[float, float]],
@@ -75,20 +114,35 @@ def search_settings(
     starts: Sequence[_Tuned],
     given: Mapping[str, Any],
     iterations: int,
+    train: Sequence[FrameSource],
     out: FitOutput,
 ) -> _Tuned:
     """The best settings of `iterations` of a tree-structured Parzen estimator, which starts with `starts`.
 
     Each key of `ranges` is searched log-uniformly from low to high. Settings in `given` are not searched; if no key
-    remains they are returned. The same seed gives the same search. An interrupted search reports its best settings.
-    Raises RecordingError where the objective is undefined.
+    remains they are returned. The same seed gives the same search. The value of each iteration is written to
+    `out.log_dir`: an interrupted search with the same `train` continues there, until `delete_search_log`. Raises
+    RecordingError where the objective is undefined, SearchInterrupted where it is interrupted after an iteration.
     """
     tuned = {key: bounds for key, bounds in ranges.items() if key not in given}
     if not tuned:
         return kind(**given)
+    searched = {
+        "objective": objective.name,
+        "ranges": {key: list(bounds) for key, bounds in tuned.items()},
+        "given": dict(given),
+        "starts": [start.model_dump(mode="json") for start in starts],
+        "seed": out.seed,
+        "train": [[source.name, source.sha256, len(source)] for source in train],
+    }
+    known = SearchLog(out.log_dir / SEARCH_FILE, searched)
 
     def value_of(trial: optuna.Trial) -> float:
-        value = objective.of(kind(**given, **{key: _suggested(trial, key, *tuned[key]) for key in tuned}))
+        tried = {key: _suggested(trial, key, *tuned[key]) for key in tuned}
+        return known.value(tried, lambda: evaluated(tried))
+
+    def evaluated(tried: Mapping[str, float]) -> float:
+        value = objective.of(kind(**given, **tried))
         if not math.isfinite(value):
             raise RecordingError(
                 f"{objective.name} is not defined on the training recordings: no visible cell was occupied by a moving"
@@ -96,33 +150,30 @@ def search_settings(
             )
         return value
 
-    def report(study: optuna.Study, trial: optuna.trial.FrozenTrial) -> None:
-        if trial.number % REPORT_EVERY == 0:
-            out.report(f"search iteration {trial.number + 1} of {iterations}, {objective.name} {study.best_value:.5f}")
-
     optuna.logging.set_verbosity(optuna.logging.ERROR)  # exceptions of the objective are raised, not logged as well
     sampler = optuna.samplers.TPESampler(seed=out.seed, multivariate=True)
     study = optuna.create_study(direction=objective.better, sampler=sampler)
     for start in starts:
         study.enqueue_trial({key: getattr(start, key) for key in tuned})
     try:
-        study.optimize(value_of, n_trials=iterations, callbacks=[report])
+        with out.progress.stage("search iteration", iterations) as stage:
+            study.optimize(
+                value_of,
+                n_trials=iterations,
+                callbacks=[lambda study, _: stage.advance(f"best {objective.name} {study.best_value:.5f}")],
+            )
     except KeyboardInterrupt:
-        _report_best(study, objective.name, out)
-        raise
+        if not stage.done:
+            raise
+        raise SearchInterrupted(
+            kind(**given, **_best(study)), f"search iteration {stage.done} of {iterations}"
+        ) from None
+    out.report(f"best of {iterations} search iterations: {objective.name} {study.best_value:.5f}")
     return kind(**given, **_best(study))
 
 
 def _best(study: optuna.Study) -> dict[str, float]:
     return {key: three_digits(value) for key, value in study.best_params.items()}
-
-
-def _report_best(study: optuna.Study, name: str, out: FitOutput) -> None:
-    """Report the best settings of an interrupted search, in the form of options."""
-    done = study.get_trials(states=[optuna.trial.TrialState.COMPLETE])
-    if done:
-        found = ",".join(f"{key}={value:g}" for key, value in _best(study).items())
-        out.report(f"interrupted; best of {len(done)} search iterations, {name} {study.best_value:.5f}: {found}")
 
 
 def stretch_summary(score: StretchScore, source: FrameSource, horizons_s: Sequence[float]) -> dict[str, Any]:

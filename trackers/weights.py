@@ -64,6 +64,8 @@ class Card(Settings):
     arrays_sha256: str = ""
     classes: tuple[str, ...] = ()
     """The classes of the tracker, in its order; scores match them with those of a recording by name."""
+    interrupted: str = ""
+    """How far an interrupted training came, such as "update 200 of 1000"; empty for one that finished."""
     settings: dict[str, Any] = Field(default_factory=dict)
     results: dict[str, Any] = Field(default_factory=dict)
 
@@ -156,6 +158,19 @@ def save_weights(path: Path, card: Card, arrays: Mapping[str, NDArray[Any]]) -> 
             files.enter_context(atomic_write(arrays_path)).write(blob)
         card_file.write(_card_text(card).encode())
     _previous(arrays_path).unlink(missing_ok=True)
+
+
+def save_interrupted(path: Path, card: Card, arrays: Mapping[str, NDArray[Any]], reached: str) -> None:
+    """Write the best so far of a training that was interrupted when it had `reached` this far.
+
+    Weights of a training that finished are kept, unless this one adds classes to them: then nothing is written. Raises
+    OSError.
+    """
+    with suppress(WeightsError):
+        earlier = read_card(path)
+        if not earlier.interrupted and (earlier.classes or not card.classes):
+            return
+    save_weights(path, card.model_copy(update={"interrupted": reached}), arrays)
 
 
 def _previous(arrays_path: Path) -> Path:

@@ -10,12 +10,13 @@ from __future__ import annotations
 import faulthandler
 import signal
 import sys
+import threading
 import traceback
-from collections.abc import Callable
 from pathlib import Path
 
 from gridtrack.common.config import Settings, validated
 from gridtrack.common.errors import INTERRUPTED_EXIT_CODE, GridtrackError, PluginError
+from gridtrack.evaluation.comparison.progress_lines import ProgressLines
 from gridtrack.evaluation.comparison.stored_stretch import StoredStretch
 from gridtrack.evaluation.processes.supervisor import PR_SET_PDEATHSIG, prctl
 from gridtrack.evaluation.scoring.in_process import score_in_process
@@ -23,8 +24,6 @@ from gridtrack.trackers import registry
 from gridtrack.trackers.contract import FitOutput, Tracker
 from gridtrack.trackers.serve import error_line, take_wire
 from gridtrack.trackers.wire import Message, encode, fill_from, receive, write_to
-
-Report = Callable[[str], None]
 
 
 def main() -> None:
@@ -34,13 +33,17 @@ def main() -> None:
     prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
     fill = fill_from(read_fd)
 
+    sending = threading.Lock()
+
     def send(kind: str, **fields: str) -> None:
-        write_to(write_fd, encode(Message(kind, 0, fields)))
+        with sending:
+            write_to(write_fd, encode(Message(kind, 0, fields)))
 
     try:
         tracker, settings = _load(sys.argv[1], receive(fill, 0))
         send("loaded")
-        _fit(tracker, settings, receive(fill, 0), lambda text: send("report", text=str(text)))
+        with ProgressLines(lambda text: send("report", text=text)) as lines:
+            _fit(tracker, settings, receive(fill, 0), lines)
         send("done")
     except KeyboardInterrupt:
         sys.exit(INTERRUPTED_EXIT_CODE)
@@ -56,13 +59,16 @@ def _load(name: str, request: Message) -> tuple[type[Tracker], Settings]:
     return tracker, validated(tracker.Options, request.value("options", dict), f"tracker '{name}'")
 
 
-def _fit(tracker: type[Tracker], settings: Settings, request: Message, report: Report) -> None:
+def _fit(tracker: type[Tracker], settings: Settings, request: Message, lines: ProgressLines) -> None:
     """Run `fit` on the stretches of the request."""
     train, validation = (
-        [StoredStretch(Path(path)) for path in request.value(use, list)] for use in ("train", "validation")
+        [StoredStretch(Path(path), lines.progress) for path in request.value(use, list)]
+        for use in ("train", "validation")
     )
     path, log_dir = (Path(request.value(name, str)) for name in ("path", "log_dir"))
-    output = FitOutput(path, request.value("command", str), request.value("seed", int), log_dir, report)
+    output = FitOutput(
+        path, request.value("command", str), request.value("seed", int), log_dir, lines.report, lines.progress
+    )
     tracker.fit(train, validation, score_in_process, output, settings)
 
 

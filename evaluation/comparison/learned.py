@@ -60,6 +60,12 @@ def find_weights(tracker: str, site: str, override: Path | None) -> LearnedWeigh
     return None
 
 
+def sites_with_weights(tracker: str, override: Path | None) -> tuple[str, ...]:
+    """The sites that `tracker` has weights for in any folder, sorted."""
+    found = (path for folder in _folders(override) for path in (folder / tracker).glob("*.toml"))
+    return tuple(sorted({path.stem for path in found}))
+
+
 def weights_in(folder: Path, tracker: str, site: str) -> LearnedWeights:
     """The weights of `tracker` for `site` in `folder` only. Raises WeightsError where there are none."""
     path = weights_path(folder, tracker, site)

@@ -174,6 +174,11 @@ def resolve(settings: CompareSettings) -> ComparisonPlan:
         for selection in selections
     )
     notices = [notice for split in splits for notice in split.notices]
+    notices += [
+        f"{trial.label}: {trial.weights.name} is of a training that was interrupted at {trial.weights.card.interrupted}"
+        for trial in trials
+        if trial.weights and trial.weights.card.interrupted
+    ]
     if settings.allow_leak:
         notices += [f"{trial.label} is not ranked: {leak}" for trial in trials for leak in trial.leaks]
     else:

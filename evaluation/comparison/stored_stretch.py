@@ -12,6 +12,7 @@ from gridtrack.recordings.cell_labels import check_labels, labelled_returns
 from gridtrack.recordings.stream import GridStream
 from gridtrack.trackers import messages
 from gridtrack.trackers.contract import stream_of
+from gridtrack.trackers.progress import Progress
 from gridtrack.trackers.wire import Fill, Message, encode, receive
 
 
@@ -40,8 +41,8 @@ def store_stretch(stream: GridStream, path: Path) -> Path:
 class StoredStretch:
     """A FrameSource that reads the file of `store_stretch`; it has the members of a FrameSource and nothing else."""
 
-    def __init__(self, path: Path) -> None:
-        """Raises WireError, OSError."""
+    def __init__(self, path: Path, progress: Progress | None = None) -> None:
+        """Reading is a stage of `progress`. Raises WireError, OSError."""
         with gzip.open(path, "rb") as file:
             header = receive(_fill_from(file), 0)
         stream = messages.stream_from(header)
@@ -53,7 +54,7 @@ class StoredStretch:
         self.classes = stream.classes
         self._frames = header.value("frames", int)
         self._start_s = header.value("start_s", float)
-        self._path = path
+        self._path, self._progress = path, progress or Progress()
 
     def __len__(self) -> int:
         return self._frames
@@ -75,8 +76,10 @@ class StoredStretch:
         with gzip.open(self._path, "rb") as file:
             fill = _fill_from(file)
             receive(fill, 0)
-            for _ in range(self._frames):
-                yield receive(fill, limit)
+            with self._progress.stage(f"{self.name}, frame", self._frames) as stage:
+                for _ in range(self._frames):
+                    yield receive(fill, limit)
+                    stage.advance()
 
 
 def _fill_from(file: IO[bytes] | gzip.GzipFile) -> Fill:

@@ -19,7 +19,7 @@ from gridtrack.recordings import open_recording
 from gridtrack.recordings.recording import stretch_text
 from gridtrack.recordings.stream import GridStream, parse_stretch
 from gridtrack.trackers.contract import FitOutput
-from gridtrack.trackers.weights import TrainingData, complete_card
+from gridtrack.trackers.weights import TrainingData, complete_card, read_card
 
 COMMAND = "the command of the training"
 """What `fit` receives in place of the command, which names the files of recordings; the card gets the command after."""
@@ -30,7 +30,8 @@ def train_tracker(recipe: Recipe, report: Callable[[str], None] = print) -> Path
 
     A recording without a range, and validation where none is given, is the recording's stretch of that name. `fit` runs
     in a process of its own, which receives the frames of these stretches and nothing else of the recordings. Logs and
-    checkpoints are written beside the card to `<site>.logs`; a second call resumes there. Raises GridtrackError.
+    checkpoints are written beside the card to `<site>.logs`; a second call resumes there. Raises GridtrackError, and
+    KeyboardInterrupt with a line about what is kept.
     """
     recordings = [parse_stretch(text)[0] for text in (*recipe.recordings, *recipe.validation)]
     with (
@@ -45,10 +46,27 @@ def train_tracker(recipe: Recipe, report: Callable[[str], None] = print) -> Path
         train, validation = _stored(train_on, Path(folder, "train")), _stored(validate_on, Path(folder, "validation"))
         try:
             process.fit(train, validation, output)
+        except KeyboardInterrupt:
+            interrupted = True
+        else:
+            interrupted = False
         finally:
             if path.exists():
                 complete_card(path, COMMAND, recipe.command, _data_of(train_on), _data_of(validate_on))
+    if interrupted:
+        raise KeyboardInterrupt(_what_is_kept(path))
     return path
+
+
+def _what_is_kept(path: Path) -> str:
+    """What an interrupted training leaves, and how to go on, in one line."""
+    again = "the same command goes on"
+    if not path.exists():
+        return f"interrupted before there was a result; {again}"
+    reached = read_card(path).interrupted
+    if not reached:
+        return f"interrupted; {path} keeps the weights of an earlier training; {again}"
+    return f"interrupted at {reached}; {path} has the best so far; {again}"
 
 
 def _stretches(recipe: Recipe) -> tuple[list[GridStream], list[GridStream]]:

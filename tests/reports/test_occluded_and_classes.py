@@ -100,7 +100,7 @@ def test_the_page_shows_them_with_every_name_escaped(truth_run):
 def test_a_run_without_truth_has_no_such_section(run_folder):
     assert occluded_table(table_of(run_folder)) is None
     assert class_tables(table_of(run_folder), *read_runs([run_folder])) is None
-    page = render_report([run_folder], run_folder / "page.html").read_text()
+    page = render_report([run_folder], run_folder / "page").read_text()
     assert "Occluded cells" not in page
 
 

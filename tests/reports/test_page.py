@@ -139,7 +139,7 @@ def test_hostile_names_are_text_and_nothing_else(make_run, run_folder, tmp_path)
     machine = {"cpu": HOSTILE, "cores": 2, "memory_gb": 8.0, "system": HOSTILE}
     hostile = {"command": [HOSTILE], HOSTILE: HOSTILE, "machine": machine, "versions": {HOSTILE: HOSTILE}}
     (run / "run.json").write_text(json.dumps(run_json | hostile))
-    page = page_of(run, out=tmp_path / "page.html")
+    page = page_of(run, out=tmp_path / "page")
     assert_self_contained(page)
     assert "".join(Elements(page).text).count(HOSTILE) >= 5
     assert "49" not in {text.strip() for text in Elements(page).text}
@@ -147,7 +147,7 @@ def test_hostile_names_are_text_and_nothing_else(make_run, run_folder, tmp_path)
 
 def test_without_thresholds_of_a_validation_stretch_there_is_no_figure_of_them(make_run, tmp_path):
     run = make_run(tmp_path / "run", chosen_on="", notices=["no validation stretch, so every threshold is 0.5"])
-    page = page_of(run, out=tmp_path / "page.html")
+    page = page_of(run, out=tmp_path / "page")
     assert "Effect of the threshold" not in page
     assert "no validation stretch, so every threshold is 0.5" in page
 
@@ -156,7 +156,7 @@ def test_a_run_of_which_nothing_was_kept_for_viewing_has_no_filmstrip(run_folder
     run = shutil.copytree(run_folder, tmp_path / "run")
     for samples in run.glob(f"*/{SAMPLES}"):
         samples.unlink()
-    page = page_of(run, out=tmp_path / "page.html")
+    page = page_of(run, out=tmp_path / "page")
     assert "Chosen frames" not in page
 
 
@@ -164,7 +164,7 @@ def test_damaged_samples_have_a_notice_and_the_rest_is_shown(run_folder, tmp_pat
     run = shutil.copytree(run_folder, tmp_path / "run")
     path = run / "fair@crossing" / SAMPLES
     path.write_bytes(path.read_bytes()[:-4000])
-    page = page_of(run, out=tmp_path / "page.html")
+    page = page_of(run, out=tmp_path / "page")
     assert "fair has pictures only of the frames before the damage" in page
     assert "Chosen frames" in page
 
@@ -181,6 +181,14 @@ def test_samples_of_another_grid_are_refused(run_folder, make_run, tmp_path, mon
         render_report([run])
 
 
+def test_out_is_a_folder_as_elsewhere_and_a_file_is_refused(run_folder, tmp_path):
+    assert render_report([run_folder], tmp_path / "page") == tmp_path / "page" / "index.html"
+    assert render_report([run_folder], tmp_path / "page").read_text("utf-8").startswith("<!DOCTYPE html>")
+    for out in (tmp_path / "page" / "index.html", tmp_path / "new.html"):
+        with pytest.raises(ReportError, match=r"the report is index\.html in a folder: name the folder"):
+            render_report([run_folder], out)
+
+
 def test_runs_side_by_side_are_named_and_the_page_is_in_the_folder_of_the_first(run_folder, tmp_path):
     first, second = (shutil.copytree(run_folder, tmp_path / name) for name in ("before", "after"))
     path = render_report([first, second])
@@ -193,13 +201,13 @@ def test_runs_side_by_side_are_named_and_the_page_is_in_the_folder_of_the_first(
 
 def test_a_run_in_which_every_trial_failed_is_still_a_page(make_run, tmp_path):
     run = make_run(tmp_path / "run", trackers={}, broken=[("net", 0, "untrained", "no weights for site 'x'")])
-    page = page_of(run, out=tmp_path / "page.html")
+    page = page_of(run, out=tmp_path / "page")
     assert "No tracker completed crossing" in page
     assert page.count("no weights for site") == 1
 
 
 def lead_of_run(run, tmp_path):
-    (lead,) = re.findall(r'<p class="lead">(.*?)</p>', page_of(run, out=tmp_path / "page.html"), re.DOTALL)
+    (lead,) = re.findall(r'<p class="lead">(.*?)</p>', page_of(run, out=tmp_path / "page"), re.DOTALL)
     return lead
 
 

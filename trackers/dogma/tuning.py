@@ -12,8 +12,16 @@ from gridtrack.trackers.contract import FitOutput, FrameSource, Score, StretchSc
 from gridtrack.trackers.dogma.masses import Mass
 from gridtrack.trackers.dogma.settings import NAME, DogmaSettings
 from gridtrack.trackers.site_rate import posterior_rate
-from gridtrack.trackers.tuning import CachedSource, Objective, search_settings, step_of, stretch_summary
-from gridtrack.trackers.weights import card_for, save_weights
+from gridtrack.trackers.tuning import (
+    CachedSource,
+    Objective,
+    SearchInterrupted,
+    delete_search_log,
+    search_settings,
+    step_of,
+    stretch_summary,
+)
+from gridtrack.trackers.weights import card_for, save_interrupted, save_weights
 
 DOGMA_ITERATIONS = 30
 DOGMA_HORIZONS_S = (0.2, 0.5, 1.0, 2.0)
@@ -66,9 +74,14 @@ def fit_dogma(
 
         given = options.model_dump(exclude_unset=True)
         objective = Objective("log loss", "minimize", loss)
-        settings = search_settings(
-            DogmaSettings, DOGMA_RANGES, objective, (DogmaSettings(),), given, DOGMA_ITERATIONS, out
-        )
+        try:
+            settings = search_settings(
+                DogmaSettings, DOGMA_RANGES, objective, (DogmaSettings(),), given, DOGMA_ITERATIONS, train, out
+            )
+        except SearchInterrupted as stopped:
+            card = card_for(NAME, out, train, validation, stopped.best.model_dump())
+            save_interrupted(out.path, card, arrays, stopped.reached)
+            raise
         results = {
             "train": [stretch_summary(scored(settings, source), source, DOGMA_HORIZONS_S) for source in cached],
             "validation": [
@@ -76,6 +89,7 @@ def fit_dogma(
             ],
         }
     save_weights(out.path, card_for(NAME, out, train, validation, settings.model_dump(), results), arrays)
+    delete_search_log(out)
 
 
 def count_occupancy_rate(train: Sequence[FrameSource]) -> Mass:

@@ -16,8 +16,16 @@ from gridtrack.trackers.model_free.background import fit_background
 from gridtrack.trackers.model_free.calibration import IDENTITY, fit_calibration
 from gridtrack.trackers.model_free.residence import fit_residence, table_shape
 from gridtrack.trackers.model_free.settings import PipelineSettings
-from gridtrack.trackers.tuning import CachedSource, Objective, search_settings, step_of, stretch_summary
-from gridtrack.trackers.weights import card_for, save_weights
+from gridtrack.trackers.tuning import (
+    CachedSource,
+    Objective,
+    SearchInterrupted,
+    delete_search_log,
+    search_settings,
+    step_of,
+    stretch_summary,
+)
+from gridtrack.trackers.weights import card_for, save_interrupted, save_weights
 
 if TYPE_CHECKING:
     from gridtrack.trackers.model_free.tracker import ModelFreeTracker
@@ -157,9 +165,14 @@ def fit_pipeline(
         save_weights(draft.path, card, arrays)
         given = options.model_dump(include=set(PipelineSettings.model_fields), exclude_unset=True)
         objective = Objective[PipelineSettings]("mean F1", "maximize", lambda tried: draft.mean_f1(tried, searched))
-        settings = search_settings(
-            PipelineSettings, SETTING_RANGES, objective, STARTING_SETTINGS, given, SEARCH_ITERATIONS, out
-        )
+        try:
+            settings = search_settings(
+                PipelineSettings, SETTING_RANGES, objective, STARTING_SETTINGS, given, SEARCH_ITERATIONS, train, out
+            )
+        except SearchInterrupted as stopped:
+            card = card_for(tracker.name, out, train, validation, stopped.best.model_dump(), {"classes": "none yet"})
+            save_interrupted(out.path, card, arrays, f"{stopped.reached}, not calibrated")
+            raise
         arrays["calibration"] = draft.calibration(settings, searched, out)
         save_weights(draft.path, card, arrays)
         results: dict[str, Any] = {
@@ -169,6 +182,7 @@ def fit_pipeline(
         }
     card = card_for(tracker.name, out, train, validation, settings.model_dump(), results)
     save_weights(out.path, card, arrays)
+    delete_search_log(out)
 
 
 def _without_classes(train: Sequence[FrameSource]) -> str:

@@ -16,7 +16,7 @@ from gridtrack.trackers.label_settings import ClassifierSettings
 from gridtrack.trackers.labelled_stretch import VALIDATE_ON, draw_labelled, learned_classes
 from gridtrack.trackers.one_shot.settings import ONE_SHOT, OneShotSettings
 from gridtrack.trackers.one_shot.tracker import PLANES, planes_of
-from gridtrack.trackers.weights import card_for, save_weights
+from gridtrack.trackers.weights import card_for, save_interrupted, save_weights
 
 
 def fit_classifier(
@@ -41,7 +41,7 @@ def fit_classifier(
         return CellClassifier(PLANES, chosen.hidden, len(classes))
 
     given = options.model_dump(include=set(ClassifierSettings.model_fields), exclude_unset=True)
-    best = best_classifier(build, given, training_cells, validation_cells, out.seed, out.report)
+    best = best_classifier(build, given, training_cells, validation_cells, out)
     count = torch.bincount(training_cells.targets, minlength=len(classes)).tolist()
     results: dict[str, Any] = {
         "labelled": stretch.name,
@@ -53,7 +53,11 @@ def fit_classifier(
     settings = {"labelled_scans": options.labelled_scans, **best.settings.model_dump(mode="json")}
     card = card_for(ONE_SHOT, out, train, validation, settings, results)
     arrays = {name: value.numpy() for name, value in best.classifier.state_dict().items()}
-    save_weights(out.path, card.model_copy(update={"classes": classes}), arrays)
+    card = card.model_copy(update={"classes": classes})
+    if best.reached:
+        save_interrupted(out.path, card, arrays, best.reached)
+        raise KeyboardInterrupt
+    save_weights(out.path, card, arrays)
 
 
 def scan_cells(

@@ -16,7 +16,7 @@ from gridtrack.trackers.contract import FitOutput, Forecast, FrameSource, Score,
 from gridtrack.trackers.recurrent.network import LatentState, RecurrentNetwork, channels_last
 from gridtrack.trackers.recurrent.settings import InferenceSettings
 from gridtrack.trackers.trained_network import restore, trained_settings
-from gridtrack.trackers.weights import Weights, card_for, load_weights, save_weights
+from gridtrack.trackers.weights import Weights, card_for, load_weights, save_interrupted, save_weights
 
 VALIDATION_HORIZONS_S = (0.5, 1.0, 2.0)
 
@@ -116,10 +116,14 @@ class RecurrentTracker(Tracker):
 
             return validation_scores(score_on, validation, VALIDATION_HORIZONS_S)
 
-        results = train_network(network, on_processor, dataset, options, validate, out)
+        trained = train_network(network, on_processor, dataset, options, validate, out)
         arrays = {name: value.detach().contiguous().numpy() for name, value in network.state_dict().items()}
         settings = options.model_dump(mode="json", exclude=set(InferenceSettings.model_fields))
-        save_weights(out.path, card_for(cls.name, out, train, validation, settings, results), arrays)
+        card = card_for(cls.name, out, train, validation, settings, trained.scores)
+        if trained.reached:
+            save_interrupted(out.path, card, arrays, trained.reached)
+            raise KeyboardInterrupt
+        save_weights(out.path, card, arrays)
 
 
 def input_planes(frame: GridFrame) -> Tensor:

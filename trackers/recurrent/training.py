@@ -9,9 +9,11 @@ from __future__ import annotations
 import json
 import logging
 import math
+import warnings
 from collections.abc import Callable, Sequence
+from datetime import timedelta
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import lightning
 import torch
@@ -24,12 +26,23 @@ from torch.utils.data import DataLoader
 from gridtrack.common.errors import ConfigurationError
 from gridtrack.common.files import write_text
 from gridtrack.trackers.contract import FitOutput, FrameSource
+from gridtrack.trackers.progress import Stage
 from gridtrack.trackers.recurrent.network import RecurrentNetwork, channels_last
 from gridtrack.trackers.recurrent.sequences import EpochSampler, SequenceDataset
 from gridtrack.trackers.recurrent.settings import InferenceSettings, TrainingSettings, TransferSettings
 
+CHECKPOINT_EVERY_S = 60.0
+"""Time between two checkpoints; there is one after every validation too."""
+
 Validate = Callable[[nn.Module], dict[str, float]]
 """Scores the network as a tracker on the validation stretch; the network with the highest `score` is kept."""
+
+
+class TrainedNetwork(NamedTuple):
+    """The `scores` of the best weights; how far an interrupted training had `reached`, "" for one that finished."""
+
+    scores: dict[str, float]
+    reached: str
 
 
 def train_network(
@@ -39,38 +52,60 @@ def train_network(
     settings: TrainingSettings,
     validate: Validate,
     out: FitOutput,
-) -> dict[str, float]:
-    """Train `network` in place to the weights with the best validation score, and return its scores.
+) -> TrainedNetwork:
+    """Train `network` in place to the weights with the best validation score.
 
     On a processor the training computes with `on_processor`, the same function of the same parameters. Logs (CSV,
-    TensorBoard) and checkpoints are written to `out.log_dir`; checkpoints of the same training in it are resumed.
-    Raises ConfigurationError where it has checkpoints of another training.
+    TensorBoard) and checkpoints are written to `out.log_dir`; checkpoints of the same training in it are resumed. An
+    interrupt ends the training at the best weights so far. Raises ConfigurationError where the folder has checkpoints
+    of another training, KeyboardInterrupt where it is interrupted before the first validation.
     """
     logging.getLogger("lightning.pytorch").setLevel(logging.WARNING)  # it prints advertisements
     network_settings = settings.model_dump(exclude={*TransferSettings.model_fields, *InferenceSettings.model_fields})
     resumed = _resumable(out, {"seed": out.seed, "train": dataset.sources, **network_settings})
-    module = TrainingModule(network, on_processor, settings, validate, out.report)
+    module = TrainingModule(network, on_processor, settings, validate, out)
     folder = out.log_dir / "checkpoints"
     best = ModelCheckpoint(folder, filename="best", monitor="score", mode="max", enable_version_counter=False)
     last = ModelCheckpoint(
         folder, filename="last", enable_version_counter=False
     )  # after every epoch, whatever the score
+    timed = ModelCheckpoint(
+        folder,
+        filename="last",
+        train_time_interval=timedelta(seconds=CHECKPOINT_EVERY_S),
+        save_on_train_epoch_end=False,
+        enable_version_counter=False,
+    )
     trainer = lightning.Trainer(
         max_epochs=math.ceil(settings.updates / settings.validate_every),
         precision=settings.precision,
         gradient_clip_val=settings.gradient_clip,
-        callbacks=[best, last],
+        callbacks=[best, last, timed],
         logger=[CSVLogger(out.log_dir, name="csv"), TensorBoardLogger(out.log_dir, name="tensorboard")],
         log_every_n_steps=min(10, settings.validate_every),
         enable_progress_bar=False,
         enable_model_summary=False,
     )
-    sampler = EpochSampler(settings.validate_every * settings.batch)
+    done = _updates_in(resumed) if resumed else 0
+    sampler = EpochSampler(settings.validate_every * settings.batch, done * settings.batch)
     loader = DataLoader(dataset, settings.batch, sampler=sampler)
-    trainer.fit(module, loader, ckpt_path=str(resumed) if resumed else None, weights_only=True)
+    try:
+        with out.progress.stage("update", settings.updates, done) as module.stage, warnings.catch_warnings():
+            # the sampler continues with the next unused window
+            warnings.filterwarnings("ignore", "You're resuming from a checkpoint that ended before the epoch ended")
+            trainer.fit(module, loader, ckpt_path=str(resumed) if resumed else None, weights_only=True)
+    except (KeyboardInterrupt, SystemExit):  # Lightning exits after an interrupt
+        if not trainer.interrupted or not Path(best.best_model_path).is_file():
+            raise KeyboardInterrupt from None
     kept = torch.load(best.best_model_path, weights_only=True, map_location="cpu")
     module.load_state_dict(kept["state_dict"])
-    return dict(kept["scores"])
+    reached = f"update {trainer.global_step} of {settings.updates}" if trainer.interrupted else ""
+    return TrainedNetwork(dict(kept["scores"]), reached)
+
+
+def _updates_in(checkpoint: Path) -> int:
+    """The number of updates at a checkpoint."""
+    return int(torch.load(checkpoint, weights_only=True, map_location="cpu")["global_step"])
 
 
 def _resumable(out: FitOutput, training: dict[str, Any]) -> Path | None:
@@ -98,11 +133,12 @@ class TrainingModule(lightning.LightningModule):
         on_processor: RecurrentNetwork,
         settings: TrainingSettings,
         validate: Validate,
-        report: Callable[[str], None],
+        out: FitOutput,
     ) -> None:
         super().__init__()
         self.network, self._on_processor = channels_last(network), on_processor
-        self.settings, self.validate, self.report = settings, validate, report
+        self.settings, self.validate, self.report = settings, validate, out.report
+        self.stage: Stage | None = None
         self.scores: dict[str, float] = {}
 
     def training_step(self, windows: Tensor) -> Tensor:
@@ -111,6 +147,11 @@ class TrainingModule(lightning.LightningModule):
         loss = sequence_loss(network, windows.float(), self.settings)
         self.log("loss", loss)
         return loss
+
+    def on_train_batch_end(self, outputs: Any, batch: Any, batch_idx: int) -> None:
+        """Count the update."""
+        if self.stage is not None:
+            self.stage.advance(f"loss {float(outputs['loss']):.4f}")
 
     def configure_optimizers(self) -> Any:
         """AdamW; the learning rate rises linearly over `warm_up` updates and then falls along a cosine."""

@@ -23,7 +23,7 @@ from gridtrack.trackers.labelled_stretch import VALIDATE_ON, LabelledStretch, dr
 from gridtrack.trackers.recurrent.network import LatentState
 from gridtrack.trackers.recurrent.recurrent_tracker import RecurrentTracker
 from gridtrack.trackers.recurrent.settings import TransferSettings
-from gridtrack.trackers.weights import load_weights, save_weights, with_classes
+from gridtrack.trackers.weights import load_weights, save_interrupted, save_weights, with_classes
 
 FORECAST_STEPS = 20
 """Number of steps of the forecasts that classes are learned from: c_t .. c_{t+20}."""
@@ -59,7 +59,7 @@ def fit_class_decoder(
         return CellClassifier(tracker.network.channels, chosen.class_hidden, len(classes))
 
     given = {"channels": options.class_channels} if "class_channels" in options.model_fields_set else {}
-    best = best_classifier(build, given, training_cells, validation_cells, out.seed, out.report)
+    best = best_classifier(build, given, training_cells, validation_cells, out)
     weights = load_weights(tracker.stream, kind.name)
     settings = {
         "labelled_scans": options.labelled_scans,
@@ -70,6 +70,9 @@ def fit_class_decoder(
     card = with_classes(weights.card, classes, train, validation, settings, results)
     network = {name: array for name, array in weights.arrays.items() if not name.startswith(DECODER)}
     decoder = {DECODER + name: value.numpy() for name, value in best.classifier.state_dict().items()}
+    if best.reached:
+        save_interrupted(out.path, card, network | decoder, best.reached)
+        raise KeyboardInterrupt
     save_weights(out.path, card, network | decoder)
 
 

@@ -122,13 +122,15 @@ def test_an_unknown_option_is_refused_before_the_recording_is_read(tmp_path):
 @pytest.mark.usefixtures("fits")
 def test_ctrl_c_reaches_fit_and_no_process_survives_the_command(end, record, tmp_path):
     command = [sys.executable, "-m", "gridtrack.cli", "train", "fits:how=sleeps", str(record()), "--out", str(tmp_path)]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     assert process.stdout is not None
     child = int(process.stdout.readline())
     os.kill(process.pid, end)
-    rest, _ = process.communicate(timeout=20)
+    rest, errors = process.communicate(timeout=20)
     assert ("saved" in rest) == (end == signal.SIGINT)
-    assert process.returncode != 0
+    if end == signal.SIGINT:
+        assert process.returncode == 130
+        assert errors == "gridtrack: interrupted before there was a result; the same command goes on\n"
     deadline = time.monotonic() + 10
     while psutil.pid_exists(child) and time.monotonic() < deadline:
         time.sleep(0.05)

@@ -102,17 +102,41 @@ def test_a_stretch_without_scores_is_refused_in_one_line(tmp_path):
     assert not (tmp_path / "hall.toml").exists()
 
 
-def test_an_interrupted_search_reports_its_best_settings(tmp_path, caplog):
-    told, values = [], iter([0.3, 0.5, 0.4])
+class Scores:
+    """A score that depends on the settings, interrupted after some calls; counts its calls."""
 
-    def score(tracker, source, steps):
-        try:
-            flat = np.full(steps + 1, next(values))
-        except StopIteration:
-            raise KeyboardInterrupt from None
+    def __init__(self, interrupt_after: int = 10**6):
+        self.calls, self.interrupt_after = 0, interrupt_after
+
+    def __call__(self, tracker, source, steps):
+        if self.calls == self.interrupt_after:
+            raise KeyboardInterrupt
+        self.calls += 1
+        flat = np.full(steps + 1, 1.0 / (1.0 + tracker._settings.acceleration))
         return StretchScore({"dynamic": flat, "visible": flat}, {"dynamic": flat, "visible": flat})
 
+
+def test_an_interrupted_search_keeps_its_best_and_continues_as_if_it_had_not_been(tmp_path, caplog, monkeypatch):
+    monkeypatch.setattr("gridtrack.trackers.model_free.tuning.SEARCH_ITERATIONS", 6)
+    fit_hall(tmp_path / "whole", Scores(), [])
     with pytest.raises(KeyboardInterrupt):
-        fit_hall(tmp_path, score, told)
-    assert told[-1].startswith("interrupted; best of 3 search iterations, mean F1 0.50000: untracked_share=0.541,")
+        fit_hall(tmp_path, Scores(interrupt_after=4), [])
     assert not caplog.records
+    card = read_card(tmp_path / "hall.toml")
+    assert card.interrupted == "search iteration 4 of 6, not calibrated"
+    KalmanTracker(StreamSpec(GRID, PERIOD_S, "hall", weights=tmp_path / "hall.toml"), PipelineSettings())
+    rest = Scores()
+    fit_hall(tmp_path, rest, [])
+    assert rest.calls == 2 + 2  # and the scores of the result on both stretches
+    assert read_card(tmp_path / "hall.toml") == read_card(tmp_path / "whole" / "hall.toml")
+    assert read_card(tmp_path / "hall.toml").interrupted == ""
+    assert not (tmp_path / "log" / "search.json").exists()
+
+
+def test_an_interrupted_search_keeps_the_weights_of_an_earlier_training(tmp_path, monkeypatch):
+    monkeypatch.setattr("gridtrack.trackers.model_free.tuning.SEARCH_ITERATIONS", 3)
+    fit_hall(tmp_path, Scores(), [])
+    earlier = (tmp_path / "hall.toml").read_bytes()
+    with pytest.raises(KeyboardInterrupt):
+        fit_hall(tmp_path, Scores(interrupt_after=2), [])
+    assert (tmp_path / "hall.toml").read_bytes() == earlier

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from itertools import pairwise
 
 import numpy as np
@@ -15,6 +16,7 @@ from gridtrack.common.errors import ConfigurationError, WeightsError  # noqa: E4
 from gridtrack.common.geometry import SE2  # noqa: E402
 from gridtrack.common.grid import GridFrame, GridSpec  # noqa: E402
 from gridtrack.trackers.contract import FitOutput, StretchScore, stream_of  # noqa: E402
+from gridtrack.trackers.recurrent import training  # noqa: E402
 from gridtrack.trackers.recurrent.convgru_tracker import DilatedConvGRUTracker  # noqa: E402
 from gridtrack.trackers.recurrent.rnn_tracker import DeepTrackingRNNTracker  # noqa: E402
 from gridtrack.trackers.recurrent.sequences import EpochSampler, SequenceDataset, occupied_rate, superposed  # noqa: E402
@@ -125,6 +127,38 @@ def test_a_resumed_training_equals_an_uninterrupted_one(tmp_path):
     assert len(seen) == 1
     assert np.array_equal(seen[0], through)
     assert whole.settings["updates"] == 6
+
+
+def test_an_interrupt_keeps_the_best_weights_and_a_checkpoint_between_validations_is_resumed(tmp_path, monkeypatch):
+    options = {"updates": 6, "validate_every": 3, "channels": 4}
+    whole, _ = fit(DilatedConvGRUTracker, tmp_path / "whole", **options)
+    monkeypatch.setattr(training, "CHECKPOINT_EVERY_S", 1e-6)
+    drawn = []
+
+    class InterruptedDataset(SequenceDataset):
+        """Draws windows until an index."""
+
+        end = 10
+
+        def __getitem__(self, index):
+            drawn.append(index)
+            if index == self.end:
+                raise KeyboardInterrupt
+            return super().__getitem__(index)
+
+    monkeypatch.setattr("gridtrack.trackers.recurrent.sequences.SequenceDataset", InterruptedDataset)
+    with pytest.raises(KeyboardInterrupt):
+        fit(DilatedConvGRUTracker, tmp_path / "parts", **options)
+    kept = tmp_path / "parts" / "shuttle.toml"
+    done = int(re.fullmatch(r"update (4|5) of 6", read_card(kept).interrupted)[1])
+    forecast(DilatedConvGRUTracker, kept)
+
+    drawn.clear()
+    InterruptedDataset.end = 100
+    resumed, _ = fit(DilatedConvGRUTracker, tmp_path / "parts", **options)
+    assert drawn == list(range(2 * done, 12))
+    assert np.array_equal(forecast(DilatedConvGRUTracker, resumed.path), forecast(DilatedConvGRUTracker, whole.path))
+    assert read_card(resumed.path).interrupted == ""
 
 
 def test_a_log_folder_of_another_training_is_refused(tmp_path):
