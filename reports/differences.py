@@ -73,10 +73,11 @@ def _difference_cell(test: HeadlineTest | None) -> DifferenceCell:
     if test is None or test.f1 is None:
         return DifferenceCell(UNDEFINED, "", "", "not tested")
     interval = "" if test.f1_low is None or test.f1_high is None else f"[{test.f1_low:+.3f}, {test.f1_high:+.3f}]"
-    return DifferenceCell(f"{test.f1:+.3f}", interval, _p_text(test.p_holm), test.verdict)
+    return DifferenceCell(f"{test.f1:+.3f}", interval, p_text(test.p_holm), test.verdict)
 
 
-def _p_text(p: float | None) -> str:
+def p_text(p: float | None) -> str:
+    """A p-value with its letter; empty where there is none."""
     if p is None:
         return ""
     return "p < 0.001" if p < 0.001 else f"p = {p:.3f}"

@@ -13,6 +13,7 @@ from gridtrack.reports.differences import DifferenceTable, difference_table
 from gridtrack.reports.figures import Axis, Band, CurvePanel, Series, Span, TimeScale, curve_panel, time_scale
 from gridtrack.reports.filmstrip import Filmstrip, filmstrip_of
 from gridtrack.reports.occluded import OccludedTable, occluded_table
+from gridtrack.reports.occluded_thresholds import OccludedThresholds, occluded_thresholds
 from gridtrack.reports.reliability import DIAGRAM_SIDE, LEAST_CELLS, ReliabilityDiagram, reliability_diagrams
 from gridtrack.reports.run import Run
 from gridtrack.reports.table import MAIN_STRATUM, HeadlineTable, TableRow
@@ -86,6 +87,7 @@ class Section:
     robustness: RobustnessTable | None
     filmstrip: Filmstrip | None
     occluded: OccludedTable | None
+    occluded_thresholds: OccludedThresholds | None
     classes: ClassTables | None
     reliability_diagrams: tuple[ReliabilityDiagram, ...]
     diagram_side: float = DIAGRAM_SIDE
@@ -140,6 +142,7 @@ def section_of(runs: Sequence[Run], table: HeadlineTable, styles: Mapping[str, s
         robustness=robustness_table(table, styles),
         filmstrip=filmstrip,
         occluded=occluded_table(table),
+        occluded_thresholds=occluded_thresholds(table, runs[0] if len(runs) == 1 else None),
         classes=class_tables(table, runs[0] if len(runs) == 1 else None),
         reliability_diagrams=diagrams,
     )

@@ -110,6 +110,29 @@ class ClassDifference(ResultModel):
     """By visibility."""
 
 
+class ScoreDifference(ResultModel):
+    """A score less the reference's, per step, with 95 % confidence interval and p-value."""
+
+    value: Curve
+    low: Curve
+    high: Curve
+    p: Curve
+
+
+class OccludedDifference(ResultModel):
+    """One tracker on occluded cells against the reference, on a recording, or on all."""
+
+    recordings: str
+    tracker: str
+    reference: str
+    frames: int = 0
+    units: int = 0
+    interval: str = ""
+    """Why there is no interval or no comparison; empty where there is."""
+    scores: dict[str, ScoreDifference] = Field(default_factory=dict)
+    """`f1` at the threshold chosen with the truth, `f1_at_visible`, `f1_at_half`, and `nll`."""
+
+
 class RunSummary(ResultModel):
     """The results of a run."""
 
@@ -124,6 +147,7 @@ class RunSummary(ResultModel):
     """Label of the row that the others are compared with."""
     differences: tuple[TrackerDifference, ...] = ()
     class_differences: tuple[ClassDifference, ...] = ()
+    occluded_differences: tuple[OccludedDifference, ...] = ()
 
     @property
     def has_pooled(self) -> bool:

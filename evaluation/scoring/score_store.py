@@ -145,6 +145,28 @@ def read_tally(folder: Path, steps: int, strata: tuple[str, ...] = STRATA) -> Ta
     return tally.of(strata)
 
 
+def read_called(
+    folder: Path, stamps_ns: NDArray[np.int64], steps: int, stratum: str, bins: NDArray[np.int64]
+) -> NDArray[np.int64]:
+    """Cells of a stratum that are called occupied at thresholds `bins` (T, S), and those of them occupied.
+
+    (T, F, S, 2) at the scored frames `stamps_ns` (F,) and steps 0..steps. Raises ScoresError.
+    """
+    called = np.zeros((len(bins), len(stamps_ns), steps + 1, 2), np.int64)
+    path = folder / HISTOGRAM_TABLE.file
+    for columns in _batches(folder, HISTOGRAM_TABLE, ["stamp_ns", "bin", "count", "positives"], steps):
+        frame = np.searchsorted(stamps_ns, columns["stamp_ns"]).clip(max=len(stamps_ns) - 1)
+        if (stamps_ns[frame] != columns["stamp_ns"]).any():
+            raise ScoresError(f"{path}: other frames than in {SCORES_TABLE.file}; run it again")
+        row, entries, *counts = _histogram_entries(path, columns)
+        step, strata = columns["where"]
+        for t, threshold in enumerate(bins):
+            over = (strata[row] == _STRATUM_INDEX[stratum]) & (entries >= threshold[step[row]])
+            where = frame[row[over]], step[row[over]]
+            np.add.at(called[t], where, np.stack([count[over] for count in counts], axis=-1))
+    return called
+
+
 def _histogram_entries(path: Path, columns: Mapping[str, Any]) -> tuple[NDArray[np.int64], ...]:
     """Row, bin, cells and positives (N,) of the bins that have cells. Raises ScoresError for a bin that is none."""
     lengths = [columns[name].value_lengths().to_numpy() for name in ("bin", "count", "positives")]

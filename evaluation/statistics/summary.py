@@ -14,6 +14,7 @@ from gridtrack.evaluation.scoring.score_store import read_deliveries
 from gridtrack.evaluation.statistics.ceiling import with_ceiling
 from gridtrack.evaluation.statistics.class_statistics import ClassStatistics
 from gridtrack.evaluation.statistics.finished_trial import FinishedTrial, trials_on
+from gridtrack.evaluation.statistics.occluded_statistics import OccludedStatistics
 from gridtrack.evaluation.statistics.run_statistics import RunStatistics
 from gridtrack.trackers.contract import Role
 
@@ -47,6 +48,7 @@ def summarise(
         reference=statistics.reference,
         differences=tuple(statistics.differences()),
         class_differences=tuple(classes.differences()),
+        occluded_differences=tuple(OccludedStatistics(statistics).differences()),
     )
 
 

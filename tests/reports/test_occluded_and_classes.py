@@ -11,6 +11,7 @@ from gridtrack.evaluation.results.files import RunError
 from gridtrack.evaluation.scoring.counting import Tally, for_calibration
 from gridtrack.reports.classes import class_tables
 from gridtrack.reports.occluded import occluded_table
+from gridtrack.reports.occluded_thresholds import occluded_thresholds
 from gridtrack.reports.page import render_report
 from gridtrack.reports.reliability import DIAGRAM_SIDE, reliability_diagrams
 from gridtrack.reports.run import read_runs
@@ -139,3 +140,43 @@ def test_class_differences_that_do_not_reach_every_horizon_are_refused(truth_run
     path.write_text(json.dumps(summary))
     with pytest.raises(RunError, match="good on crossing: class differences not of 21 steps"):
         read_runs([truth_run])
+
+
+def with_thresholds(run, **f1):
+    """The run with these F1 of occluded cells at the thresholds chosen with the truth, of visible cells, and 0.5."""
+    summary = json.loads((run / "summary.json").read_text())
+    for label, values in f1.items():
+        occluded = summary["trackers"][label]["recordings"]["crossing"]["strata"]["occluded"]
+        for name, value in zip(("f1", "f1_at_visible", "f1_at_half"), values, strict=True):
+            occluded[name] = [value] * (STEPS + 1)
+    less = {"value": [-0.125] * (STEPS + 1), "low": [-0.25] * (STEPS + 1), "high": [0.0] * (STEPS + 1)}
+    summary["occluded_differences"] = [
+        {
+            "recordings": "crossing",
+            "tracker": "good",
+            "reference": "persistence",
+            "scores": {"f1_at_half": {**less, "p": [0.04] * (STEPS + 1)}},
+        }
+    ]
+    (run / "summary.json").write_text(json.dumps(summary))
+    return run
+
+
+def test_occluded_cells_are_shown_at_three_thresholds_with_the_difference_from_the_reference(truth_run):
+    run = with_thresholds(truth_run, good=(0.6, 0.5, 0.4), fair=(0.5, 0.4, 0.3))
+    shown = occluded_thresholds(table_of(run), read_runs([run])[0])
+    scores = {row.label: found for row, found in shown.rows}
+    assert [score.value for score in scores["good"][:3]] == [0.6, 0.5, 0.4]
+    assert scores["good"][3].value is not None, "the log loss is shown too"
+    assert (scores["good"][2].difference, scores["good"][2].interval) == ("-0.125", "[-0.250, +0.000]")
+    assert scores["good"][2].p == "p = 0.040"
+    assert not scores["fair"][2].difference
+    assert (shown.reference, shown.turned) == ("persistence", False)
+
+
+def test_the_page_says_where_the_order_on_occluded_cells_depends_on_the_threshold(truth_run):
+    run = with_thresholds(truth_run, good=(0.6, 0.2, 0.1), fair=(0.5, 0.4, 0.3))
+    html = render_report([run]).read_text()
+    assert "The order of the trackers depends on the threshold." in html
+    assert "chosen with the\ntruth of hidden cells" in html
+    assert "-0.125 [-0.250, +0.000]" in html
