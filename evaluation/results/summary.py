@@ -47,7 +47,10 @@ class TrackerSummary(ResultModel):
 
 
 class HeadlineTest(ResultModel):
-    """A tracker's F1 less the reference's at one horizon, with its test."""
+    """A tracker's F1 less the reference's at one horizon, with its test; beside it log loss and PR-AUC.
+
+    Only F1 is corrected and has a verdict. The p-values of the log loss and of PR-AUC are uncorrected.
+    """
 
     stratum: str
     horizon_s: float
@@ -59,7 +62,15 @@ class HeadlineTest(ResultModel):
     p_holm: Number = None
     """Corrected over all headline tests of the run (Holm 1979)."""
     verdict: str
-    """`better`, `worse`, `no difference shown` or `not tested`."""
+    """`better`, `worse`, `no difference shown` or `not tested`, of F1."""
+    nll: Number = None
+    nll_low: Number = None
+    nll_high: Number = None
+    nll_p: Number = None
+    pr_auc: Number = None
+    pr_auc_low: Number = None
+    pr_auc_high: Number = None
+    pr_auc_p: Number = None
 
 
 class DifferenceCurves(ResultModel):

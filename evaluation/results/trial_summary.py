@@ -39,11 +39,13 @@ class StratumScores(ResultModel):
     recall_low: Curve | None = None
     brier_low: Curve | None = None
     nll_low: Curve | None = None
+    pr_auc_low: Curve | None = None
     f1_high: Curve | None = None
     precision_high: Curve | None = None
     recall_high: Curve | None = None
     brier_high: Curve | None = None
     nll_high: Curve | None = None
+    pr_auc_high: Curve | None = None
     interval: str = ""
     """Why there are no intervals; empty where there are."""
     share_of_oracle: Curve | None = None

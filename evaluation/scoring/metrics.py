@@ -41,10 +41,15 @@ def balanced_accuracy(confusion: NDArray[np.int64]) -> Scores:
 
 
 def average_precision(tally: Tally) -> Scores:
-    """Area under the precision-recall curve (S, K): precision weighted by the gain in recall, over the bins' edges."""
-    true_positive = tally.positives[..., ::-1].cumsum(axis=-1)
-    called = tally.cells[..., ::-1].cumsum(axis=-1)
-    gain = ratio(tally.positives[..., ::-1], true_positive[..., -1:])
+    """PR-AUC (S, K) of the histograms of a tally: `area_under_precision_recall`."""
+    return area_under_precision_recall(tally.cells, tally.positives)
+
+
+def area_under_precision_recall(cells: NDArray[np.integer], positives: NDArray[np.integer]) -> Scores:
+    """Area (...) under the precision-recall curve of histograms (..., B): precision weighted by the gain in recall."""
+    true_positive = positives[..., ::-1].cumsum(axis=-1)
+    called = cells[..., ::-1].cumsum(axis=-1)
+    gain = ratio(positives[..., ::-1], true_positive[..., -1:])
     area: Scores = (gain * np.nan_to_num(ratio(true_positive, called))).sum(axis=-1)
     return area
 

@@ -6,7 +6,7 @@ again (`results.columns` declares the columns). Rows are written in groups, so m
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from types import TracebackType
@@ -138,10 +138,9 @@ def read_tally(folder: Path, steps: int, strata: tuple[str, ...] = STRATA) -> Ta
         np.add.at(tally.log_loss, columns["where"], columns["log_loss"])
     for columns in _batches(folder, HISTOGRAM_TABLE, ["bin", "count", "positives", "p_sum"], steps):
         np.add.at(tally.p_sum, columns["where"], columns["p_sum"])
-        row, bins, cells, positives = _histogram_entries(folder / HISTOGRAM_TABLE.file, columns)
-        where = tuple(index[row] for index in columns["where"])
-        np.add.at(tally.cells, (*where, bins), cells)
-        np.add.at(tally.positives, (*where, bins), positives)
+        step, stratum = columns["where"]
+        histogram = step * len(STRATA_WITH_TRUTH) + stratum
+        _add_entries(folder, columns, histogram, tally.cells.reshape(-1), tally.positives.reshape(-1))
     return tally.of(strata)
 
 
@@ -165,6 +164,46 @@ def read_called(
             where = frame[row[over]], step[row[over]]
             np.add.at(called[t], where, np.stack([count[over] for count in counts], axis=-1))
     return called
+
+
+def add_histograms(
+    folder: Path,
+    chosen: Sequence[tuple[int, str]],
+    unit_of: Mapping[int, int],
+    cells: NDArray[np.int64],
+    positives: NDArray[np.int64],
+) -> None:
+    """Add a trial's histograms to `cells` and `positives` (U, N, B) of units, at the N `chosen` steps and strata.
+
+    `unit_of` has the unit of each frame by its stamp; frames that it lacks are left out. Raises ScoresError.
+    """
+    steps = max(step for step, _ in chosen)
+    index_of = np.full((steps + 1, len(STRATA_WITH_TRUTH)), -1)
+    for index, (step, stratum) in enumerate(chosen):
+        index_of[step, _STRATUM_INDEX[stratum]] = index
+    for batch in _read(folder, HISTOGRAM_TABLE, ["stamp_ns", "step", "stratum", "bin", "count", "positives"]):
+        units = np.array([unit_of.get(stamp, -1) for stamp in batch["stamp_ns"].to_pylist()], np.int64)
+        step = batch["step"].to_numpy().astype(np.int64)
+        strata = np.array([_STRATUM_INDEX.get(name, -1) for name in batch["stratum"].to_pylist()], np.int64)
+        index = np.where(step <= steps, index_of[np.clip(step, 0, steps), strata], -1)
+        counted = (units >= 0) & (index >= 0)
+        columns = {name: batch[name].filter(pa.array(counted)) for name in ("bin", "count", "positives")}
+        histogram = units[counted] * len(chosen) + index[counted]
+        _add_entries(folder, columns, histogram, cells.reshape(-1), positives.reshape(-1))
+
+
+def _add_entries(
+    folder: Path,
+    columns: Mapping[str, Any],
+    histogram: NDArray[np.int64],
+    cells: NDArray[np.int64],
+    positives: NDArray[np.int64],
+) -> None:
+    """Add the entries of rows (R,) to the histograms, by number, in `cells` and `positives` (histograms * B,)."""
+    row, bins, cells_of_bin, positives_of_bin = _histogram_entries(folder / HISTOGRAM_TABLE.file, columns)
+    where = histogram[row] * PROBABILITY_BINS + bins
+    np.add.at(cells, where, cells_of_bin)
+    np.add.at(positives, where, positives_of_bin)
 
 
 def _histogram_entries(path: Path, columns: Mapping[str, Any]) -> tuple[NDArray[np.int64], ...]:

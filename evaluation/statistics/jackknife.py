@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import expit, stdtr, stdtrit
+from scipy.special import expit, logit, stdtr, stdtrit
 
 from gridtrack.evaluation.results.columns import CONFUSION
 
@@ -35,6 +35,8 @@ LEAST_UNITS = 20
 """With fewer units no interval is computed: no method that was tried reaches its nominal coverage there."""
 TOO_SHORT = "too short for an interval"
 HALF_A_COUNT = 0.5
+_NEAREST_TO_0_OR_1 = 1e-9
+"""Scores without a unit are no nearer to 0 and 1, where log odds are infinite."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,6 +51,10 @@ class PairedDifferences:
     def column(self, k: int) -> PairedDifferences:
         """The differences of one index of the last axis."""
         return PairedDifferences(self.value[..., k], self.low[..., k], self.high[..., k], self.p[..., k])
+
+    def at(self, index: int) -> PairedDifferences:
+        """The differences at one index of the first axis."""
+        return PairedDifferences(self.value[index], self.low[index], self.high[index], self.p[index])
 
 
 def pooled(counts: NDArray[np.floating], score: str) -> Floats:
@@ -123,13 +129,50 @@ def _differences(
         nothing = np.full_like(value, np.nan)
         return PairedDifferences(value, nothing, nothing.copy(), nothing.copy())
     without = [_ratio(_without_each(part), _without_each(whole)) for part, whole in (own, reference)]
-    error = _standard_error(np.nan_to_num(without[0] - without[1]))
     freedom = np.min([_effective_units(whole) for _, whole in (own, reference)], axis=0) - 1
+    return _differences_of(value, without[0] - without[1], freedom, level)
+
+
+def _differences_of(value: Floats, without: Floats, freedom: Floats, level: float) -> PairedDifferences:
+    """Interval and p-value of the difference `value` (...), which is `without` (U, ...) without each unit."""
+    error = _standard_error(np.nan_to_num(without))
     reach = _quantile(freedom, level) * error
     with np.errstate(divide="ignore", invalid="ignore"):
         p = np.where(value == 0, 1.0, 2 * stdtr(np.maximum(freedom, 1), -np.abs(value) / error))
     undefined = np.isnan(value)
     return PairedDifferences(value, *(np.where(undefined, np.nan, x) for x in (value - reach, value + reach, p)))
+
+
+@dataclass(frozen=True, slots=True)
+class JackknifedScore:
+    """A score in [0, 1] (...) that is no ratio of sums, such as PR-AUC, and its values (U, ...) without each unit.
+
+    `sizes` (U, ...): how much each unit counts, for the effective number of units.
+    """
+
+    value: Floats
+    without: Floats
+    sizes: Floats
+
+    def interval(self, level: float = LEVEL) -> tuple[Floats, Floats]:
+        """`interval` of this score: the jackknife of its log odds. NaN with fewer than LEAST_UNITS."""
+        if len(self.without) < LEAST_UNITS:
+            return np.full_like(self.value, np.nan), np.full_like(self.value, np.nan)
+        inside = np.clip(self.without, _NEAREST_TO_0_OR_1, 1 - _NEAREST_TO_0_OR_1)
+        reach = _quantile(_effective_units(self.sizes) - 1, level) * _standard_error(logit(inside))
+        with np.errstate(divide="ignore"):
+            centre = logit(self.value)
+        low, high = (np.where(np.isnan(self.value), np.nan, expit(centre + side * reach)) for side in (-1, 1))
+        return low, high
+
+    def less(self, reference: JackknifedScore, level: float = LEVEL) -> PairedDifferences:
+        """`differences` of this score and the reference's, of the same units."""
+        value = self.value - reference.value
+        if len(self.without) < LEAST_UNITS:
+            nothing = np.full_like(value, np.nan)
+            return PairedDifferences(value, nothing, nothing.copy(), nothing.copy())
+        freedom = np.minimum(*(_effective_units(one.sizes) for one in (self, reference))) - 1
+        return _differences_of(value, self.without - reference.without, freedom, level)
 
 
 def holm(p: NDArray[np.floating]) -> Floats:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 
@@ -11,6 +12,7 @@ from gridtrack.evaluation.results.summary import HeadlineTest
 from gridtrack.evaluation.results.values import rounded, rounded_p
 from gridtrack.evaluation.statistics.frame_counts import FrameCounts, common_frames
 from gridtrack.evaluation.statistics.jackknife import LEAST_UNITS, PairedDifferences, differences, holm
+from gridtrack.evaluation.statistics.pr_auc import pr_auc_of_units
 from gridtrack.evaluation.statistics.score_intervals import Scope, summed_by_unit
 from gridtrack.evaluation.statistics.units import UnitRule
 
@@ -23,34 +25,43 @@ OTHER_RETURNS = (
 
 @dataclass(frozen=True, slots=True)
 class HeadlineDifference:
-    """The difference in F1 in one stratum at one horizon, its interval and its p-value, not rounded."""
+    """The differences in one stratum at one horizon, by score (`f1`, `nll`, `pr_auc`), not rounded."""
 
     stratum: str
     horizon_s: float
     step: int
-    f1: float
-    f1_low: float
-    f1_high: float
-    f1_p: float
+    scores: Mapping[str, PairedDifferences]
+
+    @property
+    def f1_p(self) -> float:
+        """The uncorrected p-value of F1."""
+        return float(self.scores["f1"].p)
 
     def test(self, p_holm: float) -> HeadlineTest:
         """The test for the summary, with its corrected p-value: better or worse only where it is significant."""
+        ends = {
+            key: value
+            for score, found in self.scores.items()
+            for key, value in (
+                (score, rounded(float(found.value))),
+                (f"{score}_low", rounded(float(found.low))),
+                (f"{score}_high", rounded(float(found.high))),
+                (f"{score}_p", rounded_p(float(found.p))),
+            )
+        }
         return HeadlineTest(
             stratum=self.stratum,
             horizon_s=round(self.horizon_s, 6),
             step=self.step,
-            f1=rounded(self.f1),
-            f1_low=rounded(self.f1_low),
-            f1_high=rounded(self.f1_high),
-            f1_p=rounded_p(self.f1_p),
             p_holm=rounded_p(p_holm),
-            verdict=_verdict(self.f1, p_holm),
+            verdict=_verdict(float(self.scores["f1"].value), p_holm),
+            **ends,
         )
 
 
 @dataclass(frozen=True, slots=True)
 class TrackerComparison:
-    """One tracker against the reference over a scope: per stratum the differences in F1 (S,), and the headline's."""
+    """One tracker against the reference over a scope: differences in F1 (S,) per stratum, and those of the headline."""
 
     tracker: str
     units: int
@@ -60,11 +71,19 @@ class TrackerComparison:
     headline: tuple[HeadlineDifference, ...] = ()
 
 
+@dataclass(frozen=True, slots=True)
+class ComparedRow:
+    """The trials of one row on the recordings of a scope, in their order: their counts, and their folders."""
+
+    frames: Sequence[FrameCounts]
+    folders: Sequence[Path]
+
+
 def compare_with(
-    reference: Sequence[FrameCounts], tracker: Sequence[FrameCounts], label: str, scope: Scope, rule: UnitRule
+    reference: ComparedRow, tracker: ComparedRow, label: str, scope: Scope, rule: UnitRule
 ) -> TrackerComparison:
-    """Differences on the frames that both were scored on, recording by recording in the same order."""
-    paired = [common_frames(one, other) for one, other in zip(tracker, reference, strict=True)]
+    """Differences on the frames that both were scored on, recording by recording. Raises ScoresError."""
+    paired = [common_frames(one, other) for one, other in zip(tracker.frames, reference.frames, strict=True)]
     frames = sum(len(one.stamps_ns) for one, _ in paired)
     if not frames:
         return TrackerComparison(label, 0, 0, OTHER_FRAMES)
@@ -73,13 +92,26 @@ def compare_with(
     found = differences(own, others, "f1")
     why = rule.too_short(number) if number < LEAST_UNITS else ""
     curves = {name: found.column(k) for k, name in enumerate(scope.strata)}
-    headline = (_at_step(curves[stratum], stratum, horizon_s, step) for stratum, horizon_s, step in scope.headline)
-    return TrackerComparison(label, number, frames, why, curves, tuple(headline))
-
-
-def _at_step(curve: PairedDifferences, stratum: str, horizon_s: float, step: int) -> HeadlineDifference:
-    ends = (float(values[step]) for values in (curve.value, curve.low, curve.high, curve.p))
-    return HeadlineDifference(stratum, horizon_s, step, *ends)
+    headline: tuple[HeadlineDifference, ...] = ()
+    if scope.headline:
+        log_loss, stamps = differences(own, others, "nll"), [one.stamps_ns for one, _ in paired]
+        chosen, units = [(step, stratum) for stratum, _, step in scope.headline], rule.units_of(stamps)
+        area, other_area = (pr_auc_of_units(row.folders, stamps, units, chosen) for row in (tracker, reference))
+        pr_auc = area.less(other_area)
+        headline = tuple(
+            HeadlineDifference(
+                stratum,
+                horizon_s,
+                step,
+                {
+                    "f1": curves[stratum].at(step),
+                    "nll": log_loss.column(scope.strata.index(stratum)).at(step),
+                    "pr_auc": pr_auc.at(i),
+                },
+            )
+            for i, (stratum, horizon_s, step) in enumerate(scope.headline)
+        )
+    return TrackerComparison(label, number, frames, why, curves, headline)
 
 
 def headline_tests(comparisons: Sequence[TrackerComparison]) -> list[tuple[HeadlineTest, ...]]:

@@ -20,7 +20,13 @@ from gridtrack.evaluation.scoring.score_store import read_tally
 from gridtrack.evaluation.statistics.curves import stratum_scores
 from gridtrack.evaluation.statistics.finished_trial import FinishedTrial, trials_on
 from gridtrack.evaluation.statistics.frame_counts import FrameCounts, read_frame_counts
-from gridtrack.evaluation.statistics.paired_tests import OTHER_RETURNS, TrackerComparison, compare_with, headline_tests
+from gridtrack.evaluation.statistics.paired_tests import (
+    OTHER_RETURNS,
+    ComparedRow,
+    TrackerComparison,
+    compare_with,
+    headline_tests,
+)
 from gridtrack.evaluation.statistics.score_intervals import Scope, common_strata, intervals, poolable
 from gridtrack.evaluation.statistics.units import UnitRule, enough_sources
 
@@ -64,7 +70,9 @@ class RunStatistics:
         """Scores of one trial with their intervals, by stratum; empty where nothing was scored."""
         if not trial.record.frames_scored:
             return {}
-        ends = intervals([self.frames_of(trial)], trial.strata, self.unit_rule([trial.record.recording]))
+        ends = intervals(
+            [self.frames_of(trial)], [trial.folder], trial.strata, self.unit_rule([trial.record.recording])
+        )
         return stratum_scores([(trial.record, self.tally_of(trial))], trial.strata, ends)
 
     def tally_of(self, trial: FinishedTrial) -> Tally:
@@ -105,7 +113,12 @@ class RunStatistics:
     def _pooled_strata(self, complete: Sequence[FinishedTrial]) -> dict[str, StratumScores]:
         strata = common_strata([trial.strata for trial in complete])
         frames = [_in_strata(self.frames_of(trial), trial.strata, strata) for trial in complete]
-        ends = intervals(frames, strata, self.unit_rule([trial.record.recording for trial in complete]))
+        ends = intervals(
+            frames,
+            [trial.folder for trial in complete],
+            strata,
+            self.unit_rule([trial.record.recording for trial in complete]),
+        )
         return stratum_scores([(trial.record, self.tally_of(trial)) for trial in complete], strata, ends)
 
     def _why_partial(self, trials: Sequence[FinishedTrial]) -> str:
@@ -124,10 +137,14 @@ class RunStatistics:
         if own[0].points != others[0].points:
             return TrackerComparison(label, 0, 0, OTHER_RETURNS)
         scope = self._scope(names, own + others)
-        sides = [
-            [_in_strata(self.frames_of(trial), trial.strata, scope.strata) for trial in side] for side in (others, own)
-        ]
-        return compare_with(sides[0], sides[1], label, scope, self.unit_rule(names))
+        theirs, mine = (
+            ComparedRow(
+                [_in_strata(self.frames_of(trial), trial.strata, scope.strata) for trial in side],
+                [trial.folder for trial in side],
+            )
+            for side in (others, own)
+        )
+        return compare_with(theirs, mine, label, scope, self.unit_rule(names))
 
     def _difference(
         self, names: Sequence[str], comparison: TrackerComparison, tests: tuple[HeadlineTest, ...]

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import pairwise, product
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,7 @@ from gridtrack.evaluation.results.recording import RecordingDescription
 from gridtrack.evaluation.results.values import rounded_curve
 from gridtrack.evaluation.statistics.frame_counts import FrameCounts
 from gridtrack.evaluation.statistics.jackknife import COUNTS, LEAST_UNITS, RATIO_SCORES, interval
+from gridtrack.evaluation.statistics.pr_auc import pr_auc_of_units
 from gridtrack.evaluation.statistics.units import (
     UnitRule,
     autocorrelation_time,
@@ -59,15 +61,27 @@ class Scope:
         return spacing_s * autocorrelation_time(residuals(counts @ part, counts @ whole))
 
 
+INTERVAL_SCORES = (*RATIO_SCORES, "pr_auc")
+"""The scores that have intervals."""
+
+
 def intervals(
-    recordings: Sequence[FrameCounts], strata: Sequence[str], rule: UnitRule
+    recordings: Sequence[FrameCounts], folders: Sequence[Path], strata: Sequence[str], rule: UnitRule
 ) -> dict[str, dict[str, tuple[float | None, ...] | str | None]]:
-    """Per stratum `f1_low`, `f1_high` and so on, one value per step; `interval` has the reason where there are none."""
+    """Per stratum `f1_low`, `f1_high` and so on, one value per step; `interval` has the reason where there are none.
+
+    `folders` are those of the trials of `recordings`, with their histograms. Raises ScoresError.
+    """
     (counts,), number = summed_by_unit([recordings], rule)
     if number < LEAST_UNITS:
-        nothing = {f"{score}_{end}": None for score in RATIO_SCORES for end in ("low", "high")}
+        nothing = {f"{score}_{end}": None for score in INTERVAL_SCORES for end in ("low", "high")}
         return {name: {**nothing, "interval": rule.too_short(number)} for name in strata}
     found = {score: interval(counts, score) for score in RATIO_SCORES}
+    stamps = [frames.stamps_ns for frames in recordings]
+    chosen = list(product(range(counts.shape[1]), strata))
+    ends = pr_auc_of_units(folders, stamps, rule.units_of(stamps), chosen).interval()
+    low, high = (end.reshape(counts.shape[1], len(strata)) for end in ends)
+    found["pr_auc"] = low, high
     return {
         name: {
             **{f"{score}_low": rounded_curve(low[:, k]) for score, (low, _) in found.items()},

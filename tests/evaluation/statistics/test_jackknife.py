@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy import stats
+from sklearn.metrics import average_precision_score
 
+from gridtrack.evaluation.results.columns import PROBABILITY_BINS, PROBABILITY_EDGES
 from gridtrack.evaluation.statistics.jackknife import (
     COUNTS,
     LEAST_UNITS,
@@ -16,6 +18,7 @@ from gridtrack.evaluation.statistics.jackknife import (
     ratio_differences,
     ratio_interval,
 )
+from gridtrack.evaluation.statistics.pr_auc import pr_auc_without_each
 
 
 def counts_of(rng, units=20, recall=0.6, cells=200, shape=()):
@@ -166,3 +169,54 @@ def test_a_comparison_that_could_not_be_made_is_none_of_the_family():
     adjusted = holm(np.array([np.nan, 0.02, 0.01]))
     assert np.isnan(adjusted[0])
     assert adjusted[1:] == pytest.approx([0.02, 0.02])
+
+
+def histograms(rng, units=20, skill=2.0):
+    """Cells and positives (units, 1, B) of units of unlike size and difficulty; `skill` parts occupied from free."""
+    shape = (units, 1, PROBABILITY_BINS)
+    cells, positives = np.zeros((2, *shape), np.int64)
+    for u in range(units):
+        occupied = rng.poisson(60 * np.exp(0.5 * rng.standard_normal()))
+        score = np.concatenate([rng.normal(skill + 0.4 * rng.standard_normal(), 1, occupied), rng.normal(0, 1, 3000)])
+        bins = PROBABILITY_EDGES[1:-1].searchsorted(1 / (1 + np.exp(4 - score)), side="right")
+        cells[u, 0] = np.bincount(bins, minlength=PROBABILITY_BINS)
+        positives[u, 0] = np.bincount(bins[:occupied], minlength=PROBABILITY_BINS)
+    return cells, positives
+
+
+def area_by_hand(cells, positives):
+    """PR-AUC of pooled histograms (units, 1, B), by scikit-learn cell by cell."""
+    bins = np.arange(PROBABILITY_BINS)
+    hits, all_cells = positives.sum(axis=(0, 1)), cells.sum(axis=(0, 1))
+    truth = np.repeat([True, False], [hits.sum(), (all_cells - hits).sum()])
+    return average_precision_score(truth, np.concatenate([np.repeat(bins, hits), np.repeat(bins, all_cells - hits)]))
+
+
+def test_the_interval_of_pr_auc_is_the_jackknife_of_its_log_odds_computed_one_unit_at_a_time():
+    cells, positives = histograms(np.random.default_rng(5))
+    without = np.array([area_by_hand(*(np.delete(one, u, axis=0) for one in (cells, positives))) for u in range(20)])
+    odds = np.log(without / (1 - without))
+    error = np.sqrt(19 / 20 * np.sum((odds - odds.mean()) ** 2))
+    sizes, value = positives.sum(axis=(1, 2)), area_by_hand(cells, positives)
+    reach = stats.t.ppf(0.975, sizes.sum() ** 2 / (sizes**2).sum() - 1) * error
+    ends = 1 / (1 + np.exp(-(np.log(value / (1 - value)) + np.array([-1, 1]) * reach)))
+    found = pr_auc_without_each(cells, positives)
+    assert found.value == pytest.approx(value)
+    assert np.ravel(found.interval()) == pytest.approx(ends)
+
+
+def test_the_difference_in_pr_auc_is_paired_and_that_of_equal_forecasts_is_none():
+    rng = np.random.default_rng(6)
+    good, poor = (pr_auc_without_each(*histograms(rng, skill=skill)) for skill in (2.5, 1.5))
+    found = good.less(poor)
+    assert found.value == pytest.approx(good.value - poor.value)
+    assert found.low > 0
+    assert found.p < 0.001
+    same = good.less(good)
+    assert (float(same.value[0]), float(same.p[0])) == (0.0, 1.0)
+
+
+def test_pr_auc_of_too_few_units_has_no_interval_and_no_test():
+    few, other = (pr_auc_without_each(*histograms(np.random.default_rng(seed), LEAST_UNITS - 1)) for seed in (0, 1))
+    assert np.isnan(few.interval()).all()
+    assert np.isnan(few.less(other).p).all()
