@@ -1,14 +1,17 @@
-"""Each tracker against the reference, as a table: differences in F1 with intervals, p-values and verdicts."""
+"""Each tracker against the reference, as a table: differences with intervals and p-values, in F1 with verdicts."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from gridtrack.evaluation.results.summary import HeadlineTest, TrackerDifference
 from gridtrack.reports.markdown import cell_text, markdown_table
 from gridtrack.reports.run import UNDEFINED, Run
 from gridtrack.reports.table import LEAK
+
+BESIDE_F1 = {"nll": ("log loss", 4), "pr_auc": ("PR-AUC", 3)}
+"""Scores that have a line each below F1: their names, and the digits of a difference."""
 
 
 @dataclass(frozen=True)
@@ -23,9 +26,10 @@ class DifferenceCell:
 
 @dataclass(frozen=True)
 class DifferenceRow:
-    """One tracker: its comparisons in the order of the columns, or the reason why there are none."""
+    """One tracker and score: the comparisons in the order of the columns, or the reason why there are none."""
 
     tracker: str
+    score: str
     cells: tuple[DifferenceCell, ...]
     reason: str
 
@@ -48,9 +52,7 @@ def difference_table(run: Run, recording: str) -> DifferenceTable | None:
     if not tested:
         return None
     columns = tuple((test.stratum, test.horizon_s) for test in tested[0].headline)
-    rows = tuple(
-        DifferenceRow(_marked(run, one.tracker, recording), _cells_of(one, columns), one.interval) for one in found
-    )
+    rows = tuple(row for one in found for row in _rows_of(_marked(run, one.tracker, recording), one, columns))
     reference = _marked(run, tested[0].reference, recording)
     return DifferenceTable(reference, columns, f"{tested[0].units} units, {tested[0].frames} frames", rows)
 
@@ -62,18 +64,37 @@ def _marked(run: Run, label: str, recording: str) -> str:
     return f"{label} ({LEAK})" if trial and trial.leak else label
 
 
-def _cells_of(difference: TrackerDifference, columns: Sequence[tuple[str, float]]) -> tuple[DifferenceCell, ...]:
+def _rows_of(name: str, difference: TrackerDifference, columns: Sequence[tuple[str, float]]) -> Iterator[DifferenceRow]:
+    """The row of F1, and where there was a comparison those of the other scores that the run has."""
     if difference.interval:
-        return ()
+        yield DifferenceRow(name, "F1", (), difference.interval)
+        return
     tests = {(test.stratum, test.horizon_s): test for test in difference.headline}
-    return tuple(_difference_cell(tests.get(column)) for column in columns)
+    chosen = [tests.get(column) for column in columns]
+    yield DifferenceRow(name, "F1", tuple(_f1_cell(test) for test in chosen), "")
+    for score, (score_name, digits) in BESIDE_F1.items():
+        if any(test is not None and getattr(test, score) is not None for test in chosen):
+            cells = tuple(_uncorrected_cell(test, score, digits) for test in chosen)
+            yield DifferenceRow(name, score_name, cells, "")
 
 
-def _difference_cell(test: HeadlineTest | None) -> DifferenceCell:
+def _f1_cell(test: HeadlineTest | None) -> DifferenceCell:
     if test is None or test.f1 is None:
         return DifferenceCell(UNDEFINED, "", "", "not tested")
-    interval = "" if test.f1_low is None or test.f1_high is None else f"[{test.f1_low:+.3f}, {test.f1_high:+.3f}]"
+    interval = _interval_text(test.f1_low, test.f1_high, 3)
     return DifferenceCell(f"{test.f1:+.3f}", interval, p_text(test.p_holm), test.verdict)
+
+
+def _uncorrected_cell(test: HeadlineTest | None, score: str, digits: int) -> DifferenceCell:
+    value = None if test is None else getattr(test, score)
+    if value is None:
+        return DifferenceCell(UNDEFINED, "", "", "not tested")
+    low, high, p = (getattr(test, f"{score}_{end}") for end in ("low", "high", "p"))
+    return DifferenceCell(f"{value:+.{digits}f}", _interval_text(low, high, digits), p_text(p), "uncorrected")
+
+
+def _interval_text(low: float | None, high: float | None, digits: int) -> str:
+    return "" if low is None or high is None else f"[{low:+.{digits}f}, {high:+.{digits}f}]"
 
 
 def p_text(p: float | None) -> str:
@@ -90,5 +111,5 @@ def difference_markdown(differences: DifferenceTable) -> str:
     rows = []
     for row in differences.rows:
         cells = [f"{cell.value} {cell.interval} {cell.p} {cell.verdict}" for cell in row.cells]
-        rows.append([cell_text(row.tracker), *(cells or [row.reason, *empty])])
+        rows.append([f"{cell_text(row.tracker)}, {row.score}", *(cells or [row.reason, *empty])])
     return markdown_table(headings, rows)

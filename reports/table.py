@@ -45,11 +45,11 @@ class TableColumn:
         return None if scores is None else scores.at(self.score, self.step)
 
     def interval_of(self, trial: TrialSummary) -> tuple[float, float] | None:
-        """The confidence interval of an F1; None where there is none, and for every other score."""
+        """The confidence interval of an F1 or a PR-AUC; None where there is none, and for every other score."""
         scores = trial.strata.get(self.stratum)
-        if scores is None or self.score != "f1" or scores.f1_low is None or scores.f1_high is None:
+        if scores is None or self.score not in ("f1", "pr_auc"):
             return None
-        low, high = scores.f1_low[self.step], scores.f1_high[self.step]
+        low, high = (scores.at(f"{self.score}_{end}", self.step) for end in ("low", "high"))
         return None if low is None or high is None else (low, high)
 
 

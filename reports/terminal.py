@@ -82,7 +82,7 @@ def print_tables(run: Path) -> None:
 
 def _difference_title(differences: DifferenceTable) -> str:
     return printable(
-        f"F1 less that of {differences.reference}, paired over {differences.units}; p corrected after Holm"
+        f"scores less those of {differences.reference}, paired over {differences.units}; p of F1 corrected after Holm"
     )
 
 
@@ -93,7 +93,7 @@ def _rich_difference_table(differences: DifferenceTable) -> Table:
         shown.add_column(f"{stratum}\n{horizon_s:g} s", justify="right")
     for row in differences.rows:
         cells = [f"{c.value}\n{escape(c.interval)}\n{c.p}\n{c.verdict}" for c in row.cells]
-        shown.add_row(escape(row.tracker), *(cells or [escape(row.reason)]))
+        shown.add_row(escape(f"{row.tracker}\n{row.score}"), *(cells or [escape(row.reason)]))
     return shown
 
 

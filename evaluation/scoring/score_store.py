@@ -178,17 +178,17 @@ def add_histograms(
     `unit_of` has the unit of each frame by its stamp; frames that it lacks are left out. Raises ScoresError.
     """
     steps = max(step for step, _ in chosen)
-    index_of = np.full((steps + 1, len(STRATA_WITH_TRUTH)), -1)
-    for index, (step, stratum) in enumerate(chosen):
-        index_of[step, _STRATUM_INDEX[stratum]] = index
+    number_of = np.full((steps + 1, len(STRATA_WITH_TRUTH)), -1)
+    for number, (step, stratum) in enumerate(chosen):
+        number_of[step, _STRATUM_INDEX[stratum]] = number
     for batch in _read(folder, HISTOGRAM_TABLE, ["stamp_ns", "step", "stratum", "bin", "count", "positives"]):
         units = np.array([unit_of.get(stamp, -1) for stamp in batch["stamp_ns"].to_pylist()], np.int64)
-        step = batch["step"].to_numpy().astype(np.int64)
+        step_of = batch["step"].to_numpy().astype(np.int64)
         strata = np.array([_STRATUM_INDEX.get(name, -1) for name in batch["stratum"].to_pylist()], np.int64)
-        index = np.where(step <= steps, index_of[np.clip(step, 0, steps), strata], -1)
-        counted = (units >= 0) & (index >= 0)
+        numbers = np.where(step_of <= steps, number_of[np.clip(step_of, 0, steps), strata], -1)
+        counted = (units >= 0) & (numbers >= 0)
         columns = {name: batch[name].filter(pa.array(counted)) for name in ("bin", "count", "positives")}
-        histogram = units[counted] * len(chosen) + index[counted]
+        histogram = units[counted] * len(chosen) + numbers[counted]
         _add_entries(folder, columns, histogram, cells.reshape(-1), positives.reshape(-1))
 
 
