@@ -55,7 +55,7 @@ def _beams(scan: Scan, grid: GridSpec, grid_T_sensor: SE2) -> Beams:
     """Ranges, directions, range limits, the sensor's position in cells, and the size of a cell in metres."""
     return (
         np.ascontiguousarray(scan.ranges, np.float32),
-        _directions(scan.angle_min + grid_T_sensor.theta, scan.angle_increment, scan.ranges.size),
+        directions_of(scan.angle_min + grid_T_sensor.theta, scan.angle_increment, scan.ranges.size),
         scan.range_min,
         scan.range_max,
         (grid_T_sensor.x - grid.origin[0]) / grid.cell_m,
@@ -65,7 +65,7 @@ def _beams(scan: Scan, grid: GridSpec, grid_T_sensor: SE2) -> Beams:
 
 
 @lru_cache(maxsize=64)
-def _directions(angle_0: float, angle_step: float, beams: int) -> NDArray[np.float64]:
+def directions_of(angle_0: float, angle_step: float, beams: int) -> NDArray[np.float64]:
     """Unit vectors (B, 2) of the beams: the same for every scan of a static sensor."""
     angles = angle_0 + angle_step * np.arange(beams)
     return np.stack([np.cos(angles), np.sin(angles)], axis=1)
@@ -120,7 +120,7 @@ def _ends(ranges, directions, range_min, range_max, x0, y0, cell_m, size, cells)
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def cross(x0, y0, dx, dy, size, visible):  # type: ignore[no-untyped-def]
     """Mark the cells that the segment from (x0, y0) to (x0 + dx, y0 + dy) has length in."""
-    enter, leave = _clip(x0, y0, dx, dy, size)
+    enter, leave = clip(x0, y0, dx, dy, size)
     if enter >= leave or (dx == 0.0 and dy == 0.0):
         return
     if abs(dx) >= abs(dy):
@@ -181,7 +181,7 @@ def _fixed(v):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _clip(x0, y0, dx, dy, size):  # type: ignore[no-untyped-def]
+def clip(x0, y0, dx, dy, size):  # type: ignore[no-untyped-def]
     """The part [enter, leave] of the segment, as shares of its length, inside the grid (Liang and Barsky, 1984)."""
     enter, leave = 0.0, 1.0
     for start, along in ((x0, dx), (y0, dy)):

@@ -12,13 +12,12 @@ OCCLUDED = "occluded"
 
 @dataclass(frozen=True)
 class OccludedRow:
-    """One tracker on occluded cells: F1 of each stratum, F1 on visible less F1 on occluded cells, and the shares of
-    the oracle on dynamic and on occluded cells; None where a score is undefined."""
+    """One tracker on occluded cells: F1 of each stratum, and F1 on visible less F1 on occluded cells; None where a
+    score is undefined."""
 
     row: TableRow
     f1: tuple[float | None, ...]
     gap: float | None
-    shares: tuple[float | None, ...]
 
 
 @dataclass(frozen=True)
@@ -42,10 +41,8 @@ def occluded_table(table: HeadlineTable) -> OccludedTable | None:
 
 def _occluded_row(row: TableRow, names: Sequence[str], step: int) -> OccludedRow:
     strata, gap = row.trial.strata, row.trial.gap_to_truth
-    shares = (strata[n].share_of_oracle if n in strata else None for n in ("dynamic", OCCLUDED))
     return OccludedRow(
         row,
         tuple(strata[name].f1[step] if name in strata else None for name in names),
         None if gap is None else gap[step],
-        tuple(None if share is None else share[step] for share in shares),
     )

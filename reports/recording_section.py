@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from gridtrack.evaluation.results.passes import Latency
 from gridtrack.evaluation.results.trial_summary import StratumScores, TrialSummary
+from gridtrack.reports.ceiling import CeilingTable, ceiling_table
 from gridtrack.reports.classes import ClassTables, class_tables
 from gridtrack.reports.deadline_and_robustness import DeadlineTable, RobustnessTable, deadline_table, robustness_table
 from gridtrack.reports.differences import DifferenceTable, difference_table
@@ -86,6 +87,7 @@ class Section:
     deadlines: DeadlineTable | None
     robustness: RobustnessTable | None
     filmstrip: Filmstrip | None
+    ceiling: CeilingTable | None
     occluded: OccludedTable | None
     occluded_thresholds: OccludedThresholds | None
     classes: ClassTables | None
@@ -141,6 +143,7 @@ def section_of(runs: Sequence[Run], table: HeadlineTable, styles: Mapping[str, s
         deadlines=deadline_table(table, styles),
         robustness=robustness_table(table, styles),
         filmstrip=filmstrip,
+        ceiling=ceiling_table(table),
         occluded=occluded_table(table),
         occluded_thresholds=occluded_thresholds(table, runs[0] if len(runs) == 1 else None),
         classes=class_tables(table, runs[0] if len(runs) == 1 else None),

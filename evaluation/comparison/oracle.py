@@ -1,7 +1,8 @@
 """The oracle: a forecaster that knows the truth. Its score is the ceiling of a recording.
 
-It runs in the referee's process, because no tracker receives the truth. Its forecast for t+n is binary: the grid that
-a laser without noise would measure of the true scene at t+n, and in cells hidden at t+n the true outlines.
+It runs in the referee's process, because no tracker receives the truth. It knows the true scene at t+n, and of the
+laser's errors there only their distribution: in a visible cell it forecasts P(occupied | visible, scene), the best
+forecast for every proper score that is not made of t+n itself, and in a hidden cell the true outlines.
 """
 
 from __future__ import annotations
@@ -9,41 +10,47 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gridtrack.common.grid import GridFrame, GridSpec
-from gridtrack.common.raycast import cast_scan
-from gridtrack.evaluation.comparison.trial import OnFrame
+from gridtrack.common.scan import Scan
+from gridtrack.common.scene import Scene
+from gridtrack.evaluation.comparison.shared_thresholds import SharedThresholds, oracle_key
+from gridtrack.evaluation.comparison.trial import OnFrame, validation_tally
 from gridtrack.evaluation.results.summary import ORACLE
 from gridtrack.evaluation.results.trial_record import OUTCOME_FILE, Times, TrialRecord, hashes_of
 from gridtrack.evaluation.scoring.motion import ObservedMotion
 from gridtrack.evaluation.scoring.referee import Delivery, scored_forecasts
 from gridtrack.evaluation.scoring.scorekeeper import SCORE_FILES, Scorekeeper
 from gridtrack.evaluation.scoring.splits import EvaluationSplit, SplitRegions
-from gridtrack.evaluation.scoring.thresholds import half
+from gridtrack.evaluation.scoring.thresholds import Thresholds, best_thresholds, half
 from gridtrack.recordings.stream import GridStream, Observation
 from gridtrack.recordings.truth import OUTLINE, truth_grid
-from gridtrack.simulation.laser import sweep
+from gridtrack.simulation.expected_scan import ExpectedScan
+from gridtrack.simulation.range_errors import RangeErrors, measure_range_errors, true_ranges
 from gridtrack.trackers.contract import Forecast
+
+MAX_ERROR_FRAMES = 500
+"""Limit of the scans of a sensor in which its range errors are measured: half a million beams."""
 
 
 class Oracle:
-    """A TrackerLike that reads ahead in the recording; it holds the ideal grids of one horizon."""
+    """A TrackerLike that reads ahead in the recording; it holds the forecasts of one horizon, one for each frame."""
 
     def __init__(self, stream: GridStream) -> None:
         self._stream = stream
+        self._errors = range_errors(stream)
 
     def reset(self, seed: int) -> None:
-        """Start at the first frame; `seed` is not used."""
+        """Start at the first frame; nothing is drawn at random, so `seed` is not used."""
         self._ahead: Iterator[Observation] = iter(self._stream.observations())
         self._grids: deque[tuple[int, NDArray[np.float32]]] = deque()
 
     def update(self, frame: GridFrame) -> None:
-        """Discard the ideal grids of earlier frames."""
+        """Discard the grids of earlier frames."""
         while self._grids and self._grids[0][0] < frame.stamp_ns:
             self._grids.popleft()
         while not self._grids:
@@ -52,43 +59,57 @@ class Oracle:
                 self._grids.popleft()
 
     def predict(self, steps: int) -> Forecast:
-        """The ideal grids of steps 0..steps."""
+        """The grids of steps 0..steps."""
         while len(self._grids) <= steps:
             self._read()
         return Forecast(np.stack([grid for _, grid in self._grids][: steps + 1]))
 
     def _read(self) -> None:
         observation = next(self._ahead)
-        self._grids.append((observation.frame.stamp_ns, ideal_grid(observation, self._stream.grid)))
+        forecast = expected_grid(observation, self._stream.grid, self._errors)
+        self._grids.append((observation.frame.stamp_ns, forecast))
 
 
-def ideal_grid(observation: Observation, grid: GridSpec) -> NDArray[np.float32]:
-    """Binary occupancy (M, M) of the true scene: visible cells as measured without noise, hidden cells by outlines."""
+def range_errors(stream: GridStream) -> dict[str, RangeErrors]:
+    """The range errors of each sensor in a stretch with truth, measured in frames spread over it."""
+    pairs = (pair for observation in stream.observations() for pair in _scenes(observation))
+    return measure_range_errors(pairs, -(-len(stream) // MAX_ERROR_FRAMES))
+
+
+def expected_grid(observation: Observation, grid: GridSpec, errors: dict[str, RangeErrors]) -> NDArray[np.float32]:
+    """P(occupied) (M, M): of visible cells given that they are, and of hidden cells 0 or 1 by the true outlines."""
     frame, scene = observation.frame, observation.scene
     if scene is None:
         return np.zeros(grid.shape, np.float32)
-    visible, occupied = np.zeros((2, *grid.shape), np.bool_)
-    for scan, grid_T_sensor in zip(observation.scans, observation.grid_T_sensor, strict=True):
-        beams = scan.ranges.size
-        true_ranges, _ = sweep(
-            scan.scene or scene, scan.world_T_sensor, scan.angle_min, scan.angle_increment, beams, scan.range_max
-        )
-        cast_scan(replace(scan, ranges=true_ranges), grid, grid_T_sensor, visible, occupied)
+    expected = ExpectedScan.nothing(grid)
+    for (scan, own_scene), grid_T_sensor in zip(_scenes(observation), observation.grid_T_sensor, strict=True):
+        expected.add(scan, true_ranges(scan, own_scene), errors[scan.sensor], grid, grid_T_sensor)
+    forecast = expected.occupied_where_visible()
     outlines = truth_grid(scene, grid, frame.world_T_grid).cover == OUTLINE
-    return np.where(frame.visible, occupied, outlines).astype(np.float32)
+    return np.where(frame.visible & ~np.isnan(forecast), forecast, outlines).astype(np.float32)
 
 
-def run_oracle(split: EvaluationSplit, regions: SplitRegions, folder: Path, on_frame: OnFrame) -> TrialRecord:
+def _scenes(observation: Observation) -> Iterator[tuple[Scan, Scene]]:
+    """The scans of a frame, each with its own true scene, else with that of the frame."""
+    for scan in observation.scans:
+        scene = scan.scene or observation.scene
+        if scene is not None:
+            yield scan, scene
+
+
+def run_oracle(
+    split: EvaluationSplit, regions: SplitRegions, folder: Path, on_frame: OnFrame, shared: SharedThresholds
+) -> TrialRecord:
     """Score the oracle on the test stretch of a split like a tracker, and write its record to `folder`.
 
-    `on_frame` is called before each frame. Raises what `on_frame` raises, RecordingError and OSError; no record is
-    written then.
+    Its thresholds are chosen like a tracker's; `shared` holds those that are chosen already. `on_frame` is called
+    before each frame. Raises what `on_frame` raises, RecordingError and OSError; no record is written then.
     """
     folder.mkdir(parents=True, exist_ok=True)
     for stale in (OUTCOME_FILE, *SCORE_FILES):
         (folder / stale).unlink(missing_ok=True)
     began = time.perf_counter()
-    thresholds = half(split.steps, split.strata)
+    thresholds = shared.of(oracle_key(split), lambda: _choose_thresholds(split, regions, on_frame))
     delivery = Delivery(split.test, on_frame, ObservedMotion(split.test, regions.test.dynamic))
     with Scorekeeper(folder, split, regions.test, thresholds, ()) as scorekeeper:
         for scored in scored_forecasts(Oracle(split.test), delivery, split.schedule, seed=0):
@@ -108,3 +129,18 @@ def run_oracle(split: EvaluationSplit, regions: SplitRegions, folder: Path, on_f
     )
     record.write(folder)
     return record
+
+
+def oracle_validation(split: EvaluationSplit) -> GridStream | None:
+    """The stretch on which the oracle's thresholds are chosen; None where there is none, or where it has no truth."""
+    return split.validation if split.validation and split.validation.has_truth else None
+
+
+def _choose_thresholds(split: EvaluationSplit, regions: SplitRegions, on_frame: OnFrame) -> Thresholds:
+    """The best thresholds on the validation stretch; 0.5 without one."""
+    stretch = oracle_validation(split)
+    if stretch is None:
+        return half(split.steps, split.strata)
+    maps = regions.validation
+    delivery = Delivery(stretch, on_frame, ObservedMotion(stretch, maps.dynamic))
+    return best_thresholds(validation_tally(Oracle(stretch), delivery, split, maps, 0), stretch.name)

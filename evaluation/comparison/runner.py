@@ -13,13 +13,13 @@ from typing import Any, Protocol
 
 from gridtrack.evaluation.comparison.deadline_pass import measure_deadline
 from gridtrack.evaluation.comparison.latency_pass import measure_latency
-from gridtrack.evaluation.comparison.oracle import run_oracle
+from gridtrack.evaluation.comparison.oracle import oracle_validation, run_oracle
 from gridtrack.evaluation.comparison.plan import ComparisonPlan, Trial, with_copied_weights
 from gridtrack.evaluation.comparison.provenance import usable_cores
 from gridtrack.evaluation.comparison.robustness_pass import RobustnessRun
 from gridtrack.evaluation.comparison.run_folder import RunFolder
 from gridtrack.evaluation.comparison.run_lock import run_lock
-from gridtrack.evaluation.comparison.shared_thresholds import SharedThresholds
+from gridtrack.evaluation.comparison.shared_thresholds import SharedThresholds, oracle_key
 from gridtrack.evaluation.comparison.trial import Interrupted, TrialRun, error_with_location, failed, unstarted
 from gridtrack.evaluation.processes.outcome import TrialEnded
 from gridtrack.evaluation.results.summary import RunSummary
@@ -102,10 +102,11 @@ class TrialPool:
             name = split.oracle_name
             if not split.test.has_truth or name in self._records:
                 continue
-            self._progress.started(name, len(split.test))
+            validation = () if self._thresholds.known(oracle_key(split)) else oracle_validation(split) or ()
+            self._progress.started(name, len(split.test) + len(validation))
             try:
-                on_frame = partial(self._next_frame, name)
-                record = run_oracle(split, self._regions_of(split), self._folder / name, on_frame)
+                regions, on_frame = self._regions_of(split), partial(self._next_frame, name)
+                record = run_oracle(split, regions, self._folder / name, on_frame, self._thresholds)
             except Exception as error:  # noqa: BLE001 as for a trial
                 self.notices.append(f"{split.name}: no oracle: {error_with_location(error)}")
                 self._progress.note(self.notices[-1])

@@ -5,8 +5,11 @@ from __future__ import annotations
 import json
 import threading
 from collections.abc import Callable
+from typing import Any
 
 from gridtrack.evaluation.comparison.plan import Trial
+from gridtrack.evaluation.results.summary import ORACLE
+from gridtrack.evaluation.scoring.splits import EvaluationSplit
 from gridtrack.evaluation.scoring.thresholds import Thresholds
 
 
@@ -18,13 +21,12 @@ class SharedThresholds:
         self._choosing: dict[str, threading.Lock] = {}
         self._chosen: dict[str, Thresholds] = {}
 
-    def known(self, trial: Trial) -> bool:
-        """Whether the thresholds of `trial` have been chosen."""
-        return _key(trial) in self._chosen
+    def known(self, key: str) -> bool:
+        """Whether the thresholds of `key` have been chosen."""
+        return key in self._chosen
 
-    def of(self, trial: Trial, choose: Callable[[], Thresholds]) -> Thresholds:
-        """The thresholds of `trial`, by `choose()` where they have not been chosen yet. Raises what `choose` raises."""
-        key = _key(trial)
+    def of(self, key: str, choose: Callable[[], Thresholds]) -> Thresholds:
+        """The thresholds of `key`, by `choose()` where they have not been chosen yet. Raises what `choose` raises."""
         with self._guard:
             choosing = self._choosing.setdefault(key, threading.Lock())
         with choosing:
@@ -33,21 +35,25 @@ class SharedThresholds:
             return self._chosen[key]
 
 
-def _key(trial: Trial) -> str:
-    """Everything that the thresholds depend on: the tracker with its settings, and the validation frames."""
-    split, validation = trial.split, trial.validation
-    stretch = (
-        {
-            "sha256": validation.sha256,
-            "stretch_s": list(validation.stretch_s),
-            "period_ns": validation.period_ns,
-            "grid": str(validation.grid),
-            "every": split.validation_schedule.every,
-        }
-        if validation
-        else None
-    )
+def trial_key(trial: Trial) -> str:
+    """Everything that the thresholds of a trial depend on: the tracker with its settings, and the validation frames."""
     weights = trial.weights.sha256 if trial.weights else ""
-    return json.dumps(
-        [trial.identity().model_dump(), weights, stretch, split.steps, split.strata, trial.split.test.site]
-    )
+    return json.dumps([trial.identity().model_dump(), weights, *_validation_frames(trial.split)])
+
+
+def oracle_key(split: EvaluationSplit) -> str:
+    """Everything that the thresholds of the oracle depend on."""
+    return json.dumps([ORACLE, *_validation_frames(split)])
+
+
+def _validation_frames(split: EvaluationSplit) -> list[Any]:
+    """The frames on which thresholds are chosen, and what is counted there; the returns in them apart."""
+    validation = split.validation
+    stretch = validation and {
+        "sha256": validation.sha256,
+        "stretch_s": list(validation.stretch_s),
+        "period_ns": validation.period_ns,
+        "grid": str(validation.grid),
+        "every": split.validation_schedule.every,
+    }
+    return [stretch, split.steps, split.strata, split.test.site]

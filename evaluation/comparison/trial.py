@@ -11,16 +11,17 @@ from typing import Any
 
 from gridtrack.common.errors import RecordingError
 from gridtrack.evaluation.comparison.plan import Trial
-from gridtrack.evaluation.comparison.shared_thresholds import SharedThresholds
+from gridtrack.evaluation.comparison.shared_thresholds import SharedThresholds, trial_key
 from gridtrack.evaluation.processes.outcome import TrialEnded
 from gridtrack.evaluation.processes.tracker_process import TrackerDescription
 from gridtrack.evaluation.results.columns import HISTOGRAM_TABLE, SCORES_TABLE
 from gridtrack.evaluation.results.trial_record import OUTCOME_FILE, Times, TrialEnding, TrialRecord, hashes_of
 from gridtrack.evaluation.scoring.counting import Tally, count_forecast
 from gridtrack.evaluation.scoring.motion import ObservedMotion
-from gridtrack.evaluation.scoring.referee import Delivery, scored_forecasts
+from gridtrack.evaluation.scoring.referee import Delivery, TrackerLike, scored_forecasts
 from gridtrack.evaluation.scoring.scorekeeper import SCORE_FILES, Scorekeeper
-from gridtrack.evaluation.scoring.splits import SplitRegions
+from gridtrack.evaluation.scoring.splits import EvaluationSplit, SplitRegions
+from gridtrack.evaluation.scoring.strata import RegionMaps
 from gridtrack.evaluation.scoring.thresholds import Thresholds, best_thresholds, half
 
 STDERR_LOG = "stderr.log"
@@ -73,7 +74,7 @@ class TrialRun:
             with self._process:
                 self._start_s = time.perf_counter() - began
                 self._description = self._process.description
-                self._thresholds = self._shared.of(self.trial, self._choose_thresholds)
+                self._thresholds = self._shared.of(trial_key(self.trial), self._choose_thresholds)
                 with self._clock():
                     self._score(self._thresholds)
         except TrialEnded as ended:
@@ -99,7 +100,7 @@ class TrialRun:
     @property
     def frames(self) -> int:
         """Number of frames that the trial will deliver, on both stretches."""
-        validation = () if self._shared.known(self.trial) else self.trial.validation or ()
+        validation = () if self._shared.known(trial_key(self.trial)) else self.trial.validation or ()
         return len(self.trial.test) + len(validation)
 
     def interrupt(self) -> None:
@@ -112,15 +113,11 @@ class TrialRun:
         stretch = self.trial.validation
         if stretch is None:
             return half(self.trial.split.steps, self.trial.split.strata)
-        tally = Tally.empty(self.trial.split.steps, self.trial.split.strata)
-        region_maps = self._regions.validation
-        delivery = Delivery(stretch, self._on_frame, ObservedMotion(stretch, region_maps.dynamic))
+        maps = self._regions.validation
+        delivery = Delivery(stretch, self._on_frame, ObservedMotion(stretch, maps.dynamic))
         try:
             with self._clock():
-                for scored in scored_forecasts(
-                    self._process, delivery, self.trial.split.validation_schedule, self.trial.seed
-                ):
-                    tally.add(count_forecast(scored.forecast.occupancy, scored.targets, region_maps, scored.ages))
+                tally = validation_tally(self._process, delivery, self.trial.split, maps, self.trial.seed)
         except TrialEnded as ended:
             raise TrialEnded(ended.outcome, f"in the validation stretch {stretch.name}: {ended.reason}") from None
         return best_thresholds(tally, stretch.name)
@@ -170,6 +167,16 @@ class TrialRun:
             return {}
         reference_for = tuple(sorted(description.reference_for))
         return {"classes": description.classes, "role": description.role, "reference_for": reference_for}
+
+
+def validation_tally(
+    tracker: TrackerLike, delivery: Delivery, split: EvaluationSplit, region_maps: RegionMaps, seed: int
+) -> Tally:
+    """The counts of `tracker` on the validation stretch of `split`, which `delivery` delivers."""
+    tally = Tally.empty(split.steps, split.strata)
+    for scored in scored_forecasts(tracker, delivery, split.validation_schedule, seed):
+        tally.add(count_forecast(scored.forecast.occupancy, scored.targets, region_maps, scored.ages))
+    return tally
 
 
 def unstarted(trial: Trial) -> TrialRecord:

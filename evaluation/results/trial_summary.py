@@ -50,6 +50,8 @@ class StratumScores(ResultModel):
     """Why there are no intervals; empty where there are."""
     share_of_oracle: Curve | None = None
     """(F1 - floor) / (oracle - floor), floor the best of the floors at each step; null without an oracle."""
+    share_of_oracle_nll: Curve | None = None
+    """(floor - log loss) / (floor - oracle), floor the lowest log loss of the floors at each step."""
 
     def at(self, score: str, step: int) -> float | None:
         """A score by its name at one step; None where it is undefined, or where the run has no such score."""

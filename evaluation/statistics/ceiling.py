@@ -1,4 +1,4 @@
-"""F1 relative to the best floor, 0, and the oracle, 1."""
+"""Scores relative to the best floor, 0, and the oracle, 1."""
 
 from __future__ import annotations
 
@@ -9,16 +9,18 @@ from gridtrack.evaluation.results.summary import ORACLE, TrackerSummary
 from gridtrack.evaluation.results.trial_summary import ScopeSummary, StratumScores, TrialSummary
 
 MIN_ORACLE_GAP = 0.01
-"""No share is computed where oracle and floor differ by less: it would be noise."""
-F1Curve = tuple[float | None, ...]
+"""No share is computed where the oracle's F1 is less than this above the floor's, or its log loss less than this share
+of the floor's below it: it would be noise."""
+Scores = tuple[float | None, ...]
+"""A score by step."""
 
 
 def with_ceiling(trackers: Mapping[str, TrackerSummary]) -> dict[str, TrackerSummary]:
-    """The rows with `share_of_oracle` in each stratum, and `gap_to_truth`, on each recording and pooled.
+    """The rows with `share_of_oracle`, `share_of_oracle_nll` in each stratum, and `gap_to_truth`, also pooled.
 
-    The share is (f1 - floor) / (oracle - floor), with the best of the rows with the role `floor`: 0 for the floor, 1
-    for the oracle. None where a row is missing or the oracle is not MIN_ORACLE_GAP above the floor. The gap is F1 on
-    visible less F1 on occluded cells.
+    A share is (score - floor) / (oracle - floor), with the best of the rows with the role `floor`: 0 for the floor, 1
+    for the oracle. None where a row is missing or the oracle is not clearly better than the floor (MIN_ORACLE_GAP). The
+    gap is F1 on visible less F1 on occluded cells.
     """
     return {label: _row_with_ceiling(label, row, trackers) for label, row in trackers.items()}
 
@@ -45,29 +47,48 @@ def _added(scope: ScopeSummary, oracle: ScopeSummary | None, floors: Sequence[Sc
     """The fields of one scope that need the oracle, the floors or ground truth."""
     strata = {}
     for name, scores in scope.strata.items():
-        best, lowest = _f1(oracle, name), [f1 for floor in floors if (f1 := _f1(floor, name))]
-        steps = range(len(scores.f1))
-        shares = tuple(_share(scores.f1[n], best[n], [f1[n] for f1 in lowest]) for n in steps) if best else None
-        strata[name] = scores.model_copy(update={"share_of_oracle": shares})
+        best = _complete(oracle, name)
+        lowest = [one for floor in floors if (one := _complete(floor, name))]
+        shares = _shares(scores, best, lowest) if best else {}
+        strata[name] = scores.model_copy(update=shares)
     return {"strata": strata, "gap_to_truth": _gap(scope.strata)}
 
 
-def _f1(scope: ScopeSummary | None, stratum: str) -> F1Curve:
-    """The F1 of a scope that was scored in full; empty where there is none."""
-    if scope is None or scope.outcome != "ok" or stratum not in scope.strata:
-        return ()
-    return scope.strata[stratum].f1
+def _complete(scope: ScopeSummary | None, stratum: str) -> StratumScores | None:
+    """The scores of a scope that was scored in full; None where there are none."""
+    return scope.strata.get(stratum) if scope is not None and scope.outcome == "ok" else None
 
 
-def _gap(strata: Mapping[str, StratumScores]) -> F1Curve | None:
+def _shares(scores: StratumScores, oracle: StratumScores, floors: Sequence[StratumScores]) -> dict[str, Scores]:
+    """Both shares of one stratum, by step."""
+    f1 = zip(scores.f1, oracle.f1, *(floor.f1 for floor in floors), strict=True)
+    nll = zip(scores.nll, oracle.nll, *(floor.nll for floor in floors), strict=True)
+    return {
+        "share_of_oracle": tuple(_share_of_f1(*step) for step in f1),
+        "share_of_oracle_nll": tuple(_share_of_log_loss(*step) for step in nll),
+    }
+
+
+def _share_of_f1(value: float | None, ceiling: float | None, *floors: float | None) -> float | None:
+    floor = max((one for one in floors if one is not None), default=None)
+    clear = ceiling is not None and floor is not None and ceiling - floor >= MIN_ORACLE_GAP
+    return _share(value, ceiling, floor) if clear else None
+
+
+def _share_of_log_loss(value: float | None, ceiling: float | None, *floors: float | None) -> float | None:
+    floor = min((one for one in floors if one is not None), default=None)
+    clear = ceiling is not None and floor is not None and floor - ceiling >= MIN_ORACLE_GAP * floor > 0.0
+    return _share(value, ceiling, floor) if clear else None
+
+
+def _share(value: float | None, ceiling: float | None, floor: float | None) -> float | None:
+    if value is None or ceiling is None or floor is None:
+        return None
+    return round((value - floor) / (ceiling - floor), 6)
+
+
+def _gap(strata: Mapping[str, StratumScores]) -> Scores | None:
     if "occluded" not in strata:
         return None
     pairs = zip(strata["visible"].f1, strata["occluded"].f1, strict=True)
     return tuple(None if seen is None or hidden is None else round(seen - hidden, 6) for seen, hidden in pairs)
-
-
-def _share(value: float | None, ceiling: float | None, floors: list[float | None]) -> float | None:
-    known = [floor for floor in floors if floor is not None]
-    if value is None or ceiling is None or not known or ceiling < max(known) + MIN_ORACLE_GAP:
-        return None
-    return round((value - max(known)) / (ceiling - max(known)), 6)

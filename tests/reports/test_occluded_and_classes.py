@@ -9,6 +9,7 @@ import pytest
 from gridtrack.evaluation.results.columns import PROBABILITY_BINS, PROBABILITY_EDGES
 from gridtrack.evaluation.results.files import RunError
 from gridtrack.evaluation.scoring.counting import Tally, for_calibration
+from gridtrack.reports.ceiling import ceiling_table
 from gridtrack.reports.classes import class_tables
 from gridtrack.reports.occluded import occluded_table
 from gridtrack.reports.occluded_thresholds import occluded_thresholds
@@ -65,6 +66,21 @@ def test_occluded_cells_have_a_table_with_the_gap(truth_run):
     assert occluded.strata == ("occluded", "occluded to 0.5 s")
     assert {row.f1 for row in occluded.rows} == {(0.25, 0.5)}
     assert {row.gap for row in occluded.rows} == {0.125}
+
+
+def test_shares_of_the_oracle_have_a_table_with_f1_and_log_loss(truth_run):
+    assert ceiling_table(table_of(truth_run)) is None, "without an oracle"
+    summary = json.loads((truth_run / "summary.json").read_text())
+    dynamic = summary["trackers"]["good"]["recordings"]["crossing"]["strata"]["dynamic"]
+    dynamic["share_of_oracle"], dynamic["share_of_oracle_nll"] = [0.75] * (STEPS + 1), [-0.5] * (STEPS + 1)
+    (truth_run / "summary.json").write_text(json.dumps(summary))
+    ceiling = ceiling_table(table_of(truth_run))
+    assert ceiling.strata == ("in-motion", "dynamic", "visible", "occluded")
+    ((row, shares),) = [(one.row.label, one.shares) for one in ceiling.rows]
+    assert (row, shares) == ("good", ((None, None), (0.75, -0.5), (None, None), (None, None)))
+    page = render_report([truth_run]).read_text()
+    assert "<h2>Share of the oracle</h2>" in page
+    assert ">0.75</td><td>-0.50</td>" in page
 
 
 def test_classes_that_occur_have_a_column_and_trackers_without_semantics_no_row(truth_run):

@@ -9,6 +9,7 @@ from gridtrack.recordings import RecordingInfo, write_native
 from gridtrack.simulation.laser import sweep
 
 CLASSES = ("pedestrian", "cyclist", "static")
+GRID = "40x0.25@-1,-5"
 RATE_HZ, BEAMS, RANGE_MAX_M = 10, 721, 20.0
 ANGLE_MIN, STEP = -np.pi / 2, np.pi / 360
 WALKER, RIDER = 0, 1
@@ -68,10 +69,9 @@ def scan(index, noise_m=0.0, with_truth=True):
 
 def write_recording(path, seconds=20, noise_m=0.0, with_truth=True, stretches=None):
     """A native recording of the scene."""
-    grid = "40x0.25@-1,-5"
     info = RecordingInfo(
         site="room",
-        grid=grid,
+        grid=GRID,
         rate_hz=RATE_HZ,
         classes=CLASSES if with_truth else (),
         stretches={"validation": (0.0, 7.0), "test": (7.0, None)} if stretches is None else stretches,

@@ -86,11 +86,17 @@ def test_with_truth_hidden_cells_are_scored_and_the_oracle_is_the_ceiling(comple
     )
 
 
-def test_the_oracle_misses_only_range_noise(tmp_path, progress):
-    summary, _ = compare(tmp_path, progress, "blank", noise_m=0.04)
-    dynamic, occluded = (trial_of(summary, "oracle").strata[name].f1 for name in ("dynamic", "occluded"))
-    assert all(0.5 < f1 < 0.99 for f1 in dynamic)
-    assert occluded == (1.0,) * (STEPS + 1)
+def test_the_oracle_misses_only_range_noise_and_no_tracker_has_a_lower_log_loss(tmp_path, progress):
+    summary, _ = compare(tmp_path, progress, "blank", "persistence", "static-map", noise_m=0.04)
+    oracle = trial_of(summary, "oracle")
+    assert all(0.7 < f1 < 0.99 for f1 in oracle.strata["dynamic"].f1)
+    assert oracle.strata["occluded"].f1 == (1.0,) * (STEPS + 1)
+    assert oracle.threshold_chosen_on == "room.mcap@validation", "like those of every tracker"
+    for label in summary.trackers.keys() - {"oracle"}:
+        for stratum, scores in trial_of(summary, label).strata.items():
+            for step in range(1, STEPS + 1):
+                best = oracle.strata[stratum].nll[step]
+                assert scores.nll[step] is None or scores.nll[step] >= best, "step 0 alone can be copied"
 
 
 def test_static_cells_are_the_outlines_of_static_objects(complete):
@@ -127,6 +133,11 @@ def test_the_share_of_the_way_to_the_oracle_is_0_at_the_floor_and_below_it_negat
     assert strata["persistence"].share_of_oracle[STEPS] == 0.0
     assert strata["blank"].share_of_oracle[STEPS] == pytest.approx(-floor / (1 - floor), abs=1e-5)
     assert strata["oracle"].share_of_oracle is None
+    losses = {label: strata[label].nll[STEPS] for label in ("blank", "persistence", "oracle")}
+    assert losses["blank"] < losses["persistence"], "the floor of log loss need not be that of F1"
+    share = (losses["blank"] - losses["persistence"]) / (losses["blank"] - losses["oracle"])
+    assert strata["blank"].share_of_oracle_nll[STEPS] == 0.0
+    assert strata["persistence"].share_of_oracle_nll[STEPS] == pytest.approx(share, abs=1e-4)
     visible, occluded = (trial_of(summary, "persistence").strata[name].f1[3] for name in ("visible", "occluded"))
     assert trial_of(summary, "persistence").gap_to_truth[3] == pytest.approx(visible - occluded, abs=2e-6)
 

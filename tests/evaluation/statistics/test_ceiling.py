@@ -8,12 +8,12 @@ FLOORS = ("persistence", "static-map")
 REQUIRED = [name for name, field in StratumScores.model_fields.items() if field.is_required()]
 
 
-def scores(f1):
-    return StratumScores(**{**dict.fromkeys(REQUIRED, ()), "f1": f1})
+def scores(f1, nll=None):
+    return StratumScores(**{**dict.fromkeys(REQUIRED, ()), "f1": f1, "nll": nll or [None] * len(f1)})
 
 
-def row(tracker, dynamic, occluded=None, outcome="ok", pooled=None):
-    strata = {"visible": scores(dynamic), "dynamic": scores(dynamic)}
+def row(tracker, dynamic, occluded=None, outcome="ok", pooled=None, nll=None):
+    strata = {"visible": scores(dynamic), "dynamic": scores(dynamic, nll)}
     strata |= {"occluded": scores(occluded)} if occluded else {}
     return TrackerSummary(
         tracker=tracker,
@@ -37,6 +37,17 @@ def test_the_floor_of_each_step_is_the_better_row():
     assert shares(trackers, "good") == (0.5, 0.25)
     assert shares(trackers, "oracle") is None
     assert shares(trackers, "static-map")[1] == 0.0
+
+
+def test_the_share_of_log_loss_starts_at_the_lowest_floor_and_ends_at_the_oracle():
+    trackers = {
+        "good": row("kalman", [0.5] * 4, nll=[0.3, 0.5, 0.05, 0.3]),
+        "oracle": row("oracle", [1.0] * 4, nll=[0.1, 0.1, 0.1, 0.3985]),
+        "persistence": row("persistence", [0.0] * 4, nll=[0.5, 0.4, 0.4, 0.4]),
+        "static-map": row("static-map", [0.0] * 4, nll=[0.6, None, 0.3, 0.4]),
+    }
+    found = with_ceiling(trackers)["good"].recordings["room"].strata["dynamic"].share_of_oracle_nll
+    assert found == (0.5, -0.333333, 1.25, None), "below the floor it is negative, and without a gap there is none"
 
 
 def test_a_floor_is_a_row_of_that_role_whatever_its_name():

@@ -1,0 +1,178 @@
+"""The scan to expect of a known scene: probabilities that each cell is visible, and that it is occupied.
+
+Nothing is drawn. The errors of the beams are independent, so a cell remains unseen if every beam misses it, and the
+probabilities of the beams multiply. For one beam they follow from the distribution of its range: it reaches a cell if
+its range is at least the distance at which it would enter, and ends there if it is below that at which it would leave.
+Many scans with errors drawn at random approach the same probabilities.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from gridtrack.common.geometry import SE2
+from gridtrack.common.grid import GridSpec
+from gridtrack.common.raycast import FRACTION_BITS, MAX_COORDINATE_CELLS, clip, directions_of
+from gridtrack.common.scan import Scan
+from gridtrack.simulation.range_errors import RangeErrors
+
+PARALLEL = 2.0 ** -(FRACTION_BITS + 1)
+"""A beam whose direction is less than this off a grid line is parallel to it."""
+CORNER = 1e-11
+"""A beam that passes a corner of a cell at less than this distance, in cells, has no length in the cell beside it."""
+
+
+@dataclass(frozen=True, slots=True)
+class ExpectedScan:
+    """Probabilities (M, M) float64 that a cell is not visible, and that it is not occupied; those of scans multiply."""
+
+    unseen: NDArray[np.float64]
+    unoccupied: NDArray[np.float64]
+
+    @classmethod
+    def nothing(cls, grid: GridSpec) -> ExpectedScan:
+        """No scan: no cell is visible."""
+        return cls(np.ones(grid.shape), np.ones(grid.shape))
+
+    def add(
+        self,
+        scan: Scan,
+        true_ranges: NDArray[np.float32],
+        errors: RangeErrors,
+        grid: GridSpec,
+        grid_T_sensor: SE2,
+    ) -> None:
+        """Add a scan with the beams of `scan`, whose ranges are `true_ranges` (B,), metres, with `errors`."""
+        band = errors.bands(true_ranges)
+        _add_beams(
+            np.where(np.isfinite(true_ranges), true_ranges, 0.0).astype(np.float64),
+            directions_of(scan.angle_min + grid_T_sensor.theta, scan.angle_increment, true_ranges.size),
+            errors.values,
+            errors.starts[band],
+            errors.ends[band],
+            scan.range_min,
+            scan.range_max,
+            (grid_T_sensor.x - grid.origin[0]) / grid.cell_m,
+            (grid_T_sensor.y - grid.origin[1]) / grid.cell_m,
+            grid.cell_m,
+            self.unseen.reshape(-1),
+            self.unoccupied.reshape(-1),
+            grid.size,
+        )
+
+    def occupied_where_visible(self) -> NDArray[np.float64]:
+        """P(occupied | visible) (M, M); NaN in cells that no beam can reach."""
+        visible = 1.0 - self.unseen
+        found = np.full(visible.shape, np.nan)
+        np.divide(1.0 - self.unoccupied, visible, out=found, where=visible > 0.0)
+        return found
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _add_beams(base, directions, errors, starts, ends, range_min, range_max, x0, y0, cell_m, unseen, unoccupied, size):  # type: ignore[no-untyped-def]
+    """Multiply `unseen` and `unoccupied` by the probabilities of each beam; coordinates in cells.
+
+    The range of beam i is `base[i]` plus one of `errors[starts[i]:ends[i]]`, each as probable as the others.
+    """
+    if not abs(x0) + abs(y0) < MAX_COORDINATE_CELLS:
+        return
+    for i in range(base.size):
+        own = errors[starts[i] : ends[i]]
+        if own.size:
+            valid = np.searchsorted(own, range_min - base[i])
+            dx, dy = directions[i, 0], directions[i, 1]
+            _walk(x0, y0, dx, dy, base[i], own, valid, range_max, cell_m, unseen, unoccupied, size)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _walk(x0, y0, dx, dy, base, errors, valid, range_max, cell_m, unseen, unoccupied, size):  # type: ignore[no-untyped-def]
+    """Follow one beam from cell to cell (Amanatides and Woo, 1987) until it has no probability left.
+
+    `errors[valid:]` are those of valid ranges; of them `errors[before:]` reach the current cell.
+    """
+    across_x, across_y = 0.0 if abs(dx) < PARALLEL else dx, 0.0 if abs(dy) < PARALLEL else dy
+    reach = range_max / cell_m
+    enter, leave = clip(x0, y0, across_x * reach, across_y * reach, size)
+    if enter >= leave:
+        return
+    enter *= reach
+    column, row = _cell(x0 + enter * dx, across_x, size), _cell(y0 + enter * dy, across_y, size)
+    exit_x, exit_y = _exit(x0, across_x, column), _exit(y0, across_y, row)
+    step_x, step_y = 1.0 / abs(across_x), 1.0 / abs(across_y)
+    beside = _beside(x0, dx, across_x) + size * _beside(y0, dy, across_y)
+    before = max(valid, np.searchsorted(errors, enter * cell_m - base))
+    while before < errors.size:
+        after = _first_past(errors, before, base, range_max, cell_m, x0, y0, dx, dy, column, row)
+        cell = row * size + column
+        unseen[cell] *= before / errors.size
+        if beside != 0:
+            unseen[cell + beside] *= before / errors.size
+        if after > before:
+            length = (base + errors[before]) / cell_m
+            end_row, end_column = math.floor(y0 + dy * length), math.floor(x0 + dx * length)
+            if 0 <= end_row < size and 0 <= end_column < size:
+                unoccupied[end_row * size + end_column] *= 1.0 - (after - before) / errors.size
+        exit_ = min(exit_x, exit_y)
+        if exit_ >= reach:
+            return
+        if exit_x <= exit_ + CORNER:
+            column += 1 if dx > 0.0 else -1
+            exit_x += step_x
+        if exit_y <= exit_ + CORNER:
+            row += 1 if dy > 0.0 else -1
+            exit_y += step_y
+        if not (0 <= row < size and 0 <= column < size):
+            return
+        before = after
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _cell(at, along, size):  # type: ignore[no-untyped-def]
+    """Row or column of the coordinate at which a beam enters the grid; on a grid line, of the cell that it enters."""
+    cell = math.ceil(at) - 1 if along < 0.0 else math.floor(at)
+    return min(max(cell, 0), size - 1)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _exit(start, along, cell):  # type: ignore[no-untyped-def]
+    """Distance in cells at which a beam leaves its row or column `cell`."""
+    return np.inf if along == 0.0 else (cell + (along > 0.0) - start) / along
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _beside(start, along, across):  # type: ignore[no-untyped-def]
+    """-1 for a beam along a grid line but for a rounding error: both sides of it are visible, as in `cast_scan`."""
+    return -1 if across == 0.0 and along != 0.0 and start == math.floor(start) and start >= 1.0 else 0
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _first_past(errors, first, base, range_max, cell_m, x0, y0, dx, dy, column, row):  # type: ignore[no-untyped-def]
+    """Index of the first of the ascending `errors[first:]` with which the beam does not end in or before a cell."""
+    if _past(base + errors[first], range_max, cell_m, x0, y0, dx, dy, column, row):
+        return first
+    if not _past(base + errors[-1], range_max, cell_m, x0, y0, dx, dy, column, row):
+        return errors.size
+    low, high = first, errors.size - 1
+    while high - low > 1:
+        middle = (low + high) // 2
+        if _past(base + errors[middle], range_max, cell_m, x0, y0, dx, dy, column, row):
+            high = middle
+        else:
+            low = middle
+    return high
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _past(distance, range_max, cell_m, x0, y0, dx, dy, column, row):  # type: ignore[no-untyped-def]
+    """Whether a beam of this range leaves a cell that it enters, with the arithmetic of `cast_scan`."""
+    if distance > range_max:
+        return True
+    length = distance / cell_m
+    past_x = (x0 + dx * length >= column + 1) if dx >= PARALLEL else (dx <= -PARALLEL and x0 + dx * length < column)
+    past_y = (y0 + dy * length >= row + 1) if dy >= PARALLEL else (dy <= -PARALLEL and y0 + dy * length < row)
+    return past_x or past_y
