@@ -84,7 +84,8 @@ def compare_command(
     from gridtrack.evaluation.results.files import json_of
     from gridtrack.recordings.degradation import parse_degradation
     from gridtrack.reports.page import render_report
-    from gridtrack.reports.terminal import RunProgress, print_tables
+    from gridtrack.reports.run_progress import RunProgress
+    from gridtrack.reports.terminal import print_tables
 
     limits = {
         "start_s": start_timeout and seconds(start_timeout),

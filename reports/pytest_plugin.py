@@ -106,7 +106,7 @@ class TrackerRegression:
         """Run the plan and measure the run."""
         from gridtrack.evaluation.comparison.runner import run
         from gridtrack.evaluation.regression.measuring import measure_run
-        from gridtrack.reports.terminal import RunProgress
+        from gridtrack.reports.run_progress import RunProgress
 
         with RunProgress() as progress:
             summary = run(plan, ("pytest", self._test), progress)

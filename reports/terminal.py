@@ -1,66 +1,27 @@
-"""Output on a terminal: the progress of a run and its tables; plain lines and Markdown where there is no terminal."""
+"""Tables on a terminal, as wide as it is and with whole names; Markdown where there is no terminal."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from types import TracebackType
-from typing import Self
+from typing import NamedTuple
 
 from rich import box
+from rich.cells import cell_len
 from rich.console import Console
 from rich.markup import escape
-from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 from rich.table import Table
+from rich.text import Text
 
 from gridtrack.common.errors import printable
-from gridtrack.evaluation.results.trial_record import TrialRecord
-from gridtrack.reports.differences import DifferenceTable, difference_markdown, difference_table
+from gridtrack.reports.differences import DifferenceCell, DifferenceTable, difference_markdown, difference_table
 from gridtrack.reports.run import read_runs
-from gridtrack.reports.table import HeadlineTable, TableRow, headline_markdown, headline_tables, main_tables
+from gridtrack.reports.table import HeadlineTable, TableCell, headline_markdown, headline_tables, main_tables
 
+MAX_COLUMN_WIDTH = len("[-0.0123, +0.0456]")
+EDGES = 3
+"""Characters between two columns: padding and a divider."""
 GROUP_STYLES = {"ceiling": "italic", "ranked": "", "floor": "dim", "unranked": "yellow"}
-
-
-class RunProgress:
-    """The progress of a run: bars on a terminal, elsewhere one line at the end of each trial."""
-
-    def __init__(self) -> None:
-        self._console = Console(stderr=True)
-        self._bars = Progress(
-            TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed}/{task.total} frames"),
-            TimeElapsedColumn(), console=self._console, disable=not self._console.is_terminal,
-        )  # fmt: skip
-        self._tasks: dict[str, TaskID] = {}
-
-    def __enter__(self) -> Self:
-        self._bars.start()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._bars.stop()
-
-    def note(self, text: str) -> None:
-        """Print one line."""
-        self._console.print(escape(text), highlight=False, soft_wrap=True)
-
-    def started(self, trial: str, frames: int) -> None:
-        """Show a bar for a trial of `frames` frames."""
-        self._tasks[trial] = self._bars.add_task(escape(trial), total=frames)
-
-    def advanced(self, trial: str) -> None:
-        """Count one more frame that is delivered."""
-        self._bars.advance(self._tasks[trial])
-
-    def ended(self, trial: str, record: TrialRecord) -> None:
-        """Print the outcome of a trial that has ended, or is kept from an earlier run."""
-        if trial in self._tasks:
-            self._bars.remove_task(self._tasks.pop(trial))
-        scored = f"{record.frames_scored}/{record.frames_expected} forecasts scored"
-        reason = f": {record.reason}" if record.reason else ""
-        self.note(f"{trial}: {record.outcome}, {scored}, {record.times.wall_s:.1f} s{reason}")
 
 
 def print_tables(run: Path) -> None:
@@ -71,9 +32,10 @@ def print_tables(run: Path) -> None:
     for table in main_tables(headline_tables(runs)):
         differences = difference_table(runs[0], table.recording)
         if console.is_terminal:
-            console.print(_rich_headline_table(table))
-            if differences:
-                console.print(_rich_difference_table(differences))
+            for part in _rich_headline_tables(table, console.width):
+                console.print(part)
+            for part in _rich_difference_tables(differences, console.width) if differences else ():
+                console.print(part)
             continue
         print(f"{printable(table.recording)}\n\n{headline_markdown(table)}")
         if differences:
@@ -86,36 +48,81 @@ def _difference_title(differences: DifferenceTable) -> str:
     )
 
 
-def _rich_difference_table(differences: DifferenceTable) -> Table:
-    shown = Table(title=escape(_difference_title(differences)), box=box.SIMPLE_HEAD)
-    shown.add_column("tracker")
-    for stratum, horizon_s in differences.columns:
-        shown.add_column(f"{stratum}\n{horizon_s:g} s", justify="right")
-    for row in differences.rows:
-        cells = [f"{c.value}\n{escape(c.interval)}\n{c.p}\n{c.verdict}" for c in row.cells]
-        shown.add_row(escape(f"{row.tracker}\n{row.score}"), *(cells or [escape(row.reason)]))
-    return shown
-
-
-def _rich_headline_table(table: HeadlineTable) -> Table:
-    shown = Table(title=escape(table.recording), box=box.SIMPLE_HEAD)
-    shown.add_column("tracker")
-    for column in table.columns:
-        shown.add_column(f"{column.group}\n{column.heading}", justify="right")
-    shown.add_column("frames", justify="right")
-    for row in table.rows:
-        shown.add_row(*_row_texts(row), style=GROUP_STYLES[row.group])
-    return shown
-
-
-def _row_texts(row: TableRow) -> list[str]:
-    numbers = [
-        (f"[bold]{cell.text}[/bold]" if cell.best else cell.text)
-        + (f"\n{escape(cell.interval_text)}" if cell.interval else "")
-        for cell in row.cells
+def _rich_difference_tables(differences: DifferenceTable, width: int) -> Iterator[Table]:
+    names = [escape(f"{row.tracker}\n{row.score}") for row in differences.rows]
+    columns = [
+        _Column(
+            f"{stratum}\n{horizon_s:g} s",
+            [
+                _difference_text(row.cells[at]) if row.cells else escape(row.reason) * (at == 0)
+                for row in differences.rows
+            ],
+        )
+        for at, (stratum, horizon_s) in enumerate(differences.columns)
     ]
-    outcome = "" if row.group != "unranked" else f" ({row.outcome})"
-    return [escape(row.name) + outcome, *numbers, row.frames]
+    yield from _tables(escape(_difference_title(differences)), names, columns, [""] * len(names), width)
+
+
+def _difference_text(cell: DifferenceCell) -> str:
+    return f"{cell.value}\n{escape(cell.interval)}\n{cell.p}\n{cell.verdict}"
+
+
+def _rich_headline_tables(table: HeadlineTable, width: int) -> Iterator[Table]:
+    names = [escape(row.name) + (f"\n({row.outcome})" if row.group == "unranked" else "") for row in table.rows]
+    columns = [
+        _Column(f"{column.group}\n{column.heading}", [_cell_text(row.cells[at]) for row in table.rows])
+        for at, column in enumerate(table.columns)
+    ]
+    columns.append(_Column("frames", [row.frames for row in table.rows]))
+    yield from _tables(escape(table.recording), names, columns, [GROUP_STYLES[row.group] for row in table.rows], width)
+
+
+def _cell_text(cell: TableCell) -> str:
+    number = f"[bold]{cell.text}[/bold]" if cell.best else cell.text
+    return f"{number}\n{escape(cell.interval_text)}" if cell.interval else number
+
+
+class _Column(NamedTuple):
+    """A column of numbers: its heading, and a text for each row, with markup."""
+
+    heading: str
+    cells: Sequence[str]
+
+    @property
+    def width(self) -> int:
+        """The width of its longest line, at most that of an interval: a longer line is wrapped."""
+        return min(max(_longest_line(text) for text in (self.heading, *self.cells)), MAX_COLUMN_WIDTH)
+
+
+def _longest_line(text: str) -> int:
+    """The width of the longest line of a text with markup."""
+    return max(cell_len(line) for line in Text.from_markup(text).plain.split("\n"))
+
+
+def _tables(
+    title: str, names: Sequence[str], columns: Sequence[_Column], styles: Sequence[str], width: int
+) -> Iterator[Table]:
+    """Tables of at most `width` that show all columns, one after the other, each with the whole names."""
+    name_width = max(_longest_line(text) for text in ("tracker", *names))
+    for number, part in enumerate(_parts(columns, width - name_width - EDGES)):
+        shown = Table(title=f"{title} (continued)" if number else title, box=box.SIMPLE_HEAD)
+        shown.add_column("tracker", no_wrap=True, overflow="fold")
+        for column in part:
+            shown.add_column(column.heading, justify="right", width=column.width)
+        for row, (name, style) in enumerate(zip(names, styles, strict=True)):
+            shown.add_row(name, *(column.cells[row] for column in part), style=style)
+        yield shown
+
+
+def _parts(columns: Sequence[_Column], width: int) -> Iterator[list[_Column]]:
+    """The columns in parts that fit the width, at least one in each."""
+    part: list[_Column] = []
+    for column in columns:
+        if part and sum(one.width + EDGES for one in (*part, column)) > width:
+            yield part
+            part = []
+        part.append(column)
+    yield part
 
 
 def print_rows(rows: Sequence[Mapping[str, str]]) -> None:
@@ -126,8 +133,8 @@ def print_rows(rows: Sequence[Mapping[str, str]]) -> None:
             print("\t".join(row.values()))
         return
     shown = Table(box=box.SIMPLE_HEAD)
-    for key in rows[0] if rows else ():
-        shown.add_column(key)
+    for number, key in enumerate(rows[0] if rows else ()):
+        shown.add_column(key, no_wrap=number == 0, overflow="fold")
     for row in rows:
         shown.add_row(*(escape(value) for value in row.values()))
     console.print(shown)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from functools import partial
@@ -36,6 +36,9 @@ class Progress(Protocol):
     def note(self, text: str) -> None:
         """A message for the user, one line."""
 
+    def planned(self, frames: Mapping[str, int]) -> None:
+        """The trials that will run, and about how many frames each will receive."""
+
     def started(self, trial: str, frames: int) -> None:
         """A trial starts; it will receive `frames` frames."""
 
@@ -63,6 +66,7 @@ def _run(plan: ComparisonPlan, command: Sequence[str], progress: Progress) -> Ru
     pool = TrialPool(plan, folder.path, progress)
     for name, record in folder.kept_records().items():
         pool.keep(name, record)
+    progress.planned(pool.planned_frames())
     interrupted = False
     try:
         pool.run_trials()
@@ -91,6 +95,12 @@ class TrialPool:
         """Keep the record of a trial that does not run again."""
         self._records[name] = record
         self._progress.ended(name, record)
+
+    def planned_frames(self) -> dict[str, int]:
+        """The frames of every trial and oracle without a record; thresholds that trials share are counted each time."""
+        planned = {trial.name: len(trial.test) + len(trial.validation or ()) for trial in self._plan.trials}
+        planned |= {split.oracle_name: len(split.test) for split in self._plan.splits if split.test.has_truth}
+        return {name: frames for name, frames in planned.items() if name not in self._records}
 
     def run_trials(self) -> None:
         """Run every trial that has no record yet."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 from gridtrack.evaluation.results.trial_record import TrialRecord
 
 
@@ -9,6 +11,9 @@ class NoProgress:
     """A progress display that shows nothing."""
 
     def note(self, text: str) -> None:
+        """Show nothing."""
+
+    def planned(self, frames: Mapping[str, int]) -> None:
         """Show nothing."""
 
     def started(self, trial: str, frames: int) -> None:

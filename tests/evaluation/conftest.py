@@ -121,6 +121,9 @@ class RecordedProgress:
     def note(self, text: str) -> None:
         self.notes.append(text)
 
+    def planned(self, frames: dict[str, int]) -> None:
+        self.planned_frames = frames
+
     def started(self, trial: str, frames: int) -> None:
         self.frames[trial] = frames
 

@@ -45,7 +45,7 @@ def page_of(*runs, out):
 
 @pytest.fixture(scope="session")
 def page(run_folder, tmp_path_factory):
-    return page_of(run_folder, out=tmp_path_factory.mktemp("page") / "index.html")
+    return page_of(run_folder, out=tmp_path_factory.mktemp("page"))
 
 
 def assert_self_contained(page):
@@ -183,7 +183,7 @@ def test_samples_of_another_grid_are_refused(run_folder, make_run, tmp_path, mon
 
 def test_out_is_a_folder_as_elsewhere_and_a_file_is_refused(run_folder, tmp_path):
     assert render_report([run_folder], tmp_path / "page") == tmp_path / "page" / "index.html"
-    assert render_report([run_folder], tmp_path / "page").read_text("utf-8").startswith("<!DOCTYPE html>")
+    assert render_report([run_folder], tmp_path / "page").read_text("utf-8").startswith("<!doctype html>")
     for out in (tmp_path / "page" / "index.html", tmp_path / "new.html"):
         with pytest.raises(ReportError, match=r"the report is index\.html in a folder: name the folder"):
             render_report([run_folder], out)

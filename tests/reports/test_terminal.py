@@ -1,0 +1,77 @@
+"""What a user reads on a terminal: whole names and numbers, and the time left for all trials."""
+
+from __future__ import annotations
+
+import io
+import re
+
+import pytest
+from rich.console import Console
+
+from gridtrack.evaluation.results.trial_record import TrialRecord
+from gridtrack.reports import run_progress
+from gridtrack.reports.run_progress import RunProgress
+from gridtrack.reports.terminal import _Column, _tables
+
+NAMES = ["dilated-convgru with other weights", "persistence\n(untrained)"]
+
+
+def columns(count):
+    return [_Column(f"F1, in-motion\n{n} s", [f"0.{n:03d}\n\\[0.123, 0.456]", "–"]) for n in range(count)]
+
+
+@pytest.mark.parametrize("width", [80, 100, 140, 400])
+def test_every_name_and_number_is_whole_on_a_terminal_of_any_width(width):
+    console = Console(file=io.StringIO(), width=width, force_terminal=False)
+    for table in _tables("hall", NAMES, columns(18), ["", ""], width):
+        console.print(table)
+    shown = console.file.getvalue()
+    assert "…" not in shown
+    assert max(map(len, shown.splitlines())) <= width
+    tables = shown.count("dilated-convgru with other weights")
+    assert tables == shown.count("(untrained)") == shown.count("tracker")
+    assert tables == {80: 9, 100: 6, 140: 3, 400: 1}[width]
+    assert [n for n in range(18) if f"0.{n:03d}\n" not in shown.replace(" ", "\n")] == []
+    assert shown.count("[0.123, 0.456]") == 18
+
+
+def record(frames=10):
+    return TrialRecord(label="a", recording="hall", outcome="ok", frames_scored=frames, frames_expected=frames, steps=2)
+
+
+def test_on_a_terminal_all_trials_have_a_bar_with_the_time_left():
+    console = Console(file=io.StringIO(), width=140, force_terminal=True)
+    name = "dilated-convgru with the other weights of last week@a recording with a long name"
+    with RunProgress(console) as progress:
+        progress.planned({name: 100, "b@hall": 300})
+        progress._began_s -= 60.0
+        progress.started(name, 100)
+        for _ in range(100):
+            progress.advanced(name)
+        progress._bars.refresh()
+        shown = console.file.getvalue()
+        assert name in shown
+        assert re.search(r"0 of 2 trials.*100/400 frames.*3 min \d s left", shown)
+        progress.ended(name, record())
+    assert "1 of 2 trials" in console.file.getvalue()
+
+
+def test_elsewhere_lines_say_how_far_all_trials_are(monkeypatch):
+    console = Console(file=io.StringIO(), width=80, force_terminal=False)
+    with RunProgress(console) as progress:
+        progress.planned({"a@hall": 100, "b@hall": 100})
+        progress._began_s -= 60.0
+        progress.started("a@hall", 100)
+        progress.started("b@hall", 50)  # its thresholds are known already
+        for _ in range(50):
+            progress.advanced("a@hall")
+        assert console.file.getvalue() == ""
+        monkeypatch.setattr(run_progress, "LINE_EVERY_S", 0.0)
+        progress.advanced("b@hall")
+        monkeypatch.setattr(run_progress, "LINE_EVERY_S", 1e9)
+        progress.ended("a@hall", record())
+        progress.ended("kept@hall", record())
+    lines = console.file.getvalue().splitlines()
+    assert re.fullmatch(r"b@hall: 1/50 frames; 0 of 2 trials, 1 min 5\d s left", lines[0])
+    assert re.fullmatch(r"a@hall: ok, 10/10 forecasts scored, 0\.0 s \(1 of 2 trials, \d+ s left\)", lines[1])
+    assert lines[2] == "kept@hall: ok, 10/10 forecasts scored, 0.0 s"
