@@ -104,7 +104,9 @@ class StretchScore:
 
 
 Score = Callable[["Tracker", FrameSource, int], StretchScore]
-"""`score(tracker, source, steps)`: resets the tracker, streams the source through it, and scores its forecasts."""
+"""`score(tracker, source, steps)`: resets the tracker, streams the source through it, and scores its forecasts on the
+referee's strata. The source is a stretch that `fit` received, or consecutive frames of one with their stamps. Raises
+RecordingError for another source."""
 
 
 @dataclass(frozen=True, slots=True)

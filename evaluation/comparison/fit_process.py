@@ -16,10 +16,10 @@ from pathlib import Path
 
 from gridtrack.common.config import Settings, validated
 from gridtrack.common.errors import INTERRUPTED_EXIT_CODE, GridtrackError, PluginError
+from gridtrack.evaluation.comparison.fit_regions import FitScores, StretchRegions
 from gridtrack.evaluation.comparison.progress_lines import ProgressLines
-from gridtrack.evaluation.comparison.stored_stretch import StoredStretch
+from gridtrack.evaluation.comparison.stored_stretch import StoredStretch, regions_path
 from gridtrack.evaluation.processes.supervisor import PR_SET_PDEATHSIG, prctl
-from gridtrack.evaluation.scoring.in_process import score_in_process
 from gridtrack.trackers import registry
 from gridtrack.trackers.contract import FitOutput, Tracker
 from gridtrack.trackers.serve import error_line, take_wire
@@ -61,15 +61,14 @@ def _load(name: str, request: Message) -> tuple[type[Tracker], Settings]:
 
 def _fit(tracker: type[Tracker], settings: Settings, request: Message, lines: ProgressLines) -> None:
     """Run `fit` on the stretches of the request."""
-    train, validation = (
-        [StoredStretch(Path(path), lines.progress) for path in request.value(use, list)]
-        for use in ("train", "validation")
-    )
+    files = {use: [Path(path) for path in request.value(use, list)] for use in ("train", "validation")}
+    train, validation = ([StoredStretch(path, lines.progress) for path in paths] for paths in files.values())
+    scores = FitScores([StretchRegions.read(regions_path(path)) for paths in files.values() for path in paths])
     path, log_dir = (Path(request.value(name, str)) for name in ("path", "log_dir"))
     output = FitOutput(
         path, request.value("command", str), request.value("seed", int), log_dir, lines.report, lines.progress
     )
-    tracker.fit(train, validation, score_in_process, output, settings)
+    tracker.fit(train, validation, scores.score, output, settings)
 
 
 def _error_fields(error: Exception) -> dict[str, str]:

@@ -9,6 +9,7 @@ from tempfile import TemporaryDirectory
 
 from gridtrack.common.errors import ConfigurationError
 from gridtrack.common.grid import GridSpec
+from gridtrack.evaluation.comparison.fit_regions import cell_kinds_for
 from gridtrack.evaluation.comparison.learned import user_weights_folder, weights_path
 from gridtrack.evaluation.comparison.recipe import Recipe
 from gridtrack.evaluation.comparison.stored_stretch import store_stretch
@@ -43,7 +44,8 @@ def train_tracker(recipe: Recipe, report: Callable[[str], None] = print) -> Path
         path = weights_path(recipe.out or user_weights_folder(), recipe.tracker, train_on[0].site)
         _make_folder(path.parent)
         output = FitOutput(path, COMMAND, recipe.seed, path.with_suffix(".logs"), report)
-        train, validation = _stored(train_on, Path(folder, "train")), _stored(validate_on, Path(folder, "validation"))
+        files = _stored([*train_on, *validate_on], Path(folder))
+        train, validation = files[: len(train_on)], files[len(train_on) :]
         try:
             process.fit(train, validation, output)
         except KeyboardInterrupt:
@@ -95,8 +97,11 @@ def _data_of(streams: Sequence[GridStream]) -> list[TrainingData]:
 
 
 def _stored(streams: Sequence[GridStream], folder: Path) -> list[Path]:
-    folder.mkdir()
-    return [store_stretch(stream, folder / f"{number}.frames") for number, stream in enumerate(streams)]
+    """The files of all stretches of a training, in their order."""
+    return [
+        store_stretch(stream, folder / f"{number}.frames", cell_kinds_for(stream, streams))
+        for number, stream in enumerate(streams)
+    ]
 
 
 def _make_folder(folder: Path) -> None:

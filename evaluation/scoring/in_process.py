@@ -5,9 +5,9 @@ from __future__ import annotations
 from gridtrack.common.errors import RecordingError
 from gridtrack.evaluation.scoring import metrics
 from gridtrack.evaluation.scoring.counting import Tally, count_forecast
-from gridtrack.evaluation.scoring.motion import ObservedMotion
+from gridtrack.evaluation.scoring.motion import Motion
 from gridtrack.evaluation.scoring.referee import Delivery, Schedule, scored_forecasts
-from gridtrack.evaluation.scoring.strata import STRATA, cell_kinds_of, region_maps_of
+from gridtrack.evaluation.scoring.strata import STRATA, RegionMaps
 from gridtrack.evaluation.scoring.thresholds import best_thresholds
 from gridtrack.trackers.contract import FrameSource, StretchScore, Tracker
 
@@ -15,20 +15,19 @@ FIT_FORECAST_EVERY = 5
 """A forecast after every fifth frame: accurate enough to choose parameters, at a fifth of the cost."""
 
 
-def score_in_process(tracker: Tracker, source: FrameSource, steps: int) -> StretchScore:
-    """Stream `source` through the tracker and score its forecasts with the referee's counts.
+def score_in_process(
+    tracker: Tracker, source: FrameSource, steps: int, region_maps: RegionMaps, motion: Motion
+) -> StretchScore:
+    """Stream `source` through the tracker and score its forecasts with the referee's counts, on its regions.
 
-    Thresholds and strata are chosen on the same stretch: a score for choosing parameters, not for reports. Raises
-    RecordingError where the stretch is too short to score a forecast.
+    Thresholds are chosen on the same stretch: a score for choosing parameters, not for reports. Raises RecordingError
+    where the stretch is too short to score a forecast.
     """
     schedule = Schedule(len(source), steps, FIT_FORECAST_EVERY)
     if not schedule.expected:
         raise RecordingError(f"{source.name}: {len(source)} frames are too few to score forecasts of {steps} steps")
-    first = next(iter(source))
-    region_maps = region_maps_of(cell_kinds_of(source, source.grid, first.world_T_grid), source.grid, first.origins)
     tally = Tally.empty(steps)
-    delivery = Delivery(source, lambda: None, ObservedMotion(source, region_maps.dynamic))
-    for scored in scored_forecasts(tracker, delivery, schedule, seed=0):
+    for scored in scored_forecasts(tracker, Delivery(source, lambda: None, motion), schedule, seed=0):
         tally.add(count_forecast(scored.forecast.occupancy, scored.targets, region_maps))
     confusion = tally.confusion(best_thresholds(tally, source.name).bins)
     f1, log_loss = metrics.f1_score(confusion), metrics.log_loss(tally)

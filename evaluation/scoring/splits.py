@@ -97,10 +97,10 @@ class EvaluationSplit:
 
     def regions(self) -> SplitRegions:
         """Region maps of both stretches; a single pass where both show one recording from the same pose."""
-        test = _region_maps(self.test, self.strata)
+        test = region_maps_in(self.test, self.strata)
         if self.validation is None or _share_region_maps(self.test, self.validation):
             return SplitRegions(test, test)
-        return SplitRegions(test, _region_maps(self.validation, self.strata))
+        return SplitRegions(test, region_maps_in(self.validation, self.strata))
 
     def description(self) -> RecordingDescription:
         """The split as the summary of a run describes it."""
@@ -239,7 +239,7 @@ def with_points(stream: GridStream, points: Points) -> GridStream:
     return stream if points == stream.points else like(stream, stream.stretch_s, points)
 
 
-def _region_maps(stream: GridStream, strata: tuple[str, ...]) -> RegionMaps:
+def region_maps_in(stream: GridStream, strata: tuple[str, ...]) -> RegionMaps:
     """Region maps of a stretch, from the true scene; without truth from a pass over the whole recording."""
     first = next(iter(stream.observations()))
     grid, pose = stream.grid, first.frame.world_T_grid

@@ -172,12 +172,13 @@ def test_a_moving_sensor_is_refused_with_a_message():
 
 def test_scoring_in_this_process_agrees_with_the_referee():
     stream = FakeStream(60)
-    score = score_in_process(Seer(stream), stream, STEPS)
+    score = score_in_process(Seer(stream), stream, STEPS, ALL_DYNAMIC, ObservedMotion(stream, ALL_DYNAMIC.dynamic))
     assert set(score.f1) == {"visible", "dynamic", "static", "in-motion", "standing"}
     assert score.f1["visible"].tolist() == [1.0] * (STEPS + 1)
     assert score.log_loss["visible"] == pytest.approx(-np.log(0.999))
 
 
 def test_a_stretch_too_short_to_score_is_refused():
+    no_motion = ObservedMotion(FakeStream(20), ALL_DYNAMIC.dynamic)
     with pytest.raises(RecordingError, match="too few"):
-        score_in_process(Seer(FakeStream(20)), FakeStream(20), STEPS)
+        score_in_process(Seer(FakeStream(20)), FakeStream(20), STEPS, ALL_DYNAMIC, no_motion)

@@ -1,0 +1,83 @@
+"""The score of a training is the referee's: static cells and parts of dynamic cells, on every part of a stretch."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from gridtrack.common.errors import RecordingError
+from gridtrack.evaluation.comparison.fit_regions import FitScores, StretchRegions, cell_kinds_for
+from gridtrack.evaluation.comparison.stored_stretch import StoredStretch, regions_path, store_stretch
+from gridtrack.evaluation.scoring.in_process import score_in_process
+from gridtrack.evaluation.scoring.motion import ObservedMotion
+from gridtrack.evaluation.scoring.splits import region_maps_in
+from gridtrack.evaluation.scoring.strata import CELL_KINDS, STRATA
+from gridtrack.recordings.stream import open_stream
+from gridtrack.trackers.baselines.persistence import PersistenceTracker
+from gridtrack.trackers.contract import stream_of
+from gridtrack.trackers.tuning import CachedSource
+
+from scenes import truth_scene
+
+STEPS = 5
+
+
+def stored(stream, path, *others):
+    """The stretch as `fit` receives it, and the score that it receives."""
+    source = StoredStretch(store_stretch(stream, path, cell_kinds_for(stream, [stream, *others])))
+    return source, FitScores([StretchRegions.read(regions_path(path))]).score
+
+
+def persistence(source):
+    return PersistenceTracker(stream_of(source), PersistenceTracker.Options())
+
+
+def of_the_referee(stream):
+    maps = region_maps_in(stream, STRATA)
+    motion = ObservedMotion(stream, maps.dynamic)
+    return score_in_process(persistence(stream), stream, STEPS, maps, motion)
+
+
+@pytest.fixture
+def with_truth(tmp_path):
+    path = tmp_path / "room.mcap"
+    truth_scene.write_recording(path, seconds=12)
+    return path
+
+
+def test_the_score_of_a_fit_is_that_of_the_referee_on_the_same_stretch(with_truth, tmp_path):
+    stream = open_stream(f"{with_truth}@2s-9s")
+    source, score = stored(stream, tmp_path / "0.frames")
+    found, expected = score(persistence(source), source, STEPS), of_the_referee(stream)
+    assert not np.isnan(expected.f1["in-motion"]).any()
+    for name in STRATA:
+        assert np.array_equal(found.f1[name], expected.f1[name], equal_nan=True)
+        assert np.array_equal(found.log_loss[name], expected.log_loss[name], equal_nan=True)
+
+
+def test_what_stands_for_most_of_an_excerpt_is_not_static_there(with_truth, tmp_path, monkeypatch):
+    monkeypatch.setattr(truth_scene, "to_and_fro", lambda time_s, period_s, reach_m: 0.0 if time_s < 6 else reach_m)
+    path = tmp_path / "waits.mcap"
+    truth_scene.write_recording(path, seconds=12)
+    source, score = stored(open_stream(path), tmp_path / "0.frames")
+    excerpt = CachedSource.beginning(source, 5.0)
+    found = score(persistence(excerpt), excerpt, STEPS)
+    assert found.f1["standing"][0] == 1.0, "the rider waits in all of it, and is no wall"
+    assert np.isnan(found.f1["in-motion"][0])
+
+
+def test_without_truth_static_cells_are_found_in_the_stretches_of_the_training_only(tmp_path):
+    path = tmp_path / "room.mcap"
+    truth_scene.write_recording(path, seconds=12, with_truth=False)
+    train, validation = open_stream(f"{path}@0s-6s"), open_stream(f"{path}@6s-9s")
+    kinds = cell_kinds_for(train, [train, validation])
+    assert np.array_equal(kinds, cell_kinds_for(validation, [train, validation]))
+    assert np.array_equal(kinds, cell_kinds_for(train, [open_stream(f"{path}@0s-9s")]))
+    assert (kinds == CELL_KINDS.index("static")).any()
+
+
+def test_frames_that_are_of_no_stretch_of_the_training_are_not_scored(with_truth, tmp_path):
+    _, score = stored(open_stream(f"{with_truth}@2s-6s"), tmp_path / "0.frames")
+    other = open_stream(f"{with_truth}@7s-")
+    with pytest.raises(RecordingError, match="not a stretch that fit received, nor a part of one"):
+        score(persistence(other), other, STEPS)
