@@ -34,7 +34,8 @@ def title_of(runs: Sequence[Run]) -> str:
 
 
 def lead_of(table: HeadlineTable) -> str:
-    """The main result in a sentence: the highest F1 on cells in motion, and the floor's; empty if rows do not compare.
+    """The main result in a sentence: the highest score in the decisive column, and the floor's; empty if rows do not
+    compare.
 
     No tracker is called the best: the paired differences decide whether a difference is significant.
     """
@@ -45,32 +46,32 @@ def lead_of(table: HeadlineTable) -> str:
     ahead = f"{table.decisive.stratum} cells {table.decisive.heading} ahead"
     if not ranked:
         return _why_no_result(table)
-    f1, of_floor = ranked[0].cells[at].text, floor[0].cells[at].text if floor else ""
-    if not max(float(f1), float(of_floor or 0.0)):
-        return f"On {ahead} every tracker has an F1 of {f1}."
+    a_score = _with_article(table.decisive.score_name)
+    value, of_floor = ranked[0].cells[at].text, floor[0].cells[at].text if floor else ""
+    if not max(float(value), float(of_floor or 0.0)):
+        return f"On {ahead} every tracker has {a_score} of {value}."
     alone = len(table.rows_in("ranked")) == 1
-    if floor and float(f1) <= float(of_floor):
+    if floor and float(value) <= float(of_floor):
         highest = _names(ranked) if alone else f"the highest of the trackers, {_names(ranked)},"
-        return f"No tracker beats the floor on {ahead}: {_names(floor)} at an F1 of {of_floor}, {highest} at {f1}."
+        best = f"{_names(floor)} at {a_score} of {of_floor}, {highest} at {value}"
+        return f"No tracker beats the floor on {ahead}: {best}."
     against = f"the floor reaches {of_floor} ({_names(floor)})" if floor else "no tracker of the floor was run"
-    return f"{_scored(ranked, f1, ahead, alone)}; {against}."
-
-
-def _scored(highest: Sequence[TableRow], f1: str, ahead: str, alone: bool) -> str:
-    """The ranked trackers with the highest F1, several where they are equal; `alone`: there is one ranked tracker."""
-    if len(highest) > 1:
-        return f"{_names(highest)} have the highest F1 on {ahead}, {f1} each"
     if alone:
-        return f"{highest[0].name} has an F1 of {f1} on {ahead}"
-    return f"{highest[0].name} has the highest F1 on {ahead}, {f1}"
+        return f"{ranked[0].name} has {a_score} of {value} on {ahead}; {against}."
+    have, each = ("have", " each") if len(ranked) > 1 else ("has", "")
+    return f"{_names(ranked)} {have} the highest {table.decisive.score_name} on {ahead}, {value}{each}; {against}."
+
+
+def _with_article(score: str) -> str:
+    return f"{'an' if score == 'F1' else 'a'} {score}"
 
 
 def _why_no_result(table: HeadlineTable) -> str:
     """The result where no tracker has a score to be ranked by."""
     if table.rows_in("ranked"):
         return (
-            f"No tracker has an F1 on {table.decisive.stratum} cells {table.decisive.heading} ahead on"
-            f" {table.recording}: no such cell was occupied in the observed frames."
+            f"No tracker has {_with_article(table.decisive.score_name)} on {table.decisive.stratum} cells"
+            f" {table.decisive.heading} ahead on {table.recording}: no such cell was occupied in the observed frames."
         )
     if table.rows_in("unranked"):
         return f"No tracker completed {table.recording}."
@@ -78,7 +79,7 @@ def _why_no_result(table: HeadlineTable) -> str:
 
 
 def _highest(rows: Sequence[TableRow], at: int) -> tuple[TableRow, ...]:
-    """The rows with the highest F1 in the column `at`, to the digits shown; none where no row has one."""
+    """The rows with the highest score in the column `at`, to the digits shown; none where no row has one."""
     defined = [row for row in rows if row.cells[at].value is not None]
     top = max((row.cells[at].text for row in defined), key=float, default="")
     return tuple(row for row in defined if row.cells[at].text == top)

@@ -39,6 +39,11 @@ class TableColumn:
     step: int
     better: int = 1
 
+    @property
+    def score_name(self) -> str:
+        """Its name in a sentence."""
+        return "PR-AUC" if self.score == "pr_auc" else "F1"
+
     def of(self, trial: TrialSummary) -> float | None:
         """Its value for one trial; None where it is undefined."""
         scores = trial.strata.get(self.stratum)
@@ -142,7 +147,7 @@ def main_tables(tables: Sequence[HeadlineTable]) -> Sequence[HeadlineTable]:
 
 def _headline_table(runs: Sequence[Run], recording: str) -> HeadlineTable:
     shown = [run for run in runs if recording in run.summary.recordings]
-    columns = tuple(_columns(_common_horizons(shown, recording)))
+    columns = tuple(_columns(_common_horizons(shown, recording), _has_intervals(shown, recording)))
     decisive = next(i for i, column in enumerate(columns) if column.step == columns[-1].step)
     rows = [
         _table_row(run.name if len(runs) > 1 else "", label, entry, entry.recordings[recording], columns)
@@ -182,11 +187,26 @@ def _same_frames(runs: Sequence[Run], recording: str) -> bool:
     return all(stretch.parity for stretch, _ in described) and described.count(described[0]) == len(described)
 
 
-def _columns(horizons_s: Sequence[float]) -> Iterator[TableColumn]:
-    """F1 at the headline horizons (at the last horizon where the run reaches none), and the other scores at one."""
+def _has_intervals(runs: Sequence[Run], recording: str) -> bool:
+    """Whether any row has intervals, which it has from LEAST_UNITS statistical units on."""
+    trials = [
+        e.recordings[recording] for run in runs for e in run.summary.trackers.values() if recording in e.recordings
+    ]
+    return any(scores.f1_low is not None for trial in trials for scores in trial.strata.values())
+
+
+def _columns(horizons_s: Sequence[float], intervals: bool) -> Iterator[TableColumn]:
+    """F1 at the headline horizons (at the last horizon where the run reaches none), and the other scores at one.
+
+    Without intervals a score that needs no threshold is first: few frames choose a threshold poorly.
+    """
     period_s = horizons_s[1] - horizons_s[0]
     wanted = [round(h / period_s) for h in HEADLINE_HORIZONS_S]
     steps = sorted({step for step in wanted if 0 < step < len(horizons_s)}) or [len(horizons_s) - 1]
+    if not intervals:
+        for step in steps:
+            heading = _horizon_text(horizons_s[step])
+            yield TableColumn(f"PR-AUC, {MAIN_STRATUM}", heading, MAIN_STRATUM, "pr_auc", step)
     for stratum in HEADLINE_STRATA:
         for step in steps:
             yield TableColumn(f"F1, {stratum}", _horizon_text(horizons_s[step]), stratum, "f1", step)
@@ -196,7 +216,8 @@ def _columns(horizons_s: Sequence[float]) -> Iterator[TableColumn]:
     group = f"{MAIN_STRATUM}, {_horizon_text(horizons_s[step])}"
     yield TableColumn(group, "precision", MAIN_STRATUM, "precision", step, 0)
     yield TableColumn(group, "recall", MAIN_STRATUM, "recall", step, 0)
-    yield TableColumn(group, "PR-AUC", MAIN_STRATUM, "pr_auc", step)
+    if intervals:
+        yield TableColumn(group, "PR-AUC", MAIN_STRATUM, "pr_auc", step)
     yield TableColumn(group, "log loss", MAIN_STRATUM, "nll", step, -1)
     yield TableColumn(group, "Brier", MAIN_STRATUM, "brier", step, -1)
 

@@ -16,6 +16,7 @@ from gridtrack.evaluation.statistics.class_statistics import ClassStatistics
 from gridtrack.evaluation.statistics.finished_trial import FinishedTrial, trials_on
 from gridtrack.evaluation.statistics.occluded_statistics import OccludedStatistics
 from gridtrack.evaluation.statistics.run_statistics import RunStatistics
+from gridtrack.evaluation.statistics.turned_rankings import turned_rankings
 from gridtrack.trackers.contract import Role
 
 
@@ -37,6 +38,8 @@ def summarise(
     found = _notices(recordings, trials, mismatched)
     if not statistics.pools and len(recordings) > 1:
         found.append("the recordings differ in rate, horizon or grid: no scores are pooled over them")
+    trackers = with_ceiling(_rows(trials, statistics, classes))
+    found += turned_rankings(recordings, trackers, statistics.pools)
     return RunSummary(
         interrupted=interrupted,
         notices=(*notices, *found),
@@ -44,7 +47,7 @@ def summarise(
             name: RecordingSummary.model_validate({**dict(described), "parity": not mismatched[name]})
             for name, described in recordings.items()
         },
-        trackers=with_ceiling(_rows(trials, statistics, classes)),
+        trackers=trackers,
         reference=statistics.reference,
         differences=tuple(statistics.differences()),
         class_differences=tuple(classes.differences()),

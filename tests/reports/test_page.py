@@ -216,9 +216,9 @@ def test_where_nothing_moved_the_lead_does_not_say_that_no_tracker_completed(mak
     summary = summary_of(run)
     for entry in summary["trackers"].values():
         in_motion = entry["recordings"]["crossing"]["strata"]["in-motion"]
-        in_motion["f1"] = [None] * len(in_motion["f1"])
+        in_motion["pr_auc"] = [None] * len(in_motion["pr_auc"])
     (run / "summary.json").write_text(json.dumps(summary))
-    assert lead_of_run(run, tmp_path).startswith("No tracker has an F1 on in-motion cells 1 s ahead on crossing")
+    assert lead_of_run(run, tmp_path).startswith("No tracker has a PR-AUC on in-motion cells 1 s ahead on crossing")
 
 
 def test_where_only_the_floor_ran_the_lead_says_so(make_run, tmp_path):
@@ -227,49 +227,49 @@ def test_where_only_the_floor_ran_the_lead_says_so(make_run, tmp_path):
     assert lead_of_run(run, tmp_path) == "Only trackers of the floor were run on crossing."
 
 
-def with_f1_in_motion(run, target, **f1):
-    """The run with only these rows, each with this F1 of cells in motion at every step."""
+def with_pr_auc_in_motion(run, target, **pr_auc):
+    """The run with only these rows, each with this PR-AUC of cells in motion at every step."""
     shutil.copytree(run, target)
     summary = json.loads((target / "summary.json").read_text())
-    summary["trackers"] = {label: summary["trackers"][label] for label in f1}
-    for label, value in f1.items():
+    summary["trackers"] = {label: summary["trackers"][label] for label in pr_auc}
+    for label, value in pr_auc.items():
         in_motion = summary["trackers"][label]["recordings"]["crossing"]["strata"]["in-motion"]
-        in_motion["f1"] = [value] * len(in_motion["f1"])
+        in_motion["pr_auc"] = [value] * len(in_motion["pr_auc"])
     (target / "summary.json").write_text(json.dumps(summary))
     return target
 
 
 @pytest.mark.parametrize(
-    ("f1", "lead"),
+    ("pr_auc", "lead"),
     [
         (
             {"good": 0.61234, "fair": 0.5, "persistence": 0.2},
-            "good has the highest F1 on in-motion cells 1 s ahead, 0.612; the floor reaches 0.200 (persistence).",
+            "good has the highest PR-AUC on in-motion cells 1 s ahead, 0.612; the floor reaches 0.200 (persistence).",
         ),
         (
             {"good": 0.6},
-            "good has an F1 of 0.600 on in-motion cells 1 s ahead; no tracker of the floor was run.",
+            "good has a PR-AUC of 0.600 on in-motion cells 1 s ahead; no tracker of the floor was run.",
         ),
         (
             {"good": 0.60001, "fair": 0.6, "blank": 0.0, "persistence": 0.0},
-            "good and fair have the highest F1 on in-motion cells 1 s ahead, 0.600 each; the floor reaches 0.000"
+            "good and fair have the highest PR-AUC on in-motion cells 1 s ahead, 0.600 each; the floor reaches 0.000"
             " (blank and persistence).",
         ),
         (
             {"good": 0.0, "fair": 0.0002, "blank": 0.0},
-            "On in-motion cells 1 s ahead every tracker has an F1 of 0.000.",
+            "On in-motion cells 1 s ahead every tracker has a PR-AUC of 0.000.",
         ),
-        ({"good": 0.0}, "On in-motion cells 1 s ahead every tracker has an F1 of 0.000."),
+        ({"good": 0.0}, "On in-motion cells 1 s ahead every tracker has a PR-AUC of 0.000."),
         (
             {"good": 0.2001, "fair": 0.1, "persistence": 0.2},
-            "No tracker beats the floor on in-motion cells 1 s ahead: persistence at an F1 of 0.200, the highest of the"
-            " trackers, good, at 0.200.",
+            "No tracker beats the floor on in-motion cells 1 s ahead: persistence at a PR-AUC of 0.200, the highest of"
+            " the trackers, good, at 0.200.",
         ),
         (
             {"good": 0.0, "persistence": 0.2},
-            "No tracker beats the floor on in-motion cells 1 s ahead: persistence at an F1 of 0.200, good at 0.000.",
+            "No tracker beats the floor on in-motion cells 1 s ahead: persistence at a PR-AUC of 0.200, good at 0.000.",
         ),
     ],
 )
-def test_the_lead_names_the_highest_score_and_calls_no_tracker_the_best(run_folder, tmp_path, f1, lead):
-    assert lead_of_run(with_f1_in_motion(run_folder, tmp_path / "run", **f1), tmp_path) == lead
+def test_the_lead_names_the_highest_score_and_calls_no_tracker_the_best(run_folder, tmp_path, pr_auc, lead):
+    assert lead_of_run(with_pr_auc_in_motion(run_folder, tmp_path / "run", **pr_auc), tmp_path) == lead
