@@ -107,7 +107,7 @@ def main() -> None:
     tally = count_forecast(occupancy, observed, region_maps, ages)
     with tempfile.TemporaryDirectory() as folder, ScoreWriter(Path(folder), STEPS, half(STEPS, strata)) as writer:
         stamps = iter(range(0, 10**15, 500_000_000))
-        print(f"write its rows: {median_ms(lambda: writer.add(next(stamps), '', tally), 200):.2f} ms")
+        print(f"write its rows: {median_ms(lambda: writer.add(at := next(stamps), '', tally, at), 200):.2f} ms")
     semantics = np.full((STEPS + 1, CLASSES, SIZE, SIZE), 1 / CLASSES, np.float32)
     names = [str(k) for k in range(CLASSES)]
     matching, thresholds = match_classes(names, names), half(STEPS, strata)

@@ -45,6 +45,7 @@ class ThresholdMark:
     f1: float | None
     f1_at_visible: float | None
     f1_at_half: float | None
+    f1_label_free: float | None
     at: float | None
     at_half: float | None
 
@@ -205,7 +206,8 @@ def _mark(row: TableRow, step: int, axis: Axis) -> ThresholdMark:
     scores = row.trial.strata[MAIN_STRATUM]
     f1, half = scores.f1[step], scores.f1_at_half[step]
     at, at_half = (None if value is None else axis(value) for value in (f1, half))
-    return ThresholdMark(scores.threshold[step], f1, scores.f1_at_visible[step], half, at, at_half)
+    label_free = scores.at("f1_label_free", step)
+    return ThresholdMark(scores.threshold[step], f1, scores.f1_at_visible[step], half, label_free, at, at_half)
 
 
 def _latency_quantiles(rows: Iterable[TableRow]) -> list[float]:

@@ -40,6 +40,7 @@ CALIBRATION_BINS = len(CALIBRATION_EDGES) - 1
 CONFUSION = ("tp", "fp", "fn", "tn")
 """Counts of cells at the threshold of the step and stratum."""
 CONFUSION_AT_HALF = tuple(f"{name}_half" for name in CONFUSION)
+CONFUSION_LABEL_FREE = tuple(f"{name}_label_free" for name in CONFUSION)
 FOUND = ("tp", "fn", "tp_half", "fn_half")
 """Counts of the cells of one class, at the threshold in use and at 0.5."""
 
@@ -104,6 +105,7 @@ SCORES_TABLE = ParquetTable(
         _STRATUM_COLUMN,
         *_counts(CONFUSION, "cells, at the threshold of the step and stratum"),
         *_counts(CONFUSION_AT_HALF, "cells, at 0.5"),
+        *_counts(CONFUSION_LABEL_FREE, "cells, at the threshold that needs no labels"),
         ParquetColumn("squared_error", pa.float64(), "sum over cells of (p - occupied)^2"),
         ParquetColumn(
             "log_loss",
@@ -111,6 +113,7 @@ SCORES_TABLE = ParquetTable(
             "sum over cells of the negative log likelihood, nats; p clipped to [0.001, 0.999]",
         ),
     ),
+    version=2,
 )
 HISTOGRAM_TABLE = ParquetTable(
     "histogram.parquet",

@@ -34,6 +34,8 @@ class StratumScores(ResultModel):
     """F1 at the threshold of all visible cells."""
     f1_at_half: Curve
     """F1 at the threshold 0.5."""
+    f1_label_free: Curve | None = None
+    """F1 at thresholds chosen without labels, from the tracker's own probabilities so far."""
     f1_low: Curve | None = None
     precision_low: Curve | None = None
     recall_low: Curve | None = None

@@ -23,12 +23,14 @@ from gridtrack.evaluation.results.columns import (
     CALIBRATION_BINS,
     CONFUSION,
     CONFUSION_AT_HALF,
+    CONFUSION_LABEL_FREE,
     HISTOGRAM_TABLE,
     PROBABILITY_BINS,
     SCORES_TABLE,
     ParquetTable,
 )
 from gridtrack.evaluation.scoring.counting import Tally
+from gridtrack.evaluation.scoring.label_free import LabelFreeThresholds
 from gridtrack.evaluation.scoring.strata import STRATA, STRATA_WITH_TRUTH
 from gridtrack.evaluation.scoring.thresholds import Thresholds, half
 
@@ -50,6 +52,7 @@ class ScoreWriter:
         self._strata = thresholds.strata
         self._bins = thresholds.bins
         self._half = half(steps, self._strata).bins
+        self._label_free = LabelFreeThresholds(steps, self._strata)
         self._files = ExitStack()
         self._scores = self._files.enter_context(RowGroups(folder, SCORES_TABLE))
         self._histogram = self._files.enter_context(RowGroups(folder, HISTOGRAM_TABLE))
@@ -62,15 +65,17 @@ class ScoreWriter:
     ) -> None:
         self._files.close()
 
-    def add(self, stamp_ns: int, delivered: str, tally: Tally) -> None:
-        """Add the counts of the forecast made at `stamp_ns`.
+    def add(self, stamp_ns: int, delivered: str, tally: Tally, observed_ns: int) -> None:
+        """Add the counts of the forecast made at `stamp_ns`, whose last frame is that of `observed_ns`.
 
         `delivered` is the digest of the frames delivered up to its last step. Stamps must not decrease.
         """
         rows = self._rows(stamp_ns)
         self._histogram.append(rows | _histogram_columns(tally))
-        counts = np.concatenate([tally.confusion(self._bins), tally.confusion(self._half)], axis=-1)
-        for i, name in enumerate(CONFUSION + CONFUSION_AT_HALF):
+        label_free = self._label_free.bins(stamp_ns)
+        self._label_free.add(observed_ns, tally)
+        counts = np.concatenate([tally.confusion(bins) for bins in (self._bins, self._half, label_free)], axis=-1)
+        for i, name in enumerate(CONFUSION + CONFUSION_AT_HALF + CONFUSION_LABEL_FREE):
             rows[name] = counts[..., i].ravel()
         rows["delivered"] = [delivered] * len(rows["step"])
         rows["squared_error"] = tally.squared_error.ravel()
@@ -166,6 +171,15 @@ def read_called(
     return called
 
 
+def read_label_free(folder: Path, steps: int, strata: tuple[str, ...]) -> NDArray[np.int64]:
+    """TP, FP, FN, TN (S, K, 4) of a trial at the thresholds that need no labels. Raises ScoresError."""
+    counts = np.zeros((steps + 1, len(STRATA_WITH_TRUTH), len(CONFUSION)), np.int64)
+    for columns in _batches(folder, SCORES_TABLE, list(CONFUSION_LABEL_FREE), steps):
+        of_row = np.stack([columns[name] for name in CONFUSION_LABEL_FREE], axis=-1)
+        np.add.at(counts, columns["where"], of_row)
+    return counts[:, [_STRATUM_INDEX[name] for name in strata]]
+
+
 def add_histograms(
     folder: Path,
     chosen: Sequence[tuple[int, str]],
@@ -248,7 +262,7 @@ def _as_numpy(column: Any) -> Any:
 
 
 def _require_version(path: Path, table: ParquetTable, schema: Any) -> None:
-    """Raises ScoresError for a file of another version of its table: version 1 of the histogram had fewer bins."""
+    """Raises ScoresError for a file of another version of its table."""
     version = (schema.metadata or {}).get(b"version", b"1").decode(errors="replace")
     if version != str(table.version):
         raise ScoresError(

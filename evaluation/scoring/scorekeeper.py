@@ -58,7 +58,7 @@ class Scorekeeper:
     def add(self, scored: ScoredForecast, delivered: str) -> None:
         """Score one forecast; `delivered` is the digest of the frames delivered up to its last step."""
         tally = count_forecast(scored.forecast.occupancy, scored.targets, self._region_maps, scored.ages)
-        self._scores.add(scored.stamp_ns, delivered, tally)
+        self._scores.add(scored.stamp_ns, delivered, tally, scored.frames[-1].stamp_ns)
         if self._by_class is not None:
             self._count_classes(scored, self._by_class)
         if self.scored in self._kept:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -16,8 +17,17 @@ from gridtrack.evaluation.scoring.counting import Tally
 from gridtrack.evaluation.scoring.thresholds import bins_of, half
 
 
+@dataclass(frozen=True, slots=True)
+class CountedTrial:
+    """A trial with its counts in its strata, and TP, FP, FN, TN (S, K, 4) at the thresholds that need no labels."""
+
+    record: TrialRecord
+    tally: Tally
+    label_free: NDArray[np.int64]
+
+
 def stratum_scores(
-    trials: Sequence[tuple[TrialRecord, Tally]], strata: tuple[str, ...], intervals: Mapping[str, Mapping[str, Any]]
+    trials: Sequence[CountedTrial], strata: tuple[str, ...], intervals: Mapping[str, Mapping[str, Any]]
 ) -> dict[str, StratumScores]:
     """Scores of the summed counts of `trials`, each at its own thresholds; a threshold that differs is None.
 
@@ -32,15 +42,16 @@ def stratum_scores(
     }
 
 
-def _curves_of(trials: Sequence[tuple[TrialRecord, Tally]], strata: tuple[str, ...]) -> dict[str, NDArray[np.float64]]:
+def _curves_of(trials: Sequence[CountedTrial], strata: tuple[str, ...]) -> dict[str, NDArray[np.float64]]:
     """Every score (S, K) by its field in StratumScores."""
-    steps = trials[0][0].steps
+    steps = trials[0].record.steps
     together = Tally.empty(steps, strata)
     shape = (steps + 1, len(strata), 4)
-    at_threshold, at_visible = np.zeros(shape, np.int64), np.zeros(shape, np.int64)
+    at_threshold, at_visible, label_free = np.zeros((3, *shape), np.int64)
     chosen = []
-    for record, counted in trials:
-        tally = counted.of(strata)
+    for counted in trials:
+        record, tally = counted.record, counted.tally.of(strata)
+        label_free += counted.label_free[:, [counted.tally.strata.index(name) for name in strata]]
         together.add(tally)
         bins = bins_of(_thresholds(record, strata))
         at_threshold += tally.confusion(bins)
@@ -61,6 +72,7 @@ def _curves_of(trials: Sequence[tuple[TrialRecord, Tally]], strata: tuple[str, .
         "ece_above_1_percent": metrics.calibration_error(together, metrics.THOUGHT_OCCUPIED),
         "threshold": np.where(np.ptp(chosen, axis=0) == 0, chosen[0], np.nan),
         "f1_at_visible": metrics.f1_score(at_visible),
+        "f1_label_free": metrics.f1_score(label_free),
         "f1_at_half": metrics.f1_score(together.confusion(half(steps, strata).bins)),
     }
 

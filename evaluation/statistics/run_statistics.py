@@ -15,9 +15,8 @@ from gridtrack.evaluation.results.summary import (
 )
 from gridtrack.evaluation.results.trial_summary import PooledSummary, StratumScores
 from gridtrack.evaluation.results.values import rounded_curve, rounded_p_curve
-from gridtrack.evaluation.scoring.counting import Tally
-from gridtrack.evaluation.scoring.score_store import read_tally
-from gridtrack.evaluation.statistics.curves import stratum_scores
+from gridtrack.evaluation.scoring.score_store import read_label_free, read_tally
+from gridtrack.evaluation.statistics.curves import CountedTrial, stratum_scores
 from gridtrack.evaluation.statistics.finished_trial import FinishedTrial, trials_on
 from gridtrack.evaluation.statistics.frame_counts import FrameCounts, read_frame_counts
 from gridtrack.evaluation.statistics.paired_tests import (
@@ -47,7 +46,6 @@ class RunStatistics:
         self._reference = reference
         self._blocks: dict[str, float] = {}
         self._frames: dict[str, FrameCounts] = {}
-        self._tallies: dict[str, Tally] = {}
 
     @cached_property
     def reference(self) -> str | None:
@@ -73,14 +71,13 @@ class RunStatistics:
         ends = intervals(
             [self.frames_of(trial)], [trial.folder], trial.strata, self.unit_rule([trial.record.recording])
         )
-        return stratum_scores([(trial.record, self.tally_of(trial))], trial.strata, ends)
+        return stratum_scores([self._counted(trial)], trial.strata, ends)
 
-    def tally_of(self, trial: FinishedTrial) -> Tally:
-        """The counts of a trial, read once. Raises ScoresError."""
-        key = trial.folder.name
-        if key not in self._tallies:
-            self._tallies[key] = read_tally(trial.folder, trial.record.steps, trial.strata)
-        return self._tallies[key]
+    def _counted(self, trial: FinishedTrial) -> CountedTrial:
+        """The counts of a trial. Raises ScoresError."""
+        steps, strata = trial.record.steps, trial.strata
+        label_free = read_label_free(trial.folder, steps, strata)
+        return CountedTrial(trial.record, read_tally(trial.folder, steps, strata), label_free)
 
     def differences(self) -> list[TrackerDifference]:
         """Each tracker against the reference: over all recordings where they are pooled, else on each."""
@@ -119,7 +116,7 @@ class RunStatistics:
             strata,
             self.unit_rule([trial.record.recording for trial in complete]),
         )
-        return stratum_scores([(trial.record, self.tally_of(trial)) for trial in complete], strata, ends)
+        return stratum_scores([self._counted(trial) for trial in complete], strata, ends)
 
     def _why_partial(self, trials: Sequence[FinishedTrial]) -> str:
         missing = [f"{trial.record.recording}: {trial.record.outcome}" for trial in trials if not trial.complete]

@@ -111,7 +111,8 @@ def write_trial(run, label, tracker, forecast, scored=EXPECTED, outcome="ok", re
         for t in list(range(WARM_UP, FRAMES - STEPS, EVERY))[:scored]:
             targets = tuple(TARGETS[t : t + STEPS + 1])
             one = ScoredForecast(Forecast(forecast(t)), targets, JUST_SEEN)
-            scores.add(one.stamp_ns, f"{t:032x}", count_forecast(one.forecast.occupancy, targets, REGION_MAPS))
+            counted = count_forecast(one.forecast.occupancy, targets, REGION_MAPS)
+            scores.add(one.stamp_ns, f"{t:032x}", counted, one.frames[-1].stamp_ns)
             samples.add(one)
     record = TrialRecord(
         schema=2,

@@ -100,9 +100,8 @@ def write_trial(
     thresholds = half(STEPS, strata)
     with ScoreWriter(folder, STEPS, thresholds) as scores:
         for frame in range(done):
-            scores.add(
-                (frame + start_s) * 1_000_000_000, (delivered + f"{frame:x}").rjust(32, "0"), tally(rng, skill, strata)
-            )
+            stamp_ns, digest = (frame + start_s) * 1_000_000_000, (delivered + f"{frame:x}").rjust(32, "0")
+            scores.add(stamp_ns, digest, tally(rng, skill, strata), stamp_ns + round(STEPS * PERIOD_S * 1e9))
     record = TrialRecord(
         schema=2,
         label=label,

@@ -68,7 +68,9 @@ def write_trial(run: Path, label: str, recording: str, made: Made) -> None:
     with ScoreWriter(folder, STEPS, half(STEPS, STRATA)) as scores:
         for frame in range(made.scored):
             tally = tally_of(made, recording, frame, rng, offset)
-            scores.add(10**15 + frame * 10**9, f"{zlib.crc32(recording.encode()):x}-{frame}", tally)
+            scores.add(
+                10**15 + frame * 10**9, f"{zlib.crc32(recording.encode()):x}-{frame}", tally, 10**15 + frame * 10**9
+            )
     times = Quantiles(p50=made.ms, p95=made.ms, p99=made.ms) if made.ms else None
     TrialRecord(
         schema=2, label=label, recording=recording, outcome=made.outcome, frames_scored=made.scored,

@@ -14,7 +14,15 @@ from gridtrack.evaluation.results.columns import (
     SCORES_TABLE,
 )
 from gridtrack.evaluation.scoring.counting import HALF, Tally
-from gridtrack.evaluation.scoring.score_store import ROW_GROUP, ScoresError, ScoreWriter, read_deliveries, read_tally
+from gridtrack.evaluation.scoring.label_free import LabelFreeThresholds
+from gridtrack.evaluation.scoring.score_store import (
+    ROW_GROUP,
+    ScoresError,
+    ScoreWriter,
+    read_deliveries,
+    read_label_free,
+    read_tally,
+)
 from gridtrack.evaluation.scoring.strata import STRATA
 from gridtrack.evaluation.scoring.thresholds import Thresholds, half
 
@@ -34,7 +42,7 @@ def write(folder, frames, every_ns=400_000_000):
     total = Tally.empty(STEPS)
     with ScoreWriter(folder, STEPS, THRESHOLDS) as writer:
         for i in range(frames):
-            writer.add(i * every_ns, f"digest {i}", random_tally(i))
+            writer.add(i * every_ns, f"digest {i}", random_tally(i), i * every_ns)
             total.add(random_tally(i))
     return total
 
@@ -57,6 +65,13 @@ def test_each_scored_frame_has_its_confusion_counts_per_step_and_stratum(tmp_pat
     assert row.select(CONFUSION).row(0) == tuple(expected)
     expected_at_half = random_tally(1).confusion(half(STEPS).bins)[2, STRATA.index("dynamic")]
     assert row.select([f"{name}_half" for name in CONFUSION]).row(0) == tuple(expected_at_half)
+    label_free = LabelFreeThresholds(STEPS, STRATA)
+    label_free.add(0, random_tally(0))
+    expected_label_free = random_tally(1).confusion(label_free.bins(400_000_000))[2, STRATA.index("dynamic")]
+    assert row.select([f"{name}_label_free" for name in CONFUSION]).row(0) == tuple(expected_label_free)
+    all_frames = scores.filter((pl.col("step") == 2) & (pl.col("stratum") == "dynamic"))
+    summed = all_frames.select([f"{name}_label_free" for name in CONFUSION]).sum().row(0)
+    assert tuple(read_label_free(tmp_path, STEPS, ("dynamic",))[2, 0]) == summed
 
 
 def test_the_histogram_has_the_rows_of_the_scores_and_agrees_with_them(tmp_path):
@@ -100,8 +115,8 @@ def test_rows_are_written_in_groups_so_memory_does_not_grow(tmp_path):
 def test_counts_before_a_failure_are_kept(tmp_path):
     def crash_after_two():
         with ScoreWriter(tmp_path, STEPS, THRESHOLDS) as writer:
-            writer.add(0, "a", random_tally(0))
-            writer.add(100_000_000, "b", random_tally(1))
+            writer.add(0, "a", random_tally(0), 0)
+            writer.add(100_000_000, "b", random_tally(1), 100_000_000)
             raise RuntimeError
 
     with pytest.raises(RuntimeError):

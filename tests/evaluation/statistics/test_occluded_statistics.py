@@ -47,7 +47,7 @@ def write(run, label, recording, found, *, frames=4, seed=0):
             missed = occupied - int(tally.positives[0, OCCLUDED].sum())
             tally.positives[:, OCCLUDED, 0], tally.cells[:, OCCLUDED, 0] = missed, missed + 1000
             tally.log_loss[:, OCCLUDED] = 100.0 * found[2]
-            scores.add((frame + 10) * 10**9, f"{frame:032x}", tally)
+            scores.add((frame + 10) * 10**9, f"{frame:032x}", tally, (frame + 10) * 10**9)
     record = TrialRecord(
         label=label, recording=recording, outcome="ok", frames_scored=frames, frames_expected=frames, steps=STEPS,
         thresholds=ThresholdsUsed.model_validate(thresholds.used()), **synthetic.DESCRIBED.get(label, {}),
