@@ -97,6 +97,13 @@ def test_two_trainings_of_a_tracker_are_compared_each_with_the_weights_of_its_ro
     assert [trial.weights.path.parent.parent.name for trial in (first, second)] == ["first", "second"]
 
 
+def test_weights_of_an_interrupted_training_are_a_notice(settings, record, tmp_path):
+    path = train_tracker(Recipe(tracker="static-map", recordings=(str(record()),), out=tmp_path), lambda _: None)
+    path.write_text(path.read_text().replace('interrupted = ""', 'interrupted = "update 3 of 9"'))
+    (notice,) = resolve(settings("static-map", weights=tmp_path)).notices
+    assert notice == "static-map: static-map/room.toml is of a training that was interrupted at update 3 of 9"
+
+
 def test_a_row_with_its_own_folder_of_weights_uses_no_others(settings, record, tmp_path):
     train_tracker(Recipe(tracker="static-map", recordings=(str(record()),), out=tmp_path / "given"), lambda _: None)
     with pytest.raises(WeightsError, match=r"empty: no weights of static-map for the site 'room'"):
