@@ -29,7 +29,10 @@ def regress_command(
         typer.Argument(metavar="RUN...", help="A run's folder; with --update several, one for each training or seed"),
     ],
     baseline: Annotated[Path, typer.Option(help="The baseline's file")],
-    margin: Annotated[float | None, typer.Option(help="The largest fall in F1 that is not worse")] = None,
+    margin: Annotated[
+        float | None,
+        typer.Option(help="The largest fall in F1 that is not worse; of log loss, 10 times it as a share"),
+    ] = None,
     tolerance: Annotated[
         list[str] | None, typer.Option(metavar="LABEL=F1", help="The margin of one tracker, such as a learned one")
     ] = None,
@@ -76,9 +79,13 @@ def regress_command(
 
 def regress_defaults() -> dict[str, str]:
     """The default of each option of `regress`, as text."""
-    from gridtrack.evaluation.regression.settings import GateSettings
+    from gridtrack.evaluation.regression.settings import MARGIN, GateSettings
+    from gridtrack.evaluation.statistics.jackknife import LEAST_UNITS
 
-    return {name: f"{default_of(GateSettings, name):g}" for name in ("margin", "speed_margin")}
+    return {
+        "margin": f"{MARGIN:g} with {LEAST_UNITS} units or more, 0 with fewer",
+        "speed_margin": f"{default_of(GateSettings, 'speed_margin'):g}",
+    }
 
 
 def _update_baseline(runs: Sequence[Path], baseline: Path) -> None:

@@ -6,15 +6,17 @@ from collections.abc import Sequence
 from xml.etree import ElementTree
 
 from gridtrack.common.errors import printable
+from gridtrack.evaluation.regression.recoveries import RecoveryRow
 from gridtrack.evaluation.regression.speed import SpeedRow
-from gridtrack.evaluation.regression.verdict import Verdict, VerdictRow
-from gridtrack.reports.regression import band_text, rule_of, sentence_of
+from gridtrack.evaluation.regression.verdict import AnyRow, Verdict
+from gridtrack.reports.regression import place_of, rule_of, sentence_of
 
 SUITE = "gridtrack regress"
 
 
 def junit_of(verdict: Verdict) -> str:
-    """A test case for each tracker, stratum and step band, and for each speed; a worse one is a failure."""
+    """A test case for each tracker, score, stratum and step band, for each collapse, each tracker that recovered from
+    failures, and each speed. A worse one is a failure; the output of each has the smallest fall that would be one."""
     rows, failures = verdict.decisive, len(verdict.worse)
     skipped = sum(row.verdict == "nothing to find" for row in rows)
     suite = _suite(tests=len(rows), failures=failures, errors=0, skipped=skipped)
@@ -24,6 +26,8 @@ def junit_of(verdict: Verdict) -> str:
             ElementTree.SubElement(case, "failure", message=printable(sentence_of(row)))
         elif row.verdict == "nothing to find":
             ElementTree.SubElement(case, "skipped", message="no cell was occupied")
+        if row.verdict != "nothing to find":
+            ElementTree.SubElement(case, "system-out").text = printable(sentence_of(row))
     ElementTree.SubElement(suite, "system-out").text = printable("; ".join([rule_of(verdict), *verdict.notes]))
     return _xml(suite)
 
@@ -44,8 +48,12 @@ def _case(suite: ElementTree.Element, label: str, name: str) -> ElementTree.Elem
     return ElementTree.SubElement(suite, "testcase", classname=f"{SUITE}.{printable(label)}", name=printable(name))
 
 
-def _case_name(row: VerdictRow | SpeedRow) -> str:
-    return f"speed of {row.call}" if isinstance(row, SpeedRow) else f"{row.stratum}, {band_text(row.band)}"
+def _case_name(row: AnyRow) -> str:
+    if isinstance(row, SpeedRow):
+        return f"speed of {row.call}"
+    if isinstance(row, RecoveryRow):
+        return "recoveries"
+    return f"{f'{row.recording}: ' if row.recording else ''}{row.score}, {place_of(row)}"
 
 
 def _xml(suite: ElementTree.Element) -> str:

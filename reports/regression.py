@@ -10,12 +10,14 @@ from typing import Any
 import numpy as np
 
 from gridtrack.common.errors import printable
+from gridtrack.evaluation.regression.criteria import COLLAPSE, LARGE_MARGINS
+from gridtrack.evaluation.regression.judging import Criterion, VerdictRow
 from gridtrack.evaluation.regression.measurement import BANDS, Baseline
-from gridtrack.evaluation.regression.pairing import pair
+from gridtrack.evaluation.regression.recoveries import RecoveryRow
+from gridtrack.evaluation.regression.rows import paired_rows, value_of
 from gridtrack.evaluation.regression.significance import FAMILY_LEVEL
 from gridtrack.evaluation.regression.speed import SpeedRow
-from gridtrack.evaluation.regression.verdict import Verdict, VerdictRow
-from gridtrack.evaluation.scoring.metrics import f1_score
+from gridtrack.evaluation.regression.verdict import AnyRow, Verdict
 from gridtrack.evaluation.statistics.jackknife import LEAST_UNITS
 from gridtrack.reports.markdown import escaped, markdown_table
 from gridtrack.reports.run import UNDEFINED
@@ -25,16 +27,25 @@ MAX_TABLE_ROWS = 40
 MAX_FALLEN = 3
 """Largest number of lines on single recordings in the text."""
 UNKNOWN_SPREAD = "the baseline has one run: the spread between trainings is unknown and not taken into account"
+REASONS: dict[Criterion, str] = {
+    "": "",
+    "margin": "",
+    "significant": "",
+    "large": ", large whatever its p",
+    "collapse": ", a collapse",
+}
 
 
 def text_of(verdict: Verdict) -> str:
     """The verdict for a terminal: what is worse, notes, the rule and the conclusion."""
     lines = [f"worse: {sentence_of(row)}" for row in verdict.worse]
-    lines += [f"fall on one recording, not judged: {sentence_of(row)}" for row in verdict.fallen[:MAX_FALLEN]]
-    if len(verdict.fallen) > MAX_FALLEN:
-        lines.append(f"fall on one recording, not judged: {len(verdict.fallen) - MAX_FALLEN} more, see --markdown")
+    fallen = [row for row in verdict.on_recordings if row.verdict != "worse"]
+    lines += [f"change on one recording, not judged: {sentence_of(row)}" for row in fallen[:MAX_FALLEN]]
+    if len(fallen) > MAX_FALLEN:
+        lines.append(f"change on one recording, not judged: {len(fallen) - MAX_FALLEN} more, see --markdown")
     lines += [f"note: {note}" for note in verdict.notes]
     lines += [f"{label}: every count is as in the baseline" for label in _unchanged(verdict)]
+    lines += _smallest_found(verdict)
     return "\n".join(map(printable, [*lines, rule_of(verdict), _conclusion(verdict)]))
 
 
@@ -42,15 +53,24 @@ def markdown_of(verdict: Verdict) -> str:
     """The verdict as a Markdown page, with names escaped."""
     parts = [f"## gridtrack regress: {'worse' if verdict.worse else 'no worse'}", escaped(rule_of(verdict))]
     changed = [row for row in verdict.rows if row.verdict in {"worse", "no worse"}]
-    changed.sort(key=lambda row: (row.verdict != "worse", -row.fall))
+    changed.sort(key=lambda row: (row.verdict != "worse", -row.severity))
     parts += _section(
         "Over all units",
         ["verdict", *_HEADINGS, "p"],
         changed,
-        lambda row: [row.verdict, *_row_cells(row), _p_value_text(row)],
+        lambda row: [_verdict_text(row), *_row_cells(row), _p_value_text(row)],
     )
     parts += _section(
-        "Falls on one recording (not judged)", ["recording", *_HEADINGS], verdict.fallen, _recording_cells
+        "On one recording",
+        ["verdict", "recording", *_HEADINGS],
+        verdict.on_recordings,
+        lambda row: [_verdict_text(row), row.recording, *_row_cells(row)],
+    )
+    parts += _section(
+        "Recoveries",
+        ["verdict", "tracker", "baseline", "run"],
+        verdict.recoveries,
+        lambda row: [row.verdict, row.label, f"{row.baseline}", f"{row.run}"],
     )
     parts += _section(
         "Speed", ["verdict", "tracker", "call", "times as long as", "baseline", "run"], verdict.speed, _speed_cells
@@ -77,16 +97,17 @@ def data_of(verdict: Verdict) -> dict[str, Any]:
         "trainings": verdict.trainings,
         "significance": verdict.significance,
         "rows": [_row_data(row) for row in verdict.rows],
-        "fallen": [_row_data(row) for row in verdict.fallen],
-        "speed": [asdict(row) | {"standing": row.verdict} for row in verdict.speed],
+        "on_recordings": [_row_data(row) for row in verdict.on_recordings],
+        "recoveries": [_row_data(row) for row in verdict.recoveries],
+        "speed": [_row_data(row) for row in verdict.speed],
         "notes": list(verdict.notes),
     }
 
 
-def _row_data(row: VerdictRow) -> dict[str, Any]:
-    values = asdict(row)
-    verdict = values.pop("verdict")
-    return {**values, "standing": verdict, "fall": row.fall}
+def _row_data(row: AnyRow) -> dict[str, Any]:
+    """The fields of a row; a fall that cannot be found, of whatever size, is null."""
+    values = {key: None if value == np.inf else value for key, value in asdict(row).items() if key != "verdict"}
+    return {**values, "standing": row.verdict}
 
 
 def text_of_update(path: Path, baseline: Baseline) -> str:
@@ -94,31 +115,64 @@ def text_of_update(path: Path, baseline: Baseline) -> str:
     if len(baseline.runs) == 1:
         return printable(f"baseline: {path}; {UNKNOWN_SPREAD}")
     lines = [f"baseline: {path}, of {len(baseline.runs)} runs"]
-    rows = pair(baseline, baseline.first)
+    rows = [row for row in paired_rows(baseline, baseline.first) if row.score == "F1"]
     for label in baseline.first.trackers:
-        ranges = {np.ptp(np.nan_to_num(f1_score(r.trainings.sum(axis=1)))): r for r in rows if r.label == label}
+        ranges = {np.ptp(np.nan_to_num(value_of(r.trainings.sum(axis=1)))): r for r in rows if r.label == label}
         widest = max(ranges)
-        where = f"{ranges[widest].stratum}, {band_text(ranges[widest].band)}"
+        where = f"{ranges[widest].region}, {band_text(ranges[widest].band)}"
         lines.append(
             f"{label}: F1 differs by up to {widest:.4f} ({where})" if widest else f"{label}: F1 is the same in all runs"
         )
     return "\n".join(map(printable, lines))
 
 
-def sentence_of(row: VerdictRow | SpeedRow) -> str:
+def sentence_of(row: AnyRow) -> str:
     """One row as a sentence."""
     if isinstance(row, SpeedRow):
         return (
             f"{row.label}: {row.call} takes {row.ratio_run:.3g} times as long as {row.reference}'s, in the baseline"
             f" {row.ratio_baseline:.3g}: {row.growth:+.0%}, margin {row.margin:.0%}"
         )
+    if isinstance(row, RecoveryRow):
+        return f"{row.label}: continued {row.run} times after a failure inside it, in the baseline {row.baseline} times"
     where = f" on {row.recording}" if row.recording else ""
     significance = "" if row.p is None else f", p {row.p:.4f}"
     spread = "" if row.spread is None else f", spread between trainings {row.spread:.4f}"
     return (
-        f"{row.label}{where}, {row.stratum}, {band_text(row.band)}: F1 {_number(row.f1_baseline)} to"
-        f" {_number(row.f1_run)}, a fall of {row.fall:.4f}{significance}{spread}, margin {row.margin:g}"
+        f"{row.label}{where}, {place_of(row)}: {row.score} {_number(row.baseline)} to {_number(row.run)}, a"
+        f" {'fall' if row.score == 'F1' else 'rise'} of {_amount(row, row.fall)}{significance}{spread}"
+        f"{REASONS[row.criterion]}, {_found_text(row)}"
     )
+
+
+def place_of(row: VerdictRow) -> str:
+    """The cells and the step band of a row."""
+    region = f"{row.stratum} cells with a class" if row.score == "class log loss" else row.stratum
+    return f"{region}, {band_text(row.band)}"
+
+
+def _found_text(row: VerdictRow) -> str:
+    """The smallest change that would have been worse."""
+    return f"worse from {_amount(row, row.smallest)} on, margin {_amount(row, row.margin)}"
+
+
+def _smallest_found(verdict: Verdict) -> list[str]:
+    """The smallest falls over all units that would have been worse, of each tracker that is not; with few units these
+    are the margins."""
+    lines: list[str] = []
+    if not verdict.significance:
+        return lines
+    worse = {row.label for row in verdict.worse}
+    for label in dict.fromkeys(row.label for row in verdict.rows):
+        found = [r for r in verdict.rows if (r.label, r.score) == (label, "F1") and r.verdict != "nothing to find"]
+        if label in worse or not found:
+            continue
+        least, most = (choose(found, key=lambda row: row.smallest) for choose in (min, max))
+        lines.append(
+            f"{label}: a fall in F1 would have been found from {_amount(least, least.smallest)} ({place_of(least)}) to"
+            f" {_amount(most, most.smallest)} ({place_of(most)}) on"
+        )
+    return lines
 
 
 def band_text(band: str) -> str:
@@ -133,6 +187,7 @@ def rule_of(verdict: Verdict) -> str:
     """The rule of the verdict, in one line."""
     judged = sum(row.verdict != "nothing to find" for row in verdict.rows)
     over = f"{judged} comparisons over {verdict.units} paired unit{'s' if verdict.units != 1 else ''}"
+    collapse = f"or one of more than {COLLAPSE:g} on one recording"
     if verdict.significance:
         trainings = (
             UNKNOWN_SPREAD
@@ -140,26 +195,27 @@ def rule_of(verdict: Verdict) -> str:
             else f"the spread between trainings is that of the {verdict.trainings} runs of the baseline"
         )
         return (
-            f"{over}: worse is a fall in F1 beyond the margin with p of at most {FAMILY_LEVEL:g}, corrected for all"
-            f" comparisons; {trainings}"
+            f"{over}: worse is a fall in F1, or a rise of a log loss, beyond the margin with p of at most"
+            f" {FAMILY_LEVEL:g}, corrected for all comparisons, one of more than {LARGE_MARGINS:g} margins whatever its"
+            f" p, {collapse}; {trainings}"
         )
     return (
-        f"{over}, too few for significance, which needs {LEAST_UNITS}: worse is a fall in F1 beyond the tolerance of"
-        f" the tracker, and any fall of a tracker without one; {UNKNOWN_SPREAD}"
+        f"{over}, too few for significance, which needs {LEAST_UNITS}: worse is a fall in F1, or a rise of a log loss,"
+        f" beyond the margin or the tracker's tolerance, which are 0 unless given, {collapse}; {UNKNOWN_SPREAD}"
     )
 
 
 _HEADINGS = (
     "tracker",
+    "score",
     "stratum",
     "steps",
-    "F1 baseline",
-    "F1 run",
-    "fall",
-    "spread",
-    "margin",
-    "log loss baseline",
+    "baseline",
     "run",
+    "worse by",
+    "found from",
+    "margin",
+    "spread",
 )
 
 
@@ -187,21 +243,30 @@ def _section(title: str, headings: Sequence[str], rows: Sequence[Any], cells: An
 
 
 def _row_cells(row: VerdictRow) -> list[str]:
-    losses = [_number(row.log_loss_baseline), _number(row.log_loss_run)]
-    scores = [_number(row.f1_baseline), _number(row.f1_run), f"{row.fall:+.4f}", _number(row.spread), f"{row.margin:g}"]
-    return [row.label, row.stratum, band_text(row.band), *scores, *losses]
-
-
-def _recording_cells(row: VerdictRow) -> list[str]:
-    return [row.recording, *_row_cells(row)]
+    sizes = [_amount(row, value) for value in (row.fall, row.smallest, row.margin)]
+    values = [_number(row.baseline), _number(row.run), *sizes, _number(row.spread)]
+    return [row.label, row.score, row.stratum, band_text(row.band), *values]
 
 
 def _speed_cells(row: SpeedRow) -> list[str]:
     return [row.verdict, row.label, row.call, row.reference, f"{row.ratio_baseline:.3g}", f"{row.ratio_run:.3g}"]
 
 
+def _verdict_text(row: VerdictRow) -> str:
+    if row.criterion in {"large", "collapse"}:
+        return f"{row.verdict} ({row.criterion})"
+    return row.verdict if row.verdict == "worse" or not row.recording else "not judged"
+
+
 def _p_value_text(row: VerdictRow) -> str:
     return UNDEFINED if row.p is None else f"{row.p:.4f}"
+
+
+def _amount(row: VerdictRow, value: float) -> str:
+    """A change as margins are given: of F1, or a share of a log loss; one that nothing finds is undefined."""
+    if not np.isfinite(value):
+        return "no size"
+    return f"{value:.4f}" if row.score == "F1" else f"{value:.1%}"
 
 
 def _number(value: float | None) -> str:

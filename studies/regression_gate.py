@@ -1,4 +1,4 @@
-"""Error rates of the regression gate: false alarms between trainings of one tracker, and missed regressions.
+"""Error rates of the regression gate's test of F1: false alarms between trainings of one tracker, and missed falls.
 
 `python -m studies.regression_gate [RUN RUN RUN...]` (some minutes): three runs or more of the same tracker, trained
 anew for each, on the same twenty recordings or more; without them, `kalman` with four settings is run on the junction's
@@ -29,15 +29,14 @@ from scipy.special import stdtrit
 from gridtrack.evaluation.comparison.plan import resolve
 from gridtrack.evaluation.comparison.runner import run
 from gridtrack.evaluation.comparison.settings import CompareSettings
+from gridtrack.evaluation.regression.criteria import row_tests
 from gridtrack.evaluation.regression.measurement import Baseline
 from gridtrack.evaluation.regression.measuring import measure_run
-from gridtrack.evaluation.regression.p_values import row_p_values
-from gridtrack.evaluation.regression.pairing import PairedRow, pair
-from gridtrack.evaluation.regression.settings import GateSettings
-from gridtrack.evaluation.regression.significance import FAMILY_LEVEL, fall_p_values
+from gridtrack.evaluation.regression.rows import PairedRow, paired_rows, value_of
+from gridtrack.evaluation.regression.settings import MARGIN
+from gridtrack.evaluation.regression.significance import FAMILY_LEVEL, swap_test
 from gridtrack.evaluation.regression.spread import PRIOR_FREEDOM, beyond_spread, spread_between
-from gridtrack.evaluation.scoring.metrics import f1_score
-from gridtrack.evaluation.statistics.jackknife import differences, holm
+from gridtrack.evaluation.statistics.jackknife import holm, ratio_differences
 
 from studies.support.progress import NoProgress
 from studies.support.shipped import JUNCTION, junction_tests
@@ -46,9 +45,8 @@ SETTINGS = ("", ":position_noise_m=0.05", ":acceleration=0.1", ":link_m=0.3")
 """Options of `kalman` with nearly equal scores: in place of trainings where none are given."""
 RESAMPLED, FALLS = 200, 100
 FALL, STRATUM, BAND = 0.02, "dynamic", "middle"
-MARGIN = GateSettings().margin
 Floats = NDArray[np.float64]
-"""Counts are TP, FP, FN, TN (U, R, 4) of units and rows; of trainings (K, U, R, 4)."""
+"""Numerator and denominator of F1 (U, R, 2) in units and rows; of trainings (K, U, R, 2)."""
 Rule = Callable[[Floats, Floats], Floats]
 """From the counts of the baseline's trainings and of a run to p (R,)."""
 Comparison = tuple[Floats, Floats]
@@ -65,15 +63,15 @@ class Runs:
     @property
     def aim(self) -> int:
         """The row of the fall."""
-        return next(i for i, row in enumerate(self.rows) if (row.stratum, row.band) == (STRATUM, BAND))
+        return next(i for i, row in enumerate(self.rows) if (row.region, row.band) == (STRATUM, BAND))
 
     def by_gate(self, trainings: Floats, judged: Floats) -> Floats:
         """The gate's own p."""
         paired = [
-            replace(row, trainings=trainings[:, :, i], run=judged[:, i], recordings=("",) * judged.shape[0])
+            replace(row, trainings=trainings[:, :, i], run=judged[:, i], units=np.arange(len(judged)))
             for i, row in enumerate(self.rows)
         ]
-        return np.array([chance.p for chance in row_p_values(paired)])
+        return np.array([test.p for test in row_tests(paired)])
 
 
 def by_holm(trainings: Floats, judged: Floats) -> Floats:
@@ -83,10 +81,8 @@ def by_holm(trainings: Floats, judged: Floats) -> Floats:
 
 def uncorrected(trainings: Floats, judged: Floats) -> Floats:
     """Student's t of the paired differences, each row by itself."""
-    run, baseline = (
-        np.concatenate([side, np.zeros((*side.shape[:2], 2))], axis=-1) for side in (judged, trainings.mean(axis=0))
-    )
-    found = differences(run, baseline)
+    run, baseline = ((side[..., 0], side[..., 1]) for side in (judged, trainings.mean(axis=0)))
+    found = ratio_differences(run, baseline)
     return np.where(found.value < 0, found.p / 2, 1.0)
 
 
@@ -97,7 +93,7 @@ def no_statistics(trainings: Floats, judged: Floats) -> Floats:
 
 def by_units(trainings: Floats, judged: Floats) -> Floats:
     """As if the trainings' mean were one run."""
-    return fall_p_values(trainings.mean(axis=0), judged)
+    return swap_test(trainings.mean(axis=0), judged, np.ones(judged.shape[1])).p
 
 
 def with_prior(freedom: float) -> Rule:
@@ -105,7 +101,7 @@ def with_prior(freedom: float) -> Rule:
 
     def rule(trainings: Floats, judged: Floats) -> Floats:
         spread = spread_between(trainings, freedom)
-        fall = np.nan_to_num(f1_score(trainings.mean(axis=0).sum(axis=0)) - f1_score(judged.sum(axis=0)))
+        fall = np.nan_to_num(value_of(trainings.mean(axis=0).sum(axis=0)) - value_of(judged.sum(axis=0)))
         return np.maximum(by_units(trainings, judged), beyond_spread(fall, spread, judged.shape[1]))
 
     return rule
@@ -113,7 +109,7 @@ def with_prior(freedom: float) -> Rule:
 
 def is_worse(rule: Rule, trainings: Floats, judged: Floats) -> NDArray[np.bool_]:
     """Which rows (R,) are worse: beyond the margin, and no chance."""
-    fall = np.nan_to_num(f1_score(trainings.mean(axis=0).sum(axis=0)) - f1_score(judged.sum(axis=0)))
+    fall = np.nan_to_num(value_of(trainings.mean(axis=0).sum(axis=0)) - value_of(judged.sum(axis=0)))
     return (fall > MARGIN) & (rule(trainings, judged) <= FAMILY_LEVEL)
 
 
@@ -124,13 +120,13 @@ def with_decrease(counts: Floats, row: int, rng: np.random.Generator) -> Floats:
     """
     made = counts.copy()
     varies = rng.gamma(4.0, 0.25, len(counts))
-    target = f1_score(counts[:, row].sum(axis=0)) - FALL
+    target = value_of(counts[:, row].sum(axis=0)) - FALL
     low, high = 0.0, 1.0
     for _ in range(40):
         share = (low + high) / 2
-        lost = np.round(counts[:, row, 0] * np.clip(share * varies, 0.0, 1.0))
-        made[:, row, 0], made[:, row, 2] = counts[:, row, 0] - lost, counts[:, row, 2] + lost
-        low, high = (share, high) if f1_score(made[:, row].sum(axis=0)) > target else (low, share)
+        lost = np.round(counts[:, row, 0] / 2 * np.clip(share * varies, 0.0, 1.0))
+        made[:, row] = counts[:, row] - lost[:, None] * [2.0, 1.0]
+        low, high = (share, high) if value_of(made[:, row].sum(axis=0)) > target else (low, share)
     return made
 
 
@@ -182,7 +178,7 @@ def print_heading(title: str) -> None:
 
 def print_tables(runs: Runs) -> None:
     trainings, aim, gate = runs.trainings, runs.aim, runs.by_gate
-    f1 = f1_score(trainings.sum(axis=1))
+    f1 = value_of(trainings.sum(axis=1))
     print(f"{trainings.shape[1]} units, {trainings.shape[2]} rows, {len(trainings)} runs, the best one first")
     print(
         f"F1 from run to run up to {np.nanmax(np.ptp(f1, axis=0)):.4f} apart; {STRATUM}, {BAND}: {f1[:, aim].round(4)}"
@@ -239,10 +235,10 @@ def junction_runs(folder: Path) -> list[Path]:
 def read_runs(paths: list[Path]) -> Runs:
     """What the runs counted, the best by its mean F1 over all rows first."""
     first = measure_run(paths[0])
-    baseline = Baseline(runs=(first, *(measure_run(path, like=first) for path in paths[1:])))
-    rows = pair(baseline, first)
-    trainings = np.stack([row.trainings for row in rows], axis=2)
-    best = np.argsort(-np.nanmean(f1_score(trainings.sum(axis=1)), axis=1))
+    baseline = Baseline(digest="", runs=(first, *(measure_run(path, like=first) for path in paths[1:])))
+    rows = tuple(row for row in paired_rows(baseline, first) if row.score == "F1")
+    trainings = np.stack([row.by_unit(row.trainings) for row in rows], axis=2)
+    best = np.argsort(-np.nanmean(value_of(trainings.sum(axis=1)), axis=1))
     return Runs(trainings[best], rows)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import re
 from collections.abc import Sequence
@@ -31,7 +32,8 @@ def write_baseline(path: Path, runs: Sequence[Measurement]) -> Baseline:
     Raises BaselineError where the file cannot be written, and the errors of `require_comparable`.
     """
     require_comparable(runs)
-    baseline = Baseline(runs=tuple(runs))
+    content = [run.model_dump(mode="json", by_alias=True) for run in runs]
+    baseline = Baseline(digest=digest_of(content), runs=tuple(runs))
     text = json.dumps(baseline.model_dump(mode="json", by_alias=True), indent=0, allow_nan=False)
     for on_one_line in (_LIST_OF_NUMBERS, _COUNTS_BY_BAND):
         text = on_one_line.sub(lambda found: "".join(found[0].split()), text)
@@ -43,13 +45,20 @@ def write_baseline(path: Path, runs: Sequence[Measurement]) -> Baseline:
 
 
 def read_baseline(path: Path) -> Baseline:
-    """The baseline in `path`. Raises BaselineError, and Unmeasured where it is empty."""
-    content = _migrated(_read_content(path))
+    """The baseline in `path`. Raises BaselineError, and Unmeasured where it is empty or was changed by hand."""
+    content = _read_content(path)
     schema = content.get("schema")
     if schema != BASELINE_SCHEMA:
         raise BaselineError(
-            f"{path}: schema {str(schema)[:20]!r} of a baseline; this gridtrack reads schemas 1 to {BASELINE_SCHEMA}:"
+            f"{path}: schema {str(schema)[:20]!r} of a baseline; this gridtrack reads schema {BASELINE_SCHEMA}:"
             " read it with the version that wrote it, or make it again with --update"
+        )
+    if digest_of(content.get("runs")) != content.get("digest"):
+        raise Unmeasured(
+            [
+                f"{path}: changed since it was written (its digest is not that of its runs): restore it, or make it"
+                " again with --update"
+            ]
         )
     if _is_empty(content.get("runs")):
         raise Unmeasured(
@@ -63,6 +72,11 @@ def read_baseline(path: Path) -> Baseline:
     return baseline
 
 
+def digest_of(runs: Any) -> str:
+    """SHA-256 of the runs of a baseline as JSON: keys sorted, without spaces."""
+    return hashlib.sha256(json.dumps(runs, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
+
+
 def _read_content(path: Path) -> dict[str, Any]:
     try:
         return read_json(path, MAX_BASELINE_BYTES, BaselineError)
@@ -70,13 +84,6 @@ def _read_content(path: Path) -> dict[str, Any]:
         raise BaselineError(f"{path}: there is no such baseline; --update makes one of the run") from None
     except BaselineError as error:
         raise BaselineError(f"{error}: make the baseline again with --update") from None
-
-
-def _migrated(content: dict[str, Any]) -> dict[str, Any]:
-    """The content in the current schema; schema 1 was the measurement of one run."""
-    if content.get("schema") != 1:
-        return content
-    return {"schema": BASELINE_SCHEMA, "runs": [{key: value for key, value in content.items() if key != "schema"}]}
 
 
 def _is_empty(runs: Any) -> bool:

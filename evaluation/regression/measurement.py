@@ -14,18 +14,17 @@ from pydantic import Field, model_validator
 from gridtrack.common.config import Settings
 from gridtrack.common.errors import GridtrackError
 
-BASELINE_SCHEMA: Final = 2
+BASELINE_SCHEMA: Final = 3
 BANDS: dict[str, tuple[float, float]] = {"short": (0.0, 0.5), "middle": (0.5, 1.5), "long": (1.5, 3600.0)}
 """Horizons of each step band in seconds, above the first and up to the second; step 0, the input frame, is in none."""
-BLOCK_S = 100.0
-"""Shortest block of time, seconds, where blocks are the units because the recordings are too few: longer than the
-residence time of people and most cycles of traffic lights. A longer cycle of a recording replaces it."""
 
 Name = Annotated[str, Field(min_length=1, max_length=200)]
 Count = Annotated[int, Field(ge=0, le=2**53)]
 Milliseconds = Annotated[float, Field(gt=0.0, le=1e9)]
 BandCounts = tuple[Count, Count, Count, Count, Annotated[float, Field(ge=0.0)]]
 """TP, FP, FN, TN at the thresholds of the run, and the sum of the log loss in nats."""
+ScanLosses = tuple[Annotated[float, Field(ge=0.0)], Count]
+"""Sum over scans of the mean log loss of the classes of a scan's cells, nats, and the number of these scans."""
 
 
 class Unmeasured(GridtrackError):
@@ -40,6 +39,7 @@ class SplitKey(Settings):
     """What must be equal on a recording for the frames and thresholds of two runs to pair."""
 
     sha256: str
+    source_sha256: str
     stretch_s: tuple[float, float | None]
     grid: str
     rate_hz: float
@@ -51,12 +51,18 @@ class SplitKey(Settings):
 
 
 class UnitCounts(Settings):
-    """The scored frames of one statistical unit: their number, a digest of their stamps and of the frames delivered
-    before them, and their counts by stratum and step band."""
+    """The scored frames of one recording in one statistical unit, which other recordings of its source may share.
 
+    Their number, a digest of their stamps and of the frames delivered before them, their counts by stratum and step
+    band, and by visibility and step band those of classes, of a tracker that gives them. `unit` numbers the units of
+    all recordings.
+    """
+
+    unit: Annotated[int, Field(ge=0, le=2**40)]
     frames: Annotated[int, Field(ge=1, le=2**40)]
     delivered: Annotated[str, Field(pattern=r"^[0-9a-f]{32}$")]
     counts: Annotated[dict[Name, dict[Name, BandCounts]], Field(min_length=1, max_length=100)]
+    classes: Annotated[dict[Name, dict[Name, ScanLosses]], Field(max_length=100)] = Field(default_factory=dict)
 
 
 class Speed(Settings):
@@ -67,12 +73,17 @@ class Speed(Settings):
 
 
 class TrialCounts(Settings):
-    """One tracker on one recording; `measurements` are those that the run made in addition to the scores."""
+    """One tracker on one recording: its units in the order of time, and what was measured in addition to the scores."""
 
     weights_sha256: str = ""
     units: Annotated[tuple[UnitCounts, ...], Field(min_length=1, max_length=100_000)]
+    recoveries: Count = 0
+    """How often the tracker continued after a failure inside it, by its own count."""
     speed: Speed | None = None
-    measurements: Annotated[tuple[Literal["deadline", "degrade"], ...], Field(alias="figures")] = ()
+    deadline_rates: tuple[float, ...] = ()
+    """The rates at which it was scored on a simulated clock, as multiples of the rate of the stream."""
+    degradations: dict[Name, tuple[float, ...]] = Field(default_factory=dict)
+    """The values of each kind of degraded input on which it was scored."""
 
 
 class TrackerCounts(Settings):
@@ -80,6 +91,11 @@ class TrackerCounts(Settings):
 
     tracker: str
     options: dict[str, Any]
+    points: str = "centres"
+    """The returns in each frame: `centres` of occupied cells, or `raw`."""
+    program: tuple[str, ...] = ()
+    """The program that ran, with its arguments, without its folder."""
+    seed: int = 0
     recordings: Annotated[dict[Name, TrialCounts], Field(min_length=1)]
 
 
@@ -114,7 +130,9 @@ class Baseline(Settings):
     Several runs have the same trackers and options, on the same frames (`pairing.require_comparable`).
     """
 
-    schema_version: Literal[2] = Field(default=BASELINE_SCHEMA, alias="schema")
+    schema_version: Literal[3] = Field(default=BASELINE_SCHEMA, alias="schema")
+    digest: str
+    """SHA-256 of `runs`, so that a change by hand is found."""
     runs: Annotated[tuple[Measurement, ...], Field(min_length=1, max_length=100)]
 
     @property

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
 from pathlib import Path
 from typing import Any
 
@@ -10,20 +12,29 @@ from pydantic import ValidationError
 
 from gridtrack.common.errors import GridtrackError
 from gridtrack.evaluation.comparison.measurements import missing_measurements
-from gridtrack.evaluation.regression.measurement import (
-    BLOCK_S,
-    Measurement,
-    Speed,
-    SplitKey,
-    TrialCounts,
-    Unmeasured,
-)
-from gridtrack.evaluation.regression.units import read_units
+from gridtrack.evaluation.regression.measurement import Measurement, Speed, SplitKey, Unmeasured
+from gridtrack.evaluation.regression.units import ScoredTrial, read_scored_trial, units_by_recording
 from gridtrack.evaluation.results.files import RunError
 from gridtrack.evaluation.results.recording import RecordingIdentity
-from gridtrack.evaluation.results.run_record import RUN_FILE, RunRecord, RunSettings, read_run_record
+from gridtrack.evaluation.results.run_record import RUN_FILE, RunRecord, RunSettings, TrialIdentity, read_run_record
 from gridtrack.evaluation.results.trial_record import TrialRecord, read_trial_record
-from gridtrack.evaluation.statistics.jackknife import LEAST_UNITS
+from gridtrack.evaluation.statistics.score_intervals import Scope
+from gridtrack.evaluation.statistics.units import UnitRule, enough_sources
+
+SERVER = "gridtrack.trackers.serve"
+"""The module that serves a tracker of a Python environment; what precedes it is the interpreter."""
+
+
+@dataclass(frozen=True, slots=True)
+class ReadTrial:
+    """A trial's record and its counts."""
+
+    record: TrialRecord
+    scored: ScoredTrial
+
+
+ReadTrials = dict[str, dict[str, ReadTrial]]
+"""The trials of a run by label and recording."""
 
 
 def measure_run(run: Path, like: Measurement | None = None) -> Measurement:
@@ -39,41 +50,19 @@ def measure_run(run: Path, like: Measurement | None = None) -> Measurement:
     if not configuration.trials:
         raise Unmeasured([f"{run}: the run has no trials: nothing was measured"])
     splits = {name: _split_key(run, name, split) for name, split in configuration.recordings.items()}
-    block_s = like.block_s if like else _block_s(configuration.recordings)
-    trackers: dict[str, dict[str, Any]] = {}
-    reasons: list[str] = []
-    for name, trial in configuration.trials.items():
-        label, _, recording = name.partition("@")
-        entry = trackers.setdefault(label, {"tracker": trial.tracker, "options": trial.options, "recordings": {}})
-        try:
-            counts = _trial_counts(run, name, splits.get(recording), block_s, record.settings)
-            entry["recordings"][recording] = counts
-        except Unmeasured as error:
-            reasons += error.reasons
-        except GridtrackError as error:
-            reasons.append(str(error))
-        except ValidationError as error:
-            reasons.append(f"{name}: its scores cannot be kept ({error.errors()[0]['msg']})")
-    if reasons:
-        raise Unmeasured(reasons)
-    return _measurement(run, record, splits, trackers, block_s)
-
-
-def _block_s(recordings: Mapping[str, RecordingIdentity]) -> float | None:
-    """The length of a block; None, whole recordings, where these are enough units."""
-    longest = max((split.cycle_s for split in recordings.values() if split.cycle_s), default=0.0)
-    return None if len(recordings) >= LEAST_UNITS else max(BLOCK_S, longest)
-
-
-def _measurement(
-    run: Path, record: RunRecord, splits: Mapping[str, SplitKey], trackers: Mapping[str, Any], block_s: float | None
-) -> Measurement:
+    trials = _read_trials(run, record, splits)
+    cycles = [split.cycle_s for split in configuration.recordings.values() if split.cycle_s]
+    block_s = like.block_s if like else _block_s(splits, trials, max(cycles, default=None))
+    judged = [name for name in splits if like is None or name in like.recordings]
     content = {
         "command": record.command,
         "versions": record.versions,
         "block_s": block_s,
         "recordings": splits,
-        "trackers": trackers,
+        "trackers": {
+            label: {**_identity(configuration.trials, label), "recordings": _counts(own, splits, judged, block_s)}
+            for label, own in trials.items()
+        },
     }
     try:
         return Measurement.model_validate(content)
@@ -81,9 +70,27 @@ def _measurement(
         raise Unmeasured([f"{run}: not a run that can be measured ({error.errors()[0]['msg']})"]) from None
 
 
-def _trial_counts(
-    run: Path, name: str, split: SplitKey | None, block_s: float | None, requested: RunSettings
-) -> TrialCounts:
+def _read_trials(run: Path, record: RunRecord, splits: Mapping[str, SplitKey]) -> ReadTrials:
+    """Every trial of the run. Raises Unmeasured with the reasons of all trials that cannot be measured."""
+    trials: ReadTrials = {}
+    reasons: list[str] = []
+    for name in record.configuration.trials:
+        label, _, recording = name.partition("@")
+        own = trials.setdefault(label, {})
+        try:
+            own[recording] = _read_trial(run, name, splits.get(recording), record.settings)
+        except Unmeasured as error:
+            reasons += error.reasons
+        except GridtrackError as error:
+            reasons.append(str(error))
+    for own in trials.values():
+        reasons += _repeated_frames(own, splits)
+    if reasons:
+        raise Unmeasured(list(dict.fromkeys(reasons)))
+    return trials
+
+
+def _read_trial(run: Path, name: str, split: SplitKey | None, requested: RunSettings) -> ReadTrial:
     folder = run / name
     if split is None or folder.parent != run:
         raise RunError(f"{run / RUN_FILE}: '{name}' is no trial of this run")
@@ -96,15 +103,72 @@ def _trial_counts(
     strata = tuple(record.thresholds.values)
     if not strata:
         raise Unmeasured([f"{name}: its record has no thresholds, so no stratum was scored: run it again"])
-    units = read_units(folder, split.horizons_s, strata, block_s, record.frames_scored)
-    latency = record.latency_ms
+    return ReadTrial(record, read_scored_trial(folder, split.horizons_s, strata, record.frames_scored))
+
+
+def _repeated_frames(trials: Mapping[str, ReadTrial], splits: Mapping[str, SplitKey]) -> Iterator[str]:
+    """A reason for each two recordings of one source with scored frames in common."""
+    for one, other in combinations(trials, 2):
+        stamps = [trials[name].scored.frames.stamps_ns for name in (one, other)]
+        if splits[one].source_sha256 == splits[other].source_sha256 and (
+            max(its[0] for its in stamps) <= min(its[-1] for its in stamps)
+        ):
+            yield f"{one} and {other} are of one source and overlap: compare with one of them, or shorter stretches"
+
+
+def _block_s(splits: Mapping[str, SplitKey], trials: ReadTrials, cycle_s: float | None) -> float | None:
+    """The length of a block, as for the intervals of a comparison; None, whole sources, where these are enough."""
+    if enough_sources([split.source_sha256 for split in splits.values()]):
+        return None
+    read = [trial.scored for own in trials.values() for trial in own.values()]
+    return max(Scope(one.horizons_s, one.strata, cycle_s).block_s([one.frames]) for one in read)
+
+
+def _counts(
+    trials: Mapping[str, ReadTrial], splits: Mapping[str, SplitKey], judged: Sequence[str], block_s: float | None
+) -> dict[str, dict[str, Any]]:
+    """The counts of one tracker by recording. Units are divided among the recordings to be `judged`, so that further
+    recordings of a run do not change them, and then among these further ones."""
+    content: dict[str, dict[str, Any]] = {}
+    for names in ([name for name in trials if name in judged], [name for name in trials if name not in judged]):
+        rule = UnitRule(tuple(splits[name].source_sha256 for name in names), block_s)
+        stamps = [trials[name].scored.frames.stamps_ns for name in names]
+        numbers = dict(zip(names, rule.units_of(stamps), strict=True))
+        units = units_by_recording({name: trials[name].scored for name in names}, numbers)
+        content |= {name: {"units": units[name], **_beside_scores(trials[name].record)} for name in names}
+    return content
+
+
+def _beside_scores(record: TrialRecord) -> dict[str, Any]:
+    latency, deadline, robustness = record.latency_ms, record.deadline, record.robustness
     timed = latency is not None and min(latency.update.p50, latency.predict.p50) > 0.0
-    speed = Speed(update_ms=latency.update.p50, predict_ms=latency.predict.p50) if latency and timed else None
-    measured = {"deadline": record.deadline, "degrade": record.robustness}
-    measurements = tuple(name for name, found in measured.items() if found is not None)
-    return TrialCounts.model_validate(
-        {"weights_sha256": record.weights_sha256, "units": units, "speed": speed, "figures": measurements}
-    )
+    kinds = robustness.kinds if robustness else {}
+    return {
+        "weights_sha256": record.weights_sha256,
+        "recoveries": record.recoveries,
+        "speed": Speed(update_ms=latency.update.p50, predict_ms=latency.predict.p50) if latency and timed else None,
+        "deadline_rates": tuple(at.rate for at in deadline.rates) if deadline else (),
+        "degradations": {kind: tuple(at.value for at in points) for kind, points in kinds.items()},
+    }
+
+
+def _identity(trials: Mapping[str, TrialIdentity], label: str) -> dict[str, Any]:
+    """What ran under a label."""
+    trial = next(trial for name, trial in trials.items() if name.partition("@")[0] == label)
+    return {
+        "tracker": trial.tracker,
+        "options": trial.options,
+        "points": trial.points,
+        "program": _program(trial.argv),
+        "seed": trial.seed,
+    }
+
+
+def _program(argv: Sequence[str]) -> tuple[str, ...]:
+    """The command without the folder of its program, and without the interpreter of a tracker in Python."""
+    if SERVER in argv:
+        return tuple(argv[argv.index(SERVER) :])
+    return (Path(argv[0]).name, *argv[1:]) if argv else ()
 
 
 def _require_complete(name: str, record: TrialRecord | None) -> None:
@@ -123,7 +187,8 @@ def _require_complete(name: str, record: TrialRecord | None) -> None:
 
 def _split_key(run: Path, name: str, identity: RecordingIdentity) -> SplitKey:
     try:
-        return SplitKey.model_validate(identity.model_dump(include=set(SplitKey.model_fields)))
+        content = identity.model_dump(include=set(SplitKey.model_fields))
+        return SplitKey.model_validate(content | {"source_sha256": identity.source_sha256 or identity.sha256})
     except ValidationError as error:
         first = error.errors()[0]
         raise RunError(f"{run / RUN_FILE}: recording '{name}': {first['loc'][0]}: {first['msg']}") from None

@@ -3,55 +3,30 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import Any
 
 from gridtrack.common.errors import ConfigurationError
 from gridtrack.evaluation.regression.measurement import (
-    BANDS,
     Baseline,
     Measurement,
     SplitKey,
+    TrackerCounts,
     TrialCounts,
+    UnitCounts,
     Unmeasured,
 )
 from gridtrack.evaluation.statistics.jackknife import LEAST_UNITS
 
-Counts = NDArray[np.float64]
+_SAME_ROW = ("tracker", "options", "points", "program")
+"""What is one tracker under a label; its weights and its seed may be another training's."""
 
 
-@dataclass(frozen=True, slots=True)
-class PairedRow:
-    """One tracker, stratum and step band: TP, FP, FN, TN of the K runs of the baseline (K, U, 4) and of the run (U, 4)
-    in U units, their sums of the log loss (K, U) and (U,), and the recording of each unit."""
-
-    label: str
-    stratum: str
-    band: str
-    trainings: Counts
-    run: Counts
-    log_losses: Counts
-    run_log_loss: Counts
-    recordings: tuple[str, ...]
-
-    @property
-    def baseline(self) -> Counts:
-        """Counts (U, 4), the mean over the runs of the baseline."""
-        mean: Counts = self.trainings.mean(axis=0)
-        return mean
-
-    @property
-    def equal(self) -> bool:
-        """Whether every count is equal to that of one run of the baseline."""
-        return bool((self.trainings == self.run).all(axis=(1, 2)).any())
-
-
-def pair(baseline: Baseline, run: Measurement) -> tuple[PairedRow, ...]:
-    """The rows of every tracker of the baseline. Raises Unmeasured with every reason why the two do not pair."""
-    _require_paired(baseline.first, run)
-    return tuple(row for label in baseline.first.trackers for row in _paired_rows(label, baseline, run))
+def require_paired(baseline: Baseline, run: Measurement) -> None:
+    """Check that `run` is of the trackers of `baseline` on the same frames. Raises Unmeasured with every reason."""
+    reasons = [*_other_trackers(baseline.first, run), *_other_seeds(baseline, run)]
+    if reasons:
+        raise Unmeasured(reasons)
+    _require_same_frames(baseline.first, run)
 
 
 def require_comparable(runs: Sequence[Measurement]) -> None:
@@ -61,16 +36,16 @@ def require_comparable(runs: Sequence[Measurement]) -> None:
     """
     first, *others = runs
     for other in others:
-        _require_paired(first, other)
-        _require_paired(other, first)
+        _require_same_frames(first, other)
+        _require_same_frames(other, first)
         for label, entry in first.trackers.items():
-            same = other.trackers[label]
-            if (entry.tracker, entry.options) != (same.tracker, same.options):
+            if difference := _difference(entry, other.trackers[label]):
                 raise ConfigurationError(
-                    f"'{label}' has different options in two runs: the runs of a baseline are trainings or"
+                    f"'{label}' is not the same in two runs ({difference}): the runs of a baseline are trainings or"
                     " seeds of one tracker with one set of options"
                 )
-    units = sum(len(trial.units) for trial in next(iter(first.trackers.values())).recordings.values())
+    trials = next(iter(first.trackers.values())).recordings.values()
+    units = len({unit.unit for trial in trials for unit in trial.units})
     if others and units < LEAST_UNITS:
         raise ConfigurationError(
             f"{len(runs)} runs of {units} unit{'s' if units != 1 else ''}: the spread between trainings needs"
@@ -78,11 +53,11 @@ def require_comparable(runs: Sequence[Measurement]) -> None:
         )
 
 
-def _require_paired(baseline: Measurement, run: Measurement) -> None:
-    """Check that `run` pairs with `baseline`. Raises Unmeasured with every reason why it does not."""
+def _require_same_frames(baseline: Measurement, run: Measurement) -> None:
+    """Check that `run` has every trial of `baseline`, on the same frames. Raises Unmeasured with every reason."""
     reasons = [*_missing_entries(baseline, run), *_other_splits(baseline, run)]
     if not reasons:
-        reasons = [*_other_units(baseline, run), *_missing_measurements(baseline, run)]
+        reasons = [*_other_units(baseline, run), *_other_measurements(baseline, run)]
     if reasons:
         raise Unmeasured(reasons)
 
@@ -117,14 +92,57 @@ def _other_units(baseline: Measurement, run: Measurement) -> Iterator[str]:
             yield f"{label}@{name}: {problem}, so the trials do not pair: make the baseline again with --update"
 
 
-def _missing_measurements(baseline: Measurement, run: Measurement) -> Iterator[str]:
+def _other_trackers(baseline: Measurement, run: Measurement) -> Iterator[str]:
+    for label, then in baseline.trackers.items():
+        difference = _difference(then, run.trackers[label]) if label in run.trackers else ""
+        if difference:
+            yield (
+                f"{label} is not the tracker of the baseline ({difference}): give it another label, or make the"
+                " baseline again with --update"
+            )
+
+
+def _difference(then: TrackerCounts, now: TrackerCounts) -> str:
+    """The first difference between two trackers under one label; empty for the same one."""
+    for field in _SAME_ROW:
+        old, new = getattr(then, field), getattr(now, field)
+        if old != new:
+            return f"{field}: {_text(old)} in the baseline, {_text(new)} in the run"
+    return ""
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, tuple):
+        return f"'{' '.join(value)}'"[:80]
+    if isinstance(value, dict):
+        return " ".join(f"{key}={one}" for key, one in value.items())[:80] or "none"
+    return f"'{value}'"[:80]
+
+
+def _other_seeds(baseline: Baseline, run: Measurement) -> Iterator[str]:
+    """Another seed is another sample of the tracker, whose variance only a baseline of several seeds shows."""
+    for label in baseline.first.trackers:
+        seeds = {then.trackers[label].seed for then in baseline.runs}
+        if label in run.trackers and len(seeds) == 1 and run.trackers[label].seed not in seeds:
+            yield (
+                f"{label}: seed {min(seeds)} in the baseline, {run.trackers[label].seed} in the run: compare with"
+                f" --seed {min(seeds)}, or make the baseline of several seeds"
+            )
+
+
+def _other_measurements(baseline: Measurement, run: Measurement) -> Iterator[str]:
     """Measurements in addition to the scores are not judged here; a missing one is an error, so that none is lost."""
     for label, name, then in baseline.trials():
-        for measurement in then.measurements:
-            if measurement not in run.trackers[label].recordings[name].measurements:
+        now = run.trackers[label].recordings[name]
+        for option, old, new in (
+            ("--deadline", then.deadline_rates, now.deadline_rates),
+            ("--degrade", then.degradations, now.degradations),
+        ):
+            if old and old != new:
+                what = "with other values" if new else "for the baseline and not"
                 yield (
-                    f"{label}@{name}: measured with --{measurement} for the baseline and not in the run: compare with"
-                    " the command in the baseline, or make the baseline again with --update"
+                    f"{label}@{name}: measured with {option} {what} in the run: compare with the command in the"
+                    " baseline, or make the baseline again with --update"
                 )
 
 
@@ -135,36 +153,24 @@ def _unit_mismatch(then: TrialCounts, now: TrialCounts) -> str:
     for one, other in zip(then.units, now.units, strict=True):
         if (one.frames, one.delivered) != (other.frames, other.delivered):
             return "other frames were delivered than for the baseline"
-        if _cells_by_row(one.counts) != _cells_by_row(other.counts):
+        if _cells_by_row(one) != _cells_by_row(other):
             return "other strata or cells were scored than for the baseline"
+        if one.classes and not other.classes:
+            return "it gave classes for the baseline, and gives none in the run"
+        if one.classes and _scans_by_row(one) != _scans_by_row(other):
+            return "classes were scored on other scans than for the baseline"
     return ""
 
 
-def _cells_by_row(
-    counts: dict[str, dict[str, tuple[int, int, int, int, float]]],
-) -> dict[tuple[str, str], tuple[int, int]]:
+def _cells_by_row(unit: UnitCounts) -> dict[tuple[str, str], tuple[int, int]]:
     """Occupied and free cells by stratum and band: they follow from the frames and not from the forecasts."""
     return {
         (stratum, band): (tp + fn, fp + tn)
-        for stratum, bands in counts.items()
+        for stratum, bands in unit.counts.items()
         for band, (tp, fp, fn, tn, _) in bands.items()
     }
 
 
-def _paired_rows(label: str, baseline: Baseline, run: Measurement) -> Iterator[PairedRow]:
-    """The rows of one tracker over the units of every recording; without cells in a stratum the counts are zero."""
-    *then, now = (side.trackers[label].recordings for side in (*baseline.runs, run))
-    units = [(name, unit) for name, trial in then[0].items() for unit in range(len(trial.units))]
-    names = tuple(name for name, _ in units)
-    strata = dict.fromkeys(s for name, unit in units for s in now[name].units[unit].counts)
-    bands = {band for name, unit in units for found in now[name].units[unit].counts.values() for band in found}
-    no_counts = (0, 0, 0, 0, 0.0)
-    for stratum in strata:
-        for band in (name for name in BANDS if name in bands):
-            sides = [
-                [side[name].units[unit].counts.get(stratum, {}).get(band, no_counts) for name, unit in units]
-                for side in (*then, now)
-            ]
-            *old, new = np.array(sides, float)
-            trainings = np.stack(old)
-            yield PairedRow(label, stratum, band, trainings[..., :4], new[:, :4], trainings[..., 4], new[:, 4], names)
+def _scans_by_row(unit: UnitCounts) -> dict[tuple[str, str], int]:
+    """Scans with a known class by visibility and band: they too follow from the frames."""
+    return {(kind, band): scans for kind, bands in unit.classes.items() for band, (_, scans) in bands.items()}

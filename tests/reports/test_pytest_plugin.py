@@ -15,19 +15,24 @@ from gridtrack.recordings import packaged_recording
 EXAMPLE = Path(__file__).parents[2] / "examples" / "example_tracker" / "example_tracker.py"
 TEST = """
 def test_fading(tracker_regression):
-    tracker_regression("mine=fading:half_life_s={half_life_s}", "demo.mcap@90s-97s", baseline="fading.json",
+    tracker_regression("mine=fading{options}", "demo.mcap@90s-97s", baseline="fading.json",
                        horizon_s=1.0, every_s=0.5{more})
 """
 
 
 @pytest.fixture
 def suite(tmp_path: Path, install: Callable[..., Path]) -> Callable[..., subprocess.CompletedProcess[str]]:
-    """`suite(*arguments, half_life_s, more)` runs pytest in a folder with the example tracker's regression test."""
-    install("fading-tracker", {"fading": "example_tracker:FadingTracker"}, {"example_tracker.py": EXAMPLE.read_text()})
+    """`suite(*arguments, half_life_s, options, more)` runs pytest in a folder with the regression test of the example
+    tracker, in a version that forgets half in `half_life_s`."""
+    code, field = EXAMPLE.read_text(), "half_life_s: float = Field({}"
+    site = install("fading-tracker", {"fading": "example_tracker:FadingTracker"}, {"example_tracker.py": code})
     (tmp_path / "demo.mcap").symlink_to(packaged_recording("leg_tracker"))
 
-    def suite(*arguments: str, half_life_s: float = 1.0, more: str = "") -> subprocess.CompletedProcess[str]:
-        (tmp_path / "test_fading.py").write_text(TEST.format(half_life_s=half_life_s, more=more))
+    def suite(
+        *arguments: str, half_life_s: float = 1.0, options: str = "", more: str = ""
+    ) -> subprocess.CompletedProcess[str]:
+        (site / "example_tracker.py").write_text(code.replace(field.format(1.0), field.format(half_life_s)))
+        (tmp_path / "test_fading.py").write_text(TEST.format(options=options, more=more))
         command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", *arguments, str(tmp_path)]
         return subprocess.run(command, cwd="/", capture_output=True, text=True, check=False)
 
@@ -49,6 +54,10 @@ def test_a_regression_test_in_the_repository_of_a_tracker_fails_when_it_is_worse
     assert "worse: mine, dynamic, middle (0.5-1.5 s): F1 0." in worse.stdout
     assert "Traceback" not in worse.stdout
     assert suite(half_life_s=0.05, more=", tolerance=0.9").returncode == 0
+
+    other = suite(options=":half_life_s=0.05")
+    assert other.returncode == 1
+    assert "mine is not the tracker of the baseline (options: none in the baseline, half_life_s=0.05" in other.stdout
 
 
 def test_an_option_that_does_not_exist_is_an_error_of_one_line(suite):

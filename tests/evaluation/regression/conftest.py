@@ -13,16 +13,23 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gridtrack.evaluation.results.passes import Latency, Quantiles
+from gridtrack.evaluation.regression.baseline import digest_of
+from gridtrack.evaluation.results.passes import AtStrength, Latency, Quantiles, Robustness
+from gridtrack.evaluation.results.run_record import RUN_SCHEMA
 from gridtrack.evaluation.results.trial_record import TrialRecord
-from gridtrack.evaluation.scoring.counting import Tally
+from gridtrack.evaluation.scoring.class_store import ClassWriter
+from gridtrack.evaluation.scoring.counting import HALF, Tally
 from gridtrack.evaluation.scoring.score_store import ScoreWriter
+from gridtrack.evaluation.scoring.semantics import VISIBILITIES
 from gridtrack.evaluation.scoring.thresholds import half
+from gridtrack.recordings.degradation import Degradation
 
 STEPS, PERIOD_S, FRAMES = 16, 0.125, 8
 OCCUPIED = {"visible": 300, "dynamic": 60, "static": 200}
 STRATA = tuple(OCCUPIED)
 FREE = 2000
+HIGH, LOW = HALF + 10, 5
+"""Bins of probabilities above and below every threshold in use."""
 
 
 @dataclass
@@ -35,8 +42,22 @@ class Made:
     seed: int = 0
     noise: float = 0.0
     """Spread of the recall from recording to recording, of this training only."""
-    only: str = ""
-    """The recording that the loss is confined to; all where empty."""
+    only: tuple[str, ...] = ()
+    """The recordings that the loss is confined to; all where empty."""
+    nats: float = 0.1
+    """Log loss of a free cell."""
+    class_nats: float | None = None
+    """Log loss of the classes of a scan; None for a tracker without classes."""
+    blurred: tuple[str, ...] = ()
+    """The recordings in which the log losses are five times as large."""
+    run_seed: int = 0
+    tracker: str = ""
+    """The tracker under the label; its name where empty."""
+    points: str = "centres"
+    argv: tuple[str, ...] = ()
+    recoveries: int = 0
+    degradations: tuple[float, ...] = ()
+    """Values of `beam-dropout` that it was scored at."""
     outcome: str = "ok"
     scored: int = FRAMES
     ms: float | None = None
@@ -47,41 +68,67 @@ def tally_of(made: Made, recording: str, frame: int, rng: np.random.Generator, o
     """Counts of one scored frame: the same cells whatever the tracker, its hits drawn by `rng`."""
     cells = np.random.default_rng([zlib.crc32(recording.encode()), frame])
     recall = np.full((STEPS + 1, len(STRATA)), made.recall + offset)
-    if made.only in {"", recording}:
+    if not made.only or recording in made.only:
         recall[made.at, STRATA.index("dynamic")] -= made.loss
     occupied = np.tile([cells.poisson(n) for n in OCCUPIED.values()], (STEPS + 1, 1))
     hits = rng.binomial(occupied, np.clip(recall, 0, 1))
     false_alarms = rng.binomial(occupied, 0.4)
     tally = Tally.empty(STEPS, STRATA)
-    tally.positives[..., 40], tally.positives[..., 5] = hits, occupied - hits
-    tally.cells[..., 40] = hits + false_alarms
-    tally.cells[..., 5] = occupied - hits + FREE - false_alarms
-    tally.log_loss[:] = FREE * 0.1
+    tally.positives[..., HIGH], tally.positives[..., LOW] = hits, occupied - hits
+    tally.cells[..., HIGH] = hits + false_alarms
+    tally.cells[..., LOW] = occupied - hits + FREE - false_alarms
+    tally.log_loss[:] = FREE * made.nats * (5.0 if recording in made.blurred else 1.0)
     return tally
 
 
-def write_trial(run: Path, label: str, recording: str, made: Made) -> None:
+def write_classes(folder: Path, recording: str, made: Made, start_s: int) -> None:
+    """Ten cells of one class in every scan and step."""
+    if made.class_nats is None:
+        return
+    nats = made.class_nats * (5.0 if recording in made.blurred else 1.0)
+    confusion = np.zeros((STEPS + 1, len(VISIBILITIES), 1, 2), np.int32)
+    confusion[:, 0, 0, 0] = 10
+    with ClassWriter(folder, ["car"], semantics=True) as classes:
+        for frame in range(made.scored):
+            classes.add_semantics(10**15 + (start_s + frame) * 10**9, confusion, confusion * nats)
+
+
+def robustness_of(made: Made) -> Robustness | None:
+    if not made.degradations:
+        return None
+    f1 = {"visible": (0.5,) * (STEPS + 1)}
+    points = [
+        AtStrength(strength=float(n), value=value, delivered="", f1=f1) for n, value in enumerate(made.degradations)
+    ]
+    return Robustness(
+        degradation=Degradation(beam_dropout=made.degradations[-1]), kinds={"beam-dropout": tuple(points)}
+    )
+
+
+def write_trial(run: Path, label: str, recording: str, made: Made, start_s: int = 0) -> None:
     folder = run / f"{label}@{recording}"
     folder.mkdir(parents=True)
     rng = np.random.default_rng([made.seed, zlib.crc32(recording.encode())])
     offset = made.noise * rng.standard_normal()
     with ScoreWriter(folder, STEPS, half(STEPS, STRATA)) as scores:
         for frame in range(made.scored):
+            stamp_ns = 10**15 + (start_s + frame) * 10**9
             tally = tally_of(made, recording, frame, rng, offset)
-            scores.add(
-                10**15 + frame * 10**9, f"{zlib.crc32(recording.encode()):x}-{frame}", tally, 10**15 + frame * 10**9
-            )
+            scores.add(stamp_ns, f"{zlib.crc32(recording.encode()):x}-{frame}", tally, stamp_ns)
+    write_classes(folder, recording, made, start_s)
     times = Quantiles(p50=made.ms, p95=made.ms, p99=made.ms) if made.ms else None
     TrialRecord(
         schema=2, label=label, recording=recording, outcome=made.outcome, frames_scored=made.scored,
-        frames_expected=FRAMES, steps=STEPS, thresholds=half(STEPS, STRATA).used(),
+        frames_expected=FRAMES, steps=STEPS, thresholds=half(STEPS, STRATA).used(), recoveries=made.recoveries,
+        robustness=robustness_of(made),
         latency_ms=Latency(update=times, predict=times, predict_step=times) if times else None,
     ).write(folder)  # fmt: skip
 
 
-def split_of(recording: str) -> dict[str, Any]:
+def split_of(recording: str, source: str) -> dict[str, Any]:
     return {
-        "sha256": f"hash of {recording}", "stretch": f"{recording}.mcap", "stretch_s": [0.0, 60.0], "grid": "100x0.2",
+        "sha256": f"hash of {recording}", "source_sha256": source,
+        "stretch": f"{recording}.mcap", "stretch_s": [0.0, 60.0], "grid": "100x0.2",
         "rate_hz": 8.0, "horizons_s": [n * PERIOD_S for n in range(STEPS + 1)], "warm_up_frames": 20,
         "forecast_every_frames": 8, "validation_s": [60.0, 90.0], "validation_sha256": "hash of another",
     }  # fmt: skip
@@ -92,22 +139,33 @@ WriteRun = Callable[..., Path]
 
 @pytest.fixture
 def write_run(tmp_path: Path) -> WriteRun:
-    """`write_run(name, {label: {field of Made: value}}, recordings)` leaves a run's folder."""
+    """`write_run(name, {label: {field of Made: value}}, recordings)` leaves a run's folder.
 
-    def write_run(name: str, given: Mapping[str, Mapping[str, Any]], recordings: int = 20) -> Path:
+    With a `source` the recordings are its stretches, each `apart_s` after the one before it.
+    """
+
+    def write_run(
+        name: str, given: Mapping[str, Mapping[str, Any]], recordings: int = 20, source: str = "", apart_s: int = 60
+    ) -> Path:
         run = tmp_path / name
         trackers = {label: Made(**fields) for label, fields in given.items()}
         names = [f"junction-{number:02}" for number in range(recordings)]
         for label, made in trackers.items():
-            for recording in names:
-                write_trial(run, label, recording, made)
+            for number, recording in enumerate(names):
+                write_trial(run, label, recording, made, number * apart_s)
         trials = {
-            f"{label}@{recording}": {"tracker": label, "options": made.options, "points": "centres"}
+            f"{label}@{recording}": {
+                "tracker": made.tracker or label,
+                "options": made.options,
+                "points": made.points,
+                "argv": made.argv,
+                "seed": made.run_seed,
+            }
             for label, made in trackers.items()
             for recording in names
         }
-        configuration = {"recordings": {name: split_of(name) for name in names}, "trials": trials}
-        provenance = {"schema": 2, "command": ["gridtrack", "compare"], "versions": {"python": "3"}}
+        configuration = {"recordings": {name: split_of(name, source) for name in names}, "trials": trials}
+        provenance = {"schema": RUN_SCHEMA, "command": ["gridtrack", "compare"], "versions": {"python": "3"}}
         run.mkdir(exist_ok=True)
         (run / "run.json").write_text(json.dumps({**provenance, "configuration": configuration, "status": "complete"}))
         return run
@@ -125,6 +183,18 @@ def edit() -> Callable[[Path, Callable[[Any], Any]], None]:
         path.write_text(json.dumps(content))
 
     return edit
+
+
+@pytest.fixture
+def edit_baseline(edit: Callable[[Path, Callable[[Any], Any]], None]) -> Callable[[Path, Callable[[Any], Any]], None]:
+    """`edit_baseline(file, change)` is `edit` with a digest that fits: a file that a program of ours could have
+    written."""
+
+    def edit_baseline(path: Path, change: Callable[[Any], Any]) -> None:
+        edit(path, change)
+        edit(path, lambda content: content.update(digest=digest_of(content.get("runs"))))
+
+    return edit_baseline
 
 
 @dataclass

@@ -7,7 +7,7 @@ from itertools import product
 import numpy as np
 import pytest
 
-from gridtrack.evaluation.regression.significance import fall_p_values
+from gridtrack.evaluation.regression.significance import swap_test
 from gridtrack.evaluation.scoring.metrics import f1_score
 
 
@@ -15,6 +15,12 @@ def counts(rng, units, rows, recall):
     """TP, FP, FN, TN (U, R, 4) of 100 occupied cells and as many false alarms as misses."""
     tp = rng.binomial(100, recall, (units, rows))
     return np.stack([tp, 100 - tp, 100 - tp, np.full_like(tp, 1000)], axis=-1).astype(float)
+
+
+def fall_p_values(baseline, run):
+    """P-values of the falls in F1, of TP, FP, FN, TN (U, R, 4)."""
+    sums = [np.stack([2 * c[..., 0], 2 * c[..., 0] + c[..., 1] + c[..., 2]], axis=-1) for c in (baseline, run)]
+    return swap_test(*sums, np.ones(baseline.shape[1])).p
 
 
 def p_of_every_swap(baseline, run):
@@ -54,6 +60,16 @@ def test_a_fall_in_every_unit_is_significant_in_its_row_and_a_rise_is_not():
     fell, rose = fall_p_values(baseline, run)
     assert fell < 0.001
     assert rose > 0.9
+
+
+def test_of_a_score_that_is_better_when_it_is_lower_the_rise_is_significant():
+    rng = np.random.default_rng(0)
+    then = rng.uniform(1, 2, (20, 2, 2))
+    now = then.copy()
+    now[..., 0] *= [1.2, 0.8]
+    rose, fell = swap_test(then, now, -np.ones(2)).p
+    assert rose < 0.001
+    assert fell > 0.9
 
 
 def test_the_same_runs_get_the_same_p():

@@ -10,9 +10,9 @@ from gridtrack.evaluation.regression.spread import PRIOR_FREEDOM, Spread, beyond
 
 
 def trainings_of(recalls, occupied=100_000.0):
-    """TP, FP, FN, TN (K, U, R, 4) of units with the same occupied cells, recalls (K, U, R) and no false alarm."""
+    """2 TP and 2 TP + FN (K, U, R, 2) of units with the same occupied cells, recalls (K, U, R) and no false alarm."""
     tp = occupied * np.asarray(recalls, float)
-    return np.stack([tp, np.zeros_like(tp), occupied - tp, np.full_like(tp, occupied)], axis=-1)
+    return np.stack([2 * tp, tp + occupied], axis=-1)
 
 
 def drawn(rng, trainings, units, between, within):
@@ -23,8 +23,8 @@ def drawn(rng, trainings, units, between, within):
 
 def test_with_one_row_the_spread_is_the_plain_standard_deviation_of_f1():
     trainings = trainings_of(drawn(np.random.default_rng(0), 3, 20, np.array([0.01]), np.array([0.01])))
-    tp, _, fn, _ = np.moveaxis(trainings.sum(axis=1), -1, 0)
-    f1 = 2 * tp / (2 * tp + fn)
+    part, whole = np.moveaxis(trainings.sum(axis=1), -1, 0)
+    f1 = part / whole
     assert spread_between(trainings).deviation == pytest.approx(np.std(f1, axis=0, ddof=1))
 
 
@@ -60,8 +60,8 @@ def test_the_error_rate_of_one_more_training_is_near_the_level(trainings):
         level = np.array([0.002, 0.004, 0.008, 0.003]) * (0.8 * common + 0.6 * own)
         counts = trainings_of(0.5 + level + 0.004 * rng.standard_normal((trainings + 1, 20, 4)))
         spread = spread_between(counts[:-1])
-        tp = counts[..., 0].sum(axis=1)
-        f1 = 2 * tp / (tp + 20 * 100_000.0)
+        part, whole = np.moveaxis(counts.sum(axis=1), -1, 0)
+        f1 = part / whole
         called += (beyond_spread(f1[:-1].mean(axis=0) - f1[-1], spread, 4) <= 0.05).any()
     assert called <= 0.08 * draws
 

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import numpy as np
 import pytest
 from pyarrow import parquet
 
-from gridtrack.evaluation.regression.units import band_of, read_units
+from gridtrack.evaluation.regression.units import band_of, read_scored_trial, units_by_recording
+from gridtrack.evaluation.statistics.units import UnitRule
 
 HORIZONS_S = [n * 0.125 for n in range(17)]
 FRAMES = 8
@@ -19,9 +19,16 @@ def trial(write_run):
     return write_run("run", {"kalman": {}}, recordings=1) / "kalman@junction-00"
 
 
+def units_of(folder, block_s):
+    """The units of one trial, in blocks of `block_s`; None: one unit."""
+    scored = read_scored_trial(folder, HORIZONS_S, STRATA, FRAMES)
+    (numbers,) = UnitRule(("one",), block_s).units_of([scored.frames.stamps_ns])
+    return units_by_recording({"one": scored}, {"one": numbers})["one"]
+
+
 def test_counts_are_sums_over_the_frames_and_steps_of_each_unit(trial):
     rows = parquet.read_table(trial / "scores.parquet").to_pylist()
-    units = read_units(trial, HORIZONS_S, STRATA, 3.0, FRAMES)
+    units = units_of(trial, 4.0)
     assert [unit.frames for unit in units] == [4, 4]
     first_ns = rows[0]["stamp_ns"]
     for number, unit in enumerate(units):
@@ -43,15 +50,14 @@ def test_bands_end_at_half_a_second_and_at_one_and_a_half_and_step_0_is_in_none(
     assert bands == [None, "short", "short", "middle", "middle", "long", "long"]
 
 
-@pytest.mark.parametrize(("block_s", "units"), [(None, 1), (100.0, 1), (7.0, 1), (3.5, 2), (1.0, 7), (0.1, 8)])
+@pytest.mark.parametrize(("block_s", "units"), [(None, 1), (100.0, 1), (7.0, 1), (4.0, 2), (1.0, 8), (0.1, 8)])
 def test_blocks_have_at_least_the_requested_length_and_none_is_empty(trial, block_s, units):
-    found = read_units(trial, HORIZONS_S, STRATA, block_s, FRAMES)
+    found = units_of(trial, block_s)
     assert len(found) == units
     assert sum(unit.frames for unit in found) == FRAMES
 
 
 def test_the_digest_of_a_unit_identifies_its_frames(trial):
-    digests = [unit.delivered for unit in read_units(trial, HORIZONS_S, STRATA, 1.0, FRAMES)]
+    digests = [unit.delivered for unit in units_of(trial, 1.0)]
     assert len(set(digests)) == len(digests)
-    whole = read_units(trial, HORIZONS_S, STRATA, None, FRAMES)[0]
-    assert whole.delivered == read_units(trial, np.array(HORIZONS_S).tolist(), STRATA, None, FRAMES)[0].delivered
+    assert units_of(trial, None)[0].delivered == units_of(trial, 100.0)[0].delivered

@@ -1,0 +1,207 @@
+"""False alarms and power of the regression gate's criteria together, on simulated runs of twenty recordings.
+
+`python -m studies.gate_power [--out docs/results/regression.json]` (ten minutes). Each comparison is judged by the
+gate's own code, with 18 rows: F1 and log loss, of visible, dynamic and rare cells, in three step bands. Aims: without a
+true change at most 5 % are called worse, where the baseline has the variance in question; a tracker that answers
+nothing on one recording is found; a fall in F1 of 0.02 in all recordings is found in at least 95 %.
+
+Recordings differ in difficulty and traffic, alike for both runs. Beyond that, the runs of a tracker differ in each
+recording (another seed), and as a whole (another training). Hits are drawn as if one in `CORRELATED` cells were
+independent.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+from scipy.special import expit
+
+from gridtrack.evaluation.regression.criteria import row_tests
+from gridtrack.evaluation.regression.judging import VerdictRow, judged_recordings, judged_row
+from gridtrack.evaluation.regression.rows import PairedRow
+from gridtrack.evaluation.regression.settings import GateSettings
+from gridtrack.evaluation.statistics.jackknife import Floats
+
+from studies.support.results_file import measured_table, write_table
+
+RECORDINGS = 20
+REGIONS = {"visible": (20_000.0, 1.0), "dynamic": (4_000.0, 0.5), "rare": (300.0, 0.0)}
+"""Occupied cells of a recording in a step band, and the log odds of the recall in the first."""
+BANDS = {"short": 0.3, "middle": 0.0, "long": -0.5}
+"""Step bands, and what they add to the log odds."""
+CORRELATED = 20.0
+MARKED = ("F1", "dynamic", "middle")
+"""The row whose F1 is lowered by a given amount."""
+SETTINGS = GateSettings()
+COMMAND = "python -m studies.gate_power"
+CRITERIA = ("significant", "large", "collapse")
+
+
+@dataclass(frozen=True)
+class Runs:
+    """How the runs of one tracker differ: standard deviations of the log odds of the recall, in one recording by
+    itself, and of a run as a whole. `trainings`: number of runs in the baseline."""
+
+    name: str
+    of_recording: float = 0.0
+    of_run: float = 0.0
+    trainings: int = 1
+
+
+@dataclass(frozen=True)
+class Fall:
+    """A share of its hits that the judged run loses in the first recordings, all where `recordings` is None."""
+
+    share: float = 0.0
+    recordings: int | None = None
+
+    def in_each(self) -> Floats:
+        """The share of each recording."""
+        affected = RECORDINGS if self.recordings is None else self.recordings
+        return np.where(np.arange(RECORDINGS) < affected, self.share, 0.0)
+
+
+SEEDS = Runs("another seed", of_recording=0.05)
+TRAININGS = Runs("another training", of_recording=0.05, of_run=0.03)
+NOISY = Runs("another seed, very noisy", of_recording=0.3)
+
+
+@dataclass
+class Tally:
+    """Of simulated comparisons, how many each criterion calls worse."""
+
+    comparisons: int = 0
+    worse: int = 0
+    by: dict[str, int] = field(default_factory=lambda: dict.fromkeys(CRITERIA, 0))
+
+    def cells(self) -> list[str]:
+        """Shares in percent: each criterion, and any of them."""
+        return [f"{100 * count / self.comparisons:.1f}" for count in (*self.by.values(), self.worse)]
+
+
+def simulated(runs: Runs, fall: Fall, rng: np.random.Generator) -> Iterator[PairedRow]:
+    """The rows of one comparison, the judged run last."""
+    sides = runs.trainings + 1
+    traffic = np.exp(0.5 * rng.standard_normal(RECORDINGS))
+    difficulty = 0.5 * rng.standard_normal(RECORDINGS)
+    of_run = runs.of_run * rng.standard_normal((sides, 1))
+    of_recording = runs.of_recording * rng.standard_normal((sides, RECORDINGS))
+    for region, (cells, log_odds) in REGIONS.items():
+        for band, harder in BANDS.items():
+            own = 0.5 * runs.of_recording * rng.standard_normal((sides, RECORDINGS))
+            recall = expit(log_odds + harder + difficulty + of_run + of_recording + own)
+            occupied = np.maximum(np.round(cells * traffic), 1.0)
+            independent = np.maximum(occupied / CORRELATED, 1.0).astype(np.int64)
+            same = rng.random((1, RECORDINGS, int(independent.max())))
+            drawn = np.arange(same.shape[-1]) < independent[:, None]
+            found = ((same < recall[..., None]) & drawn).sum(axis=-1) / independent * occupied
+            found[-1] *= 1 - fall.in_each()
+            yield from _rows(region, band, found, occupied)
+
+
+def _rows(region: str, band: str, hits: Floats, occupied: Floats) -> Iterator[PairedRow]:
+    """F1 and log loss of hits (K + 1, U) among occupied cells (U,); false alarms are as many as a fifth of these."""
+    units, names = np.arange(RECORDINGS), tuple(f"{n:02}" for n in range(RECORDINGS))
+    missed = occupied - hits
+    f1 = np.stack([2 * hits, 2 * hits + missed + 0.2 * occupied], axis=-1)
+    losses = 0.3 * hits + 2.5 * missed + 0.02 * 20 * occupied
+    loss = np.stack([losses, np.broadcast_to(21 * occupied, losses.shape)], axis=-1)
+    for score, sums in (("F1", f1), ("log loss", loss)):
+        equal = bool((sums[:-1] == sums[-1]).all(axis=(1, 2)).any())
+        yield PairedRow("net", score, region, band, sums[:-1], sums[-1], units, names, units >= 0, equal)  # type: ignore[arg-type]
+
+
+def judged(runs: Runs, fall: Fall, comparisons: int) -> Tally:
+    """How often the gate calls simulated comparisons worse."""
+    rng = np.random.default_rng(1)
+    tally = Tally()
+    for _ in range(comparisons):
+        rows = list(simulated(runs, fall, rng))
+        tests = row_tests(rows)
+        over_all = [judged_row(row, test, SETTINGS) for row, test in zip(rows, tests, strict=True)]
+        found = {row.criterion for row in (*over_all, *judged_recordings(rows, tests, SETTINGS))}
+        tally.comparisons += 1
+        tally.worse += bool(found & set(CRITERIA))
+        for criterion in found & set(CRITERIA):
+            tally.by[criterion] += 1
+    return tally
+
+
+def cases() -> Iterator[tuple[str, str, Runs, Fall]]:
+    """Table, description, runs and fall of every case."""
+    for runs in (SEEDS, NOISY, TRAININGS):
+        for trainings in (1, 3):
+            name = f"{runs.name}, baseline of {trainings}"
+            yield "no change", name, Runs(name, runs.of_recording, runs.of_run, trainings), Fall()
+    for f1 in (0.005, 0.01, 0.02, 0.04):
+        yield "all recordings", f"{f1:g} F1", SEEDS, Fall(share_for(f1))
+    for share, what in ((1.0, "no answer"), (0.5, "half of the hits")):
+        for recordings in range(1, 6):
+            yield "few recordings", f"{what} on {recordings}", SEEDS, Fall(share, recordings)
+
+
+def stated_falls(runs: Runs, comparisons: int) -> Iterator[list[str]]:
+    """How often a multiple of the smallest fall that one comparison states is found in the next one."""
+    for multiple in (0.5, 1.0, 1.5, 2.0):
+        rng = np.random.default_rng(2)
+        found, stated = 0, []
+        for _ in range(comparisons):
+            stated.append(_marked(simulated(runs, Fall(), rng)).smallest)
+            found += _marked(simulated(runs, Fall(share_for(multiple * stated[-1])), rng)).verdict == "worse"
+        name = f"{multiple:g} times {np.mean(stated):.4f} F1 (mean)"
+        yield [name, f"{100 * found / comparisons:.1f}"]
+
+
+def _marked(rows: Iterator[PairedRow]) -> VerdictRow:
+    """The verdict on F1 of dynamic cells in the middle band."""
+    every = list(rows)
+    (index,) = (i for i, row in enumerate(every) if (row.score, row.region, row.band) == MARKED)
+    return judged_row(every[index], row_tests(every)[index], SETTINGS)
+
+
+@cache
+def _sums() -> Floats:
+    """Numerator and denominator of the F1 of MARKED, of many recordings."""
+    rng = np.random.default_rng(0)
+    rows = [row for _ in range(50) for row in simulated(Runs("exact"), Fall(), rng)]
+    marked = [row.run.sum(axis=0) for row in rows if (row.score, row.region, row.band) == MARKED]
+    sums: Floats = np.sum(marked, axis=0)
+    return sums
+
+
+def share_for(f1: float) -> float:
+    """The share of hits whose loss in all recordings lowers the F1 of MARKED by `f1`."""
+    part, whole = _sums()
+    # 2 TP (1 - s) over the denominator less s TP is f1 less than before
+    target = part / whole - f1
+    return float((part - target * whole) / (part - target * part / 2))
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--comparisons", type=int, default=200, help="simulated comparisons of each case")
+    parser.add_argument("--out", type=Path, help="results file for the tables")
+    parser.add_argument("--only-stated", action="store_true", help="only the falls that are stated as the smallest")
+    arguments = parser.parse_args()
+    table = measured_table(("fall", "found, %"), list(stated_falls(SEEDS, arguments.comparisons)))
+    print(table.markdown(), flush=True)
+    write_table(arguments.out, "stated fall", table, COMMAND)
+    if arguments.only_stated:
+        return
+    tables: dict[str, list[list[str]]] = {}
+    for title, name, runs, fall in cases():
+        row = [name, *judged(runs, fall, arguments.comparisons).cells()]
+        print(title, *row, sep="  ", flush=True)
+        tables.setdefault(title, []).append(row)
+    for title, rows in tables.items():
+        table = measured_table(("case", "significant, %", "large, %", "collapse, %", "worse, %"), rows)
+        write_table(arguments.out, title, table, COMMAND)
+
+
+if __name__ == "__main__":
+    main()
