@@ -1,10 +1,10 @@
-"""Label budget: the log loss of a scan's classes by the number of labelled scans, from the latent state and one scan.
+"""Label budget: the log loss of a scan's classes by the number of labelled scans and by how they are drawn.
 
-`python -m studies.label_budget` (a quarter of an hour and more); rows that are in the file `--out` are not measured
-again. Three stretches of the junction's training recording are drawn; of each the first 50, 100, 200, 400 and 800
-scans are labelled. The network is the shipped one and is not trained. The settings of the shipped classifiers are kept
-(chosen once, with 800 scans), the best state of each training is chosen on the first 90 s of the validation recording,
-and the referee's own counts are taken on test recordings, a forecast every 2 s.
+`python -m studies.label_budget` (hours on one core); rows that are in the file `--out` are not measured again. Of the
+junction's training recording 50, 100, 200, 400 and 800 scans are labelled, spread over it or in a row, with three
+seeds. The network is the shipped one and is not trained. The settings of the shipped classifiers are kept (chosen once,
+with 800 scans), the best state of each training is chosen on the validation recording, and the referee's own counts are
+taken on test recordings, a forecast every 2 s.
 """
 
 from __future__ import annotations
@@ -13,85 +13,66 @@ import argparse
 import statistics
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import cache
-from itertools import groupby, product
+from itertools import product
 from pathlib import Path
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from gridtrack.common.config import validated
+from gridtrack.common.grid import GridFrame
 from gridtrack.evaluation.scoring.motion import ObservedMotion
 from gridtrack.evaluation.scoring.referee import Delivery, Schedule
 from gridtrack.evaluation.scoring.semantics import VISIBILITIES, Matching, count_classes, match_classes
 from gridtrack.evaluation.scoring.target import Target
 from gridtrack.recordings.stream import GridStream, open_stream
-from gridtrack.trackers.cell_classifier import CellClassifier
-from gridtrack.trackers.cell_training import LabelledCells, calibrated, train_classifier
-from gridtrack.trackers.label_settings import ClassifierSettings
-from gridtrack.trackers.labelled_stretch import LEAD_IN, VALIDATE_ON, learned_classes
+from gridtrack.trackers.cell_training import best_classifier
+from gridtrack.trackers.contract import FitOutput
+from gridtrack.trackers.label_settings import LabelSettings
+from gridtrack.trackers.labelled_scans import VALIDATE_ON, draw_labelled
 from gridtrack.trackers.one_shot.settings import OneShotSettings
-from gridtrack.trackers.one_shot.tracker import PLANES, planes_of
-from gridtrack.trackers.one_shot.training import scan_cells
 from gridtrack.trackers.recurrent.convgru_tracker import DilatedConvGRUTracker
-from gridtrack.trackers.recurrent.transfer import latent_cells
+from gridtrack.trackers.recurrent.network import class_planes
+from gridtrack.trackers.recurrent.settings import DilatedConvGRUOptions
+from gridtrack.trackers.recurrent.transfer import fit_decoder, fit_seen_cells, latent_cells
+from gridtrack.trackers.scan_classifier import planes_of, scan_classifier
 from gridtrack.trackers.weights import read_card
 
-from studies.support.label_table import BUDGETS, COLUMNS, append_row, budget_table, read_rows
+from studies.support.label_table import BUDGETS, COLUMNS, DRAWINGS, append_row, budget_table, read_rows
 from studies.support.shipped import JUNCTION, STEPS, WEIGHTS, junction_tests, shipped_tracker
 
-DRAWS, SCANS = (1, 2, 3), 800
+SEEDS = (1, 2, 3)
 AHEAD, EVERY = 8, 16
 """The later step that is scored (1 s), and frames from one scored forecast to the next (2 s)."""
-LINEAR = ClassifierSettings(learning_rate=0.0172, weight_decay=0.000377)
-"""Best of the ten trials of `dilated-convgru:stage=classes,class_layers=1` with all SCANS of draw 1."""
+
+Classify = Callable[["Reading"], NDArray[np.float32]]
+"""The class probabilities (2, K, M, M) of a reading."""
 
 
 @dataclass(frozen=True)
 class Reading:
-    """Inputs of the classifiers at a scored frame and in its forecast, and their targets.
+    """A scored frame, the decoder's input (2, C, M, M) float16 now and AHEAD, and the targets of both."""
 
-    `planes` by source, each (2, C, M, M), now and AHEAD: `state`, and `scan`, which is the same twice.
-    """
-
-    planes: dict[str, Tensor]
+    frame: GridFrame
+    state: Tensor
     targets: list[Target]
 
 
 @dataclass(frozen=True)
-class Method:
-    """A classifier of the planes of `source`: how it is built for a number of classes, and its training settings."""
+class Budget:
+    """One set of labelled scans."""
 
-    name: str
-    source: str
-    build: Callable[[int], CellClassifier]
-    settings: ClassifierSettings
-
-
-@dataclass(frozen=True)
-class Measurement:
-    """One missing row of a draw: a method and its number of labelled scans."""
-
+    drawing: str
+    seed: int
     scans: int
-    method: Method
 
 
-def methods() -> list[Method]:
-    """One-shot and the latent state's decoder as they ship, and the paper's linear decoder."""
-    shot = read_card(WEIGHTS / "one-shot/junction.toml").settings
-    card = read_card(WEIGHTS / "dilated-convgru/junction.toml")
-    of_shot = OneShotSettings(**shot)
-    of_state = validated(DilatedConvGRUTracker.Options, card.settings, "card")
-    tuned = {key: card.results["classes"][key] for key in ("learning_rate", "weight_decay")}
-    channels = of_state.channels
-    return [
-        Method("one-shot", "scan", lambda k: CellClassifier(PLANES, of_shot.hidden, k), of_shot),
-        Method("latent, linear", "state", lambda k: CellClassifier(channels, (), k), LINEAR),
-        Method(
-            "latent", "state", lambda k: CellClassifier(channels, of_state.class_hidden, k), ClassifierSettings(**tuned)
-        ),
-    ]
+def shipped_options() -> tuple[OneShotSettings, DilatedConvGRUOptions]:
+    """The settings of the classifiers that ship, so that they are not searched again."""
+    shot, state = (read_card(WEIGHTS / name / "junction.toml").settings for name in ("one-shot", "dilated-convgru"))
+    return validated(OneShotSettings, shot, "card"), validated(DilatedConvGRUOptions, state, "card")
 
 
 def latent_tracker(source: GridStream) -> DilatedConvGRUTracker:
@@ -101,116 +82,112 @@ def latent_tracker(source: GridStream) -> DilatedConvGRUTracker:
     return tracker
 
 
-def drawn(whole: GridStream, seed: int) -> tuple[GridStream, int]:
-    """The stretch of SCANS scans that a training with this seed is given, with its lead-in of so many frames.
-
-    All scans of the simulated junction are labelled: every start is possible.
-    """
-    first = int(np.random.default_rng(seed).integers(len(whole) - SCANS + 1))
-    lead_in = min(LEAD_IN, first)
-    stretch = (first - lead_in) * whole.period_s, (first + SCANS) * whole.period_s
-    return GridStream(whole.recording, stretch), lead_in
-
-
-def readings(name: str) -> Iterator[Reading]:
+def readings(name: str, options: DilatedConvGRUOptions) -> Iterator[Reading]:
     """Of one test recording, at the frames that a comparison `--every 2s` scores."""
     stream = open_stream(JUNCTION / f"{name}.tracks")
     schedule, tracker = Schedule(len(stream), STEPS, EVERY), latent_tracker(stream)
-    frames: list[Target] = []
-    pending: list[tuple[int, dict[str, Tensor]]] = []
-    tracker.reset(0)
     no_parts = ObservedMotion(stream, np.zeros(stream.grid.shape, np.bool_))
+    frames: list[Target] = []
+    pending: list[tuple[int, Tensor]] = []
+    tracker.reset(0)
     for index, target in enumerate(Delivery(stream, lambda: None, no_parts)):
         frames.append(target)
         tracker.update(target.frame)
         if schedule.due(index):
-            pending.append((index, {"state": states(tracker), "scan": planes_of(target.frame).expand(2, -1, -1, -1)}))
-    for index, planes in pending:
-        yield Reading(planes, [frames[index], frames[index + AHEAD]])
+            pending.append((index, states(tracker, options)))
+    for index, state in pending:
+        yield Reading(frames[index].frame, state, [frames[index], frames[index + AHEAD]])
 
 
 @torch.no_grad()
-def states(tracker: DilatedConvGRUTracker) -> Tensor:
+def states(tracker: DilatedConvGRUTracker, options: DilatedConvGRUOptions) -> Tensor:
     """(2, C, M, M) float16, now and AHEAD."""
     network, state = tracker.network, tracker.state
-    now = network.features(state)
+    now = class_planes(state, options.decoded_layers)
     for _ in range(AHEAD):
         state = network.step(None, state)
-    return torch.cat([now, network.features(state)]).half()
+    return torch.cat([now, class_planes(state, options.decoded_layers)]).half()
 
 
-@torch.no_grad()
-def losses(classifier: CellClassifier, source: str, test: Sequence[Reading], matching: Matching) -> dict[str, float]:
+def losses(classify: Classify, test: Sequence[Reading], matching: Matching) -> dict[str, float]:
     """Mean log loss of a scan in each of COLUMNS, nats: the referee's counts."""
     per_scan: dict[str, list[float]] = {column: [] for column in COLUMNS}
     for reading in test:
-        semantics = torch.softmax(classifier(reading.planes[source].float()), dim=1).numpy()
-        confusion, log_loss = count_classes(semantics, reading.targets, matching)
+        confusion, log_loss = count_classes(classify(reading), reading.targets, matching)
         cells, loss = confusion.sum(axis=(-2, -1)), log_loss.sum(axis=(-2, -1))
         for column, (step, kind) in COLUMNS.items():
-            if cells[step, VISIBILITIES.index(kind)]:
-                per_scan[column].append(
-                    float(loss[step, VISIBILITIES.index(kind)] / cells[step, VISIBILITIES.index(kind)])
-                )
+            entry = step, VISIBILITIES.index(kind)
+            if cells[entry]:
+                per_scan[column].append(float(loss[entry] / cells[entry]))
     return {column: statistics.fmean(values) for column, values in per_scan.items()}
 
 
-@cache
-def validation_cells(classes: tuple[str, ...]) -> dict[str, LabelledCells]:
-    """The validation cells, by source."""
-    stream = open_stream(f"{JUNCTION / 'validation.tracks'}@0s-90s")
-    frames = list(stream.labelled())
-    return {
-        "scan": scan_cells([(stream.classes, frames[::VALIDATE_ON])], classes),
-        "state": latent_cells(latent_tracker(stream), [(stream.classes, frames)], classes, VALIDATE_ON),
-    }
+def trained(whole: GridStream, budget: Budget) -> tuple[tuple[str, ...], dict[str, Classify]]:
+    """The classes learned from the labelled scans of a budget, and the classifiers of each method."""
+    shot, options = shipped_options()
+    out = FitOutput(Path(), "", budget.seed, Path())
+    drawing = validated(LabelSettings, {"labelled_scans": budget.scans, "label_drawing": budget.drawing}, "study")
+    labelled, tracker, held_out_on = draw_labelled([whole], drawing, budget.seed), latent_tracker(whole), validation()
+    classes, layers = labelled.classes, options.decoded_layers
+    training = latent_cells(tracker, labelled.runs(), classes, layers)
+    held_out = latent_cells(tracker, [(whole.classes, held_out_on.labelled())], classes, layers, VALIDATE_ON)
+    scan = best_classifier(
+        lambda settings: scan_classifier(settings.channels, len(classes)),
+        shot.model_dump(exclude=set(LabelSettings.model_fields)),
+        training.scan.cells(),
+        [held_out.scan.cells()],
+        out,
+    ).classifier
+    decoder = fit_decoder(options, training.now.cells(training.ahead), held_out, out)
+    seen, _ = fit_seen_cells(decoder, training, held_out, len(classes), out)
+
+    @torch.no_grad()
+    def of_scan(reading: Reading) -> NDArray[np.float32]:
+        probabilities = torch.softmax(scan(planes_of(reading.frame)[None].float()), dim=1).numpy()
+        return np.repeat(probabilities, 2, axis=0)
+
+    @torch.no_grad()
+    def of_state(reading: Reading) -> NDArray[np.float32]:
+        semantics: NDArray[np.float32] = torch.softmax(decoder.classifier(reading.state.float()), dim=1).numpy()
+        seen.apply_to(semantics[0], reading.frame, "state")
+        return semantics
+
+    @torch.no_grad()
+    def of_both(reading: Reading) -> NDArray[np.float32]:
+        semantics: NDArray[np.float32] = torch.softmax(decoder.classifier(reading.state.float()), dim=1).numpy()
+        seen.apply_to(semantics[0], reading.frame, "scan")
+        return semantics
+
+    return classes, {"one-shot": of_scan, "latent": of_state, "latent and scan": of_both}
 
 
-def measure_draw(
-    whole: GridStream, seed: int, missing: Sequence[Measurement], test: Sequence[Reading], out: Path
-) -> None:
-    """Train the `missing` classifiers on the first scans of one draw, and append their scores to `out`."""
-    stream, lead_in = drawn(whole, seed)
-    names, frames = stream.classes, list(stream.labelled())
-    frames[:lead_in] = [item._replace(cells=item.cells[:0], labels=item.labels[:0]) for item in frames[:lead_in]]
-    tracker = latent_tracker(stream)
-    for budget, of_budget in groupby(missing, key=lambda one: one.scans):
-        labelled = frames[: lead_in + budget]
-        classes = learned_classes(names, (item.labels for item in labelled))
-        learned = {
-            "scan": scan_cells([(names, labelled)], classes),
-            "state": latent_cells(tracker, [(names, labelled)], classes, every=1),
-        }
-        for method in (one.method for one in of_budget):
-            torch.manual_seed(seed)
-            validation = validation_cells(classes)[method.source]
-            trained = train_classifier(method.build(len(classes)), method.settings, learned[method.source], validation)
-            classifier = calibrated(trained, validation).classifier
-            found = losses(classifier, method.source, test, match_classes(classes, names))
-            append_row(out, {"method": method.name, "scans": budget, "draw": seed, "classes": len(classes), **found})
-            print(f"draw {seed}, {budget} scans, {method.name}: {found}", flush=True)
+def validation() -> GridStream:
+    """The validation recording."""
+    return open_stream(JUNCTION / "validation.tracks")
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--out", type=Path, default=Path("runs/label_budget.csv"))
-    parser.add_argument("--draws", type=int, nargs="+", default=DRAWS, help="seeds of the stretches to measure now")
+    parser.add_argument("--seeds", type=int, nargs="+", default=SEEDS, help="seeds of the draws to measure now")
+    parser.add_argument("--budgets", type=int, nargs="+", default=BUDGETS, help="numbers of labelled scans")
     parser.add_argument("--recordings", type=int, default=20, help="test recordings to score on, out of twenty")
     arguments = parser.parse_args()
     torch.set_num_threads(1)
-    done = {(row["method"], int(row["scans"]), int(row["draw"])) for row in read_rows(arguments.out)}
-    missing = {
-        seed: [
-            Measurement(n, method) for n, method in product(BUDGETS, methods()) if (method.name, n, seed) not in done
-        ]
-        for seed in arguments.draws
-    }
-    if any(missing.values()):
+    done = {(row["drawing"], int(row["draw"]), int(row["scans"])) for row in read_rows(arguments.out)}
+    wanted = [Budget(*one) for one in product(DRAWINGS, arguments.seeds, arguments.budgets) if one not in done]
+    if wanted:
         names = [path.stem for path in junction_tests()]
-        test = [reading for name in names[:: -(-len(names) // arguments.recordings)] for reading in readings(name)]
+        options = shipped_options()[1]
+        some = names[:: -(-len(names) // arguments.recordings)]
+        test = [reading for name in some for reading in readings(name, options)]
         whole = open_stream(JUNCTION / "train.tracks")
-        for seed, of_draw in missing.items():
-            measure_draw(whole, seed, of_draw, test, arguments.out)
+    for budget in wanted:
+        classes, methods = trained(whole, budget)
+        matching = match_classes(classes, whole.classes)
+        for method, classify in methods.items():
+            row = {"method": method, "drawing": budget.drawing, "scans": budget.scans, "draw": budget.seed}
+            append_row(arguments.out, row | {"classes": len(classes)} | losses(classify, test, matching))
     print(budget_table(arguments.out).markdown())
 
 

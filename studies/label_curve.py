@@ -17,7 +17,8 @@ from studies.support.label_table import BUDGETS, COLUMNS, read_rows
 from studies.support.svg import document
 
 TABLE = Path("docs/results/junction/label-budget.csv")
-STYLES = {"one-shot": "#c2410c", "latent": "#1d4ed8", "latent, linear": "#0f766e"}
+STYLES = {"one-shot": "#c2410c", "latent": "#1d4ed8", "latent, linear": "#0f766e", "latent and scan": "#7e22ce"}
+DASHES = {"spread": "none", "consecutive": "5 3"}
 WIDTH, HEIGHT, GAP, LEFT, TOP, BOTTOM = 270, 220, 46, 40, 30, 42
 LOSSES = (0.2, 0.5, 1.0, 2.0)
 """Ticks of the loss axis, nats a scan."""
@@ -26,18 +27,18 @@ Points = list[tuple[int, float, float, float]]
 """Of each budget its number of scans, and mean, least and most over the draws."""
 
 
-def curves(path: Path, column: str) -> dict[str, Points]:
-    """The curve of each method."""
-    values: dict[str, dict[int, list[float]]] = defaultdict(lambda: defaultdict(list))
+def curves(path: Path, column: str) -> dict[tuple[str, str], Points]:
+    """The curve of each method and drawing."""
+    values: dict[tuple[str, str], dict[int, list[float]]] = defaultdict(lambda: defaultdict(list))
     for row in read_rows(path):
-        values[row["method"]][int(row["scans"])].append(float(row[column]))
+        values[row["method"], row["drawing"]][int(row["scans"])].append(float(row[column]))
     return {
-        method: [(scans, statistics.fmean(own), min(own), max(own)) for scans, own in sorted(of_scans.items())]
-        for method, of_scans in values.items()
+        line: [(scans, statistics.fmean(own), min(own), max(own)) for scans, own in sorted(of_scans.items())]
+        for line, of_scans in values.items()
     }
 
 
-def curve_panel(number: int, title: str, lines: dict[str, Points]) -> str:
+def curve_panel(number: int, title: str, lines: dict[tuple[str, str], Points]) -> str:
     """One column of the table as axes and curves."""
     left = LEFT + number * (WIDTH + GAP)
     x = Axis(BUDGETS[0], BUDGETS[-1], left, left + WIDTH, logarithmic=True)
@@ -48,13 +49,16 @@ def curve_panel(number: int, title: str, lines: dict[str, Points]) -> str:
         parts.append(f'<text x="{left - 6}" y="{y(loss) + 4}" text-anchor="end">{loss:g}</text>')
     for scans in BUDGETS:
         parts.append(f'<text x="{x(scans)}" y="{TOP + HEIGHT + 16}" text-anchor="middle">{scans}</text>')
-    for method, points in lines.items():
+    for (method, drawing), points in lines.items():
         above = [f"{x(scans)},{y(most)}" for scans, _, _, most in points]
         below = [f"{x(scans)},{y(least)}" for scans, _, least, _ in reversed(points)]
         mean = " ".join(f"{x(scans)},{y(value)}" for scans, value, _, _ in points)
         colour = STYLES[method]
         parts.append(f'<polygon points="{" ".join(above + below)}" fill="{colour}" opacity="0.13"/>')
-        parts.append(f'<polyline points="{mean}" fill="none" stroke="{colour}" stroke-width="2"/>')
+        parts.append(
+            f'<polyline points="{mean}" fill="none" stroke="{colour}" stroke-width="2"'
+            f' stroke-dasharray="{DASHES[drawing]}"/>'
+        )
     return "".join(parts)
 
 
@@ -67,7 +71,8 @@ def drawing(path: Path) -> str:
         f'<text x="{LEFT + 150 * k + 28}" y="{foot}">{escape(method)}</text>'
         for k, (method, colour) in enumerate(STYLES.items())
     ]
-    caption = f'<text x="{width - GAP}" y="{foot}" text-anchor="end">log loss, nats a scan, by labelled scans</text>'
+    text = "log loss, nats a scan, by labelled scans (dashed: in a row)"
+    caption = f'<text x="{width - GAP}" y="{foot}" text-anchor="end">{text}</text>'
     return document(width, TOP + HEIGHT + BOTTOM, [*panels, *keys, caption], font_size=12)
 
 

@@ -17,17 +17,20 @@ from gridtrack.common.grid import LabelledFrame
 from gridtrack.trackers.cell_classifier import CellClassifier
 from gridtrack.trackers.contract import FitOutput
 from gridtrack.trackers.label_settings import ClassifierSettings
-from gridtrack.trackers.labelled_stretch import class_indices, inverse_frequency
+from gridtrack.trackers.labelled_scans import class_indices, inverse_frequency
 
 SETTINGS_TRIED = 10
 """Iterations of the search."""
-CHANNELS = (8, 16, 32)
-LEARNING_RATES = (1e-3, 2e-2)
-WEIGHT_DECAYS = (1e-4, 1.0)
-"""Ranges of the search: channels uniformly among these, the others log-uniformly."""
+CHANNELS = (16, 32)
+LEARNING_RATES = (3e-3, 2e-2)
+WEIGHT_DECAYS = (1e-3, 5.0)
+CLASS_WEIGHTS = ("inverse-frequency", "none")
+"""Ranges of the search: channels and class weights are drawn from these, the others log-uniformly."""
+TUNED = frozenset({"channels", "learning_rate", "weight_decay", "class_weights"})
+"""The settings that are searched."""
 TEMPERATURES = tuple(round(1.05**n, 2) for n in range(-15, 30))
 """Candidates for the calibration, about 0.5 to 4."""
-VALIDATIONS = 10
+VALIDATIONS = 5
 """Validations during one training."""
 
 
@@ -59,23 +62,26 @@ class CellCollector:
     """Collects the labelled cells of frames; cells of a class that is not in `classes` are left out."""
 
     def __init__(self, classes: Sequence[str]) -> None:
-        self._classes = classes
+        self.classes = classes
         self._planes: list[Tensor] = []
         self._cells: list[NDArray[np.int64]] = []
         self._targets: list[NDArray[np.int64]] = []
 
     def add(self, planes: Tensor, labelled: LabelledFrame, names: Sequence[str]) -> None:
         """Add the `planes` (C, M, M) of a frame and its labelled cells; labels index `names`."""
-        target = class_indices(labelled.labels, names, self._classes)
+        target = class_indices(labelled.labels, names, self.classes)
         self._planes.append(planes.permute(1, 2, 0))
         self._cells.append(labelled.cells[target >= 0])
         self._targets.append(target[target >= 0])
 
-    def cells(self) -> LabelledCells:
-        """All cells added so far."""
-        at = np.repeat(np.arange(len(self._cells)), [cells.size for cells in self._cells])
-        index, targets = np.concatenate(self._cells), np.concatenate(self._targets)
-        return LabelledCells(torch.stack(self._planes), *map(torch.from_numpy, (at, index, targets)))
+    def cells(self, *others: CellCollector) -> LabelledCells:
+        """All cells added so far, here and to the `others`."""
+        collectors = (self, *others)
+        planes = torch.stack([each for one in collectors for each in one._planes])
+        cells = [each for one in collectors for each in one._cells]
+        targets = np.concatenate([each for one in collectors for each in one._targets])
+        at = np.repeat(np.arange(len(cells)), [each.size for each in cells])
+        return LabelledCells(planes, *map(torch.from_numpy, (at, np.concatenate(cells), targets)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,13 +104,13 @@ def best_classifier(
     build: Callable[[ClassifierSettings], CellClassifier],
     given: Mapping[str, Any],
     training: LabelledCells,
-    validation: LabelledCells,
+    validation: Sequence[LabelledCells],
     out: FitOutput,
 ) -> TrainedClassifier:
     """The classifier with the least log loss on `validation` of SETTINGS_TRIED settings; `given` settings are fixed.
 
-    `build` returns an untrained classifier. An interrupt ends the search at the best so far. Raises KeyboardInterrupt
-    where there is none yet.
+    `validation`: sets of cells with equal weight. `build` returns an untrained classifier. An interrupt ends the search
+    at the best so far. Raises KeyboardInterrupt where there is none yet.
     """
     candidates, best = tuple(candidate_settings(given, out.seed)), None
     with out.progress.stage("classifier", len(candidates)) as stage:
@@ -122,43 +128,53 @@ def best_classifier(
             stage.advance()
             out.report(
                 f"channels {settings.channels}, learning rate {settings.learning_rate:g}, weight decay"
-                f" {settings.weight_decay:g}: validation log loss {tried.log_loss:.4f} nats a cell"
+                f" {settings.weight_decay:g}, class weights {settings.class_weights}: validation log loss"
+                f" {tried.log_loss:.4f} nats a cell"
             )
     assert best is not None
     return best
 
 
 def candidate_settings(given: Mapping[str, Any], seed: int) -> Iterator[ClassifierSettings]:
-    """The defaults, then random values of the settings that are not `given`; equal for equal seeds."""
-    draw = np.random.default_rng(seed)
+    """The defaults, then a Latin hypercube sample of the settings that are not `given`; equal for equal seeds."""
     yield ClassifierSettings(**given)
-    for _ in range(SETTINGS_TRIED - 1 if {"channels", "learning_rate", "weight_decay"} - given.keys() else 0):
-        drawn = {
-            "channels": int(draw.choice(CHANNELS)),
-            "learning_rate": _log_uniform(draw, *LEARNING_RATES),
-            "weight_decay": _log_uniform(draw, *WEIGHT_DECAYS),
-        }
-        yield ClassifierSettings(**(drawn | dict(given)))
+    if not TUNED - given.keys():
+        return
+    draw, number = np.random.default_rng(seed), SETTINGS_TRIED - 1
+    drawn: dict[str, list[Any]] = {
+        "channels": [CHANNELS[n % len(CHANNELS)] for n in draw.permutation(number)],
+        "learning_rate": _log_uniform(draw, *LEARNING_RATES, number),
+        "weight_decay": _log_uniform(draw, *WEIGHT_DECAYS, number),
+        "class_weights": [CLASS_WEIGHTS[n % len(CLASS_WEIGHTS)] for n in draw.permutation(number)],
+    }
+    for n in range(number):
+        yield ClassifierSettings(**({name: values[n] for name, values in drawn.items()} | dict(given)))
 
 
-def _log_uniform(draw: np.random.Generator, low: float, high: float) -> float:
-    """Three significant digits: the value on the card is exactly the value that was used."""
-    return float(f"{math.exp(draw.uniform(math.log(low), math.log(high))):.3g}")
+def _log_uniform(draw: np.random.Generator, low: float, high: float, number: int) -> list[float]:
+    """One value in each of `number` equal parts of the range, in random order.
+
+    Three significant digits: the value on the card is exactly the value that was used.
+    """
+    parts = (draw.permutation(number) + draw.random(number)) / number
+    return [float(f"{value:.3g}") for value in np.exp(math.log(low) + parts * math.log(high / low))]
 
 
 def train_classifier(
     classifier: CellClassifier,
     settings: ClassifierSettings,
     training: LabelledCells,
-    validation: LabelledCells,
+    validation: Sequence[LabelledCells],
     on_update: Callable[[], None] = lambda: None,
 ) -> TrainedClassifier:
-    """AdamW on batches of `training`, classes weighted by inverse frequency; the weights best on `validation`.
+    """AdamW on batches of `training`; the weights with the least mean log loss over the sets of `validation`.
 
     Batches are drawn by PyTorch's global generator: seed it before the classifier is built.
     """
-    classes = classifier.layers[-1].out_channels
-    class_weights = torch.from_numpy(inverse_frequency(training.targets.numpy(), int(classes)))  # type: ignore[arg-type]
+    class_weights = None
+    if settings.class_weights == "inverse-frequency":
+        classes: Any = classifier.layers[-1].out_channels
+        class_weights = torch.from_numpy(inverse_frequency(training.targets.numpy(), classes))
     optimizer = torch.optim.AdamW(classifier.parameters(), settings.learning_rate, weight_decay=settings.weight_decay)
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, settings.updates)
     every = -(-settings.updates // VALIDATIONS)
@@ -173,7 +189,7 @@ def train_classifier(
         schedule.step()
         on_update()
         if update % every == 0 or update == settings.updates:
-            log_loss = validation_log_loss(classifier, validation)
+            log_loss = mean_log_loss([logits_of(classifier, cells) for cells in validation], validation)
             if best is None or log_loss < best[0]:
                 best = log_loss, update, {name: value.clone() for name, value in classifier.state_dict().items()}
     assert best is not None
@@ -182,25 +198,26 @@ def train_classifier(
 
 
 @torch.no_grad()
-def calibrated(trained: TrainedClassifier, validation: LabelledCells) -> TrainedClassifier:
+def calibrated(trained: TrainedClassifier, validation: Sequence[LabelledCells]) -> TrainedClassifier:
     """`trained` with its last layer divided by the temperature that is best on `validation` (Guo et al., 2017).
 
     Trained on few labels, a classifier is overconfident. The most probable class of a cell does not change.
     """
-    logits = logits_of(trained.classifier, validation)
+    logits = [logits_of(trained.classifier, cells) for cells in validation]
 
     def log_loss(temperature: float) -> float:
-        return float(functional.cross_entropy(logits / temperature, validation.targets))
+        return mean_log_loss([each / temperature for each in logits], validation)
 
     temperature = min(TEMPERATURES, key=log_loss)
     for parameter in trained.classifier.layers[-1].parameters():
         parameter.div_(temperature)
-    return replace(trained, temperature=temperature, log_loss=log_loss(temperature))
+    return replace(trained, temperature=trained.temperature * temperature, log_loss=log_loss(temperature))
 
 
-def validation_log_loss(classifier: CellClassifier, validation: LabelledCells) -> float:
-    """Mean of -log P(class) over cells, nats, classes unweighted, as the referee computes it."""
-    return float(functional.cross_entropy(logits_of(classifier, validation), validation.targets))
+def mean_log_loss(logits: Sequence[Tensor], validation: Sequence[LabelledCells]) -> float:
+    """Mean of -log P(class) over the cells of each set, nats, classes unweighted; the mean over the sets."""
+    pairs = zip(logits, validation, strict=True)
+    return sum(float(functional.cross_entropy(each, cells.targets)) for each, cells in pairs) / len(validation)
 
 
 @torch.no_grad()

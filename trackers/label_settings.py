@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 from pydantic import Field
 
 from gridtrack.common.config import Settings
 
+ClassWeights = Literal["inverse-frequency", "none"]
+
 
 class LabelSettings(Settings):
-    """How many labels a tracker learns from."""
+    """Which labels a tracker learns from."""
 
     labelled_scans: int = Field(800, ge=1)
-    """Number of consecutive labelled scans that the classes are learned from; the seed draws the first one."""
+    """Number of labelled scans that the classes are learned from; the seed draws them."""
+    label_drawing: Literal["spread", "consecutive"] = "spread"
+    """`spread`: scans from the whole training recordings, as a person would choose them; `consecutive`: in a row."""
 
 
 class ClassifierSettings(Settings):
@@ -19,9 +25,11 @@ class ClassifierSettings(Settings):
 
     channels: int = Field(32, ge=1, le=256)
     """Channels of every layer but the last."""
-    learning_rate: float = Field(3e-3, gt=0)
+    learning_rate: float = Field(1e-2, gt=0)
     weight_decay: float = Field(1e-2, ge=0)
-    updates: int = Field(2000, ge=1)
+    class_weights: ClassWeights = "inverse-frequency"
+    """Weights of the classes in the loss; the paper's are inverse to the frequency of a class among the labels."""
+    updates: int = Field(1200, ge=1)
     """Number of updates; the state with the least log loss on the validation stretch is kept."""
     batch: int = Field(256, ge=1)
     """Labelled cells of one update."""

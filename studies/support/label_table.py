@@ -10,6 +10,8 @@ from pathlib import Path
 
 from studies.support.results_file import ResultTable
 
+DRAWINGS = ("spread", "consecutive")
+"""How the labelled scans are drawn."""
 BUDGETS = (50, 100, 200, 400, 800)
 """Numbers of labelled scans."""
 COLUMNS = {"visible now": (0, "visible"), "visible 1 s": (1, "visible"), "occluded now": (0, "occluded")}
@@ -36,17 +38,17 @@ def append_row(path: Path, row: Mapping[str, object]) -> None:
 
 
 def budget_table(path: Path) -> ResultTable:
-    """Mean over the draws and, in brackets, least and most, for each method and number of labelled scans."""
+    """Mean over the draws and, in brackets, least and most, for each method, drawing and number of labelled scans."""
     rows = read_rows(path)
     methods = list(dict.fromkeys(row["method"] for row in rows))
     lines = []
-    for method, budget in product(methods, BUDGETS):
-        own = [row for row in rows if row["method"] == method and int(row["scans"]) == budget]
+    for drawing, method, budget in product(DRAWINGS, methods, BUDGETS):
+        own = [row for row in rows if (row["drawing"], row["method"], int(row["scans"])) == (drawing, method, budget)]
         if own:
             texts = [_mean_and_range([float(row[column]) for row in own]) for column in COLUMNS]
-            lines.append((method, str(budget), str(len(own)), *texts))
-    columns = ("method", "scans", "draws", *COLUMNS)
-    return ResultTable(columns=columns, alignment=("---", *["--:"] * (len(columns) - 1)), rows=tuple(lines))
+            lines.append((drawing, method, str(budget), str(len(own)), *texts))
+    columns = ("drawing", "method", "scans", "draws", *COLUMNS)
+    return ResultTable(columns=columns, alignment=("---", "---", *["--:"] * (len(columns) - 2)), rows=tuple(lines))
 
 
 def _mean_and_range(values: Sequence[float]) -> str:

@@ -12,7 +12,7 @@ torch = pytest.importorskip("torch")
 pytest.importorskip("lightning")
 
 from gridtrack.common.config import validated  # noqa: E402
-from gridtrack.common.errors import ConfigurationError, WeightsError  # noqa: E402
+from gridtrack.common.errors import WeightsError  # noqa: E402
 from gridtrack.common.geometry import SE2  # noqa: E402
 from gridtrack.common.grid import GridFrame, GridSpec, LabelledFrame  # noqa: E402
 from gridtrack.trackers import cell_training  # noqa: E402
@@ -20,9 +20,10 @@ from gridtrack.trackers.cell_classifier import CellClassifier  # noqa: E402
 from gridtrack.trackers.cell_training import CellCollector, LabelledCells, candidate_settings, train_classifier  # noqa: E402
 from gridtrack.trackers.contract import FitOutput, StretchScore, stream_of  # noqa: E402
 from gridtrack.trackers.label_settings import ClassifierSettings  # noqa: E402
-from gridtrack.trackers.labelled_stretch import class_indices, draw_labelled, inverse_frequency, possible_starts  # noqa: E402
+from gridtrack.trackers.labelled_scans import class_indices, inverse_frequency  # noqa: E402
 from gridtrack.trackers.one_shot.tracker import OneShotTracker  # noqa: E402
 from gridtrack.trackers.recurrent.convgru_tracker import DilatedConvGRUTracker  # noqa: E402
+from gridtrack.trackers.recurrent.transfer import latent_cells  # noqa: E402
 from gridtrack.trackers.weights import load_weights, read_card, save_weights  # noqa: E402
 
 SIZE, ROUND = 16, 12
@@ -134,6 +135,35 @@ def test_classes_that_differ_in_motion_are_separated_by_a_latent_state_and_not_b
     assert accuracy(OneShotTracker, one_shot, (stands, walks)) < 0.75
 
 
+def test_labels_are_learned_for_the_scan_and_for_forecasts_of_it_from_earlier_frames(latent):
+    source = Scene((stands, walks), 40, unlabelled=20)
+    tracker = DilatedConvGRUTracker(stream_of(source, latent), DilatedConvGRUTracker.Options())
+    found = latent_cells(tracker, [(source.classes, source.labelled())], ("stander", "walker"), "last", every=5)
+    now, ahead, scan = found.now.cells(), found.ahead.cells(), found.scan.cells()
+    assert now.planes.shape == (4, SIZE, SIZE, NETWORK["channels"])
+    assert scan.planes.shape == (4, SIZE, SIZE, 2)
+    assert torch.equal(scan.planes.flatten(1, 2)[now.at, now.cells, 1], torch.ones(len(now.cells), dtype=torch.uint8))
+    assert ahead.targets.tolist() == [label for at in range(4) for label in now.targets[now.at == at].tolist() * 2]
+    frames = list(source)
+    tracker.reset(0)
+    for frame in frames[:17]:
+        tracker.update(frame)
+    blind = tracker.state
+    for _ in range(4):
+        blind = tracker.network.step(None, blind)
+    torch.testing.assert_close(ahead.planes[0], blind[-1][0].permute(1, 2, 0).half(), msg="frame 20 from frame 16")
+
+
+def test_all_layers_of_the_state_can_be_decoded(tmp_path):
+    path = fit(DilatedConvGRUTracker, tmp_path, (stands, walks), decoded_layers="all", **NETWORK, **DECODER)
+    weights = load_weights(stream_of(Scene(()), path), "dilated-convgru")
+    assert weights.arrays["decode_semantics.layers.0.weight"].shape[1] == NETWORK["layers"] * NETWORK["channels"]
+    assert accuracy(DilatedConvGRUTracker, path, (stands, walks)) > 0.95
+    other = DilatedConvGRUTracker.Options(decoded_layers="last")
+    with pytest.raises(WeightsError, match="trained with decoded_layers=all, not last"):
+        DilatedConvGRUTracker(stream_of(Scene(()), path), other)
+
+
 def test_one_scan_separates_two_shapes(tmp_path):
     path = fit(OneShotTracker, tmp_path, (lies, towers), **CLASSIFIER)
     assert accuracy(OneShotTracker, path, (lies, towers), from_frame=0) > 0.95
@@ -158,7 +188,10 @@ def test_adding_classes_does_not_change_the_occupancy_weights(latent, tmp_path):
     assert before.card.classes == ()
     fit(DilatedConvGRUTracker, tmp_path, (stands, walks), stage="classes", **DECODER)
     after = load_weights(stream_of(Scene(()), path), "dilated-convgru")
-    assert {name.partition(".")[0] for name in after.arrays.keys() - before.arrays.keys()} == {"decode_semantics"}
+    assert {name.partition(".")[0] for name in after.arrays.keys() - before.arrays.keys()} == {
+        "decode_semantics",
+        "seen_cells",
+    }
     assert all(after.arrays[name].tobytes() == array.tobytes() for name, array in before.arrays.items())
     assert after.card.command == before.card.command
     assert after.card.results["classes"]["command"] == f"gridtrack train { ({'stage': 'classes'} | DECODER) }"
@@ -195,31 +228,6 @@ def test_classes_cannot_be_added_without_weights_or_to_a_network_of_other_shape(
         fit(DilatedConvGRUTracker, tmp_path, (stands, walks), stage="classes")
     with pytest.raises(WeightsError, match="trained with channels=8, not 4"):
         fit(DilatedConvGRUTracker, latent.parent, (stands, walks), stage="classes", channels=4)
-
-
-def test_labelled_scans_are_consecutive_and_drawn_by_the_seed():
-    source = Scene((stands, walks), 240, unlabelled=100)
-    stretches = [draw_labelled([source], 50, seed) for seed in range(8)]
-    for stretch in stretches:
-        assert 100 <= stretch.first <= 190
-        assert [item.frame.stamp_ns // 250_000_000 for item in stretch.frames] == list(
-            range(stretch.first - 40, stretch.first + 50)
-        )
-        assert [item.labels.size > 0 for item in stretch.frames] == [False] * 40 + [True] * 50
-    assert len({stretch.first for stretch in stretches}) > 4
-    assert draw_labelled([source], 50, 5).first == stretches[5].first
-    with pytest.raises(ConfigurationError, match="toy-0: no 141 consecutive labelled scans"):
-        draw_labelled([source], 141, 0)
-
-
-def test_every_possible_start_is_found_in_every_source():
-    labelled = np.array([1, 1, 0, 1, 1, 1], bool)
-    assert possible_starts(labelled, 2).tolist() == [0, 3, 4]
-    assert possible_starts(labelled, 7).tolist() == []
-    few, many = Scene((stands, walks), 51, seed=0), Scene((stands, walks), 150, seed=1)
-    names = [draw_labelled([few, many], 50, seed).name.partition(",")[0] for seed in range(60)]
-    assert set(names) == {"toy-0", "toy-1"}
-    assert names.count("toy-1") > 50
 
 
 def test_classes_are_matched_by_name_and_weighted_by_inverse_frequency():
@@ -263,7 +271,7 @@ def test_one_layer_learns_the_class_weighted_logistic_regression_of_scikit_learn
     balanced = LabelledCells(planes, learned.at[alike], learned.cells[alike], learned.targets[alike])
     torch.manual_seed(0)
     settings = ClassifierSettings(learning_rate=0.05, weight_decay=0.0, batch=600, updates=1000)
-    classifier = train_classifier(CellClassifier(5, (), 3), settings, learned, balanced).classifier
+    classifier = train_classifier(CellClassifier(5, (), 3), settings, learned, [balanced]).classifier
     ours = torch.softmax(classifier.of_patches(learned.patches(torch.arange(600), 1)), dim=1).detach().numpy()
     oracle = linear_model.LogisticRegression(C=np.inf, class_weight="balanced", tol=1e-8, max_iter=1000)
     expected = oracle.fit(features, targets).predict_proba(features)
@@ -289,5 +297,9 @@ def test_the_search_tries_equal_settings_for_equal_seeds_and_keeps_given_ones():
     assert tried == list(candidate_settings({"channels": 8}, 3))
     assert (len(tried), {settings.channels for settings in tried}) == (10, {8})
     assert len({settings.learning_rate for settings in tried}) == 10
-    given = {"channels": 8, "learning_rate": 0.1, "weight_decay": 0.0}
+    assert {settings.class_weights for settings in tried} == {"inverse-frequency", "none"}
+    low, high = np.log(cell_training.WEIGHT_DECAYS)
+    parts = [int(9 * (np.log(settings.weight_decay) - low) / (high - low)) for settings in tried[1:]]
+    assert sorted(parts) == list(range(9)), "a Latin hypercube: one draw in each ninth of the range"
+    given = {"channels": 8, "learning_rate": 0.1, "weight_decay": 0.0, "class_weights": "none"}
     assert list(candidate_settings(given, 3)) == [ClassifierSettings(**given)]

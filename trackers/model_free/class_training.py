@@ -18,7 +18,8 @@ from sklearn.mixture import GaussianMixture
 from gridtrack.common.errors import ConfigurationError, WeightsError
 from gridtrack.common.grid import LabelledFrame
 from gridtrack.trackers.contract import FitOutput, FrameSource, stream_of
-from gridtrack.trackers.labelled_stretch import LabelledStretch, class_indices, draw_labelled, learned_classes
+from gridtrack.trackers.label_settings import LabelSettings
+from gridtrack.trackers.labelled_scans import LabelledScans, class_indices, draw_labelled
 from gridtrack.trackers.model_free.classes import ARRAY_PREFIX, FEATURES, ClassModel, features_of
 from gridtrack.trackers.model_free.settings import ModelFreeSettings
 from gridtrack.trackers.weights import load_weights, save_weights, with_classes
@@ -59,7 +60,7 @@ class TrackSamples(NamedTuple):
         return np.asarray((sums - before) / (np.arange(len(values)) - first + 1)[:, None])
 
 
-def draw_scans(train: Sequence[FrameSource], out: FitOutput, options: ModelFreeSettings) -> LabelledStretch | None:
+def draw_scans(train: Sequence[FrameSource], out: FitOutput, options: ModelFreeSettings) -> LabelledScans | None:
     """The labelled scans of the training; None where no classes are requested or available.
 
     Raises ConfigurationError where too few scans are labelled, WeightsError where classes are to be added but there are
@@ -69,41 +70,40 @@ def draw_scans(train: Sequence[FrameSource], out: FitOutput, options: ModelFreeS
         raise WeightsError(f"{out.path}: no weights to add classes to: train with stage=both, or put them there")
     if options.stage == "occupancy" or (options.stage == "both" and not any(source.classes for source in train)):
         return None
-    return draw_labelled(train, options.labelled_scans, out.seed)
+    return draw_labelled(train, options, out.seed)
 
 
 def fit_classes(
     kind: type[ModelFreeTracker],
-    stretch: LabelledStretch,
+    labelled: LabelledScans,
     train: Sequence[FrameSource],
     validation: Sequence[FrameSource],
     out: FitOutput,
     options: ModelFreeSettings,
 ) -> None:
-    """Train classes on `stretch` and add them to the weights at `out.path`, which are otherwise unchanged.
+    """Train classes on the `labelled` scans and add them to the weights at `out.path`, which are otherwise unchanged.
 
     Raises ConfigurationError where `validation` has no labels.
     """
-    names = stretch.source.classes
-    classes = learned_classes(names, (item.labels for item in stretch.frames))
-    out.report(f"classes {', '.join(classes)} from {stretch.name}")
+    classes, source = labelled.classes, train[0]
+    out.report(f"classes {', '.join(classes)} from {labelled.name}")
 
-    weights = load_weights(stream_of(stretch.source, out.path), kind.name)
+    weights = load_weights(stream_of(source, out.path), kind.name)
     bare = {name: value for name, value in weights.arrays.items() if not name.startswith(ARRAY_PREFIX)}
     with TemporaryDirectory() as folder:
         draft = Path(folder) / out.path.name
         save_weights(draft, weights.card.model_copy(update={"classes": ()}), bare)
-        tracker = kind(stream_of(stretch.source, draft), ModelFreeSettings())
-    training = track_samples(tracker, [(names, stretch.frames)], classes)
+        tracker = kind(stream_of(source, draft), ModelFreeSettings())
+    training = track_samples(tracker, labelled.runs(), classes)
     held_out = track_samples(tracker, ((source.classes, source.labelled()) for source in validation), classes)
     if not held_out.cells.any():
         names_of = ", ".join(source.name for source in validation)
         raise ConfigurationError(f"{names_of}: no track there has a label: give a --validation with labels")
-    cell_prior = cell_prior_of(count_cells(stretch, classes), stretch.source.grid.cell_m)
+    cell_prior = cell_prior_of(count_cells(labelled, classes), source.grid.cell_m)
     model, loss = best_model(training, held_out, cell_prior, out)
 
-    results = _results(stretch, training, classes, model, loss, out)
-    settings = {"labelled_scans": options.labelled_scans}
+    results = _results(labelled, training, classes, model, loss, out)
+    settings = options.model_dump(include=set(LabelSettings.model_fields))
     card = with_classes(weights.card, classes, train, validation, settings, results)
     save_weights(out.path, card, bare | model.arrays())
 
@@ -138,13 +138,13 @@ def track_samples(
     )
 
 
-def count_cells(stretch: LabelledStretch, classes: Sequence[str]) -> NDArray[np.float64]:
+def count_cells(labelled: LabelledScans, classes: Sequence[str]) -> NDArray[np.float64]:
     """Number of labels of each class in each cell (K, M, M)."""
-    size = stretch.source.grid.size
+    size = labelled.sources[0].grid.size
     count = np.zeros((len(classes), size**2))
-    for item in stretch.frames:
-        target = class_indices(item.labels, stretch.source.classes, classes)
-        np.add.at(count, (target, item.cells), 1.0)
+    for names, frames in labelled.scans():
+        for item in frames:
+            np.add.at(count, (class_indices(item.labels, names, classes), item.cells), 1.0)
     return count.reshape(-1, size, size)
 
 
@@ -217,7 +217,7 @@ def cell_log_loss(posteriors: NDArray[np.float64], cells: NDArray[np.int64]) -> 
 
 
 def _results(
-    stretch: LabelledStretch,
+    labelled: LabelledScans,
     training: TrackSamples,
     classes: Sequence[str],
     model: ClassModel,
@@ -230,7 +230,7 @@ def _results(
     return {
         "command": out.command,
         "seed": out.seed,
-        "labelled": stretch.name,
+        "labelled": labelled.name,
         "features": list(FEATURES),
         "tracks": dict(zip(classes, tracks, strict=True)),
         "frames_of_tracks": dict(zip(classes, np.bincount(targets, minlength=len(classes)).tolist(), strict=True)),

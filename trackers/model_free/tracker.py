@@ -127,8 +127,8 @@ class ModelFreeTracker(Tracker):
         from gridtrack.trackers.model_free.class_training import draw_scans, fit_classes
         from gridtrack.trackers.model_free.tuning import fit_pipeline
 
-        stretch = draw_scans(train, out, options)
+        labelled = draw_scans(train, out, options)
         if options.stage != "classes":
             fit_pipeline(cls, train, validation, score, out, options)
-        if stretch is not None:
-            fit_classes(cls, stretch, train, validation, out, options)
+        if labelled is not None:
+            fit_classes(cls, labelled, train, validation, out, options)

@@ -10,14 +10,11 @@ import torch
 
 from gridtrack.common.config import Settings
 from gridtrack.common.grid import GridFrame
-from gridtrack.trackers.cell_classifier import CellClassifier
 from gridtrack.trackers.contract import ComparedPart, FitOutput, Forecast, FrameSource, Score, StreamSpec, Tracker
 from gridtrack.trackers.one_shot.settings import ONE_SHOT, OneShotSettings
+from gridtrack.trackers.scan_classifier import planes_of, scan_classifier
 from gridtrack.trackers.trained_network import restore, trained_settings
 from gridtrack.trackers.weights import load_weights
-
-PLANES = 2
-"""Visible and occupied."""
 
 
 class OneShotTracker(Tracker):
@@ -36,7 +33,7 @@ class OneShotTracker(Tracker):
         weights = load_weights(stream, ONE_SHOT)
         self.classes = weights.card.classes
         settings = trained_settings(stream, weights, options)
-        self._network = CellClassifier(PLANES, settings.hidden, len(self.classes)).eval()
+        self._network = scan_classifier(settings.channels, len(self.classes)).eval()
         restore(self._network, stream, weights)
         self.reset(seed=0)
 
@@ -68,8 +65,3 @@ class OneShotTracker(Tracker):
         from gridtrack.trackers.one_shot.training import fit_classifier
 
         fit_classifier(train, validation, out, options)
-
-
-def planes_of(frame: GridFrame) -> torch.Tensor:
-    """Visible and occupied as one array (2, M, M) uint8."""
-    return torch.from_numpy(np.stack([frame.visible, frame.occupied]).astype(np.uint8))

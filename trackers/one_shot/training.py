@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from itertools import islice
 from typing import Any
 
 import torch
 
-from gridtrack.common.grid import LabelledFrame
 from gridtrack.trackers.cell_classifier import CellClassifier
-from gridtrack.trackers.cell_training import CellCollector, LabelledCells, best_classifier
+from gridtrack.trackers.cell_training import best_classifier
 from gridtrack.trackers.contract import FitOutput, FrameSource
 from gridtrack.trackers.label_settings import ClassifierSettings
-from gridtrack.trackers.labelled_stretch import VALIDATE_ON, draw_labelled, learned_classes
+from gridtrack.trackers.labelled_scans import VALIDATE_ON, draw_labelled
 from gridtrack.trackers.one_shot.settings import ONE_SHOT, OneShotSettings
-from gridtrack.trackers.one_shot.tracker import PLANES, planes_of
+from gridtrack.trackers.scan_classifier import scan_cells, scan_classifier
 from gridtrack.trackers.weights import card_for, save_interrupted, save_weights
 
 
@@ -27,30 +26,28 @@ def fit_classifier(
     Settings in `options` are fixed. Raises ConfigurationError without labels, WeightsError where the stretches differ
     in grid, period or site.
     """
-    stretch = draw_labelled(train, options.labelled_scans, out.seed)
-    names = stretch.source.classes
-    classes = learned_classes(names, (item.labels for item in stretch.frames))
-    out.report(f"classes {', '.join(classes)} from {stretch.name}")
-    training_cells = scan_cells([(names, stretch.frames)], classes)
+    labelled = draw_labelled(train, options, out.seed)
+    classes = labelled.classes
+    out.report(f"classes {', '.join(classes)} from {labelled.name}")
+    training_cells = scan_cells(labelled.scans(), classes)
     validation_cells = scan_cells(
         [(s.classes, islice(s.labelled(), 0, None, VALIDATE_ON)) for s in validation], classes
     )
 
     def build(settings: ClassifierSettings) -> CellClassifier:
-        chosen = OneShotSettings(**settings.model_dump())
-        return CellClassifier(PLANES, chosen.hidden, len(classes))
+        return scan_classifier(settings.channels, len(classes))
 
     given = options.model_dump(include=set(ClassifierSettings.model_fields), exclude_unset=True)
-    best = best_classifier(build, given, training_cells, validation_cells, out)
+    best = best_classifier(build, given, training_cells, [validation_cells], out)
     count = torch.bincount(training_cells.targets, minlength=len(classes)).tolist()
     results: dict[str, Any] = {
-        "labelled": stretch.name,
+        "labelled": labelled.name,
         "cells": dict(zip(classes, count, strict=True)),
         "best_after_updates": best.update,
         "temperature": best.temperature,
         "validation_log_loss": round(best.log_loss, 5),
     }
-    settings = {"labelled_scans": options.labelled_scans, **best.settings.model_dump(mode="json")}
+    settings = options.model_dump(mode="json") | best.settings.model_dump(mode="json")
     card = card_for(ONE_SHOT, out, train, validation, settings, results)
     arrays = {name: value.numpy() for name, value in best.classifier.state_dict().items()}
     card = card.model_copy(update={"classes": classes})
@@ -58,14 +55,3 @@ def fit_classifier(
         save_interrupted(out.path, card, arrays, best.reached)
         raise KeyboardInterrupt
     save_weights(out.path, card, arrays)
-
-
-def scan_cells(
-    labelled: Iterable[tuple[Sequence[str], Iterable[LabelledFrame]]], classes: Sequence[str]
-) -> LabelledCells:
-    """The planes of frames and their cells of one of `classes`; `labelled`: pairs of class names and frames."""
-    collector = CellCollector(classes)
-    for names, frames in labelled:
-        for item in frames:
-            collector.add(planes_of(item.frame), item, names)
-    return collector.cells()

@@ -3,18 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any, ClassVar, cast
 
+import torch
 from torch import nn
 
-from gridtrack.common.errors import ConfigurationError
-from gridtrack.trackers.contract import FitOutput, FrameSource, Score
+from gridtrack.common.errors import ConfigurationError, WeightsError
+from gridtrack.common.grid import GridFrame
+from gridtrack.trackers.contract import FitOutput, Forecast, FrameSource, Score
 from gridtrack.trackers.recurrent.dilated_convgru import DilatedConvGRU
 from gridtrack.trackers.recurrent.inference import InferenceConvGRU
 from gridtrack.trackers.recurrent.network import RecurrentNetwork, start_from_rate
 from gridtrack.trackers.recurrent.recurrent_tracker import RecurrentTracker
+from gridtrack.trackers.recurrent.seen_cells import PREFIX, SeenCells, seen_cells_of
 from gridtrack.trackers.recurrent.settings import GATES, DilatedConvGRUOptions
 from gridtrack.trackers.recurrent.training_convgru import TrainingConvGRU
+from gridtrack.trackers.weights import Weights
 
 
 class DilatedConvGRUTracker(RecurrentTracker):
@@ -23,10 +28,41 @@ class DilatedConvGRUTracker(RecurrentTracker):
     name = "dilated-convgru"
     Options: ClassVar[type[DilatedConvGRUOptions]] = DilatedConvGRUOptions
 
+    _seen: SeenCells | None = None
+    _frame: GridFrame | None = None
+
+    def reset(self, seed: int) -> None:
+        """Set the state to h_0, before the first frame."""
+        super().reset(seed)
+        self._frame = None
+
+    def update(self, frame: GridFrame) -> None:
+        """Update the state with x_t."""
+        super().update(frame)
+        self._frame = frame
+
+    def predict(self, steps: int) -> Forecast:
+        """Decode the state and those after it; classes of the cells that are seen now by the option `evidence`."""
+        forecast = super().predict(steps)
+        if self._seen is not None and self._frame is not None and forecast.semantics is not None:
+            with torch.inference_mode():
+                self._seen.apply_to(forecast.semantics[0], self._frame, self.options.evidence)
+        return forecast
+
+    def _restored(self, weights: Weights) -> RecurrentNetwork:
+        of_network = {name: value for name, value in weights.arrays.items() if not name.startswith(PREFIX)}
+        network = super()._restored(replace(weights, arrays=of_network))
+        self._seen = seen_cells_of(weights)
+        if self._seen is None and self.options.evidence == "scan":
+            raise WeightsError(
+                f"{self.stream.weights}: no classifier of scans for evidence=scan: train again with stage=classes"
+            )
+        return network
+
     @classmethod
     def build(cls, size: int, options: Any, classes: int) -> nn.Module:
         """The untrained network."""
-        return DilatedConvGRU(size, options, classes, options.class_hidden)
+        return DilatedConvGRU(size, options, classes, options.class_hidden, options.decoded_layers)
 
     @classmethod
     def prepare_training(cls, network: Any, rate: float) -> Any:

@@ -74,5 +74,5 @@ class DeepTrackingRNN(nn.Module):
         logits: Tensor = self.decode(features)
         return logits.squeeze(1)
 
-    def semantics(self, features: Tensor) -> None:
+    def semantics(self, state: LatentState) -> None:
         """This network has no classes."""

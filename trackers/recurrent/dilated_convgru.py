@@ -22,7 +22,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from gridtrack.trackers.cell_classifier import CellClassifier
-from gridtrack.trackers.recurrent.network import LatentState
+from gridtrack.trackers.recurrent.network import DecodedLayers, LatentState, class_planes
 from gridtrack.trackers.recurrent.settings import DilatedConvGRUSettings
 
 
@@ -103,9 +103,17 @@ class DilatedConvGRU(nn.Module):
     """
 
     def __init__(
-        self, size: int, settings: DilatedConvGRUSettings, classes: int = 0, class_hidden: Sequence[int] = ()
+        self,
+        size: int,
+        settings: DilatedConvGRUSettings,
+        classes: int = 0,
+        class_hidden: Sequence[int] = (),
+        decoded_layers: DecodedLayers = "last",
     ) -> None:
-        """`class_hidden`: channels of the class decoder's layers but the last; () is the paper's linear decoder."""
+        """`class_hidden`: channels of the class decoder's layers but the last; () is the paper's linear decoder.
+
+        `decoded_layers`: the layers whose states it reads.
+        """
         super().__init__()
         self.size, self.channels = size, settings.channels
         self.layers = nn.ModuleList(
@@ -114,7 +122,9 @@ class DilatedConvGRU(nn.Module):
         )
         self.decode_occupancy = nn.Conv2d(settings.channels, 1, 3, padding=1)
         nn.init.normal_(self.decode_occupancy.weight, std=0.3)
-        self.decode_semantics = CellClassifier(settings.channels, class_hidden, classes) if classes else None
+        self.decoded_layers: DecodedLayers = decoded_layers
+        planes = settings.channels * (settings.layers if decoded_layers == "all" else 1)
+        self.decode_semantics = CellClassifier(planes, class_hidden, classes) if classes else None
 
     def initial(self, batch: int) -> LatentState:
         """h_0 = 0 in every layer."""
@@ -138,6 +148,8 @@ class DilatedConvGRU(nn.Module):
         logits: Tensor = self.decode_occupancy(features)
         return logits.squeeze(1)
 
-    def semantics(self, features: Tensor) -> Tensor | None:
+    def semantics(self, state: LatentState) -> Tensor | None:
         """Logits of the classes, (B, K, M, M)."""
-        return None if self.decode_semantics is None else self.decode_semantics(features)
+        return (
+            None if self.decode_semantics is None else self.decode_semantics(class_planes(state, self.decoded_layers))
+        )

@@ -37,7 +37,7 @@ class InferenceConvGRU:
         self._first_without_input = InferenceLayer(first, self.size, with_input=False, bfloat16=bfloat16)
         self._others = [InferenceLayer(layer, self.size, with_input=True, bfloat16=bfloat16) for layer in others]
         self._decode_occupancy = OccupancyDecoder(network.decode_occupancy, self.size)
-        self._decode_semantics = network.decode_semantics
+        self.semantics = network.semantics
 
     def initial(self, batch: int) -> LatentState:
         """h_0 = 0 in every layer."""
@@ -60,10 +60,6 @@ class InferenceConvGRU:
     def occupancy(self, features: Tensor) -> Tensor:
         """Logits of P(occupied), (1, M, M)."""
         return self._decode_occupancy(features)
-
-    def semantics(self, features: Tensor) -> Tensor | None:
-        """Logits of the classes, (1, K, M, M)."""
-        return None if self._decode_semantics is None else self._decode_semantics(features)
 
 
 class InferenceRNN:

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import math
-from typing import Any, Protocol
+from typing import Any, Literal, Protocol
 
 import torch
 from torch import Tensor, nn
 
 LatentState = tuple[Tensor, ...]
 """The latent state: one tensor (B, C, M, M) for each recurrent layer."""
+
+
+DecodedLayers = Literal["last", "all"]
 
 
 class RecurrentNetwork(Protocol):
@@ -24,16 +27,21 @@ class RecurrentNetwork(Protocol):
         ...
 
     def features(self, state: LatentState) -> Tensor:
-        """The part of the latent state that the decoders read, (B, C, M, M)."""
+        """The part of the latent state that the occupancy decoder reads, (B, C, M, M)."""
         ...
 
     def occupancy(self, features: Tensor) -> Tensor:
         """Logits of P(occupied), (B, M, M)."""
         ...
 
-    def semantics(self, features: Tensor) -> Tensor | None:
+    def semantics(self, state: LatentState) -> Tensor | None:
         """Logits of the K classes, (B, K, M, M); None for a network without classes."""
         ...
+
+
+def class_planes(state: LatentState, layers: DecodedLayers) -> Tensor:
+    """The part of the latent state that the class decoder reads, (B, C, M, M) or (B, layers x C, M, M)."""
+    return state[-1] if layers == "last" else torch.cat(state, dim=1)
 
 
 def channels_last(network: nn.Module) -> Any:

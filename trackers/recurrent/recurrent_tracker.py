@@ -78,7 +78,7 @@ class RecurrentTracker(Tracker):
         """P(occupied) (1, M, M), and P(class) (1, K, M, M) where the tracker has classes."""
         features = self.network.features(state)
         occupancy = torch.sigmoid(self.network.occupancy(features))
-        return occupancy, torch.softmax(self.network.semantics(features), dim=1) if self.classes else None
+        return occupancy, torch.softmax(self.network.semantics(state), dim=1) if self.classes else None
 
     def _restored(self, weights: Weights) -> RecurrentNetwork:
         """The trained network. Raises WeightsError where the weights do not fit it or contradict an option."""

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Any, Literal
 
 from pydantic import Field
 
 from gridtrack.common.config import Settings
-from gridtrack.trackers.label_settings import LabelSettings
+from gridtrack.trackers.label_settings import ClassWeights, LabelSettings
 
 Gate = Literal["keep", "reset", "candidate"]
+Evidence = Literal["state", "scan"]
 GATES: tuple[Gate, ...] = ("keep", "reset", "candidate")
 
 
@@ -85,6 +86,18 @@ class InferenceSettings(Settings):
 
     inference: Literal["float32", "bfloat16"] = "float32"
     """Precision of the convolutions. bfloat16 is faster where the processor has instructions for it, else slower."""
+    evidence: Evidence = "state"
+    """What the classes of cells that are seen now come from: the latent state, as in the paper, or `scan`: the product
+    of its classes and those of a classifier of the scan."""
+
+
+DECODER_SETTINGS = {
+    "channels": "class_channels",
+    "learning_rate": "class_learning_rate",
+    "weight_decay": "class_weight_decay",
+    "class_weights": "class_weights",
+}
+"""The names in TransferSettings of settings of a classifier."""
 
 
 class TransferSettings(LabelSettings):
@@ -95,12 +108,24 @@ class TransferSettings(LabelSettings):
     class_layers: int = Field(2, ge=1, le=3)
     """Convolutions of the class decoder, with dilation 1, 2 and 4; one is the paper's linear decoder."""
     class_channels: int = Field(32, ge=1, le=256)
-    """Channels of its hidden layers; unless set, the best on the validation stretch."""
+    """Channels of its hidden layers; these four settings are, unless set, the best on the validation stretch."""
+    class_learning_rate: float = Field(1e-2, gt=0)
+    class_weight_decay: float = Field(1e-2, ge=0)
+    class_weights: ClassWeights = "inverse-frequency"
+    """Weights of the classes in the loss of the class decoder; the paper's are inverse to their frequency."""
+
+    decoded_layers: Literal["last", "all"] = "last"
+    """The layers of the latent state that the class decoder reads; the paper's reads the last one."""
 
     @property
     def class_hidden(self) -> tuple[int, ...]:
         """Channels of every layer of the class decoder but the last."""
         return (self.class_channels,) * (self.class_layers - 1)
+
+    @property
+    def given_of_decoder(self) -> dict[str, Any]:
+        """The settings of the class decoder that are set, by their names in ClassifierSettings."""
+        return {of: getattr(self, name) for of, name in DECODER_SETTINGS.items() if name in self.model_fields_set}
 
 
 class DilatedConvGRUOptions(DilatedConvGRUSettings, TrainingSettings, TransferSettings, InferenceSettings):

@@ -1,35 +1,55 @@
 """Inductive transfer, stage 2 of Ondruska et al. (2016): a class decoder on the latent state of a trained network.
 
 The network's weights are not changed. The decoder is a classifier of cells whose planes are the channels of the latent
-state, of the current frame and of forecast frames. It is trained and tuned like the one-shot classifier.
+state, of the current frame and of forecast frames: what is hidden now has its label when it comes into view. It is
+tuned like the one-shot classifier. Beside it a classifier of single scans is trained on the same labelled scans
+(seen_cells.py).
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections import deque
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import torch
-from torch import Tensor
 
 from gridtrack.common.config import validated
 from gridtrack.common.errors import WeightsError
 from gridtrack.common.grid import LabelledFrame
 from gridtrack.trackers.cell_classifier import CellClassifier
-from gridtrack.trackers.cell_training import CellCollector, LabelledCells, TrainedClassifier, best_classifier
+from gridtrack.trackers.cell_training import (
+    CellCollector,
+    LabelledCells,
+    TrainedClassifier,
+    best_classifier,
+    calibrated,
+    logits_of,
+    train_classifier,
+)
 from gridtrack.trackers.contract import FitOutput, FrameSource, stream_of
-from gridtrack.trackers.label_settings import ClassifierSettings
-from gridtrack.trackers.labelled_stretch import VALIDATE_ON, LabelledStretch, draw_labelled, learned_classes
-from gridtrack.trackers.recurrent.network import LatentState
+from gridtrack.trackers.label_settings import ClassifierSettings, LabelSettings
+from gridtrack.trackers.labelled_scans import VALIDATE_ON, LabelledScans, draw_labelled
+from gridtrack.trackers.recurrent.network import DecodedLayers, LatentState, class_planes
 from gridtrack.trackers.recurrent.recurrent_tracker import RecurrentTracker
-from gridtrack.trackers.recurrent.settings import TransferSettings
+from gridtrack.trackers.recurrent.seen_cells import PREFIX, SeenCells
+from gridtrack.trackers.recurrent.settings import DECODER_SETTINGS, TransferSettings
+from gridtrack.trackers.scan_classifier import planes_of, scan_classifier
 from gridtrack.trackers.weights import load_weights, save_interrupted, save_weights, with_classes
 
-FORECAST_STEPS = 20
-"""Number of steps of the forecasts that classes are learned from: c_t .. c_{t+20}."""
-FORECAST_EVERY = 20
-"""Frames from one forecast in the training data to the next: neighbouring forecasts are nearly equal."""
+LEADS = (4, 12)
+"""Steps of the forecasts that classes are learned from, beside the current frame; at most LEAD_IN less a warm-up."""
 DECODER = "decode_semantics."
+
+
+@dataclass(frozen=True, slots=True)
+class TransferCells:
+    """Labelled cells with the latent state of their frame, with forecast states, and with the planes of their scan."""
+
+    now: CellCollector
+    ahead: CellCollector
+    scan: CellCollector
 
 
 def fit_class_decoder(
@@ -44,36 +64,31 @@ def fit_class_decoder(
     Raises WeightsError where there are no weights or `options` contradict them, ConfigurationError without labels.
     """
     tracker = _tracker_with_weights(kind, train[0], out, options)
-    labelled = draw_labelled(train, options.labelled_scans, out.seed)
-    names = labelled.source.classes
-    classes = learned_classes(names, (item.labels for item in labelled.frames))
-    out.report(f"classes {', '.join(classes)} from {labelled.name}")
-
-    training_cells = latent_cells(tracker, [(names, labelled.frames)], classes, every=1)
-    validation_cells = latent_cells(
-        tracker, ((s.classes, list(s.labelled())) for s in validation), classes, every=VALIDATE_ON
+    labelled = draw_labelled(train, options, out.seed)
+    out.report(f"classes {', '.join(labelled.classes)} from {labelled.name}")
+    training = latent_cells(tracker, labelled.runs(), labelled.classes, options.decoded_layers)
+    out.report("followed the labelled scans")
+    held_out = latent_cells(
+        tracker, ((s.classes, s.labelled()) for s in validation), labelled.classes, options.decoded_layers, VALIDATE_ON
     )
-
-    def build(settings: ClassifierSettings) -> CellClassifier:
-        chosen = options.model_copy(update={"class_channels": settings.channels})
-        return CellClassifier(tracker.network.channels, chosen.class_hidden, len(classes))
-
-    given = {"channels": options.class_channels} if "class_channels" in options.model_fields_set else {}
-    best = best_classifier(build, given, training_cells, validation_cells, out)
+    training_cells = training.now.cells(training.ahead)
+    best = fit_decoder(options, training_cells, held_out, out)
     weights = load_weights(tracker.stream, kind.name)
     settings = {
-        "labelled_scans": options.labelled_scans,
-        "class_layers": options.class_layers,
-        "class_channels": best.settings.channels,
+        **options.model_dump(include={*LabelSettings.model_fields, "class_layers", "decoded_layers"}),
+        **{name: getattr(best.settings, of) for of, name in DECODER_SETTINGS.items()},
     }
-    results = _card_results(labelled, classes, training_cells, best, out)
-    card = with_classes(weights.card, classes, train, validation, settings, results)
-    network = {name: array for name, array in weights.arrays.items() if not name.startswith(DECODER)}
+    results = _card_results(labelled, training_cells, best, out)
+    card = with_classes(weights.card, labelled.classes, train, validation, settings, results)
+    network = {name: array for name, array in weights.arrays.items() if not name.startswith((DECODER, PREFIX))}
     decoder = {DECODER + name: value.numpy() for name, value in best.classifier.state_dict().items()}
     if best.reached:
         save_interrupted(out.path, card, network | decoder, best.reached)
         raise KeyboardInterrupt
-    save_weights(out.path, card, network | decoder)
+    seen, log_loss = fit_seen_cells(best, training, held_out, len(labelled.classes), out)
+    card.results["classes"]["seen_cells_log_loss"] = log_loss
+    added = {PREFIX + name: value.numpy() for name, value in seen.state_dict().items()}
+    save_weights(out.path, card, network | decoder | added)
 
 
 def _tracker_with_weights(
@@ -91,53 +106,80 @@ def _tracker_with_weights(
 @torch.no_grad()
 def latent_cells(
     tracker: RecurrentTracker,
-    labelled: Iterable[tuple[Sequence[str], Sequence[LabelledFrame]]],
+    labelled: Iterable[tuple[Sequence[str], Iterable[LabelledFrame]]],
     classes: Sequence[str],
-    every: int,
-) -> LabelledCells:
-    """The latent states of every `every`-th frame, and of the forecast of every FORECAST_EVERY-th of these frames.
+    layers: DecodedLayers,
+    every: int = 1,
+) -> TransferCells:
+    """The latent states of every `every`-th frame with labels, and its forecasts from LEADS frames before.
 
-    `labelled`: pairs of class names and frames, whose labels index the names. States are stored in half precision.
+    `labelled`: pairs of class names and frames, whose labels index the names. `layers`: which layers of the state are
+    decoded. States are stored in half precision.
     """
-    collector = CellCollector(classes)
+    now, ahead, scan = CellCollector(classes), CellCollector(classes), CellCollector(classes)
+    network: Any = tracker.network
     for names, frames in labelled:
         tracker.reset(0)
-        for t, current in enumerate(frames):
-            tracker.update(current.frame)
-            if t % every:
+        past: deque[LatentState] = deque(maxlen=LEADS[-1] + 1)
+        for number, item in enumerate(frames):
+            tracker.update(item.frame)
+            past.append(tracker.state)
+            if number % every or not item.cells.size:
                 continue
-            steps = 0 if t % (every * FORECAST_EVERY) else FORECAST_STEPS
-            forecast = _forecast_features(tracker.network, tracker.state)
-            for features, target in zip(forecast, frames[t : t + 1 + steps], strict=False):
-                if target.cells.size:
-                    collector.add(features[0].half(), target, names)
-    return collector.cells()
+            scan.add(planes_of(item.frame), item, names)
+            now.add(class_planes(tracker.state, layers)[0].half(), item, names)
+            for lead in LEADS:
+                if lead < len(past):
+                    ahead.add(class_planes(_forecast(network, past[-1 - lead], lead), layers)[0].half(), item, names)
+    return TransferCells(now, ahead, scan)
 
 
-def _forecast_features(network: Any, state: LatentState) -> Iterator[Tensor]:
-    """The input of the decoders (1, C, M, M), now and after each step with empty input, without end."""
-    while True:
-        yield network.features(state)
+def _forecast(network: Any, state: LatentState, steps: int) -> LatentState:
+    for _ in range(steps):
         state = network.step(None, state)
+    return state
+
+
+def fit_decoder(options: Any, training: LabelledCells, held_out: TransferCells, out: FitOutput) -> TrainedClassifier:
+    """The decoder that is best on cells of the current frame and of forecasts alike, calibrated for forecasts."""
+    planes, classes = training.planes.shape[-1], held_out.now.classes
+
+    def build(settings: ClassifierSettings) -> CellClassifier:
+        chosen = options.model_copy(update={"class_channels": settings.channels})
+        return CellClassifier(planes, chosen.class_hidden, len(classes))
+
+    ahead = held_out.ahead.cells()
+    best = best_classifier(build, options.given_of_decoder, training, [held_out.now.cells(), ahead], out)
+    return calibrated(best, [ahead])
+
+
+def fit_seen_cells(
+    decoder: TrainedClassifier, training: TransferCells, held_out: TransferCells, classes: int, out: FitOutput
+) -> tuple[SeenCells, dict[str, float]]:
+    """A classifier of scans with the default settings but class weights, and the powers; their validation log loss."""
+    torch.manual_seed(out.seed)
+    settings = ClassifierSettings(class_weights="none")
+    cells = held_out.scan.cells()
+    trained = train_classifier(scan_classifier(settings.channels, classes), settings, training.scan.cells(), [cells])
+    seen = SeenCells(trained.classifier)
+    found = seen.fit_powers(logits_of(decoder.classifier, held_out.now.cells()), cells)
+    out.report(
+        f"cells seen now: validation log loss {found['state']:.4f} nats a cell, with the scan {found['scan']:.4f}"
+    )
+    return seen, {evidence: round(value, 5) for evidence, value in found.items()}
 
 
 def _card_results(
-    stretch: LabelledStretch,
-    classes: Sequence[str],
-    training_cells: LabelledCells,
-    best: TrainedClassifier,
-    out: FitOutput,
+    labelled: LabelledScans, training_cells: LabelledCells, best: TrainedClassifier, out: FitOutput
 ) -> dict[str, Any]:
     """The card's results of this stage, with its command: the network may have been trained by another one."""
-    count = torch.bincount(training_cells.targets, minlength=len(classes)).tolist()
+    count = torch.bincount(training_cells.targets, minlength=len(labelled.classes)).tolist()
     return {
         "command": out.command,
         "seed": out.seed,
-        "labelled": stretch.name,
-        "cells": dict(zip(classes, count, strict=True)),
-        "learning_rate": best.settings.learning_rate,
-        "weight_decay": best.settings.weight_decay,
+        "labelled": labelled.name,
+        "cells": dict(zip(labelled.classes, count, strict=True)),
         "best_after_updates": best.update,
-        "temperature": best.temperature,
-        "validation_log_loss": round(best.log_loss, 5),
+        "temperature": round(best.temperature, 3),
+        "validation_log_loss_ahead": round(best.log_loss, 5),
     }

@@ -15,7 +15,7 @@ pytest.importorskip("sklearn")
 from gridtrack.common.errors import ConfigurationError, WeightsError
 from gridtrack.common.grid import LabelledFrame
 from gridtrack.trackers.contract import FitOutput, StretchScore, stream_of
-from gridtrack.trackers.labelled_stretch import LabelledStretch
+from gridtrack.trackers.labelled_scans import LabelledScans
 from gridtrack.trackers.model_free import tuning
 from gridtrack.trackers.model_free.class_training import count_cells
 from gridtrack.trackers.model_free.classes import ClassModel
@@ -143,12 +143,12 @@ def test_a_recording_without_labels_is_trained_without_classes_and_its_card_stat
     forecast = tracker.predict(2)
     assert forecast.semantics is None
     assert {one.label for one in forecast.objects} <= {""}
-    with pytest.raises(ConfigurationError, match=r"street\.mcap: no 80 consecutive labelled scans"):
+    with pytest.raises(ConfigurationError, match=r"street\.mcap: no 80 labelled scans"):
         fit(tmp_path, FactorGraphTracker, Street(classes=()), stage="classes")
 
 
 def test_too_few_labels_and_missing_weights_are_refused_before_the_search(tmp_path):
-    with pytest.raises(ConfigurationError, match="no 121 consecutive labelled scans"):
+    with pytest.raises(ConfigurationError, match="no 121 labelled scans"):
         fit(tmp_path, labelled_scans=121)
     assert not list(tmp_path.iterdir())
     with pytest.raises(WeightsError, match=r"street\.toml: no weights to add classes to"):
@@ -192,9 +192,13 @@ def test_hostile_weights_give_one_clear_line(path, tmp_path, change, message):
 
 
 def test_only_labelled_cells_of_the_trained_classes_are_counted():
-    items = [LabelledFrame(None, np.array([3, 3600 - 1]), np.array(labels, np.uint8)) for labels in ([0, 2], [0, 0])]
-    stretch = LabelledStretch(Street(), 0, 0, items)
-    count = count_cells(stretch, ("horse", "pedestrian"))
+    class Labelled(Street):
+        def labelled(self):
+            for labels in ([0, 2], [1, 1], [0, 0]):
+                yield LabelledFrame(None, np.array([3, 3600 - 1]), np.array(labels, np.uint8))
+
+    labelled = LabelledScans((Labelled(),), (np.array([0, 2]),), ("horse", "pedestrian"))
+    count = count_cells(labelled, ("horse", "pedestrian"))
     assert count.sum() == 4.0
     assert (count[1, 0, 3], count[0, 59, 59], count[1, 59, 59]) == (2.0, 1.0, 1.0)
     assert ClassModel._fields == ("mixture_weights", "means", "whitening", "frequency", "powers", "cell_prior")

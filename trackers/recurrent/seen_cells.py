@@ -1,0 +1,97 @@
+"""Classes of the cells that are seen now: the latent state's, or their product with those of a classifier of the scan.
+
+What is remembered and what is seen now are different evidence. In the cells that are occupied in the current frame,
+
+    P(class | h_t, x_t)  ~  P(class | h_t)^a  P(class | x_t)^b:
+
+a logarithmic opinion pool (Genest and Zidek, 1986) of two classifiers of the same labelled scans. The powers a and b
+are those with the least log loss on the validation stretch, so they calibrate the product as well. With b = 0 the power
+a is the calibration of the latent state's classes in these cells: they are more certain than those of other cells.
+"""
+
+from __future__ import annotations
+
+from itertools import product
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+from torch.nn import functional
+
+from gridtrack.common.errors import WeightsError
+from gridtrack.common.grid import GridFrame
+from gridtrack.trackers.cell_classifier import CellClassifier
+from gridtrack.trackers.cell_training import LabelledCells, logits_of
+from gridtrack.trackers.label_settings import ClassifierSettings
+from gridtrack.trackers.recurrent.settings import Evidence
+from gridtrack.trackers.scan_classifier import planes_of, scan_classifier
+from gridtrack.trackers.weights import Weights, array
+
+PREFIX = "seen_cells."
+"""Prefix of the names of the arrays in a weights file."""
+POWERS = tuple(round(0.1 * n, 1) for n in range(16))
+"""Candidates of a power."""
+SMALLEST = 1e-12
+"""Smallest probability whose logarithm is taken."""
+
+
+class SeenCells(nn.Module):
+    """A classifier of scans, and the powers of state and scan: (2,) for the state alone, and (2,) for both."""
+
+    def __init__(self, classifier: CellClassifier) -> None:
+        super().__init__()
+        self.classifier = classifier
+        self.state_alone: Tensor
+        self.with_scan: Tensor
+        self.register_buffer("state_alone", torch.tensor([1.0, 0.0]))
+        self.register_buffer("with_scan", torch.tensor([1.0, 0.0]))
+
+    @torch.no_grad()
+    def fit_powers(self, state: Tensor, cells: LabelledCells) -> dict[Evidence, float]:
+        """Choose the powers on labelled cells of scans, with the logits (N, K) of the latent state.
+
+        Returns the log loss of each kind of evidence, nats a cell.
+        """
+        state, scan = torch.log_softmax(state, dim=1), torch.log_softmax(logits_of(self.classifier, cells), dim=1)
+
+        def log_loss(powers: tuple[float, float]) -> float:
+            a, b = powers
+            return float(functional.cross_entropy(a * state + b * scan, cells.targets))
+
+        alone = min(((a, 0.0) for a in POWERS), key=log_loss)
+        both = min(product(POWERS, POWERS), key=log_loss)
+        self.state_alone.copy_(torch.tensor(alone))
+        self.with_scan.copy_(torch.tensor(both))
+        return {"state": log_loss(alone), "scan": log_loss(both)}
+
+    def apply_to(self, semantics: NDArray[np.float32], frame: GridFrame, evidence: Evidence) -> None:
+        """Replace the latent state's classes (K, M, M) in the occupied cells of `frame`, in place."""
+        cells = np.flatnonzero(frame.occupied)
+        a, b = (self.with_scan if evidence == "scan" else self.state_alone).tolist()
+        by_cell = semantics.reshape(len(semantics), -1)
+        logits = a * torch.from_numpy(by_cell[:, cells]).T.clamp(min=SMALLEST).log()
+        if b and cells.size:
+            index = torch.from_numpy(cells)
+            seen = LabelledCells(planes_of(frame).permute(1, 2, 0)[None], torch.zeros_like(index), index, index)
+            logits += b * torch.log_softmax(logits_of(self.classifier, seen), dim=1)
+        by_cell[:, cells] = torch.softmax(logits, dim=1).T.numpy()
+
+
+def seen_cells_of(weights: Weights) -> SeenCells | None:
+    """The module in `weights`; None where they have none. Raises WeightsError."""
+    own = [name for name in weights.arrays if name.startswith(PREFIX)]
+    if not own:
+        return None
+    found = SeenCells(scan_classifier(ClassifierSettings().channels, len(weights.card.classes)))
+    whose = f"weights of {weights.card.tracker}"
+    shapes = {name: tuple(value.shape) for name, value in found.state_dict().items()}
+    if unknown := sorted(name for name in own if name.removeprefix(PREFIX) not in shapes):
+        raise WeightsError(f"{whose}: unknown arrays {', '.join(unknown)}: train again")
+    arrays: dict[str, Any] = {name: array(weights, PREFIX + name, shape) for name, shape in shapes.items()}
+    found.load_state_dict({name: torch.from_numpy(value) for name, value in arrays.items()})
+    for name in ("state_alone", "with_scan"):
+        if not 0.0 <= arrays[name].min() <= arrays[name].max() <= max(POWERS):
+            raise WeightsError(f"{whose}: array '{PREFIX}{name}' is not from 0 to {max(POWERS):g}: train again")
+    return found.eval()
