@@ -70,7 +70,7 @@ def coverage_row(rng: np.random.Generator, name: str, units: int, repetitions: i
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--repetitions", type=int, default=500, help="simulated sets of recordings for each setting")
+    parser.add_argument("--repetitions", type=int, default=300, help="simulated sets of recordings for each setting")
     parser.add_argument("--out", type=Path, help="results file, such as docs/results/statistics.json")
     arguments = parser.parse_args()
     rng = np.random.default_rng(0)
