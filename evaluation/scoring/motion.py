@@ -5,6 +5,7 @@ They are regions of an observed frame and follow from the recording alone, so th
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Iterable
 from typing import Protocol
@@ -124,7 +125,7 @@ class _Speeds:
         if self._stamp_ns is not None:
             seconds = (stamp_ns - self._stamp_ns) / 1e9
             self._speeds = {
-                track: float(np.hypot(*np.subtract(position, self._positions[track]))) / seconds
+                track: math.dist(position, self._positions[track]) / seconds
                 for track, position in positions.items()
                 if track in self._positions
             }
@@ -164,12 +165,16 @@ def _placed(
 def _nearest_outline(points, corners, starts, reach):  # type: ignore[no-untyped-def]
     """The outline (N,) that is nearest to each point (N, 2), within `reach`, else -1; all coordinates in cells."""
     nearest = np.full(points.shape[0], -1, np.int64)
-    for i in range(points.shape[0]):
-        x, y = points[i, 0], points[i, 1]
-        least = reach * reach
-        for polygon in range(starts.size - 1):
-            first, last = starts[polygon], starts[polygon + 1]
-            if last == first:
+    least_squared = np.full(points.shape[0], reach * reach)
+    for polygon in range(starts.size - 1):
+        first, last = starts[polygon], starts[polygon + 1]
+        if last == first:
+            continue
+        left, right = corners[first:last, 0].min() - reach, corners[first:last, 0].max() + reach
+        bottom, top = corners[first:last, 1].min() - reach, corners[first:last, 1].max() + reach
+        for i in range(points.shape[0]):
+            x, y = points[i, 0], points[i, 1]
+            if not (left <= x <= right and bottom <= y <= top):
                 continue
             x0, y0 = corners[last - 1, 0], corners[last - 1, 1]
             for k in range(first, last):
@@ -178,7 +183,7 @@ def _nearest_outline(points, corners, starts, reach):  # type: ignore[no-untyped
                 length = dx * dx + dy * dy
                 along = min(max(((x - x0) * dx + (y - y0) * dy) / length, 0.0), 1.0) if length > 0.0 else 0.0
                 squared = (x0 + along * dx - x) ** 2 + (y0 + along * dy - y) ** 2
-                if squared <= least:
-                    least, nearest[i] = squared, polygon
+                if squared <= least_squared[i]:
+                    least_squared[i], nearest[i] = squared, polygon
                 x0, y0 = x1, y1
     return nearest
