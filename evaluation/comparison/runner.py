@@ -99,7 +99,9 @@ class TrialPool:
     def planned_frames(self) -> dict[str, int]:
         """The frames of every trial and oracle without a record; thresholds that trials share are counted each time."""
         planned = {trial.name: len(trial.test) + len(trial.validation or ()) for trial in self._plan.trials}
-        planned |= {split.oracle_name: len(split.test) for split in self._plan.splits if split.test.has_truth}
+        for split in self._plan.splits:
+            if split.test.has_truth:
+                planned[split.oracle_name] = len(split.test) + len(oracle_validation(split) or ())
         return {name: frames for name, frames in planned.items() if name not in self._records}
 
     def run_trials(self) -> None:

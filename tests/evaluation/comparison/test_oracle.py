@@ -7,8 +7,10 @@ import pytest
 
 from gridtrack.common.grid import GridSpec
 from gridtrack.common.raycast import cast_scan
-from gridtrack.evaluation.comparison.oracle import expected_grid, range_errors
+from gridtrack.evaluation.comparison.oracle import expected_grid, range_errors, run_oracle
+from gridtrack.evaluation.comparison.shared_thresholds import SharedThresholds
 from gridtrack.evaluation.scoring.counting import CLIP
+from gridtrack.evaluation.scoring.splits import Sampling, plan_split
 from gridtrack.recordings.stream import open_stream
 from gridtrack.simulation.range_errors import true_ranges
 
@@ -109,3 +111,15 @@ def test_the_forecast_of_a_frame_is_the_same_in_every_reading(frames, tmp_path):
     stream = open_stream(path, rate_hz=5)
     again = [expected_grid(one, stream.grid, range_errors(stream)) for one in list(stream.observations())[:3]]
     assert all(np.array_equal(one, oracle) for one, (_, oracle) in zip(again, frames, strict=False))
+
+
+def test_its_thresholds_are_chosen_once_for_all_recordings_with_one_validation_stretch(tmp_path):
+    path = truth_scene.write_recording(tmp_path / "room.mcap", noise_m=NOISE_M)
+    split = plan_split(str(path), None, Sampling(horizon_s=1.0, every_s=1.0))
+    regions, shared, delivered = split.regions(), SharedThresholds(), []
+    records = [
+        run_oracle(split, regions, tmp_path / name, lambda: delivered.append(1), shared) for name in ("one", "two")
+    ]
+    assert len(delivered) == 2 * len(split.test) + len(split.validation)
+    assert records[0].thresholds == records[1].thresholds
+    assert records[0].thresholds.chosen_on == "room.mcap@validation"
