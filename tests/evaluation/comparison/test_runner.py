@@ -106,7 +106,7 @@ def test_a_tracker_that_received_other_frames_is_reported(settings, progress, mo
     def tampering(self, the_trial, regions, folder, on_frame, shared):
         original(self, the_trial, regions, folder, on_frame, shared)
         if the_trial.label == "odd":
-            self._delivery = Tampered(the_trial.test, on_frame)
+            self._delivery = Tampered(the_trial.test, on_frame, self._delivery._motion)
 
     monkeypatch.setattr(trial.TrialRun, "__init__", tampering)
     summary = compare(settings("persistence", "blank", "odd=blank"), progress)
@@ -332,7 +332,9 @@ def test_region_maps_are_computed_once_for_each_recording(settings, progress, mo
 
 
 def test_trials_that_share_a_validation_stretch_choose_their_thresholds_on_it_once(settings, progress, record):
-    tests = tuple(str(record(name, 8, {})) for name in ("one", "two", "three"))
+    tests = tuple(
+        str(record(name, 8, {}, wall_m=wall_m)) for name, wall_m in (("one", 3.0), ("two", 3.2), ("three", 3.4))
+    )
     shared = settings("persistence", "blank", recordings=tests, validation=f"{record('other', 9, {})}@0s-9s", jobs=1)
     summary = compare(shared, progress)
     assert progress.frames == progress.delivered
