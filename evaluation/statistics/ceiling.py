@@ -84,7 +84,7 @@ def _share_of_log_loss(value: float | None, ceiling: float | None, *floors: floa
 def _share(value: float | None, ceiling: float | None, floor: float | None) -> float | None:
     if value is None or ceiling is None or floor is None:
         return None
-    return round((value - floor) / (ceiling - floor), 6)
+    return round((value - floor) / (ceiling - floor), 6) + 0.0  # not -0.0
 
 
 def _gap(strata: Mapping[str, StratumScores]) -> Scores | None:

@@ -48,6 +48,8 @@ def test_the_share_of_log_loss_starts_at_the_lowest_floor_and_ends_at_the_oracle
     }
     found = with_ceiling(trackers)["good"].recordings["room"].strata["dynamic"].share_of_oracle_nll
     assert found == (0.5, -0.333333, 1.25, None), "below the floor it is negative, and without a gap there is none"
+    floor = with_ceiling(trackers)["persistence"].recordings["room"].strata["dynamic"].share_of_oracle_nll
+    assert str(floor[0]) == "0.0", "and not -0.0"
 
 
 def test_a_floor_is_a_row_of_that_role_whatever_its_name():
