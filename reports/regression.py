@@ -197,7 +197,7 @@ def rule_of(verdict: Verdict) -> str:
         return (
             f"{over}: worse is a fall in F1, or a rise of a log loss, beyond the margin with p of at most"
             f" {FAMILY_LEVEL:g}, corrected for all comparisons, one of more than {LARGE_MARGINS:g} margins whatever its"
-            f" p, {collapse}; {trainings}"
+            f" p, {collapse}, where the noise is smaller; {trainings}"
         )
     return (
         f"{over}, too few for significance, which needs {LEAST_UNITS}: worse is a fall in F1, or a rise of a log loss,"
