@@ -10,7 +10,7 @@ lowest bins.
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -92,12 +92,15 @@ def row(name: str, cases: Iterator[Case]) -> list[str]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--out", type=Path, help="results file, such as docs/results/statistics.json")
-    out = parser.parse_args().out
-    rows = [row(f"{name}, {recording}", forecasts(recording, name)) for recording in RECORDINGS for name in TRACKERS]
+    parser.add_argument("--trackers", nargs="+", choices=TRACKERS, default=TRACKERS, help="some of them: faster")
+    arguments = parser.parse_args()
+    names: Sequence[str] = arguments.trackers
+    rows = [row(f"{name}, {recording}", forecasts(recording, name)) for recording in RECORDINGS for name in names]
     rows += [row("drawn, calibrated", drawn(1.0)), row("drawn, a hundred times too small", drawn(0.01))]
     table = measured_table(["largest error", "50 bins", f"{len(PROBABILITY_EDGES) - 1} bins"], rows)
     print(table.markdown())
-    write_table(out, "histogram bins", table, "python -m studies.histogram_bins")
+    chosen = "" if tuple(names) == TRACKERS else f" --trackers {' '.join(names)}"
+    write_table(arguments.out, "histogram bins", table, f"python -m studies.histogram_bins{chosen}")
 
 
 if __name__ == "__main__":
