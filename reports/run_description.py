@@ -73,6 +73,8 @@ def _why_no_result(table: HeadlineTable) -> str:
             f"No tracker has {_with_article(table.decisive.score_name)} on {table.decisive.stratum} cells"
             f" {table.decisive.heading} ahead on {table.recording}: no such cell was occupied in the observed frames."
         )
+    if any(row.trial.complete for row in table.rows_in("unranked")):
+        return f"No tracker is ranked on {table.recording}: each learned from its frames, or did not complete it."
     if table.rows_in("unranked"):
         return f"No tracker completed {table.recording}."
     return f"Only trackers of the floor were run on {table.recording}."

@@ -102,6 +102,7 @@ def test_an_allowed_leak_is_marked_in_table_summary_record_and_page_and_is_not_r
     assert read_trial_record(run / "persistence@room@0s-9s").leak == ""
     page = (run / "report" / "index.html").read_text()
     assert '<span class="tag outcome">ok, learned from these frames</span>' in page
+    assert "No tracker is ranked on room@0s-9s: each learned from its frames, or did not complete it." in page
     floor = page.split('<tbody class="floor">')[1].split("</tbody>")[0]
     assert "persistence" in floor
     assert "static-map" not in floor
