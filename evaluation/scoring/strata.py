@@ -49,7 +49,7 @@ _REGIONS_OF: Mapping[str, list[int]] = {
     "visible": _seen(),
     "dynamic": _seen(_DYNAMIC_PARTS),
     "static": _seen(["static"]),
-    "in-motion": _seen(["dynamic in-motion"]),
+    "in-motion": _seen(["dynamic open", "dynamic in-motion"]),
     "standing": _seen(["dynamic standing"]),
     **{f"visible {name}": _seen(ranges=[name]) for name in _RANGE_NAMES},
     "occluded": _hidden(),

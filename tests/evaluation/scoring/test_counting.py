@@ -87,7 +87,7 @@ def members_of(cell_kinds, state, motion, ages):
         "visible": seen,
         "dynamic": seen & (cell_kinds == DYNAMIC_CELL),
         "static": seen & (cell_kinds == STATIC_CELL),
-        "in-motion": seen & (motion == PARTS.index("in-motion")),
+        "in-motion": seen & (cell_kinds == DYNAMIC_CELL) & (motion != PARTS.index("standing")),
         "standing": seen & (motion == PARTS.index("standing")),
         "visible to 5 m": seen & (distance <= 5),
         "visible 5-10 m": seen & (distance > 5) & (distance <= 10),
