@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from gridtrack.evaluation.scoring.strata import OCCLUDED
 from gridtrack.reports.table import HeadlineTable, TableRow
-
-OCCLUDED = "occluded"
 
 
 @dataclass(frozen=True)

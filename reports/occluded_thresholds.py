@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from gridtrack.evaluation.results.summary import OccludedDifference
+from gridtrack.evaluation.scoring.strata import OCCLUDED
 from gridtrack.reports.differences import p_text
 from gridtrack.reports.run import Run
 from gridtrack.reports.table import HeadlineTable, TableRow
 
-OCCLUDED = "occluded"
 SCORE_HEADINGS = {
     "f1": "F1 at a threshold chosen with the truth",
     "f1_at_visible": "F1 at that of visible cells",

@@ -15,7 +15,7 @@ from rich.progress import BarColumn, Progress, TaskID, TextColumn
 from gridtrack.evaluation.results.trial_record import TrialRecord
 from gridtrack.trackers.progress import duration_text
 
-LINE_EVERY_S = 30.0
+RUNNING_LINE_EVERY_S = 30.0
 """Without a terminal, time between two lines about a trial that is still running."""
 MIN_SHARE = 0.01
 """Share of the frames that must be delivered before the time left is estimated."""
@@ -76,7 +76,7 @@ class RunProgress:
             self._delivered[trial] += 1
         self._bars.advance(self._tasks[trial])
         self._show_all()
-        if not self._console.is_terminal and time.monotonic() - self._last_line_s >= LINE_EVERY_S:
+        if not self._console.is_terminal and time.monotonic() - self._last_line_s >= RUNNING_LINE_EVERY_S:
             self.note(f"{trial}: {self._delivered[trial]}/{self._frames[trial]} frames; {self._overall()}")
 
     def ended(self, trial: str, record: TrialRecord) -> None:

@@ -30,7 +30,7 @@ WAKE_S = 0.2
 """Period at which the main thread checks for an interrupt: a library may have made its wait ignore signals."""
 
 
-class Progress(Protocol):
+class RunObserver(Protocol):
     """Receives the progress of a run, from several threads; a trial is named like its folder."""
 
     def note(self, text: str) -> None:
@@ -49,7 +49,7 @@ class Progress(Protocol):
         """A trial has ended, or its record is kept from an earlier run."""
 
 
-def run(plan: ComparisonPlan, command: Sequence[str], progress: Progress) -> RunSummary:
+def run(plan: ComparisonPlan, command: Sequence[str], progress: RunObserver) -> RunSummary:
     """Run `plan` and return the summary; `command` is the command line, stored with the results.
 
     An interrupt (Ctrl-C) ends the trackers, keeps the scores so far, and returns the summary with `interrupted` true.
@@ -59,7 +59,7 @@ def run(plan: ComparisonPlan, command: Sequence[str], progress: Progress) -> Run
         return _run(with_copied_weights(plan, Path(folder)), command, progress)
 
 
-def _run(plan: ComparisonPlan, command: Sequence[str], progress: Progress) -> RunSummary:
+def _run(plan: ComparisonPlan, command: Sequence[str], progress: RunObserver) -> RunSummary:
     folder = RunFolder.prepare(plan, command)
     for notice in plan.notices:
         progress.note(notice)
@@ -81,7 +81,7 @@ def _run(plan: ComparisonPlan, command: Sequence[str], progress: Progress) -> Ru
 class TrialPool:
     """A pool of threads that run the trials of a plan, and the records so far."""
 
-    def __init__(self, plan: ComparisonPlan, folder: Path, progress: Progress) -> None:
+    def __init__(self, plan: ComparisonPlan, folder: Path, progress: RunObserver) -> None:
         self.notices: list[str] = []
         """Failed measurements of complete trials, with their reasons."""
         self._plan, self._folder, self._progress = plan, folder, progress

@@ -11,14 +11,14 @@ from numpy.typing import NDArray
 
 from gridtrack.evaluation.regression.criteria import COLLAPSE, COLLAPSE_ERRORS, LARGE_MARGINS, RowTest
 from gridtrack.evaluation.regression.noise import standard_error, unit_falls
-from gridtrack.evaluation.regression.rows import SHARE_PER_F1, PairedRow, Score, value_of
+from gridtrack.evaluation.regression.rows import SHARE_PER_F1, JudgedScore, PairedRow, value_of
 from gridtrack.evaluation.regression.settings import MARGIN, GateSettings
 from gridtrack.evaluation.regression.significance import FAMILY_LEVEL
 
 RowVerdict = Literal["worse", "no worse", "equal", "nothing to find"]
 Criterion = Literal["", "margin", "significant", "large", "collapse"]
 """Why a row is worse: beyond the margin (few units), beyond it and significant, large, or on a single recording."""
-ROUNDING: dict[Score, float] = {"F1": 1e-9, "log loss": 1e-4, "class log loss": 1e-4}
+ROUNDING: dict[JudgedScore, float] = {"F1": 1e-9, "log loss": 1e-4, "class log loss": 1e-4}
 """A smaller fall in F1, or share of a log loss, is rounding."""
 
 
@@ -34,7 +34,7 @@ class VerdictRow:
     """
 
     label: str
-    score: Score
+    score: JudgedScore
     stratum: str
     band: str
     recording: str

@@ -25,7 +25,7 @@ from gridtrack.evaluation.statistics.jackknife import LEAST_UNITS, Floats
 
 QUANTILE = 0.7
 """Quantile of the absolute deviations; of a median, units without any change would make the scale 0."""
-NORMAL = float(ndtri(0.5 + QUANTILE / 2))
+QUANTILE_OF_NORMAL = float(ndtri(0.5 + QUANTILE / 2))
 """That quantile of a standard normal distribution."""
 CELLS_TOGETHER = 25.0
 """Ten cells or more of an object, over the four to eight steps of a band."""
@@ -46,8 +46,8 @@ class UnitFalls:
         weights = self.weights[counted]
         own = self.contributions[counted] / weights
         left = np.abs(own - _weighted_median(own, weights))
-        alike = np.quantile(left, QUANTILE) / NORMAL
-        by_size = np.quantile(left * np.sqrt(weights), QUANTILE) / NORMAL
+        alike = np.quantile(left, QUANTILE) / QUANTILE_OF_NORMAL
+        by_size = np.quantile(left * np.sqrt(weights), QUANTILE) / QUANTILE_OF_NORMAL
         effective = max(1.0, share / float((weights**2).sum()))
         return float(max(alike / np.sqrt(effective), by_size / np.sqrt(share)))
 

@@ -18,8 +18,8 @@ from gridtrack.evaluation.scoring.counting import CLIP
 from gridtrack.evaluation.scoring.metrics import ratio
 from gridtrack.evaluation.statistics.jackknife import Floats
 
-Score = Literal["F1", "log loss", "class log loss"]
-LARGEST: dict[Score, float] = {"F1": 1.0, "log loss": -np.log(CLIP), "class log loss": -np.log(CLIP)}
+JudgedScore = Literal["F1", "log loss", "class log loss"]
+LARGEST: dict[JudgedScore, float] = {"F1": 1.0, "log loss": -np.log(CLIP), "class log loss": -np.log(CLIP)}
 """The largest value of each score; the smallest is 0."""
 SHARE_PER_F1 = 10.0
 """A fall of 0.005 F1 weighs as much as a rise of a log loss by 10 times that, 5 % of its value."""
@@ -37,7 +37,7 @@ class PairedRow:
     """
 
     label: str
-    score: Score
+    score: JudgedScore
     region: str
     band: str
     trainings: Floats
@@ -105,7 +105,7 @@ def _rows_of(label: str, baseline: Baseline, run: Measurement) -> Iterator[Paire
 
 def _row(
     label: str,
-    score: Score,
+    score: JudgedScore,
     region: str,
     band: str,
     sums: Floats,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from gridtrack.common.errors import RecordingError
 from gridtrack.evaluation.scoring import metrics
 from gridtrack.evaluation.scoring.counting import Tally, count_forecast
-from gridtrack.evaluation.scoring.motion import Motion
+from gridtrack.evaluation.scoring.motion import MotionFinder
 from gridtrack.evaluation.scoring.referee import Delivery, Schedule, scored_forecasts
 from gridtrack.evaluation.scoring.strata import STRATA, RegionMaps
 from gridtrack.evaluation.scoring.thresholds import best_thresholds
@@ -16,7 +16,7 @@ FIT_FORECAST_EVERY = 5
 
 
 def score_in_process(
-    tracker: Tracker, source: FrameSource, steps: int, region_maps: RegionMaps, motion: Motion
+    tracker: Tracker, source: FrameSource, steps: int, region_maps: RegionMaps, motion: MotionFinder
 ) -> StretchScore:
     """Stream `source` through the tracker and score its forecasts with the referee's counts, on its regions.
 

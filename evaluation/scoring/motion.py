@@ -34,7 +34,7 @@ noise of a laser that is 0.05 m accurate."""
 _OPEN, _STANDING, _IN_MOTION = range(len(PARTS))
 
 
-class Motion(Protocol):
+class MotionFinder(Protocol):
     """Finds the parts of the dynamic cells, frame by frame."""
 
     def of(self, observation: Observation) -> NDArray[np.uint8]:

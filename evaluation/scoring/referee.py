@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from gridtrack.common.errors import RecordingError
 from gridtrack.common.geometry import SE2, same_pose
 from gridtrack.common.grid import GridFrame
-from gridtrack.evaluation.scoring.motion import Motion
+from gridtrack.evaluation.scoring.motion import MotionFinder
 from gridtrack.evaluation.scoring.strata import LastSeen
 from gridtrack.evaluation.scoring.target import Target, targets
 from gridtrack.recordings.recording import stretch_text
@@ -103,7 +103,7 @@ def scored_forecasts(
 class Delivery:
     """The frames of a stretch, counted and hashed as they are delivered to a tracker."""
 
-    def __init__(self, stream: FrameSource, on_frame: Callable[[], None], motion: Motion) -> None:
+    def __init__(self, stream: FrameSource, on_frame: Callable[[], None], motion: MotionFinder) -> None:
         """`on_frame()` is called before each frame; what it raises ends the delivery. `motion` finds the parts."""
         self.frames = 0
         self._stream = stream

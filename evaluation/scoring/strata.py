@@ -45,6 +45,9 @@ def _hidden(motions: Iterable[int] = (_STATIC, _DYNAMIC), ages: Iterable[str] = 
     return [len(SEEN_REGIONS) + HIDDEN_REGIONS.index(region) for region in product(motions, ages)]
 
 
+OCCLUDED = "occluded"
+"""The stratum of all hidden cells."""
+
 _REGIONS_OF: Mapping[str, list[int]] = {
     "visible": _seen(),
     "dynamic": _seen(_DYNAMIC_PARTS),
@@ -52,7 +55,7 @@ _REGIONS_OF: Mapping[str, list[int]] = {
     "in-motion": _seen(["dynamic open", "dynamic in-motion"]),
     "standing": _seen(["dynamic standing"]),
     **{f"visible {name}": _seen(ranges=[name]) for name in _RANGE_NAMES},
-    "occluded": _hidden(),
+    OCCLUDED: _hidden(),
     "occluded dynamic": _hidden([_DYNAMIC]),
     **{f"occluded {name}": _hidden(ages=[name]) for name in _AGE_NAMES},
 }

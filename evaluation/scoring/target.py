@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from gridtrack.common.grid import GridFrame, GridSpec
 from gridtrack.common.scene import UNLABELLED
-from gridtrack.evaluation.scoring.motion import Motion
+from gridtrack.evaluation.scoring.motion import MotionFinder
 from gridtrack.recordings.cell_labels import check_labels, labelled_returns
 from gridtrack.recordings.stream import GridStream, Observation
 from gridtrack.recordings.truth import FREE, INTERIOR, OUTLINE, TruthGrid, truth_grid
@@ -46,7 +46,7 @@ class Target:
         return cls(frame, state, np.zeros_like(state))
 
 
-def targets(stream: FrameSource, motion: Motion) -> Iterator[Target]:
+def targets(stream: FrameSource, motion: MotionFinder) -> Iterator[Target]:
     """The frames of a stretch as targets; of a GridStream with truth and labels. Raises RecordingError."""
     observations = stream.observations() if isinstance(stream, GridStream) else map(Observation, stream)
     return (target_of(observation, stream.grid, stream.classes, motion.of(observation)) for observation in observations)

@@ -7,12 +7,11 @@ from typing import Any
 
 from gridtrack.evaluation.results.summary import ORACLE, TrackerSummary
 from gridtrack.evaluation.results.trial_summary import ScopeSummary, StratumScores, TrialSummary
+from gridtrack.evaluation.results.values import Curve
 
 MIN_ORACLE_GAP = 0.01
 """No share is computed where the oracle's F1 is less than this above the floor's, or its log loss less than this share
 of the floor's below it: it would be noise."""
-Scores = tuple[float | None, ...]
-"""A score by step."""
 
 
 def with_ceiling(trackers: Mapping[str, TrackerSummary]) -> dict[str, TrackerSummary]:
@@ -59,7 +58,7 @@ def _complete(scope: ScopeSummary | None, stratum: str) -> StratumScores | None:
     return scope.strata.get(stratum) if scope is not None and scope.outcome == "ok" else None
 
 
-def _shares(scores: StratumScores, oracle: StratumScores, floors: Sequence[StratumScores]) -> dict[str, Scores]:
+def _shares(scores: StratumScores, oracle: StratumScores, floors: Sequence[StratumScores]) -> dict[str, Curve]:
     """Both shares of one stratum, by step."""
     f1 = zip(scores.f1, oracle.f1, *(floor.f1 for floor in floors), strict=True)
     nll = zip(scores.nll, oracle.nll, *(floor.nll for floor in floors), strict=True)
@@ -87,7 +86,7 @@ def _share(value: float | None, ceiling: float | None, floor: float | None) -> f
     return round((value - floor) / (ceiling - floor), 6) + 0.0  # not -0.0
 
 
-def _gap(strata: Mapping[str, StratumScores]) -> Scores | None:
+def _gap(strata: Mapping[str, StratumScores]) -> Curve | None:
     if "occluded" not in strata:
         return None
     pairs = zip(strata["visible"].f1, strata["occluded"].f1, strict=True)

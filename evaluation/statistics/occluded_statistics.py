@@ -13,6 +13,7 @@ import numpy as np
 from gridtrack.evaluation.results.summary import ALL_RECORDINGS, ORACLE, OccludedDifference, ScoreDifference
 from gridtrack.evaluation.results.values import rounded_curve, rounded_p_curve
 from gridtrack.evaluation.scoring.score_store import read_called
+from gridtrack.evaluation.scoring.strata import OCCLUDED
 from gridtrack.evaluation.scoring.thresholds import bins_of
 from gridtrack.evaluation.statistics.finished_trial import FinishedTrial
 from gridtrack.evaluation.statistics.frame_counts import FrameCounts, common_frames
@@ -21,7 +22,6 @@ from gridtrack.evaluation.statistics.paired_tests import OTHER_FRAMES, OTHER_RET
 from gridtrack.evaluation.statistics.run_statistics import RunStatistics
 from gridtrack.evaluation.statistics.score_intervals import summed_by_unit
 
-OCCLUDED = "occluded"
 OCCLUDED_SCORES = ("f1", "f1_at_visible", "f1_at_half", "nll")
 """F1 at the threshold chosen with the truth, at that of visible cells and at 0.5, and the log loss, which has none."""
 _TP, _FP, _FN, _TN, _LOSS = (COUNTS.index(name) for name in ("tp", "fp", "fn", "tn", "log_loss"))

@@ -110,7 +110,7 @@ def staged(install: Callable[..., Path]) -> None:
 
 
 class RecordedProgress:
-    """A Progress that records its calls."""
+    """A RunObserver that records its calls."""
 
     def __init__(self) -> None:
         self.notes: list[str] = []

@@ -136,7 +136,9 @@ def test_a_gap_of_too_many_frames_is_refused_with_the_stretches_around_it(
     path = write(scan(k, pose=SE2()) for k in [*range(100), *range(later, later + 100)])
     with pytest.raises(RecordingError, match=r"no scans from 9\.9 s to 620\.0 s, 6101 empty frames where at most 6000"):
         open_stream(path)
-    with pytest.raises(RecordingError, match=r"name a stretch before or after it \(@0s-9\.9s, @620s-\)"):
+    with pytest.raises(
+        RecordingError, match=r"name a stretch before or after it \(.*\.mcap@0s-9\.9s, .*\.mcap@620s-\)"
+    ):
         open_stream(path)
     before, after = open_stream(f"{path}@0s-9.9s"), open_stream(f"{path}@620s-")
     assert (len(before), len(after)) == (99, 100)

@@ -66,9 +66,9 @@ def test_elsewhere_lines_say_how_far_all_trials_are(monkeypatch):
         for _ in range(50):
             progress.advanced("a@hall")
         assert console.file.getvalue() == ""
-        monkeypatch.setattr(run_progress, "LINE_EVERY_S", 0.0)
+        monkeypatch.setattr(run_progress, "RUNNING_LINE_EVERY_S", 0.0)
         progress.advanced("b@hall")
-        monkeypatch.setattr(run_progress, "LINE_EVERY_S", 1e9)
+        monkeypatch.setattr(run_progress, "RUNNING_LINE_EVERY_S", 1e9)
         progress.ended("a@hall", record())
         progress.ended("kept@hall", record())
     lines = console.file.getvalue().splitlines()

@@ -25,7 +25,7 @@ from gridtrack.common.grid import GridFrame
 from gridtrack.trackers.cell_classifier import CellClassifier
 from gridtrack.trackers.cell_training import LabelledCells, logits_of
 from gridtrack.trackers.label_settings import ClassifierSettings
-from gridtrack.trackers.recurrent.settings import Evidence
+from gridtrack.trackers.recurrent.settings import EvidenceOption
 from gridtrack.trackers.scan_classifier import planes_of, scan_classifier
 from gridtrack.trackers.weights import Weights, array
 
@@ -49,7 +49,7 @@ class SeenCells(nn.Module):
         self.register_buffer("with_scan", torch.tensor([1.0, 0.0]))
 
     @torch.no_grad()
-    def fit_powers(self, state: Tensor, cells: LabelledCells) -> dict[Evidence, float]:
+    def fit_powers(self, state: Tensor, cells: LabelledCells) -> dict[EvidenceOption, float]:
         """Choose the powers on labelled cells of scans, with the logits (N, K) of the latent state.
 
         Returns the log loss of each kind of evidence, nats a cell.
@@ -66,7 +66,7 @@ class SeenCells(nn.Module):
         self.with_scan.copy_(torch.tensor(both))
         return {"state": log_loss(alone), "scan": log_loss(both)}
 
-    def apply_to(self, semantics: NDArray[np.float32], frame: GridFrame, evidence: Evidence) -> None:
+    def apply_to(self, semantics: NDArray[np.float32], frame: GridFrame, evidence: EvidenceOption) -> None:
         """Replace the latent state's classes (K, M, M) in the occupied cells of `frame`, in place."""
         cells = np.flatnonzero(frame.occupied)
         a, b = (self.with_scan if evidence == "scan" else self.state_alone).tolist()

@@ -10,7 +10,7 @@ from gridtrack.common.config import Settings
 from gridtrack.trackers.label_settings import ClassWeights, LabelSettings
 
 Gate = Literal["keep", "reset", "candidate"]
-Evidence = Literal["state", "scan"]
+EvidenceOption = Literal["state", "scan"]
 GATES: tuple[Gate, ...] = ("keep", "reset", "candidate")
 
 
@@ -86,7 +86,7 @@ class InferenceSettings(Settings):
 
     inference: Literal["float32", "bfloat16"] = "float32"
     """Precision of the convolutions. bfloat16 is faster where the processor has instructions for it, else slower."""
-    evidence: Evidence = "state"
+    evidence: EvidenceOption = "state"
     """What the classes of cells that are seen now come from: the latent state, as in the paper, or `scan`: the product
     of its classes and those of a classifier of the scan."""
 

@@ -194,7 +194,7 @@ def test_training_what_cannot_learn_or_on_no_stretch_is_refused(record, tmp_path
         train_tracker(Recipe(tracker="blank", recordings=(path,), out=tmp_path))
     with pytest.raises(ConfigurationError, match="no validation stretch"):
         train_tracker(Recipe(tracker="static-map", recordings=(str(record("bare", stretches={})),), out=tmp_path))
-    with pytest.raises(ConfigurationError, match="no stretch 'train'; name one of test"):
+    with pytest.raises(ConfigurationError, match=r"no stretch 'train'; name one of its own \(.*@test\), or seconds"):
         train_tracker(
             Recipe(
                 tracker="static-map", recordings=(str(record("half", stretches={"test": (0.0, 5.0)})),), out=tmp_path
