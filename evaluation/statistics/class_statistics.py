@@ -8,16 +8,16 @@ from typing import Any
 
 from gridtrack.evaluation.results.columns import SEMANTICS_TABLE
 from gridtrack.evaluation.results.recording import RecordingDescription
-from gridtrack.evaluation.results.summary import ALL_RECORDINGS, ClassDifference, ClassLossCurves
+from gridtrack.evaluation.results.summary import ClassDifference, ClassLossCurves
 from gridtrack.evaluation.results.trial_summary import SemanticScores
 from gridtrack.evaluation.results.values import rounded_curve, rounded_p_curve
 from gridtrack.evaluation.scoring.class_scores import ScoresByClass, class_scores
 from gridtrack.evaluation.scoring.class_store import read_scan_losses
 from gridtrack.evaluation.scoring.semantics import VISIBILITIES
 from gridtrack.evaluation.statistics.finished_trial import FinishedTrial
-from gridtrack.evaluation.statistics.frame_counts import FrameCounts, common_frames
-from gridtrack.evaluation.statistics.jackknife import LEAST_UNITS, ratio_differences, ratio_interval
-from gridtrack.evaluation.statistics.paired_tests import OTHER_FRAMES, OTHER_RETURNS
+from gridtrack.evaluation.statistics.frame_counts import FrameCounts
+from gridtrack.evaluation.statistics.jackknife import LEAST_UNITS, ratio_interval
+from gridtrack.evaluation.statistics.paired_ratios import paired_ratios
 from gridtrack.evaluation.statistics.run_statistics import RunStatistics
 from gridtrack.evaluation.statistics.score_intervals import summed_by_unit
 
@@ -96,20 +96,10 @@ class ClassStatistics:
     def _difference(
         self, own: Sequence[FinishedTrial], others: Sequence[FinishedTrial], names: Sequence[str]
     ) -> ClassDifference:
-        pairs = [common_frames(*map(self._losses_of, pair)) for pair in zip(own, others, strict=True)]
-        difference = ClassDifference(
-            recordings=ALL_RECORDINGS if len(names) > 1 else names[0],
-            tracker=own[0].record.label,
-            reference=others[0].record.label,
-            frames=sum(len(one.stamps_ns) for one, _ in pairs),
-        )
-        if not difference.frames:
-            why = OTHER_FRAMES if own[0].points == others[0].points else OTHER_RETURNS
-            return difference.model_copy(update={"interval": why})
-        rule = self._statistics.unit_rule(names)
-        sides, units = summed_by_unit([[pair[side] for pair in pairs] for side in (0, 1)], rule)
-        mine, theirs = ((losses[..., 0], losses[..., 1]) for losses in sides)
-        found = ratio_differences(mine, theirs)
+        paired = paired_ratios(self._statistics, own, others, names, self._losses_of)
+        found = paired.found
+        if found is None:
+            return ClassDifference(**paired.described)
         kinds = {
             visibility: ClassLossCurves(
                 nll_per_scan=rounded_curve(found.value[:, i]),
@@ -119,8 +109,7 @@ class ClassStatistics:
             )
             for i, visibility in enumerate(VISIBILITIES)
         }
-        why = rule.too_short(units) if units < LEAST_UNITS else ""
-        return difference.model_copy(update={"units": units, "interval": why, "kinds": kinds})
+        return ClassDifference(**paired.described, kinds=kinds)
 
     def _losses_of(self, trial: FinishedTrial) -> FrameCounts:
         """Log loss of a trial at each scored frame, read once: counts (F, S, V, 2), V as VISIBILITIES.

@@ -10,17 +10,16 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from gridtrack.evaluation.results.summary import ALL_RECORDINGS, ORACLE, OccludedDifference, ScoreDifference
+from gridtrack.evaluation.results.summary import ORACLE, OccludedDifference, ScoreDifference
 from gridtrack.evaluation.results.values import rounded_curve, rounded_p_curve
 from gridtrack.evaluation.scoring.score_store import read_called
 from gridtrack.evaluation.scoring.strata import OCCLUDED
 from gridtrack.evaluation.scoring.thresholds import bins_of
 from gridtrack.evaluation.statistics.finished_trial import FinishedTrial
-from gridtrack.evaluation.statistics.frame_counts import FrameCounts, common_frames
-from gridtrack.evaluation.statistics.jackknife import COUNTS, LEAST_UNITS, ratio_differences
-from gridtrack.evaluation.statistics.paired_tests import OTHER_FRAMES, OTHER_RETURNS
+from gridtrack.evaluation.statistics.frame_counts import FrameCounts
+from gridtrack.evaluation.statistics.jackknife import COUNTS
+from gridtrack.evaluation.statistics.paired_ratios import paired_ratios
 from gridtrack.evaluation.statistics.run_statistics import RunStatistics
-from gridtrack.evaluation.statistics.score_intervals import summed_by_unit
 
 OCCLUDED_SCORES = ("f1", "f1_at_visible", "f1_at_half", "nll")
 """F1 at the threshold chosen with the truth, at that of visible cells and at 0.5, and the log loss, which has none."""
@@ -48,20 +47,10 @@ class OccludedStatistics:
     def _difference(
         self, own: Sequence[FinishedTrial], others: Sequence[FinishedTrial], names: Sequence[str]
     ) -> OccludedDifference:
-        pairs = [common_frames(*map(self._counts_of, pair)) for pair in zip(own, others, strict=True)]
-        difference = OccludedDifference(
-            recordings=ALL_RECORDINGS if len(names) > 1 else names[0],
-            tracker=own[0].record.label,
-            reference=others[0].record.label,
-            frames=sum(len(one.stamps_ns) for one, _ in pairs),
-        )
-        if not difference.frames:
-            why = OTHER_FRAMES if own[0].points == others[0].points else OTHER_RETURNS
-            return difference.model_copy(update={"interval": why})
-        rule = self._statistics.unit_rule(names)
-        sides, units = summed_by_unit([[pair[side] for pair in pairs] for side in (0, 1)], rule)
-        mine, theirs = ((counts[..., 0], counts[..., 1]) for counts in sides)
-        found = ratio_differences(mine, theirs)
+        paired = paired_ratios(self._statistics, own, others, names, self._counts_of)
+        found = paired.found
+        if found is None:
+            return OccludedDifference(**paired.described)
         scores = {
             name: ScoreDifference(
                 value=rounded_curve(found.value[:, i]),
@@ -71,8 +60,7 @@ class OccludedStatistics:
             )
             for i, name in enumerate(OCCLUDED_SCORES)
         }
-        why = rule.too_short(units) if units < LEAST_UNITS else ""
-        return difference.model_copy(update={"units": units, "interval": why, "scores": scores})
+        return OccludedDifference(**paired.described, scores=scores)
 
     def _counts_of(self, trial: FinishedTrial) -> FrameCounts:
         """Numerator and denominator of the scores at each scored frame, read once: counts (F, S, K, 2), K as
