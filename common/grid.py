@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gridtrack.common.errors import ConfigurationError
-from gridtrack.common.geometry import SE2
+from gridtrack.common.errors import ConfigurationError, RecordingError
+from gridtrack.common.geometry import SE2, same_pose
 
 MAX_ORIGIN_M = 1e6
 Mask = NDArray[np.bool_]
@@ -95,7 +95,8 @@ class GridSpec:
 class GridFrame:
     """One grid observation x_t.
 
-    `visible`, `occupied` (M, M) bool, occupied within visible; `world_T_grid` the pose of the grid frame;
+    `visible`, `occupied` (M, M) bool, occupied within visible; `world_T_grid` the pose of the grid frame, which scrolls
+    with the sensor: it moves by whole cells and never turns;
     `origins` (S, 2) float32, positions of the sensors, metres, grid frame; `points` (N, 2) float32, the returns inside
     the grid window, metres, grid frame, each from sensor `point_origin` (N,) uint8.
     """
@@ -118,6 +119,72 @@ class LabelledFrame(NamedTuple):
     frame: GridFrame
     cells: NDArray[np.int64]
     labels: NDArray[np.uint8]
+
+
+def window_about(world_T_sensor: SE2, cell_m: float) -> SE2:
+    """`world_T_grid` of the window about a sensor: it lies at a whole multiple of the cell and is not turned."""
+    return SE2(round(world_T_sensor.x / cell_m) * cell_m, round(world_T_sensor.y / cell_m) * cell_m)
+
+
+class Shift(NamedTuple):
+    """How far the window of a grid moved, in whole cells: upwards (`rows`, y) and to the right (`columns`, x)."""
+
+    rows: int = 0
+    columns: int = 0
+
+    def __bool__(self) -> bool:
+        return self != (0, 0)
+
+
+def shift_between(before: SE2, after: SE2, cell_m: float) -> Shift:
+    """How far the window moved from the pose `before` to `after`, both `world_T_grid`.
+
+    Raises RecordingError where it turned, or moved by a part of a cell.
+    """
+    columns, rows = (after.x - before.x) / cell_m, (after.y - before.y) / cell_m
+    shift = Shift(round(rows), round(columns))
+    whole = SE2(before.x + shift.columns * cell_m, before.y + shift.rows * cell_m, before.theta)
+    if not same_pose(after, whole):
+        raise RecordingError(
+            f"the window moved by {columns:g} x {rows:g} cells and turned by {after.theta - before.theta:g} rad: it"
+            " moves by whole cells and never turns"
+        )
+    return shift
+
+
+def rolled(
+    values: NDArray[Any],
+    shift: Shift,
+    fill: Any,
+    *,
+    axes: tuple[int, int] = (-2, -1),
+    size: int | None = None,
+    out: NDArray[Any] | None = None,
+) -> NDArray[Any]:
+    """The values of cells after the window moved by `shift`: each stays at its place in the world.
+
+    `axes` of `values` are row and column. Cells that come into the window have the value `fill`, a scalar or an array
+    that can be broadcast to the result; those that leave it are lost. With `size` the values are those of an area
+    larger than the window, such as a map: before the shift its first cell was that of the window, which is `size` cells
+    a side. The result is a copy, also without a shift; it is written to `out` where there is one.
+    """
+    shape = list(values.shape)
+    for axis in axes:
+        shape[axis] = shape[axis] if size is None else size
+    result = np.empty(shape, values.dtype) if out is None else out
+    filling = np.broadcast_to(fill, result.shape)
+    kept: list[slice] = [slice(None)] * values.ndim
+    source = kept.copy()
+    for axis, by in zip(axes, shift, strict=True):
+        first = min(max(-by, 0), shape[axis])
+        last = min(max(values.shape[axis] - by, first), shape[axis])
+        kept[axis], source[axis] = slice(first, last), slice(first + by, last + by)
+        for coming in (slice(first), slice(last, None)):
+            cells = [slice(None)] * values.ndim
+            cells[axis] = coming
+            result[tuple(cells)] = filling[tuple(cells)]
+    result[tuple(kept)] = values[tuple(source)]
+    return result
 
 
 def with_neighbours(cells: Mask) -> Mask:

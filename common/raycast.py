@@ -55,7 +55,7 @@ def _beams(scan: Scan, grid: GridSpec, grid_T_sensor: SE2) -> Beams:
     """Ranges, directions, range limits, the sensor's position in cells, and the size of a cell in metres."""
     return (
         np.ascontiguousarray(scan.ranges, np.float32),
-        directions_of(scan.angle_min + grid_T_sensor.theta, scan.angle_increment, scan.ranges.size),
+        turned(directions_of(scan.angle_min, scan.angle_increment, scan.ranges.size), grid_T_sensor.theta),
         scan.range_min,
         scan.range_max,
         (grid_T_sensor.x - grid.origin[0]) / grid.cell_m,
@@ -66,9 +66,18 @@ def _beams(scan: Scan, grid: GridSpec, grid_T_sensor: SE2) -> Beams:
 
 @lru_cache(maxsize=64)
 def directions_of(angle_0: float, angle_step: float, beams: int) -> NDArray[np.float64]:
-    """Unit vectors (B, 2) of the beams: the same for every scan of a static sensor."""
+    """Unit vectors (B, 2) of the beams, sensor frame: the same for every scan of a sensor."""
     angles = angle_0 + angle_step * np.arange(beams)
     return np.stack([np.cos(angles), np.sin(angles)], axis=1)
+
+
+def turned(directions: NDArray[np.float64], theta: float) -> NDArray[np.float64]:
+    """Unit vectors (B, 2) turned by `theta`; exactly the same ones where it is 0."""
+    if theta == 0.0:
+        return directions
+    c, s = np.cos(theta), np.sin(theta)  # NaN, not an error, for an angle that is not finite
+    x, y = directions.T
+    return np.stack([c * x - s * y, s * x + c * y], axis=1)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")

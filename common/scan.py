@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridtrack.common.geometry import SE2
+from gridtrack.common.pose_quality import PoseQuality
 from gridtrack.common.scene import Scene
 
 MAX_BEAMS = 100_000
@@ -25,9 +26,12 @@ class Scan:
 
     `ranges` (B,) float32 in metres, beam i at `angle_min + i * angle_increment` (radians, counter-clockwise, sensor
     frame). A range of +inf or beyond `range_max` is "no return": free up to `range_max`. NaN, -inf and anything below
-    `range_min` is invalid and gives no information (ROS REP 117). `labels` (B,) uint8 are indices into the recording's
-    classes, UNLABELLED where the class is not known. `scene` is the true scene, where the recording has it. Labels and
-    scene are never sent to a tracker.
+    `range_min` is invalid and gives no information (ROS REP 117). `world_T_sensor` is the pose that trackers get;
+    `reference_T_sensor` is the one that forecasts are scored by, where it is another. `labels` (B,) uint8 are indices
+    into the recording's classes, UNLABELLED where the class is not known. `scene` is the true scene, where the
+    recording has it, in the world of the reference poses. Labels, scene and reference poses are never sent to a
+    tracker. Beam i is measured `i * time_increment_s` after the stamp; 0 where the times of the beams are not known.
+    `pose_quality` says how the pose was found, where it comes from matching scans.
     """
 
     stamp_ns: int
@@ -38,5 +42,8 @@ class Scan:
     range_max: float
     sensor: str = "scan"
     world_T_sensor: SE2 = field(default_factory=SE2)
+    reference_T_sensor: SE2 | None = None
     labels: NDArray[np.uint8] | None = None
     scene: Scene | None = None
+    time_increment_s: float = 0.0
+    pose_quality: PoseQuality | None = None

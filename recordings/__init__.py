@@ -3,6 +3,7 @@
 from gridtrack.recordings.format import RecordingFormat
 from gridtrack.recordings.formats.native import write_native
 from gridtrack.recordings.importing import import_recording
+from gridtrack.recordings.mounts import Mount, parse_mount
 from gridtrack.recordings.opening import open_recording, packaged_recording
 from gridtrack.recordings.read_options import CloudSlice, ReadOptions
 from gridtrack.recordings.recording import Recording, RecordingInfo, Stretch
@@ -10,6 +11,7 @@ from gridtrack.recordings.survey import RecordingOverview
 
 __all__ = [
     "CloudSlice",
+    "Mount",
     "ReadOptions",
     "Recording",
     "RecordingFormat",
@@ -19,5 +21,6 @@ __all__ = [
     "import_recording",
     "open_recording",
     "packaged_recording",
+    "parse_mount",
     "write_native",
 ]

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from gridtrack.common.config import validated
 from gridtrack.common.errors import RecordingError
@@ -14,9 +14,13 @@ from gridtrack.common.names import check_utf8
 from gridtrack.common.scan import Scan
 from gridtrack.recordings.formats.native import write_native
 from gridtrack.recordings.labels import classes_in, with_labels
+from gridtrack.recordings.mounts import Mount
 from gridtrack.recordings.opening import open_recording
 from gridtrack.recordings.read_options import CloudSlice
 from gridtrack.recordings.recording import Recording, RecordingInfo, Stretch, stretch_text
+
+if TYPE_CHECKING:
+    from gridtrack.recordings.ego_motion import PoseSource
 
 
 def import_recording(
@@ -33,20 +37,29 @@ def import_recording(
     labels: Path | str | None = None,
     cloud_slice: CloudSlice | None = None,
     pose_topic: str | None = None,
+    mounts: Sequence[Mount] = (),
     zero_range: str | None = None,
+    ego_motion: PoseSource = "recorded",
     strict: bool = False,
 ) -> Recording:
     """Write the recording at `source`, in any format, as a native one at `out`, and open it.
 
     Ranges are copied exactly, NaN and infinities included, but for those of 0.0 with `zero_range`; the same source and
     options give the same bytes. The warnings of the source are written too: reading the result gives them again. `site`
-    defaults to the site that the source names, or to its file name. Raises RecordingError and ConfigurationError; `out`
-    is then not changed.
+    defaults to the site that the source names, or to its file name. With `ego_motion` "kiss-icp" or "refined" the poses
+    come from matching the scans, without or with the recorded motion as a prior. Raises RecordingError and
+    ConfigurationError; `out` is then not changed.
     """
     out = Path(out)
     check_utf8(out, RecordingError)
     recording = open_recording(
-        source, topic=topic, strict=strict, cloud_slice=cloud_slice, pose_topic=pose_topic, zero_range=zero_range
+        source,
+        topic=topic,
+        strict=strict,
+        cloud_slice=cloud_slice,
+        pose_topic=pose_topic,
+        mounts=mounts,
+        zero_range=zero_range,
     )
     if out.suffix != ".mcap":
         raise RecordingError(f"{out}: a recording is written as .mcap")
@@ -64,24 +77,29 @@ def import_recording(
     command = _command(
         recording,
         out,
-        {**given, "cloud_slice": cloud_slice, "pose-topic": pose_topic, "zero-range": zero_range},
+        {
+            **given,
+            "cloud_slice": cloud_slice,
+            "pose-topic": pose_topic,
+            "mount": mounts,
+            "zero-range": zero_range,
+            "ego-motion": ego_motion if ego_motion != "recorded" else None,
+        },
         labels,
     )
-    scans: Iterable[Scan] = _mounted(recording)
+    if recording.pose_problem:
+        raise RecordingError(f"{recording.path}: {recording.pose_problem}")
+    scans: Iterable[Scan] = recording.scans()
+    if ego_motion != "recorded":
+        from gridtrack.recordings.ego_motion import MatchingSettings, matched_trajectory, with_matched_poses
+
+        trajectory = matched_trajectory(recording.scans(), ego_motion, MatchingSettings())
+        info = info.model_copy(update={"poses": trajectory.describe(ego_motion)})
+        scans = with_matched_poses(scans, trajectory)
     if labels is not None:
         scans = with_labels(scans, Path(labels), info.classes)
     _write(out, info.model_copy(update={"command": command}), scans, recording.warning_texts)
     return open_recording(out, strict=strict)
-
-
-def _mounted(recording: Recording) -> Iterator[Scan]:
-    """The scans. Raises RecordingError for several sensors where the format does not know how they are mounted."""
-    sensors: dict[str, None] = {}
-    for scan in recording.scans():
-        sensors[scan.sensor] = None
-        if len(sensors) > 1 and not recording.knows_mounting:
-            raise RecordingError(f"{recording.path}: {recording.unknown_mounting(sensors)}")
-        yield scan
 
 
 def _info(recording: Recording, given: Mapping[str, Any], labels: Path | str | None) -> RecordingInfo:
@@ -107,6 +125,9 @@ def _command(recording: Recording, out: Path, given: Mapping[str, Any], labels: 
         if name == "stretches":
             for stretch_name, stretch in value.items():
                 words += ["--stretch", f"{stretch_name}={stretch_text(stretch)}"]
+        elif name == "mount":
+            for mount in value:
+                words += ["--mount", str(mount)]
         elif name == "rate_hz" and value:
             words += ["--rate", f"{value:g}"]
         elif name == "cloud_slice" and value:

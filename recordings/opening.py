@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from importlib.resources import files
 from pathlib import Path
 
@@ -9,6 +10,7 @@ from gridtrack.common.config import validated
 from gridtrack.common.errors import GridtrackError, RecordingError, did_you_mean
 from gridtrack.common.names import check_utf8
 from gridtrack.recordings.format import HEAD_BYTES, RecordingFormat
+from gridtrack.recordings.mounts import Mount
 from gridtrack.recordings.read_options import CloudSlice, ReadOptions
 from gridtrack.recordings.recording import Recording
 from gridtrack.recordings.registry import FormatRegistry
@@ -16,7 +18,8 @@ from gridtrack.recordings.registry import FormatRegistry
 OPTION_PURPOSE = {
     "topic": "--topic is for recordings with several topics",
     "cloud_slice": "--cloud-slice is for ROS recordings with point clouds",
-    "pose_topic": "--pose-topic is for ROS recordings",
+    "pose_topic": "--pose-topic is for recordings whose poses are on topics of their own (ROS, Foxglove)",
+    "mounts": "--mount is for recordings whose scans name their frame (ROS, Foxglove)",
 }
 
 
@@ -27,13 +30,15 @@ def open_recording(
     strict: bool = False,
     cloud_slice: CloudSlice | None = None,
     pose_topic: str | None = None,
+    mounts: Sequence[Mount] = (),
     zero_range: str | None = None,
 ) -> Recording:
     """The recording at `path`, in any format; nothing but the beginning of the file is read yet.
 
     `topic` keeps one sensor of several; of ROS recordings `cloud_slice` says how a PointCloud2 topic becomes a scan,
-    and `pose_topic` where the sensor's poses are; `zero_range` is the meaning of a range of 0.0, "free" or "unknown";
-    `strict` turns what would be a warning into an error. Raises RecordingError and ConfigurationError.
+    `pose_topic` where the poses of what carries the sensors are ("none": they stand still), and `mounts` their places
+    on it, where the transforms in the recording do not tell; `zero_range` is the meaning of a range of 0.0, "free" or
+    "unknown"; `strict` turns what would be a warning into an error. Raises RecordingError and ConfigurationError.
     """
     path = Path(path)
     check_utf8(path, RecordingError)
@@ -42,6 +47,7 @@ def open_recording(
         "strict": strict,
         "cloud_slice": cloud_slice,
         "pose_topic": pose_topic,
+        "mounts": tuple(mounts),
         "zero_range": zero_range,
     }
     options = validated(ReadOptions, given, str(path))
@@ -50,7 +56,7 @@ def open_recording(
     if recording_format is None:
         raise RecordingError(_why_unknown(path, registry))
     for name, purpose in OPTION_PURPOSE.items():
-        if getattr(options, name) is not None and name not in recording_format.options:
+        if getattr(options, name) not in (None, ()) and name not in recording_format.options:
             raise RecordingError(f"{path}: {purpose}; a {recording_format.name} has no use for it: leave it out")
     recording = _opened(path, recording_format, options)
     for problem in registry.problems:

@@ -8,6 +8,7 @@ import math
 from collections.abc import Callable, Iterable, Iterator
 
 from gridtrack.common.errors import RecordingError
+from gridtrack.common.geometry import SE2
 from gridtrack.common.names import LABEL_RULE, is_label
 from gridtrack.common.scan import MAX_ANGLE_RAD, MAX_BEAMS, MAX_POSITION_M, MAX_RANGE_M, Scan
 from gridtrack.recordings.stamp_filter import StampFilter
@@ -84,7 +85,7 @@ class StampOrder:
 
     def _accepts(self, scan: Scan) -> bool:
         before = self._before.get(scan.sensor)
-        if before is not None and not _has_valid_pose(scan):
+        if before is not None and _invalid_pose(scan) is not None:
             self._fault(scan, "whose pose is not finite, left out", scan.stamp_ns)
             return False
         if before is None or _geometry(scan) != _geometry(before):
@@ -107,9 +108,14 @@ def _geometry(scan: Scan) -> tuple[float, float, float, float, int]:
     return scan.angle_min, scan.angle_increment, scan.range_min, scan.range_max, scan.ranges.size
 
 
-def _has_valid_pose(scan: Scan) -> bool:
-    pose = scan.world_T_sensor
-    return abs(pose.x) <= MAX_POSITION_M and abs(pose.y) <= MAX_POSITION_M and math.isfinite(pose.theta)
+def _invalid_pose(scan: Scan) -> SE2 | None:
+    """The one of the scan's poses that cannot be that of a sensor."""
+    for pose in (scan.world_T_sensor, scan.reference_T_sensor):
+        if pose is not None and not (
+            abs(pose.x) <= MAX_POSITION_M and abs(pose.y) <= MAX_POSITION_M and math.isfinite(pose.theta)
+        ):
+            return pose
+    return None
 
 
 def _check_scan(scan: Scan) -> None:
@@ -128,8 +134,7 @@ def _check_scan(scan: Scan) -> None:
             f"sensor '{scan.sensor}': {beams} beams from {scan.angle_min:g} rad every {scan.angle_increment:g} rad;"
             f" expected radians, and at most two turns ({MAX_ANGLE_RAD:.4g} rad)"
         )
-    if not _has_valid_pose(scan):
-        p = scan.world_T_sensor
+    if (p := _invalid_pose(scan)) is not None:
         raise RecordingError(
             f"sensor '{scan.sensor}': a pose of {p.x:g}, {p.y:g}, {p.theta:g}; expected finite numbers, and at most"
             f" {MAX_POSITION_M:g} m"

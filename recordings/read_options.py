@@ -1,4 +1,4 @@
-"""Options of reading a recording: the topic, strictness, and for ROS recordings the point clouds and the poses."""
+"""Options of reading a recording: the topic, strictness, point clouds, poses and mounts."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from pydantic import Field, model_validator
 
 from gridtrack.common.config import Settings
 from gridtrack.common.scan import MAX_RANGE_M
+from gridtrack.recordings.mounts import Mount
 
 
 class CloudSlice(Settings):
@@ -43,7 +44,9 @@ class ReadOptions(Settings):
     cloud_slice: CloudSlice | None = None
     """How a point cloud becomes a scan."""
     pose_topic: str | None = None
-    """The topic with the poses of the sensor."""
+    """The topic with the poses of what carries the sensors; "none" where they stand still."""
+    mounts: tuple[Mount, ...] = ()
+    """The places of sensors on what carries them."""
     zero_range: Literal["free", "unknown"] | None = None
     """The meaning of a range of exactly 0.0, in every format: no return ("free" up to the maximum range) or invalid
     ("unknown"). Without it such a range is as any other: invalid below the minimum range."""

@@ -8,9 +8,10 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from pydantic import Field, field_validator
+from pydantic import Field, SerializerFunctionWrapHandler, field_validator, model_serializer
 
 from gridtrack.common.config import Settings
 from gridtrack.common.errors import RecordingError, did_you_mean
@@ -49,9 +50,19 @@ class RecordingInfo(Settings):
     stretches: dict[str, Stretch] = Field(default_factory=dict)
     licence: str = ""
     credit: str = ""
+    poses: str = ""
+    """Where the poses of the sensors come from; not written where it is empty, so that earlier recordings are written
+    with the same bytes."""
     source: str = ""
     source_sha256: str = ""
     command: str = ""
+
+    @model_serializer(mode="wrap")
+    def _without_empty_poses(self, values_of: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        values: dict[str, Any] = values_of(self)
+        if not self.poses:
+            del values["poses"]
+        return values
 
     @field_validator("grid")
     @classmethod
@@ -111,9 +122,6 @@ class Recording(ABC):
     fault raises RecordingError instead.
     """
 
-    knows_mounting = True
-    """Whether the format has a pose for each of several sensors."""
-
     def __init__(self, path: Path, options: ReadOptions) -> None:
         self.path = path
         self.options = options
@@ -144,16 +152,22 @@ class Recording(ABC):
         """The topic with the scans of `sensor`, as the option `topic` names it."""
         return sensor
 
-    def unknown_mounting(self, sensors: Iterable[str]) -> str:
-        """The error text for several sensors whose poses relative to each other are not known."""
-        first, *others = (shlex.join(["--topic", self.topic_of(sensor)]) for sensor in sensors)
-        command = ["gridtrack", "recording", "import", str(self.path), "--out", f"{self.path.stem}-one.mcap"]
-        if self.options.pose_topic is not None:
-            command += ["--pose-topic", self.options.pose_topic]
-        return (
-            f"several sensors ({', '.join(sensors)}), and how they are mounted is not known, so that their scans cannot"
-            f" share a grid: import one of them with `{shlex.join(command)} {first}`, or {', '.join(others)}"
-        )
+    @property
+    def pose_problem(self) -> str:
+        """Why the poses of the sensors cannot be used, and what to do; empty where they can, as far as is known."""
+        return ""
+
+    def import_command(self, words: Iterable[str]) -> str:
+        """The command that imports the recording with the options it was opened with, and those in `words`."""
+        words = list(words)
+        end = "one" if "--topic" in words else "posed"
+        command = ["gridtrack", "recording", "import", str(self.path), "--out", f"{self.path.stem}-{end}.mcap"]
+        given = {"--topic": self.options.topic, "--pose-topic": self.options.pose_topic}
+        for option, value in given.items():
+            command += [] if value is None or option in words else [option, value]
+        for mount in self.options.mounts:
+            command += ["--mount", str(mount)]
+        return shlex.join([*command, *words])
 
     @abstractmethod
     def read(self, topics: Topics) -> Iterator[Scan]:
@@ -181,18 +195,24 @@ class Recording(ABC):
             survey.add(scan)
         for text in survey.warnings():
             self.notify(text)
-        if len(survey.sensors) > 1 and not self._has_mounting(survey):
-            self.notify(self.unknown_mounting(survey.sensors))
+        if problem := self._pose_problem_of(survey):
+            self.notify(problem)
         survey.topics = {topic: (kind, topics.counts[topic]) for topic, kind in topics.types.items()}
         return survey
 
-    def check_mounting(self) -> None:
-        """Raise RecordingError for several sensors whose poses relative to each other are not known."""
-        if len(self.survey.sensors) > 1 and not self._has_mounting(self.survey):
-            raise RecordingError(f"{self.path}: {self.unknown_mounting(self.survey.sensors)}")
+    def check_poses(self) -> None:
+        """Raise RecordingError where the sensors have no poses in one frame."""
+        if problem := self._pose_problem_of(self.survey):
+            raise RecordingError(f"{self.path}: {problem}")
 
-    def _has_mounting(self, survey: Survey) -> bool:
-        return self.knows_mounting and len(set(survey.poses.values())) > 1
+    def _pose_problem_of(self, survey: Survey) -> str:
+        if self.pose_problem or len(survey.sensors) < 2 or len(set(survey.poses.values())) > 1:
+            return self.pose_problem
+        first, *others = (f"--topic {shlex.quote(self.topic_of(sensor))}" for sensor in survey.sensors)
+        return (
+            f"several sensors ({', '.join(survey.sensors)}) with the same pose, so that their scans cannot share a"
+            f" grid: import one of them with `{self.import_command(shlex.split(first))}`, or {', '.join(others)}"
+        )
 
     def overview(self) -> RecordingOverview:
         """The content of the recording, as `gridtrack recording info` prints it."""

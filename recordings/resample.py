@@ -17,12 +17,15 @@ class Tick:
     scans: dict[str, Scan]
 
 
-def resample_scans(scans: Iterable[Scan], period_ns: int, *, origin_ns: int, ticks: range) -> Iterator[Tick]:
+def resample_scans(
+    scans: Iterable[Scan], period_ns: int, *, origin_ns: int, ticks: range, bridged: bool = True
+) -> Iterator[Tick]:
     """Ticks at `origin_ns + k * period_ns` for k in `ticks`, from `scans` in the order of their stamps.
 
-    A tick has the nearest scan of each sensor, the earlier of two equally near ones, if it is within half a period. A
-    scan up to a whole period away is used where the sensor's gap around the tick is at most two periods: a neighbour
-    replaces one missing scan, and a longer gap stays empty. Memory holds a few periods of scans.
+    A tick has the nearest scan of each sensor, the earlier of two equally near ones, if it is within half a period.
+    Where gaps are `bridged`, a scan up to a whole period away is used if the sensor's gap around the tick is at most
+    two periods: a neighbour replaces one missing scan, and a longer gap stays empty. Memory holds a few periods of
+    scans.
     """
     ahead = iter(scans)
     recent: dict[str, deque[Scan]] = {}
@@ -36,11 +39,11 @@ def resample_scans(scans: Iterable[Scan], period_ns: int, *, origin_ns: int, tic
         for known in recent.values():
             while known and known[0].stamp_ns < stamp_ns - 2 * period_ns:
                 known.popleft()
-        chosen = {sensor: _nearest(known, stamp_ns, period_ns) for sensor, known in recent.items()}
+        chosen = {sensor: _nearest(known, stamp_ns, period_ns, bridged) for sensor, known in recent.items()}
         yield Tick(stamp_ns, {sensor: scan for sensor, scan in chosen.items() if scan is not None})
 
 
-def _nearest(scans: deque[Scan], stamp_ns: int, period_ns: int) -> Scan | None:
+def _nearest(scans: deque[Scan], stamp_ns: int, period_ns: int, bridged: bool) -> Scan | None:
     """The scan of one sensor for the tick at `stamp_ns`, out of its scans around it."""
     before = [scan for scan in scans if scan.stamp_ns <= stamp_ns][-1:]
     after = [scan for scan in scans if scan.stamp_ns > stamp_ns][:1]
@@ -50,5 +53,5 @@ def _nearest(scans: deque[Scan], stamp_ns: int, period_ns: int) -> Scan | None:
     distance_ns = abs(nearest.stamp_ns - stamp_ns)
     if 2 * distance_ns <= period_ns:
         return nearest
-    bridged = bool(before and after) and after[0].stamp_ns - before[0].stamp_ns <= 2 * period_ns
-    return nearest if bridged and distance_ns <= period_ns else None
+    short = bool(before and after) and after[0].stamp_ns - before[0].stamp_ns <= 2 * period_ns
+    return nearest if bridged and short and distance_ns <= period_ns else None

@@ -9,12 +9,13 @@ from functools import cached_property
 from typing import Any
 
 from gridtrack.common.errors import RecordingError
+from gridtrack.recordings.framed_recording import EncodedMessage
 from gridtrack.recordings.recording import DamageError
-from gridtrack.recordings.ros_messages import RosMessage
+from gridtrack.recordings.ros_messages import TRANSFORMS
 
 try:
     from rosbags.serde import SerdeError
-    from rosbags.typesys import Stores, get_typestore
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 except ImportError:
     raise RecordingError("reading ROS recordings needs rosbags: pip install gridtrack[ros]") from None
 
@@ -23,14 +24,14 @@ class RosDecoder:
     """Decodes the messages of one recording, never by code made from the definitions in the recording itself."""
 
     @contextmanager
-    def decoded(self, message: RosMessage) -> Iterator[Any]:
+    def decoded(self, message: EncodedMessage) -> Iterator[Any]:
         """The decoded message. Raises DamageError where decoding it, or using it inside the block, fails."""
         try:
             yield self._decode(message)
         except (SerdeError, struct.error, ValueError, IndexError, UnicodeDecodeError) as error:
             raise DamageError(f"corrupt: a message of {message.topic} cannot be decoded ({error})") from None
 
-    def _decode(self, message: RosMessage) -> Any:
+    def _decode(self, message: EncodedMessage) -> Any:
         if message.encoding == "ros1":
             return self._ros1.deserialize_ros1(message.data, message.kind)
         if message.encoding == "cdr":
@@ -39,7 +40,10 @@ class RosDecoder:
 
     @cached_property
     def _ros1(self) -> Any:
-        return get_typestore(Stores.ROS1_NOETIC)
+        store = get_typestore(Stores.ROS1_NOETIC)
+        for kind in TRANSFORMS:  # the packages of transforms are not in this store
+            store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", kind))
+        return store
 
     @cached_property
     def _ros2(self) -> Any:

@@ -1,41 +1,45 @@
-"""ROS messages as scans: sensor_msgs/LaserScan, and a height slice of sensor_msgs/PointCloud2."""
+"""ROS messages as scans and transforms: sensor_msgs/LaserScan, a height slice of sensor_msgs/PointCloud2, poses."""
 
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gridtrack.common.errors import RecordingError
 from gridtrack.common.scan import Scan
+from gridtrack.recordings.frames.transform import SE3
+from gridtrack.recordings.json_messages import MAX_SWEEP_S
 from gridtrack.recordings.read_options import CloudSlice
 
 LASER_SCAN = "sensor_msgs/msg/LaserScan"
 POINT_CLOUD = "sensor_msgs/msg/PointCloud2"
+TRANSFORMS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
+POSES = (
+    "nav_msgs/msg/Odometry",
+    "geometry_msgs/msg/PoseStamped",
+    "geometry_msgs/msg/PoseWithCovarianceStamped",
+)
 POINT_FIELD_TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 
 
-class RosMessage(NamedTuple):
-    """One message, still encoded as `ros1` or `cdr`; `kind` as ROS 2 writes it, `package/msg/Name`."""
-
-    topic: str
-    kind: str
-    received_ns: int
-    encoding: str
-    data: bytes
-
-
 def ros2_name(kind: str) -> str:
-    """`package/Name` of ROS 1 as ROS 2's `package/msg/Name`."""
+    """`package/Name` of ROS 1 as ROS 2's `package/msg/Name`; other names as they are."""
     package, _, name = kind.partition("/")
-    return kind if name.startswith(("msg/", "srv/", "action/")) else f"{package}/msg/{name}"
+    is_ros1 = bool(name) and not name.startswith(("msg/", "srv/", "action/"))
+    return f"{package}/msg/{name}" if is_ros1 else kind
 
 
 def stamp_ns(message: Any) -> int:
     """The stamp of a message's header, nanoseconds."""
     return int(message.header.stamp.sec) * 1_000_000_000 + int(message.header.stamp.nanosec)
+
+
+def transform_of(translation: Any, rotation: Any) -> SE3 | None:
+    """A geometry_msgs/Transform or Pose from its two parts; None where its numbers are not a transform."""
+    return SE3.of((translation.x, translation.y, translation.z), (rotation.x, rotation.y, rotation.z, rotation.w))
 
 
 def scan_of_laser(message: Any, sensor: str, received_ns: int) -> Scan:
@@ -48,7 +52,14 @@ def scan_of_laser(message: Any, sensor: str, received_ns: int) -> Scan:
         range_min=float(message.range_min),
         range_max=float(message.range_max),
         sensor=sensor,
+        time_increment_s=_time_increment_s(message),
     )
+
+
+def _time_increment_s(message: Any) -> float:
+    """The time between beams; 0, not known, where a driver writes one that no laser has."""
+    increment_s = float(message.time_increment)
+    return increment_s if 0.0 <= increment_s * max(len(message.ranges) - 1, 0) <= MAX_SWEEP_S else 0.0
 
 
 def scan_of_cloud(message: Any, sensor: str, received_ns: int, cut: CloudSlice) -> Scan:

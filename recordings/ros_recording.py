@@ -1,38 +1,37 @@
-"""The common part of the ROS formats: laser and point cloud topics as scans, with the poses of a topic."""
+"""The common part of the ROS formats: laser and point cloud topics as scans, transforms, and topics with poses."""
 
 from __future__ import annotations
 
-from abc import abstractmethod
-from collections.abc import Iterator
+from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
-from gridtrack.common.errors import RecordingError, did_you_mean
-from gridtrack.common.geometry import SE2
-from gridtrack.common.scan import Scan
+from gridtrack.common.errors import RecordingError
+from gridtrack.recordings.framed_recording import Content, EncodedMessage, FramedRecording
+from gridtrack.recordings.frames.placing import FramedScan
+from gridtrack.recordings.frames.transform import SE3
+from gridtrack.recordings.frames.tree import StampedTransform
 from gridtrack.recordings.read_options import ReadOptions
-from gridtrack.recordings.recording import Recording, Topics
 from gridtrack.recordings.ros_messages import (
     LASER_SCAN,
     POINT_CLOUD,
-    RosMessage,
+    POSES,
+    TRANSFORMS,
     scan_of_cloud,
     scan_of_laser,
     stamp_ns,
+    transform_of,
 )
-from gridtrack.recordings.ros_poses import POSES, ScansOnPoses, planar_pose, unread_poses_warning
 
-ROS_OPTIONS = ("topic", "cloud_slice", "pose_topic")
+ROS_OPTIONS = ("topic", "cloud_slice", "pose_topic", "mounts")
 
 
-class RosRecording(Recording):
+class RosRecording(FramedRecording):
     """A recording of ROS messages.
 
     Every LaserScan topic is a sensor; a PointCloud2 topic is read where the options name it, with the slice to cut from
-    it. The poses of all sensors are those of the pose topic; without one the sensors stand still. How a sensor is
-    mounted is not known.
+    it.
     """
-
-    knows_mounting = False
 
     def __init__(self, path: Path, options: ReadOptions) -> None:
         """Raises RecordingError where rosbags is not installed."""
@@ -41,62 +40,50 @@ class RosRecording(Recording):
         super().__init__(path, options)
         self._decoder = RosDecoder()
 
-    @abstractmethod
-    def messages(self) -> Iterator[RosMessage]:
-        """All messages in the order of the file. Raises DamageError where it is cut off or corrupt."""
+    def content_of(self, message: EncodedMessage) -> Content | None:
+        """What a message holds, from its topic and type."""
+        if message.kind in (LASER_SCAN, POINT_CLOUD):
+            return "scan"
+        if message.kind in TRANSFORMS:
+            return "transforms"
+        return "pose" if message.kind in POSES else None
 
-    def topic_of(self, sensor: str) -> str:
-        """The topic with the scans of `sensor`."""
-        return f"/{sensor}"
+    def is_read(self, message: EncodedMessage) -> bool:
+        """Whether the scans of a topic are read: point clouds only where the options name it."""
+        return super().is_read(message) and (message.kind == LASER_SCAN or self.options.topic is not None)
 
-    def read(self, topics: Topics) -> Iterator[Scan]:
-        """The scans in the order of the file; counts the messages in `topics`. DamageError where it is damaged."""
-        topic, pose_topic = self.options.topic, self.options.pose_topic
-        scans_on_poses = None if pose_topic is None else ScansOnPoses(pose_topic, self.warn)
-        for message in self.messages():
-            if scans_on_poses is None and message.topic not in topics.types:
-                self._warn_of_unread_poses(message)
-            topics.add(message.topic, message.kind, message.kind in (LASER_SCAN, POINT_CLOUD))
-            by_name = message.topic == topic and message.topic in topics.scans
-            if by_name or (topic is None and message.kind == LASER_SCAN):
-                scan = self._scan(message)
-                yield from scans_on_poses.scan(scan) if scans_on_poses else (scan,)
-            elif scans_on_poses and message.topic == pose_topic and message.kind in POSES:
-                yield from scans_on_poses.pose(*self._pose(message))
-        if scans_on_poses:
-            yield from scans_on_poses.flush()
-            self._require_poses(topics)
-            scans_on_poses.check_clocks()
-
-    def _warn_of_unread_poses(self, message: RosMessage) -> None:
-        warning = unread_poses_warning(message.topic, message.kind)
-        if warning is not None:
-            self.notify(warning)
-
-    def _require_poses(self, topics: Topics) -> None:
-        """Raise RecordingError where the pose topic holds no poses."""
-        pose_topic = self.options.pose_topic
-        with_poses = [topic for topic, kind in topics.types.items() if kind in POSES]
-        if pose_topic in topics.types and pose_topic not in with_poses:
-            raise RecordingError(
-                f"topic '{pose_topic}' is {topics.types[pose_topic]}, not poses; expected one of {', '.join(POSES)}:"
-                f" topics with poses: {', '.join(with_poses) or 'none'}"
-            )
-        if pose_topic is not None and pose_topic not in with_poses:
-            raise RecordingError(f"no topic '{pose_topic}' with poses; {did_you_mean(pose_topic, with_poses)}")
-
-    def _pose(self, message: RosMessage) -> tuple[int, SE2]:
-        """Stamp and pose."""
+    def frame_of(self, message: EncodedMessage) -> str:
+        """The frame of a scan. Raises DamageError."""
         with self._decoder.decoded(message) as decoded:
-            return stamp_ns(decoded) or message.received_ns, planar_pose(decoded)
+            return str(decoded.header.frame_id)
 
-    def _scan(self, message: RosMessage) -> Scan:
-        sensor = message.topic.strip("/") or "scan"
+    def transforms_of(self, message: EncodedMessage) -> Iterable[StampedTransform]:
+        """The transforms of a message, or its pose; `child` is empty where it does not name one. DamageError."""
+        with self._decoder.decoded(message) as decoded:
+            if message.kind in TRANSFORMS:
+                for t in decoded.transforms:
+                    transform = transform_of(t.transform.translation, t.transform.rotation)
+                    yield _stamped(message, t, t.child_frame_id, transform)
+            else:
+                pose = decoded.pose.pose if hasattr(decoded.pose, "pose") else decoded.pose
+                transform = transform_of(pose.position, pose.orientation)
+                yield _stamped(message, decoded, getattr(decoded, "child_frame_id", ""), transform)
+
+    def scan_of(self, message: EncodedMessage) -> FramedScan:
+        """A scan and its frame. Raises DamageError."""
+        sensor = self.sensor_of(message.topic)
         with self._decoder.decoded(message) as decoded:
             if not stamp_ns(decoded):
                 self.warn(f"topic '{message.topic}': no stamps in its headers, the time of reception is used")
+            frame = str(decoded.header.frame_id)
             if message.kind == LASER_SCAN:
-                return scan_of_laser(decoded, sensor, message.received_ns)
+                return FramedScan(message.topic, frame, scan_of_laser(decoded, sensor, message.received_ns))
             if self.options.cloud_slice is None:
                 raise RecordingError(f"'{message.topic}' is a point cloud: give the heights to cut it at")
-            return scan_of_cloud(decoded, sensor, message.received_ns, self.options.cloud_slice)
+            scan = scan_of_cloud(decoded, sensor, message.received_ns, self.options.cloud_slice)
+            return FramedScan(message.topic, frame, scan)
+
+
+def _stamped(message: EncodedMessage, decoded: Any, child: str, transform: SE3 | None) -> StampedTransform:
+    """A transform with the stamp of its header, or of reception where the header has none."""
+    return StampedTransform(stamp_ns(decoded) or message.received_ns, decoded.header.frame_id, child, transform)

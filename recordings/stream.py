@@ -4,70 +4,29 @@ from __future__ import annotations
 
 import hashlib
 import math
-import re
 import struct
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from copy import copy
-from dataclasses import dataclass
 from functools import cached_property
 from itertools import islice
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-from gridtrack.common.errors import RecordingError, did_you_mean
+from gridtrack.common.errors import RecordingError
 from gridtrack.common.geometry import SE2
-from gridtrack.common.grid import GridFrame, GridSpec, LabelledFrame, Points
-from gridtrack.common.names import NAME_RULE, is_name
-from gridtrack.common.raycast import cast_scan
+from gridtrack.common.grid import GridFrame, GridSpec, LabelledFrame, Points, window_about
 from gridtrack.common.scan import MAX_RATE_HZ, MIN_RATE_HZ, Scan
-from gridtrack.common.scene import Scene
 from gridtrack.recordings import Recording, open_recording
 from gridtrack.recordings.cell_labels import check_labels, labelled_returns
+from gridtrack.recordings.observation import Observation, frame_of
 from gridtrack.recordings.recorded_time import RecordedTime
 from gridtrack.recordings.recording import Stretch, stretch_text
 from gridtrack.recordings.resample import Tick, resample_scans
+from gridtrack.recordings.stretches import parse_stretch, stretch_of, ticks_in
 
 MAX_EMPTY_FRAMES = 6000
 """Limit of the empty frames in one gap: ten minutes at 10 Hz."""
-
-
-def parse_stretch(text: str) -> tuple[Path, Stretch | str | None]:
-    """Read `demo.mcap`, `demo.mcap@30s-90s`, `demo.mcap@90s-` or `demo.mcap@test`: a path and a stretch of it.
-
-    Raises RecordingError.
-    """
-    path, at, stretch = text.rpartition("@")
-    if not at or Path(text).exists():
-        return Path(text), None
-    if not path or not stretch:
-        raise RecordingError(f"'{text}': expected RECORDING, RECORDING@30s-90s or RECORDING@NAME")
-    if not is_name(stretch):
-        raise RecordingError(f"'{text}': no such recording, and '{stretch}' is not the name of a stretch: {NAME_RULE}")
-    return Path(path), _seconds(stretch, text) or stretch
-
-
-def parse_named_stretch(text: str) -> tuple[str, Stretch]:
-    """Read `train=0s-75s` or `test=90s-`: a name for a stretch, and the stretch. Raises RecordingError."""
-    name, _, stretch = text.partition("=")
-    seconds = _seconds(stretch, text)
-    if not name or seconds is None:
-        raise RecordingError(f"'{text}': expected NAME=30s-90s, or NAME=90s- to the end")
-    if not is_name(name):
-        raise RecordingError(f"'{text}': '{name}' cannot be the name of a stretch: {NAME_RULE}")
-    return name, seconds
-
-
-def _seconds(stretch: str, where: str) -> Stretch | None:
-    """`30s-90s` or `90s-` as (start, end); None for a text that is not a range of seconds."""
-    seconds = re.fullmatch(r"(\d+(?:\.\d*)?)s?-(?:(\d+(?:\.\d*)?)s?)?", stretch)
-    if seconds is None:
-        return None
-    start_s, end_s = float(seconds[1]), float(seconds[2]) if seconds[2] else None
-    if end_s is not None and end_s <= start_s:
-        raise RecordingError(f"'{where}': a stretch ends after it starts")
-    return start_s, end_s
 
 
 def open_stream(
@@ -88,31 +47,12 @@ def open_stream(
     return GridStream(recording, stretch, grid=grid, rate_hz=rate_hz, points=points)
 
 
-@dataclass(frozen=True, slots=True)
-class Observation:
-    """A frame and the `scans` it was made of, with labels and truth, for the referee only.
-
-    `grid_T_sensor` are the poses of the scans' sensors in the frame's grid, in the same order; `time_s` is the time
-    since the first scan of the recording.
-    """
-
-    frame: GridFrame
-    scans: tuple[Scan, ...] = ()
-    grid_T_sensor: tuple[SE2, ...] = ()
-    time_s: float = 0.0
-
-    @property
-    def scene(self) -> Scene | None:
-        """The true scene, where the recording has it."""
-        return next((scan.scene for scan in self.scans if scan.scene is not None), None)
-
-
 class GridStream:
     """A stretch of a recording as frames; every iteration starts at the first frame.
 
     The stamp of frame k of a recording is k periods after its first scan, in every stretch: a stretch is a slice of
-    the whole. The grid frame is that of the first sensor at its first scan; where a sensor moves, the grid follows the
-    first sensor. `points` of the frames are the centres of the occupied cells, the same for every tracker, or with
+    the whole. The window lies about the first sensor: its axes are the world's, and it follows the sensor by whole
+    cells. `points` of the frames are the centres of the occupied cells, the same for every tracker, or with
     "raw" the returns of the laser.
     """
 
@@ -134,13 +74,15 @@ class GridStream:
         self.grid = grid or (GridSpec.parse(info.grid) if info.grid else GridSpec())
         self.period_ns = round(1e9 / _rate(recording, rate_hz))
         self.period_s = self.period_ns / 1e9
-        self.stretch_s, self.name = _stretch(recording, stretch)
-        self._ticks = _ticks(survey.last_ns - survey.first_ns, self.period_ns, self.stretch_s)
+        self.stretch_s, self.name = stretch_of(recording, stretch)
+        self._ticks = ticks_in(self.stretch_s, survey.last_ns - survey.first_ns, self.period_ns)
         if not self._ticks:
             raise RecordingError(f"{self.name}: no frame at {1 / self.period_s:g} Hz in this stretch")
-        recording.check_mounting()
+        recording.check_poses()
         self._check_longest_gap()
         self.gaps = self._count_gaps()
+        if len(survey.sensors) > 1:
+            self._tell_missing()
         self._degrade: Callable[[Scan], Scan] | None = None
 
     def degraded(self, degrade: Callable[[Scan], Scan]) -> GridStream:
@@ -173,32 +115,64 @@ class GridStream:
         return any(scan.scene is not None for scan in islice(self.recording.scans(), len(self.recording.survey.poses)))
 
     def observations(self) -> Iterator[Observation]:
-        """The frames with the scans they were made of. For the referee only: no tracker receives one."""
+        """The frames with the scans they were made of. For the referee only: no tracker receives one.
+
+        The window follows the poses as they are recorded, also where the scans are degraded.
+        """
         survey = self.recording.survey
-        margin_s = 3 * self.period_s
-        start_s, end_s = self._ticks[0] * self.period_s, self._ticks[-1] * self.period_s
-        scans = self.recording.scans(max(start_s - margin_s, 0.0), end_s + margin_s)
-        if self._degrade is not None:
-            scans = map(self._degrade, scans)
         poses = dict(survey.poses)
         reference = next(iter(poses))
-        world_T_grid = poses[reference]
-        for tick in resample_scans(scans, self.period_ns, origin_ns=survey.first_ns, ticks=self._ticks):
+        reference_T_world = SE2()
+        for tick in self._resampled():
             poses.update({sensor: scan.world_T_sensor for sensor, scan in tick.scans.items()})
-            if survey.moves:
-                world_T_grid = poses[reference]
-            grid_T_world = world_T_grid.inverse()
-            # The sensor that defines the grid frame is at its origin exactly, without rounding errors.
-            grid_T_sensor = {s: SE2() if pose == world_T_grid else grid_T_world @ pose for s, pose in poses.items()}
-            frame = self._frame(tick, grid_T_sensor, world_T_grid)
-            time_s = (tick.stamp_ns - survey.first_ns) / 1e9
-            yield Observation(frame, tuple(tick.scans.values()), tuple(grid_T_sensor[s] for s in tick.scans), time_s)
+            if (scan := tick.scans.get(reference)) is not None and scan.reference_T_sensor is not None:
+                reference_T_world = scan.reference_T_sensor @ scan.world_T_sensor.inverse()
+            if (tick.stamp_ns - survey.first_ns) // self.period_ns < self._ticks.start:
+                continue
+            yield self._observation(tick, poses, window_about(poses[reference], self.grid.cell_m), reference_T_world)
 
-    def before(self, count: int) -> Iterator[GridFrame]:
-        """The frames of the recording directly before the stretch, at most `count`. For the referee only."""
+    def _resampled(self) -> Iterator[Tick]:
+        """The ticks of the stretch; where the sensor moves, also those since the last scan of each sensor before it."""
+        survey, ticks = self.recording.survey, self._ticks
+        if survey.moves:
+            start_ns = survey.first_ns + ticks.start * self.period_ns
+            stamps_ns = (sensor.stamps_ns for sensor in survey.sensors.values())
+            last_ns = [int(ns[ns <= start_ns].max(initial=survey.first_ns)) for ns in stamps_ns]
+            ticks = range((min(last_ns) - survey.first_ns) // self.period_ns, ticks.stop)
+        margin_s = 3 * self.period_s
+        start_s, end_s = ticks[0] * self.period_s, ticks[-1] * self.period_s
+        scans = self.recording.scans(max(start_s - margin_s, 0.0), end_s + margin_s)
+        alone = len(survey.sensors) == 1
+        return resample_scans(scans, self.period_ns, origin_ns=survey.first_ns, ticks=ticks, bridged=alone)
+
+    def _observation(
+        self, tick: Tick, poses: Mapping[str, SE2], world_T_grid: SE2, reference_T_world: SE2
+    ) -> Observation:
+        """The observation of a tick; `poses` of all sensors, those without a scan at their last one."""
+        scans = tick.scans if self._degrade is None else {s: self._degrade(scan) for s, scan in tick.scans.items()}
+        placed = {**poses, **{sensor: scan.world_T_sensor for sensor, scan in scans.items()}}
+        grid_T_sensor = {
+            sensor: SE2(pose.x - world_T_grid.x, pose.y - world_T_grid.y, pose.theta) for sensor, pose in placed.items()
+        }
+        frame = frame_of(tick.stamp_ns, scans, grid_T_sensor, world_T_grid, self.grid, self.points)
+        time_s = (tick.stamp_ns - self.recording.survey.first_ns) / 1e9
+        own = tuple(grid_T_sensor[sensor] for sensor in scans)
+        return Observation(frame, tuple(scans.values()), own, time_s, reference_T_world)
+
+    @cached_property
+    def first_move_s(self) -> float | None:
+        """When the window first moves in the stretch, seconds since the first scan; None where it never does."""
+        if not self.recording.survey.moves:
+            return None
+        observations = self.observations()
+        window = next(observations).frame.world_T_grid
+        return next((one.time_s for one in observations if one.frame.world_T_grid != window), None)
+
+    def before(self, count: int) -> Iterator[Observation]:
+        """The observations of the recording directly before the stretch, at most `count`. For the referee only."""
         earlier = copy(self)
         earlier._ticks = range(max(0, self._ticks.start - count), self._ticks.start)
-        return iter(earlier) if earlier._ticks else iter(())
+        return earlier.observations() if earlier._ticks else iter(())
 
     def labelled(self) -> Iterator[LabelledFrame]:
         """The frames with the classes of their occupied cells, for training. A tracker in a trial receives none.
@@ -210,33 +184,15 @@ class GridStream:
             check_labels(labels, self.classes, observation.time_s)
             yield LabelledFrame(observation.frame, cells, labels)
 
-    def _frame(self, tick: Tick, grid_T_sensor: dict[str, SE2], world_T_grid: SE2) -> GridFrame:
-        visible, occupied = np.zeros(self.grid.shape, np.bool_), np.zeros(self.grid.shape, np.bool_)
-        owner = np.zeros(self.grid.shape, np.uint8)
-        returns: list[NDArray[np.float32]] = []
-        return_origin: list[NDArray[np.uint8]] = []
-        for s, sensor in enumerate(grid_T_sensor):
-            if sensor not in tick.scans:
-                continue
-            before = occupied.copy()
-            returns.append(cast_scan(tick.scans[sensor], self.grid, grid_T_sensor[sensor], visible, occupied))
-            return_origin.append(np.full(len(returns[-1]), s, np.uint8))
-            owner[occupied & ~before] = s
-        if self.points == "raw" and returns:
-            points, point_origin = np.concatenate(returns), np.concatenate(return_origin)
-        else:
-            points, point_origin = self.grid.cell_centres(occupied), owner[occupied]
-        origins = np.array([(pose.x, pose.y) for pose in grid_T_sensor.values()], np.float32)
-        return GridFrame(tick.stamp_ns, visible, occupied, world_T_grid, origins, points, point_origin)
-
-    def all_frames(self) -> Iterator[GridFrame]:
-        """The frames of the whole recording on the same grid and period, those in the longest gaps left out."""
+    def all_observations(self) -> Iterator[Observation]:
+        """Those of the whole recording on the same grid and period, without the frames in the longest gaps."""
         survey, period_s = self.recording.survey, self.period_s
         long_gaps = (survey.gaps(MAX_EMPTY_FRAMES * self.period_ns) - survey.first_ns) / 1e9
         starts = [0.0, *(end_s - period_s for _, end_s in long_gaps)]
         ends = [*(start_s + period_s for start_s, _ in long_gaps), None]
         for part in zip(starts, ends, strict=True):
-            yield from GridStream(self.recording, part, grid=self.grid, rate_hz=1e9 / self.period_ns)
+            stream = GridStream(self.recording, part, grid=self.grid, rate_hz=1e9 / self.period_ns)
+            yield from stream.observations()
 
     def _check_longest_gap(self) -> None:
         """Raise RecordingError for a gap in the stretch of more than MAX_EMPTY_FRAMES frames."""
@@ -254,7 +210,7 @@ class GridStream:
                 )
 
     def _count_gaps(self) -> int:
-        """Gaps of a sensor longer than two periods within the stretch; adds a warning to the recording."""
+        """Gaps of a sensor longer than two periods within the stretch; a warning about those of a sensor alone."""
         survey = self.recording.survey
         start_ns = survey.first_ns + self._ticks[0] * self.period_ns
         end_ns = survey.first_ns + self._ticks[-1] * self.period_ns
@@ -264,7 +220,7 @@ class GridStream:
             for gap in sensor.gaps(self.period_ns)
             if gap[1] > start_ns and gap[0] < end_ns
         ]
-        if gaps:
+        if gaps and len(survey.sensors) == 1:
             longest = max(gaps, key=lambda gap: int(gap[1] - gap[0]))
             self.recording.notify(
                 f"gaps longer than two periods of {self.period_s:g} s in {stretch_text(self.stretch_s)}: {len(gaps)},"
@@ -272,6 +228,20 @@ class GridStream:
                 f" {(longest[0] - survey.first_ns) / 1e9:.2f} s on; frames in them are empty"
             )
         return len(gaps)
+
+    def _tell_missing(self) -> None:
+        """Add a warning for each of several sensors without a scan for some of the frames."""
+        survey = self.recording.survey
+        stamps_ns = survey.first_ns + np.arange(self._ticks.start, self._ticks.stop) * self.period_ns
+        for name, sensor in survey.sensors.items():
+            missing = sensor.missing(stamps_ns, self.period_ns / 2)
+            if missing.any():
+                first_s = (stamps_ns[missing.argmax()] - survey.first_ns) / 1e9
+                self.recording.notify(
+                    f"sensor '{name}': no scan within half a period of {self.period_s:g} s of {missing.sum()} of"
+                    f" {len(missing)} frames in {stretch_text(self.stretch_s)}, the first at {first_s:.2f} s; they are"
+                    " made of the scans of the other sensors"
+                )
 
 
 def _rate(recording: Recording, rate_hz: float | None) -> float:
@@ -281,39 +251,6 @@ def _rate(recording: Recording, rate_hz: float | None) -> float:
     if not MIN_RATE_HZ <= rate <= MAX_RATE_HZ:
         raise RecordingError(f"{recording.path}: a rate of {rate:g} Hz; expected {MIN_RATE_HZ:g} to {MAX_RATE_HZ:g} Hz")
     return rate
-
-
-def _stretch(recording: Recording, stretch: Stretch | str | None) -> tuple[Stretch, str]:
-    """The stretch in seconds, with its end, and its name for messages. Raises RecordingError."""
-    duration_s = recording.survey.duration_s
-    if stretch is None:
-        return (0.0, duration_s), recording.name
-    if isinstance(stretch, str):
-        if stretch not in recording.info.stretches:
-            known = did_you_mean(stretch, recording.info.stretches)
-            raise RecordingError(f"{recording.path}: no stretch '{stretch}'; {known} (or seconds: {_whole(recording)})")
-        start_s, end_s = recording.info.stretches[stretch]
-        name, runs = f"{recording.name}@{stretch}", f" ({stretch_text((start_s, end_s))})"
-    else:
-        name, runs, (start_s, end_s) = f"{recording.name}@{stretch_text(stretch)}", "", stretch
-    if start_s > duration_s or (end_s is not None and end_s > math.ceil(duration_s)):
-        long = f"{duration_s:.1f} s long" + (f" ({recording.damage})" if recording.damage else "")
-        raise RecordingError(f"{name}{runs}: the recording is {long}: name a range inside it ({_whole(recording)})")
-    return (start_s, duration_s if end_s is None else end_s), name
-
-
-def _whole(recording: Recording) -> str:
-    """The whole recording as RECORDING@range."""
-    return f"{recording.path}@{stretch_text((0.0, recording.survey.whole_s))}"
-
-
-def _ticks(duration_ns: int, period_ns: int, stretch_s: Stretch) -> range:
-    """Numbers of the ticks in the stretch: its start included, its end excluded unless the recording ends there."""
-    start_s, end_s = stretch_s
-    end = duration_ns // period_ns + 1
-    if end_s is not None and round(end_s * 1e9) < duration_ns:
-        end = min(end, -(-round(end_s * 1e9) // period_ns))
-    return range(-(-round(start_s * 1e9) // period_ns), end)
 
 
 def frame_digest(frame: GridFrame) -> bytes:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from array import array
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 from gridtrack.common.config import Settings
 from gridtrack.common.geometry import SE2, same_pose
 from gridtrack.common.scan import Scan
+from gridtrack.recordings.pose_jumps import PoseJumps
 
 MANY_INVALID, MANY_ZEROS = 0.2, 0.05
 """Share of a sensor's ranges above which there is a warning, and above which it names those that are 0.0."""
@@ -38,6 +40,7 @@ class SensorSurvey:
     readings: int = 0
     labelled: int = 0
     with_truth: int = 0
+    jumps: PoseJumps = field(default_factory=PoseJumps)
 
     def add(self, scan: Scan) -> None:
         """Add the sensor's next scan."""
@@ -54,6 +57,7 @@ class SensorSurvey:
         self.zeros += int(np.count_nonzero(scan.ranges == 0.0))
         self.labelled += scan.labels is not None
         self.with_truth += scan.scene is not None
+        self.jumps.add(scan.stamp_ns, scan.world_T_sensor)
 
     @property
     def stamps_ns(self) -> NDArray[np.int64]:
@@ -65,18 +69,33 @@ class SensorSurvey:
         """Median time between scans; None for fewer than two."""
         return float(np.median(np.diff(self.stamps_ns))) / 1e9 if len(self.stamps) > 1 else None
 
-    def warning(self) -> str | None:
-        """The warning about many ranges that are invalid or exactly 0.0."""
+    def warnings(self, first_ns: int) -> Iterator[str]:
+        """The warnings about ranges and poses; `first_ns` is the stamp of the recording's first scan."""
+        for text in (self._about_ranges(), self.jumps.warning(first_ns)):
+            if text:
+                yield f"sensor '{self.first.sensor}': {text}"
+
+    def _about_ranges(self) -> str:
+        """Many ranges that are invalid or exactly 0.0."""
         invalid, zeros = self.invalid / max(self.readings, 1), self.zeros / max(self.readings, 1)
         if max(invalid, zeros) <= MANY_INVALID:
-            return None
-        text = f"sensor '{self.first.sensor}': {invalid:.1%} of the ranges are invalid (NaN or below range_min)"
+            return ""
+        text = f"{invalid:.1%} of the ranges are invalid (NaN or below range_min)"
         if zeros > MANY_ZEROS:
             text += (
                 f" and {zeros:.1%} exactly 0.0: where the driver writes 0.0 for no return, import the recording with"
                 " --zero-range free, else with --zero-range unknown"
             )
         return text
+
+    def missing(self, stamps_ns: NDArray[np.int64], within_ns: float) -> NDArray[np.bool_]:
+        """Which of `stamps_ns` (n,) have no scan `within_ns`."""
+        own = self.stamps_ns
+        after = np.searchsorted(own, stamps_ns).clip(0, len(own) - 1)
+        before = (after - 1).clip(0)
+        nearest = np.minimum(np.abs(own[after] - stamps_ns), np.abs(own[before] - stamps_ns))
+        missing: NDArray[np.bool_] = nearest > within_ns
+        return missing
 
     def gaps(self, period_ns: int) -> NDArray[np.int64]:
         """Gaps between scans longer than two periods: (n, 2) int64, start and end in ns."""
@@ -99,8 +118,8 @@ class Survey:
         self.sensors[scan.sensor].add(scan)
 
     def warnings(self) -> list[str]:
-        """The warnings about the ranges of the sensors."""
-        return [text for sensor in self.sensors.values() if (text := sensor.warning()) is not None]
+        """The warnings about the ranges and the poses of the sensors."""
+        return [text for sensor in self.sensors.values() for text in sensor.warnings(self.first_ns)]
 
     @property
     def first_ns(self) -> int:

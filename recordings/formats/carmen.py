@@ -8,14 +8,16 @@ from __future__ import annotations
 import bz2
 import math
 from collections.abc import Iterator
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 
 from gridtrack.common.geometry import SE2
+from gridtrack.common.names import name_from
 from gridtrack.common.scan import Scan
 from gridtrack.recordings.format import RecordingFormat
-from gridtrack.recordings.recording import DamageError, Recording, Topics
+from gridtrack.recordings.recording import DamageError, Recording, RecordingInfo, Topics
 
 CARMEN_SUFFIXES = (".clf", ".clf.bz2", ".log", ".log.bz2")
 MAX_LINE_BYTES = 1 << 20
@@ -27,6 +29,11 @@ STEP_DEG = {180: 1.0, 181: 1.0, 360: 0.5, 361: 0.5, 401: 0.25}
 
 class CarmenLog(Recording):
     """A CARMEN log. FLASER and ROBOTLASER1 are two forms of the same scan: the first one in the file is read."""
+
+    @cached_property
+    def info(self) -> RecordingInfo:
+        """The metadata of the recording: its file name as `site`, and where its poses come from."""
+        return RecordingInfo(site=name_from(self.name), poses="of the laser, in each line with a scan")
 
     def read(self, topics: Topics) -> Iterator[Scan]:
         """The scans in the order of the file; counts the messages in `topics`. DamageError where it is damaged."""

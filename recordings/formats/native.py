@@ -1,9 +1,11 @@
 """The native recording: an MCAP file of Foxglove messages, which the Foxglove viewer opens directly.
 
 `/scan` or `/scan/SENSOR` (foxglove.LaserScan; the channel's metadata carry the range limits), `/pose`
-(foxglove.FrameTransform, world_T_sensor, written where it changes), `/labels` or `/labels/SENSOR` (the labelled scan
-once more, with the index of each beam's class as its intensity; 255: unlabelled), `/outlines` and `/objects` (the true
-scene, where it is known; see scene_messages.py). The metadata record `gridtrack` holds the RecordingInfo.
+(foxglove.FrameTransform, world_T_sensor, written where it changes), `/reference_pose` or `/reference_pose/SENSOR`
+(foxglove.PoseInFrame, reference_T_sensor where a scan has it, written where it changes), `/labels` or `/labels/SENSOR`
+(the labelled scan once more, with the index of each beam's class as its intensity; 255: unlabelled), `/outlines` and
+`/objects` (the true scene, where it is known; see scene_messages.py), `/beam_times` and `/pose_quality` (see
+json_messages.py). The metadata record `gridtrack` holds the RecordingInfo.
 """
 
 from __future__ import annotations
@@ -12,6 +14,7 @@ import contextlib
 import json
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 from typing import BinaryIO, TypeVar
@@ -19,7 +22,10 @@ from typing import BinaryIO, TypeVar
 import numpy as np
 from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
 from foxglove_schemas_protobuf.LaserScan_pb2 import LaserScan
+from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
+from foxglove_schemas_protobuf.Quaternion_pb2 import Quaternion
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
+from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
 from google.protobuf.message import DecodeError
 from mcap.writer import Writer
 from mcap_protobuf.schema import register_schema
@@ -27,9 +33,19 @@ from mcap_protobuf.schema import register_schema
 from gridtrack.common.config import validated
 from gridtrack.common.errors import RecordingError, one_line
 from gridtrack.common.geometry import SE2
+from gridtrack.common.pose_quality import PoseQuality
 from gridtrack.common.scan import Scan
 from gridtrack.common.scene import Scene
 from gridtrack.recordings.format import RecordingFormat
+from gridtrack.recordings.json_messages import (
+    BEAM_TIMES,
+    POSE_QUALITY,
+    beam_times_message,
+    json_schema,
+    pose_quality_message,
+    read_beam_times,
+    read_pose_quality,
+)
 from gridtrack.recordings.mcap_file import MCAP_MAGIC, McapFile, McapMessage
 from gridtrack.recordings.protobuf_time import nanoseconds_of, timestamp_of
 from gridtrack.recordings.recording import DamageError, Recording, RecordingInfo, Topics
@@ -39,11 +55,12 @@ NATIVE_SCHEMA = "1"
 METADATA_NAME, WARNINGS_NAME = "gridtrack", "gridtrack.warnings"
 MAX_SOURCE_WARNINGS, MAX_WARNING_CHARS = 100, 1000
 OF_SOURCE = "the source had: "
+REFERENCE_POSE = "/reference_pose"
 CHUNK_BYTES = 128 * 1024
 DEFAULT_SENSOR = "scan"
 MAX_CHANNELS = 1024
 
-Decoded = TypeVar("Decoded", LaserScan, FrameTransform)
+Decoded = TypeVar("Decoded", LaserScan, FrameTransform, PoseInFrame)
 
 
 class NativeRecording(Recording):
@@ -69,26 +86,43 @@ class NativeRecording(Recording):
     def read(self, topics: Topics) -> Iterator[Scan]:
         """The scans in the order of the file; counts the messages in `topics`. DamageError where it is damaged."""
         poses: dict[str, SE2] = {}
+        references: dict[str, SE2] = {}
         labels: dict[str, LaserScan] = {}
+        beam_times: dict[str, float] = {}
+        qualities: dict[str, PoseQuality] = {}
         truth: SceneReader | None = None
         file = McapFile(self.path)
         for message in file.messages():
             topic = message.channel.topic
-            is_scan = topic == "/scan" or topic.startswith("/scan/")
+            is_scan = _is_topic(topic, "/scan")
             topics.add(topic, message.schema.name, is_scan)
             if topic == "/pose":
                 transform = _decoded(FrameTransform(), message)
-                poses[transform.child_frame_id] = _pose(transform)
-            elif topic == "/labels" or topic.startswith("/labels/"):
+                poses[transform.child_frame_id] = _pose(transform.translation, transform.rotation)
+            elif _is_topic(topic, REFERENCE_POSE):
+                placed = _decoded(PoseInFrame(), message).pose
+                references[topic] = _pose(placed.position, placed.orientation)
+            elif _is_topic(topic, "/labels"):
                 labelled = _decoded(LaserScan(), message)
                 labels[labelled.frame_id] = labelled
+            elif _is_topic(topic, BEAM_TIMES):
+                beam_times[topic] = read_beam_times(message.data)
+            elif _is_topic(topic, POSE_QUALITY):
+                qualities[topic] = read_pose_quality(message.data)
             elif topic in (OUTLINES, OBJECTS):
                 truth = truth or SceneReader(self.info.classes)
                 truth.add(topic, message.data)
             elif is_scan and self.options.topic in (None, topic):
                 scan = _decoded(LaserScan(), message)
                 scene = truth.scene_at(nanoseconds_of(scan.timestamp)) if truth is not None else None
-                yield _scan(scan, message, poses.get(scan.frame_id, SE2()), labels.pop(scan.frame_id, None), scene)
+                pose = poses.get(scan.frame_id, SE2())
+                found = _scan(scan, message, pose, labels.pop(scan.frame_id, None), scene)
+                yield replace(
+                    found,
+                    reference_T_sensor=references.get(_topic(REFERENCE_POSE, scan.frame_id)),
+                    time_increment_s=beam_times.get(_topic(BEAM_TIMES, scan.frame_id), 0.0),
+                    pose_quality=qualities.pop(_topic(POSE_QUALITY, scan.frame_id), None),
+                )
         self._report_source(file.metadata.get(WARNINGS_NAME, {}))
 
     def topic_of(self, sensor: str) -> str:
@@ -103,7 +137,7 @@ class NativeRecording(Recording):
 
 
 def is_native(path: Path, head: bytes) -> bool:
-    """Whether it is an MCAP file with the metadata of gridtrack, with Protobuf messages, or without readable ones."""
+    """Whether it is an MCAP file with the metadata of gridtrack, or without a message that can be read."""
     if not head.startswith(MCAP_MAGIC):
         return False
     file = McapFile(path)
@@ -111,7 +145,7 @@ def is_native(path: Path, head: bytes) -> bool:
         first = next(file.messages(), None)
     except DamageError:
         first = None
-    return METADATA_NAME in file.metadata or first is None or first.schema.encoding == "protobuf"
+    return METADATA_NAME in file.metadata or first is None
 
 
 NATIVE_FORMAT = RecordingFormat("native MCAP", (".mcap",), is_native, NativeRecording)
@@ -132,9 +166,14 @@ class _NativeWriter:
         self._mcap = Writer(file, chunk_size=CHUNK_BYTES, enable_data_crcs=True)
         self._mcap.start(library="gridtrack")
         self._mcap.add_metadata(METADATA_NAME, {"schema": NATIVE_SCHEMA, "info": info.model_dump_json()})
-        self._schemas = {kind: register_schema(self._mcap, kind) for kind in (LaserScan, FrameTransform, SceneUpdate)}
+        self._schemas: dict[type, int] = {
+            kind: register_schema(self._mcap, kind) for kind in (LaserScan, FrameTransform, SceneUpdate)
+        }
         self._channels: dict[tuple[str, float, float], int] = {}
         self._poses: dict[str, SE2] = {}
+        self._references: dict[str, SE2] = {}
+        self._beam_times: dict[str, float] = {}
+        self._json_channels: dict[str, int] = {}
         self._truth = SceneWriter(info.classes)
         self._written: tuple[int, Scene] | None = None
 
@@ -143,6 +182,13 @@ class _NativeWriter:
         if self._poses.get(scan.sensor) != scan.world_T_sensor:
             self._poses[scan.sensor] = scan.world_T_sensor
             self._add("/pose", _transform_message(scan), scan.stamp_ns)
+        if scan.reference_T_sensor is not None or scan.sensor in self._references:
+            self._write_reference(scan, scan.reference_T_sensor or scan.world_T_sensor)
+        if self._beam_times.get(scan.sensor, 0.0) != scan.time_increment_s:
+            self._beam_times[scan.sensor] = scan.time_increment_s
+            self._add_json(BEAM_TIMES, scan, beam_times_message(scan.stamp_ns, scan.time_increment_s))
+        if scan.pose_quality is not None:
+            self._add_json(POSE_QUALITY, scan, pose_quality_message(scan.stamp_ns, scan.pose_quality))
         if scan.scene is not None:
             self._write_truth(scan.scene, scan.stamp_ns)
         message = _scan_message(scan)
@@ -152,6 +198,16 @@ class _NativeWriter:
             labelled.intensities.extend(scan.labels.astype(np.float64).tolist())
             self._add(_topic("/labels", scan.sensor), labelled, scan.stamp_ns)
         self._add(_topic("/scan", scan.sensor), message, scan.stamp_ns, (scan.range_min, scan.range_max))
+
+    def _write_reference(self, scan: Scan, pose: SE2) -> None:
+        """A PoseInFrame, for a viewer places the sensor by FrameTransform, and it has one parent frame."""
+        if self._references.get(scan.sensor) != pose:
+            self._references[scan.sensor] = pose
+            if PoseInFrame not in self._schemas:
+                self._schemas[PoseInFrame] = register_schema(self._mcap, PoseInFrame)
+            message = PoseInFrame(timestamp=timestamp_of(scan.stamp_ns), frame_id=WORLD)
+            _set_pose(message.pose.position, message.pose.orientation, pose)
+            self._add(_topic(REFERENCE_POSE, scan.sensor), message, scan.stamp_ns)
 
     def _write_truth(self, scene: Scene, stamp_ns: int) -> None:
         """Once for each stamp, even where several sensors have a scan then."""
@@ -171,7 +227,7 @@ class _NativeWriter:
     def _add(
         self,
         topic: str,
-        message: LaserScan | FrameTransform | SceneUpdate,
+        message: LaserScan | FrameTransform | PoseInFrame | SceneUpdate,
         stamp_ns: int,
         limits: tuple[float, float] | None = None,
     ) -> None:
@@ -186,9 +242,22 @@ class _NativeWriter:
             self._channels[key] = self._mcap.register_channel(topic, "protobuf", schema, metadata)
         self._mcap.add_message(self._channels[key], stamp_ns, message.SerializeToString(deterministic=True), stamp_ns)
 
+    def _add_json(self, kind: str, scan: Scan, message: bytes) -> None:
+        topic = _topic(kind, scan.sensor)
+        if topic not in self._json_channels:
+            name, schema = json_schema(kind)
+            schema_id = self._mcap.register_schema(name, "jsonschema", schema)
+            self._json_channels[topic] = self._mcap.register_channel(topic, "json", schema_id)
+        self._mcap.add_message(self._json_channels[topic], scan.stamp_ns, message, scan.stamp_ns)
+
 
 def _topic(kind: str, sensor: str) -> str:
     return kind if sensor == DEFAULT_SENSOR else f"{kind}/{sensor}"
+
+
+def _is_topic(topic: str, kind: str) -> bool:
+    """Whether `topic` is one of `_topic(kind, sensor)`."""
+    return topic == kind or topic.startswith(f"{kind}/")
 
 
 def _scan_message(scan: Scan) -> LaserScan:
@@ -200,11 +269,14 @@ def _scan_message(scan: Scan) -> LaserScan:
 
 
 def _transform_message(scan: Scan) -> FrameTransform:
-    pose = scan.world_T_sensor
     message = FrameTransform(timestamp=timestamp_of(scan.stamp_ns), parent_frame_id=WORLD, child_frame_id=scan.sensor)
-    message.translation.x, message.translation.y = pose.x, pose.y
-    message.rotation.z, message.rotation.w = math.sin(pose.theta / 2.0), math.cos(pose.theta / 2.0)
+    _set_pose(message.translation, message.rotation, scan.world_T_sensor)
     return message
+
+
+def _set_pose(position: Vector3, orientation: Quaternion, pose: SE2) -> None:
+    position.x, position.y = pose.x, pose.y
+    orientation.z, orientation.w = math.sin(pose.theta / 2.0), math.cos(pose.theta / 2.0)
 
 
 def _read_info(text: str, where: str) -> RecordingInfo:
@@ -223,9 +295,8 @@ def _decoded(message: Decoded, received: McapMessage) -> Decoded:
     return message
 
 
-def _pose(transform: FrameTransform) -> SE2:
-    theta = 2.0 * math.atan2(transform.rotation.z, transform.rotation.w)
-    return SE2(transform.translation.x, transform.translation.y, theta)
+def _pose(position: Vector3, orientation: Quaternion) -> SE2:
+    return SE2(position.x, position.y, 2.0 * math.atan2(orientation.z, orientation.w))
 
 
 def _scan(

@@ -15,8 +15,9 @@ from typing import BinaryIO, NamedTuple
 import lz4.frame  # type: ignore[import-untyped]
 
 from gridtrack.recordings.format import RecordingFormat
+from gridtrack.recordings.framed_recording import EncodedMessage
 from gridtrack.recordings.recording import DamageError
-from gridtrack.recordings.ros_messages import RosMessage, ros2_name
+from gridtrack.recordings.ros_messages import ros2_name
 from gridtrack.recordings.ros_recording import ROS_OPTIONS, RosRecording
 
 ROS1_MAGIC = b"#ROSBAG V2.0\n"
@@ -29,10 +30,10 @@ Fields = dict[str, bytes]
 class Ros1Bag(RosRecording):
     """A ROS 1 bag."""
 
-    def messages(self) -> Iterator[RosMessage]:
+    def messages(self) -> Iterator[EncodedMessage]:
         """All messages in the order of the file. Raises DamageError where it is cut off or corrupt."""
         for message in bag_messages(self.path):
-            yield RosMessage(message.topic, ros2_name(message.kind), message.received_ns, "ros1", message.data)
+            yield EncodedMessage(message.topic, ros2_name(message.kind), message.received_ns, "ros1", message.data)
 
 
 def is_ros1_bag(path: Path, head: bytes) -> bool:

@@ -7,8 +7,8 @@ from pathlib import Path
 
 from gridtrack.recordings.format import RecordingFormat
 from gridtrack.recordings.formats.ros_mcap import mcap_files
+from gridtrack.recordings.framed_recording import EncodedMessage
 from gridtrack.recordings.recording import DamageError
-from gridtrack.recordings.ros_messages import RosMessage
 from gridtrack.recordings.ros_recording import ROS_OPTIONS, RosRecording
 
 SQLITE_MAGIC = b"SQLite format 3\x00"
@@ -18,7 +18,7 @@ METADATA_FILE = "metadata.yaml"
 class Ros2Bag(RosRecording):
     """A ROS 2 bag in SQLite."""
 
-    def messages(self) -> Iterator[RosMessage]:
+    def messages(self) -> Iterator[EncodedMessage]:
         """All messages in the order of reception. Raises DamageError where the bag is cut off or corrupt."""
         import apsw
         from rosbags.rosbag2 import Reader, ReaderError
@@ -26,7 +26,7 @@ class Ros2Bag(RosRecording):
         try:
             with Reader(self.path) as reader:
                 for connection, received_ns, data in reader.messages():
-                    yield RosMessage(connection.topic, connection.msgtype, received_ns, "cdr", data)
+                    yield EncodedMessage(connection.topic, connection.msgtype, received_ns, "cdr", data)
         except (ReaderError, apsw.Error, FileNotFoundError) as error:
             raise DamageError(f"damaged ({error})") from None
 

@@ -7,8 +7,9 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from gridtrack.common.errors import ConfigurationError
-from gridtrack.common.grid import GridSpec
+from gridtrack.common.errors import ConfigurationError, RecordingError
+from gridtrack.common.geometry import SE2
+from gridtrack.common.grid import GridSpec, Shift, rolled, shift_between
 
 metres = st.floats(-1e6, 1e6)
 grids = st.builds(GridSpec, st.integers(1, 60), st.integers(1, 300).map(lambda n: n / 100), st.tuples(metres, metres))
@@ -67,3 +68,53 @@ def test_an_invalid_grid_text_is_refused_with_an_example(text: str) -> None:
 def test_sizes_out_of_bounds_are_refused(text: str) -> None:
     with pytest.raises(ConfigurationError, match="grid"):
         GridSpec.parse(text)
+
+
+def test_values_stay_at_their_place_in_the_world_when_the_window_moves() -> None:
+    values = np.arange(25).reshape(5, 5)
+    moved = rolled(values, Shift(rows=1, columns=-2), fill=-1)
+    assert moved.tolist() == [
+        [-1, -1, 5, 6, 7],
+        [-1, -1, 10, 11, 12],
+        [-1, -1, 15, 16, 17],
+        [-1, -1, 20, 21, 22],
+        [-1, -1, -1, -1, -1],
+    ]
+
+
+@given(st.tuples(st.integers(-7, 7), st.integers(-7, 7)), st.tuples(st.integers(-7, 7), st.integers(-7, 7)))
+def test_two_moves_of_the_window_keep_what_both_keep(one: tuple[int, int], other: tuple[int, int]) -> None:
+    values = np.arange(1, 26).reshape(5, 5)
+    twice = rolled(rolled(values, Shift(*one), 0), Shift(*other), 0)
+    once = rolled(values, Shift(one[0] + other[0], one[1] + other[1]), 0)
+    kept = twice != 0
+    assert (twice[kept] == once[kept]).all()
+
+
+def test_rolled_cells_may_be_on_any_axes_and_take_an_array() -> None:
+    values = np.arange(18).reshape(3, 3, 2)
+    moved = rolled(values, Shift(1, 0), np.array([-1, -2]), axes=(0, 1))
+    assert (moved[:2] == values[1:]).all()
+    assert moved[2].tolist() == [[-1, -2]] * 3
+
+
+@given(st.integers(-40, 40), st.integers(-40, 40), st.integers(1, 30), st.integers(1, 30), st.integers(1, 30))
+def test_the_window_of_a_map_has_the_cells_of_the_map_that_lie_in_it(
+    up: int, right: int, rows: int, columns: int, size: int
+) -> None:
+    area = np.arange(1, rows * columns + 1).reshape(rows, columns)
+    found = rolled(area, Shift(up, right), 0, size=size)
+    assert found.shape == (size, size)
+    for r in range(size):
+        for c in range(size):
+            inside = 0 <= r + up < rows and 0 <= c + right < columns
+            assert found[r, c] == (area[r + up, c + right] if inside else 0)
+
+
+def test_a_shift_is_whole_cells_of_a_window_that_does_not_turn() -> None:
+    assert shift_between(SE2(1.0, 2.0), SE2(1.4, 1.8), 0.2) == Shift(rows=-1, columns=2)
+    assert not shift_between(SE2(0.1, 0.7, 0.3), SE2(0.1, 0.7, 0.3), 0.2)
+    with pytest.raises(RecordingError, match="whole cells"):
+        shift_between(SE2(), SE2(0.1, 0.0), 0.2)
+    with pytest.raises(RecordingError, match="never turns"):
+        shift_between(SE2(), SE2(0.0, 0.0, 0.1), 0.2)

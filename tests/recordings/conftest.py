@@ -48,6 +48,7 @@ def same_scans() -> Callable[[Iterator[Scan], Iterable[Scan]], None]:
     def assert_same(found: Iterator[Scan], expected: Iterable[Scan]) -> None:
         for a, b in zip(found, expected, strict=True):
             assert (a.stamp_ns, a.sensor, a.range_min, a.range_max) == (b.stamp_ns, b.sensor, b.range_min, b.range_max)
+            assert a.time_increment_s == b.time_increment_s
             np.testing.assert_array_equal(a.ranges, b.ranges)
             np.testing.assert_array_equal(a.labels, b.labels)
             assert a.ranges.dtype == np.float32

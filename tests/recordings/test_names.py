@@ -12,7 +12,8 @@ from gridtrack.common.errors import ConfigurationError, GridtrackError, Recordin
 from gridtrack.common.scan import Scan
 from gridtrack.evaluation.scoring.splits import Sampling, plan_split
 from gridtrack.recordings import RecordingInfo, import_recording, open_recording, write_native
-from gridtrack.recordings.stream import open_stream, parse_named_stretch, parse_stretch
+from gridtrack.recordings.stream import open_stream
+from gridtrack.recordings.stretches import parse_named_stretch, parse_stretch
 
 ALLOWED = "expected 1 to 160 bytes of printable UTF-8"
 SECOND = Sampling(horizon_s=1.0, every_s=0.5)

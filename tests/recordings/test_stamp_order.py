@@ -142,9 +142,9 @@ def test_a_gap_of_too_many_frames_is_refused_with_the_stretches_around_it(
         open_stream(path)
     before, after = open_stream(f"{path}@0s-9.9s"), open_stream(f"{path}@620s-")
     assert (len(before), len(after)) == (99, 100)
-    found = [frame for frame in before.all_frames() if frame.visible.any()]
+    found = [one.frame for one in before.all_observations() if one.frame.visible.any()]
     assert len(found) == 200
-    assert len(list(before.all_frames())) == 201
+    assert len(list(before.all_observations())) == 201
 
 
 def test_a_long_gap_within_the_limit_stays_empty_frames(write: Callable[..., Path], scan: Callable[..., Scan]) -> None:

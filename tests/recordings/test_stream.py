@@ -1,24 +1,26 @@
-"""A grid stream has the same regular frames for every reader: slices of one whole, in the frame of the first sensor."""
+"""A grid stream has the same regular frames for every reader: slices of one whole, about the first sensor."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from gridtrack.common.errors import GridtrackError, RecordingError
-from gridtrack.common.geometry import SE2
-from gridtrack.common.grid import GridFrame, GridSpec
+from gridtrack.common.geometry import SE2, same_pose
+from gridtrack.common.grid import GridFrame, GridSpec, shift_between
 from gridtrack.common.raycast import cast_scan
 from gridtrack.common.scan import Scan
-from gridtrack.evaluation.scoring.motion import ObservedMotion
-from gridtrack.evaluation.scoring.referee import Delivery
+from gridtrack.evaluation.scoring.referee import refuse_moving
 from gridtrack.recordings import open_recording, packaged_recording
-from gridtrack.recordings.stream import GridStream, frame_digest, open_stream, parse_stretch
+from gridtrack.recordings.degradation import degrader, parse_degradation
+from gridtrack.recordings.stream import GridStream, frame_digest, open_stream
+from gridtrack.recordings.stretches import parse_stretch
 
 GRID = GridSpec(60, 0.2)
 
@@ -156,24 +158,67 @@ def test_gaps_are_counted_and_their_frames_empty(write: Callable[..., Path], sca
     assert open_stream(f"{path}@2s-3s").gaps == 0
 
 
-def test_the_grid_of_a_static_sensor_has_the_frame_of_the_sensor(
+def test_the_window_of_a_turned_sensor_has_the_axes_of_the_world(
     write: Callable[..., Path], scan: Callable[..., Scan]
 ) -> None:
-    pose = SE2(10.0, 20.0, math.pi / 2)
-    frames = list(open_stream(write(one_beam(scan(k), 3.0, world_T_sensor=pose) for k in range(3)), grid=GRID))
+    pose = SE2(10.05, 20.0, math.pi / 2)
+    frames = list(open_stream(write(one_beam(scan(k), 3.1, world_T_sensor=pose) for k in range(3)), grid=GRID))
     for frame in frames:
-        assert (frame.world_T_grid.x, frame.world_T_grid.y) == (10.0, 20.0)
-        np.testing.assert_allclose(frame.origins, [[0.0, 0.0]], atol=1e-6)
-        np.testing.assert_allclose(frame.points, [[3.1, 0.1]], atol=1e-6)
-        np.testing.assert_allclose(frame.world_T_grid.apply(frame.points), [[9.9, 23.1]], atol=1e-5)
+        assert frame.world_T_grid == SE2(pytest.approx(10.0), pytest.approx(20.0), 0.0)
+        np.testing.assert_allclose(frame.origins, [[0.05, 0.0]], atol=1e-6)
+        np.testing.assert_allclose(frame.points, [[0.1, 3.1]], atol=1e-6)
 
 
-def test_the_grid_follows_a_sensor_that_moves(write: Callable[..., Path], scan: Callable[..., Scan]) -> None:
-    scans = [one_beam(scan(k), 3.0, world_T_sensor=SE2(0.5 * k, 0.0, 0.1 * k)) for k in range(4)]
-    for k, frame in enumerate(open_stream(write(scans), grid=GRID)):
-        assert (frame.world_T_grid.x, frame.world_T_grid.theta) == (0.5 * k, pytest.approx(0.1 * k))
-        np.testing.assert_allclose(frame.origins, [[0.0, 0.0]], atol=1e-6)
-        np.testing.assert_allclose(frame.points, [[3.1, 0.1]], atol=1e-6)
+def test_the_window_follows_a_sensor_by_whole_cells_and_never_turns(
+    write: Callable[..., Path], scan: Callable[..., Scan]
+) -> None:
+    wall_x = 4.1
+    poses = [SE2(0.07 * k, -0.05 * k, 0.1 * k) for k in range(12)]
+    beams = [one_beam(scan(k), wall_x - pose.x, world_T_sensor=pose) for k, pose in enumerate(poses)]
+    scans = [replace(beam, angle_min=-pose.theta) for beam, pose in zip(beams, poses, strict=True)]
+    frames = list(open_stream(write(scans), grid=GRID))
+    for frame, pose in zip(frames, poses, strict=True):
+        window = frame.world_T_grid
+        assert (window.x, window.y, window.theta) == (round(pose.x / 0.2) * 0.2, round(pose.y / 0.2) * 0.2, 0.0)
+        np.testing.assert_allclose(frame.origins, [[pose.x - window.x, pose.y - window.y]], atol=1e-6)
+        (row,), (column,) = np.nonzero(frame.occupied)
+        assert column == 30 + math.floor((wall_x - window.x) / 0.2), "the wall stays at its place in the world"
+        assert row == 30 + math.floor((pose.y - window.y) / 0.2)
+    assert {bool(shift_between(a.world_T_grid, b.world_T_grid, 0.2)) for a, b in pairwise(frames)} == {True, False}
+
+
+def test_a_stretch_that_starts_in_a_gap_has_the_window_of_the_last_scan(
+    write: Callable[..., Path], scan: Callable[..., Scan]
+) -> None:
+    path = write(scan(k, pose=SE2(0.5 * k)) for k in range(40) if not 10 <= k < 20)
+    whole = [frame_digest(frame) for frame in open_stream(path, grid=GRID)]
+    assert [frame_digest(frame) for frame in open_stream(f"{path}@1.5s-", grid=GRID)] == whole[15:]
+
+
+def test_the_window_of_degraded_scans_follows_the_recorded_poses(
+    write: Callable[..., Path], scan: Callable[..., Scan]
+) -> None:
+    stream = open_stream(write(scan(k, pose=SE2(0.07 * k)) for k in range(12)), grid=GRID)
+    jittered = stream.degraded(degrader(parse_degradation("pose-jitter=0.5"), 0))
+    for frame, degraded in zip(stream, jittered, strict=True):
+        assert degraded.world_T_grid == frame.world_T_grid
+        assert np.abs(degraded.origins - frame.origins).max() > 1e-3
+
+
+def test_reference_poses_place_the_window_of_a_frame_and_change_no_frame(
+    write: Callable[..., Path], scan: Callable[..., Scan], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    stream = open_stream(write(scan(k, pose=SE2(0.07 * k)) for k in range(12)), grid=GRID)
+    frames = [frame_digest(frame) for frame in stream]
+    scans = [replace(s, reference_T_sensor=SE2(5.0, 1.0, 0.3) @ s.world_T_sensor) for s in stream.recording.scans()]
+    monkeypatch.setattr(stream.recording, "scans", lambda *_: iter(scans))
+    observations = list(stream.observations())
+    assert [frame_digest(o.frame) for o in observations] == frames
+    for observation in observations:
+        assert same_pose(observation.reference_T_grid, SE2(5.0, 1.0, 0.3) @ observation.frame.world_T_grid)
+        elsewhere = replace(observation, frame=replace(observation.frame, world_T_grid=SE2(9.0)))
+        again = elsewhere.seen_in(observation.reference_T_grid, GRID).frame
+        assert np.count_nonzero(again.visible != observation.frame.visible) < 5, "equal but for rounding"
 
 
 def two_sensors(scan: Callable[..., Scan]) -> list[Scan]:
@@ -195,6 +240,39 @@ def test_several_sensors_share_the_frame_of_the_first(write: Callable[..., Path]
             np.testing.assert_allclose(frame.points[order][:, 0], [1.1, -3.1], atol=0.11)
             assert frame.point_origin[order].tolist() == [0, 1]
             assert frame.point_origin.dtype == np.uint8
+
+
+def test_of_several_sensors_one_that_is_late_or_missing_is_told_and_frames_are_made_of_the_others(
+    write: Callable[..., Path], scan: Callable[..., Scan]
+) -> None:
+    behind = SE2(-2.0, 0.0, math.pi)
+    front = [one_beam(scan(k, "front"), 1.1) for k in range(20)]
+    rear = [
+        one_beam(scan(k, "rear", offset_ns=60_000_000 if k == 7 else 1), 1.1, world_T_sensor=behind)
+        for k in range(20)
+        if not 11 <= k < 14
+    ]
+    stream = open_stream(write(sorted(front + rear, key=lambda one: one.stamp_ns)), grid=GRID, rate_hz=10.0)
+    (told,) = stream.recording.warnings
+    assert told.endswith(
+        "sensor 'rear': no scan within half a period of 0.1 s of 4 of 20 frames in 0s-1.9s, the first at 0.70 s; they"
+        " are made of the scans of the other sensors"
+    )
+    returns = [int(frame.occupied.sum()) for frame in stream]
+    assert returns == [1 if k in (7, 11, 12, 13) else 2 for k in range(20)]
+    assert all(frame.origins.shape == (2, 2) for frame in stream)
+
+
+def test_a_cell_that_one_sensor_sees_occupied_and_another_sees_through_is_occupied(
+    write: Callable[..., Path], scan: Callable[..., Scan]
+) -> None:
+    """Like a cell that some beams of one scan end in and others pass: a laser sees surfaces."""
+    ends = one_beam(scan(0, "front"), 1.1)
+    passes = one_beam(scan(0, "rear", offset_ns=1), 4.0, world_T_sensor=SE2(-2.0, 0.0, 0.0))
+    (frame,) = open_stream(write([ends, passes]), grid=GRID, rate_hz=10.0)
+    assert np.argwhere(frame.occupied).tolist() == [[30, 35], [30, 40]]
+    assert frame.visible[30, 20:41].all(), "free where any beam passed"
+    assert frame.point_origin.tolist() == [0, 1]
 
 
 def test_raw_points_are_the_returns_and_centres_those_of_the_occupied_cells(
@@ -267,28 +345,31 @@ def moving(scan: Callable[..., Scan], rest: range) -> list[Scan]:
     return scans
 
 
-def delivery(text: str | Path) -> Delivery:
-    stream = open_stream(text)
-    return Delivery(stream, lambda: None, ObservedMotion(stream, np.ones(stream.grid.shape, np.bool_)))
+def test_a_stretch_knows_when_its_window_first_moves(write: Callable[..., Path], scan: Callable[..., Scan]) -> None:
+    path = write(moving(scan, range(100, 300)))
+    assert open_stream(f"{path}@5s-30s").first_move_s == pytest.approx(5.2)
+    assert open_stream(f"{path}@10.1s-29.7s").first_move_s is None
 
 
-def test_the_error_for_a_moving_sensor_has_the_time_in_the_recording_and_a_stretch_at_rest(
+def test_a_tracker_for_sensors_at_rest_is_told_a_stretch_in_which_the_sensor_rests(
     write: Callable[..., Path], scan: Callable[..., Scan]
 ) -> None:
     path = write(moving(scan, range(100, 300)))
-    hint = r"the sensor moves at 5\.100 s, and only a sensor at rest can be scored: name a stretch .*made\.mcap@(\S+)$"
+    hint = (
+        r"made\.mcap@5s-30s: the sensor moves at 5\.200 s, and 'mine' follows only a sensor at rest \(moving_sensor is"
+        r" false\): name a stretch in which it is at rest, such as .*made\.mcap@(\S+)$"
+    )
     with pytest.raises(RecordingError, match=hint) as error:
-        list(delivery(f"{path}@5s-30s"))
-    at_rest = f"{path}@{str(error.value).rpartition('@')[2]}"
-    assert len(list(delivery(at_rest))) == len(open_stream(at_rest)) > 190
+        refuse_moving(open_stream(f"{path}@5s-30s"), "mine")
+    refuse_moving(open_stream(f"{path}@{str(error.value).rpartition('@')[2]}"), "mine")
 
 
-def test_the_error_for_a_sensor_that_never_rests_suggests_no_stretch(
+def test_of_a_sensor_that_never_rests_no_stretch_is_suggested(
     write: Callable[..., Path], scan: Callable[..., Scan]
 ) -> None:
     path = write(moving(scan, range(100, 150)))
     with pytest.raises(RecordingError, match=r"moves at 0\.100 s, .*, and this one is at rest nowhere for 10 s$"):
-        list(delivery(path))
+        refuse_moving(open_stream(path), "mine")
 
 
 def test_the_error_for_a_wrong_label_has_the_time_in_the_recording(

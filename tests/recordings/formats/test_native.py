@@ -17,9 +17,12 @@ from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
 from gridtrack.common.errors import ConfigurationError, GridtrackError, RecordingError
-from gridtrack.common.geometry import SE2
+from gridtrack.common.geometry import SE2, same_pose
+from gridtrack.common.pose_quality import PoseQuality
 from gridtrack.common.scan import Scan
 from gridtrack.recordings import RecordingInfo, open_recording
+from gridtrack.recordings.json_messages import read_beam_times, read_pose_quality
+from gridtrack.recordings.recording import DamageError
 
 
 def test_scans_round_trip_bit_for_bit(write: Callable[..., Path], scan: Callable[..., Scan], same_scans) -> None:
@@ -55,6 +58,55 @@ def test_sensors_are_merged_by_stamp_with_their_own_poses_and_labels(
     assert recording.survey.moves
     assert {name: s.moved for name, s in recording.survey.sensors.items()} == {"front": True, "rear/left": False}
     assert {s.sensor for s in open_recording(path, topic="/scan/front").scans()} == {"front"}
+
+
+def test_reference_poses_round_trip_beside_those_that_trackers_get(
+    write: Callable[..., Path], scan: Callable[..., Scan]
+) -> None:
+    scans = []
+    for k in range(6):
+        drifts = replace(scan(k, "front/left", SE2(0.1 * k, 0.0, 0.5)), reference_T_sensor=SE2(0.11 * k, 7.0, -3.0))
+        scans += [drifts, scan(k, "rear", SE2(-1.0, 0.0, 3.0), offset_ns=3_000_001)]
+    scans.append(scan(6, "front/left", SE2(0.7, 0.0, 0.5)))
+    recording = open_recording(write(scans))
+    assert recording.survey.topics["/reference_pose/front/left"] == ("foxglove.PoseInFrame", 7)
+    for found, expected in zip(recording.scans(), scans, strict=True):
+        assert same_pose(found.world_T_sensor, expected.world_T_sensor)
+        if expected.sensor == "rear":
+            assert found.reference_T_sensor is None
+        else:
+            assert found.reference_T_sensor is not None
+            assert same_pose(found.reference_T_sensor, expected.reference_T_sensor or expected.world_T_sensor)
+
+
+def test_beam_times_and_the_quality_of_poses_round_trip(write: Callable[..., Path], scan: Callable[..., Scan]) -> None:
+    qualities = [None, PoseQuality("start"), PoseQuality("matched", 0.875, 0.0125), PoseQuality("few-returns")]
+    scans = [
+        replace(scan(k, name), time_increment_s=time_s, pose_quality=quality)
+        for k, (time_s, quality) in enumerate(zip((1e-4, 1e-4, 2e-4, 0.0), qualities, strict=True))
+        for name in ("front", "rear")
+    ]
+    recording = open_recording(write(scans))
+    found = [(s.sensor, s.time_increment_s, s.pose_quality) for s in recording.scans()]
+    assert found == [(s.sensor, s.time_increment_s, s.pose_quality) for s in scans]
+    assert recording.survey.topics["/beam_times/front"] == ("gridtrack.BeamTimes", 3)
+    assert recording.survey.topics["/pose_quality/rear"] == ("gridtrack.PoseQuality", 3)
+
+
+@pytest.mark.parametrize(
+    "message",
+    [b"[1]", b"{}", b'{"outcome": "good", "inlier_share": 1, "residual_m": 0}', b"\xff" * 2000,
+     b'{"outcome": "matched", "inlier_share": NaN, "residual_m": 0}'],
+)  # fmt: skip
+def test_a_damaged_quality_is_told(message: bytes) -> None:
+    with pytest.raises(DamageError, match="corrupt"):
+        read_pose_quality(message)
+
+
+@pytest.mark.parametrize("message", [b'{"time_increment_s": -1}', b'{"time_increment_s": "fast"}', b"", b"[" * 900])
+def test_damaged_beam_times_are_told(message: bytes) -> None:
+    with pytest.raises(DamageError, match="corrupt"):
+        read_beam_times(message)
 
 
 def test_range_limits_may_change(write: Callable[..., Path], scan: Callable[..., Scan], same_scans) -> None:
@@ -248,15 +300,16 @@ def test_angles_and_numbers_of_beams_beyond_the_limits_are_refused(
         list(open_recording(path).scans())
 
 
+@pytest.mark.parametrize("pose", ["world_T_sensor", "reference_T_sensor"])
 def test_a_scan_with_a_pose_that_is_not_finite_is_left_out_and_refused_as_the_first(
-    write: Callable[..., Path], scan: Callable[..., Scan]
+    write: Callable[..., Path], scan: Callable[..., Scan], pose: str
 ) -> None:
-    nowhere = SE2(math.nan, 0.0, 0.0)
-    recording = open_recording(write([scan(0), replace(scan(1), world_T_sensor=nowhere), scan(2)]))
+    nowhere = {pose: SE2(math.nan, 0.0, 0.0)}
+    recording = open_recording(write([scan(0), replace(scan(1), **nowhere), scan(2)]))
     assert [s.stamp_ns for s in recording.scans()] == [scan(0).stamp_ns, scan(2).stamp_ns]
     assert "whose pose is not finite, left out: 1 of them" in recording.warnings[0]
     with pytest.raises(RecordingError, match="a pose of nan, 0, 0; expected finite numbers"):
-        list(open_recording(write([replace(scan(0), world_T_sensor=nowhere)])).scans())
+        list(open_recording(write([replace(scan(0), **nowhere)])).scans())
 
 
 def test_every_error_is_one_line(write: Callable[..., Path], scan: Callable[..., Scan]) -> None:

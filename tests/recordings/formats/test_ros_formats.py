@@ -41,7 +41,7 @@ def laser(store: Any, scan: Scan) -> Any:
         angle_min=scan.angle_min,
         angle_max=scan.angle_min + scan.angle_increment * (scan.ranges.size - 1),
         angle_increment=scan.angle_increment,
-        time_increment=0.0,
+        time_increment=scan.time_increment_s,
         scan_time=0.1,
         range_min=scan.range_min,
         range_max=scan.range_max,
@@ -126,7 +126,7 @@ def scans(scan: Callable[..., Scan]) -> list[Scan]:
         for sensor, offset_ns in (("scan", 0), ("rear/scan", 40_000_000)):
             s = scan(k, sensor, offset_ns=offset_ns)
             exact = {n: float32(getattr(s, n)) for n in ("angle_min", "angle_increment", "range_min", "range_max")}
-            made.append(replace(s, **exact))
+            made.append(replace(s, **exact, time_increment_s=float32(1e-4) if sensor == "scan" else 0.0))
     return made
 
 
@@ -178,6 +178,13 @@ def test_headers_without_a_stamp_get_the_time_of_reception_and_a_warning(tmp_pat
     assert [s.stamp_ns for s in recording.scans()] == [10**9, 10**9 + 1, 10**9 + 2]
     assert len(recording.warnings) == 1
     assert "time of reception" in recording.warnings[0]
+
+
+@pytest.mark.parametrize("increment_s", [-1e-4, 1.0, math.nan, math.inf])
+def test_beam_times_that_no_laser_has_are_not_known(tmp_path: Path, scans: list[Scan], increment_s: float) -> None:
+    message = laser(ROS1, replace(scans[0], time_increment_s=increment_s))
+    (found,) = open_recording(ros1_bag(tmp_path / "a.bag", [("/scan", LASER, 10**9, message)])).scans()
+    assert found.time_increment_s == 0.0
 
 
 def test_the_error_for_a_bag_without_scans_lists_its_topics(tmp_path: Path) -> None:

@@ -1,0 +1,53 @@
+"""What is known of a scan's pose before it is matched: from odometry, or from the last motion."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from gridtrack.common.geometry import SE2
+from gridtrack.recordings.ego_motion.returns import PlaneArray
+from gridtrack.recordings.ego_motion.settings import MatchingSettings
+
+POSITION_FLOOR_M, HEADING_FLOOR_RAD = 0.002, 0.002
+"""Standard deviations of a prior for no motion and no time."""
+TURN_LEVER_M = 0.5
+"""A turn of one radian adds as much to the position's noise as this distance driven, and a metre as much to heading."""
+MAX_COAST_S = 1.0
+"""Without odometry the last motion is continued for this long where scans cannot be matched; then the sensor is taken
+to stand."""
+
+
+class Prior(NamedTuple):
+    """A predicted pose `world_T_sensor`, the motion since the scan before, and its noise.
+
+    `motion` is in the frame of the sensor at the scan before. `information` (3, 3) is the inverse covariance of x, y
+    and heading in the sensor's frame; `coarse` where the pose may be off by more than the kernel of a fine match.
+    """
+
+    world_T_sensor: SE2
+    motion: SE2
+    information: PlaneArray
+    coarse: bool
+
+
+def odometry_prior(last: SE2, odometry: SE2, settings: MatchingSettings) -> Prior:
+    """The pose after the motion `odometry` (last_T_sensor as recorded) from the pose `last`."""
+    distance, turn = math.hypot(odometry.x, odometry.y), abs(odometry.theta)
+    position = POSITION_FLOOR_M + settings.odometry_drift * (distance + TURN_LEVER_M * turn)
+    heading = HEADING_FLOOR_RAD + settings.odometry_turn_drift * (turn + TURN_LEVER_M * distance)
+    return Prior(last @ odometry, odometry, _information(position, heading), False)
+
+
+def motion_prior(last: SE2, velocity: SE2, since_s: float, settings: MatchingSettings) -> Prior:
+    """The pose after `since_s` seconds at `velocity` (m/s and rad/s, sensor frame) from the pose `last`."""
+    motion = SE2(velocity.x * since_s, velocity.y * since_s, velocity.theta * since_s)
+    position = POSITION_FLOOR_M + settings.acceleration * since_s**2 / 2.0
+    heading = HEADING_FLOOR_RAD + settings.turn_acceleration * since_s**2 / 2.0
+    return Prior(last @ motion, motion, _information(position, heading), True)
+
+
+def _information(position_m: float, heading_rad: float) -> PlaneArray:
+    return np.diag([position_m**-2, position_m**-2, heading_rad**-2])

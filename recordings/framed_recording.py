@@ -1,0 +1,177 @@
+"""A recording whose scans, transforms and poses name their frames: ROS messages, Foxglove messages."""
+
+from __future__ import annotations
+
+import contextlib
+from abc import abstractmethod
+from collections.abc import Iterable, Iterator
+from functools import cached_property
+from typing import Literal, NamedTuple
+
+from gridtrack.common.errors import RecordingError
+from gridtrack.common.names import name_from
+from gridtrack.common.scan import Scan
+from gridtrack.recordings.frames.chains import Chains
+from gridtrack.recordings.frames.choice import chosen_chains
+from gridtrack.recordings.frames.placing import FramedScan, ScansOnChains
+from gridtrack.recordings.frames.problems import ChainOptions
+from gridtrack.recordings.frames.transform import SE3
+from gridtrack.recordings.frames.tree import FrameTree, StampedTransform, frame_name
+from gridtrack.recordings.recording import DamageError, Recording, RecordingInfo, Topics
+
+Content = Literal["scan", "transforms", "pose"]
+STATIC_TRANSFORMS = "tf_static"
+
+
+class EncodedMessage(NamedTuple):
+    """One message of a file, still encoded (`ros1`, `cdr`, `protobuf`); ROS types as ROS 2 writes them."""
+
+    topic: str
+    kind: str
+    received_ns: int
+    encoding: str
+    data: bytes
+
+
+class FramedRecording(Recording):
+    """A recording whose messages name their frames.
+
+    One quick pass over the transforms and poses of the whole file chooses the chain of each sensor: static transforms
+    may come anywhere in it. Then the scans are read, each with the pose on its chain.
+    """
+
+    @abstractmethod
+    def messages(self) -> Iterator[EncodedMessage]:
+        """All messages in the order of the file. Raises DamageError where it is cut off or corrupt."""
+
+    @abstractmethod
+    def content_of(self, message: EncodedMessage) -> Content | None:
+        """What a message holds, from its topic and type."""
+
+    @abstractmethod
+    def frame_of(self, message: EncodedMessage) -> str:
+        """The frame of a scan. Raises DamageError."""
+
+    @abstractmethod
+    def scan_of(self, message: EncodedMessage) -> FramedScan:
+        """A scan and its frame. Raises DamageError."""
+
+    @abstractmethod
+    def transforms_of(self, message: EncodedMessage) -> Iterable[StampedTransform]:
+        """The transforms of a message, or its pose; `child` is empty where it does not name one. DamageError."""
+
+    @cached_property
+    def info(self) -> RecordingInfo:
+        """The metadata of the recording: its file name as `site`, and where its poses come from."""
+        return RecordingInfo(site=name_from(self.name), poses=self.chains.describe(self._tree, self._sensors))
+
+    @property
+    def pose_problem(self) -> str:
+        """Why the poses of the sensors cannot be used, and what to do; empty where they can."""
+        return self.chains.problem
+
+    def topic_of(self, sensor: str) -> str:
+        """The topic with the scans of `sensor`."""
+        return f"/{sensor}"
+
+    def sensor_of(self, topic: str) -> str:
+        """The name of the sensor with the scans of `topic`."""
+        return topic.strip("/") or "scan"
+
+    @cached_property
+    def chains(self) -> Chains:
+        """The chain of each topic with scans.
+
+        Raises RecordingError for a pose topic that is not there, ConfigurationError for a mount of no sensor.
+        """
+        options = ChainOptions(self._sensors, self.options.pose_topic, self.options.mounts, self.import_command)
+        try:
+            return chosen_chains(self._tree, options)
+        except RecordingError as error:
+            raise RecordingError(f"{self.path}: {error}") from None
+
+    @cached_property
+    def _sensors(self) -> dict[str, str]:
+        return {topic: self.sensor_of(topic) for topic in self._tree.sensors}
+
+    @cached_property
+    def _tree(self) -> FrameTree:
+        tree = FrameTree()
+        with contextlib.suppress(DamageError):  # reported when the scans are read
+            for message in self.messages():
+                self._add_to(tree, message)
+        return tree
+
+    def _add_to(self, tree: FrameTree, message: EncodedMessage) -> None:
+        content, topic = self.content_of(message), message.topic
+        try:
+            if content == "transforms":
+                tree.add_transforms(topic, topic.endswith(STATIC_TRANSFORMS), self.transforms_of(message))
+            elif content == "pose":
+                tree.add_poses(topic, self.transforms_of(message))
+            elif content == "scan" and self.is_read(message) and topic not in tree.sensors:
+                tree.sensors[topic] = frame_name(self.frame_of(message))
+        except DamageError as damage:
+            tree.note(f"{damage}; it is left out")
+
+    def read(self, topics: Topics) -> Iterator[Scan]:
+        """The scans in the order of the file; counts the messages in `topics`. DamageError where it is damaged."""
+        for fault in self._tree.faults:
+            self.warn(fault)
+        self._tell_shared_frames()
+        scans = ScansOnChains(self.chains.of_topic, self.warn)
+        try:
+            for message in self.messages():
+                content = self.content_of(message)
+                topics.add(message.topic, message.kind, content == "scan")
+                if content == "scan" and self.is_read(message):
+                    yield from self._placed(scans, message)
+                elif content in ("transforms", "pose"):
+                    for child, stamp_ns, transform in self._moving_transforms(message, content):
+                        yield from scans.transform(child, stamp_ns, transform)
+        except DamageError:
+            yield from scans.flush()
+            raise
+        yield from scans.flush()
+
+    def _placed(self, scans: ScansOnChains, message: EncodedMessage) -> Iterator[Scan]:
+        """The scans that no longer wait when the one in a message is added."""
+        framed = self.scan_of(message)
+        if frame_name(framed.frame) == self._tree.sensors.get(message.topic):
+            yield from scans.scan(framed)
+        else:
+            self.warn(f"topic '{message.topic}': scans of another frame than the first are left out")
+
+    def _tell_shared_frames(self) -> None:
+        """Tell moving sensors that may be one, whose scans are recorded twice: raw and filtered, for example."""
+        moving = {topic: self._tree.sensors[topic] for topic, chain in self.chains.of_topic.items() if chain.moving}
+        for frame in dict.fromkeys(moving.values()):
+            topics = [topic for topic, other in moving.items() if other == frame]
+            if len(topics) > 1:
+                self.notify(
+                    f"{' and '.join(topics[:3])} have scans of one frame, '{frame}': where they are of one sensor,"
+                    f" import one of them with `{self.import_command(['--topic', topics[0]])}`"
+                )
+
+    def is_read(self, message: EncodedMessage) -> bool:
+        """Whether the scans of a message's topic are read."""
+        return self.options.topic in (None, message.topic)
+
+    @cached_property
+    def _moving_children(self) -> tuple[dict[str, str], set[str]]:
+        """What moves: the child of each topic with poses, and the children of transforms."""
+        links = self.chains.moving.values()
+        of_poses = {link.source: link.child for link in links if link.source in self._tree.poses}
+        return of_poses, {link.child for link in links if link.source not in of_poses}
+
+    def _moving_transforms(self, message: EncodedMessage, content: Content) -> Iterator[tuple[str, int, SE3]]:
+        """The transforms of links that move: child, stamp, transform."""
+        of_poses, of_transforms = self._moving_children
+        if message.topic not in of_poses if content == "pose" else not of_transforms:
+            return
+        with contextlib.suppress(DamageError):  # one of the tree's faults
+            for stamped in self.transforms_of(message):
+                child = of_poses[message.topic] if content == "pose" else frame_name(stamped.child)
+                is_used = content == "pose" or (child in of_transforms and self._tree.is_used(stamped))
+                if is_used and stamped.transform is not None:
+                    yield child, stamped.stamp_ns, stamped.transform

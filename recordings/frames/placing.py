@@ -1,0 +1,136 @@
+"""Scans placed on their chains: each waits until the transforms around its stamp are read."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
+
+from gridtrack.common.errors import RecordingError
+from gridtrack.common.scan import Scan
+from gridtrack.recordings.frames.chains import Chain
+from gridtrack.recordings.frames.trajectory import MAX_GAP_NS, Trajectory
+from gridtrack.recordings.frames.transform import SE3
+
+MAX_TILT_RAD = math.radians(15.0)
+"""A scan plane that is tilted more is no plan of what stands around: at 15 deg it is 2.6 m off at 10 m."""
+MAX_WAITING = 1000
+KEPT_NS = 3_000_000_000
+"""Transforms are kept for scans that are written later than others."""
+
+
+@dataclass(frozen=True, slots=True)
+class FramedScan:
+    """A scan before it has a pose: its topic, its frame, and the pose of its sensor in that frame."""
+
+    topic: str
+    frame: str
+    scan: Scan
+    frame_T_sensor: SE3 | None = None
+
+
+class ScansOnChains:
+    """Delays scans until the transforms after them are read, and gives each its pose on its chain.
+
+    A scan waits for a second of scans at most. Where transforms are more than a second apart, or from the scan, it has
+    the last ones before it (the first ones at the beginning of the file), and `warn` receives a line at the end.
+    """
+
+    def __init__(self, chains: Mapping[str, Chain], warn: Callable[[str], None]) -> None:
+        """`chains` by topic."""
+        self._chains, self._warn = chains, warn
+        self._moving = {link.child: link for chain in chains.values() for link in chain.moving}
+        self._trajectories = {child: Trajectory() for child in self._moving}
+        self._waiting: deque[FramedScan] = deque()
+        self._newest_ns = -1
+        self._first_ns: int | None = None
+        self._faults: dict[str, int] = {}
+
+    def scan(self, framed: FramedScan) -> Iterator[Scan]:
+        """Add the next scan, and yield the scans that no longer wait."""
+        stamp_ns = framed.scan.stamp_ns
+        self._newest_ns = max(self._newest_ns, stamp_ns)
+        self._first_ns = stamp_ns if self._first_ns is None else min(self._first_ns, stamp_ns)
+        self._waiting.append(framed)
+        yield from self._released()
+
+    def transform(self, child: str, stamp_ns: int, transform: SE3) -> Iterator[Scan]:
+        """Add the next transform of a moving link, and yield the scans that no longer wait."""
+        if not self._trajectories[child].add(stamp_ns, transform):
+            link = self._moving[child]
+            self._count(f"transforms of '{child}' on {link.source} whose stamp is far from the others are left out")
+        yield from self._released()
+
+    def flush(self) -> Iterator[Scan]:
+        """Yield the scans that still wait, and report. Raises RecordingError where scans and poses have two clocks."""
+        while self._waiting:
+            yield from self._placed(self._waiting.popleft())
+        self._check_clocks()
+        for fault, count in self._faults.items():
+            self._warn(f"{fault}: {count} of them")
+
+    def _released(self) -> Iterator[Scan]:
+        released = False
+        while self._waiting and (self._is_due(self._waiting[0]) or len(self._waiting) > MAX_WAITING):
+            released = True
+            yield from self._placed(self._waiting.popleft())
+        if released or not self._waiting:
+            for trajectory in self._trajectories.values():
+                trajectory.drop_before(min(trajectory.last_ns, max(self._newest_ns, 0)) - KEPT_NS)
+
+    def _is_due(self, framed: FramedScan) -> bool:
+        stamp_ns = framed.scan.stamp_ns
+        late = self._newest_ns - stamp_ns > MAX_GAP_NS
+        return late or all(self._trajectories[link.child].covers(stamp_ns) for link in self._chain(framed).moving)
+
+    def _chain(self, framed: FramedScan) -> Chain:
+        return self._chains[framed.topic]
+
+    def _placed(self, framed: FramedScan) -> Iterator[Scan]:
+        """The scan at its place in the plane; none where it is tilted too much."""
+        scan, chain = framed.scan, self._chain(framed)
+        placement = self._world_T_sensor(framed, chain).placement()
+        if placement.tilt_rad > MAX_TILT_RAD:
+            limit = f"{math.degrees(MAX_TILT_RAD):g} deg"
+            self._count(f"scans of sensor '{scan.sensor}' tilted by more than {limit} are left out")
+            return
+        if placement.mirrored:
+            scan = _turned_over(scan)
+        yield replace(scan, world_T_sensor=placement.pose)
+
+    def _world_T_sensor(self, framed: FramedScan, chain: Chain) -> SE3:
+        world_T_frame = SE3()
+        for link in chain.links:
+            transform = link.constant
+            if transform is None:
+                found = self._trajectories[link.child].at(framed.scan.stamp_ns)
+                transform = found.transform if found else SE3()
+                if found is None or not found.near:
+                    self._count(
+                        f"scans of sensor '{framed.scan.sensor}' without poses on {link.source} ({link.parent} ->"
+                        f" {link.child}) within 1 s have the last before them"
+                    )
+            world_T_frame = world_T_frame @ transform
+        return world_T_frame if framed.frame_T_sensor is None else world_T_frame @ framed.frame_T_sensor
+
+    def _count(self, fault: str) -> None:
+        self._faults[fault] = self._faults.get(fault, 0) + 1
+
+    def _check_clocks(self) -> None:
+        """Raise RecordingError where all transforms of a link are stamped long before or after all scans."""
+        for child, trajectory in self._trajectories.items():
+            if trajectory.first_ns is None or self._first_ns is None:
+                continue
+            before_ns, after_ns = self._first_ns - trajectory.last_ns, trajectory.first_ns - self._newest_ns
+            if max(before_ns, after_ns) > MAX_GAP_NS:
+                apart = f"{before_ns / 1e9:.1f} s before" if before_ns > 0 else f"{after_ns / 1e9:.1f} s after"
+                raise RecordingError(
+                    f"no pose on {self._moving[child].source} at the time of a scan: they are stamped {apart} the"
+                    " scans: record poses and scans with one clock"
+                )
+
+
+def _turned_over(scan: Scan) -> Scan:
+    """The scan of a sensor that is upside down, as seen from above: its angles run clockwise."""
+    return replace(scan, angle_min=-scan.angle_min, angle_increment=-scan.angle_increment)

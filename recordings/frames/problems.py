@@ -1,0 +1,87 @@
+"""Why the poses of a recording cannot be used: one line each, with the command to type."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+
+from gridtrack.recordings.frames.chains import Link
+from gridtrack.recordings.frames.tree import PoseTopic
+from gridtrack.recordings.mounts import Mount
+
+MAX_SHOWN = 5
+EXAMPLE_PLACE = "0,0,0deg"
+AT_REST = "or import it with --pose-topic none where it stands still"
+
+
+@dataclass(frozen=True, slots=True)
+class ChainOptions:
+    """What the user says about the sensors."""
+
+    sensors: dict[str, str]
+    """The topics with scans, and the names of their sensors."""
+    pose_topic: str | None
+    mounts: tuple[Mount, ...]
+    command: Callable[[Iterable[str]], str]
+    """The command that imports the recording with more options, given as words."""
+
+
+def frames_in_a_cycle(options: ChainOptions, frames: Sequence[str]) -> str:
+    """Frames that are their own ancestors."""
+    first = next(iter(options.sensors.values()))
+    command = options.command(["--mount", f"{first}={EXAMPLE_PLACE}"])
+    return (
+        f"frames in a cycle ({_shown(frames, ' -> ')}): give the mount of the sensor, as in `{command}`, and its poses"
+        " with --pose-topic"
+    )
+
+
+def mounts_not_known(options: ChainOptions, names: Sequence[str], moves: bool) -> str:
+    """Sensors without a frame in common; `names` are those without any place, `moves`: what carries them does."""
+    mounts = {name: ["--mount", f"{name}={EXAMPLE_PLACE}"] for name in names[:MAX_SHOWN]}
+    (topic, first), *_ = options.sensors.items()
+    one = options.command(["--topic", topic, *(mounts.get(first, []) if moves else [])])
+    others = [f"--topic {other}" for other in options.sensors if other != topic]
+    together = options.command(word for words in mounts.values() for word in words)
+    return (
+        f"several sensors ({_shown(list(options.sensors.values()))}), and how they are mounted is not known, so that"
+        f" their scans cannot share a grid: import one of them with `{one}`, or {_shown(others)}; or all with"
+        f" `{together}`, with their places on the robot (x and y in metres, and heading) in place of {EXAMPLE_PLACE}"
+    )
+
+
+def mount_not_known(options: ChainOptions, pose: PoseTopic, sensor: str) -> str:
+    """Poses of what carries a sensor whose place on it is not recorded."""
+    of = f"of '{pose.child}'" if pose.child else "of what carries it"
+    command = options.command(["--mount", f"{sensor}={EXAMPLE_PLACE}"])
+    return (
+        f"the poses on {pose.topic} are those {of}, and where sensor '{sensor}' is mounted on it is not recorded: give"
+        f" its x and y (metres) and heading there, in place of {EXAMPLE_PLACE} in `{command}`"
+    )
+
+
+def poses_not_known(options: ChainOptions, poses: Sequence[PoseTopic], sensor: str, *, is_mounted: bool) -> str:
+    """Topics with poses of which none is known to be that of what carries the sensor."""
+    mount = [] if is_mounted else ["--mount", f"{sensor}={EXAMPLE_PLACE}"]
+    command = options.command(["--pose-topic", poses[0].topic, *mount])
+    mounted = f", with its place there in place of {EXAMPLE_PLACE}" if mount else ""
+    return (
+        f"poses on {_shown([pose.topic for pose in poses])}, and none is known to be that of sensor '{sensor}': name"
+        f" it, as in `{command}`{mounted}; {AT_REST}"
+    )
+
+
+def sensor_not_reached(options: ChainOptions, links: Sequence[Link], sensor: str, frame: str) -> str:
+    """Transforms that move, in another tree than that of the sensor."""
+    moving = _shown([f"{link.parent} -> {link.child}" for link in links])
+    command = options.command(["--mount", f"{sensor}={links[0].child}:{EXAMPLE_PLACE}"])
+    return (
+        f"transforms on {links[0].source} ({moving}) do not reach frame '{frame}' of sensor '{sensor}': give the frame"
+        f" that it is mounted on, and its x and y (metres) and heading there, as in `{command}`; {AT_REST}"
+    )
+
+
+def _shown(names: Sequence[str], separator: str = ", ") -> str:
+    """The names, all but the first few left out."""
+    more = f"{separator}{len(names) - MAX_SHOWN} more" if len(names) > MAX_SHOWN else ""
+    return separator.join(names[:MAX_SHOWN]) + more

@@ -1,0 +1,158 @@
+"""The tree of coordinate frames that the transforms of a recording make, and the topics with poses beside it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+from gridtrack.common.names import LABEL_RULE, is_label
+from gridtrack.recordings.frames.far_stamps import FarStamps
+from gridtrack.recordings.frames.transform import SE3
+
+MAX_TREE_FRAMES = 1000
+"""Frames of a recording that are kept; a robot with two arms has a hundred."""
+MAX_POSE_TOPICS, MAX_FAULTS = 100, 20
+
+
+class StampedTransform(NamedTuple):
+    """`parent_T_child` at a stamp; None where the numbers of the message are not a transform."""
+
+    stamp_ns: int
+    parent: str
+    child: str
+    transform: SE3 | None
+
+
+class FrameMotion:
+    """What one pass over the transforms of a frame, or the poses of a topic, tells about them."""
+
+    def __init__(self, first_ns: int, first: SE3) -> None:
+        self.first = first
+        self.constant = True
+        self.longest_gap_ns = 0
+        self._added = 1
+        self._far = FarStamps()
+        self._far.judge(first_ns)
+
+    def add(self, stamp_ns: int, transform: SE3) -> None:
+        """Add the next transform in the order of the file; one whose stamp is far from the others does not count."""
+        before_ns = self._far.last_ns
+        judgement = self._far.judge(stamp_ns)
+        if judgement == "held":
+            return
+        if judgement == "restarted":
+            self.first = transform if self._added == 1 else self.first
+        else:
+            self.longest_gap_ns = max(self.longest_gap_ns, self._far.last_ns - before_ns)
+        self._added += 1
+        self.constant = self.constant and transform.is_same(self.first)
+
+
+@dataclass(slots=True)
+class Edge:
+    """The transforms of a frame in its parent, and the first topic with them; `is_static`: one holds for all times."""
+
+    parent: str
+    topic: str
+    is_static: bool
+    motion: FrameMotion
+
+    @property
+    def moves(self) -> bool:
+        """Whether the frame moves in its parent."""
+        return not (self.is_static or self.motion.constant)
+
+
+@dataclass(frozen=True, slots=True)
+class PoseTopic:
+    """A topic with poses: of `child` in `frame`; `child` is empty where the messages do not name it."""
+
+    topic: str
+    frame: str
+    child: str
+    motion: FrameMotion
+
+
+@dataclass
+class FrameTree:
+    """Frames with their parents, topics with poses, and the frame of each topic with scans, from one pass over a file.
+
+    The first parent of a frame is kept. `faults` holds one line for each kind of fault and frame.
+    """
+
+    edges: dict[str, Edge] = field(default_factory=dict)
+    poses: dict[str, PoseTopic] = field(default_factory=dict)
+    sensors: dict[str, str] = field(default_factory=dict)
+    """Topic of the scans -> frame of the sensor, as its first scan names it; it may be empty."""
+    faults: dict[str, None] = field(default_factory=dict)
+
+    def add_transforms(self, topic: str, is_static: bool, transforms: Iterable[StampedTransform]) -> None:
+        """Add the transforms of a message."""
+        for stamped in transforms:
+            child, parent = frame_name(stamped.child), frame_name(stamped.parent)
+            fault = self._fault(topic, parent, child, stamped.transform)
+            if fault or stamped.transform is None:
+                self.note(fault)
+            elif child in self.edges:
+                edge = self.edges[child]
+                edge.is_static &= is_static
+                edge.motion.add(stamped.stamp_ns, stamped.transform)
+                if edge.is_static and not edge.motion.constant:
+                    self.note(f"static transforms on {topic} of frame '{child}' change: the first is used")
+            else:
+                self.edges[child] = Edge(parent, topic, is_static, FrameMotion(stamped.stamp_ns, stamped.transform))
+
+    def add_poses(self, topic: str, poses: Iterable[StampedTransform]) -> None:
+        """Add the poses of a message."""
+        for pose in poses:
+            if pose.transform is None:
+                self.note(f"poses on {topic} that are not finite or have no rotation are left out")
+            elif topic in self.poses:
+                self.poses[topic].motion.add(pose.stamp_ns, pose.transform)
+            elif len(self.poses) == MAX_POSE_TOPICS:
+                self.note(f"more than {MAX_POSE_TOPICS} topics with poses: the others are not used")
+            else:
+                parent, child = (_label_or_empty(name) for name in (pose.parent, pose.child))
+                self.poses[topic] = PoseTopic(topic, parent, child, FrameMotion(pose.stamp_ns, pose.transform))
+
+    def is_used(self, stamped: StampedTransform) -> bool:
+        """Whether a transform is one of those kept: of a known frame, to its first parent."""
+        edge = self.edges.get(frame_name(stamped.child))
+        return edge is not None and edge.parent == frame_name(stamped.parent)
+
+    def note(self, fault: str) -> None:
+        """Add a fault, once; at most MAX_FAULTS of them."""
+        if len(self.faults) < MAX_FAULTS:
+            self.faults[fault] = None
+        elif fault not in self.faults:
+            self.faults["more faults in the transforms"] = None
+
+    def _fault(self, topic: str, parent: str, child: str, transform: SE3 | None) -> str:
+        """Why a transform cannot be used; empty where it can."""
+        bad_names = [name for name in (parent, child) if not is_label(name)]
+        if bad_names:
+            return f"transforms on {topic} with a frame named {bad_names[0][:40]!r} are left out: {LABEL_RULE}"
+        if transform is None:
+            return f"transforms on {topic} of frame '{child}' that are not finite or have no rotation are left out"
+        if parent == child:
+            return f"transforms on {topic} of frame '{child}' to itself are left out"
+        if child not in self.edges and len(self.edges) == MAX_TREE_FRAMES:
+            return f"more than {MAX_TREE_FRAMES} frames on {topic}: the others are not used"
+        edge = self.edges.get(child)
+        if edge is not None and edge.parent != parent:
+            return (
+                f"frame '{child}' has two parents, '{edge.parent}' on {edge.topic} and '{parent}' on {topic}: the first"
+                " is used; where that is wrong, give the sensor's mount with --mount, or its poses with --pose-topic"
+            )
+        return ""
+
+
+def frame_name(name: str) -> str:
+    """A frame's name without the slash that ROS 1 may write before it."""
+    return name.removeprefix("/")
+
+
+def _label_or_empty(name: str) -> str:
+    """A frame's name, empty where it cannot be shown."""
+    return frame_name(name) if is_label(frame_name(name)) else ""

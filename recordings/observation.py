@@ -1,0 +1,123 @@
+"""An observation: a grid frame with the scans it was made of, in the window of the frame or in another one."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gridtrack.common.geometry import SE2
+from gridtrack.common.grid import GridFrame, GridSpec, Points
+from gridtrack.common.raycast import cast_scan
+from gridtrack.common.scan import Scan
+from gridtrack.common.scene import Scene
+
+
+@dataclass(frozen=True, slots=True)
+class Observation:
+    """A frame and the `scans` it was made of, with labels and truth, for the referee only.
+
+    `grid_T_sensor` are the poses of the scans' sensors in the frame's grid, in the same order; `time_s` is the time
+    since the first scan of the recording. `reference_T_world` leads from the world of the poses that trackers get to
+    that of the reference poses, in which truth is given and forecasts are scored.
+    """
+
+    frame: GridFrame
+    scans: tuple[Scan, ...] = ()
+    grid_T_sensor: tuple[SE2, ...] = ()
+    time_s: float = 0.0
+    reference_T_world: SE2 = field(default_factory=SE2)
+
+    @property
+    def scene(self) -> Scene | None:
+        """The true scene, where the recording has it."""
+        return next((scan.scene for scan in self.scans if scan.scene is not None), None)
+
+    @property
+    def reference_T_grid(self) -> SE2:
+        """The pose of the frame's window in the world of the reference poses."""
+        return self.reference_T_world @ self.frame.world_T_grid
+
+    def seen_in(self, reference_T_grid: SE2, grid: GridSpec) -> Observation:
+        """The same scans in the window at `reference_T_grid`, each cast from its reference pose.
+
+        Its frame has no points. Without scans the cells of the frame are read: those outside of its own window are
+        unseen.
+        """
+        if reference_T_grid == self.reference_T_grid:
+            return self
+        if not self.scans:
+            return self._read_in(reference_T_grid, grid)
+        grid_T_reference = reference_T_grid.inverse()
+        poses = tuple(grid_T_reference @ reference_pose(scan) for scan in self.scans)
+        visible, occupied = np.zeros((2, *grid.shape), np.bool_)
+        for scan, pose in zip(self.scans, poses, strict=True):
+            cast_scan(scan, grid, pose, visible, occupied)
+        frame = _without_points(self.frame.stamp_ns, visible, occupied, reference_T_grid, _positions(poses))
+        return Observation(frame, self.scans, poses, self.time_s)
+
+    def _read_in(self, window: SE2, grid: GridSpec) -> Observation:
+        frame, own = self.frame, self.reference_T_grid
+        visible, occupied = cells_in_window(np.stack([frame.visible, frame.occupied]), own, window, grid)
+        origins = (window.inverse() @ own).apply(frame.origins).astype(np.float32)
+        return Observation(_without_points(frame.stamp_ns, visible, occupied, window, origins), time_s=self.time_s)
+
+
+def reference_pose(scan: Scan) -> SE2:
+    """`reference_T_sensor` of a scan: its pose under test where it has no reference pose."""
+    return scan.world_T_sensor if scan.reference_T_sensor is None else scan.reference_T_sensor
+
+
+def frame_of(
+    stamp_ns: int,
+    scans: Mapping[str, Scan],
+    grid_T_sensor: Mapping[str, SE2],
+    world_T_grid: SE2,
+    grid: GridSpec,
+    points: Points,
+) -> GridFrame:
+    """The frame of the `scans` by sensor; `grid_T_sensor` are the poses of all sensors, also those without a scan."""
+    visible, occupied = np.zeros((2, *grid.shape), np.bool_)
+    owner = np.zeros(grid.shape, np.uint8)
+    returns: list[NDArray[np.float32]] = []
+    return_origin: list[NDArray[np.uint8]] = []
+    for s, sensor in enumerate(grid_T_sensor):
+        if sensor not in scans:
+            continue
+        before = occupied.copy()
+        returns.append(cast_scan(scans[sensor], grid, grid_T_sensor[sensor], visible, occupied))
+        return_origin.append(np.full(len(returns[-1]), s, np.uint8))
+        owner[occupied & ~before] = s
+    origins = _positions(grid_T_sensor.values())
+    if points == "raw" and returns:
+        return GridFrame(
+            stamp_ns, visible, occupied, world_T_grid, origins, np.concatenate(returns), np.concatenate(return_origin)
+        )
+    return GridFrame(stamp_ns, visible, occupied, world_T_grid, origins, grid.cell_centres(occupied), owner[occupied])
+
+
+def _positions(poses: Iterable[SE2]) -> NDArray[np.float32]:
+    """x and y (S, 2) float32 of poses."""
+    return np.array([(pose.x, pose.y) for pose in poses], np.float32).reshape(-1, 2)
+
+
+def _without_points(
+    stamp_ns: int, visible: NDArray[np.bool_], occupied: NDArray[np.bool_], pose: SE2, origins: NDArray[np.float32]
+) -> GridFrame:
+    none = np.zeros((0, 2), np.float32), np.zeros(0, np.uint8)
+    return GridFrame(stamp_ns, visible, occupied, pose, origins, *none)
+
+
+def cells_in_window(marked: NDArray[np.bool_], own: SE2, window: SE2, grid: GridSpec) -> NDArray[np.bool_]:
+    """Marks (K, M, M) of the cells of a window at `own`, as cells of another `window`; False outside of the first.
+
+    Each cell has the mark of the cell in which its centre lies: exactly a shift where the windows are whole cells apart
+    and not turned.
+    """
+    centres = (own.inverse() @ window).apply(grid.cell_centres(np.ones(grid.shape, np.bool_)))
+    cells, inside = grid.cells_of(centres)
+    found = np.zeros((len(marked), grid.size**2), np.bool_)
+    found[:, inside] = marked[:, cells[inside, 0], cells[inside, 1]]
+    return found.reshape(-1, *grid.shape)

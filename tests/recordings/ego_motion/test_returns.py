@@ -1,0 +1,63 @@
+"""Returns as points: the directions of walls, scans straightened by the motion of the sensor, and what moves."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from gridtrack.common.geometry import SE2
+from gridtrack.common.scan import Scan
+from gridtrack.recordings.ego_motion.moving_returns import EarlierScans
+from gridtrack.recordings.ego_motion.returns import deskewed, returns_of, wall_normals
+
+
+def test_the_normal_of_a_wall_is_across_it() -> None:
+    along = np.linspace(-2.0, 2.0, 80)
+    direction, noise = math.radians(25.0), np.random.default_rng(0).normal(0.0, 0.01, 80)
+    wall = SE2(3.0, 0.0, direction).apply(np.stack([along, noise], axis=1))
+    normals, on_wall = wall_normals(wall)
+    across = np.abs(normals @ [-math.sin(direction), math.cos(direction)])
+    assert on_wall.all()
+    assert np.median(across) > 0.99
+
+
+def test_most_points_that_are_on_no_line_have_no_normal() -> None:
+    cloud = np.random.default_rng(0).uniform(-0.3, 0.3, (60, 2))
+    assert np.mean(wall_normals(cloud)[1]) < 0.3
+    assert not wall_normals(cloud[:2])[1].any()
+
+
+def test_straightened_points_are_where_the_sensor_would_have_seen_them_at_the_stamp() -> None:
+    motion = SE2(0.1, 0.02, 0.05)
+    here = np.random.default_rng(0).uniform(-5.0, 5.0, (50, 2))
+    share = np.linspace(0.0, 1.0, 50)
+    on_the_way = [SE2(s * motion.x, s * motion.y, s * motion.theta) for s in share.tolist()]
+    seen = np.concatenate([pose.inverse().apply(here[[i]]) for i, pose in enumerate(on_the_way)])
+    np.testing.assert_allclose(deskewed(seen, share, motion), here, atol=1e-12)
+
+
+def test_invalid_ranges_and_those_beyond_the_limit_are_no_returns() -> None:
+    ranges = np.array([0.0, np.nan, np.inf, -np.inf, 0.05, 3.0, 25.0, 4.0], np.float32)
+    returns = returns_of(Scan(0, ranges, 0.0, 0.1, 0.1, 50.0), 20.0, SE2(), 0.0)
+    np.testing.assert_allclose(np.hypot(*returns.points.T), [3.0, 4.0], rtol=1e-6)
+
+
+def scan(ranges: float, beams: int = 9) -> Scan:
+    return Scan(0, np.full(beams, ranges, np.float32), -0.4, 0.1, 0.1, 10.0)
+
+
+def test_a_return_moves_where_an_earlier_scan_saw_beyond_it() -> None:
+    earlier = EarlierScans()
+    earlier.add(scan(5.0), SE2())
+    points = np.array([[2.0, 0.0], [4.9, 0.0], [5.5, 0.0], [-2.0, 0.0]])
+    assert earlier.moving(points, SE2(), 800_000_000).tolist() == [True, False, False, False]
+    assert not earlier.moving(points, SE2(), 100_000_000).any()  # too young to tell
+    assert not earlier.moving(points, SE2(0.0, 20.0, 0.0), 800_000_000).any()
+
+
+def test_a_beam_without_return_saw_free_space_and_an_invalid_one_nothing() -> None:
+    for ranges, moves in ((math.inf, True), (math.nan, False)):
+        earlier = EarlierScans()
+        earlier.add(scan(ranges), SE2())
+        assert earlier.moving(np.array([[2.0, 0.0]]), SE2(), 800_000_000).tolist() == [moves]

@@ -1,0 +1,136 @@
+"""MCAP files of Foxglove messages that another program wrote."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
+from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
+from foxglove_schemas_protobuf.LaserScan_pb2 import LaserScan
+from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
+from mcap.writer import Writer
+from mcap_protobuf.schema import register_schema
+
+from gridtrack.common.errors import RecordingError
+from gridtrack.common.geometry import SE2
+from gridtrack.recordings import import_recording, open_recording
+from gridtrack.recordings.frames.transform import SE3
+from gridtrack.recordings.protobuf_time import timestamp_of
+
+from scenes import drive_bag as made
+
+LIMIT = "topic '/front': its scans have no limits of their ranges; the longest, "
+
+
+def stamp(at_ms: float) -> Any:
+    return timestamp_of(made.START_NS + round(at_ms * made.MS))
+
+
+def placed(message: Any, translation: Any, rotation: Any, transform: SE3) -> Any:
+    translation.x, translation.y, translation.z = transform.translation
+    rotation.x, rotation.y, rotation.z, rotation.w = transform.rotation
+    return message
+
+
+def transform_message(at_ms: float, parent: str, child: str, transform: SE3) -> FrameTransform:
+    message = FrameTransform(timestamp=stamp(at_ms), parent_frame_id=parent, child_frame_id=child)
+    return placed(message, message.translation, message.rotation, transform)
+
+
+def pose_message(at_ms: float) -> PoseInFrame:
+    message = PoseInFrame(timestamp=stamp(at_ms), frame_id="world")
+    return placed(message, message.pose.position, message.pose.orientation, SE3.in_plane(made.robot_at(at_ms)))
+
+
+def scan_message(at_ms: float, laser: made.Laser, in_base: bool = False) -> LaserScan:
+    """In the laser's own frame, or in that of the robot with the place of the laser."""
+    end = laser.angle_min + laser.angle_increment * (laser.beams - 1)
+    message = LaserScan(timestamp=stamp(at_ms), start_angle=laser.angle_min, end_angle=end)
+    message.frame_id = "base_link" if in_base else "front_laser"
+    message.ranges.extend(made.ranges_at(laser, made.robot_at(at_ms), (0.0, 3.0)).astype(float).tolist())
+    if in_base:
+        placed(message, message.pose.position, message.pose.orientation, SE3.in_plane(laser.base_T_laser))
+    return message
+
+
+@pytest.fixture
+def mcap(tmp_path: Path) -> Callable[..., Path]:
+    """`mcap(messages)` writes an MCAP file of (topic, time in ms, message)."""
+
+    def mcap(messages: list[tuple[str, float, Any]], name: str = "foreign.mcap") -> Path:
+        with (tmp_path / name).open("wb") as file:
+            writer = Writer(file)
+            writer.start()
+            channels: dict[str, int] = {}
+            for topic, at_ms, message in sorted(messages, key=lambda m: m[1]):
+                if topic not in channels:
+                    channels[topic] = writer.register_channel(topic, "protobuf", register_schema(writer, type(message)))
+                at_ns = made.START_NS + round(at_ms * made.MS)
+                writer.add_message(channels[topic], at_ns, message.SerializeToString(), at_ns)
+            writer.finish()
+        return tmp_path / name
+
+    return mcap
+
+
+def walls_stay(path: Path) -> bool:
+    off = [made.distance_to_walls(scan).max() for scan in open_recording(path).scans()]
+    return len(off) == 30 and max(off) < 0.02
+
+
+def test_a_drive_with_frame_transforms(mcap, tmp_path: Path) -> None:
+    mount = transform_message(0, "base_link", "front_laser", SE3.in_plane(made.FRONT.base_T_laser))
+    scans = [("/front", at, scan_message(at, made.FRONT)) for at in range(0, 3000, 100)]
+    moving = []
+    for at in range(-20, 3100, 20):
+        odometry = transform_message(at, "odom", "base_link", SE3.in_plane(made.robot_at(at)))
+        moving.append(("/tf", at, FrameTransforms(transforms=[odometry])))
+    path = mcap([*scans, *moving, ("/mount", 5, mount)])
+    assert walls_stay(path)
+    recording = open_recording(path)
+    (warning,) = recording.overview().warnings
+    assert LIMIT in warning
+    assert recording.info.poses == "odom -> base_link -> front_laser; from /tf, /mount; longest gap 0.02 s"
+    imported = import_recording(path, tmp_path / "native.mcap")
+    assert walls_stay(imported.path)
+
+
+def test_poses_in_a_frame_and_scans_with_the_place_of_the_laser(mcap) -> None:
+    scans = [("/front", at, scan_message(at, made.FRONT, in_base=True)) for at in range(0, 3000, 100)]
+    path = mcap([*scans, *(("/pose", at, pose_message(at)) for at in range(-20, 3100, 20))])
+    assert walls_stay(path)
+    assert open_recording(path).info.poses == "world -> base_link; from /pose; longest gap 0.02 s"
+
+
+class Broken:
+    """A message that cannot be decoded."""
+
+    def SerializeToString(self) -> bytes:
+        return b"\xff\xff"
+
+
+def test_a_damaged_message_ends_the_recording_with_one_line(mcap) -> None:
+    good = [("/front", at, scan_message(at, made.FRONT)) for at in range(0, 500, 100)]
+    recording = open_recording(mcap([*good, ("/front", 500, Broken())]))
+    assert len(list(recording.scans())) == 5
+    assert any("a message of /front is not a foxglove.LaserScan" in line for line in recording.warnings)
+
+
+def test_scans_without_a_finite_range_are_refused(mcap) -> None:
+    message = scan_message(0, made.FRONT)
+    message.ranges[:] = [math.inf] * len(message.ranges)
+    with pytest.raises(RecordingError, match="no range of its scans is finite"):
+        list(open_recording(mcap([("/front", 0, message)])).scans())
+
+
+def test_angles_and_ranges_are_kept(mcap) -> None:
+    (scan,) = open_recording(mcap([("/front", 0, scan_message(0, made.FRONT))])).scans()
+    assert scan.angle_min == made.FRONT.angle_min
+    assert scan.angle_increment == pytest.approx(made.FRONT.angle_increment)
+    np.testing.assert_array_equal(scan.ranges, made.ranges_at(made.FRONT, made.robot_at(0), (0.0, 3.0)))
+    assert scan.world_T_sensor == SE2()
