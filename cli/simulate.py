@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shlex
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -15,7 +15,9 @@ if TYPE_CHECKING:
     from gridtrack.simulation.stanford import Video
     from gridtrack.simulation.tracks import Tracks
 
-app = typer.Typer(no_args_is_help=True, help="Recordings with ground truth: junction, junction-set, tracks, check.")
+app = typer.Typer(
+    no_args_is_help=True, help="Recordings with ground truth: junction, junction-set, drive-set, tracks, check."
+)
 FAULTY = 3
 
 Out = Annotated[Path, typer.Option(help="The recording to write: .tracks, rendered on first use, or .mcap, scans")]
@@ -24,7 +26,7 @@ Out = Annotated[Path, typer.Option(help="The recording to write: .tracks, render
 def _junction_defaults() -> dict[str, str]:
     from gridtrack.simulation.junction import WARM_UP_S
 
-    return {"start": seconds_text(WARM_UP_S)}
+    return {"start": seconds_text(WARM_UP_S), "carrier": "car", "odometry_noise": "0"}
 
 
 def _tracks_defaults() -> dict[str, str]:
@@ -43,17 +45,44 @@ def junction_command(
         str | None,
         typer.Option(help="Omitted at the beginning, while the streets fill"),
     ] = None,
+    sensor: Annotated[
+        Literal["corner", "corners", "drive", "beside"],
+        typer.Option(
+            help="A laser on the corner; two on opposite corners; one that drives through; one that stands beside the"
+            " way of that drive"
+        ),
+    ] = "corner",
+    carrier: Annotated[
+        Literal["car", "robot"] | None,
+        typer.Option(help="What drives through: a car, or a delivery robot  [default: car]"),
+    ] = None,
+    odometry_noise: Annotated[
+        float | None,
+        typer.Option(help="Poses of a drive are those of wheel odometry, with so many times its errors"),
+    ] = None,
 ) -> None:
     """A laser at a signalled junction with pedestrians, cyclists, cars and buses (needs the extra `sim`).
 
     Exit code: 0 correct, 2 wrong use, 3 a road user moves through a wall, or gridlock.
     """
-    from gridtrack.simulation.junction import WARM_UP_S
+    from gridtrack.simulation.junction import ONE_CORNER, TWO_CORNERS, WARM_UP_S
     from gridtrack.simulation.junction import simulate_junction as simulate
+    from gridtrack.simulation.junction.drives import MAX_ODOMETRY_NOISE, simulate_drive
     from gridtrack.simulation.writing import check_suffix, write_recording
 
     check_suffix(out)
-    tracks = simulate(minutes, seed, WARM_UP_S if start is None else seconds(start))
+    start_s = WARM_UP_S if start is None else seconds(start)
+    if carrier is not None and sensor not in ("drive", "beside"):
+        raise ConfigurationError(f"--carrier {carrier}: only with --sensor drive or --sensor beside")
+    if odometry_noise is not None and sensor != "drive":
+        raise ConfigurationError(f"--odometry-noise {odometry_noise:g}: only with --sensor drive")
+    if not 0.0 <= (odometry_noise or 0.0) <= MAX_ODOMETRY_NOISE:
+        raise ConfigurationError(f"--odometry-noise {odometry_noise:g}: expected 0 to {MAX_ODOMETRY_NOISE:g}")
+    if sensor in ("corner", "corners"):
+        tracks = simulate(minutes, seed, start_s, ONE_CORNER if sensor == "corner" else TWO_CORNERS)
+    else:
+        drive = simulate_drive(minutes, seed, start_s, carrier or "car")
+        tracks = drive.beside() if sensor == "beside" else drive.carried(odometry_noise or 0.0)
     write_recording(out, tracks)
     _report(out, tracks)
 
@@ -69,6 +98,19 @@ def simulate_junction_set(
 
     for name, (minutes, seed, start_s) in JUNCTION_SET.items():
         tracks = simulate(minutes, seed, start_s)
+        write_recording(out / f"{name}.tracks", tracks)
+        _report(out / f"{name}.tracks", tracks)
+
+
+@app.command("drive-set")
+def simulate_drive_set(out: Annotated[Path, typer.Option(help="Folder of the set")]) -> None:
+    """Twenty drives of a minute as tracks, each with true poses, with wheel odometry, and with a laser beside its way;
+    and the junction's test minutes with lasers on two corners.
+    """
+    from gridtrack.simulation.junction.drives import drive_set
+    from gridtrack.simulation.writing import write_recording
+
+    for name, tracks in drive_set():
         write_recording(out / f"{name}.tracks", tracks)
         _report(out / f"{name}.tracks", tracks)
 
@@ -141,7 +183,7 @@ def check_tracks(tracks: Annotated[list[Path], typer.Argument(metavar="TRACKS...
 
     Exit code: 0 correct, 2 wrong use, 3 a fault was found.
     """
-    from gridtrack.simulation.tracks import read_tracks
+    from gridtrack.simulation.tracks_file import read_tracks
 
     for path in tracks:
         _report(path, read_tracks(path))

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridSpec
-from gridtrack.common.raycast import FRACTION_BITS, MAX_COORDINATE_CELLS, clip, directions_of
+from gridtrack.common.raycast import FRACTION_BITS, MAX_COORDINATE_CELLS, clip, directions_of, turned
 from gridtrack.common.scan import Scan
 from gridtrack.simulation.range_errors import RangeErrors
 
@@ -51,7 +51,7 @@ class ExpectedScan:
         band = errors.bands(true_ranges)
         _add_beams(
             np.where(np.isfinite(true_ranges), true_ranges, 0.0).astype(np.float64),
-            directions_of(scan.angle_min + grid_T_sensor.theta, scan.angle_increment, true_ranges.size),
+            turned(directions_of(scan.angle_min, scan.angle_increment, true_ranges.size), grid_T_sensor.theta),
             errors.values,
             errors.starts[band],
             errors.ends[band],

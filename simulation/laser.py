@@ -26,7 +26,7 @@ TOUCHING = 1e-9
 
 
 class Laser(Settings):
-    """A planar laser and its pose `world_T_sensor`; the defaults are those of the Hokuyo UTM-30LX."""
+    """A planar laser and its pose in the world or on its carrier; the defaults are those of the Hokuyo UTM-30LX."""
 
     x: float = Field(default=0.0, ge=-MAX_SCENE_M, le=MAX_SCENE_M)
     y: float = Field(default=0.0, ge=-MAX_SCENE_M, le=MAX_SCENE_M)
@@ -45,15 +45,13 @@ class Laser(Settings):
         return self
 
     @property
-    def world_T_sensor(self) -> SE2:
-        """The pose of the laser."""
+    def pose(self) -> SE2:
+        """`world_T_sensor` of a laser that stands, `carrier_T_sensor` of one that is carried."""
         return SE2(self.x, self.y, self.theta)
 
-    def scan(self, scene: Scene, stamp_ns: int, random: np.random.Generator) -> Scan:
+    def scan(self, scene: Scene, stamp_ns: int, world_T_sensor: SE2, random: np.random.Generator) -> Scan:
         """A scan of `scene` with noise from `random`, labels and the true scene."""
-        ranges, labels = sweep(
-            scene, self.world_T_sensor, self.angle_min, self.angle_increment, self.beams, self.range_max
-        )
+        ranges, labels = sweep(scene, world_T_sensor, self.angle_min, self.angle_increment, self.beams, self.range_max)
         return Scan(
             stamp_ns=stamp_ns,
             ranges=with_noise(ranges, self.range_max, random),
@@ -61,7 +59,7 @@ class Laser(Settings):
             angle_increment=self.angle_increment,
             range_min=self.range_min,
             range_max=self.range_max,
-            world_T_sensor=self.world_T_sensor,
+            world_T_sensor=world_T_sensor,
             labels=labels,
             scene=scene,
         )

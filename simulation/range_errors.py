@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from gridtrack.common.scan import Scan
 from gridtrack.common.scene import Scene
+from gridtrack.recordings.observation import reference_pose
 from gridtrack.simulation.laser import sweep
 
 BAND_M = 1.0
@@ -52,7 +53,7 @@ def measure_range_errors(scans: Iterable[tuple[Scan, Scene]], every: int = 1) ->
 def true_ranges(scan: Scan, scene: Scene) -> NDArray[np.float32]:
     """The ranges (B,) float32, metres, that the laser of `scan` would measure of `scene` without errors."""
     ranges, _ = sweep(
-        scene, scan.world_T_sensor, scan.angle_min, scan.angle_increment, scan.ranges.size, scan.range_max
+        scene, reference_pose(scan), scan.angle_min, scan.angle_increment, scan.ranges.size, scan.range_max
     )
     return ranges
 

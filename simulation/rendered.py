@@ -12,7 +12,7 @@ from gridtrack.common.files import sha256_of, user_cache_folder
 from gridtrack.common.scan import Scan
 from gridtrack.recordings.formats.native import NativeRecording, write_native
 from gridtrack.recordings.recording import Recording, RecordingInfo, Topics
-from gridtrack.simulation.tracks import read_tracks
+from gridtrack.simulation.tracks_file import read_tracks
 
 RENDERING_VERSION = 1
 """Increases with every change that renders the same tracks to other scans, so that an older rendering is not used."""

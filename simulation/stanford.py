@@ -23,7 +23,7 @@ from gridtrack.common.errors import RecordingError
 from gridtrack.recordings.recording import RecordingInfo
 from gridtrack.simulation.laser import Laser
 from gridtrack.simulation.motion import headings, smoothed, unbroken_tracks
-from gridtrack.simulation.tracks import MAX_USERS_PER_FRAME, Tracks, TracksInfo
+from gridtrack.simulation.tracks import MAX_USERS_PER_FRAME, ONLY_LASER, Tracks, TracksInfo
 
 VIDEO_HZ = 30.0
 SMOOTHING_STEPS = 10.0
@@ -108,7 +108,13 @@ def _info(video: Video, laser: Laser, frames: int, command: str) -> TracksInfo:
         credit=video.credit,
         command=command,
     )
-    return TracksInfo(recording=recording, laser=laser, frames=frames, rate_hz=video.rate_hz, noise_seed=video.seed)
+    return TracksInfo(
+        recording=recording,
+        lasers={ONLY_LASER: laser},
+        frames=frames,
+        rate_hz=video.rate_hz,
+        noise_seed=video.seed,
+    )
 
 
 def _read(path: Path) -> _Boxes:

@@ -1,65 +1,54 @@
-"""Tracks as a file: the pose of every road user in each frame, from which a recording is rendered.
-
-A Parquet file with one row for each road user in each frame, integers in the unit of measurement in the column's name,
-and the rest of the recording (TracksInfo) as JSON in its metadata. An hour of a busy junction takes about two
-megabytes.
-"""
+"""Tracks: the pose of every road user in each frame, and the lasers that watch them, from which scans are rendered."""
 
 from __future__ import annotations
 
 import itertools
-import json
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import BinaryIO
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 from numpy.typing import NDArray
 from pydantic import Field, field_validator
 
-from gridtrack.common.config import Settings, validated
-from gridtrack.common.errors import RecordingError
+from gridtrack.common.config import Settings
 from gridtrack.common.geometry import SE2
+from gridtrack.common.names import NAME_RULE, is_name
 from gridtrack.common.scan import MIN_RATE_HZ, Scan
 from gridtrack.common.scene import UNLABELLED, Scene, SceneObject
 from gridtrack.recordings.recording import RecordingInfo
 from gridtrack.simulation.bodies import body_outline
 from gridtrack.simulation.laser import MAX_SCENE_M, Laser
+from gridtrack.simulation.odometry import WheelOdometry
 
-TRACKS_SCHEMA = 1
-METADATA_KEY = b"gridtrack.tracks"
-TRACK_COLUMNS = {
-    "frame": pa.int32(),
-    "track": pa.int32(),
-    "class": pa.uint8(),
-    "x_cm": pa.int32(),
-    "y_cm": pa.int32(),
-    "heading_mrad": pa.int16(),
-    "length_cm": pa.uint16(),
-    "width_cm": pa.uint16(),
-}
-MAX_TRACK_ROWS, MAX_FRAMES, MAX_USERS_PER_FRAME = 5_000_000, 5_000_000, 1000
+MAX_FRAMES, MAX_USERS_PER_FRAME = 5_000_000, 1000
 HALF_TURN_MRAD = 3141
-MAX_RENDERED_BEAMS = 1_000_000_000
-"""Limit of the beams in all frames together: the rendered recording of a small file must not fill the disk."""
 MAX_OUTLINES, MAX_OUTLINE_CORNERS = 1000, 1000
-MAX_INTERSECTIONS = 1_000_000_000
-"""Limit of the beams of a frame times the corners of the static outlines: a frame is rendered within seconds."""
+MAX_LASERS = 8
+ONLY_LASER = "scan"
+"""The name of the laser of a recording that has one."""
 
 Corner = tuple[float, float]
+
+
+class Carrier(Settings):
+    """The road user that carries the lasers, through all frames; no laser sees it, and it is not in the true scene.
+
+    Without `odometry` the recorded poses are the true ones.
+    """
+
+    track: int = Field(ge=0)
+    odometry: WheelOdometry | None = None
 
 
 class TracksInfo(Settings):
     """The input of a recording besides its tracks.
 
-    `static` outlines are corners in metres, world frame, counter-clockwise; `noise_seed` seeds the laser's noise.
+    `lasers` have the poses `world_T_sensor`, or with a carrier `carrier_T_sensor`; `static` outlines are corners in
+    metres, world frame, counter-clockwise; `noise_seed` seeds the lasers' noise.
     """
 
     recording: RecordingInfo
-    laser: Laser
+    lasers: dict[str, Laser] = Field(min_length=1, max_length=MAX_LASERS)
     frames: int = Field(ge=1, le=MAX_FRAMES)
     rate_hz: float = Field(ge=MIN_RATE_HZ, le=1000.0)
     noise_seed: int = Field(default=0, ge=0, lt=1 << 63)
@@ -67,6 +56,14 @@ class TracksInfo(Settings):
     static_class: str | None = None
     made_with: dict[str, str] = Field(default_factory=dict)
     """Versions of the programs that made the tracks."""
+    carrier: Carrier | None = None
+
+    @field_validator("lasers")
+    @classmethod
+    def _check_names(cls, lasers: dict[str, Laser]) -> dict[str, Laser]:
+        if any(not is_name(name) for name in lasers):
+            raise ValueError(f"the name of a laser: {NAME_RULE}")
+        return lasers
 
     @field_validator("static")
     @classmethod
@@ -98,9 +95,10 @@ class Tracks:
         classes = self.info.recording.classes
         static = tuple(np.array(outline, np.float32) for outline in self.info.static)
         static_label = classes.index(self.info.static_class) if self.info.static_class else UNLABELLED
-        starts = np.searchsorted(self.frame, np.arange(self.info.frames + 1)).tolist()
+        seen = self.without_carrier()
+        starts = np.searchsorted(seen.frame, np.arange(self.info.frames + 1)).tolist()
         for rows in itertools.starmap(slice, itertools.pairwise(starts)):
-            columns = (column[rows].tolist() for column in (self.track, self.label, self.pose, self.size))
+            columns = (column[rows].tolist() for column in (seen.track, seen.label, seen.pose, seen.size))
             objects = tuple(
                 SceneObject(track, label, SE2(*pose), body_outline(classes[label], *size))
                 for track, label, pose, size in zip(*columns, strict=True)
@@ -108,11 +106,39 @@ class Tracks:
             yield Scene(static, static_label, objects)
 
     def scans(self) -> Iterator[Scan]:
-        """The scan of each frame; its noise depends on the seed and the frame number only."""
-        period_ns = round(1e9 / self.info.rate_hz)
+        """The scans of each frame, in the order of the lasers; their noise depends on the seed, the frame number and
+        the number of the laser only."""
+        info = self.info
+        period_ns = round(1e9 / info.rate_hz)
+        true = {name: self.sensor_poses(name).tolist() for name in info.lasers}
+        recorded = self._recorded_poses()
         for frame, scene in enumerate(self.scenes()):
-            random = np.random.default_rng([self.info.noise_seed, frame])
-            yield self.info.laser.scan(scene, frame * period_ns, random)
+            for number, (name, laser) in enumerate(info.lasers.items()):
+                random = np.random.default_rng([info.noise_seed, frame, number] if number else [info.noise_seed, frame])
+                pose = SE2(*true[name][frame])
+                scan = replace(laser.scan(scene, frame * period_ns, pose, random), sensor=name)
+                if name in recorded:
+                    scan = replace(scan, world_T_sensor=SE2(*recorded[name][frame]), reference_T_sensor=pose)
+                yield scan
+
+    def sensor_poses(self, name: str) -> NDArray[np.float64]:
+        """The true pose `world_T_sensor` of a laser in each frame: (frames, 3) x, y, heading."""
+        laser = self.info.lasers[name]
+        if self.info.carrier is None:
+            return np.broadcast_to([laser.x, laser.y, laser.theta], (self.info.frames, 3))
+        return _mounted(self.pose[self.track == self.info.carrier.track], laser)
+
+    def _recorded_poses(self) -> dict[str, list[list[float]]]:
+        """The recorded poses of each laser where they are not the true ones."""
+        carrier = self.info.carrier
+        if carrier is None or carrier.odometry is None:
+            return {}
+        recorded = carrier.odometry.recorded(self.pose[self.track == carrier.track])
+        return {name: _mounted(recorded, laser).tolist() for name, laser in self.info.lasers.items()}
+
+    def without_carrier(self) -> Tracks:
+        """The rows of the road users that a laser can see."""
+        return self if self.info.carrier is None else self.where(self.track != self.info.carrier.track)
 
     def where(self, kept: NDArray[np.bool_]) -> Tracks:
         """The rows (N,) that are kept."""
@@ -134,115 +160,7 @@ class Tracks:
         return replace(self, pose=rounded, size=np.round(self.size * 100.0) / 100.0)
 
 
-def write_tracks(file: BinaryIO, tracks: Tracks) -> None:
-    """Write `tracks`, positions to the centimetre and headings to the milliradian; same input, same bytes.
-
-    Rows are sorted by track, so that successive numbers differ little and take a byte or two.
-    """
-    tracks = tracks.rounded()
-    order = np.lexsort((tracks.frame, tracks.track))
-    values = {
-        "frame": tracks.frame,
-        "track": tracks.track,
-        "class": tracks.label,
-        "x_cm": np.round(tracks.pose[:, 0] * 100.0),
-        "y_cm": np.round(tracks.pose[:, 1] * 100.0),
-        "heading_mrad": np.round(tracks.pose[:, 2] * 1000.0),
-        "length_cm": np.round(tracks.size[:, 0] * 100.0),
-        "width_cm": np.round(tracks.size[:, 1] * 100.0),
-    }
-    about = json.dumps({"schema": TRACKS_SCHEMA} | tracks.info.model_dump(mode="json"))
-    schema = pa.schema(list(TRACK_COLUMNS.items()), metadata={METADATA_KEY: about})
-    columns = [pa.array(values[name][order].astype(kind.to_pandas_dtype())) for name, kind in TRACK_COLUMNS.items()]
-    delta_encoded = [name for name in TRACK_COLUMNS if name not in ("class", "length_cm", "width_cm")]
-    pq.write_table(
-        pa.Table.from_arrays(columns, schema=schema),
-        file,
-        compression="zstd",
-        compression_level=19,
-        use_dictionary=["class", "length_cm", "width_cm"],
-        column_encoding=dict.fromkeys(delta_encoded, "DELTA_BINARY_PACKED"),
-        write_statistics=False,
-        row_group_size=MAX_TRACK_ROWS,
-        data_page_size=1 << 20,
-    )
-
-
-def read_tracks(path: Path) -> Tracks:
-    """The tracks of an untrusted file. Raises RecordingError for one that is damaged or exceeds a limit."""
-    try:
-        with pq.ParquetFile(path) as file:
-            info = _read_info(path, file)
-            table = file.read(columns=list(TRACK_COLUMNS))
-    except (pa.ArrowException, OSError) as error:
-        raise RecordingError(
-            f"{path}: damaged ({str(error).splitlines()[0] if str(error) else 'unreadable'})"
-        ) from None
-    _raise_if(path, "a value is missing", any(table[name].null_count for name in TRACK_COLUMNS))
-    columns = {name: table[name].to_numpy().astype(np.int64) for name in TRACK_COLUMNS}
-    order = np.lexsort((columns["track"], columns["frame"]))
-    columns = {name: column[order] for name, column in columns.items()}
-    _check_rows(path, info, columns)
-    return Tracks(
-        info=info,
-        frame=columns["frame"],
-        track=columns["track"],
-        label=columns["class"],
-        pose=np.stack([columns["x_cm"] / 100.0, columns["y_cm"] / 100.0, columns["heading_mrad"] / 1000.0], axis=1),
-        size=np.stack([columns["length_cm"] / 100.0, columns["width_cm"] / 100.0], axis=1),
-    )
-
-
-def _read_info(path: Path, file: pq.ParquetFile) -> TracksInfo:
-    """The metadata of the file, read before any of its columns is decompressed."""
-    about = (file.schema_arrow.metadata or {}).get(METADATA_KEY)
-    if about is None or file.metadata.num_rows > MAX_TRACK_ROWS:
-        reason = "not a file of tracks" if about is None else f"more than {MAX_TRACK_ROWS} rows"
-        raise RecordingError(f"{path}: {reason}; expected one that `gridtrack simulate` wrote")
-    for name, kind in TRACK_COLUMNS.items():
-        if name not in file.schema_arrow.names or file.schema_arrow.field(name).type != kind:
-            raise RecordingError(f"{path}: damaged (no column {name} of {kind})")
-    try:
-        values = json.loads(about)
-    except (ValueError, RecursionError):
-        raise RecordingError(f"{path}: its metadata are not JSON") from None
-    schema = values.pop("schema", None) if isinstance(values, dict) else None
-    if schema != TRACKS_SCHEMA:
-        raise RecordingError(f"{path}: schema {schema!r:.20}; this gridtrack reads {TRACKS_SCHEMA}: simulate again")
-    return validated(TracksInfo, values, f"{path}: its metadata")
-
-
-def _check_rows(path: Path, info: TracksInfo, columns: dict[str, NDArray[np.int64]]) -> None:
-    """Raise RecordingError for rows that are not a scene."""
-    frame, track = columns["frame"], columns["track"]
-    classes = info.recording.classes
-    if info.static_class is not None and info.static_class not in classes:
-        raise RecordingError(f"{path}: its static class is not one of its classes")
-    beams = info.frames * info.laser.beams
-    if beams > MAX_RENDERED_BEAMS:
-        raise RecordingError(
-            f"{path}: {beams} beams to render; at most {MAX_RENDERED_BEAMS}: fewer frames, or a coarser laser"
-        )
-    intersections = info.laser.beams * sum(map(len, info.static))
-    if intersections > MAX_INTERSECTIONS:
-        raise RecordingError(
-            f"{path}: {intersections} pairs of a beam and a static corner; at most {MAX_INTERSECTIONS}: fewer corners,"
-            " or a coarser laser"
-        )
-    if not frame.size:
-        return
-    _raise_if(path, f"a frame outside 0 to {info.frames - 1}", frame.min() < 0 or frame.max() >= info.frames)
-    _raise_if(path, "a track below 0", track.min() < 0)
-    _raise_if(path, f"a class beyond the {len(classes)} that it names", columns["class"].max() >= len(classes))
-    _raise_if(path, "a body without extent", min(columns["length_cm"].min(), columns["width_cm"].min()) < 1)
-    _raise_if(path, "a track twice in one frame", ((np.diff(frame) == 0) & (np.diff(track) == 0)).any())
-    _raise_if(
-        path,
-        f"more than {MAX_USERS_PER_FRAME} road users in one frame",
-        np.bincount(frame).max() > MAX_USERS_PER_FRAME,
-    )
-
-
-def _raise_if(path: Path, fault: str, found: bool | np.bool_) -> None:
-    if found:
-        raise RecordingError(f"{path}: damaged ({fault})")
+def _mounted(bodies: NDArray[np.float64], laser: Laser) -> NDArray[np.float64]:
+    """The poses (n, 3) of a laser on bodies with the poses (n, 3)."""
+    poses = (SE2(*body) @ laser.pose for body in bodies.tolist())
+    return np.array([(pose.x, pose.y, pose.theta) for pose in poses])

@@ -1,4 +1,4 @@
-"""Checks of simulated traffic: presence and motion in the window, gridlock, collisions with walls and the laser."""
+"""Checks of simulated traffic: presence and motion in the window, gridlock, collisions with walls and the lasers."""
 
 from __future__ import annotations
 
@@ -8,11 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gridtrack.common.grid import GridSpec
+from gridtrack.common.geometry import SE2
+from gridtrack.common.grid import GridSpec, window_about
 from gridtrack.common.scene import UNLABELLED, Scene
 from gridtrack.recordings.truth import OUTLINE, truth_grid
 from gridtrack.simulation.bodies import body_outline
-from gridtrack.simulation.tracks import Tracks
+from gridtrack.simulation.tracks import ONLY_LASER, Tracks
 
 MOVING_M_S = 0.3
 STRIDE = 4
@@ -52,21 +53,25 @@ class Traffic:
 
 
 def check_traffic(tracks: Tracks) -> Traffic:
-    """Check `tracks`, in the window of its recording."""
+    """Check `tracks`, in the window of its recording, which follows the first laser."""
+    lasers = {name: tracks.sensor_poses(name) for name in tracks.info.lasers}
+    faults = _through_walls(tracks)
+    tracks = tracks.without_carrier()
+    faults += [fault for name, poses in lasers.items() for fault in _on_the_laser(tracks, name, poses)]
     speed = _speeds(tracks)
     grid = GridSpec.parse(tracks.info.recording.grid) if tracks.info.recording.grid else GridSpec()
-    inside = _in_window(tracks, grid)
+    windows = [window_about(SE2(*pose), grid.cell_m) for pose in next(iter(lasers.values())).tolist()]
+    in_window = _in_window(tracks, grid, windows)
     stand_s, vehicle = _longest_stand(tracks, speed)
-    faults = [*_through_walls(tracks), *_on_the_laser(tracks)]
     if stand_s > GRIDLOCK_S:
         faults.append(f"gridlock: a vehicle stands for {stand_s:.0f} s, {vehicle}")
     moving = speed > MOVING_M_S
-    cells = _moving_cells(tracks, moving, grid)
+    cells = _moving_cells(tracks, moving, grid, windows)
     frames, minutes = tracks.info.frames, tracks.info.frames / tracks.info.rate_hz / 60.0
     names = [name for name in tracks.info.recording.classes if name != tracks.info.static_class]
     classes = []
     for name in names:
-        there = inside & (tracks.label == tracks.info.recording.classes.index(name))
+        there = in_window & (tracks.label == tracks.info.recording.classes.index(name))
         present, moved = (np.unique(tracks.frame[rows]).size / frames for rows in (there, there & moving))
         classes.append(ClassTraffic(name, present, moved, cells[name] / minutes))
     return Traffic(minutes, tuple(classes), stand_s, tuple(faults))
@@ -92,9 +97,10 @@ def _speeds(tracks: Tracks) -> NDArray[np.float64]:
     return found
 
 
-def _in_window(tracks: Tracks, grid: GridSpec) -> NDArray[np.bool_]:
-    """Whether the centre of the body is in the window, (N,)."""
-    _, inside = grid.cells_of(tracks.info.laser.world_T_sensor.inverse().apply(tracks.pose[:, :2]))
+def _in_window(tracks: Tracks, grid: GridSpec, windows: list[SE2]) -> NDArray[np.bool_]:
+    """Whether the centre of the body is in the window of its frame, (N,)."""
+    corners = np.array([(window.x, window.y) for window in windows])
+    _, inside = grid.cells_of(tracks.pose[:, :2] - corners[tracks.frame])
     return inside
 
 
@@ -114,13 +120,13 @@ def _longest_stand(tracks: Tracks, speed: NDArray[np.float64]) -> tuple[float, s
     return float(frames.max()) / tracks.info.rate_hz, f"{vehicle} from frame {tracks.frame[first]} on"
 
 
-def _moving_cells(tracks: Tracks, moving: NDArray[np.bool_], grid: GridSpec) -> dict[str, float]:
+def _moving_cells(tracks: Tracks, moving: NDArray[np.bool_], grid: GridSpec, windows: list[SE2]) -> dict[str, float]:
     """Outline cells of the moving road users, summed over all frames, by class."""
     classes = tracks.info.recording.classes
     total = np.zeros(256)
     for k, scene in enumerate(tracks.where(moving).scenes()):
         if k % STRIDE == 0:
-            truth = truth_grid(Scene((), UNLABELLED, scene.objects), grid, tracks.info.laser.world_T_sensor)
+            truth = truth_grid(Scene((), UNLABELLED, scene.objects), grid, windows[k])
             total += np.bincount(truth.labels[truth.cover == OUTLINE], minlength=256)
     return {name: float(total[label]) * STRIDE for label, name in enumerate(classes)}
 
@@ -131,21 +137,22 @@ def _through_walls(tracks: Tracks) -> list[str]:
     for rows, outline in _bodies(tracks):
         corners = _transformed(outline, tracks.pose[rows])
         for standing in tracks.info.static:
-            hit[rows] |= _inside(corners.reshape(-1, 2), np.array(standing)).reshape(len(rows), -1).any(axis=1)
+            hit[rows] |= inside(corners.reshape(-1, 2), np.array(standing)).reshape(len(rows), -1).any(axis=1)
     return _fault_lines(tracks, hit, "inside a static outline")
 
 
-def _on_the_laser(tracks: Tracks) -> list[str]:
-    """A line for each class with a body that covers the laser or is nearer than its minimum range."""
-    laser = tracks.info.laser
+def _on_the_laser(tracks: Tracks, name: str, poses: NDArray[np.float64]) -> list[str]:
+    """A line for each class with a body that covers a laser, whose `poses` (frames, 3) are given, or is nearer to it
+    than its minimum range."""
     hit = np.zeros(len(tracks.frame), np.bool_)
     for rows, outline in _bodies(tracks):
         x, y, heading = tracks.pose[rows].T
         c, s = np.cos(heading), np.sin(heading)
-        laser_position = np.column_stack([c * (laser.x - x) + s * (laser.y - y), c * (laser.y - y) - s * (laser.x - x)])
-        nearest = np.linalg.norm(laser_position[:, None] - outline, axis=2).min(axis=1)
-        hit[rows] = _inside(laser_position, outline) | (nearest < laser.range_min)
-    return _fault_lines(tracks, hit, "on the laser")
+        dx, dy = poses[tracks.frame[rows], 0] - x, poses[tracks.frame[rows], 1] - y
+        position = np.column_stack([c * dx + s * dy, c * dy - s * dx])
+        nearest = np.linalg.norm(position[:, None] - outline, axis=2).min(axis=1)
+        hit[rows] = inside(position, outline) | (nearest < tracks.info.lasers[name].range_min)
+    return _fault_lines(tracks, hit, "on the laser" if name == ONLY_LASER else f"on the laser '{name}'")
 
 
 def _fault_lines(tracks: Tracks, hit: NDArray[np.bool_], where: str) -> list[str]:
@@ -177,7 +184,7 @@ def _transformed(outline: NDArray[np.float64], pose: NDArray[np.float64]) -> NDA
     return np.stack([x, y], axis=2)
 
 
-def _inside(points: NDArray[np.float64], outline: NDArray[np.float64]) -> NDArray[np.bool_]:
+def inside(points: NDArray[np.float64], outline: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Which points (P, 2) lie inside a closed outline (N, 2), by the number of its sides to their right."""
     low, high = outline.min(axis=0), outline.max(axis=0)
     near = np.flatnonzero(((points >= low) & (points <= high)).all(axis=1))

@@ -7,7 +7,8 @@ from pathlib import Path
 from gridtrack.common.errors import RecordingError
 from gridtrack.common.files import atomic_write
 from gridtrack.recordings.formats.native import write_native
-from gridtrack.simulation.tracks import Tracks, write_tracks
+from gridtrack.simulation.tracks import Tracks
+from gridtrack.simulation.tracks_file import write_tracks
 
 SIMULATED_SUFFIXES = (".tracks", ".mcap")
 

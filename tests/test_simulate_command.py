@@ -13,6 +13,9 @@ from gridtrack.recordings import open_recording, packaged_recording
 LINES = "\n".join(f'0 {10 + f} 10 {30 + f} 30 {f} 0 0 0 "Pedestrian"' for f in range(90)) + "\n"
 
 
+JUNCTION = ("simulate", "junction", "--minutes", "1", "--out", "a.tracks")
+
+
 def gridtrack(*arguments: str, code: int = 0) -> subprocess.CompletedProcess[str]:
     done = subprocess.run(
         [sys.executable, "-m", "gridtrack.cli", *arguments], capture_output=True, text=True, check=False
@@ -63,8 +66,15 @@ def test_the_check_reads_a_packaged_recording() -> None:
     ("arguments", "says"),
     [
         (("simulate", "junction", "--minutes", "1", "--out", "a.bag"), "written as .tracks or as .mcap"),
-        (("simulate", "junction", "--minutes", "nan", "--out", "a.tracks"), "nan minutes from 300 s on: expected"),
-        (("simulate", "junction", "--minutes", "1", "--start", "-3s", "--out", "a.tracks"), "no start before 0"),
+        (("simulate", "junction", "--minutes", "nan", "--out", "a.tracks"), "nan minutes: expected more than 0"),
+        (
+            ("simulate", "junction", "--minutes", "1", "--start", "-3s", "--out", "a.tracks"),
+            "a start at -3 s: expected",
+        ),
+        ((*JUNCTION, "--carrier", "car"), "--carrier car: only with --sensor drive"),
+        ((*JUNCTION, "--odometry-noise", "1", "--sensor", "beside"), "--odometry-noise 1: only with --sensor drive"),
+        ((*JUNCTION, "--odometry-noise", "-1", "--sensor", "drive"), "--odometry-noise -1: expected 0 to 10"),
+        ((*JUNCTION, "--odometry-noise", "nan", "--sensor", "drive"), "--odometry-noise nan: expected 0 to 10"),
         (("simulate", "check", "nowhere.tracks"), "nowhere.tracks"),
         (("simulate", "tracks", "a.txt", "--format", "kitti", "--scale", "1", "--out", "a.mcap"), "known is sdd"),
         (("simulate", "tracks", "a.txt", "--scale", "0", "--out", "a.mcap"), "'scale' = 0.0"),

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import tempfile
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from importlib import resources
 from pathlib import Path
 
@@ -13,9 +15,10 @@ from gridtrack.common.errors import ConfigurationError
 from gridtrack.recordings.recording import RecordingInfo
 from gridtrack.simulation.junction import demand, layout
 from gridtrack.simulation.junction.patience import Patience
+from gridtrack.simulation.laser import Laser
 from gridtrack.simulation.motion import headings, smoothed, trailing_headings, unbroken_tracks
 from gridtrack.simulation.sumo import STEP_S, Movements, run_sumo, sumo_version
-from gridtrack.simulation.tracks import Tracks, TracksInfo
+from gridtrack.simulation.tracks import ONLY_LASER, Carrier, Tracks, TracksInfo
 
 WARM_UP_S = 300.0
 """From the empty streets to steady traffic: three signal cycles of 96 s."""
@@ -36,16 +39,52 @@ LICENCE = "BSD-3-Clause"
 CREDIT = "simulated with Eclipse SUMO and JuPedSim"
 
 
-def simulate_junction(minutes: float, seed: int, start_s: float = WARM_UP_S) -> Tracks:
+@dataclass(frozen=True)
+class View:
+    """What watches the junction: the lasers, and the road user that carries them, if any; with the recording's window,
+    and the static outlines within the lasers' range."""
+
+    grid: str = layout.JUNCTION_GRID
+    lasers: Mapping[str, Laser] = field(default_factory=lambda: {ONLY_LASER: layout.LASER})
+    carrier: Carrier | None = None
+    static: tuple[layout.CornerList, ...] = field(default_factory=layout.static_outlines)
+
+
+ONE_CORNER = View()
+TWO_CORNERS = View(lasers=layout.CORNER_LASERS, static=layout.static_outlines(south_eastern_post=False))
+
+
+def simulate_junction(minutes: float, seed: int, start_s: float = WARM_UP_S, view: View = ONE_CORNER) -> Tracks:
     """`minutes` of the junction from `start_s` after the start with empty streets; same seed, same tracks.
 
     Raises ConfigurationError where SUMO is not installed or the times are invalid, SimulationError where it fails.
     """
-    if not (0.0 < minutes <= MAX_MINUTES and 0.0 <= start_s <= MAX_MINUTES * 60.0):
-        raise ConfigurationError(
-            f"{minutes:g} minutes from {start_s:g} s on: expected up to {MAX_MINUTES:g} minutes, and no start before 0"
-        )
-    frames = max(round(minutes * 60.0 * layout.RATE_HZ), 1)
+    traffic = simulate_traffic(frames_of(minutes), seed, start_s)
+    return seen(
+        traffic, view, command_of(minutes, seed, start_s) + (" --sensor corners" if view is TWO_CORNERS else "")
+    )
+
+
+def frames_of(minutes: float) -> int:
+    """The number of frames in `minutes`. Raises ConfigurationError."""
+    if not 0.0 < minutes <= MAX_MINUTES:
+        raise ConfigurationError(f"{minutes:g} minutes: expected more than 0 and at most {MAX_MINUTES:g}")
+    return max(round(minutes * 60.0 * layout.RATE_HZ), 1)
+
+
+def command_of(minutes: float, seed: int, start_s: float) -> str:
+    """The command line that repeats a simulation, with the laser on the corner."""
+    start_s = round(start_s / STEP_S) * STEP_S
+    return f"gridtrack simulate junction --minutes {minutes:g} --seed {seed} --start {start_s:g}s"
+
+
+def simulate_traffic(frames: int, seed: int, start_s: float) -> Tracks:
+    """The road users of the whole streets, also of those beyond the range of the laser on the corner.
+
+    Raises ConfigurationError where SUMO is not installed or the start is invalid, SimulationError where it fails.
+    """
+    if not 0.0 <= start_s <= MAX_MINUTES * 60.0:
+        raise ConfigurationError(f"a start at {start_s:g} s: expected one from 0 to {MAX_MINUTES * 60.0:g} s")
     start_s = round(start_s / STEP_S) * STEP_S
     before_s = min(MARGIN_S, start_s)
     span_s = (start_s - before_s, start_s + frames * STEP_S + MARGIN_S)
@@ -61,27 +100,49 @@ def simulate_junction(minutes: float, seed: int, start_s: float = WARM_UP_S) -> 
             seed,
             Patience(layout.JUNCTION_NODE),
         )
-    info = _info(frames, seed, f"gridtrack simulate junction --minutes {minutes:g} --seed {seed} --start {start_s:g}s")
-    return _within_range(_tracks(info, movements, round(before_s / STEP_S)))
+    return _tracks(_traffic_info(frames, seed), movements, round(before_s / STEP_S))
 
 
-def _info(frames: int, seed: int, command: str) -> TracksInfo:
+def seen(traffic: Tracks, view: View, command: str) -> Tracks:
+    """The tracks within the maximum range of a laser of `view`, with the resolution of a file of tracks."""
+    tracks = replace(traffic, info=_info(traffic.info, view, command))
+    near = np.zeros(len(tracks.frame), np.bool_)
+    for name, laser in view.lasers.items():
+        x, y, _ = tracks.sensor_poses(name)[tracks.frame].T
+        distance = np.hypot(tracks.pose[:, 0] - x, tracks.pose[:, 1] - y)
+        near |= distance < laser.range_max + tracks.size[:, 0] / 2.0
+    return tracks.where(near).rounded()
+
+
+def _info(traffic: TracksInfo, view: View, command: str) -> TracksInfo:
+    recording = traffic.recording.model_dump() | {"grid": view.grid, "command": command}
+    return TracksInfo(
+        recording=RecordingInfo(**recording),
+        lasers=dict(view.lasers),
+        frames=traffic.frames,
+        rate_hz=traffic.rate_hz,
+        noise_seed=traffic.noise_seed,
+        static=view.static,
+        static_class=traffic.static_class,
+        made_with=traffic.made_with,
+        carrier=view.carrier,
+    )
+
+
+def _traffic_info(frames: int, seed: int) -> TracksInfo:
     return TracksInfo(
         recording=RecordingInfo(
             site=layout.JUNCTION_SITE,
             classes=layout.JUNCTION_CLASSES,
-            grid=layout.JUNCTION_GRID,
             rate_hz=layout.RATE_HZ,
             cycle_s=layout.CYCLE_S,
             licence=LICENCE,
             credit=CREDIT,
-            command=command,
         ),
-        laser=layout.LASER,
+        lasers=dict(ONE_CORNER.lasers),
         frames=frames,
         rate_hz=layout.RATE_HZ,
         noise_seed=seed,
-        static=layout.static_outlines(),
         static_class="static",
         made_with={"eclipse-sumo": sumo_version()},
     )
@@ -122,10 +183,3 @@ def _vehicle_poses(movements: Movements, rows: slice, kind: demand.RoadUserType)
     heading = trailing_headings(front, WHEELS_BEHIND * kind.length_m, float(movements.heading[rows.start]))
     ahead = np.column_stack([np.cos(heading), np.sin(heading)])
     return np.column_stack([front - kind.length_m / 2.0 * ahead, heading])
-
-
-def _within_range(tracks: Tracks) -> Tracks:
-    """The rows within the maximum range of the laser, with the resolution of a file of tracks."""
-    laser = tracks.info.laser
-    distance = np.hypot(tracks.pose[:, 0] - laser.x, tracks.pose[:, 1] - laser.y)
-    return tracks.where(distance < laser.range_max + tracks.size[:, 0] / 2.0).rounded()

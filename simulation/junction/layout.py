@@ -23,27 +23,50 @@ JUNCTION_GRID = "100x0.2@-4,-16"
 """The window, 20 m square, in the frame of the laser, which has the axes of the world and is at (-8, 8)."""
 LASER = Laser(x=-8.0, y=8.0, angle_min=-math.pi)
 """Its blind quarter is towards the house behind it, in the north-west."""
+CORNER_LASERS = {"north-west": LASER, "south-east": Laser(x=8.0, y=-8.0, angle_min=0.0)}
+"""The same laser, and one on the opposite corner in place of the signal post, where pedestrians do not come; its blind
+quarter is towards the house there."""
 
 CornerList = tuple[tuple[float, float], ...]
 
 BLOCK_M = 45.0
 """Extent of the houses, beyond the maximum range of the laser."""
+FACADE_M = 7.3
+LANE_EDGE_M = 4.2
+"""Distance of the kerbs from the middle of the street."""
+FURTHER_HOUSES = ((47.0, 57.5, 0.0), (60.0, 70.0, 0.8), (71.5, 84.0, 0.3), (87.0, 98.0, 1.2), (100.0, 115.0, 0.0))
+"""From where to where along a street, and how far back from the front of the first houses; the streets end at 100 m."""
+FURTHER_HOUSE_DEPTH_M = 10.0
 SOUTH_EAST, NORTH_WEST, SOUTH_WEST = -1, 1, 2
 """Quarters of the junction, in turns from the north-eastern one."""
 
 
-def static_outlines() -> tuple[CornerList, ...]:
+def static_outlines(*, south_eastern_post: bool = True) -> tuple[CornerList, ...]:
     """Four houses with cut corners; the north-eastern one is further from the street, behind trees and a kiosk."""
     houses = (
         _house(9.5, 11.0),
-        _rotated(_house(7.3, 9.7), NORTH_WEST),
-        _rotated(_house(7.3, 8.8), SOUTH_WEST),
-        _rotated(_house(7.3, 8.8), SOUTH_EAST),
+        _rotated(_house(FACADE_M, 9.7), NORTH_WEST),
+        _rotated(_house(FACADE_M, 8.8), SOUTH_WEST),
+        _rotated(_house(FACADE_M, 8.8), SOUTH_EAST),
     )
     kiosk = ((7.3, 9.0), (8.9, 9.0), (8.9, 10.8), (7.3, 10.8))
     trees = [_round(7.55, y, 0.2) for y in (11.7, 14.5, 17.5, 20.5)] + [_round(x, 7.6, 0.2) for x in (11.5, 15.0, 18.5)]
-    posts = [_rotated(_round(7.87, 7.87, 0.08), turn) for turn in (0, SOUTH_WEST, SOUTH_EAST)]
+    corners = (0, SOUTH_WEST, SOUTH_EAST) if south_eastern_post else (0, SOUTH_WEST)
+    posts = [_rotated(_round(7.87, 7.87, 0.08), corner) for corner in corners]
     return (*houses, kiosk, *trees, *posts)
+
+
+def street_outlines() -> tuple[CornerList, ...]:
+    """Those of `static_outlines`, and the houses beyond them on both sides of all four streets."""
+    left = [_row_house(start, end, set_back) for start, end, set_back in FURTHER_HOUSES]
+    right = [tuple((x, -y) for x, y in reversed(house)) for house in left]
+    return (*static_outlines(), *(_rotated(house, turns) for turns in range(4) for house in (*left, *right)))
+
+
+def _row_house(start_m: float, end_m: float, set_back_m: float) -> CornerList:
+    """A house on the left of the street to the east."""
+    front, back = FACADE_M + set_back_m, FACADE_M + set_back_m + FURTHER_HOUSE_DEPTH_M
+    return ((start_m, front), (end_m, front), (end_m, back), (start_m, back))
 
 
 def _house(facade_m: float, corner_m: float) -> CornerList:

@@ -8,7 +8,7 @@ from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec
 from gridtrack.common.raycast import cast_scan
 from gridtrack.common.scan import Scan
-from gridtrack.trackers.model_free.calibration import IDENTITY
+from gridtrack.trackers.calibration import IDENTITY
 from gridtrack.trackers.weights import Card
 
 GRID = GridSpec(60, 0.1, (0.0, -3.0))

@@ -9,7 +9,7 @@ from gridtrack.recordings import RecordingInfo, write_native
 from gridtrack.simulation.laser import sweep
 
 CLASSES = ("pedestrian", "cyclist", "static")
-GRID = "40x0.25@-1,-5"
+GRID = "40x0.25@-5,-1"
 RATE_HZ, BEAMS, RANGE_MAX_M = 10, 721, 20.0
 ANGLE_MIN, STEP = -np.pi / 2, np.pi / 360
 WALKER, RIDER = 0, 1

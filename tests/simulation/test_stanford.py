@@ -78,7 +78,7 @@ def test_the_laser_sees_them(annotations: Path, tmp_path: Path, monkeypatch: pyt
 
 def test_the_laser_gets_a_position_clear_of_road_users(annotations: Path) -> None:
     tracks = read_stanford(annotations, Video(scale=0.05, site="quad"))
-    laser = tracks.info.laser
+    laser = tracks.info.lasers["scan"]
     assert np.hypot(*(tracks.pose[:, :2] - (laser.x, laser.y)).T).min() > 0.75
 
 

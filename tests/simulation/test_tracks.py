@@ -13,11 +13,12 @@ import pyarrow.parquet as pq
 import pytest
 
 from gridtrack.common.errors import GridtrackError, RecordingError
-from gridtrack.recordings import RecordingInfo, open_recording
+from gridtrack.recordings import RecordingInfo, open_recording, packaged_recording
 from gridtrack.simulation.bodies import body_outline
 from gridtrack.simulation.laser import Laser
 from gridtrack.simulation.rendered import rendering_folder
-from gridtrack.simulation.tracks import METADATA_KEY, Tracks, TracksInfo, read_tracks, write_tracks
+from gridtrack.simulation.tracks import ONLY_LASER, Tracks, TracksInfo
+from gridtrack.simulation.tracks_file import METADATA_KEY, read_tracks, write_tracks
 from gridtrack.simulation.traffic import GRIDLOCK_S, check_traffic
 from gridtrack.simulation.writing import write_recording
 
@@ -29,7 +30,7 @@ def walk(frames: int = 16, **changes: object) -> Tracks:
     """A pedestrian who walks north 3 m ahead of the laser at 1 m/s, and a standing car behind the laser."""
     info = TracksInfo(
         recording=RecordingInfo(site="yard", classes=CLASSES, grid="100x0.2", rate_hz=8.0),
-        laser=Laser(angle_min=-np.pi, angle_increment=np.radians(1.0), beams=360),
+        lasers={ONLY_LASER: Laser(angle_min=-np.pi, angle_increment=np.radians(1.0), beams=360)},
         frames=frames,
         rate_hz=8.0,
         noise_seed=3,
@@ -151,7 +152,7 @@ def parquet(path: Path, change: dict[str, list[object]] | None = None, about: ob
         ({"class": [5]}, None, "a class beyond the 5"),
         ({"length_cm": [0]}, None, "without extent"),
         ({"x_cm": [None]}, None, "a value is missing"),
-        (None, {"schema": 2}, "schema 2; this gridtrack reads 1"),
+        (None, {"schema": 3}, "schema 3; this gridtrack reads 1 and 2"),
         (None, [], "schema None"),
         (None, {"colour": "red"}, "there is no option 'colour'"),
         (None, {"static": [[[0, 0], [1, 1]]]}, "3 to 1000 corners"),
@@ -236,3 +237,11 @@ def test_the_check_finds_collisions_with_walls_and_the_laser_and_gridlock() -> N
 def test_a_wait_of_two_green_phases_is_not_gridlock() -> None:
     assert check_traffic(walk(round(GRIDLOCK_S * 8.0))).faults == ()
     assert "gridlock" in check_traffic(walk(round(GRIDLOCK_S * 8.0) + 8)).faults[0]
+
+
+def test_a_shipped_recording_is_written_again_with_the_same_metadata(tmp_path):
+    shipped = packaged_recording("junction/test-101")
+    path = tmp_path / "again.tracks"
+    write_recording(path, read_tracks(shipped))
+    before, after = (pq.read_schema(one).metadata[METADATA_KEY] for one in (shipped, path))
+    assert after == before

@@ -17,7 +17,7 @@ from gridtrack.recordings import open_recording, packaged_recording
 from gridtrack.simulation import junction, sumo
 from gridtrack.simulation.junction import JUNCTION_SET, demand, layout, simulate_junction
 from gridtrack.simulation.junction.patience import Patience
-from gridtrack.simulation.tracks import read_tracks, write_tracks
+from gridtrack.simulation.tracks_file import read_tracks, write_tracks
 from gridtrack.simulation.traffic import check_traffic
 
 NETWORK = Path(junction.__file__).with_name("network.net.xml")
@@ -63,7 +63,7 @@ def test_the_laser_is_beside_the_streets_and_outside_the_houses() -> None:
 def test_the_window_is_twenty_metres_with_the_middle_of_the_junction_in_it() -> None:
     grid = GridSpec.parse(layout.JUNCTION_GRID)
     assert (grid.size, grid.cell_m) == (100, 0.2)
-    middle = layout.LASER.world_T_sensor.inverse().apply(np.zeros((1, 2)))
+    middle = layout.LASER.pose.inverse().apply(np.zeros((1, 2)))
     assert grid.cells_of(middle)[1].all()
 
 

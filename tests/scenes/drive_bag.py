@@ -1,0 +1,208 @@
+"""Bags of a robot with two scanners that drives in a room past a person: what ROS records of it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from rosbags.rosbag1 import Writer as Writer1
+from rosbags.rosbag2 import StoragePlugin
+from rosbags.rosbag2 import Writer as Writer2
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from gridtrack.common.geometry import SE2
+from gridtrack.common.scan import Scan
+from gridtrack.recordings.frames.transform import SE3
+
+LASER, TF = "sensor_msgs/msg/LaserScan", "tf2_msgs/msg/TFMessage"
+ODOMETRY, POSE = "nav_msgs/msg/Odometry", "geometry_msgs/msg/PoseStamped"
+ROS1, ROS2 = get_typestore(Stores.ROS1_NOETIC), get_typestore(Stores.LATEST)
+ROS1.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", TF))
+START_NS, MS = 1_700_000_000 * 10**9, 10**6
+HALF_X_M, HALF_Y_M, PERSON_RADIUS_M = 6.0, 4.0, 0.3
+
+Message = tuple[str, str, int, Any]
+"""(topic, type, time of reception, message)."""
+
+
+@dataclass(frozen=True)
+class Laser:
+    """A scanner on the robot: `base_T_laser`, upside down where `mirrored`."""
+
+    name: str
+    base_T_laser: SE2
+    mirrored: bool = False
+    beams: int = 181
+    angle_min: float = -2.3
+    angle_increment: float = 4.6 / 180
+    offset_ms: int = 0
+
+
+FRONT = Laser("front", SE2(0.3, 0.1, math.radians(30)))
+REAR = Laser("rear", SE2(-0.3, 0.0, math.radians(180)), mirrored=True, offset_ms=40)
+
+
+def robot_at(at_ms: float) -> SE2:
+    """odom_T_base: a circle of 1.5 m at half a metre a second."""
+    turned = at_ms / 3000.0
+    return SE2(1.5 * math.cos(turned), 1.5 * math.sin(turned), turned + math.pi / 2)
+
+
+def ranges_at(laser: Laser, odom_T_base: SE2, person: tuple[float, float]) -> NDArray[np.float32]:
+    """The exact range of each beam to a wall or to the person."""
+    pose = odom_T_base @ laser.base_T_laser
+    angles = laser.angle_min + laser.angle_increment * np.arange(laser.beams)
+    bearing = pose.theta + (-angles if laser.mirrored else angles)
+    dx, dy = np.cos(bearing), np.sin(bearing)
+    with np.errstate(divide="ignore"):
+        to_walls = np.minimum((np.sign(dx) * HALF_X_M - pose.x) / dx, (np.sign(dy) * HALF_Y_M - pose.y) / dy)
+    px, py = person[0] - pose.x, person[1] - pose.y
+    along = px * dx + py * dy
+    short = PERSON_RADIUS_M**2 - (px * px + py * py - along**2)
+    to_person = np.where((short > 0) & (along > 0), along - np.sqrt(np.maximum(short, 0.0)), np.inf)
+    return np.minimum(to_walls, to_person).astype(np.float32)
+
+
+class Ros:
+    """Messages of one version of ROS, stamped at milliseconds since the start."""
+
+    def __init__(self, version: int) -> None:
+        self.version, self._store = version, ROS1 if version == 1 else ROS2
+
+    def make(self, kind: str, **fields: Any) -> Any:
+        return self._store.types[kind](**fields)
+
+    def header(self, at_ms: float, frame: str) -> Any:
+        stamp_ns = START_NS + round(at_ms * MS)
+        stamp = self.make("builtin_interfaces/msg/Time", sec=stamp_ns // 10**9, nanosec=stamp_ns % 10**9)
+        sequence = {"seq": 0} if self.version == 1 else {}
+        return self.make("std_msgs/msg/Header", stamp=stamp, frame_id=frame, **sequence)
+
+    def laser(self, at_ms: float, ranges: NDArray[np.float32], laser: Laser, frame: str = "") -> Message:
+        message = self.make(
+            LASER,
+            header=self.header(at_ms, frame or f"{laser.name}_laser"),
+            angle_min=laser.angle_min,
+            angle_max=laser.angle_min + laser.angle_increment * (laser.beams - 1),
+            angle_increment=laser.angle_increment,
+            time_increment=0.0,
+            scan_time=0.1,
+            range_min=0.05,
+            range_max=20.0,
+            ranges=ranges,
+            intensities=np.empty(0, np.float32),
+        )
+        return (f"/{laser.name}_scan", LASER, START_NS + round(at_ms * MS), message)
+
+    def transforms(self, at_ms: float, *links: tuple[str, str, SE3], topic: str = "/tf") -> Message:
+        stamped = [
+            self.make(
+                "geometry_msgs/msg/TransformStamped",
+                header=self.header(at_ms, parent),
+                child_frame_id=child,
+                transform=self.make(
+                    "geometry_msgs/msg/Transform",
+                    translation=self._vector("Vector3", transform),
+                    rotation=self._quaternion(transform),
+                ),
+            )
+            for parent, child, transform in links
+        ]
+        return (topic, TF, START_NS + round(at_ms * MS), self.make(TF, transforms=stamped))
+
+    def odometry(
+        self, at_ms: float, pose: SE2, topic: str = "/odom", frame: str = "odom", child: str = "base_link"
+    ) -> Message:
+        zero = self.make("geometry_msgs/msg/Vector3", x=0.0, y=0.0, z=0.0)
+        twist = self.make("geometry_msgs/msg/Twist", linear=zero, angular=zero)
+        covariance = np.zeros(36)
+        message = self.make(
+            ODOMETRY,
+            header=self.header(at_ms, frame),
+            child_frame_id=child,
+            pose=self.make("geometry_msgs/msg/PoseWithCovariance", pose=self._pose(pose), covariance=covariance),
+            twist=self.make("geometry_msgs/msg/TwistWithCovariance", twist=twist, covariance=covariance),
+        )
+        return (topic, ODOMETRY, START_NS + round(at_ms * MS), message)
+
+    def pose(self, at_ms: float, pose: SE2, topic: str = "/pose", frame: str = "world") -> Message:
+        message = self.make(POSE, header=self.header(at_ms, frame), pose=self._pose(pose))
+        return (topic, POSE, START_NS + round(at_ms * MS), message)
+
+    def write(self, path: Path, messages: Iterable[Message], storage: StoragePlugin = StoragePlugin.SQLITE3) -> Path:
+        """A bag of the messages in the order of their reception; a folder for ROS 2."""
+        opened = Writer1(path) if self.version == 1 else Writer2(path, version=9, storage_plugin=storage)
+        encode: Callable[..., Any] = ROS1.serialize_ros1 if self.version == 1 else ROS2.serialize_cdr
+        with opened as writer:
+            connections: dict[str, Any] = {}
+            for topic, kind, received_ns, message in sorted(messages, key=lambda m: m[2]):
+                if topic not in connections:
+                    connections[topic] = writer.add_connection(topic, kind, typestore=self._store)
+                writer.write(connections[topic], received_ns, encode(message, kind))
+        return path
+
+    def _pose(self, pose: SE2) -> Any:
+        transform = SE3.in_plane(pose)
+        return self.make(
+            "geometry_msgs/msg/Pose", position=self._vector("Point", transform), orientation=self._quaternion(transform)
+        )
+
+    def _vector(self, kind: str, transform: SE3) -> Any:
+        x, y, z = transform.translation
+        return self.make(f"geometry_msgs/msg/{kind}", x=x, y=y, z=z)
+
+    def _quaternion(self, transform: SE3) -> Any:
+        x, y, z, w = transform.rotation
+        return self.make("geometry_msgs/msg/Quaternion", x=x, y=y, z=z, w=w)
+
+
+def mounts(*lasers: Laser) -> list[tuple[str, str, SE3]]:
+    """The transforms from base_link to each laser."""
+    return [("base_link", f"{one.name}_laser", SE3.in_plane(one.base_T_laser, one.mirrored)) for one in lasers]
+
+
+def scans_of(ros: Ros, duration_ms: int, *lasers: Laser) -> Iterator[Message]:
+    """The scans of a drive, at 10 Hz, past a person who walks along a wall."""
+    for at_ms in range(0, duration_ms, 100):
+        for laser in lasers:
+            stamp_ms = at_ms + laser.offset_ms
+            person = (-5.0 + stamp_ms / 1000.0 % 10.0, 3.0)
+            yield ros.laser(stamp_ms, ranges_at(laser, robot_at(stamp_ms), person), laser)
+
+
+def odometry_transforms(ros: Ros, duration_ms: int) -> Iterator[Message]:
+    """odom -> base_footprint at 50 Hz."""
+    for at_ms in range(-20, duration_ms + 100, 20):
+        yield ros.transforms(at_ms, ("odom", "base_footprint", SE3.in_plane(robot_at(at_ms))))
+
+
+def localisation_transforms(ros: Ros, duration_ms: int) -> Iterator[Message]:
+    """map -> odom at 1 Hz, which jumps by half a metre from one second to the next."""
+    for k in range(duration_ms // 1000 + 1):
+        yield ros.transforms(k * 1000, ("map", "odom", SE3.in_plane(SE2(0.5 * (k % 2), 0.0, 0.0))))
+
+
+def two_scanner_drive(ros: Ros, duration_ms: int = 6000, static_at_ms: int = 0) -> list[Message]:
+    """A drive as a navigation stack records it: /tf, /tf_static and two scanners, of which the rear one is mirrored."""
+    static = [("base_footprint", "base_link", SE3((0.0, 0.0, 0.1))), *mounts(FRONT, REAR)]
+    return [
+        ros.transforms(static_at_ms, *static, topic="/tf_static"),
+        *odometry_transforms(ros, duration_ms),
+        *localisation_transforms(ros, duration_ms),
+        *scans_of(ros, duration_ms, FRONT, REAR),
+    ]
+
+
+def distance_to_walls(scan: Scan) -> NDArray[np.float64]:
+    """How far each return of a scan is from the walls of the room, metres; the beams on the person left out."""
+    angles = scan.angle_min + scan.angle_increment * np.arange(scan.ranges.size)
+    points = np.stack([np.cos(angles), np.sin(angles)], axis=1) * scan.ranges[:, None]
+    points = scan.world_T_sensor.apply(points)
+    inside = np.minimum(HALF_X_M - np.abs(points[:, 0]), HALF_Y_M - np.abs(points[:, 1]))
+    on_person = np.abs(points[:, 1] - 3.0) < PERSON_RADIUS_M + 0.05
+    return np.abs(inside[~on_person])
