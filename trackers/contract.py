@@ -136,7 +136,8 @@ class Tracker(ABC):
     classes: tuple[str, ...] = ()
     """The classes that it estimates probabilities for; empty: occupancy only."""
     moving_sensor: ClassVar[bool] = False
-    """Whether it supports a moving sensor."""
+    """Whether it follows a sensor that moves: the window of its frames then moves by whole cells, by several where a
+    frame was missed, and what it keeps of each cell has to move with it (`common.grid.rolled`)."""
     learns: ClassVar[bool] = False
     """Whether `fit` must have run for the site before the tracker can be used."""
     role: ClassVar[Role] = "tracker"

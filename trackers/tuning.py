@@ -38,18 +38,9 @@ class CachedSource:
     frames: Sequence[GridFrame]
 
     @classmethod
-    def beginning(cls, source: FrameSource, seconds: float) -> CachedSource:
-        """The first `seconds` of `source`, or all of a shorter one."""
-        return cls._of(source, source.name, 0, max(1, round(seconds / source.period_s)))
-
-    @classmethod
     def excerpt(cls, source: FrameSource, first: int, count: int) -> CachedSource:
         """The `count` frames of `source` from number `first` on, named by their time range."""
         name = f"{source.name}, {count * source.period_s:g} s from {first * source.period_s:g} s on"
-        return cls._of(source, name, first, count)
-
-    @classmethod
-    def _of(cls, source: FrameSource, name: str, first: int, count: int) -> CachedSource:
         frames = tuple(islice(source, first, first + count))
         return cls(name, source.sha256, source.grid, source.period_s, source.site, source.classes, frames)
 

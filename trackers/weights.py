@@ -1,7 +1,7 @@
 """Learned weights of a tracker for a site: a card (`.toml`) and the arrays in the `.safetensors` file beside it.
 
 The card has the grid, the period, the hashes of the training recordings, the seed and the training command. Weights of
-another grid, period, site or tracker are refused.
+other cells, or of another period, site or tracker are refused.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar
 
 import numpy as np
 import tomli_w
@@ -26,7 +26,9 @@ from safetensors.numpy import load, save
 from gridtrack.common.config import Settings, validated
 from gridtrack.common.errors import ConfigurationError, WeightsError
 from gridtrack.common.files import atomic_write, read_bounded, write_text
+from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridSpec
+from gridtrack.common.scan import MAX_POSITION_M
 from gridtrack.trackers.contract import FitOutput, FrameSource, StreamSpec
 
 CARD_SCHEMA = 2
@@ -35,6 +37,9 @@ MAX_CARD_BYTES = 1 << 20
 ARRAYS_SUFFIX = ".safetensors"
 
 _Tuned = TypeVar("_Tuned", bound=Settings)
+
+
+Coordinate = Annotated[float, Field(ge=-MAX_POSITION_M, le=MAX_POSITION_M)]
 
 
 class TrainingData(Settings):
@@ -64,6 +69,9 @@ class Card(Settings):
     arrays_sha256: str = ""
     classes: tuple[str, ...] = ()
     """The classes of the tracker, in its order; scores match them with those of a recording by name."""
+    world_T_grid: tuple[Coordinate, Coordinate] | None = None
+    """Where the arrays with a value per cell lie in the world: x and y of their grid frame, metres, its axes the
+    world's. None on a card of an earlier gridtrack: they then lie in the first window of a stream."""
     interrupted: str = ""
     """How far an interrupted training came, such as "update 200 of 1000"; empty for one that finished."""
     settings: dict[str, Any] = Field(default_factory=dict)
@@ -75,6 +83,11 @@ class Card(Settings):
         if len(set(names)) != len(names):
             raise ValueError("a class is named twice")
         return names
+
+    @property
+    def map_pose(self) -> SE2 | None:
+        """`world_T_grid` of the arrays with a value per cell; None where the card does not have it."""
+        return None if self.world_T_grid is None else SE2(*self.world_T_grid)
 
 
 @dataclass(frozen=True)
@@ -93,7 +106,7 @@ def card_for(
     settings: Mapping[str, Any],
     results: Mapping[str, Any] | None = None,
 ) -> Card:
-    """The card of a training on `train`.
+    """The card of a training on `train`; arrays with a value per cell lie in the window of its first frame.
 
     Raises WeightsError where the training stretches differ in grid, period or site.
     """
@@ -111,9 +124,16 @@ def card_for(
         command=out.command,
         train=_data_of(sources),
         validation=_data_of(validation),
+        world_T_grid=_first_window(sources),
         settings=dict(settings),
         results=dict(results or {}),
     )
+
+
+def _first_window(sources: Iterable[FrameSource]) -> tuple[float, float] | None:
+    """The position of the window of the first frame, metres, world frame; None without a frame."""
+    first = next((frame.world_T_grid for source in sources for frame in source), None)
+    return None if first is None else (first.x, first.y)
 
 
 def with_classes(
@@ -207,7 +227,7 @@ def _with_all(named: Iterable[TrainingData], received: Sequence[TrainingData]) -
 
 
 def _card_text(card: Card) -> str:
-    return tomli_w.dumps(card.model_dump(mode="json"))
+    return tomli_w.dumps(card.model_dump(mode="json", exclude_none=True))
 
 
 def read_card(path: Path, sha256: str = "") -> Card:
@@ -251,16 +271,34 @@ def load_weights(stream: StreamSpec, tracker: str) -> Weights:
     for what, made_for, found in (
         ("tracker", card.tracker, tracker),
         ("site", card.site, stream.site),
-        ("grid", str(GridSpec.parse(card.grid)), str(stream.grid)),
     ):
         if made_for != found:
             raise WeightsError(f"{path}: made for {what} {made_for}, but this is {found}: train for this one")
+    card = _laid_in(stream.grid, card, path)
     if abs(card.period_s - stream.period_s) > 1e-3 * card.period_s:
         raise WeightsError(
             f"{path}: made for a period of {card.period_s:g} s ({1 / card.period_s:g} Hz), but this stream's is"
             f" {stream.period_s:g} s: compare with --rate {1 / card.period_s:g}, or train for this rate"
         )
     return Weights(card, read_arrays(path.with_suffix(ARRAYS_SUFFIX), card.arrays_sha256))
+
+
+def _laid_in(grid: GridSpec, card: Card, path: Path) -> Card:
+    """The card as one of `grid`: where only the corner of the window is another, maps keep their place in the world.
+
+    Raises WeightsError for cells of another size or number, or that lie between those of `grid`.
+    """
+    made_for = GridSpec.parse(card.grid)
+    if made_for == grid:
+        return card
+    right_m, up_m = np.subtract(made_for.origin, grid.origin).tolist()
+    whole = all(
+        abs(distance_m - round(distance_m / grid.cell_m) * grid.cell_m) < 1e-3 for distance_m in (right_m, up_m)
+    )
+    if card.world_T_grid is None or not whole or (made_for.size, made_for.cell_m) != (grid.size, grid.cell_m):
+        raise WeightsError(f"{path}: made for grid {made_for}, but this is {grid}: train for this one")
+    x, y = card.world_T_grid
+    return card.model_copy(update={"grid": str(grid), "world_T_grid": (x + right_m, y + up_m)})
 
 
 def read_arrays(path: Path, sha256: str) -> dict[str, NDArray[Any]]:

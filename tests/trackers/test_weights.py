@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,8 @@ from hypothesis import strategies as st
 
 from gridtrack.common.errors import WeightsError
 from gridtrack.common.files import sha256_of
-from gridtrack.common.grid import GridSpec
+from gridtrack.common.geometry import SE2
+from gridtrack.common.grid import GridFrame, GridSpec
 from gridtrack.trackers.contract import FitOutput, FrameSource, StreamSpec
 from gridtrack.trackers.weights import MAX_ARRAYS_BYTES, Card, array, card_for, load_weights, read_card, save_weights
 
@@ -23,7 +25,7 @@ GRID = GridSpec(100, 0.1, (-2.0, -4.5))
 
 @dataclass
 class Stretch:
-    """A frame source without frames."""
+    """A frame source of one frame."""
 
     name: str = "demo@0s-75s"
     sha256: str = "12ab"
@@ -31,11 +33,14 @@ class Stretch:
     period_s: float = 0.1
     site: str = "lab"
     classes: tuple[str, ...] = ()
+    world_T_grid: SE2 = field(default_factory=SE2)
 
-    def __iter__(self) -> None: ...  # type: ignore[empty-body]
+    def __iter__(self) -> Iterator[GridFrame]:
+        nothing, none = np.zeros(self.grid.shape, bool), np.zeros((0, 2), np.float32)
+        yield GridFrame(0, nothing, nothing, self.world_T_grid, none, none, np.zeros(0, np.uint8))
 
     def __len__(self) -> int:
-        return 0
+        return 1
 
 
 def as_source(stretch: Stretch) -> FrameSource:
@@ -66,6 +71,46 @@ def test_what_was_saved_is_loaded(path: Path) -> None:
     assert [(t.recording, t.sha256) for t in found.card.validation] == [("v", "cd")]
 
 
+def test_the_card_has_the_place_of_its_maps_which_is_the_window_of_the_first_training_frame(tmp_path: Path) -> None:
+    made = card(tmp_path, Stretch(world_T_grid=SE2(3.2, -1.5)), Stretch("b", world_T_grid=SE2(9.0, 9.0)))
+    save_weights(tmp_path / "lab.toml", made, {})
+    assert read_card(tmp_path / "lab.toml").map_pose == SE2(3.2, -1.5)
+
+
+def test_maps_keep_their_place_in_the_world_where_the_window_has_another_corner(tmp_path: Path) -> None:
+    made = card(tmp_path, Stretch(world_T_grid=SE2(3.2, -1.5)))
+    save_weights(tmp_path / "lab.toml", made, {"a": np.zeros(2)})
+    corner = GRID.origin
+    moved = GridSpec(GRID.size, GRID.cell_m, (corner[0] - 3 * GRID.cell_m, corner[1] + 5 * GRID.cell_m))
+    stream = StreamSpec(moved, 0.1, "lab", weights=tmp_path / "lab.toml")
+    place = load_weights(stream, "my").card.map_pose
+    assert (place.x + moved.origin[0], place.y + moved.origin[1]) == pytest.approx((3.2 + corner[0], -1.5 + corner[1]))
+
+
+def test_a_card_of_an_earlier_gridtrack_does_not_have_the_place_of_its_maps(path: Path) -> None:
+    lines = path.read_text().splitlines()
+    at = lines.index("world_T_grid = [")
+    path.write_text("\n".join(lines[:at] + lines[at + 4 :]))
+    assert read_card(path).map_pose is None
+
+
+def test_the_shipped_cards_have_the_places_of_the_sensors_of_their_sites() -> None:
+    places = {"junction": SE2(-8.0, 8.0), "leg_tracker": SE2(0.0, 0.0)}
+    cards = [
+        read_card(found) for found in sorted(Path(str(resources.files("gridtrack.data"))).rglob("weights/*/*.toml"))
+    ]
+    assert cards
+    assert all(found.map_pose == places[found.site] for found in cards)
+
+
+@pytest.mark.parametrize("position", ["[ 1e10, 0.0 ]", "[ 0.0 ]", "[ nan, 0.0 ]", '"here"'])
+def test_a_place_that_is_no_position_is_refused(path: Path, position: str) -> None:
+    text = path.read_text().replace("\n    0.0,\n    0.0,\n]", "REPLACED").replace("[REPLACED", position)
+    path.write_text(text)
+    with pytest.raises(WeightsError, match="not a weights card"):
+        read_card(path)
+
+
 def test_what_was_learned_at_another_place_is_refused(path: Path) -> None:
     with pytest.raises(WeightsError, match="made for site lab, but this is office"):
         load_weights(StreamSpec(GRID, 0.1, "office", weights=path), "my")
@@ -83,7 +128,10 @@ def test_a_card_without_arrays_stands_alone(tmp_path: Path) -> None:
     [
         ({"tracker": "other"}, "made for tracker my, but this is other"),
         ({"grid": GridSpec(50, 0.1, (-2.0, -4.5))}, "made for grid 100x0.1@-2,-4.5, but this is 50x0.1@-2,-4.5"),
-        ({"grid": GridSpec(100, 0.1)}, "made for grid 100x0.1@-2,-4.5, but this is 100x0.1@-5,-5"),
+        (
+            {"grid": GridSpec(100, 0.1, (-2.05, -4.5))},
+            "made for grid 100x0.1@-2,-4.5, but this is 100x0.1@-2.05,-4.5",
+        ),
         (
             {"period_s": 0.125},
             r"made for a period of 0.1 s \(10 Hz\), but this stream's is 0.125 s: compare with --rate 10",

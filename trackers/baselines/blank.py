@@ -11,6 +11,7 @@ from gridtrack.trackers.contract import Forecast, Tracker
 class BlankTracker(Tracker):
     """Forecasts P(occupied) = 0 for every cell and step."""
 
+    moving_sensor = True
     role = "floor"
 
     def reset(self, seed: int) -> None:

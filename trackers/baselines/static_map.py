@@ -10,11 +10,15 @@ from pydantic import Field
 
 from gridtrack.common.config import Settings
 from gridtrack.common.errors import WeightsError
-from gridtrack.common.grid import GridFrame
+from gridtrack.common.geometry import SE2
+from gridtrack.common.grid import GridFrame, GridSpec, shift_between
 from gridtrack.trackers.contract import FitOutput, Forecast, FrameSource, Score, StreamSpec, Tracker
+from gridtrack.trackers.site_map import SiteMap
 from gridtrack.trackers.weights import array, card_for, load_weights, save_weights
 
 STATIC_MAP = "static-map"
+MAX_MAP_SIZE = 4096
+"""Limit of the cells a side of a map, which spans the windows of its training frames."""
 
 
 class StaticMapOptions(Settings):
@@ -25,29 +29,46 @@ class StaticMapOptions(Settings):
 
 
 class StaticMapTracker(Tracker):
-    """Forecasts the occupied rate of each cell among its visible training frames, for every step."""
+    """Forecasts the occupied rate of each cell among its visible training frames, for every step.
+
+    The map lies in the world: a window takes the part of it that it covers, and the overall rate elsewhere.
+    """
 
     Options = StaticMapOptions
+    moving_sensor = True
     learns = True
     role = "floor"
 
     def __init__(self, stream: StreamSpec, options: StaticMapOptions) -> None:
         super().__init__(stream, options)
         weights = load_weights(stream, STATIC_MAP)
-        occupied, visible = (array(weights, name, stream.grid.shape) for name in ("occupied", "visible"))
+        shape = stream.grid.shape
+        if "occupied" in weights.arrays and weights.arrays["occupied"].ndim == 2:
+            rows, columns = weights.arrays["occupied"].shape
+            shape = (max(rows, stream.grid.size), max(columns, stream.grid.size))
+        occupied, visible = (array(weights, name, shape) for name in ("occupied", "visible"))
         if not ((occupied >= 0) & (occupied <= visible)).all():
             raise WeightsError(f"weights of {STATIC_MAP}: a cell has more occupied than visible frames: train again")
+        if not visible.any():
+            raise WeightsError(f"weights of {STATIC_MAP}: no cell was visible: train again")
         self.frequency = frequency(occupied, visible, options.prior_frames)
+        self._rate = occupied.sum() / visible.sum()
+        self._place = weights.card.map_pose
+        self.reset(seed=0)
 
     def reset(self, seed: int) -> None:
-        """The map does not change."""
+        """The map does not change; before the first frame the window lies where the map begins."""
+        grid = self.stream.grid
+        self._map = SiteMap(self.frequency, self._rate, grid.cell_m, self._place, grid.size)
+        self._in_window = self._map.unmoved
 
     def update(self, frame: GridFrame) -> None:
-        """The map does not change."""
+        """Take the part of the map that lies in the window; the map does not change."""
+        self._in_window = self._map.at(frame.world_T_grid)
 
     def predict(self, steps: int) -> Forecast:
-        """The map (steps+1, M, M), the same for every step."""
-        return Forecast(np.tile(self.frequency, (steps + 1, 1, 1)))
+        """The part of the map in the window (steps+1, M, M), the same for every step."""
+        return Forecast(np.tile(self._in_window, (steps + 1, 1, 1)))
 
     @classmethod
     def fit(
@@ -58,22 +79,65 @@ class StaticMapTracker(Tracker):
         out: FitOutput,
         options: StaticMapOptions,
     ) -> None:
-        """Count the visible and the occupied frames of every cell in `train`.
+        """Count the visible and the occupied frames of every cell in `train`, wherever the window went.
 
-        Raises WeightsError where the stretches differ in grid, period or site, or no cell is visible.
+        Raises WeightsError where the stretches differ in grid, period or site, no cell is visible, or the map is too
+        large.
         """
         card = card_for(STATIC_MAP, out, train, validation, options.model_dump(mode="json"))
-        shape = train[0].grid.shape
-        occupied, visible = np.zeros(shape, np.int64), np.zeros(shape, np.int64)
+        counts = WorldCounts(train[0].grid)
         for frame in (frame for source in train for frame in source):
-            visible += frame.visible
-            occupied += frame.occupied
-        if not visible.any():
+            counts.add(frame)
+        occupied, visible, place = counts.occupied, counts.visible, counts.world_T_map
+        if place is None or not visible.any():
             raise WeightsError(f"{STATIC_MAP}: no cell is visible in {', '.join(source.name for source in train)}")
+        card = card.model_copy(update={"world_T_grid": (place.x, place.y)})
         save_weights(out.path, card, {"occupied": occupied, "visible": visible})
         out.report(
             f"{STATIC_MAP}: {np.count_nonzero(visible)} cells seen, overall rate {occupied.sum() / visible.sum():.4f}"
         )
+
+
+class WorldCounts:
+    """Frames in which each cell of the world was `visible` and `occupied`, (R, C) int64; R and C are at least M.
+
+    Cell [0, 0] is that of a window at the pose `world_T_map`, which is None before the first frame.
+    """
+
+    def __init__(self, grid: GridSpec) -> None:
+        self._grid = grid
+        self.visible, self.occupied = np.zeros(grid.shape, np.int64), np.zeros(grid.shape, np.int64)
+        self.world_T_map: SE2 | None = None
+
+    def add(self, frame: GridFrame) -> None:
+        """Count one frame. Raises WeightsError where the map would have more than MAX_MAP_SIZE cells a side."""
+        self.world_T_map = self.world_T_map or frame.world_T_grid
+        shift = shift_between(self.world_T_map, frame.world_T_grid, self._grid.cell_m)
+        first = tuple(self._grown(axis, by) for axis, by in enumerate(shift))
+        window = tuple(slice(start, start + self._grid.size) for start in first)
+        self.visible[window] += frame.visible
+        self.occupied[window] += frame.occupied
+
+    def _grown(self, axis: int, start: int) -> int:
+        """Where the cells `start`, ... of a window begin on an axis of the map, which has grown to hold them."""
+        size, extent = self._grid.size, self.visible.shape[axis]
+        windows_before = -(min(start, 0) // size)
+        windows_after = max(-(-(start + size - extent) // size), 0)
+        if not windows_before and not windows_after:
+            return start
+        before, after = windows_before * size, windows_after * size
+        if extent + before + after > MAX_MAP_SIZE:
+            raise WeightsError(
+                f"{STATIC_MAP}: the window moves over {extent + before + after} cells, and a map has at most"
+                f" {MAX_MAP_SIZE} a side: train on a shorter stretch"
+            )
+        grown = [(before, after) if each == axis else (0, 0) for each in range(2)]
+        self.visible, self.occupied = np.pad(self.visible, grown), np.pad(self.occupied, grown)
+        assert self.world_T_map is not None
+        down_m = before * self._grid.cell_m
+        x, y = self.world_T_map.x, self.world_T_map.y
+        self.world_T_map = SE2(x, y - down_m) if axis == 0 else SE2(x - down_m, y)
+        return start + before
 
 
 def frequency(occupied: NDArray[np.int64], visible: NDArray[np.int64], prior_frames: float) -> NDArray[np.float32]:

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from gridtrack.common.grid import GridFrame, GridSpec
+from gridtrack.common.grid import GridFrame, GridSpec, Mask, Shift, rolled, shift_between, with_neighbours
 from gridtrack.trackers.dogma.masses import Mass, Masses, combined, measured_masses, newborn_mass, predicted_free
 from gridtrack.trackers.dogma.particles import (
     Birth,
@@ -20,16 +20,21 @@ from gridtrack.trackers.dogma.particles import (
 )
 from gridtrack.trackers.dogma.random_numbers import random_stream
 from gridtrack.trackers.dogma.settings import DogmaSettings
+from gridtrack.trackers.hidden_time import HiddenTime
+from gridtrack.trackers.open_space import OpenSpace
 
 MAX_PREDICTED_MASS = np.float32(0.98)
 """Upper bound of predicted occupied mass: Dempster's rule never revises a mass of 1."""
+CLOSED_SHARE = 0.04
+"""A cell that was open in a larger share of the recent frames is open space."""
 
 
 class ParticleGrid:
-    """Masses and particles, float32, of a grid that does not move.
+    """Masses and particles, float32, of a grid whose window scrolls with the sensor.
 
-    `masses` (M, M) are those after the last frame. The first `count` of `particles` have the weight `weight` each;
-    `persisted` (M * M, 2) int32 are the first and last (exclusive) persistent particles of a cell, others are newborn.
+    `masses` (M, M) are those after the last frame, in its window. The first `count` of `particles` have the weight
+    `weight` each; `persisted` (M * M, 2) int32 are the first and last (exclusive) persistent particles of a cell,
+    others are newborn. `hidden` is the time since each cell was last seen.
     """
 
     def __init__(self, grid: GridSpec, period_s: float, settings: DogmaSettings, seed: int) -> None:
@@ -44,11 +49,21 @@ class ParticleGrid:
         self._starts = np.empty(grid.size**2 + 2, np.int32)
         self._weights = np.empty(settings.particles, np.float32)
         speed = settings.birth_speed * period_s / grid.cell_m
-        self._birth = Birth(np.float32(settings.static_share), np.float32(speed))
+        self._resting, self._birth_speed = np.full(grid.shape, settings.static_share, np.float32), np.float32(speed)
+        self._came_in: Mask = np.zeros(grid.shape, np.bool_)
+        self._open_space = OpenSpace(grid.shape, period_s)
+        self.hidden = HiddenTime(grid.shape)
 
     def update(self, frame: GridFrame) -> None:
         """Update with one frame."""
-        elapsed = 1.0 if self.frame is None else (frame.stamp_ns - self.frame.stamp_ns) * 1e-9 / self.period_s
+        elapsed = 1.0
+        if self.frame is not None:
+            elapsed = (frame.stamp_ns - self.frame.stamp_ns) * 1e-9 / self.period_s
+            self._scroll(shift_between(self.frame.world_T_grid, frame.world_T_grid, self.grid.cell_m))
+        self.hidden.observe(frame.visible, elapsed * self.period_s)
+        if self._came_in.any():
+            empty = frame.visible & ~with_neighbours(frame.occupied)
+            self._open_space.observe(frame.visible, empty, max(1, round(elapsed)))
         self.frame = frame
         predicted = self._predict(elapsed)
         evidence = measured_masses(frame.visible, frame.occupied, self.settings.occupied_mass, self.settings.free_mass)
@@ -77,6 +92,19 @@ class ParticleGrid:
         """Persistence probability p_S of an object over so many periods."""
         return math.exp(-periods * self.period_s / self.settings.mean_lifetime_s)
 
+    def _scroll(self, shift: Shift) -> None:
+        """Move masses and particles with the window; cells that come in are unknown.
+
+        Particles that are now outside are removed by the prediction, with their mass.
+        """
+        if shift:
+            self.masses = Masses(*(rolled(mass, shift, 0.0) for mass in self.masses))
+            self.particles.x[: self.count] -= np.float32(shift.columns)
+            self.particles.y[: self.count] -= np.float32(shift.rows)
+            self._came_in = rolled(self._came_in, shift, True)
+            self._open_space.scroll(shift)
+            self.hidden.scroll(shift)
+
     def _predict(self, periods: float) -> Masses:
         """Predict and sort the particles, and predict the masses."""
         size, motion = self.grid.size, self.motion(periods)
@@ -97,12 +125,18 @@ class ParticleGrid:
             self._weights,
             born.reshape(-1),
             returns,
-            self._birth,
+            Birth(self._resting_share().reshape(-1), self._birth_speed),
             self._next_counter(),
             self.particles,
             self.persisted,
         )
         self.weight = float(self.masses.occupied.sum(dtype=np.float64)) / max(self.count, 1)
+
+    def _resting_share(self) -> Mass:
+        """Share (M, M) of newborn particles at rest: all in a cell that came in and that hardly ever was open."""
+        if not self._came_in.any():
+            return self._resting
+        return np.where(self._came_in & self._open_space.closed(CLOSED_SHARE), np.float32(1.0), self._resting)
 
     def _returns(self) -> Returns:
         """One return of each cell of the frame: the last one of several."""

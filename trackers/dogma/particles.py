@@ -65,9 +65,12 @@ class Returns(NamedTuple):
 
 
 class Birth(NamedTuple):
-    """Newborn particles, float32: the share `resting`, and the standard deviation `speed` of other velocities."""
+    """Newborn particles, float32.
 
-    resting: np.float32
+    `resting` (M * M,): the share of those of each cell at rest; `speed`: standard deviation of the other velocities.
+    """
+
+    resting: Component
     speed: np.float32
 
 
@@ -176,7 +179,9 @@ def resample_particles(particles, starts, weights, born, returns, birth, counter
         cumulative += born[cell]
         while threshold < cumulative and filled < capacity:
             counter = next_counter(counter)
-            x, y, vx, vy = _newborn(cell % size, cell // size, returns, returns.points[cell], birth, counter)
+            x, y, vx, vy = _newborn(
+                cell % size, cell // size, returns, returns.points[cell], birth.resting[cell], birth.speed, counter
+            )
             _store(out, filled, x, y, vx, vy)
             filled += 1
             threshold += spacing
@@ -191,16 +196,16 @@ def _likelihood(x, y, point, deviation):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(error_model="numpy")
-def _newborn(column, row, returns, point, birth, counter):  # type: ignore[no-untyped-def]
+def _newborn(column, row, returns, point, resting, speed, counter):  # type: ignore[no-untyped-def]
     """A newborn particle of a cell: with probability p_A near its return, if it has one, else anywhere in the cell."""
     bits, more, choice = hashed(counter), hashed(~counter), hashed(hashed(counter))
     x, y = np.float32(column) + uniform(bits), np.float32(row) + uniform(more)
     if not np.isnan(point[0]) and uniform(choice) < returns.association:
         x = point[0] + returns.deviation * first_normal(choice)
         y = point[1] + returns.deviation * second_normal(choice)
-    if uniform(hashed(choice)) < birth.resting:
+    if uniform(hashed(choice)) < resting:
         return x, y, np.float32(0.0), np.float32(0.0)
-    return x, y, birth.speed * first_normal(bits), birth.speed * second_normal(bits)
+    return x, y, speed * first_normal(bits), speed * second_normal(bits)
 
 
 @numba.njit(error_model="numpy")

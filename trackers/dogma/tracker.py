@@ -6,24 +6,28 @@ from collections.abc import Sequence
 from typing import Any, ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gridtrack.common.config import Settings
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec
-from gridtrack.trackers.contract import FitOutput, Forecast, FrameSource, Score, StreamSpec, Tracker
+from gridtrack.trackers.calibration import CalibratedTracker, Calibration
+from gridtrack.trackers.contract import FitOutput, Forecast, FrameSource, Score, StreamSpec
 from gridtrack.trackers.dogma.filter import ParticleGrid
 from gridtrack.trackers.dogma.forecast import forecast
 from gridtrack.trackers.dogma.masses import Mass
 from gridtrack.trackers.dogma.moments import velocities
 from gridtrack.trackers.dogma.settings import NAME, DogmaSettings
-from gridtrack.trackers.weights import load_weights, probabilities, tuned_settings
+from gridtrack.trackers.site_map import SiteMap, mean_of_cells
+from gridtrack.trackers.weights import array, load_weights, probabilities, tuned_settings
 
 
-class DogmaTracker(Tracker):
+class DogmaTracker(CalibratedTracker):
     """Dempster-Shafer masses of the cells, with particles that carry the occupied mass and have velocities."""
 
     Options: ClassVar[type[Settings]] = DogmaSettings
     learns: ClassVar[bool] = True
+    moving_sensor: ClassVar[bool] = True
 
     def __init__(self, stream: StreamSpec, options: DogmaSettings) -> None:
         """Raises WeightsError without weights for the stream's site, grid and period."""
@@ -31,20 +35,33 @@ class DogmaTracker(Tracker):
         weights = load_weights(stream, NAME)
         self._settings = tuned_settings(DogmaSettings, weights, options)
         self._occupancy_rate = probabilities(weights, "occupancy_rate", stream.grid.shape)
+        self._world_T_map = weights.card.map_pose
+        self._calibration = Calibration(array(weights, "calibration", (2, 3)))
         compile_filter(stream.period_s)
         self.reset(seed=0)
 
     def reset(self, seed: int) -> None:
         """Start with unknown masses and no particles; the random numbers follow from `seed`."""
-        self._state = ParticleGrid(self.stream.grid, self.stream.period_s, self._settings, seed)
+        rate, grid = self._occupancy_rate, self.stream.grid
+        self._state = ParticleGrid(grid, self.stream.period_s, self._settings, seed)
+        self._site = SiteMap(rate, mean_of_cells(rate), grid.cell_m, self._world_T_map)
+        self._rate_in_window = rate
 
     def update(self, frame: GridFrame) -> None:
         """Update the state with frame x_t."""
         self._state.update(frame)
+        self._rate_in_window = self._site.at(frame.world_T_grid)
+
+    @property
+    def hidden_s(self) -> NDArray[np.float32]:
+        """Time since each cell (M, M) was last seen, seconds; infinite if never."""
+        return self._state.hidden.seconds
 
     def predict(self, steps: int) -> Forecast:
         """Forecast steps 0..steps, and the mean velocity of each cell now."""
-        return _forecast(self._state, self._occupancy_rate, steps)
+        found = _forecast(self._state, self._rate_in_window, steps)
+        self._calibration.apply(found.occupancy, self.hidden_s)
+        return found
 
     @classmethod
     def fit(

@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gridtrack.common.grid import GridFrame, Mask, with_neighbours
+from gridtrack.common.grid import GridFrame, Mask, Shift, rolled, with_neighbours
+from gridtrack.trackers.fading_record import FadingRecord
+from gridtrack.trackers.hidden_time import HiddenTime
 from gridtrack.trackers.model_free.settings import PipelineSettings
-from gridtrack.trackers.site_rate import posterior_rate
+from gridtrack.trackers.open_space import OpenSpace
+from gridtrack.trackers.site_rate import count_frames, posterior_rate
 
+OUTSIDE_MAP = 1.0
+"""The neighbourhood rate of a cell outside the map; a counted one is lower."""
+OUTSIDE_FRAMES = 1.0
+"""Weight of the occupancy rate in the record of such a cell, in frames: nothing is known of the place."""
 DEPARTED_SHARE = 0.1
 """A merged object has departed when this share of its cells is seen empty, together with all their neighbours."""
 
@@ -30,29 +36,34 @@ class BackgroundMap(NamedTuple):
     """
 
 
-def fit_background(frames: Iterable[GridFrame], shape: tuple[int, int]) -> BackgroundMap:
-    """The map (`shape` is (M, M)) of the given frames; each rate is a posterior mean (`posterior_rate`)."""
-    visible, occupied, neighbourhood = np.zeros((3, *shape))
-    for frame in frames:
-        visible += frame.visible
-        occupied += frame.occupied
-        neighbourhood += frame.visible & with_neighbours(frame.occupied)
-    return BackgroundMap(posterior_rate(occupied, visible), posterior_rate(neighbourhood, visible))
+def fit_background(sources: Sequence[Iterable[GridFrame]], cell_m: float) -> tuple[BackgroundMap, bool]:
+    """The map of the given frames, and whether a sensor moves; each rate is a posterior mean (`count_frames`)."""
+    counts, moves = count_frames(
+        sources, cell_m, lambda frame: (frame.visible, frame.occupied, frame.visible & with_neighbours(frame.occupied))
+    )
+    visible, occupied, neighbourhood = counts
+    fitted = BackgroundMap(posterior_rate(occupied, visible), posterior_rate(neighbourhood, visible))
+    return (without_map(fitted) if moves else fitted), moves
 
 
-def uninformed_map(fitted: BackgroundMap) -> BackgroundMap:
-    """The map for a start without site memory: the median of the fitted rates in every cell, and no walls."""
-    median = np.full_like(fitted.occupancy_rate, np.median(fitted.occupancy_rate))
-    return BackgroundMap(median, np.zeros_like(fitted.neighbourhood_rate))
+def outside_of(fitted: BackgroundMap) -> NDArray[np.float32]:
+    """Values (2, 1, 1) of the cells outside the map: the median rate, and OUTSIDE_MAP."""
+    return np.array([np.median(fitted.occupancy_rate), OUTSIDE_MAP], np.float32)[:, None, None]
+
+
+def without_map(fitted: BackgroundMap) -> BackgroundMap:
+    """The map for a start without memory of the place: every cell is outside the map."""
+    return BackgroundMap(*np.broadcast_to(outside_of(fitted), (2, *fitted.occupancy_rate.shape)).copy())
 
 
 class Background:
     """The fitted background, adapted online: stopped objects are added to it and departed ones removed.
 
     Returns are background in cells whose fitted `neighbourhood_rate` is at least `explained_above`, and in the cells of
-    tracks that were merged into the background, until the object departs. The recent record of each cell starts from
-    the fitted rate, with the weight of `map_weight_s` of observation, and forgets with the time constant `adaptation_s`
-    while the cell is visible; a frame counts for the time since the previous frame.
+    tracks that were merged into the background, until the object departs. Outside the map returns are background in
+    cells that have hardly ever been open (`OpenSpace`). The recent record of each cell starts from the fitted rate,
+    with the weight of `map_weight_s` of observation, and forgets with the time constant `adaptation_s` while the cell
+    is visible; a frame counts for the time since the previous frame.
 
     A cell outside the background that no track covers is a two-state Markov chain with the fitted rate as stationary
     probability. When it is seen empty, its P(occupied) drops to the share `untracked_share` of that rate and recovers
@@ -61,27 +72,50 @@ class Background:
     """
 
     def __init__(self, fitted: BackgroundMap, period_s: float, settings: PipelineSettings) -> None:
-        self.occupancy_rate, self.settings, self.period_s = fitted.occupancy_rate, settings, period_s
-        self.hidden_s = np.full_like(fitted.occupancy_rate, np.inf)
-        self._walls: Mask = fitted.neighbourhood_rate >= settings.explained_above
+        self.settings, self.period_s = settings, period_s
+        shape = fitted.occupancy_rate.shape
+        self._hidden = HiddenTime(shape)
         self._stopped: list[Mask] = []
-        self._map_frames = np.float32(settings.map_weight_s / period_s)
-        self._visible, self._occupied = np.zeros_like(fitted.occupancy_rate), np.zeros_like(fitted.occupancy_rate)
+        self._open_space = OpenSpace(shape, period_s)
+        self._record = FadingRecord(shape, period_s, settings.adaptation_s)
+        self._set_map(fitted)
+
+    @property
+    def hidden_s(self) -> NDArray[np.float32]:
+        """Time since each cell (M, M) was last seen, seconds; infinite if never."""
+        return self._hidden.seconds
+
+    def _set_map(self, fitted: BackgroundMap) -> None:
+        self.occupancy_rate = fitted.occupancy_rate
+        self._walls: Mask = fitted.neighbourhood_rate >= self.settings.explained_above
+        self._outside: Mask = fitted.neighbourhood_rate == OUTSIDE_MAP
+        map_frames = np.float32(self.settings.map_weight_s / self.period_s)
+        self._map_frames = np.where(self._outside, np.float32(OUTSIDE_FRAMES), map_frames)
+
+    def scroll(self, shift: Shift, fitted: BackgroundMap) -> None:
+        """Move the record with the window, in which the map is now `fitted`; cells that come in were never seen."""
+        self._set_map(fitted)
+        for record in (self._hidden, self._record, self._open_space):
+            record.scroll(shift)
+        stopped = [rolled(cells, shift, False) for cells in self._stopped]
+        self._stopped = [cells for cells in stopped if cells.any()]
 
     @property
     def explained(self) -> Mask:
         """The cells (M, M) whose returns belong to the background."""
-        return np.asarray(np.logical_or.reduce([self._walls, *map(with_neighbours, self._stopped)]))
+        walls = self._walls
+        if self._outside.any():
+            closed = self._open_space.closed(1.0 - self.settings.explained_above)
+            walls = np.where(self._outside, closed, walls)
+        return np.asarray(np.logical_or.reduce([walls, *map(with_neighbours, self._stopped)]))
 
     def observe(self, frame: GridFrame, periods: int = 1) -> None:
         """Update the record with a frame, `periods` after the previous one."""
-        lost = -math.expm1(-self.period_s / self.settings.adaptation_s)
-        kept = (1.0 - lost) ** periods
-        keep, counts = np.where(frame.visible, np.float32(kept), np.float32(1.0)), np.float32((1.0 - kept) / lost)
-        self._visible = self._visible * keep + counts * frame.visible.astype(np.float32)
-        self._occupied = self._occupied * keep + counts * frame.occupied.astype(np.float32)
-        self.hidden_s = np.where(frame.visible, np.float32(0.0), self.hidden_s + np.float32(periods * self.period_s))
+        self._record.observe(frame.visible, frame.occupied, periods)
+        self._hidden.observe(frame.visible, periods * self.period_s)
         empty = frame.visible & ~with_neighbours(frame.occupied)
+        if self._outside.any():
+            self._open_space.observe(frame.visible, empty, periods)
         self._stopped = [cells for cells in self._stopped if empty[cells].mean() < DEPARTED_SHARE]
 
     def add_stopped(self, cells: Mask) -> None:
@@ -94,7 +128,8 @@ class Background:
         Background cells, and cells whose record exceeds `static_above`, keep the rate of their record; other cells
         recover to the fitted rate.
         """
-        record = (self.occupancy_rate * self._map_frames + self._occupied) / (self._map_frames + self._visible)
+        occupied = self.occupancy_rate * self._map_frames + self._record.marked
+        record = occupied / (self._map_frames + self._record.visible)
         static = self.explained | (record > self.settings.static_above)
         stationary = np.where(static, record, self.occupancy_rate)
         recovery_s, tracked = np.float32(self.settings.rate_recovery_s), np.float32(1.0 - self.settings.untracked_share)

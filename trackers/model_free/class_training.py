@@ -123,8 +123,10 @@ def track_samples(
             target = class_indices(item.labels, names, classes)
             class_at[item.cells[target >= 0]] = target[target >= 0]
             seen = [track for track in tracker.tracks if not track.unseen]
-            for track, features in zip(seen, features_of(seen, item.frame) if seen else (), strict=True):
-                cells, inside = grid.cells_of(track.returns)
+            for track, features in zip(
+                seen, features_of(seen, item.frame, tracker.window) if seen else (), strict=True
+            ):
+                cells, inside = tracker.window.fixed_grid.cells_of(track.returns)
                 returns = cells[inside, 0] * grid.size + cells[inside, 1]
                 count = np.bincount(class_at[returns], minlength=len(classes) + 1)[:-1]
                 rows.append(((stretch, track.identity), features, count, returns))
@@ -139,12 +141,15 @@ def track_samples(
 
 
 def count_cells(labelled: LabelledScans, classes: Sequence[str]) -> NDArray[np.float64]:
-    """Number of labels of each class in each cell (K, M, M)."""
+    """Number of labels of each class in each cell (K, M, M); the mean of all cells where the windows differ."""
     size = labelled.sources[0].grid.size
-    count = np.zeros((len(classes), size**2))
+    count, windows = np.zeros((len(classes), size**2)), set()
     for names, frames in labelled.scans():
         for item in frames:
+            windows.add(item.frame.world_T_grid)
             np.add.at(count, (class_indices(item.labels, names, classes), item.cells), 1.0)
+    if len(windows) > 1:
+        count[:] = count.mean(axis=1, keepdims=True)
     return count.reshape(-1, size, size)
 
 

@@ -12,10 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridtrack.common.errors import WeightsError
+from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec
 from gridtrack.trackers.model_free.arrays import Array
 from gridtrack.trackers.model_free.ragged import bounds_of
 from gridtrack.trackers.model_free.tracks import Track
+from gridtrack.trackers.model_free.window import Window
+from gridtrack.trackers.site_map import SiteMap, mean_of_cells
 from gridtrack.trackers.weights import Weights, array
 
 FEATURES = ("length", "along", "across", "speed", "range")
@@ -95,20 +98,21 @@ class ClassModel(NamedTuple):
         """log p(features | class) (T, K) of `features` (T, F)."""
         return np.asarray(_log_densities(features, self.mixture_weights, self.means, self.whitening))
 
-    def log_prior(self, tracks: Sequence[Track], grid: GridSpec) -> Array:
-        """log of the mean cell prior over the newest returns of each track (T, K)."""
-        cells, inside = grid.cells_of(np.concatenate([track.returns for track in tracks]))
-        owner = np.repeat(np.arange(len(tracks)), [len(track.returns) for track in tracks])[inside]
-        found = np.zeros((len(tracks), len(self.frequency)))
-        np.add.at(found, owner, self.cell_prior[:, cells[inside, 0], cells[inside, 1]].T)
-        return np.log(found / np.maximum(np.bincount(owner, minlength=len(tracks)), 1)[:, None])
-
     def posteriors(self, evidence: Array, log_prior: Array) -> Array:
         """P(class) (T, K) from `evidence`, mean log densities over the lifetime of a track, and `log_prior` (T, K)."""
         life, prior = self.powers
         log = life * evidence + prior * log_prior + (1.0 - prior) * np.log(self.frequency)
         odds = np.exp(log - log.max(axis=1, keepdims=True))
         return np.asarray(odds / odds.sum(axis=1, keepdims=True))
+
+
+def mean_log_prior(tracks: Sequence[Track], cell_prior: NDArray[np.floating], window: Window) -> Array:
+    """log of the mean of `cell_prior` (K, M, M) over the newest returns of each track, (T, K)."""
+    cells, inside = window.fixed_grid.cells_of(np.concatenate([track.returns for track in tracks]))
+    owner = np.repeat(np.arange(len(tracks)), [len(track.returns) for track in tracks])[inside]
+    found = np.zeros((len(tracks), len(cell_prior)))
+    np.add.at(found, owner, cell_prior[:, cells[inside, 0], cells[inside, 1]].T)
+    return np.log(found / np.maximum(np.bincount(owner, minlength=len(tracks)), 1)[:, None])
 
 
 @dataclass(slots=True)
@@ -124,19 +128,23 @@ class ClassFilter:
     """Classes of tracks, from the mean log density over all frames in which a track was seen, and its cell prior.
 
     Consecutive frames are strongly correlated, so they do not count as independent; frames before an occlusion count.
+    `cell_prior` (K, M, M) float32 is that of the present window; it was counted in a grid that lay at `world_T_map`.
     """
 
-    def __init__(self, model: ClassModel, grid: GridSpec) -> None:
-        self.model, self.cell_prior, self._grid = model, model.cell_prior.astype(np.float32), grid
+    def __init__(self, model: ClassModel, grid: GridSpec, world_T_map: SE2 | None = None) -> None:
+        prior = model.cell_prior.astype(np.float32)
+        self.model, self.cell_prior = model, prior
+        self._site = SiteMap(prior, mean_of_cells(prior), grid.cell_m, world_T_map)
         self._evidence: dict[int, Evidence] = {}
 
-    def observe(self, tracks: Sequence[Track], frame: GridFrame) -> None:
+    def observe(self, tracks: Sequence[Track], frame: GridFrame, window: Window) -> None:
         """Update the evidence of the `tracks`, after their update with `frame`; that of deleted tracks is removed."""
+        self.cell_prior = self._site.at(frame.world_T_grid)
         kept = {one.identity: self._evidence[one.identity] for one in tracks if one.identity in self._evidence}
         seen = [track for track in tracks if not track.unseen]
         if seen:
-            densities = self.model.log_densities(features_of(seen, frame))
-            priors = self.model.log_prior(seen, self._grid)
+            densities = self.model.log_densities(features_of(seen, frame, window))
+            priors = mean_log_prior(seen, self.cell_prior, window)
             for track, density, prior in zip(seen, densities, priors, strict=True):
                 known = kept.get(track.identity)
                 total, frames = (known.densities, known.frames) if known else (0.0, 0)
@@ -158,8 +166,8 @@ def compile_densities(model: ClassModel) -> None:
     model.log_densities(_features(points, np.array([0, 1]), points, points))
 
 
-def features_of(tracks: Sequence[Track], frame: GridFrame) -> Array:
-    """FEATURES (T, F) of tracks that are seen in `frame`, as logarithms.
+def features_of(tracks: Sequence[Track], frame: GridFrame, window: Window) -> Array:
+    """FEATURES (T, F) of tracks that are seen in `frame`, with its `window`, as logarithms.
 
     Extents of the newest returns along their principal axis, along the motion and across it, metres; speed, m/s; range
     of their centre from the nearest sensor, metres: distant objects have fewer returns.
@@ -167,7 +175,7 @@ def features_of(tracks: Sequence[Track], frame: GridFrame) -> Array:
     ends = bounds_of([track.returns for track in tracks])
     motions = np.array([track.estimator.mean[3:5] for track in tracks])
     points = np.concatenate([track.returns for track in tracks])
-    return np.asarray(_features(points, ends, motions, frame.origins.astype(np.float64)))
+    return np.asarray(_features(points, ends, motions, frame.origins + window.offset_m))
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")

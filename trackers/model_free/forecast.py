@@ -18,6 +18,7 @@ from gridtrack.trackers.model_free.residence import probability_in_place
 from gridtrack.trackers.model_free.settings import PipelineSettings
 from gridtrack.trackers.model_free.shape import in_view, rotation, to_body
 from gridtrack.trackers.model_free.tracks import Status, Track, boundaries_of, poses_of
+from gridtrack.trackers.model_free.window import Window
 
 RETURN_PERSISTENCE = 0.9
 """P(a return that moves with its object is present in later frames)."""
@@ -39,10 +40,11 @@ def add_tracks(
 ) -> None:
     """Combine the expected occupancy of each track into `occupancy` (steps+1, M, M) float32, at steps 0..steps.
 
-    The returns of a track are a mixture: they stay where they were last seen, with the probability that the life table
-    `residence` gives for their age, reduced for a fast track; or they move with the object, in one of two regimes,
-    blurred by the covariance of its position. The object survives each step with probability `survival`. The expected
-    occupancy is also added to `semantics` (steps+1, K, M, M), multiplied by the `classes` (T, K) of the track.
+    `grid` has its corner in the fixed frame. The returns of a track are a mixture: they stay where they were last seen,
+    with the probability that the life table `residence` gives for their age, reduced for a fast track; or they move
+    with the object, in one of two regimes, blurred by the covariance of its position. The object survives each step
+    with probability `survival`. The expected occupancy is also added to `semantics` (steps+1, K, M, M), multiplied by
+    the `classes` (T, K) of the track.
     """
     if not tracks:
         return
@@ -112,27 +114,27 @@ def _resident(
     return Resident(in_cells(np.concatenate(returns), grid), bounds, probability, settings.return_noise_m / grid.cell_m)
 
 
-def tracked_object(track: Track, cell_m: float) -> TrackedObject:
-    """The track as an object: the box of its boundary along its heading, enlarged by one cell of `cell_m`."""
+def tracked_object(track: Track, window: Window) -> TrackedObject:
+    """The track as an object: the box of its boundary along its heading, enlarged by one cell."""
     mean, covariance = track.estimator.mean, track.estimator.covariance
     boundary = track.boundary
     heading = _heading(mean[3:5], boundary)
     axes = rotation(heading).T
     spans = boundary @ axes.T
     low, high = spans.min(axis=0), spans.max(axis=0)
-    centre = (low + high) / 2.0 @ axes
+    centre = (low + high) / 2.0 @ axes - window.offset_m
     kept = np.ix_([0, 1, 3, 4], [0, 1, 3, 4])
     return TrackedObject(
         track=track.identity,
-        box=np.array([*centre, heading, *(high - low + cell_m)], np.float32),
+        box=np.array([*centre, heading, *(high - low + window.grid.cell_m)], np.float32),
         velocity=mean[3:5].astype(np.float32),
         covariance=covariance[kept].astype(np.float32),
     )
 
 
-def objects(tracks: Sequence[Track], cell_m: float) -> tuple[TrackedObject, ...]:
-    """The confirmed and the coasting tracks as objects."""
-    return tuple(tracked_object(track, cell_m) for track in tracks if track.status is not Status.TENTATIVE)
+def objects(tracks: Sequence[Track], window: Window) -> tuple[TrackedObject, ...]:
+    """The confirmed and the coasting tracks as objects, in the grid frame of the `window`."""
+    return tuple(tracked_object(track, window) for track in tracks if track.status is not Status.TENTATIVE)
 
 
 def in_cells(positions: Array, grid: GridSpec) -> Array:

@@ -46,7 +46,7 @@ UNKNOWN = (1e4, 1e4, 1e3)
 
 
 def match(boundaries: Outlines, seen: Mask, returns: Outlines, pairs: Pairs, surface_noise_m: float) -> Matches:
-    """Match boundaries, in body frames, to returns, in the grid frame; the boundary points `seen` (N,) are in view.
+    """Match boundaries, in body frames, to returns, in the fixed frame; the boundary points `seen` (N,) are in view.
 
     `surface_noise_m` is the standard deviation of a return about the boundary. Of the optima reached from all starts
     the best is returned: a wide kernel biases the pose towards parts of a body that its boundary does not contain yet;

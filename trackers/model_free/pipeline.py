@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridtrack.common.geometry import SE2
-from gridtrack.common.grid import GridFrame, GridSpec, Mask
+from gridtrack.common.grid import GridFrame, GridSpec, Mask, Shift, rolled, shift_between
 from gridtrack.trackers.model_free.arrays import Array
 from gridtrack.trackers.model_free.association import assign, assign_returns, distances_to
-from gridtrack.trackers.model_free.background import Background, BackgroundMap
+from gridtrack.trackers.model_free.background import Background, BackgroundMap, outside_of
 from gridtrack.trackers.model_free.forecast import add_tracks
 from gridtrack.trackers.model_free.initiation import Estimator, initiate
 from gridtrack.trackers.model_free.measurement import compare, measured_poses, membership
@@ -31,13 +31,16 @@ from gridtrack.trackers.model_free.tracks import (
     existence_when_missed,
     poses_of,
 )
+from gridtrack.trackers.model_free.window import Window
+from gridtrack.trackers.site_map import SiteMap
 
 
 class Pipeline:
     """Tracks of moving objects against a static background, and their forecast.
 
-    `background` is the map of the site, `residence` (A, S) float32 the life table of returns that stay in place.
-    Positions are in metres in the grid frame, which must not move.
+    `background` is the map of the site, of a grid that lay at `world_T_map` (without it: where the first frame's lies);
+    `residence` (A, S) float32 is the life table of returns that stay in place. Positions are in metres in the fixed
+    frame of the `window`, which scrolls with the sensor: what is kept for each cell moves with it by whole cells.
     """
 
     def __init__(
@@ -48,8 +51,11 @@ class Pipeline:
         residence: NDArray[np.float32],
         settings: PipelineSettings,
         estimator: Estimator,
+        world_T_map: SE2 | None = None,
     ) -> None:
         self.grid, self.residence, self.settings, self.estimator = grid, residence, settings, estimator
+        self.window = self.previous_window = Window(grid)
+        self.site = SiteMap(np.stack(background), outside_of(background), grid.cell_m, world_T_map)
         self.background = Background(background, period_s, settings)
         self.regimes = settings.motion(period_s)
         self.period_s = period_s
@@ -65,10 +71,11 @@ class Pipeline:
     def update(self, frame: GridFrame) -> None:
         """Update the tracks with one frame."""
         self.elapsed = self._periods_until(frame)
+        self._scroll(frame)
         self.background.observe(frame, self.elapsed)
         clusters = self._segment(frame)
         self._predict()
-        views = in_view(boundaries_of(self.tracks), self.grid, frame.visible)
+        views = in_view(boundaries_of(self.tracks), self.window.fixed_grid, frame.visible)
         shares, poses, unassigned = self._associate(clusters, views)
         self._correct(shares, poses, frame.visible)
         self._update_existence(shares, views)
@@ -82,6 +89,22 @@ class Pipeline:
             return 1
         return max(1, round((frame.stamp_ns - self.frame.stamp_ns) * 1e-9 / self.period_s))
 
+    def _scroll(self, frame: GridFrame) -> None:
+        """Move what is kept for each cell to the window of the frame; tracks end where no cell remains."""
+        self.previous_window = self.window
+        if self.frame is None:
+            shift = Shift()
+        else:
+            shift = shift_between(self.frame.world_T_grid, frame.world_T_grid, self.grid.cell_m)
+        if shift or self.frame is None:
+            self.background.scroll(shift, BackgroundMap(*self.site.at(frame.world_T_grid)))
+        if shift:
+            self.ages = rolled(self.ages, shift, NOT_OCCUPIED)
+        if max(map(abs, shift)) >= self.grid.size:
+            self.tracks, self.window = [], Window(self.grid)
+        elif shift:
+            self.window = self.window.moved(shift)
+
     def _segment(self, frame: GridFrame) -> list[Cluster]:
         """Clusters of the returns that the background does not explain; the residence ages of the cells are updated."""
         explained = self.background.explained
@@ -93,7 +116,8 @@ class Pipeline:
         ranges = np.linalg.norm(points - frame.origins[frame.point_origin[new]], axis=1)
         labels = np.full(len(new), BACKGROUND)
         labels[new] = segment(points, ranges, self.settings.link_m, self.settings.link_per_m)
-        return clusters_of(points, cut_off_returns(frame, self.grid, labels)[new], labels[new])
+        cut = cut_off_returns(frame, self.grid, labels)[new]
+        return clusters_of(points + self.window.offset_m, cut, labels[new])
 
     def _predict(self) -> None:
         """Predict the state and the existence of each track at the stamp of the frame."""
@@ -137,8 +161,8 @@ class Pipeline:
         past = split(to_grid(bodies, np.array([track.previous_pose for track in tracks])[owners]), clusters)
         each = zip(
             *(tracks, clusters, self._ages_of(clusters), split(bodies, clusters)),
-            in_view(past, self.grid, self.frame.visible),
-            in_view(boundaries_of(tracks), self.grid, visible),
+            in_view(past, self.previous_window.fixed_grid, self.frame.visible),
+            in_view(boundaries_of(tracks), self.window.fixed_grid, visible),
             strict=True,
         )
         gain = -math.expm1(-self.elapsed * self.period_s / self.settings.shape_memory_s)
@@ -167,7 +191,7 @@ class Pipeline:
         """Whether the track probably exists and has not left the grid unobserved."""
         if track.existence < self.settings.delete_below:
             return False
-        return not track.unseen or bool(self.grid.cells_of(track.boundary)[1].any())
+        return not track.unseen or bool(self.window.fixed_grid.cells_of(track.boundary)[1].any())
 
     def _merge(self) -> None:
         """Merge tracks with the background and with each other."""
@@ -181,7 +205,7 @@ class Pipeline:
 
     def _cells_of(self, points: Array) -> Mask:
         """The cells (M, M) in which `points` (N, 2) lie."""
-        cells, inside = self.grid.cells_of(points)
+        cells, inside = self.window.fixed_grid.cells_of(points)
         marked = np.zeros(self.grid.shape, np.bool_)
         marked[tuple(cells[inside].T)] = True
         return marked
@@ -218,7 +242,7 @@ class Pipeline:
                 survival=self.survival,
                 regimes=self.regimes,
                 frame=self.frame,
-                grid=self.grid,
+                grid=self.window.fixed_grid,
                 residence=self.residence,
                 settings=self.settings,
                 semantics=semantics,
@@ -226,7 +250,7 @@ class Pipeline:
             )
             occupancy[0] = np.where(self.frame.visible, self.frame.occupied, occupancy[0])
             if len(cell_prior):
-                attribute(semantics[0], cell_prior, self.frame.occupied, self.tracks, classes, self.grid)
+                attribute(semantics[0], cell_prior, self.frame.occupied, self.tracks, classes, self.window.fixed_grid)
         normalise(semantics)
         return occupancy, semantics
 
@@ -234,8 +258,9 @@ class Pipeline:
         """Residence age of each return (N,) of each cluster, periods."""
         if not clusters:
             return []
-        cells, _ = self.grid.cells_of(np.concatenate([cluster.points for cluster in clusters]))
-        return split(self.ages[cells[:, 0], cells[:, 1]], clusters)
+        cells, _ = self.window.fixed_grid.cells_of(np.concatenate([cluster.points for cluster in clusters]))
+        rows, columns = cells.clip(0, self.grid.size - 1).T  # a return on the edge may be rounded to the outside
+        return split(self.ages[rows, columns], clusters)
 
 
 def compile_pipeline(

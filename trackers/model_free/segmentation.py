@@ -16,7 +16,7 @@ from gridtrack.trackers.model_free.arrays import Array
 
 @dataclass(frozen=True, slots=True)
 class Cluster:
-    """Returns of one cluster: `points` (N, 2), metres, grid frame, and which of them are `cut` off (N,)."""
+    """Returns of one cluster: `points` (N, 2), metres, fixed frame, and which of them are `cut` off (N,)."""
 
     points: Array
     cut: Mask
@@ -27,7 +27,7 @@ class Cluster:
 
     @property
     def centre(self) -> Array:
-        """Mean of the points, (2,), metres, grid frame."""
+        """Mean of the points, (2,), metres, fixed frame."""
         return np.asarray(self.points.mean(axis=0))
 
 

@@ -84,7 +84,7 @@ class Shape:
 
 
 def to_body(points: Array, pose: Array) -> Array:
-    """Points (N, 2), grid frame, in the frame of a body at `pose` (3,), or of one body for each point (N, 3)."""
+    """Points (N, 2), fixed frame, in the frame of a body at `pose` (3,), or of one body for each point (N, 3)."""
     (x, y), (cosine, sine) = (points - pose[..., :2]).T, (np.cos(pose[..., 2]), np.sin(pose[..., 2]))
     return np.stack([cosine * x + sine * y, cosine * y - sine * x], axis=1)
 
@@ -102,7 +102,7 @@ def rotation(angle: float) -> Array:
 
 
 def in_view(boundaries: Sequence[Array], grid: GridSpec, visible: Mask) -> list[Mask]:
-    """Which points of each boundary (N, 2), metres, grid frame, lie in a visible cell; none outside the grid."""
+    """Which points of each boundary (N, 2), metres, fixed frame, lie in a visible cell; none outside the grid."""
     if not boundaries:
         return []
     cells, inside = grid.cells_of(np.concatenate(boundaries))

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from gridtrack.common.config import Settings
 from gridtrack.common.grid import GridFrame
-from gridtrack.trackers.contract import FitOutput, Forecast, FrameSource, Score, StreamSpec, TrackedObject, Tracker
+from gridtrack.trackers.calibration import CalibratedTracker, Calibration
+from gridtrack.trackers.contract import FitOutput, Forecast, FrameSource, Score, StreamSpec, TrackedObject
 from gridtrack.trackers.model_free.arrays import Array
-from gridtrack.trackers.model_free.background import BackgroundMap, uninformed_map
-from gridtrack.trackers.model_free.calibration import Calibration
+from gridtrack.trackers.model_free.background import BackgroundMap, without_map
 from gridtrack.trackers.model_free.classes import ClassFilter, ClassModel, compile_densities
 from gridtrack.trackers.model_free.forecast import objects
 from gridtrack.trackers.model_free.motion.estimator import MotionEstimator
@@ -23,10 +23,11 @@ from gridtrack.trackers.model_free.pipeline import Pipeline, compile_pipeline
 from gridtrack.trackers.model_free.residence import table_shape
 from gridtrack.trackers.model_free.settings import ModelFreeSettings, PipelineSettings
 from gridtrack.trackers.model_free.tracks import Track
+from gridtrack.trackers.model_free.window import Window
 from gridtrack.trackers.weights import array, load_weights, probabilities, tuned_settings
 
 
-class ModelFreeTracker(Tracker):
+class ModelFreeTracker(CalibratedTracker):
     """Tracks of clusters against a fitted background, with one motion estimator each.
 
     The weights are the background map, the life table of returns, the calibration of the probabilities, the tuned
@@ -36,6 +37,7 @@ class ModelFreeTracker(Tracker):
 
     Options: ClassVar[type[Settings]] = ModelFreeSettings
     learns: ClassVar[bool] = True
+    moving_sensor: ClassVar[bool] = True
     name: ClassVar[str]
     """Its registered name."""
     estimator: ClassVar[staticmethod[[Array, Array, MotionModel], MotionEstimator]]
@@ -51,12 +53,13 @@ class ModelFreeTracker(Tracker):
         self._background = BackgroundMap(
             *(probabilities(weights, name, stream.grid.shape) for name in BackgroundMap._fields)
         )
+        self._world_T_map = weights.card.map_pose
         self._residence = probabilities(weights, "residence", table_shape(stream.period_s))
         self._calibration = Calibration(array(weights, "calibration", (2, 3)))
         self.classes = weights.card.classes
         self._model = ClassModel.of(weights, stream.grid) if self.classes else None
         if self._settings.background == "none":
-            self._background = uninformed_map(self._background)
+            self._background = without_map(self._background)
             self._model = self._model and self._model.without_site()
         compile_pipeline(stream.period_s, self._residence, self._settings, type(self).estimator)
         if self._model is not None:
@@ -67,20 +70,31 @@ class ModelFreeTracker(Tracker):
         """Delete every track and its class evidence; the pipeline has no randomness."""
         kind, stream = type(self), self.stream
         self._pipeline = kind.pipeline(
-            stream.grid, stream.period_s, self._background, self._residence, self._settings, kind.estimator
+            stream.grid,
+            stream.period_s,
+            self._background,
+            self._residence,
+            self._settings,
+            kind.estimator,
+            self._world_T_map,
         )
-        self._filter = None if self._model is None else ClassFilter(self._model, stream.grid)
+        self._filter = None if self._model is None else ClassFilter(self._model, stream.grid, self._world_T_map)
 
     def update(self, frame: GridFrame) -> None:
         """Update the state with frame x_t."""
         self._pipeline.update(frame)
         if self._filter is not None:
-            self._filter.observe(self.tracks, frame)
+            self._filter.observe(self.tracks, frame, self.window)
 
     @property
     def tracks(self) -> Sequence[Track]:
         """The tracks after the last update."""
         return self._pipeline.tracks
+
+    @property
+    def window(self) -> Window:
+        """The window after the last update, in the fixed frame of the tracks."""
+        return self._pipeline.window
 
     @property
     def hidden_s(self) -> NDArray[np.float32]:
@@ -99,7 +113,7 @@ class ModelFreeTracker(Tracker):
         return Forecast(self._calibrated(occupancy), semantics, objects=labelled)
 
     def _objects(self) -> tuple[TrackedObject, ...]:
-        return objects(self.tracks, self.stream.grid.cell_m)
+        return objects(self.tracks, self.window)
 
     def _calibrated(self, occupancy: NDArray[np.float32]) -> NDArray[np.float32]:
         """The forecast of the pipeline (n+1, M, M), calibrated in place."""

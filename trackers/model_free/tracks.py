@@ -34,7 +34,7 @@ class Track:
     estimator: SwitchingEstimator
     shape: Shape
     returns: Array
-    """Its newest returns (N, 2), metres, grid frame, observed `unseen` periods ago."""
+    """Its newest returns (N, 2), metres, fixed frame, observed `unseen` periods ago."""
     ages: NDArray[np.int64]
     """For how many periods each return (N,) had been in place at that time."""
     existence: float
@@ -50,12 +50,12 @@ class Track:
 
     @property
     def pose(self) -> Array:
-        """Pose (3,): x, y, heading; metres, radians, grid frame."""
+        """Pose (3,): x, y, heading; metres, radians, fixed frame."""
         return np.asarray(self.estimator.mean[:3])
 
     @property
     def boundary(self) -> Array:
-        """Its boundary points (N, 2), metres, grid frame."""
+        """Its boundary points (N, 2), metres, fixed frame."""
         return boundaries_of([self])[0]
 
     @property
@@ -67,12 +67,12 @@ class Track:
 
 
 def poses_of(tracks: Sequence[Track]) -> Array:
-    """The poses (T, 3): x, y, heading; metres, radians, grid frame."""
+    """The poses (T, 3): x, y, heading; metres, radians, fixed frame."""
     return np.array([track.pose for track in tracks])
 
 
 def boundaries_of(tracks: Sequence[Track]) -> list[Array]:
-    """The boundary points (N, 2) of each track, metres, grid frame; cached until its pose or shape changes."""
+    """The boundary points (N, 2) of each track, metres, fixed frame; cached until its pose or shape changes."""
     moved = [
         track
         for track in tracks

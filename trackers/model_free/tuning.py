@@ -2,35 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-from pathlib import Path
-from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gridtrack.trackers.contract import FitOutput, FrameSource, Score, StretchScore, stream_of
+from gridtrack.trackers.contract import FitOutput, FrameSource, Score
 from gridtrack.trackers.model_free.background import fit_background
-from gridtrack.trackers.model_free.calibration import IDENTITY, fit_calibration
 from gridtrack.trackers.model_free.residence import fit_residence, table_shape
 from gridtrack.trackers.model_free.settings import PipelineSettings
-from gridtrack.trackers.tuning import (
-    CachedSource,
-    Objective,
-    SearchInterrupted,
-    delete_search_log,
-    search_settings,
-    step_of,
-    stretch_summary,
-)
-from gridtrack.trackers.weights import card_for, save_interrupted, save_weights
+from gridtrack.trackers.searched_fit import SettingsSearch, fit_searched
+from gridtrack.trackers.site_map import SiteMap
+from gridtrack.trackers.site_rate import NO_MAP
 
 if TYPE_CHECKING:
     from gridtrack.trackers.model_free.tracker import ModelFreeTracker
 
-SEARCH_ITERATIONS = 40
 STARTING_SETTINGS = (
     PipelineSettings(),
     PipelineSettings(
@@ -62,12 +50,6 @@ STARTING_SETTINGS = (
     ),
 )
 """Start of the search: pedestrians and an indoor laser; the traffic of a street and a fast laser."""
-EXCERPTS, EXCERPT_S = 2, 100.0
-"""Number and duration of the excerpts of a long recording for the search; each is longer than a signal cycle."""
-OBJECTIVE_HORIZONS_S = (0.5, 1.0, 2.0)
-OBJECTIVE_STRATA = ("dynamic", "visible")
-"""The objective is the mean F1 over these. Vehicles that wait at a red light are static in a stretch of one or two
-minutes, and are scored among the visible cells only."""
 SETTING_RANGES = {
     "untracked_share": (0.02, 1.0),
     "rate_recovery_s": (0.3, 10.0),
@@ -98,52 +80,6 @@ SETTING_RANGES = {
 """Ranges of the tuned settings, searched log-uniformly."""
 
 
-def excerpts(sources: Sequence[FrameSource]) -> list[FrameSource]:
-    """The sources for the search; a long one is replaced by EXCERPTS of EXCERPT_S, evenly distributed over it."""
-    chosen: list[FrameSource] = []
-    for source in sources:
-        count = round(EXCERPT_S / source.period_s)
-        if len(source) <= EXCERPTS * count:
-            chosen.append(source)
-        else:
-            firsts = (round((2 * n + 1) * len(source) / (2 * EXCERPTS)) - count // 2 for n in range(EXCERPTS))
-            chosen += [CachedSource.excerpt(source, first, count) for first in firsts]
-    return chosen
-
-
-@dataclass(frozen=True, slots=True)
-class _Draft:
-    """Weights in training: `tracker` runs with those at `path` and is scored by `score`."""
-
-    tracker: type[ModelFreeTracker]
-    path: Path
-    score: Score
-
-    def running(self, settings: PipelineSettings, source: FrameSource) -> ModelFreeTracker:
-        return self.tracker(stream_of(source, self.path), settings)
-
-    def scores(self, settings: PipelineSettings, sources: Sequence[FrameSource]) -> list[StretchScore]:
-        last = max(OBJECTIVE_HORIZONS_S)
-        return [self.score(self.running(settings, source), source, step_of(source, last)) for source in sources]
-
-    def mean_f1(self, settings: PipelineSettings, sources: Sequence[FrameSource]) -> float:
-        scored = zip(self.scores(settings, sources), sources, strict=True)
-        return float(np.mean([_f1(score, source) for score, source in scored]))
-
-    def summaries(self, settings: PipelineSettings, sources: Sequence[FrameSource]) -> list[dict[str, Any]]:
-        scored = zip(self.scores(settings, sources), sources, strict=True)
-        return [stretch_summary(score, source, OBJECTIVE_HORIZONS_S) for score, source in scored]
-
-    def calibration(
-        self, settings: PipelineSettings, sources: Sequence[FrameSource], out: FitOutput
-    ) -> NDArray[np.float32]:
-        trackers = [(self.running(settings, source), list(source)) for source in sources]
-        parameters = fit_calibration(trackers, step_of(sources[0], max(OBJECTIVE_HORIZONS_S)))
-        for group, (a, b, c) in zip(("cells seen recently", "other cells"), parameters.tolist(), strict=True):
-            out.report(f"calibration, {group}: logit = {c:.3f} + {a:.3f} ln p - {b:.3f} ln(1 - p)")
-        return parameters
-
-
 def fit_pipeline(
     tracker: type[ModelFreeTracker],
     train: Sequence[FrameSource],
@@ -157,32 +93,10 @@ def fit_pipeline(
     A setting in `options` is not searched. The forecast is calibrated on the same excerpts. `validation` is scored with
     the result and reported only. Raises WeightsError where the recordings differ in grid, period or site.
     """
-    arrays = fit_arrays(train, options) | {"calibration": IDENTITY}
-    card = card_for(tracker.name, out, train, validation, {})
-    searched = excerpts(train)
-    with TemporaryDirectory() as folder:
-        draft = _Draft(tracker, Path(folder) / f"{tracker.name}.toml", score)
-        save_weights(draft.path, card, arrays)
-        given = options.model_dump(include=set(PipelineSettings.model_fields), exclude_unset=True)
-        objective = Objective[PipelineSettings]("mean F1", "maximize", lambda tried: draft.mean_f1(tried, searched))
-        try:
-            settings = search_settings(
-                PipelineSettings, SETTING_RANGES, objective, STARTING_SETTINGS, given, SEARCH_ITERATIONS, train, out
-            )
-        except SearchInterrupted as stopped:
-            card = card_for(tracker.name, out, train, validation, stopped.best.model_dump(), {"classes": "none yet"})
-            save_interrupted(out.path, card, arrays, f"{stopped.reached}, not calibrated")
-            raise
-        arrays["calibration"] = draft.calibration(settings, searched, out)
-        save_weights(draft.path, card, arrays)
-        results: dict[str, Any] = {
-            "train": draft.summaries(settings, searched),
-            "validation": draft.summaries(settings, validation),
-            "classes": _without_classes(train),
-        }
-    card = card_for(tracker.name, out, train, validation, settings.model_dump(), results)
-    save_weights(out.path, card, arrays)
-    delete_search_log(out)
+    search = SettingsSearch(tracker.name, tracker, PipelineSettings, SETTING_RANGES, STARTING_SETTINGS)
+    given = options.model_dump(include=set(PipelineSettings.model_fields), exclude_unset=True)
+    notes = {"classes": _without_classes(train)}
+    fit_searched(search, fit_arrays(train, options, out.report), train, validation, score, out, given, notes)
 
 
 def _without_classes(train: Sequence[FrameSource]) -> str:
@@ -192,15 +106,14 @@ def _without_classes(train: Sequence[FrameSource]) -> str:
     return f"none: {', '.join(source.name for source in train)} has no labels"
 
 
-def fit_arrays(train: Sequence[FrameSource], options: PipelineSettings) -> dict[str, NDArray[np.float32]]:
+def fit_arrays(
+    train: Sequence[FrameSource], options: PipelineSettings, report: Callable[[str], None]
+) -> dict[str, NDArray[np.float32]]:
     """The counted arrays: the background map, and the life table of the returns in open cells."""
-    background = fit_background((frame for source in train for frame in source), train[0].grid.shape)
-    open_cells = background.neighbourhood_rate < options.explained_above
-    residence = fit_residence(train, open_cells, table_shape(train[0].period_s))
+    grid = train[0].grid
+    background, moves = fit_background(train, grid.cell_m)
+    if moves:
+        report(NO_MAP)
+    open_cells = SiteMap(background.neighbourhood_rate < options.explained_above, True, grid.cell_m)
+    residence = fit_residence(train, open_cells, table_shape(train[0].period_s), grid.cell_m)
     return {**background._asdict(), "residence": residence}
-
-
-def _f1(score: StretchScore, source: FrameSource) -> float:
-    """Mean F1 over OBJECTIVE_HORIZONS_S and OBJECTIVE_STRATA."""
-    steps = [step_of(source, horizon) for horizon in OBJECTIVE_HORIZONS_S]
-    return float(np.mean([score.f1[stratum][steps] for stratum in OBJECTIVE_STRATA]))

@@ -24,6 +24,7 @@ class OneShotTracker(Tracker):
     """
 
     Options: ClassVar[type[Settings]] = OneShotSettings
+    moving_sensor: ClassVar[bool] = True
     learns: ClassVar[bool] = True
     reference_for: ClassVar[frozenset[ComparedPart]] = frozenset({"classes"})
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, ClassVar, cast
+from typing import Any, ClassVar
 
 import torch
 from torch import nn
@@ -13,8 +13,8 @@ from gridtrack.common.errors import ConfigurationError, WeightsError
 from gridtrack.common.grid import GridFrame
 from gridtrack.trackers.contract import FitOutput, Forecast, FrameSource, Score
 from gridtrack.trackers.recurrent.dilated_convgru import DilatedConvGRU
-from gridtrack.trackers.recurrent.inference import InferenceConvGRU
-from gridtrack.trackers.recurrent.network import RecurrentNetwork, start_from_rate
+from gridtrack.trackers.recurrent.inference import InferenceConvGRU, InferencePlainConvGRU
+from gridtrack.trackers.recurrent.network import InferenceNetwork, start_from_rate
 from gridtrack.trackers.recurrent.recurrent_tracker import RecurrentTracker
 from gridtrack.trackers.recurrent.seen_cells import PREFIX, SeenCells, seen_cells_of
 from gridtrack.trackers.recurrent.settings import GATES, DilatedConvGRUOptions
@@ -49,7 +49,7 @@ class DilatedConvGRUTracker(RecurrentTracker):
                 self._seen.apply_to(forecast.semantics[0], self._frame, self.options.evidence)
         return forecast
 
-    def _restored(self, weights: Weights) -> RecurrentNetwork:
+    def _restored(self, weights: Weights) -> InferenceNetwork:
         of_network = {name: value for name, value in weights.arrays.items() if not name.startswith(PREFIX)}
         network = super()._restored(replace(weights, arrays=of_network))
         self._seen = seen_cells_of(weights)
@@ -65,14 +65,30 @@ class DilatedConvGRUTracker(RecurrentTracker):
         return DilatedConvGRU(size, options, classes, options.class_hidden, options.decoded_layers)
 
     @classmethod
+    def without_map(cls, options: Any, out: FitOutput) -> Any:
+        """The options without static memory, which has the cells of one window.
+
+        Raises ConfigurationError where it was asked for.
+        """
+        if not options.static_gates:
+            return options
+        if "static_gates" in options.model_fields_set:
+            raise ConfigurationError(
+                "the windows of the training frames differ, and static memory has the cells of one window: train with"
+                " static_gates=[]"
+            )
+        out.report("the windows of the training frames differ: trained without static memory (static_gates=[])")
+        return options.model_copy(update={"static_gates": ()})
+
+    @classmethod
     def prepare_training(cls, network: Any, rate: float) -> Any:
         """Set the output bias to the occupied rate; the gates and their gradient are one pass over memory."""
         start_from_rate(network.decode_occupancy, rate)
         return TrainingConvGRU(network) if network.layers[0].gates == GATES else network
 
     @classmethod
-    def prepare_inference(cls, network: Any, options: Any) -> RecurrentNetwork:
-        """Convolutions and gates in bands of rows; a network without gates is returned unchanged.
+    def prepare_inference(cls, network: Any, options: Any) -> InferenceNetwork:
+        """Convolutions and gates in bands of rows; a network without gates computes as it was trained.
 
         Raises ConfigurationError for a network without gates in bfloat16.
         """
@@ -80,7 +96,7 @@ class DilatedConvGRUTracker(RecurrentTracker):
             return InferenceConvGRU(network, bfloat16=options.inference == "bfloat16")
         if options.inference != "float32":
             raise ConfigurationError(f"inference={options.inference} needs cell=gru; this network has cell=plain")
-        return cast(RecurrentNetwork, network)
+        return InferencePlainConvGRU(network)
 
     @classmethod
     def fit(

@@ -75,26 +75,28 @@ def _cell(keep, reset, candidate, candidate_h, h):  # type: ignore[no-untyped-de
 def fused_gates(channels: int, *, with_input: bool, bfloat16: bool = False) -> Callable[..., None]:
     """`dilated_convgru.convgru_gates`, with an error below 2e-6, on some rows of the grid: the kernel
 
-        gates(sums, top, step, keep, reset, candidate, h, out)
+        gates(sums, top, step, map_cells, keep, reset, candidate, h, out)
 
     `sums` (rows, M or more, N) are the convolutions of rows `top`, `top + step`, ...: C channels each for keep and
     reset, of input and state together; the candidate's of the state; and, `with_input`, the candidate's of the input;
-    float32, or the bits of `bfloat16` in uint16. The biases, `h` and `out` are (M, M, C). C is a constant of the
-    kernel: otherwise its loops are not vectorised.
+    float32, or the bits of `bfloat16` in uint16. `map_cells` (M, M) int32 is the row of each cell in the biases, which
+    are (R, C); `h` and `out` are (M, M, C). C is a constant of the kernel: otherwise its loops are not vectorised.
     """
 
-    @kernel(
-        f"void({'uint16' if bfloat16 else 'float32'}[:,:,::1], int64, int64, {', '.join(5 * ['float32[:,:,::1]'])})"
-    )
-    def gates(sums, top, step, keep, reset, candidate, h, out):  # type: ignore[no-untyped-def]
+    sums_type = f"{'uint16' if bfloat16 else 'float32'}[:,:,::1]"
+    biases, states = 3 * ["float32[:,::1]"], 2 * ["float32[:,:,::1]"]
+
+    @kernel(f"void({', '.join([sums_type, 'int64', 'int64', 'int32[:,::1]', *biases, *states])})")
+    def gates(sums, top, step, map_cells, keep, reset, candidate, h, out):  # type: ignore[no-untyped-def]
         for i in range(sums.shape[0]):
             r = top + i * step
             for x in range(h.shape[1]):
+                m = map_cells[r, x]
                 for c in range(channels):
                     out[r, x, c] = _cell(
-                        widened(sums[i, x, c]) + keep[r, x, c],
-                        widened(sums[i, x, channels + c]) + reset[r, x, c],
-                        candidate[r, x, c] + (widened(sums[i, x, 3 * channels + c]) if with_input else np.float32(0.0)),
+                        widened(sums[i, x, c]) + keep[m, c],
+                        widened(sums[i, x, channels + c]) + reset[m, c],
+                        candidate[m, c] + (widened(sums[i, x, 3 * channels + c]) if with_input else np.float32(0.0)),
                         widened(sums[i, x, 2 * channels + c]),
                         h[r, x, c],
                     )

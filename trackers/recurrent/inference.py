@@ -13,18 +13,21 @@ from typing import Any
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn.functional import conv2d
 
+from gridtrack.common.grid import Shift, rolled
 from gridtrack.trackers.recurrent.deep_tracking_rnn import DeepTrackingRNN
 from gridtrack.trackers.recurrent.dilated_convgru import DilatedConvGRU, DilatedConvGRULayer
 from gridtrack.trackers.recurrent.fused import fused_gates, kernel
-from gridtrack.trackers.recurrent.network import LatentState
-from gridtrack.trackers.recurrent.winograd import Float32Array, WinogradConvolution
+from gridtrack.trackers.recurrent.network import Float32Array, LatentState, as_cells, as_tensor
+from gridtrack.trackers.recurrent.unseen import UnseenStates
+from gridtrack.trackers.recurrent.winograd import WinogradConvolution
 
 
 class InferenceConvGRU:
-    """A RecurrentNetwork for batches of one, without gradients: the trained `network`, whose cells must have gates.
+    """An InferenceNetwork for batches of one, without gradients: the trained `network`, whose cells must have gates.
 
     With `bfloat16` the convolutions of input and state are bfloat16; states, gates and decoders are float32.
     """
@@ -32,10 +35,17 @@ class InferenceConvGRU:
     def __init__(self, network: DilatedConvGRU, *, bfloat16: bool = False) -> None:
         self.size, self.channels = network.size, network.channels
         layers: list[Any] = list(network.layers)
+        self._has_map = any(is_map(bias) for layer in layers for bias in layer.biases.values())
+        self._map_cells = np.zeros((self.size, self.size), np.int32)
+        self.anchor(Shift())
+        self.unseen = UnseenStates(network)
+
+        def inference_layer(layer: DilatedConvGRULayer, *, with_input: bool = True) -> InferenceLayer:
+            return InferenceLayer(layer, self._map_cells, with_input=with_input, bfloat16=bfloat16)
+
         first, *others = layers
-        self._first = InferenceLayer(first, self.size, with_input=True, bfloat16=bfloat16)
-        self._first_without_input = InferenceLayer(first, self.size, with_input=False, bfloat16=bfloat16)
-        self._others = [InferenceLayer(layer, self.size, with_input=True, bfloat16=bfloat16) for layer in others]
+        self._first, self._first_without_input = inference_layer(first), inference_layer(first, with_input=False)
+        self._others = [inference_layer(layer) for layer in others]
         self._decode_occupancy = OccupancyDecoder(network.decode_occupancy, self.size)
         self.semantics = network.semantics
 
@@ -61,14 +71,38 @@ class InferenceConvGRU:
         """Logits of P(occupied), (1, M, M)."""
         return self._decode_occupancy(features)
 
+    def anchor(self, shift: Shift) -> None:
+        """Each cell takes the biases of its place; outside the maps these are their means."""
+        if self._has_map:
+            cells = np.arange(self.size**2, dtype=np.int32).reshape(self.size, self.size)
+            self._map_cells[:] = rolled(cells, shift, cells.size)
+
+
+class InferencePlainConvGRU:
+    """An InferenceNetwork: the trained `network`, whose cells have no gates, with its maps where the window lies."""
+
+    def __init__(self, network: DilatedConvGRU) -> None:
+        self.initial, self.step, self.features = network.initial, network.step, network.features
+        self.occupancy, self.semantics = network.occupancy, network.semantics
+        self.unseen = UnseenStates(network)
+        layers: list[Any] = list(network.layers)
+        biases = [bias.detach() for layer in layers for bias in layer.biases.values() if is_map(bias)]
+        self._maps = [(bias, bias.clone().numpy(), bias.mean(dim=(1, 2), keepdim=True).numpy()) for bias in biases]
+
+    def anchor(self, shift: Shift) -> None:
+        """Each cell takes the bias of its place; outside the map this is its mean."""
+        for placed, learned, mean in self._maps:
+            placed.copy_(torch.from_numpy(rolled(learned, shift, mean)))
+
 
 class InferenceRNN:
-    """A RecurrentNetwork: the trained `network`, whose convolution of the empty input is computed once."""
+    """An InferenceNetwork: the trained `network`, whose convolution of the empty input is computed once."""
 
     def __init__(self, network: DeepTrackingRNN) -> None:
         self._network = network
         self.initial, self.features = network.initial, network.features
         self.occupancy, self.semantics = OccupancyDecoder(network.decode, network.size), network.semantics
+        self.unseen = UnseenStates(network)
         with torch.no_grad():
             empty = network.encoded(None, 1)
             input_weight, state_weight = torch.split(network.recur.weight, [empty.shape[1], network.channels], dim=1)
@@ -81,27 +115,33 @@ class InferenceRNN:
             return self._network.step(x, state)
         return (torch.sigmoid(self._empty + conv2d(state[0], self._state_weight, padding="same")),)
 
+    def anchor(self, shift: Shift) -> None:
+        """The network has no map."""
+
 
 class InferenceLayer:
-    """One recurrent layer: h (M, M, C) and, `with_input`, x (M, M, I) -> h'."""
+    """One recurrent layer: h (M, M, C) and, `with_input`, x (M, M, I) -> h'.
 
-    def __init__(self, layer: DilatedConvGRULayer, size: int, *, with_input: bool, bfloat16: bool) -> None:
+    `map_cells` (M, M) int32: the row of each cell in the biases of the maps.
+    """
+
+    def __init__(
+        self, layer: DilatedConvGRULayer, map_cells: NDArray[np.int32], *, with_input: bool, bfloat16: bool
+    ) -> None:
         channels, inputs = layer.state_weight.shape[1], layer.input_weight.shape[1]
         weight = weight_of_both(layer) if with_input else layer.state_weight.detach()
         images = (channels, inputs) if with_input else (channels,)
         convolution = BFloat16Convolution if bfloat16 else WinogradConvolution
-        self._convolution = convolution(weight, images, size, layer.dilation)
+        self._convolution = convolution(weight, images, len(map_cells), layer.dilation)
         self._gates = fused_gates(channels, with_input=with_input, bfloat16=bfloat16)
-        self._biases = [
-            layer.biases[gate].detach().expand(channels, size, size).permute(1, 2, 0).contiguous().numpy()
-            for gate in layer.gates
-        ]
+        biases = [layer.biases[gate].detach() for gate in layer.gates]
+        self._map_cells, self._biases = map_cells, bias_rows(biases)
 
     def __call__(self, h: Float32Array, *x: Float32Array) -> Float32Array:
         """h' (M, M, C)."""
         new = np.empty_like(h)
         for rows, sums in self._convolution.bands((h, *x)):
-            self._gates(sums, rows.start, rows.step, *self._biases, h, new)
+            self._gates(sums, rows.start, rows.step, self._map_cells, *self._biases, h, new)
         return new
 
 
@@ -140,6 +180,23 @@ def weight_of_both(layer: DilatedConvGRULayer) -> Tensor:
     return torch.cat([torch.cat(row, dim=1) for row in rows])
 
 
+def is_map(bias: Tensor) -> bool:
+    """Whether a bias has a value for each cell."""
+    return bias.shape[1:].numel() > 1
+
+
+def bias_rows(biases: Sequence[Tensor]) -> list[Float32Array]:
+    """Biases (C, M, M) or (C, 1, 1) as rows (R, C): a row for each cell and one for the cells outside, their mean.
+
+    One row for all cells where no bias has a value for each cell.
+    """
+    shape = max((bias.shape for bias in biases), key=lambda each: each.numel())
+    rows = [bias.expand(shape).flatten(1).T for bias in biases]
+    if len(rows[0]) > 1:
+        rows = [torch.cat([each, each.mean(dim=0, keepdim=True)]) for each in rows]
+    return [each.contiguous().numpy() for each in rows]
+
+
 class OccupancyDecoder:
     """A convolution with one output: a matrix product for all its taps, then the sum of their shifted maps."""
 
@@ -172,14 +229,3 @@ def add_shifted(maps, bias, out):  # type: ignore[no-untyped-def]
                     out[r, reach - j :] += seen[: size - reach + j]
                 else:
                     out[r, : size - j + reach] += seen[j - reach :]
-
-
-def as_cells(tensor: Tensor) -> Float32Array:
-    """(1, C, M, M) in channels-last memory as (M, M, C), without copying."""
-    cells: Float32Array = tensor[0].permute(1, 2, 0).numpy()
-    return cells
-
-
-def as_tensor(cells: Float32Array) -> Tensor:
-    """(M, M, C) as (1, C, M, M) in channels-last memory, without copying."""
-    return torch.from_numpy(cells).permute(2, 0, 1)[None]

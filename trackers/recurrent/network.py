@@ -5,8 +5,14 @@ from __future__ import annotations
 import math
 from typing import Any, Literal, Protocol
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor, nn
+
+from gridtrack.common.grid import Shift
+
+Float32Array = NDArray[np.float32]
 
 LatentState = tuple[Tensor, ...]
 """The latent state: one tensor (B, C, M, M) for each recurrent layer."""
@@ -39,6 +45,18 @@ class RecurrentNetwork(Protocol):
         ...
 
 
+class InferenceNetwork(RecurrentNetwork, Protocol):
+    """A network for one stream, whose window may move."""
+
+    def unseen(self, frames: int) -> tuple[Float32Array, ...]:
+        """The state (C,) in each layer of a cell that no frame of `frames` has seen, far from every cell that was."""
+        ...
+
+    def anchor(self, shift: Shift) -> None:
+        """Keep the maps of the network at their places in the world: the window lies `shift` from where they begin."""
+        ...
+
+
 def class_planes(state: LatentState, layers: DecodedLayers) -> Tensor:
     """The part of the latent state that the class decoder reads, (B, C, M, M) or (B, layers x C, M, M)."""
     return state[-1] if layers == "last" else torch.cat(state, dim=1)
@@ -48,6 +66,17 @@ def channels_last(network: nn.Module) -> Any:
     """The network with its convolutions in channels-last memory, which is fastest on a processor."""
     to: Any = network.to
     return to(memory_format=torch.channels_last)
+
+
+def as_cells(tensor: Tensor) -> Float32Array:
+    """(1, C, M, M) in channels-last memory as (M, M, C), without copying."""
+    cells: Float32Array = tensor[0].permute(1, 2, 0).numpy()
+    return cells
+
+
+def as_tensor(cells: Float32Array) -> Tensor:
+    """(M, M, C) as (1, C, M, M) in channels-last memory, without copying."""
+    return torch.from_numpy(cells).permute(2, 0, 1)[None]
 
 
 def start_from_rate(decoder: nn.Conv2d, rate: float) -> None:

@@ -11,10 +11,12 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from gridtrack.common.grid import GridFrame
+from gridtrack.common.geometry import SE2
+from gridtrack.common.grid import GridFrame, Shift, shift_between
 from gridtrack.trackers.contract import FitOutput, Forecast, FrameSource, Score, StreamSpec, Tracker, stream_of
-from gridtrack.trackers.recurrent.network import LatentState, RecurrentNetwork, channels_last
+from gridtrack.trackers.recurrent.network import Float32Array, InferenceNetwork, LatentState, as_cells, channels_last
 from gridtrack.trackers.recurrent.settings import InferenceSettings
+from gridtrack.trackers.recurrent.unseen import rolled_state
 from gridtrack.trackers.trained_network import restore, trained_settings
 from gridtrack.trackers.weights import Weights, card_for, load_weights, save_interrupted, save_weights
 
@@ -26,12 +28,21 @@ class RecurrentTracker(Tracker):
 
     name: ClassVar[str]
     learns: ClassVar[bool] = True
+    moving_sensor: ClassVar[bool] = True
 
-    def __init__(self, stream: StreamSpec, options: Any, network: RecurrentNetwork | None = None) -> None:
-        """Loads the network from the site's weights unless `network` is passed. Raises WeightsError."""
+    def __init__(
+        self, stream: StreamSpec, options: Any, network: InferenceNetwork | None = None, place: SE2 | None = None
+    ) -> None:
+        """Loads the network from the site's weights unless `network` is passed, with the `place` of its maps.
+
+        `place`: their `world_T_grid`; None where it is not known: they then lie in the first window of each stream.
+        Raises WeightsError.
+        """
         super().__init__(stream, options)
+        self._place = place
         self.network: Any = network or self._restored(load_weights(stream, self.name))
-        self.state: LatentState = self.network.initial(1)
+        self._buffers: tuple[Float32Array, ...] | None = None
+        self.reset(seed=0)
 
     @classmethod
     @abstractmethod
@@ -48,18 +59,46 @@ class RecurrentTracker(Tracker):
 
     @classmethod
     @abstractmethod
-    def prepare_inference(cls, network: Any, options: Any) -> RecurrentNetwork:
-        """The RecurrentNetwork for inference: the same function as the trained `network`, computed faster."""
+    def prepare_inference(cls, network: Any, options: Any) -> InferenceNetwork:
+        """The InferenceNetwork: the same function as the trained `network`, computed faster."""
+
+    @classmethod
+    def without_map(cls, options: Any, out: FitOutput) -> Any:
+        """The options of a training whose frames do not have one window; most networks have no map of it."""
+        return options
 
     def reset(self, seed: int) -> None:
         """Set the state to h_0; nothing is random, so the seed is not used."""
-        self.state = self.network.initial(1)
+        self.state: LatentState = self.network.initial(1)
+        self.network.anchor(Shift())
+        self._updates = 0
+        self._world_T_grid: SE2 | None = None
 
     def update(self, frame: GridFrame) -> None:
-        """Update the state with the planes visible and occupied of x_t."""
+        """Update the state with the planes visible and occupied of x_t, in the window of this frame."""
         x = input_planes(frame) if frame.visible.any() else None
         with torch.inference_mode():
+            self._follow(frame.world_T_grid)
             self.state = self.network.step(x, self.state)
+        self._updates += 1
+
+    def _follow(self, world_T_grid: SE2) -> None:
+        """Move the window to `world_T_grid`, before a step: the states and the maps stay at their places in the world.
+
+        The rolled states are in the same memory every time; a step does not change its input, and its result is new.
+        """
+        if self._world_T_grid is None:
+            self._world_T_grid, self._world_T_map = world_T_grid, self._place or world_T_grid
+            self.network.anchor(self._shift(self._world_T_map, world_T_grid))
+        shift = self._shift(self._world_T_grid, world_T_grid)
+        if shift:
+            self._buffers = self._buffers or tuple(np.empty_like(as_cells(h)) for h in self.state)
+            self.state = rolled_state(self.state, shift, self.network.unseen(self._updates), self._buffers)
+            self.network.anchor(self._shift(self._world_T_map, world_T_grid))
+            self._world_T_grid = world_T_grid
+
+    def _shift(self, before: SE2, after: SE2) -> Shift:
+        return shift_between(before, after, self.stream.grid.cell_m)
 
     def predict(self, steps: int) -> Forecast:
         """Decode the state, and each state after it without input; the state itself is not changed."""
@@ -80,8 +119,9 @@ class RecurrentTracker(Tracker):
         occupancy = torch.sigmoid(self.network.occupancy(features))
         return occupancy, torch.softmax(self.network.semantics(state), dim=1) if self.classes else None
 
-    def _restored(self, weights: Weights) -> RecurrentNetwork:
+    def _restored(self, weights: Weights) -> InferenceNetwork:
         """The trained network. Raises WeightsError where the weights do not fit it or contradict an option."""
+        self._place = weights.card.map_pose
         options = trained_settings(self.stream, weights, self.options, running=InferenceSettings)
         self.classes = weights.card.classes
         network = self.build(self.stream.grid.size, options, len(self.classes))
@@ -98,12 +138,16 @@ class RecurrentTracker(Tracker):
         options: Any,
     ) -> None:
         """Train the network on `train` and write the weights that score best on `validation`."""
+        from gridtrack.trackers.recurrent.precision import training_precision
         from gridtrack.trackers.recurrent.sequences import SequenceDataset, occupied_rate
         from gridtrack.trackers.recurrent.training import train_network, validation_scores
 
-        torch.manual_seed(out.seed)
         augmentation = {"time_reversal": options.time_reversal, "superposition": options.superposition}
-        dataset = SequenceDataset(train, options.length, out.seed, **augmentation)
+        dataset = SequenceDataset(train, options.length, out.seed, forecast_from=options.last_observed, **augmentation)
+        if not dataset.has_one_window:
+            options = cls.without_map(options, out)
+        options = options.model_copy(update={"precision": training_precision(options, out)})
+        torch.manual_seed(out.seed)
         network = cls.build(train[0].grid.size, options, classes=0)
         on_processor = cls.prepare_training(network, occupied_rate(dataset.stretches))
         steps = round(max(VALIDATION_HORIZONS_S) / train[0].period_s)
@@ -112,7 +156,7 @@ class RecurrentTracker(Tracker):
             inference = cls.prepare_inference(channels_last(deepcopy(trained).cpu().eval()), options)
 
             def score_on(source: FrameSource) -> Any:
-                return score(cls(stream_of(source), options, inference), source, steps)
+                return score(cls(stream_of(source), options, inference, dataset.first_window), source, steps)
 
             return validation_scores(score_on, validation, VALIDATION_HORIZONS_S)
 

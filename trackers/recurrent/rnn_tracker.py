@@ -8,7 +8,7 @@ from torch import nn
 
 from gridtrack.trackers.recurrent.deep_tracking_rnn import DeepTrackingRNN
 from gridtrack.trackers.recurrent.inference import InferenceRNN
-from gridtrack.trackers.recurrent.network import RecurrentNetwork, start_from_rate
+from gridtrack.trackers.recurrent.network import InferenceNetwork, start_from_rate
 from gridtrack.trackers.recurrent.recurrent_tracker import RecurrentTracker
 from gridtrack.trackers.recurrent.settings import DeepTrackingRNNOptions
 
@@ -31,6 +31,6 @@ class DeepTrackingRNNTracker(RecurrentTracker):
         return network
 
     @classmethod
-    def prepare_inference(cls, network: Any, options: Any) -> RecurrentNetwork:
+    def prepare_inference(cls, network: Any, options: Any) -> InferenceNetwork:
         """The convolution of the empty input is computed in advance."""
         return InferenceRNN(network)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -11,39 +12,90 @@ from torch import Tensor
 from torch.utils.data import Dataset, Sampler
 
 from gridtrack.common.errors import ConfigurationError
+from gridtrack.common.geometry import SE2
+from gridtrack.common.grid import Shift, rolled, shift_between
 from gridtrack.trackers.contract import FrameSource
 
 
-def load_frames(source: FrameSource) -> NDArray[np.uint8]:
-    """All frames of a stretch, (T, 2, M, ceil(M / 8)): planes visible and occupied, eight cells a byte."""
-    planes = (np.stack([frame.visible, frame.occupied]) for frame in source)
-    return np.stack([np.packbits(pair, axis=-1) for pair in planes])
+class Frames(NamedTuple):
+    """All frames of a stretch: their planes, visible and occupied, and where their windows lie.
+
+    `planes` (T, 2, M, ceil(M / 8)) uint8, eight cells a byte; `windows` (T, 2) int64, how far each window lies from
+    that of the first frame of the training, cells: rows and columns.
+    """
+
+    planes: NDArray[np.uint8]
+    windows: NDArray[np.int64]
 
 
-def occupied_rate(stretches: Sequence[NDArray[np.uint8]]) -> float:
+def load_frames(source: FrameSource, first_window: SE2) -> Frames:
+    """All frames of a stretch, with their windows' shifts from `first_window`."""
+    planes, windows = [], []
+    for frame in source:
+        planes.append(np.packbits(np.stack([frame.visible, frame.occupied]), axis=-1))
+        windows.append(shift_between(first_window, frame.world_T_grid, source.grid.cell_m))
+    return Frames(np.stack(planes), np.array(windows, np.int64))
+
+
+def in_one_window(planes: NDArray[np.uint8], windows: NDArray[np.int64], number: int, size: int) -> NDArray[np.uint8]:
+    """The `planes` (T, 2, M, ceil(M / 8)) of frames in the window of frame `number`: cells outside theirs are unseen.
+
+    So a sequence has one window, as a forecast has, and nothing in the network moves in training.
+    """
+    shifts = windows[number] - windows
+    if not shifts.any():
+        return planes
+    cells = np.unpackbits(planes, axis=-1, count=size)
+    rolled_cells = [rolled(each, Shift(*shift), 0) for each, shift in zip(cells, shifts.tolist(), strict=True)]
+    return np.packbits(np.stack(rolled_cells), axis=-1)
+
+
+def occupied_rate(stretches: Sequence[Frames]) -> float:
     """Occupied cells divided by visible cells; 1 occupied and 2 visible at least."""
-    visible, occupied = (sum(int(np.bitwise_count(s[:, plane]).sum()) for s in stretches) for plane in (0, 1))
+    visible, occupied = (sum(int(np.bitwise_count(s.planes[:, k]).sum()) for s in stretches) for k in (0, 1))
     return max(occupied, 1) / max(visible, 2)
 
 
 class SequenceDataset(Dataset[Tensor]):
     """Windows of `length` frames as (length, 2, M, M) uint8; item i is drawn by a generator seeded with (seed, i).
 
-    Augmentation: with `time_reversal`, every second window is in reverse order of time; with `superposition`, every
-    second window is the superposition of two. Raises ConfigurationError where a stretch is shorter than one window.
+    All frames of an item are in the grid of its frame number `forecast_from`, the last one that is observed. With
+    `time_reversal`, every second item is in reverse order of time; with `superposition`, every second item is the
+    superposition of two. Raises ConfigurationError where a stretch is shorter than one item, or the sensor moves in it
+    and items are to be superposed.
     """
 
     def __init__(
-        self, sources: Sequence[FrameSource], length: int, seed: int, *, time_reversal: bool, superposition: bool
+        self,
+        sources: Sequence[FrameSource],
+        length: int,
+        seed: int,
+        *,
+        forecast_from: int,
+        time_reversal: bool,
+        superposition: bool,
     ) -> None:
         self.sources = [(source.name, source.sha256) for source in sources]
-        self.stretches = [load_frames(source) for source in sources]
-        self.size, self.length, self.seed = sources[0].grid.size, length, seed
+        self.first_window = next(iter(sources[0])).world_T_grid
+        self.stretches = [load_frames(source, self.first_window) for source in sources]
+        self.size, self.length, self.seed, self.forecast_from = sources[0].grid.size, length, seed, forecast_from
         self.time_reversal, self.superposition = time_reversal, superposition
         for source, frames in zip(sources, self.stretches, strict=True):
-            if len(frames) < length:
-                raise ConfigurationError(f"{source.name}: {len(frames)} frames; training needs at least {length}")
-        self.starts = np.cumsum([len(frames) - length + 1 for frames in self.stretches])
+            if len(frames.planes) < length:
+                raise ConfigurationError(
+                    f"{source.name}: {len(frames.planes)} frames; training needs at least {length}"
+                )
+            if superposition and np.ptp(frames.windows, axis=0).any():
+                raise ConfigurationError(
+                    f"{source.name}: the sensor moves: frames from different places cannot be superposed: train with"
+                    " superposition=false"
+                )
+        self.starts = np.cumsum([len(frames.planes) - length + 1 for frames in self.stretches])
+
+    @property
+    def has_one_window(self) -> bool:
+        """Whether the windows of all frames are the same cells of the world."""
+        return not any(frames.windows.any() for frames in self.stretches)
 
     def __getitem__(self, index: int) -> Tensor:
         """Window number `index`; the series has no end."""
@@ -57,8 +109,11 @@ class SequenceDataset(Dataset[Tensor]):
         at = int(draw.integers(self.starts[-1]))
         stretch = int(np.searchsorted(self.starts, at, side="right"))
         start = at - (int(self.starts[stretch - 1]) if stretch else 0)
-        window = self.stretches[stretch][start : start + self.length]
-        return window[::-1] if self.time_reversal and draw.integers(2) else window
+        frames, item = self.stretches[stretch], slice(start, start + self.length)
+        planes, windows = frames.planes[item], frames.windows[item]
+        if self.time_reversal and draw.integers(2):
+            planes, windows = planes[::-1], windows[::-1]
+        return in_one_window(planes, windows, self.forecast_from, self.size)
 
 
 def superposed(one: NDArray[np.uint8], other: NDArray[np.uint8]) -> NDArray[np.uint8]:

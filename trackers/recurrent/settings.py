@@ -10,6 +10,7 @@ from gridtrack.common.config import Settings
 from gridtrack.trackers.label_settings import ClassWeights, LabelSettings
 
 Gate = Literal["keep", "reset", "candidate"]
+Precision = Literal["32-true", "bf16-mixed"]
 EvidenceOption = Literal["state", "scan"]
 GATES: tuple[Gate, ...] = ("keep", "reset", "candidate")
 
@@ -67,13 +68,18 @@ class TrainingSettings(Settings):
     weight_decay: float = Field(0.0, ge=0)
     validate_every: int = Field(250, ge=1)
     """Updates from one validation, and checkpoint, to the next."""
-    precision: Literal["32-true", "bf16-mixed"] = "bf16-mixed"
-    """Precision of the convolutions; the latent state and the gates are float32."""
+    precision: Literal["auto", "32-true", "bf16-mixed"] = "auto"
+    """Precision of the convolutions: `auto` is the faster one on this machine. States and gates are float32."""
 
     @property
     def length(self) -> int:
         """Frames in a training window: the burn-in and the sequence."""
         return self.burn_in + self.repetitions * (self.observed_frames + self.blank_frames)
+
+    @property
+    def last_observed(self) -> int:
+        """Number of the last frame of a window that is an input of the network."""
+        return max(frame for frame in range(self.length) if self.is_observed(frame))
 
     def is_observed(self, frame: int) -> bool:
         """Whether frame number `frame` of a window is an input of the network."""

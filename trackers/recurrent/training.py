@@ -28,6 +28,7 @@ from gridtrack.common.files import write_text
 from gridtrack.trackers.contract import FitOutput, FrameSource
 from gridtrack.trackers.progress import Stage
 from gridtrack.trackers.recurrent.network import RecurrentNetwork, channels_last
+from gridtrack.trackers.recurrent.precision import training_precision
 from gridtrack.trackers.recurrent.sequences import EpochSampler, SequenceDataset
 from gridtrack.trackers.recurrent.settings import InferenceSettings, TrainingSettings, TransferSettings
 
@@ -78,7 +79,7 @@ def train_network(
     )
     trainer = lightning.Trainer(
         max_epochs=math.ceil(settings.updates / settings.validate_every),
-        precision=settings.precision,
+        precision=training_precision(settings, out),
         gradient_clip_val=settings.gradient_clip,
         callbacks=[best, last, timed],
         logger=[CSVLogger(out.log_dir, name="csv"), TensorBoardLogger(out.log_dir, name="tensorboard")],

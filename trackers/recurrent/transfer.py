@@ -17,7 +17,8 @@ import torch
 
 from gridtrack.common.config import validated
 from gridtrack.common.errors import WeightsError
-from gridtrack.common.grid import LabelledFrame
+from gridtrack.common.geometry import SE2
+from gridtrack.common.grid import GridFrame, LabelledFrame, shift_between
 from gridtrack.trackers.cell_classifier import CellClassifier
 from gridtrack.trackers.cell_training import (
     CellCollector,
@@ -35,6 +36,7 @@ from gridtrack.trackers.recurrent.network import DecodedLayers, LatentState, cla
 from gridtrack.trackers.recurrent.recurrent_tracker import RecurrentTracker
 from gridtrack.trackers.recurrent.seen_cells import PREFIX, SeenCells
 from gridtrack.trackers.recurrent.settings import DECODER_SETTINGS, TransferSettings
+from gridtrack.trackers.recurrent.unseen import rolled_state
 from gridtrack.trackers.scan_classifier import planes_of, scan_classifier
 from gridtrack.trackers.weights import load_weights, save_interrupted, save_weights, with_classes
 
@@ -99,7 +101,7 @@ def _tracker_with_weights(
         raise WeightsError(
             f"{out.path}: no weights to add classes to: train with stage=both, or copy weights to this path"
         )
-    shape = options.model_dump(exclude_unset=True, exclude=set(TransferSettings.model_fields))
+    shape = options.model_dump(exclude_unset=True, exclude={*TransferSettings.model_fields, "precision"})
     return kind(stream_of(source, out.path), validated(kind.Options, shape, kind.name))
 
 
@@ -120,18 +122,45 @@ def latent_cells(
     network: Any = tracker.network
     for names, frames in labelled:
         tracker.reset(0)
-        past: deque[LatentState] = deque(maxlen=LEADS[-1] + 1)
+        past = PastStates(tracker)
         for number, item in enumerate(frames):
-            tracker.update(item.frame)
-            past.append(tracker.state)
+            past.update(item.frame)
             if number % every or not item.cells.size:
                 continue
             scan.add(planes_of(item.frame), item, names)
             now.add(class_planes(tracker.state, layers)[0].half(), item, names)
             for lead in LEADS:
-                if lead < len(past):
-                    ahead.add(class_planes(_forecast(network, past[-1 - lead], lead), layers)[0].half(), item, names)
+                if (state := past.before(lead)) is not None:
+                    ahead.add(class_planes(_forecast(network, state, lead), layers)[0].half(), item, names)
     return TransferCells(now, ahead, scan)
+
+
+class PastStates:
+    """The latent states of a tracker after its last frames, all in the window of the last one."""
+
+    def __init__(self, tracker: RecurrentTracker) -> None:
+        self._tracker, self._updates = tracker, 0
+        self._states: deque[LatentState] = deque(maxlen=LEADS[-1] + 1)
+        self._world_T_grid: SE2 | None = None
+
+    def update(self, frame: GridFrame) -> None:
+        """Update the tracker and add its state."""
+        self._move_to(frame.world_T_grid)
+        self._tracker.update(frame)
+        self._states.append(self._tracker.state)
+        self._updates += 1
+
+    def before(self, frames: int) -> LatentState | None:
+        """The state `frames` frames before the last one; None where there is none."""
+        return self._states[-1 - frames] if frames < len(self._states) else None
+
+    def _move_to(self, world_T_grid: SE2) -> None:
+        cell_m, first = self._tracker.stream.grid.cell_m, self._updates - len(self._states) + 1
+        shift = shift_between(self._world_T_grid or world_T_grid, world_T_grid, cell_m)
+        self._world_T_grid = world_T_grid
+        if shift:
+            for k, state in enumerate(self._states):
+                self._states[k] = rolled_state(state, shift, self._tracker.network.unseen(first + k))
 
 
 def _forecast(network: Any, state: LatentState, steps: int) -> LatentState:

@@ -19,12 +19,11 @@ from dataclasses import dataclass
 import numba
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from gridtrack.trackers.recurrent.fused import FLAGS, kernel
+from gridtrack.trackers.recurrent.network import Float32Array
 
-Float32Array = NDArray[np.float32]
 Kernel = Callable[[Float32Array, int, Float32Array], None]
 """Called with an input array, a dilation and the output array."""
 

@@ -25,9 +25,11 @@ GRID = GridSpec(2, 1.0)
 STREAM = StreamSpec(GRID, 0.1, "here")
 
 
-def frame(visible: list[list[int]], occupied: list[list[int]]) -> GridFrame:
+def frame(visible: list[list[int]], occupied: list[list[int]], x: float = 0.0, y: float = 0.0) -> GridFrame:
+    """A frame whose window lies at (x, y) in the world."""
     none = np.zeros((0, 2), np.float32)
-    return GridFrame(0, np.array(visible, bool), np.array(occupied, bool), SE2(), none, none, np.zeros(0, np.uint8))
+    pose = SE2(x, y)
+    return GridFrame(0, np.array(visible, bool), np.array(occupied, bool), pose, none, none, np.zeros(0, np.uint8))
 
 
 @dataclass
@@ -71,6 +73,20 @@ def test_a_forecast_of_persistence_does_not_change_with_later_frames() -> None:
     assert not forecast.any()
 
 
+def test_persistence_keeps_each_cell_at_its_place_in_the_world() -> None:
+    tracker = PersistenceTracker(STREAM, Settings())
+    tracker.update(frame([[1, 1], [1, 1]], [[1, 0], [0, 1]], x=5.0, y=-3.0))
+    tracker.update(frame([[0, 0], [0, 0]], [[0, 0], [0, 0]], x=5.0, y=-2.0))
+    assert tracker.predict(1).occupancy.tolist() == [[[0, 1], [0, 0]]] * 2
+    tracker.update(frame([[0, 0], [0, 0]], [[0, 0], [0, 0]], x=6.0, y=-2.0))
+    assert tracker.predict(0).occupancy.tolist() == [[[1, 0], [0, 0]]]
+    tracker.update(frame([[0, 0], [0, 0]], [[0, 0], [0, 0]], x=900.0, y=-2.0))
+    assert not tracker.predict(0).occupancy.any()
+    tracker.reset(0)
+    tracker.update(frame([[1, 0], [0, 0]], [[1, 0], [0, 0]]))
+    assert tracker.predict(0).occupancy.tolist() == [[[1, 0], [0, 0]]]
+
+
 def test_blank_forecasts_zero() -> None:
     tracker = BlankTracker(STREAM, Settings())
     tracker.update(frame([[1, 1], [1, 1]], [[1, 1], [1, 1]]))
@@ -89,6 +105,65 @@ def test_the_static_map_is_the_rate_of_each_cell_with_the_overall_rate_as_prior(
     expected = [[(3 + rate) / 4, (1 + rate) / 3], [rate / 3, rate]]
     np.testing.assert_allclose(tracker.predict(1).occupancy, [expected, expected], rtol=1e-6)
     assert len(lines) == 1
+
+
+def fitted(tmp_path: Path, *frames: GridFrame) -> Path:
+    out = FitOutput(tmp_path / "here.toml", "gridtrack train", 0, tmp_path, lambda line: None)
+    StaticMapTracker.fit([Frames(list(frames))], [], no_score, out, StaticMapOptions())
+    return out.path
+
+
+def test_a_window_takes_the_part_of_the_static_map_at_its_place_and_the_overall_rate_outside(tmp_path: Path) -> None:
+    all_seen = [[1, 1], [1, 1]]
+    path = fitted(tmp_path, frame(all_seen, [[1, 0], [0, 0]], x=7.0, y=2.0))
+    tracker = StaticMapTracker(StreamSpec(GRID, 0.1, "here", weights=path), StaticMapOptions(prior_frames=0.0))
+    assert tracker.predict(0).occupancy.tolist() == [[[1, 0], [0, 0]]]
+    tracker.update(frame(all_seen, all_seen, x=6.0, y=2.0))
+    assert tracker.predict(1).occupancy.tolist() == [[[0.25, 1], [0.25, 0]]] * 2
+    tracker.update(frame(all_seen, all_seen, x=6.0, y=1.0))
+    assert tracker.predict(0).occupancy.tolist() == [[[0.25, 0.25], [0.25, 1]]]
+    tracker.update(frame(all_seen, all_seen, x=1e4, y=1.0))
+    assert tracker.predict(0).occupancy.tolist() == [[[0.25, 0.25], [0.25, 0.25]]]
+
+
+def test_a_static_map_of_an_earlier_gridtrack_lies_in_the_first_window(tmp_path: Path) -> None:
+    path = fitted(tmp_path, frame([[1, 1], [1, 1]], [[1, 0], [0, 0]], x=7.0))
+    lines = path.read_text().splitlines()
+    at = lines.index("world_T_grid = [")
+    path.write_text("\n".join(lines[:at] + lines[at + 4 :]))
+    tracker = StaticMapTracker(StreamSpec(GRID, 0.1, "here", weights=path), StaticMapOptions(prior_frames=0.0))
+    for start in (30.0, 50.0):
+        tracker.reset(0)
+        tracker.update(frame([[0, 0], [0, 0]], [[0, 0], [0, 0]], x=start))
+        assert tracker.predict(0).occupancy.tolist() == [[[1, 0], [0, 0]]]
+        tracker.update(frame([[0, 0], [0, 0]], [[0, 0], [0, 0]], x=start - 1))
+        assert tracker.predict(0).occupancy.tolist() == [[[0.25, 1], [0.25, 0]]]
+
+
+def test_a_static_map_spans_the_windows_of_a_training_on_a_moving_sensor(tmp_path: Path) -> None:
+    all_seen = [[1, 1], [1, 1]]
+    path = fitted(
+        tmp_path,
+        frame(all_seen, [[1, 0], [0, 0]], x=5.0, y=5.0),
+        frame(all_seen, [[0, 0], [0, 1]], x=2.0, y=4.0),
+        frame(all_seen, [[0, 0], [1, 0]], x=8.0, y=5.0),
+    )
+    tracker = StaticMapTracker(StreamSpec(GRID, 0.1, "here", weights=path), StaticMapOptions(prior_frames=0.0))
+    for x, y, expected in (
+        (5.0, 5.0, [[1, 0], [0, 0]]),
+        (2.0, 4.0, [[0, 0], [0, 1]]),
+        (8.0, 5.0, [[0, 0], [1, 0]]),
+        (4.0, 5.0, [[0.25, 1], [0.25, 0]]),
+    ):
+        tracker.update(frame(all_seen, all_seen, x=x, y=y))
+        assert tracker.predict(0).occupancy.tolist() == [expected]
+
+
+def test_a_static_map_of_a_long_drive_is_refused_in_one_line(tmp_path: Path) -> None:
+    all_seen = [[1, 1], [1, 1]]
+    frames = [frame(all_seen, all_seen), frame(all_seen, all_seen, x=5000.0)]
+    with pytest.raises(WeightsError, match="5002 cells, and a map has at most 4096 a side"):
+        fitted(tmp_path, *frames)
 
 
 @given(st.lists(st.tuples(st.integers(0, 50), st.integers(0, 50)), min_size=1, max_size=9), st.floats(0.0, 100.0))

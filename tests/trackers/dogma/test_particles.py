@@ -20,7 +20,7 @@ from gridtrack.trackers.dogma.random_numbers import NORMAL, hashed, next_counter
 SIZE = 5
 STILL = Motion(*map(np.float32, (1.0, 0.0, 0.0, 0.0, 0.0, 0.1)))
 NOWHERE = Returns(np.full((SIZE * SIZE, 2), np.nan, np.float32), np.float32(0.5), np.float32(0.0))
-BIRTH = Birth(np.float32(0.25), np.float32(2.0))
+BIRTH = Birth(np.full(SIZE * SIZE, 0.25, np.float32), np.float32(2.0))
 
 
 def scattered(count: int, seed: int = 0) -> Particles:

@@ -14,9 +14,9 @@ pytest.importorskip("sklearn")
 
 from gridtrack.common.errors import ConfigurationError, WeightsError
 from gridtrack.common.grid import LabelledFrame
+from gridtrack.trackers import searched_fit
 from gridtrack.trackers.contract import FitOutput, StretchScore, stream_of
 from gridtrack.trackers.labelled_scans import LabelledScans
-from gridtrack.trackers.model_free import tuning
 from gridtrack.trackers.model_free.class_training import count_cells
 from gridtrack.trackers.model_free.classes import ClassModel
 from gridtrack.trackers.model_free.factor_graph import FactorGraphTracker
@@ -24,7 +24,7 @@ from gridtrack.trackers.model_free.kalman import KalmanTracker
 from gridtrack.trackers.model_free.settings import ModelFreeSettings
 from gridtrack.trackers.weights import load_weights, read_card, save_weights
 
-from scenes.street import GRID, Street
+from scenes.street import GRID, Street, frame_of
 
 
 def no_score(tracker, source, steps):
@@ -43,7 +43,7 @@ def fit(folder, tracker=KalmanTracker, street=None, **options):
 @pytest.fixture(scope="module", autouse=True)
 def one_trial():
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(tuning, "SEARCH_ITERATIONS", 1)
+        patch.setattr(searched_fit, "SEARCH_ITERATIONS", 1)
         yield
 
 
@@ -195,7 +195,7 @@ def test_only_labelled_cells_of_the_trained_classes_are_counted():
     class Labelled(Street):
         def labelled(self):
             for labels in ([0, 2], [1, 1], [0, 0]):
-                yield LabelledFrame(None, np.array([3, 3600 - 1]), np.array(labels, np.uint8))
+                yield LabelledFrame(frame_of([]), np.array([3, 3600 - 1]), np.array(labels, np.uint8))
 
     labelled = LabelledScans((Labelled(),), (np.array([0, 2]),), ("horse", "pedestrian"))
     count = count_cells(labelled, ("horse", "pedestrian"))

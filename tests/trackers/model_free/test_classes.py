@@ -13,11 +13,14 @@ pytest.importorskip("sklearn")
 from scipy.stats import multivariate_normal
 
 from gridtrack.trackers.model_free.class_training import TrackSamples, cell_log_loss, cell_prior_of, fit_mixtures
-from gridtrack.trackers.model_free.classes import FEATURES, ClassFilter, features_of
+from gridtrack.trackers.model_free.classes import FEATURES, ClassFilter, features_of, mean_log_prior
 from gridtrack.trackers.model_free.rasterise import draw_track
 from gridtrack.trackers.model_free.semantics import attribute, normalise, weight_by_cell_prior
+from gridtrack.trackers.model_free.window import Window
 
 from scenes.street import CAR, GRID, PEDESTRIAN, box, frame_of, legs
+
+WINDOW = Window(GRID)
 
 
 def track_of(points, velocity, identity=0, unseen=0):
@@ -36,7 +39,7 @@ def some_people_and_cars(seed=0, count=80):
         body = box(draw.normal(4.3, 0.3), 1.8, at, heading) if kind == CAR else legs(at, draw.uniform(0.1, 0.5))
         speed = abs(draw.normal(7.0, 3.0) if kind == CAR else draw.normal(1.2, 0.4))
         velocity = speed * np.array([math.cos(heading), math.sin(heading)])
-        rows.append(features_of([track_of(body, velocity)], frame_of([]))[0])
+        rows.append(features_of([track_of(body, velocity)], frame_of([]), WINDOW)[0])
         cells.append([len(body), 0] if kind == PEDESTRIAN else [0, len(body)])
     return TrackSamples(np.array(rows), np.arange(2 * count), np.array(cells), [np.array([0])] * 2 * count)
 
@@ -57,7 +60,7 @@ def test_a_box_of_car_size_at_8_m_per_s_is_a_car_and_two_legs_at_walking_speed_a
     car = track_of(box(4.4, 1.8, (6.0, 1.0), 0.3), (8 * math.cos(0.3), 8 * math.sin(0.3)), identity=7)
     walker = track_of(legs((5.0, -2.0)), (0.0, 1.2), identity=9)
     classes = ClassFilter(model, GRID)
-    classes.observe([car, walker], frame_of([]))
+    classes.observe([car, walker], frame_of([]), WINDOW)
     found = classes.posteriors([car, walker])
     assert found.dtype == np.float32
     assert found.sum(axis=1) == pytest.approx([1.0, 1.0])
@@ -68,7 +71,7 @@ def test_a_box_of_car_size_at_8_m_per_s_is_a_car_and_two_legs_at_walking_speed_a
 def test_features_are_extents_speed_and_range():
     track = track_of(np.array([(3.0, 4.0), (5.0, 4.0), (3.0, 4.5), (5.0, 4.5)]), (0.0, 2.0))
     other = track_of(np.array([(4.0, 5.0), (9.0, 5.0)]), (1.0, 0.0))
-    found = features_of([track, other], frame_of([]))
+    found = features_of([track, other], frame_of([]), WINDOW)
     assert found[1] == pytest.approx(np.log([5.2, 5.2, 0.2, 1.3, 1.0 + math.hypot(6.5, 5.0)]))
     expected = [2.2, 0.7, 2.2, 2.3, 1.0 + math.hypot(4.0, 4.25)]
     assert len(FEATURES) == found.shape[1]
@@ -76,8 +79,9 @@ def test_features_are_extents_speed_and_range():
 
 
 def test_extents_do_not_depend_on_the_heading():
+    nothing = frame_of([]), WINDOW
     found = [
-        features_of([track_of(box(4.0, 1.6, (6.0, 0.0), turn), (math.cos(turn), math.sin(turn)))], frame_of([]))[0, :3]
+        features_of([track_of(box(4.0, 1.6, (6.0, 0.0), turn), (math.cos(turn), math.sin(turn)))], *nothing)[0, :3]
         for turn in (0.0, 1.0, 2.5)
     ]
     assert found[1] == pytest.approx(found[0])
@@ -97,16 +101,16 @@ def test_densities_are_those_of_scipys_gaussians(model):
 def test_a_hidden_track_keeps_its_class_and_every_frame_in_view_counts(model):
     walker, crowd = track_of(legs((5.0, 0.0)), (0.0, 1.2)), track_of(box(1.4, 0.6, (5.0, 0.0)), (0.0, 1.2))
     classes = ClassFilter(model, GRID)
-    densities = [model.log_densities(features_of([each], frame_of([])))[0] for each in (walker, crowd)]
+    densities = [model.log_densities(features_of([each], frame_of([]), WINDOW))[0] for each in (walker, crowd)]
     for each in (walker, crowd, walker):
-        classes.observe([each], frame_of([]))
+        classes.observe([each], frame_of([]), WINDOW)
     before = classes.posteriors([walker])
     place = np.log([[0.5, 0.5]])
     assert before == pytest.approx(model.posteriors((2 * densities[0] + densities[1])[None] / 3, place), abs=1e-6)
     walker.unseen = 5
-    classes.observe([walker], frame_of([]))
+    classes.observe([walker], frame_of([]), WINDOW)
     assert (classes.posteriors([walker]) == before).all()
-    classes.observe([], frame_of([]))
+    classes.observe([], frame_of([]), WINDOW)
     with pytest.raises(KeyError):
         classes.posteriors([walker])
 
@@ -116,7 +120,7 @@ def test_tracks_with_equal_features_have_the_cell_prior_with_its_power(model):
     place[:, :, :30], place[:, :, 30:] = [[[0.9]], [[0.1]]], [[[0.2]], [[0.8]]]
     left, right = track_of(legs((2.0, 0.0)), (0.0, 1.0)), track_of(legs((10.0, 0.0)), (0.0, 1.0))
     told = model._replace(powers=np.array([0.0, 1.0]), cell_prior=place)
-    log_prior = told.log_prior([left, right], GRID)
+    log_prior = mean_log_prior([left, right], told.cell_prior, WINDOW)
     assert told.posteriors(np.zeros((2, 2)), log_prior) == pytest.approx(np.array([[0.9, 0.1], [0.2, 0.8]]))
     untold = told._replace(powers=np.zeros(2))
     assert untold.posteriors(np.zeros((2, 2)), log_prior) == pytest.approx(np.tile(model.frequency, (2, 1)))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -9,13 +10,19 @@ import pytest
 
 pytest.importorskip("filterpy")
 from gridtrack.common.errors import RecordingError, WeightsError
+from gridtrack.common.grid import Shift
+from gridtrack.trackers import searched_fit
 from gridtrack.trackers.contract import FitOutput, StreamSpec, StretchScore
 from gridtrack.trackers.model_free import tuning
+from gridtrack.trackers.model_free.background import OUTSIDE_MAP
 from gridtrack.trackers.model_free.kalman import KalmanTracker
+from gridtrack.trackers.model_free.residence import fit_residence
 from gridtrack.trackers.model_free.settings import ModelFreeSettings, PipelineSettings
-from gridtrack.trackers.weights import read_card, save_weights
+from gridtrack.trackers.site_map import SiteMap
+from gridtrack.trackers.weights import load_weights, read_card, save_weights
 
 from scenes.hall import GLIDING, GRID, OPEN, PERIOD_S, card, frame_of, walk
+from scenes.scrolling import scrolled
 
 
 def test_without_weights_the_error_names_the_training_command():
@@ -61,7 +68,7 @@ class Source:
 
 
 def test_fit_finds_the_best_settings_and_keeps_given_ones(tmp_path, monkeypatch):
-    monkeypatch.setattr(tuning, "SEARCH_ITERATIONS", 25)
+    monkeypatch.setattr(searched_fit, "SEARCH_ITERATIONS", 25)
     asked = []
 
     def score(tracker, source, steps):
@@ -117,7 +124,7 @@ class Scores:
 
 
 def test_an_interrupted_search_keeps_its_best_and_continues_as_if_it_had_not_been(tmp_path, caplog, monkeypatch):
-    monkeypatch.setattr("gridtrack.trackers.model_free.tuning.SEARCH_ITERATIONS", 6)
+    monkeypatch.setattr("gridtrack.trackers.searched_fit.SEARCH_ITERATIONS", 6)
     fit_hall(tmp_path / "whole", Scores(), [])
     with pytest.raises(KeyboardInterrupt):
         fit_hall(tmp_path, Scores(interrupt_after=4), [])
@@ -134,9 +141,48 @@ def test_an_interrupted_search_keeps_its_best_and_continues_as_if_it_had_not_bee
 
 
 def test_an_interrupted_search_keeps_the_weights_of_an_earlier_training(tmp_path, monkeypatch):
-    monkeypatch.setattr("gridtrack.trackers.model_free.tuning.SEARCH_ITERATIONS", 3)
+    monkeypatch.setattr("gridtrack.trackers.searched_fit.SEARCH_ITERATIONS", 3)
     fit_hall(tmp_path, Scores(), [])
     earlier = (tmp_path / "hall.toml").read_bytes()
     with pytest.raises(KeyboardInterrupt):
         fit_hall(tmp_path, Scores(interrupt_after=2), [])
     assert (tmp_path / "hall.toml").read_bytes() == earlier
+
+
+class Driven(Source):
+    """The same walk in a window that moves."""
+
+    def __init__(self):
+        super().__init__()
+        self.frames = [scrolled(frame, Shift(-(step // 5), step // 2), GRID) for step, frame in enumerate(self.frames)]
+
+
+def test_training_on_a_moving_sensor_learns_no_map_and_reports_it(tmp_path, monkeypatch):
+    monkeypatch.setattr("gridtrack.trackers.searched_fit.SEARCH_ITERATIONS", 1)
+    told = []
+    out = FitOutput(tmp_path / "hall.toml", "gridtrack train kalman", 3, tmp_path / "log", report=told.append)
+    KalmanTracker.fit([Driven()], [Driven()], Scores(), out, ModelFreeSettings())
+    assert any("the sensor moves: no map of the place is learned" in line for line in told)
+    stream = StreamSpec(GRID, PERIOD_S, "hall", weights=out.path)
+    arrays = load_weights(stream, "kalman").arrays
+    assert np.ptp(arrays["occupancy_rate"]) == 0.0
+    assert (arrays["neighbourhood_rate"] == OUTSIDE_MAP).all()
+    tracker = KalmanTracker(stream, PipelineSettings())
+    for frame in Driven():
+        tracker.update(frame)
+    assert np.isfinite(tracker.predict(3).occupancy).all()
+
+
+def test_residence_and_calibration_are_counted_in_the_world():
+    """A return that stays in place in a window that moves is in place."""
+    source = Source()
+    still = [replace(source.frames[0], stamp_ns=frame.stamp_ns) for frame in source.frames]
+    tables = []
+    for moves in (0, 1):
+        frames = [
+            scrolled(frame, Shift(-moves * (step // 5), moves * (step // 2)), GRID) for step, frame in enumerate(still)
+        ]
+        everywhere = SiteMap(np.ones(GRID.shape, bool), True, GRID.cell_m)
+        tables.append(fit_residence([frames] * 40, everywhere, (6, 6), GRID.cell_m))
+    assert tables[0][5, 5] > 0.9
+    assert tables[1] == pytest.approx(tables[0])

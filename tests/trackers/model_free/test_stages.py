@@ -10,7 +10,7 @@ import pytest
 pytest.importorskip("filterpy")
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame
-from gridtrack.trackers.model_free.background import Background, BackgroundMap, fit_background
+from gridtrack.trackers.model_free.background import OUTSIDE_MAP, Background, BackgroundMap, fit_background
 from gridtrack.trackers.model_free.residence import (
     NOT_OCCUPIED,
     PRIOR_RETURNS,
@@ -20,6 +20,7 @@ from gridtrack.trackers.model_free.residence import (
 )
 from gridtrack.trackers.model_free.settings import PipelineSettings
 from gridtrack.trackers.model_free.tracks import existence_when_detected, existence_when_missed
+from gridtrack.trackers.site_map import SiteMap
 from gridtrack.trackers.site_rate import PRIOR_FRAMES
 
 
@@ -36,11 +37,12 @@ def test_the_occupancy_rate_is_the_share_of_each_cell_shrunk_to_the_base_rate():
     visible[:2] = True
     occupied[0, 0] = True
     empty = np.zeros((5, 5), bool)
-    background = fit_background([frame_of(visible, occupied)] * 3 + [frame_of(visible, empty)], (5, 5))
+    background, moves = fit_background([[frame_of(visible, occupied)] * 3, [frame_of(visible, empty)]], 0.2)
     base_rate = 3 / 40  # three occupied among ten visible cells in four frames
     assert background.occupancy_rate[0, 0] == pytest.approx((3 + PRIOR_FRAMES * base_rate) / (4 + PRIOR_FRAMES))
     assert background.occupancy_rate[1, 4] == pytest.approx(PRIOR_FRAMES * base_rate / (4 + PRIOR_FRAMES))
     assert background.occupancy_rate[4, 4] == pytest.approx(base_rate)
+    assert not moves
 
 
 def test_the_neighbourhood_rate_is_high_at_a_noisy_wall_and_not_at_an_equally_busy_cell():
@@ -51,7 +53,7 @@ def test_the_neighbourhood_rate_is_high_at_a_noisy_wall_and_not_at_an_equally_bu
         occupied[2, 1 + step % 2] = True
         occupied[2, 6:8] = step % 2 == 0
         frames.append(frame_of(seen, occupied))
-    background = fit_background(frames, (5, 9))
+    background, _ = fit_background([frames], 0.2)
     assert background.occupancy_rate[2, [1, 2, 6, 7]] == pytest.approx(0.5, abs=0.01)
     assert (background.neighbourhood_rate[1:4, 1:3] > 0.98).all()
     assert (background.neighbourhood_rate[:, 5:] < 0.55).all()
@@ -75,7 +77,7 @@ def background_of(rate, neighbourhood_rate=0.0, **settings):
 
 
 def test_the_forecast_has_walls_and_the_base_rate_of_cells_never_seen():
-    background = background_of([[0.9, 0.1], [0.31, 0.0]], [[1.0, 0.0], [0.0, 0.0]])
+    background = background_of([[0.9, 0.1], [0.31, 0.0]], [[0.99, 0.0], [0.0, 0.0]])
     assert background.probabilities(1) == pytest.approx(np.array([[[0.9, 0.1], [0.31, 0.0]]] * 2))
 
 
@@ -123,11 +125,33 @@ def test_a_frame_after_missing_ones_counts_for_all_of_them():
 
 
 def test_a_removed_wall_is_forgotten():
-    background = background_of([[0.9]], 1.0)
+    background = background_of([[0.9]], 0.99)
     for _ in range(1000):
         background.observe(frame_of(np.ones((1, 1), bool), np.zeros((1, 1), bool)))
     frames = 1 / (1 - math.exp(-0.1 / 5.0))
     assert background.probabilities(0)[0, 0, 0] == pytest.approx(0.9 * MAP_FRAMES / (MAP_FRAMES + frames), rel=1e-5)
+
+
+def test_outside_the_map_a_return_is_background_until_its_cell_was_open_and_again_after_it_stood_there():
+    background = background_of(np.full((5, 5), 0.1), OUTSIDE_MAP)
+    seen, empty = np.ones((5, 5), bool), np.zeros((5, 5), bool)
+    wall = empty.copy()
+    wall[0] = True
+    assert background.explained.all()
+    background.observe(frame_of(seen, wall))
+    assert background.explained[:2].all()  # the wall and its neighbours
+    assert not background.explained[2:].any()
+    noisy = np.roll(wall, 1, axis=0)
+    for _ in range(20):
+        background.observe(frame_of(seen, noisy))
+    assert background.explained[:2].all()
+    assert background.probabilities(0)[0, 1].min() > 0.7
+    parked = wall.copy()
+    parked[4] = True
+    for _ in range(300):
+        background.observe(frame_of(seen, parked))
+    assert background.explained[3:].all()
+    assert not background.explained[2].any()
 
 
 # Residence
@@ -154,7 +178,7 @@ def test_the_age_of_a_return_continues_in_a_neighbour_cell_and_restarts_elsewher
 def test_the_life_table_counts_returns_in_place_in_visible_cells():
     seen, hidden = np.ones((5, 5), bool), np.zeros((5, 5), bool)
     frames = [frame_of(seen, cells_at((1, 1))), frame_of(seen, cells_at((1, 1))), frame_of(hidden, cells_at())]
-    table = fit_residence([frames] * 100, np.ones((5, 5), bool), (3, 3))
+    table = fit_residence([frames] * 100, SiteMap(np.ones((5, 5), bool), True, 0.2), (3, 3), 0.2)
     known = 1.0 / (1.0 + PRIOR_RETURNS / 100)
     assert table[0] == pytest.approx([known, known, 0.0])  # after two steps nothing is seen: the prior stands
     assert table[1] == pytest.approx([known, 0.0, 0.0])

@@ -15,7 +15,8 @@ from gridtrack.recordings import packaged_recording
 from gridtrack.trackers.contract import stream_of
 from gridtrack.trackers.model_free import association, matching, occlusion, rasterise, segmentation
 from gridtrack.trackers.model_free.kalman import KalmanTracker
-from gridtrack.trackers.model_free import calibration, shape
+from gridtrack.trackers import calibration
+from gridtrack.trackers.model_free import shape
 from gridtrack.trackers.model_free.motion import kalman, model, regimes
 from gridtrack.trackers.model_free.settings import PipelineSettings
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
 torch = pytest.importorskip("torch")
@@ -12,8 +13,13 @@ from gridtrack.trackers.recurrent.convgru_tracker import DilatedConvGRUTracker  
 from gridtrack.trackers.recurrent.deep_tracking_rnn import DeepTrackingRNN  # noqa: E402
 from gridtrack.trackers.recurrent.dilated_convgru import DilatedConvGRU, convgru_gates  # noqa: E402
 from gridtrack.trackers.recurrent.fused import fused_gates  # noqa: E402
-from gridtrack.trackers.recurrent.inference import InferenceConvGRU, InferenceRNN, as_cells  # noqa: E402
-from gridtrack.trackers.recurrent.network import channels_last  # noqa: E402
+from gridtrack.trackers.recurrent.inference import (  # noqa: E402
+    InferenceConvGRU,
+    InferencePlainConvGRU,
+    InferenceRNN,
+    bias_rows,
+)
+from gridtrack.trackers.recurrent.network import as_cells, channels_last  # noqa: E402
 from gridtrack.trackers.recurrent.settings import (  # noqa: E402
     GATES,
     DeepTrackingRNNSettings,
@@ -64,12 +70,12 @@ def test_winograd_sums_the_convolutions_of_all_images(size, dilation):
     torch.testing.assert_close(found, expected, rtol=0, atol=2e-5)
 
 
-@pytest.mark.parametrize("static_gates", [("keep", "reset", "candidate"), ("candidate",)])
+@pytest.mark.parametrize("static_gates", [("keep", "reset", "candidate"), ("candidate",), ()])
 @pytest.mark.parametrize("with_input", [True, False])
 @pytest.mark.parametrize("bfloat16", [True, False])
 def test_the_fused_gates_equal_the_gates(bfloat16, with_input, static_gates):
     network = convgru(9, static_gates=static_gates)
-    biases = tuple(network.layers[0].biases[gate].expand(CHANNELS, 9, 9) for gate in GATES)
+    biases = tuple(network.layers[0].biases[gate] for gate in GATES)
     x = random(1, 3 * CHANNELS, 9, 9, scale=10.0) if with_input else None
     h_conv, h = random(1, 3 * CHANNELS, 9, 9, scale=10.0), random(1, CHANNELS, 9, 9, scale=0.5)
     h_conv[0, :, 0, 0], h_conv[0, :, 0, 1] = 300.0, -300.0  # saturated, and not overflown
@@ -82,18 +88,22 @@ def test_the_fused_gates_equal_the_gates(bfloat16, with_input, static_gates):
         sums = torch.cat([h_conv[:, : 2 * CHANNELS] + of_both, h_conv[:, 2 * CHANNELS :], of_x], dim=1)
     if bfloat16:
         sums = sums.bfloat16().view(torch.uint16)
-    maps = [bias.permute(1, 2, 0).contiguous().numpy() for bias in biases]
+    maps = bias_rows(biases)
+    map_cells = np.arange(81, dtype=np.int32).reshape(9, 9) if static_gates else np.zeros((9, 9), np.int32)
     h_cells, sums_cells = (as_cells(t.contiguous(memory_format=torch.channels_last)) for t in (h, sums))
     found = torch.full((9, 9, CHANNELS), torch.nan)
     for top in (0, 1):
         rows = sums_cells[top::2].copy()
-        fused_gates(CHANNELS, with_input=with_input, bfloat16=bfloat16)(rows, top, 2, *maps, h_cells, found.numpy())
+        gates = fused_gates(CHANNELS, with_input=with_input, bfloat16=bfloat16)
+        gates(rows, top, 2, map_cells, *maps, h_cells, found.numpy())
 
     expected = convgru_gates(x, h_conv, biases, h)[0].permute(1, 2, 0)
     torch.testing.assert_close(found, expected, rtol=0, atol=2e-6)
 
 
-@pytest.mark.parametrize("settings", [{}, {"static_gates": ("candidate",)}, {"dilated": False, "layers": 2}])
+@pytest.mark.parametrize(
+    "settings", [{}, {"static_gates": ("candidate",)}, {"static_gates": ()}, {"dilated": False, "layers": 2}]
+)
 def test_the_inference_convgru_equals_the_trained_network(settings):
     assert_same_stream(network := convgru(**settings), InferenceConvGRU(network), network.size)
 
@@ -133,8 +143,10 @@ def test_an_empty_input_is_not_convolved():
     assert all(h.isfinite().all() for h in following.step(None, following.initial(1)))
 
 
-def test_a_network_without_gates_is_its_own_inference_network():
+def test_a_network_without_gates_computes_as_it_was_trained():
     network, options = convgru(cell="plain"), DilatedConvGRUTracker.Options
-    assert DilatedConvGRUTracker.prepare_inference(network, options()) is network
+    following = DilatedConvGRUTracker.prepare_inference(network, options())
+    assert isinstance(following, InferencePlainConvGRU)
+    assert_same_stream(network, following, network.size, within=0)
     with pytest.raises(ConfigurationError, match="cell=gru"):
         DilatedConvGRUTracker.prepare_inference(network, options(inference="bfloat16"))

@@ -199,7 +199,9 @@ def test_cells_that_are_not_visible_have_no_loss():
 
 def test_the_burn_in_updates_the_state_without_loss_or_gradient():
     network = DilatedConvGRUTracker.build(SIZE, validated(DilatedConvGRUTracker.Options, {}, "test"), 0)
-    window = SequenceDataset([Shuttle()], 9, seed=0, time_reversal=False, superposition=False)[0][None].float()
+    window = SequenceDataset([Shuttle()], 9, seed=0, forecast_from=6, time_reversal=False, superposition=False)[0][
+        None
+    ].float()
     settings = TrainingSettings(burn_in=5, observed_frames=2, blank_frames=2, repetitions=1)
     assert [settings.is_observed(frame) for frame in range(settings.length)] == [True] * 7 + [False] * 2
 
@@ -231,7 +233,9 @@ def test_the_training_network_has_the_loss_and_gradient_of_the_network(half, tol
     on_processor = DilatedConvGRUTracker.prepare_training(network, 0.05)
     for parameter in network.parameters():
         torch.nn.init.normal_(parameter, std=0.3)
-    data = SequenceDataset([Shuttle()], settings.length, seed=0, time_reversal=False, superposition=False)
+    data = SequenceDataset(
+        [Shuttle()], settings.length, seed=0, forecast_from=0, time_reversal=False, superposition=False
+    )
     windows = torch.stack([data[0], data[1]]).float()
 
     def loss_and_gradient(one):
@@ -249,8 +253,12 @@ def test_the_training_network_has_the_loss_and_gradient_of_the_network(half, tol
 
 
 def test_windows_are_frames_of_the_recordings_and_depend_only_on_seed_and_number():
-    data = SequenceDataset([Shuttle(30), Shuttle(40)], 10, seed=1, time_reversal=True, superposition=False)
-    again = SequenceDataset([Shuttle(30), Shuttle(40)], 10, seed=1, time_reversal=True, superposition=False)
+    data = SequenceDataset(
+        [Shuttle(30), Shuttle(40)], 10, seed=1, forecast_from=4, time_reversal=True, superposition=False
+    )
+    again = SequenceDataset(
+        [Shuttle(30), Shuttle(40)], 10, seed=1, forecast_from=4, time_reversal=True, superposition=False
+    )
     directions = set()
     for number in range(40):
         window = data[number]
@@ -271,7 +279,7 @@ def test_superposed_windows_are_the_frames_of_a_laser_with_the_objects_of_both()
 
 
 def test_superposition_applies_to_half_of_the_windows():
-    data = SequenceDataset([Shuttle(60)], 10, seed=1, time_reversal=False, superposition=True)
+    data = SequenceDataset([Shuttle(60)], 10, seed=1, forecast_from=4, time_reversal=False, superposition=True)
     dots = [int(data[number][0, 1, 5].sum()) for number in range(200)]
     assert set(dots) == {1, 2}
     assert 60 < sum(count == 2 for count in dots) < 130
@@ -284,10 +292,10 @@ def test_every_epoch_continues_the_series_of_windows():
 
 
 def test_the_occupied_rate_is_that_of_the_visible_cells():
-    data = SequenceDataset([Shuttle(12)], 10, seed=0, time_reversal=False, superposition=False)
+    data = SequenceDataset([Shuttle(12)], 10, seed=0, forecast_from=4, time_reversal=False, superposition=False)
     assert occupied_rate(data.stretches) == pytest.approx((SIZE + 1) / (SIZE * (SIZE - 1)))
 
 
 def test_a_stretch_shorter_than_a_window_is_refused_by_name():
     with pytest.raises(ConfigurationError, match="shuttle: 5 frames; training needs at least 40"):
-        SequenceDataset([Shuttle(5)], 40, seed=0, time_reversal=False, superposition=False)
+        SequenceDataset([Shuttle(5)], 40, seed=0, forecast_from=4, time_reversal=False, superposition=False)

@@ -18,7 +18,7 @@ POSE_JACOBIAN = np.eye(3, 6)
 
 
 class MotionEstimator(Protocol):
-    """Estimator of the state (6,) of one object: x, y, heading, vx, vy, turn rate, in the grid frame.
+    """Estimator of the state (6,) of one object: x, y, heading, vx, vy, turn rate, in the fixed frame.
 
     Metres, radians and seconds; the heading is in [-pi, pi). A change of `mean` or `covariance` makes new arrays:
     caches compare their identity.

@@ -1,6 +1,6 @@
 """The motion model: rigid planar motion with a coordinated turn, predicted over whole periods.
 
-State (6,): x, y, heading, vx, vy, turn rate; metres, radians and seconds in the grid frame. In continuous time, with J
+State (6,): x, y, heading, vx, vy, turn rate; metres, radians and seconds in the fixed frame. In continuous time, with J
 a quarter turn and w white noise (white-noise acceleration: Bar-Shalom, Li and Kirubarajan 2001, section 6.2.2; with an
 unknown turn rate: their chapter 11; both rates are Ornstein-Uhlenbeck processes here):
 

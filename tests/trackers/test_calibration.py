@@ -13,8 +13,8 @@ from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec
 from gridtrack.recordings import packaged_recording
 from gridtrack.recordings.stream import open_stream
-from gridtrack.trackers.contract import stream_of
-from gridtrack.trackers.model_free.calibration import IDENTITY, Calibration, fit_calibration
+from gridtrack.trackers.calibration import IDENTITY, Calibration, fit_calibration
+from gridtrack.trackers.contract import StreamSpec, stream_of
 from gridtrack.trackers.model_free.kalman import KalmanTracker
 from gridtrack.trackers.model_free.settings import PipelineSettings
 
@@ -25,6 +25,8 @@ TRUE = Calibration(PARAMETERS)
 
 class Crystal:
     """A tracker that forecasts the next grid of a given list at all steps."""
+
+    stream = StreamSpec(GRID, PERIOD_S)
 
     def __init__(self, said):
         self.said, self.frame = said, -1

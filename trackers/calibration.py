@@ -1,8 +1,8 @@
 """Calibration of the forecast: beta calibration of its probabilities.
 
-The search of the settings maximises F1 and leaves the probabilities far from the threshold undetermined. Their log odds
-are therefore mapped with three parameters, fitted on the training recordings (beta calibration: Kull, Silva Filho and
-Flach, AISTATS 2017); with a and b positive,
+The search of a tracker's settings maximises F1 and leaves the probabilities far from the threshold undetermined. Their
+log odds are therefore mapped with three parameters, fitted on the training recordings (beta calibration: Kull, Silva
+Filho and Flach, AISTATS 2017); with a and b positive,
 
     logit calibrated = c + a ln p - b ln(1 - p).
 
@@ -12,8 +12,8 @@ is mainly their occupancy rate; both are fitted to cells that are visible at the
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING
 
 import numba
 import numpy as np
@@ -23,11 +23,10 @@ from scipy.special import expit, log_expit
 
 from gridtrack.common.errors import WeightsError
 from gridtrack.common.grid import GridFrame
-from gridtrack.trackers.model_free.arrays import Array
+from gridtrack.trackers.contract import Tracker
+from gridtrack.trackers.site_map import marks_in_window
 
-if TYPE_CHECKING:
-    from gridtrack.trackers.model_free.tracker import ModelFreeTracker
-
+_Array = NDArray[np.float64]
 
 IDENTITY = np.array([[1.0, 1.0, 0.0]] * 2, np.float32)
 """The parameters a, b, c of the identity: of cells seen recently, and of others."""
@@ -41,6 +40,15 @@ RECENT_S = 1.0
 """A cell was seen recently if it was seen within this time."""
 MIN_SLOPE = 1e-3
 """Lower bound of a and b."""
+
+
+class CalibratedTracker(Tracker):
+    """A tracker whose forecasts are calibrated by how long a cell has been hidden."""
+
+    @property
+    @abstractmethod
+    def hidden_s(self) -> NDArray[np.float32]:
+        """Time since each cell (M, M) was last seen, seconds; infinite if never."""
 
 
 class Calibration:
@@ -65,7 +73,7 @@ class Calibration:
 
 
 def fit_calibration(
-    stretches: Iterable[tuple[ModelFreeTracker, Sequence[GridFrame]]], steps: int
+    stretches: Iterable[tuple[CalibratedTracker, Sequence[GridFrame]]], steps: int
 ) -> NDArray[np.float32]:
     """Maximum-likelihood parameters (2, 3), from trackers without calibration, each on its frames.
 
@@ -75,13 +83,13 @@ def fit_calibration(
     return np.array([_maximum_likelihood(total[1:-1], occupied[1:-1]) for total, occupied in counts], np.float32)
 
 
-def _maximum_likelihood(total: Array, occupied: Array) -> Array:
+def _maximum_likelihood(total: _Array, occupied: _Array) -> _Array:
     """The parameters (3,), from the numbers of forecasts `total` and of `occupied` cells of each inner level."""
     forecast = _levels()[1:-1]
     total, occupied = total + PRIOR_CELLS / len(forecast), occupied + PRIOR_CELLS / len(forecast) * forecast
     features = _features(forecast)
 
-    def loss(parameters: Array) -> tuple[float, Array]:
+    def loss(parameters: _Array) -> tuple[float, _Array]:
         log_odds = features @ parameters
         value = -(occupied @ log_expit(log_odds) + (total - occupied) @ log_expit(-log_odds))
         return value / total.sum(), (total * expit(log_odds) - occupied) @ features / total.sum()
@@ -92,17 +100,17 @@ def _maximum_likelihood(total: Array, occupied: Array) -> Array:
     return np.asarray(best.x)
 
 
-def _levels() -> Array:
+def _levels() -> _Array:
     """The levels (LEVELS+1,), from 0 to 1."""
     return np.linspace(0.0, 1.0, LEVELS + 1) ** 2
 
 
-def _features(p: Array) -> Array:
+def _features(p: _Array) -> _Array:
     """Features in which the log odds are linear (N, 3): ln p, -ln(1 - p) and 1."""
     return np.stack([np.log(p), -np.log1p(-p), np.ones_like(p)], axis=1)
 
 
-def _counts(tracker: ModelFreeTracker, frames: Sequence[GridFrame], steps: int) -> Array:
+def _counts(tracker: CalibratedTracker, frames: Sequence[GridFrame], steps: int) -> _Array:
     """Numbers of visible and of occupied cells at each forecast level, (2, 2, LEVELS+1).
 
     The first axis: cells seen recently at the time of the forecast, other cells.
@@ -115,9 +123,11 @@ def _counts(tracker: ModelFreeTracker, frames: Sequence[GridFrame], steps: int) 
             levels = np.rint(np.sqrt(tracker.predict(steps).occupancy) * LEVELS).astype(np.int64)
             recent = tracker.hidden_s < RECENT_S
             for level, later in zip(levels[1:], frames[index + 1 :], strict=False):
+                marks = np.stack([later.visible, later.occupied])
+                visible, occupied = marks_in_window(frame.world_T_grid, later, marks, tracker.stream.grid.cell_m)
                 for count, group in zip(counts, (recent, ~recent), strict=True):
-                    count[0] += np.bincount(level[group & later.visible], minlength=LEVELS + 1)
-                    count[1] += np.bincount(level[group & later.occupied], minlength=LEVELS + 1)
+                    count[0] += np.bincount(level[group & visible], minlength=LEVELS + 1)
+                    count[1] += np.bincount(level[group & occupied], minlength=LEVELS + 1)
     return counts
 
 

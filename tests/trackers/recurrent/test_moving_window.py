@@ -1,0 +1,166 @@
+"""Where the window moves, the latent state and the maps of a recurrent network stay at their places in the world."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch")
+
+from gridtrack.common.geometry import SE2  # noqa: E402
+from gridtrack.common.grid import GridFrame, GridSpec, Shift, rolled  # noqa: E402
+from gridtrack.trackers.contract import StreamSpec  # noqa: E402
+from gridtrack.trackers.recurrent.convgru_tracker import DilatedConvGRUTracker  # noqa: E402
+from gridtrack.trackers.recurrent.deep_tracking_rnn import DeepTrackingRNN  # noqa: E402
+from gridtrack.trackers.recurrent.dilated_convgru import DilatedConvGRU  # noqa: E402
+from gridtrack.trackers.recurrent.network import channels_last  # noqa: E402
+from gridtrack.trackers.recurrent.rnn_tracker import DeepTrackingRNNTracker  # noqa: E402
+from gridtrack.trackers.recurrent.settings import (  # noqa: E402
+    DeepTrackingRNNOptions,
+    DeepTrackingRNNSettings,
+    DilatedConvGRUOptions,
+    DilatedConvGRUSettings,
+)
+
+CELL_M = 0.5
+NO_MAP = {"static_gates": ()}
+
+
+def randomised(network, scale=0.3):
+    """The network with random parameters, the same ones for every size of the grid that have no map."""
+    generator = torch.Generator().manual_seed(3)
+    with torch.no_grad():
+        for parameter in network.parameters():
+            parameter.copy_(scale * torch.randn(parameter.shape, generator=generator))
+    return channels_last(network.eval()).requires_grad_(requires_grad=False)
+
+
+def convgru(size, **settings):
+    return randomised(DilatedConvGRU(size, DilatedConvGRUSettings(channels=4, **settings)))
+
+
+def rnn(size):
+    return randomised(DeepTrackingRNN(size, DeepTrackingRNNSettings(variant="paper")))
+
+
+def tracker_of(network, place=None):
+    """The tracker with a trained network, whose maps lie at `place`."""
+    stream = StreamSpec(GridSpec(network.size, CELL_M), 0.1)
+    if isinstance(network, DeepTrackingRNN):
+        kind, options = DeepTrackingRNNTracker, DeepTrackingRNNOptions(variant="paper")
+    else:
+        cell = "gru" if len(network.layers[0].gates) == 3 else "plain"
+        kind, options = DilatedConvGRUTracker, DilatedConvGRUOptions(cell=cell)
+    return kind(stream, options, kind.prepare_inference(network, options), place)
+
+
+def frame(planes, row=0, column=0):
+    """A frame with the `planes` (2, M, M), whose window lies at a cell of the world."""
+    none = np.zeros((0, 2), np.float32)
+    visible, occupied = (np.asarray(plane, bool) for plane in planes)
+    pose = SE2(column * CELL_M, row * CELL_M)
+    return GridFrame(0, visible, visible & occupied, pose, none, none, np.zeros(0, np.uint8))
+
+
+def random_world(frames, size):
+    return np.random.default_rng(5).random((frames, 2, size, size)) < 0.4
+
+
+@pytest.mark.parametrize(
+    ("build", "reach"),
+    [(lambda n: convgru(n, **NO_MAP), 7), (lambda n: convgru(n, cell="plain", **NO_MAP), 7), (rnn, 5)],
+    ids=["convgru", "plain", "rnn"],
+)
+@pytest.mark.parametrize("windows", [[(0, 0), (0, 60), (1, 61)], [(61, 0), (1, 2), (0, 0)]])
+def test_a_window_that_moves_has_the_state_of_one_that_held_every_frame_from_the_start(build, reach, windows):
+    size, held = 121, 182
+    world = random_world(len(windows), held)
+    moving, standing = tracker_of(build(size)), tracker_of(build(held))
+    far = np.ones((held, held), bool)
+    for planes, (row, column) in zip(world, windows, strict=True):
+        inside = (slice(row, row + size), slice(column, column + size))
+        moving.update(frame(planes[:, *inside], row, column))
+        seen = np.zeros_like(planes)
+        seen[:, *inside] = planes[:, *inside]
+        standing.update(frame(seen))
+        for axis, at in enumerate((row, column)):
+            for border in (at, at + size):
+                near = slice(max(border - reach * len(windows) - 8, 0), border + reach * len(windows) + 8)
+                far[(near, slice(None))[:: 1 - 2 * axis]] = False
+    row, column = windows[-1]
+    last = (slice(row, row + size), slice(column, column + size))
+    found, expected = moving.predict(0).occupancy[0], standing.predict(0).occupancy[0, *last]
+    first = np.zeros((held, held), bool)
+    first[windows[0][0] : windows[0][0] + size, windows[0][1] : windows[0][1] + size] = True
+    for compared in (far & first, far & ~first):
+        assert compared[last].sum() > 50, "cells that stayed, and cells that came in"
+        np.testing.assert_allclose(found[compared[last]], expected[compared[last]], rtol=0, atol=2e-5)
+
+
+@pytest.mark.parametrize("build", [lambda n: convgru(n, **NO_MAP), rnn], ids=["convgru", "rnn"])
+def test_after_a_jump_beyond_the_window_every_cell_is_unseen(build):
+    size = 61
+    jumped, unseen = tracker_of(build(size)), tracker_of(build(size))
+    nothing = np.zeros((2, size, size))
+    for planes in random_world(4, size):
+        jumped.update(frame(planes))
+        unseen.update(frame(nothing))
+    jumped.update(frame(nothing, column=size))
+    unseen.update(frame(nothing))
+    centre = (slice(24, 37), slice(24, 37))
+    np.testing.assert_allclose(
+        jumped.predict(0).occupancy[0][centre], unseen.predict(0).occupancy[0][centre], rtol=0, atol=2e-3
+    )
+
+
+@pytest.mark.parametrize("settings", [{}, {"static_gates": ("candidate",)}, {"cell": "plain"}])
+@pytest.mark.parametrize("place", [None, SE2(-3.0, 2.0)])
+def test_the_maps_of_a_network_stay_at_their_place_in_the_world(settings, place):
+    size = 21
+    at = Shift(0, 0) if place is None else Shift(rows=-4, columns=6)
+    first, second = Shift(*at), Shift(at.rows + 3, at.columns - 30)
+    nothing = np.zeros((2, size, size))
+    planes = random_world(1, size)[0]
+    moving = tracker_of(convgru(size, **settings), place)
+    for _ in range(2):
+        moving.reset(0)
+        moving.update(frame(planes))
+        expected = tracker_of(with_moved_maps(convgru(size, **settings), first))
+        expected.update(frame(planes))
+        np.testing.assert_allclose(moving.predict(3).occupancy, expected.predict(3).occupancy, rtol=0, atol=1e-6)
+        moving.update(frame(nothing, row=3, column=-30))
+        expected = tracker_of(with_moved_maps(convgru(size, **settings), second))
+        expected.state = moving.network.initial(1)
+        moving.state = moving.network.initial(1)
+        np.testing.assert_allclose(moving.predict(3).occupancy, expected.predict(3).occupancy, rtol=0, atol=1e-6)
+
+
+def with_moved_maps(network, shift):
+    """The network with its maps rolled, the mean outside."""
+    with torch.no_grad():
+        for layer in network.layers:
+            for bias in layer.biases.values():
+                if bias.shape[-1] > 1:
+                    mean = bias.mean(dim=(1, 2), keepdim=True).numpy()
+                    bias.copy_(torch.from_numpy(rolled(bias.numpy(), shift, mean)))
+    return network
+
+
+def test_a_forecast_does_not_change_the_state_of_a_window_that_moves():
+    size = 33
+    world = random_world(6, size)
+    often, once = (tracker_of(convgru(size)) for _ in range(2))
+    for column, planes in enumerate(world):
+        often.update(frame(planes, column=column))
+        often.predict(4)
+        once.update(frame(planes, column=column))
+    assert np.array_equal(often.predict(2).occupancy, once.predict(2).occupancy)
+
+
+def test_reset_forgets_where_the_window_was():
+    size = 21
+    network = convgru(size)
+    used, fresh = (tracker_of(network, SE2(2.0, 0.0)) for _ in range(2))
+    used.update(frame(random_world(1, size)[0], column=9))
+    used.reset(0)
+    assert np.array_equal(used.predict(2).occupancy, fresh.predict(2).occupancy)

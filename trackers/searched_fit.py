@@ -1,0 +1,152 @@
+"""Training of a tracker whose settings are searched: the same search and calibration for every such tracker.
+
+Counts of the site come first, in the arrays of the weights; then the settings with the best mean F1 on excerpts of the
+training recordings are searched, and the forecast with them is calibrated on the same excerpts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, Generic, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gridtrack.common.config import Settings
+from gridtrack.trackers.calibration import IDENTITY, CalibratedTracker, fit_calibration
+from gridtrack.trackers.contract import FitOutput, FrameSource, Score, StreamSpec, StretchScore, stream_of
+from gridtrack.trackers.tuning import (
+    CachedSource,
+    Objective,
+    SearchInterrupted,
+    delete_search_log,
+    search_settings,
+    step_of,
+    stretch_summary,
+)
+from gridtrack.trackers.weights import card_for, save_interrupted, save_weights
+
+SEARCH_ITERATIONS = 40
+EXCERPTS, EXCERPT_S = 2, 100.0
+"""Number and duration of the excerpts of a long recording for the search; each is longer than a signal cycle."""
+OBJECTIVE_HORIZONS_S = (0.5, 1.0, 2.0)
+OBJECTIVE_STRATA = ("dynamic", "visible")
+"""The objective is the mean F1 over these. Vehicles that wait at a red light are static in a stretch of one or two
+minutes, and are scored among the visible cells only."""
+
+
+_Searched = TypeVar("_Searched", bound=Settings)
+
+
+@dataclass(frozen=True, slots=True)
+class SettingsSearch(Generic[_Searched]):
+    """What is searched for the tracker `name`: settings of one `kind` in `ranges`, log-uniformly, from `starts` on.
+
+    `during(settings)` are the settings with which a try is scored, for trackers that can be faster at some loss.
+    """
+
+    name: str
+    tracker: Callable[[StreamSpec, _Searched], CalibratedTracker]
+    kind: type[_Searched]
+    ranges: Mapping[str, tuple[float, float]]
+    starts: tuple[_Searched, ...]
+    during: Callable[[_Searched], _Searched] = lambda settings: settings
+
+
+def fit_searched(
+    search: SettingsSearch[_Searched],
+    arrays: Mapping[str, NDArray[Any]],
+    train: Sequence[FrameSource],
+    validation: Sequence[FrameSource],
+    score: Score,
+    out: FitOutput,
+    given: Mapping[str, Any],
+    notes: Mapping[str, Any],
+) -> None:
+    """Write the `arrays`, the settings with the best F1 on excerpts of `train`, and their calibration to `out.path`.
+
+    The settings in `given` are not searched. `validation` is scored with the result and reported only; `notes` are
+    added to the results on the card. Raises WeightsError where the recordings differ in grid, period or site.
+    """
+    arrays = {**arrays, "calibration": IDENTITY}
+    card = card_for(search.name, out, train, validation, {})
+    searched = excerpts(train)
+    with TemporaryDirectory() as folder:
+        draft = _Draft(search.tracker, Path(folder) / f"{search.name}.toml", score)
+        save_weights(draft.path, card, arrays)
+        objective = Objective[_Searched](
+            "mean F1", "maximize", lambda tried: draft.mean_f1(search.during(tried), searched)
+        )
+        try:
+            settings = search_settings(
+                search.kind, search.ranges, objective, search.starts, given, SEARCH_ITERATIONS, train, out
+            )
+        except SearchInterrupted as stopped:
+            card = card_for(search.name, out, train, validation, stopped.best.model_dump(), notes)
+            save_interrupted(out.path, card, arrays, f"{stopped.reached}, not calibrated")
+            raise
+        arrays["calibration"] = draft.calibration(settings, searched, out)
+        save_weights(draft.path, card, arrays)
+        results = {
+            "train": draft.summaries(settings, searched),
+            "validation": draft.summaries(settings, validation),
+            **notes,
+        }
+    save_weights(out.path, card_for(search.name, out, train, validation, settings.model_dump(), results), arrays)
+    delete_search_log(out)
+
+
+def excerpts(sources: Sequence[FrameSource]) -> list[FrameSource]:
+    """The sources for the search; a long one is replaced by EXCERPTS of EXCERPT_S, evenly distributed over it.
+
+    Their frames are cached in memory.
+    """
+    chosen: list[FrameSource] = []
+    for source in sources:
+        count = round(EXCERPT_S / source.period_s)
+        if len(source) <= EXCERPTS * count:
+            chosen.append(CachedSource.excerpt(source, 0, len(source)))
+        else:
+            firsts = (round((2 * n + 1) * len(source) / (2 * EXCERPTS)) - count // 2 for n in range(EXCERPTS))
+            chosen += [CachedSource.excerpt(source, first, count) for first in firsts]
+    return chosen
+
+
+@dataclass(frozen=True, slots=True)
+class _Draft(Generic[_Searched]):
+    """Weights in training: `tracker` runs with those at `path` and is scored by `score`."""
+
+    tracker: Callable[[StreamSpec, _Searched], CalibratedTracker]
+    path: Path
+    score: Score
+
+    def running(self, settings: _Searched, source: FrameSource) -> CalibratedTracker:
+        return self.tracker(stream_of(source, self.path), settings)
+
+    def scores(self, settings: _Searched, sources: Sequence[FrameSource]) -> list[StretchScore]:
+        last = max(OBJECTIVE_HORIZONS_S)
+        return [self.score(self.running(settings, source), source, step_of(source, last)) for source in sources]
+
+    def mean_f1(self, settings: _Searched, sources: Sequence[FrameSource]) -> float:
+        scored = zip(self.scores(settings, sources), sources, strict=True)
+        return float(np.mean([_f1(score, source) for score, source in scored]))
+
+    def summaries(self, settings: _Searched, sources: Sequence[FrameSource]) -> list[dict[str, Any]]:
+        scored = zip(self.scores(settings, sources), sources, strict=True)
+        return [stretch_summary(score, source, OBJECTIVE_HORIZONS_S) for score, source in scored]
+
+    def calibration(self, settings: _Searched, sources: Sequence[FrameSource], out: FitOutput) -> NDArray[np.float32]:
+        trackers = [(self.running(settings, source), list(source)) for source in sources]
+        parameters = fit_calibration(trackers, step_of(sources[0], max(OBJECTIVE_HORIZONS_S)))
+        for group, (a, b, c) in zip(("cells seen recently", "other cells"), parameters.tolist(), strict=True):
+            out.report(f"calibration, {group}: logit = {c:.3f} + {a:.3f} ln p - {b:.3f} ln(1 - p)")
+        return parameters
+
+
+def _f1(score: StretchScore, source: FrameSource) -> float:
+    """Mean F1 over OBJECTIVE_HORIZONS_S and OBJECTIVE_STRATA."""
+    steps = [step_of(source, horizon) for horizon in OBJECTIVE_HORIZONS_S]
+    return float(np.mean([score.f1[stratum][steps] for stratum in OBJECTIVE_STRATA]))
