@@ -16,7 +16,6 @@ from gridtrack.evaluation.results.passes import AtRate, Deadline, Quantiles
 from gridtrack.evaluation.results.trial_record import ThresholdsUsed
 from gridtrack.evaluation.results.values import Curves
 from gridtrack.evaluation.scoring.deadline import RATES, Costs, DeadlineTracker, Timeline, spare_steps, timeline
-from gridtrack.evaluation.scoring.motion import ObservedMotion
 from gridtrack.evaluation.scoring.referee import WARM_UP, Delivery
 from gridtrack.evaluation.scoring.splits import SplitRegions
 
@@ -97,10 +96,10 @@ def _at_every_rate(
         clock = timeline(schedule.frames, period_ms / rate, costs)
         key = clock.accepted.tobytes() + clock.newest.tobytes()
         if key not in f1_of:
-            frames = Delivery(trial.test, lambda: None, ObservedMotion(trial.test, regions.test.dynamic))
+            frames = Delivery(trial.test, lambda: None, regions.test)
             with trial.tracker_process(log) as process:
-                tracker = DeadlineTracker(process, clock, schedule, reach)
-                f1_of[key] = replayed_f1(tracker, frames, trial, regions, thresholds)
+                tracker = DeadlineTracker(process, clock, schedule, reach, trial.test.grid.cell_m)
+                f1_of[key] = replayed_f1(tracker, frames, trial, thresholds)
         results.append(
             AtRate(
                 rate=rate,

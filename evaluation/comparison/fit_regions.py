@@ -6,51 +6,68 @@ for each stretch, so every tracker, and every part of a stretch, is scored on th
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gridtrack.common.errors import RecordingError
-from gridtrack.common.grid import GridSpec, Mask
+from gridtrack.common.geometry import SE2
+from gridtrack.common.grid import GridFrame, GridSpec, LabelledFrame, Mask
+from gridtrack.evaluation.comparison.stored_scans import ScansWriter, StoredScans
 from gridtrack.evaluation.scoring.in_process import score_in_process
-from gridtrack.evaluation.scoring.motion import ObservedMotion, parts_of
-from gridtrack.evaluation.scoring.strata import CELL_KINDS, cell_kinds_around, cell_kinds_of, region_maps_of
-from gridtrack.recordings.stream import GridStream, Observation
-from gridtrack.recordings.truth import static_cells
+from gridtrack.evaluation.scoring.motion import ObservedMotion
+from gridtrack.evaluation.scoring.regions import Regions
+from gridtrack.evaluation.scoring.world_cells import WorldCells
+from gridtrack.evaluation.scoring.world_kinds import (
+    CellKinds,
+    KindsOfPlaces,
+    KindsOfWindow,
+    kinds_of_outlines,
+    observed_kinds,
+)
+from gridtrack.recordings.observation import Observation, cells_in_window
+from gridtrack.recordings.stream import GridStream
 from gridtrack.trackers.contract import FrameSource, StretchScore, Tracker
 
 
-def cell_kinds_for(stream: GridStream, streams: Iterable[GridStream]) -> NDArray[np.uint8]:
-    """Kind of each cell (M, M) of `stream`, one of the `streams` of a training. Raises RecordingError.
+def cell_kinds_for(stream: GridStream, streams: Iterable[GridStream]) -> KindsOfWindow | KindsOfPlaces:
+    """Kinds of the cells of `stream`, one of the `streams` of a training. Raises RecordingError.
 
     Static cells are those of the true scene. Without truth they are found in all stretches of the recording that the
     training has, and in no other: the rest of the recording may be scored later.
     """
     first = next(iter(stream.observations()))
-    pose = first.frame.world_T_grid
     if first.scene is not None:
-        return cell_kinds_around(static_cells(first.scene, stream.grid, pose))
+        at_rest = not stream.recording.survey.moves and first.reference_T_world == SE2()
+        windows = (one.reference_T_grid for one in ((first,) if at_rest else stream.observations()))
+        return kinds_of_outlines(first.scene, windows, stream.grid)
     given = [other for other in streams if other.sha256 == stream.sha256 and other.grid == stream.grid]
-    return cell_kinds_of(chain.from_iterable(given), stream.grid, pose)
+    return observed_kinds(chain.from_iterable(one.observations() for one in given), stream.grid)
 
 
 class RegionsWriter:
     """Collects the regions of a stretch while its observations pass, and writes them."""
 
-    def __init__(self, stream: GridStream, cell_kinds: NDArray[np.uint8]) -> None:
-        self._stream, self._cell_kinds = stream, cell_kinds
-        self._motion = ObservedMotion(stream, cell_kinds == CELL_KINDS.index("dynamic"))
+    def __init__(self, stream: GridStream, kinds: KindsOfWindow | KindsOfPlaces) -> None:
+        self._stream, self._kinds = stream, kinds
+        self._motion = ObservedMotion(stream)
         self._stamps_ns: list[int] = []
         self._moving: list[NDArray[np.int64]] = []
+        self._reference_T_world: list[SE2] = []
+        self._scans = ScansWriter()
+        self._moves = stream.first_move_s is not None
 
     def add(self, observation: Observation) -> None:
         """Find the returns in motion of the next observation. Raises RecordingError."""
         self._stamps_ns.append(observation.frame.stamp_ns)
-        self._moving.append(np.flatnonzero(self._motion.moving(observation)))
+        self._moving.append(np.flatnonzero(self._motion.of(observation).among(observation, self._stream.grid)))
+        self._reference_T_world.append(observation.reference_T_world)
+        self._scans.add(observation.scans if self._moves else ())
 
     def write(self, path: Path) -> None:
         """Write an .npz file. Raises OSError."""
@@ -58,34 +75,59 @@ class RegionsWriter:
             path,
             sha256=np.array(self._stream.sha256),
             grid=np.array(str(self._stream.grid)),
-            cell_kinds=self._cell_kinds,
+            moves=np.array(self._moves),
             stamps_ns=np.array(self._stamps_ns, np.int64),
             starts=np.cumsum([0, *map(len, self._moving)]),
             moving=np.concatenate([np.zeros(0, np.int64), *self._moving]).astype(np.int32),
+            reference_T_world=np.array([(pose.x, pose.y, pose.theta) for pose in self._reference_T_world]),
+            **_kinds_arrays(self._kinds),
+            **self._scans.arrays(),
         )
+
+
+def _kinds_arrays(kinds: KindsOfWindow | KindsOfPlaces) -> dict[str, Any]:
+    if isinstance(kinds, KindsOfWindow):
+        return {"cell_kinds": kinds.cell_kinds}
+    tiles = kinds.static.tiles
+    return {"places": np.array(list(tiles), np.int64), "static": np.stack([tile[0] for tile in tiles.values()])}
+
+
+def _kinds_from(stored: Mapping[str, NDArray[Any]], grid: GridSpec) -> CellKinds:
+    if "cell_kinds" in stored:
+        return KindsOfWindow(stored["cell_kinds"])
+    static = WorldCells(1, np.bool_)
+    places, tiles = stored["places"].tolist(), stored["static"]
+    static.tiles = {(row, column): tile[None] for (row, column), tile in zip(places, tiles, strict=True)}
+    return KindsOfPlaces(static, grid)
 
 
 @dataclass(frozen=True, slots=True)
 class StretchRegions:
     """The regions of one stretch.
 
-    `cell_kinds` (M, M) uint8; `stamps_ns` (N,) int64 of its frames; the returns in motion of frame n are the cells
-    `moving[starts[n] : starts[n + 1]]`, row * M + column.
+    `kinds` of its cells; `scans` of its frames, none where the window does not move; `moves`: whether it does;
+    `stamps_ns` (N,) int64 of its frames; the returns in motion of frame n are the cells `moving[starts[n] : starts[n +
+    1]]`, row * M + column; `reference_T_world` (N, 3) float64 of its frames, x, y, theta.
     """
 
     sha256: str
     grid: str
-    cell_kinds: NDArray[np.uint8]
+    kinds: CellKinds
+    scans: StoredScans
+    moves: bool
     stamps_ns: NDArray[np.int64]
     starts: NDArray[np.int64]
     moving: NDArray[np.int32]
+    reference_T_world: NDArray[np.float64]
 
     @classmethod
     def read(cls, path: Path) -> StretchRegions:
         """From the file of `RegionsWriter.write`. Raises OSError."""
         with np.load(path, allow_pickle=False) as stored:
-            arrays = (stored[name] for name in ("cell_kinds", "stamps_ns", "starts", "moving"))
-            return cls(str(stored["sha256"]), str(stored["grid"]), *arrays)
+            grid, arrays = str(stored["grid"]), {name: stored[name] for name in stored.files}
+            kinds, scans = _kinds_from(arrays, GridSpec.parse(grid)), StoredScans.read(arrays)
+            own = (arrays[name] for name in ("stamps_ns", "starts", "moving", "reference_T_world"))
+            return cls(str(stored["sha256"]), grid, kinds, scans, bool(stored["moves"]), *own)
 
     def has(self, source: FrameSource, stamp_ns: int) -> bool:
         """Whether the frame of `source` with this stamp is one of the stretch."""
@@ -94,11 +136,19 @@ class StretchRegions:
         return same and n < len(self.stamps_ns) and int(self.stamps_ns[n]) == stamp_ns
 
     def moving_at(self, stamp_ns: int, grid: GridSpec) -> Mask:
-        """The returns in motion (M, M) of the frame with this stamp."""
+        """The returns in motion (M, M) of the frame with this stamp, in its own window."""
         n = self._number(stamp_ns)
         mask = np.zeros(grid.shape, np.bool_)
         mask.reshape(-1)[self.moving[self.starts[n] : self.starts[n + 1]]] = True
         return mask
+
+    def observation_of(self, frame: GridFrame) -> Observation:
+        """The observation of a frame of the stretch, at its place in the world of the reference poses."""
+        n = self._number(frame.stamp_ns)
+        reference_T_world, scans = SE2(*self.reference_T_world[n].tolist()), self.scans.of(n, frame.stamp_ns)
+        grid_T_reference = (reference_T_world @ frame.world_T_grid).inverse()
+        grid_T_sensor = tuple(grid_T_reference @ scan.world_T_sensor for scan in scans)
+        return Observation(frame, scans, grid_T_sensor, reference_T_world=reference_T_world)
 
     def _number(self, stamp_ns: int) -> int:
         return int(np.searchsorted(self.stamps_ns, stamp_ns))
@@ -109,12 +159,47 @@ class StoredMotion:
 
     def __init__(self, regions: StretchRegions, source: FrameSource) -> None:
         self._regions, self._source = regions, source
-        self._dynamic = regions.cell_kinds == CELL_KINDS.index("dynamic")
 
-    def of(self, observation: Observation) -> NDArray[np.uint8]:
-        """`motion` (M, M) uint8 of the next observation."""
-        frame, grid = observation.frame, self._source.grid
-        return parts_of(self._regions.moving_at(frame.stamp_ns, grid), frame.occupied, self._dynamic, grid)
+    def of(self, observation: Observation) -> InCells:
+        """The returns in motion of the next observation."""
+        moving = self._regions.moving_at(observation.frame.stamp_ns, self._source.grid)
+        return InCells(moving, observation.reference_T_grid)
+
+
+class InCells:
+    """Returns in marked cells (M, M) of the window at `own`."""
+
+    def __init__(self, marked: Mask, own: SE2) -> None:
+        self._marked, self._own = marked, own
+
+    def among(self, observation: Observation, grid: GridSpec) -> Mask:
+        """The returns in motion (M, M) of the observation."""
+        window = observation.reference_T_grid
+        marked: Mask = (
+            self._marked if window == self._own else cells_in_window(self._marked[None], self._own, window, grid)[0]
+        )
+        return marked
+
+
+class _ObservedSource:
+    """The frames of a source with their places in the world of the reference poses, for scoring."""
+
+    def __init__(self, source: FrameSource, regions: StretchRegions) -> None:
+        self.name, self.sha256, self.site, self.classes = source.name, source.sha256, source.site, source.classes
+        self.grid, self.period_s = source.grid, source.period_s
+        self._source, self._regions = source, regions
+
+    def __len__(self) -> int:
+        return len(self._source)
+
+    def __iter__(self) -> Iterator[GridFrame]:
+        return iter(self._source)
+
+    def labelled(self) -> Iterator[LabelledFrame]:
+        return self._source.labelled()
+
+    def observations(self) -> Iterator[Observation]:
+        return map(self._regions.observation_of, self._source)
 
 
 class FitScores:
@@ -126,8 +211,14 @@ class FitScores:
     def score(self, tracker: Tracker, source: FrameSource, steps: int) -> StretchScore:
         """Stream `source` through the tracker and score its forecasts. Raises RecordingError."""
         first = next(iter(source))
-        regions = next((one for one in self._regions if one.has(source, first.stamp_ns)), None)
-        if regions is None:
+        stretch = next((one for one in self._regions if one.has(source, first.stamp_ns)), None)
+        if stretch is None:
             raise RecordingError(f"{source.name}: not a stretch that fit received, nor a part of one: score needs one")
-        maps = region_maps_of(regions.cell_kinds, source.grid, first.origins)
-        return score_in_process(tracker, source, steps, maps, StoredMotion(regions, source))
+        if stretch.moves and not tracker.moving_sensor:
+            raise RecordingError(
+                f"{source.name}: the sensor moves, and {type(tracker).__name__} follows only a sensor at rest"
+                " (moving_sensor is false): train on stretches in which it is at rest"
+            )
+        observed = _ObservedSource(source, stretch)
+        regions = Regions(source.grid, stretch.kinds)
+        return score_in_process(tracker, observed, steps, regions, StoredMotion(stretch, source))

@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec
 from gridtrack.common.scan import Scan
 from gridtrack.common.scene import Scene
@@ -22,12 +23,12 @@ from gridtrack.evaluation.comparison.shared_thresholds import SharedThresholds, 
 from gridtrack.evaluation.comparison.trial import OnFrame, validation_tally
 from gridtrack.evaluation.results.summary import ORACLE
 from gridtrack.evaluation.results.trial_record import OUTCOME_FILE, Times, TrialRecord, hashes_of
-from gridtrack.evaluation.scoring.motion import ObservedMotion
 from gridtrack.evaluation.scoring.referee import Delivery, scored_forecasts
 from gridtrack.evaluation.scoring.scorekeeper import SCORE_FILES, Scorekeeper
 from gridtrack.evaluation.scoring.splits import EvaluationSplit, SplitRegions
 from gridtrack.evaluation.scoring.thresholds import Thresholds, best_thresholds, half
-from gridtrack.recordings.stream import GridStream, Observation
+from gridtrack.recordings.observation import Observation
+from gridtrack.recordings.stream import GridStream
 from gridtrack.recordings.truth import OUTLINE, truth_grid
 from gridtrack.simulation.expected_scan import ExpectedScan
 from gridtrack.simulation.range_errors import RangeErrors, measure_range_errors, true_ranges
@@ -38,7 +39,7 @@ MAX_ERROR_FRAMES = 500
 
 
 class Oracle:
-    """A TrackerLike that reads ahead in the recording; it holds the forecasts of one horizon, one for each frame."""
+    """A TrackerLike that reads ahead in the recording; it holds one horizon of observations and their forecasts."""
 
     def __init__(self, stream: GridStream) -> None:
         self._stream = stream
@@ -46,28 +47,33 @@ class Oracle:
 
     def reset(self, seed: int) -> None:
         """Start at the first frame; nothing is drawn at random, so `seed` is not used."""
-        self._ahead: Iterator[Observation] = iter(self._stream.observations())
-        self._grids: deque[tuple[int, NDArray[np.float32]]] = deque()
+        self._unread: Iterator[Observation] = self._stream.observations()
+        self._ahead: deque[Observation] = deque()
+        self._grids: dict[tuple[int, SE2], NDArray[np.float32]] = {}
 
     def update(self, frame: GridFrame) -> None:
-        """Discard the grids of earlier frames."""
-        while self._grids and self._grids[0][0] < frame.stamp_ns:
-            self._grids.popleft()
-        while not self._grids:
-            self._read()
-            if self._grids[0][0] < frame.stamp_ns:
-                self._grids.popleft()
+        """Discard what is earlier than `frame`."""
+        while not self._ahead or self._ahead[0].frame.stamp_ns < frame.stamp_ns:
+            if self._ahead:
+                self._ahead.popleft()
+            else:
+                self._ahead.append(next(self._unread))
+        self._grids = {key: grid for key, grid in self._grids.items() if key[0] >= frame.stamp_ns}
 
     def predict(self, steps: int) -> Forecast:
-        """The grids of steps 0..steps."""
-        while len(self._grids) <= steps:
-            self._read()
-        return Forecast(np.stack([grid for _, grid in self._grids][: steps + 1]))
+        """The grids of steps 0..steps in the window of the newest frame."""
+        while len(self._ahead) <= steps:
+            self._ahead.append(next(self._unread))
+        window = self._ahead[0].reference_T_grid
+        return Forecast(np.stack([self._grid(self._ahead[n], window) for n in range(steps + 1)]))
 
-    def _read(self) -> None:
-        observation = next(self._ahead)
-        forecast = expected_grid(observation, self._stream.grid, self._errors)
-        self._grids.append((observation.frame.stamp_ns, forecast))
+    def _grid(self, observation: Observation, window: SE2) -> NDArray[np.float32]:
+        """The forecast of one observation in a window; kept, because a sensor at rest has the same window again."""
+        key = observation.frame.stamp_ns, window
+        if key not in self._grids:
+            grid = self._stream.grid
+            self._grids[key] = expected_grid(observation.seen_in(window, grid), grid, self._errors)
+        return self._grids[key]
 
 
 def range_errors(stream: GridStream) -> dict[str, RangeErrors]:
@@ -85,7 +91,7 @@ def expected_grid(observation: Observation, grid: GridSpec, errors: dict[str, Ra
     for (scan, own_scene), grid_T_sensor in zip(_scenes(observation), observation.grid_T_sensor, strict=True):
         expected.add(scan, true_ranges(scan, own_scene), errors[scan.sensor], grid, grid_T_sensor)
     forecast = expected.occupied_where_visible()
-    outlines = truth_grid(scene, grid, frame.world_T_grid).cover == OUTLINE
+    outlines = truth_grid(scene, grid, observation.reference_T_grid).cover == OUTLINE
     return np.where(frame.visible & ~np.isnan(forecast), forecast, outlines).astype(np.float32)
 
 
@@ -110,8 +116,8 @@ def run_oracle(
         (folder / stale).unlink(missing_ok=True)
     began = time.perf_counter()
     thresholds = shared.of(oracle_key(split), lambda: _choose_thresholds(split, regions, on_frame))
-    delivery = Delivery(split.test, on_frame, ObservedMotion(split.test, regions.test.dynamic))
-    with Scorekeeper(folder, split, regions.test, thresholds, ()) as scorekeeper:
+    delivery = Delivery(split.test, on_frame, regions.test)
+    with Scorekeeper(folder, split, thresholds, ()) as scorekeeper:
         for scored in scored_forecasts(Oracle(split.test), delivery, split.schedule, seed=0):
             scorekeeper.add(scored, delivery.digest)
     record = TrialRecord(
@@ -141,6 +147,5 @@ def _choose_thresholds(split: EvaluationSplit, regions: SplitRegions, on_frame: 
     stretch = oracle_validation(split)
     if stretch is None:
         return half(split.steps, split.strata)
-    maps = regions.validation
-    delivery = Delivery(stretch, on_frame, ObservedMotion(stretch, maps.dynamic))
-    return best_thresholds(validation_tally(Oracle(stretch), delivery, split, maps, 0), stretch.name)
+    delivery = Delivery(stretch, on_frame, regions.validation)
+    return best_thresholds(validation_tally(Oracle(stretch), delivery, split, 0), stretch.name)

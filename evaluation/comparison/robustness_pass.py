@@ -11,10 +11,10 @@ from gridtrack.evaluation.comparison.replay import replayed_f1
 from gridtrack.evaluation.processes.tracker_process import TrackerProcess
 from gridtrack.evaluation.results.passes import AtStrength, Robustness
 from gridtrack.evaluation.results.trial_record import ThresholdsUsed
+from gridtrack.evaluation.scoring.moments import moments
 from gridtrack.evaluation.scoring.motion import ObservedMotion
 from gridtrack.evaluation.scoring.referee import Delivery, TrackerLike
 from gridtrack.evaluation.scoring.splits import SplitRegions
-from gridtrack.evaluation.scoring.target import targets
 from gridtrack.recordings.degradation import Degradation, degrader
 from gridtrack.trackers.contract import Forecast
 
@@ -60,15 +60,14 @@ class RobustnessRun:
         on_frame: Callable[[], None],
     ) -> AtStrength:
         trial, degradation = self._trial, self._degradation.only(kind).scaled(strength)
-        stream, dynamic = trial.test.degraded(degrader(degradation, trial.seed)), regions.test.dynamic
-        degraded = Delivery(stream, on_frame, ObservedMotion(stream, dynamic))
-        undegraded = targets(trial.test, ObservedMotion(trial.test, dynamic))
+        degraded = Delivery(trial.test.degraded(degrader(degradation, trial.seed)), on_frame, regions.test)
+        undegraded = moments(trial.test, regions.test, ObservedMotion(trial.test))
         self._process = trial.tracker_process(self._log)
         if self._interrupted:
             self._process.kill()
         with self._process as process:
             tracker = _DegradedInput(process, degraded)
-            f1 = replayed_f1(tracker, undegraded, trial, regions, thresholds)
+            f1 = replayed_f1(tracker, undegraded, trial, thresholds)
         return AtStrength(strength=strength, value=getattr(degradation, kind), delivered=degraded.digest, f1=f1)
 
 

@@ -7,11 +7,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import IO
 
-import numpy as np
-from numpy.typing import NDArray
-
 from gridtrack.common.grid import GridFrame, LabelledFrame
 from gridtrack.evaluation.comparison.fit_regions import RegionsWriter
+from gridtrack.evaluation.scoring.world_kinds import KindsOfPlaces, KindsOfWindow
 from gridtrack.recordings.cell_labels import check_labels, labelled_returns
 from gridtrack.recordings.stream import GridStream
 from gridtrack.trackers import messages
@@ -20,11 +18,11 @@ from gridtrack.trackers.progress import Progress
 from gridtrack.trackers.wire import Fill, Message, encode, receive
 
 
-def store_stretch(stream: GridStream, path: Path, cell_kinds: NDArray[np.uint8]) -> Path:
+def store_stretch(stream: GridStream, path: Path, kinds: KindsOfWindow | KindsOfPlaces) -> Path:
     """Write the frames of `stream` and the classes of their occupied cells to `path`, without truth; returns `path`.
 
-    The regions that they are scored on are written beside it, to `regions_path(path)`; `cell_kinds` (M, M) uint8. The
-    file is a series of wire messages, compressed: a header, and one message for each frame. Raises RecordingError,
+    The regions that they are scored on are written beside it, to `regions_path(path)`; `kinds` are those of its cells.
+    The file is a series of wire messages, compressed: a header, and one message for each frame. Raises RecordingError,
     OSError.
     """
     header = {
@@ -34,7 +32,7 @@ def store_stretch(stream: GridStream, path: Path, cell_kinds: NDArray[np.uint8])
         "frames": len(stream),
         "start_s": stream.start_s,
     }
-    regions = RegionsWriter(stream, cell_kinds)
+    regions = RegionsWriter(stream, kinds)
     with gzip.open(path, "wb", compresslevel=1) as file:
         file.writelines(encode(Message("stretch", 0, header)))
         for number, observation in enumerate(stream.observations(), start=1):

@@ -18,7 +18,8 @@ from gridtrack.evaluation.comparison.training_process import TrainingProcess
 from gridtrack.evaluation.scoring.splits import TRAIN, VALIDATION, own_validation, shares_frames
 from gridtrack.recordings import open_recording
 from gridtrack.recordings.recording import stretch_text
-from gridtrack.recordings.stream import GridStream, parse_stretch
+from gridtrack.recordings.stream import GridStream
+from gridtrack.recordings.stretches import parse_stretch
 from gridtrack.trackers.contract import FitOutput
 from gridtrack.trackers.weights import TrainingData, complete_card, read_card
 

@@ -17,11 +17,9 @@ from gridtrack.evaluation.processes.tracker_process import TrackerDescription
 from gridtrack.evaluation.results.columns import HISTOGRAM_TABLE, SCORES_TABLE
 from gridtrack.evaluation.results.trial_record import OUTCOME_FILE, Times, TrialEnding, TrialRecord, hashes_of
 from gridtrack.evaluation.scoring.counting import Tally, count_forecast
-from gridtrack.evaluation.scoring.motion import ObservedMotion
-from gridtrack.evaluation.scoring.referee import Delivery, TrackerLike, scored_forecasts
+from gridtrack.evaluation.scoring.referee import Delivery, TrackerLike, refuse_moving, scored_forecasts
 from gridtrack.evaluation.scoring.scorekeeper import SCORE_FILES, Scorekeeper
 from gridtrack.evaluation.scoring.splits import EvaluationSplit, SplitRegions
-from gridtrack.evaluation.scoring.strata import RegionMaps
 from gridtrack.evaluation.scoring.thresholds import Thresholds, best_thresholds, half
 
 STDERR_LOG = "stderr.log"
@@ -51,7 +49,7 @@ class TrialRun:
         self._shared = shared
         self._thresholds: Thresholds | None = None
         self._test = trial.split.schedule
-        self._delivery = Delivery(trial.test, on_frame, ObservedMotion(trial.test, regions.test.dynamic))
+        self._delivery = Delivery(trial.test, on_frame, regions.test)
         self._scored = 0
         self._description: TrackerDescription | None = None
         self._start_s = self._wall_s = 0.0
@@ -74,6 +72,7 @@ class TrialRun:
             with self._process:
                 self._start_s = time.perf_counter() - began
                 self._description = self._process.description
+                self._refuse_moving(self._description)
                 self._thresholds = self._shared.of(trial_key(self.trial), self._choose_thresholds)
                 with self._clock():
                     self._score(self._thresholds)
@@ -87,6 +86,12 @@ class TrialRun:
         except Exception as error:  # noqa: BLE001 a full disk or a defect in the scoring must not stop the other trials
             return "failed", error_with_location(error)
         return "ok", ""
+
+    def _refuse_moving(self, description: TrackerDescription) -> None:
+        """Raise RecordingError where the sensor moves and the tracker cannot follow it."""
+        if not description.moving_sensor:
+            for stretch in filter(None, (self.trial.validation, self.trial.test)):
+                refuse_moving(stretch, self.trial.label)
 
     @contextmanager
     def _clock(self) -> Iterator[None]:
@@ -113,11 +118,10 @@ class TrialRun:
         stretch = self.trial.validation
         if stretch is None:
             return half(self.trial.split.steps, self.trial.split.strata)
-        maps = self._regions.validation
-        delivery = Delivery(stretch, self._on_frame, ObservedMotion(stretch, maps.dynamic))
+        delivery = Delivery(stretch, self._on_frame, self._regions.validation)
         try:
             with self._clock():
-                tally = validation_tally(self._process, delivery, self.trial.split, maps, self.trial.seed)
+                tally = validation_tally(self._process, delivery, self.trial.split, self.trial.seed)
         except TrialEnded as ended:
             raise TrialEnded(ended.outcome, f"in the validation stretch {stretch.name}: {ended.reason}") from None
         return best_thresholds(tally, stretch.name)
@@ -125,7 +129,7 @@ class TrialRun:
     def _score(self, thresholds: Thresholds) -> None:
         """Stream the test stretch and write the score of each forecast once its last frame is observed."""
         split, classes = self.trial.split, self._process.description.classes
-        with Scorekeeper(self._folder, split, self._regions.test, thresholds, classes) as scorekeeper:
+        with Scorekeeper(self._folder, split, thresholds, classes) as scorekeeper:
             for scored in scored_forecasts(self._process, self._delivery, self._test, self.trial.seed):
                 scorekeeper.add(scored, self._delivery.digest)
                 self._scored = scorekeeper.scored
@@ -169,13 +173,11 @@ class TrialRun:
         return {"classes": description.classes, "role": description.role, "reference_for": reference_for}
 
 
-def validation_tally(
-    tracker: TrackerLike, delivery: Delivery, split: EvaluationSplit, region_maps: RegionMaps, seed: int
-) -> Tally:
+def validation_tally(tracker: TrackerLike, delivery: Delivery, split: EvaluationSplit, seed: int) -> Tally:
     """The counts of `tracker` on the validation stretch of `split`, which `delivery` delivers."""
     tally = Tally.empty(split.steps, split.strata)
     for scored in scored_forecasts(tracker, delivery, split.validation_schedule, seed):
-        tally.add(count_forecast(scored.forecast.occupancy, scored.targets, region_maps, scored.ages))
+        tally.add(count_forecast(scored.forecast.occupancy, scored.targets, scored.region_maps, scored.ages))
     return tally
 
 

@@ -1,6 +1,8 @@
-"""Small synthetic streams for the contract suite: a wall and moving boxes that occlude one another."""
+"""Small synthetic streams for the contract suite: moving boxes that occlude one another, and a drive to a wall."""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,6 +41,32 @@ def scene(
         stream.append(_seen(grid, sensor, surfaces, round(index * period_s * NS_PER_S)))
         centres = centres + velocities * period_s
     return stream
+
+
+def drive(
+    grid: GridSpec, period_s: float, frames: int, *, unseen: int, with_wall: bool
+) -> tuple[list[GridFrame], NDArray[np.int64]]:
+    """`frames` frames of a sensor that moves by one cell a frame, to the right, towards a wall across its way.
+
+    Nothing is visible in the last `unseen` frames. Also returns the cells (N, 2) of the wall, [row, column], in the
+    last window. Without the wall the sensor sees no surface.
+    """
+    x_min, x_max, y_min, _ = grid.extent
+    side = x_max - x_min
+    sensor = np.array([x_min + 0.2 * side, y_min + 0.45 * side])
+    rows = np.arange(round(0.3 * grid.size), round(0.6 * grid.size))
+    wall = np.stack([rows, np.full_like(rows, round(0.6 * grid.size))], axis=1)
+    in_last_window = np.array([x_min, y_min]) + (wall[:, ::-1] + 0.5) * grid.cell_m
+    nothing = np.zeros(grid.shape, bool)
+    stream = []
+    for index in range(frames):
+        stamp_ns, ahead = round(index * period_s * NS_PER_S), frames - 1 - index
+        surfaces = in_last_window + np.array([ahead * grid.cell_m, 0.0])
+        frame = _seen(grid, sensor, surfaces if with_wall else surfaces[:0], stamp_ns)
+        if ahead < unseen:
+            frame = _frame(grid, nothing, nothing, sensor, stamp_ns)
+        stream.append(replace(frame, world_T_grid=SE2(index * grid.cell_m, 0.0)))
+    return stream, wall
 
 
 def empty_stream(grid: GridSpec, period_s: float, frames: int) -> list[GridFrame]:

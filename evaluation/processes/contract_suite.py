@@ -11,9 +11,11 @@ from tempfile import TemporaryDirectory
 from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
+from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec
-from gridtrack.evaluation.processes.contract_scene import empty_stream, scene
+from gridtrack.evaluation.processes.contract_scene import drive, empty_stream, scene
 from gridtrack.evaluation.processes.limits import Limits
 from gridtrack.evaluation.processes.outcome import TrialEnded
 from gridtrack.evaluation.processes.tracker_process import TrackerProcess
@@ -24,6 +26,10 @@ STREAM_FRAMES, TURN_FRAME, CHECKED_STEPS = 16, 10, 5
 RESET_SEED = 7
 FORECAST_TOLERANCE = 1e-5
 """Largest difference of equal forecasts, in probability: the order of summation may change the rounding."""
+UNSEEN_FRAMES = 4
+"""Frames of a drive in which nothing is visible any more: what is forecast is what the tracker remembers."""
+PLACE_TOLERANCE = 0.05
+"""How much more probable a wall may be at another place than at its own."""
 
 CheckVerdict = Literal["passed", "failed", "skipped"]
 Forecasts = list[tuple[int, Forecast]]
@@ -210,6 +216,48 @@ def accepts_another_period(subject: _Subject) -> str:
     return _works_on(subject, replace(subject.stream, period_s=period_s), f"period {period_s:g} s")
 
 
+def follows_a_moving_sensor(subject: _Subject) -> str:
+    """Keeps a wall at its place while the sensor moves, or says that it cannot."""
+    tracker = subject.process()
+    if not tracker.description.moving_sensor:
+        return "says that it does not follow a moving sensor"
+    (_, forecast), wall = _end_of_drive(subject, with_wall=True)
+    (_, without), _ = _end_of_drive(subject, with_wall=False)
+    caused = forecast.occupancy - without.occupancy
+    own = {step: float(caused[step, wall[:, 0], wall[:, 1]].mean()) for step in (0, CHECKED_STEPS)}
+    left_behind = "where the window was when it was last seen"
+    for step, moved, why in (
+        (0, UNSEEN_FRAMES, left_behind),
+        (CHECKED_STEPS, UNSEEN_FRAMES, left_behind),
+        (CHECKED_STEPS, -CHECKED_STEPS, "as if the window went on moving"),
+    ):
+        other = float(caused[step, wall[:, 0], wall[:, 1] + moved].mean())
+        if other > own[step] + PLACE_TOLERANCE:
+            raise ContractViolationError(
+                f"a wall that was seen from a moving sensor has P(occupied) {own[step]:.2f} at its place and"
+                f" {other:.2f} {abs(moved)} cells away, {why}: step {step}, less P without the wall"
+            )
+    _jump(subject)
+    return f"a wall is forecast at its place with P(occupied) {own[0]:.2f} more than without it"
+
+
+def _end_of_drive(subject: _Subject, *, with_wall: bool) -> tuple[tuple[int, Forecast], NDArray[np.int64]]:
+    """The forecast after a drive, and the cells of the wall in its window."""
+    stream = subject.stream
+    frames, wall = drive(stream.grid, stream.period_s, STREAM_FRAMES, unseen=UNSEEN_FRAMES, with_wall=with_wall)
+    (made,) = subject.forecasts(frames, at=[STREAM_FRAMES])
+    return made, wall
+
+
+def _jump(subject: _Subject) -> None:
+    """Move the window beyond itself in one frame: the forecast must be valid. Raises TrialEnded."""
+    tracker, grid = subject.process(), subject.stream.grid
+    frame = subject.scene()[-1]
+    beyond_m = 3 * grid.size * grid.cell_m
+    tracker.update(replace(frame, world_T_grid=SE2(beyond_m, -beyond_m)))
+    tracker.predict(CHECKED_STEPS)
+
+
 CHECKS: tuple[Check, ...] = (
     gives_valid_forecasts,
     accepts_empty_input,
@@ -217,6 +265,7 @@ CHECKS: tuple[Check, ...] = (
     predict_keeps_the_state,
     is_causal,
     reset_clears_the_state,
+    follows_a_moving_sensor,
     accepts_another_grid,
     accepts_another_period,
 )

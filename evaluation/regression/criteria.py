@@ -8,10 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from gridtrack.evaluation.regression.noise import UnitFalls, standard_error, unit_falls
-from gridtrack.evaluation.regression.rows import PairedRow, value_of
+from gridtrack.evaluation.regression.rows import PairedRow
 from gridtrack.evaluation.regression.significance import FAMILY_LEVEL, SwapTest, swap_test
-from gridtrack.evaluation.regression.spread import beyond_spread, least_beyond, spread_between
+from gridtrack.evaluation.regression.spread import beyond_spread, least_beyond
 from gridtrack.evaluation.statistics.jackknife import LEAST_UNITS, Floats
+from gridtrack.evaluation.statistics.training_spread import spread_between, value_of
 
 LARGE_MARGINS = 4.0
 """A pooled fall of more than this many margins is worse whatever its p-value over units."""

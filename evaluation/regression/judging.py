@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 
 from gridtrack.evaluation.regression.criteria import COLLAPSE, COLLAPSE_ERRORS, LARGE_MARGINS, RowTest
 from gridtrack.evaluation.regression.noise import standard_error, unit_falls
-from gridtrack.evaluation.regression.rows import SHARE_PER_F1, JudgedScore, PairedRow, value_of
+from gridtrack.evaluation.regression.rows import SHARE_PER_F1, JudgedScore, PairedRow
 from gridtrack.evaluation.regression.settings import MARGIN, GateSettings
 from gridtrack.evaluation.regression.significance import FAMILY_LEVEL
+from gridtrack.evaluation.statistics.training_spread import value_of
 
 RowVerdict = Literal["worse", "no worse", "equal", "nothing to find"]
 Criterion = Literal["", "margin", "significant", "large", "collapse"]

@@ -19,9 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
-from gridtrack.evaluation.regression.rows import LARGEST, PairedRow, value_of
-from gridtrack.evaluation.regression.spread import linearised
+from gridtrack.evaluation.regression.rows import LARGEST, PairedRow
 from gridtrack.evaluation.statistics.jackknife import LEAST_UNITS, Floats
+from gridtrack.evaluation.statistics.training_spread import linearised, value_of
 
 QUANTILE = 0.7
 """Quantile of the absolute deviations; of a median, units without any change would make the scale 0."""

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from gridtrack.evaluation.regression.measurement import BANDS, Baseline, Measurement, TrialCounts, UnitCounts
 from gridtrack.evaluation.scoring.counting import CLIP
-from gridtrack.evaluation.scoring.metrics import ratio
 from gridtrack.evaluation.statistics.jackknife import Floats
 
 JudgedScore = Literal["F1", "log loss", "class log loss"]
@@ -72,11 +71,6 @@ class PairedRow:
     def margin_of(self, f1_margin: float) -> float:
         """The margin of this row for a margin of F1."""
         return f1_margin if self.score == "F1" else SHARE_PER_F1 * f1_margin
-
-
-def value_of(sums: Floats) -> Floats:
-    """The score (...) of numerators and denominators (..., 2); NaN where it is undefined."""
-    return ratio(sums[..., 0], sums[..., 1])
 
 
 def paired_rows(baseline: Baseline, run: Measurement) -> tuple[PairedRow, ...]:

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gridtrack.evaluation.regression.rows import value_of
 from gridtrack.evaluation.statistics.jackknife import Floats
+from gridtrack.evaluation.statistics.training_spread import value_of
 
 SWAPS = 9999
 FAMILY_LEVEL = 0.05

@@ -144,6 +144,45 @@ class OccludedDifference(ResultModel):
     """`f1` at the threshold chosen with the truth, `f1_at_visible`, `f1_at_half`, and `nll`."""
 
 
+class TrainingsScore(ResultModel):
+    """F1 of the trainings of a tracker in one stratum at one horizon, and their mean less that of the reference's."""
+
+    stratum: str
+    horizon_s: float
+    step: int = 0
+    f1: tuple[Number, ...]
+    """Of each training."""
+    f1_mean: Number = None
+    f1_spread: Number = None
+    """Standard deviation between trainings; null with one."""
+    difference: Number = None
+    difference_low: Number = None
+    difference_high: Number = None
+    difference_p: Number = None
+    p_holm: Number = None
+    """Corrected over all differences between trackers by their trainings (Holm 1979)."""
+    verdict: str = ""
+    """As of HeadlineTest; empty for the reference."""
+
+
+class TrackerTrainings(ResultModel):
+    """The rows of one tracker that differ in their weights alone, on a recording, or on all.
+
+    The interval of a difference includes the variation between units and that between trainings.
+    """
+
+    recordings: str
+    tracker: str
+    labels: tuple[str, ...]
+    """One row for each training; the first names the tracker."""
+    reference: str
+    """The first label of the reference."""
+    units: int = 0
+    interval: str = ""
+    """Why there is no interval; empty where there is."""
+    scores: tuple[TrainingsScore, ...] = Field(default=(), max_length=100)
+
+
 class RunSummary(ResultModel):
     """The results of a run."""
 
@@ -159,6 +198,8 @@ class RunSummary(ResultModel):
     differences: tuple[TrackerDifference, ...] = ()
     class_differences: tuple[ClassDifference, ...] = ()
     occluded_differences: tuple[OccludedDifference, ...] = ()
+    trainings: tuple[TrackerTrainings, ...] = ()
+    """Where a tracker has several trainings: every tracker, with the spread between its trainings."""
 
     @property
     def has_pooled(self) -> bool:

@@ -14,7 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gridtrack.common.grid import GridFrame
+from gridtrack.common.geometry import SE2
+from gridtrack.common.grid import GridFrame, rolled, shift_between
 from gridtrack.evaluation.processes.clock import Clock
 from gridtrack.evaluation.scoring.referee import Schedule, TrackerLike
 from gridtrack.trackers.contract import Forecast
@@ -88,30 +89,32 @@ class DeadlineTracker:
     """A TrackerLike on the simulated clock: it does not receive missed frames, and predicts with delivered forecasts.
 
     `predict` at frame s uses the newest delivered forecast, made at frame t: step n is its step s - t + n, or its last
-    step where it is shorter; all cells are free before the first delivery. Forecasts that `schedule` does not use are
+    step where it is shorter; all cells are free before the first delivery, and so are those that came into the window
+    since frame t. Forecasts that `schedule` does not use are
     not computed: they take time on the clock only.
     """
 
-    def __init__(self, tracker: TrackerLike, clock: Timeline, schedule: Schedule, reach: int) -> None:
+    def __init__(self, tracker: TrackerLike, clock: Timeline, schedule: Schedule, reach: int, cell_m: float) -> None:
         """`reach`: the last step of the tracker's forecasts."""
-        self._tracker, self._timeline, self._reach = tracker, clock, reach
+        self._tracker, self._timeline, self._reach, self._cell_m = tracker, clock, reach, cell_m
         self._used = {int(clock.newest[index]) for index in range(schedule.frames) if schedule.due(index)}
 
     def reset(self, seed: int) -> None:
         """A new stream begins."""
         self._tracker.reset(seed)
         self._index = -1
-        self._forecasts: dict[int, Forecast] = {}
+        self._forecasts: dict[int, tuple[SE2, Forecast]] = {}
         self._shape = (0, 0)
+        self._window = SE2()
 
     def update(self, frame: GridFrame) -> None:
         """Advance the clock by one frame; the tracker receives the frame if it is free."""
         self._index += 1
-        self._shape = frame.occupied.shape
+        self._shape, self._window = frame.occupied.shape, frame.world_T_grid
         if self._timeline.accepted[self._index]:
             self._tracker.update(frame)
             if self._index in self._used:
-                self._forecasts[self._index] = self._tracker.predict(self._reach)
+                self._forecasts[self._index] = self._window, self._tracker.predict(self._reach)
 
     def predict(self, steps: int) -> Forecast:
         """The newest delivered forecast, for steps 0..steps from the current frame."""
@@ -119,7 +122,10 @@ class DeadlineTracker:
         if made_at < 0:
             return Forecast(np.zeros((steps + 1, *self._shape), np.float32))
         self._forecasts = {index: f for index, f in self._forecasts.items() if index >= made_at}
-        forecast = self._forecasts[made_at]
+        window, forecast = self._forecasts[made_at]
+        shift = shift_between(window, self._window, self._cell_m)
         used_steps = np.minimum(self._index - made_at + np.arange(steps + 1), self._reach)
-        semantics = None if forecast.semantics is None else forecast.semantics[used_steps]
-        return Forecast(forecast.occupancy[used_steps], semantics)
+        occupancy, semantics = forecast.occupancy[used_steps], forecast.semantics
+        if semantics is not None:
+            semantics = rolled(semantics[used_steps], shift, np.float32(1.0 / semantics.shape[1]))
+        return Forecast(rolled(occupancy, shift, np.float32(0.0)), semantics)

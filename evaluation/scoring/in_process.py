@@ -7,7 +7,8 @@ from gridtrack.evaluation.scoring import metrics
 from gridtrack.evaluation.scoring.counting import Tally, count_forecast
 from gridtrack.evaluation.scoring.motion import MotionFinder
 from gridtrack.evaluation.scoring.referee import Delivery, Schedule, scored_forecasts
-from gridtrack.evaluation.scoring.strata import STRATA, RegionMaps
+from gridtrack.evaluation.scoring.regions import Regions
+from gridtrack.evaluation.scoring.strata import STRATA
 from gridtrack.evaluation.scoring.thresholds import best_thresholds
 from gridtrack.trackers.contract import FrameSource, StretchScore, Tracker
 
@@ -16,19 +17,19 @@ FIT_FORECAST_EVERY = 5
 
 
 def score_in_process(
-    tracker: Tracker, source: FrameSource, steps: int, region_maps: RegionMaps, motion: MotionFinder
+    tracker: Tracker, source: FrameSource, steps: int, regions: Regions, motion: MotionFinder | None = None
 ) -> StretchScore:
     """Stream `source` through the tracker and score its forecasts with the referee's counts, on its regions.
 
-    Thresholds are chosen on the same stretch: a score for choosing parameters, not for reports. Raises RecordingError
-    where the stretch is too short to score a forecast.
+    `motion` is that of Delivery. Thresholds are chosen on the same stretch: a score for choosing parameters, not for
+    reports. Raises RecordingError where the stretch is too short to score a forecast.
     """
     schedule = Schedule(len(source), steps, FIT_FORECAST_EVERY)
     if not schedule.expected:
         raise RecordingError(f"{source.name}: {len(source)} frames are too few to score forecasts of {steps} steps")
     tally = Tally.empty(steps)
-    for scored in scored_forecasts(tracker, Delivery(source, lambda: None, motion), schedule, seed=0):
-        tally.add(count_forecast(scored.forecast.occupancy, scored.targets, region_maps))
+    for scored in scored_forecasts(tracker, Delivery(source, lambda: None, regions, motion), schedule, seed=0):
+        tally.add(count_forecast(scored.forecast.occupancy, scored.targets, scored.region_maps))
     confusion = tally.confusion(best_thresholds(tally, source.name).bins)
     f1, log_loss = metrics.f1_score(confusion), metrics.log_loss(tally)
     return StretchScore(

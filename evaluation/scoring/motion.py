@@ -14,11 +14,12 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from gridtrack.common.geometry import same_pose
-from gridtrack.common.grid import GridFrame, GridSpec, Mask
+from gridtrack.common.geometry import SE2
+from gridtrack.common.grid import GridSpec, Mask
 from gridtrack.common.scene import Scene, SceneObject
 from gridtrack.evaluation.scoring.strata import PARTS
-from gridtrack.recordings.stream import GridStream, Observation
+from gridtrack.recordings.observation import Observation
+from gridtrack.recordings.stream import GridStream
 from gridtrack.recordings.truth import placed_outlines
 from gridtrack.trackers.contract import FrameSource
 
@@ -34,11 +35,19 @@ noise of a laser that is 0.05 m accurate."""
 _OPEN, _STANDING, _IN_MOTION = range(len(PARTS))
 
 
-class MotionFinder(Protocol):
-    """Finds the parts of the dynamic cells, frame by frame."""
+class ReturnsInMotion(Protocol):
+    """What decides which returns of one observation are in motion, in any window."""
 
-    def of(self, observation: Observation) -> NDArray[np.uint8]:
-        """`motion` (M, M) uint8 of the next observation of the stretch."""
+    def among(self, observation: Observation, grid: GridSpec) -> Mask:
+        """The returns in motion (M, M) of the observation, which is given in the window that is asked for."""
+        ...
+
+
+class MotionFinder(Protocol):
+    """Finds what is in motion, observation by observation."""
+
+    def of(self, observation: Observation) -> ReturnsInMotion:
+        """The returns in motion of the next observation of the stretch."""
         ...
 
 
@@ -80,33 +89,48 @@ class ObservedMotion:
     Observations are given in their order, every one of the stretch. A return whose past is not recorded stands.
     """
 
-    def __init__(self, stream: FrameSource, dynamic: Mask) -> None:
-        """`dynamic` (M, M): the cells of that kind."""
-        self._dynamic, self._grid = dynamic, stream.grid
+    def __init__(self, stream: FrameSource) -> None:
         lookback = max(1, round(LOOKBACK_S / stream.period_s))
         self._before = stream.before(lookback) if isinstance(stream, GridStream) else iter(())
-        self._earlier: deque[GridFrame] = deque(maxlen=lookback + 1)
+        self._earlier: deque[Observation] = deque(maxlen=lookback + 1)
         self._speeds = _Speeds()
 
-    def of(self, observation: Observation) -> NDArray[np.uint8]:
-        """`motion` (M, M) uint8 of the next observation. Raises RecordingError for a scene that cannot be placed."""
-        return parts_of(self.moving(observation), observation.frame.occupied, self._dynamic, self._grid)
-
-    def moving(self, observation: Observation) -> Mask:
-        """The returns in motion (M, M) in the next observation, also those in cells that are not dynamic."""
+    def of(self, observation: Observation) -> ReturnsInMotion:
+        """The returns in motion of the next observation."""
         self._earlier.extend(self._before)  # read when the first observation comes
-        self._earlier.append(observation.frame)
+        self._earlier.append(observation)
         scan = next((scan for scan in observation.scans if scan.scene is not None), None)
         if scan is None or scan.scene is None:
-            return self._on_cells_once_free()
+            known = len(self._earlier) == self._earlier.maxlen
+            return OnceFree(self._earlier[0] if known else None)
         self._speeds.add(scan.stamp_ns, scan.scene)
-        return returns_on(self._speeds.fast(scan.scene), scan.scene, observation.frame, self._grid)
+        return OnFastObjects(self._speeds.fast(scan.scene), scan.scene)
 
-    def _on_cells_once_free(self) -> Mask:
-        """The returns (M, M) of the newest frame in cells that were visible and free LOOKBACK_S before."""
-        now, then = self._earlier[-1], self._earlier[0]
-        known = len(self._earlier) == self._earlier.maxlen and same_pose(then.world_T_grid, now.world_T_grid)
-        return now.occupied & then.visible & ~then.occupied & known
+
+class OnceFree:
+    """Returns in cells of the world that were visible and free in an earlier observation."""
+
+    def __init__(self, earlier: Observation | None) -> None:
+        """None: nothing is known to have been free."""
+        self._earlier = earlier
+
+    def among(self, observation: Observation, grid: GridSpec) -> Mask:
+        """The returns in motion (M, M) of the observation."""
+        if self._earlier is None:
+            return np.zeros(grid.shape, np.bool_)
+        now, then = observation.frame, self._earlier.seen_in(observation.reference_T_grid, grid).frame
+        return now.occupied & then.visible & ~then.occupied
+
+
+class OnFastObjects:
+    """Returns on the objects of a true scene that are `fast` (N,)."""
+
+    def __init__(self, fast: NDArray[np.bool_], scene: Scene) -> None:
+        self._fast, self._scene = fast, scene
+
+    def among(self, observation: Observation, grid: GridSpec) -> Mask:
+        """The returns in motion (M, M) of the observation. Raises RecordingError for a scene that cannot be placed."""
+        return returns_on(self._fast, self._scene, observation, grid)
 
 
 class _Speeds:
@@ -136,17 +160,17 @@ class _Speeds:
         return np.array([self._speeds.get(body.track, 0.0) > MIN_SPEED_MPS for body in scene.objects], np.bool_)
 
 
-def returns_on(chosen: NDArray[np.bool_], scene: Scene, frame: GridFrame, grid: GridSpec) -> Mask:
-    """The occupied cells (M, M) of `frame` that lie on the `chosen` (N,) objects of `scene`. Raises RecordingError.
+def returns_on(chosen: NDArray[np.bool_], scene: Scene, observation: Observation, grid: GridSpec) -> Mask:
+    """The occupied cells (M, M) of `observation` that lie on the `chosen` (N,) objects of `scene`.
 
     A return lies on the object whose outline is nearest to the centre of its cell, if that is within RANGE_NOISE_M and
-    half a diagonal of a cell.
+    half a diagonal of a cell. Raises RecordingError for an object that cannot be placed.
     """
     on_chosen = np.zeros(grid.shape, np.bool_)
     if not chosen.any():
         return on_chosen
-    corners, starts = _placed(scene.objects, frame, grid)
-    cells = np.argwhere(frame.occupied)
+    corners, starts = _placed(scene.objects, observation.reference_T_grid, grid)
+    cells = np.argwhere(observation.frame.occupied)
     reach = RANGE_NOISE_M / grid.cell_m + np.sqrt(0.5)
     nearest = _nearest_outline(cells[:, ::-1] + 0.5, corners, starts, reach)
     found = cells[(nearest >= 0) & chosen[nearest]]
@@ -155,10 +179,10 @@ def returns_on(chosen: NDArray[np.bool_], scene: Scene, frame: GridFrame, grid: 
 
 
 def _placed(
-    objects: Iterable[SceneObject], frame: GridFrame, grid: GridSpec
+    objects: Iterable[SceneObject], reference_T_grid: SE2, grid: GridSpec
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     outlines, poses = zip(*((body.outline, body.world_T_object) for body in objects), strict=True)
-    return placed_outlines(outlines, poses, grid, frame.world_T_grid)
+    return placed_outlines(outlines, poses, grid, reference_T_grid)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")

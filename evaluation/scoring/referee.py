@@ -16,11 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridtrack.common.errors import RecordingError
-from gridtrack.common.geometry import SE2, same_pose
 from gridtrack.common.grid import GridFrame
-from gridtrack.evaluation.scoring.motion import MotionFinder
-from gridtrack.evaluation.scoring.strata import LastSeen
-from gridtrack.evaluation.scoring.target import Target, targets
+from gridtrack.evaluation.scoring.moments import Moment, moments
+from gridtrack.evaluation.scoring.motion import MotionFinder, ObservedMotion
+from gridtrack.evaluation.scoring.regions import Regions
+from gridtrack.evaluation.scoring.strata import LastSeen, RegionMaps
+from gridtrack.evaluation.scoring.target import Target
 from gridtrack.recordings.recording import stretch_text
 from gridtrack.recordings.stream import GridStream, frame_digest
 from gridtrack.recordings.survey import MIN_REST_S
@@ -63,15 +64,19 @@ class Schedule:
 
 @dataclass(frozen=True, slots=True)
 class ScoredForecast:
-    """A forecast made at frame t, the observed `targets` t..t+steps, and the age band (M, M) of each cell at t."""
+    """A forecast made at frame t, and the observed `targets` t..t+steps in the window of frame t.
+
+    Of each cell of that window `region_maps` has the regions, and `ages` (M, M) the age band at t.
+    """
 
     forecast: Forecast
     targets: tuple[Target, ...]
+    region_maps: RegionMaps
     ages: NDArray[np.uint8]
 
     @property
     def frames(self) -> tuple[GridFrame, ...]:
-        """The frames t..t+steps."""
+        """The frames t..t+steps in the window of frame t."""
         return tuple(target.frame for target in self.targets)
 
     @property
@@ -81,69 +86,75 @@ class ScoredForecast:
 
 
 def scored_forecasts(
-    tracker: TrackerLike, stream: Iterable[Target], schedule: Schedule, seed: int
+    tracker: TrackerLike, stream: Iterable[Moment], schedule: Schedule, seed: int
 ) -> Iterator[ScoredForecast]:
-    """Stream `stream` through the tracker, and yield each scheduled forecast when its last frame is observed."""
+    """Stream `stream` through the tracker, and yield each scheduled forecast when its last frame is observed.
+
+    Raises RecordingError where a target cannot be made.
+    """
     tracker.reset(seed)
-    recent: deque[Target] = deque(maxlen=schedule.steps + 1)
+    recent: deque[Moment] = deque(maxlen=schedule.steps + 1)
     pending: deque[tuple[int, Forecast, NDArray[np.uint8]]] = deque()
     last_seen = LastSeen()
-    for index, target in enumerate(stream):
-        recent.append(target)
-        last_seen.add(target.frame)
-        tracker.update(target.frame)
+    for index, moment in enumerate(stream):
+        recent.append(moment)
+        last_seen.add(moment.frame, moment.cell_m)
+        tracker.update(moment.frame)
         if schedule.due(index):
-            ages = last_seen.bands(target.frame.stamp_ns)
+            ages = last_seen.bands(moment.frame.stamp_ns)
             pending.append((index + schedule.steps, tracker.predict(schedule.steps), ages))
         if pending and pending[0][0] == index:
             _, forecast, ages = pending.popleft()
-            yield ScoredForecast(forecast, tuple(recent), ages)
+            window, maps = recent[0].window, recent[0].region_maps
+            yield ScoredForecast(forecast, tuple(one.target_in(window, maps) for one in recent), maps, ages)
 
 
 class Delivery:
     """The frames of a stretch, counted and hashed as they are delivered to a tracker."""
 
-    def __init__(self, stream: FrameSource, on_frame: Callable[[], None], motion: MotionFinder) -> None:
-        """`on_frame()` is called before each frame; what it raises ends the delivery. `motion` finds the parts."""
+    def __init__(
+        self,
+        stream: FrameSource,
+        on_frame: Callable[[], None],
+        regions: Regions,
+        motion: MotionFinder | None = None,
+    ) -> None:
+        """`on_frame()` is called before each frame; what it raises ends the delivery.
+
+        `motion` finds what is in motion; None: from the observations of the stream.
+        """
         self.frames = 0
         self._stream = stream
         self._on_frame = on_frame
-        self._motion = motion
+        self._regions = regions
+        self._motion = motion or ObservedMotion(stream)
         self._hash = hashlib.blake2b(digest_size=16)
 
-    def __iter__(self) -> Iterator[Target]:
-        """The frames, once, as targets.
-
-        Raises RecordingError where the sensor moves: a cell is then not a fixed place in the world.
-        """
-        first_pose: SE2 | None = None
-        first_ns: int | None = None
-        for target in targets(self._stream, self._motion):
-            frame = target.frame
-            first_pose = first_pose or frame.world_T_grid
-            first_ns = frame.stamp_ns if first_ns is None else first_ns
-            if not same_pose(frame.world_T_grid, first_pose):
-                raise RecordingError(self._why_moving((frame.stamp_ns - first_ns) / 1e9))
+    def __iter__(self) -> Iterator[Moment]:
+        """The frames, once, as moments."""
+        for moment in moments(self._stream, self._regions, self._motion):
             self._on_frame()
-            self._hash.update(frame_digest(frame))
+            self._hash.update(frame_digest(moment.frame))
             self.frames += 1
-            yield target
-
-    def _why_moving(self, after_s: float) -> str:
-        """The error text for a sensor that moves `after_s` seconds after the first frame."""
-        stream = self._stream
-        at_s, remedy = after_s, ""
-        if isinstance(stream, GridStream):
-            at_s += stream.start_s
-            rest = stream.recording.survey.longest_rest_s(2.0 * stream.period_s)
-            remedy = (
-                f": name a stretch in which it is at rest, such as {stream.recording.path}@{stretch_text(rest)}"
-                if rest is not None
-                else f", and this one is at rest nowhere for {MIN_REST_S:g} s"
-            )
-        return f"{stream.name}: the sensor moves at {at_s:.3f} s, and only a sensor at rest can be scored{remedy}"
+            yield moment
 
     @property
     def digest(self) -> str:
         """Hash of every frame delivered so far, in their order: 32 hexadecimal digits."""
         return self._hash.hexdigest()
+
+
+def refuse_moving(stream: GridStream, tracker: str) -> None:
+    """Raise RecordingError where the sensor moves in the stretch: `tracker` follows only a sensor at rest."""
+    if stream.first_move_s is None:
+        return
+    rest = stream.recording.survey.longest_rest_s(2.0 * stream.period_s)
+    remedy = (
+        f": name a stretch in which it is at rest, such as {stream.recording.path}@{stretch_text(rest)}"
+        if rest is not None
+        else f", and this one is at rest nowhere for {MIN_REST_S:g} s"
+    )
+    raise RecordingError(
+        f"{stream.name}: the sensor moves at {stream.first_move_s:.3f} s, and '{tracker}' follows only a sensor at rest"
+        f" (moving_sensor is false){remedy}"
+    )

@@ -15,7 +15,6 @@ from gridtrack.evaluation.scoring.samples import SAMPLES, SampleWriter, kept_for
 from gridtrack.evaluation.scoring.score_store import ScoreWriter
 from gridtrack.evaluation.scoring.semantics import count_classes, count_found, match_classes
 from gridtrack.evaluation.scoring.splits import EvaluationSplit
-from gridtrack.evaluation.scoring.strata import RegionMaps
 from gridtrack.evaluation.scoring.thresholds import Thresholds
 
 SCORE_FILES = (*(table.file for table in TABLES), SAMPLES)
@@ -29,13 +28,12 @@ class Scorekeeper:
         self,
         folder: Path,
         split: EvaluationSplit,
-        region_maps: RegionMaps,
         thresholds: Thresholds,
         classes: tuple[str, ...],
     ) -> None:
         """`classes` are those for which the tracker forecasts probabilities."""
         known = split.test.classes
-        self._region_maps, self._thresholds, self._classes = region_maps, thresholds, len(known)
+        self._thresholds, self._classes = thresholds, len(known)
         self._matching = match_classes(classes, known) if classes and known else None
         self._kept = kept_forecasts(split.schedule)
         self.scored = 0
@@ -57,7 +55,7 @@ class Scorekeeper:
 
     def add(self, scored: ScoredForecast, delivered: str) -> None:
         """Score one forecast; `delivered` is the digest of the frames delivered up to its last step."""
-        tally = count_forecast(scored.forecast.occupancy, scored.targets, self._region_maps, scored.ages)
+        tally = count_forecast(scored.forecast.occupancy, scored.targets, scored.region_maps, scored.ages)
         self._scores.add(scored.stamp_ns, delivered, tally, scored.frames[-1].stamp_ns)
         if self._by_class is not None:
             self._count_classes(scored, self._by_class)
@@ -67,7 +65,8 @@ class Scorekeeper:
 
     def _count_classes(self, scored: ScoredForecast, writer: ClassWriter) -> None:
         forecast, targets = scored.forecast, scored.targets
-        found = count_found(forecast.occupancy, targets, self._region_maps.cell_kinds, self._thresholds, self._classes)
+        kinds = scored.region_maps.cell_kinds
+        found = count_found(forecast.occupancy, targets, kinds, self._thresholds, self._classes)
         writer.add_found(scored.stamp_ns, found)
         if self._matching is not None and forecast.semantics is not None:
             writer.add_semantics(scored.stamp_ns, *count_classes(forecast.semantics, targets, self._matching))

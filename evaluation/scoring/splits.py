@@ -8,24 +8,17 @@ from pathlib import Path
 from typing import Any
 
 from gridtrack.common.errors import ConfigurationError, RecordingError
-from gridtrack.common.geometry import SE2, same_pose
 from gridtrack.common.grid import GridSpec, Points
 from gridtrack.common.names import NAME_RULE, is_name
 from gridtrack.evaluation.results.recording import RecordingDescription, RecordingIdentity
 from gridtrack.evaluation.results.summary import ORACLE
 from gridtrack.evaluation.scoring.referee import WARM_UP, Schedule
-from gridtrack.evaluation.scoring.strata import (
-    STRATA,
-    STRATA_WITH_TRUTH,
-    RegionMaps,
-    cell_kinds_around,
-    cell_kinds_of,
-    region_maps_of,
-)
+from gridtrack.evaluation.scoring.regions import Regions, regions_of
+from gridtrack.evaluation.scoring.strata import STRATA, STRATA_WITH_TRUTH
 from gridtrack.recordings import Recording, Stretch, open_recording
 from gridtrack.recordings.recorded_time import RecordedTime
-from gridtrack.recordings.stream import GridStream, parse_stretch
-from gridtrack.recordings.truth import static_cells
+from gridtrack.recordings.stream import GridStream
+from gridtrack.recordings.stretches import parse_stretch
 from gridtrack.trackers.weights import TrainingData
 
 TEST, VALIDATION, TRAIN = "test", "validation", "train"
@@ -48,13 +41,10 @@ class Sampling:
 
 @dataclass(frozen=True, slots=True)
 class SplitRegions:
-    """Region maps of the test and of the validation stretch.
+    """Regions of the test and of the validation stretch: the same where both are of one recording."""
 
-    They differ where the sensor has another pose in the two: thresholds are then chosen on the strata of the latter.
-    """
-
-    test: RegionMaps
-    validation: RegionMaps
+    test: Regions
+    validation: Regions
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,11 +86,11 @@ class EvaluationSplit:
         return Schedule(frames, self.steps, min(self.every, enough))
 
     def regions(self) -> SplitRegions:
-        """Region maps of both stretches; a single pass where both show one recording from the same pose."""
-        test = region_maps_in(self.test, self.strata)
-        if self.validation is None or _share_region_maps(self.test, self.validation):
+        """Regions of both stretches; a single pass where both are of one recording. Raises RecordingError."""
+        test = regions_of(self.test, self.strata)
+        if self.validation is None or self.validation.sha256 == self.test.sha256:
             return SplitRegions(test, test)
-        return SplitRegions(test, region_maps_in(self.validation, self.strata))
+        return SplitRegions(test, regions_of(self.validation, self.strata))
 
     def description(self) -> RecordingDescription:
         """The split as the summary of a run describes it."""
@@ -163,7 +153,8 @@ def plan_split(
     if not Schedule(len(test), steps, every).expected:
         raise ConfigurationError(f"{_too_short(test, steps)}: name a longer stretch, or a shorter --horizon")
     chosen_on, notices = _validation_stretch(test, validation, steps, opened)
-    warnings = (*recording.warnings, *(chosen_on.recording.warnings if chosen_on else ()))
+    poses = (f"{path}: poses: {recording.info.poses}",) if recording.info.poses else ()
+    warnings = (*poses, *recording.warnings, *(chosen_on.recording.warnings if chosen_on else ()))
     return EvaluationSplit(name, path, test, chosen_on, steps, every, tuple(dict.fromkeys((*warnings, *notices))))
 
 
@@ -237,25 +228,6 @@ def like(stream: GridStream, stretch: Stretch | str | None = None, points: Point
 def with_points(stream: GridStream, points: Points) -> GridStream:
     """The same stretch with the returns `points`."""
     return stream if points == stream.points else like(stream, stream.stretch_s, points)
-
-
-def region_maps_in(stream: GridStream, strata: tuple[str, ...]) -> RegionMaps:
-    """Region maps of a stretch, from the true scene; without truth from a pass over the whole recording."""
-    first = next(iter(stream.observations()))
-    grid, pose = stream.grid, first.frame.world_T_grid
-    if first.scene is not None:
-        cell_kinds = cell_kinds_around(static_cells(first.scene, grid, pose))
-    else:
-        cell_kinds = cell_kinds_of(stream.all_frames(), grid, pose)
-    return region_maps_of(cell_kinds, grid, first.frame.origins, strata)
-
-
-def _first_pose(stream: GridStream) -> SE2:
-    return next(iter(stream)).world_T_grid
-
-
-def _share_region_maps(one: GridStream, other: GridStream) -> bool:
-    return one.sha256 == other.sha256 and same_pose(_first_pose(one), _first_pose(other))
 
 
 def shares_frames(one: GridStream, other: GridStream) -> bool:

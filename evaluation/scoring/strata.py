@@ -9,8 +9,8 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from gridtrack.common.geometry import SE2, same_pose
-from gridtrack.common.grid import GridFrame, GridSpec, Mask, with_neighbours
+from gridtrack.common.geometry import SE2
+from gridtrack.common.grid import GridFrame, GridSpec, Mask, rolled, shift_between, with_neighbours
 
 CELL_KINDS = ("ring", "static", "dynamic")
 """Disjoint kinds of cells; an array `cell_kinds` (M, M) uint8 holds indices into this."""
@@ -74,7 +74,7 @@ SUMS_OF_REGIONS = np.array([np.bincount(regions, minlength=REGIONS) for regions 
 
 @dataclass(frozen=True, slots=True)
 class RegionMaps:
-    """The region of each cell of a stretch.
+    """The region of each cell of a window.
 
     `visible` (M, M) uint8: the region of a cell while it is visible; a dynamic cell's is that of an open one, to which
     RANGES times the index of its part is added. `hidden` (M, M) uint8: its region while it is hidden, at age 0; the
@@ -88,7 +88,7 @@ class RegionMaps:
 
     @property
     def dynamic(self) -> Mask:
-        """The dynamic cells (M, M)."""
+        """The dynamic cells (M, M) of the window."""
         cells: Mask = self.cell_kinds == CELL_KINDS.index("dynamic")
         return cells
 
@@ -96,7 +96,7 @@ class RegionMaps:
 def region_maps_of(
     cell_kinds: NDArray[np.uint8], grid: GridSpec, origins: NDArray[np.float32], strata: tuple[str, ...] = STRATA
 ) -> RegionMaps:
-    """Region maps of a stretch with sensors at `origins` (S, 2), metres, grid frame."""
+    """Region maps of a window with sensors at `origins` (S, 2), metres, grid frame."""
     centres = grid.cell_centres(np.ones(grid.shape, np.bool_)).astype(np.float64)
     distance = np.linalg.norm(centres - origins.reshape(-1, 1, 2), axis=2).min(axis=0, initial=np.inf)
     band = np.searchsorted(RANGES_M, distance).reshape(grid.shape)
@@ -104,20 +104,6 @@ def region_maps_of(
     visible = cell_kinds * RANGES + band
     hidden = len(SEEN_REGIONS) + np.where(dynamic, _DYNAMIC, _STATIC) * len(_AGE_NAMES)
     return RegionMaps(visible.astype(np.uint8), hidden.astype(np.uint8), cell_kinds, strata)
-
-
-def cell_kinds_of(frames: Iterable[GridFrame], grid: GridSpec, world_T_grid: SE2) -> NDArray[np.uint8]:
-    """Kind of each cell (M, M), from all frames of a recording with the grid pose `world_T_grid`.
-
-    Static: occupied in more than half of the frames in which the cell is visible. Ring: the eight neighbours of a
-    static cell, where range noise flickers. Dynamic: all others.
-    """
-    seen, hits = np.zeros(grid.shape, np.int64), np.zeros(grid.shape, np.int64)
-    for frame in frames:
-        if same_pose(frame.world_T_grid, world_T_grid):
-            seen += frame.visible
-            hits += frame.occupied
-    return cell_kinds_around(2 * hits > seen)
 
 
 def cell_kinds_around(static: Mask) -> NDArray[np.uint8]:
@@ -128,16 +114,24 @@ def cell_kinds_around(static: Mask) -> NDArray[np.uint8]:
     return cell_kinds
 
 
+_NEVER_NS = np.iinfo(np.int64).min // 2
+
+
 class LastSeen:
-    """The stamp at which each cell was last visible."""
+    """The stamp at which each cell of the window was last visible; it moves with the window."""
 
     def __init__(self) -> None:
+        self._window: SE2 | None = None
         self._stamp_ns: NDArray[np.int64] | None = None
 
-    def add(self, frame: GridFrame) -> None:
-        """Update with the next frame."""
-        if self._stamp_ns is None:
-            self._stamp_ns = np.full(frame.visible.shape, np.iinfo(np.int64).min // 2)
+    def add(self, frame: GridFrame, cell_m: float) -> None:
+        """Update with the next frame, of a grid with cells of `cell_m`."""
+        if self._window is None or self._stamp_ns is None:
+            self._stamp_ns = np.full(frame.visible.shape, _NEVER_NS)
+        elif frame.world_T_grid != self._window:
+            shift = shift_between(self._window, frame.world_T_grid, cell_m)
+            self._stamp_ns = rolled(self._stamp_ns, shift, _NEVER_NS)
+        self._window = frame.world_T_grid
         self._stamp_ns[frame.visible] = frame.stamp_ns
 
     def bands(self, now_ns: int) -> NDArray[np.uint8]:

@@ -1,8 +1,8 @@
-"""Targets: the state of each cell in an observed frame, and with truth also of hidden cells."""
+"""Targets: the state of each cell of a window in an observed frame, and with truth also of hidden cells."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -10,11 +10,9 @@ from numpy.typing import NDArray
 
 from gridtrack.common.grid import GridFrame, GridSpec
 from gridtrack.common.scene import UNLABELLED
-from gridtrack.evaluation.scoring.motion import MotionFinder
 from gridtrack.recordings.cell_labels import check_labels, labelled_returns
-from gridtrack.recordings.stream import GridStream, Observation
+from gridtrack.recordings.observation import Observation
 from gridtrack.recordings.truth import FREE, INTERIOR, OUTLINE, TruthGrid, truth_grid
-from gridtrack.trackers.contract import FrameSource
 
 SEEN_FREE, SEEN_OCCUPIED, HIDDEN_FREE, HIDDEN_OCCUPIED, NOT_SCORED = range(5)
 """States of a cell in a frame; odd states are positives. A hidden cell is occupied if a true outline crosses it."""
@@ -25,7 +23,7 @@ _NO_CELLS, _NO_LABELS = np.zeros(0, np.int64), np.zeros(0, np.uint8)
 
 @dataclass(frozen=True, slots=True)
 class Target:
-    """A frame, and the states that a forecast of it is scored against.
+    """A frame in the window of a forecast, and the states that the forecast of it is scored against.
 
     `state` (M, M) uint8 of the states above; without truth no hidden cell is scored. `motion` (M, M) uint8: the part of
     each dynamic cell, an index into PARTS. `cells` (N,) int64, row * M +
@@ -46,14 +44,8 @@ class Target:
         return cls(frame, state, np.zeros_like(state))
 
 
-def targets(stream: FrameSource, motion: MotionFinder) -> Iterator[Target]:
-    """The frames of a stretch as targets; of a GridStream with truth and labels. Raises RecordingError."""
-    observations = stream.observations() if isinstance(stream, GridStream) else map(Observation, stream)
-    return (target_of(observation, stream.grid, stream.classes, motion.of(observation)) for observation in observations)
-
-
 def target_of(observation: Observation, grid: GridSpec, classes: Sequence[str], motion: NDArray[np.uint8]) -> Target:
-    """The target of an observation, with the truth and labels that it has. Raises RecordingError."""
+    """The target of an observation in its window, with the truth and labels that it has. Raises RecordingError."""
     frame = observation.frame
     truth = _truth(observation, grid)
     target = Target.of_frame(frame)
@@ -69,4 +61,4 @@ def target_of(observation: Observation, grid: GridSpec, classes: Sequence[str], 
 
 def _truth(observation: Observation, grid: GridSpec) -> TruthGrid | None:
     scene = observation.scene
-    return None if scene is None else truth_grid(scene, grid, observation.frame.world_T_grid)
+    return None if scene is None else truth_grid(scene, grid, observation.reference_T_grid)

@@ -54,7 +54,7 @@ class HeadlineDifference:
             horizon_s=round(self.horizon_s, 6),
             step=self.step,
             p_holm=rounded_p(p_holm),
-            verdict=_verdict(float(self.scores["f1"].value), p_holm),
+            verdict=verdict_of(float(self.scores["f1"].value), p_holm),
             **ends,
         )
 
@@ -120,7 +120,8 @@ def headline_tests(comparisons: Sequence[TrackerComparison]) -> list[tuple[Headl
     return [tuple(test.test(next(adjusted)) for test in one.headline) for one in comparisons]
 
 
-def _verdict(difference: float, p: float) -> str:
+def verdict_of(difference: float, p: float) -> str:
+    """What a difference in F1 with its corrected p-value says."""
     if np.isnan(p):
         return "not tested"
     if p >= ALPHA:

@@ -109,7 +109,7 @@ class RunStatistics:
 
     def _pooled_strata(self, complete: Sequence[FinishedTrial]) -> dict[str, StratumScores]:
         strata = common_strata([trial.strata for trial in complete])
-        frames = [_in_strata(self.frames_of(trial), trial.strata, strata) for trial in complete]
+        frames = [self.frames_in(trial, strata) for trial in complete]
         ends = intervals(
             frames,
             [trial.folder for trial in complete],
@@ -133,10 +133,10 @@ class RunStatistics:
                 return TrackerComparison(label, 0, 0, f"not compared: {row} {found} complete")
         if own[0].points != others[0].points:
             return TrackerComparison(label, 0, 0, OTHER_RETURNS)
-        scope = self._scope(names, own + others)
+        scope = self.scope(names, own + others)
         theirs, mine = (
             ComparedRow(
-                [_in_strata(self.frames_of(trial), trial.strata, scope.strata) for trial in side],
+                [self.frames_in(trial, scope.strata) for trial in side],
                 [trial.folder for trial in side],
             )
             for side in (others, own)
@@ -166,7 +166,8 @@ class RunStatistics:
             headline=tests,
         )
 
-    def _scope(self, names: Iterable[str], trials: Sequence[FinishedTrial]) -> Scope:
+    def scope(self, names: Iterable[str], trials: Sequence[FinishedTrial]) -> Scope:
+        """The recordings `names` with the strata that all `trials` have."""
         described = [self.recordings[name] for name in names]
         cycles = [one.cycle_s for one in described if one.cycle_s]
         strata = common_strata([trial.strata for trial in trials])
@@ -183,8 +184,8 @@ class RunStatistics:
             if name not in self._blocks:
                 scored = [trial for trial in trials_on(name, self._trials) if trial.record.frames_scored]
                 trials = [trial for trial in scored if trial.complete] or scored
-                scope = self._scope([name], trials)
-                frames = [_in_strata(self.frames_of(trial), trial.strata, scope.strata) for trial in trials]
+                scope = self.scope([name], trials)
+                frames = [self.frames_in(trial, scope.strata) for trial in trials]
                 self._blocks[name] = scope.block_s(frames)
         return max(self._blocks[name] for name in names)
 
@@ -203,10 +204,10 @@ class RunStatistics:
             self._frames[key] = read_frame_counts(trial.folder, trial.record.steps, trial.strata)
         return self._frames[key]
 
-
-def _in_strata(frames: FrameCounts, own: tuple[str, ...], strata: tuple[str, ...]) -> FrameCounts:
-    """The counts in `strata`, which are some of the strata `own` of the trial."""
-    if strata == own:
-        return frames
-    chosen = [own.index(name) for name in strata]
-    return FrameCounts(frames.stamps_ns, frames.delivered, frames.counts[:, :, chosen])
+    def frames_in(self, trial: FinishedTrial, strata: tuple[str, ...]) -> FrameCounts:
+        """The counts of a trial at each frame in `strata`, which are some of its own. Raises ScoresError."""
+        frames = self.frames_of(trial)
+        if strata == trial.strata:
+            return frames
+        chosen = [trial.strata.index(name) for name in strata]
+        return FrameCounts(frames.stamps_ns, frames.delivered, frames.counts[:, :, chosen])

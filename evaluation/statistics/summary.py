@@ -16,6 +16,7 @@ from gridtrack.evaluation.statistics.class_statistics import ClassStatistics
 from gridtrack.evaluation.statistics.finished_trial import FinishedTrial, trials_on
 from gridtrack.evaluation.statistics.occluded_statistics import OccludedStatistics
 from gridtrack.evaluation.statistics.run_statistics import RunStatistics
+from gridtrack.evaluation.statistics.training_statistics import TrainingStatistics
 from gridtrack.evaluation.statistics.turned_rankings import turned_rankings
 from gridtrack.trackers.contract import Role
 
@@ -52,6 +53,7 @@ def summarise(
         differences=tuple(statistics.differences()),
         class_differences=tuple(classes.differences()),
         occluded_differences=tuple(OccludedStatistics(statistics).differences()),
+        trainings=tuple(TrainingStatistics(statistics).found()),
     )
 
 

@@ -10,7 +10,7 @@ import pytest
 
 from gridtrack.common.grid import GridSpec
 from gridtrack.evaluation.comparison.learned import find_weights
-from gridtrack.evaluation.processes.contract_scene import empty_stream, scene
+from gridtrack.evaluation.processes.contract_scene import drive, empty_stream, scene
 from gridtrack.evaluation.processes.contract_suite import CheckResult, check_tracker
 from gridtrack.trackers.contract import StreamSpec
 from gridtrack.trackers.registry import entries
@@ -31,7 +31,7 @@ def test_a_registered_tracker_satisfies_the_contract(name: str) -> None:
     if results[0].verdict == "skipped":
         pytest.skip(results[0].detail)
     assert [r for r in results if r.verdict != "passed"] == []
-    assert len(results) == 9
+    assert len(results) == 10
 
 
 def failures(name: str, **options: object) -> dict[str, CheckResult]:
@@ -58,6 +58,11 @@ def failures(name: str, **options: object) -> dict[str, CheckResult]:
             "two streams that differ only after frame 10",
         ),
         ("never-forgets", "reset clears the state", "in a fresh process, and after another stream and a reset"),
+        (
+            "stays-behind",
+            "keeps a wall at its place",
+            "4 cells away, where the window was when it was last seen: step 0",
+        ),
         (
             "keeps-to-one-grid",
             "works on another grid",
@@ -106,3 +111,18 @@ def test_a_scene_has_moving_boxes_and_occlusion_and_turns() -> None:
     assert not np.array_equal(one[0].occupied, one[5].occupied)
     assert np.diff([f.stamp_ns for f in one]).tolist() == [100_000_000] * 15
     assert not any(f.visible.any() for f in empty_stream(grid, 0.1, 3))
+
+
+def test_a_drive_sees_its_wall_at_one_place_in_the_world() -> None:
+    grid = GridSpec(60, 0.2)
+    frames, wall = drive(grid, 0.1, 12, unseen=3, with_wall=True)
+    places = set()
+    for frame in frames[:-3]:
+        rows, columns = np.nonzero(frame.occupied)
+        places |= {(int(r), round(c + frame.world_T_grid.x / grid.cell_m)) for r, c in zip(rows, columns, strict=True)}
+        assert frame.visible.sum() > 1000
+    assert places <= {(int(r), int(c) + 11) for r, c in wall}
+    assert len(places) > 15
+    assert not any(frame.visible.any() for frame in frames[-3:])
+    empty, _ = drive(grid, 0.1, 12, unseen=3, with_wall=False)
+    assert not any(frame.occupied.any() for frame in empty)

@@ -75,7 +75,7 @@ def test_a_new_tracker_package_installs_satisfies_the_contract_and_passes_its_te
     monkeypatch.setenv("PYTHONPATH", str(tmp_path / "site"))
     monkeypatch.syspath_prepend(str(tmp_path / "site"))
     results = check_tracker(launch("my-own-2"), STREAM)
-    assert len(results) == 9
+    assert len(results) == 10
     assert [result for result in results if result.verdict != "passed"] == []
     tests = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "--import-mode=importlib", "tests"]
     subprocess.run(tests, cwd=tmp_path / "package", check=True)

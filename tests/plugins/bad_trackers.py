@@ -337,6 +337,15 @@ class RemembersTheFuture(Good):
         return np.stack([known[index] for index in indices]).astype(np.float32)
 
 
+class StaysBehind(NeverForgets):
+    """Keeps what it saw at its place in the window, not in the world."""
+
+    moving_sensor = True
+
+    def reset(self, seed: int) -> None:
+        self.seen[:] = 0.0
+
+
 class KeepsToOnePeriod(Good):
     """Assumes 8 Hz."""
 

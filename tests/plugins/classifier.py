@@ -17,11 +17,11 @@ class Classifier(Tracker):
         self.last = frame.occupied.astype(np.float32)
 
     def predict(self, steps):
-        x = self.stream.grid.origin[0] + self.stream.grid.cell_m * (np.arange(self.stream.grid.size) + 0.5)
-        band = np.where(x < 2.5, 2, np.where((x > 4.0) & (x < 6.0), 1, 0))
+        y = self.stream.grid.origin[1] + self.stream.grid.cell_m * (np.arange(self.stream.grid.size) + 0.5)
+        band = np.where(y < 2.5, 2, np.where((y > 4.0) & (y < 6.0), 1, 0))
         p = np.full((3, *self.last.shape), 0.1, np.float32)
         for k in range(3):
-            p[k, :, band == k] = 0.8
+            p[k, band == k] = 0.8
         return Forecast(np.repeat(self.last[None], steps + 1, axis=0), np.repeat(p[None], steps + 1, axis=0))
 
 

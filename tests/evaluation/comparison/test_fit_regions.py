@@ -6,18 +6,18 @@ import numpy as np
 import pytest
 
 from gridtrack.common.errors import RecordingError
+from gridtrack.common.geometry import SE2
 from gridtrack.evaluation.comparison.fit_regions import FitScores, StretchRegions, cell_kinds_for
 from gridtrack.evaluation.comparison.stored_stretch import StoredStretch, regions_path, store_stretch
 from gridtrack.evaluation.scoring.in_process import score_in_process
-from gridtrack.evaluation.scoring.motion import ObservedMotion
-from gridtrack.evaluation.scoring.splits import region_maps_in
+from gridtrack.evaluation.scoring.regions import regions_of
 from gridtrack.evaluation.scoring.strata import CELL_KINDS, STRATA
 from gridtrack.recordings.stream import open_stream
 from gridtrack.trackers.baselines.persistence import PersistenceTracker
 from gridtrack.trackers.contract import stream_of
 from gridtrack.trackers.tuning import CachedSource
 
-from scenes import truth_scene
+from scenes import drive, truth_scene
 
 STEPS = 5
 
@@ -33,9 +33,7 @@ def persistence(source):
 
 
 def of_the_referee(stream):
-    maps = region_maps_in(stream, STRATA)
-    motion = ObservedMotion(stream, maps.dynamic)
-    return score_in_process(persistence(stream), stream, STEPS, maps, motion)
+    return score_in_process(persistence(stream), stream, STEPS, regions_of(stream, STRATA))
 
 
 @pytest.fixture
@@ -60,7 +58,7 @@ def test_what_stands_for_most_of_an_excerpt_is_not_static_there(with_truth, tmp_
     path = tmp_path / "waits.mcap"
     truth_scene.write_recording(path, seconds=12)
     source, score = stored(open_stream(path), tmp_path / "0.frames")
-    excerpt = CachedSource.beginning(source, 5.0)
+    excerpt = CachedSource.excerpt(source, 0, round(5.0 / source.period_s))
     found = score(persistence(excerpt), excerpt, STEPS)
     assert found.f1["standing"][0] == 1.0, "the rider waits in all of it, and is no wall"
     assert np.isnan(found.f1["in-motion"][0])
@@ -70,9 +68,9 @@ def test_without_truth_static_cells_are_found_in_the_stretches_of_the_training_o
     path = tmp_path / "room.mcap"
     truth_scene.write_recording(path, seconds=12, with_truth=False)
     train, validation = open_stream(f"{path}@0s-6s"), open_stream(f"{path}@6s-9s")
-    kinds = cell_kinds_for(train, [train, validation])
-    assert np.array_equal(kinds, cell_kinds_for(validation, [train, validation]))
-    assert np.array_equal(kinds, cell_kinds_for(train, [open_stream(f"{path}@0s-9s")]))
+    kinds = cell_kinds_for(train, [train, validation]).at(SE2())
+    assert np.array_equal(kinds, cell_kinds_for(validation, [train, validation]).at(SE2()))
+    assert np.array_equal(kinds, cell_kinds_for(train, [open_stream(f"{path}@0s-9s")]).at(SE2()))
     assert (kinds == CELL_KINDS.index("static")).any()
 
 
@@ -81,3 +79,25 @@ def test_frames_that_are_of_no_stretch_of_the_training_are_not_scored(with_truth
     other = open_stream(f"{with_truth}@7s-")
     with pytest.raises(RecordingError, match="not a stretch that fit received, nor a part of one"):
         score(persistence(other), other, STEPS)
+
+
+@pytest.mark.parametrize(("with_truth", "poses"), [(True, (0.0, 0.0)), (True, (0.05, 0.01)), (False, (0.0, 0.0))])
+def test_the_score_of_a_fit_is_that_of_the_referee_where_the_sensor_moves(tmp_path, with_truth, poses):
+    path = drive.write_recording(tmp_path / "d.mcap", 16, with_truth=with_truth, pose_noise=poses)
+    stream = open_stream(path)
+    source, score = stored(stream, tmp_path / "0.frames")
+    found, expected = score(persistence(source), source, STEPS), of_the_referee(stream)
+    for name in ("visible", "static", "dynamic"):
+        assert found.f1[name] == pytest.approx(expected.f1[name], abs=2e-3), "equal but for rounding"
+    assert found.f1["in-motion"] == pytest.approx(expected.f1["in-motion"], abs=0.1)
+
+
+def test_a_fit_of_a_tracker_that_cannot_follow_the_sensor_is_refused(tmp_path):
+    stream = open_stream(drive.write_recording(tmp_path / "d.mcap", 4))
+    source, score = stored(stream, tmp_path / "0.frames")
+
+    class AtRest(PersistenceTracker):
+        moving_sensor = False
+
+    with pytest.raises(RecordingError, match="the sensor moves, and AtRest follows only a sensor at rest"):
+        score(AtRest(stream_of(source), AtRest.Options()), source, STEPS)

@@ -96,17 +96,17 @@ def test_every_tracker_receives_the_same_frames_and_progress_is_reported(setting
 def test_a_tracker_that_received_other_frames_is_reported(settings, progress, monkeypatch):
     class Tampered(Delivery):
         def __iter__(self):
-            for target in super().__iter__():
-                if target.frame.stamp_ns == 1_014_000_000_000:
+            for moment in super().__iter__():
+                if moment.frame.stamp_ns == 1_014_000_000_000:
                     self._hash.update(b"something else")
-                yield target
+                yield moment
 
     original = trial.TrialRun.__init__
 
     def tampering(self, the_trial, regions, folder, on_frame, shared):
         original(self, the_trial, regions, folder, on_frame, shared)
         if the_trial.label == "odd":
-            self._delivery = Tampered(the_trial.test, on_frame, self._delivery._motion)
+            self._delivery = Tampered(the_trial.test, on_frame, regions.test)
 
     monkeypatch.setattr(trial.TrialRun, "__init__", tampering)
     summary = compare(settings("persistence", "blank", "odd=blank"), progress)
@@ -173,12 +173,13 @@ def test_the_reason_of_an_untrained_tracker_is_the_command_that_trains_it(settin
     assert result.strata == {}
 
 
-def test_a_recording_with_a_moving_sensor_is_not_applicable(settings, progress, record):
-    result = trial_of(
-        compare(settings("blank", recordings=(str(record("drive", speed=0.5)),)), progress), "blank", "drive"
-    )
-    assert result.outcome == "not-applicable"
-    assert "the sensor moves at" in result.reason
+def test_a_moving_sensor_is_not_applicable_to_a_tracker_that_cannot_follow_it(settings, progress, record, staged):
+    recording = str(record("drive", speed=0.5))
+    summary = compare(settings("blank", "staged", recordings=(recording,)), progress)
+    assert trial_of(summary, "blank", "drive").outcome == "ok"
+    result = trial_of(summary, "staged", "drive")
+    assert (result.outcome, result.frames_scored) == ("not-applicable", 0)
+    assert "and 'staged' follows only a sensor at rest (moving_sensor is false)" in result.reason
 
 
 def test_a_plugin_that_cannot_be_loaded_stops_no_other(settings, progress, install):

@@ -84,9 +84,9 @@ def test_a_range_in_a_message_is_one_of_the_recording(record, tmp_path, stretch)
     compare(suggested, tmp_path / "run")
 
 
-def test_no_stretch_is_suggested_where_the_sensor_always_moves(record, tmp_path):
+def test_no_stretch_is_suggested_where_the_sensor_always_moves(record, tmp_path, staged):
     moving = record("moving", seconds=20, speed=0.5)
-    gridtrack("compare", str(moving), "--tracker", "blank", "--out", str(tmp_path / "moving"), "--horizon", "0.5s")
-    reason = read_trial_record(tmp_path / "moving" / "blank@moving").reason
+    gridtrack("compare", str(moving), "--tracker", "staged", "--out", str(tmp_path / "moving"), "--horizon", "0.5s")
+    reason = read_trial_record(tmp_path / "moving" / "staged@moving").reason
     assert "at rest nowhere for 10 s" in reason
     assert "@" not in reason.partition("the sensor moves")[2]

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy.stats import t as student
 
-from gridtrack.evaluation.regression.spread import PRIOR_FREEDOM, Spread, beyond_spread, spread_between
+from gridtrack.evaluation.regression.spread import beyond_spread
+from gridtrack.evaluation.statistics.training_spread import PRIOR_FREEDOM, Spread, spread_between
 
 
 def trainings_of(recalls, occupied=100_000.0):

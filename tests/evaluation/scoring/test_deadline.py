@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from gridtrack.common.geometry import SE2
-from gridtrack.common.grid import GridFrame, GridSpec
+from gridtrack.common.grid import GridFrame, GridSpec, LabelledFrame
 from gridtrack.evaluation.scoring.deadline import Costs, DeadlineTracker, Timeline, spare_steps, timeline
-from gridtrack.evaluation.scoring.referee import Schedule, scored_forecasts
-from gridtrack.evaluation.scoring.target import Target
+from gridtrack.evaluation.scoring.referee import Delivery, Schedule, scored_forecasts
+from gridtrack.evaluation.scoring.regions import Regions
+from gridtrack.evaluation.scoring.world_kinds import KindsOfWindow
 from gridtrack.trackers.contract import Forecast
 
 PERIOD_MS = 100.0
@@ -93,11 +96,32 @@ def test_the_spare_steps_cover_the_age_of_the_oldest_forecast() -> None:
     assert spare_steps(1e6, PERIOD_MS, 20) == 20
 
 
-def target(index: int) -> Target:
+def frame(index: int, x: float = 0.0) -> GridFrame:
     nothing = np.zeros((0, 2), np.float32)
     empty = np.zeros(GRID.shape, bool)
-    frame = GridFrame(index * 100_000_000, empty, empty, SE2(), nothing, nothing, np.zeros(0, np.uint8))
-    return Target.of_frame(frame)
+    return GridFrame(index * 100_000_000, empty, empty, SE2(x), nothing, nothing, np.zeros(0, np.uint8))
+
+
+class Frames:
+    """A FrameSource of frames that show nothing."""
+
+    name, sha256, site, classes, grid, period_s = "frames", "", "here", (), GRID, PERIOD_MS / 1e3
+
+    def __init__(self, frames: int) -> None:
+        self.frames = frames
+
+    def __len__(self) -> int:
+        return self.frames
+
+    def __iter__(self) -> Iterator[GridFrame]:
+        return map(frame, range(self.frames))
+
+    def labelled(self) -> Iterator[LabelledFrame]:
+        raise NotImplementedError
+
+
+def delivery(frames: int) -> Delivery:
+    return Delivery(Frames(frames), lambda: None, Regions(GRID, KindsOfWindow(np.zeros(GRID.shape, np.uint8))))
 
 
 class Clockwork:
@@ -119,8 +143,8 @@ class Clockwork:
 def answers(kept: Timeline, steps: int, reach: int, frames: int = 60) -> tuple[Clockwork, list[list[int]]]:
     tracker = Clockwork()
     schedule = Schedule(frames, steps, 5)
-    on_time = DeadlineTracker(tracker, kept, schedule, reach)
-    scored = scored_forecasts(on_time, map(target, range(frames)), schedule, seed=0)
+    on_time = DeadlineTracker(tracker, kept, schedule, reach, GRID.cell_m)
+    scored = scored_forecasts(on_time, delivery(frames), schedule, seed=0)
     steps_read = [np.rint(100 * one.forecast.occupancy[:, 0, 0]).astype(int).tolist() for one in scored]
     return tracker, steps_read
 
@@ -149,7 +173,33 @@ def test_before_the_first_delivered_forecast_no_cell_is_called_occupied() -> Non
 def test_a_tracker_without_delay_forecasts_exactly_like_an_untimed_one() -> None:
     tracker, steps_read = answers(of(0.0, frames=60), steps=4, reach=4)
     untimed = Clockwork()
-    plain = scored_forecasts(untimed, map(target, range(60)), Schedule(60, 4, 5), seed=0)
+    plain = scored_forecasts(untimed, delivery(60), Schedule(60, 4, 5), seed=0)
     assert steps_read == [np.rint(100 * m.forecast.occupancy[:, 0, 0]).astype(int).tolist() for m in plain]
     assert tracker.updates == untimed.updates
     assert tracker.predictions == untimed.predictions
+
+
+def test_a_forecast_that_is_delivered_late_is_read_in_the_window_of_now() -> None:
+    class Corner(Clockwork):
+        def predict(self, steps: int) -> Forecast:
+            corner = np.zeros((steps + 1, *GRID.shape), np.float32)
+            corner[:, 0, 1] = 0.9
+            semantics = np.stack([corner, 1.0 - corner], axis=1)
+            return Forecast(corner, semantics)
+
+    made_at = 20
+    newest = np.where(np.arange(23) < made_at, -1, made_at)
+    late = DeadlineTracker(Corner(), Timeline(np.arange(23) == made_at, newest), Schedule(23, 1, 1), 4, GRID.cell_m)
+    late.reset(0)
+    read = []
+    for index in range(23):
+        late.update(frame(index, max(0.0, index - made_at)))
+        if index >= made_at:
+            read.append(late.predict(1))
+    assert read[0].occupancy[0].tolist() == [[0.0, pytest.approx(0.9)], [0.0, 0.0]]
+    assert read[1].occupancy[0].tolist() == [[pytest.approx(0.9), 0.0], [0.0, 0.0]], "what comes in is free"
+    assert not read[2].occupancy.any()
+    for one in read:
+        assert one.semantics is not None
+        np.testing.assert_allclose(one.semantics.sum(axis=1), 1.0, atol=1e-6)
+    assert read[1].semantics[0, :, 0, 1].tolist() == [0.5, 0.5]

@@ -9,10 +9,13 @@ from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec
 from gridtrack.common.scan import Scan
 from gridtrack.common.scene import Scene, SceneObject
+from gridtrack.evaluation.scoring.moments import moments
 from gridtrack.evaluation.scoring.motion import ObservedMotion, parts_of
-from gridtrack.evaluation.scoring.strata import PARTS
-from gridtrack.evaluation.scoring.target import targets
-from gridtrack.recordings.stream import Observation, open_stream
+from gridtrack.evaluation.scoring.regions import Regions
+from gridtrack.evaluation.scoring.strata import CELL_KINDS, PARTS
+from gridtrack.evaluation.scoring.world_kinds import KindsOfWindow
+from gridtrack.recordings.observation import Observation
+from gridtrack.recordings.stream import open_stream
 
 GRID = GridSpec(7, 0.25, (0.0, 0.0))
 EVERYWHERE = np.ones(GRID.shape, bool)
@@ -39,9 +42,14 @@ class Frames(list):
     grid, period_s = GRID, 0.25
 
 
-def motion_of_the_last(*frames, dynamic=EVERYWHERE):
-    motion = ObservedMotion(Frames(), dynamic)
-    return [motion.of(Observation(one)) for one in frames][-1]
+def parts_of_the_last(*observations):
+    motion = ObservedMotion(Frames())
+    last = [motion.of(one) for one in observations][-1]
+    return parts_of(last.among(observations[-1], GRID), observations[-1].frame.occupied, EVERYWHERE, GRID)
+
+
+def motion_of_the_last(*frames):
+    return parts_of_the_last(*map(Observation, frames))
 
 
 def drawn(motion):
@@ -94,11 +102,11 @@ def test_nothing_is_in_motion_in_the_first_second_of_a_recording():
 def test_the_second_before_a_stretch_is_read_from_its_recording(record):
     recording = record(seconds=8)
     whole = open_stream(recording)
-    dynamic = np.ones(whole.grid.shape, bool)
+    dynamic = Regions(whole.grid, KindsOfWindow(np.full(whole.grid.shape, CELL_KINDS.index("dynamic"), np.uint8)))
     first = round(3.0 / whole.period_s)
-    expected = [target.motion for target in targets(whole, ObservedMotion(whole, dynamic))][first:]
+    expected = [moment.target.motion for moment in moments(whole, dynamic, ObservedMotion(whole))][first:]
     part = open_stream(f"{recording}@3s-")
-    found = [target.motion for target in targets(part, ObservedMotion(part, dynamic))]
+    found = [moment.target.motion for moment in moments(part, dynamic, ObservedMotion(part))]
     assert (found[0] == PARTS.index("in-motion")).any()
     assert np.array_equal(found, expected)
 
@@ -115,20 +123,15 @@ def observation(step, *objects, occupied):
     return Observation(replace(frame(*occupied), stamp_ns=stamp_ns), (scan,), (SE2(),))
 
 
-def parts_with_truth(*observations):
-    motion = ObservedMotion(Frames(), EVERYWHERE)
-    return [motion.of(one) for one in observations][-1]
-
-
 @pytest.mark.parametrize(("speed", "part"), [(FAST, "in-motion"), (SLOW, "standing")])
 def test_with_truth_a_return_is_in_motion_on_an_object_faster_than_a_slow_walk(speed, part):
     steps = [observation(k, (1, 0.9 + 0.25 * k * speed, 0.9), occupied=[(3, 3)]) for k in range(2)]
-    assert PARTS[parts_with_truth(*steps)[3, 3]] == part
+    assert PARTS[parts_of_the_last(*steps)[3, 3]] == part
 
 
 def test_with_truth_a_cell_that_was_free_before_stands_if_its_object_does():
     steps = [observation(k, (1, 0.9, 0.9), occupied=[(3, 3)] if k == 4 else []) for k in range(5)]
-    assert PARTS[parts_with_truth(*steps)[3, 3]] == "standing"
+    assert PARTS[parts_of_the_last(*steps)[3, 3]] == "standing"
 
 
 def test_with_truth_a_return_belongs_to_the_nearest_outline():
@@ -136,11 +139,11 @@ def test_with_truth_a_return_belongs_to_the_nearest_outline():
     steps = [
         observation(k, (1, 0.5, 0.8 + 0.25 * k * FAST), (2, 1.2, 0.9), occupied=[(3, 2), (3, 4)]) for k in range(2)
     ]
-    motion = parts_with_truth(*steps)
+    motion = parts_of_the_last(*steps)
     assert drawn(motion)[3] == "iiiiiss", "in motion up to half a metre from the one who walks"
 
 
 def test_with_truth_a_return_far_from_every_outline_stands():
     steps = [observation(k, (1, 0.4 + 0.25 * k * FAST, 0.4), occupied=[(1, 1), (6, 6)]) for k in range(2)]
-    motion = parts_with_truth(*steps)
+    motion = parts_of_the_last(*steps)
     assert (PARTS[motion[1, 1]], PARTS[motion[6, 6]]) == ("in-motion", "standing")

@@ -13,19 +13,21 @@ from gridtrack.common.grid import GridFrame, GridSpec
 from gridtrack.evaluation.scoring import metrics
 from gridtrack.evaluation.scoring.counting import Tally, count_forecast
 from gridtrack.evaluation.scoring.in_process import score_in_process
+from gridtrack.evaluation.scoring.moments import moments
 from gridtrack.evaluation.scoring.motion import ObservedMotion
 from gridtrack.evaluation.scoring.referee import WARM_UP, Delivery, Schedule, scored_forecasts
-from gridtrack.evaluation.scoring.strata import CELL_KINDS, region_maps_of
-from gridtrack.evaluation.scoring.target import Target
+from gridtrack.evaluation.scoring.regions import Regions
+from gridtrack.evaluation.scoring.strata import CELL_KINDS
 from gridtrack.evaluation.scoring.thresholds import half
+from gridtrack.evaluation.scoring.world_kinds import KindsOfWindow
 from gridtrack.trackers.contract import Forecast
 
 GRID = GridSpec(8, 1.0)
 NOTHING = np.zeros((0, 2), np.float32)
 STEPS = 4
-ALL_DYNAMIC = region_maps_of(
-    np.full(GRID.shape, CELL_KINDS.index("dynamic"), np.uint8), GRID, np.zeros((1, 2), np.float32)
-)
+LOOKBACK = 10
+"""Frames of the second before, by which motion is found."""
+ALL_DYNAMIC = Regions(GRID, KindsOfWindow(np.full(GRID.shape, CELL_KINDS.index("dynamic"), np.uint8)))
 
 
 def random_frame(index, pose):
@@ -73,13 +75,13 @@ class Seer:
 
 
 def delivery(stream):
-    return Delivery(stream, lambda: None, ObservedMotion(stream, ALL_DYNAMIC.dynamic))
+    return Delivery(stream, lambda: None, ALL_DYNAMIC)
 
 
 def f1_per_step(stream, tracker, every=3):
     tally = Tally.empty(STEPS)
     for scored in scored_forecasts(tracker, delivery(stream), Schedule(len(stream), STEPS, every), seed=7):
-        tally.add(count_forecast(scored.forecast.occupancy, scored.targets, ALL_DYNAMIC, scored.ages))
+        tally.add(count_forecast(scored.forecast.occupancy, scored.targets, scored.region_maps, scored.ages))
     return metrics.f1_score(tally.confusion(half(STEPS).bins))[:, 0]
 
 
@@ -131,19 +133,28 @@ def test_no_more_than_a_horizon_of_frames_is_kept():
         """A frame that can be counted while it lives."""
 
         def __init__(self, index):
-            self.stamp_ns, self.visible = index, np.ones((1, 1), bool)
+            self.stamp_ns, self.visible, self.occupied = index, *np.ones((2, 1, 1), bool)
+            self.world_T_grid, self.origins = SE2(), NOTHING
             alive.add(self)
 
     class Still:
         def reset(self, seed): ...
 
         def update(self, frame):
-            assert len(alive) <= STEPS + 2
+            assert len(alive) <= LOOKBACK + STEPS + 2
 
         def predict(self, steps):
             return Forecast(np.zeros((steps + 1, 1, 1), np.float32))
 
-    stream = (Target(Held(index), *np.zeros((2, 1, 1), np.uint8)) for index in range(200))
+    class HeldFrames(FakeStream):
+        grid = GridSpec(1, 1.0)
+
+        def __iter__(self):
+            return map(Held, range(200))
+
+    source = HeldFrames(200)
+    regions = Regions(source.grid, KindsOfWindow(np.zeros((1, 1), np.uint8)))
+    stream = moments(source, regions, ObservedMotion(source))
     for scored in scored_forecasts(Still(), stream, Schedule(200, STEPS, 1), seed=0):
         assert len(scored.frames) == STEPS + 1
         del scored
@@ -164,21 +175,14 @@ def test_the_digest_covers_every_frame_in_order():
     assert len({digest(stream)[0] for stream in (FakeStream(5), FakeStream(6), Swapped(5))}) == 3
 
 
-def test_a_moving_sensor_is_refused_with_a_message():
-    stream = FakeStream(30, pose_of=lambda index: SE2(0.1 * (index >= 10), 0.0, 0.0))
-    with pytest.raises(RecordingError, match=r"the sensor moves at 1\.000 s"):
-        list(delivery(stream))
-
-
 def test_scoring_in_this_process_agrees_with_the_referee():
     stream = FakeStream(60)
-    score = score_in_process(Seer(stream), stream, STEPS, ALL_DYNAMIC, ObservedMotion(stream, ALL_DYNAMIC.dynamic))
+    score = score_in_process(Seer(stream), stream, STEPS, ALL_DYNAMIC)
     assert set(score.f1) == {"visible", "dynamic", "static", "in-motion", "standing"}
     assert score.f1["visible"].tolist() == [1.0] * (STEPS + 1)
     assert score.log_loss["visible"] == pytest.approx(-np.log(0.999))
 
 
 def test_a_stretch_too_short_to_score_is_refused():
-    no_motion = ObservedMotion(FakeStream(20), ALL_DYNAMIC.dynamic)
     with pytest.raises(RecordingError, match="too few"):
-        score_in_process(Seer(FakeStream(20)), FakeStream(20), STEPS, ALL_DYNAMIC, no_motion)
+        score_in_process(Seer(FakeStream(20)), FakeStream(20), STEPS, ALL_DYNAMIC)

@@ -9,6 +9,7 @@ from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec
 from gridtrack.evaluation.scoring.referee import Schedule, ScoredForecast
 from gridtrack.evaluation.scoring.samples import SAMPLES, SamplesError, SampleWriter, kept_forecasts, read_samples
+from gridtrack.evaluation.scoring.strata import region_maps_of
 from gridtrack.evaluation.scoring.target import Target
 from gridtrack.trackers.contract import Forecast
 
@@ -27,7 +28,9 @@ def random_forecast(seed):
         stamp_ns = seed * 1_000_000_000 + n * 100_000_000
         frames.append(GridFrame(stamp_ns, visible, occupied, SE2(), ORIGINS, nothing, np.zeros(0, np.uint8)))
     forecast = Forecast(rng.random((STEPS + 1, *GRID.shape), dtype=np.float32))
-    return ScoredForecast(forecast, tuple(Target.of_frame(frame) for frame in frames), np.zeros(GRID.shape, np.uint8))
+    nowhere = np.zeros(GRID.shape, np.uint8)
+    region_maps = region_maps_of(nowhere, GRID, ORIGINS)
+    return ScoredForecast(forecast, tuple(Target.of_frame(frame) for frame in frames), region_maps, nowhere)
 
 
 @pytest.fixture

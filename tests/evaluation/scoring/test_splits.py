@@ -89,11 +89,13 @@ def test_grid_and_rate_can_be_given(record):
     assert (split.test.grid, split.validation.grid, len(split.test)) == (GridSpec(30, 0.1), GridSpec(30, 0.1), 55)
 
 
+def cell_kinds(split):
+    return split.regions().test.of(next(split.test.observations())).cell_kinds
+
+
 def test_static_cells_come_from_the_whole_recording(record):
     path = record()
-    one, other = (
-        plan_split(f"{path}@{stretch}", None, SECOND).regions().test.cell_kinds for stretch in ("0s-5s", "9s-20s")
-    )
+    one, other = (cell_kinds(plan_split(f"{path}@{stretch}", None, SECOND)) for stretch in ("0s-5s", "9s-20s"))
     assert (one == other).all()
     wall = one[20, int((3.0 + 1.0) / 0.2)]
     assert CELL_KINDS[wall] == "static"
@@ -204,9 +206,10 @@ def test_training_what_cannot_learn_or_on_no_stretch_is_refused(record, tmp_path
 
 def test_thresholds_of_another_recording_are_chosen_on_its_own_strata(record):
     here, elsewhere = record("here"), record("elsewhere", wall_m=2.2)
-    regions = plan_split(str(here), f"{elsewhere}@4s-9s", SECOND).regions()
-    assert (regions.test.cell_kinds != regions.validation.cell_kinds).any()
-    alone = plan_split(str(elsewhere), None, SECOND).regions().test
-    assert (regions.validation.cell_kinds == alone.cell_kinds).all()
+    split = plan_split(str(here), f"{elsewhere}@4s-9s", SECOND)
+    regions, observation = split.regions(), next(split.test.observations())
+    kinds, on_validation = (one.of(observation).cell_kinds for one in (regions.test, regions.validation))
+    assert (kinds != on_validation).any()
+    assert (on_validation == cell_kinds(plan_split(str(elsewhere), None, SECOND))).all()
     own = plan_split(str(here), None, SECOND).regions()
     assert own.validation is own.test

@@ -19,7 +19,7 @@ from gridtrack.evaluation.scoring.target import (
     Target,
     target_of,
 )
-from gridtrack.recordings.stream import Observation
+from gridtrack.recordings.observation import Observation
 
 GRID = GridSpec(5, 1.0, (0.0, 0.0))
 NAMES = ("pedestrian", "static")

@@ -1,0 +1,41 @@
+"""Regions of a stretch: the kinds of its cells in the world give region maps of the window of any frame."""
+
+from __future__ import annotations
+
+from gridtrack.common.grid import GridSpec
+from gridtrack.evaluation.scoring.strata import STRATA, RegionMaps, region_maps_of
+from gridtrack.evaluation.scoring.world_kinds import CellKinds, KindsOfOutlines, observed_kinds
+from gridtrack.recordings.observation import Observation
+from gridtrack.recordings.stream import GridStream
+
+
+class Regions:
+    """The regions of a stretch, in the window of any of its frames; `strata` are the names of those scored.
+
+    Bands of range are about the sensors at the frame whose window it is, the one that a forecast is made at.
+    """
+
+    def __init__(self, grid: GridSpec, kinds: CellKinds, strata: tuple[str, ...] = STRATA) -> None:
+        self.strata = strata
+        self._grid, self._kinds = grid, kinds
+        self._newest: tuple[object, RegionMaps] | None = None
+
+    def of(self, observation: Observation) -> RegionMaps:
+        """The region maps of the window of an observation. Raises RecordingError for a scene that cannot be placed."""
+        pose, origins = observation.reference_T_grid, observation.frame.origins
+        key, newest = (pose, origins.tobytes()), self._newest
+        if newest is not None and newest[0] == key:
+            return newest[1]
+        maps = region_maps_of(self._kinds.at(pose), self._grid, origins, self.strata)
+        self._newest = key, maps
+        return maps
+
+
+def regions_of(stream: GridStream, strata: tuple[str, ...]) -> Regions:
+    """Regions of a stretch: from the true scene, without truth from a pass over the whole recording.
+
+    Raises RecordingError.
+    """
+    scene = next((one.scene for one in stream.observations() if one.scene), None) if stream.has_truth else None
+    kinds = KindsOfOutlines(scene, stream.grid) if scene else observed_kinds(stream.all_observations(), stream.grid)
+    return Regions(stream.grid, kinds, strata)

@@ -1,0 +1,151 @@
+"""Several trainings of a tracker in one run: the spread of its scores, and differences that are judged with it.
+
+Rows of the same tracker, options and points that differ in their weights are trainings of one tracker.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from gridtrack.evaluation.results.summary import ALL_RECORDINGS, ORACLE, TrackerTrainings, TrainingsScore
+from gridtrack.evaluation.results.values import rounded, rounded_p
+from gridtrack.evaluation.statistics.finished_trial import FinishedTrial
+from gridtrack.evaluation.statistics.jackknife import COUNTS, LEAST_UNITS, RATIO_SCORES, Floats, PairedDifferences, holm
+from gridtrack.evaluation.statistics.paired_tests import OTHER_FRAMES, OTHER_RETURNS, verdict_of
+from gridtrack.evaluation.statistics.run_statistics import RunStatistics
+from gridtrack.evaluation.statistics.score_intervals import Scope, summed_by_unit
+from gridtrack.evaluation.statistics.training_differences import Trainings, training_differences
+from gridtrack.evaluation.statistics.training_spread import spread_between, value_of
+
+ONE_TRAINING = "one training: the spread between trainings is not known"
+
+
+@dataclass(frozen=True, slots=True)
+class TrainingRows:
+    """The rows of one tracker on the recordings `names`, and those of the reference: the trials of each training."""
+
+    names: tuple[str, ...]
+    own: Sequence[Sequence[FinishedTrial]]
+    reference: Sequence[Sequence[FinishedTrial]]
+
+
+class TrainingStatistics:
+    """The trackers of a run by their trainings, where a tracker has several."""
+
+    def __init__(self, statistics: RunStatistics) -> None:
+        self._statistics = statistics
+
+    def found(self) -> list[TrackerTrainings]:
+        """Every tracker with its trainings: over all recordings if pooled, else on each. Raises ScoresError."""
+        rows = [one for names in self._statistics.groups for one in self._rows_on(names)]
+        compared = [self._compared(one) for one in rows]
+        ends = np.cumsum([0, *(len(one.differences.p) for one in compared)]).tolist()
+        p = holm(np.concatenate([np.zeros(0), *(one.differences.p for one in compared)]))
+        return [
+            self._described(of, one, p[start:end])
+            for of, one, start, end in zip(rows, compared, ends, ends[1:], strict=False)
+        ]
+
+    def _rows_on(self, names: Sequence[str]) -> list[TrainingRows]:
+        """The trackers on these recordings by their trainings; none where no tracker has several."""
+        statistics = self._statistics
+        groups: dict[tuple[str, str, str], list[list[FinishedTrial]]] = {}
+        for label in statistics.labels:
+            trials = statistics.complete(label, names)
+            if len(trials) < len(names) or trials[0].tracker == ORACLE:
+                continue
+            first = trials[0]
+            options = json.dumps(dict(first.options), sort_keys=True, default=str)
+            known = groups.setdefault((first.tracker, options, first.points), [])
+            if all(first.record.weights_sha256 != other[0].record.weights_sha256 for other in known):
+                known.append(trials)
+        reference = next((one for one in groups.values() if statistics.reference in [_label(row) for row in one]), None)
+        if reference is None or all(len(one) == 1 for one in groups.values()):
+            return []
+        return [TrainingRows(tuple(names), one, reference) for one in groups.values()]
+
+    def _compared(self, rows: TrainingRows) -> _Compared:
+        """The scores of the trainings, and their differences from the reference's."""
+        scope = self._statistics.scope(rows.names, [*rows.own[0], *rows.reference[0]])
+        own, why = self._trainings(rows.own, scope, rows.names), self._why_unpaired(rows)
+        if why or rows.own is rows.reference:
+            nothing = np.full(own.sums.shape[2], np.nan)
+            return _Compared(scope, own, PairedDifferences(*(nothing.copy() for _ in range(4))), why)
+        reference = self._trainings(rows.reference, scope, rows.names)
+        units = own.sums.shape[1]
+        if units < LEAST_UNITS:
+            why = self._statistics.unit_rule(rows.names).too_short(units)
+        elif not (own.spread_known and reference.spread_known):
+            why = ONE_TRAINING
+        return _Compared(scope, own, training_differences(own, reference), why)
+
+    def _why_unpaired(self, rows: TrainingRows) -> str:
+        if rows.own[0][0].points != rows.reference[0][0].points:
+            return OTHER_RETURNS
+        return OTHER_FRAMES if len({self._frames(one) for one in (*rows.own, *rows.reference)}) > 1 else ""
+
+    def _frames(self, trials: Sequence[FinishedTrial]) -> tuple[bytes, ...]:
+        """What tells whether two rows were scored on the same frames."""
+        frames = map(self._statistics.frames_of, trials)
+        return tuple(one.stamps_ns.tobytes() + one.delivered.tobytes() for one in frames)
+
+    def _trainings(self, rows: Sequence[Sequence[FinishedTrial]], scope: Scope, names: Sequence[str]) -> Trainings:
+        """F1 of the rows at the headline's strata and horizons."""
+        rule = self._statistics.unit_rule(names)
+        weights = [np.array([side.get(name, 0.0) for name in COUNTS]) for side in RATIO_SCORES["f1"]]
+        steps = [step for _, _, step in scope.headline]
+        strata = [scope.strata.index(stratum) for stratum, _, _ in scope.headline]
+        sums = []
+        for trials in rows:
+            (counts,), _ = summed_by_unit([[self._statistics.frames_in(t, scope.strata) for t in trials]], rule)
+            sums.append(np.stack([counts[:, steps, strata] @ weight for weight in weights], axis=-1))
+        return Trainings(np.stack(sums), learned=bool(rows[0][0].record.weights_sha256))
+
+    def _described(self, rows: TrainingRows, compared: _Compared, p_holm: Floats) -> TrackerTrainings:
+        names, own, found = rows.names, compared.own, compared.differences
+        f1 = value_of(own.sums.sum(axis=1))
+        spread = spread_between(own.sums).deviation if len(f1) > 1 else np.full(f1.shape[1], np.nan)
+        is_reference = rows.own is rows.reference
+        return TrackerTrainings(
+            recordings=ALL_RECORDINGS if len(names) > 1 else names[0],
+            tracker=rows.own[0][0].tracker,
+            labels=tuple(map(_label, rows.own)),
+            reference=_label(rows.reference[0]),
+            units=own.sums.shape[1],
+            interval=compared.why,
+            scores=tuple(
+                TrainingsScore(
+                    stratum=stratum,
+                    horizon_s=round(horizon_s, 6),
+                    step=step,
+                    f1=tuple(rounded(float(value)) for value in f1[:, i]),
+                    f1_mean=rounded(float(own.mean[i])),
+                    f1_spread=rounded(float(spread[i])),
+                    difference=rounded(float(found.value[i])),
+                    difference_low=rounded(float(found.low[i])),
+                    difference_high=rounded(float(found.high[i])),
+                    difference_p=rounded_p(float(found.p[i])),
+                    p_holm=rounded_p(float(p_holm[i])),
+                    verdict="" if is_reference else verdict_of(float(found.value[i]), float(p_holm[i])),
+                )
+                for i, (stratum, horizon_s, step) in enumerate(compared.scope.headline)
+            ),
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class _Compared:
+    """The trainings of one tracker in a scope, their differences from the reference's, and why there are none."""
+
+    scope: Scope
+    own: Trainings
+    differences: PairedDifferences
+    why: str
+
+
+def _label(trials: Sequence[FinishedTrial]) -> str:
+    return trials[0].record.label
