@@ -11,6 +11,7 @@ import sys
 BENCHMARKS = (
     "import_time",
     "raycast",
+    "ego_motion",
     "scoring",
     "statistics",
     "harness",

@@ -17,8 +17,8 @@ import numpy as np
 
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec
+from gridtrack.trackers.calibration import IDENTITY, Calibration
 from gridtrack.trackers.model_free.background import BackgroundMap
-from gridtrack.trackers.model_free.calibration import IDENTITY, Calibration
 from gridtrack.trackers.model_free.classes import FEATURES, ClassFilter, ClassModel
 from gridtrack.trackers.model_free.factor_graph import FactorGraphTracker
 from gridtrack.trackers.model_free.kalman import KalmanTracker
@@ -112,7 +112,7 @@ def measure_classes(pipeline: TimedPipeline, classes: ClassFilter, frame: GridFr
     start = time.process_time()
     Pipeline.forecast(pipeline, STEPS)
     between = time.process_time()
-    classes.observe(pipeline.tracks, frame)
+    classes.observe(pipeline.tracks, frame, pipeline.window)
     pipeline.forecast_classes(STEPS, classes.cell_prior, classes.posteriors(pipeline.tracks))
     pipeline.seconds[MORE].append(time.process_time() - between - (between - start))
 

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import argparse
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import torch
@@ -14,6 +14,7 @@ import torch
 from gridtrack.trackers.recurrent.convgru_tracker import DilatedConvGRUTracker
 from gridtrack.trackers.recurrent.recurrent_tracker import RecurrentTracker
 from gridtrack.trackers.recurrent.rnn_tracker import DeepTrackingRNNTracker
+from gridtrack.trackers.recurrent.settings import Precision
 
 from benchmarks.timing import median_ms
 
@@ -28,7 +29,7 @@ def random_planes(seed: int) -> np.ndarray:
     return np.stack([visible, occupied]).astype(np.float32)
 
 
-def print_training_rate(kind: type[RecurrentTracker], threads: int) -> None:
+def print_training_rate(kind: type[RecurrentTracker], precision: Precision, threads: int) -> None:
     from gridtrack.trackers.recurrent.training import sequence_loss
 
     torch.set_num_threads(threads)
@@ -39,11 +40,12 @@ def print_training_rate(kind: type[RecurrentTracker], threads: int) -> None:
     windows = window.expand(options.batch, -1, -1, -1, -1)
 
     def one_update() -> None:
-        with torch.autocast("cpu", torch.bfloat16):
+        with torch.autocast("cpu", torch.bfloat16, enabled=precision == "bf16-mixed"):
             sequence_loss(on_processor, windows, options).backward()  # type: ignore[no-untyped-call]
 
     seconds = median_ms(one_update, runs=3) / 1e3
-    print(f"{kind.name}: {options.batch * options.length / seconds:.0f} training frames/s ({threads} threads, bf16)")
+    rate = options.batch * options.length / seconds
+    print(f"{kind.name}: {rate:.0f} training frames/s ({threads} threads, {precision})")
 
 
 def main() -> None:
@@ -51,7 +53,8 @@ def main() -> None:
     parser.add_argument("--threads", type=int, default=torch.get_num_threads())
     threads = parser.parse_args().threads
     for kind in (DilatedConvGRUTracker, DeepTrackingRNNTracker):
-        print_training_rate(kind, threads)
+        for precision in get_args(Precision):
+            print_training_rate(kind, precision, threads)
 
 
 if __name__ == "__main__":

@@ -86,10 +86,10 @@ def seen_in(places: Array, laser: Laser, random: np.random.Generator, step: int)
     angles = np.arange(16) * math.tau / 16
     disc = (RADIUS_M * np.stack([np.cos(angles), np.sin(angles)], axis=1)).astype(np.float32)
     bodies = tuple(SceneObject(n, n, SE2(x, y, 0.0), disc) for n, (x, y) in enumerate(places.tolist()))
-    scan = laser.scan(Scene((), 255, bodies), round(step * PERIOD_S * 1e9), random)
+    scan = laser.scan(Scene((), 255, bodies), round(step * PERIOD_S * 1e9), laser.pose, random)
     assert scan.labels is not None  # a laser that sees labelled bodies
     visible, occupied = np.zeros(GRID.shape, bool), np.zeros(GRID.shape, bool)
-    cast_scan(scan, GRID, laser.world_T_sensor, visible, occupied)
+    cast_scan(scan, GRID, laser.pose, visible, occupied)
     points = GRID.cell_centres(occupied)
     origins = np.array([[laser.x, laser.y]], np.float32)
     frame = GridFrame(scan.stamp_ns, visible, occupied, SE2(), origins, points, np.zeros(len(points), np.uint8))
@@ -135,9 +135,7 @@ def ours(hall_frames: list[HallFrame], settings: PipelineSettings) -> Tracked:
         begun = time.thread_time()
         pipeline.update(one.frame)
         seconds.append(time.thread_time() - begun)
-        found.append(
-            np.array([one.box[:2] for one in objects(pipeline.tracks, pipeline.grid.cell_m)], float).reshape(-1, 2)
-        )
+        found.append(np.array([one.box[:2] for one in objects(pipeline.tracks, pipeline.window)], float).reshape(-1, 2))
     return found, seconds
 
 

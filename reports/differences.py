@@ -81,7 +81,7 @@ def _rows_of(name: str, difference: TrackerDifference, columns: Sequence[tuple[s
 def _f1_cell(test: HeadlineTest | None) -> DifferenceCell:
     if test is None or test.f1 is None:
         return DifferenceCell(UNDEFINED, "", "", "not tested")
-    interval = _interval_text(test.f1_low, test.f1_high, 3)
+    interval = interval_text(test.f1_low, test.f1_high, 3)
     return DifferenceCell(f"{test.f1:+.3f}", interval, p_text(test.p_holm), test.verdict)
 
 
@@ -90,10 +90,11 @@ def _uncorrected_cell(test: HeadlineTest | None, score: str, digits: int) -> Dif
     if value is None:
         return DifferenceCell(UNDEFINED, "", "", "not tested")
     low, high, p = (getattr(test, f"{score}_{end}") for end in ("low", "high", "p"))
-    return DifferenceCell(f"{value:+.{digits}f}", _interval_text(low, high, digits), p_text(p), "uncorrected")
+    return DifferenceCell(f"{value:+.{digits}f}", interval_text(low, high, digits), p_text(p), "uncorrected")
 
 
-def _interval_text(low: float | None, high: float | None, digits: int) -> str:
+def interval_text(low: float | None, high: float | None, digits: int) -> str:
+    """An interval of differences with their signs; empty where there is none."""
     return "" if low is None or high is None else f"[{low:+.{digits}f}, {high:+.{digits}f}]"
 
 

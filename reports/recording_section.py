@@ -18,6 +18,7 @@ from gridtrack.reports.occluded_thresholds import OccludedThresholds, occluded_t
 from gridtrack.reports.reliability import DIAGRAM_SIDE, LEAST_CELLS, ReliabilityDiagram, reliability_diagrams
 from gridtrack.reports.run import Run
 from gridtrack.reports.table import MAIN_STRATUM, HeadlineTable, TableRow
+from gridtrack.reports.trainings import TrainingsTable, trainings_table
 
 TRACKER_COLOURS = 8
 """Further trackers repeat the colours, with broken lines."""
@@ -78,6 +79,7 @@ class Section:
     details: tuple[ScoreDetail, ...]
     differences: DifferenceTable | None
     """Only on the page of one run."""
+    trainings: TrainingsTable | None
     curves: tuple[tuple[str, tuple[CurvePanel, ...]], ...]
     """For each run its name (empty where there is only one) and its panels."""
     threshold_horizons: tuple[str, ...]
@@ -135,6 +137,7 @@ def section_of(runs: Sequence[Run], table: HeadlineTable, styles: Mapping[str, s
         table=table,
         details=tuple(_details(table)),
         differences=difference_table(runs[0], table.recording) if len(runs) == 1 else None,
+        trainings=trainings_table(runs[0], table.recording) if len(runs) == 1 else None,
         curves=tuple((run.name if len(runs) > 1 else "", _panels(run, table, styles)) for run in shown),
         threshold_horizons=horizons,
         thresholds=thresholds,

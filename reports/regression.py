@@ -14,11 +14,12 @@ from gridtrack.evaluation.regression.criteria import COLLAPSE, LARGE_MARGINS
 from gridtrack.evaluation.regression.judging import Criterion, VerdictRow
 from gridtrack.evaluation.regression.measurement import BANDS, Baseline
 from gridtrack.evaluation.regression.recoveries import RecoveryRow
-from gridtrack.evaluation.regression.rows import paired_rows, value_of
+from gridtrack.evaluation.regression.rows import paired_rows
 from gridtrack.evaluation.regression.significance import FAMILY_LEVEL
 from gridtrack.evaluation.regression.speed import SpeedRow
 from gridtrack.evaluation.regression.verdict import AnyRow, Verdict
 from gridtrack.evaluation.statistics.jackknife import LEAST_UNITS
+from gridtrack.evaluation.statistics.training_spread import value_of
 from gridtrack.reports.markdown import escaped, markdown_table
 from gridtrack.reports.run import UNDEFINED
 

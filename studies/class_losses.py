@@ -15,10 +15,11 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from gridtrack.evaluation.scoring.motion import ObservedMotion
 from gridtrack.evaluation.scoring.referee import Delivery, Schedule
+from gridtrack.evaluation.scoring.regions import Regions
 from gridtrack.evaluation.scoring.semantics import VISIBILITIES, count_classes, match_classes
 from gridtrack.evaluation.scoring.target import Target
+from gridtrack.evaluation.scoring.world_kinds import KindsOfWindow
 from gridtrack.recordings.stream import GridStream, open_stream
 from gridtrack.trackers import registry
 from gridtrack.trackers.contract import Tracker
@@ -54,13 +55,13 @@ def losses_of(name: str) -> Losses:
     """Of one test recording, at the frames that a comparison `--every 2s` scores."""
     stream = open_stream(JUNCTION / f"{name}.tracks")
     schedule, trackers = Schedule(len(stream), STEPS, EVERY), trackers_of(stream)
-    no_parts = ObservedMotion(stream, np.zeros(stream.grid.shape, np.bool_))
+    no_kinds = Regions(stream.grid, KindsOfWindow(np.zeros(stream.grid.shape, np.uint8)))
     frames: list[Target] = []
     pending: list[tuple[int, str, NDArray[np.float32]]] = []
-    for index, target in enumerate(Delivery(stream, lambda: None, no_parts)):
-        frames.append(target)
+    for index, moment in enumerate(Delivery(stream, lambda: None, no_kinds)):
+        frames.append(moment.target)
         for row, tracker in trackers.items():
-            tracker.update(target.frame)
+            tracker.update(moment.frame)
             if schedule.due(index):
                 semantics = tracker.predict(AHEAD).semantics
                 assert semantics is not None

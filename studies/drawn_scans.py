@@ -22,7 +22,8 @@ from gridtrack.common.raycast import cast_scan
 from gridtrack.evaluation.comparison.oracle import expected_grid, range_errors
 from gridtrack.evaluation.scoring.counting import CLIP
 from gridtrack.evaluation.scoring.strata import CELL_KINDS, cell_kinds_around
-from gridtrack.recordings.stream import GridStream, Observation, open_stream
+from gridtrack.recordings.observation import Observation
+from gridtrack.recordings.stream import GridStream, open_stream
 from gridtrack.recordings.truth import static_cells
 from gridtrack.simulation.laser import with_noise
 from gridtrack.simulation.range_errors import true_ranges

@@ -21,10 +21,8 @@ from sklearn.metrics import average_precision_score
 from gridtrack.evaluation.results.columns import PROBABILITY_EDGES
 from gridtrack.evaluation.scoring import metrics
 from gridtrack.evaluation.scoring.counting import Tally
-from gridtrack.evaluation.scoring.motion import ObservedMotion
 from gridtrack.evaluation.scoring.referee import Delivery, scored_forecasts
 from gridtrack.evaluation.scoring.splits import Sampling, plan_split
-from gridtrack.evaluation.scoring.strata import CELL_KINDS
 from gridtrack.evaluation.scoring.target import SEEN_OCCUPIED
 
 from studies.support.results_file import measured_table, write_table
@@ -46,12 +44,12 @@ def forecasts(recording: str, name: str) -> Iterator[Case]:
     """The scored cells of tracker `name`: dynamic and visible ones at each horizon."""
     path, validation = RECORDINGS[recording]
     split = plan_split(str(path), str(validation) if validation else None, Sampling(max(HORIZONS_S), 0.5))
-    dynamic = (split.regions().test.cell_kinds == CELL_KINDS.index("dynamic")).reshape(-1)
+    regions = split.regions().test
     steps = [round(horizon_s / split.test.period_s) for horizon_s in HORIZONS_S]
     found: dict[int, list[tuple[NDArray[Any], ...]]] = {step: [] for step in steps}
-    no_parts = ObservedMotion(split.test, np.zeros(split.test.grid.shape, np.bool_))
-    delivery = Delivery(split.test, lambda: None, no_parts)
+    delivery = Delivery(split.test, lambda: None, regions)
     for scored in scored_forecasts(shipped_tracker(name, split.test), delivery, split.schedule, 0):
+        dynamic = scored.region_maps.dynamic.reshape(-1)
         for step in steps:
             state = scored.targets[step].state.reshape(-1)
             seen = state <= SEEN_OCCUPIED

@@ -23,10 +23,11 @@ from torch import Tensor
 
 from gridtrack.common.config import validated
 from gridtrack.common.grid import GridFrame
-from gridtrack.evaluation.scoring.motion import ObservedMotion
 from gridtrack.evaluation.scoring.referee import Delivery, Schedule
+from gridtrack.evaluation.scoring.regions import Regions
 from gridtrack.evaluation.scoring.semantics import VISIBILITIES, Matching, count_classes, match_classes
 from gridtrack.evaluation.scoring.target import Target
+from gridtrack.evaluation.scoring.world_kinds import KindsOfWindow
 from gridtrack.recordings.stream import GridStream, open_stream
 from gridtrack.trackers.cell_training import best_classifier
 from gridtrack.trackers.contract import FitOutput
@@ -86,13 +87,13 @@ def readings(name: str, options: DilatedConvGRUOptions) -> Iterator[Reading]:
     """Of one test recording, at the frames that a comparison `--every 2s` scores."""
     stream = open_stream(JUNCTION / f"{name}.tracks")
     schedule, tracker = Schedule(len(stream), STEPS, EVERY), latent_tracker(stream)
-    no_parts = ObservedMotion(stream, np.zeros(stream.grid.shape, np.bool_))
+    no_kinds = Regions(stream.grid, KindsOfWindow(np.zeros(stream.grid.shape, np.uint8)))
     frames: list[Target] = []
     pending: list[tuple[int, Tensor]] = []
     tracker.reset(0)
-    for index, target in enumerate(Delivery(stream, lambda: None, no_parts)):
-        frames.append(target)
-        tracker.update(target.frame)
+    for index, moment in enumerate(Delivery(stream, lambda: None, no_kinds)):
+        frames.append(moment.target)
+        tracker.update(moment.frame)
         if schedule.due(index):
             pending.append((index, states(tracker, options)))
     for index, state in pending:

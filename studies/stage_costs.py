@@ -22,10 +22,10 @@ from gridtrack.common.geometry import SE2, wrap_angle
 from gridtrack.common.grid import GridFrame, GridSpec, Mask
 from gridtrack.common.scene import SceneObject
 from gridtrack.evaluation.scoring.in_process import score_in_process
-from gridtrack.evaluation.scoring.motion import ObservedMotion
-from gridtrack.evaluation.scoring.splits import region_maps_in
+from gridtrack.evaluation.scoring.regions import regions_of
 from gridtrack.evaluation.scoring.strata import STRATA
-from gridtrack.recordings.stream import GridStream, Observation, open_stream
+from gridtrack.recordings.observation import Observation
+from gridtrack.recordings.stream import GridStream, open_stream
 from gridtrack.trackers.contract import Forecast
 from gridtrack.trackers.model_free.factor_graph import FactorGraphTracker
 from gridtrack.trackers.model_free.kalman import KalmanTracker
@@ -214,9 +214,8 @@ def owner_of(points: Points, truth: TrueFrame, grid: GridSpec) -> int | None:
 
 def scores(kind: type[ModelFreeTracker], stream: GridStream) -> list[float]:
     """F1 of dynamic and of visible cells at HORIZONS."""
-    maps = region_maps_in(stream, STRATA)
     tracker = with_shipped_weights(kind, kind.name, stream)
-    found = score_in_process(tracker, stream, STEPS, maps, ObservedMotion(stream, maps.dynamic))
+    found = score_in_process(tracker, stream, STEPS, regions_of(stream, STRATA))
     return [float(found.f1[stratum][step]) for stratum in ("dynamic", "visible") for step in HORIZONS.values()]
 
 

@@ -24,7 +24,8 @@ from numpy.typing import NDArray
 
 from gridtrack.common.grid import GridFrame, GridSpec
 from gridtrack.evaluation.scoring.strata import CELL_KINDS, cell_kinds_around
-from gridtrack.recordings.stream import Observation, open_stream
+from gridtrack.recordings.observation import Observation
+from gridtrack.recordings.stream import open_stream
 from gridtrack.recordings.truth import static_cells
 from gridtrack.trackers.model_free.factor_graph import FactorGraphTracker
 from gridtrack.trackers.model_free.kalman import KalmanTracker

@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridSpec
-from gridtrack.recordings.stream import Observation, open_stream
+from gridtrack.recordings.observation import Observation
+from gridtrack.recordings.stream import open_stream
 from gridtrack.trackers.contract import Forecast
 
 from studies.support.results_file import measured_table, write_table

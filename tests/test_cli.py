@@ -190,7 +190,7 @@ def test_show_lists_the_options_and_their_defaults():
 def test_check_runs_the_contract_suite():
     rows = json.loads(gridtrack("trackers", "check", "persistence", "--json").stdout)
     assert {row["verdict"] for row in rows} == {"passed"}
-    assert len(rows) == 9
+    assert len(rows) == 10
 
 
 def test_settings_of_a_row_of_a_comparison_are_refused_by_other_commands():

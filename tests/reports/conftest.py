@@ -11,15 +11,18 @@ from gridtrack.evaluation.results.passes import Latency, Quantiles
 from gridtrack.evaluation.results.recording import RecordingDescription
 from gridtrack.evaluation.results.trial_record import TrialRecord
 from gridtrack.evaluation.scoring.counting import count_forecast
+from gridtrack.evaluation.scoring.moments import moments
 from gridtrack.evaluation.scoring.motion import ObservedMotion
 from gridtrack.evaluation.scoring.referee import ScoredForecast
+from gridtrack.evaluation.scoring.regions import Regions
 from gridtrack.evaluation.scoring.samples import SAMPLES, SampleWriter
 from gridtrack.evaluation.scoring.score_store import ScoreWriter
-from gridtrack.evaluation.scoring.strata import STRATA, cell_kinds_of, region_maps_of
-from gridtrack.evaluation.scoring.target import targets as targets_of
+from gridtrack.evaluation.scoring.strata import STRATA
 from gridtrack.evaluation.scoring.thresholds import Thresholds, bins_of
+from gridtrack.evaluation.scoring.world_kinds import observed_kinds
 from gridtrack.evaluation.statistics.finished_trial import FinishedTrial
 from gridtrack.evaluation.statistics.summary import summarise
+from gridtrack.recordings.observation import Observation
 from gridtrack.trackers.contract import Forecast
 
 from scenes.synthetic_run import DESCRIBED, write_run_record
@@ -51,7 +54,7 @@ def frame(index):
 
 
 FRAME_LIST = [frame(index) for index in range(FRAMES)]
-REGION_MAPS = region_maps_of(cell_kinds_of(FRAME_LIST, GRID, SE2()), GRID, FRAME_LIST[0].origins)
+REGIONS = Regions(GRID, observed_kinds(map(Observation, FRAME_LIST), GRID))
 
 
 class Frames(list):
@@ -60,7 +63,7 @@ class Frames(list):
     grid, period_s, classes = GRID, PERIOD_S, ()
 
 
-TARGETS = list(targets_of(Frames(FRAME_LIST), ObservedMotion(Frames(), REGION_MAPS.dynamic)))
+MOMENTS = list(moments(Frames(FRAME_LIST), REGIONS, ObservedMotion(Frames())))
 JUST_SEEN = np.zeros(GRID.shape, np.uint8)
 
 
@@ -109,9 +112,9 @@ def write_trial(run, label, tracker, forecast, scored=EXPECTED, outcome="ok", re
         SampleWriter(folder / SAMPLES, GRID, PERIOD_S, STEPS) as samples,
     ):
         for t in list(range(WARM_UP, FRAMES - STEPS, EVERY))[:scored]:
-            targets = tuple(TARGETS[t : t + STEPS + 1])
-            one = ScoredForecast(Forecast(forecast(t)), targets, JUST_SEEN)
-            counted = count_forecast(one.forecast.occupancy, targets, REGION_MAPS)
+            targets = tuple(moment.target for moment in MOMENTS[t : t + STEPS + 1])
+            one = ScoredForecast(Forecast(forecast(t)), targets, MOMENTS[t].region_maps, JUST_SEEN)
+            counted = count_forecast(one.forecast.occupancy, targets, one.region_maps)
             scores.add(one.stamp_ns, f"{t:032x}", counted, one.frames[-1].stamp_ns)
             samples.add(one)
     record = TrialRecord(

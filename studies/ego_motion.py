@@ -1,0 +1,200 @@
+"""Ego-motion on logs of robots: settings chosen on one half of a log and reported on the other; sharpness of maps.
+
+`python -m studies.ego_motion relations LOG RELATIONS [--out FILE]` and `python -m studies.ego_motion maps RECORDING...`
+take some minutes each.
+
+`relations` needs reference poses of scan pairs: `t1 t2 x y z roll pitch yaw` a line, as those of Kümmerle et al., On
+measuring the accuracy of SLAM algorithms, Autonomous Robots 2009; aces is the log of docs/results. `maps` has no truth:
+the median distance of returns from the map of the scans before, and the cells of 5 cm that a minute of returns covers,
+fewer where the walls of the map are thin; RECORDING may be an .npz with t (s), r (m) and pose, 180 degrees.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from itertools import islice, product
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gridtrack.common.geometry import SE2, wrap_angle
+from gridtrack.common.scan import Scan
+from gridtrack.recordings import open_recording
+from gridtrack.recordings.ego_motion import MatchedTrajectory, MatchingSettings, PoseSource, matched_trajectory
+from gridtrack.recordings.ego_motion.returns import returns_of
+
+from studies.support.results_file import ResultSection, measured_table, write_section
+
+MAX_APART_S = 2.0
+NEAREST_S = 0.01
+AIMS = (0.035, 0.10, 1.0)
+"""Median and 95th percentile of the position's error, metres, and 95th percentile of the heading's, degrees."""
+KERNELS_M, VOXELS_M = (0.1, 0.2), (0.3, 0.5)
+MAP_SCANS, MAP_S, MAP_CELL_M = 3000, 60.0, 0.05
+COLUMNS = ("pairs", "median, m", "95 %, m", "heading 95 %, deg")
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Pairs:
+    """Scans of reference pairs: indices (P, 2), seconds (P,) of the first, and the relative poses."""
+
+    indices: NDArray[np.int64]
+    seconds: Array
+    relative: list[SE2]
+
+
+def pairs_of(path: Path, scans: Sequence[Scan]) -> Pairs:
+    """The pairs at most MAX_APART_S apart whose scans are in the log."""
+    rows = np.loadtxt(path)
+    rows = rows[rows[:, 1] - rows[:, 0] <= MAX_APART_S]
+    stamps = np.array([scan.stamp_ns for scan in scans]) / 1e9
+    nearest = np.abs(stamps[:, None] - rows[:, :2].reshape(1, -1)).argmin(axis=0).reshape(-1, 2)
+    known = (np.abs(stamps[nearest] - rows[:, :2]) < NEAREST_S).all(axis=1)
+    rows, nearest = rows[known], nearest[known]
+    return Pairs(nearest, stamps[nearest[:, 0]] - stamps[0], [SE2(row[2], row[3], row[7]) for row in rows])
+
+
+def errors(poses: Sequence[SE2], pairs: Pairs) -> Array:
+    """(P, 2): the position's error in metres and the heading's in degrees."""
+    found = []
+    for (first, second), true in zip(pairs.indices, pairs.relative, strict=True):
+        off = true.inverse() @ (poses[first].inverse() @ poses[second])
+        found.append((math.hypot(off.x, off.y), abs(math.degrees(wrap_angle(off.theta)))))
+    return np.array(found)
+
+
+def figures(found: Array) -> tuple[float, float, float]:
+    return (
+        float(np.median(found[:, 0])),
+        float(np.percentile(found[:, 0], 95)),
+        float(np.percentile(found[:, 1], 95)),
+    )
+
+
+def worst(found: Array) -> float:
+    """The largest ratio of a figure to its aim: settings are chosen by it."""
+    return max(value / aim for value, aim in zip(figures(found), AIMS, strict=True))
+
+
+def cross_fitted(candidates: dict[str, Array], halves: Sequence[NDArray[np.bool_]]) -> tuple[list[str], Array]:
+    """The candidate chosen for each half on the other one, and the errors of every pair with that candidate."""
+    chosen = [min(candidates, key=lambda name: worst(candidates[name][~half])) for half in halves]
+    together = np.empty_like(next(iter(candidates.values())))
+    for half, name in zip(halves, chosen, strict=True):
+        together[half] = candidates[name][half]
+    return chosen, together
+
+
+def relations(log: Path, path: Path, out: Path | None) -> None:
+    scans = list(open_recording(log).scans())
+    pairs = pairs_of(path, scans)
+    first = pairs.seconds < (scans[-1].stamp_ns - scans[0].stamp_ns) / 2e9
+    halves = {"first half": first, "second half": ~first}
+    odometry = errors([scan.world_T_sensor for scan in scans], pairs)
+    candidates = {}
+    for kernel_m, voxel_m in product(KERNELS_M, VOXELS_M):
+        settings = MatchingSettings(kernel_m=kernel_m, voxel_m=voxel_m)
+        name = f"kernel {kernel_m:g} m, voxels {voxel_m:g} m"
+        candidates[name] = errors(matched_trajectory(scans, "refined", settings).matched, pairs)
+        print(name, figures(candidates[name]), flush=True)
+    chosen, refined = cross_fitted(candidates, list(halves.values()))
+    alone = errors(matched_trajectory(scans, "kiss-icp", MatchingSettings()).matched, pairs)
+    ways = {"odometry": odometry, "refined": refined, "kiss-icp": alone}
+    rows = [
+        [f"{way}, {name}", str(half.sum()), *(f"{value:.3f}" for value in figures(found[half]))]
+        for name, half in {**halves, "all": first | ~first}.items()
+        for way, found in ways.items()
+    ]
+    searched = [
+        [name, *(f"{worst(found[half]):.2f}" for half in halves.values())] for name, found in candidates.items()
+    ]
+    values = {f"chosen for the {half}": name for half, name in zip(halves, chosen, strict=True)}
+    tables = {
+        "errors": measured_table(("poses", *COLUMNS), rows),
+        "search": measured_table(("settings", *halves), searched),
+    }
+    finish(
+        out,
+        "aces",
+        ResultSection(
+            command="python -m studies.ego_motion relations", source="measured", tables=tables, values=values
+        ),
+    )
+
+
+def scans_of(path: Path) -> list[Scan]:
+    """At most MAP_SCANS scans of a recording, or of an .npz."""
+    if path.suffix != ".npz":
+        return list(islice(open_recording(path).scans(), MAP_SCANS))
+    with np.load(path) as arrays:
+        return [
+            Scan(round(t * 1e9), r, -math.pi / 2, math.pi / (len(r) - 1), 0.1, 81.0, world_T_sensor=SE2(*pose.tolist()))
+            for t, r, pose in zip(*(arrays[name][:MAP_SCANS] for name in ("t", "r", "pose")), strict=True)
+        ]
+
+
+def covered_cells(scans: Sequence[Scan], poses: Sequence[SE2], max_range_m: float) -> float:
+    """Cells of MAP_CELL_M per hundred returns of MAP_S seconds, mean over the recording."""
+    start_ns, parts = scans[0].stamp_ns, dict[int, list[Array]]()
+    for scan, pose in zip(scans, poses, strict=True):
+        points = pose.apply(returns_of(scan, max_range_m, SE2(), 0.0).points)
+        parts.setdefault(round((scan.stamp_ns - start_ns) / 1e9 // MAP_S), []).append(points)
+    shares = []
+    for part in parts.values():
+        cells = np.floor(np.concatenate(part) / MAP_CELL_M).astype(np.int64)
+        if len(cells):
+            shares.append(100.0 * len(np.unique(cells, axis=0)) / len(cells))
+    return float(np.mean(shares))
+
+
+def maps(recordings: Iterable[Path], out: Path | None) -> None:
+    rows = []
+    for path in recordings:
+        scans, settings = scans_of(path), MatchingSettings()
+        sources: tuple[PoseSource, ...] = ("refined", "kiss-icp")
+        trajectories: dict[str, MatchedTrajectory] = {
+            source: matched_trajectory(scans, source, settings) for source in sources
+        }
+        recorded = covered_cells(scans, [scan.world_T_sensor for scan in scans], settings.max_range_m)
+        rows.append([f"{path.name.split('.')[0]}, recorded", str(len(scans)), "", "", f"{recorded:.2f}"])
+        for source, one in trajectories.items():
+            residuals = [q.residual_m for q in one.qualities if not q.failed]
+            fell_back = np.mean([q.fell_back for q in one.qualities])
+            cells = covered_cells(scans, one.matched, settings.max_range_m)
+            figures_text = [f"{np.median(residuals):.3f}", f"{100 * fell_back:.1f}", f"{cells:.2f}"]
+            rows.append([f"{path.name.split('.')[0]}, {source}", str(len(scans)), *figures_text])
+    columns = ("poses", "scans", "median residual, m", "fell back, %", "cells per 100 returns")
+    tables = {"table": measured_table(columns, rows)}
+    finish(out, "maps", ResultSection(command="python -m studies.ego_motion maps", source="measured", tables=tables))
+
+
+def finish(out: Path | None, name: str, section: ResultSection) -> None:
+    print("\n\n".join(table.markdown() for table in section.tables.values()), *section.values.items(), sep="\n")
+    if out is not None:
+        write_section(out, name, section)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    commands = parser.add_subparsers(dest="command", required=True)
+    one = commands.add_parser("relations")
+    one.add_argument("log", type=Path)
+    one.add_argument("relations", type=Path)
+    many = commands.add_parser("maps")
+    many.add_argument("recordings", type=Path, nargs="+")
+    for command in (one, many):
+        command.add_argument("--out", type=Path, help="docs/results/moving/ego_motion.json")
+    arguments = parser.parse_args()
+    if arguments.command == "relations":
+        relations(arguments.log, arguments.relations, arguments.out)
+    else:
+        maps(arguments.recordings, arguments.out)
+
+
+if __name__ == "__main__":
+    main()
