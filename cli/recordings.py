@@ -10,8 +10,13 @@ import typer
 from gridtrack.cli.options import GridOption, JsonOption, RateOption
 from gridtrack.common.errors import printable
 
-PoseTopic = Annotated[
-    str | None, typer.Option(help="Of a ROS recording: nav_msgs/Odometry or PoseStamped of the sensor")
+PoseTopicOption = Annotated[
+    str | None,
+    typer.Option(help="Topic with the poses of the robot, where the transforms are not right; none: it stands still"),
+]
+MountsOption = Annotated[
+    list[str] | None,
+    typer.Option("--mount", metavar="SENSOR=X,Y,ANGLE", help="Place of a sensor: front_laser=0.4,0.2,45deg[,mirrored]"),
 ]
 
 ZeroRange = Annotated[
@@ -26,15 +31,23 @@ app = typer.Typer(no_args_is_help=True, help="Recordings: info, import.")
 def recording_info(
     recording: Path,
     topic: str | None = None,
-    pose_topic: PoseTopic = None,
+    pose_topic: PoseTopicOption = None,
+    mount: MountsOption = None,
     zero_range: ZeroRange = None,
     strict: bool = False,
     as_json: JsonOption = False,
 ) -> None:
     """The content of a recording: topics, sensors, rate, gaps, range limits, and warnings."""
-    from gridtrack.recordings import open_recording
+    from gridtrack.recordings import open_recording, parse_mount
 
-    opened = open_recording(recording, topic=topic, pose_topic=pose_topic, zero_range=zero_range, strict=strict)
+    opened = open_recording(
+        recording,
+        topic=topic,
+        pose_topic=pose_topic,
+        mounts=[parse_mount(text) for text in mount or ()],
+        zero_range=zero_range,
+        strict=strict,
+    )
     overview = opened.overview()
     typer.echo(overview.model_dump_json(indent=1) if as_json else "\n".join(map(printable, str(overview).split("\n"))))
 
@@ -59,14 +72,22 @@ def recording_import(
             " unknown with empty=unknown",
         ),
     ] = None,
-    pose_topic: PoseTopic = None,
+    pose_topic: PoseTopicOption = None,
+    mount: MountsOption = None,
     zero_range: ZeroRange = None,
+    ego_motion: Annotated[
+        Literal["recorded", "kiss-icp", "refined"] | None,
+        typer.Option(
+            help="Where the poses come from: recorded, as they are (the default); kiss-icp, from the scans alone;"
+            " refined, from the scans with the recorded motion as a prior"
+        ),
+    ] = None,
     strict: bool = False,
 ) -> None:
-    """Write a recording of any format (ROS 1 or 2 bag, ROS MCAP, CARMEN log, ...) as a native one."""
+    """Write a recording of any format (ROS 1 or 2 bag, ROS or Foxglove MCAP, CARMEN log, ...) as a native one."""
     from gridtrack.common.config import parse_pairs, validated
-    from gridtrack.recordings import CloudSlice, import_recording
-    from gridtrack.recordings.stream import parse_named_stretch
+    from gridtrack.recordings import CloudSlice, import_recording, parse_mount
+    from gridtrack.recordings.stretches import parse_named_stretch
 
     where = "--cloud-slice"
     recording = import_recording(
@@ -82,7 +103,9 @@ def recording_import(
         labels=labels,
         cloud_slice=validated(CloudSlice, parse_pairs(cloud_slice, where), where) if cloud_slice else None,
         pose_topic=pose_topic,
+        mounts=[parse_mount(text) for text in mount or ()],
         zero_range=zero_range,
+        ego_motion=ego_motion or "recorded",
         strict=strict,
     )
     typer.echo(str(recording.overview()))

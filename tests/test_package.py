@@ -8,6 +8,7 @@ import shutil
 import subprocess
 import sys
 import tomllib
+import zipfile
 from importlib import metadata
 from pathlib import Path
 
@@ -80,6 +81,9 @@ def test_the_built_wheel_compares_its_own_demo_recording_without_the_repository(
         "-m", "pip", "wheel", "--quiet", "--no-deps", "--no-build-isolation", "--wheel-dir", str(tmp_path), str(source)
     )
     (wheel,) = tmp_path.glob("gridtrack-*.whl")
+    with zipfile.ZipFile(wheel) as packed:
+        drives = [name for name in packed.namelist() if name.startswith("gridtrack/data/drives/")]
+    assert not drives, "they are in the repository only"
     python("-m", "pip", "install", "--quiet", "--no-deps", "--target", str(site), str(wheel))
     elsewhere = {"PYTHONPATH": str(site), "cwd": str(tmp_path)}
     where = python("-c", "import gridtrack; print(gridtrack.__file__)", **elsewhere)
