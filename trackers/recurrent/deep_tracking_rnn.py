@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import torch
 from torch import Tensor, nn
+from torch.nn.functional import conv2d
 
 from gridtrack.trackers.recurrent.network import LatentState
 from gridtrack.trackers.recurrent.settings import DeepTrackingRNNSettings
@@ -64,6 +65,15 @@ class DeepTrackingRNN(nn.Module):
             return torch.sigmoid(self.encode(x))
         bias = torch.sigmoid(self.encode.bias)  # type: ignore[arg-type]
         return bias.view(1, -1, 1, 1).expand(batch, -1, self.size, self.size)
+
+    def empty_input_sums(self) -> Tensor:
+        """What an empty input and the biases add to every sum of the recurrence, (1, C, M, M)."""
+        input_weight = self.recur.weight[:, : -self.channels]
+        return conv2d(self.encoded(None, 1), input_weight, self.recur.bias, padding="same")
+
+    def state_weight(self) -> Tensor:
+        """The part of the recurrence's weight for h, (C, C, 7, 7), or 5 x 5 in the paper's variant."""
+        return self.recur.weight[:, -self.channels :].contiguous(memory_format=torch.channels_last)
 
     def features(self, state: LatentState) -> Tensor:
         """The state itself."""

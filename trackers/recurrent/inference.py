@@ -104,10 +104,7 @@ class InferenceRNN:
         self.occupancy, self.semantics = OccupancyDecoder(network.decode, network.size), network.semantics
         self.unseen = UnseenStates(network)
         with torch.no_grad():
-            empty = network.encoded(None, 1)
-            input_weight, state_weight = torch.split(network.recur.weight, [empty.shape[1], network.channels], dim=1)
-            self._empty = conv2d(empty, input_weight, network.recur.bias, padding="same")
-            self._state_weight = state_weight.contiguous(memory_format=torch.channels_last)
+            self._empty, self._state_weight = network.empty_input_sums(), network.state_weight()
 
     def step(self, x: Tensor | None, state: LatentState) -> LatentState:
         """h_t; an empty input is not convolved."""

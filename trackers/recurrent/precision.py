@@ -1,7 +1,7 @@
 """The precision of a training: the faster one on this machine, unless one is chosen.
 
-bfloat16 is faster on accelerators and on processors with matrix instructions for it (AMX), slower on most others; what
-the processor has does not say which, so that one small convolution is timed.
+bfloat16 is faster on accelerators and on most processors with instructions for it (AVX-512 BF16, AMX), slower on
+others; what the processor has does not say which, so that one small convolution is timed.
 """
 
 from __future__ import annotations

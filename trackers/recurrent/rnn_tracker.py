@@ -11,6 +11,7 @@ from gridtrack.trackers.recurrent.inference import InferenceRNN
 from gridtrack.trackers.recurrent.network import InferenceNetwork, start_from_rate
 from gridtrack.trackers.recurrent.recurrent_tracker import RecurrentTracker
 from gridtrack.trackers.recurrent.settings import DeepTrackingRNNOptions
+from gridtrack.trackers.recurrent.training_rnn import TrainingRNN
 
 
 class DeepTrackingRNNTracker(RecurrentTracker):
@@ -26,9 +27,9 @@ class DeepTrackingRNNTracker(RecurrentTracker):
 
     @classmethod
     def prepare_training(cls, network: Any, rate: float) -> Any:
-        """Set the output bias to the occupied rate."""
+        """Set the output bias to the occupied rate; the empty input is convolved once a sequence."""
         start_from_rate(network.decode, rate)
-        return network
+        return TrainingRNN(network)
 
     @classmethod
     def prepare_inference(cls, network: Any, options: Any) -> InferenceNetwork:

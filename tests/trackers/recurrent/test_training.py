@@ -224,13 +224,14 @@ def test_the_burn_in_updates_the_state_without_loss_or_gradient():
 
 
 @pytest.mark.parametrize(("half", "tolerance"), [(False, 1e-5), (True, 0.01)])
-def test_the_training_network_has_the_loss_and_gradient_of_the_network(half, tolerance):
+@pytest.mark.parametrize("kind", [DilatedConvGRUTracker, DeepTrackingRNNTracker])
+def test_the_training_network_has_the_loss_and_gradient_of_the_network(kind, half, tolerance):
     torch.manual_seed(3)
     settings = validated(
-        DilatedConvGRUTracker.Options, {"burn_in": 2, "observed_frames": 3, "blank_frames": 2, "repetitions": 2}, "test"
+        kind.Options, {"burn_in": 2, "observed_frames": 3, "blank_frames": 2, "repetitions": 2}, "test"
     )
-    network = DilatedConvGRUTracker.build(SIZE, settings, 0)
-    on_processor = DilatedConvGRUTracker.prepare_training(network, 0.05)
+    network = kind.build(SIZE, settings, 0)
+    on_processor = kind.prepare_training(network, 0.05)
     for parameter in network.parameters():
         torch.nn.init.normal_(parameter, std=0.3)
     data = SequenceDataset(
