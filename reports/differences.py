@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from gridtrack.evaluation.results.summary import HeadlineTest, TrackerDifference
 from gridtrack.reports.markdown import cell_text, markdown_table
 from gridtrack.reports.run import UNDEFINED, Run
-from gridtrack.reports.table import LEAK
 
 BESIDE_F1 = {"nll": ("log loss", 4), "pr_auc": ("PR-AUC", 3)}
 """Scores that have a line each below F1: their names, and the digits of a difference."""
@@ -52,20 +51,14 @@ def difference_table(run: Run, recording: str) -> DifferenceTable | None:
     if not tested:
         return None
     columns = tuple((test.stratum, test.horizon_s) for test in tested[0].headline)
-    rows = tuple(row for one in found for row in _rows_of(_marked(run, one.tracker, recording), one, columns))
-    reference = _marked(run, tested[0].reference, recording)
-    return DifferenceTable(reference, columns, f"{tested[0].units} units, {tested[0].frames} frames", rows)
+    rows = tuple(row for one in found for row in _rows_of(one, columns))
+    units = f"{tested[0].units} units, {tested[0].frames} frames"
+    return DifferenceTable(tested[0].reference, columns, units, rows)
 
 
-def _marked(run: Run, label: str, recording: str) -> str:
-    """The label, marked where the tracker learned from frames of the recording."""
-    row = run.summary.trackers.get(label)
-    trial = row.recordings.get(recording) if row else None
-    return f"{label} ({LEAK})" if trial and trial.leak else label
-
-
-def _rows_of(name: str, difference: TrackerDifference, columns: Sequence[tuple[str, float]]) -> Iterator[DifferenceRow]:
+def _rows_of(difference: TrackerDifference, columns: Sequence[tuple[str, float]]) -> Iterator[DifferenceRow]:
     """The row of F1, and where there was a comparison those of the other scores that the run has."""
+    name = difference.tracker
     if difference.interval:
         yield DifferenceRow(name, "F1", (), difference.interval)
         return

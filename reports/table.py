@@ -234,7 +234,7 @@ def _table_row(
 
 
 def _group_of(entry: TrackerSummary, trial: TrialSummary) -> RowGroup:
-    if not trial.complete or trial.leak:
+    if not trial.ranked:
         return "unranked"
     return "ceiling" if entry.ceiling else "floor" if entry.floor else "ranked"
 

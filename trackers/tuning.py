@@ -130,22 +130,9 @@ def search_settings(
 
     def value_of(trial: optuna.Trial) -> float:
         tried = {key: _suggested(trial, key, *tuned[key]) for key in tuned}
-        return known.value(tried, lambda: evaluated(tried))
+        return known.value(tried, lambda: _defined(objective, kind(**given, **tried)))
 
-    def evaluated(tried: Mapping[str, float]) -> float:
-        value = objective.of(kind(**given, **tried))
-        if not math.isfinite(value):
-            raise RecordingError(
-                f"{objective.name} is not defined on the training recordings: no visible cell was occupied by a moving"
-                " object; use a longer stretch"
-            )
-        return value
-
-    optuna.logging.set_verbosity(optuna.logging.ERROR)  # exceptions of the objective are raised, not logged as well
-    sampler = optuna.samplers.TPESampler(seed=out.seed, multivariate=True)
-    study = optuna.create_study(direction=objective.better, sampler=sampler)
-    for start in starts:
-        study.enqueue_trial({key: getattr(start, key) for key in tuned})
+    study = _study(objective, [{key: getattr(start, key) for key in tuned} for start in starts], out.seed)
     try:
         with out.progress.stage("search iteration", iterations) as stage:
             study.optimize(
@@ -161,6 +148,27 @@ def search_settings(
         ) from None
     out.report(f"best of {iterations} search iterations: {objective.name} {study.best_value:.5f}")
     return kind(**given, **_best(study))
+
+
+def _study(objective: Objective[Any], starts: Sequence[dict[str, float]], seed: int) -> optuna.Study:
+    """A study that tries `starts` first."""
+    optuna.logging.set_verbosity(optuna.logging.ERROR)  # exceptions of the objective are raised, not logged as well
+    sampler = optuna.samplers.TPESampler(seed=seed, multivariate=True)
+    study = optuna.create_study(direction=objective.better, sampler=sampler)
+    for start in starts:
+        study.enqueue_trial(start)
+    return study
+
+
+def _defined(objective: Objective[_Tuned], settings: _Tuned) -> float:
+    """The value of the objective. Raises RecordingError where it is undefined."""
+    value = objective.of(settings)
+    if not math.isfinite(value):
+        raise RecordingError(
+            f"{objective.name} is not defined on the training recordings: no visible cell was occupied by a moving"
+            " object; use a longer stretch"
+        )
+    return value
 
 
 def _best(study: optuna.Study) -> dict[str, float]:

@@ -126,8 +126,13 @@ class ScopeSummary(ResultModel):
 
     @property
     def complete(self) -> bool:
-        """Whether every forecast was scored: only such trials are ranked."""
+        """Whether every forecast was scored."""
         return self.outcome == "ok" and 0 < self.frames_scored == self.frames_expected
+
+    @property
+    def ranked(self) -> bool:
+        """Whether it is complete, and its weights learned from no frame that it is scored on."""
+        return self.complete and not self.leak
 
     def curves(self) -> Iterator[tuple[str, tuple[float | None, ...]]]:
         """Every curve, with the stratum, class or visibility that it is of."""

@@ -46,16 +46,16 @@ def _added(scope: ScopeSummary, oracle: ScopeSummary | None, floors: Sequence[Sc
     """The fields of one scope that need the oracle, the floors or ground truth."""
     strata = {}
     for name, scores in scope.strata.items():
-        best = _complete(oracle, name)
-        lowest = [one for floor in floors if (one := _complete(floor, name))]
+        best = _bound(oracle, name)
+        lowest = [one for floor in floors if (one := _bound(floor, name))]
         shares = _shares(scores, best, lowest) if best else {}
         strata[name] = scores.model_copy(update=shares)
     return {"strata": strata, "gap_to_truth": _gap(scope.strata)}
 
 
-def _complete(scope: ScopeSummary | None, stratum: str) -> StratumScores | None:
-    """The scores of a scope that was scored in full; None where there are none."""
-    return scope.strata.get(stratum) if scope is not None and scope.outcome == "ok" else None
+def _bound(scope: ScopeSummary | None, stratum: str) -> StratumScores | None:
+    """The scores of a scope that may be the floor or the ceiling of others; None where there are none."""
+    return scope.strata.get(stratum) if scope is not None and scope.outcome == "ok" and not scope.leak else None
 
 
 def _shares(scores: StratumScores, oracle: StratumScores, floors: Sequence[StratumScores]) -> dict[str, Curve]:

@@ -61,8 +61,8 @@ class ClassStatistics:
         return found
 
     def _with_classes(self, label: str, names: Sequence[str]) -> list[FinishedTrial]:
-        """The complete trials of one row on these recordings that have class probabilities."""
-        return [trial for trial in self._statistics.complete(label, names) if _has_classes(trial)]
+        """The comparable trials of one row on these recordings that have class probabilities."""
+        return [trial for trial in self._statistics.comparable(label, names) if _has_classes(trial)]
 
     def _reference(self, rows: Mapping[str, Sequence[FinishedTrial]]) -> str | None:
         """The label of the reference for classes, of the rows with class probabilities; None where there is no row.

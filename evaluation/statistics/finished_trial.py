@@ -26,6 +26,11 @@ class FinishedTrial:
         return self.record.complete
 
     @property
+    def comparable(self) -> bool:
+        """Whether it is complete, and its weights learned from no frame that it is scored on."""
+        return self.complete and not self.record.leak
+
+    @property
     def strata(self) -> tuple[str, ...]:
         """The strata that it was scored in."""
         return tuple(self.record.thresholds.values)

@@ -34,10 +34,10 @@ class OccludedStatistics:
         self._counts: dict[str, FrameCounts] = {}
 
     def differences(self) -> list[OccludedDifference]:
-        """Each complete tracker less the reference: over all recordings if pooled, else on each. Raises ScoresError."""
+        """Each comparable tracker less the reference, on all recordings if pooled, else on each. Raises ScoresError."""
         found = []
         for names in self._statistics.groups:
-            rows = {label: self._statistics.complete(label, names) for label in self._statistics.labels}
+            rows = {label: self._statistics.comparable(label, names) for label in self._statistics.labels}
             whole = {label: trials for label, trials in rows.items() if _comparable(trials, names)}
             reference = whole.pop(self._statistics.reference or "", None)
             if reference is not None:

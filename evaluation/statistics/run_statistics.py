@@ -125,12 +125,11 @@ class RunStatistics:
         return f"{complete} ({shown})" if missing else complete
 
     def _compared(self, label: str, names: Sequence[str]) -> TrackerComparison:
-        """`label` against the reference on `names`; both must have been scored in full on every one of them."""
-        own, others = (self.complete(row, names) for row in (label, self.reference))
-        for row, complete in ((self.reference, others), (label, own)):
-            if len(complete) < len(names):
-                found = f"has {len(complete)} of {len(names)} recordings" if len(names) > 1 else "is not"
-                return TrackerComparison(label, 0, 0, f"not compared: {row} {found} complete")
+        """`label` against the reference on `names`; both must be comparable on every one of them."""
+        why = self._why_not_compared(self.reference, names) or self._why_not_compared(label, names)
+        if why:
+            return TrackerComparison(label, 0, 0, f"not compared: {why}")
+        own, others = (self.comparable(row, names) for row in (label, self.reference))
         if own[0].points != others[0].points:
             return TrackerComparison(label, 0, 0, OTHER_RETURNS)
         scope = self.scope(names, own + others)
@@ -189,9 +188,17 @@ class RunStatistics:
                 self._blocks[name] = scope.block_s(frames)
         return max(self._blocks[name] for name in names)
 
-    def complete(self, label: str | None, names: Sequence[str]) -> list[FinishedTrial]:
-        """The complete trials of one row on these recordings, in their order."""
-        found = {t.record.recording: t for t in self._trials if t.record.label == label and t.complete}
+    def _why_not_compared(self, label: str | None, names: Sequence[str]) -> str:
+        """Why the row is not comparable on all of these recordings; empty where it is."""
+        trials = [trial for trial in self._trials if trial.record.label == label and trial.record.recording in names]
+        complete = sum(trial.complete for trial in trials)
+        if complete < len(names):
+            return f"{label} {f'has {complete} of {len(names)} recordings' if len(names) > 1 else 'is not'} complete"
+        return f"{label} learned from frames that it is scored on" if any(t.record.leak for t in trials) else ""
+
+    def comparable(self, label: str | None, names: Sequence[str]) -> list[FinishedTrial]:
+        """The comparable trials of one row on these recordings, in their order."""
+        found = {t.record.recording: t for t in self._trials if t.record.label == label and t.comparable}
         return [found[name] for name in names if name in found]
 
     def _tracker(self, label: str) -> str:

@@ -55,7 +55,7 @@ class TrainingStatistics:
         statistics = self._statistics
         groups: dict[tuple[str, str, str], list[list[FinishedTrial]]] = {}
         for label in statistics.labels:
-            trials = statistics.complete(label, names)
+            trials = statistics.comparable(label, names)
             if len(trials) < len(names) or trials[0].tracker == ORACLE:
                 continue
             first = trials[0]

@@ -65,11 +65,30 @@ def train_network(
     network_settings = settings.model_dump(exclude={*TransferSettings.model_fields, *InferenceSettings.model_fields})
     resumed = _resumable(out, {"seed": out.seed, "train": dataset.sources, **network_settings})
     module = TrainingModule(network, on_processor, settings, validate, out)
+    trainer, best = _trainer(settings, out)
+    done = _updates_in(resumed) if resumed else 0
+    sampler = EpochSampler(settings.validate_every * settings.batch, done * settings.batch)
+    loader = DataLoader(dataset, settings.batch, sampler=sampler)
+    try:
+        with out.progress.stage("update", settings.updates, done) as module.stage, warnings.catch_warnings():
+            # the sampler continues with the next unused window
+            warnings.filterwarnings("ignore", "You're resuming from a checkpoint that ended before the epoch ended")
+            trainer.fit(module, loader, ckpt_path=str(resumed) if resumed else None, weights_only=True)
+    except (KeyboardInterrupt, SystemExit):  # Lightning exits after an interrupt
+        if not trainer.interrupted or not Path(best.best_model_path).is_file():
+            raise KeyboardInterrupt from None
+    kept = torch.load(best.best_model_path, weights_only=True, map_location="cpu")
+    module.load_state_dict(kept["state_dict"])
+    reached = f"update {trainer.global_step} of {settings.updates}" if trainer.interrupted else ""
+    return TrainedNetwork(dict(kept["scores"]), reached)
+
+
+def _trainer(settings: TrainingSettings, out: FitOutput) -> tuple[lightning.Trainer, ModelCheckpoint]:
+    """A trainer with its checkpoints and logs in `out.log_dir`, and its checkpoint of the best weights."""
     folder = out.log_dir / "checkpoints"
     best = ModelCheckpoint(folder, filename="best", monitor="score", mode="max", enable_version_counter=False)
-    last = ModelCheckpoint(
-        folder, filename="last", enable_version_counter=False
-    )  # after every epoch, whatever the score
+    # after every epoch, whatever the score
+    last = ModelCheckpoint(folder, filename="last", enable_version_counter=False)
     timed = ModelCheckpoint(
         folder,
         filename="last",
@@ -87,21 +106,7 @@ def train_network(
         enable_progress_bar=False,
         enable_model_summary=False,
     )
-    done = _updates_in(resumed) if resumed else 0
-    sampler = EpochSampler(settings.validate_every * settings.batch, done * settings.batch)
-    loader = DataLoader(dataset, settings.batch, sampler=sampler)
-    try:
-        with out.progress.stage("update", settings.updates, done) as module.stage, warnings.catch_warnings():
-            # the sampler continues with the next unused window
-            warnings.filterwarnings("ignore", "You're resuming from a checkpoint that ended before the epoch ended")
-            trainer.fit(module, loader, ckpt_path=str(resumed) if resumed else None, weights_only=True)
-    except (KeyboardInterrupt, SystemExit):  # Lightning exits after an interrupt
-        if not trainer.interrupted or not Path(best.best_model_path).is_file():
-            raise KeyboardInterrupt from None
-    kept = torch.load(best.best_model_path, weights_only=True, map_location="cpu")
-    module.load_state_dict(kept["state_dict"])
-    reached = f"update {trainer.global_step} of {settings.updates}" if trainer.interrupted else ""
-    return TrainedNetwork(dict(kept["scores"]), reached)
+    return trainer, best
 
 
 def _updates_in(checkpoint: Path) -> int:
