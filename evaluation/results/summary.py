@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final, Literal, Self
 
@@ -9,7 +10,7 @@ from pydantic import Field, model_validator
 
 from gridtrack.evaluation.results.files import read_model, write_model
 from gridtrack.evaluation.results.recording import RecordingSummary
-from gridtrack.evaluation.results.trial_summary import PooledSummary, ScopeSummary, TrialSummary
+from gridtrack.evaluation.results.trial_summary import PooledSummary, ScopeSummary, TrialSummary, curves_of
 from gridtrack.evaluation.results.values import Curve, Number, ResultModel
 from gridtrack.trackers.contract import Role
 
@@ -73,17 +74,8 @@ class HeadlineTest(ResultModel):
     pr_auc_p: Number = None
 
 
-class DifferenceCurves(ResultModel):
-    """F1 of a tracker less that of the reference in one stratum, per step."""
-
-    f1: Curve
-    f1_low: Curve
-    f1_high: Curve
-    f1_p: Curve
-
-
-class TrackerDifference(ResultModel):
-    """One tracker against the reference on a recording, or on all: paired differences of F1."""
+class Difference(ResultModel):
+    """One tracker against the reference on a recording, or on all: what every such comparison has."""
 
     recordings: str
     """The name of the recording, or ALL_RECORDINGS."""
@@ -95,6 +87,20 @@ class TrackerDifference(ResultModel):
     """Scored frames that both have."""
     interval: str = ""
     """Why there is no interval or no comparison; empty where there is."""
+
+
+class DifferenceCurves(ResultModel):
+    """F1 of a tracker less that of the reference in one stratum, per step."""
+
+    f1: Curve
+    f1_low: Curve
+    f1_high: Curve
+    f1_p: Curve
+
+
+class TrackerDifference(Difference):
+    """Paired differences of F1."""
+
     strata: dict[str, DifferenceCurves] = Field(default_factory=dict)
     headline: tuple[HeadlineTest, ...] = Field(default=(), max_length=100)
 
@@ -108,15 +114,9 @@ class ClassLossCurves(ResultModel):
     nll_per_scan_p: Curve
 
 
-class ClassDifference(ResultModel):
-    """One tracker's class probabilities against those of the reference for classes, on a recording, or on all."""
+class ClassDifference(Difference):
+    """Paired differences of class probabilities; the reference is the one for classes."""
 
-    recordings: str
-    tracker: str
-    reference: str
-    frames: int = 0
-    units: int = 0
-    interval: str = ""
     kinds: dict[str, ClassLossCurves] = Field(default_factory=dict)
     """By visibility."""
 
@@ -130,16 +130,9 @@ class ScoreDifference(ResultModel):
     p: Curve
 
 
-class OccludedDifference(ResultModel):
-    """One tracker on occluded cells against the reference, on a recording, or on all."""
+class OccludedDifference(Difference):
+    """Paired differences on occluded cells."""
 
-    recordings: str
-    tracker: str
-    reference: str
-    frames: int = 0
-    units: int = 0
-    interval: str = ""
-    """Why there is no interval or no comparison; empty where there is."""
     scores: dict[str, ScoreDifference] = Field(default_factory=dict)
     """`f1` at the threshold chosen with the truth, `f1_at_visible`, `f1_at_half`, and `nll`."""
 
@@ -218,10 +211,15 @@ class RunSummary(ResultModel):
             pooled = [(ALL_RECORDINGS, row.pooled)] if self.has_pooled and row.pooled else []
             for name, scope in [*pooled, *row.recordings.items()]:
                 _refuse_other_lengths(f"{label} on {name}", scope, steps[name])
-        for one in self.class_differences:
+        compared: list[tuple[Difference, Mapping[str, ResultModel]]] = [
+            *((one, one.strata) for one in self.differences),
+            *((one, one.kinds) for one in self.class_differences),
+            *((one, one.scores) for one in self.occluded_differences),
+        ]
+        for one, parts in compared:
             expected = steps.get(one.recordings, 0)
-            if any(len(curve) != expected for losses in one.kinds.values() for _, curve in losses):
-                raise ValueError(f"{one.tracker} on {one.recordings}: class differences not of {expected} steps")
+            if any(len(curve) != expected for _, curve in curves_of(parts)):
+                raise ValueError(f"{one.tracker} on {one.recordings}: differences not of {expected} steps")
         return self
 
     def write(self, folder: Path) -> None:

@@ -136,13 +136,13 @@ class ScopeSummary(ResultModel):
 
     def curves(self) -> Iterator[tuple[str, tuple[float | None, ...]]]:
         """Every curve, with the stratum, class or visibility that it is of."""
-        yield from _curves_of(self.strata)
+        yield from curves_of(self.strata)
         if self.gap_to_truth is not None:
             yield "visible less occluded", self.gap_to_truth
         for by_class in (self.recall_by_class or {}).values():
-            yield from _curves_of(by_class)
+            yield from curves_of(by_class)
         if self.semantics is not None:
-            yield from _curves_of(self.semantics.kinds)
+            yield from curves_of(self.semantics.kinds)
 
 
 class TrialSummary(ScopeSummary):
@@ -174,6 +174,7 @@ class PooledSummary(ScopeSummary):
     recordings_expected: int = 0
 
 
-def _curves_of(scores: Mapping[str, ResultModel]) -> Iterator[tuple[str, tuple[float | None, ...]]]:
+def curves_of(scores: Mapping[str, ResultModel]) -> Iterator[tuple[str, tuple[float | None, ...]]]:
+    """Every curve of these scores, with the key of the scores."""
     for name, one in scores.items():
         yield from ((name, curve) for key, curve in one if isinstance(curve, tuple) and key != "confusion")

@@ -154,7 +154,7 @@ def test_class_differences_that_do_not_reach_every_horizon_are_refused(truth_run
     summary = json.loads(path.read_text())
     summary["class_differences"][0]["kinds"]["visible"]["nll_per_scan"].pop()
     path.write_text(json.dumps(summary))
-    with pytest.raises(RunError, match="good on crossing: class differences not of 21 steps"):
+    with pytest.raises(RunError, match="good on crossing: differences not of 21 steps"):
         read_runs([truth_run])
 
 
