@@ -9,6 +9,10 @@ DEMO_TRACKERS := persistence static-map blank kalman dogma deep-tracking-rnn dil
 JUNCTION_TRACKERS := persistence static-map blank kalman factor-graph dogma dilated-convgru one-shot
 COMPARE := $(BIN)/gridtrack compare
 chosen = $(foreach tracker,$(1),--tracker $(tracker))
+# studies/trainings/seed-2/kalman/junction.toml: another training of kalman, as the row "kalman 2"
+folders = $(subst /, ,$(1))
+training = --tracker '$(word 4,$(folders)) $(patsubst seed-%,%,$(word 3,$(folders)))=$(word 4,$(folders)):weights=studies/trainings/$(word 3,$(folders))'
+trainings = $(foreach card,$(wildcard studies/trainings/seed-*/*/junction.toml),$(call training,$(card)))
 
 .PHONY: help demo demo-junction test lint bench results schemas figures ablations returns junction weights baseline clean
 
@@ -42,7 +46,7 @@ bench: $(VENV)/.installed-dev ## measure the speed of everything that `make test
 
 results: $(VENV)/.installed-demo ## compare every tracker at the junction: the numbers of docs/results/junction
 	rm -rf runs/results
-	$(COMPARE) $(JUNCTION) $(call chosen,$(JUNCTION_TRACKERS) deep-tracking-rnn) --reference dilated-convgru --out runs/results
+	$(COMPARE) $(JUNCTION) $(call chosen,$(JUNCTION_TRACKERS) deep-tracking-rnn) $(trainings) --reference dilated-convgru --out runs/results
 	$(BIN)/python -m studies.static_memory
 
 schemas: $(VENV)/.installed-dev ## write the JSON Schemas of the result files into docs/schemas
