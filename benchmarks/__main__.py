@@ -11,6 +11,7 @@ import sys
 BENCHMARKS = (
     "import_time",
     "raycast",
+    "moving_sensor",
     "ego_motion",
     "scoring",
     "statistics",

@@ -75,8 +75,12 @@ def as_cells(tensor: Tensor) -> Float32Array:
 
 
 def as_tensor(cells: Float32Array) -> Tensor:
-    """(M, M, C) as (1, C, M, M) in channels-last memory, without copying."""
-    return torch.from_numpy(cells).permute(2, 0, 1)[None]
+    """(M, M, C) as (1, C, M, M) in channels-last memory, without copying.
+
+    The batch comes first: torch takes a tensor whose batch of one has another stride for one that is not channels-last,
+    and convolutions and `cat` then copy it.
+    """
+    return torch.from_numpy(cells)[None].permute(0, 3, 1, 2)
 
 
 def start_from_rate(decoder: nn.Conv2d, rate: float) -> None:

@@ -13,7 +13,7 @@ from gridtrack.trackers.contract import StreamSpec  # noqa: E402
 from gridtrack.trackers.recurrent.convgru_tracker import DilatedConvGRUTracker  # noqa: E402
 from gridtrack.trackers.recurrent.deep_tracking_rnn import DeepTrackingRNN  # noqa: E402
 from gridtrack.trackers.recurrent.dilated_convgru import DilatedConvGRU  # noqa: E402
-from gridtrack.trackers.recurrent.network import channels_last  # noqa: E402
+from gridtrack.trackers.recurrent.network import as_cells, as_tensor, channels_last  # noqa: E402
 from gridtrack.trackers.recurrent.rnn_tracker import DeepTrackingRNNTracker  # noqa: E402
 from gridtrack.trackers.recurrent.settings import (  # noqa: E402
     DeepTrackingRNNOptions,
@@ -164,3 +164,11 @@ def test_reset_forgets_where_the_window_was():
     used.update(frame(random_world(1, size)[0], column=9))
     used.reset(0)
     assert np.array_equal(used.predict(2).occupancy, fresh.predict(2).occupancy)
+
+
+def test_a_state_that_was_rolled_lies_in_memory_as_one_that_a_convolution_made():
+    state = torch.randn(1, 3, 5, 5).contiguous(memory_format=torch.channels_last)
+    again = as_tensor(as_cells(state))
+    assert again.data_ptr() == state.data_ptr()
+    assert again.stride() == state.stride()
+    assert torch.cat([again, again], dim=1).is_contiguous(memory_format=torch.channels_last)
