@@ -15,11 +15,12 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from gridtrack.evaluation.results.recording import RecordingSummary
-from gridtrack.evaluation.results.summary import SUMMARY_FILE, RunSummary, read_summary
-from gridtrack.evaluation.results.trial_record import read_trial_record
+from gridtrack.evaluation.results.summary import SUMMARY_FILE, read_summary
 from gridtrack.evaluation.results.trial_summary import StratumScores
 from gridtrack.evaluation.statistics.finished_trial import FinishedTrial
 from gridtrack.evaluation.statistics.run_statistics import RunStatistics
+
+from studies.support.comparison import finished_trials
 
 RECORDING = Path("data/leg_tracker/leg_tracker.mcap")
 FOLDS = ("0s-25s", "25s-50s", "50s-75s", "75s-100s", "100s-126s")
@@ -48,18 +49,6 @@ def compare_fold(fold: int, trackers: Sequence[str], out: Path) -> Path:
         chosen = "--validation", chosen_on, "--weights", weights
         gridtrack("compare", tested, *chosen, *rows, "--every", f"{PERIOD_S}s", "--out", folder)
     return folder
-
-
-def finished_trials(folder: Path, summary: RunSummary) -> list[FinishedTrial]:
-    """The trials of a comparison."""
-    found = []
-    for label, row in summary.trackers.items():
-        for name in row.recordings:
-            trial = folder / f"{label}@{name}"
-            record = read_trial_record(trial)
-            assert record is not None, trial
-            found.append(FinishedTrial(record, trial, row.tracker, row.options, row.points))
-    return found
 
 
 def dynamic_scores(strata: Mapping[str, StratumScores]) -> str:

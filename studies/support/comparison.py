@@ -1,4 +1,4 @@
-"""A comparison on the test recordings of the junction, as the studies run it: `gridtrack compare` in a new folder."""
+"""Comparisons as the studies run them: `gridtrack compare` in a folder, and its finished trials."""
 
 from __future__ import annotations
 
@@ -8,16 +8,38 @@ import sys
 from collections.abc import Iterable
 from pathlib import Path
 
+from gridtrack.evaluation.results.summary import RunSummary
+from gridtrack.evaluation.results.trial_record import read_trial_record
+from gridtrack.evaluation.statistics.finished_trial import FinishedTrial
+
 RECORDINGS = Path("data/junction")
 VALIDATION = RECORDINGS / "validation.tracks"
 
 
 def compare_at_junction(trackers: Iterable[str], reference: str, out: Path, *options: str) -> None:
-    """Compare `trackers`, each [LABEL=]NAME[:key=value,...]; `out` is made anew. Ends the program where it fails."""
+    """Compare `trackers` on the test recordings of the junction; `out` is made anew. As `compare`."""
     shutil.rmtree(out, ignore_errors=True)
+    compare(sorted(RECORDINGS.glob("test-*.tracks")), VALIDATION, trackers, out, "--reference", reference, *options)
+
+
+def compare(
+    recordings: Iterable[Path], validation: Path, trackers: Iterable[str], out: Path, *options: str | Path
+) -> None:
+    """Compare `trackers`, each [LABEL=]NAME[:key=value,...], in folder `out`. Ends the program where it fails."""
     rows = [word for tracker in trackers for word in ("--tracker", tracker)]
-    tests = map(str, sorted(RECORDINGS.glob("test-*.tracks")))
-    words = ["compare", *tests, "--validation", VALIDATION, *rows, "--reference", reference, "--out", out, *options]
+    words = ["compare", *recordings, "--validation", validation, *rows, "--out", out, *options]
     done = subprocess.run([sys.executable, "-m", "gridtrack.cli", *map(str, words)], check=False)
     if done.returncode:
         raise SystemExit(done.returncode)
+
+
+def finished_trials(folder: Path, summary: RunSummary) -> list[FinishedTrial]:
+    """The trials of a comparison in `folder`."""
+    found = []
+    for label, row in summary.trackers.items():
+        for name in row.recordings:
+            trial = folder / f"{label}@{name}"
+            record = read_trial_record(trial)
+            assert record is not None, trial
+            found.append(FinishedTrial(record, trial, row.tracker, row.options, row.points))
+    return found

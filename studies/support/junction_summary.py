@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from studies.support.results_file import ResultTable
+from studies.support.score_text import score_text
 
 COLUMN = re.compile(r"(?P<score>f1|nll|share_of_oracle|lead|p|class nll) (?P<stratum>.+?) (?P<horizon>now|[\d.]+ s)")
 CONFUSION = re.compile(r"(?P<visibility>visible|occluded) (?P<true>\w+) as (?P<taken>\w+)")
@@ -108,11 +109,8 @@ class JunctionSummary:
             key, signed = score, bool(reference)
             found = self._difference("differences", tracker, reference) if reference else self._pooled(tracker)
             found = found["strata"][stratum]
-        text = f"{found[key][step]:+.3f}" if signed else f"{found[key][step]:.3f}"
-        if not interval or found.get(f"{key}_low") is None or found[f"{key}_low"][step] is None:
-            return text
-        ends = (found[f"{key}_{end}"][step] for end in ("low", "high"))
-        return f"{text} [{', '.join(_short(end, signed=signed) for end in ends)}]"
+        ends = [found[f"{key}_{end}"][step] if found.get(f"{key}_{end}") else None for end in ("low", "high")]
+        return score_text(found[key][step], *(ends if interval else ()), signed=signed)
 
     def _p_value(self, tracker: str, reference: str, stratum: str, step: int) -> float:
         headline = self._difference("differences", tracker, reference)["headline"]
@@ -145,9 +143,3 @@ def _title(column: str) -> str:
     assert found is not None
     comma = "," if re.search(r"\d", found["stratum"]) else ""
     return f"{TITLES[found['score']]}{found['stratum']}{comma} {found['horizon']}"
-
-
-def _short(value: float, *, signed: bool) -> str:
-    """`.693`, `1.234` or `-.012`: an end of an interval."""
-    text = f"{value:+.3f}" if signed else f"{value:.3f}"
-    return re.sub(r"^([+-]?)0\.", r"\1.", text)

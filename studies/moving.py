@@ -1,0 +1,223 @@
+"""Drives with perfect poses, wheel odometry, kiss-icp and ego-motion ignored, beside a laser that stands.
+
+`python -m studies.moving` (hours) compares the trackers on the twenty drives of data/drives, with each kind of poses in
+a folder below `--out`, and writes `--results`. An interrupted comparison is continued. Thresholds are chosen on the
+validation drives of `python -m studies.support.drive_training`, with poses of the same kind. The weights are those in
+studies/trainings/drives; a tracker that has none there is left out and named.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from gridtrack.evaluation.results.summary import ORACLE, RunSummary, read_summary
+from gridtrack.evaluation.statistics.finished_trial import FinishedTrial
+from gridtrack.evaluation.statistics.jackknife import PairedDifferences, differences
+from gridtrack.evaluation.statistics.run_statistics import RunStatistics
+from gridtrack.evaluation.statistics.score_intervals import summed_by_unit
+from gridtrack.recordings import open_recording
+
+from studies.ego_motion import Pairs, errors
+from studies.support.comparison import compare, finished_trials
+from studies.support.drive_recordings import KINDS, joined_recording, minutes_in, recording_of
+from studies.support.results_file import ResultSection, ResultTable, measured_table, write_section
+from studies.support.score_text import score_text
+
+DRIVES, VALIDATION = Path("data/drives"), Path("runs/drives/validation")
+WEIGHTS = Path("studies/trainings/drives")
+FLOOR = "persistence"
+TRACKERS = ("kalman", "factor-graph", "dogma", "dilated-convgru", "deep-tracking-rnn")
+STRATA = {"in-motion": "in motion", "dynamic": "dynamic", "visible": "visible", "occluded": "hidden"}
+HORIZONS_S = (0.5, 1.0, 2.5)
+EVERY_S = 2.0
+"""Between two scored forecasts: half as many as usual, for there are five comparisons."""
+APART = 20
+"""Scans between two poses whose relative error is measured: 2.5 s, the longest forecast."""
+COMMAND = "python -m studies.moving"
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """The comparison of all trackers on all drives with one kind of poses."""
+
+    kind: str
+    summary: RunSummary
+    finished: tuple[FinishedTrial, ...]
+    statistics: RunStatistics
+
+    @classmethod
+    def read(cls, kind: str, folder: Path) -> Comparison:
+        """The comparison in `folder`. Raises SystemExit where a row is partial: no score is of some drives only."""
+        summary = read_summary(folder)
+        for label, row in summary.trackers.items():
+            if row.pooled is None or row.pooled.outcome != "ok":
+                why = row.pooled.reason if row.pooled else "a single drive"
+                raise SystemExit(f"{folder}: {label} is not complete ({why}): run it again with two drives or more")
+        finished = finished_trials(folder, summary)
+        return cls(kind, summary, tuple(finished), RunStatistics(summary.recordings, finished))
+
+    def trials(self, tracker: str) -> list[FinishedTrial]:
+        """Those of a tracker on all drives, in the order of their names."""
+        own = (trial for trial in self.finished if trial.record.label == tracker)
+        return sorted(own, key=lambda trial: trial.record.recording)
+
+    def scores(self, row: str, stratum: str) -> list[str]:
+        """F1 of a tracker or of the oracle at HORIZONS_S with intervals, all drives pooled."""
+        pooled = self.summary.trackers[row].pooled
+        assert pooled is not None
+        found = pooled.strata[stratum]
+        return [f1_text(found.f1[step], found.at("f1_low", step), found.at("f1_high", step)) for step in self.steps]
+
+    @property
+    def steps(self) -> list[int]:
+        """The steps of HORIZONS_S."""
+        horizons_s = next(iter(self.summary.recordings.values())).horizons_s
+        return [horizons_s.index(horizon_s) for horizon_s in HORIZONS_S]
+
+    def less(self, other: Comparison, tracker: str) -> dict[str, PairedDifferences]:
+        """F1 of a tracker less that with `other` poses, by stratum and step: a drive is a statistical unit.
+
+        Both have the same scored stamps, but other frames, in windows about other poses: drives are paired, cells are
+        not.
+        """
+        trials = [one.trials(tracker) for one in (self, other)]
+        sides = [
+            [one.statistics.frames_of(trial) for trial in own] for one, own in zip((self, other), trials, strict=True)
+        ]
+        for own, theirs in zip(*sides, strict=True):
+            if not np.array_equal(own.stamps_ns, theirs.stamps_ns):
+                raise SystemExit(f"{tracker}: {self.kind} and {other.kind} are scored at other times: run it again")
+        counts, _ = summed_by_unit(sides, self.statistics.unit_rule(sorted(self.summary.recordings)))
+        found = differences(counts[0], counts[1])
+        return {stratum: found.column(trials[0][0].strata.index(stratum)) for stratum in STRATA}
+
+
+def selections() -> dict[str, str]:
+    """The trackers that can run, as `--tracker` names them, by label."""
+    trained = [name for name in TRACKERS if list((WEIGHTS / name).glob("*.toml"))]
+    return {FLOOR: FLOOR} | {name: f"{name}={name}:weights={WEIGHTS}" for name in trained}
+
+
+def run(minutes: Sequence[str], trackers: Sequence[str], out: Path, options: Sequence[str]) -> None:
+    """Compare on all drives with each kind of poses."""
+    made = out / "recordings"
+    chosen = [selections()[tracker] for tracker in trackers]
+    for kind in KINDS:
+        recordings = [recording_of(kind, minute, DRIVES, made) for minute in minutes]
+        validation, every = joined_recording(kind, VALIDATION, made), ("--every", f"{EVERY_S:g}s")
+        compare(recordings, validation, chosen, out / kind, *every, "--resume", *options)
+
+
+def pose_errors(minutes: Sequence[str], made: Path) -> ResultTable:
+    """Errors of the poses under test: between scans APART, and after the whole drive."""
+    rows = []
+    for kind in ("odometry", "kiss-icp"):
+        apart, last_m = [], []
+        for minute in minutes:
+            scans = list(open_recording(recording_of(kind, minute, DRIVES, made)).scans())
+            true = [scan.reference_T_sensor or scan.world_T_sensor for scan in scans]
+            first = np.arange(len(scans) - APART)
+            relative = [true[i].inverse() @ true[i + APART] for i in first]
+            poses = [scan.world_T_sensor for scan in scans]
+            apart.append(errors(poses, Pairs(np.stack([first, first + APART], axis=1), first / 8.0, relative)))
+            last_m.append(math.hypot(poses[-1].x - true[-1].x, poses[-1].y - true[-1].y))
+        position_m, heading_deg = np.concatenate(apart).T
+        rows.append(
+            [
+                kind,
+                *(f"{value:.3f}" for value in np.percentile(position_m, [50, 95])),
+                f"{np.percentile(heading_deg, 95):.2f}",
+                *(f"{value:.2f}" for value in (np.median(last_m), max(last_m))),
+            ]
+        )
+    columns = ("poses", "median, m", "95 %, m", "heading 95 %, deg", "after 60 s, median, m", "after 60 s, largest, m")
+    return measured_table(columns, rows)
+
+
+def score_tables(compared: Sequence[Comparison], trackers: Sequence[str]) -> dict[str, ResultTable]:
+    """F1 by stratum: a row for each tracker and kind of poses, after the oracle's."""
+    return {
+        name: f1_table(
+            name,
+            [[f"{row}, {one.kind}", *one.scores(row, stratum)] for row in (ORACLE, *trackers) for one in compared],
+        )
+        for stratum, name in STRATA.items()
+    }
+
+
+def f1_table(stratum: str, rows: Sequence[Sequence[str]]) -> ResultTable:
+    return measured_table((f"F1, {stratum}", *(f"{horizon_s:g} s" for horizon_s in HORIZONS_S)), rows)
+
+
+def difference_section(compared: Sequence[Comparison], trackers: Sequence[str]) -> ResultSection:
+    """What each tracker loses with other poses than perfect ones, and against standing."""
+    perfect, *others = compared
+    rows: dict[str, list[list[str]]] = {name: [] for name in STRATA.values()}
+    for tracker in trackers:
+        for other in others:
+            found = perfect.less(other, tracker)
+            for stratum, name in STRATA.items():
+                texts = [difference_text(found[stratum].at(step)) for step in perfect.steps]
+                rows[name].append([f"{tracker}, {perfect.kind} less {other.kind}", *texts])
+    values = {
+        f"{row}, {name}, {horizon_s:g} s": text
+        for name, own in rows.items()
+        for row, *texts in own
+        for horizon_s, text in zip(HORIZONS_S, texts, strict=True)
+    }
+    tables = {name: f1_table(name, own) for name, own in rows.items()}
+    return ResultSection(command=COMMAND, source="measured", tables=tables, values=values)
+
+
+def f1_text(value: float | None, low: float | None, high: float | None) -> str:
+    """F1 with its interval, or a dash where no cell of the stratum is occupied."""
+    return "–" if value is None else score_text(value, low, high)
+
+
+def difference_text(found: PairedDifferences) -> str:
+    value, low, high = (float(one) for one in (found.value, found.low, found.high))
+    return score_text(value, *(() if math.isnan(low) else (low, high)), signed=True)
+
+
+def collect(minutes: Sequence[str], trackers: Sequence[str], out: Path, results: Path) -> None:
+    """Write the results of the comparisons in `out`."""
+    compared = [Comparison.read(kind, out / kind) for kind in KINDS]
+    missing = ", ".join(f"`{name}`" for name in TRACKERS if name not in trackers) or "none"
+    sections = {
+        "poses": ResultSection(
+            command=COMMAND, source="measured", tables={"errors": pose_errors(minutes, out / "recordings")}
+        ),
+        "scores": ResultSection(
+            command=COMMAND,
+            source="measured",
+            tables=score_tables(compared, trackers),
+            values={"drives": str(len(minutes)), "trackers without weights": missing},
+        ),
+        "differences": difference_section(compared, trackers),
+    }
+    for name, section in sections.items():
+        write_section(results, name, section)
+        print("\n\n".join(table.markdown() for table in section.tables.values()), end="\n\n")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--tracker", action="append", help="one of those that can run; default: all of them")
+    parser.add_argument("--minute", action="append", help="a drive, such as car-202; default: all twenty")
+    parser.add_argument("--out", type=Path, default=Path("runs/moving"))
+    parser.add_argument("--results", type=Path, default=Path("docs/results/moving/drives.json"))
+    parser.add_argument("--jobs", default="1", help="trials at the same time")
+    given = parser.parse_args()
+    minutes, trackers = given.minute or minutes_in(DRIVES), given.tracker or list(selections())
+    run(minutes, trackers, given.out, ["--jobs", given.jobs])
+    collect(minutes, trackers, given.out, given.results)
+
+
+if __name__ == "__main__":
+    main()

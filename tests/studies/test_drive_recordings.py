@@ -1,0 +1,50 @@
+"""The drives with poses of other kinds keep the true poses as those that forecasts are scored by."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from gridtrack.common.geometry import SE2
+from gridtrack.common.scan import Scan
+from gridtrack.recordings import Recording, open_recording
+from gridtrack.recordings.formats.native import write_native
+from gridtrack.recordings.recording import RecordingInfo
+
+from studies.support.drive_recordings import PAUSE_NS, joined, minutes_in, standing
+
+PERIOD_NS = 125_000_000
+
+
+def driving(poses: list[SE2]) -> Iterator[Scan]:
+    """One scan at each pose."""
+    for k, pose in enumerate(poses):
+        yield Scan(k * PERIOD_NS, np.ones(4, np.float32), 0.0, 1.0, 0.1, 10.0, world_T_sensor=pose)
+
+
+def recorded(path: Path, poses: list[SE2]) -> Recording:
+    with path.open("wb") as file:
+        write_native(file, RecordingInfo(site="here"), driving(poses))
+    return open_recording(path)
+
+
+def test_a_sensor_whose_motion_is_ignored_stands_at_its_first_pose_and_is_scored_by_the_true_ones() -> None:
+    true = [SE2(1.0, 2.0, 0.5), SE2(2.0, 2.0, 0.6), SE2(3.0, 2.5, 0.7)]
+    scans = list(standing(driving(true)))
+    assert [scan.world_T_sensor for scan in scans] == [true[0]] * 3
+    assert [scan.reference_T_sensor for scan in scans] == true
+
+
+def test_joined_drives_follow_each_other_after_a_pause_longer_than_a_forecast(tmp_path: Path) -> None:
+    parts = [recorded(tmp_path / f"{k}.mcap", [SE2(x=10.0 * k), SE2(x=10.0 * k + 1.0)]) for k in range(2)]
+    scans = list(joined(parts))
+    assert [scan.stamp_ns for scan in scans] == [0, PERIOD_NS, PERIOD_NS + PAUSE_NS, 2 * PERIOD_NS + PAUSE_NS]
+    assert [scan.world_T_sensor.x for scan in scans] == [0.0, 1.0, 10.0, 11.0]
+
+
+def test_the_minutes_of_a_drive_set_are_those_with_true_poses() -> None:
+    minutes = minutes_in(Path(__file__).parents[2] / "data" / "drives")
+    assert len(minutes) == 20
+    assert minutes[0] == "car-202"
