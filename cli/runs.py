@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shlex
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
@@ -24,6 +24,8 @@ from gridtrack.common.errors import INTERRUPTED_EXIT_CODE, printable
 
 if TYPE_CHECKING:
     from gridtrack.evaluation.comparison.plan import ComparisonPlan
+    from gridtrack.evaluation.comparison.settings import CompareSettings
+    from gridtrack.evaluation.results.summary import RunSummary
 
 INCOMPLETE = 3
 
@@ -70,21 +72,27 @@ def compare_command(
             help="After the scores, score on degraded frames, one kind at a time",
         ),
     ] = None,
+    follow: Annotated[
+        bool,
+        typer.Option(
+            "--follow", help="The recording, an MCAP file, is still being written: keep up with it to its end"
+        ),
+    ] = False,
+    idle_timeout: Annotated[
+        str | None, typer.Option(help="With --follow, end when nothing was written for this long")
+    ] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Run trackers on recordings, each in its own process, score them, and write a report.
 
     Exit code: 0 all trials complete, 2 wrong use, 3 a trial is not complete or lacks a requested measurement, 130
-    interrupted.
+    interrupted. With --follow Ctrl-C ends the recording, and the run of what was seen is complete; the code is 130.
     """
-    from gridtrack.evaluation.comparison.plan import resolve
-    from gridtrack.evaluation.comparison.runner import run
     from gridtrack.evaluation.comparison.settings import CompareSettings
     from gridtrack.evaluation.processes.limits import Limits
     from gridtrack.evaluation.results.files import json_of
     from gridtrack.recordings.degradation import parse_degradation
     from gridtrack.reports.page import render_report
-    from gridtrack.reports.run_progress import RunProgress
     from gridtrack.reports.terminal import print_tables
 
     limits = {
@@ -113,22 +121,58 @@ def compare_command(
         "latency": latency,
         "deadline": deadline,
         "degrade": parse_degradation(degrade) if degrade is not None else None,
+        "follow": follow,
+        "idle_timeout_s": idle_timeout and seconds(idle_timeout),
         "limits": _settings(Limits, limits),
     }
-    plan = resolve(_settings(CompareSettings, given))
+    settings = _settings(CompareSettings, given)
+    compared = _followed(settings) if settings.follow else _run(settings)
+    report = render_report([settings.out])
+    if as_json:
+        typer.echo(json_of(compared.summary))
+    else:
+        print_tables(settings.out)
+        typer.echo(f"report: {report}")
+    if compared.interrupted:
+        raise typer.Exit(INTERRUPTED_EXIT_CODE)
+    outcomes = [trial.outcome for row in compared.summary.trackers.values() for trial in row.recordings.values()]
+    if compared.lacks_measurements or any(outcome != "ok" for outcome in outcomes):
+        raise typer.Exit(INCOMPLETE)
+
+
+class _Compared(NamedTuple):
+    """A comparison that has ended."""
+
+    summary: RunSummary
+    interrupted: bool
+    lacks_measurements: bool
+
+
+def _run(settings: CompareSettings) -> _Compared:
+    """Run a comparison of finished recordings."""
+    from gridtrack.evaluation.comparison.plan import resolve
+    from gridtrack.evaluation.comparison.runner import run
+    from gridtrack.reports.run_progress import RunProgress
+
+    plan = resolve(settings)
     with RunProgress() as progress:
         summary = run(plan, shlex.split(command_line()), progress)
-    report = render_report([plan.settings.out])
-    if as_json:
-        typer.echo(json_of(summary))
-    else:
-        print_tables(plan.settings.out)
-        typer.echo(f"report: {report}")
-    if summary.interrupted:
-        raise typer.Exit(INTERRUPTED_EXIT_CODE)
-    outcomes = [trial.outcome for row in summary.trackers.values() for trial in row.recordings.values()]
-    if _warn_of_missing(plan) or any(outcome != "ok" for outcome in outcomes):
-        raise typer.Exit(INCOMPLETE)
+    return _Compared(summary, summary.interrupted, not summary.interrupted and _warn_of_missing(plan))
+
+
+def _followed(settings: CompareSettings) -> _Compared:
+    """Follow a recording that is still being written, and score what was seen."""
+    from gridtrack.evaluation.comparison.following import following
+    from gridtrack.reports.live_table import LiveTable
+    from gridtrack.reports.run_progress import RunProgress
+
+    typer.echo(f"{settings.recordings[0]}: waiting until it holds enough to begin", err=True)
+    with following(settings) as followed:
+        with LiveTable() as table:
+            followed.follow(table)
+        with RunProgress() as progress:
+            summary = followed.finish(shlex.split(command_line()), progress)
+    return _Compared(summary, summary.interrupted or followed.interrupted, lacks_measurements=False)
 
 
 def compare_defaults() -> dict[str, str]:
@@ -146,6 +190,7 @@ def compare_defaults() -> dict[str, str]:
         "update_timeout": seconds_text(default_of(Limits, "update_s")),
         "predict_timeout": seconds_text(default_of(Limits, "predict_s")),
         "seed": str(default_of(CompareSettings, "seed")),
+        "idle_timeout": seconds_text(default_of(CompareSettings, "idle_timeout_s")),
     }
 
 

@@ -29,6 +29,8 @@ class RecordingFormat:
     """The recording at a path of this format, nothing of its scans read yet. Raises RecordingError."""
     options: tuple[str, ...] = ("topic",)
     """The fields of ReadOptions that the format can use; `strict` and `zero_range` hold for every format."""
+    can_grow: bool = False
+    """Whether a file can be read while it is written: its recordings read it by their `growth`."""
 
 
 HEAD_BYTES = 16

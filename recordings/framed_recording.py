@@ -96,7 +96,7 @@ class FramedRecording(Recording):
 
     @cached_property
     def _tree(self) -> FrameTree:
-        tree = FrameTree()
+        tree = FrameTree(growing=self.growth is not None)
         with contextlib.suppress(DamageError):  # reported when the scans are read
             for message in self.messages():
                 self._add_to(tree, message)

@@ -19,6 +19,7 @@ from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, DataEnd, Metadata, Schema
 
+from gridtrack.recordings.growth import FileEnds, GrowingFile, Growth
 from gridtrack.recordings.recording import DamageError
 
 MCAP_MAGIC = b"\x89MCAP0\r\n"
@@ -37,10 +38,13 @@ class McapMessage(NamedTuple):
 
 
 class McapFile:
-    """An MCAP file that is read from its beginning to its end, or to the first damage."""
+    """An MCAP file that is read from its beginning to its end, or to the first damage.
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
+    With `growth` it may still be written: the end of what is there is no damage.
+    """
+
+    def __init__(self, path: Path, growth: Growth | None = None) -> None:
+        self.path, self._growth = path, growth
         self.metadata: dict[str, dict[str, str]] = {}
         self.channels: dict[int, Channel] = {}
         self._schemas: dict[int, Schema] = {}
@@ -50,15 +54,17 @@ class McapFile:
 
         Raises DamageError where the file is cut off or corrupt.
         """
-        with self.path.open("rb") as file:
+        with self._growth.open(self.path) if self._growth else self.path.open("rb") as file:
             try:
                 yield from self._data_section(file)
+            except FileEnds:
+                return
             except (McapError, struct.error, UnicodeDecodeError, zstandard.ZstdError) as error:
                 raise DamageError(
                     f"damaged {file.tell()} bytes into the file ({error or type(error).__name__})"
                 ) from None
 
-    def _data_section(self, file: BinaryIO) -> Iterator[McapMessage]:
+    def _data_section(self, file: BinaryIO | GrowingFile) -> Iterator[McapMessage]:
         if file.read(len(MCAP_MAGIC)) != MCAP_MAGIC:
             raise DamageError("does not begin as an MCAP file")
         checksum = zlib.crc32(MCAP_MAGIC)
@@ -73,6 +79,8 @@ class McapFile:
             elif opcode == Opcode.DATA_END:
                 if DataEnd.read(stream).data_section_crc not in (0, checksum):
                     raise DamageError("corrupt: the checksum of the whole file is wrong")
+                if self._growth:
+                    _read_to_the_end(file)
                 return
             else:
                 yield from self._read_record(opcode, content)
@@ -95,7 +103,7 @@ class McapFile:
             self.channels[channel.id] = channel
 
 
-def _records(file: BinaryIO) -> Iterator[tuple[int, bytes]]:
+def _records(file: BinaryIO | GrowingFile) -> Iterator[tuple[int, bytes]]:
     """Opcode and content of each record. Raises DamageError for one that is cut off or too large."""
     while head := file.read(ENVELOPE.size):
         if len(head) < ENVELOPE.size:
@@ -107,6 +115,14 @@ def _records(file: BinaryIO) -> Iterator[tuple[int, bytes]]:
         if len(content) < size:
             raise DamageError("cut off in the middle of a record")
         yield opcode, content
+
+
+def _read_to_the_end(file: BinaryIO | GrowingFile) -> None:
+    """Read what follows the data, up to the magic bytes that close the file."""
+    for opcode, _ in _records(file):
+        if opcode == Opcode.FOOTER:
+            file.read(len(MCAP_MAGIC))
+            return
 
 
 def _decompressed(chunk: Chunk) -> bytes:

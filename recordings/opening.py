@@ -10,6 +10,7 @@ from gridtrack.common.config import validated
 from gridtrack.common.errors import GridtrackError, RecordingError, did_you_mean
 from gridtrack.common.names import check_utf8
 from gridtrack.recordings.format import HEAD_BYTES, RecordingFormat
+from gridtrack.recordings.growth import Growth
 from gridtrack.recordings.mounts import Mount
 from gridtrack.recordings.read_options import CloudSlice, ReadOptions
 from gridtrack.recordings.recording import Recording
@@ -32,13 +33,15 @@ def open_recording(
     pose_topic: str | None = None,
     mounts: Sequence[Mount] = (),
     zero_range: str | None = None,
+    growth: Growth | None = None,
 ) -> Recording:
     """The recording at `path`, in any format; nothing but the beginning of the file is read yet.
 
     `topic` keeps one sensor of several; of ROS recordings `cloud_slice` says how a PointCloud2 topic becomes a scan,
     `pose_topic` where the poses of what carries the sensors are ("none": they stand still), and `mounts` their places
     on it, where the transforms in the recording do not tell; `zero_range` is the meaning of a range of 0.0, "free" or
-    "unknown"; `strict` turns what would be a warning into an error. Raises RecordingError and ConfigurationError.
+    "unknown"; `strict` turns what would be a warning into an error; `growth` is that of a file that is still being
+    written. Raises RecordingError and ConfigurationError.
     """
     path = Path(path)
     check_utf8(path, RecordingError)
@@ -58,10 +61,24 @@ def open_recording(
     for name, purpose in OPTION_PURPOSE.items():
         if getattr(options, name) not in (None, ()) and name not in recording_format.options:
             raise RecordingError(f"{path}: {purpose}; a {recording_format.name} has no use for it: leave it out")
+    if growth is not None:
+        _require_growing(path, recording_format)
     recording = _opened(path, recording_format, options)
+    recording.growth = growth
     for problem in registry.problems:
         recording.notify(problem)
     return recording
+
+
+def _require_growing(path: Path, recording_format: RecordingFormat) -> None:
+    """Raise RecordingError for what cannot be read while it is written."""
+    if path.is_dir():
+        raise RecordingError(f"{path}: a folder cannot be followed: name the MCAP file in it that is being written")
+    if not recording_format.can_grow:
+        raise RecordingError(
+            f"{path}: a {recording_format.name} cannot be followed while it is written: record MCAP (`ros2 bag record"
+            " --storage mcap`), or compare the finished file without --follow"
+        )
 
 
 def _opened(path: Path, recording_format: RecordingFormat, options: ReadOptions) -> Recording:

@@ -19,6 +19,7 @@ from gridtrack.common.files import sha256_of
 from gridtrack.common.grid import GridSpec
 from gridtrack.common.names import LABEL_RULE, NAME_RULE, is_label, is_name, name_from
 from gridtrack.common.scan import MAX_RATE_HZ, MIN_RATE_HZ, Scan
+from gridtrack.recordings.growth import Growth
 from gridtrack.recordings.order import StampOrder
 from gridtrack.recordings.read_options import ReadOptions
 from gridtrack.recordings.survey import RecordingOverview, Survey
@@ -35,6 +36,10 @@ def stretch_text(stretch: Stretch) -> str:
 
 class DamageError(RecordingError):
     """A file is cut off or corrupt: the scans before the damage can be used, those after it cannot."""
+
+
+class NoScansError(RecordingError):
+    """A file without scans, or without any so far."""
 
 
 class RecordingInfo(Settings):
@@ -127,6 +132,8 @@ class Recording(ABC):
         self.options = options
         self.warnings: list[str] = []
         self.damage = ""
+        self.growth: Growth | None = None
+        """Of a file that is still being written; None: the file is finished."""
 
     @property
     def name(self) -> str:
@@ -135,8 +142,11 @@ class Recording(ABC):
 
     @cached_property
     def sha256(self) -> str:
-        """SHA-256 of the file; of all its files, in the order of their names, where the recording is a folder."""
-        return sha256_of(self.path)
+        """SHA-256 of the file; of all its files, in the order of their names, where the recording is a folder.
+
+        Of a file that is still being written, of the part that is read.
+        """
+        return sha256_of(self.path, self.growth.limit if self.growth else None)
 
     @property
     def source_sha256(self) -> str:
@@ -200,6 +210,12 @@ class Recording(ABC):
         survey.topics = {topic: (kind, topics.counts[topic]) for topic, kind in topics.types.items()}
         return survey
 
+    def survey_again(self) -> None:
+        """Let `survey`, `sha256` and the warnings be found anew where they are used next: the file has grown."""
+        self.warnings.clear()
+        for name in ("survey", "sha256"):
+            self.__dict__.pop(name, None)
+
     def check_poses(self) -> None:
         """Raise RecordingError where the sensors have no poses in one frame."""
         if problem := self._pose_problem_of(self.survey):
@@ -246,14 +262,25 @@ class Recording(ABC):
     def _in_order(self, topics: Topics) -> Iterator[Scan]:
         order = StampOrder(self.warn)
         try:
-            for scan in self._before_damage(topics):
+            for scan in filter(self._is_known, self._before_damage(topics)):
                 yield from order.push(self._with_zero_range(scan))
             yield from order.flush()
             self._require_scans(order, topics)
         except RecordingError as error:
-            raise RecordingError(f"{self.path}: {str(error).removeprefix(f'{self.path}: ')}") from None
+            kind = NoScansError if isinstance(error, NoScansError) else RecordingError
+            raise kind(f"{self.path}: {str(error).removeprefix(f'{self.path}: ')}") from None
         except OSError as error:
             raise RecordingError(f"{self.path}: cannot be read ({error.strerror})") from None
+
+    def _is_known(self, scan: Scan) -> bool:
+        """Whether the sensor was there when the following of a growing file began."""
+        if self.growth is None or self.growth.sensors is None or scan.sensor in self.growth.sensors:
+            return True
+        self.notify(
+            f"sensor '{scan.sensor}' has its first scan after the following began: it is left out; compare the finished"
+            " file to have it"
+        )
+        return False
 
     def _with_zero_range(self, scan: Scan) -> Scan:
         """The scan with ranges of 0.0 replaced as the options say."""
@@ -271,7 +298,7 @@ class Recording(ABC):
 
     def _require_scans(self, order: StampOrder, topics: Topics) -> None:
         if order.empty:
-            raise RecordingError(self._why_no_scans(topics))
+            raise NoScansError(self._why_no_scans(topics))
 
     def _why_no_scans(self, topics: Topics) -> str:
         topic = self.options.topic

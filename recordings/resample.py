@@ -18,7 +18,7 @@ class Tick:
 
 
 def resample_scans(
-    scans: Iterable[Scan], period_ns: int, *, origin_ns: int, ticks: range, bridged: bool = True
+    scans: Iterable[Scan], period_ns: int, *, origin_ns: int, ticks: Iterable[int], bridged: bool = True
 ) -> Iterator[Tick]:
     """Ticks at `origin_ns + k * period_ns` for k in `ticks`, from `scans` in the order of their stamps.
 

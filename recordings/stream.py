@@ -5,10 +5,10 @@ from __future__ import annotations
 import hashlib
 import math
 import struct
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from copy import copy
 from functools import cached_property
-from itertools import islice
+from itertools import count, islice
 from pathlib import Path
 
 import numpy as np
@@ -119,15 +119,45 @@ class GridStream:
 
         The window follows the poses as they are recorded, also where the scans are degraded.
         """
+        return self._observed(self._resampled(), self._ticks.start)
+
+    def arriving(self) -> Iterator[Observation]:
+        """The observations of a recording that is still being written, from its first scan on to the end of the file.
+
+        Each comes as soon as the scans for it are read. Raises RecordingError for a gap that is too long.
+        """
+        return self._observed(self._arriving())
+
+    def _arriving(self) -> Iterator[Tick]:
+        origin_ns = newest_ns = self.recording.survey.first_ns
+        ended = False
+
+        def scans() -> Iterator[Scan]:
+            nonlocal newest_ns, ended
+            for scan in self.recording.scans():
+                if scan.stamp_ns - newest_ns > MAX_EMPTY_FRAMES * self.period_ns:
+                    raise RecordingError(f"{self.name}: no scans for {(scan.stamp_ns - newest_ns) / 1e9:.1f} s")
+                newest_ns = max(newest_ns, scan.stamp_ns)
+                yield scan
+            ended = True
+
+        alone = len(self.recording.survey.sensors) == 1
+        for tick in resample_scans(scans(), self.period_ns, origin_ns=origin_ns, ticks=count(), bridged=alone):
+            if ended and tick.stamp_ns > newest_ns:
+                return
+            yield tick
+
+    def _observed(self, ticks: Iterable[Tick], first: int = 0) -> Iterator[Observation]:
+        """The observations of `ticks` from the tick `first` of the recording on."""
         survey = self.recording.survey
         poses = dict(survey.poses)
         reference = next(iter(poses))
         reference_T_world = SE2()
-        for tick in self._resampled():
+        for tick in ticks:
             poses.update({sensor: scan.world_T_sensor for sensor, scan in tick.scans.items()})
             if (scan := tick.scans.get(reference)) is not None and scan.reference_T_sensor is not None:
                 reference_T_world = scan.reference_T_sensor @ scan.world_T_sensor.inverse()
-            if (tick.stamp_ns - survey.first_ns) // self.period_ns < self._ticks.start:
+            if (tick.stamp_ns - survey.first_ns) // self.period_ns < first:
                 continue
             yield self._observation(tick, poses, window_about(poses[reference], self.grid.cell_m), reference_T_world)
 
@@ -168,10 +198,10 @@ class GridStream:
         window = next(observations).frame.world_T_grid
         return next((one.time_s for one in observations if one.frame.world_T_grid != window), None)
 
-    def before(self, count: int) -> Iterator[Observation]:
-        """The observations of the recording directly before the stretch, at most `count`. For the referee only."""
+    def before(self, most: int) -> Iterator[Observation]:
+        """The observations of the recording directly before the stretch, at most `most`. For the referee only."""
         earlier = copy(self)
-        earlier._ticks = range(max(0, self._ticks.start - count), self._ticks.start)
+        earlier._ticks = range(max(0, self._ticks.start - most), self._ticks.start)
         return earlier.observations() if earlier._ticks else iter(())
 
     def labelled(self) -> Iterator[LabelledFrame]:

@@ -142,8 +142,8 @@ def with_copied_weights(plan: ComparisonPlan, folder: Path) -> ComparisonPlan:
     return replace(plan, trials=tuple(trials))
 
 
-def resolve(settings: CompareSettings) -> ComparisonPlan:
-    """Look up everything that `settings` names, before any trial runs.
+def resolve(settings: CompareSettings, splits: tuple[EvaluationSplit, ...] | None = None) -> ComparisonPlan:
+    """Look up everything that `settings` names, before any trial runs; `splits` of its recordings where they are known.
 
     Raises a GridtrackError for a recording, stretch, tracker, option or weights file that cannot be used.
     """
@@ -158,7 +158,7 @@ def resolve(settings: CompareSettings) -> ComparisonPlan:
     sampling = Sampling(
         settings.horizon_s, settings.every_s, GridSpec.parse(settings.grid) if settings.grid else None, settings.rate_hz
     )
-    splits = plan_splits(settings.recordings, settings.validation, sampling)
+    splits = splits or plan_splits(settings.recordings, settings.validation, sampling)
     _refuse_equal_names(splits)
     _refuse_overlaps(splits)
     trials = tuple(

@@ -38,7 +38,7 @@ class RunFolder:
         record = _new_record(plan, command)
         earlier = _earlier_record(path)
         if earlier is not None and not plan.settings.resume:
-            raise RunError(f"{path} holds a run already: continue it with --resume, or name another folder with --out")
+            raise _holds_a_run(path)
         if earlier is not None and earlier.configuration != record.configuration:
             changed = _what_changed(earlier.configuration, record.configuration)
             raise RunError(
@@ -74,6 +74,16 @@ class RunFolder:
         status = "interrupted" if interrupted else "complete"
         self.record.model_copy(update={"status": status, "finished": _now()}).write(self.path)
         return summary
+
+
+def refuse_earlier_run(path: Path) -> None:
+    """Raise RunError where the folder holds a run."""
+    if _earlier_record(path) is not None:
+        raise _holds_a_run(path)
+
+
+def _holds_a_run(path: Path) -> RunError:
+    return RunError(f"{path} holds a run already: continue it with --resume, or name another folder with --out")
 
 
 def _is_done(weights_sha256: str, record: TrialRecord, folder: Path) -> bool:

@@ -16,7 +16,8 @@ class CompareSettings(Settings):
 
     `recordings` as RECORDING[@range], `trackers` as [LABEL=]NAME[:key=value,...] (none: every registered one);
     `reference` the label of the row that the others are compared with (none: `persistence`, else the first);
-    `validation` a RECORDING[@range] to choose thresholds on, instead of each recording's own validation stretch.
+    `validation` a RECORDING[@range] to choose thresholds on, instead of each recording's own validation stretch. With
+    `follow` the recording is still being written, and it ends when nothing was written for `idle_timeout_s`.
     """
 
     recordings: tuple[str, ...] = Field(min_length=1)
@@ -38,3 +39,5 @@ class CompareSettings(Settings):
     latency: bool = False
     deadline: bool = False
     degrade: Degradation | None = None
+    follow: bool = False
+    idle_timeout_s: float = Field(60.0, gt=0.0, le=86_400.0)

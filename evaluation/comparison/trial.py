@@ -130,9 +130,13 @@ class TrialRun:
         """Stream the test stretch and write the score of each forecast once its last frame is observed."""
         split, classes = self.trial.split, self._process.description.classes
         with Scorekeeper(self._folder, split, thresholds, classes) as scorekeeper:
-            for scored in scored_forecasts(self._process, self._delivery, self._test, self.trial.seed):
+            for scored in scored_forecasts(self._tracker(), self._delivery, self._test, self.trial.seed):
                 scorekeeper.add(scored, self._delivery.digest)
                 self._scored = scorekeeper.scored
+
+    def _tracker(self) -> TrackerLike:
+        """What forecasts the test stretch."""
+        return self._process
 
     def _has_scores(self) -> bool:
         """Whether the score files are complete: the disk may be full before the last one is written."""

@@ -67,6 +67,19 @@ class Deadline(ResultModel):
     rates: tuple[AtRate, ...] = Field(min_length=1, max_length=MOST_CONDITIONS)
 
 
+class Followed(ResultModel):
+    """A trial that followed its recording while it was written: its deadlines are real ones."""
+
+    frames: int
+    """Frames with a deadline: those that were written after the following began."""
+    missed: int
+    """Those of them that the tracker was not given, because it was busy."""
+    age_frames: Quantiles | None
+    """Age of the newest forecast in time at each of them, in frames; null where there are none."""
+    forecast_steps: int
+    """How many steps ahead the forecasts reach, for delays to be covered."""
+
+
 class AtStrength(ResultModel):
     """Scores of a tracker that receives degraded frames, against the undegraded ones."""
 

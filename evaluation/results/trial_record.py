@@ -11,7 +11,7 @@ from pydantic import Field
 from gridtrack.common.files import sha256_of
 from gridtrack.evaluation.processes.outcome import Outcome
 from gridtrack.evaluation.results.files import RunError, read_model, write_model
-from gridtrack.evaluation.results.passes import Deadline, Latency, Robustness
+from gridtrack.evaluation.results.passes import Deadline, Followed, Latency, Robustness
 from gridtrack.evaluation.results.values import ResultModel
 from gridtrack.trackers.contract import ComparedPart, Role
 
@@ -84,6 +84,8 @@ class TrialRecord(ResultModel):
     latency_ms: Latency | None = None
     deadline: Deadline | None = None
     robustness: Robustness | None = None
+    followed: Followed | None = None
+    """Of a run with `--follow`."""
 
     @property
     def complete(self) -> bool:

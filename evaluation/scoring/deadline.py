@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridtrack.common.geometry import SE2
-from gridtrack.common.grid import GridFrame, rolled, shift_between
+from gridtrack.common.grid import GridFrame, Shift, rolled, shift_between
 from gridtrack.evaluation.processes.clock import Clock
 from gridtrack.evaluation.scoring.referee import Schedule, TrackerLike
 from gridtrack.trackers.contract import Forecast
@@ -55,6 +55,12 @@ class Timeline:
     def missed(self) -> int:
         """Number of frames that the tracker does not receive."""
         return int((~self.accepted).sum())
+
+    def lasting(self, frames: int) -> Timeline:
+        """The same for `frames` frames or more: the tracker receives none of those that are added."""
+        added = max(0, frames - len(self.newest))
+        newest = np.pad(self.newest, (0, added), "edge") if len(self.newest) else np.full(added, -1, np.int64)
+        return Timeline(np.pad(self.accepted, (0, added)), newest)
 
 
 def timeline(frames: int, period_ms: float, costs: Costs) -> Timeline:
@@ -124,8 +130,16 @@ class DeadlineTracker:
         self._forecasts = {index: f for index, f in self._forecasts.items() if index >= made_at}
         window, forecast = self._forecasts[made_at]
         shift = shift_between(window, self._window, self._cell_m)
-        used_steps = np.minimum(self._index - made_at + np.arange(steps + 1), self._reach)
-        occupancy, semantics = forecast.occupancy[used_steps], forecast.semantics
-        if semantics is not None:
-            semantics = rolled(semantics[used_steps], shift, np.float32(1.0 / semantics.shape[1]))
-        return Forecast(rolled(occupancy, shift, np.float32(0.0)), semantics)
+        return read_later(forecast, self._index - made_at, shift, steps)
+
+
+def read_later(forecast: Forecast, age: int, shift: Shift, steps: int) -> Forecast:
+    """A forecast read `age` frames after it was made, for steps 0..steps from then on, in a window moved by `shift`.
+
+    Its last step stands for those after it; cells that came into the window are free, of no class.
+    """
+    used_steps = np.minimum(age + np.arange(steps + 1), len(forecast.occupancy) - 1)
+    occupancy, semantics = forecast.occupancy[used_steps], forecast.semantics
+    if semantics is not None:
+        semantics = rolled(semantics[used_steps], shift, np.float32(1.0 / semantics.shape[1]))
+    return Forecast(rolled(occupancy, shift, np.float32(0.0)), semantics)

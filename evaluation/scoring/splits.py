@@ -142,11 +142,24 @@ def plan_split(
     """
     path, stretch = parse_stretch(text)
     recording = open_recording(path)
+    if stretch is None and TEST in recording.info.stretches:
+        return split_of(recording, path.stem, TEST, validation, sampling, opened)
     name = path.stem if stretch is None else f"{path.stem}@{text.rpartition('@')[2]}"
+    return split_of(recording, name, stretch, validation, sampling, opened)
+
+
+def split_of(
+    recording: Recording,
+    name: str,
+    stretch: Stretch | str | None,
+    validation: str | None,
+    sampling: Sampling,
+    opened: Recording | None = None,
+) -> EvaluationSplit:
+    """The split called `name` of a stretch of `recording` (None: all of it); the others as of `plan_split`."""
+    path = recording.path
     if not is_name(name):
         raise ConfigurationError(f"{path}: '{name}' cannot be the name of a folder of results: {NAME_RULE}; rename it")
-    if stretch is None and TEST in recording.info.stretches:
-        stretch = TEST
     test = GridStream(recording, stretch, grid=sampling.grid, rate_hz=sampling.rate_hz)
     steps = _steps(test, sampling.horizon_s)
     every = max(1, round(sampling.every_s / test.period_s))
@@ -192,7 +205,7 @@ def _validation_stretch(
     if requested is not None:
         path, named = parse_stretch(requested)
         stretch = GridStream(opened or open_recording(path), named, grid=test.grid, rate_hz=1e9 / test.period_ns)
-    elif VALIDATION in test.recording.info.stretches:
+    elif VALIDATION in test.recording.info.stretches and test.recording.growth is None:
         stretch = own_validation(test)
     else:
         return None, (f"{test.name}: no validation stretch{_AT_HALF}",)

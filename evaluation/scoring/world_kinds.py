@@ -86,13 +86,13 @@ def observed_kinds(observations: Iterable[Observation], grid: GridSpec) -> Kinds
     MIN_HITS of them. The ring is the eight neighbours of a static cell, where range noise flickers; all others are
     dynamic. Raises RecordingError where the windows cover too much.
     """
-    counts = _Counts(grid)
+    counts = ObservedCounts(grid)
     for observation in observations:
         counts.add(observation)
     return counts.kinds()
 
 
-class _Counts:
+class ObservedCounts:
     """In how many frames each cell is visible, occupied, and visible beside an occupied cell or occupied."""
 
     def __init__(self, grid: GridSpec) -> None:

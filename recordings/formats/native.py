@@ -37,6 +37,7 @@ from gridtrack.common.pose_quality import PoseQuality
 from gridtrack.common.scan import Scan
 from gridtrack.common.scene import Scene
 from gridtrack.recordings.format import RecordingFormat
+from gridtrack.recordings.growth import Growth
 from gridtrack.recordings.json_messages import (
     BEAM_TIMES,
     POSE_QUALITY,
@@ -69,7 +70,7 @@ class NativeRecording(Recording):
     @cached_property
     def info(self) -> RecordingInfo:
         """The metadata of the recording. Raises RecordingError where they are missing or cannot be read."""
-        file = McapFile(self.path)
+        file = McapFile(self.path, Growth() if self.growth else None)
         with contextlib.suppress(DamageError):  # reported when the scans are read
             next(file.messages(), None)
         found = file.metadata.get(METADATA_NAME)
@@ -91,7 +92,7 @@ class NativeRecording(Recording):
         beam_times: dict[str, float] = {}
         qualities: dict[str, PoseQuality] = {}
         truth: SceneReader | None = None
-        file = McapFile(self.path)
+        file = McapFile(self.path, self.growth)
         for message in file.messages():
             topic = message.channel.topic
             is_scan = _is_topic(topic, "/scan")
@@ -148,7 +149,7 @@ def is_native(path: Path, head: bytes) -> bool:
     return METADATA_NAME in file.metadata or first is None
 
 
-NATIVE_FORMAT = RecordingFormat("native MCAP", (".mcap",), is_native, NativeRecording)
+NATIVE_FORMAT = RecordingFormat("native MCAP", (".mcap",), is_native, NativeRecording, can_grow=True)
 
 
 def write_native(

@@ -33,7 +33,7 @@ class RosMcap(RosRecording):
     def messages(self) -> Iterator[EncodedMessage]:
         """All messages in the order of the file. Raises DamageError where it is cut off or corrupt."""
         for path in mcap_files(self.path) if self.path.is_dir() else [self.path]:
-            for schema, channel, received_ns, data in McapFile(path).messages():
+            for schema, channel, received_ns, data in McapFile(path, self.growth).messages():
                 yield EncodedMessage(channel.topic, ros2_name(schema.name), received_ns, channel.message_encoding, data)
 
     def content_of(self, message: EncodedMessage) -> Content | None:
@@ -99,4 +99,4 @@ def is_ros_mcap(path: Path, head: bytes) -> bool:
     return head.startswith(MCAP_MAGIC) and not is_native(path, head)
 
 
-ROS_MCAP_FORMAT = RecordingFormat("ROS or Foxglove MCAP", (".mcap",), is_ros_mcap, RosMcap, ROS_OPTIONS)
+ROS_MCAP_FORMAT = RecordingFormat("ROS or Foxglove MCAP", (".mcap",), is_ros_mcap, RosMcap, ROS_OPTIONS, can_grow=True)

@@ -27,9 +27,10 @@ class StampedTransform(NamedTuple):
 class FrameMotion:
     """What one pass over the transforms of a frame, or the poses of a topic, tells about them."""
 
-    def __init__(self, first_ns: int, first: SE3) -> None:
+    def __init__(self, first_ns: int, first: SE3, *, may_move: bool = False) -> None:
+        """`may_move`: they count as moving also where they have been constant so far."""
         self.first = first
-        self.constant = True
+        self.constant = not may_move
         self.longest_gap_ns = 0
         self._added = 1
         self._far = FarStamps()
@@ -78,8 +79,11 @@ class PoseTopic:
 class FrameTree:
     """Frames with their parents, topics with poses, and the frame of each topic with scans, from one pass over a file.
 
-    The first parent of a frame is kept. `faults` holds one line for each kind of fault and frame.
+    The first parent of a frame is kept. `faults` holds one line for each kind of fault and frame. In a file that is
+    `growing` what was constant so far may move later: only static transforms are constant.
     """
+
+    growing: bool = False
 
     edges: dict[str, Edge] = field(default_factory=dict)
     poses: dict[str, PoseTopic] = field(default_factory=dict)
@@ -101,7 +105,9 @@ class FrameTree:
                 if edge.is_static and not edge.motion.constant:
                     self.note(f"static transforms on {topic} of frame '{child}' change: the first is used")
             else:
-                self.edges[child] = Edge(parent, topic, is_static, FrameMotion(stamped.stamp_ns, stamped.transform))
+                may_move = self.growing and not is_static
+                motion = FrameMotion(stamped.stamp_ns, stamped.transform, may_move=may_move)
+                self.edges[child] = Edge(parent, topic, is_static, motion)
 
     def add_poses(self, topic: str, poses: Iterable[StampedTransform]) -> None:
         """Add the poses of a message."""
@@ -114,7 +120,8 @@ class FrameTree:
                 self.note(f"more than {MAX_POSE_TOPICS} topics with poses: the others are not used")
             else:
                 parent, child = (_label_or_empty(name) for name in (pose.parent, pose.child))
-                self.poses[topic] = PoseTopic(topic, parent, child, FrameMotion(pose.stamp_ns, pose.transform))
+                motion = FrameMotion(pose.stamp_ns, pose.transform, may_move=self.growing)
+                self.poses[topic] = PoseTopic(topic, parent, child, motion)
 
     def is_used(self, stamped: StampedTransform) -> bool:
         """Whether a transform is one of those kept: of a known frame, to its first parent."""

@@ -1,0 +1,155 @@
+"""The observations of a recording that is still being written, as they arrive, and the pace of their presentation."""
+
+from __future__ import annotations
+
+import queue
+import threading
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+from gridtrack.common.errors import RecordingError
+from gridtrack.recordings.growth import Growth
+from gridtrack.recordings.observation import Observation
+from gridtrack.recordings.stream import GridStream
+
+POLL_S = 0.05
+"""Period at which the size of the file is looked at."""
+WAKE_S = 0.2
+"""Longest wait of the main thread, so that an interrupt is noticed."""
+MAX_AHEAD = 600
+"""Observations that are read before it is their time."""
+
+
+class Watch(Protocol):
+    """Waits for the file to grow."""
+
+    idle: bool
+
+    def more(self) -> bool:
+        """Whether the file has grown; waits for it."""
+
+    def stop(self) -> None:
+        """Wait no longer."""
+
+
+class Turns(Protocol):
+    """The pace of the frames."""
+
+    def restart(self) -> None:
+        """A frame is presented now, without a deadline."""
+
+    def wait(self) -> None:
+        """Wait until it is time for the next frame, which has arrived."""
+
+
+class FileWatch:
+    """Waits for a file to grow: `more` of its Growth."""
+
+    def __init__(self, path: Path, idle_s: float) -> None:
+        """After `idle_s` seconds without growth nothing more is waited for."""
+        self._path, self._idle_s = path, idle_s
+        self._size = -1
+        self._grown_s = time.monotonic()
+        self._stopped = threading.Event()
+        self.idle = False
+        """Whether the time without growth was over."""
+
+    def more(self) -> bool:
+        """Wait until the file has grown since the last call; False where it did not, or the watch was stopped."""
+        while not self._stopped.is_set():
+            size = self._path.stat().st_size
+            if size != self._size:
+                self._size, self._grown_s = size, time.monotonic()
+                return True
+            if time.monotonic() - self._grown_s > self._idle_s:
+                self.idle = True
+                return False
+            self._stopped.wait(POLL_S)
+        return False
+
+    def stop(self) -> None:
+        """Wait no longer. From any thread."""
+        self._stopped.set()
+
+
+@dataclass(frozen=True, slots=True)
+class Arrival:
+    """An observation, and how many bytes of the file had been read when it was made."""
+
+    observation: Observation
+    position: int
+
+
+class Arrivals:
+    """Observations of a growing recording, read in a thread of its own. `problem`: why the rest cannot be read."""
+
+    def __init__(self, stream: GridStream, growth: Growth) -> None:
+        self._stream, self._growth = stream, growth
+        self._read: queue.Queue[Arrival | None] = queue.Queue(MAX_AHEAD)
+        self._stopped = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="reader", daemon=True)
+        self.problem = ""
+        self.ended = False
+        """Whether the recording was read to its end."""
+        self.newest_ns = 0
+        """Stamp of the newest frame read."""
+
+    def __iter__(self) -> Iterator[Arrival]:
+        """The observations, once, in their order; waits for them."""
+        self._thread.start()
+        while True:
+            try:
+                arrival = self._read.get(timeout=WAKE_S)
+            except queue.Empty:
+                continue
+            if arrival is None:
+                return
+            yield arrival
+
+    def stop(self) -> None:
+        """End the reading; the file is no longer open."""
+        self._stopped.set()
+        if self._thread.is_alive():
+            self._thread.join()
+
+    def _run(self) -> None:
+        try:
+            for observation in self._stream.arriving():
+                self.newest_ns = observation.frame.stamp_ns
+                if not self._put(Arrival(observation, self._growth.position)):
+                    return
+            self.ended = True
+        except (RecordingError, OSError) as error:
+            self.problem = str(error)
+        self._put(None)
+
+    def _put(self, arrival: Arrival | None) -> bool:
+        while not self._stopped.is_set():
+            try:
+                self._read.put(arrival, timeout=WAKE_S)
+            except queue.Full:
+                continue
+            return True
+        return False
+
+
+class Pace:
+    """The time at which each frame is presented: a period after the one before, or when it has arrived."""
+
+    def __init__(self, period_ns: int) -> None:
+        self._period_ns = period_ns
+        self._due_ns = time.monotonic_ns()
+
+    def restart(self) -> None:
+        """A frame is presented now, without a deadline."""
+        self._due_ns = time.monotonic_ns()
+
+    def wait(self) -> None:
+        """Wait until it is time for the next frame, which has arrived."""
+        now_ns = time.monotonic_ns()
+        self._due_ns = max(now_ns, self._due_ns + self._period_ns)
+        while (left_ns := self._due_ns - time.monotonic_ns()) > 0:
+            time.sleep(min(left_ns / 1e9, WAKE_S))

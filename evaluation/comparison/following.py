@@ -1,0 +1,278 @@
+"""A comparison that follows a recording while it is written: trackers in real time, then a run like any other."""
+
+from __future__ import annotations
+
+import hashlib
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from gridtrack.common.errors import RecordingError
+from gridtrack.common.grid import GridSpec
+from gridtrack.evaluation.comparison.arrivals import WAKE_S, Arrival, Arrivals, FileWatch, Pace, Turns, Watch
+from gridtrack.evaluation.comparison.follow_notices import Ending, notices_of
+from gridtrack.evaluation.comparison.followed_trial import FollowedTrial
+from gridtrack.evaluation.comparison.growing_recording import open_growing, path_to_follow, refuse_raw
+from gridtrack.evaluation.comparison.live_scores import LiveObserver, LiveScores, LiveStatus
+from gridtrack.evaluation.comparison.plan import ComparisonPlan, resolve, with_copied_weights
+from gridtrack.evaluation.comparison.run_folder import RunFolder, refuse_earlier_run
+from gridtrack.evaluation.comparison.run_lock import run_lock
+from gridtrack.evaluation.comparison.runner import RunObserver, TrialPool
+from gridtrack.evaluation.comparison.settings import CompareSettings
+from gridtrack.evaluation.comparison.shared_thresholds import SharedThresholds
+from gridtrack.evaluation.comparison.trial import Interrupted, failed
+from gridtrack.evaluation.results.summary import RunSummary
+from gridtrack.evaluation.results.trial_record import TrialRecord
+from gridtrack.evaluation.scoring.referee import WARM_UP
+from gridtrack.evaluation.scoring.regions import regions_of
+from gridtrack.evaluation.scoring.splits import EvaluationSplit, Sampling, SplitRegions, split_of
+from gridtrack.recordings import open_recording
+from gridtrack.recordings.growth import Growth
+from gridtrack.recordings.stream import frame_digest
+from gridtrack.recordings.stretches import parse_stretch
+
+
+@contextmanager
+def following(settings: CompareSettings, watch: Watch | None = None) -> Iterator[Following]:
+    """The following of the recording that `settings` names, in its locked folder. Raises a GridtrackError."""
+    path = path_to_follow(settings)
+    with run_lock(settings.out), TemporaryDirectory(prefix="gridtrack-weights-") as folder:
+        refuse_earlier_run(settings.out)
+        followed = Following(settings, path, watch or FileWatch(path, settings.idle_timeout_s), Path(folder))
+        try:
+            yield followed
+        finally:
+            followed.abandon()
+
+
+class Following:
+    """One recording that is followed by all trackers at the same time: first `follow`, then `finish`."""
+
+    def __init__(self, settings: CompareSettings, path: Path, watch: Watch, folder: Path) -> None:
+        """`folder`: for copies of the weights."""
+        self.interrupted = False
+        """Whether Ctrl-C ended the following."""
+        self._watch, self._path = watch, path
+        self._recording = open_growing(path, settings, watch.more)
+        assert self._recording.growth is not None
+        self._growth: Growth = self._recording.growth
+        self._sampling = Sampling(
+            settings.horizon_s,
+            settings.every_s,
+            GridSpec.parse(settings.grid) if settings.grid else None,
+            settings.rate_hz,
+        )
+        self._validation = open_recording(parse_stretch(settings.validation)[0]) if settings.validation else None
+        self._split = self._split_of(settings)
+        self._plan = with_copied_weights(resolve(settings, (self._split,)), folder)
+        refuse_raw(self._plan.trials)
+        self.pace: Turns = Pace(self._split.test.period_ns)
+        self._arrivals = Arrivals(self._split.test, self._growth)
+        shared, regions = SharedThresholds(), self._validation_regions()
+        self.runs = [
+            FollowedTrial(trial, regions, settings.out / trial.name, partial(self._next_frame, trial.name), shared)
+            for trial in self._plan.trials
+        ]
+        self._threads = [threading.Thread(target=self._run, args=(run,), name=run.trial.name) for run in self.runs]
+        self._scores = LiveScores(self._split, self.runs)
+        self._advanced: Callable[[str], None] | None = None
+        self._stop = threading.Event()
+        self._records: dict[str, TrialRecord] = {}
+        self._digest = hashlib.blake2b(digest_size=16)
+        self._frames = self._frames_before = 0
+        self._newest: Arrival | None = None
+        self._begun_bytes = 0
+
+    def follow(self, table: LiveObserver) -> None:
+        """Give the frames to the trackers as they are written, up to the end of the file or Ctrl-C."""
+        for notice in self._plan.notices:
+            table.note(notice)
+        try:
+            self._start()
+            table.note(f"{self._path}: following; end with Ctrl-C")
+            for arrival in self._arrivals:
+                self._present(arrival)
+                table.update(self._status)
+                if all(run.live.left for run in self.runs):
+                    break
+            self._await_turn()
+        except KeyboardInterrupt:
+            self.interrupted = True
+        finally:
+            self._watch.stop()
+            self._arrivals.stop()
+        self._close_deadline()
+        for run in self.runs:
+            run.live.end()
+        self._scores.stop()
+
+    def finish(self, command: Sequence[str], progress: RunObserver) -> RunSummary:
+        """Score what was delivered in time, and return the summary; `command` is stored with the results.
+
+        A second Ctrl-C keeps the scores so far. Raises RecordingError where there is nothing to score.
+        """
+        plan = self._whole_plan()
+        folder = RunFolder.prepare(plan, command)
+        pool = TrialPool(plan, folder.path, progress)
+        interrupted = False
+        try:
+            self._score(plan, progress)
+        except KeyboardInterrupt:
+            interrupted = True
+            self.abandon()
+        self._join()
+        for name, record in self._records.items():
+            pool.keep(name, record)
+        if not interrupted:
+            try:
+                pool.run_oracles()
+            except KeyboardInterrupt:
+                interrupted = True
+        return folder.finish(pool.all_records(), [*pool.notices, *self._notices()], interrupted)
+
+    def abandon(self) -> None:
+        """End everything that still runs."""
+        self._stop.set()
+        self._watch.stop()
+        self._arrivals.stop()
+        self._scores.stop()
+        for run, thread in zip(self.runs, self._threads, strict=True):
+            if thread.is_alive():
+                run.abandon()
+                thread.join()
+
+    def _start(self) -> None:
+        self._scores.start()
+        for thread in self._threads:
+            thread.start()
+        for run in self.runs:
+            while not run.ready.wait(WAKE_S):
+                pass
+        self._begun_bytes = self._path.stat().st_size
+        self._growth.more = self._watch.more
+
+    def _present(self, arrival: Arrival) -> None:
+        """Present the next frame at its time: the deadline of the one before is over then."""
+        has_deadline = arrival.position > self._begun_bytes
+        self._await_turn(has_deadline=has_deadline)
+        self._close_deadline()
+        frame = arrival.observation.frame
+        for run in self.runs:
+            run.live.present(frame, has_deadline=has_deadline)
+        self._digest.update(frame_digest(frame))
+        self._newest, self._frames = arrival, self._frames + 1
+        self._frames_before += not has_deadline
+
+    def _await_turn(self, *, has_deadline: bool | None = None) -> None:
+        """Wait until the next frame may be presented: without a deadline until every tracker is free.
+
+        None: as of the frame presented last.
+        """
+        if has_deadline is None:
+            has_deadline = self._frames > self._frames_before
+        if has_deadline:
+            self.pace.wait()
+            return
+        for run in self.runs:
+            while not run.live.wait_until_free(WAKE_S):
+                pass
+        self.pace.restart()
+
+    def _close_deadline(self) -> None:
+        if self._newest is None:
+            return
+        for run in self.runs:
+            run.close_deadline(self._frames - 1)
+        self._scores.add(self._newest.observation)
+        self._newest = None
+
+    def _status(self) -> LiveStatus:
+        period_s = self._split.test.period_s
+        at_ns = self._recording.survey.first_ns + (self._frames - 1) * self._split.test.period_ns
+        behind_s = (self._arrivals.newest_ns - at_ns) / 1e9
+        score = f"F1 dynamic at {self._scores.step * period_s:g} s"
+        return LiveStatus((self._frames - 1) * period_s, behind_s, score, self._scores.rows())
+
+    def _run(self, run: FollowedTrial) -> None:
+        """Run a trial in its thread; an error outside its tracker stops no other trial."""
+        try:
+            self._records[run.trial.name] = run.run()
+        except Interrupted:
+            return
+        except Exception as error:  # noqa: BLE001 as in a run of finished recordings
+            self._records[run.trial.name] = failed(run.trial, error)
+
+    def _next_frame(self, name: str) -> None:
+        if self._stop.is_set():
+            raise Interrupted
+        if self._advanced is not None:
+            self._advanced(name)
+
+    def _split_of(self, settings: CompareSettings) -> EvaluationSplit:
+        return split_of(self._recording, self._path.stem, None, settings.validation, self._sampling, self._validation)
+
+    def _validation_regions(self) -> SplitRegions:
+        """Those of the validation stretch; the test stretch has its own when it is known."""
+        stretch = self._split.validation or self._split.test
+        regions = regions_of(stretch, self._split.strata)
+        return SplitRegions(regions, regions)
+
+    def _whole_plan(self) -> ComparisonPlan:
+        """The plan of the frames that were presented. Raises RecordingError where there are too few."""
+        growth = self._growth
+        growth.more = Growth().more
+        if growth.cut or not self._arrivals.ended:
+            growth.limit = growth.position
+        self._recording.survey_again()
+        test = self._split.test
+        sampling = replace(self._sampling, grid=test.grid, rate_hz=1e9 / test.period_ns)
+        settings = self._plan.settings
+        arguments = settings.validation, sampling, self._validation
+        split = split_of(self._recording, self._path.stem, None, *arguments)
+        all_left = all(run.live.left for run in self.runs)
+        if self._frames < len(split.test) and not (all_left and self._frames <= WARM_UP + split.steps):
+            if self._frames <= WARM_UP + split.steps:
+                raise RecordingError(
+                    f"{self._path}: ended after {self._frames} frames, which leave nothing to score after {WARM_UP} of"
+                    f" warm-up and with {split.steps} steps ahead"
+                )
+            stretch = 0.0, self._frames * test.period_ns / 1e9
+            split = split_of(self._recording, self._path.stem, stretch, *arguments)
+        trials = tuple(replace(trial, split=split) for trial in self._plan.trials)
+        others = (notice for notice in self._plan.notices if notice not in self._split.notices)
+        notices = dict.fromkeys((*split.notices, *others))
+        return ComparisonPlan(settings, (split,), trials, tuple(notices))
+
+    def _score(self, plan: ComparisonPlan, progress: RunObserver) -> None:
+        progress.note(f"{self._path}: ended; scoring what was delivered in time")
+        regions = plan.splits[0].regions()
+        progress.planned({trial.name: len(trial.test) for trial in plan.trials})
+        for trial in plan.trials:
+            progress.started(trial.name, len(trial.test))
+        self._advanced = progress.advanced
+        for run, trial in zip(self.runs, plan.trials, strict=True):
+            run.score(trial, regions)
+        self._join()
+
+    def _join(self) -> None:
+        for thread in self._threads:
+            while thread.is_alive():
+                thread.join(WAKE_S)
+
+    def _notices(self) -> list[str]:
+        ending = Ending(
+            path=self._path,
+            at_s=self._frames * self._split.test.period_s,
+            frames_before=self._frames_before,
+            problem=self._arrivals.problem,
+            interrupted=self.interrupted,
+            idle=self._watch.idle,
+            limit=self._growth.limit,
+            table_problem=self._scores.problem,
+            delivered=self._digest.hexdigest(),
+        )
+        return notices_of(ending, self._records.values())

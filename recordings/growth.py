@@ -1,0 +1,73 @@
+"""The growth of a file that is still being written: its reader waits for what comes, or reads what is there."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+
+class FileEnds(Exception):
+    """A file that is still being written ends here, and its reader does not wait for more."""
+
+
+def _no_more() -> bool:
+    return False
+
+
+@dataclass
+class Growth:
+    """How a file is read that may still be written.
+
+    At its end `more()` may wait for more bytes, and says whether to read on; by default what is there is read. Bytes
+    from `limit` on are not read, and sensors that are not in `sensors` are left out; None: no limit, every sensor.
+    `position` is the number of bytes read last, and `cut` whether the file ended there before its writer closed it.
+    """
+
+    more: Callable[[], bool] = field(default=_no_more)
+    limit: int | None = None
+    sensors: frozenset[str] | None = None
+    position: int = 0
+    cut: bool = False
+
+    def open(self, path: Path) -> GrowingFile:
+        """The file at `path`, from its first byte. Raises OSError."""
+        return GrowingFile(path, self)
+
+
+class GrowingFile:
+    """A file whose reads give all the bytes that are asked for, and wait for them as its Growth says."""
+
+    def __init__(self, path: Path, growth: Growth) -> None:
+        self._file, self._growth = path.open("rb"), growth
+        growth.cut = False
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._file.close()
+
+    def read(self, size: int) -> bytes:
+        """The next `size` bytes. Raises FileEnds where they are not there, and none are waited for."""
+        content = bytearray()
+        while len(content) < size:
+            found = self._file.read(self._readable(size - len(content)))
+            self._growth.position = self._file.tell()
+            content += found
+            if not found and not self._growth.more():
+                self._growth.cut = True
+                raise FileEnds
+        return bytes(content)
+
+    def tell(self) -> int:
+        """The position, bytes."""
+        return self._file.tell()
+
+    def _readable(self, size: int) -> int:
+        limit = self._growth.limit
+        return size if limit is None else max(0, min(size, limit - self._file.tell()))
