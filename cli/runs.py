@@ -166,8 +166,7 @@ def _followed(settings: CompareSettings) -> _Compared:
     from gridtrack.reports.live_table import LiveTable
     from gridtrack.reports.run_progress import RunProgress
 
-    typer.echo(f"{settings.recordings[0]}: waiting until it holds enough to begin", err=True)
-    with following(settings) as followed:
+    with following(settings, note=lambda text: typer.echo(printable(text), err=True)) as followed:
         with LiveTable() as table:
             followed.follow(table)
         with RunProgress() as progress:

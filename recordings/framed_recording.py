@@ -84,9 +84,23 @@ class FramedRecording(Recording):
 
         Raises RecordingError for a pose topic that is not there, ConfigurationError for a mount of no sensor.
         """
+        return self._chains_in(self._tree)
+
+    def survey_again(self) -> None:
+        """As of every recording; the chains stay, and a warning tells where the whole file leads to other ones."""
+        super().survey_again()
+        whole = self._chains_in(self._read_tree())
+        for topic, chain in self.chains.of_topic.items():
+            if str(whole.of_topic.get(topic)) != str(chain):
+                self.notify(
+                    f"sensor '{self.sensor_of(topic)}': the whole file leads to the frames {whole.of_topic.get(topic)};"
+                    f" those of its beginning, {chain}, were used: compare the finished file"
+                )
+
+    def _chains_in(self, tree: FrameTree) -> Chains:
         options = ChainOptions(self._sensors, self.options.pose_topic, self.options.mounts, self.import_command)
         try:
-            return chosen_chains(self._tree, options)
+            return chosen_chains(tree, options)
         except RecordingError as error:
             raise RecordingError(f"{self.path}: {error}") from None
 
@@ -96,6 +110,9 @@ class FramedRecording(Recording):
 
     @cached_property
     def _tree(self) -> FrameTree:
+        return self._read_tree()
+
+    def _read_tree(self) -> FrameTree:
         tree = FrameTree(growing=self.growth is not None)
         with contextlib.suppress(DamageError):  # reported when the scans are read
             for message in self.messages():

@@ -37,11 +37,17 @@ from gridtrack.recordings.stretches import parse_stretch
 
 
 @contextmanager
-def following(settings: CompareSettings, watch: Watch | None = None) -> Iterator[Following]:
-    """The following of the recording that `settings` names, in its locked folder. Raises a GridtrackError."""
+def following(
+    settings: CompareSettings, watch: Watch | None = None, note: Callable[[str], None] = lambda text: None
+) -> Iterator[Following]:
+    """The following of the recording that `settings` names, when it can begin, in the locked folder of its run.
+
+    `note` receives a line for the user while it waits. Raises a GridtrackError.
+    """
     path = path_to_follow(settings)
     with run_lock(settings.out), TemporaryDirectory(prefix="gridtrack-weights-") as folder:
         refuse_earlier_run(settings.out)
+        note(f"{path}: waiting until it holds enough to begin")
         followed = Following(settings, path, watch or FileWatch(path, settings.idle_timeout_s), Path(folder))
         try:
             yield followed
@@ -92,6 +98,7 @@ class Following:
         for notice in self._plan.notices:
             table.note(notice)
         try:
+            table.note(f"{self._path}: starting {len(self.runs)} trackers")
             self._start()
             table.note(f"{self._path}: following; end with Ctrl-C")
             for arrival in self._arrivals:

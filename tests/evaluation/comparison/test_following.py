@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import queue
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -290,3 +292,19 @@ def test_a_folder_with_a_run_is_refused_before_anything_is_waited_for(settings, 
     followed(the_settings, Writer(record(stretches={}), Path(the_settings.recordings[0])), progress)
     with pytest.raises(RunError, match="holds a run already"), following(the_settings):
         pass
+
+
+def test_the_command_follows_a_finished_file_to_its_end(record, tmp_path):
+    path = record(stretches={})
+    command = [sys.executable, "-m", "gridtrack.cli", "compare", "--follow", str(path), "--tracker", "persistence"]
+    done = subprocess.run(
+        [*command, "--horizon", "1s", "--out", str(tmp_path / "out")], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    assert "F1 dynamic at 1 s: persistence" in done.stderr
+    assert "the first 200 frames, written before the following began, have no deadline" in (
+        (tmp_path / "out" / "report" / "index.html").read_text()
+    )
+    again = subprocess.run([*command, "--deadline"], capture_output=True, text=True, check=False)
+    assert again.returncode == 2
+    assert again.stderr.strip() == ("gridtrack: --deadline is for finished recordings: leave it out with --follow")
