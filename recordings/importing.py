@@ -47,20 +47,23 @@ def import_recording(
     Ranges are copied exactly, NaN and infinities included, but for those of 0.0 with `zero_range`; the same source and
     options give the same bytes. The warnings of the source are written too: reading the result gives them again. `site`
     defaults to the site that the source names, or to its file name. With `ego_motion` "kiss-icp" or "refined" the poses
-    come from matching the scans, without or with the recorded motion as a prior. Raises RecordingError and
-    ConfigurationError; `out` is then not changed.
+    come from matching the scans, without or with the recorded motion as a prior; with "kiss-icp" the recorded poses of
+    a single sensor need not be usable. Raises RecordingError and ConfigurationError; `out` is then not changed.
     """
     out = Path(out)
     check_utf8(out, RecordingError)
-    recording = open_recording(
-        source,
-        topic=topic,
-        strict=strict,
-        cloud_slice=cloud_slice,
-        pose_topic=pose_topic,
-        mounts=mounts,
-        zero_range=zero_range,
-    )
+    options: dict[str, Any] = {
+        "topic": topic,
+        "strict": strict,
+        "cloud_slice": cloud_slice,
+        "pose_topic": pose_topic,
+        "mounts": mounts,
+        "zero_range": zero_range,
+    }
+    recording = open_recording(source, **options)
+    if ego_motion == "kiss-icp" and recording.pose_problem and len(recording.survey.sensors) == 1:
+        pose_topic = "none"  # the recorded poses are replaced: it does not matter what is wrong with them
+        recording = open_recording(source, **options | {"pose_topic": pose_topic})
     if out.suffix != ".mcap":
         raise RecordingError(f"{out}: a recording is written as .mcap")
     if out.exists() and out.samefile(recording.path):

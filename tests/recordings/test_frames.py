@@ -212,6 +212,19 @@ def test_poses_of_several_things_are_asked_about(tmp_path: Path) -> None:
     assert not still.survey.moves
 
 
+def test_recorded_poses_that_cannot_be_used_are_no_obstacle_where_scans_alone_give_the_poses(tmp_path: Path) -> None:
+    pytest.importorskip("kiss_icp")
+    poses = [ROS.pose(at, made.robot_at(at), topic) for at in range(0, 3100, 20) for topic in ("/ego", "/other")]
+    path = ROS.write(tmp_path / "a.bag", [*made.scans_of(ROS, 3000, made.FRONT), *poses])
+    found = import_recording(path, tmp_path / "a.mcap", ego_motion="kiss-icp")
+    assert found.info.poses.startswith("kiss-icp: scans of 'front_scan' matched")
+    assert found.overview().warnings == ()
+    assert "--pose-topic none" in found.info.command
+    assert found.survey.moves
+    with pytest.raises(RecordingError, match="none is known to be that of sensor"):
+        import_recording(path, tmp_path / "b.mcap", ego_motion="refined")
+
+
 def test_transforms_that_do_not_reach_the_sensor_are_told_with_the_frame_to_mount_it_on(tmp_path: Path) -> None:
     links = [ROS.transforms(at, ("map", "car", SE3.in_plane(made.robot_at(at)))) for at in range(0, 3100, 20)]
     path = ROS.write(tmp_path / "a.bag", [*made.scans_of(ROS, 3000, made.FRONT), *links])
