@@ -13,6 +13,10 @@ REST_M, REST_RAD = 0.01, 0.005
 """Where odometry reports no motion at all, a match within these limits is noise: the pose stays as it is."""
 
 
+MIN_VELOCITY_S = 0.04
+"""The velocity is measured over at least this time."""
+
+
 class Follower:
     """Follows one sensor, scan after scan; with `odometry` the recorded motion is the prior of each match."""
 
@@ -24,6 +28,7 @@ class Follower:
         self._last: Scan | None = None
         self._pose = SE2()
         self._velocity = SE2()
+        self._velocity_from: tuple[int, SE2] = 0, SE2()
         self._matched_ns = 0
 
     def follow(self, scan: Scan) -> tuple[SE2, PoseQuality]:
@@ -31,6 +36,7 @@ class Follower:
         if self._last is None:
             self._last = self._first = scan
             self._pose, self._matched_ns = scan.world_T_sensor, scan.stamp_ns
+            self._velocity_from = scan.stamp_ns, self._pose
             self._matcher.start(scan, self._pose, SE2(), 0.0)
             return self._pose, PoseQuality("start")
         since_s = (scan.stamp_ns - self._last.stamp_ns) / 1e9
@@ -44,11 +50,20 @@ class Follower:
         if self._odometry and prior.motion == SE2() and _is_noise(motion):
             pose = self._pose
         if not quality.failed:
-            self._velocity = SE2(motion.x / since_s, motion.y / since_s, motion.theta / since_s)
+            self._measure_velocity(scan.stamp_ns, pose)
         if not quality.fell_back:
             self._matched_ns = scan.stamp_ns
         self._last, self._pose = scan, pose
         return pose, quality
+
+    def _measure_velocity(self, stamp_ns: int, pose: SE2) -> None:
+        """From the last pose that is old enough: stamps of a log that come in bursts would give any velocity."""
+        then_ns, then = self._velocity_from
+        since_s = (stamp_ns - then_ns) / 1e9
+        if since_s >= MIN_VELOCITY_S:
+            motion = then.inverse() @ pose
+            self._velocity = SE2(motion.x / since_s, motion.y / since_s, motion.theta / since_s)
+            self._velocity_from = stamp_ns, pose
 
     def _started_again(self, scan: Scan, first: Scan, motion: SE2, since_s: float) -> tuple[SE2, PoseQuality]:
         """The second scan matched with the first once the motion is known by which the first is skewed."""

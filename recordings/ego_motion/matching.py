@@ -8,6 +8,7 @@ which the directions that the walls leave open are seen (Zhang, Kaess and Singh,
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -17,6 +18,7 @@ from gridtrack.common.errors import RecordingError
 from gridtrack.common.geometry import SE2
 from gridtrack.common.pose_quality import MatchOutcome, PoseQuality
 from gridtrack.common.scan import Scan
+from gridtrack.recordings.ego_motion.drift_from_odometry import DriftFromOdometry
 from gridtrack.recordings.ego_motion.moving_returns import EarlierScans
 from gridtrack.recordings.ego_motion.prior import Prior
 from gridtrack.recordings.ego_motion.returns import PlaneArray, ScanReturns, homogeneous, planar, returns_of
@@ -62,6 +64,7 @@ class ScanMatcher:
         self._map = VoxelHashMap(settings.voxel_m, settings.max_range_m, POINTS_PER_VOXEL)
         self._down_sample = voxel_down_sample
         self._earlier = EarlierScans()
+        self._drift = DriftFromOdometry(settings.max_deviations)
 
     def start(self, scan: Scan, world_T_sensor: SE2, motion: SE2, motion_s: float) -> None:
         """Begin the map with `scan` at its pose; `motion` in the `motion_s` seconds after it."""
@@ -82,6 +85,8 @@ class ScanMatcher:
                 returns = ScanReturns(returns.points[~moving], returns.normals[~moving], returns.on_wall[~moving])
                 pose = self._aligned(returns.points, prior.world_T_sensor, prior.coarse)
             pose, quality = self._judged(returns, pose, prior, len(moving))
+            if not quality.failed and self._is_dragged(scan.stamp_ns, pose, prior):
+                pose, quality = prior.world_T_sensor, replace(quality, outcome="far")
         self._keep(scan, returns.points, pose)
         return pose, quality
 
@@ -118,6 +123,11 @@ class ScanMatcher:
             return prior.world_T_sensor, PoseQuality(outcome, inlier_share, fit.residual_m)
         step, constrained = weighed_step(fit, aligned.inverse() @ prior.world_T_sensor, prior.information, settings)
         return aligned @ step, PoseQuality("matched" if constrained else "partial", inlier_share, fit.residual_m)
+
+    def _is_dragged(self, stamp_ns: int, pose: SE2, prior: Prior) -> bool:
+        """Whether the matches of the last second lead away from odometry; without odometry there is no telling."""
+        position_m = 1.0 / math.sqrt(prior.information[0, 0])
+        return not prior.coarse and self._drift.grows(stamp_ns, prior.world_T_sensor, pose, position_m)
 
 
 def fit_at(world_T_sensor: SE2, returns: ScanReturns, map_points: PlaneArray, kernel_m: float) -> Fit:

@@ -15,6 +15,8 @@ POSITION_FLOOR_M, HEADING_FLOOR_RAD = 0.002, 0.002
 """Standard deviations of a prior for no motion and no time."""
 TURN_LEVER_M = 0.5
 """A turn of one radian adds as much to the position's noise as this distance driven, and a metre as much to heading."""
+MIN_NOISE_S = 0.05
+"""Without odometry the noise of the prior is at least that of so much time: stamps of a log may come in bursts."""
 MAX_COAST_S = 1.0
 """Without odometry the last motion is continued for this long where scans cannot be matched; then the sensor is taken
 to stand."""
@@ -44,8 +46,9 @@ def odometry_prior(last: SE2, odometry: SE2, settings: MatchingSettings) -> Prio
 def motion_prior(last: SE2, velocity: SE2, since_s: float, settings: MatchingSettings) -> Prior:
     """The pose after `since_s` seconds at `velocity` (m/s and rad/s, sensor frame) from the pose `last`."""
     motion = SE2(velocity.x * since_s, velocity.y * since_s, velocity.theta * since_s)
-    position = POSITION_FLOOR_M + settings.acceleration * since_s**2 / 2.0
-    heading = HEADING_FLOOR_RAD + settings.turn_acceleration * since_s**2 / 2.0
+    noise_s = max(since_s, MIN_NOISE_S)
+    position = POSITION_FLOOR_M + settings.acceleration * noise_s**2 / 2.0
+    heading = HEADING_FLOOR_RAD + settings.turn_acceleration * noise_s**2 / 2.0
     return Prior(last @ motion, motion, _information(position, heading), True)
 
 

@@ -7,6 +7,7 @@ import sys
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 
@@ -18,7 +19,7 @@ from gridtrack.cli import app
 from gridtrack.common.errors import RecordingError
 from gridtrack.common.geometry import SE2, same_pose, wrap_angle
 from gridtrack.common.scan import Scan
-from gridtrack.common.scene import UNLABELLED, Scene
+from gridtrack.common.scene import UNLABELLED, Outline, Scene
 from gridtrack.recordings import import_recording, open_recording
 from gridtrack.recordings.ego_motion import MatchedTrajectory, MatchingSettings, PoseSource, matched_trajectory
 
@@ -68,6 +69,20 @@ def test_scans_alone_give_the_poses_in_a_room() -> None:
     assert heading_deg < 0.5
     assert outcomes(found) == {"start": 1, "matched": SCANS - 1}
     assert 0.005 < float(np.median([q.residual_m for q in found.qualities])) < 0.03
+
+
+def test_stamps_that_come_in_bursts_do_not_throw_scans_alone_off() -> None:
+    """Every second scan is stamped a millisecond before the next one, as by a program that logs with delays."""
+    scans = without_poses(drive(ROOM, around, SCANS))
+    late = [
+        replace(scan, stamp_ns=scan.stamp_ns + (k % 2) * round((PERIOD_S - 0.001) * 1e9))
+        for k, scan in enumerate(scans)
+    ]
+    found = trajectory(late, "kiss-icp")
+    position_m, heading_deg = largest_errors(scans, found.matched)
+    assert position_m < 0.05
+    assert heading_deg < 0.5
+    assert outcomes(found) == {"start": 1, "matched": SCANS - 1}
 
 
 @pytest.mark.parametrize("source", ["refined", "kiss-icp"])
@@ -131,6 +146,16 @@ def test_a_scan_that_is_skewed_by_the_motion_is_straightened_by_its_beam_times()
     assert straightened[0] < 0.06
     assert skewed[0] > 2 * straightened[0]
     assert skewed[1] > 2 * straightened[1]
+
+
+@pytest.mark.parametrize("static", [ROOM, FIELD], ids=["room", "field"])
+def test_a_crowd_that_hides_the_walls_is_told_and_odometry_followed(static: tuple[Outline, ...]) -> None:
+    scans = drive(static, around, SCANS, crowd=partial(one_way, people=40), odometry_noise=0.1)
+    found = trajectory(scans, "refined")
+    drifted, _ = largest_errors(scans, [scan.world_T_sensor for scan in scans])
+    position_m, _ = largest_errors(scans, found.matched)
+    assert position_m < drifted + 0.6  # the crowd walks 14 m, half of a metre of it before it is told
+    assert sum(quality.failed for quality in found.qualities) > SCANS / 2
 
 
 @pytest.mark.parametrize("crowded", [False, True])
