@@ -5,8 +5,9 @@ take some minutes each.
 
 `relations` needs reference poses of scan pairs: `t1 t2 x y z roll pitch yaw` a line, as those of Kümmerle et al., On
 measuring the accuracy of SLAM algorithms, Autonomous Robots 2009; aces is the log of docs/results. `maps` has no truth:
-the median distance of returns from the map of the scans before, and the cells of 5 cm that a minute of returns covers,
-fewer where the walls of the map are thin; RECORDING may be an .npz with t (s), r (m) and pose, 180 degrees.
+the median distance of returns, across the walls, from the map of the scans before (at the poses of each source), and
+the cells of 5 cm that a minute of returns covers, fewer where the walls of the map are thin; RECORDING may be an .npz
+(studies/support/npz_scans.py).
 """
 
 from __future__ import annotations
@@ -19,14 +20,17 @@ from itertools import islice, product
 from pathlib import Path
 
 import numpy as np
+from kiss_icp.mapping import VoxelHashMap
 from numpy.typing import NDArray
 
 from gridtrack.common.geometry import SE2, wrap_angle
 from gridtrack.common.scan import Scan
 from gridtrack.recordings import open_recording
-from gridtrack.recordings.ego_motion import MatchedTrajectory, MatchingSettings, PoseSource, matched_trajectory
-from gridtrack.recordings.ego_motion.returns import returns_of
+from gridtrack.recordings.ego_motion import MatchingSettings, PoseSource, matched_trajectory
+from gridtrack.recordings.ego_motion.matching import POINTS_PER_VOXEL, Fit, fit_at
+from gridtrack.recordings.ego_motion.returns import homogeneous, returns_of
 
+from studies.support.npz_scans import npz_scans
 from studies.support.results_file import ResultSection, measured_table, write_section
 
 MAX_APART_S = 2.0
@@ -129,13 +133,8 @@ def relations(log: Path, path: Path, out: Path | None) -> None:
 
 def scans_of(path: Path) -> list[Scan]:
     """At most MAP_SCANS scans of a recording, or of an .npz."""
-    if path.suffix != ".npz":
-        return list(islice(open_recording(path).scans(), MAP_SCANS))
-    with np.load(path) as arrays:
-        return [
-            Scan(round(t * 1e9), r, -math.pi / 2, math.pi / (len(r) - 1), 0.1, 81.0, world_T_sensor=SE2(*pose.tolist()))
-            for t, r, pose in zip(*(arrays[name][:MAP_SCANS] for name in ("t", "r", "pose")), strict=True)
-        ]
+    scans = npz_scans(path) if path.suffix == ".npz" else open_recording(path).scans()
+    return list(islice(scans, MAP_SCANS))
 
 
 def covered_cells(scans: Sequence[Scan], poses: Sequence[SE2], max_range_m: float) -> float:
@@ -152,23 +151,43 @@ def covered_cells(scans: Sequence[Scan], poses: Sequence[SE2], max_range_m: floa
     return float(np.mean(shares))
 
 
+def fits(scans: Sequence[Scan], poses: Sequence[SE2], settings: MatchingSettings) -> list[Fit]:
+    """How each scan but the first lies, at its pose, on a local map of the scans before it, at theirs."""
+    local_map, found = VoxelHashMap(settings.voxel_m, settings.max_range_m, POINTS_PER_VOXEL), []
+    for number, (scan, pose) in enumerate(zip(scans, poses, strict=True)):
+        motion, motion_s = SE2(), 0.0
+        if number:
+            motion = poses[number - 1].inverse() @ pose
+            motion_s = (scan.stamp_ns - scans[number - 1].stamp_ns) / 1e9
+        returns = returns_of(scan, settings.max_range_m, motion, motion_s)
+        if number and len(returns.points):
+            found.append(fit_at(pose, returns, local_map.point_cloud()[:, :2], settings.kernel_m))
+        local_map.update(np.column_stack([returns.points, np.zeros(len(returns.points))]), homogeneous(pose))
+    return found
+
+
 def maps(recordings: Iterable[Path], out: Path | None) -> None:
-    rows = []
+    rows, settings = [], MatchingSettings()
+    sources: tuple[PoseSource, ...] = ("refined", "kiss-icp")
     for path in recordings:
-        scans, settings = scans_of(path), MatchingSettings()
-        sources: tuple[PoseSource, ...] = ("refined", "kiss-icp")
-        trajectories: dict[str, MatchedTrajectory] = {
-            source: matched_trajectory(scans, source, settings) for source in sources
-        }
-        recorded = covered_cells(scans, [scan.world_T_sensor for scan in scans], settings.max_range_m)
-        rows.append([f"{path.name.split('.')[0]}, recorded", str(len(scans)), "", "", f"{recorded:.2f}"])
-        for source, one in trajectories.items():
-            residuals = [q.residual_m for q in one.qualities if not q.failed]
-            fell_back = np.mean([q.fell_back for q in one.qualities])
-            cells = covered_cells(scans, one.matched, settings.max_range_m)
-            figures_text = [f"{np.median(residuals):.3f}", f"{100 * fell_back:.1f}", f"{cells:.2f}"]
-            rows.append([f"{path.name.split('.')[0]}, {source}", str(len(scans)), *figures_text])
-    columns = ("poses", "scans", "median residual, m", "fell back, %", "cells per 100 returns")
+        scans, name = scans_of(path), path.name.split(".")[0]
+        trajectories = {source: matched_trajectory(scans, source, settings) for source in sources}
+        poses = {"recorded": [scan.world_T_sensor for scan in scans]} | {k: v.matched for k, v in trajectories.items()}
+        for source, found in poses.items():
+            on_map = fits(scans, found, settings)
+            residual = float(np.median([fit.residual_m for fit in on_map]))
+            fell_back = [q.fell_back for q in trajectories[source].qualities] if source in trajectories else []
+            rows.append(
+                [
+                    f"{name}, {source}",
+                    str(len(scans)),
+                    f"{1000 * residual:.0f}",
+                    f"{covered_cells(scans, found, settings.max_range_m):.2f}",
+                    f"{100 * np.mean(fell_back):.1f}" if fell_back else "",
+                ]
+            )
+            print(*rows[-1], flush=True)
+    columns = ("poses", "scans", "median residual, mm", "cells per 100 returns", "fell back, %")
     tables = {"table": measured_table(columns, rows)}
     finish(out, "maps", ResultSection(command="python -m studies.ego_motion maps", source="measured", tables=tables))
 

@@ -1,0 +1,183 @@
+"""Real drives: trackers on recordings of robots that drive, where none has learned the place.
+
+`python -m studies.real_drives DATA FOLDER [--out FILE]` (some ten minutes): DATA has the folders datmo, radish and ual
+(README of docs/results/moving); FOLDER gets the imported recordings with refined poses, the weights and the runs, whose
+reports have the pictures. The weights were learned at another site with a standing laser, and its maps are left out
+(studies/support/transferred_weights.py); `persistence` has none. A second table counts the confirmed tracks of `kalman`
+that are faster than MOVING_MPS, and those of them whose velocity is not zero at a confidence of 99.9 %, with the
+settings of that site and with the defaults.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import subprocess
+import sys
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from itertools import takewhile
+from pathlib import Path
+
+import numpy as np
+
+from gridtrack.common.files import atomic_write
+from gridtrack.common.grid import GridSpec
+from gridtrack.common.scan import Scan
+from gridtrack.recordings import open_recording
+from gridtrack.recordings.ego_motion import MatchingSettings, PoseSource, matched_trajectory, with_matched_poses
+from gridtrack.recordings.formats.native import write_native
+from gridtrack.recordings.mounts import Mount, parse_mount
+from gridtrack.recordings.recording import RecordingInfo
+from gridtrack.recordings.stream import open_stream
+from gridtrack.reports.run import read_runs
+from gridtrack.trackers.contract import StreamSpec
+from gridtrack.trackers.model_free.kalman import KalmanTracker
+from gridtrack.trackers.model_free.settings import ModelFreeSettings
+
+from studies.support.forecast_pictures import forecast_pictures
+from studies.support.npz_scans import npz_scans
+from studies.support.results_file import ResultSection, measured_table, write_section
+from studies.support.transferred_weights import transfer
+
+WEIGHTS = Path("data/weights")
+LEARNED = ("kalman", "factor-graph", "dogma", "dilated-convgru")
+HORIZON_S, WARM_UP = 1.0, 20
+POSES: tuple[PoseSource, ...] = ("recorded", "refined", "kiss-icp")
+STRATA = ("visible", "dynamic", "in-motion")
+SHOWN = ("persistence", "kalman", "factor-graph", "dogma")
+PICTURES = {"aces": (24, 32), "overtakes": (16, 32)}
+"""The kept samples that are drawn."""
+MOVING_MPS, SIGNIFICANT = 0.5, 13.8
+"""The second: squared Mahalanobis distance of a velocity from zero, 99.9 % of a chi-square with two degrees."""
+
+
+@dataclass(frozen=True)
+class Drive:
+    """A stretch of a recording, how it is read, and whose weights are used on it."""
+
+    name: str
+    path: str
+    start_s: float
+    end_s: float
+    rate_hz: float
+    site: str = "leg_tracker"
+    cell_m: float = 0.1
+    pose_topic: str | None = None
+    mounts: tuple[Mount, ...] = ()
+
+
+EGO = (parse_mount("scan=0,0,0deg"),)
+DRIVES = (
+    Drive("overtakes", "datmo/overtakes.bag", 0, 26, 12.5, pose_topic="/ego_pose", mounts=EGO),
+    Drive("intersection", "datmo/intersection.bag", 0, 6.4, 12.5, pose_topic="/ego_pose", mounts=EGO),
+    Drive("two_robots", "datmo/two_robots.bag", 0, 32, 12.5, pose_topic="/mocap_pose"),
+    Drive("aces", "radish/aces.clf.bz2", 170, 220, 6.25),
+    Drive("intel", "radish/intel.clf.bz2", 60, 110, 5.0),
+    Drive("ual", "ual/ual.npz", 40, 80, 8.0, site="junction", cell_m=0.2),
+)
+
+
+def scans_of(drive: Drive, data: Path) -> list[Scan]:
+    """The scans from the beginning of the recording to the end of the stretch, with recorded poses."""
+    path = data / drive.path
+    if path.suffix == ".npz":
+        scans = npz_scans(path)
+    else:
+        scans = iter(open_recording(path, pose_topic=drive.pose_topic, mounts=drive.mounts).scans())
+    first = next(scans)
+    end_ns = first.stamp_ns + drive.end_s * 1e9
+    return [first, *takewhile(lambda scan: scan.stamp_ns <= end_ns, scans)]
+
+
+def imported(drive: Drive, scans: list[Scan], source: PoseSource, folder: Path) -> str:
+    """The stretch of the recording with poses from `source`, as `gridtrack recording import` writes it."""
+    out = folder / f"{drive.name}-{source}.mcap"
+    posed: Iterable[Scan] = scans
+    if source != "recorded":
+        trajectory = matched_trajectory(scans, source, MatchingSettings())
+        print(f"{drive.name}: {trajectory.describe(source)}", flush=True)
+        posed = with_matched_poses(scans, trajectory)
+    with atomic_write(out) as file:
+        write_native(file, RecordingInfo(site=drive.name), posed, lambda: ())
+    return f"{out}@{drive.start_s}s-{drive.end_s}s"
+
+
+def compared(drive: Drive, recording: str, trackers: Sequence[str], folder: Path) -> dict[str, list[str]]:
+    """F1 of each tracker, HORIZON_S ahead, in the strata."""
+    out = folder / f"run-{Path(recording).name.partition('.')[0]}"
+    rows = [word for name in trackers for word in ("--tracker", name)]
+    words = [recording, *rows, "--grid", f"100x{drive.cell_m}", "--rate", str(drive.rate_hz), "--jobs", "1"]
+    words += ["--horizon", f"{HORIZON_S}s", "--every", "0.4s", "--weights", str(folder / "weights"), "--out", str(out)]
+    subprocess.run([sys.executable, "-m", "gridtrack.cli", "compare", *words], check=True)
+    (run,) = read_runs([out])
+    if drive.name in PICTURES and len(trackers) > 1:
+        drawing = forecast_pictures(run, SHOWN, PICTURES[drive.name], HORIZON_S)
+        (folder / f"real-drive-{drive.name}.svg").write_text(drawing, "utf-8")
+    found = {}
+    for label, entry in run.summary.trackers.items():
+        (trial,) = entry.recordings.values()
+        f1 = [trial.strata[stratum].f1[-1] if stratum in trial.strata else None for stratum in STRATA]
+        found[label] = ["" if value is None else f"{value:.2f}" for value in f1]
+    return found
+
+
+def tracks_in_motion(drive: Drive, recording: str, folder: Path, tuned: bool) -> tuple[float, float, float]:
+    """Confirmed tracks of `kalman` a frame, the fast ones, and those whose velocity is significant."""
+    stream = open_stream(recording, grid=GridSpec(100, drive.cell_m), rate_hz=drive.rate_hz)
+    card = WEIGHTS / "kalman" / f"{drive.site}.toml"
+    path = transfer(card, stream.site, stream.period_s, folder / f"weights-{tuned}", tuned=tuned)
+    sha256 = hashlib.sha256(path.read_bytes()).hexdigest()
+    spec = StreamSpec(stream.grid, stream.period_s, stream.site, weights=path, weights_sha256=sha256)
+    tracker, counts = KalmanTracker(spec, ModelFreeSettings()), []
+    for frame in stream:
+        tracker.update(frame)
+        objects = tracker.predict(0).objects
+        fast = [one for one in objects if np.hypot(*one.velocity) > MOVING_MPS]
+        sure = [
+            one for one in fast if one.velocity @ np.linalg.solve(one.covariance[2:, 2:], one.velocity) > SIGNIFICANT
+        ]
+        counts.append((len(objects), len(fast), len(sure)))
+    confirmed, fast_count, sure_count = np.mean(counts[WARM_UP:], axis=0).tolist()
+    return confirmed, fast_count, sure_count
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("data", type=Path)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--only", help="the name of one drive")
+    parser.add_argument("--out", type=Path, help="docs/results/moving/real_drives.json")
+    arguments = parser.parse_args()
+    arguments.folder.mkdir(parents=True, exist_ok=True)
+    scores, tracks, poses = [], [], []
+    for drive in DRIVES:
+        if arguments.only in (None, drive.name):
+            scans = scans_of(drive, arguments.data)
+            recordings = {source: imported(drive, scans, source, arguments.folder) for source in POSES}
+            for name in LEARNED:
+                card = WEIGHTS / name / f"{drive.site}.toml"
+                transfer(card, drive.name, 1.0 / drive.rate_hz, arguments.folder / "weights")
+            for tuned in (True, False):
+                counts = tracks_in_motion(drive, recordings["refined"], arguments.folder, tuned)
+                name = f"{drive.name}, {drive.site if tuned else 'defaults'}"
+                tracks.append([name, *(f"{count:.2f}" for count in counts)])
+            for source in POSES:
+                trackers = ["persistence", *(LEARNED if source == "refined" else ())]
+                found = compared(drive, recordings[source], trackers, arguments.folder)
+                poses.append([f"{drive.name}, {source}", *found["persistence"]])
+                if source == "refined":
+                    scores += [[f"{drive.name}, {label}", *row] for label, row in found.items()]
+    tables = {
+        "scores": measured_table(("drive and tracker", *(f"F1 {name}" for name in STRATA)), scores),
+        "tracks": measured_table(("drive and settings", "tracks", "faster than 0.5 m/s", "and significant"), tracks),
+    }
+    tables["poses"] = measured_table(("drive and poses", *(f"F1 {name}" for name in STRATA)), poses)
+    print("\n\n".join(table.markdown() for table in tables.values()))
+    if arguments.out is not None:
+        section = ResultSection(command="python -m studies.real_drives", source="measured", tables=tables)
+        write_section(arguments.out, "drives", section)
+
+
+if __name__ == "__main__":
+    main()
