@@ -173,14 +173,15 @@ def _cross_slabs(u0, v0, du, dv, enter, leave, size, stride_u, stride_v, visible
 def _inside(v, step, crossings, top):  # type: ignore[no-untyped-def]
     """`v` moved by the rounding error, if any, that would carry one of `v + k * step`, 0 <= k < crossings, outside.
 
-    Between them lie at most size - 2 cells, so there is always room.
+    Inside is 1 to `top`: a slope too small for a step still takes 1 from v. Between them lie at most size - 2 cells,
+    so there is always room.
     """
     travel = (crossings - 1) * step
     if step > 0:
         return min(max(v, 1), top - travel)
     if step < 0:
         return max(min(v, top), 1 - travel)
-    return min(max(v, 0), top)
+    return min(max(v, 1), top)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")

@@ -214,6 +214,19 @@ def test_values_that_are_not_finite_mark_no_cell_and_change_no_other_memory(scan
     assert not guarded.any()
 
 
+@pytest.mark.parametrize(
+    "edge", [SE2(0.0, 2.5), SE2(2.5, 0.0), SE2(0.0, 0.0), SE2(5.0, 0.0), SE2(0.0, 5.0), SE2(5.0, 5.0)]
+)
+@pytest.mark.parametrize("quarter", range(4))
+@pytest.mark.parametrize("slope", [-1e-16, 0.0, 1e-16])
+def test_a_beam_along_the_edge_of_the_window_changes_no_other_memory(edge: SE2, quarter: int, slope: float) -> None:
+    around = np.zeros((4, *UNIT.shape), bool)
+    visible, occupied = around[1], around[2]
+    cast_scan(beam(quarter * math.pi / 2.0 + slope, 4.0), UNIT, edge, visible, occupied)
+    assert not around[[0, 3]].any()
+    assert visible.sum() <= UNIT.size
+
+
 def test_a_laser_without_a_range_limit_observes_cells_to_the_edge() -> None:
     assert drawn(beam(0.0, math.inf, range_max=3.4e38), SE2(0.5, 0.5)).splitlines()[-1] == "....."
 
