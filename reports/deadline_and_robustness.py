@@ -64,7 +64,7 @@ class DeadlineRow:
 
 @dataclass(frozen=True)
 class DeadlineTable:
-    """Scores under a deadline, of cells in motion at the shortest horizon of the table: delays change these first."""
+    """F1 under a deadline, of cells in motion at the shortest horizon of the table: delays change these first."""
 
     column: TableColumn
     rates: tuple[tuple[float, float], ...]
@@ -91,7 +91,7 @@ def deadline_table(table: HeadlineTable, styles: Mapping[str, str]) -> DeadlineT
     known = [(row, row.trial.deadline) for row in table.rows if row.trial.deadline and row.trial.strata]
     if not known:
         return None
-    column = table.columns[0]
+    column = _first_of_f1(table)
     rates = tuple((at.rate, at.rate_hz) for at in known[0][1].rates)
     shown = [(row, deadline) for row, deadline in known if tuple((a.rate, a.rate_hz) for a in deadline.rates) == rates]
     rows = tuple(
@@ -126,7 +126,7 @@ def deadline_table(table: HeadlineTable, styles: Mapping[str, str]) -> DeadlineT
 
 def robustness_table(table: HeadlineTable, styles: Mapping[str, str]) -> RobustnessTable | None:
     """The panels of every trial with scores on degraded input; None where there is none."""
-    column = table.columns[0]
+    column = _first_of_f1(table)
     known = [(row, row.trial.robustness) for row in table.rows if row.trial.robustness]
     panels = []
     for stratum in SWEEP_STRATA:
@@ -146,6 +146,11 @@ def robustness_table(table: HeadlineTable, styles: Mapping[str, str]) -> Robustn
                 )
             )
     return RobustnessTable(column, tuple(panels)) if panels else None
+
+
+def _first_of_f1(table: HeadlineTable) -> TableColumn:
+    """The first column of F1; with few statistical units those of PR-AUC come before it."""
+    return next(column for column in table.columns if column.score == "f1")
 
 
 def sweep_panel(

@@ -31,11 +31,16 @@ class Picture:
 @dataclass(frozen=True)
 class FilmstripRow:
     """One chosen frame: its time, why it was chosen, the input; and for each horizon its name, the observed frame and
-    every tracker's forecast, in the order of `Filmstrip.trackers`."""
+    every tracker's forecast, in the order of `Filmstrip.trackers`.
+
+    `sensors`: their positions in the input, cells from its upper left corner. In the observed frames, which have the
+    same window, a sensor may have moved on.
+    """
 
     when: str
     reason: str
     input: Picture
+    sensors: tuple[tuple[float, float], ...]
     horizons: tuple[tuple[str, Picture, tuple[Picture, ...]], ...]
 
 
@@ -44,8 +49,6 @@ class Filmstrip:
     """The chosen frames of one recording, the trackers that are shown, and the rule of the choice."""
 
     grid: GridSpec
-    sensors: tuple[tuple[float, float], ...]
-    """Positions of the sensors in the picture: cells from the upper left corner."""
     rule: str
     trackers: tuple[TableRow, ...]
     rows: tuple[FilmstripRow, ...]
@@ -79,8 +82,8 @@ def filmstrip_of(
     reference = samples[complete[0].label]
     start_ns = min(kept[complete[0].label])
     rows = tuple(_filmstrip_row(frame, trackers, samples, reference[frame.stamp_ns], start_ns) for frame in chosen)
-    first = reference[chosen[0].stamp_ns]
-    return Filmstrip(first.grid, _sensors(first), selection_rule(parts, horizon_s), trackers, rows), notices
+    grid = reference[chosen[0].stamp_ns].grid
+    return Filmstrip(grid, selection_rule(parts, horizon_s), trackers, rows), notices
 
 
 def _kept_stamps(rows: Sequence[TableRow], folders: Mapping[str, Path]) -> tuple[dict[str, set[int]], tuple[str, ...]]:
@@ -135,9 +138,8 @@ def _filmstrip_row(
             _forecast_picture(row, samples[row.label].get(frame.stamp_ns), reference, h, now) for row in trackers
         )
         horizons.append((f"{horizon_s:g} s", observed, forecasts))
-    return FilmstripRow(
-        now, frame.reason, Picture(frame_png(reference.visible, reference.occupied), words), tuple(horizons)
-    )
+    taken = Picture(frame_png(reference.visible, reference.occupied), words)
+    return FilmstripRow(now, frame.reason, taken, _sensors(reference), tuple(horizons))
 
 
 def _forecast_picture(row: TableRow, sample: Sample | None, reference: Sample, h: int, now: str) -> Picture:

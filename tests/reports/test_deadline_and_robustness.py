@@ -49,10 +49,11 @@ ROBUSTNESS = {
 def page_of(run_folder, tmp_path, summary_of):
     """`page_of(deadline, robustness)` renders the run with these under the tracker `good`."""
 
-    def page_of(deadline=None, robustness=None):
+    def page_of(deadline=None, robustness=None, edit=lambda summary: None):
         run = tmp_path / "run"
         shutil.copytree(run_folder, run, dirs_exist_ok=True)
         summary = summary_of(run)
+        edit(summary)
         summary["trackers"]["good"]["recordings"]["crossing"] |= {"deadline": deadline, "robustness": robustness}
         (run / "summary.json").write_text(json.dumps(summary))
         return render_page(read_runs([run]))
@@ -74,6 +75,17 @@ def test_scores_under_a_deadline_are_shown_beside_the_untimed_one(page_of, run_f
     untimed = summary_of(run_folder)["trackers"]["good"]["recordings"]["crossing"]["strata"]["in-motion"]["f1"][4]
     assert f"good 41.0 44.0 46.5 21.5 {untimed:.3f} 0.413 0.217 −50 %" in text
     assert "×1, 8 Hz ×4, 32 Hz" in text
+
+
+def test_the_untimed_score_is_f1_also_where_pr_auc_leads_the_table(page_of):
+    def edit(summary):
+        scores = summary["trackers"]["good"]["recordings"]["crossing"]["strata"]["in-motion"]
+        scores["pr_auc"] = [0.25] * len(scores["pr_auc"])
+        scores["f1"] = [0.75] * len(scores["f1"])
+
+    before, _, timed = text_of(page_of(DEADLINE, edit=edit)).partition("Under a deadline")
+    assert "PR-AUC, in-motion" in before
+    assert "good 41.0 44.0 46.5 21.5 0.750 0.413 0.217" in timed
 
 
 def test_degraded_input_is_drawn_per_kind_and_given_in_numbers(page_of):

@@ -106,6 +106,14 @@ def test_the_sensor_is_marked_at_its_position(page):
     assert all(mark.startswith("translate(16.0 30.5)") for mark in marks)
 
 
+def test_a_sensor_is_marked_in_inputs_only(page):
+    """It may have moved on before the observed frames, which are drawn in the window of the input."""
+    inputs = re.findall(r'aria-label="Input at .*?</svg>', page, re.DOTALL)
+    assert inputs
+    assert all('class="sensor"' in one for one in inputs)
+    assert page.count('class="sensor" transform') == len(inputs)
+
+
 def test_a_tracker_has_one_style_everywhere(page):
     styles = {}
     for found in re.finditer(r'<svg class="swatch ([^"]+)".*?</svg>([\w-]+)', page):
