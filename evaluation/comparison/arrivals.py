@@ -5,7 +5,7 @@ from __future__ import annotations
 import queue
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
@@ -19,6 +19,8 @@ POLL_S = 0.05
 """Period at which the size of the file is looked at."""
 WAKE_S = 0.2
 """Longest wait of the main thread, so that an interrupt is noticed."""
+BEHIND_S = 1.0
+"""A frame is behind where a frame this much later has been read."""
 MAX_AHEAD = 600
 """Observations that are read before it is their time."""
 
@@ -41,8 +43,8 @@ class Turns(Protocol):
     def restart(self) -> None:
         """A frame is presented now, without a deadline."""
 
-    def wait(self) -> None:
-        """Wait until it is time for the next frame, which has arrived."""
+    def wait(self, all_free: Callable[[float], bool], *, behind: bool) -> None:
+        """Wait until it is time for the next frame, which has arrived; where it is `behind`, until `all_free`."""
 
 
 class FileWatch:
@@ -94,8 +96,7 @@ class Arrivals:
         self.problem = ""
         self.ended = False
         """Whether the recording was read to its end."""
-        self.newest_ns = 0
-        """Stamp of the newest frame read."""
+        self._newest_ns = 0
 
     def __iter__(self) -> Iterator[Arrival]:
         """The observations, once, in their order; waits for them."""
@@ -109,6 +110,10 @@ class Arrivals:
                 return
             yield arrival
 
+    def behind_s(self, stamp_ns: int) -> float:
+        """How much later the newest frame read is than `stamp_ns`, seconds."""
+        return (self._newest_ns - stamp_ns) / 1e9
+
     def stop(self) -> None:
         """End the reading; the file is no longer open."""
         self._stopped.set()
@@ -118,7 +123,7 @@ class Arrivals:
     def _run(self) -> None:
         try:
             for observation in self._stream.arriving():
-                self.newest_ns = observation.frame.stamp_ns
+                self._newest_ns = observation.frame.stamp_ns
                 if not self._put(Arrival(observation, self._growth.position)):
                     return
             self.ended = True
@@ -139,17 +144,22 @@ class Arrivals:
 class Pace:
     """The time at which each frame is presented: a period after the one before, or when it has arrived."""
 
-    def __init__(self, period_ns: int) -> None:
-        self._period_ns = period_ns
-        self._due_ns = time.monotonic_ns()
+    def __init__(self, period_s: float) -> None:
+        self._period_s = period_s
+        self._presented_s = time.monotonic()
 
     def restart(self) -> None:
         """A frame is presented now, without a deadline."""
-        self._due_ns = time.monotonic_ns()
+        self._presented_s = time.monotonic()
 
-    def wait(self) -> None:
-        """Wait until it is time for the next frame, which has arrived."""
-        now_ns = time.monotonic_ns()
-        self._due_ns = max(now_ns, self._due_ns + self._period_ns)
-        while (left_ns := self._due_ns - time.monotonic_ns()) > 0:
-            time.sleep(min(left_ns / 1e9, WAKE_S))
+    def wait(self, all_free: Callable[[float], bool], *, behind: bool) -> None:
+        """Wait until it is time for the next frame, which has arrived.
+
+        Where it is `behind`, it is also time when `all_free(timeout)`: no tracker misses the frame by that.
+        """
+        while (left_s := self._presented_s + self._period_s - time.monotonic()) > 0:
+            if not behind:
+                time.sleep(min(left_s, WAKE_S))
+            elif all_free(min(left_s, WAKE_S)):
+                break
+        self._presented_s = time.monotonic()

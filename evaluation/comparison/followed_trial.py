@@ -104,14 +104,16 @@ class FollowedTrial(TrialRun):
         super()._score(thresholds)
 
     def _take(self, presented: Presented) -> None:
+        """Update, and forecast: at the end of the warm-up, and after it at frames that are due or have a deadline."""
         index, began_s = presented.number, time.perf_counter()
         self._taken = index
         self._process.update(presented.frame)
         forecast: Forecast | None = None
-        if index >= WARM_UP - TRIAL_FORECASTS:
+        on_trial = WARM_UP - TRIAL_FORECASTS <= index < WARM_UP
+        if on_trial or self.endless.due(index) or (presented.has_deadline and index >= WARM_UP):
             forecast = self._process.predict(self._reach)
         self.live.deliver(index, forecast)
-        if WARM_UP - TRIAL_FORECASTS < index < WARM_UP:
+        if on_trial and index > WARM_UP - TRIAL_FORECASTS:
             self._trial_ms = max(self._trial_ms, (time.perf_counter() - began_s) * 1e3)
         if index == WARM_UP - 1:
             self._reach_further()

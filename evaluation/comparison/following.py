@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import threading
+import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
@@ -13,7 +14,7 @@ from tempfile import TemporaryDirectory
 
 from gridtrack.common.errors import RecordingError
 from gridtrack.common.grid import GridSpec
-from gridtrack.evaluation.comparison.arrivals import WAKE_S, Arrival, Arrivals, FileWatch, Pace, Turns, Watch
+from gridtrack.evaluation.comparison.arrivals import BEHIND_S, WAKE_S, Arrival, Arrivals, FileWatch, Pace, Turns, Watch
 from gridtrack.evaluation.comparison.follow_notices import Ending, notices_of
 from gridtrack.evaluation.comparison.followed_trial import FollowedTrial
 from gridtrack.evaluation.comparison.growing_recording import open_growing, path_to_follow, refuse_raw
@@ -76,7 +77,7 @@ class Following:
         self._split = self._split_of(settings)
         self._plan = with_copied_weights(resolve(settings, (self._split,)), folder)
         refuse_raw(self._plan.trials)
-        self.pace: Turns = Pace(self._split.test.period_ns)
+        self.pace: Turns = Pace(self._split.test.period_s)
         self._arrivals = Arrivals(self._split.test, self._growth)
         shared, regions = SharedThresholds(), self._validation_regions()
         self.runs = [
@@ -106,7 +107,7 @@ class Following:
                 table.update(self._status)
                 if all(run.live.left for run in self.runs):
                     break
-            self._await_turn()
+            self._await_turn(has_deadline=self._frames > self._frames_before, behind=True)
         except KeyboardInterrupt:
             self.interrupted = True
         finally:
@@ -164,30 +165,28 @@ class Following:
 
     def _present(self, arrival: Arrival) -> None:
         """Present the next frame at its time: the deadline of the one before is over then."""
-        has_deadline = arrival.position > self._begun_bytes
-        self._await_turn(has_deadline=has_deadline)
+        frame, has_deadline = arrival.observation.frame, arrival.position > self._begun_bytes
+        self._await_turn(has_deadline=has_deadline, behind=self._arrivals.behind_s(frame.stamp_ns) > BEHIND_S)
         self._close_deadline()
-        frame = arrival.observation.frame
         for run in self.runs:
             run.live.present(frame, has_deadline=has_deadline)
         self._digest.update(frame_digest(frame))
         self._newest, self._frames = arrival, self._frames + 1
         self._frames_before += not has_deadline
 
-    def _await_turn(self, *, has_deadline: bool | None = None) -> None:
-        """Wait until the next frame may be presented: without a deadline until every tracker is free.
-
-        None: as of the frame presented last.
-        """
-        if has_deadline is None:
-            has_deadline = self._frames > self._frames_before
+    def _await_turn(self, *, has_deadline: bool, behind: bool) -> None:
+        """Wait until the next frame may be presented: without a deadline until every tracker is free."""
         if has_deadline:
-            self.pace.wait()
+            self.pace.wait(self._all_free, behind=behind)
             return
-        for run in self.runs:
-            while not run.live.wait_until_free(WAKE_S):
-                pass
+        while not self._all_free(WAKE_S):
+            pass
         self.pace.restart()
+
+    def _all_free(self, timeout_s: float) -> bool:
+        """Wait until every tracker is free, or the time is over; whether they are."""
+        end_s = time.monotonic() + timeout_s
+        return all(run.live.wait_until_free(max(0.0, end_s - time.monotonic())) for run in self.runs)
 
     def _close_deadline(self) -> None:
         if self._newest is None:
@@ -200,9 +199,8 @@ class Following:
     def _status(self) -> LiveStatus:
         period_s = self._split.test.period_s
         at_ns = self._recording.survey.first_ns + (self._frames - 1) * self._split.test.period_ns
-        behind_s = (self._arrivals.newest_ns - at_ns) / 1e9
         score = f"F1 dynamic at {self._scores.step * period_s:g} s"
-        return LiveStatus((self._frames - 1) * period_s, behind_s, score, self._scores.rows())
+        return LiveStatus((self._frames - 1) * period_s, self._arrivals.behind_s(at_ns), score, self._scores.rows())
 
     def _run(self, run: FollowedTrial) -> None:
         """Run a trial in its thread; an error outside its tracker stops no other trial."""

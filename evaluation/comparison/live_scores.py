@@ -38,7 +38,7 @@ MAX_AGE = 1000
 class LiveRow:
     """One tracker in the live table: `f1` so far over `forecasts`, frames `missed`, and the age of its forecast.
 
-    `f1` is NaN before the first score; `age_frames` None before the first forecast; `ended`: it takes no more frames.
+    `f1` is NaN before the first score; `age_frames` None before the first deadline; `ended`: it takes no more frames.
     """
 
     label: str
@@ -165,7 +165,7 @@ class LiveScores:
 
     def _row(self, label: str, run: FollowedTrial) -> LiveRow:
         live = run.live
-        age = None if live.newest < 0 else live.frames - 1 - live.newest
+        age = live.frames - 1 - live.newest if live.has_deadlines and live.newest >= 0 else None
         return LiveRow(label, self._f1(label, run), self._scores.scored[label], live.missed, age, live.left)
 
     def _f1(self, label: str, run: FollowedTrial) -> float:

@@ -21,10 +21,11 @@ from gridtrack.trackers.contract import Forecast
 
 
 class Presented(NamedTuple):
-    """A frame of the stream that a tracker receives, and its number."""
+    """A frame of the stream that a tracker receives, its number, and whether its forecast has a deadline."""
 
     number: int
     frame: GridFrame
+    has_deadline: bool
 
 
 class Delivered(NamedTuple):
@@ -64,7 +65,7 @@ class LiveTimeline:
                 self._first_timed = index if self._first_timed is None else self._first_timed
                 self.missed += not free
             if free:
-                self._inbox, self._busy = Presented(index, frame), True
+                self._inbox, self._busy = Presented(index, frame, has_deadline), True
                 self._changed.notify_all()
 
     def close(self, index: int) -> Delivered | None:
@@ -114,6 +115,11 @@ class LiveTimeline:
     def frames(self) -> int:
         """Number of frames whose deadline is over."""
         return len(self._newest)
+
+    @property
+    def has_deadlines(self) -> bool:
+        """Whether any frame so far had a deadline."""
+        return self._first_timed is not None
 
     @property
     def newest(self) -> int:
