@@ -1,7 +1,7 @@
 """Recordings of laser scans: read in any registered format, written in the native one."""
 
 from gridtrack.recordings.format import RecordingFormat
-from gridtrack.recordings.formats.native import write_native
+from gridtrack.recordings.formats.native_writer import write_native
 from gridtrack.recordings.importing import import_recording
 from gridtrack.recordings.mounts import Mount, parse_mount
 from gridtrack.recordings.opening import open_recording, packaged_recording

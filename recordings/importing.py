@@ -12,7 +12,7 @@ from gridtrack.common.errors import RecordingError
 from gridtrack.common.files import atomic_write
 from gridtrack.common.names import check_utf8
 from gridtrack.common.scan import Scan
-from gridtrack.recordings.formats.native import write_native
+from gridtrack.recordings.formats.native_writer import write_native
 from gridtrack.recordings.labels import classes_in, with_labels
 from gridtrack.recordings.mounts import Mount
 from gridtrack.recordings.opening import open_recording

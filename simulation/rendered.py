@@ -10,7 +10,8 @@ from pathlib import Path
 from gridtrack.common.errors import RecordingError
 from gridtrack.common.files import sha256_of, user_cache_folder
 from gridtrack.common.scan import Scan
-from gridtrack.recordings.formats.native import NativeRecording, write_native
+from gridtrack.recordings.formats.native import NativeRecording
+from gridtrack.recordings.formats.native_writer import write_native
 from gridtrack.recordings.recording import Recording, RecordingInfo, Topics
 from gridtrack.simulation.tracks_file import read_tracks
 

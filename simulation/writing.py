@@ -6,7 +6,7 @@ from pathlib import Path
 
 from gridtrack.common.errors import RecordingError
 from gridtrack.common.files import atomic_write
-from gridtrack.recordings.formats.native import write_native
+from gridtrack.recordings.formats.native_writer import write_native
 from gridtrack.simulation.tracks import Tracks
 from gridtrack.simulation.tracks_file import write_tracks
 

@@ -13,22 +13,19 @@ from __future__ import annotations
 import contextlib
 import json
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
-from typing import BinaryIO, TypeVar
+from typing import TypeVar
 
 import numpy as np
 from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
 from foxglove_schemas_protobuf.LaserScan_pb2 import LaserScan
 from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
 from foxglove_schemas_protobuf.Quaternion_pb2 import Quaternion
-from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
 from google.protobuf.message import DecodeError
-from mcap.writer import Writer
-from mcap_protobuf.schema import register_schema
 
 from gridtrack.common.config import validated
 from gridtrack.common.errors import RecordingError, one_line
@@ -37,29 +34,23 @@ from gridtrack.common.pose_quality import PoseQuality
 from gridtrack.common.scan import Scan
 from gridtrack.common.scene import Scene
 from gridtrack.recordings.format import RecordingFormat
-from gridtrack.recordings.growth import Growth
-from gridtrack.recordings.json_messages import (
-    BEAM_TIMES,
-    POSE_QUALITY,
-    beam_times_message,
-    json_schema,
-    pose_quality_message,
-    read_beam_times,
-    read_pose_quality,
+from gridtrack.recordings.formats.native_layout import (
+    METADATA_NAME,
+    NATIVE_SCHEMA,
+    REFERENCE_POSE,
+    WARNINGS_NAME,
+    is_topic,
+    topic_name,
 )
+from gridtrack.recordings.growth import Growth
+from gridtrack.recordings.json_messages import BEAM_TIMES, POSE_QUALITY, read_beam_times, read_pose_quality
 from gridtrack.recordings.mcap_file import MCAP_MAGIC, McapFile, McapMessage
-from gridtrack.recordings.protobuf_time import nanoseconds_of, timestamp_of
+from gridtrack.recordings.protobuf_time import nanoseconds_of
 from gridtrack.recordings.recording import DamageError, Recording, RecordingInfo, Topics
-from gridtrack.recordings.scene_messages import OBJECTS, OUTLINES, WORLD, SceneReader, SceneWriter
+from gridtrack.recordings.scene_messages import OBJECTS, OUTLINES, SceneReader
 
-NATIVE_SCHEMA = "1"
-METADATA_NAME, WARNINGS_NAME = "gridtrack", "gridtrack.warnings"
 MAX_SOURCE_WARNINGS, MAX_WARNING_CHARS = 100, 1000
 OF_SOURCE = "the source had: "
-REFERENCE_POSE = "/reference_pose"
-CHUNK_BYTES = 128 * 1024
-DEFAULT_SENSOR = "scan"
-MAX_CHANNELS = 1024
 
 Decoded = TypeVar("Decoded", LaserScan, FrameTransform, PoseInFrame)
 
@@ -95,20 +86,20 @@ class NativeRecording(Recording):
         file = McapFile(self.path, self.growth)
         for message in file.messages():
             topic = message.channel.topic
-            is_scan = _is_topic(topic, "/scan")
+            is_scan = is_topic(topic, "/scan")
             topics.add(topic, message.schema.name, is_scan)
             if topic == "/pose":
                 transform = _decoded(FrameTransform(), message)
                 poses[transform.child_frame_id] = _pose(transform.translation, transform.rotation)
-            elif _is_topic(topic, REFERENCE_POSE):
+            elif is_topic(topic, REFERENCE_POSE):
                 placed = _decoded(PoseInFrame(), message).pose
                 references[topic] = _pose(placed.position, placed.orientation)
-            elif _is_topic(topic, "/labels"):
+            elif is_topic(topic, "/labels"):
                 labelled = _decoded(LaserScan(), message)
                 labels[labelled.frame_id] = labelled
-            elif _is_topic(topic, BEAM_TIMES):
+            elif is_topic(topic, BEAM_TIMES):
                 beam_times[topic] = read_beam_times(message.data)
-            elif _is_topic(topic, POSE_QUALITY):
+            elif is_topic(topic, POSE_QUALITY):
                 qualities[topic] = read_pose_quality(message.data)
             elif topic in (OUTLINES, OBJECTS):
                 truth = truth or SceneReader(self.info.classes)
@@ -120,15 +111,15 @@ class NativeRecording(Recording):
                 found = _scan(scan, message, pose, labels.pop(scan.frame_id, None), scene)
                 yield replace(
                     found,
-                    reference_T_sensor=references.get(_topic(REFERENCE_POSE, scan.frame_id)),
-                    time_increment_s=beam_times.get(_topic(BEAM_TIMES, scan.frame_id), 0.0),
-                    pose_quality=qualities.pop(_topic(POSE_QUALITY, scan.frame_id), None),
+                    reference_T_sensor=references.get(topic_name(REFERENCE_POSE, scan.frame_id)),
+                    time_increment_s=beam_times.get(topic_name(BEAM_TIMES, scan.frame_id), 0.0),
+                    pose_quality=qualities.pop(topic_name(POSE_QUALITY, scan.frame_id), None),
                 )
         self._report_source(file.metadata.get(WARNINGS_NAME, {}))
 
     def topic_of(self, sensor: str) -> str:
         """The topic with the scans of `sensor`."""
-        return _topic("/scan", sensor)
+        return topic_name("/scan", sensor)
 
     def _report_source(self, warnings: dict[str, str]) -> None:
         """Add the warnings that the import gave."""
@@ -150,134 +141,6 @@ def is_native(path: Path, head: bytes) -> bool:
 
 
 NATIVE_FORMAT = RecordingFormat("native MCAP", (".mcap",), is_native, NativeRecording, can_grow=True)
-
-
-def write_native(
-    file: BinaryIO, info: RecordingInfo, scans: Iterable[Scan], warnings: Callable[[], Sequence[str]] = tuple
-) -> None:
-    """Write `scans` in the order given, and then their `warnings`; same input, same bytes. Raises RecordingError."""
-    writer = _NativeWriter(file, info)
-    for scan in scans:
-        writer.write(scan)
-    writer.finish(warnings())
-
-
-class _NativeWriter:
-    def __init__(self, file: BinaryIO, info: RecordingInfo) -> None:
-        self._mcap = Writer(file, chunk_size=CHUNK_BYTES, enable_data_crcs=True)
-        self._mcap.start(library="gridtrack")
-        self._mcap.add_metadata(METADATA_NAME, {"schema": NATIVE_SCHEMA, "info": info.model_dump_json()})
-        self._schemas: dict[type, int] = {
-            kind: register_schema(self._mcap, kind) for kind in (LaserScan, FrameTransform, SceneUpdate)
-        }
-        self._channels: dict[tuple[str, float, float], int] = {}
-        self._poses: dict[str, SE2] = {}
-        self._references: dict[str, SE2] = {}
-        self._beam_times: dict[str, float] = {}
-        self._json_channels: dict[str, int] = {}
-        self._truth = SceneWriter(info.classes)
-        self._written: tuple[int, Scene] | None = None
-
-    def write(self, scan: Scan) -> None:
-        """Pose, truth and labels first, so that a reader has them when it reads the scan."""
-        if self._poses.get(scan.sensor) != scan.world_T_sensor:
-            self._poses[scan.sensor] = scan.world_T_sensor
-            self._add("/pose", _transform_message(scan), scan.stamp_ns)
-        if scan.reference_T_sensor is not None or scan.sensor in self._references:
-            self._write_reference(scan, scan.reference_T_sensor or scan.world_T_sensor)
-        if self._beam_times.get(scan.sensor, 0.0) != scan.time_increment_s:
-            self._beam_times[scan.sensor] = scan.time_increment_s
-            self._add_json(BEAM_TIMES, scan, beam_times_message(scan.stamp_ns, scan.time_increment_s))
-        if scan.pose_quality is not None:
-            self._add_json(POSE_QUALITY, scan, pose_quality_message(scan.stamp_ns, scan.pose_quality))
-        if scan.scene is not None:
-            self._write_truth(scan.scene, scan.stamp_ns)
-        message = _scan_message(scan)
-        if scan.labels is not None:
-            labelled = LaserScan()
-            labelled.CopyFrom(message)
-            labelled.intensities.extend(scan.labels.astype(np.float64).tolist())
-            self._add(_topic("/labels", scan.sensor), labelled, scan.stamp_ns)
-        self._add(_topic("/scan", scan.sensor), message, scan.stamp_ns, (scan.range_min, scan.range_max))
-
-    def _write_reference(self, scan: Scan, pose: SE2) -> None:
-        """A PoseInFrame, for a viewer places the sensor by FrameTransform, and it has one parent frame."""
-        if self._references.get(scan.sensor) != pose:
-            self._references[scan.sensor] = pose
-            if PoseInFrame not in self._schemas:
-                self._schemas[PoseInFrame] = register_schema(self._mcap, PoseInFrame)
-            message = PoseInFrame(timestamp=timestamp_of(scan.stamp_ns), frame_id=WORLD)
-            _set_pose(message.pose.position, message.pose.orientation, pose)
-            self._add(_topic(REFERENCE_POSE, scan.sensor), message, scan.stamp_ns)
-
-    def _write_truth(self, scene: Scene, stamp_ns: int) -> None:
-        """Once for each stamp, even where several sensors have a scan then."""
-        if self._written is not None and self._written[0] == stamp_ns and self._written[1] is scene:
-            return
-        self._written = (stamp_ns, scene)
-        if (outlines := self._truth.outlines(scene, stamp_ns)) is not None:
-            self._add(OUTLINES, outlines, stamp_ns)
-        self._add(OBJECTS, self._truth.objects(scene, stamp_ns), stamp_ns)
-
-    def finish(self, warnings: Sequence[str]) -> None:
-        """Write the warnings and the end of the file."""
-        if warnings:
-            self._mcap.add_metadata(WARNINGS_NAME, {str(number): text for number, text in enumerate(warnings)})
-        self._mcap.finish()  # type: ignore[no-untyped-call]
-
-    def _add(
-        self,
-        topic: str,
-        message: LaserScan | FrameTransform | PoseInFrame | SceneUpdate,
-        stamp_ns: int,
-        limits: tuple[float, float] | None = None,
-    ) -> None:
-        key = (topic, *(limits or (0.0, 0.0)))
-        if key not in self._channels:
-            if len(self._channels) == MAX_CHANNELS:
-                raise RecordingError(
-                    f"{topic}: the range limits change from scan to scan; expected the constant limits of the laser"
-                )
-            metadata = {"range_min": repr(limits[0]), "range_max": repr(limits[1])} if limits else {}
-            schema = self._schemas[type(message)]
-            self._channels[key] = self._mcap.register_channel(topic, "protobuf", schema, metadata)
-        self._mcap.add_message(self._channels[key], stamp_ns, message.SerializeToString(deterministic=True), stamp_ns)
-
-    def _add_json(self, kind: str, scan: Scan, message: bytes) -> None:
-        topic = _topic(kind, scan.sensor)
-        if topic not in self._json_channels:
-            name, schema = json_schema(kind)
-            schema_id = self._mcap.register_schema(name, "jsonschema", schema)
-            self._json_channels[topic] = self._mcap.register_channel(topic, "json", schema_id)
-        self._mcap.add_message(self._json_channels[topic], scan.stamp_ns, message, scan.stamp_ns)
-
-
-def _topic(kind: str, sensor: str) -> str:
-    return kind if sensor == DEFAULT_SENSOR else f"{kind}/{sensor}"
-
-
-def _is_topic(topic: str, kind: str) -> bool:
-    """Whether `topic` is one of `_topic(kind, sensor)`."""
-    return topic == kind or topic.startswith(f"{kind}/")
-
-
-def _scan_message(scan: Scan) -> LaserScan:
-    message = LaserScan(timestamp=timestamp_of(scan.stamp_ns), frame_id=scan.sensor, start_angle=scan.angle_min)
-    message.end_angle = scan.angle_min + scan.angle_increment * max(scan.ranges.size - 1, 0)
-    message.pose.orientation.w = 1.0
-    message.ranges.extend(scan.ranges.astype(np.float64).tolist())
-    return message
-
-
-def _transform_message(scan: Scan) -> FrameTransform:
-    message = FrameTransform(timestamp=timestamp_of(scan.stamp_ns), parent_frame_id=WORLD, child_frame_id=scan.sensor)
-    _set_pose(message.translation, message.rotation, scan.world_T_sensor)
-    return message
-
-
-def _set_pose(position: Vector3, orientation: Quaternion, pose: SE2) -> None:
-    position.x, position.y = pose.x, pose.y
-    orientation.z, orientation.w = math.sin(pose.theta / 2.0), math.cos(pose.theta / 2.0)
 
 
 def _read_info(text: str, where: str) -> RecordingInfo:

@@ -10,7 +10,7 @@ import numpy as np
 from gridtrack.common.geometry import SE2
 from gridtrack.common.scan import Scan
 from gridtrack.recordings import Recording, open_recording
-from gridtrack.recordings.formats.native import write_native
+from gridtrack.recordings.formats.native_writer import write_native
 from gridtrack.recordings.recording import RecordingInfo
 
 from studies.support.drive_recordings import PAUSE_NS, joined, minutes_in, standing

@@ -19,7 +19,7 @@ from gridtrack.evaluation.results.files import RunError
 from gridtrack.evaluation.results.trial_record import read_trial_record
 from gridtrack.evaluation.scoring.live_timeline import LiveTimeline
 from gridtrack.evaluation.scoring.score_store import read_deliveries
-from gridtrack.recordings.formats import native
+from gridtrack.recordings.formats import native_writer
 
 pytestmark = pytest.mark.usefixtures("staged")
 
@@ -103,7 +103,7 @@ class Table:
 @pytest.fixture(autouse=True)
 def small_chunks(monkeypatch):
     """A recorder that writes a chunk every second."""
-    monkeypatch.setattr(native, "CHUNK_BYTES", 8000)
+    monkeypatch.setattr(native_writer, "CHUNK_BYTES", 8000)
 
 
 @pytest.fixture
