@@ -23,13 +23,12 @@ from numpy.typing import NDArray
 
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec
-from gridtrack.common.scan import Scan
-from gridtrack.recordings import ReadOptions, Recording, open_recording
+from gridtrack.recordings import Recording, open_recording
 from gridtrack.recordings.observation import frame_of
-from gridtrack.recordings.recording import Topics
 from gridtrack.recordings.stream import GridStream, open_stream
 from gridtrack.trackers.contract import Tracker
 
+from studies.support.held_recording import HeldRecording
 from studies.support.results_file import ResultSection, measured_table, write_section
 from studies.support.shipped import DATA, JUNCTION, shipped_tracker
 
@@ -47,19 +46,6 @@ SENSORS = {
     "two moving sensors": (2, True),
 }
 """How many sensors make a frame, and whether they move."""
-
-
-class HeldRecording(Recording):
-    """Scans in memory, in place of those of a file: nothing is read or decoded."""
-
-    def __init__(self, held: Sequence[Scan], origin: Recording) -> None:
-        super().__init__(origin.path, ReadOptions())
-        self.held, self.info = held, origin.info
-
-    def read(self, topics: Topics) -> Iterator[Scan]:
-        """The scans."""
-        topics.add("scan", "held", is_scan=True)
-        return iter(self.held)
 
 
 def held_streams() -> dict[str, GridStream]:
