@@ -21,6 +21,8 @@ from gridtrack.evaluation.scoring.live_timeline import LiveTimeline
 from gridtrack.evaluation.scoring.score_store import read_deliveries
 from gridtrack.recordings.formats import native_writer
 
+from scenes import truth_scene
+
 pytestmark = pytest.mark.usefixtures("staged")
 
 COMMAND = ("gridtrack", "compare", "--follow")
@@ -259,6 +261,21 @@ def test_thresholds_are_chosen_on_a_finished_recording_before(settings, record, 
     live, later = (one.trackers["staged"].recordings["room"] for one in (summary, ordinary))
     assert summary.recordings["room"].validation == "other.mcap"
     assert live.strata == later.strata
+
+
+def test_a_recording_with_truth_has_its_oracle_and_its_hidden_cells(settings, progress, tmp_path):
+    finished = tmp_path / "room.mcap"
+    truth_scene.write_recording(finished)
+    the_settings = settings("persistence")
+    summary, table = followed(the_settings, Writer(finished, Path(the_settings.recordings[0])), progress)
+    again = settings("persistence", follow=False, out=tmp_path / "ordinary", recordings=(f"{finished}@0s-",))
+    ordinary = run(resolve(again), COMMAND, progress)
+    for label in ("persistence", "oracle"):
+        live, later = (next(iter(one.trackers[label].recordings.values())) for one in (summary, ordinary))
+        assert live.outcome == "ok"
+        assert live.strata["occluded"].f1_at_half == later.strata["occluded"].f1_at_half
+    assert not [notice for notice in summary.notices if "table" in notice or "other frames" in notice]
+    assert table.shown[-1].rows[0].label == "persistence"
 
 
 def test_what_is_for_finished_recordings_is_refused(settings, record, tmp_path):
