@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import ExitStack
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Literal
 
@@ -14,16 +12,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridtrack.common.geometry import SE2
-from gridtrack.common.grid import GridFrame, GridSpec
+from gridtrack.common.grid import GridSpec
 from gridtrack.evaluation.processes.contract_scene import drive, empty_stream, scene
 from gridtrack.evaluation.processes.limits import Limits
 from gridtrack.evaluation.processes.outcome import TrialEnded
-from gridtrack.evaluation.processes.tracker_process import TrackerProcess
+from gridtrack.evaluation.processes.tracker_under_test import (
+    CHECKED_STEPS,
+    RESET_SEED,
+    STREAM_FRAMES,
+    TURN_FRAME,
+    Forecasts,
+    TrackerUnderTest,
+)
 from gridtrack.trackers.contract import Forecast, StreamSpec
 from gridtrack.trackers.selection import Launch
 
-STREAM_FRAMES, TURN_FRAME, CHECKED_STEPS = 16, 10, 5
-RESET_SEED = 7
 FORECAST_TOLERANCE = 1e-5
 """Largest difference of equal forecasts, in probability: the order of summation may change the rounding."""
 UNSEEN_FRAMES = 4
@@ -32,8 +35,6 @@ PLACE_TOLERANCE = 0.05
 """How much more probable a wall may be at another place than at its own."""
 
 CheckVerdict = Literal["passed", "failed", "skipped"]
-Forecasts = list[tuple[int, Forecast]]
-"""Forecasts, each with the number of frames observed before it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,7 +63,10 @@ def check_tracker(
     because weights or a library are missing, the other checks are not run.
     """
     results: list[CheckResult] = []
-    with TemporaryDirectory() as folder, _Subject(launch, stream, options or {}, limits or Limits(), folder) as subject:
+    with (
+        TemporaryDirectory() as folder,
+        TrackerUnderTest(launch, stream, options or {}, limits or Limits(), folder) as subject,
+    ):
         for check in (starts, *CHECKS):
             results.append(_result(check, subject))
             if report is not None:
@@ -72,60 +76,10 @@ def check_tracker(
     return results
 
 
-class _Subject:
-    """The tracker under test: one process, restarted after a failure."""
-
-    def __init__(
-        self, launch: Launch, stream: StreamSpec, options: Mapping[str, Any], limits: Limits, folder: str
-    ) -> None:
-        self.stream = stream
-        self._launch, self._options, self._limits = launch, options, limits
-        self._log = Path(folder, "stderr.log")
-        self._running = ExitStack()
-        self._process: TrackerProcess | None = None
-
-    def __enter__(self) -> _Subject:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._running.close()
-
-    def process(self) -> TrackerProcess:
-        """The running process, started where there is none."""
-        if self._process is None:
-            self._process = self._running.enter_context(self.process_on(self.stream))
-        return self._process
-
-    def restart(self) -> None:
-        """End the process; the next use starts a new one."""
-        self._process = None
-        self._running.close()
-
-    def process_on(self, stream: StreamSpec) -> TrackerProcess:
-        """A separate process on another stream, not started yet."""
-        return TrackerProcess(self._launch, stream, self._options, self._limits, self._log)
-
-    def scene(self, seed: int = 1, turn_seed: int | None = None) -> list[GridFrame]:
-        """A scene on the stream's grid; with `turn_seed`, the velocities change at frame TURN_FRAME."""
-        turn = None if turn_seed is None else (TURN_FRAME, turn_seed)
-        return scene(self.stream.grid, self.stream.period_s, STREAM_FRAMES, seed, turn)
-
-    def forecasts(self, frames: Sequence[GridFrame], at: Iterable[int] = range(4, STREAM_FRAMES + 1, 4)) -> Forecasts:
-        """Reset, stream `frames`, and forecast after the 1-based frames `at`, as often as each occurs there."""
-        tracker = self.process()
-        tracker.reset(RESET_SEED)
-        due = list(at)
-        made = []
-        for count, frame in enumerate(frames, start=1):
-            tracker.update(frame)
-            made += [(count, tracker.predict(CHECKED_STEPS)) for _ in range(due.count(count))]
-        return made
+Check = Callable[[TrackerUnderTest], str]
 
 
-Check = Callable[[_Subject], str]
-
-
-def _result(check: Check, subject: _Subject) -> CheckResult:
+def _result(check: Check, subject: TrackerUnderTest) -> CheckResult:
     name = (check.__doc__ or "").partition(".")[0].lower()
     try:
         return CheckResult(name, "passed", check(subject))
@@ -137,14 +91,14 @@ def _result(check: Check, subject: _Subject) -> CheckResult:
         return CheckResult(name, "skipped" if cannot_start else "failed", str(ended))
 
 
-def starts(subject: _Subject) -> str:
+def starts(subject: TrackerUnderTest) -> str:
     """Starts on the stream."""
     description = subject.process().description
     moving_sensor = "yes" if description.moving_sensor else "no"
     return f"classes: {', '.join(description.classes) or 'none'}; moving sensor: {moving_sensor}"
 
 
-def gives_valid_forecasts(subject: _Subject) -> str:
+def gives_valid_forecasts(subject: TrackerUnderTest) -> str:
     """Forecasts have the right shape, type and range."""
     subject.forecasts(subject.scene(), at=[])
     tracker = subject.process()
@@ -157,13 +111,13 @@ def gives_valid_forecasts(subject: _Subject) -> str:
     return f"0, 1 and {4 * CHECKED_STEPS} steps ahead"
 
 
-def accepts_empty_input(subject: _Subject) -> str:
+def accepts_empty_input(subject: TrackerUnderTest) -> str:
     """Works on empty input from the first frame."""
     subject.forecasts(empty_stream(subject.stream.grid, subject.stream.period_s, STREAM_FRAMES), at=[1, STREAM_FRAMES])
     return f"{STREAM_FRAMES} frames in which nothing is visible"
 
 
-def is_deterministic(subject: _Subject) -> str:
+def is_deterministic(subject: TrackerUnderTest) -> str:
     """Same seed and frames, same forecasts."""
     frames = subject.scene()
     first = subject.forecasts(frames)
@@ -173,7 +127,7 @@ def is_deterministic(subject: _Subject) -> str:
     return "after reset, and in a fresh process"
 
 
-def predict_keeps_the_state(subject: _Subject) -> str:
+def predict_keeps_the_state(subject: TrackerUnderTest) -> str:
     """Predict does not change the state."""
     frames = subject.scene()
     often = subject.forecasts(frames, at=[count for count in range(1, STREAM_FRAMES + 1) for _ in range(2)])
@@ -184,7 +138,7 @@ def predict_keeps_the_state(subject: _Subject) -> str:
     return "predicted twice after every frame, or only once at the end"
 
 
-def is_causal(subject: _Subject) -> str:
+def is_causal(subject: TrackerUnderTest) -> str:
     """Forecasts do not depend on future frames."""
     before_turn = range(2, TURN_FRAME + 1, 2)
     first = subject.forecasts(subject.scene(turn_seed=2), at=before_turn)
@@ -193,7 +147,7 @@ def is_causal(subject: _Subject) -> str:
     return f"two streams that differ after frame {TURN_FRAME} have the same forecasts up to that frame"
 
 
-def reset_clears_the_state(subject: _Subject) -> str:
+def reset_clears_the_state(subject: TrackerUnderTest) -> str:
     """Reset clears the state of the last stream."""
     subject.restart()
     frames = subject.scene()
@@ -203,20 +157,20 @@ def reset_clears_the_state(subject: _Subject) -> str:
     return "the same forecasts as in a fresh process"
 
 
-def accepts_another_grid(subject: _Subject) -> str:
+def accepts_another_grid(subject: TrackerUnderTest) -> str:
     """Works on another grid, or reports that it cannot."""
     grid = subject.stream.grid
     other = GridSpec(max(8, grid.size * 2 // 3), grid.cell_m * 1.25)
     return _works_on(subject, replace(subject.stream, grid=other), f"grid {other}")
 
 
-def accepts_another_period(subject: _Subject) -> str:
+def accepts_another_period(subject: TrackerUnderTest) -> str:
     """Works at another period, or reports that it cannot."""
     period_s = 1.6 * subject.stream.period_s
     return _works_on(subject, replace(subject.stream, period_s=period_s), f"period {period_s:g} s")
 
 
-def follows_a_moving_sensor(subject: _Subject) -> str:
+def follows_a_moving_sensor(subject: TrackerUnderTest) -> str:
     """Keeps a wall at its place while the sensor moves, or says that it cannot."""
     tracker = subject.process()
     if not tracker.description.moving_sensor:
@@ -241,7 +195,7 @@ def follows_a_moving_sensor(subject: _Subject) -> str:
     return f"a wall is forecast at its place with P(occupied) {own[0]:.2f} more than without it"
 
 
-def _end_of_drive(subject: _Subject, *, with_wall: bool) -> tuple[tuple[int, Forecast], NDArray[np.int64]]:
+def _end_of_drive(subject: TrackerUnderTest, *, with_wall: bool) -> tuple[tuple[int, Forecast], NDArray[np.int64]]:
     """The forecast after a drive, and the cells of the wall in its window."""
     stream = subject.stream
     frames, wall = drive(stream.grid, stream.period_s, STREAM_FRAMES, unseen=UNSEEN_FRAMES, with_wall=with_wall)
@@ -249,7 +203,7 @@ def _end_of_drive(subject: _Subject, *, with_wall: bool) -> tuple[tuple[int, For
     return made, wall
 
 
-def _jump(subject: _Subject) -> None:
+def _jump(subject: TrackerUnderTest) -> None:
     """Move the window beyond itself in one frame: the forecast must be valid. Raises TrialEnded."""
     tracker, grid = subject.process(), subject.stream.grid
     frame = subject.scene()[-1]
@@ -271,7 +225,7 @@ CHECKS: tuple[Check, ...] = (
 )
 
 
-def _works_on(subject: _Subject, stream: StreamSpec, what: str) -> str:
+def _works_on(subject: TrackerUnderTest, stream: StreamSpec, what: str) -> str:
     """The detail of a check on another stream: works, or reports that it cannot. Raises TrialEnded otherwise."""
     process = subject.process_on(stream)
     try:
