@@ -15,13 +15,16 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gridtrack.evaluation.results.summary import ORACLE, RunSummary, read_summary
 from gridtrack.evaluation.statistics.finished_trial import FinishedTrial
-from gridtrack.evaluation.statistics.jackknife import PairedDifferences, differences
+from gridtrack.evaluation.statistics.jackknife import PairedDifferences, differences, pooled
 from gridtrack.evaluation.statistics.run_statistics import RunStatistics
 from gridtrack.evaluation.statistics.score_intervals import summed_by_unit
 from gridtrack.recordings import open_recording
+from gridtrack.recordings.observation import reference_pose
+from gridtrack.simulation.junction.drives import CARRIERS
 
 from studies.ego_motion import Pairs, errors
 from studies.support.comparison import compare, finished_trials
@@ -35,6 +38,8 @@ FLOOR = "persistence"
 TRACKERS = ("kalman", "factor-graph", "dogma", "dilated-convgru", "deep-tracking-rnn")
 STRATA = {"in-motion": "in motion", "dynamic": "dynamic", "visible": "visible", "occluded": "hidden"}
 HORIZONS_S = (0.5, 1.0, 2.5)
+CARRIER_S = 1.0
+"""The horizon of the scores by carrier."""
 EVERY_S = 2.0
 """Between two scored forecasts: half as many as usual, for there are five comparisons."""
 APART = 20
@@ -69,9 +74,9 @@ class Comparison:
 
     def scores(self, row: str, stratum: str) -> list[str]:
         """F1 of a tracker or of the oracle at HORIZONS_S with intervals, all drives pooled."""
-        pooled = self.summary.trackers[row].pooled
-        assert pooled is not None
-        found = pooled.strata[stratum]
+        together = self.summary.trackers[row].pooled
+        assert together is not None
+        found = together.strata[stratum]
         return [f1_text(found.f1[step], found.at("f1_low", step), found.at("f1_high", step)) for step in self.steps]
 
     @property
@@ -115,29 +120,28 @@ def run(minutes: Sequence[str], trackers: Sequence[str], out: Path, options: Seq
 
 
 def pose_errors(minutes: Sequence[str], made: Path) -> ResultTable:
-    """Errors of the poses under test: between scans APART, and after the whole drive."""
+    """Errors of the poses under test by carrier: between scans APART, and after the whole drive."""
     rows = []
     for kind in ("odometry", "kiss-icp"):
-        apart, last_m = [], []
-        for minute in minutes:
-            scans = list(open_recording(recording_of(kind, minute, DRIVES, made)).scans())
-            true = [scan.reference_T_sensor or scan.world_T_sensor for scan in scans]
-            first = np.arange(len(scans) - APART)
-            relative = [true[i].inverse() @ true[i + APART] for i in first]
-            poses = [scan.world_T_sensor for scan in scans]
-            apart.append(errors(poses, Pairs(np.stack([first, first + APART], axis=1), first / 8.0, relative)))
-            last_m.append(math.hypot(poses[-1].x - true[-1].x, poses[-1].y - true[-1].y))
-        position_m, heading_deg = np.concatenate(apart).T
-        rows.append(
-            [
-                kind,
-                *(f"{value:.3f}" for value in np.percentile(position_m, [50, 95])),
-                f"{np.percentile(heading_deg, 95):.2f}",
-                *(f"{value:.2f}" for value in (np.median(last_m), max(last_m))),
-            ]
-        )
+        for carrier in CARRIERS:
+            found = [errors_of(recording_of(kind, minute, DRIVES, made)) for minute in minutes if carrier in minute]
+            position_m, heading_deg = np.concatenate([apart for apart, _ in found]).T
+            ends_m = [end_m for _, end_m in found]
+            last = f"{np.percentile(heading_deg, 95):.2f}", f"{np.median(ends_m):.1f}", f"{max(ends_m):.1f}"
+            rows.append([f"{kind}, {carrier}", *(f"{one:.3f}" for one in np.percentile(position_m, [50, 95])), *last])
     columns = ("poses", "median, m", "95 %, m", "heading 95 %, deg", "after 60 s, median, m", "after 60 s, largest, m")
     return measured_table(columns, rows)
+
+
+def errors_of(path: Path) -> tuple[NDArray[np.float64], float]:
+    """(n, 2) errors between scans APART, metres and degrees, and the distance from the true position at the end."""
+    scans = list(open_recording(path).scans())
+    poses, true = ([scan.world_T_sensor for scan in scans], [reference_pose(scan) for scan in scans])
+    first = np.arange(len(scans) - APART)
+    relative = [true[i].inverse() @ true[i + APART] for i in first]
+    seconds = np.array([scans[i].stamp_ns / 1e9 for i in first])
+    apart = errors(poses, Pairs(np.stack([first, first + APART], axis=1), seconds, relative))
+    return apart, math.hypot(poses[-1].x - true[-1].x, poses[-1].y - true[-1].y)
 
 
 def score_tables(compared: Sequence[Comparison], trackers: Sequence[str]) -> dict[str, ResultTable]:
@@ -153,6 +157,23 @@ def score_tables(compared: Sequence[Comparison], trackers: Sequence[str]) -> dic
 
 def f1_table(stratum: str, rows: Sequence[Sequence[str]]) -> ResultTable:
     return measured_table((f"F1, {stratum}", *(f"{horizon_s:g} s" for horizon_s in HORIZONS_S)), rows)
+
+
+def carrier_table(compared: Sequence[Comparison], trackers: Sequence[str]) -> ResultTable:
+    """F1 at CARRIER_S by carrier, each of half of the drives: too few for intervals."""
+    strata = ("dynamic", "occluded")
+    rows = []
+    for tracker in trackers:
+        for one in compared:
+            step = one.steps[HORIZONS_S.index(CARRIER_S)]
+            texts = []
+            for carrier in CARRIERS:
+                trials = [trial for trial in one.trials(tracker) if carrier in trial.record.recording]
+                f1 = pooled(np.concatenate([one.statistics.frames_of(trial).counts for trial in trials]), "f1")[step]
+                texts += [f"{f1[trials[0].strata.index(stratum)]:.3f}" for stratum in strata]
+            rows.append([f"{tracker}, {one.kind}", *texts])
+    columns = [f"{carrier}, {STRATA[stratum]}" for carrier in CARRIERS for stratum in strata]
+    return measured_table((f"F1, {CARRIER_S:g} s", *columns), rows)
 
 
 def difference_section(compared: Sequence[Comparison], trackers: Sequence[str]) -> ResultSection:
@@ -196,7 +217,7 @@ def collect(minutes: Sequence[str], trackers: Sequence[str], out: Path, results:
         "scores": ResultSection(
             command=COMMAND,
             source="measured",
-            tables=score_tables(compared, trackers),
+            tables={**score_tables(compared, trackers), "by carrier": carrier_table(compared, trackers)},
             values={"drives": str(len(minutes)), "trackers without weights": missing},
         ),
         "differences": difference_section(compared, trackers),
@@ -213,9 +234,11 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("runs/moving"))
     parser.add_argument("--results", type=Path, default=Path("docs/results/moving/drives.json"))
     parser.add_argument("--jobs", default="1", help="trials at the same time")
+    parser.add_argument("--collect", action="store_true", help="run nothing; write the results of what has run")
     given = parser.parse_args()
     minutes, trackers = given.minute or minutes_in(DRIVES), given.tracker or list(selections())
-    run(minutes, trackers, given.out, ["--jobs", given.jobs])
+    if not given.collect:
+        run(minutes, trackers, given.out, ["--jobs", given.jobs])
     collect(minutes, trackers, given.out, given.results)
 
 

@@ -16,7 +16,7 @@ from gridtrack.reports.pictures import frame_png, probability_png
 from studies.support.svg import document
 
 KINDS = ("perfect", "ignored")
-MOMENTS = (("car-202", 20.0), ("robot-201", 30.0))
+MOMENTS = (("car-202", 46.0), ("robot-201", 30.0))
 """A drive, and seconds since its beginning; drawn is the kept forecast that is nearest."""
 HORIZON_S = 1.0
 SIDE, GAP, TOP = 260, 16, 22

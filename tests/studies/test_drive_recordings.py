@@ -9,12 +9,17 @@ import numpy as np
 
 from gridtrack.common.geometry import SE2
 from gridtrack.common.scan import Scan
+from gridtrack.evaluation.comparison.recipe import read_recipe
 from gridtrack.recordings import Recording, open_recording
 from gridtrack.recordings.formats.native_writer import write_native
 from gridtrack.recordings.recording import RecordingInfo
+from gridtrack.simulation.junction import JUNCTION_SET
+from gridtrack.simulation.junction.drives import DRIVE_SEEDS
 
 from studies.support.drive_recordings import PAUSE_NS, joined, minutes_in, standing
+from studies.support.drive_training import TRAINING_SEEDS, VALIDATION_SEEDS
 
+ROOT = Path(__file__).parents[2]
 PERIOD_NS = 125_000_000
 
 
@@ -45,6 +50,26 @@ def test_joined_drives_follow_each_other_after_a_pause_longer_than_a_forecast(tm
 
 
 def test_the_minutes_of_a_drive_set_are_those_with_true_poses() -> None:
-    minutes = minutes_in(Path(__file__).parents[2] / "data" / "drives")
+    minutes = minutes_in(ROOT / "data" / "drives")
     assert len(minutes) == 20
     assert minutes[0] == "car-202"
+
+
+def test_drives_to_learn_from_have_seeds_of_their_own() -> None:
+    known = {*DRIVE_SEEDS, *(seed for _, seed, _ in JUNCTION_SET.values())}
+    assert known.isdisjoint(TRAINING_SEEDS)
+    assert known.isdisjoint(VALIDATION_SEEDS)
+    assert set(TRAINING_SEEDS).isdisjoint(VALIDATION_SEEDS)
+
+
+def test_recipes_for_drives_train_and_validate_on_the_seeds_that_are_simulated_for_that() -> None:
+    recipes = [read_recipe(path) for path in (ROOT / "studies" / "recipes" / "drives").glob("*.toml")]
+    assert recipes
+    for recipe in recipes:
+        assert {seed_of(text) for text in recipe.recordings} <= set(TRAINING_SEEDS)
+        assert {seed_of(text) for text in recipe.validation} <= set(VALIDATION_SEEDS)
+
+
+def seed_of(recording: str) -> int:
+    """`runs/drives/training/car-302-beside.tracks@15s-45s` has the seed 302."""
+    return int(Path(recording).stem.split("-")[1].partition(".")[0])
