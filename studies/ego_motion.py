@@ -38,7 +38,7 @@ NEAREST_S = 0.01
 AIMS = (0.035, 0.10, 1.0)
 """Median and 95th percentile of the position's error, metres, and 95th percentile of the heading's, degrees."""
 KERNELS_M, VOXELS_M = (0.1, 0.2), (0.3, 0.5)
-MAP_SCANS, MAP_S, MAP_CELL_M = 3000, 60.0, 0.05
+MAP_SCANS, MAP_S, MAP_CELL_M = 600, 60.0, 0.05
 COLUMNS = ("pairs", "median, m", "95 %, m", "heading 95 %, deg")
 Array = NDArray[np.float64]
 

@@ -41,7 +41,7 @@ from studies.support.results_file import ResultSection, measured_table, write_se
 from studies.support.transferred_weights import transfer
 
 WEIGHTS = Path("data/weights")
-LEARNED = ("kalman", "factor-graph", "dogma", "dilated-convgru")
+LEARNED = ("kalman", "factor-graph", "dogma", "deep-tracking-rnn")
 HORIZON_S, WARM_UP = 1.0, 20
 POSES: tuple[PoseSource, ...] = ("recorded", "refined", "kiss-icp")
 STRATA = ("visible", "dynamic", "in-motion")
