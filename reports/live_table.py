@@ -16,7 +16,7 @@ from rich.table import Table
 from gridtrack.evaluation.comparison.live_scores import LiveRow, LiveStatus
 
 SHOW_EVERY_S = 0.5
-LINE_EVERY_S = 10.0
+SHOW_LINE_EVERY_S = 10.0
 """Without a terminal, time between two lines."""
 
 
@@ -45,7 +45,7 @@ class LiveTable:
     def update(self, status: Callable[[], LiveStatus]) -> None:
         """Show `status()`, where the one shown last is old enough."""
         terminal = self._console.is_terminal
-        if time.monotonic() - self._shown_s < (SHOW_EVERY_S if terminal else LINE_EVERY_S):
+        if time.monotonic() - self._shown_s < (SHOW_EVERY_S if terminal else SHOW_LINE_EVERY_S):
             return
         self._shown_s = time.monotonic()
         if terminal:

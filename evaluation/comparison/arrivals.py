@@ -11,14 +11,13 @@ from pathlib import Path
 from typing import Protocol
 
 from gridtrack.common.errors import RecordingError
+from gridtrack.evaluation.comparison.runner import WAKE_S
 from gridtrack.recordings.growth import Growth
 from gridtrack.recordings.observation import Observation
 from gridtrack.recordings.stream import GridStream
 
 POLL_S = 0.05
 """Period at which the size of the file is looked at."""
-WAKE_S = 0.2
-"""Longest wait of the main thread, so that an interrupt is noticed."""
 BEHIND_S = 1.0
 """A frame is behind where a frame this much later has been read."""
 MAX_AHEAD = 600

@@ -29,7 +29,7 @@ class Ending:
     """Hash of the frames that were presented."""
 
 
-def notices_of(ending: Ending, records: Iterable[TrialRecord]) -> list[str]:
+def follow_notices(ending: Ending, records: Iterable[TrialRecord]) -> list[str]:
     """The notices of the run, one line each."""
     return [*_about_the_end(ending), *(line for record in records for line in _about_a_trial(record, ending))]
 

@@ -14,15 +14,15 @@ from tempfile import TemporaryDirectory
 
 from gridtrack.common.errors import RecordingError
 from gridtrack.common.grid import GridSpec
-from gridtrack.evaluation.comparison.arrivals import BEHIND_S, WAKE_S, Arrival, Arrivals, FileWatch, Pace, Turns, Watch
-from gridtrack.evaluation.comparison.follow_notices import Ending, notices_of
+from gridtrack.evaluation.comparison.arrivals import BEHIND_S, Arrival, Arrivals, FileWatch, Pace, Turns, Watch
+from gridtrack.evaluation.comparison.follow_notices import Ending, follow_notices
 from gridtrack.evaluation.comparison.followed_trial import FollowedTrial
 from gridtrack.evaluation.comparison.growing_recording import open_growing, path_to_follow, refuse_raw
 from gridtrack.evaluation.comparison.live_scores import LiveObserver, LiveScores, LiveStatus
 from gridtrack.evaluation.comparison.plan import ComparisonPlan, resolve, with_copied_weights
 from gridtrack.evaluation.comparison.run_folder import RunFolder, refuse_earlier_run
 from gridtrack.evaluation.comparison.run_lock import run_lock
-from gridtrack.evaluation.comparison.runner import RunObserver, TrialPool
+from gridtrack.evaluation.comparison.runner import WAKE_S, RunObserver, TrialPool
 from gridtrack.evaluation.comparison.settings import CompareSettings
 from gridtrack.evaluation.comparison.shared_thresholds import SharedThresholds
 from gridtrack.evaluation.comparison.trial import Interrupted, failed
@@ -280,4 +280,4 @@ class Following:
             table_problem=self._scores.problem,
             delivered=self._digest.hexdigest(),
         )
-        return notices_of(ending, self._records.values())
+        return follow_notices(ending, self._records.values())

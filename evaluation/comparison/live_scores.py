@@ -28,7 +28,7 @@ from gridtrack.recordings.observation import Observation
 
 SHOWN_STRATUM, SHOWN_S = "dynamic", 1.0
 """The score of the live table."""
-MAX_WAITING = 600
+MAX_FRAMES_WAITING = 600
 """Frames that wait for their scores in the live table; while there are more, forecasts are left out of it."""
 MAX_AGE = 1000
 """Older forecasts, in frames, are left out of the live table."""
@@ -181,7 +181,7 @@ class LiveScores:
                 if self._over:
                     return
                 observation, newest = self._waiting.popleft()
-                scored = len(self._waiting) < MAX_WAITING
+                scored = len(self._waiting) < MAX_FRAMES_WAITING
             try:
                 self._scores.add(observation, newest, scored=scored)
             except Exception as error:  # noqa: BLE001 the table is a view: the scores of the run are made at its end
