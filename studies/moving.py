@@ -218,7 +218,7 @@ def collect(minutes: Sequence[str], trackers: Sequence[str], out: Path, results:
             command=COMMAND,
             source="measured",
             tables={**score_tables(compared, trackers), "by carrier": carrier_table(compared, trackers)},
-            values={"drives": str(len(minutes)), "trackers without weights": missing},
+            values={"drives": str(len(minutes)), "not measured": missing},
         ),
         "differences": difference_section(compared, trackers),
     }
