@@ -13,13 +13,12 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from gridtrack.common.errors import RecordingError
-from gridtrack.common.grid import GridSpec
 from gridtrack.evaluation.comparison.arrivals import BEHIND_S, Arrival, Arrivals, FileWatch, Pace, Turns, Watch
 from gridtrack.evaluation.comparison.follow_notices import Ending, follow_notices
 from gridtrack.evaluation.comparison.followed_trial import FollowedTrial
 from gridtrack.evaluation.comparison.growing_recording import open_growing, path_to_follow, refuse_raw
 from gridtrack.evaluation.comparison.live_scores import LiveObserver, LiveScores, LiveStatus
-from gridtrack.evaluation.comparison.plan import ComparisonPlan, resolve, with_copied_weights
+from gridtrack.evaluation.comparison.plan import ComparisonPlan, resolve, sampling_of, with_copied_weights
 from gridtrack.evaluation.comparison.run_folder import RunFolder, refuse_earlier_run
 from gridtrack.evaluation.comparison.run_lock import run_lock
 from gridtrack.evaluation.comparison.runner import WAKE_S, RunObserver, TrialPool
@@ -30,7 +29,7 @@ from gridtrack.evaluation.results.summary import RunSummary
 from gridtrack.evaluation.results.trial_record import TrialRecord
 from gridtrack.evaluation.scoring.referee import WARM_UP
 from gridtrack.evaluation.scoring.regions import regions_of
-from gridtrack.evaluation.scoring.splits import EvaluationSplit, Sampling, SplitRegions, split_of
+from gridtrack.evaluation.scoring.splits import EvaluationSplit, SplitRegions, split_of
 from gridtrack.recordings import open_recording
 from gridtrack.recordings.growth import Growth
 from gridtrack.recordings.stream import frame_digest
@@ -67,12 +66,7 @@ class Following:
         self._recording = open_growing(path, settings, watch.more)
         assert self._recording.growth is not None
         self._growth: Growth = self._recording.growth
-        self._sampling = Sampling(
-            settings.horizon_s,
-            settings.every_s,
-            GridSpec.parse(settings.grid) if settings.grid else None,
-            settings.rate_hz,
-        )
+        self._sampling = sampling_of(settings)
         self._validation = open_recording(parse_stretch(settings.validation)[0]) if settings.validation else None
         self._split = self._split_of(settings)
         self._plan = with_copied_weights(resolve(settings, (self._split,)), folder)

@@ -142,6 +142,12 @@ def with_copied_weights(plan: ComparisonPlan, folder: Path) -> ComparisonPlan:
     return replace(plan, trials=tuple(trials))
 
 
+def sampling_of(settings: CompareSettings) -> Sampling:
+    """Horizon, interval, grid and rate as `settings` give them. Raises ConfigurationError."""
+    grid = GridSpec.parse(settings.grid) if settings.grid else None
+    return Sampling(settings.horizon_s, settings.every_s, grid, settings.rate_hz)
+
+
 def resolve(settings: CompareSettings, splits: tuple[EvaluationSplit, ...] | None = None) -> ComparisonPlan:
     """Look up everything that `settings` names, before any trial runs; `splits` of its recordings where they are known.
 
@@ -155,10 +161,7 @@ def resolve(settings: CompareSettings, splits: tuple[EvaluationSplit, ...] | Non
     launches = {selection.label: launch(selection.name, external) for selection in selections}
     for selection in selections:
         _check_options(selection, launches[selection.label], settings.limits)
-    sampling = Sampling(
-        settings.horizon_s, settings.every_s, GridSpec.parse(settings.grid) if settings.grid else None, settings.rate_hz
-    )
-    splits = splits or plan_splits(settings.recordings, settings.validation, sampling)
+    splits = splits or plan_splits(settings.recordings, settings.validation, sampling_of(settings))
     _refuse_equal_names(splits)
     _refuse_overlaps(splits)
     trials = tuple(

@@ -203,8 +203,7 @@ def test_a_hidden_box_persists_for_its_mean_lifetime() -> None:
     assert masses[8] / masses[0] == pytest.approx(np.exp(-8 * PERIOD_S / 2.0), rel=0.1)
 
 
-@pytest.fixture
-def weights(tmp_path):
+def saved_weights(folder, occupancy_rate, particles, **of_card):
     card = Card(
         tracker="dogma",
         site="yard",
@@ -213,10 +212,16 @@ def weights(tmp_path):
         seed=0,
         command="",
         train=(),
-        settings={"particles": 5000},
+        settings={"particles": particles},
+        **of_card,
     )
-    save_weights(tmp_path / "yard.toml", card, {"occupancy_rate": OCCUPANCY_RATE, "calibration": IDENTITY})
-    return tmp_path / "yard.toml"
+    save_weights(folder / "yard.toml", card, {"occupancy_rate": occupancy_rate, "calibration": IDENTITY})
+    return folder / "yard.toml"
+
+
+@pytest.fixture
+def weights(tmp_path):
+    return saved_weights(tmp_path, OCCUPANCY_RATE, 5000)
 
 
 def streamed(tracker: DogmaTracker, forecasts: int = 1) -> list[np.ndarray]:
@@ -346,19 +351,8 @@ def test_cells_that_come_in_are_unknown_and_mass_that_leaves_is_lost() -> None:
 
 def test_the_map_of_the_site_lies_where_the_card_says(tmp_path) -> None:
     rate = np.random.default_rng(0).uniform(0.0, 0.5, GRID.shape).astype(np.float32)
-    card = Card(
-        tracker="dogma",
-        site="yard",
-        grid=str(GRID),
-        period_s=PERIOD_S,
-        seed=0,
-        command="",
-        train=(),
-        settings={"particles": 1000},
-        world_T_grid=(4.0, -8.0),
-    )
-    save_weights(tmp_path / "yard.toml", card, {"occupancy_rate": rate, "calibration": IDENTITY})
-    tracker = DogmaTracker(StreamSpec(GRID, PERIOD_S, "yard", weights=tmp_path / "yard.toml"), DogmaSettings())
+    path = saved_weights(tmp_path, rate, 1000, world_T_grid=(4.0, -8.0))
+    tracker = DogmaTracker(StreamSpec(GRID, PERIOD_S, "yard", weights=path), DogmaSettings())
     hidden = np.zeros(GRID.shape, bool)
     for rows, columns in ((0, 0), (2, -3), (200, 0)):
         pose = SE2(4.0 + GRID.cell_m * columns, -8.0 + GRID.cell_m * rows)
