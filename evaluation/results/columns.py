@@ -41,6 +41,11 @@ CONFUSION = ("tp", "fp", "fn", "tn")
 """Counts of cells at the threshold of the step and stratum."""
 CONFUSION_AT_HALF = tuple(f"{name}_half" for name in CONFUSION)
 CONFUSION_LABEL_FREE = tuple(f"{name}_label_free" for name in CONFUSION)
+SCALES = (1, 3, 5, 9)
+"""Sides, in cells, of the neighbourhoods of the fractions skill score."""
+BEAM_ERROR_EDGES_M = np.concatenate([[0.0], 2.0 ** (np.arange(-7 * 8, 12 * 8 + 1) / 8), [np.inf]])
+"""Edges of the bins of the size of a beam error, metres: eight to each octave from 8 mm to 4 km, for its median."""
+BEAM_ERROR_BINS = len(BEAM_ERROR_EDGES_M) - 1
 FOUND = ("tp", "fn", "tp_half", "fn_half")
 """Counts of the cells of one class, at the threshold in use and at 0.5."""
 

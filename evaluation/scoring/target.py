@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from gridtrack.common.grid import GridFrame, GridSpec
 from gridtrack.common.scene import UNLABELLED
+from gridtrack.evaluation.scoring.returned_beams import ReturnedBeams, returned_beams
 from gridtrack.recordings.cell_labels import check_labels, labelled_returns
 from gridtrack.recordings.observation import Observation
 from gridtrack.recordings.truth import FREE, INTERIOR, OUTLINE, TruthGrid, truth_grid
@@ -28,7 +29,7 @@ class Target:
     `state` (M, M) uint8 of the states above; without truth no hidden cell is scored. `motion` (M, M) uint8: the part of
     each dynamic cell, an index into PARTS. `cells` (N,) int64, row * M +
     column: the occupied cells with a known class, visible and hidden; `labels` (N,) uint8: their classes, indices into
-    the recording's classes.
+    the recording's classes. `beams` are those that ended in the window.
     """
 
     frame: GridFrame
@@ -36,6 +37,7 @@ class Target:
     motion: NDArray[np.uint8]
     cells: NDArray[np.int64] = field(default_factory=lambda: _NO_CELLS)
     labels: NDArray[np.uint8] = field(default_factory=lambda: _NO_LABELS)
+    beams: ReturnedBeams = field(default_factory=ReturnedBeams.none)
 
     @classmethod
     def of_frame(cls, frame: GridFrame) -> Target:
@@ -56,7 +58,7 @@ def target_of(observation: Observation, grid: GridSpec, classes: Sequence[str], 
         hidden = np.flatnonzero(~frame.visible & (truth.labels != UNLABELLED))
         cells, labels = np.concatenate([cells, hidden]), np.concatenate([labels, truth.labels.ravel()[hidden]])
     check_labels(labels, classes, observation.time_s)
-    return Target(frame, target.state, motion, cells, labels)
+    return Target(frame, target.state, motion, cells, labels, returned_beams(observation, grid))
 
 
 def _truth(observation: Observation, grid: GridSpec) -> TruthGrid | None:

@@ -4,29 +4,17 @@ import numpy as np
 import pytest
 from sklearn.metrics import average_precision_score, brier_score_loss, f1_score, log_loss, precision_score, recall_score
 
-from gridtrack.common.geometry import SE2
-from gridtrack.common.grid import GridFrame, GridSpec
 from gridtrack.evaluation.results.columns import CALIBRATION_EDGES, PROBABILITY_BINS, PROBABILITY_EDGES
 from gridtrack.evaluation.scoring import metrics
 from gridtrack.evaluation.scoring.counting import HALF, Tally, count_forecast
-from gridtrack.evaluation.scoring.strata import CELL_KINDS, PARTS, STRATA, STRATA_WITH_TRUTH, region_maps_of
-from gridtrack.evaluation.scoring.target import NOT_SCORED, Target
+from gridtrack.evaluation.scoring.strata import CELL_KINDS, STRATA, STRATA_WITH_TRUTH
+from gridtrack.evaluation.scoring.target import Target
 from gridtrack.evaluation.scoring.thresholds import half
+
+from scenes.scored_cells import frame, members_of, random_forecast, region_maps
 
 VISIBLE, DYNAMIC, STATIC = (STRATA.index(name) for name in ("visible", "dynamic", "static"))
 RING_CELL, STATIC_CELL, DYNAMIC_CELL = (CELL_KINDS.index(name) for name in ("ring", "static", "dynamic"))
-
-
-def frame(visible, occupied, stamp_ns=0):
-    nothing = np.zeros((0, 2), np.float32)
-    visible, occupied = np.array(visible, bool), np.array(occupied, bool)
-    return GridFrame(stamp_ns, visible, occupied & visible, SE2(), nothing, nothing, np.zeros(0, np.uint8))
-
-
-def region_maps(cell_kinds, strata=STRATA):
-    """Places on cells of 1 m, seen from the lower left corner."""
-    cell_kinds = np.array(cell_kinds, np.uint8)
-    return region_maps_of(cell_kinds, GridSpec(len(cell_kinds), 1.0, (0.0, 0.0)), np.zeros((1, 2), np.float32), strata)
 
 
 def binned_by(edges, p):
@@ -36,13 +24,6 @@ def binned_by(edges, p):
 
 def count(occupancy, frames, cell_kinds):
     return count_forecast(occupancy, [Target.of_frame(observed) for observed in frames], region_maps(cell_kinds))
-
-
-def random_forecast(rng, size, steps):
-    occupancy = rng.beta(0.4, 0.8, (steps + 1, size, size)).astype(np.float32)
-    occupancy[rng.random(occupancy.shape) < 0.1] = 0.0
-    occupancy[rng.random(occupancy.shape) < 0.1] = 1.0
-    return occupancy
 
 
 def random_case(seed, size=30, steps=3):
@@ -76,30 +57,6 @@ def test_cells_that_are_hidden_in_the_observed_frame_are_not_scored():
     tally = count(np.ones((1, 5, 5), np.float32), [nothing_seen], np.full((5, 5), DYNAMIC_CELL))
     assert tally.cells.sum() == 0
     assert tally.squared_error.sum() == tally.log_loss.sum() == 0
-
-
-def members_of(cell_kinds, state, motion, ages):
-    """The cells (M, M) of each stratum, by an independent implementation of the definitions."""
-    rows, columns = np.indices(cell_kinds.shape) + 0.5
-    distance = np.hypot(rows, columns)
-    seen, hidden = state < 2, (state >= 2) & (state != NOT_SCORED)
-    return {
-        "visible": seen,
-        "dynamic": seen & (cell_kinds == DYNAMIC_CELL),
-        "static": seen & (cell_kinds == STATIC_CELL),
-        "in-motion": seen & (cell_kinds == DYNAMIC_CELL) & (motion != PARTS.index("standing")),
-        "standing": seen & (motion == PARTS.index("standing")),
-        "visible to 5 m": seen & (distance <= 5),
-        "visible 5-10 m": seen & (distance > 5) & (distance <= 10),
-        "visible over 10 m": seen & (distance > 10),
-        "occluded": hidden,
-        "occluded dynamic": hidden & (cell_kinds == DYNAMIC_CELL),
-        "occluded to 0.5 s": hidden & (ages == 0),
-        "occluded 0.5-1 s": hidden & (ages == 1),
-        "occluded 1-2 s": hidden & (ages == 2),
-        "occluded 2-4 s": hidden & (ages == 3),
-        "occluded over 4 s": hidden & (ages == 4),
-    }
 
 
 @pytest.mark.parametrize("seed", range(4))
