@@ -138,6 +138,34 @@ HISTOGRAM_TABLE = ParquetTable(
     ),
     version=2,
 )
+AGREEMENT, SQUARES = (tuple(f"{name}_{scale}" for scale in SCALES) for name in ("agreement", "squares"))
+NEIGHBOURHOODS_TABLE = ParquetTable(
+    "neighbourhoods.parquet",
+    "scored frame x step x stratum, of `visible`, `dynamic` and `in-motion`, with ground truth also `occluded`",
+    (
+        _STAMP,
+        _STEP,
+        _STRATUM_COLUMN,
+        *(ParquetColumn(name, pa.float32(), "sum over neighbourhoods of 2 P O") for name in AGREEMENT),
+        *(ParquetColumn(name, pa.float32(), "sum over neighbourhoods of P^2 + O^2") for name in SQUARES),
+        ParquetColumn("soft_union", pa.float32(), "sum over cells of p + o - p o"),
+    ),
+)
+BEAMS_TABLE = ParquetTable(
+    "beams.parquet",
+    "scored frame x step x stratum of a recording without ground truth",
+    (
+        _STAMP,
+        _STEP,
+        _STRATUM_COLUMN,
+        ParquetColumn(
+            "late_m", pa.float32(), "sum of the errors, metres, of beams expected to end behind what they hit"
+        ),
+        ParquetColumn("early_m", pa.float32(), "the same of beams expected to end before it, without its sign"),
+        ParquetColumn("bin", pa.list_(pa.int16()), "the bins of the size of an error that have beams, in their order"),
+        ParquetColumn("count", pa.list_(pa.int32()), "beams in each of these bins"),
+    ),
+)
 CLASSES_TABLE = ParquetTable(
     "classes.parquet",
     "scored frame x step x visibility x class, of dynamic cells",
@@ -175,4 +203,4 @@ SEMANTICS_TABLE = ParquetTable(
         ),
     ),
 )
-TABLES = (SCORES_TABLE, HISTOGRAM_TABLE, CLASSES_TABLE, SEMANTICS_TABLE)
+TABLES = (SCORES_TABLE, HISTOGRAM_TABLE, NEIGHBOURHOODS_TABLE, BEAMS_TABLE, CLASSES_TABLE, SEMANTICS_TABLE)

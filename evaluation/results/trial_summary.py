@@ -48,6 +48,35 @@ class StratumScores(ResultModel):
     brier_high: Curve | None = None
     nll_high: Curve | None = None
     pr_auc_high: Curve | None = None
+    fss_1: Curve | None = None
+    """Fractions skill score of cells: 1 - sum (p - o)^2 / (sum p^2 + sum o^2); null where a run has none."""
+    fss_1_low: Curve | None = None
+    fss_1_high: Curve | None = None
+    fss_3: Curve | None = None
+    """The same of the shares of neighbourhoods of 3 x 3 cells."""
+    fss_3_low: Curve | None = None
+    fss_3_high: Curve | None = None
+    fss_5: Curve | None = None
+    fss_5_low: Curve | None = None
+    fss_5_high: Curve | None = None
+    fss_9: Curve | None = None
+    fss_9_low: Curve | None = None
+    fss_9_high: Curve | None = None
+    soft_iou: Curve | None = None
+    """Sum p o / sum (p + o - p o)."""
+    soft_iou_low: Curve | None = None
+    soft_iou_high: Curve | None = None
+    beam_error: Curve | None = None
+    """Mean distance, metres, from where beams of the observed frame end to where the forecast expects them to."""
+    beam_error_low: Curve | None = None
+    beam_error_high: Curve | None = None
+    beam_error_median: Curve | None = None
+    beam_error_median_low: Curve | None = None
+    beam_error_median_high: Curve | None = None
+    beam_bias: Curve | None = None
+    """Mean of the expected less the measured range, metres: above 0 where what is hit was not forecast."""
+    beam_bias_low: Curve | None = None
+    beam_bias_high: Curve | None = None
     interval: str = ""
     """Why there are no intervals; empty where there are."""
     share_of_oracle: Curve | None = None

@@ -85,7 +85,7 @@ def _regions(target: Target, region_maps: RegionMaps, ages: NDArray[np.uint8]) -
 
 @numba.njit(cache=True, nogil=True)
 def _mark(probability, state, region, member_of, marked):  # type: ignore[no-untyped-def]
-    """Set `marked` (2, M + margins, M + margins) int32: probabilities of members in units of 1 / _UNITS, and their marks.
+    """Set `marked` (2, M + margins, M + margins) int32: probabilities of members, in 1 / _UNITS, and their marks.
 
     Sums of these integers are exact. Returns the sums over members of 2 p o, p^2 + o^2 and p + o - p o.
     """
@@ -113,7 +113,7 @@ def _adder(scale: int) -> Callable[..., tuple[float, float]]:
         width = marked.shape[2]
         size = width - 2 * _MARGIN
         probabilities, marks = np.zeros((2, width), np.int32)
-        both_of_all, each_of_all = 0.0, 0.0
+        both_of_all, each_of_all = np.float64(0.0), np.float64(0.0)
         for r in range(_MARGIN - half, _MARGIN + half):
             for c in range(width):
                 probabilities[c] += marked[0, r, c]
@@ -134,8 +134,8 @@ def _adder(scale: int) -> Callable[..., tuple[float, float]]:
                 weight = centre / max(cells * cells, np.float32(1.0))
                 both += weight * (p * o)
                 each += weight * (p * p + o * o)
-            both_of_all += both
-            each_of_all += each
+            both_of_all += np.float64(both)
+            each_of_all += np.float64(each)
             for c in range(width):
                 probabilities[c] -= marked[0, r + first, c]
                 marks[c] -= marked[1, r + first, c]

@@ -70,7 +70,7 @@ class ScoreWriter:
 
         `delivered` is the digest of the frames delivered up to its last step. Stamps must not decrease.
         """
-        rows = self._rows(stamp_ns)
+        rows = row_keys(stamp_ns, self._steps, self._strata)
         self._histogram.append(rows | _histogram_columns(tally))
         label_free = self._label_free.bins(stamp_ns)
         self._label_free.add(observed_ns, tally)
@@ -82,25 +82,34 @@ class ScoreWriter:
         rows["log_loss"] = tally.log_loss.ravel()
         self._scores.append(rows)
 
-    def _rows(self, stamp_ns: int) -> dict[str, Any]:
-        """Stamp, step and stratum of each row: steps x strata, strata varying fastest."""
-        steps, strata = np.indices((self._steps + 1, len(self._strata)), np.int16).reshape(2, -1)
-        names = pa.DictionaryArray.from_arrays(strata.astype(np.int8), list(self._strata))
-        return {"stamp_ns": np.full(steps.size, stamp_ns), "step": steps, "stratum": names}
+
+def row_keys(stamp_ns: int, steps: int, strata: Sequence[str]) -> dict[str, Any]:
+    """Stamp, step and stratum of the rows of one scored frame: steps 0..steps x strata, strata varying fastest."""
+    step, stratum = np.indices((steps + 1, len(strata)), np.int16).reshape(2, -1)
+    names = pa.DictionaryArray.from_arrays(stratum.astype(np.int8), list(strata))
+    return {"stamp_ns": np.full(step.size, stamp_ns), "step": step, "stratum": names}
 
 
 def _histogram_columns(tally: Tally) -> dict[str, Any]:
     """The histograms of each step and stratum: the bins that have cells, and their counts."""
     cells, positives = tally.cells.reshape(-1, PROBABILITY_BINS), tally.positives.reshape(-1, PROBABILITY_BINS)
     row, bins = np.nonzero(cells)
-    ends = np.searchsorted(row, np.arange(len(cells) + 1)).astype(np.int32)
-    lists = {"bin": bins, "count": cells[row, bins], "positives": positives[row, bins]}
-    columns: dict[str, Any] = {
-        name: pa.ListArray.from_arrays(ends, pa.array(values, HISTOGRAM_TABLE.type_of(name).value_type))
-        for name, values in lists.items()
-    }
+    columns = lists_of_rows(
+        HISTOGRAM_TABLE, row, len(cells), bin=bins, count=cells[row, bins], positives=positives[row, bins]
+    )
     p_sum = pa.array(tally.p_sum.ravel().astype(np.float32))
     return columns | {"p_sum": pa.FixedSizeListArray.from_arrays(p_sum, CALIBRATION_BINS)}
+
+
+def lists_of_rows(
+    table: ParquetTable, row: NDArray[np.int64], rows: int, **values: NDArray[np.integer]
+) -> dict[str, Any]:
+    """List columns of `table`, `rows` rows: by column the `values` (N,), with the `row` (N,) of each, in order."""
+    ends = np.searchsorted(row, np.arange(rows + 1)).astype(np.int32)
+    return {
+        name: pa.ListArray.from_arrays(ends, pa.array(entries, table.type_of(name).value_type))
+        for name, entries in values.items()
+    }
 
 
 class RowGroups:

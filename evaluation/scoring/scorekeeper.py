@@ -8,12 +8,15 @@ from types import TracebackType
 from typing import Self
 
 from gridtrack.evaluation.results.columns import TABLES
+from gridtrack.evaluation.scoring.beam_errors import beam_errors
 from gridtrack.evaluation.scoring.class_store import ClassWriter
 from gridtrack.evaluation.scoring.counting import count_forecast
+from gridtrack.evaluation.scoring.neighbourhoods import sum_neighbourhoods
 from gridtrack.evaluation.scoring.referee import ScoredForecast
 from gridtrack.evaluation.scoring.samples import SAMPLES, SampleWriter, kept_forecasts
 from gridtrack.evaluation.scoring.score_store import ScoreWriter
 from gridtrack.evaluation.scoring.semantics import count_classes, count_found, match_classes
+from gridtrack.evaluation.scoring.spatial_store import SpatialWriter
 from gridtrack.evaluation.scoring.splits import EvaluationSplit
 from gridtrack.evaluation.scoring.thresholds import Thresholds
 
@@ -33,12 +36,13 @@ class Scorekeeper:
     ) -> None:
         """`classes` are those for which the tracker forecasts probabilities."""
         known = split.test.classes
-        self._thresholds, self._classes = thresholds, len(known)
+        self._thresholds, self._classes, self._cell_m = thresholds, len(known), split.test.grid.cell_m
         self._matching = match_classes(classes, known) if classes and known else None
         self._kept = kept_forecasts(split.schedule)
         self.scored = 0
         with ExitStack() as files:
             self._scores = files.enter_context(ScoreWriter(folder, split.steps, thresholds))
+            self._spatial = files.enter_context(SpatialWriter(folder, split.steps, thresholds.strata))
             by_class = ClassWriter(folder, known, self._matching is not None) if known else None
             self._by_class = by_class and files.enter_context(by_class)
             samples = SampleWriter(folder / SAMPLES, split.test.grid, split.test.period_s, split.steps)
@@ -55,8 +59,12 @@ class Scorekeeper:
 
     def add(self, scored: ScoredForecast, delivered: str) -> None:
         """Score one forecast; `delivered` is the digest of the frames delivered up to its last step."""
-        tally = count_forecast(scored.forecast.occupancy, scored.targets, scored.region_maps, scored.ages)
+        occupancy, targets, maps = scored.forecast.occupancy, scored.targets, scored.region_maps
+        tally = count_forecast(occupancy, targets, maps, scored.ages)
+        sums = sum_neighbourhoods(occupancy, targets, maps, scored.ages)
+        errors = beam_errors(occupancy, targets, maps, self._cell_m)
         self._scores.add(scored.stamp_ns, delivered, tally, scored.frames[-1].stamp_ns)
+        self._spatial.add(scored.stamp_ns, sums, errors)
         if self._by_class is not None:
             self._count_classes(scored, self._by_class)
         if self.scored in self._kept:

@@ -27,16 +27,17 @@ class CountedTrial:
 
 
 def stratum_scores(
-    trials: Sequence[CountedTrial], strata: tuple[str, ...], intervals: Mapping[str, Mapping[str, Any]]
+    trials: Sequence[CountedTrial], strata: tuple[str, ...], described: Mapping[str, Mapping[str, Any]]
 ) -> dict[str, StratumScores]:
     """Scores of the summed counts of `trials`, each at its own thresholds; a threshold that differs is None.
 
-    `intervals` holds, by stratum, the fields of StratumScores that `score_intervals.intervals` gives.
+    `described` holds, by stratum, the fields of StratumScores that `score_intervals.intervals` and
+    `spatial_scores.spatial_scores` give.
     """
     curves = _curves_of(trials, strata)
     return {
         name: StratumScores(
-            **{score: rounded_curve(values[:, k]) for score, values in curves.items()}, **intervals[name]
+            **{score: rounded_curve(values[:, k]) for score, values in curves.items()}, **described[name]
         )
         for k, name in enumerate(strata)
     }

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -37,27 +38,34 @@ def read_frame_counts(folder: Path, steps: int, strata: tuple[str, ...]) -> Fram
 
     Raises ScoresError.
     """
-    path = folder / SCORES_TABLE.file
+    rows = read_rows(folder / SCORES_TABLE.file, ("delivered", *COUNTS), steps, strata)
+    cells = (steps + 1) * len(strata)
+    counts = rows.select(pl.col(COUNTS).cast(pl.Float32)).to_numpy()
+    first = rows.gather_every(cells)
+    return FrameCounts(
+        first["stamp_ns"].to_numpy().astype(np.int64),
+        first["delivered"].to_numpy().astype(np.str_),
+        counts.reshape(len(first), steps + 1, len(strata), len(COUNTS)),
+    )
+
+
+def read_rows(path: Path, columns: Sequence[str], steps: int, strata: Sequence[str]) -> pl.DataFrame:
+    """The rows of a file with these `columns`: every frame with steps 0..steps, each with all `strata` in order.
+
+    Raises ScoresError.
+    """
     try:
-        columns = ["stamp_ns", "delivered", "step", "stratum", *COUNTS]
-        rows = pl.read_parquet(path, columns=columns, glob=False)
-        cells = (steps + 1) * len(strata)
-        frames = len(rows) // cells
-        _refuse_another_order(path, rows, frames, steps, strata)
-        counts = rows.select(pl.col(COUNTS).cast(pl.Float32)).to_numpy()
-        first = rows.gather_every(cells)
-        return FrameCounts(
-            first["stamp_ns"].to_numpy().astype(np.int64),
-            first["delivered"].to_numpy().astype(np.str_),
-            counts.reshape(frames, steps + 1, len(strata), len(COUNTS)),
-        )
+        rows = pl.read_parquet(path, columns=["stamp_ns", "step", "stratum", *columns], glob=False)
+        _refuse_another_order(path, rows, steps, strata)
     except (pl.exceptions.PolarsError, OSError) as error:
         raise ScoresError(f"{path}: cannot be read as scores ({str(error).splitlines()[0]}); run it again") from None
+    return rows
 
 
-def _refuse_another_order(path: Path, rows: pl.DataFrame, frames: int, steps: int, strata: tuple[str, ...]) -> None:
+def _refuse_another_order(path: Path, rows: pl.DataFrame, steps: int, strata: Sequence[str]) -> None:
     """Raises ScoresError unless every frame has all steps, each with all strata, and frames follow in time."""
     cells = (steps + 1) * len(strata)
+    frames = len(rows) // cells
     whole = len(rows) == frames * cells
     if whole and frames:
         step, stratum = np.indices((steps + 1, len(strata))).reshape(2, -1)

@@ -81,6 +81,11 @@ def ratio_interval(part: Floats, whole: Floats, level: float = LEVEL) -> tuple[F
     return _interval(part, whole, _ratio(part.sum(axis=0), whole.sum(axis=0)), np.exp, level)
 
 
+def proportion_interval(part: Floats, whole: Floats, level: float = LEVEL) -> tuple[Floats, Floats]:
+    """`interval` of the ratio of two sums over units (U, ...), the first a part of the second."""
+    return _interval(part, whole - part, _ratio(part.sum(axis=0), whole.sum(axis=0)), expit, level)
+
+
 def _interval(
     part: Floats, other: Floats, value: Floats, back: Callable[[Floats], Floats], level: float
 ) -> tuple[Floats, Floats]:
@@ -145,7 +150,7 @@ def _differences_of(value: Floats, without: Floats, freedom: Floats, level: floa
 
 @dataclass(frozen=True, slots=True)
 class JackknifedScore:
-    """A score in [0, 1] (...) that is no ratio of sums, such as PR-AUC, and its values (U, ...) without each unit.
+    """A score (...) that is no ratio of sums, such as PR-AUC or a median, and its values (U, ...) without each unit.
 
     `sizes` (U, ...): how much each unit counts, for the effective number of units.
     """
@@ -155,14 +160,24 @@ class JackknifedScore:
     sizes: Floats
 
     def interval(self, level: float = LEVEL) -> tuple[Floats, Floats]:
-        """`interval` of this score: the jackknife of its log odds. NaN with fewer than LEAST_UNITS."""
-        if len(self.without) < LEAST_UNITS:
-            return np.full_like(self.value, np.nan), np.full_like(self.value, np.nan)
+        """`interval` of a score in [0, 1]: the jackknife of its log odds. NaN with fewer than LEAST_UNITS."""
         inside = np.clip(self.without, _NEAREST_TO_0_OR_1, 1 - _NEAREST_TO_0_OR_1)
-        reach = _quantile(_effective_units(self.sizes) - 1, level) * _standard_error(logit(inside))
+        return self._interval_of(logit, inside, expit, level)
+
+    def positive_interval(self, level: float = LEVEL) -> tuple[Floats, Floats]:
+        """`interval` of a score above 0, such as a median error: the jackknife of its logarithm."""
+        return self._interval_of(np.log, self.without, np.exp, level)
+
+    def _interval_of(
+        self, forth: Callable[[Floats], Floats], without: Floats, back: Callable[[Floats], Floats], level: float
+    ) -> tuple[Floats, Floats]:
+        """Interval by the jackknife of `forth` of the score, which `back` inverts."""
+        if len(without) < LEAST_UNITS:
+            return np.full_like(self.value, np.nan), np.full_like(self.value, np.nan)
+        reach = _quantile(_effective_units(self.sizes) - 1, level) * _standard_error(forth(without))
         with np.errstate(divide="ignore"):
-            centre = logit(self.value)
-        low, high = (np.where(np.isnan(self.value), np.nan, expit(centre + side * reach)) for side in (-1, 1))
+            centre = forth(self.value)
+        low, high = (np.where(np.isnan(self.value), np.nan, back(centre + side * reach)) for side in (-1, 1))
         return low, high
 
     def less(self, reference: JackknifedScore, level: float = LEVEL) -> PairedDifferences:

@@ -27,6 +27,7 @@ from gridtrack.evaluation.statistics.paired_tests import (
     headline_tests,
 )
 from gridtrack.evaluation.statistics.score_intervals import Scope, common_strata, intervals, poolable
+from gridtrack.evaluation.statistics.spatial_scores import spatial_scores
 from gridtrack.evaluation.statistics.units import UnitRule, enough_sources
 
 
@@ -66,12 +67,16 @@ class RunStatistics:
 
     def strata_of(self, trial: FinishedTrial) -> dict[str, StratumScores]:
         """Scores of one trial with their intervals, by stratum; empty where nothing was scored."""
-        if not trial.record.frames_scored:
-            return {}
-        ends = intervals(
-            [self.frames_of(trial)], [trial.folder], trial.strata, self.unit_rule([trial.record.recording])
-        )
-        return stratum_scores([self._counted(trial)], trial.strata, ends)
+        return self._scores_of([trial], trial.strata) if trial.record.frames_scored else {}
+
+    def _scores_of(self, trials: Sequence[FinishedTrial], strata: tuple[str, ...]) -> dict[str, StratumScores]:
+        """Scores of `trials` pooled, with their intervals, by stratum."""
+        rule = self.unit_rule([trial.record.recording for trial in trials])
+        frames = [self.frames_in(trial, strata) for trial in trials]
+        ends = intervals(frames, [trial.folder for trial in trials], strata, rule)
+        spatial = spatial_scores(trials, [one.stamps_ns for one in frames], strata, rule)
+        described = {name: {**ends[name], **spatial[name]} for name in strata}
+        return stratum_scores([self._counted(trial) for trial in trials], strata, described)
 
     def _counted(self, trial: FinishedTrial) -> CountedTrial:
         """The counts of a trial. Raises ScoresError."""
@@ -104,19 +109,8 @@ class RunStatistics:
             frames_scored=sum(trial.record.frames_scored for trial in complete),
             frames_expected=sum(trial.record.frames_expected for trial in trials),
             threshold_chosen_on=chosen.pop() if len(chosen) == 1 else "",
-            strata=self._pooled_strata(complete) if complete else {},
+            strata=self._scores_of(complete, common_strata([t.strata for t in complete])) if complete else {},
         )
-
-    def _pooled_strata(self, complete: Sequence[FinishedTrial]) -> dict[str, StratumScores]:
-        strata = common_strata([trial.strata for trial in complete])
-        frames = [self.frames_in(trial, strata) for trial in complete]
-        ends = intervals(
-            frames,
-            [trial.folder for trial in complete],
-            strata,
-            self.unit_rule([trial.record.recording for trial in complete]),
-        )
-        return stratum_scores([self._counted(trial) for trial in complete], strata, ends)
 
     def _why_partial(self, trials: Sequence[FinishedTrial]) -> str:
         missing = [f"{trial.record.recording}: {trial.record.outcome}" for trial in trials if not trial.complete]

@@ -7,12 +7,15 @@ from pathlib import Path
 
 import numpy as np
 
-from gridtrack.evaluation.results.columns import PROBABILITY_BINS
+from gridtrack.evaluation.results.columns import BEAM_ERROR_BINS, PROBABILITY_BINS, SCALES
 from gridtrack.evaluation.results.recording import RecordingDescription, RecordingIdentity
 from gridtrack.evaluation.results.run_record import RunConfiguration, RunRecord
 from gridtrack.evaluation.results.trial_record import TrialRecord
+from gridtrack.evaluation.scoring.beam_errors import BEAM_STRATA, BeamErrors
 from gridtrack.evaluation.scoring.counting import Tally, for_calibration
+from gridtrack.evaluation.scoring.neighbourhoods import NeighbourhoodSums, neighbourhood_strata
 from gridtrack.evaluation.scoring.score_store import ScoreWriter
+from gridtrack.evaluation.scoring.spatial_store import SpatialWriter
 from gridtrack.evaluation.scoring.strata import STRATA
 from gridtrack.evaluation.scoring.thresholds import half
 from gridtrack.evaluation.statistics.finished_trial import FinishedTrial
@@ -77,6 +80,21 @@ def tally(rng: np.random.Generator, skill: float, strata: tuple[str, ...] = STRA
     return counted
 
 
+def spatial_sums(
+    rng: np.random.Generator, skill: float, strata: tuple[str, ...] = STRATA
+) -> tuple[NeighbourhoodSums, BeamErrors]:
+    """Sums of one frame over neighbourhoods and along beams: the better, the more skill and the larger the scale."""
+    own = neighbourhood_strata(strata)
+    squares = rng.gamma(20.0, 1.0, (STEPS + 1, len(own), len(SCALES)))
+    agreement = squares * skill ** (1 / np.array(SCALES)) * rng.uniform(0.9, 1.0, squares.shape)
+    sums = NeighbourhoodSums(agreement, squares, squares[..., 0], own)
+    shape = STEPS + 1, len(BEAM_STRATA)
+    counts = np.zeros((*shape, BEAM_ERROR_BINS), np.int64)
+    counts[..., 40:60] = rng.poisson(5.0, (*shape, 20))
+    counts[..., 70] = rng.poisson(80.0 * (1.0 - skill), shape)
+    return sums, BeamErrors(*(rng.gamma(10.0, 2.0 - skill, (2, *shape))), counts)
+
+
 def write_trial(
     run: Path,
     label: str,
@@ -98,10 +116,12 @@ def write_trial(
     rng = np.random.default_rng(seed)
     done = frames if scored is None else scored
     thresholds = half(STEPS, strata)
-    with ScoreWriter(folder, STEPS, thresholds) as scores:
+    drawn = np.random.default_rng([seed, 1])
+    with ScoreWriter(folder, STEPS, thresholds) as scores, SpatialWriter(folder, STEPS, strata) as spatial:
         for frame in range(done):
             stamp_ns, digest = (frame + start_s) * 1_000_000_000, (delivered + f"{frame:x}").rjust(32, "0")
             scores.add(stamp_ns, digest, tally(rng, skill, strata), stamp_ns + round(STEPS * PERIOD_S * 1e9))
+            spatial.add(stamp_ns, *spatial_sums(drawn, skill, strata))
     record = TrialRecord(
         schema=2,
         label=label,

@@ -1,0 +1,167 @@
+"""Scores that forgive a forecast that is right but some cells away, with their intervals.
+
+Fractions skill score, soft IoU and beam errors of one recording, or of several pooled, from the sums of their
+statistical units.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+from numpy.typing import NDArray
+
+from gridtrack.evaluation.results.columns import (
+    AGREEMENT,
+    BEAM_ERROR_BINS,
+    BEAM_ERROR_EDGES_M,
+    BEAMS_TABLE,
+    NEIGHBOURHOODS_TABLE,
+    SCALES,
+    SQUARES,
+)
+from gridtrack.evaluation.results.values import Curve, rounded_curve
+from gridtrack.evaluation.scoring.beam_errors import BEAM_STRATA
+from gridtrack.evaluation.scoring.metrics import ratio
+from gridtrack.evaluation.scoring.neighbourhoods import neighbourhood_strata
+from gridtrack.evaluation.scoring.score_store import ScoresError
+from gridtrack.evaluation.statistics.finished_trial import FinishedTrial
+from gridtrack.evaluation.statistics.frame_counts import read_rows
+from gridtrack.evaluation.statistics.jackknife import (
+    Floats,
+    JackknifedScore,
+    proportion_interval,
+    ratio_differences,
+    ratio_interval,
+)
+from gridtrack.evaluation.statistics.units import UnitRule, sum_by_unit
+
+ScoreWithEnds = tuple[str, Floats, Floats, Floats]
+"""The name of a score in StratumScores, its value (S, K), and the ends of its interval; NaN where there is none."""
+SpatialScores = dict[str, dict[str, Curve]]
+"""By stratum, fields of StratumScores."""
+
+
+def spatial_scores(
+    trials: Sequence[FinishedTrial], stamps_ns: Sequence[NDArray[np.int64]], strata: Sequence[str], rule: UnitRule
+) -> SpatialScores:
+    """The scores of `trials` pooled, in `strata`; without those whose sums a trial of a run of before lacks.
+
+    `stamps_ns` (F,) are the scored frames of each trial. Raises ScoresError.
+    """
+    units = rule.units_of(stamps_ns)
+    found: SpatialScores = {name: {} for name in strata}
+    if all((trial.folder / NEIGHBOURHOODS_TABLE.file).exists() for trial in trials):
+        names = neighbourhood_strata(strata)
+        sums = [_read_neighbourhoods(*one, names) for one in zip(trials, stamps_ns, strict=True)]
+        _add_curves(found, names, neighbourhood_scores(sum_by_unit(sums, units)))
+    if all((trial.folder / BEAMS_TABLE.file).exists() for trial in trials):
+        beams = [_read_beams(*one) for one in zip(trials, stamps_ns, units, strict=True)]
+        number = max(len(counts) for _, counts in beams)
+        counts = sum(np.pad(one, [(0, number - len(one)), *[(0, 0)] * 3]) for _, one in beams)
+        errors = sum_by_unit([sums for sums, _ in beams], units)
+        _add_curves(found, BEAM_STRATA, beam_scores(errors[..., 0], errors[..., 1], np.asarray(counts)))
+    return found
+
+
+def _add_curves(found: SpatialScores, names: Sequence[str], scores: Iterator[ScoreWithEnds]) -> None:
+    for score, *values in scores:
+        for field, value in zip((score, f"{score}_low", f"{score}_high"), values, strict=True):
+            for k, name in enumerate(names):
+                found[name][field] = rounded_curve(value[:, k])
+
+
+def neighbourhood_scores(sums: Floats) -> Iterator[ScoreWithEnds]:
+    """Fractions skill scores and soft IoU of sums (U, S, K, C) of units; C as the sums of NEIGHBOURHOODS_TABLE.
+
+    Sums of a scale are multiplied by the cells of a neighbourhood: a lone occupied cell then counts as one.
+    """
+    agreement, squares = sums[..., : len(SCALES)], sums[..., len(SCALES) : 2 * len(SCALES)]
+    for w, scale in enumerate(SCALES):
+        yield _proportion(f"fss_{scale}", scale**2 * agreement[..., w], scale**2 * squares[..., w])
+    yield _proportion("soft_iou", agreement[..., 0] / 2, sums[..., -1])
+
+
+def _proportion(name: str, part: Floats, whole: Floats) -> ScoreWithEnds:
+    part = np.minimum(part, whole)  # but for the rounding of stored sums
+    return name, ratio(part.sum(axis=0), whole.sum(axis=0)), *proportion_interval(part, whole)
+
+
+def beam_scores(late_m: Floats, early_m: Floats, counts: NDArray[np.integer]) -> Iterator[ScoreWithEnds]:
+    """Mean and median size of the beam errors, and their mean with its sign, of units: sums (U, S, K), metres, and
+    beams (U, S, K, B) by size.
+    """
+    beams = counts.sum(axis=-1).astype(np.float64)
+    size = late_m + early_m
+    yield "beam_error", ratio(size.sum(axis=0), beams.sum(axis=0)), *ratio_interval(size, beams)
+    of_all = counts.sum(axis=0)
+    without = np.stack([median_size(of_all - own) for own in counts])
+    median = JackknifedScore(median_size(of_all), without, beams)
+    yield "beam_error_median", median.value, *median.positive_interval()
+    bias = ratio_differences((late_m, beams), (early_m, beams))
+    yield "beam_bias", bias.value, bias.low, bias.high
+
+
+def median_size(counts: NDArray[np.integer]) -> Floats:
+    """Median (...), metres, of the beam errors counted by size (..., B): as if they lay evenly within their bin."""
+    number = counts.sum(axis=-1)
+    up_to = counts.cumsum(axis=-1)
+    bin_ = (2 * up_to >= number[..., None]).argmax(axis=-1)
+    inside = np.take_along_axis(counts, bin_[..., None], axis=-1)[..., 0]
+    before = np.take_along_axis(up_to, bin_[..., None], axis=-1)[..., 0] - inside
+    low, high = BEAM_ERROR_EDGES_M[bin_], BEAM_ERROR_EDGES_M[:-1][np.minimum(bin_ + 1, BEAM_ERROR_BINS - 1)]
+    median: Floats = low + (high - low) * np.nan_to_num(ratio(number / 2 - before, inside))
+    return np.where(number > 0, median, np.nan)
+
+
+def _read_neighbourhoods(
+    trial: FinishedTrial, stamps_ns: NDArray[np.int64], strata: Sequence[str]
+) -> NDArray[np.float32]:
+    """The sums (F, S, K, C) of a trial in `strata`. Raises ScoresError."""
+    path, steps = trial.folder / NEIGHBOURHOODS_TABLE.file, trial.record.steps
+    written = neighbourhood_strata(trial.strata)
+    columns = (*AGREEMENT, *SQUARES, "soft_union")
+    rows = read_rows(path, columns, steps, written)
+    sums = rows.select(pl.col(columns).cast(pl.Float32)).to_numpy()
+    _refuse_other_frames(path, rows, (steps + 1) * len(written), stamps_ns)
+    shaped = sums.reshape(len(stamps_ns), steps + 1, len(written), len(columns))
+    return shaped[:, :, [written.index(name) for name in strata]]
+
+
+def _read_beams(
+    trial: FinishedTrial, stamps_ns: NDArray[np.int64], units: NDArray[np.int64]
+) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
+    """Sums of the errors (F, S, K, 2), late and early, of a trial, and its beams by size (U, S, K, B) of its `units`.
+
+    Raises ScoresError.
+    """
+    path, steps = trial.folder / BEAMS_TABLE.file, trial.record.steps
+    rows = read_rows(path, ("late_m", "early_m", "bin", "count"), steps, BEAM_STRATA)
+    cells = (steps + 1) * len(BEAM_STRATA)
+    _refuse_other_frames(path, rows, cells, stamps_ns)
+    errors = rows.select(pl.col("late_m", "early_m").cast(pl.Float32)).to_numpy()
+    counts = np.zeros((int(units.max(initial=-1)) + 1) * cells * BEAM_ERROR_BINS, np.int32)
+    row, bins, beams = _entries(path, rows)
+    np.add.at(counts, (units[row // cells] * cells + row % cells) * BEAM_ERROR_BINS + bins, beams)
+    shape = steps + 1, len(BEAM_STRATA)
+    return errors.reshape(len(stamps_ns), *shape, 2), counts.reshape(-1, *shape, BEAM_ERROR_BINS)
+
+
+def _entries(path: Path, rows: pl.DataFrame) -> tuple[NDArray[np.int64], ...]:
+    """Row, bin and beams (N,) of the bins that have beams. Raises ScoresError for a bin that is none."""
+    try:
+        entries = rows.select(pl.int_range(pl.len()).alias("row"), "bin", "count").explode("bin", "count").drop_nulls()
+    except pl.exceptions.PolarsError:
+        entries = None
+    if entries is None or not entries["bin"].is_between(0, BEAM_ERROR_BINS - 1).all():
+        raise ScoresError(f"{path}: not errors in {BEAM_ERROR_BINS} bins; run it again")
+    row, bins, beams = (entries[name].to_numpy().astype(np.int64) for name in ("row", "bin", "count"))
+    return row, bins, beams
+
+
+def _refuse_other_frames(path: Path, rows: pl.DataFrame, cells: int, stamps_ns: NDArray[np.int64]) -> None:
+    """Raises ScoresError unless the frames of `cells` rows each are those that were scored."""
+    if not np.array_equal(rows["stamp_ns"].gather_every(cells).to_numpy(), stamps_ns):
+        raise ScoresError(f"{path}: not the frames of the scores beside it; run it again")

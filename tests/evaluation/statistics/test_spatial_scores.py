@@ -1,0 +1,168 @@
+"""Fractions skill score, soft IoU and beam errors of a run: from the sums of all its frames, with intervals."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import polars as pl
+import pytest
+
+from gridtrack.evaluation.results.columns import (
+    BEAM_ERROR_BINS,
+    BEAM_ERROR_EDGES_M,
+    BEAMS_TABLE,
+    NEIGHBOURHOODS_TABLE,
+    SCALES,
+)
+from gridtrack.evaluation.scoring.score_store import ScoresError
+from gridtrack.evaluation.scoring.strata import STRATA_WITH_TRUTH
+from gridtrack.evaluation.statistics.spatial_scores import beam_scores, median_size, neighbourhood_scores
+from gridtrack.evaluation.statistics.summary import summarise
+
+from scenes import synthetic_run as synthetic
+
+RECORDINGS = [f"seed-{i:02}" for i in range(20)]
+SCORES = (*(f"fss_{scale}" for scale in SCALES), "soft_iou", "beam_error", "beam_error_median", "beam_bias")
+
+
+def summary_of(trials):
+    names = dict.fromkeys(trial.record.recording for trial in trials)
+    return summarise({name: synthetic.description() for name in names}, trials, [], False)
+
+
+def write(folder, recordings=RECORDINGS, **others):
+    return [
+        synthetic.write_trial(folder, label, name, skill, seed=i, frames=6, **others)
+        for i, name in enumerate(recordings)
+        for label, skill in {"persistence": 0.5, "good": 0.8}.items()
+    ]
+
+
+@pytest.fixture(scope="module")
+def twenty(tmp_path_factory):
+    trials = write(tmp_path_factory.mktemp("twenty"))
+    return trials, summary_of(trials)
+
+
+def rows_of(trials, label, table, stratum, step=8):
+    own = [pl.read_parquet(t.folder / table.file) for t in trials if t.record.label == label]
+    return pl.concat(own).filter((pl.col("stratum") == stratum) & (pl.col("step") == step))
+
+
+def test_scores_are_ratios_of_sums_over_all_frames_and_not_means_of_ratios(twenty):
+    trials, summary = twenty
+    found = summary.trackers["good"].pooled.strata["in-motion"]
+    sums = rows_of(trials, "good", NEIGHBOURHOODS_TABLE, "in-motion").sum()
+    for scale in SCALES:
+        expected = sums[f"agreement_{scale}"][0] / sums[f"squares_{scale}"][0]
+        assert found.at(f"fss_{scale}", 8) == pytest.approx(expected, abs=1e-5)
+    assert found.soft_iou[8] == pytest.approx(sums["agreement_1"][0] / 2 / sums["soft_union"][0], abs=1e-5)
+    beams = rows_of(trials, "good", BEAMS_TABLE, "in-motion")
+    number = beams["count"].list.sum().sum()
+    late, early = beams["late_m"].sum(), beams["early_m"].sum()
+    assert found.beam_error[8] == pytest.approx((late + early) / number, abs=1e-5)
+    assert found.beam_bias[8] == pytest.approx((late - early) / number, abs=1e-5)
+
+
+@pytest.mark.parametrize("score", SCORES)
+def test_every_score_has_an_interval_from_twenty_recordings_on_and_less_have_none(twenty, score):
+    _, summary = twenty
+    row = summary.trackers["good"]
+    of_all, of_one = row.pooled.strata["visible"], row.recordings[RECORDINGS[0]].strata["visible"]
+    assert of_all.at(f"{score}_low", 8) < of_all.at(score, 8) < of_all.at(f"{score}_high", 8)
+    assert of_one.at(score, 8) is not None
+    assert of_one.at(f"{score}_low", 8) is of_one.at(f"{score}_high", 8) is None
+
+
+def test_strata_without_neighbourhoods_or_beams_have_no_such_score(tmp_path):
+    summary = summary_of(write(tmp_path, RECORDINGS[:1], strata=STRATA_WITH_TRUTH))
+    strata = summary.trackers["good"].recordings[RECORDINGS[0]].strata
+    having = {score: {name for name in strata if getattr(strata[name], score) is not None} for score in SCORES}
+    assert having["fss_3"] == having["soft_iou"] == {"visible", "dynamic", "in-motion", "occluded"}
+    assert having["beam_error"] == having["beam_bias"] == {"visible", "dynamic", "static", "in-motion", "standing"}
+
+
+@pytest.mark.parametrize("trials_of_before", [1, 40])
+def test_a_run_of_before_has_all_other_scores(tmp_path, twenty, trials_of_before):
+    """Its trials lack the files; where only one does, the pooled scores of its tracker are undefined."""
+    _, whole = twenty
+    trials = write(tmp_path)
+    for trial in trials[:trials_of_before]:
+        for table in (NEIGHBOURHOODS_TABLE, BEAMS_TABLE):
+            (trial.folder / table.file).unlink()
+    summary = summary_of(trials)
+    of_before, known = (one.trackers["persistence"].pooled.strata["dynamic"] for one in (summary, whole))
+    assert of_before.f1 == known.f1
+    assert of_before.f1_low == known.f1_low
+    assert all(of_before.at(score, 8) is None for score in SCORES)
+    good = summary.trackers["good"].pooled.strata["dynamic"].fss_3
+    assert (good is None) == (trials_of_before == 40)
+
+
+def rewritten(path, change):
+    change(pl.read_parquet(path)).write_parquet(path)
+
+
+@pytest.mark.parametrize(
+    ("table", "change", "said"),
+    [
+        (NEIGHBOURHOODS_TABLE, lambda rows: rows[1:], "not 21 steps of visible, dynamic, in-motion"),
+        (NEIGHBOURHOODS_TABLE, lambda rows: rows[21 * 3 :], "not the frames of the scores beside it"),
+        (BEAMS_TABLE, lambda rows: rows[21 * 5 :], "not the frames of the scores beside it"),
+        (BEAMS_TABLE, lambda rows: rows.with_columns(bin=pl.col("bin") + 1000), f"not errors in {BEAM_ERROR_BINS}"),
+        (BEAMS_TABLE, lambda rows: rows.with_columns(bin=pl.col("bin").list.head(1)), "not errors in"),
+        (BEAMS_TABLE, lambda rows: rows.drop("late_m"), "cannot be read as scores"),
+    ],
+)
+def test_files_that_do_not_fit_the_scores_are_refused_in_one_line(tmp_path, table, change, said):
+    trials = write(tmp_path, RECORDINGS[:1])
+    rewritten(trials[0].folder / table.file, change)
+    with pytest.raises(ScoresError, match=rf"{re.escape(table.file)}: .*{said}") as refused:
+        summary_of(trials)
+    assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_the_median_of_binned_errors_is_that_of_the_errors_within_a_part_of_a_bin(seed):
+    errors = np.random.default_rng(seed).lognormal(-2.0, 1.5, 501)
+    counts = np.histogram(errors, BEAM_ERROR_EDGES_M)[0]
+    assert median_size(counts) == pytest.approx(np.median(errors), rel=0.05)
+
+
+def test_the_median_of_no_beams_is_undefined_and_that_of_errors_beyond_the_bins_is_their_edge():
+    counts = np.zeros((2, BEAM_ERROR_BINS), np.int64)
+    counts[1, -1] = 3
+    none, beyond = median_size(counts)
+    assert np.isnan(none)
+    assert beyond == BEAM_ERROR_EDGES_M[-2]
+
+
+def coverage(draw, truth, score, repetitions=300):
+    """Share of intervals that contain the true score; `draw(rng)` gives the scores of twenty units."""
+    rng = np.random.default_rng(7)
+    inside = 0
+    for _ in range(repetitions):
+        ends = {name: (low[0, 0], high[0, 0]) for name, _, low, high in draw(rng)}
+        inside += ends[score][0] <= truth <= ends[score][1]
+    return inside / repetitions
+
+
+def test_intervals_of_the_median_and_of_the_fractions_skill_score_cover_what_they_should():
+    """Units differ in how much they hold and in how good the forecast is in them; the truth is that of many units."""
+
+    def beams(rng, units=20):
+        errors = [rng.lognormal(rng.normal(-1.5, 0.3), 1.0, rng.poisson(400)) for _ in range(units)]
+        counts = np.stack([np.histogram(own, BEAM_ERROR_EDGES_M)[0] for own in errors])[:, None, None]
+        late = np.array([own.sum() for own in errors])[:, None, None]
+        return beam_scores(late, np.zeros_like(late), counts)
+
+    def neighbourhoods(rng, units=20):
+        squares = rng.gamma(4.0, 5.0, (units, 1, 1, len(SCALES)))
+        agreement = squares * rng.beta(6.0, 4.0, squares.shape)
+        return neighbourhood_scores(np.concatenate([agreement, squares, squares[..., :1]], axis=-1))
+
+    many = {name: value[0, 0] for name, value, *_ in beams(np.random.default_rng(0), 5000)}
+    for score in ("beam_error", "beam_error_median", "beam_bias"):
+        assert 0.91 < coverage(beams, many[score], score) < 0.985, score
+    assert 0.91 < coverage(neighbourhoods, 0.6, "fss_9") < 0.985
