@@ -1,7 +1,8 @@
 """Training of a tracker whose settings are searched: the same search and calibration for every such tracker.
 
 Counts of the site come first, in the arrays of the weights; then the settings with the best mean F1 on excerpts of the
-training recordings are searched, and the forecast with them is calibrated on the same excerpts.
+training recordings are searched, the validation recordings decide between the best of them, and the forecast with the
+result is calibrated on the same excerpts.
 """
 
 from __future__ import annotations
@@ -29,8 +30,8 @@ from gridtrack.trackers.tuning import (
 )
 from gridtrack.trackers.weights import card_for, save_interrupted, save_weights
 
-SEARCH_ITERATIONS = 40
-EXCERPTS, EXCERPT_S = 2, 100.0
+SEARCH_ITERATIONS = 60
+EXCERPTS, EXCERPT_S = 4, 100.0
 """Number and duration of the excerpts of a long recording for the search; each is longer than a signal cycle."""
 OBJECTIVE_HORIZONS_S = (0.5, 1.0, 2.0)
 OBJECTIVE_STRATA = ("dynamic", "visible")
@@ -43,7 +44,7 @@ _Searched = TypeVar("_Searched", bound=Settings)
 
 @dataclass(frozen=True, slots=True)
 class SettingsSearch(Generic[_Searched]):
-    """What is searched for the tracker `name`: settings of one `kind` in `ranges`, log-uniformly, from `starts` on.
+    """What is searched for the tracker `name`: settings of one `kind` in `ranges`, log-uniformly, from `start` on.
 
     `during(settings)` are the settings with which a try is scored, for trackers that can be faster at some loss.
     """
@@ -52,7 +53,7 @@ class SettingsSearch(Generic[_Searched]):
     tracker: Callable[[StreamSpec, _Searched], CalibratedTracker]
     kind: type[_Searched]
     ranges: Mapping[str, tuple[float, float]]
-    starts: tuple[_Searched, ...]
+    start: _Searched
     during: Callable[[_Searched], _Searched] = lambda settings: settings
 
 
@@ -68,8 +69,9 @@ def fit_searched(
 ) -> None:
     """Write the `arrays`, the settings with the best F1 on excerpts of `train`, and their calibration to `out.path`.
 
-    The settings in `given` are not searched. `validation` is scored with the result and reported only; `notes` are
-    added to the results on the card. Raises WeightsError where the recordings differ in grid, period or site.
+    The settings in `given` are not searched. Of the best settings those with the best F1 on `validation` are written;
+    `notes` are added to the results on the card. Raises WeightsError where the recordings differ in grid, period or
+    site, ConfigurationError without torch.
     """
     arrays = {**arrays, "calibration": IDENTITY}
     card = card_for(search.name, out, train, validation, {})
@@ -81,13 +83,14 @@ def fit_searched(
             "mean F1", "maximize", lambda tried: draft.mean_f1(search.during(tried), searched)
         )
         try:
-            settings = search_settings(
-                search.kind, search.ranges, objective, search.starts, given, SEARCH_ITERATIONS, train, out
+            finalists = search_settings(
+                search.kind, search.ranges, objective, search.start, given, SEARCH_ITERATIONS, train, out
             )
         except SearchInterrupted as stopped:
             card = card_for(search.name, out, train, validation, stopped.best.model_dump(), notes)
             save_interrupted(out.path, card, arrays, f"{stopped.reached}, not calibrated")
             raise
+        settings = draft.best_of(finalists, validation, out)
         arrays["calibration"] = draft.calibration(settings, searched, out)
         save_weights(draft.path, card, arrays)
         results = {
@@ -133,6 +136,21 @@ class _Draft(Generic[_Searched]):
     def mean_f1(self, settings: _Searched, sources: Sequence[FrameSource]) -> float:
         scored = zip(self.scores(settings, sources), sources, strict=True)
         return float(np.mean([_f1(score, source) for score, source in scored]))
+
+    def best_of(self, finalists: list[_Searched], validation: Sequence[FrameSource], out: FitOutput) -> _Searched:
+        """The settings with the best mean F1 on `validation`; the first ones without validation."""
+        if len(finalists) == 1 or not validation:
+            return finalists[0]
+        values = []
+        with out.progress.stage("finalist", len(finalists)) as stage:
+            for settings in finalists:
+                values.append(self.mean_f1(settings, validation))
+                stage.advance(f"mean F1 on validation {values[-1]:.5f}")
+        found = int(np.argmax(values))  # 0 where F1 is undefined: nothing moves in the validation recordings
+        out.report(
+            f"number {found + 1} of the {len(finalists)} best is chosen: mean F1 on validation {values[found]:.5f}"
+        )
+        return finalists[found]
 
     def summaries(self, settings: _Searched, sources: Sequence[FrameSource]) -> list[dict[str, Any]]:
         scored = zip(self.scores(settings, sources), sources, strict=True)

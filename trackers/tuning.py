@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import json
 import math
+import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from importlib.util import find_spec
 from itertools import islice
 from pathlib import Path
 from typing import Any, Generic, Literal, NamedTuple, TypeVar
@@ -14,13 +16,15 @@ from typing import Any, Generic, Literal, NamedTuple, TypeVar
 import optuna
 
 from gridtrack.common.config import Settings
-from gridtrack.common.errors import RecordingError
+from gridtrack.common.errors import ConfigurationError, RecordingError
 from gridtrack.common.files import read_bounded, write_text
 from gridtrack.common.grid import GridFrame, GridSpec, LabelledFrame
 from gridtrack.trackers.contract import FitOutput, FrameSource, StretchScore
 
 SEARCH_FILE = "search.json"
 MAX_LOG_BYTES = 1 << 24
+FINALISTS = 5
+"""Number of the best settings of a search between which the validation recordings decide."""
 
 _Tuned = TypeVar("_Tuned", bound=Settings)
 
@@ -102,27 +106,30 @@ def search_settings(
     kind: type[_Tuned],
     ranges: Mapping[str, tuple[float, float]],
     objective: Objective[_Tuned],
-    starts: Sequence[_Tuned],
+    start: _Tuned,
     given: Mapping[str, Any],
     iterations: int,
     train: Sequence[FrameSource],
     out: FitOutput,
-) -> _Tuned:
-    """The best settings of `iterations` of a tree-structured Parzen estimator, which starts with `starts`.
+) -> list[_Tuned]:
+    """The FINALISTS best settings of `iterations` of a Bayesian search, the best first.
 
+    A Gaussian process predicts the objective, and the settings with the greatest logarithm of the expected improvement
+    are tried next (Jones, Schonlau and Welch, 1998; Ament et al., 2023); the first tries are `start` and random ones.
     Each key of `ranges` is searched log-uniformly from low to high. Settings in `given` are not searched; if no key
-    remains they are returned. The same seed gives the same search. The value of each iteration is written to
+    remains they are the only result. The same seed gives the same search. The value of each iteration is written to
     `out.log_dir`: an interrupted search with the same `train` continues there, until `delete_search_log`. Raises
-    RecordingError where the objective is undefined, SearchInterrupted where it is interrupted after an iteration.
+    RecordingError where the objective is undefined, SearchInterrupted where it is interrupted after an iteration,
+    ConfigurationError without torch.
     """
     tuned = {key: bounds for key, bounds in ranges.items() if key not in given}
     if not tuned:
-        return kind(**given)
+        return [kind(**given)]
     searched = {
         "objective": objective.name,
         "ranges": {key: list(bounds) for key, bounds in tuned.items()},
         "given": dict(given),
-        "starts": [start.model_dump(mode="json") for start in starts],
+        "start": start.model_dump(mode="json"),
         "seed": out.seed,
         "train": [[source.name, source.sha256, len(source)] for source in train],
     }
@@ -132,7 +139,7 @@ def search_settings(
         tried = {key: _suggested(trial, key, *tuned[key]) for key in tuned}
         return known.value(tried, lambda: _defined(objective, kind(**given, **tried)))
 
-    study = _study(objective, [{key: getattr(start, key) for key in tuned} for start in starts], out.seed)
+    study = _study(objective, {key: getattr(start, key) for key in tuned}, out.seed)
     try:
         with out.progress.stage("search iteration", iterations) as stage:
             study.optimize(
@@ -144,19 +151,24 @@ def search_settings(
         if not stage.done:
             raise
         raise SearchInterrupted(
-            kind(**given, **_best(study)), f"search iteration {stage.done} of {iterations}"
+            kind(**given, **_tried(study.best_trial)), f"search iteration {stage.done} of {iterations}"
         ) from None
     out.report(f"best of {iterations} search iterations: {objective.name} {study.best_value:.5f}")
-    return kind(**given, **_best(study))
+    sign = 1.0 if objective.better == "minimize" else -1.0
+    best = sorted(study.get_trials(deepcopy=False), key=lambda trial: sign * trial.values[0])[:FINALISTS]
+    return [kind(**given, **_tried(trial)) for trial in best]
 
 
-def _study(objective: Objective[Any], starts: Sequence[dict[str, float]], seed: int) -> optuna.Study:
-    """A study that tries `starts` first."""
+def _study(objective: Objective[Any], start: dict[str, float], seed: int) -> optuna.Study:
+    """A study that tries `start` first. Raises ConfigurationError without torch."""
+    if find_spec("torch") is None:
+        raise ConfigurationError("the search of settings needs torch: pip install 'gridtrack[deep]'")
     optuna.logging.set_verbosity(optuna.logging.ERROR)  # exceptions of the objective are raised, not logged as well
-    sampler = optuna.samplers.TPESampler(seed=seed, multivariate=True)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
+        sampler = optuna.samplers.GPSampler(seed=seed)
     study = optuna.create_study(direction=objective.better, sampler=sampler)
-    for start in starts:
-        study.enqueue_trial(start)
+    study.enqueue_trial(start)
     return study
 
 
@@ -171,8 +183,8 @@ def _defined(objective: Objective[_Tuned], settings: _Tuned) -> float:
     return value
 
 
-def _best(study: optuna.Study) -> dict[str, float]:
-    return {key: three_digits(value) for key, value in study.best_params.items()}
+def _tried(trial: optuna.trial.FrozenTrial) -> dict[str, float]:
+    return {key: three_digits(value) for key, value in trial.params.items()}
 
 
 def stretch_summary(score: StretchScore, source: FrameSource, horizons_s: Sequence[float]) -> dict[str, Any]:

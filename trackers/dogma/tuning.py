@@ -38,13 +38,13 @@ def fit_dogma(
 ) -> None:
     """Write the counted occupancy rate, and the settings with the best F1 on excerpts of `train`, to `out.path`.
 
-    A setting in `options` is not searched. The forecast is calibrated on the same excerpts. `validation` is scored with
-    the result and reported only. Raises WeightsError where the recordings differ in grid, period or site.
+    A setting in `options` is not searched. Of the best settings those with the best F1 on `validation` are written. The
+    forecast is calibrated on the excerpts. Raises WeightsError where the recordings differ in grid, period or site.
     """
     rate, moves = count_occupancy_rate(train)
     if moves:
         out.report(NO_MAP)
-    search = SettingsSearch(NAME, tracker, DogmaSettings, DOGMA_RANGES, (DogmaSettings(),), with_fewer_particles)
+    search = SettingsSearch(NAME, tracker, DogmaSettings, DOGMA_RANGES, DogmaSettings(), with_fewer_particles)
     given = options.model_dump(exclude_unset=True)
     fit_searched(search, {"occupancy_rate": rate}, train, validation, score, out, given, {})
 

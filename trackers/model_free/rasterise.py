@@ -69,7 +69,9 @@ def draw_track(  # type: ignore[no-untyped-def]
     The object exists with probability `existence` (n+1,). Its expected occupancy is a mixture. In each of R regimes,
     of probability `moved` (R, n+1), it is its surface, `offsets` (N, 2) with `weights` (N,), at the mean `poses` (R,
     n+1, 3), x and y in cells, heading in radians, blurred by `covariances` (R, n+1, 2, 2). Or its returns are in place
-    at `points` (K, 2), of probability `in_place` (K, n+1), blurred by `blur`.
+    at `points` (K, 2), of probability `in_place` (K, n+1), blurred by `blur`. A position whose standard deviation is
+    greater than the window's side is not drawn: the object is more probably outside, and the image of its blur would
+    grow without a bound.
 
     It is also added to `semantics` (n+1, C, M, M), multiplied by P(class), `classes` (C,); C may be 0.
     """
@@ -84,7 +86,7 @@ def draw_track(  # type: ignore[no-untyped-def]
             x, y, heading = poses[r, step, 0], poses[r, step, 1], poses[r, step, 2]
             spread = covariances[r, step, 0, 0], covariances[r, step, 0, 1], covariances[r, step, 1, 1]
             weight = moved[r, step]
-            if weight * _peak(mass, spread) < NEGLIGIBLE:
+            if weight * _peak(mass, spread) < NEGLIGIBLE or max(spread[0], spread[2]) > size * size:
                 continue
             scale = pixel_size(spread)
             if scale != scales[r] or abs(heading - headings[r]) > SAME_HEADING:

@@ -19,37 +19,6 @@ from gridtrack.trackers.site_rate import NO_MAP
 if TYPE_CHECKING:
     from gridtrack.trackers.model_free.tracker import ModelFreeTracker
 
-STARTING_SETTINGS = (
-    PipelineSettings(),
-    PipelineSettings(
-        untracked_share=0.541,
-        rate_recovery_s=0.628,
-        static_above=0.119,
-        adaptation_s=1.29,
-        map_weight_s=1.01,
-        link_m=0.245,
-        acceleration=0.0643,
-        speed_noise=0.0719,
-        turn_acceleration=0.0519,
-        manoeuvre_noise=5.2,
-        steady_duration_s=9.71,
-        manoeuvre_duration_s=2.05,
-        velocity_memory_s=22.5,
-        initial_speed=5.11,
-        initial_turn_rate=0.0511,
-        surface_noise_m=0.0915,
-        position_noise_m=0.0297,
-        reach_m=0.209,
-        initiation_probability=0.171,
-        detection_probability=0.792,
-        clutter_probability=0.121,
-        mean_lifetime_s=19.2,
-        shape_memory_s=1.83,
-        residence_speed=0.306,
-        return_noise_m=0.182,
-    ),
-)
-"""Start of the search: pedestrians and an indoor laser; the traffic of a street and a fast laser."""
 SETTING_RANGES = {
     "untracked_share": (0.02, 1.0),
     "rate_recovery_s": (0.3, 10.0),
@@ -90,10 +59,10 @@ def fit_pipeline(
 ) -> None:
     """Write the counted arrays, and the settings with the best F1 on excerpts of `train`, to `out.path`.
 
-    A setting in `options` is not searched. The forecast is calibrated on the same excerpts. `validation` is scored with
-    the result and reported only. Raises WeightsError where the recordings differ in grid, period or site.
+    A setting in `options` is not searched. Of the best settings those with the best F1 on `validation` are written. The
+    forecast is calibrated on the excerpts. Raises WeightsError where the recordings differ in grid, period or site.
     """
-    search = SettingsSearch(tracker.name, tracker, PipelineSettings, SETTING_RANGES, STARTING_SETTINGS)
+    search = SettingsSearch(tracker.name, tracker, PipelineSettings, SETTING_RANGES, PipelineSettings())
     given = options.model_dump(include=set(PipelineSettings.model_fields), exclude_unset=True)
     notes = {"classes": _without_classes(train)}
     fit_searched(search, fit_arrays(train, options, out.report), train, validation, score, out, given, notes)

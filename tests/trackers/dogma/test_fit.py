@@ -14,7 +14,7 @@ from gridtrack.trackers.dogma import tuning
 from gridtrack.trackers.dogma.settings import DogmaSettings
 from gridtrack.trackers.dogma.tracker import DogmaTracker
 from gridtrack.trackers.site_rate import count_frames
-from gridtrack.trackers.tuning import CachedSource
+from gridtrack.trackers.tuning import FINALISTS, CachedSource
 from gridtrack.trackers.weights import load_weights, read_card
 
 from scenes.scrolling import scrolled
@@ -60,7 +60,7 @@ def test_a_cached_excerpt_of_a_source_has_its_frames() -> None:
 
 
 def test_fit_finds_the_best_settings_and_keeps_given_ones(tmp_path, monkeypatch) -> None:
-    monkeypatch.setattr(searched_fit, "SEARCH_ITERATIONS", 12)
+    monkeypatch.setattr(searched_fit, "SEARCH_ITERATIONS", 11)
     asked = []
 
     def score(tracker, source, steps):
@@ -75,11 +75,11 @@ def test_fit_finds_the_best_settings_and_keeps_given_ones(tmp_path, monkeypatch)
     one, two = (read_card(path) for path in paths)
     assert one == two
     assert all(settings.free_decay_s == 4.0 for settings in asked)
-    assert [settings.particles for settings in asked[:14]] == [200] * 12 + [800] * 2
+    assert [settings.particles for settings in asked[:18]] == [200] * 11 + [800] * (FINALISTS + 2)
     assert one.settings["particles"] == 800
-    losses = [abs(np.log(settings.acceleration / 1.3)) for settings in asked[:12]]
+    losses = [abs(np.log(settings.acceleration / 1.3)) for settings in asked[:11]]
     assert one.settings["acceleration"] == asked[int(np.argmin(losses))].acceleration
-    assert len(set(losses)) == 12
+    assert len(set(losses)) == 11
     stream = StreamSpec(GRID, PERIOD_S, "yard", weights=paths[0])
     assert np.array_equal(
         load_weights(stream, "dogma").arrays["occupancy_rate"], tuning.count_occupancy_rate([Source()])[0]

@@ -13,12 +13,12 @@ from gridtrack.common.errors import RecordingError, WeightsError
 from gridtrack.common.grid import Shift
 from gridtrack.trackers import searched_fit
 from gridtrack.trackers.contract import FitOutput, StreamSpec, StretchScore
-from gridtrack.trackers.model_free import tuning
 from gridtrack.trackers.model_free.background import OUTSIDE_MAP
 from gridtrack.trackers.model_free.kalman import KalmanTracker
 from gridtrack.trackers.model_free.residence import fit_residence
 from gridtrack.trackers.model_free.settings import ModelFreeSettings, PipelineSettings
 from gridtrack.trackers.site_map import SiteMap
+from gridtrack.trackers.tuning import FINALISTS
 from gridtrack.trackers.weights import load_weights, read_card, save_weights
 
 from scenes.hall import GLIDING, GRID, OPEN, PERIOD_S, card, frame_of, walk
@@ -68,7 +68,7 @@ class Source:
 
 
 def test_fit_finds_the_best_settings_and_keeps_given_ones(tmp_path, monkeypatch):
-    monkeypatch.setattr(searched_fit, "SEARCH_ITERATIONS", 25)
+    monkeypatch.setattr(searched_fit, "SEARCH_ITERATIONS", 14)
     asked = []
 
     def score(tracker, source, steps):
@@ -85,18 +85,38 @@ def test_fit_finds_the_best_settings_and_keeps_given_ones(tmp_path, monkeypatch)
     one, two = (read_card(path) for path in paths)
     assert one == two
     assert all(settings.link_m == 0.77 for settings in asked)
-    assert asked[1].residence_speed == tuning.STARTING_SETTINGS[1].residence_speed
-    losses = [abs(np.log(settings.acceleration / 0.3)) for settings in asked[:25]]
-    assert one.settings["acceleration"] == asked[int(np.argmin(losses))].acceleration
-    assert len(set(losses)) > 20
+    assert asked[0].residence_speed == PipelineSettings().residence_speed
+    losses = [abs(np.log(settings.acceleration / 0.3)) for settings in asked[:14]]
+    assert one.settings["acceleration"] == pytest.approx(asked[int(np.argmin(losses))].acceleration)
+    assert len(set(losses)) > 11
     assert any(a != b for a, b in pairwise(losses))
     tracker = KalmanTracker(StreamSpec(GRID, PERIOD_S, "hall", weights=paths[0]), PipelineSettings(acceleration=0.2))
     assert tracker._settings == ModelFreeSettings(**one.settings | {"acceleration": 0.2})
 
 
-def fit_hall(tmp_path, score, told):
+def fit_hall(tmp_path, score, told, validation=None):
     out = FitOutput(tmp_path / "hall.toml", "gridtrack train kalman", 3, tmp_path / "log", report=told.append)
-    KalmanTracker.fit([Source()], [Source()], score, out, ModelFreeSettings())
+    KalmanTracker.fit([Source()], [validation or Source()], score, out, ModelFreeSettings())
+
+
+def test_the_validation_recordings_decide_between_the_best_settings(tmp_path, monkeypatch):
+    monkeypatch.setattr(searched_fit, "SEARCH_ITERATIONS", 8)
+    validation, searched, compared = Source(), [], []
+    validation.name = "hall@3s-6s"
+
+    def score(tracker, source, steps):
+        """In training, more acceleration is better; in validation, less."""
+        value = tracker._settings.acceleration
+        (compared if source is validation else searched).append(value)
+        flat = np.full(steps + 1, value if source is not validation else 1.0 - value)
+        return StretchScore({"dynamic": flat, "visible": flat}, {"dynamic": flat, "visible": flat})
+
+    told = []
+    fit_hall(tmp_path, score, told, validation)
+    best = sorted(searched[:8], reverse=True)[:FINALISTS]
+    assert compared[:FINALISTS] == best
+    assert read_card(tmp_path / "hall.toml").settings["acceleration"] == best[-1]
+    assert any(line.startswith(f"number {FINALISTS} of the {FINALISTS} best is chosen") for line in told)
 
 
 def test_a_stretch_without_scores_is_refused_in_one_line(tmp_path):
@@ -134,7 +154,7 @@ def test_an_interrupted_search_keeps_its_best_and_continues_as_if_it_had_not_bee
     KalmanTracker(StreamSpec(GRID, PERIOD_S, "hall", weights=tmp_path / "hall.toml"), PipelineSettings())
     rest = Scores()
     fit_hall(tmp_path, rest, [])
-    assert rest.calls == 2 + 2  # and the scores of the result on both stretches
+    assert rest.calls == 2 + FINALISTS + 2  # and the scores of the result on both stretches
     assert read_card(tmp_path / "hall.toml") == read_card(tmp_path / "whole" / "hall.toml")
     assert read_card(tmp_path / "hall.toml").interrupted == ""
     assert not (tmp_path / "log" / "search.json").exists()

@@ -66,6 +66,14 @@ def test_the_blur_has_the_covariance_and_keeps_the_mass(covariance):
     assert spread == pytest.approx(np.array(covariance) + np.eye(2) / 12, rel=0.1, abs=0.25)  # the tails are cut
 
 
+@pytest.mark.parametrize(
+    "covariance", [[[1e12, 0.0], [0.0, 0.0]], [[5e11, 5e11], [5e11, 5e11]], [[9e9, 0.0], [0.0, 1e3]]]
+)
+def test_a_position_less_certain_than_the_window_is_not_drawn(covariance):
+    """Settings within the ranges of the search once asked for an image of 10^12 pixels."""
+    assert drawn([(0.0, 0.0)], [(30.5, 30.5, 0.0)], [covariance])[0].max() == 0.0
+
+
 def test_a_body_turns_with_its_heading():
     image = drawn([(5.0, 0.0)], [(30.5, 30.5, 0.0), (30.5, 30.5, math.pi / 2)], np.zeros((2, 2, 2)))
     assert np.unravel_index(image[0].argmax(), (61, 61)) == (30, 35)
