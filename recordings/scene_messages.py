@@ -2,12 +2,14 @@
 
 `/outlines` holds the static outlines, written where they change; `/objects` the road users, once for each scan and
 with its stamp. An entity's id is the object's track, its metadata name the class, and its one line loop is the outline
-in the object's own frame; the pose of the line is `world_T_object`.
+in the object's own frame; the pose of the line is `world_T_object`. An object of several outlines, such as legs, is an
+entity for each: the ids of the further ones are the track, a slash and a number.
 """
 
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -40,7 +42,7 @@ class SceneWriter:
     def __init__(self, classes: Sequence[str]) -> None:
         self._classes = classes
         self._static: tuple[Outline, ...] | None = None
-        self._entities: dict[int, tuple[Outline, int, SceneEntity]] = {}
+        self._entities: dict[str, tuple[Outline, int, SceneEntity]] = {}
 
     def outlines(self, scene: Scene, stamp_ns: int) -> SceneUpdate | None:
         """The static outlines, or None where the last call returned the same. Raises RecordingError."""
@@ -56,19 +58,22 @@ class SceneWriter:
     def objects(self, scene: Scene, stamp_ns: int) -> SceneUpdate:
         """All objects; the message replaces the one before. Raises RecordingError."""
         update = _empty_update(stamp_ns)
+        outlines: Counter[int] = Counter()
         for road_user in scene.objects:
-            entity = self._cached_entity(road_user)
+            part = outlines[road_user.track]
+            outlines[road_user.track] += 1
+            entity = self._cached_entity(f"{road_user.track}/{part}" if part else str(road_user.track), road_user)
             _set_pose(entity, road_user.world_T_object, stamp_ns)
             update.entities.append(entity)
         return update
 
-    def _cached_entity(self, road_user: SceneObject) -> SceneEntity:
-        outline, label, entity = self._entities.get(road_user.track, (None, None, None))
+    def _cached_entity(self, name: str, road_user: SceneObject) -> SceneEntity:
+        outline, label, entity = self._entities.get(name, (None, None, None))
         if entity is None or outline is not road_user.outline or label != road_user.label:
             if len(self._entities) >= MAX_CACHED:
                 self._entities.clear()
-            entity = self._entity(str(road_user.track), road_user.outline, road_user.label)
-            self._entities[road_user.track] = (road_user.outline, road_user.label, entity)
+            entity = self._entity(name, road_user.outline, road_user.label)
+            self._entities[name] = (road_user.outline, road_user.label, entity)
         return entity
 
     def _entity(self, name: str, outline: Outline, label: int) -> SceneEntity:
@@ -171,6 +176,7 @@ def _read_only(corners: object) -> Outline:
 
 
 def _track(name: str) -> int:
+    name = name.partition("/")[0]
     if name.isascii() and name.isdecimal() and len(name) < 20 and int(name) < MAX_TRACK:
         return int(name)
     raise DamageError(f"corrupt: an object's id is not a track number below {MAX_TRACK}")

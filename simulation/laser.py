@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence, Set
+from dataclasses import dataclass
 
 import numba
 import numpy as np
@@ -12,7 +14,8 @@ from pydantic import Field, model_validator
 from gridtrack.common.config import Settings
 from gridtrack.common.geometry import SE2
 from gridtrack.common.scan import MAX_ANGLE_RAD, MAX_BEAMS, Scan
-from gridtrack.common.scene import UNLABELLED, Scene
+from gridtrack.common.scene import UNLABELLED, Outline, Scene
+from gridtrack.simulation.laser_errors import Hits, LaserErrors, measured
 
 MAX_SCENE_M = 1e6
 """Limit of the coordinates of a laser and of a static outline."""
@@ -23,6 +26,18 @@ NEAR_NOISE_M, FAR_NOISE_M = 0.03, 0.05
 """Standard deviation of the range up to NEAR_RANGE_M and beyond it: Hokuyo UTM-30LX, data sheet."""
 TOUCHING = 1e-9
 """Distance to a side, as a share of its length, below which the sensor is taken to be on the side."""
+
+
+@dataclass(frozen=True, slots=True)
+class Surfaces:
+    """What reflects unlike a wall: static outlines by number, of `glass` or `dark`, and tracks in dark cloth."""
+
+    glass: Set[int] = frozenset()
+    dark: Set[int] = frozenset()
+    dark_tracks: Set[int] = frozenset()
+
+
+MATT = Surfaces()
 
 
 class Laser(Settings):
@@ -37,6 +52,8 @@ class Laser(Settings):
     beams: int = Field(default=1081, ge=1, le=MAX_BEAMS)
     range_min: float = Field(default=0.1, ge=0.0, le=1e3)
     range_max: float = Field(default=30.0, gt=0.0, le=1e4)
+    errors: LaserErrors | None = None
+    """Without them the noise is that of the Hokuyo UTM-30LX, and there are no other errors."""
 
     @model_validator(mode="after")
     def _check_field_of_view(self) -> Laser:
@@ -49,12 +66,26 @@ class Laser(Settings):
         """`world_T_sensor` of a laser that stands, `carrier_T_sensor` of one that is carried."""
         return SE2(self.x, self.y, self.theta)
 
-    def scan(self, scene: Scene, stamp_ns: int, world_T_sensor: SE2, random: np.random.Generator) -> Scan:
-        """A scan of `scene` with noise from `random`, labels and the true scene."""
-        ranges, labels = sweep(scene, world_T_sensor, self.angle_min, self.angle_increment, self.beams, self.range_max)
+    def scan(
+        self,
+        scene: Scene,
+        stamp_ns: int,
+        world_T_sensor: SE2,
+        random: np.random.Generator,
+        surfaces: Surfaces = MATT,
+    ) -> Scan:
+        """A scan of `scene` with errors from `random`, labels and the true scene."""
+        if self.errors is None:
+            beams = (self.angle_min, self.angle_increment, self.beams, self.range_max)
+            true, labels = sweep(scene, world_T_sensor, *beams)
+            ranges = with_noise(true, self.range_max, random)
+        else:
+            hits = self._hits(scene, world_T_sensor, surfaces)
+            ranges, outline = measured(hits, self.errors, self.angle_increment, self.range_max, random)
+            labels = _labels(scene)[outline]
         return Scan(
             stamp_ns=stamp_ns,
-            ranges=with_noise(ranges, self.range_max, random),
+            ranges=ranges,
             angle_min=self.angle_min,
             angle_increment=self.angle_increment,
             range_min=self.range_min,
@@ -63,6 +94,24 @@ class Laser(Settings):
             labels=labels,
             scene=scene,
         )
+
+    def _hits(self, scene: Scene, world_T_sensor: SE2, surfaces: Surfaces) -> Hits:
+        """What the beams hit, and what they would hit without the panes."""
+        poses = _poses(scene, world_T_sensor.inverse())
+        outlines = _outlines(scene)
+        beams = (self.angle_min, self.angle_increment, self.beams, self.range_max)
+        ranges, outline = first_hits(outlines, poses, *beams)
+        glass, dark = np.zeros(len(outlines) + 1, np.bool_), np.zeros(len(outlines) + 1, np.bool_)
+        glass[list(surfaces.glass)] = True
+        dark[list(surfaces.dark)] = True
+        for k, body in enumerate(scene.objects, len(scene.static)):
+            dark[k] = body.track in surfaces.dark_tracks
+        behind, behind_outline = ranges, outline
+        if glass[outline].any():
+            kept = np.flatnonzero(~glass[:-1])
+            behind, among_kept = first_hits([outlines[k] for k in kept], poses[kept], *beams)
+            behind_outline = np.append(kept, -1).astype(np.int32)[among_kept]
+        return Hits(ranges, outline, behind, behind_outline, glass[outline], dark[behind_outline])
 
 
 def sweep(
@@ -74,24 +123,46 @@ def sweep(
     distance to the nearest side of any outline, from outside or inside; +inf, labelled UNLABELLED, where there is none
     within `range_max`.
     """
-    outlines = [*scene.static, *(road_user.outline for road_user in scene.objects)]
+    ranges, outline = first_hits(
+        _outlines(scene), _poses(scene, world_T_sensor.inverse()), angle_min, angle_increment, beams, range_max
+    )
+    return ranges.astype(np.float32), _labels(scene)[outline]
+
+
+def first_hits(
+    outlines: Sequence[Outline],
+    poses: NDArray[np.float64],
+    angle_min: float,
+    angle_increment: float,
+    beams: int,
+    range_max: float,
+) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+    """The range (B,) float64 of each beam, metres, +inf without a hit, and the number (B,) int32 of the outline that it
+    hits, -1 without a hit; `poses` (O, 3) are the outlines' x, y, heading in the sensor frame."""
     nearest = np.full(beams, np.inf)
-    labels = np.full(beams, UNLABELLED, np.uint8)
-    if outlines:
+    hit = np.full(beams, -1, np.int32)
+    if len(outlines):
         _sweep(
             np.concatenate(outlines).astype(np.float64),
             np.array([len(outline) for outline in outlines]),
-            _poses(scene, world_T_sensor.inverse()),
-            np.array(
-                [scene.static_label] * len(scene.static) + [road_user.label for road_user in scene.objects], np.uint8
-            ),
+            poses,
             angle_min,
             angle_increment,
             range_max,
             nearest,
-            labels,
+            hit,
         )
-    return nearest.astype(np.float32), labels
+    return nearest, hit
+
+
+def _outlines(scene: Scene) -> list[Outline]:
+    return [*scene.static, *(road_user.outline for road_user in scene.objects)]
+
+
+def _labels(scene: Scene) -> NDArray[np.uint8]:
+    """The label of each outline, and UNLABELLED as the last, for the index -1: (O + 1,)."""
+    of_objects = [road_user.label for road_user in scene.objects]
+    return np.array([*[scene.static_label] * len(scene.static), *of_objects, UNLABELLED], np.uint8)
 
 
 def with_noise(ranges: NDArray[np.float32], range_max: float, random: np.random.Generator) -> NDArray[np.float32]:
@@ -110,8 +181,8 @@ def _poses(scene: Scene, sensor_T_world: SE2) -> NDArray[np.float64]:
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _sweep(corners, counts, poses, outline_labels, angle_min, angle_increment, range_max, nearest, labels):  # type: ignore[no-untyped-def]
-    """Lower `nearest` (B,) to the distance of each outline's sides, and set `labels` (B,) accordingly."""
+def _sweep(corners, counts, poses, angle_min, angle_increment, range_max, nearest, hit):  # type: ignore[no-untyped-def]
+    """Lower `nearest` (B,) to the distance of each outline's sides, and set `hit` (B,) to its number accordingly."""
     first = 0
     for o in range(counts.size):
         c, s = math.cos(poses[o, 2]), math.sin(poses[o, 2])
@@ -126,15 +197,15 @@ def _sweep(corners, counts, poses, outline_labels, angle_min, angle_increment, r
                 angle_min,
                 angle_increment,
                 range_max,
-                outline_labels[o],
+                o,
                 nearest,
-                labels,
+                hit,
             )
         first += counts[o]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _side(px, py, qx, qy, angle_min, angle_increment, range_max, label, nearest, labels):  # type: ignore[no-untyped-def]
+def _side(px, py, qx, qy, angle_min, angle_increment, range_max, o, nearest, hit):  # type: ignore[no-untyped-def]
     """One side from p to q, sensor frame: only the beams between the angles of its ends can intersect it."""
     ex, ey = qx - px, qy - py
     length = math.hypot(ex, ey)
@@ -142,7 +213,7 @@ def _side(px, py, qx, qy, angle_min, angle_increment, range_max, label, nearest,
     if length == 0.0 or abs(across) >= length * range_max * (1.0 + 1e-9):
         return
     if abs(across) <= TOUCHING * length * length:
-        _intersect(0, nearest.size, px, py, ex, ey, angle_min, angle_increment, range_max, label, nearest, labels)
+        _intersect(0, nearest.size, px, py, ex, ey, angle_min, angle_increment, range_max, o, nearest, hit)
         return
     # Mirrored for clockwise beams, so that angles always increase with the beam number.
     turn = 1.0 if angle_increment >= 0.0 else -1.0
@@ -153,12 +224,12 @@ def _side(px, py, qx, qy, angle_min, angle_increment, range_max, label, nearest,
     while start <= step * nearest.size:
         begin = min(max(math.ceil(start / step) - 1, 0), nearest.size)
         end = min(max(math.floor((start + span) / step) + 2, 0), nearest.size)
-        _intersect(begin, end, px, py, ex, ey, angle_min, angle_increment, range_max, label, nearest, labels)
+        _intersect(begin, end, px, py, ex, ey, angle_min, angle_increment, range_max, o, nearest, hit)
         start += 2.0 * math.pi
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _intersect(begin, end, px, py, ex, ey, angle_min, angle_increment, range_max, label, nearest, labels):  # type: ignore[no-untyped-def]
+def _intersect(begin, end, px, py, ex, ey, angle_min, angle_increment, range_max, o, nearest, hit):  # type: ignore[no-untyped-def]
     """Intersect beams begin..end-1 with the segment p + u * e, 0 <= u <= 1."""
     for i in range(begin, end):
         angle = angle_min + i * angle_increment
@@ -170,4 +241,4 @@ def _intersect(begin, end, px, py, ex, ey, angle_min, angle_increment, range_max
         share = (px * dy - py * dx) / slant
         if -1e-12 <= share <= 1.0 + 1e-12 and 0.0 <= distance <= range_max and distance < nearest[i]:
             nearest[i] = distance
-            labels[i] = label
+            hit[i] = o

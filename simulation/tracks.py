@@ -8,22 +8,25 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, field_validator
+from pydantic import Field, field_serializer, field_validator
 
 from gridtrack.common.config import Settings
 from gridtrack.common.geometry import SE2
 from gridtrack.common.names import NAME_RULE, is_name
 from gridtrack.common.scan import MIN_RATE_HZ, Scan
-from gridtrack.common.scene import UNLABELLED, Scene, SceneObject
+from gridtrack.common.scene import UNLABELLED, Outline, Scene, SceneObject
 from gridtrack.recordings.recording import RecordingInfo
 from gridtrack.simulation.bodies import body_outline
-from gridtrack.simulation.laser import MAX_SCENE_M, Laser
+from gridtrack.simulation.laser import MATT, MAX_SCENE_M, Laser, Surfaces
+from gridtrack.simulation.motion import unbroken_tracks
 from gridtrack.simulation.odometry import WheelOdometry
+from gridtrack.simulation.walkers import Walker, outlines_of
 
 MAX_FRAMES, MAX_USERS_PER_FRAME = 5_000_000, 1000
 HALF_TURN_MRAD = 3141
 MAX_OUTLINES, MAX_OUTLINE_CORNERS = 1000, 1000
 MAX_LASERS = 8
+MAX_WALKERS = 5000
 ONLY_LASER = "scan"
 """The name of the laser of a recording that has one."""
 
@@ -38,6 +41,28 @@ class Carrier(Settings):
 
     track: int = Field(ge=0)
     odometry: WheelOdometry | None = None
+
+
+class World(Settings):
+    """What the lasers see at their height: people as walkers, and surfaces unlike a wall's.
+
+    `walkers` are tracks by number, of a person each; `glass` and `dark` number static outlines.
+    """
+
+    plane_m: float = Field(ge=0.02, le=3.0)
+    """Height of the lasers' plane above the ground."""
+    walkers: dict[int, Walker] = Field(default_factory=dict, max_length=MAX_WALKERS)
+    glass: frozenset[int] = frozenset()
+    dark: frozenset[int] = frozenset()
+
+    def surfaces(self) -> Surfaces:
+        """The surfaces for a laser."""
+        clothes = frozenset(track for track, walker in self.walkers.items() if walker.dark)
+        return Surfaces(self.glass, self.dark, clothes)
+
+    @field_serializer("glass", "dark")
+    def _sorted(self, numbers: frozenset[int]) -> list[int]:
+        return sorted(numbers)
 
 
 class TracksInfo(Settings):
@@ -57,6 +82,8 @@ class TracksInfo(Settings):
     made_with: dict[str, str] = Field(default_factory=dict)
     """Versions of the programs that made the tracks."""
     carrier: Carrier | None = None
+    world: World | None = None
+    """Without it every road user has the outline of its class, at any height."""
 
     @field_validator("lasers")
     @classmethod
@@ -96,14 +123,33 @@ class Tracks:
         static = tuple(np.array(outline, np.float32) for outline in self.info.static)
         static_label = classes.index(self.info.static_class) if self.info.static_class else UNLABELLED
         seen = self.without_carrier()
+        walking = seen._walking()
         starts = np.searchsorted(seen.frame, np.arange(self.info.frames + 1)).tolist()
-        for rows in itertools.starmap(slice, itertools.pairwise(starts)):
-            columns = (column[rows].tolist() for column in (seen.track, seen.label, seen.pose, seen.size))
+        for first, end in itertools.pairwise(starts):
+            columns = (column[first:end].tolist() for column in (seen.track, seen.label, seen.pose, seen.size))
             objects = tuple(
-                SceneObject(track, label, SE2(*pose), body_outline(classes[label], *size))
-                for track, label, pose, size in zip(*columns, strict=True)
+                SceneObject(track, label, SE2(*pose), outline)
+                for row, track, label, pose, size in zip(range(first, end), *columns, strict=True)
+                for outline in walking.get(row) or (body_outline(classes[label], *size),)
             )
             yield Scene(static, static_label, objects)
+
+    def _walking(self) -> dict[int, tuple[Outline, ...]]:
+        """The outlines of walkers, by row."""
+        world = self.info.world
+        if world is None:
+            return {}
+        found: dict[int, tuple[Outline, ...]] = {}
+        order = np.lexsort((self.frame, self.track))
+        for part in unbroken_tracks(self.track[order], self.frame[order]):
+            rows = order[part]
+            walker = world.walkers.get(int(self.track[rows[0]]))
+            if walker is not None:
+                length_m, width_m = self.size[rows[0]].tolist()
+                position, heading = self.pose[rows, :2], np.unwrap(self.pose[rows, 2])
+                outlines = outlines_of(walker, world.plane_m, (length_m, width_m), position, heading, self.info.rate_hz)
+                found.update(zip(rows.tolist(), outlines, strict=True))
+        return found
 
     def scans(self) -> Iterator[Scan]:
         """The scans of each frame, in the order of the lasers; their noise depends on the seed, the frame number and
@@ -112,11 +158,12 @@ class Tracks:
         period_ns = round(1e9 / info.rate_hz)
         true = {name: self.sensor_poses(name).tolist() for name in info.lasers}
         recorded = self._recorded_poses()
+        surfaces = MATT if info.world is None else info.world.surfaces()
         for frame, scene in enumerate(self.scenes()):
             for number, (name, laser) in enumerate(info.lasers.items()):
                 random = np.random.default_rng([info.noise_seed, frame, number] if number else [info.noise_seed, frame])
                 pose = SE2(*true[name][frame])
-                scan = replace(laser.scan(scene, frame * period_ns, pose, random), sensor=name)
+                scan = replace(laser.scan(scene, frame * period_ns, pose, random, surfaces), sensor=name)
                 if name in recorded:
                     scan = replace(scan, world_T_sensor=SE2(*recorded[name][frame]), reference_T_sensor=pose)
                 yield scan

@@ -20,8 +20,9 @@ from gridtrack.common.config import validated
 from gridtrack.common.errors import RecordingError
 from gridtrack.simulation.tracks import MAX_USERS_PER_FRAME, ONLY_LASER, Tracks, TracksInfo
 
-STANDING_SCHEMA, TRACKS_SCHEMA = 1, 2
-"""Of a file with one laser that stands, and of one with several lasers or a carrier."""
+STANDING_SCHEMA, TRACKS_SCHEMA, WORLD_SCHEMA = 1, 2, 3
+"""Of a file with one laser that stands, of one with several lasers or a carrier, and of a world's, with walkers, surfaces
+and lasers' errors. The same tracks are written with the same schema by every gridtrack that knows it."""
 METADATA_KEY = b"gridtrack.tracks"
 TRACK_COLUMNS = {
     "frame": pa.int32(),
@@ -76,6 +77,12 @@ def write_tracks(file: BinaryIO, tracks: Tracks) -> None:
 
 def _metadata(info: TracksInfo) -> dict[str, Any]:
     values = info.model_dump(mode="json")
+    if info.world is not None:
+        return {"schema": WORLD_SCHEMA} | values
+    del values["world"]
+    for laser in values["lasers"].values():
+        if laser.pop("errors") is not None:
+            raise RecordingError("a laser with errors of its own needs a world: its plane and walkers")
     if info.carrier is None and list(info.lasers) == [ONLY_LASER]:
         one = {"laser" if name == "lasers" else name: value for name, value in values.items() if name != "carrier"}
         return {"schema": STANDING_SCHEMA} | one | {"laser": values["lasers"][ONLY_LASER]}
@@ -121,8 +128,8 @@ def _read_info(path: Path, file: pq.ParquetFile) -> TracksInfo:
     except (ValueError, RecursionError):
         raise RecordingError(f"{path}: its metadata are not JSON") from None
     schema = values.pop("schema", None) if isinstance(values, dict) else None
-    if schema not in (STANDING_SCHEMA, TRACKS_SCHEMA):
-        readable = f"{STANDING_SCHEMA} and {TRACKS_SCHEMA}"
+    if schema not in (STANDING_SCHEMA, TRACKS_SCHEMA, WORLD_SCHEMA):
+        readable = f"{STANDING_SCHEMA} to {WORLD_SCHEMA}"
         raise RecordingError(f"{path}: schema {schema!r:.20}; this gridtrack reads {readable}: simulate again")
     if schema == STANDING_SCHEMA:
         values["lasers"] = {ONLY_LASER: values.pop("laser", None)}
@@ -147,6 +154,10 @@ def _check_rows(path: Path, info: TracksInfo, columns: dict[str, NDArray[np.int6
             f"{path}: {intersections} pairs of a beam and a static corner; at most {MAX_INTERSECTIONS}: fewer corners,"
             " or a coarser laser"
         )
+    if info.world is not None:
+        numbers = info.world.glass | info.world.dark
+        beyond = [number for number in numbers if not 0 <= number < len(info.static)]
+        _raise_if(path, "glass or a dark surface that is no static outline", bool(beyond))
     if info.carrier is not None and not np.array_equal(frame[track == info.carrier.track], np.arange(info.frames)):
         raise RecordingError(f"{path}: damaged (the carrier of the lasers is not in every frame)")
     if not frame.size:

@@ -152,7 +152,7 @@ def parquet(path: Path, change: dict[str, list[object]] | None = None, about: ob
         ({"class": [5]}, None, "a class beyond the 5"),
         ({"length_cm": [0]}, None, "without extent"),
         ({"x_cm": [None]}, None, "a value is missing"),
-        (None, {"schema": 3}, "schema 3; this gridtrack reads 1 and 2"),
+        (None, {"schema": 4}, "schema 4; this gridtrack reads 1 to 3"),
         (None, [], "schema None"),
         (None, {"colour": "red"}, "there is no option 'colour'"),
         (None, {"static": [[[0, 0], [1, 1]]]}, "3 to 1000 corners"),
