@@ -1,4 +1,4 @@
-"""`simulate`: recordings with ground truth, of a junction or of annotated tracks."""
+"""`simulate`: recordings with ground truth, of a junction, of small worlds or of annotated tracks."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from gridtrack.simulation.tracks import Tracks
 
 app = typer.Typer(
-    no_args_is_help=True, help="Recordings with ground truth: junction, junction-set, drive-set, tracks, check."
+    no_args_is_help=True, help="Recordings with ground truth: junction, junction-set, drive-set, worlds, tracks, check."
 )
 FAULTY = 3
 
@@ -113,6 +113,36 @@ def simulate_drive_set(out: Annotated[Path, typer.Option(help="Folder of the set
     for name, tracks in drive_set():
         write_recording(out / f"{name}.tracks", tracks)
         _report(out / f"{name}.tracks", tracks)
+
+
+@app.command("worlds")
+def simulate_worlds(
+    out: Annotated[Path, typer.Option(help="Folder of the worlds")],
+    count: Annotated[int, typer.Option(min=1, max=100_000, help="Number of worlds, with successive seeds")] = 1,
+    minutes: Annotated[float, typer.Option(help="Duration of each")] = 1.0,
+    seed: Annotated[int, typer.Option(min=0, max=2**31 - 1, help="Of the first world")] = 1,
+) -> None:
+    """Small places indoors and outdoors, no two alike, each with its laser, as tracks (needs the extra `sim`).
+
+    Each world depends on its own seed only. A world that is already in the folder is kept.
+    """
+    from gridtrack.common.errors import RecordingError
+    from gridtrack.simulation.tracks_file import read_tracks
+    from gridtrack.simulation.writing import write_recording
+
+    try:
+        from gridtrack.simulation import worlds
+    except ModuleNotFoundError as missing:
+        if missing.name not in ("jupedsim", "shapely"):
+            raise
+        raise ConfigurationError("simulating worlds needs JuPedSim: pip install 'gridtrack[sim]'") from None
+    for number in range(seed, seed + count):
+        path = out / f"{worlds.world_name(number)}.tracks"
+        if not path.exists():
+            write_recording(path, worlds.simulate_world(number, minutes))
+        elif read_tracks(path).info.recording.command != worlds.world_command(number, minutes):
+            raise RecordingError(f"{path}: there is another recording of this name; take another folder")
+        typer.echo(printable(f"{path}: {worlds.summary_of(read_tracks(path))}"))
 
 
 @app.command("tracks", cls=with_defaults(_tracks_defaults))

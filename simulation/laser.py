@@ -29,7 +29,7 @@ TOUCHING = 1e-9
 
 
 @dataclass(frozen=True, slots=True)
-class Surfaces:
+class SceneSurfaces:
     """What reflects unlike a wall: static outlines by number, of `glass` or `dark`, and tracks in dark cloth."""
 
     glass: Set[int] = frozenset()
@@ -37,7 +37,7 @@ class Surfaces:
     dark_tracks: Set[int] = frozenset()
 
 
-MATT = Surfaces()
+MATT = SceneSurfaces()
 
 
 class Laser(Settings):
@@ -72,7 +72,7 @@ class Laser(Settings):
         stamp_ns: int,
         world_T_sensor: SE2,
         random: np.random.Generator,
-        surfaces: Surfaces = MATT,
+        surfaces: SceneSurfaces = MATT,
     ) -> Scan:
         """A scan of `scene` with errors from `random`, labels and the true scene."""
         if self.errors is None:
@@ -95,7 +95,7 @@ class Laser(Settings):
             scene=scene,
         )
 
-    def _hits(self, scene: Scene, world_T_sensor: SE2, surfaces: Surfaces) -> Hits:
+    def _hits(self, scene: Scene, world_T_sensor: SE2, surfaces: SceneSurfaces) -> Hits:
         """What the beams hit, and what they would hit without the panes."""
         poses = _poses(scene, world_T_sensor.inverse())
         outlines = _outlines(scene)

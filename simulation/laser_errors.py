@@ -15,6 +15,8 @@ MIXED_GAP_M = (0.06, 2.0)
 """Depth of an edge at which a footprint on both sides may give a range in between."""
 FACING_RAD, FACING_SEEN = 0.12, 0.9
 """A pane gives a return at nearly normal incidence, with this probability."""
+UNKNOWN_RAD = 0.5
+"""The angle of incidence of a beam whose neighbours hit something else."""
 GRAZING_RAD, GRAZING_LOST = 1.45, 0.5
 """Beyond this angle of incidence, and half the range, that share of the returns is lost."""
 DARK_LOST = 0.1
@@ -93,15 +95,15 @@ def measured(
 
 def incidences(ranges: NDArray[np.float64], outline: NDArray[np.int32], angle_increment: float) -> NDArray[np.float64]:
     """The angle (B,) between each beam and the normal of what it hits, radians, from its neighbours on the same
-    outline; 0 where it has none."""
-    step = np.zeros(ranges.size)
+    outline; UNKNOWN_RAD where it has none."""
+    step = np.full(ranges.size, np.inf)
     same = (outline[1:] == outline[:-1]) & (outline[1:] >= 0)
-    difference = np.zeros(ranges.size - 1)
+    difference = np.full(ranges.size - 1, np.inf)
     np.subtract(ranges[1:], ranges[:-1], out=difference, where=same)
     step[1:] = np.abs(difference)
-    step[:-1] = np.where(step[:-1] > 0.0, np.minimum(step[:-1], np.abs(difference)), np.abs(difference))
+    step[:-1] = np.minimum(step[:-1], np.abs(difference))
     across = np.where(np.isfinite(ranges), ranges, 1.0) * abs(angle_increment)
-    return np.arctan2(step, np.maximum(across, 1e-9))
+    return np.where(np.isfinite(step), np.arctan2(step, np.maximum(across, 1e-9)), UNKNOWN_RAD)
 
 
 def _mixed(ranges: NDArray[np.float64], share: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -17,7 +17,7 @@ from gridtrack.common.scan import MIN_RATE_HZ, Scan
 from gridtrack.common.scene import UNLABELLED, Outline, Scene, SceneObject
 from gridtrack.recordings.recording import RecordingInfo
 from gridtrack.simulation.bodies import body_outline
-from gridtrack.simulation.laser import MATT, MAX_SCENE_M, Laser, Surfaces
+from gridtrack.simulation.laser import MATT, MAX_SCENE_M, Laser, SceneSurfaces
 from gridtrack.simulation.motion import unbroken_tracks
 from gridtrack.simulation.odometry import WheelOdometry
 from gridtrack.simulation.walkers import Walker, outlines_of
@@ -55,10 +55,10 @@ class World(Settings):
     glass: frozenset[int] = frozenset()
     dark: frozenset[int] = frozenset()
 
-    def surfaces(self) -> Surfaces:
+    def surfaces(self) -> SceneSurfaces:
         """The surfaces for a laser."""
         clothes = frozenset(track for track, walker in self.walkers.items() if walker.dark)
-        return Surfaces(self.glass, self.dark, clothes)
+        return SceneSurfaces(self.glass, self.dark, clothes)
 
     @field_serializer("glass", "dark")
     def _sorted(self, numbers: frozenset[int]) -> list[int]:

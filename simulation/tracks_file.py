@@ -21,8 +21,8 @@ from gridtrack.common.errors import RecordingError
 from gridtrack.simulation.tracks import MAX_USERS_PER_FRAME, ONLY_LASER, Tracks, TracksInfo
 
 STANDING_SCHEMA, TRACKS_SCHEMA, WORLD_SCHEMA = 1, 2, 3
-"""Of a file with one laser that stands, of one with several lasers or a carrier, and of a world's, with walkers, surfaces
-and lasers' errors. The same tracks are written with the same schema by every gridtrack that knows it."""
+"""Of a file with one laser that stands, of one with several lasers or a carrier, and of a world's, with walkers,
+surfaces and lasers' errors."""
 METADATA_KEY = b"gridtrack.tracks"
 TRACK_COLUMNS = {
     "frame": pa.int32(),

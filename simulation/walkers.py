@@ -6,6 +6,7 @@ Shin and thigh are 6 to 10 % of the height thick (D. A. Winter, "Biomechanics an
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from functools import lru_cache
 from typing import Literal
@@ -97,23 +98,26 @@ def _ellipse(length_m: float, width_m: float, corners: int) -> Outline:
 def _companion(companion: Companion, plane_m: float, size_m: tuple[float, float]) -> tuple[Outline, ...]:
     """Outlines in the body's frame of what is beside the body; a wheelchair's are the sitting person's too."""
     side = size_m[1] / 2.0
+    if companion == "wheelchair":
+        return _wheelchair(plane_m)
     if companion == "bag" and 0.25 <= plane_m <= 0.75:
         return (_box(0.0, side + 0.08, 0.32, 0.12),)
     if companion == "trolley" and plane_m <= 0.6:
         return (_box(-0.6, side, 0.25, 0.38),)
-    if companion == "stroller" and plane_m < 0.3:
-        wheels = [(x, y) for x in (0.45, 1.0) for y in (-0.25, 0.25)]
-        return tuple(_box(x, y, 0.2, 0.05) for x, y in wheels)
     if companion == "stroller" and plane_m < 1.0:
-        return (_box(0.75, 0.0, 0.8, 0.48),)
-    if companion == "wheelchair":
-        if plane_m >= 0.6:
-            return (_torso(0.3, 0.46),) if plane_m < 1.3 else ()
-        wheels_length_m = 2.0 * np.sqrt(max(0.3**2 - (plane_m - 0.3) ** 2, 0.01))
-        large = tuple(_box(0.0, y, float(wheels_length_m), 0.05) for y in (-0.3, 0.3))
-        legs_x = 0.5 if plane_m < 0.45 else 0.3
-        return (*large, *(_box(legs_x, y, 0.14, 0.12) for y in (-0.1, 0.1)))
+        wheels = [_box(x, y, 0.2, 0.05) for x in (0.45, 1.0) for y in (-0.25, 0.25)]
+        return tuple(wheels) if plane_m < 0.3 else (_box(0.75, 0.0, 0.8, 0.48),)
     return ()
+
+
+def _wheelchair(plane_m: float) -> tuple[Outline, ...]:
+    """Large wheels and the shins or thighs of who sits in it, or the torso above them."""
+    if plane_m >= 0.6:
+        return (_torso(0.3, 0.46),) if plane_m < 1.3 else ()
+    wheels_length_m = 2.0 * math.sqrt(max(0.3**2 - (plane_m - 0.3) ** 2, 0.01))
+    large = tuple(_box(0.0, y, wheels_length_m, 0.05) for y in (-0.3, 0.3))
+    legs_x = 0.5 if plane_m < 0.45 else 0.3
+    return (*large, *(_box(legs_x, y, 0.14, 0.12) for y in (-0.1, 0.1)))
 
 
 def _box(x: float, y: float, length_m: float, width_m: float) -> Outline:

@@ -86,3 +86,12 @@ def test_a_users_mistake_is_one_line_and_exit_code_2(arguments: tuple[str, ...],
     assert says in done.stderr
     assert done.stderr.startswith("gridtrack: ")
     assert done.stderr.count("\n") == 1
+
+
+def test_worlds_without_jupedsim_name_the_extra(tmp_path: Path) -> None:
+    code = "import sys; sys.modules['shapely'] = None; from gridtrack.cli import main; main()"
+    arguments = ("simulate", "worlds", "--out", str(tmp_path / "worlds"))
+    done = subprocess.run([sys.executable, "-c", code, *arguments], capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert done.stderr == "gridtrack: simulating worlds needs JuPedSim: pip install 'gridtrack[sim]'\n"
+    assert not (tmp_path / "worlds").exists()

@@ -11,7 +11,7 @@ from gridtrack.common.geometry import SE2
 from gridtrack.common.scan import Scan
 from gridtrack.common.scene import UNLABELLED, Scene, SceneObject
 from gridtrack.simulation.bodies import body_outline
-from gridtrack.simulation.laser import MATT, Laser, Surfaces
+from gridtrack.simulation.laser import MATT, Laser, SceneSurfaces
 from gridtrack.simulation.laser_errors import LaserErrors
 
 EXACT = {"std_m": 0.0, "glass_seen": 1.0, "dark_reach": 1.0}
@@ -22,7 +22,7 @@ NEAR_WALL, FAR_WALL = (
 )
 
 
-def scan(errors: LaserErrors, static: tuple, surfaces: Surfaces = MATT, seed: int = 1) -> Scan:
+def scan(errors: LaserErrors, static: tuple, surfaces: SceneSurfaces = MATT, seed: int = 1) -> Scan:
     laser = Laser(angle_min=-0.5, angle_increment=0.001, beams=1001, errors=errors)
     body = SceneObject(7, 0, SE2(3.0, 1.0), body_outline("pedestrian", 0.4, 0.4))
     scene = Scene(tuple(np.array(outline, np.float32) for outline in static), 1, (body,))
@@ -57,7 +57,7 @@ def test_lost_returns_are_infinite_and_invalid_ones_are_nan() -> None:
 
 
 def test_a_pane_is_seen_from_the_front_and_else_what_is_behind_it() -> None:
-    glass = Surfaces(glass={0})
+    glass = SceneSurfaces(glass={0})
     found = scan(LaserErrors.model_validate(EXACT | {"glass_seen": 0.0}), (PANE, NEAR_WALL, FAR_WALL), glass)
     angle = -0.5 + 0.001 * np.arange(1001)
     facing, aside = np.abs(angle) < 0.1, (angle < -0.2)
@@ -70,7 +70,7 @@ def test_a_pane_is_seen_from_the_front_and_else_what_is_behind_it() -> None:
 
 def test_dark_cloth_is_lost_beyond_its_reach() -> None:
     errors = LaserErrors.model_validate(EXACT | {"dark_reach": 0.05})
-    dark = scan(errors, (), Surfaces(dark_tracks={7}))
+    dark = scan(errors, (), SceneSurfaces(dark_tracks={7}))
     assert not np.isfinite(dark.ranges).any()
     assert np.isfinite(scan(errors, ()).ranges).any()
 

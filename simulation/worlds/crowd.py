@@ -1,0 +1,195 @@
+"""People who go about in a place: JuPedSim's collision-free speed model, with plans of where each goes and stands.
+
+Model: A. Tordeux, M. Chraibi and A. Seyfried, "Collision-free speed model for pedestrian dynamics", Traffic and
+Granular Flow '15, 2016.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import jupedsim
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+from shapely import Polygon
+from shapely.ops import nearest_points
+
+from gridtrack.simulation.motion import headings, smoothed
+from gridtrack.simulation.tracks import Corner
+
+CROWD_STEP_S = 0.1
+SUBSTEPS = 5
+STOP_MARGIN_M = 0.3
+"""Between a stop and the edge of the ground; JuPedSim lets nobody enter nearer to it than the own radius."""
+REACHED_M, ALMOST_M = 0.3, 0.8
+GIVES_UP_S = 8.0
+"""Who does not come nearer to where he goes for so long takes the next stop."""
+SMOOTHING_STD_S, TURNING_STD_S = 0.3, 0.35
+"""The model changes speed and direction at once; people take some tenths of a second."""
+SWAY_M, SWAY_RAD, SWAY_STD_S = 0.025, 0.15, 0.8
+ENTRY_TRIES = 200
+
+
+@dataclass(frozen=True)
+class Stop:
+    """Where somebody goes, how long he stands there, and where he looks meanwhile: radians, None for ahead."""
+
+    at: Corner
+    wait_s: float = 0.0
+    facing: float | None = None
+
+
+@dataclass(frozen=True)
+class Plan:
+    """How somebody goes about: from `start` at `start_s` by all `stops`, over and over, or once and away."""
+
+    start: Corner
+    stops: tuple[Stop, ...]
+    speed: float
+    radius_m: float = 0.2
+    start_s: float = 0.0
+    leaves: bool = False
+
+
+@dataclass
+class MoverPath:
+    """Where somebody was: position (n, 2) and heading (n,) every CROWD_STEP_S from step `first` on."""
+
+    first: int
+    position: NDArray[np.float64]
+    heading: NDArray[np.float64]
+
+
+@dataclass
+class _Progress:
+    """One person in the simulation."""
+
+    plan: Plan
+    agent: int = -1
+    first: int = 0
+    stop: int = 0
+    waits_until_s: float = -1.0
+    nearest_m: float = math.inf
+    nearest_s: float = 0.0
+    positions: list[Corner] = field(default_factory=list)
+    facing: list[float] = field(default_factory=list)
+    """NaN while walking."""
+    gone: bool = False
+
+
+def walk(ground: Polygon, plans: Sequence[Plan], seconds: float, random: np.random.Generator) -> list[MoverPath | None]:
+    """The path of each plan during `seconds`, in order; None for who found no room to enter.
+
+    Same arguments, same paths. `ground` is connected; stops beside it are moved to it.
+    """
+    simulation = jupedsim.Simulation(
+        model=jupedsim.CollisionFreeSpeedModelV2(), geometry=ground, dt=CROWD_STEP_S / SUBSTEPS
+    )
+    stage = simulation.add_direct_steering_stage()
+    journey = simulation.add_journey(jupedsim.JourneyDescription([stage]))
+    inner = ground.buffer(-STOP_MARGIN_M)
+    everybody = [_Progress(plan) for plan in plans]
+    for step in range(math.ceil(seconds / CROWD_STEP_S)):
+        for person in everybody:
+            if person.agent < 0 and not person.gone and person.plan.start_s <= step * CROWD_STEP_S:
+                _enter(simulation, person, everybody, inner, journey, stage, step)
+        simulation.iterate(SUBSTEPS)
+        for person in everybody:
+            if person.agent >= 0 and not person.gone:
+                _advance(simulation, person, inner, step * CROWD_STEP_S)
+    return [_path(person, random) if len(person.positions) > 3 else None for person in everybody]
+
+
+def on_ground(inner: Polygon, at: Corner) -> Corner:
+    """The place on `inner` that is nearest to `at`."""
+    found, _ = nearest_points(inner, shapely.Point(at))
+    return (found.x, found.y)
+
+
+def _enter(
+    simulation: jupedsim.Simulation,
+    person: _Progress,
+    everybody: Sequence[_Progress],
+    inner: Polygon,
+    journey: int,
+    stage: int,
+    step: int,
+) -> None:
+    """Let the person enter where nobody is; else it is tried again."""
+    plan = person.plan
+    start = on_ground(inner, plan.start)
+    inside = (other for other in everybody if other.agent >= 0 and not other.gone)
+    if any(math.dist(start, o.positions[-1]) < plan.radius_m + o.plan.radius_m + 0.1 for o in inside):
+        person.gone = step * CROWD_STEP_S - plan.start_s > ENTRY_TRIES * CROWD_STEP_S
+        return
+    parameters = jupedsim.CollisionFreeSpeedModelV2AgentParameters(
+        position=start, journey_id=journey, stage_id=stage, desired_speed=plan.speed, radius=plan.radius_m
+    )
+    person.agent, person.first = simulation.add_agent(parameters), step
+    person.nearest_s = step * CROWD_STEP_S
+    person.positions.append(start)
+    person.facing.append(math.nan)
+    _head_for(simulation, person, inner)
+
+
+def _head_for(simulation: jupedsim.Simulation, person: _Progress, inner: Polygon) -> None:
+    agent = simulation.agent(person.agent)
+    agent.target = on_ground(inner, person.plan.stops[person.stop].at)
+    agent.model.desired_speed = person.plan.speed
+    person.nearest_m = math.inf
+
+
+def _advance(simulation: jupedsim.Simulation, person: _Progress, inner: Polygon, now_s: float) -> None:
+    """Record the person's position, and begin or end a stop."""
+    agent, stop = simulation.agent(person.agent), person.plan.stops[person.stop]
+    at = (float(agent.position[0]), float(agent.position[1]))
+    waiting = person.waits_until_s >= 0.0
+    person.positions.append(at)
+    person.facing.append(math.nan if not waiting or stop.facing is None else stop.facing)
+    if waiting:
+        if now_s >= person.waits_until_s:
+            _next_stop(simulation, person, inner, now_s)
+        return
+    distance_m = math.dist(at, agent.target)
+    if distance_m < person.nearest_m - 0.05:
+        person.nearest_m, person.nearest_s = distance_m, now_s
+    stuck = now_s - person.nearest_s > GIVES_UP_S or (distance_m < ALMOST_M and now_s - person.nearest_s > 1.0)
+    if distance_m < REACHED_M or stuck:
+        person.waits_until_s = now_s + stop.wait_s
+        agent.model.desired_speed = 0.0 if stop.wait_s > 0.0 else person.plan.speed
+
+
+def _next_stop(simulation: jupedsim.Simulation, person: _Progress, inner: Polygon, now_s: float) -> None:
+    person.waits_until_s, person.nearest_s = -1.0, now_s
+    person.stop += 1
+    if person.stop == len(person.plan.stops) and person.plan.leaves:
+        simulation.mark_agent_for_removal(person.agent)
+        person.gone = True
+        return
+    person.stop %= len(person.plan.stops)
+    _head_for(simulation, person, inner)
+
+
+def _path(person: _Progress, random: np.random.Generator) -> MoverPath:
+    """The smoothed path, with the sway of who stands."""
+    raw = np.array(person.positions)
+    facing = np.array(person.facing)
+    position = smoothed(raw, SMOOTHING_STD_S / CROWD_STEP_S)
+    resting = float(facing[0]) if np.isfinite(facing[0]) else float(random.uniform(-math.pi, math.pi))
+    heading = headings(position, CROWD_STEP_S, TURNING_STD_S / CROWD_STEP_S, resting)
+    looks = np.isfinite(facing)
+    if looks.any():
+        heading = smoothed(np.unwrap(np.where(looks, facing, heading))[:, None], TURNING_STD_S / CROWD_STEP_S)[:, 0]
+    return swaying(MoverPath(person.first, position, heading), random)
+
+
+def swaying(path: MoverPath, random: np.random.Generator) -> MoverPath:
+    """The path with small slow motions, such as those of people who stand."""
+    n = len(path.heading)
+    sway = smoothed(random.standard_normal((n, 3)), SWAY_STD_S / CROWD_STEP_S) * math.sqrt(
+        2.0 * math.sqrt(math.pi) * SWAY_STD_S / CROWD_STEP_S
+    )
+    return MoverPath(path.first, path.position + SWAY_M * sway[:, :2], path.heading + SWAY_RAD * sway[:, 2])

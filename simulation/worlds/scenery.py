@@ -1,0 +1,144 @@
+"""A place under construction: what stands in it, what a laser's plane cuts of that, and where people can walk."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+from shapely import Polygon
+from shapely.geometry.base import BaseGeometry
+
+from gridtrack.simulation.tracks import Corner
+
+Corners = tuple[Corner, ...]
+
+WALKER_CLEARANCE_M = 0.1
+"""Between the middle of a walker and what blocks the way, besides the walker's radius."""
+SIMPLER_M = 0.02
+CEILING_M = 3.0
+
+
+@dataclass(frozen=True)
+class Thing:
+    """What stands in a place: its outline, counter-clockwise, from which height to which, and how it reflects."""
+
+    corners: Corners
+    low_m: float = 0.0
+    high_m: float = CEILING_M
+    glass: bool = False
+    dark: bool = False
+
+
+@dataclass
+class Scenery:
+    """The things in an area, in metres.
+
+    `inside` is the ground that a laser may stand on and that people go about in; `thresholds` extend it to where doors
+    lead. Nobody walks on the grounds `blocked`; by `doors` people come and go; on `seats` (x, y, heading) somebody may
+    sit; `lanes` are the paths of vehicles, each with the class that uses it.
+    """
+
+    inside: Polygon
+    thresholds: list[Polygon] = field(default_factory=list)
+    things: list[Thing] = field(default_factory=list)
+    blocked: list[BaseGeometry] = field(default_factory=list)
+    doors: list[Corner] = field(default_factory=list)
+    seats: list[tuple[float, float, float]] = field(default_factory=list)
+    lanes: list[tuple[str, NDArray[np.float64]]] = field(default_factory=list)
+
+    def add(
+        self,
+        corners: Sequence[Corner],
+        *,
+        low_m: float = 0.0,
+        high_m: float = CEILING_M,
+        glass: bool = False,
+        dark: bool = False,
+        blocks: bool = True,
+    ) -> None:
+        """Add a thing with a simple outline; nobody walks where it stands if it `blocks`."""
+        outline = counter_clockwise(corners)
+        self.things.append(Thing(outline, low_m, high_m, glass, dark))
+        if blocks:
+            self.block(outline)
+
+    def block(self, corners: Sequence[Corner]) -> None:
+        """Let nobody walk inside `corners`."""
+        self.blocked.append(Polygon(corners))
+
+    def at(self, plane_m: float) -> list[Thing]:
+        """The things that a plane at a height cuts."""
+        return [thing for thing in self.things if thing.low_m <= plane_m < thing.high_m]
+
+    def walkable(self, *standing: Corner, radius_m: float = 0.35) -> Polygon:
+        """The largest connected ground where people walk, without a disc about each of `standing`."""
+        discs = [shapely.Point(at).buffer(radius_m, quad_segs=4) for at in standing]
+        solid = shapely.union_all([*self.blocked, *discs]).buffer(WALKER_CLEARANCE_M, quad_segs=2, join_style="mitre")
+        area = shapely.union_all([self.inside, *self.thresholds])
+        free = area.buffer(-WALKER_CLEARANCE_M).difference(solid).simplify(SIMPLER_M)
+        # Opened, so that no part is connected by a crack that nobody passes.
+        free = free.buffer(-0.1, quad_segs=2).buffer(0.09, quad_segs=2, join_style="mitre").simplify(SIMPLER_M)
+        return max((part for part in _parts(free) if part.is_valid), key=lambda part: part.area, default=Polygon())
+
+
+def _parts(geometry: BaseGeometry) -> list[Polygon]:
+    if isinstance(geometry, Polygon):
+        return [geometry]
+    return [part for part in getattr(geometry, "geoms", ()) if isinstance(part, Polygon)]
+
+
+def counter_clockwise(corners: Sequence[Corner]) -> Corners:
+    """The corners in counter-clockwise order."""
+    doubled = sum(x0 * y1 - x1 * y0 for (x0, y0), (x1, y1) in zip(corners, [*corners[1:], corners[0]], strict=True))
+    ordered = corners if doubled >= 0.0 else reversed(corners)
+    return tuple((float(x), float(y)) for x, y in ordered)
+
+
+def box(x: float, y: float, length_m: float, width_m: float, heading: float = 0.0) -> Corners:
+    """A rectangle about (x, y), its length along `heading`."""
+    return placed(
+        [(a * length_m / 2.0, b * width_m / 2.0) for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))], x, y, heading
+    )
+
+
+def disc(x: float, y: float, diameter_m: float, corners: int = 10) -> Corners:
+    """A regular polygon in a circle about (x, y)."""
+    angles = [2.0 * math.pi * k / corners for k in range(corners)]
+    return tuple((x + diameter_m / 2.0 * math.cos(a), y + diameter_m / 2.0 * math.sin(a)) for a in angles)
+
+
+def placed(corners: Sequence[Corner], x: float, y: float, heading: float) -> Corners:
+    """Corners of a body's frame in the world, for the pose (x, y, heading)."""
+    c, s = math.cos(heading), math.sin(heading)
+    return tuple((x + c * a - s * b, y + s * a + c * b) for a, b in corners)
+
+
+def wall(
+    scenery: Scenery,
+    start: Corner,
+    end: Corner,
+    thickness_m: float,
+    openings: Sequence[tuple[float, float]] = (),
+    glass: Sequence[tuple[float, float]] = (),
+) -> None:
+    """A wall from `start` to `end`, with `openings` and panes of `glass`: from where to where along it, metres."""
+    length_m = math.dist(start, end)
+    heading = math.atan2(end[1] - start[1], end[0] - start[0])
+    cuts = sorted([(a, b, False) for a, b in openings] + [(a, b, True) for a, b in glass])
+    at = -thickness_m / 2.0
+    for a, b, is_glass in [*cuts, (length_m + thickness_m / 2.0, length_m + thickness_m / 2.0, False)]:
+        if a > at:
+            scenery.add(_stretch(start, heading, at, a, thickness_m))
+        if is_glass:
+            scenery.add(_stretch(start, heading, a, b, 0.03), glass=True)
+        at = max(at, b)
+
+
+def _stretch(start: Corner, heading: float, a: float, b: float, thickness_m: float) -> Corners:
+    middle = (a + b) / 2.0
+    x, y = start[0] + middle * math.cos(heading), start[1] + middle * math.sin(heading)
+    return box(x, y, b - a, thickness_m, heading)

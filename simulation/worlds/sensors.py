@@ -1,0 +1,139 @@
+"""Lasers as various as real ones, where they stand or drive, and the window that fits them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from gridtrack.common.geometry import SE2
+from gridtrack.common.scene import UNLABELLED, Outline, Scene
+from gridtrack.simulation.laser import Laser, sweep
+from gridtrack.simulation.laser_errors import LaserErrors
+from gridtrack.simulation.tracks import Corner
+
+GRID_CELLS = 100
+CELLS_M = (0.05, 0.06, 0.08, 0.1, 0.12, 0.15, 0.2)
+BEHIND = 0.2
+"""Share of the window's side that lies behind a laser that looks ahead only."""
+SHIN_M, HIP_M = (0.08, 0.45), (0.8, 1.1)
+"""Heights at which lasers are mounted: no plane cuts a table's top."""
+SHIN_SHARE = 0.85
+TRY_BEAMS = 240
+
+
+class LaserProduct(NamedTuple):
+    """Data of a laser's data sheet: field of view, beams, range, scans a second, errors of the range, metres."""
+
+    view_deg: float
+    beams: int
+    range_m: float
+    rate_hz: float
+    std_m: float
+    std_per_m: float
+    resolution_m: float
+
+
+# The range errors of the first three are measured on standing surfaces of real recordings: those of the leg_tracker
+# package, 4 to 11 mm; the errors of a data sheet are larger.
+PRODUCTS = (
+    LaserProduct(240, 683, 5.6, 10, 0.003, 0.001, 0.001),  # Hokuyo URG-04LX
+    LaserProduct(180, 512, 5.6, 10, 0.003, 0.001, 0.001),
+    LaserProduct(270, 768, 11.0, 7.5, 0.0035, 0.0002, 0.001),
+    LaserProduct(270, 1081, 30.0, 20, 0.008, 0.0004, 0.001),  # Hokuyo UTM-30LX, every second scan
+    LaserProduct(180, 181, 80.0, 12, 0.005, 0.0004, 0.01),  # SICK LMS 200
+    LaserProduct(180, 361, 80.0, 18, 0.005, 0.0004, 0.01),
+    LaserProduct(270, 811, 25.0, 15, 0.015, 0.001, 0.001),  # SICK TiM571
+    LaserProduct(360, 360, 12.0, 5.5, 0.003, 0.003, 0.001),  # RPLIDAR A1
+    LaserProduct(360, 360, 8.0, 12.5, 0.004, 0.003, 0.001),
+    LaserProduct(360, 800, 16.0, 10, 0.003, 0.002, 0.001),  # RPLIDAR A2
+    LaserProduct(360, 1440, 30.0, 10, 0.01, 0.0005, 0.001),  # RPLIDAR S2
+    LaserProduct(360, 900, 80.0, 10, 0.012, 0.0002, 0.002),  # one ring of a Velodyne
+)
+OUTDOOR_RANGE_M = 11.0
+
+
+@dataclass(frozen=True)
+class WorldSensor:
+    """A laser, not placed yet, its rate, its height, and the cell of the window."""
+
+    laser: Laser
+    rate_hz: float
+    plane_m: float
+    cell_m: float
+
+    @property
+    def view_rad(self) -> float:
+        """From the first beam to the last."""
+        return self.laser.angle_increment * (self.laser.beams - 1)
+
+    def grid(self, standing: bool) -> str:
+        """The window: ahead of a laser that stands and does not look all round, else about the laser."""
+        side_m = GRID_CELLS * self.cell_m
+        ahead = standing and self.view_rad < math.radians(300.0)
+        return f"{GRID_CELLS}x{self.cell_m:g}@{-(BEHIND if ahead else 0.5) * side_m:g},{-0.5 * side_m:g}"
+
+
+def draw_sensor(random: np.random.Generator, outdoors: bool) -> WorldSensor:
+    """A laser near one of PRODUCTS."""
+    suited = [one for one in PRODUCTS if not outdoors or one.range_m >= OUTDOOR_RANGE_M]
+    one = suited[random.integers(len(suited))]
+    beams = int(np.clip(round(one.beams * random.choice([0.5, 1.0, 1.0, 1.3])), 180, 1440))
+    range_m = float(np.clip(one.range_m * random.uniform(0.9, 1.2), 5.0, 80.0))
+    view = math.radians(one.view_deg)
+    step = view / beams if one.view_deg == 360 else view / (beams - 1)
+    laser = Laser(
+        angle_min=round(-view / 2.0, 6),
+        angle_increment=round(step, 8),
+        beams=beams,
+        range_min=round(float(random.uniform(0.02, 0.15)), 3),
+        range_max=round(range_m, 2),
+        errors=_draw_errors(random, one),
+    )
+    reach_m = min(range_m, random.uniform(8.0, 11.0) if outdoors else random.uniform(2.8, 7.0))
+    cell_m = CELLS_M[int(np.abs(np.array(CELLS_M) - 2.0 * reach_m / GRID_CELLS).argmin())]
+    plane_m = random.uniform(*(SHIN_M if random.random() < SHIN_SHARE else HIP_M))
+    rate_hz = float(np.clip(one.rate_hz * random.uniform(0.9, 1.1), 5.0, 20.0))
+    return WorldSensor(laser, round(rate_hz * 2.0) / 2.0, round(float(plane_m), 3), cell_m)
+
+
+def _draw_errors(random: np.random.Generator, one: LaserProduct) -> LaserErrors:
+    factor = random.uniform(0.6, 1.6)
+    rough = random.random() < 0.3
+    values = {
+        "std_m": one.std_m * factor,
+        "std_per_m": one.std_per_m * factor,
+        "lost": random.uniform(0.0, 0.05 if rough else 0.005),
+        "invalid": random.uniform(0.0, 0.01) if random.random() < 0.4 else 0.0,
+        "mixed": random.uniform(0.0, 0.6),
+        "glass_seen": random.uniform(0.05, 0.6),
+        "dark_reach": random.uniform(0.4, 1.0),
+    }
+    rounded = {name: round(float(value), 5) for name, value in values.items()}
+    return LaserErrors.model_validate(rounded | {"resolution_m": one.resolution_m})
+
+
+def standing_pose(
+    sensor: WorldSensor, outlines: list[Outline], candidates: list[Corner], random: np.random.Generator
+) -> SE2:
+    """The pose among some places with a wide view, looking where the view is widest."""
+    scene = Scene(tuple(outlines), UNLABELLED, ())
+    views = [_widest(scene, sensor, at, float(random.uniform(0.0, math.tau))) for at in candidates]
+    best = sorted(views, key=lambda view: -view[0])[: max(len(views) // 2, 1)]
+    return best[random.integers(len(best))][1]
+
+
+def _widest(scene: Scene, sensor: WorldSensor, at: Corner, any_heading: float) -> tuple[float, SE2]:
+    """The mean range in the best direction, and the pose that looks there."""
+    reach_m = GRID_CELLS * sensor.cell_m
+    turn = math.tau / TRY_BEAMS
+    ranges, _ = sweep(scene, SE2(*at, 0.0), 0.0, turn, TRY_BEAMS, reach_m)
+    seen = np.minimum(ranges.astype(np.float64), reach_m)
+    if sensor.view_rad > math.radians(300.0):
+        return float(seen.mean()), SE2(*at, any_heading)
+    half = round(sensor.view_rad / 2.0 / turn)
+    means = [float(np.take(seen, np.arange(k - half, k + half + 1), mode="wrap").mean()) for k in range(TRY_BEAMS)]
+    best = int(np.argmax(means))
+    return means[best], SE2(*at, best * turn)
