@@ -2,7 +2,7 @@
 
 `python -m benchmarks.scoring` (half a minute). Aims, on one core: 2 ms to count a forecast, and 20 x faster than
 scikit-learn's functions for the same cells (F1, average precision, Brier score, log loss and the histogram of each
-stratum and step).
+stratum and step); 5 ms for the sums over neighbourhoods without truth, and 5 ms along 720 beams.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from __future__ import annotations
 import argparse
 import tempfile
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -18,9 +19,13 @@ from sklearn.metrics import average_precision_score, brier_score_loss, f1_score,
 
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec
+from gridtrack.common.scan import Scan
 from gridtrack.evaluation.results.columns import PROBABILITY_EDGES
+from gridtrack.evaluation.scoring.beam_errors import beam_errors
 from gridtrack.evaluation.scoring.counting import count_forecast
 from gridtrack.evaluation.scoring.motion import parts_of
+from gridtrack.evaluation.scoring.neighbourhoods import sum_neighbourhoods
+from gridtrack.evaluation.scoring.returned_beams import returned_beams
 from gridtrack.evaluation.scoring.score_store import ScoreWriter
 from gridtrack.evaluation.scoring.semantics import count_classes, count_found, match_classes
 from gridtrack.evaluation.scoring.strata import (
@@ -35,6 +40,7 @@ from gridtrack.evaluation.scoring.strata import (
 )
 from gridtrack.evaluation.scoring.target import HIDDEN_FREE, NOT_SCORED, SEEN_FREE, SEEN_OCCUPIED, Target
 from gridtrack.evaluation.scoring.thresholds import half
+from gridtrack.recordings.observation import Observation
 
 from benchmarks.timing import median_ms
 
@@ -96,11 +102,19 @@ def main() -> None:
         "spread thin": rng.beta(0.3, 3.0, (STEPS + 1, SIZE, SIZE)).astype(np.float32),
         "zeros and ones": (rng.random((STEPS + 1, SIZE, SIZE)) < 0.03).astype(np.float32),
     }
+    scan = Scan(0, rng.uniform(3.0, 9.0, 720).astype(np.float32), 0.0, np.pi / 720, 0.1, 30.0)
+    pose = SE2(0.0, 1.0)
+    beams = returned_beams(Observation(targets(rng, False)[0].frame, (scan,), (pose,)), GRID)
     for strata, truth in ((STRATA, False), (STRATA_WITH_TRUTH, True)):
         region_maps, observed = street(strata), targets(rng, truth)
         for name, occupancy in forecasts.items():
             ms = median_ms(lambda o=occupancy, c=observed, a=region_maps: count_forecast(o, c, a, ages), 200)
             print(f"count a forecast, {len(strata):2} strata of {REGIONS} regions, {name:14}: {ms:7.2f} ms")
+            ms = median_ms(lambda o=occupancy, c=observed, a=region_maps: sum_neighbourhoods(o, c, a, ages), 100)
+            print(f"  its sums over neighbourhoods: {ms:.2f} ms")
+            seen = [replace(target, beams=beams) for target in observed]
+            ms = median_ms(lambda o=occupancy, c=seen, a=region_maps: beam_errors(o, c, a, GRID.cell_m), 100)
+            print(f"  its errors along {len(beams.ranges)} beams: {ms:.2f} ms")
     returns, chosen = observed[0].frame.occupied, rng.random(GRID.shape) < 0.3
     ms = median_ms(lambda: parts_of(chosen, returns, region_maps.dynamic, GRID), 200)
     print(f"find the parts of a frame with {returns.sum()} returns: {ms:.2f} ms")

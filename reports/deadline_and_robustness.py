@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from gridtrack.evaluation.results.passes import Deadline
 from gridtrack.evaluation.results.values import Curves
-from gridtrack.reports.figures import Axis, Series
+from gridtrack.reports.figures import Series
+from gridtrack.reports.sweeps import SweepPanel, series_of, sweep_panel
 from gridtrack.reports.table import MAIN_STRATUM, HeadlineTable, TableColumn, TableRow
 
 SWEEP_STRATA = (MAIN_STRATUM, "visible")
-SWEEP_SIZE = (270, 180)
-"""Width and height of a panel, in SVG user units."""
 DEGRADATION_TEXTS = {
     "beam_dropout": ("beams without a return", ""),
     "range_noise": ("range noise", " m"),
@@ -23,27 +21,6 @@ DEGRADATION_TEXTS = {
 """The name of each kind of degradation on the page, and its unit of measurement."""
 HIGHEST_HZ = 1000.0
 """Higher rates are shown as `> 1000`: no stream has them."""
-
-
-@dataclass(frozen=True)
-class SweepPanel:
-    """F1 of every tracker at each value of a condition; the most difficult value is at the right."""
-
-    title: str
-    series: tuple[tuple[Series, tuple[float | None, ...]], ...]
-    ticks: tuple[tuple[float, str], ...]
-    y_ticks: tuple[tuple[float, str], ...]
-    lines: tuple[tuple[Series, str, tuple[tuple[float, float], ...]], ...]
-    """Series, SVG path and points of each line."""
-    x: Axis
-    width: int = SWEEP_SIZE[0]
-    height: int = SWEEP_SIZE[1]
-
-    @property
-    def words(self) -> str:
-        """The panel in words: the first and the last value of each line."""
-        ends = [f"{s.name} from {_score_text(values[0])} to {_score_text(values[-1])}" for s, values in self.series]
-        return f"F1, {self.title}: {', '.join(ends)}"
 
 
 @dataclass(frozen=True)
@@ -83,7 +60,7 @@ class RobustnessTable:
     @property
     def series(self) -> tuple[Series, ...]:
         """Every tracker that a panel shows, once."""
-        return tuple(dict.fromkeys(series for panel in self.panels for series, _ in panel.series))
+        return series_of(self.panels)
 
 
 def deadline_table(table: HeadlineTable, styles: Mapping[str, str]) -> DeadlineTable | None:
@@ -106,6 +83,7 @@ def deadline_table(table: HeadlineTable, styles: Mapping[str, str]) -> DeadlineT
     names = ("untimed", *(f"×{rate:g}" for rate, _ in rates))
     panels = tuple(
         sweep_panel(
+            "F1",
             f"{stratum} cells, {column.heading} ahead",
             [(float(i), name) for i, name in enumerate(names)],
             [
@@ -136,6 +114,7 @@ def robustness_table(table: HeadlineTable, styles: Mapping[str, str]) -> Robustn
             words, unit = DEGRADATION_TEXTS.get(kind, (kind, ""))
             panels.append(
                 sweep_panel(
+                    "F1",
                     f"{stratum} cells; {words}",
                     [(value, f"{value:.3g}{unit if value == values[-1] else ''}") for value in values],
                     [
@@ -153,32 +132,5 @@ def _first_of_f1(table: HeadlineTable) -> TableColumn:
     return next(column for column in table.columns if column.score == "f1")
 
 
-def sweep_panel(
-    title: str, ticks: Sequence[tuple[float, str]], series: Sequence[tuple[Series, Sequence[float | None]]]
-) -> SweepPanel:
-    """Lay out one line for each tracker over the values of `ticks`; the axis of F1 ends at the highest value of all."""
-    width, height = SWEEP_SIZE
-    highest = max((value for _, values in series for value in values if value is not None), default=0.0)
-    top = max(math.ceil(highest * 10) / 10, 0.1)
-    x = Axis(ticks[0][0], ticks[-1][0], 34.0, width - 22.0)
-    y = Axis(0.0, top, height - 26.0, 10.0)
-    lines = []
-    for one, values in series:
-        at = tuple((x(value), y(f1)) for (value, _), f1 in zip(ticks, values, strict=True) if f1 is not None)
-        lines.append((one, " ".join(f"{a:g},{b:g}" for a, b in at), at))
-    return SweepPanel(
-        title,
-        tuple((one, tuple(values)) for one, values in series),
-        tuple((x(value), words) for value, words in ticks),
-        tuple((y(top * share), f"{top * share:.2g}") for share in (0.0, 0.5, 1.0)),
-        tuple(lines),
-        x,
-    )
-
-
 def _f1_at(f1: Curves, stratum: str, step: int) -> float | None:
     return f1[stratum][step] if stratum in f1 else None
-
-
-def _score_text(value: float | None) -> str:
-    return "undefined" if value is None else f"{value:.3f}"

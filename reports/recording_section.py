@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
+from gridtrack.common.grid import GridSpec
 from gridtrack.evaluation.results.passes import Latency
 from gridtrack.evaluation.results.trial_summary import StratumScores, TrialSummary
 from gridtrack.reports.ceiling import CeilingTable, ceiling_table
@@ -17,6 +18,7 @@ from gridtrack.reports.occluded import OccludedTable, occluded_table
 from gridtrack.reports.occluded_thresholds import OccludedThresholds, occluded_thresholds
 from gridtrack.reports.reliability import DIAGRAM_SIDE, LEAST_CELLS, ReliabilityDiagram, reliability_diagrams
 from gridtrack.reports.run import Run
+from gridtrack.reports.spatial import SpatialSection, spatial_section
 from gridtrack.reports.table import MAIN_STRATUM, HeadlineTable, TableRow
 from gridtrack.reports.trainings import TrainingsTable, trainings_table
 
@@ -94,6 +96,7 @@ class Section:
     occluded: OccludedTable | None
     occluded_thresholds: OccludedThresholds | None
     classes: ClassTables | None
+    spatial: SpatialSection | None
     reliability_diagrams: tuple[ReliabilityDiagram, ...]
     diagram_side: float = DIAGRAM_SIDE
     least_cells: int = LEAST_CELLS
@@ -128,7 +131,8 @@ def styles_of(runs: Sequence[Run]) -> dict[str, str]:
 def section_of(runs: Sequence[Run], table: HeadlineTable, styles: Mapping[str, str]) -> tuple[Section, tuple[str, ...]]:
     """The section of one recording, and notices of files that could not be read. Raises ReportError."""
     shown = [run for run in runs if table.recording in run.summary.recordings]
-    period_ms = shown[0].summary.recordings[table.recording].period_s * 1e3
+    described = shown[0].summary.recordings[table.recording]
+    period_ms = described.period_s * 1e3
     scale = time_scale(_latency_quantiles(table.rows), period_ms, TIME_WIDTH)
     horizons, thresholds = _thresholds(table)
     filmstrip, notices = _filmstrip(runs, table)
@@ -151,6 +155,7 @@ def section_of(runs: Sequence[Run], table: HeadlineTable, styles: Mapping[str, s
         occluded=occluded_table(table),
         occluded_thresholds=occluded_thresholds(table, runs[0] if len(runs) == 1 else None),
         classes=class_tables(table, runs[0] if len(runs) == 1 else None),
+        spatial=spatial_section(table, GridSpec.parse(described.grid).cell_m, styles),
         reliability_diagrams=diagrams,
     )
     return section, (*notices, *unreadable)

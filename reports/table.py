@@ -13,6 +13,8 @@ from gridtrack.evaluation.statistics.score_intervals import HEADLINE_HORIZONS_S,
 from gridtrack.reports.markdown import cell_text, markdown_table
 from gridtrack.reports.run import UNDEFINED, ReportError, Run
 
+FORGIVING = "fss_5"
+"""The score that forgives a few cells in the table: the others are in a section of their own."""
 DETAIL_HORIZON_S = 1.0
 """The horizon of the other scores, by which the rows are sorted too."""
 MAIN_STRATUM = HEADLINE_STRATA[0]
@@ -50,9 +52,9 @@ class TableColumn:
         return None if scores is None else scores.at(self.score, self.step)
 
     def interval_of(self, trial: TrialSummary) -> tuple[float, float] | None:
-        """The confidence interval of an F1 or a PR-AUC; None where there is none, and for every other score."""
+        """The confidence interval of an F1, PR-AUC or FSS; None where there is none, and for every other score."""
         scores = trial.strata.get(self.stratum)
-        if scores is None or self.score not in ("f1", "pr_auc"):
+        if scores is None or self.score not in ("f1", "pr_auc", FORGIVING):
             return None
         low, high = (scores.at(f"{self.score}_{end}", self.step) for end in ("low", "high"))
         return None if low is None or high is None else (low, high)
@@ -147,7 +149,8 @@ def main_tables(tables: Sequence[HeadlineTable]) -> Sequence[HeadlineTable]:
 
 def _headline_table(runs: Sequence[Run], recording: str) -> HeadlineTable:
     shown = [run for run in runs if recording in run.summary.recordings]
-    columns = tuple(_columns(_common_horizons(shown, recording), _has_intervals(shown, recording)))
+    intervals, forgiving = (_has_any(shown, recording, score) for score in ("f1_low", FORGIVING))
+    columns = tuple(_columns(_common_horizons(shown, recording), intervals, forgiving))
     decisive = next(i for i, column in enumerate(columns) if column.step == columns[-1].step)
     rows = [
         _table_row(run.name if len(runs) > 1 else "", label, entry, entry.recordings[recording], columns)
@@ -187,15 +190,15 @@ def _same_frames(runs: Sequence[Run], recording: str) -> bool:
     return all(stretch.parity for stretch, _ in described) and described.count(described[0]) == len(described)
 
 
-def _has_intervals(runs: Sequence[Run], recording: str) -> bool:
-    """Whether any row has intervals, which it has from LEAST_UNITS statistical units on."""
+def _has_any(runs: Sequence[Run], recording: str, curve: str) -> bool:
+    """Whether any row has this curve: intervals it has from LEAST_UNITS statistical units on."""
     trials = [
         e.recordings[recording] for run in runs for e in run.summary.trackers.values() if recording in e.recordings
     ]
-    return any(scores.f1_low is not None for trial in trials for scores in trial.strata.values())
+    return any(getattr(scores, curve) is not None for trial in trials for scores in trial.strata.values())
 
 
-def _columns(horizons_s: Sequence[float], intervals: bool) -> Iterator[TableColumn]:
+def _columns(horizons_s: Sequence[float], intervals: bool, forgiving: bool) -> Iterator[TableColumn]:
     """F1 at the headline horizons (at the last horizon where the run reaches none), and the other scores at one.
 
     Without intervals a score that needs no threshold is first: few frames choose a threshold poorly.
@@ -218,6 +221,8 @@ def _columns(horizons_s: Sequence[float], intervals: bool) -> Iterator[TableColu
     yield TableColumn(group, "recall", MAIN_STRATUM, "recall", step, 0)
     if intervals:
         yield TableColumn(group, "PR-AUC", MAIN_STRATUM, "pr_auc", step)
+    if forgiving:
+        yield TableColumn(group, f"FSS, {FORGIVING[-1]} cells", MAIN_STRATUM, FORGIVING, step)
     yield TableColumn(group, "log loss", MAIN_STRATUM, "nll", step, -1)
     yield TableColumn(group, "Brier", MAIN_STRATUM, "brier", step, -1)
 

@@ -10,13 +10,16 @@ from gridtrack.common.grid import GridFrame, GridSpec
 from gridtrack.evaluation.results.passes import Latency, Quantiles
 from gridtrack.evaluation.results.recording import RecordingDescription
 from gridtrack.evaluation.results.trial_record import TrialRecord
+from gridtrack.evaluation.scoring.beam_errors import beam_errors
 from gridtrack.evaluation.scoring.counting import count_forecast
 from gridtrack.evaluation.scoring.moments import moments
 from gridtrack.evaluation.scoring.motion import ObservedMotion
+from gridtrack.evaluation.scoring.neighbourhoods import sum_neighbourhoods
 from gridtrack.evaluation.scoring.referee import ScoredForecast
 from gridtrack.evaluation.scoring.regions import Regions
 from gridtrack.evaluation.scoring.samples import SAMPLES, SampleWriter
 from gridtrack.evaluation.scoring.score_store import ScoreWriter
+from gridtrack.evaluation.scoring.spatial_store import SpatialWriter
 from gridtrack.evaluation.scoring.strata import STRATA
 from gridtrack.evaluation.scoring.thresholds import Thresholds, bins_of
 from gridtrack.evaluation.scoring.world_kinds import observed_kinds
@@ -109,6 +112,7 @@ def write_trial(run, label, tracker, forecast, scored=EXPECTED, outcome="ok", re
     thresholds = Thresholds(bins_of(values), chosen_on)
     with (
         ScoreWriter(folder, STEPS, thresholds) as scores,
+        SpatialWriter(folder, STEPS, STRATA) as spatial,
         SampleWriter(folder / SAMPLES, GRID, PERIOD_S, STEPS) as samples,
     ):
         for t in list(range(WARM_UP, FRAMES - STEPS, EVERY))[:scored]:
@@ -116,6 +120,8 @@ def write_trial(run, label, tracker, forecast, scored=EXPECTED, outcome="ok", re
             one = ScoredForecast(Forecast(forecast(t)), targets, MOMENTS[t].region_maps, JUST_SEEN)
             counted = count_forecast(one.forecast.occupancy, targets, one.region_maps)
             scores.add(one.stamp_ns, f"{t:032x}", counted, one.frames[-1].stamp_ns)
+            sums = sum_neighbourhoods(one.forecast.occupancy, targets, one.region_maps, JUST_SEEN)
+            spatial.add(one.stamp_ns, sums, beam_errors(one.forecast.occupancy, targets, one.region_maps, GRID.cell_m))
             samples.add(one)
     record = TrialRecord(
         schema=2,

@@ -11,8 +11,7 @@ import pytest
 from gridtrack.evaluation.results.files import RunError
 from gridtrack.evaluation.scoring.strata import STRATA
 from gridtrack.recordings.degradation import Degradation
-from gridtrack.reports.deadline_and_robustness import DEGRADATION_TEXTS, sweep_panel
-from gridtrack.reports.figures import Series
+from gridtrack.reports.deadline_and_robustness import DEGRADATION_TEXTS
 from gridtrack.reports.page import render_page
 from gridtrack.reports.run import read_runs
 
@@ -124,14 +123,3 @@ def test_every_kind_of_degradation_has_a_text_and_a_row_in_the_documentation():
 def test_names_are_escaped(page_of):
     robustness = ROBUSTNESS | {"kinds": {"<script>": ROBUSTNESS["kinds"]["range_noise"]}}
     assert "<script>" not in page_of(None, robustness)
-
-
-def test_a_panel_reaches_from_zero_to_the_highest_score():
-    panel = sweep_panel(
-        "dynamic", [(0.0, "0"), (2.0, "2")], [(Series("a", "t0"), (0.24, None)), (Series("b", "t1"), (0.1, 0.3))]
-    )
-    assert [words for _, words in panel.y_ticks] == ["0", "0.15", "0.3"]
-    (_, _, only), (_, _, both) = panel.lines
-    assert len(only) == 1
-    assert both[1] == (panel.x.end, panel.y_ticks[2][0])
-    assert panel.words == "F1, dynamic: a from 0.240 to undefined, b from 0.100 to 0.300"

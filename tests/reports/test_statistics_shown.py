@@ -99,7 +99,7 @@ def test_log_loss_and_pr_auc_stand_below_f1_with_uncorrected_p_and_no_verdict(ru
 
 def test_the_page_draws_a_band_round_every_curve_that_has_an_interval(page):
     together = page.partition('<details><summary class="name">')[0]
-    assert together.count('class="band"') == 5 * 4
+    assert together.count('class="band"') == 5 * 4 + 6 * 4, "F1 in five strata; FSS in two at three horizons"
     assert 'class="band"' not in page[len(together) :]
 
 
