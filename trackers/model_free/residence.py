@@ -8,14 +8,14 @@ both queues and moving sides.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, Mask, Shift, rolled, shift_between
-from gridtrack.trackers.site_map import SiteMap
+from gridtrack.trackers.model_free.open_cells import OpenCells
 
 Ages = NDArray[np.int64]
 
@@ -44,24 +44,28 @@ def next_ages(ages: Ages, occupied: Mask, oldest: int, periods: int = 1) -> Ages
 
 
 def fit_residence(
-    stretches: Iterable[Iterable[GridFrame]], open_cells: SiteMap, shape: tuple[int, int], cell_m: float
+    stretches: Iterable[Iterable[GridFrame]],
+    open_cells: Callable[[], OpenCells],
+    shape: tuple[int, int],
+    cell_m: float,
 ) -> NDArray[np.float32]:
     """Life table of `shape` (A, S), float32: P(a return is in place after s steps | its age is a frames).
 
-    Counted over the returns in `open_cells` whose cell is visible s steps later; a return is in place if its cell or
-    one of the eight neighbours is occupied. The table does not increase with s.
+    Counted over the returns in open cells, of `open_cells()` for each stretch, whose cell is visible s steps later; a
+    return is in place if its cell or one of the eight neighbours is occupied. The table does not increase with s.
     """
     oldest = shape[0] - 1
     at_risk, stayed = np.full(shape, PRIOR_RETURNS), np.zeros(shape)
     for frames in stretches:
         past: deque[Ages] = deque(maxlen=shape[1])
+        opened = open_cells()
         window: SE2 | None = None
         for frame in frames:
             shift = Shift() if window is None else shift_between(window, frame.world_T_grid, cell_m)
             window = frame.world_T_grid
             if shift:
                 past = deque((rolled(ages, shift, NOT_OCCUPIED) for ages in past), shape[1])
-            occupied = frame.occupied & open_cells.at(window)
+            occupied = frame.occupied & opened.of(frame)
             before = past[0] if past else np.full(occupied.shape, NOT_OCCUPIED)
             past.appendleft(next_ages(before, occupied, oldest))
             near = _neighbourhood_maximum(occupied.astype(np.int64)) > 0

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from gridtrack.trackers.contract import FitOutput, FrameSource, Score
 from gridtrack.trackers.model_free.background import fit_background
+from gridtrack.trackers.model_free.open_cells import OpenCells, OpenOnMap, OpenSoFar
 from gridtrack.trackers.model_free.residence import fit_residence, table_shape
 from gridtrack.trackers.model_free.settings import PipelineSettings
 from gridtrack.trackers.searched_fit import SettingsSearch, fit_searched
@@ -79,10 +80,14 @@ def fit_arrays(
     train: Sequence[FrameSource], options: PipelineSettings, report: Callable[[str], None]
 ) -> dict[str, NDArray[np.float32]]:
     """The counted arrays: the background map, and the life table of the returns in open cells."""
-    grid = train[0].grid
+    grid, period_s = train[0].grid, train[0].period_s
     background, moves = fit_background(train, grid.cell_m)
     if moves:
         report(NO_MAP)
-    open_cells = SiteMap(background.neighbourhood_rate < options.explained_above, True, grid.cell_m)
-    residence = fit_residence(train, open_cells, table_shape(train[0].period_s), grid.cell_m)
+    on_map = SiteMap(background.neighbourhood_rate < options.explained_above, True, grid.cell_m)
+
+    def open_cells() -> OpenCells:
+        return OpenSoFar(grid, period_s, 1.0 - options.explained_above) if moves else OpenOnMap(on_map)
+
+    residence = fit_residence(train, open_cells, table_shape(period_s), grid.cell_m)
     return {**background._asdict(), "residence": residence}

@@ -15,6 +15,7 @@ from gridtrack.trackers import searched_fit
 from gridtrack.trackers.contract import FitOutput, StreamSpec, StretchScore
 from gridtrack.trackers.model_free.background import OUTSIDE_MAP
 from gridtrack.trackers.model_free.kalman import KalmanTracker
+from gridtrack.trackers.model_free.open_cells import OpenOnMap
 from gridtrack.trackers.model_free.residence import fit_residence
 from gridtrack.trackers.model_free.settings import ModelFreeSettings, PipelineSettings
 from gridtrack.trackers.site_map import SiteMap
@@ -187,10 +188,15 @@ def test_training_on_a_moving_sensor_learns_no_map_and_reports_it(tmp_path, monk
     arrays = load_weights(stream, "kalman").arrays
     assert np.ptp(arrays["occupancy_rate"]) == 0.0
     assert (arrays["neighbourhood_rate"] == OUTSIDE_MAP).all()
+    assert arrays["residence"][0, 1] > 0.05  # counted in cells that were open before
     tracker = KalmanTracker(stream, PipelineSettings())
     for frame in Driven():
         tracker.update(frame)
     assert np.isfinite(tracker.predict(3).occupancy).all()
+
+
+def open_everywhere():
+    return OpenOnMap(SiteMap(np.ones(GRID.shape, bool), True, GRID.cell_m))
 
 
 def test_residence_and_calibration_are_counted_in_the_world():
@@ -202,7 +208,6 @@ def test_residence_and_calibration_are_counted_in_the_world():
         frames = [
             scrolled(frame, Shift(-moves * (step // 5), moves * (step // 2)), GRID) for step, frame in enumerate(still)
         ]
-        everywhere = SiteMap(np.ones(GRID.shape, bool), True, GRID.cell_m)
-        tables.append(fit_residence([frames] * 40, everywhere, (6, 6), GRID.cell_m))
+        tables.append(fit_residence([frames] * 40, open_everywhere, (6, 6), GRID.cell_m))
     assert tables[0][5, 5] > 0.9
     assert tables[1] == pytest.approx(tables[0])
