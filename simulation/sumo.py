@@ -84,7 +84,7 @@ def run_sumo(
     arguments = {
         "net-file": str(network),
         "route-files": str(demand),
-        "additional-files": ",".join(map(str, additional)),
+        **({"additional-files": ",".join(map(str, additional))} if additional else {}),
         "begin": "0",
         "end": f"{span_s[1]:g}",
         "seed": str(seed),
@@ -94,7 +94,7 @@ def run_sumo(
         "error-log": str(errors),
     }
     options = [f"--{name}={value}" for name, value in (OPTIONS | arguments).items()]
-    command = [str(_sumo_program()), *options, "--no-step-log", "--no-warnings"]
+    command = [str(sumo_program("sumo")), *options, "--no-step-log", "--no-warnings"]
     from traci.exceptions import FatalTraCIError, TraCIException
 
     try:
@@ -102,6 +102,11 @@ def run_sumo(
     except (FatalTraCIError, TraCIException) as error:
         reason = _first_error(errors) or error
         raise SimulationError(f"SUMO failed with seed {seed}: {reason}; try another seed") from error
+    with output.open() as positions:
+        if "vehicle_id" not in positions.readline():
+            raise SimulationError(
+                f"no road user in {span_s[0]:g} to {span_s[1]:g} s with seed {seed}: try another seed"
+            )
     return _read(output, span_s)
 
 
@@ -109,17 +114,18 @@ def sumo_version() -> str:
     """The version of the installed SUMO. Raises ConfigurationError."""
     from importlib.metadata import version
 
-    _sumo_program()
+    sumo_program("sumo")
     return version("eclipse-sumo")
 
 
-def _sumo_program() -> Path:
+def sumo_program(name: str) -> Path:
+    """The path of a program of SUMO. Raises ConfigurationError."""
     try:
         import sumo
         import traci  # noqa: F401
     except ImportError:
         raise ConfigurationError("simulating traffic needs SUMO: pip install 'gridtrack[sim]'") from None
-    return Path(sumo.SUMO_HOME) / "bin" / "sumo"
+    return Path(sumo.SUMO_HOME) / "bin" / name
 
 
 def _simulate(command: list[str], end_s: float, observer: TrafficObserver) -> None:

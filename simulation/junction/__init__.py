@@ -155,7 +155,7 @@ def _tracks(info: TracksInfo, movements: Movements, first_step: int) -> Tracks:
         kind = demand.ROAD_USER_TYPES[movements.kind[movements.user[rows.start]]]
         users[rows] = number
         walks = kind.label == "pedestrian"
-        poses[rows] = _pedestrian_poses(movements, rows) if walks else _vehicle_poses(movements, rows, kind)
+        poses[rows] = pedestrian_poses(movements, rows) if walks else vehicle_poses(movements, rows, kind)
     kinds = [demand.ROAD_USER_TYPES[name] for name in movements.kind]
     frame = movements.step - first_step
     kept = (frame >= 0) & (frame < info.frames)
@@ -171,13 +171,13 @@ def _tracks(info: TracksInfo, movements: Movements, first_step: int) -> Tracks:
     )
 
 
-def _pedestrian_poses(movements: Movements, rows: slice) -> NDArray[np.float64]:
+def pedestrian_poses(movements: Movements, rows: slice) -> NDArray[np.float64]:
     """Poses (n, 3), smoothed: pedestrians of JuPedSim sway and turn on the spot."""
     position = smoothed(movements.position[rows], WALKING_STD_STEPS)
     return np.column_stack([position, headings(position, STEP_S, WALKING_STD_STEPS)])
 
 
-def _vehicle_poses(movements: Movements, rows: slice, kind: demand.RoadUserType) -> NDArray[np.float64]:
+def vehicle_poses(movements: Movements, rows: slice, kind: demand.RoadUserType) -> NDArray[np.float64]:
     """Poses (n, 3) of the centre, from the front bumper. Vehicles of SUMO turn on the spot: here the rear follows."""
     front = smoothed(movements.position[rows], ROLLING_STD_STEPS)
     heading = trailing_headings(front, WHEELS_BEHIND * kind.length_m, float(movements.heading[rows.start]))

@@ -50,7 +50,7 @@ def routes() -> str:
     """The demand in the XML of SUMO."""
     ways = {a + b: STRAIGHT_SHARE.get(a + b, 1.0) for a in ARMS for b in ARMS if a != b}
     whole = sum(ways.values())
-    lines = ["<routes>", *_types()]
+    lines = ["<routes>", *road_user_types()]
     for way, weight in ways.items():
         lines.append(_flow("car", way, CARS * weight / whole))
         lines.append(_flow("cyclist", way, CYCLISTS * weight / whole))
@@ -59,8 +59,8 @@ def routes() -> str:
     return "\n".join([*lines, "</routes>\n"])
 
 
-def _types() -> list[str]:
-    """One distribution of vehicle types for each class."""
+def road_user_types() -> list[str]:
+    """One distribution of vehicle types for each class, in the XML of SUMO."""
     lines = []
     for label in dict.fromkeys(kind.label for kind in ROAD_USER_TYPES.values()):
         lines.append(f'<vTypeDistribution id="{label}">')

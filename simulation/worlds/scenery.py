@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from shapely import Polygon
 from shapely.geometry.base import BaseGeometry
 
+from gridtrack.common.geometry import SE2
 from gridtrack.simulation.tracks import Corner
 
 Corners = tuple[Corner, ...]
@@ -33,13 +34,32 @@ class Thing:
     dark: bool = False
 
 
+@dataclass(frozen=True)
+class Parked:
+    """A road user that stands for good: its class, the pose of its centre, its length and width."""
+
+    label: str
+    pose: SE2
+    size_m: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Lane:
+    """The way (n, 2) of vehicles of a class, and how fast they go at most; nothing stands on one that is `clear`."""
+
+    label: str
+    way: NDArray[np.float64]
+    speed: float
+    clear: bool = True
+
+
 @dataclass
 class Scenery:
     """The things in an area, in metres.
 
     `inside` is the ground that a laser may stand on and that people go about in; `thresholds` extend it to where doors
     lead. Nobody walks on the grounds `blocked`; by `doors` people come and go; on `seats` (x, y, heading) somebody may
-    sit; `lanes` are the paths of vehicles, each with the class that uses it.
+    sit; vehicles use `lanes`, and some are `parked`.
     """
 
     inside: Polygon
@@ -48,7 +68,8 @@ class Scenery:
     blocked: list[BaseGeometry] = field(default_factory=list)
     doors: list[Corner] = field(default_factory=list)
     seats: list[tuple[float, float, float]] = field(default_factory=list)
-    lanes: list[tuple[str, NDArray[np.float64]]] = field(default_factory=list)
+    lanes: list[Lane] = field(default_factory=list)
+    parked: list[Parked] = field(default_factory=list)
 
     def add(
         self,

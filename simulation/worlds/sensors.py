@@ -52,7 +52,7 @@ PRODUCTS = (
     LaserProduct(360, 1440, 30.0, 10, 0.01, 0.0005, 0.001),  # RPLIDAR S2
     LaserProduct(360, 900, 80.0, 10, 0.012, 0.0002, 0.002),  # one ring of a Velodyne
 )
-OUTDOOR_RANGE_M = 11.0
+OUTDOOR_RANGE_M = 16.0
 
 
 @dataclass(frozen=True)
@@ -118,22 +118,23 @@ def _draw_errors(random: np.random.Generator, one: LaserProduct) -> LaserErrors:
 def standing_pose(
     sensor: WorldSensor, outlines: list[Outline], candidates: list[Corner], random: np.random.Generator
 ) -> SE2:
-    """The pose among some places with a wide view, looking where the view is widest."""
+    """A pose among some places, but for those with the narrowest view, looking where the view is wide."""
     scene = Scene(tuple(outlines), UNLABELLED, ())
-    views = [_widest(scene, sensor, at, float(random.uniform(0.0, math.tau))) for at in candidates]
-    best = sorted(views, key=lambda view: -view[0])[: max(len(views) // 2, 1)]
+    views = [_wide(scene, sensor, at, random) for at in candidates]
+    best = sorted(views, key=lambda view: -view[0])[: max(len(views) * 2 // 3, 1)]
     return best[random.integers(len(best))][1]
 
 
-def _widest(scene: Scene, sensor: WorldSensor, at: Corner, any_heading: float) -> tuple[float, SE2]:
-    """The mean range in the best direction, and the pose that looks there."""
+def _wide(scene: Scene, sensor: WorldSensor, at: Corner, random: np.random.Generator) -> tuple[float, SE2]:
+    """The mean range in one of the better directions, and the pose that looks there."""
     reach_m = GRID_CELLS * sensor.cell_m
     turn = math.tau / TRY_BEAMS
     ranges, _ = sweep(scene, SE2(*at, 0.0), 0.0, turn, TRY_BEAMS, reach_m)
     seen = np.minimum(ranges.astype(np.float64), reach_m)
     if sensor.view_rad > math.radians(300.0):
-        return float(seen.mean()), SE2(*at, any_heading)
+        return float(seen.mean()), SE2(*at, float(random.uniform(0.0, math.tau)))
     half = round(sensor.view_rad / 2.0 / turn)
     means = [float(np.take(seen, np.arange(k - half, k + half + 1), mode="wrap").mean()) for k in range(TRY_BEAMS)]
-    best = int(np.argmax(means))
-    return means[best], SE2(*at, best * turn)
+    better = np.argsort(means, kind="stable")[TRY_BEAMS * 2 // 3 :]
+    chosen = int(better[random.integers(len(better))])
+    return means[chosen], SE2(*at, chosen * turn)

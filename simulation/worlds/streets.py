@@ -1,0 +1,197 @@
+"""Streets and crossings of unlike shape, with houses along them, and a laser beside the way or on a robot."""
+
+from __future__ import annotations
+
+import math
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import shapely
+import shapely.affinity
+from numpy.typing import NDArray
+from shapely import Polygon
+from shapely.geometry.base import BaseGeometry
+
+from gridtrack.common.geometry import SE2
+from gridtrack.common.scene import Outline
+from gridtrack.simulation.junction import pedestrian_poses, vehicle_poses
+from gridtrack.simulation.junction.demand import ROAD_USER_TYPES
+from gridtrack.simulation.motion import unbroken_tracks
+from gridtrack.simulation.sumo import STEP_S, Movements, SimulationError, run_sumo
+from gridtrack.simulation.worlds.compose import Mover, WorldView, straight_view
+from gridtrack.simulation.worlds.crowd import CROWD_STEP_S, MoverPath
+from gridtrack.simulation.worlds.networks import StreetNetwork
+from gridtrack.simulation.worlds.outdoors import random_point
+from gridtrack.simulation.worlds.plans import build
+from gridtrack.simulation.worlds.populate import DRIVING, odometry
+from gridtrack.simulation.worlds.scenery import Scenery, wall
+from gridtrack.simulation.worlds.sensors import WorldSensor, standing_pose
+from gridtrack.simulation.worlds.street_furniture import leaves, small_thing, tree
+
+FILLING_S, MARGIN_S = 60.0, 3.0
+"""From the empty streets to traffic, and simulated before and after the recording for the smoothing."""
+RATES = {"car": (0.08, 0.45), "bus": (0.0, 0.04), "cyclist": (0.04, 0.25), "pedestrian": (0.15, 0.5)}
+REACH_M = 70.0
+"""Houses are built that far from the middle."""
+BESIDE_M = (0.3, 2.0)
+"""Between a laser that stands and the streets' ground."""
+FREE_M = 0.6
+LEAST_MOVED_M = 5.0
+
+
+class Untouched:
+    """Observes the traffic without acting on it."""
+
+    every_s = 20.0
+
+    def start(self, traffic: Any) -> None:
+        """Nothing."""
+
+    def observe(self, traffic: Any) -> None:
+        """Nothing."""
+
+
+def streets(
+    crossing: bool, sensor: WorldSensor, seconds: float, seed: int, random: np.random.Generator
+) -> tuple[Scenery, list[Mover], WorldView]:
+    """A crossing, or a street between two, its traffic during `seconds`, and what watches.
+
+    Raises SimulationError where no traffic comes by, or nowhere is free for a laser.
+    """
+    span_s = (FILLING_S - MARGIN_S, FILLING_S + seconds + MARGIN_S)
+    with tempfile.TemporaryDirectory() as folder:
+        network = StreetNetwork(Path(folder), random)
+        middle = network.middle(crossing)
+        rates = {label: float(random.uniform(*ends)) for label, ends in RATES.items()}
+        demand = network.demand(rates, middle, random)
+        movements = run_sumo(Path(folder), network.path, demand, (), span_s, int(random.integers(1 << 30)), Untouched())
+        ground = network.ground()
+    movers = _movers(movements, random)
+    scenery = _scenery(ground, middle, random)
+    if random.random() < DRIVING:
+        carrier = _carrier(movers, middle, seconds)
+        view = WorldView(sensor, straight_view(movers[carrier].path), carrier, odometry(seed, 0.4, random))
+    else:
+        view = WorldView(sensor, _beside(scenery, ground, movers, middle, sensor, random))
+    return scenery, movers, view
+
+
+def _movers(movements: Movements, random: np.random.Generator) -> list[Mover]:
+    """The road users, with step 0 at the recording's first frame."""
+    found = []
+    for rows in unbroken_tracks(movements.user, movements.step):
+        kind = ROAD_USER_TYPES[movements.kind[movements.user[rows.start]]]
+        if rows.stop - rows.start < 8:
+            continue
+        walks = kind.label == "pedestrian"
+        poses = pedestrian_poses(movements, rows) if walks else vehicle_poses(movements, rows, kind)
+        times = movements.step[rows] * STEP_S - MARGIN_S
+        first, last = math.ceil(times[0] / CROWD_STEP_S), math.floor(times[-1] / CROWD_STEP_S)
+        at = np.arange(first, last + 1) * CROWD_STEP_S
+        x, y, heading = (np.interp(at, times, column) for column in (*poses.T[:2], np.unwrap(poses[:, 2])))
+        path = MoverPath(first, np.column_stack([x, y]), heading)
+        found.append(Mover(path, kind.label, (kind.length_m, kind.width_m), build(random) if walks else None))
+    return found
+
+
+def _scenery(ground: BaseGeometry, middle: NDArray[np.float64], random: np.random.Generator) -> Scenery:
+    """Houses, front gardens and what stands at the edge of the pavement."""
+    area = shapely.Point(middle).buffer(REACH_M)
+    scenery = Scenery(area)
+    blocks = area.difference(ground.buffer(random.uniform(0.2, 2.0)))
+    for lot in _lots(blocks, middle, random):
+        kind = random.random()
+        if kind < 0.75:
+            house = lot.buffer(-random.choice([0.0, 0.05, 0.4, 1.5]), join_style="mitre").simplify(0.05)
+            for part in getattr(house, "geoms", [house]):
+                if part.area > 4.0:
+                    scenery.add(list(part.exterior.coords)[:-1])
+        else:
+            for _ in range(random.poisson(lot.area / 25.0)):
+                x, y = random_point(lot, random)
+                if random.random() < 0.5:
+                    tree(scenery, x, y, random)
+                else:
+                    leaves(scenery, x, y, random.uniform(0.3, 1.0), random)
+    _pavement_edge(scenery, ground, random)
+    # Nothing on the ground that road users use.
+    scenery.things = [thing for thing in scenery.things if not Polygon(thing.corners).intersects(ground)]
+    return scenery
+
+
+def _pavement_edge(scenery: Scenery, ground: BaseGeometry, random: np.random.Generator) -> None:
+    """Posts, trees, low walls and fences along the streets."""
+    edge = ground.buffer(0.4).intersection(scenery.inside.buffer(-20.0)).boundary
+    spacing_m = random.uniform(4.0, 10.0)
+    for along in np.arange(0.0, edge.length, spacing_m):
+        if random.random() < 0.6:
+            at = edge.interpolate(along + random.uniform(-2.0, 2.0))
+            kind, end = random.random(), edge.interpolate(along + random.uniform(2.0, 7.0))
+            if kind < 0.35:
+                tree(scenery, at.x, at.y, random)
+            elif kind < 0.65:
+                small_thing(scenery, at.x, at.y, random.uniform(0.0, math.tau), random)
+            elif 1.0 < math.dist((at.x, at.y), (end.x, end.y)) < 8.0:
+                wall(scenery, (at.x, at.y), (end.x, end.y), random.choice([0.05, 0.25]))
+
+
+def _lots(blocks: BaseGeometry, middle: NDArray[np.float64], random: np.random.Generator) -> list[Polygon]:
+    """The blocks cut into lots, along a turned grid."""
+    turned = random.uniform(0.0, math.pi / 2)
+    sides = random.uniform(7.0, 18.0, 2)
+    found = []
+    ends = [np.arange(-REACH_M, REACH_M, side) for side in sides]
+    for x in ends[0]:
+        for y in ends[1]:
+            cell = shapely.box(x, y, x + sides[0], y + sides[1])
+            cell = shapely.affinity.rotate(cell, turned, origin=(0, 0), use_radians=True)
+            lot = shapely.affinity.translate(cell, *middle).intersection(blocks)
+            found += [part for part in getattr(lot, "geoms", [lot]) if isinstance(part, Polygon) and part.area > 4.0]
+    return found
+
+
+def _carrier(movers: list[Mover], middle: NDArray[np.float64], seconds: float) -> int:
+    """The pedestrian there all the time who moves and comes nearest to the middle: a robot takes his path."""
+    steps = math.ceil(seconds / CROWD_STEP_S)
+    best, best_m = -1, math.inf
+    for number, mover in enumerate(movers):
+        path = mover.path
+        if mover.label != "pedestrian" or path.first > 0 or path.first + len(path.heading) <= steps:
+            continue
+        recorded = path.position[-path.first : -path.first + steps]
+        moved_m = float(np.hypot(*(recorded[-1] - recorded[0])))
+        nearest_m = float(np.hypot(*(recorded - middle).T).min())
+        if moved_m > LEAST_MOVED_M and nearest_m < best_m:
+            best, best_m = number, nearest_m
+    if best < 0:
+        raise SimulationError("nobody walks through for so long")
+    return best
+
+
+def _beside(
+    scenery: Scenery,
+    ground: BaseGeometry,
+    movers: list[Mover],
+    middle: NDArray[np.float64],
+    sensor: WorldSensor,
+    random: np.random.Generator,
+) -> SE2:
+    """The pose of a laser at the edge of the streets, near the middle, where nobody comes."""
+    outlines: list[Outline] = [np.array(thing.corners, np.float32) for thing in scenery.at(sensor.plane_m)]
+    solid = shapely.union_all([Polygon(outline) for outline in outlines])
+    everywhere = np.concatenate([mover.path.position for mover in movers])
+    half_m = np.concatenate([np.full(len(mover.path.heading), mover.size_m[0] / 2.0) for mover in movers])
+    places: list[tuple[float, float]] = []
+    ring = ground.buffer(BESIDE_M[1]).intersection(shapely.Point(middle).buffer(11.0))
+    for _ in range(300):
+        x, y = random_point(ring, random)
+        clear = (np.hypot(*(everywhere - (x, y)).T) > half_m + FREE_M).all()
+        if clear and solid.distance(shapely.Point(x, y)) > BESIDE_M[0]:
+            places.append((x, y))
+        if len(places) == 16:
+            break
+    if not places:
+        raise SimulationError("nowhere is free for a laser")
+    return standing_pose(sensor, outlines, places, random)
