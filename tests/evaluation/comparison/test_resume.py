@@ -146,7 +146,8 @@ def test_a_changed_file_of_scores_is_refused_by_readers_and_scored_again_with_re
     run(resolve(settings("blank")), ("gridtrack", "compare"), progress)
     path = tmp_path / "run" / "blank@room" / "scores.parquet"
     record = read_trial_record(path.parent)
-    assert set(record.files) == {"scores.parquet", "histogram.parquet", "forecasts.mcap"}
+    tables = {"scores.parquet", "histogram.parquet", "neighbourhoods.parquet", "beams.parquet"}
+    assert set(record.files) == {*tables, "forecasts.mcap"}
     original = path.read_bytes()
     pl.read_parquet(path).with_columns(tp=pl.col("tp") + 1).write_parquet(path)
     for read in (read_runs, lambda paths: [measure_run(path) for path in paths]):

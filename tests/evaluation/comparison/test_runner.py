@@ -62,7 +62,8 @@ def test_a_run_writes_every_file_and_the_floor_has_its_known_scores(settings, pr
         assert result.outcome == "ok"
         assert result.frames_scored == result.frames_expected == len(range(20, 110 - 10, 5))
         folder = tmp_path / "run" / f"{label}@room"
-        assert {"outcome.json", "scores.parquet", "histogram.parquet", "forecasts.mcap", "stderr.log"} == {
+        spatial = {"neighbourhoods.parquet", "beams.parquet"}
+        assert spatial | {"outcome.json", "scores.parquet", "histogram.parquet", "forecasts.mcap", "stderr.log"} == {
             path.name for path in folder.iterdir()
         }
         assert set(result.strata) == {"visible", "dynamic", "static", "in-motion", "standing"}

@@ -9,16 +9,19 @@ from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec
 from gridtrack.common.scan import Scan
 from gridtrack.evaluation.comparison.oracle import Oracle
+from gridtrack.evaluation.results.columns import BEAM_ERROR_BINS
 from gridtrack.evaluation.scoring import metrics
+from gridtrack.evaluation.scoring.beam_errors import beam_errors
 from gridtrack.evaluation.scoring.counting import Tally, count_forecast
 from gridtrack.evaluation.scoring.moments import Moment
 from gridtrack.evaluation.scoring.motion import OnceFree
 from gridtrack.evaluation.scoring.referee import Delivery, Schedule, scored_forecasts
 from gridtrack.evaluation.scoring.regions import Regions, regions_of
-from gridtrack.evaluation.scoring.strata import AGES_S, CELL_KINDS, PARTS, LastSeen
+from gridtrack.evaluation.scoring.strata import AGES_S, CELL_KINDS, PARTS, STRATA, LastSeen
 from gridtrack.evaluation.scoring.target import NOT_SCORED, SEEN_FREE, SEEN_OCCUPIED
 from gridtrack.evaluation.scoring.thresholds import half
 from gridtrack.evaluation.scoring.world_kinds import KindsOfWindow, observed_kinds
+from gridtrack.evaluation.statistics.spatial_scores import median_size
 from gridtrack.recordings.observation import Observation
 from gridtrack.recordings.stream import open_stream
 from gridtrack.trackers.baselines.persistence import PersistenceTracker
@@ -131,6 +134,19 @@ def test_persistence_of_a_static_scene_is_right_from_a_sensor_that_drives(tmp_pa
     confusion = tally.confusion(half(STEPS).bins)[:, 0]
     assert confusion[10, 0] / confusion[10, [0, 2]].sum() > 0.9, "walls that come into view were not seen before"
     assert (f1["visible"] > 0.93).all()
+
+
+def test_beams_of_a_later_frame_start_where_the_sensor_is_by_then(tmp_path):
+    stream = open_stream(drive.write_recording(tmp_path / "d.mcap", 20, people=False))
+    delivery = Delivery(stream, lambda: None, regions_of(stream, STRATA))
+    sizes, driven = np.zeros(BEAM_ERROR_BINS, np.int64), 0.0
+    for scored in scored_forecasts(persistence(stream), delivery, Schedule(len(stream), STEPS, EVERY), 0):
+        now, later = (scored.targets[step].beams.starts[0] for step in (0, 10))
+        driven = max(driven, np.hypot(*(later - now)))
+        found = beam_errors(scored.forecast.occupancy, scored.targets, scored.region_maps, stream.grid.cell_m)
+        sizes += found.counts[10, STRATA.index("visible")]
+    assert driven > 3, "cells"
+    assert median_size(sizes) < stream.grid.cell_m / 2, "of a static scene persistence knows most walls"
 
 
 def test_the_oracle_of_a_drive_is_near_one_with_poses_that_are_perfect_and_with_noisy_ones(tmp_path):
