@@ -48,8 +48,11 @@ def train_command(
     seed: Annotated[int | None, typer.Option(help="Without it, the seed of the recipe or the card")] = None,
     grid: GridOption = None,
     rate: RateOption = None,
+    general: Annotated[
+        bool, typer.Option("--general", help="Learn for any place, from recordings of many places")
+    ] = False,
 ) -> None:
-    """Train a tracker for a site: its weights and settings, on a card with the command that repeats the training."""
+    """Train a tracker for a site or, with --general, for any: a card with the command that repeats the training."""
     from gridtrack.evaluation.comparison.recipe import complete_recipe
     from gridtrack.evaluation.comparison.train import train_tracker
 
@@ -60,6 +63,7 @@ def train_command(
         "seed": seed,
         "grid": grid,
         "rate_hz": rate,
+        "general": general or None,
     }
     overrides = {key: value for key, value in given.items() if value is not None}
     try:

@@ -92,8 +92,9 @@ class TableRow:
 
     @property
     def name(self) -> str:
-        """The label; where several runs are shown, with the name of the run before it."""
-        return f"{self.run}: {self.label}" if self.run else self.label
+        """The label, whether its weights are general, and before it the name of the run where there are several."""
+        label = f"{self.label} (general)" if "general" in self.trial.card else self.label
+        return f"{self.run}: {label}" if self.run else label
 
     @property
     def outcome(self) -> str:

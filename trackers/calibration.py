@@ -73,13 +73,13 @@ class Calibration:
 
 
 def fit_calibration(
-    stretches: Iterable[tuple[CalibratedTracker, Sequence[GridFrame]]], steps: int
+    stretches: Iterable[tuple[CalibratedTracker, Sequence[GridFrame], int]],
 ) -> NDArray[np.float32]:
     """Maximum-likelihood parameters (2, 3), from trackers without calibration, each on its frames.
 
-    Counted are their forecasts at steps 1..steps in the cells that are visible then.
+    Counted are their forecasts at steps 1 to the number of steps of each in the cells that are visible then.
     """
-    counts = sum((_counts(*stretch, steps) for stretch in stretches), np.zeros((2, 2, LEVELS + 1)))
+    counts = sum((_counts(*stretch) for stretch in stretches), np.zeros((2, 2, LEVELS + 1)))
     return np.array([_maximum_likelihood(total[1:-1], occupied[1:-1]) for total, occupied in counts], np.float32)
 
 

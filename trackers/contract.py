@@ -27,7 +27,8 @@ class StreamSpec:
     """The properties of a stream, known before its first frame.
 
     `grid` and `period_s` of the stream, its `site`, the `classes` its labels name, and `weights`: the settings file
-    (`.toml`, arrays in the `.safetensors` beside it) that this tracker's `fit` wrote for the site, or None.
+    (`.toml`, arrays in the `.safetensors` beside it) that this tracker's `fit` wrote for the site or, where there is
+    none, for any place; or None.
     `weights_sha256`: the hash of that file, which `load_weights` checks; "" where it is not known.
     """
 
@@ -122,6 +123,8 @@ class FitOutput:
     """One line for the user."""
     progress: Progress = field(default_factory=Progress)
     """The stages of `fit`; the host reports their rate and the time left every few seconds."""
+    general: bool = False
+    """Learn for any place: from recordings of many sites, grids and periods, and nothing of a place."""
 
 
 class Tracker(ABC):
@@ -139,7 +142,9 @@ class Tracker(ABC):
     """Whether it follows a sensor that moves: the window of its frames then moves by whole cells, by several where a
     frame was missed, and what it keeps of each cell has to move with it (`common.grid.rolled`)."""
     learns: ClassVar[bool] = False
-    """Whether `fit` must have run for the site before the tracker can be used."""
+    """Whether `fit` must have run, for the site or for any place, before the tracker can be used."""
+    learns_general: ClassVar[bool] = False
+    """Whether `fit` can learn for any place (`FitOutput.general`)."""
     role: ClassVar[Role] = "tracker"
     """A floor is a row that every tracker must beat, such as persistence."""
     reference_for: ClassVar[frozenset[ComparedPart]] = frozenset()

@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from gridtrack.common.errors import WeightsError
-from gridtrack.trackers.weights import Card, parse_card, read_arrays, save_weights
+from gridtrack.trackers.card import Card
+from gridtrack.trackers.weights import parse_card, read_arrays, save_weights
 
 
 class Renames(NamedTuple):

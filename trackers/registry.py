@@ -95,7 +95,7 @@ def _signature_breach(found: type[Tracker]) -> str:
 
 
 def _attribute_breach(found: type[Tracker]) -> str:
-    for flag in ("moving_sensor", "learns"):
+    for flag in ("moving_sensor", "learns", "learns_general"):
         if not isinstance(getattr(found, flag), bool):
             return f"{flag} is {getattr(found, flag)!r}; expected True or False"
     if found.role not in get_args(Role):

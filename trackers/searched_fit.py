@@ -7,6 +7,7 @@ result is calibrated on the same excerpts.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,6 +19,7 @@ from numpy.typing import NDArray
 
 from gridtrack.common.config import Settings
 from gridtrack.trackers.calibration import IDENTITY, CalibratedTracker, fit_calibration
+from gridtrack.trackers.card import card_for
 from gridtrack.trackers.contract import FitOutput, FrameSource, Score, StreamSpec, StretchScore, stream_of
 from gridtrack.trackers.tuning import (
     CachedSource,
@@ -28,11 +30,13 @@ from gridtrack.trackers.tuning import (
     step_of,
     stretch_summary,
 )
-from gridtrack.trackers.weights import card_for, save_interrupted, save_weights
+from gridtrack.trackers.weights import save_interrupted, save_weights
 
 SEARCH_ITERATIONS = 60
 EXCERPTS, EXCERPT_S = 4, 100.0
 """Number and duration of the excerpts of a long recording for the search; each is longer than a signal cycle."""
+PLACES, PLACE_EXCERPT_S = 24, 20.0
+"""Number of places of which general weights are searched on an excerpt, and its duration."""
 OBJECTIVE_HORIZONS_S = (0.5, 1.0, 2.0)
 OBJECTIVE_STRATA = ("dynamic", "visible")
 """The objective is the mean F1 over these. Vehicles that wait at a red light are static in a stretch of one or two
@@ -75,7 +79,7 @@ def fit_searched(
     """
     arrays = {**arrays, "calibration": IDENTITY}
     card = card_for(search.name, out, train, validation, {})
-    searched = excerpts(train)
+    searched = excerpts_of_places(train) if out.general else excerpts(train)
     with TemporaryDirectory() as folder:
         draft = _Draft(search.tracker, Path(folder) / f"{search.name}.toml", score)
         save_weights(draft.path, card, arrays)
@@ -118,6 +122,19 @@ def excerpts(sources: Sequence[FrameSource]) -> list[FrameSource]:
     return chosen
 
 
+def excerpts_of_places(sources: Sequence[FrameSource]) -> list[FrameSource]:
+    """For weights of any place: one excerpt of PLACE_EXCERPT_S of each of at most PLACES sources, evenly chosen.
+
+    The middle of each source; their frames are cached in memory.
+    """
+    chosen = [sources[n * len(sources) // PLACES] for n in range(PLACES)] if len(sources) > PLACES else sources
+    return [_middle(source, round(PLACE_EXCERPT_S / source.period_s)) for source in chosen]
+
+
+def _middle(source: FrameSource, count: int) -> CachedSource:
+    return CachedSource.excerpt(source, max(0, (len(source) - count) // 2), count)
+
+
 @dataclass(frozen=True, slots=True)
 class _Draft(Generic[_Searched]):
     """Weights in training: `tracker` runs with those at `path` and is scored by `score`."""
@@ -134,8 +151,10 @@ class _Draft(Generic[_Searched]):
         return [self.score(self.running(settings, source), source, step_of(source, last)) for source in sources]
 
     def mean_f1(self, settings: _Searched, sources: Sequence[FrameSource]) -> float:
+        """The mean over the sources in which it is defined; NaN where it is in none."""
         scored = zip(self.scores(settings, sources), sources, strict=True)
-        return float(np.mean([_f1(score, source) for score, source in scored]))
+        values = [value for value in (_f1(score, source) for score, source in scored) if math.isfinite(value)]
+        return float(np.mean(values)) if values else math.nan
 
     def best_of(self, finalists: list[_Searched], validation: Sequence[FrameSource], out: FitOutput) -> _Searched:
         """The settings with the best mean F1 on `validation`; the first ones without validation."""
@@ -157,8 +176,10 @@ class _Draft(Generic[_Searched]):
         return [stretch_summary(score, source, OBJECTIVE_HORIZONS_S) for score, source in scored]
 
     def calibration(self, settings: _Searched, sources: Sequence[FrameSource], out: FitOutput) -> NDArray[np.float32]:
-        trackers = [(self.running(settings, source), list(source)) for source in sources]
-        parameters = fit_calibration(trackers, step_of(sources[0], max(OBJECTIVE_HORIZONS_S)))
+        last = max(OBJECTIVE_HORIZONS_S)
+        parameters = fit_calibration(
+            (self.running(settings, source), list(source), step_of(source, last)) for source in sources
+        )
         for group, (a, b, c) in zip(("cells seen recently", "other cells"), parameters.tolist(), strict=True):
             out.report(f"calibration, {group}: logit = {c:.3f} + {a:.3f} ln p - {b:.3f} ln(1 - p)")
         return parameters

@@ -10,7 +10,7 @@ import tomllib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, get_args
 
 from pydantic import model_validator
 
@@ -21,6 +21,8 @@ from gridtrack.common.files import read_bounded
 from gridtrack.common.grid import Points
 from gridtrack.trackers import registry
 
+CardKind = Literal["any", "site", "general"]
+"""The weights that a row may use: those of the site, general ones, or the site's where there are some."""
 MAX_TOML_BYTES = 1 << 20
 LABEL = re.compile(r"[A-Za-z0-9]([A-Za-z0-9._ -]{0,62}[A-Za-z0-9_-])?")
 
@@ -31,7 +33,8 @@ class Selection:
 
     `points`: the returns in the frames, which are the centres of the occupied cells, or those of the laser
     (`points=raw`). `weights`: the folder of weights of this row alone (`weights=DIR`), to compare two trainings of a
-    tracker. `options`: those of the tracker, not yet validated.
+    tracker. `card`: those of the site, or general ones (`card=general`), or the site's where there are some and else
+    general ones. `options`: those of the tracker, not yet validated.
     """
 
     label: str
@@ -39,6 +42,7 @@ class Selection:
     options: Mapping[str, Any] = field(default_factory=dict)
     points: Points = "centres"
     weights: Path | None = None
+    card: CardKind = "any"
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,7 +84,10 @@ def parse_selection(text: str) -> Selection:
     weights = options.pop("weights", None)
     if not isinstance(weights, str | None) or weights == "":
         raise ConfigurationError(f"{where}: weights={weights}; expected a folder")
-    return Selection(label, name, options, points, Path(weights) if weights else None)
+    card = options.pop("card", "any")
+    if card not in get_args(CardKind):
+        raise ConfigurationError(f"{where}: card={card}; expected {', '.join(get_args(CardKind))}")
+    return Selection(label, name, options, points, Path(weights) if weights else None, card)
 
 
 def parse_selections(texts: Iterable[str]) -> tuple[Selection, ...]:

@@ -15,9 +15,18 @@ PRIOR_FRAMES = 20.0
 NO_MAP = "the sensor moves: no map of the place is learned, every cell has the mean rate"
 """What a training on such recordings reports."""
 
+Marks = Callable[[GridFrame], Sequence[Mask]]
+"""What is counted in a frame: K masks (M, M)."""
+
+
+def count_anywhere(sources: Sequence[Iterable[GridFrame]], marks: Marks) -> NDArray[np.float64]:
+    """In how many frames the `marks` are set, (K, 1, 1), the mean over all cells: for weights of no place."""
+    frames = (frame for source in sources for frame in source)
+    return np.asarray(sum(np.stack(marks(frame)).mean(axis=(1, 2), keepdims=True) for frame in frames))
+
 
 def count_frames(
-    sources: Sequence[Iterable[GridFrame]], cell_m: float, marks: Callable[[GridFrame], Sequence[Mask]]
+    sources: Sequence[Iterable[GridFrame]], cell_m: float, marks: Marks
 ) -> tuple[NDArray[np.float64], bool]:
     """In how many frames of all sources each of K `marks` (M, M) is set, (K, M, M), and whether a sensor moves.
 

@@ -1,7 +1,6 @@
-"""Learned weights of a tracker for a site: a card (`.toml`) and the arrays in the `.safetensors` file beside it.
+"""Learned weights of a tracker: a card (`.toml`) and the arrays in the `.safetensors` file beside it.
 
-The card has the grid, the period, the hashes of the training recordings, the seed and the training command. Weights of
-other cells, or of another period, site or tracker are refused.
+Weights of other cells, or of another period, site or tracker are refused; general weights are for any site.
 """
 
 from __future__ import annotations
@@ -14,80 +13,26 @@ from collections.abc import Iterable, Mapping, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 import tomli_w
 from numpy.typing import NDArray
-from pydantic import Field, field_validator
 from safetensors import SafetensorError
 from safetensors.numpy import load, save
 
 from gridtrack.common.config import Settings, validated
 from gridtrack.common.errors import ConfigurationError, WeightsError
 from gridtrack.common.files import atomic_write, read_bounded, write_text
-from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridSpec
-from gridtrack.common.scan import MAX_POSITION_M
-from gridtrack.trackers.contract import FitOutput, FrameSource, StreamSpec
+from gridtrack.trackers.card import CARD_SCHEMA, Card, TrainingData
+from gridtrack.trackers.contract import StreamSpec
 
-CARD_SCHEMA = 2
 MAX_ARRAYS_BYTES = 1 << 30
 MAX_CARD_BYTES = 1 << 20
 ARRAYS_SUFFIX = ".safetensors"
 
 _Tuned = TypeVar("_Tuned", bound=Settings)
-
-
-Coordinate = Annotated[float, Field(ge=-MAX_POSITION_M, le=MAX_POSITION_M)]
-
-
-class TrainingData(Settings):
-    """A stretch of a recording that weights were trained on."""
-
-    recording: str
-    sha256: str
-    source_sha256: str = ""
-    """Of the file that the recording was first imported from; "" on a card of an earlier gridtrack."""
-    start_ns: int = 0
-    end_ns: int = 0
-    """Stamps of the frames: from `start_ns` on, `end_ns` excluded; 0 where `source_sha256` is ""."""
-
-
-class Card(Settings):
-    """The readable half of a tracker's weights."""
-
-    schema_version: int = CARD_SCHEMA
-    tracker: str
-    site: str
-    grid: str
-    period_s: float = Field(gt=0.0)
-    seed: int
-    command: str
-    train: tuple[TrainingData, ...]
-    validation: tuple[TrainingData, ...] = ()
-    arrays_sha256: str = ""
-    classes: tuple[str, ...] = ()
-    """The classes of the tracker, in its order; scores match them with those of a recording by name."""
-    world_T_grid: tuple[Coordinate, Coordinate] | None = None
-    """Where the arrays with a value per cell lie in the world: x and y of their grid frame, metres, its axes the
-    world's. None on a card of an earlier gridtrack: they then lie in the first window of a stream."""
-    interrupted: str = ""
-    """How far an interrupted training came, such as "update 200 of 1000"; empty for one that finished."""
-    settings: dict[str, Any] = Field(default_factory=dict)
-    results: dict[str, Any] = Field(default_factory=dict)
-
-    @field_validator("classes")
-    @classmethod
-    def _distinct(cls, names: tuple[str, ...]) -> tuple[str, ...]:
-        if len(set(names)) != len(names):
-            raise ValueError("a class is named twice")
-        return names
-
-    @property
-    def map_pose(self) -> SE2 | None:
-        """`world_T_grid` of the arrays with a value per cell; None where the card does not have it."""
-        return None if self.world_T_grid is None else SE2(*self.world_T_grid)
 
 
 @dataclass(frozen=True)
@@ -96,68 +41,6 @@ class Weights:
 
     card: Card
     arrays: dict[str, NDArray[Any]]
-
-
-def card_for(
-    tracker: str,
-    out: FitOutput,
-    train: Iterable[FrameSource],
-    validation: Iterable[FrameSource],
-    settings: Mapping[str, Any],
-    results: Mapping[str, Any] | None = None,
-) -> Card:
-    """The card of a training on `train`; arrays with a value per cell lie in the window of its first frame.
-
-    Raises WeightsError where the training stretches differ in grid, period or site.
-    """
-    sources = list(train)
-    kinds = {(str(s.grid), s.period_s, s.site) for s in sources}
-    if len(kinds) != 1:
-        raise WeightsError(f"{tracker}: train on recordings of one grid, period and site; found {sorted(kinds)}")
-    (grid, period_s, site) = kinds.pop()
-    return Card(
-        tracker=tracker,
-        site=site,
-        grid=grid,
-        period_s=period_s,
-        seed=out.seed,
-        command=out.command,
-        train=_data_of(sources),
-        validation=_data_of(validation),
-        world_T_grid=_first_window(sources),
-        settings=dict(settings),
-        results=dict(results or {}),
-    )
-
-
-def _first_window(sources: Iterable[FrameSource]) -> tuple[float, float] | None:
-    """The position of the window of the first frame, metres, world frame; None without a frame."""
-    first = next((frame.world_T_grid for source in sources for frame in source), None)
-    return None if first is None else (first.x, first.y)
-
-
-def with_classes(
-    card: Card,
-    classes: tuple[str, ...],
-    train: Iterable[FrameSource],
-    validation: Iterable[FrameSource],
-    settings: Mapping[str, Any],
-    results: Mapping[str, Any],
-) -> Card:
-    """The card of an earlier training, with classes added from `train` and `validation` (`stage=classes`)."""
-    return card.model_copy(
-        update={
-            "classes": classes,
-            "train": tuple(dict.fromkeys([*card.train, *_data_of(train)])),
-            "validation": tuple(dict.fromkeys([*card.validation, *_data_of(validation)])),
-            "settings": card.settings | {"stage": "both"} | dict(settings),
-            "results": card.results | {"classes": dict(results)},
-        }
-    )
-
-
-def _data_of(sources: Iterable[FrameSource]) -> tuple[TrainingData, ...]:
-    return tuple(TrainingData(recording=source.name, sha256=source.sha256) for source in sources)
 
 
 def save_weights(path: Path, card: Card, arrays: Mapping[str, NDArray[Any]]) -> None:
@@ -252,7 +135,8 @@ def parse_card(path: Path, sha256: str = "") -> Card:
         if sha256 and hashlib.sha256(text).hexdigest() != sha256:
             raise WeightsError(f"{path}: its sha256 is not the one in the request: the card was exchanged")
         card = validated(Card, tomllib.loads(text.decode()), "weights card")
-        GridSpec.parse(card.grid)
+        if not card.general:
+            GridSpec.parse(card.grid)
     except FileNotFoundError as error:
         raise WeightsError(f"{path}: cannot be read ({error.strerror})") from None
     except (ValueError, RecursionError, ConfigurationError) as error:
@@ -261,7 +145,10 @@ def parse_card(path: Path, sha256: str = "") -> Card:
 
 
 def load_weights(stream: StreamSpec, tracker: str) -> Weights:
-    """The weights that `stream` names. Raises WeightsError if damaged, or for another tracker, site, grid or period."""
+    """The weights that `stream` names: general ones, or those of its site.
+
+    Raises WeightsError if damaged, or for another tracker, site, grid or period.
+    """
     path = stream.weights
     if path is None:
         raise WeightsError(
@@ -270,17 +157,22 @@ def load_weights(stream: StreamSpec, tracker: str) -> Weights:
     card = read_card(path, stream.weights_sha256)
     for what, made_for, found in (
         ("tracker", card.tracker, tracker),
-        ("site", card.site, stream.site),
+        ("site", card.site, card.site if card.general else stream.site),
     ):
         if made_for != found:
             raise WeightsError(f"{path}: made for {what} {made_for}, but this is {found}: train for this one")
-    card = _laid_in(stream.grid, card, path)
-    if abs(card.period_s - stream.period_s) > 1e-3 * card.period_s:
-        raise WeightsError(
-            f"{path}: made for a period of {card.period_s:g} s ({1 / card.period_s:g} Hz), but this stream's is"
-            f" {stream.period_s:g} s: compare with --rate {1 / card.period_s:g}, or train for this rate"
-        )
+    if card.period_s is not None:
+        _check_period(card.period_s, stream, path)
+        card = _laid_in(stream.grid, card, path)
     return Weights(card, read_arrays(path.with_suffix(ARRAYS_SUFFIX), card.arrays_sha256))
+
+
+def _check_period(period_s: float, stream: StreamSpec, path: Path) -> None:
+    if abs(period_s - stream.period_s) > 1e-3 * period_s:
+        raise WeightsError(
+            f"{path}: made for a period of {period_s:g} s ({1 / period_s:g} Hz), but this stream's is"
+            f" {stream.period_s:g} s: compare with --rate {1 / period_s:g}, or train for this rate"
+        )
 
 
 def _laid_in(grid: GridSpec, card: Card, path: Path) -> Card:
@@ -361,3 +253,13 @@ def probabilities(weights: Weights, name: str, shape: tuple[int, ...]) -> NDArra
         whose = f"weights of {weights.card.tracker}"
         raise WeightsError(f"{whose}: array '{name}' does not hold probabilities; train again")
     return found
+
+
+def cell_probabilities(weights: Weights, name: str, grid: GridSpec) -> NDArray[Any]:
+    """An array of probabilities with a value per cell of `grid` (M, M); general weights have one for all cells.
+
+    Raises WeightsError.
+    """
+    if not weights.card.general:
+        return probabilities(weights, name, grid.shape)
+    return np.full(grid.shape, probabilities(weights, name, (1, 1)))

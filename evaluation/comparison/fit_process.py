@@ -56,6 +56,8 @@ def _load(name: str, request: Message) -> tuple[type[Tracker], Settings]:
     tracker = registry.load(name)
     if not tracker.learns:
         raise PluginError(f"tracker '{name}' has nothing to learn: compare it as it is")
+    if request.value("general", bool) and not tracker.learns_general:
+        raise PluginError(f"tracker '{name}' learns one site only: train it there, without --general")
     return tracker, validated(tracker.Options, request.value("options", dict), f"tracker '{name}'")
 
 
@@ -66,7 +68,13 @@ def _fit(tracker: type[Tracker], settings: Settings, request: Message, lines: Pr
     scores = FitScores([StretchRegions.read(regions_path(path)) for paths in files.values() for path in paths])
     path, log_dir = (Path(request.value(name, str)) for name in ("path", "log_dir"))
     output = FitOutput(
-        path, request.value("command", str), request.value("seed", int), log_dir, lines.report, lines.progress
+        path,
+        request.value("command", str),
+        request.value("seed", int),
+        log_dir,
+        lines.report,
+        lines.progress,
+        general=request.value("general", bool),
     )
     tracker.fit(train, validation, scores.score, output, settings)
 

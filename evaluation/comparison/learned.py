@@ -9,11 +9,14 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
+from typing import Literal
 
 from gridtrack.common.errors import WeightsError
 from gridtrack.common.files import sha256_of, user_data_folder
 from gridtrack.evaluation.results.run_record import WeightsUsed
-from gridtrack.trackers.weights import ARRAYS_SUFFIX, Card, arrays_content, read_card
+from gridtrack.trackers.card import GENERAL, Card
+from gridtrack.trackers.selection import CardKind
+from gridtrack.trackers.weights import ARRAYS_SUFFIX, arrays_content, read_card
 
 SITE_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,127}")
 READ_ATTEMPTS, READ_AGAIN_S = 3, 0.1
@@ -34,6 +37,11 @@ class LearnedWeights:
     """The folder of the card, or of the one that it was copied from."""
 
     @property
+    def kind(self) -> Literal["site", "general"]:
+        """Whether they are of a site or general."""
+        return "general" if self.card.general else "site"
+
+    @property
     def name(self) -> str:
         """`<tracker>/<site>.toml`, without the folders of this machine: the name in results."""
         return "/".join(self.path.parts[-2:])
@@ -43,21 +51,23 @@ class LearnedWeights:
         return WeightsUsed(name=self.name, sha256=self.sha256)
 
 
-def find_weights(tracker: str, site: str, override: Path | None) -> LearnedWeights | None:
-    """The weights of `tracker` for `site`: in `override`, else the user's own, else the shipped ones, else None.
+def find_weights(tracker: str, site: str, override: Path | None, kind: CardKind = "any") -> LearnedWeights | None:
+    """The weights of `tracker` for `site`, or general ones: in `override`, else the best of the other folders.
 
-    Raises WeightsError where the file cannot be read, or where there is no folder `override`.
+    The site's own weights, the user's before the shipped ones, come before general ones; None where there are none.
+    `kind` restricts the search to one of the two. Raises WeightsError where the file cannot be read, or where there is
+    no folder `override`.
     """
     if override is not None and not override.is_dir():
         raise WeightsError(
             f"{override}: no such folder of weights; omit --weights to use your own and the shipped ones"
         )
-    if not SITE_NAME.fullmatch(site):
-        return None
-    for folder in _folders(override):
-        if weights_path(folder, tracker, site).is_file():
-            return weights_in(folder, tracker, site)
-    return None
+    names = [name for name in _names(site, kind) if SITE_NAME.fullmatch(name)]
+    overriding = [(override, name) for name in names] if override else []
+    others = [(folder, name) for name in names for folder in _folders(None)]
+    paths = (weights_path(folder, tracker, name) for folder, name in (*overriding, *others))
+    found = next((path for path in paths if path.is_file()), None)
+    return None if found is None else _read(found, found.parent)
 
 
 def sites_with_weights(tracker: str, override: Path | None) -> tuple[str, ...]:
@@ -66,12 +76,19 @@ def sites_with_weights(tracker: str, override: Path | None) -> tuple[str, ...]:
     return tuple(sorted({path.stem for path in found}))
 
 
-def weights_in(folder: Path, tracker: str, site: str) -> LearnedWeights:
-    """The weights of `tracker` for `site` in `folder` only. Raises WeightsError where there are none."""
-    path = weights_path(folder, tracker, site)
-    if not path.is_file():
-        raise WeightsError(f"{folder}: no weights of {tracker} for the site '{site}' ({path} is missing)")
-    return _read(path, path.parent)
+def weights_in(folder: Path, tracker: str, site: str, kind: CardKind = "any") -> LearnedWeights:
+    """The weights of `tracker` for `site` in `folder` only, as in `find_weights`. Raises WeightsError without any."""
+    paths = [weights_path(folder, tracker, name) for name in _names(site, kind)]
+    found = next((path for path in paths if path.is_file()), None)
+    if found is None:
+        missing = " and ".join(map(str, paths)) + (" are missing" if len(paths) > 1 else " is missing")
+        raise WeightsError(f"{folder}: no weights of {tracker} for the site '{site}' ({missing})")
+    return _read(found, found.parent)
+
+
+def _names(site: str, kind: CardKind) -> tuple[str, ...]:
+    """The names of the cards that may be used at `site`, the best first."""
+    return {"site": (site,), "general": (GENERAL,), "any": (site, GENERAL)}[kind]
 
 
 def copy_weights(weights: LearnedWeights, folder: Path) -> LearnedWeights:

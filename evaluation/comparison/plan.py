@@ -245,6 +245,7 @@ def _refuse_overlaps(splits: tuple[EvaluationSplit, ...]) -> None:
 
 
 def _weights_of(selection: Selection, site: str, override: Path | None) -> LearnedWeights | None:
-    if selection.weights is not None:
-        return weights_in(selection.weights, selection.name, site)
-    return find_weights(selection.name, site, override)
+    """The weights of a row. Raises WeightsError where its own folder has none."""
+    if selection.weights is None:
+        return find_weights(selection.name, site, override, selection.card)
+    return weights_in(selection.weights, selection.name, site, selection.card)

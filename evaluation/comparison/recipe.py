@@ -36,6 +36,8 @@ class Recipe(Settings):
     out: Path | None = None
     grid: str | None = None
     rate_hz: float | None = Field(None, gt=0.0, le=1000.0)
+    general: bool = False
+    """Learn for any place, from recordings of many places."""
 
     @property
     def command(self) -> str:
@@ -47,6 +49,7 @@ class Recipe(Settings):
         words += ["--seed", str(self.seed)]
         words += ["--grid", self.grid] if self.grid else []
         words += ["--rate", f"{self.rate_hz:g}"] if self.rate_hz else []
+        words += ["--general"] if self.general else []
         words += ["--out", str(self.out)] if self.out else []
         return shlex.join(words)
 

@@ -1,4 +1,4 @@
-"""Training of a tracker for a site by a recipe: `gridtrack train`."""
+"""Training of a tracker by a recipe, for a site or for any place: `gridtrack train`."""
 
 from __future__ import annotations
 
@@ -20,15 +20,18 @@ from gridtrack.recordings import open_recording
 from gridtrack.recordings.recording import stretch_text
 from gridtrack.recordings.stream import GridStream
 from gridtrack.recordings.stretches import parse_stretch
+from gridtrack.trackers.card import GENERAL, TrainingData
 from gridtrack.trackers.contract import FitOutput
-from gridtrack.trackers.weights import TrainingData, complete_card, read_card
+from gridtrack.trackers.weights import complete_card, read_card
 
 COMMAND = "the command of the training"
 """What `fit` receives in place of the command, which names the files of recordings; the card gets the command after."""
 
 
 def train_tracker(recipe: Recipe, report: Callable[[str], None] = print) -> Path:
-    """Fit the recipe's tracker to the recordings' site and return the card it wrote, `<out>/<tracker>/<site>.toml`.
+    """Fit the recipe's tracker to the recordings and return the card it wrote, `<out>/<tracker>/<site>.toml`.
+
+    A general training writes `general.toml`.
 
     A recording without a range, and validation where none is given, is the recording's stretch of that name. `fit` runs
     in a process of its own, which receives the frames of these stretches and nothing else of the recordings. Logs and
@@ -40,11 +43,12 @@ def train_tracker(recipe: Recipe, report: Callable[[str], None] = print) -> Path
         TrainingProcess(recipe.tracker, recordings) as process,
         TemporaryDirectory(prefix="gridtrack-train-") as folder,
     ):
-        process.load(recipe.options)
+        process.load(recipe.options, general=recipe.general)
         train_on, validate_on = _stretches(recipe)
-        path = weights_path(recipe.out or user_weights_folder(), recipe.tracker, train_on[0].site)
+        site = GENERAL if recipe.general else _site_of(train_on[0])
+        path = weights_path(recipe.out or user_weights_folder(), recipe.tracker, site)
         _make_folder(path.parent)
-        output = FitOutput(path, COMMAND, recipe.seed, path.with_suffix(".logs"), report)
+        output = FitOutput(path, COMMAND, recipe.seed, path.with_suffix(".logs"), report, general=recipe.general)
         files = _stored([*train_on, *validate_on], Path(folder))
         train, validation = files[: len(train_on)], files[len(train_on) :]
         try:
@@ -59,6 +63,16 @@ def train_tracker(recipe: Recipe, report: Callable[[str], None] = print) -> Path
     if interrupted:
         raise KeyboardInterrupt(_what_is_kept(path))
     return path
+
+
+def _site_of(stream: GridStream) -> str:
+    """The site whose weights a training writes. Raises ConfigurationError for the name of general weights."""
+    if stream.site == GENERAL:
+        raise ConfigurationError(
+            f"{stream.name}: its site is '{GENERAL}', the name of weights for any place: import it again with another"
+            " --site"
+        )
+    return stream.site
 
 
 def _what_is_kept(path: Path) -> str:

@@ -54,9 +54,12 @@ class TrainingProcess:
         self._end()
         self._process.communicate()
 
-    def load(self, options: Mapping[str, Any]) -> None:
-        """Load the tracker with these options. Raises PluginError, ConfigurationError."""
-        self._send("load", options=dict(options))
+    def load(self, options: Mapping[str, Any], *, general: bool) -> None:
+        """Load the tracker with these options, to learn for any place if `general`.
+
+        Raises PluginError, ConfigurationError.
+        """
+        self._send("load", options=dict(options), general=general)
         self._answer("loaded", lambda text: None)
 
     def fit(self, train: Sequence[Path], validation: Sequence[Path], output: FitOutput) -> None:
@@ -69,6 +72,7 @@ class TrainingProcess:
             command=output.command,
             seed=output.seed,
             log_dir=str(output.log_dir),
+            general=output.general,
         )
         try:
             self._answer("done", output.report)

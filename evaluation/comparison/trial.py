@@ -195,6 +195,7 @@ def unstarted(trial: Trial) -> TrialRecord:
         frames_expected=trial.split.schedule.expected,
         steps=trial.split.steps,
         weights_sha256=trial.weights.sha256 if trial.weights else "",
+        card=trial.weights.kind if trial.weights else "",
         leak="; ".join(trial.leaks),
     )
 

@@ -72,6 +72,8 @@ class TrialRecord(ResultModel):
     """The comparisons in which the other rows are compared with this tracker by default."""
     weights_sha256: str = ""
     """Of the card of the weights used; empty without weights."""
+    card: Literal["", "site", "general"] = ""
+    """Whether the weights used are those of the site or general ones; empty without weights."""
     leak: str = ""
     """What its weights learned from frames of its test or validation stretch; empty where nothing."""
     files: dict[str, str] = Field(default_factory=dict)

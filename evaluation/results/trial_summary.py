@@ -140,6 +140,8 @@ class ScopeSummary(ResultModel):
     outcome: str
     """That of the record; of pooled recordings `ok` or `partial`."""
     reason: str = ""
+    card: str = ""
+    """Whether the weights used are those of the `site` or `general` ones; "general, site" where recordings differ."""
     leak: str = ""
     """What its weights learned from frames that it is scored on, or thresholds are chosen on: it is not ranked."""
     frames_scored: int = 0

@@ -87,6 +87,7 @@ def _trial_summary(trial: FinishedTrial, statistics: RunStatistics, classes: Cla
     return TrialSummary(
         outcome=record.outcome,
         reason=record.reason,
+        card=record.card,
         leak=record.leak,
         frames_scored=record.frames_scored,
         frames_expected=record.frames_expected,
@@ -110,8 +111,14 @@ def _pooled_summary(
     pooled = statistics.pooled(trials[0].record.label)
     by_class = classes.scores([trial for trial in trials if trial.complete], list(statistics.recordings))
     leak = next((trial.record.leak for trial in trials if trial.record.leak), "")
+    card = ", ".join(sorted({trial.record.card for trial in trials} - {""}))
     return pooled.model_copy(
-        update={"recall_by_class": by_class.recall_by_class, "semantics": by_class.semantics, "leak": leak}
+        update={
+            "recall_by_class": by_class.recall_by_class,
+            "semantics": by_class.semantics,
+            "card": card,
+            "leak": leak,
+        }
     )
 
 

@@ -62,10 +62,14 @@ def value_of(sums: Floats) -> Floats:
 def _variance_by_units(trainings: Floats) -> Floats:
     """The variance (R,) of the pooled score of one training that follows from the disagreement between units alone.
 
+    NaN with one unit.
+
     Each unit contributes its linearised share to the score; the disagreement is the shares less their mean over
     trainings.
     """
     count, units = trainings.shape[:2]
+    if units < 2:
+        return np.full(trainings.shape[2], np.nan)
     shares = linearised(trainings)
     deviations = shares - shares.mean(axis=0)
     variance: Floats = (deviations**2).sum(axis=(0, 1)) / (count - 1) * units / (units - 1)

@@ -53,14 +53,14 @@ class TrainingStatistics:
     def _rows_on(self, names: Sequence[str]) -> list[TrainingRows]:
         """The trackers on these recordings by their trainings; none where no tracker has several."""
         statistics = self._statistics
-        groups: dict[tuple[str, str, str], list[list[FinishedTrial]]] = {}
+        groups: dict[tuple[str, ...], list[list[FinishedTrial]]] = {}
         for label in statistics.labels:
             trials = statistics.comparable(label, names)
             if len(trials) < len(names) or trials[0].tracker == ORACLE:
                 continue
             first = trials[0]
             options = json.dumps(dict(first.options), sort_keys=True, default=str)
-            known = groups.setdefault((first.tracker, options, first.points), [])
+            known = groups.setdefault((first.tracker, options, first.points, first.record.card), [])
             if all(first.record.weights_sha256 != other[0].record.weights_sha256 for other in known):
                 known.append(trials)
         reference = next((one for one in groups.values() if statistics.reference in [_label(row) for row in one]), None)

@@ -14,8 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridtrack.common.grid import GridSpec
+from gridtrack.trackers.card import Card
 from gridtrack.trackers.model_free.residence import table_shape
-from gridtrack.trackers.weights import Card, read_arrays, read_card, save_weights
+from gridtrack.trackers.weights import read_arrays, read_card, save_weights
 
 ELSEWHERE_M = 1e6
 """Distance of the maps from the origin of the world; no recording of a study goes there."""
@@ -28,6 +29,7 @@ def transfer(card_path: Path, site: str, period_s: float, folder: Path, *, tuned
     tracker is read at the ages and steps of the new period. Raises WeightsError, OSError.
     """
     card = read_card(card_path)
+    assert card.period_s is not None  # the card of a site
     arrays = read_arrays(card_path.with_suffix(".safetensors"), card.arrays_sha256)
     if "residence" in arrays:
         arrays["residence"] = residence_at(arrays["residence"], card.period_s, period_s)

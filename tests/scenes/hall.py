@@ -9,7 +9,7 @@ from gridtrack.common.grid import GridFrame, GridSpec
 from gridtrack.common.raycast import cast_scan
 from gridtrack.common.scan import Scan
 from gridtrack.trackers.calibration import IDENTITY
-from gridtrack.trackers.weights import Card
+from gridtrack.trackers.card import Card
 
 GRID = GridSpec(60, 0.1, (0.0, -3.0))
 PERIOD_S = 0.1

@@ -64,7 +64,7 @@ def scene(count=120, seed=0):
 
 
 def test_the_fit_recovers_the_true_calibration():
-    learned = Calibration(fit_calibration([scene()], STEPS))
+    learned = Calibration(fit_calibration([(*scene(), STEPS)]))
     at = np.array([0.003, 0.02, 0.1, 0.3, 0.6, 0.9], np.float32)
     assert mapped(learned, at) == pytest.approx(mapped(TRUE, at), rel=0.1)
 
@@ -75,7 +75,7 @@ def test_cells_hidden_at_the_forecast_step_are_not_counted():
     hidden[:, :20] = True
     blinded = [frame_of(frame.occupied & ~hidden, ~hidden) for frame in frames]
     at = np.array([0.02, 0.3, 0.9], np.float32)
-    learned = Calibration(fit_calibration([(tracker, blinded)], STEPS))
+    learned = Calibration(fit_calibration([(tracker, blinded, STEPS)]))
     assert mapped(learned, at) == pytest.approx(mapped(TRUE, at), rel=0.15)
 
 
@@ -116,7 +116,7 @@ def test_both_maps_are_fitted_to_cells_that_come_into_view():
         often = np.where(hidden_s < 1.0, *(mapped(TRUE, said, s).reshape(GRID.shape) for s in (0.0, 2.0)))
         frames.append(frame_of((draw.random(GRID.shape) < often) & visible, visible))
         hidden_s = np.where(visible, 0.0, hidden_s + PERIOD_S)
-    learned = Calibration(fit_calibration([(Crystal([said] * 600), frames)], 1))
+    learned = Calibration(fit_calibration([(Crystal([said] * 600), frames, 1)]))
     at = np.array([0.02, 0.3, 0.9], np.float32)
     for age in (0.0, 2.0):
         assert mapped(learned, at, age) == pytest.approx(mapped(TRUE, at, age), rel=0.25)
@@ -138,7 +138,7 @@ def test_a_fit_without_occupied_cells_gives_no_certain_forecast():
     """Without an occupied cell in training the probabilities are reduced and remain positive."""
     tracker, frames = scene(count=20)
     empty = [frame_of(np.zeros(GRID.shape, bool))] * len(frames)
-    learned = Calibration(fit_calibration([(tracker, empty)], STEPS))
+    learned = Calibration(fit_calibration([(tracker, empty, STEPS)]))
     low, high = mapped(learned, [0.01, 0.9]).tolist()
     assert 0.0 < low < high < 0.2
 

@@ -16,9 +16,10 @@ from gridtrack.cli import app
 from gridtrack.common.errors import WeightsError
 from gridtrack.common.grid import GridSpec
 from gridtrack.trackers import registry
+from gridtrack.trackers.card import CARD_SCHEMA, Card
 from gridtrack.trackers.contract import StreamSpec
 from gridtrack.trackers.migration import RENAMES, Renames, migrate_card, migrate_cards
-from gridtrack.trackers.weights import CARD_SCHEMA, Card, load_weights, parse_card, read_arrays, read_card, save_weights
+from gridtrack.trackers.weights import load_weights, parse_card, read_arrays, read_card, save_weights
 
 GRID = GridSpec(4, 0.5)
 COMMAND = "gridtrack train kalman:surge=0.07,link_m=0.2 'a b.mcap' --validation surge.mcap --out weights"

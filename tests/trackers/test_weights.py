@@ -17,8 +17,9 @@ from gridtrack.common.errors import WeightsError
 from gridtrack.common.files import sha256_of
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec
+from gridtrack.trackers.card import Card, card_for
 from gridtrack.trackers.contract import FitOutput, FrameSource, StreamSpec
-from gridtrack.trackers.weights import MAX_ARRAYS_BYTES, Card, array, card_for, load_weights, read_card, save_weights
+from gridtrack.trackers.weights import MAX_ARRAYS_BYTES, array, load_weights, read_card, save_weights
 
 GRID = GridSpec(100, 0.1, (-2.0, -4.5))
 

@@ -1,20 +1,21 @@
-"""The tracker `static-map`: the occupied rate of each cell in the training recordings."""
+"""The tracker `static-map`: the occupied rate of each cell, in the training recordings or in the stream so far."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from gridtrack.common.config import Settings
 from gridtrack.common.errors import WeightsError
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec, shift_between
+from gridtrack.trackers.baselines.cell_rates import LearnedRates, RunningRates, smoothed_rate
+from gridtrack.trackers.card import card_for
 from gridtrack.trackers.contract import FitOutput, Forecast, FrameSource, Score, StreamSpec, Tracker
 from gridtrack.trackers.site_map import SiteMap
-from gridtrack.trackers.weights import array, card_for, load_weights, save_weights
+from gridtrack.trackers.weights import Weights, array, load_weights, save_weights
 
 STATIC_MAP = "static-map"
 MAX_MAP_SIZE = 4096
@@ -31,44 +32,46 @@ class StaticMapOptions(Settings):
 class StaticMapTracker(Tracker):
     """Forecasts the occupied rate of each cell among its visible training frames, for every step.
 
-    The map lies in the world: a window takes the part of it that it covers, and the overall rate elsewhere.
+    The map lies in the world: a window takes the part of it that it covers, and the overall rate elsewhere. General
+    weights have no map: the rate of each cell is then that of the stream so far.
     """
 
     Options = StaticMapOptions
     moving_sensor = True
     learns = True
+    learns_general = True
     role = "floor"
 
     def __init__(self, stream: StreamSpec, options: StaticMapOptions) -> None:
         super().__init__(stream, options)
         weights = load_weights(stream, STATIC_MAP)
-        shape = stream.grid.shape
-        if "occupied" in weights.arrays and weights.arrays["occupied"].ndim == 2:
-            rows, columns = weights.arrays["occupied"].shape
-            shape = (max(rows, stream.grid.size), max(columns, stream.grid.size))
-        occupied, visible = (array(weights, name, shape) for name in ("occupied", "visible"))
+        occupied, visible = (array(weights, name, _shape_of(weights, stream.grid)) for name in ("occupied", "visible"))
         if not ((occupied >= 0) & (occupied <= visible)).all():
             raise WeightsError(f"weights of {STATIC_MAP}: a cell has more occupied than visible frames: train again")
         if not visible.any():
             raise WeightsError(f"weights of {STATIC_MAP}: no cell was visible: train again")
-        self.frequency = frequency(occupied, visible, options.prior_frames)
-        self._rate = occupied.sum() / visible.sum()
-        self._place = weights.card.map_pose
+        self._overall = float(occupied.sum() / visible.sum())
+        self.frequency = smoothed_rate(occupied, visible, self._overall, options.prior_frames)
+        self._card = weights.card
         self.reset(seed=0)
 
     def reset(self, seed: int) -> None:
-        """The map does not change; before the first frame the window lies where the map begins."""
+        """A map does not change; counts of the stream begin again."""
         grid = self.stream.grid
-        self._map = SiteMap(self.frequency, self._rate, grid.cell_m, self._place, grid.size)
-        self._in_window = self._map.unmoved
+        self._rates: LearnedRates | RunningRates
+        if self._card.general:
+            self._rates = RunningRates(grid, self._overall, self.options.prior_frames)
+        else:
+            place = SiteMap(self.frequency, self._overall, grid.cell_m, self._card.map_pose, grid.size)
+            self._rates = LearnedRates(place)
 
     def update(self, frame: GridFrame) -> None:
-        """Take the part of the map that lies in the window; the map does not change."""
-        self._in_window = self._map.at(frame.world_T_grid)
+        """Take the part of the map that lies in the window, or count the frame where there is no map."""
+        self._rates.observe(frame)
 
     def predict(self, steps: int) -> Forecast:
-        """The part of the map in the window (steps+1, M, M), the same for every step."""
-        return Forecast(np.tile(self._in_window, (steps + 1, 1, 1)))
+        """The rates in the window (steps+1, M, M), the same for every step."""
+        return Forecast(np.tile(self._rates.in_window, (steps + 1, 1, 1)))
 
     @classmethod
     def fit(
@@ -85,13 +88,18 @@ class StaticMapTracker(Tracker):
         large.
         """
         card = card_for(STATIC_MAP, out, train, validation, options.model_dump(mode="json"))
-        counts = WorldCounts(train[0].grid)
-        for frame in (frame for source in train for frame in source):
-            counts.add(frame)
-        occupied, visible, place = counts.occupied, counts.visible, counts.world_T_map
-        if place is None or not visible.any():
+        frames = (frame for source in train for frame in source)
+        if out.general:
+            sums = np.sum([(frame.occupied.sum(), frame.visible.sum()) for frame in frames], axis=0, dtype=np.int64)
+            occupied, visible = sums.reshape(2, 1, 1)
+        else:
+            counts = WorldCounts(train[0].grid)
+            for frame in frames:
+                counts.add(frame)
+            occupied, visible, place = counts.occupied, counts.visible, counts.world_T_map
+            card = card.model_copy(update={"world_T_grid": place and (place.x, place.y)})
+        if not visible.any():
             raise WeightsError(f"{STATIC_MAP}: no cell is visible in {', '.join(source.name for source in train)}")
-        card = card.model_copy(update={"world_T_grid": (place.x, place.y)})
         save_weights(out.path, card, {"occupied": occupied, "visible": visible})
         out.report(
             f"{STATIC_MAP}: {np.count_nonzero(visible)} cells seen, overall rate {occupied.sum() / visible.sum():.4f}"
@@ -140,13 +148,11 @@ class WorldCounts:
         return start + before
 
 
-def frequency(occupied: NDArray[np.int64], visible: NDArray[np.int64], prior_frames: float) -> NDArray[np.float32]:
-    """P(occupied) (M, M) from counts of frames (M, M), with the overall rate as a prior of weight `prior_frames`.
-
-    A cell that was never visible has the overall rate.
-    """
-    rate = occupied.sum() / visible.sum()
-    seen = visible + prior_frames
-    smoothed = np.full(visible.shape, rate)
-    np.divide(occupied + prior_frames * rate, seen, out=smoothed, where=seen > 0)
-    return smoothed.astype(np.float32)
+def _shape_of(weights: Weights, grid: GridSpec) -> tuple[int, int]:
+    """The shape that the counts must have: a map may be larger than a window of `grid`."""
+    occupied = weights.arrays.get("occupied")
+    if weights.card.general:
+        return 1, 1
+    if occupied is None or occupied.ndim != 2:
+        return grid.shape
+    return max(occupied.shape[0], grid.size), max(occupied.shape[1], grid.size)

@@ -19,7 +19,7 @@ from gridtrack.trackers.dogma.masses import Mass
 from gridtrack.trackers.dogma.moments import velocities
 from gridtrack.trackers.dogma.settings import NAME, DogmaSettings
 from gridtrack.trackers.site_map import SiteMap, mean_of_cells
-from gridtrack.trackers.weights import array, load_weights, probabilities, tuned_settings
+from gridtrack.trackers.weights import array, cell_probabilities, load_weights, tuned_settings
 
 
 class DogmaTracker(CalibratedTracker):
@@ -27,6 +27,7 @@ class DogmaTracker(CalibratedTracker):
 
     Options: ClassVar[type[Settings]] = DogmaSettings
     learns: ClassVar[bool] = True
+    learns_general: ClassVar[bool] = True
     moving_sensor: ClassVar[bool] = True
 
     def __init__(self, stream: StreamSpec, options: DogmaSettings) -> None:
@@ -34,7 +35,7 @@ class DogmaTracker(CalibratedTracker):
         super().__init__(stream, options)
         weights = load_weights(stream, NAME)
         self._settings = tuned_settings(DogmaSettings, weights, options)
-        self._occupancy_rate = probabilities(weights, "occupancy_rate", stream.grid.shape)
+        self._occupancy_rate = cell_probabilities(weights, "occupancy_rate", stream.grid)
         self._world_T_map = weights.card.map_pose
         self._calibration = Calibration(array(weights, "calibration", (2, 3)))
         compile_filter(stream.period_s)

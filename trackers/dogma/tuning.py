@@ -9,7 +9,7 @@ from gridtrack.trackers.contract import FitOutput, FrameSource, Score
 from gridtrack.trackers.dogma.masses import Mass
 from gridtrack.trackers.dogma.settings import NAME, DogmaSettings
 from gridtrack.trackers.searched_fit import SettingsSearch, fit_searched
-from gridtrack.trackers.site_rate import NO_MAP, count_frames, posterior_rate
+from gridtrack.trackers.site_rate import NO_MAP, count_anywhere, count_frames, posterior_rate
 
 PARTICLE_DIVISOR = 4
 """Divisor of the number of particles during the search, for speed; the calibration and the result have all of them."""
@@ -41,9 +41,13 @@ def fit_dogma(
     A setting in `options` is not searched. Of the best settings those with the best F1 on `validation` are written. The
     forecast is calibrated on the excerpts. Raises WeightsError where the recordings differ in grid, period or site.
     """
-    rate, moves = count_occupancy_rate(train)
-    if moves:
-        out.report(NO_MAP)
+    if out.general:
+        visible, occupied = count_anywhere(train, lambda frame: (frame.visible, frame.occupied))
+        rate = posterior_rate(occupied, visible)
+    else:
+        rate, moves = count_occupancy_rate(train)
+        if moves:
+            out.report(NO_MAP)
     search = SettingsSearch(NAME, tracker, DogmaSettings, DOGMA_RANGES, DogmaSettings(), with_fewer_particles)
     given = options.model_dump(exclude_unset=True)
     fit_searched(search, {"occupancy_rate": rate}, train, validation, score, out, given, {})

@@ -13,7 +13,7 @@ from gridtrack.trackers.fading_record import FadingRecord
 from gridtrack.trackers.hidden_time import HiddenTime
 from gridtrack.trackers.model_free.settings import PipelineSettings
 from gridtrack.trackers.open_space import OpenSpace
-from gridtrack.trackers.site_rate import count_frames, posterior_rate
+from gridtrack.trackers.site_rate import count_anywhere, count_frames, posterior_rate
 
 OUTSIDE_MAP = 1.0
 """The neighbourhood rate of a cell outside the map; a counted one is lower."""
@@ -44,6 +44,13 @@ def fit_background(sources: Sequence[Iterable[GridFrame]], cell_m: float) -> tup
     visible, occupied, neighbourhood = counts
     fitted = BackgroundMap(posterior_rate(occupied, visible), posterior_rate(neighbourhood, visible))
     return (without_map(fitted) if moves else fitted), moves
+
+
+def general_background(sources: Sequence[Iterable[GridFrame]]) -> BackgroundMap:
+    """The rates of a cell at an unknown place, each (1, 1): its background is found while the stream goes."""
+    visible, occupied = count_anywhere(sources, lambda frame: (frame.visible, frame.occupied))
+    rate = posterior_rate(occupied, visible)
+    return BackgroundMap(rate, np.full_like(rate, OUTSIDE_MAP))
 
 
 def outside_of(fitted: BackgroundMap) -> NDArray[np.float32]:

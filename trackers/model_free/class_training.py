@@ -17,12 +17,13 @@ from sklearn.mixture import GaussianMixture
 
 from gridtrack.common.errors import ConfigurationError, WeightsError
 from gridtrack.common.grid import LabelledFrame
+from gridtrack.trackers.card import with_classes
 from gridtrack.trackers.contract import FitOutput, FrameSource, stream_of
 from gridtrack.trackers.label_settings import LabelSettings
 from gridtrack.trackers.labelled_scans import LabelledScans, class_indices, draw_labelled
 from gridtrack.trackers.model_free.classes import ARRAY_PREFIX, FEATURES, ClassModel, features_of
 from gridtrack.trackers.model_free.settings import ModelFreeSettings
-from gridtrack.trackers.weights import load_weights, save_weights, with_classes
+from gridtrack.trackers.weights import load_weights, save_weights
 
 if TYPE_CHECKING:
     from gridtrack.trackers.model_free.tracker import ModelFreeTracker
@@ -61,11 +62,15 @@ class TrackSamples(NamedTuple):
 
 
 def draw_scans(train: Sequence[FrameSource], out: FitOutput, options: ModelFreeSettings) -> LabelledScans | None:
-    """The labelled scans of the training; None where no classes are requested or available.
+    """The labelled scans of the training; None where no classes are requested or available, or for any place.
 
-    Raises ConfigurationError where too few scans are labelled, WeightsError where classes are to be added but there are
-    no weights.
+    Raises ConfigurationError where too few scans are labelled or classes are requested for any place, WeightsError
+    where classes are to be added but there are no weights.
     """
+    if out.general:
+        if options.stage == "classes":
+            raise ConfigurationError("classes are learned at a site: leave --general out")
+        return None
     if options.stage == "classes" and not out.path.exists():
         raise WeightsError(f"{out.path}: no weights to add classes to: train with stage=both, or put them there")
     if options.stage == "occupancy" or (options.stage == "both" and not any(source.classes for source in train)):

@@ -12,13 +12,18 @@ from collections.abc import Callable, Iterable
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import map_coordinates
 
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, Mask, Shift, rolled, shift_between
-from gridtrack.trackers.model_free.open_cells import OpenCells
+from gridtrack.trackers.contract import FrameSource
+from gridtrack.trackers.model_free.open_cells import OpenCells, OpenSoFar
+from gridtrack.trackers.weights import Weights, probabilities
 
 Ages = NDArray[np.int64]
 
+GENERAL_PERIOD_S = 0.05
+"""The period of a life table for streams of any period."""
 SPAN_S = 3.0
 """Range of the table, both in age and in time ahead; the last age includes all older returns."""
 NOT_OCCUPIED = -1
@@ -51,29 +56,71 @@ def fit_residence(
 ) -> NDArray[np.float32]:
     """Life table of `shape` (A, S), float32: P(a return is in place after s steps | its age is a frames).
 
-    Counted over the returns in open cells, of `open_cells()` for each stretch, whose cell is visible s steps later; a
-    return is in place if its cell or one of the eight neighbours is occupied. The table does not increase with s.
+    Counted over the returns in open cells, of `open_cells()` for each stretch. The table does not increase with s.
+    """
+    counts = [count_residence(frames, open_cells(), shape, cell_m) for frames in stretches]
+    return _life_table(np.sum(counts, axis=0))
+
+
+def general_residence(sources: Iterable[FrameSource], open_share: float) -> NDArray[np.float32]:
+    """The life table with steps of GENERAL_PERIOD_S, counted at many places with their own cells and periods.
+
+    A cell is open if it was so in more than `open_share` of the frames before.
+    """
+    shape = table_shape(GENERAL_PERIOD_S)
+    total = np.zeros((2, *shape))
+    for source in sources:
+        opened = OpenSoFar(source.grid, source.period_s, open_share)
+        counts = count_residence(source, opened, table_shape(source.period_s), source.grid.cell_m)
+        total += [resampled(count, source.period_s, GENERAL_PERIOD_S) for count in counts]
+    return _life_table(total)
+
+
+def resampled(table: NDArray[np.floating], from_s: float, to_s: float) -> NDArray[np.float64]:
+    """A table (A, S) by age and time ahead with steps of `from_s`, at steps of `to_s`, interpolated linearly."""
+    at = np.meshgrid(*(np.arange(n) * to_s / from_s for n in table_shape(to_s)), indexing="ij")
+    return np.asarray(map_coordinates(np.asarray(table, np.float64), at, order=1, mode="nearest"))
+
+
+def count_residence(
+    frames: Iterable[GridFrame], opened: OpenCells, shape: tuple[int, int], cell_m: float
+) -> NDArray[np.float64]:
+    """Counts (2, A, S) of returns in open cells by age, whose cell is visible s steps later: of all, of those in place.
+
+    A return is in place if its cell or one of the eight neighbours is occupied.
     """
     oldest = shape[0] - 1
-    at_risk, stayed = np.full(shape, PRIOR_RETURNS), np.zeros(shape)
-    for frames in stretches:
-        past: deque[Ages] = deque(maxlen=shape[1])
-        opened = open_cells()
-        window: SE2 | None = None
-        for frame in frames:
-            shift = Shift() if window is None else shift_between(window, frame.world_T_grid, cell_m)
-            window = frame.world_T_grid
-            if shift:
-                past = deque((rolled(ages, shift, NOT_OCCUPIED) for ages in past), shape[1])
-            occupied = frame.occupied & opened.of(frame)
-            before = past[0] if past else np.full(occupied.shape, NOT_OCCUPIED)
-            past.appendleft(next_ages(before, occupied, oldest))
-            near = _neighbourhood_maximum(occupied.astype(np.int64)) > 0
-            for step, ages in enumerate(past):
-                counted = (ages != NOT_OCCUPIED) & frame.visible
-                at_risk[:, step] += np.bincount(ages[counted], minlength=oldest + 1)
-                stayed[:, step] += np.bincount(ages[counted & near], minlength=oldest + 1)
-    return np.minimum.accumulate(stayed / at_risk, axis=1).astype(np.float32)
+    counts = np.zeros((2, *shape))
+    past: deque[Ages] = deque(maxlen=shape[1])
+    window: SE2 | None = None
+    for frame in frames:
+        shift = Shift() if window is None else shift_between(window, frame.world_T_grid, cell_m)
+        window = frame.world_T_grid
+        if shift:
+            past = deque((rolled(ages, shift, NOT_OCCUPIED) for ages in past), shape[1])
+        occupied = frame.occupied & opened.of(frame)
+        before = past[0] if past else np.full(occupied.shape, NOT_OCCUPIED)
+        past.appendleft(next_ages(before, occupied, oldest))
+        near = _neighbourhood_maximum(occupied.astype(np.int64)) > 0
+        for step, ages in enumerate(past):
+            counted = (ages != NOT_OCCUPIED) & frame.visible
+            counts[0, :, step] += np.bincount(ages[counted], minlength=oldest + 1)
+            counts[1, :, step] += np.bincount(ages[counted & near], minlength=oldest + 1)
+    return counts
+
+
+def _life_table(counts: NDArray[np.float64]) -> NDArray[np.float32]:
+    """The table (A, S) of counts (2, A, S) of returns at risk and of returns in place."""
+    at_risk, stayed = counts
+    return np.minimum.accumulate(stayed / (at_risk + PRIOR_RETURNS), axis=1).astype(np.float32)
+
+
+def residence_of(weights: Weights, period_s: float) -> NDArray[np.float32]:
+    """The life table of `weights` for a stream of this period. Raises WeightsError."""
+    if not weights.card.general:
+        return probabilities(weights, "residence", table_shape(period_s))
+    table = probabilities(weights, "residence", table_shape(GENERAL_PERIOD_S))
+    return resampled(table, GENERAL_PERIOD_S, period_s).astype(np.float32)
 
 
 def probability_in_place(

@@ -20,11 +20,11 @@ from gridtrack.trackers.model_free.forecast import objects
 from gridtrack.trackers.model_free.motion.estimator import MotionEstimator
 from gridtrack.trackers.model_free.motion.parameters import MotionModel
 from gridtrack.trackers.model_free.pipeline import Pipeline, compile_pipeline
-from gridtrack.trackers.model_free.residence import table_shape
+from gridtrack.trackers.model_free.residence import residence_of
 from gridtrack.trackers.model_free.settings import ModelFreeSettings, PipelineSettings
 from gridtrack.trackers.model_free.tracks import Track
 from gridtrack.trackers.model_free.window import Window
-from gridtrack.trackers.weights import array, load_weights, probabilities, tuned_settings
+from gridtrack.trackers.weights import array, cell_probabilities, load_weights, tuned_settings
 
 
 class ModelFreeTracker(CalibratedTracker):
@@ -37,6 +37,7 @@ class ModelFreeTracker(CalibratedTracker):
 
     Options: ClassVar[type[Settings]] = ModelFreeSettings
     learns: ClassVar[bool] = True
+    learns_general: ClassVar[bool] = True
     moving_sensor: ClassVar[bool] = True
     name: ClassVar[str]
     """Its registered name."""
@@ -51,10 +52,10 @@ class ModelFreeTracker(CalibratedTracker):
         weights = load_weights(stream, self.name)
         self._settings = tuned_settings(ModelFreeSettings, weights, options)
         self._background = BackgroundMap(
-            *(probabilities(weights, name, stream.grid.shape) for name in BackgroundMap._fields)
+            *(cell_probabilities(weights, name, stream.grid) for name in BackgroundMap._fields)
         )
         self._world_T_map = weights.card.map_pose
-        self._residence = probabilities(weights, "residence", table_shape(stream.period_s))
+        self._residence = residence_of(weights, stream.period_s)
         self._calibration = Calibration(array(weights, "calibration", (2, 3)))
         self.classes = weights.card.classes
         self._model = ClassModel.of(weights, stream.grid) if self.classes else None

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridtrack.trackers.contract import FitOutput, FrameSource, Score
-from gridtrack.trackers.model_free.background import fit_background
+from gridtrack.trackers.model_free.background import fit_background, general_background
 from gridtrack.trackers.model_free.open_cells import OpenCells, OpenOnMap, OpenSoFar
-from gridtrack.trackers.model_free.residence import fit_residence, table_shape
+from gridtrack.trackers.model_free.residence import fit_residence, general_residence, table_shape
 from gridtrack.trackers.model_free.settings import PipelineSettings
 from gridtrack.trackers.searched_fit import SettingsSearch, fit_searched
 from gridtrack.trackers.site_map import SiteMap
@@ -65,15 +65,24 @@ def fit_pipeline(
     """
     search = SettingsSearch(tracker.name, tracker, PipelineSettings, SETTING_RANGES, PipelineSettings())
     given = options.model_dump(include=set(PipelineSettings.model_fields), exclude_unset=True)
-    notes = {"classes": _without_classes(train)}
-    fit_searched(search, fit_arrays(train, options, out.report), train, validation, score, out, given, notes)
+    notes = {"classes": _without_classes(train, out)}
+    arrays = general_arrays(train, options) if out.general else fit_arrays(train, options, out.report)
+    fit_searched(search, arrays, train, validation, score, out, given, notes)
 
 
-def _without_classes(train: Sequence[FrameSource]) -> str:
+def _without_classes(train: Sequence[FrameSource], out: FitOutput) -> str:
     """The entry for classes in the card of a training without them."""
+    if out.general:
+        return "none: classes are learned at a site"
     if any(source.classes for source in train):
         return "none yet: add them with stage=classes"
     return f"none: {', '.join(source.name for source in train)} has no labels"
+
+
+def general_arrays(train: Sequence[FrameSource], options: PipelineSettings) -> dict[str, NDArray[np.float32]]:
+    """The counted arrays for any place: the mean rate, and a life table of any period."""
+    residence = general_residence(train, 1.0 - options.explained_above)
+    return {**general_background(train)._asdict(), "residence": residence}
 
 
 def fit_arrays(

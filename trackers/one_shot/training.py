@@ -8,6 +8,7 @@ from typing import Any
 
 import torch
 
+from gridtrack.trackers.card import card_for
 from gridtrack.trackers.cell_classifier import CellClassifier
 from gridtrack.trackers.cell_training import best_classifier
 from gridtrack.trackers.contract import FitOutput, FrameSource
@@ -15,7 +16,7 @@ from gridtrack.trackers.label_settings import ClassifierSettings
 from gridtrack.trackers.labelled_scans import VALIDATE_ON, draw_labelled
 from gridtrack.trackers.one_shot.settings import ONE_SHOT, OneShotSettings
 from gridtrack.trackers.scan_classifier import scan_cells, scan_classifier
-from gridtrack.trackers.weights import card_for, save_interrupted, save_weights
+from gridtrack.trackers.weights import save_interrupted, save_weights
 
 
 def fit_classifier(

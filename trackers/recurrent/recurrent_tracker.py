@@ -13,12 +13,13 @@ from torch import Tensor, nn
 
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, Shift, shift_between
+from gridtrack.trackers.card import card_for
 from gridtrack.trackers.contract import FitOutput, Forecast, FrameSource, Score, StreamSpec, Tracker, stream_of
 from gridtrack.trackers.recurrent.network import Float32Array, InferenceNetwork, LatentState, as_cells, channels_last
 from gridtrack.trackers.recurrent.settings import InferenceSettings
 from gridtrack.trackers.recurrent.unseen import rolled_state
 from gridtrack.trackers.trained_network import restore, trained_settings
-from gridtrack.trackers.weights import Weights, card_for, load_weights, save_interrupted, save_weights
+from gridtrack.trackers.weights import Weights, load_weights, save_interrupted, save_weights
 
 VALIDATION_HORIZONS_S = (0.5, 1.0, 2.0)
 

@@ -19,6 +19,7 @@ from gridtrack.common.config import validated
 from gridtrack.common.errors import WeightsError
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, LabelledFrame, shift_between
+from gridtrack.trackers.card import with_classes
 from gridtrack.trackers.cell_classifier import CellClassifier
 from gridtrack.trackers.cell_training import (
     CellCollector,
@@ -38,7 +39,7 @@ from gridtrack.trackers.recurrent.seen_cells import PREFIX, SeenCells
 from gridtrack.trackers.recurrent.settings import DECODER_SETTINGS, TransferSettings
 from gridtrack.trackers.recurrent.unseen import rolled_state
 from gridtrack.trackers.scan_classifier import planes_of, scan_classifier
-from gridtrack.trackers.weights import load_weights, save_interrupted, save_weights, with_classes
+from gridtrack.trackers.weights import load_weights, save_interrupted, save_weights
 
 LEADS = (4, 12)
 """Steps of the forecasts that classes are learned from, beside the current frame; at most LEAD_IN less a warm-up."""

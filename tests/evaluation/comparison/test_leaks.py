@@ -126,7 +126,8 @@ def test_a_card_of_an_earlier_version_is_compared_by_the_hash_and_the_seconds(ro
 def test_a_tracker_that_names_no_training_data_on_its_card_cannot_hide_it(record, tmp_path, install):
     module = """
 from gridtrack.trackers.baselines.persistence import PersistenceTracker
-from gridtrack.trackers.weights import card_for, save_weights
+from gridtrack.trackers.card import card_for
+from gridtrack.trackers.weights import save_weights
 
 
 class Secretive(PersistenceTracker):

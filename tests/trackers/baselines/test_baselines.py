@@ -17,8 +17,9 @@ from gridtrack.common.errors import WeightsError
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec
 from gridtrack.trackers.baselines.blank import BlankTracker
+from gridtrack.trackers.baselines.cell_rates import smoothed_rate
 from gridtrack.trackers.baselines.persistence import PersistenceTracker
-from gridtrack.trackers.baselines.static_map import StaticMapOptions, StaticMapTracker, frequency
+from gridtrack.trackers.baselines.static_map import StaticMapOptions, StaticMapTracker
 from gridtrack.trackers.contract import FitOutput, StreamSpec, StretchScore
 
 GRID = GridSpec(2, 1.0)
@@ -171,7 +172,7 @@ def test_a_frequency_is_a_probability(counts: list[tuple[int, int]], prior_frame
     occupied = np.array([min(c) for c in counts])
     visible = np.array([max(c) for c in counts])
     visible[0] += 1
-    found = frequency(occupied, visible, prior_frames)
+    found = smoothed_rate(occupied, visible, occupied.sum() / visible.sum(), prior_frames)
     assert found.dtype == np.float32
     assert ((found >= 0.0) & (found <= 1.0)).all()
 

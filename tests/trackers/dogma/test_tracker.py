@@ -15,13 +15,14 @@ from gridtrack.common.grid import GridFrame, GridSpec, Shift, rolled
 from gridtrack.common.raycast import cast_scan
 from gridtrack.common.scan import Scan
 from gridtrack.trackers.calibration import IDENTITY
+from gridtrack.trackers.card import Card
 from gridtrack.trackers.contract import StreamSpec
 from gridtrack.trackers.dogma.filter import ParticleGrid
 from gridtrack.trackers.dogma.forecast import forecast
 from gridtrack.trackers.dogma.moments import dynamic_cells, velocities
 from gridtrack.trackers.dogma.settings import DogmaSettings
 from gridtrack.trackers.dogma.tracker import DogmaTracker
-from gridtrack.trackers.weights import Card, save_weights
+from gridtrack.trackers.weights import save_weights
 
 from scenes.scrolling import scrolled
 from scenes.street import box, legs

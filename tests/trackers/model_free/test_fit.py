@@ -10,13 +10,13 @@ import pytest
 
 pytest.importorskip("filterpy")
 from gridtrack.common.errors import RecordingError, WeightsError
-from gridtrack.common.grid import Shift
+from gridtrack.common.grid import GridSpec, Shift
 from gridtrack.trackers import searched_fit
 from gridtrack.trackers.contract import FitOutput, StreamSpec, StretchScore
 from gridtrack.trackers.model_free.background import OUTSIDE_MAP
 from gridtrack.trackers.model_free.kalman import KalmanTracker
 from gridtrack.trackers.model_free.open_cells import OpenOnMap
-from gridtrack.trackers.model_free.residence import fit_residence
+from gridtrack.trackers.model_free.residence import fit_residence, resampled
 from gridtrack.trackers.model_free.settings import ModelFreeSettings, PipelineSettings
 from gridtrack.trackers.site_map import SiteMap
 from gridtrack.trackers.tuning import FINALISTS
@@ -193,6 +193,47 @@ def test_training_on_a_moving_sensor_learns_no_map_and_reports_it(tmp_path, monk
     for frame in Driven():
         tracker.update(frame)
     assert np.isfinite(tracker.predict(3).occupancy).all()
+
+
+class Fine(Source):
+    """The same walk at another site, in half the cells at twice the rate."""
+
+    name, sha256, period_s, site = "yard@0s-1.5s", "1" * 64, PERIOD_S / 2, "yard"
+    grid = GridSpec(2 * GRID.size, GRID.cell_m / 2, GRID.origin)
+
+    def __init__(self):
+        self.frames = [
+            replace(frame, visible=np.kron(frame.visible, CELLS), occupied=np.kron(frame.occupied, CELLS))
+            for frame in Source().frames
+        ]
+
+
+CELLS = np.ones((2, 2), bool)
+
+
+def test_a_general_training_learns_no_map_and_runs_on_any_grid_and_period(tmp_path, monkeypatch):
+    monkeypatch.setattr("gridtrack.trackers.searched_fit.SEARCH_ITERATIONS", 1)
+    out = FitOutput(tmp_path / "general.toml", "gridtrack train kalman", 3, tmp_path / "log", general=True)
+    KalmanTracker.fit([Source(), Fine()], [Fine()], Scores(), out, ModelFreeSettings())
+    card = read_card(out.path)
+    assert (card.general, card.cells_m) == (True, (Fine.grid.cell_m, GRID.cell_m))
+    for source in (Source(), Fine()):
+        stream = StreamSpec(source.grid, source.period_s, "elsewhere", weights=out.path)
+        assert load_weights(stream, "kalman").arrays["occupancy_rate"].shape == (1, 1)
+        tracker = KalmanTracker(stream, PipelineSettings())
+        for frame in source:
+            tracker.update(frame)
+        assert np.isfinite(tracker.predict(3).occupancy).all()
+        assert tracker.tracks
+
+
+def test_a_life_table_of_another_period_has_the_probabilities_of_its_times():
+    """P = (age + 2 times the time ahead) / 10 s: linear, so the interpolation is exact within the table's span."""
+    coarse = np.add.outer(np.arange(31), 2 * np.arange(31)) * 0.1 / 10
+    fine = resampled(coarse, 0.1, 0.05)
+    assert fine.shape == (61, 61)
+    assert fine[3, 5] == pytest.approx((0.15 + 2 * 0.25) / 10)
+    assert resampled(fine, 0.05, 0.1) == pytest.approx(coarse)
 
 
 def open_everywhere():

@@ -1,0 +1,170 @@
+"""The card of learned weights: tracker, site, grid, period, training recordings, seed, command, settings and results.
+
+The weights of a site are used there only. General weights were learned at many places, and are used where there are
+none for the site: their card has no site and no grid, and the ranges of cell and period that they were trained on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Annotated, Any
+
+from pydantic import Field, field_validator, model_validator
+
+from gridtrack.common.config import Settings
+from gridtrack.common.errors import WeightsError
+from gridtrack.common.geometry import SE2
+from gridtrack.common.scan import MAX_POSITION_M
+from gridtrack.trackers.contract import FitOutput, FrameSource
+
+CARD_SCHEMA = 2
+GENERAL = "general"
+"""The site on the card of general weights, and the name of its file."""
+
+Coordinate = Annotated[float, Field(ge=-MAX_POSITION_M, le=MAX_POSITION_M)]
+Range = tuple[Annotated[float, Field(gt=0.0)], Annotated[float, Field(gt=0.0)]]
+
+
+class TrainingData(Settings):
+    """A stretch of a recording that weights were trained on."""
+
+    recording: str
+    sha256: str
+    source_sha256: str = ""
+    """Of the file that the recording was first imported from; "" on a card of an earlier gridtrack."""
+    start_ns: int = 0
+    end_ns: int = 0
+    """Stamps of the frames: from `start_ns` on, `end_ns` excluded; 0 where `source_sha256` is ""."""
+
+
+class Card(Settings):
+    """The readable half of a tracker's weights."""
+
+    schema_version: int = CARD_SCHEMA
+    tracker: str
+    site: str
+    grid: str = ""
+    """Of the recordings; "" on a general card."""
+    period_s: float | None = Field(None, gt=0.0)
+    """Of the recordings; None on a general card."""
+    cells_m: Range | None = None
+    """On a general card: the smallest and the largest cell of the recordings, metres."""
+    periods_s: Range | None = None
+    """On a general card: the shortest and the longest period of the recordings, seconds."""
+    seed: int
+    command: str
+    train: tuple[TrainingData, ...]
+    validation: tuple[TrainingData, ...] = ()
+    arrays_sha256: str = ""
+    classes: tuple[str, ...] = ()
+    """The classes of the tracker, in its order; scores match them with those of a recording by name."""
+    world_T_grid: tuple[Coordinate, Coordinate] | None = None
+    """Where the arrays with a value per cell lie in the world: x and y of their grid frame, metres, its axes the
+    world's. None on a card of an earlier gridtrack: they then lie in the first window of a stream."""
+    interrupted: str = ""
+    """How far an interrupted training came, such as "update 200 of 1000"; empty for one that finished."""
+    settings: dict[str, Any] = Field(default_factory=dict)
+    results: dict[str, Any] = Field(default_factory=dict)
+
+    @field_validator("classes")
+    @classmethod
+    def _distinct(cls, names: tuple[str, ...]) -> tuple[str, ...]:
+        if len(set(names)) != len(names):
+            raise ValueError("a class is named twice")
+        return names
+
+    @model_validator(mode="after")
+    def _of_a_site_or_general(self) -> Card:
+        if self.general != (self.cells_m is not None) or self.general != (self.periods_s is not None):
+            raise ValueError(f"site '{GENERAL}' has cells_m and periods_s, and no other site has them")
+        if not self.general and (not self.grid or self.period_s is None):
+            raise ValueError("the card of a site has its grid and period_s")
+        return self
+
+    @property
+    def general(self) -> bool:
+        """Whether these weights were learned at many places, for any place."""
+        return self.site == GENERAL
+
+    @property
+    def map_pose(self) -> SE2 | None:
+        """`world_T_grid` of the arrays with a value per cell; None where the card does not have it."""
+        return None if self.world_T_grid is None else SE2(*self.world_T_grid)
+
+
+def card_for(
+    tracker: str,
+    out: FitOutput,
+    train: Iterable[FrameSource],
+    validation: Iterable[FrameSource],
+    settings: Mapping[str, Any],
+    results: Mapping[str, Any] | None = None,
+) -> Card:
+    """The card of a training on `train`: a general one where `out` asks for it.
+
+    Arrays with a value per cell lie in the window of the first frame. Raises WeightsError where the training stretches
+    of a site differ in grid, period or site.
+    """
+    sources = list(train)
+    return Card(
+        tracker=tracker,
+        **(_ranges_of(sources) if out.general else _place_of(tracker, sources)),
+        seed=out.seed,
+        command=out.command,
+        train=_data_of(sources),
+        validation=_data_of(validation),
+        settings=dict(settings),
+        results=dict(results or {}),
+    )
+
+
+def _ranges_of(sources: list[FrameSource]) -> dict[str, Any]:
+    """The fields of a general card that say what it was trained on."""
+    cells, periods = ([source.grid.cell_m for source in sources], [source.period_s for source in sources])
+    return {
+        "site": GENERAL,
+        "cells_m": (min(cells), max(cells)),
+        "periods_s": (min(periods), max(periods)),
+    }
+
+
+def _place_of(tracker: str, sources: list[FrameSource]) -> dict[str, Any]:
+    """The fields of a site's card that say where it was trained. Raises WeightsError."""
+    kinds = {(str(s.grid), s.period_s, s.site) for s in sources}
+    if len(kinds) != 1:
+        raise WeightsError(
+            f"{tracker}: train on recordings of one grid, period and site, or for any place with --general; found"
+            f" {sorted(kinds)}"
+        )
+    (grid, period_s, site) = kinds.pop()
+    return {"site": site, "grid": grid, "period_s": period_s, "world_T_grid": _first_window(sources)}
+
+
+def _first_window(sources: Iterable[FrameSource]) -> tuple[float, float] | None:
+    """The position of the window of the first frame, metres, world frame; None without a frame."""
+    first = next((frame.world_T_grid for source in sources for frame in source), None)
+    return None if first is None else (first.x, first.y)
+
+
+def with_classes(
+    card: Card,
+    classes: tuple[str, ...],
+    train: Iterable[FrameSource],
+    validation: Iterable[FrameSource],
+    settings: Mapping[str, Any],
+    results: Mapping[str, Any],
+) -> Card:
+    """The card of an earlier training, with classes added from `train` and `validation` (`stage=classes`)."""
+    return card.model_copy(
+        update={
+            "classes": classes,
+            "train": tuple(dict.fromkeys([*card.train, *_data_of(train)])),
+            "validation": tuple(dict.fromkeys([*card.validation, *_data_of(validation)])),
+            "settings": card.settings | {"stage": "both"} | dict(settings),
+            "results": card.results | {"classes": dict(results)},
+        }
+    )
+
+
+def _data_of(sources: Iterable[FrameSource]) -> tuple[TrainingData, ...]:
+    return tuple(TrainingData(recording=source.name, sha256=source.sha256) for source in sources)
