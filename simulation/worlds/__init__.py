@@ -17,6 +17,7 @@ from gridtrack.simulation.worlds.populate import on_foot
 from gridtrack.simulation.worlds.scenery import Scenery
 from gridtrack.simulation.worlds.sensors import draw_sensor
 from gridtrack.simulation.worlds.streets import streets
+from gridtrack.simulation.worlds.worth import seen_share
 
 PlaceGenerator = Callable[[np.random.Generator], Scenery]
 
@@ -33,7 +34,9 @@ KINDS = (*INDOORS, *OUTDOORS, *STREETS)
 MAX_WORLD_MINUTES = 10.0
 SEED_DOMAIN = 19
 """Worlds share no random numbers with other simulations of the same seed."""
-ATTEMPTS = 5
+ATTEMPTS = 10
+LEAST_SEEN = 0.3
+"""A world in which moving road users are seen in fewer of the seconds is made again."""
 
 
 def kind_of(seed: int) -> str:
@@ -72,7 +75,10 @@ def simulate_world(seed: int, minutes: float) -> Tracks:
         raise ConfigurationError(f"{minutes:g} minutes: expected more than 0 and at most {MAX_WORLD_MINUTES:g}")
     for attempt in range(ATTEMPTS):
         try:
-            return _attempt(seed, minutes, np.random.default_rng([SEED_DOMAIN, seed, attempt]))
+            tracks = _attempt(seed, minutes, np.random.default_rng([SEED_DOMAIN, seed, attempt]))
+            if seen_share(tracks) >= LEAST_SEEN:
+                return tracks
+            reason = SimulationError("hardly anybody comes by")
         except SimulationError as error:
             reason = error
     raise SimulationError(f"world {seed}: {reason} in {ATTEMPTS} attempts; take another seed") from reason

@@ -105,7 +105,7 @@ def reliefs(
     """Shallow projections of a wall: half-columns, frames of shut doors, pipes, skirtings."""
     length_m = math.dist(start, end)
     heading = math.atan2(end[1] - start[1], end[0] - start[0])
-    for _ in range(random.poisson(length_m / 4.0)):
+    for _ in range(random.poisson(length_m / 2.5)):
         stretch = _free_stretch(random, length_m, random.choice([0.1, 0.3, 0.9]), taken)
         if stretch is not None:
             depth_m = random.uniform(0.03, 0.3 if stretch[1] - stretch[0] < 0.5 else 0.12)

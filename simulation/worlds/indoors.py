@@ -69,7 +69,7 @@ def office(random: np.random.Generator) -> Scenery:
         )
         wall(scenery, (0.0, y0), (0.0, far), 0.3)
         for corners in rooms:
-            furnish(scenery, corners, random, random.uniform(0.1, 0.9), keep)
+            furnish(scenery, corners, random, random.uniform(0.3, 1.0), keep)
     for _ in range(random.poisson(length_m / 10.0)):
         spot = (random.uniform(1.0, length_m - 1.0), random.choice([0.35, corridor_m - 0.35]))
         if corridor_m > 1.9 and all(math.dist(spot, door) > 1.5 for door in keep):

@@ -26,7 +26,7 @@ DRIVING, BY_ODOMETRY = 0.35, 0.5
 """Share of worlds whose laser drives, and of these that record the poses of wheel odometry."""
 ROBOT_SIZE_M = (0.5, 0.45)
 SITTING = 0.5
-MOST_PEOPLE = 24
+MOST_PEOPLE = 30
 LANE_CLEARANCE_M = 1.5
 """Between a laser that stands and the middle of a lane."""
 
