@@ -125,12 +125,12 @@ def _why_unknown(path: Path, registry: FormatRegistry) -> str:
 
 
 def packaged_recording(name: str) -> Path:
-    """The file of a recording in the gridtrack package, such as `leg_tracker` or `junction/train`.
+    """The file of a recording in the gridtrack package, such as `leg_tracker` or `worlds/test/indoors-room-1008`.
 
     Raises RecordingError.
     """
     data = Path(str(files("gridtrack.data")))
-    known = {_packaged_name(path, data): path for path in (*data.glob("*/*.mcap"), *data.glob("*/*.tracks"))}
+    known = {_packaged_name(path, data): path for path in (*data.rglob("*.mcap"), *data.rglob("*.tracks"))}
     if name not in known:
         raise RecordingError(f"no recording '{name}' in the package; {did_you_mean(name, known)}")
     return known[name]

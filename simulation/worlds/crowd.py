@@ -18,6 +18,7 @@ from shapely import Polygon
 from shapely.ops import nearest_points
 
 from gridtrack.simulation.motion import headings, smoothed
+from gridtrack.simulation.sumo import SimulationError
 from gridtrack.simulation.tracks import Corner
 
 CROWD_STEP_S = 0.1
@@ -78,21 +79,32 @@ class _Progress:
     facing: list[float] = field(default_factory=list)
     """NaN while walking."""
     gone: bool = False
+    gone_s: float = -math.inf
+    """When the person was taken out; the simulation does so with its next step."""
 
 
 def walk(ground: Polygon, plans: Sequence[Plan], seconds: float, random: np.random.Generator) -> list[MoverPath | None]:
     """The path of each plan during `seconds`, in order; None for who found no room to enter.
 
-    Same arguments, same paths. `ground` is connected; stops beside it are moved to it.
+    Same arguments, same paths. `ground` is connected; stops beside it are moved to it. Raises SimulationError.
     """
+    everybody = [_Progress(plan) for plan in plans]
+    try:
+        _simulate(ground, everybody, math.ceil(seconds / CROWD_STEP_S))
+    except RuntimeError as error:  # JuPedSim's own, such as somebody pushed out of the ground
+        raise SimulationError(f"JuPedSim failed: {str(error).splitlines()[0]}") from error
+    return [_path(person, random) if len(person.positions) > 3 else None for person in everybody]
+
+
+def _simulate(ground: Polygon, everybody: Sequence[_Progress], steps: int) -> None:
+    """Move everybody for so many steps."""
     simulation = jupedsim.Simulation(
         model=jupedsim.CollisionFreeSpeedModelV2(), geometry=ground, dt=CROWD_STEP_S / SUBSTEPS
     )
     stage = simulation.add_direct_steering_stage()
     journey = simulation.add_journey(jupedsim.JourneyDescription([stage]))
     inner = ground.buffer(-STOP_MARGIN_M)
-    everybody = [_Progress(plan) for plan in plans]
-    for step in range(math.ceil(seconds / CROWD_STEP_S)):
+    for step in range(steps):
         for person in everybody:
             if person.agent < 0 and not person.gone and person.plan.start_s <= step * CROWD_STEP_S:
                 _enter(simulation, person, everybody, inner, journey, stage, step)
@@ -100,7 +112,6 @@ def walk(ground: Polygon, plans: Sequence[Plan], seconds: float, random: np.rand
         for person in everybody:
             if person.agent >= 0 and not person.gone:
                 _advance(simulation, person, inner, step * CROWD_STEP_S)
-    return [_path(person, random) if len(person.positions) > 3 else None for person in everybody]
 
 
 def on_ground(inner: Polygon, at: Corner) -> Corner:
@@ -121,9 +132,10 @@ def _enter(
     """Let the person enter where nobody is; else it is tried again."""
     plan = person.plan
     start = on_ground(inner, plan.start)
-    inside = (other for other in everybody if other.agent >= 0 and not other.gone)
+    now_s = step * CROWD_STEP_S
+    inside = (o for o in everybody if o.agent >= 0 and (not o.gone or now_s - o.gone_s < 1.5 * CROWD_STEP_S))
     if any(math.dist(start, o.positions[-1]) < plan.radius_m + o.plan.radius_m + 0.1 for o in inside):
-        person.gone = step * CROWD_STEP_S - plan.start_s > ENTRY_TRIES * CROWD_STEP_S
+        person.gone = now_s - plan.start_s > ENTRY_TRIES * CROWD_STEP_S
         return
     parameters = jupedsim.CollisionFreeSpeedModelV2AgentParameters(
         position=start, journey_id=journey, stage_id=stage, desired_speed=plan.speed, radius=plan.radius_m
@@ -167,7 +179,7 @@ def _next_stop(simulation: jupedsim.Simulation, person: _Progress, inner: Polygo
     person.stop += 1
     if person.stop == len(person.plan.stops) and person.plan.leaves:
         simulation.mark_agent_for_removal(person.agent)
-        person.gone = True
+        person.gone, person.gone_s = True, now_s
         return
     person.stop %= len(person.plan.stops)
     _head_for(simulation, person, inner)

@@ -24,11 +24,8 @@ def seen_share(tracks: Tracks) -> float:
     grid = GridSpec.parse(info.recording.grid or "")
     half_m = grid.size * grid.cell_m / 2.0
     every = max(round(EVERY_S * info.rate_hz), 1)
-    moving = [
-        number
-        for number in np.unique(tracks.track)
-        if np.ptp(tracks.pose[tracks.track == number, :2], axis=0).max() > MOVED_M
-    ]
+    of_track = {number: tracks.pose[tracks.track == number, :2] for number in np.unique(tracks.track).tolist()}
+    moving = [number for number, position in of_track.items() if np.ptp(position, axis=0).max() > MOVED_M]
     sampled = tracks.where(np.isin(tracks.track, moving) & (tracks.frame % every == 0))
     seen = []
     for frame, scene in enumerate(sampled.scenes()):
