@@ -9,7 +9,9 @@ pytest.importorskip("filterpy")
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, with_neighbours
 from gridtrack.trackers.contract import StreamSpec
+from gridtrack.trackers.model_free import forecast
 from gridtrack.trackers.model_free.kalman import KalmanTracker
+from gridtrack.trackers.model_free.motion.model import propagate
 from gridtrack.trackers.model_free.settings import PipelineSettings
 from gridtrack.trackers.weights import save_weights
 
@@ -49,6 +51,22 @@ def test_velocity_is_known_after_a_second(tracker, velocity):
     assert all(len(objects) == 1 for objects in seen[5:])
     errors = np.array([objects[0].velocity - np.array(velocity) for objects in seen[11:]])
     assert np.sqrt((errors**2).mean()) < 0.2
+
+
+@pytest.mark.parametrize("lost", [np.nan, np.inf])
+def test_a_motion_that_has_diverged_is_not_drawn(tracker, monkeypatch, lost):
+    """Settings within the ranges of the search once asked for an image without a size."""
+
+    def diverging(*arguments):
+        means, covariances = propagate(*arguments)
+        covariances[:, 4:] = lost
+        return means, covariances
+
+    watch(tracker, walk((3.0, -1.0), (0.0, 1.0), 21))
+    monkeypatch.setattr(forecast, "propagate", diverging)
+    occupancy = tracker.predict(6).occupancy
+    assert np.isfinite(occupancy).all()
+    assert occupancy[3].max() > 5 * occupancy[4].max()
 
 
 @pytest.mark.parametrize("every", [2, 3])
