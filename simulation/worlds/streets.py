@@ -30,9 +30,9 @@ from gridtrack.simulation.worlds.scenery import Scenery, wall
 from gridtrack.simulation.worlds.sensors import WorldSensor, standing_pose
 from gridtrack.simulation.worlds.street_furniture import leaves, small_thing, tree
 
-FILLING_S, MARGIN_S = 60.0, 3.0
+FILLING_S, STREET_MARGIN_S = 60.0, 3.0
 """From the empty streets to traffic, and simulated before and after the recording for the smoothing."""
-RATES = {"car": (0.08, 0.45), "bus": (0.0, 0.04), "cyclist": (0.04, 0.25), "pedestrian": (0.15, 0.5)}
+USERS_PER_SECOND = {"car": (0.08, 0.45), "bus": (0.0, 0.04), "cyclist": (0.04, 0.25), "pedestrian": (0.15, 0.5)}
 REACH_M = 70.0
 """Houses are built that far from the middle."""
 BESIDE_M = (0.3, 2.0)
@@ -60,11 +60,11 @@ def streets(
 
     Raises SimulationError where no traffic comes by, or nowhere is free for a laser.
     """
-    span_s = (FILLING_S - MARGIN_S, FILLING_S + seconds + MARGIN_S)
+    span_s = (FILLING_S - STREET_MARGIN_S, FILLING_S + seconds + STREET_MARGIN_S)
     with tempfile.TemporaryDirectory() as folder:
         network = StreetNetwork(Path(folder), random)
         middle = network.middle(crossing)
-        rates = {label: float(random.uniform(*ends)) for label, ends in RATES.items()}
+        rates = {label: float(random.uniform(*ends)) for label, ends in USERS_PER_SECOND.items()}
         demand = network.demand(rates, middle, random)
         movements = run_sumo(Path(folder), network.path, demand, (), span_s, int(random.integers(1 << 30)), Untouched())
         ground = network.ground()
@@ -87,7 +87,7 @@ def _movers(movements: Movements, random: np.random.Generator) -> list[Mover]:
             continue
         walks = kind.label == "pedestrian"
         poses = pedestrian_poses(movements, rows) if walks else vehicle_poses(movements, rows, kind)
-        times = movements.step[rows] * STEP_S - MARGIN_S
+        times = movements.step[rows] * STEP_S - STREET_MARGIN_S
         first, last = math.ceil(times[0] / CROWD_STEP_S), math.floor(times[-1] / CROWD_STEP_S)
         at = np.arange(first, last + 1) * CROWD_STEP_S
         x, y, heading = (np.interp(at, times, column) for column in (*poses.T[:2], np.unwrap(poses[:, 2])))
