@@ -13,10 +13,11 @@ MATCH_OUTCOMES: tuple[str, ...] = get_args(MatchOutcome)
 class PoseQuality:
     """The match of a scan with the scans before it.
 
-    `outcome` is `start` for the first scan, `matched`, or `partial` where the walls leave a direction open, in which
-    the pose is the prior's, as along a corridor. A scan with `few-returns`, with `few-inliers`, or whose match is `far`
-    from the prior has the prior's pose. `inlier_share` is the share of its returns on the map, `residual_m` their
-    median distance from the map's walls; both are 0 where the scan was not matched.
+    `outcome` is `start` for the first scan, `matched`, or `partial` where a direction is open, in which the pose is the
+    prior's: nothing constrains it, as along a corridor, or one compact cluster alone, which may move. A scan with
+    `few-returns`, with `few-inliers`, or whose match is `far` from the prior has the prior's pose. `inlier_share` is
+    the share of its returns on the map, `residual_m` their median distance from the map's walls; both are 0 where the
+    scan was not matched.
     """
 
     outcome: MatchOutcome

@@ -22,12 +22,14 @@ from pathlib import Path
 import numpy as np
 from kiss_icp.mapping import VoxelHashMap
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from gridtrack.common.geometry import SE2, wrap_angle
 from gridtrack.common.scan import Scan
 from gridtrack.recordings import open_recording
 from gridtrack.recordings.ego_motion import MatchingSettings, PoseSource, matched_trajectory
-from gridtrack.recordings.ego_motion.matching import POINTS_PER_VOXEL, Fit, fit_at
+from gridtrack.recordings.ego_motion.fit import Fit, fit_at
+from gridtrack.recordings.ego_motion.matching import POINTS_PER_VOXEL
 from gridtrack.recordings.ego_motion.returns import homogeneous, returns_of
 
 from studies.support.npz_scans import npz_scans
@@ -161,7 +163,7 @@ def fits(scans: Sequence[Scan], poses: Sequence[SE2], settings: MatchingSettings
             motion_s = (scan.stamp_ns - scans[number - 1].stamp_ns) / 1e9
         returns = returns_of(scan, settings.max_range_m, motion, motion_s)
         if number and len(returns.points):
-            found.append(fit_at(pose, returns, local_map.point_cloud()[:, :2], settings.kernel_m))
+            found.append(fit_at(pose, returns, cKDTree(local_map.point_cloud()[:, :2]), settings.kernel_m))
         local_map.update(np.column_stack([returns.points, np.zeros(len(returns.points))]), homogeneous(pose))
     return found
 

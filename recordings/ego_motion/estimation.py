@@ -48,14 +48,20 @@ class MatchedTrajectory:
         if self.stands:
             self.matched = [self.recorded[0]] * len(self.matched)
 
+    def _not_constrained_s(self) -> float:
+        """The time before each scan whose pose or a part of it is the prior's."""
+        fell_back = np.array([quality.fell_back for quality in self.qualities[1:]], np.bool_)
+        return float(np.diff(self.stamps_ns)[fell_back].sum() / 1e9)
+
     def describe(self, source: PoseSource) -> str:
-        """One line: where the poses come from, how many scans could not be matched, the median residual."""
+        """One line: where the poses come from, how many scans do not constrain them and for how long, the residual."""
         count, outcomes = len(self.qualities), Counter(q.outcome for q in self.qualities if q.fell_back)
         prior = "the recorded motion" if source == "refined" else "the motion before"
         text = f"{source}: scans of '{self.sensor}' matched"
         if outcomes:
             each = ", ".join(f"{name} {number}" for name, number in sorted(outcomes.items()))
-            text += f"; {outcomes.total() / count:.1%} of them have {prior} in place of the match or of a part ({each})"
+            share, seconds = outcomes.total() / count, self._not_constrained_s()
+            text += f"; {share:.1%} of them, {seconds:.1f} s, have {prior} in place of the match or of a part ({each})"
         residuals = [q.residual_m for q in self.qualities if not q.failed and q.outcome != "start"]
         if residuals:
             text += f"; median residual {np.median(residuals):.3f} m"

@@ -17,9 +17,13 @@ TURN_LEVER_M = 0.5
 """A turn of one radian adds as much to the position's noise as this distance driven, and a metre as much to heading."""
 MIN_NOISE_S = 0.05
 """Without odometry the noise of the prior is at least that of so much time: stamps of a log may come in bursts."""
-MAX_COAST_S = 1.0
-"""Without odometry the last motion is continued for this long where scans cannot be matched; then the sensor is taken
-to stand."""
+
+
+class Velocity(NamedTuple):
+    """Of the last motion: `mean` m/s and rad/s in the sensor's frame, and its `covariance` (3, 3)."""
+
+    mean: SE2
+    covariance: PlaneArray
 
 
 class Prior(NamedTuple):
@@ -43,13 +47,19 @@ def odometry_prior(last: SE2, odometry: SE2, settings: MatchingSettings) -> Prio
     return Prior(last @ odometry, odometry, _information(position, heading), False)
 
 
-def motion_prior(last: SE2, velocity: SE2, since_s: float, settings: MatchingSettings) -> Prior:
-    """The pose after `since_s` seconds at `velocity` (m/s and rad/s, sensor frame) from the pose `last`."""
-    motion = SE2(velocity.x * since_s, velocity.y * since_s, velocity.theta * since_s)
-    noise_s = max(since_s, MIN_NOISE_S)
+def motion_prior(last: SE2, velocity: Velocity, since_s: float, settings: MatchingSettings) -> Prior:
+    """The pose `since_s` seconds after the pose `last`, at `velocity` and its possible change."""
+    mean, noise_s = velocity.mean, max(since_s, MIN_NOISE_S)
+    motion = SE2(mean.x * since_s, mean.y * since_s, mean.theta * since_s)
     position = POSITION_FLOOR_M + settings.acceleration * noise_s**2 / 2.0
     heading = HEADING_FLOOR_RAD + settings.turn_acceleration * noise_s**2 / 2.0
-    return Prior(last @ motion, motion, _information(position, heading), True)
+    covariance = np.diag([position**2, position**2, heading**2]) + velocity.covariance * noise_s**2
+    return Prior(last @ motion, motion, inverse(covariance), True)
+
+
+def inverse(matrix: PlaneArray) -> PlaneArray:
+    """The covariance (3, 3) of an information, or the other way round."""
+    return np.linalg.inv(matrix).astype(np.float64)
 
 
 def _information(position_m: float, heading_rad: float) -> PlaneArray:

@@ -21,18 +21,34 @@ MAX_HALF_WINDOW = 16
 MAX_ROUGHNESS_M = 0.06
 """Standard deviation across the line above which returns are not on one wall."""
 NEAREST_M = 1e-3
+MAX_LENGTH_M = 0.3
+"""A return stands for at most so much surface."""
+CLUSTER_GAP_M = 0.5
+"""Neighbouring returns that are further apart belong to two clusters."""
 
 
 class ScanReturns(NamedTuple):
     """The returns of one scan, sensor frame at the scan's stamp.
 
     `points` (N, 2) metres in the order of the beams, `normals` (N, 2) unit vectors across the wall, and `on_wall` (N,)
-    where the neighbours lie on one line with a return, so that its normal has a meaning.
+    where the neighbours lie on one line with a return, so that its normal has a meaning. `length` (N,) metres of
+    surface for which each return stands, so that what is near, and has many returns, weighs no more than what is far;
+    `cluster` (N,) numbers the clusters, `extent` (N,) metres is the diagonal of their boxes.
     """
 
     points: PlaneArray
     normals: PlaneArray
     on_wall: NDArray[np.bool_]
+    length: PlaneArray
+    cluster: NDArray[np.int64]
+    extent: PlaneArray
+
+    def only(self, chosen: NDArray[np.bool_]) -> ScanReturns:
+        """Those of `chosen` (N,), with the normals, lengths and clusters that they have among all."""
+        points, normals, on_wall, length, cluster, extent = self
+        return ScanReturns(
+            points[chosen], normals[chosen], on_wall[chosen], length[chosen], cluster[chosen], extent[chosen]
+        )
 
 
 def returns_of(scan: Scan, max_range_m: float, motion: SE2, motion_s: float) -> ScanReturns:
@@ -48,7 +64,27 @@ def returns_of(scan: Scan, max_range_m: float, motion: SE2, motion_s: float) -> 
     points = ranges[beam, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
     if scan.time_increment_s and motion_s > 0.0:
         points = deskewed(points, beam.astype(np.float64) * (scan.time_increment_s / motion_s), motion)
-    return ScanReturns(points, *wall_normals(points))
+    return returns_at(points)
+
+
+def returns_at(points: PlaneArray) -> ScanReturns:
+    """Points (N, 2) in the order of the beams as returns."""
+    normals, on_wall = wall_normals(points)
+    length, cluster, extent = surfaces(points)
+    return ScanReturns(points, normals, on_wall, length, cluster, extent)
+
+
+def surfaces(points: PlaneArray) -> tuple[PlaneArray, NDArray[np.int64], PlaneArray]:
+    """Of points (N, 2) in the order of the beams: length (N,), cluster (N,) and extent (N,) as in ScanReturns."""
+    if not len(points):
+        return np.zeros(0), np.zeros(0, np.int64), np.zeros(0)
+    gap = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    near = np.minimum(gap, MAX_LENGTH_M)
+    length = (np.append(near, MAX_LENGTH_M) + np.insert(near, 0, MAX_LENGTH_M)) / 2.0
+    begins = np.flatnonzero(np.insert(gap > CLUSTER_GAP_M, 0, True))
+    cluster = np.cumsum(np.insert(gap > CLUSTER_GAP_M, 0, False))
+    sides = np.maximum.reduceat(points, begins) - np.minimum.reduceat(points, begins)
+    return length, cluster, np.hypot(*sides.T)[cluster]
 
 
 def deskewed(points: PlaneArray, share: PlaneArray, motion: SE2) -> PlaneArray:

@@ -30,6 +30,11 @@ FIELD: tuple[Outline, ...] = ()
 _ANGLES = np.arange(12) * math.tau / 12
 PERSON = 0.25 * np.stack([np.cos(_ANGLES), np.sin(_ANGLES)], axis=1).astype(np.float32)
 
+CAR = np.array([(-2.0, -0.9), (2.0, -0.9), (2.0, 0.9), (-2.0, 0.9)], np.float32)
+BARE_STREET = (box(-500.0, -6.1, 1000.0, 0.1), box(-500.0, 6.0, 1000.0, 0.1))
+STREET = (*BARE_STREET, *(box(x, y, 0.6, 0.5) for x in range(-6, 22, 4) for y in (-6.0, 5.5)))
+"""Two walls, and in the second one pillars on them up to x = 18.6 m."""
+
 Crowd = Callable[[float], list[tuple[float, float]]]
 """Where people stand at a time, seconds: (x, y) metres."""
 
@@ -61,12 +66,24 @@ def one_way(time_s: float, people: int = 10) -> list[tuple[float, float]]:
     return [(float((x + 1.2 * time_s + 6.0) % 12.0 - 6.0), float(y)) for x, y in zip(begin, lane, strict=True)]
 
 
+def away(time_s: float) -> SE2:
+    """Along x from rest, 1.5 m/s^2 up to 4.5 m/s."""
+    faster_s = min(time_s, 3.0)
+    return SE2(0.75 * faster_s**2 + 4.5 * (time_s - faster_s))
+
+
+def car_in_front(time_s: float) -> list[tuple[float, float]]:
+    """A car that keeps 7 m from a sensor on its way `away`."""
+    return [(away(time_s).x + 7.0, 0.0)]
+
+
 def drive(
     static: tuple[Outline, ...],
     path: Callable[[float], SE2],
     scans: int,
     *,
     crowd: Crowd = nobody,
+    body: Outline = PERSON,
     odometry_noise: float = 0.0,
     beam_s: float = 0.0,
     sensor: str = "scan",
@@ -75,6 +92,7 @@ def drive(
     """Scans along `path`; their poses are odometry with drift, their reference poses the true ones.
 
     With `beam_s` each beam is measured so much later than the one before it. People nearer than 0.6 m are left out.
+    `body`: the outline of each.
     """
     random = np.random.default_rng(1)
     made: list[Scan] = []
@@ -85,7 +103,9 @@ def drive(
         slip = odometry_noise * random.standard_normal(2) * (abs(moved.x) + abs(moved.theta))
         odometry = odometry @ SE2(moved.x + slip[0], moved.y, moved.theta + slip[1])
         last = true
-        ranges = _ranges(static, crowd, lambda late_s, k=k: path(k * PERIOD_S + late_s) @ (mount or SE2()), k, beam_s)
+        ranges = _ranges(
+            static, crowd, body, lambda late_s, k=k: path(k * PERIOD_S + late_s) @ (mount or SE2()), k, beam_s
+        )
         noisy = ranges + NOISE_M * random.standard_normal(BEAMS).astype(np.float32)
         scan = Scan(START_NS + round(k * PERIOD_S * 1e9), noisy, ANGLE_MIN, STEP, 0.1, RANGE_MAX_M, sensor)
         made.append(
@@ -100,12 +120,12 @@ def drive(
 
 
 def _ranges(
-    static: tuple[Outline, ...], crowd: Crowd, pose: Callable[[float], SE2], k: int, beam_s: float
+    static: tuple[Outline, ...], crowd: Crowd, body: Outline, pose: Callable[[float], SE2], k: int, beam_s: float
 ) -> np.typing.NDArray[np.float32]:
     """Ranges (B,) of the laser; with beam times in 90 sectors, each from the pose at its middle."""
     here = pose(0.0)
     people = [(x, y) for x, y in crowd(k * PERIOD_S) if math.hypot(x - here.x, y - here.y) > 0.6]
-    bodies = tuple(SceneObject(n, UNLABELLED, SE2(x, y), PERSON) for n, (x, y) in enumerate(people))
+    bodies = tuple(SceneObject(n, UNLABELLED, SE2(x, y), body) for n, (x, y) in enumerate(people))
     scene = Scene(static, UNLABELLED, bodies)
     if not beam_s:
         return sweep(scene, here, ANGLE_MIN, STEP, BEAMS, RANGE_MAX_M)[0]

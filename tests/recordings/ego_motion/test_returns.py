@@ -3,13 +3,22 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
 from gridtrack.common.geometry import SE2
 from gridtrack.common.scan import Scan
 from gridtrack.recordings.ego_motion.moving_returns import EarlierScans
-from gridtrack.recordings.ego_motion.returns import deskewed, returns_of, wall_normals
+from gridtrack.recordings.ego_motion.returns import (
+    PlaneArray,
+    ScanReturns,
+    deskewed,
+    returns_at,
+    returns_of,
+    surfaces,
+    wall_normals,
+)
 
 
 def test_the_normal_of_a_wall_is_across_it() -> None:
@@ -47,17 +56,41 @@ def scan(ranges: float, beams: int = 9) -> Scan:
     return Scan(0, np.full(beams, ranges, np.float32), -0.4, 0.1, 0.1, 10.0)
 
 
+def now(points: PlaneArray, stamp_ns: int) -> tuple[Scan, ScanReturns]:
+    """A scan that says nothing of free space, and returns (N, 2) in it."""
+    blind = replace(scan(math.nan), stamp_ns=stamp_ns)
+    return blind, returns_at(points)
+
+
 def test_a_return_moves_where_an_earlier_scan_saw_beyond_it() -> None:
     earlier = EarlierScans()
-    earlier.add(scan(5.0), SE2())
+    earlier.add(scan(5.0), returns_of(scan(5.0), 20.0, SE2(), 0.0).points, SE2())
     points = np.array([[2.0, 0.0], [4.9, 0.0], [5.5, 0.0], [-2.0, 0.0]])
-    assert earlier.moving(points, SE2(), 800_000_000).tolist() == [True, False, False, False]
-    assert not earlier.moving(points, SE2(), 100_000_000).any()  # too young to tell
-    assert not earlier.moving(points, SE2(0.0, 20.0, 0.0), 800_000_000).any()
+    assert earlier.moving(*now(points, 800_000_000), SE2()).tolist() == [True, False, False, False]
+    assert not earlier.moving(*now(points, 100_000_000), SE2()).any()  # too young to tell
+    assert not earlier.moving(*now(points, 800_000_000), SE2(0.0, 20.0, 0.0)).any()
 
 
 def test_a_beam_without_return_saw_free_space_and_an_invalid_one_nothing() -> None:
     for ranges, moves in ((math.inf, True), (math.nan, False)):
         earlier = EarlierScans()
-        earlier.add(scan(ranges), SE2())
-        assert earlier.moving(np.array([[2.0, 0.0]]), SE2(), 800_000_000).tolist() == [moves]
+        earlier.add(scan(ranges), np.zeros((0, 2)), SE2())
+        assert earlier.moving(*now(np.array([[2.0, 0.0]]), 800_000_000), SE2()).tolist() == [moves]
+
+
+def test_a_return_moves_whose_cluster_left_a_place_that_is_seen_empty_now() -> None:
+    """A car 4 m ahead drives away at 2 m/s: it hid the place where it is now."""
+    earlier = EarlierScans()
+    earlier.add(scan(4.0), returns_of(scan(4.0), 20.0, SE2(), 0.0).points, SE2())
+    later = replace(scan(4.8), stamp_ns=400_000_000)
+    points = np.concatenate([returns_of(later, 20.0, SE2(), 0.0).points, [[-3.0, 0.0]]])
+    returns = returns_at(points)
+    assert earlier.moving(later, returns, SE2()).tolist() == [True] * 9 + [False]
+
+
+def test_a_return_stands_for_the_surface_about_it_and_near_ones_are_one_cluster() -> None:
+    points = np.array([[2.0, 0.0], [2.0, 0.1], [2.0, 0.3], [2.0, 5.0]])
+    length, cluster, extent = surfaces(points)
+    np.testing.assert_allclose(length, [0.2, 0.15, 0.25, 0.3])
+    assert cluster.tolist() == [0, 0, 0, 1]
+    np.testing.assert_allclose(extent, [0.3, 0.3, 0.3, 0.0])
