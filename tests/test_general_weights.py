@@ -47,9 +47,9 @@ def test_a_general_card_has_no_place_and_says_what_it_was_trained_on(weights):
 
 @pytest.fixture(scope="module")
 def elsewhere(tmp_path_factory):
-    """A recording of a site that nobody has weights for."""
+    """A recording of a site that nobody has weights for, without a validation stretch."""
     path = tmp_path_factory.mktemp("elsewhere") / "yard.mcap"
-    gridtrack("recording", "import", HALL, "--site", "yard", "--out", path)
+    gridtrack("recording", "import", HALL, "--site", "yard", "--stretch", "all=0s-126s", "--out", path)
     return path
 
 
@@ -67,6 +67,16 @@ def test_general_weights_are_used_where_the_site_has_none_and_the_table_says_so(
     assert (found["static-map"]["outcome"], found["static-map"]["card"]) == ("ok", "general")
     assert found["own"]["outcome"] == "untrained"
     assert "static-map (general)" in text
+
+
+def test_a_recording_without_a_validation_stretch_has_the_thresholds_of_the_card(weights, elsewhere, tmp_path):
+    _, found = compared(f"{elsewhere}@90s-110s", weights, tmp_path, "static-map", "blank")
+    assert found["static-map"]["threshold_chosen_on"] == "the card static-map/general.toml"
+    assert found["blank"]["threshold_chosen_on"] == ""
+    outcome = json.loads((tmp_path / "static-map@yard@90s-110s" / "outcome.json").read_text())
+    visible = outcome["thresholds"]["values"]["visible"]
+    card = read_card(weights / "static-map" / "general.toml").thresholds
+    assert visible[10] == pytest.approx(card.values["visible"][10]) != 0.5
 
 
 def test_weights_of_the_site_and_general_ones_are_two_rows_on_request(weights, tmp_path):

@@ -9,6 +9,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from typing import Annotated, Any
 
+import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field, field_validator, model_validator
 
 from gridtrack.common.config import Settings
@@ -37,6 +39,21 @@ class TrainingData(Settings):
     """Stamps of the frames: from `start_ns` on, `end_ns` excluded; 0 where `source_sha256` is ""."""
 
 
+class CardThresholds(Settings):
+    """Thresholds for recordings without a validation stretch, chosen on those of the training.
+
+    `values`: by stratum, at horizons of 0, 1, 2, ... times `step_s`.
+    """
+
+    step_s: float = Field(gt=0.0)
+    values: dict[str, tuple[Annotated[float, Field(ge=0.0, le=1.0)], ...]]
+
+    def at(self, stratum: str, horizons_s: NDArray[np.float64]) -> NDArray[np.float64]:
+        """The thresholds (S,) of a stratum at these horizons (S,), each that of the nearest one; 0.5 without any."""
+        known = np.asarray(self.values.get(stratum) or (0.5,))
+        return np.asarray(known[np.minimum(np.rint(horizons_s / self.step_s).astype(np.int64), len(known) - 1)])
+
+
 class Card(Settings):
     """The readable half of a tracker's weights."""
 
@@ -61,6 +78,8 @@ class Card(Settings):
     world_T_grid: tuple[Coordinate, Coordinate] | None = None
     """Where the arrays with a value per cell lie in the world: x and y of their grid frame, metres, its axes the
     world's. None on a card of an earlier gridtrack: they then lie in the first window of a stream."""
+    thresholds: CardThresholds | None = None
+    """None on a card of an earlier gridtrack, or of a training that was interrupted."""
     interrupted: str = ""
     """How far an interrupted training came, such as "update 200 of 1000"; empty for one that finished."""
     settings: dict[str, Any] = Field(default_factory=dict)

@@ -25,7 +25,7 @@ from gridtrack.common.config import Settings, validated
 from gridtrack.common.errors import ConfigurationError, WeightsError
 from gridtrack.common.files import atomic_write, read_bounded, write_text
 from gridtrack.common.grid import GridSpec
-from gridtrack.trackers.card import CARD_SCHEMA, Card, TrainingData
+from gridtrack.trackers.card import CARD_SCHEMA, Card, CardThresholds, TrainingData
 from gridtrack.trackers.contract import StreamSpec
 
 MAX_ARRAYS_BYTES = 1 << 30
@@ -101,6 +101,11 @@ def complete_card(
         update={"train": _with_all(card.train, train), "validation": _with_all(card.validation, validation)}
     )
     write_text(path, _card_text(completed))
+
+
+def add_thresholds(path: Path, thresholds: CardThresholds) -> None:
+    """Write thresholds on the card at `path`. Raises WeightsError, OSError."""
+    write_text(path, _card_text(read_card(path).model_copy(update={"thresholds": thresholds})))
 
 
 def _with_all(named: Iterable[TrainingData], received: Sequence[TrainingData]) -> tuple[TrainingData, ...]:

@@ -7,10 +7,12 @@ import threading
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
+
 from gridtrack.evaluation.comparison.plan import Trial
 from gridtrack.evaluation.results.summary import ORACLE
 from gridtrack.evaluation.scoring.splits import EvaluationSplit
-from gridtrack.evaluation.scoring.thresholds import Thresholds
+from gridtrack.evaluation.scoring.thresholds import Thresholds, bins_of
 
 
 class SharedThresholds:
@@ -35,6 +37,17 @@ class SharedThresholds:
             return self._chosen[key]
 
 
+def thresholds_of_card(trial: Trial) -> Thresholds | None:
+    """The thresholds on the card of the trial's weights, at its own steps; None without weights, or without any."""
+    known = trial.weights.card.thresholds if trial.weights else None
+    if trial.weights is None or known is None:
+        return None
+    split = trial.split
+    horizons_s = np.arange(split.steps + 1, dtype=np.float64) * split.test.period_s
+    values = np.stack([known.at(name, horizons_s) for name in split.strata], axis=1)
+    return Thresholds(bins_of(values), f"the card {trial.weights.name}", split.strata)
+
+
 def trial_key(trial: Trial) -> str:
     """Everything that the thresholds of a trial depend on: the tracker with its settings, and the validation frames."""
     weights = trial.weights.sha256 if trial.weights else ""
@@ -56,4 +69,4 @@ def _validation_frames(split: EvaluationSplit) -> list[Any]:
         "grid": str(validation.grid),
         "every": split.validation_schedule.every,
     }
-    return [stretch, split.steps, split.strata, split.test.site]
+    return [stretch, split.steps, split.strata, split.test.site, split.test.period_ns]

@@ -9,6 +9,7 @@ from tempfile import TemporaryDirectory
 
 from gridtrack.common.errors import ConfigurationError
 from gridtrack.common.grid import GridSpec
+from gridtrack.evaluation.comparison.card_thresholds import choose_card_thresholds
 from gridtrack.evaluation.comparison.fit_regions import cell_kinds_for
 from gridtrack.evaluation.comparison.learned import user_weights_folder, weights_path
 from gridtrack.evaluation.comparison.recipe import Recipe
@@ -22,7 +23,7 @@ from gridtrack.recordings.stream import GridStream
 from gridtrack.recordings.stretches import parse_stretch
 from gridtrack.trackers.card import GENERAL, TrainingData
 from gridtrack.trackers.contract import FitOutput
-from gridtrack.trackers.weights import complete_card, read_card
+from gridtrack.trackers.weights import add_thresholds, complete_card, read_card
 
 COMMAND = "the command of the training"
 """What `fit` receives in place of the command, which names the files of recordings; the card gets the command after."""
@@ -62,6 +63,13 @@ def train_tracker(recipe: Recipe, report: Callable[[str], None] = print) -> Path
                 complete_card(path, COMMAND, recipe.command, _data_of(train_on), _data_of(validate_on))
     if interrupted:
         raise KeyboardInterrupt(_what_is_kept(path))
+    report("thresholds for recordings without a validation stretch")
+    try:
+        thresholds = choose_card_thresholds(recipe.tracker, path, validate_on)
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt(f"interrupted; {path} is complete, but without thresholds") from None
+    if thresholds is not None:
+        add_thresholds(path, thresholds)
     return path
 
 

@@ -11,7 +11,7 @@ from typing import Any
 
 from gridtrack.common.errors import RecordingError
 from gridtrack.evaluation.comparison.plan import Trial
-from gridtrack.evaluation.comparison.shared_thresholds import SharedThresholds, trial_key
+from gridtrack.evaluation.comparison.shared_thresholds import SharedThresholds, thresholds_of_card, trial_key
 from gridtrack.evaluation.processes.outcome import TrialEnded
 from gridtrack.evaluation.processes.tracker_process import TrackerDescription
 from gridtrack.evaluation.results.columns import HISTOGRAM_TABLE, SCORES_TABLE
@@ -114,10 +114,13 @@ class TrialRun:
         self._process.kill()
 
     def _choose_thresholds(self) -> Thresholds:
-        """Stream the validation stretch and choose the thresholds on it; 0.5 where there is no validation stretch."""
+        """Stream the validation stretch and choose the thresholds on it.
+
+        Without such a stretch they are those of the card, and 0.5 where it has none.
+        """
         stretch = self.trial.validation
         if stretch is None:
-            return half(self.trial.split.steps, self.trial.split.strata)
+            return thresholds_of_card(self.trial) or half(self.trial.split.steps, self.trial.split.strata)
         delivery = Delivery(stretch, self._on_frame, self._regions.validation)
         try:
             with self._clock():

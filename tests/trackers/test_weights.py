@@ -17,7 +17,7 @@ from gridtrack.common.errors import WeightsError
 from gridtrack.common.files import sha256_of
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec
-from gridtrack.trackers.card import Card, card_for
+from gridtrack.trackers.card import Card, CardThresholds, card_for
 from gridtrack.trackers.contract import FitOutput, FrameSource, StreamSpec
 from gridtrack.trackers.weights import MAX_ARRAYS_BYTES, array, load_weights, read_card, save_weights
 
@@ -252,3 +252,9 @@ def test_training_stretches_must_share_grid_period_and_site(tmp_path: Path) -> N
     with pytest.raises(WeightsError, match="one grid, period and site"):
         card(tmp_path, Stretch(), Stretch(site="elsewhere"))
     assert len(card(tmp_path, Stretch("a"), Stretch("b")).train) == 2
+
+
+def test_thresholds_of_a_card_are_those_of_the_nearest_horizon():
+    thresholds = CardThresholds(step_s=0.1, values={"visible": (0.5, 0.4, 0.3)})
+    assert thresholds.at("visible", np.array([0.0, 0.06, 0.125, 0.2, 9.0])).tolist() == [0.5, 0.4, 0.4, 0.3, 0.3]
+    assert thresholds.at("occluded", np.array([0.0, 1.0])).tolist() == [0.5, 0.5]

@@ -1,0 +1,83 @@
+"""Thresholds on a card: chosen once after a training, for recordings without a validation stretch of their own."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gridtrack.common.files import sha256_of
+from gridtrack.evaluation.comparison.learned import LearnedWeights
+from gridtrack.evaluation.comparison.plan import Trial
+from gridtrack.evaluation.comparison.trial import validation_tally
+from gridtrack.evaluation.processes.limits import Limits
+from gridtrack.evaluation.scoring.counting import HALF, Tally
+from gridtrack.evaluation.scoring.referee import WARM_UP, Delivery
+from gridtrack.evaluation.scoring.splits import EvaluationSplit
+from gridtrack.evaluation.scoring.strata import STRATA, STRATA_WITH_TRUTH
+from gridtrack.evaluation.scoring.thresholds import Thresholds, best_thresholds
+from gridtrack.recordings.stream import GridStream
+from gridtrack.trackers.card import CardThresholds
+from gridtrack.trackers.selection import Selection, launch
+from gridtrack.trackers.weights import read_card
+
+STEP_S, LAST_S = 0.1, 2.5
+"""The horizons that have a threshold on a card: every STEP_S up to LAST_S; a later one has that of LAST_S."""
+FORECAST_EVERY_S = 1.0
+STDERR_LOG = "thresholds.log"
+
+
+def choose_card_thresholds(tracker: str, path: Path, validation: Sequence[GridStream]) -> CardThresholds | None:
+    """The thresholds with the best F1 of `tracker` with the weights at `path`, on all `validation` stretches together.
+
+    None where all of them are too short. Raises TrialEnded where the tracker fails, RecordingError.
+    """
+    validation = [stream for stream in validation if _steps(stream)]
+    if not validation:
+        return None
+    strata = STRATA_WITH_TRUTH if all(stream.has_truth for stream in validation) else STRATA
+    total = Tally.empty(round(LAST_S / STEP_S), strata)
+    for stream in validation:
+        _add(total, _tally(tracker, path, stream).of(strata), stream.period_s)
+    bins = _filled(best_thresholds(total, "").bins, total.positives.sum(axis=2) > 0)
+    values = Thresholds(bins, strata=strata).values
+    return CardThresholds(step_s=STEP_S, values={name: tuple(values[:, k].tolist()) for k, name in enumerate(strata)})
+
+
+def _steps(stream: GridStream) -> int:
+    """Steps of the forecasts from a stretch: up to LAST_S, and so few that half of a short stretch is forecast from."""
+    return min(round(LAST_S / stream.period_s), (len(stream) - WARM_UP) // 2)
+
+
+def _tally(tracker: str, path: Path, stream: GridStream) -> Tally:
+    """The counts on one stretch, by its own steps."""
+    recording, every = stream.recording.path, max(1, round(FORECAST_EVERY_S / stream.period_s))
+    split = EvaluationSplit(recording.stem, recording, stream, stream, _steps(stream), every)
+    weights = LearnedWeights(path, read_card(path), sha256_of(path), path.parent)
+    trial = Trial(Selection(tracker, tracker), launch(tracker), split, weights, seed=0, limits=Limits())
+    log = path.with_suffix(".logs") / STDERR_LOG
+    log.parent.mkdir(exist_ok=True)
+    with trial.tracker_process(log) as process:
+        delivery = Delivery(stream, lambda: None, split.regions().validation)
+        return validation_tally(process, delivery, split, seed=0)
+
+
+def _add(total: Tally, counted: Tally, period_s: float) -> None:
+    """Add counts by steps of `period_s` to those by steps of STEP_S: each to the nearest horizon."""
+    nearest = np.rint(np.arange(len(counted.cells)) * period_s / STEP_S).astype(np.int64)
+    kept = nearest < len(total.cells)
+    np.add.at(total.cells, nearest[kept], counted.cells[kept])
+    np.add.at(total.positives, nearest[kept], counted.positives[kept])
+
+
+def _filled(bins: NDArray[np.int64], known: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """The `bins` (S, K), those that are not `known` (S, K) taken from the nearest known step; 0.5 without any."""
+    filled = np.full_like(bins, HALF)
+    for k in range(bins.shape[1]):
+        steps = np.flatnonzero(known[:, k])
+        if len(steps):
+            nearest = np.abs(np.arange(len(bins))[:, None] - steps).argmin(axis=1)
+            filled[:, k] = bins[steps[nearest], k]
+    return filled
