@@ -23,10 +23,10 @@ from gridtrack.trackers.card import CardThresholds
 from gridtrack.trackers.selection import Selection, launch
 from gridtrack.trackers.weights import read_card
 
-STEP_S, LAST_S = 0.1, 2.5
-"""The horizons that have a threshold on a card: every STEP_S up to LAST_S; a later one has that of LAST_S."""
+HORIZON_STEP_S, LAST_S = 0.1, 2.5
+"""The horizons that have a threshold on a card: every HORIZON_STEP_S up to LAST_S; a later one has that of LAST_S."""
 FORECAST_EVERY_S = 1.0
-STDERR_LOG = "thresholds.log"
+THRESHOLDS_LOG = "thresholds.log"
 
 
 def choose_card_thresholds(tracker: str, path: Path, validation: Sequence[GridStream]) -> CardThresholds | None:
@@ -38,12 +38,14 @@ def choose_card_thresholds(tracker: str, path: Path, validation: Sequence[GridSt
     if not validation:
         return None
     strata = STRATA_WITH_TRUTH if all(stream.has_truth for stream in validation) else STRATA
-    total = Tally.empty(round(LAST_S / STEP_S), strata)
+    total = Tally.empty(round(LAST_S / HORIZON_STEP_S), strata)
     for stream in validation:
         _add(total, _tally(tracker, path, stream).of(strata), stream.period_s)
     bins = _filled(best_thresholds(total, "").bins, total.positives.sum(axis=2) > 0)
     values = Thresholds(bins, strata=strata).values
-    return CardThresholds(step_s=STEP_S, values={name: tuple(values[:, k].tolist()) for k, name in enumerate(strata)})
+    return CardThresholds(
+        step_s=HORIZON_STEP_S, values={name: tuple(values[:, k].tolist()) for k, name in enumerate(strata)}
+    )
 
 
 def _steps(stream: GridStream) -> int:
@@ -57,7 +59,7 @@ def _tally(tracker: str, path: Path, stream: GridStream) -> Tally:
     split = EvaluationSplit(recording.stem, recording, stream, stream, _steps(stream), every)
     weights = LearnedWeights(path, read_card(path), sha256_of(path), path.parent)
     trial = Trial(Selection(tracker, tracker), launch(tracker), split, weights, seed=0, limits=Limits())
-    log = path.with_suffix(".logs") / STDERR_LOG
+    log = path.with_suffix(".logs") / THRESHOLDS_LOG
     log.parent.mkdir(exist_ok=True)
     with trial.tracker_process(log) as process:
         delivery = Delivery(stream, lambda: None, split.regions().validation)
@@ -65,8 +67,8 @@ def _tally(tracker: str, path: Path, stream: GridStream) -> Tally:
 
 
 def _add(total: Tally, counted: Tally, period_s: float) -> None:
-    """Add counts by steps of `period_s` to those by steps of STEP_S: each to the nearest horizon."""
-    nearest = np.rint(np.arange(len(counted.cells)) * period_s / STEP_S).astype(np.int64)
+    """Add counts by steps of `period_s` to those by steps of HORIZON_STEP_S: each to the nearest horizon."""
+    nearest = np.rint(np.arange(len(counted.cells)) * period_s / HORIZON_STEP_S).astype(np.int64)
     kept = nearest < len(total.cells)
     np.add.at(total.cells, nearest[kept], counted.cells[kept])
     np.add.at(total.positives, nearest[kept], counted.positives[kept])

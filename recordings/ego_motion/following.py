@@ -6,7 +6,7 @@ from gridtrack.common.geometry import SE2
 from gridtrack.common.pose_quality import PoseQuality
 from gridtrack.common.scan import Scan
 from gridtrack.recordings.ego_motion.last_motion import LastMotion
-from gridtrack.recordings.ego_motion.matching import Match, ScanMatcher
+from gridtrack.recordings.ego_motion.matching import ScanMatch, ScanMatcher
 from gridtrack.recordings.ego_motion.prior import Prior, motion_prior, odometry_prior
 from gridtrack.recordings.ego_motion.settings import MatchingSettings
 
@@ -48,7 +48,7 @@ class Follower:
         self._last, self._pose = scan, pose
         return pose, match.quality
 
-    def _started_again(self, scan: Scan, first: Scan, match: Match, motion: SE2, since_s: float) -> Match:
+    def _started_again(self, scan: Scan, first: Scan, match: ScanMatch, motion: SE2, since_s: float) -> ScanMatch:
         """The second scan matched with the first once the motion is known by which the first is skewed."""
         self._matcher = ScanMatcher(self._settings)
         self._matcher.start(first, self._pose, motion, since_s)

@@ -15,7 +15,7 @@ MIN_VELOCITY_S = 0.04
 MAX_COAST_S, MAX_OPEN_S = 1.0, 5.0
 """The last motion is continued for this long where scans cannot be matched, and where they leave a direction open; then
 the sensor is taken to stand."""
-UNKNOWN = np.array([3.0, 3.0, 1.0])
+UNKNOWN_VELOCITY = np.array([3.0, 3.0, 1.0])
 """Standard deviations at the beginning, m/s and rad/s."""
 MAX_DEVIATION = np.array([10.0, 10.0, 3.0])
 """They never grow beyond these."""
@@ -27,7 +27,7 @@ class LastMotion:
     def __init__(self, stamp_ns: int, world_T_sensor: SE2, settings: MatchingSettings) -> None:
         self._from = stamp_ns, world_T_sensor
         self._stamp_ns = self._matched_ns = self._constrained_ns = stamp_ns
-        self._velocity = Velocity(SE2(), np.diag(UNKNOWN**2))
+        self._velocity = Velocity(SE2(), np.diag(UNKNOWN_VELOCITY**2))
         self._change = np.array([settings.acceleration, settings.acceleration, settings.turn_acceleration])
 
     def velocity(self, stamp_ns: int) -> Velocity:

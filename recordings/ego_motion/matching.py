@@ -33,7 +33,7 @@ MATCH_M, MATCH_RAD = 0.2, math.radians(15.0)
 """Differences of a match from the prior that are never too large."""
 
 
-class Match(NamedTuple):
+class ScanMatch(NamedTuple):
     """`world_T_sensor` of a scan, its quality, and the information (3, 3) of x, y and heading in the sensor's frame."""
 
     world_T_sensor: SE2
@@ -64,13 +64,13 @@ class ScanMatcher:
         returns = returns_of(scan, self.settings.max_range_m, motion, motion_s)
         self._keep(scan, returns, world_T_sensor)
 
-    def match(self, scan: Scan, prior: Prior, since_s: float) -> Match:
+    def match(self, scan: Scan, prior: Prior, since_s: float) -> ScanMatch:
         """The match of `scan`, `since_s` after the one before; it is added to the map.
 
         Returns of what moves are found by a first match with all of them, and are neither matched nor kept.
         """
         returns = returns_of(scan, self.settings.max_range_m, prior.motion, since_s)
-        failed = Match(prior.world_T_sensor, PoseQuality("few-returns"), prior.information)
+        failed = ScanMatch(prior.world_T_sensor, PoseQuality("few-returns"), prior.information)
         found = failed
         if len(returns.points) >= self.settings.min_returns and not self._map.empty():
             map_points = cKDTree(self._map.point_cloud()[:, :2])
@@ -116,7 +116,7 @@ class ScanMatcher:
                 break
         return pose
 
-    def _judged(self, returns: ScanReturns, pose: SE2, map_points: cKDTree, prior: Prior, count: int) -> Match:
+    def _judged(self, returns: ScanReturns, pose: SE2, map_points: cKDTree, prior: Prior, count: int) -> ScanMatch:
         """The pose from the match and the prior, or the prior's; `count` returns, with those of what moves."""
         settings = self.settings
         fit = fit_at(pose, returns, map_points, settings.kernel_m)
@@ -127,10 +127,12 @@ class ScanMatcher:
         elif _is_far(pose, prior, settings.max_deviations):
             outcome = "far"
         if outcome != "matched":
-            return Match(prior.world_T_sensor, PoseQuality(outcome, inlier_share, fit.residual_m), prior.information)
+            return ScanMatch(
+                prior.world_T_sensor, PoseQuality(outcome, inlier_share, fit.residual_m), prior.information
+            )
         step = weighed_step(fit, pose.inverse() @ prior.world_T_sensor, prior.information, settings)
         outcome = "matched" if step.constrained else "partial"
-        return Match(pose @ step.motion, PoseQuality(outcome, inlier_share, fit.residual_m), step.information)
+        return ScanMatch(pose @ step.motion, PoseQuality(outcome, inlier_share, fit.residual_m), step.information)
 
     def _is_dragged(self, stamp_ns: int, pose: SE2, prior: Prior) -> bool:
         """Whether the matches of the last second lead away from odometry; without odometry there is no telling."""

@@ -33,7 +33,7 @@ from gridtrack.simulation.worlds.street_furniture import leaves, small_thing, tr
 FILLING_S, STREET_MARGIN_S = 60.0, 3.0
 """From the empty streets to traffic, and simulated before and after the recording for the smoothing."""
 USERS_PER_SECOND = {"car": (0.08, 0.45), "bus": (0.0, 0.04), "cyclist": (0.04, 0.25), "pedestrian": (0.15, 0.5)}
-REACH_M = 70.0
+MODELLED_M = 70.0
 """Houses are built that far from the middle."""
 BESIDE_M = (0.3, 2.0)
 """Between a laser that stands and the streets' ground."""
@@ -98,7 +98,7 @@ def _movers(movements: Movements, random: np.random.Generator) -> list[Mover]:
 
 def _scenery(ground: BaseGeometry, middle: NDArray[np.float64], random: np.random.Generator) -> Scenery:
     """Houses, front gardens and what stands at the edge of the pavement."""
-    area = shapely.Point(middle).buffer(REACH_M)
+    area = shapely.Point(middle).buffer(MODELLED_M)
     scenery = Scenery(area)
     blocks = area.difference(ground.buffer(random.uniform(0.2, 2.0)))
     for lot in _lots(blocks, middle, random):
@@ -142,7 +142,7 @@ def _lots(blocks: BaseGeometry, middle: NDArray[np.float64], random: np.random.G
     turned = random.uniform(0.0, math.pi / 2)
     sides = random.uniform(7.0, 18.0, 2)
     found = []
-    ends = [np.arange(-REACH_M, REACH_M, side) for side in sides]
+    ends = [np.arange(-MODELLED_M, MODELLED_M, side) for side in sides]
     for x in ends[0]:
         for y in ends[1]:
             cell = shapely.box(x, y, x + sides[0], y + sides[1])
