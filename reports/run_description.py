@@ -116,7 +116,7 @@ def _recording(run: Run, name: str) -> str:
         f"forecasts {recording.horizons_s[-1]:.3g} s ahead"
         + (f", every {n} frames" if (n := recording.forecast_every_frames) > 1 else ", every frame"),
         f"grid {recording.grid}",
-        f"thresholds chosen on {recording.validation}" if recording.validation else "every threshold is 0.5",
+        f"thresholds chosen on {recording.validation}" if recording.validation else "thresholds of the cards, else 0.5",
     )
     return "; ".join(filter(None, items))
 

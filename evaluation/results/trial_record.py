@@ -28,7 +28,7 @@ class ThresholdsUsed(ResultModel):
 
     values: dict[str, tuple[float, ...]] = Field(default_factory=dict)
     chosen_on: str = ""
-    """The validation stretch; empty where there is none, and every threshold is 0.5."""
+    """The validation stretch, or the card; empty where there is neither, and every threshold is 0.5."""
 
 
 class Times(ResultModel):

@@ -23,7 +23,7 @@ from gridtrack.trackers.card import TrainingData
 
 TEST, VALIDATION, TRAIN = "test", "validation", "train"
 """Names of stretches in a recording that have a use here."""
-_AT_HALF = ", so every threshold is 0.5; name one with --validation"
+_OF_CARD = ", so thresholds are those of the card, else 0.5; name one with --validation"
 MAX_FORECAST_BYTES = 1 << 30
 VALIDATION_FORECASTS = 60
 """Approximate minimum of forecasts on which thresholds are chosen; with ten or twenty the choice is noise."""
@@ -208,7 +208,7 @@ def _validation_stretch(
     elif VALIDATION in test.recording.info.stretches and test.recording.growth is None:
         stretch = own_validation(test)
     else:
-        return None, (f"{test.name}: no validation stretch{_AT_HALF}",)
+        return None, (f"{test.name}: no validation stretch{_OF_CARD}",)
     problem = ""
     if shares_frames(test, stretch):
         problem = f"{test.name} shares frames with its validation {stretch.name}"
@@ -216,7 +216,7 @@ def _validation_stretch(
         problem = _too_short(stretch, steps)
     if problem and requested is not None:
         raise ConfigurationError(f"{problem}: name another --validation")
-    return (None, (problem + _AT_HALF,)) if problem else (stretch, ())
+    return (None, (problem + _OF_CARD,)) if problem else (stretch, ())
 
 
 def own_validation(stream: GridStream) -> GridStream:

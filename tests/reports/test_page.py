@@ -154,10 +154,12 @@ def test_hostile_names_are_text_and_nothing_else(make_run, run_folder, tmp_path)
 
 
 def test_without_thresholds_of_a_validation_stretch_there_is_no_figure_of_them(make_run, tmp_path):
-    run = make_run(tmp_path / "run", chosen_on="", notices=["no validation stretch, so every threshold is 0.5"])
+    run = make_run(
+        tmp_path / "run", chosen_on="", notices=["no validation stretch, so thresholds are those of the card, else 0.5"]
+    )
     page = page_of(run, out=tmp_path / "page")
     assert "Effect of the threshold" not in page
-    assert "no validation stretch, so every threshold is 0.5" in page
+    assert "no validation stretch, so thresholds are those of the card, else 0.5" in page
 
 
 def test_a_run_of_which_nothing_was_kept_for_viewing_has_no_filmstrip(run_folder, tmp_path):
