@@ -7,11 +7,9 @@ classes (`results.columns` declares the columns). Rows that count nothing are no
 from __future__ import annotations
 
 from collections.abc import Sequence
-from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 import polars as pl
@@ -19,27 +17,19 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from gridtrack.evaluation.results.columns import CLASSES_TABLE, FOUND, SEMANTICS_TABLE, ParquetTable
-from gridtrack.evaluation.scoring.score_store import RowGroups, ScoresError
+from gridtrack.evaluation.scoring.score_store import ScoresError, StoreWriter
 from gridtrack.evaluation.scoring.semantics import VISIBILITIES
 
 
-class ClassWriter:
-    """Writes one trial's counts by class; on closing the files are complete, however the trial ended."""
+class ClassWriter(StoreWriter):
+    """Writes one trial's counts by class."""
 
     def __init__(self, folder: Path, classes: Sequence[str], semantics: bool) -> None:
         """`classes` of the recording; `semantics`: whether the tracker gives class probabilities."""
+        super().__init__(folder)
         self._names = list(classes)
-        self._files = ExitStack()
-        self._classes = self._files.enter_context(RowGroups(folder, CLASSES_TABLE))
-        self._semantics = self._files.enter_context(RowGroups(folder, SEMANTICS_TABLE)) if semantics else None
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._files.close()
+        self._classes = self._rows_of(CLASSES_TABLE)
+        self._semantics = self._rows_of(SEMANTICS_TABLE) if semantics else None
 
     def add_found(self, stamp_ns: int, found: NDArray[np.int32]) -> None:
         """Add `found` (S, visibility, K, 4), as of `semantics.count_found`, for the forecast made at `stamp_ns`."""

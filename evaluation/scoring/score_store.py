@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
@@ -44,26 +43,34 @@ class ScoresError(GridtrackError):
     """A scores store that cannot be read."""
 
 
-class ScoreWriter:
-    """Writes the counts of one trial's scored frames; on closing both files are complete, however the trial ended."""
+class StoreWriter:
+    """The Parquet files of one trial while they are written; on leaving they are complete, however the trial ended."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder, self._files = folder, ExitStack()
+
+    def _rows_of(self, table: ParquetTable) -> RowGroups:
+        """The file of a table."""
+        return self._files.enter_context(RowGroups(self._folder, table))
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._files.close()
+
+
+class ScoreWriter(StoreWriter):
+    """Writes the counts of one trial's scored frames."""
 
     def __init__(self, folder: Path, steps: int, thresholds: Thresholds) -> None:
+        super().__init__(folder)
         self._steps = steps
         self._strata = thresholds.strata
         self._bins = thresholds.bins
         self._half = half(steps, self._strata).bins
         self._label_free = LabelFreeThresholds(steps, self._strata)
-        self._files = ExitStack()
-        self._scores = self._files.enter_context(RowGroups(folder, SCORES_TABLE))
-        self._histogram = self._files.enter_context(RowGroups(folder, HISTOGRAM_TABLE))
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._files.close()
+        self._scores, self._histogram = self._rows_of(SCORES_TABLE), self._rows_of(HISTOGRAM_TABLE)
 
     def add(self, stamp_ns: int, delivered: str, tally: Tally, observed_ns: int) -> None:
         """Add the counts of the forecast made at `stamp_ns`, whose last frame is that of `observed_ns`.

@@ -7,36 +7,24 @@ columns). Runs of before lack the files.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from contextlib import ExitStack
 from pathlib import Path
-from types import TracebackType
-from typing import Self
 
 import numpy as np
 
 from gridtrack.evaluation.results.columns import AGREEMENT, BEAMS_TABLE, NEIGHBOURHOODS_TABLE, SQUARES
 from gridtrack.evaluation.scoring.beam_errors import BEAM_STRATA, BeamErrors
 from gridtrack.evaluation.scoring.neighbourhoods import NeighbourhoodSums, neighbourhood_strata
-from gridtrack.evaluation.scoring.score_store import RowGroups, lists_of_rows, row_keys
+from gridtrack.evaluation.scoring.score_store import StoreWriter, lists_of_rows, row_keys
 
 
-class SpatialWriter:
-    """Writes one trial's sums over neighbourhoods and along beams; on closing the files are complete."""
+class SpatialWriter(StoreWriter):
+    """Writes one trial's sums over neighbourhoods and along beams."""
 
     def __init__(self, folder: Path, steps: int, strata: Sequence[str]) -> None:
         """`strata`: those that the trial is scored in."""
+        super().__init__(folder)
         self._steps, self._strata = steps, neighbourhood_strata(strata)
-        self._files = ExitStack()
-        self._neighbourhoods = self._files.enter_context(RowGroups(folder, NEIGHBOURHOODS_TABLE))
-        self._beams = self._files.enter_context(RowGroups(folder, BEAMS_TABLE))
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._files.close()
+        self._neighbourhoods, self._beams = self._rows_of(NEIGHBOURHOODS_TABLE), self._rows_of(BEAMS_TABLE)
 
     def add(self, stamp_ns: int, sums: NeighbourhoodSums, errors: BeamErrors) -> None:
         """Add the sums and the errors of the forecast made at `stamp_ns`."""
