@@ -1,6 +1,6 @@
 """gridtrack: compare trackers on occupancy grids, on one stream of frames, with one set of scores.
 
-The public names for the author of a tracker, imported at first use, and `__version__`.
+The public names for the author of a tracker and for a notebook, imported at first use, and `__version__`.
 """
 
 from __future__ import annotations
@@ -9,10 +9,13 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from gridtrack.cli.notebook import Run, compare
     from gridtrack.common.config import Settings
     from gridtrack.common.errors import GridtrackError
     from gridtrack.common.geometry import SE2
     from gridtrack.common.grid import GridFrame, GridSpec
+    from gridtrack.recordings import open_recording
+    from gridtrack.recordings.stream import open_stream
     from gridtrack.trackers.contract import Forecast, StreamSpec, TrackedObject, Tracker
 
     __version__: str
@@ -23,10 +26,14 @@ __all__ = [
     "GridFrame",
     "GridSpec",
     "GridtrackError",
+    "Run",
     "Settings",
     "StreamSpec",
     "TrackedObject",
     "Tracker",
+    "compare",
+    "open_recording",
+    "open_stream",
 ]
 
 _HOMES = {
@@ -35,10 +42,14 @@ _HOMES = {
     "GridFrame": "common.grid",
     "GridSpec": "common.grid",
     "GridtrackError": "common.errors",
+    "Run": "cli.notebook",
     "Settings": "common.config",
     "StreamSpec": "trackers.contract",
     "TrackedObject": "trackers.contract",
     "Tracker": "trackers.contract",
+    "compare": "cli.notebook",
+    "open_recording": "recordings",
+    "open_stream": "recordings.stream",
 }
 
 

@@ -9,7 +9,7 @@ from gridtrack.evaluation.results.summary import ClassDifference
 from gridtrack.evaluation.results.trial_summary import ClassScores, TrialSummary
 from gridtrack.evaluation.results.values import Curve
 from gridtrack.evaluation.scoring.semantics import VISIBILITIES
-from gridtrack.reports.run import Run
+from gridtrack.reports.run import ReportedRun
 from gridtrack.reports.table import HeadlineTable, TableRow
 
 
@@ -53,7 +53,7 @@ class ClassTables:
     """Why the log loss has no interval; empty where it has one."""
 
 
-def class_tables(table: HeadlineTable, run: Run | None) -> ClassTables | None:
+def class_tables(table: HeadlineTable, run: ReportedRun | None) -> ClassTables | None:
     """The tables of a recording whose classes are known; None for one without.
 
     Differences are those of `run`; with None there are none.

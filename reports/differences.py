@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from gridtrack.evaluation.results.summary import HeadlineTest, TrackerDifference
 from gridtrack.reports.markdown import cell_text, markdown_table
-from gridtrack.reports.run import UNDEFINED, Run
+from gridtrack.reports.run import UNDEFINED, ReportedRun
 
 BESIDE_F1 = {"nll": ("log loss", 4), "pr_auc": ("PR-AUC", 3)}
 """Scores that have a line each below F1: their names, and the digits of a difference."""
@@ -44,7 +44,7 @@ class DifferenceTable:
     rows: tuple[DifferenceRow, ...]
 
 
-def difference_table(run: Run, recording: str) -> DifferenceTable | None:
+def difference_table(run: ReportedRun, recording: str) -> DifferenceTable | None:
     """The table of one recording of a run; None where no tracker could be tested."""
     found = [one for one in run.summary.differences if one.recordings == recording]
     tested = [one for one in found if one.headline and not one.interval]

@@ -6,7 +6,7 @@ from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from gridtrack.reports.run import Run
+from gridtrack.reports.run import ReportedRun
 from gridtrack.reports.table import HeadlineTable, TableRow
 
 
@@ -18,13 +18,13 @@ class Notice:
     serious: bool = False
 
 
-def notices_of(runs: Sequence[Run], tables: Sequence[HeadlineTable]) -> list[Notice]:
+def notices_of(runs: Sequence[ReportedRun], tables: Sequence[HeadlineTable]) -> list[Notice]:
     """Every notice, serious ones first."""
     found = [*_of_runs(runs), *_of_parity(tables), *_of_trials(tables), *_of_intervals(tables)]
     return sorted(dict.fromkeys(found), key=lambda notice: not notice.serious)
 
 
-def _of_runs(runs: Sequence[Run]) -> Iterator[Notice]:
+def _of_runs(runs: Sequence[ReportedRun]) -> Iterator[Notice]:
     for run in runs:
         before = f"{run.name}: " if len(runs) > 1 else ""
         if run.summary.interrupted:

@@ -10,7 +10,7 @@ import numpy as np
 from gridtrack.evaluation.results.summary import OccludedDifference
 from gridtrack.evaluation.scoring.strata import OCCLUDED
 from gridtrack.reports.differences import p_text
-from gridtrack.reports.run import Run
+from gridtrack.reports.run import ReportedRun
 from gridtrack.reports.table import HeadlineTable, TableRow
 
 SCORE_HEADINGS = {
@@ -44,7 +44,7 @@ class OccludedThresholds:
     """Whether the ranked rows are in another order at another threshold."""
 
 
-def occluded_thresholds(table: HeadlineTable, run: Run | None) -> OccludedThresholds | None:
+def occluded_thresholds(table: HeadlineTable, run: ReportedRun | None) -> OccludedThresholds | None:
     """The table of a recording with ground truth; None for one without. `run`: the only run on the page, if it is."""
     step = table.decisive.step
     found = {} if run is None else _differences(run, table.recording)
@@ -59,7 +59,7 @@ def occluded_thresholds(table: HeadlineTable, run: Run | None) -> OccludedThresh
     return OccludedThresholds(table.decisive.heading, reference, tuple(SCORE_HEADINGS.values()), rows, _turned(rows))
 
 
-def _differences(run: Run, recording: str) -> Mapping[str, OccludedDifference]:
+def _differences(run: ReportedRun, recording: str) -> Mapping[str, OccludedDifference]:
     return {one.tracker: one for one in run.summary.occluded_differences if one.recordings == recording}
 
 

@@ -14,7 +14,7 @@ from gridtrack.common.files import write_text
 from gridtrack.reports.notices import Notice, notices_of
 from gridtrack.reports.pictures import scale_png
 from gridtrack.reports.recording_section import section_of, styles_of
-from gridtrack.reports.run import UNDEFINED, ReportError, Run, read_runs
+from gridtrack.reports.run import UNDEFINED, ReportedRun, ReportError, read_runs
 from gridtrack.reports.run_description import facts_of, lead_of, provenance_of, title_of
 from gridtrack.reports.table import headline_tables, main_tables
 
@@ -39,7 +39,7 @@ def render_report(runs: Sequence[Path], out: Path | None = None) -> Path:
     return path
 
 
-def render_page(runs: Sequence[Run]) -> str:
+def render_page(runs: Sequence[ReportedRun]) -> str:
     """The page as HTML. Raises ReportError where a trial's files do not fit the summary."""
     tables = headline_tables(runs)
     styles = styles_of(runs)
@@ -60,6 +60,12 @@ def render_page(runs: Sequence[Run]) -> str:
             css_hash=base64.b64encode(hashlib.sha256(css.encode()).digest()).decode(),
         )
     )
+
+
+def render_tables(run: Path) -> str:
+    """The main tables of a run as HTML, for a notebook. Raises RunError and ReportError."""
+    tables = main_tables(headline_tables(read_runs([run])))
+    return _environment().get_template("tables.html.j2").render(tables=tables)
 
 
 def _environment() -> Environment:

@@ -17,7 +17,7 @@ from gridtrack.reports.filmstrip import Filmstrip, filmstrip_of
 from gridtrack.reports.occluded import OccludedTable, occluded_table
 from gridtrack.reports.occluded_thresholds import OccludedThresholds, occluded_thresholds
 from gridtrack.reports.reliability import DIAGRAM_SIDE, LEAST_CELLS, ReliabilityDiagram, reliability_diagrams
-from gridtrack.reports.run import Run
+from gridtrack.reports.run import ReportedRun
 from gridtrack.reports.spatial import SpatialSection, spatial_section
 from gridtrack.reports.table import MAIN_STRATUM, HeadlineTable, TableRow
 from gridtrack.reports.trainings import TrainingsTable, trainings_table
@@ -109,7 +109,7 @@ class Section:
         return any(time.latency is not None for time in self.times)
 
 
-def styles_of(runs: Sequence[Run]) -> dict[str, str]:
+def styles_of(runs: Sequence[ReportedRun]) -> dict[str, str]:
     """The style (CSS classes) of each label on the page: a colour for a tracker, a grey for the floor."""
     styles: dict[str, str] = {}
     coloured = floors = 0
@@ -128,7 +128,9 @@ def styles_of(runs: Sequence[Run]) -> dict[str, str]:
     return styles
 
 
-def section_of(runs: Sequence[Run], table: HeadlineTable, styles: Mapping[str, str]) -> tuple[Section, tuple[str, ...]]:
+def section_of(
+    runs: Sequence[ReportedRun], table: HeadlineTable, styles: Mapping[str, str]
+) -> tuple[Section, tuple[str, ...]]:
     """The section of one recording, and notices of files that could not be read. Raises ReportError."""
     shown = [run for run in runs if table.recording in run.summary.recordings]
     described = shown[0].summary.recordings[table.recording]
@@ -169,7 +171,7 @@ def _details(table: HeadlineTable) -> Iterator[ScoreDetail]:
             yield ScoreDetail(column.heading, column.step, tuple(scores))
 
 
-def _panels(run: Run, table: HeadlineTable, styles: Mapping[str, str]) -> tuple[CurvePanel, ...]:
+def _panels(run: ReportedRun, table: HeadlineTable, styles: Mapping[str, str]) -> tuple[CurvePanel, ...]:
     """F1 of every trial with scores, in the reverse order of the table, so that the best is drawn on top."""
     recording = run.summary.recordings[table.recording]
     order = {row.label: at for at, row in reversed(list(enumerate(table.rows)))}
@@ -238,7 +240,7 @@ def keeps_up(latency: Latency, period_ms: float) -> str:
     return "updates only" if update <= period_ms else "no"
 
 
-def _filmstrip(runs: Sequence[Run], table: HeadlineTable) -> tuple[Filmstrip | None, tuple[str, ...]]:
+def _filmstrip(runs: Sequence[ReportedRun], table: HeadlineTable) -> tuple[Filmstrip | None, tuple[str, ...]]:
     """The filmstrip; none on the page of several runs, and none of pooled recordings."""
     if len(runs) > 1 or table.pooled:
         return None, ()

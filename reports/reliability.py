@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from gridtrack.evaluation.scoring.counting import Tally, for_calibration
 from gridtrack.evaluation.scoring.score_store import ScoresError, read_tally
 from gridtrack.reports.figures import Axis
-from gridtrack.reports.run import Run
+from gridtrack.reports.run import ReportedRun
 from gridtrack.reports.table import HeadlineTable, TableRow
 
 DIAGRAM_SIDE = 170.0
@@ -31,7 +31,7 @@ class ReliabilityDiagram:
 
 
 def reliability_diagrams(
-    runs: Sequence[Run], table: HeadlineTable
+    runs: Sequence[ReportedRun], table: HeadlineTable
 ) -> tuple[tuple[ReliabilityDiagram, ...], tuple[str, ...]]:
     """The diagrams of the ranked rows at the decisive step, and notices of files that cannot be read.
 

@@ -23,7 +23,7 @@ class ReportError(GridtrackError):
 
 
 @dataclass(frozen=True)
-class Run:
+class ReportedRun:
     """A run's folder, read; `name` is the run's name on the page.
 
     Where recordings are pooled, `summary` has all of them together as the first of its recordings.
@@ -57,7 +57,7 @@ class Run:
         return folder
 
 
-def read_runs(paths: Sequence[Path]) -> tuple[Run, ...]:
+def read_runs(paths: Sequence[Path]) -> tuple[ReportedRun, ...]:
     """Read several runs' folders; each is named by its folder, or by its whole path where names collide.
 
     Raises RunError.
@@ -67,7 +67,7 @@ def read_runs(paths: Sequence[Path]) -> tuple[Run, ...]:
     return tuple(_read_run(path, name) for path, name in zip(paths, names, strict=True))
 
 
-def _read_run(path: Path, name: str) -> Run:
+def _read_run(path: Path, name: str) -> ReportedRun:
     if not path.is_dir():
         raise RunError(f"{path}: there is no such run's folder; `gridtrack compare ... --out RUN` makes one")
     try:
@@ -83,7 +83,7 @@ def _read_run(path: Path, name: str) -> Run:
         if found is not None:
             found.require_own_files(path / trial)
     pooled = summary.has_pooled
-    return Run(path, name, with_pooled(summary) if pooled else summary, record, pooled)
+    return ReportedRun(path, name, with_pooled(summary) if pooled else summary, record, pooled)
 
 
 def with_pooled(summary: RunSummary) -> RunSummary:

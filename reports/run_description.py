@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from gridtrack.reports.run import Run
+from gridtrack.reports.run import ReportedRun
 from gridtrack.reports.table import HeadlineTable, TableRow
 
 MAX_PROVENANCE_LINES = 2000
@@ -23,7 +23,7 @@ class Fact:
     value: str
 
 
-def title_of(runs: Sequence[Run]) -> str:
+def title_of(runs: Sequence[ReportedRun]) -> str:
     """The title of the page: the number of trackers and the recording, or the names of the runs."""
     if len(runs) > 1:
         return " and ".join(run.name for run in runs) + " side by side"
@@ -92,7 +92,7 @@ def _names(rows: Sequence[TableRow]) -> str:
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
 
 
-def facts_of(run: Run) -> tuple[Fact, ...]:
+def facts_of(run: ReportedRun) -> tuple[Fact, ...]:
     """The recordings, command, machine and versions of a run, as far as its folder holds them."""
     facts = [Fact(f"recording {name}", _recording(run, name)) for name in run.recordings]
     record = run.record
@@ -106,7 +106,7 @@ def facts_of(run: Run) -> tuple[Fact, ...]:
     return tuple(facts)
 
 
-def _recording(run: Run, name: str) -> str:
+def _recording(run: ReportedRun, name: str) -> str:
     recording = run.summary.recordings[name]
     items = (
         recording.stretch,
@@ -121,7 +121,7 @@ def _recording(run: Run, name: str) -> str:
     return "; ".join(filter(None, items))
 
 
-def provenance_of(run: Run) -> tuple[Fact, ...]:
+def provenance_of(run: ReportedRun) -> tuple[Fact, ...]:
     """run.json as lines of key and value."""
     lines = list(_flattened("", run.record.model_dump(mode="json", by_alias=True)))
     if len(lines) > MAX_PROVENANCE_LINES:

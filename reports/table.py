@@ -11,7 +11,7 @@ from gridtrack.evaluation.results.summary import TrackerSummary
 from gridtrack.evaluation.results.trial_summary import TrialSummary
 from gridtrack.evaluation.statistics.score_intervals import HEADLINE_HORIZONS_S, HEADLINE_STRATA
 from gridtrack.reports.markdown import cell_text, markdown_table
-from gridtrack.reports.run import UNDEFINED, ReportError, Run
+from gridtrack.reports.run import UNDEFINED, ReportedRun, ReportError
 
 FORGIVING = "fss_5"
 """The score that forgives a few cells in the table: the others are in a section of their own."""
@@ -137,7 +137,7 @@ class HeadlineTable:
         return tuple(row for row in self.rows if row.group == group)
 
 
-def headline_tables(runs: Sequence[Run]) -> tuple[HeadlineTable, ...]:
+def headline_tables(runs: Sequence[ReportedRun]) -> tuple[HeadlineTable, ...]:
     """One table per recording; the rows of several runs are in the same table, each with the name of its run."""
     names = dict.fromkeys(name for run in runs for name in run.summary.recordings)
     return tuple(_headline_table(runs, name) for name in names)
@@ -148,7 +148,7 @@ def main_tables(tables: Sequence[HeadlineTable]) -> Sequence[HeadlineTable]:
     return [table for table in tables if table.pooled] or tables
 
 
-def _headline_table(runs: Sequence[Run], recording: str) -> HeadlineTable:
+def _headline_table(runs: Sequence[ReportedRun], recording: str) -> HeadlineTable:
     shown = [run for run in runs if recording in run.summary.recordings]
     intervals, forgiving = (_has_any(shown, recording, score) for score in ("f1_low", FORGIVING))
     columns = tuple(_columns(_common_horizons(shown, recording), intervals, forgiving))
@@ -174,7 +174,7 @@ def _headline_table(runs: Sequence[Run], recording: str) -> HeadlineTable:
     return HeadlineTable(recording, columns, tuple(rows), columns[decisive], comparable, pooled)
 
 
-def _common_horizons(runs: Sequence[Run], recording: str) -> tuple[float, ...]:
+def _common_horizons(runs: Sequence[ReportedRun], recording: str) -> tuple[float, ...]:
     """The horizons that every run has. Raises ReportError where their rates differ."""
     stretches = [run.summary.recordings[recording] for run in runs]
     for run, stretch in zip(runs, stretches, strict=True):
@@ -186,12 +186,12 @@ def _common_horizons(runs: Sequence[Run], recording: str) -> tuple[float, ...]:
     return min((stretch.horizons_s for stretch in stretches), key=len)
 
 
-def _same_frames(runs: Sequence[Run], recording: str) -> bool:
+def _same_frames(runs: Sequence[ReportedRun], recording: str) -> bool:
     described = [(run.summary.recordings[recording], run.identity_of(recording)) for run in runs]
     return all(stretch.parity for stretch, _ in described) and described.count(described[0]) == len(described)
 
 
-def _has_any(runs: Sequence[Run], recording: str, curve: str) -> bool:
+def _has_any(runs: Sequence[ReportedRun], recording: str, curve: str) -> bool:
     """Whether any row has this curve: intervals it has from LEAST_UNITS statistical units on."""
     trials = [
         e.recordings[recording] for run in runs for e in run.summary.trackers.values() if recording in e.recordings

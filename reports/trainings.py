@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from gridtrack.evaluation.results.summary import TrackerTrainings, TrainingsScore
 from gridtrack.reports.differences import interval_text, p_text
-from gridtrack.reports.run import UNDEFINED, Run
+from gridtrack.reports.run import UNDEFINED, ReportedRun
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class TrainingsTable:
     rows: tuple[TrainingsRow, ...]
 
 
-def trainings_table(run: Run, recording: str) -> TrainingsTable | None:
+def trainings_table(run: ReportedRun, recording: str) -> TrainingsTable | None:
     """The table of one recording of a run; None where no tracker has several trainings."""
     found = [one for one in run.summary.trainings if one.recordings == recording]
     if not found:

@@ -20,7 +20,7 @@ from gridtrack.evaluation.results.columns import SCORES_TABLE
 from gridtrack.evaluation.scoring.samples import SAMPLES, Sample, read_samples
 from gridtrack.reports.chosen_frames import FrameScore, frame_scores
 from gridtrack.reports.pictures import frame_png, probability_png
-from gridtrack.reports.run import Run, read_runs
+from gridtrack.reports.run import ReportedRun, read_runs
 
 HORIZON_S = 1.0
 ENOUGH_CELLS = 20
@@ -39,7 +39,7 @@ class Failure:
     threshold: float
 
 
-def worst(run: Run, label: str) -> list[Failure]:
+def worst(run: ReportedRun, label: str) -> list[Failure]:
     """The worst kept frame of each recording, the SHOWN worst of these."""
     found: list[Failure] = []
     for recording, trial in run.summary.trackers[label].recordings.items():
@@ -89,7 +89,7 @@ def pictures(failure: Failure) -> str:
     )
 
 
-def failures_page(run: Run, labels: list[str]) -> str:
+def failures_page(run: ReportedRun, labels: list[str]) -> str:
     style = (
         f"body{{font-family:sans-serif;margin:1em}} img,svg{{width:{SIDE}px;height:{SIDE}px;image-rendering:pixelated;"
         "border:1px solid #999;margin-right:8px} h3{font-weight:normal;margin:.6em 0 .2em}"

@@ -8,14 +8,14 @@ from pathlib import Path
 
 from gridtrack.evaluation.scoring.samples import SAMPLES, Sample, read_samples
 from gridtrack.reports.pictures import frame_png, probability_png
-from gridtrack.reports.run import Run
+from gridtrack.reports.run import ReportedRun
 
 from studies.support.svg import document
 
 SIDE, GAP, TITLE = 200, 8, 16
 
 
-def forecast_pictures(run: Run, trackers: Sequence[str], numbers: Sequence[int], horizon_s: float) -> str:
+def forecast_pictures(run: ReportedRun, trackers: Sequence[str], numbers: Sequence[int], horizon_s: float) -> str:
     """An SVG of the kept samples with these `numbers` of a run's only recording, as `trackers` forecast them."""
     kept = {name: list(read_samples(_folder(run, name) / SAMPLES)) for name in trackers}
     parts = []
@@ -35,7 +35,7 @@ def forecast_pictures(run: Run, trackers: Sequence[str], numbers: Sequence[int],
     return document(columns * (SIDE + GAP), len(numbers) * (SIDE + GAP) + TITLE, parts, 12)
 
 
-def _folder(run: Run, tracker: str) -> Path:
+def _folder(run: ReportedRun, tracker: str) -> Path:
     (recording,) = run.summary.trackers[tracker].recordings
     return run.trial_folder(tracker, recording)
 

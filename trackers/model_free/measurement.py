@@ -93,7 +93,7 @@ class Pairing(NamedTuple):
     """The matches of the possible pairs."""
 
 
-def compare(
+def pairing_of(
     tracks: Sequence[Track],
     clusters: Sequence[Cluster],
     distances: Array,

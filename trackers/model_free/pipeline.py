@@ -14,7 +14,7 @@ from gridtrack.trackers.model_free.association import assign, assign_returns, di
 from gridtrack.trackers.model_free.background import Background, BackgroundMap, outside_of
 from gridtrack.trackers.model_free.forecast import add_tracks
 from gridtrack.trackers.model_free.initiation import Estimator, initiate
-from gridtrack.trackers.model_free.measurement import compare, measured_poses, membership
+from gridtrack.trackers.model_free.measurement import measured_poses, membership, pairing_of
 from gridtrack.trackers.model_free.merging import TrackMerger, is_stopped
 from gridtrack.trackers.model_free.occlusion import BACKGROUND, cut_off_returns
 from gridtrack.trackers.model_free.outlines import Match
@@ -135,7 +135,7 @@ class Pipeline:
             return {}, {}, clusters
         points = np.concatenate([cluster.points for cluster in clusters])
         distances = distances_to(points, boundaries_of(self.tracks))
-        pairing = compare(self.tracks, clusters, distances, views, self.settings)
+        pairing = pairing_of(self.tracks, clusters, distances, views, self.settings)
         gate, method = self.settings.gate_probability, self.settings.association
         pairs = assign(pairing.costs, pairing.distances, pairing.freedom, gate, method)
         candidates = membership(self.tracks, clusters, pairs, self.settings)
