@@ -49,7 +49,7 @@ STREET = PipelineSettings(
     initial_turn_rate=0.0511,
 )
 """The motion of road users at the junction, found by an early search there, so that figures stay comparable."""
-REGIMES = STREET.motion(MODEL.period_s)
+REGIMES = STREET.motion(MODEL.period_s, window_m=20.0)
 
 
 def in_two_regimes(initiate: Callable[..., MotionEstimator]) -> Callable[..., MotionEstimator]:

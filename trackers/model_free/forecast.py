@@ -53,7 +53,7 @@ def add_tracks(
     moved = 1.0 - means_of(resident.probability, resident.bounds)
     steady = np.array([track.estimator.probabilities[:1] for track in tracks]) * regimes.switching[0][0] ** steps
     poses, spreads = _motions(tracks, regimes, len(steps) - 1, grid)
-    motions = _finite(Motions(poses, spreads, np.stack([moved * steady, moved * (1.0 - steady)], axis=1)))
+    motions = Motions(poses, spreads, np.stack([moved * steady, moved * (1.0 - steady)], axis=1))
     existence = np.array([[track.existence] for track in tracks]) * survival**steps
     draw_tracks(occupancy, _surfaces(tracks, frame, grid), motions, resident, existence, semantics, classes)
 
@@ -76,19 +76,6 @@ def _motions(tracks: Sequence[Track], regimes: Regimes, steps: int, grid: GridSp
         poses.append(np.concatenate([in_cells(means[..., :2], grid), means[..., 2:3]], axis=2))
         spreads.append(covariances[..., :2, :2] / grid.cell_m**2)
     return np.stack(poses, axis=1), np.stack(spreads, axis=1)
-
-
-def _finite(motions: Motions) -> Motions:
-    """The motions, of which those that are not finite have probability 0.
-
-    An estimator with much noise can diverge between two matches, until its covariance overflows.
-    """
-    lost = ~(np.isfinite(motions.poses).all(axis=3) & np.isfinite(motions.covariances).all(axis=(3, 4)))
-    if not lost.any():
-        return motions
-    poses, covariances, weights = (values.copy() for values in motions)
-    poses[lost], covariances[lost], weights[lost] = 0.0, 0.0, 0.0
-    return Motions(poses, covariances, weights)
 
 
 def _surfaces(tracks: Sequence[Track], frame: GridFrame, grid: GridSpec) -> Surfaces:

@@ -57,7 +57,7 @@ class Pipeline:
         self.window = self.previous_window = Window(grid)
         self.site = SiteMap(np.stack(background), outside_of(background), grid.cell_m, world_T_map)
         self.background = Background(background, period_s, settings)
-        self.regimes = settings.motion(period_s)
+        self.regimes = settings.motion(period_s, grid.size * grid.cell_m)
         self.period_s = period_s
         self.survival = math.exp(-period_s / settings.mean_lifetime_s)
         self.background_merge_periods = round(settings.background_merge_s / period_s)

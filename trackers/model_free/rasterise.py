@@ -71,15 +71,14 @@ def draw_track(  # type: ignore[no-untyped-def]
     n+1, 3), x and y in cells, heading in radians, blurred by `covariances` (R, n+1, 2, 2). Or its returns are in place
     at `points` (K, 2), of probability `in_place` (K, n+1), blurred by `blur`. A position whose standard deviation is
     greater than the window's side is not drawn: the object is more probably outside, and the image of its blur would
-    grow without a bound. Nor is a surface that is larger than two windows: its estimator has diverged.
+    grow without a bound.
 
     It is also added to `semantics` (n+1, C, M, M), multiplied by P(class), `classes` (C,); C may be 0.
     """
     size = occupancy.shape[1]
     shown = np.zeros((size, size), np.float32)
     corners, masses, points_box = _blurred_points(points, blur, size)
-    mass = weights.sum() if _reach(offsets) <= 2 * size else 0.0
-    scales, headings = np.zeros(len(moved), np.int64), np.zeros(len(moved))
+    mass, scales, headings = weights.sum(), np.zeros(len(moved), np.int64), np.zeros(len(moved))
     patches = [(np.zeros((1, 1), np.float32), (0, 0)) for _ in headings]
     for step in range(occupancy.shape[0]):
         box = size, 0, size, 0
@@ -126,15 +125,6 @@ def _add_semantics(planes, classes, shown, exists, box):  # type: ignore[no-unty
         for row in range_inside(box[0], box[1], size):
             for column in range_inside(box[2], box[3], size):
                 planes[k, row, column] += share * min(shown[row, column], np.float32(1.0))
-
-
-@numba.njit(error_model="numpy")
-def _reach(offsets):  # type: ignore[no-untyped-def]
-    """The largest distance of `offsets` (N, 2) from the centre along an axis."""
-    reach = 0.0
-    for j in range(len(offsets)):
-        reach = max(reach, abs(offsets[j, 0]), abs(offsets[j, 1]))
-    return reach
 
 
 @numba.njit(error_model="numpy")

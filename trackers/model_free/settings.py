@@ -105,8 +105,8 @@ class PipelineSettings(Settings):
     return_noise_m: float = Field(0.05, gt=0, le=10)
     """Standard deviation of one return about its surface, along each axis."""
 
-    def motion(self, period_s: float) -> Regimes:
-        """The motion models of every track."""
+    def motion(self, period_s: float, window_m: float) -> Regimes:
+        """The motion models of every track, in a window with sides of `window_m`."""
         steady = MotionModel(
             self.acceleration,
             self.speed_noise,
@@ -117,7 +117,8 @@ class PipelineSettings(Settings):
             self.initial_turn_rate,
             period_s,
         )
-        return Regimes.of(steady, self.manoeuvre_noise, self.steady_duration_s, self.manoeuvre_duration_s)
+        durations_s = self.steady_duration_s, self.manoeuvre_duration_s
+        return Regimes.of(steady, self.manoeuvre_noise, *durations_s, window_m)
 
 
 class ModelFreeSettings(LabelSettings, PipelineSettings):

@@ -123,7 +123,7 @@ class ModelFreeTracker(CalibratedTracker):
 
     @property
     def recoveries(self) -> int:
-        """How often an estimator was re-initialised after a numerical failure since `reset`."""
+        """How often an estimator was re-initialised since `reset`: it had failed numerically, or diverged."""
         return self._pipeline.restarts
 
     @classmethod

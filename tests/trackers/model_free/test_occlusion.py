@@ -91,7 +91,7 @@ def test_a_body_is_cut_off_at_the_edge_of_the_grid():
 def moving_body(speed: float, length_m: float = 4.0) -> Track:
     """A body along x that moves along x; its front, at x = 0, is cut off."""
     offsets = np.stack([np.linspace(-length_m, 0.0, 9), np.zeros(9)], 1)
-    estimator = SwitchingEstimator(KalmanEstimator, np.zeros(3), np.eye(3) * 0.01, SETTINGS.motion(0.1))
+    estimator = SwitchingEstimator(KalmanEstimator, np.zeros(3), np.eye(3) * 0.01, SETTINGS.motion(0.1, 10.0))
     mean = np.array([0.0, 0.0, 0.0, speed, 0.0, 0.0])
     estimator.reinitialise(mean, np.eye(6) * 0.01)
     shape = Shape.of(offsets, np.arange(9) == 8, 0.1)
@@ -101,7 +101,7 @@ def moving_body(speed: float, length_m: float = 4.0) -> Track:
 def initiated(tracks: list[Track], x: float, cut: bool) -> SwitchingEstimator:
     points = np.array([[x, 0.0], [x + 0.5, 0.0]])
     cluster = Cluster(points, np.array([cut, False]))
-    return initiate(KalmanEstimator, cluster, tracks, SETTINGS.motion(0.1), SETTINGS)
+    return initiate(KalmanEstimator, cluster, tracks, SETTINGS.motion(0.1, 10.0), SETTINGS)
 
 
 def test_a_cluster_beyond_a_shadow_has_the_velocity_of_the_cut_off_body():

@@ -9,9 +9,8 @@ pytest.importorskip("filterpy")
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, with_neighbours
 from gridtrack.trackers.contract import StreamSpec
-from gridtrack.trackers.model_free import forecast
 from gridtrack.trackers.model_free.kalman import KalmanTracker
-from gridtrack.trackers.model_free.motion.model import propagate
+from gridtrack.trackers.model_free.motion.kalman import KalmanEstimator
 from gridtrack.trackers.model_free.settings import PipelineSettings
 from gridtrack.trackers.weights import save_weights
 
@@ -53,20 +52,35 @@ def test_velocity_is_known_after_a_second(tracker, velocity):
     assert np.sqrt((errors**2).mean()) < 0.2
 
 
-@pytest.mark.parametrize("lost", [np.nan, np.inf])
-def test_a_motion_that_has_diverged_is_not_drawn(tracker, monkeypatch, lost):
-    """Settings within the ranges of the search once asked for an image without a size."""
+@pytest.mark.parametrize("lost", [{"mean": np.nan}, {"mean": 1e18}, {"covariance": np.inf}, {"covariance": np.nan}])
+def test_a_track_whose_estimator_diverges_goes_on_from_what_is_measured(weights, lost):
+    """Settings within the ranges of the search once had an estimate at 10^18 m, and an image without a size."""
 
-    def diverging(*arguments):
-        means, covariances = propagate(*arguments)
-        covariances[:, 4:] = lost
-        return means, covariances
+    class Diverging(KalmanEstimator):
+        updates = 0
 
-    watch(tracker, walk((3.0, -1.0), (0.0, 1.0), 21))
-    monkeypatch.setattr(forecast, "propagate", diverging)
-    occupancy = tracker.predict(6).occupancy
-    assert np.isfinite(occupancy).all()
-    assert occupancy[3].max() > 5 * occupancy[4].max()
+        def update(self, pose, covariance):
+            super().update(pose, covariance)
+            self.updates += 1
+            if self.updates == 10:
+                self.reinitialise(self.mean + lost.get("mean", 0.0), self.covariance + lost.get("covariance", 0.0))
+
+    class DivergingTracker(KalmanTracker):
+        estimator = staticmethod(Diverging)
+
+    tracker = DivergingTracker(StreamSpec(GRID, PERIOD_S, "hall", weights=weights), PipelineSettings())
+    path = walk((3.0, -1.0), (0.0, 1.0), 31)
+    seen = []
+    for step, person in enumerate(path[:21]):
+        tracker.update(frame_of([person], step))
+        forecast = tracker.predict(10)
+        assert np.isfinite(forecast.occupancy).all()
+        seen.append(forecast.objects)
+    assert [one.track for one in seen[-1]] == [seen[5][0].track]
+    assert seen[-1][0].velocity == pytest.approx((0.0, 1.0), abs=0.2)
+    most_probable = np.array(np.unravel_index(forecast.occupancy[10].argmax(), GRID.shape))
+    assert np.abs(most_probable - GRID.cells_of(np.array(path[30:31]))[0][0]).max() <= 2
+    assert tracker.recoveries == 2
 
 
 @pytest.mark.parametrize("every", [2, 3])

@@ -1,4 +1,4 @@
-"""The interface of motion estimators, the check of measured poses, and the initial state."""
+"""The interface of motion estimators, the checks of measured poses and of estimates, and the initial state."""
 
 from __future__ import annotations
 
@@ -96,6 +96,17 @@ def is_positive_definite(matrix):  # type: ignore[no-untyped-def]
             else:
                 return False
     return True
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def has_diverged(mean, covariance, pose, limits):  # type: ignore[no-untyped-def]
+    """Whether a state (6,) with its covariance (6, 6) cannot be that of an object just measured at `pose` (3,).
+
+    It is outside the StateLimits, or not finite, or its covariance is not positive definite.
+    """
+    away, speed = math.hypot(mean[0] - pose[0], mean[1] - pose[1]), math.hypot(mean[3], mean[4])
+    moves = away <= limits.distance_m and speed <= limits.speed and abs(mean[5]) <= limits.turn_rate
+    return not (moves and math.isfinite(mean[2]) and is_positive_definite(covariance))
 
 
 def initial_state(pose: Array, covariance: Array, model: MotionModel) -> tuple[Array, Array]:

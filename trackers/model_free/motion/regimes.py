@@ -4,6 +4,9 @@ Walkers and vehicles in steady motion keep their velocity to some cm/s, and then
 process noise is too large for the first and too small for the second. This is a multiple-model estimator with switching
 regimes (Bar-Shalom, Li and Kirubarajan 2001, section 11.6) without mixing of the estimators: one whose regime becomes
 improbable is re-initialised from the other, which is possible for a smoother as well as for a filter.
+
+Noise that is proportional to the speed lets an estimate diverge: a wrong heading gives it a higher speed, which gives
+it more noise, which gives the next wrong heading more weight. An estimator that has diverged begins anew.
 """
 
 from __future__ import annotations
@@ -15,7 +18,7 @@ import numba
 import numpy as np
 
 from gridtrack.trackers.model_free.arrays import Array
-from gridtrack.trackers.model_free.motion.estimator import MotionEstimator
+from gridtrack.trackers.model_free.motion.estimator import MotionEstimator, has_diverged, initial_state
 from gridtrack.trackers.model_free.motion.model import wrapped
 from gridtrack.trackers.model_free.motion.parameters import MotionModel, Regimes
 
@@ -38,6 +41,8 @@ class SwitchingEstimator:
     ) -> None:
         self.estimators = [make_estimator(pose, covariance, model) for model in regimes.models]
         self.gate = self.estimators[0].gate
+        self._models, self._limits = regimes.models, regimes.limits
+        self._begun_anew = 0
         self._switching = np.array(regimes.switching)
         self.probabilities = np.array([self._switching[1, 0], self._switching[0, 1]])
         self.probabilities /= self.probabilities.sum()
@@ -45,8 +50,8 @@ class SwitchingEstimator:
 
     @property
     def restarts(self) -> int:
-        """How often any of the estimators failed numerically and was re-initialised."""
-        return sum(estimator.restarts for estimator in self.estimators)
+        """How often any of the estimators failed numerically or diverged, and was re-initialised."""
+        return self._begun_anew + sum(estimator.restarts for estimator in self.estimators)
 
     def predict(self) -> None:
         """Predict the state one period ahead."""
@@ -59,8 +64,11 @@ class SwitchingEstimator:
         """Update with a measured pose (3,) and its covariance (3, 3)."""
         one, other = self.estimators
         predicted = one.mean, one.covariance, other.mean, other.covariance  # an update makes new arrays
-        one.update(pose, covariance)
-        other.update(pose, covariance)
+        for estimator, model in zip(self.estimators, self._models, strict=True):
+            estimator.update(pose, covariance)
+            if has_diverged(estimator.mean, estimator.covariance, pose, self._limits):
+                estimator.reinitialise(*initial_state(pose, covariance, model))
+                self._begun_anew += 1
         self.probabilities = _updated_probabilities(self.probabilities, *predicted, pose, covariance, self.gate)
         if self.probabilities[0] < IMPROBABLE:
             one.reinitialise(other.mean, other.covariance)

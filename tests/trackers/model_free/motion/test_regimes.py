@@ -24,7 +24,7 @@ STEADY = MotionModel(
     initial_turn_rate=0.1,
     period_s=PERIOD_S,
 )
-REGIMES = Regimes.of(STEADY, manoeuvre_noise=10.0, steady_duration_s=6.0, manoeuvre_duration_s=1.0)
+REGIMES = Regimes.of(STEADY, manoeuvre_noise=10.0, steady_duration_s=6.0, manoeuvre_duration_s=1.0, window_m=20.0)
 NOISE = np.diag([0.08, 0.08, 0.05]) ** 2
 ESTIMATORS = pytest.mark.parametrize("begin", [KalmanEstimator, FactorGraphEstimator])
 
@@ -165,3 +165,52 @@ def test_headings_near_pi_and_minus_pi_are_close():
     estimator.predict()
     assert abs(abs(estimator.mean[2]) - np.pi) < 0.1
     assert estimator.covariance[2, 2] < 1.2
+
+
+SEARCHED = Regimes.of(
+    STEADY._replace(speed_noise=0.24, turn_acceleration=0.38, velocity_memory_s=3.7, initial_speed=3.7),
+    manoeuvre_noise=35.0,
+    steady_duration_s=1.1,
+    manoeuvre_duration_s=2.1,
+    window_m=20.0,
+)
+"""Much noise, within the ranges of the search."""
+
+
+def test_an_estimator_that_diverges_begins_anew_from_the_measurement():
+    """A vehicle, often not measured along its side, with wrong headings: its speed once grew to 10^15 m/s."""
+    random = np.random.default_rng(0)
+    side = np.diag([2.0, 0.0, 0.0]) ** 2
+    estimator = SwitchingEstimator(KalmanEstimator, np.zeros(3), NOISE, SEARCHED)
+    for frame in range(1, 400):
+        estimator.predict()
+        pose = np.array([8.0 * PERIOD_S * frame, 0.0, 0.0]) + 3.0 * random.normal(0.0, np.sqrt(np.diag(NOISE)))
+        if random.random() < 0.1:
+            pose[2] += random.normal()
+        estimator.update(pose, NOISE + side if random.random() < 0.3 else NOISE)
+        for one in estimator.estimators:
+            assert np.hypot(*(one.mean[:2] - pose[:2])) < 10.0
+            assert np.hypot(*one.mean[3:5]) <= SEARCHED.limits.speed
+            assert np.linalg.eigvalsh(one.covariance).min() > 0.0
+    assert 0 < estimator.restarts < 40
+
+
+@ESTIMATORS
+@pytest.mark.parametrize(("index", "value"), [(0, 1e18), (1, -60.0), (3, 1e6), (5, 30.0)])
+def test_a_state_that_the_window_does_not_allow_is_that_of_the_measurement_with_an_unknown_velocity(
+    begin, index, value
+):
+    _, estimator = followed(begin, np.full(40, 1.3), seed=0)
+    diverged = estimator.mean.copy()
+    diverged[index] += value
+    estimator.reinitialise(diverged, estimator.covariance)
+    pose = np.array([5.3, 0.0, 0.0])
+    estimator.update(pose, NOISE)
+    assert estimator.mean == pytest.approx([*pose, 0.0, 0.0, 0.0])
+    assert np.sqrt(estimator.covariance[3, 3]) == pytest.approx(STEADY.initial_speed)
+    assert estimator.restarts == 2
+    for frame in range(1, 17):
+        estimator.predict()
+        estimator.update(pose + np.array([1.3 * PERIOD_S * frame, 0.0, 0.0]), NOISE)
+    assert estimator.mean[3:5] == pytest.approx([1.3, 0.0], abs=0.1)
+    assert estimator.restarts == 2
