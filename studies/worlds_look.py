@@ -23,7 +23,7 @@ from gridtrack.common.scan import Scan
 from gridtrack.recordings import open_recording
 
 from studies.support.npz_scans import npz_scans
-from studies.support.svg import document
+from studies.support.svg import document, svg_path
 
 BEFORE_NS = 1_000_000_000
 PANEL_PX, COLUMNS = 230, 6
@@ -109,7 +109,7 @@ def main() -> None:
     parser.add_argument("recordings", type=Path, nargs="+")
     parser.add_argument("--frames", type=int, default=2, help="panels of each recording")
     parser.add_argument("--blind", action="store_true", help="mix the panels and number them")
-    parser.add_argument("--out", type=Path, default=Path("runs/worlds-look.svg"))
+    parser.add_argument("--out", type=svg_path, default=Path("runs/worlds-look.svg"))
     options = parser.parse_args()
     try:
         shown = [panel for path in options.recordings for panel in panels(path, options.frames)]

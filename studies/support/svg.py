@@ -2,7 +2,17 @@
 
 from __future__ import annotations
 
+import argparse
 from collections.abc import Sequence
+from pathlib import Path
+
+
+def svg_path(text: str) -> Path:
+    """An argument of a command: the file of a drawing. Raises ArgumentTypeError for another suffix than .svg."""
+    path = Path(text)
+    if path.suffix != ".svg":
+        raise argparse.ArgumentTypeError(f"{text}: the drawing is written as SVG: end its name in .svg")
+    return path
 
 
 def document(width: float, height: float, parts: Sequence[str], font_size: int) -> str:

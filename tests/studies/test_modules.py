@@ -52,6 +52,15 @@ def test_a_module_names_its_command_and_parses_its_arguments(name, monkeypatch, 
     assert documentation.partition("\n")[0].split()[0] in capsys.readouterr().out
 
 
+def test_a_drawing_is_not_written_under_the_name_of_another_format(monkeypatch, capsys, tmp_path):
+    arguments = ["data/leg_tracker/leg_tracker.mcap", "--frames", "1", "--out"]
+    assert run("studies.worlds_look", [*arguments, str(tmp_path / "look.png")], monkeypatch) == 2
+    assert "look.png: the drawing is written as SVG: end its name in .svg" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+    assert run("studies.worlds_look", [*arguments, str(tmp_path / "look.svg")], monkeypatch) == 0
+    assert (tmp_path / "look.svg").read_text().startswith("<svg")
+
+
 @pytest.mark.parametrize("name", QUICK)
 def test_a_quick_setting_runs(name, monkeypatch, capsys):
     assert run(name, QUICK[name], monkeypatch) == 0
