@@ -8,6 +8,16 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
+from gridtrack.cli.compare_options import (
+    AllowLeakOption,
+    DeadlineOption,
+    DegradeOption,
+    FollowOption,
+    IdleTimeoutOption,
+    ReferenceOption,
+    RowsOption,
+    ValidationOption,
+)
 from gridtrack.cli.options import (
     GridOption,
     JsonOption,
@@ -32,17 +42,10 @@ INCOMPLETE = 3
 
 def compare_command(
     recordings: RecordingsArgument,
-    tracker: Annotated[
-        list[str] | None, typer.Option(metavar="[LABEL=]NAME[:KEY=VALUE,...]", help="Repeat; default: every tracker")
-    ] = None,
+    tracker: RowsOption = None,
     out: Annotated[Path | None, typer.Option(help="The run's folder")] = None,
-    validation: Annotated[
-        str | None, typer.Option(help=r"RECORDING\[@RANGE] to choose thresholds on; default: the recording's own")
-    ] = None,
-    reference: Annotated[
-        str | None,
-        typer.Option(metavar="LABEL", help="The row that the others are compared with; default: persistence"),
-    ] = None,
+    validation: ValidationOption = None,
+    reference: ReferenceOption = None,
     horizon: Annotated[str | None, typer.Option(help="The longest horizon of a forecast")] = None,
     every: Annotated[str | None, typer.Option(help="Time between scored forecasts")] = None,
     grid: GridOption = None,
@@ -57,30 +60,12 @@ def compare_command(
     weights: WeightsOption = None,
     trackers_toml: TrackersTomlOption = None,
     resume: Annotated[bool, typer.Option(help="Run only the trials that are missing in the run's folder")] = False,
-    allow_leak: Annotated[
-        bool, typer.Option(help="Score a tracker on frames that it learned from too: it is marked and not ranked")
-    ] = False,
+    allow_leak: AllowLeakOption = False,
     latency: Annotated[bool, typer.Option(help="After the scores, measure the time of each tracker alone")] = False,
-    deadline: Annotated[
-        bool,
-        typer.Option(help="After the scores, measure the time of each tracker alone and score under a deadline"),
-    ] = False,
-    degrade: Annotated[
-        str | None,
-        typer.Option(
-            metavar="KIND=VALUE,...",
-            help="After the scores, score on degraded frames, one kind at a time",
-        ),
-    ] = None,
-    follow: Annotated[
-        bool,
-        typer.Option(
-            "--follow", help="The recording, an MCAP file, is still being written: keep up with it to its end"
-        ),
-    ] = False,
-    idle_timeout: Annotated[
-        str | None, typer.Option(help="With --follow, end when nothing was written for this long")
-    ] = None,
+    deadline: DeadlineOption = False,
+    degrade: DegradeOption = None,
+    follow: FollowOption = False,
+    idle_timeout: IdleTimeoutOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Run trackers on recordings, each in its own process, score them, and write a report.
@@ -88,17 +73,10 @@ def compare_command(
     Exit code: 0 all trials complete, 2 wrong use, 3 a trial is not complete or lacks a requested measurement, 130
     interrupted. With --follow Ctrl-C ends the recording, and the run of what was seen is complete; the code is 130.
     """
-    from gridtrack.evaluation.comparison.settings import CompareSettings
-    from gridtrack.evaluation.processes.limits import Limits
-    from gridtrack.evaluation.results.files import json_of
-    from gridtrack.recordings.degradation import parse_degradation
-    from gridtrack.reports.page import render_report
-    from gridtrack.reports.terminal import print_tables
-
     limits = {
-        "start_s": start_timeout and seconds(start_timeout),
-        "update_s": update_timeout and seconds(update_timeout),
-        "predict_s": predict_timeout and seconds(predict_timeout),
+        "start_s": _seconds(start_timeout),
+        "update_s": _seconds(update_timeout),
+        "predict_s": _seconds(predict_timeout),
         "threads": threads,
         "memory_mb": memory,
     }
@@ -108,8 +86,8 @@ def compare_command(
         "out": out,
         "validation": validation,
         "reference": reference,
-        "horizon_s": horizon and seconds(horizon),
-        "every_s": every and seconds(every),
+        "horizon_s": _seconds(horizon),
+        "every_s": _seconds(every),
         "grid": grid,
         "rate_hz": rate,
         "jobs": jobs,
@@ -120,24 +98,32 @@ def compare_command(
         "resume": resume,
         "latency": latency,
         "deadline": deadline,
-        "degrade": parse_degradation(degrade) if degrade is not None else None,
         "follow": follow,
-        "idle_timeout_s": idle_timeout and seconds(idle_timeout),
-        "limits": _settings(Limits, limits),
+        "idle_timeout_s": _seconds(idle_timeout),
     }
-    settings = _settings(CompareSettings, given)
+    settings = _settings(given, limits, degrade)
     compared = _followed(settings) if settings.follow else _run(settings)
-    report = render_report([settings.out])
-    if as_json:
-        typer.echo(json_of(compared.summary))
-    else:
-        print_tables(settings.out)
-        typer.echo(f"report: {report}")
-    if compared.interrupted:
-        raise typer.Exit(INTERRUPTED_EXIT_CODE)
-    outcomes = [trial.outcome for row in compared.summary.trackers.values() for trial in row.recordings.values()]
-    if compared.lacks_measurements or any(outcome != "ok" for outcome in outcomes):
-        raise typer.Exit(INCOMPLETE)
+    _print_result(settings.out, compared, as_json)
+    raise typer.Exit(compared.exit_code)
+
+
+def _seconds(text: str | None) -> float | None:
+    return None if text is None else seconds(text)
+
+
+def _settings(given: dict[str, Any], limits: dict[str, Any], degrade: str | None) -> CompareSettings:
+    """The settings with the values that the user gave; None is an option that was not given."""
+    from gridtrack.common.config import validated
+    from gridtrack.evaluation.comparison.settings import CompareSettings
+    from gridtrack.evaluation.processes.limits import Limits
+    from gridtrack.recordings.degradation import parse_degradation
+
+    values = {key: value for key, value in given.items() if value is not None}
+    if degrade is not None:
+        values["degrade"] = parse_degradation(degrade)
+    kept = {key: value for key, value in limits.items() if value is not None}
+    values["limits"] = validated(Limits, kept, "gridtrack compare")
+    return validated(CompareSettings, values, "gridtrack compare")
 
 
 class _Compared(NamedTuple):
@@ -146,6 +132,15 @@ class _Compared(NamedTuple):
     summary: RunSummary
     interrupted: bool
     lacks_measurements: bool
+
+    @property
+    def exit_code(self) -> int:
+        """0 where every trial is complete and has what was requested."""
+        if self.interrupted:
+            return INTERRUPTED_EXIT_CODE
+        trials = (trial for row in self.summary.trackers.values() for trial in row.recordings.values())
+        complete = not self.lacks_measurements and all(trial.outcome == "ok" for trial in trials)
+        return 0 if complete else INCOMPLETE
 
 
 def _run(settings: CompareSettings) -> _Compared:
@@ -172,6 +167,20 @@ def _followed(settings: CompareSettings) -> _Compared:
         with RunProgress() as progress:
             summary = followed.finish(shlex.split(command_line()), progress)
     return _Compared(summary, summary.interrupted or followed.interrupted, lacks_measurements=False)
+
+
+def _print_result(out: Path, compared: _Compared, as_json: bool) -> None:
+    """Write the report of the run in `out`, and print the result."""
+    from gridtrack.evaluation.results.files import json_of
+    from gridtrack.reports.page import render_report
+    from gridtrack.reports.terminal import print_tables
+
+    report = render_report([out])
+    if as_json:
+        typer.echo(json_of(compared.summary))
+    else:
+        print_tables(out)
+        typer.echo(f"report: {report}")
 
 
 def compare_defaults() -> dict[str, str]:
@@ -215,14 +224,6 @@ def _warn_of_missing(plan: ComparisonPlan) -> bool:
     for line in missing:
         typer.echo(f"gridtrack: not measured: {printable(line)}", err=True)
     return bool(missing)
-
-
-def _settings(model: Any, values: dict[str, Any]) -> Any:
-    """The model with the values that the user gave; None is an option that was not given."""
-    from gridtrack.common.config import validated
-
-    given = {key: value for key, value in values.items() if value is not None}
-    return validated(model, given, "gridtrack compare")
 
 
 def report_command(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -52,7 +52,7 @@ def import_recording(
     """
     out = Path(out)
     check_utf8(out, RecordingError)
-    options: dict[str, Any] = {
+    options = {
         "topic": topic,
         "strict": strict,
         "cloud_slice": cloud_slice,
@@ -60,15 +60,9 @@ def import_recording(
         "mounts": mounts,
         "zero_range": zero_range,
     }
-    recording = open_recording(source, **options)
-    if ego_motion == "kiss-icp" and recording.pose_problem and len(recording.survey.sensors) == 1:
-        pose_topic = "none"  # the recorded poses are replaced: it does not matter what is wrong with them
-        recording = open_recording(source, **options | {"pose_topic": pose_topic})
-    if out.suffix != ".mcap":
-        raise RecordingError(f"{out}: a recording is written as .mcap")
-    if out.exists() and out.samefile(recording.path):
-        raise RecordingError(f"{out}: is the source itself; choose another name for the result")
-    given: dict[str, Any] = {
+    recording = _opened(source, options, ego_motion)
+    _check_destination(out, recording)
+    given = {
         "site": site,
         "grid": grid,
         "licence": licence,
@@ -76,33 +70,44 @@ def import_recording(
         "rate_hz": rate_hz,
         "stretches": dict(stretches or {}),
     }
-    info = _info(recording, given, labels)
-    command = _command(
-        recording,
-        out,
-        {
-            **given,
-            "cloud_slice": cloud_slice,
-            "pose-topic": pose_topic,
-            "mount": mounts,
-            "zero-range": zero_range,
-            "ego-motion": ego_motion if ego_motion != "recorded" else None,
-        },
-        labels,
+    info = _info(recording, given, labels).model_copy(
+        update={"command": _command(recording, out, given, ego_motion, labels)}
     )
     if recording.pose_problem:
         raise RecordingError(f"{recording.path}: {recording.pose_problem}")
     scans: Iterable[Scan] = recording.scans()
     if ego_motion != "recorded":
-        from gridtrack.recordings.ego_motion import MatchingSettings, matched_trajectory, with_matched_poses
-
-        trajectory = matched_trajectory(recording.scans(), ego_motion, MatchingSettings())
-        info = info.model_copy(update={"poses": trajectory.describe(ego_motion)})
-        scans = with_matched_poses(scans, trajectory)
+        info, scans = _with_matched_poses(info, recording, ego_motion)
     if labels is not None:
         scans = with_labels(scans, Path(labels), info.classes)
-    _write(out, info.model_copy(update={"command": command}), scans, recording.warning_texts)
+    _write(out, info, scans, recording.warning_texts)
     return open_recording(out, strict=strict)
+
+
+def _opened(source: Path | str, options: Mapping[str, Any], ego_motion: PoseSource) -> Recording:
+    """The source, opened without its poses where they cannot be used and are not needed."""
+    recording = open_recording(source, **options)
+    if ego_motion == "kiss-icp" and recording.pose_problem and len(recording.survey.sensors) == 1:
+        recording = open_recording(source, **{**options, "pose_topic": "none"})
+    return recording
+
+
+def _check_destination(out: Path, recording: Recording) -> None:
+    if out.suffix != ".mcap":
+        raise RecordingError(f"{out}: a recording is written as .mcap")
+    if out.exists() and out.samefile(recording.path):
+        raise RecordingError(f"{out}: is the source itself; choose another name for the result")
+
+
+def _with_matched_poses(
+    info: RecordingInfo, recording: Recording, ego_motion: PoseSource
+) -> tuple[RecordingInfo, Iterator[Scan]]:
+    """The scans with the poses of their matches, and the metadata that says so."""
+    from gridtrack.recordings.ego_motion import MatchingSettings, matched_trajectory, with_matched_poses
+
+    trajectory = matched_trajectory(recording.scans(), ego_motion, MatchingSettings())
+    described = info.model_copy(update={"poses": trajectory.describe(ego_motion)})
+    return described, with_matched_poses(recording.scans(), trajectory)
 
 
 def _info(recording: Recording, given: Mapping[str, Any], labels: Path | str | None) -> RecordingInfo:
@@ -115,13 +120,21 @@ def _info(recording: Recording, given: Mapping[str, Any], labels: Path | str | N
     return validated(RecordingInfo, values, "import")
 
 
-def _command(recording: Recording, out: Path, given: Mapping[str, Any], labels: Path | str | None) -> str:
+def _command(
+    recording: Recording, out: Path, given: Mapping[str, Any], ego_motion: PoseSource, labels: Path | str | None
+) -> str:
     """The command line that repeats the import, without the folders of this machine."""
+    read = recording.options
     options: dict[str, Any] = {
         "out": out.name,
-        "topic": recording.options.topic,
+        "topic": read.topic,
         "labels": labels and Path(labels).name,
         **given,
+        "cloud_slice": read.cloud_slice,
+        "pose-topic": read.pose_topic,
+        "mount": read.mounts,
+        "zero-range": read.zero_range,
+        "ego-motion": ego_motion if ego_motion != "recorded" else None,
     }
     words = ["gridtrack", "recording", "import", recording.name]
     for name, value in options.items():

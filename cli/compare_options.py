@@ -1,0 +1,34 @@
+"""The options of `compare` that need more than one line."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+RowsOption = Annotated[
+    list[str] | None, typer.Option(metavar="[LABEL=]NAME[:KEY=VALUE,...]", help="Repeat; default: every tracker")
+]
+ValidationOption = Annotated[
+    str | None, typer.Option(help=r"RECORDING\[@RANGE] to choose thresholds on; default: the recording's own")
+]
+ReferenceOption = Annotated[
+    str | None, typer.Option(metavar="LABEL", help="The row that the others are compared with; default: persistence")
+]
+AllowLeakOption = Annotated[
+    bool, typer.Option(help="Score a tracker on frames that it learned from too: it is marked and not ranked")
+]
+DeadlineOption = Annotated[
+    bool, typer.Option(help="After the scores, measure the time of each tracker alone and score under a deadline")
+]
+DegradeOption = Annotated[
+    str | None,
+    typer.Option(metavar="KIND=VALUE,...", help="After the scores, score on degraded frames, one kind at a time"),
+]
+FollowOption = Annotated[
+    bool,
+    typer.Option("--follow", help="The recording, an MCAP file, is still being written: keep up with it to its end"),
+]
+IdleTimeoutOption = Annotated[
+    str | None, typer.Option(help="With --follow, end when nothing was written for this long")
+]
