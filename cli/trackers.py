@@ -51,6 +51,11 @@ def train_command(
     general: Annotated[
         bool, typer.Option("--general", help="Learn for any place, from recordings of many places")
     ] = False,
+    weights: Annotated[
+        Path | None,
+        typer.Option(help="Folder of general weights to start from, searched before your own and the shipped ones"),
+    ] = None,
+    from_scratch: Annotated[bool, typer.Option("--from-scratch", help="Do not start from general weights")] = False,
 ) -> None:
     """Train a tracker for a site or, with --general, for any: a card with the command that repeats the training."""
     from gridtrack.evaluation.comparison.recipe import complete_recipe
@@ -65,7 +70,7 @@ def train_command(
         "rate_hz": rate,
         "general": general or None,
     }
-    overrides = {key: value for key, value in given.items() if value is not None}
+    overrides = {key: value for key, value in given.items() if value is not None} | _start_given(weights, from_scratch)
     try:
         card = train_tracker(complete_recipe(_base_recipe(recipe, like), overrides), typer.echo)
     except KeyboardInterrupt as stopped:
@@ -79,6 +84,13 @@ def train_defaults() -> dict[str, str]:
     from gridtrack.evaluation.comparison.recipe import Recipe
 
     return {"seed": str(default_of(Recipe, "seed"))}
+
+
+def _start_given(weights: Path | None, from_scratch: bool) -> dict[str, Any]:
+    """The fields of a recipe that say what it starts from, both where either is given. Raises ConfigurationError."""
+    if weights and from_scratch:
+        raise ConfigurationError("--weights and --from-scratch: give one of them")
+    return {"weights": weights, "from_scratch": from_scratch} if weights or from_scratch else {}
 
 
 def _tracker_and_recordings(arguments: list[str], *, named_elsewhere: bool) -> dict[str, Any]:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+import shlex
 
 import pytest
 from typer.testing import CliRunner
 
 from gridtrack.cli import app
 from gridtrack.common.errors import ConfigurationError, WeightsError
+from gridtrack.common.files import sha256_of
 from gridtrack.recordings import packaged_recording
 from gridtrack.trackers.weights import read_card
 
@@ -94,3 +96,68 @@ def test_a_row_of_an_unknown_kind_of_weights_is_refused(weights, tmp_path):
 def test_recordings_of_unlike_places_are_refused_without_the_option(tmp_path):
     with pytest.raises(WeightsError, match="or for any place with --general"):
         gridtrack("train", "static-map", f"{HALL}@0s-20s", f"{STREET}@0s-20s", "--validation", HALL, "--out", tmp_path)
+
+
+SEARCHED = dict.fromkeys(
+    ("birth_probability", "free_decay_s", "birth_speed", "acceleration", "position_noise_m", "start_stop_speed"), 0.05
+) | {"occupied_mass": 0.91, "free_mass": 0.81, "time_to_start_s": 20, "time_to_stop_s": 5, "free_decay_s": 2}
+"""A value for every setting of `dogma` that is searched: nothing is left to search."""
+TEN_SECONDS = (f"{HALL}@0s-10s", "--validation", f"{HALL}@75s-81s", "--seed", "4")
+
+
+@pytest.fixture(scope="module")
+def general_dogma(tmp_path_factory):
+    """A folder with general weights of `dogma`, not searched, with few particles."""
+    folder = tmp_path_factory.mktemp("dogma")
+    options = ",".join(f"{key}={value}" for key, value in (SEARCHED | {"particles": 300}).items())
+    gridtrack(
+        *("train", f"dogma:{options}", f"{HALL}@20s-30s", f"{STREET}@0s-10s", "--validation", f"{STREET}@20s-26s"),
+        *("--general", "--out", folder),
+    )
+    return folder
+
+
+@pytest.fixture(scope="module")
+def dogma_of_the_hall(general_dogma, tmp_path_factory):
+    """The folder, the output and the card of a training on ten seconds of the hall, from the general weights."""
+    folder = tmp_path_factory.mktemp("hall")
+    text = gridtrack("train", "dogma:acceleration=0.3", *TEN_SECONDS, "--weights", general_dogma, "--out", folder)
+    return folder, text, read_card(folder / "dogma" / "leg_tracker.toml")
+
+
+def test_a_training_at_a_site_starts_from_the_general_weights_and_says_so(general_dogma, dogma_of_the_hall):
+    """Settings that are not searched are theirs, options are the user's; what belongs to the place is learned there."""
+    folder, text, card = dogma_of_the_hall
+    general = general_dogma / "dogma" / "general.toml"
+    assert (card.started_from.name, card.started_from.sha256) == ("dogma/general.toml", sha256_of(general))
+    assert "starts from the general weights dogma/general.toml" in text
+    assert (card.settings["particles"], card.settings["acceleration"]) == (300, 0.3)
+    assert (card.site, card.grid) == ("leg_tracker", "100x0.1@-2,-4.5")
+    assert shlex.split(card.command)[-4:] == ["--weights", str(general_dogma), "--out", str(folder)]
+
+
+def test_a_card_names_what_its_general_weights_learned_from(dogma_of_the_hall, tmp_path):
+    """So that nothing of it is scored with the weights of the site."""
+    folder, _, card = dogma_of_the_hall
+    assert [data.recording for data in card.train] == [
+        "leg_tracker.mcap@0s-10s", "leg_tracker.mcap@20s-30s", "validation.tracks@0s-10s",
+    ]  # fmt: skip
+    with pytest.raises(ConfigurationError, match="was trained on frames of the test stretch"):
+        compared(f"{HALL}@20s-32s", folder, tmp_path, "dogma")
+
+
+def test_without_general_weights_a_training_is_from_scratch_and_its_command_says_so(tmp_path):
+    options = ",".join(f"{key}={value}" for key, value in (SEARCHED | {"particles": 200}).items())
+    text = gridtrack("train", f"dogma:{options}", *TEN_SECONDS, "--out", tmp_path)
+    card = read_card(tmp_path / "dogma" / "leg_tracker.toml")
+    assert "from scratch: there are no general weights of dogma" in text
+    assert card.started_from is None
+    assert "--from-scratch" in shlex.split(card.command)
+
+
+def test_general_weights_that_learned_from_the_validation_stretch_are_refused(general_dogma, tmp_path):
+    with pytest.raises(ConfigurationError, match=r"was trained on leg_tracker\.mcap@20s-30s.*--from-scratch"):
+        gridtrack(
+            *("train", "dogma", f"{HALL}@0s-10s", "--validation", f"{HALL}@25s-31s", "--weights", general_dogma),
+            *("--out", tmp_path),
+        )

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 from typer.testing import CliRunner
 
 from gridtrack.cli import app
 from gridtrack.common.errors import ConfigurationError
+from gridtrack.evaluation.comparison.general_start import general_start
+from gridtrack.evaluation.comparison.recipe import Recipe
 from gridtrack.recordings import packaged_recording
 from gridtrack.trackers.weights import read_card
 
@@ -42,3 +46,41 @@ def test_the_first_argument_beside_a_card_is_a_recording_where_no_tracker_has_th
 def test_a_recipe_and_a_card_together_are_refused(tmp_path):
     with pytest.raises(ConfigurationError, match="--recipe and --like: give one of them"):
         train("--recipe", "a.toml", "--like", "b.toml")
+
+
+@pytest.fixture
+def asked(monkeypatch):
+    """The recipes of the trainings that the command line asks for; none is run."""
+    recipes = []
+    monkeypatch.setattr(
+        "gridtrack.evaluation.comparison.train.train_tracker", lambda recipe, report: recipes.append(recipe) or "card"
+    )
+    return recipes
+
+
+def test_the_start_on_the_command_line_overrides_that_of_the_recipe(asked, tmp_path):
+    recipe = tmp_path / "recipe.toml"
+    recipe.write_text(f'tracker = "dogma"\nrecordings = ["{DEMO}"]\nfrom_scratch = true\n')
+    train("--recipe", str(recipe))
+    train("--recipe", str(recipe), "--weights", "mine")
+    recipe.write_text(f'tracker = "dogma"\nrecordings = ["{DEMO}"]\nweights = "shared"\n')
+    train("--recipe", str(recipe))
+    train("--recipe", str(recipe), "--from-scratch")
+    assert [(recipe.weights, recipe.from_scratch) for recipe in asked] == [
+        (None, True), (Path("mine"), False), (Path("shared"), False), (None, True),
+    ]  # fmt: skip
+    assert [word for word in asked[1].command.split() if word in ("--weights", "mine", "--from-scratch")] == [
+        "--weights", "mine",
+    ]  # fmt: skip
+
+
+def test_a_folder_of_general_weights_and_from_scratch_contradict_each_other(tmp_path):
+    with pytest.raises(ConfigurationError, match="--weights and --from-scratch: give one of them"):
+        train("dogma", DEMO, "--weights", str(tmp_path), "--from-scratch")
+
+
+def test_a_training_from_scratch_looks_for_no_general_weights(monkeypatch, tmp_path):
+    monkeypatch.setattr("gridtrack.evaluation.comparison.general_start.find_weights", None)
+    told = []
+    assert general_start(Recipe(tracker="dogma", from_scratch=True), [], tmp_path, told.append) is None
+    assert told == ["from scratch, not from general weights"]

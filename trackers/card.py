@@ -39,6 +39,15 @@ class TrainingData(Settings):
     """Stamps of the frames: from `start_ns` on, `end_ns` excluded; 0 where `source_sha256` is ""."""
 
 
+class StartedFrom(Settings):
+    """The general weights that a training at a site started from."""
+
+    name: str
+    """`<tracker>/general.toml`."""
+    sha256: str
+    """Of that card, which has the hash of its arrays."""
+
+
 class CardThresholds(Settings):
     """Thresholds for recordings without a validation stretch, chosen on those of the training.
 
@@ -70,7 +79,10 @@ class Card(Settings):
     """On a general card: the shortest and the longest period of the recordings, seconds."""
     seed: int
     command: str
+    started_from: StartedFrom | None = None
+    """None: from scratch, as every training of an earlier gridtrack was, whose command does not say so."""
     train: tuple[TrainingData, ...]
+    """First what this training learned from, then what the general weights did that it `started_from`."""
     validation: tuple[TrainingData, ...] = ()
     arrays_sha256: str = ""
     classes: tuple[str, ...] = ()

@@ -125,6 +125,8 @@ class FitOutput:
     """The stages of `fit`; the host reports their rate and the time left every few seconds."""
     general: bool = False
     """Learn for any place: from recordings of many sites, grids and periods, and nothing of a place."""
+    start: Path | None = None
+    """The card of the general weights to start from, where the tracker `starts_from_general`; None: from scratch."""
 
 
 class Tracker(ABC):
@@ -153,6 +155,15 @@ class Tracker(ABC):
     def __init__(self, stream: StreamSpec, options: Any) -> None:
         self.stream = stream
         self.options = options
+
+    @classmethod
+    def starts_from_general(cls, options: Any) -> bool:
+        """Whether `fit` with these options, at a site, starts from general weights where it gets some.
+
+        It then reads them from `FitOutput.start`; the command writes on the card which they were, and what they
+        learned from.
+        """
+        return False
 
     @property
     def recoveries(self) -> int:

@@ -2,7 +2,8 @@
 
 Counts of the site come first, in the arrays of the weights; then the settings with the best mean F1 on excerpts of the
 training recordings are searched, the validation recordings decide between the best of them, and the forecast with the
-result is calibrated on the same excerpts.
+result is calibrated on the same excerpts. Where it starts from general weights their settings are kept, and only those
+are searched, in few tries, that weigh the map of the place against the stream: general weights have no map.
 """
 
 from __future__ import annotations
@@ -30,9 +31,11 @@ from gridtrack.trackers.tuning import (
     step_of,
     stretch_summary,
 )
-from gridtrack.trackers.weights import save_interrupted, save_weights
+from gridtrack.trackers.weights import load_start, save_interrupted, save_weights, tuned_settings
 
 SEARCH_ITERATIONS = 60
+ITERATIONS_OF_PLACE = 20
+"""Number of tries of a search that starts from general weights."""
 EXCERPTS, EXCERPT_S = 4, 100.0
 """Number and duration of the excerpts of a long recording for the search; each is longer than a signal cycle."""
 PLACES, PLACE_EXCERPT_S = 24, 20.0
@@ -48,16 +51,17 @@ _Searched = TypeVar("_Searched", bound=Settings)
 
 @dataclass(frozen=True, slots=True)
 class SettingsSearch(Generic[_Searched]):
-    """What is searched for the tracker `name`: settings of one `kind` in `ranges`, log-uniformly, from `start` on.
+    """What is searched for the tracker `name`: settings of one `kind` in `ranges`, log-uniformly.
 
-    `during(settings)` are the settings with which a try is scored, for trackers that can be faster at some loss.
+    `of_place`: those that are searched where the others are those of general weights. `during(settings)` are the
+    settings with which a try is scored, for trackers that can be faster at some loss.
     """
 
     name: str
     tracker: Callable[[StreamSpec, _Searched], CalibratedTracker]
     kind: type[_Searched]
     ranges: Mapping[str, tuple[float, float]]
-    start: _Searched
+    of_place: frozenset[str]
     during: Callable[[_Searched], _Searched] = lambda settings: settings
 
 
@@ -73,11 +77,13 @@ def fit_searched(
 ) -> None:
     """Write the `arrays`, the settings with the best F1 on excerpts of `train`, and their calibration to `out.path`.
 
-    The settings in `given` are not searched. Of the best settings those with the best F1 on `validation` are written;
-    `notes` are added to the results on the card. Raises WeightsError where the recordings differ in grid, period or
-    site, ConfigurationError without torch.
+    The settings in `given` are not searched. The search begins with the defaults, or with those of the general weights
+    `out.start`. Of the best settings, and the general ones, those with the best F1 on `validation` are written; `notes`
+    are added to the results on the card. Raises WeightsError where the recordings differ in grid, period or site or the
+    general weights are damaged, ConfigurationError without torch.
     """
     arrays = {**arrays, "calibration": IDENTITY}
+    start, ranges, iterations = _begin(search, out, given)
     card = card_for(search.name, out, train, validation, {})
     searched = excerpts_of_places(train) if out.general else excerpts(train)
     with TemporaryDirectory() as folder:
@@ -87,13 +93,13 @@ def fit_searched(
             "mean F1", "maximize", lambda tried: draft.mean_f1(search.during(tried), searched)
         )
         try:
-            finalists = search_settings(
-                search.kind, search.ranges, objective, search.start, given, SEARCH_ITERATIONS, train, out
-            )
+            finalists = search_settings(search.kind, ranges, objective, start, iterations, train, out)
         except SearchInterrupted as stopped:
             card = card_for(search.name, out, train, validation, stopped.best.model_dump(), notes)
             save_interrupted(out.path, card, arrays, f"{stopped.reached}, not calibrated")
             raise
+        if out.start is not None and start not in finalists:
+            finalists.append(start)
         settings = draft.best_of(finalists, validation, out)
         arrays["calibration"] = draft.calibration(settings, searched, out)
         save_weights(draft.path, card, arrays)
@@ -104,6 +110,18 @@ def fit_searched(
         }
     save_weights(out.path, card_for(search.name, out, train, validation, settings.model_dump(), results), arrays)
     delete_search_log(out)
+
+
+def _begin(
+    search: SettingsSearch[_Searched], out: FitOutput, given: Mapping[str, Any]
+) -> tuple[_Searched, dict[str, tuple[float, float]], int]:
+    """The settings that the search begins with, what it searches, and its number of tries. Raises WeightsError."""
+    start, iterations = search.kind(**given), SEARCH_ITERATIONS
+    ranges = {key: bounds for key, bounds in search.ranges.items() if key not in given}
+    if out.start is not None:
+        start, iterations = tuned_settings(search.kind, load_start(out.start, search.name), start), ITERATIONS_OF_PLACE
+        ranges = {key: bounds for key, bounds in ranges.items() if key in search.of_place}
+    return start, ranges, iterations
 
 
 def excerpts(sources: Sequence[FrameSource]) -> list[FrameSource]:

@@ -107,7 +107,6 @@ def search_settings(
     ranges: Mapping[str, tuple[float, float]],
     objective: Objective[_Tuned],
     start: _Tuned,
-    given: Mapping[str, Any],
     iterations: int,
     train: Sequence[FrameSource],
     out: FitOutput,
@@ -116,30 +115,31 @@ def search_settings(
 
     A Gaussian process predicts the objective, and the settings with the greatest logarithm of the expected improvement
     are tried next (Jones, Schonlau and Welch, 1998; Ament et al., 2023); the first tries are `start` and random ones.
-    Each key of `ranges` is searched log-uniformly from low to high. Settings in `given` are not searched; if no key
-    remains they are the only result. The same seed gives the same search. The value of each iteration is written to
-    `out.log_dir`: an interrupted search with the same `train` continues there, until `delete_search_log`. Raises
-    RecordingError where the objective is undefined, SearchInterrupted where it is interrupted after an iteration,
-    ConfigurationError without torch.
+    Each key of `ranges` is searched log-uniformly from low to high; the other settings are those of `start`, which is
+    the only result where nothing is searched. The same seed gives the same search. The value of each iteration is
+    written to `out.log_dir`: an interrupted search with the same `train` continues there, until `delete_search_log`.
+    Raises RecordingError where the objective is undefined, SearchInterrupted where it is interrupted after an
+    iteration, ConfigurationError without torch.
     """
-    tuned = {key: bounds for key, bounds in ranges.items() if key not in given}
-    if not tuned:
-        return [kind(**given)]
+    if not ranges:
+        return [start]
     searched = {
         "objective": objective.name,
-        "ranges": {key: list(bounds) for key, bounds in tuned.items()},
-        "given": dict(given),
+        "ranges": {key: list(bounds) for key, bounds in ranges.items()},
         "start": start.model_dump(mode="json"),
         "seed": out.seed,
         "train": [[source.name, source.sha256, len(source)] for source in train],
     }
     known = SearchLog(out.log_dir / SEARCH_FILE, searched)
 
-    def value_of(trial: optuna.Trial) -> float:
-        tried = {key: _suggested(trial, key, *tuned[key]) for key in tuned}
-        return known.value(tried, lambda: _defined(objective, kind(**given, **tried)))
+    def with_tried(tried: Mapping[str, float]) -> _Tuned:
+        return kind(**start.model_dump() | tried)
 
-    study = _study(objective, {key: getattr(start, key) for key in tuned}, out.seed)
+    def value_of(trial: optuna.Trial) -> float:
+        tried = {key: _suggested(trial, key, *ranges[key]) for key in ranges}
+        return known.value(tried, lambda: _defined(objective, with_tried(tried)))
+
+    study = _study(objective, {key: _clipped(getattr(start, key), *ranges[key]) for key in ranges}, out.seed)
     try:
         with out.progress.stage("search iteration", iterations) as stage:
             study.optimize(
@@ -151,12 +151,12 @@ def search_settings(
         if not stage.done:
             raise
         raise SearchInterrupted(
-            kind(**given, **_tried(study.best_trial)), f"search iteration {stage.done} of {iterations}"
+            with_tried(_tried(study.best_trial)), f"search iteration {stage.done} of {iterations}"
         ) from None
     out.report(f"best of {iterations} search iterations: {objective.name} {study.best_value:.5f}")
     sign = 1.0 if objective.better == "minimize" else -1.0
     best = sorted(study.get_trials(deepcopy=False), key=lambda trial: sign * trial.values[0])[:FINALISTS]
-    return [kind(**given, **_tried(trial)) for trial in best]
+    return [with_tried(_tried(trial)) for trial in best]
 
 
 def _study(objective: Objective[Any], start: dict[str, float], seed: int) -> optuna.Study:
@@ -170,6 +170,11 @@ def _study(objective: Objective[Any], start: dict[str, float], seed: int) -> opt
     study = optuna.create_study(direction=objective.better, sampler=sampler)
     study.enqueue_trial(start)
     return study
+
+
+def _clipped(value: float, low: float, high: float) -> float:
+    """General weights whose training was given a setting may have it outside its range."""
+    return min(max(value, low), high)
 
 
 def _defined(objective: Objective[_Tuned], settings: _Tuned) -> float:

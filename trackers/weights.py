@@ -25,7 +25,7 @@ from gridtrack.common.config import Settings, validated
 from gridtrack.common.errors import ConfigurationError, WeightsError
 from gridtrack.common.files import atomic_write, read_bounded, write_text
 from gridtrack.common.grid import GridSpec
-from gridtrack.trackers.card import CARD_SCHEMA, Card, CardThresholds, TrainingData
+from gridtrack.trackers.card import CARD_SCHEMA, Card, CardThresholds, StartedFrom, TrainingData
 from gridtrack.trackers.contract import StreamSpec
 
 MAX_ARRAYS_BYTES = 1 << 30
@@ -81,12 +81,18 @@ def _previous(arrays_path: Path) -> Path:
 
 
 def complete_card(
-    path: Path, placeholder: str, command: str, train: Sequence[TrainingData], validation: Sequence[TrainingData]
+    path: Path,
+    placeholder: str,
+    command: str,
+    train: Sequence[TrainingData],
+    validation: Sequence[TrainingData],
+    started_from: StartedFrom | None = None,
 ) -> None:
     """Complete the card that a `fit` wrote: `command` where it has the `placeholder`, and its training data in full.
 
-    `train` and `validation` are what the `fit` received, whether it named them or not. A card without the placeholder
-    is one of an earlier training, and is not changed. Raises WeightsError, OSError.
+    `train` and `validation` are what the `fit` received, whether it named them or not, and what the general weights
+    learned from that it `started_from`. A card without the placeholder is one of an earlier training, and is not
+    changed. Raises WeightsError, OSError.
     """
     if placeholder.encode() not in read_bounded(path, MAX_CARD_BYTES, WeightsError):
         return
@@ -98,7 +104,11 @@ def complete_card(
 
     card = read_card(path)
     completed = Card.model_validate(replaced(card.model_dump())).model_copy(
-        update={"train": _with_all(card.train, train), "validation": _with_all(card.validation, validation)}
+        update={
+            "train": _with_all(card.train, train),
+            "validation": _with_all(card.validation, validation),
+            "started_from": started_from or card.started_from,
+        }
     )
     write_text(path, _card_text(completed))
 
@@ -169,6 +179,14 @@ def load_weights(stream: StreamSpec, tracker: str) -> Weights:
     if card.period_s is not None:
         _check_period(card.period_s, stream, path)
         card = _laid_in(stream.grid, card, path)
+    return Weights(card, read_arrays(path.with_suffix(ARRAYS_SUFFIX), card.arrays_sha256))
+
+
+def load_start(path: Path, tracker: str) -> Weights:
+    """The general weights at `path`, for a training that starts from them. Raises WeightsError if they are not."""
+    card = read_card(path)
+    if not card.general or card.tracker != tracker:
+        raise WeightsError(f"{path}: weights of {card.tracker} for {card.site}, expected general ones of {tracker}")
     return Weights(card, read_arrays(path.with_suffix(ARRAYS_SUFFIX), card.arrays_sha256))
 
 

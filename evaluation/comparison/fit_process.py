@@ -1,8 +1,8 @@
 """The training process: `python -m gridtrack.evaluation.comparison.fit_process NAME` runs a tracker's `fit`.
 
 It speaks messages of the wire with the command `train`, over its stdin and stdout: `load` is answered by `loaded`, and
-`fit` by any number of `report`, then `done`; a failure of either by `error`. It receives files of frames and no
-recording.
+`fit` by any number of `report`, then `done`; a failure of either by `error`. It receives files of frames, a copy of the
+general weights to start from, and no recording.
 """
 
 from __future__ import annotations
@@ -35,13 +35,15 @@ def main() -> None:
 
     sending = threading.Lock()
 
-    def send(kind: str, **fields: str) -> None:
+    def send(kind: str, **fields: str | bool) -> None:
         with sending:
             write_to(write_fd, encode(Message(kind, 0, fields)))
 
     try:
-        tracker, settings = _load(sys.argv[1], receive(fill, 0))
-        send("loaded")
+        request = receive(fill, 0)
+        tracker, settings = _load(sys.argv[1], request)
+        at_a_site = not request.value("general", bool)
+        send("loaded", starts_from_general=at_a_site and tracker.starts_from_general(settings))
         with ProgressLines(lambda text: send("report", text=text)) as lines:
             _fit(tracker, settings, receive(fill, 0), lines)
         send("done")
@@ -67,6 +69,7 @@ def _fit(tracker: type[Tracker], settings: Settings, request: Message, lines: Pr
     train, validation = ([StoredStretch(path, lines.progress) for path in paths] for paths in files.values())
     scores = FitScores([StretchRegions.read(regions_path(path)) for paths in files.values() for path in paths])
     path, log_dir = (Path(request.value(name, str)) for name in ("path", "log_dir"))
+    start = request.value("start", str)
     output = FitOutput(
         path,
         request.value("command", str),
@@ -75,6 +78,7 @@ def _fit(tracker: type[Tracker], settings: Settings, request: Message, lines: Pr
         lines.report,
         lines.progress,
         general=request.value("general", bool),
+        start=Path(start) if start else None,
     )
     tracker.fit(train, validation, scores.score, output, settings)
 

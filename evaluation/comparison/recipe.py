@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from gridtrack.common.config import Settings, validated
 from gridtrack.common.errors import ConfigurationError
@@ -38,6 +38,17 @@ class Recipe(Settings):
     rate_hz: float | None = Field(None, gt=0.0, le=1000.0)
     general: bool = False
     """Learn for any place, from recordings of many places."""
+    weights: Path | None = None
+    """Folder in which general weights to start from are searched first, as by `compare`."""
+    from_scratch: bool = False
+    """Do not start from general weights."""
+
+    @model_validator(mode="after")
+    def _one_start(self) -> Recipe:
+        if self.weights and (self.from_scratch or self.general):
+            other = "general" if self.general else "from_scratch"
+            raise ValueError(f"weights (of which folder to start) and {other} (from none): leave one of them out")
+        return self
 
     @property
     def command(self) -> str:
@@ -50,6 +61,8 @@ class Recipe(Settings):
         words += ["--grid", self.grid] if self.grid else []
         words += ["--rate", f"{self.rate_hz:g}"] if self.rate_hz else []
         words += ["--general"] if self.general else []
+        words += ["--from-scratch"] if self.from_scratch else []
+        words += ["--weights", str(self.weights)] if self.weights else []
         words += ["--out", str(self.out)] if self.out else []
         return shlex.join(words)
 
@@ -73,12 +86,13 @@ def read_recipe(path: Path) -> Recipe:
 
 
 def recipe_like(path: Path) -> Recipe:
-    """Tracker, settings and seed of the training that wrote the card at `path`. Raises WeightsError.
+    """Tracker, settings, seed and start of the training that wrote the card at `path`. Raises WeightsError.
 
     A card names recordings without their folders, and its grid belongs to its site: the user names both.
     """
     card = read_card(path)
-    return Recipe(tracker=card.tracker, options=card.settings, seed=card.seed)
+    from_scratch = card.started_from is None
+    return Recipe(tracker=card.tracker, options=card.settings, seed=card.seed, from_scratch=from_scratch)
 
 
 def complete_recipe(base: Recipe, overrides: Mapping[str, Any]) -> Recipe:

@@ -11,7 +11,8 @@ from gridtrack.common.errors import ConfigurationError
 from gridtrack.common.grid import GridSpec
 from gridtrack.evaluation.comparison.card_thresholds import choose_card_thresholds
 from gridtrack.evaluation.comparison.fit_regions import cell_kinds_for
-from gridtrack.evaluation.comparison.learned import user_weights_folder, weights_path
+from gridtrack.evaluation.comparison.general_start import general_start
+from gridtrack.evaluation.comparison.learned import LearnedWeights, user_weights_folder, weights_path
 from gridtrack.evaluation.comparison.recipe import Recipe
 from gridtrack.evaluation.comparison.stored_stretch import store_stretch
 from gridtrack.evaluation.comparison.training_hints import in_two
@@ -21,7 +22,7 @@ from gridtrack.recordings import open_recording
 from gridtrack.recordings.recording import stretch_text
 from gridtrack.recordings.stream import GridStream
 from gridtrack.recordings.stretches import parse_stretch
-from gridtrack.trackers.card import GENERAL, TrainingData
+from gridtrack.trackers.card import GENERAL, StartedFrom, TrainingData
 from gridtrack.trackers.contract import FitOutput
 from gridtrack.trackers.weights import add_thresholds, complete_card, read_card
 
@@ -32,7 +33,8 @@ COMMAND = "the command of the training"
 def train_tracker(recipe: Recipe, report: Callable[[str], None] = print) -> Path:
     """Fit the recipe's tracker to the recordings and return the card it wrote, `<out>/<tracker>/<site>.toml`.
 
-    A general training writes `general.toml`.
+    A general training writes `general.toml`. One at a site starts from general weights, where there are some and the
+    tracker can.
 
     A recording without a range, and validation where none is given, is the recording's stretch of that name. `fit` runs
     in a process of its own, which receives the frames of these stretches and nothing else of the recordings. Logs and
@@ -44,12 +46,23 @@ def train_tracker(recipe: Recipe, report: Callable[[str], None] = print) -> Path
         TrainingProcess(recipe.tracker, recordings) as process,
         TemporaryDirectory(prefix="gridtrack-train-") as folder,
     ):
-        process.load(recipe.options, general=recipe.general)
+        can_start = process.load(recipe.options, general=recipe.general)
         train_on, validate_on = _stretches(recipe)
+        start = general_start(recipe, validate_on, Path(folder), report) if can_start else None
+        if can_start and start is None:
+            recipe = recipe.model_copy(update={"from_scratch": True})
         site = GENERAL if recipe.general else _site_of(train_on[0])
         path = weights_path(recipe.out or user_weights_folder(), recipe.tracker, site)
         _make_folder(path.parent)
-        output = FitOutput(path, COMMAND, recipe.seed, path.with_suffix(".logs"), report, general=recipe.general)
+        output = FitOutput(
+            path,
+            COMMAND,
+            recipe.seed,
+            path.with_suffix(".logs"),
+            report,
+            general=recipe.general,
+            start=start.path if start else None,
+        )
         files = _stored([*train_on, *validate_on], Path(folder))
         train, validation = files[: len(train_on)], files[len(train_on) :]
         try:
@@ -60,7 +73,7 @@ def train_tracker(recipe: Recipe, report: Callable[[str], None] = print) -> Path
             interrupted = False
         finally:
             if path.exists():
-                complete_card(path, COMMAND, recipe.command, _data_of(train_on), _data_of(validate_on))
+                _complete(path, recipe, train_on, validate_on, start)
     if interrupted:
         raise KeyboardInterrupt(_what_is_kept(path))
     report("thresholds for recordings without a validation stretch")
@@ -71,6 +84,23 @@ def train_tracker(recipe: Recipe, report: Callable[[str], None] = print) -> Path
     if thresholds is not None:
         add_thresholds(path, thresholds)
     return path
+
+
+def _complete(
+    path: Path,
+    recipe: Recipe,
+    train_on: Sequence[GridStream],
+    validate_on: Sequence[GridStream],
+    start: LearnedWeights | None,
+) -> None:
+    """Write command, training data and start on the card that a `fit` wrote."""
+    train, validation = _data_of(train_on), _data_of(validate_on)
+    if start is None:
+        complete_card(path, COMMAND, recipe.command, train, validation)
+    else:
+        started_from = StartedFrom(name=start.name, sha256=start.sha256)
+        train, validation = [*train, *start.card.train], [*validation, *start.card.validation]
+        complete_card(path, COMMAND, recipe.command, train, validation, started_from)
 
 
 def _site_of(stream: GridStream) -> str:

@@ -54,13 +54,13 @@ class TrainingProcess:
         self._end()
         self._process.communicate()
 
-    def load(self, options: Mapping[str, Any], *, general: bool) -> None:
+    def load(self, options: Mapping[str, Any], *, general: bool) -> bool:
         """Load the tracker with these options, to learn for any place if `general`.
 
-        Raises PluginError, ConfigurationError.
+        Whether its training starts from general weights where there are some. Raises PluginError, ConfigurationError.
         """
         self._send("load", options=dict(options), general=general)
-        self._answer("loaded", lambda text: None)
+        return self._answer("loaded", lambda text: None).value("starts_from_general", bool)
 
     def fit(self, train: Sequence[Path], validation: Sequence[Path], output: FitOutput) -> None:
         """Run `fit` on these files of stretches; its lines go to `output.report`. Raises GridtrackError."""
@@ -73,6 +73,7 @@ class TrainingProcess:
             seed=output.seed,
             log_dir=str(output.log_dir),
             general=output.general,
+            start=str(output.start or ""),
         )
         try:
             self._answer("done", output.report)
@@ -99,7 +100,7 @@ class TrainingProcess:
         with contextlib.suppress(BrokenPipeError):  # the missing answer says why it ended
             write_to(self._process.stdin.fileno(), encode(Message(kind, 0, fields)))
 
-    def _answer(self, expected: str, report: Callable[[str], None]) -> None:
+    def _answer(self, expected: str, report: Callable[[str], None]) -> Message:
         """Wait for the answer `expected`; lines of progress before it go to `report`."""
         assert self._process.stdout is not None
         fill = fill_from(self._process.stdout.fileno())
@@ -113,7 +114,7 @@ class TrainingProcess:
             elif answer.kind == "error":
                 self._raise(answer)
             elif answer.kind == expected:
-                return
+                return answer
             else:
                 raise WireError(f"training of '{self.name}': '{answer.kind:.40}'; expected '{expected}'")
 

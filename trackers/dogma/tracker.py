@@ -65,6 +65,11 @@ class DogmaTracker(CalibratedTracker):
         return found
 
     @classmethod
+    def starts_from_general(cls, options: DogmaSettings) -> bool:
+        """Its settings are those of general weights."""
+        return True
+
+    @classmethod
     def fit(
         cls,
         train: Sequence[FrameSource],

@@ -26,6 +26,8 @@ DOGMA_RANGES = {
     "time_to_stop_s": (0.3, 30.0),
 }
 """Ranges of the tuned settings, searched log-uniformly."""
+DOGMA_OF_PLACE = frozenset({"free_decay_s"})
+"""The setting that weighs the map of the place against the stream: what is not free counts with the rate of the map."""
 
 
 def fit_dogma(
@@ -48,7 +50,7 @@ def fit_dogma(
         rate, moves = count_occupancy_rate(train)
         if moves:
             out.report(NO_MAP)
-    search = SettingsSearch(NAME, tracker, DogmaSettings, DOGMA_RANGES, DogmaSettings(), with_fewer_particles)
+    search = SettingsSearch(NAME, tracker, DogmaSettings, DOGMA_RANGES, DOGMA_OF_PLACE, with_fewer_particles)
     given = options.model_dump(exclude_unset=True)
     fit_searched(search, {"occupancy_rate": rate}, train, validation, score, out, given, {})
 

@@ -127,6 +127,11 @@ class ModelFreeTracker(CalibratedTracker):
         return self._pipeline.restarts
 
     @classmethod
+    def starts_from_general(cls, options: ModelFreeSettings) -> bool:
+        """Its settings are those of general weights; classes are added to weights of the site."""
+        return options.stage != "classes"
+
+    @classmethod
     def fit(
         cls,
         train: Sequence[FrameSource],

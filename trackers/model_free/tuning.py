@@ -48,6 +48,8 @@ SETTING_RANGES = {
     "return_noise_m": (0.02, 0.2),
 }
 """Ranges of the tuned settings, searched log-uniformly."""
+PIPELINE_OF_PLACE = frozenset({"untracked_share", "rate_recovery_s", "static_above", "adaptation_s", "map_weight_s"})
+"""Settings that weigh the map of the place against the stream: those of the background."""
 
 
 def fit_pipeline(
@@ -63,7 +65,7 @@ def fit_pipeline(
     A setting in `options` is not searched. Of the best settings those with the best F1 on `validation` are written. The
     forecast is calibrated on the excerpts. Raises WeightsError where the recordings differ in grid, period or site.
     """
-    search = SettingsSearch(tracker.name, tracker, PipelineSettings, SETTING_RANGES, PipelineSettings())
+    search = SettingsSearch(tracker.name, tracker, PipelineSettings, SETTING_RANGES, PIPELINE_OF_PLACE)
     given = options.model_dump(include=set(PipelineSettings.model_fields), exclude_unset=True)
     notes = {"classes": _without_classes(train, out)}
     arrays = general_arrays(train, options) if out.general else fit_arrays(train, options, out.report)

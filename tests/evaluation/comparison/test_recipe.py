@@ -46,6 +46,8 @@ def test_every_recipe_is_one_training_that_its_tracker_accepts(path):
     recipe = complete_recipe(read_recipe(path), {})
     assert set(recipe.options) <= set(options_of(recipe).model_fields_set)
     assert recipe.out is not None
+    starts = registry.load(recipe.tracker).starts_from_general(options_of(recipe))
+    assert not starts or recipe.from_scratch or recipe.weights  # not from what the user happens to have
     root, simulated = RECIPES.parents[1], Path("runs/drives")
     paths = [Path(stretch.partition("@")[0]) for stretch in (*recipe.recordings, *recipe.validation)]
     assert all((root / path).exists() or path.is_relative_to(simulated) for path in paths)
@@ -117,6 +119,8 @@ def test_what_is_given_overrides_the_recipe_and_options_one_by_one():
     ("text", "message"),
     [
         ("trackers = 1", r"r\.toml: there is no option 'trackers'; did you mean 'tracker'"),
+        ('weights = "w"\nfrom_scratch = true', r"r\.toml: .*weights .* and from_scratch .*: leave one of them out"),
+        ('weights = "w"\ngeneral = true', r"r\.toml: .*weights .* and general .*: leave one of them out"),
         ("seed = -1", r"r\.toml: 'seed' = -1: "),
         ("recordings = [", r"r\.toml: not TOML"),
         ("seed = 1\nseed = 2", r"r\.toml: not TOML"),

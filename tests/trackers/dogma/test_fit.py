@@ -6,16 +6,18 @@ import numpy as np
 import pytest
 
 pytest.importorskip("optuna")
+from gridtrack.common.errors import WeightsError
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec, Shift
 from gridtrack.trackers import searched_fit
+from gridtrack.trackers.card import card_for
 from gridtrack.trackers.contract import FitOutput, StreamSpec, StretchScore
 from gridtrack.trackers.dogma import tuning
 from gridtrack.trackers.dogma.settings import DogmaSettings
 from gridtrack.trackers.dogma.tracker import DogmaTracker
 from gridtrack.trackers.site_rate import count_frames
 from gridtrack.trackers.tuning import FINALISTS, CachedSource
-from gridtrack.trackers.weights import load_weights, read_card
+from gridtrack.trackers.weights import load_weights, read_card, save_weights
 
 from scenes.scrolling import scrolled
 
@@ -86,6 +88,51 @@ def test_fit_finds_the_best_settings_and_keeps_given_ones(tmp_path, monkeypatch)
     )
     tracker = DogmaTracker(stream, DogmaSettings(acceleration=0.2))
     assert tracker._settings == DogmaSettings(**one.settings | {"acceleration": 0.2})
+
+
+@pytest.fixture
+def general(tmp_path):
+    """The card of general weights, whose time constant of free cells is outside the range of the search."""
+    settings = DogmaSettings(particles=1200, acceleration=0.7, birth_speed=3.0, free_decay_s=30.0)
+    out = FitOutput(tmp_path / "general" / "general.toml", "gridtrack train dogma --general", 3, tmp_path, general=True)
+    card = card_for("dogma", out, [Source()], [], settings.model_dump())
+    save_weights(out.path, card, {"occupancy_rate": np.full((1, 1), 0.1, np.float32)})
+    return out.path
+
+
+@pytest.mark.parametrize(("best_s", "found_s"), [(2.0, (0.5, 20.0)), (300.0, (30.0, 30.0))])
+def test_a_site_starts_from_general_settings_and_searches_how_its_map_is_weighed(
+    best_s, found_s, general, tmp_path, monkeypatch
+) -> None:
+    """The other settings are the general ones; so is the searched one where nothing better is found."""
+    monkeypatch.setattr(searched_fit, "ITERATIONS_OF_PLACE", 6)
+    asked = []
+
+    def score(tracker, source, steps):
+        asked.append(tracker.options)
+        loss = np.full(steps + 1, abs(np.log(tracker.options.free_decay_s / best_s)) / 10)
+        return StretchScore({"dynamic": 1 - loss, "visible": 1 - loss}, {"dynamic": loss, "visible": loss})
+
+    out = FitOutput(
+        tmp_path / "yard.toml", "gridtrack train dogma", 3, tmp_path / "log", lambda line: None, start=general
+    )
+    DogmaTracker.fit([Source()], [Source()], score, out, DogmaSettings(birth_speed=2.5))
+    expected = DogmaSettings(particles=1200, acceleration=0.7, birth_speed=2.5)
+    assert {settings.model_copy(update={"particles": 1200, "free_decay_s": 3.0}) for settings in asked} == {expected}
+    assert [settings.particles for settings in asked[:6]] == [300] * 6
+    assert asked[0].free_decay_s == 20.0
+    settings = read_card(out.path).settings
+    assert found_s[0] <= settings["free_decay_s"] <= found_s[1]
+    assert abs(np.log(settings["free_decay_s"] / best_s)) == min(abs(np.log(s.free_decay_s / best_s)) for s in asked)
+    arrays = load_weights(StreamSpec(GRID, PERIOD_S, "yard", weights=out.path), "dogma").arrays
+    assert np.array_equal(arrays["occupancy_rate"], tuning.count_occupancy_rate([Source()])[0])
+
+
+def test_weights_of_another_site_are_no_start(general, tmp_path) -> None:
+    out = FitOutput(tmp_path / "yard.toml", "gridtrack train dogma", 3, tmp_path / "log", start=general)
+    save_weights(general, card_for("dogma", out, [Source()], [], {}), {})
+    with pytest.raises(WeightsError, match="weights of dogma for yard, expected general ones of dogma"):
+        DogmaTracker.fit([Source()], [Source()], lambda *_: None, out, DogmaSettings())
 
 
 class Driven(Source):

@@ -1,0 +1,44 @@
+"""The general weights that a training at a site starts from: those that `compare` would find, or none."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from gridtrack.common.errors import ConfigurationError
+from gridtrack.evaluation.comparison.learned import LearnedWeights, copy_weights, find_weights
+from gridtrack.evaluation.comparison.recipe import Recipe
+from gridtrack.evaluation.scoring.splits import common_with
+from gridtrack.recordings.stream import GridStream
+from gridtrack.trackers.card import GENERAL
+
+
+def general_start(
+    recipe: Recipe, validation: Sequence[GridStream], folder: Path, report: Callable[[str], None]
+) -> LearnedWeights | None:
+    """A copy in `folder` of the general weights of the recipe's tracker, None from scratch; a line says which.
+
+    Raises WeightsError, and ConfigurationError where they learned from frames of `validation`.
+    """
+    if recipe.from_scratch:
+        report("from scratch, not from general weights")
+        return None
+    found = find_weights(recipe.tracker, GENERAL, recipe.weights, "general")
+    if found is None:
+        report(f"from scratch: there are no general weights of {recipe.tracker}")
+        return None
+    _refuse_seen(found, validation)
+    start = copy_weights(found, folder)
+    report(f"starts from the general weights {start.name}, sha256 {start.sha256[:12]}")
+    return start
+
+
+def _refuse_seen(found: LearnedWeights, validation: Sequence[GridStream]) -> None:
+    """Weights that know the validation stretch would decide nothing there, and their thresholds would flatter."""
+    for stream in validation:
+        for data in found.card.train:
+            if common_with(stream, data) is not None:
+                raise ConfigurationError(
+                    f"{found.name} was trained on {data.recording}, which has frames of {stream.name}: validate on"
+                    " other frames, or train with --from-scratch"
+                )
