@@ -8,8 +8,15 @@ from dataclasses import dataclass
 from gridtrack.evaluation.results.summary import HeadlineTest, TrackerDifference
 from gridtrack.reports.markdown import cell_text, markdown_table
 from gridtrack.reports.run import UNDEFINED, ReportedRun
+from gridtrack.reports.table import FORGIVING, FORGIVING_NAME
 
-BESIDE_F1 = {"nll": ("log loss", 4), "pr_auc": ("PR-AUC", 3)}
+BESIDE_F1 = {
+    "nll": ("log loss", 4),
+    "pr_auc": ("PR-AUC", 3),
+    FORGIVING: (FORGIVING_NAME, 3),
+    "soft_iou": ("soft IoU", 3),
+    "beam_error": ("beam error, m", 3),
+}
 """Scores that have a line each below F1: their names, and the digits of a difference."""
 
 

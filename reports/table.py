@@ -15,6 +15,7 @@ from gridtrack.reports.run import UNDEFINED, ReportedRun, ReportError
 
 FORGIVING = "fss_5"
 """The score that forgives a few cells in the table: the others are in a section of their own."""
+FORGIVING_NAME = "FSS, 5 cells"
 DETAIL_HORIZON_S = 1.0
 """The horizon of the other scores, by which the rows are sorted too."""
 MAIN_STRATUM = HEADLINE_STRATA[0]
@@ -223,7 +224,7 @@ def _columns(horizons_s: Sequence[float], intervals: bool, forgiving: bool) -> I
     if intervals:
         yield TableColumn(group, "PR-AUC", MAIN_STRATUM, "pr_auc", step)
     if forgiving:
-        yield TableColumn(group, f"FSS, {FORGIVING[-1]} cells", MAIN_STRATUM, FORGIVING, step)
+        yield TableColumn(group, FORGIVING_NAME, MAIN_STRATUM, FORGIVING, step)
     yield TableColumn(group, "log loss", MAIN_STRATUM, "nll", step, -1)
     yield TableColumn(group, "Brier", MAIN_STRATUM, "brier", step, -1)
 

@@ -6,18 +6,16 @@ in difficulty and traffic. Aim: the interval covers 93 to 97 % at 20 units in ev
 
 from __future__ import annotations
 
-import argparse
-from pathlib import Path
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import expit, logit
 
 from gridtrack.evaluation.results.columns import PROBABILITY_BINS, PROBABILITY_EDGES
-from gridtrack.evaluation.scoring.metrics import area_under_precision_recall
 from gridtrack.evaluation.statistics.pr_auc import pr_auc_without_each
 
-from studies.support.results_file import measured_table, write_table
+from studies.support.coverage import DrawnSet, covered, print_coverage, skills_of_two
 
 CELLS = 3000
 UNITS = (20, 60)
@@ -39,11 +37,11 @@ def two_trackers(rng: np.random.Generator, units: int, rare: float, skill: float
 
     Each recording changes the skill of both trackers, and less that of one; `rare` is the share of occupied cells.
     """
-    shared = rng.standard_normal(units)
+    easier = skills_of_two(rng, units)
     occupied = np.minimum(rng.poisson(CELLS * rare * np.exp(unlike * rng.standard_normal(units))), CELLS)
     found = []
-    for _ in range(2):
-        shift = skill + unlike * (np.sqrt(0.8) * shared + np.sqrt(0.2) * rng.standard_normal(units))
+    for own in easier:
+        shift = skill + unlike * own
         cells, positives = np.zeros((2, units, 1, PROBABILITY_BINS), np.int64)
         for unit, hits in enumerate(occupied):
             score = rng.standard_normal(CELLS)
@@ -56,30 +54,23 @@ def two_trackers(rng: np.random.Generator, units: int, rare: float, skill: float
     return found
 
 
-def coverage_row(rng: np.random.Generator, name: str, units: int, repetitions: int) -> list[str]:
-    """Shares of intervals that contain the truth, of those of differences that contain 0, and of p below 0.05."""
-    (cells, positives), _ = two_trackers(rng, 4000, **SETTINGS[name])
-    truth = float(area_under_precision_recall(cells.sum(axis=0), positives.sum(axis=0))[0])
-    counted = np.zeros(3)
-    for _ in range(repetitions):
-        one, other = (pr_auc_without_each(*drawn) for drawn in two_trackers(rng, units, **SETTINGS[name]))
-        (low, high), gap = one.interval(), one.less(other)
-        counted += [low[0] <= truth <= high[0], gap.low[0] <= 0 <= gap.high[0], gap.p[0] < 0.05]
-    return [name, str(units), f"{truth:.2f}", *(f"{100 * share:.1f}" for share in counted / repetitions)]
+def draw(rng: np.random.Generator, name: str, units: int) -> DrawnSet:
+    """PR-AUC of the first of two trackers on `units` recordings, and the difference of both."""
+    one, other = (pr_auc_without_each(*drawn) for drawn in two_trackers(rng, units, **SETTINGS[name]))
+    low, high = one.interval()
+    return DrawnSet({"PR-AUC": (one.value[0], low[0], high[0])}, {"PR-AUC": one.less(other).at(0)})
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--repetitions", type=int, default=300, help="simulated sets of recordings for each setting")
-    parser.add_argument("--out", type=Path, help="results file, such as docs/results/statistics.json")
-    arguments = parser.parse_args()
-    rng = np.random.default_rng(0)
-    rows = [coverage_row(rng, name, units, arguments.repetitions) for name in SETTINGS for units in UNITS]
-    columns = ["setting", "units", "PR-AUC", "interval covers, %", "difference covers, %", "p < 0.05, %"]
-    table = measured_table(columns, rows)
-    print(table.markdown())
-    write_table(arguments.out, "coverage of PR-AUC", table, "python -m studies.pr_auc_coverage")
+def rows(rng: np.random.Generator, repetitions: int) -> list[list[str]]:
+    """A row for each setting and number of units."""
+    return [
+        [name, str(units), *covered(partial(draw, rng, name), units, repetitions)["PR-AUC"]]
+        for name in SETTINGS
+        for units in UNITS
+    ]
 
 
 if __name__ == "__main__":
-    main()
+    print_coverage(
+        __doc__, "coverage of PR-AUC", "python -m studies.pr_auc_coverage", ["setting", "units", "PR-AUC"], rows
+    )

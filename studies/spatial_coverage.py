@@ -1,24 +1,30 @@
-"""Coverage of the intervals of the fractions skill score and of beam errors, on drawn recordings.
+"""Coverage of the intervals and paired differences of the fractions skill score and beam errors, on drawn recordings.
 
-`python -m studies.spatial_coverage` (a minute). Recordings differ in traffic, in how far forecasts are off, and in the
-share of beams that hit something that was not forecast. Aim: the intervals cover 93 to 97 % at 20 units.
+`python -m studies.spatial_coverage` (two minutes). Recordings differ in traffic, in how far forecasts are off, and in
+the share of beams that hit something that was not forecast; two equally good trackers forecast them. Aim: the
+intervals cover 93 to 97 % at 20 units.
 """
 
 from __future__ import annotations
 
-import argparse
-from pathlib import Path
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import expit, logit
 
 from gridtrack.evaluation.results.columns import BEAM_ERROR_EDGES_M, SCALES
-from gridtrack.evaluation.statistics.spatial_scores import beam_scores, neighbourhood_scores
+from gridtrack.evaluation.statistics.spatial_scores import (
+    beam_ratios,
+    beam_scores,
+    neighbourhood_ratios,
+    neighbourhood_scores,
+    spatial_differences,
+)
 
-from studies.support.results_file import measured_table, write_table
+from studies.support.coverage import DrawnSet, covered, print_coverage, skills_of_two
 
-UNITS, MANY_UNITS = 20, 4000
+UNITS = 20
 CELLS, BEAMS = 100.0, 400.0
 """Means of the lone occupied cells, and of the beams, of a recording."""
 SETTINGS = {
@@ -31,10 +37,13 @@ SETTINGS = {
 SHOWN = ("fss_1", "fss_5", "fss_9", "soft_iou", "beam_error", "beam_error_median", "beam_bias")
 
 
-def neighbourhood_sums(rng: np.random.Generator, traffic: NDArray[np.float64], off: NDArray[np.float64]) -> np.ndarray:
-    """Sums (U, 1, 1, C) of recordings of lone cells, far apart, each forecast `off` cells away (standard deviation)."""
-    sums = np.zeros((len(traffic), 1, 1, 2 * len(SCALES) + 1))
-    for unit, cells in enumerate(rng.poisson(CELLS * traffic)):
+def neighbourhood_sums(rng: np.random.Generator, number: NDArray[np.int64], off: NDArray[np.float64]) -> np.ndarray:
+    """Sums (U, 1, 1, C) of recordings with a `number` of lone cells, far apart, each forecast `off` cells away.
+
+    `off` (U,) is a standard deviation.
+    """
+    sums = np.zeros((len(number), 1, 1, 2 * len(SCALES) + 1))
+    for unit, cells in enumerate(number):
         apart = np.abs(np.rint(off[unit] * rng.standard_normal((cells, 2))))
         for w, scale in enumerate(SCALES):
             common = np.maximum(scale - apart, 0.0).prod(axis=1).sum()
@@ -44,12 +53,15 @@ def neighbourhood_sums(rng: np.random.Generator, traffic: NDArray[np.float64], o
 
 
 def beam_sums(
-    rng: np.random.Generator, traffic: NDArray[np.float64], missed: NDArray[np.float64]
+    rng: np.random.Generator, number: NDArray[np.int64], missed: NDArray[np.float64]
 ) -> tuple[np.ndarray, ...]:
-    """Late and early sums (U, 1, 1) and counts (U, 1, 1, B): errors of centimetres, and of metres where missed."""
-    late, early = np.zeros((2, len(traffic), 1, 1))
-    counts = np.zeros((len(traffic), 1, 1, len(BEAM_ERROR_EDGES_M) - 1), np.int64)
-    for unit, beams in enumerate(rng.poisson(BEAMS * traffic)):
+    """Late and early sums (U, 1, 1) and counts (U, 1, 1, B) of a `number` of beams.
+
+    The errors are of centimetres, and of metres where missed.
+    """
+    late, early = np.zeros((2, len(number), 1, 1))
+    counts = np.zeros((len(number), 1, 1, len(BEAM_ERROR_EDGES_M) - 1), np.int64)
+    for unit, beams in enumerate(number):
         error = 0.05 * rng.standard_normal(beams)
         behind = rng.random(beams) < missed[unit]
         error[behind] = rng.exponential(2.0, behind.sum())
@@ -58,40 +70,48 @@ def beam_sums(
     return late, early, counts
 
 
-def drawn_scores(
-    rng: np.random.Generator, units: int, off: float, missed: float, unlike: float
-) -> dict[str, list[float]]:
-    """Value, low and high end of every score of `units` recordings."""
-    traffic, hard = np.exp(unlike * rng.standard_normal(units)), unlike * rng.standard_normal(units)
-    found = [
-        *neighbourhood_scores(neighbourhood_sums(rng, traffic, off * np.exp(hard))),
-        *beam_scores(*beam_sums(rng, traffic, expit(logit(missed) + hard))),
+def draw(rng: np.random.Generator, name: str, units: int) -> DrawnSet:
+    """Scores of the first of two trackers on `units` recordings, and the differences of both.
+
+    The recordings have the same cells and beams for both, and are hard for both, less for one of them.
+    """
+    off, missed, unlike = (SETTINGS[name][key] for key in ("off", "missed", "unlike"))
+    traffic = np.exp(unlike * rng.standard_normal(units))
+    cells, beams = rng.poisson(CELLS * traffic), rng.poisson(BEAMS * traffic)
+    sides = [
+        (
+            neighbourhood_sums(rng, cells, off * np.exp(unlike * harder)),
+            beam_sums(rng, beams, expit(logit(missed) + unlike * harder)),
+        )
+        for harder in skills_of_two(rng, units)
     ]
-    return {name: [float(value[0, 0]) for value in values] for name, *values in found}
+    (own, own_beams), _ = sides
+    scores = {score: ends for score, *ends in (*neighbourhood_scores(own), *beam_scores(*own_beams))}
+    ratios = [
+        neighbourhood_ratios(sums) | beam_ratios(late, early, counts.sum(axis=-1).astype(np.float64))
+        for sums, (late, early, counts) in sides
+    ]
+    gaps = spatial_differences(*ratios)
+    return DrawnSet(
+        {score: tuple(float(end[0, 0]) for end in scores[score]) for score in SHOWN},  # type: ignore[misc]
+        {score: gaps[score].at(0).at(0) for score in SHOWN if score in gaps},
+    )
 
 
-def coverage_row(rng: np.random.Generator, name: str, repetitions: int) -> list[str]:
-    """For each score its value over many recordings, and the share of intervals that contain it."""
-    truth = drawn_scores(rng, MANY_UNITS, **SETTINGS[name])
-    inside = dict.fromkeys(SHOWN, 0)
-    for _ in range(repetitions):
-        drawn = drawn_scores(rng, UNITS, **SETTINGS[name])
-        for score in SHOWN:
-            inside[score] += drawn[score][1] <= truth[score][0] <= drawn[score][2]
-    return [name, *(f"{100 * inside[score] / repetitions:.1f} ({truth[score][0]:.2f})" for score in SHOWN)]
-
-
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--repetitions", type=int, default=500, help="simulated sets of recordings for each setting")
-    parser.add_argument("--out", type=Path, help="results file, such as docs/results/statistics.json")
-    arguments = parser.parse_args()
-    rng = np.random.default_rng(0)
-    rows = [coverage_row(rng, name, arguments.repetitions) for name in SETTINGS]
-    table = measured_table(["setting", *SHOWN], rows)
-    print(table.markdown())
-    write_table(arguments.out, "coverage of spatial scores", table, "python -m studies.spatial_coverage")
+def rows(rng: np.random.Generator, repetitions: int) -> list[list[str]]:
+    """A row for each setting and score."""
+    return [
+        [name, score, *texts]
+        for name in SETTINGS
+        for score, texts in covered(partial(draw, rng, name), UNITS, repetitions).items()
+    ]
 
 
 if __name__ == "__main__":
-    main()
+    print_coverage(
+        __doc__,
+        "coverage of spatial scores",
+        "python -m studies.spatial_coverage",
+        ["setting", "score", "value"],
+        rows,
+    )

@@ -48,9 +48,10 @@ class TrackerSummary(ResultModel):
 
 
 class HeadlineTest(ResultModel):
-    """A tracker's F1 less the reference's at one horizon, with its test; beside it log loss and PR-AUC.
+    """A tracker's F1 less the reference's at one horizon, with its test; beside it the other scores' differences.
 
-    Only F1 is corrected and has a verdict. The p-values of the log loss and of PR-AUC are uncorrected.
+    Only F1 is corrected and has a verdict. The p-values of log loss, PR-AUC and the scores that forgive a few cells
+    are uncorrected. The latter are null in a run of before, and where one of the two has none.
     """
 
     stratum: str
@@ -72,6 +73,30 @@ class HeadlineTest(ResultModel):
     pr_auc_low: Number = None
     pr_auc_high: Number = None
     pr_auc_p: Number = None
+    fss_1: Number = None
+    fss_1_low: Number = None
+    fss_1_high: Number = None
+    fss_1_p: Number = None
+    fss_3: Number = None
+    fss_3_low: Number = None
+    fss_3_high: Number = None
+    fss_3_p: Number = None
+    fss_5: Number = None
+    fss_5_low: Number = None
+    fss_5_high: Number = None
+    fss_5_p: Number = None
+    fss_9: Number = None
+    fss_9_low: Number = None
+    fss_9_high: Number = None
+    fss_9_p: Number = None
+    soft_iou: Number = None
+    soft_iou_low: Number = None
+    soft_iou_high: Number = None
+    soft_iou_p: Number = None
+    beam_error: Number = None
+    beam_error_low: Number = None
+    beam_error_high: Number = None
+    beam_error_p: Number = None
 
 
 class Difference(ResultModel):

@@ -4,16 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gridtrack.evaluation.results.summary import HeadlineTest
 from gridtrack.evaluation.results.values import rounded, rounded_p
+from gridtrack.evaluation.statistics.finished_trial import FinishedTrial
 from gridtrack.evaluation.statistics.frame_counts import FrameCounts, common_frames
 from gridtrack.evaluation.statistics.jackknife import LEAST_UNITS, PairedDifferences, differences, holm
 from gridtrack.evaluation.statistics.pr_auc import pr_auc_of_units
 from gridtrack.evaluation.statistics.score_intervals import Scope, summed_by_unit
+from gridtrack.evaluation.statistics.spatial_scores import spatial_differences, spatial_ratios
 from gridtrack.evaluation.statistics.units import UnitRule
 
 ALPHA = 0.05
@@ -25,7 +27,7 @@ OTHER_RETURNS = (
 
 @dataclass(frozen=True, slots=True)
 class HeadlineDifference:
-    """The differences in one stratum at one horizon, by score (`f1`, `nll`, `pr_auc`), not rounded."""
+    """The differences in one stratum at one horizon, by score (fields of HeadlineTest), not rounded."""
 
     stratum: str
     horizon_s: float
@@ -73,10 +75,10 @@ class TrackerComparison:
 
 @dataclass(frozen=True, slots=True)
 class ComparedRow:
-    """The trials of one row on the recordings of a scope, in their order: their counts, and their folders."""
+    """The trials of one row on the recordings of a scope, in their order: with their counts."""
 
     frames: Sequence[FrameCounts]
-    folders: Sequence[Path]
+    trials: Sequence[FinishedTrial]
 
 
 def compare_with(
@@ -94,10 +96,9 @@ def compare_with(
     curves = {name: found.column(k) for k, name in enumerate(scope.strata)}
     headline: tuple[HeadlineDifference, ...] = ()
     if scope.headline:
-        log_loss, stamps = differences(own, others, "nll"), [one.stamps_ns for one, _ in paired]
-        chosen, units = [(step, stratum) for stratum, _, step in scope.headline], rule.units_of(stamps)
-        area, other_area = (pr_auc_of_units(row.folders, stamps, units, chosen) for row in (tracker, reference))
-        pr_auc = area.less(other_area)
+        chosen = [(step, stratum) for stratum, _, step in scope.headline]
+        log_loss = differences(own, others, "nll")
+        beside = _differences_from_files(tracker, reference, [one.stamps_ns for one, _ in paired], chosen, rule)
         headline = tuple(
             HeadlineDifference(
                 stratum,
@@ -106,12 +107,35 @@ def compare_with(
                 {
                     "f1": curves[stratum].at(step),
                     "nll": log_loss.column(scope.strata.index(stratum)).at(step),
-                    "pr_auc": pr_auc.at(i),
+                    **{score: found.at(i) for score, found in beside.items()},
                 },
             )
             for i, (stratum, horizon_s, step) in enumerate(scope.headline)
         )
     return TrackerComparison(label, number, frames, why, curves, headline)
+
+
+def _differences_from_files(
+    tracker: ComparedRow,
+    reference: ComparedRow,
+    stamps_ns: Sequence[NDArray[np.int64]],
+    chosen: Sequence[tuple[int, str]],
+    rule: UnitRule,
+) -> dict[str, PairedDifferences]:
+    """Differences (N,) at the `chosen` steps and strata of the scores that do not follow from the counts of frames.
+
+    PR-AUC, and those that forgive a few cells where both rows have their sums. Raises ScoresError.
+    """
+    units = rule.units_of(stamps_ns)
+    area, other_area = (
+        pr_auc_of_units([trial.folder for trial in row.trials], stamps_ns, units, chosen)
+        for row in (tracker, reference)
+    )
+    sums, other_sums = (
+        spatial_ratios(row.trials, [one.stamps_ns for one in row.frames], stamps_ns, units, chosen)
+        for row in (tracker, reference)
+    )
+    return {"pr_auc": area.less(other_area), **spatial_differences(sums, other_sums)}
 
 
 def headline_tests(comparisons: Sequence[TrackerComparison]) -> list[tuple[HeadlineTest, ...]]:

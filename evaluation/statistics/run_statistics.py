@@ -128,11 +128,7 @@ class RunStatistics:
             return TrackerComparison(label, 0, 0, OTHER_RETURNS)
         scope = self.scope(names, own + others)
         theirs, mine = (
-            ComparedRow(
-                [self.frames_in(trial, scope.strata) for trial in side],
-                [trial.folder for trial in side],
-            )
-            for side in (others, own)
+            ComparedRow([self.frames_in(trial, scope.strata) for trial in side], side) for side in (others, own)
         )
         return compare_with(theirs, mine, label, scope, self.unit_rule(names))
 

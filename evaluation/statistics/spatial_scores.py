@@ -32,12 +32,15 @@ from gridtrack.evaluation.statistics.frame_counts import read_rows
 from gridtrack.evaluation.statistics.jackknife import (
     Floats,
     JackknifedScore,
+    PairedDifferences,
     proportion_interval,
     ratio_differences,
     ratio_interval,
 )
 from gridtrack.evaluation.statistics.units import UnitRule, sum_by_unit
 
+Ratios = dict[str, tuple[Floats, Floats]]
+"""By score that is a ratio of two sums, these sums (U, ...) of units."""
 ScoreWithEnds = tuple[str, Floats, Floats, Floats]
 """The name of a score in StratumScores, its value (S, K), and the ends of its interval; NaN where there is none."""
 SpatialScores = dict[str, dict[str, Curve]]
@@ -74,19 +77,68 @@ def _add_curves(found: SpatialScores, names: Sequence[str], scores: Iterator[Sco
 
 
 def neighbourhood_scores(sums: Floats) -> Iterator[ScoreWithEnds]:
-    """Fractions skill scores and soft IoU of sums (U, S, K, C) of units; C as the sums of NEIGHBOURHOODS_TABLE.
+    """Fractions skill scores and soft IoU of sums (U, S, K, C) of units; C as the sums of NEIGHBOURHOODS_TABLE."""
+    for name, (part, whole) in neighbourhood_ratios(sums).items():
+        yield name, ratio(part.sum(axis=0), whole.sum(axis=0)), *proportion_interval(part, whole)
+
+
+def neighbourhood_ratios(sums: Floats) -> Ratios:
+    """The sums (U, ...) of each score of sums (U, ..., C); the first is a part of the second.
 
     Sums of a scale are multiplied by the cells of a neighbourhood: a lone occupied cell then counts as one.
     """
     agreement, squares = sums[..., : len(SCALES)], sums[..., len(SCALES) : 2 * len(SCALES)]
-    for w, scale in enumerate(SCALES):
-        yield _proportion(f"fss_{scale}", scale**2 * agreement[..., w], scale**2 * squares[..., w])
-    yield _proportion("soft_iou", agreement[..., 0] / 2, sums[..., -1])
+    found = {
+        f"fss_{scale}": (scale**2 * agreement[..., w], scale**2 * squares[..., w]) for w, scale in enumerate(SCALES)
+    }
+    found["soft_iou"] = agreement[..., 0] / 2, sums[..., -1]
+    return {name: (np.minimum(part, whole), whole) for name, (part, whole) in found.items()}  # stored sums are rounded
 
 
-def _proportion(name: str, part: Floats, whole: Floats) -> ScoreWithEnds:
-    part = np.minimum(part, whole)  # but for the rounding of stored sums
-    return name, ratio(part.sum(axis=0), whole.sum(axis=0)), *proportion_interval(part, whole)
+def beam_ratios(late_m: Floats, early_m: Floats, beams: Floats) -> Ratios:
+    """The sums (U, ...) of the mean beam error, of sums (U, ...) of errors, metres, and numbers of beams."""
+    return {"beam_error": (late_m + early_m, beams)}
+
+
+def spatial_differences(own: Ratios, reference: Ratios) -> dict[str, PairedDifferences]:
+    """Differences (...) of the scores that both sides have, whose sums are of the same units."""
+    return {name: ratio_differences(own[name], reference[name]) for name in own if name in reference}
+
+
+def spatial_ratios(
+    trials: Sequence[FinishedTrial],
+    scored_ns: Sequence[NDArray[np.int64]],
+    paired_ns: Sequence[NDArray[np.int64]],
+    units: Sequence[NDArray[np.int64]],
+    chosen: Sequence[tuple[int, str]],
+) -> Ratios:
+    """The sums (U, N) of `trials` at the `chosen` steps and strata, without scores that a trial of before lacks.
+
+    `scored_ns` are the scored frames of each trial, `paired_ns` (F,) those of them that count, of the `units` (F,).
+    Raises ScoresError.
+    """
+    found: Ratios = {}
+    kept = [np.isin(scored, paired) for scored, paired in zip(scored_ns, paired_ns, strict=True)]
+    if all((trial.folder / NEIGHBOURHOODS_TABLE.file).exists() for trial in trials):
+        names = [neighbourhood_strata(trial.strata) for trial in trials]
+        sums = [_read_neighbourhoods(*one) for one in zip(trials, scored_ns, names, strict=True)]
+        of_frames = [_at(one[frames], chosen, own) for one, frames, own in zip(sums, kept, names, strict=True)]
+        found |= neighbourhood_ratios(sum_by_unit(of_frames, units))
+    if all((trial.folder / BEAMS_TABLE.file).exists() for trial in trials):
+        beams = [_read_beam_numbers(*one) for one in zip(trials, scored_ns, strict=True)]
+        of_frames = [_at(one[frames], chosen, BEAM_STRATA) for one, frames in zip(beams, kept, strict=True)]
+        summed = sum_by_unit(of_frames, units)
+        found |= beam_ratios(*np.moveaxis(summed, -1, 0))
+    return found
+
+
+def _at(sums: NDArray[np.floating], chosen: Sequence[tuple[int, str]], strata: Sequence[str]) -> NDArray[np.floating]:
+    """The sums (F, N, C) of sums (F, S, K, C) in `strata` at the `chosen` steps and strata; 0 in one that has none."""
+    found = np.zeros((len(sums), len(chosen), sums.shape[-1]), sums.dtype)
+    for n, (step, name) in enumerate(chosen):
+        if name in strata:
+            found[:, n] = sums[:, step, strata.index(name)]
+    return found
 
 
 def beam_scores(late_m: Floats, early_m: Floats, counts: NDArray[np.integer]) -> Iterator[ScoreWithEnds]:
@@ -130,6 +182,22 @@ def _read_neighbourhoods(
     return shaped[:, :, [written.index(name) for name in strata]]
 
 
+def _read_beam_numbers(trial: FinishedTrial, stamps_ns: NDArray[np.int64]) -> NDArray[np.float32]:
+    """Sums of the errors, late and early, and number of beams (F, S, K, 3) of a trial. Raises ScoresError."""
+    rows = _beam_rows(trial, stamps_ns)
+    columns = rows.select(pl.col("late_m"), pl.col("early_m"), pl.col("count").list.sum())
+    sums = columns.select(pl.all().cast(pl.Float32)).to_numpy()
+    return sums.reshape(len(stamps_ns), trial.record.steps + 1, len(BEAM_STRATA), 3)
+
+
+def _beam_rows(trial: FinishedTrial, stamps_ns: NDArray[np.int64]) -> pl.DataFrame:
+    """The rows of the beams of a trial. Raises ScoresError."""
+    path, steps = trial.folder / BEAMS_TABLE.file, trial.record.steps
+    rows = read_rows(path, ("late_m", "early_m", "bin", "count"), steps, BEAM_STRATA)
+    _refuse_other_frames(path, rows, (steps + 1) * len(BEAM_STRATA), stamps_ns)
+    return rows
+
+
 def _read_beams(
     trial: FinishedTrial, stamps_ns: NDArray[np.int64], units: NDArray[np.int64]
 ) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
@@ -137,13 +205,11 @@ def _read_beams(
 
     Raises ScoresError.
     """
-    path, steps = trial.folder / BEAMS_TABLE.file, trial.record.steps
-    rows = read_rows(path, ("late_m", "early_m", "bin", "count"), steps, BEAM_STRATA)
+    rows, steps = _beam_rows(trial, stamps_ns), trial.record.steps
     cells = (steps + 1) * len(BEAM_STRATA)
-    _refuse_other_frames(path, rows, cells, stamps_ns)
     errors = rows.select(pl.col("late_m", "early_m").cast(pl.Float32)).to_numpy()
     counts = np.zeros((int(units.max(initial=-1)) + 1) * cells * BEAM_ERROR_BINS, np.int32)
-    row, bins, beams = _entries(path, rows)
+    row, bins, beams = _entries(trial.folder / BEAMS_TABLE.file, rows)
     np.add.at(counts, (units[row // cells] * cells + row % cells) * BEAM_ERROR_BINS + bins, beams)
     shape = steps + 1, len(BEAM_STRATA)
     return errors.reshape(len(stamps_ns), *shape, 2), counts.reshape(-1, *shape, BEAM_ERROR_BINS)

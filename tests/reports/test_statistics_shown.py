@@ -83,14 +83,16 @@ def test_the_page_calls_better_only_a_significantly_better_tracker(page):
     assert "<b>even" not in page
 
 
-def test_log_loss_and_pr_auc_stand_below_f1_with_uncorrected_p_and_no_verdict(run, page):
+def test_the_other_scores_stand_below_f1_with_uncorrected_p_and_no_verdict(run, page):
     (good,) = [one for one in read_runs([run])[0].summary.differences if one.tracker == "good"]
     differences = page.partition("Difference from persistence")[2].partition("</section>")[0]
     rows = differences.partition(">good<")[2].partition("unlucky")[0]
     for test in good.headline:
         assert test.pr_auc_low < test.pr_auc < test.pr_auc_high
         assert test.nll_low <= test.nll <= test.nll_high
-    for name in ("log loss", "PR-AUC"):
+        assert test.fss_5_low < test.fss_5 < test.fss_5_high
+        assert test.beam_error_low < test.beam_error < test.beam_error_high
+    for name in ("log loss", "PR-AUC", "FSS, 5 cells", "soft IoU", "beam error, m"):
         row = rows.partition(f"<small>{name}</small>")[2].partition("</tr>")[0]
         assert row.count(", uncorrected</small>") == 9
         assert "better" not in row

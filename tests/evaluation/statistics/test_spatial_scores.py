@@ -7,6 +7,7 @@ import re
 import numpy as np
 import polars as pl
 import pytest
+from scipy import stats
 
 from gridtrack.evaluation.results.columns import (
     BEAM_ERROR_BINS,
@@ -17,7 +18,12 @@ from gridtrack.evaluation.results.columns import (
 )
 from gridtrack.evaluation.scoring.score_store import ScoresError
 from gridtrack.evaluation.scoring.strata import STRATA_WITH_TRUTH
-from gridtrack.evaluation.statistics.spatial_scores import beam_scores, median_size, neighbourhood_scores
+from gridtrack.evaluation.statistics.spatial_scores import (
+    beam_scores,
+    median_size,
+    neighbourhood_scores,
+    spatial_ratios,
+)
 from gridtrack.evaluation.statistics.summary import summarise
 
 from scenes import synthetic_run as synthetic
@@ -75,6 +81,56 @@ def test_every_score_has_an_interval_from_twenty_recordings_on_and_less_have_non
     assert of_one.at(f"{score}_low", 8) is of_one.at(f"{score}_high", 8) is None
 
 
+def sums_of(trials, label, score, stratum, step):
+    """Numerator and denominator (20,) of a score, by recording."""
+    if score == "beam_error":
+        sums = [pl.col("late_m") + pl.col("early_m"), pl.col("count").list.sum().cast(pl.Float64)]
+        table = BEAMS_TABLE
+    else:
+        part, whole = ("agreement_1", "soft_union") if score == "soft_iou" else (f"agreement_{score[4:]}",) * 2
+        sums = [pl.col(part) / (2 if score == "soft_iou" else 1), pl.col(whole.replace("agreement", "squares"))]
+        table = NEIGHBOURHOODS_TABLE
+    kept = (pl.col("stratum") == stratum) & (pl.col("step") == step)
+    own = [pl.read_parquet(t.folder / table.file).filter(kept) for t in trials if t.record.label == label]
+    return np.array([[one.select(column.sum().alias("sum"))["sum"][0] for column in sums] for one in own], float).T
+
+
+@pytest.mark.parametrize("score", [*(f"fss_{scale}" for scale in SCALES), "soft_iou", "beam_error"])
+def test_the_difference_from_the_reference_is_paired_by_recording(twenty, score):
+    """The jackknife over recordings of the difference of the two ratios, computed one recording at a time."""
+    trials, summary = twenty
+    (difference,) = summary.differences
+    (test,) = [one for one in difference.headline if (one.stratum, one.horizon_s) == ("in-motion", 1.0)]
+    sides = [sums_of(trials, label, score, "in-motion", 8) for label in ("good", "persistence")]
+    value, *without = (
+        np.subtract(*(part[kept].sum() / whole[kept].sum() for part, whole in sides))
+        for kept in (np.ones(20, bool), *~np.eye(20, dtype=bool))
+    )
+    error = np.sqrt(19 / 20 * np.sum((without - np.mean(without)) ** 2))
+    freedom = min(whole.sum() ** 2 / (whole**2).sum() for _, whole in sides) - 1
+    assert getattr(test, score) == pytest.approx(value, abs=2e-5)
+    ends = value + np.array([-1, 1]) * stats.t.ppf(0.975, freedom) * error
+    assert (getattr(test, f"{score}_low"), getattr(test, f"{score}_high")) == pytest.approx(ends, abs=2e-5)
+    assert getattr(test, f"{score}_p") == pytest.approx(2 * stats.t.sf(abs(value) / error, freedom), abs=5e-4)
+
+
+def test_sums_that_are_paired_are_those_of_the_common_frames(twenty):
+    trials, _ = twenty
+    trial = next(trial for trial in trials if trial.record.label == "good")
+    scored = pl.read_parquet(trial.folder / NEIGHBOURHOODS_TABLE.file)["stamp_ns"].unique().sort().to_numpy()
+    paired, chosen = scored[[1, 3, 4]], [(8, "in-motion"), (4, "visible")]
+    found = spatial_ratios([trial], [scored], [paired], [np.array([0, 0, 1])], chosen)
+    for table, columns, score in (
+        (NEIGHBOURHOODS_TABLE, pl.col("agreement_3") * 9, "fss_3"),
+        (BEAMS_TABLE, pl.col("late_m") + pl.col("early_m"), "beam_error"),
+    ):
+        rows = pl.read_parquet(trial.folder / table.file).with_columns(part=columns)
+        for n, (step, stratum) in enumerate(chosen):
+            own = rows.filter((pl.col("step") == step) & (pl.col("stratum") == stratum)).sort("stamp_ns")["part"]
+            expected = own[1] + own[3], own[4]
+            assert found[score][0][:, n] == pytest.approx(expected, rel=1e-5)
+
+
 def test_strata_without_neighbourhoods_or_beams_have_no_such_score(tmp_path):
     summary = summary_of(write(tmp_path, RECORDINGS[:1], strata=STRATA_WITH_TRUTH))
     strata = summary.trackers["good"].recordings[RECORDINGS[0]].strata
@@ -96,6 +152,9 @@ def test_a_run_of_before_has_all_other_scores(tmp_path, twenty, trials_of_before
     assert of_before.f1 == known.f1
     assert of_before.f1_low == known.f1_low
     assert all(of_before.at(score, 8) is None for score in SCORES)
+    (difference,) = summary.differences
+    assert all(test.f1_low < test.f1 for test in difference.headline)
+    assert all(test.fss_5 is None and test.beam_error_p is None for test in difference.headline)
     good = summary.trackers["good"].pooled.strata["dynamic"].fss_3
     assert (good is None) == (trials_of_before == 40)
 
