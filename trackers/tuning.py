@@ -133,7 +133,7 @@ def search_settings(
     known = SearchLog(out.log_dir / SEARCH_FILE, searched)
 
     def with_tried(tried: Mapping[str, float]) -> _Tuned:
-        return kind(**start.model_dump() | tried)
+        return kind(**{**start.model_dump(), **tried})
 
     def value_of(trial: optuna.Trial) -> float:
         tried = {key: _suggested(trial, key, *ranges[key]) for key in ranges}
