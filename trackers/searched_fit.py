@@ -34,7 +34,7 @@ from gridtrack.trackers.tuning import (
 from gridtrack.trackers.weights import load_start, save_interrupted, save_weights, tuned_settings
 
 SEARCH_ITERATIONS = 60
-ITERATIONS_OF_PLACE = 20
+ITERATIONS_OF_PLACE = 12
 """Number of tries of a search that starts from general weights."""
 EXCERPTS, EXCERPT_S = 4, 100.0
 """Number and duration of the excerpts of a long recording for the search; each is longer than a signal cycle."""
