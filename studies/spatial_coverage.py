@@ -93,7 +93,7 @@ def draw(rng: np.random.Generator, name: str, units: int) -> DrawnSet:
     ]
     gaps = spatial_differences(*ratios)
     return DrawnSet(
-        {score: tuple(float(end[0, 0]) for end in scores[score]) for score in SHOWN},  # type: ignore[misc]
+        {score: tuple(float(end[0, 0]) for end in scores[score]) for score in SHOWN},
         {score: gaps[score].at(0).at(0) for score in SHOWN if score in gaps},
     )
 
