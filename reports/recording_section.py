@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
-from gridtrack.common.grid import GridSpec
 from gridtrack.evaluation.results.passes import Latency
 from gridtrack.evaluation.results.trial_summary import StratumScores, TrialSummary
 from gridtrack.reports.ceiling import CeilingTable, ceiling_table
@@ -157,7 +156,7 @@ def section_of(
         occluded=occluded_table(table),
         occluded_thresholds=occluded_thresholds(table, runs[0] if len(runs) == 1 else None),
         classes=class_tables(table, runs[0] if len(runs) == 1 else None),
-        spatial=spatial_section(table, GridSpec.parse(described.grid).cell_m, styles),
+        spatial=spatial_section(table, described.grid, styles),
         reliability_diagrams=diagrams,
     )
     return section, (*notices, *unreadable)

@@ -92,6 +92,8 @@ def with_pooled(summary: RunSummary) -> RunSummary:
     together = described[0].model_copy(
         update={
             "stretch": f"{len(described)} recordings",
+            "horizons_s": summary.pooled_horizons_s or described[0].horizons_s,
+            "grid": described[0].grid if len({one.grid for one in described}) == 1 else "",
             "frames": sum(one.frames for one in described),
             "parity": all(one.parity for one in described),
         }

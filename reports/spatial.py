@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+from gridtrack.common.grid import GridSpec
 from gridtrack.evaluation.results.columns import SCALES
 from gridtrack.evaluation.results.trial_summary import StratumScores
 from gridtrack.reports.figures import Series
@@ -41,7 +42,8 @@ class SpatialSection:
     panels: tuple[SweepPanel, ...]
     main: SpatialScoresAt
     others: tuple[SpatialScoresAt, ...]
-    cell_m: float
+    cells: str
+    """Of what size cells are."""
     has_bands: bool
     headings: tuple[str, ...] = tuple(HEADINGS.values())
     neighbourhood_headings: int = len(FSS) + 1
@@ -53,8 +55,11 @@ class SpatialSection:
         return series_of(self.panels)[::-1]
 
 
-def spatial_section(table: HeadlineTable, cell_m: float, styles: Mapping[str, str]) -> SpatialSection | None:
-    """The section of a recording with cells of `cell_m` metres; None for a run of before, which has no such scores."""
+def spatial_section(table: HeadlineTable, grid: str, styles: Mapping[str, str]) -> SpatialSection | None:
+    """The section of a recording with this `grid`; None for a run of before, which has no such scores.
+
+    The `grid` of recordings together is empty where theirs differ.
+    """
     rows = [row for row in table.rows if _fss(row, MAIN_STRATUM) is not None]
     if not rows:
         return None
@@ -67,7 +72,8 @@ def spatial_section(table: HeadlineTable, cell_m: float, styles: Mapping[str, st
         _panel(rows, stratum, heading, step, styles) for stratum in PANEL_STRATA for heading, step in horizons
     )
     has_bands = any(line.band for panel in panels for line in panel.lines)
-    return SpatialSection(panels, every[MAIN_STRATUM, table.decisive.step], tuple(every.values()), cell_m, has_bands)
+    cells = f"cells of {GridSpec.parse(grid).cell_m:g} m" if grid else "the cells of each recording"
+    return SpatialSection(panels, every[MAIN_STRATUM, table.decisive.step], tuple(every.values()), cells, has_bands)
 
 
 def _fss(row: TableRow, stratum: str) -> StratumScores | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import pairwise
 from typing import Annotated, Self
 
@@ -46,9 +47,14 @@ class RecordingDescription(ResultModel):
 
     @model_validator(mode="after")
     def _horizons_increase(self) -> Self:
-        if any(later - earlier < SHORTEST_STEP_S for earlier, later in pairwise(self.horizons_s)):
-            raise ValueError("horizons_s do not increase")
+        refuse_unordered(self.horizons_s)
         return self
+
+
+def refuse_unordered(horizons_s: Sequence[float]) -> None:
+    """Raise ValueError for horizons that do not increase."""
+    if any(later - earlier < SHORTEST_STEP_S for earlier, later in pairwise(horizons_s)):
+        raise ValueError("horizons_s do not increase")
 
 
 class RecordingIdentity(RecordingDescription):

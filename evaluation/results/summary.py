@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Final, Literal, Self
+from typing import Annotated, Any, Final, Literal, Self
 
 from pydantic import Field, model_validator
 
 from gridtrack.evaluation.results.files import read_model, write_model
-from gridtrack.evaluation.results.recording import RecordingSummary
+from gridtrack.evaluation.results.recording import LONGEST_S, RecordingSummary, refuse_unordered
 from gridtrack.evaluation.results.trial_summary import PooledSummary, ScopeSummary, TrialSummary, curves_of
 from gridtrack.evaluation.results.values import Curve, Number, ResultModel
 from gridtrack.trackers.contract import Role
@@ -209,6 +209,9 @@ class RunSummary(ResultModel):
     notices: tuple[str, ...] = ()
     """What to know before a comparison, a line for each."""
     recordings: dict[str, RecordingSummary] = Field(min_length=1)
+    pooled_horizons_s: tuple[Annotated[float, Field(ge=0.0, le=LONGEST_S)], ...] = ()
+    """Of the scores of all recordings together; empty where there are none, and in runs of before, in which these are
+    the horizons of each recording."""
     trackers: dict[str, TrackerSummary]
     """By label."""
     reference: str | None = None
@@ -227,9 +230,10 @@ class RunSummary(ResultModel):
 
     @model_validator(mode="after")
     def _curves_reach_every_horizon(self) -> Self:
+        refuse_unordered(self.pooled_horizons_s)
         steps = {name: len(recording.horizons_s) for name, recording in self.recordings.items()}
         if self.has_pooled:
-            steps[ALL_RECORDINGS] = next(iter(steps.values()))
+            steps[ALL_RECORDINGS] = len(self.pooled_horizons_s) or next(iter(steps.values()))
         for label, row in self.trackers.items():
             for name in row.recordings.keys() - self.recordings.keys():
                 raise ValueError(f"tracker {label} has scores on {name}, which is not among the recordings")

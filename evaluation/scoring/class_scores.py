@@ -37,19 +37,18 @@ class ScoresByClass:
 
 
 def class_scores(
-    trials: Sequence[tuple[TrialRecord, Path]], classes: Sequence[str], horizons_s: Sequence[float]
+    trials: Sequence[tuple[TrialRecord, Path, list[int]]], classes: Sequence[str], horizons_s: Sequence[float]
 ) -> ScoresByClass:
-    """Scores by class of trials together; `classes` and `horizons_s` are those of their recordings.
+    """Scores by class of trials together, each at its steps; `classes` and `horizons_s` are those of all of them.
 
     Raises ScoresError.
     """
-    scored = [
-        (record, folder) for record, folder in trials if record.frames_scored and (folder / CLASSES_TABLE.file).exists()
-    ]
+    scored = [one for one in trials if one[0].frames_scored and (one[1] / CLASSES_TABLE.file).exists()]
     if not classes or not scored:
         return ScoresByClass()
-    found = np.sum([read_found(folder, record.steps, classes) for record, folder in scored], axis=0)
-    counts = [c for record, folder in scored if (c := read_semantics(folder, record.steps, classes)) is not None]
+    found = np.sum([read_found(folder, record.steps, classes)[steps] for record, folder, steps in scored], axis=0)
+    read = ((read_semantics(folder, record.steps, classes), steps) for record, folder, steps in scored)
+    counts = [one.at(steps) for one, steps in read if one is not None]
     semantics = _semantics(add_semantics(counts), classes, horizons_s) if len(counts) == len(scored) else None
     return ScoresByClass(_recall(found, classes), semantics)
 

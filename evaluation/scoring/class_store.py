@@ -74,6 +74,12 @@ class SemanticsCounts:
     scan_log_loss: NDArray[np.float64]
     scans: NDArray[np.int64]
 
+    def at(self, steps: list[int]) -> SemanticsCounts:
+        """The counts of these steps only, in their order."""
+        return SemanticsCounts(
+            self.confusion[steps], self.log_loss[steps], self.scan_log_loss[steps], self.scans[steps]
+        )
+
 
 def add_semantics(counts: Sequence[SemanticsCounts]) -> SemanticsCounts:
     """The sum of the counts of several trials."""

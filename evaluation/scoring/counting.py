@@ -77,6 +77,17 @@ class Tally:
             strata,
         )
 
+    def at(self, steps: list[int]) -> Tally:
+        """The counts of these steps only, in their order."""
+        return Tally(
+            self.cells[steps],
+            self.positives[steps],
+            self.p_sum[steps],
+            self.squared_error[steps],
+            self.log_loss[steps],
+            self.strata,
+        )
+
     def confusion(self, threshold_bins: NDArray[np.int64]) -> NDArray[np.int64]:
         """TP, FP, FN, TN (S, K, 4) when cells of bin `threshold_bins` (S, K) and above are called occupied."""
         found: NDArray[np.int64] = _confusion(self.cells, self.positives, np.ascontiguousarray(threshold_bins))

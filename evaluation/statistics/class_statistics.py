@@ -38,9 +38,9 @@ class ClassStatistics:
 
         Empty where the recordings have different classes. Raises ScoresError.
         """
-        described = self._recordings[names[0]]
-        classes = described.classes if self._same_classes(names) else ()
-        scores = class_scores([(t.record, t.folder) for t in trials], classes, described.horizons_s)
+        classes = self._recordings[names[0]].classes if self._same_classes(names) else ()
+        counted = [(t.record, t.folder, t.steps) for t in trials]
+        scores = class_scores(counted, classes, self._statistics.horizons_of(names))
         if scores.semantics is None:
             return scores
         scored = [trial for trial in trials if trial.record.frames_scored]
@@ -121,7 +121,7 @@ class ClassStatistics:
             frames = self._statistics.frames_of(trial)
             losses = read_scan_losses(trial.folder, frames.stamps_ns, trial.record.steps)
             self._losses[key] = FrameCounts(frames.stamps_ns, frames.delivered, losses)
-        return self._losses[key]
+        return self._losses[key].of_steps(trial)
 
     def _same_classes(self, names: Sequence[str]) -> bool:
         """Whether the recordings have the same classes, at least one."""

@@ -19,11 +19,19 @@ from gridtrack.evaluation.scoring.thresholds import bins_of, half
 
 @dataclass(frozen=True, slots=True)
 class CountedTrial:
-    """A trial with its counts in its strata, and TP, FP, FN, TN (S, K, 4) at the thresholds that need no labels."""
+    """A trial with its counts in its strata at `steps`, S of them, of its forecasts.
+
+    `label_free`: TP, FP, FN, TN (S, K, 4) at the thresholds that need no labels.
+    """
 
     record: TrialRecord
+    steps: list[int]
     tally: Tally
     label_free: NDArray[np.int64]
+
+    def thresholds(self, strata: Sequence[str]) -> NDArray[np.float64]:
+        """Thresholds (S, K) as probabilities."""
+        return np.array([self.record.thresholds.values[name] for name in strata]).T[self.steps]
 
 
 def stratum_scores(
@@ -45,19 +53,19 @@ def stratum_scores(
 
 def _curves_of(trials: Sequence[CountedTrial], strata: tuple[str, ...]) -> dict[str, NDArray[np.float64]]:
     """Every score (S, K) by its field in StratumScores."""
-    steps = trials[0].record.steps
+    steps = len(trials[0].steps) - 1
     together = Tally.empty(steps, strata)
     shape = (steps + 1, len(strata), 4)
     at_threshold, at_visible, label_free = np.zeros((3, *shape), np.int64)
     chosen = []
     for counted in trials:
-        record, tally = counted.record, counted.tally.of(strata)
+        tally = counted.tally.of(strata)
         label_free += counted.label_free[:, [counted.tally.strata.index(name) for name in strata]]
         together.add(tally)
-        bins = bins_of(_thresholds(record, strata))
+        bins = bins_of(counted.thresholds(strata))
         at_threshold += tally.confusion(bins)
-        at_visible += tally.confusion(np.broadcast_to(bins_of(_thresholds(record, ("visible",))), bins.shape))
-        chosen.append(_thresholds(record, strata))
+        at_visible += tally.confusion(np.broadcast_to(bins_of(counted.thresholds(("visible",))), bins.shape))
+        chosen.append(counted.thresholds(strata))
     parts = metrics.brier_decomposition(together)
     return {
         "f1": metrics.f1_score(at_threshold),
@@ -76,8 +84,3 @@ def _curves_of(trials: Sequence[CountedTrial], strata: tuple[str, ...]) -> dict[
         "f1_label_free": metrics.f1_score(label_free),
         "f1_at_half": metrics.f1_score(together.confusion(half(steps, strata).bins)),
     }
-
-
-def _thresholds(record: TrialRecord, strata: Sequence[str]) -> NDArray[np.float64]:
-    """Thresholds (S, K) as probabilities."""
-    return np.array([record.thresholds.values[name] for name in strata]).T

@@ -12,13 +12,22 @@ from gridtrack.evaluation.results.trial_record import TrialRecord
 
 @dataclass(frozen=True, slots=True)
 class FinishedTrial:
-    """A trial that has ended: its record, the folder of its files, its tracker, options and kind of points."""
+    """A trial that has ended: its record, the folder of its files, its tracker, options and kind of points.
+
+    `chosen_steps`: the steps of its forecasts that are read, in their order; None: all.
+    """
 
     record: TrialRecord
     folder: Path
     tracker: str
     options: Mapping[str, Any]
     points: str
+    chosen_steps: tuple[int, ...] | None = None
+
+    @property
+    def steps(self) -> list[int]:
+        """The steps that are read."""
+        return list(range(self.record.steps + 1) if self.chosen_steps is None else self.chosen_steps)
 
     @property
     def complete(self) -> bool:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from gridtrack.evaluation.results.columns import SCORES_TABLE
 from gridtrack.evaluation.scoring.score_store import ScoresError
+from gridtrack.evaluation.statistics.finished_trial import FinishedTrial
 from gridtrack.evaluation.statistics.jackknife import COUNTS
 
 
@@ -31,6 +32,12 @@ class FrameCounts:
     def at(self, frames: NDArray[np.intp] | NDArray[np.bool_]) -> FrameCounts:
         """The counts of the chosen frames."""
         return FrameCounts(self.stamps_ns[frames], self.delivered[frames], self.counts[frames])
+
+    def of_steps(self, trial: FinishedTrial) -> FrameCounts:
+        """The counts at the steps of `trial`, from those at all of its steps."""
+        if trial.chosen_steps is None:
+            return self
+        return FrameCounts(self.stamps_ns, self.delivered, self.counts[:, trial.steps])
 
 
 def read_frame_counts(folder: Path, steps: int, strata: tuple[str, ...]) -> FrameCounts:

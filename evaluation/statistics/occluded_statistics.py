@@ -63,8 +63,8 @@ class OccludedStatistics:
         return OccludedDifference(**paired.described, scores=scores)
 
     def _counts_of(self, trial: FinishedTrial) -> FrameCounts:
-        """Numerator and denominator of the scores at each scored frame, read once: counts (F, S, K, 2), K as
-        OCCLUDED_SCORES."""
+        """Numerator and denominator of the scores at each scored frame and step of the trial, read once: counts
+        (F, S, K, 2), K as OCCLUDED_SCORES."""
         key = trial.folder.name
         if key not in self._counts:
             frames = self._statistics.frames_of(trial)
@@ -79,7 +79,7 @@ class OccludedStatistics:
             wholes.append(positives + own[..., _FP] + own[..., _TN])
             counts = np.stack([np.stack(parts, axis=-1), np.stack(wholes, axis=-1)], axis=-1)
             self._counts[key] = FrameCounts(frames.stamps_ns, frames.delivered, counts.astype(np.float32))
-        return self._counts[key]
+        return self._counts[key].of_steps(trial)
 
 
 def _comparable(trials: Sequence[FinishedTrial], names: Sequence[str]) -> bool:

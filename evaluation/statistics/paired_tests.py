@@ -127,10 +127,7 @@ def _differences_from_files(
     PR-AUC, and those that forgive a few cells where both rows have their sums. Raises ScoresError.
     """
     units = rule.units_of(stamps_ns)
-    area, other_area = (
-        pr_auc_of_units([trial.folder for trial in row.trials], stamps_ns, units, chosen)
-        for row in (tracker, reference)
-    )
+    area, other_area = (pr_auc_of_units(row.trials, stamps_ns, units, chosen) for row in (tracker, reference))
     sums, other_sums = (
         spatial_ratios(row.trials, [one.stamps_ns for one in row.frames], stamps_ns, units, chosen)
         for row in (tracker, reference)

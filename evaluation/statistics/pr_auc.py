@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,23 +10,26 @@ from numpy.typing import NDArray
 from gridtrack.evaluation.results.columns import PROBABILITY_BINS
 from gridtrack.evaluation.scoring.metrics import area_under_precision_recall
 from gridtrack.evaluation.scoring.score_store import add_histograms
+from gridtrack.evaluation.statistics.finished_trial import FinishedTrial
 from gridtrack.evaluation.statistics.jackknife import JackknifedScore
 
 
 def pr_auc_of_units(
-    folders: Sequence[Path],
+    trials: Sequence[FinishedTrial],
     stamps_ns: Sequence[NDArray[np.int64]],
     units: Sequence[NDArray[np.int64]],
     chosen: Sequence[tuple[int, str]],
 ) -> JackknifedScore:
-    """PR-AUC (N,) at the `chosen` steps and strata, over the frames of the trials in `folders`.
+    """PR-AUC (N,) at the `chosen` places among the steps of each trial, and strata, over frames of `trials`.
 
     `stamps_ns` and `units` (F,) hold the stamp and the unit of each frame of a trial that counts. Raises ScoresError.
     """
     number = 1 + max(int(one.max()) for one in units if len(one))
     cells, positives = np.zeros((2, number, len(chosen), PROBABILITY_BINS), np.int64)
-    for folder, stamps, unit in zip(folders, stamps_ns, units, strict=True):
-        add_histograms(folder, chosen, dict(zip(stamps.tolist(), unit.tolist(), strict=True)), cells, positives)
+    for trial, stamps, unit in zip(trials, stamps_ns, units, strict=True):
+        unit_of = dict(zip(stamps.tolist(), unit.tolist(), strict=True))
+        own = [(trial.steps[place], stratum) for place, stratum in chosen]
+        add_histograms(trial.folder, own, unit_of, cells, positives)
     return pr_auc_without_each(cells, positives)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from functools import cached_property
 
 from gridtrack.evaluation.results.recording import RecordingDescription
@@ -26,7 +27,8 @@ from gridtrack.evaluation.statistics.paired_tests import (
     compare_with,
     headline_tests,
 )
-from gridtrack.evaluation.statistics.score_intervals import Scope, common_strata, intervals, poolable
+from gridtrack.evaluation.statistics.pooled_horizons import common_horizons, steps_at
+from gridtrack.evaluation.statistics.score_intervals import Scope, common_strata, intervals
 from gridtrack.evaluation.statistics.spatial_scores import spatial_scores
 from gridtrack.evaluation.statistics.units import UnitRule, enough_sources
 
@@ -57,8 +59,20 @@ class RunStatistics:
 
     @property
     def pools(self) -> bool:
-        """Whether the scores of the recordings are pooled: there are several, of the same steps and grid."""
-        return len(self.recordings) > 1 and poolable(self.recordings)
+        """Whether the scores of the recordings are pooled: there are several, with horizons in common."""
+        return len(self.recordings) > 1 and bool(self.horizons_s)
+
+    @cached_property
+    def horizons_s(self) -> tuple[float, ...]:
+        """The horizons of the pooled scores, seconds; empty where the recordings have none in common."""
+        return common_horizons(self.recordings.values())
+
+    def together(self, trials: Iterable[FinishedTrial]) -> list[FinishedTrial]:
+        """`trials` with their steps at the horizons of the pooled scores only."""
+        return [
+            replace(trial, chosen_steps=steps_at(self.horizons_s, self.recordings[trial.record.recording]))
+            for trial in trials
+        ]
 
     @property
     def groups(self) -> list[list[str]]:
@@ -73,16 +87,18 @@ class RunStatistics:
         """Scores of `trials` pooled, with their intervals, by stratum."""
         rule = self.unit_rule([trial.record.recording for trial in trials])
         frames = [self.frames_in(trial, strata) for trial in trials]
-        ends = intervals(frames, [trial.folder for trial in trials], strata, rule)
+        ends = intervals(frames, trials, strata, rule)
         spatial = spatial_scores(trials, [one.stamps_ns for one in frames], strata, rule)
         described = {name: {**ends[name], **spatial[name]} for name in strata}
         return stratum_scores([self._counted(trial) for trial in trials], strata, described)
 
     def _counted(self, trial: FinishedTrial) -> CountedTrial:
-        """The counts of a trial. Raises ScoresError."""
+        """The counts of a trial at its steps. Raises ScoresError."""
         steps, strata = trial.record.steps, trial.strata
-        label_free = read_label_free(trial.folder, steps, strata)
-        return CountedTrial(trial.record, read_tally(trial.folder, steps, strata), label_free)
+        label_free = read_label_free(trial.folder, steps, strata)[trial.steps]
+        return CountedTrial(
+            trial.record, trial.steps, read_tally(trial.folder, steps, strata).at(trial.steps), label_free
+        )
 
     def differences(self) -> list[TrackerDifference]:
         """Each tracker against the reference: over all recordings where they are pooled, else on each."""
@@ -98,7 +114,7 @@ class RunStatistics:
     def pooled(self, label: str) -> PooledSummary:
         """One tracker over all recordings together, of those that it completed."""
         trials = [trial for trial in self._trials if trial.record.label == label]
-        complete = [trial for trial in trials if trial.complete]
+        complete = self.together(trial for trial in trials if trial.complete)
         chosen = {trial.record.thresholds.chosen_on for trial in complete}
         whole = len(complete) == len(self.recordings)
         return PooledSummary(
@@ -157,10 +173,15 @@ class RunStatistics:
 
     def scope(self, names: Iterable[str], trials: Sequence[FinishedTrial]) -> Scope:
         """The recordings `names` with the strata that all `trials` have."""
+        names = list(names)
         described = [self.recordings[name] for name in names]
         cycles = [one.cycle_s for one in described if one.cycle_s]
         strata = common_strata([trial.strata for trial in trials])
-        return Scope(described[0].horizons_s, strata, max(cycles, default=None))
+        return Scope(self.horizons_of(names), strata, max(cycles, default=None))
+
+    def horizons_of(self, names: Sequence[str]) -> tuple[float, ...]:
+        """The horizons of the scores on one recording, or on several together, seconds."""
+        return self.recordings[names[0]].horizons_s if len(names) == 1 else self.horizons_s
 
     def unit_rule(self, names: Sequence[str]) -> UnitRule:
         """How the frames of these recordings become units: the same for every tracker, so that they are paired."""
@@ -187,23 +208,24 @@ class RunStatistics:
         return f"{label} learned from frames that it is scored on" if any(t.record.leak for t in trials) else ""
 
     def comparable(self, label: str | None, names: Sequence[str]) -> list[FinishedTrial]:
-        """The comparable trials of one row on these recordings, in their order."""
+        """The comparable trials of one row on these recordings, in their order; of several at common horizons."""
         found = {t.record.recording: t for t in self._trials if t.record.label == label and t.comparable}
-        return [found[name] for name in names if name in found]
+        trials = [found[name] for name in names if name in found]
+        return self.together(trials) if len(names) > 1 else trials
 
     def _tracker(self, label: str) -> str:
         return next(trial.tracker for trial in self._trials if trial.record.label == label)
 
     def frames_of(self, trial: FinishedTrial) -> FrameCounts:
-        """The counts of a trial at each frame, read once. Raises ScoresError."""
+        """The counts of a trial at each frame and at every step, read once. Raises ScoresError."""
         key = trial.folder.name
         if key not in self._frames:
             self._frames[key] = read_frame_counts(trial.folder, trial.record.steps, trial.strata)
         return self._frames[key]
 
     def frames_in(self, trial: FinishedTrial, strata: tuple[str, ...]) -> FrameCounts:
-        """The counts of a trial at each frame in `strata`, which are some of its own. Raises ScoresError."""
-        frames = self.frames_of(trial)
+        """The counts of a trial at each frame and its steps in `strata`, some of its own. Raises ScoresError."""
+        frames = self.frames_of(trial).of_steps(trial)
         if strata == trial.strata:
             return frames
         chosen = [trial.strata.index(name) for name in strata]

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise, product
-from pathlib import Path
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gridtrack.evaluation.results.recording import RecordingDescription
 from gridtrack.evaluation.results.values import rounded_curve
+from gridtrack.evaluation.statistics.finished_trial import FinishedTrial
 from gridtrack.evaluation.statistics.frame_counts import FrameCounts
 from gridtrack.evaluation.statistics.jackknife import COUNTS, LEAST_UNITS, RATIO_SCORES, interval
 from gridtrack.evaluation.statistics.pr_auc import pr_auc_of_units
@@ -66,11 +65,11 @@ INTERVAL_SCORES = (*RATIO_SCORES, "pr_auc")
 
 
 def intervals(
-    recordings: Sequence[FrameCounts], folders: Sequence[Path], strata: Sequence[str], rule: UnitRule
+    recordings: Sequence[FrameCounts], trials: Sequence[FinishedTrial], strata: Sequence[str], rule: UnitRule
 ) -> dict[str, dict[str, tuple[float | None, ...] | str | None]]:
     """Per stratum `f1_low`, `f1_high` and so on, one value per step; `interval` has the reason where there are none.
 
-    `folders` are those of the trials of `recordings`, with their histograms. Raises ScoresError.
+    `recordings` are the counts of `trials`, at the steps of each. Raises ScoresError.
     """
     (counts,), number = summed_by_unit([recordings], rule)
     if number < LEAST_UNITS:
@@ -79,7 +78,7 @@ def intervals(
     found = {score: interval(counts, score) for score in RATIO_SCORES}
     stamps = [frames.stamps_ns for frames in recordings]
     chosen = list(product(range(counts.shape[1]), strata))
-    ends = pr_auc_of_units(folders, stamps, rule.units_of(stamps), chosen).interval()
+    ends = pr_auc_of_units(trials, stamps, rule.units_of(stamps), chosen).interval()
     low, high = (end.reshape(counts.shape[1], len(strata)) for end in ends)
     found["pr_auc"] = low, high
     return {
@@ -102,9 +101,3 @@ def summed_by_unit(sides: Sequence[Sequence[FrameCounts]], rule: UnitRule) -> tu
 def common_strata(strata: Sequence[Sequence[str]]) -> tuple[str, ...]:
     """The strata that every recording has, in the order of the first."""
     return tuple(name for name in strata[0] if all(name in others for others in strata))
-
-
-def poolable(recordings: Mapping[str, RecordingDescription]) -> bool:
-    """Whether steps and cells of all recordings are the same, so that their counts may be added."""
-    sampled = [(recording.horizons_s, recording.grid) for recording in recordings.values()]
-    return all(one == other for one, other in pairwise(sampled))

@@ -179,7 +179,7 @@ def _read_neighbourhoods(
     sums = rows.select(pl.col(columns).cast(pl.Float32)).to_numpy()
     _refuse_other_frames(path, rows, (steps + 1) * len(written), stamps_ns)
     shaped = sums.reshape(len(stamps_ns), steps + 1, len(written), len(columns))
-    return shaped[:, :, [written.index(name) for name in strata]]
+    return shaped[:, trial.steps][:, :, [written.index(name) for name in strata]]
 
 
 def _read_beam_numbers(trial: FinishedTrial, stamps_ns: NDArray[np.int64]) -> NDArray[np.float32]:
@@ -187,7 +187,7 @@ def _read_beam_numbers(trial: FinishedTrial, stamps_ns: NDArray[np.int64]) -> ND
     rows = _beam_rows(trial, stamps_ns)
     columns = rows.select(pl.col("late_m"), pl.col("early_m"), pl.col("count").list.sum())
     sums = columns.select(pl.all().cast(pl.Float32)).to_numpy()
-    return sums.reshape(len(stamps_ns), trial.record.steps + 1, len(BEAM_STRATA), 3)
+    return sums.reshape(len(stamps_ns), trial.record.steps + 1, len(BEAM_STRATA), 3)[:, trial.steps]
 
 
 def _beam_rows(trial: FinishedTrial, stamps_ns: NDArray[np.int64]) -> pl.DataFrame:
@@ -212,7 +212,8 @@ def _read_beams(
     row, bins, beams = _entries(trial.folder / BEAMS_TABLE.file, rows)
     np.add.at(counts, (units[row // cells] * cells + row % cells) * BEAM_ERROR_BINS + bins, beams)
     shape = steps + 1, len(BEAM_STRATA)
-    return errors.reshape(len(stamps_ns), *shape, 2), counts.reshape(-1, *shape, BEAM_ERROR_BINS)
+    sums = errors.reshape(len(stamps_ns), *shape, 2)
+    return sums[:, trial.steps], counts.reshape(-1, *shape, BEAM_ERROR_BINS)[:, trial.steps]
 
 
 def _entries(path: Path, rows: pl.DataFrame) -> tuple[NDArray[np.int64], ...]:

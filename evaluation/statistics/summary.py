@@ -15,6 +15,7 @@ from gridtrack.evaluation.statistics.ceiling import with_ceiling
 from gridtrack.evaluation.statistics.class_statistics import ClassStatistics
 from gridtrack.evaluation.statistics.finished_trial import FinishedTrial, trials_on
 from gridtrack.evaluation.statistics.occluded_statistics import OccludedStatistics
+from gridtrack.evaluation.statistics.pooled_horizons import unlike_recordings
 from gridtrack.evaluation.statistics.run_statistics import RunStatistics
 from gridtrack.evaluation.statistics.training_statistics import TrainingStatistics
 from gridtrack.evaluation.statistics.turned_rankings import turned_rankings
@@ -38,12 +39,14 @@ def summarise(
     mismatched = {name: mismatched_deliveries(trials_on(name, trials)) for name in recordings}
     found = _notices(recordings, trials, mismatched)
     if not statistics.pools and len(recordings) > 1:
-        found.append("the recordings differ in rate, horizon or grid: no scores are pooled over them")
+        found.append("the recordings have no horizons in common: no scores are pooled over them")
+    found += unlike_recordings(recordings) if statistics.pools else []
     trackers = with_ceiling(_rows(trials, statistics, classes))
-    found += turned_rankings(recordings, trackers, statistics.pools)
+    found += turned_rankings(recordings, trackers, statistics.horizons_s if statistics.pools else ())
     return RunSummary(
         interrupted=interrupted,
         notices=(*notices, *found),
+        pooled_horizons_s=statistics.horizons_s if statistics.pools else (),
         recordings={
             name: RecordingSummary.model_validate({**dict(described), "parity": not mismatched[name]})
             for name, described in recordings.items()
@@ -109,7 +112,8 @@ def _pooled_summary(
     trials: Sequence[FinishedTrial], statistics: RunStatistics, classes: ClassStatistics
 ) -> PooledSummary:
     pooled = statistics.pooled(trials[0].record.label)
-    by_class = classes.scores([trial for trial in trials if trial.complete], list(statistics.recordings))
+    complete = statistics.together(trial for trial in trials if trial.complete)
+    by_class = classes.scores(complete, list(statistics.recordings))
     leak = next((trial.record.leak for trial in trials if trial.record.leak), "")
     card = ", ".join(sorted({trial.record.card for trial in trials} - {""}))
     return pooled.model_copy(

@@ -43,21 +43,24 @@ class TurnedPair:
 
 
 def turned_rankings(
-    recordings: Mapping[str, RecordingDescription], trackers: Mapping[str, TrackerSummary], pooled: bool
+    recordings: Mapping[str, RecordingDescription],
+    trackers: Mapping[str, TrackerSummary],
+    pooled_horizons_s: Sequence[float],
 ) -> list[str]:
     """A line for each headline stratum in which the ranking turns round: the pair with the largest lead.
 
-    Over all recordings where they are `pooled`, else on each. Ranked rows count, and the floors; not the ceiling.
+    Over all recordings at the horizons of their pooled scores, on each where there are none. Ranked rows count, and the
+    floors; not the ceiling.
     """
     rows = {label: row for label, row in trackers.items() if not row.ceiling}
     scopes: dict[str, dict[str, ScopeSummary]] = {}
     for label, row in rows.items():
-        found: Mapping[str, ScopeSummary | None] = {ALL_RECORDINGS: row.pooled} if pooled else row.recordings
+        found: Mapping[str, ScopeSummary | None] = {ALL_RECORDINGS: row.pooled} if pooled_horizons_s else row.recordings
         for name, scope in found.items():
             if scope is not None and scope.ranked:
                 scopes.setdefault(name, {})[label] = scope
-    horizons_s = {ALL_RECORDINGS: next(iter(recordings.values())).horizons_s} if pooled else {}
-    horizons_s |= {name: described.horizons_s for name, described in recordings.items()}
+    horizons_s = {name: described.horizons_s for name, described in recordings.items()}
+    horizons_s[ALL_RECORDINGS] = tuple(pooled_horizons_s)
     return [line for name, of_scope in scopes.items() for line in _lines(name, of_scope, horizons_s[name])]
 
 

@@ -6,7 +6,6 @@ import shutil
 
 import pytest
 
-from gridtrack.common.grid import GridSpec
 from gridtrack.evaluation.results.columns import SCALES
 from gridtrack.evaluation.statistics.summary import summarise
 from gridtrack.reports.page import render_page
@@ -23,8 +22,7 @@ TITLE = "At which scale does a forecast know something?"
 def section_of(run):
     runs = read_runs([run])
     table = headline_tables(runs)[0]
-    cell_m = GridSpec.parse(runs[0].summary.recordings[table.recording].grid).cell_m
-    return spatial_section(table, cell_m, styles_of(runs))
+    return spatial_section(table, runs[0].summary.recordings[table.recording].grid, styles_of(runs))
 
 
 def test_every_curve_has_the_scores_of_the_summary(run_folder, summary_of):

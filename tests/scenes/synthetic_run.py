@@ -36,10 +36,12 @@ def description(
     grid: str = "100x0.2",
     classes: tuple[str, ...] = (),
     source_sha256: str = "",
+    period_s: float = PERIOD_S,
+    steps: int = STEPS,
 ) -> RecordingDescription:
     """A recording as the summary describes it."""
     return RecordingDescription(
-        horizons_s=tuple(round(step * PERIOD_S, 6) for step in range(STEPS + 1)),
+        horizons_s=tuple(round(step * period_s, 6) for step in range(steps + 1)),
         grid=grid,
         frames=frames,
         cycle_s=cycle_s,
@@ -65,9 +67,9 @@ def write_run_record(folder: Path, recordings: Mapping[str, RecordingDescription
     ).write(folder)
 
 
-def tally(rng: np.random.Generator, skill: float, strata: tuple[str, ...] = STRATA) -> Tally:
+def tally(rng: np.random.Generator, skill: float, strata: tuple[str, ...] = STRATA, steps: int = STEPS) -> Tally:
     """Counts of one frame: `skill` is the share of occupied cells called so, at every step and in every stratum."""
-    counted = Tally.empty(STEPS, strata)
+    counted = Tally.empty(steps, strata)
     shape = counted.squared_error.shape
     occupied = rng.poisson(30.0, shape)
     found, false = rng.binomial(occupied, skill), rng.poisson(8.0, shape)
@@ -81,14 +83,14 @@ def tally(rng: np.random.Generator, skill: float, strata: tuple[str, ...] = STRA
 
 
 def spatial_sums(
-    rng: np.random.Generator, skill: float, strata: tuple[str, ...] = STRATA
+    rng: np.random.Generator, skill: float, strata: tuple[str, ...] = STRATA, steps: int = STEPS
 ) -> tuple[NeighbourhoodSums, BeamErrors]:
     """Sums of one frame over neighbourhoods and along beams: the better, the more skill and the larger the scale."""
     own = neighbourhood_strata(strata)
-    squares = rng.gamma(20.0, 1.0, (STEPS + 1, len(own), len(SCALES)))
+    squares = rng.gamma(20.0, 1.0, (steps + 1, len(own), len(SCALES)))
     agreement = squares * skill ** (1 / np.array(SCALES)) * rng.uniform(0.9, 1.0, squares.shape)
     sums = NeighbourhoodSums(agreement, squares, squares[..., 0], own)
-    shape = STEPS + 1, len(BEAM_STRATA)
+    shape = steps + 1, len(BEAM_STRATA)
     counts = np.zeros((*shape, BEAM_ERROR_BINS), np.int64)
     counts[..., 40:60] = rng.poisson(5.0, (*shape, 20))
     counts[..., 70] = rng.poisson(80.0 * (1.0 - skill), shape)
@@ -108,6 +110,7 @@ def write_trial(
     strata: tuple[str, ...] = STRATA,
     delivered: str = "",
     start_s: int = 10,
+    steps: int = STEPS,
 ) -> FinishedTrial:
     """A trial's folder and record; `seed` draws the counts of its frames, one a second from `start_s` on, of which
     `scored` are scored where it ended early."""
@@ -115,13 +118,13 @@ def write_trial(
     folder.mkdir(parents=True)
     rng = np.random.default_rng(seed)
     done = frames if scored is None else scored
-    thresholds = half(STEPS, strata)
+    thresholds = half(steps, strata)
     drawn = np.random.default_rng([seed, 1])
-    with ScoreWriter(folder, STEPS, thresholds) as scores, SpatialWriter(folder, STEPS, strata) as spatial:
+    with ScoreWriter(folder, steps, thresholds) as scores, SpatialWriter(folder, steps, strata) as spatial:
         for frame in range(done):
             stamp_ns, digest = (frame + start_s) * 1_000_000_000, (delivered + f"{frame:x}").rjust(32, "0")
-            scores.add(stamp_ns, digest, tally(rng, skill, strata), stamp_ns + round(STEPS * PERIOD_S * 1e9))
-            spatial.add(stamp_ns, *spatial_sums(drawn, skill, strata))
+            scores.add(stamp_ns, digest, tally(rng, skill, strata, steps), stamp_ns + round(steps * PERIOD_S * 1e9))
+            spatial.add(stamp_ns, *spatial_sums(drawn, skill, strata, steps))
     record = TrialRecord(
         schema=2,
         label=label,
@@ -129,7 +132,7 @@ def write_trial(
         outcome="ok" if done == frames else "crashed",
         frames_scored=done,
         frames_expected=frames,
-        steps=STEPS,
+        steps=steps,
         thresholds=thresholds.used(),
         **DESCRIBED.get(tracker or label, {}),
     )

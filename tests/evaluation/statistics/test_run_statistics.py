@@ -171,12 +171,78 @@ def test_a_single_forecast_has_scores_and_is_too_short_for_an_interval(tmp_path,
     assert difference(summary, "good").interval == dynamic.interval
 
 
-def test_recordings_of_different_grids_are_not_pooled_and_that_is_told(tmp_path):
+def unlike(folder, periods_s, label="persistence", skill=0.6, seconds=2.5):
+    """One recording of each period, described, and a trial on it."""
+    steps = [round(seconds / period_s) for period_s in periods_s]
+    names = [f"at-{period_s * 1000:.0f}-ms" for period_s in periods_s]
+    trials = [
+        synthetic.write_trial(folder, label, name, skill, seed=i, frames=3, steps=n)
+        for i, (name, n) in enumerate(zip(names, steps, strict=True))
+    ]
+    described = {
+        name: synthetic.description(period_s=period_s, steps=n)
+        for name, period_s, n in zip(names, periods_s, steps, strict=True)
+    }
+    return described, trials
+
+
+def test_recordings_of_unlike_periods_are_scored_together_at_equal_times_and_not_at_equal_steps(tmp_path):
+    described, trials = unlike(tmp_path, [0.05, 0.105263, 0.125])
+    summary = summarise(described, trials, [], False)
+    assert summary.pooled_horizons_s == (0.0, 0.5, 1.0, 1.5, 2.0, 2.5)
+    nearest = [(0, 10, 20, 30, 40, 50), (0, 5, 10, 14, 19, 24), (0, 4, 8, 12, 16, 20)]
+    counts = np.stack(
+        [
+            read_frame_counts(trial.folder, trial.record.steps, STRATA).counts[:, steps].sum(axis=0, dtype=float)
+            for trial, steps in zip(trials, nearest, strict=True)
+        ]
+    ).sum(axis=0)
+    tp, fp, fn = (counts[:, STRATA.index("dynamic"), k] for k in range(3))
+    pooled = summary.trackers["persistence"].pooled.strata["dynamic"]
+    assert pooled.f1 == pytest.approx(2 * tp / (2 * tp + fp + fn), abs=1e-6)
+    assert len(pooled.pr_auc) == len(pooled.fss_9) == len(pooled.beam_error) == len(pooled.f1_label_free) == 6
+    (told,) = [notice for notice in summary.notices if "rate" in notice]
+    assert told.endswith("every 0.5 s, in each recording by the nearest step, up to 53 ms away")
+
+
+def test_scores_together_are_those_of_the_recordings_where_only_the_horizon_differs(tmp_path):
+    described, trials = unlike(tmp_path, [0.125])
+    longer, others = unlike(tmp_path / "longer", [0.1], seconds=1.2)
+    summary = summarise({**described, **longer}, [*trials, *others], [], False)
+    assert summary.pooled_horizons_s == (0.0, 0.5, 1.0)
+    alone = summarise(described, trials, [], False).trackers["persistence"].recordings["at-125-ms"]
+    together = summary.trackers["persistence"]
+    assert together.recordings["at-125-ms"] == alone
+    assert len(together.pooled.strata["dynamic"].f1) == 3
+
+
+def test_twenty_recordings_of_unlike_periods_have_intervals_and_differences_at_the_headlines_horizons(tmp_path):
+    periods_s = [0.05 + 0.005 * k for k in range(20)]
+    described, trials = unlike(tmp_path, periods_s)
+    _, better = unlike(tmp_path, periods_s, "good", 0.8)
+    summary = summarise(described, [*trials, *better], [], False)
+    dynamic = summary.trackers["good"].pooled.strata["dynamic"]
+    assert all(low < f1 < high for low, f1, high in zip(dynamic.f1_low, dynamic.f1, dynamic.f1_high, strict=True))
+    good = difference(summary, "good")
+    assert {(test.horizon_s, test.step) for test in good.headline} == {(0.5, 1), (1.0, 2), (2.5, 5)}
+    assert {test.verdict for test in good.headline} == {"better"}
+    assert all(test.pr_auc_low < test.pr_auc < test.pr_auc_high for test in good.headline)
+
+
+def test_recordings_slower_than_the_common_horizons_are_not_scored_together_and_that_is_told(tmp_path):
+    described, trials = unlike(tmp_path, [0.125, 0.6])
+    summary = summarise(described, trials, [], False)
+    assert summary.trackers["persistence"].pooled is None
+    assert summary.pooled_horizons_s == ()
+    assert any("no scores are pooled" in notice for notice in summary.notices)
+
+
+def test_cells_of_unlike_size_are_counted_together_and_that_is_told(tmp_path):
     trials = a_run(tmp_path, {"persistence": 0.6}, ["a", "b"], frames=3)
     described = {"a": synthetic.description(), "b": synthetic.description(grid="50x0.4")}
     summary = summarise(described, trials, [], False)
-    assert summary.trackers["persistence"].pooled is None
-    assert any("no scores are pooled" in notice for notice in summary.notices)
+    assert summary.trackers["persistence"].pooled.frames_scored == 6
+    assert any("differ in the size of their cells" in notice for notice in summary.notices)
 
 
 def test_frames_of_another_delivery_are_not_paired(tmp_path):

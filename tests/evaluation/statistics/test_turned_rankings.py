@@ -24,7 +24,7 @@ def row(f1, at_half, outcome="ok", tracker="tracker", stratum="dynamic"):
 
 def test_the_two_rows_the_stratum_the_horizon_and_all_four_scores_are_named():
     rows = {"kalman": row(0.100, 0.189), "persistence": row(0.153, 0.150)}
-    (line,) = turned_rankings(RECORDINGS, rows, pooled=False)
+    (line,) = turned_rankings(RECORDINGS, rows, ())
     assert line == (
         "crossing: the ranking turns round with the threshold: on dynamic cells 0.5 s ahead persistence has a higher F1"
         " than kalman at the chosen thresholds, 0.153 and 0.100, and a lower one at 0.5, 0.150 and 0.189; 2 more such"
@@ -46,10 +46,10 @@ def test_the_two_rows_the_stratum_the_horizon_and_all_four_scores_are_named():
     ids=["same order", "equal", "nearly equal", "partial", "ceiling", "undefined", "another stratum"],
 )
 def test_nothing_is_said_where_the_order_stays(rows):
-    assert turned_rankings(RECORDINGS, rows, pooled=False) == []
+    assert turned_rankings(RECORDINGS, rows, ()) == []
 
 
 def test_the_pair_with_the_largest_lead_at_both_thresholds_is_named():
     rows = {"a": row(0.62, 0.50), "b": row(0.60, 0.51), "c": row(0.50, 0.60)}
-    (line,) = turned_rankings(RECORDINGS, rows, pooled=False)
+    (line,) = turned_rankings(RECORDINGS, rows, ())
     assert "a has a higher F1 than c" in line
