@@ -14,7 +14,7 @@ folders = $(subst /, ,$(1))
 training = --tracker '$(word 4,$(folders)) $(patsubst seed-%,%,$(word 3,$(folders)))=$(word 4,$(folders)):weights=studies/trainings/$(word 3,$(folders))'
 trainings = $(foreach card,$(wildcard studies/trainings/seed-*/*/junction.toml),$(call training,$(card)))
 
-.PHONY: help demo demo-junction test lint bench results schemas figures ablations returns junction weights baseline clean
+.PHONY: help demo demo-junction test lint bench results worlds-results real-results schemas figures ablations returns junction weights baseline clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):[^#]*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 15
@@ -48,6 +48,12 @@ results: $(VENV)/.installed-demo ## compare every tracker at the junction: the n
 	rm -rf runs/results
 	$(COMPARE) $(JUNCTION) $(call chosen,$(JUNCTION_TRACKERS) deep-tracking-rnn) $(trainings) --reference dilated-convgru --out runs/results
 	$(BIN)/python -m studies.static_memory
+
+worlds-results: $(VENV)/.installed-demo ## compare every tracker with general weights on the test worlds: the numbers of docs/results/worlds
+	$(BIN)/python -m studies.worlds_results
+
+real-results: $(VENV)/.installed-dev ## the same on recordings of real robots, in the folder DATA: docs/results/real
+	$(BIN)/python -m studies.real_results $(DATA)
 
 schemas: $(VENV)/.installed-dev ## write the JSON Schemas of the result files into docs/schemas
 	$(BIN)/python -m gridtrack.evaluation.schemas docs/schemas

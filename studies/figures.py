@@ -12,8 +12,8 @@ command writes:
 
 `junction` is docs/results/junction/summary.json (rows and columns: studies/support/junction_summary.py), `label-budget`
 docs/results/junction/label-budget.csv; any other source is a file below docs/results, its section and a name in it
-(studies/support/results_file.py). A results page has decimal numbers only between markers, in code, or among the
-constants it names: `<!-- constants: 0.5 2.5 -->`.
+(studies/support/results_file.py), and where no study has written that file yet, the page says so. A results page has
+decimal numbers only between markers, in code, or among the constants it names: `<!-- constants: 0.5 2.5 -->`.
 """
 
 from __future__ import annotations
@@ -29,6 +29,7 @@ from studies.support.junction_summary import JunctionSummary
 from studies.support.label_table import budget_table
 from studies.support.results_file import ResultSection, ResultTable, read_sections
 
+NOT_MEASURED = "not measured yet"
 ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "docs" / "results"
 MARKED = re.compile(r"<!-- (?P<kind>value|table): (?P<address>.*?) -->(?P<content>.*?)<!-- /(?P=kind) -->", re.DOTALL)
@@ -71,7 +72,10 @@ def _blank(found: re.Match[str]) -> str:
 
 def _generated(found: re.Match[str]) -> str:
     address = [part.strip() for part in " ".join(found["address"].split()).split(": ")]
-    content = _value(address) if found["kind"] == "value" else f"\n{_table(address).markdown()}\n"
+    if address[0].endswith(".json") and not (RESULTS / address[0]).exists():
+        content = NOT_MEASURED if found["kind"] == "value" else f"\n*{NOT_MEASURED}*\n"
+    else:
+        content = _value(address) if found["kind"] == "value" else f"\n{_table(address).markdown()}\n"
     return f"<!-- {found['kind']}: {found['address']} -->{content}<!-- /{found['kind']} -->"
 
 

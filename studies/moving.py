@@ -31,13 +31,12 @@ from studies.support.comparison import compare, finished_trials
 from studies.support.drive_recordings import KINDS, joined_recording, minutes_in, recording_of
 from studies.support.results_file import ResultSection, ResultTable, measured_table, write_section
 from studies.support.score_text import score_text
+from studies.support.unseen_places import HORIZONS_S, STRATA
 
 DRIVES, VALIDATION = Path("data/drives"), Path("runs/drives/validation")
 WEIGHTS = Path("studies/trainings/drives")
 FLOOR = "persistence"
 TRACKERS = ("kalman", "factor-graph", "dogma", "dilated-convgru", "deep-tracking-rnn")
-STRATA = {"in-motion": "in motion", "dynamic": "dynamic", "visible": "visible", "occluded": "hidden"}
-HORIZONS_S = (0.5, 1.0, 2.5)
 CARRIER_S = 1.0
 """The horizon of the scores by carrier."""
 EVERY_S = 2.0

@@ -14,21 +14,15 @@ import argparse
 import hashlib
 import subprocess
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import takewhile
 from pathlib import Path
 
 import numpy as np
 
-from gridtrack.common.files import atomic_write
-from gridtrack.common.grid import GridSpec
 from gridtrack.common.scan import Scan
-from gridtrack.recordings import open_recording
-from gridtrack.recordings.ego_motion import MatchingSettings, PoseSource, matched_trajectory, with_matched_poses
-from gridtrack.recordings.formats.native_writer import write_native
-from gridtrack.recordings.mounts import Mount, parse_mount
-from gridtrack.recordings.recording import RecordingInfo
+from gridtrack.recordings.ego_motion import PoseSource
 from gridtrack.recordings.stream import open_stream
 from gridtrack.reports.run import read_runs
 from gridtrack.trackers.contract import StreamSpec
@@ -36,7 +30,7 @@ from gridtrack.trackers.model_free.kalman import KalmanTracker
 from gridtrack.trackers.model_free.settings import ModelFreeSettings
 
 from studies.support.forecast_pictures import forecast_pictures
-from studies.support.npz_scans import npz_scans
+from studies.support.real_recordings import REAL, RealRecording, import_real
 from studies.support.results_file import ResultSection, measured_table, write_section
 from studies.support.transferred_weights import transfer
 
@@ -54,52 +48,41 @@ MOVING_MPS, SIGNIFICANT = 0.5, 13.8
 
 @dataclass(frozen=True)
 class Drive:
-    """A stretch of a recording, how it is read, and whose weights are used on it."""
+    """A stretch of a recording, and whose weights are used on it."""
 
-    name: str
-    path: str
+    recording: RealRecording
     start_s: float
     end_s: float
-    rate_hz: float
     site: str = "leg_tracker"
-    cell_m: float = 0.1
-    pose_topic: str | None = None
-    mounts: tuple[Mount, ...] = ()
+
+    @property
+    def name(self) -> str:
+        """That of the recording."""
+        return self.recording.name
 
 
-EGO = (parse_mount("scan=0,0,0deg"),)
+RECORDED = {one.name: one for one in REAL}
 DRIVES = (
-    Drive("overtakes", "datmo/overtakes.bag", 0, 26, 12.5, pose_topic="/ego_pose", mounts=EGO),
-    Drive("intersection", "datmo/intersection.bag", 0, 6.4, 12.5, pose_topic="/ego_pose", mounts=EGO),
-    Drive("two_robots", "datmo/two_robots.bag", 0, 32, 12.5, pose_topic="/mocap_pose"),
-    Drive("aces", "radish/aces.clf.bz2", 170, 220, 6.25),
-    Drive("intel", "radish/intel.clf.bz2", 60, 110, 5.0),
-    Drive("ual", "ual/ual.npz", 40, 80, 8.0, site="junction", cell_m=0.2),
+    Drive(RECORDED["overtakes"], 0, 26),
+    Drive(RECORDED["intersection"], 0, 6.4),
+    Drive(RECORDED["two_robots"], 0, 32),
+    Drive(RECORDED["aces"], 170, 220),
+    Drive(RECORDED["intel"], 60, 110),
+    Drive(RECORDED["ual"], 40, 80, site="junction"),
 )
 
 
 def scans_of(drive: Drive, data: Path) -> list[Scan]:
     """The scans from the beginning of the recording to the end of the stretch, with recorded poses."""
-    path = data / drive.path
-    if path.suffix == ".npz":
-        scans = npz_scans(path)
-    else:
-        scans = iter(open_recording(path, pose_topic=drive.pose_topic, mounts=drive.mounts).scans())
+    scans = drive.recording.scans(data)
     first = next(scans)
     end_ns = first.stamp_ns + drive.end_s * 1e9
     return [first, *takewhile(lambda scan: scan.stamp_ns <= end_ns, scans)]
 
 
-def imported(drive: Drive, scans: list[Scan], source: PoseSource, folder: Path) -> str:
-    """The stretch of the recording with poses from `source`, as `gridtrack recording import` writes it."""
-    out = folder / f"{drive.name}-{source}.mcap"
-    posed: Iterable[Scan] = scans
-    if source != "recorded":
-        trajectory = matched_trajectory(scans, source, MatchingSettings())
-        print(f"{drive.name}: {trajectory.describe(source)}", flush=True)
-        posed = with_matched_poses(scans, trajectory)
-    with atomic_write(out) as file:
-        write_native(file, RecordingInfo(site=drive.name), posed, lambda: ())
+def imported(drive: Drive, scans: list[Scan], source: PoseSource, data: Path, folder: Path) -> str:
+    """The stretch of the recording with poses from `source`."""
+    out = import_real(drive.recording, scans, source, data, folder / f"{drive.name}-{source}.mcap")
     return f"{out}@{drive.start_s}s-{drive.end_s}s"
 
 
@@ -107,8 +90,8 @@ def compared(drive: Drive, recording: str, trackers: Sequence[str], folder: Path
     """F1 of each tracker, HORIZON_S ahead, in the strata."""
     out = folder / f"run-{Path(recording).name.partition('.')[0]}"
     rows = [word for name in trackers for word in ("--tracker", name)]
-    words = [recording, *rows, "--grid", f"100x{drive.cell_m}", "--rate", str(drive.rate_hz), "--jobs", "1"]
-    words += ["--horizon", f"{HORIZON_S}s", "--every", "0.4s", "--weights", str(folder / "weights"), "--out", str(out)]
+    words = [recording, *rows, "--jobs", "1", "--horizon", f"{HORIZON_S}s", "--every", "0.4s"]
+    words += ["--weights", str(folder / "weights"), "--out", str(out)]
     subprocess.run([sys.executable, "-m", "gridtrack.cli", "compare", *words], check=True)
     (run,) = read_runs([out])
     if drive.name in PICTURES and len(trackers) > 1:
@@ -124,7 +107,7 @@ def compared(drive: Drive, recording: str, trackers: Sequence[str], folder: Path
 
 def tracks_in_motion(drive: Drive, recording: str, folder: Path, tuned: bool) -> tuple[float, float, float]:
     """Confirmed tracks of `kalman` a frame, the fast ones, and those whose velocity is significant."""
-    stream = open_stream(recording, grid=GridSpec(100, drive.cell_m), rate_hz=drive.rate_hz)
+    stream = open_stream(recording)
     card = WEIGHTS / "kalman" / f"{drive.site}.toml"
     path = transfer(card, stream.site, stream.period_s, folder / f"weights-{tuned}", tuned=tuned)
     sha256 = hashlib.sha256(path.read_bytes()).hexdigest()
@@ -154,10 +137,10 @@ def main() -> None:
     for drive in DRIVES:
         if arguments.only in (None, drive.name):
             scans = scans_of(drive, arguments.data)
-            recordings = {source: imported(drive, scans, source, arguments.folder) for source in POSES}
+            recordings = {source: imported(drive, scans, source, arguments.data, arguments.folder) for source in POSES}
             for name in LEARNED:
                 card = WEIGHTS / name / f"{drive.site}.toml"
-                transfer(card, drive.name, 1.0 / drive.rate_hz, arguments.folder / "weights")
+                transfer(card, drive.name, 1.0 / drive.recording.rate_hz, arguments.folder / "weights")
             for tuned in (True, False):
                 counts = tracks_in_motion(drive, recordings["refined"], arguments.folder, tuned)
                 name = f"{drive.name}, {drive.site if tuned else 'defaults'}"

@@ -23,11 +23,15 @@ def compare_at_junction(trackers: Iterable[str], reference: str, out: Path, *opt
 
 
 def compare(
-    recordings: Iterable[Path], validation: Path, trackers: Iterable[str], out: Path, *options: str | Path
+    recordings: Iterable[Path], validation: Path | None, trackers: Iterable[str], out: Path, *options: str | Path
 ) -> None:
-    """Compare `trackers`, each [LABEL=]NAME[:key=value,...], in folder `out`. Ends the program where it fails."""
+    """Compare `trackers`, each [LABEL=]NAME[:key=value,...], in folder `out`. Ends the program where it fails.
+
+    Without `validation` thresholds are those of the recordings' own validation stretches, else of the cards.
+    """
     rows = [word for tracker in trackers for word in ("--tracker", tracker)]
-    words = ["compare", *recordings, "--validation", validation, *rows, "--out", out, *options]
+    chosen_on = ["--validation", validation] if validation else []
+    words = ["compare", *recordings, *chosen_on, *rows, "--out", out, *options]
     done = subprocess.run([sys.executable, "-m", "gridtrack.cli", *map(str, words)], check=False)
     if done.returncode:
         raise SystemExit(done.returncode)

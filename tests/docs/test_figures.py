@@ -30,6 +30,12 @@ def test_a_value_and_a_table_are_filled_between_their_markers() -> None:
     assert "| F1 | occluded 1 s |\n|---|---|\n| oracle | 1.000 |\n<!-- /table -->" in table
 
 
+def test_a_page_says_what_no_study_has_measured_yet() -> None:
+    value, table = (f"<!-- {kind}: worlds/none.json: a: b -->" for kind in ("value", "table"))
+    assert filled(f"{value}0.7<!-- /value -->") == f"{value}not measured yet<!-- /value -->"
+    assert filled(f"{table}<!-- /table -->") == f"{table}\n*not measured yet*\n<!-- /table -->"
+
+
 @pytest.mark.parametrize("address", ["value: junction: kalman: f2 dynamic 1 s", "table: nowhere"])
 def test_an_unknown_address_is_an_error(address: str) -> None:
     kind = address.partition(":")[0]

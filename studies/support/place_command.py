@@ -1,0 +1,46 @@
+"""The command line of a study that compares the trackers with general weights at unseen places."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+
+from studies.support.comparison import compare
+from studies.support.results_file import ResultSection, write_section
+from studies.support.scale_charts import scale_charts
+from studies.support.unseen_places import TRAININGS, WEIGHTS, PlaceScores, general_rows
+
+
+def place_parser(documentation: str | None, out: Path, results: Path) -> argparse.ArgumentParser:
+    """The options that such studies have in common; `out` is the folder of the run."""
+    parser = argparse.ArgumentParser(description=(documentation or "").partition("\n")[0])
+    parser.add_argument("--tracker", action="append", help="the label of a row that can run; default: all of them")
+    parser.add_argument("--weights", type=Path, default=WEIGHTS, help="folder of the general weights")
+    parser.add_argument("--trainings", type=Path, default=TRAININGS, help="folder of seed-2, seed-3, ...")
+    parser.add_argument("--every", default="1s", help="between two scored forecasts")
+    parser.add_argument("--out", type=Path, default=out)
+    parser.add_argument("--results", type=Path, default=results)
+    parser.add_argument("--jobs", default="1", help="trials at the same time")
+    parser.add_argument("--collect", action="store_true", help="run nothing; write the results of what has run")
+    return parser
+
+
+def compare_places(given: argparse.Namespace, recordings: Sequence[Path]) -> None:
+    """Compare the rows that are asked for on `recordings`, with the thresholds of the cards."""
+    rows = general_rows(given.weights, given.trainings)
+    if unknown := [label for label in given.tracker or () if label not in rows]:
+        raise SystemExit(f"--tracker {', '.join(unknown)}: no row that can run; there are {', '.join(rows)}")
+    chosen = [rows[label] for label in given.tracker or rows]
+    compare(recordings, None, chosen, given.out, "--every", given.every, "--jobs", given.jobs, "--resume")
+
+
+def collect_places(
+    given: argparse.Namespace, sections_of: Callable[[PlaceScores], Mapping[str, ResultSection]]
+) -> None:
+    """Write the results of what has run, and the drawing beside them."""
+    scores = PlaceScores.read(given.out)
+    for name, section in sections_of(scores).items():
+        write_section(given.results, name, section)
+        print("\n\n".join(table.markdown() for table in section.tables.values()), end="\n\n")
+    given.results.with_name("scales.svg").write_text(scale_charts(scores, "dynamic"), "utf-8")

@@ -1,0 +1,89 @@
+"""The recordings of real robots that may ship, how each is read, and as what they are imported.
+
+They are no part of the project: DATA has the folders leg_tracker, datmo, radish and ual (docs/results/real).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from gridtrack.common.files import atomic_write, sha256_of
+from gridtrack.common.scan import Scan
+from gridtrack.recordings import open_recording
+from gridtrack.recordings.ego_motion import MatchingSettings, PoseSource, matched_trajectory, with_matched_poses
+from gridtrack.recordings.formats.native_writer import write_native
+from gridtrack.recordings.mounts import Mount, parse_mount
+from gridtrack.recordings.recording import RecordingInfo
+
+from studies.support.npz_scans import npz_scans
+
+CELLS = 100
+"""A side of the window."""
+
+
+@dataclass(frozen=True)
+class RealRecording:
+    """A file, how it is read, and the grid and rate that it is compared with."""
+
+    name: str
+    path: str
+    rate_hz: float
+    cell_m: float = 0.1
+    moves: bool = True
+    topic: str | None = None
+    pose_topic: str | None = None
+    mounts: tuple[Mount, ...] = ()
+
+    @property
+    def grid(self) -> str:
+        """As `--grid` takes it."""
+        return f"{CELLS}x{self.cell_m}"
+
+    def scans(self, data: Path) -> Iterator[Scan]:
+        """Its scans, with the recorded poses."""
+        path = data / self.path
+        if path.suffix == ".npz":
+            return npz_scans(path)
+        return open_recording(path, topic=self.topic, pose_topic=self.pose_topic, mounts=self.mounts).scans()
+
+
+EGO = (parse_mount("scan=0,0,0deg"),)
+REAL = (
+    RealRecording("corridor", "leg_tracker/demo_stationary_simple_environment.bag", 10, moves=False),
+    *(
+        RealRecording(
+            f"walker-{n}", f"leg_tracker/positive_{n}_extracted.bag", 7.5, moves=False, topic="/training_scan"
+        )
+        for n in (1, 3, 4)
+    ),
+    RealRecording("overtakes", "datmo/overtakes.bag", 12.5, pose_topic="/ego_pose", mounts=EGO),
+    RealRecording("intersection", "datmo/intersection.bag", 12.5, pose_topic="/ego_pose", mounts=EGO),
+    RealRecording("two_robots", "datmo/two_robots.bag", 12.5, pose_topic="/mocap_pose"),
+    RealRecording("aces", "radish/aces.clf.bz2", 6.25),
+    RealRecording("intel", "radish/intel.clf.bz2", 5),
+    RealRecording("ual", "ual/ual.npz", 8, cell_m=0.2),
+)
+
+
+def import_real(recording: RealRecording, scans: Iterable[Scan], poses: PoseSource, data: Path, out: Path) -> Path:
+    """Write `scans` of a recording with these poses as a native one at `out`, as `gridtrack recording import` does.
+
+    Nothing is done where `out` exists.
+    """
+    if out.exists():
+        return out
+    described = {"source": Path(recording.path).name, "source_sha256": sha256_of(data / recording.path)}
+    posed = scans
+    if poses != "recorded":
+        scans = list(scans)
+        trajectory = matched_trajectory(scans, poses, MatchingSettings())
+        described["poses"] = trajectory.describe(poses)
+        print(f"{recording.name}: {described['poses']}", flush=True)
+        posed = with_matched_poses(scans, trajectory)
+    info = RecordingInfo(site=recording.name, grid=recording.grid, rate_hz=recording.rate_hz, **described)
+    out.parent.mkdir(parents=True, exist_ok=True)
+    with atomic_write(out) as file:
+        write_native(file, info, posed, lambda: ())
+    return out

@@ -1,0 +1,206 @@
+"""Trackers with general weights at places that none of them has learned: which rows run, and their scores as tables."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from functools import cached_property
+from pathlib import Path
+
+from gridtrack.evaluation.results.recording import RecordingSummary
+from gridtrack.evaluation.results.summary import ORACLE, TrackerDifference, TrackerTrainings, read_summary
+from gridtrack.evaluation.results.trial_summary import StratumScores
+from gridtrack.evaluation.statistics.finished_trial import FinishedTrial
+from gridtrack.evaluation.statistics.jackknife import COUNTS
+from gridtrack.evaluation.statistics.run_statistics import RunStatistics
+from gridtrack.evaluation.statistics.training_statistics import TrainingStatistics
+from gridtrack.trackers.card import GENERAL
+
+from studies.support.comparison import finished_trials
+from studies.support.results_file import ResultTable, measured_table
+from studies.support.score_text import score_text
+
+WEIGHTS, TRAININGS = Path("data/weights"), Path("studies/trainings")
+REFERENCE = "persistence"
+FAMILIES = {
+    "floors": ("static-map", "blank"),
+    "model-free pipeline": ("kalman", "factor-graph"),
+    "particle grid": ("dogma",),
+    "networks": ("dilated-convgru", "deep-tracking-rnn"),
+    "one scan": ("one-shot",),
+}
+"""The trackers beside the reference, by what they are."""
+WITHOUT_WEIGHTS = (REFERENCE, "blank")
+STRATA = {"in-motion": "in motion", "dynamic": "dynamic", "visible": "visible", "occluded": "hidden"}
+HORIZONS_S = (0.5, 1.0, 2.5)
+NONE = "–"
+"""Where a score is undefined, such as F1 where no cell of the stratum is occupied."""
+
+
+def trackers() -> list[str]:
+    """Every tracker that is to be measured, the reference first."""
+    return [REFERENCE, *(name for family in FAMILIES.values() for name in family)]
+
+
+def general_rows(weights: Path, trainings: Path) -> dict[str, str]:
+    """The rows that can run, as `--tracker` names them, by label: each tracker that needs no weights or has general
+    ones in `weights`, and its further trainings in `trainings`/seed-N."""
+    rows = {}
+    for name in trackers():
+        if name in WITHOUT_WEIGHTS:
+            rows[name] = name
+        elif (weights / name / f"{GENERAL}.toml").is_file():
+            rows[name] = _row(name, name, weights)
+            for card in sorted(trainings.glob(f"seed-*/{name}/{GENERAL}.toml")):
+                folder = card.parents[1]
+                label = f"{name} {folder.name.removeprefix('seed-')}"
+                rows[label] = _row(label, name, folder)
+    return rows
+
+
+def _row(label: str, name: str, weights: Path) -> str:
+    return f"{label}={name}:weights={weights},card={GENERAL}"
+
+
+def not_measured(labels: Iterable[str]) -> str:
+    """The trackers that none of the rows is of, as text."""
+    return ", ".join(f"`{name}`" for name in trackers() if name not in labels) or "none"
+
+
+def further_training(label: str) -> bool:
+    """Whether a row is another training of a tracker, and not a tracker of its own: `dilated-convgru 2`."""
+    return " " in label
+
+
+class PlaceScores:
+    """The scores of a comparison on some of its recordings together, at HORIZONS_S as far as it forecasts."""
+
+    def __init__(self, recordings: Mapping[str, RecordingSummary], trials: Sequence[FinishedTrial]) -> None:
+        """Raises SystemExit where a row is partial: no score is of some recordings only."""
+        for trial in trials:
+            if not trial.complete:
+                raise SystemExit(f"{trial.folder}: not complete ({trial.record.outcome}): run the command again")
+        self.described = recordings
+        self._trials = trials
+        self._statistics = RunStatistics(recordings, trials, REFERENCE)
+        if not self._statistics.pools:
+            raise SystemExit(f"{', '.join(recordings)}: two recordings or more, with horizons in common, are needed")
+
+    @classmethod
+    def read(cls, folder: Path) -> PlaceScores:
+        """Those of the comparison in `folder`. Raises SystemExit, RunError."""
+        summary = read_summary(folder)
+        return cls(summary.recordings, finished_trials(folder, summary))
+
+    def of(self, beginning: str) -> PlaceScores:
+        """Those of the recordings whose names begin so."""
+        chosen = {name: one for name, one in self.described.items() if name.startswith(beginning)}
+        return PlaceScores(chosen, [trial for trial in self._trials if trial.record.recording in chosen])
+
+    @property
+    def labels(self) -> list[str]:
+        """The rows: the ceiling where there is one, then the trackers, in their order, without further trainings."""
+        known = [label for label in self._statistics.labels if label != ORACLE and not further_training(label)]
+        ceiling = [label for label in self._statistics.labels if label == ORACLE]
+        return [*ceiling, *(name for name in trackers() if name in known), *(n for n in known if n not in trackers())]
+
+    @cached_property
+    def horizons(self) -> dict[float, int]:
+        """The step of each horizon, seconds."""
+        found = self._statistics.horizons_s
+        return {horizon_s: found.index(horizon_s) for horizon_s in HORIZONS_S if horizon_s in found}
+
+    @cached_property
+    def strata(self) -> dict[str, dict[str, StratumScores]]:
+        """The pooled scores of each row, by stratum."""
+        return {label: self._statistics.pooled(label).strata for label in self._statistics.labels}
+
+    @property
+    def forecasts(self) -> dict[str, int]:
+        """How many were scored of the reference, by recording."""
+        return {trial.record.recording: trial.record.frames_scored for trial in self._of(REFERENCE)}
+
+    def occupied(self, stratum: str, horizon_s: float) -> dict[str, float]:
+        """Occupied cells of a stratum in the frame that a forecast for `horizon_s` is scored against, by recording."""
+        found = {}
+        for trial in self._of(REFERENCE):
+            counts = self._statistics.frames_of(trial).counts[:, trial.steps]
+            of_step = counts[:, self.horizons[horizon_s], trial.strata.index(stratum)]
+            found[trial.record.recording] = float(
+                of_step[:, [COUNTS.index("tp"), COUNTS.index("fn")]].sum(axis=1).mean()
+            )
+        return found
+
+    def _of(self, label: str) -> list[FinishedTrial]:
+        return self._statistics.comparable(label, list(self.described))
+
+    @cached_property
+    def why_no_interval(self) -> str:
+        """Why there are no intervals; empty where there are."""
+        return next(iter(self.strata[REFERENCE].values())).interval
+
+    def text(self, label: str, stratum: str, score: str, horizon_s: float) -> str:
+        """A score of a row with its interval, where it has one."""
+        return self.text_of(self.strata[label].get(stratum), score, horizon_s)
+
+    def on(self, name: str) -> dict[str, dict[str, StratumScores]]:
+        """The scores of each row on one recording at the common horizons, by stratum."""
+        trials = ((label, trial) for label in self.labels for trial in self._of(label))
+        return {label: self._statistics.strata_of(trial) for label, trial in trials if trial.record.recording == name}
+
+    def text_of(self, found: StratumScores | None, score: str, horizon_s: float) -> str:
+        """A score in one stratum with its interval, where it has one."""
+        step = self.horizons[horizon_s]
+        value = found and found.at(score, step)
+        if found is None or value is None:
+            return NONE
+        return score_text(value, found.at(f"{score}_low", step), found.at(f"{score}_high", step))
+
+    def table(self, corner: str, columns: Sequence[tuple[str, str, str, float]]) -> ResultTable:
+        """A row for each tracker; columns are heading, stratum, score and horizon."""
+        shown = [column for column in columns if column[3] in self.horizons]
+        rows = [[label, *(self.text(label, *column[1:]) for column in shown)] for label in self.labels]
+        return measured_table((corner, *(heading for heading, *_ in shown)), rows)
+
+    def over_horizons(self, corner: str, stratum: str, score: str) -> ResultTable:
+        """One score in one stratum."""
+        return self.table(corner, [(f"{h:g} s", stratum, score, h) for h in HORIZONS_S])
+
+    @cached_property
+    def differences(self) -> dict[str, TrackerDifference]:
+        """Paired differences of F1 from the reference, by label."""
+        return {one.tracker: one for one in self._statistics.differences()}
+
+    def difference(self, label: str, stratum: str, horizon_s: float) -> tuple[float | None, float | None, float | None]:
+        """F1 of a row less the reference's, and the ends of its interval; None where there is none."""
+        found, step = self.differences[label].strata.get(stratum), self.horizons[horizon_s]
+        if found is None:
+            return None, None, None
+        return found.f1[step], found.f1_low[step], found.f1_high[step]
+
+    def difference_table(self, stratum: str) -> ResultTable:
+        """F1 of each row less the reference's in one stratum."""
+        rows = []
+        for label in self.labels:
+            if label in self.differences:
+                found = [self.difference(label, stratum, horizon_s) for horizon_s in self.horizons]
+                texts = [NONE if value is None else score_text(value, *ends, signed=True) for value, *ends in found]
+                rows.append([f"{label} less {REFERENCE}", *texts])
+        return measured_table((f"F1, {STRATA[stratum]}", *(f"{h:g} s" for h in self.horizons)), rows)
+
+    @cached_property
+    def trainings(self) -> list[TrackerTrainings]:
+        """The trackers of which there are several trainings."""
+        return [one for one in TrainingStatistics(self._statistics).found() if len(one.labels) > 1]
+
+    def training_table(self) -> ResultTable:
+        """F1 of each training of a tracker, their mean and standard deviation."""
+        rows = [
+            [
+                f"{one.tracker}, {STRATA[score.stratum]}, {score.horizon_s:g} s",
+                ", ".join(NONE if value is None else f"{value:.3f}" for value in score.f1),
+                *(NONE if value is None else f"{value:.3f}" for value in (score.f1_mean, score.f1_spread)),
+            ]
+            for one in self.trainings
+            for score in one.scores
+        ]
+        return measured_table(("F1", "of each training", "mean", "standard deviation"), rows)

@@ -1,0 +1,148 @@
+"""The studies of unseen places pool recordings of unlike periods, state their aim, and name what was not measured."""
+
+from __future__ import annotations
+
+import zlib
+from pathlib import Path
+
+import pytest
+
+from gridtrack.evaluation.scoring.strata import STRATA_WITH_TRUTH
+from gridtrack.evaluation.statistics.summary import summarise
+
+from scenes.synthetic_run import description, write_trial
+from studies.real_results import sections_of as sections_of_real
+from studies.site_minutes import rows_of, share_closed
+from studies.support.real_recordings import REAL
+from studies.support.scale_charts import scale_charts
+from studies.support.unseen_places import PlaceScores, general_rows, not_measured
+from studies.worlds_results import aim_met, aim_table, sections_of
+
+PERIODS_S = (0.1, 0.105263, 0.0625)
+SKILLS = {"oracle": 1.0, "persistence": 0.5, "kalman": 0.8}
+
+
+def run_of(folder: Path, names: list[str], skills: dict[str, float], *, scored: int = 2) -> PlaceScores:
+    """A comparison on recordings of unlike periods, two forecasts on each; counts are drawn at random."""
+    periods_s = {name: PERIODS_S[k % len(PERIODS_S)] for k, name in enumerate(names)}
+    steps = {name: round(1.0 / period_s) for name, period_s in periods_s.items()}
+    trials = [
+        write_trial(
+            folder,
+            label,
+            name,
+            skill,
+            seed=zlib.crc32(name.encode()),
+            frames=2,
+            scored=scored,
+            strata=STRATA_WITH_TRUTH,
+            steps=steps[name],
+            tracker=label.partition(" ")[0],
+        )
+        for name in names
+        for label, skill in skills.items()
+    ]
+    described = {
+        name: description(2, source_sha256=name.ljust(64, "0"), period_s=periods_s[name], steps=steps[name])
+        for name in names
+    }
+    summarise(described, trials, [], interrupted=False).write(folder)
+    return PlaceScores.read(folder)
+
+
+@pytest.fixture(scope="module")
+def worlds(tmp_path_factory: pytest.TempPathFactory) -> PlaceScores:
+    names = [f"{part}-{k}" for k in range(10) for part in ("indoors", "outdoors")]
+    return run_of(tmp_path_factory.mktemp("worlds"), names, SKILLS)
+
+
+def test_twenty_worlds_have_intervals_and_ten_of_them_none(worlds: PlaceScores) -> None:
+    tables = sections_of(worlds)["scores"].tables
+    assert [row[0] for row in tables["dynamic"].rows] == list(SKILLS)
+    assert tables["dynamic"].columns == ("F1, dynamic", "0.5 s", "1 s")
+    assert all("[" in text for row in tables["dynamic"].rows for text in row[1:])
+    apart = tables["indoors and outdoors"]
+    assert apart.columns[1:3] == ("indoors, in motion", "indoors, dynamic")
+    assert not any("[" in text for row in apart.rows for text in row)
+
+
+def test_the_aim_is_judged_where_it_was_measured_and_named_where_it_was_not(worlds: PlaceScores) -> None:
+    rows = aim_table(worlds).rows
+    verdicts = {row[0]: row[-1] for row in rows}
+    assert verdicts == {
+        "dilated-convgru less persistence, 0.5 s": "not measured",
+        "dilated-convgru less persistence, 1 s": "not measured",
+        "kalman less persistence, 0.5 s": "met",
+        "kalman less persistence, 1 s": "met",
+    }
+    assert sections_of(worlds)["scores"].values["not measured"].startswith("`static-map`, `blank`, `factor-graph`")
+
+
+@pytest.mark.parametrize(
+    ("difference", "low", "verdict"),
+    [(0.1, 0.01, "met"), (0.099, 0.05, "not met"), (0.2, -0.01, "not met"), (0.2, None, "no interval")],
+)
+def test_the_aim_asks_for_the_difference_and_for_an_interval_apart(
+    difference: float, low: float | None, verdict: str
+) -> None:
+    assert aim_met(difference, low) == verdict
+
+
+def test_the_charts_have_a_curve_of_each_row_at_both_horizons_beside_persistence_and_the_oracle(
+    worlds: PlaceScores,
+) -> None:
+    drawn = scale_charts(worlds, "dynamic")
+    assert drawn.count("<polyline") == 6
+    assert "model-free pipeline" in drawn
+    assert "networks" not in drawn
+
+
+def test_further_trainings_are_in_the_table_of_their_spread_and_are_no_rows_of_their_own(tmp_path: Path) -> None:
+    names = [f"indoors-{k}" for k in range(3)]
+    scores = run_of(tmp_path, names, {"persistence": 0.5, "dilated-convgru": 0.7, "dilated-convgru 2": 0.75})
+    assert scores.labels == ["persistence", "dilated-convgru"]
+
+
+def test_a_comparison_that_ended_early_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(SystemExit, match="not complete"):
+        run_of(tmp_path, ["indoors-1", "indoors-2"], {"persistence": 0.5}, scored=1)
+
+
+def test_rows_are_those_without_weights_and_those_with_general_ones(tmp_path: Path) -> None:
+    cards = [
+        "weights/kalman/general.toml",
+        "weights/dogma/hall.toml",
+        "trainings/seed-2/kalman/general.toml",
+        "trainings/seed-2/dogma/general.toml",
+    ]
+    for card in cards:
+        (tmp_path / card).parent.mkdir(parents=True)
+        (tmp_path / card).touch()
+    rows = general_rows(tmp_path / "weights", tmp_path / "trainings")
+    assert list(rows) == ["persistence", "blank", "kalman", "kalman 2"]
+    assert rows["kalman"] == f"kalman=kalman:weights={tmp_path / 'weights'},card=general"
+    assert rows["kalman 2"].startswith(f"kalman 2=kalman:weights={tmp_path / 'trainings' / 'seed-2'},")
+    assert "`dogma`" in not_measured(rows)
+
+
+def test_the_real_recordings_are_described_one_by_one_and_those_left_out_are_named(tmp_path: Path) -> None:
+    scores = run_of(tmp_path, ["corridor", "aces"], {"persistence": 0.5})
+    section = sections_of_real(scores)["scores"]
+    assert [row[:2] for row in section.tables["recordings"].rows] == [("corridor", "stands"), ("aces", "moves")]
+    assert [row[0] for row in section.tables["by recording"].rows] == ["corridor, persistence", "aces, persistence"]
+    left_out = section.values["recordings not measured"].split(", ")
+    assert left_out == [one.name for one in REAL if one.name not in ("corridor", "aces")]
+    assert section.values["intervals"].startswith("too short for an interval")
+
+
+def test_minutes_of_a_site_stand_between_general_and_site_weights(tmp_path: Path) -> None:
+    rows = rows_of("kalman", (1, 65), Path("general"), tmp_path)
+    assert list(rows) == ["kalman-general", "kalman-1-min", "kalman-65-min", "kalman-site"]
+    assert rows["kalman-1-min"] == f"kalman-1-min=kalman:weights={tmp_path / 'minutes-1'},card=site"
+
+
+def test_the_share_of_a_gap_is_given_where_there_is_a_gap() -> None:
+    assert share_closed(0.5, 0.6, 0.7) == "50"
+    assert share_closed(0.5, 0.75, 0.7) == "125"
+    assert share_closed(0.7, 0.6, 0.7) == ""
+    assert share_closed(0.5, None, 0.7) == ""
