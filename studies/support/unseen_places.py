@@ -150,7 +150,7 @@ class PlaceScores:
     def text_of(self, found: StratumScores | None, score: str, horizon_s: float) -> str:
         """A score in one stratum with its interval, where it has one."""
         step = self.horizons[horizon_s]
-        value = found and found.at(score, step)
+        value = None if found is None else found.at(score, step)
         if found is None or value is None:
             return NONE
         return score_text(value, found.at(f"{score}_low", step), found.at(f"{score}_high", step))
