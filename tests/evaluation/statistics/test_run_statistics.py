@@ -227,6 +227,8 @@ def test_twenty_recordings_of_unlike_periods_have_intervals_and_differences_at_t
     assert {(test.horizon_s, test.step) for test in good.headline} == {(0.5, 1), (1.0, 2), (2.5, 5)}
     assert {test.verdict for test in good.headline} == {"better"}
     assert all(test.pr_auc_low < test.pr_auc < test.pr_auc_high for test in good.headline)
+    assert all(test.fss_5_low < test.fss_5 < test.fss_5_high for test in good.headline)
+    assert all(test.beam_error is not None for test in good.headline)
 
 
 def test_recordings_slower_than_the_common_horizons_are_not_scored_together_and_that_is_told(tmp_path):
