@@ -17,8 +17,9 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from gridtrack.evaluation.results.columns import CLASSES_TABLE, FOUND, SEMANTICS_TABLE, ParquetTable
-from gridtrack.evaluation.scoring.score_store import ScoresError, StoreWriter
+from gridtrack.evaluation.scoring.score_store import ScoresError
 from gridtrack.evaluation.scoring.semantics import VISIBILITIES
+from gridtrack.evaluation.scoring.store_writer import StoreWriter
 
 
 class ClassWriter(StoreWriter):

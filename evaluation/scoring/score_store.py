@@ -1,15 +1,14 @@
 """The scores store: counts and histograms per scored frame, in two Parquet files of a trial's folder.
 
 They hold counts, not averages: every score, curve and resampling is computed from them without running a tracker
-again (`results.columns` declares the columns). Rows are written in groups, so memory does not grow.
+again (`results.columns` declares the columns).
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import ExitStack
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -17,7 +16,6 @@ from numpy.typing import NDArray
 from pyarrow import ArrowException, parquet
 
 from gridtrack.common.errors import GridtrackError
-from gridtrack.common.files import atomic_write
 from gridtrack.evaluation.results.columns import (
     CALIBRATION_BINS,
     CONFUSION,
@@ -30,34 +28,15 @@ from gridtrack.evaluation.results.columns import (
 )
 from gridtrack.evaluation.scoring.counting import Tally
 from gridtrack.evaluation.scoring.label_free import LabelFreeThresholds
+from gridtrack.evaluation.scoring.store_writer import StoreWriter, lists_of_rows, row_keys
 from gridtrack.evaluation.scoring.strata import STRATA, STRATA_WITH_TRUTH
 from gridtrack.evaluation.scoring.thresholds import Thresholds, half
-
-ROW_GROUP = 64
-"""Scored frames that are kept in memory before they are written."""
 
 _STRATUM_INDEX = {name: i for i, name in enumerate(STRATA_WITH_TRUTH)}
 
 
 class ScoresError(GridtrackError):
     """A scores store that cannot be read."""
-
-
-class StoreWriter:
-    """The Parquet files of one trial while they are written; on leaving they are complete, however the trial ended."""
-
-    def __init__(self, folder: Path) -> None:
-        self._folder, self._files = folder, ExitStack()
-
-    def _rows_of(self, table: ParquetTable) -> RowGroups:
-        """The file of a table."""
-        return self._files.enter_context(RowGroups(self._folder, table))
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._files.close()
 
 
 class ScoreWriter(StoreWriter):
@@ -90,13 +69,6 @@ class ScoreWriter(StoreWriter):
         self._scores.append(rows)
 
 
-def row_keys(stamp_ns: int, steps: int, strata: Sequence[str]) -> dict[str, Any]:
-    """Stamp, step and stratum of the rows of one scored frame: steps 0..steps x strata, strata varying fastest."""
-    step, stratum = np.indices((steps + 1, len(strata)), np.int16).reshape(2, -1)
-    names = pa.DictionaryArray.from_arrays(stratum.astype(np.int8), list(strata))
-    return {"stamp_ns": np.full(step.size, stamp_ns), "step": step, "stratum": names}
-
-
 def _histogram_columns(tally: Tally) -> dict[str, Any]:
     """The histograms of each step and stratum: the bins that have cells, and their counts."""
     cells, positives = tally.cells.reshape(-1, PROBABILITY_BINS), tally.positives.reshape(-1, PROBABILITY_BINS)
@@ -106,47 +78,6 @@ def _histogram_columns(tally: Tally) -> dict[str, Any]:
     )
     p_sum = pa.array(tally.p_sum.ravel().astype(np.float32))
     return columns | {"p_sum": pa.FixedSizeListArray.from_arrays(p_sum, CALIBRATION_BINS)}
-
-
-def lists_of_rows(
-    table: ParquetTable, row: NDArray[np.int64], rows: int, **values: NDArray[np.integer]
-) -> dict[str, Any]:
-    """List columns of `table`, `rows` rows: by column the `values` (N,), with the `row` (N,) of each, in order."""
-    ends = np.searchsorted(row, np.arange(rows + 1)).astype(np.int32)
-    return {
-        name: pa.ListArray.from_arrays(ends, pa.array(entries, table.type_of(name).value_type))
-        for name, entries in values.items()
-    }
-
-
-class RowGroups:
-    """A Parquet file of a trial, written one row group at a time, under a temporary name until it is complete."""
-
-    def __init__(self, folder: Path, table: ParquetTable) -> None:
-        self._schema = table.schema
-        self._file = ExitStack()
-        file = self._file.enter_context(atomic_write(folder / table.file))
-        self._writer = parquet.ParquetWriter(file, self._schema, compression="zstd")
-        self._batches: list[Any] = []
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        with self._file:
-            self._flush()
-            self._writer.close()
-
-    def append(self, columns: dict[str, Any]) -> None:
-        """Add rows, given as columns of equal length."""
-        self._batches.append(pa.table([columns[name] for name in self._schema.names], schema=self._schema))
-        if len(self._batches) == ROW_GROUP:
-            self._flush()
-
-    def _flush(self) -> None:
-        if self._batches:
-            self._writer.write_table(pa.concat_tables(self._batches))
-            self._batches.clear()
 
 
 def read_tally(folder: Path, steps: int, strata: tuple[str, ...] = STRATA) -> Tally:

@@ -14,7 +14,7 @@ import numpy as np
 from gridtrack.evaluation.results.columns import AGREEMENT, BEAMS_TABLE, NEIGHBOURHOODS_TABLE, SQUARES
 from gridtrack.evaluation.scoring.beam_errors import BEAM_STRATA, BeamErrors
 from gridtrack.evaluation.scoring.neighbourhoods import NeighbourhoodSums, neighbourhood_strata
-from gridtrack.evaluation.scoring.score_store import StoreWriter, lists_of_rows, row_keys
+from gridtrack.evaluation.scoring.store_writer import StoreWriter, lists_of_rows, row_keys
 
 
 class SpatialWriter(StoreWriter):

@@ -16,13 +16,13 @@ from gridtrack.evaluation.results.columns import (
 from gridtrack.evaluation.scoring.counting import HALF, Tally
 from gridtrack.evaluation.scoring.label_free import LabelFreeThresholds
 from gridtrack.evaluation.scoring.score_store import (
-    ROW_GROUP,
     ScoresError,
     ScoreWriter,
     read_deliveries,
     read_label_free,
     read_tally,
 )
+from gridtrack.evaluation.scoring.store_writer import ROW_GROUP
 from gridtrack.evaluation.scoring.strata import STRATA
 from gridtrack.evaluation.scoring.thresholds import Thresholds, half
 
