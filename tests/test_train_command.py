@@ -12,6 +12,7 @@ from gridtrack.common.errors import ConfigurationError
 from gridtrack.evaluation.comparison.general_start import general_start
 from gridtrack.evaluation.comparison.recipe import Recipe
 from gridtrack.recordings import packaged_recording
+from gridtrack.recordings.stream import GridStream
 from gridtrack.trackers.weights import read_card
 
 DEMO = str(packaged_recording("leg_tracker"))
@@ -84,3 +85,11 @@ def test_a_training_from_scratch_looks_for_no_general_weights(monkeypatch, tmp_p
     told = []
     assert general_start(Recipe(tracker="dogma", from_scratch=True), [], tmp_path, told.append) is None
     assert told == ["from scratch, not from general weights"]
+
+
+def test_regions_for_the_thresholds_are_those_of_the_training_and_not_of_the_rest_of_the_recording(
+    monkeypatch, tmp_path
+):
+    monkeypatch.setattr(GridStream, "all_observations", None)
+    train("static-map", f"{DEMO}@0s-20s", "--validation", f"{DEMO}@75s-81s", "--out", str(tmp_path))
+    assert read_card(tmp_path / "static-map" / "leg_tracker.toml").thresholds is not None

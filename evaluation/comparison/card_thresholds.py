@@ -15,9 +15,11 @@ from gridtrack.evaluation.comparison.trial import validation_tally
 from gridtrack.evaluation.processes.limits import Limits
 from gridtrack.evaluation.scoring.counting import HALF, Tally
 from gridtrack.evaluation.scoring.referee import WARM_UP, Delivery
+from gridtrack.evaluation.scoring.regions import Regions
 from gridtrack.evaluation.scoring.splits import EvaluationSplit
 from gridtrack.evaluation.scoring.strata import STRATA, STRATA_WITH_TRUTH
 from gridtrack.evaluation.scoring.thresholds import Thresholds, best_thresholds
+from gridtrack.evaluation.scoring.world_kinds import CellKinds
 from gridtrack.recordings.stream import GridStream
 from gridtrack.trackers.card import CardThresholds
 from gridtrack.trackers.selection import Selection, launch
@@ -29,18 +31,22 @@ FORECAST_EVERY_S = 1.0
 THRESHOLDS_LOG = "thresholds.log"
 
 
-def choose_card_thresholds(tracker: str, path: Path, validation: Sequence[GridStream]) -> CardThresholds | None:
+def choose_card_thresholds(
+    tracker: str, path: Path, validation: Sequence[tuple[GridStream, CellKinds]]
+) -> CardThresholds | None:
     """The thresholds with the best F1 of `tracker` with the weights at `path`, on all `validation` stretches together.
 
-    None where all of them are too short. Raises TrialEnded where the tracker fails, RecordingError.
+    Each with the kinds of its cells, which the training found on its own stretches: nothing is found on the rest of a
+    recording, which may be scored later. None where all of them are too short. Raises TrialEnded where the tracker
+    fails, RecordingError.
     """
-    validation = [stream for stream in validation if _steps(stream)]
+    validation = [(stream, kinds) for stream, kinds in validation if _steps(stream)]
     if not validation:
         return None
-    strata = STRATA_WITH_TRUTH if all(stream.has_truth for stream in validation) else STRATA
+    strata = STRATA_WITH_TRUTH if all(stream.has_truth for stream, _ in validation) else STRATA
     total = Tally.empty(round(LAST_S / HORIZON_STEP_S), strata)
-    for stream in validation:
-        _add(total, _tally(tracker, path, stream).of(strata), stream.period_s)
+    for stream, kinds in validation:
+        _add(total, _tally(tracker, path, stream, kinds).of(strata), stream.period_s)
     bins = _filled(best_thresholds(total, "").bins, total.positives.sum(axis=2) > 0)
     values = Thresholds(bins, strata=strata).values
     return CardThresholds(
@@ -53,8 +59,8 @@ def _steps(stream: GridStream) -> int:
     return min(round(LAST_S / stream.period_s), (len(stream) - WARM_UP) // 2)
 
 
-def _tally(tracker: str, path: Path, stream: GridStream) -> Tally:
-    """The counts on one stretch, by its own steps."""
+def _tally(tracker: str, path: Path, stream: GridStream, kinds: CellKinds) -> Tally:
+    """The counts on one stretch with these `kinds` of its cells, by its own steps."""
     recording, every = stream.recording.path, max(1, round(FORECAST_EVERY_S / stream.period_s))
     split = EvaluationSplit(recording.stem, recording, stream, stream, _steps(stream), every)
     weights = LearnedWeights(path, read_card(path), sha256_of(path), path.parent)
@@ -62,7 +68,7 @@ def _tally(tracker: str, path: Path, stream: GridStream) -> Tally:
     log = path.with_suffix(".logs") / THRESHOLDS_LOG
     log.parent.mkdir(exist_ok=True)
     with trial.tracker_process(log) as process:
-        delivery = Delivery(stream, lambda: None, split.regions().validation)
+        delivery = Delivery(stream, lambda: None, Regions(stream.grid, kinds, split.strata))
         return validation_tally(process, delivery, split, seed=0)
 
 

@@ -18,6 +18,7 @@ from gridtrack.evaluation.comparison.stored_stretch import store_stretch
 from gridtrack.evaluation.comparison.training_hints import in_two
 from gridtrack.evaluation.comparison.training_process import TrainingProcess
 from gridtrack.evaluation.scoring.splits import TRAIN, VALIDATION, own_validation, shares_frames
+from gridtrack.evaluation.scoring.world_kinds import KindsOfPlaces, KindsOfWindow
 from gridtrack.recordings import open_recording
 from gridtrack.recordings.recording import stretch_text
 from gridtrack.recordings.stream import GridStream
@@ -54,16 +55,12 @@ def train_tracker(recipe: Recipe, report: Callable[[str], None] = print) -> Path
         site = GENERAL if recipe.general else _site_of(train_on[0])
         path = weights_path(recipe.out or user_weights_folder(), recipe.tracker, site)
         _make_folder(path.parent)
-        output = FitOutput(
-            path,
-            COMMAND,
-            recipe.seed,
-            path.with_suffix(".logs"),
-            report,
-            general=recipe.general,
-            start=start.path if start else None,
-        )
-        files = _stored([*train_on, *validate_on], Path(folder))
+        logs = path.with_suffix(".logs")
+        from_weights = start.path if start else None
+        output = FitOutput(path, COMMAND, recipe.seed, logs, report, general=recipe.general, start=from_weights)
+        streams = [*train_on, *validate_on]
+        kinds = [cell_kinds_for(stream, streams) for stream in streams]
+        files = _stored(streams, kinds, Path(folder))
         train, validation = files[: len(train_on)], files[len(train_on) :]
         try:
             process.fit(train, validation, output)
@@ -78,7 +75,8 @@ def train_tracker(recipe: Recipe, report: Callable[[str], None] = print) -> Path
         raise KeyboardInterrupt(_what_is_kept(path))
     report("thresholds for recordings without a validation stretch")
     try:
-        thresholds = choose_card_thresholds(recipe.tracker, path, validate_on)
+        validated = list(zip(validate_on, kinds[len(train_on) :], strict=True))
+        thresholds = choose_card_thresholds(recipe.tracker, path, validated)
     except KeyboardInterrupt:
         raise KeyboardInterrupt(f"interrupted; {path} is complete, but without thresholds") from None
     if thresholds is not None:
@@ -149,12 +147,10 @@ def _data_of(streams: Sequence[GridStream]) -> list[TrainingData]:
     ]
 
 
-def _stored(streams: Sequence[GridStream], folder: Path) -> list[Path]:
-    """The files of all stretches of a training, in their order."""
-    return [
-        store_stretch(stream, folder / f"{number}.frames", cell_kinds_for(stream, streams))
-        for number, stream in enumerate(streams)
-    ]
+def _stored(streams: Sequence[GridStream], kinds: Sequence[KindsOfWindow | KindsOfPlaces], folder: Path) -> list[Path]:
+    """The files of all stretches of a training with the kinds of their cells, in their order."""
+    numbered = enumerate(zip(streams, kinds, strict=True))
+    return [store_stretch(stream, folder / f"{number}.frames", own) for number, (stream, own) in numbered]
 
 
 def _make_folder(folder: Path) -> None:
