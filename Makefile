@@ -71,7 +71,10 @@ returns: $(VENV)/.installed-demo ## compare kalman without a map of the site, an
 junction: $(VENV)/.installed-sim ## simulate the junction's recordings with SUMO (ten minutes)
 	$(BIN)/gridtrack simulate junction-set --out data/junction
 
-weights: $(VENV)/.installed-dev ## train everything in data/weights by its recipe (five hours)
+runs/worlds: | $(VENV)/.installed-sim
+	$(BIN)/gridtrack simulate worlds --count 400 --minutes 1.5 --seed 10001 --out $@
+
+weights: $(VENV)/.installed-dev runs/worlds ## train everything in data/weights by its recipe (a day)
 	for recipe in studies/recipes/weights/*.toml; do $(BIN)/gridtrack train --recipe $$recipe || exit 1; done
 
 baseline: $(VENV)/.installed-dev ## update the baseline of tests/test_own_trackers.py, after an intended change of a tracker

@@ -31,7 +31,7 @@ def train_command(
         list[str] | None,
         typer.Argument(
             metavar="[NAME[:KEY=VALUE,...]] RECORDING[@RANGE]...",
-            help="A tracker and the recordings to train it on; may be left out where --recipe or --like names them",
+            help="A tracker and recordings to train it on, or folders of them; may be left out with --recipe or --like",
             show_default=False,
         ),
     ] = None,

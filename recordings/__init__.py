@@ -4,7 +4,7 @@ from gridtrack.recordings.format import RecordingFormat
 from gridtrack.recordings.formats.native_writer import write_native
 from gridtrack.recordings.importing import import_recording
 from gridtrack.recordings.mounts import Mount, parse_mount
-from gridtrack.recordings.opening import open_recording, packaged_recording
+from gridtrack.recordings.opening import open_recording, packaged_recording, recordings_at
 from gridtrack.recordings.read_options import CloudSlice, ReadOptions
 from gridtrack.recordings.recording import Recording, RecordingInfo, Stretch
 from gridtrack.recordings.survey import RecordingOverview
@@ -22,5 +22,6 @@ __all__ = [
     "open_recording",
     "packaged_recording",
     "parse_mount",
+    "recordings_at",
     "write_native",
 ]

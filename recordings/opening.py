@@ -116,6 +116,23 @@ def _recordings_in(folder: Path, registry: FormatRegistry) -> list[str]:
     ]
 
 
+def recordings_at(path: Path) -> list[Path]:
+    """`path`, or where it is a folder of recordings, all of them sorted by name. Raises RecordingError without any.
+
+    A folder that is itself a recording, such as a ROS 2 bag, is one; its files are then of the same format.
+    """
+    if not path.is_dir():
+        return [path]
+    registry = FormatRegistry()
+    own = registry.recognising(path, b"")
+    found = [path / name for name in sorted(_recordings_in(path, registry))]
+    if own and all(registry.recognising(file, _head(file, registry)) in (own, None) for file in found):
+        return [path]
+    if not found:
+        raise RecordingError(f"{path}: no recording in this folder")
+    return found
+
+
 def _why_unknown(path: Path, registry: FormatRegistry) -> str:
     known = ", ".join(f"{found.name} ({', '.join(found.suffixes)})" for found in registry.formats())
     broken = f"; not available: {'; '.join(registry.problems)}" if registry.problems else ""

@@ -130,8 +130,8 @@ def trained(whole: GridStream, budget: Budget) -> tuple[tuple[str, ...], dict[st
     drawing = validated(LabelSettings, {"labelled_scans": budget.scans, "label_drawing": budget.drawing}, "study")
     labelled, tracker, held_out_on = draw_labelled([whole], drawing, budget.seed), latent_tracker(whole), validation()
     classes, layers = labelled.classes, options.decoded_layers
-    training = latent_cells(tracker, labelled.runs(), classes, layers)
-    held_out = latent_cells(tracker, [(whole.classes, held_out_on.labelled())], classes, layers, VALIDATE_ON)
+    training = latent_cells(lambda _: tracker, labelled.runs(), classes, layers)
+    held_out = latent_cells(lambda _: tracker, [(whole, held_out_on.labelled())], classes, layers, VALIDATE_ON)
     scan = best_classifier(
         lambda settings: scan_classifier(settings.channels, len(classes)),
         shot.model_dump(exclude=set(LabelSettings.model_fields)),

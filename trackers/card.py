@@ -117,6 +117,15 @@ class Card(Settings):
         """Whether these weights were learned at many places, for any place."""
         return self.site == GENERAL
 
+    def beyond_training(self, cell_m: float, period_s: float) -> str:
+        """In what a stream lies outside of the training of general weights, "" where it does not."""
+        ranges = (("cells", cell_m, self.cells_m, "m"), ("periods", period_s, self.periods_s, "s"))
+        return " and ".join(
+            f"{what} of {known[0]:g} to {known[1]:g} {unit}, not {value:g} {unit}"
+            for what, value, known, unit in ranges
+            if known is not None and not 0.999 * known[0] <= value <= 1.001 * known[1]
+        )
+
     @property
     def map_pose(self) -> SE2 | None:
         """`world_T_grid` of the arrays with a value per cell; None where the card does not have it."""

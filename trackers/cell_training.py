@@ -75,10 +75,14 @@ class CellCollector:
         self._targets.append(target[target >= 0])
 
     def cells(self, *others: CellCollector) -> LabelledCells:
-        """All cells added so far, here and to the `others`."""
+        """All cells added so far, here and to the `others`; smaller grids are padded to the size of the largest one."""
         collectors = (self, *others)
-        planes = torch.stack([each for one in collectors for each in one._planes])
-        cells = [each for one in collectors for each in one._cells]
+        found = [each for one in collectors for each in one._planes]
+        sizes = [len(each) for each in found]
+        size = max(sizes)
+        planes = torch.stack([functional.pad(each, (0, 0, *2 * (0, size - len(each)))) for each in found])
+        own = zip((each for one in collectors for each in one._cells), sizes, strict=True)
+        cells = [each // m * size + each % m for each, m in own]
         targets = np.concatenate([each for one in collectors for each in one._targets])
         at = np.repeat(np.arange(len(cells)), [each.size for each in cells])
         return LabelledCells(planes, *map(torch.from_numpy, (at, np.concatenate(cells), targets)))

@@ -19,8 +19,8 @@ frames, and forecasts start up to 12 frames before the scan."""
 VALIDATE_ON = 20
 """Every twentieth scan is used for validation: neighbouring scans are nearly equal."""
 
-ClassesAndFrames = tuple[Sequence[str], Iterator[LabelledFrame]]
-"""The class names of a source, which its labels index, and its frames."""
+SourceAndFrames = tuple[FrameSource, Iterator[LabelledFrame]]
+"""A source, whose class names the labels index, and frames of it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +42,7 @@ class LabelledScans:
             for source, own in self._drawn()
         )
 
-    def runs(self) -> Iterator[ClassesAndFrames]:
+    def runs(self) -> Iterator[SourceAndFrames]:
         """Runs of consecutive frames: each labelled scan after at least LEAD_IN frames, where the source has so many.
 
         All other frames than the labelled scans are without labels. Read a run before the next one is requested.
@@ -50,12 +50,12 @@ class LabelledScans:
         for source, own in self._drawn():
             frames, labelled = enumerate(source.labelled()), set(own.tolist())
             for first, last in run_bounds(own):
-                yield source.classes, _run(frames, first, last, labelled)
+                yield source, _run(frames, first, last, labelled)
 
-    def scans(self) -> Iterator[ClassesAndFrames]:
+    def scans(self) -> Iterator[SourceAndFrames]:
         """The labelled scans alone."""
-        for names, frames in self.runs():
-            yield names, (item for item in frames if item.labels.size)
+        for source, frames in self.runs():
+            yield source, (item for item in frames if item.labels.size)
 
     def _drawn(self) -> Iterator[tuple[FrameSource, NDArray[np.int64]]]:
         return ((source, own) for source, own in zip(self.sources, self.numbers, strict=True) if own.size)

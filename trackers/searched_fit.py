@@ -22,8 +22,8 @@ from gridtrack.common.config import Settings
 from gridtrack.trackers.calibration import IDENTITY, CalibratedTracker, fit_calibration
 from gridtrack.trackers.card import card_for
 from gridtrack.trackers.contract import FitOutput, FrameSource, Score, StreamSpec, StretchScore, stream_of
+from gridtrack.trackers.excerpts import excerpts, excerpts_of_places
 from gridtrack.trackers.tuning import (
-    CachedSource,
     Objective,
     SearchInterrupted,
     delete_search_log,
@@ -36,10 +36,6 @@ from gridtrack.trackers.weights import load_start, save_interrupted, save_weight
 SEARCH_ITERATIONS = 60
 ITERATIONS_OF_PLACE = 12
 """Number of tries of a search that starts from general weights."""
-EXCERPTS, EXCERPT_S = 4, 100.0
-"""Number and duration of the excerpts of a long recording for the search; each is longer than a signal cycle."""
-PLACES, PLACE_EXCERPT_S = 24, 20.0
-"""Number of places of which general weights are searched on an excerpt, and its duration."""
 OBJECTIVE_HORIZONS_S = (0.5, 1.0, 2.0)
 OBJECTIVE_STRATA = ("dynamic", "visible")
 """The objective is the mean F1 over these. Vehicles that wait at a red light are static in a stretch of one or two
@@ -122,35 +118,6 @@ def _begin(
         start, iterations = tuned_settings(search.kind, load_start(out.start, search.name), start), ITERATIONS_OF_PLACE
         ranges = {key: bounds for key, bounds in ranges.items() if key in search.of_place}
     return start, ranges, iterations
-
-
-def excerpts(sources: Sequence[FrameSource]) -> list[FrameSource]:
-    """The sources for the search; a long one is replaced by EXCERPTS of EXCERPT_S, evenly distributed over it.
-
-    Their frames are cached in memory.
-    """
-    chosen: list[FrameSource] = []
-    for source in sources:
-        count = round(EXCERPT_S / source.period_s)
-        if len(source) <= EXCERPTS * count:
-            chosen.append(CachedSource.excerpt(source, 0, len(source)))
-        else:
-            firsts = (round((2 * n + 1) * len(source) / (2 * EXCERPTS)) - count // 2 for n in range(EXCERPTS))
-            chosen += [CachedSource.excerpt(source, first, count) for first in firsts]
-    return chosen
-
-
-def excerpts_of_places(sources: Sequence[FrameSource]) -> list[FrameSource]:
-    """For weights of any place: one excerpt of PLACE_EXCERPT_S of each of at most PLACES sources, evenly chosen.
-
-    The middle of each source; their frames are cached in memory.
-    """
-    chosen = [sources[n * len(sources) // PLACES] for n in range(PLACES)] if len(sources) > PLACES else sources
-    return [_middle(source, round(PLACE_EXCERPT_S / source.period_s)) for source in chosen]
-
-
-def _middle(source: FrameSource, count: int) -> CachedSource:
-    return CachedSource.excerpt(source, max(0, (len(source) - count) // 2), count)
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,11 +5,9 @@ from __future__ import annotations
 import json
 import math
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 from importlib.util import find_spec
-from itertools import islice
 from pathlib import Path
 from typing import Any, Generic, Literal, NamedTuple, TypeVar
 
@@ -18,7 +16,6 @@ import optuna
 from gridtrack.common.config import Settings
 from gridtrack.common.errors import ConfigurationError, RecordingError
 from gridtrack.common.files import read_bounded, write_text
-from gridtrack.common.grid import GridFrame, GridSpec, LabelledFrame
 from gridtrack.trackers.contract import FitOutput, FrameSource, StretchScore
 
 SEARCH_FILE = "search.json"
@@ -27,36 +24,6 @@ FINALISTS = 5
 """Number of the best settings of a search between which the validation recordings decide."""
 
 _Tuned = TypeVar("_Tuned", bound=Settings)
-
-
-@dataclass(slots=True)
-class CachedSource:
-    """A part of another source, its frames cached in memory: a search streams it many times."""
-
-    name: str
-    sha256: str
-    grid: GridSpec
-    period_s: float
-    site: str
-    classes: tuple[str, ...]
-    frames: Sequence[GridFrame]
-
-    @classmethod
-    def excerpt(cls, source: FrameSource, first: int, count: int) -> CachedSource:
-        """The `count` frames of `source` from number `first` on, named by their time range."""
-        name = f"{source.name}, {count * source.period_s:g} s from {first * source.period_s:g} s on"
-        frames = tuple(islice(source, first, first + count))
-        return cls(name, source.sha256, source.grid, source.period_s, source.site, source.classes, frames)
-
-    def __iter__(self) -> Iterator[GridFrame]:
-        return iter(self.frames)
-
-    def __len__(self) -> int:
-        return len(self.frames)
-
-    def labelled(self) -> Iterator[LabelledFrame]:
-        """Not available: only occupancy is tuned on cached frames."""
-        raise NotImplementedError("classes are not trained on cached frames")
 
 
 class Objective(NamedTuple, Generic[_Tuned]):

@@ -62,6 +62,12 @@ class Trial:
         return stretch and with_points(stretch, self.selection.points)
 
     @property
+    def beyond_training(self) -> str:
+        """A notice where its general weights were trained on other cells or periods than those of the stream, or ""."""
+        beyond = self.weights and self.weights.card.beyond_training(self.test.grid.cell_m, self.test.period_s)
+        return f"{self.label}, {self.split.name}: its general weights were trained on {beyond}" if beyond else ""
+
+    @property
     def leaks(self) -> tuple[str, ...]:
         """What its weights learned from the frames that it is scored on, or that its thresholds are chosen on."""
         return leaks_of(self.split, self.weights)
@@ -182,6 +188,7 @@ def resolve(settings: CompareSettings, splits: tuple[EvaluationSplit, ...] | Non
         for trial in trials
         if trial.weights and trial.weights.card.interrupted
     ]
+    notices += [trial.beyond_training for trial in trials if trial.beyond_training]
     if settings.allow_leak:
         notices += [f"{trial.label} is not ranked: {leak}" for trial in trials for leak in trial.leaks]
     else:

@@ -23,9 +23,9 @@ MAX_RECIPE_BYTES = 1 << 20
 class Recipe(Settings):
     """One training of one tracker. Paths are relative to the working directory, as on the command line.
 
-    `recordings` and `validation` as RECORDING[@range]; without `validation` it is the recordings' own validation
-    stretch. `grid` as CELLSxMETRES[@X,Y]; without `grid` and `rate_hz` they are the recordings'. `out` is the folder of
-    weights. A recipe file may leave `tracker` and `recordings` to the command line.
+    `recordings` and `validation` as RECORDING[@range], or a folder for all recordings in it; without `validation` it is
+    the recordings' own validation stretch. `grid` as CELLSxMETRES[@X,Y]; without `grid` and `rate_hz` they are the
+    recordings'. `out` is the folder of weights. A recipe file may leave `tracker` and `recordings` to the command line.
     """
 
     tracker: str = ""

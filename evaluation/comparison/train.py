@@ -13,18 +13,20 @@ from gridtrack.evaluation.comparison.card_thresholds import choose_card_threshol
 from gridtrack.evaluation.comparison.fit_regions import cell_kinds_for
 from gridtrack.evaluation.comparison.general_start import general_start
 from gridtrack.evaluation.comparison.learned import LearnedWeights, user_weights_folder, weights_path
+from gridtrack.evaluation.comparison.progress_lines import ProgressLines
 from gridtrack.evaluation.comparison.recipe import Recipe
 from gridtrack.evaluation.comparison.stored_stretch import store_stretch
 from gridtrack.evaluation.comparison.training_hints import in_two
 from gridtrack.evaluation.comparison.training_process import TrainingProcess
 from gridtrack.evaluation.scoring.splits import TRAIN, VALIDATION, own_validation, shares_frames
 from gridtrack.evaluation.scoring.world_kinds import KindsOfPlaces, KindsOfWindow
-from gridtrack.recordings import open_recording
-from gridtrack.recordings.recording import stretch_text
+from gridtrack.recordings import open_recording, recordings_at
+from gridtrack.recordings.recording import Stretch, stretch_text
 from gridtrack.recordings.stream import GridStream
 from gridtrack.recordings.stretches import parse_stretch
 from gridtrack.trackers.card import GENERAL, StartedFrom, TrainingData
 from gridtrack.trackers.contract import FitOutput
+from gridtrack.trackers.progress import Progress
 from gridtrack.trackers.weights import add_thresholds, complete_card, read_card
 
 COMMAND = "the command of the training"
@@ -42,13 +44,14 @@ def train_tracker(recipe: Recipe, report: Callable[[str], None] = print) -> Path
     checkpoints are written beside the card to `<site>.logs`; a second call resumes there. Raises GridtrackError, and
     KeyboardInterrupt with a line about what is kept.
     """
-    recordings = [parse_stretch(text)[0] for text in (*recipe.recordings, *recipe.validation)]
+    recordings = [path for text in (*recipe.recordings, *recipe.validation) for path, _ in _named(text)]
     with (
         TrainingProcess(recipe.tracker, recordings) as process,
         TemporaryDirectory(prefix="gridtrack-train-") as folder,
     ):
         can_start = process.load(recipe.options, general=recipe.general)
-        train_on, validate_on = _stretches(recipe)
+        with ProgressLines(report) as lines:
+            train_on, validate_on = _stretches(recipe, lines.progress)
         start = general_start(recipe, validate_on, Path(folder), report) if can_start else None
         if can_start and start is None:
             recipe = recipe.model_copy(update={"from_scratch": True})
@@ -58,9 +61,8 @@ def train_tracker(recipe: Recipe, report: Callable[[str], None] = print) -> Path
         logs = path.with_suffix(".logs")
         from_weights = start.path if start else None
         output = FitOutput(path, COMMAND, recipe.seed, logs, report, general=recipe.general, start=from_weights)
-        streams = [*train_on, *validate_on]
-        kinds = [cell_kinds_for(stream, streams) for stream in streams]
-        files = _stored(streams, kinds, Path(folder))
+        with ProgressLines(report) as lines:
+            files, kinds = _stored([*train_on, *validate_on], Path(folder), lines.progress)
         train, validation = files[: len(train_on)], files[len(train_on) :]
         try:
             process.fit(train, validation, output)
@@ -122,11 +124,17 @@ def _what_is_kept(path: Path) -> str:
     return f"interrupted at {reached}; {path} has the best so far; {again}"
 
 
-def _stretches(recipe: Recipe) -> tuple[list[GridStream], list[GridStream]]:
+def _stretches(recipe: Recipe, progress: Progress) -> tuple[list[GridStream], list[GridStream]]:
     """The stretches to train on and to validate on. Raises ConfigurationError, RecordingError."""
     grid = GridSpec.parse(recipe.grid) if recipe.grid else None
-    train_on = [_stretch(text, TRAIN, grid, recipe.rate_hz) for text in recipe.recordings]
-    validate_on = [_stretch(text, VALIDATION, grid, recipe.rate_hz) for text in recipe.validation]
+    uses = {TRAIN: recipe.recordings, VALIDATION: recipe.validation}
+    named = [(*one, use) for use, texts in uses.items() for text in texts for one in _named(text)]
+    opened: dict[str, list[GridStream]] = {TRAIN: [], VALIDATION: []}
+    with progress.stage("recording", len(named)) as stage:
+        for path, stretch, use in named:
+            opened[use].append(_stretch(path, stretch, use, grid, recipe.rate_hz))
+            stage.advance(path.name)
+    train_on, validate_on = opened[TRAIN], opened[VALIDATION]
     validate_on = validate_on or _own_validation(recipe, train_on)
     _refuse_shared(train_on, validate_on)
     return train_on, validate_on
@@ -147,10 +155,17 @@ def _data_of(streams: Sequence[GridStream]) -> list[TrainingData]:
     ]
 
 
-def _stored(streams: Sequence[GridStream], kinds: Sequence[KindsOfWindow | KindsOfPlaces], folder: Path) -> list[Path]:
-    """The files of all stretches of a training with the kinds of their cells, in their order."""
-    numbered = enumerate(zip(streams, kinds, strict=True))
-    return [store_stretch(stream, folder / f"{number}.frames", own) for number, (stream, own) in numbered]
+def _stored(
+    streams: Sequence[GridStream], folder: Path, progress: Progress
+) -> tuple[list[Path], list[KindsOfWindow | KindsOfPlaces]]:
+    """The files of all stretches of a training, and the kinds of their cells, in their order."""
+    files, kinds = [], []
+    with progress.stage("stretch", len(streams)) as stage:
+        for number, stream in enumerate(streams):
+            kinds.append(cell_kinds_for(stream, streams))
+            files.append(store_stretch(stream, folder / f"{number}.frames", kinds[-1]))
+            stage.advance(stream.name)
+    return files, kinds
 
 
 def _make_folder(folder: Path) -> None:
@@ -165,9 +180,16 @@ def _make_folder(folder: Path) -> None:
         raise ConfigurationError(f"{folder}: may not be written to; name another folder for weights with --out")
 
 
-def _stretch(text: str, use: str, grid: GridSpec | None, rate_hz: float | None) -> GridStream:
-    """The stretch that `text` names, or the recording's own for this use, or the whole of a recording without any."""
+def _named(text: str) -> list[tuple[Path, Stretch | str | None]]:
+    """The recording and the stretch that RECORDING[@range] names, or those of all recordings in a folder."""
     path, stretch = parse_stretch(text)
+    return [(found, stretch) for found in recordings_at(path)]
+
+
+def _stretch(
+    path: Path, stretch: Stretch | str | None, use: str, grid: GridSpec | None, rate_hz: float | None
+) -> GridStream:
+    """The `stretch` of a recording, or its own for this use, or the whole of a recording without any."""
     recording = open_recording(path)
     own = recording.info.stretches
     if stretch is None and own and use not in own:

@@ -138,7 +138,7 @@ def test_classes_that_differ_in_motion_are_separated_by_a_latent_state_and_not_b
 def test_labels_are_learned_for_the_scan_and_for_forecasts_of_it_from_earlier_frames(latent):
     source = Scene((stands, walks), 40, unlabelled=20)
     tracker = DilatedConvGRUTracker(stream_of(source, latent), DilatedConvGRUTracker.Options())
-    found = latent_cells(tracker, [(source.classes, source.labelled())], ("stander", "walker"), "last", every=5)
+    found = latent_cells(lambda _: tracker, [(source, source.labelled())], ("stander", "walker"), "last", every=5)
     now, ahead, scan = found.now.cells(), found.ahead.cells(), found.scan.cells()
     assert now.planes.shape == (4, SIZE, SIZE, NETWORK["channels"])
     assert scan.planes.shape == (4, SIZE, SIZE, 2)
@@ -290,6 +290,17 @@ def test_labelled_cells_are_stored_with_the_planes_of_their_frame():
     assert found.planes.shape == (2, 3, 3, 2)
     assert (found.at.tolist(), found.cells.tolist(), found.targets.tolist()) == ([0, 1], [5, 2], [1, 0])
     assert found.patches(torch.tensor([1]), 1)[0, 0].tolist() == [[0, 0, 0], [1, 1, 0], [1, 1, 0]]
+
+
+def test_labelled_cells_of_unlike_grids_keep_their_places():
+    collector = CellCollector(("a",))
+    for size, cell in ((2, 3), (4, 9)):
+        planes = torch.zeros(1, size, size)
+        planes.view(-1)[cell] = 1.0
+        collector.add(planes, LabelledFrame(None, np.array([cell]), np.zeros(1, np.uint8)), ("a",))
+    found = collector.cells()
+    assert found.planes.shape == (2, 4, 4, 1)
+    assert found.patches(torch.arange(2), 1)[:, 0, 1, 1].tolist() == [1.0, 1.0]
 
 
 def test_the_search_tries_equal_settings_for_equal_seeds_and_keeps_given_ones():

@@ -57,7 +57,7 @@ def test_a_tracker_follows_the_recording_and_receives_only_the_labels_of_labelle
     labelled = drawn([Source("toy", 1000, unlabelled=500)], 15)
     (numbers,) = labelled.numbers
     assert numbers.min() >= 500
-    runs = [(names, list(frames)) for names, frames in labelled.runs()]
+    runs = [(source.classes, list(frames)) for source, frames in labelled.runs()]
     assert {names for names, _ in runs} == {("stander", "walker", "horse")}
     followed = [numbers_of(frames) for _, frames in runs]
     assert all(run == list(range(run[0], run[-1] + 1)) for run in followed), "no frame is left out of a run"

@@ -53,6 +53,16 @@ def card(tmp_path: Path, *train: Stretch) -> Card:
     return card_for("my", out, [as_source(s) for s in train or (Stretch(),)], [as_source(Stretch("v", "cd"))], {"a": 1})
 
 
+def test_a_general_card_says_in_what_a_stream_is_beyond_its_training(tmp_path: Path) -> None:
+    out = FitOutput(tmp_path / "general.toml", "gridtrack train", 3, tmp_path, general=True)
+    sources = [as_source(Stretch()), as_source(Stretch(grid=GridSpec(100, 0.2), period_s=0.05))]
+    general = card_for("my", out, sources, [], {})
+    assert general.beyond_training(0.15, 0.1) == ""
+    assert general.beyond_training(0.4, 0.1) == "cells of 0.1 to 0.2 m, not 0.4 m"
+    assert general.beyond_training(0.2, 0.5) == "periods of 0.05 to 0.1 s, not 0.5 s"
+    assert card(tmp_path).beyond_training(0.4, 0.5) == ""
+
+
 @pytest.fixture
 def path(tmp_path: Path) -> Path:
     made = tmp_path / "deep" / "lab.toml"

@@ -100,7 +100,7 @@ def fit_classes(
         save_weights(draft, weights.card.model_copy(update={"classes": ()}), bare)
         tracker = kind(stream_of(source, draft), ModelFreeSettings())
     training = track_samples(tracker, labelled.runs(), classes)
-    held_out = track_samples(tracker, ((source.classes, source.labelled()) for source in validation), classes)
+    held_out = track_samples(tracker, ((source, source.labelled()) for source in validation), classes)
     if not held_out.cells.any():
         names_of = ", ".join(source.name for source in validation)
         raise ConfigurationError(f"{names_of}: no track there has a label: give a --validation with labels")
@@ -115,17 +115,17 @@ def fit_classes(
 
 def track_samples(
     tracker: ModelFreeTracker,
-    labelled: Iterable[tuple[Sequence[str], Iterable[LabelledFrame]]],
+    labelled: Iterable[tuple[FrameSource, Iterable[LabelledFrame]]],
     classes: Sequence[str],
 ) -> TrackSamples:
     """Samples of the tracks in labelled streams, each from its first frame; labels index the names of the stream."""
     grid, rows = tracker.stream.grid, []
-    for stretch, (names, frames) in enumerate(labelled):
+    for stretch, (source, frames) in enumerate(labelled):
         tracker.reset(0)
         for item in frames:
             tracker.update(item.frame)
             class_at = np.full(grid.size**2, len(classes))
-            target = class_indices(item.labels, names, classes)
+            target = class_indices(item.labels, source.classes, classes)
             class_at[item.cells[target >= 0]] = target[target >= 0]
             seen = [track for track in tracker.tracks if not track.unseen]
             for track, features in zip(
@@ -149,10 +149,10 @@ def count_cells(labelled: LabelledScans, classes: Sequence[str]) -> NDArray[np.f
     """Number of labels of each class in each cell (K, M, M); the mean of all cells where the windows differ."""
     size = labelled.sources[0].grid.size
     count, windows = np.zeros((len(classes), size**2)), set()
-    for names, frames in labelled.scans():
+    for source, frames in labelled.scans():
         for item in frames:
             windows.add(item.frame.world_T_grid)
-            np.add.at(count, (class_indices(item.labels, names, classes), item.cells), 1.0)
+            np.add.at(count, (class_indices(item.labels, source.classes, classes), item.cells), 1.0)
     if len(windows) > 1:
         count[:] = count.mean(axis=1, keepdims=True)
     return count.reshape(-1, size, size)

@@ -26,6 +26,7 @@ class OneShotTracker(Tracker):
     Options: ClassVar[type[Settings]] = OneShotSettings
     moving_sensor: ClassVar[bool] = True
     learns: ClassVar[bool] = True
+    learns_general: ClassVar[bool] = True
     reference_for: ClassVar[frozenset[ComparedPart]] = frozenset({"classes"})
 
     def __init__(self, stream: StreamSpec, options: OneShotSettings) -> None:
@@ -34,23 +35,25 @@ class OneShotTracker(Tracker):
         weights = load_weights(stream, ONE_SHOT)
         self.classes = weights.card.classes
         settings = trained_settings(stream, weights, options)
-        self._network = scan_classifier(settings.channels, len(self.classes)).eval()
+        general = weights.card.general
+        self._cell_m = stream.grid.cell_m if general else None
+        self._network = scan_classifier(settings.channels, len(self.classes), general=general).eval()
         restore(self._network, stream, weights)
         self.reset(seed=0)
 
     def reset(self, seed: int) -> None:
-        """Set both planes to zero; nothing is random, so the seed is not used."""
-        self._planes = torch.zeros((2, *self.stream.grid.shape))
+        """Set the planes to zero; nothing is random, so the seed is not used."""
+        self._planes = torch.zeros((2 if self._cell_m is None else 3, *self.stream.grid.shape))
 
     def update(self, frame: GridFrame) -> None:
         """Store x_t in place of the frame before it."""
-        self._planes = planes_of(frame).float()
+        self._planes = planes_of(frame, self._cell_m).float()
 
     def predict(self, steps: int) -> Forecast:
         """The occupied plane and the class probabilities of x_t, the same for every step."""
         with torch.inference_mode():
             semantics = torch.softmax(self._network(self._planes[None]), dim=1).numpy()
-        occupancy = self._planes[1:].numpy()
+        occupancy = self._planes[1:2].numpy()
         return Forecast(np.repeat(occupancy, steps + 1, axis=0), np.repeat(semantics, steps + 1, axis=0))
 
     @classmethod

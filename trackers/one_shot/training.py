@@ -30,13 +30,13 @@ def fit_classifier(
     labelled = draw_labelled(train, options, out.seed)
     classes = labelled.classes
     out.report(f"classes {', '.join(classes)} from {labelled.name}")
-    training_cells = scan_cells(labelled.scans(), classes)
+    training_cells = scan_cells(labelled.scans(), classes, general=out.general)
     validation_cells = scan_cells(
-        [(s.classes, islice(s.labelled(), 0, None, VALIDATE_ON)) for s in validation], classes
+        [(s, islice(s.labelled(), 0, None, VALIDATE_ON)) for s in validation], classes, general=out.general
     )
 
     def build(settings: ClassifierSettings) -> CellClassifier:
-        return scan_classifier(settings.channels, len(classes))
+        return scan_classifier(settings.channels, len(classes), general=out.general)
 
     given = options.model_dump(include=set(ClassifierSettings.model_fields), exclude_unset=True)
     best = best_classifier(build, given, training_cells, [validation_cells], out)

@@ -52,7 +52,7 @@ class DilatedConvGRUTracker(RecurrentTracker):
     def _restored(self, weights: Weights) -> InferenceNetwork:
         of_network = {name: value for name, value in weights.arrays.items() if not name.startswith(PREFIX)}
         network = super()._restored(replace(weights, arrays=of_network))
-        self._seen = seen_cells_of(weights)
+        self._seen = seen_cells_of(weights, self.stream.grid)
         if self._seen is None and self.options.evidence == "scan":
             raise WeightsError(
                 f"{self.stream.weights}: no classifier of scans for evidence=scan: train again with stage=classes"
@@ -65,7 +65,7 @@ class DilatedConvGRUTracker(RecurrentTracker):
         return DilatedConvGRU(size, options, classes, options.class_hidden, options.decoded_layers)
 
     @classmethod
-    def without_map(cls, options: Any, out: FitOutput) -> Any:
+    def without_map(cls, options: Any, why: str, out: FitOutput) -> Any:
         """The options without static memory, which has the cells of one window.
 
         Raises ConfigurationError where it was asked for.
@@ -74,10 +74,9 @@ class DilatedConvGRUTracker(RecurrentTracker):
             return options
         if "static_gates" in options.model_fields_set:
             raise ConfigurationError(
-                "the windows of the training frames differ, and static memory has the cells of one window: train with"
-                " static_gates=[]"
+                f"{why}, and static memory has the cells of one window: train with static_gates=[]"
             )
-        out.report("the windows of the training frames differ: trained without static memory (static_gates=[])")
+        out.report(f"{why}: trained without static memory (static_gates=[])")
         return options.model_copy(update={"static_gates": ()})
 
     @classmethod
@@ -112,5 +111,5 @@ class DilatedConvGRUTracker(RecurrentTracker):
 
         if options.stage != "classes":
             super().fit(train, validation, score, out, options)
-        if options.stage == "classes" or (options.stage == "both" and train[0].classes):
+        if options.stage == "classes" or (options.stage == "both" and any(source.classes for source in train)):
             fit_class_decoder(cls, train, validation, out, options)

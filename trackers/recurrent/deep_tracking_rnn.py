@@ -15,6 +15,7 @@ from torch import Tensor, nn
 from torch.nn.functional import conv2d
 
 from gridtrack.trackers.recurrent.network import LatentState
+from gridtrack.trackers.recurrent.resolution_input import ResolutionShift
 from gridtrack.trackers.recurrent.settings import DeepTrackingRNNSettings
 
 ENCODER = {"code": (16, 7), "paper": (8, 7)}
@@ -32,6 +33,13 @@ class DeepTrackingRNN(nn.Module):
         self.recur = nn.Conv2d(encoded + channels, channels, kernel, padding="same")
         self.decode = nn.Conv2d(channels, 1, 7, padding="same")
         self._initialise()
+        self.shifts = nn.ModuleDict(
+            {
+                name: ResolutionShift(units)
+                for name, units in (("encode", encoded), ("recur", channels))
+                if settings.resolution_input
+            }
+        )
 
     @torch.no_grad()
     def _initialise(self) -> None:
@@ -57,19 +65,25 @@ class DeepTrackingRNN(nn.Module):
     def step(self, x: Tensor | None, state: LatentState) -> LatentState:
         """h_t from x_t and h_{t-1}."""
         (h,) = state
-        return (torch.sigmoid(self.recur(torch.cat([self.encoded(x, h.shape[0]), h], dim=1))),)
+        inputs = torch.cat([self.encoded(x, h.shape[0]), h], dim=1)
+        return (torch.sigmoid(conv2d(inputs, self.recur.weight, self._bias("recur"), padding="same")),)
 
     def encoded(self, x: Tensor | None, batch: int) -> Tensor:
         """e_t (B, E, M, M). The encoding of an empty input is the sigmoid of the encoder's bias in every cell."""
         if x is not None:
-            return torch.sigmoid(self.encode(x))
-        bias = torch.sigmoid(self.encode.bias)  # type: ignore[arg-type]
+            return torch.sigmoid(conv2d(x, self.encode.weight, self._bias("encode"), padding="same"))
+        bias = torch.sigmoid(self._bias("encode"))
         return bias.view(1, -1, 1, 1).expand(batch, -1, self.size, self.size)
+
+    def _bias(self, layer: str) -> Tensor:
+        """The biases of the encoder or of the recurrence, at the resolution of the grids."""
+        bias: Tensor = getattr(self, layer).bias
+        return self.shifts[layer](bias) if layer in self.shifts else bias
 
     def empty_input_sums(self) -> Tensor:
         """What an empty input and the biases add to every sum of the recurrence, (1, C, M, M)."""
         input_weight = self.recur.weight[:, : -self.channels]
-        return conv2d(self.encoded(None, 1), input_weight, self.recur.bias, padding="same")
+        return conv2d(self.encoded(None, 1), input_weight, self._bias("recur"), padding="same")
 
     def state_weight(self) -> Tensor:
         """The part of the recurrence's weight for h, (C, C, 7, 7), or 5 x 5 in the paper's variant."""

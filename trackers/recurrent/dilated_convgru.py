@@ -23,6 +23,7 @@ from torch.nn import functional
 
 from gridtrack.trackers.cell_classifier import CellClassifier
 from gridtrack.trackers.recurrent.network import DecodedLayers, LatentState, class_planes
+from gridtrack.trackers.recurrent.resolution_input import ResolutionShift
 from gridtrack.trackers.recurrent.settings import DilatedConvGRUSettings
 
 
@@ -67,6 +68,9 @@ class DilatedConvGRULayer(nn.Module):
                 for gate in settings.gates
             }
         )
+        self.shifts = nn.ModuleDict(
+            {gate: ResolutionShift(channels) for gate in settings.gates if settings.resolution_input}
+        )
         self.cell: Callable[..., Tensor] = convgru_gates if settings.cell == "gru" else plain_cell
 
     @torch.no_grad()
@@ -88,9 +92,12 @@ class DilatedConvGRULayer(nn.Module):
     def forward(self, x: Tensor | None, h: Tensor) -> Tensor:
         """h' from x and h."""
         x_conv = None if x is None else self._convolve(x, self.input_weight)
-        return self.cell(
-            x_conv, self._convolve(h, self.state_weight), tuple(self.biases[gate] for gate in self.gates), h
-        )
+        return self.cell(x_conv, self._convolve(h, self.state_weight), self.gate_biases(), h)
+
+    def gate_biases(self) -> tuple[Tensor, ...]:
+        """The bias of each gate, (C, M, M) or (C, 1, 1), at the resolution of the grids."""
+        biases = ((gate, self.biases[gate]) for gate in self.gates)
+        return tuple(self.shifts[gate](bias) if gate in self.shifts else bias for gate, bias in biases)
 
     def _convolve(self, x: Tensor, weight: Tensor) -> Tensor:
         return functional.conv2d(x, weight, padding=self.dilation, dilation=self.dilation)

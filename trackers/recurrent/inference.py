@@ -131,7 +131,7 @@ class InferenceLayer:
         convolution = BFloat16Convolution if bfloat16 else WinogradConvolution
         self._convolution = convolution(weight, images, len(map_cells), layer.dilation)
         self._gates = fused_gates(channels, with_input=with_input, bfloat16=bfloat16)
-        biases = [layer.biases[gate].detach() for gate in layer.gates]
+        biases = [bias.detach() for bias in layer.gate_biases()]
         self._map_cells, self._biases = map_cells, bias_rows(biases)
 
     def __call__(self, h: Float32Array, *x: Float32Array) -> Float32Array:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Sequence
 from copy import deepcopy
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 import torch
@@ -15,11 +15,16 @@ from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, Shift, shift_between
 from gridtrack.trackers.card import card_for
 from gridtrack.trackers.contract import FitOutput, Forecast, FrameSource, Score, StreamSpec, Tracker, stream_of
+from gridtrack.trackers.excerpts import excerpts_of_places
 from gridtrack.trackers.recurrent.network import Float32Array, InferenceNetwork, LatentState, as_cells, channels_last
+from gridtrack.trackers.recurrent.resolution_input import resolution_of, set_resolution
 from gridtrack.trackers.recurrent.settings import InferenceSettings
 from gridtrack.trackers.recurrent.unseen import rolled_state
 from gridtrack.trackers.trained_network import restore, trained_settings
 from gridtrack.trackers.weights import Weights, load_weights, save_interrupted, save_weights
+
+if TYPE_CHECKING:
+    from gridtrack.trackers.recurrent.sequences import SequenceDataset
 
 VALIDATION_HORIZONS_S = (0.5, 1.0, 2.0)
 
@@ -29,6 +34,7 @@ class RecurrentTracker(Tracker):
 
     name: ClassVar[str]
     learns: ClassVar[bool] = True
+    learns_general: ClassVar[bool] = True
     moving_sensor: ClassVar[bool] = True
 
     def __init__(
@@ -64,8 +70,8 @@ class RecurrentTracker(Tracker):
         """The InferenceNetwork: the same function as the trained `network`, computed faster."""
 
     @classmethod
-    def without_map(cls, options: Any, out: FitOutput) -> Any:
-        """The options of a training whose frames do not have one window; most networks have no map of it."""
+    def without_map(cls, options: Any, why: str, out: FitOutput) -> Any:
+        """The options of a training whose frames do not have one window, and `why`; most networks have no map of it."""
         return options
 
     def reset(self, seed: int) -> None:
@@ -127,7 +133,16 @@ class RecurrentTracker(Tracker):
         self.classes = weights.card.classes
         network = self.build(self.stream.grid.size, options, len(self.classes))
         restore(network, self.stream, weights)
-        return self.prepare_inference(channels_last(network.eval()), options)
+        return self.inference_for(network, self.stream, options)
+
+    @classmethod
+    def inference_for(cls, network: Any, stream: StreamSpec, options: Any) -> InferenceNetwork:
+        """The InferenceNetwork of the trained `network` for the grids of `stream`, whose size a network without maps
+        takes on.
+        """
+        network.size = stream.grid.size
+        set_resolution(network, resolution_of(stream.grid.cell_m, stream.period_s))
+        return cls.prepare_inference(channels_last(network.eval()), options)
 
     @classmethod
     def fit(
@@ -144,22 +159,23 @@ class RecurrentTracker(Tracker):
         from gridtrack.trackers.recurrent.training import train_network, validation_scores
 
         augmentation = {"time_reversal": options.time_reversal, "superposition": options.superposition}
-        dataset = SequenceDataset(train, options.length, out.seed, forecast_from=options.last_observed, **augmentation)
-        if not dataset.has_one_window:
-            options = cls.without_map(options, out)
+        dataset = SequenceDataset(
+            train, options.length, out.seed, forecast_from=options.last_observed, general=out.general, **augmentation
+        )
+        options = cls._for_windows_of(dataset, options, out)
         options = options.model_copy(update={"precision": training_precision(options, out)})
         torch.manual_seed(out.seed)
-        network = cls.build(train[0].grid.size, options, classes=0)
+        network = cls.build(dataset.size, options, classes=0)
         on_processor = cls.prepare_training(network, occupied_rate(dataset.stretches))
-        steps = round(max(VALIDATION_HORIZONS_S) / train[0].period_s)
+        held_out = excerpts_of_places(validation) if out.general else validation
 
         def validate(trained: nn.Module) -> dict[str, float]:
-            inference = cls.prepare_inference(channels_last(deepcopy(trained).cpu().eval()), options)
-
             def score_on(source: FrameSource) -> Any:
-                return score(cls(stream_of(source), options, inference, dataset.first_window), source, steps)
+                stream, steps = stream_of(source), round(max(VALIDATION_HORIZONS_S) / source.period_s)
+                inference = cls.inference_for(deepcopy(trained).cpu(), stream, options)
+                return score(cls(stream, options, inference, dataset.first_window), source, steps)
 
-            return validation_scores(score_on, validation, VALIDATION_HORIZONS_S)
+            return validation_scores(score_on, held_out, VALIDATION_HORIZONS_S)
 
         trained = train_network(network, on_processor, dataset, options, validate, out)
         arrays = {name: value.detach().contiguous().numpy() for name, value in network.state_dict().items()}
@@ -169,6 +185,17 @@ class RecurrentTracker(Tracker):
             save_interrupted(out.path, card, arrays, trained.reached)
             raise KeyboardInterrupt
         save_weights(out.path, card, arrays)
+
+    @classmethod
+    def _for_windows_of(cls, dataset: SequenceDataset, options: Any, out: FitOutput) -> Any:
+        """The options for these windows: without maps where they differ, for general weights with the resolution."""
+        if out.general:
+            options = cls.without_map(options, "general weights know no place", out)
+            given = "resolution_input" in options.model_fields_set
+            return options if given else options.model_copy(update={"resolution_input": True})
+        if not dataset.has_one_window:
+            return cls.without_map(options, "the windows of the training frames differ", out)
+        return options
 
 
 def input_planes(frame: GridFrame) -> Tensor:

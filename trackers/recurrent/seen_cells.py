@@ -21,7 +21,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from gridtrack.common.errors import WeightsError
-from gridtrack.common.grid import GridFrame
+from gridtrack.common.grid import GridFrame, GridSpec
 from gridtrack.trackers.cell_classifier import CellClassifier
 from gridtrack.trackers.cell_training import LabelledCells, logits_of
 from gridtrack.trackers.label_settings import ClassifierSettings
@@ -40,9 +40,10 @@ SMALLEST = 1e-12
 class SeenCells(nn.Module):
     """A classifier of scans, and the powers of state and scan: (2,) for the state alone, and (2,) for both."""
 
-    def __init__(self, classifier: CellClassifier) -> None:
+    def __init__(self, classifier: CellClassifier, cell_m: float | None = None) -> None:
+        """`cell_m` of the grids, for a classifier that reads it."""
         super().__init__()
-        self.classifier = classifier
+        self.classifier, self.cell_m = classifier, cell_m
         self.state_alone: Tensor
         self.with_scan: Tensor
         self.register_buffer("state_alone", torch.tensor([1.0, 0.0]))
@@ -74,17 +75,20 @@ class SeenCells(nn.Module):
         logits = a * torch.from_numpy(by_cell[:, cells]).T.clamp(min=SMALLEST).log()
         if b and cells.size:
             index = torch.from_numpy(cells)
-            seen = LabelledCells(planes_of(frame).permute(1, 2, 0)[None], torch.zeros_like(index), index, index)
+            planes = planes_of(frame, self.cell_m).permute(1, 2, 0)[None]
+            seen = LabelledCells(planes, torch.zeros_like(index), index, index)
             logits += b * torch.log_softmax(logits_of(self.classifier, seen), dim=1)
         by_cell[:, cells] = torch.softmax(logits, dim=1).T.numpy()
 
 
-def seen_cells_of(weights: Weights) -> SeenCells | None:
-    """The module in `weights`; None where they have none. Raises WeightsError."""
+def seen_cells_of(weights: Weights, grid: GridSpec) -> SeenCells | None:
+    """The module in `weights`, for this grid; None where they have none. Raises WeightsError."""
     own = [name for name in weights.arrays if name.startswith(PREFIX)]
     if not own:
         return None
-    found = SeenCells(scan_classifier(ClassifierSettings().channels, len(weights.card.classes)))
+    card = weights.card
+    classifier = scan_classifier(ClassifierSettings().channels, len(card.classes), general=card.general)
+    found = SeenCells(classifier, grid.cell_m if card.general else None)
     whose = f"weights of {weights.card.tracker}"
     shapes = {name: tuple(value.shape) for name, value in found.state_dict().items()}
     if unknown := sorted(name for name in own if name.removeprefix(PREFIX) not in shapes):

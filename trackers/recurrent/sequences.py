@@ -15,26 +15,41 @@ from gridtrack.common.errors import ConfigurationError
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import Shift, rolled, shift_between
 from gridtrack.trackers.contract import FrameSource
+from gridtrack.trackers.recurrent.resolution_input import resolution_of
+
+LARGEST_WINDOW = 100
+"""Cells a side of the windows that general weights are trained on: larger grids are cut, smaller ones padded."""
+
+
+class Item(NamedTuple):
+    """A window (T, 2, M, M) uint8, visible and occupied, and the `resolution_of` (2,) of its recording."""
+
+    window: Tensor
+    resolution: Tensor
 
 
 class Frames(NamedTuple):
     """All frames of a stretch: their planes, visible and occupied, and where their windows lie.
 
     `planes` (T, 2, M, ceil(M / 8)) uint8, eight cells a byte; `windows` (T, 2) int64, how far each window lies from
-    that of the first frame of the training, cells: rows and columns.
+    that of a first frame, cells: rows and columns. `size`: M; `resolution` (2,) of `resolution_of`.
     """
 
     planes: NDArray[np.uint8]
     windows: NDArray[np.int64]
+    size: int
+    resolution: Tensor
 
 
-def load_frames(source: FrameSource, first_window: SE2) -> Frames:
-    """All frames of a stretch, with their windows' shifts from `first_window`."""
+def load_frames(source: FrameSource, first_window: SE2 | None) -> Frames:
+    """All frames of a stretch, with their windows' shifts from `first_window`, or from that of its first frame."""
     planes, windows = [], []
     for frame in source:
+        first_window = first_window or frame.world_T_grid
         planes.append(np.packbits(np.stack([frame.visible, frame.occupied]), axis=-1))
         windows.append(shift_between(first_window, frame.world_T_grid, source.grid.cell_m))
-    return Frames(np.stack(planes), np.array(windows, np.int64))
+    resolution = resolution_of(source.grid.cell_m, source.period_s)
+    return Frames(np.stack(planes), np.array(windows, np.int64), source.grid.size, resolution)
 
 
 def in_one_window(planes: NDArray[np.uint8], windows: NDArray[np.int64], number: int, size: int) -> NDArray[np.uint8]:
@@ -56,13 +71,28 @@ def occupied_rate(stretches: Sequence[Frames]) -> float:
     return max(occupied, 1) / max(visible, 2)
 
 
-class SequenceDataset(Dataset[Tensor]):
-    """Windows of `length` frames as (length, 2, M, M) uint8; item i is drawn by a generator seeded with (seed, i).
+def cut_or_padded(cells: NDArray[np.uint8], size: int, draw: np.random.Generator) -> NDArray[np.uint8]:
+    """A random part of `size` cells a side of `cells` (T, 2, M, M); where M is smaller, all of them at a random place.
+
+    The cells around these were never observed.
+    """
+    room = cells.shape[-1] - size
+    row, column = draw.integers(0, abs(room) + 1, 2).tolist()
+    if room >= 0:
+        return cells[..., row : row + size, column : column + size]
+    padded = np.zeros((*cells.shape[:2], size, size), np.uint8)
+    padded[..., row : row + cells.shape[-1], column : column + cells.shape[-1]] = cells
+    return padded
+
+
+class SequenceDataset(Dataset[Item]):
+    """Windows of `length` frames; item i is drawn by a generator seeded with (seed, i).
 
     All frames of an item are in the grid of its frame number `forecast_from`, the last one that is observed. With
     `time_reversal`, every second item is in reverse order of time; with `superposition`, every second item is the
-    superposition of two. Raises ConfigurationError where a stretch is shorter than one item, or the sensor moves in it
-    and items are to be superposed.
+    superposition of two. With `general` the sources may differ in place, grid and period: each counts by its duration,
+    and every item has the same number of cells, at most LARGEST_WINDOW a side. Raises ConfigurationError where a
+    stretch is shorter than one item, or the frames of items that are to be superposed are not in one window.
     """
 
     def __init__(
@@ -74,11 +104,16 @@ class SequenceDataset(Dataset[Tensor]):
         forecast_from: int,
         time_reversal: bool,
         superposition: bool,
+        general: bool = False,
     ) -> None:
+        if general and superposition:
+            raise ConfigurationError("frames of unlike places cannot be superposed: train with superposition=false")
         self.sources = [(source.name, source.sha256) for source in sources]
-        self.first_window = next(iter(sources[0])).world_T_grid
+        self.first_window = None if general else next(iter(sources[0])).world_T_grid
         self.stretches = [load_frames(source, self.first_window) for source in sources]
-        self.size, self.length, self.seed, self.forecast_from = sources[0].grid.size, length, seed, forecast_from
+        largest = max(source.grid.size for source in sources)
+        self.size = min(largest, LARGEST_WINDOW) if general else largest
+        self.length, self.seed, self.forecast_from = length, seed, forecast_from
         self.time_reversal, self.superposition = time_reversal, superposition
         for source, frames in zip(sources, self.stretches, strict=True):
             if len(frames.planes) < length:
@@ -90,30 +125,38 @@ class SequenceDataset(Dataset[Tensor]):
                     f"{source.name}: the sensor moves: frames from different places cannot be superposed: train with"
                     " superposition=false"
                 )
-        self.starts = np.cumsum([len(frames.planes) - length + 1 for frames in self.stretches])
+        shortest_s = min(source.period_s for source in sources)
+        # an item of a stretch has as many tickets as its period is longer than the shortest one
+        self._tickets = [round(source.period_s / shortest_s) for source in sources]
+        starts = (len(frames.planes) - length + 1 for frames in self.stretches)
+        self._last = np.cumsum([own * count for own, count in zip(self._tickets, starts, strict=True)])
 
     @property
     def has_one_window(self) -> bool:
         """Whether the windows of all frames are the same cells of the world."""
-        return not any(frames.windows.any() for frames in self.stretches)
+        return self.first_window is not None and not any(frames.windows.any() for frames in self.stretches)
 
-    def __getitem__(self, index: int) -> Tensor:
+    def __getitem__(self, index: int) -> Item:
         """Window number `index`; the series has no end."""
         draw = np.random.default_rng((self.seed, index))
-        window = self._draw(draw)
+        stretch, window = self._draw(draw)
         if self.superposition and draw.integers(2):
-            window = superposed(window, self._draw(draw))
-        return torch.from_numpy(np.unpackbits(window, axis=-1, count=self.size))
+            window = superposed(window, self._draw(draw)[1])
+        cells = np.unpackbits(window, axis=-1, count=stretch.size)
+        if stretch.size != self.size:
+            cells = cut_or_padded(cells, self.size, draw)
+        return Item(torch.from_numpy(cells), stretch.resolution)
 
-    def _draw(self, draw: np.random.Generator) -> NDArray[np.uint8]:
-        at = int(draw.integers(self.starts[-1]))
-        stretch = int(np.searchsorted(self.starts, at, side="right"))
-        start = at - (int(self.starts[stretch - 1]) if stretch else 0)
-        frames, item = self.stretches[stretch], slice(start, start + self.length)
+    def _draw(self, draw: np.random.Generator) -> tuple[Frames, NDArray[np.uint8]]:
+        """A stretch, and the planes (length, 2, M, ceil(M / 8)) of consecutive frames of it in one window."""
+        at = int(draw.integers(self._last[-1]))
+        number = int(np.searchsorted(self._last, at, side="right"))
+        start = (at - (int(self._last[number - 1]) if number else 0)) // self._tickets[number]
+        frames, item = self.stretches[number], slice(start, start + self.length)
         planes, windows = frames.planes[item], frames.windows[item]
         if self.time_reversal and draw.integers(2):
             planes, windows = planes[::-1], windows[::-1]
-        return in_one_window(planes, windows, self.forecast_from, self.size)
+        return frames, in_one_window(planes, windows, self.forecast_from, frames.size)
 
 
 def superposed(one: NDArray[np.uint8], other: NDArray[np.uint8]) -> NDArray[np.uint8]:

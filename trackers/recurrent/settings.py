@@ -15,7 +15,14 @@ EvidenceOption = Literal["state", "scan"]
 GATES: tuple[Gate, ...] = ("keep", "reset", "candidate")
 
 
-class DilatedConvGRUSettings(Settings):
+class ResolutionSettings(Settings):
+    """What a network is told about its grids."""
+
+    resolution_input: bool = False
+    """Cell size and period are inputs of the network, as they are for general weights; else it learns one of each."""
+
+
+class DilatedConvGRUSettings(ResolutionSettings):
     """The shape of the dilated ConvGRU; the defaults are those of Ondruska et al. (2016).
 
     `static_gates`: the gates whose bias is a map; the others have one bias a channel. `dilated=false` makes all
@@ -34,7 +41,7 @@ class DilatedConvGRUSettings(Settings):
         return GATES if self.cell == "gru" else ("candidate",)
 
 
-class DeepTrackingRNNSettings(Settings):
+class DeepTrackingRNNSettings(ResolutionSettings):
     """The shape of the Deep Tracking RNN: version 1.1 of the published code, or 1.0 of the paper."""
 
     variant: Literal["code", "paper"] = "code"
@@ -64,6 +71,9 @@ class TrainingSettings(Settings):
     learning_rate: float = Field(2e-3, gt=0)
     warm_up: int = Field(100, ge=0)
     """Updates over which the learning rate rises from zero; afterwards it falls to zero along a cosine."""
+    unseen_weight: float = Field(0.0, ge=0)
+    """Weight in the loss of a cell that no frame of the sequence sees, whose target is the occupied rate: that of a
+    visible cell is 1. With 0 the network may say anything where no beam ever reached."""
     gradient_clip: float = Field(1.0, gt=0)
     weight_decay: float = Field(0.0, ge=0)
     validate_every: int = Field(250, ge=1)

@@ -29,7 +29,8 @@ from gridtrack.trackers.contract import FitOutput, FrameSource
 from gridtrack.trackers.progress import Stage
 from gridtrack.trackers.recurrent.network import RecurrentNetwork, channels_last
 from gridtrack.trackers.recurrent.precision import training_precision
-from gridtrack.trackers.recurrent.sequences import EpochSampler, SequenceDataset
+from gridtrack.trackers.recurrent.resolution_input import set_resolution
+from gridtrack.trackers.recurrent.sequences import EpochSampler, Item, SequenceDataset
 from gridtrack.trackers.recurrent.settings import InferenceSettings, TrainingSettings, TransferSettings
 
 CHECKPOINT_EVERY_S = 60.0
@@ -147,11 +148,16 @@ class TrainingModule(lightning.LightningModule):
         self.stage: Stage | None = None
         self.scores: dict[str, float] = {}
 
-    def training_step(self, windows: Tensor) -> Tensor:
-        """Loss of a batch of windows (B, T, 2, M, M) uint8."""
+    def training_step(self, batch: Item) -> Tensor:
+        """Mean loss of a batch of windows (B, T, 2, M, M) uint8; those of one resolution are computed together."""
         network = self._on_processor if self.device.type == "cpu" else self.network
-        loss = sequence_loss(network, windows.float(), self.settings)
-        self.log("loss", loss)
+        losses = []
+        for resolution in torch.unique(batch.resolution, dim=0):
+            set_resolution(self.network, resolution)
+            windows = batch.window[(batch.resolution == resolution).all(dim=1)]
+            losses.append(sequence_loss(network, windows.float(), self.settings) * len(windows))
+        loss = torch.stack(losses).sum() / len(batch.window)
+        self.log("loss", loss, batch_size=len(batch.window))
         return loss
 
     def on_train_batch_end(self, outputs: Any, batch: Any, batch_idx: int) -> None:
@@ -187,7 +193,8 @@ class TrainingModule(lightning.LightningModule):
 def sequence_loss(network: RecurrentNetwork, windows: Tensor, settings: TrainingSettings) -> Tensor:
     """Binary cross-entropy of the forecast of each frame on its visible cells: mean over all these cells, nats.
 
-    `windows` (B, T, 2, M, M) of 0 and 1: visible and occupied. The burn-in has neither loss nor gradient.
+    `windows` (B, T, 2, M, M) of 0 and 1: visible and occupied. The burn-in has neither loss nor gradient. A cell that
+    no frame sees has the weight `unseen_weight`, and the occupied rate of the windows as its target.
     """
     frames = windows.transpose(0, 1)
     state = network.initial(windows.shape[0])
@@ -200,20 +207,34 @@ def sequence_loss(network: RecurrentNetwork, windows: Tensor, settings: Training
             features.append(network.features(state))
     logits = network.occupancy(torch.cat(features)).float()
     visible, occupied = frames[settings.burn_in :].flatten(0, 1).unbind(dim=1)
-    loss = functional.binary_cross_entropy_with_logits(logits, occupied, weight=visible, reduction="sum")
-    return loss / visible.sum().clamp(min=1.0)
+    cells = visible.sum().clamp(min=1.0)
+    weight = visible
+    if settings.unseen_weight:
+        unseen = ~windows[:, :, 0].bool().any(dim=1).repeat(len(features), 1, 1)
+        weight = visible + settings.unseen_weight * unseen
+        occupied = torch.where(unseen, occupied.sum() / cells, occupied)
+    loss = functional.binary_cross_entropy_with_logits(logits, occupied, weight=weight, reduction="sum")
+    return loss / cells
 
 
 def validation_scores(
     score: Callable[[FrameSource], Any], sources: Sequence[FrameSource], horizons_s: Sequence[float]
 ) -> dict[str, float]:
-    """F1 of dynamic and visible cells at the horizons, mean over the stretches; `score` is the mean of all of them."""
-    results: dict[str, float] = {}
+    """F1 of dynamic and visible cells at the horizons, mean over the stretches; `score` is the mean of all of them.
+
+    A stretch in which nothing moves has no F1 of dynamic cells: it does not count there, unless it is the only one.
+    """
+    found: dict[str, list[float]] = {}
     for source in sources:
-        found = score(source)
+        f1 = score(source).f1
         for stratum in ("dynamic", "visible"):
             for horizon in horizons_s:
-                key = f"{stratum}_f1_{horizon:g}s"
-                f1 = float(found.f1[stratum][round(horizon / source.period_s)])
-                results[key] = results.get(key, 0.0) + f1 / len(sources)
+                at = round(horizon / source.period_s)
+                found.setdefault(f"{stratum}_f1_{horizon:g}s", []).append(float(f1[stratum][at]))
+    results = {name: _mean_of_known(values) for name, values in found.items()}
     return {"score": sum(results.values()) / len(results), **results}
+
+
+def _mean_of_known(values: Sequence[float]) -> float:
+    known = [value for value in values if math.isfinite(value)]
+    return sum(known) / len(known) if known else math.nan

@@ -43,7 +43,7 @@ class TrainingConvGRU:
         (zero, *_) = self._network.initial(batch)
 
         def initial_layer(layer: DilatedConvGRULayer) -> LayerState:
-            memory = StaticMemory(tuple(layer.biases[gate] for gate in layer.gates), self._network.size)
+            memory = StaticMemory(layer.gate_biases(), self._network.size)
             weights = (layer.input_weight.to(precision), layer.state_weight.to(precision))
             return LayerState(memory, *weights, zero, zero.to(precision))
 

@@ -9,8 +9,9 @@ tuned like the one-shot classifier. Beside it a classifier of single scans is tr
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from functools import lru_cache, partial
 from typing import Any
 
 import torch
@@ -30,7 +31,7 @@ from gridtrack.trackers.cell_training import (
     logits_of,
     train_classifier,
 )
-from gridtrack.trackers.contract import FitOutput, FrameSource, stream_of
+from gridtrack.trackers.contract import FitOutput, FrameSource, StreamSpec, stream_of
 from gridtrack.trackers.label_settings import ClassifierSettings, LabelSettings
 from gridtrack.trackers.labelled_scans import VALIDATE_ON, LabelledScans, draw_labelled
 from gridtrack.trackers.recurrent.network import DecodedLayers, LatentState, class_planes
@@ -66,17 +67,18 @@ def fit_class_decoder(
 
     Raises WeightsError where there are no weights or `options` contradict them, ConfigurationError without labels.
     """
-    tracker = _tracker_with_weights(kind, train[0], out, options)
+    tracker_for = _with_weights(kind, out, options)
     labelled = draw_labelled(train, options, out.seed)
     out.report(f"classes {', '.join(labelled.classes)} from {labelled.name}")
-    training = latent_cells(tracker, labelled.runs(), labelled.classes, options.decoded_layers)
-    out.report("followed the labelled scans")
-    held_out = latent_cells(
-        tracker, ((s.classes, s.labelled()) for s in validation), labelled.classes, options.decoded_layers, VALIDATE_ON
+    follow = partial(
+        latent_cells, tracker_for, classes=labelled.classes, layers=options.decoded_layers, general=out.general
     )
+    training = follow(labelled.runs())
+    out.report("followed the labelled scans")
+    held_out = follow(((source, source.labelled()) for source in validation), every=VALIDATE_ON)
     training_cells = training.now.cells(training.ahead)
     best = fit_decoder(options, training_cells, held_out, out)
-    weights = load_weights(tracker.stream, kind.name)
+    weights = load_weights(tracker_for(train[0]).stream, kind.name)
     settings = {
         **options.model_dump(include={*LabelSettings.model_fields, "class_layers", "decoded_layers"}),
         **{name: getattr(best.settings, of) for of, name in DECODER_SETTINGS.items()},
@@ -94,45 +96,52 @@ def fit_class_decoder(
     save_weights(out.path, card, network | decoder | added)
 
 
-def _tracker_with_weights(
-    kind: type[RecurrentTracker], source: FrameSource, out: FitOutput, options: Any
-) -> RecurrentTracker:
-    """The tracker with the occupancy weights at `out.path`. Raises WeightsError."""
+def _with_weights(
+    kind: type[RecurrentTracker], out: FitOutput, options: Any
+) -> Callable[[FrameSource], RecurrentTracker]:
+    """The tracker with the occupancy weights at `out.path`, for grid and period of a source. Raises WeightsError."""
     if not out.path.exists():
         raise WeightsError(
             f"{out.path}: no weights to add classes to: train with stage=both, or copy weights to this path"
         )
     shape = options.model_dump(exclude_unset=True, exclude={*TransferSettings.model_fields, "precision"})
-    return kind(stream_of(source, out.path), validated(kind.Options, shape, kind.name))
+
+    @lru_cache(maxsize=1)
+    def made(stream: StreamSpec) -> RecurrentTracker:
+        return kind(stream, validated(kind.Options, shape, kind.name))
+
+    return lambda source: made(stream_of(source, out.path))
 
 
 @torch.no_grad()
 def latent_cells(
-    tracker: RecurrentTracker,
-    labelled: Iterable[tuple[Sequence[str], Iterable[LabelledFrame]]],
+    tracker_for: Callable[[FrameSource], RecurrentTracker],
+    labelled: Iterable[tuple[FrameSource, Iterable[LabelledFrame]]],
     classes: Sequence[str],
     layers: DecodedLayers,
     every: int = 1,
+    *,
+    general: bool = False,
 ) -> TransferCells:
     """The latent states of every `every`-th frame with labels, and its forecasts from LEADS frames before.
 
-    `labelled`: pairs of class names and frames, whose labels index the names. `layers`: which layers of the state are
-    decoded. States are stored in half precision.
+    `labelled`: pairs of sources and frames of them. `layers`: which layers of the state are decoded. States are stored
+    in half precision. For `general` weights the planes of scans contain the cell size.
     """
     now, ahead, scan = CellCollector(classes), CellCollector(classes), CellCollector(classes)
-    network: Any = tracker.network
-    for names, frames in labelled:
+    for source, frames in labelled:
+        tracker, names = tracker_for(source), source.classes
         tracker.reset(0)
         past = PastStates(tracker)
         for number, item in enumerate(frames):
             past.update(item.frame)
             if number % every or not item.cells.size:
                 continue
-            scan.add(planes_of(item.frame), item, names)
+            scan.add(planes_of(item.frame, source.grid.cell_m if general else None), item, names)
             now.add(class_planes(tracker.state, layers)[0].half(), item, names)
             for lead in LEADS:
                 if (state := past.before(lead)) is not None:
-                    ahead.add(class_planes(_forecast(network, state, lead), layers)[0].half(), item, names)
+                    ahead.add(class_planes(_forecast(tracker.network, state, lead), layers)[0].half(), item, names)
     return TransferCells(now, ahead, scan)
 
 
@@ -190,7 +199,8 @@ def fit_seen_cells(
     torch.manual_seed(out.seed)
     settings = ClassifierSettings(class_weights="none")
     cells = held_out.scan.cells()
-    trained = train_classifier(scan_classifier(settings.channels, classes), settings, training.scan.cells(), [cells])
+    classifier = scan_classifier(settings.channels, classes, general=out.general)
+    trained = train_classifier(classifier, settings, training.scan.cells(), [cells])
     seen = SeenCells(trained.classifier)
     found = seen.fit_powers(logits_of(decoder.classifier, held_out.now.cells()), cells)
     out.report(

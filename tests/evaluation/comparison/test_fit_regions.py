@@ -15,7 +15,7 @@ from gridtrack.evaluation.scoring.strata import CELL_KINDS, STRATA
 from gridtrack.recordings.stream import open_stream
 from gridtrack.trackers.baselines.persistence import PersistenceTracker
 from gridtrack.trackers.contract import stream_of
-from gridtrack.trackers.tuning import CachedSource
+from gridtrack.trackers.excerpts import CachedSource
 
 from scenes import drive, truth_scene
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from gridtrack.common.config import parse_pairs, validated
-from gridtrack.common.errors import ConfigurationError, WeightsError
+from gridtrack.common.errors import ConfigurationError, RecordingError, WeightsError
 from gridtrack.evaluation.comparison.recipe import Recipe, complete_recipe, read_recipe, recipe_like
 from gridtrack.evaluation.comparison.train import train_tracker
 from gridtrack.trackers import registry
@@ -33,12 +33,23 @@ def options_of(recipe: Recipe) -> object:
     return validated(registry.load(recipe.tracker).Options, dict(recipe.options), "options")
 
 
+def site_of(recipe: Recipe) -> str:
+    name = "general" if recipe.general else Path(recipe.recordings[0]).stem
+    return {"train": "junction"}.get(name, name)
+
+
 def test_there_is_a_recipe_for_every_card_that_ships():
-    found = {(r.tracker, Path(r.recordings[0]).stem) for r in map(read_recipe, recipes("weights"))}
-    sites = {"train": "junction"}
-    assert {(tracker, sites.get(name, name)) for tracker, name in found} == {
-        (path.parent.name, path.stem) for path in CARDS
-    }
+    """General weights may have a recipe before they are trained."""
+    found = {(recipe.tracker, site_of(recipe)) for recipe in map(read_recipe, recipes("weights"))}
+    cards = {(path.parent.name, path.stem) for path in CARDS}
+    assert cards <= found
+    assert {(tracker, site) for tracker, site in found if site != "general"} <= cards
+
+
+def test_there_is_a_recipe_of_general_weights_for_every_tracker_that_learns_them():
+    pytest.importorskip("torch")
+    learning = {name for name in registry.entries() if registry.load(name).learns_general}
+    assert {r.tracker for r in map(read_recipe, recipes("weights")) if r.general} == learning
 
 
 @pytest.mark.parametrize("path", recipes("weights", "ablations", "drives"), ids=named)
@@ -47,17 +58,20 @@ def test_every_recipe_is_one_training_that_its_tracker_accepts(path):
     assert set(recipe.options) <= set(options_of(recipe).model_fields_set)
     assert recipe.out is not None
     starts = registry.load(recipe.tracker).starts_from_general(options_of(recipe))
-    assert not starts or recipe.from_scratch or recipe.weights  # not from what the user happens to have
-    root, simulated = RECIPES.parents[1], Path("runs/drives")
+    told = recipe.general or recipe.from_scratch or recipe.weights
+    assert not starts or told  # not from what the user happens to have
+    root, simulated = RECIPES.parents[1], (Path("runs/drives"), Path("runs/worlds"))
     paths = [Path(stretch.partition("@")[0]) for stretch in (*recipe.recordings, *recipe.validation)]
-    assert all((root / path).exists() or path.is_relative_to(simulated) for path in paths)
+    assert all((root / path).exists() or any(map(path.is_relative_to, simulated)) for path in paths)
 
 
 @pytest.mark.parametrize("path", recipes("weights"), ids=named)
 def test_the_cards_that_ship_have_the_settings_of_their_recipes(path):
     recipe = read_recipe(path)
-    site = "junction" if "junction" in path.stem else "leg_tracker"
-    card = read_card(RECIPES.parents[1] / recipe.out / recipe.tracker / f"{site}.toml")
+    file = RECIPES.parents[1] / recipe.out / recipe.tracker / f"{site_of(recipe)}.toml"
+    if recipe.general and not file.exists():
+        return  # its recipe is there before it is trained
+    card = read_card(file)
     asked = {key: value for key, value in recipe.options.items() if key != "stage"}
     assert {key: card.settings[key] for key in asked} == asked
     assert card.seed == recipe.seed
@@ -97,6 +111,41 @@ def test_a_recipe_trains_and_its_card_has_the_command_that_repeats_it(record, tm
         "gridtrack", "train", "static-map:prior_frames=2.5", str(record()), "--validation", f"{record()}@4s-9s",
         "--seed", "3", "--rate", "5", "--out", str(tmp_path / "weights"),
     ]  # fmt: skip
+
+
+def test_a_folder_stands_for_the_recordings_in_it_and_the_command_names_the_folder(record, tmp_path):
+    folder = Path(record()).parent
+    record("other")
+    (folder / "notes.txt").write_text("no recording")
+    recipe = Recipe(
+        tracker="static-map", recordings=(f"{folder}@0s-4s",), validation=(f"{folder}@5s-9s",), out=tmp_path
+    )
+    card = read_card(train_tracker(recipe, print))
+    assert [data.recording.partition("@")[0] for data in card.train] == sorted(
+        path.name for path in folder.glob("*.mcap")
+    )
+    assert len(card.train) == len(card.validation) == 2
+    assert f"{folder}@0s-4s" in shlex.split(card.command)
+
+
+def test_a_network_learns_general_weights_from_a_folder_and_has_thresholds(record, tmp_path):
+    """The tracker process runs with these weights to choose the thresholds."""
+    pytest.importorskip("lightning")
+    folder = Path(record()).parent
+    options = {"channels": 4, "updates": 1, "validate_every": 1, "batch": 1, "observed_frames": 3, "blank_frames": 3}
+    recipe = Recipe(
+        tracker="dilated-convgru", options=options, recordings=(f"{folder}@0s-5s",), general=True,
+        validation=(f"{folder}@5s-15s",), out=tmp_path,
+    )  # fmt: skip
+    card = read_card(train_tracker(recipe, print))
+    assert card.general
+    assert card.settings["resolution_input"]
+    assert card.thresholds is not None
+
+
+def test_a_folder_without_recordings_is_refused(tmp_path):
+    with pytest.raises(RecordingError, match=f"{tmp_path}: no recording in this folder"):
+        train_tracker(Recipe(tracker="static-map", recordings=(str(tmp_path),), out=tmp_path), print)
 
 
 def test_the_command_of_a_recipe_names_every_option_as_the_command_line_reads_it():

@@ -15,8 +15,9 @@ from gridtrack.trackers.contract import FitOutput, StreamSpec, StretchScore
 from gridtrack.trackers.dogma import tuning
 from gridtrack.trackers.dogma.settings import DogmaSettings
 from gridtrack.trackers.dogma.tracker import DogmaTracker
+from gridtrack.trackers.excerpts import CachedSource
 from gridtrack.trackers.site_rate import count_frames
-from gridtrack.trackers.tuning import FINALISTS, CachedSource
+from gridtrack.trackers.tuning import FINALISTS
 from gridtrack.trackers.weights import load_weights, read_card, save_weights
 
 from scenes.scrolling import scrolled

@@ -74,7 +74,7 @@ def test_the_frames_of_an_item_are_in_the_window_of_the_last_one_that_is_observe
     data = SequenceDataset([Drive()], 8, seed=1, forecast_from=4, time_reversal=time_reversal, superposition=False)
     first_columns = set()
     for number in range(60):
-        visible, occupied = data[number].numpy().transpose(1, 0, 2, 3).astype(bool)
+        visible, occupied = data[number].window.numpy().transpose(1, 0, 2, 3).astype(bool)
         assert visible[4].all()
         for t in range(8):
             unseen = np.flatnonzero(~visible[t].any(axis=0))

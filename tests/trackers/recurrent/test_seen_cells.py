@@ -125,9 +125,9 @@ def test_damaged_arrays_are_refused_in_one_line(seen, name, change, message):
     state = {key: value.numpy() for key, value in seen.state_dict().items()}
     changed = {PREFIX + name: change(state.get(name))}
     with pytest.raises(WeightsError, match=message) as raised:
-        seen_cells_of(weights_with(seen, **changed))
+        seen_cells_of(weights_with(seen, **changed), GRID)
     assert "\n" not in str(raised.value)
-    assert seen_cells_of(weights_with(seen)) is not None
+    assert seen_cells_of(weights_with(seen), GRID) is not None
 
 
 def test_weights_without_a_classifier_of_scans_say_how_to_get_one(tmp_path):

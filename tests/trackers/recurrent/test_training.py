@@ -199,9 +199,8 @@ def test_cells_that_are_not_visible_have_no_loss():
 
 def test_the_burn_in_updates_the_state_without_loss_or_gradient():
     network = DilatedConvGRUTracker.build(SIZE, validated(DilatedConvGRUTracker.Options, {}, "test"), 0)
-    window = SequenceDataset([Shuttle()], 9, seed=0, forecast_from=6, time_reversal=False, superposition=False)[0][
-        None
-    ].float()
+    window = SequenceDataset([Shuttle()], 9, seed=0, forecast_from=6, time_reversal=False, superposition=False)
+    window = window[0].window[None].float()
     settings = TrainingSettings(burn_in=5, observed_frames=2, blank_frames=2, repetitions=1)
     assert [settings.is_observed(frame) for frame in range(settings.length)] == [True] * 7 + [False] * 2
 
@@ -237,7 +236,7 @@ def test_the_training_network_has_the_loss_and_gradient_of_the_network(kind, hal
     data = SequenceDataset(
         [Shuttle()], settings.length, seed=0, forecast_from=0, time_reversal=False, superposition=False
     )
-    windows = torch.stack([data[0], data[1]]).float()
+    windows = torch.stack([data[0].window, data[1].window]).float()
 
     def loss_and_gradient(one):
         with torch.autocast("cpu", torch.bfloat16, enabled=half):
@@ -262,8 +261,8 @@ def test_windows_are_frames_of_the_recordings_and_depend_only_on_seed_and_number
     )
     directions = set()
     for number in range(40):
-        window = data[number]
-        assert torch.equal(window, again[number])
+        window = data[number].window
+        assert torch.equal(window, again[number].window)
         columns = window[:, 1, 5].argmax(dim=-1)
         directions |= set(((columns[1:] - columns[:-1]) % SIZE).tolist())
         assert window[:, 1, 0].all()
@@ -281,7 +280,7 @@ def test_superposed_windows_are_the_frames_of_a_laser_with_the_objects_of_both()
 
 def test_superposition_applies_to_half_of_the_windows():
     data = SequenceDataset([Shuttle(60)], 10, seed=1, forecast_from=4, time_reversal=False, superposition=True)
-    dots = [int(data[number][0, 1, 5].sum()) for number in range(200)]
+    dots = [int(data[number].window[0, 1, 5].sum()) for number in range(200)]
     assert set(dots) == {1, 2}
     assert 60 < sum(count == 2 for count in dots) < 130
 

@@ -1,0 +1,74 @@
+"""Excerpts of recordings, cached in memory: what a search, or a validation during a training, streams many times."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import islice
+
+from gridtrack.common.grid import GridFrame, GridSpec, LabelledFrame
+from gridtrack.trackers.contract import FrameSource
+
+EXCERPTS, EXCERPT_S = 4, 100.0
+"""Number and duration of the excerpts of a long recording for the search; each is longer than a signal cycle."""
+PLACES, PLACE_EXCERPT_S = 24, 20.0
+"""Number of places on an excerpt of which general weights are searched or validated, and its duration."""
+
+
+@dataclass(slots=True)
+class CachedSource:
+    """A part of another source, its frames cached in memory."""
+
+    name: str
+    sha256: str
+    grid: GridSpec
+    period_s: float
+    site: str
+    classes: tuple[str, ...]
+    frames: Sequence[GridFrame]
+
+    @classmethod
+    def excerpt(cls, source: FrameSource, first: int, count: int) -> CachedSource:
+        """The `count` frames of `source` from number `first` on, named by their time range."""
+        name = f"{source.name}, {count * source.period_s:g} s from {first * source.period_s:g} s on"
+        frames = tuple(islice(source, first, first + count))
+        return cls(name, source.sha256, source.grid, source.period_s, source.site, source.classes, frames)
+
+    def __iter__(self) -> Iterator[GridFrame]:
+        return iter(self.frames)
+
+    def __len__(self) -> int:
+        return len(self.frames)
+
+    def labelled(self) -> Iterator[LabelledFrame]:
+        """Not available: only occupancy is tuned on cached frames."""
+        raise NotImplementedError("classes are not trained on cached frames")
+
+
+def excerpts(sources: Sequence[FrameSource]) -> list[FrameSource]:
+    """The sources for the search; a long one is replaced by EXCERPTS of EXCERPT_S, evenly distributed over it.
+
+    Their frames are cached in memory.
+    """
+    chosen: list[FrameSource] = []
+    for source in sources:
+        count = round(EXCERPT_S / source.period_s)
+        if len(source) <= EXCERPTS * count:
+            chosen.append(CachedSource.excerpt(source, 0, len(source)))
+        else:
+            firsts = (round((2 * n + 1) * len(source) / (2 * EXCERPTS)) - count // 2 for n in range(EXCERPTS))
+            chosen += [CachedSource.excerpt(source, first, count) for first in firsts]
+    return chosen
+
+
+def excerpts_of_places(sources: Sequence[FrameSource]) -> list[FrameSource]:
+    """For weights of any place: one excerpt of PLACE_EXCERPT_S of each of at most PLACES sources, evenly chosen.
+
+    The middle of each source; their frames are cached in memory.
+    """
+    chosen = [sources[n * len(sources) // PLACES] for n in range(PLACES)] if len(sources) > PLACES else sources
+    return [_middle(source, round(PLACE_EXCERPT_S / source.period_s)) for source in chosen]
+
+
+def _middle(source: FrameSource, count: int) -> CachedSource:
+    return CachedSource.excerpt(source, max(0, (len(source) - count) // 2), count)
