@@ -70,7 +70,11 @@ def rows(rng: np.random.Generator, repetitions: int) -> list[list[str]]:
     ]
 
 
-if __name__ == "__main__":
+def main() -> None:
     print_coverage(
         __doc__, "coverage of PR-AUC", "python -m studies.pr_auc_coverage", ["setting", "units", "PR-AUC"], rows
     )
+
+
+if __name__ == "__main__":
+    main()

@@ -107,7 +107,7 @@ def rows(rng: np.random.Generator, repetitions: int) -> list[list[str]]:
     ]
 
 
-if __name__ == "__main__":
+def main() -> None:
     print_coverage(
         __doc__,
         "coverage of spatial scores",
@@ -115,3 +115,7 @@ if __name__ == "__main__":
         ["setting", "score", "value"],
         rows,
     )
+
+
+if __name__ == "__main__":
+    main()
