@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
@@ -13,6 +13,8 @@ from gridtrack.common.geometry import SE2, wrap_angle
 from gridtrack.common.pose_quality import PoseQuality
 from gridtrack.common.scan import Scan
 from gridtrack.recordings.ego_motion.following import Follower
+from gridtrack.recordings.ego_motion.matching import ScanMatch
+from gridtrack.recordings.ego_motion.moving_returns import OBJECT_M
 from gridtrack.recordings.ego_motion.settings import MatchingSettings
 
 PoseSource = Literal["recorded", "kiss-icp", "refined"]
@@ -23,21 +25,26 @@ STANDING_M, STANDING_RAD = 0.05, 0.02
 
 @dataclass
 class MatchedTrajectory:
-    """The scans of one sensor: their stamps, recorded and matched poses, and the quality of the matches."""
+    """The scans of one sensor: their stamps, recorded and matched poses, and the quality of the matches.
+
+    `by_objects` are the scans in which clusters of an object's size alone constrain a direction.
+    """
 
     sensor: str
     stamps_ns: list[int] = field(default_factory=list)
     recorded: list[SE2] = field(default_factory=list)
     matched: list[SE2] = field(default_factory=list)
     qualities: list[PoseQuality] = field(default_factory=list)
+    by_objects: list[bool] = field(default_factory=list)
     stands: bool = False
 
-    def add(self, scan: Scan, pose: SE2, quality: PoseQuality) -> None:
+    def add(self, scan: Scan, match: ScanMatch) -> None:
         """Add the next scan."""
         self.stamps_ns.append(scan.stamp_ns)
         self.recorded.append(scan.world_T_sensor)
-        self.matched.append(pose)
-        self.qualities.append(quality)
+        self.matched.append(match.world_T_sensor)
+        self.qualities.append(match.quality)
+        self.by_objects.append(match.by_objects)
 
     def finish(self) -> None:
         """Where the sensor stands, its matched poses become its first one, exactly."""
@@ -48,20 +55,28 @@ class MatchedTrajectory:
         if self.stands:
             self.matched = [self.recorded[0]] * len(self.matched)
 
-    def _not_constrained_s(self) -> float:
-        """The time before each scan whose pose or a part of it is the prior's."""
-        fell_back = np.array([quality.fell_back for quality in self.qualities[1:]], np.bool_)
-        return float(np.diff(self.stamps_ns)[fell_back].sum() / 1e9)
+    def _share_and_time(self, chosen: Sequence[bool]) -> str:
+        """The share of the scans that are `chosen` (N,), and the time before them."""
+        seconds = float(np.diff(self.stamps_ns)[np.array(chosen[1:], np.bool_)].sum() / 1e9)
+        return f"{sum(chosen) / len(chosen):.1%} of them, {seconds:.1f} s,"
 
     def describe(self, source: PoseSource) -> str:
-        """One line: where the poses come from, how many scans do not constrain them and for how long, the residual."""
-        count, outcomes = len(self.qualities), Counter(q.outcome for q in self.qualities if q.fell_back)
+        """One line: where the poses come from, how many scans do not constrain them and for how long, the residual.
+
+        Without odometry also how many are constrained by what may move alone.
+        """
+        outcomes = Counter(quality.outcome for quality in self.qualities if quality.fell_back)
         prior = "the recorded motion" if source == "refined" else "the motion before"
         text = f"{source}: scans of '{self.sensor}' matched"
         if outcomes:
             each = ", ".join(f"{name} {number}" for name, number in sorted(outcomes.items()))
-            share, seconds = outcomes.total() / count, self._not_constrained_s()
-            text += f"; {share:.1%} of them, {seconds:.1f} s, have {prior} in place of the match or of a part ({each})"
+            fell_back = self._share_and_time([quality.fell_back for quality in self.qualities])
+            text += f"; {fell_back} have {prior} in place of the match or of a part ({each})"
+        if source == "kiss-icp" and any(self.by_objects) and not self.stands:
+            text += f"; {self._share_and_time(self.by_objects)} have a direction in which only surfaces of less than"
+            text += (
+                f" {OBJECT_M:g} m tell the motion: if these move together, such as a queue of cars, the pose is wrong"
+            )
         residuals = [q.residual_m for q in self.qualities if not q.failed and q.outcome != "start"]
         if residuals:
             text += f"; median residual {np.median(residuals):.3f} m"
@@ -75,7 +90,7 @@ def matched_trajectory(scans: Iterable[Scan], source: PoseSource, settings: Matc
     for scan in scans:
         trajectory = trajectory or MatchedTrajectory(scan.sensor)
         if scan.sensor == trajectory.sensor:
-            trajectory.add(scan, *follower.follow(scan))
+            trajectory.add(scan, follower.follow(scan))
     if trajectory is None:
         return MatchedTrajectory("")
     trajectory.finish()

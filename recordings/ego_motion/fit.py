@@ -13,6 +13,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from gridtrack.common.geometry import SE2
+from gridtrack.recordings.ego_motion.moving_returns import OBJECT_M
 from gridtrack.recordings.ego_motion.returns import PlaneArray, ScanReturns
 from gridtrack.recordings.ego_motion.settings import MatchingSettings
 
@@ -26,12 +27,14 @@ class Fit(NamedTuple):
     """How the returns of a scan lie on the map at a pose.
 
     `information` (3, 3) and `gradient` (3,) are those of the weighted distances across the walls, for x, y (metres) and
-    heading in the sensor's frame, in units of one return; `of_compact` (C, 3, 3) is the part of each compact cluster.
+    heading in the sensor's frame, in units of one return; `of_compact` (C, 3, 3) is the part of each compact cluster,
+    and `of_objects` (3, 3) that of all clusters of an object's size.
     `weight` is the sum of the weights, `lever_m` the root mean square distance of the returns from the sensor.
     """
 
     information: PlaneArray
     of_compact: PlaneArray
+    of_objects: PlaneArray
     gradient: PlaneArray
     weight: float
     lever_m: float
@@ -43,12 +46,13 @@ class Step(NamedTuple):
     """A step from a pose to a better one, in the frame of the pose.
 
     `information` (3, 3) of x, y and heading after it; `constrained`: whether the surroundings constrain the pose in
-    every direction.
+    every direction; `by_objects`: whether they do so in one direction by clusters of an object's size alone.
     """
 
     motion: SE2
     information: PlaneArray
     constrained: bool
+    by_objects: bool
 
 
 def fit_at(world_T_sensor: SE2, returns: ScanReturns, map_points: cKDTree, kernel_m: float) -> Fit:
@@ -65,14 +69,21 @@ def fit_at(world_T_sensor: SE2, returns: ScanReturns, map_points: cKDTree, kerne
     lever = points[:, 0] * normals[:, 1] - points[:, 1] * normals[:, 0]
     jacobian = np.column_stack([normals, lever])
     return Fit(
-        information=(jacobian * weight[:, None]).T @ jacobian,
+        information=_information(jacobian, weight),
         of_compact=_of_compact(jacobian, weight, on_wall),
+        of_objects=_information(jacobian, weight * (on_wall.extent < OBJECT_M)),
         gradient=jacobian.T @ (weight * across),
         weight=float(weight.sum()),
         lever_m=float(np.sqrt(np.mean(points**2) * 2.0)) if len(points) else 1.0,
         inliers=int(np.count_nonzero(distance <= kernel_m)),
         residual_m=float(np.median(np.abs(across))) if len(across) else 0.0,
     )
+
+
+def _information(jacobian: PlaneArray, weight: PlaneArray) -> PlaneArray:
+    """(3, 3) of distances with these derivatives (N, 3) and weights (N,)."""
+    information: PlaneArray = (jacobian * weight[:, None]).T @ jacobian
+    return information
 
 
 def _of_compact(jacobian: PlaneArray, weight: PlaneArray, returns: ScanReturns) -> PlaneArray:
@@ -97,11 +108,14 @@ def weighed_step(fit: Fit, fit_T_prior: SE2, prior: PlaneArray, settings: Matchi
     values, vectors = np.linalg.eigh(scaled)
     of_compact = np.einsum("ik,cij,jk->ck", vectors, fit.of_compact / np.outer(scale, scale), vectors)
     without_one = values - of_compact.max(axis=0, initial=0.0)
-    strong = without_one >= settings.min_constraint * max(fit.weight, 1.0)
+    needed = settings.min_constraint * max(fit.weight, 1.0)
+    strong = without_one >= needed
+    of_objects = np.einsum("ik,ij,jk->k", vectors, fit.of_objects / np.outer(scale, scale), vectors)
+    by_objects = bool((strong & (values - of_objects < needed)).any())
     kept = (vectors * strong) @ vectors.T
     noise = settings.return_noise_m**2
     information = (kept @ scaled @ kept) * np.outer(scale, scale) / noise + prior
     gradient = scale * (kept @ (fit.gradient / scale)) / noise
     towards = np.array([fit_T_prior.x, fit_T_prior.y, fit_T_prior.theta])
     step = np.linalg.solve(information, prior @ towards + gradient)
-    return Step(SE2(*step.tolist()), information, bool(strong.all()))
+    return Step(SE2(*step.tolist()), information, bool(strong.all()), by_objects)

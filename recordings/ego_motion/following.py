@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from gridtrack.common.geometry import SE2
 from gridtrack.common.pose_quality import PoseQuality
 from gridtrack.common.scan import Scan
@@ -26,14 +28,14 @@ class Follower:
         self._pose = SE2()
         self._motion = LastMotion(0, SE2(), settings)
 
-    def follow(self, scan: Scan) -> tuple[SE2, PoseQuality]:
-        """`world_T_sensor` of the next scan; the first scan has its recorded pose."""
+    def follow(self, scan: Scan) -> ScanMatch:
+        """The match of the next scan; the first scan has its recorded pose."""
         if self._last is None:
             self._last = self._first = scan
             self._pose = scan.world_T_sensor
             self._motion = LastMotion(scan.stamp_ns, self._pose, self._settings)
             self._matcher.start(scan, self._pose, SE2(), 0.0)
-            return self._pose, PoseQuality("start")
+            return ScanMatch(self._pose, PoseQuality("start"), np.zeros((3, 3)))
         since_s = (scan.stamp_ns - self._last.stamp_ns) / 1e9
         prior = self._prior(scan, self._last, since_s)
         match = self._matcher.match(scan, prior, since_s)
@@ -46,7 +48,7 @@ class Follower:
             pose = self._pose
         self._motion.add(scan.stamp_ns, pose, match.quality, match.information)
         self._last, self._pose = scan, pose
-        return pose, match.quality
+        return match._replace(world_T_sensor=pose)
 
     def _started_again(self, scan: Scan, first: Scan, match: ScanMatch, motion: SE2, since_s: float) -> ScanMatch:
         """The second scan matched with the first once the motion is known by which the first is skewed."""

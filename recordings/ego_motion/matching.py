@@ -34,11 +34,15 @@ MATCH_M, MATCH_RAD = 0.2, math.radians(15.0)
 
 
 class ScanMatch(NamedTuple):
-    """`world_T_sensor` of a scan, its quality, and the information (3, 3) of x, y and heading in the sensor's frame."""
+    """`world_T_sensor` of a scan, its quality, and the information (3, 3) of x, y and heading in the sensor's frame.
+
+    `by_objects`: one direction is constrained by clusters of an object's size alone: all may move together.
+    """
 
     world_T_sensor: SE2
     quality: PoseQuality
     information: PlaneArray
+    by_objects: bool = False
 
 
 class ScanMatcher:
@@ -132,7 +136,8 @@ class ScanMatcher:
             )
         step = weighed_step(fit, pose.inverse() @ prior.world_T_sensor, prior.information, settings)
         outcome = "matched" if step.constrained else "partial"
-        return ScanMatch(pose @ step.motion, PoseQuality(outcome, inlier_share, fit.residual_m), step.information)
+        quality = PoseQuality(outcome, inlier_share, fit.residual_m)
+        return ScanMatch(pose @ step.motion, quality, step.information, step.by_objects)
 
     def _is_dragged(self, stamp_ns: int, pose: SE2, prior: Prior) -> bool:
         """Whether the matches of the last second lead away from odometry; without odometry there is no telling."""

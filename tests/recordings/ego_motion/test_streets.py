@@ -10,7 +10,7 @@ from gridtrack.common.scan import Scan
 from gridtrack.common.scene import Outline
 from gridtrack.recordings.ego_motion import MatchedTrajectory, MatchingSettings, matched_trajectory
 
-from scenes.drives import BARE_STREET, CAR, STREET, away, car_in_front, drive
+from scenes.drives import BARE_STREET, CAR, STREET, away, car_in_front, drive, straight
 
 SCANS = 90
 
@@ -51,3 +51,17 @@ def test_along_a_street_with_a_car_in_front_the_pose_is_that_of_odometry() -> No
     assert {quality.outcome for quality in found.qualities[1:]} == {"partial"}
     drifted = scans[-1].world_T_sensor.x - (scans[-1].reference_T_sensor or SE2()).x
     assert last_error_m(scans, found) < abs(drifted) + 0.1
+
+
+def test_a_queue_of_cars_beside_the_sensor_drags_the_pose_and_that_it_may_is_told() -> None:
+    """Scans cannot tell a queue that sets off from a robot that slows down, where the houses are bare."""
+
+    def queue(time_s: float) -> list[tuple[float, float]]:
+        return [(away(max(time_s - 3.0, 0.0)).x + 6.0 * k, 3.5) for k in range(-4, 4)]
+
+    scans = drive(BARE_STREET, straight, SCANS, crowd=queue, body=CAR)
+    found = alone(scans)
+    assert sum(found.by_objects) > 0.5 * SCANS
+    assert "have a direction in which only surfaces of less than 6 m tell the motion" in found.describe("kiss-icp")
+    assert "only surfaces" not in found.describe("refined")
+    assert last_error_m(scans, found) > 5.0
