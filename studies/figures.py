@@ -40,10 +40,8 @@ DECIMAL = re.compile(r"(?<![\w.])\d*\.\d+(?![\w]|\.\d)")
 
 def marked_pages(root: Path = ROOT) -> list[Path]:
     """The pages with generated numbers: the results pages, and those on methods that were measured."""
-    methods = [
-        root / "docs" / name
-        for name in ("regress.md", "statistics.md", "notebook/statistics.md", "notebook/thresholds.md")
-    ]
+    names = ("follow.md", "regress.md", "statistics.md", "notebook/statistics.md", "notebook/thresholds.md")
+    methods = [root / "docs" / name for name in names]
     return [*results_pages(root), *filter(Path.exists, methods)]
 
 
