@@ -110,15 +110,15 @@ def test_frames_of_unlike_places_are_not_superposed():
 
 def test_items_have_one_size_and_the_resolution_of_their_recording():
     """Larger grids are cut and smaller ones padded, at random places; nothing outside was observed."""
-    data = items(Walk(140, 0.05, 0.1, unseen=35), Walk(60, 0.2, 0.1, unseen=15))
+    data = items(Walk(140, 0.05, 0.1, unseen=35), Walk(40, 0.2, 0.1, unseen=10))
     rows = {0.05: set(), 0.2: set()}
     for number in range(30):
         window, resolution = data[number]
-        assert window.shape == (8, 2, 100, 100)
+        assert window.shape == (8, 2, 64, 64)
         cell_m = min(rows, key=lambda cell: float((resolution_of(cell, 0.1) - resolution).abs().sum()))
         seen = window[4, 0].any(dim=1).nonzero().flatten().tolist()
         rows[cell_m].add(seen[0])
-        assert window[4, 0].sum() == (len(seen) * 100 if cell_m == 0.05 else 45 * 60)
+        assert window[4, 0].sum() == (len(seen) * 64 if cell_m == 0.05 else 30 * 40)
     assert all(len(found) > 5 for found in rows.values())
 
 
