@@ -82,7 +82,7 @@ def test_fit_reaches_the_frames_of_its_stretches_and_nothing_else_of_a_recording
         "command": [],
         "traces": [],
     }
-    assert lines[0] == "looked around"
+    assert "looked around" in lines  # a slow machine reports its progress before
     assert str(path) in read_card(card).command
 
 
@@ -125,7 +125,8 @@ def test_ctrl_c_reaches_fit_and_no_process_survives_the_command(end, record, tmp
     command = [sys.executable, "-m", "gridtrack.cli", "train", "fits:how=sleeps", str(record()), "--out", str(tmp_path)]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     assert process.stdout is not None
-    child = int(process.stdout.readline())
+    lines = iter(process.stdout.readline, "")
+    child = int(next(line for line in lines if line.strip().isdecimal()))  # not a line of progress
     os.kill(process.pid, end)
     rest, errors = process.communicate(timeout=20)
     assert ("saved" in rest) == (end == signal.SIGINT)

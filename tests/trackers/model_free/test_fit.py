@@ -12,6 +12,7 @@ pytest.importorskip("filterpy")
 from gridtrack.common.errors import RecordingError, WeightsError
 from gridtrack.common.grid import GridSpec, Shift
 from gridtrack.trackers import searched_fit
+from gridtrack.trackers.card import card_for
 from gridtrack.trackers.contract import FitOutput, StreamSpec, StretchScore
 from gridtrack.trackers.model_free.background import OUTSIDE_MAP
 from gridtrack.trackers.model_free.kalman import KalmanTracker
@@ -225,6 +226,31 @@ def test_a_general_training_learns_no_map_and_runs_on_any_grid_and_period(tmp_pa
             tracker.update(frame)
         assert np.isfinite(tracker.predict(3).occupancy).all()
         assert tracker.tracks
+
+
+def test_at_a_site_only_the_settings_of_the_background_are_searched_again(tmp_path, monkeypatch):
+    """The map of the place is what general weights do not know; classes are added to weights of the site."""
+    monkeypatch.setattr("gridtrack.trackers.searched_fit.ITERATIONS_OF_PLACE", 3)
+    general = tmp_path / "general.toml"
+    out = FitOutput(general, "gridtrack train kalman --general", 3, tmp_path / "log", general=True)
+    settings = PipelineSettings(acceleration=0.31, link_m=0.6)
+    save_weights(general, card_for("kalman", out, [Source()], [], settings.model_dump()), {})
+    asked = []
+
+    def score(tracker, source, steps):
+        asked.append(tracker._settings)
+        flat = np.full(steps + 1, 0.5)
+        return StretchScore({"dynamic": flat, "visible": flat}, {"dynamic": flat, "visible": flat})
+
+    at_site = FitOutput(tmp_path / "hall.toml", "gridtrack train kalman", 3, tmp_path / "log", start=general)
+    KalmanTracker.fit([Source()], [Source()], score, at_site, ModelFreeSettings(link_m=0.7))
+    assert {(one.acceleration, one.link_m) for one in asked} == {(0.31, 0.7)}
+    searched = ("untracked_share", "rate_recovery_s", "static_above", "adaptation_s", "map_weight_s")
+    assert all(len({getattr(one, key) for one in asked}) == 3 for key in searched)
+    kept = set(PipelineSettings.model_fields) - set(searched)
+    assert len({tuple(getattr(one, key) for key in sorted(kept)) for one in asked}) == 1
+    assert KalmanTracker.starts_from_general(ModelFreeSettings())
+    assert not KalmanTracker.starts_from_general(ModelFreeSettings(stage="classes"))
 
 
 def test_a_life_table_of_another_period_has_the_probabilities_of_its_times():
