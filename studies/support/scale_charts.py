@@ -20,12 +20,13 @@ WIDTH, HEIGHT, GAP, LEFT, TOP, BOTTOM, COLUMNS = 210, 150, 44, 36, 34, 62, 3
 
 
 def scale_charts(scores: PlaceScores, stratum: str) -> str:
-    """The charts of the families of which a tracker was measured, each with the reference in grey, and the oracle."""
+    """The charts of the families of which a tracker was measured, each with the reference in grey, and the oracle; the
+    reference alone where none was."""
     families = {
         name: [one for one in members if one in scores.labels]
         for name, members in FAMILIES.items()
         if any(one in scores.labels for one in members)
-    }
+    } or {REFERENCE: []}
     charts = [_chart(scores, stratum, at, name, members) for at, (name, members) in enumerate(families.items())]
     rows, columns = -(-len(charts) // COLUMNS), min(len(charts), COLUMNS)
     foot = rows * (TOP + HEIGHT + BOTTOM) + 14

@@ -146,3 +146,9 @@ def test_the_share_of_a_gap_is_given_where_there_is_a_gap() -> None:
     assert share_closed(0.5, 0.75, 0.7) == "125"
     assert share_closed(0.7, 0.6, 0.7) == ""
     assert share_closed(0.5, None, 0.7) == ""
+
+
+def test_a_comparison_of_the_reference_alone_is_drawn(tmp_path: Path) -> None:
+    drawn = scale_charts(run_of(tmp_path, ["corridor", "aces"], {"persistence": 0.5}), "dynamic")
+    assert drawn.count("<polyline") == 2
+    assert "persistence</text>" in drawn
