@@ -110,7 +110,7 @@ def test_frames_of_unlike_places_are_not_superposed():
 
 def test_items_have_one_size_and_the_resolution_of_their_recording():
     """Larger grids are cut and smaller ones padded, at random places; nothing outside was observed."""
-    data = items(Walk(140, 0.05, 0.1, unseen=35), Walk(40, 0.2, 0.1, unseen=10))
+    data = items(Walk(140, 0.05, 0.1, unseen=60), Walk(40, 0.2, 0.1, unseen=10))
     rows = {0.05: set(), 0.2: set()}
     for number in range(30):
         window, resolution = data[number]
