@@ -8,7 +8,7 @@ import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any, NoReturn
@@ -75,20 +75,40 @@ class TrainingProcess:
             general=output.general,
             start=str(output.start or ""),
         )
-        try:
-            self._answer("done", output.report)
-        except KeyboardInterrupt:
-            self._interrupt(output.report)
-            raise
+        with self._passing_on_interrupts() as interrupted:
+            try:
+                self._answer("done", output.report)
+            except GridtrackError:
+                if not interrupted.is_set():
+                    raise
+        if interrupted.is_set():
+            raise KeyboardInterrupt
 
-    def _interrupt(self, report: Callable[[str], None]) -> None:
-        """Interrupt `fit`, and wait at most INTERRUPT_S for its end; its last lines go to `report`."""
-        self._process.send_signal(signal.SIGINT)
-        too_late = threading.Timer(INTERRUPT_S, self._end)
-        too_late.start()
-        with contextlib.suppress(GridtrackError):
-            self._answer("done", report)
-        too_late.cancel()
+    @contextlib.contextmanager
+    def _passing_on_interrupts(self) -> Iterator[threading.Event]:
+        """Inside it Ctrl-C interrupts `fit`, which has INTERRUPT_S to save its state; a second one ends it.
+
+        No exception is raised here: it could come in the middle of a message, and the last lines would be lost.
+        """
+        interrupted, too_late = threading.Event(), threading.Timer(INTERRUPT_S, self._end)
+
+        def pass_on(*_: object) -> None:
+            if interrupted.is_set():
+                self._end()
+                return
+            interrupted.set()
+            self._process.send_signal(signal.SIGINT)
+            too_late.start()
+
+        if threading.current_thread() is not threading.main_thread():
+            yield interrupted
+            return
+        before = signal.signal(signal.SIGINT, pass_on)
+        try:
+            yield interrupted
+        finally:
+            signal.signal(signal.SIGINT, before)
+            too_late.cancel()
 
     def _end(self) -> None:
         """Kill the process and all that it started in its session."""

@@ -55,7 +55,7 @@ def test_confusion_log_loss_and_balanced_accuracy_agree_with_scikit_learn(case, 
         writer.add_semantics(0, *count_classes(semantics, targets, match_classes(NAMES, NAMES)))
         writer.add_found(0, np.zeros((STEPS + 1, 2, len(NAMES), 4), np.int32))
     record = TrialRecord(label="a", recording="r", outcome="ok", steps=STEPS, frames_scored=1)
-    kinds = class_scores([(record, tmp_path)], NAMES, [0.0, 0.5, 1.0]).semantics.kinds
+    kinds = class_scores([(record, tmp_path, list(range(STEPS + 1)))], NAMES, [0.0, 0.5, 1.0]).semantics.kinds
     for kind, state in (("visible", SEEN_OCCUPIED), ("occluded", HIDDEN_OCCUPIED)):
         for n, target in enumerate(targets):
             truth, p = of_kind(target, semantics[n], state)
