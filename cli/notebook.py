@@ -19,9 +19,9 @@ from typing import TYPE_CHECKING, TypedDict, Unpack
 from gridtrack.cli.runs import INCOMPLETE
 from gridtrack.common.errors import INTERRUPTED_EXIT_CODE, ConfigurationError, GridtrackError
 from gridtrack.evaluation.results.run_record import RunRecord
-from gridtrack.evaluation.results.summary import RunSummary, read_summary
+from gridtrack.evaluation.results.summary import RunSummary
 from gridtrack.reports.page import render_report, render_tables
-from gridtrack.reports.run import read_runs
+from gridtrack.reports.run import read_results
 from gridtrack.reports.score_frames import difference_frame, score_frame
 
 if TYPE_CHECKING:
@@ -70,8 +70,7 @@ class Run:
     @classmethod
     def load(cls, path: str | Path) -> Run:
         """Read the folder of a run that has ended. Raises GridtrackError for another folder or damaged files."""
-        (read,) = read_runs([Path(path)])
-        return cls(read.path, read.record, read_summary(read.path))
+        return cls(Path(path), *read_results(Path(path)))
 
     @cached_property
     def scores(self) -> pl.DataFrame:

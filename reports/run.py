@@ -68,6 +68,13 @@ def read_runs(paths: Sequence[Path]) -> tuple[ReportedRun, ...]:
 
 
 def _read_run(path: Path, name: str) -> ReportedRun:
+    record, summary = read_results(path)
+    pooled = summary.has_pooled
+    return ReportedRun(path, name, with_pooled(summary) if pooled else summary, record, pooled)
+
+
+def read_results(path: Path) -> tuple[RunRecord, RunSummary]:
+    """The record and the summary in the folder of a run that has ended, its trials' files checked. Raises RunError."""
     if not path.is_dir():
         raise RunError(f"{path}: there is no such run's folder; `gridtrack compare ... --out RUN` makes one")
     try:
@@ -82,8 +89,7 @@ def _read_run(path: Path, name: str) -> ReportedRun:
         found = read_trial_record(path / trial) if (path / trial).parent == path else None
         if found is not None:
             found.require_own_files(path / trial)
-    pooled = summary.has_pooled
-    return ReportedRun(path, name, with_pooled(summary) if pooled else summary, record, pooled)
+    return record, summary
 
 
 def with_pooled(summary: RunSummary) -> RunSummary:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -29,6 +29,8 @@ from gridtrack.trackers.contract import FitOutput
 from gridtrack.trackers.progress import Progress
 from gridtrack.trackers.weights import add_thresholds, complete_card, read_card
 
+NamedStretch = tuple[Path, Stretch | str | None]
+"""A recording, and what is named of it: a stretch, its name, or nothing."""
 COMMAND = "the command of the training"
 """What `fit` receives in place of the command, which names the files of recordings; the card gets the command after."""
 
@@ -44,14 +46,14 @@ def train_tracker(recipe: Recipe, report: Callable[[str], None] = print) -> Path
     checkpoints are written beside the card to `<site>.logs`; a second call resumes there. Raises GridtrackError, and
     KeyboardInterrupt with a line about what is kept.
     """
-    recordings = [path for text in (*recipe.recordings, *recipe.validation) for path, _ in _named(text)]
+    named = {use: _named(texts) for use, texts in ((TRAIN, recipe.recordings), (VALIDATION, recipe.validation))}
     with (
-        TrainingProcess(recipe.tracker, recordings) as process,
+        TrainingProcess(recipe.tracker, [path for found in named.values() for path, _ in found]) as process,
         TemporaryDirectory(prefix="gridtrack-train-") as folder,
     ):
         can_start = process.load(recipe.options, general=recipe.general)
         with ProgressLines(report) as lines:
-            train_on, validate_on = _stretches(recipe, lines.progress)
+            train_on, validate_on = _stretches(recipe, named, lines.progress)
         start = general_start(recipe, validate_on, Path(folder), report) if can_start else None
         if can_start and start is None:
             recipe = recipe.model_copy(update={"from_scratch": True})
@@ -124,16 +126,17 @@ def _what_is_kept(path: Path) -> str:
     return f"interrupted at {reached}; {path} has the best so far; {again}"
 
 
-def _stretches(recipe: Recipe, progress: Progress) -> tuple[list[GridStream], list[GridStream]]:
-    """The stretches to train on and to validate on. Raises ConfigurationError, RecordingError."""
+def _stretches(
+    recipe: Recipe, named: Mapping[str, Sequence[NamedStretch]], progress: Progress
+) -> tuple[list[GridStream], list[GridStream]]:
+    """The stretches to train on and to validate on, `named` by use. Raises ConfigurationError, RecordingError."""
     grid = GridSpec.parse(recipe.grid) if recipe.grid else None
-    uses = {TRAIN: recipe.recordings, VALIDATION: recipe.validation}
-    named = [(*one, use) for use, texts in uses.items() for text in texts for one in _named(text)]
     opened: dict[str, list[GridStream]] = {TRAIN: [], VALIDATION: []}
-    with progress.stage("recording", len(named)) as stage:
-        for path, stretch, use in named:
-            opened[use].append(_stretch(path, stretch, use, grid, recipe.rate_hz))
-            stage.advance(path.name)
+    with progress.stage("recording", sum(map(len, named.values()))) as stage:
+        for use, found in named.items():
+            for path, stretch in found:
+                opened[use].append(_stretch(path, stretch, use, grid, recipe.rate_hz))
+                stage.advance(path.name)
     train_on, validate_on = opened[TRAIN], opened[VALIDATION]
     validate_on = validate_on or _own_validation(recipe, train_on)
     _refuse_shared(train_on, validate_on)
@@ -180,10 +183,10 @@ def _make_folder(folder: Path) -> None:
         raise ConfigurationError(f"{folder}: may not be written to; name another folder for weights with --out")
 
 
-def _named(text: str) -> list[tuple[Path, Stretch | str | None]]:
-    """The recording and the stretch that RECORDING[@range] names, or those of all recordings in a folder."""
-    path, stretch = parse_stretch(text)
-    return [(found, stretch) for found in recordings_at(path)]
+def _named(texts: Sequence[str]) -> list[NamedStretch]:
+    """What each RECORDING[@range] names: a recording and its stretch, or those of all recordings in a folder."""
+    parsed = map(parse_stretch, texts)
+    return [(found, stretch) for path, stretch in parsed for found in recordings_at(path)]
 
 
 def _stretch(
