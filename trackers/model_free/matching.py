@@ -100,7 +100,7 @@ def _best_match(boundary, seen, returns, starts, widths, surface_noise_m, orient
             _expectation(points, return_weights, placed, boundary_weights, of_boundary, widths[n], at_returns)
             _expectation(placed, back, points, return_weights, of_returns, widths[n], at_boundary)
             gradient, information = _derivatives(points, at_returns, placed, at_boundary, moved, widths[n], oriented)
-            inverse = _inverse(information)
+            inverse = _covariance(information)
             if n < len(widths) - 1:
                 step = inverse @ gradient
                 moved += step * min(1.0, widths[n] / max(math.hypot(step[0], step[1]), 1e-9))
@@ -257,6 +257,31 @@ def _sum_terms(points, expected, on_boundary, pose):  # type: ignore[no-untyped-
         y_turn += ayy * bx - axy * by
         turn_turn += axx * by * by - (axy + axy) * bx * by + ayy * bx * bx
     return np.array([x, y, turn, xx, xy, yy, x_turn, y_turn, turn_turn])
+
+
+@numba.njit(error_model="numpy")
+def _covariance(information):  # type: ignore[no-untyped-def]
+    """Inverse (3, 3) of the result of `_derivatives`: positive definite, about UNKNOWN where nothing was observed.
+
+    In exact arithmetic `information` is at least the prior. Where a long body meets the returns in one place only, a
+    turn about that place is the small difference of large sums, whose rounding in single precision exceeds the prior:
+    what is then missing to the prior is added, in the directions in which it is missing.
+    """
+    if not _is_below_prior(information):
+        return _inverse(information)
+    deviations = np.sqrt(np.array(UNKNOWN))
+    scales = np.outer(deviations, deviations)  # in these units the prior is the identity
+    shares, axes = np.linalg.eigh(information * scales)
+    return axes / np.maximum(shares, 1.0) @ axes.T * scales
+
+
+@numba.njit(error_model="numpy")
+def _is_below_prior(a):  # type: ignore[no-untyped-def]
+    """Whether the symmetric `a` (3, 3) has less than half the information of the prior UNKNOWN in some direction."""
+    xx, yy, zz = a[0, 0] - 0.5 / UNKNOWN[0], a[1, 1] - 0.5 / UNKNOWN[1], a[2, 2] - 0.5 / UNKNOWN[2]
+    xy, xz, yz = a[0, 1], a[0, 2], a[1, 2]
+    plane = xx * yy - xy * xy
+    return xx <= 0.0 or plane <= 0.0 or plane * zz + xz * (xy * yz - yy * xz) - yz * (xx * yz - xy * xz) <= 0.0
 
 
 @numba.njit(error_model="numpy")

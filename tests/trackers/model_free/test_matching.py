@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 pytest.importorskip("filterpy")
 from gridtrack.trackers.model_free.matching import UNKNOWN, match
+from gridtrack.trackers.model_free.motion.estimator import is_positive_definite
 from gridtrack.trackers.model_free.outlines import Match, Outlines, Pairs
 from gridtrack.trackers.model_free.shape import MAX_POINTS, Shape, rotation, to_body, to_grid
 
@@ -131,6 +132,17 @@ def test_a_pair_without_observable_heading_keeps_it_with_unknown_variance():
     )
     assert found.pose[2] == 0.4
     assert found.covariance[2, 2] == pytest.approx(UNKNOWN[2])
+
+
+@pytest.mark.parametrize("heading", np.linspace(-3.0, 3.0, 60))
+def test_the_turn_of_a_long_body_about_its_only_match_is_unknown(heading):
+    """A return matches the end of the body, 12 m from its origin. The covariance of such a pose was once negative."""
+    end, behind = np.array([[12.0, 0.0]]), np.stack([np.full(12, 13.0), np.arange(1.0, 2.15, 0.1)], 1)
+    returns = placed(np.concatenate([end, behind]), (0.0, 0.0, heading))
+    found = matched(returns, np.concatenate([end, -behind]), (0.03, 0.02, heading))
+    assert is_positive_definite(found.covariance)
+    shares = np.linalg.eigvalsh(found.covariance / np.sqrt(np.outer(UNKNOWN, UNKNOWN)))
+    assert shares.max() < 2.01, "no direction is less known than one without a measurement, but for the rounding"
 
 
 def test_a_car_of_which_more_comes_into_view_has_not_moved():
