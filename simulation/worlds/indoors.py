@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from typing import NamedTuple
 
 import numpy as np
 import shapely
@@ -12,7 +13,7 @@ from shapely import Polygon
 from gridtrack.simulation.tracks import Corner
 from gridtrack.simulation.worlds.building import DOOR_M, door_leaf, enclose, rectangle, reliefs, threshold
 from gridtrack.simulation.worlds.furniture import clutter, furnish, pillar, sofa
-from gridtrack.simulation.worlds.scenery import Scenery, box, wall
+from gridtrack.simulation.worlds.scenery import Corners, Scenery, box, wall
 
 
 def room(random: np.random.Generator) -> Scenery:
@@ -27,6 +28,20 @@ def room(random: np.random.Generator) -> Scenery:
     return scenery
 
 
+class RowOfRooms(NamedTuple):
+    """Rooms between a corridor's wall at y `near_m` and an outer wall at `far_m`; walls at `ends` along x part them."""
+
+    near_m: float
+    far_m: float
+    ends: list[float]
+
+    @property
+    def rooms(self) -> list[Corners]:
+        """The inside of each."""
+        low, high = sorted((self.near_m, self.far_m))
+        return [rectangle(a + 0.1, low + 0.15, b - 0.1, high - 0.15) for a, b in itertools.pairwise(self.ends)]
+
+
 def office(random: np.random.Generator) -> Scenery:
     """Rooms on both sides of a corridor, most of their doors open."""
     length_m, corridor_m = random.uniform(12.0, 30.0), random.uniform(1.5, 3.0)
@@ -34,41 +49,13 @@ def office(random: np.random.Generator) -> Scenery:
     scenery = Scenery(Polygon(rectangle(0.0, -depths[0], length_m, corridor_m + depths[1])))
     _corridor_ends(scenery, length_m, corridor_m, random)
     keep = [*scenery.doors]
-    for side, depth_m in enumerate(depths):
-        sign, y0 = (1, corridor_m) if side else (-1, 0.0)
-        ends = _cuts(random, length_m, 2.4, 6.5)
-        openings, rooms = [], []
-        for a, b in itertools.pairwise(ends):
-            middle, half = random.uniform(a + 0.9, b - 0.9), random.uniform(*DOOR_M) / 2.0
-            if random.random() < 0.7 and middle - half > a + 0.2 and middle + half < b - 0.2:
-                openings.append((middle - half, middle + half))
-                keep.append((middle, y0))
-            low, high = sorted((y0, y0 + sign * depth_m))
-            rooms.append(rectangle(a + 0.1, low + 0.15, b - 0.1, high - 0.15))
-            wall(scenery, (b, y0), (b, y0 + sign * depth_m), random.choice([0.1, 0.15, 0.25]))
-        start, end = ((0.0, y0), (length_m, y0))
-        panes = [(a + 0.2, a + 1.0) for a, b in openings if random.random() < 0.1]
-        wall(scenery, start, end, 0.16, openings, [pane for pane in panes if _apart(pane, openings)])
-        for opening in openings:
-            door_leaf(scenery, start, end, opening, random)
-        reliefs(
-            scenery,
-            *((start, end) if side else (end, start)),
-            [*openings] if side else [(length_m - b, length_m - a) for a, b in openings],
-            0.16,
-            random,
-        )
-        far = y0 + sign * depth_m
-        wall(
-            scenery,
-            (0.0, far),
-            (length_m, far),
-            0.3,
-            (),
-            [(a + 0.5, b - 0.5) for a, b in itertools.pairwise(ends) if random.random() < 0.1],
-        )
-        wall(scenery, (0.0, y0), (0.0, far), 0.3)
-        for corners in rooms:
+    for near_m, far_m in ((0.0, -depths[0]), (corridor_m, corridor_m + depths[1])):
+        row = RowOfRooms(near_m, far_m, _cuts(random, length_m, 2.4, 6.5))
+        openings = _part(scenery, row, random)
+        keep += [((a + b) / 2.0, near_m) for a, b in openings]
+        _corridor_wall(scenery, row, openings, random)
+        _outer_walls(scenery, row, random)
+        for corners in row.rooms:
             furnish(scenery, corners, random, random.uniform(0.3, 1.0), keep)
     for _ in range(random.poisson(length_m / 10.0)):
         spot = (random.uniform(1.0, length_m - 1.0), random.choice([0.35, corridor_m - 0.35]))
@@ -135,6 +122,40 @@ def _corridor_ends(scenery: Scenery, length_m: float, corridor_m: float, random:
             wall(scenery, start, end, 0.2)
         else:
             scenery.doors.append(threshold(scenery, start, end, (0.1, corridor_m - 0.1), random))
+
+
+def _part(scenery: Scenery, row: RowOfRooms, random: np.random.Generator) -> list[tuple[float, float]]:
+    """Walls between the rooms; where along x their doors to the corridor are open."""
+    openings = []
+    for a, b in itertools.pairwise(row.ends):
+        middle, half = random.uniform(a + 0.9, b - 0.9), random.uniform(*DOOR_M) / 2.0
+        if random.random() < 0.7 and middle - half > a + 0.2 and middle + half < b - 0.2:
+            openings.append((middle - half, middle + half))
+        wall(scenery, (b, row.near_m), (b, row.far_m), random.choice([0.1, 0.15, 0.25]))
+    return openings
+
+
+def _corridor_wall(
+    scenery: Scenery, row: RowOfRooms, openings: list[tuple[float, float]], random: np.random.Generator
+) -> None:
+    """The wall between the rooms and the corridor, with panes and the leaves of doors."""
+    length_m = row.ends[-1]
+    start, end = (0.0, row.near_m), (length_m, row.near_m)
+    panes = [(a + 0.2, a + 1.0) for a, b in openings if random.random() < 0.1]
+    wall(scenery, start, end, 0.16, openings, [pane for pane in panes if _apart(pane, openings)])
+    for opening in openings:
+        door_leaf(scenery, start, end, opening, random)
+    if row.far_m > row.near_m:
+        reliefs(scenery, start, end, openings, 0.16, random)
+    else:
+        reliefs(scenery, end, start, [(length_m - b, length_m - a) for a, b in openings], 0.16, random)
+
+
+def _outer_walls(scenery: Scenery, row: RowOfRooms, random: np.random.Generator) -> None:
+    """The wall with windows that is far from the corridor, and that at x 0."""
+    windows = [(a + 0.5, b - 0.5) for a, b in itertools.pairwise(row.ends) if random.random() < 0.1]
+    wall(scenery, (0.0, row.far_m), (row.ends[-1], row.far_m), 0.3, (), windows)
+    wall(scenery, (0.0, row.near_m), (0.0, row.far_m), 0.3)
 
 
 def _cuts(random: np.random.Generator, length_m: float, least_m: float, most_m: float) -> list[float]:

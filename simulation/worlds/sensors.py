@@ -22,6 +22,9 @@ SHIN_M, HIP_M = (0.08, 0.45), (0.8, 1.1)
 """Heights at which lasers are mounted: no plane cuts a table's top."""
 SHIN_SHARE = 0.85
 TRY_BEAMS = 240
+SLOWEST_HZ, FASTEST_HZ = 5.0, 20.0
+THINNED_SHARE = 0.4
+"""Of the recorders that could keep every second scan or fewer, those that do."""
 
 
 class LaserProduct(NamedTuple):
@@ -95,8 +98,16 @@ def draw_sensor(random: np.random.Generator, outdoors: bool) -> WorldSensor:
     reach_m = min(range_m, random.uniform(8.0, 11.0) if outdoors else random.uniform(2.8, 7.0))
     cell_m = CELLS_M[int(np.abs(np.array(CELLS_M) - 2.0 * reach_m / GRID_CELLS).argmin())]
     plane_m = random.uniform(*(SHIN_M if random.random() < SHIN_SHARE else HIP_M))
-    rate_hz = float(np.clip(one.rate_hz * random.uniform(0.9, 1.1), 5.0, 20.0))
-    return WorldSensor(laser, round(rate_hz * 2.0) / 2.0, round(float(plane_m), 3), cell_m)
+    rate_hz = _draw_rate(random, one.rate_hz)
+    return WorldSensor(laser, rate_hz, round(float(plane_m), 3), cell_m)
+
+
+def _draw_rate(random: np.random.Generator, product_hz: float) -> float:
+    """Recorded scans a second, to 0.5 Hz: all scans of the laser, or every n-th."""
+    rate_hz = float(np.clip(product_hz * random.uniform(0.9, 1.1), SLOWEST_HZ, FASTEST_HZ))
+    most = int(rate_hz / SLOWEST_HZ)
+    thinned = most > 1 and random.random() < THINNED_SHARE
+    return round(rate_hz / (random.integers(2, most + 1) if thinned else 1) * 2.0) / 2.0
 
 
 def _draw_errors(random: np.random.Generator, one: LaserProduct) -> LaserErrors:

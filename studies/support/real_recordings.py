@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from gridtrack.common.files import atomic_write, sha256_of
+from gridtrack.common.grid import GridSpec
 from gridtrack.common.scan import Scan
 from gridtrack.recordings import open_recording
 from gridtrack.recordings.ego_motion import MatchingSettings, PoseSource, matched_trajectory, with_matched_poses
@@ -31,6 +32,11 @@ class RealRecording:
     path: str
     rate_hz: float
     cell_m: float = 0.1
+    window_from: tuple[float, float] | None = None
+    """The window's lower left corner, metres from the sensor; None: the sensor is in the middle.
+
+    A window keeps its directions, so only a sensor that stands has a side that it looks to.
+    """
     moves: bool = True
     topic: str | None = None
     pose_topic: str | None = None
@@ -39,7 +45,7 @@ class RealRecording:
     @property
     def grid(self) -> str:
         """As `--grid` takes it."""
-        return f"{CELLS}x{self.cell_m}"
+        return str(GridSpec(CELLS, self.cell_m, self.window_from))
 
     def scans(self, data: Path) -> Iterator[Scan]:
         """Its scans, with the recorded poses."""
@@ -51,7 +57,9 @@ class RealRecording:
 
 EGO = (parse_mount("scan=0,0,0deg"),)
 REAL = (
-    RealRecording("corridor", "leg_tracker/demo_stationary_simple_environment.bag", 10, moves=False),
+    RealRecording(
+        "corridor", "leg_tracker/demo_stationary_simple_environment.bag", 10, window_from=(-2, -4.5), moves=False
+    ),
     *(
         RealRecording(
             f"walker-{n}", f"leg_tracker/positive_{n}_extracted.bag", 7.5, moves=False, topic="/training_scan"

@@ -48,6 +48,8 @@ def test_their_lasers_are_as_various_as_said(shipped: dict[Path, Tracks]) -> Non
     assert len({laser.model_dump_json() for laser in lasers}) == len(lasers)
     assert all(180 <= laser.beams <= 1440 and 5.0 <= laser.range_max <= 80.0 for laser in lasers)
     assert all(5.0 <= info.rate_hz <= 20.0 for info in infos)
+    assert sum(info.rate_hz < 7.5 for info in infos) > 5
+    assert sum(info.rate_hz > 15.0 for info in infos) > 3
     assert 0.15 < np.mean([info.carrier is not None for info in infos]) < 0.6
     planes = [info.world.plane_m for info in infos if info.world]
     assert len(planes) == len(infos)
