@@ -14,7 +14,7 @@ folders = $(subst /, ,$(1))
 training = --tracker '$(word 4,$(folders)) $(patsubst seed-%,%,$(word 3,$(folders)))=$(word 4,$(folders)):weights=studies/trainings/$(word 3,$(folders))'
 trainings = $(foreach card,$(wildcard studies/trainings/seed-*/*/junction.toml),$(call training,$(card)))
 
-.PHONY: help demo demo-junction test lint bench results worlds-results real-results schemas figures ablations returns junction weights baseline clean
+.PHONY: help demo demo-junction test lint bench results worlds-results real-results schemas docs figures ablations returns junction weights baseline clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):[^#]*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 15
@@ -47,6 +47,7 @@ bench: $(VENV)/.installed-dev ## measure the speed of everything that `make test
 results: $(VENV)/.installed-demo ## compare every tracker at the junction: the numbers of docs/results/junction
 	rm -rf runs/results
 	$(COMPARE) $(JUNCTION) $(call chosen,$(JUNCTION_TRACKERS) deep-tracking-rnn) $(trainings) --reference dilated-convgru --out runs/results
+	$(BIN)/python -m studies.junction_results runs/results
 	$(BIN)/python -m studies.static_memory
 
 worlds-results: $(VENV)/.installed-demo ## compare every tracker with general weights on the test worlds: the numbers of docs/results/worlds
@@ -57,6 +58,9 @@ real-results: $(VENV)/.installed-dev ## the same on recordings of real robots, i
 
 schemas: $(VENV)/.installed-dev ## write the JSON Schemas of the result files into docs/schemas
 	$(BIN)/python -m gridtrack.evaluation.schemas docs/schemas
+
+docs: $(VENV)/.installed-docs ## build the documentation site in runs/site; every link and heading is checked
+	$(BIN)/python -m mkdocs build --strict
 
 figures: $(VENV)/.installed-dev ## write the numbers of the pages from docs/results, and draw the label budget
 	$(BIN)/python -m studies.label_curve
@@ -82,6 +86,8 @@ baseline: $(VENV)/.installed-dev ## update the baseline of tests/test_own_tracke
 	$(COMPARE) $(DEMO)@114s-124s $(call chosen,$(DEMO_TRACKERS)) --validation $(DEMO)@75s-81s \
 	    --weights data/weights --horizon 1s --every 0.5s --out runs/baseline
 	$(BIN)/gridtrack regress runs/baseline --baseline tests/baselines/own_trackers.json --update
+	$(BIN)/pip install --quiet --no-deps --no-build-isolation --target runs/baseline/example $(EXAMPLE)
+	PYTHONPATH=runs/baseline/example $(BIN)/python -m pytest -q -c $(EXAMPLE)/pyproject.toml --gridtrack-update-baseline
 
 clean: ## remove what the other targets made
 	rm -rf $(VENV) .link runs build dist *.egg-info
@@ -92,6 +98,10 @@ $(VENV)/.installed-demo: pyproject.toml constraints.txt | $(VENV)
 
 $(VENV)/.installed-sim: pyproject.toml constraints.txt | $(VENV)
 	$(BIN)/pip install --constraint constraints.txt --editable '.[sim]'
+	touch $@
+
+$(VENV)/.installed-docs: pyproject.toml constraints.txt | $(VENV)
+	$(BIN)/pip install --constraint constraints.txt --editable '.[docs]'
 	touch $@
 
 $(VENV)/.installed-dev: pyproject.toml constraints.txt | $(VENV)

@@ -8,6 +8,7 @@ command writes:
     <!-- table: trackers/dogma.json: velocity: table -->...<!-- /table -->
     <!-- table: junction: F1: kalman, dogma: f1 dynamic 1 s, f1 visible 1 s: intervals, best -->...<!-- /table -->
     <!-- table: junction: confusion: kalman: visible -->...<!-- /table -->
+    <!-- table: junction: trainings: in-motion 1 s, dynamic 1 s -->...<!-- /table -->
     <!-- table: label-budget -->...<!-- /table -->
 
 `junction` is docs/results/junction/summary.json (rows and columns: studies/support/junction_summary.py), `label-budget`
@@ -91,6 +92,8 @@ def _table(address: list[str]) -> ResultTable:
     match address:
         case ["label-budget"]:
             return budget_table(RESULTS / "junction" / "label-budget.csv")
+        case ["junction", "trainings", columns]:
+            return _junction().trainings(_names(columns))
         case ["junction", "confusion", tracker, visibility]:
             return _junction().confusion(tracker, visibility)
         case ["junction", corner, rows, columns, *options]:

@@ -18,7 +18,7 @@ import numpy as np
 
 from gridtrack.evaluation.results.columns import SCORES_TABLE
 from gridtrack.evaluation.scoring.samples import SAMPLES, Sample, read_samples
-from gridtrack.reports.chosen_frames import FrameScore, frame_scores
+from gridtrack.reports.moment_choice import FrameScore, frame_scores
 from gridtrack.reports.pictures import frame_png, probability_png
 from gridtrack.reports.run import ReportedRun, read_runs
 
@@ -47,7 +47,8 @@ def worst(run: ReportedRun, label: str) -> list[Failure]:
             continue
         step = round(HORIZON_S / run.summary.recordings[recording].period_s)
         folder = run.trial_folder(label, recording)
-        scored = {s: m for s, m in frame_scores(folder / SCORES_TABLE.file, step).items() if m.occupied >= ENOUGH_CELLS}
+        scores = frame_scores(folder / SCORES_TABLE.file, [step])[step]
+        scored = {stamp: score for stamp, score in scores.items() if score.occupied >= ENOUGH_CELLS}
         kept = [sample for sample in read_samples(folder / SAMPLES) if sample.stamp_ns in scored]
         if kept:
             sample = min(kept, key=lambda one: scored[one.stamp_ns].f1)

@@ -2,8 +2,9 @@
 
 A number is addressed by a row and a column. The row is a tracker, `TRACKER less REFERENCE` (a paired difference) or
 `TRACKER over OTHER` (a ratio). The column is a score, a stratum and a horizon, such as `f1 dynamic 1 s`. Scores: `f1`,
-`nll`, `class nll` (nats per scan), `share_of_oracle` (of the gap between persistence and the oracle), `lead` (F1 above
-the better of FLOORS) and `p` (Holm's, of a difference). `visible cyclist as car` is a share of the class's cells now.
+`f1_at_visible` (at the threshold of all visible cells), `pr_auc`, `nll`, `class nll` (nats per scan), `share_of_oracle`
+(of the way from the better floor to the oracle), `lead` (F1 above the better of FLOORS) and `p` (Holm's, of a
+difference). `visible cyclist as car` is a share of the class's cells now.
 """
 
 from __future__ import annotations
@@ -12,15 +13,27 @@ import json
 import re
 from collections.abc import Sequence
 from functools import cached_property
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
 from studies.support.results_file import ResultTable
 from studies.support.score_text import score_text
 
-COLUMN = re.compile(r"(?P<score>f1|nll|share_of_oracle|lead|p|class nll) (?P<stratum>.+?) (?P<horizon>now|[\d.]+ s)")
+COLUMN = re.compile(
+    r"(?P<score>f1|f1_at_visible|pr_auc|nll|share_of_oracle|lead|p|class nll) "
+    r"(?P<stratum>.+?) (?P<horizon>now|[\d.]+ s)"
+)
 CONFUSION = re.compile(r"(?P<visibility>visible|occluded) (?P<true>\w+) as (?P<taken>\w+)")
-TITLES = {"f1": "", "nll": "log loss, ", "class nll": "class log loss, "}
+TITLES = {
+    "f1": "",
+    "f1_at_visible": "threshold of visible, ",
+    "pr_auc": "PR-AUC, ",
+    "nll": "log loss, ",
+    "class nll": "class log loss, ",
+}
+LOSSES = ("nll", "class nll")
+"""Scores of which the lowest is the best."""
 FLOORS = ("persistence", "static-map")
 
 
@@ -59,8 +72,8 @@ class JunctionSummary:
     def table(self, corner: str, rows: Sequence[str], columns: Sequence[str], options: Sequence[str]) -> ResultTable:
         """Rows and columns as a table.
 
-        Options: `intervals`; `best` marks the highest number of each column among trackers that are no ceiling; `p`
-        marks differences by Holm's p.
+        Options: `intervals`; `best` marks the best number of each column among trackers that are no ceiling; `p` marks
+        differences of F1 by Holm's p.
         """
         cells = [[self._cell(row, column, options) for column in columns] for row in rows]
         if "best" in options:
@@ -69,6 +82,24 @@ class JunctionSummary:
             columns=(corner, *map(_title, columns)),
             alignment=("---",) * (len(columns) + 1),
             rows=tuple((row, *texts) for row, texts in zip(rows, cells, strict=True)),
+        )
+
+    def trainings(self, columns: Sequence[str]) -> ResultTable:
+        """F1 of the trackers over their trainings: mean and spread, and the difference with its interval and mark.
+
+        `columns` are strata and horizons, such as `dynamic 1 s`.
+        """
+        return ResultTable(
+            columns=("F1", "trainings", *(title for one in columns for title in (one, "difference"))),
+            alignment=("---", "--:", *["---"] * (2 * len(columns))),
+            rows=tuple(
+                (
+                    found["tracker"],
+                    str(len(found["labels"])),
+                    *chain(*(_training_texts(found, one) for one in columns)),
+                )
+                for found in self._summary["trainings"]
+            ),
         )
 
     def confusion(self, tracker: str, visibility: str) -> ResultTable:
@@ -86,16 +117,15 @@ class JunctionSummary:
     def _cell(self, row: str, column: str, options: Sequence[str]) -> str:
         text = self.value(row, column, interval="intervals" in options)
         found = COLUMN.fullmatch(column)
-        if "p" not in options or found is None:
+        if "p" not in options or found is None or found["score"] != "f1":
             return text
         tracker, _, reference = row.partition(" less ")
-        p = self._p_value(tracker, reference, found["stratum"], self._step(found["horizon"]))
-        return text if p < 0.001 else f"{text} *" if p < 0.05 else f"{text} °"
+        return _marked(text, self._p_value(tracker, reference, found["stratum"], self._step(found["horizon"])))
 
     def _mark_best(self, rows: Sequence[str], columns: Sequence[str], cells: list[list[str]]) -> None:
         for number, column in enumerate(columns):
             values = {row: self.value(row, column) for row in rows if row != "oracle"}
-            best = max(values.values())
+            best = (min if column.startswith(LOSSES) else max)(values.values(), key=float)
             for row, texts in zip(rows, cells, strict=True):
                 if values.get(row) == best:
                     texts[number] = re.sub(r"^[\d.]+", r"**\g<0>**", texts[number])
@@ -105,6 +135,10 @@ class JunctionSummary:
             key, signed = "nll_per_scan", bool(reference)
             found = self._difference("class_differences", tracker, reference) if reference else self._semantics(tracker)
             found = found["kinds"][stratum]
+        elif reference and score != "f1":
+            found = self._headline(tracker, reference, stratum, step)
+            ends = [found[f"{score}_{end}"] for end in ("low", "high")]
+            return score_text(found[score], *(ends if interval else ()), signed=True)
         else:
             key, signed = score, bool(reference)
             found = self._difference("differences", tracker, reference) if reference else self._pooled(tracker)
@@ -113,8 +147,11 @@ class JunctionSummary:
         return score_text(found[key][step], *(ends if interval else ()), signed=signed)
 
     def _p_value(self, tracker: str, reference: str, stratum: str, step: int) -> float:
+        return float(self._headline(tracker, reference, stratum, step)["p_holm"])
+
+    def _headline(self, tracker: str, reference: str, stratum: str, step: int) -> dict[str, Any]:
         headline = self._difference("differences", tracker, reference)["headline"]
-        return next(float(one["p_holm"]) for one in headline if (one["stratum"], one["step"]) == (stratum, step))
+        return next(dict(one) for one in headline if (one["stratum"], one["step"]) == (stratum, step))
 
     def _difference(self, kind: str, tracker: str, reference: str) -> dict[str, Any]:
         pairs = {(one["tracker"], one["reference"]): one for one in self._summary[kind]}
@@ -136,6 +173,22 @@ class JunctionSummary:
 
     def _step(self, horizon: str) -> int:
         return 0 if horizon == "now" else self._horizons_s.index(float(horizon.removesuffix(" s")))
+
+
+def _training_texts(found: dict[str, Any], column: str) -> tuple[str, str]:
+    """`0.714 ± 0.002`, and the difference to the reference, with † where one training is too few for a test."""
+    score = next(one for one in found["scores"] if column == f"{one['stratum']} {one['horizon_s']:g} s")
+    spread = "" if score["f1_spread"] is None else f" ± {score['f1_spread']:.3f}"
+    mean = "not defined" if score["f1_mean"] is None else f"{score['f1_mean']:.3f}{spread}"
+    if score["difference"] is None:
+        return mean, ""
+    text = score_text(score["difference"], score["difference_low"], score["difference_high"], signed=True)
+    return mean, f"{text} †" if score["p_holm"] is None else _marked(text, score["p_holm"])
+
+
+def _marked(text: str, p_holm: float) -> str:
+    """The text of a difference with a mark for its corrected p."""
+    return text if p_holm < 0.001 else f"{text} *" if p_holm < 0.05 else f"{text} °"
 
 
 def _title(column: str) -> str:
