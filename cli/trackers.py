@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 from contextlib import suppress
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -238,12 +239,12 @@ def check_command(
 def new_command(
     name: str, out: Annotated[Path | None, typer.Option(help="The new folder; default: the name")] = None
 ) -> None:
-    """Write the template of a tracker package: one class, one entry point, one test."""
-    from gridtrack.trackers.template import new_tracker
+    """Write a complete tracker package: a small tracker, its entry point, tests, baseline and CI file."""
+    from gridtrack.cli.template import new_tracker
 
     module = new_tracker(name, out or Path(name))
-    folder = module.parent
-    typer.echo(f"tracker: {module}\nnext: pip install -e {folder} && gridtrack trackers check {name}")
+    with_tests = shlex.quote(f"{module.parent}[test]")
+    typer.echo(f"tracker: {module}\nnext: pip install -e {with_tests} && gridtrack trackers check {name}")
 
 
 @app.command("migrate")

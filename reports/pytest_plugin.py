@@ -1,6 +1,10 @@
-"""The pytest plugin: a test in the repository of a tracker that fails when the tracker is worse than its baseline.
+"""The pytest plugin: tests in the repository of a tracker that fail when the tracker breaks the contract, or is worse
+than its baseline.
 
-    def test_my_tracker(tracker_regression):
+    def test_it_keeps_the_contract(tracker_contract):
+        tracker_contract("my-tracker")
+
+    def test_it_is_not_worse(tracker_regression):
         tracker_regression("my-tracker", "demo.mcap", baseline="my-tracker.json")
 
 pytest loads this module in every run, so nothing is imported before the fixture is called.
@@ -9,6 +13,7 @@ pytest loads this module in every run, so nothing is imported before the fixture
 from __future__ import annotations
 
 import tempfile
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,6 +23,7 @@ if TYPE_CHECKING:
     from gridtrack.evaluation.comparison.plan import ComparisonPlan
     from gridtrack.evaluation.regression.measurement import Measurement
     from gridtrack.evaluation.regression.verdict import Verdict
+    from gridtrack.trackers.contract import StreamSpec
 
 UPDATE = "--gridtrack-update-baseline"
 
@@ -27,6 +33,30 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     parser.getgroup("gridtrack").addoption(
         UPDATE, action="store_true", help="write what tracker_regression measures as the new baseline"
     )
+
+
+@pytest.fixture
+def tracker_contract() -> Callable[..., None]:
+    """Check a tracker with the contract suite; fail the test if it breaks a clause of the contract."""
+    return _require_contract
+
+
+def _require_contract(tracker: str, stream: StreamSpec | None = None) -> None:
+    """Check `tracker`, NAME[:key=value,...], on `stream`; None: a small grid at 8 Hz, without weights."""
+    from gridtrack.common.errors import GridtrackError, printable
+    from gridtrack.common.grid import GridSpec
+    from gridtrack.evaluation.processes.contract_suite import check_tracker
+    from gridtrack.trackers.contract import StreamSpec
+    from gridtrack.trackers.selection import launch, parse_selection
+
+    try:
+        chosen = parse_selection(tracker)
+        results = check_tracker(launch(chosen.name), stream or StreamSpec(GridSpec(40, 0.2), 0.125), chosen.options)
+    except GridtrackError as error:
+        pytest.fail(f"{tracker} was not checked: {printable(str(error))}", pytrace=False)
+    broken = [f"{one.name}: {one.verdict}: {printable(one.detail)}" for one in results if one.verdict != "passed"]
+    if broken:
+        pytest.fail("\n".join([f"{tracker} does not keep the contract:", *broken]), pytrace=False)
 
 
 @pytest.fixture

@@ -3,44 +3,43 @@
 from __future__ import annotations
 
 import numpy as np
-from pydantic import Field
 
-from gridtrack.common.config import Settings
-from gridtrack.common.grid import GridFrame
-from gridtrack.trackers.contract import Forecast, StreamSpec, Tracker
+from gridtrack import ConfigurationError, Forecast, GridFrame, Settings, StreamSpec, Tracker
+
+BACKGROUND = 0.02
+"""P(occupied) of a cell that was never visible."""
 
 
 class FadingOptions(Settings):
     """Options of the fading memory: `--tracker fading:half_life_s=2`."""
 
-    half_life_s: float = Field(1.0, gt=0.0)
+    half_life_s: float = 1.0
     """Time in which the weight of a cell halves."""
-    background: float = Field(0.02, ge=0.0, le=1.0)
-    """P(occupied) of a cell that was never visible."""
 
 
 class FadingTracker(Tracker):
-    """Forecasts each cell as last visible, fading towards the background with time."""
+    """Forecasts each cell as last visible, nearer to the background with time."""
 
     Options = FadingOptions
 
     def __init__(self, stream: StreamSpec, options: FadingOptions) -> None:
         super().__init__(stream, options)
+        if options.half_life_s <= 0:
+            raise ConfigurationError(f"half_life_s = {options.half_life_s:g}: expected more than 0 s")
         self.decay_per_frame = 0.5 ** (stream.period_s / options.half_life_s)
         self.reset(0)
 
     def reset(self, seed: int) -> None:
         """Set every cell to the background."""
-        self.excess = np.zeros(self.stream.grid.shape)
-        """P(occupied) (M, M) less the background, now."""
+        self.excess = np.zeros(self.stream.grid.shape)  # P(occupied) (M, M) less the background, now
 
     def update(self, frame: GridFrame) -> None:
         """Update the visible cells; the others fade."""
         self.excess *= self.decay_per_frame
-        np.copyto(self.excess, frame.occupied - self.options.background, where=frame.visible)
+        np.copyto(self.excess, frame.occupied - BACKGROUND, where=frame.visible)
 
     def predict(self, steps: int) -> Forecast:
         """P(occupied) (steps+1, M, M); the state is not changed."""
         weight = self.decay_per_frame ** np.arange(steps + 1)
-        occupancy = self.options.background + weight[:, None, None] * self.excess
+        occupancy = BACKGROUND + weight[:, None, None] * self.excess
         return Forecast(occupancy.astype(np.float32))

@@ -2,25 +2,33 @@
 
 from __future__ import annotations
 
+import json
 import os
+import re
+import shlex
 import shutil
 import subprocess
 import sys
+import sysconfig
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from gridtrack.cli.template import new_tracker
+from gridtrack.common.errors import ConfigurationError
 from gridtrack.common.grid import GridSpec
 from gridtrack.evaluation.processes.contract_scene import scene
 from gridtrack.evaluation.processes.contract_suite import check_tracker
 from gridtrack.evaluation.processes.limits import Limits
 from gridtrack.evaluation.processes.tracker_process import TrackerProcess
+from gridtrack.recordings import packaged_recording
 from gridtrack.trackers.contract import StreamSpec
 from gridtrack.trackers.selection import Launch, launch, read_trackers_toml
-from gridtrack.trackers.template import new_tracker
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
+DEMO = packaged_recording("leg_tracker")
+QUICK = ("--horizon", "0.5s", "--every", "0.5s", "--validation", f"{DEMO}@75s-78s", "--json")
 STREAM = StreamSpec(GridSpec(40, 0.2), 0.125)
 
 
@@ -58,31 +66,116 @@ def program(tmp_path_factory: pytest.TempPathFactory) -> Launch:
     return read_trackers_toml(folder / "trackers.toml")["fading-cpp"]
 
 
-def test_the_example_package_passes_its_own_tests(example: Path) -> None:
-    tests = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "--import-mode=importlib", "tests"]
-    subprocess.run(tests, cwd=example / "source", check=True)
+def test_a_new_package_works_in_a_fresh_environment_by_the_lines_of_its_ci_file(tmp_path: Path) -> None:
+    folder = tmp_path / "package"
+    assert new_tracker("my-own-2", folder) == folder / "my_own_2.py"
+    written = [path.read_text() for path in folder.rglob("*") if path.is_file()]
+    assert len(written) == 6
+    assert not re.search("example|Fading", "".join(written))
+    assert set(re.findall(r"^(?:from|import) (\w+)", (folder / "my_own_2.py").read_text(), re.MULTILINE)) == {
+        "__future__",
+        "numpy",
+        "gridtrack",
+    }
+    python = fresh_environment(tmp_path / "env")
+    for line in re.findall(r"- run: python (.+)", (folder / ".github" / "workflows" / "test.yml").read_text()):
+        run_python(python, *shlex.split(line), cwd=folder)
+    trackers = ("--tracker", "my-own-2", "--tracker", "blank")
+    out = run_python(python, "-m", "gridtrack.cli", "compare", f"{DEMO}@114s-118s", *trackers, *QUICK, cwd=tmp_path)
+    assert outcomes(out) == {"my-own-2": "ok", "blank": "ok"}
 
 
-def test_a_new_tracker_package_installs_satisfies_the_contract_and_passes_its_tests(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    module = new_tracker("my-own-2", tmp_path / "package")
-    assert module == tmp_path / "package" / "my_own_2.py"
-    written = "".join(path.read_text() for path in (tmp_path / "package").rglob("*.*") if path.is_file())
-    assert "example" not in written
-    assert "class MyOwn2Tracker(Tracker)" in written
-    pip_install(tmp_path / "package", tmp_path / "site")
-    monkeypatch.setenv("PYTHONPATH", str(tmp_path / "site"))
-    monkeypatch.syspath_prepend(str(tmp_path / "site"))
-    results = check_tracker(launch("my-own-2"), STREAM)
-    assert len(results) == 10
-    assert [result for result in results if result.verdict != "passed"] == []
-    tests = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "--import-mode=importlib", "tests"]
-    subprocess.run(tests, cwd=tmp_path / "package", check=True)
+def test_a_tracker_is_compared_in_an_environment_with_another_numpy(tmp_path: Path) -> None:
+    python, other = fresh_environment(tmp_path / "env"), "2.4.3" if np.__version__ != "2.4.3" else "2.4.2"
+    require_from_index(f"numpy=={other}", python)
+    assert run_python(python, "-c", "import numpy; print(numpy.__version__)", cwd=tmp_path).strip() == other
+    new_tracker("my-own-2", tmp_path / "package")  # in this environment alone: it shows which one ran
+    run_python(python, "-m", "pip", "install", "--quiet", str(tmp_path / "package"), cwd=tmp_path)
+    (tmp_path / "trackers.toml").write_text('[elsewhere]\npython = "env/bin/python"\ntracker = "my-own-2"\n')
+    arguments = ("-m", "gridtrack.cli", "compare", f"{DEMO}@114s-118s", "--trackers-toml", "trackers.toml")
+    out = run_python(Path(sys.executable), *arguments, "--tracker", "elsewhere", *QUICK, cwd=tmp_path)
+    assert outcomes(out) == {"elsewhere": "ok"}
+
+
+def require_from_index(requirement: str, python: Path) -> None:
+    """Install `requirement` from the package index beside `python`; skip the test where the index is out of reach."""
+    (site,) = python.parents[1].glob("lib/python*/site-packages")
+    command = [sys.executable, "-m", "pip", "install", "--quiet", "--no-deps", "--target", str(site)]
+    try:
+        patience = ["--retries", "1", "--timeout", "15"]
+        subprocess.run([*command, *patience, requirement], check=True, capture_output=True, text=True, timeout=60)
+    except (subprocess.CalledProcessError, subprocess.TimeoutExpired) as error:
+        pytest.skip(f"{requirement} cannot be installed from a package index: {error.stderr or 'no answer in 60 s'}")
+
+
+def fresh_environment(folder: Path) -> Path:
+    """The Python of a new environment that sees the packages of this one, and into which others can be installed."""
+    subprocess.run([sys.executable, "-m", "venv", "--without-pip", str(folder)], check=True)
+    (site,) = folder.glob("lib/python*/site-packages")
+    (site / "these_tests.pth").write_text(f"import site; site.addsitedir({sysconfig.get_path('purelib')!r})\n")
+    return folder / "bin" / "python"
+
+
+def run_python(python: Path, *arguments: str, cwd: Path) -> str:
+    """What `python` prints, without a package index; a failure shows its output."""
+    offline = {"PIP_NO_INDEX": "1", "PIP_NO_BUILD_ISOLATION": "0"}  # 0: pip reads the variable inverted
+    done = subprocess.run(
+        [str(python), *arguments], cwd=cwd, env={**os.environ, **offline}, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
+def outcomes(summary: str) -> dict[str, str]:
+    """The outcome of each tracker of a comparison on one recording."""
+    trackers = json.loads(summary)["trackers"]
+    return {name: trial["outcome"] for name, one in trackers.items() for trial in one["recordings"].values()}
+
+
+@pytest.mark.parametrize(
+    ("name", "problem"),
+    [
+        ("numpy", "a Python module 'numpy' exists"),
+        ("json", "a Python module 'json' exists"),
+        ("kalman", "a tracker 'kalman' exists"),
+        ("../up", "is not a valid name"),
+        ("x" * 61, "is not a valid name"),
+        ("my_tracker", "is not a valid name"),
+        ("", "is not a valid name"),
+    ],
+)
+def test_a_name_that_cannot_work_is_refused_before_anything_is_written(name: str, problem: str, tmp_path: Path) -> None:
+    with pytest.raises(ConfigurationError, match=problem):
+        new_tracker(name, tmp_path / "package")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_name_that_says_tracker_is_not_doubled_in_the_class(tmp_path: Path) -> None:
+    text = new_tracker("my-tracker", tmp_path / "package").read_text()
+    assert "class MyTracker(Tracker):" in text
+    assert "my-tracker" not in text.replace("--tracker my-tracker:half_life_s=2", "")
+
+
+def test_an_existing_folder_is_left_as_it_is(tmp_path: Path) -> None:
+    (tmp_path / "mine").write_text("kept")
+    (tmp_path / "link").symlink_to(tmp_path / "absent")
+    for folder in ("mine", "link"):
+        with pytest.raises(ConfigurationError, match="exists; choose another folder with --out"):
+            new_tracker("my-own-2", tmp_path / folder)
+    assert (tmp_path / "mine").read_text() == "kept"
+    assert not (tmp_path / "absent").exists()
 
 
 def test_the_program_in_cpp_satisfies_the_contract(program: Launch) -> None:
     assert [r for r in check_tracker(program, STREAM) if r.verdict != "passed"] == []
+
+
+def test_the_program_in_cpp_is_compared(program: Launch, tmp_path: Path) -> None:
+    toml = tmp_path / "trackers.toml"
+    toml.write_text(f"[fading-cpp]\ncommand = {json.dumps(str(program.cwd / program.argv[0]))}\n")
+    trackers = ("--trackers-toml", str(toml), "--tracker", "fading-cpp")
+    arguments = ("-m", "gridtrack.cli", "compare", f"{DEMO}@114s-118s", *trackers, *QUICK)
+    assert outcomes(run_python(Path(sys.executable), *arguments, cwd=tmp_path)) == {"fading-cpp": "ok"}
 
 
 def test_the_program_in_cpp_refuses_options(program: Launch) -> None:

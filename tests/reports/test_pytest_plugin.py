@@ -24,7 +24,7 @@ def test_fading(tracker_regression):
 def suite(tmp_path: Path, install: Callable[..., Path]) -> Callable[..., subprocess.CompletedProcess[str]]:
     """`suite(*arguments, half_life_s, options, more)` runs pytest in a folder with the regression test of the example
     tracker, in a version that forgets half in `half_life_s`."""
-    code, field = EXAMPLE.read_text(), "half_life_s: float = Field({}"
+    code, field = EXAMPLE.read_text(), "half_life_s: float = {}"
     site = install("fading-tracker", {"fading": "example_tracker:FadingTracker"}, {"example_tracker.py": code})
     (tmp_path / "demo.mcap").symlink_to(packaged_recording("leg_tracker"))
 

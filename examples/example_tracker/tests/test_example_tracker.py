@@ -1,16 +1,15 @@
-"""The fading memory against hand-computed values, and through the contract suite."""
+"""The fading memory: against values computed by hand, the contract, and its scores on a short recording."""
 # ruff: noqa: D103
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
+import pytest
 from example_tracker import FadingOptions, FadingTracker
 
-from gridtrack.common.geometry import SE2
-from gridtrack.common.grid import GridFrame, GridSpec
-from gridtrack.evaluation.processes.contract_suite import check_tracker
-from gridtrack.trackers.contract import StreamSpec
-from gridtrack.trackers.selection import launch
+from gridtrack import SE2, ConfigurationError, GridFrame, GridSpec, StreamSpec, packaged_recording
 
 STREAM = StreamSpec(GridSpec(2, 1.0), period_s=0.5)
 
@@ -21,13 +20,24 @@ def frame(visible: list[list[int]], occupied: list[list[int]]) -> GridFrame:
 
 
 def test_a_cell_fades_by_half_in_its_half_life() -> None:
-    tracker = FadingTracker(STREAM, FadingOptions(half_life_s=0.5, background=0.0))
+    tracker = FadingTracker(STREAM, FadingOptions(half_life_s=0.5))
     tracker.update(frame([[1, 1], [0, 0]], [[1, 0], [0, 0]]))
-    assert tracker.predict(2).occupancy[:, 0, 0].tolist() == [1.0, 0.5, 0.25]
+    np.testing.assert_allclose(tracker.predict(2).occupancy[:, 0, 0], [1.0, 0.51, 0.265])
     tracker.update(frame([[0, 0], [0, 0]], [[0, 0], [0, 0]]))
-    assert tracker.predict(1).occupancy[:, 0, 0].tolist() == [0.5, 0.25]
+    np.testing.assert_allclose(tracker.predict(1).occupancy[:, 0, 0], [0.51, 0.265])
 
 
-def test_it_keeps_the_contract() -> None:
-    results = check_tracker(launch("fading"), StreamSpec(GridSpec(40, 0.2), 0.125), {"half_life_s": 2.0})
-    assert [result for result in results if result.verdict != "passed"] == []
+def test_a_half_life_of_nothing_is_refused() -> None:
+    with pytest.raises(ConfigurationError, match="half_life_s = 0: expected more than 0 s"):
+        FadingTracker(STREAM, FadingOptions(half_life_s=0.0))
+
+
+def test_it_keeps_the_contract(tracker_contract: Any) -> None:
+    tracker_contract("fading:half_life_s=2")
+
+
+def test_it_is_not_worse_than_before(tracker_regression: Any) -> None:
+    # after an intended change: pytest --gridtrack-update-baseline
+    demo = packaged_recording("leg_tracker")
+    options = {"validation": f"{demo}@75s-81s", "horizon_s": 1.0, "every_s": 0.5, "tolerance": 0.01}
+    tracker_regression("fading", f"{demo}@114s-120s", baseline="example_tracker.json", **options)
