@@ -1,0 +1,55 @@
+"""The documentation site is built strictly, has every public name, and loads nothing from elsewhere."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import gridtrack
+
+from docs.pages import ROOT
+
+pytest.importorskip("mkdocs", reason="needs the extra `docs`")
+LOADED = re.compile(r"<(?:script|img|iframe|source)\b[^>]*\bsrc=\"?([^\"\s>]+)|<link\b[^>]*\bhref=\"?([^\"\s>]+)")
+
+
+def build(out: Path, config: Path = ROOT / "mkdocs.yml") -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "-f", str(config), "--site-dir", str(out)]
+    environment = os.environ | {"NO_MKDOCS_2_WARNING": "1"}
+    return subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False)
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The built site."""
+    out = tmp_path_factory.mktemp("site")
+    done = build(out)
+    assert done.returncode == 0, done.stderr
+    return out
+
+
+def test_every_public_name_has_its_docstring(site: Path) -> None:
+    page = (site / "docs/api.html").read_text("utf-8")
+    assert [name for name in gridtrack.__all__ if f'id="gridtrack.{name}"' not in page] == []
+
+
+def test_a_page_loads_nothing_from_elsewhere(site: Path) -> None:
+    loaded = {
+        (page.name, address)
+        for page in site.rglob("*.html")
+        for pair in LOADED.findall(page.read_text("utf-8"))
+        for address in pair
+        if re.match(r"(?:https?:)?//", address)
+    }
+    assert loaded == set()
+
+
+def test_the_search_knows_the_words_of_the_pages(site: Path) -> None:
+    index = (site / "search/search_index.js").read_text("utf-8")
+    assert "Reading the report" in index
+    assert "fractions skill score" in index
