@@ -88,7 +88,7 @@ def deadline_table(table: HeadlineTable, styles: Mapping[str, str]) -> DeadlineT
             [(float(i), name) for i, name in enumerate(names)],
             [
                 (
-                    Series(row.name, styles[row.label]),
+                    Series(row.label, row.name, styles[row.label]),
                     (
                         _f1_at({name: scores.f1 for name, scores in row.trial.strata.items()}, stratum, column.step),
                         *(_f1_at(at.f1, stratum, column.step) for at in deadline.rates),
@@ -118,7 +118,10 @@ def robustness_table(table: HeadlineTable, styles: Mapping[str, str]) -> Robustn
                     f"{stratum} cells; {words}",
                     [(value, f"{value:.3g}{unit if value == values[-1] else ''}") for value in values],
                     [
-                        (Series(row.name, styles[row.label]), tuple(_f1_at(p.f1, stratum, column.step) for p in points))
+                        (
+                            Series(row.label, row.name, styles[row.label]),
+                            tuple(_f1_at(p.f1, stratum, column.step) for p in points),
+                        )
                         for row, points in curves
                         if tuple(p.value for p in points) == values
                     ],

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 from gridtrack.evaluation.results.summary import HeadlineTest, TrackerDifference
@@ -105,12 +105,12 @@ def p_text(p: float | None) -> str:
     return "p < 0.001" if p < 0.001 else f"p = {p:.3f}"
 
 
-def difference_markdown(differences: DifferenceTable) -> str:
-    """The table as Markdown, for a terminal or a log of continuous integration."""
+def difference_markdown(differences: DifferenceTable, text: Callable[[str], str] = cell_text) -> str:
+    """The table as Markdown, with names as `text` writes them."""
     headings = ["tracker", *(f"{stratum} {horizon_s:g} s" for stratum, horizon_s in differences.columns)]
     empty = [""] * (len(differences.columns) - 1)
     rows = []
     for row in differences.rows:
         cells = [f"{cell.value} {cell.interval} {cell.p} {cell.verdict}" for cell in row.cells]
-        rows.append([f"{cell_text(row.tracker)}, {row.score}", *(cells or [row.reason, *empty])])
+        rows.append([f"{text(row.tracker)}, {row.score}", *(cells or [text(row.reason), *empty])])
     return markdown_table(headings, rows)

@@ -1,4 +1,4 @@
-"""The verdict of the regression gate as JUnit XML: a test case for each comparison."""
+"""JUnit XML: of the regression gate a test case for each comparison, of a run one for each trial."""
 
 from __future__ import annotations
 
@@ -9,9 +9,12 @@ from gridtrack.common.errors import printable
 from gridtrack.evaluation.regression.recoveries import RecoveryRow
 from gridtrack.evaluation.regression.speed import SpeedRow
 from gridtrack.evaluation.regression.verdict import AnyRow, Verdict
+from gridtrack.reports.chosen_scores import ExportedTable
+from gridtrack.reports.notices import outcome_text
 from gridtrack.reports.regression import place_of, rule_of, sentence_of
 
 SUITE = "gridtrack regress"
+REPORT_SUITE = "gridtrack report"
 
 
 def junit_of(verdict: Verdict) -> str:
@@ -40,12 +43,28 @@ def junit_of_unmeasured(reasons: Sequence[str]) -> str:
     return _xml(suite)
 
 
-def _suite(**counts: int) -> ElementTree.Element:
-    return ElementTree.Element("testsuite", {"name": SUITE} | {name: str(count) for name, count in counts.items()})
+def junit_of_tables(exported: Sequence[ExportedTable]) -> str:
+    """A test case for each tracker on each recording: a trial that is not ranked is a failure, with its reason; the
+    output of each has its scores."""
+    cases = [(one.table, row) for one in exported if not one.table.pooled for row in one.table.rows]
+    failures = sum(row.group == "unranked" for _, row in cases)
+    suite = _suite(REPORT_SUITE, tests=len(cases), failures=failures, errors=0, skipped=0)
+    for table, row in cases:
+        case = _case(suite, row.name, table.recording)
+        if row.group == "unranked":
+            ElementTree.SubElement(case, "failure", message=printable(outcome_text(row)))
+        scores = [f"{c.group} {c.heading}: {cell.text}" for c, cell in zip(table.columns, row.cells, strict=True)]
+        ElementTree.SubElement(case, "system-out").text = printable("; ".join(scores))
+    return _xml(suite)
+
+
+def _suite(name: str = SUITE, **counts: int) -> ElementTree.Element:
+    return ElementTree.Element("testsuite", {"name": name} | {name: str(count) for name, count in counts.items()})
 
 
 def _case(suite: ElementTree.Element, label: str, name: str) -> ElementTree.Element:
-    return ElementTree.SubElement(suite, "testcase", classname=f"{SUITE}.{printable(label)}", name=printable(name))
+    classname = f"{suite.get('name')}.{printable(label)}"
+    return ElementTree.SubElement(suite, "testcase", classname=classname, name=printable(name))
 
 
 def _case_name(row: AnyRow) -> str:

@@ -19,6 +19,6 @@ def cell_text(name: str) -> str:
 
 
 def escaped(text: str) -> str:
-    """Text in which no character has a meaning for Markdown or for the HTML that it may contain."""
+    """Text on one line in which no character has a meaning for Markdown or for the HTML that it may contain."""
     text = printable(text).replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
     return "".join(f"\\{sign}" if sign in "\\`*_[]|#!~@" else sign for sign in text)

@@ -46,10 +46,11 @@ def _of_trials(tables: Sequence[HeadlineTable]) -> Iterator[Notice]:
     for table in tables:
         for row in table.rows_in("unranked"):
             where = f" on {table.recording}" if len(tables) > 1 else ""
-            yield Notice(f"{row.name}{where}: {_outcome_text(row)}", serious=True)
+            yield Notice(f"{row.name}{where}: {outcome_text(row)}", serious=True)
 
 
-def _outcome_text(row: TableRow) -> str:
+def outcome_text(row: TableRow) -> str:
+    """Why a row is not ranked, and how much of it was scored."""
     scored = f"{row.frames} frames scored, not ranked" if row.trial.frames_scored else "nothing scored"
     return "; ".join(filter(None, (row.outcome, row.trial.reason, scored)))
 

@@ -1,9 +1,7 @@
-"""The report page: one HTML file that opens from disk, without scripts and without network access."""
+"""The report page: one HTML file that opens from disk, with its scripts inside and without network access."""
 
 from __future__ import annotations
 
-import base64
-import hashlib
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -11,11 +9,14 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
 from gridtrack.common.files import write_text
+from gridtrack.reports.answer import answer_of
 from gridtrack.reports.notices import Notice, notices_of
+from gridtrack.reports.page_data import page_data
 from gridtrack.reports.pictures import scale_png
 from gridtrack.reports.recording_section import section_of, styles_of
 from gridtrack.reports.run import UNDEFINED, ReportedRun, ReportError, read_runs
 from gridtrack.reports.run_description import facts_of, lead_of, provenance_of, title_of
+from gridtrack.reports.scripts import data_in_page, joined_script, policy_of
 from gridtrack.reports.table import headline_tables, main_tables
 
 TEMPLATES = Path(__file__).parent / "templates"
@@ -44,20 +45,23 @@ def render_page(runs: Sequence[ReportedRun]) -> str:
     tables = headline_tables(runs)
     styles = styles_of(runs)
     sections, unreadable = zip(*(section_of(runs, table, styles) for table in tables), strict=True)
-    css = (TEMPLATES / "page.css").read_text("utf-8")
+    css, script = (TEMPLATES / "page.css").read_text("utf-8"), joined_script()
     return (
         _environment()
         .get_template("page.html.j2")
         .render(
             title=title_of(runs),
             leads=[lead_of(table) for table in main_tables(tables)] if len(runs) == 1 else [],
+            answer=answer_of(runs[0]) if len(runs) == 1 else (),
             runs=[(run, facts_of(run), provenance_of(run)) for run in runs],
             notices=[Notice(text, serious=True) for texts in unreadable for text in texts] + notices_of(runs, tables),
             sections=sections,
             styles=styles,
             scale=scale_png(),
             css=Markup(css),  # a file of this package, no text of a run
-            css_hash=base64.b64encode(hashlib.sha256(css.encode()).digest()).decode(),
+            script=script,
+            data=data_in_page(page_data(runs, tables, styles, [one.player for one in sections if one.player])),
+            policy=Markup(policy_of([script], [css])),
         )
     )
 

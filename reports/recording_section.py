@@ -1,4 +1,4 @@
-"""The section of one recording on the page: tables, curves and filmstrip, laid out for the templates."""
+"""The section of one recording on the page: tables, figures and player, laid out for the templates."""
 
 from __future__ import annotations
 
@@ -6,15 +6,15 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from gridtrack.evaluation.results.passes import Latency
-from gridtrack.evaluation.results.trial_summary import StratumScores, TrialSummary
+from gridtrack.evaluation.results.trial_summary import StratumScores
 from gridtrack.reports.ceiling import CeilingTable, ceiling_table
 from gridtrack.reports.classes import ClassTables, class_tables
 from gridtrack.reports.deadline_and_robustness import DeadlineTable, RobustnessTable, deadline_table, robustness_table
 from gridtrack.reports.differences import DifferenceTable, difference_table
-from gridtrack.reports.figures import Axis, Band, CurvePanel, Series, Span, TimeScale, curve_panel, time_scale
-from gridtrack.reports.filmstrip import Filmstrip, filmstrip_of
+from gridtrack.reports.figures import Axis, Span, TimeScale, time_scale
 from gridtrack.reports.occluded import OccludedTable, occluded_table
 from gridtrack.reports.occluded_thresholds import OccludedThresholds, occluded_thresholds
+from gridtrack.reports.player import Player, player_of
 from gridtrack.reports.reliability import DIAGRAM_SIDE, LEAST_CELLS, ReliabilityDiagram, reliability_diagrams
 from gridtrack.reports.run import ReportedRun
 from gridtrack.reports.spatial import SpatialSection, spatial_section
@@ -25,12 +25,6 @@ TRACKER_COLOURS = 8
 """Further trackers repeat the colours, with broken lines."""
 FLOOR_GREYS = 3
 """Floors beyond this many repeat the greys."""
-_SMALL = (370, 227)
-CURVE_PANELS = (
-    (MAIN_STRATUM, (740, 470), 140.0),
-    *((name, _SMALL, 0.0) for name in ("dynamic", "visible", "standing", "static")),
-)
-"""Stratum, size and label width of each panel of curves; the most important stratum is the largest."""
 TIME_WIDTH = 150.0
 MARK_WIDTH = 70.0
 MARKED_HORIZONS = 3
@@ -81,8 +75,6 @@ class Section:
     differences: DifferenceTable | None
     """Only on the page of one run."""
     trainings: TrainingsTable | None
-    curves: tuple[tuple[str, tuple[CurvePanel, ...]], ...]
-    """For each run its name (empty where there is only one) and its panels."""
     threshold_horizons: tuple[str, ...]
     thresholds: tuple[tuple[TableRow, tuple[ThresholdMark, ...]], ...]
     period_ms: float
@@ -90,7 +82,7 @@ class Section:
     times: tuple[TimeRow, ...]
     deadlines: DeadlineTable | None
     robustness: RobustnessTable | None
-    filmstrip: Filmstrip | None
+    player: Player | None
     ceiling: CeilingTable | None
     occluded: OccludedTable | None
     occluded_thresholds: OccludedThresholds | None
@@ -136,14 +128,13 @@ def section_of(
     period_ms = described.period_s * 1e3
     scale = time_scale(_latency_quantiles(table.rows), period_ms, TIME_WIDTH)
     horizons, thresholds = _thresholds(table)
-    filmstrip, notices = _filmstrip(runs, table)
+    player, notices = _player(runs, table)
     diagrams, unreadable = reliability_diagrams(runs, table)
     section = Section(
         table=table,
         details=tuple(_details(table)),
         differences=difference_table(runs[0], table.recording) if len(runs) == 1 else None,
         trainings=trainings_table(runs[0], table.recording) if len(runs) == 1 else None,
-        curves=tuple((run.name if len(runs) > 1 else "", _panels(run, table, styles)) for run in shown),
         threshold_horizons=horizons,
         thresholds=thresholds,
         period_ms=period_ms,
@@ -151,7 +142,7 @@ def section_of(
         times=tuple(_time_row(row, scale, period_ms) for row in table.rows),
         deadlines=deadline_table(table, styles),
         robustness=robustness_table(table, styles),
-        filmstrip=filmstrip,
+        player=player,
         ceiling=ceiling_table(table),
         occluded=occluded_table(table),
         occluded_thresholds=occluded_thresholds(table, runs[0] if len(runs) == 1 else None),
@@ -168,38 +159,6 @@ def _details(table: HeadlineTable) -> Iterator[ScoreDetail]:
         if column.score == "f1" and column.stratum == MAIN_STRATUM:
             scores = ((n, tuple((r, r.trial.strata[n]) for r in table.rows if n in r.trial.strata)) for n in strata)
             yield ScoreDetail(column.heading, column.step, tuple(scores))
-
-
-def _panels(run: ReportedRun, table: HeadlineTable, styles: Mapping[str, str]) -> tuple[CurvePanel, ...]:
-    """F1 of every trial with scores, in the reverse order of the table, so that the best is drawn on top."""
-    recording = run.summary.recordings[table.recording]
-    order = {row.label: at for at, row in reversed(list(enumerate(table.rows)))}
-    trials = [
-        (_series(label, styles[label], entry.recordings[table.recording]), entry.recordings[table.recording])
-        for label, entry in sorted(run.summary.trackers.items(), key=lambda item: -order.get(item[0], 0))
-        if table.recording in entry.recordings
-    ]
-    return tuple(
-        curve_panel(
-            name,
-            recording.horizons_s,
-            [(s, t.strata[name].f1) for s, t in trials if name in t.strata],
-            size,
-            label,
-            [_band(t.strata[name]) for _, t in trials if name in t.strata],
-        )
-        for name, size, label in CURVE_PANELS
-        if any(name in trial.strata for _, trial in trials)
-    )
-
-
-def _band(scores: StratumScores) -> Band | None:
-    return None if scores.f1_low is None or scores.f1_high is None else (scores.f1_low, scores.f1_high)
-
-
-def _series(label: str, style: str, trial: TrialSummary) -> Series:
-    """The name and style of a trial: faint, and marked as partial, where it is not ranked."""
-    return Series(label, style) if trial.complete else Series(f"{label} (partial)", f"{style} partial")
 
 
 def _thresholds(table: HeadlineTable) -> tuple[tuple[str, ...], tuple[tuple[TableRow, tuple[ThresholdMark, ...]], ...]]:
@@ -239,11 +198,11 @@ def keeps_up(latency: Latency, period_ms: float) -> str:
     return "updates only" if update <= period_ms else "no"
 
 
-def _filmstrip(runs: Sequence[ReportedRun], table: HeadlineTable) -> tuple[Filmstrip | None, tuple[str, ...]]:
-    """The filmstrip; none on the page of several runs, and none of pooled recordings."""
+def _player(runs: Sequence[ReportedRun], table: HeadlineTable) -> tuple[Player | None, tuple[str, ...]]:
+    """The player; none on the page of several runs, and none of pooled recordings."""
     if len(runs) > 1 or table.pooled:
         return None, ()
-    run, step = runs[0], table.decisive.step
+    (run,) = runs
     folders = {row.label: run.trial_folder(row.label, table.recording) for row in table.rows}
-    horizon_s = run.summary.recordings[table.recording].horizons_s[step]
-    return filmstrip_of(table, folders, step, horizon_s, len(run.summary.recordings))
+    horizons_s = run.summary.recordings[table.recording].horizons_s
+    return player_of(table, folders, horizons_s, len(run.recordings))

@@ -108,7 +108,10 @@ def _panel(rows: Sequence[TableRow], stratum: str, heading: str, step: int, styl
         "FSS",
         f"{stratum} cells, {heading} ahead",
         [(float(scale), f"{scale}{' cells' if scale == SCALES[-1] else ''}") for scale in SCALES],
-        [(Series(row.name, styles[row.label]), [scores.at(name, step) for name in FSS]) for row, scores in shown],
+        [
+            (Series(row.label, row.name, styles[row.label]), [scores.at(name, step) for name in FSS])
+            for row, scores in shown
+        ],
         [(low, high) for low, high in ends],
         top=1.0,
     )

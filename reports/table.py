@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import groupby
 from typing import Literal
@@ -122,6 +122,8 @@ class HeadlineTable:
     """Whether all rows are scored on the same frames: only then the best are marked."""
     pooled: bool
     """Whether it is pooled over all recordings."""
+    horizons_s: tuple[float, ...]
+    """The horizons that every run has, seconds."""
 
     @property
     def has_intervals(self) -> bool:
@@ -152,7 +154,8 @@ def main_tables(tables: Sequence[HeadlineTable]) -> Sequence[HeadlineTable]:
 def _headline_table(runs: Sequence[ReportedRun], recording: str) -> HeadlineTable:
     shown = [run for run in runs if recording in run.summary.recordings]
     intervals, forgiving = (_has_any(shown, recording, score) for score in ("f1_low", FORGIVING))
-    columns = tuple(_columns(_common_horizons(shown, recording), intervals, forgiving))
+    horizons_s = _common_horizons(shown, recording)
+    columns = tuple(_columns(horizons_s, intervals, forgiving))
     decisive = next(i for i, column in enumerate(columns) if column.step == columns[-1].step)
     rows = [
         _table_row(run.name if len(runs) > 1 else "", label, entry, entry.recordings[recording], columns)
@@ -171,8 +174,8 @@ def _headline_table(runs: Sequence[ReportedRun], recording: str) -> HeadlineTabl
     comparable = _same_frames(shown, recording)
     pooled = any(run.is_pooled(recording) for run in shown)
     if comparable:
-        rows = list(_with_best(rows, columns))
-    return HeadlineTable(recording, columns, tuple(rows), columns[decisive], comparable, pooled)
+        rows = list(with_best(rows, columns))
+    return HeadlineTable(recording, columns, tuple(rows), columns[decisive], comparable, pooled, horizons_s)
 
 
 def _common_horizons(runs: Sequence[ReportedRun], recording: str) -> tuple[float, ...]:
@@ -210,15 +213,15 @@ def _columns(horizons_s: Sequence[float], intervals: bool, forgiving: bool) -> I
     steps = sorted({step for step in wanted if 0 < step < len(horizons_s)}) or [len(horizons_s) - 1]
     if not intervals:
         for step in steps:
-            heading = _horizon_text(horizons_s[step])
+            heading = horizon_text(horizons_s[step])
             yield TableColumn(f"PR-AUC, {MAIN_STRATUM}", heading, MAIN_STRATUM, "pr_auc", step)
     for stratum in HEADLINE_STRATA:
         for step in steps:
-            yield TableColumn(f"F1, {stratum}", _horizon_text(horizons_s[step]), stratum, "f1", step)
+            yield TableColumn(f"F1, {stratum}", horizon_text(horizons_s[step]), stratum, "f1", step)
     step = round(DETAIL_HORIZON_S / period_s)
     step = step if step in steps else steps[0]
-    yield TableColumn(f"F1, {STANDING}", _horizon_text(horizons_s[step]), STANDING, "f1", step)
-    group = f"{MAIN_STRATUM}, {_horizon_text(horizons_s[step])}"
+    yield TableColumn(f"F1, {STANDING}", horizon_text(horizons_s[step]), STANDING, "f1", step)
+    group = f"{MAIN_STRATUM}, {horizon_text(horizons_s[step])}"
     yield TableColumn(group, "precision", MAIN_STRATUM, "precision", step, 0)
     yield TableColumn(group, "recall", MAIN_STRATUM, "recall", step, 0)
     if intervals:
@@ -229,7 +232,8 @@ def _columns(horizons_s: Sequence[float], intervals: bool, forgiving: bool) -> I
     yield TableColumn(group, "Brier", MAIN_STRATUM, "brier", step, -1)
 
 
-def _horizon_text(horizon_s: float) -> str:
+def horizon_text(horizon_s: float) -> str:
+    """A horizon as in the headings."""
     return f"{horizon_s:.3g} s"
 
 
@@ -250,7 +254,7 @@ def _or_least(value: float | None) -> float:
     return -1.0 if value is None else value
 
 
-def _with_best(rows: Sequence[TableRow], columns: Sequence[TableColumn]) -> Iterator[TableRow]:
+def with_best(rows: Sequence[TableRow], columns: Sequence[TableColumn]) -> Iterator[TableRow]:
     """Mark the best complete trials of each column; values that are equal to the digits shown are equally good."""
     best: list[str | None] = []
     for i, column in enumerate(columns):
@@ -262,11 +266,11 @@ def _with_best(rows: Sequence[TableRow], columns: Sequence[TableColumn]) -> Iter
         yield row if row.group in ("unranked", "ceiling") else replace(row, cells=tuple(cells))
 
 
-def headline_markdown(table: HeadlineTable) -> str:
-    """The table as Markdown, for a terminal or a log of continuous integration; the best values are bold."""
+def headline_markdown(table: HeadlineTable, text: Callable[[str], str] = cell_text) -> str:
+    """The table as Markdown, with names as `text` writes them; the best values are bold."""
     headings = ["tracker", *(f"{c.group} {c.heading}" for c in table.columns), "frames", "outcome"]
     rows = [
-        [cell_text(row.name), *(_cell_markdown(cell) for cell in row.cells), row.frames, row.outcome]
+        [text(row.name), *(_cell_markdown(cell) for cell in row.cells), row.frames, text(row.outcome)]
         for row in table.rows
     ]
     return markdown_table(headings, rows, aligned_right=range(1, len(headings) - 1))

@@ -201,6 +201,33 @@ class TrackerTrainings(ResultModel):
     scores: tuple[TrainingsScore, ...] = Field(default=(), max_length=100)
 
 
+class PairTest(ResultModel):
+    """One row less another in a score, with the 95 % interval and the test of their difference."""
+
+    tracker: str
+    other: str
+    difference: Number = None
+    low: Number = None
+    high: Number = None
+    p: Number = None
+    p_holm: Number = None
+    """Corrected over the pairs of the family (Holm 1979)."""
+    verdict: str
+    """As of HeadlineTest: `better` where `tracker` is better, also in a score whose lower values are."""
+
+
+class PairFamily(ResultModel):
+    """All pairs of comparable rows in one score, stratum and horizon, on a recording or on all: one family of tests."""
+
+    recordings: str
+    score: str
+    stratum: str
+    horizon_s: float
+    step: int
+    units: int
+    pairs: tuple[PairTest, ...]
+
+
 class RunSummary(ResultModel):
     """The results of a run."""
 
@@ -219,6 +246,8 @@ class RunSummary(ResultModel):
     differences: tuple[TrackerDifference, ...] = ()
     class_differences: tuple[ClassDifference, ...] = ()
     occluded_differences: tuple[OccludedDifference, ...] = ()
+    pairs: tuple[PairFamily, ...] = ()
+    """Empty with too few statistical units, and in a run of before."""
     trainings: tuple[TrackerTrainings, ...] = ()
     """Where a tracker has several trainings: every tracker, with the spread between its trainings."""
 

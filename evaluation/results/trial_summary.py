@@ -10,6 +10,17 @@ from gridtrack.evaluation.results.passes import Deadline, Latency, Robustness
 from gridtrack.evaluation.results.trial_record import Times
 from gridtrack.evaluation.results.values import CellCounts, Curve, Number, ResultModel
 
+HIGHER_IS_BETTER = (
+    *("f1", "f1_at_visible", "f1_at_half", "f1_label_free", "pr_auc"),
+    *("fss_1", "fss_3", "fss_5", "fss_9", "soft_iou", "share_of_oracle", "share_of_oracle_nll"),
+)
+LOWER_IS_BETTER = ("brier", "brier_reliability", "nll", "ece", "ece_above_1_percent", "beam_error", "beam_error_median")
+
+
+def better_direction(score: str) -> int:
+    """1 where a higher score is better, -1 where a lower one is, 0 for scores that do not rank."""
+    return int(score in HIGHER_IS_BETTER) - int(score in LOWER_IS_BETTER)
+
 
 class StratumScores(ResultModel):
     """Scores in one stratum, each per step; `_low` and `_high` are the ends of 95 % confidence intervals."""

@@ -1,7 +1,8 @@
 """Samples of a trial's forecasts: an MCAP file of grids that opens in Foxglove, and that reports read.
 
 The log time of a sample is the stamp of frame t: `/input` is x_t, `/sensors` the positions of the sensors in it,
-`/came/1s` the frame observed one second later and `/forecast/1s` the forecast of it. Probabilities have 255 steps.
+`/objects` the tracker's objects at t, `/came/1s` the frame observed one second later, `/scored/1s` what was known of
+every cell then, and `/forecast/1s` the forecast of it. Probabilities have 255 steps.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ import numpy as np
 from foxglove_schemas_protobuf.Grid_pb2 import Grid
 from foxglove_schemas_protobuf.PackedElementField_pb2 import PackedElementField
 from foxglove_schemas_protobuf.PosesInFrame_pb2 import PosesInFrame
+from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from google.protobuf.message import DecodeError
 from mcap.exceptions import McapError
 from mcap.records import Channel, Chunk, Message
@@ -31,6 +33,9 @@ from gridtrack.common.errors import GridtrackError
 from gridtrack.common.files import atomic_write
 from gridtrack.common.grid import GridSpec, Mask
 from gridtrack.evaluation.scoring.referee import Schedule, ScoredForecast
+from gridtrack.evaluation.scoring.sample_objects import KeptObject, objects_message, objects_of
+from gridtrack.evaluation.scoring.strata import PARTS
+from gridtrack.evaluation.scoring.target import NOT_SCORED, Target
 
 SAMPLES = "forecasts.mcap"
 KEPT = 40
@@ -38,11 +43,14 @@ KEPT = 40
 HORIZONS_S = (0.5, 1.0, 2.0)
 MAX_CHUNK_BYTES = 1 << 26
 MAX_TOPICS = 64
-SENSORS = "/sensors"
+SENSORS, TRACKED_OBJECTS = "/sensors", "/objects"
 OCCUPANCY_FIELDS = ("visible", "occupied")
+SCORED_FIELDS = ("state", "in_motion")
 PROBABILITY_FIELDS = ("probability",)
 
 
+_MESSAGES: dict[str, Any] = {SENSORS: PosesInFrame, TRACKED_OBJECTS: SceneUpdate}
+"""The schemas of the topics that are not grids."""
 _UNREADABLE = (OSError, McapError, DecodeError, ZstdError, struct.error, GridtrackError, ValueError, KeyError)
 
 
@@ -68,6 +76,12 @@ class Sample:
     forecast: NDArray[np.float32]
     observed_visible: Mask
     observed_occupied: Mask
+    state: NDArray[np.uint8]
+    """(H, M, M): the states of `target.py`. Of a file without them, which earlier runs wrote, of the visible cells
+    alone."""
+    in_motion: Mask | None = None
+    """(H, M, M): the visible cells of the stratum `in-motion`; None of a file without them."""
+    objects: tuple[KeptObject, ...] = ()
 
 
 def kept_forecasts(schedule: Schedule) -> frozenset[int]:
@@ -100,9 +114,12 @@ class SampleWriter:
         stamp_ns, frames = scored.stamp_ns, scored.frames
         self._write("/input", stamp_ns, _planes(frames[0].visible, frames[0].occupied), OCCUPANCY_FIELDS)
         self._write_message(SENSORS, stamp_ns, _sensor_poses(frames[0].origins, stamp_ns))
+        self._write_message(TRACKED_OBJECTS, stamp_ns, objects_message(scored.forecast.objects, stamp_ns))
         for horizon, step in self._steps.items():
             observed = frames[step]
             self._write(f"/came/{horizon:g}s", stamp_ns, _planes(observed.visible, observed.occupied), OCCUPANCY_FIELDS)
+            known = _scored_planes(scored.targets[step], scored.region_maps.dynamic)
+            self._write(f"/scored/{horizon:g}s", stamp_ns, known, SCORED_FIELDS)
             probability = (scored.forecast.occupancy[step] * 255).round().astype(np.uint8)
             self._write(f"/forecast/{horizon:g}s", stamp_ns, probability[..., None], PROBABILITY_FIELDS)
 
@@ -126,6 +143,12 @@ def _sensor_poses(origins: NDArray[np.float32], stamp_ns: int) -> Any:
 def _planes(visible: Mask, occupied: Mask) -> NDArray[np.uint8]:
     """Two planes (M, M, 2) uint8, 255 where the cell is visible, and where it is occupied."""
     return np.stack([visible, occupied], axis=-1).astype(np.uint8) * np.uint8(255)
+
+
+def _scored_planes(target: Target, dynamic: Mask) -> NDArray[np.uint8]:
+    """Two planes (M, M, 2) uint8: the state of each cell, and 255 where it is visible and of the stratum in-motion."""
+    in_motion = target.frame.visible & dynamic & (target.motion != PARTS.index("standing"))
+    return np.stack([target.state, np.where(in_motion, np.uint8(255), np.uint8(0))], axis=-1)
 
 
 def _message(grid: GridSpec, stamp_ns: int, planes: NDArray[np.uint8], fields: tuple[str, ...]) -> Any:
@@ -156,7 +179,7 @@ def read_samples(path: Path) -> Iterator[Sample]:
             stamp_ns = message.log_time
             if len(topics) == MAX_TOPICS:
                 raise ValueError(f"more than {MAX_TOPICS} messages at {stamp_ns} ns")
-            topics[topic] = (PosesInFrame if topic == SENSORS else Grid).FromString(message.data)
+            topics[topic] = _MESSAGES.get(topic, Grid).FromString(message.data)
         if stamp_ns is not None:
             yield _sample(stamp_ns, topics)
     except _UNREADABLE as error:
@@ -193,7 +216,25 @@ def _sample(stamp_ns: int, topics: dict[str, Any]) -> Sample:
     observed = np.array(occupancy[1:], bool).reshape(len(horizons), *grid.shape, 2)
     origins = np.array([(p.position.x, p.position.y) for p in topics[SENSORS].poses], np.float32).reshape(-1, 2)
     visible, occupied = np.moveaxis(occupancy[0], -1, 0)
-    return Sample(stamp_ns, horizons, grid, visible, occupied, origins, forecast, observed[..., 0], observed[..., 1])
+    state, in_motion = _scored(topics, grid, horizons)
+    if state is None:
+        state = np.where(observed[..., 0], observed[..., 1], np.uint8(NOT_SCORED)).astype(np.uint8)
+    objects = objects_of(topics[TRACKED_OBJECTS]) if TRACKED_OBJECTS in topics else ()
+    seen, came = observed[..., 0], observed[..., 1]
+    return Sample(stamp_ns, horizons, grid, visible, occupied, origins, forecast, seen, came, state, in_motion, objects)
+
+
+def _scored(
+    topics: dict[str, Any], grid: GridSpec, horizons: tuple[float, ...]
+) -> tuple[NDArray[np.uint8] | None, Mask | None]:
+    """The states (H, M, M) and the cells in motion (H, M, M); None where the file has none."""
+    if not all(f"/scored/{h:g}s" in topics for h in horizons):
+        return None, None
+    planes = [_decoded(topics[f"/scored/{h:g}s"], grid, SCORED_FIELDS) for h in horizons]
+    scored = np.array(planes, np.uint8).reshape(len(horizons), *grid.shape, 2)
+    if scored[..., 0].max(initial=0) > NOT_SCORED:
+        raise ValueError(f"a cell of state {scored[..., 0].max()}; states are 0 to {NOT_SCORED}")
+    return scored[..., 0], scored[..., 1] == 255
 
 
 def _seconds(topic: str) -> float:

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 from numpy.typing import NDArray
 from pyarrow import ArrowException, parquet
 
@@ -33,6 +34,7 @@ from gridtrack.evaluation.scoring.strata import STRATA, STRATA_WITH_TRUTH
 from gridtrack.evaluation.scoring.thresholds import Thresholds, half
 
 _STRATUM_INDEX = {name: i for i, name in enumerate(STRATA_WITH_TRUTH)}
+_STRATA = pa.array(STRATA_WITH_TRUTH)
 
 
 class ScoresError(GridtrackError):
@@ -142,10 +144,12 @@ def add_histograms(
     number_of = np.full((steps + 1, len(STRATA_WITH_TRUTH)), -1)
     for number, (step, stratum) in enumerate(chosen):
         number_of[step, _STRATUM_INDEX[stratum]] = number
+    stamps = pa.array(list(unit_of), pa.int64())
+    numbers_of_units = np.array([*unit_of.values(), -1], np.int64)  # the last is that of a frame that it lacks
     for batch in _read(folder, HISTOGRAM_TABLE, ["stamp_ns", "step", "stratum", "bin", "count", "positives"]):
-        units = np.array([unit_of.get(stamp, -1) for stamp in batch["stamp_ns"].to_pylist()], np.int64)
+        units = numbers_of_units[_indices(batch["stamp_ns"], stamps)]
         step_of = batch["step"].to_numpy().astype(np.int64)
-        strata = np.array([_STRATUM_INDEX.get(name, -1) for name in batch["stratum"].to_pylist()], np.int64)
+        strata = _indices(batch["stratum"], _STRATA)
         numbers = np.where(step_of <= steps, number_of[np.clip(step_of, 0, steps), strata], -1)
         counted = (units >= 0) & (numbers >= 0)
         columns = {name: batch[name].filter(pa.array(counted)) for name in ("bin", "count", "positives")}
@@ -193,10 +197,15 @@ def _batches(folder: Path, table: ParquetTable, names: list[str], steps: int) ->
         step = batch["step"].to_numpy().astype(np.int64)
         if len(step) and not 0 <= step.min() <= step.max() <= steps:
             raise ScoresError(f"{path}: steps {step.min()} to {step.max()}, expected 0 to {steps}")
-        strata = np.array([_STRATUM_INDEX.get(name, -1) for name in batch["stratum"].to_pylist()], np.int64)
+        strata = _indices(batch["stratum"], _STRATA)
         if (strata < 0).any():
             raise ScoresError(f"{path}: a stratum other than {', '.join(STRATA_WITH_TRUTH)}")
         yield {"where": (step, strata), **{name: _as_numpy(batch[name]) for name in names}}
+
+
+def _indices(column: Any, among: Any) -> NDArray[np.int64]:
+    """Where each value of a column stands in the array `among`; -1 for one that it lacks."""
+    return np.asarray(pc.index_in(column, value_set=among).fill_null(-1), np.int64)
 
 
 def _as_numpy(column: Any) -> Any:

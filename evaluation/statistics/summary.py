@@ -15,6 +15,7 @@ from gridtrack.evaluation.statistics.ceiling import with_ceiling
 from gridtrack.evaluation.statistics.class_statistics import ClassStatistics
 from gridtrack.evaluation.statistics.finished_trial import FinishedTrial, trials_on
 from gridtrack.evaluation.statistics.occluded_statistics import OccludedStatistics
+from gridtrack.evaluation.statistics.pair_statistics import PairStatistics
 from gridtrack.evaluation.statistics.pooled_horizons import unlike_recordings
 from gridtrack.evaluation.statistics.run_statistics import RunStatistics
 from gridtrack.evaluation.statistics.training_statistics import TrainingStatistics
@@ -56,6 +57,7 @@ def summarise(
         differences=tuple(statistics.differences()),
         class_differences=tuple(classes.differences()),
         occluded_differences=tuple(OccludedStatistics(statistics).differences()),
+        pairs=tuple(PairStatistics(statistics).families()),
         trainings=tuple(TrainingStatistics(statistics).found()),
     )
 

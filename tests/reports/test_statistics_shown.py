@@ -101,7 +101,7 @@ def test_the_other_scores_stand_below_f1_with_uncorrected_p_and_no_verdict(run, 
 
 def test_the_page_draws_a_band_round_every_curve_that_has_an_interval(page):
     together = page.partition('<details><summary class="name">')[0]
-    assert together.count('class="band"') == 5 * 4 + 6 * 4, "F1 in five strata; FSS in two at three horizons"
+    assert together.count('class="band"') == 6 * 4, "FSS in two strata at three horizons"
     assert 'class="band"' not in page[len(together) :]
 
 

@@ -3,7 +3,7 @@
 from gridtrack.reports.figures import Series
 from gridtrack.reports.sweeps import series_of, sweep_panel
 
-ONE, OTHER = Series("a", "t0"), Series("b", "t1")
+ONE, OTHER = Series("a", "a", "t0"), Series("b", "b", "t1")
 
 
 def test_a_panel_reaches_from_zero_to_the_highest_score():

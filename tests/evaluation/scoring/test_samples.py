@@ -1,5 +1,7 @@
 """Samples for viewing: round trip, and damaged files refused in one line."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from mcap.reader import make_reader
@@ -7,11 +9,12 @@ from mcap_protobuf.decoder import DecoderFactory
 
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec
+from gridtrack.evaluation.scoring import samples as samples_module
 from gridtrack.evaluation.scoring.referee import Schedule, ScoredForecast
 from gridtrack.evaluation.scoring.samples import SAMPLES, SamplesError, SampleWriter, kept_forecasts, read_samples
-from gridtrack.evaluation.scoring.strata import region_maps_of
+from gridtrack.evaluation.scoring.strata import CELL_KINDS, region_maps_of
 from gridtrack.evaluation.scoring.target import Target
-from gridtrack.trackers.contract import Forecast
+from gridtrack.trackers.contract import Forecast, TrackedObject
 
 GRID = GridSpec(12, 0.25, (-1.0, 2.0))
 STEPS, PERIOD_S = 15, 0.1
@@ -27,7 +30,9 @@ def random_forecast(seed):
         occupied = visible & (rng.random(GRID.shape) < 0.3)
         stamp_ns = seed * 1_000_000_000 + n * 100_000_000
         frames.append(GridFrame(stamp_ns, visible, occupied, SE2(), ORIGINS, nothing, np.zeros(0, np.uint8)))
-    forecast = Forecast(rng.random((STEPS + 1, *GRID.shape), dtype=np.float32))
+    box, velocity = rng.uniform(-3, 3, 5).astype(np.float32), rng.uniform(-2, 2, 2).astype(np.float32)
+    tracked = TrackedObject(17, box, velocity, np.eye(4, dtype=np.float32))
+    forecast = Forecast(rng.random((STEPS + 1, *GRID.shape), dtype=np.float32), objects=(tracked,))
     nowhere = np.zeros(GRID.shape, np.uint8)
     region_maps = region_maps_of(nowhere, GRID, ORIGINS)
     return ScoredForecast(forecast, tuple(Target.of_frame(frame) for frame in frames), region_maps, nowhere)
@@ -56,6 +61,46 @@ def test_samples_survive_a_round_trip(written):
             assert np.array_equal(sample.observed_visible[i], scored.frames[step].visible)
             assert np.array_equal(sample.observed_occupied[i], scored.frames[step].occupied)
             assert np.abs(sample.forecast[i] - scored.forecast.occupancy[step]).max() <= 0.5 / 255 + 1e-6
+
+
+def test_states_motion_and_objects_survive_a_round_trip(tmp_path):
+    scored = random_forecast(1)
+    rng = np.random.default_rng(5)
+    kinds = rng.integers(0, 3, GRID.shape).astype(np.uint8)
+    targets = tuple(
+        replace(
+            one,
+            state=np.where(one.frame.visible, one.state, rng.integers(2, 5, GRID.shape)).astype(np.uint8),
+            motion=rng.integers(0, 3, GRID.shape).astype(np.uint8),
+        )
+        for one in scored.targets
+    )
+    scored = replace(scored, targets=targets, region_maps=region_maps_of(kinds, GRID, ORIGINS))
+    with SampleWriter(tmp_path / SAMPLES, GRID, PERIOD_S, STEPS) as writer:
+        writer.add(scored)
+    (sample,) = read_samples(tmp_path / SAMPLES)
+    for i, step in enumerate((5, 10)):
+        target = targets[step]
+        assert np.array_equal(sample.state[i], target.state)
+        expected = target.frame.visible & (kinds == CELL_KINDS.index("dynamic")) & (target.motion != 1)
+        assert np.array_equal(sample.in_motion[i], expected)
+    (kept,), (tracked,) = sample.objects, scored.forecast.objects
+    assert kept.track == 17
+    assert np.allclose(kept.box, tracked.box, atol=1e-5)
+    assert np.allclose(kept.velocity, tracked.velocity, atol=1e-5)
+
+
+def test_a_file_of_before_has_the_states_of_visible_cells_alone(written, monkeypatch):
+    path, written_forecasts = written
+    everything = samples_module._messages
+    old = ("/input", "/came", "/forecast", "/sensors")
+    monkeypatch.setattr(samples_module, "_messages", lambda path: (m for m in everything(path) if m[0].startswith(old)))
+    sample = next(iter(read_samples(path)))
+    frame = written_forecasts[0].frames[5]
+    assert sample.in_motion is None
+    assert np.array_equal(sample.state[0] < 2, frame.visible)
+    assert np.array_equal(sample.state[0] == 1, frame.occupied)
+    assert sample.objects == ()
 
 
 def test_foxglove_finds_grids_with_x_along_columns_and_y_along_rows(written):

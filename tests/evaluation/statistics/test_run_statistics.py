@@ -15,7 +15,7 @@ from gridtrack.evaluation.statistics.frame_counts import FrameCounts, common_fra
 from gridtrack.evaluation.statistics.jackknife import COUNTS, interval
 from gridtrack.evaluation.statistics.summary import summarise
 from gridtrack.evaluation.statistics.units import UnitRule, autocorrelation_time, sum_by_unit
-from gridtrack.reports.chosen_frames import frame_scores
+from gridtrack.reports.moment_choice import frame_scores
 
 from scenes import synthetic_run as synthetic
 
@@ -281,7 +281,7 @@ def test_scores_are_read_from_the_folder_that_is_named_and_not_from_one_that_mat
     for name, count in frames.items():
         trial = trials[name]
         assert len(read_frame_counts(trial.folder, trial.record.steps, trial.strata).stamps_ns) == count
-        assert len(frame_scores(trial.folder / SCORES_TABLE.file, 0)) == count
+        assert len(frame_scores(trial.folder / SCORES_TABLE.file, [0])[0]) == count
 
 
 def test_scores_of_other_steps_are_refused(tmp_path):

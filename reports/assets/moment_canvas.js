@@ -1,0 +1,111 @@
+// One panel of the player: cells on a canvas, each a whole square, with sensors and objects over them.
+import { make } from "./elements.js";
+import { markOf, MARK_COLOURS, cssColour } from "./moment_cells.js";
+
+const cellBuffer = document.createElement("canvas");
+
+// `view`: { left, bottom, span } in cells. Cell [row, column] is drawn with row 0 at the bottom.
+function paintCells(size, colourAt, from, to) {
+  cellBuffer.width = cellBuffer.height = size;
+  const context = cellBuffer.getContext("2d");
+  const image = context.createImageData(size, size);
+  for (let row = 0; row < size; row += 1) {
+    for (let column = from; column < to; column += 1) {
+      const [red, green, blue] = colourAt(row * size + column);
+      image.data.set([red, green, blue, 255], 4 * ((size - 1 - row) * size + column));
+    }
+  }
+  context.putImageData(image, 0, 0);
+}
+
+export class MomentCanvas {
+  constructor(title) {
+    this.canvas = make("canvas", { role: "img" });
+    this.title = make("span", {});
+    this.score = make("small", {});
+    this.title.textContent = title;
+    this.element = make("figure", { class: "moment-panel" }, make("figcaption", {}, this.title, this.score), this.canvas);
+  }
+
+  // The side of the panel in device pixels, and of a cell.
+  prepare(view) {
+    const side = Math.round(this.canvas.clientWidth * (window.devicePixelRatio || 1));
+    if (side && this.canvas.width !== side) this.canvas.width = this.canvas.height = side;
+    this.cell = this.canvas.width / view.span;
+    this.view = view;
+    this.context = this.canvas.getContext("2d");
+    this.context.imageSmoothingEnabled = false;
+  }
+
+  cells(size, colourAt, from = 0, to = size) {
+    paintCells(size, colourAt, from, to);
+    const { left, bottom, span } = this.view;
+    const first = Math.max(from, Math.floor(left)), last = Math.min(to, Math.ceil(left + span));
+    if (last <= first) return;
+    this.context.drawImage(cellBuffer, first, size - bottom - span, last - first, span,
+      (first - left) * this.cell, 0, (last - first) * this.cell, this.canvas.height);
+  }
+
+  // The position of a point, in cells from the lower left corner of the window, on the canvas.
+  at(x, y) {
+    return [(x - this.view.left) * this.cell, this.canvas.height - (y - this.view.bottom) * this.cell];
+  }
+
+  // Misses are hollow: told from false alarms by form as well as by colour.
+  misses(size, forecast, target, stratum, from = 0, to = size) {
+    this.context.fillStyle = "#fff";
+    target.forEach((code, cell) => {
+      const column = cell % size;
+      if (column < from || column >= to || !markOf(forecast[cell], code, stratum).includes("miss")) return;
+      const [x, y] = this.at(column + 0.3, Math.floor(cell / size) + 0.7);
+      this.context.fillRect(x, y, 0.4 * this.cell, 0.4 * this.cell);
+    });
+  }
+
+  sensors(points) {
+    const side = 1.6 * Math.max(this.cell, 4);
+    for (const point of points) {
+      const [x, y] = this.at(...point);
+      this.context.beginPath();
+      this.context.moveTo(x, y - side);
+      this.context.lineTo(x + side, y + side);
+      this.context.lineTo(x - side, y + side);
+      this.context.closePath();
+      this.context.fillStyle = cssColour(MARK_COLOURS.hit);
+      this.context.fill();
+    }
+  }
+
+  // Each object as its box and the way it goes in `seconds`; lengths in cells.
+  objects(objects, seconds) {
+    const context = this.context;
+    context.strokeStyle = context.fillStyle = "#0a7a4f";
+    context.lineWidth = Math.max(1.5, this.cell / 3);
+    context.font = `${Math.round(12 * (window.devicePixelRatio || 1))}px sans-serif`;
+    for (const { track, x, y, heading, length, width, vx, vy } of objects) {
+      const [cx, cy] = this.at(x, y);
+      context.save();
+      context.translate(cx, cy);
+      context.rotate(-heading);
+      context.strokeRect(-length * this.cell / 2, -width * this.cell / 2, length * this.cell, width * this.cell);
+      context.restore();
+      context.beginPath();
+      context.moveTo(cx, cy);
+      context.lineTo(...this.at(x + vx * seconds, y + vy * seconds));
+      context.stroke();
+      context.fillText(String(track), cx + this.cell, cy - this.cell);
+    }
+  }
+
+  line(column) {
+    const [x] = this.at(column, 0);
+    this.context.fillStyle = "#000";
+    this.context.fillRect(x - 1, 0, 2, this.canvas.height);
+  }
+
+  words(title, score) {
+    this.title.textContent = title;
+    this.score.textContent = score;
+    this.canvas.setAttribute("aria-label", score ? `${title}: ${score}` : title);
+  }
+}

@@ -1,0 +1,121 @@
+"""What the page's scripts know of the runs, as JSON: one key for each thing that they show."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from gridtrack.evaluation.results.trial_summary import StratumScores, better_direction
+from gridtrack.evaluation.results.values import Curve
+from gridtrack.reports.moment_packing import level_colours
+from gridtrack.reports.player import Player
+from gridtrack.reports.run import ReportedRun
+from gridtrack.reports.table import HeadlineTable, TableRow
+from gridtrack.reports.tiers import tiers_of
+
+PAGE_SCORES = {
+    "pr_auc": "PR-AUC",
+    "f1": "F1",
+    "precision": "Precision",
+    "recall": "Recall",
+    "nll": "Log loss, nats",
+    "brier": "Brier score",
+    "ece": "Calibration error",
+    "ece_above_1_percent": "Calibration error, p ≥ 1 %",
+    "f1_at_half": "F1 at 0.5",
+    "f1_label_free": "F1, label-free threshold",
+    "fss_1": "FSS, 1 cell",
+    "fss_3": "FSS, 3 cells",
+    "fss_5": "FSS, 5 cells",
+    "fss_9": "FSS, 9 cells",
+    "soft_iou": "Soft IoU",
+    "beam_error": "Beam error, m",
+    "beam_error_median": "Median beam error, m",
+    "beam_bias": "Beam bias, m",
+    "share_of_oracle": "Share of the oracle, F1",
+    "threshold": "Threshold",
+}
+"""Scores that a reader can choose, and their names."""
+
+
+def page_data(
+    runs: Sequence[ReportedRun],
+    tables: Sequence[HeadlineTable],
+    styles: Mapping[str, str],
+    players: Sequence[Player],
+) -> dict[str, Any]:
+    """The data of the page.
+
+    `trackers`: every row's label and style (CSS classes), `styles`, in their order. `scores`: those that any row has.
+    `headline`: what is shown first. `recordings`: for each the horizons, the rows in the order of the table with a
+    curve for each stratum and score, the tiers by "score/stratum/step", and why there may be none.
+    `players`: the moments of each recording that has some; `level_colours`: those of their cells.
+    """
+    first = tables[0].decisive
+    recordings = [_recording(runs, table, styles) for table in tables]
+    rows = [row for recording in recordings for row in recording["rows"]]
+    had = {score for row in rows for curves in row["strata"].values() for score in curves} | {first.score}
+    return {
+        "trackers": [{"label": label, "style": style} for label, style in styles.items()],
+        "scores": [
+            {"key": key, "name": name, "better": better_direction(key)}
+            for key, name in PAGE_SCORES.items()
+            if key in had
+        ],
+        "headline": {"stratum": first.stratum, "score": first.score, "step": first.step},
+        "recordings": recordings,
+        "players": [player.data for player in players],
+        "level_colours": level_colours(),
+    }
+
+
+def _recording(runs: Sequence[ReportedRun], table: HeadlineTable, styles: Mapping[str, str]) -> dict[str, Any]:
+    return {
+        "name": table.recording,
+        "horizons_s": list(table.horizons_s),
+        "rows": [_row(row, styles[row.label], len(table.horizons_s)) for row in table.rows],
+        "tiers": _tiers(runs[0], table.recording) if len(runs) == 1 else {},
+        "untested": _why_untested(runs, table),
+    }
+
+
+def _row(row: TableRow, style: str, steps: int) -> dict[str, Any]:
+    return {
+        "name": row.name,
+        "label": row.label,
+        "style": style,
+        "group": row.group,
+        "outcome": row.outcome,
+        "strata": {name: _curves(scores, steps) for name, scores in row.trial.strata.items()},
+    }
+
+
+def _curves(scores: StratumScores, steps: int) -> dict[str, list[float | None]]:
+    """The scores that are defined anywhere, with the ends of their intervals as `_low` and `_high`."""
+    names = (score + end for score in PAGE_SCORES for end in ("", "_low", "_high"))
+    found: dict[str, Curve | None] = {name: getattr(scores, name, None) for name in names}
+    return {
+        name: list(curve[:steps])
+        for name, curve in found.items()
+        if curve is not None and any(value is not None for value in curve)
+    }
+
+
+def _tiers(run: ReportedRun, recording: str) -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    for family in run.summary.pairs:
+        if family.recordings == recording:
+            key = f"{family.score}/{family.stratum}/{family.step}"
+            one = found.setdefault(key, {"pairs": 0, "units": family.units, "groups": []})
+            one["pairs"] += len(family.pairs)
+            one["groups"] += tiers_of(family)
+    return found
+
+
+def _why_untested(runs: Sequence[ReportedRun], table: HeadlineTable) -> str:
+    """Why the order of a ranking is not tested, where it is not."""
+    if len(runs) > 1:
+        return "rows of several runs"
+    complete = [row.trial for row in table.rows if row.group in ("ranked", "floor")]
+    why = next((scores.interval for trial in complete for scores in trial.strata.values() if scores.interval), "")
+    return why or ("no two complete rows" if len(complete) < 2 else "no test of this score, stratum and horizon")

@@ -1,0 +1,169 @@
+"""The player of one recording: kept forecasts of every tracker, as many moments as its share of the page allows."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from gridtrack.evaluation.results.columns import SCORES_TABLE
+from gridtrack.evaluation.scoring.samples import SAMPLES, Sample, SamplesError, read_samples
+from gridtrack.reports.moment_choice import ChosenMoment, FrameScore, frame_scores, moments_in_order
+from gridtrack.reports.moment_packing import TrackerPlanes, pack_moment
+from gridtrack.reports.run import ReportError
+from gridtrack.reports.still import Still, still_of
+from gridtrack.reports.table import MAIN_STRATUM, HeadlineTable, TableRow
+
+MOMENTS_BYTES = 14_000_000
+"""The moments of all recordings together are at most this large, so that the page stays below 25 MB."""
+OBJECTS_SHOWN = 60
+"""Of each forecast, at most."""
+
+
+@dataclass(frozen=True)
+class Player:
+    """What the page shows of one recording's kept forecasts: `data` for the script, and a picture without it."""
+
+    data: dict[str, Any]
+    kept: int
+    """Moments that the run kept."""
+    still: Still
+
+    @property
+    def shown(self) -> int:
+        """Moments on the page."""
+        return len(self.data["moments"])
+
+
+def player_of(
+    table: HeadlineTable, folders: Mapping[str, Path], horizons_s: Sequence[float], recordings: int
+) -> tuple[Player | None, tuple[str, ...]]:
+    """The player of one recording out of `recordings`, and notices of samples that cannot be read.
+
+    `folders`: the folder of each trial by label; `horizons_s`: of steps 0..n. Moments are judged by the scores of
+    cells in motion at the decisive step. The player is None where no trial kept samples. Raises ReportError.
+    """
+    samples, notices = _kept_samples(table.rows, folders)
+    trackers = [row for row in table.rows if samples.get(row.label)]
+    if not trackers:
+        return None, notices
+    complete = [row for row in trackers if row.group != "unranked"] or trackers
+    reference = samples[complete[0].label]
+    first = next(iter(reference.values()))
+    _refuse_others(samples, first)
+    steps = [min(range(len(horizons_s)), key=lambda n: abs(horizons_s[n] - h)) for h in first.horizons_s]
+    if not steps:
+        return None, notices
+    decisive = min(range(len(steps)), key=lambda h: abs(steps[h] - table.decisive.step))
+    scores = {row.label: frame_scores(folders[row.label] / SCORES_TABLE.file, steps) for row in trackers}
+    order = _order(complete, samples, {label: by_step[steps[decisive]] for label, by_step in scores.items()})
+    if not order:
+        return None, notices
+    start_ns = min(reference)
+    thresholds = {row.label: _thresholds(row, steps) for row in trackers}
+    moments = _within_budget(order, trackers, samples, scores, steps, thresholds, start_ns, recordings)
+    data = {
+        "recording": table.recording,
+        "size": first.grid.size,
+        "cell_m": first.grid.cell_m,
+        "origin": list(first.grid.origin),
+        "horizons_s": list(first.horizons_s),
+        "decisive": decisive,
+        "stratum": MAIN_STRATUM if first.in_motion is not None else "",
+        "hidden_known": bool(((first.state == 2) | (first.state == 3)).any()),
+        "trackers": [row.label for row in trackers],
+        "moments": moments,
+    }
+    still_at = next((one.stamp_ns for one in order if one.reason == "telling"), order[0].stamp_ns)
+    now = (still_at - start_ns) / 1e9
+    still = still_of(trackers, {label: kept.get(still_at) for label, kept in samples.items()}, decisive, now)
+    return Player(data, len(reference), still), notices
+
+
+def _order(
+    rows: Sequence[TableRow],
+    samples: Mapping[str, Mapping[int, Sample]],
+    scores: Mapping[str, Mapping[int, FrameScore]],
+) -> tuple[ChosenMoment, ...]:
+    """The kept moments of `rows`, the ones to show first; judged by the trackers that are no floor and no ceiling."""
+    kept = {row.label: {s: f for s, f in scores[row.label].items() if s in samples[row.label]} for row in rows}
+    judged = [row.label for row in rows if row.group not in ("floor", "ceiling")]
+    return moments_in_order(kept, judged or list(kept))
+
+
+def _kept_samples(
+    rows: Sequence[TableRow], folders: Mapping[str, Path]
+) -> tuple[dict[str, dict[int, Sample]], tuple[str, ...]]:
+    """The samples of each trial by label and stamp; of a damaged file, those before the damage, and a notice."""
+    samples: dict[str, dict[int, Sample]] = {}
+    notices = []
+    for row in rows:
+        path = folders[row.label] / SAMPLES
+        if not path.exists():
+            continue
+        own = samples[row.label] = {}
+        try:
+            own.update((sample.stamp_ns, sample) for sample in read_samples(path))
+        except SamplesError as error:
+            notices.append(f"{error}: {row.label} has pictures only of the frames before the damage")
+    return samples, tuple(notices)
+
+
+def _refuse_others(samples: Mapping[str, Mapping[int, Sample]], first: Sample) -> None:
+    """Raise ReportError for samples of another grid or other horizons than those of `first`."""
+    for label, kept in samples.items():
+        if any(s.grid != first.grid or s.horizons_s != first.horizons_s for s in kept.values()):
+            raise ReportError(
+                f"{label}: its samples are of another grid or other horizons than those of the other trackers: run it"
+                " again"
+            )
+
+
+def _thresholds(row: TableRow, steps: Sequence[int]) -> list[float]:
+    """The threshold of cells in motion at each step; 0.5 where the trial has none."""
+    scores = row.trial.strata.get(MAIN_STRATUM)
+    found = [None if scores is None else scores.at("threshold", step) for step in steps]
+    return [0.5 if value is None else value for value in found]
+
+
+def _within_budget(
+    order: Sequence[ChosenMoment],
+    trackers: Sequence[TableRow],
+    samples: Mapping[str, Mapping[int, Sample]],
+    scores: Mapping[str, Mapping[int, Mapping[int, FrameScore]]],
+    steps: Sequence[int],
+    thresholds: Mapping[str, Sequence[float]],
+    start_ns: int,
+    recordings: int,
+) -> list[dict[str, Any]]:
+    """The first moments of `order` that fit into one recording's share, at least one, in the order of time."""
+    left = MOMENTS_BYTES // recordings
+    chosen: list[dict[str, Any]] = []
+    for moment in order:
+        found = {row.label: samples[row.label].get(moment.stamp_ns) for row in trackers}
+        seen = next(sample for sample in found.values() if sample is not None)
+        planes = [None if s is None else TrackerPlanes.of(s.forecast, thresholds[label]) for label, s in found.items()]
+        cells = pack_moment(seen, planes)
+        left -= len(cells)
+        if left < 0 and chosen:
+            break
+        counts = [[scores[row.label][step].get(moment.stamp_ns) for row in trackers] for step in steps]
+        chosen.append(
+            {
+                "t": round((moment.stamp_ns - start_ns) / 1e9, 3),
+                "reason": moment.reason,
+                "sensors": [[round(float(x), 2), round(float(y), 2)] for x, y in seen.origins],
+                "missing": [label for label, sample in found.items() if sample is None],
+                "counts": [[one and [one.tp, one.fp, one.fn] for one in at] for at in counts],
+                "objects": [_objects(sample) for sample in found.values()],
+                "cells": cells,
+            }
+        )
+    return sorted(chosen, key=lambda one: one["t"])
+
+
+def _objects(sample: Sample | None) -> list[list[float]]:
+    """Track, x, y, heading, length, width, vx, vy of each object."""
+    objects = () if sample is None else sample.objects[:OBJECTS_SHOWN]
+    return [[one.track, *(round(value, 2) for value in (*one.box, *one.velocity))] for one in objects]

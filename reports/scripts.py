@@ -1,0 +1,72 @@
+"""Scripts, data and styles of the page, all inside it, and the policy that lets a browser run these and nothing else.
+
+A script is an ES module in `reports/assets`. To add one:
+
+1. Write `assets/NAME.js`. It imports from its neighbours with lines such as `import { make } from "./elements.js";`,
+   and exports with `export` before a declaration. Names at the top level are unique over all modules.
+2. Import it in `main.js`, and call what it exports there.
+3. What it needs to know of the run is one key of the page's data: add it in `page_data.py`, and read it from `pageData`
+   of `page_data.js`. Texts of a run go into the page with `textContent`, never as HTML.
+
+At render time the modules that `main.js` needs are joined into one inline module, those imported first. Whatever
+changes with the run is in the data, so the hash of the script changes with the package alone. A style is set by a
+class, or by a property of `element.style`: the policy refuses `style` attributes in HTML.
+"""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import json
+import re
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+from markupsafe import Markup
+
+ASSETS = Path(__file__).parent / "assets"
+MAIN_SCRIPT = "main.js"
+_IMPORT = re.compile(r'^import \{[^}]*\} from "\./([a-z_]+\.js)";\n', re.MULTILINE)
+_EXPORT = re.compile(r"^export (?=(?:async )?(?:function|class|const|let)\b)", re.MULTILINE)
+_IN_JSON = {ord(sign): f"\\u{ord(sign):04x}" for sign in "<>&"}
+
+
+def joined_script(folder: Path = ASSETS) -> Markup:
+    """`main.js` of `folder` and the modules that it imports as one module, each once and after those it imports itself.
+
+    Raises ValueError where modules import each other in a circle, or in another form than the one described above.
+    """
+    parts: dict[str, str] = {}
+    _add_module(folder, MAIN_SCRIPT, (), parts)
+    script = "\n".join(parts.values())
+    if re.search(r"^(import|export)\b", script, re.MULTILINE) or re.search(r"</script|<!--", script, re.IGNORECASE):
+        raise ValueError(f"{folder}: an import or export of another form, or the end of a script element, in a module")
+    return Markup(script)  # files of this package, no text of a run
+
+
+def _add_module(folder: Path, name: str, above: tuple[str, ...], parts: dict[str, str]) -> None:
+    if name in above:
+        raise ValueError(f"{' imports '.join((*above, name))}: modules in a circle")
+    text = (folder / name).read_text("utf-8")
+    for needed in _IMPORT.findall(text):
+        if needed not in parts:
+            _add_module(folder, needed, (*above, name), parts)
+    parts[name] = _EXPORT.sub("", _IMPORT.sub("", text))
+
+
+def data_in_page(data: Any) -> Markup:
+    """`data` as JSON for a `<script type="application/json">`: no text in it can end the element."""
+    return Markup(json.dumps(data, separators=(",", ":"), allow_nan=False).translate(_IN_JSON))
+
+
+def policy_of(scripts: Iterable[str], styles: Iterable[str]) -> str:
+    """The Content-Security-Policy under which these inline scripts and styles are used, and nothing is fetched."""
+    return (
+        f"default-src 'none'; img-src data:; script-src {_hashes(scripts)}; style-src {_hashes(styles)};"
+        " base-uri 'none'; form-action 'none'"
+    )
+
+
+def _hashes(texts: Iterable[str]) -> str:
+    return " ".join(f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'" for text in texts)

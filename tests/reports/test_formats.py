@@ -1,0 +1,210 @@
+"""`gridtrack report --format`: the same rows and columns in every format; names are hostile."""
+
+import csv
+import io
+import json
+import re
+import shutil
+from xml.etree import ElementTree
+
+import pytest
+from typer.testing import CliRunner
+
+from gridtrack.cli import app
+from gridtrack.common.errors import ConfigurationError
+from gridtrack.reports.chosen_scores import ScoreChoice, parse_score_choices
+from gridtrack.reports.formats import FORMATS, render_as
+from gridtrack.reports.latex import latex_text
+
+HOSTILE = "=_[*]<script>alert(1)</script>--> \\input{/etc/passwd} $x$ %&#~^{}|`\"'!?,,--\x1b@all"
+COLUMNS = "f1 in-motion 1s, nll visible 0.5s,ece dynamic"
+
+
+@pytest.fixture(scope="module")
+def hostile_run(run_folder, tmp_path_factory):
+    """The run with a tracker and a notice of a hostile name."""
+    run = shutil.copytree(run_folder, tmp_path_factory.mktemp("hostile") / "run")
+    summary = json.loads((run / "summary.json").read_text())
+    summary["trackers"][HOSTILE.replace("/", "∕")] = summary["trackers"].pop("good")  # no label has a slash
+    summary["notices"] = [HOSTILE]
+    (run / "summary.json").write_text(json.dumps(summary))
+    return run
+
+
+@pytest.fixture(scope="module")
+def label():
+    return HOSTILE.replace("/", "∕").replace("\x1b", " ")
+
+
+def report(run, *options):
+    return CliRunner().invoke(app, ["report", str(run), *options], catch_exceptions=False)
+
+
+def text_of(name, run, **choice):
+    return render_as(name, [run], **choice).decode()
+
+
+def plain_latex(text):
+    """What TeX would print: the commands of latex_text undone. Another command, or a lone special sign, is an error."""
+    names = {"textbackslash": "\\", "textasciitilde": "~", "textasciicircum": "^", "textless": "<", "textgreater": ">"}
+    names |= {"textbar": "|", "textquotedbl": '"', "textasciigrave": "`", "textquotesingle": "'"}
+    token = re.compile(r"\\(?P<name>[a-z]+)\{\}|\\(?P<sign>[{}$&#%_])|(?P<plain>[^\\{}$&#%_~^])|(?P<empty>\{\})")
+    out, at = "", 0
+    while at < len(text):
+        found = token.match(text, at)
+        assert found, text[at:]
+        out += names[found["name"]] if found["name"] else found["sign"] or found["plain"] or ""
+        at = found.end()
+    return out
+
+
+def test_csv_has_the_values_of_the_summary_with_their_intervals(run_folder, summary_of):
+    rows = list(csv.DictReader(io.StringIO(text_of("csv", run_folder, columns=COLUMNS))))
+    entry = summary_of(run_folder)
+    step = entry["recordings"]["crossing"]["horizons_s"].index(1.0)
+    assert {row["tracker"] for row in rows} == set(entry["trackers"])
+    for row in rows:
+        strata = entry["trackers"][row["tracker"]]["recordings"]["crossing"]["strata"]
+        assert float(row["f1 in-motion 1 s"]) == strata["in-motion"]["f1"][step]
+        assert float(row["nll visible 0.5 s"]) == strata["visible"]["nll"][step // 2]
+        assert float(row["ece dynamic 1 s"]) == strata["dynamic"]["ece"][step]
+
+
+def test_rows_are_chosen_by_patterns_and_the_best_is_the_best_of_them(run_folder):
+    page = text_of("markdown", run_folder, rows="fair,bl*", columns="f1 in-motion 1s")
+    rows = [line for line in page.splitlines() if line.startswith(("| fair", "| blank", "| good", "| persistence"))]
+    assert [line.split(" |")[0] for line in rows] == ["| fair", "| blank"]
+    assert "**" in rows[0]
+
+
+def test_an_undefined_score_is_empty_in_csv_and_a_dash_in_the_others(run_folder, tmp_path):
+    run = shutil.copytree(run_folder, tmp_path / "run")
+    summary = json.loads((run / "summary.json").read_text())
+    scores = summary["trackers"]["fair"]["recordings"]["crossing"]["strata"]["in-motion"]
+    scores["f1"] = [None] * len(scores["f1"])
+    (run / "summary.json").write_text(json.dumps(summary))
+    choice = {"rows": "fair", "columns": "f1 in-motion 1s"}
+    assert next(csv.DictReader(io.StringIO(text_of("csv", run, **choice))))["f1 in-motion 1 s"] == ""
+    assert "| fair | – |" in text_of("markdown", run, **choice)
+    assert "{fair} & -- \\\\" in text_of("latex", run, **choice)
+
+
+def test_a_hostile_name_is_text_in_markdown(hostile_run):
+    page = text_of("markdown", hostile_run)
+    assert "<script>" not in page
+    assert "\x1b" not in page
+    assert "\\@all" in page
+    tables = [block.splitlines() for block in page.split("\n\n") if block.startswith("| tracker")]
+    for lines in tables:
+        assert len({len(re.findall(r"(?<!\\)\|", line)) for line in lines}) == 1
+    assert tables
+
+
+def test_a_hostile_name_is_text_in_latex(hostile_run, label):
+    page = text_of("latex", hostile_run)
+    known = r"begin end centering caption toprule midrule bottomrule cmidrule multicolumn textbf scriptsize usepackage"
+    known += " textbackslash textasciitilde textasciicircum textless textgreater textbar textquotedbl"
+    known += " textasciigrave textquotesingle"
+    assert set(re.findall(r"\\([a-zA-Z]+)", page)) <= set(known.split())
+    (line,) = [line for line in page.splitlines() if line.lstrip().startswith("{=")]
+    name = line.strip().partition("} & ")[0].removeprefix("{")
+    assert plain_latex(name) == label
+
+
+def test_every_special_sign_is_itself_in_latex():
+    signs = "".join(map(chr, range(0x20, 0x7F)))
+    assert plain_latex(latex_text(signs)) == signs
+    assert not re.search(r"--|,,|\?`|!`|<<|>>|''|``", latex_text("-- ,, ?` !` << >> '' ``"))
+
+
+def test_each_line_of_a_latex_table_has_as_many_columns_as_it_declares(run_folder):
+    page = text_of("latex", run_folder)
+    declared = len(re.search(r"\\begin\{tabular\}\{(\w+)\}", page)[1])
+    lines = [line for line in page.splitlines() if line.endswith("\\\\")]
+    widths = [
+        1 + len(re.findall(r"(?<!\\)&", line)) + sum(int(n) - 1 for n in re.findall(r"multicolumn\{(\d+)\}", line))
+        for line in lines
+    ]
+    assert set(widths) == {declared}
+    assert page.count("{") == page.count("}")
+
+
+def test_a_hostile_name_is_no_formula_in_csv(hostile_run, label):
+    rows = list(csv.DictReader(io.StringIO(text_of("csv", hostile_run))))
+    assert f"'{label}" in {row["tracker"] for row in rows}
+    assert not any(value.startswith(("=", "+", "@")) for row in rows for value in row.values())
+
+
+def test_a_trial_that_is_not_ranked_is_a_failure_in_junit(hostile_run, label):
+    suite = ElementTree.fromstring(text_of("junit", hostile_run))
+    assert (suite.get("tests"), suite.get("failures")) == ("5", "1")
+    failed = [case for case in suite.iter("testcase") if case.find("failure") is not None]
+    assert [case.get("classname") for case in failed] == ["gridtrack report.unlucky"]
+    assert "lost my way" in failed[0].find("failure").get("message")
+    assert f"gridtrack report.{label}" in {case.get("classname") for case in suite.iter("testcase")}
+
+
+def test_a_hostile_name_is_text_in_svg(hostile_run, label):
+    pytest.importorskip("matplotlib", reason="needs the extra `figures`")
+    drawn = render_as("svg", [hostile_run])
+    root = ElementTree.fromstring(drawn)
+    assert not [node for node in root.iter() if node.tag.endswith("script")]
+    assert label.split() == next(text.split() for text in root.itertext() if "alert" in text)
+    assert drawn == render_as("svg", [hostile_run])
+
+
+def test_a_figure_draws_each_chosen_score_over_the_horizon(run_folder):
+    pytest.importorskip("matplotlib", reason="needs the extra `figures`")
+    root = ElementTree.fromstring(render_as("svg", [run_folder], rows="good,fair", columns=COLUMNS))
+    words = [text.strip() for text in root.itertext()]
+    assert {"F1, in-motion", "log loss, visible", "ECE, dynamic", "good", "fair"} <= set(words)
+    assert "persistence" not in words
+    assert len([node for node in root.iter() if node.get("id", "").startswith("axes_")]) == 3
+
+
+def test_a_pdf_is_a_pdf_with_embedded_outlines(hostile_run, tmp_path):
+    pytest.importorskip("matplotlib", reason="needs the extra `figures`")
+    done = report(hostile_run, "--format", "pdf", "--out", str(tmp_path / "figure.pdf"))
+    assert done.exit_code == 0
+    content = (tmp_path / "figure.pdf").read_bytes()
+    assert content.startswith(b"%PDF-")
+    assert content.rstrip().endswith(b"%%EOF")
+    assert b"/Type3" not in content
+
+
+@pytest.mark.parametrize("name", [name for name in FORMATS if name != "pdf"])
+def test_the_command_prints_what_is_rendered(run_folder, name):
+    if name == "svg":
+        pytest.importorskip("matplotlib", reason="needs the extra `figures`")
+    assert report(run_folder, "--format", name).stdout_bytes == render_as(name, [run_folder])
+
+
+def test_two_runs_are_in_one_table(run_folder, tmp_path):
+    other = shutil.copytree(run_folder, tmp_path / "other")
+    rows = list(csv.DictReader(io.StringIO(render_as("csv", [run_folder, other]).decode())))
+    assert {row["run"] for row in rows} == {"demo", "other"}
+    assert render_as("markdown", [run_folder, other]).decode().count("demo: good") >= 1
+
+
+@pytest.mark.parametrize(
+    ("options", "problem"),
+    [
+        (["--format", "latx"], "did you mean 'latex'?"),
+        (["--format", "csv", "--rows", "goood"], "--rows 'goood': no such row: did you mean 'good'?"),
+        (["--format", "csv", "--columns", "f1"], "expected SCORE STRATUM HORIZON"),
+        (["--format", "csv", "--columns", "f9 visible"], "no score 'f9'"),
+        (["--format", "csv", "--columns", "f1 visibel"], "did you mean 'visible'?"),
+        (["--format", "csv", "--columns", "f1 visible 60s"], "60 s is beyond the horizon of 2.5 s"),
+        (["--rows", "good"], "the page shows every row"),
+    ],
+)
+def test_a_wrong_choice_is_one_line(run_folder, options, problem):
+    with pytest.raises(ConfigurationError, match=re.escape(problem)):
+        report(run_folder, *options)
+
+
+def test_a_column_without_a_horizon_is_one_second_ahead():
+    assert parse_score_choices("f1_low in-motion, nll visible 0.5 s") == (
+        ScoreChoice("f1_low", "in-motion", 1.0),
+        ScoreChoice("nll", "visible", 0.5),
+    )

@@ -1,0 +1,80 @@
+"""The page in a browser: its scripts draw the ranking and the curves; without a browser, what they are given."""
+
+import json
+import re
+import shutil
+import subprocess
+
+import pytest
+
+from gridtrack.evaluation.results.summary import read_summary
+from gridtrack.evaluation.statistics.summary import summarise
+from gridtrack.reports.page import render_report
+
+from scenes import synthetic_run as synthetic
+
+BROWSER = shutil.which("chromium")
+RECORDINGS = [f"seed-{i:02}" for i in range(20)]
+
+
+@pytest.fixture(scope="module")
+def report(tmp_path_factory):
+    """The report of twenty recordings, on which good and fair are told apart from persistence, and twin is not."""
+    run = tmp_path_factory.mktemp("runs") / "twenty"
+    skills = {"persistence": 0.6, "good": 0.8, "fair": 0.7, "twin": 0.6, "late": 0.9}
+    trials = [
+        synthetic.write_trial(
+            run, label, name, skill, seed=i, frames=6, scored=3 if label == "late" and not i else None
+        )
+        for i, name in enumerate(RECORDINGS)
+        for label, skill in skills.items()
+    ]
+    described = {name: synthetic.description() for name in RECORDINGS}
+    summarise(described, trials, [], False).write(run)
+    synthetic.write_run_record(run, described)
+    return render_report([run])
+
+
+def data_of(report):
+    (data,) = re.findall(r'id="page-data">(.*?)</script>', report.read_text("utf-8"), re.DOTALL)
+    return json.loads(data)
+
+
+def test_the_data_has_the_summarys_scores_and_intervals(report):
+    summary = read_summary(report.parent.parent)
+    expected = summary.trackers["good"].pooled.strata["in-motion"]
+    (pooled,) = [one for one in data_of(report)["recordings"] if one["name"] == "all recordings"]
+    (row,) = [one for one in pooled["rows"] if one["label"] == "good"]
+    assert row["strata"]["in-motion"]["f1"] == pytest.approx(expected.f1, rel=1e-3)
+    assert row["strata"]["in-motion"]["f1_low"] == pytest.approx(expected.f1_low, rel=1e-3)
+    assert pooled["horizons_s"] == list(summary.pooled_horizons_s)
+
+
+def test_the_tiers_join_rows_that_are_not_told_apart(report):
+    tiers = data_of(report)["recordings"][0]["tiers"]["f1/in-motion/8"]
+    assert tiers == {"pairs": 6, "units": 20, "groups": [["persistence", "twin"]]}
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "<dt>Compared on</dt><dd>20 recordings: 800 frames, forecasts up to 2.5 s ahead</dd>",
+        "<dt>Weights</dt><dd>none: persistence, good, fair, twin, late</dd>",
+        "<dt>Not ranked</dt><dd>late (crashed)</dd>",
+    ],
+)
+def test_the_answer_is_a_line_each(report, line):
+    assert line in report.read_text("utf-8")
+
+
+@pytest.mark.skipif(not BROWSER, reason="needs chromium")
+def test_a_browser_draws_ranking_tiers_and_curves_without_an_error(report):
+    command = [BROWSER, "--headless", "--no-sandbox", "--disable-gpu", "--enable-logging=stderr", "--dump-dom"]
+    shown = subprocess.run([*command, report.as_uri()], capture_output=True, text=True, check=True, timeout=120)
+    assert "CONSOLE" not in shown.stderr
+    ranking = re.search(r'<svg class="ranking".*?</svg>', shown.stdout, re.DOTALL)[0]
+    assert ranking.count('class="whisker"') == 4
+    assert ranking.count('<circle class="tier"') == 2
+    curves = re.search(r'<div class="chart".*?</svg>', shown.stdout, re.DOTALL)[0]
+    assert curves.count('class="band"') == 4
+    assert shown.stdout.count('aria-pressed="true"') == 5

@@ -1,0 +1,123 @@
+"""Moments on the page: packed without loss at their quantisation, within the budget, and what is left out is said."""
+
+import base64
+import json
+import re
+import zlib
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gridtrack.evaluation.scoring.sample_objects import KeptObject
+from gridtrack.evaluation.scoring.samples import SAMPLES, read_samples
+from gridtrack.reports import player
+from gridtrack.reports.moment_packing import CALLED, IN_MOTION, PACKED_LEVELS, TrackerPlanes, level_colours, pack_moment
+from gridtrack.reports.page import render_report
+from gridtrack.reports.pictures import palette
+
+
+def players_of(page):
+    (data,) = re.findall(r'<script type="application/json" id="page-data">(.*?)</script>', page, re.DOTALL)
+    return json.loads(data)["players"]
+
+
+def planes_of(moment, size):
+    return np.frombuffer(zlib.decompress(base64.b64decode(moment["cells"])), np.uint8).reshape(-1, size, size)
+
+
+@pytest.fixture
+def sample(run_folder):
+    return list(read_samples(run_folder / "fair@crossing" / SAMPLES))[10]
+
+
+@pytest.fixture(scope="module")
+def page(run_folder, tmp_path_factory):
+    return render_report([run_folder], tmp_path_factory.mktemp("player")).read_text("utf-8")
+
+
+def test_what_is_packed_is_read_back_exactly_at_its_quantisation(sample):
+    rng = np.random.default_rng(3)
+    forecast = rng.random(sample.forecast.shape, dtype=np.float32)
+    state = rng.integers(0, 5, forecast.shape).astype(np.uint8)
+    in_motion = (state < 2) & (rng.random(forecast.shape) < 0.5)
+    thresholds = [0.2, 0.5, 0.9]
+    packed = pack_moment(
+        replace(sample, state=state, in_motion=in_motion), [None, TrackerPlanes.of(forecast, thresholds)]
+    )
+    planes = planes_of({"cells": packed}, 32)
+    assert len(planes) == 1 + 3 + 2 * 3
+    assert np.array_equal(planes[0] > 0, sample.visible)
+    assert np.array_equal(planes[0] == 2, sample.occupied)
+    assert np.array_equal(planes[1:4] & 7, state)
+    assert np.array_equal((planes[1:4] & IN_MOTION) > 0, in_motion)
+    assert not planes[4:7].any(), "a tracker without a forecast"
+    assert (
+        np.abs((planes[7:] & (PACKED_LEVELS - 1)) / (PACKED_LEVELS - 1) - forecast).max()
+        <= 0.5 / (PACKED_LEVELS - 1) + 1e-6
+    )
+    for h, threshold in enumerate(thresholds):
+        assert np.array_equal((planes[7 + h] & CALLED) > 0, forecast[h] >= np.float32(threshold))
+
+
+def test_the_colours_are_those_of_the_still_pictures():
+    colours = np.array(level_colours())
+    assert len(colours) == PACKED_LEVELS + 1
+    assert np.array_equal(colours[[0, PACKED_LEVELS - 1, PACKED_LEVELS]], palette()[[0, -2, -1]])
+
+
+def test_the_page_has_every_kept_moment_with_the_counts_of_the_scores(page, run_folder):
+    (data,) = players_of(page)
+    kept = list(read_samples(run_folder / "fair@crossing" / SAMPLES))
+    assert (data["recording"], data["size"], data["horizons_s"]) == ("crossing", 32, [0.5, 1.0, 2.0])
+    assert len(data["moments"]) == len(kept) == 20
+    assert "20 of the 20 moments that the run kept are on this page." in " ".join(page.split())
+    fair = data["trackers"].index("fair")
+    for sample, moment in zip(kept, data["moments"], strict=True):
+        assert moment["t"] == pytest.approx((sample.stamp_ns - kept[0].stamp_ns) / 1e9)
+        planes = planes_of(moment, 32)
+        for h in range(3):
+            target, forecast = planes[1 + h], planes[4 + 3 * fair + h]
+            in_motion, called = (target & IN_MOTION) > 0, (forecast & CALLED) > 0
+            occupied = (target & 7) == 1
+            counts = [in_motion & called & occupied, in_motion & called & ~occupied, in_motion & ~called & occupied]
+            assert [int(mask.sum()) for mask in counts] == moment["counts"][h][fair]
+
+
+def test_a_moment_that_a_tracker_does_not_have_says_so(page):
+    (data,) = players_of(page)
+    unlucky = data["trackers"].index("unlucky")
+    missing = ["unlucky" in moment["missing"] for moment in data["moments"]]
+    assert missing == [False] * 7 + [True] * 13
+    assert data["moments"][-1]["counts"][0][unlucky] is None
+
+
+def test_a_budget_keeps_the_first_moments_and_the_page_says_what_is_left_out(run_folder, tmp_path, monkeypatch):
+    monkeypatch.setattr(player, "MOMENTS_BYTES", 6000)
+    page = render_report([run_folder], tmp_path).read_text("utf-8")
+    (data,) = players_of(page)
+    shown = len(data["moments"])
+    assert 1 < shown < 20
+    assert sum(len(moment["cells"]) for moment in data["moments"]) <= 6000
+    assert {"worst", "ordinary"} == {moment["reason"] for moment in data["moments"]}, "good and fair are equally good"
+    assert f"{shown} of the 20 moments" in page
+    assert f"{20 - shown} are left out" in page
+
+
+def test_even_a_budget_of_nothing_leaves_one_moment(run_folder, tmp_path, monkeypatch):
+    monkeypatch.setattr(player, "MOMENTS_BYTES", 0)
+    (data,) = players_of(render_report([run_folder], tmp_path).read_text("utf-8"))
+    assert len(data["moments"]) == 1
+
+
+def test_objects_are_with_their_tracker(run_folder, tmp_path, monkeypatch):
+    tracked = KeptObject(7, (1.0, 2.0, 0.5, 0.6, 0.4), (1.25, -0.5))
+
+    def with_objects(path):
+        return (replace(s, objects=(tracked,) * 99 if "fair" in str(path) else ()) for s in read_samples(path))
+
+    monkeypatch.setattr("gridtrack.reports.player.read_samples", with_objects)
+    (data,) = players_of(render_report([run_folder], tmp_path).read_text("utf-8"))
+    objects = dict(zip(data["trackers"], data["moments"][3]["objects"], strict=True))
+    assert objects["fair"] == [[7, 1.0, 2.0, 0.5, 0.6, 0.4, 1.25, -0.5]] * player.OBJECTS_SHOWN
+    assert objects["good"] == []

@@ -1,0 +1,169 @@
+"""The player in a browser: every control, by pointer and by keyboard alone, without an error and without a request."""
+
+import json
+import re
+import shutil
+
+import pytest
+
+from gridtrack.reports.page import render_report
+
+playwright = pytest.importorskip("playwright.sync_api", reason="playwright, of the extra dev, is not installed")
+CHROMIUM = shutil.which("chromium")
+pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="Chromium is not installed (Debian: apt install chromium)")
+HOSTILE = "<script>alert(1)<\\script><img src=x onerror=alert(1)>, & %2C"
+
+
+@pytest.fixture(scope="module")
+def report(run_folder, tmp_path_factory):
+    """A page on which the tracker `fair` has a hostile name."""
+    run = shutil.copytree(run_folder, tmp_path_factory.mktemp("browser") / "run")
+    summary = json.loads((run / "summary.json").read_text())
+    summary["trackers"] = {HOSTILE if k == "fair" else k: v for k, v in summary["trackers"].items()}
+    (run / "summary.json").write_text(json.dumps(summary))
+    (run / "fair@crossing").rename(run / f"{HOSTILE}@crossing")
+    return render_report([run])
+
+
+@pytest.fixture(scope="module")
+def browser():
+    with playwright.sync_playwright() as driver:
+        chromium = driver.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+        yield chromium
+        chromium.close()
+
+
+@pytest.fixture
+def opened(browser, report):
+    """Opens the page with a fragment and gives it and its player; it had no error and no request in the end."""
+    pages, faults = [], []
+
+    def open_at(fragment="", width=1280):
+        page = browser.new_page(viewport={"width": width, "height": 900})
+        pages.append(page)
+        page.set_default_timeout(60_000)
+        page.on("console", lambda message: message.type == "error" and faults.append(message.text))
+        page.on("pageerror", lambda error: faults.append(str(error)))
+        page.on("dialog", lambda dialog: (faults.append(dialog.message), dialog.dismiss()))
+        page.on("request", lambda one: one.url.startswith(("file:", "data:")) or faults.append(one.url))
+        page.goto(report.as_uri() + fragment)
+        player = page.locator(".player[data-ready]")
+        player.wait_for()
+        return page, player
+
+    yield open_at
+    for page in pages:
+        page.close()
+    assert faults == []
+
+
+def shows(page, moment, h):
+    page.locator(f'.player[data-ready="{moment} {h}"]').wait_for()
+
+
+def test_the_keyboard_alone_scrubs_and_plays(opened):
+    page, player = opened()
+    player.focus()
+    page.keyboard.press("ArrowRight")
+    page.keyboard.press("ArrowRight")
+    page.keyboard.press("ArrowLeft")
+    page.keyboard.press("ArrowUp")
+    shows(page, 1, 2)
+    page.keyboard.press("ArrowDown")
+    shows(page, 1, 1)
+    page.keyboard.press(" ")
+    assert page.get_by_role("button", name="pause").count() == 1
+    shows(page, 3, 1)
+    page.keyboard.press(" ")
+    assert page.get_by_role("button", name="play", exact=True).count() == 1
+
+
+def test_sliders_and_buttons_have_names_and_work(opened):
+    page, player = opened()
+    page.get_by_role("slider", name="time").fill("5")
+    page.get_by_role("slider", name="horizon").fill("0")
+    shows(page, 5, 0)
+    for words in ("worst of the first", "most telling of the first two"):
+        page.get_by_role("button", name=words).click()
+        assert re.match(r"moment \d+ of 20|no moment", player.locator(".why").inner_text())
+    page.get_by_label("tracker 3").select_option("none")
+    page.get_by_label("tracker 4").select_option("none")
+    assert player.locator(".moment-panel").count() == 4
+    page.get_by_label("wipe between the first two").check()
+    page.get_by_role("slider", name="wipe").fill("9")
+    assert player.locator(".moment-panel").count() == 3
+    page.get_by_label("hits and errors").uncheck()
+    page.get_by_label("boxes").uncheck()
+    page.get_by_label("zoom").select_option("twice")
+    player.locator("canvas").first.click()
+
+
+COUNT_MARKS = """
+canvas => {
+  const context = canvas.getContext("2d"), cell = canvas.width / 32, found = {};
+  for (let row = 0; row < 32; row += 1) for (let column = 0; column < 32; column += 1) {
+    const at = [Math.floor((column + 0.15) * cell), Math.floor((row + 0.15) * cell)];
+    const colour = context.getImageData(...at, 1, 1).data.slice(0, 3).join(" ");
+    found[colour] = (found[colour] ?? 0) + 1;
+  }
+  return found;
+}
+"""
+
+
+def test_the_marks_on_the_canvas_are_the_counts_beside_it(opened):
+    page, player = opened()
+    page.get_by_label("tracker 1").select_option("persistence")
+    page.get_by_label("tracker 2").select_option("good")
+    page.get_by_role("slider", name="time").fill("5")
+    shows(page, 5, 1)
+    for at, expected in ((2, [0, 4, 4]), (3, [4, 0, 0])):
+        panel = player.locator(".moment-panel").nth(at)
+        words = re.search(r"(\d+) hit, (\d+) false, (\d+) missed", panel.locator("small").inner_text())
+        assert [int(count) for count in words.groups()] == expected
+        found = panel.locator("canvas").evaluate(COUNT_MARKS)
+        assert [found.get(colour, 0) for colour in ("0 92 175", "240 155 0", "205 20 85")] == expected
+
+
+def test_a_link_opens_the_page_at_its_moment_even_of_a_hostile_name(opened):
+    page, _ = opened()
+    for at, name in enumerate((HOSTILE, "good", "none", "none"), 1):
+        page.get_by_label(f"tracker {at}").select_option(name)
+    page.get_by_role("slider", name="time").fill("7")
+    page.get_by_role("slider", name="horizon").fill("2")
+    shows(page, 7, 2)
+    link = page.get_by_role("link", name="link to this moment").get_attribute("href")
+    page, player = opened(link)
+    shows(page, 7, 2)
+    assert page.get_by_label("tracker 1").locator("option:checked").inner_text() == HOSTILE
+    assert player.locator(".moment-panel").count() == 4
+    assert HOSTILE in player.locator(".moment-panel").nth(2).inner_text()
+
+
+@pytest.mark.parametrize("fragment", ["#t=nowhere,1,1", "#t=%E0%A4%A", "#t=crossing,x,y", "#other"])
+def test_a_link_to_nothing_leaves_the_page_as_it_is(opened, fragment):
+    page, _ = opened(fragment)
+    shows(page, 0, 1)
+
+
+def test_a_tracker_that_the_page_hides_has_no_panel(opened):
+    page, player = opened()
+    before = player.locator(".moment-panel").count()
+    page.get_by_role("button", name="good", exact=True).click()
+    assert player.locator(".moment-panel").count() == before - 1
+
+
+@pytest.mark.parametrize("width", [1280, 400])
+def test_a_cell_is_large_and_nothing_is_cut_off(opened, width):
+    page, player = opened(width=width)
+    assert player.locator("canvas").first.bounding_box()["width"] / 32 >= 4
+    assert page.evaluate("document.documentElement.scrollWidth") <= width
+
+
+def test_without_scripts_one_still_picture_remains(browser, report):
+    context = browser.new_context(java_script_enabled=False)
+    page = context.new_page()
+    page.goto(report.as_uri())
+    assert page.locator(".still").is_visible()
+    assert not page.locator(".player").is_visible()
+    context.close()
