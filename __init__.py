@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from gridtrack.cli.notebook import Run, compare
     from gridtrack.common.config import Settings
-    from gridtrack.common.errors import GridtrackError
+    from gridtrack.common.errors import ConfigurationError, GridtrackError
     from gridtrack.common.geometry import SE2
     from gridtrack.common.grid import GridFrame, GridSpec
-    from gridtrack.recordings import open_recording
+    from gridtrack.recordings import open_recording, packaged_recording
     from gridtrack.recordings.stream import open_stream
     from gridtrack.trackers.contract import Forecast, StreamSpec, TrackedObject, Tracker
 
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "SE2",
+    "ConfigurationError",
     "Forecast",
     "GridFrame",
     "GridSpec",
@@ -34,10 +35,12 @@ __all__ = [
     "compare",
     "open_recording",
     "open_stream",
+    "packaged_recording",
 ]
 
 _HOMES = {
     "SE2": "common.geometry",
+    "ConfigurationError": "common.errors",
     "Forecast": "trackers.contract",
     "GridFrame": "common.grid",
     "GridSpec": "common.grid",
@@ -50,6 +53,7 @@ _HOMES = {
     "compare": "cli.notebook",
     "open_recording": "recordings",
     "open_stream": "recordings.stream",
+    "packaged_recording": "recordings",
 }
 
 

@@ -30,7 +30,7 @@ from gridtrack.cli.options import (
     seconds,
     seconds_text,
 )
-from gridtrack.common.errors import INTERRUPTED_EXIT_CODE, printable
+from gridtrack.common.errors import INTERRUPTED_EXIT_CODE, ConfigurationError, printable
 
 if TYPE_CHECKING:
     from gridtrack.evaluation.comparison.plan import ComparisonPlan
@@ -229,10 +229,43 @@ def _warn_of_missing(plan: ComparisonPlan) -> bool:
 def report_command(
     runs: Annotated[list[Path], typer.Argument(metavar="RUN...", help="The folder of a run")],
     out: Annotated[
-        Path | None, typer.Option(help="The folder of the page; default: report in the run's folder")
+        Path | None,
+        typer.Option(
+            help="The folder of the page, or the file of another format; default: report in the run's folder, or stdout"
+        ),
     ] = None,
+    as_format: Annotated[str, typer.Option("--format", help="html, markdown, latex, csv, junit, svg or pdf")] = "html",
+    rows: Annotated[
+        str, typer.Option(metavar="LABEL,...", help="Rows of another format; * and ? stand for any text and sign")
+    ] = "",
+    columns: Annotated[
+        str,
+        typer.Option(
+            metavar="SCORE STRATUM HORIZON,...", help="Columns of another format, e.g. 'f1 in-motion 1s, nll visible'"
+        ),
+    ] = "",
 ) -> None:
-    """Write the report of a run again, or of several runs side by side."""
+    """Write the report of a run again, or of several runs side by side: as a page, or in another format."""
+    from gridtrack.reports.formats import PAGE, check_format, render_as
     from gridtrack.reports.page import render_report
 
+    check_format(as_format)
+    if as_format != PAGE:
+        _write_rendered(render_as(as_format, runs, rows, columns), out)
+        return
+    if rows or columns:
+        raise ConfigurationError("--rows and --columns: the page shows every row; choose another --format")
     typer.echo(f"report: {render_report(runs, out)}")
+
+
+def _write_rendered(content: bytes, out: Path | None) -> None:
+    """Write to `out`, or to stdout."""
+    from gridtrack.common.files import atomic_write
+
+    if out is None:
+        typer.echo(content, nl=False)
+        return
+    if out.is_dir():
+        raise ConfigurationError(f"{out}: is a folder: --out is the file of this format")
+    with atomic_write(out) as file:
+        file.write(content)

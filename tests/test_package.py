@@ -76,7 +76,9 @@ def test_no_other_package_may_import_a_concrete_tracker():
 
 def test_the_built_wheel_compares_its_own_demo_recording_without_the_repository(tmp_path):
     source, site = tmp_path / "source", tmp_path / "site"
-    shutil.copytree(ROOT, source, ignore=shutil.ignore_patterns(".*", "runs", "build", "*.egg-info", "__pycache__"))
+    shutil.copytree(
+        ROOT, source, ignore=shutil.ignore_patterns(".[!g]*", ".git", "runs", "build", "*.egg-info", "__pycache__")
+    )
     python(
         "-m", "pip", "wheel", "--quiet", "--no-deps", "--no-build-isolation", "--wheel-dir", str(tmp_path), str(source)
     )
@@ -100,3 +102,6 @@ def test_the_built_wheel_compares_its_own_demo_recording_without_the_repository(
         assert trial["outcome"] == "ok"
         assert trial["frames_scored"] == trial["frames_expected"] > 10
     assert (tmp_path / "run" / "report" / "index.html").stat().st_size > 10_000
+    python("-m", "gridtrack.cli", "trackers", "new", "my-tracker", **elsewhere)
+    assert (tmp_path / "my-tracker" / ".github" / "workflows" / "test.yml").is_file()
+    assert (tmp_path / "my-tracker" / "tests" / "my_tracker.json").is_file()
