@@ -14,7 +14,7 @@ folders = $(subst /, ,$(1))
 training = --tracker '$(word 4,$(folders)) $(patsubst seed-%,%,$(word 3,$(folders)))=$(word 4,$(folders)):weights=studies/trainings/$(word 3,$(folders))'
 trainings = $(foreach card,$(wildcard studies/trainings/seed-*/*/junction.toml),$(call training,$(card)))
 
-.PHONY: help demo demo-junction test lint bench results worlds-results real-results schemas docs figures ablations returns junction weights baseline clean
+.PHONY: help demo demo-junction test lint bench results worlds-results real-results schemas docs figures screenshots ablations returns junction weights baseline clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):[^#]*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 15
@@ -65,6 +65,9 @@ docs: $(VENV)/.installed-docs ## build the documentation site in runs/site; ever
 figures: $(VENV)/.installed-dev ## write the numbers of the pages from docs/results, and draw the label budget
 	$(BIN)/python -m studies.label_curve
 	$(BIN)/python -m studies.figures
+
+screenshots: $(VENV)/.installed-dev ## pictures of the report of runs/demo, at two widths, light and dark, in runs/screenshots
+	$(BIN)/python -m studies.report_screenshots runs/demo --out runs/screenshots
 
 ablations: $(VENV)/.installed-dev ## train and compare the dilated ConvGRU without each part that the paper names
 	$(BIN)/python -m studies.ablations

@@ -45,6 +45,7 @@ def render_page(runs: Sequence[ReportedRun]) -> str:
     tables = headline_tables(runs)
     styles = styles_of(runs)
     sections, unreadable = zip(*(section_of(runs, table, styles) for table in tables), strict=True)
+    players = [one.player for one in sections if one.player]
     css, script = (TEMPLATES / "page.css").read_text("utf-8"), joined_script()
     return (
         _environment()
@@ -56,11 +57,12 @@ def render_page(runs: Sequence[ReportedRun]) -> str:
             runs=[(run, facts_of(run), provenance_of(run)) for run in runs],
             notices=[Notice(text, serious=True) for texts in unreadable for text in texts] + notices_of(runs, tables),
             sections=sections,
+            players=players,
             styles=styles,
             scale=scale_png(),
             css=Markup(css),  # a file of this package, no text of a run
             script=script,
-            data=data_in_page(page_data(runs, tables, styles, [one.player for one in sections if one.player])),
+            data=data_in_page(page_data(runs, tables, styles, players)),
             policy=Markup(policy_of([script], [css])),
         )
     )

@@ -26,14 +26,7 @@ class Player:
     """What the page shows of one recording's kept forecasts: `data` for the script, and a picture without it."""
 
     data: dict[str, Any]
-    kept: int
-    """Moments that the run kept."""
     still: Still
-
-    @property
-    def shown(self) -> int:
-        """Moments on the page."""
-        return len(self.data["moments"])
 
 
 def player_of(
@@ -45,7 +38,7 @@ def player_of(
     cells in motion at the decisive step. The player is None where no trial kept samples. Raises ReportError.
     """
     samples, notices = _kept_samples(table.rows, folders)
-    trackers = [row for row in table.rows if samples.get(row.label)]
+    trackers = sorted((row for row in table.rows if samples.get(row.label)), key=lambda row: row.group == "ceiling")
     if not trackers:
         return None, notices
     complete = [row for row in trackers if row.group != "unranked"] or trackers
@@ -73,12 +66,13 @@ def player_of(
         "stratum": MAIN_STRATUM if first.in_motion is not None else "",
         "hidden_known": bool(((first.state == 2) | (first.state == 3)).any()),
         "trackers": [row.label for row in trackers],
+        "kept": len(reference),
         "moments": moments,
     }
     still_at = next((one.stamp_ns for one in order if one.reason == "telling"), order[0].stamp_ns)
     now = (still_at - start_ns) / 1e9
     still = still_of(trackers, {label: kept.get(still_at) for label, kept in samples.items()}, decisive, now)
-    return Player(data, len(reference), still), notices
+    return Player(data, still), notices
 
 
 def _order(

@@ -2,6 +2,7 @@
 import { make } from "./elements.js";
 import { markOf, MARK_COLOURS, cssColour } from "./moment_cells.js";
 
+const OBJECT_COLOUR = "#0a7a4f";
 const cellBuffer = document.createElement("canvas");
 
 // `view`: { left, bottom, span } in cells. Cell [row, column] is drawn with row 0 at the bottom.
@@ -76,25 +77,49 @@ export class MomentCanvas {
     }
   }
 
-  // Each object as its box and the way it goes in `seconds`; lengths in cells.
+  // Each object, dashed where it is now and solid where it is in `seconds`; lengths in cells.
   objects(objects, seconds) {
-    const context = this.context;
-    context.strokeStyle = context.fillStyle = "#0a7a4f";
-    context.lineWidth = Math.max(1.5, this.cell / 3);
-    context.font = `${Math.round(12 * (window.devicePixelRatio || 1))}px sans-serif`;
-    for (const { track, x, y, heading, length, width, vx, vy } of objects) {
-      const [cx, cy] = this.at(x, y);
-      context.save();
-      context.translate(cx, cy);
-      context.rotate(-heading);
-      context.strokeRect(-length * this.cell / 2, -width * this.cell / 2, length * this.cell, width * this.cell);
-      context.restore();
-      context.beginPath();
-      context.moveTo(cx, cy);
-      context.lineTo(...this.at(x + vx * seconds, y + vy * seconds));
-      context.stroke();
-      context.fillText(String(track), cx + this.cell, cy - this.cell);
+    const context = this.context, scale = window.devicePixelRatio || 1;
+    context.lineWidth = 1.5 * scale;
+    context.font = `${Math.round(12 * scale)}px sans-serif`;
+    for (const one of objects) {
+      const then = { ...one, x: one.x + one.vx * seconds, y: one.y + one.vy * seconds };
+      context.strokeStyle = OBJECT_COLOUR;
+      if (seconds) {
+        context.setLineDash([3 * scale, 3 * scale]);
+        this.box(one);
+        context.setLineDash([]);
+        context.beginPath();
+        context.moveTo(...this.at(one.x, one.y));
+        context.lineTo(...this.at(then.x, then.y));
+        context.stroke();
+      }
+      this.box(then);
+      this.label(then);
     }
+  }
+
+  box({ x, y, heading, length, width }) {
+    const { context, cell } = this;
+    context.save();
+    context.translate(...this.at(x, y));
+    context.rotate(-heading); // y is up in the world and down on a canvas
+    context.strokeRect((-length * cell) / 2, (-width * cell) / 2, length * cell, width * cell);
+    context.restore();
+  }
+
+  label({ track, x, y, heading, length, width }) {
+    const { context } = this;
+    const [half, side] = [length / 2, width / 2];
+    const right = Math.abs(half * Math.cos(heading)) + Math.abs(side * Math.sin(heading));
+    const up = Math.abs(half * Math.sin(heading)) + Math.abs(side * Math.cos(heading));
+    const place = this.at(x + right + 0.5, y + up);
+    context.strokeStyle = "#fff"; // a halo: readable on every colour of a cell
+    context.lineWidth *= 2;
+    context.strokeText(String(track), ...place);
+    context.lineWidth /= 2;
+    context.fillStyle = OBJECT_COLOUR;
+    context.fillText(String(track), ...place);
   }
 
   line(column) {

@@ -1,4 +1,5 @@
-// The player of each recording: kept forecasts over time and horizon, one to four trackers side by side.
+// The player: kept forecasts over time and horizon, one to four trackers side by side.
+import { choice } from "./choices.js";
 import { make } from "./elements.js";
 import { pageData } from "./page_data.js";
 import { isShown, whenShownChange } from "./shown_trackers.js";
@@ -49,16 +50,23 @@ class Player {
     );
     this.panels = make("div", { class: "moment-panels" });
     this.legend = markLegend(this.data.hidden_known);
-    this.element.append(this.panels, this.legend, make("p", { class: "note" },
+    const left = this.data.kept - moments.length;
+    const kept = left ? `${moments.length} of ${this.data.kept} kept moments: ${left} do not fit on the page. ` : "";
+    this.element.append(this.panels, this.legend, make("p", { class: "note" }, kept,
       "Arrow keys: time and horizon; space: play; a click on a panel centres the zoom, shift and arrows move it. ",
       `Hits and errors at the tracker's threshold of ${this.data.stratum || "in-motion"} cells`,
       this.data.stratum ? ", on those cells; the others are grey. " : ", on all visible cells. ",
-      "A box is where a tracked object is now, its line the way it goes up to the horizon."));
+      "A tracked object: dashed where it is now, solid where its velocity takes it up to the horizon."));
     this.element.tabIndex = 0;
     this.element.setAttribute("role", "group");
     this.element.setAttribute("aria-label", `Moments of ${this.data.recording}`);
     this.element.addEventListener("keydown", (event) => this.key(event));
-    this.arrange();
+  }
+
+  // Another recording's player takes its place.
+  leave() {
+    this.play(false);
+    this.element.hidden = true;
   }
 
   trackerMenu(tracker, at) {
@@ -184,9 +192,12 @@ class Player {
   }
 
   drawInput(panel, planes) {
+    const { trackers, moments } = this.data;
     panel.cells(this.data.size, (at) => inputColour(planes.input[at]));
-    panel.sensors(this.data.moments[this.moment].sensors.map((point) => this.inCells(point)));
-    panel.words("input", `${this.data.moments[this.moment].t.toFixed(1)} s`);
+    panel.sensors(moments[this.moment].sensors.map((point) => this.inCells(point)));
+    const tracking = this.boxes ? this.shown.find((tracker) => moments[this.moment].objects[tracker].length) : undefined;
+    if (tracking !== undefined) panel.objects(this.objectsOf(tracking), 0);
+    panel.words(tracking === undefined ? "input" : `input, tracks of ${trackers[tracking]}`, `${moments[this.moment].t.toFixed(1)} s`);
   }
 
   drawTarget(panel, planes, colour, title) {
@@ -243,32 +254,45 @@ class Player {
     this.menus.forEach(({ select }, at) => { select.value = String(this.chosen[at]); });
     this.moment = nearest(this.data.moments.map(({ t }) => t), seconds);
     this.h = nearest(this.data.horizons_s, horizon);
-    for (let above = this.element.parentElement; above; above = above.parentElement) {
-      if (above.tagName === "DETAILS") above.open = true;
-    }
     this.arrange();
     this.element.scrollIntoView();
   }
 }
 
-// Makes a player of each recording that has one; the still pictures are for pages without scripts.
+// Fills the section of the moments: the player of the chosen recording; the still pictures are for pages without scripts.
 export function startPlayers() {
+  const section = document.getElementById("moments");
+  if (!section) return;
+  section.querySelector(".still").hidden = true;
   const players = new Map();
-  for (const element of document.querySelectorAll(".player")) {
-    const data = pageData.players.find(({ recording }) => recording === element.dataset.recording);
-    element.hidden = false;
-    element.nextElementSibling.hidden = true;
-    players.set(data.recording, new Player(element, data));
-  }
+  let shown = null;
+  const show = (recording) => {
+    if (!players.has(recording)) players.set(recording, playerOf(recording, section));
+    shown?.leave();
+    shown = players.get(recording);
+    shown.element.hidden = false;
+    shown.arrange();
+    return shown;
+  };
+  const names = pageData.players.map(({ recording }) => [recording, recording]);
+  const recordings = choice("Recording", names, names[0][0], show);
+  recordings.hidden = names.length < 2;
+  section.querySelector("h2").after(make("div", { class: "choices" }, recordings));
   const follow = () => {
     const wanted = momentOfLink(location.hash);
-    if (wanted) players.get(wanted.recording)?.open(wanted);
+    if (!names.some(([name]) => name === wanted?.recording)) return false;
+    recordings.querySelector("select").value = wanted.recording;
+    show(wanted.recording).open(wanted);
+    return true;
   };
-  const sizes = new ResizeObserver((entries) => {
-    for (const { target } of entries) players.get(target.dataset.recording).show();
-  });
-  for (const { element } of players.values()) sizes.observe(element);
-  whenShownChange(() => { for (const player of players.values()) player.arrange(); });
+  new ResizeObserver(() => shown?.show()).observe(section);
+  whenShownChange(() => shown.arrange());
   window.addEventListener("hashchange", follow);
-  follow();
+  if (!follow()) show(names[0][0]);
+}
+
+function playerOf(recording, section) {
+  const element = make("div", { class: "player" });
+  section.append(element);
+  return new Player(element, pageData.players.find((one) => one.recording === recording));
 }

@@ -1,11 +1,15 @@
 """The player in a browser: every control, by pointer and by keyboard alone, without an error and without a request."""
 
 import json
+import math
 import re
 import shutil
+from dataclasses import replace
 
 import pytest
 
+from gridtrack.evaluation.scoring.sample_objects import KeptObject
+from gridtrack.evaluation.scoring.samples import read_samples
 from gridtrack.reports.page import render_report
 
 playwright = pytest.importorskip("playwright.sync_api", reason="playwright, of the extra dev, is not installed")
@@ -144,6 +148,42 @@ def test_a_link_opens_the_page_at_its_moment_even_of_a_hostile_name(opened):
 def test_a_link_to_nothing_leaves_the_page_as_it_is(opened, fragment):
     page, _ = opened(fragment)
     shows(page, 0, 1)
+
+
+BOX_COLOURS = """
+canvas => {
+  const { data, width } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
+  const found = [[], []];
+  for (let at = 0; at < data.length; at += 4) {
+    const [red, green, blue] = data.slice(at, at + 3);
+    if (green <= red + 60 || green <= blue + 20) continue;
+    found[0].push((at / 4) % width);
+    found[1].push(Math.floor(at / 4 / width));
+  }
+  return found.map((places) => [Math.min(...places), Math.max(...places)].map((place) => 32 * (place + 0.5) / width));
+}
+"""
+
+
+def test_a_box_lies_where_the_object_is_now_and_where_its_velocity_takes_it(browser, run_folder, tmp_path, monkeypatch):
+    """A body 1 m long and 0.5 m wide at (-1, 1), along y, at 2 m/s to the right: cells of 0.2 m from (-3.2, 0)."""
+    body = KeptObject(7, (-1.0, 1.0, math.pi / 2, 1.0, 0.5), (2.0, 0.0))
+    monkeypatch.setattr(
+        "gridtrack.reports.player.read_samples", lambda path: (replace(s, objects=(body,)) for s in read_samples(path))
+    )
+    page = browser.new_page(viewport={"width": 1280, "height": 900})
+    page.set_default_timeout(120_000)
+    page.goto(render_report([run_folder], tmp_path).as_uri())
+    page.locator(".player[data-ready]").wait_for()
+    panels = page.locator(".moment-panel canvas")
+    across, down = panels.nth(0).evaluate(BOX_COLOURS)
+    assert across[0] == pytest.approx(11 - 1.25, abs=0.3)
+    assert down[1] == pytest.approx(32 - 2.5, abs=0.3)
+    across, down = panels.nth(2).evaluate(BOX_COLOURS)
+    assert across[0] == pytest.approx(11 - 1.25, abs=0.3), "dashed, where it is now"
+    assert across[1] >= 11 + 10 + 1.25 - 0.3, "1 s later, 2 m to the right"
+    assert down[1] == pytest.approx(32 - 2.5, abs=0.3)
+    page.close()
 
 
 def test_a_tracker_that_the_page_hides_has_no_panel(opened):

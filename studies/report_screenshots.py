@@ -1,0 +1,76 @@
+"""Pictures of a report at two widths, light and dark, as a browser shows it.
+
+`python -m studies.report_screenshots RUN --out DIR` (half a minute) renders the report of a run and writes, for each of
+WIDTHS and each of SCHEMES, the first screen, every section, and the whole page, as `WIDTH-SCHEME-NAME.png`. `--only
+NAME` writes the pictures of that name alone. It needs Chromium (Debian: apt install chromium).
+"""
+
+from __future__ import annotations
+
+import argparse
+import shutil
+import sys
+from collections.abc import Collection
+from pathlib import Path
+
+from playwright.sync_api import Page, sync_playwright
+
+from gridtrack.reports.page import render_report
+
+WIDTHS = (1280, 400)
+SCHEMES = ("light", "dark")
+HEIGHT = 860
+FIRST, WHOLE = "first-screen", "whole"
+
+
+def take_pictures(report: Path, out: Path, chromium: str, only: Collection[str] = ()) -> list[Path]:
+    """Write the pictures of a page into `out` and return their paths; `only`: names, empty for all."""
+    out.mkdir(parents=True, exist_ok=True)
+    taken: list[Path] = []
+    with sync_playwright() as driver:
+        browser = driver.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
+        for width in WIDTHS:
+            for scheme in SCHEMES:
+                page = browser.new_page(viewport={"width": width, "height": HEIGHT}, color_scheme=scheme)  # type: ignore[arg-type]
+                page.goto(report.as_uri())
+                page.wait_for_load_state()
+                page.wait_for_timeout(500)  # a player draws its first moment after the page is there
+                taken += _of_page(page, out, f"{width}-{scheme}", only)
+                page.close()
+        browser.close()
+    return taken
+
+
+def _of_page(page: Page, out: Path, prefix: str, only: Collection[str]) -> list[Path]:
+    taken = []
+
+    def path_of(name: str) -> Path:
+        taken.append(out / f"{prefix}-{name}.png")
+        return taken[-1]
+
+    if not only or FIRST in only:
+        page.screenshot(path=path_of(FIRST))
+    if not only or WHOLE in only:
+        page.screenshot(path=path_of(WHOLE), full_page=True)
+    for section in page.locator("section[id], .player").all():
+        name = section.get_attribute("id") or "player"
+        if section.is_visible() and (not only or name in only) and out / f"{prefix}-{name}.png" not in taken:
+            section.screenshot(path=path_of(name))
+    return taken
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("run", type=Path, metavar="RUN")
+    parser.add_argument("--out", type=Path, required=True, metavar="DIR")
+    parser.add_argument("--only", action="append", default=[], metavar="NAME")
+    arguments = parser.parse_args()
+    chromium = shutil.which("chromium")
+    if chromium is None:
+        sys.exit("chromium: there is no such program; Debian: apt install chromium")
+    for path in take_pictures(render_report([arguments.run]), arguments.out, chromium, arguments.only):
+        print(path)
+
+
+if __name__ == "__main__":
+    main()
