@@ -149,6 +149,11 @@ class Recording(ABC):
         return sha256_of(self.path, self.growth.limit if self.growth else None)
 
     @property
+    def scans_version(self) -> str:
+        """What decides the scans beside the file and the options: a format that renders them names its version."""
+        return ""
+
+    @property
     def source_sha256(self) -> str:
         """SHA-256 of the file that the recording was first imported from, its own where it was not imported."""
         return self.info.source_sha256 or self.sha256
@@ -209,6 +214,12 @@ class Recording(ABC):
             self.notify(problem)
         survey.topics = {topic: (kind, topics.counts[topic]) for topic, kind in topics.types.items()}
         return survey
+
+    def recall(self, survey: Survey, warnings: Iterable[str], damage: str) -> None:
+        """Take over what an earlier pass over the same file found; the `warnings` are without its path."""
+        self.survey, self.damage = survey, damage
+        for text in warnings:
+            self.notify(text)
 
     def survey_again(self) -> None:
         """Let `survey`, `sha256` and the warnings be found anew where they are used next: the file has grown."""

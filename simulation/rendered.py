@@ -30,6 +30,11 @@ class RenderedRecording(Recording):
         """The metadata in the file of tracks. Raises RecordingError."""
         return read_tracks(self.path).info.recording
 
+    @property
+    def scans_version(self) -> str:
+        """The version of the rendering."""
+        return f"rendering {RENDERING_VERSION}"
+
     def read(self, topics: Topics) -> Iterator[Scan]:
         """The scans of the rendering."""
         return NativeRecording(self.rendering, self.options).read(topics)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
 import pytest
@@ -14,6 +14,15 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")  # workers fill the cores: two thr
 PLUGINS = Path(__file__).parent / "plugins"
 
 Install = Callable[..., Path]
+
+
+@pytest.fixture(scope="session", autouse=True)
+def own_cache_of_stretches(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """What a training keeps is that of this session: no test passes on frames that earlier code made."""
+    folder = tmp_path_factory.mktemp("cache")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("gridtrack.common.cache.user_cache_folder", lambda: folder)
+        yield
 
 
 @pytest.fixture

@@ -1,8 +1,9 @@
 """The training process: `python -m gridtrack.evaluation.comparison.fit_process NAME` runs a tracker's `fit`.
 
 It speaks messages of the wire with the command `train`, over its stdin and stdout: `load` is answered by `loaded`, and
-`fit` by any number of `report`, then `done`; a failure of either by `error`. It receives files of frames, a copy of the
-general weights to start from, and no recording.
+`fit` by any number of `report` and `regions`, then `done`; a failure of either by `error`. It receives files of frames,
+a copy of the general weights to start from, and no recording; and to each `regions` the file with the regions of one of
+the stretches, which is made then.
 """
 
 from __future__ import annotations
@@ -12,13 +13,14 @@ import signal
 import sys
 import threading
 import traceback
+from collections.abc import Callable
 from pathlib import Path
 
 from gridtrack.common.config import Settings, validated
 from gridtrack.common.errors import INTERRUPTED_EXIT_CODE, GridtrackError, PluginError
-from gridtrack.evaluation.comparison.fit_regions import FitScores, StretchRegions
+from gridtrack.evaluation.comparison.fit_regions import FitScores
 from gridtrack.evaluation.comparison.progress_lines import ProgressLines
-from gridtrack.evaluation.comparison.stored_stretch import StoredStretch, regions_path
+from gridtrack.evaluation.comparison.stored_stretch import StoredStretch
 from gridtrack.evaluation.processes.supervisor import PR_SET_PDEATHSIG, prctl
 from gridtrack.trackers import registry
 from gridtrack.trackers.contract import FitOutput, Tracker
@@ -33,9 +35,9 @@ def main() -> None:
     prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
     fill = fill_from(read_fd)
 
-    sending = threading.Lock()
+    sending, asking = threading.Lock(), threading.Lock()
 
-    def send(kind: str, **fields: str | bool) -> None:
+    def send(kind: str, **fields: str | int) -> None:
         with sending:
             write_to(write_fd, encode(Message(kind, 0, fields)))
 
@@ -45,7 +47,14 @@ def main() -> None:
         at_a_site = not request.value("general", bool)
         send("loaded", starts_from_general=at_a_site and tracker.starts_from_general(settings))
         with ProgressLines(lambda text: send("report", text=text)) as lines:
-            _fit(tracker, settings, receive(fill, 0), lines)
+            fit = receive(fill, 0)
+
+            def regions_of(number: int) -> Path:
+                with asking:
+                    send("regions", number=number)
+                    return Path(receive(fill, 0).value("path", str))
+
+            _fit(tracker, settings, fit, lines, regions_of)
         send("done")
     except KeyboardInterrupt:
         sys.exit(INTERRUPTED_EXIT_CODE)
@@ -63,11 +72,17 @@ def _load(name: str, request: Message) -> tuple[type[Tracker], Settings]:
     return tracker, validated(tracker.Options, request.value("options", dict), f"tracker '{name}'")
 
 
-def _fit(tracker: type[Tracker], settings: Settings, request: Message, lines: ProgressLines) -> None:
-    """Run `fit` on the stretches of the request."""
+def _fit(
+    tracker: type[Tracker],
+    settings: Settings,
+    request: Message,
+    lines: ProgressLines,
+    regions_of: Callable[[int], Path],
+) -> None:
+    """Run `fit` on the stretches of the request; `regions_of(n)` is the file with the regions of the n-th."""
     files = {use: [Path(path) for path in request.value(use, list)] for use in ("train", "validation")}
     train, validation = ([StoredStretch(path, lines.progress) for path in paths] for paths in files.values())
-    scores = FitScores([StretchRegions.read(regions_path(path)) for paths in files.values() for path in paths])
+    scores = FitScores([*train, *validation], regions_of)
     path, log_dir = (Path(request.value(name, str)) for name in ("path", "log_dir"))
     start = request.value("start", str)
     output = FitOutput(

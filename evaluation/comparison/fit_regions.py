@@ -1,12 +1,12 @@
 """Regions that the `score` of a training counts on: those of the referee, of whole stretches, as files.
 
 The command finds them, because static outlines and speeds are truth that `fit` does not receive. They are found once
-for each stretch, so every tracker, and every part of a stretch, is scored on the same cells.
+for each stretch that is scored, so every tracker, and every part of a stretch, is scored on the same cells.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
@@ -24,7 +24,6 @@ from gridtrack.evaluation.scoring.motion import ObservedMotion
 from gridtrack.evaluation.scoring.regions import Regions
 from gridtrack.evaluation.scoring.world_cells import WorldCells
 from gridtrack.evaluation.scoring.world_kinds import (
-    CellKinds,
     KindsOfPlaces,
     KindsOfWindow,
     kinds_of_outlines,
@@ -50,39 +49,35 @@ def cell_kinds_for(stream: GridStream, streams: Iterable[GridStream]) -> KindsOf
     return observed_kinds(chain.from_iterable(one.observations() for one in given), stream.grid)
 
 
-class RegionsWriter:
-    """Collects the regions of a stretch while its observations pass, and writes them."""
+def store_regions(stream: GridStream, kinds: KindsOfWindow | KindsOfPlaces, path: Path) -> Path:
+    """Write the regions of `stream`, with these `kinds` of its cells, to the .npz file `path`; returns `path`.
 
-    def __init__(self, stream: GridStream, kinds: KindsOfWindow | KindsOfPlaces) -> None:
-        self._stream, self._kinds = stream, kinds
-        self._motion = ObservedMotion(stream)
-        self._stamps_ns: list[int] = []
-        self._moving: list[NDArray[np.int64]] = []
-        self._reference_T_world: list[SE2] = []
-        self._scans = ScansWriter()
-        self._moves = stream.first_move_s is not None
-
-    def add(self, observation: Observation) -> None:
-        """Find the returns in motion of the next observation. Raises RecordingError."""
-        self._stamps_ns.append(observation.frame.stamp_ns)
-        self._moving.append(np.flatnonzero(self._motion.of(observation).among(observation, self._stream.grid)))
-        self._reference_T_world.append(observation.reference_T_world)
-        self._scans.add(observation.scans if self._moves else ())
-
-    def write(self, path: Path) -> None:
-        """Write an .npz file. Raises OSError."""
+    Raises RecordingError, OSError.
+    """
+    motion, moves, scans = ObservedMotion(stream), stream.first_move_s is not None, ScansWriter()
+    stamps_ns: list[int] = []
+    moving: list[NDArray[np.int64]] = []
+    reference_T_world: list[tuple[float, float, float]] = []
+    for observation in stream.observations():
+        pose = observation.reference_T_world
+        stamps_ns.append(observation.frame.stamp_ns)
+        moving.append(np.flatnonzero(motion.of(observation).among(observation, stream.grid)))
+        reference_T_world.append((pose.x, pose.y, pose.theta))
+        scans.add(observation.scans if moves else ())
+    with path.open("wb") as file:
         np.savez_compressed(
-            path,
-            sha256=np.array(self._stream.sha256),
-            grid=np.array(str(self._stream.grid)),
-            moves=np.array(self._moves),
-            stamps_ns=np.array(self._stamps_ns, np.int64),
-            starts=np.cumsum([0, *map(len, self._moving)]),
-            moving=np.concatenate([np.zeros(0, np.int64), *self._moving]).astype(np.int32),
-            reference_T_world=np.array([(pose.x, pose.y, pose.theta) for pose in self._reference_T_world]),
-            **_kinds_arrays(self._kinds),
-            **self._scans.arrays(),
+            file,
+            sha256=np.array(stream.sha256),
+            grid=np.array(str(stream.grid)),
+            moves=np.array(moves),
+            stamps_ns=np.array(stamps_ns, np.int64),
+            starts=np.cumsum([0, *map(len, moving)]),
+            moving=np.concatenate([np.zeros(0, np.int64), *moving]).astype(np.int32),
+            reference_T_world=np.array(reference_T_world),
+            **_kinds_arrays(kinds),
+            **scans.arrays(),
         )
+    return path
 
 
 def _kinds_arrays(kinds: KindsOfWindow | KindsOfPlaces) -> dict[str, Any]:
@@ -92,7 +87,7 @@ def _kinds_arrays(kinds: KindsOfWindow | KindsOfPlaces) -> dict[str, Any]:
     return {"places": np.array(list(tiles), np.int64), "static": np.stack([tile[0] for tile in tiles.values()])}
 
 
-def _kinds_from(stored: Mapping[str, NDArray[Any]], grid: GridSpec) -> CellKinds:
+def _kinds_from(stored: Mapping[str, NDArray[Any]], grid: GridSpec) -> KindsOfWindow | KindsOfPlaces:
     if "cell_kinds" in stored:
         return KindsOfWindow(stored["cell_kinds"])
     static = WorldCells(1, np.bool_)
@@ -112,7 +107,7 @@ class StretchRegions:
 
     sha256: str
     grid: str
-    kinds: CellKinds
+    kinds: KindsOfWindow | KindsOfPlaces
     scans: StoredScans
     moves: bool
     stamps_ns: NDArray[np.int64]
@@ -122,7 +117,7 @@ class StretchRegions:
 
     @classmethod
     def read(cls, path: Path) -> StretchRegions:
-        """From the file of `RegionsWriter.write`. Raises OSError."""
+        """From the file of `store_regions`. Raises OSError."""
         with np.load(path, allow_pickle=False) as stored:
             grid, arrays = str(stored["grid"]), {name: stored[name] for name in stored.files}
             kinds, scans = _kinds_from(arrays, GridSpec.parse(grid)), StoredScans.read(arrays)
@@ -205,13 +200,15 @@ class _ObservedSource:
 class FitScores:
     """The `score` function of a training: it scores stretches that `fit` received, and parts of them."""
 
-    def __init__(self, regions: Sequence[StretchRegions]) -> None:
-        self._regions = tuple(regions)
+    def __init__(self, stretches: Sequence[FrameSource], regions_of: Callable[[int], Path]) -> None:
+        """`regions_of(n)` is the file with the regions of `stretches[n]`, asked for when that stretch is scored."""
+        self._stretches, self._regions_of = tuple(stretches), regions_of
+        self._read: dict[int, StretchRegions] = {}
 
     def score(self, tracker: Tracker, source: FrameSource, steps: int) -> StretchScore:
         """Stream `source` through the tracker and score its forecasts. Raises RecordingError."""
         first = next(iter(source))
-        stretch = next((one for one in self._regions if one.has(source, first.stamp_ns)), None)
+        stretch = next((one for one in self._regions_beside(source) if one.has(source, first.stamp_ns)), None)
         if stretch is None:
             raise RecordingError(f"{source.name}: not a stretch that fit received, nor a part of one: score needs one")
         if stretch.moves and not tracker.moving_sensor:
@@ -222,3 +219,11 @@ class FitScores:
         observed = _ObservedSource(source, stretch)
         regions = Regions(source.grid, stretch.kinds)
         return score_in_process(tracker, observed, steps, regions, StoredMotion(stretch, source))
+
+    def _regions_beside(self, source: FrameSource) -> Iterator[StretchRegions]:
+        """The regions of the stretches of the same recording, on the same grid."""
+        for n, one in enumerate(self._stretches):
+            if one.sha256 == source.sha256 and str(one.grid) == str(source.grid):
+                if n not in self._read:
+                    self._read[n] = StretchRegions.read(self._regions_of(n))
+                yield self._read[n]

@@ -8,8 +8,6 @@ from pathlib import Path
 from typing import IO
 
 from gridtrack.common.grid import GridFrame, LabelledFrame
-from gridtrack.evaluation.comparison.fit_regions import RegionsWriter
-from gridtrack.evaluation.scoring.world_kinds import KindsOfPlaces, KindsOfWindow
 from gridtrack.recordings.cell_labels import check_labels, labelled_returns
 from gridtrack.recordings.stream import GridStream
 from gridtrack.trackers import messages
@@ -18,12 +16,11 @@ from gridtrack.trackers.progress import Progress
 from gridtrack.trackers.wire import Fill, Message, encode, receive
 
 
-def store_stretch(stream: GridStream, path: Path, kinds: KindsOfWindow | KindsOfPlaces) -> Path:
+def store_stretch(stream: GridStream, path: Path) -> Path:
     """Write the frames of `stream` and the classes of their occupied cells to `path`, without truth; returns `path`.
 
-    The regions that they are scored on are written beside it, to `regions_path(path)`; `kinds` are those of its cells.
-    The file is a series of wire messages, compressed: a header, and one message for each frame. Raises RecordingError,
-    OSError.
+    The file is a series of wire messages, compressed: a header, and one message for each frame. Equal streams give
+    equal files. Raises RecordingError, OSError.
     """
     header = {
         "stream": messages.stream_fields(stream_of(stream)),
@@ -32,21 +29,13 @@ def store_stretch(stream: GridStream, path: Path, kinds: KindsOfWindow | KindsOf
         "frames": len(stream),
         "start_s": stream.start_s,
     }
-    regions = RegionsWriter(stream, kinds)
-    with gzip.open(path, "wb", compresslevel=1) as file:
+    with path.open("wb") as raw, gzip.GzipFile("", "wb", compresslevel=1, fileobj=raw, mtime=0) as file:
         file.writelines(encode(Message("stretch", 0, header)))
         for number, observation in enumerate(stream.observations(), start=1):
             cells, labels = labelled_returns(observation.scans, observation.grid_T_sensor, stream.grid)
             arrays = messages.frame_arrays(observation.frame) | {"cells": cells, "labels": labels}
             file.writelines(encode(Message("frame", number, {}, arrays)))
-            regions.add(observation)
-    regions.write(regions_path(path))
     return path
-
-
-def regions_path(path: Path) -> Path:
-    """The file of the regions of the stretch in the file `path`."""
-    return path.with_suffix(".regions.npz")
 
 
 class StoredStretch:

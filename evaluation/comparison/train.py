@@ -7,20 +7,20 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+from gridtrack.common.cache import FileCache
 from gridtrack.common.errors import ConfigurationError
 from gridtrack.common.grid import GridSpec
 from gridtrack.evaluation.comparison.card_thresholds import choose_card_thresholds
-from gridtrack.evaluation.comparison.fit_regions import cell_kinds_for
 from gridtrack.evaluation.comparison.general_start import general_start
 from gridtrack.evaluation.comparison.learned import LearnedWeights, user_weights_folder, weights_path
 from gridtrack.evaluation.comparison.progress_lines import ProgressLines
 from gridtrack.evaluation.comparison.recipe import Recipe
-from gridtrack.evaluation.comparison.stored_stretch import store_stretch
+from gridtrack.evaluation.comparison.stretch_files import StretchFiles, stretch_cache, surveyed
 from gridtrack.evaluation.comparison.training_hints import in_two
 from gridtrack.evaluation.comparison.training_process import TrainingProcess
 from gridtrack.evaluation.scoring.splits import TRAIN, VALIDATION, own_validation, shares_frames
-from gridtrack.evaluation.scoring.world_kinds import KindsOfPlaces, KindsOfWindow
-from gridtrack.recordings import open_recording, recordings_at
+from gridtrack.evaluation.scoring.world_kinds import CellKinds
+from gridtrack.recordings import Recording, open_recording, recordings_at
 from gridtrack.recordings.recording import Stretch, stretch_text
 from gridtrack.recordings.stream import GridStream
 from gridtrack.recordings.stretches import parse_stretch
@@ -46,6 +46,7 @@ def train_tracker(recipe: Recipe, report: Callable[[str], None] = print) -> Path
     checkpoints are written beside the card to `<site>.logs`; a second call resumes there. Raises GridtrackError, and
     KeyboardInterrupt with a line about what is kept.
     """
+    cache = stretch_cache(report)
     named = {use: _named(texts) for use, texts in ((TRAIN, recipe.recordings), (VALIDATION, recipe.validation))}
     with (
         TrainingProcess(recipe.tracker, [path for found in named.values() for path, _ in found]) as process,
@@ -53,7 +54,7 @@ def train_tracker(recipe: Recipe, report: Callable[[str], None] = print) -> Path
     ):
         can_start = process.load(recipe.options, general=recipe.general)
         with ProgressLines(report) as lines:
-            train_on, validate_on = _stretches(recipe, named, lines.progress)
+            train_on, validate_on = _stretches(recipe, named, cache, lines.progress)
         start = general_start(recipe, validate_on, Path(folder), report) if can_start else None
         if can_start and start is None:
             recipe = recipe.model_copy(update={"from_scratch": True})
@@ -63,11 +64,12 @@ def train_tracker(recipe: Recipe, report: Callable[[str], None] = print) -> Path
         logs = path.with_suffix(".logs")
         from_weights = start.path if start else None
         output = FitOutput(path, COMMAND, recipe.seed, logs, report, general=recipe.general, start=from_weights)
+        stretches = StretchFiles([*train_on, *validate_on], Path(folder), cache)
         with ProgressLines(report) as lines:
-            files, kinds = _stored([*train_on, *validate_on], Path(folder), lines.progress)
+            files = stretches.frames(lines.progress)
         train, validation = files[: len(train_on)], files[len(train_on) :]
         try:
-            process.fit(train, validation, output)
+            process.fit(train, validation, output, stretches.regions)
         except KeyboardInterrupt:
             interrupted = True
         else:
@@ -75,17 +77,24 @@ def train_tracker(recipe: Recipe, report: Callable[[str], None] = print) -> Path
         finally:
             if path.exists():
                 _complete(path, recipe, train_on, validate_on, start)
-    if interrupted:
-        raise KeyboardInterrupt(_what_is_kept(path))
-    report("thresholds for recordings without a validation stretch")
-    try:
-        validated = list(zip(validate_on, kinds[len(train_on) :], strict=True))
-        thresholds = choose_card_thresholds(recipe.tracker, path, validated)
-    except KeyboardInterrupt:
-        raise KeyboardInterrupt(f"interrupted; {path} is complete, but without thresholds") from None
+        if interrupted:
+            raise KeyboardInterrupt(_what_is_kept(path))
+        report("thresholds for recordings without a validation stretch")
+        try:
+            _add_thresholds(recipe.tracker, path, validate_on, lambda n: stretches.kinds(len(train_on) + n))
+        except KeyboardInterrupt:
+            raise KeyboardInterrupt(f"interrupted; {path} is complete, but without thresholds") from None
+    return path
+
+
+def _add_thresholds(
+    tracker: str, path: Path, validate_on: Sequence[GridStream], kinds_of: Callable[[int], CellKinds]
+) -> None:
+    """Choose the thresholds of the card at `path`; `kinds_of(n)` are the kinds of the cells of `validate_on[n]`."""
+    validated = [(stream, kinds_of(n)) for n, stream in enumerate(validate_on)]
+    thresholds = choose_card_thresholds(tracker, path, validated)
     if thresholds is not None:
         add_thresholds(path, thresholds)
-    return path
 
 
 def _complete(
@@ -127,7 +136,7 @@ def _what_is_kept(path: Path) -> str:
 
 
 def _stretches(
-    recipe: Recipe, named: Mapping[str, Sequence[NamedStretch]], progress: Progress
+    recipe: Recipe, named: Mapping[str, Sequence[NamedStretch]], cache: FileCache, progress: Progress
 ) -> tuple[list[GridStream], list[GridStream]]:
     """The stretches to train on and to validate on, `named` by use. Raises ConfigurationError, RecordingError."""
     grid = GridSpec.parse(recipe.grid) if recipe.grid else None
@@ -135,7 +144,8 @@ def _stretches(
     with progress.stage("recording", sum(map(len, named.values()))) as stage:
         for use, found in named.items():
             for path, stretch in found:
-                opened[use].append(_stretch(path, stretch, use, grid, recipe.rate_hz))
+                recording = surveyed(open_recording(path), cache)
+                opened[use].append(_stretch(recording, stretch, use, grid, recipe.rate_hz))
                 stage.advance(path.name)
     train_on, validate_on = opened[TRAIN], opened[VALIDATION]
     validate_on = validate_on or _own_validation(recipe, train_on)
@@ -158,19 +168,6 @@ def _data_of(streams: Sequence[GridStream]) -> list[TrainingData]:
     ]
 
 
-def _stored(
-    streams: Sequence[GridStream], folder: Path, progress: Progress
-) -> tuple[list[Path], list[KindsOfWindow | KindsOfPlaces]]:
-    """The files of all stretches of a training, and the kinds of their cells, in their order."""
-    files, kinds = [], []
-    with progress.stage("stretch", len(streams)) as stage:
-        for number, stream in enumerate(streams):
-            kinds.append(cell_kinds_for(stream, streams))
-            files.append(store_stretch(stream, folder / f"{number}.frames", kinds[-1]))
-            stage.advance(stream.name)
-    return files, kinds
-
-
 def _make_folder(folder: Path) -> None:
     """Made before the training, which may take hours: a folder that cannot be written to is refused at once."""
     try:
@@ -190,11 +187,10 @@ def _named(texts: Sequence[str]) -> list[NamedStretch]:
 
 
 def _stretch(
-    path: Path, stretch: Stretch | str | None, use: str, grid: GridSpec | None, rate_hz: float | None
+    recording: Recording, stretch: Stretch | str | None, use: str, grid: GridSpec | None, rate_hz: float | None
 ) -> GridStream:
     """The `stretch` of a recording, or its own for this use, or the whole of a recording without any."""
-    recording = open_recording(path)
-    own = recording.info.stretches
+    own, path = recording.info.stretches, recording.path
     if stretch is None and own and use not in own:
         raise ConfigurationError(
             f"{path}: it names no stretch '{use}'; name one of its own ({', '.join(f'{path}@{name}' for name in own)}),"

@@ -62,8 +62,18 @@ class TrainingProcess:
         self._send("load", options=dict(options), general=general)
         return self._answer("loaded", lambda text: None).value("starts_from_general", bool)
 
-    def fit(self, train: Sequence[Path], validation: Sequence[Path], output: FitOutput) -> None:
-        """Run `fit` on these files of stretches; its lines go to `output.report`. Raises GridtrackError."""
+    def fit(
+        self,
+        train: Sequence[Path],
+        validation: Sequence[Path],
+        output: FitOutput,
+        regions_of: Callable[[int], Path],
+    ) -> None:
+        """Run `fit` on these files of stretches; its lines go to `output.report`.
+
+        `regions_of(n)` makes the file with the regions of the n-th stretch, those of training first, when `fit` asks
+        for it. Raises GridtrackError.
+        """
         self._send(
             "fit",
             train=[str(path) for path in train],
@@ -77,7 +87,7 @@ class TrainingProcess:
         )
         with self._passing_on_interrupts() as interrupted:
             try:
-                self._answer("done", output.report)
+                self._answer("done", output.report, lambda n: self._send("regions", path=str(regions_of(n))))
             except GridtrackError:
                 if not interrupted.is_set():
                     raise
@@ -120,8 +130,10 @@ class TrainingProcess:
         with contextlib.suppress(BrokenPipeError):  # the missing answer says why it ended
             write_to(self._process.stdin.fileno(), encode(Message(kind, 0, fields)))
 
-    def _answer(self, expected: str, report: Callable[[str], None]) -> Message:
-        """Wait for the answer `expected`; lines of progress before it go to `report`."""
+    def _answer(
+        self, expected: str, report: Callable[[str], None], send_regions: Callable[[int], None] | None = None
+    ) -> Message:
+        """Wait for the answer `expected`; before it lines of progress go to `report`, requests to `send_regions`."""
         assert self._process.stdout is not None
         fill = fill_from(self._process.stdout.fileno())
         while True:
@@ -131,6 +143,8 @@ class TrainingProcess:
                 raise self._failed(str(ProcessExit(_status(self._process.wait())))) from None
             if answer.kind == "report":
                 report(answer.value("text", str))
+            elif answer.kind == "regions" and send_regions is not None:
+                send_regions(answer.value("number", int))
             elif answer.kind == "error":
                 self._raise(answer)
             elif answer.kind == expected:

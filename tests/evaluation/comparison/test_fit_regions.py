@@ -7,8 +7,8 @@ import pytest
 
 from gridtrack.common.errors import RecordingError
 from gridtrack.common.geometry import SE2
-from gridtrack.evaluation.comparison.fit_regions import FitScores, StretchRegions, cell_kinds_for
-from gridtrack.evaluation.comparison.stored_stretch import StoredStretch, regions_path, store_stretch
+from gridtrack.evaluation.comparison.fit_regions import FitScores, cell_kinds_for, store_regions
+from gridtrack.evaluation.comparison.stored_stretch import StoredStretch, store_stretch
 from gridtrack.evaluation.scoring.in_process import score_in_process
 from gridtrack.evaluation.scoring.regions import regions_of
 from gridtrack.evaluation.scoring.strata import CELL_KINDS, STRATA
@@ -24,8 +24,9 @@ STEPS = 5
 
 def stored(stream, path, *others):
     """The stretch as `fit` receives it, and the score that it receives."""
-    source = StoredStretch(store_stretch(stream, path, cell_kinds_for(stream, [stream, *others])))
-    return source, FitScores([StretchRegions.read(regions_path(path))]).score
+    source = StoredStretch(store_stretch(stream, path))
+    regions = store_regions(stream, cell_kinds_for(stream, [stream, *others]), path.with_suffix(".npz"))
+    return source, FitScores([source], lambda n: regions).score
 
 
 def persistence(source):

@@ -13,7 +13,6 @@ import psutil
 import pytest
 
 from gridtrack.common.errors import ConfigurationError, PluginError, WeightsError
-from gridtrack.evaluation.comparison.fit_regions import cell_kinds_for
 from gridtrack.evaluation.comparison.recipe import Recipe
 from gridtrack.evaluation.comparison.stored_stretch import StoredStretch, store_stretch
 from gridtrack.evaluation.comparison.train import train_tracker
@@ -88,7 +87,7 @@ def test_fit_reaches_the_frames_of_its_stretches_and_nothing_else_of_a_recording
 
 def test_a_stored_stretch_has_the_frames_and_labels_of_the_stream(record, tmp_path):
     stream = open_stream(f"{record()}@validation")
-    stored = StoredStretch(store_stretch(stream, tmp_path / "stretch", cell_kinds_for(stream, [stream])))
+    stored = StoredStretch(store_stretch(stream, tmp_path / "stretch"))
     for name in ("name", "sha256", "grid", "period_s", "site", "classes"):
         assert getattr(stored, name) == getattr(stream, name)
     assert len(stored) == len(stream)
