@@ -34,7 +34,7 @@ KINDS = (*INDOORS, *OUTDOORS, *STREETS)
 MAX_WORLD_MINUTES = 10.0
 SEED_DOMAIN = 19
 """Worlds share no random numbers with other simulations of the same seed."""
-ATTEMPTS = 10
+ATTEMPTS = 40
 LEAST_SEEN = 0.3
 """A world in which moving road users are seen in fewer of the seconds is made again."""
 
