@@ -9,7 +9,7 @@ are searched, in few tries, that weigh the map of the place against the stream: 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -85,9 +85,7 @@ def fit_searched(
     with TemporaryDirectory() as folder:
         draft = _Draft(search.tracker, Path(folder) / f"{search.name}.toml", score)
         save_weights(draft.path, card, arrays)
-        objective = Objective[_Searched](
-            "mean F1", "maximize", lambda tried: draft.mean_f1(search.during(tried), searched)
-        )
+        objective = Objective[_Searched]("mean F1", lambda tried: draft.f1_of_each(search.during(tried), searched))
         try:
             finalists = search_settings(search.kind, ranges, objective, start, iterations, train, out)
         except SearchInterrupted as stopped:
@@ -131,14 +129,16 @@ class _Draft(Generic[_Searched]):
     def running(self, settings: _Searched, source: FrameSource) -> CalibratedTracker:
         return self.tracker(stream_of(source, self.path), settings)
 
-    def scores(self, settings: _Searched, sources: Sequence[FrameSource]) -> list[StretchScore]:
-        last = max(OBJECTIVE_HORIZONS_S)
-        return [self.score(self.running(settings, source), source, step_of(source, last)) for source in sources]
+    def scored(self, settings: _Searched, source: FrameSource) -> StretchScore:
+        return self.score(self.running(settings, source), source, step_of(source, max(OBJECTIVE_HORIZONS_S)))
+
+    def f1_of_each(self, settings: _Searched, sources: Sequence[FrameSource]) -> Iterator[float]:
+        """The mean F1 on each source in turn; NaN where it is undefined."""
+        return (_f1(self.scored(settings, source), source) for source in sources)
 
     def mean_f1(self, settings: _Searched, sources: Sequence[FrameSource]) -> float:
         """The mean over the sources in which it is defined; NaN where it is in none."""
-        scored = zip(self.scores(settings, sources), sources, strict=True)
-        values = [value for value in (_f1(score, source) for score, source in scored) if math.isfinite(value)]
+        values = [value for value in self.f1_of_each(settings, sources) if math.isfinite(value)]
         return float(np.mean(values)) if values else math.nan
 
     def best_of(self, finalists: list[_Searched], validation: Sequence[FrameSource], out: FitOutput) -> _Searched:
@@ -157,8 +157,7 @@ class _Draft(Generic[_Searched]):
         return finalists[found]
 
     def summaries(self, settings: _Searched, sources: Sequence[FrameSource]) -> list[dict[str, Any]]:
-        scored = zip(self.scores(settings, sources), sources, strict=True)
-        return [stretch_summary(score, source, OBJECTIVE_HORIZONS_S) for score, source in scored]
+        return [stretch_summary(self.scored(settings, source), source, OBJECTIVE_HORIZONS_S) for source in sources]
 
     def calibration(self, settings: _Searched, sources: Sequence[FrameSource], out: FitOutput) -> NDArray[np.float32]:
         last = max(OBJECTIVE_HORIZONS_S)

@@ -5,11 +5,11 @@ from __future__ import annotations
 import json
 import math
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, Generic, Literal, NamedTuple, TypeVar
+from typing import Any, Generic, NamedTuple, TypeVar
 
 import optuna
 
@@ -17,6 +17,7 @@ from gridtrack.common.config import Settings
 from gridtrack.common.errors import ConfigurationError, RecordingError
 from gridtrack.common.files import read_bounded, write_text
 from gridtrack.trackers.contract import FitOutput, FrameSource, StretchScore
+from gridtrack.trackers.racing import Race
 
 SEARCH_FILE = "search.json"
 MAX_LOG_BYTES = 1 << 24
@@ -27,11 +28,10 @@ _Tuned = TypeVar("_Tuned", bound=Settings)
 
 
 class Objective(NamedTuple, Generic[_Tuned]):
-    """The objective of a search: its `name` in reports, its direction, and its value `of` settings."""
+    """What a search maximises: the mean of the scores `of` settings, one for each excerpt; its `name` in reports."""
 
     name: str
-    better: Literal["minimize", "maximize"]
-    of: Callable[[_Tuned], float]
+    of: Callable[[_Tuned], Iterable[float]]
 
 
 class SearchInterrupted(KeyboardInterrupt):
@@ -43,29 +43,29 @@ class SearchInterrupted(KeyboardInterrupt):
 
 
 class SearchLog:
-    """The values of the iterations of a search, in a file: a search of the same seed tries the same settings again."""
+    """The scores of the iterations of a search, in a file: a search of the same seed tries the same settings again."""
 
     def __init__(self, path: Path, searched: Mapping[str, Any]) -> None:
-        """`searched` describes the search: values of another one are not used."""
+        """`searched` describes the search: scores of another one are not used."""
         self._path, self._searched = path, json.loads(json.dumps(searched))
-        self._values: dict[str, float] = {}
-        with suppress(FileNotFoundError, ValueError, RecursionError, AttributeError):
+        self._scores: dict[str, list[float]] = {}
+        with suppress(FileNotFoundError, ValueError, RecursionError, AttributeError, KeyError, TypeError):
             found = json.loads(read_bounded(path, MAX_LOG_BYTES, RecordingError))
             if found.get("search") == self._searched:
-                self._values = {str(key): float(value) for key, value in found["values"].items()}
+                self._scores = {str(key): [float(score) for score in found["scores"][key]] for key in found["scores"]}
 
-    def value(self, tried: Mapping[str, float], evaluate: Callable[[], float]) -> float:
-        """The value of the settings `tried`: that of the file, else evaluated and written. Raises OSError."""
+    def scores(self, tried: Mapping[str, float], evaluate: Callable[[], list[float]]) -> list[float]:
+        """The scores of the settings `tried`: those of the file, else evaluated and written. Raises OSError."""
         key = json.dumps(tried, sort_keys=True)
-        if key not in self._values:
-            self._values[key] = evaluate()
+        if key not in self._scores:
+            self._scores[key] = evaluate()
             self._path.parent.mkdir(parents=True, exist_ok=True)
-            write_text(self._path, json.dumps({"search": self._searched, "values": self._values}))
-        return self._values[key]
+            write_text(self._path, json.dumps({"search": self._searched, "scores": self._scores}))
+        return self._scores[key]
 
 
 def delete_search_log(out: FitOutput) -> None:
-    """Delete the values of a search whose result is written: a search with other code must not use them."""
+    """Delete the scores of a search whose result is written: a search with other code must not use them."""
     (out.log_dir / SEARCH_FILE).unlink(missing_ok=True)
 
 
@@ -83,8 +83,9 @@ def search_settings(
     A Gaussian process predicts the objective, and the settings with the greatest logarithm of the expected improvement
     are tried next (Jones, Schonlau and Welch, 1998; Ament et al., 2023); the first tries are `start` and random ones.
     Each key of `ranges` is searched log-uniformly from low to high; the other settings are those of `start`, which is
-    the only result where nothing is searched. The same seed gives the same search. The value of each iteration is
-    written to `out.log_dir`: an interrupted search with the same `train` continues there, until `delete_search_log`.
+    the only result where nothing is searched. Settings that lose a race against the best ones so far are not scored on
+    all excerpts. The same seed gives the same search. The scores of each iteration are written to `out.log_dir`: an
+    interrupted search with the same `train` continues there, until `delete_search_log`.
     Raises RecordingError where the objective is undefined, SearchInterrupted where it is interrupted after an
     iteration, ConfigurationError without torch.
     """
@@ -97,16 +98,17 @@ def search_settings(
         "seed": out.seed,
         "train": [[source.name, source.sha256, len(source)] for source in train],
     }
-    known = SearchLog(out.log_dir / SEARCH_FILE, searched)
+    known, race = SearchLog(out.log_dir / SEARCH_FILE, searched), Race()
 
     def with_tried(tried: Mapping[str, float]) -> _Tuned:
         return kind(**{**start.model_dump(), **tried})
 
     def value_of(trial: optuna.Trial) -> float:
         tried = {key: _suggested(trial, key, *ranges[key]) for key in ranges}
-        return known.value(tried, lambda: _defined(objective, with_tried(tried)))
+        scores = known.scores(tried, lambda: race.run(objective.of(with_tried(tried))))
+        return _defined(objective, race.mean(scores))
 
-    study = _study(objective, {key: _clipped(getattr(start, key), *ranges[key]) for key in ranges}, out.seed)
+    study = _study({key: _clipped(getattr(start, key), *ranges[key]) for key in ranges}, out.seed)
     try:
         with out.progress.stage("search iteration", iterations) as stage:
             study.optimize(
@@ -121,12 +123,11 @@ def search_settings(
             with_tried(_tried(study.best_trial)), f"search iteration {stage.done} of {iterations}"
         ) from None
     out.report(f"best of {iterations} search iterations: {objective.name} {study.best_value:.5f}")
-    sign = 1.0 if objective.better == "minimize" else -1.0
-    best = sorted(study.get_trials(deepcopy=False), key=lambda trial: sign * trial.values[0])[:FINALISTS]
+    best = sorted(study.get_trials(deepcopy=False), key=lambda trial: -trial.values[0])[:FINALISTS]
     return [with_tried(_tried(trial)) for trial in best]
 
 
-def _study(objective: Objective[Any], start: dict[str, float], seed: int) -> optuna.Study:
+def _study(start: dict[str, float], seed: int) -> optuna.Study:
     """A study that tries `start` first. Raises ConfigurationError without torch."""
     if find_spec("torch") is None:
         raise ConfigurationError("the search of settings needs torch: pip install 'gridtrack[deep]'")
@@ -134,7 +135,7 @@ def _study(objective: Objective[Any], start: dict[str, float], seed: int) -> opt
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
         sampler = optuna.samplers.GPSampler(seed=seed)
-    study = optuna.create_study(direction=objective.better, sampler=sampler)
+    study = optuna.create_study(direction="maximize", sampler=sampler)
     study.enqueue_trial(start)
     return study
 
@@ -144,9 +145,8 @@ def _clipped(value: float, low: float, high: float) -> float:
     return min(max(value, low), high)
 
 
-def _defined(objective: Objective[_Tuned], settings: _Tuned) -> float:
+def _defined(objective: Objective[Any], value: float) -> float:
     """The value of the objective. Raises RecordingError where it is undefined."""
-    value = objective.of(settings)
     if not math.isfinite(value):
         raise RecordingError(
             f"{objective.name} is not defined on the training recordings: no visible cell was occupied by a moving"
