@@ -20,7 +20,7 @@ from studies.support.results_file import ResultTable, measured_table, write_tabl
 from studies.support.shipped import WEIGHTS
 
 COMMAND = "python -m studies.card_scores"
-SEARCHED = "kalman", "dogma"
+SEARCHED = "kalman", "factor-graph", "dogma"
 FURTHER = Path("studies/trainings")
 HORIZONS = "0.5s", "1s", "2s"
 HEADER = "mean F1", "dynamic 0.5 s", "dynamic 1 s", "dynamic 2 s"
