@@ -19,7 +19,7 @@ from gridtrack.trackers.recurrent.recurrent_tracker import RecurrentTracker
 from gridtrack.trackers.recurrent.seen_cells import PREFIX, SeenCells, seen_cells_of
 from gridtrack.trackers.recurrent.settings import GATES, DilatedConvGRUOptions
 from gridtrack.trackers.recurrent.training_convgru import TrainingConvGRU
-from gridtrack.trackers.weights import Weights
+from gridtrack.trackers.weights import Weights, read_card
 
 
 class DilatedConvGRUTracker(RecurrentTracker):
@@ -98,6 +98,11 @@ class DilatedConvGRUTracker(RecurrentTracker):
         return InferencePlainConvGRU(network)
 
     @classmethod
+    def starts_from_general(cls, options: Any) -> bool:
+        """The network does; a class decoder for existing weights (`stage=classes`) does not."""
+        return bool(options.stage != "classes")
+
+    @classmethod
     def fit(
         cls,
         train: Sequence[FrameSource],
@@ -113,3 +118,7 @@ class DilatedConvGRUTracker(RecurrentTracker):
             super().fit(train, validation, score, out, options)
         if options.stage == "classes" or (options.stage == "both" and any(source.classes for source in train)):
             fit_class_decoder(cls, train, validation, out, options)
+        elif out.start is not None and read_card(out.start).classes:
+            out.report(
+                "without classes: the class decoder of the general weights is left out, it reads their network only"
+            )

@@ -16,12 +16,13 @@ from gridtrack.common.grid import GridFrame, Shift, shift_between
 from gridtrack.trackers.card import card_for
 from gridtrack.trackers.contract import FitOutput, Forecast, FrameSource, Score, StreamSpec, Tracker, stream_of
 from gridtrack.trackers.excerpts import excerpts_of_places
+from gridtrack.trackers.recurrent.general_network import begin_from, settings_at_site
 from gridtrack.trackers.recurrent.network import Float32Array, InferenceNetwork, LatentState, as_cells, channels_last
 from gridtrack.trackers.recurrent.resolution_input import resolution_of, set_resolution
 from gridtrack.trackers.recurrent.settings import InferenceSettings
 from gridtrack.trackers.recurrent.unseen import rolled_state
 from gridtrack.trackers.trained_network import restore, trained_settings
-from gridtrack.trackers.weights import Weights, load_weights, save_interrupted, save_weights
+from gridtrack.trackers.weights import Weights, load_start, load_weights, save_interrupted, save_weights
 
 if TYPE_CHECKING:
     from gridtrack.trackers.recurrent.sequences import SequenceDataset
@@ -145,6 +146,11 @@ class RecurrentTracker(Tracker):
         return cls.prepare_inference(channels_last(network.eval()), options)
 
     @classmethod
+    def starts_from_general(cls, options: Any) -> bool:
+        """A training at a site starts from the general network."""
+        return True
+
+    @classmethod
     def fit(
         cls,
         train: Sequence[FrameSource],
@@ -153,11 +159,16 @@ class RecurrentTracker(Tracker):
         out: FitOutput,
         options: Any,
     ) -> None:
-        """Train the network on `train` and write the weights that score best on `validation`."""
+        """Train the network on `train` and write the weights that score best on `validation`.
+
+        From general weights `out.start` these are among the candidates.
+        """
         from gridtrack.trackers.recurrent.precision import training_precision
         from gridtrack.trackers.recurrent.sequences import SequenceDataset, occupied_rate
         from gridtrack.trackers.recurrent.training import train_network, validation_scores
 
+        start = None if out.start is None else load_start(out.start, cls.name)
+        options = options if start is None else settings_at_site(options, start)
         augmentation = {"time_reversal": options.time_reversal, "superposition": options.superposition}
         dataset = SequenceDataset(
             train, options.length, out.seed, forecast_from=options.last_observed, general=out.general, **augmentation
@@ -167,6 +178,8 @@ class RecurrentTracker(Tracker):
         torch.manual_seed(out.seed)
         network = cls.build(dataset.size, options, classes=0)
         on_processor = cls.prepare_training(network, occupied_rate(dataset.stretches))
+        if start is not None:
+            begin_from(network, start)
         held_out = excerpts_of_places(validation) if out.general else validation
 
         def validate(trained: nn.Module) -> dict[str, float]:
@@ -177,7 +190,7 @@ class RecurrentTracker(Tracker):
 
             return validation_scores(score_on, held_out, VALIDATION_HORIZONS_S)
 
-        trained = train_network(network, on_processor, dataset, options, validate, out)
+        trained = train_network(network, on_processor, dataset, options, validate, out, start)
         arrays = {name: value.detach().contiguous().numpy() for name, value in network.state_dict().items()}
         settings = options.model_dump(mode="json", exclude=set(InferenceSettings.model_fields))
         card = card_for(cls.name, out, train, validation, settings, trained.scores)

@@ -11,9 +11,10 @@ import logging
 import math
 import warnings
 from collections.abc import Callable, Sequence
+from copy import deepcopy
 from datetime import timedelta
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 import lightning
 import torch
@@ -32,6 +33,7 @@ from gridtrack.trackers.recurrent.precision import training_precision
 from gridtrack.trackers.recurrent.resolution_input import set_resolution
 from gridtrack.trackers.recurrent.sequences import EpochSampler, Item, SequenceDataset
 from gridtrack.trackers.recurrent.settings import InferenceSettings, TrainingSettings, TransferSettings
+from gridtrack.trackers.weights import Weights
 
 CHECKPOINT_EVERY_S = 60.0
 """Time between two checkpoints; there is one after every validation too."""
@@ -54,8 +56,9 @@ def train_network(
     settings: TrainingSettings,
     validate: Validate,
     out: FitOutput,
+    start: Weights | None = None,
 ) -> TrainedNetwork:
-    """Train `network` in place to the weights with the best validation score.
+    """Train `network` in place to the weights with the best validation score; those it begins with, of a `start`, too.
 
     On a processor the training computes with `on_processor`, the same function of the same parameters. Logs (CSV,
     TensorBoard) and checkpoints are written to `out.log_dir`; checkpoints of the same training in it are resumed. An
@@ -64,7 +67,9 @@ def train_network(
     """
     logging.getLogger("lightning.pytorch").setLevel(logging.WARNING)  # it prints advertisements
     network_settings = settings.model_dump(exclude={*TransferSettings.model_fields, *InferenceSettings.model_fields})
-    resumed = _resumable(out, {"seed": out.seed, "train": dataset.sources, **network_settings})
+    training = {"seed": out.seed, "train": dataset.sources, **network_settings}
+    resumed = _resumable(out, training if start is None else {"start": start.card.arrays_sha256, **training})
+    begun = None if start is None else _Begun.with_scores(network, validate, out)
     module = TrainingModule(network, on_processor, settings, validate, out)
     trainer, best = _trainer(settings, out)
     done = _updates_in(resumed) if resumed else 0
@@ -80,8 +85,35 @@ def train_network(
             raise KeyboardInterrupt from None
     kept = torch.load(best.best_model_path, weights_only=True, map_location="cpu")
     module.load_state_dict(kept["state_dict"])
+    scores = dict(kept["scores"])
+    if begun is not None and not begun.scores["score"] < scores["score"]:
+        scores = begun.kept_in(network, out)
     reached = f"update {trainer.global_step} of {settings.updates}" if trainer.interrupted else ""
-    return TrainedNetwork(dict(kept["scores"]), reached)
+    return TrainedNetwork(scores, reached)
+
+
+class _Begun(NamedTuple):
+    """A network from general weights before its first update, and its `scores`."""
+
+    state: dict[str, Tensor]
+    scores: dict[str, float]
+
+    @classmethod
+    def with_scores(cls, network: nn.Module, validate: Validate, out: FitOutput) -> Self:
+        """The `network` as it is now."""
+        begun = cls(deepcopy(network.state_dict()), validate(network))
+        out.report(f"general weights  {_text(begun.scores)}")
+        return begun
+
+    def kept_in(self, network: nn.Module, out: FitOutput) -> dict[str, float]:
+        """Load the network of the beginning into `network`; returns its scores."""
+        out.report("no update at this site is better on its validation than the general weights: they are kept")
+        network.load_state_dict(self.state)
+        return self.scores
+
+
+def _text(scores: dict[str, float]) -> str:
+    return "  ".join(f"{name} {value:.3f}" for name, value in scores.items())
 
 
 def _trainer(settings: TrainingSettings, out: FitOutput) -> tuple[lightning.Trainer, ModelCheckpoint]:
@@ -182,8 +214,8 @@ class TrainingModule(lightning.LightningModule):
         """Score the network on the validation stretch."""
         self.scores = self.validate(self.network)
         self.log_dict(self.scores)
-        scores = "  ".join(f"{name} {value:.3f}" for name, value in self.scores.items())
-        self.report(f"update {self.global_step}  loss {float(self.trainer.callback_metrics['loss']):.4f}  {scores}")
+        loss = float(self.trainer.callback_metrics["loss"])
+        self.report(f"update {self.global_step}  loss {loss:.4f}  {_text(self.scores)}")
 
     def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
         """Store the scores of the weights in their checkpoint."""

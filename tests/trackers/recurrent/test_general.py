@@ -69,11 +69,13 @@ def no_score(tracker, source, steps):
     return StretchScore({"dynamic": ones, "visible": ones}, {})
 
 
-def fit(tracker, folder, sources, **options):
+HELD_OUT = (Walk(20, 0.1, 0.1), Walk(9, 0.3, 0.25))
+
+
+def fit(tracker, folder, sources, held_out=HELD_OUT, **options):
     given = {"batch": 2, "warm_up": 0, "precision": "32-true", **SMALL[tracker], **options}
     lines: list[str] = []
     out = FitOutput(folder / "general.toml", "gridtrack train ...", 7, folder / "log", lines.append, general=True)
-    held_out = [Walk(20, 0.1, 0.1), Walk(9, 0.3, 0.25)]
     tracker.fit(sources, held_out, no_score, out, validated(tracker.Options, given, "test"))
     return out.path, lines
 

@@ -1,0 +1,173 @@
+"""A training at a site that starts from a general network: first the same forecasts, then what the place adds."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch")
+pytest.importorskip("lightning")
+
+from gridtrack.common.config import validated  # noqa: E402
+from gridtrack.common.errors import ConfigurationError, WeightsError  # noqa: E402
+from gridtrack.trackers.contract import FitOutput, StretchScore, stream_of  # noqa: E402
+from gridtrack.trackers.recurrent.convgru_tracker import DilatedConvGRUTracker  # noqa: E402
+from gridtrack.trackers.recurrent.rnn_tracker import DeepTrackingRNNTracker  # noqa: E402
+from gridtrack.trackers.weights import load_start, read_card  # noqa: E402
+from tests.trackers.recurrent.test_general import HELD_OUT, SMALL, TRACKERS, LabelledWalk, Walk, fit  # noqa: E402
+
+SITE = Walk(18, 0.15, 0.16, unseen=4)
+"""Of another number and size of cells, and of another period than the general weights."""
+
+
+class Place(Walk):
+    """The walk at a site."""
+
+    site = "yard"
+
+
+@pytest.fixture(scope="module", params=TRACKERS)
+def general(request, tmp_path_factory):
+    """A tracker and the card of its general weights, whose shifts by resolution are not zero."""
+    folder = tmp_path_factory.mktemp("general")
+    sources = [Walk(16, 0.2, 0.125), Walk(24, 0.05, 0.05)]
+    path, _ = fit(
+        request.param,
+        folder,
+        sources,
+        HELD_OUT[1:],
+        updates=20,
+        validate_every=20,
+        learning_rate=0.02,
+        unseen_weight=0.1,
+    )
+    assert any(
+        np.abs(value).max() > 0
+        for name, value in load_start(path, request.param.name).arrays.items()
+        if "shift" in name
+    )
+    return request.param, path
+
+
+class Scores:
+    """A `score` that keeps the forecast after each frame of the first trackers; the n-th network has `values[n]`."""
+
+    def __init__(self, *values):
+        self.values, self.forecasts = list(values), []
+
+    def __call__(self, tracker, source, steps):
+        self.forecasts.append(forecasts_of(tracker, source))
+        value = np.full(steps + 1, self.values.pop(0) if len(self.values) > 1 else self.values[0])
+        return StretchScore({"dynamic": value, "visible": value}, {})
+
+
+def forecasts_of(tracker, source):
+    tracker.reset(0)
+    found = []
+    for frame in source:
+        tracker.update(frame)
+        found.append(tracker.predict(2).occupancy)
+    return np.stack(found)
+
+
+def train_at_site(tracker, start, folder, score, source=None, **options):
+    source = source or Place(18, 0.15, 0.16, unseen=4)
+    lines: list[str] = []
+    out = FitOutput(folder / "yard.toml", "gridtrack train ...", 7, folder / "log", lines.append, start=start)
+    given = {"precision": "32-true", **options}
+    if tracker is DilatedConvGRUTracker:
+        given = {"stage": "occupancy", **given}
+    tracker.fit([source], [source], score, out, validated(tracker.Options, given, "test"))
+    return out.path, lines
+
+
+def test_before_the_first_update_the_forecasts_are_those_of_the_general_weights(general, tmp_path):
+    tracker, path = general
+    score = Scores(0.5)
+    train_at_site(tracker, path, tmp_path, score, updates=1, validate_every=1, learning_rate=0.1)
+    expected = forecasts_of(tracker(stream_of(SITE, path), tracker.Options()), SITE)
+    np.testing.assert_array_equal(score.forecasts[0], expected)
+    assert np.abs(score.forecasts[1] - expected).max() > 1e-3, "and after it they are others"
+
+
+def test_what_the_place_adds_is_learned_and_used(general, tmp_path):
+    tracker, path = general
+    card_path, _ = train_at_site(tracker, path, tmp_path, Scores(0.1, 0.9), updates=4, learning_rate=0.05)
+    card = read_card(card_path)
+    assert (card.site, card.settings["resolution_input"]) == ("yard", True)
+    made = tracker(stream_of(Place(18, 0.15, 0.16), card_path), tracker.Options())
+    assert np.isfinite(forecasts_of(made, SITE)).all()
+    if tracker is DilatedConvGRUTracker:
+        arrays = load_arrays(card_path)
+        maps = arrays["layers.0.biases.candidate"]
+        assert maps.shape == (4, 18, 18)
+        assert np.ptp(maps, axis=(1, 2)).max() > 1e-3, "the static memory differs from cell to cell"
+
+
+def load_arrays(card_path):
+    from safetensors.numpy import load_file
+
+    return load_file(card_path.with_suffix(".safetensors"))
+
+
+def test_general_weights_that_no_update_improves_are_kept(general, tmp_path):
+    tracker, path = general
+    card_path, lines = train_at_site(tracker, path, tmp_path, Scores(0.9, 0.2), updates=2, learning_rate=0.1)
+    arrays, theirs = load_arrays(card_path), load_start(path, tracker.name).arrays
+    for name, value in arrays.items():
+        np.testing.assert_array_equal(value, np.broadcast_to(theirs[name], value.shape))
+    assert read_card(card_path).results["score"] == pytest.approx(0.9)
+    assert any("they are kept" in line for line in lines)
+
+
+def test_settings_are_those_of_the_general_weights_but_a_tenth_of_the_updates(general, tmp_path):
+    tracker, path = general
+    card_path, _ = train_at_site(tracker, path, tmp_path, Scores(0.1, 0.9))
+    settings, theirs = read_card(card_path).settings, read_card(path).settings
+    assert (settings["updates"], settings["learning_rate"]) == (2, pytest.approx(0.005))
+    assert (settings["unseen_weight"], settings["batch"]) == (0.1, 2)
+    shape = SMALL[tracker].keys() - {"stage"}
+    assert {name: settings[name] for name in shape} == {name: theirs[name] for name in shape}
+
+
+def test_another_shape_is_refused(general, tmp_path):
+    tracker, path = general
+    other = {"channels": 5} if tracker is DilatedConvGRUTracker else {"variant": "code"}
+    with pytest.raises(WeightsError, match="leave the option out, or train with --from-scratch"):
+        train_at_site(tracker, path, tmp_path, Scores(0.5), **other)
+
+
+def test_where_the_sensor_moves_there_is_no_static_memory(general, tmp_path):
+    tracker, path = general
+    source = Place(18, 0.15, 0.16, drift=1)
+    card_path, _ = train_at_site(tracker, path, tmp_path, Scores(0.1, 0.9), source, updates=1)
+    if tracker is DilatedConvGRUTracker:
+        assert load_arrays(card_path)["layers.0.biases.keep"].shape == (4, 1, 1)
+
+
+def test_checkpoints_of_a_start_from_other_weights_are_refused(general, tmp_path):
+    tracker, path = general
+    train_at_site(tracker, path, tmp_path, Scores(0.5), updates=2)
+    with pytest.raises(ConfigurationError, match="checkpoints of a training with other settings, data or seed"):
+        train_at_site(tracker, None, tmp_path, Scores(0.5), **{**read_card(tmp_path / "yard.toml").settings})
+
+
+def test_without_labels_the_class_decoder_of_the_general_weights_is_left_out(tmp_path, monkeypatch):
+    from gridtrack.trackers import cell_training
+    from gridtrack.trackers.label_settings import ClassifierSettings
+
+    monkeypatch.setattr(
+        cell_training, "candidate_settings", lambda given, seed: [ClassifierSettings(updates=2, **dict(given))]
+    )
+    labelled = [LabelledWalk(16, 0.2, 0.125), LabelledWalk(12, 0.1, 0.1, classes=("car",))]
+    options = {"stage": "both", "labelled_scans": 40, "class_channels": 4, "updates": 1, "validate_every": 1}
+    path, _ = fit(DilatedConvGRUTracker, tmp_path, labelled, labelled, **options)
+    assert set(read_card(path).classes) == {"walker", "car"}
+    card_path, lines = train_at_site(DilatedConvGRUTracker, path, tmp_path / "site", Scores(0.5), stage="both")
+    assert read_card(card_path).classes == ()
+    assert any("class decoder of the general weights is left out" in line for line in lines)
+    tracker = DilatedConvGRUTracker(stream_of(Place(18, 0.15, 0.16), card_path), DilatedConvGRUTracker.Options())
+    assert tracker.predict(1).semantics is None
+    assert DilatedConvGRUTracker.starts_from_general(DilatedConvGRUTracker.Options())
+    assert not DilatedConvGRUTracker.starts_from_general(DilatedConvGRUTracker.Options(stage="classes"))
+    assert DeepTrackingRNNTracker.starts_from_general(DeepTrackingRNNTracker.Options())

@@ -1,0 +1,75 @@
+"""A training at a site that starts from a general network: its shape, its arrays, and what the place adds.
+
+General weights have one bias for each channel; at the site each bias is a map of the place, the static memory, and what
+it adds to the general bias begins at zero. Before the first update both networks are therefore the same function. The
+inputs for cell size and period stay in.
+"""
+
+from __future__ import annotations
+
+from typing import Any, TypeVar
+
+import torch
+from torch import nn
+
+from gridtrack.common.config import validated
+from gridtrack.common.errors import WeightsError
+from gridtrack.trackers.recurrent.settings import (
+    DeepTrackingRNNSettings,
+    DilatedConvGRUSettings,
+    ResolutionSettings,
+    TrainingSettings,
+)
+from gridtrack.trackers.weights import Weights
+
+Options = TypeVar("Options", bound=ResolutionSettings)
+
+SHARE_OF_UPDATES, SHARE_OF_RATE = 0.1, 0.25
+"""Of the updates and of the learning rate of the general training: what the network knows is not to be forgotten."""
+VALIDATIONS = 4
+OF_THE_PLACE = frozenset({"static_gates", "precision"})
+"""Settings that are not those of the general weights."""
+
+
+def settings_at_site(options: Options, weights: Weights) -> Options:
+    """The `options`, and for those that were not given the settings of the general `weights`.
+
+    Raises WeightsError where a given option is another shape than theirs.
+    """
+    shape = {name for kind in (DilatedConvGRUSettings, DeepTrackingRNNSettings) for name in kind.model_fields}
+    known = (shape | TrainingSettings.model_fields.keys()) & type(options).model_fields.keys()
+    theirs = {name: value for name, value in weights.card.settings.items() if name in known - OF_THE_PLACE}
+    trained = validated(type(options), theirs, f"weights of {weights.card.tracker}, settings")
+    for name in sorted(options.model_fields_set & shape - OF_THE_PLACE):
+        if getattr(options, name) != getattr(trained, name):
+            raise WeightsError(
+                f"the general weights have {name}={getattr(trained, name)}, not {getattr(options, name)}: leave the"
+                " option out, or train with --from-scratch"
+            )
+    return validated(type(options), theirs | _shorter(trained) | options.model_dump(exclude_unset=True), "training")
+
+
+def _shorter(trained: Any) -> dict[str, Any]:
+    """The length of a training that starts from one with these settings."""
+    updates = max(1, round(SHARE_OF_UPDATES * trained.updates))
+    return {
+        "updates": updates,
+        "validate_every": -(-updates // VALIDATIONS),
+        "warm_up": min(trained.warm_up, updates // VALIDATIONS),
+        "learning_rate": SHARE_OF_RATE * trained.learning_rate,
+    }
+
+
+def begin_from(network: nn.Module, weights: Weights) -> None:
+    """Load the arrays of the general `weights` into the `network` of a site, each bias in every cell of its map.
+
+    Their class decoder is left out. Raises WeightsError where an array is missing or has another shape.
+    """
+    own = network.state_dict()
+    for name, value in own.items():
+        found = weights.arrays.get(name)
+        shape = (value.shape[0], 1, 1) if ".biases." in name else tuple(value.shape)
+        if found is None or found.shape != shape:
+            what = "missing" if found is None else f"{found.shape}"
+            raise WeightsError(f"general weights of {weights.card.tracker}: array '{name}' is {what}, expected {shape}")
+        value.copy_(torch.from_numpy(found))
