@@ -6,9 +6,9 @@ from collections.abc import Iterator, Mapping, Sequence
 
 from gridtrack.evaluation.results.summary import TrackerSummary
 from gridtrack.evaluation.results.trial_summary import TrialSummary
-from gridtrack.reports.recording_section import keeps_up
 from gridtrack.reports.run import ReportedRun
 from gridtrack.reports.run_description import Fact
+from gridtrack.reports.times import verdict_of
 
 MOST_NAMES = 8
 """Further names of a line are counted."""
@@ -43,12 +43,9 @@ def _keeps_up(run: ReportedRun) -> Fact:
     """By the 99th percentiles of its times against the period of each recording; empty where nothing was timed."""
     verdicts = {}
     for label, row in run.summary.trackers.items():
-        found = [
-            keeps_up(trial.latency_ms, run.summary.recordings[name].period_s * 1e3)
-            for name, trial in row.recordings.items()
-            if trial.latency_ms and name in run.recordings
-        ]
-        if found:
+        trials = {name: trial for name, trial in row.recordings.items() if name in run.recordings}
+        verdicts_of = (verdict_of(one, run.summary.recordings[name].period_s * 1e3) for name, one in trials.items())
+        if found := list(filter(None, verdicts_of)):
             verdicts[label] = min(found, key=VERDICTS.index)
     return Fact("Keeps up with the sensor", _grouped(verdicts))
 

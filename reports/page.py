@@ -13,7 +13,8 @@ from gridtrack.reports.answer import answer_of
 from gridtrack.reports.notices import Notice, notices_of
 from gridtrack.reports.page_data import page_data
 from gridtrack.reports.pictures import scale_png
-from gridtrack.reports.recording_section import section_of, styles_of
+from gridtrack.reports.probability_curves import probability_curves
+from gridtrack.reports.recording_section import players_of, section_of, styles_of
 from gridtrack.reports.run import UNDEFINED, ReportedRun, ReportError, read_runs
 from gridtrack.reports.run_description import facts_of, lead_of, provenance_of, title_of
 from gridtrack.reports.scripts import data_in_page, joined_script, policy_of
@@ -44,8 +45,8 @@ def render_page(runs: Sequence[ReportedRun]) -> str:
     """The page as HTML. Raises ReportError where a trial's files do not fit the summary."""
     tables = headline_tables(runs)
     styles = styles_of(runs)
-    sections, unreadable = zip(*(section_of(runs, table, styles) for table in tables), strict=True)
-    players = [one.player for one in sections if one.player]
+    players, damaged = players_of(runs, tables)
+    curves, unreadable = probability_curves(runs, tables)
     css, script = (TEMPLATES / "page.css").read_text("utf-8"), joined_script()
     return (
         _environment()
@@ -55,14 +56,14 @@ def render_page(runs: Sequence[ReportedRun]) -> str:
             leads=[lead_of(table) for table in main_tables(tables)] if len(runs) == 1 else [],
             answer=answer_of(runs[0]) if len(runs) == 1 else (),
             runs=[(run, facts_of(run), provenance_of(run)) for run in runs],
-            notices=[Notice(text, serious=True) for texts in unreadable for text in texts] + notices_of(runs, tables),
-            sections=sections,
+            notices=[Notice(text, serious=True) for text in (*damaged, *unreadable)] + notices_of(runs, tables),
+            sections=[section_of(runs, table) for table in main_tables(tables)],
             players=players,
             styles=styles,
             scale=scale_png(),
             css=Markup(css),  # a file of this package, no text of a run
             script=script,
-            data=data_in_page(page_data(runs, tables, styles, players)),
+            data=data_in_page(page_data(runs, tables, styles, players, curves)),
             policy=Markup(policy_of([script], [css])),
         )
     )
@@ -84,19 +85,8 @@ def _environment() -> Environment:
         lstrip_blocks=True,
     )
     environment.filters["score"] = _score
-    environment.filters["ms"] = _milliseconds
     return environment
 
 
 def _score(value: float | None, digits: int = 3) -> str:
     return UNDEFINED if value is None else f"{value:.{digits}f}"
-
-
-def _milliseconds(value: float | None) -> str:
-    """Two or three significant digits, without an exponent."""
-    if value is None:
-        return UNDEFINED
-    if value < 0.001:
-        return "<0.001"
-    digits = 0 if value >= 99.5 else 1 if value >= 9.95 else 2 if value >= 0.0995 else 3
-    return f"{value:.{digits}f}"

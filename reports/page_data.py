@@ -5,13 +5,17 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from gridtrack.evaluation.results.trial_summary import StratumScores, better_direction
+from gridtrack.common.grid import GridSpec
+from gridtrack.evaluation.results.trial_summary import StratumScores, TrialSummary, better_direction
 from gridtrack.evaluation.results.values import Curve
+from gridtrack.reports.conditions import condition_texts, conditions_of
 from gridtrack.reports.moment_packing import level_colours
 from gridtrack.reports.player import Player
+from gridtrack.reports.probability_curves import Curves
 from gridtrack.reports.run import ReportedRun
-from gridtrack.reports.table import HeadlineTable, TableRow
+from gridtrack.reports.table import HeadlineTable, TableColumn, TableRow
 from gridtrack.reports.tiers import tiers_of
+from gridtrack.reports.times import times_of
 
 PAGE_SCORES = {
     "pr_auc": "PR-AUC",
@@ -23,6 +27,7 @@ PAGE_SCORES = {
     "ece": "Calibration error",
     "ece_above_1_percent": "Calibration error, p ≥ 1 %",
     "f1_at_half": "F1 at 0.5",
+    "f1_at_visible": "F1, threshold of visible cells",
     "f1_label_free": "F1, label-free threshold",
     "fss_1": "FSS, 1 cell",
     "fss_3": "FSS, 3 cells",
@@ -33,6 +38,10 @@ PAGE_SCORES = {
     "beam_error_median": "Median beam error, m",
     "beam_bias": "Beam bias, m",
     "share_of_oracle": "Share of the oracle, F1",
+    "share_of_oracle_nll": "Share of the oracle, log loss",
+    "brier_reliability": "Brier: reliability",
+    "brier_resolution": "Brier: resolution",
+    "brier_uncertainty": "Brier: uncertainty",
     "threshold": "Threshold",
 }
 """Scores that a reader can choose, and their names."""
@@ -43,16 +52,18 @@ def page_data(
     tables: Sequence[HeadlineTable],
     styles: Mapping[str, str],
     players: Sequence[Player],
+    curves: Mapping[tuple[str, str], Curves],
 ) -> dict[str, Any]:
     """The data of the page.
 
     `trackers`: every row's label and style (CSS classes), `styles`, in their order. `scores`: those that any row has.
     `headline`: what is shown first. `recordings`: for each the horizons, the rows in the order of the table with a
-    curve for each stratum and score, the tiers by "score/stratum/step", and why there may be none.
+    curve for each stratum and score, its times, scores under other conditions, classes and `bins` (of `curves`), the
+    tiers by "score/stratum/step", and why there may be none. `conditions`: their names.
     `players`: the moments of each recording that has some; `level_colours`: those of their cells.
     """
     first = tables[0].decisive
-    recordings = [_recording(runs, table, styles) for table in tables]
+    recordings = [_recording(runs, table, styles, curves) for table in tables]
     rows = [row for recording in recordings for row in recording["rows"]]
     had = {score for row in rows for curves in row["strata"].values() for score in curves} | {first.score}
     return {
@@ -64,30 +75,60 @@ def page_data(
         ],
         "headline": {"stratum": first.stratum, "score": first.score, "step": first.step},
         "recordings": recordings,
+        "conditions": condition_texts(tables),
         "players": [player.data for player in players],
         "level_colours": level_colours(),
     }
 
 
-def _recording(runs: Sequence[ReportedRun], table: HeadlineTable, styles: Mapping[str, str]) -> dict[str, Any]:
+def _recording(
+    runs: Sequence[ReportedRun],
+    table: HeadlineTable,
+    styles: Mapping[str, str],
+    curves: Mapping[tuple[str, str], Curves],
+) -> dict[str, Any]:
+    grids = {run.summary.recordings[table.recording].grid for run in runs if table.recording in run.summary.recordings}
+    grid = grids.pop() if len(grids) == 1 else ""
+    first = next(column for column in table.columns if column.score == "f1")
     return {
         "name": table.recording,
         "horizons_s": list(table.horizons_s),
-        "rows": [_row(row, styles[row.label], len(table.horizons_s)) for row in table.rows],
+        "period_ms": _period_ms(table),
+        "cell_m": GridSpec.parse(grid).cell_m if grid else None,
+        "conditions_ahead": first.heading,
+        "rows": [
+            _row(row, styles[row.label], table, first) | {"bins": curves.get((table.recording, row.name))}
+            for row in table.rows
+        ],
         "tiers": _tiers(runs[0], table.recording) if len(runs) == 1 else {},
         "untested": _why_untested(runs, table),
     }
 
 
-def _row(row: TableRow, style: str, steps: int) -> dict[str, Any]:
+def _period_ms(table: HeadlineTable) -> float:
+    return round((table.horizons_s[1] - table.horizons_s[0]) * 1e3, 3)
+
+
+def _row(row: TableRow, style: str, table: HeadlineTable, conditions_at: TableColumn) -> dict[str, Any]:
     return {
         "name": row.name,
         "label": row.label,
         "style": style,
         "group": row.group,
         "outcome": row.outcome,
-        "strata": {name: _curves(scores, steps) for name, scores in row.trial.strata.items()},
+        "strata": {name: _curves(scores, len(table.horizons_s)) for name, scores in row.trial.strata.items()},
+        "latency": times_of(row.trial, _period_ms(table)),
+        "conditions": conditions_of(row.trial, conditions_at),
+        "classes": _classes(row.trial),
     }
+
+
+def _classes(trial: TrialSummary) -> dict[str, Any] | None:
+    """Names of the classes, and confusion matrices by visibility and step; None where there are none."""
+    kinds = trial.semantics.kinds if trial.semantics else {}
+    found = {name: {str(one.step): one.cells for one in scores.confusion} for name, scores in kinds.items()}
+    known = {name: by_step for name, by_step in found.items() if by_step}
+    return {"names": trial.semantics.classes, "confusion": known} if trial.semantics and known else None
 
 
 def _curves(scores: StratumScores, steps: int) -> dict[str, list[float | None]]:
@@ -95,7 +136,7 @@ def _curves(scores: StratumScores, steps: int) -> dict[str, list[float | None]]:
     names = (score + end for score in PAGE_SCORES for end in ("", "_low", "_high"))
     found: dict[str, Curve | None] = {name: getattr(scores, name, None) for name in names}
     return {
-        name: list(curve[:steps])
+        name: [None if value is None else float(f"{value:.5g}") for value in curve[:steps]]
         for name, curve in found.items()
         if curve is not None and any(value is not None for value in curve)
     }

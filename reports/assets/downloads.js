@@ -31,11 +31,12 @@ function csvCell(value) {
   return `"${value.replace(/^[=+\-@\t\r]/, "'$&").replaceAll('"', '""')}"`;
 }
 
-// Two buttons; `svg()` is the figure and `rows()` its numbers, headings first, at the time of the click.
+// Two buttons, for a table only the second; `svg()` is the figure, null for a table, and `rows()` its numbers, headings first, at the time of the click.
 export function downloadButtons(name, svg, rows) {
   const file = (ending) => `${name}.${ending}`;
   const asSvg = make("button", { type: "button", "aria-label": `Download ${name} as SVG` }, "SVG");
   asSvg.addEventListener("click", () => save(standalone(svg()), "image/svg+xml", file("svg")));
+  asSvg.hidden = !svg();
   const asCsv = make("button", { type: "button", "aria-label": `Download the numbers of ${name} as CSV` }, "CSV");
   asCsv.addEventListener("click", () => {
     save(rows().map((row) => row.map(csvCell).join(",")).join("\r\n") + "\r\n", "text/csv", file("csv"));

@@ -2,28 +2,50 @@
 import { axisRange, inDigits, roundTicks, scaleOf, svgText } from "./axis.js";
 import { draw, make } from "./elements.js";
 
-const HEIGHT = 380, LEFT = 44, BOTTOM = 30, TOP = 10;
+const HEIGHT = 380, LEFT = 44, RIGHT = 14, BOTTOM = 30, TOP = 10;
+const READING_PLACES = 51;
 
-// `xs`: places; `lines`: [{name, style, values, low, high}]; `words(i)`: place i in words; `unranked`: places before the first that counts.
-export function lineChart({ xs, lines, unit, words, unranked, fromZero, width }) {
-  const x = scaleOf(xs[0], xs.at(-1), LEFT, width - 14);
-  const range = axisRange(lines.flatMap((one) => [...one.values, ...(one.low ?? []), ...(one.high ?? [])]), fromZero);
+// A chart: { lines, x, y }. A line: { name, style, xs, values, low, high }; `low` and `high` may be null.
+// `x`: { name, unit, range, ticks, words(x), unranked }; `y`: { name, fromZero, range }. `ticks`: [place, text] pairs;
+// `unranked`: places before the second do not count; `diagonal`: where the two axes are equal.
+export function lineChart({ lines, x: across, y: up, diagonal, width }) {
+  const places = placesOf(lines);
+  const [first, last] = across.range ?? [places[0] ?? 0, places.at(-1) ?? 1];
+  const x = scaleOf(first, last, LEFT, width - RIGHT);
+  const values = lines.flatMap((one) => [...one.values, ...(one.low ?? []), ...(one.high ?? [])]);
+  const range = up.range ?? axisRange(values, up.fromZero);
   const y = scaleOf(...range, HEIGHT - BOTTOM, TOP);
-  const svg = draw("svg", { viewBox: `0 0 ${width} ${HEIGHT}`, width, height: HEIGHT, role: "img" });
-  svg.setAttribute("aria-label", lines.map((one) => `${one.name} ${inDigits(one.values.at(-1))}`).join(", "));
+  const svg = draw("svg", { class: "figure-drawing", viewBox: `0 0 ${width} ${HEIGHT}`, width, height: HEIGHT, role: "img" });
+  svg.setAttribute("aria-label", `${up.name}: ${lines.map((one) => `${one.name} ${inDigits(one.values.at(-1))}`).join(", ")}`);
   for (const tick of roundTicks(...range, 6)) {
-    svg.append(draw("line", { class: "grid", x1: LEFT, x2: width - 14, y1: y(tick), y2: y(tick) }),
+    svg.append(draw("line", { class: "grid", x1: LEFT, x2: width - RIGHT, y1: y(tick), y2: y(tick) }),
       svgText(LEFT - 8, y(tick) + 4, String(tick), { class: "tick", "text-anchor": "end" }));
   }
-  for (const tick of roundTicks(xs[0], xs.at(-1), width < 500 ? 4 : 8)) {
-    svg.append(svgText(x(tick), HEIGHT - 8, `${tick}${unit}`, { class: "tick", "text-anchor": "middle" }));
+  const ticks = across.ticks ?? roundTicks(first, last, width < 500 ? 4 : 8).map((tick) => [tick, `${tick}${across.unit ?? ""}`]);
+  for (const [place, words] of ticks) {
+    const anchor = x(place) > width - 3 * RIGHT ? "end" : "middle";
+    svg.append(svgText(anchor === "end" ? width : x(place), HEIGHT - 8, words, { class: "tick", "text-anchor": anchor }));
   }
-  if (unranked) svg.append(draw("rect", { class: "unranked-step", x: LEFT, y: TOP, width: x(xs[1]) - LEFT, height: HEIGHT - BOTTOM - TOP }));
-  for (const one of lines) svg.append(drawnLine(one, xs, x, y));
-  return withReading(svg, { xs, lines, words, x, y, width });
+  if (across.unranked) svg.append(draw("rect", { class: "unranked-step", x: LEFT, y: TOP, width: x(places[1]) - LEFT, height: HEIGHT - BOTTOM - TOP }));
+  if (diagonal) svg.append(draw("line", { class: "axis", x1: x(0), y1: y(0), x2: x(1), y2: y(1) }));
+  for (const one of lines) svg.append(drawnLine(one, x, y));
+  return withReading(svg, { lines, places: readingPlaces(places, [first, last]), words: wordsOf(across), x, y, width });
 }
 
-function drawnLine({ style, name, values, low, high }, xs, x, y) {
+// The places of all lines, in order.
+function placesOf(lines) {
+  return [...new Set(lines.flatMap((one) => one.xs))].sort((a, b) => a - b);
+}
+
+// Where values are read: at the places themselves, or evenly where there are too many.
+function readingPlaces(places, [first, last]) {
+  if (places.length <= READING_PLACES) return places;
+  return Array.from({ length: READING_PLACES }, (_, i) => first + (i * (last - first)) / (READING_PLACES - 1));
+}
+
+const wordsOf = (across) => across.words ?? ((place) => `${across.name} ${Number(place.toPrecision(3))}${across.unit ?? ""}`);
+
+function drawnLine({ style, name, xs, values, low, high }, x, y) {
   const group = draw("g", { class: `line ${style}` }, draw("title", {}, name));
   for (const piece of piecesOf(values)) {
     const band = low && high ? piece.filter((i) => low[i] !== null && high[i] !== null) : [];
@@ -49,18 +71,19 @@ function withReading(svg, chart) {
   svg.append(marks);
   const readout = make("output", { class: "readout" });
   const holder = make("div", { class: "chart", tabindex: 0, role: "group", "aria-label": "Values: arrow keys move" }, svg, readout);
+  const { places } = chart;
   let at = null;
   const show = (i) => {
     at = i;
     marks.replaceChildren();
     readout.hidden = i === null;
-    if (i !== null) fillReading(marks, readout, chart, i);
+    if (i !== null) fillReading(marks, readout, chart, places[i]);
   };
   show(null);
+  if (!places.length) return holder;
   svg.addEventListener("pointermove", (event) => {
     const box = svg.getBoundingClientRect();
-    const place = ((event.clientX - box.left) / box.width) * chart.width;
-    show(nearest(chart.xs.map(chart.x), place));
+    show(nearest(places.map(chart.x), ((event.clientX - box.left) / box.width) * chart.width));
   });
   svg.addEventListener("pointerleave", () => show(null));
   holder.addEventListener("blur", () => show(null));
@@ -68,7 +91,7 @@ function withReading(svg, chart) {
     const step = { ArrowRight: 1, ArrowLeft: -1 }[event.key];
     if (!step) return;
     event.preventDefault();
-    show(at === null ? (step > 0 ? 0 : chart.xs.length - 1) : Math.min(Math.max(at + step, 0), chart.xs.length - 1));
+    show(at === null ? (step > 0 ? 0 : places.length - 1) : Math.min(Math.max(at + step, 0), places.length - 1));
   });
   return holder;
 }
@@ -77,12 +100,28 @@ function nearest(places, place) {
   return places.reduce((best, p, i) => (Math.abs(p - place) < Math.abs(places[best] - place) ? i : best), 0);
 }
 
-function fillReading(marks, readout, { xs, lines, words, x, y }, i) {
-  const at = x(xs[i]);
-  marks.append(draw("line", { x1: at, x2: at, y1: TOP, y2: HEIGHT - BOTTOM }));
-  const read = lines.filter((one) => one.values[i] !== null).sort((a, b) => b.values[i] - a.values[i]);
-  for (const one of read) marks.append(draw("g", { class: one.style }, draw("circle", { cx: at, cy: y(one.values[i]), r: 3.5 })));
-  const rows = read.map((one) => make("span", { class: one.style }, make("i"), `${one.name} ${inDigits(one.values[i])}`
-    + (one.low?.[i] != null && one.high?.[i] != null ? ` [${inDigits(one.low[i])}, ${inDigits(one.high[i])}]` : "")));
-  readout.replaceChildren(make("b", {}, words(i)), ...rows);
+// Each line at its own place that is nearest.
+function fillReading(marks, readout, { lines, words, x, y }, place) {
+  marks.append(draw("line", { x1: x(place), x2: x(place), y1: TOP, y2: HEIGHT - BOTTOM }));
+  const read = lines.map((one) => ({ one, i: nearest(one.xs, place) }))
+    .filter(({ one, i }) => one.values[i] !== null && one.values[i] !== undefined)
+    .sort((a, b) => b.one.values[b.i] - a.one.values[a.i]);
+  for (const { one, i } of read) marks.append(draw("g", { class: one.style }, draw("circle", { cx: x(one.xs[i]), cy: y(one.values[i]), r: 3.5 })));
+  const rows = read.map(({ one, i }) => make("span", { class: one.style }, make("i"), `${one.name} ${inDigits(one.values[i])}`
+    + (one.low?.[i] != null && one.high?.[i] != null ? ` [${inDigits(one.low[i])}, ${inDigits(one.high[i])}]` : "")
+    + (one.notes ? ` (${one.notes[i]})` : "")));
+  readout.replaceChildren(make("b", {}, words(place)), ...rows);
+}
+
+// The numbers of a chart, headings first: a column for each line where all have the same places, else a row for each point.
+export function numbersOfChart({ lines, x, y }) {
+  const shown = lines.toReversed();
+  const places = placesOf(lines);
+  if (shown.some((one) => one.xs.length !== places.length)) {
+    return [["tracker", x.name, y.name], ...shown.flatMap((one) => one.xs.map((place, i) => [one.name, place, one.values[i]]))];
+  }
+  const ends = (one) => (one.low && one.high ? [`${one.name} low`, `${one.name} high`] : []);
+  const values = (one, i) => [one.values[i], ...(one.low && one.high ? [one.low[i], one.high[i]] : [])];
+  return [[x.name, ...shown.flatMap((one) => [one.name, ...ends(one)])],
+    ...places.map((place, i) => [place, ...shown.flatMap((one) => values(one, i))])];
 }

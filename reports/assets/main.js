@@ -1,9 +1,22 @@
+import { startConditions } from "./conditions.js";
+import { startConfusion } from "./confusion.js";
 import { startCurves } from "./curves.js";
+import { startLatency } from "./latency.js";
 import { startPlayers } from "./player.js";
+import { startProbabilities } from "./probabilities.js";
 import { startRanking } from "./ranking.js";
+import { startHiddenTime, startScale } from "./scale_and_hidden_time.js";
+import { startScoreTable } from "./score_table.js";
 import { startShownTrackers } from "./shown_trackers.js";
 
 startShownTrackers();
 startRanking();
 startCurves();
 startPlayers();
+startScale();
+startHiddenTime();
+startProbabilities();
+startConfusion();
+startConditions();
+startLatency();
+startScoreTable();

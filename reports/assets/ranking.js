@@ -1,14 +1,13 @@
 // The ranking on a chosen score: a dot and its interval for each row, and bars that join rows that are not told apart.
 import { axisRange, inDigits, roundTicks, scaleOf, svgText } from "./axis.js";
-import { choiceBar } from "./choices.js";
-import { downloadButtons } from "./downloads.js";
-import { draw, make } from "./elements.js";
+import { draw } from "./elements.js";
+import { startFigure } from "./figure.js";
 import { pageData } from "./page_data.js";
-import { recordingNamed, recordingOptions, rowsWith, scoreNamed, scoresOf, scoreWords, strataOf, valueAt } from "./scores.js";
-import { whenShownChange } from "./shown_trackers.js";
+import {
+  horizonOptions, recordingNamed, recordingOptions, rowsWith, scoreNamed, scoresOf, scoreWords, strataOf, valueAt,
+} from "./scores.js";
 
 const LINE = 26;
-const GROUPS = ["ceiling", "ranked", "floor", "unranked"];
 
 function rankedRows({ recording, score, stratum, step }) {
   const { better } = scoreNamed(score);
@@ -17,10 +16,6 @@ function rankedRows({ recording, score, stratum, step }) {
   return rowsWith(recordingNamed(recording), stratum, score)
     .filter((row) => value(row) !== null)
     .sort((a, b) => order(a) - order(b) || (better < 0 ? value(a) - value(b) : value(b) - value(a)));
-}
-
-function horizonOptions(recording) {
-  return recording.horizons_s.map((s, step) => [step, `${Number(s.toPrecision(3))} s`]).slice(1);
 }
 
 const tiersOf = ({ recording, score, stratum, step }) =>
@@ -37,7 +32,7 @@ function drawRanking(chosen, width) {
   const range = axisRange(rows.flatMap((row) => [at(row), at(row, "_low"), at(row, "_high")]), false);
   const x = scaleOf(...range, left, width - right);
   const height = LINE * rows.length + 28;
-  const svg = draw("svg", { class: "ranking", viewBox: `0 0 ${width} ${height}`, width, height, role: "img" });
+  const svg = draw("svg", { class: "figure-drawing ranking", viewBox: `0 0 ${width} ${height}`, width, height, role: "img" });
   svg.setAttribute("aria-label", rows.map((row) => `${row.name} ${inDigits(at(row))}`).join(", "));
   for (const tick of roundTicks(...range, narrow ? 3 : 6)) {
     svg.append(draw("line", { class: "grid", x1: x(tick), x2: x(tick), y1: 0, y2: height - 24 }),
@@ -68,12 +63,11 @@ function drawRow(row, at, x, y, end, letters) {
 function caption(chosen) {
   const tiers = tiersOf(chosen);
   const lower = scoreWords(scoreNamed(chosen.score));
-  if (!tiers) return `${lower}. Not tested, so the order may be chance: ${recordingNamed(chosen.recording).untested}.`;
-  return `${lower}, with 95 % intervals. A bar joins rows that are not told apart: all ${tiers.pairs} pairs tested on`
-    + ` ${tiers.units} units, Holm over all of them, p < 0.05.`;
+  if (!tiers) return `${lower}. The order may be chance: ${recordingNamed(chosen.recording).untested}.`;
+  return `${lower}. A bar joins rows that are not told apart: ${tiers.pairs} pairs, ${tiers.units} units, Holm, p < 0.05.`;
 }
 
-function numbers(chosen) {
+function rankingNumbers(chosen) {
   const rows = rankedRows(chosen);
   const at = (row, end) => valueAt(row, chosen.stratum, chosen.score, chosen.step, end);
   const groups = tiersOf(chosen)?.groups ?? [];
@@ -84,24 +78,17 @@ function numbers(chosen) {
 
 // Fills the section of the ranking.
 export function startRanking() {
-  const section = document.getElementById("ranking");
-  const chosen = { recording: pageData.recordings[0].name, ...pageData.headline };
-  const holder = make("div", { class: "drawn" });
-  const note = make("p", { class: "note" });
-  const redraw = () => {
-    holder.replaceChildren(drawRanking(chosen, Math.max(holder.clientWidth, 300)));
-    note.textContent = caption(chosen);
-  };
-  const listed = (now) => {
-    const recording = recordingNamed(now.recording);
-    return [["recording", "Recording", recordingOptions()], ["stratum", "Cells", strataOf(recording)],
-      ["score", "Score", scoresOf(recording, now.stratum)], ["step", "Ahead", horizonOptions(recording)]];
-  };
-  const downloads = downloadButtons("ranking", () => holder.firstChild, () => numbers(chosen));
-  const bar = choiceBar(listed, chosen, redraw);
-  section.append(make("div", { class: "controls" }, bar, downloads), holder, note);
-  section.hidden = !pageData.recordings.some((one) => GROUPS.some((group) => one.rows.some((row) => row.group === group && Object.keys(row.strata).length)));
-  redraw();
-  whenShownChange(redraw);
-  new ResizeObserver(redraw).observe(section);
+  if (!pageData.recordings.some((one) => one.rows.some((row) => Object.keys(row.strata).length))) return;
+  startFigure({
+    id: "ranking",
+    chosen: { recording: pageData.recordings[0].name, ...pageData.headline },
+    choices: (now) => {
+      const recording = recordingNamed(now.recording);
+      return [["recording", "Recording", recordingOptions()], ["stratum", "Cells", strataOf(recording)],
+        ["score", "Score", scoresOf(recording, now.stratum)], ["step", "Ahead", horizonOptions(recording)]];
+    },
+    drawing: drawRanking,
+    numbers: rankingNumbers,
+    line: caption,
+  });
 }

@@ -19,13 +19,19 @@ export function rowsWith(recording, stratum, score) {
   return recording.rows.filter((row) => isShown(row.label) && curveOf(row, stratum, score)?.some((v) => v !== null));
 }
 
-// Options of selects: what the recording has.
-export function recordingOptions() {
-  return pageData.recordings.map((one) => [one.name, one.name]);
+// A line of a chart in the colour of its row; of one that is not ranked it says so.
+export function lineOf(row, values) {
+  const unranked = row.group === "unranked";
+  return { name: unranked ? `${row.name} (not ranked)` : row.name, style: unranked ? `${row.style} partial` : row.style, ...values };
 }
 
-export function strataOf(recording) {
-  return [...new Set(recording.rows.flatMap((row) => Object.keys(row.strata)))].map((name) => [name, `${name} cells`]);
+// Options of selects: what the recording has. `has(recording)`: which recordings are listed.
+export function recordingOptions(has = () => true) {
+  return pageData.recordings.filter(has).map((one) => [one.name, one.name]);
+}
+
+export function strataOf(recording, has = () => true) {
+  return [...new Set(recording.rows.flatMap((row) => Object.keys(row.strata)))].filter(has).map((name) => [name, `${name} cells`]);
 }
 
 export function scoresOf(recording, stratum) {
@@ -34,7 +40,17 @@ export function scoresOf(recording, stratum) {
     .map(({ key, name }) => [key, name]);
 }
 
-// What a score's name leaves open: its unit, and that lower is better.
+// The horizons of a recording as options; `steps`: only these.
+export function horizonOptions(recording, steps = null) {
+  return recording.horizons_s.map((s, step) => [step, `${Number(s.toPrecision(3))} s`])
+    .filter(([step]) => (steps ? steps.includes(step) : step > 0));
+}
+
+// What a score's name leaves open: that lower is better.
 export function scoreWords({ name, better }) {
   return better < 0 ? `${name} (lower is better)` : name;
+}
+
+export function bandWords({ lines }) {
+  return lines.some((one) => one.low?.some((v) => v !== null)) ? "; a band is a 95 % interval" : "; without intervals";
 }

@@ -1,20 +1,14 @@
-"""Occluded cells, classes and calibration on the page; a section without content is left out."""
+"""Occluded cells and classes on the page; a section without content is left out."""
 
 import json
 from pathlib import Path
 
-import numpy as np
 import pytest
 
-from gridtrack.evaluation.results.columns import PROBABILITY_BINS, PROBABILITY_EDGES
 from gridtrack.evaluation.results.files import RunError
-from gridtrack.evaluation.scoring.counting import Tally, for_calibration
-from gridtrack.reports.ceiling import ceiling_table
 from gridtrack.reports.classes import class_tables
-from gridtrack.reports.occluded import occluded_table
 from gridtrack.reports.occluded_thresholds import occluded_thresholds
 from gridtrack.reports.page import render_report
-from gridtrack.reports.reliability import DIAGRAM_SIDE, reliability_diagrams
 from gridtrack.reports.run import read_runs
 from gridtrack.reports.table import headline_tables
 
@@ -61,28 +55,6 @@ def table_of(run):
     return table
 
 
-def test_occluded_cells_have_a_table_with_the_gap(truth_run):
-    occluded = occluded_table(table_of(truth_run))
-    assert occluded.strata == ("occluded", "occluded to 0.5 s")
-    assert {row.f1 for row in occluded.rows} == {(0.25, 0.5)}
-    assert {row.gap for row in occluded.rows} == {0.125}
-
-
-def test_shares_of_the_oracle_have_a_table_with_f1_and_log_loss(truth_run):
-    assert ceiling_table(table_of(truth_run)) is None, "without an oracle"
-    summary = json.loads((truth_run / "summary.json").read_text())
-    dynamic = summary["trackers"]["good"]["recordings"]["crossing"]["strata"]["dynamic"]
-    dynamic["share_of_oracle"], dynamic["share_of_oracle_nll"] = [0.75] * (STEPS + 1), [-0.5] * (STEPS + 1)
-    (truth_run / "summary.json").write_text(json.dumps(summary))
-    ceiling = ceiling_table(table_of(truth_run))
-    assert ceiling.strata == ("in-motion", "dynamic", "visible", "occluded")
-    ((row, shares),) = [(one.row.label, one.shares) for one in ceiling.rows]
-    assert (row, shares) == ("good", ((None, None), (0.75, -0.5), (None, None), (None, None)))
-    page = render_report([truth_run]).read_text()
-    assert "<h2>Share of the oracle</h2>" in page
-    assert ">0.75</td><td>-0.50</td>" in page
-
-
 def test_classes_that_occur_have_a_column_and_trackers_without_semantics_no_row(truth_run):
     classes = class_tables(table_of(truth_run), *read_runs([truth_run]))
     assert classes.recall_columns == (("visible", "<b>bus</b>"),)
@@ -99,7 +71,7 @@ def test_class_probabilities_have_an_interval_and_a_difference_from_the_referenc
     assert (now.difference, now.difference_interval) == (-0.375, None)
     page = render_report([truth_run]).read_text()
     assert "0.625<small>[0.500, 0.750]</small><small>-0.375 [-0.500, -0.250]</small>" in page
-    assert "less that of &lt;i&gt;one-shot&lt;/i&gt;, paired" in page
+    assert "less &lt;i&gt;one-shot&lt;/i&gt;" in page
 
 
 def test_several_runs_side_by_side_have_no_differences(truth_run):
@@ -108,36 +80,16 @@ def test_several_runs_side_by_side_have_no_differences(truth_run):
 
 def test_the_page_shows_them_with_every_name_escaped(truth_run):
     page = render_report([truth_run]).read_text()
-    for heading in ("Occluded cells", "Classes", "Calibration"):
+    for heading in ("Hidden cells by threshold", "Classes"):
         assert f"<h2>{heading}</h2>" in page
     assert "&lt;b&gt;bus&lt;/b&gt;" in page
     assert "<b>bus" not in page
 
 
 def test_a_run_without_truth_has_no_such_section(run_folder):
-    assert occluded_table(table_of(run_folder)) is None
     assert class_tables(table_of(run_folder), *read_runs([run_folder])) is None
     page = render_report([run_folder], run_folder / "page").read_text()
-    assert "Occluded cells" not in page
-
-
-def test_a_calibrated_forecast_lies_on_the_diagonal(run_folder, monkeypatch):
-    cells = np.full((STEPS + 1, 1, PROBABILITY_BINS), 1000)
-    positives = (cells * (PROBABILITY_EDGES[:-1] + PROBABILITY_EDGES[1:]) / 2).astype(int)
-    tally = Tally(cells, positives, for_calibration(positives), *np.zeros((2, STEPS + 1, 1)), ("dynamic",))
-    monkeypatch.setattr("gridtrack.reports.reliability.read_tally", lambda *_: tally)
-    drawn, notices = reliability_diagrams(read_runs([run_folder]), table_of(run_folder))
-    assert [one.row.label for one in drawn] == ["good", "fair"]
-    assert notices == ()
-    assert all(x == pytest.approx(DIAGRAM_SIDE - y, abs=0.3) for x, y in drawn[0].points)
-
-
-def test_a_histogram_that_cannot_be_read_has_a_notice_and_the_page_is_complete(truth_run):
-    (truth_run / "good@crossing" / "histogram.parquet").write_bytes(b"not")
-    runs = read_runs([truth_run])
-    drawn, notices = reliability_diagrams(runs, table_of(truth_run))
-    assert [one.row.label for one in drawn] == ["fair"]
-    assert notices[0].startswith("good: no reliability diagram")
+    assert "Hidden cells by threshold" not in page
 
 
 def test_curves_by_class_that_do_not_reach_every_horizon_are_refused(truth_run):
@@ -194,5 +146,4 @@ def test_the_page_says_where_the_order_on_occluded_cells_depends_on_the_threshol
     run = with_thresholds(truth_run, good=(0.6, 0.2, 0.1), fair=(0.5, 0.4, 0.3))
     html = render_report([run]).read_text()
     assert "The order of the trackers depends on the threshold." in html
-    assert "chosen with the\ntruth of hidden cells" in html
     assert "-0.125 [-0.250, +0.000]" in html

@@ -1,8 +1,6 @@
 """Moments on the page: packed without loss at their quantisation, within the budget, and what is left out is said."""
 
 import base64
-import json
-import re
 import zlib
 from dataclasses import replace
 
@@ -16,10 +14,11 @@ from gridtrack.reports.moment_packing import CALLED, IN_MOTION, PACKED_LEVELS, T
 from gridtrack.reports.page import render_report
 from gridtrack.reports.pictures import palette
 
+from scenes.report_page import data_of
+
 
 def players_of(page):
-    (data,) = re.findall(r'<script type="application/json" id="page-data">(.*?)</script>', page, re.DOTALL)
-    return json.loads(data)["players"]
+    return data_of(page)["players"]
 
 
 def planes_of(moment, size):

@@ -200,6 +200,47 @@ def test_a_cell_is_large_and_nothing_is_cut_off(opened, width):
     assert page.evaluate("document.documentElement.scrollWidth") <= width
 
 
+@pytest.mark.parametrize(("width", "scheme"), [(1280, "light"), (400, "dark")])
+def test_axe_finds_nothing_serious(browser, report, width, scheme):
+    axe = pytest.importorskip("axe_playwright_python.sync_playwright", reason="axe, of the extra dev, is not installed")
+    page = browser.new_page(viewport={"width": width, "height": 900}, color_scheme=scheme)
+    page.set_default_timeout(120_000)
+    page.goto(report.as_uri())
+    page.locator(".player[data-ready]").wait_for()
+    found = axe.Axe().run(page).response["violations"]
+    assert [(one["id"], one["nodes"][0]["html"]) for one in found if one["impact"] in ("serious", "critical")] == []
+    page.close()
+
+
+def test_every_figure_redraws_with_every_choice_and_reads_values_by_keyboard(opened):
+    page, _ = opened()
+    figures = page.locator("section.figure:has(.drawn)")
+    assert figures.count() >= 7
+    for figure in figures.all():
+        for select in figure.locator(".choices select:visible").all():
+            for value in select.evaluate("one => [...one.options].map((option) => option.value)"):
+                select.select_option(value)
+        assert figure.locator(".drawn > *").count() == 1
+        chart = figure.locator(".chart")
+        if chart.count():
+            chart.focus()
+            page.keyboard.press("ArrowRight")
+            assert figure.locator(".readout span").count() >= 1
+
+
+def test_a_figure_downloads_as_svg_and_csv(opened):
+    page, _ = opened()
+    scale = page.locator("#scale")
+    with page.expect_download() as saved:
+        scale.get_by_role("button", name="CSV").click()
+    heading, *rows = saved.value.path().read_text().splitlines()
+    assert heading.startswith('"side in cells"')
+    assert [row.split(",")[0] for row in rows] == ["1", "3", "5", "9"]
+    with page.expect_download() as saved:
+        scale.get_by_role("button", name="SVG").click()
+    assert saved.value.path().read_text().startswith("<svg")
+
+
 def test_without_scripts_one_still_picture_remains(browser, report):
     context = browser.new_context(java_script_enabled=False)
     page = context.new_page()

@@ -99,12 +99,6 @@ def test_the_other_scores_stand_below_f1_with_uncorrected_p_and_no_verdict(run, 
     assert f"{good.headline[0].pr_auc:+.3f}" in rows
 
 
-def test_the_page_draws_a_band_round_every_curve_that_has_an_interval(page):
-    together = page.partition('<details><summary class="name">')[0]
-    assert together.count('class="band"') == 6 * 4, "FSS in two strata at three horizons"
-    assert 'class="band"' not in page[len(together) :]
-
-
 def test_the_terminal_shows_the_pooled_table_and_the_differences_only(run, capsys):
     print_tables(run)
     shown = capsys.readouterr().out

@@ -1,0 +1,46 @@
+// A figure of the page: choices, a drawing, one line on what it shows, and its downloads.
+import { choiceBar } from "./choices.js";
+import { downloadButtons } from "./downloads.js";
+import { make } from "./elements.js";
+import { numbersOfChart, lineChart } from "./line_chart.js";
+import { whenShownChange } from "./shown_trackers.js";
+
+const LEAST_WIDTH = 300;
+
+// `figure`: { id, title, chosen, choices(chosen), line(chosen) } and either chart(chosen), what `lineChart` draws, or
+// drawing(chosen, width), an element, and numbers(chosen), its table. Its title is a heading of docs/figures.md.
+export function startFigure(figure) {
+  const { id, title, chosen } = figure;
+  const section = document.getElementById(id) ?? newSection(id, title);
+  const heading = section.querySelector("h2").textContent.toLowerCase().replaceAll(" ", "-");
+  const holder = make("div", { class: "drawn" });
+  const note = make("p", { class: "note" });
+  const drawing = figure.drawing ?? ((now, width) => lineChart({ ...figure.chart(now), width }));
+  const numbers = figure.numbers ?? ((now) => numbersOfChart(figure.chart(now)));
+  const redraw = () => {
+    holder.replaceChildren(drawing(chosen, Math.max(holder.clientWidth, LEAST_WIDTH)));
+    note.replaceChildren(figure.line(chosen), " ", make("code", {}, `docs/figures.md#${heading}`));
+  };
+  const controls = make("div", { class: "controls" }, choiceBar(figure.choices, chosen, redraw));
+  section.append(controls, holder, note);
+  section.hidden = false;
+  redraw();
+  controls.append(downloadButtons(id, () => holder.querySelector("svg.figure-drawing"), () => numbers(chosen)));
+  whenShownChange(redraw);
+  redrawWithWidth(section, holder, redraw);
+}
+
+function newSection(id, title) {
+  const section = make("section", { id, class: "figure" }, make("h2", {}, title));
+  document.getElementById("figures").append(section);
+  return section;
+}
+
+function redrawWithWidth(section, holder, redraw) {
+  let width = holder.clientWidth;
+  new ResizeObserver(() => {
+    if (holder.clientWidth === width) return;
+    width = holder.clientWidth;
+    redraw();
+  }).observe(section);
+}

@@ -1,0 +1,61 @@
+// The time of an update and of a forecast: median, 95th and 99th percentile, on a logarithmic axis, beside the period.
+import { scaleOf, svgText } from "./axis.js";
+import { draw } from "./elements.js";
+import { startFigure } from "./figure.js";
+import { recordingNamed, recordingOptions } from "./scores.js";
+import { isShown } from "./shown_trackers.js";
+
+const ROW = 26, LEAST_MS = 0.01;
+const CALLS = [["update", "update"], ["predict", "forecast of all steps"]];
+const rowsTimed = (recording) => recording.rows.filter((row) => row.latency);
+const timed = ({ recording }) => rowsTimed(recordingNamed(recording)).filter((row) => isShown(row.label));
+const inMs = (ms) => `${ms < LEAST_MS ? `<${LEAST_MS}` : Number(ms.toPrecision(2))}`;
+
+function drawLatency({ recording, call }, width) {
+  const rows = timed({ recording }), period = recordingNamed(recording).period_ms;
+  const log = (ms) => Math.log10(Math.max(ms, LEAST_MS));
+  const times = [period, ...rows.flatMap((row) => row.latency[call])].map(log);
+  const [low, high] = [Math.floor(Math.min(...times)), Math.ceil(Math.max(...times) + 0.01)];
+  const narrow = width < 560, left = narrow ? 112 : 210, right = width - 110;
+  const x = scaleOf(low, high, left, right), height = ROW * rows.length + 28;
+  const svg = draw("svg", { class: "figure-drawing", viewBox: `0 0 ${width} ${height}`, width, height, role: "img" });
+  svg.setAttribute("aria-label", rows.map((row) => `${row.name} ${inMs(row.latency[call][0])} ms`).join(", "));
+  for (let decade = low; decade <= high; decade += 1) {
+    svg.append(draw("line", { class: "grid", x1: x(decade), x2: x(decade), y1: 0, y2: height - 24 }),
+      svgText(x(decade), height - 8, `${10 ** decade}${decade === high ? " ms" : ""}`, { class: "tick", "text-anchor": "middle" }));
+  }
+  svg.append(draw("line", { class: "period", x1: x(log(period)), x2: x(log(period)), y1: 0, y2: height - 24 }));
+  rows.forEach((row, i) => svg.append(drawnRow(row, row.latency[call].map(log).map(x), ROW * (i + 0.5), width, row.latency[call])));
+  return svg;
+}
+
+function drawnRow(row, [p50, p95, p99], y, width, [median, , most]) {
+  const letters = width < 560 ? 14 : 28;
+  const name = row.name.length > letters ? `${row.name.slice(0, letters - 1)}…` : row.name;
+  return draw("g", { class: `line ${row.style}` }, draw("title", {}, row.name), svgText(0, y + 4, name),
+    draw("line", { class: "whisker", x1: p50, x2: p99, y1: y, y2: y }),
+    draw("line", { class: "whisker", x1: p95, x2: p95, y1: y - 4, y2: y + 4 }),
+    draw("line", { class: "whisker", x1: p99, x2: p99, y1: y - 7, y2: y + 7 }),
+    draw("circle", { class: "dot", cx: p50, cy: y, r: 4.5 }),
+    svgText(width, y + 4, `${inMs(median)} to ${inMs(most)}`, { "text-anchor": "end" }));
+}
+
+function latencyNumbers({ recording, call }) {
+  return [["tracker", "call", "p50, ms", "p95, ms", "p99, ms", "peak memory, MB", "keeps up"],
+    ...timed({ recording }).map((row) => [row.name, call, ...row.latency[call], row.peak_mb, row.keeps_up])];
+}
+
+// Fills the section of times.
+export function startLatency() {
+  const listed = recordingOptions((recording) => rowsTimed(recording).length);
+  if (!listed.length) return;
+  startFigure({
+    id: "latency",
+    title: "Time",
+    chosen: { recording: listed[0][0], call: "update" },
+    choices: () => [["recording", "Recording", listed], ["call", "Call", CALLS]],
+    drawing: drawLatency,
+    numbers: latencyNumbers,
+    line: ({ recording }) => `Median to 99th percentile, alone on the machine; the vertical line is one frame period, ${inMs(recordingNamed(recording).period_ms)} ms.`,
+  });
+}

@@ -1,0 +1,57 @@
+// What the histograms of probability say: precision against recall, F1 over the threshold, and calibration.
+import { startFigure } from "./figure.js";
+import { pageData } from "./page_data.js";
+import { horizonOptions, lineOf, recordingNamed, recordingOptions } from "./scores.js";
+import { isShown } from "./shown_trackers.js";
+
+const binsOf = (row, { stratum, step }) => row.bins?.[stratum]?.[step] ?? null;
+const hasBins = (recording) => recording.rows.some((row) => row.bins);
+const probabilityWords = (p) => `p ≥ ${Number(p.toPrecision(2))}`;
+
+function linesOf(chosen, fields) {
+  return recordingNamed(chosen.recording).rows.toReversed()
+    .filter((row) => isShown(row.label) && binsOf(row, chosen))
+    .map((row) => lineOf(row, fields(binsOf(row, chosen))));
+}
+
+function precisionRecall(chosen) {
+  const lines = linesOf(chosen, ({ p, recall, precision }) => ({ xs: recall, values: precision, notes: p.map(probabilityWords) }));
+  return { lines, x: { name: "recall", range: [0, 1] }, y: { name: "precision", range: [0, 1.02] } };
+}
+
+function f1OverThreshold(chosen) {
+  const f1 = (precision, recall) => (precision + recall ? (2 * precision * recall) / (precision + recall) : 0);
+  const lines = linesOf(chosen, ({ p, recall, precision }) => ({ xs: p, values: p.map((_, i) => f1(precision[i], recall[i])) }));
+  return { lines, x: { name: "threshold", range: [0, 1] }, y: { name: "F1", fromZero: true } };
+}
+
+function calibration(chosen) {
+  const lines = linesOf(chosen, ({ mean_p: xs, share: values }) => ({ xs, values }));
+  return { lines, x: { name: "forecast probability", range: [0, 1] }, y: { name: "share occupied", range: [0, 1.02] }, diagonal: true };
+}
+
+const FIGURES = [
+  { id: "precision-recall", title: "Precision and recall", chart: precisionRecall, line: () => "Each point is a threshold; the area is PR-AUC." },
+  { id: "threshold", title: "Threshold", chart: f1OverThreshold, line: () => "F1 at every threshold, on the test frames." },
+  { id: "calibration", title: "Calibration", chart: calibration, line: () => "On the diagonal, p is the share of cells that were occupied." },
+];
+
+// Fills a section for each of FIGURES.
+export function startProbabilities() {
+  const listed = recordingOptions(hasBins);
+  if (!listed.length) return;
+  const { stratum, step } = pageData.headline;
+  for (const figure of FIGURES) {
+    startFigure({
+      ...figure,
+      chosen: { recording: listed[0][0], stratum, step },
+      choices: (now) => {
+        const recording = recordingNamed(now.recording);
+        const { bins } = recording.rows.find((row) => row.bins);
+        const strata = Object.keys(bins), steps = Object.keys(Object.values(bins)[0]).map(Number);
+        return [["recording", "Recording", listed], ["stratum", "Cells", strata.map((name) => [name, `${name} cells`])],
+          ["step", "Ahead", horizonOptions(recording, steps)]];
+      },
+    });
+  }
+}

@@ -1,0 +1,54 @@
+// Every score of every tracker, for one recording, stratum and horizon.
+import { inDigits } from "./axis.js";
+import { make, swatch } from "./elements.js";
+import { startFigure } from "./figure.js";
+import { pageData } from "./page_data.js";
+import { horizonOptions, recordingNamed, recordingOptions, scoresOf, strataOf, valueAt } from "./scores.js";
+import { isShown } from "./shown_trackers.js";
+
+const rowsIn = ({ recording, stratum }) =>
+  recordingNamed(recording).rows.filter((row) => isShown(row.label) && row.strata[stratum]);
+const columnsOf = ({ recording, stratum }) => scoresOf(recordingNamed(recording), stratum);
+
+function cell(row, key, { stratum, step }) {
+  const [value, low, high] = ["", "_low", "_high"].map((end) => valueAt(row, stratum, key, step, end));
+  const interval = low === null || high === null ? [] : [make("small", {}, `[${inDigits(low)}, ${inDigits(high)}]`)];
+  return make("td", {}, inDigits(value), ...interval);
+}
+
+function drawTable(chosen) {
+  const columns = columnsOf(chosen);
+  const heading = (words, name) => make("th", { scope: "col", class: name ? "name" : null }, words);
+  const lines = rowsIn(chosen).map((row) => make("tr", {},
+    make("th", { scope: "row", class: "name" }, swatch(row.style), row.group === "unranked" ? `${row.name} (${row.outcome})` : row.name),
+    ...columns.map(([key]) => cell(row, key, chosen))));
+  return make("div", { class: "scroll", tabindex: 0, role: "region", "aria-label": "Every score" }, make("table", {},
+    make("thead", {}, make("tr", {}, heading("tracker", true), ...columns.map(([, name]) => heading(name, false)))),
+    make("tbody", {}, ...lines)));
+}
+
+function tableNumbers(chosen) {
+  const columns = columnsOf(chosen), ends = ["", "_low", "_high"];
+  return [["tracker", "outcome", ...columns.flatMap(([key]) => ends.map((end) => key + end))],
+    ...rowsIn(chosen).map((row) => [row.name, row.outcome,
+      ...columns.flatMap(([key]) => ends.map((end) => valueAt(row, chosen.stratum, key, chosen.step, end)))])];
+}
+
+// Fills the section of every score.
+export function startScoreTable() {
+  const listed = recordingOptions((recording) => recording.rows.some((row) => Object.keys(row.strata).length));
+  if (!listed.length) return;
+  const { stratum, step } = pageData.headline;
+  startFigure({
+    id: "every-score",
+    title: "Every score",
+    chosen: { recording: listed[0][0], stratum, step },
+    choices: (now) => {
+      const recording = recordingNamed(now.recording);
+      return [["recording", "Recording", listed], ["stratum", "Cells", strataOf(recording)], ["step", "Ahead", horizonOptions(recording)]];
+    },
+    drawing: drawTable,
+    numbers: tableNumbers,
+    line: () => "Pooled over the scored frames; brackets are 95 % intervals.",
+  });
+}

@@ -1,0 +1,192 @@
+"""What the figures of the page are given: curves of probability, conditions, times, classes; and their explanations."""
+
+import copy
+import json
+import re
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gridtrack.evaluation.results.columns import PROBABILITY_BINS, PROBABILITY_EDGES
+from gridtrack.evaluation.results.files import RunError
+from gridtrack.evaluation.scoring.counting import Tally, for_calibration
+from gridtrack.evaluation.scoring.strata import STRATA
+from gridtrack.evaluation.statistics.score_intervals import HEADLINE_STRATA
+from gridtrack.recordings.degradation import Degradation
+from gridtrack.reports.conditions import DEGRADATION_TEXTS
+from gridtrack.reports.page import render_page
+from gridtrack.reports.probability_curves import probability_curves
+from gridtrack.reports.run import read_runs
+from gridtrack.reports.scripts import ASSETS
+from gridtrack.reports.table import headline_tables
+
+from scenes.report_page import data_of
+
+STEPS = 20
+DOCS = Path(__file__).parents[2] / "docs"
+
+
+def constant(value):
+    return {name: [value] * (STEPS + 1) for name in STRATA}
+
+
+TIMES = {"p50": 41.0, "p95": 44.0, "p99": 46.5}
+AGES = {"p50": 1.0, "p95": 2.0, "p99": 2.0}
+DEADLINE = {
+    "update_ms": TIMES,
+    "predict_ms": TIMES,
+    "busy_ms": TIMES,
+    "highest_rate_hz": 21.505,
+    "forecast_steps": 22,
+    "rates": [
+        {"rate": 1.0, "rate_hz": 8.0, "frames": 120, "missed": 0, "age_frames": AGES, "f1": constant(0.413)},
+        {"rate": 4.0, "rate_hz": 32.0, "frames": 120, "missed": 60, "age_frames": AGES, "f1": constant(0.217)},
+    ],
+}
+ROBUSTNESS = {
+    "degradation": {"range_noise": 0.1},
+    "kinds": {
+        "range_noise": [
+            {"strength": s, "value": 0.1 * s, "delivered": "", "f1": constant(0.4 - 0.1 * s)} for s in (0.0, 0.5, 1.0)
+        ]
+    },
+}
+
+
+@pytest.fixture
+def good_of(run_folder, tmp_path, summary_of):
+    """`good_of(**changes)`: the page's data of the tracker `good`, its trial changed in these keys, and all data."""
+
+    def good_of(**changes):
+        run = tmp_path / "run"
+        shutil.copytree(run_folder, run, dirs_exist_ok=True)
+        summary = summary_of(run)
+        summary["trackers"]["good"]["recordings"]["crossing"] |= changes
+        (run / "summary.json").write_text(json.dumps(summary))
+        data = data_of(render_page(read_runs([run])))
+        (row,) = [row for row in data["recordings"][0]["rows"] if row["label"] == "good"]
+        return row, data
+
+    return good_of
+
+
+def test_every_rate_has_its_f1_beside_the_untimed_one_and_what_was_missed(good_of, run_folder, summary_of):
+    row, data = good_of(deadline=DEADLINE)
+    untimed = summary_of(run_folder)["trackers"]["good"]["recordings"]["crossing"]["strata"]["in-motion"]["f1"][4]
+    rate = row["conditions"]["rate"]
+    assert rate["values"] == [0.0, 1.0, 4.0]
+    assert rate["f1"]["in-motion"] == [pytest.approx(untimed), 0.413, 0.217]
+    assert rate["notes"] == ["no deadline", "0 % of frames missed", "50 % of frames missed"]
+    assert data["recordings"][0]["conditions_ahead"] == "0.5 s"
+    assert row["latency"]["highest_hz"] == 21.5
+
+
+def test_a_stratum_that_was_not_scored_leaves_a_gap(good_of):
+    deadline = copy.deepcopy(DEADLINE)
+    del deadline["rates"][1]["f1"]["in-motion"]
+    assert good_of(deadline=deadline)[0]["conditions"]["rate"]["f1"]["in-motion"][1:] == [0.413, None]
+
+
+def test_degraded_input_has_its_f1_at_every_value_with_name_and_unit(good_of):
+    row, data = good_of(robustness=ROBUSTNESS)
+    noise = row["conditions"]["range_noise"]
+    assert noise["values"] == pytest.approx([0.0, 0.05, 0.1])
+    assert noise["f1"]["visible"] == pytest.approx([0.4, 0.35, 0.3])
+    assert (data["conditions"]["range_noise"]["name"], data["conditions"]["range_noise"]["unit"]) == (
+        "range noise",
+        " m",
+    )
+
+
+def test_without_other_conditions_there_are_none(good_of):
+    row, data = good_of()
+    assert (row["conditions"], data["conditions"]) == ({}, {})
+
+
+@pytest.mark.parametrize("damage", ["short", "backwards", "infinite"])
+def test_invalid_conditions_are_refused_in_one_line(good_of, damage):
+    deadline, robustness = copy.deepcopy(DEADLINE), copy.deepcopy(ROBUSTNESS)
+    if damage == "short":
+        deadline["rates"][0]["f1"]["in-motion"] = [0.5]
+    elif damage == "backwards":
+        robustness["kinds"]["range_noise"].reverse()
+    else:
+        deadline["rates"][0]["rate_hz"] = float("inf")
+    with pytest.raises(RunError, match=r"summary\.json"):
+        good_of(deadline=deadline, robustness=robustness)
+
+
+def test_every_kind_of_degradation_has_a_text_and_a_row_in_the_documentation():
+    assert set(DEGRADATION_TEXTS) == set(Degradation.model_fields)
+    page = (DOCS / "run-folder.md").read_text()
+    assert [field.alias for field in Degradation.model_fields.values() if f"| `{field.alias}` |" not in page] == []
+
+
+def test_times_are_the_latencys_and_say_whether_it_keeps_up(good_of):
+    row, data = good_of()
+    assert row["latency"]["update"] == [2.0, 3.0, 4.0]
+    assert (row["latency"]["predict"], row["latency"]["keeps_up"]) == ([20.0, 30.0, 40.0], "yes")
+    assert data["recordings"][0]["period_ms"] == 125.0
+
+
+def test_a_tracker_with_classes_has_its_confusion_matrices(good_of):
+    curves = dict.fromkeys(
+        ("nll_per_cell", "nll_per_scan", "nll_summed_over_scans", "balanced_accuracy"), [0.5] * (STEPS + 1)
+    )
+    counts = dict.fromkeys(("cells", "scans"), [9] * (STEPS + 1))
+    confusion = [{"step": 8, "cells": [[5, 1, 0], [2, 3, 1]]}]
+    kinds = {"visible": {**curves, **counts, "confusion": confusion}}
+    row, _ = good_of(semantics={"classes": ["<b>bus</b>", "car"], "kinds": kinds})
+    assert row["classes"] == {"names": ["<b>bus</b>", "car"], "confusion": {"visible": {"8": [[5, 1, 0], [2, 3, 1]]}}}
+    assert good_of(semantics=None)[0]["classes"] is None
+
+
+def curves_of(run):
+    runs = read_runs([run])
+    return probability_curves(runs, headline_tables(runs))
+
+
+def test_the_area_below_precision_over_recall_is_about_pr_auc(run_folder, summary_of):
+    curves, notices = curves_of(run_folder)
+    assert notices == ()
+    for label in ("good", "fair", "persistence", "unlucky"):
+        strata = summary_of(run_folder)["trackers"][label]["recordings"]["crossing"]["strata"]
+        for stratum in ("in-motion", "visible"):
+            curve = curves["crossing", label][stratum]["8"]
+            area = sum(np.diff([0.0, *curve["recall"]]) * curve["precision"])
+            assert area == pytest.approx(strata[stratum]["pr_auc"][8], abs=0.02)
+            assert curve["p"] == sorted(curve["p"], reverse=True)
+            assert len(curve["p"]) <= 40
+
+
+def test_a_calibrated_forecast_lies_on_the_diagonal(run_folder, monkeypatch):
+    cells = np.full((STEPS + 1, len(HEADLINE_STRATA), PROBABILITY_BINS), 1000)
+    positives = (cells * (PROBABILITY_EDGES[:-1] + PROBABILITY_EDGES[1:]) / 2).astype(int)
+    losses = np.zeros((2, STEPS + 1, len(HEADLINE_STRATA)))
+    tally = Tally(cells, positives, for_calibration(positives), *losses, HEADLINE_STRATA)
+    monkeypatch.setattr("gridtrack.reports.probability_curves.read_tally", lambda *_: tally)
+    curve = curves_of(run_folder)[0]["crossing", "good"]["dynamic"]["8"]
+    assert curve["mean_p"] == pytest.approx(curve["share"], abs=1e-3)
+
+
+def test_a_histogram_that_cannot_be_read_has_a_notice_and_the_page_is_complete(run_folder, tmp_path):
+    run = shutil.copytree(run_folder, tmp_path / "run")
+    (run / "good@crossing" / "histogram.parquet").write_bytes(b"not")
+    curves, notices = curves_of(run)
+    assert ("crossing", "good") not in curves
+    assert ("crossing", "fair") in curves
+    assert notices[0].startswith("good: no curves of its probabilities")
+
+
+def test_every_figure_and_table_of_the_page_is_explained_under_its_own_heading():
+    headings = re.findall(r"^## (.*)$", (DOCS / "figures.md").read_text(), re.MULTILINE)
+    titles = [title for path in ASSETS.glob("*.js") for title in re.findall(r'title: "([^"]+)"', path.read_text())]
+    assert len(titles) >= 8
+    assert [title for title in [*titles, "Ranking", "Over the horizon", "Moments"] if title not in headings] == []
+    templates = "".join(path.read_text() for path in (ASSETS.parent / "templates").glob("*.j2"))
+    slugs = {heading.lower().replace(" ", "-") for heading in headings}
+    named = set(re.findall(r"docs/figures\.md#([\w-]+)", templates))
+    assert named
+    assert named <= slugs

@@ -1,0 +1,12 @@
+"""What the scripts of a report page are given."""
+
+import base64
+import json
+import re
+import zlib
+
+
+def data_of(page):
+    """The data of a page, its HTML."""
+    (packed,) = re.findall(r'id="page-data">(.*?)</script>', page, re.DOTALL)
+    return json.loads(zlib.decompress(base64.b64decode(packed)))
