@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from gridtrack.evaluation.results.columns import PROBABILITY_EDGES
 from gridtrack.evaluation.scoring.counting import Tally, for_calibration
+from gridtrack.evaluation.scoring.histograms import read_tally
 from gridtrack.evaluation.scoring.metrics import ratio
-from gridtrack.evaluation.scoring.score_store import ScoresError, read_tally
+from gridtrack.evaluation.scoring.score_store import ScoresError
 from gridtrack.evaluation.statistics.score_intervals import HEADLINE_STRATA
 from gridtrack.reports.run import ReportedRun
 from gridtrack.reports.table import HeadlineTable, TableRow

@@ -1,8 +1,8 @@
 """Equality of the counts of two runs: every trial's Parquet files, row by row.
 
 `python -m studies.compare_counts RUN OTHER [--tolerance 0]` (some seconds). For a change of the code that is meant to
-leave every score as it was. Counts must be equal; sums of squared errors and log losses may differ by the relative
-tolerance. Trials are matched by the name of their folder. The exit code is 1 where a trial is missing or a count
+leave every score as it was. Counts must be equal; sums that are not counts, such as log losses, may differ by the
+relative tolerance. Trials are matched by the name of their folder. The exit code is 1 where a trial is missing or
 differs.
 """
 
@@ -15,7 +15,7 @@ from pathlib import Path
 
 import polars as pl
 
-FILES = ("scores.parquet", "histogram.parquet", "classes.parquet", "semantics.parquet")
+from gridtrack.evaluation.results.columns import TABLES
 
 
 def main() -> None:
@@ -41,7 +41,7 @@ def _trials(run: Path) -> set[str]:
 
 def differences(one: Path, other: Path, tolerance: float) -> Iterator[str]:
     """What differs between the files of two trials, one text for each file."""
-    for name in FILES:
+    for name in (table.file for table in TABLES):
         paths = [folder / name for folder in (one, other)]
         exists = [path.exists() for path in paths]
         if not any(exists):

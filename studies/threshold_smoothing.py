@@ -20,7 +20,7 @@ from gridtrack.evaluation.results.columns import PROBABILITY_BINS, PROBABILITY_E
 from gridtrack.evaluation.results.trial_record import read_trial_record
 from gridtrack.evaluation.scoring import metrics
 from gridtrack.evaluation.scoring.counting import HALF, Tally
-from gridtrack.evaluation.scoring.score_store import read_tally
+from gridtrack.evaluation.scoring.histograms import read_tally
 from gridtrack.evaluation.scoring.thresholds import best_thresholds
 
 from studies.support.results_file import measured_table, write_table

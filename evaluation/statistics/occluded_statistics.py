@@ -12,7 +12,7 @@ import numpy as np
 
 from gridtrack.evaluation.results.summary import ORACLE, OccludedDifference, ScoreDifference
 from gridtrack.evaluation.results.values import rounded_curve, rounded_p_curve
-from gridtrack.evaluation.scoring.score_store import read_called
+from gridtrack.evaluation.scoring.histograms import read_called
 from gridtrack.evaluation.scoring.strata import OCCLUDED
 from gridtrack.evaluation.scoring.thresholds import bins_of
 from gridtrack.evaluation.statistics.finished_trial import FinishedTrial

@@ -17,17 +17,15 @@ from gridtrack.evaluation.statistics.frame_counts import FrameCounts, common_fra
 from gridtrack.evaluation.statistics.jackknife import (
     LEAST_UNITS,
     Floats,
-    JackknifedScore,
     PairedDifferences,
     differences,
     holm,
     ratio_differences,
 )
 from gridtrack.evaluation.statistics.paired_tests import verdict_of
-from gridtrack.evaluation.statistics.pr_auc import pr_auc_of_units
 from gridtrack.evaluation.statistics.run_statistics import RunStatistics
 from gridtrack.evaluation.statistics.score_intervals import Scope
-from gridtrack.evaluation.statistics.spatial_scores import Ratios, spatial_ratios
+from gridtrack.evaluation.statistics.trial_files import HeadlineSums, TrialFiles
 from gridtrack.evaluation.statistics.units import UnitRule, sum_by_unit
 
 PAIR_SCORES = ("f1", "pr_auc", "nll", "fss_5", "soft_iou", "beam_error")
@@ -36,21 +34,21 @@ PAIR_SCORES = ("f1", "pr_auc", "nll", "fss_5", "soft_iou", "beam_error")
 
 @dataclass(frozen=True, slots=True)
 class _Row:
-    """One row on the frames that all rows have, in units: counts (U, N, C), PR-AUC (N,), and sums of other scores."""
+    """One row on the frames that all rows have, in units: counts (U, N, C), and the sums of other scores."""
 
     label: str
     counts: Floats
-    area: JackknifedScore
-    sums: Ratios
+    sums: HeadlineSums
 
     def less(self, other: _Row, score: str) -> PairedDifferences | None:
         """The differences (N,) in a score; None where a row lacks it."""
         if score in ("f1", "nll"):
             return differences(self.counts, other.counts, score)
         if score == "pr_auc":
-            return self.area.less(other.area)
-        if score in self.sums and score in other.sums:
-            return ratio_differences(self.sums[score], other.sums[score])
+            return self.sums.pr_auc.less(other.sums.pr_auc)
+        own, others = self.sums.spatial, other.sums.spatial
+        if score in own and score in others:
+            return ratio_differences(own[score], others[score])
         return None
 
 
@@ -89,7 +87,8 @@ class PairStatistics:
         number = len({int(unit) for one in units for unit in one})
         if number < LEAST_UNITS or not scope.headline:
             return
-        summed = [_row(label, rows[label], counted[label], shared, scope, rule) for label in rows]
+        files = self._statistics.files
+        summed = [_row(label, rows[label], counted[label], shared, scope, rule, files) for label in rows]
         recordings = ALL_RECORDINGS if len(names) > 1 else names[0]
         yield from _families(summed, scope, recordings, number)
 
@@ -106,6 +105,7 @@ def _row(
     shared: Sequence[FrameCounts],
     scope: Scope,
     rule: UnitRule,
+    files: TrialFiles,
 ) -> _Row:
     """The sums of one row over the `shared` frames. Raises ScoresError."""
     stamps_ns = [one.stamps_ns for one in shared]
@@ -113,12 +113,7 @@ def _row(
     chosen = [(step, stratum) for stratum, _, step in scope.headline]
     counts = sum_by_unit([_kept(own, one).counts for own, one in zip(counted, shared, strict=True)], units)
     at = [counts[:, step, scope.strata.index(stratum)] for step, stratum in chosen]
-    return _Row(
-        label,
-        np.stack(at, axis=1),
-        pr_auc_of_units(trials, stamps_ns, units, chosen),
-        spatial_ratios(trials, [own.stamps_ns for own in counted], stamps_ns, units, chosen),
-    )
+    return _Row(label, np.stack(at, axis=1), files.headline_sums(trials, stamps_ns, units, chosen))
 
 
 def _families(rows: Sequence[_Row], scope: Scope, recordings: str, units: int) -> Iterator[PairFamily]:

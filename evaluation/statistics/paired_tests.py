@@ -6,16 +6,15 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gridtrack.evaluation.results.summary import HeadlineTest
 from gridtrack.evaluation.results.values import rounded, rounded_p
 from gridtrack.evaluation.statistics.finished_trial import FinishedTrial
 from gridtrack.evaluation.statistics.frame_counts import FrameCounts, common_frames
 from gridtrack.evaluation.statistics.jackknife import LEAST_UNITS, PairedDifferences, differences, holm
-from gridtrack.evaluation.statistics.pr_auc import pr_auc_of_units
 from gridtrack.evaluation.statistics.score_intervals import Scope, summed_by_unit
-from gridtrack.evaluation.statistics.spatial_scores import spatial_differences, spatial_ratios
+from gridtrack.evaluation.statistics.spatial_scores import spatial_differences
+from gridtrack.evaluation.statistics.trial_files import HeadlineSums, TrialFiles
 from gridtrack.evaluation.statistics.units import UnitRule
 
 ALPHA = 0.05
@@ -82,7 +81,7 @@ class ComparedRow:
 
 
 def compare_with(
-    reference: ComparedRow, tracker: ComparedRow, label: str, scope: Scope, rule: UnitRule
+    reference: ComparedRow, tracker: ComparedRow, label: str, scope: Scope, rule: UnitRule, files: TrialFiles
 ) -> TrackerComparison:
     """Differences on the frames that both were scored on, recording by recording. Raises ScoresError."""
     paired = [common_frames(one, other) for one, other in zip(tracker.frames, reference.frames, strict=True)]
@@ -98,7 +97,10 @@ def compare_with(
     if scope.headline:
         chosen = [(step, stratum) for stratum, _, step in scope.headline]
         log_loss = differences(own, others, "nll")
-        beside = _differences_from_files(tracker, reference, [one.stamps_ns for one, _ in paired], chosen, rule)
+        stamps_ns = [one.stamps_ns for one, _ in paired]
+        units = rule.units_of(stamps_ns)
+        sums = (files.headline_sums(row.trials, stamps_ns, units, chosen) for row in (tracker, reference))
+        beside = _differences_beside_counts(*sums)
         headline = tuple(
             HeadlineDifference(
                 stratum,
@@ -115,24 +117,12 @@ def compare_with(
     return TrackerComparison(label, number, frames, why, curves, headline)
 
 
-def _differences_from_files(
-    tracker: ComparedRow,
-    reference: ComparedRow,
-    stamps_ns: Sequence[NDArray[np.int64]],
-    chosen: Sequence[tuple[int, str]],
-    rule: UnitRule,
-) -> dict[str, PairedDifferences]:
-    """Differences (N,) at the `chosen` steps and strata of the scores that do not follow from the counts of frames.
+def _differences_beside_counts(own: HeadlineSums, reference: HeadlineSums) -> dict[str, PairedDifferences]:
+    """Differences (N,) of the scores that do not follow from the counts of frames.
 
-    PR-AUC, and those that forgive a few cells where both rows have their sums. Raises ScoresError.
+    PR-AUC, and those that forgive a few cells where both rows have their sums.
     """
-    units = rule.units_of(stamps_ns)
-    area, other_area = (pr_auc_of_units(row.trials, stamps_ns, units, chosen) for row in (tracker, reference))
-    sums, other_sums = (
-        spatial_ratios(row.trials, [one.stamps_ns for one in row.frames], stamps_ns, units, chosen)
-        for row in (tracker, reference)
-    )
-    return {"pr_auc": area.less(other_area), **spatial_differences(sums, other_sums)}
+    return {"pr_auc": own.pr_auc.less(reference.pr_auc), **spatial_differences(own.spatial, reference.spatial)}
 
 
 def headline_tests(comparisons: Sequence[TrackerComparison]) -> list[tuple[HeadlineTest, ...]]:

@@ -8,28 +8,32 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridtrack.evaluation.results.columns import PROBABILITY_BINS
+from gridtrack.evaluation.scoring.histograms import UnitHistograms
 from gridtrack.evaluation.scoring.metrics import area_under_precision_recall
-from gridtrack.evaluation.scoring.score_store import add_histograms
 from gridtrack.evaluation.statistics.finished_trial import FinishedTrial
 from gridtrack.evaluation.statistics.jackknife import JackknifedScore
 
 
 def pr_auc_of_units(
     trials: Sequence[FinishedTrial],
-    stamps_ns: Sequence[NDArray[np.int64]],
+    histograms: Sequence[UnitHistograms],
     units: Sequence[NDArray[np.int64]],
     chosen: Sequence[tuple[int, str]],
 ) -> JackknifedScore:
     """PR-AUC (N,) at the `chosen` places among the steps of each trial, and strata, over frames of `trials`.
 
-    `stamps_ns` and `units` (F,) hold the stamp and the unit of each frame of a trial that counts. Raises ScoresError.
+    `units` (F,) hold the unit of each frame of a trial that counts. Of each trial `histograms` has the units from its
+    first one to its last.
     """
     number = 1 + max(int(one.max()) for one in units if len(one))
     cells, positives = np.zeros((2, number, len(chosen), PROBABILITY_BINS), np.int64)
-    for trial, stamps, unit in zip(trials, stamps_ns, units, strict=True):
-        unit_of = dict(zip(stamps.tolist(), unit.tolist(), strict=True))
-        own = [(trial.steps[place], stratum) for place, stratum in chosen]
-        add_histograms(trial.folder, own, unit_of, cells, positives)
+    for trial, own, unit in zip(trials, histograms, units, strict=True):
+        if len(unit):
+            steps = [trial.steps[place] for place, _ in chosen]
+            strata = [own.strata.index(stratum) for _, stratum in chosen]
+            of_trial = slice(int(unit.min()), int(unit.max()) + 1)
+            cells[of_trial] += own.cells[:, steps, strata]
+            positives[of_trial] += own.positives[:, steps, strata]
     return pr_auc_without_each(cells, positives)
 
 

@@ -16,10 +16,11 @@ from gridtrack.evaluation.results.summary import (
 )
 from gridtrack.evaluation.results.trial_summary import PooledSummary, StratumScores
 from gridtrack.evaluation.results.values import rounded_curve, rounded_p_curve
-from gridtrack.evaluation.scoring.score_store import read_label_free, read_tally
+from gridtrack.evaluation.scoring.histograms import UnitHistograms
+from gridtrack.evaluation.scoring.score_store import read_label_free, read_losses
 from gridtrack.evaluation.statistics.curves import CountedTrial, stratum_scores
 from gridtrack.evaluation.statistics.finished_trial import FinishedTrial, trials_on
-from gridtrack.evaluation.statistics.frame_counts import FrameCounts, read_frame_counts
+from gridtrack.evaluation.statistics.frame_counts import FrameCounts
 from gridtrack.evaluation.statistics.paired_tests import (
     OTHER_RETURNS,
     ComparedRow,
@@ -30,6 +31,7 @@ from gridtrack.evaluation.statistics.paired_tests import (
 from gridtrack.evaluation.statistics.pooled_horizons import common_horizons, steps_at
 from gridtrack.evaluation.statistics.score_intervals import Scope, common_strata, intervals
 from gridtrack.evaluation.statistics.spatial_scores import spatial_scores
+from gridtrack.evaluation.statistics.trial_files import TrialFiles
 from gridtrack.evaluation.statistics.units import UnitRule, enough_sources
 
 
@@ -48,7 +50,8 @@ class RunStatistics:
         self.labels = list(dict.fromkeys(trial.record.label for trial in self._trials))
         self._reference = reference
         self._blocks: dict[str, float] = {}
-        self._frames: dict[str, FrameCounts] = {}
+        self._comparisons: dict[str, list[TrackerComparison]] = {}
+        self.files = TrialFiles(kept=max(1, len(recordings)))
 
     @cached_property
     def reference(self) -> str | None:
@@ -87,29 +90,34 @@ class RunStatistics:
         """Scores of `trials` pooled, with their intervals, by stratum."""
         rule = self.unit_rule([trial.record.recording for trial in trials])
         frames = [self.frames_in(trial, strata) for trial in trials]
-        ends = intervals(frames, trials, strata, rule)
-        spatial = spatial_scores(trials, [one.stamps_ns for one in frames], strata, rule)
+        stamps_ns = [one.stamps_ns for one in frames]
+        histograms = [
+            self.files.histograms(*one) for one in zip(trials, stamps_ns, rule.units_of(stamps_ns), strict=True)
+        ]
+        ends = intervals(frames, trials, histograms, strata, rule)
+        spatial = spatial_scores(trials, stamps_ns, strata, rule)
         described = {name: {**ends[name], **spatial[name]} for name in strata}
-        return stratum_scores([self._counted(trial) for trial in trials], strata, described)
-
-    def _counted(self, trial: FinishedTrial) -> CountedTrial:
-        """The counts of a trial at its steps. Raises ScoresError."""
-        steps, strata = trial.record.steps, trial.strata
-        label_free = read_label_free(trial.folder, steps, strata)[trial.steps]
-        return CountedTrial(
-            trial.record, trial.steps, read_tally(trial.folder, steps, strata).at(trial.steps), label_free
-        )
+        counted = [_counted(trial, own) for trial, own in zip(trials, histograms, strict=True)]
+        return stratum_scores(counted, strata, described)
 
     def differences(self) -> list[TrackerDifference]:
         """Each tracker against the reference: over all recordings where they are pooled, else on each."""
         found = [
-            (names, self._compared(label, names))
-            for names in self.groups
+            (names, comparison)
+            for i, names in enumerate(self.groups)
             for label in self.labels
-            if label != self.reference and self._tracker(label) != ORACLE
+            for comparison in self.comparisons(label)[i : i + 1]
         ]
         tests = headline_tests([comparison for _, comparison in found])
         return [self._difference(names, one, of_it) for (names, one), of_it in zip(found, tests, strict=True)]
+
+    def comparisons(self, label: str) -> list[TrackerComparison]:
+        """A row against the reference on each of `groups`; none of the reference and the oracle. Raises ScoresError."""
+        if label == self.reference or self._tracker(label) == ORACLE:
+            return []
+        if label not in self._comparisons:
+            self._comparisons[label] = [self._compared(label, names) for names in self.groups]
+        return self._comparisons[label]
 
     def pooled(self, label: str) -> PooledSummary:
         """One tracker over all recordings together, of those that it completed."""
@@ -146,7 +154,7 @@ class RunStatistics:
         theirs, mine = (
             ComparedRow([self.frames_in(trial, scope.strata) for trial in side], side) for side in (others, own)
         )
-        return compare_with(theirs, mine, label, scope, self.unit_rule(names))
+        return compare_with(theirs, mine, label, scope, self.unit_rule(names), self.files)
 
     def _difference(
         self, names: Sequence[str], comparison: TrackerComparison, tests: tuple[HeadlineTest, ...]
@@ -218,10 +226,7 @@ class RunStatistics:
 
     def frames_of(self, trial: FinishedTrial) -> FrameCounts:
         """The counts of a trial at each frame and at every step, read once. Raises ScoresError."""
-        key = trial.folder.name
-        if key not in self._frames:
-            self._frames[key] = read_frame_counts(trial.folder, trial.record.steps, trial.strata)
-        return self._frames[key]
+        return self.files.frames(trial)
 
     def frames_in(self, trial: FinishedTrial, strata: tuple[str, ...]) -> FrameCounts:
         """The counts of a trial at each frame and its steps in `strata`, some of its own. Raises ScoresError."""
@@ -230,3 +235,10 @@ class RunStatistics:
             return frames
         chosen = [trial.strata.index(name) for name in strata]
         return FrameCounts(frames.stamps_ns, frames.delivered, frames.counts[:, :, chosen])
+
+
+def _counted(trial: FinishedTrial, histograms: UnitHistograms) -> CountedTrial:
+    """The counts of a trial at its steps. Raises ScoresError."""
+    steps, strata = trial.record.steps, trial.strata
+    tally = histograms.tally(*read_losses(trial.folder, steps, strata)).at(trial.steps)
+    return CountedTrial(trial.record, trial.steps, tally, read_label_free(trial.folder, steps, strata)[trial.steps])

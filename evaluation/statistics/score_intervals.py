@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridtrack.evaluation.results.values import rounded_curve
+from gridtrack.evaluation.scoring.histograms import UnitHistograms
 from gridtrack.evaluation.statistics.finished_trial import FinishedTrial
 from gridtrack.evaluation.statistics.frame_counts import FrameCounts
 from gridtrack.evaluation.statistics.jackknife import COUNTS, LEAST_UNITS, RATIO_SCORES, interval
@@ -65,11 +66,15 @@ INTERVAL_SCORES = (*RATIO_SCORES, "pr_auc")
 
 
 def intervals(
-    recordings: Sequence[FrameCounts], trials: Sequence[FinishedTrial], strata: Sequence[str], rule: UnitRule
+    recordings: Sequence[FrameCounts],
+    trials: Sequence[FinishedTrial],
+    histograms: Sequence[UnitHistograms],
+    strata: Sequence[str],
+    rule: UnitRule,
 ) -> dict[str, dict[str, tuple[float | None, ...] | str | None]]:
     """Per stratum `f1_low`, `f1_high` and so on, one value per step; `interval` has the reason where there are none.
 
-    `recordings` are the counts of `trials`, at the steps of each. Raises ScoresError.
+    `recordings` are the counts of `trials`, at the steps of each, and `histograms` those of their units.
     """
     (counts,), number = summed_by_unit([recordings], rule)
     if number < LEAST_UNITS:
@@ -78,7 +83,7 @@ def intervals(
     found = {score: interval(counts, score) for score in RATIO_SCORES}
     stamps = [frames.stamps_ns for frames in recordings]
     chosen = list(product(range(counts.shape[1]), strata))
-    ends = pr_auc_of_units(trials, stamps, rule.units_of(stamps), chosen).interval()
+    ends = pr_auc_of_units(trials, histograms, rule.units_of(stamps), chosen).interval()
     low, high = (end.reshape(counts.shape[1], len(strata)) for end in ends)
     found["pr_auc"] = low, high
     return {

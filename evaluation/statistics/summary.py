@@ -10,7 +10,6 @@ from gridtrack.evaluation.results.summary import RunSummary, TrackerSummary
 from gridtrack.evaluation.results.trial_summary import PooledSummary, TrialSummary
 from gridtrack.evaluation.scoring.class_scores import unknown_classes
 from gridtrack.evaluation.scoring.robustness import mismatched_degradations, with_undegraded
-from gridtrack.evaluation.scoring.score_store import read_deliveries
 from gridtrack.evaluation.statistics.ceiling import with_ceiling
 from gridtrack.evaluation.statistics.class_statistics import ClassStatistics
 from gridtrack.evaluation.statistics.finished_trial import FinishedTrial, trials_on
@@ -19,6 +18,7 @@ from gridtrack.evaluation.statistics.pair_statistics import PairStatistics
 from gridtrack.evaluation.statistics.pooled_horizons import unlike_recordings
 from gridtrack.evaluation.statistics.run_statistics import RunStatistics
 from gridtrack.evaluation.statistics.training_statistics import TrainingStatistics
+from gridtrack.evaluation.statistics.trial_files import TrialFiles
 from gridtrack.evaluation.statistics.turned_rankings import turned_rankings
 from gridtrack.trackers.contract import Role
 
@@ -37,7 +37,7 @@ def summarise(
     trials = list(trials)
     statistics = RunStatistics(recordings, trials, reference)
     classes = ClassStatistics(recordings, statistics)
-    mismatched = {name: mismatched_deliveries(trials_on(name, trials)) for name in recordings}
+    mismatched = {name: mismatched_deliveries(trials_on(name, trials), statistics.files) for name in recordings}
     found = _notices(recordings, trials, mismatched)
     if not statistics.pools and len(recordings) > 1:
         found.append("the recordings have no horizons in common: no scores are pooled over them")
@@ -77,6 +77,7 @@ def _rows(
             recordings={trial.record.recording: _trial_summary(trial, statistics, classes) for trial in own},
             pooled=_pooled_summary(own, statistics, classes) if statistics.pools else None,
         )
+        statistics.comparisons(label)  # now, while the histograms of the row are kept
     return rows
 
 
@@ -161,14 +162,15 @@ def _notices(
     return found
 
 
-def mismatched_deliveries(trials: Sequence[FinishedTrial]) -> list[str]:
+def mismatched_deliveries(trials: Sequence[FinishedTrial], files: TrialFiles) -> list[str]:
     """Labels of the trials of one recording that were delivered other frames than most at a stamp they share.
 
     Trials of raw returns are compared among themselves: their frames differ by design. Raises ScoresError.
     """
     usual: dict[tuple[str, int], Counter[str]] = {}
     scored = [trial for trial in trials if trial.record.frames_scored]
-    deliveries = [(trial, read_deliveries(trial.folder)) for trial in scored]
+    frames = [(trial, files.frames(trial)) for trial in scored]
+    deliveries = [(trial, dict(zip(of.stamps_ns.tolist(), of.delivered.tolist(), strict=True))) for trial, of in frames]
     for trial, delivered in deliveries:
         for stamp, digest in delivered.items():
             usual.setdefault((trial.points, stamp), Counter())[digest] += 1

@@ -8,6 +8,7 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
+import polars as pl
 import pytest
 
 from gridtrack.common.errors import ConfigurationError, RecordingError
@@ -15,10 +16,10 @@ from gridtrack.evaluation.comparison.following import Following, following
 from gridtrack.evaluation.comparison.plan import resolve
 from gridtrack.evaluation.comparison.runner import run
 from gridtrack.evaluation.comparison.settings import CompareSettings
+from gridtrack.evaluation.results.columns import SCORES_TABLE
 from gridtrack.evaluation.results.files import RunError
 from gridtrack.evaluation.results.trial_record import read_trial_record
 from gridtrack.evaluation.scoring.live_timeline import LiveTimeline
-from gridtrack.evaluation.scoring.score_store import read_deliveries
 from gridtrack.recordings.formats import native_writer
 
 from scenes import truth_scene
@@ -152,7 +153,8 @@ def test_a_tracker_that_keeps_up_has_the_scores_of_the_finished_file(settings, r
         assert live.strata == later.strata
         assert live.frames_scored == later.frames_scored == len(range(20, 200 - 10, 5))
         folders = [tmp_path / name / f"{label}@room" for name in ("followed", "ordinary")]
-        assert len({str(read_deliveries(folder)) for folder in folders}) == 1
+        delivered = [pl.read_parquet(folder / SCORES_TABLE.file)["stamp_ns", "delivered"] for folder in folders]
+        assert delivered[0].equals(delivered[1])
         records = [read_trial_record(folder) for folder in folders]
         assert records[0].delivered == records[1].delivered
         assert (records[0].followed.missed, records[0].followed.age_frames.p99) == (0, 0.0)

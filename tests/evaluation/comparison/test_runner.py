@@ -10,6 +10,7 @@ import sys
 import time
 
 import numpy as np
+import polars as pl
 import psutil
 import pytest
 
@@ -20,12 +21,12 @@ from gridtrack.evaluation.comparison.recipe import Recipe
 from gridtrack.evaluation.comparison.runner import run
 from gridtrack.evaluation.comparison.settings import CompareSettings
 from gridtrack.evaluation.comparison.train import train_tracker
+from gridtrack.evaluation.results.columns import SCORES_TABLE
 from gridtrack.evaluation.results.files import RunError, json_of
 from gridtrack.evaluation.results.summary import read_summary
 from gridtrack.evaluation.results.trial_record import read_trial_record
 from gridtrack.evaluation.scoring.referee import Delivery
 from gridtrack.evaluation.scoring.samples import read_samples
-from gridtrack.evaluation.scoring.score_store import read_deliveries
 from gridtrack.evaluation.scoring.splits import EvaluationSplit
 
 pytestmark = pytest.mark.usefixtures("staged")
@@ -85,8 +86,9 @@ def test_a_run_writes_every_file_and_the_floor_has_its_known_scores(settings, pr
 def test_every_tracker_receives_the_same_frames_and_progress_is_reported(settings, progress, tmp_path):
     summary = compare(settings("persistence", "blank"), progress)
     assert summary.recordings["room"].parity is True
-    one, other = (read_deliveries(tmp_path / "run" / f"{label}@room") for label in ("persistence", "blank"))
-    assert one == other
+    folders = [tmp_path / "run" / f"{label}@room" for label in ("persistence", "blank")]
+    one, other = (pl.read_parquet(folder / SCORES_TABLE.file)["stamp_ns", "delivered"] for folder in folders)
+    assert one.equals(other)
     assert progress.frames == progress.delivered == {"persistence@room": 110 + 50, "blank@room": 110 + 50}
     blank, persistence = (progress.records[f"{label}@room"] for label in ("blank", "persistence"))
     assert blank.delivered == persistence.delivered

@@ -7,7 +7,8 @@ import pytest
 
 from gridtrack.evaluation.results.trial_record import ThresholdsUsed, TrialRecord
 from gridtrack.evaluation.scoring.counting import Tally
-from gridtrack.evaluation.scoring.score_store import ScoresError, ScoreWriter, read_called
+from gridtrack.evaluation.scoring.histograms import read_called
+from gridtrack.evaluation.scoring.score_store import ScoresError, ScoreWriter
 from gridtrack.evaluation.scoring.strata import STRATA_WITH_TRUTH
 from gridtrack.evaluation.scoring.thresholds import Thresholds, bins_of
 from gridtrack.evaluation.statistics.finished_trial import FinishedTrial

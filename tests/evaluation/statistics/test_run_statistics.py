@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from pyarrow import parquet
 
-from gridtrack.evaluation.results.columns import SCORES_TABLE
+from gridtrack.evaluation.results.columns import HISTOGRAM_TABLE, SCORES_TABLE
 from gridtrack.evaluation.scoring.score_store import ScoresError
 from gridtrack.evaluation.scoring.strata import STRATA
 from gridtrack.evaluation.statistics.frame_counts import FrameCounts, common_frames, read_frame_counts
@@ -330,3 +332,22 @@ def test_sums_by_unit_add_up_over_recordings():
     summed = sum_by_unit(counts, [np.array([0, 0, 1, 1, 1, 2]), np.array([0, 3])])
     assert summed.tolist() == [[3, 5], [18, 21], [10, 11], [1, 1]]
     assert len(COUNTS) == 6
+
+
+def test_the_histograms_of_a_trial_are_read_once_and_those_of_the_reference_twice(tmp_path, monkeypatch):
+    """They are most of what a summary reads, and their number is rows times recordings."""
+    trials = a_run(tmp_path, {"persistence": 0.6, "good": 0.8, "twin": 0.6, "oracle": 1.0}, frames=2)
+    opened = []
+    whole_file = parquet.ParquetFile
+
+    def open_file(path):
+        opened.append(path)
+        return whole_file(path)
+
+    monkeypatch.setattr(parquet, "ParquetFile", open_file)
+    summary = summary_of(trials, reference="persistence")
+    assert len(summary.differences) == 2
+    assert len(summary.pairs) > 0
+    assert summary.trackers["good"].pooled.strata["dynamic"].pr_auc_low[8] is not None
+    reads = Counter(path.parent.name for path in opened if path.name == HISTOGRAM_TABLE.file)
+    assert reads == {trial.folder.name: 2 if trial.record.label == "persistence" else 1 for trial in trials}
