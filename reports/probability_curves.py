@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -85,7 +85,7 @@ def _curves_of(tally: Tally, steps: Sequence[int]) -> Curves:
     }
 
 
-def _precision_recall(cells: NDArray[np.int64], positives: NDArray[np.int64]) -> Mapping[str, list[float]]:
+def _precision_recall(cells: NDArray[np.int64], positives: NDArray[np.int64]) -> dict[str, list[float]]:
     """Thresholds `p` from the highest down, with the precision and recall of cells at and above each; histograms (B,)
     with a positive."""
     found, called = positives[::-1].cumsum(), cells[::-1].cumsum()
@@ -98,7 +98,7 @@ def _precision_recall(cells: NDArray[np.int64], positives: NDArray[np.int64]) ->
 
 def _calibration(
     cells: NDArray[np.int64], positives: NDArray[np.int64], p_sum: NDArray[np.float64]
-) -> Mapping[str, list[float]]:
+) -> dict[str, list[float]]:
     """Mean probability and share of occupied cells of each bin for calibration with at least LEAST_CELLS."""
     cells_of_bin, positives_of_bin = for_calibration(cells), for_calibration(positives)
     enough = cells_of_bin >= LEAST_CELLS
