@@ -16,7 +16,7 @@ from gridtrack.reports.pictures import scale_png
 from gridtrack.reports.probability_curves import probability_curves
 from gridtrack.reports.recording_section import players_of, section_of, styles_of
 from gridtrack.reports.run import UNDEFINED, ReportedRun, ReportError, read_runs
-from gridtrack.reports.run_description import facts_of, lead_of, provenance_of, title_of
+from gridtrack.reports.run_description import changes_of, facts_of, lead_of, provenance_of, title_of
 from gridtrack.reports.scripts import data_in_page, joined_script, policy_of
 from gridtrack.reports.table import headline_tables, main_tables
 
@@ -55,6 +55,7 @@ def render_page(runs: Sequence[ReportedRun]) -> str:
             title=title_of(runs),
             leads=[lead_of(table) for table in main_tables(tables)] if len(runs) == 1 else [],
             answer=answer_of(runs[0]) if len(runs) == 1 else (),
+            changes=changes_of(runs) if len(runs) > 1 else (),
             runs=[(run, facts_of(run), provenance_of(run)) for run in runs],
             notices=[Notice(text, serious=True) for text in (*damaged, *unreadable)] + notices_of(runs, tables),
             sections=[section_of(runs, table) for table in main_tables(tables)],

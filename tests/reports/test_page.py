@@ -15,7 +15,8 @@ from gridtrack.common.grid import GridSpec
 from gridtrack.evaluation.scoring.samples import SAMPLES, read_samples
 from gridtrack.reports.page import render_report
 from gridtrack.reports.pictures import frame_png, probability_png
-from gridtrack.reports.run import ReportError
+from gridtrack.reports.run import ReportError, read_runs
+from gridtrack.reports.run_description import changes_of
 
 from scenes.report_page import data_of
 
@@ -205,6 +206,22 @@ def test_runs_side_by_side_are_named_and_the_page_is_in_the_folder_of_the_first(
     assert_self_contained(page)
     assert "before: good" in page
     assert "after: good" in page
+
+
+def test_what_changed_between_runs_is_what_differs_and_nothing_else(run_folder, tmp_path):
+    first, second = (shutil.copytree(run_folder, tmp_path / name) for name in ("before", "after"))
+    record = json.loads((second / "run.json").read_text())
+    record["command"], record["started"] = ["gridtrack", HOSTILE], "2026-01-01T00:00:00Z"
+    record["versions"] = {**record["versions"], "torch": "9.9"}
+    (second / "run.json").write_text(json.dumps(record))
+    changes = {one.name: one.values for one in changes_of(read_runs([first, second]))}
+    assert set(changes) <= {"command", "command[0]", "command[1]", "versions.torch"}
+    assert changes["versions.torch"][1] == "9.9"
+    page = render_report([first, second]).read_text("utf-8")
+    assert_self_contained(page)
+    table = page.partition("<h2>What changed</h2>")[2].partition("</table>")[0]
+    assert "<td>9.9</td>" in table
+    assert "<h2>What changed</h2>" not in render_report([first]).read_text("utf-8")
 
 
 def test_a_run_in_which_every_trial_failed_is_still_a_page(make_run, tmp_path):
