@@ -94,10 +94,13 @@ def read_losses(folder: Path, steps: int, strata: tuple[str, ...]) -> tuple[NDAr
 
 def read_label_free(folder: Path, steps: int, strata: tuple[str, ...]) -> NDArray[np.int64]:
     """TP, FP, FN, TN (S, K, 4) of a trial at the thresholds that need no labels. Raises ScoresError."""
-    counts = np.zeros((steps + 1, len(STRATA_WITH_TRUTH), len(CONFUSION)), np.int64)
+    shape = steps + 1, len(STRATA_WITH_TRUTH)
+    counts = np.zeros((*shape, len(CONFUSION)), np.int64)
     for columns in batches(folder, SCORES_TABLE, list(CONFUSION_LABEL_FREE), steps):
-        of_row = np.stack([columns[name] for name in CONFUSION_LABEL_FREE], axis=-1)
-        np.add.at(counts, columns["where"], of_row)
+        where = np.ravel_multi_index(columns["where"], shape)
+        for i, name in enumerate(CONFUSION_LABEL_FREE):
+            summed = np.bincount(where, columns[name], counts[..., i].size)  # of whole numbers: exact
+            counts[..., i] += summed.astype(np.int64).reshape(shape)
     return counts[:, [_STRATUM_INDEX[name] for name in strata]]
 
 

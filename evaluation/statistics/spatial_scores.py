@@ -208,9 +208,10 @@ def _read_beams(
     rows, steps = _beam_rows(trial, stamps_ns), trial.record.steps
     cells = (steps + 1) * len(BEAM_STRATA)
     errors = rows.select(pl.col("late_m", "early_m").cast(pl.Float32)).to_numpy()
-    counts = np.zeros((int(units.max(initial=-1)) + 1) * cells * BEAM_ERROR_BINS, np.int32)
     row, bins, beams = _entries(trial.folder / BEAMS_TABLE.file, rows)
-    np.add.at(counts, (units[row // cells] * cells + row % cells) * BEAM_ERROR_BINS + bins, beams)
+    where = (units[row // cells] * cells + row % cells) * BEAM_ERROR_BINS + bins
+    size = (int(units.max(initial=-1)) + 1) * cells * BEAM_ERROR_BINS
+    counts = np.bincount(where, beams, size).astype(np.int32)  # sums of whole numbers: exact
     shape = steps + 1, len(BEAM_STRATA)
     sums = errors.reshape(len(stamps_ns), *shape, 2)
     return sums[:, trial.steps], counts.reshape(-1, *shape, BEAM_ERROR_BINS)[:, trial.steps]
