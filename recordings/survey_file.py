@@ -18,9 +18,9 @@ from gridtrack.recordings.pose_jumps import PoseJumps
 from gridtrack.recordings.recording import Recording
 from gridtrack.recordings.survey import SensorSurvey, Survey
 
-COUNTS = ("moved", "no_return", "invalid", "zeros", "readings", "labelled", "with_truth")
-JUMPS = tuple(field.name for field in fields(PoseJumps) if not field.name.startswith("_"))
-FIRST = ("stamp_ns", "angle_min", "angle_increment", "range_min", "range_max", "sensor", "time_increment_s")
+SURVEY_COUNTS = ("moved", "no_return", "invalid", "zeros", "readings", "labelled", "with_truth")
+POSE_JUMPS = tuple(field.name for field in fields(PoseJumps) if not field.name.startswith("_"))
+FIRST_SCAN = ("stamp_ns", "angle_min", "angle_increment", "range_min", "range_max", "sensor", "time_increment_s")
 """Fields of the first scan that are kept beside its ranges and poses; labels and truth are not."""
 
 
@@ -55,13 +55,13 @@ def recall_survey(recording: Recording, path: Path) -> None:
 def _values(sensor: SensorSurvey) -> dict[str, Any]:
     first = sensor.first
     return {
-        "first": {name: getattr(first, name) for name in FIRST},
+        "first": {name: getattr(first, name) for name in FIRST_SCAN},
         "pose": asdict(first.world_T_sensor),
         "reference": first.reference_T_sensor and asdict(first.reference_T_sensor),
         "beams": sorted(sensor.beams),
         "longest_rest_ns": sensor.longest_rest_ns,
-        "counts": {name: getattr(sensor, name) for name in COUNTS},
-        "jumps": {name: getattr(sensor.jumps, name) for name in JUMPS},
+        "counts": {name: getattr(sensor, name) for name in SURVEY_COUNTS},
+        "jumps": {name: getattr(sensor.jumps, name) for name in POSE_JUMPS},
     }
 
 

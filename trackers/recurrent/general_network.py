@@ -22,16 +22,16 @@ from gridtrack.trackers.recurrent.settings import (
 )
 from gridtrack.trackers.weights import Weights
 
-Options = TypeVar("Options", bound=ResolutionSettings)
+NetworkOptions = TypeVar("NetworkOptions", bound=ResolutionSettings)
 
 SHARE_OF_UPDATES, SHARE_OF_RATE = 0.1, 0.25
 """Of the updates and of the learning rate of the general training: what the network knows is not to be forgotten."""
-VALIDATIONS = 4
+VALIDATIONS_AT_SITE = 4
 OF_THE_PLACE = frozenset({"static_gates", "precision"})
 """Settings that are not those of the general weights."""
 
 
-def settings_at_site(options: Options, weights: Weights) -> Options:
+def settings_at_site(options: NetworkOptions, weights: Weights) -> NetworkOptions:
     """The `options`, and for those that were not given the settings of the general `weights`.
 
     Raises WeightsError where a given option is another shape than theirs.
@@ -54,8 +54,8 @@ def _shorter(trained: Any) -> dict[str, Any]:
     updates = max(1, round(SHARE_OF_UPDATES * trained.updates))
     return {
         "updates": updates,
-        "validate_every": -(-updates // VALIDATIONS),
-        "warm_up": min(trained.warm_up, updates // VALIDATIONS),
+        "validate_every": -(-updates // VALIDATIONS_AT_SITE),
+        "warm_up": min(trained.warm_up, updates // VALIDATIONS_AT_SITE),
         "learning_rate": SHARE_OF_RATE * trained.learning_rate,
     }
 
