@@ -8,7 +8,7 @@ from gridtrack.evaluation.results.summary import TrackerSummary
 from gridtrack.evaluation.results.trial_summary import TrialSummary
 from gridtrack.reports.run import ReportedRun
 from gridtrack.reports.run_description import Fact
-from gridtrack.reports.times import verdict_of
+from gridtrack.reports.times import keeps_up_of
 
 MOST_NAMES = 8
 """Further names of a line are counted."""
@@ -44,7 +44,7 @@ def _keeps_up(run: ReportedRun) -> Fact:
     verdicts = {}
     for label, row in run.summary.trackers.items():
         trials = {name: trial for name, trial in row.recordings.items() if name in run.recordings}
-        verdicts_of = (verdict_of(one, run.summary.recordings[name].period_s * 1e3) for name, one in trials.items())
+        verdicts_of = (keeps_up_of(one, run.summary.recordings[name].period_s * 1e3) for name, one in trials.items())
         if found := list(filter(None, verdicts_of)):
             verdicts[label] = min(found, key=VERDICTS.index)
     return Fact("Keeps up with the sensor", _grouped(verdicts))

@@ -11,7 +11,7 @@ from gridtrack.evaluation.results.values import Curve
 from gridtrack.reports.conditions import condition_texts, conditions_of
 from gridtrack.reports.moment_packing import level_colours
 from gridtrack.reports.player import Player
-from gridtrack.reports.probability_curves import Curves
+from gridtrack.reports.probability_curves import ProbabilityCurves
 from gridtrack.reports.run import ReportedRun
 from gridtrack.reports.table import HeadlineTable, TableColumn, TableRow
 from gridtrack.reports.tiers import tiers_of
@@ -52,7 +52,7 @@ def page_data(
     tables: Sequence[HeadlineTable],
     styles: Mapping[str, str],
     players: Sequence[Player],
-    curves: Mapping[tuple[str, str], Curves],
+    curves: Mapping[tuple[str, str], ProbabilityCurves],
 ) -> dict[str, Any]:
     """The data of the page.
 
@@ -85,7 +85,7 @@ def _recording(
     runs: Sequence[ReportedRun],
     table: HeadlineTable,
     styles: Mapping[str, str],
-    curves: Mapping[tuple[str, str], Curves],
+    curves: Mapping[tuple[str, str], ProbabilityCurves],
 ) -> dict[str, Any]:
     grids = {run.summary.recordings[table.recording].grid for run in runs if table.recording in run.summary.recordings}
     grid = grids.pop() if len(grids) == 1 else ""

@@ -21,19 +21,19 @@ MOST_POINTS = 40
 """Points of a curve, at about equal steps of recall; all of them would be some hundred."""
 LEAST_CELLS = 50
 """A bin of fewer cells has no share of occupied cells: it is mostly noise."""
-Curves = dict[str, dict[str, Any]]
+ProbabilityCurves = dict[str, dict[str, Any]]
 """By stratum and step."""
 
 
 def probability_curves(
     runs: Sequence[ReportedRun], tables: Sequence[HeadlineTable]
-) -> tuple[dict[tuple[str, str], Curves], tuple[str, ...]]:
+) -> tuple[dict[tuple[str, str], ProbabilityCurves], tuple[str, ...]]:
     """The curves of each row with scores, by recording and the name of the row, and notices of unreadable files.
 
     They are of the strata and steps of the headline. Pooled rows have the sum of the counts of their recordings, where
     these have the same horizons.
     """
-    found: dict[tuple[str, str], Curves] = {}
+    found: dict[tuple[str, str], ProbabilityCurves] = {}
     notices: list[str] = []
     sums: dict[str, list[Tally]] = {}
     for table in (one for one in tables if not one.pooled):
@@ -73,7 +73,7 @@ def _sum(tallies: Sequence[Tally]) -> Tally:
     return total
 
 
-def _curves_of(tally: Tally, steps: Sequence[int]) -> Curves:
+def _curves_of(tally: Tally, steps: Sequence[int]) -> ProbabilityCurves:
     return {
         stratum: {
             str(step): _precision_recall(tally.cells[i, k], tally.positives[i, k])

@@ -13,7 +13,7 @@ EXCERPTS, EXCERPT_S = 4, 100.0
 """Number and duration of the excerpts of a long recording for the search; each is longer than a signal cycle."""
 PLACES, PLACE_EXCERPT_S = 24, 20.0
 """Number of places on an excerpt of which general weights are searched or validated, and its duration."""
-STRIDE = 5
+PLACE_STRIDE = 5
 """Between places that follow each other; it has no divisor in common with PLACES."""
 
 
@@ -69,7 +69,7 @@ def excerpts_of_places(sources: Sequence[FrameSource]) -> list[FrameSource]:
     The middle of each source; their frames are cached in memory. Neighbours among the sources, such as two worlds of
     one kind, do not follow each other: the first excerpts are a fair choice already.
     """
-    order = [n * STRIDE % PLACES for n in range(PLACES)]
+    order = [n * PLACE_STRIDE % PLACES for n in range(PLACES)]
     chosen = [sources[n * len(sources) // PLACES] for n in order] if len(sources) > PLACES else sources
     return [_middle(source, round(PLACE_EXCERPT_S / source.period_s)) for source in chosen]
 
