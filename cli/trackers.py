@@ -224,7 +224,7 @@ def check_command(
 
     chosen = _tracker_alone(tracker)
     stream = _stream(recording)
-    found = find_weights(chosen.name, stream.site, weights)
+    found = find_weights(chosen.name, stream.site, weights, chosen.card)
     launched = launch(chosen.name, read_trackers_toml(trackers_toml) if trackers_toml else None)
     if found is None:
         _refuse_untrained(launched, chosen.options, stream.site)

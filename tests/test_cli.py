@@ -54,7 +54,7 @@ def gridtrack(*arguments: str, code: int = 0, **environment: str) -> subprocess.
         (("train", "persistence", DEMO), "tracker 'persistence' has nothing to learn"),
         (("train", "static-map", f"{DEMO}@0s-80s"), "shares frames with"),
         (
-            ("trackers", "check", "static-map"),
+            ("trackers", "check", "static-map:card=site"),
             "'static-map' needs weights, and there are none here: name a recording",
         ),
         (
@@ -176,7 +176,7 @@ def test_a_tracker_that_learns_is_listed_with_its_sites_or_as_untrained(tmp_path
     )
     rows = json.loads(gridtrack("trackers", "list", "--json", "--trackers-toml", str(toml)).stdout)
     listed = {row["name"]: (row["state"], row["sites"]) for row in rows}
-    assert listed["static-map"] == ("ready", "junction, leg_tracker")
+    assert listed["static-map"] == ("ready", "general, junction, leg_tracker")
     assert listed["persistence"] == ("ready", "")
     assert listed["elsewhere"] == ("untrained", "")
     assert listed["broken"] == ("unavailable", "")

@@ -7,11 +7,11 @@ copies in a folder that has nothing else, so its `fit` reaches no other stretch 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from importlib.metadata import version
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-import gridtrack
 from gridtrack.common.cache import FileCache
 from gridtrack.evaluation.comparison.fit_regions import StretchRegions, cell_kinds_for, store_regions
 from gridtrack.evaluation.comparison.stored_stretch import store_stretch
@@ -81,7 +81,7 @@ class StretchFiles:
 def _recording_key(recording: Recording) -> dict[str, Any]:
     """What the scans of a recording depend on."""
     return {
-        "versions": [STRETCHES_VERSION, gridtrack.__version__, recording.scans_version],
+        "versions": [STRETCHES_VERSION, version("gridtrack"), recording.scans_version],
         "name": recording.name,
         "sha256": recording.sha256,
         "options": recording.options.model_dump(mode="json"),

@@ -170,7 +170,7 @@ def test_a_folder_that_holds_another_run_is_refused_in_one_line(settings, progre
 
 
 def test_the_reason_of_an_untrained_tracker_is_the_command_that_trains_it(settings, progress):
-    result = trial_of(compare(settings("static-map"), progress), "static-map")
+    result = trial_of(compare(settings("static-map:card=site"), progress), "static-map")
     assert result.outcome == "untrained"
     assert "`gridtrack train static-map " in result.reason
     assert result.strata == {}

@@ -23,9 +23,9 @@ def gridtrack(*words):
 
 
 def compare(recording, folder, *options):
-    """The reason of static-map's trial on `recording`, empty where it is complete."""
-    command = ("compare", str(recording), "--tracker", "static-map", "--horizon", "0.5s", "--jobs", "1", *options)
-    gridtrack(*command, "--out", str(folder))
+    """The reason of static-map's trial on `recording`, empty where it is complete. General weights are not used."""
+    command = ("compare", str(recording), "--tracker", "static-map:card=site", "--horizon", "0.5s", "--jobs", "1")
+    gridtrack(*command, *options, "--out", str(folder))
     (trial,) = folder.glob("static-map@*")
     return read_trial_record(trial).reason
 
