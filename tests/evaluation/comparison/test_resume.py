@@ -76,7 +76,7 @@ def test_the_suggested_training_has_the_grid_and_rate_of_the_comparison(settings
 def test_a_missing_folder_of_weights_is_refused(settings, tmp_path):
     with pytest.raises(WeightsError, match="wieghts: no such folder of weights"):
         resolve(settings("static-map", weights=tmp_path / "wieghts"))
-    assert find_weights("static-map", "room", tmp_path) is None
+    assert find_weights("static-map", "room", tmp_path, "site") is None
 
 
 def test_a_run_names_its_weights_without_the_folders_of_the_machine(settings, record, tmp_path, progress):

@@ -179,11 +179,11 @@ def test_weights_are_found_in_the_given_folder_then_the_users_then_the_package(t
     assert find_weights("static-map", "room", tmp_path / "given").card.command == str(user_weights_folder())
     learned(tmp_path / "given")
     assert find_weights("static-map", "room", tmp_path / "given").card.command == str(tmp_path / "given")
-    assert find_weights("static-map", "elsewhere", tmp_path / "given") is None
+    assert find_weights("static-map", "elsewhere", tmp_path / "given", "site") is None
 
 
 def test_a_sites_name_cannot_lead_out_of_the_folder(tmp_path):
-    assert find_weights("static-map", "../static-map/room", tmp_path) is None
+    assert find_weights("static-map", "../static-map/room", tmp_path, "site") is None
     with pytest.raises(WeightsError, match="cannot name a weights file"):
         weights_path(tmp_path, "static-map", "../room")
 
