@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -109,8 +109,4 @@ def _calibration(
 
 
 def _short(values: NDArray[np.float64]) -> list[float]:
-    return list(_rounded(values))
-
-
-def _rounded(values: NDArray[np.float64]) -> Iterator[float]:
-    yield from (float(f"{value:.4g}") for value in values)
+    return [float(f"{value:.4g}") for value in values]

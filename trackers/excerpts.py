@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import islice
+
+import numpy as np
 
 from gridtrack.common.grid import GridFrame, GridSpec, LabelledFrame
 from gridtrack.trackers.contract import FrameSource
@@ -72,6 +75,12 @@ def excerpts_of_places(sources: Sequence[FrameSource]) -> list[FrameSource]:
     order = [n * PLACE_STRIDE % PLACES for n in range(PLACES)]
     chosen = [sources[n * len(sources) // PLACES] for n in order] if len(sources) > PLACES else sources
     return [_middle(source, round(PLACE_EXCERPT_S / source.period_s)) for source in chosen]
+
+
+def mean_of_defined(scores: Sequence[float]) -> float:
+    """The mean over the excerpts in which a score is defined, NaN without any: where nothing moves there is no F1."""
+    defined = [score for score in scores if math.isfinite(score)]
+    return float(np.mean(defined)) if defined else math.nan
 
 
 def _middle(source: FrameSource, count: int) -> CachedSource:

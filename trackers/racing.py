@@ -11,6 +11,8 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
+from gridtrack.trackers.excerpts import mean_of_defined
+
 FEWEST_EXCERPTS = 6
 STANDARD_ERRORS = 2.0
 """Settings lose where their mean difference from the best ones is more standard errors than this below 0."""
@@ -38,9 +40,9 @@ class Race:
         on every excerpt and have a higher mean are the best ones from then on.
         """
         if len(scored) < len(self._best):
-            return _mean(self._best) + float(np.mean(self._differences(scored)))
-        mean = _mean(scored)
-        if not self._best or mean > _mean(self._best):
+            return mean_of_defined(self._best) + float(np.mean(self._differences(scored)))
+        mean = mean_of_defined(scored)
+        if not self._best or mean > mean_of_defined(self._best):
             self._best = list(scored)
         return mean
 
@@ -55,8 +57,3 @@ class Race:
         """From the best ones, on the excerpts where both are defined; none before there are best ones."""
         differences = (score - best for score, best in zip(scored, self._best, strict=False))
         return [difference for difference in differences if math.isfinite(difference)]
-
-
-def _mean(scores: Sequence[float]) -> float:
-    defined = [score for score in scores if math.isfinite(score)]
-    return float(np.mean(defined)) if defined else math.nan

@@ -8,7 +8,6 @@ are searched, in few tries, that weigh the map of the place against the stream: 
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,7 +21,7 @@ from gridtrack.common.config import Settings
 from gridtrack.trackers.calibration import IDENTITY, CalibratedTracker, fit_calibration
 from gridtrack.trackers.card import card_for
 from gridtrack.trackers.contract import FitOutput, FrameSource, Score, StreamSpec, StretchScore, stream_of
-from gridtrack.trackers.excerpts import excerpts, excerpts_of_places
+from gridtrack.trackers.excerpts import excerpts, excerpts_of_places, mean_of_defined
 from gridtrack.trackers.tuning import (
     Objective,
     SearchInterrupted,
@@ -138,8 +137,7 @@ class _Draft(Generic[_Searched]):
 
     def mean_f1(self, settings: _Searched, sources: Sequence[FrameSource]) -> float:
         """The mean over the sources in which it is defined; NaN where it is in none."""
-        values = [value for value in self.f1_of_each(settings, sources) if math.isfinite(value)]
-        return float(np.mean(values)) if values else math.nan
+        return mean_of_defined(list(self.f1_of_each(settings, sources)))
 
     def best_of(self, finalists: list[_Searched], validation: Sequence[FrameSource], out: FitOutput) -> _Searched:
         """The settings with the best mean F1 on `validation`; the first ones without validation."""

@@ -8,6 +8,7 @@ from functools import reduce
 from itertools import combinations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gridtrack.evaluation.results.summary import ALL_RECORDINGS, ORACLE, PairFamily, PairTest
 from gridtrack.evaluation.results.trial_summary import better_direction
@@ -26,7 +27,7 @@ from gridtrack.evaluation.statistics.paired_tests import verdict_of
 from gridtrack.evaluation.statistics.run_statistics import RunStatistics
 from gridtrack.evaluation.statistics.score_intervals import Scope
 from gridtrack.evaluation.statistics.trial_files import HeadlineSums, TrialFiles
-from gridtrack.evaluation.statistics.units import UnitRule, sum_by_unit
+from gridtrack.evaluation.statistics.units import sum_by_unit
 
 PAIR_SCORES = ("f1", "pr_auc", "nll", "fss_5", "soft_iou", "beam_error")
 """The scores by which pairs are tested."""
@@ -82,13 +83,12 @@ class PairStatistics:
             for label, trials in rows.items()
         }
         shared = [reduce(_kept, of_recording) for of_recording in zip(*counted.values(), strict=True)]
-        rule = self._statistics.unit_rule(names)
-        units = rule.units_of([one.stamps_ns for one in shared])
+        units = self._statistics.unit_rule(names).units_of([one.stamps_ns for one in shared])
         number = len({int(unit) for one in units for unit in one})
         if number < LEAST_UNITS or not scope.headline:
             return
         files = self._statistics.files
-        summed = [_row(label, rows[label], counted[label], shared, scope, rule, files) for label in rows]
+        summed = [_row(label, rows[label], counted[label], shared, units, scope, files) for label in rows]
         recordings = ALL_RECORDINGS if len(names) > 1 else names[0]
         yield from _families(summed, scope, recordings, number)
 
@@ -103,17 +103,17 @@ def _row(
     trials: Sequence[FinishedTrial],
     counted: Sequence[FrameCounts],
     shared: Sequence[FrameCounts],
+    units: Sequence[NDArray[np.int64]],
     scope: Scope,
-    rule: UnitRule,
     files: TrialFiles,
 ) -> _Row:
-    """The sums of one row over the `shared` frames. Raises ScoresError."""
-    stamps_ns = [one.stamps_ns for one in shared]
-    units = rule.units_of(stamps_ns)
+    """The sums of one row over the `shared` frames, which are in these `units`. Raises ScoresError."""
     chosen = [(step, stratum) for stratum, _, step in scope.headline]
     counts = sum_by_unit([_kept(own, one).counts for own, one in zip(counted, shared, strict=True)], units)
     at = [counts[:, step, scope.strata.index(stratum)] for step, stratum in chosen]
-    return _Row(label, np.stack(at, axis=1), files.headline_sums(trials, stamps_ns, units, chosen))
+    return _Row(
+        label, np.stack(at, axis=1), files.headline_sums(trials, [one.stamps_ns for one in shared], units, chosen)
+    )
 
 
 def _families(rows: Sequence[_Row], scope: Scope, recordings: str, units: int) -> Iterator[PairFamily]:

@@ -2,14 +2,14 @@
 import { startFigure } from "./figure.js";
 import { pageData } from "./page_data.js";
 import {
-  bandWords, curveOf, lineOf, recordingNamed, recordingOptions, rowsWith, scoreNamed, scoresOf, scoreWords, strataOf,
+  bandWords, curveOf, ENDS, lineOf, recordingNamed, recordingOptions, rowsWith, scoreNamed, scoresOf, scoreWords, strataOf,
 } from "./scores.js";
 
 // The best of the table is drawn last, on top.
 function curveChart({ recording, score, stratum }) {
   const { horizons_s: xs } = recordingNamed(recording);
   const lines = rowsWith(recordingNamed(recording), stratum, score).toReversed().map((row) => {
-    const [values, low, high] = ["", "_low", "_high"].map((end) => curveOf(row, stratum, score, end));
+    const [values, low, high] = ENDS.map((end) => curveOf(row, stratum, score, end));
     return lineOf(row, { xs, values, low, high });
   });
   const words = (s) => `${Number(s.toPrecision(3))} s ahead${s ? "" : ": the input, not ranked"}`;

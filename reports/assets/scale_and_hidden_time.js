@@ -2,12 +2,11 @@
 import { startFigure } from "./figure.js";
 import { pageData } from "./page_data.js";
 import {
-  bandWords, horizonOptions, lineOf, recordingNamed, recordingOptions, rowsWith, scoreNamed, scoresOf, scoreWords, strataOf, valueAt,
+  bandWords, ENDS, horizonOptions, lineOf, recordingNamed, recordingOptions, rowsWith, scoreNamed, scoresOf, scoreWords, strataOf, valueAt,
 } from "./scores.js";
 
 const SCALES = [1, 3, 5, 9];
 const HIDDEN = /^occluded (?:to|over|[\d.]+-)/;
-const ENDS = ["", "_low", "_high"];
 const hasScale = (recording) => recording.rows.some((row) => Object.values(row.strata).some((one) => one.fss_1));
 const agesOf = (recording) => strataOf(recording, (name) => HIDDEN.test(name)).map(([name]) => name);
 

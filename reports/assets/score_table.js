@@ -3,7 +3,7 @@ import { inDigits } from "./axis.js";
 import { make, swatch } from "./elements.js";
 import { startFigure } from "./figure.js";
 import { pageData } from "./page_data.js";
-import { horizonOptions, recordingNamed, recordingOptions, scoresOf, strataOf, valueAt } from "./scores.js";
+import { ENDS, horizonOptions, recordingNamed, recordingOptions, scoresOf, strataOf, valueAt } from "./scores.js";
 import { isShown } from "./shown_trackers.js";
 
 const rowsIn = ({ recording, stratum }) =>
@@ -11,7 +11,7 @@ const rowsIn = ({ recording, stratum }) =>
 const columnsOf = ({ recording, stratum }) => scoresOf(recordingNamed(recording), stratum);
 
 function cell(row, key, { stratum, step }) {
-  const [value, low, high] = ["", "_low", "_high"].map((end) => valueAt(row, stratum, key, step, end));
+  const [value, low, high] = ENDS.map((end) => valueAt(row, stratum, key, step, end));
   const interval = low === null || high === null ? [] : [make("small", {}, `[${inDigits(low)}, ${inDigits(high)}]`)];
   return make("td", {}, inDigits(value), ...interval);
 }
@@ -28,10 +28,10 @@ function drawTable(chosen) {
 }
 
 function tableNumbers(chosen) {
-  const columns = columnsOf(chosen), ends = ["", "_low", "_high"];
-  return [["tracker", "outcome", ...columns.flatMap(([key]) => ends.map((end) => key + end))],
+  const columns = columnsOf(chosen);
+  return [["tracker", "outcome", ...columns.flatMap(([key]) => ENDS.map((end) => key + end))],
     ...rowsIn(chosen).map((row) => [row.name, row.outcome,
-      ...columns.flatMap(([key]) => ends.map((end) => valueAt(row, chosen.stratum, key, chosen.step, end)))])];
+      ...columns.flatMap(([key]) => ENDS.map((end) => valueAt(row, chosen.stratum, key, chosen.step, end)))])];
 }
 
 // Fills the section of every score.

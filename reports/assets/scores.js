@@ -5,7 +5,10 @@ import { isShown } from "./shown_trackers.js";
 export const recordingNamed = (name) => pageData.recordings.find((one) => one.name === name);
 export const scoreNamed = (key) => pageData.scores.find((one) => one.key === key);
 
-// A curve of a row; null where the row has none. `end`: "", "_low" or "_high".
+// What is behind the name of a score: nothing for its value, then the ends of its interval.
+export const ENDS = ["", "_low", "_high"];
+
+// A curve of a row; null where the row has none. `end`: one of ENDS.
 export function curveOf(row, stratum, score, end = "") {
   return row.strata[stratum]?.[score + end] ?? null;
 }

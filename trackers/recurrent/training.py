@@ -27,6 +27,7 @@ from torch.utils.data import DataLoader
 from gridtrack.common.errors import ConfigurationError
 from gridtrack.common.files import write_text
 from gridtrack.trackers.contract import FitOutput, FrameSource
+from gridtrack.trackers.excerpts import mean_of_defined
 from gridtrack.trackers.progress import Stage
 from gridtrack.trackers.recurrent.network import RecurrentNetwork, channels_last
 from gridtrack.trackers.recurrent.precision import training_precision
@@ -263,10 +264,5 @@ def validation_scores(
             for horizon in horizons_s:
                 at = round(horizon / source.period_s)
                 found.setdefault(f"{stratum}_f1_{horizon:g}s", []).append(float(f1[stratum][at]))
-    results = {name: _mean_of_known(values) for name, values in found.items()}
+    results = {name: mean_of_defined(values) for name, values in found.items()}
     return {"score": sum(results.values()) / len(results), **results}
-
-
-def _mean_of_known(values: Sequence[float]) -> float:
-    known = [value for value in values if math.isfinite(value)]
-    return sum(known) / len(known) if known else math.nan
