@@ -131,7 +131,7 @@ class Following:
             pool.keep(name, record)
         if not interrupted:
             try:
-                pool.run_oracles()
+                pool.run_missing()
             except KeyboardInterrupt:
                 interrupted = True
         return folder.finish(pool.all_records(), [*pool.notices, *self._notices()], interrupted)

@@ -69,8 +69,7 @@ def _run(plan: ComparisonPlan, command: Sequence[str], progress: RunObserver) ->
     progress.planned(pool.planned_frames())
     interrupted = False
     try:
-        pool.run_trials()
-        pool.run_oracles()
+        pool.run_missing()
         pool.measure_robustness()
         pool.measure_alone()
     except KeyboardInterrupt:
@@ -104,27 +103,13 @@ class TrialPool:
                 planned[split.oracle_name] = len(split.test) + len(oracle_validation(split) or ())
         return {name: frames for name, frames in planned.items() if name not in self._records}
 
-    def run_trials(self) -> None:
-        """Run every trial that has no record yet."""
-        self._in_parallel(self._run_trial, [t for t in self._plan.trials if t.name not in self._records])
-
-    def run_oracles(self) -> None:
-        """Score the oracle on every recording with truth; where that fails, the run continues without it."""
-        for split in self._plan.splits:
-            name = split.oracle_name
-            if not split.test.has_truth or name in self._records:
-                continue
-            validation = () if self._thresholds.known(oracle_key(split)) else oracle_validation(split) or ()
-            self._progress.started(name, len(split.test) + len(validation))
-            try:
-                regions, on_frame = self._regions_of(split), partial(self._next_frame, name)
-                record = run_oracle(split, regions, self._folder / name, on_frame, self._thresholds)
-            except Exception as error:  # noqa: BLE001 as for a trial
-                self.notices.append(f"{split.name}: no oracle: {error_with_location(error)}")
-                self._progress.note(self.notices[-1])
-                continue
-            self._records[name] = record
-            self._progress.ended(name, record)
+    def run_missing(self) -> None:
+        """Run every trial without a record, and score the oracle on every recording with truth that lacks it."""
+        trials = [trial for trial in self._plan.trials if trial.name not in self._records]
+        unknown = [split for split in self._plan.splits if split.oracle_name not in self._records]
+        oracles = [split for split in unknown if split.test.has_truth]
+        tasks = [partial(self._run_trial, trial) for trial in trials] + [partial(self._run_oracle, s) for s in oracles]
+        self._in_parallel(tasks, [*(trial.split for trial in trials), *oracles])
 
     def measure_robustness(self) -> None:
         """Run the robustness pass of every complete trial, where it is requested and missing."""
@@ -132,7 +117,10 @@ class TrialPool:
         if degradation is None:
             return
         done = {name for name, r in self._records.items() if r.robustness and r.robustness.degradation == degradation}
-        self._in_parallel(self._measure_robustness, [trial for trial in self._complete() if trial.name not in done])
+        trials = [trial for trial in self._complete() if trial.name not in done]
+        self._in_parallel(
+            [partial(self._measure_robustness, trial) for trial in trials], [trial.split for trial in trials]
+        )
 
     def measure_alone(self) -> None:
         """Run the passes that need the machine for one tracker alone, where they are requested and missing."""
@@ -161,14 +149,14 @@ class TrialPool:
             self._regions[split.name] = split.regions()
         return self._regions[split.name]
 
-    def _in_parallel(self, task: Callable[[Trial], None], trials: Sequence[Trial]) -> None:
-        """Run `task` on trials in parallel; on an error or an interrupt, end all of them before it is raised."""
-        for trial in trials:
-            self._regions_of(trial.split)
+    def _in_parallel(self, tasks: Sequence[Callable[[], None]], splits: Sequence[EvaluationSplit]) -> None:
+        """Run tasks on `splits` in parallel; on an error or an interrupt, end all of them before it is raised."""
+        for split in splits:
+            self._regions_of(split)
         settings = self._plan.settings
         jobs = settings.jobs or max(1, usable_cores() // settings.limits.threads)
         with ThreadPoolExecutor(jobs, "trial") as pool:
-            futures = [pool.submit(task, trial) for trial in trials]
+            futures = [pool.submit(task) for task in tasks]
             try:
                 pending = set(futures)
                 while pending:
@@ -192,6 +180,23 @@ class TrialPool:
             record = failed(trial, error)
         self._records[trial.name] = record
         self._progress.ended(trial.name, record)
+
+    def _run_oracle(self, split: EvaluationSplit) -> None:
+        """Score the oracle on one recording; where that fails, the run continues without it."""
+        name = split.oracle_name
+        validation = () if self._thresholds.known(oracle_key(split)) else oracle_validation(split) or ()
+        self._progress.started(name, len(split.test) + len(validation))
+        try:
+            regions, on_frame = self._regions_of(split), partial(self._next_frame, name)
+            record = run_oracle(split, regions, self._folder / name, on_frame, self._thresholds)
+        except Interrupted:
+            return
+        except Exception as error:  # noqa: BLE001 as for a trial
+            self.notices.append(f"{split.name}: no oracle: {error_with_location(error)}")
+            self._progress.note(self.notices[-1])
+            return
+        self._records[name] = record
+        self._progress.ended(name, record)
 
     def _measure_robustness(self, trial: Trial) -> None:
         degradation, folder = self._plan.settings.degrade, self._folder / trial.name
