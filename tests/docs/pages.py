@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
+from textwrap import dedent
 
 ROOT = Path(__file__).parents[2]
 PAGES = sorted(
@@ -21,6 +22,14 @@ def name_of(page: Path) -> str:
 def blocks(page: Path, language: str) -> list[str]:
     """The fenced blocks of `language` on a page."""
     return [text for found, text in FENCE.findall(page.read_text("utf-8")) if found == language]
+
+
+def shell_blocks(page: Path) -> list[str]:
+    """The code blocks of a page that have a line of the command `gridtrack`, fenced or indented."""
+    text = page.read_text("utf-8")
+    indented = re.findall(r"(?:^    .*\n)+", FENCE.sub("\n", text), re.MULTILINE)
+    found = [block for _, block in FENCE.findall(text)] + [dedent(block) for block in indented]
+    return [block for block in found if re.search(r"^\s*gridtrack ", block, re.MULTILINE)]
 
 
 def prose(page: Path) -> str:

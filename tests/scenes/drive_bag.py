@@ -19,7 +19,8 @@ from gridtrack.common.geometry import SE2
 from gridtrack.common.scan import Scan
 from gridtrack.recordings.frames.transform import SE3
 
-LASER, TF = "sensor_msgs/msg/LaserScan", "tf2_msgs/msg/TFMessage"
+LASER, CLOUD = "sensor_msgs/msg/LaserScan", "sensor_msgs/msg/PointCloud2"
+TF = "tf2_msgs/msg/TFMessage"
 ODOMETRY, POSE = "nav_msgs/msg/Odometry", "geometry_msgs/msg/PoseStamped"
 ROS1, ROS2 = get_typestore(Stores.ROS1_NOETIC), get_typestore(Stores.LATEST)
 ROS1.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", TF))
@@ -98,6 +99,26 @@ class Ros:
             intensities=np.empty(0, np.float32),
         )
         return (f"/{laser.name}_scan", LASER, START_NS + round(at_ms * MS), message)
+
+    def cloud(self, at_ms: float, points: NDArray[np.float64], topic: str = "/points") -> Message:
+        """Points (N, 3) of float32 x, y, z, metres in the frame `lidar`."""
+        fields = [
+            self.make("sensor_msgs/msg/PointField", name=name, offset=4 * k, datatype=7, count=1)
+            for k, name in enumerate("xyz")
+        ]
+        message = self.make(
+            CLOUD,
+            header=self.header(at_ms, "lidar"),
+            height=1,
+            width=len(points),
+            fields=fields,
+            is_bigendian=False,
+            point_step=12,
+            row_step=12 * len(points),
+            data=np.frombuffer(points.astype("<f4").tobytes(), np.uint8),
+            is_dense=True,
+        )
+        return (topic, CLOUD, START_NS + round(at_ms * MS), message)
 
     def transforms(self, at_ms: float, *links: tuple[str, str, SE3], topic: str = "/tf") -> Message:
         stamped = [

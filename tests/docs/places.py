@@ -1,0 +1,136 @@
+"""What the pages take for granted where their commands run: recordings under the names that the pages use."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable, Iterator
+from itertools import takewhile
+from pathlib import Path
+
+import numpy as np
+from rosbags.rosbag2 import StoragePlugin
+
+from gridtrack.common.geometry import SE2
+from gridtrack.common.scan import Scan
+from gridtrack.recordings import open_recording, packaged_recording, write_native
+
+from docs.pages import ROOT
+from scenes import drive_bag as drive
+from scenes.drive_bag import MS, START_NS, Laser, Message, Ros
+
+DRIVE_MS = 8000
+FRONT = Laser("front_laser", SE2(0.4, 0.2, 0.8))
+REAR = Laser("rear_laser", SE2(-0.4, 0.0, 3.1), mirrored=True, offset_ms=40)
+LASER = Laser("laser", SE2(-0.14, 0.0, 0.0))
+
+
+def hall_scans(seconds: float) -> Iterator[Scan]:
+    """The first scans of the recording that ships."""
+    scans = open_recording(packaged_recording("leg_tracker")).scans()
+    first = next(scans)
+    yield first
+    yield from takewhile(lambda scan: scan.stamp_ns < first.stamp_ns + 1e9 * seconds, scans)
+
+
+def hall_bag(path: Path, seconds: float = 30.0) -> None:
+    """A ROS 1 bag of a laser that stands in a hall."""
+    ros = Ros(1)
+
+    def messages() -> Iterator[Message]:
+        for scan in hall_scans(seconds):
+            laser = Laser("hall", SE2(0.0, 0.0, 0.0), False, scan.ranges.size, scan.angle_min, scan.angle_increment)
+            yield ros.laser((scan.stamp_ns - START_NS) / MS, scan.ranges, laser)
+
+    ros.write(path, messages())
+
+
+def recorded_drive(folder: Path) -> None:
+    """`drive/drive_0.mcap`, as `ros2 bag record --storage mcap` leaves it."""
+    ros = Ros(2)
+    ros.write(folder / "drive", drive.two_scanner_drive(ros, DRIVE_MS), StoragePlugin.MCAP)
+    (written,) = (folder / "drive").glob("*.mcap")
+    written.rename(folder / "drive" / "drive_0.mcap")
+
+
+def drive_bag(path: Path, *lasers: Laser, poses: Callable[[Ros], list[Message]]) -> None:
+    """A ROS 1 bag of a drive; where the lasers are on the robot is not recorded."""
+    ros = Ros(1)
+
+    def scans() -> Iterator[Message]:
+        for at_ms in range(0, DRIVE_MS, 100):
+            for laser in lasers:
+                stamp_ms = at_ms + laser.offset_ms
+                ranges = drive.ranges_at(laser, drive.robot_at(stamp_ms), (-5.0 + stamp_ms / 1000.0, 3.0))
+                yield ros.laser(stamp_ms, ranges, laser, frame=laser.name)
+
+    ros.write(path, [*poses(ros), *scans()])
+
+
+def odometry(ros: Ros) -> list[Message]:
+    return [ros.odometry(at_ms, drive.robot_at(at_ms)) for at_ms in range(0, DRIVE_MS, 20)]
+
+
+def ego_poses(ros: Ros) -> list[Message]:
+    return [ros.pose(at_ms, drive.robot_at(at_ms), topic="/ego_pose") for at_ms in range(0, DRIVE_MS, 20)]
+
+
+def no_poses(ros: Ros) -> list[Message]:
+    return []
+
+
+def carmen_log(path: Path) -> None:
+    """A CARMEN log of a drive: a laser of 181 beams, and the odometry of the robot."""
+    laser = Laser("laser", SE2(0.0, 0.0, 0.0), angle_min=-np.pi / 2, angle_increment=np.pi / 180)
+    lines = []
+    for at_ms in range(0, DRIVE_MS, 100):
+        pose = drive.robot_at(at_ms)
+        ranges = " ".join(f"{r:.3f}" for r in drive.ranges_at(laser, pose, (0.0, 3.0)))
+        x, y, theta = pose.x, pose.y, pose.theta
+        stamp = 100 + at_ms / 1000
+        lines.append(
+            f"FLASER 181 {ranges} {x:.4f} {y:.4f} {theta:.5f} {x:.4f} {y:.4f} {theta:.5f} {stamp} host {stamp}"
+        )
+    path.write_text("\n".join(lines) + "\n")
+
+
+def cloud_bag(path: Path) -> None:
+    """The hall, as the topic `/points` of a lidar with several rings."""
+    ros = Ros(1)
+    ros.write(path, [ros.cloud((scan.stamp_ns - START_NS) / MS, _points(scan)) for scan in hall_scans(5.0)])
+
+
+def _points(scan: Scan) -> np.ndarray:
+    """The returns of a scan at three heights, (N, 3)."""
+    at = scan.angle_min + scan.angle_increment * np.arange(scan.ranges.size)
+    returned = np.isfinite(scan.ranges)
+    flat = np.stack([np.cos(at), np.sin(at)], axis=1)[returned] * scan.ranges[returned, None]
+    return np.concatenate([np.column_stack([flat, np.full(len(flat), z)]) for z in (0.0, 0.5, 1.5)])
+
+
+def clone(folder: Path) -> None:
+    """`data` of a clone: the weights are a copy, which commands may write to."""
+    (folder / "data").mkdir()
+    for name in ("junction", "leg_tracker"):
+        (folder / "data" / name).symlink_to(ROOT / "data" / name)
+    shutil.copytree(ROOT / "data" / "weights", folder / "data" / "weights")
+
+
+def hall_recordings(folder: Path, *names: str) -> None:
+    """Native recordings of ten seconds of the hall each, one after the other, none of them in `hall_bag`."""
+    recording = open_recording(packaged_recording("leg_tracker"))
+    info = recording.info.model_copy(update={"stretches": {}})
+    for k, name in enumerate(names):
+        path = folder / name
+        path.parent.mkdir(exist_ok=True)
+        with path.open("wb") as file:
+            write_native(file, info, recording.scans(40.0 + 10.0 * k, 50.0 + 10.0 * k))
+
+
+def annotations(path: Path) -> None:
+    """Two annotated walkers, in the format of the Stanford Drone Dataset."""
+    rows = [
+        f'{track} {300 + 6 * frame} {y} {320 + 6 * frame} {y + 20} {frame} 0 0 0 "Pedestrian"'
+        for track, y in ((0, 300), (1, 500))
+        for frame in range(300)
+    ]
+    path.write_text("\n".join(rows) + "\n")
