@@ -35,7 +35,6 @@ STARTS_TRACKERS = ("compare", "train", "trackers")
 
 app = typer.Typer(
     no_args_is_help=True,
-    add_completion=False,
     help="Compare trackers on occupancy grids: the same frames, the same scores, statistics with intervals.",
 )
 app.command("compare", cls=with_defaults(runs.compare_defaults, runs.compare_helps))(runs.compare_command)

@@ -6,8 +6,13 @@ from typing import Annotated
 
 import typer
 
+from gridtrack.cli.completion import complete_row
+
 RowsOption = Annotated[
-    list[str] | None, typer.Option(metavar="[LABEL=]NAME[:KEY=VALUE,...]", help="Repeat; default: every tracker")
+    list[str] | None,
+    typer.Option(
+        metavar="[LABEL=]NAME[:KEY=VALUE,...]", help="Repeat; default: every tracker", autocompletion=complete_row
+    ),
 ]
 ValidationOption = Annotated[
     str | None, typer.Option(help=r"RECORDING\[@RANGE] to choose thresholds on; default: the recording's own")

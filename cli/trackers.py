@@ -11,6 +11,7 @@ from typing import Annotated, Any
 
 import typer
 
+from gridtrack.cli.completion import complete_tracker
 from gridtrack.cli.options import (
     GridOption,
     JsonOption,
@@ -27,6 +28,9 @@ app = typer.Typer(
 )
 
 
+NameArgument = Annotated[str, typer.Argument(autocompletion=complete_tracker)]
+
+
 def train_command(
     arguments: Annotated[
         list[str] | None,
@@ -34,6 +38,7 @@ def train_command(
             metavar="[NAME[:KEY=VALUE,...]] RECORDING[@RANGE]...",
             help="A tracker and recordings to train it on, or folders of them; may be left out with --recipe or --like",
             show_default=False,
+            autocompletion=complete_tracker,
         ),
     ] = None,
     recipe: Annotated[
@@ -171,7 +176,7 @@ def _describe(name: str, external: Any = None) -> Any:
 
 
 @app.command("show")
-def show_tracker(name: str, as_json: JsonOption = False) -> None:
+def show_tracker(name: NameArgument, as_json: JsonOption = False) -> None:
     """Show the description, the role and the options of a tracker, with their defaults."""
     from gridtrack.reports.terminal import print_rows
     from gridtrack.trackers import registry
@@ -210,7 +215,7 @@ def check_defaults() -> dict[str, str]:
 
 @app.command("check", cls=with_defaults(check_defaults))
 def check_command(
-    tracker: Annotated[str, typer.Argument(metavar="NAME[:KEY=VALUE,...]")],
+    tracker: Annotated[str, typer.Argument(metavar="NAME[:KEY=VALUE,...]", autocompletion=complete_tracker)],
     recording: Annotated[str | None, typer.Option(help="Check with the grid, rate and site of this recording")] = None,
     weights: WeightsOption = None,
     trackers_toml: TrackersTomlOption = None,

@@ -244,3 +244,22 @@ def test_a_trial_that_did_not_complete_is_exit_code_3(tmp_path):
     )  # fmt: skip
     assert "static-map@leg_tracker: not-applicable" in done.stderr or "untrained" in done.stderr
     assert "blank@leg_tracker: ok" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("typed", "completed"),
+    [
+        (["compare", "a.mcap", "--tracker", "ka"], ["kalman"]),
+        (["compare", "a.mcap", "--tracker", "slow=fact"], ["slow=factor-graph"]),
+        (["trackers", "show", "dil"], ["dilated-convgru"]),
+        (["train", "one"], ["one-shot"]),
+        (["compare", "--tracker", "kalman", "a.mc"], []),
+        (["rec"], ["recording"]),
+    ],
+)
+def test_the_shell_completes_commands_and_trackers(typed, completed):
+    words = {"COMP_WORDS": " ".join(["gridtrack", *typed]), "COMP_CWORD": str(len(typed))}
+    environment = {**os.environ, **words, "_GRIDTRACK_COMPLETE": "complete_bash"}
+    program = [sys.executable, "-c", "import sys; sys.argv = ['gridtrack']; from gridtrack.cli import main; main()"]
+    done = subprocess.run(program, env=environment, capture_output=True, text=True, check=True)
+    assert done.stdout.split() == completed
