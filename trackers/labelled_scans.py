@@ -19,6 +19,9 @@ frames, and forecasts start up to 12 frames before the scan."""
 VALIDATE_ON = 20
 """Every twentieth scan is used for validation: neighbouring scans are nearly equal."""
 
+NAMED_SOURCES = 4
+"""Up to so many recordings are named one by one; general weights learn from hundreds."""
+
 SourceAndFrames = tuple[FrameSource, Iterator[LabelledFrame]]
 """A source, whose class names the labels index, and frames of it."""
 
@@ -36,10 +39,13 @@ class LabelledScans:
 
     @property
     def name(self) -> str:
-        """Source, number of scans and their first and last second, for cards."""
+        """Number of scans, by source with their first and last second where these are few, for cards."""
+        drawn = list(self._drawn())
+        if len(drawn) > NAMED_SOURCES:
+            return f"{sum(own.size for _, own in drawn)} scans of {len(drawn)} recordings"
         return "; ".join(
             f"{source.name}, {len(own)} scans from {own[0] * source.period_s:g} s to {own[-1] * source.period_s:g} s"
-            for source, own in self._drawn()
+            for source, own in drawn
         )
 
     def runs(self) -> Iterator[SourceAndFrames]:
@@ -89,7 +95,8 @@ def draw_labelled(sources: Sequence[FrameSource], settings: LabelSettings, seed:
     draw = spread_scans if settings.label_drawing == "spread" else consecutive_scans
     drawn = draw(labelled, settings.labelled_scans, np.random.default_rng(seed))
     if drawn is None:
-        names = ", ".join(source.name for source in sources)
+        few = len(sources) <= NAMED_SOURCES
+        names = ", ".join(source.name for source in sources) if few else f"{len(sources)} recordings"
         kind = "consecutive labelled" if settings.label_drawing == "consecutive" else "labelled"
         raise ConfigurationError(
             f"{names}: no {settings.labelled_scans} {kind} scans: use fewer labelled_scans, or a recording with labels"

@@ -121,3 +121,11 @@ def test_every_possible_start_is_found():
     labelled = np.array([1, 1, 0, 1, 1, 1], bool)
     assert possible_starts(labelled, 2).tolist() == [0, 3, 4]
     assert possible_starts(labelled, 7).tolist() == []
+
+
+def test_many_recordings_are_counted_on_a_card_and_in_errors_not_listed():
+    sources = [Source(f"toy {number}", 20) for number in range(5)]
+    assert drawn(sources, 10).name == "10 scans of 5 recordings"
+    assert drawn(sources[:2], 2).name.startswith("toy 0, 1 scans from ")
+    with pytest.raises(ConfigurationError, match=r"^5 recordings: no 101 labelled scans"):
+        drawn(sources, 101)
