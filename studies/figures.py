@@ -49,7 +49,8 @@ def marked_pages(root: Path = ROOT) -> list[Path]:
 def results_pages(root: Path = ROOT) -> list[Path]:
     """The pages whose numbers are all generated."""
     docs = root / "docs"
-    return sorted([root / "README.md", *docs.glob("results/**/*.md"), *docs.glob("trackers/*results*.md")])
+    of_trackers = [*docs.glob("trackers/*results*.md"), docs / "trackers" / "model-cards.md"]
+    return sorted([root / "README.md", *docs.glob("results/**/*.md"), *of_trackers])
 
 
 def filled(text: str) -> str:
