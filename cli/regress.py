@@ -15,6 +15,7 @@ from gridtrack.cli.options import DEBUG_OPTION, JsonOption, default_of
 from gridtrack.common.errors import ConfigurationError, GridtrackError, one_line, printable
 
 if TYPE_CHECKING:
+    from gridtrack.evaluation.regression.measurement import Baseline, Measurement
     from gridtrack.evaluation.regression.settings import GateSettings
     from gridtrack.evaluation.regression.verdict import Verdict
 
@@ -45,6 +46,9 @@ def regress_command(
     speed_margin: Annotated[
         float | None, typer.Option(help="The largest growth of that ratio that is not worse")
     ] = None,
+    confirm: Annotated[
+        bool, typer.Option("--confirm", help="Run what looks worse a second time; it is worse if it is worse again")
+    ] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Compare a run with a baseline: is any tracker worse? A baseline of several trainings holds their spread too.
@@ -55,6 +59,8 @@ def regress_command(
         raise ConfigurationError("--speed-margin: speed is judged only with --speed-reference LABEL")
     if len(runs) > 1 and not update:
         raise ConfigurationError(f"{len(runs)} runs: one is judged at a time; --update makes a baseline of several")
+    if confirm and update:
+        raise ConfigurationError("--confirm: --update judges nothing; leave one of the two out")
     values = {
         "margin": margin,
         "tolerance": dict(map(_tolerance, tolerance or ())),
@@ -65,7 +71,7 @@ def regress_command(
         if update:
             _update_baseline(runs, baseline)
             return
-        verdict = _judge(runs[0], baseline, _settings(values))
+        verdict = _judge(runs[0], baseline, _settings(values), confirm)
         _report_verdict(verdict, junit, markdown, as_json)
     except Exception as error:
         reasons = _reasons_unmeasured(error)
@@ -110,14 +116,32 @@ def _settings(values: dict[str, Any]) -> GateSettings:
     return validated(GateSettings, given, "gridtrack regress")
 
 
-def _judge(run: Path, baseline: Path, settings: GateSettings) -> Verdict:
-    """The verdict on the run in the folder `run`."""
+def _judge(run: Path, baseline: Path, settings: GateSettings, confirm: bool) -> Verdict:
+    """The verdict on the run in the folder `run`, with `confirm` after a second run of what looks worse."""
     from gridtrack.evaluation.regression.baseline import read_baseline
     from gridtrack.evaluation.regression.measuring import measure_run
     from gridtrack.evaluation.regression.verdict import compare_with_baseline
 
     stored = read_baseline(baseline)
-    return compare_with_baseline(stored, measure_run(run, like=stored.first), settings)
+    measured = measure_run(run, like=stored.first)
+    verdict = compare_with_baseline(stored, measured, settings)
+    return _confirmed(verdict, stored, measured, settings, run) if confirm else verdict
+
+
+def _confirmed(
+    verdict: Verdict, baseline: Baseline, measured: Measurement, settings: GateSettings, run: Path
+) -> Verdict:
+    from gridtrack.evaluation.processes.shielding import shield_host
+    from gridtrack.evaluation.regression.confirmation import confirmed
+    from gridtrack.evaluation.regression.rerun import Trials, run_again
+    from gridtrack.reports.run_progress import RunProgress
+
+    def again(trials: Trials, timed: bool) -> list[Measurement]:
+        shield_host("gridtrack regress")
+        with RunProgress() as progress:
+            return run_again(run, trials, baseline.first, timed, progress)
+
+    return confirmed(verdict, baseline, measured, settings, again)
 
 
 def _reasons_unmeasured(error: Exception) -> Sequence[str]:

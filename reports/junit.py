@@ -11,7 +11,7 @@ from gridtrack.evaluation.regression.speed import SpeedRow
 from gridtrack.evaluation.regression.verdict import AnyRow, Verdict
 from gridtrack.reports.chosen_scores import ExportedTable
 from gridtrack.reports.notices import outcome_text
-from gridtrack.reports.regression import place_of, rule_of, sentence_of
+from gridtrack.reports.regression import place_of, rule_of, second_text, sentence_of
 
 SUITE = "gridtrack regress"
 REPORT_SUITE = "gridtrack report"
@@ -25,12 +25,13 @@ def junit_of(verdict: Verdict) -> str:
     suite = _suite(tests=len(rows), failures=failures, errors=0, skipped=skipped)
     for row in rows:
         case = _case(suite, row.label, _case_name(row))
-        if row.verdict == "worse":
-            ElementTree.SubElement(case, "failure", message=printable(sentence_of(row)))
+        sentence = printable(f"{sentence_of(row)}{second_text(verdict, row)}")
+        if verdict.standing_of(row) == "worse":
+            ElementTree.SubElement(case, "failure", message=sentence)
         elif row.verdict == "nothing to find":
             ElementTree.SubElement(case, "skipped", message="no cell was occupied")
         if row.verdict != "nothing to find":
-            ElementTree.SubElement(case, "system-out").text = printable(sentence_of(row))
+            ElementTree.SubElement(case, "system-out").text = sentence
     ElementTree.SubElement(suite, "system-out").text = printable("; ".join([rule_of(verdict), *verdict.notes]))
     return _xml(suite)
 

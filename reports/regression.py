@@ -17,7 +17,7 @@ from gridtrack.evaluation.regression.recoveries import RecoveryRow
 from gridtrack.evaluation.regression.rows import paired_rows
 from gridtrack.evaluation.regression.significance import FAMILY_LEVEL
 from gridtrack.evaluation.regression.speed import SpeedRow
-from gridtrack.evaluation.regression.verdict import AnyRow, Verdict
+from gridtrack.evaluation.regression.verdict import AnyRow, SecondLook, Standing, Verdict
 from gridtrack.evaluation.statistics.jackknife import LEAST_UNITS
 from gridtrack.evaluation.statistics.training_spread import value_of
 from gridtrack.reports.markdown import escaped, markdown_table
@@ -39,7 +39,7 @@ REASONS: dict[Criterion, str] = {
 
 def text_of(verdict: Verdict) -> str:
     """The verdict for a terminal: what is worse, notes, the rule and the conclusion."""
-    lines = [f"worse: {sentence_of(row)}" for row in verdict.worse]
+    lines = _second_lines(verdict) or [f"worse: {sentence_of(row)}" for row in verdict.worse]
     fallen = [row for row in verdict.on_recordings if row.verdict != "worse"]
     lines += [f"change on one recording, not judged: {sentence_of(row)}" for row in fallen[:MAX_FALLEN]]
     if len(fallen) > MAX_FALLEN:
@@ -53,28 +53,32 @@ def text_of(verdict: Verdict) -> str:
 def markdown_of(verdict: Verdict) -> str:
     """The verdict as a Markdown page, with names escaped."""
     parts = [f"## gridtrack regress: {'worse' if verdict.worse else 'no worse'}", escaped(rule_of(verdict))]
+    parts += ["\n".join(f"- {escaped(line)}" for line in _second_lines(verdict))] if verdict.second_looks else []
     changed = [row for row in verdict.rows if row.verdict in {"worse", "no worse"}]
     changed.sort(key=lambda row: (row.verdict != "worse", -row.severity))
     parts += _section(
         "Over all units",
         ["verdict", *_HEADINGS, "p"],
         changed,
-        lambda row: [_verdict_text(row), *_row_cells(row), _p_value_text(row)],
+        lambda row: [_verdict_text(verdict, row), *_row_cells(row), _p_value_text(row)],
     )
     parts += _section(
         "On one recording",
         ["verdict", "recording", *_HEADINGS],
         verdict.on_recordings,
-        lambda row: [_verdict_text(row), row.recording, *_row_cells(row)],
+        lambda row: [_verdict_text(verdict, row), row.recording, *_row_cells(row)],
     )
     parts += _section(
         "Recoveries",
         ["verdict", "tracker", "baseline", "run"],
         verdict.recoveries,
-        lambda row: [row.verdict, row.label, f"{row.baseline}", f"{row.run}"],
+        lambda row: [verdict.standing_of(row), row.label, f"{row.baseline}", f"{row.run}"],
     )
     parts += _section(
-        "Speed", ["verdict", "tracker", "call", "times as long as", "baseline", "run"], verdict.speed, _speed_cells
+        "Speed",
+        ["verdict", "tracker", "call", "times as long as", "baseline", "run"],
+        verdict.speed,
+        lambda row: [verdict.standing_of(row), *_speed_cells(row)],
     )
     parts += ["\n".join(f"- {escaped(note)}" for note in verdict.notes)] if verdict.notes else []
     parts += (
@@ -97,18 +101,25 @@ def data_of(verdict: Verdict) -> dict[str, Any]:
         "units": verdict.units,
         "trainings": verdict.trainings,
         "significance": verdict.significance,
-        "rows": [_row_data(row) for row in verdict.rows],
-        "on_recordings": [_row_data(row) for row in verdict.on_recordings],
-        "recoveries": [_row_data(row) for row in verdict.recoveries],
-        "speed": [_row_data(row) for row in verdict.speed],
+        "rows": [_row_data(row, verdict.standing_of(row)) for row in verdict.rows],
+        "on_recordings": [_row_data(row, verdict.standing_of(row)) for row in verdict.on_recordings],
+        "recoveries": [_row_data(row, verdict.standing_of(row)) for row in verdict.recoveries],
+        "speed": [_row_data(row, verdict.standing_of(row)) for row in verdict.speed],
+        "second_looks": [_second_data(look) for look in verdict.second_looks],
         "notes": list(verdict.notes),
     }
 
 
-def _row_data(row: AnyRow) -> dict[str, Any]:
+def _second_data(look: SecondLook) -> dict[str, Any]:
+    """What looked worse, in both runs."""
+    second = look.second and _row_data(look.second, look.second.verdict)
+    return {"confirmed": look.confirmed, "first": _row_data(look.first, look.first.verdict), "second": second}
+
+
+def _row_data(row: AnyRow, standing: Standing) -> dict[str, Any]:
     """The fields of a row; a fall that cannot be found, of whatever size, is null."""
     values = {key: None if value == np.inf else value for key, value in asdict(row).items() if key != "verdict"}
-    return {**values, "standing": row.verdict}
+    return {**values, "standing": standing}
 
 
 def text_of_update(path: Path, baseline: Baseline) -> str:
@@ -144,6 +155,22 @@ def sentence_of(row: AnyRow) -> str:
         f" {'fall' if row.score == 'F1' else 'rise'} of {_amount(row, row.fall)}{significance}{spread}"
         f"{REASONS[row.criterion]}, {_found_text(row)}"
     )
+
+
+def second_text(verdict: Verdict, row: AnyRow) -> str:
+    """What a second run said of a row that was worse, to follow its sentence; empty where there was none."""
+    for look in verdict.second_looks:
+        if look.first == row:
+            return f"; run again: {sentence_of(look.second) if look.second else 'nothing of the kind'}"
+    return ""
+
+
+def _second_lines(verdict: Verdict) -> list[str]:
+    """Both results of everything that looked worse."""
+    return [
+        f"{verdict.standing_of(look.first)}: {sentence_of(look.first)}{second_text(verdict, look.first)}"
+        for look in verdict.second_looks
+    ]
 
 
 def place_of(row: VerdictRow) -> str:
@@ -250,13 +277,14 @@ def _row_cells(row: VerdictRow) -> list[str]:
 
 
 def _speed_cells(row: SpeedRow) -> list[str]:
-    return [row.verdict, row.label, row.call, row.reference, f"{row.ratio_baseline:.3g}", f"{row.ratio_run:.3g}"]
+    return [row.label, row.call, row.reference, f"{row.ratio_baseline:.3g}", f"{row.ratio_run:.3g}"]
 
 
-def _verdict_text(row: VerdictRow) -> str:
+def _verdict_text(verdict: Verdict, row: VerdictRow) -> str:
+    standing = verdict.standing_of(row)
     if row.criterion in {"large", "collapse"}:
-        return f"{row.verdict} ({row.criterion})"
-    return row.verdict if row.verdict == "worse" or not row.recording else "not judged"
+        return f"{standing} ({row.criterion})"
+    return standing if row.verdict == "worse" or not row.recording else "not judged"
 
 
 def _p_value_text(row: VerdictRow) -> str:

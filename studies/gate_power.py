@@ -21,6 +21,7 @@ from pathlib import Path
 import numpy as np
 from scipy.special import expit
 
+from gridtrack.evaluation.regression.confirmation import judged_again
 from gridtrack.evaluation.regression.criteria import row_tests
 from gridtrack.evaluation.regression.judging import VerdictRow, judged_recordings, judged_row
 from gridtrack.evaluation.regression.rows import PairedRow
@@ -86,10 +87,18 @@ class Tally:
 
 def simulated(runs: Runs, fall: Fall, rng: np.random.Generator) -> Iterator[PairedRow]:
     """The rows of one comparison, the judged run last."""
-    sides = runs.trainings + 1
+    return (row for row, _ in simulated_twice(runs, fall, rng, seconds=0))
+
+
+def simulated_twice(
+    runs: Runs, fall: Fall, rng: np.random.Generator, seconds: int = 1
+) -> Iterator[tuple[PairedRow, PairedRow]]:
+    """The rows of one comparison, and those of its judged run run again, as the same training."""
+    sides = runs.trainings + 1 + seconds
     traffic = np.exp(0.5 * rng.standard_normal(RECORDINGS))
     difficulty = 0.5 * rng.standard_normal(RECORDINGS)
-    of_run = runs.of_run * rng.standard_normal((sides, 1))
+    of_run = runs.of_run * rng.standard_normal((runs.trainings + 1, 1))
+    of_run = np.concatenate([of_run, of_run[-1:].repeat(seconds, axis=0)])
     of_recording = runs.of_recording * rng.standard_normal((sides, RECORDINGS))
     for region, (cells, log_odds) in REGIONS.items():
         for band, harder in BANDS.items():
@@ -100,8 +109,9 @@ def simulated(runs: Runs, fall: Fall, rng: np.random.Generator) -> Iterator[Pair
             same = rng.random((1, RECORDINGS, int(independent.max())))
             drawn = np.arange(same.shape[-1]) < independent[:, None]
             found = ((same < recall[..., None]) & drawn).sum(axis=-1) / independent * occupied
-            found[-1] *= 1 - fall.in_each()
-            yield from _rows(region, band, found, occupied)
+            found[runs.trainings :] *= 1 - fall.in_each()
+            first, second = found[: runs.trainings + 1], np.concatenate([found[: runs.trainings], found[-1:]])
+            yield from zip(_rows(region, band, first, occupied), _rows(region, band, second, occupied), strict=True)
 
 
 def _rows(region: str, band: str, hits: Floats, occupied: Floats) -> Iterator[PairedRow]:
@@ -130,6 +140,32 @@ def judged(runs: Runs, fall: Fall, comparisons: int) -> Tally:
         for criterion in found & set(CRITERIA):
             tally.by[criterion] += 1
     return tally
+
+
+def confirmations(comparisons: int) -> Iterator[list[str]]:
+    """How often a comparison is worse at first, and how often in a second run too."""
+    for name, runs, fall in confirmed_cases():
+        rng = np.random.default_rng(3)
+        first = both = 0
+        for _ in range(comparisons):
+            rows, again = zip(*simulated_twice(runs, fall, rng), strict=True)
+            tests = row_tests(rows)
+            over_all = [judged_row(row, test, SETTINGS) for row, test in zip(rows, tests, strict=True)]
+            collapses = judged_recordings(rows, tests, SETTINGS)
+            suspects = [row for row in (*over_all, *collapses) if row.verdict == "worse"]
+            first += bool(suspects)
+            both += any(row.verdict == "worse" for row in judged_again(suspects, again, SETTINGS, enough_units=True))
+        yield [name, *(f"{100 * count / comparisons:.1f}" for count in (first, both))]
+
+
+def confirmed_cases() -> Iterator[tuple[str, Runs, Fall]]:
+    """Description, runs and fall of the cases with a second run."""
+    for runs in (SEEDS, NOISY, TRAININGS):
+        yield f"no change, {runs.name}", runs, Fall()
+    for f1 in (0.005, 0.01, 0.02):
+        yield f"{f1:g} F1 in all recordings", SEEDS, Fall(share_for(f1))
+    for share, what in ((1.0, "no answer"), (0.5, "half of the hits")):
+        yield f"{what} on 1 recording", SEEDS, Fall(share, 1)
 
 
 def cases() -> Iterator[tuple[str, str, Runs, Fall]]:
@@ -187,7 +223,15 @@ def main() -> None:
     parser.add_argument("--comparisons", type=int, default=200, help="simulated comparisons of each case")
     parser.add_argument("--out", type=Path, help="results file for the tables")
     parser.add_argument("--only-stated", action="store_true", help="only the falls that are stated as the smallest")
+    parser.add_argument("--only-confirmed", action="store_true", help="only the effect of a second run")
     arguments = parser.parse_args()
+    if not arguments.only_stated:
+        columns = ("case", "worse at first, %", "worse again, %")
+        table = measured_table(columns, list(confirmations(arguments.comparisons)))
+        print(table.markdown(), flush=True)
+        write_table(arguments.out, "second run", table, COMMAND)
+    if arguments.only_confirmed:
+        return
     table = measured_table(("fall", "found, %"), list(stated_falls(SEEDS, arguments.comparisons)))
     print(table.markdown(), flush=True)
     write_table(arguments.out, "stated fall", table, COMMAND)

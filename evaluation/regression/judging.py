@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridtrack.evaluation.regression.criteria import COLLAPSE, COLLAPSE_ERRORS, LARGE_MARGINS, RowTest
-from gridtrack.evaluation.regression.noise import standard_error, unit_falls
+from gridtrack.evaluation.regression.noise import UnitFalls, standard_error, unit_falls
 from gridtrack.evaluation.regression.rows import SHARE_PER_F1, JudgedScore, PairedRow
 from gridtrack.evaluation.regression.settings import MARGIN, GateSettings
 from gridtrack.evaluation.regression.significance import FAMILY_LEVEL
@@ -96,25 +96,33 @@ def judged_recordings(
     return tuple(sorted(worst.values(), key=lambda row: (row.verdict != "worse", -row.severity)))
 
 
+def judged_on(row: PairedRow, recording: str, f1_margin: float, falls: UnitFalls) -> VerdictRow:
+    """The row on one recording, where a collapse is worse; `f1_margin` is the tracker's margin of F1, `falls` are those
+    of the row."""
+    margin, limit = (row.margin_of(m) for m in (max(f1_margin, MARGIN), max(COLLAPSE, LARGE_MARGINS * f1_margin)))
+    members = np.array(row.recordings) == recording
+    found = _over(row, members, recording, margin)
+    if found.verdict != "no worse":
+        return found
+    needed = COLLAPSE_ERRORS * standard_error(row, members, falls) / _unit(row, found)
+    collapsed = found.fall > max(limit, needed)
+    return replace(
+        found,
+        smallest=max(limit, needed),
+        criterion="collapse" if collapsed else "",
+        verdict="worse" if collapsed else "no worse",
+    )
+
+
 def _on_recordings(row: PairedRow, f1_margin: float) -> Iterator[VerdictRow]:
     """The falls of a row beyond the margin on single recordings."""
     if row.equal:
         return
-    margin, limit = (row.margin_of(m) for m in (max(f1_margin, MARGIN), max(COLLAPSE, LARGE_MARGINS * f1_margin)))
-    names, falls = np.array(row.recordings), unit_falls(row)
+    falls = unit_falls(row)
     for name in dict.fromkeys(row.recordings):
-        members = names == name
-        found = _over(row, members, name, margin)
-        if found.verdict == "nothing to find" or found.fall <= margin:
-            continue
-        needed = COLLAPSE_ERRORS * standard_error(row, members, falls) / _unit(row, found)
-        collapsed = found.fall > max(limit, needed)
-        yield replace(
-            found,
-            smallest=max(limit, needed),
-            criterion="collapse" if collapsed else "",
-            verdict="worse" if collapsed else "no worse",
-        )
+        found = judged_on(row, name, f1_margin, falls)
+        if found.verdict != "nothing to find" and found.fall > found.margin:
+            yield found
 
 
 def _over(row: PairedRow, members: NDArray[np.bool_], recording: str, margin: float) -> VerdictRow:

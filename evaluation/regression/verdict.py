@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
 from gridtrack.common.errors import ConfigurationError, did_you_mean
 from gridtrack.evaluation.regression.criteria import row_tests
-from gridtrack.evaluation.regression.judging import VerdictRow, judged_recordings, judged_row
+from gridtrack.evaluation.regression.judging import RowVerdict, VerdictRow, judged_recordings, judged_row
 from gridtrack.evaluation.regression.measurement import Baseline, Measurement, Unmeasured
 from gridtrack.evaluation.regression.pairing import require_paired
 from gridtrack.evaluation.regression.recoveries import RecoveryRow, compare_recoveries
@@ -17,7 +18,22 @@ from gridtrack.evaluation.regression.settings import GateSettings
 from gridtrack.evaluation.regression.speed import SpeedRow, compare_speed
 from gridtrack.evaluation.statistics.jackknife import LEAST_UNITS
 
+Standing = RowVerdict | Literal["not confirmed"]
 AnyRow = VerdictRow | RecoveryRow | SpeedRow
+
+
+@dataclass(frozen=True, slots=True)
+class SecondLook:
+    """A row that was worse, and the same of a second run of its trials; None where that has no such row, as without
+    any recovery."""
+
+    first: AnyRow
+    second: AnyRow | None
+
+    @property
+    def confirmed(self) -> bool:
+        """Whether it was worse again."""
+        return self.second is not None and self.second.verdict == "worse"
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,6 +52,8 @@ class Verdict:
     significance: bool
     """Whether there are enough units for p-values; else only equality and margins decide."""
     notes: tuple[str, ...]
+    second_looks: tuple[SecondLook, ...] = ()
+    """Of every row that was worse, where a confirmation was requested."""
 
     @property
     def collapses(self) -> tuple[VerdictRow, ...]:
@@ -50,7 +68,12 @@ class Verdict:
     @property
     def worse(self) -> tuple[AnyRow, ...]:
         """The rows that are worse; if there is none, the run passes."""
-        return tuple(row for row in self.decisive if row.verdict == "worse")
+        return tuple(row for row in self.decisive if self.standing_of(row) == "worse")
+
+    def standing_of(self, row: AnyRow) -> Standing:
+        """The verdict on a row, `not confirmed` where it was worse and a second run was not."""
+        refuted = any(look.first == row and not look.confirmed for look in self.second_looks)
+        return "not confirmed" if refuted else row.verdict
 
 
 def compare_with_baseline(baseline: Baseline, run: Measurement, settings: GateSettings | None = None) -> Verdict:

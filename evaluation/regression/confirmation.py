@@ -1,0 +1,108 @@
+"""Confirmation: what looks worse is judged a second time, on a second run of the same trials."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+
+from gridtrack.evaluation.regression.criteria import row_tests
+from gridtrack.evaluation.regression.judging import VerdictRow, judged_on, judged_row
+from gridtrack.evaluation.regression.measurement import Baseline, Measurement, TrialCounts, Unmeasured
+from gridtrack.evaluation.regression.noise import unit_falls
+from gridtrack.evaluation.regression.pairing import require_paired
+from gridtrack.evaluation.regression.recoveries import compare_recoveries
+from gridtrack.evaluation.regression.rerun import Trials
+from gridtrack.evaluation.regression.rows import PairedRow, paired_rows
+from gridtrack.evaluation.regression.settings import GateSettings
+from gridtrack.evaluation.regression.speed import SpeedRow, compare_speed
+from gridtrack.evaluation.regression.verdict import AnyRow, SecondLook, Verdict
+
+RunAgain = Callable[[Trials, bool], Sequence[Measurement]]
+"""Runs trials again, with their times where the second argument is true."""
+
+
+def confirmed(
+    verdict: Verdict, baseline: Baseline, run: Measurement, settings: GateSettings, run_again: RunAgain
+) -> Verdict:
+    """`verdict` on `run`, where a row is worse only if it is worse in a second run of its trials too.
+
+    The rows that were worse are then the whole family of comparisons: the correction is for them alone. Nothing runs
+    where no row is worse. Raises Unmeasured where the second run cannot be measured or is not of the same frames.
+    """
+    suspects = verdict.worse
+    if not suspects:
+        return verdict
+    timed = any(isinstance(row, SpeedRow) for row in suspects)
+    second = _with_second(run, run_again(_trials_of(suspects, baseline), timed))
+    require_paired(baseline, second)
+    judged = judged_again(suspects, paired_rows(baseline, second), settings, verdict.significance)
+    judged += [row for row in compare_recoveries(baseline, second) if _key(row) in map(_key, suspects)]
+    if timed:
+        judged += compare_speed(baseline, second, settings.speed_reference, settings.speed_margin)[0]
+    by_key = {_key(row): row for row in judged}
+    looks = tuple(SecondLook(row, by_key.get(_key(row))) for row in suspects)
+    return replace(verdict, second_looks=looks)
+
+
+def judged_again(
+    suspects: Sequence[AnyRow], rows: Sequence[PairedRow], settings: GateSettings, enough_units: bool
+) -> list[AnyRow]:
+    """The scores among `suspects`, judged on the `rows` of the second run; the suspects over all units are the family
+    of comparisons."""
+    by_name = {(row.label, row.score, row.region, row.band): row for row in rows}
+    scores = [row for row in suspects if isinstance(row, VerdictRow)]
+    names = [(row.label, row.score, row.stratum, row.band) for row in scores]
+    pooled = [by_name[name] for row, name in zip(scores, names, strict=True) if not row.recording]
+    judged: list[AnyRow] = [
+        judged_row(row, test, settings) for row, test in zip(pooled, row_tests(pooled), strict=True)
+    ]
+    for suspect, name in zip(scores, names, strict=True):
+        if suspect.recording:
+            row, margin = by_name[name], settings.margin_of(suspect.label, enough_units)
+            judged.append(judged_on(row, suspect.recording, margin, unit_falls(row)))
+    return judged
+
+
+def _key(row: AnyRow) -> tuple[str, ...]:
+    """What one row has in common in both runs."""
+    if isinstance(row, VerdictRow):
+        return (row.label, row.score, row.stratum, row.band, row.recording)
+    return (row.label, "speed", row.call) if isinstance(row, SpeedRow) else (row.label, "recoveries")
+
+
+def _trials_of(suspects: Sequence[AnyRow], baseline: Baseline) -> Trials:
+    """The trials that the suspects are computed from; of a collapse all stretches of the recording's source, which are
+    divided into units together."""
+    recordings = baseline.first.recordings
+    needed: dict[str, frozenset[str]] = {}
+    for label, name in _labels_and_recordings(suspects):
+        source = recordings[name].source_sha256 if name else ""
+        own = frozenset(n for n, split in recordings.items() if not name or split.source_sha256 == source)
+        needed[label] = needed.get(label, frozenset()) | own
+    return needed
+
+
+def _labels_and_recordings(suspects: Sequence[AnyRow]) -> Iterator[tuple[str, str]]:
+    for row in suspects:
+        yield row.label, row.recording if isinstance(row, VerdictRow) else ""
+        if isinstance(row, SpeedRow):
+            yield row.reference, ""
+
+
+def _with_second(run: Measurement, again: Sequence[Measurement]) -> Measurement:
+    """`run` with the scores, recoveries and times of the trials that ran again."""
+    trackers = dict(run.trackers)
+    for part in again:
+        for label, name, trial in part.trials():
+            first = trackers[label]
+            if name in first.recordings:
+                counts = first.recordings | {name: _second_trial(first.recordings[name], trial)}
+                trackers[label] = first.model_copy(update={"recordings": counts})
+    return run.model_copy(update={"trackers": trackers})
+
+
+def _second_trial(first: TrialCounts, second: TrialCounts) -> TrialCounts:
+    if first.weights_sha256 != second.weights_sha256:
+        raise Unmeasured(["weights changed since the run: compare again"])
+    update = {"units": second.units, "recoveries": second.recoveries, "speed": second.speed or first.speed}
+    return first.model_copy(update=update)

@@ -1,0 +1,80 @@
+"""A second run of chosen trials, as a run's record describes them: same inputs, settings and seed, new processes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from gridtrack.common.config import validated
+from gridtrack.evaluation.comparison.plan import ComparisonPlan, resolve
+from gridtrack.evaluation.comparison.provenance import versions
+from gridtrack.evaluation.comparison.runner import RunObserver, run
+from gridtrack.evaluation.comparison.settings import CompareSettings
+from gridtrack.evaluation.regression.measurement import Measurement, Unmeasured
+from gridtrack.evaluation.regression.measuring import measure_run
+from gridtrack.evaluation.results.run_record import RunRecord, read_run_record
+
+Trials = Mapping[str, frozenset[str]]
+"""The names of recordings by label."""
+
+
+def run_again(
+    folder: Path, trials: Trials, like: Measurement, latency: bool, progress: RunObserver
+) -> list[Measurement]:
+    """Run `trials` of the run in `folder` again, with their times where `latency`; one measurement for each set of
+    recordings, in the units of `like`. What is written is removed.
+
+    Raises Unmeasured where a trial cannot be run as it was, or fails.
+    """
+    record = read_run_record(folder)
+    with TemporaryDirectory(prefix="gridtrack-again-") as scratch:
+        plan = _plan(folder, record, Path(scratch), latency)
+        measured = []
+        for number, recordings in enumerate(dict.fromkeys(trials.values())):
+            labels = [label for label, own in trials.items() if own == recordings]
+            part = _part(plan, labels, recordings, Path(scratch) / str(number))
+            if reasons := list(_differences(record, part)):
+                raise Unmeasured(reasons)
+            if run(part, record.command, progress).interrupted:
+                raise Unmeasured(["the second run was interrupted"])
+            measured.append(measure_run(part.settings.out, like))
+    return measured
+
+
+def _plan(folder: Path, record: RunRecord, scratch: Path, latency: bool) -> ComparisonPlan:
+    """The plan of the whole run, with the scores and nothing beside them but times."""
+    given = record.settings.model_dump(mode="json")
+    if "recordings" not in given:
+        raise Unmeasured([f"{folder}: its record has no settings, so it cannot be run again: compare again"])
+    only_scores = {"deadline": False, "degrade": None, "follow": False, "resume": False}
+    settings = {**given, **only_scores, "out": scratch, "latency": latency}
+    return resolve(validated(CompareSettings, settings, f"{folder}: its settings"))
+
+
+def _part(plan: ComparisonPlan, labels: Sequence[str], recordings: frozenset[str], out: Path) -> ComparisonPlan:
+    return replace(
+        plan,
+        settings=plan.settings.model_copy(update={"out": out}),
+        splits=tuple(split for split in plan.splits if split.name in recordings),
+        trials=tuple(t for t in plan.trials if t.label in labels and t.split.name in recordings),
+    )
+
+
+def _differences(record: RunRecord, plan: ComparisonPlan) -> Iterator[str]:
+    """A reason for everything in the plan that is not as it was in the run."""
+    now = plan.identity()
+    for name, recording in now.recordings.items():
+        if record.configuration.recordings.get(name) != recording:
+            yield f"{name}: the recording changed since the run, so it cannot be run again: compare again"
+    for trial in plan.trials:
+        then = record.weights.get(trial.name)
+        same_weights = (then.sha256 if then else "") == (trial.weights.sha256 if trial.weights else "")
+        if record.configuration.trials.get(trial.name) != now.trials[trial.name] or not same_weights:
+            yield f"{trial.name}: the tracker or its weights changed since the run: compare again"
+    installed = versions()
+    for name in sorted(installed.keys() | record.versions.keys()):
+        old, new = (side.get(name, "none") for side in (record.versions, installed))
+        if old != new:
+            yield f"{name} was {old} in the run and is {new} now: compare again"

@@ -1,0 +1,113 @@
+"""The workflows of docs/ci.md run as they stand, each line by the shell of its service."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+import yaml
+
+from gridtrack.common.geometry import SE2
+from gridtrack.common.scan import Scan
+from gridtrack.recordings import RecordingInfo, write_native
+
+from docs.pages import ROOT, blocks, commands
+
+PAGE = ROOT / "docs/ci.md"
+TRACKER = '''
+import numpy as np
+from gridtrack.trackers.contract import Forecast, Tracker
+
+
+class Mine(Tracker):
+    """Forecasts the last frame."""
+
+    def reset(self, seed):
+        self.last = np.zeros(self.stream.grid.shape, bool)
+
+    def update(self, frame):
+        self.last = frame.occupied
+
+    def predict(self, steps):
+        return Forecast(np.repeat(self.last[None].astype(np.float32), steps + 1, axis=0))
+'''
+
+
+def github_lines() -> list[tuple[str, bool]]:
+    """The shell lines of the workflow, and whether each runs after a failure too."""
+    steps = yaml.safe_load(blocks(PAGE, "yaml")[0])["jobs"]["regression"]["steps"]
+    return [(step["run"], "if" in step) for step in steps if "run" in step]
+
+
+def gitlab_lines() -> list[tuple[str, bool]]:
+    return [(line, False) for line in yaml.safe_load(blocks(PAGE, "yaml")[1])["regression"]["script"]]
+
+
+@pytest.fixture
+def repository(tmp_path: Path, install: Callable[..., Path]) -> Path:
+    """A repository with a recording and the tracker `my-tracker`; `pip` installs nothing there: it is installed."""
+    install("my-tracker", {"my-tracker": "mine:Mine"}, {"mine.py": TRACKER})
+    folder = tmp_path / "repository"
+    (folder / "recordings").mkdir(parents=True)
+    info = RecordingInfo(site="room", grid="20x0.4@-1,-4", rate_hz=10, stretches={})
+    angles = np.linspace(-1.0, 1.0, 60)
+    with (folder / "recordings/one.mcap").open("wb") as file:
+        write_native(file, info, (scan(index, angles) for index in range(80)))
+    programs = tmp_path / "bin"
+    programs.mkdir()
+    for name, line in (("pip", 'test "$*" = "install ."'), ("gridtrack", f'"{sys.executable}" -m gridtrack.cli "$@"')):
+        (programs / name).write_text(f"#!/bin/sh\n{line}\n")
+        (programs / name).chmod(0o755)
+    return folder
+
+
+def scan(index: int, angles: np.ndarray) -> Scan:
+    """A wall ahead, and something that walks to and fro before it."""
+    ranges = 3.0 / np.cos(angles)
+    ranges[np.abs(angles - 0.8 * np.sin(index / 12)) < 0.1] = 1.6
+    step = float(angles[1] - angles[0])
+    return Scan(
+        stamp_ns=10**12 + index * 10**8, ranges=ranges.astype(np.float32), angle_min=-1.0, angle_increment=step,
+        range_min=0.05, range_max=8.0, world_T_sensor=SE2(0.0, 0.0, 0.0),
+    )  # fmt: skip
+
+
+def run_lines(folder: Path, lines: list[tuple[str, bool]]) -> int:
+    """The exit code of the first line that fails; after it run only the lines that always do."""
+    summary = folder / "summary.md"
+    programs = folder.parent / "bin"
+    environment = {**os.environ, "PATH": f"{programs}:{os.environ['PATH']}", "GITHUB_STEP_SUMMARY": str(summary)}
+    code = 0
+    for line, always in lines:
+        if code and not always:
+            continue
+        done = subprocess.run(["bash", "-e", "-c", line], cwd=folder, env=environment, check=False)
+        code = code or done.returncode
+    return code
+
+
+@pytest.mark.parametrize("lines", [github_lines(), gitlab_lines()], ids=["github", "gitlab"])
+def test_a_job_passes_with_its_baseline_and_fails_where_the_tracker_broke(
+    repository: Path, lines: list[tuple[str, bool]]
+) -> None:
+    made = [(line, False) for line in commands(PAGE)]
+    assert (len(made), run_lines(repository, made)) == (2, 0)
+    shutil.rmtree(repository / "runs")
+    assert run_lines(repository, lines) == 0
+    assert ElementTree.parse(repository / "junit.xml").getroot().get("failures") == "0"
+    assert (repository / "regress.md").read_text().startswith("## gridtrack regress: no worse")
+    assert (repository / "runs/now/report/index.html").is_file()
+    shutil.rmtree(repository / "runs")
+    module = repository.parent / "site/mine.py"
+    module.write_text(TRACKER.replace("self.last = frame.occupied", "pass"))
+    assert run_lines(repository, lines) == 1
+    assert int(ElementTree.parse(repository / "junit.xml").getroot().get("failures", "0")) > 0
+    told = repository / ("summary.md" if lines == github_lines() else "regress.md")
+    assert "## gridtrack regress: worse" in told.read_text()

@@ -1,0 +1,124 @@
+"""`gridtrack regress --confirm`: what looks worse runs again, and is worse if it is worse again."""
+
+from __future__ import annotations
+
+import json
+from xml.etree import ElementTree
+
+import pytest
+
+from gridtrack.evaluation.comparison.plan import resolve
+from gridtrack.evaluation.comparison.runner import run
+from gridtrack.evaluation.comparison.settings import CompareSettings
+
+MOODY = '''
+from pathlib import Path
+import numpy as np
+from gridtrack.common.config import Settings
+from gridtrack.trackers.contract import Forecast, Tracker
+
+
+class Options(Settings):
+    folder: str
+
+
+class Moody(Tracker):
+    """Forecasts the last frame, and nothing while a file `bad` is in its folder; crashes if one `broken` is."""
+
+    Options = Options
+
+    def reset(self, seed):
+        folder = Path(self.options.folder)
+        with (folder / "starts").open("a") as starts:
+            starts.write(".")
+        self.bad = (folder / "bad").exists()
+        if (folder / "broken").exists():
+            raise RuntimeError("broken")
+
+    def update(self, frame):
+        self.last = frame.occupied
+
+    def predict(self, steps):
+        shown = np.zeros_like(self.last) if self.bad else self.last
+        return Forecast(np.repeat(shown[None].astype(np.float32), steps + 1, axis=0))
+'''
+
+
+@pytest.fixture
+def folder(install, tmp_path):
+    """What decides how the tracker `moody` does."""
+    install("moody", {"moody": "moody_tracker:Moody"}, {"moody_tracker.py": MOODY})
+    made = tmp_path / "mood"
+    made.mkdir()
+    return made
+
+
+@pytest.fixture
+def runs(folder, record, progress, regress, tmp_path):
+    """A run of a good `moody`, as the baseline, and one of a bad one beside a steady tracker."""
+    recordings = tuple(
+        str(record(name, seconds=8, stretches={}, wall_m=wall)) for name, wall in (("one", 3.0), ("two", 3.4))
+    )
+    trackers = (f"moody:folder={folder}", "blank")
+
+    def compare(name):
+        out = tmp_path / name
+        settings = CompareSettings(recordings=recordings, trackers=trackers, out=out, horizon_s=1.0, jobs=1)
+        run(resolve(settings), ("gridtrack", "compare"), progress)
+        return out
+
+    baseline = tmp_path / "baseline.json"
+    assert regress(compare("then"), "--baseline", baseline, "--update").code == 0
+    (folder / "bad").touch()
+    now = compare("now")
+    (folder / "starts").write_text("")
+    return now, baseline
+
+
+def test_a_fall_that_stays_away_in_a_second_run_is_not_worse_and_both_results_are_told(runs, folder, regress, tmp_path):
+    now, baseline = runs
+    assert regress(now, "--baseline", baseline).code == 1
+    assert (folder / "starts").read_text() == ""
+    (folder / "bad").unlink()
+    junit, page = tmp_path / "junit.xml", tmp_path / "page.md"
+    done = regress(now, "--baseline", baseline, "--confirm", "--junit", junit, "--markdown", page)
+    assert done.code == 0
+    told = [line for line in done.out.splitlines() if line.startswith("not confirmed: moody, visible, short")]
+    assert "F1 0." in told[0].partition("; run again: moody, visible, short")[2]
+    assert "no worse than the baseline" in done.out
+    assert (folder / "starts").read_text() == ".."  # its two trials, and no other
+    assert "| not confirmed |" in page.read_text()
+    assert "; run again: moody" in page.read_text()
+    suite = ElementTree.parse(junit).getroot()
+    assert suite.get("failures") == "0"
+    assert any("; run again: moody" in case.text for case in suite.findall("testcase/system-out"))
+
+
+def test_a_fall_that_is_there_again_is_worse(runs, folder, regress):
+    now, baseline = runs
+    done = regress(now, "--baseline", baseline, "--confirm", "--json")
+    verdict = json.loads(done.out)
+    assert (done.code, verdict["verdict"]) == (1, "worse")
+    assert {look["first"]["label"] for look in verdict["second_looks"]} == {"moody"}
+    assert all(look["confirmed"] and look["second"]["fall"] > 0 for look in verdict["second_looks"])
+
+
+def test_a_second_run_that_fails_or_is_of_something_else_is_not_measured(runs, folder, regress, edit, tmp_path):
+    now, baseline = runs
+    (folder / "broken").touch()
+    done = regress(now, "--baseline", baseline, "--confirm")
+    assert (done.code, "not measured: moody@one: " in done.err) == (3, True)
+    edit(now / "run.json", lambda record: record["versions"].update(numpy="1.0"))
+    done = regress(now, "--baseline", baseline, "--confirm")
+    assert (done.code, "numpy was 1.0 in the run and is " in done.err) == (3, True)
+    edit(now / "run.json", lambda record: record.pop("settings"))
+    done = regress(now, "--baseline", baseline, "--confirm")
+    assert (done.code, "its record has no settings, so it cannot be run again" in done.err) == (3, True)
+
+
+def test_nothing_runs_again_where_nothing_looks_worse(runs, folder, regress, tmp_path):
+    baseline = runs[1]
+    done = regress(tmp_path / "then", "--baseline", baseline, "--confirm")
+    assert (done.code, (folder / "starts").read_text()) == (0, "")
+    done = regress(tmp_path / "then", "--baseline", baseline, "--confirm", "--update")
+    assert (done.code, "--confirm: --update judges nothing" in done.err) == (2, True)
