@@ -53,9 +53,13 @@ def judged_again(
     scores = [row for row in suspects if isinstance(row, VerdictRow)]
     names = [(row.label, row.score, row.stratum, row.band) for row in scores]
     pooled = [by_name[name] for row, name in zip(scores, names, strict=True) if not row.recording]
-    judged: list[AnyRow] = [
-        judged_row(row, test, settings) for row, test in zip(pooled, row_tests(pooled), strict=True)
-    ]
+    # other rows are a part of the spread between trainings: the same counts must not be refuted for want of them
+    whole = dict(zip(by_name, row_tests(rows), strict=True))
+    judged: list[AnyRow] = []
+    for row, alone in zip(pooled, row_tests(pooled), strict=True):
+        tests = (alone, whole[row.label, row.score, row.region, row.band])
+        looks = [judged_row(row, test, settings) for test in tests]
+        judged.append(next((look for look in looks if look.verdict == "worse"), looks[0]))
     for suspect, name in zip(scores, names, strict=True):
         if suspect.recording:
             row, margin = by_name[name], settings.margin_of(suspect.label, enough_units)

@@ -10,6 +10,11 @@ import pytest
 from gridtrack.evaluation.comparison.plan import resolve
 from gridtrack.evaluation.comparison.runner import run
 from gridtrack.evaluation.comparison.settings import CompareSettings
+from gridtrack.evaluation.regression.confirmation import confirmed
+from gridtrack.evaluation.regression.measurement import Baseline
+from gridtrack.evaluation.regression.measuring import measure_run
+from gridtrack.evaluation.regression.settings import GateSettings
+from gridtrack.evaluation.regression.verdict import compare_with_baseline
 
 MOODY = '''
 from pathlib import Path
@@ -114,6 +119,20 @@ def test_a_second_run_that_fails_or_is_of_something_else_is_not_measured(runs, f
     edit(now / "run.json", lambda record: record.pop("settings"))
     done = regress(now, "--baseline", baseline, "--confirm")
     assert (done.code, "its record has no settings, so it cannot be run again" in done.err) == (3, True)
+
+
+@pytest.mark.parametrize("trainings", [1, 3])
+def test_the_same_counts_again_confirm_every_row(write_run, trainings):
+    then = [{"kalman": {"seed": n, "noise": 0.01}, "other": {"seed": 10 + n}} for n in range(trainings)]
+    first = measure_run(write_run("then-0", then[0]))
+    others = [measure_run(write_run(f"then-{n}", then[n]), like=first) for n in range(1, trainings)]
+    baseline = Baseline(digest="", runs=(first, *others))
+    worse = {"kalman": {"seed": 7, "loss": 0.1, "noise": 0.01}, "other": {"seed": 17, "nats": 0.12}}
+    now, settings = measure_run(write_run("now", worse), like=first), GateSettings()
+    verdict = compare_with_baseline(baseline, now, settings)
+    assert verdict.worse
+    again = confirmed(verdict, baseline, now, settings, lambda trials, timed: [now])
+    assert again.worse == verdict.worse
 
 
 def test_nothing_runs_again_where_nothing_looks_worse(runs, folder, regress, tmp_path):
