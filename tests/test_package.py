@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -74,6 +75,10 @@ def test_no_other_package_may_import_a_concrete_tracker():
     assert sorted(forbidden) == sorted(f"gridtrack.trackers.{name}" for name in families)
 
 
+WHEEL_BYTES = 12_000_000
+REPOSITORY_ONLY = re.compile(r"drives/|weights/[^/]*/junction\.")
+
+
 def test_the_built_wheel_compares_its_own_demo_recording_without_the_repository(tmp_path):
     source, site = tmp_path / "source", tmp_path / "site"
     shutil.copytree(
@@ -84,8 +89,11 @@ def test_the_built_wheel_compares_its_own_demo_recording_without_the_repository(
     )
     (wheel,) = tmp_path.glob("gridtrack-*.whl")
     with zipfile.ZipFile(wheel) as packed:
-        drives = [name for name in packed.namelist() if name.startswith("gridtrack/data/drives/")]
-    assert not drives, "they are in the repository only"
+        names = packed.namelist()
+    data = [name.removeprefix("gridtrack/data/") for name in names]
+    assert not [name for name in data if REPOSITORY_ONLY.match(name)]
+    assert "weights/kalman/general.toml" in data
+    assert wheel.stat().st_size < WHEEL_BYTES
     python("-m", "pip", "install", "--quiet", "--no-deps", "--target", str(site), str(wheel))
     elsewhere = {"PYTHONPATH": str(site), "cwd": str(tmp_path)}
     where = python("-c", "import gridtrack; print(gridtrack.__file__)", **elsewhere)
