@@ -20,6 +20,8 @@ from gridtrack.reports.run_description import changes_of, facts_of, lead_of, pro
 from gridtrack.reports.scripts import data_in_page, joined_script, policy_of
 from gridtrack.reports.table import headline_tables, main_tables
 
+PAGE_BYTES = 24_000_000
+"""The most that the data of a page have: what the scores leave is for moments, so that a page stays below 25 MB."""
 TEMPLATES = Path(__file__).parent / "templates"
 
 
@@ -45,8 +47,9 @@ def render_page(runs: Sequence[ReportedRun]) -> str:
     """The page as HTML. Raises ReportError where a trial's files do not fit the summary."""
     tables = headline_tables(runs)
     styles = styles_of(runs)
-    players, damaged = players_of(runs, tables)
     curves, unreadable = probability_curves(runs, tables)
+    scores = page_data(runs, tables, styles, curves)
+    players, damaged = players_of(runs, tables, PAGE_BYTES - len(data_in_page(scores)))
     css, script = (TEMPLATES / "page.css").read_text("utf-8"), joined_script()
     return (
         _environment()
@@ -64,7 +67,7 @@ def render_page(runs: Sequence[ReportedRun]) -> str:
             scale=scale_png(),
             css=Markup(css),  # a file of this package, no text of a run
             script=script,
-            data=data_in_page(page_data(runs, tables, styles, players, curves)),
+            data=data_in_page({**scores, "players": [player.data for player in players]}),
             policy=Markup(policy_of([script], [css])),
         )
     )

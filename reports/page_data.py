@@ -10,7 +10,6 @@ from gridtrack.evaluation.results.trial_summary import StratumScores, TrialSumma
 from gridtrack.evaluation.results.values import Curve
 from gridtrack.reports.conditions import condition_texts, conditions_of
 from gridtrack.reports.moment_packing import level_colours
-from gridtrack.reports.player import Player
 from gridtrack.reports.probability_curves import ProbabilityCurves
 from gridtrack.reports.run import ReportedRun
 from gridtrack.reports.table import HeadlineTable, TableColumn, TableRow
@@ -51,16 +50,15 @@ def page_data(
     runs: Sequence[ReportedRun],
     tables: Sequence[HeadlineTable],
     styles: Mapping[str, str],
-    players: Sequence[Player],
     curves: Mapping[tuple[str, str], ProbabilityCurves],
 ) -> dict[str, Any]:
-    """The data of the page.
+    """The data of the page but its moments, `players`.
 
     `trackers`: every row's label and style (CSS classes), `styles`, in their order. `scores`: those that any row has.
     `headline`: what is shown first. `recordings`: for each the horizons, the rows in the order of the table with a
     curve for each stratum and score, its times, scores under other conditions, classes and `bins` (of `curves`), the
     tiers by "score/stratum/step", and why there may be none. `conditions`: their names.
-    `players`: the moments of each recording that has some; `level_colours`: those of their cells.
+    `level_colours`: those of the cells of moments.
     """
     first = tables[0].decisive
     recordings = [_recording(runs, table, styles, curves) for table in tables]
@@ -76,7 +74,6 @@ def page_data(
         "headline": {"stratum": first.stratum, "score": first.score, "step": first.step},
         "recordings": recordings,
         "conditions": condition_texts(tables),
-        "players": [player.data for player in players],
         "level_colours": level_colours(),
     }
 

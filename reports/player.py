@@ -15,8 +15,6 @@ from gridtrack.reports.run import ReportError
 from gridtrack.reports.still import Still, still_of
 from gridtrack.reports.table import MAIN_STRATUM, HeadlineTable, TableRow
 
-MOMENTS_BYTES = 14_000_000
-"""The moments of all recordings together are at most this large, so that the page stays below 25 MB."""
 OBJECTS_SHOWN = 60
 """Of each forecast, at most."""
 
@@ -30,9 +28,9 @@ class Player:
 
 
 def player_of(
-    table: HeadlineTable, folders: Mapping[str, Path], horizons_s: Sequence[float], recordings: int
+    table: HeadlineTable, folders: Mapping[str, Path], horizons_s: Sequence[float], budget: int
 ) -> tuple[Player | None, tuple[str, ...]]:
-    """The player of one recording out of `recordings`, and notices of samples that cannot be read.
+    """The player of one recording, whose moments have `budget` bytes, and notices of samples that cannot be read.
 
     `folders`: the folder of each trial by label; `horizons_s`: of steps 0..n. Moments are judged by the scores of
     cells in motion at the decisive step. The player is None where no trial kept samples. Raises ReportError.
@@ -55,7 +53,7 @@ def player_of(
         return None, notices
     start_ns = min(reference)
     thresholds = {row.label: _thresholds(row, steps) for row in trackers}
-    moments = _within_budget(order, trackers, samples, scores, steps, thresholds, start_ns, recordings)
+    moments = _within_budget(order, trackers, samples, scores, steps, thresholds, start_ns, budget)
     data = {
         "recording": table.recording,
         "size": first.grid.size,
@@ -129,10 +127,10 @@ def _within_budget(
     steps: Sequence[int],
     thresholds: Mapping[str, Sequence[float]],
     start_ns: int,
-    recordings: int,
+    budget: int,
 ) -> list[dict[str, Any]]:
-    """The first moments of `order` that fit into one recording's share, at least one, in the order of time."""
-    left = MOMENTS_BYTES // recordings
+    """The first moments of `order` that fit into `budget` bytes, at least one, in the order of time."""
+    left = budget
     chosen: list[dict[str, Any]] = []
     for moment in order:
         found = {row.label: samples[row.label].get(moment.stamp_ns) for row in trackers}

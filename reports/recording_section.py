@@ -62,10 +62,11 @@ def section_of(runs: Sequence[ReportedRun], table: HeadlineTable) -> Section:
 
 
 def players_of(
-    runs: Sequence[ReportedRun], tables: Sequence[HeadlineTable]
+    runs: Sequence[ReportedRun], tables: Sequence[HeadlineTable], budget: int
 ) -> tuple[tuple[Player, ...], tuple[str, ...]]:
     """The player of each recording that kept forecasts, and notices of files that could not be read.
 
+    The recordings share `budget` bytes for their moments, and have one moment each whatever it is.
     There are none on the page of several runs. Raises ReportError.
     """
     if len(runs) > 1:
@@ -76,7 +77,7 @@ def players_of(
     for table in (table for table in tables if not table.pooled):
         folders = {row.label: run.trial_folder(row.label, table.recording) for row in table.rows}
         horizons_s = run.summary.recordings[table.recording].horizons_s
-        player, unreadable = player_of(table, folders, horizons_s, len(run.recordings))
+        player, unreadable = player_of(table, folders, horizons_s, budget // len(run.recordings))
         players += [player] if player else []
         notices += unreadable
     return tuple(players), tuple(notices)

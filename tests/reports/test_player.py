@@ -9,10 +9,12 @@ import pytest
 
 from gridtrack.evaluation.scoring.sample_objects import KeptObject
 from gridtrack.evaluation.scoring.samples import SAMPLES, read_samples
+from gridtrack.reports import page as page_module
 from gridtrack.reports import player
 from gridtrack.reports.moment_packing import CALLED, IN_MOTION, PACKED_LEVELS, TrackerPlanes, level_colours, pack_moment
 from gridtrack.reports.page import render_report
 from gridtrack.reports.pictures import palette
+from gridtrack.reports.scripts import data_in_page
 
 from scenes.report_page import data_of
 
@@ -91,10 +93,12 @@ def test_a_moment_that_a_tracker_does_not_have_says_so(page):
     assert data["moments"][-1]["counts"][0][unlucky] is None
 
 
-def test_a_budget_keeps_the_first_moments_and_the_page_knows_how_many_there_were(run_folder, tmp_path, monkeypatch):
-    monkeypatch.setattr(player, "MOMENTS_BYTES", 6000)
-    page = render_report([run_folder], tmp_path).read_text("utf-8")
-    (data,) = players_of(page)
+def test_a_budget_keeps_the_first_moments_and_the_page_knows_how_many_there_were(
+    page, run_folder, tmp_path, monkeypatch
+):
+    scores = {key: value for key, value in data_of(page).items() if key != "players"}
+    monkeypatch.setattr(page_module, "PAGE_BYTES", len(data_in_page(scores)) + 6000)
+    (data,) = players_of(render_report([run_folder], tmp_path).read_text("utf-8"))
     shown = len(data["moments"])
     assert 1 < shown < 20
     assert sum(len(moment["cells"]) for moment in data["moments"]) <= 6000
@@ -103,7 +107,7 @@ def test_a_budget_keeps_the_first_moments_and_the_page_knows_how_many_there_were
 
 
 def test_even_a_budget_of_nothing_leaves_one_moment(run_folder, tmp_path, monkeypatch):
-    monkeypatch.setattr(player, "MOMENTS_BYTES", 0)
+    monkeypatch.setattr(page_module, "PAGE_BYTES", 0)
     (data,) = players_of(render_report([run_folder], tmp_path).read_text("utf-8"))
     assert len(data["moments"]) == 1
 
