@@ -1,9 +1,9 @@
-"""Worst forecasts: pictures of the forecasts of dynamic cells with the least F1, for each tracker of a run.
+"""Worst forecasts: pictures of the forecasts of cells in motion with the least F1, for each tracker of a run.
 
 `python -m studies.worst_forecasts RUN` (some seconds) reads a run and writes RUN/worst-forecasts.html: for each
-tracker the kept frames with the least dynamic F1 one second ahead, at most one of a recording and only frames with
-enough dynamic cells; the input, the observed frame, the forecast, and the forecast at its threshold: hit, missed, false
-alarm.
+tracker the kept frames with the least F1 in motion one second ahead, of equal ones those with the most cells, at most
+one of a recording and only frames with enough cells in motion; the input, the observed frame, the forecast, and the
+forecast at its threshold: hit, missed, false alarm.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from gridtrack.evaluation.scoring.samples import SAMPLES, Sample, read_samples
 from gridtrack.reports.moment_choice import FrameScore, frame_scores
 from gridtrack.reports.pictures import frame_png, probability_png
 from gridtrack.reports.run import ReportedRun, read_runs
+from gridtrack.reports.table import MAIN_STRATUM
 
 HORIZON_S = 1.0
 ENOUGH_CELLS = 20
@@ -43,7 +44,7 @@ def worst(run: ReportedRun, label: str) -> list[Failure]:
     """The worst kept frame of each recording, the SHOWN worst of these."""
     found: list[Failure] = []
     for recording, trial in run.summary.trackers[label].recordings.items():
-        if run.is_pooled(recording) or "dynamic" not in trial.strata:
+        if run.is_pooled(recording) or MAIN_STRATUM not in trial.strata:
             continue
         step = round(HORIZON_S / run.summary.recordings[recording].period_s)
         folder = run.trial_folder(label, recording)
@@ -51,11 +52,16 @@ def worst(run: ReportedRun, label: str) -> list[Failure]:
         scored = {stamp: score for stamp, score in scores.items() if score.occupied >= ENOUGH_CELLS}
         kept = [sample for sample in read_samples(folder / SAMPLES) if sample.stamp_ns in scored]
         if kept:
-            sample = min(kept, key=lambda one: scored[one.stamp_ns].f1)
+            sample = min(kept, key=lambda one: badness(scored[one.stamp_ns]))
             found.append(
-                Failure(recording, scored[sample.stamp_ns], sample, trial.strata["visible"].threshold[step] or 1)
+                Failure(recording, scored[sample.stamp_ns], sample, trial.strata[MAIN_STRATUM].threshold[step] or 1)
             )
-    return sorted(found, key=lambda failure: failure.scored.f1)[:SHOWN]
+    return sorted(found, key=lambda failure: badness(failure.scored))[:SHOWN]
+
+
+def badness(scored: FrameScore) -> tuple[float, int]:
+    """Less is worse: the F1, then the more cells."""
+    return scored.f1, -scored.occupied
 
 
 def compared_cells(failure: Failure) -> Iterator[str]:
@@ -85,7 +91,7 @@ def pictures(failure: Failure) -> str:
     shown = "".join(f'<img src="{image}">' for image in images) + errors
     scored = failure.scored
     return (
-        f"<h3>{escape(failure.recording)}, {sample.stamp_ns / 1e9:.2f} s: dynamic F1 {scored.f1:.2f}"
+        f"<h3>{escape(failure.recording)}, {sample.stamp_ns / 1e9:.2f} s: F1 in motion {scored.f1:.2f}"
         f" ({scored.tp} hit, {scored.fn} missed, {scored.fp} false)</h3><div>{shown}</div>"
     )
 
