@@ -13,6 +13,7 @@ from gridtrack.reports.answer import answer_of
 from gridtrack.reports.notices import Notice, notices_of
 from gridtrack.reports.page_data import page_data
 from gridtrack.reports.pictures import scale_png
+from gridtrack.reports.priors import priors_of
 from gridtrack.reports.probability_curves import probability_curves
 from gridtrack.reports.recording_section import players_of, section_of, styles_of
 from gridtrack.reports.run import UNDEFINED, ReportedRun, ReportError, read_runs
@@ -48,7 +49,8 @@ def render_page(runs: Sequence[ReportedRun]) -> str:
     tables = headline_tables(runs)
     styles = styles_of(runs)
     curves, unreadable = probability_curves(runs, tables)
-    scores = page_data(runs, tables, styles, curves)
+    priors, unread = priors_of(runs, tables, styles)
+    scores = {**page_data(runs, tables, styles, curves), "priors": priors}
     players, damaged = players_of(runs, tables, PAGE_BYTES - len(data_in_page(scores)))
     css, script = (TEMPLATES / "page.css").read_text("utf-8"), joined_script()
     return (
@@ -60,7 +62,8 @@ def render_page(runs: Sequence[ReportedRun]) -> str:
             answer=answer_of(runs[0]) if len(runs) == 1 else (),
             changes=changes_of(runs) if len(runs) > 1 else (),
             runs=[(run, facts_of(run), provenance_of(run)) for run in runs],
-            notices=[Notice(text, serious=True) for text in (*damaged, *unreadable)] + notices_of(runs, tables),
+            notices=[Notice(text, serious=True) for text in (*damaged, *unreadable, *unread)]
+            + notices_of(runs, tables),
             sections=[section_of(runs, table) for table in main_tables(tables)],
             players=players,
             styles=styles,

@@ -30,6 +30,8 @@ ASSETS = Path(__file__).parent / "assets"
 MAIN_SCRIPT = "main.js"
 _IMPORT = re.compile(r'^import \{[^}]*\} from "\./([a-z_]+\.js)";\n', re.MULTILINE)
 _DECLARED = re.compile(r"^(?:async )?(?:function|class|const|let) (\w+)", re.MULTILINE)
+_DECLARED_BESIDE = re.compile(r"^(?:const|let) .*$", re.MULTILINE)
+_CONSTANT = re.compile(r", ([A-Z][A-Z0-9_]*) = ")
 _EXPORT = re.compile(r"^export (?=(?:async )?(?:function|class|const|let)\b)", re.MULTILINE)
 
 
@@ -45,6 +47,7 @@ def joined_script(folder: Path = ASSETS) -> Markup:
     if re.search(r"^(import|export)\b", script, re.MULTILINE) or re.search(r"</script|<!--", script, re.IGNORECASE):
         raise ValueError(f"{folder}: an import or export of another form, or the end of a script element, in a module")
     names = _DECLARED.findall(script)
+    names += [name for line in _DECLARED_BESIDE.findall(script) for name in _CONSTANT.findall(line)]
     if twice := sorted({name for name in names if names.count(name) > 1}):
         raise ValueError(f"{folder}: declared in two modules: {', '.join(twice)}")
     return Markup(script)  # files of this package, no text of a run

@@ -15,6 +15,7 @@ from gridtrack.evaluation.comparison.deadline_pass import measure_deadline
 from gridtrack.evaluation.comparison.latency_pass import measure_latency
 from gridtrack.evaluation.comparison.oracle import oracle_validation, run_oracle
 from gridtrack.evaluation.comparison.plan import ComparisonPlan, Trial, with_copied_weights
+from gridtrack.evaluation.comparison.prior_pass import PriorRun, trials_with_priors
 from gridtrack.evaluation.comparison.provenance import usable_cores
 from gridtrack.evaluation.comparison.robustness_pass import RobustnessRun
 from gridtrack.evaluation.comparison.run_folder import RunFolder
@@ -22,8 +23,9 @@ from gridtrack.evaluation.comparison.run_lock import run_lock
 from gridtrack.evaluation.comparison.shared_thresholds import SharedThresholds, oracle_key
 from gridtrack.evaluation.comparison.trial import Interrupted, TrialRun, error_with_location, failed, unstarted
 from gridtrack.evaluation.processes.outcome import TrialEnded
+from gridtrack.evaluation.results.columns import PRIOR_TABLE
 from gridtrack.evaluation.results.summary import RunSummary
-from gridtrack.evaluation.results.trial_record import TrialRecord
+from gridtrack.evaluation.results.trial_record import TrialRecord, hashes_of
 from gridtrack.evaluation.scoring.splits import EvaluationSplit, SplitRegions
 
 WAKE_S = 0.2
@@ -70,11 +72,19 @@ def _run(plan: ComparisonPlan, command: Sequence[str], progress: RunObserver) ->
     interrupted = False
     try:
         pool.run_missing()
+        pool.measure_priors()
         pool.measure_robustness()
         pool.measure_alone()
     except KeyboardInterrupt:
         interrupted = True
     return folder.finish(pool.all_records(), pool.notices, interrupted)
+
+
+class Interruptible(Protocol):
+    """What runs in a thread and ends when it is told to."""
+
+    def interrupt(self) -> None:
+        """End it from another thread, also during a call."""
 
 
 class TrialPool:
@@ -85,7 +95,7 @@ class TrialPool:
         """Failed measurements of complete trials, with their reasons."""
         self._plan, self._folder, self._progress = plan, folder, progress
         self._stop = threading.Event()
-        self._running: set[TrialRun | RobustnessRun] = set()
+        self._running: set[Interruptible] = set()
         self._records: dict[str, TrialRecord] = {}
         self._regions: dict[str, SplitRegions] = {}
         self._thresholds = SharedThresholds()
@@ -110,6 +120,11 @@ class TrialPool:
         oracles = [split for split in unknown if split.test.has_truth]
         tasks = [partial(self._run_trial, trial) for trial in trials] + [partial(self._run_oracle, s) for s in oracles]
         self._in_parallel(tasks, [*(trial.split for trial in trials), *oracles])
+
+    def measure_priors(self) -> None:
+        """Measure what each row with weights expects of each place, where it is missing."""
+        trials = trials_with_priors(self._complete(), self._records)
+        self._in_parallel([partial(self._measure_prior, trial) for trial in trials], [])
 
     def measure_robustness(self) -> None:
         """Run the robustness pass of every complete trial, where it is requested and missing."""
@@ -208,8 +223,16 @@ class TrialPool:
                 robustness = run.run(self._regions_of(trial.split), record.thresholds, self._raise_if_stopped)
             self._add(trial, robustness=robustness)
 
+    def _measure_prior(self, trial: Trial) -> None:
+        folder = self._folder / trial.name
+        with self._measuring(trial, "its prior"):
+            run = PriorRun(trial, folder)
+            with self._interruptible(run):
+                run.run(self._raise_if_stopped)
+            self._add(trial, files={**self._records[trial.name].files, **hashes_of(folder, (PRIOR_TABLE.file,))})
+
     @contextmanager
-    def _interruptible(self, run: TrialRun | RobustnessRun) -> Iterator[None]:
+    def _interruptible(self, run: Interruptible) -> Iterator[None]:
         self._running.add(run)
         try:
             yield

@@ -14,7 +14,7 @@ from gridtrack.evaluation.comparison.plan import Trial
 from gridtrack.evaluation.comparison.shared_thresholds import SharedThresholds, thresholds_of_card, trial_key
 from gridtrack.evaluation.processes.outcome import TrialEnded
 from gridtrack.evaluation.processes.tracker_process import TrackerDescription
-from gridtrack.evaluation.results.columns import HISTOGRAM_TABLE, SCORES_TABLE
+from gridtrack.evaluation.results.columns import HISTOGRAM_TABLE, PRIOR_TABLE, SCORES_TABLE
 from gridtrack.evaluation.results.trial_record import OUTCOME_FILE, Times, TrialEnding, TrialRecord, hashes_of
 from gridtrack.evaluation.scoring.counting import Tally, count_forecast
 from gridtrack.evaluation.scoring.referee import Delivery, TrackerLike, refuse_moving, scored_forecasts
@@ -43,7 +43,7 @@ class TrialRun:
         `shared` holds the thresholds that earlier trials of the same run have chosen.
         """
         folder.mkdir(parents=True, exist_ok=True)
-        for stale in (OUTCOME_FILE, *SCORE_FILES):
+        for stale in (OUTCOME_FILE, *SCORE_FILES, PRIOR_TABLE.file):
             (folder / stale).unlink(missing_ok=True)
         self.trial, self._regions, self._folder, self._on_frame = trial, regions, folder, on_frame
         self._shared = shared

@@ -203,4 +203,21 @@ SEMANTICS_TABLE = ParquetTable(
         ),
     ),
 )
-TABLES = (SCORES_TABLE, HISTOGRAM_TABLE, NEIGHBOURHOODS_TABLE, BEAMS_TABLE, CLASSES_TABLE, SEMANTICS_TABLE)
+PRIOR_TABLE = ParquetTable(
+    "prior.parquet",
+    "cell of the window, row by row; of a tracker with weights and a sensor at rest",
+    (
+        ParquetColumn("row", pa.int16(), "of the cell"),
+        ParquetColumn("column", pa.int16(), "of the cell"),
+        ParquetColumn("visible", pa.int32(), "frames of the test stretch in which the cell is visible"),
+        ParquetColumn("occupied", pa.int32(), "frames of the test stretch in which it is occupied"),
+        ParquetColumn(
+            "probability",
+            pa.float32(),
+            "P(occupied) one step after a first frame that shows nothing: what the tracker expects of the place",
+        ),
+    ),
+)
+SCORE_TABLES = (SCORES_TABLE, HISTOGRAM_TABLE, NEIGHBOURHOODS_TABLE, BEAMS_TABLE, CLASSES_TABLE, SEMANTICS_TABLE)
+"""Tables that are written while a trial is scored."""
+TABLES = (*SCORE_TABLES, PRIOR_TABLE)

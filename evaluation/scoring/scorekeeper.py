@@ -7,7 +7,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-from gridtrack.evaluation.results.columns import TABLES
+from gridtrack.evaluation.results.columns import SCORE_TABLES
 from gridtrack.evaluation.scoring.beam_errors import beam_errors
 from gridtrack.evaluation.scoring.class_store import ClassWriter
 from gridtrack.evaluation.scoring.counting import count_forecast
@@ -20,7 +20,7 @@ from gridtrack.evaluation.scoring.spatial_store import SpatialWriter
 from gridtrack.evaluation.scoring.splits import EvaluationSplit
 from gridtrack.evaluation.scoring.thresholds import Thresholds
 
-SCORE_FILES = (*(table.file for table in TABLES), SAMPLES)
+SCORE_FILES = (*(table.file for table in SCORE_TABLES), SAMPLES)
 """Files of a trial's scores; classes only where the recording has classes, semantics where the tracker has them."""
 
 

@@ -1,4 +1,5 @@
 // The packed cells of a moment (`moment_packing.py`), and their colours.
+import { inflatedBytes } from "./inflated.js";
 import { pageData } from "./page_data.js";
 
 const CALLED = 32;
@@ -20,9 +21,7 @@ const OTHER = [120, 122, 126];
 
 // Planes of one moment: `input`, and `target(h)`, `forecast(h, tracker)` as Uint8Array of size * size cells.
 export async function unpackedMoment(player, moment) {
-  const packed = Uint8Array.from(atob(moment.cells), (sign) => sign.charCodeAt(0));
-  const stream = new Blob([packed]).stream().pipeThrough(new DecompressionStream("deflate"));
-  const bytes = new Uint8Array(await new Response(stream).arrayBuffer());
+  const bytes = await inflatedBytes(moment.cells);
   const area = player.size * player.size;
   const horizons = player.horizons_s.length;
   const plane = (at) => bytes.subarray(at * area, (at + 1) * area);

@@ -33,6 +33,7 @@ def test_a_module_stands_once_after_those_it_imports(tmp_path):
         ("export default 1;\n", "an import or export of another form"),
         ('const end = "</SCRIPT>";\n', "the end of a script element"),
         ("const a = 1;\nfunction a() {}\n", "declared in two modules: a"),
+        ("const A = 1, SIDE = 2;\nconst SIDE = 3;\n", "declared in two modules: SIDE"),
     ],
 )
 def test_a_module_that_cannot_be_joined_is_refused(tmp_path, text, why):

@@ -10,6 +10,7 @@ from pyarrow import parquet
 
 from gridtrack.evaluation.results.columns import CLASSES_TABLE, SEMANTICS_TABLE, TABLES
 from gridtrack.evaluation.scoring.class_store import ClassWriter
+from gridtrack.evaluation.scoring.prior_store import write_prior
 
 from scenes import synthetic_run as synthetic
 
@@ -25,6 +26,7 @@ def trial(tmp_path_factory):
         writer.add_found(10, np.ones((STEPS + 1, 2, len(CLASSES), 4), np.int32))
         confusion = np.ones((STEPS + 1, 2, len(CLASSES), len(CLASSES) + 1), np.int32)
         writer.add_semantics(10, confusion, confusion.astype(float))
+    write_prior(finished.folder, *np.ones((2, 4, 4), np.int32), np.ones((4, 4), np.float32))
     return finished.folder
 
 

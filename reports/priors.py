@@ -1,0 +1,95 @@
+"""What trackers expect of a place before they see it, beside what the recording shows there, packed for the page.
+
+A plane is M x M bytes, rows from the bottom up, deflated, as base64: the logarithm of a probability from LEAST to 1 in
+LEVELS steps, 0 for LEAST and below, and UNSEEN for a cell that was never visible.
+"""
+
+from __future__ import annotations
+
+import base64
+import zlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import polars as pl
+from numpy.typing import NDArray
+
+from gridtrack.common.grid import GridSpec
+from gridtrack.evaluation.results.columns import PRIOR_TABLE
+from gridtrack.reports.run import ReportedRun, ReportError
+from gridtrack.reports.table import HeadlineTable
+
+LEAST = 1e-3
+"""Probabilities are told apart from here on, as log losses are."""
+LEVELS, UNSEEN = 254, 255
+
+
+@dataclass(frozen=True)
+class Prior:
+    """`probability` (M, M) in [0, 1], expected by a tracker, and `recorded` (M, M): NaN, or the share of occupied."""
+
+    probability: NDArray[np.float32]
+    recorded: NDArray[np.float32]
+
+
+def priors_of(
+    runs: Sequence[ReportedRun], tables: Sequence[HeadlineTable], styles: Mapping[str, str]
+) -> tuple[tuple[dict[str, Any], ...], tuple[str, ...]]:
+    """The priors of each recording that has any, for the page of one run, and notices of files that cannot be read."""
+    if len(runs) > 1:
+        return (), ()
+    (run,) = runs
+    places: list[dict[str, Any]] = []
+    notices: list[str] = []
+    for table in (table for table in tables if not table.pooled):
+        grid = run.summary.recordings[table.recording].grid
+        found: dict[str, Prior] = {}
+        for row in table.rows:
+            path = run.trial_folder(row.label, table.recording) / PRIOR_TABLE.file
+            if grid and path.is_file():
+                try:
+                    found[row.label] = read_prior(path, GridSpec.parse(grid).size)
+                except ReportError as error:
+                    notices.append(str(error))
+        if found:
+            recorded = next(iter(found.values())).recorded
+            rows = [
+                {
+                    "name": row.name,
+                    "label": row.label,
+                    "style": styles[row.label],
+                    "cells": pack(found[row.label].probability),
+                }
+                for row in table.rows
+                if row.label in found
+            ]
+            places.append(
+                {"recording": table.recording, "size": len(recorded), "recorded": pack(recorded), "rows": rows}
+            )
+    return tuple(places), tuple(notices)
+
+
+def read_prior(path: Path, size: int) -> Prior:
+    """The prior of a trial on a grid of `size` cells a side. Raises ReportError."""
+    try:
+        rows = pl.read_parquet(path, columns=list(PRIOR_TABLE.names), n_rows=size**2 + 1, glob=False)
+        row, column, visible, occupied, probability = (rows[name].to_numpy() for name in PRIOR_TABLE.names)
+    except (pl.exceptions.PolarsError, OSError) as error:
+        raise ReportError(f"{path}: cannot be read as a prior ({str(error).splitlines()[0]}); run it again") from None
+    expected = np.indices((size, size)).reshape(2, -1)
+    in_order = len(rows) == size**2 and (row == expected[0]).all() and (column == expected[1]).all()
+    if not in_order or not ((probability >= 0) & (probability <= 1) & (occupied >= 0) & (occupied <= visible)).all():
+        raise ReportError(f"{path}: not the prior of a grid of {size} x {size} cells; run it again")
+    with np.errstate(invalid="ignore"):
+        recorded = (occupied / visible).astype(np.float32)
+    return Prior(probability.astype(np.float32).reshape(size, size), recorded.reshape(size, size))
+
+
+def pack(probability: NDArray[np.float32]) -> str:
+    """A plane (M, M) of probabilities, NaN where the cell was never visible."""
+    levels = np.rint(LEVELS * (1.0 - np.log(np.clip(probability, LEAST, 1.0)) / np.log(LEAST)))
+    plane = np.where(np.isnan(probability), UNSEEN, np.nan_to_num(levels)).astype(np.uint8)
+    return base64.b64encode(zlib.compress(plane.tobytes(), 9)).decode()

@@ -1,0 +1,123 @@
+"""The figure of what trackers expect of a place: its numbers, damaged files, and its pictures in a browser."""
+
+import base64
+import shutil
+import zlib
+
+import numpy as np
+import pyarrow as pa
+import pytest
+from pyarrow import parquet
+
+from gridtrack.evaluation.results.columns import PRIOR_TABLE
+from gridtrack.reports.page import render_page, render_report
+from gridtrack.reports.priors import LEVELS, UNSEEN
+from gridtrack.reports.run import read_runs
+
+from scenes.report_page import data_of
+
+BROWSER = shutil.which("chromium")
+SIZE = 32
+FRAMES = 8
+
+
+def columns(expected_at):
+    """A place that is occupied in half of the frames at [3, 5] and never visible at [4, 6]."""
+    row, column = np.indices((SIZE, SIZE), np.int16)
+    visible, occupied = np.full((SIZE, SIZE), FRAMES, np.int32), np.zeros((SIZE, SIZE), np.int32)
+    occupied[3, 5], visible[4, 6] = FRAMES // 2, 0
+    probability = np.full((SIZE, SIZE), 1e-3, np.float32)
+    probability[expected_at] = 1.0
+    return {"row": row, "column": column, "visible": visible, "occupied": occupied, "probability": probability}
+
+
+def write_prior(folder, cells):
+    table = pa.table([cells[name].ravel() for name in PRIOR_TABLE.names], schema=PRIOR_TABLE.schema)
+    parquet.write_table(table, folder / PRIOR_TABLE.file)
+
+
+@pytest.fixture
+def run(run_folder, tmp_path):
+    """A run in which `good` and `fair` have a prior."""
+    run = shutil.copytree(run_folder, tmp_path / "run")
+    write_prior(run / "good@crossing", columns((3, 5)))
+    write_prior(run / "fair@crossing", columns((20, 9)))
+    return run
+
+
+def plane(packed):
+    return np.frombuffer(zlib.decompress(base64.b64decode(packed)), np.uint8).reshape(SIZE, SIZE)
+
+
+def test_the_recorded_share_and_each_prior_are_on_one_logarithmic_scale(run):
+    (place,) = data_of(render_page(read_runs([run])))["priors"]
+    assert (place["recording"], place["size"]) == ("crossing", SIZE)
+    assert {row["label"] for row in place["rows"]} == {"good", "fair"}
+    recorded = plane(place["recorded"])
+    # log10(0.5) is 0.301 of the three decades below 1
+    assert recorded[3, 5] == pytest.approx(LEVELS * (1 - 0.30103 / 3), abs=0.5)
+    assert (recorded[4, 6], recorded[0, 0]) == (UNSEEN, 0)
+    (good,) = [row for row in place["rows"] if row["label"] == "good"]
+    assert np.argwhere(plane(good["cells"]) == LEVELS).tolist() == [[3, 5]]
+
+
+def test_a_run_without_priors_has_no_figure_of_them(run_folder):
+    assert data_of(render_page(read_runs([run_folder])))["priors"] == []
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda cells: {**cells, "probability": np.full((SIZE, SIZE), 1.5, np.float32)},
+        lambda cells: {**cells, "probability": np.full((SIZE, SIZE), np.nan, np.float32)},
+        lambda cells: {**cells, "occupied": cells["visible"] + np.int32(1)},
+        lambda cells: {name: values[1:] for name, values in cells.items()},
+        lambda cells: {**cells, "row": cells["row"][::-1]},
+    ],
+    ids=["above 1", "NaN", "more than visible", "a row short", "another order"],
+)
+def test_a_damaged_prior_is_told_and_the_others_are_shown(run, damage):
+    write_prior(run / "good@crossing", damage(columns((3, 5))))
+    page = render_page(read_runs([run]))
+    assert "prior.parquet: not the prior of a grid of 32 x 32 cells" in page
+    assert [row["label"] for row in data_of(page)["priors"][0]["rows"]] == ["fair"]
+
+
+def test_a_file_that_is_no_parquet_is_told(run):
+    (run / "good@crossing" / PRIOR_TABLE.file).write_bytes(b"PAR1 no")
+    assert "cannot be read as a prior" in render_page(read_runs([run]))
+
+
+@pytest.mark.skipif(not BROWSER, reason="needs chromium")
+def test_a_browser_draws_the_maps_with_row_0_at_the_bottom(run):
+    playwright = pytest.importorskip("playwright.sync_api", reason="playwright, of the extra dev, is not installed")
+    with playwright.sync_playwright() as driver:
+        page = driver.chromium.launch(executable_path=BROWSER, args=["--no-sandbox"]).new_page()
+        page.set_default_timeout(120_000)
+        faults = []
+        page.on("console", lambda message: message.type == "error" and faults.append(message.text))
+        page.on("pageerror", lambda error: faults.append(str(error)))
+        page.goto(render_report([run]).as_uri())
+        page.locator("#priors image").nth(2).wait_for()
+        names = page.locator("#priors g text").all_text_contents()
+        assert names == ["recorded: share of frames", "good", "fair"]
+        # the darkest pixel of each picture of a tracker, from the top left
+        darkest = page.evaluate(
+            """async () => Promise.all([...document.querySelectorAll("#priors image")].slice(1).map(async (one) => {
+              const picture = new Image();
+              picture.src = one.getAttribute("href");
+              await picture.decode();
+              const canvas = new OffscreenCanvas(picture.width, picture.height), context = canvas.getContext("2d");
+              context.drawImage(picture, 0, 0);
+              const values = context.getImageData(0, 0, picture.width, picture.height).data;
+              const cells = Array.from({ length: picture.width * picture.height }, (_, i) => 4 * i);
+              const dark = cells.map((red) => values[red] + values[red + 1]);
+              const at = dark.indexOf(Math.min(...dark));
+              return [Math.floor(at / picture.width), at % picture.width];
+            }))"""
+        )
+        assert darkest == [[SIZE - 1 - 3, 5], [SIZE - 1 - 20, 9]]
+        assert faults == []
+        page.locator('#priors button[aria-label*="CSV"]').wait_for()
+        page.get_by_role("button", name="good").first.click()
+        assert page.locator("#priors image").count() == 2
