@@ -65,6 +65,7 @@ docs: $(VENV)/.installed-docs ## build the documentation site in runs/site; ever
 figures: $(VENV)/.installed-dev ## write the numbers of the pages from docs/results, and draw the label budget
 	$(BIN)/python -m studies.label_curve
 	$(BIN)/python -m studies.figures
+	$(BIN)/python -m studies.contract_page
 
 screenshots: $(VENV)/.installed-dev ## pictures of the report of runs/demo, at two widths, light and dark, in runs/screenshots
 	$(BIN)/python -m studies.report_screenshots runs/demo --out runs/screenshots

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import shlex
 from contextlib import suppress
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -221,11 +221,14 @@ def check_command(
     trackers_toml: TrackersTomlOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Check that a tracker keeps the plugin contract, in its own process. Exit code 1 where it does not."""
+    """Give a verdict on each clause of the plugin contract, and what to mend. Exit code 1 unless all are kept."""
     from gridtrack.evaluation.comparison.learned import find_weights
-    from gridtrack.evaluation.processes.contract_suite import check_tracker
-    from gridtrack.reports.terminal import print_rows
+    from gridtrack.evaluation.processes.contract_suite import ClauseResult, check_tracker
+    from gridtrack.reports.contract import clause_lines, contract_line
     from gridtrack.trackers.selection import launch, read_trackers_toml
+
+    def tell(result: ClauseResult) -> None:
+        typer.echo("\n".join(clause_lines(result)))
 
     chosen = _tracker_alone(tracker)
     stream = _stream(recording)
@@ -233,10 +236,13 @@ def check_command(
     launched = launch(chosen.name, read_trackers_toml(trackers_toml) if trackers_toml else None)
     if found is None:
         _refuse_untrained(launched, chosen.options, stream.site)
-    results = check_tracker(launched, replace(stream, weights=found.path if found else None), chosen.options)
-    rows = [asdict(result) for result in results]
-    typer.echo(json.dumps(rows, indent=1)) if as_json else print_rows(rows)
-    if any(result.verdict != "passed" for result in results):
+    with_weights = replace(stream, weights=found.path if found else None)
+    results = check_tracker(launched, with_weights, chosen.options, report=None if as_json else tell)
+    if as_json:
+        typer.echo(json.dumps([result.record() for result in results], indent=1))
+    else:
+        typer.echo(contract_line(chosen.name, results))
+    if not all(result.kept for result in results):
         raise typer.Exit(1)
 
 

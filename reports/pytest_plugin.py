@@ -46,6 +46,7 @@ def _require_contract(tracker: str, stream: StreamSpec | None = None) -> None:
     from gridtrack.common.errors import GridtrackError, printable
     from gridtrack.common.grid import GridSpec
     from gridtrack.evaluation.processes.contract_suite import check_tracker
+    from gridtrack.reports.contract import clause_lines, contract_line
     from gridtrack.trackers.contract import StreamSpec
     from gridtrack.trackers.selection import launch, parse_selection
 
@@ -54,9 +55,9 @@ def _require_contract(tracker: str, stream: StreamSpec | None = None) -> None:
         results = check_tracker(launch(chosen.name), stream or StreamSpec(GridSpec(40, 0.2), 0.125), chosen.options)
     except GridtrackError as error:
         pytest.fail(f"{tracker} was not checked: {printable(str(error))}", pytrace=False)
-    broken = [f"{one.name}: {one.verdict}: {printable(one.detail)}" for one in results if one.verdict != "passed"]
-    if broken:
-        pytest.fail("\n".join([f"{tracker} does not keep the contract:", *broken]), pytrace=False)
+    if not all(result.kept for result in results):
+        lines = [line for result in results if not result.kept for line in clause_lines(result)]
+        pytest.fail("\n".join([contract_line(tracker, results), *lines]), pytrace=False)
 
 
 @pytest.fixture

@@ -188,10 +188,11 @@ def test_show_lists_the_options_and_their_defaults():
     assert [option["option"] for option in shown["options"]] == ["prior_frames"]
 
 
-def test_check_runs_the_contract_suite():
-    rows = json.loads(gridtrack("trackers", "check", "persistence", "--json").stdout)
-    assert {row["verdict"] for row in rows} == {"passed"}
-    assert len(rows) == 10
+def test_check_gives_a_verdict_on_each_clause():
+    lines = gridtrack("trackers", "check", "persistence").stdout.splitlines()
+    assert [line.split()[0] for line in lines[:2]] == ["passed", "passed"]
+    assert "not applicable  gives-its-classes        names no classes" in lines
+    assert lines[-1] == "persistence keeps the contract: 15 passed, 1 not applicable"
 
 
 def test_settings_of_a_row_of_a_comparison_are_refused_by_other_commands():
@@ -201,12 +202,17 @@ def test_settings_of_a_row_of_a_comparison_are_refused_by_other_commands():
 
 def test_a_tracker_with_learned_weights_for_the_site_is_checked_on_the_recording():
     rows = json.loads(gridtrack("trackers", "check", "static-map", "--recording", DEMO, "--json").stdout)
-    assert {row["verdict"] for row in rows} == {"passed"}
+    assert {row["verdict"] for row in rows} == {"passed", "not applicable"}
+    assert list(rows[0]) == ["clause", "verdict", "observed", "mend", "requirement", "reason"]
 
 
 def test_a_tracker_that_violates_the_contract_is_exit_code_1(bad_trackers):
-    done = gridtrack("trackers", "check", "counts-predictions", code=1)
-    assert "failed" in done.stdout
+    lines = gridtrack("trackers", "check", "counts-predictions", code=1).stdout.splitlines()
+    (at,) = [number for number, line in enumerate(lines) if line.startswith("failed")]
+    assert "predict-keeps-the-state  predicted twice in a row: after frame 1" in lines[at]
+    assert "requires: `predict` does not change the state." in lines[at + 1]
+    assert "to mend:  Copy the state" in lines[at + 2]
+    assert lines[-1].startswith("counts-predictions does not keep the contract: 13 passed, 2 not applicable, 1 failed")
 
 
 def test_info_lists_the_content_of_a_recording():

@@ -10,7 +10,7 @@ from typing import Any
 from gridtrack.common.grid import GridFrame
 from gridtrack.evaluation.processes.contract_scene import scene
 from gridtrack.evaluation.processes.limits import Limits
-from gridtrack.evaluation.processes.tracker_process import TrackerProcess
+from gridtrack.evaluation.processes.tracker_process import TrackerDescription, TrackerProcess, describe
 from gridtrack.trackers.contract import Forecast, StreamSpec
 from gridtrack.trackers.selection import Launch
 
@@ -31,6 +31,7 @@ class TrackerUnderTest:
         self._log = Path(folder, "stderr.log")
         self._running = ExitStack()
         self._process: TrackerProcess | None = None
+        self._fresh: Forecasts | None = None
 
     def __enter__(self) -> TrackerUnderTest:
         return self
@@ -43,6 +44,10 @@ class TrackerUnderTest:
         if self._process is None:
             self._process = self._running.enter_context(self.process_on(self.stream))
         return self._process
+
+    def described(self, more: Mapping[str, Any] | None = None) -> TrackerDescription:
+        """The tracker's description without a stream, with `more` options. Raises ConfigurationError, PluginError."""
+        return describe(self._launch, {**self._options, **(more or {})}, self._limits)
 
     def restart(self) -> None:
         """End the process; the next use starts a new one."""
@@ -68,3 +73,10 @@ class TrackerUnderTest:
             tracker.update(frame)
             made += [(count, tracker.predict(CHECKED_STEPS)) for _ in range(due.count(count))]
         return made
+
+    def fresh_forecasts(self) -> Forecasts:
+        """The forecasts of the scene in a process that has seen nothing else; made once."""
+        if self._fresh is None:
+            self.restart()
+            self._fresh = self.forecasts(self.scene())
+        return self._fresh

@@ -33,6 +33,7 @@ pytest() { :; }
 OWN = "gridtrack trackers new my-tracker\npip install --editable my-tracker\n"
 BEFORE = {
     "docs/ci.md": OWN,
+    "docs/contract.md": OWN,
     "docs/export.md": "gridtrack compare my.bag@0s-12s --tracker persistence --tracker kalman --out runs/hall\n",
     "docs/junction.md": OWN,
     "docs/regress.md": OWN,
@@ -105,6 +106,7 @@ PLACES: dict[str, Prepare] = {
     "data/junction/README.md": places.clone,
     "data/leg_tracker/README.md": lambda folder: places.hall_bag(folder / "demo_stationary_simple_environment.bag"),
     "docs/ci.md": lambda folder: places.hall_recordings(folder, "recordings/one.mcap", "recordings/two.mcap"),
+    "docs/contract.md": my_bag,
     "docs/export.md": my_bag,
     "docs/first-comparison.md": places.clone,
     "docs/follow.md": places.recorded_drive,

@@ -67,6 +67,17 @@ def test_an_option_that_does_not_exist_is_an_error_of_one_line(suite):
     assert "Traceback" not in done.stdout
 
 
+def test_a_broken_clause_of_the_contract_is_named_with_what_to_mend(tmp_path, bad_trackers):
+    (tmp_path / "test_it.py").write_text('def test_it(tracker_contract):\n    tracker_contract("counts-predictions")\n')
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", str(tmp_path / "test_it.py")]
+    done = subprocess.run(command, cwd="/", capture_output=True, text=True, check=False)
+    assert done.returncode == 1
+    assert "counts-predictions does not keep the contract: 13 passed, 2 not applicable, 1 failed" in done.stdout
+    assert "failed          predict-keeps-the-state  predicted twice in a row" in done.stdout
+    assert "to mend:  Copy the state" in done.stdout
+    assert "repeatable " not in done.stdout
+
+
 def test_the_plugin_imports_no_large_library():
     code = "import gridtrack.reports.pytest_plugin, sys; print(*sorted(sys.modules))"
     loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
