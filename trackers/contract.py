@@ -16,6 +16,8 @@ from gridtrack.common.grid import GridFrame, GridSpec, LabelledFrame
 from gridtrack.trackers.progress import Progress
 
 API = 1
+MAX_FUTURES = 64
+"""The most sampled futures of one forecast; it bounds the size of an answer before memory is allocated."""
 Role = Literal["tracker", "floor"]
 """The role of a row in a comparison: a tracker, or a floor, which every tracker must beat."""
 ComparedPart = Literal["occupancy", "classes"]
@@ -61,13 +63,20 @@ class Forecast:
     """P(occupied) for steps 0..n in the grid frame of the last update.
 
     `occupancy` (n+1, M, M) float32 in [0, 1]; `semantics` (n+1, K, M, M) float32 summing to 1 over the tracker's K
-    classes, or None; `velocity` (2, M, M) float32 m/s at step 0, or None; `objects` where the tracker has any.
+    classes, or None; `objects` where the tracker has any.
+
+    `velocity` (n+1, 2, M, M) float32 or float16, or None: x and y, m/s, along the axes of the grid and so of the world,
+    of what would occupy a cell at a step; (2, M, M) is step 0 alone. NaN where the tracker gives no velocity.
+
+    `futures` (F, n+1, M, M), or None: F sampled futures, 2 to MAX_FUTURES, equally probable and drawn jointly over
+    cells and steps; bool, or P(occupied) in [0, 1] as float16. `occupancy` is what their mean would be if F were large.
     """
 
     occupancy: NDArray[np.float32]
     semantics: NDArray[np.float32] | None = None
-    velocity: NDArray[np.float32] | None = None
+    velocity: NDArray[np.floating] | None = None
     objects: tuple[TrackedObject, ...] = ()
+    futures: NDArray[np.bool_] | NDArray[np.float16] | None = None
 
 
 class FrameSource(Protocol):

@@ -10,13 +10,14 @@ from numpy.typing import NDArray
 
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec
-from gridtrack.trackers.contract import ComparedPart, Forecast, Role, StreamSpec, TrackedObject
+from gridtrack.trackers.contract import MAX_FUTURES, ComparedPart, Forecast, Role, StreamSpec, TrackedObject
 from gridtrack.trackers.wire import Message, WireError
 
 MAX_OBJECTS = 4096
 MAX_CLASSES = 255
 """The most classes that a recording's labels can name; it bounds the size of an answer before memory is allocated."""
 FORECAST_DTYPES = ("float32", "float16")
+FUTURES_DTYPES = ("bool", "float16")
 
 Arrays = dict[str, NDArray[Any]]
 
@@ -103,7 +104,7 @@ def forecast_fields(forecast: Forecast) -> tuple[dict[str, Any], Arrays]:
 
     Raises WireError for a plane that is not an array and an object that is not a TrackedObject.
     """
-    planes = {"occupancy": forecast.occupancy, "semantics": forecast.semantics, "velocity": forecast.velocity}
+    planes = {name: getattr(forecast, name) for name in ("occupancy", "semantics", "velocity", "futures")}
     arrays = {name: plane for name, plane in planes.items() if plane is not None}
     for name, plane in arrays.items():
         if not isinstance(plane, np.ndarray):
@@ -137,8 +138,8 @@ def _refuse_other_objects(objects: Any) -> None:
 
 def forecast_limit(grid: GridSpec, steps: int, classes: int) -> int:
     """Upper bound of the body of an answer to `predict`, in bytes."""
-    planes = (steps + 1) * (1 + classes) + 2
-    return planes * grid.size**2 * 4 + MAX_OBJECTS * (8 + 4 * (5 + 2 + 16 + 1))
+    of_a_cell = 4 * (1 + classes + 2) + 2 * MAX_FUTURES
+    return (steps + 1) * grid.size**2 * of_a_cell + MAX_OBJECTS * (8 + 4 * (5 + 2 + 16 + 1))
 
 
 def forecast_from(message: Message, grid: GridSpec, steps: int, classes: int) -> Forecast:
@@ -155,11 +156,34 @@ def forecast_from(message: Message, grid: GridSpec, steps: int, classes: int) ->
         semantics = _plane(message, "semantics", (steps + 1, classes, *grid.shape))
         _in_unit_range("semantics", semantics)
         _sums_to_one(semantics)
-    velocity = None
-    if "velocity" in message.arrays:
-        velocity = _plane(message, "velocity", (2, *grid.shape))
-        _finite("velocity", velocity)
-    return Forecast(occupancy, semantics, velocity, _objects(message))
+    velocity, futures = _velocity(message, grid, steps), _futures(message, grid, steps)
+    return Forecast(occupancy, semantics, velocity, _objects(message), futures)
+
+
+def _velocity(message: Message, grid: GridSpec, steps: int) -> NDArray[np.float32] | None:
+    if "velocity" not in message.arrays:
+        return None
+    now_alone, at_steps = (2, *grid.shape), (steps + 1, 2, *grid.shape)
+    shape = message.arrays["velocity"].shape
+    if shape not in (now_alone, at_steps):
+        raise WireError(f"velocity has shape {shape}; expected {at_steps}, or {now_alone} for step 0 alone")
+    velocity = _plane(message, "velocity", shape)
+    if np.isinf(velocity).any():
+        raise WireError(f"velocity has {np.count_nonzero(np.isinf(velocity))} infinite values; NaN says: no velocity")
+    return velocity
+
+
+def _futures(message: Message, grid: GridSpec, steps: int) -> NDArray[np.bool_] | NDArray[np.float16] | None:
+    if "futures" not in message.arrays:
+        return None
+    futures = message.array("futures", message.arrays["futures"].dtype.name, (None, steps + 1, *grid.shape))
+    if futures.dtype.name not in FUTURES_DTYPES:
+        raise WireError(f"futures is {futures.dtype}; expected {' or '.join(FUTURES_DTYPES)}")
+    if not 2 <= len(futures) <= MAX_FUTURES:
+        raise WireError(f"{len(futures)} futures in one forecast; expected 2 to {MAX_FUTURES}")
+    if futures.dtype != np.bool_:
+        _in_unit_range("futures", futures)
+    return futures
 
 
 def _plane(message: Message, name: str, shape: tuple[int, ...]) -> NDArray[np.float32]:
@@ -174,14 +198,14 @@ def _plane(message: Message, name: str, shape: tuple[int, ...]) -> NDArray[np.fl
     return found.astype(np.float32, copy=False)
 
 
-def _in_unit_range(name: str, values: NDArray[np.float32]) -> None:
+def _in_unit_range(name: str, values: NDArray[np.floating]) -> None:
     low, high = values.min(), values.max()  # NaN passes through both
     if not (low >= 0.0 and high <= 1.0):
         _finite(name, values)
         raise WireError(f"{name} goes from {low:g} to {high:g}; expected probabilities in [0, 1]")
 
 
-def _finite(name: str, values: NDArray[np.float32]) -> None:
+def _finite(name: str, values: NDArray[np.floating]) -> None:
     if not np.isfinite(values).all():
         raise WireError(f"{name} has {np.count_nonzero(~np.isfinite(values))} values that are not finite")
 

@@ -281,10 +281,11 @@ def _require_equal(one: Forecasts, other: Forecasts, what: str) -> None:
 
 
 def _difference(a: Forecast, b: Forecast) -> float:
-    """The largest difference of two forecasts in any probability."""
-    if (a.semantics is None) != (b.semantics is None):
-        return 1.0
-    pairs = [(a.occupancy, b.occupancy)]
-    if a.semantics is not None and b.semantics is not None:
-        pairs.append((a.semantics, b.semantics))
-    return max(float(np.abs(x - y).max()) for x, y in pairs)
+    """The largest difference of two forecasts in any probability, that of sampled futures included."""
+    differences = [float(np.abs(a.occupancy - b.occupancy).max())]
+    for x, y in ((a.semantics, b.semantics), (a.futures, b.futures)):
+        if x is not None and y is not None and x.shape == y.shape:
+            differences.append(float(np.abs(x.astype(np.float32) - y.astype(np.float32)).max()))
+        elif x is not y:
+            differences.append(1.0)
+    return max(differences)

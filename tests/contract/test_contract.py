@@ -88,6 +88,11 @@ def test_a_tracker_that_keeps_the_contract_fails_nothing_and_some_clauses_do_not
 
 
 @pytest.mark.usefixtures("bad_trackers")
+def test_futures_drawn_without_the_seed_are_not_repeatable() -> None:
+    assert re.search("frame 4 .* differ by up to 1", verdicts("draws-other-futures", "failed")["repeatable"].observed)
+
+
+@pytest.mark.usefixtures("bad_trackers")
 def test_probabilities_of_classes_that_do_not_sum_to_1_are_no_valid_forecast() -> None:
     assert "semantics must sum to 1" in verdicts("lopsided-classes", "failed")["valid-forecast"].observed
 

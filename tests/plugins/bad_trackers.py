@@ -302,6 +302,14 @@ class RollsDice(Good):
         return np.random.default_rng().random((steps + 1, *self.stream.grid.shape), np.float32)
 
 
+class DrawsOtherFutures(Good):
+    """Its sampled futures ignore its seed."""
+
+    def predict(self, steps: int) -> Forecast:
+        occupancy = self.occupancy(steps)
+        return Forecast(occupancy, futures=np.random.default_rng().random((4, *occupancy.shape)) < 0.5)
+
+
 class FailsOnEmptyInput(NeverForgets):
     def reset(self, seed: int) -> None:
         self.seen[:] = 0.0

@@ -14,6 +14,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
+from numpy.typing import NDArray
 
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec
@@ -221,6 +222,12 @@ def full_forecast(steps: int = 2) -> Forecast:
     )
 
 
+def futures_of(count: int, steps: int = 2) -> NDArray[np.bool_]:
+    drawn: NDArray[np.bool_] = np.random.default_rng(2).random((count, steps + 1, *GRID.shape)) < 0.3
+    drawn[0, 0] = True
+    return drawn
+
+
 def over_the_wire(forecast: Forecast, steps: int = 2, classes: int = 3) -> Forecast:
     fields, content = messages.forecast_fields(forecast)
     message = sent(Message("forecast", 1, fields, content), messages.forecast_limit(GRID, steps, classes))
@@ -247,6 +254,17 @@ def test_half_precision_is_accepted_and_read_as_single() -> None:
     assert (back.semantics, back.velocity, back.objects) == (None, None, ())
 
 
+@pytest.mark.parametrize("dtype", [np.bool_, np.float16])
+def test_velocities_at_every_step_and_sampled_futures_are_carried_unchanged(dtype: type[Any]) -> None:
+    occupancy = np.zeros((3, *GRID.shape), np.float32)
+    velocity = np.random.default_rng(3).normal(size=(3, 2, *GRID.shape)).astype(np.float32)
+    velocity[:, :, 0] = np.nan
+    back = over_the_wire(Forecast(occupancy, velocity=velocity, futures=futures_of(64).astype(dtype)))
+    assert np.array_equal(back.velocity, velocity, equal_nan=True)
+    assert back.futures.dtype == dtype
+    assert np.array_equal(back.futures, futures_of(64))
+
+
 def changed(**change: Any) -> Message:
     """The message of a full forecast with some arrays or fields replaced, or left out where None."""
     fields, content = messages.forecast_fields(full_forecast())
@@ -265,8 +283,18 @@ nothing = np.zeros((2, *GRID.shape), np.float32)
         ({"semantics": np.zeros((3, 2, *GRID.shape), np.float32)}, "semantics has shape"),
         ({"semantics": np.full((3, 3, *GRID.shape), 0.3, np.float32)}, "the largest error is 0.1"),
         ({"velocity": nothing[:1]}, "velocity has shape"),
-        ({"velocity": nothing * np.nan}, "velocity has 72 values that are not finite"),
+        ({"velocity": np.zeros((2, 2, *GRID.shape), np.float32)}, "velocity has shape .* for step 0 alone"),
+        ({"velocity": np.zeros(2, np.float32)}, "velocity has shape"),
+        ({"velocity": nothing - np.inf}, "velocity has 72 infinite values; NaN says: no velocity"),
         ({"velocity": nothing.astype(np.int64)}, "velocity is int64"),
+        ({"futures": futures_of(4, steps=1)}, "array 'futures' is bool"),
+        ({"futures": nothing > 0}, "array 'futures' is bool"),
+        ({"futures": futures_of(4).astype(np.float32)}, "futures is float32; expected bool or float16"),
+        ({"futures": futures_of(4).astype(np.uint8)}, "futures is uint8"),
+        ({"futures": futures_of(1)}, "1 futures in one forecast; expected 2 to 64"),
+        ({"futures": futures_of(65)}, "65 futures in one forecast; expected 2 to 64"),
+        ({"futures": futures_of(4) * np.float16(1.5)}, "futures goes from 0 to 1.5; expected probabilities"),
+        ({"futures": futures_of(4) * np.float16(np.nan)}, "futures has 432 values that are not finite"),
         ({"object_box": np.zeros((2, 5), np.float32)}, "array 'object_box'"),
         ({"object_box": np.full((3, 5), np.inf, np.float32)}, "object_box has 15 values"),
         ({"object_label": np.array([0, 1, 2], np.int32)}, "there are 2 labels"),
