@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from gridtrack.evaluation.results.passes import Quantiles
+from gridtrack.evaluation.results.passes import CallTimes, Quantiles
 from gridtrack.evaluation.results.trial_summary import TrialSummary
 
 
@@ -17,6 +17,7 @@ def times_of(trial: TrialSummary, period_ms: float) -> dict[str, Any] | None:
     return {
         "update": _of(update),
         "predict": _of(predict),
+        "twentieths": {"update": update.twentieths, "predict": predict.twentieths},
         "peak_mb": trial.peak_rss_mb,
         "keeps_up": keeps_up(update, predict, period_ms),
         "highest_hz": float(f"{trial.deadline.highest_rate_hz:.3g}") if trial.deadline else None,
@@ -36,7 +37,7 @@ def keeps_up(update: Quantiles, predict: Quantiles, period_ms: float) -> str:
     return "updates only" if update.p99 <= period_ms else "no"
 
 
-def _measured(trial: TrialSummary) -> tuple[Quantiles, Quantiles] | None:
+def _measured(trial: TrialSummary) -> tuple[CallTimes, CallTimes] | None:
     if trial.latency_ms:
         return trial.latency_ms.update, trial.latency_ms.predict
     return (trial.deadline.update_ms, trial.deadline.predict_ms) if trial.deadline else None

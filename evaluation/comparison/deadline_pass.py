@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import islice
 from pathlib import Path
 
@@ -12,7 +13,7 @@ from gridtrack.evaluation.comparison.plan import Trial
 from gridtrack.evaluation.comparison.replay import replayed_f1
 from gridtrack.evaluation.processes.clock import Clock
 from gridtrack.evaluation.processes.tracker_process import Call, Timings, TrackerProcess
-from gridtrack.evaluation.results.passes import AtRate, Deadline, Quantiles
+from gridtrack.evaluation.results.passes import AtRate, CallTimes, Deadline, Quantiles
 from gridtrack.evaluation.results.trial_record import ThresholdsUsed
 from gridtrack.evaluation.results.values import Curves
 from gridtrack.evaluation.scoring.deadline import RATES, Costs, DeadlineTracker, Timeline, spare_steps, timeline
@@ -37,8 +38,8 @@ def measure_deadline(trial: Trial, regions: SplitRegions, thresholds: Thresholds
     with trial.tracker_process(log) as process:
         costs, reach = _measure(process, trial)
     return Deadline(
-        update_ms=_exact_quantiles(np.asarray(costs.update_ms)),
-        predict_ms=_exact_quantiles(np.asarray(costs.predict_ms)),
+        update_ms=_call_times(costs.update_ms),
+        predict_ms=_call_times(costs.predict_ms),
         busy_ms=_exact_quantiles(costs.busy_ms),
         highest_rate_hz=costs.highest_rate_hz,
         forecast_steps=reach,
@@ -117,6 +118,12 @@ def _ages(clock: Timeline) -> NDArray[np.int64]:
     """Age (F - WARM_UP,) of the newest delivered forecast at each frame after the warm-up, frames."""
     ages: NDArray[np.int64] = (np.arange(len(clock.newest)) - clock.newest)[WARM_UP:]
     return ages
+
+
+def _call_times(ms: Sequence[float]) -> CallTimes:
+    twentieths = np.percentile(ms, range(0, 101, 5), method="higher")
+    found = _exact_quantiles(np.asarray(ms))
+    return CallTimes(p50=found.p50, p95=found.p95, p99=found.p99, twentieths=tuple(map(float, twentieths)))
 
 
 def _exact_quantiles(values: NDArray[np.float64] | NDArray[np.int64]) -> Quantiles:

@@ -8,7 +8,7 @@ from pathlib import Path
 from gridtrack.evaluation.comparison.plan import Trial
 from gridtrack.evaluation.processes.latency import Latencies
 from gridtrack.evaluation.processes.tracker_process import Timings
-from gridtrack.evaluation.results.passes import Latency, Quantiles
+from gridtrack.evaluation.results.passes import CallTimes, Latency, Quantiles
 from gridtrack.evaluation.scoring.referee import WARM_UP
 
 TIMED_FRAMES = 120
@@ -33,11 +33,11 @@ def measure_latency(trial: Trial, folder: Path) -> Latency:
     update, predict = timings.counted()
     return Latency(
         clock=timings.clock,
-        update=_histogram_quantiles(update),
-        predict=_histogram_quantiles(predict),
-        predict_step=_histogram_quantiles(predict, trial.split.steps),
+        update=_call_times(update),
+        predict=_call_times(predict),
+        predict_step=Quantiles(**{name: ms / trial.split.steps for name, ms in predict.summary().items()}),
     )
 
 
-def _histogram_quantiles(latencies: Latencies, divided_by: int = 1) -> Quantiles:
-    return Quantiles(**{name: value / divided_by for name, value in latencies.summary().items()})
+def _call_times(latencies: Latencies) -> CallTimes:
+    return CallTimes(**latencies.summary(), twentieths=latencies.twentieths())

@@ -41,3 +41,7 @@ class Latencies:
     def summary(self) -> dict[str, float]:
         """p50, p95 and p99 in ms."""
         return {f"p{percent}": self.percentile(percent) for percent in (50, 95, 99)}
+
+    def twentieths(self) -> tuple[float, ...]:
+        """Percentiles 0, 5, 10 to 100 in ms, to four digits."""
+        return tuple(float(f"{self.percentile(percent):.4g}") for percent in range(0, 101, 5))

@@ -15,6 +15,7 @@ HIGHEST = 1e6
 """A rate, in Hz or as a multiple, or a strength of degradation above this is refused."""
 MOST_CONDITIONS = 20
 """More rates, kinds or strengths than this are refused."""
+TWENTIETHS = 21
 
 
 class Quantiles(ResultModel):
@@ -25,14 +26,29 @@ class Quantiles(ResultModel):
     p99: float
 
 
+class CallTimes(Quantiles):
+    """Milliseconds of calls of one kind."""
+
+    twentieths: Annotated[tuple[float, ...], Field(max_length=TWENTIETHS)] = ()
+    """Percentiles 0, 5, 10 to 100: each stretch between two holds a twentieth of the calls. Earlier runs have none."""
+
+    @model_validator(mode="after")
+    def _twentieths_increase(self) -> Self:
+        if self.twentieths and len(self.twentieths) != TWENTIETHS:
+            raise ValueError(f"twentieths: {len(self.twentieths)} percentiles where {TWENTIETHS} belong")
+        if any(not 0.0 <= earlier <= later for earlier, later in pairwise(self.twentieths)):
+            raise ValueError("twentieths: the percentiles do not increase")
+        return self
+
+
 class Latency(ResultModel):
     """Milliseconds of calls, alone on the machine."""
 
     clock: Clock = "tracker"
     """By the tracker's own clock; by the round trip (`host`) where that is far longer than the tracker reports."""
 
-    update: Quantiles
-    predict: Quantiles
+    update: CallTimes
+    predict: CallTimes
     predict_step: Quantiles
     """A forecast's time divided by its number of steps."""
 
@@ -54,8 +70,8 @@ class AtRate(ResultModel):
 class Deadline(ResultModel):
     """A trial on a simulated clock: the time of its calls, alone on the machine, and its scores in time."""
 
-    update_ms: Quantiles
-    predict_ms: Quantiles
+    update_ms: CallTimes
+    predict_ms: CallTimes
     busy_ms: Quantiles
     """An update and the forecast after it."""
     highest_rate_hz: float = Field(gt=0.0)

@@ -1,11 +1,12 @@
-// The time of an update and of a forecast: median, 95th and 99th percentile, on a logarithmic axis, beside the period.
+// The time of an update and of a forecast: how the calls are spread, median, 95th and 99th percentile, on a logarithmic
+// axis, beside the period.
 import { scaleOf, svgText } from "./axis.js";
 import { draw } from "./elements.js";
 import { startFigure } from "./figure.js";
 import { recordingNamed, recordingOptions } from "./scores.js";
 import { isShown } from "./shown_trackers.js";
 
-const ROW = 26, LEAST_MS = 0.01;
+const ROW = 30, LEAST_MS = 0.01, SLICE_AREA = 48, MOST_SPREAD = 22;
 const CALLS = [["update", "update"], ["predict", "forecast of all steps"]];
 const rowsTimed = (recording) => recording.rows.filter((row) => row.latency);
 const timed = ({ recording }) => rowsTimed(recordingNamed(recording)).filter((row) => isShown(row.label));
@@ -14,7 +15,7 @@ const inMs = (ms) => `${ms < LEAST_MS ? `<${LEAST_MS}` : Number(ms.toPrecision(2
 function drawLatency({ recording, call }, width) {
   const rows = timed({ recording }), period = recordingNamed(recording).period_ms;
   const log = (ms) => Math.log10(Math.max(ms, LEAST_MS));
-  const times = [period, ...rows.flatMap((row) => row.latency[call])].map(log);
+  const times = [period, ...rows.flatMap((row) => [...row.latency[call], ...row.latency.twentieths[call]])].map(log);
   const [low, high] = [Math.floor(Math.min(...times)), Math.ceil(Math.max(...times) + 0.01)];
   const narrow = width < 560, left = narrow ? 112 : 210, right = width - 110;
   const x = scaleOf(low, high, left, right), height = ROW * rows.length + 28;
@@ -25,14 +26,15 @@ function drawLatency({ recording, call }, width) {
       svgText(x(decade), height - 8, `${10 ** decade}${decade === high ? " ms" : ""}`, { class: "tick", "text-anchor": "middle" }));
   }
   svg.append(draw("line", { class: "period", x1: x(log(period)), x2: x(log(period)), y1: 0, y2: height - 24 }));
-  rows.forEach((row, i) => svg.append(drawnRow(row, row.latency[call].map(log).map(x), ROW * (i + 0.5), width, row.latency[call])));
+  rows.forEach((row, i) => svg.append(drawnRow(row, row.latency[call].map(log).map(x), ROW * (i + 0.5), width, row.latency[call],
+    row.latency.twentieths[call].map(log).map(x))));
   return svg;
 }
 
-function drawnRow(row, [p50, p95, p99], y, width, [median, , most]) {
+function drawnRow(row, [p50, p95, p99], y, width, [median, , most], ends) {
   const letters = width < 560 ? 14 : 28;
   const name = row.name.length > letters ? `${row.name.slice(0, letters - 1)}…` : row.name;
-  return draw("g", { class: `line ${row.style}` }, draw("title", {}, row.name), svgText(0, y + 4, name),
+  return draw("g", { class: `line ${row.style}` }, draw("title", {}, row.name), svgText(0, y + 4, name), ...slices(ends, y),
     draw("line", { class: "whisker", x1: p50, x2: p99, y1: y, y2: y }),
     draw("line", { class: "whisker", x1: p95, x2: p95, y1: y - 4, y2: y + 4 }),
     draw("line", { class: "whisker", x1: p99, x2: p99, y1: y - 7, y2: y + 7 }),
@@ -40,9 +42,19 @@ function drawnRow(row, [p50, p95, p99], y, width, [median, , most]) {
     svgText(width, y + 4, `${inMs(median)} to ${inMs(most)}`, { "text-anchor": "end" }));
 }
 
+// A twentieth of the calls each: equal areas, tall where calls take nearly the same time.
+function slices(ends, y) {
+  return ends.slice(1).map((end, i) => {
+    const wide = Math.max(end - ends[i], 1), height = Math.min(MOST_SPREAD, SLICE_AREA / wide);
+    return draw("rect", { class: "spread", x: ends[i], y: y - height / 2, width: wide, height });
+  });
+}
+
 function latencyNumbers({ recording, call }) {
-  return [["tracker", "call", "p50, ms", "p95, ms", "p99, ms", "peak memory, MB", "keeps up"],
-    ...timed({ recording }).map((row) => [row.name, call, ...row.latency[call], row.peak_mb, row.keeps_up])];
+  const percentiles = Array.from({ length: 21 }, (_, i) => `p${5 * i}, ms`);
+  return [["tracker", "call", "p50, ms", "p95, ms", "p99, ms", "peak memory, MB", "keeps up", ...percentiles],
+    ...timed({ recording }).map((row) => [row.name, call, ...row.latency[call], row.peak_mb, row.keeps_up,
+      ...row.latency.twentieths[call]])];
 }
 
 // Fills the section of times.
@@ -56,6 +68,6 @@ export function startLatency() {
     choices: () => [["recording", "Recording", listed], ["call", "Call", CALLS]],
     drawing: drawLatency,
     numbers: latencyNumbers,
-    line: ({ recording }) => `Median to 99th percentile, alone on the machine; the vertical line is one frame period, ${inMs(recordingNamed(recording).period_ms)} ms.`,
+    line: ({ recording }) => `Median (dot), 95th and 99th percentile and the spread of all calls, alone on the machine; the vertical line is one frame period, ${inMs(recordingNamed(recording).period_ms)} ms.`,
   });
 }

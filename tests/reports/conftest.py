@@ -7,7 +7,7 @@ import pytest
 
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec
-from gridtrack.evaluation.results.passes import Latency, Quantiles
+from gridtrack.evaluation.results.passes import CallTimes, Latency, Quantiles
 from gridtrack.evaluation.results.recording import RecordingDescription
 from gridtrack.evaluation.results.trial_record import TrialRecord
 from gridtrack.evaluation.scoring.beam_errors import beam_errors
@@ -98,8 +98,8 @@ TRACKERS = {
     "blank": ("blank", blank),
 }
 LATENCY = Latency(
-    update=Quantiles(p50=2.0, p95=3.0, p99=4.0),
-    predict=Quantiles(p50=20.0, p95=30.0, p99=40.0),
+    update=CallTimes(p50=2.0, p95=3.0, p99=4.0, twentieths=(*tuple(1.0 + 0.1 * i for i in range(20)), 4.5)),
+    predict=CallTimes(p50=20.0, p95=30.0, p99=40.0),
     predict_step=Quantiles(p50=1.0, p95=1.5, p99=2.0),
 )
 

@@ -196,6 +196,8 @@ def test_the_latency_pass_times_complete_trials(settings, progress):
     latency = trial_of(compare(settings("blank", latency=True), progress), "blank").latency_ms
     assert latency.clock == "tracker"
     assert 0 < latency.predict_step.p50 < latency.predict.p50 <= latency.predict.p99
+    assert len(latency.update.twentieths) == 21
+    assert latency.predict.twentieths[10] == pytest.approx(latency.predict.p50, rel=1e-3)
 
 
 def test_unknown_options_of_a_tracker_are_refused_before_any_trial(settings, tmp_path):

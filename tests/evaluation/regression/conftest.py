@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from gridtrack.evaluation.regression.baseline import digest_of
-from gridtrack.evaluation.results.passes import AtStrength, Latency, Quantiles, Robustness
+from gridtrack.evaluation.results.passes import AtStrength, CallTimes, Latency, Robustness
 from gridtrack.evaluation.results.run_record import RUN_SCHEMA
 from gridtrack.evaluation.results.trial_record import TrialRecord
 from gridtrack.evaluation.scoring.class_store import ClassWriter
@@ -116,7 +116,7 @@ def write_trial(run: Path, label: str, recording: str, made: Made, start_s: int 
             tally = tally_of(made, recording, frame, rng, offset)
             scores.add(stamp_ns, f"{zlib.crc32(recording.encode()):x}-{frame}", tally, stamp_ns)
     write_classes(folder, recording, made, start_s)
-    times = Quantiles(p50=made.ms, p95=made.ms, p99=made.ms) if made.ms else None
+    times = CallTimes(p50=made.ms, p95=made.ms, p99=made.ms) if made.ms else None
     TrialRecord(
         schema=2, label=label, recording=recording, outcome=made.outcome, frames_scored=made.scored,
         frames_expected=FRAMES, steps=STEPS, thresholds=half(STEPS, STRATA).used(), recoveries=made.recoveries,

@@ -5,7 +5,7 @@ import json
 import pytest
 
 from gridtrack.evaluation.results.files import RunError, json_of
-from gridtrack.evaluation.results.passes import Quantiles
+from gridtrack.evaluation.results.passes import CallTimes, Quantiles
 from gridtrack.evaluation.results.run_record import MAX_RUN_BYTES, read_run_record
 from gridtrack.evaluation.results.summary import read_summary
 from gridtrack.evaluation.results.trial_record import MAX_OUTCOME_BYTES, read_trial_record
@@ -113,6 +113,15 @@ def test_pooled_curves_that_do_not_reach_every_horizon_are_refused(tmp_path):
     (tmp_path / "summary.json").write_text(json.dumps(summary))
     with pytest.raises(RunError, match="good on all recordings, dynamic: 20 steps, expected 21"):
         read_summary(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("twentieths", "why"),
+    [((1.0, 2.0), "2 percentiles where 21 belong"), ((*range(20), 3.0), "do not increase"), ((-1.0,) * 21, "increase")],
+)
+def test_percentiles_of_times_are_all_there_and_increase(twentieths, why):
+    with pytest.raises(ValueError, match=why):
+        CallTimes(p50=1.0, p95=2.0, p99=3.0, twentieths=twentieths)
 
 
 def test_a_model_cannot_be_changed():
