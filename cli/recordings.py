@@ -1,4 +1,4 @@
-"""`recording info | import`: the content of a recording, and its conversion to a native one."""
+"""`recording info | import | layout`: the content of a recording, its conversion to a native one, viewing it."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ ZeroRange = Annotated[
     typer.Option(help="The meaning of a range of exactly 0.0: free up to the maximum range (no return), or unknown"),
 ]
 
-app = typer.Typer(no_args_is_help=True, help="Recordings: info, import.")
+app = typer.Typer(no_args_is_help=True, help="Recordings: info, import, layout.")
 
 
 @app.command("info")
@@ -109,3 +109,11 @@ def recording_import(
         strict=strict,
     )
     typer.echo(str(recording.overview()))
+
+
+@app.command("layout")
+def recording_layout() -> None:
+    """Print a layout of Foxglove, JSON, for native recordings and the forecasts.mcap of a run."""
+    from gridtrack.reports.foxglove import foxglove_layout
+
+    typer.echo(foxglove_layout(), nl=False)

@@ -9,13 +9,14 @@ from __future__ import annotations
 import hashlib
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gridtrack.common.errors import RecordingError
+from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame
 from gridtrack.evaluation.scoring.moments import Moment, moments
 from gridtrack.evaluation.scoring.motion import MotionFinder, ObservedMotion
@@ -66,13 +67,15 @@ class Schedule:
 class ScoredForecast:
     """A forecast made at frame t, and the observed `targets` t..t+steps in the window of frame t.
 
-    Of each cell of that window `region_maps` has the regions, and `ages` (M, M) the age band at t.
+    Of each cell of that window `region_maps` has the regions, and `ages` (M, M) the age band at t;
+    `reference_T_grid` is its pose in the world of the reference poses.
     """
 
     forecast: Forecast
     targets: tuple[Target, ...]
     region_maps: RegionMaps
     ages: NDArray[np.uint8]
+    reference_T_grid: SE2 = field(default_factory=SE2)
 
     @property
     def frames(self) -> tuple[GridFrame, ...]:
@@ -106,7 +109,8 @@ def scored_forecasts(
         if pending and pending[0][0] == index:
             _, forecast, ages = pending.popleft()
             window, maps = recent[0].window, recent[0].region_maps
-            yield ScoredForecast(forecast, tuple(one.target_in(window, maps) for one in recent), maps, ages)
+            targets = tuple(one.target_in(window, maps) for one in recent)
+            yield ScoredForecast(forecast, targets, maps, ages, window)
 
 
 class Delivery:

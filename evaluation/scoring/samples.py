@@ -1,8 +1,9 @@
 """Samples of a trial's forecasts: an MCAP file of grids that opens in Foxglove, and that reports read.
 
-The log time of a sample is the stamp of frame t: `/input` is x_t, `/sensors` the positions of the sensors in it,
-`/objects` the tracker's objects at t, `/came/1s` the frame observed one second later, `/scored/1s` what was known of
-every cell then, and `/forecast/1s` the forecast of it. Probabilities have 255 steps.
+The log time of a sample is the stamp of frame t: `/window` is the pose of its window in the world, `/input` x_t,
+`/sensors` the positions of the sensors in it, `/tracks` the tracker's objects at t, `/came/1s` the frame observed one
+second later, `/scored/1s` what was known of every cell then, and `/forecast/1s` the forecast of it. Probabilities have
+255 steps.
 """
 
 from __future__ import annotations
@@ -11,14 +12,14 @@ import math
 import struct
 from collections.abc import Iterator
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
+from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
 from foxglove_schemas_protobuf.Grid_pb2 import Grid
-from foxglove_schemas_protobuf.PackedElementField_pb2 import PackedElementField
 from foxglove_schemas_protobuf.PosesInFrame_pb2 import PosesInFrame
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from google.protobuf.message import DecodeError
@@ -31,11 +32,24 @@ from zstandard import ZstdError
 
 from gridtrack.common.errors import GridtrackError
 from gridtrack.common.files import atomic_write
-from gridtrack.common.grid import GridSpec, Mask
+from gridtrack.common.geometry import SE2
+from gridtrack.common.grid import GridFrame, GridSpec, Mask
 from gridtrack.evaluation.scoring.referee import Schedule, ScoredForecast
+from gridtrack.evaluation.scoring.sample_grids import (
+    GRID_FRAME,
+    OCCUPANCY_FIELDS,
+    PROBABILITY_FIELDS,
+    SCORED_FIELDS,
+    SHADE,
+    grid_message,
+    occupancy_planes,
+    planes_of,
+    probability_plane,
+    scored_planes,
+)
 from gridtrack.evaluation.scoring.sample_objects import KeptObject, objects_message, objects_of
-from gridtrack.evaluation.scoring.strata import PARTS
-from gridtrack.evaluation.scoring.target import NOT_SCORED, Target
+from gridtrack.evaluation.scoring.target import NOT_SCORED
+from gridtrack.recordings.scene_messages import WORLD
 
 SAMPLES = "forecasts.mcap"
 KEPT = 40
@@ -43,13 +57,9 @@ KEPT = 40
 HORIZONS_S = (0.5, 1.0, 2.0)
 MAX_CHUNK_BYTES = 1 << 26
 MAX_TOPICS = 64
-SENSORS, TRACKED_OBJECTS = "/sensors", "/objects"
-OCCUPANCY_FIELDS = ("visible", "occupied")
-SCORED_FIELDS = ("state", "in_motion")
-PROBABILITY_FIELDS = ("probability",)
+SENSORS, TRACKS, WINDOW = "/sensors", "/tracks", "/window"
 
-
-_MESSAGES: dict[str, Any] = {SENSORS: PosesInFrame, TRACKED_OBJECTS: SceneUpdate}
+_MESSAGES: dict[str, Any] = {SENSORS: PosesInFrame, TRACKS: SceneUpdate, WINDOW: FrameTransform}
 """The schemas of the topics that are not grids."""
 _UNREADABLE = (OSError, McapError, DecodeError, ZstdError, struct.error, GridtrackError, ValueError, KeyError)
 
@@ -82,6 +92,8 @@ class Sample:
     in_motion: Mask | None = None
     """(H, M, M): the visible cells of the stratum `in-motion`; None of a file without them."""
     objects: tuple[KeptObject, ...] = ()
+    reference_T_grid: SE2 = field(default_factory=SE2)
+    """The pose of the window in the world of ground truth; SE2() of a file without it, which earlier runs wrote."""
 
 
 def kept_forecasts(schedule: Schedule) -> frozenset[int]:
@@ -112,55 +124,44 @@ class SampleWriter:
     def add(self, scored: ScoredForecast) -> None:
         """Write one forecast, with the frames that it is a forecast of."""
         stamp_ns, frames = scored.stamp_ns, scored.frames
-        self._write("/input", stamp_ns, _planes(frames[0].visible, frames[0].occupied), OCCUPANCY_FIELDS)
+        self._write_message(WINDOW, stamp_ns, _window_message(scored.reference_T_grid, stamp_ns))
+        self._write_occupancy("/input", stamp_ns, frames[0])
         self._write_message(SENSORS, stamp_ns, _sensor_poses(frames[0].origins, stamp_ns))
-        self._write_message(TRACKED_OBJECTS, stamp_ns, objects_message(scored.forecast.objects, stamp_ns))
+        self._write_message(TRACKS, stamp_ns, objects_message(scored.forecast.objects, stamp_ns))
         for horizon, step in self._steps.items():
-            observed = frames[step]
-            self._write(f"/came/{horizon:g}s", stamp_ns, _planes(observed.visible, observed.occupied), OCCUPANCY_FIELDS)
-            known = _scored_planes(scored.targets[step], scored.region_maps.dynamic)
-            self._write(f"/scored/{horizon:g}s", stamp_ns, known, SCORED_FIELDS)
-            probability = (scored.forecast.occupancy[step] * 255).round().astype(np.uint8)
-            self._write(f"/forecast/{horizon:g}s", stamp_ns, probability[..., None], PROBABILITY_FIELDS)
+            self._write_occupancy(f"/came/{horizon:g}s", stamp_ns, frames[step])
+            known = scored_planes(scored.targets[step], scored.region_maps.dynamic)
+            self._write(f"/scored/{horizon:g}s", stamp_ns, known, (*SCORED_FIELDS, SHADE))
+            forecast = probability_plane(scored.forecast.occupancy[step])
+            self._write(f"/forecast/{horizon:g}s", stamp_ns, forecast, PROBABILITY_FIELDS)
+
+    def _write_occupancy(self, topic: str, stamp_ns: int, frame: GridFrame) -> None:
+        self._write(topic, stamp_ns, occupancy_planes(frame.visible, frame.occupied), (*OCCUPANCY_FIELDS, SHADE))
 
     def _write(self, topic: str, stamp_ns: int, planes: NDArray[np.uint8], fields: tuple[str, ...]) -> None:
-        self._write_message(topic, stamp_ns, _message(self._grid, stamp_ns, planes, fields))
+        self._write_message(topic, stamp_ns, grid_message(self._grid, stamp_ns, planes, fields))
 
     def _write_message(self, topic: str, stamp_ns: int, message: Any) -> None:
         self._writer.write_message(topic, message, log_time=stamp_ns, publish_time=stamp_ns)
 
 
+def _window_message(reference_T_grid: SE2, stamp_ns: int) -> Any:
+    """Message with the pose of the window in the world."""
+    message = FrameTransform(parent_frame_id=WORLD, child_frame_id=GRID_FRAME)
+    message.timestamp.FromNanoseconds(stamp_ns)
+    message.translation.x, message.translation.y = reference_T_grid.x, reference_T_grid.y
+    half = reference_T_grid.theta / 2
+    message.rotation.z, message.rotation.w = math.sin(half), math.cos(half)
+    return message
+
+
 def _sensor_poses(origins: NDArray[np.float32], stamp_ns: int) -> Any:
     """Message with the sensors at `origins` (S, 2), metres, grid frame."""
-    message = PosesInFrame(frame_id="grid")
+    message = PosesInFrame(frame_id=GRID_FRAME)
     message.timestamp.FromNanoseconds(stamp_ns)
     for x, y in origins.tolist():
         pose = message.poses.add()
         pose.position.x, pose.position.y, pose.orientation.w = x, y, 1.0
-    return message
-
-
-def _planes(visible: Mask, occupied: Mask) -> NDArray[np.uint8]:
-    """Two planes (M, M, 2) uint8, 255 where the cell is visible, and where it is occupied."""
-    return np.stack([visible, occupied], axis=-1).astype(np.uint8) * np.uint8(255)
-
-
-def _scored_planes(target: Target, dynamic: Mask) -> NDArray[np.uint8]:
-    """Two planes (M, M, 2) uint8: the state of each cell, and 255 where it is visible and of the stratum in-motion."""
-    in_motion = target.frame.visible & dynamic & (target.motion != PARTS.index("standing"))
-    return np.stack([target.state, np.where(in_motion, np.uint8(255), np.uint8(0))], axis=-1)
-
-
-def _message(grid: GridSpec, stamp_ns: int, planes: NDArray[np.uint8], fields: tuple[str, ...]) -> Any:
-    message = Grid(frame_id="grid", column_count=grid.size, data=planes.tobytes())
-    message.timestamp.FromNanoseconds(stamp_ns)
-    message.pose.position.x, message.pose.position.y = grid.origin
-    message.pose.orientation.w = 1.0
-    message.cell_size.x = message.cell_size.y = grid.cell_m
-    message.cell_stride = len(fields)
-    message.row_stride = len(fields) * grid.size
-    for offset, name in enumerate(fields):
-        message.fields.append(PackedElementField(name=name, offset=offset, type=PackedElementField.UINT8))
     return message
 
 
@@ -208,20 +209,32 @@ def _sample(stamp_ns: int, topics: dict[str, Any]) -> Sample:
     cell_m, corner = topics["/input"].cell_size.x, topics["/input"].pose.position
     grid = GridSpec(size, cell_m, (corner.x, corner.y))
     horizons = tuple(sorted(_seconds(topic) for topic in topics if topic.startswith("/forecast/")))
-    occupancy = [_decoded(topics["/input"], grid, OCCUPANCY_FIELDS) == 255]
-    occupancy += [_decoded(topics[f"/came/{h:g}s"], grid, OCCUPANCY_FIELDS) == 255 for h in horizons]
+    occupancy = [planes_of(topics["/input"], grid, OCCUPANCY_FIELDS) == 255]
+    occupancy += [planes_of(topics[f"/came/{h:g}s"], grid, OCCUPANCY_FIELDS) == 255 for h in horizons]
     forecast = np.zeros((len(horizons), *grid.shape), np.float32)
     for i, h in enumerate(horizons):
-        forecast[i] = _decoded(topics[f"/forecast/{h:g}s"], grid, PROBABILITY_FIELDS)[..., 0] / np.float32(255)
+        forecast[i] = planes_of(topics[f"/forecast/{h:g}s"], grid, PROBABILITY_FIELDS)[..., 0] / np.float32(255)
     observed = np.array(occupancy[1:], bool).reshape(len(horizons), *grid.shape, 2)
     origins = np.array([(p.position.x, p.position.y) for p in topics[SENSORS].poses], np.float32).reshape(-1, 2)
     visible, occupied = np.moveaxis(occupancy[0], -1, 0)
     state, in_motion = _scored(topics, grid, horizons)
     if state is None:
         state = np.where(observed[..., 0], observed[..., 1], np.uint8(NOT_SCORED)).astype(np.uint8)
-    objects = objects_of(topics[TRACKED_OBJECTS]) if TRACKED_OBJECTS in topics else ()
+    objects = objects_of(topics[TRACKS]) if TRACKS in topics else ()
     seen, came = observed[..., 0], observed[..., 1]
-    return Sample(stamp_ns, horizons, grid, visible, occupied, origins, forecast, seen, came, state, in_motion, objects)
+    window = _window_of(topics[WINDOW]) if WINDOW in topics else SE2()
+    return Sample(
+        stamp_ns, horizons, grid, visible, occupied, origins, forecast, seen, came, state, in_motion, objects, window
+    )
+
+
+def _window_of(message: Any) -> SE2:
+    """The pose of the window. Raises ValueError where it is not finite."""
+    at, turned = message.translation, message.rotation
+    pose = SE2(at.x, at.y, 2 * math.atan2(turned.z, turned.w))
+    if not math.isfinite(pose.x + pose.y + pose.theta):
+        raise ValueError(f"a window at {pose.x:g}, {pose.y:g}; expected a finite pose")
+    return pose
 
 
 def _scored(
@@ -230,7 +243,7 @@ def _scored(
     """The states (H, M, M) and the cells in motion (H, M, M); None where the file has none."""
     if not all(f"/scored/{h:g}s" in topics for h in horizons):
         return None, None
-    planes = [_decoded(topics[f"/scored/{h:g}s"], grid, SCORED_FIELDS) for h in horizons]
+    planes = [planes_of(topics[f"/scored/{h:g}s"], grid, SCORED_FIELDS) for h in horizons]
     scored = np.array(planes, np.uint8).reshape(len(horizons), *grid.shape, 2)
     if scored[..., 0].max(initial=0) > NOT_SCORED:
         raise ValueError(f"a cell of state {scored[..., 0].max()}; states are 0 to {NOT_SCORED}")
@@ -243,12 +256,3 @@ def _seconds(topic: str) -> float:
     if not math.isfinite(seconds):
         raise ValueError(f"topic '{topic}' names no horizon")
     return seconds
-
-
-def _decoded(message: Any, grid: GridSpec, fields: tuple[str, ...]) -> NDArray[np.uint8]:
-    """A grid's fields as (M, M, F) uint8, its layout checked before it is used."""
-    layout = (message.column_count, message.cell_stride, message.row_stride, len(message.data))
-    expected = (grid.size, len(fields), len(fields) * grid.size, len(fields) * grid.size**2)
-    if layout != expected or tuple(field.name for field in message.fields) != fields:
-        raise ValueError(f"a grid of layout {layout}, expected {expected} with fields {fields}")
-    return np.frombuffer(message.data, np.uint8).reshape(grid.size, grid.size, len(fields))

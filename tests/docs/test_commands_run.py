@@ -127,6 +127,7 @@ PLACES: dict[str, Prepare] = {
     "docs/statistics.md": bag_and_clone,
     "docs/trackers/model-free.md": places.clone,
     "docs/trackers/one-shot.md": places.clone,
+    "docs/viewers.md": my_bag,
     "docs/weights.md": two_places,
     "docs/weights.md 2": lambda folder: shutil.copyfile(packaged_recording("leg_tracker"), folder / "my.mcap"),
     "examples/cpp_tracker/README.md": my_bag,

@@ -110,7 +110,7 @@ def test_foxglove_finds_grids_with_x_along_columns_and_y_along_rows(written):
         schema, channel, _, grid = next(reader.iter_decoded_messages(topics=["/input"]))
     assert (schema.name, channel.topic) == ("foxglove.Grid", "/input")
     assert (grid.pose.position.x, grid.pose.position.y, grid.column_count) == (-1.0, 2.0, 12)
-    assert [field.name for field in grid.fields] == ["visible", "occupied"]
+    assert [field.name for field in grid.fields] == ["visible", "occupied", "shade"]
     row, column = 7, 2
     offset = row * grid.row_stride + column * grid.cell_stride
     assert (grid.data[offset] == 255) == written_forecasts[0].frames[0].visible[row, column]
