@@ -11,7 +11,7 @@ from gridtrack.reports.occluded_thresholds import OccludedThresholds, occluded_t
 from gridtrack.reports.player import Player, player_of
 from gridtrack.reports.run import ReportedRun
 from gridtrack.reports.table import HeadlineTable
-from gridtrack.reports.trainings import TrainingsTable, trainings_table
+from gridtrack.reports.trainings import TrainingsTable, trainings_across, trainings_table
 
 TRACKER_COLOURS = 8
 """Further trackers repeat the colours, with broken lines."""
@@ -55,7 +55,7 @@ def section_of(runs: Sequence[ReportedRun], table: HeadlineTable) -> Section:
     return Section(
         table=table,
         differences=difference_table(run, table.recording) if run else None,
-        trainings=trainings_table(run, table.recording) if run else None,
+        trainings=trainings_table(run, table.recording) if run else trainings_across(runs, table),
         occluded_thresholds=occluded_thresholds(table, run),
         classes=class_tables(table, run),
     )

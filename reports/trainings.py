@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import json
+from collections.abc import Sequence
 from dataclasses import dataclass
+from statistics import fmean, stdev
 
 from gridtrack.evaluation.results.summary import TrackerTrainings, TrainingsScore
+from gridtrack.evaluation.statistics.score_intervals import HEADLINE_STRATA
 from gridtrack.reports.differences import interval_text, p_text
 from gridtrack.reports.run import UNDEFINED, ReportedRun
+from gridtrack.reports.table import HeadlineTable, TableRow
 
 
 @dataclass(frozen=True)
@@ -35,9 +40,11 @@ class TrainingsTable:
     """Every tracker by its trainings, on one recording or pooled over all."""
 
     reference: str
+    """What the trackers are compared with; empty for the trainings of several runs, which are not compared."""
     columns: tuple[tuple[str, float], ...]
     """Stratum and horizon, seconds."""
     units: int
+    """Of the comparison."""
     rows: tuple[TrainingsRow, ...]
 
 
@@ -64,3 +71,41 @@ def _cell(score: TrainingsScore) -> TrainingsCell:
         p=p_text(score.p_holm),
         verdict=score.verdict if score.p_holm is not None else "",
     )
+
+
+def trainings_across(runs: Sequence[ReportedRun], table: HeadlineTable) -> TrainingsTable | None:
+    """The rows of several runs that differ in their weights alone; None where there are no two, or other frames."""
+    by_run = {run.name: run for run in runs}
+    trainings: dict[str, dict[str, TableRow]] = {}
+    for row in table.rows if table.comparable else ():
+        weights = _weights_of(by_run[row.run], row.label)
+        if weights and row.trial.ranked:
+            same = json.dumps([row.entry.tracker, row.entry.points, row.entry.options], sort_keys=True)
+            trainings.setdefault(same, {}).setdefault(weights, row)
+    columns = [i for i, one in enumerate(table.columns) if one.score == "f1" and one.stratum in HEADLINE_STRATA]
+    rows = tuple(
+        TrainingsRow(
+            next(iter(found.values())).label,
+            len(found),
+            tuple(_spread_cell([row.cells[i].value for row in found.values()]) for i in columns),
+            "",
+        )
+        for found in trainings.values()
+        if len(found) > 1
+    )
+    named = tuple((table.columns[i].stratum, table.horizons_s[table.columns[i].step]) for i in columns)
+    return TrainingsTable("", named, 0, rows) if rows else None
+
+
+def _weights_of(run: ReportedRun, label: str) -> str:
+    """The hashes of the weights of a row on all recordings; empty where it has none."""
+    used = run.record.weights
+    return " ".join(used[name].sha256 for one in run.recordings if (name := f"{label}@{one}") in used)
+
+
+def _spread_cell(values: Sequence[float | None]) -> TrainingsCell:
+    defined = [value for value in values if value is not None]
+    if len(defined) < len(values):
+        return TrainingsCell(UNDEFINED, "", "", "", "")
+    ends = f"{min(defined):.3f} to {max(defined):.3f}"
+    return TrainingsCell(f"{fmean(defined):.3f}", f"± {stdev(defined):.3f}", ends, "", "")

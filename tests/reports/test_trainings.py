@@ -1,10 +1,14 @@
 """The table of trackers with several trainings on the page; a run without any has none."""
 
 import json
+import shutil
+
+import pytest
 
 from gridtrack.reports.page import render_report
 from gridtrack.reports.run import read_runs
-from gridtrack.reports.trainings import trainings_table
+from gridtrack.reports.table import headline_tables
+from gridtrack.reports.trainings import trainings_across, trainings_table
 
 
 def score(**values):
@@ -47,3 +51,42 @@ def test_trainings_have_mean_spread_and_judged_difference(make_run, tmp_path):
     assert "Several trainings" in page
     assert "one training: the spread between trainings is not known" in page
     assert "± 0.071" in page
+
+
+@pytest.fixture
+def training(run_folder, tmp_path):
+    """`training(name, sha256, f1)`: a copy of a run in which `good` has these weights, and `f1` everywhere."""
+
+    def training(name, sha256, f1):
+        run = shutil.copytree(run_folder, tmp_path / name)
+        record = json.loads((run / "run.json").read_text())
+        record["weights"] = {"good@crossing": {"name": "good/crossing.toml", "sha256": sha256}}
+        (run / "run.json").write_text(json.dumps(record))
+        summary = json.loads((run / "summary.json").read_text())
+        for scores in summary["trackers"]["good"]["recordings"]["crossing"]["strata"].values():
+            scores["f1"] = [f1] * len(scores["f1"])
+        (run / "summary.json").write_text(json.dumps(summary))
+        return run
+
+    return training
+
+
+def test_runs_with_other_weights_of_one_tracker_show_its_spread(training):
+    paths = [training(name, sha, f1) for name, sha, f1 in (("a", "1" * 64, 0.4), ("b", "2" * 64, 0.5))]
+    again = training("c", "2" * 64, 0.5)  # the weights of b: no third training
+    runs = read_runs([*paths, again])
+    table = trainings_across(runs, headline_tables(runs)[0])
+    (good,) = table.rows
+    assert (good.label, good.count, table.reference) == ("good", 2, "")
+    assert table.columns[:3] == (("in-motion", 0.5), ("in-motion", 1.0), ("in-motion", 2.5))
+    assert {(cell.mean, cell.spread, cell.difference) for cell in good.cells} == {
+        ("0.450", "± 0.071", "0.400 to 0.500")
+    }
+    page = render_report([*paths, again]).read_text("utf-8")
+    assert "Several trainings" in page
+    assert "below, the least and the most." in page
+
+
+def test_runs_with_the_same_weights_are_no_trainings(training):
+    runs = read_runs([training(name, "1" * 64, 0.5) for name in ("a", "b")])
+    assert trainings_across(runs, headline_tables(runs)[0]) is None
