@@ -1,6 +1,7 @@
-"""The folder of a run on a synthetic scene: a wall, a moving block, and the cells that it occludes."""
+"""The folder of a run on a synthetic scene: a wall, a moving block, and the cells that it occludes; its page opened."""
 
 import json
+import shutil
 
 import numpy as np
 import pytest
@@ -26,10 +27,13 @@ from gridtrack.evaluation.scoring.world_kinds import observed_kinds
 from gridtrack.evaluation.statistics.finished_trial import FinishedTrial
 from gridtrack.evaluation.statistics.summary import summarise
 from gridtrack.recordings.observation import Observation
+from gridtrack.reports.page import render_report
 from gridtrack.trackers.contract import Forecast
 
+from scenes.report_page import HOSTILE
 from scenes.synthetic_run import DESCRIBED, write_run_record
 
+CHROMIUM = shutil.which("chromium")
 GRID = GridSpec(32, 0.2, (-3.2, 0.0))
 PERIOD_S, STEPS, FRAMES, WARM_UP, EVERY = 0.125, 20, 120, 20, 4
 RECORDING = "crossing"
@@ -173,3 +177,50 @@ def summary_of():
 def make_run():
     """`write_run`."""
     return write_run
+
+
+@pytest.fixture(scope="session")
+def hostile_report(run_folder, tmp_path_factory):
+    """A page on which the tracker `fair` has a hostile name."""
+    run = shutil.copytree(run_folder, tmp_path_factory.mktemp("browser") / "run")
+    summary = json.loads((run / "summary.json").read_text())
+    summary["trackers"] = {HOSTILE if k == "fair" else k: v for k, v in summary["trackers"].items()}
+    (run / "summary.json").write_text(json.dumps(summary))
+    (run / "fair@crossing").rename(run / f"{HOSTILE}@crossing")
+    return render_report([run])
+
+
+@pytest.fixture(scope="session")
+def browser():
+    """Chromium; the test is skipped where there is none."""
+    playwright = pytest.importorskip("playwright.sync_api", reason="playwright, of the extra dev, is not installed")
+    if CHROMIUM is None:
+        pytest.skip("Chromium is not installed (Debian: apt install chromium)")
+    with playwright.sync_playwright() as driver:
+        chromium = driver.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+        yield chromium
+        chromium.close()
+
+
+@pytest.fixture
+def opened(browser, hostile_report):
+    """Opens the page with a fragment and gives it and its player; it had no error and no request in the end."""
+    pages, faults = [], []
+
+    def open_at(fragment="", width=1280):
+        page = browser.new_page(viewport={"width": width, "height": 900})
+        pages.append(page)
+        page.set_default_timeout(60_000)
+        page.on("console", lambda message: message.type == "error" and faults.append(message.text))
+        page.on("pageerror", lambda error: faults.append(str(error)))
+        page.on("dialog", lambda dialog: (faults.append(dialog.message), dialog.dismiss()))
+        page.on("request", lambda one: one.url.startswith(("file:", "data:")) or faults.append(one.url))
+        page.goto(hostile_report.as_uri() + fragment)
+        player = page.locator(".player[data-ready]")
+        player.wait_for()
+        return page, player
+
+    yield open_at
+    for page in pages:
+        page.close()
+    assert faults == []

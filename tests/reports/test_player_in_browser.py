@@ -1,9 +1,7 @@
 """The player in a browser: every control, by pointer and by keyboard alone, without an error and without a request."""
 
-import json
 import math
 import re
-import shutil
 from dataclasses import replace
 
 import pytest
@@ -12,53 +10,7 @@ from gridtrack.evaluation.scoring.sample_objects import KeptObject
 from gridtrack.evaluation.scoring.samples import read_samples
 from gridtrack.reports.page import render_report
 
-playwright = pytest.importorskip("playwright.sync_api", reason="playwright, of the extra dev, is not installed")
-CHROMIUM = shutil.which("chromium")
-pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="Chromium is not installed (Debian: apt install chromium)")
-HOSTILE = "<script>alert(1)<\\script><img src=x onerror=alert(1)>, & %2C"
-
-
-@pytest.fixture(scope="module")
-def report(run_folder, tmp_path_factory):
-    """A page on which the tracker `fair` has a hostile name."""
-    run = shutil.copytree(run_folder, tmp_path_factory.mktemp("browser") / "run")
-    summary = json.loads((run / "summary.json").read_text())
-    summary["trackers"] = {HOSTILE if k == "fair" else k: v for k, v in summary["trackers"].items()}
-    (run / "summary.json").write_text(json.dumps(summary))
-    (run / "fair@crossing").rename(run / f"{HOSTILE}@crossing")
-    return render_report([run])
-
-
-@pytest.fixture(scope="module")
-def browser():
-    with playwright.sync_playwright() as driver:
-        chromium = driver.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
-        yield chromium
-        chromium.close()
-
-
-@pytest.fixture
-def opened(browser, report):
-    """Opens the page with a fragment and gives it and its player; it had no error and no request in the end."""
-    pages, faults = [], []
-
-    def open_at(fragment="", width=1280):
-        page = browser.new_page(viewport={"width": width, "height": 900})
-        pages.append(page)
-        page.set_default_timeout(60_000)
-        page.on("console", lambda message: message.type == "error" and faults.append(message.text))
-        page.on("pageerror", lambda error: faults.append(str(error)))
-        page.on("dialog", lambda dialog: (faults.append(dialog.message), dialog.dismiss()))
-        page.on("request", lambda one: one.url.startswith(("file:", "data:")) or faults.append(one.url))
-        page.goto(report.as_uri() + fragment)
-        player = page.locator(".player[data-ready]")
-        player.wait_for()
-        return page, player
-
-    yield open_at
-    for page in pages:
-        page.close()
-    assert faults == []
+from scenes.report_page import HOSTILE
 
 
 def shows(page, moment, h):
@@ -201,11 +153,11 @@ def test_a_cell_is_large_and_nothing_is_cut_off(opened, width):
 
 
 @pytest.mark.parametrize(("width", "scheme"), [(1280, "light"), (400, "dark")])
-def test_axe_finds_nothing_serious(browser, report, width, scheme):
+def test_axe_finds_nothing_serious(browser, hostile_report, width, scheme):
     axe = pytest.importorskip("axe_playwright_python.sync_playwright", reason="axe, of the extra dev, is not installed")
     page = browser.new_page(viewport={"width": width, "height": 900}, color_scheme=scheme)
     page.set_default_timeout(120_000)
-    page.goto(report.as_uri())
+    page.goto(hostile_report.as_uri())
     page.locator(".player[data-ready]").wait_for()
     found = axe.Axe().run(page).response["violations"]
     assert [(one["id"], one["nodes"][0]["html"]) for one in found if one["impact"] in ("serious", "critical")] == []
@@ -241,10 +193,10 @@ def test_a_figure_downloads_as_svg_and_csv(opened):
     assert saved.value.path().read_text().startswith("<svg")
 
 
-def test_without_scripts_one_still_picture_remains(browser, report):
+def test_without_scripts_one_still_picture_remains(browser, hostile_report):
     context = browser.new_context(java_script_enabled=False)
     page = context.new_page()
-    page.goto(report.as_uri())
+    page.goto(hostile_report.as_uri())
     assert page.locator(".still").is_visible()
     assert not page.locator(".player").is_visible()
     context.close()

@@ -16,7 +16,6 @@ from gridtrack.reports.run import read_runs
 
 from scenes.report_page import data_of
 
-BROWSER = shutil.which("chromium")
 SIZE = 32
 FRAMES = 8
 
@@ -88,36 +87,34 @@ def test_a_file_that_is_no_parquet_is_told(run):
     assert "cannot be read as a prior" in render_page(read_runs([run]))
 
 
-@pytest.mark.skipif(not BROWSER, reason="needs chromium")
-def test_a_browser_draws_the_maps_with_row_0_at_the_bottom(run):
-    playwright = pytest.importorskip("playwright.sync_api", reason="playwright, of the extra dev, is not installed")
-    with playwright.sync_playwright() as driver:
-        page = driver.chromium.launch(executable_path=BROWSER, args=["--no-sandbox"]).new_page()
-        page.set_default_timeout(120_000)
-        faults = []
-        page.on("console", lambda message: message.type == "error" and faults.append(message.text))
-        page.on("pageerror", lambda error: faults.append(str(error)))
-        page.goto(render_report([run]).as_uri())
-        page.locator("#priors image").nth(2).wait_for()
-        names = page.locator("#priors g text").all_text_contents()
-        assert names == ["recorded: share of frames", "good", "fair"]
-        # the darkest pixel of each picture of a tracker, from the top left
-        darkest = page.evaluate(
-            """async () => Promise.all([...document.querySelectorAll("#priors image")].slice(1).map(async (one) => {
-              const picture = new Image();
-              picture.src = one.getAttribute("href");
-              await picture.decode();
-              const canvas = new OffscreenCanvas(picture.width, picture.height), context = canvas.getContext("2d");
-              context.drawImage(picture, 0, 0);
-              const values = context.getImageData(0, 0, picture.width, picture.height).data;
-              const cells = Array.from({ length: picture.width * picture.height }, (_, i) => 4 * i);
-              const dark = cells.map((red) => values[red] + values[red + 1]);
-              const at = dark.indexOf(Math.min(...dark));
-              return [Math.floor(at / picture.width), at % picture.width];
-            }))"""
-        )
-        assert darkest == [[SIZE - 1 - 3, 5], [SIZE - 1 - 20, 9]]
-        assert faults == []
-        page.locator('#priors button[aria-label*="CSV"]').wait_for()
-        page.get_by_role("button", name="good").first.click()
-        assert page.locator("#priors image").count() == 2
+def test_a_browser_draws_the_maps_with_row_0_at_the_bottom(browser, run):
+    page = browser.new_page()
+    page.set_default_timeout(120_000)
+    faults = []
+    page.on("console", lambda message: message.type == "error" and faults.append(message.text))
+    page.on("pageerror", lambda error: faults.append(str(error)))
+    page.goto(render_report([run]).as_uri())
+    page.locator("#priors image").nth(2).wait_for()
+    names = page.locator("#priors g text").all_text_contents()
+    assert names == ["recorded: share of frames", "good", "fair"]
+    # the darkest pixel of each picture of a tracker, from the top left
+    darkest = page.evaluate(
+        """async () => Promise.all([...document.querySelectorAll("#priors image")].slice(1).map(async (one) => {
+          const picture = new Image();
+          picture.src = one.getAttribute("href");
+          await picture.decode();
+          const canvas = new OffscreenCanvas(picture.width, picture.height), context = canvas.getContext("2d");
+          context.drawImage(picture, 0, 0);
+          const values = context.getImageData(0, 0, picture.width, picture.height).data;
+          const cells = Array.from({ length: picture.width * picture.height }, (_, i) => 4 * i);
+          const dark = cells.map((red) => values[red] + values[red + 1]);
+          const at = dark.indexOf(Math.min(...dark));
+          return [Math.floor(at / picture.width), at % picture.width];
+        }))"""
+    )
+    assert darkest == [[SIZE - 1 - 3, 5], [SIZE - 1 - 20, 9]]
+    assert faults == []
+    page.locator('#priors button[aria-label*="CSV"]').wait_for()
+    page.get_by_role("button", name="good").first.click()
+    assert page.locator("#priors image").count() == 2
+    page.close()

@@ -5,6 +5,9 @@ import json
 import re
 import zlib
 
+HOSTILE = "<script>alert(1)<\\script><img src=x onerror=alert(1)>, & %2C"
+"""A name of a tracker that would run, were it HTML."""
+
 
 def data_of(page):
     """The data of a page, its HTML."""
