@@ -61,6 +61,14 @@ def role_from(message: Message) -> Role:
     return role
 
 
+def code_sha256_from(message: Message) -> str:
+    """The hash of the tracker's code in `started`; "" where it gives none. Raises WireError."""
+    found: Any = message.fields.get("code_sha256", "")
+    if not isinstance(found, str) or len(found) not in (0, 64) or set(found) - set("0123456789abcdef"):
+        raise WireError(f"'{message.kind}': code_sha256 is {found!r:.80}; expected 64 hexadecimal digits")
+    return found
+
+
 def reference_for_from(message: Message) -> frozenset[ComparedPart]:
     """The comparisons that `started` and `described` list in `reference_for`, none where absent. Raises WireError."""
     found: Any = message.fields.get("reference_for", [])

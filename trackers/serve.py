@@ -15,6 +15,7 @@ from gridtrack.common.config import Settings, validated
 from gridtrack.common.errors import ConfigurationError, GridtrackError, PluginError, WeightsError, one_line
 from gridtrack.trackers import messages, registry
 from gridtrack.trackers.contract import API, Forecast, StreamSpec, Tracker
+from gridtrack.trackers.own_code import code_sha256
 from gridtrack.trackers.wire import MAX_HEADER, Message, WireError, encode, fill_from, receive, widen, write_to
 
 MAX_LINE = 500
@@ -88,7 +89,8 @@ class Server:
         self.stream = messages.stream_from(request)
         self.max_body = messages.update_limit(self.stream.grid)
         self.tracker = kind(self.stream, options)
-        return Message("started", request.number, _description(kind, self.tracker.classes, options))
+        fields = _description(kind, self.tracker.classes, options) | {"code_sha256": code_sha256(kind)}
+        return Message("started", request.number, fields)
 
     def _options(self, tracker: type[Tracker], values: Mapping[str, Any]) -> Settings:
         return validated(tracker.Options, dict(values), self.name)

@@ -177,7 +177,12 @@ class TrialRun:
         if description is None:
             return {}
         reference_for = tuple(sorted(description.reference_for))
-        return {"classes": description.classes, "role": description.role, "reference_for": reference_for}
+        return {
+            "classes": description.classes,
+            "role": description.role,
+            "reference_for": reference_for,
+            "code_sha256": description.code_sha256,
+        }
 
 
 def validation_tally(tracker: TrackerLike, delivery: Delivery, split: EvaluationSplit, seed: int) -> Tally:

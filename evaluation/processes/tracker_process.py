@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from types import TracebackType
@@ -21,6 +21,7 @@ from gridtrack.evaluation.processes.outcome import TrialEnded
 from gridtrack.evaluation.processes.supervised import SupervisedProgram
 from gridtrack.trackers import messages
 from gridtrack.trackers.contract import API, ComparedPart, Forecast, Role, StreamSpec
+from gridtrack.trackers.own_code import program_sha256
 from gridtrack.trackers.selection import Launch
 from gridtrack.trackers.wire import Message, WireError
 
@@ -49,6 +50,8 @@ class TrackerDescription:
     role: Role = "tracker"
     reference_for: frozenset[ComparedPart] = frozenset()
     """The comparisons in which the other rows are compared with this tracker by default."""
+    code_sha256: str = ""
+    """Of the code that runs; empty where it is not known, as without a stream."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,7 +137,9 @@ class TrackerProcess:
         with self._ending_on_error():
             if self._killed:
                 self._dialogue.process.kill()
-            self.description = _description(self._dialogue.ask(request, self.limits.start_s))
+            described = _description(self._dialogue.ask(request, self.limits.start_s))
+            code = described.code_sha256 or program_sha256(self.launch.argv, self.launch.cwd)
+            self.description = replace(described, code_sha256=code)
         return self
 
     def __exit__(
@@ -279,4 +284,5 @@ def _description(answer: Message) -> TrackerDescription:
         answer.value("about", str),
         messages.role_from(answer),
         messages.reference_for_from(answer),
+        messages.code_sha256_from(answer),
     )

@@ -15,6 +15,7 @@ from gridtrack.evaluation.comparison.settings import CompareSettings
 from gridtrack.evaluation.regression.measurement import Measurement, Unmeasured
 from gridtrack.evaluation.regression.measuring import measure_run
 from gridtrack.evaluation.results.run_record import RunRecord, read_run_record
+from gridtrack.evaluation.results.trial_record import read_trial_record
 
 Trials = Mapping[str, frozenset[str]]
 """The names of recordings by label."""
@@ -40,6 +41,8 @@ def run_again(
             if run(part, record.command, progress).interrupted:
                 raise Unmeasured(["the second run was interrupted"])
             measured.append(measure_run(part.settings.out, like))
+            if reasons := list(_edited(folder, part)):
+                raise Unmeasured(reasons)
     return measured
 
 
@@ -78,3 +81,14 @@ def _differences(record: RunRecord, plan: ComparisonPlan) -> Iterator[str]:
         old, new = (side.get(name, "none") for side in (record.versions, installed))
         if old != new:
             yield f"{name} was {old} in the run and is {new} now: compare again"
+
+
+def _edited(folder: Path, part: ComparisonPlan) -> Iterator[str]:
+    """A reason for each tracker whose code is not that of the run in `folder`; where a hash is unknown, none."""
+    labels: set[str] = set()
+    for trial in part.trials:
+        records = [read_trial_record(run / trial.name) for run in (folder, part.settings.out)]
+        codes = {record.code_sha256 for record in records if record is not None}
+        if "" not in codes and len(codes) > 1 and trial.label not in labels:
+            labels.add(trial.label)
+            yield f"{trial.label}: the tracker's code was edited since the run: compare again"

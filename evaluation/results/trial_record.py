@@ -70,6 +70,8 @@ class TrialRecord(ResultModel):
     """By the tracker's own description; `tracker` where it did not start."""
     reference_for: tuple[ComparedPart, ...] = ()
     """The comparisons in which the other rows are compared with this tracker by default."""
+    code_sha256: str = ""
+    """Of the tracker's code: of the loaded files of its package, or of its program; empty where it is not known."""
     weights_sha256: str = ""
     """Of the card of the weights used; empty without weights."""
     card: Literal["", "site", "general"] = ""

@@ -124,6 +124,16 @@ def test_a_second_run_that_fails_or_is_of_something_else_is_not_measured(runs, f
     assert (done.code, "its record has no settings, so it cannot be run again" in done.err) == (3, True)
 
 
+def test_a_tracker_that_was_edited_since_the_run_is_not_measured(runs, folder, regress, tmp_path):
+    now, baseline = runs
+    (folder / "bad").unlink()
+    module = tmp_path / "site" / "moody_tracker.py"
+    module.write_text(module.read_text() + "\n# mended\n")
+    done = regress(now, "--baseline", baseline, "--confirm")
+    assert done.code == 3
+    assert "moody: the tracker's code was edited since the run: compare again" in done.err
+
+
 @pytest.mark.parametrize("trainings", [1, 3])
 def test_the_same_counts_again_confirm_every_row(write_run, trainings):
     then = [{"kalman": {"seed": n, "noise": 0.01}, "other": {"seed": 10 + n}} for n in range(trainings)]
