@@ -5,19 +5,23 @@ from __future__ import annotations
 import json
 import sys
 import traceback
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from gridtrack.cli.options import DEBUG_OPTION, JsonOption, default_of
+from gridtrack.cli.options import DEBUG_OPTION, JsonOption, TrackersTomlOption
 from gridtrack.common.errors import ConfigurationError, GridtrackError, one_line, printable
 
 if TYPE_CHECKING:
+    from gridtrack.evaluation.regression.history import History
     from gridtrack.evaluation.regression.measurement import Baseline, Measurement
     from gridtrack.evaluation.regression.settings import GateSettings
+    from gridtrack.evaluation.regression.speed import TurnsRow
     from gridtrack.evaluation.regression.verdict import Verdict
+    from gridtrack.trackers.selection import Launch
 
 WORSE, UNMEASURED = 1, 3
 MAX_CRASH_CHARS = 300
@@ -49,48 +53,63 @@ def regress_command(
     confirm: Annotated[
         bool, typer.Option("--confirm", help="Run what looks worse a second time; it is worse if it is worse again")
     ] = False,
+    speed_base: Annotated[
+        list[str] | None,
+        typer.Option(metavar="LABEL=NAME", help="Time a tracker of the run in turns with the tracker NAME, its base"),
+    ] = None,
+    trackers_toml: TrackersTomlOption = None,
+    history: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Add the verdict to this folder, and draw scores over commits")
+    ] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Compare a run with a baseline: is any tracker worse? A baseline of several trainings holds their spread too.
 
     Exit code: 0 no worse, 1 worse, 2 wrong use, 3 not measured: a trial failed, is missing, or does not pair.
     """
-    if speed_margin is not None and speed_reference is None:
-        raise ConfigurationError("--speed-margin: speed is judged only with --speed-reference LABEL")
+    if speed_margin is not None and speed_reference is None and not speed_base:
+        raise ConfigurationError(
+            "--speed-margin: speed is judged only with --speed-reference LABEL or --speed-base LABEL=NAME"
+        )
     if len(runs) > 1 and not update:
         raise ConfigurationError(f"{len(runs)} runs: one is judged at a time; --update makes a baseline of several")
-    if confirm and update:
-        raise ConfigurationError("--confirm: --update judges nothing; leave one of the two out")
+    for option, given in (("--confirm", confirm), ("--speed-base", speed_base), ("--history", history)):
+        if given and update:
+            raise ConfigurationError(f"{option}: --update judges nothing; leave one of the two out")
     values = {
         "margin": margin,
         "tolerance": dict(map(_tolerance, tolerance or ())),
         "speed_reference": speed_reference,
         "speed_margin": speed_margin,
     }
+    bases = _bases(speed_base or (), trackers_toml)
+    earlier = _earlier(history)
     try:
         if update:
             _update_baseline(runs, baseline)
             return
-        verdict = _judge(runs[0], baseline, _settings(values), confirm)
+        verdict = _judge(runs[0], baseline, _settings(values), confirm, bases)
         _report_verdict(verdict, junit, markdown, as_json)
     except Exception as error:
         reasons = _reasons_unmeasured(error)
         if not reasons:
             raise
         _report_unmeasured(reasons, junit, markdown, as_json)
+        _remember(history, earlier, baseline, reasons)
         raise typer.Exit(UNMEASURED) from None
+    _remember(history, earlier, baseline, verdict)
     if verdict.worse:
         raise typer.Exit(WORSE)
 
 
 def regress_defaults() -> dict[str, str]:
     """The default of each option of `regress`, as text."""
-    from gridtrack.evaluation.regression.settings import MARGIN, GateSettings
+    from gridtrack.evaluation.regression.settings import MARGIN, SPEED_MARGIN, TURNS_MARGIN
     from gridtrack.evaluation.statistics.jackknife import LEAST_UNITS
 
     return {
         "margin": f"{MARGIN:g} with {LEAST_UNITS} units or more, 0 with fewer",
-        "speed_margin": f"{default_of(GateSettings, 'speed_margin'):g}",
+        "speed_margin": f"{SPEED_MARGIN:g}, with --speed-base {TURNS_MARGIN:g}",
     }
 
 
@@ -116,8 +135,9 @@ def _settings(values: dict[str, Any]) -> GateSettings:
     return validated(GateSettings, given, "gridtrack regress")
 
 
-def _judge(run: Path, baseline: Path, settings: GateSettings, confirm: bool) -> Verdict:
-    """The verdict on the run in the folder `run`, with `confirm` after a second run of what looks worse."""
+def _judge(run: Path, baseline: Path, settings: GateSettings, confirm: bool, bases: Mapping[str, Launch]) -> Verdict:
+    """The verdict on the run in the folder `run`, with `confirm` after a second run of what looks worse, with `bases`
+    with the times of trackers in turns with theirs."""
     from gridtrack.evaluation.regression.baseline import read_baseline
     from gridtrack.evaluation.regression.measuring import measure_run
     from gridtrack.evaluation.regression.verdict import compare_with_baseline
@@ -125,7 +145,56 @@ def _judge(run: Path, baseline: Path, settings: GateSettings, confirm: bool) -> 
     stored = read_baseline(baseline)
     measured = measure_run(run, like=stored.first)
     verdict = compare_with_baseline(stored, measured, settings)
-    return _confirmed(verdict, stored, measured, settings, run) if confirm else verdict
+    if confirm:
+        verdict = _confirmed(verdict, stored, measured, settings, run)
+    if not bases:
+        return verdict
+    return replace(verdict, turns=_timed_in_turns(run, bases, settings))
+
+
+def _timed_in_turns(run: Path, bases: Mapping[str, Launch], settings: GateSettings) -> tuple[TurnsRow, ...]:
+    from gridtrack.evaluation.processes.shielding import shield_host
+    from gridtrack.evaluation.regression.turns import timed_in_turns
+
+    shield_host("gridtrack regress")
+    return timed_in_turns(run, bases, settings.turns_margin)
+
+
+def _bases(texts: Sequence[str], trackers_toml: Path | None) -> dict[str, Launch]:
+    """The base of each label in `LABEL=NAME`. Raises ConfigurationError and PluginError."""
+    from gridtrack.trackers.selection import launch, read_trackers_toml
+
+    if trackers_toml and not texts:
+        raise ConfigurationError("--trackers-toml: it names the bases of --speed-base LABEL=NAME, and there is none")
+    external = read_trackers_toml(trackers_toml) if trackers_toml else None
+    bases: dict[str, Launch] = {}
+    for text in texts:
+        label, equals, name = text.rpartition("=")
+        if not equals or not label or label in bases:
+            raise ConfigurationError(f"--speed-base '{text}': expected LABEL=NAME, each label once")
+        bases[label] = launch(name, external)
+    return bases
+
+
+def _earlier(folder: Path | None) -> History:
+    """The history so far, read before anything is judged: one that cannot be trusted is told at once."""
+    from gridtrack.evaluation.regression.history import read_history
+
+    return read_history(folder) if folder else []
+
+
+def _remember(folder: Path | None, earlier: History, baseline: Path, result: Verdict | Sequence[str]) -> None:
+    """Add `result` to the history and draw it again."""
+    from gridtrack.common.files import write_text
+    from gridtrack.evaluation.regression.history import append_entry
+    from gridtrack.reports.history import history_svg
+
+    if folder is None:
+        return
+    path, entry = append_entry(folder, earlier, baseline, result)
+    drawing = folder / "history.svg"
+    write_text(drawing, history_svg([*(entry for _, entry in earlier), entry]))
+    typer.echo(f"history: {path}; drawing: {drawing}", err=True)
 
 
 def _confirmed(

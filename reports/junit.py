@@ -7,7 +7,7 @@ from xml.etree import ElementTree
 
 from gridtrack.common.errors import printable
 from gridtrack.evaluation.regression.recoveries import RecoveryRow
-from gridtrack.evaluation.regression.speed import SpeedRow
+from gridtrack.evaluation.regression.speed import SpeedRow, TurnsRow
 from gridtrack.evaluation.regression.verdict import AnyRow, Verdict
 from gridtrack.reports.chosen_scores import ExportedTable
 from gridtrack.reports.notices import outcome_text
@@ -71,6 +71,8 @@ def _case(suite: ElementTree.Element, label: str, name: str) -> ElementTree.Elem
 def _case_name(row: AnyRow) -> str:
     if isinstance(row, SpeedRow):
         return f"speed of {row.call}"
+    if isinstance(row, TurnsRow):
+        return f"speed of {row.call} in turns with {row.base}"
     if isinstance(row, RecoveryRow):
         return "recoveries"
     return f"{f'{row.recording}: ' if row.recording else ''}{row.score}, {place_of(row)}"

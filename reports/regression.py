@@ -16,7 +16,7 @@ from gridtrack.evaluation.regression.measurement import BANDS, Baseline
 from gridtrack.evaluation.regression.recoveries import RecoveryRow
 from gridtrack.evaluation.regression.rows import paired_rows
 from gridtrack.evaluation.regression.significance import FAMILY_LEVEL
-from gridtrack.evaluation.regression.speed import SpeedRow
+from gridtrack.evaluation.regression.speed import SpeedRow, TurnsRow
 from gridtrack.evaluation.regression.verdict import AnyRow, SecondLook, Standing, Verdict
 from gridtrack.evaluation.statistics.jackknife import LEAST_UNITS
 from gridtrack.evaluation.statistics.training_spread import value_of
@@ -39,11 +39,14 @@ REASONS: dict[Criterion, str] = {
 
 def text_of(verdict: Verdict) -> str:
     """The verdict for a terminal: what is worse, notes, the rule and the conclusion."""
-    lines = _second_lines(verdict) or [f"worse: {sentence_of(row)}" for row in verdict.worse]
+    looked_at = [look.first for look in verdict.second_looks]
+    lines = _second_lines(verdict)
+    lines += [f"worse: {sentence_of(row)}" for row in verdict.worse if row not in looked_at]
     fallen = [row for row in verdict.on_recordings if row.verdict != "worse"]
     lines += [f"change on one recording, not judged: {sentence_of(row)}" for row in fallen[:MAX_FALLEN]]
     if len(fallen) > MAX_FALLEN:
         lines.append(f"change on one recording, not judged: {len(fallen) - MAX_FALLEN} more, see --markdown")
+    lines += [f"timed in turns: {sentence_of(row)}" for row in verdict.turns if row.verdict != "worse"]
     lines += [f"note: {note}" for note in verdict.notes]
     lines += [f"{label}: every count is as in the baseline" for label in _unchanged(verdict)]
     lines += _smallest_found(verdict)
@@ -80,6 +83,12 @@ def markdown_of(verdict: Verdict) -> str:
         verdict.speed,
         lambda row: [verdict.standing_of(row), *_speed_cells(row)],
     )
+    parts += _section(
+        "Speed in turns",
+        ["verdict", "tracker", "call", "base", "times as long", "95 % interval", "rounds"],
+        verdict.turns,
+        lambda row: [verdict.standing_of(row), row.label, row.call, row.base, *_turns_cells(row)],
+    )
     parts += ["\n".join(f"- {escaped(note)}" for note in verdict.notes)] if verdict.notes else []
     parts += (
         [f"Every count is as in the baseline: {', '.join(map(escaped, _unchanged(verdict)))}."]
@@ -105,6 +114,7 @@ def data_of(verdict: Verdict) -> dict[str, Any]:
         "on_recordings": [_row_data(row, verdict.standing_of(row)) for row in verdict.on_recordings],
         "recoveries": [_row_data(row, verdict.standing_of(row)) for row in verdict.recoveries],
         "speed": [_row_data(row, verdict.standing_of(row)) for row in verdict.speed],
+        "turns": [_row_data(row, verdict.standing_of(row)) for row in verdict.turns],
         "second_looks": [_second_data(look) for look in verdict.second_looks],
         "notes": list(verdict.notes),
     }
@@ -144,6 +154,12 @@ def sentence_of(row: AnyRow) -> str:
         return (
             f"{row.label}: {row.call} takes {row.ratio_run:.3g} times as long as {row.reference}'s, in the baseline"
             f" {row.ratio_baseline:.3g}: {row.growth:+.0%}, margin {row.margin:.0%}"
+        )
+    if isinstance(row, TurnsRow):
+        ratio, interval, rounds = _turns_cells(row)
+        return (
+            f"{row.label}: {row.call} takes {ratio} times as long as {row.base}'s, in turns, 95 % interval {interval}"
+            f" over {rounds} rounds, margin {row.margin:.0%}"
         )
     if isinstance(row, RecoveryRow):
         return f"{row.label}: continued {row.run} times after a failure inside it, in the baseline {row.baseline} times"
@@ -278,6 +294,10 @@ def _row_cells(row: VerdictRow) -> list[str]:
 
 def _speed_cells(row: SpeedRow) -> list[str]:
     return [row.label, row.call, row.reference, f"{row.ratio_baseline:.3g}", f"{row.ratio_run:.3g}"]
+
+
+def _turns_cells(row: TurnsRow) -> list[str]:
+    return [f"{row.ratio:.3f}", f"[{row.low:.3f}, {row.high:.3f}]", f"{row.rounds}"]
 
 
 def _verdict_text(verdict: Verdict, row: VerdictRow) -> str:

@@ -11,10 +11,9 @@ from collections import defaultdict
 from html import escape
 from pathlib import Path
 
-from gridtrack.reports.figures import Axis
+from gridtrack.reports.figures import Axis, document
 
 from studies.support.label_table import BUDGETS, COLUMNS, read_rows
-from studies.support.svg import document
 
 TABLE = Path("docs/results/junction/label-budget.csv")
 STYLES = {"one-shot": "#c2410c", "latent": "#1d4ed8", "latent, linear": "#0f766e", "latent and scan": "#7e22ce"}

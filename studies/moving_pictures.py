@@ -11,9 +11,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from gridtrack.evaluation.scoring.samples import SAMPLES, Sample, read_samples
+from gridtrack.reports.figures import document
 from gridtrack.reports.pictures import frame_png, probability_png
-
-from studies.support.svg import document
 
 KINDS = ("perfect", "ignored")
 MOMENTS = (("car-202", 46.0), ("robot-201", 30.0))

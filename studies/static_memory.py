@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 from gridtrack.recordings import open_recording
 from gridtrack.recordings.stream import GridStream
 from gridtrack.recordings.truth import static_cells
+from gridtrack.reports.figures import document
 from gridtrack.reports.pictures import probability_png
 
 from studies.support.results_file import ResultSection, write_section
 from studies.support.shipped import shipped_tracker
-from studies.support.svg import document
 
 RECORDING = Path("data/junction/test-101.tracks")
 PICTURE = Path("docs/results/junction/static-memory.svg")

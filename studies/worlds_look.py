@@ -21,9 +21,10 @@ from gridtrack.common.errors import GridtrackError
 from gridtrack.common.geometry import SE2
 from gridtrack.common.scan import Scan
 from gridtrack.recordings import open_recording
+from gridtrack.reports.figures import document
 
 from studies.support.npz_scans import npz_scans
-from studies.support.svg import document, svg_path
+from studies.support.svg import svg_path
 
 BEFORE_NS = 1_000_000_000
 PANEL_PX, COLUMNS = 230, 6

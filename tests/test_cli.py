@@ -18,7 +18,7 @@ from gridtrack.cli import app
 from gridtrack.evaluation.comparison.recipe import Recipe
 from gridtrack.evaluation.comparison.settings import CompareSettings
 from gridtrack.evaluation.processes.limits import Limits
-from gridtrack.evaluation.regression.settings import MARGIN, GateSettings
+from gridtrack.evaluation.regression.settings import MARGIN, SPEED_MARGIN, TURNS_MARGIN
 from gridtrack.recordings import packaged_recording
 from gridtrack.recordings.degradation import Degradation
 
@@ -112,7 +112,6 @@ def test_the_version_is_the_one_of_the_installed_distribution():
 
 COMPARE = CompareSettings.model_fields
 LIMITS = Limits.model_fields
-GATE = GateSettings.model_fields
 
 
 @pytest.mark.parametrize(
@@ -135,7 +134,10 @@ GATE = GateSettings.model_fields
         ),
         (
             "regress",
-            {"margin": f"{MARGIN:g} with 20 units or more, 0 with fewer", "speed-margin": GATE["speed_margin"]},
+            {
+                "margin": f"{MARGIN:g} with 20 units or more, 0 with fewer",
+                "speed-margin": f"{SPEED_MARGIN:g}, with --speed-base {TURNS_MARGIN:g}",
+            },
         ),
         ("train", {"seed": Recipe.model_fields["seed"]}),
     ],

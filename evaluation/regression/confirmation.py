@@ -10,11 +10,11 @@ from gridtrack.evaluation.regression.judging import VerdictRow, judged_on, judge
 from gridtrack.evaluation.regression.measurement import Baseline, Measurement, TrialCounts, Unmeasured
 from gridtrack.evaluation.regression.noise import unit_falls
 from gridtrack.evaluation.regression.pairing import require_paired
-from gridtrack.evaluation.regression.recoveries import compare_recoveries
+from gridtrack.evaluation.regression.recoveries import RecoveryRow, compare_recoveries
 from gridtrack.evaluation.regression.rerun import Trials
 from gridtrack.evaluation.regression.rows import PairedRow, paired_rows
 from gridtrack.evaluation.regression.settings import GateSettings
-from gridtrack.evaluation.regression.speed import SpeedRow, compare_speed
+from gridtrack.evaluation.regression.speed import SpeedRow, TurnsRow, compare_speed
 from gridtrack.evaluation.regression.verdict import AnyRow, SecondLook, Verdict
 
 RunAgain = Callable[[Trials, bool], Sequence[Measurement]]
@@ -38,7 +38,7 @@ def confirmed(
     judged = judged_again(suspects, paired_rows(baseline, second), settings, verdict.significance)
     judged += [row for row in compare_recoveries(baseline, second) if _key(row) in map(_key, suspects)]
     if timed:
-        judged += compare_speed(baseline, second, settings.speed_reference, settings.speed_margin)[0]
+        judged += compare_speed(baseline, second, settings.speed_reference, settings.ratio_margin)[0]
     by_key = {_key(row): row for row in judged}
     looks = tuple(SecondLook(row, by_key.get(_key(row))) for row in suspects)
     return replace(verdict, second_looks=looks)
@@ -71,7 +71,9 @@ def _key(row: AnyRow) -> tuple[str, ...]:
     """What one row has in common in both runs."""
     if isinstance(row, VerdictRow):
         return (row.label, row.score, row.stratum, row.band, row.recording)
-    return (row.label, "speed", row.call) if isinstance(row, SpeedRow) else (row.label, "recoveries")
+    if isinstance(row, RecoveryRow):
+        return (row.label, "recoveries")
+    return (row.label, "turns" if isinstance(row, TurnsRow) else "speed", row.call)
 
 
 def _trials_of(suspects: Sequence[AnyRow], baseline: Baseline) -> Trials:

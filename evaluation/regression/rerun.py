@@ -46,6 +46,15 @@ def run_again(
     return measured
 
 
+def plan_again(folder: Path, scratch: Path) -> ComparisonPlan:
+    """The plan of the run in `folder`, whose files go to `scratch`. Raises Unmeasured where something changed."""
+    record = read_run_record(folder)
+    plan = _plan(folder, record, scratch, latency=False)
+    if reasons := list(_differences(record, plan)):
+        raise Unmeasured(reasons)
+    return plan
+
+
 def _plan(folder: Path, record: RunRecord, scratch: Path, latency: bool) -> ComparisonPlan:
     """The plan of the whole run, with the scores and nothing beside them but times."""
     given = record.settings.model_dump(mode="json")

@@ -1,4 +1,5 @@
-"""Speed relative to a reference tracker of the same run: a ratio of times depends little on the machine."""
+"""Speed relative to a reference tracker of the same run, whose ratio of times depends little on the machine; and the
+row of a time measured in turns with a base (`turns.py`)."""
 
 from __future__ import annotations
 
@@ -9,13 +10,16 @@ from typing import Literal
 
 from gridtrack.evaluation.regression.measurement import Baseline, Measurement, Unmeasured
 
+CallKind = Literal["update", "predict"]
+CALLS: tuple[CallKind, ...] = ("update", "predict")
+
 
 @dataclass(frozen=True, slots=True)
 class SpeedRow:
     """The time of a tracker for one call as a multiple of the reference's, in the baseline and in the run."""
 
     label: str
-    call: Literal["update", "predict"]
+    call: CallKind
     reference: str
     ratio_baseline: float
     ratio_run: float
@@ -30,6 +34,25 @@ class SpeedRow:
     def verdict(self) -> Literal["worse", "no worse"]:
         """Whether the growth exceeds the margin."""
         return "worse" if self.growth > self.margin else "no worse"
+
+
+@dataclass(frozen=True, slots=True)
+class TurnsRow:
+    """The time of a call of a tracker as a multiple of that of its base, with a 95 % interval over rounds."""
+
+    label: str
+    call: CallKind
+    base: str
+    ratio: float
+    low: float
+    high: float
+    rounds: int
+    margin: float
+
+    @property
+    def verdict(self) -> Literal["worse", "no worse"]:
+        """Whether the whole interval is beyond the margin."""
+        return "worse" if self.low > 1.0 + self.margin else "no worse"
 
 
 def compare_speed(
@@ -47,10 +70,9 @@ def compare_speed(
         return (), (f"speed is not judged: {why}",)
     if without:
         raise Unmeasured([f"speed cannot be judged: {reason}" for reason in without])
-    calls: tuple[Literal["update", "predict"], ...] = ("update", "predict")
     rows = []
     for label in (label for label in first.trackers if label != reference):
-        for call in calls:
+        for call in CALLS:
             then, now = (_time_ratio(runs, first, label, reference, call) for runs in (baseline.runs, [run]))
             rows.append(SpeedRow(label, call, reference, then, now, margin))
     return tuple(rows), ()

@@ -15,11 +15,11 @@ from gridtrack.evaluation.regression.pairing import require_paired
 from gridtrack.evaluation.regression.recoveries import RecoveryRow, compare_recoveries
 from gridtrack.evaluation.regression.rows import paired_rows
 from gridtrack.evaluation.regression.settings import GateSettings
-from gridtrack.evaluation.regression.speed import SpeedRow, compare_speed
+from gridtrack.evaluation.regression.speed import SpeedRow, TurnsRow, compare_speed
 from gridtrack.evaluation.statistics.jackknife import LEAST_UNITS
 
 Standing = RowVerdict | Literal["not confirmed"]
-AnyRow = VerdictRow | RecoveryRow | SpeedRow
+AnyRow = VerdictRow | RecoveryRow | SpeedRow | TurnsRow
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,8 +38,8 @@ class SecondLook:
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """The verdict: `rows`, over all units, the collapses among `on_recordings`, `recoveries`, and `speed`, where
-    requested, decide. `on_recordings` has the worst fall of each tracker on single recordings; `notes` has other
+    """The verdict: `rows`, over all units, the collapses among `on_recordings`, `recoveries`, and `speed` and `turns`,
+    where requested, decide. `on_recordings` has the worst fall of each tracker on single recordings; `notes` has other
     differences."""
 
     rows: tuple[VerdictRow, ...]
@@ -54,6 +54,8 @@ class Verdict:
     notes: tuple[str, ...]
     second_looks: tuple[SecondLook, ...] = ()
     """Of every row that was worse, where a confirmation was requested."""
+    turns: tuple[TurnsRow, ...] = ()
+    """Times measured in turns with a base, where requested; they have intervals of their own."""
 
     @property
     def collapses(self) -> tuple[VerdictRow, ...]:
@@ -63,7 +65,7 @@ class Verdict:
     @property
     def decisive(self) -> tuple[AnyRow, ...]:
         """Every row that decides."""
-        return (*self.rows, *self.collapses, *self.recoveries, *self.speed)
+        return (*self.rows, *self.collapses, *self.recoveries, *self.speed, *self.turns)
 
     @property
     def worse(self) -> tuple[AnyRow, ...]:
@@ -92,7 +94,7 @@ def compare_with_baseline(baseline: Baseline, run: Measurement, settings: GateSe
     rows = tuple(judged_row(row, test, settings) for row, test in zip(paired, tests, strict=True))
     if all(row.verdict == "nothing to find" for row in rows if row.score == "F1"):
         raise Unmeasured(["no cell was occupied in any stratum and step band: nothing was measured"])
-    speed, speed_notes = compare_speed(baseline, run, settings.speed_reference, settings.speed_margin)
+    speed, speed_notes = compare_speed(baseline, run, settings.speed_reference, settings.ratio_margin)
     units = len(np.unique(paired[0].units)) if paired else 0
     return Verdict(
         rows,

@@ -7,10 +7,9 @@ from html import escape
 from pathlib import Path
 
 from gridtrack.evaluation.scoring.samples import SAMPLES, Sample, read_samples
+from gridtrack.reports.figures import document
 from gridtrack.reports.pictures import frame_png, probability_png
 from gridtrack.reports.run import ReportedRun
-
-from studies.support.svg import document
 
 SIDE, GAP, TITLE = 200, 8, 16
 

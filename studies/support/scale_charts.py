@@ -6,9 +6,8 @@ from html import escape
 
 from gridtrack.evaluation.results.columns import SCALES
 from gridtrack.evaluation.results.summary import ORACLE
-from gridtrack.reports.figures import Axis
+from gridtrack.reports.figures import Axis, document
 
-from studies.support.svg import document
 from studies.support.unseen_places import FAMILIES, REFERENCE, PlaceScores
 
 COLOURS = ("#1d4ed8", "#c2410c", "#0f766e")

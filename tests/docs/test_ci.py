@@ -47,7 +47,7 @@ def github_lines() -> list[tuple[str, bool]]:
 
 
 def gitlab_lines() -> list[tuple[str, bool]]:
-    return [(line, False) for line in yaml.safe_load(blocks(PAGE, "yaml")[1])["regression"]["script"]]
+    return [(line, False) for line in yaml.safe_load(blocks(PAGE, "yaml")[2])["regression"]["script"]]
 
 
 @pytest.fixture
@@ -63,9 +63,13 @@ def repository(tmp_path: Path, install: Callable[..., Path]) -> Path:
     programs = tmp_path / "bin"
     programs.mkdir()
     for name, line in (("pip", 'test "$*" = "install ."'), ("gridtrack", f'"{sys.executable}" -m gridtrack.cli "$@"')):
-        (programs / name).write_text(f"#!/bin/sh\n{line}\n")
-        (programs / name).chmod(0o755)
+        write_program(programs / name, line)
     return folder
+
+
+def write_program(path: Path, line: str) -> None:
+    path.write_text(f"#!/bin/sh\n{line}\n")
+    path.chmod(0o755)
 
 
 def scan(index: int, angles: np.ndarray) -> Scan:
@@ -91,6 +95,27 @@ def run_lines(folder: Path, lines: list[tuple[str, bool]]) -> int:
         done = subprocess.run(["bash", "-e", "-c", line], cwd=folder, env=environment, check=False)
         code = code or done.returncode
     return code
+
+
+def in_turns_lines() -> list[tuple[str, bool]]:
+    """The steps that time the tracker in turns with its base, after the one that compares."""
+    compare = [line for line in github_lines() if "gridtrack compare" in line[0]]
+    return compare + [(step["run"], False) for step in yaml.safe_load(blocks(PAGE, "yaml")[1]) if "run" in step]
+
+
+def test_a_job_times_the_tracker_in_turns_with_its_base(repository: Path) -> None:
+    (repository / "base.toml").write_text(blocks(PAGE, "toml")[0])
+    programs = repository.parent / "bin"
+    write_program(programs / "base-python", f'exec "{sys.executable}" "$@"')
+    write_program(programs / "base-pip", 'test "$*" = "install ./base"')
+    copies = " && ".join(f"cp ../bin/base-{name} base-env/bin/{name}" for name in ("python", "pip"))
+    write_program(programs / "python", f'test "$*" = "-m venv base-env" && mkdir -p base-env/bin && {copies}')
+    assert run_lines(repository, [(line, False) for line in commands(PAGE)]) == 0
+    shutil.rmtree(repository / "runs")
+    code = run_lines(repository, in_turns_lines())
+    told = (repository / "regress.md").read_text()
+    assert "| my-tracker | update | base |" in told
+    assert code == int("| worse | my-tracker |" in told)  # as noise has it: the machine of a test may be busy
 
 
 @pytest.mark.parametrize("lines", [github_lines(), gitlab_lines()], ids=["github", "gitlab"])

@@ -1,0 +1,197 @@
+"""The history of a regression check: a JSON file for each verdict, never changed and never removed."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import subprocess
+from collections.abc import Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Annotated, Any, Final, Literal
+
+from pydantic import Field, ValidationError
+
+from gridtrack.common.config import Settings
+from gridtrack.common.errors import GridtrackError
+from gridtrack.common.files import read_json, sha256_of, write_text
+from gridtrack.evaluation.regression.judging import VerdictRow
+from gridtrack.evaluation.regression.verdict import Verdict
+
+HISTORY_SCHEMA: Final = 1
+MAX_ENTRY_BYTES = 4 << 20
+STAMP = "%Y%m%dT%H%M%S%fZ"
+Text = Annotated[str, Field(max_length=2000)]
+
+
+class HistoryError(GridtrackError):
+    """A folder of a history, or a file in it, that cannot be trusted."""
+
+
+class HistoryScore(Settings):
+    """One score of a run, over all units; `value` is None where no cell was occupied."""
+
+    label: Text
+    score: Text
+    stratum: Text
+    band: Text
+    value: float | None
+    standing: Text
+
+
+class HistorySpeed(Settings):
+    """The time of a call as a multiple of that of `against`, with a 95 % interval where one is known."""
+
+    label: Text
+    call: Literal["update", "predict"]
+    against: Text
+    ratio: float
+    low: float | None = None
+    high: float | None = None
+    standing: Text
+
+
+class HistoryEntry(Settings):
+    """One verdict: when, on which commit, against which baseline, with which scores and times."""
+
+    schema_version: Literal[1] = Field(default=HISTORY_SCHEMA, alias="schema")
+    recorded: Text
+    """UTC, as in the name of the file."""
+    previous: Text
+    """The digest of the newest entry when this one was written; empty for the first."""
+    commit: Text
+    """Of the working directory; empty outside a git repository."""
+    changed: bool
+    """Whether a tracked file differed from the commit."""
+    baseline: Text
+    """SHA-256 of the baseline's file; empty where there is none."""
+    verdict: Literal["no worse", "worse", "not measured"]
+    reasons: tuple[Text, ...] = ()
+    """Why nothing was measured."""
+    scores: tuple[HistoryScore, ...] = ()
+    speed: tuple[HistorySpeed, ...] = ()
+
+
+History = list[tuple[str, HistoryEntry]]
+"""Entries with their digests, the oldest first."""
+
+
+def read_history(folder: Path) -> History:
+    """The entries in `folder`, checked; none where there is no such folder. Raises HistoryError."""
+    history = [_read(path) for path in sorted(folder.glob("*.json"))]
+    known = {digest for digest, _ in history}
+    for _, entry in history:
+        if entry.previous and entry.previous not in known:
+            raise HistoryError(
+                f"{folder}: the entry before that of {entry.recorded} is missing: restore it, or begin another folder"
+            )
+    return history
+
+
+def append_entry(
+    folder: Path, history: History, baseline: Path, result: Verdict | Sequence[str]
+) -> tuple[Path, HistoryEntry]:
+    """Write the entry of `result`, a verdict or the reasons why there is none, after those of `history`.
+
+    `baseline`: the file of the baseline. Returns the entry and its file. Raises HistoryError where it cannot be
+    written.
+    """
+    commit, changed = _commit(Path.cwd())
+    entry = HistoryEntry(
+        recorded=datetime.now(UTC).strftime(STAMP),
+        previous=history[-1][0] if history else "",
+        commit=commit,
+        changed=changed,
+        baseline=sha256_of(baseline) if baseline.is_file() else "",
+        **_content(result),
+    )
+    content = entry.model_dump(mode="json", by_alias=True)
+    digest = _digest(content)
+    path = folder / f"{entry.recorded}-{digest[:12]}.json"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        write_text(path, json.dumps({**content, "digest": digest}, indent=1, allow_nan=False) + "\n")
+    except OSError as error:
+        raise HistoryError(f"{path}: the entry cannot be written ({error.strerror})") from None
+    return path, entry
+
+
+def _content(result: Verdict | Sequence[str]) -> dict[str, Any]:
+    """The fields of an entry that say how the run did."""
+    if not isinstance(result, Verdict):
+        return {"verdict": "not measured", "reasons": tuple(reason[:2000] for reason in result)}
+    return {
+        "verdict": "worse" if result.worse else "no worse",
+        "scores": tuple(_score(row, result) for row in result.rows),
+        "speed": (
+            *(
+                HistorySpeed(
+                    label=row.label,
+                    call=row.call,
+                    against=row.reference,
+                    ratio=row.ratio_run,
+                    standing=result.standing_of(row),
+                )
+                for row in result.speed
+            ),
+            *(
+                HistorySpeed(
+                    label=row.label,
+                    call=row.call,
+                    against=row.base,
+                    ratio=row.ratio,
+                    low=row.low,
+                    high=row.high,
+                    standing=result.standing_of(row),
+                )
+                for row in result.turns
+            ),
+        ),
+    }
+
+
+def _score(row: VerdictRow, verdict: Verdict) -> HistoryScore:
+    return HistoryScore(
+        label=row.label,
+        score=row.score,
+        stratum=row.stratum,
+        band=row.band,
+        value=row.run,
+        standing=verdict.standing_of(row),
+    )
+
+
+def _read(path: Path) -> tuple[str, HistoryEntry]:
+    content = read_json(path, MAX_ENTRY_BYTES, HistoryError)
+    if content.get("schema") != HISTORY_SCHEMA:
+        found = str(content.get("schema"))[:20]
+        raise HistoryError(
+            f"{path}: schema {found!r} of a history; this gridtrack reads schema {HISTORY_SCHEMA}: read it with the"
+            " version that wrote it, or begin another folder"
+        )
+    digest = content.pop("digest", None)
+    if digest != _digest(content):
+        raise HistoryError(f"{path}: changed since it was written (its digest is another): restore it")
+    try:
+        return digest, HistoryEntry.model_validate(content)
+    except ValidationError as error:
+        raise HistoryError(f"{path}: not an entry of a history ({error.errors()[0]['msg']}): restore it") from None
+
+
+def _digest(content: Any) -> str:
+    """SHA-256 of an entry without its digest as JSON: keys sorted, without spaces."""
+    return hashlib.sha256(json.dumps(content, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
+
+
+def _commit(folder: Path) -> tuple[str, bool]:
+    """The commit of `folder`, and whether tracked files differ from it; ("", False) outside a git repository."""
+    head = _git(folder, "rev-parse", "HEAD")
+    return head, bool(head and _git(folder, "status", "--porcelain", "--untracked-files=no"))
+
+
+def _git(folder: Path, *arguments: str) -> str:
+    try:
+        done = subprocess.run(["git", "-C", str(folder), *arguments], capture_output=True, text=True, check=False)
+    except FileNotFoundError:
+        return ""
+    return done.stdout.strip() if done.returncode == 0 else ""

@@ -1,0 +1,116 @@
+"""Speed of two versions of a tracker, timed in turns: each frame goes to one and then to the other, on one machine.
+
+What slows the machine slows both, so the ratio of two times of one frame hardly depends on it. A process has a speed of
+its own, by where its memory lies: a round has two new processes, and the interval is over rounds.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import replace
+from itertools import islice
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+from scipy.special import stdtrit
+
+from gridtrack.common.errors import ConfigurationError, did_you_mean
+from gridtrack.evaluation.comparison.plan import Trial
+from gridtrack.evaluation.processes.outcome import TrialEnded
+from gridtrack.evaluation.processes.tracker_process import TrackerProcess
+from gridtrack.evaluation.regression.measurement import Unmeasured
+from gridtrack.evaluation.regression.rerun import plan_again
+from gridtrack.evaluation.regression.speed import CALLS, CallKind, TurnsRow
+from gridtrack.evaluation.results.trial_record import read_trial_record
+from gridtrack.evaluation.scoring.referee import WARM_UP
+from gridtrack.evaluation.statistics.jackknife import Floats
+from gridtrack.trackers.selection import Launch
+
+ROUNDS, TIMED_FRAMES = 8, 40
+"""Rounds with new processes, and frames timed in each after the warm-up; every second one is forecast from."""
+LEVEL = 0.95
+SHORTEST_MS = 1e-3
+Times = dict[CallKind, list[tuple[float, float]]]
+"""Of each call its times, ms: of the run's tracker and of the base."""
+
+
+def timed_in_turns(folder: Path, bases: Mapping[str, Launch], margin: float) -> tuple[TurnsRow, ...]:
+    """The trackers of the run in `folder` by label, each timed in turns with its base on the run's first recording.
+
+    Options, weights and seed are those of the run. Raises ConfigurationError for an unknown label, and Unmeasured where
+    a process fails, or the run's tracker is no longer what ran.
+    """
+    with TemporaryDirectory(prefix="gridtrack-turns-") as scratch:
+        plan = plan_again(folder, Path(scratch))
+        first = {trial.label: trial for trial in reversed(plan.trials)}
+        rows: list[TurnsRow] = []
+        for label, base in bases.items():
+            if label not in first:
+                raise ConfigurationError(f"the run has no tracker '{label}'; {did_you_mean(label, first)}")
+            rows += _rows_of(first[label], base, folder, Path(scratch), margin)
+    return tuple(rows)
+
+
+def _rows_of(trial: Trial, base: Launch, folder: Path, scratch: Path, margin: float) -> list[TurnsRow]:
+    """A row for each call of one tracker."""
+    pair = (trial, replace(trial, launch=base))
+    try:
+        rounds = [_round(pair, number, folder, scratch) for number in range(ROUNDS)]
+    except TrialEnded as ended:
+        raise Unmeasured([f"{trial.label}: timed in turns with {base.name}: {ended}"]) from None
+    return [
+        TurnsRow(trial.label, call, base.name, *interval([_log_ratio(times[call]) for times in rounds]), ROUNDS, margin)
+        for call in CALLS
+    ]
+
+
+def _round(pair: tuple[Trial, Trial], number: int, folder: Path, scratch: Path) -> Times:
+    """The times of two new processes; which goes first changes with each frame. Raises TrialEnded, Unmeasured."""
+    times: Times = {call: [] for call in CALLS}
+    with ExitStack() as running:
+        logs = [scratch / f"{side}-{number}.log" for side in ("run", "base")]
+        both = [running.enter_context(trial.tracker_process(log)) for trial, log in zip(pair, logs, strict=True)]
+        _require_same_code(both[0], pair[0], folder)
+        for process in both:
+            process.reset(pair[0].seed)
+        for index, frame in enumerate(islice(pair[0].test, WARM_UP + TIMED_FRAMES)):
+            order = (0, 1) if (number + index) % 2 else (1, 0)
+            spent = {"update": [0.0, 0.0], "predict": [0.0, 0.0]}
+            for side in order:
+                both[side].update(frame)
+                spent["update"][side] = both[side].last_ms
+                if index % 2 == 0:
+                    both[side].predict(pair[0].split.steps)
+                    spent["predict"][side] = both[side].last_ms
+            if index >= WARM_UP:
+                times["update"].append((spent["update"][0], spent["update"][1]))
+                if index % 2 == 0:
+                    times["predict"].append((spent["predict"][0], spent["predict"][1]))
+    return times
+
+
+def _require_same_code(process: TrackerProcess, trial: Trial, folder: Path) -> None:
+    """Raise Unmeasured where the tracker was edited since the run."""
+    then = read_trial_record(folder / trial.name)
+    codes = {process.description.code_sha256, then.code_sha256 if then else ""}
+    if "" not in codes and len(codes) > 1:
+        raise Unmeasured([f"{trial.label}: the tracker's code was edited since the run: compare again"])
+
+
+def _log_ratio(times: Sequence[tuple[float, float]]) -> float:
+    """The median over frames of the logarithm of the ratio of the two times."""
+    if not times:
+        raise Unmeasured(["timed in turns: the recording is too short to time a tracker on"])
+    pairs = np.maximum(np.array(times), SHORTEST_MS)
+    return float(np.median(np.log(pairs[:, 0] / pairs[:, 1])))
+
+
+def interval(log_ratios: Sequence[float]) -> tuple[float, float, float]:
+    """The geometric mean of ratios, and the ends of its interval by Student's t over the rounds."""
+    values: Floats = np.array(log_ratios)
+    mean = float(values.mean())
+    half = float(stdtrit(len(values) - 1, 0.5 + LEVEL / 2)) * float(values.std(ddof=1)) / math.sqrt(len(values))
+    return math.exp(mean), math.exp(mean - half), math.exp(mean + half)

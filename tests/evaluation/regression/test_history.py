@@ -1,0 +1,88 @@
+"""`gridtrack regress --history`: a file for each verdict, checked when it is read, and drawn over commits."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+
+from gridtrack.evaluation.regression.history import read_history
+
+GOOD, FALLEN = {"kalman": {"seed": 1}, "<b>&": {"seed": 2}}, {"kalman": {"seed": 1, "loss": 0.3}, "<b>&": {"seed": 2}}
+
+
+@pytest.fixture
+def check(write_run, regress, tmp_path, monkeypatch):
+    """`check(name, trackers)` judges a run of these trackers with a history, in a git repository."""
+    monkeypatch.chdir(tmp_path)
+    git("init", "--quiet")
+    git("commit", "--quiet", "--allow-empty", "--message", "one")
+    baseline = tmp_path / "baseline.json"
+    assert regress(write_run("then", GOOD), "--baseline", baseline, "--update").code == 0
+
+    def check(name, trackers):
+        run = tmp_path / name
+        if not run.exists() and trackers:
+            write_run(name, trackers)
+        run.mkdir(exist_ok=True)
+        return regress(run, "--baseline", baseline, "--history", tmp_path / "history")
+
+    return check
+
+
+def git(*arguments: str) -> str:
+    identity = ["-c", "user.name=t", "-c", "user.email=t@example.org"]
+    return subprocess.run(["git", *identity, *arguments], check=True, capture_output=True, text=True).stdout.strip()
+
+
+def entries(tmp_path: Path) -> list[Path]:
+    return sorted((tmp_path / "history").glob("*.json"))
+
+
+def test_each_verdict_is_added_with_its_commit_and_scores_and_drawn(check, tmp_path):
+    assert check("one", GOOD).code == 0
+    kept = entries(tmp_path)[0].read_bytes()
+    git("commit", "--quiet", "--allow-empty", "--message", "two")
+    assert check("two", FALLEN).code == 1
+    assert check("three", None).code == 3
+    history = [entry for _, entry in read_history(tmp_path / "history")]
+    assert [entry.verdict for entry in history] == ["no worse", "worse", "not measured"]
+    assert [entry.commit for entry in history[1:]] == [git("rev-parse", "HEAD")] * 2
+    assert history[0].commit == git("rev-parse", "HEAD~1")
+    assert "so nothing was measured" in history[2].reasons[0]
+    assert entries(tmp_path)[0].read_bytes() == kept
+    fallen = [s for s in history[1].scores if s.standing == "worse"]
+    assert {(s.label, s.score, s.stratum) for s in fallen} == {("kalman", "F1", "dynamic")}
+    drawing = ElementTree.parse(tmp_path / "history" / "history.svg").getroot()
+    texts = ["".join(element.itertext()) for element in drawing.iter()]
+    assert any(text.startswith(f"{history[1].commit[:7]}: kalman 0.") and text.endswith(", worse") for text in texts)
+    assert any("not measured: " in text for text in texts)
+    assert "<b>&" in "".join(texts)
+    assert "http" not in (tmp_path / "history" / "history.svg").read_text().replace("http://www.w3.org/2000/svg", "")
+
+
+def test_a_history_that_was_changed_or_shortened_is_refused(check, tmp_path, edit):
+    for name in ("one", "two"):
+        assert check(name, GOOD).code == 0
+    first, second = entries(tmp_path)
+    text = first.read_text()
+    edit(first, lambda content: content.update(verdict="worse"))
+    done = check("three", GOOD)
+    assert (done.code, "changed since it was written" in done.err) == (2, True)
+    first.unlink()
+    done = check("three", GOOD)
+    assert (done.code, "the entry before that of" in done.err) == (2, True)
+    first.write_text(text)
+    edit(second, lambda content: content.update(schema=9))
+    done = check("three", GOOD)
+    assert (done.code, "schema '9' of a history; this gridtrack reads schema 1" in done.err) == (2, True)
+
+
+def test_an_update_of_the_baseline_is_no_verdict(check, regress, tmp_path):
+    check("one", GOOD)
+    done = regress(tmp_path / "one", "--baseline", tmp_path / "baseline.json", "--update", "--history", tmp_path / "h")
+    assert (done.code, "--history: --update judges nothing" in done.err) == (2, True)
+    assert json.loads(entries(tmp_path)[0].read_text())["schema"] == 1
