@@ -58,8 +58,8 @@ CLAUSES = (
     ),
     Clause(
         "valid-forecast",
-        "A forecast has the declared arrays: their shapes and types, only finite values, probabilities in [0, 1],"
-        " class probabilities that sum to 1.",
+        "A forecast has the declared arrays: their shapes and types, finite probabilities in [0, 1], class"
+        " probabilities that sum to 1, velocities that are finite or NaN.",
         "The referee scores every cell of every step. It guesses no missing value and clips none, and ends the trial.",
         "Return `Forecast(occupancy)` with float32 of shape (steps + 1, M, M), and `semantics` of shape"
         " (steps + 1, K, M, M); clip what rounding left outside [0, 1], and divide by the sum over classes.",
