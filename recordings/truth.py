@@ -25,54 +25,52 @@ class TruthGrid:
     """The true state and class of every cell.
 
     `cover` (M, M) uint8: FREE, OUTLINE or INTERIOR. `labels` (M, M) uint8: the class of each outline cell, UNLABELLED
-    elsewhere.
+    elsewhere. `bodies` (M, M) int32: the object of the scene that each outline cell is of, -1 elsewhere.
     """
 
     cover: NDArray[np.uint8]
     labels: NDArray[np.uint8]
+    bodies: NDArray[np.int32]
 
 
 def truth_grid(scene: Scene, grid: GridSpec, world_T_grid: SE2) -> TruthGrid:
     """The true state of each cell of a grid at the pose `world_T_grid`. Raises RecordingError.
 
     A cell in which any outline has length is OUTLINE, even inside another outline. Where several outlines pass through
-    it, its class is that of a road user rather than of a static outline, and of the last object in the scene. INTERIOR
-    cells are wholly inside one outline and on none.
+    it, it is of a road user rather than of a static outline, and of the last object in the scene. INTERIOR cells are
+    wholly inside one outline and on none.
     """
-    truth = _free_grid(grid)
     outlines = [*scene.static, *(body.outline for body in scene.objects)]
     poses = [SE2()] * len(scene.static) + [body.world_T_object for body in scene.objects]
     labels = [scene.static_label] * len(scene.static) + [body.label for body in scene.objects]
-    _draw(truth, grid, world_T_grid, outlines, poses, labels)
-    return truth
+    cover, outline = _drawn(grid, world_T_grid, outlines, poses)
+    return TruthGrid(
+        cover,
+        np.array([*labels, UNLABELLED], np.uint8)[outline],  # -1 is the last one
+        np.maximum(outline - len(scene.static), -1),
+    )
 
 
 def static_cells(scene: Scene, grid: GridSpec, world_T_grid: SE2) -> Mask:
     """Cells (M, M) that a static outline passes through. Raises RecordingError."""
-    truth = _free_grid(grid)
-    _draw(truth, grid, world_T_grid, scene.static, [SE2()] * len(scene.static), [UNLABELLED] * len(scene.static))
-    cells: Mask = truth.cover == OUTLINE
+    cover, _ = _drawn(grid, world_T_grid, scene.static, [SE2()] * len(scene.static))
+    cells: Mask = cover == OUTLINE
     return cells
 
 
-def _free_grid(grid: GridSpec) -> TruthGrid:
-    return TruthGrid(np.full(grid.shape, FREE, np.uint8), np.full(grid.shape, UNLABELLED, np.uint8))
+def _drawn(
+    grid: GridSpec, world_T_grid: SE2, outlines: Sequence[Outline], poses: Sequence[SE2]
+) -> tuple[NDArray[np.uint8], NDArray[np.int32]]:
+    """The cover (M, M) of `outlines`, each given in its own frame, and the outline (M, M) of each cell, -1 for none.
 
-
-def _draw(
-    truth: TruthGrid,
-    grid: GridSpec,
-    world_T_grid: SE2,
-    outlines: Sequence[Outline],
-    poses: Sequence[SE2],
-    labels: Sequence[int],
-) -> None:
-    """Draw `outlines`, each given in its own frame; `poses` are world_T_outline."""
-    if not outlines:
-        return
-    corners, starts = placed_outlines(outlines, poses, grid, world_T_grid)
-    _fill(corners, starts, truth.cover)
-    _trace(corners, starts, np.array(labels, np.uint8), truth.cover, truth.labels, np.zeros(grid.size**2, np.bool_))
+    `poses` are world_T_outline.
+    """
+    cover, outline = np.full(grid.shape, FREE, np.uint8), np.full(grid.shape, -1, np.int32)
+    if outlines:
+        corners, starts = placed_outlines(outlines, poses, grid, world_T_grid)
+        _fill(corners, starts, cover)
+        _trace(corners, starts, cover, outline, np.zeros(grid.size**2, np.bool_))
+    return cover, outline
 
 
 def placed_outlines(
@@ -134,8 +132,8 @@ def _fill(corners, starts, cover):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _trace(corners, starts, labels, cover, classes, crossed):  # type: ignore[no-untyped-def]
-    """Mark as OUTLINE the cells that outlines pass through, and their class, later outlines over earlier ones."""
+def _trace(corners, starts, cover, outline, crossed):  # type: ignore[no-untyped-def]
+    """Mark as OUTLINE the cells that outlines pass through, and by which, later ones over earlier ones."""
     size = cover.shape[0]
     for polygon in range(starts.size - 1):
         first, last = starts[polygon], starts[polygon + 1]
@@ -155,4 +153,4 @@ def _trace(corners, starts, labels, cover, classes, crossed):  # type: ignore[no
                 if crossed[row * size + column]:
                     crossed[row * size + column] = False
                     cover[row, column] = OUTLINE
-                    classes[row, column] = labels[polygon]
+                    outline[row, column] = polygon

@@ -31,7 +31,8 @@ class StreamSpec:
     `grid` and `period_s` of the stream, its `site`, the `classes` its labels name, and `weights`: the settings file
     (`.toml`, arrays in the `.safetensors` beside it) that this tracker's `fit` wrote for the site or, where there is
     none, for any place; or None.
-    `weights_sha256`: the hash of that file, which `load_weights` checks; "" where it is not known.
+    `weights_sha256`: the hash of that file, which `load_weights` checks; "" where it is not known. `velocity_scored`:
+    whether the velocities of forecasts are scored; where they are not, a tracker may save the time that they take.
     """
 
     grid: GridSpec
@@ -40,6 +41,7 @@ class StreamSpec:
     classes: tuple[str, ...] = ()
     weights: Path | None = None
     weights_sha256: str = ""
+    velocity_scored: bool = False
 
 
 @dataclass(frozen=True, slots=True)

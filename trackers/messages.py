@@ -33,6 +33,7 @@ def stream_fields(stream: StreamSpec) -> dict[str, Any]:
         "classes": list(stream.classes),
         "weights": None if stream.weights is None else str(stream.weights.absolute()),
         "weights_sha256": stream.weights_sha256 or None,
+        "velocity_scored": stream.velocity_scored,
     }
 
 
@@ -49,6 +50,7 @@ def stream_from(message: Message) -> StreamSpec:
         tuple(stream.value("classes", list)),
         None if weights is None else Path(weights),
         str(fields.get("weights_sha256") or ""),
+        fields.get("velocity_scored") is True,
     )
 
 

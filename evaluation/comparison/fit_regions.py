@@ -164,6 +164,8 @@ class StoredMotion:
 class InCells:
     """Returns in marked cells (M, M) of the window at `own`."""
 
+    bodies = None
+
     def __init__(self, marked: Mask, own: SE2) -> None:
         self._marked, self._own = marked, own
 

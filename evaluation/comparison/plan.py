@@ -23,6 +23,7 @@ from gridtrack.evaluation.processes.tracker_process import TrackerProcess, descr
 from gridtrack.evaluation.results.run_record import RunConfiguration, TrialIdentity
 from gridtrack.evaluation.results.summary import ALL_RECORDINGS, ORACLE
 from gridtrack.evaluation.scoring.splits import EvaluationSplit, Sampling, plan_splits, with_points
+from gridtrack.evaluation.scoring.strata import OCCLUDED
 from gridtrack.recordings.stream import GridStream
 from gridtrack.trackers import registry
 from gridtrack.trackers.contract import stream_of
@@ -72,9 +73,12 @@ class Trial:
         """What its weights learned from the frames that it is scored on, or that its thresholds are chosen on."""
         return leaks_of(self.split, self.weights)
 
-    def tracker_process(self, log: Path) -> TrackerProcess:
-        """The tracker, not started yet, on the test stretch's grid and period; its stderr goes to `log`."""
-        stream = stream_of(self.test)
+    def tracker_process(self, log: Path, *, scored: bool = False) -> TrackerProcess:
+        """The tracker, not started yet, on the test stretch's grid and period; its stderr goes to `log`.
+
+        `scored`: whether its forecasts get the scores of a trial; with ground truth velocities are among them.
+        """
+        stream = replace(stream_of(self.test), velocity_scored=scored and OCCLUDED in self.split.strata)
         if self.weights:
             stream = replace(stream, weights=self.weights.path, weights_sha256=self.weights.sha256)
         environment = shielded_environment(

@@ -54,7 +54,7 @@ class TrialRun:
         self._description: TrackerDescription | None = None
         self._start_s = self._wall_s = 0.0
         self._interrupted = False
-        self._process = trial.tracker_process(folder / STDERR_LOG)
+        self._process = trial.tracker_process(folder / STDERR_LOG, scored=True)
 
     def run(self) -> TrialRecord:
         """Run until the trial ends, successfully or not, and write the record."""

@@ -166,6 +166,24 @@ BEAMS_TABLE = ParquetTable(
         ParquetColumn("count", pa.list_(pa.int32()), "beams in each of these bins"),
     ),
 )
+FLOW_TABLE = ParquetTable(
+    "flow.parquet",
+    "scored frame x step x stratum of `dynamic`, `in-motion` and `occluded`, where the recording has ground truth and"
+    " a forecast of the trial has velocities",
+    (
+        _STAMP,
+        _STEP,
+        _STRATUM_COLUMN,
+        ParquetColumn(
+            "cells",
+            pa.int32(),
+            "occupied cells whose true velocity is known; 0 before the first forecast with a velocity",
+        ),
+        ParquetColumn("given", pa.int32(), "those of them for which the forecast has a velocity"),
+        ParquetColumn("error", pa.float32(), "sum over these of the distance from the true velocity, m/s"),
+        ParquetColumn("speed", pa.float32(), "sum over these of the true speed, m/s"),
+    ),
+)
 CLASSES_TABLE = ParquetTable(
     "classes.parquet",
     "scored frame x step x visibility x class, of dynamic cells",
@@ -218,6 +236,14 @@ PRIOR_TABLE = ParquetTable(
         ),
     ),
 )
-SCORE_TABLES = (SCORES_TABLE, HISTOGRAM_TABLE, NEIGHBOURHOODS_TABLE, BEAMS_TABLE, CLASSES_TABLE, SEMANTICS_TABLE)
+SCORE_TABLES = (
+    SCORES_TABLE,
+    HISTOGRAM_TABLE,
+    NEIGHBOURHOODS_TABLE,
+    BEAMS_TABLE,
+    FLOW_TABLE,
+    CLASSES_TABLE,
+    SEMANTICS_TABLE,
+)
 """Tables that are written while a trial is scored."""
 TABLES = (*SCORE_TABLES, PRIOR_TABLE)

@@ -14,7 +14,10 @@ HIGHER_IS_BETTER = (
     *("f1", "f1_at_visible", "f1_at_half", "f1_label_free", "pr_auc"),
     *("fss_1", "fss_3", "fss_5", "fss_9", "soft_iou", "share_of_oracle", "share_of_oracle_nll"),
 )
-LOWER_IS_BETTER = ("brier", "brier_reliability", "nll", "ece", "ece_above_1_percent", "beam_error", "beam_error_median")
+LOWER_IS_BETTER = (
+    *("brier", "brier_reliability", "nll", "ece", "ece_above_1_percent"),
+    *("beam_error", "beam_error_median", "flow_error"),
+)
 
 
 def better_direction(score: str) -> int:
@@ -88,6 +91,18 @@ class StratumScores(ResultModel):
     """Mean of the expected less the measured range, metres: above 0 where what is hit was not forecast."""
     beam_bias_low: Curve | None = None
     beam_bias_high: Curve | None = None
+    flow_error: Curve | None = None
+    """Mean distance, m/s, of forecast from true velocities, over the occupied cells that have both."""
+    flow_error_low: Curve | None = None
+    flow_error_high: Curve | None = None
+    flow_speed: Curve | None = None
+    """Mean true speed of these cells, m/s: the error of the forecast that nothing moves."""
+    flow_speed_low: Curve | None = None
+    flow_speed_high: Curve | None = None
+    flow_coverage: Curve | None = None
+    """Share of the occupied cells of true bodies that the forecast has a velocity for."""
+    flow_coverage_low: Curve | None = None
+    flow_coverage_high: Curve | None = None
     interval: str = ""
     """Why there are no intervals; empty where there are."""
     share_of_oracle: Curve | None = None

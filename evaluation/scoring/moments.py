@@ -55,7 +55,8 @@ class Moment:
             seen = self._observation.seen_in(window, grid)
             moving = self._in_motion.among(seen, grid)
             motion = parts_of(moving, seen.frame.occupied, region_maps.dynamic, grid)
-            self._newest = window, target_of(seen, grid, self._source.classes, motion)
+            bodies = self._in_motion.bodies
+            self._newest = window, target_of(seen, grid, self._source.classes, motion, bodies)
         return self._newest[1]
 
     @property

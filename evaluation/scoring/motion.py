@@ -5,7 +5,6 @@ They are regions of an observed frame and follow from the recording alone, so th
 
 from __future__ import annotations
 
-import math
 from collections import deque
 from collections.abc import Iterable
 from typing import Protocol
@@ -17,6 +16,7 @@ from numpy.typing import NDArray
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridSpec, Mask
 from gridtrack.common.scene import Scene, SceneObject
+from gridtrack.evaluation.scoring.body_motions import BodyMotions, FollowedBodies
 from gridtrack.evaluation.scoring.strata import PARTS
 from gridtrack.recordings.observation import Observation
 from gridtrack.recordings.stream import GridStream
@@ -37,6 +37,11 @@ _OPEN, _STANDING, _IN_MOTION = range(len(PARTS))
 
 class ReturnsInMotion(Protocol):
     """What decides which returns of one observation are in motion, in any window."""
+
+    @property
+    def bodies(self) -> BodyMotions | None:
+        """The motions of the bodies of the true scene; None where it is not known."""
+        ...
 
     def among(self, observation: Observation, grid: GridSpec) -> Mask:
         """The returns in motion (M, M) of the observation, which is given in the window that is asked for."""
@@ -93,7 +98,7 @@ class ObservedMotion:
         lookback = max(1, round(LOOKBACK_S / stream.period_s))
         self._before = stream.before(lookback) if isinstance(stream, GridStream) else iter(())
         self._earlier: deque[Observation] = deque(maxlen=lookback + 1)
-        self._speeds = _Speeds()
+        self._followed = FollowedBodies()
 
     def of(self, observation: Observation) -> ReturnsInMotion:
         """The returns in motion of the next observation."""
@@ -103,12 +108,13 @@ class ObservedMotion:
         if scan is None or scan.scene is None:
             known = len(self._earlier) == self._earlier.maxlen
             return OnceFree(self._earlier[0] if known else None)
-        self._speeds.add(scan.stamp_ns, scan.scene)
-        return OnFastObjects(self._speeds.fast(scan.scene), scan.scene)
+        return OnFastObjects(self._followed.motions(scan.stamp_ns, scan.scene))
 
 
 class OnceFree:
     """Returns in cells of the world that were visible and free in an earlier observation."""
+
+    bodies = None
 
     def __init__(self, earlier: Observation | None) -> None:
         """None: nothing is known to have been free."""
@@ -123,59 +129,39 @@ class OnceFree:
 
 
 class OnFastObjects:
-    """Returns on the objects of a true scene that are `fast` (N,)."""
+    """Returns on the objects of a true scene that are faster than MIN_SPEED_MPS."""
 
-    def __init__(self, fast: NDArray[np.bool_], scene: Scene) -> None:
-        self._fast, self._scene = fast, scene
+    def __init__(self, bodies: BodyMotions) -> None:
+        self._bodies = bodies
+
+    @property
+    def bodies(self) -> BodyMotions:
+        """The motions of all objects of the scene."""
+        return self._bodies
 
     def among(self, observation: Observation, grid: GridSpec) -> Mask:
         """The returns in motion (M, M) of the observation. Raises RecordingError for a scene that cannot be placed."""
-        return returns_on(self._fast, self._scene, observation, grid)
+        fast = self._bodies.speeds > MIN_SPEED_MPS
+        if not fast.any():
+            return np.zeros(grid.shape, np.bool_)
+        body = body_of_returns(self._bodies.scene, observation, grid)
+        found: Mask = (body >= 0) & fast[body]
+        return found
 
 
-class _Speeds:
-    """True speeds by track: the distance from the position in the scene before, over the time since then."""
-
-    def __init__(self) -> None:
-        self._stamp_ns: int | None = None
-        self._positions: dict[int, tuple[float, float]] = {}
-        self._speeds: dict[int, float] = {}
-
-    def add(self, stamp_ns: int, scene: Scene) -> None:
-        """Update with the next scene; the same one again changes nothing."""
-        if stamp_ns == self._stamp_ns:
-            return
-        positions = {body.track: (body.world_T_object.x, body.world_T_object.y) for body in scene.objects}
-        if self._stamp_ns is not None:
-            seconds = (stamp_ns - self._stamp_ns) / 1e9
-            self._speeds = {
-                track: math.dist(position, self._positions[track]) / seconds
-                for track, position in positions.items()
-                if track in self._positions
-            }
-        self._stamp_ns, self._positions = stamp_ns, positions
-
-    def fast(self, scene: Scene) -> NDArray[np.bool_]:
-        """Which objects of the newest scene (N,) are faster than MIN_SPEED_MPS; those that are new in it are not."""
-        return np.array([self._speeds.get(body.track, 0.0) > MIN_SPEED_MPS for body in scene.objects], np.bool_)
-
-
-def returns_on(chosen: NDArray[np.bool_], scene: Scene, observation: Observation, grid: GridSpec) -> Mask:
-    """The occupied cells (M, M) of `observation` that lie on the `chosen` (N,) objects of `scene`.
+def body_of_returns(scene: Scene, observation: Observation, grid: GridSpec) -> NDArray[np.int32]:
+    """The object of `scene` that each occupied cell (M, M) of `observation` lies on; -1 for none.
 
     A return lies on the object whose outline is nearest to the centre of its cell, if that is within RANGE_NOISE_M and
     half a diagonal of a cell. Raises RecordingError for an object that cannot be placed.
     """
-    on_chosen = np.zeros(grid.shape, np.bool_)
-    if not chosen.any():
-        return on_chosen
-    corners, starts = _placed(scene.objects, observation.reference_T_grid, grid)
-    cells = np.argwhere(observation.frame.occupied)
-    reach = RANGE_NOISE_M / grid.cell_m + np.sqrt(0.5)
-    nearest = _nearest_outline(cells[:, ::-1] + 0.5, corners, starts, reach)
-    found = cells[(nearest >= 0) & chosen[nearest]]
-    on_chosen[found[:, 0], found[:, 1]] = True
-    return on_chosen
+    body = np.full(grid.shape, -1, np.int32)
+    if scene.objects:
+        corners, starts = _placed(scene.objects, observation.reference_T_grid, grid)
+        rows, columns = np.nonzero(observation.frame.occupied)
+        reach = RANGE_NOISE_M / grid.cell_m + np.sqrt(0.5)
+        body[rows, columns] = _nearest_outline(np.stack([columns, rows], axis=1) + 0.5, corners, starts, reach)
+    return body
 
 
 def _placed(

@@ -28,7 +28,7 @@ from gridtrack.evaluation.scoring.target import HIDDEN_FREE, NOT_SCORED, Target
 NEIGHBOURHOOD_STRATA = ("visible", "dynamic", "in-motion", OCCLUDED)
 """The strata that have these sums: those of the headline, and with truth the hidden cells."""
 _MARGIN = max(SCALES) // 2
-_NO_REGION = REGIONS
+NO_REGION = REGIONS
 _UNITS = np.float32(1 << 24)
 """Probabilities are multiples of 1 / _UNITS: the sum over a neighbourhood of the largest scale fits 32 bits."""
 _MEMBER_BITS = 8
@@ -67,7 +67,7 @@ def sum_neighbourhoods(
     size = len(region_maps.visible)
     marked = np.zeros((2, size + 2 * _MARGIN, size + 2 * _MARGIN), np.int32)
     for n, target in enumerate(targets):
-        region = _regions(target, region_maps, ages)
+        region = cell_regions(target, region_maps, ages)
         for k in range(len(strata)):
             sums = _mark(occupancy[n], target.state, region, member_of[k], marked)
             found[0, n, k, 0], found[1, n, k, 0], soft_union[n, k] = sums
@@ -76,11 +76,11 @@ def sum_neighbourhoods(
     return NeighbourhoodSums(found[0], found[1], soft_union, strata)
 
 
-def _regions(target: Target, region_maps: RegionMaps, ages: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """The region (M, M) of each cell of a target; _NO_REGION where it is not scored."""
+def cell_regions(target: Target, region_maps: RegionMaps, ages: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """The region (M, M) of each cell of a target; NO_REGION where it is not scored."""
     seen = region_maps.visible + RANGES * target.motion
     region = np.where(target.state < HIDDEN_FREE, seen, region_maps.hidden + ages)
-    return np.where(target.state == NOT_SCORED, _NO_REGION, region).astype(np.uint8)
+    return np.where(target.state == NOT_SCORED, NO_REGION, region).astype(np.uint8)
 
 
 @numba.njit(cache=True, nogil=True)

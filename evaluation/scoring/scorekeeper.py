@@ -11,6 +11,7 @@ from gridtrack.evaluation.results.columns import SCORE_TABLES
 from gridtrack.evaluation.scoring.beam_errors import beam_errors
 from gridtrack.evaluation.scoring.class_store import ClassWriter
 from gridtrack.evaluation.scoring.counting import count_forecast
+from gridtrack.evaluation.scoring.flow_store import FlowWriter
 from gridtrack.evaluation.scoring.neighbourhoods import sum_neighbourhoods
 from gridtrack.evaluation.scoring.referee import ScoredForecast
 from gridtrack.evaluation.scoring.samples import SAMPLES, SampleWriter, kept_forecasts
@@ -18,10 +19,12 @@ from gridtrack.evaluation.scoring.score_store import ScoreWriter
 from gridtrack.evaluation.scoring.semantics import count_classes, count_found, match_classes
 from gridtrack.evaluation.scoring.spatial_store import SpatialWriter
 from gridtrack.evaluation.scoring.splits import EvaluationSplit
+from gridtrack.evaluation.scoring.strata import OCCLUDED
 from gridtrack.evaluation.scoring.thresholds import Thresholds
 
 SCORE_FILES = (*(table.file for table in SCORE_TABLES), SAMPLES)
-"""Files of a trial's scores; classes only where the recording has classes, semantics where the tracker has them."""
+"""Files of a trial's scores; classes only where the recording has classes, semantics and flow where the tracker has
+them."""
 
 
 class Scorekeeper:
@@ -43,6 +46,8 @@ class Scorekeeper:
         with ExitStack() as files:
             self._scores = files.enter_context(ScoreWriter(folder, split.steps, thresholds))
             self._spatial = files.enter_context(SpatialWriter(folder, split.steps, thresholds.strata))
+            flow = FlowWriter(folder, split.steps) if OCCLUDED in thresholds.strata else None
+            self._flow = flow and files.enter_context(flow)
             by_class = ClassWriter(folder, known, self._matching is not None) if known else None
             self._by_class = by_class and files.enter_context(by_class)
             samples = SampleWriter(folder / SAMPLES, split.test.grid, split.test.period_s, split.steps)
@@ -65,6 +70,8 @@ class Scorekeeper:
         errors = beam_errors(occupancy, targets, maps, self._cell_m)
         self._scores.add(scored.stamp_ns, delivered, tally, scored.frames[-1].stamp_ns)
         self._spatial.add(scored.stamp_ns, sums, errors)
+        if self._flow is not None:
+            self._flow.add(scored)
         if self._by_class is not None:
             self._count_classes(scored, self._by_class)
         if self.scored in self._kept:

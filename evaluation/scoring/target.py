@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import cache, partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gridtrack.common.grid import GridFrame, GridSpec
 from gridtrack.common.scene import UNLABELLED
+from gridtrack.evaluation.scoring.body_motions import BodyMotions
 from gridtrack.evaluation.scoring.returned_beams import ReturnedBeams, returned_beams
+from gridtrack.evaluation.scoring.true_flow import TrueFlow, true_flow
 from gridtrack.recordings.cell_labels import check_labels, labelled_returns
 from gridtrack.recordings.observation import Observation
 from gridtrack.recordings.truth import FREE, INTERIOR, OUTLINE, TruthGrid, truth_grid
@@ -29,7 +32,8 @@ class Target:
     `state` (M, M) uint8 of the states above; without truth no hidden cell is scored. `motion` (M, M) uint8: the part of
     each dynamic cell, an index into PARTS. `cells` (N,) int64, row * M +
     column: the occupied cells with a known class, visible and hidden; `labels` (N,) uint8: their classes, indices into
-    the recording's classes. `beams` are those that ended in the window.
+    the recording's classes. `beams` are those that ended in the window. `flow()`: the true velocities, found when they
+    are first asked for.
     """
 
     frame: GridFrame
@@ -38,6 +42,7 @@ class Target:
     cells: NDArray[np.int64] = field(default_factory=lambda: _NO_CELLS)
     labels: NDArray[np.uint8] = field(default_factory=lambda: _NO_LABELS)
     beams: ReturnedBeams = field(default_factory=ReturnedBeams.none)
+    flow: Callable[[], TrueFlow] = TrueFlow.none
 
     @classmethod
     def of_frame(cls, frame: GridFrame) -> Target:
@@ -46,8 +51,17 @@ class Target:
         return cls(frame, state, np.zeros_like(state))
 
 
-def target_of(observation: Observation, grid: GridSpec, classes: Sequence[str], motion: NDArray[np.uint8]) -> Target:
-    """The target of an observation in its window, with the truth and labels that it has. Raises RecordingError."""
+def target_of(
+    observation: Observation,
+    grid: GridSpec,
+    classes: Sequence[str],
+    motion: NDArray[np.uint8],
+    bodies: BodyMotions | None = None,
+) -> Target:
+    """The target of an observation in its window, with the truth and labels that it has. Raises RecordingError.
+
+    `bodies` are the true motions, where they are known.
+    """
     frame = observation.frame
     truth = _truth(observation, grid)
     target = Target.of_frame(frame)
@@ -58,7 +72,11 @@ def target_of(observation: Observation, grid: GridSpec, classes: Sequence[str], 
         hidden = np.flatnonzero(~frame.visible & (truth.labels != UNLABELLED))
         cells, labels = np.concatenate([cells, hidden]), np.concatenate([labels, truth.labels.ravel()[hidden]])
     check_labels(labels, classes, observation.time_s)
-    return Target(frame, target.state, motion, cells, labels, returned_beams(observation, grid))
+    beams = returned_beams(observation, grid)
+    if truth is None or bodies is None:
+        return Target(frame, target.state, motion, cells, labels, beams)
+    flow = cache(partial(true_flow, bodies, observation, truth.bodies, target.state == HIDDEN_OCCUPIED, grid))
+    return Target(frame, target.state, motion, cells, labels, beams, flow)
 
 
 def _truth(observation: Observation, grid: GridSpec) -> TruthGrid | None:

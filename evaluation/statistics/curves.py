@@ -39,8 +39,8 @@ def stratum_scores(
 ) -> dict[str, StratumScores]:
     """Scores of the summed counts of `trials`, each at its own thresholds; a threshold that differs is None.
 
-    `described` holds, by stratum, the fields of StratumScores that `score_intervals.intervals` and
-    `spatial_scores.spatial_scores` give.
+    `described` holds, by stratum, the fields of StratumScores that `score_intervals.intervals`,
+    `spatial_scores.spatial_scores` and `flow_scores.flow_scores` give.
     """
     curves = _curves_of(trials, strata)
     return {

@@ -59,17 +59,18 @@ def spatial_scores(
     if all((trial.folder / NEIGHBOURHOODS_TABLE.file).exists() for trial in trials):
         names = neighbourhood_strata(strata)
         sums = [_read_neighbourhoods(*one, names) for one in zip(trials, stamps_ns, strict=True)]
-        _add_curves(found, names, neighbourhood_scores(sum_by_unit(sums, units)))
+        add_curves(found, names, neighbourhood_scores(sum_by_unit(sums, units)))
     if all((trial.folder / BEAMS_TABLE.file).exists() for trial in trials):
         beams = [_read_beams(*one) for one in zip(trials, stamps_ns, units, strict=True)]
         number = max(len(counts) for _, counts in beams)
         counts = sum(np.pad(one, [(0, number - len(one)), *[(0, 0)] * 3]) for _, one in beams)
         errors = sum_by_unit([sums for sums, _ in beams], units)
-        _add_curves(found, BEAM_STRATA, beam_scores(errors[..., 0], errors[..., 1], np.asarray(counts)))
+        add_curves(found, BEAM_STRATA, beam_scores(errors[..., 0], errors[..., 1], np.asarray(counts)))
     return found
 
 
-def _add_curves(found: SpatialScores, names: Sequence[str], scores: Iterator[ScoreWithEnds]) -> None:
+def add_curves(found: SpatialScores, names: Sequence[str], scores: Iterator[ScoreWithEnds]) -> None:
+    """Add `scores` in the strata `names` to those `found`, with the ends of their intervals."""
     for score, *values in scores:
         for field, value in zip((score, f"{score}_low", f"{score}_high"), values, strict=True):
             for k, name in enumerate(names):
@@ -177,7 +178,7 @@ def _read_neighbourhoods(
     columns = (*AGREEMENT, *SQUARES, "soft_union")
     rows = read_rows(path, columns, steps, written)
     sums = rows.select(pl.col(columns).cast(pl.Float32)).to_numpy()
-    _refuse_other_frames(path, rows, (steps + 1) * len(written), stamps_ns)
+    refuse_other_frames(path, rows, (steps + 1) * len(written), stamps_ns)
     shaped = sums.reshape(len(stamps_ns), steps + 1, len(written), len(columns))
     return shaped[:, trial.steps][:, :, [written.index(name) for name in strata]]
 
@@ -194,7 +195,7 @@ def _beam_rows(trial: FinishedTrial, stamps_ns: NDArray[np.int64]) -> pl.DataFra
     """The rows of the beams of a trial. Raises ScoresError."""
     path, steps = trial.folder / BEAMS_TABLE.file, trial.record.steps
     rows = read_rows(path, ("late_m", "early_m", "bin", "count"), steps, BEAM_STRATA)
-    _refuse_other_frames(path, rows, (steps + 1) * len(BEAM_STRATA), stamps_ns)
+    refuse_other_frames(path, rows, (steps + 1) * len(BEAM_STRATA), stamps_ns)
     return rows
 
 
@@ -229,7 +230,7 @@ def _entries(path: Path, rows: pl.DataFrame) -> tuple[NDArray[np.int64], ...]:
     return row, bins, beams
 
 
-def _refuse_other_frames(path: Path, rows: pl.DataFrame, cells: int, stamps_ns: NDArray[np.int64]) -> None:
+def refuse_other_frames(path: Path, rows: pl.DataFrame, cells: int, stamps_ns: NDArray[np.int64]) -> None:
     """Raises ScoresError unless the frames of `cells` rows each are those that were scored."""
     if not np.array_equal(rows["stamp_ns"].gather_every(cells).to_numpy(), stamps_ns):
         raise ScoresError(f"{path}: not the frames of the scores beside it; run it again")

@@ -6,6 +6,7 @@ import json
 import os
 import struct
 import tracemalloc
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -179,6 +180,8 @@ def test_without_drops_exactly_the_bytes_written(parts: list[bytes], count: int)
 def test_a_stream_is_carried_unchanged(weights: Path | None) -> None:
     stream = StreamSpec(GRID, 0.1, "a site", ("car", "person"), weights)
     assert messages.stream_from(sent(Message("start", 1, {"stream": messages.stream_fields(stream)}))) == stream
+    asked = replace(stream, velocity_scored=True)
+    assert messages.stream_from(sent(Message("start", 1, {"stream": messages.stream_fields(asked)}))) == asked
 
 
 def a_frame(stamp_ns: int = 5, seed: int = 0) -> GridFrame:

@@ -16,6 +16,7 @@ from gridtrack.trackers.contract import FitOutput, Forecast, FrameSource, Score,
 from gridtrack.trackers.model_free.arrays import Array
 from gridtrack.trackers.model_free.background import BackgroundMap, without_map
 from gridtrack.trackers.model_free.classes import ClassFilter, ClassModel, compile_densities
+from gridtrack.trackers.model_free.flow import compile_flow, flow_of
 from gridtrack.trackers.model_free.forecast import objects
 from gridtrack.trackers.model_free.motion.estimator import MotionEstimator
 from gridtrack.trackers.model_free.motion.parameters import MotionModel
@@ -63,6 +64,8 @@ class ModelFreeTracker(CalibratedTracker):
             self._background = without_map(self._background)
             self._model = self._model and self._model.without_site()
         compile_pipeline(stream.period_s, self._residence, self._settings, type(self).estimator)
+        if stream.velocity_scored:
+            compile_flow()
         if self._model is not None:
             compile_densities(self._model)
         self.reset(seed=0)
@@ -106,12 +109,18 @@ class ModelFreeTracker(CalibratedTracker):
         """Forecast steps 0..steps."""
         tracks = self.tracks
         if self._filter is None:
-            return Forecast(self._calibrated(self._pipeline.forecast(steps)), objects=self._objects())
+            occupancy = self._pipeline.forecast(steps)
+            return Forecast(self._calibrated(occupancy), velocity=self._flow(steps), objects=self._objects())
         kinds = self._filter.posteriors(tracks)
         occupancy, semantics = self._pipeline.forecast_classes(steps, self._filter.cell_prior, kinds)
         labels = {track.identity: self.classes[kind.argmax()] for track, kind in zip(tracks, kinds, strict=True)}
         labelled = tuple(replace(one, label=labels[one.track]) for one in self._objects())
-        return Forecast(self._calibrated(occupancy), semantics, objects=labelled)
+        return Forecast(self._calibrated(occupancy), semantics, self._flow(steps), labelled)
+
+    def _flow(self, steps: int) -> NDArray[np.float16] | None:
+        if not self.stream.velocity_scored:
+            return None
+        return flow_of(self.tracks, steps, self._pipeline.regimes.models[0], self.window.fixed_grid)
 
     def _objects(self) -> tuple[TrackedObject, ...]:
         return objects(self.tracks, self.window)

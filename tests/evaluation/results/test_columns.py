@@ -8,14 +8,30 @@ import pyarrow as pa
 import pytest
 from pyarrow import parquet
 
+from gridtrack.common.geometry import SE2
+from gridtrack.common.grid import GridFrame, GridSpec
 from gridtrack.evaluation.results.columns import CLASSES_TABLE, SEMANTICS_TABLE, TABLES
 from gridtrack.evaluation.scoring.class_store import ClassWriter
+from gridtrack.evaluation.scoring.flow_store import FlowWriter
 from gridtrack.evaluation.scoring.prior_store import write_prior
+from gridtrack.evaluation.scoring.referee import ScoredForecast
+from gridtrack.evaluation.scoring.strata import STRATA_WITH_TRUTH, region_maps_of
+from gridtrack.evaluation.scoring.target import Target
+from gridtrack.trackers.contract import Forecast
 
 from scenes import synthetic_run as synthetic
 
 PAGE = Path(__file__).parents[3] / "docs" / "run-folder.md"
 STEPS, CLASSES = synthetic.STEPS, ("pedestrian", "car")
+
+
+def a_forecast():
+    """A scored forecast with velocities, of a window without anything in it."""
+    shape = (4, 4)
+    frame = GridFrame(10, *np.zeros((2, *shape), bool), SE2(), *np.zeros((2, 0, 2), np.float32), np.zeros(0, np.uint8))
+    maps = region_maps_of(np.zeros(shape, np.uint8), GridSpec(4, 1.0), frame.origins, STRATA_WITH_TRUTH)
+    forecast = Forecast(np.zeros((STEPS + 1, *shape), np.float32), velocity=np.zeros((2, *shape), np.float32))
+    return ScoredForecast(forecast, (Target.of_frame(frame),) * (STEPS + 1), maps, np.zeros(shape, np.uint8))
 
 
 @pytest.fixture(scope="module")
@@ -26,6 +42,8 @@ def trial(tmp_path_factory):
         writer.add_found(10, np.ones((STEPS + 1, 2, len(CLASSES), 4), np.int32))
         confusion = np.ones((STEPS + 1, 2, len(CLASSES), len(CLASSES) + 1), np.int32)
         writer.add_semantics(10, confusion, confusion.astype(float))
+    with FlowWriter(finished.folder, STEPS) as writer:
+        writer.add(a_forecast())
     write_prior(finished.folder, *np.ones((2, 4, 4), np.int32), np.ones((4, 4), np.float32))
     return finished.folder
 
