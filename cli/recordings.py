@@ -1,14 +1,15 @@
-"""`recording info | import | layout`: the content of a recording, its conversion to a native one, viewing it."""
+"""`recording info | import | view | layout`: what a recording holds, converting it to a native one, viewing it."""
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 from typing import Annotated, Literal
 
 import typer
 
 from gridtrack.cli.options import GridOption, JsonOption, RateOption
-from gridtrack.common.errors import printable
+from gridtrack.common.errors import ConfigurationError, printable
 
 PoseTopicOption = Annotated[
     str | None,
@@ -24,7 +25,7 @@ ZeroRange = Annotated[
     typer.Option(help="The meaning of a range of exactly 0.0: free up to the maximum range (no return), or unknown"),
 ]
 
-app = typer.Typer(no_args_is_help=True, help="Recordings: info, import, layout.")
+app = typer.Typer(no_args_is_help=True, help="Recordings: info, import, view, layout.")
 
 
 @app.command("info")
@@ -109,6 +110,28 @@ def recording_import(
         strict=strict,
     )
     typer.echo(str(recording.overview()))
+
+
+@app.command("view")
+def recording_view(
+    recording: Annotated[str, typer.Argument(metavar="RECORDING[@RANGE]", help="For example demo.mcap@30s-90s")],
+    out: Annotated[Path | None, typer.Option(help="The .rrd to write; default: named as the recording, here")] = None,
+    grid: GridOption = None,
+    rate: RateOption = None,
+) -> None:
+    """Write frames, poses of the sensors and ground truth as a file for the Rerun viewer. It starts no viewer."""
+    from gridtrack.common.grid import GridSpec
+    from gridtrack.recordings.stream import open_stream
+    from gridtrack.reports.rerun_recording import default_name, write_rerun_recording
+
+    stream = open_stream(recording, grid=GridSpec.parse(grid) if grid else None, rate_hz=rate)
+    path = out or Path(default_name(recording))
+    if path.suffix != ".rrd":
+        raise ConfigurationError(f"{path}: a Rerun recording is written as .rrd")
+    frames = write_rerun_recording(stream, path)
+    for warning in stream.recording.warnings:
+        typer.echo(f"gridtrack: {printable(warning)}", err=True)
+    typer.echo(f"{frames} frames; open them with: {shlex.join(['rerun', printable(str(path))])}")
 
 
 @app.command("layout")

@@ -244,18 +244,40 @@ def report_command(
             metavar="SCORE STRATUM HORIZON,...", help="Columns of another format, e.g. 'f1 in-motion 1s, nll visible'"
         ),
     ] = "",
+    rerun: Annotated[
+        bool,
+        typer.Option("--rerun", help="The kept forecasts for the Rerun viewer, as RECORDING.rrd beside the page"),
+    ] = False,
 ) -> None:
     """Write the report of a run again, or of several runs side by side: as a page, or in another format."""
     from gridtrack.reports.formats import PAGE, check_format, render_as
     from gridtrack.reports.page import render_report
 
     check_format(as_format)
+    if rerun:
+        if as_format != PAGE or columns:
+            raise ConfigurationError("--rerun: forecasts have neither --format nor --columns: leave them out")
+        _write_rerun(runs, out, rows)
+        return
     if as_format != PAGE:
         _write_rendered(render_as(as_format, runs, rows, columns), out)
         return
     if rows or columns:
         raise ConfigurationError("--rows and --columns: the page shows every row; choose another --format")
     typer.echo(f"report: {render_report(runs, out)}")
+
+
+def _write_rerun(runs: list[Path], out: Path | None, rows: str) -> None:
+    """Write the kept forecasts of a run for the Rerun viewer."""
+    from gridtrack.reports.rerun_run import write_rerun_run
+
+    if len(runs) > 1:
+        raise ConfigurationError("--rerun: one run at a time")
+    written, notices = write_rerun_run(runs[0], out, rows)
+    for notice in notices:
+        typer.echo(f"gridtrack: {printable(notice)}", err=True)
+    for path in written:
+        typer.echo(f"open the forecasts with: {shlex.join(['rerun', printable(str(path))])}")
 
 
 def _write_rendered(content: bytes, out: Path | None) -> None:

@@ -22,7 +22,7 @@ CONVENTIONAL = ("app", "main")
 """Names that may be defined in several modules: the typer application and the entry point of a command."""
 HEAVY = (
     "torch", "lightning", "gtsam", "kiss_icp", "ray", "sklearn", "optuna", "filterpy", "numba", "rosbags", "scipy",
-    "polars", "pyarrow", "numpy", "pydantic",
+    "polars", "pyarrow", "numpy", "pydantic", "rerun",
 )  # fmt: skip
 
 

@@ -37,6 +37,7 @@ BEFORE = {
     "docs/export.md": "gridtrack compare my.bag@0s-12s --tracker persistence --tracker kalman --out runs/hall\n",
     "docs/junction.md": OWN,
     "docs/regress.md": OWN,
+    "docs/viewers.md 2": "gridtrack compare my.bag@0s-12s --tracker kalman --out runs/hall\n",
     "examples/example_tracker/README.md": f"install '{ROOT}/examples/example_tracker'\n",
     "examples/cpp_tracker/README.md": f"cp '{ROOT}'/examples/cpp_tracker/[Mf]* . && command make --silent\n",
 }
@@ -128,6 +129,7 @@ PLACES: dict[str, Prepare] = {
     "docs/trackers/model-free.md": places.clone,
     "docs/trackers/one-shot.md": places.clone,
     "docs/viewers.md": my_bag,
+    "docs/viewers.md 2": my_bag,
     "docs/weights.md": two_places,
     "docs/weights.md 2": lambda folder: shutil.copyfile(packaged_recording("leg_tracker"), folder / "my.mcap"),
     "examples/cpp_tracker/README.md": my_bag,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 import math
 import re
@@ -11,7 +10,6 @@ from pathlib import Path
 from typing import Any, get_args, get_type_hints
 
 import foxglove.messages as official
-import numpy as np
 import pytest
 from foxglove import layouts
 from google.protobuf.descriptor_pb2 import FileDescriptorSet
@@ -20,27 +18,12 @@ from mcap_protobuf.decoder import DecoderFactory
 from typer.testing import CliRunner
 
 from gridtrack.cli import app
-from gridtrack.common.geometry import SE2
-from gridtrack.common.grid import GridFrame, GridSpec
-from gridtrack.evaluation.scoring.referee import ScoredForecast
-from gridtrack.evaluation.scoring.samples import SAMPLES, SampleWriter, read_samples
-from gridtrack.evaluation.scoring.strata import region_maps_of
-from gridtrack.evaluation.scoring.target import Target
+from gridtrack.evaluation.scoring.samples import SAMPLES, read_samples
 from gridtrack.recordings import RecordingInfo, write_native
-from gridtrack.trackers.contract import Forecast, TrackedObject
 
 from scenes import truth_scene
+from scenes.drawn_samples import STAMP_NS, write_samples
 
-GRID = GridSpec(3, 0.5, (-1.0, 2.0))
-WINDOW = SE2(10.0, -4.0, math.pi / 2)
-STAMP_NS = 1_700_000_000_123_456_789
-SEEN = np.array([[1, 1, 0], [1, 1, 0], [0, 0, 0]], bool)
-HIT = np.array([[0, 1, 0], [0, 0, 0], [0, 0, 0]], bool)
-LATER = np.array([[0, 0, 0], [1, 0, 0], [0, 0, 0]], bool)
-STATE = np.array([[0, 0, 2], [1, 0, 3], [4, 4, 4]], np.uint8)
-FORECAST = np.array([[0, 0.25, 0], [1, 0.5, 0], [0, 0, 0.2]], np.float32)
-BOX, VELOCITY = np.array([-0.5, 2.5, 0.5, 0.8, 0.4], np.float32), np.array([0.6, -0.8], np.float32)
-WALKER = TrackedObject(7, BOX, VELOCITY, np.eye(4, dtype=np.float32))
 TOPIC_SETTINGS = {
     "foxglove.Grid": layouts.BaseRendererGridTopicSettings,
     "foxglove.LaserScan": layouts.BaseRendererLaserScanTopicSettings,
@@ -49,30 +32,11 @@ TOPIC_SETTINGS = {
 }
 
 
-def scored(seconds: int, objects: tuple[TrackedObject, ...]) -> ScoredForecast:
-    """Ten frames a second; at step 10 the hit is a cell further, and the forecast is FORECAST."""
-    targets = []
-    for step in range(11):
-        stamp_ns = STAMP_NS + seconds * 1_000_000_000 + step * 100_000_000
-        origins, nothing = np.array([[0.25, 0.5]], np.float32), np.zeros((0, 2), np.float32)
-        occupied = LATER if step == 10 else HIT
-        frame = GridFrame(stamp_ns, SEEN, occupied, SE2(), origins, nothing, np.zeros(0, np.uint8))
-        target = Target.of_frame(frame)
-        targets.append(dataclasses.replace(target, state=STATE) if step == 10 else target)
-    occupancy = np.zeros((11, 3, 3), np.float32)
-    occupancy[10] = FORECAST
-    maps = region_maps_of(np.zeros(GRID.shape, np.uint8), GRID, np.array([[0.25, 0.5]], np.float32))
-    ages = np.zeros(GRID.shape, np.uint8)
-    return ScoredForecast(Forecast(occupancy, objects=objects), tuple(targets), maps, ages, WINDOW)
-
-
 @pytest.fixture(scope="module")
 def samples(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two samples: a walker in the first, none in the second."""
     path = tmp_path_factory.mktemp("trial") / SAMPLES
-    with SampleWriter(path, GRID, 0.1, 10) as writer:
-        writer.add(scored(0, (WALKER,)))
-        writer.add(scored(1, ()))
+    write_samples(path)
     return path
 
 

@@ -1,0 +1,76 @@
+"""A recording as Rerun shows it: the frames that trackers get, the poses of the sensors, and the ground truth."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from itertools import chain
+from pathlib import Path
+
+from gridtrack.common.geometry import SE2
+from gridtrack.common.scene import UNLABELLED, Outline, Scene
+from gridtrack.recordings.observation import Observation
+from gridtrack.recordings.stream import GridStream
+from gridtrack.recordings.stretches import parse_stretch
+from gridtrack.reports.rerun_scene import RerunScene, colour_of_class, rerun_scene
+
+INPUT, SENSORS = ("world", "input"), ("world", "sensors")
+OUTLINES, OBJECTS = ("world", "outlines"), ("world", "objects")
+"""The static outlines, and those of the road users: the ground truth."""
+
+
+def write_rerun_recording(stream: GridStream, path: Path) -> int:
+    """Write the stretch of `stream` as a Rerun recording, and return the number of frames.
+
+    Everything is in the world of ground truth. Raises ConfigurationError where rerun-sdk is not installed,
+    RecordingError and OSError.
+    """
+    with rerun_scene(path, stream.name, f"{stream.recording.sha256}@{stream.stretch_s}") as scene:
+        observations = stream.observations()
+        first = next(observations)
+        window = stream.grid, first.reference_T_grid
+        scene.show(scene.view(stream.name, ["/world/**"], *window))
+        drawn = _Drawn(scene, stream)
+        return sum(map(drawn.add, chain((first,), observations)))
+
+
+def default_name(text: str) -> str:
+    """The name of the file of `RECORDING[@RANGE]`. Raises RecordingError."""
+    path, _ = parse_stretch(text)
+    return f"{path.stem}{text.removeprefix(str(path))}.rrd"
+
+
+class _Drawn:
+    def __init__(self, scene: RerunScene, stream: GridStream) -> None:
+        self._scene, self._stream = scene, stream
+        self._static: tuple[Outline, ...] | None = None
+        self._sensors: set[str] = set()
+
+    def add(self, seen: Observation) -> int:
+        """Draw a frame; returns 1, for counting."""
+        scene, stream = self._scene, self._stream
+        scene.at(seen.frame.stamp_ns, stream.recording.survey.first_ns)
+        scene.occupancy(INPUT, seen.frame.visible, seen.frame.occupied, stream.grid, seen.reference_T_grid)
+        for scan, pose in zip(seen.scans, seen.grid_T_sensor, strict=True):
+            self._add_sensor(scan.sensor, seen.reference_T_grid @ pose)
+        if seen.scene is not None:
+            self._add_truth(seen.scene)
+        return 1
+
+    def _add_sensor(self, sensor: str, pose: SE2) -> None:
+        entity = (*SENSORS, sensor)
+        if sensor not in self._sensors:
+            self._sensors.add(sensor)
+            self._scene.sensor(entity)
+        self._scene.pose(entity, pose)
+
+    def _add_truth(self, truth: Scene) -> None:
+        if truth.static is not self._static:
+            self._static = truth.static
+            self._scene.outlines(OUTLINES, truth.static, [(0.35, 0.35, 0.35)] * len(truth.static))
+        objects = truth.objects
+        outlines = [one.world_T_object.apply(one.outline) for one in objects]
+        labels = [" ".join((*self._class_of(one.label), str(one.track))) for one in objects]
+        self._scene.outlines(OBJECTS, outlines, [colour_of_class(one.label) for one in objects], labels)
+
+    def _class_of(self, label: int) -> Iterable[str]:
+        return () if label == UNLABELLED else (self._stream.classes[label],)
