@@ -39,6 +39,8 @@ PAGE_SCORES = {
     "flow_error": "Flow error, m/s",
     "flow_speed": "True speed where flow is given, m/s",
     "flow_coverage": "Cells with flow",
+    "energy_score": "Energy score",
+    "energy_spread": "Spread of futures",
     "share_of_oracle": "Share of the oracle, F1",
     "share_of_oracle_nll": "Share of the oracle, log loss",
     "brier_reliability": "Brier: reliability",

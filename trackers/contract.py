@@ -72,6 +72,7 @@ class Forecast:
 
     `futures` (F, n+1, M, M), or None: F sampled futures, 2 to MAX_FUTURES, equally probable and drawn jointly over
     cells and steps; bool, or P(occupied) in [0, 1] as float16. `occupancy` is what their mean would be if F were large.
+    A tracker gives futures in all of its forecasts or in none.
     """
 
     occupancy: NDArray[np.float32]

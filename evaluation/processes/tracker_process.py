@@ -129,6 +129,7 @@ class TrackerProcess:
         self.description: TrackerDescription
         self._frames = 0
         self._killed = False
+        self._has_futures: bool | None = None
         self._dialogue: Dialogue | None = None
 
     def __enter__(self) -> TrackerProcess:
@@ -177,7 +178,20 @@ class TrackerProcess:
         with self._ending_on_error():
             answer = self._wire.ask(request, self.limits.predict_s)
             self.timings.add_predict(self._call(answer))
-            return messages.forecast_from(answer, grid, steps, classes)
+            forecast = messages.forecast_from(answer, grid, steps, classes)
+            self._refuse_other_parts(forecast)
+            return forecast
+
+    def _refuse_other_parts(self, forecast: Forecast) -> None:
+        """Raises WireError where some forecasts have sampled futures and others have none."""
+        has_futures = forecast.futures is not None
+        if self._has_futures not in (None, has_futures):
+            found = "futures" if has_futures else "no futures"
+            raise WireError(
+                f"{found} in this forecast, unlike in the first one: a tracker gives futures in all of its"
+                " forecasts or in none"
+            )
+        self._has_futures = has_futures
 
     def kill(self) -> None:
         """End the tracker from any thread: the current or next call raises TrialEnded."""

@@ -221,6 +221,18 @@ SEMANTICS_TABLE = ParquetTable(
         ),
     ),
 )
+ENERGY_TABLE = ParquetTable(
+    "energy.parquet",
+    "scored frame x step x stratum of `visible`, `dynamic` and `in-motion`, where the forecasts have sampled futures",
+    (
+        _STAMP,
+        _STEP,
+        _STRATUM_COLUMN,
+        ParquetColumn("forecasts", pa.int32(), "1 where the stratum has cells, else 0"),
+        ParquetColumn("distance", pa.float32(), "mean distance of the futures from what came"),
+        ParquetColumn("spread", pa.float32(), "half the mean distance of the futures from each other"),
+    ),
+)
 PRIOR_TABLE = ParquetTable(
     "prior.parquet",
     "cell of the window, row by row; of a tracker with weights and a sensor at rest",
@@ -242,6 +254,7 @@ SCORE_TABLES = (
     NEIGHBOURHOODS_TABLE,
     BEAMS_TABLE,
     FLOW_TABLE,
+    ENERGY_TABLE,
     CLASSES_TABLE,
     SEMANTICS_TABLE,
 )

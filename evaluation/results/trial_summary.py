@@ -16,7 +16,7 @@ HIGHER_IS_BETTER = (
 )
 LOWER_IS_BETTER = (
     *("brier", "brier_reliability", "nll", "ece", "ece_above_1_percent"),
-    *("beam_error", "beam_error_median", "flow_error"),
+    *("beam_error", "beam_error_median", "flow_error", "energy_score"),
 )
 
 
@@ -103,6 +103,14 @@ class StratumScores(ResultModel):
     """Share of the occupied cells of true bodies that the forecast has a velocity for."""
     flow_coverage_low: Curve | None = None
     flow_coverage_high: Curve | None = None
+    energy_score: Curve | None = None
+    """Mean distance of the sampled futures from what came, less half their mean distance from each other."""
+    energy_score_low: Curve | None = None
+    energy_score_high: Curve | None = None
+    energy_spread: Curve | None = None
+    """The second of these terms: 0 where the futures are all alike."""
+    energy_spread_low: Curve | None = None
+    energy_spread_high: Curve | None = None
     interval: str = ""
     """Why there are no intervals; empty where there are."""
     share_of_oracle: Curve | None = None

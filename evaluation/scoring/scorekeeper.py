@@ -11,6 +11,8 @@ from gridtrack.evaluation.results.columns import SCORE_TABLES
 from gridtrack.evaluation.scoring.beam_errors import beam_errors
 from gridtrack.evaluation.scoring.class_store import ClassWriter
 from gridtrack.evaluation.scoring.counting import count_forecast
+from gridtrack.evaluation.scoring.energy import energy_terms
+from gridtrack.evaluation.scoring.energy_store import EnergyWriter
 from gridtrack.evaluation.scoring.flow_store import FlowWriter
 from gridtrack.evaluation.scoring.neighbourhoods import sum_neighbourhoods
 from gridtrack.evaluation.scoring.referee import ScoredForecast
@@ -23,8 +25,8 @@ from gridtrack.evaluation.scoring.strata import OCCLUDED
 from gridtrack.evaluation.scoring.thresholds import Thresholds
 
 SCORE_FILES = (*(table.file for table in SCORE_TABLES), SAMPLES)
-"""Files of a trial's scores; classes only where the recording has classes, semantics and flow where the tracker has
-them."""
+"""Files of a trial's scores; classes only where the recording has classes, semantics, flow and energy where the
+tracker has them."""
 
 
 class Scorekeeper:
@@ -46,6 +48,7 @@ class Scorekeeper:
         with ExitStack() as files:
             self._scores = files.enter_context(ScoreWriter(folder, split.steps, thresholds))
             self._spatial = files.enter_context(SpatialWriter(folder, split.steps, thresholds.strata))
+            self._energy = files.enter_context(EnergyWriter(folder, split.steps))
             flow = FlowWriter(folder, split.steps) if OCCLUDED in thresholds.strata else None
             self._flow = flow and files.enter_context(flow)
             by_class = ClassWriter(folder, known, self._matching is not None) if known else None
@@ -70,6 +73,9 @@ class Scorekeeper:
         errors = beam_errors(occupancy, targets, maps, self._cell_m)
         self._scores.add(scored.stamp_ns, delivered, tally, scored.frames[-1].stamp_ns)
         self._spatial.add(scored.stamp_ns, sums, errors)
+        futures = scored.forecast.futures
+        if futures is not None:
+            self._energy.add(scored.stamp_ns, energy_terms(futures, targets, maps, scored.ages))
         if self._flow is not None:
             self._flow.add(scored)
         if self._by_class is not None:

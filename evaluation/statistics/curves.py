@@ -40,7 +40,7 @@ def stratum_scores(
     """Scores of the summed counts of `trials`, each at its own thresholds; a threshold that differs is None.
 
     `described` holds, by stratum, the fields of StratumScores that `score_intervals.intervals`,
-    `spatial_scores.spatial_scores` and `flow_scores.flow_scores` give.
+    `spatial_scores.spatial_scores` and `optional_scores.optional_scores` give.
     """
     curves = _curves_of(trials, strata)
     return {

@@ -20,8 +20,8 @@ from gridtrack.evaluation.scoring.histograms import UnitHistograms
 from gridtrack.evaluation.scoring.score_store import read_label_free, read_losses
 from gridtrack.evaluation.statistics.curves import CountedTrial, stratum_scores
 from gridtrack.evaluation.statistics.finished_trial import FinishedTrial, trials_on
-from gridtrack.evaluation.statistics.flow_scores import flow_scores
 from gridtrack.evaluation.statistics.frame_counts import FrameCounts
+from gridtrack.evaluation.statistics.optional_scores import optional_scores
 from gridtrack.evaluation.statistics.paired_tests import (
     OTHER_RETURNS,
     ComparedRow,
@@ -97,8 +97,8 @@ class RunStatistics:
         ]
         ends = intervals(frames, trials, histograms, strata, rule)
         spatial = spatial_scores(trials, stamps_ns, strata, rule)
-        flow = flow_scores(trials, stamps_ns, strata, rule)
-        described = {name: {**ends[name], **spatial[name], **flow[name]} for name in strata}
+        optional = optional_scores(trials, stamps_ns, strata, rule)
+        described = {name: {**ends[name], **spatial[name], **optional[name]} for name in strata}
         counted = [_counted(trial, own) for trial, own in zip(trials, histograms, strict=True)]
         return stratum_scores(counted, strata, described)
 

@@ -52,3 +52,28 @@ class Mover(Tracker):
                 velocity[step, 0, rows] = self.options.scale * moved_m / 0.1
                 velocity[step, 1, rows] = 0.0
         return velocity[0] if gives == "now" else velocity
+
+
+class GuesserOptions(Settings):
+    gives: Literal["alike", "mixed", "sometimes"] = "alike"
+
+
+class Guesser(Tracker):
+    """Its futures are the last frame, all alike, or half of them empty (`mixed`); or given every second time."""
+
+    Options = GuesserOptions
+
+    def reset(self, seed):
+        self.forecasts = 0
+
+    def update(self, frame):
+        self.last = frame.occupied
+
+    def predict(self, steps):
+        self.forecasts += 1
+        futures = np.repeat(np.repeat(self.last[None, None], steps + 1, axis=1), 4, axis=0)
+        if self.options.gives == "mixed":
+            futures[:2] = False
+        if self.options.gives == "sometimes" and self.forecasts % 2 == 0:
+            futures = None
+        return Forecast(np.repeat(self.last[None].astype(np.float32), steps + 1, axis=0), futures=futures)

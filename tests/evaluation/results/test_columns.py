@@ -12,6 +12,8 @@ from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec
 from gridtrack.evaluation.results.columns import CLASSES_TABLE, SEMANTICS_TABLE, TABLES
 from gridtrack.evaluation.scoring.class_store import ClassWriter
+from gridtrack.evaluation.scoring.energy import ENERGY_STRATA, EnergyTerms
+from gridtrack.evaluation.scoring.energy_store import EnergyWriter
 from gridtrack.evaluation.scoring.flow_store import FlowWriter
 from gridtrack.evaluation.scoring.prior_store import write_prior
 from gridtrack.evaluation.scoring.referee import ScoredForecast
@@ -44,6 +46,9 @@ def trial(tmp_path_factory):
         writer.add_semantics(10, confusion, confusion.astype(float))
     with FlowWriter(finished.folder, STEPS) as writer:
         writer.add(a_forecast())
+    with EnergyWriter(finished.folder, STEPS) as writer:
+        sums = np.ones((STEPS + 1, len(ENERGY_STRATA)))
+        writer.add(10, EnergyTerms(sums.astype(np.int64), sums, sums))
     write_prior(finished.folder, *np.ones((2, 4, 4), np.int32), np.ones((4, 4), np.float32))
     return finished.folder
 

@@ -1,4 +1,4 @@
-"""Velocities of forecasts in a run on a recording with ground truth: their errors are in the summary."""
+"""The optional parts of forecasts, velocities and sampled futures, in a run: their scores are in the summary."""
 
 from pathlib import Path
 
@@ -7,7 +7,8 @@ import pytest
 from gridtrack.evaluation.comparison.plan import resolve
 from gridtrack.evaluation.comparison.runner import run
 from gridtrack.evaluation.comparison.settings import CompareSettings
-from gridtrack.evaluation.results.columns import FLOW_TABLE
+from gridtrack.evaluation.results.columns import ENERGY_TABLE, FLOW_TABLE
+from gridtrack.evaluation.scoring.energy import ENERGY_STRATA
 from gridtrack.evaluation.scoring.flow_errors import FLOW_STRATA
 
 from scenes import truth_scene
@@ -18,9 +19,9 @@ CYCLIST_MPS, PEDESTRIAN_MPS = 4 * 2.8 / 5.0, 4 * 3.4 / 8.0
 
 @pytest.fixture
 def strata(install, progress, tmp_path):
-    """The scores of trackers with various velocities, by label and stratum, and the folder of the run."""
+    """Compares trackers on the scene, and gives their scores by label and stratum."""
     files = {"movers.py": (Path(__file__).parents[2] / "plugins" / "movers.py").read_text()}
-    install("movers", {"mover": "movers:Mover"}, files)
+    install("movers", {"mover": "movers:Mover", "guesser": "movers:Guesser"}, files)
 
     def compare(*trackers, **recording):
         path = truth_scene.write_recording(tmp_path / "room.mcap", seconds=14, **recording)
@@ -28,7 +29,11 @@ def strata(install, progress, tmp_path):
             recordings=(str(path),), trackers=trackers, out=tmp_path / "run", horizon_s=1.0, every_s=0.5, jobs=1
         )
         summary = run(resolve(settings), (), progress)
-        assert {row.recordings["room"].outcome for row in summary.trackers.values()} == {"ok"}
+        for label, row in summary.trackers.items():
+            trial = row.recordings["room"]
+            assert trial.outcome == ("invalid-output" if label == "sometimes" else "ok")
+            reason = "unlike in the first one: a tracker gives futures in all of its forecasts or in none"
+            assert (reason in trial.reason) == (label == "sometimes")
         return {label: row.recordings["room"].strata for label, row in summary.trackers.items()}
 
     return compare
@@ -63,3 +68,18 @@ def test_without_ground_truth_velocities_are_not_scored(strata, tmp_path):
     found = strata("mover", with_truth=False)
     assert found["mover"]["dynamic"].flow_error is None
     assert not (tmp_path / "run" / "mover@room" / FLOW_TABLE.file).exists()
+
+
+def test_sampled_futures_have_an_energy_score_with_and_without_ground_truth(strata, tmp_path):
+    trackers = "alike=guesser", "mixed=guesser:gives=mixed", "sometimes=guesser:gives=sometimes", "persistence"
+    found = strata(*trackers, with_truth=False)
+    for stratum in ENERGY_STRATA:
+        alike, mixed = found["alike"][stratum], found["mixed"][stratum]
+        assert alike.energy_score[0] == 0.0, "step 0 has been seen"
+        assert alike.energy_spread == (0.0,) * (STEPS + 1)
+        assert min(mixed.energy_spread) > 0.0
+        assert found["persistence"][stratum].energy_score is None, "its forecasts have no futures"
+    assert found["mixed"]["dynamic"].energy_score[STEPS] < found["alike"]["dynamic"].energy_score[STEPS]
+    assert found["alike"]["static"].energy_score is None
+    assert (tmp_path / "run" / "alike@room" / ENERGY_TABLE.file).exists()
+    assert not (tmp_path / "run" / "persistence@room" / ENERGY_TABLE.file).exists()
