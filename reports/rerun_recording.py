@@ -13,8 +13,8 @@ from gridtrack.recordings.stream import GridStream
 from gridtrack.recordings.stretches import parse_stretch
 from gridtrack.reports.rerun_scene import RerunScene, colour_of_class, rerun_scene
 
-INPUT, SENSORS = ("world", "input"), ("world", "sensors")
-OUTLINES, OBJECTS = ("world", "outlines"), ("world", "objects")
+_INPUT, _SENSORS = ("world", "input"), ("world", "sensors")
+_OUTLINES, _OBJECTS = ("world", "outlines"), ("world", "objects")
 """The static outlines, and those of the road users: the ground truth."""
 
 
@@ -49,7 +49,7 @@ class _Drawn:
         """Draw a frame; returns 1, for counting."""
         scene, stream = self._scene, self._stream
         scene.at(seen.frame.stamp_ns, stream.recording.survey.first_ns)
-        scene.occupancy(INPUT, seen.frame.visible, seen.frame.occupied, stream.grid, seen.reference_T_grid)
+        scene.occupancy(_INPUT, seen.frame.visible, seen.frame.occupied, stream.grid, seen.reference_T_grid)
         for scan, pose in zip(seen.scans, seen.grid_T_sensor, strict=True):
             self._add_sensor(scan.sensor, seen.reference_T_grid @ pose)
         if seen.scene is not None:
@@ -57,7 +57,7 @@ class _Drawn:
         return 1
 
     def _add_sensor(self, sensor: str, pose: SE2) -> None:
-        entity = (*SENSORS, sensor)
+        entity = (*_SENSORS, sensor)
         if sensor not in self._sensors:
             self._sensors.add(sensor)
             self._scene.sensor(entity)
@@ -66,11 +66,11 @@ class _Drawn:
     def _add_truth(self, truth: Scene) -> None:
         if truth.static is not self._static:
             self._static = truth.static
-            self._scene.outlines(OUTLINES, truth.static, [(0.35, 0.35, 0.35)] * len(truth.static))
+            self._scene.outlines(_OUTLINES, truth.static, [(0.35, 0.35, 0.35)] * len(truth.static))
         objects = truth.objects
         outlines = [one.world_T_object.apply(one.outline) for one in objects]
         labels = [" ".join((*self._class_of(one.label), str(one.track))) for one in objects]
-        self._scene.outlines(OBJECTS, outlines, [colour_of_class(one.label) for one in objects], labels)
+        self._scene.outlines(_OBJECTS, outlines, [colour_of_class(one.label) for one in objects], labels)
 
     def _class_of(self, label: int) -> Iterable[str]:
         return () if label == UNLABELLED else (self._stream.classes[label],)

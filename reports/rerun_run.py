@@ -12,13 +12,13 @@ from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridSpec
 from gridtrack.evaluation.scoring.samples import SAMPLES, Sample, SamplesError, read_samples
 from gridtrack.reports.chosen_scores import exported_tables
-from gridtrack.reports.rerun_scene import FREE, OCCUPIED, UNKNOWN, RerunScene, rerun_scene
+from gridtrack.reports.rerun_scene import FREE_CELL, OCCUPIED_CELL, UNKNOWN_CELL, RerunScene, rerun_scene
 from gridtrack.reports.run import ReportedRun, ReportError, read_runs
 
-INPUT, SENSORS, OBSERVED, TRUTH = "input", "sensors", "observed", "truth"
-FORECAST, TRACKS = "forecast", "tracks"
-HIDDEN = (2, 3)
-_CELL_OF_STATE = np.array([FREE, OCCUPIED, FREE, OCCUPIED, UNKNOWN], np.uint8)
+_INPUT, _SENSORS, _OBSERVED, _TRUTH = "input", "sensors", "observed", "truth"
+_FORECAST, _TRACKS = "forecast", "tracks"
+_HIDDEN = (2, 3)
+_CELL_OF_STATE = np.array([FREE_CELL, OCCUPIED_CELL, FREE_CELL, OCCUPIED_CELL, UNKNOWN_CELL], np.uint8)
 """Seen free, seen occupied, hidden and free, hidden and occupied, not scored: the states of `target.py`."""
 
 
@@ -68,7 +68,7 @@ class _RecordingOfRun:
                 self.window, self._start_ns = (sample.grid, sample.reference_T_grid), sample.stamp_ns
                 self._horizons = sample.horizons_s
             self._stamps.setdefault(label, set()).add(sample.stamp_ns)
-            self._has_truth |= bool(np.isin(sample.state, HIDDEN).any())
+            self._has_truth |= bool(np.isin(sample.state, _HIDDEN).any())
             self._start_ns = min(self._start_ns, sample.stamp_ns)
 
     def write(self, path: Path) -> None:
@@ -98,21 +98,21 @@ class _RecordingOfRun:
 
     def _draw_observed(self, scene: RerunScene, sample: Sample) -> None:
         window = sample.grid, sample.reference_T_grid
-        scene.occupancy(("world", INPUT), sample.visible, sample.occupied, *window)
-        scene.points(("world", SENSORS), sample.reference_T_grid.apply(sample.origins))
+        scene.occupancy(("world", _INPUT), sample.visible, sample.occupied, *window)
+        scene.points(("world", _SENSORS), sample.reference_T_grid.apply(sample.origins))
         for i, horizon in enumerate(sample.horizons_s):
             seen = sample.observed_visible[i], sample.observed_occupied[i]
-            scene.occupancy(("world", OBSERVED, _seconds(horizon)), *seen, *window)
+            scene.occupancy(("world", _OBSERVED, _seconds(horizon)), *seen, *window)
             if self._has_truth:
-                scene.grid(("world", TRUTH, _seconds(horizon)), _CELL_OF_STATE[sample.state[i]], *window)
+                scene.grid(("world", _TRUTH, _seconds(horizon)), _CELL_OF_STATE[sample.state[i]], *window)
 
     def _clear_missing(self, scene: RerunScene, stamps: set[int]) -> None:
         """A tracker that kept nothing at a stamp shows nothing there, not its last forecast."""
         for label, kept in self._stamps.items():
             for stamp_ns in sorted(stamps - kept):
                 scene.at(stamp_ns, self._start_ns)
-                scene.clear(("world", FORECAST, label))
-                scene.clear(("world", TRACKS, label))
+                scene.clear(("world", _FORECAST, label))
+                scene.clear(("world", _TRACKS, label))
 
     def _show(self, scene: RerunScene) -> None:
         """A tab for each horizon: the input, what came and the truth, and a view of each tracker with its tracks."""
@@ -123,24 +123,24 @@ class _RecordingOfRun:
 
     def _input_view(self, scene: RerunScene) -> Any:
         assert self.window is not None
-        return scene.view(INPUT, [scene.path("world", INPUT), scene.path("world", SENSORS)], *self.window)
+        return scene.view(_INPUT, [scene.path("world", _INPUT), scene.path("world", _SENSORS)], *self.window)
 
     def _views(self, scene: RerunScene, horizon: str) -> list[Any]:
         assert self.window is not None
         views = [self._input_view(scene)]
-        for kind in (OBSERVED, TRUTH) if self._has_truth else (OBSERVED,):
+        for kind in (_OBSERVED, _TRUTH) if self._has_truth else (_OBSERVED,):
             views.append(scene.view(f"{kind} {horizon} later", [scene.path("world", kind, horizon)], *self.window))
         for label in self._stamps:
-            forecast, tracks = scene.path("world", FORECAST, label, horizon), scene.path("world", TRACKS, label)
+            forecast, tracks = scene.path("world", _FORECAST, label, horizon), scene.path("world", _TRACKS, label)
             views.append(scene.view(label, [forecast, f"{tracks}/**"], *self.window))
         return views
 
 
 def _draw_forecast(scene: RerunScene, label: str, sample: Sample) -> None:
     for horizon, forecast in zip(sample.horizons_s, sample.forecast, strict=True):
-        percent = (forecast * OCCUPIED).round()
-        scene.grid(("world", FORECAST, label, _seconds(horizon)), percent, sample.grid, sample.reference_T_grid)
-    scene.tracks(("world", TRACKS, label), sample.objects, sample.reference_T_grid)
+        percent = (forecast * OCCUPIED_CELL).round()
+        scene.grid(("world", _FORECAST, label, _seconds(horizon)), percent, sample.grid, sample.reference_T_grid)
+    scene.tracks(("world", _TRACKS, label), sample.objects, sample.reference_T_grid)
 
 
 def _seconds(horizon: float) -> str:

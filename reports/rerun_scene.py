@@ -24,15 +24,15 @@ from gridtrack.recordings.scene_messages import CLASS_COLOURS
 if TYPE_CHECKING:
     import rerun as rr
 
-FREE, OCCUPIED, UNKNOWN = 0, 100, 255
+FREE_CELL, OCCUPIED_CELL, UNKNOWN_CELL = 0, 100, 255
 """Values of cells as in nav_msgs/OccupancyGrid, where unknown is -1: probabilities are per cent."""
-STAMP, SINCE_START = "stamp", "time"
+STAMPS, SINCE_START = "stamp", "time"
 """Timelines: the stamps, and the time since the first scan of the recording or the first sample of a run."""
 OUTLINE_Z_M = 0.03
 """Outlines and poses lie a little above the grid, which would hide them."""
 SENSOR_ARROW_M = 0.6
 
-BACKGROUND = (225, 225, 225)
+VIEW_COLOUR = (225, 225, 225)
 """Of a view: where the probability is 0, the grid is white."""
 
 Rgb = tuple[float, float, float]
@@ -92,7 +92,7 @@ class RerunScene:
 
     def at(self, stamp_ns: int, start_ns: int) -> None:
         """The time of all that follows; `start_ns` is the stamp that SINCE_START counts from."""
-        self._stream.set_time(STAMP, timestamp=np.datetime64(stamp_ns, "ns"))
+        self._stream.set_time(STAMPS, timestamp=np.datetime64(stamp_ns, "ns"))
         self._stream.set_time(SINCE_START, duration=np.timedelta64(stamp_ns - start_ns, "ns"))
 
     def show(self, shown: Any) -> None:
@@ -100,7 +100,7 @@ class RerunScene:
         from rerun import blueprint as rrb
 
         self._stream.send_blueprint(
-            rrb.Blueprint(shown, rrb.TimePanel(timeline=STAMP, state="collapsed"), rrb.SelectionPanel(state="hidden"))
+            rrb.Blueprint(shown, rrb.TimePanel(timeline=STAMPS, state="collapsed"), rrb.SelectionPanel(state="hidden"))
         )
 
     def view(self, title: str, entities: Sequence[str], grid: GridSpec, world_T_grid: SE2) -> Any:
@@ -116,18 +116,18 @@ class RerunScene:
             name=printable(title),
             eye_controls=eye,
             line_grid=False,
-            background=BACKGROUND,
+            background=VIEW_COLOUR,
         )
 
     def occupancy(
         self, entity: Sequence[str], visible: Mask, occupied: Mask, grid: GridSpec, world_T_grid: SE2
     ) -> None:
         """A frame (M, M): free, occupied, and unknown where it is not visible."""
-        values = np.where(occupied, OCCUPIED, np.where(visible, FREE, UNKNOWN))
+        values = np.where(occupied, OCCUPIED_CELL, np.where(visible, FREE_CELL, UNKNOWN_CELL))
         self.grid(entity, values, grid, world_T_grid)
 
     def grid(self, entity: Sequence[str], values: NDArray[Any], grid: GridSpec, world_T_grid: SE2) -> None:
-        """Values (M, M) of cells, FREE to OCCUPIED or UNKNOWN; row 0 is the lowest, as everywhere in gridtrack."""
+        """Values (M, M) of cells, FREE_CELL to OCCUPIED_CELL or UNKNOWN_CELL; row 0 is the lowest."""
         rerun = self._rr
         (corner,) = world_T_grid.apply(np.array([grid.origin]))
         image = rerun.components.ImageFormat(width=grid.size, height=grid.size, color_model="L", channel_datatype="U8")

@@ -56,7 +56,7 @@ def grid_message(grid: GridSpec, stamp_ns: int, planes: NDArray[np.uint8], field
     return message
 
 
-def planes_of(message: Any, grid: GridSpec, fields: tuple[str, ...]) -> NDArray[np.uint8]:
+def planes_in(message: Any, grid: GridSpec, fields: tuple[str, ...]) -> NDArray[np.uint8]:
     """The `fields` of a message as (M, M, F) uint8, its layout checked before it is used; others after them are left.
 
     Raises ValueError.

@@ -43,7 +43,7 @@ from gridtrack.evaluation.scoring.sample_grids import (
     SHADE,
     grid_message,
     occupancy_planes,
-    planes_of,
+    planes_in,
     probability_plane,
     scored_planes,
 )
@@ -57,9 +57,9 @@ KEPT = 40
 HORIZONS_S = (0.5, 1.0, 2.0)
 MAX_CHUNK_BYTES = 1 << 26
 MAX_TOPICS = 64
-SENSORS, TRACKS, WINDOW = "/sensors", "/tracks", "/window"
+SENSORS_TOPIC, TRACKS_TOPIC, WINDOW_TOPIC = "/sensors", "/tracks", "/window"
 
-_MESSAGES: dict[str, Any] = {SENSORS: PosesInFrame, TRACKS: SceneUpdate, WINDOW: FrameTransform}
+_MESSAGES: dict[str, Any] = {SENSORS_TOPIC: PosesInFrame, TRACKS_TOPIC: SceneUpdate, WINDOW_TOPIC: FrameTransform}
 """The schemas of the topics that are not grids."""
 _UNREADABLE = (OSError, McapError, DecodeError, ZstdError, struct.error, GridtrackError, ValueError, KeyError)
 
@@ -124,10 +124,10 @@ class SampleWriter:
     def add(self, scored: ScoredForecast) -> None:
         """Write one forecast, with the frames that it is a forecast of."""
         stamp_ns, frames = scored.stamp_ns, scored.frames
-        self._write_message(WINDOW, stamp_ns, _window_message(scored.reference_T_grid, stamp_ns))
+        self._write_message(WINDOW_TOPIC, stamp_ns, _window_message(scored.reference_T_grid, stamp_ns))
         self._write_occupancy("/input", stamp_ns, frames[0])
-        self._write_message(SENSORS, stamp_ns, _sensor_poses(frames[0].origins, stamp_ns))
-        self._write_message(TRACKS, stamp_ns, objects_message(scored.forecast.objects, stamp_ns))
+        self._write_message(SENSORS_TOPIC, stamp_ns, _sensor_poses(frames[0].origins, stamp_ns))
+        self._write_message(TRACKS_TOPIC, stamp_ns, objects_message(scored.forecast.objects, stamp_ns))
         for horizon, step in self._steps.items():
             self._write_occupancy(f"/came/{horizon:g}s", stamp_ns, frames[step])
             known = scored_planes(scored.targets[step], scored.region_maps.dynamic)
@@ -209,20 +209,20 @@ def _sample(stamp_ns: int, topics: dict[str, Any]) -> Sample:
     cell_m, corner = topics["/input"].cell_size.x, topics["/input"].pose.position
     grid = GridSpec(size, cell_m, (corner.x, corner.y))
     horizons = tuple(sorted(_seconds(topic) for topic in topics if topic.startswith("/forecast/")))
-    occupancy = [planes_of(topics["/input"], grid, OCCUPANCY_FIELDS) == 255]
-    occupancy += [planes_of(topics[f"/came/{h:g}s"], grid, OCCUPANCY_FIELDS) == 255 for h in horizons]
+    occupancy = [planes_in(topics["/input"], grid, OCCUPANCY_FIELDS) == 255]
+    occupancy += [planes_in(topics[f"/came/{h:g}s"], grid, OCCUPANCY_FIELDS) == 255 for h in horizons]
     forecast = np.zeros((len(horizons), *grid.shape), np.float32)
     for i, h in enumerate(horizons):
-        forecast[i] = planes_of(topics[f"/forecast/{h:g}s"], grid, PROBABILITY_FIELDS)[..., 0] / np.float32(255)
+        forecast[i] = planes_in(topics[f"/forecast/{h:g}s"], grid, PROBABILITY_FIELDS)[..., 0] / np.float32(255)
     observed = np.array(occupancy[1:], bool).reshape(len(horizons), *grid.shape, 2)
-    origins = np.array([(p.position.x, p.position.y) for p in topics[SENSORS].poses], np.float32).reshape(-1, 2)
+    origins = np.array([(p.position.x, p.position.y) for p in topics[SENSORS_TOPIC].poses], np.float32).reshape(-1, 2)
     visible, occupied = np.moveaxis(occupancy[0], -1, 0)
     state, in_motion = _scored(topics, grid, horizons)
     if state is None:
         state = np.where(observed[..., 0], observed[..., 1], np.uint8(NOT_SCORED)).astype(np.uint8)
-    objects = objects_of(topics[TRACKS]) if TRACKS in topics else ()
+    objects = objects_of(topics[TRACKS_TOPIC]) if TRACKS_TOPIC in topics else ()
     seen, came = observed[..., 0], observed[..., 1]
-    window = _window_of(topics[WINDOW]) if WINDOW in topics else SE2()
+    window = _window_of(topics[WINDOW_TOPIC]) if WINDOW_TOPIC in topics else SE2()
     return Sample(
         stamp_ns, horizons, grid, visible, occupied, origins, forecast, seen, came, state, in_motion, objects, window
     )
@@ -243,7 +243,7 @@ def _scored(
     """The states (H, M, M) and the cells in motion (H, M, M); None where the file has none."""
     if not all(f"/scored/{h:g}s" in topics for h in horizons):
         return None, None
-    planes = [planes_of(topics[f"/scored/{h:g}s"], grid, SCORED_FIELDS) for h in horizons]
+    planes = [planes_in(topics[f"/scored/{h:g}s"], grid, SCORED_FIELDS) for h in horizons]
     scored = np.array(planes, np.uint8).reshape(len(horizons), *grid.shape, 2)
     if scored[..., 0].max(initial=0) > NOT_SCORED:
         raise ValueError(f"a cell of state {scored[..., 0].max()}; states are 0 to {NOT_SCORED}")
