@@ -18,7 +18,7 @@ from gridtrack.reports.probability_curves import probability_curves
 from gridtrack.reports.recording_section import players_of, section_of, styles_of
 from gridtrack.reports.run import UNDEFINED, ReportedRun, ReportError, read_runs
 from gridtrack.reports.run_description import changes_of, facts_of, lead_of, provenance_of, title_of
-from gridtrack.reports.scripts import data_in_page, joined_script, policy_of
+from gridtrack.reports.scripts import data_in_page, joined_script, json_in_page, policy_of
 from gridtrack.reports.table import headline_tables, main_tables
 
 PAGE_BYTES = 24_000_000
@@ -70,7 +70,8 @@ def render_page(runs: Sequence[ReportedRun]) -> str:
             scale=scale_png(),
             css=Markup(css),  # a file of this package, no text of a run
             script=script,
-            data=data_in_page({**scores, "players": [player.data for player in players]}),
+            data=data_in_page({**scores, "players": [player.data["recording"] for player in players]}),
+            moments=[json_in_page(player.data) for player in players],
             policy=Markup(policy_of([script], [css])),
         )
     )

@@ -57,7 +57,7 @@ def page_data(
     styles: Mapping[str, str],
     curves: Mapping[tuple[str, str], ProbabilityCurves],
 ) -> dict[str, Any]:
-    """The data of the page but its moments, `players`, and what `priors.py` has, `priors`.
+    """The data of the page but the recordings that have a player, `players`, and what `priors.py` has, `priors`.
 
     `trackers`: every row's label and style (CSS classes), `styles`, in their order. `scores`: those that any row has.
     `headline`: what is shown first. `recordings`: for each the horizons, the rows in the order of the table with a

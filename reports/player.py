@@ -12,6 +12,7 @@ from gridtrack.evaluation.scoring.samples import SAMPLES, Sample, SamplesError, 
 from gridtrack.reports.moment_choice import ChosenMoment, FrameScore, frame_scores, moments_in_order
 from gridtrack.reports.moment_packing import TrackerPlanes, pack_moment
 from gridtrack.reports.run import ReportError
+from gridtrack.reports.scripts import json_in_page
 from gridtrack.reports.still import Still, still_of
 from gridtrack.reports.table import MAIN_STRATUM, HeadlineTable, TableRow
 
@@ -136,22 +137,20 @@ def _within_budget(
         found = {row.label: samples[row.label].get(moment.stamp_ns) for row in trackers}
         seen = next(sample for sample in found.values() if sample is not None)
         planes = [None if s is None else TrackerPlanes.of(s.forecast, thresholds[label]) for label, s in found.items()]
-        cells = pack_moment(seen, planes)
-        left -= len(cells)
+        counts = [[scores[row.label][step].get(moment.stamp_ns) for row in trackers] for step in steps]
+        packed = {
+            "t": round((moment.stamp_ns - start_ns) / 1e9, 3),
+            "reason": moment.reason,
+            "sensors": [[round(float(x), 2), round(float(y), 2)] for x, y in seen.origins],
+            "missing": [label for label, sample in found.items() if sample is None],
+            "counts": [[one and [one.tp, one.fp, one.fn] for one in at] for at in counts],
+            "objects": [_objects(sample) for sample in found.values()],
+            "cells": pack_moment(seen, planes),
+        }
+        left -= len(json_in_page(packed))
         if left < 0 and chosen:
             break
-        counts = [[scores[row.label][step].get(moment.stamp_ns) for row in trackers] for step in steps]
-        chosen.append(
-            {
-                "t": round((moment.stamp_ns - start_ns) / 1e9, 3),
-                "reason": moment.reason,
-                "sensors": [[round(float(x), 2), round(float(y), 2)] for x, y in seen.origins],
-                "missing": [label for label, sample in found.items() if sample is None],
-                "counts": [[one and [one.tp, one.fp, one.fn] for one in at] for at in counts],
-                "objects": [_objects(sample) for sample in found.values()],
-                "cells": cells,
-            }
-        )
+        chosen.append(packed)
     return sorted(chosen, key=lambda one: one["t"])
 
 

@@ -69,6 +69,11 @@ def data_in_page(data: Any) -> Markup:
     return Markup(base64.b64encode(packed).decode())
 
 
+def json_in_page(data: Any) -> Markup:
+    """`data` as JSON, in which no text can end the element: for what is deflated inside, and read when it is shown."""
+    return Markup(json.dumps(data, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c"))
+
+
 def policy_of(scripts: Iterable[str], styles: Iterable[str]) -> str:
     """The Content-Security-Policy under which these inline scripts and styles are used, and nothing is fetched."""
     return (

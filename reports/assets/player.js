@@ -274,7 +274,7 @@ export function startPlayers() {
     shown.arrange();
     return shown;
   };
-  const names = pageData.players.map(({ recording }) => [recording, recording]);
+  const names = pageData.players.map((recording) => [recording, recording]);
   const recordings = choice("Recording", names, names[0][0], show);
   recordings.hidden = names.length < 2;
   section.querySelector("h2").after(make("div", { class: "choices" }, recordings));
@@ -291,8 +291,10 @@ export function startPlayers() {
   if (!follow()) show(names[0][0]);
 }
 
+// The moments of each recording are an element of their own, read when it is shown: the page opens without them.
 function playerOf(recording, section) {
   const element = make("div", { class: "player" });
   section.append(element);
-  return new Player(element, pageData.players.find((one) => one.recording === recording));
+  const moments = document.getElementById(`moments-${pageData.players.indexOf(recording)}`);
+  return new Player(element, JSON.parse(moments.textContent));
 }

@@ -14,13 +14,9 @@ from gridtrack.reports import player
 from gridtrack.reports.moment_packing import CALLED, IN_MOTION, PACKED_LEVELS, TrackerPlanes, level_colours, pack_moment
 from gridtrack.reports.page import render_report
 from gridtrack.reports.pictures import palette
-from gridtrack.reports.scripts import data_in_page
+from gridtrack.reports.scripts import data_in_page, json_in_page
 
-from scenes.report_page import data_of
-
-
-def players_of(page):
-    return data_of(page)["players"]
+from scenes.report_page import data_of, moments_of
 
 
 def planes_of(moment, size):
@@ -68,7 +64,7 @@ def test_the_colours_are_those_of_the_still_pictures():
 
 
 def test_the_page_has_every_kept_moment_with_the_counts_of_the_scores(page, run_folder):
-    (data,) = players_of(page)
+    (data,) = moments_of(page)
     kept = list(read_samples(run_folder / "fair@crossing" / SAMPLES))
     assert (data["recording"], data["size"], data["horizons_s"]) == ("crossing", 32, [0.5, 1.0, 2.0])
     assert len(data["moments"]) == len(kept) == 20
@@ -86,7 +82,7 @@ def test_the_page_has_every_kept_moment_with_the_counts_of_the_scores(page, run_
 
 
 def test_a_moment_that_a_tracker_does_not_have_says_so(page):
-    (data,) = players_of(page)
+    (data,) = moments_of(page)
     unlucky = data["trackers"].index("unlucky")
     missing = ["unlucky" in moment["missing"] for moment in data["moments"]]
     assert missing == [False] * 7 + [True] * 13
@@ -98,17 +94,17 @@ def test_a_budget_keeps_the_first_moments_and_the_page_knows_how_many_there_were
 ):
     scores = {key: value for key, value in data_of(page).items() if key != "players"}
     monkeypatch.setattr(page_module, "PAGE_BYTES", len(data_in_page(scores)) + 6000)
-    (data,) = players_of(render_report([run_folder], tmp_path).read_text("utf-8"))
+    (data,) = moments_of(render_report([run_folder], tmp_path).read_text("utf-8"))
     shown = len(data["moments"])
     assert 1 < shown < 20
-    assert sum(len(moment["cells"]) for moment in data["moments"]) <= 6000
+    assert sum(len(json_in_page(moment)) for moment in data["moments"]) <= 6000
     assert {"worst", "ordinary"} == {moment["reason"] for moment in data["moments"]}, "good and fair are equally good"
     assert data["kept"] == 20
 
 
 def test_even_a_budget_of_nothing_leaves_one_moment(run_folder, tmp_path, monkeypatch):
     monkeypatch.setattr(page_module, "PAGE_BYTES", 0)
-    (data,) = players_of(render_report([run_folder], tmp_path).read_text("utf-8"))
+    (data,) = moments_of(render_report([run_folder], tmp_path).read_text("utf-8"))
     assert len(data["moments"]) == 1
 
 
@@ -119,7 +115,7 @@ def test_objects_are_with_their_tracker(run_folder, tmp_path, monkeypatch):
         return (replace(s, objects=(tracked,) * 99 if "fair" in str(path) else ()) for s in read_samples(path))
 
     monkeypatch.setattr("gridtrack.reports.player.read_samples", with_objects)
-    (data,) = players_of(render_report([run_folder], tmp_path).read_text("utf-8"))
+    (data,) = moments_of(render_report([run_folder], tmp_path).read_text("utf-8"))
     objects = dict(zip(data["trackers"], data["moments"][3]["objects"], strict=True))
     assert objects["fair"] == [[7, 1.0, 2.0, 0.5, 0.6, 0.4, 1.25, -0.5]] * player.OBJECTS_SHOWN
     assert objects["good"] == []

@@ -6,7 +6,7 @@ import zlib
 
 import pytest
 
-from gridtrack.reports.scripts import data_in_page, joined_script
+from gridtrack.reports.scripts import data_in_page, joined_script, json_in_page
 
 
 def write_modules(folder, **texts):
@@ -46,3 +46,10 @@ def test_data_is_read_back_whole_and_holds_no_sign_of_html():
     embedded = data_in_page(data)
     assert json.loads(zlib.decompress(base64.b64decode(embedded))) == data
     assert not set("<>&\u2028") & set(embedded)
+
+
+def test_moments_hold_no_sign_that_ends_their_element():
+    data = {"</script><!--<script>": ["<b>", "\u2028", 1.5]}
+    embedded = json_in_page(data)
+    assert json.loads(embedded) == data
+    assert "<" not in embedded
