@@ -120,6 +120,9 @@ def recording_view(
     rate: RateOption = None,
 ) -> None:
     """Write frames, poses of the sensors and ground truth as a file for the Rerun viewer. It starts no viewer."""
+    from rich.console import Console
+    from rich.progress import Progress
+
     from gridtrack.common.grid import GridSpec
     from gridtrack.recordings.stream import open_stream
     from gridtrack.reports.rerun_recording import default_name, write_rerun_recording
@@ -128,10 +131,13 @@ def recording_view(
     path = out or Path(default_name(recording))
     if path.suffix != ".rrd":
         raise ConfigurationError(f"{path}: a Rerun recording is written as .rrd")
-    frames = write_rerun_recording(stream, path)
+    console = Console(stderr=True)
+    with Progress(console=console, transient=True, disable=not console.is_terminal) as bars:
+        bar = bars.add_task("frames", total=len(stream))
+        write_rerun_recording(stream, path, lambda: bars.advance(bar))
     for warning in stream.recording.warnings:
         typer.echo(f"gridtrack: {printable(warning)}", err=True)
-    typer.echo(f"{frames} frames; open them with: {shlex.join(['rerun', printable(str(path))])}")
+    typer.echo(f"{len(stream)} frames; open them with: {shlex.join(['rerun', printable(str(path))])}")
 
 
 @app.command("layout")

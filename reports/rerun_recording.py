@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from itertools import chain
 from pathlib import Path
 
@@ -18,8 +18,8 @@ _OUTLINES, _OBJECTS = ("world", "outlines"), ("world", "objects")
 """The static outlines, and those of the road users: the ground truth."""
 
 
-def write_rerun_recording(stream: GridStream, path: Path) -> int:
-    """Write the stretch of `stream` as a Rerun recording, and return the number of frames.
+def write_rerun_recording(stream: GridStream, path: Path, on_frame: Callable[[], None] = lambda: None) -> None:
+    """Write the stretch of `stream` as a Rerun recording; `on_frame` is called after each frame.
 
     Everything is in the world of ground truth. Raises ConfigurationError where rerun-sdk is not installed,
     RecordingError and OSError.
@@ -30,7 +30,9 @@ def write_rerun_recording(stream: GridStream, path: Path) -> int:
         window = stream.grid, first.reference_T_grid
         scene.show(scene.view(stream.name, ["/world/**"], *window))
         drawn = _Drawn(scene, stream)
-        return sum(map(drawn.add, chain((first,), observations)))
+        for seen in chain((first,), observations):
+            drawn.add(seen)
+            on_frame()
 
 
 def default_name(text: str) -> str:
@@ -45,8 +47,8 @@ class _Drawn:
         self._static: tuple[Outline, ...] | None = None
         self._sensors: set[str] = set()
 
-    def add(self, seen: Observation) -> int:
-        """Draw a frame; returns 1, for counting."""
+    def add(self, seen: Observation) -> None:
+        """Draw a frame."""
         scene, stream = self._scene, self._stream
         scene.at(seen.frame.stamp_ns, stream.recording.survey.first_ns)
         scene.occupancy(_INPUT, seen.frame.visible, seen.frame.occupied, stream.grid, seen.reference_T_grid)
@@ -54,7 +56,6 @@ class _Drawn:
             self._add_sensor(scan.sensor, seen.reference_T_grid @ pose)
         if seen.scene is not None:
             self._add_truth(seen.scene)
-        return 1
 
     def _add_sensor(self, sensor: str, pose: SE2) -> None:
         entity = (*_SENSORS, sensor)

@@ -110,6 +110,7 @@ def test_the_built_wheel_compares_its_own_demo_recording_without_the_repository(
         assert trial["outcome"] == "ok"
         assert trial["frames_scored"] == trial["frames_expected"] > 10
     assert (tmp_path / "run" / "report" / "index.html").stat().st_size > 10_000
+    assert "3D!input" in json.loads(python("-m", "gridtrack.cli", "recording", "layout", **elsewhere))["configById"]
     python("-m", "gridtrack.cli", "trackers", "new", "my-tracker", **elsewhere)
     assert (tmp_path / "my-tracker" / ".github" / "workflows" / "test.yml").is_file()
     assert (tmp_path / "my-tracker" / "tests" / "my_tracker.json").is_file()

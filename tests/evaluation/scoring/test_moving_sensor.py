@@ -139,13 +139,16 @@ def test_persistence_of_a_static_scene_is_right_from_a_sensor_that_drives(tmp_pa
 def test_beams_of_a_later_frame_start_where_the_sensor_is_by_then(tmp_path):
     stream = open_stream(drive.write_recording(tmp_path / "d.mcap", 20, people=False))
     delivery = Delivery(stream, lambda: None, regions_of(stream, STRATA))
-    sizes, driven = np.zeros(BEAM_ERROR_BINS, np.int64), 0.0
+    sizes, driven, windows = np.zeros(BEAM_ERROR_BINS, np.int64), 0.0, set()
     for scored in scored_forecasts(persistence(stream), delivery, Schedule(len(stream), STEPS, EVERY), 0):
         now, later = (scored.targets[step].beams.starts[0] for step in (0, 10))
         driven = max(driven, np.hypot(*(later - now)))
         found = beam_errors(scored.forecast.occupancy, scored.targets, scored.region_maps, stream.grid.cell_m)
         sizes += found.counts[10, STRATA.index("visible")]
+        windows.add((round(scored.reference_T_grid.x, 6), round(scored.reference_T_grid.y, 6)))
     assert driven > 3, "cells"
+    assert windows <= {(round(frame.world_T_grid.x, 6), round(frame.world_T_grid.y, 6)) for frame in stream}
+    assert len(windows) > 1
     assert median_size(sizes) < stream.grid.cell_m / 2, "of a static scene persistence knows most walls"
 
 
