@@ -23,6 +23,7 @@ from gridtrack.common.scan import Scan
 from gridtrack.evaluation.results.columns import PROBABILITY_EDGES
 from gridtrack.evaluation.scoring.beam_errors import beam_errors
 from gridtrack.evaluation.scoring.counting import count_forecast
+from gridtrack.evaluation.scoring.energy import energy_terms
 from gridtrack.evaluation.scoring.motion import parts_of
 from gridtrack.evaluation.scoring.neighbourhoods import sum_neighbourhoods
 from gridtrack.evaluation.scoring.returned_beams import returned_beams
@@ -41,6 +42,7 @@ from gridtrack.evaluation.scoring.strata import (
 from gridtrack.evaluation.scoring.target import HIDDEN_FREE, NOT_SCORED, SEEN_FREE, SEEN_OCCUPIED, Target
 from gridtrack.evaluation.scoring.thresholds import half
 from gridtrack.recordings.observation import Observation
+from gridtrack.trackers.contract import MAX_FUTURES
 
 from benchmarks.timing import median_ms
 
@@ -112,6 +114,9 @@ def main() -> None:
             print(f"count a forecast, {len(strata):2} strata of {REGIONS} regions, {name:14}: {ms:7.2f} ms")
             ms = median_ms(lambda o=occupancy, c=observed, a=region_maps: sum_neighbourhoods(o, c, a, ages), 100)
             print(f"  its sums over neighbourhoods: {ms:.2f} ms")
+            futures = rng.random((MAX_FUTURES, *occupancy.shape)) < occupancy
+            ms = median_ms(lambda f=futures, c=observed, a=region_maps: energy_terms(f, c, a, ages), 5)
+            print(f"  the energy score of {MAX_FUTURES} futures drawn from it: {ms:.0f} ms")
             seen = [replace(target, beams=beams) for target in observed]
             ms = median_ms(lambda o=occupancy, c=seen, a=region_maps: beam_errors(o, c, a, GRID.cell_m), 100)
             print(f"  its errors along {len(beams.ranges)} beams: {ms:.2f} ms")

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +23,8 @@ ENERGY_STRATA = ("visible", "dynamic", "in-motion")
 """The strata that have energy scores."""
 _MEMBER_OF = np.zeros((len(ENERGY_STRATA), REGIONS + 1), np.bool_)
 _MEMBER_OF[:, :NO_REGION] = SUMS_OF_REGIONS[[STRATA_WITH_TRUTH.index(name) for name in ENERGY_STRATA]]
+_GROUPS, _GROUP_OF = np.unique(_MEMBER_OF.T, axis=0, return_inverse=True)
+"""Regions that are part of the same strata (groups, strata), and the group of each region: cells are added up once."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,26 +52,30 @@ def energy_terms(
     """
     shape = len(targets), len(ENERGY_STRATA)
     terms = EnergyTerms(np.zeros(shape, np.int64), *np.zeros((2, *shape)))
+    number: type[np.floating] = np.float32 if futures.dtype == np.bool_ else np.float64  # sums of 0 and 1 are exact
     for n, target in enumerate(targets):
-        regions = cell_regions(target, region_maps, ages).ravel()
-        planes, came = futures[:, n].reshape(len(futures), -1), target.state.ravel() == SEEN_OCCUPIED
-        for k, member_of in enumerate(_MEMBER_OF):
-            cells = np.flatnonzero(member_of[regions])
-            if cells.size:
+        group = _GROUP_OF[cell_regions(target, region_maps, ages).ravel()]
+        came = target.state.reshape(1, -1) == SEEN_OCCUPIED
+        vectors: NDArray[Any] = np.concatenate([futures[:, n].reshape(len(futures), -1), came]).astype(number)
+        products, cells = np.zeros((len(_GROUPS), *[len(vectors)] * 2)), np.bincount(group, minlength=len(_GROUPS))
+        for g in np.flatnonzero(_GROUPS.any(axis=1)):
+            own = vectors.take(np.flatnonzero(group == g), axis=1)
+            products[g] = own @ own.T
+        for k, of_groups in enumerate(_GROUPS.T):
+            if counted := cells[of_groups].sum():
                 terms.forecasts[n, k] = 1
-                own = planes[:, cells].astype(np.float64)
-                terms.distance[n, k], terms.spread[n, k] = distance_and_spread(own, came[cells].astype(np.float64))
+                terms.distance[n, k], terms.spread[n, k] = distance_and_spread(products[of_groups].sum(axis=0), counted)
     return terms
 
 
-def distance_and_spread(futures: NDArray[np.float64], came: NDArray[np.float64]) -> tuple[float, float]:
-    """The two terms of the score of `futures` (F, N) against `came` (N,).
+def distance_and_spread(products: NDArray[np.float64], cells: int) -> tuple[float, float]:
+    """The two terms of the score, of the scalar products (F+1, F+1) of F futures and, last, what came, over `cells`.
 
-    A distance is the root of the mean squared difference over the N cells: the Euclidean one over the root of N.
+    A distance is the root of the mean squared difference over the cells: the Euclidean one over the root of their
+    number.
     """
-    distance = np.sqrt(((futures - came) ** 2).mean(axis=1)).mean()
-    products = futures @ futures.T
     squares = products.diagonal()
-    apart = np.sqrt(np.maximum(squares[:, None] + squares - 2.0 * products, 0.0) / came.size)
-    count = len(futures)
-    return float(distance), float(apart[~np.eye(count, dtype=np.bool_)].sum() / (2 * count * (count - 1)))
+    distances = np.sqrt(np.maximum(squares[:, None] + squares - 2.0 * products, 0.0) / cells)
+    count = len(products) - 1
+    apart = distances[:-1, :-1][~np.eye(count, dtype=np.bool_)]
+    return float(distances[-1, :-1].mean()), float(apart.mean() / 2)

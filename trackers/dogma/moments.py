@@ -22,10 +22,14 @@ MOTION_TEST = 5.99
 
 
 class Velocities(NamedTuple):
-    """`mean` (2, M, M) float32, m/s, x and y; `covariance` (3, M, M), xx, xy, yy; 0 without persistent particles."""
+    """`mean` (2, M, M) float32, m/s, x and y; `covariance` (3, M, M), xx, xy, yy; 0 where they are not `known` (M, M).
+
+    A cell with too few persistent particles has none.
+    """
 
     mean: NDArray[np.float32]
     covariance: NDArray[np.float32]
+    known: Mask
 
 
 def velocities(state: ParticleGrid) -> Velocities:
@@ -34,7 +38,8 @@ def velocities(state: ParticleGrid) -> Velocities:
     moments = np.zeros((5, size * size), np.float32)
     compute_moments(state.particles, state.persisted, MIN_PARTICLES, moments)
     mean, covariance = moments[:2].reshape(2, size, size), moments[2:].reshape(3, size, size)
-    return Velocities(mean * np.float32(to_mps), covariance * np.float32(to_mps**2))
+    known = (state.persisted[:, 1] - state.persisted[:, 0] >= MIN_PARTICLES).reshape(size, size)
+    return Velocities(mean * np.float32(to_mps), covariance * np.float32(to_mps**2), known)
 
 
 def dynamic_cells(state: ParticleGrid, found: Velocities) -> Mask:

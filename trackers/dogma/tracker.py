@@ -59,7 +59,7 @@ class DogmaTracker(CalibratedTracker):
         return self._state.hidden.seconds
 
     def predict(self, steps: int) -> Forecast:
-        """Forecast steps 0..steps, and the mean velocity of each cell now."""
+        """Forecast steps 0..steps, and the mean velocity now of each cell that has enough persistent particles."""
         found = _forecast(self._state, self._rate_in_window, steps)
         self._calibration.apply(found.occupancy, self.hidden_s)
         return found
@@ -85,7 +85,8 @@ class DogmaTracker(CalibratedTracker):
 
 
 def _forecast(state: ParticleGrid, occupancy_rate: Mass, steps: int) -> Forecast:
-    return Forecast(forecast(state, occupancy_rate, steps), velocity=velocities(state).mean)
+    mean, _, known = velocities(state)
+    return Forecast(forecast(state, occupancy_rate, steps), velocity=np.where(known, mean, np.float32(np.nan)))
 
 
 def compile_filter(period_s: float) -> None:

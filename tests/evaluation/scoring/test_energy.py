@@ -26,6 +26,12 @@ def maps(kinds):
     return region_maps_of(kinds, GRID, np.zeros((1, 2), np.float32), STRATA_WITH_TRUTH)
 
 
+def terms_of(futures, came):
+    """Distance and spread of futures (F, N) against what came (N,)."""
+    vectors = np.vstack([futures, came])
+    return distance_and_spread(vectors @ vectors.T, len(came))
+
+
 def in_loops(futures, came):
     """The fair energy score of equation 22 by Gneiting and Raftery, by its definition: futures (F, N), came (N,)."""
 
@@ -38,9 +44,9 @@ def in_loops(futures, came):
 
 
 def test_two_futures_of_one_cell_by_hand():
-    distance, spread = distance_and_spread(np.array([[0.0], [1.0]]), np.array([1.0]))
+    distance, spread = terms_of(np.array([[0.0], [1.0]]), np.array([1.0]))
     assert (distance, spread) == (0.5, 0.5)
-    assert distance_and_spread(np.ones((3, 4)), np.zeros(4)) == (1.0, 0.0)
+    assert terms_of(np.ones((3, 4)), np.zeros(4)) == (1.0, 0.0)
 
 
 @pytest.mark.parametrize("dtype", [np.bool_, np.float16])
@@ -71,7 +77,7 @@ def test_a_stratum_without_cells_has_no_score():
 
 def mean_score(draw, came, count=8, times=4000):
     rng = np.random.default_rng(1)
-    terms = [distance_and_spread(draw(rng, count), came(rng)) for _ in range(times)]
+    terms = [terms_of(draw(rng, count), came(rng)) for _ in range(times)]
     return np.subtract(*np.mean(terms, axis=0))
 
 

@@ -235,7 +235,7 @@ def streamed(tracker: DogmaTracker, forecasts: int = 1) -> list[np.ndarray]:
 
 
 def same(one: list[np.ndarray], other: list[np.ndarray]) -> bool:
-    return all(np.array_equal(a, b) for a, b in zip(one, other, strict=True))
+    return all(np.array_equal(a, b, equal_nan=True) for a, b in zip(one, other, strict=True))
 
 
 def test_the_same_seed_gives_the_same_forecast_after_any_number_of_predictions_and_after_a_reset(weights) -> None:
@@ -258,6 +258,8 @@ def test_step_0_is_the_observation_with_the_velocity_of_the_box(weights) -> None
     found = tracker.predict(2)
     assert np.array_equal(found.occupancy[0][frame.visible], frame.occupied[frame.visible])
     assert found.velocity.shape == (2, *GRID.shape)
+    assert np.isfinite(found.velocity[:, frame.occupied & about(box)]).mean() > 0.8
+    assert np.isnan(found.velocity[:, frame.visible & ~frame.occupied]).mean() > 0.8, "what is free has no velocity"
     assert np.median(found.velocity[0][frame.occupied & about(box)]) == pytest.approx(5.0, abs=0.5)
     assert np.abs(np.median(found.velocity[:, frame.occupied & about(WALL)], axis=1)).max() < 0.05
 
