@@ -9,7 +9,7 @@ from gridtrack.common.errors import printable
 from gridtrack.evaluation.processes.contract_clauses import CLAUSES
 from gridtrack.evaluation.processes.contract_suite import ClauseResult
 
-PAGE = "docs/contract.md"
+CONTRACT_PAGE = "docs/contract.md"
 VERDICT_WIDTH = len("not applicable")
 NAME_WIDTH = max(len(clause.name) for clause in CLAUSES)
 
@@ -30,4 +30,4 @@ def contract_line(tracker: str, results: Sequence[ClauseResult]) -> str:
     if all(result.kept for result in results):
         return f"{printable(tracker)} keeps the contract: {counted}"
     broken = "does not keep the contract" if counts["failed"] else "was not checked in full"
-    return f"{printable(tracker)} {broken}: {counted}; every clause with its reason: {PAGE}"
+    return f"{printable(tracker)} {broken}: {counted}; every clause with its reason: {CONTRACT_PAGE}"

@@ -19,7 +19,7 @@ LEAST_WIDTH, STEP = 420, 26
 """Width of the smallest panel, and from one entry to the next, in SVG user units."""
 LINE, CHARACTER = 16, 6.5
 """Height of a line of the legend, and width of a character in it."""
-STRATA = ("dynamic", "in-motion", "visible", "occluded")
+DRAWN_STRATA = ("dynamic", "in-motion", "visible", "occluded")
 """Strata with a panel: F1 in the middle step band."""
 MAX_LABELS = 24
 SHORT_COMMIT = 7
@@ -60,7 +60,7 @@ def history_svg(entries: Sequence[HistoryEntry]) -> str:
 
 
 def _panels(entries: Sequence[HistoryEntry]) -> Iterator[Panel]:
-    for stratum in STRATA:
+    for stratum in DRAWN_STRATA:
         scores: dict[str, dict[int, Point]] = {}
         for at, entry in enumerate(entries):
             for row in entry.scores:

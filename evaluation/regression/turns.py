@@ -26,14 +26,13 @@ from gridtrack.evaluation.regression.rerun import plan_again
 from gridtrack.evaluation.regression.speed import CALLS, CallKind, TurnsRow
 from gridtrack.evaluation.results.trial_record import read_trial_record
 from gridtrack.evaluation.scoring.referee import WARM_UP
-from gridtrack.evaluation.statistics.jackknife import Floats
+from gridtrack.evaluation.statistics.jackknife import LEVEL, Floats
 from gridtrack.trackers.selection import Launch
 
-ROUNDS, TIMED_FRAMES = 8, 40
+TURN_ROUNDS, ROUND_FRAMES = 8, 40
 """Rounds with new processes, and frames timed in each after the warm-up; every second one is forecast from."""
-LEVEL = 0.95
 SHORTEST_MS = 1e-3
-Times = dict[CallKind, list[tuple[float, float]]]
+PairedTimes = dict[CallKind, list[tuple[float, float]]]
 """Of each call its times, ms: of the run's tracker and of the base."""
 
 
@@ -58,25 +57,26 @@ def _rows_of(trial: Trial, base: Launch, folder: Path, scratch: Path, margin: fl
     """A row for each call of one tracker."""
     pair = (trial, replace(trial, launch=base))
     try:
-        rounds = [_round(pair, number, folder, scratch) for number in range(ROUNDS)]
+        rounds = [_round(pair, number, folder, scratch) for number in range(TURN_ROUNDS)]
     except TrialEnded as ended:
         raise Unmeasured([f"{trial.label}: timed in turns with {base.name}: {ended}"]) from None
-    return [
-        TurnsRow(trial.label, call, base.name, *interval([_log_ratio(times[call]) for times in rounds]), ROUNDS, margin)
-        for call in CALLS
-    ]
+    rows = []
+    for call in CALLS:
+        ratio, low, high = ratio_interval([_log_ratio(times[call]) for times in rounds])
+        rows.append(TurnsRow(trial.label, call, base.name, ratio, low, high, len(rounds), margin))
+    return rows
 
 
-def _round(pair: tuple[Trial, Trial], number: int, folder: Path, scratch: Path) -> Times:
+def _round(pair: tuple[Trial, Trial], number: int, folder: Path, scratch: Path) -> PairedTimes:
     """The times of two new processes; which goes first changes with each frame. Raises TrialEnded, Unmeasured."""
-    times: Times = {call: [] for call in CALLS}
+    times: PairedTimes = {call: [] for call in CALLS}
     with ExitStack() as running:
         logs = [scratch / f"{side}-{number}.log" for side in ("run", "base")]
         both = [running.enter_context(trial.tracker_process(log)) for trial, log in zip(pair, logs, strict=True)]
         _require_same_code(both[0], pair[0], folder)
         for process in both:
             process.reset(pair[0].seed)
-        for index, frame in enumerate(islice(pair[0].test, WARM_UP + TIMED_FRAMES)):
+        for index, frame in enumerate(islice(pair[0].test, WARM_UP + ROUND_FRAMES)):
             order = (0, 1) if (number + index) % 2 else (1, 0)
             spent = {"update": [0.0, 0.0], "predict": [0.0, 0.0]}
             for side in order:
@@ -108,7 +108,7 @@ def _log_ratio(times: Sequence[tuple[float, float]]) -> float:
     return float(np.median(np.log(pairs[:, 0] / pairs[:, 1])))
 
 
-def interval(log_ratios: Sequence[float]) -> tuple[float, float, float]:
+def ratio_interval(log_ratios: Sequence[float]) -> tuple[float, float, float]:
     """The geometric mean of ratios, and the ends of its interval by Student's t over the rounds."""
     values: Floats = np.array(log_ratios)
     mean = float(values.mean())
