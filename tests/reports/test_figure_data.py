@@ -118,6 +118,18 @@ def test_invalid_conditions_are_refused_in_one_line(good_of, damage):
         good_of(deadline=deadline, robustness=robustness)
 
 
+def test_scores_of_optional_parts_can_be_chosen_where_a_row_has_them_and_only_there(good_of, run_folder, summary_of):
+    optional = {"flow_error", "flow_coverage", "energy_score"}
+    _, data = good_of()
+    assert optional.isdisjoint(score["key"] for score in data["scores"])
+    strata = summary_of(run_folder)["trackers"]["good"]["recordings"]["crossing"]["strata"]
+    strata["in-motion"] |= dict.fromkeys(optional, [0.25] * (STEPS + 1))
+    row, data = good_of(strata=strata)
+    better = {score["key"]: score["better"] for score in data["scores"] if score["key"] in optional}
+    assert better == {"flow_error": -1, "flow_coverage": 0, "energy_score": -1}
+    assert row["strata"]["in-motion"]["flow_error"] == [0.25] * (STEPS + 1)
+
+
 def test_every_kind_of_degradation_has_a_text_and_a_row_in_the_documentation():
     assert set(DEGRADATION_TEXTS) == set(Degradation.model_fields)
     page = (DOCS / "run-folder.md").read_text()
