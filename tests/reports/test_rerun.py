@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import math
+import re
 import shutil
 import sys
 from pathlib import Path
@@ -219,3 +221,16 @@ def test_a_format_or_several_runs_are_refused(drawn_run: Path) -> None:
     ):
         with pytest.raises(ConfigurationError, match=says):
             gridtrack("report", drawn_run, "--rerun", *arguments)
+
+
+def test_a_hostile_label_is_one_part_of_a_path(drawn_run: Path, tmp_path: Path) -> None:
+    label = "=_[*]<script>alert(1)</script> $x$ /** - world\x1b[31m".replace("/", "∕")
+    run = shutil.copytree(drawn_run, tmp_path / "run")
+    summary = json.loads((run / "summary.json").read_text())
+    summary["trackers"][label] = summary["trackers"].pop("fair")
+    (run / "summary.json").write_text(json.dumps(summary))
+    (run / "fair@crossing").rename(run / f"{label}@crossing")
+    ((path,), _) = write_rerun_run(run)
+    tracks = [name for name in read(path) if name.startswith("/world/tracks") and not name.endswith("/velocity")]
+    assert len(tracks) == 2
+    assert all(len(re.findall(r"(?<!\\)/", name)) == 3 for name in tracks)
