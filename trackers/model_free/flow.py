@@ -15,7 +15,7 @@ from gridtrack.trackers.model_free.motion.model import propagate
 from gridtrack.trackers.model_free.motion.parameters import MotionModel
 from gridtrack.trackers.model_free.tracks import Status, Track
 
-REACH_SIGMAS = 2.0
+FLOW_REACH_SIGMAS = 2.0
 """A cell has the velocity of a track that is nearer than a cell and so many standard deviations of its position."""
 
 
@@ -36,7 +36,7 @@ def flow_of(tracks: Sequence[Track], steps: int, model: MotionModel, grid: GridS
         )
         boxes = np.array([(*track.shape.offsets.min(axis=0), *track.shape.offsets.max(axis=0)) for track in kept])
         variances = np.trace(covariances[..., :2, :2], axis1=2, axis2=3) / 2.0
-        reach_m = grid.cell_m + REACH_SIGMAS * np.sqrt(variances)
+        reach_m = grid.cell_m + FLOW_REACH_SIGMAS * np.sqrt(variances)
         draw_flow(flow, boxes, means, reach_m, np.array(grid.origin), grid.cell_m)
     return flow.astype(np.float16)
 
