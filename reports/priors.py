@@ -1,7 +1,7 @@
 """What trackers expect of a place before they see it, beside what the recording shows there, packed for the page.
 
 A plane is M x M bytes, rows from the bottom up, deflated, as base64: the logarithm of a probability from LEAST to 1 in
-LEVELS steps, 0 for LEAST and below, and UNSEEN for a cell that was never visible.
+PRIOR_LEVELS steps, 0 for LEAST and below, and NEVER_SEEN for a cell that was never visible.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ from gridtrack.reports.table import HeadlineTable
 
 LEAST = 1e-3
 """Probabilities are told apart from here on, as log losses are."""
-LEVELS, UNSEEN = 254, 255
+PRIOR_LEVELS, NEVER_SEEN = 254, 255
 
 
 @dataclass(frozen=True)
-class Prior:
+class PriorOfPlace:
     """`probability` (M, M) in [0, 1], expected by a tracker, and `recorded` (M, M): NaN, or the share of occupied."""
 
     probability: NDArray[np.float32]
@@ -46,7 +46,7 @@ def priors_of(
     notices: list[str] = []
     for table in (table for table in tables if not table.pooled):
         grid = run.summary.recordings[table.recording].grid
-        found: dict[str, Prior] = {}
+        found: dict[str, PriorOfPlace] = {}
         for row in table.rows:
             path = run.trial_folder(row.label, table.recording) / PRIOR_TABLE.file
             if grid and path.is_file():
@@ -72,7 +72,7 @@ def priors_of(
     return tuple(places), tuple(notices)
 
 
-def read_prior(path: Path, size: int) -> Prior:
+def read_prior(path: Path, size: int) -> PriorOfPlace:
     """The prior of a trial on a grid of `size` cells a side. Raises ReportError."""
     try:
         rows = pl.read_parquet(path, columns=list(PRIOR_TABLE.names), n_rows=size**2 + 1, glob=False)
@@ -85,11 +85,11 @@ def read_prior(path: Path, size: int) -> Prior:
         raise ReportError(f"{path}: not the prior of a grid of {size} x {size} cells; run it again")
     with np.errstate(invalid="ignore"):
         recorded = (occupied / visible).astype(np.float32)
-    return Prior(probability.astype(np.float32).reshape(size, size), recorded.reshape(size, size))
+    return PriorOfPlace(probability.astype(np.float32).reshape(size, size), recorded.reshape(size, size))
 
 
 def pack(probability: NDArray[np.float32]) -> str:
     """A plane (M, M) of probabilities, NaN where the cell was never visible."""
-    levels = np.rint(LEVELS * (1.0 - np.log(np.clip(probability, LEAST, 1.0)) / np.log(LEAST)))
-    plane = np.where(np.isnan(probability), UNSEEN, np.nan_to_num(levels)).astype(np.uint8)
+    levels = np.rint(PRIOR_LEVELS * (1.0 - np.log(np.clip(probability, LEAST, 1.0)) / np.log(LEAST)))
+    plane = np.where(np.isnan(probability), NEVER_SEEN, np.nan_to_num(levels)).astype(np.uint8)
     return base64.b64encode(zlib.compress(plane.tobytes(), 9)).decode()

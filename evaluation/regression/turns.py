@@ -62,7 +62,7 @@ def _rows_of(trial: Trial, base: Launch, folder: Path, scratch: Path, margin: fl
         raise Unmeasured([f"{trial.label}: timed in turns with {base.name}: {ended}"]) from None
     rows = []
     for call in CALLS:
-        ratio, low, high = ratio_interval([_log_ratio(times[call]) for times in rounds])
+        ratio, low, high = speed_ratio_interval([_log_ratio(times[call]) for times in rounds])
         rows.append(TurnsRow(trial.label, call, base.name, ratio, low, high, len(rounds), margin))
     return rows
 
@@ -108,7 +108,7 @@ def _log_ratio(times: Sequence[tuple[float, float]]) -> float:
     return float(np.median(np.log(pairs[:, 0] / pairs[:, 1])))
 
 
-def ratio_interval(log_ratios: Sequence[float]) -> tuple[float, float, float]:
+def speed_ratio_interval(log_ratios: Sequence[float]) -> tuple[float, float, float]:
     """The geometric mean of ratios, and the ends of its interval by Student's t over the rounds."""
     values: Floats = np.array(log_ratios)
     mean = float(values.mean())

@@ -11,7 +11,7 @@ from pyarrow import parquet
 
 from gridtrack.evaluation.results.columns import PRIOR_TABLE
 from gridtrack.reports.page import render_page, render_report
-from gridtrack.reports.priors import LEVELS, UNSEEN
+from gridtrack.reports.priors import NEVER_SEEN, PRIOR_LEVELS
 from gridtrack.reports.run import read_runs
 
 from scenes.report_page import data_of
@@ -54,10 +54,10 @@ def test_the_recorded_share_and_each_prior_are_on_one_logarithmic_scale(run):
     assert {row["label"] for row in place["rows"]} == {"good", "fair"}
     recorded = plane(place["recorded"])
     # log10(0.5) is 0.301 of the three decades below 1
-    assert recorded[3, 5] == pytest.approx(LEVELS * (1 - 0.30103 / 3), abs=0.5)
-    assert (recorded[4, 6], recorded[0, 0]) == (UNSEEN, 0)
+    assert recorded[3, 5] == pytest.approx(PRIOR_LEVELS * (1 - 0.30103 / 3), abs=0.5)
+    assert (recorded[4, 6], recorded[0, 0]) == (NEVER_SEEN, 0)
     (good,) = [row for row in place["rows"] if row["label"] == "good"]
-    assert np.argwhere(plane(good["cells"]) == LEVELS).tolist() == [[3, 5]]
+    assert np.argwhere(plane(good["cells"]) == PRIOR_LEVELS).tolist() == [[3, 5]]
 
 
 def test_a_run_without_priors_has_no_figure_of_them(run_folder):

@@ -14,7 +14,7 @@ from gridtrack.evaluation.comparison.settings import CompareSettings
 from gridtrack.evaluation.processes.tracker_process import TrackerProcess
 from gridtrack.evaluation.regression import turns
 from gridtrack.evaluation.regression.speed import TurnsRow
-from gridtrack.evaluation.regression.turns import ratio_interval
+from gridtrack.evaluation.regression.turns import speed_ratio_interval
 
 TRACKER = '''
 from pathlib import Path
@@ -118,7 +118,7 @@ def test_what_cannot_be_timed_is_not_measured_and_wrong_use_is_told(asked, compa
 
 
 def test_the_interval_is_students_t_over_rounds_of_the_logarithm() -> None:
-    ratio, low, high = ratio_interval([math.log(1.0), math.log(1.1), math.log(1.21)])
+    ratio, low, high = speed_ratio_interval([math.log(1.0), math.log(1.1), math.log(1.21)])
     assert ratio == pytest.approx(1.1)
     half = 4.302652729911275 * math.log(1.1) / math.sqrt(3)  # t of 0.975 with two degrees of freedom
     assert (low, high) == pytest.approx((1.1 * math.exp(-half), 1.1 * math.exp(half)))
