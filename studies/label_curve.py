@@ -1,6 +1,7 @@
 """Label budget as curves: the mean and the range over draws of the table of `studies/label_budget.py`.
 
-`python -m studies.label_curve [TABLE]` (one second) draws the table into an SVG file beside it.
+`python -m studies.label_curve [TABLE]` (one second) draws the table into an SVG file beside it, and writes the means
+that the text of the page has.
 """
 
 from __future__ import annotations
@@ -14,12 +15,14 @@ from pathlib import Path
 from gridtrack.reports.figures import Axis, document
 
 from studies.support.label_table import BUDGETS, COLUMNS, read_rows
+from studies.support.results_file import ResultSection, write_section
 
 TABLE = Path("docs/results/junction/label-budget.csv")
+RESULTS = Path("docs/results/trackers/one-shot.json")
 STYLES = {"one-shot": "#c2410c", "latent": "#1d4ed8", "latent, linear": "#0f766e", "latent and scan": "#7e22ce"}
 DASHES = {"spread": "none", "consecutive": "5 3"}
 WIDTH, HEIGHT, GAP, LEFT, TOP, BOTTOM = 270, 220, 46, 40, 30, 42
-LOSSES = (0.2, 0.5, 1.0, 2.0)
+LOSSES = (0.1, 0.2, 0.5, 1.0, 2.0)
 """Ticks of the loss axis, nats a scan."""
 
 Points = list[tuple[int, float, float, float]]
@@ -37,11 +40,21 @@ def curves(path: Path, column: str) -> dict[tuple[str, str], Points]:
     }
 
 
+def means(path: Path) -> dict[str, str]:
+    """The mean over the draws of each drawing, method, budget and column, for texts."""
+    return {
+        f"{drawn}, {method}, {scans}, {column}": f"{mean:.2f}"
+        for column in COLUMNS
+        for (method, drawn), points in curves(path, column).items()
+        for scans, mean, _, _ in points
+    }
+
+
 def curve_panel(number: int, title: str, lines: dict[tuple[str, str], Points]) -> str:
     """One column of the table as axes and curves."""
     left = LEFT + number * (WIDTH + GAP)
     x = Axis(BUDGETS[0], BUDGETS[-1], left, left + WIDTH, logarithmic=True)
-    y = Axis(0.2, 2.1, TOP + HEIGHT, TOP, logarithmic=True)
+    y = Axis(0.08, 2.2, TOP + HEIGHT, TOP, logarithmic=True)
     parts = [f'<text x="{left}" y="18" font-weight="bold">{escape(title)}</text>']
     for loss in LOSSES:
         parts.append(f'<path d="M{left} {y(loss)}h{WIDTH}" stroke="#ddd"/>')
@@ -80,6 +93,8 @@ def main() -> None:
     parser.add_argument("table", type=Path, nargs="?", default=TABLE)
     table = parser.parse_args().table
     table.with_suffix(".svg").write_text(drawing(table))
+    section = ResultSection(command="python -m studies.label_budget", source="measured", values=means(table))
+    write_section(RESULTS, "how many labels", section)
 
 
 if __name__ == "__main__":
