@@ -340,10 +340,20 @@ class RecognisesTheStream(Good):
         self.now.append(frame.occupied)
 
     def occupancy(self, steps: int) -> Any:
-        alike = len(self.last) > len(self.now) and np.array_equal(self.last[: len(self.now)], self.now)
-        known = self.last if alike else self.now
+        known = self.known()
         indices = np.minimum(len(self.now) - 1 + np.arange(steps + 1), len(known) - 1)
         return np.stack([known[index] for index in indices]).astype(np.float32)
+
+    def known(self) -> list[Any]:
+        alike = len(self.last) > len(self.now) and np.array_equal(self.last[: len(self.now)], self.now)
+        return self.last if alike else self.now
+
+
+class RemembersTheFuture(RecognisesTheStream):
+    """Forecasts the frames of the last stream however the next one begins."""
+
+    def known(self) -> list[Any]:
+        return self.last or self.now
 
 
 class StaysBehind(NeverForgets):

@@ -190,9 +190,12 @@ def hostile_report(run_folder, tmp_path_factory):
     return render_report([run])
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def browser():
-    """Chromium; the test is skipped where there is none."""
+    """Chromium; the test is skipped where there is none.
+
+    Its driver runs an event loop: none may be left when the tests of another module need one of their own.
+    """
     playwright = pytest.importorskip("playwright.sync_api", reason="playwright, of the extra dev, is not installed")
     if CHROMIUM is None:
         pytest.skip("Chromium is not installed (Debian: apt install chromium)")

@@ -1,7 +1,5 @@
 """The page in a browser: its scripts draw the ranking and the curves; without a browser, what they are given."""
 
-import shutil
-
 import pytest
 
 from gridtrack.evaluation.results.summary import read_summary
@@ -11,7 +9,6 @@ from gridtrack.reports.page import render_report
 from scenes import synthetic_run as synthetic
 from scenes.report_page import data_of
 
-BROWSER = shutil.which("chromium")
 RECORDINGS = [f"seed-{i:02}" for i in range(20)]
 
 
@@ -60,19 +57,17 @@ def test_the_answer_is_a_line_each(report, line):
     assert line in report.read_text("utf-8")
 
 
-@pytest.mark.skipif(not BROWSER, reason="needs chromium")
-def test_a_browser_draws_ranking_tiers_and_curves_without_an_error(report):
-    playwright = pytest.importorskip("playwright.sync_api", reason="playwright, of the extra dev, is not installed")
-    with playwright.sync_playwright() as driver:
-        page = driver.chromium.launch(executable_path=BROWSER, args=["--no-sandbox"]).new_page()
-        page.set_default_timeout(120_000)
-        faults = []
-        page.on("console", lambda message: message.type == "error" and faults.append(message.text))
-        page.on("pageerror", lambda error: faults.append(str(error)))
-        page.goto(report.as_uri())
-        page.locator("#every-score table").wait_for()
-        assert faults == []
-        assert page.locator("#ranking .whisker").count() == 4
-        assert page.locator("#ranking circle.tier").count() == 2
-        assert page.locator("#curves .band").count() == 4
-        assert page.locator('[aria-pressed="true"]').count() == 5
+def test_a_browser_draws_ranking_tiers_and_curves_without_an_error(browser, report):
+    page = browser.new_page()
+    page.set_default_timeout(120_000)
+    faults = []
+    page.on("console", lambda message: message.type == "error" and faults.append(message.text))
+    page.on("pageerror", lambda error: faults.append(str(error)))
+    page.goto(report.as_uri())
+    page.locator("#every-score table").wait_for()
+    assert faults == []
+    assert page.locator("#ranking .whisker").count() == 4
+    assert page.locator("#ranking circle.tier").count() == 2
+    assert page.locator("#curves .band").count() == 4
+    assert page.locator('[aria-pressed="true"]').count() == 5
+    page.close()
