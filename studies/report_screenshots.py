@@ -32,7 +32,7 @@ def take_pictures(report: Path, out: Path, chromium: str, only: Collection[str] 
         for width in WIDTHS:
             for scheme in SCHEMES:
                 page = browser.new_page(viewport={"width": width, "height": HEIGHT}, color_scheme=scheme)  # type: ignore[arg-type]
-                page.goto(report.as_uri())
+                page.goto(report.resolve().as_uri())
                 page.wait_for_load_state()
                 page.wait_for_timeout(500)  # a player draws its first moment after the page is there
                 taken += _of_page(page, out, f"{width}-{scheme}", only)
