@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from gridtrack.evaluation.comparison.plan import Trial
 from gridtrack.evaluation.comparison.replay import replayed_f1
 from gridtrack.evaluation.processes.clock import Clock
+from gridtrack.evaluation.processes.latency import TWENTIETHS
 from gridtrack.evaluation.processes.tracker_process import Call, Timings, TrackerProcess
 from gridtrack.evaluation.results.passes import AtRate, CallTimes, Deadline, Quantiles
 from gridtrack.evaluation.results.trial_record import ThresholdsUsed
@@ -121,7 +122,7 @@ def _ages(clock: Timeline) -> NDArray[np.int64]:
 
 
 def _call_times(ms: Sequence[float]) -> CallTimes:
-    twentieths = np.percentile(ms, range(0, 101, 5), method="higher")
+    twentieths = np.percentile(ms, TWENTIETHS, method="higher")
     found = _exact_quantiles(np.asarray(ms))
     return CallTimes(p50=found.p50, p95=found.p95, p99=found.p99, twentieths=tuple(map(float, twentieths)))
 

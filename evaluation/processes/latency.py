@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 LOWEST_MS, HIGHEST_MS, GROWTH = 1e-3, 1e6, 1.02
+TWENTIETHS = range(0, 101, 5)
+"""Percentiles of which each two neighbours have a twentieth of the calls between them."""
 LATENCY_BINS = math.ceil(math.log(HIGHEST_MS / LOWEST_MS) / math.log(GROWTH)) + 1
 
 
@@ -43,5 +45,5 @@ class Latencies:
         return {f"p{percent}": self.percentile(percent) for percent in (50, 95, 99)}
 
     def twentieths(self) -> tuple[float, ...]:
-        """Percentiles 0, 5, 10 to 100 in ms, to four digits."""
-        return tuple(float(f"{self.percentile(percent):.4g}") for percent in range(0, 101, 5))
+        """The percentiles TWENTIETHS in ms, to four digits."""
+        return tuple(float(f"{self.percentile(percent):.4g}") for percent in TWENTIETHS)

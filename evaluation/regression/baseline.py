@@ -72,9 +72,9 @@ def read_baseline(path: Path) -> Baseline:
     return baseline
 
 
-def digest_of(runs: Any) -> str:
-    """SHA-256 of the runs of a baseline as JSON: keys sorted, without spaces."""
-    return hashlib.sha256(json.dumps(runs, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
+def digest_of(content: Any) -> str:
+    """SHA-256 of the runs of a baseline, or of an entry of a history, as JSON: keys sorted, without spaces."""
+    return hashlib.sha256(json.dumps(content, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
 
 
 def _read_content(path: Path) -> dict[str, Any]:

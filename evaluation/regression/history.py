@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import subprocess
 from collections.abc import Sequence
@@ -15,6 +14,7 @@ from pydantic import Field, ValidationError
 from gridtrack.common.config import Settings
 from gridtrack.common.errors import GridtrackError
 from gridtrack.common.files import read_json, sha256_of, write_text
+from gridtrack.evaluation.regression.baseline import digest_of
 from gridtrack.evaluation.regression.judging import VerdictRow
 from gridtrack.evaluation.regression.verdict import Verdict
 
@@ -106,7 +106,7 @@ def append_entry(
         **_content(result),
     )
     content = entry.model_dump(mode="json", by_alias=True)
-    digest = _digest(content)
+    digest = digest_of(content)
     path = folder / f"{entry.recorded}-{digest[:12]}.json"
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -170,17 +170,12 @@ def _read(path: Path) -> tuple[str, HistoryEntry]:
             " version that wrote it, or begin another folder"
         )
     digest = content.pop("digest", None)
-    if digest != _digest(content):
+    if digest != digest_of(content):
         raise HistoryError(f"{path}: changed since it was written (its digest is another): restore it")
     try:
         return digest, HistoryEntry.model_validate(content)
     except ValidationError as error:
         raise HistoryError(f"{path}: not an entry of a history ({error.errors()[0]['msg']}): restore it") from None
-
-
-def _digest(content: Any) -> str:
-    """SHA-256 of an entry without its digest as JSON: keys sorted, without spaces."""
-    return hashlib.sha256(json.dumps(content, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
 
 
 def _commit(folder: Path) -> tuple[str, bool]:

@@ -36,8 +36,7 @@ def run_again(
         for number, recordings in enumerate(dict.fromkeys(trials.values())):
             labels = [label for label, own in trials.items() if own == recordings]
             part = _part(plan, labels, recordings, Path(scratch) / str(number))
-            if reasons := list(_differences(record, part)):
-                raise Unmeasured(reasons)
+            _require_unchanged(record, part)
             if run(part, record.command, progress).interrupted:
                 raise Unmeasured(["the second run was interrupted"])
             measured.append(measure_run(part.settings.out, like))
@@ -50,9 +49,15 @@ def plan_again(folder: Path, scratch: Path) -> ComparisonPlan:
     """The plan of the run in `folder`, whose files go to `scratch`. Raises Unmeasured where something changed."""
     record = read_run_record(folder)
     plan = _plan(folder, record, scratch, latency=False)
-    if reasons := list(_differences(record, plan)):
-        raise Unmeasured(reasons)
+    _require_unchanged(record, plan)
     return plan
+
+
+def why_edited(label: str, *codes: str) -> str:
+    """Why a tracker is not the one that ran, by hashes of its code; empty where they are equal, or one is unknown."""
+    if "" in codes or len(set(codes)) == 1:
+        return ""
+    return f"{label}: the tracker's code was edited since the run: compare again"
 
 
 def _plan(folder: Path, record: RunRecord, scratch: Path, latency: bool) -> ComparisonPlan:
@@ -72,6 +77,11 @@ def _part(plan: ComparisonPlan, labels: Sequence[str], recordings: frozenset[str
         splits=tuple(split for split in plan.splits if split.name in recordings),
         trials=tuple(t for t in plan.trials if t.label in labels and t.split.name in recordings),
     )
+
+
+def _require_unchanged(record: RunRecord, plan: ComparisonPlan) -> None:
+    if reasons := list(_differences(record, plan)):
+        raise Unmeasured(reasons)
 
 
 def _differences(record: RunRecord, plan: ComparisonPlan) -> Iterator[str]:
@@ -94,10 +104,8 @@ def _differences(record: RunRecord, plan: ComparisonPlan) -> Iterator[str]:
 
 def _edited(folder: Path, part: ComparisonPlan) -> Iterator[str]:
     """A reason for each tracker whose code is not that of the run in `folder`; where a hash is unknown, none."""
-    labels: set[str] = set()
+    reasons: list[str] = []
     for trial in part.trials:
         records = [read_trial_record(run / trial.name) for run in (folder, part.settings.out)]
-        codes = {record.code_sha256 for record in records if record is not None}
-        if "" not in codes and len(codes) > 1 and trial.label not in labels:
-            labels.add(trial.label)
-            yield f"{trial.label}: the tracker's code was edited since the run: compare again"
+        reasons.append(why_edited(trial.label, *(record.code_sha256 if record else "" for record in records)))
+    yield from dict.fromkeys(filter(None, reasons))

@@ -22,7 +22,7 @@ from gridtrack.evaluation.comparison.plan import Trial
 from gridtrack.evaluation.processes.outcome import TrialEnded
 from gridtrack.evaluation.processes.tracker_process import TrackerProcess
 from gridtrack.evaluation.regression.measurement import Unmeasured
-from gridtrack.evaluation.regression.rerun import plan_again
+from gridtrack.evaluation.regression.rerun import plan_again, why_edited
 from gridtrack.evaluation.regression.speed import CALLS, CallKind, TurnsRow
 from gridtrack.evaluation.results.trial_record import read_trial_record
 from gridtrack.evaluation.scoring.referee import WARM_UP
@@ -95,9 +95,8 @@ def _round(pair: tuple[Trial, Trial], number: int, folder: Path, scratch: Path) 
 def _require_same_code(process: TrackerProcess, trial: Trial, folder: Path) -> None:
     """Raise Unmeasured where the tracker was edited since the run."""
     then = read_trial_record(folder / trial.name)
-    codes = {process.description.code_sha256, then.code_sha256 if then else ""}
-    if "" not in codes and len(codes) > 1:
-        raise Unmeasured([f"{trial.label}: the tracker's code was edited since the run: compare again"])
+    if why := why_edited(trial.label, process.description.code_sha256, then.code_sha256 if then else ""):
+        raise Unmeasured([why])
 
 
 def _log_ratio(times: Sequence[tuple[float, float]]) -> float:

@@ -8,6 +8,7 @@ from typing import Annotated, Self
 from pydantic import Field, model_validator
 
 from gridtrack.evaluation.processes.clock import Clock
+from gridtrack.evaluation.processes.latency import TWENTIETHS
 from gridtrack.evaluation.results.values import Curves, ResultModel
 from gridtrack.recordings.degradation import Degradation
 
@@ -15,7 +16,6 @@ HIGHEST = 1e6
 """A rate, in Hz or as a multiple, or a strength of degradation above this is refused."""
 MOST_CONDITIONS = 20
 """More rates, kinds or strengths than this are refused."""
-TWENTIETHS = 21
 
 
 class Quantiles(ResultModel):
@@ -29,13 +29,13 @@ class Quantiles(ResultModel):
 class CallTimes(Quantiles):
     """Milliseconds of calls of one kind."""
 
-    twentieths: Annotated[tuple[float, ...], Field(max_length=TWENTIETHS)] = ()
+    twentieths: Annotated[tuple[float, ...], Field(max_length=len(TWENTIETHS))] = ()
     """Percentiles 0, 5, 10 to 100: each stretch between two holds a twentieth of the calls. Earlier runs have none."""
 
     @model_validator(mode="after")
     def _twentieths_increase(self) -> Self:
-        if self.twentieths and len(self.twentieths) != TWENTIETHS:
-            raise ValueError(f"twentieths: {len(self.twentieths)} percentiles where {TWENTIETHS} belong")
+        if self.twentieths and len(self.twentieths) != len(TWENTIETHS):
+            raise ValueError(f"twentieths: {len(self.twentieths)} percentiles where {len(TWENTIETHS)} belong")
         if any(not 0.0 <= earlier <= later for earlier, later in pairwise(self.twentieths)):
             raise ValueError("twentieths: the percentiles do not increase")
         return self
