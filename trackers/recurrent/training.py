@@ -10,7 +10,8 @@ import json
 import logging
 import math
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from copy import deepcopy
 from datetime import timedelta
 from pathlib import Path
@@ -38,6 +39,14 @@ from gridtrack.trackers.weights import Weights
 
 CHECKPOINT_EVERY_S = 60.0
 """Time between two checkpoints; there is one after every validation too."""
+NO_NEWS = (
+    "You're resuming from a checkpoint that ended before the epoch ended",  # the next window is an unused one
+    ".*does not have many workers",  # frames lie in memory: workers would only copy them
+    "The `srun` command is available",
+    "Checkpoint directory .* exists and is not empty",
+    ".*isinstance.treespec, LeafSpec",
+)
+"""Warnings of Lightning, as patterns, that tell the user of a training nothing."""
 
 Validate = Callable[[nn.Module], dict[str, float]]
 """Scores the network as a tracker on the validation stretch; the network with the highest `score` is kept."""
@@ -72,14 +81,13 @@ def train_network(
     resumed = _resumable(out, training if start is None else {"start": start.card.arrays_sha256, **training})
     begun = None if start is None else _Begun.with_scores(network, validate, out)
     module = TrainingModule(network, on_processor, settings, validate, out)
-    trainer, best = _trainer(settings, out)
+    with _without_news():
+        trainer, best = _trainer(settings, out)
     done = _updates_in(resumed) if resumed else 0
     sampler = EpochSampler(settings.validate_every * settings.batch, done * settings.batch)
     loader = DataLoader(dataset, settings.batch, sampler=sampler)
     try:
-        with out.progress.stage("update", settings.updates, done) as module.stage, warnings.catch_warnings():
-            # the sampler continues with the next unused window
-            warnings.filterwarnings("ignore", "You're resuming from a checkpoint that ended before the epoch ended")
+        with out.progress.stage("update", settings.updates, done) as module.stage, _without_news():
             trainer.fit(module, loader, ckpt_path=str(resumed) if resumed else None, weights_only=True)
     except (KeyboardInterrupt, SystemExit):  # Lightning exits after an interrupt
         if not trainer.interrupted or not Path(best.best_model_path).is_file():
@@ -91,6 +99,14 @@ def train_network(
         scores = begun.kept_in(network, out)
     reached = f"update {trainer.global_step} of {settings.updates}" if trainer.interrupted else ""
     return TrainedNetwork(scores, reached)
+
+
+@contextmanager
+def _without_news() -> Iterator[None]:
+    with warnings.catch_warnings():
+        for pattern in NO_NEWS:
+            warnings.filterwarnings("ignore", pattern)
+        yield
 
 
 class _Begun(NamedTuple):

@@ -90,6 +90,12 @@ def test_a_trained_network_forecasts_a_moving_dot(tmp_path):
         assert occupancy[step, 5].argmax() == (24 + step) % SIZE
 
 
+def test_a_training_does_not_repeat_what_its_libraries_warn_of_each_other(tmp_path, recwarn, monkeypatch):
+    monkeypatch.setattr("shutil.which", lambda name, *rest, **more: f"/usr/bin/{name}")  # a machine with Slurm
+    fit(DilatedConvGRUTracker, tmp_path, updates=2, validate_every=1, channels=4)
+    assert [str(warning.message) for warning in recwarn] == []
+
+
 def fit_paper_rnn(folder, score):
     options = {"variant": "paper", "updates": 6, "validate_every": 2, "batch": 2, "warm_up": 0, "precision": "32-true"}
     settings = validated(DeepTrackingRNNTracker.Options, options, "test")
