@@ -14,9 +14,7 @@ from gridtrack.common.grid import GridFrame, GridSpec
 from gridtrack.trackers.calibration import CalibratedTracker, Calibration
 from gridtrack.trackers.contract import FitOutput, Forecast, FrameSource, Score, StreamSpec
 from gridtrack.trackers.dogma.filter import ParticleGrid
-from gridtrack.trackers.dogma.forecast import forecast
-from gridtrack.trackers.dogma.masses import Mass
-from gridtrack.trackers.dogma.moments import velocities
+from gridtrack.trackers.dogma.forecast import flow_now, forecast, forecast_with_flow
 from gridtrack.trackers.dogma.settings import NAME, DogmaSettings
 from gridtrack.trackers.site_map import SiteMap, mean_of_cells
 from gridtrack.trackers.weights import array, cell_probabilities, load_weights, tuned_settings
@@ -59,10 +57,17 @@ class DogmaTracker(CalibratedTracker):
         return self._state.hidden.seconds
 
     def predict(self, steps: int) -> Forecast:
-        """Forecast steps 0..steps, and the mean velocity now of each cell that has enough persistent particles."""
-        found = _forecast(self._state, self._rate_in_window, steps)
-        self._calibration.apply(found.occupancy, self.hidden_s)
-        return found
+        """Forecast steps 0..steps, and the mean velocity of each cell that has enough persistent particles.
+
+        Velocities are of every step where they are scored, else of step 0 alone, which takes less time.
+        """
+        velocity: NDArray[np.floating]
+        if self.stream.velocity_scored:
+            occupancy, velocity = forecast_with_flow(self._state, self._rate_in_window, steps)
+        else:
+            occupancy, velocity = forecast(self._state, self._rate_in_window, steps), flow_now(self._state)
+        self._calibration.apply(occupancy, self.hidden_s)
+        return Forecast(occupancy, velocity=velocity)
 
     @classmethod
     def starts_from_general(cls, options: DogmaSettings) -> bool:
@@ -84,11 +89,6 @@ class DogmaTracker(CalibratedTracker):
         fit_dogma(cls, train, validation, score, out, options)
 
 
-def _forecast(state: ParticleGrid, occupancy_rate: Mass, steps: int) -> Forecast:
-    mean, _, known = velocities(state)
-    return Forecast(forecast(state, occupancy_rate, steps), velocity=np.where(known, mean, np.float32(np.nan)))
-
-
 def compile_filter(period_s: float) -> None:
     """Compile the kernels of all stages, by running them on a scene of two frames.
 
@@ -101,4 +101,4 @@ def compile_filter(period_s: float) -> None:
     for frame in range(2):
         stamp_ns = round(frame * period_s * 1e9)
         state.update(GridFrame(stamp_ns, visible, occupied, SE2(), sensor, points, np.zeros(len(points), np.uint8)))
-    _forecast(state, np.zeros(grid.shape, np.float32), steps=1)
+    forecast_with_flow(state, np.zeros(grid.shape, np.float32), steps=1)
