@@ -9,6 +9,7 @@ from gridtrack.common.grid import GridSpec
 from gridtrack.evaluation.results.trial_summary import StratumScores, TrialSummary, better_direction
 from gridtrack.evaluation.results.values import Curve
 from gridtrack.reports.conditions import condition_texts, conditions_of
+from gridtrack.reports.label_budget import label_budget_of
 from gridtrack.reports.moment_packing import level_colours
 from gridtrack.reports.probability_curves import ProbabilityCurves
 from gridtrack.reports.run import ReportedRun
@@ -61,8 +62,8 @@ def page_data(
 
     `trackers`: every row's label and style (CSS classes), `styles`, in their order. `scores`: those that any row has.
     `headline`: what is shown first. `recordings`: for each the horizons, the rows in the order of the table with a
-    curve for each stratum and score, its times, scores under other conditions, classes and `bins` (of `curves`), the
-    tiers by "score/stratum/step", and why there may be none. `conditions`: their names.
+    curve for each stratum and score, its times, scores under other conditions, classes, `label_budget` and `bins` (of
+    `curves`), the tiers by "score/stratum/step", and why there may be none. `conditions`: their names.
     `level_colours`: those of the cells of moments.
     """
     first = tables[0].decisive
@@ -99,7 +100,11 @@ def _recording(
         "cell_m": GridSpec.parse(grid).cell_m if grid else None,
         "conditions_ahead": first.heading,
         "rows": [
-            _row(row, styles[row.label], table, first) | {"bins": curves.get((table.recording, row.name))}
+            _row(row, styles[row.label], table, first)
+            | {
+                "bins": curves.get((table.recording, row.name)),
+                "label_budget": label_budget_of(runs, table, row),
+            }
             for row in table.rows
         ],
         "tiers": _tiers(runs[0], table.recording) if len(runs) == 1 else {},

@@ -117,6 +117,12 @@ class Card(Settings):
         """Whether these weights were learned at many places, for any place."""
         return self.site == GENERAL
 
+    @property
+    def labelled_scans(self) -> int | None:
+        """The number of labelled scans that the classes were learned from; None without, or where it is not known."""
+        number = self.settings.get("labelled_scans") if self.classes else None
+        return number if isinstance(number, int) and number > 0 else None
+
     def beyond_training(self, cell_m: float, period_s: float) -> str:
         """In what a stream lies outside of the training of general weights, "" where it does not."""
         ranges = (("cells", cell_m, self.cells_m, "m"), ("periods", period_s, self.periods_s, "s"))

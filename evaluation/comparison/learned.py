@@ -48,7 +48,7 @@ class LearnedWeights:
 
     def provenance(self) -> WeightsUsed:
         """The entry of these weights in the record of a run."""
-        return WeightsUsed(name=self.name, sha256=self.sha256)
+        return WeightsUsed(name=self.name, sha256=self.sha256, labelled_scans=self.card.labelled_scans)
 
 
 def find_weights(tracker: str, site: str, override: Path | None, kind: CardKind = "any") -> LearnedWeights | None:

@@ -56,6 +56,8 @@ class WeightsUsed(ResultModel):
 
     name: str
     sha256: str
+    labelled_scans: int | None = None
+    """Labelled scans that their classes were learned from; null where there are no classes, and in an earlier run."""
 
 
 class Machine(ResultModel):

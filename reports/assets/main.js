@@ -1,6 +1,7 @@
 import { startConditions } from "./conditions.js";
 import { startConfusion } from "./confusion.js";
 import { startCurves } from "./curves.js";
+import { startLabelBudget } from "./label_budget.js";
 import { startLatency } from "./latency.js";
 import { startPlayers } from "./player.js";
 import { startPriors } from "./priors.js";
@@ -18,6 +19,7 @@ startScale();
 startHiddenTime();
 startProbabilities();
 startConfusion();
+startLabelBudget();
 startConditions();
 startLatency();
 startPriors();

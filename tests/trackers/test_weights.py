@@ -17,6 +17,7 @@ from gridtrack.common.errors import WeightsError
 from gridtrack.common.files import sha256_of
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec
+from gridtrack.evaluation.comparison.learned import LearnedWeights
 from gridtrack.trackers.card import Card, CardThresholds, card_for
 from gridtrack.trackers.contract import FitOutput, FrameSource, StreamSpec
 from gridtrack.trackers.weights import MAX_ARRAYS_BYTES, array, load_weights, read_card, save_weights
@@ -51,6 +52,16 @@ def as_source(stretch: Stretch) -> FrameSource:
 def card(tmp_path: Path, *train: Stretch) -> Card:
     out = FitOutput(tmp_path / "lab.toml", "gridtrack train my demo", 3, tmp_path)
     return card_for("my", out, [as_source(s) for s in train or (Stretch(),)], [as_source(Stretch("v", "cd"))], {"a": 1})
+
+
+def test_a_card_with_classes_says_of_how_many_labelled_scans_and_so_does_the_record_of_a_run(tmp_path: Path) -> None:
+    trained = card(tmp_path).model_copy(update={"settings": {"labelled_scans": 50}, "classes": ("bus", "car")})
+    assert trained.labelled_scans == 50
+    assert trained.model_copy(update={"classes": ()}).labelled_scans is None, "its setting was not used"
+    assert trained.model_copy(update={"settings": {"labelled_scans": "fifty"}}).labelled_scans is None
+    path = tmp_path / "my" / "lab.toml"
+    used = LearnedWeights(path, trained, "12ab", path.parent).provenance()
+    assert (used.name, used.labelled_scans) == ("my/lab.toml", 50)
 
 
 def test_a_general_card_says_in_what_a_stream_is_beyond_its_training(tmp_path: Path) -> None:

@@ -1,0 +1,112 @@
+"""The figure of class log loss over labelled scans: which rows it has, and its lines in a browser."""
+
+import csv
+import json
+import shutil
+
+import pytest
+
+from gridtrack.reports.page import render_page, render_report
+from gridtrack.reports.run import read_runs
+
+from scenes.report_page import data_of
+
+STEPS = 20
+METHOD = "shot"
+
+
+def semantics(loss, interval=True):
+    curves = dict.fromkeys(("nll_per_cell", "nll_summed_over_scans", "balanced_accuracy"), [0.5] * (STEPS + 1))
+    curves |= dict.fromkeys(("cells", "scans"), [9] * (STEPS + 1)) | {"nll_per_scan": [loss] * (STEPS + 1)}
+    ends = {"nll_per_scan_low": [loss - 0.125] * (STEPS + 1), "nll_per_scan_high": [loss + 0.125] * (STEPS + 1)}
+    return {"classes": ["bus", "car"], "kinds": {"visible": curves | (ends if interval else {})}}
+
+
+@pytest.fixture
+def budget_run(run_folder, tmp_path):
+    """`budget_run(scans, losses)`: a run in which rows of one method learned from so many scans; None: not known."""
+
+    def budget_run(scans, losses, options=()):
+        run = shutil.copytree(run_folder, tmp_path / "run", dirs_exist_ok=True)
+        summary, record = (json.loads((run / name).read_text()) for name in ("summary.json", "run.json"))
+        for label, loss in losses.items():
+            entry = summary["trackers"][label]
+            entry |= {"tracker": METHOD, "options": dict(options).get(label, {})}
+            entry["recordings"]["crossing"]["semantics"] = semantics(loss)
+        for label, number in scans.items():
+            used = {"name": "shot/crossing.toml", "sha256": label}
+            used |= {} if number is None else {"labelled_scans": number}
+            record.setdefault("weights", {})[f"{label}@crossing"] = used
+        for name, content in (("summary.json", summary), ("run.json", record)):
+            (run / name).write_text(json.dumps(content))
+        return run
+
+    return budget_run
+
+
+def budgets_of(run):
+    (recording,) = data_of(render_page(read_runs([run])))["recordings"]
+    return {row["label"]: row["label_budget"] for row in recording["rows"]}
+
+
+def test_a_row_has_its_scans_its_method_and_its_losses_with_intervals(budget_run):
+    found = budgets_of(budget_run({"good": 50, "fair": 800}, {"good": 0.5, "fair": 0.25}))
+    assert (found["good"]["scans"], found["fair"]["scans"]) == (50, 800)
+    assert found["good"]["method"] == found["fair"]["method"] == METHOD
+    assert found["good"]["losses"]["visible"]["nll"][8] == 0.5
+    assert found["fair"]["losses"]["visible"]["nll_high"][8] == 0.375
+    assert found["persistence"] is None, "it gives no classes"
+
+
+def test_rows_with_other_options_are_another_method(budget_run):
+    options = {"fair": {"evidence": "state"}}
+    found = budgets_of(budget_run({"good": 50, "fair": 800}, {"good": 0.5, "fair": 0.25}, options))
+    assert (found["good"]["method"], found["fair"]["method"]) == ("shot", "shot:evidence=state")
+
+
+def test_a_run_of_before_has_no_number_and_no_row(budget_run):
+    assert budgets_of(budget_run({"good": None, "fair": 800}, {"good": 0.5, "fair": 0.25}))["good"] is None
+
+
+@pytest.fixture
+def page_of(browser):
+    """Opens the report of a run; it had no error."""
+    faults = []
+    page = browser.new_page()
+    page.set_default_timeout(60_000)
+    page.on("console", lambda message: message.type == "error" and faults.append(message.text))
+    page.on("pageerror", lambda error: faults.append(str(error)))
+
+    def page_of(run):
+        page.goto(render_report([run]).as_uri())
+        page.locator("#every-score table").wait_for()
+        return page
+
+    yield page_of
+    page.close()
+    assert faults == []
+
+
+def test_a_browser_draws_a_line_with_its_band_and_a_row_that_is_off_leaves_it(page_of, budget_run, tmp_path):
+    losses = {"good": 0.25, "fair": 0.5, "unlucky": 0.75, "blank": 0.625}
+    page = page_of(budget_run({"good": 800, "fair": 200, "unlucky": 50, "blank": 50}, losses))
+    figure = page.locator("#label-budget")
+    assert figure.locator(".line").count() == 1
+    assert figure.locator(".line polyline").get_attribute("points").count(",") == 3, "rows with 50 scans are one point"
+    assert figure.locator(".tick").all_text_contents()[-3:] == ["50", "200", "800"]
+    figure.locator(".chart").focus()
+    page.keyboard.press("ArrowRight")
+    assert "50 labelled scans" in figure.locator(".readout").text_content()
+    assert "0.688 (mean of 2 rows)" in figure.locator(".readout").text_content()
+    with page.expect_download() as saved:
+        figure.get_by_role("button", name="CSV").click()
+    rows = list(csv.DictReader(saved.value.path().read_text().splitlines()))
+    (good,) = [row for row in rows if row["tracker"] == "good"]
+    assert (good["labelled scans"], good["log loss"], good["low"]) == ("800", "0.25", "0.125")
+    page.get_by_role("button", name="fair", exact=True).click()
+    assert figure.locator(".tick").all_text_contents()[-2:] == ["50", "800"]
+
+
+def test_rows_that_learned_from_equally_many_scans_make_no_figure(page_of, budget_run):
+    page = page_of(budget_run({"good": 800, "fair": 800}, {"good": 0.25, "fair": 0.5}))
+    assert page.locator("#label-budget").count() == 0
