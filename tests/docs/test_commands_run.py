@@ -52,6 +52,7 @@ SMALLER = (
     ("data/junction/validation.tracks ", "data/junction/validation.tracks@0s-8s "),
     ("data/junction/validation.tracks@0s-90s", "data/junction/validation.tracks@0s-8s"),
     ("data/junction/validation.tracks@0s-60s", "data/junction/validation.tracks@0s-8s"),
+    ("my.bag@60s- --validation my.bag@0s-60s", "my.bag@8s- --validation my.bag@0s-8s"),
     ("train kalman places", "train static-map places"),
     ("my.bag --tracker kalman --weights", "my.bag --tracker static-map --weights"),
     ("stage=classes", "stage=classes,labelled_scans=20"),
@@ -111,13 +112,15 @@ PLACES: dict[str, Prepare] = {
     "docs/export.md": my_bag,
     "docs/first-comparison.md": places.clone,
     "docs/follow.md": places.recorded_drive,
-    "docs/importing.md": lambda folder: places.drive_bag(
+    "docs/importing.md": my_bag,
+    "docs/importing.md 2": my_bag,
+    "docs/importing.md 3": lambda folder: places.drive_bag(
         folder / "drive.bag", places.FRONT, places.REAR, poses=places.odometry
     ),
-    "docs/importing.md 2": lambda folder: places.drive_bag(folder / "drive.bag", places.LASER, poses=places.ego_poses),
-    "docs/importing.md 3": log_and_drive,
-    "docs/importing.md 4": lambda folder: places.hall_bag(folder / "hall.bag"),
-    "docs/importing.md 5": lambda folder: places.cloud_bag(folder / "hall.bag"),
+    "docs/importing.md 4": lambda folder: places.drive_bag(folder / "drive.bag", places.LASER, poses=places.ego_poses),
+    "docs/importing.md 5": log_and_drive,
+    "docs/importing.md 6": lambda folder: places.hall_bag(folder / "hall.bag"),
+    "docs/importing.md 7": lambda folder: places.cloud_bag(folder / "hall.bag"),
     "docs/junction.md": places.clone,
     "docs/junction.md 3": lambda folder: places.annotations(folder / "annotations.txt"),
     "docs/own-tracker.md": places.clone,
