@@ -68,6 +68,6 @@ export function startConfusion() {
       ["step", "Ahead", horizonOptions(recordingNamed(now.recording), steps(now.recording, now.visibility))]],
     drawing: drawConfusion,
     numbers: confusionNumbers,
-    line: () => "Rows are true classes, columns the most probable one; shares of the row's occupied cells.",
+    line: () => "Rows are true classes, columns the most probable ones.",
   });
 }

@@ -24,6 +24,7 @@ function budgetLine(method, rows, chosen) {
     values: rowsAt.map((own) => own.reduce((sum, row) => sum + lossOf(row, chosen), 0) / own.length),
     low: end("_low"),
     high: end("_high"),
+    dotStyles: rowsAt.map((own) => own[0].style),
     notes: rowsAt.map((own) => (own.length === 1 ? own[0].name : `mean of ${own.length} rows`)),
   };
 }
@@ -56,6 +57,6 @@ export function startLabelBudget() {
       ["step", "Ahead", horizonOptions(recordingNamed(recording), recordingNamed(recording).horizons_s.map((_, step) => step))]],
     chart: budgetChart,
     numbers: budgetNumbers,
-    line: (now) => `Log loss of the classes of a scan (lower is better) over the labelled scans of the training${bandWords(budgetChart(now))}.`,
+    line: (now) => `Log loss of classes (lower is better) over labelled scans${bandWords(budgetChart(now))}.`,
   });
 }

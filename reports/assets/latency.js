@@ -68,6 +68,6 @@ export function startLatency() {
     choices: () => [["recording", "Recording", listed], ["call", "Call", CALLS]],
     drawing: drawLatency,
     numbers: latencyNumbers,
-    line: ({ recording }) => `Median (dot), 95th and 99th percentile and the spread of all calls, alone on the machine; the vertical line is one frame period, ${inMs(recordingNamed(recording).period_ms)} ms.`,
+    line: ({ recording }) => `Median (dot), 95th and 99th percentile, spread; the line is one frame period, ${Number(recordingNamed(recording).period_ms.toPrecision(4))} ms.`,
   });
 }

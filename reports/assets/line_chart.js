@@ -5,7 +5,8 @@ import { draw, make } from "./elements.js";
 const HEIGHT = 380, LEFT = 44, RIGHT = 14, BOTTOM = 30, TOP = 10;
 const READING_PLACES = 51;
 
-// A chart: { lines, x, y }. A line: { name, style, xs, values, low, high }; `low` and `high` may be null.
+// A chart: { lines, x, y }. A line: { name, style, xs, values, low, high }; `low` and `high` may be null. Where a line has
+// `dotStyles`, each place has a dot of that style.
 // `x`: { name, unit, range, ticks, words(x), unranked }; `y`: { name, fromZero, range }. `ticks`: [place, text] pairs;
 // `unranked`: places before the second do not count; `diagonal`: where the two axes are equal.
 export function lineChart({ lines, x: across, y: up, diagonal, width }) {
@@ -45,8 +46,9 @@ function readingPlaces(places, [first, last]) {
 
 const wordsOf = (across) => across.words ?? ((place) => `${across.name} ${Number(place.toPrecision(3))}${across.unit ?? ""}`);
 
-function drawnLine({ style, name, xs, values, low, high }, x, y) {
+function drawnLine({ style, name, xs, values, low, high, dotStyles }, x, y) {
   const group = draw("g", { class: `line ${style}` }, draw("title", {}, name));
+  const dot = (i) => draw("circle", { class: "dot", cx: x(xs[i]), cy: y(values[i]), r: dotStyles ? 4.5 : 2.5 });
   for (const piece of piecesOf(values)) {
     const band = low && high ? piece.filter((i) => low[i] !== null && high[i] !== null) : [];
     if (band.length > 1) {
@@ -54,7 +56,8 @@ function drawnLine({ style, name, xs, values, low, high }, x, y) {
       group.append(draw("polygon", { class: "band", points: outline.map(([i, v]) => `${x(xs[i])},${y(v)}`).join(" ") }));
     }
     group.append(draw("polyline", { points: piece.map((i) => `${x(xs[i])},${y(values[i])}`).join(" ") }));
-    if (piece.length === 1) group.append(draw("circle", { class: "dot", cx: x(xs[piece[0]]), cy: y(values[piece[0]]), r: 2.5 }));
+    if (dotStyles) for (const i of piece) group.append(draw("g", { class: `line ${dotStyles[i]}` }, dot(i)));
+    else if (piece.length === 1) group.append(dot(piece[0]));
   }
   return group;
 }

@@ -51,12 +51,10 @@ class Player {
     this.panels = make("div", { class: "moment-panels" });
     this.legend = markLegend(this.data.hidden_known);
     const left = this.data.kept - moments.length;
-    const kept = left ? `${moments.length} of ${this.data.kept} kept moments: ${left} do not fit on the page. ` : "";
+    const kept = left ? `${moments.length} of ${this.data.kept} kept moments fit on the page. ` : "";
     this.element.append(this.panels, this.legend, make("p", { class: "note" }, kept,
-      "Arrow keys: time and horizon; space: play; a click on a panel centres the zoom, shift and arrows move it. ",
-      `Hits and errors at the tracker's threshold of ${this.data.stratum || "in-motion"} cells`,
-      this.data.stratum ? ", on those cells; the others are grey. " : ", on all visible cells. ",
-      "A tracked object: dashed where it is now, solid where its velocity takes it up to the horizon."));
+      `Hits and errors: ${this.data.stratum || "visible"} cells. Arrow keys: time, horizon; space: play; click: zoom; shift and arrows move it. `,
+      make("code", {}, "docs/figures.md#moments")));
     this.element.tabIndex = 0;
     this.element.setAttribute("role", "group");
     this.element.setAttribute("aria-label", `Moments of ${this.data.recording}`);

@@ -67,6 +67,6 @@ export async function startPriors() {
     choices: () => [["recording", "Recording", pageData.priors.map((one) => [one.recording, one.recording])]],
     drawing: drawPriors,
     numbers: priorNumbers,
-    line: () => "P(occupied) from no input, one step ahead, from 0.001 (white) to 1 (black) on a logarithmic scale; grey was never visible.",
+    line: () => "P(occupied) from no input, one step ahead: 0.001 is white, 1 black, never visible grey.",
   });
 }

@@ -32,7 +32,7 @@ function calibration(chosen) {
 
 const FIGURES = [
   { id: "precision-recall", title: "Precision and recall", chart: precisionRecall, line: () => "Each point is a threshold; the area is PR-AUC." },
-  { id: "threshold", title: "Threshold", chart: f1OverThreshold, line: () => "F1 at every threshold, on the test frames." },
+  { id: "threshold", title: "Threshold", chart: f1OverThreshold, line: () => "F1 at every threshold." },
   { id: "calibration", title: "Calibration", chart: calibration, line: () => "On the diagonal, p is the share of cells that were occupied." },
 ];
 

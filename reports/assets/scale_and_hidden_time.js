@@ -69,6 +69,6 @@ export function startHiddenTime() {
         ["step", "Ahead", horizonOptions(recording)]];
     },
     chart: hiddenChart,
-    line: (now) => `${scoreWords(scoreNamed(now.score))} of cells that no beam reached, by the time since they were last seen.`,
+    line: (now) => `${scoreWords(scoreNamed(now.score))} of cells that no beam reached, by the time since then.`,
   });
 }

@@ -194,6 +194,25 @@ def test_a_histogram_that_cannot_be_read_has_a_notice_and_the_page_is_complete(r
     assert notices[0].startswith("good: no curves of its probabilities")
 
 
+PROSE_OF_BEFORE = 2013
+"""Words on the page that explained its figures and tables, before each got a line and a page of its own."""
+
+
+def test_what_the_page_explains_is_a_tenth_of_what_it_was():
+    scripts = "\n".join(path.read_text() for path in ASSETS.glob("*.js"))
+    lines = [text for quoted in re.findall(r'"([^"\n]*)"|`([^`\n]*)`', scripts) for text in quoted]
+    sentences = [text for text in lines if re.search(r"[a-z }]\. ?$", text)]
+    templates = "".join(path.read_text() for path in (ASSETS.parent / "templates").glob("*.j2"))
+    notes = re.findall(r'<p class="note">(.*?)</p>', templates, re.DOTALL)
+    assert len(sentences) >= 12
+    assert len(notes) >= 5
+    filled_in = r"\$\{[^{}]*\}|<code>.*?</code>|<[^>]*>|\{[{%].*?[%}]\}"
+    words = [
+        word for text in (*sentences, *notes) for word in re.findall(r"[A-Za-z][\w'-]*", re.sub(filled_in, " ", text))
+    ]
+    assert len(words) <= PROSE_OF_BEFORE / 10, " ".join(words)
+
+
 def test_every_figure_and_table_of_the_page_is_explained_under_its_own_heading():
     headings = re.findall(r"^## (.*)$", (DOCS / "figures.md").read_text(), re.MULTILINE)
     titles = [title for path in ASSETS.glob("*.js") for title in re.findall(r'title: "([^"]+)"', path.read_text())]

@@ -91,7 +91,9 @@ def test_a_browser_draws_a_line_with_its_band_and_a_row_that_is_off_leaves_it(pa
     losses = {"good": 0.25, "fair": 0.5, "unlucky": 0.75, "blank": 0.625}
     page = page_of(budget_run({"good": 800, "fair": 200, "unlucky": 50, "blank": 50}, losses))
     figure = page.locator("#label-budget")
-    assert figure.locator(".line").count() == 1
+    assert figure.locator("polyline").count() == 1
+    dots = figure.locator("circle.dot").evaluate_all("dots => dots.map((dot) => getComputedStyle(dot).fill)")
+    assert len(set(dots)) == 3, "each in the colour of its row"
     assert figure.locator(".line polyline").get_attribute("points").count(",") == 3, "rows with 50 scans are one point"
     assert figure.locator(".tick").all_text_contents()[-3:] == ["50", "200", "800"]
     figure.locator(".chart").focus()

@@ -200,3 +200,8 @@ def test_without_scripts_one_still_picture_remains(browser, hostile_report):
     assert page.locator(".still").is_visible()
     assert not page.locator(".player").is_visible()
     context.close()
+
+
+def test_the_figure_of_times_says_the_frame_period_to_the_millisecond(opened):
+    page, _ = opened()
+    assert "one frame period, 125 ms." in page.locator("#latency .note").inner_text()
