@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-import json
-import math
-from typing import Any, NoReturn, TypeVar
+from typing import Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from gridtrack.common.errors import ConfigurationError, did_you_mean
+from gridtrack.common.untrusted import parse_json
+
+MAX_ERRORS, MAX_SHOWN = 5, 80
+"""Limits of the errors that are told of one set of values, and of the characters of each value in them."""
 
 
 class Settings(BaseModel):
@@ -43,53 +45,45 @@ def parse_pairs(text: str, where: str) -> dict[str, Any]:
 
 def _split(text: str) -> list[str]:
     """`text` split at the commas outside brackets and double quotes."""
-    parts, depth, quoted = [""], 0, False
+    parts, start, depth, quoted = [], 0, 0, False
     for position, char in enumerate(text):
         if char == '"' and text[position - 1 : position] != "\\":
             quoted = not quoted
         elif not quoted:
             depth += (char in "[{") - (char in "]}")
         if char == "," and depth <= 0 and not quoted:
-            parts.append("")
-        else:
-            parts[-1] += char
-    return parts
+            parts.append(text[start:position])
+            start = position + 1
+    return [*parts, text[start:]]
 
 
 def _value(text: str) -> Any:
     try:
-        return json.loads(text, parse_constant=_raise_not_json, parse_float=_finite_float)
+        return parse_json(text.encode())
     except ValueError:
         return text
 
 
-def _finite_float(text: str) -> float:
-    """Python reads 1e999 as infinity, which JSON does not have, so that it could not be sent to a tracker."""
-    value = float(text)
-    return value if math.isfinite(value) else _raise_not_json(text)
-
-
-def _raise_not_json(constant: str) -> NoReturn:
-    """Python reads NaN and Infinity as JSON; JSON has no such numbers."""
-    raise ValueError(constant)
-
-
 def validated(model: type[Model], values: dict[str, Any], where: str) -> Model:
-    """`model(**values)`; all errors in one line, with a suggestion for an unknown key.
+    """`model(**values)`; the first errors in one line, with a suggestion for an unknown key.
 
     Raises ConfigurationError.
     """
     try:
         return model.model_validate(values)
     except ValidationError as error:
-        raise ConfigurationError("; ".join(_error_text(model, e, where) for e in error.errors())) from None
+        errors = error.errors(include_url=False)
+        more = [f"and {len(errors) - MAX_ERRORS} more"] if len(errors) > MAX_ERRORS else []
+        raise ConfigurationError(
+            "; ".join([_error_text(model, e, where) for e in errors[:MAX_ERRORS]] + more)
+        ) from None
 
 
 def _error_text(model: type[BaseModel], error: Any, where: str) -> str:
-    key = ".".join(str(part) for part in error["loc"])
+    key = ".".join(f"{part!s:.{MAX_SHOWN}}" for part in error["loc"])
     if error["type"] == "extra_forbidden":
         return f"{where}: there is no option '{key}'; {did_you_mean(key, _field_names(model))}"
-    return f"{where}: '{key}' = {error['input']!r}: {error['msg']}"
+    return f"{where}: '{key}' = {error['input']!r:.{MAX_SHOWN}}: {error['msg']:.{MAX_SHOWN}}"
 
 
 def _field_names(model: type[BaseModel]) -> list[str]:

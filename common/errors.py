@@ -7,12 +7,23 @@ from collections.abc import Iterable
 
 MAX_NAMES = 20
 """Limit of the names listed in one error line."""
+MAX_NAME_CHARS = 200
+"""So much of an unknown name is compared with the known ones."""
 INTERRUPTED_EXIT_CODE = 130
 """Exit code of a process after Ctrl-C, as of a shell."""
+MAX_LINE_CHARS = 2000
+"""Limit of a line that may quote untrusted input."""
+CUT = " ... "
 
 
 class GridtrackError(Exception):
-    """Root of every error gridtrack raises on purpose: the message says what is wrong, where, and what to do."""
+    """Root of every error gridtrack raises on purpose: the message says what is wrong, where, and what to do.
+
+    As text it is one printable line of at most MAX_LINE_CHARS characters, whatever untrusted input it quotes.
+    """
+
+    def __str__(self) -> str:
+        return bounded_line(super().__str__())
 
 
 class ConfigurationError(GridtrackError):
@@ -34,7 +45,7 @@ class PluginError(GridtrackError):
 def did_you_mean(name: str, known: Iterable[str]) -> str:
     """The end of an error line: the known name closest to `name`, or the known names where none is close."""
     names = sorted(known)
-    near = difflib.get_close_matches(name, names, n=1, cutoff=0.6)
+    near = difflib.get_close_matches(name[:MAX_NAME_CHARS], names, n=1, cutoff=0.6)
     if near:
         return f"did you mean '{near[0]}'?"
     more = f" and {len(names) - MAX_NAMES} more" if len(names) > MAX_NAMES else ""
@@ -44,6 +55,14 @@ def did_you_mean(name: str, known: Iterable[str]) -> str:
 def printable(line: str) -> str:
     """`line` with a space in place of each character that cannot be printed, such as a terminal's control codes."""
     return "".join(character if character.isprintable() else " " for character in line)
+
+
+def bounded_line(text: str) -> str:
+    """`text` as one printable line of at most MAX_LINE_CHARS characters, cut in the middle: the remedy is last."""
+    if len(text) > MAX_LINE_CHARS:
+        tail = MAX_LINE_CHARS // 4
+        text = text[: MAX_LINE_CHARS - tail - len(CUT)] + CUT + text[-tail:]
+    return printable(text)
 
 
 def one_line(text: str, max_chars: int) -> str:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import json
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -12,6 +11,7 @@ from typing import Any, BinaryIO
 import platformdirs
 
 from gridtrack.common.errors import GridtrackError
+from gridtrack.common.untrusted import parse_json
 
 APPLICATION = "gridtrack"
 
@@ -63,9 +63,9 @@ def read_json(path: Path, max_bytes: int, error: type[GridtrackError]) -> dict[s
     """The JSON object in `path`. Raises FileNotFoundError; `error` if it is larger, or not a JSON object."""
     text = read_bounded(path, max_bytes, error)
     try:
-        content = json.loads(text)
-    except (ValueError, RecursionError) as problem:
-        raise error(f"{path}: not JSON ({str(problem)[:80]})") from None
+        content = parse_json(text)
+    except ValueError as problem:
+        raise error(f"{path}: not JSON that can be read ({str(problem)[:80]})") from None
     if not isinstance(content, dict):
         raise error(f"{path}: expected one JSON object, found {type(content).__name__}")
     return content

@@ -10,6 +10,7 @@ import json
 from typing import Any
 
 from gridtrack.common.pose_quality import MATCH_OUTCOMES, PoseQuality
+from gridtrack.common.untrusted import parse_json
 from gridtrack.recordings.recording import DamageError
 
 BEAM_TIMES, POSE_QUALITY = "/beam_times", "/pose_quality"
@@ -76,8 +77,8 @@ def _encoded(stamp_ns: int, values: dict[str, Any]) -> bytes:
 
 def _decoded(topic: str, data: bytes) -> dict[str, Any]:
     try:
-        values = json.loads(data) if len(data) <= MAX_MESSAGE_CHARS else None
-    except (ValueError, RecursionError):
+        values = parse_json(data) if len(data) <= MAX_MESSAGE_CHARS else None
+    except ValueError:
         values = None
     if not isinstance(values, dict):
         raise DamageError(f"corrupt: a message of {topic} is not a {JSON_SCHEMAS[topic]['title']}")

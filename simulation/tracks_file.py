@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from gridtrack.common.config import validated
 from gridtrack.common.errors import RecordingError
+from gridtrack.common.untrusted import parse_json
 from gridtrack.simulation.tracks import MAX_USERS_PER_FRAME, ONLY_LASER, Tracks, TracksInfo
 
 STANDING_SCHEMA, TRACKS_SCHEMA, WORLD_SCHEMA = 1, 2, 3
@@ -124,8 +125,8 @@ def _read_info(path: Path, file: pq.ParquetFile) -> TracksInfo:
         if name not in file.schema_arrow.names or file.schema_arrow.field(name).type != kind:
             raise RecordingError(f"{path}: damaged (no column {name} of {kind})")
     try:
-        values = json.loads(about)
-    except (ValueError, RecursionError):
+        values = parse_json(about)
+    except ValueError:
         raise RecordingError(f"{path}: its metadata are not JSON") from None
     schema = values.pop("schema", None) if isinstance(values, dict) else None
     if schema not in (STANDING_SCHEMA, TRACKS_SCHEMA, WORLD_SCHEMA):

@@ -6,7 +6,6 @@ import os
 import re
 import shlex
 import sys
-import tomllib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -19,6 +18,7 @@ from gridtrack.common.entry_points import VALID_NAME
 from gridtrack.common.errors import ConfigurationError, PluginError, did_you_mean
 from gridtrack.common.files import read_bounded
 from gridtrack.common.grid import Points
+from gridtrack.common.untrusted import parse_toml
 from gridtrack.trackers import registry
 
 CardKind = Literal["any", "site", "general"]
@@ -132,11 +132,11 @@ def read_trackers_toml(path: Path) -> dict[str, Launch]:
     Raises ConfigurationError, also for the name of a registered tracker.
     """
     try:
-        tables = tomllib.loads(read_bounded(path, MAX_TOML_BYTES, ConfigurationError).decode())
+        tables = parse_toml(read_bounded(path, MAX_TOML_BYTES, ConfigurationError))
     except FileNotFoundError as error:
         raise ConfigurationError(f"{path}: cannot be read ({error.strerror})") from None
-    except (ValueError, RecursionError) as error:
-        raise ConfigurationError(f"{path}: not TOML ({error})") from None
+    except ValueError as error:
+        raise ConfigurationError(f"{path}: not TOML that can be read ({error})") from None
     registered = registry.entries()
     launches = {}
     for name, table in tables.items():

@@ -16,6 +16,7 @@ import optuna
 from gridtrack.common.config import Settings
 from gridtrack.common.errors import ConfigurationError, RecordingError
 from gridtrack.common.files import read_bounded, write_text
+from gridtrack.common.untrusted import parse_json
 from gridtrack.trackers.contract import FitOutput, FrameSource, StretchScore
 from gridtrack.trackers.racing import Race
 
@@ -49,8 +50,8 @@ class SearchLog:
         """`searched` describes the search: scores of another one are not used."""
         self._path, self._searched = path, json.loads(json.dumps(searched))
         self._scores: dict[str, list[float]] = {}
-        with suppress(FileNotFoundError, ValueError, RecursionError, AttributeError, KeyError, TypeError):
-            found = json.loads(read_bounded(path, MAX_LOG_BYTES, RecordingError))
+        with suppress(FileNotFoundError, ValueError, AttributeError, KeyError, TypeError):
+            found = parse_json(read_bounded(path, MAX_LOG_BYTES, RecordingError))
             if found.get("search") == self._searched:
                 self._scores = {str(key): [float(score) for score in found["scores"][key]] for key in found["scores"]}
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 import hashlib
 import shlex
 import shutil
-import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass
@@ -25,6 +24,7 @@ from gridtrack.common.config import Settings, validated
 from gridtrack.common.errors import ConfigurationError, WeightsError
 from gridtrack.common.files import atomic_write, read_bounded, write_text
 from gridtrack.common.grid import GridSpec
+from gridtrack.common.untrusted import parse_toml
 from gridtrack.trackers.card import CARD_SCHEMA, Card, CardThresholds, StartedFrom, TrainingData
 from gridtrack.trackers.contract import StreamSpec
 
@@ -149,12 +149,12 @@ def parse_card(path: Path, sha256: str = "") -> Card:
         text = read_bounded(path, MAX_CARD_BYTES, WeightsError)
         if sha256 and hashlib.sha256(text).hexdigest() != sha256:
             raise WeightsError(f"{path}: its sha256 is not the one in the request: the card was exchanged")
-        card = validated(Card, tomllib.loads(text.decode()), "weights card")
+        card = validated(Card, parse_toml(text), "weights card")
         if not card.general:
             GridSpec.parse(card.grid)
     except FileNotFoundError as error:
         raise WeightsError(f"{path}: cannot be read ({error.strerror})") from None
-    except (ValueError, RecursionError, ConfigurationError) as error:
+    except (ValueError, ConfigurationError) as error:
         raise WeightsError(f"{path}: not a weights card of gridtrack ({error})") from None
     return card
 

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridtrack.common.errors import GridtrackError
+from gridtrack.common.untrusted import parse_json
 
 MAGIC = b"GTW"
 VERSION = 1
@@ -128,9 +129,9 @@ def receive(fill: Fill, max_body: int) -> Message:
 
 def _decode(header: bytearray, body: NDArray[np.uint8]) -> Message:
     try:
-        content = json.loads(header.decode())
-    except (ValueError, RecursionError) as error:
-        raise WireError(f"the header is not JSON ({error})") from None
+        content = parse_json(header)
+    except ValueError as error:
+        raise WireError(f"the header is not JSON that can be read ({error})") from None
     if not isinstance(content, dict):
         raise WireError("the header is not a JSON object")
     kind, number, declared = (content.pop(key, None) for key in RESERVED)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import re
 import shlex
-import tomllib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -15,6 +14,7 @@ from pydantic import Field, model_validator
 from gridtrack.common.config import Settings, validated
 from gridtrack.common.errors import ConfigurationError
 from gridtrack.common.files import read_bounded
+from gridtrack.common.untrusted import parse_toml
 from gridtrack.trackers.weights import read_card
 
 MAX_RECIPE_BYTES = 1 << 20
@@ -77,11 +77,11 @@ def _option_text(value: Any) -> str:
 def read_recipe(path: Path) -> Recipe:
     """The recipe in the TOML file `path`. Raises ConfigurationError, also for an unknown key."""
     try:
-        fields = tomllib.loads(read_bounded(path, MAX_RECIPE_BYTES, ConfigurationError).decode())
+        fields = parse_toml(read_bounded(path, MAX_RECIPE_BYTES, ConfigurationError))
     except FileNotFoundError:
         raise ConfigurationError(f"{path}: no such recipe") from None
-    except (ValueError, RecursionError) as error:
-        raise ConfigurationError(f"{path}: not TOML ({error})") from None
+    except ValueError as error:
+        raise ConfigurationError(f"{path}: not TOML that can be read ({error})") from None
     return validated(Recipe, fields, str(path))
 
 

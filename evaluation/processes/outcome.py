@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Literal, get_args
 
-from gridtrack.common.errors import GridtrackError
+from gridtrack.common.errors import GridtrackError, bounded_line
 
 Outcome = Literal[
     "ok",
@@ -25,4 +25,4 @@ class TrialEnded(GridtrackError):
     def __init__(self, outcome: Outcome, reason: str) -> None:
         super().__init__(f"{outcome}: {reason}")
         self.outcome = outcome
-        self.reason = reason
+        self.reason = bounded_line(reason)

@@ -66,7 +66,7 @@ def read_baseline(path: Path) -> Baseline:
         )
     try:
         baseline = Baseline.model_validate(content)
-    except (ValidationError, RecursionError) as error:
+    except ValidationError as error:
         raise BaselineError(f"{path}: not a baseline ({_first_error(error)}): make it again with --update") from None
     require_comparable(baseline.runs)
     return baseline
@@ -93,8 +93,6 @@ def _is_empty(runs: Any) -> bool:
     return not runs or any(isinstance(run, dict) and {} in (run.get("trackers"), run.get("recordings")) for run in runs)
 
 
-def _first_error(error: ValidationError | RecursionError) -> str:
-    if isinstance(error, RecursionError):
-        return "nested too deeply"
-    first = error.errors()[0]
+def _first_error(error: ValidationError) -> str:
+    first = error.errors(include_url=False, include_input=False)[0]
     return f"{'.'.join(str(key)[:60] for key in first['loc']) or 'content'}: {first['msg']}"

@@ -175,7 +175,8 @@ def _read(path: Path) -> tuple[str, HistoryEntry]:
     try:
         return digest, HistoryEntry.model_validate(content)
     except ValidationError as error:
-        raise HistoryError(f"{path}: not an entry of a history ({error.errors()[0]['msg']}): restore it") from None
+        first = error.errors(include_url=False, include_input=False)[0]["msg"]
+        raise HistoryError(f"{path}: not an entry of a history ({first}): restore it") from None
 
 
 def _commit(folder: Path) -> tuple[str, bool]:

@@ -12,7 +12,7 @@ from typing import Annotated, Any, Final, Literal
 from pydantic import Field, model_validator
 
 from gridtrack.common.config import Settings
-from gridtrack.common.errors import GridtrackError
+from gridtrack.common.errors import GridtrackError, bounded_line
 
 BASELINE_SCHEMA: Final = 3
 BANDS: dict[str, tuple[float, float]] = {"short": (0.0, 0.5), "middle": (0.5, 1.5), "long": (1.5, 3600.0)}
@@ -32,7 +32,7 @@ class Unmeasured(GridtrackError):
 
     def __init__(self, reasons: Sequence[str]) -> None:
         super().__init__("; ".join(reasons))
-        self.reasons = tuple(reasons)
+        self.reasons = tuple(map(bounded_line, reasons))
 
 
 class SplitKey(Settings):

@@ -41,9 +41,7 @@ def read_model(path: Path, model: type[_Model], schema: int, max_bytes: int, rem
         raise RunError(f"{path}: schema {str(found)[:20]}; this gridtrack reads schema {schema}: {remedy}")
     try:
         return model.model_validate(content)
-    except RecursionError:
-        raise RunError(f"{path}: nested too deeply: {remedy}") from None
     except ValidationError as error:
-        first = error.errors()[0]
+        first = error.errors(include_url=False, include_input=False)[0]
         where = ".".join(str(part)[:60] for part in first["loc"])
         raise RunError(f"{path}: {where or 'content'}: {first['msg']}: {remedy}") from None

@@ -11,7 +11,6 @@ json_messages.py). The metadata record `gridtrack` holds the RecordingInfo.
 from __future__ import annotations
 
 import contextlib
-import json
 import math
 from collections.abc import Iterator
 from dataclasses import replace
@@ -33,6 +32,7 @@ from gridtrack.common.geometry import SE2
 from gridtrack.common.pose_quality import PoseQuality
 from gridtrack.common.scan import Scan
 from gridtrack.common.scene import Scene
+from gridtrack.common.untrusted import parse_json
 from gridtrack.recordings.format import RecordingFormat
 from gridtrack.recordings.formats.native_layout import (
     METADATA_NAME,
@@ -145,8 +145,8 @@ NATIVE_FORMAT = RecordingFormat("native MCAP", (".mcap",), is_native, NativeReco
 
 def _read_info(text: str, where: str) -> RecordingInfo:
     try:
-        values = json.loads(text)
-    except (ValueError, RecursionError) as error:
+        values = parse_json(text.encode())
+    except ValueError as error:
         raise RecordingError(f"{where} cannot be read ({str(error)[:80]})") from None
     return validated(RecordingInfo, values, where)
 

@@ -100,7 +100,7 @@ def test_an_unknown_role_or_comparison_is_refused(fields: dict[str, object], rea
         ("a-list", "the header is not a JSON object"),
         ("another-number", "answers request 9; expected 2"),
         ("another-kind", "answered 'forecast'; expected 'done'"),
-        ("endless-time", "update with frame 1: 'elapsed_ns' is no duration"),
+        ("endless-time", "the header is not JSON that can be read (an integer of 401 digits; at most 64 bits"),
         ("negative-time", "update with frame 1: 'cpu_ns' is no duration"),
         ("no-times", "'done' needs a field 'elapsed_ns' of type int; found None"),
         ("made-up-outcome", "an error with outcome 'ok'; expected one of crashed, timeout"),

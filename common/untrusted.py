@@ -1,0 +1,111 @@
+"""JSON and TOML that nobody vouches for: their nesting and numbers are limited before or while they are read.
+
+Without limits a file of 40 kB takes 1.6 GB (dotted keys of TOML), or fails where its content is used: nested so deeply
+that it cannot be written again, or with numbers that no float and no array can hold.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+import tomllib
+from itertools import accumulate
+from typing import Any, NoReturn
+
+MAX_NESTING = 64
+"""Limit of lists and objects inside each other; the deepest file of gridtrack has 12."""
+MAX_KEY_PARTS = 16
+"""Limit of the parts of a dotted key of TOML: tables inside each other take time quadratic in their number."""
+MAX_INTEGER = 1 << 64
+"""Limit of the size of an integer."""
+
+_JSON_STRING = re.compile(rb'"[^"\\]*+(?:\\.[^"\\]*+)*+"?', re.DOTALL)
+_TOML_STRING = re.compile(
+    r"""
+    \#[^\n]*+
+    | "{3}[^"\\]*+(?:(?:\\.|"(?!""))[^"\\]*+)*+"{0,5}+
+    | '{3}.*?(?:'{3,5}+|\Z)
+    | "[^"\\\n]*+(?:\\.[^"\\\n]*+)*+"?
+    | '[^'\n]*+'?
+    """,
+    re.DOTALL | re.VERBOSE,
+)
+"""A string or a comment; one that does not end reaches to the end of its line, or of the text."""
+_LONG_KEY = re.compile(rf"(?<![\w-])(?:[\w-]++[ \t]*+\.[ \t]*+){{{MAX_KEY_PARTS}}}")
+_NESTING = {ord(char): step for chars, step in (("[{", 1), ("]}", -1)) for char in chars}
+_NO_BRACKETS = bytes(set(range(256)) - set(_NESTING))
+_ESCAPED_SURROGATE = re.compile(rb"\\u[dD][89a-fA-F]")
+
+
+def parse_json(text: bytes | bytearray) -> Any:
+    """The JSON value in `text`, UTF-8. Raises ValueError, in a few words, for anything else.
+
+    Also for lists and objects nested beyond MAX_NESTING, integers from MAX_INTEGER on, numbers that are not finite, and
+    strings with a lone surrogate, which cannot be written as UTF-8.
+    """
+    _refuse_deep(_JSON_STRING.sub(b"", text))
+    value = json.loads(text.decode(), parse_int=_integer, parse_float=_finite, parse_constant=_not_json)
+    if _ESCAPED_SURROGATE.search(text):
+        _refuse_surrogates(value)
+    return value
+
+
+def parse_toml(text: bytes) -> dict[str, Any]:
+    """The tables in `text`, UTF-8. Raises ValueError for anything else, and as `parse_json`.
+
+    Also for a key with more than MAX_KEY_PARTS parts.
+    """
+    decoded = text.decode()
+    bare = _TOML_STRING.sub("s", decoded)
+    if _LONG_KEY.search(bare):
+        raise ValueError(f"a key of more than {MAX_KEY_PARTS} parts")
+    _refuse_deep(bare.encode())
+    tables = tomllib.loads(decoded, parse_float=_finite)
+    _refuse_large_integers(tables)
+    return tables
+
+
+def _refuse_deep(text: bytes) -> None:
+    """Raise ValueError where the brackets of `text`, which has no strings, are nested too deeply."""
+    brackets = text.translate(None, _NO_BRACKETS)
+    if max(accumulate(map(_NESTING.__getitem__, brackets)), default=0) > MAX_NESTING:
+        raise ValueError(f"nested more than {MAX_NESTING} deep")
+
+
+def _integer(text: str) -> int:
+    if len(text) > 21 or abs(value := int(text)) >= MAX_INTEGER:
+        raise ValueError(f"an integer of {len(text)} digits; at most 64 bits are read")
+    return value
+
+
+def _finite(text: str) -> float:
+    value = float(text)
+    return value if math.isfinite(value) else _not_json(text)
+
+
+def _not_json(text: str) -> NoReturn:
+    """Python reads NaN, Infinity and 1e999; JSON has no such numbers."""
+    raise ValueError(f"{text[:20]} is not a finite number")
+
+
+def _refuse_surrogates(value: Any) -> None:
+    if isinstance(value, str):
+        if any("\ud800" <= char <= "\udfff" for char in value):
+            raise ValueError("a string with half of a surrogate pair")
+    elif isinstance(value, dict):
+        for key, item in value.items():
+            _refuse_surrogates(key)
+            _refuse_surrogates(item)
+    elif isinstance(value, list):
+        for item in value:
+            _refuse_surrogates(item)
+
+
+def _refuse_large_integers(value: Any) -> None:
+    if isinstance(value, int):
+        if abs(value) >= MAX_INTEGER:
+            raise ValueError("an integer beyond 64 bits")
+    elif isinstance(value, dict | list):
+        for item in value.values() if isinstance(value, dict) else value:
+            _refuse_large_integers(item)
