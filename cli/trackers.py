@@ -78,11 +78,15 @@ def train_command(
     }
     overrides = {key: value for key, value in given.items() if value is not None} | _start_given(weights, from_scratch)
     try:
-        card = train_tracker(complete_recipe(_base_recipe(recipe, like), overrides), typer.echo)
+        card = train_tracker(complete_recipe(_base_recipe(recipe, like), overrides), _print_line)
     except KeyboardInterrupt as stopped:
         typer.echo(f"gridtrack: {printable(str(stopped)) or 'interrupted before the training began'}", err=True)
         raise typer.Exit(INTERRUPTED_EXIT_CODE) from None
     typer.echo(f"weights: {card}")
+
+
+def _print_line(text: str) -> None:
+    typer.echo(printable(text))
 
 
 def train_defaults() -> dict[str, str]:
@@ -203,7 +207,7 @@ def show_tracker(name: NameArgument, as_json: JsonOption = False) -> None:
         typer.echo(json.dumps({**about, "options": options}, indent=1))
         return
     for key, value in about.items():
-        typer.echo(f"{key}: {value}")
+        typer.echo(printable(f"{key}: {value}"))
     print_rows(options)
 
 

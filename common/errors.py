@@ -57,6 +57,11 @@ def printable(line: str) -> str:
     return "".join(character if character.isprintable() else " " for character in line)
 
 
+def printable_lines(text: str) -> str:
+    """`text` with each of its lines `printable`."""
+    return "\n".join(map(printable, text.split("\n")))
+
+
 def bounded_line(text: str) -> str:
     """`text` as one printable line of at most MAX_LINE_CHARS characters, cut in the middle: the remedy is last."""
     if len(text) > MAX_LINE_CHARS:

@@ -38,14 +38,15 @@ _NO_BRACKETS = bytes(set(range(256)) - set(_NESTING))
 _ESCAPED_SURROGATE = re.compile(rb"\\u[dD][89a-fA-F]")
 
 
-def parse_json(text: bytes | bytearray) -> Any:
+def parse_json(text: bytes | bytearray, *, undefined: bool = False) -> Any:
     """The JSON value in `text`, UTF-8. Raises ValueError, in a few words, for anything else.
 
-    Also for lists and objects nested beyond MAX_NESTING, integers from MAX_INTEGER on, numbers that are not finite, and
-    strings with a lone surrogate, which cannot be written as UTF-8.
+    Also for lists and objects nested beyond MAX_NESTING, integers from MAX_INTEGER on, strings with a lone surrogate,
+    which cannot be written as UTF-8, and numbers that are not finite: with `undefined` these are None.
     """
     _refuse_deep(_JSON_STRING.sub(b"", text))
-    value = json.loads(text.decode(), parse_int=_integer, parse_float=_finite, parse_constant=_not_json)
+    finite, constant = (_finite_or_none, _none) if undefined else (_finite, _not_json)
+    value = json.loads(text.decode(), parse_int=_integer, parse_float=finite, parse_constant=constant)
     if _ESCAPED_SURROGATE.search(text):
         _refuse_surrogates(value)
     return value
@@ -82,6 +83,15 @@ def _integer(text: str) -> int:
 def _finite(text: str) -> float:
     value = float(text)
     return value if math.isfinite(value) else _not_json(text)
+
+
+def _finite_or_none(text: str) -> float | None:
+    value = float(text)
+    return value if math.isfinite(value) else None
+
+
+def _none(_: str) -> None:
+    return None
 
 
 def _not_json(text: str) -> NoReturn:

@@ -14,7 +14,7 @@ import numpy as np
 from pydantic import Field, SerializerFunctionWrapHandler, field_validator, model_serializer
 
 from gridtrack.common.config import Settings
-from gridtrack.common.errors import RecordingError, did_you_mean
+from gridtrack.common.errors import RecordingError, bounded_line, did_you_mean
 from gridtrack.common.files import sha256_of
 from gridtrack.common.grid import GridSpec
 from gridtrack.common.names import LABEL_RULE, NAME_RULE, is_label, is_name, name_from
@@ -32,6 +32,11 @@ def stretch_text(stretch: Stretch) -> str:
     """A stretch in the form of the command line: `75s-90s`, or `90s-` to the end."""
     start_s, end_s = stretch
     return f"{start_s:g}s-" if end_s is None else f"{start_s:g}s-{end_s:g}s"
+
+
+MAX_WARNINGS, MAX_TOPICS = 100, 1000
+"""Limits of the warnings about a recording, and of the topics that are listed."""
+NO_MORE_WARNINGS = f"more than {MAX_WARNINGS} warnings: the others are left out"
 
 
 class DamageError(RecordingError):
@@ -112,7 +117,9 @@ class Topics:
     """Topics that can be read as scans."""
 
     def add(self, topic: str, kind: str, is_scan: bool) -> None:
-        """Count one message of `topic`."""
+        """Count one message of `topic`; topics beyond MAX_TOPICS are not counted, unless they are scans."""
+        if len(self.types) >= MAX_TOPICS and topic not in self.types and not is_scan:
+            return
         self.types[topic] = kind
         self.counts[topic] = self.counts.get(topic, 0) + 1
         if is_scan:
@@ -266,9 +273,10 @@ class Recording(ABC):
 
     def notify(self, text: str) -> None:
         """Add a warning about the recording that is not an error in the file, once."""
-        line = f"{self.path}: {text}"
-        if line not in self.warnings:
-            self.warnings.append(line)
+        line = bounded_line(f"{self.path}: {text}")
+        if line not in self.warnings and len(self.warnings) <= MAX_WARNINGS:
+            full = len(self.warnings) == MAX_WARNINGS
+            self.warnings.append(f"{self.path}: {NO_MORE_WARNINGS}" if full else line)
 
     def _in_order(self, topics: Topics) -> Iterator[Scan]:
         order = StampOrder(self.warn)

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridtrack.common.config import Settings
+from gridtrack.common.errors import bounded_line
 from gridtrack.common.geometry import SE2, same_pose
 from gridtrack.common.scan import Scan
 from gridtrack.recordings.pose_jumps import PoseJumps
@@ -245,7 +246,7 @@ class RecordingOverview(Settings):
         lines += [f"  topic {topic}: {what}" for topic, what in self.topics.items()]
         for name, sensor in self.sensors.items():
             lines += [f"  sensor {name}: {line}" for line in _sensor_lines(sensor)]
-        return "\n".join(lines + [f"  warning: {w}" for w in self.warnings])
+        return "\n".join(map(bounded_line, lines + [f"  warning: {w}" for w in self.warnings]))
 
 
 def _as_text(value: object) -> str:

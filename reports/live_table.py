@@ -13,6 +13,7 @@ from rich.live import Live
 from rich.markup import escape
 from rich.table import Table
 
+from gridtrack.common.errors import printable
 from gridtrack.evaluation.comparison.live_scores import LiveRow, LiveStatus
 
 SHOW_EVERY_S = 0.5
@@ -40,7 +41,7 @@ class LiveTable:
 
     def note(self, text: str) -> None:
         """Print one line."""
-        self._console.print(escape(text), highlight=False, soft_wrap=True)
+        self._console.print(escape(printable(text)), highlight=False, soft_wrap=True)
 
     def update(self, status: Callable[[], LiveStatus]) -> None:
         """Show `status()`, where the one shown last is old enough."""
@@ -61,7 +62,7 @@ def live_table(status: LiveStatus) -> Table:
     for heading in (status.score, "forecasts", "missed", "newest forecast"):
         table.add_column(heading, justify="right")
     for row in status.rows:
-        table.add_row(escape(row.label), _f1_text(row), str(row.forecasts), str(row.missed), _age_text(row))
+        table.add_row(escape(printable(row.label)), _f1_text(row), str(row.forecasts), str(row.missed), _age_text(row))
     return table
 
 

@@ -12,6 +12,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, Progress, TaskID, TextColumn
 
+from gridtrack.common.errors import printable
 from gridtrack.evaluation.results.trial_record import TrialRecord
 from gridtrack.trackers.progress import duration_text
 
@@ -55,7 +56,7 @@ class RunProgress:
     def note(self, text: str) -> None:
         """Print one line."""
         self._last_line_s = time.monotonic()
-        self._console.print(escape(text), highlight=False, soft_wrap=True)
+        self._console.print(escape(printable(text)), highlight=False, soft_wrap=True)
 
     def planned(self, frames: Mapping[str, int]) -> None:
         """The trials that will run, and about how many frames each will receive."""
@@ -67,7 +68,7 @@ class RunProgress:
         """Show a bar for a trial of `frames` frames."""
         with self._lock:
             self._frames[trial], self._delivered[trial] = frames, 0
-            self._tasks[trial] = self._bars.add_task(escape(trial), total=frames, left="")
+            self._tasks[trial] = self._bars.add_task(escape(printable(trial)), total=frames, left="")
         self._show_all()
 
     def advanced(self, trial: str) -> None:

@@ -13,7 +13,7 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
-from gridtrack.common.errors import printable
+from gridtrack.common.errors import printable, printable_lines
 from gridtrack.reports.differences import DifferenceCell, DifferenceTable, difference_markdown, difference_table
 from gridtrack.reports.run import read_runs
 from gridtrack.reports.table import HeadlineTable, TableCell, headline_markdown, headline_tables, main_tables
@@ -49,12 +49,12 @@ def _difference_title(differences: DifferenceTable) -> str:
 
 
 def _rich_difference_tables(differences: DifferenceTable, width: int) -> Iterator[Table]:
-    names = [escape(f"{row.tracker}\n{row.score}") for row in differences.rows]
+    names = [_plain(f"{row.tracker}\n{row.score}") for row in differences.rows]
     columns = [
         _Column(
             f"{stratum}\n{horizon_s:g} s",
             [
-                _difference_text(row.cells[at]) if row.cells else escape(row.reason) * (at == 0)
+                _difference_text(row.cells[at]) if row.cells else _plain(row.reason) * (at == 0)
                 for row in differences.rows
             ],
         )
@@ -63,18 +63,23 @@ def _rich_difference_tables(differences: DifferenceTable, width: int) -> Iterato
     yield from _tables(escape(_difference_title(differences)), names, columns, [""] * len(names), width)
 
 
+def _plain(text: str) -> str:
+    """`text` for a table of rich: without characters that act on a terminal, and without markup."""
+    return escape(printable_lines(text))
+
+
 def _difference_text(cell: DifferenceCell) -> str:
     return f"{cell.value}\n{escape(cell.interval)}\n{cell.p}\n{cell.verdict}"
 
 
 def _rich_headline_tables(table: HeadlineTable, width: int) -> Iterator[Table]:
-    names = [escape(row.name) + (f"\n({row.outcome})" if row.group == "unranked" else "") for row in table.rows]
+    names = [_plain(row.name) + (f"\n({row.outcome})" if row.group == "unranked" else "") for row in table.rows]
     columns = [
         _Column(f"{column.group}\n{column.heading}", [_cell_text(row.cells[at]) for row in table.rows])
         for at, column in enumerate(table.columns)
     ]
     columns.append(_Column("frames", [row.frames for row in table.rows]))
-    yield from _tables(escape(table.recording), names, columns, [GROUP_STYLES[row.group] for row in table.rows], width)
+    yield from _tables(_plain(table.recording), names, columns, [GROUP_STYLES[row.group] for row in table.rows], width)
 
 
 def _cell_text(cell: TableCell) -> str:
@@ -130,11 +135,11 @@ def print_rows(rows: Sequence[Mapping[str, str]]) -> None:
     console = Console()
     if not console.is_terminal:
         for row in rows:
-            print("\t".join(row.values()))
+            print("\t".join(map(printable, row.values())))
         return
     shown = Table(box=box.SIMPLE_HEAD)
     for number, key in enumerate(rows[0] if rows else ()):
         shown.add_column(key, no_wrap=number == 0, overflow="fold")
     for row in rows:
-        shown.add_row(*(escape(value) for value in row.values()))
+        shown.add_row(*(_plain(value) for value in row.values()))
     console.print(shown)

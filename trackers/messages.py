@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec
+from gridtrack.common.names import LABEL_RULE, is_label
 from gridtrack.trackers.contract import MAX_FUTURES, ComparedPart, Forecast, Role, StreamSpec, TrackedObject
 from gridtrack.trackers.wire import Message, WireError
 
@@ -243,8 +244,8 @@ def _objects(message: Message) -> tuple[TrackedObject, ...]:
         _finite(name, values)
     if count and not (index.min() >= -1 and index.max() < len(labels)):
         raise WireError(f"object_label goes from {index.min()} to {index.max()}; there are {len(labels)} labels")
-    if not all(isinstance(label, str) for label in labels):
-        raise WireError("the labels of the objects are not all strings")
+    if not all(isinstance(label, str) and is_label(label) for label in labels):
+        raise WireError(f"the labels of the objects are not all names: {LABEL_RULE}")
     return tuple(
         TrackedObject(int(track[i]), box[i], velocity[i], covariance[i], labels[index[i]] if index[i] >= 0 else "")
         for i in range(count)

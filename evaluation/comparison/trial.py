@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from gridtrack.common.errors import RecordingError
+from gridtrack.common.errors import RecordingError, bounded_line
 from gridtrack.evaluation.comparison.plan import Trial
 from gridtrack.evaluation.comparison.shared_thresholds import SharedThresholds, thresholds_of_card, trial_key
 from gridtrack.evaluation.processes.outcome import TrialEnded
@@ -217,4 +217,4 @@ def error_with_location(error: Exception) -> str:
     """An unexpected error with the file and line that raised it, as one line of text."""
     origin = traceback.extract_tb(error.__traceback__)[-1]
     words = " ".join(str(error).split())
-    return f"{type(error).__name__}: {words} ({Path(origin.filename).name}, line {origin.lineno})"
+    return bounded_line(f"{type(error).__name__}: {words} ({Path(origin.filename).name}, line {origin.lineno})")

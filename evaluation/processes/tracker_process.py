@@ -13,6 +13,7 @@ from typing import Any
 
 from gridtrack.common.errors import ConfigurationError, PluginError
 from gridtrack.common.grid import GridFrame
+from gridtrack.common.names import LABEL_RULE, is_label
 from gridtrack.evaluation.processes.clock import Clock, clock_that_counts
 from gridtrack.evaluation.processes.dialogue import Dialogue, Request
 from gridtrack.evaluation.processes.latency import Latencies
@@ -285,8 +286,8 @@ def _description(answer: Message) -> TrackerDescription:
     classes = answer.value("classes", list)
     if len(classes) > messages.MAX_CLASSES:
         raise WireError(f"{len(classes)} classes; at most {messages.MAX_CLASSES}")
-    if not all(isinstance(name, str) for name in classes) or len(set(classes)) != len(classes):
-        raise WireError(f"classes {classes!r:.80} are not distinct names")
+    if not all(isinstance(name, str) and is_label(name) for name in classes) or len(set(classes)) != len(classes):
+        raise WireError(f"classes {classes!r:.80} are not distinct names: {LABEL_RULE}")
     if answer.value("api", int) != API:
         raise WireError(f"made for contract {answer.value('api', int)}; this gridtrack has contract {API}")
     return TrackerDescription(

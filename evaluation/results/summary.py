@@ -11,7 +11,7 @@ from pydantic import Field, model_validator
 from gridtrack.evaluation.results.files import read_model, write_model
 from gridtrack.evaluation.results.recording import LONGEST_S, RecordingSummary, refuse_unordered
 from gridtrack.evaluation.results.trial_summary import PooledSummary, ScopeSummary, TrialSummary, curves_of
-from gridtrack.evaluation.results.values import Curve, Number, ResultModel
+from gridtrack.evaluation.results.values import Curve, Line, Number, ResultModel
 from gridtrack.trackers.contract import Role
 
 SUMMARY_SCHEMA: Final = 2
@@ -110,7 +110,7 @@ class Difference(ResultModel):
     """Statistical units: whole recordings, or blocks of time."""
     frames: int = 0
     """Scored frames that both have."""
-    interval: str = ""
+    interval: Line = ""
     """Why there is no interval or no comparison; empty where there is."""
 
 
@@ -196,7 +196,7 @@ class TrackerTrainings(ResultModel):
     reference: str
     """The first label of the reference."""
     units: int = 0
-    interval: str = ""
+    interval: Line = ""
     """Why there is no interval; empty where there is."""
     scores: tuple[TrainingsScore, ...] = Field(default=(), max_length=100)
 
@@ -233,7 +233,7 @@ class RunSummary(ResultModel):
 
     schema_version: Literal[2] = Field(default=SUMMARY_SCHEMA, alias="schema")
     interrupted: bool = False
-    notices: tuple[str, ...] = ()
+    notices: tuple[Line, ...] = ()
     """What to know before a comparison, a line for each."""
     recordings: dict[str, RecordingSummary] = Field(min_length=1)
     pooled_horizons_s: tuple[Annotated[float, Field(ge=0.0, le=LONGEST_S)], ...] = ()

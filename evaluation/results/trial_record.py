@@ -12,7 +12,7 @@ from gridtrack.common.files import sha256_of
 from gridtrack.evaluation.processes.outcome import Outcome
 from gridtrack.evaluation.results.files import RunError, read_model, write_model
 from gridtrack.evaluation.results.passes import Deadline, Followed, Latency, Robustness
-from gridtrack.evaluation.results.values import ResultModel
+from gridtrack.evaluation.results.values import Line, ResultModel
 from gridtrack.trackers.contract import ComparedPart, Role
 
 TRIAL_SCHEMA: Final = 2
@@ -53,7 +53,7 @@ class TrialRecord(ResultModel):
     label: str
     recording: str
     outcome: TrialEnding
-    reason: str = ""
+    reason: Line = ""
     """Why it ended, in one line; empty for `ok`."""
     frames_scored: int = 0
     frames_expected: int = 0
@@ -76,7 +76,7 @@ class TrialRecord(ResultModel):
     """Of the card of the weights used; empty without weights."""
     card: Literal["", "site", "general"] = ""
     """Whether the weights used are those of the site or general ones; empty without weights."""
-    leak: str = ""
+    leak: Line = ""
     """What its weights learned from frames of its test or validation stretch; empty where nothing."""
     files: dict[str, str] = Field(default_factory=dict)
     """SHA-256 of the trial's other files, by name, when the trial ended."""

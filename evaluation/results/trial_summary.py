@@ -8,7 +8,7 @@ from pydantic import Field
 
 from gridtrack.evaluation.results.passes import Deadline, Latency, Robustness
 from gridtrack.evaluation.results.trial_record import Times
-from gridtrack.evaluation.results.values import CellCounts, Curve, Number, ResultModel
+from gridtrack.evaluation.results.values import CellCounts, Curve, Line, Number, ResultModel
 
 HIGHER_IS_BETTER = (
     *("f1", "f1_at_visible", "f1_at_half", "f1_label_free", "pr_auc"),
@@ -111,7 +111,7 @@ class StratumScores(ResultModel):
     """The second of these terms: 0 where the futures are all alike."""
     energy_spread_low: Curve | None = None
     energy_spread_high: Curve | None = None
-    interval: str = ""
+    interval: Line = ""
     """Why there are no intervals; empty where there are."""
     share_of_oracle: Curve | None = None
     """(F1 - floor) / (oracle - floor), floor the best of the floors at each step; null without an oracle."""
@@ -153,7 +153,7 @@ class ClassScores(ResultModel):
     confusion: tuple[ConfusionAtStep, ...] = ()
     nll_per_scan_low: Curve | None = None
     nll_per_scan_high: Curve | None = None
-    interval: str = ""
+    interval: Line = ""
     """Why there is no interval; empty where there is."""
 
 
@@ -173,10 +173,10 @@ class ScopeSummary(ResultModel):
 
     outcome: str
     """That of the record; of pooled recordings `ok` or `partial`."""
-    reason: str = ""
+    reason: Line = ""
     card: str = ""
     """Whether the weights used are those of the `site` or `general` ones; "general, site" where recordings differ."""
-    leak: str = ""
+    leak: Line = ""
     """What its weights learned from frames that it is scored on, or thresholds are chosen on: it is not ranked."""
     frames_scored: int = 0
     frames_expected: int = 0

@@ -8,7 +8,9 @@ from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, BeforeValidator, ConfigDict
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict
+
+from gridtrack.common.errors import bounded_line
 
 DECIMALS = 6
 """Digits after the point of every score."""
@@ -30,6 +32,8 @@ def _each_defined(values: Any) -> Any:
     return tuple(map(_defined, values)) if isinstance(values, list | tuple) else values
 
 
+Line = Annotated[str, AfterValidator(bounded_line)]
+"""A sentence for people, which may quote untrusted input: one printable line of bounded length."""
 Number = Annotated[float | None, BeforeValidator(_defined)]
 """A score; None where it is undefined (NaN and infinities are read as None)."""
 Curve = Annotated[tuple[float | None, ...], BeforeValidator(_each_defined)]

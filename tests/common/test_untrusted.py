@@ -55,6 +55,10 @@ def test_json_that_could_not_be_used_is_refused(text: str, reason: str) -> None:
         parse_json(text.encode())
 
 
+def test_numbers_that_are_not_finite_may_be_undefined() -> None:
+    assert parse_json(b"[NaN, -Infinity, 1e999, 1.5]", undefined=True) == [None, None, None, 1.5]
+
+
 def test_json_at_the_limits_is_read() -> None:
     deepest = "[" * MAX_NESTING + "]" * MAX_NESTING
     assert parse_json(deepest.encode()) == json.loads(deepest)

@@ -91,7 +91,7 @@ def test_a_trial_without_a_record_has_none_and_a_folder_without_the_others_is_an
     ("name", "changes", "where"),
     [
         ("outcome.json", {"outcome": "won"}, "outcome"),
-        ("outcome.json", {"times": {"wall_s": float("nan")}}, "times.wall_s"),
+        ("outcome.json", {"times": {"wall_s": None}}, "times.wall_s"),
         ("outcome.json", {"latency_ms": {"update": {"p50": None}}}, "latency_ms.update.p50"),
         ("run.json", {"status": "done"}, "status"),
         ("run.json", {"configuration": {"recordings": {"a": {}}, "trials": {}}}, "configuration.recordings.a"),
