@@ -60,7 +60,10 @@ def read_bounded(path: Path, max_bytes: int, error: type[GridtrackError]) -> byt
 
 
 def read_json(path: Path, max_bytes: int, error: type[GridtrackError]) -> dict[str, Any]:
-    """The JSON object in `path`; a number that is not finite is None. Raises FileNotFoundError; `error` if it is larger, or not a JSON object."""
+    """The JSON object in `path`; a number that is not finite is None.
+
+    Raises FileNotFoundError; `error` if it is larger, or not a JSON object.
+    """
     text = read_bounded(path, max_bytes, error)
     try:
         content = parse_json(text, undefined=True)

@@ -20,6 +20,7 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, DataEnd, Metadata, Schema
 
 from gridtrack.recordings.growth import FileEnds, GrowingFile, Growth
+from gridtrack.recordings.read_budget import ReadBudget
 from gridtrack.recordings.recording import DamageError
 
 MCAP_MAGIC = b"\x89MCAP0\r\n"
@@ -67,11 +68,14 @@ class McapFile:
     def _data_section(self, file: BinaryIO | GrowingFile) -> Iterator[McapMessage]:
         if file.read(len(MCAP_MAGIC)) != MCAP_MAGIC:
             raise DamageError("does not begin as an MCAP file")
-        checksum = zlib.crc32(MCAP_MAGIC)
+        checksum, budget = zlib.crc32(MCAP_MAGIC), ReadBudget()
         for opcode, content in _records(file):
             stream = ReadDataStream(BytesIO(content))
             if opcode == Opcode.CHUNK:
-                for inner_opcode, inner in _records(BytesIO(_decompressed(Chunk.read(stream)))):
+                chunk, position = Chunk.read(stream), file.tell()
+                budget.take_bytes(chunk.uncompressed_size, position)
+                for inner_opcode, inner in _records(BytesIO(_decompressed(chunk))):
+                    budget.take_record(position)
                     yield from self._read_record(inner_opcode, inner)
             elif opcode == Opcode.METADATA:
                 record = Metadata.read(stream)

@@ -8,6 +8,7 @@ from __future__ import annotations
 import bz2
 import math
 from collections.abc import Iterator
+from contextlib import nullcontext
 from functools import cached_property
 from pathlib import Path
 
@@ -17,6 +18,7 @@ from gridtrack.common.geometry import SE2
 from gridtrack.common.names import name_from
 from gridtrack.common.scan import Scan
 from gridtrack.recordings.format import RecordingFormat
+from gridtrack.recordings.read_budget import ReadBudget
 from gridtrack.recordings.recording import DamageError, Recording, RecordingInfo, Topics
 
 CARMEN_SUFFIXES = (".clf", ".clf.bz2", ".log", ".log.bz2")
@@ -66,11 +68,15 @@ CARMEN_FORMAT = RecordingFormat("CARMEN log", CARMEN_SUFFIXES, is_carmen_log, Ca
 
 def _lines(path: Path) -> Iterator[tuple[int, list[str]]]:
     """Number and words of each line but comments and empty ones. Raises DamageError."""
-    with bz2.open(path) if path.suffix == ".bz2" else path.open("rb") as file:
+    packed, budget = path.suffix == ".bz2", ReadBudget()
+    with path.open("rb") as raw, bz2.BZ2File(raw) if packed else nullcontext(raw) as file:
         number = 0
         try:
             while line := file.readline(MAX_LINE_BYTES):
                 number += 1
+                if packed:
+                    budget.take_bytes(len(line), raw.tell())
+                    budget.take_record(raw.tell())
                 if len(line) == MAX_LINE_BYTES:
                     raise DamageError(f"line {number} is longer than {MAX_LINE_BYTES} bytes")
                 words = line.decode("ascii").split()

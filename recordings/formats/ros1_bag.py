@@ -16,6 +16,7 @@ import lz4.frame  # type: ignore[import-untyped]
 
 from gridtrack.recordings.format import RecordingFormat
 from gridtrack.recordings.framed_recording import EncodedMessage
+from gridtrack.recordings.read_budget import ReadBudget
 from gridtrack.recordings.recording import DamageError
 from gridtrack.recordings.ros_messages import ros2_name
 from gridtrack.recordings.ros_recording import ROS_OPTIONS, RosRecording
@@ -59,7 +60,7 @@ def bag_messages(path: Path) -> Iterator[BagMessage]:
         if file.read(len(ROS1_MAGIC)) != ROS1_MAGIC:
             raise DamageError("does not begin as a ROS 1 bag of format 2.0")
         connections: dict[bytes, tuple[str, str]] = {}
-        chunks_left = 0
+        chunks_left, budget = 0, ReadBudget()
         try:
             for header, data in _records(file):
                 operation = header["op"][0]
@@ -67,7 +68,8 @@ def bag_messages(path: Path) -> Iterator[BagMessage]:
                     (chunks_left,) = struct.unpack("<I", header["chunk_count"])
                 elif operation == CHUNK_OP:
                     chunks_left -= 1
-                    yield from _chunk(header, data, connections)
+                    for inner, body in _chunk(header, data, budget, file.tell()):
+                        yield from _read_record(inner, body, connections)
                 else:
                     yield from _read_record(header, data, connections)
         except (struct.error, KeyError, UnicodeDecodeError, IndexError, ValueError) as error:
@@ -76,12 +78,14 @@ def bag_messages(path: Path) -> Iterator[BagMessage]:
             raise DamageError(f"cut off: {chunks_left} of the chunks that the bag's header counts are missing")
 
 
-def _chunk(header: Fields, data: bytes, connections: dict[bytes, tuple[str, str]]) -> Iterator[BagMessage]:
-    """The messages inside a chunk; for one that is cut off, those before the cut."""
+def _chunk(header: Fields, data: bytes, budget: ReadBudget, position: int) -> Iterator[tuple[Fields, bytes]]:
+    """The records inside a chunk that ends at `position`; for one that is cut off, those before the cut."""
     (size,) = struct.unpack("<I", header["size"])
+    budget.take_bytes(size, position)
     content = _decompressed(header["compression"].decode(), data, size)
-    for inner, body in _records(BytesIO(content)):
-        yield from _read_record(inner, body, connections)
+    for record in _records(BytesIO(content)):
+        budget.take_record(position)
+        yield record
     if len(content) != size:
         raise DamageError(f"cut off or corrupt: a chunk of {len(content)} bytes, where its header says {size}")
 

@@ -5,14 +5,22 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
+import zstandard
+
+from gridtrack.common.files import read_bounded
+from gridtrack.common.untrusted import MAX_NESTING
 from gridtrack.recordings.format import RecordingFormat
 from gridtrack.recordings.formats.ros_mcap import mcap_files
 from gridtrack.recordings.framed_recording import EncodedMessage
+from gridtrack.recordings.read_budget import ReadBudget
 from gridtrack.recordings.recording import DamageError
 from gridtrack.recordings.ros_recording import ROS_OPTIONS, RosRecording
 
 SQLITE_MAGIC = b"SQLite format 3\x00"
 METADATA_FILE = "metadata.yaml"
+MAX_METADATA_BYTES = 1 << 20
+ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
+BLOCK_BYTES = 1 << 20
 
 
 class Ros2Bag(RosRecording):
@@ -23,12 +31,57 @@ class Ros2Bag(RosRecording):
         import apsw
         from rosbags.rosbag2 import Reader, ReaderError
 
+        file_bytes = _check_files(self.path)
+        budget = ReadBudget()
         try:
             with Reader(self.path) as reader:
                 for connection, received_ns, data in reader.messages():
+                    budget.take_record(file_bytes)
+                    budget.take_bytes(len(data), file_bytes)
                     yield EncodedMessage(connection.topic, connection.msgtype, received_ns, "cdr", data)
         except (ReaderError, apsw.Error, FileNotFoundError) as error:
             raise DamageError(f"damaged ({error})") from None
+
+
+def _check_files(path: Path) -> int:
+    """The size of a bag, bytes. Raises DamageError where its metadata or what its files unpack to are too large."""
+    files = sorted(file for file in path.iterdir() if file.is_file()) if path.is_dir() else [path]
+    for file in files:
+        if file.name == METADATA_FILE:
+            _check_metadata(read_bounded(file, MAX_METADATA_BYTES, DamageError))
+        else:
+            _check_unpacked(file)
+    return sum(file.stat().st_size for file in files)
+
+
+def _check_metadata(text: bytes) -> None:
+    """Raise DamageError for YAML with aliases, which repeat their content without limit, or that is nested deeply."""
+    from ruamel.yaml import YAML, YAMLError
+    from ruamel.yaml.events import AliasEvent, CollectionEndEvent, CollectionStartEvent
+
+    depth = 0
+    try:
+        for event in YAML(typ="safe").parse(text.decode()):
+            depth += isinstance(event, CollectionStartEvent) - isinstance(event, CollectionEndEvent)
+            if depth > MAX_NESTING or isinstance(event, AliasEvent):
+                raise DamageError(f"{METADATA_FILE} has aliases or is nested deeply, as no recorder writes it")
+    except (YAMLError, UnicodeDecodeError) as error:
+        raise DamageError(f"{METADATA_FILE} cannot be read ({error})") from None
+
+
+def _check_unpacked(path: Path) -> None:
+    """Raise DamageError where a compressed file unpacks to more than it can be: its reader writes it to the disk."""
+    budget = ReadBudget()
+    with path.open("rb") as file:
+        if file.read(len(ZSTD_MAGIC)) != ZSTD_MAGIC:
+            return
+        file.seek(0)
+        try:
+            with zstandard.ZstdDecompressor().stream_reader(file, read_across_frames=True) as unpacked:
+                while block := unpacked.read(BLOCK_BYTES):
+                    budget.take_bytes(len(block), file.tell())
+        except zstandard.ZstdError as error:
+            raise DamageError(f"{path.name}: damaged ({error})") from None
 
 
 def is_ros2_bag(path: Path, head: bytes) -> bool:
