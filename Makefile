@@ -41,6 +41,9 @@ lint: $(VENV)/.installed-dev ## check style, spelling, types and the import rule
 	MYPYPATH=.link:$(EXAMPLE):$(EXAMPLE)/tests $(BIN)/mypy -m example_tracker -m test_example_tracker
 	PYTHONPATH=.link $(BIN)/lint-imports
 
+fuzz: $(VENV)/.installed-dev ## fuzz every reader of untrusted input for ten minutes (FUZZ="--minutes 60 --only tracks")
+	PYTHONPATH=tests $(BIN)/python -m fuzz $(FUZZ)
+
 bench: $(VENV)/.installed-dev ## measure the speed of everything that `make test` installs (half an hour)
 	$(BIN)/python -m benchmarks
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 import struct
 import zlib
 from collections.abc import Iterator
+from dataclasses import replace
 from io import BytesIO
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
@@ -44,8 +45,9 @@ class McapFile:
     With `growth` it may still be written: the end of what is there is no damage.
     """
 
-    def __init__(self, path: Path, growth: Growth | None = None) -> None:
-        self.path, self._growth = path, growth
+    def __init__(self, path: Path, growth: Growth | None = None, budget: ReadBudget | None = None) -> None:
+        """`budget`: limits of what one pass may unpack; default: those of a recording."""
+        self.path, self._growth, self._budget = path, growth, budget or ReadBudget()
         self.metadata: dict[str, dict[str, str]] = {}
         self.channels: dict[int, Channel] = {}
         self._schemas: dict[int, Schema] = {}
@@ -68,7 +70,7 @@ class McapFile:
     def _data_section(self, file: BinaryIO | GrowingFile) -> Iterator[McapMessage]:
         if file.read(len(MCAP_MAGIC)) != MCAP_MAGIC:
             raise DamageError("does not begin as an MCAP file")
-        checksum, budget = zlib.crc32(MCAP_MAGIC), ReadBudget()
+        checksum, budget = zlib.crc32(MCAP_MAGIC), replace(self._budget)
         for opcode, content in _records(file):
             stream = ReadDataStream(BytesIO(content))
             if opcode == Opcode.CHUNK:

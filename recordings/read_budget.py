@@ -19,15 +19,17 @@ NOT_A_RECORDING = "no recording is compressed so far: import it from a trusted c
 
 @dataclass
 class ReadBudget:
-    """What one pass over a file has unpacked."""
+    """What one pass over a file has unpacked, and its limits."""
 
+    bytes_per_byte: int = BYTES_PER_BYTE
+    free_records: int = FREE_RECORDS
     unpacked_bytes: int = 0
     records: int = 0
 
     def take_bytes(self, count: int, file_bytes: int) -> None:
         """Count bytes before they are unpacked from the first `file_bytes` of the file. Raises DamageError."""
         self.unpacked_bytes += count
-        if self.unpacked_bytes > FREE_BYTES + BYTES_PER_BYTE * file_bytes:
+        if self.unpacked_bytes > FREE_BYTES + self.bytes_per_byte * file_bytes:
             raise DamageError(
                 f"its first {file_bytes} bytes unpack to more than {self.unpacked_bytes >> 20} MiB; {NOT_A_RECORDING}"
             )
@@ -35,7 +37,7 @@ class ReadBudget:
     def take_record(self, file_bytes: int) -> None:
         """Count a message or a line of the first `file_bytes` of the file. Raises DamageError."""
         self.records += 1
-        if self.records > FREE_RECORDS + file_bytes // BYTES_PER_RECORD:
+        if self.records > self.free_records + file_bytes // BYTES_PER_RECORD:
             raise DamageError(
                 f"its first {file_bytes} bytes have more than {self.records - 1} records; {NOT_A_RECORDING}"
             )

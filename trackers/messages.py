@@ -42,7 +42,10 @@ def stream_from(message: Message) -> StreamSpec:
     """The stream in `start`. Raises WireError, ConfigurationError."""
     fields = message.value("stream", dict)
     stream = Message("stream", 0, fields)
-    x, y = stream.value("origin_m", list)
+    origin = stream.value("origin_m", list)
+    if len(origin) != 2 or not all(isinstance(value, int | float) for value in origin):
+        raise WireError(f"'stream': origin_m is {origin!r:.80}; expected x and y")
+    x, y = origin
     weights = fields.get("weights")
     return StreamSpec(
         GridSpec(stream.value("size", int), stream.value("cell_m", float), (float(x), float(y))),

@@ -139,7 +139,7 @@ class TrackerProcess:
         with self._ending_on_error():
             if self._killed:
                 self._dialogue.process.kill()
-            described = _description(self._dialogue.ask(request, self.limits.start_s))
+            described = description_from(self._dialogue.ask(request, self.limits.start_s))
             code = described.code_sha256 or program_sha256(self.launch.argv, self.launch.cwd)
             self.description = replace(described, code_sha256=code)
         return self
@@ -248,7 +248,7 @@ def describe(launch: Launch, options: Mapping[str, Any], limits: Limits) -> Trac
     request = Request("describe", "described", {"options": dict(options)})
     with TemporaryDirectory() as folder, _dialogue(launch, limits, Path(folder, "stderr.log"), os.environ) as dialogue:
         try:
-            return _description(dialogue.ask(request, limits.start_s))
+            return description_from(dialogue.ask(request, limits.start_s))
         except WireError as error:
             raise PluginError(f"tracker '{launch.name}': describe: {error}") from None
         except TrialEnded as ended:
@@ -281,7 +281,7 @@ def _recoveries(answer: Message) -> int:
     return count
 
 
-def _description(answer: Message) -> TrackerDescription:
+def description_from(answer: Message) -> TrackerDescription:
     """The content of the answers `started` and `described`. Raises WireError."""
     classes = answer.value("classes", list)
     if len(classes) > messages.MAX_CLASSES:

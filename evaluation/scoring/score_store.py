@@ -153,6 +153,9 @@ def _read(folder: Path, table: ParquetTable, names: list[str]) -> Iterator[Any]:
             for name in names:
                 if file.schema_arrow.field(name).type != table.type_of(name):
                     raise ScoresError(f"{path}: column '{name}' is {file.schema_arrow.field(name).type}")
-            yield from file.iter_batches(batch_size=8192, columns=names)
+            for batch in file.iter_batches(batch_size=8192, columns=names):
+                if any(column.null_count for column in batch.columns):
+                    raise ScoresError(f"{path}: a value is missing; run it again")
+                yield batch
     except (OSError, ArrowException, KeyError) as error:
         raise ScoresError(f"{path}: cannot be read as scores ({str(error).splitlines()[0]}); run it again") from None

@@ -63,6 +63,8 @@ def read_rows(path: Path, columns: Sequence[str], steps: int, strata: Sequence[s
     """
     try:
         rows = pl.read_parquet(path, columns=["stamp_ns", "step", "stratum", *columns], glob=False)
+        if any(rows.null_count().row(0)):
+            raise ScoresError(f"{path}: a value is missing; run it again")
         _refuse_another_order(path, rows, steps, strata)
     except (pl.exceptions.PolarsError, OSError) as error:
         raise ScoresError(f"{path}: cannot be read as scores ({str(error).splitlines()[0]}); run it again") from None

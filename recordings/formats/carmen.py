@@ -51,7 +51,8 @@ class CarmenLog(Recording):
 
     def _scan(self, kind: str, words: list[str], line: int) -> Scan:
         try:
-            return _flaser(words) if kind == "FLASER" else _robotlaser(words)
+            with np.errstate(over="ignore"):  # of a range beyond float32, which is then no return
+                return _flaser(words) if kind == "FLASER" else _robotlaser(words)
         except (ValueError, IndexError) as error:
             raise DamageError(f"line {line}: not a {kind} that can be read ({error})") from None
 

@@ -146,7 +146,8 @@ def _scan_message(scan: Scan) -> LaserScan:
     message = LaserScan(timestamp=timestamp_of(scan.stamp_ns), frame_id=scan.sensor, start_angle=scan.angle_min)
     message.end_angle = scan.angle_min + scan.angle_increment * max(scan.ranges.size - 1, 0)
     message.pose.orientation.w = 1.0
-    message.ranges.extend(scan.ranges.astype(np.float64).tolist())
+    with np.errstate(invalid="ignore"):  # a NaN of any bits stays one
+        message.ranges.extend(scan.ranges.astype(np.float64).tolist())
     return message
 
 

@@ -28,8 +28,7 @@ class Ros2Bag(RosRecording):
 
     def messages(self) -> Iterator[EncodedMessage]:
         """All messages in the order of reception. Raises DamageError where the bag is cut off or corrupt."""
-        import apsw
-        from rosbags.rosbag2 import Reader, ReaderError
+        from rosbags.rosbag2 import Reader
 
         file_bytes = _check_files(self.path)
         budget = ReadBudget()
@@ -39,8 +38,10 @@ class Ros2Bag(RosRecording):
                     budget.take_record(file_bytes)
                     budget.take_bytes(len(data), file_bytes)
                     yield EncodedMessage(connection.topic, connection.msgtype, received_ns, "cdr", data)
-        except (ReaderError, apsw.Error, FileNotFoundError) as error:
-            raise DamageError(f"damaged ({error})") from None
+        except DamageError:
+            raise
+        except Exception as error:  # noqa: BLE001  of damage the reader raises KeyError, TypeError and others, too
+            raise DamageError(f"damaged ({type(error).__name__}: {error})") from None
 
 
 def _check_files(path: Path) -> int:

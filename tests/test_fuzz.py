@@ -1,0 +1,57 @@
+"""Every reader of untrusted input keeps one rule: a result, a part with a warning, or an error of one line.
+
+The long form is `make fuzz`.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from pathlib import Path
+
+import pytest
+from fuzz.damage import SeededChoices
+from fuzz.readers import READERS
+from fuzz.rule import Inputs, finding
+from fuzz.sources import DrawnChoices
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+CASES = 300
+"""Damaged files of the corpus: made anew from their seeds, each seed for the reader whose turn it is."""
+EXAMPLES = 8
+
+
+@pytest.fixture(scope="module")
+def inputs(tmp_path_factory: pytest.TempPathFactory) -> Inputs:
+    return Inputs(tmp_path_factory.mktemp("fuzz"))
+
+
+@pytest.fixture(autouse=True)
+def _own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+
+
+@pytest.mark.parametrize("name", READERS)
+def test_the_inputs_are_valid_before_they_are_damaged(name: str, inputs: Inputs, tmp_path: Path) -> None:
+    READERS[name].make(tmp_path)
+    found = finding(name, tmp_path)
+    assert not found.refused, found.line
+
+
+@pytest.mark.parametrize("name", READERS)
+def test_a_damaged_file_of_the_corpus_gives_a_result_or_one_line(name: str, inputs: Inputs) -> None:
+    mine = range(list(READERS).index(name), CASES, len(READERS))
+    found = Counter(inputs.check(name, SeededChoices(case)).refused for case in mine)
+    assert found[True], "no damage was noticed: the corpus tests nothing"
+
+
+@pytest.mark.parametrize("name", READERS)
+def test_a_fuzzed_file_gives_a_result_or_one_line(name: str, inputs: Inputs) -> None:
+    @settings(
+        max_examples=EXAMPLES, database=None, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck)
+    )
+    @given(st.data())
+    def fuzzed(data: st.DataObject) -> None:
+        inputs.check(name, DrawnChoices(data))
+
+    fuzzed()
