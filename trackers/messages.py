@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, get_args
 
@@ -172,6 +173,21 @@ def forecast_from(message: Message, grid: GridSpec, steps: int, classes: int) ->
         _sums_to_one(semantics)
     velocity, futures = _velocity(message, grid, steps), _futures(message, grid, steps)
     return Forecast(occupancy, semantics, velocity, _objects(message), futures)
+
+
+def without_semantics(forecast: Forecast) -> Forecast:
+    """`forecast` without its class probabilities, in memory of its own: that of the message can be freed."""
+    velocity, futures = forecast.velocity, forecast.futures
+    return Forecast(
+        forecast.occupancy.copy(),
+        None,
+        None if velocity is None else velocity.copy(),
+        tuple(
+            replace(one, box=one.box.copy(), velocity=one.velocity.copy(), covariance=one.covariance.copy())
+            for one in forecast.objects
+        ),
+        None if futures is None else futures.copy(),
+    )
 
 
 def _velocity(message: Message, grid: GridSpec, steps: int) -> NDArray[np.float32] | None:

@@ -26,9 +26,16 @@ def code_sha256(kind: type) -> str:
 
 def program_sha256(argv: tuple[str, ...], folder: Path | None) -> str:
     """The hash of the program that `argv` starts in `folder`: of each of its words that names a file."""
-    words = [Path(folder or "", word) for word in argv]
-    digests = [sha256_of(path) for path in words if path.is_file()]
+    digests = [sha256_of(path) for path in (Path(folder or "", word) for word in argv) if _is_file(path)]
     return hashlib.sha256("\n".join(digests).encode()).hexdigest() if digests else ""
+
+
+def _is_file(path: Path) -> bool:
+    """Whether `path` is a file; a word of a command can also be too long for a path, or have a null byte."""
+    try:
+        return path.is_file()
+    except (OSError, ValueError):
+        return False
 
 
 def _files(package: str) -> Iterator[tuple[str, Path]]:

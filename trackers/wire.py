@@ -53,6 +53,10 @@ class WireError(GridtrackError):
     """Bytes that are not a message of this protocol, or a message with missing or invalid content."""
 
 
+class TooLargeError(WireError):
+    """A message that declares more bytes than are accepted; no memory was taken for it."""
+
+
 @dataclass(frozen=True, slots=True)
 class Message:
     """One message: its `kind`, the `number` of its request, JSON `fields` and named `arrays`."""
@@ -108,7 +112,10 @@ def encode(message: Message) -> list[memoryview]:
 
 
 def receive(fill: Fill, max_body: int) -> Message:
-    """Read one message whose body is at most `max_body` bytes. Raises WireError, and the errors of `fill`."""
+    """Read one message whose body is at most `max_body` bytes.
+
+    Raises TooLargeError, WireError, and the errors of `fill`.
+    """
     prefix = bytearray(MESSAGE_PREFIX.size)
     fill([memoryview(prefix)])
     magic, version, header_bytes, body_bytes = MESSAGE_PREFIX.unpack(prefix)
@@ -117,7 +124,7 @@ def receive(fill: Fill, max_body: int) -> Message:
     if version != VERSION:
         raise WireError(f"a message of wire version {version}; this gridtrack speaks version {VERSION}")
     if header_bytes > MAX_HEADER or body_bytes > max_body:
-        raise WireError(
+        raise TooLargeError(
             f"a message declares a header of {header_bytes} and a body of {body_bytes} bytes;"
             f" at most {MAX_HEADER} and {max_body} are accepted here"
         )

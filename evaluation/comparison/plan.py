@@ -76,7 +76,8 @@ class Trial:
     def tracker_process(self, log: Path, *, scored: bool = False) -> TrackerProcess:
         """The tracker, not started yet, on the test stretch's grid and period; its stderr goes to `log`.
 
-        `scored`: whether its forecasts get the scores of a trial; with ground truth velocities are among them.
+        `scored`: whether its forecasts get the scores of a trial: classes among them where the recording has some,
+        velocities with ground truth.
         """
         stream = replace(stream_of(self.test), velocity_scored=scored and OCCLUDED in self.split.strata)
         if self.weights:
@@ -84,7 +85,15 @@ class Trial:
         environment = shielded_environment(
             stretch.recording.path for stretch in (self.split.test, self.split.validation) if stretch
         )
-        return TrackerProcess(self.launch, stream, self.selection.options, self.limits, log, environment)
+        return TrackerProcess(
+            self.launch,
+            stream,
+            self.selection.options,
+            self.limits,
+            log,
+            environment,
+            classes_used=scored and bool(stream.classes),
+        )
 
     def with_original_paths(self, reason: str) -> str:
         """`reason` with the folder of the weights where it names that of their copy."""

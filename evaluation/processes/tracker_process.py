@@ -16,6 +16,7 @@ from gridtrack.common.grid import GridFrame
 from gridtrack.common.names import LABEL_RULE, is_label
 from gridtrack.evaluation.processes.clock import Clock, clock_that_counts
 from gridtrack.evaluation.processes.dialogue import Dialogue, Request
+from gridtrack.evaluation.processes.held_forecasts import HeldForecasts
 from gridtrack.evaluation.processes.latency import Latencies
 from gridtrack.evaluation.processes.limits import Limits
 from gridtrack.evaluation.processes.outcome import TrialEnded
@@ -24,7 +25,7 @@ from gridtrack.trackers import messages
 from gridtrack.trackers.contract import API, ComparedPart, Forecast, Role, StreamSpec
 from gridtrack.trackers.own_code import program_sha256
 from gridtrack.trackers.selection import Launch
-from gridtrack.trackers.wire import Message, WireError
+from gridtrack.trackers.wire import Message, TooLargeError, WireError
 
 THREAD_VARIABLES = (
     "OMP_NUM_THREADS",
@@ -114,8 +115,14 @@ class TrackerProcess:
         limits: Limits,
         stderr_path: Path,
         environment: Mapping[str, str] | None = None,
+        *,
+        classes_used: bool = True,
     ) -> None:
-        """`environment`: of the process; default: that of this process."""
+        """`environment`: of the process; default: that of this process.
+
+        Without `classes_used` class probabilities are checked and not kept. The forecasts that the caller still holds
+        may have as many bytes as the tracker's processes, `limits.memory_mb`.
+        """
         self.launch = launch
         self.stream = stream
         self.options = dict(options)
@@ -128,6 +135,8 @@ class TrackerProcess:
         self.peak_rss_mb = 0.0
         """Peak resident memory of all its processes together, MiB, sampled 20 times a second; set when it has ended."""
         self.description: TrackerDescription
+        self._classes_used = classes_used
+        self._held = HeldForecasts(limits.memory_mb << 20)
         self._frames = 0
         self._killed = False
         self._has_futures: bool | None = None
@@ -169,19 +178,29 @@ class TrackerProcess:
     def predict(self, steps: int) -> Forecast:
         """The forecast of steps 0..steps, validated: shapes, types, finite, in [0, 1], semantics sum to 1."""
         classes, grid = len(self.description.classes), self.stream.grid
-        request = Request(
-            "predict",
-            "forecast",
-            {"steps": steps},
-            limit=messages.forecast_limit(grid, steps, classes),
-            what=f"predict after frame {self._frames}",
-        )
+        largest, left = messages.forecast_limit(grid, steps, classes), self._held.left_bytes
+        what = f"predict after frame {self._frames}"
+        request = Request("predict", "forecast", {"steps": steps}, limit=min(largest, left), what=what)
         with self._ending_on_error():
-            answer = self._wire.ask(request, self.limits.predict_s)
+            try:
+                answer = self._wire.ask(request, self.limits.predict_s)
+            except TooLargeError as error:
+                if left >= largest:
+                    raise
+                raise TrialEnded("out-of-memory", f"{what}: {self._too_much_held()}") from error
             self.timings.add_predict(self._call(answer))
             forecast = messages.forecast_from(answer, grid, steps, classes)
             self._refuse_other_parts(forecast)
+            if forecast.semantics is not None and not self._classes_used:
+                forecast = messages.without_semantics(forecast)
+            self._held.add(forecast)
             return forecast
+
+    def _too_much_held(self) -> str:
+        return (
+            f"with those that wait for their frames, its forecasts take more than {self.limits.memory_mb} MB in the"
+            " host: fewer classes, fewer futures, or a higher --memory"
+        )
 
     def _refuse_other_parts(self, forecast: Forecast) -> None:
         """Raises WireError where some forecasts have sampled futures and others have none."""

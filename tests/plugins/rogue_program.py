@@ -7,6 +7,8 @@ import os
 import sys
 import time
 
+import numpy as np
+
 from gridtrack.trackers.wire import MESSAGE_PREFIX, Message, encode, fill_from, receive, write_to
 
 TIMES = {"elapsed_ns": 1, "cpu_ns": 1}
@@ -65,6 +67,13 @@ def misbehave(how: str, number: int) -> None:
             sys.exit(0)
 
 
+def large_forecast(steps: int) -> dict[str, np.ndarray]:
+    """Forecasts of 255 classes in a window of 100 x 100 cells, 10 MB for each step."""
+    semantics = np.zeros((steps + 1, 255, 100, 100), np.float32)
+    semantics[:, 0] = 1.0
+    return {"occupancy": np.zeros((steps + 1, 100, 100), np.float32), "semantics": semantics}
+
+
 def main() -> None:
     fill = fill_from(0)
     while True:
@@ -78,6 +87,10 @@ def main() -> None:
             write_to(1, encode(Message("started", request.number, STARTED | {"classes": named} | described)))
             if sys.argv[1] == "stops-reading":
                 time.sleep(3600)
+        elif request.kind == "predict":
+            write_to(1, encode(Message("forecast", request.number, TIMES, large_forecast(request.fields["steps"]))))
+        elif request.kind == "update" and sys.argv[1] == "large-forecasts":
+            write_to(1, encode(Message("done", request.number, TIMES)))
         elif request.kind == "update":
             misbehave(sys.argv[1], request.number)
         else:

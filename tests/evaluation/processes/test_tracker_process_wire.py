@@ -139,3 +139,31 @@ def test_a_program_that_closes_its_stdin_has_closed_the_wire(tmp_path: Path) -> 
 
 def test_a_reason_has_no_control_characters(tmp_path: Path) -> None:
     assert end("terminal-codes", tmp_path) == ("crashed", "update with frame 1: [31mred alert")
+
+
+def large_forecasts(tmp_path: Path, *, classes_used: bool) -> TrackerProcess:
+    """A program that names 255 classes and forecasts 100 MB, with a limit of 250 MB."""
+    described = json.dumps({"classes": [f"class {i}" for i in range(255)]})
+    program = Launch("rogue", (sys.executable, str(PROGRAM), "large-forecasts", described))
+    stream, limits = StreamSpec(GridSpec(100, 0.2), 0.125), Limits(predict_s=60.0, memory_mb=250)
+    return TrackerProcess(program, stream, {}, limits, tmp_path / "stderr.log", classes_used=classes_used)
+
+
+def test_the_forecasts_that_the_host_holds_have_a_budget(tmp_path: Path) -> None:
+    held = []
+    with large_forecasts(tmp_path, classes_used=True) as process:
+        process.update(frame(process.stream.grid))
+        for _ in range(3):
+            process.predict(9)  # is not held: costs nothing
+        held += [process.predict(9), process.predict(9)]
+        with pytest.raises(TrialEnded, match="out-of-memory: predict after frame 1: with those that wait") as ended:
+            held.append(process.predict(9))
+    assert ended.value.outcome == "out-of-memory"
+    assert len(held) == 2
+
+
+def test_class_probabilities_that_are_not_scored_are_not_kept(tmp_path: Path) -> None:
+    with large_forecasts(tmp_path, classes_used=False) as process:
+        process.update(frame(process.stream.grid))
+        held = [process.predict(9) for _ in range(6)]
+    assert all(forecast.semantics is None and forecast.occupancy.base is None for forecast in held)
