@@ -23,6 +23,8 @@ from gridtrack.reports.pictures import SHADES, palette
 PACKED_LEVELS = 32
 """Levels of probability: 5 bits."""
 CALLED, IN_MOTION = 32, 8
+DEFLATE_LEVEL = 8
+"""As small as 9 on such planes, in a third of the time."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +50,7 @@ def pack_moment(seen: Sample, trackers: Sequence[TrackerPlanes | None]) -> str:
     nothing = np.zeros(seen.forecast.shape, np.uint8)
     forecasts = [nothing if one is None else one.planes for one in trackers]
     planes = np.concatenate([observed[None], targets, *forecasts])
-    return base64.b64encode(zlib.compress(planes.astype(np.uint8).tobytes(), 9)).decode()
+    return base64.b64encode(zlib.compress(planes.astype(np.uint8).tobytes(), DEFLATE_LEVEL)).decode()
 
 
 def level_colours() -> list[list[int]]:

@@ -6,6 +6,7 @@ import { numbersOfChart, lineChart } from "./line_chart.js";
 import { whenShownChange } from "./shown_trackers.js";
 
 const LEAST_WIDTH = 300;
+let firstWidth = 0; // of the figure drawn first: all are as wide, and to measure each would lay the page out each time
 
 // `figure`: { id, title, chosen, choices(chosen), line(chosen) } and either chart(chosen), what `lineChart` draws, or
 // drawing(chosen, width), an element, and numbers(chosen), its table. Its title is a heading of docs/figures.md.
@@ -17,30 +18,28 @@ export function startFigure(figure) {
   const note = make("p", { class: "note" });
   const drawing = figure.drawing ?? ((now, width) => lineChart({ ...figure.chart(now), width }));
   const numbers = figure.numbers ?? ((now) => numbersOfChart(figure.chart(now)));
+  let width = 0;
   const redraw = () => {
-    holder.replaceChildren(drawing(chosen, Math.max(holder.clientWidth, LEAST_WIDTH)));
+    holder.replaceChildren(drawing(chosen, Math.max(width, LEAST_WIDTH)));
     note.replaceChildren(figure.line(chosen), " ", make("code", {}, `docs/figures.md#${heading}`));
   };
   const controls = make("div", { class: "controls" }, choiceBar(figure.choices, chosen, redraw));
   section.append(controls, holder, note);
   section.hidden = false;
+  firstWidth ||= holder.clientWidth;
+  width = firstWidth;
   redraw();
   controls.append(downloadButtons(id, () => holder.querySelector("svg.figure-drawing"), () => numbers(chosen)));
   whenShownChange(redraw);
-  redrawWithWidth(section, holder, redraw);
+  new ResizeObserver(() => {
+    if (holder.clientWidth === width) return;
+    width = holder.clientWidth;
+    redraw();
+  }).observe(section);
 }
 
 function newSection(id, title) {
   const section = make("section", { id, class: "figure" }, make("h2", {}, title));
   document.getElementById("figures").append(section);
   return section;
-}
-
-function redrawWithWidth(section, holder, redraw) {
-  let width = holder.clientWidth;
-  new ResizeObserver(() => {
-    if (holder.clientWidth === width) return;
-    width = holder.clientWidth;
-    redraw();
-  }).observe(section);
 }
