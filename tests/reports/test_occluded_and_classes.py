@@ -145,5 +145,5 @@ def test_occluded_cells_are_shown_at_three_thresholds_with_the_difference_from_t
 def test_the_page_says_where_the_order_on_occluded_cells_depends_on_the_threshold(truth_run):
     run = with_thresholds(truth_run, good=(0.6, 0.2, 0.1), fair=(0.5, 0.4, 0.3))
     html = render_report([run]).read_text()
-    assert "The order of the trackers depends on the threshold." in html
+    assert "The order depends on the threshold." in html
     assert "-0.125 [-0.250, +0.000]" in html
