@@ -6,6 +6,7 @@ import contextlib
 import json
 import os
 import select
+import shutil
 import signal
 import socket
 import subprocess
@@ -14,6 +15,7 @@ import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import mkdtemp
 
 from gridtrack.trackers.wire import widen, without
 
@@ -46,7 +48,8 @@ class ProcessExit:
 class SupervisedProgram:
     """A program started as a child of a supervisor process, in its own session.
 
-    The supervisor ends the program and all processes that it started, also when this process dies. `read` and `write`
+    The supervisor ends the program and all processes that it started, and removes its temporary folder (`TMPDIR`) and
+    its files in shared memory, also when this process dies. `read` and `write`
     are for one thread; `kill` may be called from any thread.
     """
 
@@ -54,8 +57,10 @@ class SupervisedProgram:
         self, argv: tuple[str, ...], log: Path, memory_mb: int, env: Mapping[str, str], cwd: Path | None = None
     ) -> None:
         """Start the program; its stderr goes to `log`. Raises OSError where the log cannot be opened."""
+        self._folder = mkdtemp(prefix="gridtrack-")
         control, supervisors_end = socket.socketpair()
-        command = [sys.executable, "-I", "-S", str(SUPERVISOR), str(supervisors_end.fileno()), str(memory_mb), *argv]
+        command = [sys.executable, "-I", "-S", str(SUPERVISOR), str(supervisors_end.fileno()), str(memory_mb)]
+        command += [self._folder, *argv]
         with supervisors_end, log.open("wb") as stderr:
             self._supervisor = subprocess.Popen(
                 command,
@@ -64,7 +69,7 @@ class SupervisedProgram:
                 stderr=stderr,
                 bufsize=0,
                 pass_fds=(supervisors_end.fileno(),),
-                env=dict(env),
+                env=dict(env) | {"TMPDIR": self._folder},
                 cwd=cwd,
                 start_new_session=True,
             )
@@ -129,6 +134,7 @@ class SupervisedProgram:
             self._exit = self._collect_exit()
             self._stdout.close()
             self._control.close()
+            shutil.rmtree(self._folder, ignore_errors=True)  # where the supervisor was killed
         return self._exit
 
     def _collect_exit(self) -> ProcessExit:

@@ -2,11 +2,12 @@
 
 A separate program that uses the standard library only, so that it starts in a few hundredths of a second:
 
-    python -I -S supervisor.py CONTROL_FD MEMORY_MB PROGRAM [ARGUMENT...]
+    python -I -S supervisor.py CONTROL_FD MEMORY_MB FOLDER PROGRAM [ARGUMENT...]
 
 Descriptors 0 and 1 are the tracker's wire, 2 is its log. On CONTROL_FD, a socket to the referee, the end of the stream
 means "end the tracker now": the referee closed it or died. When the tracker has ended, the supervisor kills every
-process that the tracker started, sends one line of JSON, and exits. As a separate process it does not depend on the
+process that the tracker started, removes FOLDER, which holds its temporary files, and its files in shared memory, sends
+one line of JSON, and exits. As a separate process it does not depend on the
 referee's threads, and it is the only process that adopts orphans of the tracker.
 """
 
@@ -27,6 +28,7 @@ import time
 MEMORY_PERIOD_S = 0.05
 GIVE_UP_S = 5.0
 LOG_BYTES = 1 << 20
+SHARED_MEMORY, MEMFD = "/dev/shm/", "/memfd:"
 PR_SET_PDEATHSIG, PR_SET_DUMPABLE, PR_SET_CHILD_SUBREAPER = 1, 4, 36
 
 
@@ -40,9 +42,10 @@ def main() -> None:
     os.set_blocking(notify, False)
     signal.set_wakeup_fd(notify, warn_on_full_buffer=False)
     signal.signal(signal.SIGCHLD, lambda *_: None)
-    tracker = ChildProcess(sys.argv[3:], memory_kb=int(sys.argv[2]) * 1024)
+    tracker = ChildProcess(sys.argv[4:], memory_kb=int(sys.argv[2]) * 1024)
     tracker.watch(control.fileno(), wake)
     tracker.end()
+    remove_folder(sys.argv[3])
     # the referee may have died: the line is then not needed
     with control:
         try:
@@ -56,6 +59,7 @@ class ChildProcess:
 
     def __init__(self, command: list[str], memory_kb: int) -> None:
         self.memory_kb = memory_kb
+        self.shared = SharedFiles()
         self.peak_kb = 0
         self.over_memory = False
         self.status: int | None = None
@@ -94,10 +98,18 @@ class ChildProcess:
                 next_measurement = time.monotonic() + MEMORY_PERIOD_S
 
     def measure_memory(self) -> None:
-        """Measure the resident memory of the tracker and of all its descendants."""
-        sizes = [resident_kb(pid) for pid in (self.pid, *descendants(self.pid))]
-        total = sum(now for now, _ in sizes)
-        self.peak_kb = max(self.peak_kb, total, sizes[0][1])
+        """Measure the memory of the tracker, of all processes that it started, and of their files in shared memory.
+
+        Pages that processes share are counted once, which costs time: only where the sum over the processes, which
+        counts them in each, is higher than before or too high.
+        """
+        pids = descendants(os.getpid())
+        sizes = {pid: resident_kb(pid) for pid in pids}
+        files_kb = self.shared.look(pids)
+        total = sum(now for now, _ in sizes.values()) + files_kb
+        if (len(pids) > 1 or files_kb) and total > min(self.memory_kb, self.peak_kb):
+            total = proportional_kb(sizes, files_kb)
+        self.peak_kb = max(self.peak_kb, total, sizes.get(self.pid, (0, 0))[1])
         self.over_memory = total > self.memory_kb
 
     def reap(self) -> bool:
@@ -119,10 +131,12 @@ class ChildProcess:
         processes that do not die.
         """
         give_up = time.monotonic() + GIVE_UP_S
+        self.shared.look(descendants(os.getpid()))
         while self.reap() and time.monotonic() < give_up:
             for pid in descendants(os.getpid()) or [self.pid]:
                 kill(pid)
             time.sleep(0.002)
+        self.shared.remove()
         while self.log.take(self.stderr):
             pass
         self.log.close()
@@ -135,6 +149,49 @@ class ChildProcess:
             "over_memory": self.over_memory,
             "start_error": self.start_error,
         }
+
+
+class SharedFiles:
+    """Files in shared memory, without a name (memfd) or in SHARED_MEMORY, that processes have open or mapped."""
+
+    def __init__(self) -> None:
+        self.before = names_in(SHARED_MEMORY)
+        self.owned: set[str] = set()
+
+    def look(self, pids: list[int]) -> int:
+        """Find what the processes have open or mapped now; the size of it all, and of what was found before, KiB."""
+        sizes: dict[tuple[int, int], int] = {}
+        for pid in pids:
+            for descriptor in names_in(f"/proc/{pid}/fd"):
+                self.add_size(f"/proc/{pid}/fd/{descriptor}", sizes)
+            if names_in(SHARED_MEMORY) - self.before:
+                self.owned |= {path for path in mapped_files(pid) if self.is_new(path)}
+        for path in self.owned:
+            sizes |= allocated(path)
+        return sum(sizes.values()) // 1024
+
+    def add_size(self, link: str, sizes: dict[tuple[int, int], int]) -> None:
+        """Add the file behind the descriptor `link` to `sizes` where it is in shared memory."""
+        try:
+            target = str(pathlib.Path(link).readlink())
+        except OSError:  # it was closed in the meantime
+            return
+        if target.startswith(MEMFD) or self.is_new(target):
+            sizes |= allocated(link)
+        if self.is_new(target):
+            self.owned.add(target)
+
+    def is_new(self, path: str) -> bool:
+        """Whether `path` lies in shared memory and was not there when the tracker started."""
+        return path.startswith(SHARED_MEMORY) and path[len(SHARED_MEMORY) :].partition("/")[0] not in self.before
+
+    def remove(self) -> None:
+        """Remove the files that were found."""
+        for path in self.owned:
+            try:
+                pathlib.Path(path).unlink()
+            except OSError:  # the tracker removed it, or it never had a name
+                continue
 
 
 class BoundedLog:
@@ -227,16 +284,68 @@ def descendants(pid: int) -> list[int]:
 
 def resident_kb(pid: int) -> tuple[int, int]:
     """Current and peak resident memory of `pid`, KiB; (0, 0) where it has ended."""
-    sizes = {"VmRSS": 0, "VmHWM": 0}
+    sizes = fields_kb(f"/proc/{pid}/status", ("VmRSS", "VmHWM"))
+    return (sizes["VmRSS"], sizes["VmHWM"])
+
+
+def fields_kb(path: str, names: tuple[str, ...]) -> dict[str, int]:
+    """The fields of these names in a file of /proc, KiB; 0 where it cannot be read or lacks one."""
+    sizes = dict.fromkeys(names, 0)
     try:
-        status = pathlib.Path(f"/proc/{pid}/status").read_text()
+        text = pathlib.Path(path).read_text()
     except OSError:
-        return (0, 0)
-    for line in status.splitlines():
+        return sizes
+    for line in text.splitlines():
         name, _, value = line.partition(":")
         if name in sizes:
             sizes[name] = int(value.split(maxsplit=1)[0])
-    return (sizes["VmRSS"], sizes["VmHWM"])
+    return sizes
+
+
+def proportional_kb(sizes: dict[int, tuple[int, int]], files_kb: int) -> int:
+    """Memory of processes, KiB: each page divided by how many share it, and of files what no process has mapped.
+
+    `sizes`: what `resident_kb` gives of each process; it counts where the system does not tell what is shared.
+    """
+    total = mapped = 0
+    for pid, (resident, _) in sizes.items():
+        found = fields_kb(f"/proc/{pid}/smaps_rollup", ("Pss", "Pss_Shmem"))
+        total += found["Pss"] or resident
+        mapped += found["Pss_Shmem"]
+    return total + max(0, files_kb - mapped)
+
+
+def allocated(path: str) -> dict[tuple[int, int], int]:
+    """Device, inode and size of a file, bytes; nothing where it is gone."""
+    try:
+        found = pathlib.Path(path).stat()
+    except OSError:
+        return {}
+    return {(found.st_dev, found.st_ino): 512 * found.st_blocks}
+
+
+def names_in(folder: str) -> set[str]:
+    """Names in a folder; none where it cannot be read."""
+    try:
+        return {path.name for path in pathlib.Path(folder).iterdir()}
+    except OSError:
+        return set()
+
+
+def mapped_files(pid: int) -> set[str]:
+    """Paths of the files that a process has mapped."""
+    try:
+        lines = pathlib.Path(f"/proc/{pid}/maps").read_text(errors="replace").splitlines()
+    except OSError:
+        return set()
+    return {line.split(maxsplit=5)[5] for line in lines if SHARED_MEMORY in line}
+
+
+def remove_folder(folder: str) -> None:
+    """Remove a folder and all that is in it, as far as possible."""
+    import shutil
+
+    shutil.rmtree(folder, ignore_errors=True)
 
 
 def kill(pid: int) -> None:

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import ctypes
+import mmap
 import os
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 from pathlib import Path
 from typing import Any, Literal
@@ -371,6 +373,45 @@ class KeepsToOnePeriod(Good):
     def __init__(self, stream: StreamSpec, options: Any) -> None:
         super().__init__(stream, options)
         self.rate = 1 // int(stream.period_s == 0.125)
+
+
+class SharesPages(Good):
+    """Thirty forks that share 60 MB with it: resident memory adds up to 2 GB."""
+
+    def __init__(self, stream: StreamSpec, options: Any) -> None:
+        super().__init__(stream, options)
+        self._pages = np.ones(60 << 17)
+        for _ in range(30):
+            if os.fork() == 0:
+                time.sleep(3600)
+
+    def update(self, frame: GridFrame) -> None:
+        time.sleep(0.3)
+
+
+class HidesInAMemfd(Good):
+    """Writes a gigabyte to a file in memory that has no name and that it does not map."""
+
+    def update(self, frame: GridFrame) -> None:
+        hidden = os.memfd_create("hidden")
+        for _ in range(256):
+            os.write(hidden, bytes(1 << 22))
+        time.sleep(3600)
+
+
+class LeavesFiles(Good):
+    """Leaves files in its temporary folder and in shared memory, where one of them is mapped and closed."""
+
+    def update(self, frame: GridFrame) -> None:
+        Path(tempfile.mkdtemp(), "left").write_bytes(bytes(1000))
+        names = [f"/dev/shm/gridtrack-test-{os.getpid()}-{kind}" for kind in ("open", "mapped")]
+        self._left = [open(name, "w+b") for name in names]  # noqa: SIM115, PTH123  left open on purpose
+        for file in self._left:
+            file.write(bytes(5000))
+            file.flush()
+        self._mapped = mmap.mmap(self._left[1].fileno(), 0)
+        self._left.pop().close()
+        print(tempfile.gettempdir(), *names, file=sys.stderr, flush=True)
 
 
 class NotATracker(dict):  # type: ignore[type-arg]

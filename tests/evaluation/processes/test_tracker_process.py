@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 import sys
+import tempfile
 import threading
 from collections.abc import Iterator
 from pathlib import Path
@@ -120,6 +121,26 @@ def test_the_reason_of_an_exit_has_the_last_line_of_the_log(log: Path) -> None:
 @pytest.mark.parametrize("name", ["hogs", "hogs-in-a-child"])
 def test_resident_memory_is_bounded_over_all_processes(log: Path, name: str) -> None:
     assert outcome(name, log) == ("out-of-memory", "update with frame 1: more than 400 MB of resident memory")
+
+
+def test_pages_that_processes_share_are_counted_once(log: Path) -> None:
+    assert run("shares-pages", log).peak_rss_mb < 400
+
+
+def test_a_file_in_memory_without_a_name_is_counted(log: Path) -> None:
+    limits = Limits(memory_mb=400, update_s=60.0)
+    assert outcome("hides-in-a-memfd", log, limits) == (
+        "out-of-memory",
+        "update with frame 1: more than 400 MB of resident memory",
+    )
+
+
+def test_the_files_of_a_tracker_are_removed_with_it(log: Path) -> None:
+    run("leaves-files", log)
+    told = log.read_text().splitlines()[0].split()
+    folder, opened, mapped = map(Path, told)
+    assert folder != Path(tempfile.gettempdir())
+    assert not any(path.exists() for path in (folder, opened, mapped))
 
 
 def test_a_memory_error_is_out_of_memory(log: Path) -> None:
