@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 
 from gridtrack.evaluation.comparison.plan import Trial
 from gridtrack.evaluation.comparison.replay import replayed_f1
+from gridtrack.evaluation.processes.call_times import Call, Timings
 from gridtrack.evaluation.processes.clock import Clock
 from gridtrack.evaluation.processes.latency import TWENTIETHS
-from gridtrack.evaluation.processes.tracker_process import Call, Timings, TrackerProcess
+from gridtrack.evaluation.processes.tracker_process import TrackerProcess
 from gridtrack.evaluation.results.passes import AtRate, CallTimes, Deadline, Quantiles
 from gridtrack.evaluation.results.trial_record import ThresholdsUsed
 from gridtrack.evaluation.results.values import Curves

@@ -6,8 +6,8 @@ from itertools import islice
 from pathlib import Path
 
 from gridtrack.evaluation.comparison.plan import Trial
+from gridtrack.evaluation.processes.call_times import Timings
 from gridtrack.evaluation.processes.latency import Latencies
-from gridtrack.evaluation.processes.tracker_process import Timings
 from gridtrack.evaluation.results.passes import CallTimes, Latency, Quantiles
 from gridtrack.evaluation.scoring.referee import WARM_UP
 

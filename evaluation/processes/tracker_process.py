@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from types import TracebackType
@@ -14,10 +14,10 @@ from typing import Any
 from gridtrack.common.errors import ConfigurationError, PluginError
 from gridtrack.common.grid import GridFrame
 from gridtrack.common.names import LABEL_RULE, is_label
-from gridtrack.evaluation.processes.clock import Clock, clock_that_counts
+from gridtrack.evaluation.processes.call_times import Call, Timings
+from gridtrack.evaluation.processes.clock import clock_that_counts
 from gridtrack.evaluation.processes.dialogue import Dialogue, Request
 from gridtrack.evaluation.processes.held_forecasts import HeldForecasts
-from gridtrack.evaluation.processes.latency import Latencies
 from gridtrack.evaluation.processes.limits import Limits
 from gridtrack.evaluation.processes.outcome import TrialEnded
 from gridtrack.evaluation.processes.supervised import SupervisedProgram
@@ -54,50 +54,6 @@ class TrackerDescription:
     """The comparisons in which the other rows are compared with this tracker by default."""
     code_sha256: str = ""
     """Of the code that runs; empty where it is not known, as without a stream."""
-
-
-@dataclass(frozen=True, slots=True)
-class Call:
-    """Durations of one call, ms: by the tracker's own clock, at most the round trip; processor time; round trip."""
-
-    own_ms: float
-    cpu_ms: float
-    round_trip_ms: float
-
-
-@dataclass(slots=True)
-class Timings:
-    """Durations of the calls so far, in bounded memory."""
-
-    update: Latencies = field(default_factory=Latencies)
-    predict: Latencies = field(default_factory=Latencies)
-    update_round_trip: Latencies = field(default_factory=Latencies)
-    predict_round_trip: Latencies = field(default_factory=Latencies)
-
-    def add_update(self, call: Call) -> None:
-        """Count an update."""
-        self.update.add(call.own_ms)
-        self.update_round_trip.add(call.round_trip_ms)
-
-    def add_predict(self, call: Call) -> None:
-        """Count a forecast."""
-        self.predict.add(call.own_ms)
-        self.predict_round_trip.add(call.round_trip_ms)
-
-    @property
-    def clock(self) -> Clock:
-        """The clock that counts, by the medians of updates and of forecasts."""
-        pairs = ((self.update, self.update_round_trip), (self.predict, self.predict_round_trip))
-        clocks = {
-            clock_that_counts(own.percentile(50), round_trip.percentile(50)) for own, round_trip in pairs if len(own)
-        }
-        return "host" if "host" in clocks else "tracker"
-
-    def counted(self) -> tuple[Latencies, Latencies]:
-        """Updates and forecasts by the clock that counts."""
-        if self.clock == "tracker":
-            return self.update, self.predict
-        return self.update_round_trip, self.predict_round_trip
 
 
 class TrackerProcess:
