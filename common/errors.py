@@ -13,7 +13,7 @@ INTERRUPTED_EXIT_CODE = 130
 """Exit code of a process after Ctrl-C, as of a shell."""
 MAX_LINE_CHARS = 2000
 """Limit of a line that may quote untrusted input."""
-CUT = " ... "
+CUT_MARK = " ... "
 
 
 class GridtrackError(Exception):
@@ -66,7 +66,7 @@ def bounded_line(text: str) -> str:
     """`text` as one printable line of at most MAX_LINE_CHARS characters, cut in the middle: the remedy is last."""
     if len(text) > MAX_LINE_CHARS:
         tail = MAX_LINE_CHARS // 4
-        text = text[: MAX_LINE_CHARS - tail - len(CUT)] + CUT + text[-tail:]
+        text = text[: MAX_LINE_CHARS - tail - len(CUT_MARK)] + CUT_MARK + text[-tail:]
     return printable(text)
 
 

@@ -34,7 +34,7 @@ def stretch_text(stretch: Stretch) -> str:
     return f"{start_s:g}s-" if end_s is None else f"{start_s:g}s-{end_s:g}s"
 
 
-MAX_WARNINGS, MAX_TOPICS = 100, 1000
+MAX_WARNINGS, MAX_LISTED_TOPICS = 100, 1000
 """Limits of the warnings about a recording, and of the topics that are listed."""
 NO_MORE_WARNINGS = f"more than {MAX_WARNINGS} warnings: the others are left out"
 
@@ -117,8 +117,8 @@ class Topics:
     """Topics that can be read as scans."""
 
     def add(self, topic: str, kind: str, is_scan: bool) -> None:
-        """Count one message of `topic`; topics beyond MAX_TOPICS are not counted, unless they are scans."""
-        if len(self.types) >= MAX_TOPICS and topic not in self.types and not is_scan:
+        """Count one message of `topic`; topics beyond MAX_LISTED_TOPICS are not counted, unless they are scans."""
+        if len(self.types) >= MAX_LISTED_TOPICS and topic not in self.types and not is_scan:
             return
         self.types[topic] = kind
         self.counts[topic] = self.counts.get(topic, 0) + 1

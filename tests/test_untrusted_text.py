@@ -15,7 +15,7 @@ from gridtrack.common.errors import MAX_LINE_CHARS
 from gridtrack.common.scan import Scan
 from gridtrack.evaluation.results.trial_record import OUTCOME_FILE, read_trial_record
 from gridtrack.recordings import RecordingInfo, open_recording, write_native
-from gridtrack.recordings.recording import MAX_TOPICS, MAX_WARNINGS, NO_MORE_WARNINGS, Topics
+from gridtrack.recordings.recording import MAX_LISTED_TOPICS, MAX_WARNINGS, NO_MORE_WARNINGS, Topics
 from gridtrack.reports.live_table import LiveTable
 from gridtrack.reports.run_progress import RunProgress
 from gridtrack.reports.terminal import print_rows
@@ -49,10 +49,10 @@ def test_the_warnings_of_a_recording_are_printable_and_bounded(hostile_recording
 
 def test_topics_are_counted_up_to_a_limit_but_for_those_with_scans() -> None:
     topics = Topics()
-    for number in range(2 * MAX_TOPICS):
+    for number in range(2 * MAX_LISTED_TOPICS):
         topics.add(f"/{number}", "other", False)
     topics.add("/scan", "scan", True)
-    assert len(topics.types) == MAX_TOPICS + 1
+    assert len(topics.types) == MAX_LISTED_TOPICS + 1
     assert topics.scans == {"/scan"}
 
 

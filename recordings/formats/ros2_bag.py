@@ -20,7 +20,7 @@ SQLITE_MAGIC = b"SQLite format 3\x00"
 METADATA_FILE = "metadata.yaml"
 MAX_METADATA_BYTES = 1 << 20
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
-BLOCK_BYTES = 1 << 20
+UNPACKED_BLOCK_BYTES = 1 << 20
 
 
 class Ros2Bag(RosRecording):
@@ -79,7 +79,7 @@ def _check_unpacked(path: Path) -> None:
         file.seek(0)
         try:
             with zstandard.ZstdDecompressor().stream_reader(file, read_across_frames=True) as unpacked:
-                while block := unpacked.read(BLOCK_BYTES):
+                while block := unpacked.read(UNPACKED_BLOCK_BYTES):
                     budget.take_bytes(len(block), file.tell())
         except zstandard.ZstdError as error:
             raise DamageError(f"{path.name}: damaged ({error})") from None
