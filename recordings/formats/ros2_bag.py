@@ -57,7 +57,8 @@ def _check_files(path: Path) -> int:
 
 def _check_metadata(text: bytes) -> None:
     """Raise DamageError for YAML with aliases, which repeat their content without limit, or that is nested deeply."""
-    from ruamel.yaml import YAML, YAMLError
+    from ruamel.yaml import YAML
+    from ruamel.yaml.error import YAMLError
     from ruamel.yaml.events import AliasEvent, CollectionEndEvent, CollectionStartEvent
 
     depth = 0
