@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Protocol
 
 from gridtrack.common.errors import RecordingError
-from gridtrack.evaluation.comparison.runner import WAKE_S
+from gridtrack.evaluation.engines.engine import WAKE_S
 from gridtrack.recordings.growth import Growth
 from gridtrack.recordings.observation import Observation
 from gridtrack.recordings.stream import GridStream

@@ -12,7 +12,8 @@ import numpy as np
 from gridtrack.evaluation.comparison.deadline_pass import TRIAL_FORECASTS
 from gridtrack.evaluation.comparison.plan import Trial
 from gridtrack.evaluation.comparison.shared_thresholds import SharedThresholds
-from gridtrack.evaluation.comparison.trial import Interrupted, OnFrame, TrialRun
+from gridtrack.evaluation.comparison.trial import OnFrame, TrialRun
+from gridtrack.evaluation.engines.engine import Interrupted
 from gridtrack.evaluation.processes.outcome import TrialEnded
 from gridtrack.evaluation.results.passes import Followed, Quantiles
 from gridtrack.evaluation.results.trial_record import TrialEnding, TrialRecord

@@ -21,10 +21,12 @@ from gridtrack.evaluation.comparison.live_scores import LiveObserver, LiveScores
 from gridtrack.evaluation.comparison.plan import ComparisonPlan, resolve, sampling_of, with_copied_weights
 from gridtrack.evaluation.comparison.run_folder import RunFolder, refuse_earlier_run
 from gridtrack.evaluation.comparison.run_lock import run_lock
-from gridtrack.evaluation.comparison.runner import WAKE_S, RunObserver, TrialPool
+from gridtrack.evaluation.comparison.runner import engine_of
 from gridtrack.evaluation.comparison.settings import CompareSettings
 from gridtrack.evaluation.comparison.shared_thresholds import SharedThresholds
-from gridtrack.evaluation.comparison.trial import Interrupted, failed
+from gridtrack.evaluation.comparison.stages import Stages
+from gridtrack.evaluation.comparison.trial import failed
+from gridtrack.evaluation.engines.engine import WAKE_S, Engine, Interrupted, RunObserver
 from gridtrack.evaluation.results.summary import RunSummary
 from gridtrack.evaluation.results.trial_record import TrialRecord
 from gridtrack.evaluation.scoring.referee import WARM_UP
@@ -118,23 +120,8 @@ class Following:
         A second Ctrl-C keeps the scores so far. Raises RecordingError where there is nothing to score.
         """
         plan = self._whole_plan()
-        folder = RunFolder.prepare(plan, command)
-        pool = TrialPool(plan, folder.path, progress)
-        interrupted = False
-        try:
-            self._score(plan, progress)
-        except KeyboardInterrupt:
-            interrupted = True
-            self.abandon()
-        self._join()
-        for name, record in self._records.items():
-            pool.keep(name, record)
-        if not interrupted:
-            try:
-                pool.run_missing()
-            except KeyboardInterrupt:
-                interrupted = True
-        return folder.finish(pool.all_records(), [*pool.notices, *self._notices()], interrupted)
+        with engine_of(plan.settings, progress) as engine:
+            return self._finish(plan, command, progress, engine)
 
     def abandon(self) -> None:
         """End everything that still runs."""
@@ -146,6 +133,27 @@ class Following:
             if thread.is_alive():
                 run.abandon()
                 thread.join()
+
+    def _finish(
+        self, plan: ComparisonPlan, command: Sequence[str], progress: RunObserver, engine: Engine
+    ) -> RunSummary:
+        folder = RunFolder.prepare(plan, command)
+        stages = Stages(plan, folder.path, progress, engine)
+        interrupted = False
+        try:
+            self._score(plan, progress)
+        except KeyboardInterrupt:
+            interrupted = True
+            self.abandon()
+        self._join()
+        for name, record in self._records.items():
+            stages.keep(name, record)
+        if not interrupted:
+            try:
+                stages.score_missing()
+            except KeyboardInterrupt:
+                interrupted = True
+        return folder.finish(stages.all_records(), [*stages.notices, *self._notices()], interrupted)
 
     def _start(self) -> None:
         self._scores.start()

@@ -12,6 +12,7 @@ from typing import Any
 from gridtrack.common.errors import RecordingError, bounded_line
 from gridtrack.evaluation.comparison.plan import Trial
 from gridtrack.evaluation.comparison.shared_thresholds import SharedThresholds, thresholds_of_card, trial_key
+from gridtrack.evaluation.engines.engine import Interrupted
 from gridtrack.evaluation.processes.outcome import TrialEnded
 from gridtrack.evaluation.processes.tracker_process import TrackerDescription
 from gridtrack.evaluation.results.columns import HISTOGRAM_TABLE, PRIOR_TABLE, SCORES_TABLE
@@ -26,10 +27,6 @@ STDERR_LOG = "stderr.log"
 INTERRUPTED_REASON = "the run was interrupted; continue it with --resume"
 OnFrame = Callable[[], None]
 """Called before each frame is delivered; it raises Interrupted to stop the trial."""
-
-
-class Interrupted(Exception):
-    """The run was interrupted; the scores so far are kept."""
 
 
 class TrialRun:

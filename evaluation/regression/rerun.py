@@ -10,8 +10,9 @@ from tempfile import TemporaryDirectory
 from gridtrack.common.config import validated
 from gridtrack.evaluation.comparison.plan import ComparisonPlan, resolve
 from gridtrack.evaluation.comparison.provenance import versions
-from gridtrack.evaluation.comparison.runner import RunObserver, run
+from gridtrack.evaluation.comparison.runner import run
 from gridtrack.evaluation.comparison.settings import CompareSettings
+from gridtrack.evaluation.engines.engine import RunObserver
 from gridtrack.evaluation.regression.measurement import Measurement, Unmeasured
 from gridtrack.evaluation.regression.measuring import measure_run
 from gridtrack.evaluation.results.run_record import RunRecord, read_run_record

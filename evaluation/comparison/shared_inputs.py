@@ -1,0 +1,24 @@
+"""What the works of a run share in one process: the regions of each recording, and thresholds chosen so far."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from gridtrack.evaluation.comparison.shared_thresholds import SharedThresholds
+from gridtrack.evaluation.scoring.splits import EvaluationSplit, SplitRegions
+
+
+class SharedInputs:
+    """Regions and thresholds, each made once. `note` receives a line for the user where that takes a while."""
+
+    def __init__(self, note: Callable[[str], None]) -> None:
+        self.thresholds = SharedThresholds()
+        self._note = note
+        self._regions: dict[str, SplitRegions] = {}
+
+    def regions_of(self, split: EvaluationSplit) -> SplitRegions:
+        """The regions of a split. Raises RecordingError."""
+        if split.name not in self._regions:
+            self._note(f"{split.name}: finding its static cells")
+            self._regions[split.name] = split.regions()
+        return self._regions[split.name]

@@ -1,0 +1,147 @@
+"""The stages of a run: scores, priors, degraded input, and what needs the machine for one tracker alone."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, wait
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from gridtrack.evaluation.comparison.deadline_pass import measure_deadline
+from gridtrack.evaluation.comparison.latency_pass import measure_latency
+from gridtrack.evaluation.comparison.oracle import oracle_validation
+from gridtrack.evaluation.comparison.plan import ComparisonPlan, Trial
+from gridtrack.evaluation.comparison.prior_pass import trials_with_priors
+from gridtrack.evaluation.comparison.shared_inputs import SharedInputs
+from gridtrack.evaluation.comparison.trial import unstarted
+from gridtrack.evaluation.comparison.works import (
+    OracleWork,
+    PriorWork,
+    RobustnessWork,
+    RunWork,
+    TrialWork,
+    not_measured,
+    written,
+)
+from gridtrack.evaluation.engines.engine import WAKE_S, Engine, RunObserver
+from gridtrack.evaluation.results.trial_record import TrialRecord
+
+
+class Stages:
+    """The stages of one run, in the order of its methods, and the records so far."""
+
+    def __init__(self, plan: ComparisonPlan, folder: Path, progress: RunObserver, engine: Engine) -> None:
+        self.notices: list[str] = []
+        """Failed measurements of complete trials, with their reasons."""
+        self._plan, self._folder, self._progress, self._engine = plan, folder, progress, engine
+        self._shared = SharedInputs(progress.note)
+        self._records: dict[str, TrialRecord] = {}
+
+    def keep(self, name: str, record: TrialRecord) -> None:
+        """Keep the record of a trial that does not run again."""
+        self._records[name] = record
+        self._progress.ended(name, record)
+
+    def planned_frames(self) -> dict[str, int]:
+        """The frames of every trial and oracle without a record; thresholds that trials share are counted each time."""
+        planned = {trial.name: len(trial.test) + len(trial.validation or ()) for trial in self._plan.trials}
+        for split in self._plan.splits:
+            if split.test.has_truth:
+                planned[split.oracle_name] = len(split.test) + len(oracle_validation(split) or ())
+        return {name: frames for name, frames in planned.items() if name not in self._records}
+
+    def score_missing(self) -> None:
+        """Run every trial without a record, and score the oracle on every recording with truth that lacks it."""
+        trials = [trial for trial in self._plan.trials if trial.name not in self._records]
+        unknown = [split for split in self._plan.splits if split.oracle_name not in self._records]
+        oracles = [split for split in unknown if split.test.has_truth]
+        self._carry_out(
+            [
+                *(TrialWork(trial, self._folder / trial.name, self._shared) for trial in trials),
+                *(OracleWork(split, self._folder / split.oracle_name, self._shared) for split in oracles),
+            ]
+        )
+
+    def measure_priors(self) -> None:
+        """Measure what each row with weights expects of each place, where it is missing."""
+        trials = trials_with_priors(self._complete(), self._records)
+        self._carry_out([PriorWork(t, self._records[t.name], self._folder / t.name) for t in trials])
+
+    def measure_robustness(self) -> None:
+        """Run the robustness pass of every complete trial, where it is requested and missing."""
+        degradation = self._plan.settings.degrade
+        if degradation is None:
+            return
+        done = {name for name, r in self._records.items() if r.robustness and r.robustness.degradation == degradation}
+        trials = [trial for trial in self._complete() if trial.name not in done]
+        self._carry_out(
+            [RobustnessWork(t, self._records[t.name], degradation, self._folder / t.name, self._shared) for t in trials]
+        )
+
+    def measure_alone(self) -> None:
+        """Run the passes that need the machine for one tracker alone, where they are requested and missing."""
+        settings = self._plan.settings
+        for trial in self._complete():
+            record, folder = self._records[trial.name], self._folder / trial.name
+            if settings.latency and record.latency_ms is None:
+                with self._measuring(trial, "latency, alone on the machine"):
+                    self._add(trial, latency_ms=measure_latency(trial, folder))
+            if settings.deadline and record.deadline is None:
+                with self._measuring(trial, "deadlines, alone on the machine"):
+                    regions = self._shared.regions_of(trial.split)
+                    self._add(trial, deadline=measure_deadline(trial, regions, record.thresholds, folder))
+
+    def all_records(self) -> dict[str, TrialRecord]:
+        """The record of every trial of the plan, also of those that an interrupt prevented, and of the oracles."""
+        return {trial.name: unstarted(trial) for trial in self._plan.trials} | self._records
+
+    def _complete(self) -> list[Trial]:
+        return [trial for trial in self._plan.trials if self._records[trial.name].outcome == "ok"]
+
+    def _carry_out(self, works: Sequence[RunWork]) -> None:
+        """Let the engine carry out `works`; on an error or an interrupt, end all of them before it is raised."""
+        waiting: dict[Future[TrialRecord], RunWork] = {}
+        try:
+            waiting.update(zip(self._engine.submit(works), works, strict=True))
+            while waiting:
+                for future in wait(waiting, WAKE_S, return_when=FIRST_COMPLETED).done:
+                    self._take(waiting[future], future)
+                    del waiting[future]
+        except BaseException:
+            self._engine.cancel()
+            for future in wait(waiting).done:
+                if not future.cancelled() and future.exception() is None:
+                    self._take(waiting[future], future)
+            raise
+
+    def _take(self, work: RunWork, future: Future[TrialRecord]) -> None:
+        """Keep the record of a work that has ended, or the notice of one that has none."""
+        error = future.exception()
+        if error is not None and not isinstance(error, Exception):
+            raise error
+        result = work.on_error(error) if error else future.result()
+        if isinstance(result, str):
+            self._notify(result)
+            return
+        self._records[work.name] = result
+        if isinstance(work, TrialWork | OracleWork):
+            self._progress.ended(work.name, result)
+
+    @contextmanager
+    def _measuring(self, trial: Trial, what: str) -> Iterator[None]:
+        """An error in the block leaves the trial without this measurement, with a notice."""
+        self._progress.note(f"{trial.name}: {what}")
+        try:
+            yield
+        except Exception as error:  # noqa: BLE001 the other trials continue, and the summary reports it
+            self._notify(not_measured(trial, what, error))
+
+    def _add(self, trial: Trial, **measured: Any) -> None:
+        """Add measurements to the trial's record, and write it."""
+        record = self._records[trial.name].model_copy(update=measured)
+        self._records[trial.name] = written(self._folder / trial.name, record)
+
+    def _notify(self, notice: str) -> None:
+        self.notices.append(notice)
+        self._progress.note(notice)

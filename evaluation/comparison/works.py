@@ -1,0 +1,170 @@
+"""The works of a run: the scores of a trial, those of the oracle, and the measurements that follow the scores."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Protocol
+
+from gridtrack.evaluation.comparison.oracle import oracle_validation, run_oracle
+from gridtrack.evaluation.comparison.plan import Trial
+from gridtrack.evaluation.comparison.prior_pass import PriorRun
+from gridtrack.evaluation.comparison.robustness_pass import RobustnessRun
+from gridtrack.evaluation.comparison.shared_inputs import SharedInputs
+from gridtrack.evaluation.comparison.shared_thresholds import oracle_key
+from gridtrack.evaluation.comparison.trial import TrialRun, error_with_location, failed
+from gridtrack.evaluation.engines.engine import Monitor
+from gridtrack.evaluation.processes.outcome import TrialEnded
+from gridtrack.evaluation.results.columns import PRIOR_TABLE
+from gridtrack.evaluation.results.trial_record import TrialRecord, hashes_of
+from gridtrack.evaluation.scoring.splits import EvaluationSplit
+from gridtrack.recordings.degradation import Degradation
+
+
+class _Interruptible(Protocol):
+    def interrupt(self) -> None: ...
+
+
+class _InterruptedOnce:
+    """Passes an interrupt from another thread on to what runs, also where that has not begun yet."""
+
+    def __init__(self) -> None:
+        self._runs: _Interruptible | None = None
+        self._interrupted = False
+
+    def interrupt(self) -> None:
+        """End what runs, or what begins next."""
+        self._interrupted = True
+        if self._runs is not None:
+            self._runs.interrupt()
+
+    def begin(self, run: _Interruptible) -> None:
+        """From now on `run` is interrupted."""
+        self._runs = run
+        if self._interrupted:
+            run.interrupt()
+
+
+class TrialWork(_InterruptedOnce):
+    """The scores of a trial. An error outside its tracker gives the outcome `failed`."""
+
+    def __init__(self, trial: Trial, folder: Path, shared: SharedInputs) -> None:
+        """The files of the trial go to `folder`."""
+        super().__init__()
+        self.trial, self._folder, self._shared = trial, folder, shared
+        self.name = trial.name
+
+    def prepare(self) -> None:
+        """Find the regions of the recording."""
+        self._shared.regions_of(self.trial.split)
+
+    def run(self, monitor: Monitor) -> TrialRecord:
+        """Run the trial to its end, successful or not."""
+        regions = self._shared.regions_of(self.trial.split)
+        run = TrialRun(self.trial, regions, self._folder, monitor.next_frame, self._shared.thresholds)
+        monitor.started(run.frames)
+        self.begin(run)
+        return run.run()
+
+    def on_error(self, error: Exception) -> TrialRecord:
+        """The record of a trial that could not write one."""
+        return failed(self.trial, error)
+
+
+class OracleWork:
+    """The scores of the oracle on one recording; where that fails, the run continues without it."""
+
+    def __init__(self, split: EvaluationSplit, folder: Path, shared: SharedInputs) -> None:
+        """The files of the oracle go to `folder`."""
+        self.split, self._folder, self._shared = split, folder, shared
+        self.name = split.oracle_name
+
+    def prepare(self) -> None:
+        """Find the regions of the recording."""
+        self._shared.regions_of(self.split)
+
+    def run(self, monitor: Monitor) -> TrialRecord:
+        """Score the oracle. Raises Interrupted."""
+        split, thresholds = self.split, self._shared.thresholds
+        validation = () if thresholds.known(oracle_key(split)) else oracle_validation(split) or ()
+        monitor.started(len(split.test) + len(validation))
+        return run_oracle(split, self._shared.regions_of(split), self._folder, monitor.next_frame, thresholds)
+
+    def interrupt(self) -> None:
+        """It waits for no other process, so the next frame ends it."""
+
+    def on_error(self, error: Exception) -> str:
+        """The notice for the user."""
+        return f"{self.split.name}: no oracle: {_reason(error)}"
+
+
+class PriorWork(_InterruptedOnce):
+    """What a row with weights expects of a place, added to the trial's record."""
+
+    def __init__(self, trial: Trial, record: TrialRecord, folder: Path) -> None:
+        """The table and the log go to the trial's `folder`."""
+        super().__init__()
+        self.trial, self.record, self._folder = trial, record, folder
+        self.name = trial.name
+
+    def prepare(self) -> None:
+        """It needs no regions."""
+
+    def run(self, monitor: Monitor) -> TrialRecord:
+        """Measure the prior. Raises Interrupted, TrialEnded."""
+        monitor.note(f"{self.name}: its prior")
+        run = PriorRun(self.trial, self._folder)
+        self.begin(run)
+        run.run(monitor.check)
+        files = {**self.record.files, **hashes_of(self._folder, (PRIOR_TABLE.file,))}
+        return written(self._folder, self.record.model_copy(update={"files": files}))
+
+    def on_error(self, error: Exception) -> str:
+        """The notice for the user."""
+        return not_measured(self.trial, "its prior", error)
+
+
+class RobustnessWork(_InterruptedOnce):
+    """The scores of a trial on degraded input, added to its record."""
+
+    def __init__(
+        self, trial: Trial, record: TrialRecord, degradation: Degradation, folder: Path, shared: SharedInputs
+    ) -> None:
+        """The log goes to the trial's `folder`."""
+        super().__init__()
+        self.trial, self.record, self.degradation = trial, record, degradation
+        self._folder, self._shared = folder, shared
+        self.name = trial.name
+
+    def prepare(self) -> None:
+        """Find the regions of the recording."""
+        self._shared.regions_of(self.trial.split)
+
+    def run(self, monitor: Monitor) -> TrialRecord:
+        """Run the pass. Raises Interrupted, TrialEnded."""
+        monitor.note(f"{self.name}: degraded input")
+        run = RobustnessRun(self.trial, self.degradation, self._folder)
+        self.begin(run)
+        robustness = run.run(self._shared.regions_of(self.trial.split), self.record.thresholds, monitor.check)
+        return written(self._folder, self.record.model_copy(update={"robustness": robustness}))
+
+    def on_error(self, error: Exception) -> str:
+        """The notice for the user."""
+        return not_measured(self.trial, "degraded input", error)
+
+
+RunWork = TrialWork | OracleWork | PriorWork | RobustnessWork
+
+
+def written(folder: Path, record: TrialRecord) -> TrialRecord:
+    """`record`, written into the trial's folder. Raises OSError."""
+    record.write(folder)
+    return record
+
+
+def not_measured(trial: Trial, what: str, error: Exception) -> str:
+    """The notice about a complete trial that lacks a measurement."""
+    return f"{trial.name}: no measurement of {what}: {_reason(error)}"
+
+
+def _reason(error: Exception) -> str:
+    return str(error) if isinstance(error, TrialEnded) else error_with_location(error)

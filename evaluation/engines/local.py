@@ -1,0 +1,84 @@
+"""The local engine: each work in a thread of this process, with the supervised process of its tracker."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from types import TracebackType
+from typing import Self
+
+from gridtrack.evaluation.engines.engine import Interrupted, RunObserver, Work
+from gridtrack.evaluation.results.trial_record import TrialRecord
+
+
+class LocalEngine:
+    """An Engine of `capacity` threads. `observer` receives the progress of the works."""
+
+    def __init__(self, capacity: int, observer: RunObserver) -> None:
+        self.capacity = capacity
+        self._observer = observer
+        self._folder = TemporaryDirectory(prefix="gridtrack-weights-")
+        self.scratch = Path(self._folder.name)
+        self._threads = ThreadPoolExecutor(capacity, "trial")
+        self._stop = threading.Event()
+        self._futures: list[Future[TrialRecord]] = []
+        self._running: set[Work] = set()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if kind is not None:
+            self.cancel()
+        self._threads.shutdown()
+        self._folder.cleanup()
+
+    def submit(self, works: Sequence[Work]) -> list[Future[TrialRecord]]:
+        """Carry out `works`; what they share is made before this returns."""
+        for work in works:
+            work.prepare()
+        self._futures = []
+        for work in works:
+            self._futures.append(self._threads.submit(self._run, work))
+        return self._futures
+
+    def cancel(self) -> None:
+        """End the trackers now: works that wait never start, calls that run are interrupted."""
+        self._stop.set()
+        for future in self._futures:
+            future.cancel()
+        for work in tuple(self._running):
+            work.interrupt()
+
+    def _run(self, work: Work) -> TrialRecord:
+        self._running.add(work)
+        try:
+            return work.run(_LocalMonitor(work.name, self._observer, self._stop))
+        finally:
+            self._running.discard(work)
+
+
+class _LocalMonitor:
+    """The Monitor of a work in a thread."""
+
+    def __init__(self, name: str, observer: RunObserver, stop: threading.Event) -> None:
+        self._name, self._observer, self._stop = name, observer, stop
+
+    def note(self, text: str) -> None:
+        self._observer.note(text)
+
+    def started(self, frames: int) -> None:
+        self._observer.started(self._name, frames)
+
+    def next_frame(self) -> None:
+        self.check()
+        self._observer.advanced(self._name)
+
+    def check(self) -> None:
+        if self._stop.is_set():
+            raise Interrupted
