@@ -37,3 +37,10 @@ FollowOption = Annotated[
 IdleTimeoutOption = Annotated[
     str | None, typer.Option(help="With --follow, end when nothing was written for this long")
 ]
+EngineOption = Annotated[
+    str | None,
+    typer.Option(metavar="ENGINE", help="What runs the trials: local, or ray for the nodes of a Ray cluster"),
+]
+AddressOption = Annotated[
+    str | None, typer.Option(help="Of the cluster; default: the one that this machine belongs to")
+]

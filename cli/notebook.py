@@ -42,6 +42,8 @@ class CompareOptions(TypedDict, total=False):
     grid: str
     rate: float
     jobs: int
+    engine: str
+    address: str
     threads: int
     memory: int
     start_timeout: str

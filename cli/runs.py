@@ -9,9 +9,11 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 import typer
 
 from gridtrack.cli.compare_options import (
+    AddressOption,
     AllowLeakOption,
     DeadlineOption,
     DegradeOption,
+    EngineOption,
     FollowOption,
     IdleTimeoutOption,
     ReferenceOption,
@@ -51,6 +53,8 @@ def compare_command(
     grid: GridOption = None,
     rate: RateOption = None,
     jobs: Annotated[int | None, typer.Option(help="Trials at the same time; default: one per processor core")] = None,
+    engine: EngineOption = None,
+    address: AddressOption = None,
     threads: Annotated[int | None, typer.Option(help="Compute threads of each tracker")] = None,
     memory: Annotated[int | None, typer.Option(help="Memory limit of each tracker, MB")] = None,
     start_timeout: Annotated[str | None, typer.Option(help="Time limit for the start of a tracker")] = None,
@@ -91,6 +95,8 @@ def compare_command(
         "grid": grid,
         "rate_hz": rate,
         "jobs": jobs,
+        "engine": engine,
+        "address": address,
         "seed": seed,
         "weights": weights,
         "trackers_toml": trackers_toml,
@@ -190,6 +196,7 @@ def compare_defaults() -> dict[str, str]:
 
     return {
         "out": str(default_of(CompareSettings, "out")),
+        "engine": str(default_of(CompareSettings, "engine")),
         "horizon": seconds_text(default_of(CompareSettings, "horizon_s")),
         "every": seconds_text(default_of(CompareSettings, "every_s")),
         "threads": str(default_of(Limits, "threads")),

@@ -65,8 +65,10 @@ class RunProgress:
         self._all = self._bars.add_task(self._all_text(), total=self._total(), left="")
 
     def started(self, trial: str, frames: int) -> None:
-        """Show a bar for a trial of `frames` frames."""
+        """Show a bar for a trial of `frames` frames, which may start again where its machine was lost."""
         with self._lock:
+            if trial in self._tasks:
+                self._bars.remove_task(self._tasks.pop(trial))
             self._frames[trial], self._delivered[trial] = frames, 0
             self._tasks[trial] = self._bars.add_task(escape(printable(trial)), total=frames, left="")
         self._show_all()

@@ -14,6 +14,7 @@ from tempfile import TemporaryDirectory
 
 from gridtrack.common.errors import RecordingError
 from gridtrack.evaluation.comparison.arrivals import BEHIND_S, Arrival, Arrivals, FileWatch, Pace, Turns, Watch
+from gridtrack.evaluation.comparison.engine_choice import engine_of
 from gridtrack.evaluation.comparison.follow_notices import Ending, follow_notices
 from gridtrack.evaluation.comparison.followed_trial import FollowedTrial
 from gridtrack.evaluation.comparison.growing_recording import open_growing, path_to_follow, refuse_raw
@@ -21,11 +22,10 @@ from gridtrack.evaluation.comparison.live_scores import LiveObserver, LiveScores
 from gridtrack.evaluation.comparison.plan import ComparisonPlan, resolve, sampling_of, with_copied_weights
 from gridtrack.evaluation.comparison.run_folder import RunFolder, refuse_earlier_run
 from gridtrack.evaluation.comparison.run_lock import run_lock
-from gridtrack.evaluation.comparison.runner import engine_of
 from gridtrack.evaluation.comparison.settings import CompareSettings
 from gridtrack.evaluation.comparison.shared_thresholds import SharedThresholds
 from gridtrack.evaluation.comparison.stages import Stages
-from gridtrack.evaluation.comparison.trial import failed
+from gridtrack.evaluation.comparison.trial import error_with_location, failed
 from gridtrack.evaluation.engines.engine import WAKE_S, Engine, Interrupted, RunObserver
 from gridtrack.evaluation.results.summary import RunSummary
 from gridtrack.evaluation.results.trial_record import TrialRecord
@@ -75,7 +75,7 @@ class Following:
         refuse_raw(self._plan.trials)
         self.pace: Turns = Pace(self._split.test.period_s)
         self._arrivals = Arrivals(self._split.test, self._growth)
-        shared, regions = SharedThresholds(), self._validation_regions()
+        shared, regions = SharedThresholds(folder), self._validation_regions()
         self.runs = [
             FollowedTrial(trial, regions, settings.out / trial.name, partial(self._next_frame, trial.name), shared)
             for trial in self._plan.trials
@@ -211,7 +211,7 @@ class Following:
         except Interrupted:
             return
         except Exception as error:  # noqa: BLE001 as in a run of finished recordings
-            self._records[run.trial.name] = failed(run.trial, error)
+            self._records[run.trial.name] = failed(run.trial, error_with_location(error))
 
     def _next_frame(self, name: str) -> None:
         if self._stop.is_set():

@@ -67,7 +67,7 @@ def find_weights(tracker: str, site: str, override: Path | None, kind: CardKind 
     others = [(folder, name) for name in names for folder in _folders(None)]
     paths = (weights_path(folder, tracker, name) for folder, name in (*overriding, *others))
     found = next((path for path in paths if path.is_file()), None)
-    return None if found is None else _read(found, found.parent)
+    return None if found is None else read_weights(found, found.parent)
 
 
 def sites_with_weights(tracker: str, override: Path | None) -> tuple[str, ...]:
@@ -83,7 +83,7 @@ def weights_in(folder: Path, tracker: str, site: str, kind: CardKind = "any") ->
     if found is None:
         missing = " and ".join(map(str, paths)) + (" are missing" if len(paths) > 1 else " is missing")
         raise WeightsError(f"{folder}: no weights of {tracker} for the site '{site}' ({missing})")
-    return _read(found, found.parent)
+    return read_weights(found, found.parent)
 
 
 def _names(site: str, kind: CardKind) -> tuple[str, ...]:
@@ -106,13 +106,14 @@ def copy_weights(weights: LearnedWeights, folder: Path) -> LearnedWeights:
             if sha256:
                 content = arrays_content(weights.path.with_suffix(ARRAYS_SUFFIX), sha256)
                 copied.with_suffix(ARRAYS_SUFFIX).write_bytes(content)
-            return _read(copied, weights.original)
+            return read_weights(copied, weights.original)
         except WeightsError:
             time.sleep(READ_AGAIN_S)
     return weights
 
 
-def _read(path: Path, original: Path) -> LearnedWeights:
+def read_weights(path: Path, original: Path) -> LearnedWeights:
+    """The weights of the card at `path`, copied from the folder `original` or there itself. Raises WeightsError."""
     sha256 = sha256_of(path)
     return LearnedWeights(path, read_card(path, sha256), sha256, original)
 

@@ -34,6 +34,8 @@ from gridtrack.simulation.expected_scan import ExpectedScan
 from gridtrack.simulation.range_errors import RangeErrors, measure_range_errors, true_ranges
 from gridtrack.trackers.contract import Forecast
 
+ORACLE_REPLACES = (OUTCOME_FILE, *SCORE_FILES)
+"""Files of an earlier run that the scores of the oracle replace."""
 MAX_ERROR_FRAMES = 500
 """Limit of the scans of a sensor in which its range errors are measured: half a million beams."""
 
@@ -112,7 +114,7 @@ def run_oracle(
     before each frame. Raises what `on_frame` raises, RecordingError and OSError; no record is written then.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    for stale in (OUTCOME_FILE, *SCORE_FILES):
+    for stale in ORACLE_REPLACES:
         (folder / stale).unlink(missing_ok=True)
     began = time.perf_counter()
     thresholds = shared.of(oracle_key(split), lambda: _choose_thresholds(split, regions, on_frame))

@@ -15,7 +15,7 @@ from gridtrack.common.grid import GridSpec
 from gridtrack.common.names import check_utf8
 from gridtrack.evaluation.comparison.leaks import leaks_of, refuse_leaks
 from gridtrack.evaluation.comparison.learned import LearnedWeights, copy_weights, find_weights, weights_in
-from gridtrack.evaluation.comparison.settings import CompareSettings
+from gridtrack.evaluation.comparison.settings import CompareSettings, check_engine
 from gridtrack.evaluation.comparison.training_hints import stretches_to_train_on
 from gridtrack.evaluation.processes.limits import Limits
 from gridtrack.evaluation.processes.shielding import shielded_environment
@@ -173,6 +173,7 @@ def resolve(settings: CompareSettings, splits: tuple[EvaluationSplit, ...] | Non
     Raises a GridtrackError for a recording, stretch, tracker, option or weights file that cannot be used.
     """
     check_utf8(settings.out, ConfigurationError)
+    check_engine(settings)
     external = read_trackers_toml(settings.trackers_toml) if settings.trackers_toml else {}
     selections = parse_selections(settings.trackers or _every_tracker(external))
     _refuse_oracle_label(selections)

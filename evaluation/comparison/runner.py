@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from gridtrack.evaluation.comparison.engine_choice import engine_of
 from gridtrack.evaluation.comparison.plan import ComparisonPlan, with_copied_weights
-from gridtrack.evaluation.comparison.provenance import usable_cores
 from gridtrack.evaluation.comparison.run_folder import RunFolder
 from gridtrack.evaluation.comparison.run_lock import run_lock
-from gridtrack.evaluation.comparison.settings import CompareSettings
 from gridtrack.evaluation.comparison.stages import Stages
 from gridtrack.evaluation.engines.engine import Engine, RunObserver
-from gridtrack.evaluation.engines.local import LocalEngine
 from gridtrack.evaluation.results.summary import RunSummary
 
 
@@ -23,11 +21,6 @@ def run(plan: ComparisonPlan, command: Sequence[str], progress: RunObserver) -> 
     """
     with run_lock(plan.settings.out), engine_of(plan.settings, progress) as engine:
         return _run(with_copied_weights(plan, engine.scratch), command, progress, engine)
-
-
-def engine_of(settings: CompareSettings, progress: RunObserver) -> Engine:
-    """The engine that `settings` ask for."""
-    return LocalEngine(settings.jobs or max(1, usable_cores() // settings.limits.threads), progress)
 
 
 def _run(plan: ComparisonPlan, command: Sequence[str], progress: RunObserver, engine: Engine) -> RunSummary:

@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Literal
 
 from pydantic import Field
 
 from gridtrack.common.config import Settings
+from gridtrack.common.errors import ConfigurationError
 from gridtrack.evaluation.processes.limits import Limits
 from gridtrack.recordings.degradation import Degradation
+
+EngineName = Literal["local", "ray"]
+"""What carries out the trials: threads of this process, or the nodes of a Ray cluster."""
 
 
 class CompareSettings(Settings):
@@ -34,6 +39,9 @@ class CompareSettings(Settings):
     trackers_toml: Path | None = None
     limits: Limits = Limits()
     jobs: int | None = Field(None, ge=1)
+    engine: EngineName = "local"
+    address: str | None = None
+    """Of the cluster, in the form of the engine; None: the cluster that this machine belongs to."""
     allow_leak: bool = False
     resume: bool = False
     latency: bool = False
@@ -41,3 +49,24 @@ class CompareSettings(Settings):
     degrade: Degradation | None = None
     follow: bool = False
     idle_timeout_s: float = Field(60.0, gt=0.0, le=86_400.0)
+
+
+def check_engine(settings: CompareSettings) -> None:
+    """Raise ConfigurationError for settings that the engine does not have."""
+    engine = settings.engine
+    if engine == "local":
+        if settings.address is not None:
+            raise ConfigurationError("--address is of a cluster: leave it out, or choose --engine ray")
+        return
+    for name in ("latency", "deadline"):
+        if getattr(settings, name):
+            raise ConfigurationError(
+                f"--{name} times each tracker alone on a machine, which --engine {engine} does not give: leave it out,"
+                f" then measure on one machine with --engine local --resume --{name}"
+            )
+    if settings.follow:
+        raise ConfigurationError(f"--follow runs on this machine: leave --engine {engine} out")
+    if settings.jobs is not None:
+        raise ConfigurationError(
+            f"--jobs is of --engine local: with --engine {engine} as many trials run as the cluster has room for"
+        )

@@ -1,18 +1,25 @@
-"""What the works of a run share in one process: the regions of each recording, and thresholds chosen so far."""
+"""What the works of a run share: its settings, the regions of each recording, and thresholds chosen so far."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 
+from gridtrack.evaluation.comparison.settings import CompareSettings
 from gridtrack.evaluation.comparison.shared_thresholds import SharedThresholds
 from gridtrack.evaluation.scoring.splits import EvaluationSplit, SplitRegions
 
 
 class SharedInputs:
-    """Regions and thresholds, each made once. `note` receives a line for the user where that takes a while."""
+    """Settings, and regions and thresholds, each made once in a process.
 
-    def __init__(self, note: Callable[[str], None]) -> None:
-        self.thresholds = SharedThresholds()
+    `note` receives a line for the user where that takes a while.
+    """
+
+    def __init__(self, settings: CompareSettings, note: Callable[[str], None], folder: Path) -> None:
+        """`folder` is that of `SharedThresholds`."""
+        self.settings, self.folder = settings, folder
+        self.thresholds = SharedThresholds(folder)
         self._note = note
         self._regions: dict[str, SplitRegions] = {}
 

@@ -2,30 +2,39 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import threading
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from gridtrack.common.files import read_bounded, write_text
 from gridtrack.evaluation.comparison.plan import Trial
+from gridtrack.evaluation.results.files import RunError
 from gridtrack.evaluation.results.summary import ORACLE
+from gridtrack.evaluation.results.trial_record import MAX_OUTCOME_BYTES, ThresholdsUsed
 from gridtrack.evaluation.scoring.splits import EvaluationSplit
-from gridtrack.evaluation.scoring.thresholds import Thresholds, bins_of
+from gridtrack.evaluation.scoring.thresholds import Thresholds, bins_of, thresholds_of
 
 
 class SharedThresholds:
-    """The thresholds chosen so far in a run. Thread-safe: one thread chooses while the others wait."""
+    """The thresholds chosen so far in a run. Thread-safe: one thread chooses while the others wait.
 
-    def __init__(self) -> None:
+    In `folder` other processes of the run find those that `learn` was told of.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
         self._guard = threading.Lock()
         self._choosing: dict[str, threading.Lock] = {}
         self._chosen: dict[str, Thresholds] = {}
 
     def known(self, key: str) -> bool:
         """Whether the thresholds of `key` have been chosen."""
-        return key in self._chosen
+        return key in self._chosen or self._path(key).is_file()
 
     def of(self, key: str, choose: Callable[[], Thresholds]) -> Thresholds:
         """The thresholds of `key`, by `choose()` where they have not been chosen yet. Raises what `choose` raises."""
@@ -33,8 +42,23 @@ class SharedThresholds:
             choosing = self._choosing.setdefault(key, threading.Lock())
         with choosing:
             if key not in self._chosen:
-                self._chosen[key] = choose()
+                self._chosen[key] = self._read(key) or choose()
             return self._chosen[key]
+
+    def learn(self, key: str, used: ThresholdsUsed) -> None:
+        """Keep the thresholds that another process has chosen, where none are known. Raises OSError."""
+        if not self.known(key):
+            write_text(self._path(key), used.model_dump_json())
+
+    def _read(self, key: str) -> Thresholds | None:
+        try:
+            text = read_bounded(self._path(key), MAX_OUTCOME_BYTES, RunError)
+        except FileNotFoundError:
+            return None
+        return thresholds_of(ThresholdsUsed.model_validate_json(text))
+
+    def _path(self, key: str) -> Path:
+        return self._folder / f"{hashlib.sha256(key.encode()).hexdigest()}.thresholds.json"
 
 
 def thresholds_of_card(trial: Trial) -> Thresholds | None:

@@ -35,7 +35,7 @@ class Stages:
         self.notices: list[str] = []
         """Failed measurements of complete trials, with their reasons."""
         self._plan, self._folder, self._progress, self._engine = plan, folder, progress, engine
-        self._shared = SharedInputs(progress.note)
+        self._shared = SharedInputs(plan.settings, progress.note, engine.scratch)
         self._records: dict[str, TrialRecord] = {}
 
     def keep(self, name: str, record: TrialRecord) -> None:
@@ -66,7 +66,7 @@ class Stages:
     def measure_priors(self) -> None:
         """Measure what each row with weights expects of each place, where it is missing."""
         trials = trials_with_priors(self._complete(), self._records)
-        self._carry_out([PriorWork(t, self._records[t.name], self._folder / t.name) for t in trials])
+        self._carry_out([PriorWork(t, self._records[t.name], self._folder / t.name, self._shared) for t in trials])
 
     def measure_robustness(self) -> None:
         """Run the robustness pass of every complete trial, where it is requested and missing."""
@@ -75,9 +75,7 @@ class Stages:
             return
         done = {name for name, r in self._records.items() if r.robustness and r.robustness.degradation == degradation}
         trials = [trial for trial in self._complete() if trial.name not in done]
-        self._carry_out(
-            [RobustnessWork(t, self._records[t.name], degradation, self._folder / t.name, self._shared) for t in trials]
-        )
+        self._carry_out([RobustnessWork(t, self._records[t.name], self._folder / t.name, self._shared) for t in trials])
 
     def measure_alone(self) -> None:
         """Run the passes that need the machine for one tracker alone, where they are requested and missing."""
@@ -126,6 +124,8 @@ class Stages:
             return
         self._records[work.name] = result
         if isinstance(work, TrialWork | OracleWork):
+            if result.outcome == "ok":
+                self._shared.thresholds.learn(work.thresholds_key, result.thresholds)
             self._progress.ended(work.name, result)
 
     @contextmanager

@@ -24,6 +24,8 @@ from gridtrack.evaluation.scoring.splits import EvaluationSplit, SplitRegions
 from gridtrack.evaluation.scoring.thresholds import Thresholds, best_thresholds, half
 
 STDERR_LOG = "stderr.log"
+REPLACED = (OUTCOME_FILE, *SCORE_FILES, PRIOR_TABLE.file)
+"""Files of an earlier run that a trial replaces."""
 INTERRUPTED_REASON = "the run was interrupted; continue it with --resume"
 OnFrame = Callable[[], None]
 """Called before each frame is delivered; it raises Interrupted to stop the trial."""
@@ -40,7 +42,7 @@ class TrialRun:
         `shared` holds the thresholds that earlier trials of the same run have chosen.
         """
         folder.mkdir(parents=True, exist_ok=True)
-        for stale in (OUTCOME_FILE, *SCORE_FILES, PRIOR_TABLE.file):
+        for stale in REPLACED:
             (folder / stale).unlink(missing_ok=True)
         self.trial, self._regions, self._folder, self._on_frame = trial, regions, folder, on_frame
         self._shared = shared
@@ -205,9 +207,9 @@ def unstarted(trial: Trial) -> TrialRecord:
     )
 
 
-def failed(trial: Trial, error: Exception) -> TrialRecord:
+def failed(trial: Trial, reason: str) -> TrialRecord:
     """The record of a trial that could not write one."""
-    return unstarted(trial).model_copy(update={"outcome": "failed", "reason": error_with_location(error)})
+    return unstarted(trial).model_copy(update={"outcome": "failed", "reason": reason})
 
 
 def error_with_location(error: Exception) -> str:

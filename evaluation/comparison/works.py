@@ -5,19 +5,20 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Protocol
 
-from gridtrack.evaluation.comparison.oracle import oracle_validation, run_oracle
+from gridtrack.evaluation.comparison.oracle import ORACLE_REPLACES, oracle_validation, run_oracle
+from gridtrack.evaluation.comparison.orders import Order
 from gridtrack.evaluation.comparison.plan import Trial
 from gridtrack.evaluation.comparison.prior_pass import PriorRun
 from gridtrack.evaluation.comparison.robustness_pass import RobustnessRun
 from gridtrack.evaluation.comparison.shared_inputs import SharedInputs
-from gridtrack.evaluation.comparison.shared_thresholds import oracle_key
-from gridtrack.evaluation.comparison.trial import TrialRun, error_with_location, failed
+from gridtrack.evaluation.comparison.shared_thresholds import oracle_key, trial_key
+from gridtrack.evaluation.comparison.trial import REPLACED, TrialRun, error_with_location, failed
+from gridtrack.evaluation.engines.attempt import EngineError
 from gridtrack.evaluation.engines.engine import Monitor
 from gridtrack.evaluation.processes.outcome import TrialEnded
 from gridtrack.evaluation.results.columns import PRIOR_TABLE
 from gridtrack.evaluation.results.trial_record import TrialRecord, hashes_of
 from gridtrack.evaluation.scoring.splits import EvaluationSplit
-from gridtrack.recordings.degradation import Degradation
 
 
 class _Interruptible(Protocol):
@@ -51,7 +52,16 @@ class TrialWork(_InterruptedOnce):
         """The files of the trial go to `folder`."""
         super().__init__()
         self.trial, self._folder, self._shared = trial, folder, shared
-        self.name = trial.name
+        self.name, self.replaces = trial.name, REPLACED
+
+    @property
+    def thresholds_key(self) -> str:
+        """Identifies its thresholds among those of the run."""
+        return trial_key(self.trial)
+
+    def order(self) -> str:
+        """Its description as JSON."""
+        return Order.of("scores", self.trial, self._shared).model_dump_json(by_alias=True)
 
     def prepare(self) -> None:
         """Find the regions of the recording."""
@@ -67,7 +77,7 @@ class TrialWork(_InterruptedOnce):
 
     def on_error(self, error: Exception) -> TrialRecord:
         """The record of a trial that could not write one."""
-        return failed(self.trial, error)
+        return failed(self.trial, _reason(error))
 
 
 class OracleWork:
@@ -76,7 +86,16 @@ class OracleWork:
     def __init__(self, split: EvaluationSplit, folder: Path, shared: SharedInputs) -> None:
         """The files of the oracle go to `folder`."""
         self.split, self._folder, self._shared = split, folder, shared
-        self.name = split.oracle_name
+        self.name, self.replaces = split.oracle_name, ORACLE_REPLACES
+
+    @property
+    def thresholds_key(self) -> str:
+        """Identifies its thresholds among those of the run."""
+        return oracle_key(self.split)
+
+    def order(self) -> str:
+        """Its description as JSON."""
+        return Order.of("oracle", self.split, self._shared).model_dump_json(by_alias=True)
 
     def prepare(self) -> None:
         """Find the regions of the recording."""
@@ -85,7 +104,7 @@ class OracleWork:
     def run(self, monitor: Monitor) -> TrialRecord:
         """Score the oracle. Raises Interrupted."""
         split, thresholds = self.split, self._shared.thresholds
-        validation = () if thresholds.known(oracle_key(split)) else oracle_validation(split) or ()
+        validation = () if thresholds.known(self.thresholds_key) else oracle_validation(split) or ()
         monitor.started(len(split.test) + len(validation))
         return run_oracle(split, self._shared.regions_of(split), self._folder, monitor.next_frame, thresholds)
 
@@ -100,11 +119,15 @@ class OracleWork:
 class PriorWork(_InterruptedOnce):
     """What a row with weights expects of a place, added to the trial's record."""
 
-    def __init__(self, trial: Trial, record: TrialRecord, folder: Path) -> None:
+    def __init__(self, trial: Trial, record: TrialRecord, folder: Path, shared: SharedInputs) -> None:
         """The table and the log go to the trial's `folder`."""
         super().__init__()
-        self.trial, self.record, self._folder = trial, record, folder
-        self.name = trial.name
+        self.trial, self.record, self._folder, self._shared = trial, record, folder, shared
+        self.name, self.replaces = trial.name, ()
+
+    def order(self) -> str:
+        """Its description as JSON."""
+        return Order.of("prior", self.trial, self._shared, self.record).model_dump_json(by_alias=True)
 
     def prepare(self) -> None:
         """It needs no regions."""
@@ -124,16 +147,17 @@ class PriorWork(_InterruptedOnce):
 
 
 class RobustnessWork(_InterruptedOnce):
-    """The scores of a trial on degraded input, added to its record."""
+    """The scores of a trial on the degraded input that the settings of the run ask for, added to its record."""
 
-    def __init__(
-        self, trial: Trial, record: TrialRecord, degradation: Degradation, folder: Path, shared: SharedInputs
-    ) -> None:
+    def __init__(self, trial: Trial, record: TrialRecord, folder: Path, shared: SharedInputs) -> None:
         """The log goes to the trial's `folder`."""
         super().__init__()
-        self.trial, self.record, self.degradation = trial, record, degradation
-        self._folder, self._shared = folder, shared
-        self.name = trial.name
+        self.trial, self.record, self._folder, self._shared = trial, record, folder, shared
+        self.name, self.replaces = trial.name, ()
+
+    def order(self) -> str:
+        """Its description as JSON."""
+        return Order.of("robustness", self.trial, self._shared, self.record).model_dump_json(by_alias=True)
 
     def prepare(self) -> None:
         """Find the regions of the recording."""
@@ -142,7 +166,9 @@ class RobustnessWork(_InterruptedOnce):
     def run(self, monitor: Monitor) -> TrialRecord:
         """Run the pass. Raises Interrupted, TrialEnded."""
         monitor.note(f"{self.name}: degraded input")
-        run = RobustnessRun(self.trial, self.degradation, self._folder)
+        degradation = self._shared.settings.degrade
+        assert degradation is not None, "the run asks for no degraded input"
+        run = RobustnessRun(self.trial, degradation, self._folder)
         self.begin(run)
         robustness = run.run(self._shared.regions_of(self.trial.split), self.record.thresholds, monitor.check)
         return written(self._folder, self.record.model_copy(update={"robustness": robustness}))
@@ -167,4 +193,4 @@ def not_measured(trial: Trial, what: str, error: Exception) -> str:
 
 
 def _reason(error: Exception) -> str:
-    return str(error) if isinstance(error, TrialEnded) else error_with_location(error)
+    return str(error) if isinstance(error, TrialEnded | EngineError) else error_with_location(error)

@@ -60,6 +60,13 @@ class Work(Protocol):
     def name(self) -> str:
         """The name of the trial, and of its folder."""
 
+    @property
+    def replaces(self) -> tuple[str, ...]:
+        """Names of the files of an earlier run in the trial's folder that it replaces."""
+
+    def order(self) -> str:
+        """Its description as a JSON text, from which a process on another machine makes the same work."""
+
     def prepare(self) -> None:
         """Make what it shares with other works of this process; called before `run`, from one thread."""
 

@@ -66,7 +66,14 @@ def _plan(folder: Path, record: RunRecord, scratch: Path, latency: bool) -> Comp
     given = record.settings.model_dump(mode="json")
     if "recordings" not in given:
         raise Unmeasured([f"{folder}: its record has no settings, so it cannot be run again: compare again"])
-    only_scores = {"deadline": False, "degrade": None, "follow": False, "resume": False}
+    only_scores = {
+        "deadline": False,
+        "degrade": None,
+        "follow": False,
+        "resume": False,
+        "engine": "local",
+        "address": None,
+    }
     settings = {**given, **only_scores, "out": scratch, "latency": latency}
     return resolve(validated(CompareSettings, settings, f"{folder}: its settings"))
 

@@ -44,6 +44,12 @@ def half(steps: int, strata: tuple[str, ...] = STRATA) -> Thresholds:
     return Thresholds(np.full((steps + 1, len(strata)), HALF), strata=strata)
 
 
+def thresholds_of(used: ThresholdsUsed) -> Thresholds:
+    """The thresholds that a trial's record holds."""
+    values = np.array(list(used.values.values())).T
+    return Thresholds(bins_of(values), used.chosen_on, tuple(used.values))
+
+
 def bins_of(values: NDArray[np.float64]) -> NDArray[np.int64]:
     """The bins (...) whose lower edges are these thresholds (...)."""
     return PROBABILITY_EDGES.searchsorted(values)

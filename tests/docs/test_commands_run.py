@@ -28,6 +28,7 @@ install() { "$PYTHON" -m pip install --quiet --no-index --no-deps --no-build-iso
 make() { :; }
 python() { :; }
 ros2() { :; }
+ray() { :; }
 pytest() { :; }
 """
 OWN = "gridtrack trackers new my-tracker\npip install --editable my-tracker\n"
@@ -57,6 +58,9 @@ SMALLER = (
     ("my.bag --tracker kalman --weights", "my.bag --tracker static-map --weights"),
     ("stage=classes", "stage=classes,labelled_scans=20"),
     ("compare my.mcap --tracker site", "compare my.mcap@114s-124s --validation my.mcap@75s-81s --tracker site"),
+    ("my.mcap --tracker persistence --tracker static-map --engine", "my.mcap@90s-102s --tracker blank --engine"),
+    ("--engine ray --address head:6379", "--engine ray --address local"),
+    ("my.mcap --tracker static-map --engine ray", "my.mcap --tracker blank --engine ray --address local"),
     ("RECORDING...", "my.bag@0s-12s"),
     ("RECORDING", "my.bag@0s-12s"),
     ("weights=DIR", "weights=data/weights"),
@@ -128,6 +132,7 @@ PLACES: dict[str, Prepare] = {
     "docs/regress.md 2": lambda folder: places.hall_recordings(
         folder, "train.mcap", "validation.mcap", "test-1.mcap", "test-2.mcap"
     ),
+    "docs/scale.md": lambda folder: shutil.copyfile(packaged_recording("leg_tracker"), folder / "my.mcap"),
     "docs/statistics.md": bag_and_clone,
     "docs/trackers/model-free.md": places.clone,
     "docs/trackers/one-shot.md": places.clone,

@@ -1,0 +1,100 @@
+"""A Ray cluster: each attempt is a Ray task, to which the path of its folder travels and nothing else."""
+
+from __future__ import annotations
+
+import os
+import socket
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from gridtrack.common.errors import ConfigurationError, one_line
+from gridtrack.evaluation.engines.cluster import TaskEnd
+
+if TYPE_CHECKING:
+    from ray import ObjectRef
+
+MAX_REASON = 200
+CONNECT_S = 10.0
+ENVIRONMENT = {"RAY_USAGE_STATS_ENABLED": "0", "RAY_worker_niceness": "0"}
+"""Of a cluster that is started here: it reports to nobody, and its tasks have the priority that trials have locally."""
+
+
+class RayCluster:
+    """A Cluster of Ray nodes. Ray trusts whoever reaches it: a cluster belongs behind a firewall.
+
+    `carry_out` is a function of an importable module, which takes the path of an attempt's folder. Each task has
+    `cores` cores. Without an `address` the cluster that this machine belongs to is joined, else one is started here.
+    """
+
+    name = "ray"
+
+    def __init__(self, address: str | None, cores: int, carry_out: Callable[[str], None]) -> None:
+        """Raises ConfigurationError where Ray is not installed, or not reached."""
+        for name, value in ENVIRONMENT.items():
+            os.environ.setdefault(name, value)
+        try:
+            import ray
+        except ImportError:
+            raise ConfigurationError("--engine ray: Ray is not installed: pip install 'gridtrack[ray]'") from None
+        self._ray: Any = ray
+        self._joined = not self._ray.is_initialized()
+        if self._joined:
+            self._join(address)
+        options = {"num_cpus": cores, "max_retries": 0, "scheduling_strategy": "SPREAD"}
+        self._task = self._ray.remote(**options)(carry_out)
+        nodes = (node["Resources"].get("CPU", 0.0) for node in self._ray.nodes() if node["Alive"])
+        self.capacity = sum(int(cpus // cores) for cpus in nodes)
+
+    def start(self, folders: Sequence[Path]) -> list[ObjectRef[Any]]:
+        """Start a task for each attempt."""
+        return [self._task.remote(str(folder)) for folder in folders]
+
+    def ended(self, tasks: Sequence[ObjectRef[Any]]) -> Mapping[ObjectRef[Any], TaskEnd]:
+        """Those of `tasks` that have ended."""
+        done, _ = self._ray.wait(list(tasks), num_returns=len(tasks), timeout=0, fetch_local=False)
+        return {task: self._end_of(task) for task in done}
+
+    def cancel(self, tasks: Iterable[ObjectRef[Any]], *, force: bool) -> None:
+        """Raise KeyboardInterrupt in `tasks`, or with `force` end their processes."""
+        for task in tasks:
+            self._ray.cancel(task, force=force)
+
+    def close(self) -> None:
+        """Leave the cluster, or end it where it was started here."""
+        if self._joined:
+            self._ray.shutdown()
+
+    def _join(self, address: str | None) -> None:
+        where = address or "this machine"
+        try:
+            if address not in (None, "auto", "local"):
+                _knock(address)
+            self._ray.init(address, log_to_driver=False, include_dashboard=False, logging_level="error")
+        except (ValueError, OSError, RuntimeError) as error:
+            raise ConfigurationError(
+                f"--engine ray: no Ray cluster at '{where}' ({one_line(str(error), MAX_REASON)}): start one with"
+                " `ray start --head`, and give its address as --address HOST:PORT"
+            ) from None
+
+    def _end_of(self, task: ObjectRef[Any]) -> TaskEnd:
+        errors = self._ray.exceptions
+        try:
+            self._ray.get(task)
+        except (errors.RayTaskError, errors.TaskCancelledError, errors.RuntimeEnvSetupError) as error:
+            return TaskEnd(lost=False, reason=_reason(error))
+        except errors.RayError as error:
+            return TaskEnd(lost=True, reason=_reason(error))
+        return TaskEnd(lost=False, reason="")
+
+
+def _knock(address: str) -> None:
+    """Raise OSError or ValueError where nobody answers at HOST:PORT: Ray itself would try for minutes."""
+    host, _, port = address.rpartition(":")
+    socket.create_connection((host, int(port)), CONNECT_S).close()
+
+
+def _reason(error: Exception) -> str:
+    """The last line of a task's traceback, or the first of another error."""
+    lines = [line for line in str(error).splitlines() if line.strip()] or [""]
+    return f"{type(error).__name__}: {one_line(lines[-1] if 'Traceback' in str(error) else lines[0], MAX_REASON)}"

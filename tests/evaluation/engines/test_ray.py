@@ -1,0 +1,99 @@
+"""Runs on a real Ray cluster of three nodes on this machine: results, a node killed in mid-run, Ctrl-C."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+
+import psutil
+import pytest
+
+from gridtrack.common.errors import ConfigurationError
+from gridtrack.evaluation.comparison.plan import resolve
+from gridtrack.evaluation.comparison.runner import run
+from gridtrack.evaluation.engines.attempt import Attempt
+from gridtrack.evaluation.results.summary import read_summary
+from gridtrack.evaluation.results.trial_record import read_trial_record
+
+from scenes.agreement import assert_agree, counted, wait_until
+
+ray = pytest.importorskip("ray", reason="Ray is not installed: pip install 'gridtrack[ray]'")
+OBJECTS = 80 * 1024 * 1024
+"""Memory of a node for objects, bytes: the least that Ray takes."""
+
+
+@pytest.fixture
+def cluster(staged, monkeypatch):
+    """A head without a core and two nodes with one each; their processes see the tracker `staged`."""
+    from ray.cluster_utils import Cluster
+
+    monkeypatch.setenv("RAY_USAGE_STATS_ENABLED", "0")
+    monkeypatch.setenv("RAY_worker_niceness", "0")  # at Ray's 15 other work on the machine would starve them
+    head = {"num_cpus": 0, "object_store_memory": OBJECTS, "include_dashboard": False}
+    cluster = Cluster(initialize_head=True, head_node_args=head)
+    for _ in range(2):
+        cluster.add_node(num_cpus=1, object_store_memory=OBJECTS)
+    yield cluster
+    ray.shutdown()
+    cluster.shutdown()
+
+
+def trackers_of(node):
+    """The tracker processes that a node has started."""
+    (raylet,) = node.all_processes["raylet"]
+    started = psutil.Process(raylet.process.pid).children(recursive=True)
+    return [process for process in started if "gridtrack.trackers.serve" in " ".join(process.cmdline())]
+
+
+def test_a_node_killed_in_mid_run_changes_no_count(settings, progress, tmp_path, cluster):
+    """The one trial that it ran starts again on the other node; the tracker that fails by itself never does."""
+    requested = settings(
+        "staged:sleep_s=0.05", "dies=staged:crash_at=60,sleep_s=0.05", engine="ray", address=cluster.address
+    )
+    told, killed = progress.advanced, []
+
+    def advanced(trial):
+        told(trial)
+        if not killed and trial == "staged@room" and progress.delivered[trial] > 20:
+            killed.append(next(node for node in cluster.list_all_nodes()[1:] if trackers_of(node)))
+            cluster.remove_node(killed[0], allow_graceful=False)
+
+    progress.advanced = advanced
+    run(resolve(requested), (), progress)
+    assert killed
+    (lost,) = [note for note in progress.notes if "lost by the engine" in note]
+    assert lost.endswith("; starts again, 1 of 2")
+    assert "engine ray: at most 2 trials at the same time" in progress.notes
+    here = requested.model_copy(update={"engine": "local", "address": None, "out": tmp_path / "local", "jobs": 2})
+    run(resolve(here), (), progress)
+    assert_agree(counted(tmp_path / "run"), counted(tmp_path / "local"))
+    outcomes = {label: read_trial_record(tmp_path / "run" / f"{label}@room").outcome for label in ("staged", "dies")}
+    assert outcomes == {"staged": "ok", "dies": "crashed"}
+
+
+def test_an_interrupt_ends_the_tasks_and_keeps_their_scores(settings, tmp_path, cluster):
+    words = ["compare", *settings().recordings, "--engine", "ray", "--address", cluster.address, "--horizon", "1s"]
+    words += ["--every", "0.5s", "--tracker", "persistence", "--tracker", "staged:sleep_s=0.2"]
+    words += ["--out", str(tmp_path / "run")]
+    host = subprocess.Popen([sys.executable, "-m", "gridtrack.cli", *words])
+    nodes = cluster.list_all_nodes()
+    wait_until((tmp_path / "run" / "persistence@room" / "outcome.json").exists)
+    attempts = (tmp_path / "run" / ".engine").glob
+    wait_until(lambda: any(Attempt(path.parent).progress().delivered > 90 for path in attempts("*/*/progress.json")))
+    host.send_signal(signal.SIGINT)
+    assert host.wait(300) == 130
+    summary = read_summary(tmp_path / "run")
+    assert summary.interrupted
+    assert summary.trackers["persistence"].recordings["room"].outcome == "ok"
+    partial = summary.trackers["staged"].recordings["room"]
+    assert (partial.outcome, 0 < partial.frames_scored < 16) == ("interrupted", True)
+    assert not [process for node in nodes for process in trackers_of(node)]
+    assert not (tmp_path / "run" / ".engine").exists()
+
+
+@pytest.mark.parametrize("address", ["127.0.0.1:9", "nowhere", "ray://127.0.0.1:10001"])
+def test_an_address_without_a_cluster_is_one_line(settings, progress, address):
+    with pytest.raises(ConfigurationError, match=f"no Ray cluster at '{address}'") as refused:
+        run(resolve(settings("persistence", engine="ray", address=address)), (), progress)
+    assert "\n" not in str(refused.value)
