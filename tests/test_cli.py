@@ -121,6 +121,7 @@ LIMITS = Limits.model_fields
             "compare",
             {
                 "out": COMPARE["out"],
+                "engine": COMPARE["engine"],
                 "horizon": COMPARE["horizon_s"],
                 "every": COMPARE["every_s"],
                 "seed": COMPARE["seed"],
@@ -152,7 +153,8 @@ def test_the_defaults_in_the_help_are_those_of_the_models_and_the_command_line_h
         if isinstance(field, str):
             assert shown == field
             continue
-        value = Path(shown) if isinstance(field.default, Path) else float(shown.removesuffix("s"))
+        seconds = shown.removesuffix("s")
+        value = type(field.default)(shown) if isinstance(field.default, Path | str) else float(seconds)
         assert value == field.default, name
     own: Any = typer.main.get_command(app)
     assert {parameter.default for parameter in own.commands[command].params} <= {None, False}

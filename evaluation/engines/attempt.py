@@ -21,7 +21,7 @@ from gridtrack.evaluation.results.trial_record import OUTCOME_FILE, TrialRecord
 MAX_ORDER_BYTES = MAX_REPLY_BYTES = 1 << 24
 MAX_PROGRESS_BYTES = 1 << 20
 INTERRUPTED = "interrupted"
-Model = TypeVar("Model", bound=BaseModel)
+Exchanged = TypeVar("Exchanged", bound=BaseModel)
 
 
 class EngineError(GridtrackError):
@@ -92,7 +92,7 @@ class Attempt:
         for path in sorted(self.files.iterdir(), key=lambda path: (path.name == OUTCOME_FILE, path.name)):
             path.replace(folder / path.name)
 
-    def _read(self, name: str, model: type[Model], max_bytes: int) -> Model | None:
+    def _read(self, name: str, model: type[Exchanged], max_bytes: int) -> Exchanged | None:
         path = self.folder / name
         try:
             return model.model_validate_json(read_bounded(path, max_bytes, EngineError))

@@ -16,7 +16,7 @@ class TaskEnd(NamedTuple):
     reason: str
 
 
-class Cluster(Protocol[Task]):
+class TaskCluster(Protocol[Task]):
     """Runs tasks on its machines, each an attempt in a folder that all of them share."""
 
     name: str

@@ -14,14 +14,14 @@ from gridtrack.evaluation.engines.cluster import TaskEnd
 if TYPE_CHECKING:
     from ray import ObjectRef
 
-MAX_REASON = 200
+MAX_RAY_REASON = 200
 CONNECT_S = 10.0
 ENVIRONMENT = {"RAY_USAGE_STATS_ENABLED": "0", "RAY_worker_niceness": "0"}
 """Of a cluster that is started here: it reports to nobody, and its tasks have the priority that trials have locally."""
 
 
 class RayCluster:
-    """A Cluster of Ray nodes. Ray trusts whoever reaches it: a cluster belongs behind a firewall.
+    """A TaskCluster of Ray nodes. Ray trusts whoever reaches it: a cluster belongs behind a firewall.
 
     `carry_out` is a function of an importable module, which takes the path of an attempt's folder. Each task has
     `cores` cores. Without an `address` the cluster that this machine belongs to is joined, else one is started here.
@@ -73,7 +73,7 @@ class RayCluster:
             self._ray.init(address, log_to_driver=False, include_dashboard=False, logging_level="error")
         except (ValueError, OSError, RuntimeError) as error:
             raise ConfigurationError(
-                f"--engine ray: no Ray cluster at '{where}' ({one_line(str(error), MAX_REASON)}): start one with"
+                f"--engine ray: no Ray cluster at '{where}' ({one_line(str(error), MAX_RAY_REASON)}): start one with"
                 " `ray start --head`, and give its address as --address HOST:PORT"
             ) from None
 
@@ -97,4 +97,4 @@ def _knock(address: str) -> None:
 def _reason(error: Exception) -> str:
     """The last line of a task's traceback, or the first of another error."""
     lines = [line for line in str(error).splitlines() if line.strip()] or [""]
-    return f"{type(error).__name__}: {one_line(lines[-1] if 'Traceback' in str(error) else lines[0], MAX_REASON)}"
+    return f"{type(error).__name__}: {one_line(lines[-1] if 'Traceback' in str(error) else lines[0], MAX_RAY_REASON)}"

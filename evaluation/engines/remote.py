@@ -14,13 +14,13 @@ from types import TracebackType
 from typing import Generic, Self
 
 from gridtrack.evaluation.engines.attempt import INTERRUPTED, Attempt, AttemptProgress, EngineError, Reply
-from gridtrack.evaluation.engines.cluster import Cluster, Task, TaskEnd
+from gridtrack.evaluation.engines.cluster import Task, TaskCluster, TaskEnd
 from gridtrack.evaluation.engines.engine import RunObserver, Work
 from gridtrack.evaluation.results.trial_record import TrialRecord
 
 SCRATCH = ".engine"
 """The folder in the run's folder for what host and machines exchange; removed at the end of the run."""
-POLL_S = 0.5
+LOOK_S = 0.5
 RETRIES = 2
 """How often a work starts again after its machine was lost."""
 CANCEL_S = 60.0
@@ -50,7 +50,7 @@ class RemoteEngine(Generic[Task]):
     changes no result.
     """
 
-    def __init__(self, cluster: Cluster[Task], run_folder: Path, observer: RunObserver) -> None:
+    def __init__(self, cluster: TaskCluster[Task], run_folder: Path, observer: RunObserver) -> None:
         """Raises EngineError where no machine of the cluster can run a work, OSError."""
         if cluster.capacity < 1:
             cluster.close()
@@ -109,7 +109,7 @@ class RemoteEngine(Generic[Task]):
 
     def _watch(self) -> None:
         """Until the engine is left, take what has ended; an error here ends every work with it."""
-        while not self._closed.wait(POLL_S):
+        while not self._closed.wait(LOOK_S):
             try:
                 with self._lock:
                     self._look()
