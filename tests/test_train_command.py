@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -10,7 +11,9 @@ from typer.testing import CliRunner
 from gridtrack.cli import app
 from gridtrack.common.errors import ConfigurationError
 from gridtrack.evaluation.comparison.general_start import general_start
+from gridtrack.evaluation.comparison.progress_lines import ProgressLines
 from gridtrack.evaluation.comparison.recipe import Recipe
+from gridtrack.evaluation.comparison.train import train_tracker
 from gridtrack.recordings import packaged_recording
 from gridtrack.recordings.stream import GridStream
 from gridtrack.trackers.weights import read_card
@@ -93,3 +96,13 @@ def test_regions_for_the_thresholds_are_those_of_the_training_and_not_of_the_res
     monkeypatch.setattr(GridStream, "all_observations", None)
     train("static-map", f"{DEMO}@0s-20s", "--validation", f"{DEMO}@75s-81s", "--out", str(tmp_path))
     assert read_card(tmp_path / "static-map" / "leg_tracker.toml").thresholds is not None
+
+
+def test_choosing_thresholds_tells_how_far_it_is(monkeypatch, tmp_path):
+    often = partial(ProgressLines, every_s=0.02)
+    monkeypatch.setattr("gridtrack.evaluation.comparison.train.ProgressLines", often)
+    told: list[str] = []
+    recipe = {"recordings": [f"{DEMO}@0s-20s"], "validation": [f"{DEMO}@75s-81s", f"{DEMO}@81s-90s"], "out": tmp_path}
+    train_tracker(Recipe(tracker="static-map", from_scratch=True, **recipe), told.append)
+    thresholds = [line.split(",")[0] for line in told if line.startswith("thresholds on recording")]
+    assert set(thresholds) == {"thresholds on recording 1 of 2", "thresholds on recording 2 of 2"}

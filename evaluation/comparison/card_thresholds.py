@@ -22,6 +22,7 @@ from gridtrack.evaluation.scoring.thresholds import Thresholds, best_thresholds
 from gridtrack.evaluation.scoring.world_kinds import CellKinds
 from gridtrack.recordings.stream import GridStream
 from gridtrack.trackers.card import CardThresholds
+from gridtrack.trackers.progress import Progress
 from gridtrack.trackers.selection import Selection, launch
 from gridtrack.trackers.weights import read_card
 
@@ -32,7 +33,7 @@ THRESHOLDS_LOG = "thresholds.log"
 
 
 def choose_card_thresholds(
-    tracker: str, path: Path, validation: Sequence[tuple[GridStream, CellKinds]]
+    tracker: str, path: Path, validation: Sequence[tuple[GridStream, CellKinds]], progress: Progress
 ) -> CardThresholds | None:
     """The thresholds with the best F1 of `tracker` with the weights at `path`, on all `validation` stretches together.
 
@@ -45,8 +46,10 @@ def choose_card_thresholds(
         return None
     strata = STRATA_WITH_TRUTH if all(stream.has_truth for stream, _ in validation) else STRATA
     total = Tally.empty(round(LAST_S / HORIZON_STEP_S), strata)
-    for stream, kinds in validation:
-        _add(total, _tally(tracker, path, stream, kinds).of(strata), stream.period_s)
+    with progress.stage("thresholds on recording", len(validation)) as stage:
+        for stream, kinds in validation:
+            _add(total, _tally(tracker, path, stream, kinds, progress).of(strata), stream.period_s)
+            stage.advance()
     bins = _filled(best_thresholds(total, "").bins, total.positives.sum(axis=2) > 0)
     values = Thresholds(bins, strata=strata).values
     return CardThresholds(
@@ -59,7 +62,7 @@ def _steps(stream: GridStream) -> int:
     return min(round(LAST_S / stream.period_s), (len(stream) - WARM_UP) // 2)
 
 
-def _tally(tracker: str, path: Path, stream: GridStream, kinds: CellKinds) -> Tally:
+def _tally(tracker: str, path: Path, stream: GridStream, kinds: CellKinds, progress: Progress) -> Tally:
     """The counts on one stretch with these `kinds` of its cells, by its own steps."""
     recording, every = stream.recording.path, max(1, round(FORECAST_EVERY_S / stream.period_s))
     split = EvaluationSplit(recording.stem, recording, stream, stream, _steps(stream), every)
@@ -67,8 +70,8 @@ def _tally(tracker: str, path: Path, stream: GridStream, kinds: CellKinds) -> Ta
     trial = Trial(Selection(tracker, tracker), launch(tracker), split, weights, seed=0, limits=Limits())
     log = path.with_suffix(".logs") / THRESHOLDS_LOG
     log.parent.mkdir(exist_ok=True)
-    with trial.tracker_process(log) as process:
-        delivery = Delivery(stream, lambda: None, Regions(stream.grid, kinds, split.strata))
+    with trial.tracker_process(log) as process, progress.stage("frame", len(stream)) as frames:
+        delivery = Delivery(stream, frames.advance, Regions(stream.grid, kinds, split.strata))
         return validation_tally(process, delivery, split, seed=0)
 
 

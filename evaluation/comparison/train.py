@@ -81,18 +81,19 @@ def train_tracker(recipe: Recipe, report: Callable[[str], None] = print) -> Path
             raise KeyboardInterrupt(_what_is_kept(path))
         report("thresholds for recordings without a validation stretch")
         try:
-            _add_thresholds(recipe.tracker, path, validate_on, lambda n: stretches.kinds(len(train_on) + n))
+            with ProgressLines(report) as lines:
+                kinds_of = [stretches.kinds(len(train_on) + n) for n in range(len(validate_on))]
+                _add_thresholds(recipe.tracker, path, list(zip(validate_on, kinds_of, strict=True)), lines.progress)
         except KeyboardInterrupt:
             raise KeyboardInterrupt(f"interrupted; {path} is complete, but without thresholds") from None
     return path
 
 
 def _add_thresholds(
-    tracker: str, path: Path, validate_on: Sequence[GridStream], kinds_of: Callable[[int], CellKinds]
+    tracker: str, path: Path, validation: Sequence[tuple[GridStream, CellKinds]], progress: Progress
 ) -> None:
-    """Choose the thresholds of the card at `path`; `kinds_of(n)` are the kinds of the cells of `validate_on[n]`."""
-    validated = [(stream, kinds_of(n)) for n, stream in enumerate(validate_on)]
-    thresholds = choose_card_thresholds(tracker, path, validated)
+    """Choose the thresholds of the card at `path` on streams, each with the kinds of its cells."""
+    thresholds = choose_card_thresholds(tracker, path, validation, progress)
     if thresholds is not None:
         add_thresholds(path, thresholds)
 
