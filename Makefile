@@ -8,7 +8,10 @@ JUNCTION := $(wildcard data/junction/test-*.tracks) --validation data/junction/v
 DEMO_TRACKERS := persistence static-map blank kalman dogma deep-tracking-rnn dilated-convgru
 JUNCTION_TRACKERS := persistence static-map blank kalman factor-graph dogma dilated-convgru one-shot
 COMPARE := $(BIN)/gridtrack compare
+# with general weights: they have seen no recording of a site
+GENERAL := static-map kalman dilated-convgru
 chosen = $(foreach tracker,$(1),--tracker $(tracker))
+new = $(foreach tracker,$(1),--tracker new-$(tracker)=$(tracker):card=general)
 # studies/trainings/seed-2/kalman/junction.toml: another training of kalman, as the row "kalman 2"
 folders = $(subst /, ,$(1))
 training = --tracker '$(word 4,$(folders)) $(patsubst seed-%,%,$(word 3,$(folders)))=$(word 4,$(folders)):weights=studies/trainings/$(word 3,$(folders))'
@@ -19,9 +22,10 @@ trainings = $(foreach card,$(wildcard studies/trainings/seed-*/*/junction.toml),
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):[^#]*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 15
 
-demo: $(VENV)/.installed-demo ## compare seven trackers on a real laser recording (some minutes)
-	rm -rf runs/demo
-	$(COMPARE) $(DEMO) $(call chosen,$(DEMO_TRACKERS)) --every 0.5s --latency --out runs/demo
+demo: $(VENV)/.installed-demo ## compare trackers on a real laser recording: new to the place, and trained there (some minutes)
+	rm -rf runs/demo runs/demo-new
+	$(COMPARE) $(DEMO)@0s- $(call chosen,persistence blank $(addsuffix :card=general,$(GENERAL))) --every 0.5s --out runs/demo-new
+	$(COMPARE) $(DEMO) $(call chosen,$(DEMO_TRACKERS)) $(call new,kalman dilated-convgru) --every 0.5s --latency --out runs/demo
 
 demo-junction: $(VENV)/.installed-demo ## compare eight trackers on twenty minutes at a simulated junction
 	rm -rf runs/junction
