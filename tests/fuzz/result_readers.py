@@ -1,0 +1,172 @@
+"""The readers of weights, of the files of a run, and of what is configured in files."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from fuzz.containers import (
+    damage_parquet,
+    damaged_mcap,
+    damaged_safetensors,
+)
+from fuzz.damage import Choices, damaged_json, damaged_text, damaged_value, dumped, one_of
+from fuzz.reader import CLASSES, GRID, Reader, on_file
+from gridtrack.evaluation.comparison.recipe import read_recipe
+from gridtrack.evaluation.regression.baseline import digest_of, read_baseline
+from gridtrack.evaluation.regression.history import append_entry, read_history
+from gridtrack.evaluation.regression.measuring import measure_run
+from gridtrack.evaluation.results.recording import RecordingSummary
+from gridtrack.evaluation.results.run_record import RunConfiguration, RunRecord, TrialIdentity, read_run_record
+from gridtrack.evaluation.results.summary import RunSummary, TrackerSummary
+from gridtrack.evaluation.results.trial_record import read_trial_record
+from gridtrack.evaluation.results.trial_summary import TrialSummary
+from gridtrack.evaluation.scoring.histograms import read_tally
+from gridtrack.evaluation.scoring.samples import read_samples
+from gridtrack.evaluation.scoring.score_store import read_label_free, read_losses
+from gridtrack.evaluation.scoring.strata import STRATA
+from gridtrack.evaluation.statistics.frame_counts import read_frame_counts
+from gridtrack.reports.run import read_runs
+from gridtrack.trackers.card import Card, CardThresholds, TrainingData
+from gridtrack.trackers.contract import StreamSpec
+from gridtrack.trackers.selection import read_trackers_toml
+from gridtrack.trackers.weights import load_weights, save_weights
+
+from scenes.drawn_samples import write_samples
+from scenes.synthetic_run import description, identity, write_trial
+
+STEPS = 2
+
+
+def weights(folder: Path) -> None:
+    card = Card(
+        tracker="kalman",
+        site="here",
+        grid=str(GRID),
+        period_s=0.125,
+        seed=1,
+        command="gridtrack train kalman a.mcap",
+        train=(TrainingData(recording="a", sha256="0" * 64),),
+        thresholds=CardThresholds(step_s=0.125, values={"visible": (0.5, 0.4)}),
+        settings={"gate_m": 1.5},
+        world_T_grid=(0.0, 0.0),
+    )
+    save_weights(folder / "a.toml", card, {"rate": np.zeros(GRID.shape, np.float32), "counts": np.arange(4)})
+
+
+def damage_weights(choices: Choices, folder: Path) -> None:
+    if choices.below(2):
+        on_file("a.toml", damaged_text)(choices, folder)
+        return
+    path, card = folder / "a.safetensors", folder / "a.toml"
+    known, content = hashlib.sha256(path.read_bytes()), damaged_safetensors(choices, path.read_bytes())
+    path.write_bytes(content)
+    card.write_text(card.read_text().replace(known.hexdigest(), hashlib.sha256(content).hexdigest()))
+
+
+def read_weights(folder: Path) -> str:
+    found = load_weights(StreamSpec(GRID, 0.125, "here", CLASSES, folder / "a.toml"), "kalman")
+    assert found.card.thresholds is None or found.card.thresholds.at("visible", np.array([0.0, 1.0])).size == 2
+    return f"{len(found.arrays)} arrays"
+
+
+def run_folder(folder: Path) -> None:
+    described = description(frames=2, steps=STEPS).model_copy(update={"rate_hz": 8.0})
+    RunRecord(
+        command=("gridtrack", "compare", "a.mcap"),
+        configuration=RunConfiguration(
+            recordings={"a": identity(described)}, trials={"kalman@a": TrialIdentity(tracker="kalman", options={})}
+        ),
+        versions={"gridtrack": "0.2.0"},
+        status="complete",
+    ).write(folder)
+    write_trial(folder, "kalman", "a", 0.7, seed=1, frames=2, steps=STEPS)
+    trial = TrialSummary(outcome="ok", frames_scored=2, frames_expected=2, strata={})
+    summary = RunSummary(
+        recordings={"a": RecordingSummary(**dict(described))},
+        trackers={"kalman": TrackerSummary(tracker="kalman", recordings={"a": trial})},
+    )
+    summary.write(folder)
+
+
+def damage_run(choices: Choices, folder: Path) -> None:
+    path = one_of(choices, sorted(path for path in folder.rglob("*") if path.suffix in (".json", ".parquet")))
+    if path.suffix == ".json":
+        path.write_bytes(damaged_json(choices, path.read_bytes()))
+    else:
+        damage_parquet(choices, path)
+
+
+def read_run(folder: Path) -> str:
+    (run,) = read_runs([folder])
+    read_run_record(folder)
+    trial = folder / "kalman@a"
+    record = read_trial_record(trial)
+    read_losses(trial, STEPS, STRATA)
+    read_label_free(trial, STEPS, STRATA)
+    read_frame_counts(trial, STEPS, STRATA)
+    read_tally(trial, STEPS)
+    measure_run(folder)
+    return f"{len(run.summary.trackers)} trackers, {record and record.outcome}"
+
+
+def baseline(folder: Path) -> None:
+    shutil.copyfile(Path(__file__).parents[1] / "baselines" / "own_trackers.json", folder / "baseline.json")
+
+
+def damaged_baseline(choices: Choices, content: bytes) -> bytes:
+    if not choices.below(4):
+        return damaged_json(choices, content)
+    found = json.loads(content)
+    found["runs"] = damaged_value(choices, found["runs"])
+    return dumped(found | {"digest": digest_of(found["runs"])})
+
+
+def history(folder: Path) -> None:
+    append_entry(folder / "history", [], folder / "none.json", ["nothing was measured"])
+
+
+def damaged_entry(choices: Choices, content: bytes) -> bytes:
+    found = json.loads(content)
+    del found["digest"]
+    found = damaged_value(choices, found)
+    return dumped(found | {"digest": digest_of(found)} if isinstance(found, dict) else found)
+
+
+def text_file(name: str, text: str) -> Callable[[Path], object]:
+    return lambda folder: (folder / name).write_text(text)
+
+
+TRACKERS_TOML = '[mine]\ncommand = "./mine --fast"\n\n[other]\npython = "env/bin/python"\ntracker = "kalman"\n'
+RECIPE = 'tracker = "kalman"\nrecordings = ["a.mcap@0s-5s"]\nseed = 3\nrate_hz = 8.0\n[options]\ngate_m = 1.5\n'
+
+READERS: dict[str, Reader] = {
+    "weights": Reader(weights, damage_weights, read_weights),
+    "run": Reader(run_folder, damage_run, read_run),
+    "samples": Reader(
+        lambda folder: write_samples(folder / "forecasts.mcap"),
+        on_file("forecasts.mcap", damaged_mcap),
+        lambda f: f"{sum(1 for _ in read_samples(f / 'forecasts.mcap'))} samples",
+    ),
+    "baseline": Reader(
+        baseline, on_file("baseline.json", damaged_baseline), lambda f: str(read_baseline(f / "baseline.json"))[:40]
+    ),
+    "history": Reader(
+        history, on_file("history/*.json", damaged_entry), lambda f: f"{len(read_history(f / 'history'))} entries"
+    ),
+    "trackers.toml": Reader(
+        text_file("trackers.toml", TRACKERS_TOML),
+        on_file("trackers.toml", damaged_text),
+        lambda f: f"{len(read_trackers_toml(f / 'trackers.toml'))} trackers",
+    ),
+    "recipe": Reader(
+        text_file("recipe.toml", RECIPE),
+        on_file("recipe.toml", damaged_text),
+        lambda f: read_recipe(f / "recipe.toml").command[:40],
+    ),
+}
