@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import sys
 import traceback
 from typing import Annotated, NoReturn
@@ -52,7 +53,11 @@ def common_options(debug: DebugOption = False, version: VersionOption = False) -
 
 
 def main() -> None:
-    """Run the command line. An error of the user is one line and exit code 2; `--debug` also shows its traceback."""
+    """Run the command line. An error of the user is one line and exit code 2; `--debug` also shows its traceback.
+
+    SIGTERM, with which a scheduler ends a job, does what Ctrl-C does: results so far are kept.
+    """
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     arguments = [argument for argument in sys.argv[1:] if argument != DEBUG_OPTION]
     if arguments and arguments[0] in STARTS_TRACKERS:
         from gridtrack.evaluation.processes.shielding import shield_host
