@@ -126,8 +126,8 @@ def _read_info(path: Path, file: pq.ParquetFile) -> TracksInfo:
             raise RecordingError(f"{path}: damaged (no column {name} of {kind})")
     try:
         values = parse_json(about)
-    except ValueError:
-        raise RecordingError(f"{path}: its metadata are not JSON") from None
+    except ValueError as error:
+        raise RecordingError(f"{path}: its metadata are not JSON that can be read ({str(error)[:80]})") from None
     schema = values.pop("schema", None) if isinstance(values, dict) else None
     if schema not in (STANDING_SCHEMA, TRACKS_SCHEMA, WORLD_SCHEMA):
         readable = f"{STANDING_SCHEMA} to {WORLD_SCHEMA}"

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import os
 import re
+import signal
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
 import pytest
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # workers fill the cores: two threads beside a busy core crawl
+
+# a shell that runs the tests in the background has them ignore Ctrl-C, and with them every process that they start
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 PLUGINS = Path(__file__).parent / "plugins"
 

@@ -165,7 +165,8 @@ def parquet(path: Path, change: dict[str, list[object]] | None = None, about: ob
         (None, {"laser": {"angle_min": -1e308}}, "greater than or equal to -12"),
         (None, {"laser": {"x": 1e300}}, "less than or equal to 1000000"),
         (None, {"rate_hz": 1e-300}, "greater than or equal to 0.001"),
-        (None, {"noise_seed": 10**30}, "less than 9223372036854775808"),
+        (None, {"noise_seed": 2**63}, "less than 9223372036854775808"),
+        (None, {"noise_seed": 10**30}, r"not JSON that can be read \(an integer of 31 digits; at most 64 bits"),
         (None, {"static": [[[0, 0], [1, 1], [1e300, 0]]]}, "further than 1e\\+06 m"),
         (
             None,

@@ -301,7 +301,7 @@ nothing = np.zeros((2, *GRID.shape), np.float32)
         ({"object_box": np.zeros((2, 5), np.float32)}, "array 'object_box'"),
         ({"object_box": np.full((3, 5), np.inf, np.float32)}, "object_box has 15 values"),
         ({"object_label": np.array([0, 1, 2], np.int32)}, "there are 2 labels"),
-        ({"labels": [1, 2]}, "not all strings"),
+        ({"labels": [1, 2]}, "not all names: expected 1 to 160 bytes"),
         ({"labels": "person"}, "needs a field 'labels'"),
         ({"object_velocity": None}, "needs an array 'object_velocity'"),
         ({"object_track": np.zeros(5000, np.int64)}, "5000 objects"),

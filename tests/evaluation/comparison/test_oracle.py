@@ -116,7 +116,7 @@ def test_the_forecast_of_a_frame_is_the_same_in_every_reading(frames, tmp_path):
 def test_its_thresholds_are_chosen_once_for_all_recordings_with_one_validation_stretch(tmp_path):
     path = truth_scene.write_recording(tmp_path / "room.mcap", noise_m=NOISE_M)
     split = plan_split(str(path), None, Sampling(horizon_s=1.0, every_s=1.0))
-    regions, shared, delivered = split.regions(), SharedThresholds(), []
+    regions, shared, delivered = split.regions(), SharedThresholds(tmp_path), []
     records = [
         run_oracle(split, regions, tmp_path / name, lambda: delivered.append(1), shared) for name in ("one", "two")
     ]

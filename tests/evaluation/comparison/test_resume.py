@@ -85,7 +85,7 @@ def test_a_run_names_its_weights_without_the_folders_of_the_machine(settings, re
     run(resolve(settings("static-map", weights=weights)), (), progress)
     kept = json.loads(Path(tmp_path, "run", "run.json").read_text())["weights"]
     assert kept["static-map@room"]["name"] == "static-map/room.toml"
-    assert set(kept["static-map@room"]) == {"name", "sha256"}
+    assert set(kept["static-map@room"]) == {"name", "sha256", "labelled_scans"}
 
 
 def test_two_trainings_of_a_tracker_are_compared_each_with_the_weights_of_its_row(settings, record, tmp_path):
