@@ -9,7 +9,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from gridtrack.common.errors import ConfigurationError, did_you_mean
 from gridtrack.common.untrusted import parse_json
 
-MAX_ERRORS, MAX_SHOWN_CHARS, MAX_MESSAGE_CHARS = 5, 80, 300
+MAX_ERRORS, MAX_SHOWN_CHARS, MAX_FAULT_CHARS = 5, 80, 300
 """Limits of the errors that are told of one set of values, and of the characters of each value and message in them."""
 
 
@@ -83,7 +83,7 @@ def _error_text(model: type[BaseModel], error: Any, where: str) -> str:
     key = ".".join(f"{part!s:.{MAX_SHOWN_CHARS}}" for part in error["loc"])
     if error["type"] == "extra_forbidden":
         return f"{where}: there is no option '{key}'; {did_you_mean(key, _field_names(model))}"
-    return f"{where}: '{key}' = {error['input']!r:.{MAX_SHOWN_CHARS}}: {error['msg']:.{MAX_MESSAGE_CHARS}}"
+    return f"{where}: '{key}' = {error['input']!r:.{MAX_SHOWN_CHARS}}: {error['msg']:.{MAX_FAULT_CHARS}}"
 
 
 def _field_names(model: type[BaseModel]) -> list[str]:
