@@ -49,6 +49,7 @@ class CompareOptions(TypedDict, total=False):
     start_timeout: str
     update_timeout: str
     predict_timeout: str
+    sandbox: bool
     seed: int
     weights: str | Path
     trackers_toml: str | Path

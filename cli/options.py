@@ -28,6 +28,12 @@ WeightsOption = Annotated[
     Path | None, typer.Option(help="Folder of learned weights, searched before the user's own and the shipped ones")
 ]
 TrackersTomlOption = Annotated[Path | None, typer.Option(help="Trackers of other environments and programs")]
+SandboxOption = Annotated[
+    bool,
+    typer.Option(
+        "--sandbox", help="Trackers see their own code and weights only: no network, no file, no process (bubblewrap)"
+    ),
+]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON")]
 
 

@@ -25,6 +25,7 @@ from gridtrack.cli.options import (
     JsonOption,
     RateOption,
     RecordingsArgument,
+    SandboxOption,
     TrackersTomlOption,
     WeightsOption,
     command_line,
@@ -60,6 +61,7 @@ def compare_command(
     start_timeout: Annotated[str | None, typer.Option(help="Time limit for the start of a tracker")] = None,
     update_timeout: Annotated[str | None, typer.Option(help="Time limit for each frame")] = None,
     predict_timeout: Annotated[str | None, typer.Option(help="Time limit for each forecast")] = None,
+    sandbox: SandboxOption = False,
     seed: Annotated[int | None, typer.Option(help="Seed of every tracker and of degraded input")] = None,
     weights: WeightsOption = None,
     trackers_toml: TrackersTomlOption = None,
@@ -83,6 +85,7 @@ def compare_command(
         "predict_s": _seconds(predict_timeout),
         "threads": threads,
         "memory_mb": memory,
+        "sandbox": sandbox,
     }
     given = {
         "recordings": tuple(recordings),

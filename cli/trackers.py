@@ -16,6 +16,7 @@ from gridtrack.cli.options import (
     GridOption,
     JsonOption,
     RateOption,
+    SandboxOption,
     TrackersTomlOption,
     WeightsOption,
     default_of,
@@ -223,11 +224,13 @@ def check_command(
     recording: Annotated[str | None, typer.Option(help="Check with the grid, rate and site of this recording")] = None,
     weights: WeightsOption = None,
     trackers_toml: TrackersTomlOption = None,
+    sandbox: SandboxOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Give a verdict on each clause of the plugin contract, and what to mend. Exit code 1 unless all are kept."""
     from gridtrack.evaluation.comparison.learned import find_weights
     from gridtrack.evaluation.processes.contract_suite import ClauseResult, check_tracker
+    from gridtrack.evaluation.processes.limits import Limits
     from gridtrack.reports.contract import clause_lines, contract_line
     from gridtrack.trackers.selection import launch, read_trackers_toml
 
@@ -238,10 +241,11 @@ def check_command(
     stream = _stream(recording)
     found = find_weights(chosen.name, stream.site, weights, chosen.card)
     launched = launch(chosen.name, read_trackers_toml(trackers_toml) if trackers_toml else None)
+    limits = Limits(sandbox=sandbox)
     if found is None:
-        _refuse_untrained(launched, chosen.options, stream.site)
+        _refuse_untrained(launched, chosen.options, limits, stream.site)
     with_weights = replace(stream, weights=found.path if found else None)
-    results = check_tracker(launched, with_weights, chosen.options, report=None if as_json else tell)
+    results = check_tracker(launched, with_weights, chosen.options, limits, report=None if as_json else tell)
     if as_json:
         typer.echo(json.dumps([result.record() for result in results], indent=1))
     else:
@@ -284,14 +288,13 @@ def _tracker_alone(text: str) -> Any:
     return chosen
 
 
-def _refuse_untrained(launched: Any, options: Any, site: str) -> None:
+def _refuse_untrained(launched: Any, options: Any, limits: Any, site: str) -> None:
     """Raises ConfigurationError for a tracker without the weights that it needs: nothing can be checked."""
-    from gridtrack.evaluation.processes.limits import Limits
     from gridtrack.evaluation.processes.tracker_process import describe
 
     where = f"of site '{site}'" if site else "here"
     with suppress(PluginError):  # a tracker that cannot be loaded fails the first check
-        if describe(launched, options, Limits()).learns:
+        if describe(launched, options, limits).learns:
             raise ConfigurationError(
                 f"tracker '{launched.name}' needs weights, and there are none {where}: name a recording of a site with"
                 f" weights (--recording), or one of weights (--weights); `gridtrack train {launched.name} RECORDING`"

@@ -18,7 +18,7 @@ from gridtrack.evaluation.comparison.learned import LearnedWeights, copy_weights
 from gridtrack.evaluation.comparison.settings import CompareSettings, check_engine
 from gridtrack.evaluation.comparison.training_hints import stretches_to_train_on
 from gridtrack.evaluation.processes.limits import Limits
-from gridtrack.evaluation.processes.shielding import shielded_environment
+from gridtrack.evaluation.processes.sandbox import check_sandbox
 from gridtrack.evaluation.processes.tracker_process import TrackerProcess, describe
 from gridtrack.evaluation.results.run_record import RunConfiguration, TrialIdentity
 from gridtrack.evaluation.results.summary import ALL_RECORDINGS, ORACLE
@@ -82,16 +82,14 @@ class Trial:
         stream = replace(stream_of(self.test), velocity_scored=scored and OCCLUDED in self.split.strata)
         if self.weights:
             stream = replace(stream, weights=self.weights.path, weights_sha256=self.weights.sha256)
-        environment = shielded_environment(
-            stretch.recording.path for stretch in (self.split.test, self.split.validation) if stretch
-        )
+        stretches = (self.split.test, self.split.validation)
         return TrackerProcess(
             self.launch,
             stream,
             self.selection.options,
             self.limits,
             log,
-            environment,
+            [stretch.recording.path for stretch in stretches if stretch],
             classes_used=scored and bool(stream.classes),
         )
 
@@ -174,6 +172,8 @@ def resolve(settings: CompareSettings, splits: tuple[EvaluationSplit, ...] | Non
     """
     check_utf8(settings.out, ConfigurationError)
     check_engine(settings)
+    if settings.limits.sandbox:
+        check_sandbox()
     external = read_trackers_toml(settings.trackers_toml) if settings.trackers_toml else {}
     selections = parse_selections(settings.trackers or _every_tracker(external))
     _refuse_oracle_label(selections)

@@ -15,6 +15,7 @@ from typing import Any, NoReturn
 
 from gridtrack.common import errors
 from gridtrack.common.errors import GridtrackError, PluginError
+from gridtrack.evaluation.processes.orphans import forget_leader, start_leader
 from gridtrack.evaluation.processes.shielding import shielded_environment
 from gridtrack.evaluation.processes.supervised import ProcessExit
 from gridtrack.trackers.contract import FitOutput
@@ -38,13 +39,15 @@ class TrainingProcess:
 
     def __enter__(self) -> TrainingProcess:
         command = [sys.executable, "-P", "-m", "gridtrack.evaluation.comparison.fit_process", self.name]
-        self._process = subprocess.Popen(
-            command,
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            bufsize=0,
-            start_new_session=True,
-            env=self._environment,
+        self._process = start_leader(
+            lambda: subprocess.Popen(
+                command,
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                bufsize=0,
+                start_new_session=True,
+                env=self._environment,
+            )
         )
         return self
 
@@ -53,6 +56,7 @@ class TrainingProcess:
     ) -> None:
         self._end()
         self._process.communicate()
+        forget_leader(self._process, orderly=True)
 
     def load(self, options: Mapping[str, Any], *, general: bool) -> bool:
         """Load the tracker with these options, to learn for any place if `general`.

@@ -8,7 +8,7 @@ from gridtrack.common.config import Settings
 
 
 class Limits(Settings):
-    """Limits of a trial: seconds for each kind of call, resident memory of all its processes, threads."""
+    """Limits of a trial: seconds for each kind of call, resident memory of all its processes, threads, a sandbox."""
 
     start_s: float = Field(180.0, gt=0)
     """A tracker may compile at its first start on a machine: half a minute, several times that on busy cores."""
@@ -16,3 +16,5 @@ class Limits(Settings):
     predict_s: float = Field(30.0, gt=0)
     memory_mb: int = Field(4096, gt=0)
     threads: int = Field(1, gt=0)
+    sandbox: bool = False
+    """Whether the tracker sees nothing but its own code and weights, without network: docs/wire.md, "Isolation"."""

@@ -8,6 +8,7 @@ import sys
 from collections.abc import Iterable
 from pathlib import Path
 
+from gridtrack.evaluation.processes.orphans import adopt_orphans
 from gridtrack.evaluation.processes.supervisor import make_unreadable
 
 ARG_START, ARG_END = 45, 46
@@ -17,7 +18,7 @@ ARG_START, ARG_END = 45, 46
 def shield_host(title: str) -> None:
     """Replace the command line of this process by `title`, and make its /proc entries unreadable for other processes.
 
-    On systems other than Linux nothing changes.
+    It also becomes the parent of what trackers leave behind. On systems other than Linux nothing changes.
     """
     if sys.platform != "linux":
         return
@@ -27,6 +28,7 @@ def shield_host(title: str) -> None:
         # the last byte stays 0: else the kernel takes the environment for a part of the command line
         ctypes.memmove(start, title.encode()[: size - 1].ljust(size, b"\0"), size)
     make_unreadable()
+    adopt_orphans()
 
 
 def shielded_environment(recordings: Iterable[Path]) -> dict[str, str]:

@@ -17,9 +17,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from tempfile import mkdtemp
 
+from gridtrack.evaluation.processes.orphans import forget_leader, start_leader
 from gridtrack.trackers.wire import widen, without
 
 SUPERVISOR = Path(__file__).with_name("supervisor.py")
+OF_A_SIGNAL = 128
 ORDERLY_END_S = 2.0
 KILL_S = 10.0
 
@@ -38,19 +40,22 @@ class ProcessExit:
             return f"cannot be started ({self.start_error})"
         if self.status is None:
             return "ended for an unknown reason"
+        names = {s.value: s.name for s in signal.Signals}
         if os.WIFSIGNALED(self.status):
             number = os.WTERMSIG(self.status)
-            names = {s.value: s.name for s in signal.Signals}
             return f"killed by {names.get(number, f'signal {number}')}"
-        return f"exited with code {os.WEXITSTATUS(self.status)}"
+        code = os.WEXITSTATUS(self.status)
+        if code - OF_A_SIGNAL in names:  # as a shell tells it, and the sandbox
+            return f"exited with code {code}: killed by {names[code - OF_A_SIGNAL]}"
+        return f"exited with code {code}"
 
 
 class SupervisedProgram:
     """A program started as a child of a supervisor process, in its own session.
 
     The supervisor ends the program and all processes that it started, and removes its temporary folder (`TMPDIR`) and
-    its files in shared memory, also when this process dies. `read` and `write`
-    are for one thread; `kill` may be called from any thread.
+    its files in shared memory, also when this process dies. Where the supervisor itself was killed, this process does,
+    as far as it adopted them (`adopt_orphans`). `read` and `write` are for one thread; `kill` may be called from any.
     """
 
     def __init__(
@@ -62,16 +67,18 @@ class SupervisedProgram:
         command = [sys.executable, "-I", "-S", str(SUPERVISOR), str(supervisors_end.fileno()), str(memory_mb)]
         command += [self._folder, *argv]
         with supervisors_end, log.open("wb") as stderr:
-            self._supervisor = subprocess.Popen(
-                command,
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                stderr=stderr,
-                bufsize=0,
-                pass_fds=(supervisors_end.fileno(),),
-                env=dict(env) | {"TMPDIR": self._folder},
-                cwd=cwd,
-                start_new_session=True,
+            self._supervisor = start_leader(
+                lambda: subprocess.Popen(
+                    command,
+                    stdin=subprocess.PIPE,
+                    stdout=subprocess.PIPE,
+                    stderr=stderr,
+                    bufsize=0,
+                    pass_fds=(supervisors_end.fileno(),),
+                    env=dict(env) | {"TMPDIR": self._folder},
+                    cwd=cwd,
+                    start_new_session=True,
+                )
             )
         self._control = control
         assert self._supervisor.stdin is not None
@@ -148,6 +155,7 @@ class SupervisedProgram:
         if self._supervisor.poll() is None:  # only a stopped or blocked supervisor is still alive here
             self._supervisor.kill()
             self._supervisor.wait()
+        forget_leader(self._supervisor, orderly=bool(line))
         return ProcessExit(**json.loads(line)) if line else ProcessExit()
 
 

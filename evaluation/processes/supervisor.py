@@ -29,6 +29,7 @@ MEMORY_PERIOD_S = 0.05
 GIVE_UP_S = 5.0
 LOG_BYTES = 1 << 20
 SHARED_MEMORY, MEMFD = "/dev/shm/", "/memfd:"
+IN_MEMORY = ("/tmp", "/dev/shm")
 PR_SET_PDEATHSIG, PR_SET_DUMPABLE, PR_SET_CHILD_SUBREAPER = 1, 4, 36
 
 
@@ -152,33 +153,40 @@ class ChildProcess:
 
 
 class SharedFiles:
-    """Files in shared memory, without a name (memfd) or in SHARED_MEMORY, that processes have open or mapped."""
+    """Files in memory that processes have open or mapped: without a name (memfd), or in SHARED_MEMORY.
+
+    Of processes that see other mounts than the supervisor, in a sandbox, it is all that their own IN_MEMORY hold.
+    """
 
     def __init__(self) -> None:
         self.before = names_in(SHARED_MEMORY)
         self.owned: set[str] = set()
+        self.mounts = link_target("/proc/self/ns/mnt")
+        self.systems = {system for folder in IN_MEMORY for system, _ in allocated(folder)}
 
     def look(self, pids: list[int]) -> int:
         """Find what the processes have open or mapped now; the size of it all, and of what was found before, KiB."""
         sizes: dict[tuple[int, int], int] = {}
         for pid in pids:
+            apart = link_target(f"/proc/{pid}/ns/mnt") != self.mounts
             for descriptor in names_in(f"/proc/{pid}/fd"):
-                self.add_size(f"/proc/{pid}/fd/{descriptor}", sizes)
-            if names_in(SHARED_MEMORY) - self.before:
+                self.add_size(f"/proc/{pid}/fd/{descriptor}", sizes, apart)
+            if apart:
+                own = (used(f"/proc/{pid}/root{folder}") for folder in IN_MEMORY)
+                sizes |= {key: size for found in own for key, size in found.items() if key[0] not in self.systems}
+            elif names_in(SHARED_MEMORY) - self.before:
                 self.owned |= {path for path in mapped_files(pid) if self.is_new(path)}
         for path in self.owned:
             sizes |= allocated(path)
         return sum(sizes.values()) // 1024
 
-    def add_size(self, link: str, sizes: dict[tuple[int, int], int]) -> None:
-        """Add the file behind the descriptor `link` to `sizes` where it is in shared memory."""
-        try:
-            target = str(pathlib.Path(link).readlink())
-        except OSError:  # it was closed in the meantime
-            return
-        if target.startswith(MEMFD) or self.is_new(target):
+    def add_size(self, link: str, sizes: dict[tuple[int, int], int], apart: bool) -> None:
+        """Add the file behind the descriptor `link` to `sizes` where it is in memory and not counted with a folder."""
+        target = link_target(link)
+        if target.startswith(MEMFD):
             sizes |= allocated(link)
-        if self.is_new(target):
+        elif self.is_new(target) and not apart:
+            sizes |= allocated(link)
             self.owned.add(target)
 
     def is_new(self, path: str) -> bool:
@@ -322,6 +330,23 @@ def allocated(path: str) -> dict[tuple[int, int], int]:
     except OSError:
         return {}
     return {(found.st_dev, found.st_ino): 512 * found.st_blocks}
+
+
+def used(folder: str) -> dict[tuple[int, int], int]:
+    """Device and size of all files of the file system at `folder`, bytes; nothing where it is gone."""
+    try:
+        system = os.statvfs(folder)
+        return {(pathlib.Path(folder).stat().st_dev, 0): system.f_frsize * (system.f_blocks - system.f_bfree)}
+    except OSError:
+        return {}
+
+
+def link_target(path: str) -> str:
+    """What a link in /proc leads to; "" where it is gone."""
+    try:
+        return str(pathlib.Path(path).readlink())
+    except OSError:
+        return ""
 
 
 def names_in(folder: str) -> set[str]:

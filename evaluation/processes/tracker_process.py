@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -20,11 +19,14 @@ from gridtrack.evaluation.processes.dialogue import Dialogue, Request
 from gridtrack.evaluation.processes.held_forecasts import HeldForecasts
 from gridtrack.evaluation.processes.limits import Limits
 from gridtrack.evaluation.processes.outcome import TrialEnded
+from gridtrack.evaluation.processes.sandbox import confine
+from gridtrack.evaluation.processes.shielding import shielded_environment
 from gridtrack.evaluation.processes.supervised import SupervisedProgram
 from gridtrack.trackers import messages
 from gridtrack.trackers.contract import API, ComparedPart, Forecast, Role, StreamSpec
 from gridtrack.trackers.own_code import program_sha256
 from gridtrack.trackers.selection import Launch
+from gridtrack.trackers.weights import ARRAYS_SUFFIX
 from gridtrack.trackers.wire import Message, TooLargeError, WireError
 
 THREAD_VARIABLES = (
@@ -70,11 +72,11 @@ class TrackerProcess:
         options: Mapping[str, Any],
         limits: Limits,
         stderr_path: Path,
-        environment: Mapping[str, str] | None = None,
+        recordings: Iterable[Path] = (),
         *,
         classes_used: bool = True,
     ) -> None:
-        """`environment`: of the process; default: that of this process.
+        """`recordings`: that the frames are of; what names them is left out of the process's environment.
 
         Without `classes_used` class probabilities are checked and not kept. The forecasts that the caller still holds
         may have as many bytes as the tracker's processes, `limits.memory_mb`.
@@ -84,7 +86,7 @@ class TrackerProcess:
         self.options = dict(options)
         self.limits = limits
         self.stderr_path = stderr_path
-        self._environment = os.environ if environment is None else environment
+        self._recordings = tuple(recordings)
         self.timings = Timings()
         self.last_call: Call | None = None
         self._recoveries = [0]
@@ -99,7 +101,9 @@ class TrackerProcess:
         self._dialogue: Dialogue | None = None
 
     def __enter__(self) -> TrackerProcess:
-        self._dialogue = _dialogue(self.launch, self.limits, self.stderr_path, self._environment)
+        card = self.stream.weights and self.stream.weights.absolute()
+        files = (card, card.with_suffix(ARRAYS_SUFFIX)) if card else ()
+        self._dialogue = _dialogue(self.launch, self.limits, self.stderr_path, self._recordings, files)
         request = Request("start", "started", {"stream": messages.stream_fields(self.stream), "options": self.options})
         with self._ending_on_error():
             if self._killed:
@@ -221,7 +225,7 @@ def describe(launch: Launch, options: Mapping[str, Any], limits: Limits) -> Trac
     Raises ConfigurationError for options that it refuses, PluginError where it cannot be loaded.
     """
     request = Request("describe", "described", {"options": dict(options)})
-    with TemporaryDirectory() as folder, _dialogue(launch, limits, Path(folder, "stderr.log"), os.environ) as dialogue:
+    with TemporaryDirectory() as folder, _dialogue(launch, limits, Path(folder, "stderr.log")) as dialogue:
         try:
             return description_from(dialogue.ask(request, limits.start_s))
         except WireError as error:
@@ -232,9 +236,16 @@ def describe(launch: Launch, options: Mapping[str, Any], limits: Limits) -> Trac
             raise PluginError(ended.reason) from None
 
 
-def _dialogue(launch: Launch, limits: Limits, log: Path, environment: Mapping[str, str]) -> Dialogue:
-    env = dict(environment) | dict.fromkeys(THREAD_VARIABLES, str(limits.threads))
-    return Dialogue(SupervisedProgram(launch.argv, log, limits.memory_mb, env, launch.cwd), log, limits.memory_mb)
+def _dialogue(
+    launch: Launch, limits: Limits, log: Path, recordings: tuple[Path, ...] = (), files: tuple[Path, ...] = ()
+) -> Dialogue:
+    """Start the program. In the sandbox it sees the `files`, and neither `recordings` nor the run with the `log`."""
+    argv, env = launch.argv, shielded_environment(recordings)
+    threads = dict.fromkeys(THREAD_VARIABLES, str(limits.threads))
+    if limits.sandbox:
+        hidden = (*recordings, *log.absolute().parents[:2])
+        argv, env = confine(launch, env, limits.memory_mb, hidden, files)
+    return Dialogue(SupervisedProgram(argv, log, limits.memory_mb, env | threads, launch.cwd), log, limits.memory_mb)
 
 
 def _nanoseconds(answer: Message, name: str) -> int:

@@ -412,6 +412,7 @@ class LeavesFiles(Good):
         self._mapped = mmap.mmap(self._left[1].fileno(), 0)
         self._left.pop().close()
         print(tempfile.gettempdir(), *names, file=sys.stderr, flush=True)
+        time.sleep(0.3)  # the supervisor looks 20 times a second
 
 
 class NotATracker(dict):  # type: ignore[type-arg]

@@ -1,0 +1,79 @@
+"""Processes that a tracker leaves behind when it kills its own supervisor: a host that adopts them ends them."""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from subprocess import Popen
+from typing import Any
+
+from gridtrack.evaluation.processes.supervisor import PR_SET_CHILD_SUBREAPER, descendants, prctl
+
+GIVE_UP_S = 5.0
+
+_lock = threading.Lock()
+_leaders: set[int] = set()
+"""Children of this process that lead a session of their own."""
+
+
+def adopt_orphans() -> None:
+    """Make this process the parent of what its descendants leave behind: for a program that is gridtrack alone."""
+    prctl(PR_SET_CHILD_SUBREAPER, 1)
+
+
+def start_leader(start: Callable[[], Popen[Any]]) -> Popen[Any]:
+    """The child that `start` starts in a session of its own, which is no orphan."""
+    with _lock:
+        leader = start()
+        _leaders.add(leader.pid)
+    return leader
+
+
+def forget_leader(leader: Popen[Any], orderly: bool) -> None:
+    """A leader has ended; if not `orderly`, end the processes that it left behind and that this process adopted.
+
+    Adopted is a child of a session that is neither that of this process nor of one of its leaders.
+    """
+    with _lock:
+        _leaders.discard(leader.pid)
+        give_up = time.monotonic() + GIVE_UP_S
+        while not orderly and (adopted := _adopted()) and time.monotonic() < give_up:
+            for pid in adopted:
+                _end(pid)
+            time.sleep(0.002)
+
+
+def _adopted() -> list[int]:
+    known = {os.getsid(0), *_leaders}
+    tasks = Path("/proc/self/task")
+    children = [int(pid) for task in tasks.glob("*/children") for pid in _text(task).split()]
+    return [pid for pid in children if _session(pid) not in known]
+
+
+def _text(path: Path) -> str:
+    """The content of a file of /proc; "" where its thread has ended in the meantime."""
+    try:
+        return path.read_text()
+    except OSError:
+        return ""
+
+
+def _session(pid: int) -> int:
+    """The session of a child; its own where it has ended in the meantime."""
+    with suppress(ProcessLookupError):
+        return os.getsid(pid)
+    return pid
+
+
+def _end(pid: int) -> None:
+    """Kill a child and all its descendants, and collect it."""
+    for one in (*descendants(pid), pid):
+        with suppress(ProcessLookupError):
+            os.kill(one, signal.SIGKILL)
+    with suppress(ChildProcessError):
+        os.waitpid(pid, os.WNOHANG)

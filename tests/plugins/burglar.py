@@ -1,0 +1,167 @@
+"""A tracker that attacks the host and the recording when it starts, and tells on stderr what it got."""
+
+from __future__ import annotations
+
+import ctypes
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gridtrack.common.config import Settings
+from gridtrack.common.grid import GridFrame
+from gridtrack.trackers.contract import Forecast, StreamSpec, Tracker
+
+CLONE_NEWUSER = 0x10000000
+BLOCK = 1 << 20
+
+
+class Attack(Settings):
+    attack: str = ""
+    target: str = ""
+    """A path, a port or a process, as the attack needs it."""
+
+
+class Burglar(Tracker):
+    """Does what its option `attack` says, once."""
+
+    Options = Attack
+
+    def __init__(self, stream: StreamSpec, options: Any) -> None:
+        super().__init__(stream, options)
+        if options.attack:
+            found = ATTACKS[options.attack](options.target)
+            print("found:", json.dumps(found), file=sys.stderr, flush=True)
+
+    def reset(self, seed: int) -> None: ...
+
+    def update(self, frame: GridFrame) -> None: ...
+
+    def predict(self, steps: int) -> Forecast:
+        return Forecast(np.zeros((steps + 1, *self.stream.grid.shape), np.float32))
+
+
+def reads(path: str) -> str:
+    """The first bytes of a file."""
+    try:
+        with Path(path).open("rb") as file:
+            return file.read(8).hex()
+    except OSError:
+        return ""
+
+
+def rewrites(path: str) -> bool:
+    """Whether a file could be overwritten."""
+    try:
+        return bool(Path(path).write_text("burglar"))
+    except OSError:
+        return False
+
+
+def calls(port: str) -> bool:
+    """Whether a server on this machine answers."""
+    try:
+        with socket.create_connection(("127.0.0.1", int(port)), timeout=2.0):
+            return True
+    except OSError:
+        return False
+
+
+def looks(_: str) -> list[str]:
+    """The command lines of all processes in sight."""
+    found = [entry / "cmdline" for entry in Path("/proc").iterdir() if entry.name.isdigit()]
+    return [path.read_bytes().replace(b"\0", b" ").decode(errors="replace") for path in found]
+
+
+def reads_memory(pid: str) -> bool:
+    """Whether the memory of a process can be opened."""
+    try:
+        with Path(f"/proc/{pid}/mem").open("rb"):
+            return True
+    except OSError:
+        return False
+
+
+def kills(pid: str) -> bool:
+    """Whether a process could be ended."""
+    try:
+        os.kill(int(pid), signal.SIGKILL)
+    except OSError:
+        return False
+    return True
+
+
+def kills_all(_: str) -> bool:
+    """Whether any process in sight but itself could be ended."""
+    try:
+        os.kill(-1, signal.SIGKILL)
+    except ProcessLookupError:
+        return False
+    return True
+
+
+def outlives(seconds: str) -> None:
+    """Leave a process in a session of its own, and end the supervisor."""
+    subprocess.Popen(["sleep", seconds], start_new_session=True)
+    os.kill(os.getppid(), signal.SIGKILL)
+
+
+def writes(_: str) -> list[str]:
+    """Every folder in which a file can be made."""
+    found = []
+    for folder, folders, _files in os.walk("/"):
+        folders[:] = [name for name in folders if (folder, name) != ("/", "proc")]
+        try:
+            Path(folder, "burglar").write_text("")
+        except OSError:
+            continue
+        Path(folder, "burglar").unlink()
+        found.append(folder)
+    return found
+
+
+def fills(folder: str) -> int:
+    """Write files until there is no room; how much there was, MiB."""
+    written = 0
+    with suppress(OSError), Path(folder, "burglar").open("wb", buffering=0) as file:
+        while True:
+            written += file.write(bytes(BLOCK))
+    time.sleep(0.3)  # the supervisor measures 20 times a second
+    return written // BLOCK
+
+
+def makes_a_namespace(_: str) -> bool:
+    """Whether it could become the root of a user namespace of its own, where it could mount memory without a limit."""
+    return ctypes.CDLL(None).unshare(CLONE_NEWUSER) == 0
+
+
+def variables(_: str) -> dict[str, str]:
+    """Its environment."""
+    return dict(os.environ)
+
+
+ATTACKS = {
+    function.__name__: function
+    for function in (
+        reads,
+        rewrites,
+        calls,
+        looks,
+        reads_memory,
+        kills,
+        kills_all,
+        outlives,
+        writes,
+        fills,
+        makes_a_namespace,
+        variables,
+    )
+}
