@@ -1,0 +1,168 @@
+"""Hundreds of trials that fail, one after the other: what is left of them, and how far limits are exceeded?
+
+`python -m studies.failing_trials [--trials 504] [--sandbox]` starts the failing trackers of
+tests/plugins/bad_trackers.py in turn, each in its own process as in a comparison, and counts after each round what this
+process has: processes, descriptors, temporary folders, memory, and files in shared memory, so that nothing else may
+make any. Writes docs/results/robustness.json. Two seconds a trial on an idle core.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import re
+import sys
+import tempfile
+import time
+from collections import defaultdict
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import psutil
+
+from gridtrack.common.geometry import SE2
+from gridtrack.common.grid import GridFrame, GridSpec
+from gridtrack.evaluation.processes.limits import Limits
+from gridtrack.evaluation.processes.outcome import TrialEnded
+from gridtrack.evaluation.processes.tracker_process import TrackerProcess
+from gridtrack.trackers.contract import StreamSpec
+from gridtrack.trackers.selection import launch
+
+from studies.support.results_file import ResultSection, measured_table, write_section
+
+SOURCE = Path("tests/plugins/bad_trackers.py")
+FAULTS = (
+    *("raises", "exits", "leaves", "kills-itself", "segfaults", "hangs", "stops-the-clock", "closes-its-pipe"),
+    *("hogs", "hogs-in-a-child", "hides-in-a-memfd", "forks", "leaves-files", "prints-everywhere", "spams-stderr"),
+    *("wrong-shape", "huge-shape", "needs-missing-module"),
+)
+LIMITS = Limits(update_s=3.0, memory_mb=400)
+STREAM = StreamSpec(GridSpec(20, 0.2), 0.125)
+TIME_SLACK_S, MEMORY_SLACK_MB, SLACK = 0.5, 256.0, 0.10
+RESULTS = Path("docs/results/robustness.json")
+COMMAND = "python -m studies.failing_trials"
+
+
+@dataclass(frozen=True)
+class Trial:
+    """How one trial ended, how long its last call took, and its peak memory."""
+
+    outcome: str
+    last_call_s: float
+    peak_mb: float
+
+
+def install(folder: Path) -> None:
+    """Register the failing trackers for this process and its children."""
+    source = SOURCE.read_text("utf-8")
+    names = {
+        re.sub(r"(?<!^)(?=[A-Z])", "-", name).lower(): name for name in re.findall(r"^class (\w+)\(", source, re.M)
+    }
+    info = folder / "failing-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.4\nName: failing\nVersion: 1.0\n")
+    points = [f"{name} = bad_trackers:{class_name}" for name, class_name in names.items()]
+    (info / "entry_points.txt").write_text("\n".join(["[gridtrack.trackers]", *points]) + "\n")
+    (folder / SOURCE.name).write_text(source)
+    sys.path.insert(0, str(folder))
+    os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, (str(folder), os.environ.get("PYTHONPATH"))))
+
+
+def options_of(fault: str, folder: Path, number: int) -> Mapping[str, object]:
+    """The options of a trial."""
+    if fault != "forks":
+        return {}
+    return {"pid_file": str(folder / str(number)), "how": ("fork", "setsid")[number % 2], "die": number % 3 == 0}
+
+
+def run_trial(fault: str, options: Mapping[str, object], limits: Limits, log: Path) -> Trial:
+    """Three frames and forecasts of a failing tracker."""
+    visible = np.ones(STREAM.grid.shape, bool)
+    empty = np.zeros((0, 2), np.float32)
+    frame = GridFrame(0, visible, ~visible, SE2(), np.zeros((1, 2), np.float32), empty, np.zeros(0, np.uint8))
+    process = TrackerProcess(launch(fault), STREAM, options, limits, log)
+    outcome, began = "ok", time.monotonic()
+    try:
+        with process as tracker:
+            tracker.reset(0)
+            for _ in range(3):
+                began = time.monotonic()
+                tracker.update(frame)
+                tracker.predict(2)
+    except TrialEnded as ended:
+        outcome = ended.outcome
+    return Trial(outcome, time.monotonic() - began, process.peak_rss_mb)
+
+
+def resources() -> dict[str, float]:
+    """What may leak."""
+    own = psutil.Process()
+    return {
+        "processes": len(own.children(recursive=True)),
+        "descriptors": own.num_fds(),
+        "files in shared memory": len(list(Path("/dev/shm").iterdir())),
+        "temporary folders": len(list(Path(tempfile.gettempdir()).iterdir())),
+        "memory, MB": own.memory_info().rss / 2**20,
+    }
+
+
+def write_results(trials: Mapping[str, list[Trial]], first: dict[str, float], sandbox: bool) -> None:
+    """Write what was left, and how each fault ended."""
+    last = resources()
+    left = measured_table(
+        ("what", "after a round", "at the end"),
+        [[name, *(f"{found[name]:.0f}" for found in (first, last))] for name in first],
+    )
+    rows = []
+    for fault, own in trials.items():
+        outcomes = sorted({trial.outcome for trial in own})
+        longest_s, peak_mb = max(trial.last_call_s for trial in own), max(trial.peak_mb for trial in own)
+        rows.append([f"`{fault}`", str(len(own)), ", ".join(outcomes), f"{longest_s:.2f}", f"{peak_mb:.0f}"])
+    faults = measured_table(("tracker", "trials", "outcome", "longest call, s", "largest memory, MB"), rows)
+    every = [trial for own in trials.values() for trial in own]
+    over_s = max(trial.last_call_s for trial in every if trial.outcome == "timeout") - LIMITS.update_s
+    over_mb = max(trial.peak_mb for trial in every if trial.outcome == "out-of-memory") - LIMITS.memory_mb
+    kept_s = over_s <= max(SLACK * LIMITS.update_s, TIME_SLACK_S)
+    kept_mb = over_mb <= max(SLACK * LIMITS.memory_mb, MEMORY_SLACK_MB)
+    values = {
+        "trials": str(len(every)),
+        "time over the limit, s": f"{over_s:.2f}",
+        "memory over the limit, MB": f"{over_mb:.0f}",
+        "limits kept": "yes" if kept_s and kept_mb else "no",
+    }
+    tables = {"left": left, "faults": faults}
+    name = "failing trials, sandbox" if sandbox else "failing trials"
+    command = f"{COMMAND} --sandbox" if sandbox else COMMAND
+    write_section(RESULTS, name, ResultSection(command=command, source="measured", tables=tables, values=values))
+    print(left.markdown(), faults.markdown(), values, sep="\n\n")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--trials", type=int, default=28 * len(FAULTS))
+    parser.add_argument("--sandbox", action="store_true", help="confine the trackers")
+    given = parser.parse_args()
+    limits = LIMITS.model_copy(update={"sandbox": given.sandbox})
+    trials: dict[str, list[Trial]] = defaultdict(list)
+    first: dict[str, float] = {}
+    with tempfile.TemporaryDirectory() as folder:
+        site, pids, temporary = (Path(folder, name) for name in ("site", "pids", "temporary"))
+        for path in (site, pids, temporary):
+            path.mkdir()
+        install(site)
+        tempfile.tempdir = str(temporary)
+        for number in range(given.trials):
+            fault = FAULTS[number % len(FAULTS)]
+            options = options_of(fault, Path("/tmp") if given.sandbox else pids, number)
+            trials[fault].append(run_trial(fault, options, limits, Path(folder, "stderr.log")))
+            if number + 1 == len(FAULTS):
+                first = resources()
+            if (number + 1) % len(FAULTS) == 0:
+                print(f"{number + 1} of {given.trials}: {resources()}", flush=True)
+        write_results(trials, first, given.sandbox)
+
+
+if __name__ == "__main__":
+    main()
