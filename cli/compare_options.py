@@ -39,8 +39,15 @@ IdleTimeoutOption = Annotated[
 ]
 EngineOption = Annotated[
     str | None,
-    typer.Option(metavar="ENGINE", help="What runs the trials: local, or ray for the nodes of a Ray cluster"),
+    typer.Option(metavar="ENGINE", help="What runs the trials: local, or the nodes of a cluster: ray or slurm"),
 ]
 AddressOption = Annotated[
-    str | None, typer.Option(help="Of the cluster; default: the one that this machine belongs to")
+    str | None, typer.Option(help="Of the Ray cluster; default: the one that this machine belongs to")
+]
+SlurmOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="KEY=VALUE,...",
+        help="What a trial asks of Slurm: partition, account, timeout_min, mem_gb; default: only --threads cores",
+    ),
 ]

@@ -44,6 +44,7 @@ class CompareOptions(TypedDict, total=False):
     jobs: int
     engine: str
     address: str
+    slurm: str
     threads: int
     memory: int
     start_timeout: str

@@ -18,6 +18,7 @@ from gridtrack.cli.compare_options import (
     IdleTimeoutOption,
     ReferenceOption,
     RowsOption,
+    SlurmOption,
     ValidationOption,
 )
 from gridtrack.cli.options import (
@@ -56,6 +57,7 @@ def compare_command(
     jobs: Annotated[int | None, typer.Option(help="Trials at the same time; default: one per processor core")] = None,
     engine: EngineOption = None,
     address: AddressOption = None,
+    slurm: SlurmOption = None,
     threads: Annotated[int | None, typer.Option(help="Compute threads of each tracker")] = None,
     memory: Annotated[int | None, typer.Option(help="Memory limit of each tracker, MB")] = None,
     start_timeout: Annotated[str | None, typer.Option(help="Time limit for the start of a tracker")] = None,
@@ -110,7 +112,7 @@ def compare_command(
         "follow": follow,
         "idle_timeout_s": _seconds(idle_timeout),
     }
-    settings = _settings(given, limits, degrade)
+    settings = _settings(given, limits, degrade, slurm)
     compared = _followed(settings) if settings.follow else _run(settings)
     _print_result(settings.out, compared, as_json)
     raise typer.Exit(compared.exit_code)
@@ -120,16 +122,19 @@ def _seconds(text: str | None) -> float | None:
     return None if text is None else seconds(text)
 
 
-def _settings(given: dict[str, Any], limits: dict[str, Any], degrade: str | None) -> CompareSettings:
+def _settings(given: dict[str, Any], limits: dict[str, Any], degrade: str | None, slurm: str | None) -> CompareSettings:
     """The settings with the values that the user gave; None is an option that was not given."""
     from gridtrack.common.config import validated
     from gridtrack.evaluation.comparison.settings import CompareSettings
+    from gridtrack.evaluation.engines.slurm_settings import parse_slurm
     from gridtrack.evaluation.processes.limits import Limits
     from gridtrack.recordings.degradation import parse_degradation
 
     values = {key: value for key, value in given.items() if value is not None}
     if degrade is not None:
         values["degrade"] = parse_degradation(degrade)
+    if slurm is not None:
+        values["slurm"] = parse_slurm(slurm)
     kept = {key: value for key, value in limits.items() if value is not None}
     values["limits"] = validated(Limits, kept, "gridtrack compare")
     return validated(CompareSettings, values, "gridtrack compare")

@@ -21,8 +21,8 @@ ROOT = Path(__file__).parents[1]
 CONVENTIONAL = ("app", "main")
 """Names that may be defined in several modules: the typer application and the entry point of a command."""
 HEAVY = (
-    "torch", "lightning", "gtsam", "kiss_icp", "ray", "sklearn", "optuna", "filterpy", "numba", "rosbags", "scipy",
-    "polars", "pyarrow", "numpy", "pydantic", "rerun",
+    "torch", "lightning", "gtsam", "kiss_icp", "ray", "submitit", "sklearn", "optuna", "filterpy", "numba", "rosbags",
+    "scipy", "polars", "pyarrow", "numpy", "pydantic", "rerun",
 )  # fmt: skip
 
 

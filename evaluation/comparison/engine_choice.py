@@ -9,6 +9,8 @@ from gridtrack.evaluation.engines.engine import Engine, RunObserver
 from gridtrack.evaluation.engines.local import LocalEngine
 from gridtrack.evaluation.engines.ray_cluster import RayCluster
 from gridtrack.evaluation.engines.remote import RemoteEngine
+from gridtrack.evaluation.engines.slurm_cluster import SlurmCluster
+from gridtrack.evaluation.engines.slurm_settings import SlurmSettings
 
 
 def engine_of(settings: CompareSettings, progress: RunObserver) -> Engine:
@@ -16,4 +18,7 @@ def engine_of(settings: CompareSettings, progress: RunObserver) -> Engine:
     cores = settings.limits.threads
     if settings.engine == "ray":
         return RemoteEngine(RayCluster(settings.address, cores, carry_out), settings.out, progress)
+    if settings.engine == "slurm":
+        cluster = SlurmCluster(settings.slurm or SlurmSettings(), cores, carry_out)
+        return RemoteEngine(cluster, settings.out, progress)
     return LocalEngine(settings.jobs or max(1, usable_cores() // cores), progress)

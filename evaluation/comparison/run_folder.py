@@ -99,7 +99,7 @@ def _new_record(plan: ComparisonPlan, command: Sequence[str]) -> RunRecord:
     inputs |= {str(stretch.recording.path): stretch.sha256 for stretch in validations}
     return RunRecord(
         command=tuple(command),
-        settings=RunSettings.model_validate(plan.settings.model_dump(mode="json", exclude={"address"})),
+        settings=RunSettings.model_validate(plan.settings.model_dump(mode="json", exclude={"address", "slurm"})),
         configuration=plan.identity(),
         inputs=inputs,
         weights={trial.name: trial.weights.provenance() for trial in plan.trials if trial.weights},

@@ -9,11 +9,12 @@ from pydantic import Field
 
 from gridtrack.common.config import Settings
 from gridtrack.common.errors import ConfigurationError
+from gridtrack.evaluation.engines.slurm_settings import SLURM_OPTION, SlurmSettings
 from gridtrack.evaluation.processes.limits import Limits
 from gridtrack.recordings.degradation import Degradation
 
-EngineName = Literal["local", "ray"]
-"""What carries out the trials: threads of this process, or the nodes of a Ray cluster."""
+EngineName = Literal["local", "ray", "slurm"]
+"""What carries out the trials: threads of this process, or the nodes of a Ray or a Slurm cluster."""
 
 
 class CompareSettings(Settings):
@@ -41,7 +42,8 @@ class CompareSettings(Settings):
     jobs: int | None = Field(None, ge=1)
     engine: EngineName = "local"
     address: str | None = None
-    """Of the cluster, in the form of the engine; None: the cluster that this machine belongs to."""
+    """Of the Ray cluster; None: the one that this machine belongs to."""
+    slurm: SlurmSettings | None = None
     allow_leak: bool = False
     resume: bool = False
     latency: bool = False
@@ -54,9 +56,11 @@ class CompareSettings(Settings):
 def check_engine(settings: CompareSettings) -> None:
     """Raise ConfigurationError for settings that the engine does not have."""
     engine = settings.engine
+    if settings.address is not None and engine != "ray":
+        raise ConfigurationError("--address is of a Ray cluster: leave it out, or choose --engine ray")
+    if settings.slurm is not None and engine != "slurm":
+        raise ConfigurationError(f"{SLURM_OPTION} is of a Slurm cluster: leave it out, or choose --engine slurm")
     if engine == "local":
-        if settings.address is not None:
-            raise ConfigurationError("--address is of a cluster: leave it out, or choose --engine ray")
         return
     for name in ("latency", "deadline"):
         if getattr(settings, name):

@@ -72,6 +72,10 @@ class Attempt:
         """How far it is. Raises EngineError."""
         return self._read("progress.json", AttemptProgress, MAX_PROGRESS_BYTES) or AttemptProgress()
 
+    def has_reply(self) -> bool:
+        """Whether there is a reply."""
+        return (self.folder / "reply.json").exists()
+
     def reply(self) -> Reply | None:
         """The reply; None where there is none yet. Raises EngineError."""
         return self._read("reply.json", Reply, MAX_REPLY_BYTES)

@@ -135,7 +135,7 @@ class RemoteEngine(Generic[Task]):
         if self._cancelled_s is not None and time.monotonic() > self._cancelled_s + CANCEL_S:
             self._cluster.cancel(self._running, force=True)
             for entry in self._running.values():
-                entry.future.cancel()
+                _end_as_cancelled(entry.future)
             self._running.clear()
 
     def _relay(self, entry: _Submitted) -> None:
@@ -154,11 +154,11 @@ class RemoteEngine(Generic[Task]):
         """Take what a task left that has ended; whether that is all there will be."""
         reply = entry.attempt.reply()
         cancelled = self._cancelled_s is not None
-        if reply is not None and (cancelled or not _was_interrupted(reply)):
+        if reply is not None and (cancelled or not _ended_from_outside(reply, end)):
             self._relay(entry)
             self._accept(entry, reply)
         elif cancelled:
-            entry.future.cancel()
+            _end_as_cancelled(entry.future)
         elif reply is None and not end.lost and not end.reason and not self._waited(entry):
             return False
         elif end.lost or reply is not None:
@@ -178,7 +178,7 @@ class RemoteEngine(Generic[Task]):
         if reply.record is not None:
             entry.future.set_result(reply.record)
         elif reply.error == INTERRUPTED:
-            entry.future.cancel()
+            _end_as_cancelled(entry.future)
         else:
             entry.future.set_exception(EngineError(reply.error))
 
@@ -194,6 +194,16 @@ class RemoteEngine(Generic[Task]):
         self._start([entry])
 
 
-def _was_interrupted(reply: Reply) -> bool:
-    """Whether something other than its tracker or an error ended the work."""
-    return reply.error == INTERRUPTED or (reply.record is not None and reply.record.outcome == "interrupted")
+def _end_as_cancelled(future: Future[TrialRecord]) -> None:
+    """End a future without a record; one that is only cancelled, and not notified, would be waited for without end."""
+    if future.cancel():
+        future.set_running_or_notify_cancel()
+
+
+def _ended_from_outside(reply: Reply, end: TaskEnd) -> bool:
+    """Whether something other than its tracker or an error ended the work.
+
+    What takes a machine away ends trackers too, maybe before the process that would tell the one from the other.
+    """
+    outcome = reply.record.outcome if reply.record is not None else ""
+    return INTERRUPTED in {reply.error, outcome} or (end.lost and outcome != "ok")

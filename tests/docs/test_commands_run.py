@@ -11,6 +11,7 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
+from contextlib import nullcontext
 from pathlib import Path
 
 import pytest
@@ -20,6 +21,7 @@ from gridtrack.recordings import packaged_recording
 from docs import places
 from docs.pages import ROOT, name_of, shell_blocks
 from docs.test_commands import CURRENT
+from scenes.slurm_machine import missing_programs, slurm_machine
 
 SHELL = """set -euo pipefail
 gridtrack() { "$PYTHON" -m gridtrack.cli "$@"; }
@@ -60,6 +62,7 @@ SMALLER = (
     ("compare my.mcap --tracker site", "compare my.mcap@114s-124s --validation my.mcap@75s-81s --tracker site"),
     ("my.mcap --tracker persistence --tracker static-map --engine", "my.mcap@90s-102s --tracker blank --engine"),
     ("--engine ray --address head:6379", "--engine ray --address local"),
+    ("partition=long,timeout_min=240", "partition=low"),
     ("my.mcap --tracker static-map --engine ray", "my.mcap --tracker blank --engine ray --address local"),
     ("RECORDING...", "my.bag@0s-12s"),
     ("RECORDING", "my.bag@0s-12s"),
@@ -133,6 +136,7 @@ PLACES: dict[str, Prepare] = {
         folder, "train.mcap", "validation.mcap", "test-1.mcap", "test-2.mcap"
     ),
     "docs/scale.md": lambda folder: shutil.copyfile(packaged_recording("leg_tracker"), folder / "my.mcap"),
+    "docs/scale.md 2": lambda folder: shutil.copyfile(packaged_recording("leg_tracker"), folder / "my.mcap"),
     "docs/statistics.md": bag_and_clone,
     "docs/trackers/model-free.md": places.clone,
     "docs/trackers/one-shot.md": places.clone,
@@ -163,8 +167,11 @@ def test_the_commands_of_a_page_run(name: str, tmp_path: Path) -> None:
         pytest.skip("takes an hour")
     if "gridtrack simulate" in block and "gridtrack simulate tracks" not in block:
         pytest.importorskip("sumolib", reason="needs the extra sim")
+    if "--engine slurm" in block and missing_programs():
+        pytest.skip(f"not installed: {', '.join(missing_programs())}")
     PLACES.get(name, lambda folder: None)(tmp_path)
-    run(BEFORE.get(name, "") + block, tmp_path)
+    with slurm_machine() if "--engine slurm" in block else nullcontext() as configuration:
+        run(BEFORE.get(name, "") + block, tmp_path, SLURM_CONF=str(configuration))
 
 
 def test_every_block_is_run_and_every_replacement_used() -> None:
@@ -174,8 +181,8 @@ def test_every_block_is_run_and_every_replacement_used() -> None:
     assert [command for command in LONG if command not in text] == []
 
 
-def run(block: str, folder: Path) -> None:
-    """Run a block in `folder` by bash, which ends it at the first command that fails."""
+def run(block: str, folder: Path, **more: str) -> None:
+    """Run a block in `folder` by bash, which ends it at the first command that fails; `more` is of its environment."""
     for old, new in SMALLER:
         block = block.replace(old, new)
     environment = {
@@ -184,6 +191,7 @@ def run(block: str, folder: Path) -> None:
         "SITE": str(folder / "site"),
         "PYTHONPATH": str(folder / "site"),
         "XDG_DATA_HOME": str(folder / "home"),
+        **more,
     }
     done = subprocess.run(
         ["bash", "-c", SHELL + block], cwd=folder, env=environment, capture_output=True, text=True, check=False

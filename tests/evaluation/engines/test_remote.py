@@ -155,6 +155,22 @@ def test_an_interrupt_keeps_the_scores_and_leaves_no_process(settings, progress,
     assert len(cluster.started) == 3
 
 
+def test_an_interrupt_ends_a_run_whose_works_have_nothing_to_reply(settings, progress, cluster, monkeypatch):
+    """As those that still wait for a machine."""
+    cancel, told = cluster.cancel, progress.advanced
+    monkeypatch.setattr(cluster, "cancel", lambda tasks, *, force: cancel(tasks, force=True))
+
+    def advanced(trial):
+        told(trial)
+        if progress.delivered[trial] == 60:
+            os.kill(os.getpid(), signal.SIGINT)
+
+    progress.advanced = advanced
+    summary = compare(settings("staged:sleep_s=0.05"), progress)
+    trial = summary.trackers["staged"].recordings["room"]
+    assert (summary.interrupted, trial.outcome, trial.frames_scored) == (True, "interrupted", 0)
+
+
 def test_a_machine_that_ended_a_work_by_itself_is_as_good_as_lost(settings, progress, cluster):
     """As where a scheduler needs the machine for somebody else."""
     told, preempted = progress.advanced, []
@@ -208,20 +224,21 @@ def test_a_cluster_without_room_for_a_trial_is_refused(settings, progress, clust
         compare(settings("persistence"), progress)
 
 
+@pytest.mark.parametrize("engine", ["ray", "slurm"])
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        ({"latency": True}, "--latency times each tracker alone on a machine, which --engine ray does not give"),
+        ({"latency": True}, "--latency times each tracker alone on a machine, which --engine .* does not give"),
         ({"deadline": True}, "then measure on one machine with --engine local --resume --deadline"),
         ({"jobs": 2}, "--jobs is of --engine local"),
         ({"follow": True}, "--follow runs on this machine"),
     ],
 )
-def test_what_a_cluster_cannot_do_is_refused_in_one_line(settings, given, message):
+def test_what_a_cluster_cannot_do_is_refused_in_one_line(settings, engine, given, message):
     with pytest.raises(ConfigurationError, match=message):
-        resolve(settings("persistence", engine="ray", **given))
+        resolve(settings("persistence", engine=engine, **given))
 
 
 def test_an_address_without_a_cluster_is_refused(settings):
-    with pytest.raises(ConfigurationError, match="--address is of a cluster"):
+    with pytest.raises(ConfigurationError, match="--address is of a Ray cluster"):
         resolve(settings("persistence", address="10.0.0.1:6379"))

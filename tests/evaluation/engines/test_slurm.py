@@ -1,0 +1,220 @@
+"""Runs on a real Slurm of two nodes on this machine: results, trials that Slurm takes away, Ctrl-C, refusals."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+
+import pytest
+
+from gridtrack.common.errors import ConfigurationError
+from gridtrack.evaluation.comparison.plan import resolve
+from gridtrack.evaluation.comparison.runner import run
+from gridtrack.evaluation.comparison.worker import carry_out
+from gridtrack.evaluation.engines import slurm_cluster
+from gridtrack.evaluation.engines.attempt import Attempt, EngineError
+from gridtrack.evaluation.engines.slurm_cluster import SlurmCluster, SlurmTask
+from gridtrack.evaluation.engines.slurm_settings import SlurmSettings, parse_slurm
+from gridtrack.evaluation.results.summary import read_summary
+from gridtrack.evaluation.results.trial_record import read_trial_record
+
+from scenes.agreement import assert_agree, counted, wait_until
+from scenes.slurm_machine import missing_programs, slurm_machine
+
+pytest.importorskip("submitit", reason="submitit is not installed: pip install 'gridtrack[slurm]'")
+needs_slurm = pytest.mark.skipif(
+    bool(missing_programs()),
+    reason=f"{', '.join(missing_programs())} not installed (Debian: apt install slurmctld slurmd slurm-client munge)",
+)
+
+
+@pytest.fixture(scope="module")
+def machine():
+    with slurm_machine() as configuration:
+        yield configuration
+
+
+@pytest.fixture
+def slurm(machine, monkeypatch):
+    """The commands of Slurm are about the cluster of this machine."""
+    monkeypatch.setenv("SLURM_CONF", str(machine))
+    monkeypatch.setattr(slurm_cluster, "ASK_S", 0.5)
+    yield
+    wait_until(lambda: not jobs())
+
+
+def of_slurm(*command):
+    """What a command of Slurm prints, in lines."""
+    return subprocess.run(command, capture_output=True, text=True, check=True).stdout.splitlines()
+
+
+def jobs():
+    """Jobs that wait, run, or have not ended wholly."""
+    return of_slurm("squeue", "--noheader", "--array", "--format=%i")
+
+
+def first_job():
+    """The id and the node of the running task that carries out the first trial."""
+    lines = of_slurm("squeue", "--noheader", "--array", "--states=RUNNING", "--format=%i %N")
+    (found,) = [line.split() for line in lines if line.split()[0].endswith("_0")]
+    return found
+
+
+def cancelled(job, node):
+    of_slurm("scancel", job)
+
+
+def preempted(job, node):
+    """Somebody with a higher priority needs the node."""
+    script = "#!/bin/sh\nsleep 1\n"
+    command = ("sbatch", "--partition=high", f"--nodelist={node}", "--output=/dev/null")
+    subprocess.run(command, input=script, text=True, capture_output=True, check=True)
+
+
+def node_lost(job, node):
+    of_slurm("scontrol", "update", f"nodename={node}", "state=down", "reason=test")
+    of_slurm("scontrol", "update", f"nodename={node}", "state=resume")
+
+
+def killed(job, node):
+    of_slurm("scancel", "--batch", "--signal=KILL", job)
+
+
+@needs_slurm
+@pytest.mark.usefixtures("staged", "slurm")
+@pytest.mark.parametrize(
+    ("take_away", "reason"),
+    [(cancelled, "CANCELLED"), (preempted, "PREEMPTED"), (node_lost, "NODE_FAIL"), (killed, "FAILED: signal 9")],
+)
+def test_a_trial_that_is_taken_away_in_mid_run_changes_no_count(settings, progress, tmp_path, take_away, reason):
+    """It alone starts again; the tracker that fails by itself never does."""
+    requested = settings("staged:sleep_s=0.05", "dies=staged:crash_at=60", engine="slurm")
+    told, taken = progress.advanced, []
+
+    def advanced(trial):
+        told(trial)
+        if not taken and trial == "staged@room" and progress.delivered[trial] > 20:
+            taken.append(first_job())
+            take_away(*taken[0])
+
+    progress.advanced = advanced
+    run(resolve(requested), (), progress)
+    assert taken
+    (lost,) = [note for note in progress.notes if "lost by the engine" in note]
+    assert lost.startswith(f"staged@room: lost by the engine ({reason}")
+    assert lost.endswith("; starts again, 1 of 2")
+    assert "engine slurm: at most 2 trials at the same time" in progress.notes
+    here = requested.model_copy(update={"engine": "local", "out": tmp_path / "local", "jobs": 2})
+    run(resolve(here), (), progress)
+    assert_agree(counted(tmp_path / "run"), counted(tmp_path / "local"))
+    outcomes = {label: read_trial_record(tmp_path / "run" / f"{label}@room").outcome for label in ("staged", "dies")}
+    assert outcomes == {"staged": "ok", "dies": "crashed"}
+
+
+@needs_slurm
+@pytest.mark.usefixtures("staged", "slurm")
+def test_an_interrupt_leaves_no_job_and_keeps_the_scores(settings, tmp_path):
+    """One trial is complete, two are running, and one still waits for a node."""
+    words = ["compare", *settings().recordings, "--horizon", "1s", "--every", "0.5s", "--out", str(tmp_path / "run")]
+    words += ["--engine", "slurm", "--slurm", "partition=low,timeout_min=5,mem_gb=0.5", "--tracker", "persistence"]
+    for label in ("a", "b", "c"):
+        words += ["--tracker", f"{label}=staged:sleep_s=0.2"]
+    host = subprocess.Popen([sys.executable, "-m", "gridtrack.cli", *words])
+    wait_until((tmp_path / "run" / "persistence@room" / "outcome.json").exists)
+    attempts = (tmp_path / "run" / ".engine").glob
+    wait_until(lambda: any(Attempt(path.parent).progress().delivered > 90 for path in attempts("*/*/progress.json")))
+    assert len(jobs()) == 3
+    host.send_signal(signal.SIGINT)
+    assert host.wait(300) == 130
+    wait_until(lambda: not jobs(), 10)
+    summary = read_summary(tmp_path / "run")
+    assert summary.interrupted
+    assert summary.trackers["persistence"].recordings["room"].outcome == "ok"
+    partial = summary.trackers["a"].recordings["room"]
+    assert (partial.outcome, 0 < partial.frames_scored < 16) == ("interrupted", True)
+    assert summary.trackers["c"].recordings["room"].frames_scored == 0
+    assert not (tmp_path / "run" / ".engine").exists()
+
+
+@needs_slurm
+@pytest.mark.usefixtures("slurm")
+def test_a_job_that_slurm_has_forgotten_is_lost_unless_it_has_replied(tmp_path):
+    tasks = [SlurmTask(f"999999_{number}", tmp_path / str(number), tmp_path / "log") for number in range(2)]
+    tasks[0].folder.mkdir()
+    (tasks[0].folder / "reply.json").write_text("{}")
+    ends = SlurmCluster(SlurmSettings(), 1, carry_out).ended(tasks)
+    assert [ends[task].lost for task in tasks] == [False, True]
+
+
+@needs_slurm
+@pytest.mark.usefixtures("slurm")
+def test_a_job_that_cannot_start_tells_the_last_line_of_its_errors(settings, progress, monkeypatch):
+    monkeypatch.setenv("PYTHONPATH", "/nowhere")
+    monkeypatch.setattr(sys, "executable", "/nowhere/python")
+    requested = settings("persistence", engine="slurm")
+    reason = run(resolve(requested), (), progress).trackers["persistence"].recordings["room"].reason
+    assert reason.startswith("FAILED: ")
+    assert "/nowhere/python" in reason
+    assert not [note for note in progress.notes if "lost by the engine" in note]
+
+
+@needs_slurm
+@pytest.mark.usefixtures("slurm")
+@pytest.mark.parametrize(
+    ("given", "error", "message"),
+    [
+        ("partition=nope", ConfigurationError, "Slurm has no partition 'nope'; known: high, low"),
+        ("mem_gb=5000", EngineError, "sbatch: Batch job submission failed: "),
+    ],
+)
+def test_what_slurm_cannot_give_is_refused_in_one_line(settings, progress, capfd, given, error, message):
+    with pytest.raises(error, match=message) as refused:
+        run(resolve(settings("persistence", engine="slurm", slurm=parse_slurm(given))), (), progress)
+    assert "\n" not in str(refused.value)
+    assert capfd.readouterr().err == ""
+    assert jobs() == []
+
+
+@needs_slurm
+def test_a_slurm_that_does_not_answer_is_one_line(settings, progress, tmp_path, monkeypatch):
+    configuration = "ClusterName=test\nSlurmctldHost=localhost\nSlurmctldPort=9\nMessageTimeout=2\nNodeName=one\n"
+    (tmp_path / "slurm.conf").write_text(f"{configuration}PartitionName=low Nodes=one\n", "utf-8")
+    monkeypatch.setenv("SLURM_CONF", str(tmp_path / "slurm.conf"))
+    with pytest.raises(ConfigurationError, match="--engine slurm: no Slurm cluster answers here") as refused:
+        run(resolve(settings("persistence", engine="slurm")), (), progress)
+    assert "\n" not in str(refused.value)
+
+
+def test_a_machine_without_slurm_is_one_line(settings, progress, tmp_path, monkeypatch):
+    monkeypatch.setenv("PATH", str(tmp_path))
+    with pytest.raises(ConfigurationError, match="this machine has no commands of Slurm"):
+        run(resolve(settings("persistence", engine="slurm")), (), progress)
+
+
+def test_what_a_trial_asks_of_slurm_is_read_as_submitit_names_it():
+    given = parse_slurm("partition=long,account=1207,timeout_min=240,mem_gb=7.5")
+    assert given == SlurmSettings(partition="long", account="1207", timeout_min=240, mem_gb=7.5)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("time=3", "--slurm: there is no option 'time'; known: account, mem_gb, partition, timeout_min"),
+        ("timeout_min=0", "--slurm: 'timeout_min' = 0: Input should be greater than or equal to 1"),
+        ("mem_gb=much", "--slurm: 'mem_gb' = 'much': Input should be a valid number"),
+        ('partition="a b"', "--slurm: 'partition' = 'a b': String should match pattern"),
+        ("long", "--slurm: 'long' is not of the form key=value"),
+    ],
+)
+def test_a_wrong_demand_on_slurm_is_one_line(text, message):
+    with pytest.raises(ConfigurationError) as refused:
+        parse_slurm(text)
+    assert str(refused.value).startswith(message)
+
+
+def test_demands_on_slurm_without_slurm_are_refused(settings):
+    with pytest.raises(ConfigurationError, match="--slurm is of a Slurm cluster"):
+        resolve(settings("persistence", engine="ray", slurm=SlurmSettings()))
+    with pytest.raises(ConfigurationError, match="--address is of a Ray cluster"):
+        resolve(settings("persistence", engine="slurm", address="10.0.0.1:6379"))
