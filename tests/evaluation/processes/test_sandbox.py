@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import shutil
 import socket
 import subprocess
 import sys
@@ -107,10 +106,9 @@ def test_files_can_be_made_in_its_own_memory_only(attack):
 
 @pytest.mark.parametrize("folder", ["/tmp", "/dev/shm"])
 def test_files_in_its_memory_count_as_memory(attack, folder):
-    before = shutil.disk_usage("/tmp").free
     with pytest.raises(TrialEnded, match=f"more than {MEMORY_MB} MB of resident memory"):
         attack("fills", folder)
-    assert shutil.disk_usage("/tmp").free > before - (MEMORY_MB << 19)
+    assert not Path(folder, "burglar").exists()
 
 
 @pytest.mark.parametrize("confined", [False, True], ids=["open", "sandbox"])
