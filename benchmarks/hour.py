@@ -1,50 +1,132 @@
 """One hour of frames through a whole tracker: memory, times of updates and forecasts, and recoveries over the hour.
 
-`python -m benchmarks.hour [TRACKER...]` (kalman, factor-graph and dogma by default; twenty minutes). One minute of the
-junction is repeated sixty times without a reset; at each repetition every moving body jumps. A forecast of 20 steps is
-made every two seconds.
+`python -m benchmarks.hour [TRACKER...] [--moving] [--out FILE]` (those of MINUTES; a quarter of an hour). One minute of
+the junction is repeated without a reset; at each repetition every moving body jumps, with `--moving` the laser too: a
+delivery robot carries it. A forecast of 20 steps is made every two seconds. Each tracker runs in a process of its own.
 """
 
 from __future__ import annotations
 
 import argparse
+import multiprocessing
 import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from multiprocessing.connection import Connection
+from pathlib import Path
 
 import psutil
 
-from gridtrack.recordings.stream import open_stream
+from gridtrack.evaluation.comparison.learned import find_weights, weights_in
+from gridtrack.recordings.stream import GridStream, open_stream
+from gridtrack.trackers import registry
+from gridtrack.trackers.contract import Tracker, stream_of
 
 from benchmarks.timing import p50_p95
-from studies.support.shipped import JUNCTION, STEPS, shipped_tracker
+from studies.support.results_file import ResultTable, measured_table, write_table
+from studies.support.shipped import DATA, JUNCTION, STEPS
 
-REPORT_EVERY, FORECAST_EVERY = 10, 16
+PART_MINUTES, FORECAST_EVERY = 10, 16
+MINUTES = {
+    "persistence": 60,
+    "kalman": 60,
+    "factor-graph": 60,
+    "dogma": 60,
+    "dilated-convgru": 20,
+    "deep-tracking-rnn": 20,
+}
+MOVING_MINUTES = {"persistence": 60, "kalman": 60, "dogma": 60, "dilated-convgru": 20}
+"""The others have no weights for a laser that moves."""
+DRIVE_WEIGHTS = Path("studies/trainings/drives")
+COLUMNS = ("tracker", "minutes", "MiB", "update, ms", "forecast, ms", "recoveries")
+
+
+@dataclass(frozen=True)
+class Part:
+    """Ten minutes of frames: memory at their end, and times of their calls."""
+
+    minutes: int
+    memory_mib: float
+    updates_ms: Sequence[float]
+    forecasts_ms: Sequence[float]
+    recoveries: int
+
+
+def tracker_on(name: str, stream: GridStream, moving: bool) -> Tracker:
+    """The tracker with its weights for the site, or of drives where it has some, else general ones."""
+    trained_on_drives = moving and list((DRIVE_WEIGHTS / name).glob("*.toml"))
+    if trained_on_drives:
+        found = weights_in(DRIVE_WEIGHTS, name, stream.site)
+    else:
+        found = find_weights(name, stream.site, None, "general" if moving else "any")
+    kind = registry.load(name)
+    tracker = kind(stream_of(stream, found.path if found else None), kind.Options())
+    tracker.reset(0)
+    return tracker
+
+
+def stream_frames(name: str, minutes: int, moving: bool, parts: Connection) -> None:
+    """Stream so many minutes, and send each Part."""
+    recording = DATA / "drives" / "robot-203.tracks" if moving else JUNCTION / "test-101.tracks"
+    stream = open_stream(recording)
+    frames = list(stream)
+    tracker, process = tracker_on(name, stream, moving), psutil.Process()
+    for first in range(0, minutes, PART_MINUTES):
+        updates, forecasts = [], []
+        repeats = min(PART_MINUTES, minutes - first)
+        for number, frame in enumerate(frames * repeats):
+            began = time.perf_counter()
+            tracker.update(frame)
+            updates.append(1e3 * (time.perf_counter() - began))
+            if number % FORECAST_EVERY == 0:
+                began = time.perf_counter()
+                tracker.predict(STEPS)
+                forecasts.append(1e3 * (time.perf_counter() - began))
+        memory = process.memory_info().rss / 2**20
+        parts.send(Part(first + repeats, memory, updates, forecasts, tracker.recoveries))
+    parts.close()
+
+
+def parts_of(name: str, minutes: int, moving: bool) -> list[Part]:
+    """The parts of a tracker, each printed when it is there."""
+    context, found = multiprocessing.get_context("spawn"), []
+    receiver, sender = context.Pipe(duplex=False)
+    process = context.Process(target=stream_frames, args=(name, minutes, moving, sender))
+    process.start()
+    sender.close()
+    try:
+        while True:
+            found.append(receiver.recv())
+            print(" ".join(row_of(name, found[-1])), flush=True)
+    except EOFError:
+        process.join()
+    if process.exitcode:
+        raise SystemExit(f"{name}: ended with exit code {process.exitcode}")
+    return found
+
+
+def row_of(name: str, part: Part) -> list[str]:
+    """A part as it is printed; times are the median and the 95th percentile."""
+    times = p50_p95(part.updates_ms), p50_p95(part.forecasts_ms)
+    return [name, str(part.minutes), f"{part.memory_mib:.0f}", *times, str(part.recoveries)]
+
+
+def table_of(parts: dict[str, list[Part]]) -> ResultTable:
+    """The first and the last part of each tracker."""
+    return measured_table(COLUMNS, [row_of(name, part) for name, own in parts.items() for part in (own[0], own[-1])])
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("trackers", nargs="*", default=["kalman", "factor-graph", "dogma"])
-    parser.add_argument("--minutes", type=int, default=60)
-    arguments = parser.parse_args()
-    stream = open_stream(JUNCTION / "test-101.tracks")
-    frames = list(stream)
-    for name in arguments.trackers:
-        tracker, process = shipped_tracker(name, stream), psutil.Process()
-        print(f"{name}: minutes, MiB, update p50 / p95 ms, forecast p50 / p95 ms, recoveries")
-        for first in range(0, arguments.minutes, REPORT_EVERY):
-            updates, forecasts = [], []
-            repeats = min(REPORT_EVERY, arguments.minutes - first)
-            for number, frame in enumerate(frames * repeats):
-                began = time.perf_counter()
-                tracker.update(frame)
-                updates.append(1e3 * (time.perf_counter() - began))
-                if number % FORECAST_EVERY == 0:
-                    began = time.perf_counter()
-                    tracker.predict(STEPS)
-                    forecasts.append(1e3 * (time.perf_counter() - began))
-            minutes = round((first + repeats) * len(frames) * stream.period_s / 60)
-            memory = process.memory_info().rss / 2**20
-            times = f"{p50_p95(updates):>14}   {p50_p95(forecasts):>14}"
-            print(f"{minutes:6} {memory:8.1f}   {times}   {tracker.recoveries}", flush=True)
+    parser.add_argument("trackers", nargs="*", help="default: all that have weights")
+    parser.add_argument("--moving", action="store_true", help="a laser that moves")
+    parser.add_argument("--minutes", type=int, help="of frames; default: an hour, of networks twenty minutes")
+    parser.add_argument("--out", type=Path, help="results file, such as docs/results/robustness.json")
+    given = parser.parse_args()
+    every = MOVING_MINUTES if given.moving else MINUTES
+    parts = {name: parts_of(name, given.minutes or every[name], given.moving) for name in given.trackers or every}
+    command = f"python -m benchmarks.hour{' --moving' if given.moving else ''}"
+    write_table(given.out, "frames, moving" if given.moving else "frames", table_of(parts), command)
 
 
 if __name__ == "__main__":

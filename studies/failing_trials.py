@@ -144,6 +144,8 @@ def main() -> None:
     parser.add_argument("--trials", type=int, default=28 * len(FAULTS))
     parser.add_argument("--sandbox", action="store_true", help="confine the trackers")
     given = parser.parse_args()
+    if given.trials < len(FAULTS):
+        parser.error(f"--trials {given.trials}: a round has {len(FAULTS)}")
     limits = LIMITS.model_copy(update={"sandbox": given.sandbox})
     trials: dict[str, list[Trial]] = defaultdict(list)
     first: dict[str, float] = {}

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Protocol
 
 from gridtrack.evaluation.comparison.oracle import ORACLE_REPLACES, oracle_validation, run_oracle
-from gridtrack.evaluation.comparison.orders import Order
+from gridtrack.evaluation.comparison.orders import Order, OrderKind
 from gridtrack.evaluation.comparison.plan import Trial
 from gridtrack.evaluation.comparison.prior_pass import PriorRun
 from gridtrack.evaluation.comparison.robustness_pass import RobustnessRun
@@ -116,48 +116,52 @@ class OracleWork:
         return f"{self.split.name}: no oracle: {_reason(error)}"
 
 
-class PriorWork(_InterruptedOnce):
-    """What a row with weights expects of a place, added to the trial's record."""
+class _MeasurementWork(_InterruptedOnce):
+    """A measurement that follows the scores of a trial, added to the trial's record."""
+
+    kind: OrderKind
+    what: str
+    """Its name in notices."""
 
     def __init__(self, trial: Trial, record: TrialRecord, folder: Path, shared: SharedInputs) -> None:
-        """The table and the log go to the trial's `folder`."""
+        """Its files go to the trial's `folder`."""
         super().__init__()
         self.trial, self.record, self._folder, self._shared = trial, record, folder, shared
         self.name, self.replaces = trial.name, ()
 
     def order(self) -> str:
         """Its description as JSON."""
-        return Order.of("prior", self.trial, self._shared, self.record).model_dump_json(by_alias=True)
+        return Order.of(self.kind, self.trial, self._shared, self.record).model_dump_json(by_alias=True)
+
+    def on_error(self, error: Exception) -> str:
+        """The notice for the user."""
+        return not_measured(self.trial, self.what, error)
+
+
+class PriorWork(_MeasurementWork):
+    """What a row with weights expects of a place."""
+
+    kind: OrderKind = "prior"
+    what = "its prior"
 
     def prepare(self) -> None:
         """It needs no regions."""
 
     def run(self, monitor: Monitor) -> TrialRecord:
         """Measure the prior. Raises Interrupted, TrialEnded."""
-        monitor.note(f"{self.name}: its prior")
+        monitor.note(f"{self.name}: {self.what}")
         run = PriorRun(self.trial, self._folder)
         self.begin(run)
         run.run(monitor.check)
         files = {**self.record.files, **hashes_of(self._folder, (PRIOR_TABLE.file,))}
         return written(self._folder, self.record.model_copy(update={"files": files}))
 
-    def on_error(self, error: Exception) -> str:
-        """The notice for the user."""
-        return not_measured(self.trial, "its prior", error)
 
+class RobustnessWork(_MeasurementWork):
+    """The scores of a trial on the degraded input that the settings of the run ask for."""
 
-class RobustnessWork(_InterruptedOnce):
-    """The scores of a trial on the degraded input that the settings of the run ask for, added to its record."""
-
-    def __init__(self, trial: Trial, record: TrialRecord, folder: Path, shared: SharedInputs) -> None:
-        """The log goes to the trial's `folder`."""
-        super().__init__()
-        self.trial, self.record, self._folder, self._shared = trial, record, folder, shared
-        self.name, self.replaces = trial.name, ()
-
-    def order(self) -> str:
-        """Its description as JSON."""
-        return Order.of("robustness", self.trial, self._shared, self.record).model_dump_json(by_alias=True)
+    kind: OrderKind = "robustness"
+    what = "degraded input"
 
     def prepare(self) -> None:
         """Find the regions of the recording."""
@@ -165,17 +169,13 @@ class RobustnessWork(_InterruptedOnce):
 
     def run(self, monitor: Monitor) -> TrialRecord:
         """Run the pass. Raises Interrupted, TrialEnded."""
-        monitor.note(f"{self.name}: degraded input")
+        monitor.note(f"{self.name}: {self.what}")
         degradation = self._shared.settings.degrade
         assert degradation is not None, "the run asks for no degraded input"
         run = RobustnessRun(self.trial, degradation, self._folder)
         self.begin(run)
         robustness = run.run(self._shared.regions_of(self.trial.split), self.record.thresholds, monitor.check)
         return written(self._folder, self.record.model_copy(update={"robustness": robustness}))
-
-    def on_error(self, error: Exception) -> str:
-        """The notice for the user."""
-        return not_measured(self.trial, "degraded input", error)
 
 
 RunWork = TrialWork | OracleWork | PriorWork | RobustnessWork

@@ -24,6 +24,7 @@ COMMANDS = [
 QUICK = {
     "benchmarks.dogma": ["--particles", "1000"],
     "benchmarks.estimators": ["--frames", "5", "--hours", "0.001"],
+    "benchmarks.hour": ["persistence", "--minutes", "1"],
     "benchmarks.moving_sensor": ["persistence", "--frames", "3", "--rounds", "1"],
     "studies.drawn_scans": ["data/junction/test-101.tracks", "--draws", "1"],
     "studies.estimator_errors": ["--runs", "2"],
