@@ -1,7 +1,7 @@
 """All benchmarks that need no more than what `make test` installs, one after the other (half an hour).
 
-`python -m benchmarks`. The others, `follow`, `junction`, `report_size` and `stone_soup`, name what they need in their
-first lines.
+`python -m benchmarks`. The others, `follow`, `junction`, `report_size`, `scale` and `stone_soup`, name what they need
+in their first lines.
 """
 
 from __future__ import annotations

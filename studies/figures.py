@@ -41,7 +41,7 @@ DECIMAL = re.compile(r"(?<![\w.])\d*\.\d+(?![\w]|\.\d)")
 
 def marked_pages(root: Path = ROOT) -> list[Path]:
     """The pages with generated numbers: the results pages, and those on methods that were measured."""
-    names = ("follow.md", "regress.md", "statistics.md", "notebook/statistics.md", "notebook/thresholds.md")
+    names = ("follow.md", "regress.md", "scale.md", "statistics.md", "notebook/statistics.md", "notebook/thresholds.md")
     methods = [root / "docs" / name for name in names]
     return [*results_pages(root), *filter(Path.exists, methods)]
 

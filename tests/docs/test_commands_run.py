@@ -21,7 +21,7 @@ from gridtrack.recordings import packaged_recording
 from docs import places
 from docs.pages import ROOT, name_of, shell_blocks
 from docs.test_commands import CURRENT
-from scenes.slurm_machine import missing_programs, slurm_machine
+from studies.support.slurm_machine import missing_programs, slurm_machine
 
 SHELL = """set -euo pipefail
 gridtrack() { "$PYTHON" -m gridtrack.cli "$@"; }

@@ -20,7 +20,7 @@ from gridtrack.evaluation.results.summary import read_summary
 from gridtrack.evaluation.results.trial_record import read_trial_record
 
 from scenes.agreement import assert_agree, counted, wait_until
-from scenes.slurm_machine import missing_programs, slurm_machine
+from studies.support.slurm_machine import missing_programs, slurm_machine
 
 pytest.importorskip("submitit", reason="submitit is not installed: pip install 'gridtrack[slurm]'")
 needs_slurm = pytest.mark.skipif(

@@ -8,13 +8,13 @@ import shutil
 import socket
 import subprocess
 import tempfile
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
 
-from scenes.agreement import wait_until
-
 NODES = ("one", "two")
+START_S = 120.0
 CONFIGURATION = """\
 ClusterName=test
 SlurmctldHost={host}(127.0.0.1)
@@ -57,7 +57,7 @@ def missing_programs() -> list[str]:
 
 @contextmanager
 def slurm_machine() -> Iterator[Path]:
-    """A running cluster; the path of its slurm.conf."""
+    """A running cluster; the path of its slurm.conf. Raises TimeoutError where a daemon does not start."""
     # the path of a socket has at most 107 characters, which a folder of pytest may have already
     with tempfile.TemporaryDirectory(prefix="slurm-") as name, ExitStack() as daemons:
         folder = Path(name)
@@ -70,12 +70,20 @@ def slurm_machine() -> Iterator[Path]:
         files = {"key-file": "key", "socket": "socket", "pid-file": "pid", "log-file": "log", "seed-file": "seed"}
         munge = [f"--{option}={folder}/munge.{end}" for option, end in files.items()]
         daemons.enter_context(_daemon(folder, "munged", "--foreground", "--force", *munge))
-        wait_until((folder / "munge.socket").exists)
+        _await((folder / "munge.socket").exists)
         daemons.enter_context(_daemon(folder, "slurmctld", "-D", "-f", str(configuration)))
         for node in NODES:
             daemons.enter_context(_daemon(folder, "slurmd", "-D", "-N", node, "-f", str(configuration)))
-        wait_until(lambda: _idle_nodes(configuration) == len(NODES))
+        _await(lambda: _idle_nodes(configuration) == len(NODES))
         yield configuration
+
+
+def _await(true: Callable[[], bool]) -> None:
+    end = time.monotonic() + START_S
+    while not true():
+        if time.monotonic() > end:
+            raise TimeoutError(f"Slurm has not started within {START_S:g} s")
+        time.sleep(0.05)
 
 
 def _free_ports(count: int) -> list[int]:
