@@ -3,8 +3,8 @@
 `python -m studies.kill_points [--points 102] [--engine local]` compares three trackers on two stretches of a hall, once
 undisturbed, then once for each kill: a process is killed (SIGKILL) at a moment drawn from the duration of the
 undisturbed run, its processes and temporary files that are left are counted, and `--resume` completes the run, whose
-files must have the hashes of the undisturbed one. Writes docs/results/robustness.json. `--engine ray` makes a cluster
-of three nodes of this machine. Half a minute a point on an idle core.
+files must have the hashes of the undisturbed one. Writes docs/results/robustness.json. `--engine ray` and `--engine
+slurm` make a cluster on this machine. Half a minute a point on an idle core.
 """
 
 from __future__ import annotations
@@ -29,6 +29,7 @@ from gridtrack.evaluation.processes.orphans import adopt_orphans
 from gridtrack.evaluation.results.trial_record import read_trial_record
 
 from studies.support.results_file import ResultSection, measured_table, write_section
+from studies.support.slurm_machine import slurm_machine
 
 HALL = "data/leg_tracker/leg_tracker.mcap"
 STRETCHES, TRACKERS = ("95s-100s", "105s-110s"), ("persistence", "static-map", "kalman")
@@ -147,6 +148,11 @@ def engine_words(engine: str) -> Iterator[list[str]]:
     if engine == "local":
         yield ["--jobs", "2"]
         return
+    if engine == "slurm":
+        with slurm_machine() as configuration:
+            os.environ["SLURM_CONF"] = str(configuration)
+            yield ["--engine", "slurm"]
+        return
     from ray.cluster_utils import Cluster
 
     cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 0, "include_dashboard": False})
@@ -179,7 +185,7 @@ def write_results(engine: str, kills: Sequence[Kill], duration_s: float) -> None
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--points", type=int, default=102, help="kills, a third of them for each kind of process")
-    parser.add_argument("--engine", choices=("local", "ray"), default="local")
+    parser.add_argument("--engine", choices=("local", "ray", "slurm"), default="local")
     parser.add_argument("--seed", type=int, default=0, help="of the moments")
     given = parser.parse_args()
     adopt_orphans()
