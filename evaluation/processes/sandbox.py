@@ -10,6 +10,7 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Iterable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -62,8 +63,8 @@ class View:
         for path in self.files:
             yield from ("--ro-bind", str(path), str(path))
         for number, path in enumerate(self.compiled):
-            size = CACHE_ROOM + sum(file.stat().st_size for file in path.iterdir())
-            yield from ("--ro-bind", str(path), f"{CACHES}/{number}", "--size", str(size), "--tmpfs", str(path))
+            size = str(CACHE_ROOM + _bytes_in(path))
+            yield from ("--ro-bind", str(path), f"{CACHES}/{number}", "--size", size, "--tmpfs", str(path))
 
     def starting(self, argv: Iterable[str]) -> tuple[str, ...]:
         """The command in the sandbox: `argv`, after a shell that copies the compiled code where there is some."""
@@ -154,6 +155,15 @@ def compiled_folders(program: str) -> tuple[Path, ...]:
         return ()
     roots = [GRIDTRACK.resolve() / part for part in GRIDTRACK_CODE]
     return tuple(sorted({file.parent for root in roots for file in root.rglob("*.nbi")}))
+
+
+def _bytes_in(folder: Path) -> int:
+    """The size of the files in a folder; another process may replace some meanwhile."""
+    total = 0
+    for file in folder.iterdir():
+        with suppress(FileNotFoundError):
+            total += file.stat().st_size
+    return total
 
 
 def _prefixes(python: Path) -> tuple[Path, ...]:
