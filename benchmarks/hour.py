@@ -11,7 +11,8 @@ import argparse
 import multiprocessing
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import product
 from multiprocessing.connection import Connection
 from pathlib import Path
 
@@ -74,9 +75,10 @@ def stream_frames(name: str, minutes: int, moving: bool, parts: Connection) -> N
     for first in range(0, minutes, PART_MINUTES):
         updates, forecasts = [], []
         repeats = min(PART_MINUTES, minutes - first)
-        for number, frame in enumerate(frames * repeats):
+        for number, (repeat, frame) in enumerate(product(range(first, first + repeats), frames)):
+            later = replace(frame, stamp_ns=frame.stamp_ns + repeat * len(frames) * stream.period_ns)
             began = time.perf_counter()
-            tracker.update(frame)
+            tracker.update(later)
             updates.append(1e3 * (time.perf_counter() - began))
             if number % FORECAST_EVERY == 0:
                 began = time.perf_counter()

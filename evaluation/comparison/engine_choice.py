@@ -21,4 +21,4 @@ def engine_of(settings: CompareSettings, progress: RunObserver) -> Engine:
     if settings.engine == "slurm":
         cluster = SlurmCluster(settings.slurm or SlurmSettings(), cores, carry_out)
         return RemoteEngine(cluster, settings.out, progress)
-    return LocalEngine(settings.jobs or max(1, usable_cores() // cores), progress)
+    return LocalEngine(settings.jobs or max(1, usable_cores() // cores), settings.out, progress)

@@ -6,22 +6,22 @@ import threading
 from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from types import TracebackType
 from typing import Self
 
 from gridtrack.evaluation.engines.engine import Interrupted, RunObserver, Work
+from gridtrack.evaluation.engines.scratch import new_scratch, remove_scratch
 from gridtrack.evaluation.results.trial_record import TrialRecord
 
 
 class LocalEngine:
     """An Engine of `capacity` threads. `observer` receives the progress of the works."""
 
-    def __init__(self, capacity: int, observer: RunObserver) -> None:
+    def __init__(self, capacity: int, run_folder: Path, observer: RunObserver) -> None:
+        """Raises OSError."""
         self.capacity = capacity
-        self._observer = observer
-        self._folder = TemporaryDirectory(prefix="gridtrack-weights-")
-        self.scratch = Path(self._folder.name)
+        self._run_folder, self._observer = run_folder.absolute(), observer
+        self.scratch = new_scratch(self._run_folder)
         self._threads = ThreadPoolExecutor(capacity, "trial")
         self._stop = threading.Event()
         self._futures: list[Future[TrialRecord]] = []
@@ -36,7 +36,7 @@ class LocalEngine:
         if kind is not None:
             self.cancel()
         self._threads.shutdown()
-        self._folder.cleanup()
+        remove_scratch(self._run_folder)
 
     def submit(self, works: Sequence[Work]) -> list[Future[TrialRecord]]:
         """Carry out `works`; what they share is made before this returns."""

@@ -9,16 +9,15 @@ from collections.abc import Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass, field
 from pathlib import Path
-from tempfile import mkdtemp
 from types import TracebackType
 from typing import Generic, Self
 
 from gridtrack.evaluation.engines.attempt import INTERRUPTED, Attempt, AttemptProgress, EngineError, Reply
 from gridtrack.evaluation.engines.cluster import Task, TaskCluster, TaskEnd
 from gridtrack.evaluation.engines.engine import RunObserver, Work
+from gridtrack.evaluation.engines.scratch import new_scratch, remove_scratch
 from gridtrack.evaluation.results.trial_record import TrialRecord
 
-SCRATCH = ".engine"
 """The folder in the run's folder for what host and machines exchange; removed at the end of the run."""
 LOOK_S = 0.5
 RETRIES = 2
@@ -57,9 +56,7 @@ class RemoteEngine(Generic[Task]):
             raise EngineError(f"{cluster.name}: no machine of the cluster has the cores for one trial: lower --threads")
         self.capacity = cluster.capacity
         self._cluster, self._run_folder, self._observer = cluster, run_folder.absolute(), observer
-        shutil.rmtree(self._run_folder / SCRATCH, ignore_errors=True)
-        (self._run_folder / SCRATCH).mkdir(exist_ok=True)
-        self.scratch = Path(mkdtemp(dir=self._run_folder / SCRATCH))
+        self.scratch = new_scratch(self._run_folder)
         self._lock = threading.Lock()
         self._running: dict[Task, _Submitted] = {}
         self._count = 0
@@ -80,7 +77,7 @@ class RemoteEngine(Generic[Task]):
         with self._lock:
             self._cluster.cancel(self._running, force=True)
         self._cluster.close()
-        shutil.rmtree(self._run_folder / SCRATCH, ignore_errors=True)
+        remove_scratch(self._run_folder)
 
     def submit(self, works: Sequence[Work]) -> list[Future[TrialRecord]]:
         """Start an attempt at each of `works`. Raises EngineError, OSError."""

@@ -1,0 +1,20 @@
+"""The engine of this machine: what it keeps while a run lasts."""
+
+from __future__ import annotations
+
+from gridtrack.evaluation.comparison.plan import resolve
+from gridtrack.evaluation.comparison.runner import run
+from gridtrack.evaluation.engines.local import LocalEngine
+
+
+def test_what_a_killed_run_left_behind_is_removed(settings, progress, tmp_path):
+    left = tmp_path / "run" / ".engine" / "of-a-killed-run" / "kalman.toml"
+    left.parent.mkdir(parents=True)
+    left.write_text("weights")
+    with LocalEngine(1, tmp_path / "run", progress) as engine:
+        assert not left.exists()
+        assert engine.scratch.is_relative_to(tmp_path / "run")
+        assert list(engine.scratch.iterdir()) == []
+    assert not (tmp_path / "run" / ".engine").exists()
+    run(resolve(settings("persistence")), (), progress)
+    assert not (tmp_path / "run" / ".engine").exists()
