@@ -188,7 +188,7 @@ class Tracker(ABC):
 
     @abstractmethod
     def update(self, frame: GridFrame) -> None:
-        """Update the state with frame x_t. With `--deadline` frames are missed: stamps then lie periods apart."""
+        """Update the state with frame x_t, which is newer than the last; frames may be missing between the two."""
 
     @abstractmethod
     def predict(self, steps: int) -> Forecast:
