@@ -55,11 +55,9 @@ class Part:
 
 def tracker_on(name: str, stream: GridStream, moving: bool) -> Tracker:
     """The tracker with its weights for the site, or of drives where it has some, else general ones."""
-    trained_on_drives = moving and list((DRIVE_WEIGHTS / name).glob("*.toml"))
-    if trained_on_drives:
+    found = find_weights(name, stream.site, None, "general" if moving else "any")
+    if moving and list((DRIVE_WEIGHTS / name).glob("*.toml")):
         found = weights_in(DRIVE_WEIGHTS, name, stream.site)
-    else:
-        found = find_weights(name, stream.site, None, "general" if moving else "any")
     kind = registry.load(name)
     tracker = kind(stream_of(stream, found.path if found else None), kind.Options())
     tracker.reset(0)
