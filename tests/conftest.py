@@ -10,6 +10,8 @@ from pathlib import Path
 
 import pytest
 
+from gridtrack.evaluation.processes.supervisor import PR_SET_CHILD_SUBREAPER, prctl
+
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # workers fill the cores: two threads beside a busy core crawl
 
 # a shell that runs the tests in the background has them ignore Ctrl-C, and with them every process that they start
@@ -27,6 +29,13 @@ def own_cache_of_stretches(tmp_path_factory: pytest.TempPathFactory) -> Iterator
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("gridtrack.common.cache.user_cache_folder", lambda: folder)
         yield
+
+
+@pytest.fixture(autouse=True)
+def adopts_no_orphans() -> Iterator[None]:
+    """A command that ran in this process has made it the parent of orphans, which other tests expect to be gone."""
+    yield
+    prctl(PR_SET_CHILD_SUBREAPER, 0)
 
 
 @pytest.fixture

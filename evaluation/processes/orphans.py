@@ -12,9 +12,7 @@ from pathlib import Path
 from subprocess import Popen
 from typing import Any
 
-from gridtrack.evaluation.processes.supervisor import PR_SET_CHILD_SUBREAPER, descendants, prctl
-
-GIVE_UP_S = 5.0
+from gridtrack.evaluation.processes.supervisor import GIVE_UP_S, PR_SET_CHILD_SUBREAPER, descendants, prctl
 
 _lock = threading.Lock()
 _leaders: set[int] = set()

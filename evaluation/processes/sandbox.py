@@ -42,7 +42,7 @@ COPY = f'n=0; while [ "$1" != -- ]; do cp {CACHES}/$n/* "$1"/; n=$((n+1)); shift
 
 
 @dataclass(frozen=True, slots=True)
-class View:
+class SandboxView:
     """What a sandboxed program sees, beside the system's libraries: `folders` and files, without what is `hidden`."""
 
     folders: tuple[Path, ...]
@@ -86,7 +86,7 @@ def _problem() -> str:
         return "trackers are confined on Linux only: run them in a container, without --sandbox"
     if shutil.which(BUBBLEWRAP) is None:
         return "bubblewrap is not installed: install the package `bubblewrap` of the system (`apt install bubblewrap`)"
-    command = confined(("true",), View(()), 16, None)
+    command = confined(("true",), SandboxView(()), 16, None)
     try:
         tried = subprocess.run(command, capture_output=True, timeout=PROBE_S, check=False)
     except (OSError, subprocess.TimeoutExpired) as error:
@@ -111,12 +111,12 @@ def confine(
     check_sandbox()
     program = launch.argv[0]
     folders = code_folders(program, launch.cwd, environment)
-    view = View(folders, tuple(hidden), tuple(files), compiled_folders(program))
+    view = SandboxView(folders, tuple(hidden), tuple(files), compiled_folders(program))
     variables = {name: environment[name] for name in KEPT_VARIABLES if name in environment}
     return confined(launch.argv, view, memory_mb, launch.cwd), variables
 
 
-def confined(argv: Iterable[str], view: View, memory_mb: int, cwd: Path | None) -> tuple[str, ...]:
+def confined(argv: Iterable[str], view: SandboxView, memory_mb: int, cwd: Path | None) -> tuple[str, ...]:
     """The command that runs `argv` with `view`, in the folder `cwd`; /tmp and /dev/shm have `memory_mb` MiB each."""
     size = str(memory_mb << 20)
     options = [f"--unshare-{name}" for name in NAMESPACES]

@@ -287,7 +287,7 @@ def test_a_folder_locked_by_a_run_is_refused_until_the_run_has_ended(settings, p
 
 
 def test_a_run_with_a_killed_host_is_resumed(settings, progress, tmp_path):
-    trackers = ("persistence", "staged:sleep_s=0.01")
+    trackers = ("persistence", "staged:sleep_s=0.1")
     host = start(settings, tmp_path, *trackers)
     wait_until((tmp_path / "run" / "persistence@room" / "outcome.json").exists)
     wait_until((tmp_path / "run" / "staged@room" / "scores.parquet.partial").exists)

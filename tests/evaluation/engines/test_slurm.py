@@ -74,7 +74,9 @@ def preempted(job, node):
 
 def node_lost(job, node):
     of_slurm("scontrol", "update", f"nodename={node}", "state=down", "reason=test")
-    of_slurm("scontrol", "update", f"nodename={node}", "state=resume")
+    wait_until(lambda: "NODE_FAIL" in of_slurm("squeue", "--states=all", f"--jobs={job}", "--format=%T"))
+    # refused where the node has come back by itself (ReturnToService)
+    subprocess.run(("scontrol", "update", f"nodename={node}", "state=resume"), capture_output=True, check=False)
 
 
 def killed(job, node):
