@@ -10,7 +10,6 @@ munge). The results file keeps the rows of earlier measurements, and the estimat
 from __future__ import annotations
 
 import argparse
-import ctypes
 import math
 import os
 import resource
@@ -30,6 +29,7 @@ import psutil
 
 from gridtrack.common.geometry import SE2
 from gridtrack.common.scan import Scan
+from gridtrack.evaluation.processes.orphans import adopt_orphans
 from gridtrack.recordings import RecordingInfo, write_native
 
 from studies.support.results_file import ResultSection, ResultTable, measured_table, read_sections, write_section
@@ -39,7 +39,6 @@ ENGINES = ("local", "ray", "slurm")
 TRACKERS = ("persistence", "blank")
 RATE_HZ, SECONDS, BEAMS = 10, 20, 120
 STRETCHES = {"train": (0.0, 4.0), "validation": (4.0, 9.0), "test": (9.0, None)}
-PR_SET_CHILD_SUBREAPER = 36
 REAP_S = 60.0
 SAMPLE_S = 0.5
 MB = 1e6
@@ -254,7 +253,7 @@ def main() -> None:
     parser.add_argument("--recordings", action="append", type=int, metavar="COUNT")
     parser.add_argument("--out", type=Path, help="results file, such as docs/results/scale.json")
     arguments = parser.parse_args()
-    ctypes.CDLL(None, use_errno=True).prctl(PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
+    adopt_orphans()
     costs = kept_costs(arguments.out)
     for engine in arguments.engine or ENGINES:
         for count in arguments.recordings or (1, 10):

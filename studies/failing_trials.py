@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import argparse
 import os
-import re
 import sys
 import tempfile
 import time
@@ -28,8 +27,10 @@ from gridtrack.evaluation.processes.limits import Limits
 from gridtrack.evaluation.processes.outcome import TrialEnded
 from gridtrack.evaluation.processes.tracker_process import TrackerProcess
 from gridtrack.trackers.contract import StreamSpec
+from gridtrack.trackers.registry import TRACKER_GROUP
 from gridtrack.trackers.selection import launch
 
+from studies.support.plugins import every_class, write_distribution
 from studies.support.results_file import ResultSection, measured_table, write_section
 
 SOURCE = Path("tests/plugins/bad_trackers.py")
@@ -56,16 +57,9 @@ class Trial:
 
 def install(folder: Path) -> None:
     """Register the failing trackers for this process and its children."""
-    source = SOURCE.read_text("utf-8")
-    names = {
-        re.sub(r"(?<!^)(?=[A-Z])", "-", name).lower(): name for name in re.findall(r"^class (\w+)\(", source, re.M)
-    }
-    info = folder / "failing-1.0.dist-info"
-    info.mkdir()
-    (info / "METADATA").write_text("Metadata-Version: 2.4\nName: failing\nVersion: 1.0\n")
-    points = [f"{name} = bad_trackers:{class_name}" for name, class_name in names.items()]
-    (info / "entry_points.txt").write_text("\n".join(["[gridtrack.trackers]", *points]) + "\n")
-    (folder / SOURCE.name).write_text(source)
+    write_distribution(
+        folder, "failing", every_class(SOURCE), {SOURCE.name: SOURCE.read_text("utf-8")}, group=TRACKER_GROUP
+    )
     sys.path.insert(0, str(folder))
     os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, (str(folder), os.environ.get("PYTHONPATH"))))
 

@@ -173,11 +173,8 @@ def write_results(engine: str, kills: Sequence[Kill], duration_s: float) -> None
         equal = sum(not kill.differs for kill in own)
         rows.append([kind, *map(str, (len(own), equal, sum(k.processes for k in own), sum(k.files for k in own)))])
     columns = ("killed", "kills", "resumed to equal scores", "processes left", "temporary files left")
-    values = {"kills": str(len(kills)), "equal": str(sum(not kill.differs for kill in kills)), "trials": str(6)}
     table = measured_table(columns, rows)
-    section = ResultSection(
-        command=f"{COMMAND} --engine {engine}", source="measured", tables={"kills": table}, values=values
-    )
+    section = ResultSection(command=f"{COMMAND} --engine {engine}", source="measured", tables={"kills": table})
     write_section(RESULTS, f"kills, {engine}", section)
     print(f"undisturbed run: {duration_s:.1f} s")
     print(table.markdown())

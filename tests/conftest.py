@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import re
 import signal
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
@@ -11,6 +10,8 @@ from pathlib import Path
 import pytest
 
 from gridtrack.evaluation.processes.supervisor import PR_SET_CHILD_SUBREAPER, prctl
+
+from studies.support.plugins import every_class, write_distribution
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # workers fill the cores: two threads beside a busy core crawl
 
@@ -53,13 +54,7 @@ def install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Install:
         requires: str = "",
         group: str = "gridtrack.trackers",
     ) -> Path:
-        info = site / f"{distribution.replace('-', '_')}-1.0.dist-info"
-        info.mkdir()
-        (info / "METADATA").write_text(f"Metadata-Version: 2.4\nName: {distribution}\nVersion: 1.0\n{requires}")
-        lines = [f"[{group}]", *(f"{name} = {value}" for name, value in points.items())]
-        (info / "entry_points.txt").write_text("\n".join(lines) + "\n")
-        for name, text in (files or {}).items():
-            (site / name).write_text(text)
+        write_distribution(site, distribution, points, files or {}, requires=requires, group=group)
         return site
 
     return install
@@ -68,7 +63,12 @@ def install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Install:
 @pytest.fixture
 def bad_trackers(install: Install) -> None:
     """Registers every tracker of plugins/bad_trackers.py: class ForksAndLives as `forks-and-lives`."""
-    source = (PLUGINS / "bad_trackers.py").read_text()
-    classes = re.findall(r"^class ([A-Z]\w+)\(", source, re.MULTILINE)
-    points = {re.sub(r"(?<!^)(?=[A-Z])", "-", name).lower(): f"bad_trackers:{name}" for name in classes}
-    install("bad-trackers", points, {"bad_trackers.py": source})
+    module = PLUGINS / "bad_trackers.py"
+    install("bad-trackers", every_class(module), {module.name: module.read_text()})
+
+
+@pytest.fixture
+def burglar(install: Install) -> None:
+    """Registers the tracker `burglar`, which attacks as its options say."""
+    module = PLUGINS / "burglar.py"
+    install("burglar", {"burglar": "burglar:Burglar"}, {module.name: module.read_text()})

@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 import os
-import signal
 import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from pathlib import Path
 from subprocess import Popen
 from typing import Any
 
-from gridtrack.evaluation.processes.supervisor import GIVE_UP_S, PR_SET_CHILD_SUBREAPER, descendants, prctl
+from gridtrack.evaluation.processes.supervisor import (
+    GIVE_UP_S,
+    PR_SET_CHILD_SUBREAPER,
+    children,
+    descendants,
+    kill,
+    prctl,
+)
 
 _lock = threading.Lock()
 _leaders: set[int] = set()
@@ -48,17 +53,7 @@ def forget_leader(leader: Popen[Any], orderly: bool) -> None:
 
 def _adopted() -> list[int]:
     known = {os.getsid(0), *_leaders}
-    tasks = Path("/proc/self/task")
-    children = [int(pid) for task in tasks.glob("*/children") for pid in _text(task).split()]
-    return [pid for pid in children if _session(pid) not in known]
-
-
-def _text(path: Path) -> str:
-    """The content of a file of /proc; "" where its thread has ended in the meantime."""
-    try:
-        return path.read_text()
-    except OSError:
-        return ""
+    return [pid for pid in children(os.getpid()) if _session(pid) not in known]
 
 
 def _session(pid: int) -> int:
@@ -71,7 +66,6 @@ def _session(pid: int) -> int:
 def _end(pid: int) -> None:
     """Kill a child and all its descendants, and collect it."""
     for one in (*descendants(pid), pid):
-        with suppress(ProcessLookupError):
-            os.kill(one, signal.SIGKILL)
+        kill(one)
     with suppress(ChildProcessError):
         os.waitpid(pid, os.WNOHANG)

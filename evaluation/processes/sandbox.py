@@ -139,7 +139,7 @@ def code_folders(program: str, cwd: Path | None, environment: Mapping[str, str])
     path = Path(found or program).absolute()
     folders = [cwd] if cwd else []
     if program == sys.executable:
-        folders += [GRIDTRACK.resolve() / part for part in GRIDTRACK_CODE]
+        folders += _code_of(GRIDTRACK.resolve())
     if path.name.startswith("python"):
         for prefix in _prefixes(path):
             folders += [prefix, *_editable_folders(prefix)]
@@ -153,8 +153,13 @@ def compiled_folders(program: str) -> tuple[Path, ...]:
     """Folders of gridtrack's own code in this environment that numba has kept compiled code in."""
     if program != sys.executable:
         return ()
-    roots = [GRIDTRACK.resolve() / part for part in GRIDTRACK_CODE]
-    return tuple(sorted({file.parent for root in roots for file in root.rglob("*.nbi")}))
+    parts = _code_of(GRIDTRACK.resolve())
+    return tuple(sorted({file.parent for part in parts for file in part.rglob("*.nbi")}))
+
+
+def _code_of(gridtrack: Path) -> tuple[Path, ...]:
+    """What a tracker imports of the package gridtrack in this folder."""
+    return tuple(gridtrack / part for part in GRIDTRACK_CODE)
 
 
 def _bytes_in(folder: Path) -> int:
@@ -184,4 +189,4 @@ def _editable_folders(prefix: Path) -> Iterator[Path]:
         folder = Path(unquote(url.path))
         if editable and url.scheme == "file" and folder != Path("/"):
             own = link.parent.name.startswith("gridtrack-")
-            yield from (folder / part for part in GRIDTRACK_CODE) if own else (folder,)
+            yield from _code_of(folder) if own else (folder,)

@@ -280,12 +280,19 @@ def descendants(pid: int) -> list[int]:
     found: list[int] = []
     unvisited = [pid]
     while unvisited:
+        below = children(unvisited.pop())
+        found += below
+        unvisited += below
+    return found
+
+
+def children(pid: int) -> list[int]:
+    """The children of `pid`, from /proc."""
+    found: list[int] = []
+    for task in names_in(f"/proc/{pid}/task"):
         try:
-            for task in pathlib.Path(f"/proc/{unvisited.pop()}/task").iterdir():
-                children = [int(child) for child in (task / "children").read_text().split()]
-                found += children
-                unvisited += children
-        except OSError:  # it has ended in the meantime
+            found += map(int, pathlib.Path(f"/proc/{pid}/task/{task}/children").read_text().split())
+        except OSError:  # this thread has ended in the meantime
             continue
     return found
 

@@ -10,20 +10,20 @@ from pathlib import Path
 import psutil
 import pytest
 
-from tests.conftest import PLUGINS
-
 ENDED, LEFT = "86411", "86413"
 """Durations that no other process of this machine waits for, in seconds."""
 
-pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="only Linux lets a process adopt the orphans below it")
+pytestmark = [
+    pytest.mark.usefixtures("burglar"),
+    pytest.mark.skipif(sys.platform != "linux", reason="only Linux lets a process adopt the orphans below it"),
+]
 
 
 def left_behind(seconds: str) -> list[psutil.Process]:
     return [process for process in psutil.process_iter(["cmdline"]) if process.info["cmdline"] == ["sleep", seconds]]
 
 
-def test_the_host_ends_what_is_left_behind_and_goes_on(record, install, tmp_path):
-    install("burglar", {"burglar": "burglar:Burglar"}, {"burglar.py": (PLUGINS / "burglar.py").read_text()})
+def test_the_host_ends_what_is_left_behind_and_goes_on(record, tmp_path):
     rows = ["--tracker", f"burglar:attack=outlives,target='{ENDED}'", "--tracker", "persistence"]
     command = [sys.executable, "-m", "gridtrack.cli", "compare", str(record()), *rows, "--out", str(tmp_path / "run")]
     ended = subprocess.run(command, capture_output=True, text=True, check=False)
@@ -35,9 +35,8 @@ def test_the_host_ends_what_is_left_behind_and_goes_on(record, install, tmp_path
     assert trial["outcome"] == "crashed"
 
 
-def test_without_adoption_it_would_be_left(record, install, tmp_path):
+def test_without_adoption_it_would_be_left(record, tmp_path):
     """The attack itself works: run from Python, where the process is not gridtrack's alone."""
-    install("burglar", {"burglar": "burglar:Burglar"}, {"burglar.py": (PLUGINS / "burglar.py").read_text()})
     script = (
         "from gridtrack.trackers.selection import launch\n"
         "from gridtrack.common.grid import GridSpec\n"

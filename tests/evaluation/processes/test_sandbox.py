@@ -22,7 +22,6 @@ from gridtrack.evaluation.processes.tracker_process import TrackerProcess
 from gridtrack.evaluation.results.summary import read_summary
 from gridtrack.trackers.contract import StreamSpec
 from gridtrack.trackers.selection import Launch, launch
-from tests.conftest import PLUGINS
 
 MEMORY_MB = 400
 Attack = Callable[..., Any]
@@ -40,9 +39,8 @@ pytestmark = pytest.mark.skipif(bool(_unavailable()), reason=_unavailable())
 
 
 @pytest.fixture
-def attack(install, tmp_path) -> Attack:
+def attack(burglar, tmp_path) -> Attack:
     """`attack(name, target, sandbox=True)` starts the burglar, and gives what it found."""
-    install("burglar", {"burglar": "burglar:Burglar"}, {"burglar.py": (PLUGINS / "burglar.py").read_text()})
 
     def attack(name: str, target: object = "", confined: bool = True, recordings: tuple[Path, ...] = ()) -> Any:
         log = tmp_path / "run" / "burglar@room" / "stderr.log"
