@@ -184,12 +184,17 @@ def resolve(settings: CompareSettings, splits: tuple[EvaluationSplit, ...] | Non
     splits = splits or plan_splits(settings.recordings, settings.validation, sampling_of(settings))
     _refuse_equal_names(splits)
     _refuse_overlaps(splits)
+    weights = {
+        (selection.label, site): _weights_of(selection, site, settings.weights)
+        for site in dict.fromkeys(split.test.site for split in splits)
+        for selection in selections
+    }
     trials = tuple(
         Trial(
             selection,
             launches[selection.label],
             split,
-            _weights_of(selection, split.test.site, settings.weights),
+            weights[selection.label, split.test.site],
             settings.seed,
             settings.limits,
         )

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable
+from concurrent.futures import Future
 from pathlib import Path
 
 from gridtrack.evaluation.comparison.settings import CompareSettings
@@ -11,21 +13,38 @@ from gridtrack.evaluation.scoring.splits import EvaluationSplit, SplitRegions
 
 
 class SharedInputs:
-    """Settings, and regions and thresholds, each made once in a process.
+    """Settings, and regions and thresholds, each made by the first work of a process that needs it. Thread-safe.
 
     `note` receives a line for the user where that takes a while.
     """
 
-    def __init__(self, settings: CompareSettings, note: Callable[[str], None], folder: Path) -> None:
-        """`folder` is that of `SharedThresholds`."""
+    def __init__(self, settings: CompareSettings, note: Callable[[str], None], folder: Path, works: int = 1) -> None:
+        """`folder` is that of `SharedThresholds`; `works` run at the same time.
+
+        The regions of as many recordings are kept: they are megabytes, and a run may have thousands of recordings.
+        """
         self.settings, self.folder = settings, folder
         self.thresholds = SharedThresholds(folder)
-        self._note = note
-        self._regions: dict[str, SplitRegions] = {}
+        self._note, self._works = note, works
+        self._guard = threading.Lock()
+        self._regions: dict[str, Future[SplitRegions]] = {}
+        """By the name of the split, those asked for last at the end."""
 
     def regions_of(self, split: EvaluationSplit) -> SplitRegions:
         """The regions of a split. Raises RecordingError."""
-        if split.name not in self._regions:
-            self._note(f"{split.name}: finding its static cells")
-            self._regions[split.name] = split.regions()
-        return self._regions[split.name]
+        with self._guard:
+            known = self._regions.pop(split.name, None)
+            found = self._regions[split.name] = known or Future()
+            while len(self._regions) > self._works:
+                del self._regions[next(iter(self._regions))]
+        if known is None:
+            self._find(split, found)
+        return found.result()
+
+    def _find(self, split: EvaluationSplit, found: Future[SplitRegions]) -> None:
+        """Make the regions of a split, or the error of all that wait for them."""
+        self._note(f"{split.name}: finding its static cells")
+        try:
+            found.set_result(split.regions())
+        except Exception as error:  # noqa: BLE001 all works that wait for them raise it
+            found.set_exception(error)

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from contextlib import contextmanager
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
 from gridtrack.evaluation.comparison.deadline_pass import measure_deadline
 from gridtrack.evaluation.comparison.latency_pass import measure_latency
-from gridtrack.evaluation.comparison.oracle import oracle_validation
 from gridtrack.evaluation.comparison.plan import ComparisonPlan, Trial
 from gridtrack.evaluation.comparison.prior_pass import trials_with_priors
 from gridtrack.evaluation.comparison.shared_inputs import SharedInputs
@@ -35,7 +35,7 @@ class Stages:
         self.notices: list[str] = []
         """Failed measurements of complete trials, with their reasons."""
         self._plan, self._folder, self._progress, self._engine = plan, folder, progress, engine
-        self._shared = SharedInputs(plan.settings, progress.note, engine.scratch)
+        self._shared = SharedInputs(plan.settings, progress.note, engine.scratch, max(1, engine.capacity))
         self._records: dict[str, TrialRecord] = {}
 
     def keep(self, name: str, record: TrialRecord) -> None:
@@ -44,24 +44,27 @@ class Stages:
         self._progress.ended(name, record)
 
     def planned_frames(self) -> dict[str, int]:
-        """The frames of every trial and oracle without a record; thresholds that trials share are counted each time."""
-        planned = {trial.name: len(trial.test) + len(trial.validation or ()) for trial in self._plan.trials}
-        for split in self._plan.splits:
-            if split.test.has_truth:
-                planned[split.oracle_name] = len(split.test) + len(oracle_validation(split) or ())
-        return {name: frames for name, frames in planned.items() if name not in self._records}
+        """The frames of every trial and oracle without a record, with a validation stretch where it is first used."""
+        planned: dict[str, int] = {}
+        chosen: set[str] = set()
+        for work in self._without_score():
+            choosing = () if work.thresholds_key in chosen else work.validation or ()
+            planned[work.name] = len(work.split.test) + len(choosing)
+            chosen.add(work.thresholds_key)
+        return planned
 
     def score_missing(self) -> None:
         """Run every trial without a record, and score the oracle on every recording with truth that lacks it."""
-        trials = [trial for trial in self._plan.trials if trial.name not in self._records]
-        unknown = [split for split in self._plan.splits if split.oracle_name not in self._records]
-        oracles = [split for split in unknown if split.test.has_truth]
-        self._carry_out(
-            [
-                *(TrialWork(trial, self._folder / trial.name, self._shared) for trial in trials),
-                *(OracleWork(split, self._folder / split.oracle_name, self._shared) for split in oracles),
-            ]
-        )
+        self._carry_out(self._without_score())
+
+    def _without_score(self) -> list[TrialWork | OracleWork]:
+        """What has no record, recording after recording, so that the regions of each are found once."""
+        works: list[TrialWork | OracleWork] = []
+        for split, trials in groupby(self._plan.trials, lambda trial: trial.split):
+            works += [TrialWork(trial, self._folder / trial.name, self._shared) for trial in trials]
+            if split.test.has_truth:
+                works.append(OracleWork(split, self._folder / split.oracle_name, self._shared))
+        return [work for work in works if work.name not in self._records]
 
     def measure_priors(self) -> None:
         """Measure what each row with weights expects of each place, where it is missing."""

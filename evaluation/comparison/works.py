@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Protocol
 
+from gridtrack.common.errors import GridtrackError
 from gridtrack.evaluation.comparison.oracle import ORACLE_REPLACES, oracle_validation, run_oracle
 from gridtrack.evaluation.comparison.orders import Order, OrderKind
 from gridtrack.evaluation.comparison.plan import Trial
@@ -13,7 +14,6 @@ from gridtrack.evaluation.comparison.robustness_pass import RobustnessRun
 from gridtrack.evaluation.comparison.shared_inputs import SharedInputs
 from gridtrack.evaluation.comparison.shared_thresholds import oracle_key, trial_key
 from gridtrack.evaluation.comparison.trial import REPLACED, TrialRun, error_with_location, failed
-from gridtrack.evaluation.engines.attempt import EngineError
 from gridtrack.evaluation.engines.engine import Monitor
 from gridtrack.evaluation.processes.outcome import TrialEnded
 from gridtrack.evaluation.results.columns import PRIOR_TABLE
@@ -53,6 +53,7 @@ class TrialWork(_InterruptedOnce):
         super().__init__()
         self.trial, self._folder, self._shared = trial, folder, shared
         self.name, self.replaces = trial.name, REPLACED
+        self.split, self.validation = trial.split, trial.split.validation
 
     @property
     def thresholds_key(self) -> str:
@@ -62,10 +63,6 @@ class TrialWork(_InterruptedOnce):
     def order(self) -> str:
         """Its description as JSON."""
         return Order.of("scores", self.trial, self._shared).model_dump_json(by_alias=True)
-
-    def prepare(self) -> None:
-        """Find the regions of the recording."""
-        self._shared.regions_of(self.trial.split)
 
     def run(self, monitor: Monitor) -> TrialRecord:
         """Run the trial to its end, successful or not."""
@@ -87,6 +84,7 @@ class OracleWork:
         """The files of the oracle go to `folder`."""
         self.split, self._folder, self._shared = split, folder, shared
         self.name, self.replaces = split.oracle_name, ORACLE_REPLACES
+        self.validation = oracle_validation(split)
 
     @property
     def thresholds_key(self) -> str:
@@ -97,14 +95,10 @@ class OracleWork:
         """Its description as JSON."""
         return Order.of("oracle", self.split, self._shared).model_dump_json(by_alias=True)
 
-    def prepare(self) -> None:
-        """Find the regions of the recording."""
-        self._shared.regions_of(self.split)
-
     def run(self, monitor: Monitor) -> TrialRecord:
         """Score the oracle. Raises Interrupted."""
         split, thresholds = self.split, self._shared.thresholds
-        validation = () if thresholds.known(self.thresholds_key) else oracle_validation(split) or ()
+        validation = () if thresholds.known(self.thresholds_key) else self.validation or ()
         monitor.started(len(split.test) + len(validation))
         return run_oracle(split, self._shared.regions_of(split), self._folder, monitor.next_frame, thresholds)
 
@@ -144,9 +138,6 @@ class PriorWork(_MeasurementWork):
     kind: OrderKind = "prior"
     what = "its prior"
 
-    def prepare(self) -> None:
-        """It needs no regions."""
-
     def run(self, monitor: Monitor) -> TrialRecord:
         """Measure the prior. Raises Interrupted, TrialEnded."""
         monitor.note(f"{self.name}: {self.what}")
@@ -162,10 +153,6 @@ class RobustnessWork(_MeasurementWork):
 
     kind: OrderKind = "robustness"
     what = "degraded input"
-
-    def prepare(self) -> None:
-        """Find the regions of the recording."""
-        self._shared.regions_of(self.trial.split)
 
     def run(self, monitor: Monitor) -> TrialRecord:
         """Run the pass. Raises Interrupted, TrialEnded."""
@@ -193,4 +180,4 @@ def not_measured(trial: Trial, what: str, error: Exception) -> str:
 
 
 def _reason(error: Exception) -> str:
-    return str(error) if isinstance(error, TrialEnded | EngineError) else error_with_location(error)
+    return str(error) if isinstance(error, TrialEnded | GridtrackError) else error_with_location(error)

@@ -67,9 +67,6 @@ class Work(Protocol):
     def order(self) -> str:
         """Its description as a JSON text, from which a process on another machine makes the same work."""
 
-    def prepare(self) -> None:
-        """Make what it shares with other works of this process; called before `run`, from one thread."""
-
     def run(self, monitor: Monitor) -> TrialRecord:
         """Do it, and give the trial's record. Raises Interrupted, and an error where there is no record."""
 

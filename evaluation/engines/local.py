@@ -39,9 +39,7 @@ class LocalEngine:
         remove_scratch(self._run_folder)
 
     def submit(self, works: Sequence[Work]) -> list[Future[TrialRecord]]:
-        """Carry out `works`; what they share is made before this returns."""
-        for work in works:
-            work.prepare()
+        """Carry out `works`, in their order."""
         self._futures = []
         for work in works:
             self._futures.append(self._threads.submit(self._run, work))

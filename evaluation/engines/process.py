@@ -47,7 +47,6 @@ def serve_attempt(folder: Path, work_of: WorkOf, reason_of: Callable[[Exception]
 
 def _carried_out(attempt: Attempt, work_of: WorkOf, monitor: AttemptMonitor) -> TrialRecord:
     work = work_of(attempt, monitor.note)
-    work.prepare()
     with ThreadPoolExecutor(1, "trial") as thread:
         future = thread.submit(work.run, monitor)
         try:

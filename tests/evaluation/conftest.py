@@ -11,6 +11,7 @@ import pytest
 
 from gridtrack.common.geometry import SE2
 from gridtrack.common.scan import Scan
+from gridtrack.evaluation.comparison.settings import CompareSettings
 from gridtrack.evaluation.results.trial_record import TrialRecord
 from gridtrack.recordings import RecordingInfo, write_native
 
@@ -101,6 +102,14 @@ def record(tmp_path: Path) -> Record:
         return path
 
     return record
+
+
+@pytest.fixture
+def settings(record: Record, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., CompareSettings]:
+    """`settings(*trackers, **more)` for the small recording, with nothing learned but what a test puts there."""
+    monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path / "home"))
+    given = {"recordings": (str(record()),), "out": tmp_path / "run", "horizon_s": 1.0, "every_s": 0.5}
+    return lambda *trackers, **more: CompareSettings(trackers=trackers, **(given | more))
 
 
 @pytest.fixture

@@ -6,6 +6,7 @@ import json
 import shlex
 import shutil
 import sys
+from functools import partial
 from pathlib import Path
 
 import polars as pl
@@ -16,7 +17,6 @@ from gridtrack.evaluation.comparison.learned import find_weights
 from gridtrack.evaluation.comparison.plan import resolve
 from gridtrack.evaluation.comparison.recipe import Recipe
 from gridtrack.evaluation.comparison.runner import run
-from gridtrack.evaluation.comparison.settings import CompareSettings
 from gridtrack.evaluation.comparison.train import train_tracker
 from gridtrack.evaluation.regression.measuring import measure_run
 from gridtrack.evaluation.results.columns import HISTOGRAM_TABLE
@@ -26,11 +26,9 @@ from gridtrack.reports.run import read_runs
 
 
 @pytest.fixture
-def settings(record, tmp_path, monkeypatch):
-    """`settings(*trackers, **more)` for the small recording, with nothing learned but what a test puts there."""
-    monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path / "home"))
-    given = {"recordings": (str(record()),), "out": tmp_path / "run", "horizon_s": 1.0, "every_s": 0.5, "jobs": 1}
-    return lambda *trackers, **more: CompareSettings(trackers=trackers, **(given | more))
+def settings(settings):
+    """Those of a small run, in one thread."""
+    return partial(settings, jobs=1)
 
 
 def test_another_program_under_the_same_name_is_another_configuration(settings, tmp_path, progress):

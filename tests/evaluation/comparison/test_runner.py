@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+from functools import partial
 
 import numpy as np
 import polars as pl
@@ -19,7 +20,6 @@ from gridtrack.evaluation.comparison import trial
 from gridtrack.evaluation.comparison.plan import resolve
 from gridtrack.evaluation.comparison.recipe import Recipe
 from gridtrack.evaluation.comparison.runner import run
-from gridtrack.evaluation.comparison.settings import CompareSettings
 from gridtrack.evaluation.comparison.train import train_tracker
 from gridtrack.evaluation.results.columns import SCORES_TABLE
 from gridtrack.evaluation.results.files import RunError, json_of
@@ -33,16 +33,9 @@ pytestmark = pytest.mark.usefixtures("staged")
 
 
 @pytest.fixture
-def settings(record, tmp_path, monkeypatch):
-    """`settings(*trackers, **more)` for the small recording, with nothing learned but what a test puts there."""
-    monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path / "home"))
-    path = record()
-
-    def settings(*trackers, **more):
-        defaults = {"recordings": (str(path),), "out": tmp_path / "run", "horizon_s": 1.0, "every_s": 0.5, "jobs": 2}
-        return CompareSettings(trackers=trackers, **(defaults | more))
-
-    return settings
+def settings(settings):
+    """Those of a small run, in two threads."""
+    return partial(settings, jobs=2)
 
 
 def compare(settings, progress):
