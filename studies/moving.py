@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import argparse
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 
 from gridtrack.evaluation.results.summary import ORACLE, RunSummary, read_summary
 from gridtrack.evaluation.statistics.finished_trial import FinishedTrial
-from gridtrack.evaluation.statistics.jackknife import PairedDifferences, differences, pooled
+from gridtrack.evaluation.statistics.frame_counts import FrameCounts
+from gridtrack.evaluation.statistics.jackknife import PairedDifferences, differences, jackknifed, pooled
 from gridtrack.evaluation.statistics.run_statistics import RunStatistics
 from gridtrack.evaluation.statistics.score_intervals import summed_by_unit
 from gridtrack.recordings import open_recording
@@ -90,16 +91,29 @@ class Comparison:
         Both have the same scored stamps, but other frames, in windows about other poses: drives are paired, cells are
         not.
         """
-        trials = [one.trials(tracker) for one in (self, other)]
-        sides = [
-            [one.statistics.frames_of(trial) for trial in own] for one, own in zip((self, other), trials, strict=True)
-        ]
-        for own, theirs in zip(*sides, strict=True):
-            if not np.array_equal(own.stamps_ns, theirs.stamps_ns):
-                raise SystemExit(f"{tracker}: {self.kind} and {other.kind} are scored at other times: run it again")
-        counts, _ = summed_by_unit(sides, self.statistics.unit_rule(sorted(self.summary.recordings)))
-        found = differences(counts[0], counts[1])
-        return {stratum: found.column(trials[0][0].strata.index(stratum)) for stratum in STRATA}
+        counts, strata = self._by_minute((self, tracker), (other, tracker))
+        found = differences(*counts)
+        return {stratum: found.column(strata.index(stratum)) for stratum in STRATA}
+
+    def less_beyond_floor(self, other: Comparison, tracker: str) -> dict[str, PairedDifferences]:
+        """What a tracker loses with `other` poses beyond what FLOOR loses, as `less`: what is not the view's."""
+        rows = [(kind, row) for kind in (self, other) for row in (tracker, FLOOR)]
+        counts, strata = self._by_minute(*rows)
+        own, floor, others, others_floor = map(jackknifed, counts)
+        found = own.minus(floor).less(others.minus(others_floor))
+        return {stratum: found.column(strata.index(stratum)) for stratum in STRATA}
+
+    def _by_minute(self, *rows: tuple[Comparison, str]) -> tuple[list[NDArray[np.float64]], tuple[str, ...]]:
+        """Counts (U, S, K, C) of each row, a tracker in a comparison, summed by minute; the names of the K strata."""
+        frames: list[list[FrameCounts]] = []
+        for kind, tracker in rows:
+            own = [kind.statistics.frames_of(trial) for trial in kind.trials(tracker)]
+            frames.append(own)
+            paired = zip(own, frames[0], strict=True)
+            if not all(np.array_equal(one.stamps_ns, first.stamps_ns) for one, first in paired):
+                raise SystemExit(f"{tracker}: {kind.kind} and {self.kind} are scored at other times: run it again")
+        counts, _ = summed_by_unit(frames, self.statistics.unit_rule(sorted(self.summary.recordings)))
+        return counts, self.trials(rows[0][1])[0].strata
 
 
 def selections() -> dict[str, str]:
@@ -178,20 +192,34 @@ def carrier_table(compared: Sequence[Comparison], trackers: Sequence[str]) -> Re
 def difference_section(compared: Sequence[Comparison], trackers: Sequence[str]) -> ResultSection:
     """What each tracker loses with other poses than perfect ones, and against standing."""
     perfect, *others = compared
-    rows: dict[str, list[list[str]]] = {name: [] for name in STRATA.values()}
-    for tracker in trackers:
-        for other in others:
-            found = perfect.less(other, tracker)
-            for stratum, name in STRATA.items():
-                texts = [difference_text(found[stratum].at(step)) for step in perfect.steps]
-                rows[name].append([f"{tracker}, {perfect.kind} less {other.kind}", *texts])
+    found = {
+        f"{tracker}, {perfect.kind} less {other.kind}": perfect.less(other, tracker)
+        for tracker in trackers
+        for other in others
+    }
+    return _differences(found, perfect.steps)
+
+
+def view_section(compared: Sequence[Comparison], trackers: Sequence[str]) -> ResultSection:
+    """What each tracker loses against standing beyond what FLOOR loses, which knows nothing but the view."""
+    perfect, *_, standing = compared
+    lost = {tracker: perfect.less_beyond_floor(standing, tracker) for tracker in trackers if tracker != FLOOR}
+    return _differences(lost, perfect.steps)
+
+
+def _differences(found: Mapping[str, Mapping[str, PairedDifferences]], steps: Sequence[int]) -> ResultSection:
+    """A table for each stratum with a row for each of `found`, and each cell as a value."""
+    texts = {
+        name: [[row, *(difference_text(of[stratum].at(step)) for step in steps)] for row, of in found.items()]
+        for stratum, name in STRATA.items()
+    }
     values = {
         f"{row}, {name}, {horizon_s:g} s": text
-        for name, own in rows.items()
-        for row, *texts in own
-        for horizon_s, text in zip(HORIZONS_S, texts, strict=True)
+        for name, rows in texts.items()
+        for row, *cells in rows
+        for horizon_s, text in zip(HORIZONS_S, cells, strict=True)
     }
-    tables = {name: f1_table(name, own) for name, own in rows.items()}
+    tables = {name: f1_table(name, rows) for name, rows in texts.items()}
     return ResultSection(command=COMMAND, source="measured", tables=tables, values=values)
 
 
@@ -220,6 +248,7 @@ def collect(minutes: Sequence[str], trackers: Sequence[str], out: Path, results:
             values={"drives": str(len(minutes)), "not measured": missing},
         ),
         "differences": difference_section(compared, trackers),
+        "beyond the view": view_section(compared, trackers),
     }
     for name, section in sections.items():
         write_section(results, name, section)

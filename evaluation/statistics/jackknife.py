@@ -180,6 +180,11 @@ class JackknifedScore:
         low, high = (np.where(np.isnan(self.value), np.nan, back(centre + side * reach)) for side in (-1, 1))
         return low, high
 
+    def minus(self, other: JackknifedScore) -> JackknifedScore:
+        """This score less another one of the same units, itself a score to compare."""
+        sizes = np.minimum(self.sizes, other.sizes)
+        return JackknifedScore(self.value - other.value, self.without - other.without, sizes)
+
     def less(self, reference: JackknifedScore, level: float = LEVEL) -> PairedDifferences:
         """`differences` of this score and the reference's, of the same units."""
         value = self.value - reference.value
@@ -188,6 +193,12 @@ class JackknifedScore:
             return PairedDifferences(value, nothing, nothing.copy(), nothing.copy())
         freedom = np.minimum(*(_effective_units(one.sizes) for one in (self, reference))) - 1
         return _differences_of(value, self.without - reference.without, freedom, level)
+
+
+def jackknifed(counts: NDArray[np.floating], score: str = "f1") -> JackknifedScore:
+    """The pooled score of `counts` (U, ..., C), and its values without each of the units."""
+    part, whole = _parts(counts, score)
+    return JackknifedScore(pooled(counts, score), _ratio(_without_each(part), _without_each(whole)), whole)
 
 
 def holm(p: NDArray[np.floating]) -> Floats:

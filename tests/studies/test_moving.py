@@ -11,13 +11,20 @@ from gridtrack.evaluation.scoring.strata import STRATA_WITH_TRUTH
 from gridtrack.evaluation.statistics.summary import summarise
 
 from scenes.synthetic_run import description, write_trial
-from studies.moving import Comparison, difference_section, score_tables
+from studies.moving import Comparison, difference_section, score_tables, view_section
 
 
 def compared(
-    folder: Path, kind: str, skill: float, *, minutes: int = 2, start_s: int = 10, scored: int = 2
+    folder: Path,
+    kind: str,
+    skill: float,
+    *,
+    floor: float = 0.3,
+    minutes: int = 2,
+    start_s: int = 10,
+    scored: int = 2,
 ) -> Comparison:
-    """A comparison of one tracker and the oracle, two forecasts in each of `minutes`; counts are drawn at random."""
+    """A comparison of kalman, persistence and the oracle, two forecasts in each of `minutes`; counts are random."""
     names = [f"car-{200 + minute}-{kind}" for minute in range(minutes)]
     trials = [
         write_trial(
@@ -33,7 +40,7 @@ def compared(
             start_s=start_s,
         )
         for name in names
-        for row, better in (("kalman", skill), ("oracle", 1.0))
+        for row, better in (("kalman", skill), ("persistence", floor), ("oracle", 1.0))
     ]
     described = {name: description(2, source_sha256=name.ljust(64, "0")) for name in names}
     summarise(described, trials, [], interrupted=False).write(folder / kind)
@@ -47,6 +54,21 @@ def test_the_loss_without_ego_motion_is_paired_over_twenty_drives(tmp_path: Path
     value, low, high = (float(one.strip("[],")) for one in text.split())
     assert 0.1 < low < value < high < 0.4
     assert set(section.tables) == {"in motion", "dynamic", "visible", "hidden"}
+
+
+def test_a_loss_that_persistence_has_too_is_of_the_view(tmp_path: Path) -> None:
+    perfect = compared(tmp_path, "perfect", 0.6, floor=0.3, minutes=20)
+    text = {
+        kind: view_section([perfect, compared(tmp_path, kind, 0.8, floor=floor, minutes=20)], ["persistence", "kalman"])
+        for kind, floor in (("both-lose", 0.5), ("kalman-loses", 0.3))
+    }
+    lost = {kind: section.values["kalman, dynamic, 1 s"].split() for kind, section in text.items()}
+    value, low, high = (float(one.strip("[],")) for one in lost["kalman-loses"])
+    assert -0.4 < low < value < high < -0.05
+    value, low, high = (float(one.strip("[],")) for one in lost["both-lose"])
+    assert low < 0 < high
+    assert abs(value) < 0.1
+    assert [row[0] for row in text["both-lose"].tables["dynamic"].rows] == ["kalman"]
 
 
 def test_the_scores_have_a_row_for_each_kind_and_tracker_after_the_oracle(tmp_path: Path) -> None:

@@ -14,6 +14,7 @@ from gridtrack.evaluation.statistics.jackknife import (
     differences,
     holm,
     interval,
+    jackknifed,
     pooled,
     ratio_differences,
     ratio_interval,
@@ -130,6 +131,29 @@ def test_the_difference_is_the_jackknifes_computed_one_unit_at_a_time():
     assert float(found.value) == pytest.approx(value)
     assert float(found.p) == pytest.approx(2 * stats.t.sf(abs(value) / error, freedom))
     assert float(found.high - found.low) == pytest.approx(2 * stats.t.ppf(0.975, freedom) * error)
+
+
+def test_a_difference_of_differences_is_the_jackknifes_computed_one_unit_at_a_time():
+    sides = [counts_of(np.random.default_rng(seed), recall=recall) for seed, recall in enumerate((0.8, 0.5, 0.6, 0.5))]
+    own, floor, other, others_floor = map(jackknifed, sides)
+    found = own.minus(floor).less(other.minus(others_floor))
+    signs = (1, -1, -1, 1)
+    value = sum(sign * f1_by_hand(side) for sign, side in zip(signs, sides, strict=True))
+    without = [
+        sum(sign * f1_by_hand(np.delete(side, unit, axis=0)) for sign, side in zip(signs, sides, strict=True))
+        for unit in range(20)
+    ]
+    error = np.sqrt(19 / 20 * np.sum((without - np.mean(without)) ** 2))
+    sizes = [2 * c[:, 0] + c[:, 1] + c[:, 2] for c in sides]
+    pairs = (np.minimum(*sizes[:2]), np.minimum(*sizes[2:]))
+    freedom = min(s.sum() ** 2 / (s**2).sum() for s in pairs) - 1
+    assert float(found.value) == pytest.approx(value)
+    assert float(found.high - found.low) == pytest.approx(2 * stats.t.ppf(0.975, freedom) * error)
+
+
+def test_a_score_with_its_values_without_each_unit_differs_as_its_counts_do():
+    one, other = counts_of(np.random.default_rng(8)), counts_of(np.random.default_rng(9), recall=0.5)
+    assert jackknifed(one).less(jackknifed(other)) == differences(one, other)
 
 
 def test_pairing_takes_out_what_both_trackers_share():
