@@ -20,6 +20,13 @@ ValidationOption = Annotated[
 ReferenceOption = Annotated[
     str | None, typer.Option(metavar="LABEL", help="The row that the others are compared with; default: persistence")
 ]
+SegmentOption = Annotated[
+    str | None,
+    typer.Option(help="Cut longer test stretches into segments of at most this length, each a trial of its own"),
+]
+WarmUpOption = Annotated[
+    str | None, typer.Option(help="Before a segment, what is delivered and not scored; the first one has 20 frames")
+]
 AllowLeakOption = Annotated[
     bool, typer.Option(help="Score a tracker on frames that it learned from too: it is marked and not ranked")
 ]

@@ -39,6 +39,8 @@ class CompareOptions(TypedDict, total=False):
     reference: str
     horizon: str
     every: str
+    segment: str
+    warm_up: str
     grid: str
     rate: float
     jobs: int

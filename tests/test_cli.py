@@ -130,6 +130,7 @@ LIMITS = Limits.model_fields
                 "start-timeout": LIMITS["start_s"],
                 "update-timeout": LIMITS["update_s"],
                 "predict-timeout": LIMITS["predict_s"],
+                "warm-up": COMPARE["warm_up_s"],
                 "idle-timeout": COMPARE["idle_timeout_s"],
             },
         ),

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from gridtrack.common.errors import ConfigurationError, RecordingError
 from gridtrack.evaluation.comparison.plan import Trial
-from gridtrack.evaluation.comparison.settings import CompareSettings, check_engine
+from gridtrack.evaluation.comparison.settings import CompareSettings, check_together
 from gridtrack.evaluation.scoring.referee import WARM_UP
 from gridtrack.recordings import Recording, open_recording
 from gridtrack.recordings.growth import FileEnds, Growth
@@ -44,7 +44,7 @@ def open_growing(path: Path, settings: CompareSettings, more: Callable[[], bool]
 
 def path_to_follow(settings: CompareSettings) -> Path:
     """The recording to follow. Raises ConfigurationError for settings that are for finished recordings."""
-    check_engine(settings)
+    check_together(settings)
     path, stretch = parse_stretch(settings.recordings[0])
     if len(settings.recordings) > 1 or stretch is not None:
         raise ConfigurationError("--follow reads one recording from its beginning to its end: name one file, no range")

@@ -15,7 +15,7 @@ from pydantic import ValidationError
 from gridtrack.common.config import Settings
 from gridtrack.common.grid import Points
 from gridtrack.evaluation.comparison.learned import read_weights
-from gridtrack.evaluation.comparison.plan import Trial, sampling_of
+from gridtrack.evaluation.comparison.plan import Trial, sampling_of, segmented
 from gridtrack.evaluation.comparison.provenance import versions
 from gridtrack.evaluation.comparison.settings import CompareSettings
 from gridtrack.evaluation.comparison.shared_inputs import SharedInputs
@@ -84,6 +84,8 @@ class Order(Settings):
     kind: OrderKind
     settings: CompareSettings
     """Of the run, with the one recording of this work."""
+    name: str
+    """Of the split."""
     identity: RecordingIdentity
     """What the recording and its stretches must be."""
     row: RowOrder | None = None
@@ -107,13 +109,14 @@ class Order(Settings):
         split = work.split if isinstance(work, Trial) else work
         settings = shared.settings
         alone = {
-            "recordings": (f"{split.path.absolute()}{split.name.removeprefix(split.path.stem)}",),
+            "recordings": (f"{split.path.absolute()}{split.whole.removeprefix(split.path.stem)}",),
             "trackers": (),
             "validation": settings.validation and _with_absolute_path(settings.validation),
         }
         return cls(
             kind=kind,
             settings=settings.model_copy(update=alone),
+            name=split.name,
             identity=split.identity(),
             row=RowOrder.of(work) if isinstance(work, Trial) else None,
             record=record,
@@ -134,7 +137,8 @@ class Order(Settings):
         for name, version in self.versions.items():
             _require_equal(name, versions().get(name, "not installed"), version)
         settings = self.settings
-        split = plan_split(settings.recordings[0], settings.validation, sampling_of(settings))
+        whole = plan_split(settings.recordings[0], settings.validation, sampling_of(settings))
+        split = next((one for one in segmented(whole, settings) if one.name == self.name), whole)
         _require_equal(f"{split.path}", split.identity(), self.identity)
         return split
 

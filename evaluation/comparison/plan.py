@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import combinations
@@ -15,13 +15,14 @@ from gridtrack.common.grid import GridSpec
 from gridtrack.common.names import check_utf8
 from gridtrack.evaluation.comparison.leaks import leaks_of, refuse_leaks
 from gridtrack.evaluation.comparison.learned import LearnedWeights, copy_weights, find_weights, weights_in
-from gridtrack.evaluation.comparison.settings import CompareSettings, check_engine
+from gridtrack.evaluation.comparison.settings import CompareSettings, check_together
 from gridtrack.evaluation.comparison.training_hints import stretches_to_train_on
 from gridtrack.evaluation.processes.limits import Limits
 from gridtrack.evaluation.processes.sandbox import check_sandbox
 from gridtrack.evaluation.processes.tracker_process import TrackerProcess, describe
 from gridtrack.evaluation.results.run_record import RunConfiguration, TrialIdentity
 from gridtrack.evaluation.results.summary import ALL_RECORDINGS, ORACLE
+from gridtrack.evaluation.scoring.segments import segments_of
 from gridtrack.evaluation.scoring.splits import EvaluationSplit, Sampling, plan_splits, with_points
 from gridtrack.evaluation.scoring.strata import OCCLUDED
 from gridtrack.recordings.stream import GridStream
@@ -165,13 +166,18 @@ def sampling_of(settings: CompareSettings) -> Sampling:
     return Sampling(settings.horizon_s, settings.every_s, grid, settings.rate_hz)
 
 
+def segmented(whole: EvaluationSplit, settings: CompareSettings) -> Iterable[EvaluationSplit]:
+    """The segments of a split that `settings` ask for; the split itself where they ask for none."""
+    return (whole,) if settings.segment_s is None else segments_of(whole, settings.segment_s, settings.warm_up_s)
+
+
 def resolve(settings: CompareSettings, splits: tuple[EvaluationSplit, ...] | None = None) -> ComparisonPlan:
     """Look up everything that `settings` names, before any trial runs; `splits` of its recordings where they are known.
 
     Raises a GridtrackError for a recording, stretch, tracker, option or weights file that cannot be used.
     """
     check_utf8(settings.out, ConfigurationError)
-    check_engine(settings)
+    check_together(settings)
     if settings.limits.sandbox:
         check_sandbox()
     external = read_trackers_toml(settings.trackers_toml) if settings.trackers_toml else {}
@@ -181,9 +187,10 @@ def resolve(settings: CompareSettings, splits: tuple[EvaluationSplit, ...] | Non
     launches = {selection.label: launch(selection.name, external) for selection in selections}
     for selection in selections:
         _check_options(selection, launches[selection.label], settings.limits)
-    splits = splits or plan_splits(settings.recordings, settings.validation, sampling_of(settings))
+    wholes = splits or plan_splits(settings.recordings, settings.validation, sampling_of(settings))
+    splits = tuple(split for whole in wholes for split in segmented(whole, settings))
     _refuse_equal_names(splits)
-    _refuse_overlaps(splits)
+    _refuse_overlaps(wholes)
     weights = {
         (selection.label, site): _weights_of(selection, site, settings.weights)
         for site in dict.fromkeys(split.test.site for split in splits)

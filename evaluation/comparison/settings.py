@@ -23,6 +23,7 @@ class CompareSettings(Settings):
     `recordings` as RECORDING[@range], `trackers` as [LABEL=]NAME[:key=value,...] (none: every registered one);
     `reference` the label of the row that the others are compared with (none: `persistence`, else the first);
     `validation` a RECORDING[@range] to choose thresholds on, instead of each recording's own validation stretch. With
+    `segment_s` longer test stretches are cut into trials of their own, each after `warm_up_s` that are not scored. With
     `follow` the recording is still being written, and it ends when nothing was written for `idle_timeout_s`.
     """
 
@@ -33,6 +34,9 @@ class CompareSettings(Settings):
     reference: str | None = None
     horizon_s: float = Field(2.5, gt=0.0, le=60.0)
     every_s: float = Field(1.0, gt=0.0, le=3600.0)
+    segment_s: float | None = Field(None, ge=10.0, le=86_400.0)
+    warm_up_s: float = Field(60.0, ge=0.0, le=3600.0)
+    """Of segments after the first, at least."""
     grid: str | None = None
     rate_hz: float | None = Field(None, gt=0.0, le=1000.0)
     seed: int = Field(0, ge=0, lt=2**31)
@@ -53,7 +57,14 @@ class CompareSettings(Settings):
     idle_timeout_s: float = Field(60.0, gt=0.0, le=86_400.0)
 
 
-def check_engine(settings: CompareSettings) -> None:
+def check_together(settings: CompareSettings) -> None:
+    """Raise ConfigurationError for settings that are not possible together."""
+    if settings.follow and settings.segment_s is not None:
+        raise ConfigurationError("--segment cuts a finished recording: leave it out with --follow")
+    _check_engine(settings)
+
+
+def _check_engine(settings: CompareSettings) -> None:
     """Raise ConfigurationError for settings that the engine does not have."""
     engine = settings.engine
     if settings.address is not None and engine != "ray":

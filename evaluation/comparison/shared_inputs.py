@@ -28,13 +28,13 @@ class SharedInputs:
         self._note, self._works = note, works
         self._guard = threading.Lock()
         self._regions: dict[str, Future[SplitRegions]] = {}
-        """By the name of the split, those asked for last at the end."""
+        """By the name of the whole split, those asked for last at the end."""
 
     def regions_of(self, split: EvaluationSplit) -> SplitRegions:
         """The regions of a split. Raises RecordingError."""
         with self._guard:
-            known = self._regions.pop(split.name, None)
-            found = self._regions[split.name] = known or Future()
+            known = self._regions.pop(split.whole, None)
+            found = self._regions[split.whole] = known or Future()
             while len(self._regions) > self._works:
                 del self._regions[next(iter(self._regions))]
         if known is None:
@@ -43,7 +43,7 @@ class SharedInputs:
 
     def _find(self, split: EvaluationSplit, found: Future[SplitRegions]) -> None:
         """Make the regions of a split, or the error of all that wait for them."""
-        self._note(f"{split.name}: finding its static cells")
+        self._note(f"{split.whole}: finding its static cells")
         try:
             found.set_result(split.regions())
         except Exception as error:  # noqa: BLE001 all works that wait for them raise it

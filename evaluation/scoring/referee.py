@@ -46,21 +46,27 @@ class TrackerLike(Protocol):
 class Schedule:
     """The frames that are forecast from, of a stretch of `frames` frames: the same for every tracker.
 
-    Every `every`-th frame after the warm-up whose `steps` following frames lie inside the stretch.
+    Every `every`-th frame after the first `warm_up` ones whose `steps` following frames lie inside the stretch.
     """
 
     frames: int
     steps: int
     every: int
+    warm_up: int = WARM_UP
 
     def due(self, index: int) -> bool:
         """Whether to forecast after the frame `index` (0-based) has been delivered."""
-        return index >= WARM_UP and (index - WARM_UP) % self.every == 0 and index + self.steps < self.frames
+        return index in self.scored
+
+    @property
+    def scored(self) -> range:
+        """The frames that are forecast from."""
+        return range(self.warm_up, self.frames - self.steps, self.every)
 
     @property
     def expected(self) -> int:
         """Number of frames scored in a complete trial."""
-        return len(range(WARM_UP, self.frames - self.steps, self.every))
+        return len(self.scored)
 
 
 @dataclass(frozen=True, slots=True)

@@ -51,7 +51,8 @@ class SplitRegions:
 class EvaluationSplit:
     """One recording of a comparison with its stretches, steps and forecast period in frames.
 
-    `name` is unique in a run and identifies the split in every file.
+    `name` is unique in a run and identifies the split in every file. `warm_up` frames at the start of the test stretch
+    are delivered and not scored. `segment_of` is the name of the whole, where it is a segment of one.
     """
 
     name: str
@@ -61,11 +62,18 @@ class EvaluationSplit:
     steps: int
     every: int
     notices: tuple[str, ...] = ()
+    warm_up: int = WARM_UP
+    segment_of: str | None = None
+
+    @property
+    def whole(self) -> str:
+        """The name of the split that it is a segment of, else its own: regions are those of the whole."""
+        return self.segment_of or self.name
 
     @property
     def schedule(self) -> Schedule:
         """The frames of the test stretch that are forecast from."""
-        return Schedule(len(self.test), self.steps, self.every)
+        return Schedule(len(self.test), self.steps, self.every, self.warm_up)
 
     @property
     def strata(self) -> tuple[str, ...]:
@@ -118,7 +126,7 @@ class EvaluationSplit:
             "grid": str(self.test.grid),
             "rate_hz": round(1 / self.test.period_s, 6),
             "frames": len(self.test),
-            "warm_up_frames": WARM_UP,
+            "warm_up_frames": self.warm_up,
             "forecast_every_frames": self.every,
             "cycle_s": self.test.recording.info.cycle_s,
             "source_sha256": self.test.recording.source_sha256,
