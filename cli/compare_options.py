@@ -7,6 +7,7 @@ from typing import Annotated
 import typer
 
 from gridtrack.cli.completion import complete_row
+from gridtrack.cli.options import fetch_recordings
 
 RowsOption = Annotated[
     list[str] | None,
@@ -15,7 +16,10 @@ RowsOption = Annotated[
     ),
 ]
 ValidationOption = Annotated[
-    str | None, typer.Option(help=r"RECORDING\[@RANGE] to choose thresholds on; default: the recording's own")
+    str | None,
+    typer.Option(
+        help=r"RECORDING\[@RANGE] to choose thresholds on; default: the recording's own", callback=fetch_recordings
+    ),
 ]
 ReferenceOption = Annotated[
     str | None, typer.Option(metavar="LABEL", help="The row that the others are compared with; default: persistence")

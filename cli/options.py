@@ -12,15 +12,44 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from typer.core import TyperCommand, TyperOption
 
-from gridtrack.common.errors import ConfigurationError
+from gridtrack.common.errors import ConfigurationError, printable
 
 if TYPE_CHECKING:
     from pydantic import BaseModel
 
 DEBUG_OPTION = "--debug"
 """Read from the command line itself, so that it can follow the name of a command."""
+
+
+def fetch_recordings(given: Any) -> Any:
+    """A callback: of recordings that are named by URLs the local copies. Raises RecordingError."""
+    from gridtrack.recordings.fetching import fetched
+
+    if given is None:
+        return None
+    if isinstance(given, str):
+        return fetched(given, lambda line: typer.echo(f"gridtrack: {printable(line)}", err=True))
+    return [fetch_recordings(text) for text in given]
+
+
+RecordingArgument = Annotated[
+    str,
+    typer.Argument(
+        metavar="RECORDING[@RANGE]",
+        help="For example demo.mcap@30s-90s, or s3://bucket/demo.mcap",
+        callback=fetch_recordings,
+    ),
+]
 RecordingsArgument = Annotated[
-    list[str], typer.Argument(metavar="RECORDING[@RANGE]...", help="For example demo.mcap@30s-90s")
+    list[str],
+    typer.Argument(
+        metavar="RECORDING[@RANGE]...",
+        help="For example demo.mcap@30s-90s, or s3://bucket/demo.mcap",
+        callback=fetch_recordings,
+    ),
+]
+WholeRecordingArgument = Annotated[
+    str, typer.Argument(metavar="RECORDING", help="A file, a folder or a URL", callback=fetch_recordings)
 ]
 GridOption = Annotated[str | None, typer.Option(help=r"CELLSxMETRES\[@X,Y], e.g. 100x0.2; default: the recording's")]
 RateOption = Annotated[float | None, typer.Option(help="Frames per second; default: the recording's")]

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from gridtrack.cli.options import GridOption, JsonOption, RateOption
+from gridtrack.cli.options import GridOption, JsonOption, RateOption, RecordingArgument, WholeRecordingArgument
 from gridtrack.common.errors import ConfigurationError, printable
 
 PoseTopicOption = Annotated[
@@ -30,7 +30,7 @@ app = typer.Typer(no_args_is_help=True, help="Recordings: info, import, view, la
 
 @app.command("info")
 def recording_info(
-    recording: Path,
+    recording: WholeRecordingArgument,
     topic: str | None = None,
     pose_topic: PoseTopicOption = None,
     mount: MountsOption = None,
@@ -42,7 +42,7 @@ def recording_info(
     from gridtrack.recordings import open_recording, parse_mount
 
     opened = open_recording(
-        recording,
+        Path(recording),
         topic=topic,
         pose_topic=pose_topic,
         mounts=[parse_mount(text) for text in mount or ()],
@@ -55,7 +55,7 @@ def recording_info(
 
 @app.command("import")
 def recording_import(
-    source: Path,
+    source: WholeRecordingArgument,
     out: Annotated[Path, typer.Option(help="The .mcap to write")],
     topic: Annotated[str | None, typer.Option(help="Of a bag with several")] = None,
     site: Annotated[str | None, typer.Option(help="The site of the sensor")] = None,
@@ -92,7 +92,7 @@ def recording_import(
 
     where = "--cloud-slice"
     recording = import_recording(
-        source,
+        Path(source),
         out,
         topic=topic,
         site=site,
@@ -114,7 +114,7 @@ def recording_import(
 
 @app.command("view")
 def recording_view(
-    recording: Annotated[str, typer.Argument(metavar="RECORDING[@RANGE]", help="For example demo.mcap@30s-90s")],
+    recording: RecordingArgument,
     out: Annotated[Path | None, typer.Option(help="The .rrd to write; default: named as the recording, here")] = None,
     grid: GridOption = None,
     rate: RateOption = None,

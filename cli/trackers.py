@@ -20,6 +20,7 @@ from gridtrack.cli.options import (
     TrackersTomlOption,
     WeightsOption,
     default_of,
+    fetch_recordings,
     with_defaults,
 )
 from gridtrack.common.errors import INTERRUPTED_EXIT_CODE, ConfigurationError, GridtrackError, PluginError, printable
@@ -40,6 +41,7 @@ def train_command(
             help="A tracker and recordings to train it on, or folders of them; may be left out with --recipe or --like",
             show_default=False,
             autocompletion=complete_tracker,
+            callback=fetch_recordings,
         ),
     ] = None,
     recipe: Annotated[
@@ -49,7 +51,10 @@ def train_command(
         Path | None, typer.Option(metavar="CARD", help="Train with the tracker, settings and seed of this card")
     ] = None,
     validation: Annotated[
-        list[str] | None, typer.Option(help=r"RECORDING\[@RANGE]; default: the recording's own validation stretch")
+        list[str] | None,
+        typer.Option(
+            help=r"RECORDING\[@RANGE]; default: the recording's own validation stretch", callback=fetch_recordings
+        ),
     ] = None,
     out: Annotated[Path | None, typer.Option(help="Folder of weights; default: your own")] = None,
     seed: Annotated[int | None, typer.Option(help="Without it, the seed of the recipe or the card")] = None,
