@@ -91,8 +91,8 @@ class Comparison:
         Both have the same scored stamps, but other frames, in windows about other poses: drives are paired, cells are
         not.
         """
-        counts, strata = self._by_minute((self, tracker), (other, tracker))
-        found = differences(*counts)
+        (own, others), strata = self._by_minute((self, tracker), (other, tracker))
+        found = differences(own, others)
         return {stratum: found.column(strata.index(stratum)) for stratum in STRATA}
 
     def less_beyond_floor(self, other: Comparison, tracker: str) -> dict[str, PairedDifferences]:

@@ -1,0 +1,114 @@
+"""A short training at a site: from general weights, and from scratch, beside the general weights that it starts from.
+
+`python -m studies.site_start` (half an hour of a core) trains on the 75 s of the hall's training stretch in both ways,
+and scores all three on its validation stretch, which both trainings have used to choose between their tries, and on its
+test stretch, which they have not seen. Thresholds are chosen on the training stretch for every row. A training that
+exists in `--out` is kept.
+"""
+
+from __future__ import annotations
+
+import argparse
+import resource
+import subprocess
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from gridtrack.evaluation.results.summary import RunSummary, read_summary
+from gridtrack.trackers.card import GENERAL
+
+from studies.support.comparison import compare
+from studies.support.results_file import ResultSection, ResultTable, measured_table, write_section
+from studies.support.unseen_places import NONE, REFERENCE, WEIGHTS
+
+HALL, SITE = Path("data/leg_tracker/leg_tracker.mcap"), "leg_tracker"
+STRETCHES = {"validation": f"{HALL}@validation", "test": f"{HALL}@test"}
+TRACKERS = ("kalman", "dilated-convgru")
+WAYS = ("from general", "from scratch")
+RECIPES = Path("studies/recipes/weights")
+"""What a tracker is trained with from scratch, TRACKER-SITE.toml; from general weights their own settings hold."""
+SCORES = (
+    ("in-motion", "pr_auc", "PR-AUC, in motion"),
+    ("dynamic", "f1", "F1, dynamic"),
+    ("visible", "nll", "log loss"),
+)
+HORIZONS_S = (0.5, 1.0)
+RESULTS = Path("docs/results/worlds/site_start.json")
+COMMAND = "python -m studies.site_start"
+
+
+def train(tracker: str, way: str, out: Path) -> float:
+    """Train in one of WAYS into `out`; seconds of processor time, 0 where that had been done before."""
+    if (out / tracker / f"{SITE}.toml").is_file():
+        return 0.0
+    recipe = ("--recipe", RECIPES / f"{tracker}-{SITE}.toml")
+    words = ("train", *(recipe if way == "from scratch" else (tracker, HALL)), "--seed", "1", "--out", out)
+    before_s = _children_s()
+    ended = subprocess.run([sys.executable, "-m", "gridtrack.cli", *map(str, words)], check=False)
+    if ended.returncode:
+        raise SystemExit(ended.returncode)
+    return _children_s() - before_s
+
+
+def _children_s() -> float:
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
+
+
+def trained(out: Path, tracker: str, way: str) -> Path:
+    """The folder of weights of one training."""
+    return out / way.replace(" ", "-") / tracker
+
+
+def rows_of(tracker: str, out: Path) -> dict[str, str]:
+    """The rows of a tracker as `--tracker` names them, by label."""
+    rows = {"general": f"weights={WEIGHTS},card={GENERAL}"}
+    rows |= {way: f"weights={trained(out, tracker, way)},card=site" for way in WAYS}
+    return {f"{tracker}, {name}": f"{tracker}, {name}={tracker}:{weights}" for name, weights in rows.items()}
+
+
+def run(trackers: Sequence[str], out: Path) -> dict[str, float]:
+    """Train what is missing, and compare on both stretches; the time of both trainings of each tracker that ran, s."""
+    took = {}
+    for tracker in trackers:
+        times_s = [train(tracker, way, trained(out, tracker, way)) for way in WAYS]
+        if all(times_s):
+            took[tracker] = times_s[0] / times_s[1]
+    chosen = [REFERENCE, *(row for tracker in trackers for row in rows_of(tracker, out).values())]
+    for name, stretch in STRETCHES.items():
+        options = ("--every", "0.2s", "--horizon", "2s", "--allow-leak", "--resume")
+        compare([Path(stretch)], Path(f"{HALL}@train"), chosen, out / name, *options)
+    return took
+
+
+def table(summary: RunSummary) -> ResultTable:
+    """SCORES of every row at HORIZONS_S."""
+    (recording,) = summary.recordings.values()
+    steps = [recording.horizons_s.index(horizon_s) for horizon_s in HORIZONS_S]
+    rows = []
+    for label, row in summary.trackers.items():
+        (scored,) = row.recordings.values()
+        found = (getattr(scored.strata[stratum], score)[step] for stratum, score, _ in SCORES for step in steps)
+        rows.append([label, *(NONE if one is None else f"{one:.3f}" for one in found)])
+    return measured_table(("row", *(f"{name} {h:g} s" for *_, name in SCORES for h in HORIZONS_S)), rows)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--tracker", action="append", choices=TRACKERS, help="default: both")
+    parser.add_argument("--out", type=Path, default=Path("runs/site-start"))
+    parser.add_argument("--results", type=Path, default=RESULTS)
+    given = parser.parse_args()
+    took = run(given.tracker or TRACKERS, given.out)
+    tables = {name: table(read_summary(given.out / name)) for name in STRETCHES}
+    values = {f"time of {tracker}, of that from scratch": f"{share:.2f}" for tracker, share in took.items()}
+    write_section(
+        given.results, "scores", ResultSection(command=COMMAND, source="measured", tables=tables, values=values)
+    )
+    print("\n\n".join(one.markdown() for one in tables.values()))
+    print(values)
+
+
+if __name__ == "__main__":
+    main()
