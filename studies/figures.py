@@ -40,10 +40,9 @@ DECIMAL = re.compile(r"(?<![\w.])\d*\.\d+(?![\w]|\.\d)")
 
 
 def marked_pages(root: Path = ROOT) -> list[Path]:
-    """The pages with generated numbers: the results pages, and those on methods that were measured."""
-    names = ("follow.md", "regress.md", "scale.md", "statistics.md", "notebook/statistics.md", "notebook/thresholds.md")
-    methods = [root / "docs" / name for name in names]
-    return [*results_pages(root), *filter(Path.exists, methods)]
+    """The pages with generated numbers: the results pages, and every other one with a marker."""
+    others = set((root / "docs").rglob("*.md")) - set(results_pages(root))
+    return [*results_pages(root), *sorted(page for page in others if MARKED.search(page.read_text("utf-8")))]
 
 
 def results_pages(root: Path = ROOT) -> list[Path]:

@@ -65,7 +65,7 @@ def rows_of(tracker: str, out: Path) -> dict[str, str]:
     """The rows of a tracker as `--tracker` names them, by label."""
     rows = {"general": f"weights={WEIGHTS},card={GENERAL}"}
     rows |= {way: f"weights={trained(out, tracker, way)},card=site" for way in WAYS}
-    return {f"{tracker}, {name}": f"{tracker}, {name}={tracker}:{weights}" for name, weights in rows.items()}
+    return {f"{tracker} {name}": f"{tracker} {name}={tracker}:{weights}" for name, weights in rows.items()}
 
 
 def run(trackers: Sequence[str], out: Path) -> dict[str, float]:
