@@ -30,21 +30,21 @@ class SharedInputs:
         self._regions: dict[str, Future[SplitRegions]] = {}
         """By the name of the whole split, those asked for last at the end."""
 
-    def regions_of(self, split: EvaluationSplit) -> SplitRegions:
-        """The regions of a split. Raises RecordingError."""
+    def regions_of(self, split: EvaluationSplit, check: Callable[[], None] = lambda: None) -> SplitRegions:
+        """The regions of a split; finding them calls `check()` now and then. Raises what it raises, RecordingError."""
         with self._guard:
             known = self._regions.pop(split.whole, None)
             found = self._regions[split.whole] = known or Future()
             while len(self._regions) > self._works:
                 del self._regions[next(iter(self._regions))]
         if known is None:
-            self._find(split, found)
+            self._find(split, found, check)
         return found.result()
 
-    def _find(self, split: EvaluationSplit, found: Future[SplitRegions]) -> None:
+    def _find(self, split: EvaluationSplit, found: Future[SplitRegions], check: Callable[[], None]) -> None:
         """Make the regions of a split, or the error of all that wait for them."""
         self._note(f"{split.whole}: finding its static cells")
         try:
-            found.set_result(split.regions())
+            found.set_result(split.regions(check))
         except Exception as error:  # noqa: BLE001 all works that wait for them raise it
             found.set_exception(error)

@@ -66,7 +66,7 @@ class TrialWork(_InterruptedOnce):
 
     def run(self, monitor: Monitor) -> TrialRecord:
         """Run the trial to its end, successful or not."""
-        regions = self._shared.regions_of(self.trial.split)
+        regions = self._shared.regions_of(self.trial.split, monitor.check)
         run = TrialRun(self.trial, regions, self._folder, monitor.next_frame, self._shared.thresholds)
         monitor.started(run.frames)
         self.begin(run)
@@ -100,7 +100,9 @@ class OracleWork:
         split, thresholds = self.split, self._shared.thresholds
         validation = () if thresholds.known(self.thresholds_key) else self.validation or ()
         monitor.started(len(split.test) + len(validation))
-        return run_oracle(split, self._shared.regions_of(split), self._folder, monitor.next_frame, thresholds)
+        return run_oracle(
+            split, self._shared.regions_of(split, monitor.check), self._folder, monitor.next_frame, thresholds
+        )
 
     def interrupt(self) -> None:
         """It waits for no other process, so the next frame ends it."""
@@ -161,7 +163,9 @@ class RobustnessWork(_MeasurementWork):
         assert degradation is not None, "the run asks for no degraded input"
         run = RobustnessRun(self.trial, degradation, self._folder)
         self.begin(run)
-        robustness = run.run(self._shared.regions_of(self.trial.split), self.record.thresholds, monitor.check)
+        robustness = run.run(
+            self._shared.regions_of(self.trial.split, monitor.check), self.record.thresholds, monitor.check
+        )
         return written(self._folder, self.record.model_copy(update={"robustness": robustness}))
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+
 from gridtrack.common.grid import GridSpec
 from gridtrack.evaluation.scoring.strata import STRATA, RegionMaps, region_maps_of
 from gridtrack.evaluation.scoring.world_kinds import CellKinds, KindsOfOutlines, observed_kinds
@@ -31,11 +33,18 @@ class Regions:
         return maps
 
 
-def regions_of(stream: GridStream, strata: tuple[str, ...]) -> Regions:
+def regions_of(stream: GridStream, strata: tuple[str, ...], check: Callable[[], None] = lambda: None) -> Regions:
     """Regions of a stretch: from the true scene, without truth from a pass over the whole recording.
 
-    Raises RecordingError.
+    `check()` is called at each frame of the pass; what it raises ends it. Raises RecordingError.
     """
     scene = next((one.scene for one in stream.observations() if one.scene), None) if stream.has_truth else None
-    kinds = KindsOfOutlines(scene, stream.grid) if scene else observed_kinds(stream.all_observations(), stream.grid)
-    return Regions(stream.grid, kinds, strata)
+    if scene:
+        return Regions(stream.grid, KindsOfOutlines(scene, stream.grid), strata)
+    return Regions(stream.grid, observed_kinds(_checked(stream.all_observations(), check), stream.grid), strata)
+
+
+def _checked(observations: Iterator[Observation], check: Callable[[], None]) -> Iterator[Observation]:
+    for observation in observations:
+        check()
+        yield observation

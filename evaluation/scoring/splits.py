@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -93,12 +93,12 @@ class EvaluationSplit:
         enough = -(-(frames - WARM_UP - self.steps) // VALIDATION_FORECASTS)
         return Schedule(frames, self.steps, min(self.every, enough))
 
-    def regions(self) -> SplitRegions:
-        """Regions of both stretches; a single pass where both are of one recording. Raises RecordingError."""
-        test = regions_of(self.test, self.strata)
+    def regions(self, check: Callable[[], None] = lambda: None) -> SplitRegions:
+        """Regions of both stretches, each as of `regions_of`; a single pass where both are of one recording."""
+        test = regions_of(self.test, self.strata, check)
         if self.validation is None or self.validation.sha256 == self.test.sha256:
             return SplitRegions(test, test)
-        return SplitRegions(test, regions_of(self.validation, self.strata))
+        return SplitRegions(test, regions_of(self.validation, self.strata, check))
 
     def description(self) -> RecordingDescription:
         """The split as the summary of a run describes it."""

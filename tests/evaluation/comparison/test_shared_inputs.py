@@ -11,6 +11,7 @@ from gridtrack.common.errors import RecordingError
 from gridtrack.evaluation.comparison.plan import resolve
 from gridtrack.evaluation.comparison.runner import run
 from gridtrack.evaluation.comparison.shared_inputs import SharedInputs
+from gridtrack.evaluation.engines.engine import Interrupted
 from gridtrack.trackers.weights import read_card
 
 
@@ -18,17 +19,17 @@ class Split:
     """A split with the one method that counts here, and how often it was called."""
 
     def __init__(self, name, error=None):
-        self.name, self.found, self.error = name, 0, error
+        self.whole, self.found, self.error = name, 0, error
         self.started, self.proceed = threading.Event(), threading.Event()
         self.proceed.set()
 
-    def regions(self):
+    def regions(self, check):
         self.found += 1
         self.started.set()
         self.proceed.wait(10)
         if self.error:
             raise self.error
-        return f"regions of {self.name} ({self.found})"
+        return f"regions of {self.whole} ({self.found})"
 
 
 @pytest.fixture
@@ -69,15 +70,29 @@ def test_regions_that_cannot_be_found_fail_the_trials_of_their_recording_alone(s
     plan = resolve(settings("persistence", recordings=recordings))
     regions = type(plan.splits[0]).regions
 
-    def damaged(split):
+    def damaged(split, check):
         if split.name == "bad":
             raise RecordingError("bad.mcap: damaged at 3 s")
-        return regions(split)
+        return regions(split, check)
 
     monkeypatch.setattr(type(plan.splits[0]), "regions", damaged)
     rows = run(plan, (), progress).trackers["persistence"].recordings
     assert (rows["good"].outcome, rows["bad"].outcome) == ("ok", "failed")
     assert rows["bad"].reason == "bad.mcap: damaged at 3 s"
+
+
+def test_an_interrupt_ends_the_search_for_static_cells(shared, settings, record):
+    (split,) = resolve(settings("persistence", recordings=(str(record("hall", 40, {})),))).splits
+    frames = []
+
+    def stop():
+        frames.append(1)
+        if len(frames) == 5:
+            raise Interrupted
+
+    with pytest.raises(Interrupted):
+        shared(1).regions_of(split, stop)
+    assert len(frames) == 5
 
 
 def test_a_card_is_read_once_for_all_recordings_of_a_site(settings, record, monkeypatch):
