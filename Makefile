@@ -9,7 +9,7 @@ DEMO_TRACKERS := persistence static-map blank kalman dogma deep-tracking-rnn dil
 JUNCTION_TRACKERS := persistence static-map blank kalman factor-graph dogma dilated-convgru one-shot
 COMPARE := $(BIN)/gridtrack compare
 # with general weights: they have seen no recording of a site
-GENERAL := static-map kalman dilated-convgru
+GENERAL := static-map kalman dogma dilated-convgru
 chosen = $(foreach tracker,$(1),--tracker $(tracker))
 new = $(foreach tracker,$(1),--tracker new-$(tracker)=$(tracker):card=general)
 # studies/trainings/seed-2/kalman/junction.toml: another training of kalman, as the row "kalman 2"
@@ -25,7 +25,7 @@ help: ## list the targets
 demo: $(VENV)/.installed-demo ## compare trackers on a real laser recording: new to the place, and trained there (some minutes)
 	rm -rf runs/demo runs/demo-new
 	$(COMPARE) $(DEMO)@0s- $(call chosen,persistence blank $(addsuffix :card=general,$(GENERAL))) --every 0.5s --out runs/demo-new
-	$(COMPARE) $(DEMO) $(call chosen,$(DEMO_TRACKERS)) $(call new,kalman dilated-convgru) --every 0.5s --latency --out runs/demo
+	$(COMPARE) $(DEMO) $(call chosen,$(DEMO_TRACKERS)) $(call new,kalman dogma dilated-convgru) --every 0.5s --latency --out runs/demo
 
 demo-junction: $(VENV)/.installed-demo ## compare eight trackers on twenty minutes at a simulated junction
 	rm -rf runs/junction
