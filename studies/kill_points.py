@@ -4,7 +4,7 @@
 undisturbed, then once for each kill: a process is killed (SIGKILL) at a moment drawn from the duration of the
 undisturbed run, its processes and temporary files that are left are counted, and `--resume` completes the run, whose
 files must have the hashes of the undisturbed one. Writes docs/results/robustness.json. `--engine ray` and `--engine
-slurm` make a cluster on this machine. Half a minute a point on an idle core.
+slurm` make a cluster on this machine. Half a minute a point on an idle core; Ctrl-C keeps the kills so far.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -187,6 +187,9 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0, help="of the moments")
     given = parser.parse_args()
     adopt_orphans()
+    # SIGTERM too; a process that was started in the background ignores interrupts
+    for ends in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(ends, signal.default_int_handler)
     random = np.random.default_rng(given.seed)
     kills: list[Kill] = []
     with tempfile.TemporaryDirectory() as folder, engine_words(given.engine) as engine:
@@ -194,12 +197,13 @@ def main() -> None:
         began = time.monotonic()
         undisturbed = complete(Path(folder, "undisturbed"), engine, Path(folder, "temporary"))
         duration_s = time.monotonic() - began
-        while len(kills) < given.points:
-            kind, moment_s = list(VICTIMS)[len(kills) % len(VICTIMS)], float(random.uniform(0.0, duration_s))
-            kill = kill_once(kind, moment_s, Path(folder, "run"), engine, steady, undisturbed)
-            if kill:
-                kills.append(kill)
-                print(f"{len(kills)} of {given.points}: {kill}", flush=True)
+        with suppress(KeyboardInterrupt):
+            while len(kills) < given.points:
+                kind, moment_s = list(VICTIMS)[len(kills) % len(VICTIMS)], float(random.uniform(0.0, duration_s))
+                kill = kill_once(kind, moment_s, Path(folder, "run"), engine, steady, undisturbed)
+                if kill:
+                    kills.append(kill)
+                    print(f"{len(kills)} of {given.points}: {kill}", flush=True)
     write_results(given.engine, kills, duration_s)
 
 
