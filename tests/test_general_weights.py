@@ -146,7 +146,8 @@ def test_a_card_names_what_its_general_weights_learned_from(dogma_of_the_hall, t
         compared(f"{HALL}@20s-32s", folder, tmp_path, "dogma")
 
 
-def test_without_general_weights_a_training_is_from_scratch_and_its_command_says_so(tmp_path):
+def test_without_general_weights_a_training_is_from_scratch_and_its_command_says_so(tmp_path, monkeypatch):
+    monkeypatch.setattr("gridtrack.evaluation.comparison.learned._folders", lambda override: iter(()))
     options = ",".join(f"{key}={value}" for key, value in (SEARCHED | {"particles": 200}).items())
     text = gridtrack("train", f"dogma:{options}", *TEN_SECONDS, "--out", tmp_path)
     card = read_card(tmp_path / "dogma" / "leg_tracker.toml")

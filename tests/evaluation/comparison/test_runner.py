@@ -326,7 +326,9 @@ def test_a_run_with_learned_weights_is_scored_and_names_its_training_data(settin
 def test_region_maps_are_computed_once_for_each_recording(settings, progress, monkeypatch):
     found = []
     original = EvaluationSplit.regions
-    monkeypatch.setattr(EvaluationSplit, "regions", lambda split: (found.append(split.name), original(split))[1])
+    monkeypatch.setattr(
+        EvaluationSplit, "regions", lambda split, check: (found.append(split.name), original(split, check))[1]
+    )
     compare(settings("blank", "persistence"), progress)
     assert found == ["room"]
 
