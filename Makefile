@@ -25,7 +25,7 @@ help: ## list the targets
 demo: $(VENV)/.installed-demo ## compare trackers on a real laser recording: new to the place, and trained there (some minutes)
 	rm -rf runs/demo runs/demo-new
 	$(COMPARE) $(DEMO)@0s- $(call chosen,persistence blank $(addsuffix :card=general,$(GENERAL))) --every 0.5s --out runs/demo-new
-	$(COMPARE) $(DEMO) $(call chosen,$(DEMO_TRACKERS)) $(call new,kalman dogma dilated-convgru) --every 0.5s --latency --out runs/demo
+	$(COMPARE) $(DEMO) $(call chosen,$(DEMO_TRACKERS)) $(call new,$(filter-out static-map,$(GENERAL))) --every 0.5s --latency --out runs/demo
 
 demo-junction: $(VENV)/.installed-demo ## compare eight trackers on twenty minutes at a simulated junction
 	rm -rf runs/junction

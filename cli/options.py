@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
 DEBUG_OPTION = "--debug"
 """Read from the command line itself, so that it can follow the name of a command."""
+EXAMPLES = "For example demo.mcap@30s-90s, or s3://bucket/demo.mcap"
 
 
 def fetch_recordings(given: Any) -> Any:
@@ -36,7 +37,7 @@ RecordingArgument = Annotated[
     str,
     typer.Argument(
         metavar="RECORDING[@RANGE]",
-        help="For example demo.mcap@30s-90s, or s3://bucket/demo.mcap",
+        help=EXAMPLES,
         callback=fetch_recordings,
     ),
 ]
@@ -44,7 +45,7 @@ RecordingsArgument = Annotated[
     list[str],
     typer.Argument(
         metavar="RECORDING[@RANGE]...",
-        help="For example demo.mcap@30s-90s, or s3://bucket/demo.mcap",
+        help=EXAMPLES,
         callback=fetch_recordings,
     ),
 ]

@@ -13,15 +13,12 @@ minutes), the comparisons 40 together: some six hours.
 from __future__ import annotations
 
 import argparse
-import subprocess
-import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from gridtrack.trackers.card import GENERAL
-from gridtrack.trackers.weights import read_card
 
-from studies.support.comparison import RECORDINGS, VALIDATION, compare
+from studies.support.comparison import RECORDINGS, VALIDATION, compare, train
 from studies.support.results_file import ResultSection, ResultTable, measured_table, write_section
 from studies.support.unseen_places import REFERENCE, WEIGHTS, PlaceScores
 
@@ -37,18 +34,6 @@ def weights_after(tracker: str, minutes: int, out: Path) -> Path:
     return out / f"minutes-{minutes}" / tracker / f"{SITE}.toml"
 
 
-def train(tracker: str, minutes: int, general: Path, out: Path) -> None:
-    """Train at the site from the general weights, unless that has been done. Ends the program where it fails."""
-    card = weights_after(tracker, minutes, out)
-    if card.exists() and not read_card(card).interrupted:
-        return
-    words = ["train", tracker, f"{TRAINING}@0s-{60 * minutes}s", "--validation", VALIDATION]
-    words += ["--weights", general, "--out", card.parents[1]]
-    ended = subprocess.run([sys.executable, "-m", "gridtrack.cli", *map(str, words)], check=False)
-    if ended.returncode:
-        raise SystemExit(ended.returncode)
-
-
 def rows_of(tracker: str, minutes: Sequence[int], general: Path, out: Path) -> dict[str, str]:
     """The rows of a tracker as `--tracker` names them, by label: general, after each training, and of the site."""
     chosen = {f"{tracker}-general": f"weights={general},card={GENERAL}"}
@@ -61,7 +46,8 @@ def run(trackers: Sequence[str], minutes: Sequence[int], general: Path, out: Pat
     """Train what is missing, and compare on the test minutes with the thresholds of the site, and with the cards'."""
     for tracker in trackers:
         for number in minutes:
-            train(tracker, number, general, out)
+            chosen = ("--validation", VALIDATION, "--weights", general)
+            train(weights_after(tracker, number, out), tracker, f"{TRAINING}@0s-{60 * number}s", *chosen)
     tests = sorted(RECORDINGS.glob("test-*.tracks"))
     every = [row for tracker in trackers for row in rows_of(tracker, minutes, general, out).values()]
     compare(tests, VALIDATION, [REFERENCE, *every], out / "site-thresholds", "--resume", *options)

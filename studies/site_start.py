@@ -10,15 +10,13 @@ from __future__ import annotations
 
 import argparse
 import resource
-import subprocess
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 
 from gridtrack.evaluation.results.summary import RunSummary, read_summary
 from gridtrack.trackers.card import GENERAL
 
-from studies.support.comparison import compare
+from studies.support.comparison import compare, train
 from studies.support.results_file import ResultSection, ResultTable, measured_table, write_section
 from studies.support.unseen_places import NONE, REFERENCE, WEIGHTS
 
@@ -38,17 +36,13 @@ RESULTS = Path("docs/results/worlds/site_start.json")
 COMMAND = "python -m studies.site_start"
 
 
-def train(tracker: str, way: str, out: Path) -> float:
-    """Train in one of WAYS into `out`; seconds of processor time, 0 where that had been done before."""
-    if (out / tracker / f"{SITE}.toml").is_file():
-        return 0.0
+def train_one_way(tracker: str, way: str, out: Path) -> float:
+    """Train in one of WAYS; seconds of processor time, 0 where that had been done before."""
     recipe = ("--recipe", RECIPES / f"{tracker}-{SITE}.toml")
-    words = ("train", *(recipe if way == "from scratch" else (tracker, HALL)), "--seed", "1", "--out", out)
     before_s = _children_s()
-    ended = subprocess.run([sys.executable, "-m", "gridtrack.cli", *map(str, words)], check=False)
-    if ended.returncode:
-        raise SystemExit(ended.returncode)
-    return _children_s() - before_s
+    card = trained(out, tracker, way) / tracker / f"{SITE}.toml"
+    ran = train(card, *(recipe if way == "from scratch" else (tracker, HALL)), "--seed", "1")
+    return _children_s() - before_s if ran else 0.0
 
 
 def _children_s() -> float:
@@ -72,7 +66,7 @@ def run(trackers: Sequence[str], out: Path) -> dict[str, float]:
     """Train what is missing, and compare on both stretches; the time of both trainings of each tracker that ran, s."""
     took = {}
     for tracker in trackers:
-        times_s = [train(tracker, way, trained(out, tracker, way)) for way in WAYS]
+        times_s = [train_one_way(tracker, way, out) for way in WAYS]
         if all(times_s):
             took[tracker] = times_s[0] / times_s[1]
     chosen = [REFERENCE, *(row for tracker in trackers for row in rows_of(tracker, out).values())]

@@ -11,6 +11,7 @@ from pathlib import Path
 from gridtrack.evaluation.results.summary import RunSummary
 from gridtrack.evaluation.results.trial_record import read_trial_record
 from gridtrack.evaluation.statistics.finished_trial import FinishedTrial
+from gridtrack.trackers.weights import read_card
 
 RECORDINGS = Path("data/junction")
 VALIDATION = RECORDINGS / "validation.tracks"
@@ -30,8 +31,23 @@ def compare(
     Without `validation` thresholds are those of the recordings' own validation stretches, else of the cards.
     """
     rows = [word for tracker in trackers for word in ("--tracker", tracker)]
-    chosen_on = ["--validation", validation] if validation else []
-    words = ["compare", *recordings, *chosen_on, *rows, "--out", out, *options]
+    chosen_on: list[str | Path] = ["--validation", validation] if validation else []
+    gridtrack("compare", *recordings, *chosen_on, *rows, "--out", out, *options)
+
+
+def train(card: Path, *words: str | Path) -> bool:
+    """Train as `words` say, into the folder of weights that `card` is for, unless a complete training has written it.
+
+    Whether it was trained. Ends the program where it fails.
+    """
+    if card.exists() and not read_card(card).interrupted:
+        return False
+    gridtrack("train", *words, "--out", card.parents[1])
+    return True
+
+
+def gridtrack(*words: str | Path) -> None:
+    """Run a command of gridtrack. Ends the program where it fails."""
     done = subprocess.run([sys.executable, "-m", "gridtrack.cli", *map(str, words)], check=False)
     if done.returncode:
         raise SystemExit(done.returncode)
