@@ -54,7 +54,7 @@ bench: $(VENV)/.installed-dev ## measure the speed of everything that `make test
 results: $(VENV)/.installed-demo ## compare every tracker at the junction: the numbers of docs/results/junction
 	rm -rf runs/results
 	$(COMPARE) $(JUNCTION) $(call chosen,$(JUNCTION_TRACKERS) deep-tracking-rnn) $(trainings) --reference dilated-convgru --out runs/results
-	$(BIN)/python -m studies.junction_results runs/results
+	$(BIN)/python -m studies.kept_summary runs/results junction
 	$(BIN)/python -m studies.static_memory
 
 worlds-results: $(VENV)/.installed-demo ## compare every tracker with general weights on the test worlds: the numbers of docs/results/worlds

@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import time
 from itertools import islice
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,9 +21,12 @@ from gridtrack.trackers.dogma.settings import DogmaSettings
 from gridtrack.trackers.dogma.tracker import DogmaTracker
 
 from benchmarks.timing import p50_p95
+from studies.support.results_file import ResultTable, measured_table, write_table
 from studies.support.shipped import JUNCTION, STEPS, shipped_stream
 
 FRAMES, WARM_UP = 240, 20
+DEFAULT = DogmaSettings.model_fields["particles"].default
+"""Particles of the tracker as it ships."""
 
 
 def measure(stream: StreamSpec, frames: list[GridFrame], particles: int) -> NDArray[np.float64]:
@@ -39,16 +43,35 @@ def measure(stream: StreamSpec, frames: list[GridFrame], particles: int) -> NDAr
     return np.asarray(1e3 * np.array(times[WARM_UP:]).T)
 
 
+def table_of(found: dict[int, NDArray[np.float64]]) -> ResultTable:
+    """For each number of particles its times (4, N) as ratios of medians to those of the default number."""
+    standard = np.median(found[DEFAULT], axis=1)
+    rows = []
+    for particles, times in found.items():
+        update, forecast, both, processor = np.median(times, axis=1)
+        ratios = update / standard[0], forecast / standard[1], both / standard[2], processor / both
+        rows.append([f"{particles:,}", *(f"{ratio:.2f}" for ratio in ratios)])
+    return measured_table(
+        ("particles", "update", "20-step forecast", "both", "processor time of both, of their time"), rows
+    )
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--particles", type=int, nargs="+", default=[25_000, 50_000, 100_000, 200_000])
+    parser.add_argument("--particles", type=int, nargs="+", default=[25_000, 50_000, DEFAULT, 200_000])
+    parser.add_argument("--out", type=Path, help="results file, such as docs/results/trackers/dogma.json")
+    given = parser.parse_args()
     source = open_stream(JUNCTION / "test-101.tracks")
     frames, stream = list(islice(source, FRAMES)), shipped_stream("dogma", source)
-    particles = parser.parse_args().particles
     print(f"ms, p50 / p95, of an update and a {STEPS}-step forecast; 'processor' is the processor time of both")
     print(f"{'particles':>9} {'update':>15} {'forecast':>15} {'both':>15} {'processor':>15}")
-    for number in particles:
-        print(f"{number:>9} " + " ".join(f"{p50_p95(times):>15}" for times in measure(stream, frames, number)))
+    found = {}
+    for number in given.particles:
+        found[number] = measure(stream, frames, number)
+        print(f"{number:>9} " + " ".join(f"{p50_p95(times):>15}" for times in found[number]))
+    if DEFAULT in found:
+        values = {"both, ms": p50_p95(found[DEFAULT][2])}
+        write_table(given.out, "time", table_of(found), "python -m benchmarks.dogma", values)
 
 
 if __name__ == "__main__":

@@ -1,10 +1,10 @@
 """Speed of the recurrent networks on one thread, beside other implementations of the same networks.
 
-`python -m benchmarks.inference` (two minutes). For the dilated ConvGRU: ours, also with `inference=bfloat16`; a
-straightforward PyTorch ConvGRU, gate by gate on concatenated input; and that one in ONNX Runtime, where `pip install
-onnxruntime onnx onnxscript` has been run. All have the same weights; that their forecasts agree is asserted. They take
-turns, and the thread's processor time is measured: other work on the machine affects the caches only. Aim: 5 ms in
-float32.
+`python -m benchmarks.inference [--out FILE]` (two minutes). For the dilated ConvGRU: ours, also with
+`inference=bfloat16`; a straightforward PyTorch ConvGRU, gate by gate on concatenated input; and that one in ONNX
+Runtime, where `pip install onnxruntime onnx onnxscript` has been run. All have the same weights; that their forecasts
+agree is asserted. They take turns, and the thread's processor time is measured: other work on the machine affects the
+caches only. Aim: 5 ms in float32.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import importlib.util
 import tempfile
 import time
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +32,10 @@ from gridtrack.trackers.recurrent.network import LatentState, RecurrentNetwork, 
 from gridtrack.trackers.recurrent.rnn_tracker import DeepTrackingRNNTracker
 from gridtrack.trackers.recurrent.settings import GATES
 
+from studies.support.results_file import ResultSection, ResultTable, measured_table, write_section
+
 SIZE, STEPS = 100, 20
+FORECAST = f"forecast of {STEPS} steps"
 TOLERANCE = {"ours, bfloat16": 0.05}
 """Of P(occupied) after some frames and a forecast; 1e-4 for the others."""
 
@@ -192,38 +196,73 @@ CASES: dict[str, tuple[int, Callable[[Any, LatentState], object]]] = {
     "update with input": (1, lambda network, state: network.step(observed(9), state)),
     "update without": (1, lambda network, state: network.step(None, state)),
     "forecast step, decoded": (1, lambda network, state: forecast(network, network.step(None, state), 0)),
-    f"forecast of {STEPS} steps": (STEPS, lambda network, state: forecast(network, state, STEPS)),
+    FORECAST: (STEPS, lambda network, state: forecast(network, state, STEPS)),
 }
 """Steps, and what is timed from a network and its state."""
 
 
-def print_comparison(found: dict[str, Any], operations: int, rate: float, rounds: int) -> None:
+@dataclass(frozen=True)
+class Comparison:
+    """The median milliseconds of each case by implementation, and the least that a step's convolutions can take."""
+
+    medians_ms: dict[str, dict[str, float]]
+    at_best_ms: float
+
+    def table(self, name: str) -> ResultTable:
+        """Ratios of the medians to those of the first implementation, ours."""
+        first, *_ = self.medians_ms.values()
+        rows = [
+            [label, *(f"{own / ours:.2f}" for own, ours in zip(cases.values(), first.values(), strict=True))]
+            for label, cases in self.medians_ms.items()
+        ]
+        return measured_table((f"{name}, times ours in float32", *CASES), rows)
+
+    def values(self, name: str) -> dict[str, str]:
+        """Milliseconds of ours, and how near its forecast is to the best rate found on the processor."""
+        ours, *_ = self.medians_ms.values()
+        texts = {f"{name}: {case}, ms": f"{ms:.1f}" for case, ms in ours.items()}
+        share = self.at_best_ms * STEPS / ours[FORECAST]
+        return texts | {f"{name}: share of the best rate": f"{100 * share:.0f} %"}
+
+
+def compared(found: dict[str, Any], operations: int, rate: float, rounds: int) -> Comparison:
     """Times of all cases; `operations` are those of a step's convolutions by the definition."""
     states = assert_agreement(found)
-    at_best = 1e-6 * operations / rate
-    print(f"  a step's convolutions by the definition would take {at_best:.2f} ms at the best rate")
+    at_best_ms = 1e-6 * operations / rate
+    print(f"  a step's convolutions by the definition would take {at_best_ms:.2f} ms at the best rate")
+    medians_ms: dict[str, dict[str, float]] = {name: {} for name in found}
     for case, (steps, call) in CASES.items():
         calls = {name: lambda name=name, call=call: call(found[name], states[name]) for name in found}
         for name, ms in processor_times_ms(calls, max(3, rounds // steps)).items():
-            median, share = np.median(ms), at_best * steps / np.median(ms)
+            median = medians_ms[name][case] = float(np.median(ms))
+            share = at_best_ms * steps / median
             print(f"  {case:22} {name:24} median {median:7.2f} ms, least {ms.min():7.2f} ms; {share:4.0%} of the rate")
+    return Comparison(medians_ms, at_best_ms)
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--rounds", type=int, default=40)
-    rounds = parser.parse_args().rounds
+    parser.add_argument("--out", type=Path, help="results file, such as docs/results/trackers/recurrent.json")
+    given = parser.parse_args()
     torch.set_num_threads(1)
+    by_network = {}
     with torch.inference_mode():
-        rate = best_rate(rounds)
+        rate = best_rate(given.rounds)
         gru = trained_like(DilatedConvGRU(SIZE, DilatedConvGRUTracker.Options()))
-        between_states = 2 * 9 * SIZE**2 * 3 * gru.channels**2
+        operations = 2 * 9 * SIZE**2 * 3 * gru.channels**2 * (2 * len(gru.layers) - 1)
         print("dilated-convgru")
-        print_comparison(contestants(gru), between_states * (2 * len(gru.layers) - 1), rate, rounds)
+        by_network["dilated-convgru"] = compared(contestants(gru), operations, rate, given.rounds)
         rnn = trained_like(DeepTrackingRNN(SIZE, DeepTrackingRNNTracker.Options()))
         print("deep-tracking-rnn")
         both = {"ours, float32": InferenceRNN(rnn), "straightforward PyTorch": rnn}
-        print_comparison(both, 2 * rnn.recur.weight.numel() * SIZE**2, rate, rounds)
+        operations = 2 * rnn.recur.weight.numel() * SIZE**2
+        by_network["deep-tracking-rnn"] = compared(both, operations, rate, given.rounds)
+    if given.out:
+        tables = {name: found.table(name) for name, found in by_network.items()}
+        values = {key: text for name, found in by_network.items() for key, text in found.values(name).items()}
+        command = f"python -m benchmarks.inference --rounds {given.rounds}"
+        write_section(given.out, "speed", ResultSection(command=command, tables=tables, values=values))
 
 
 if __name__ == "__main__":

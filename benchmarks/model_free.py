@@ -1,7 +1,8 @@
 """Speed of the model-free pipeline by the number of road users, and the time of each of its stages at thirty.
 
-`python -m benchmarks.model_free` (one minute). Aims for one update and a 20-step forecast at thirty tracks, 95th
-percentile, one thread: 10 ms with Kalman filters, 25 ms with the factor graph. One in three road users is a car.
+`python -m benchmarks.model_free [--out FILE]` (one minute). Aims for one update and a 20-step forecast at thirty
+tracks, 95th percentile, one thread: 10 ms with Kalman filters, 25 ms with the factor graph. One in three road users is
+a car.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ import functools
 import time
 from collections import defaultdict
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -28,17 +30,19 @@ from gridtrack.trackers.model_free.settings import PipelineSettings
 from gridtrack.trackers.weights import read_card
 
 from benchmarks.timing import p50_p95
+from studies.support.results_file import measured_table, write_table
 from studies.support.shipped import STEPS, WEIGHTS
 
 GRID = GridSpec(100, 0.2)
 PERIOD_S = 0.125
 FRAMES, WARM_UP = 200, 40
+MOVERS = (3, 10, 30)
 TUNED = read_card(WEIGHTS / "kalman" / "junction.toml").settings
 STREET = PipelineSettings(**{name: TUNED[name] for name in PipelineSettings.model_fields if name in TUNED})
 """The settings that ship for the junction; an option that their card does not have yet has its default."""
 CALIBRATION = "calibration"
 CLASSES, GAUSSIANS = 5, 8
-MORE = "classes, CPU, more"
+MORE = "classes, additional processor time"
 """What so many classes, each of so many Gaussians, add to the processor time of an update and a forecast."""
 
 
@@ -137,15 +141,35 @@ def measure(tracker: type[KalmanTracker] | type[FactorGraphTracker], count: int)
     return pipeline, np.array(seconds[WARM_UP:])
 
 
+def share_column(pipeline: TimedPipeline, seconds: np.ndarray) -> dict[str, str]:
+    """The median of each stage as a share of that of an update and a forecast together."""
+    whole = float(np.median(seconds))
+    stages = {stage: float(np.median(times[WARM_UP:])) for stage, times in pipeline.seconds.items()}
+    return {stage: f"{100 * time_s / whole:.0f} %" for stage, time_s in stages.items()}
+
+
 def main() -> None:
-    argparse.ArgumentParser(description=__doc__.partition("\n")[0]).parse_args()
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--out", type=Path, help="results file, such as docs/results/trackers/model-free.json")
+    out = parser.parse_args().out
     print(f"{'tracker':12} {'movers':>6} {'tracks':>6}   update and {STEPS}-step forecast, p50 / p95 ms")
+    shares, values, medians = {}, {}, {}
     for tracker in (KalmanTracker, FactorGraphTracker):
-        for count in (3, 10, 30):
+        for count in MOVERS:
             pipeline, seconds = measure(tracker, count)
             print(f"{tracker.name:12} {count:>6} {len(pipeline.tracks):>6}   {p50_p95(1e3 * seconds, 2):>16}")
         for stage in pipeline.seconds:
             print(f"    {stage:20} {p50_p95(1e3 * np.array(pipeline.seconds[stage][WARM_UP:]), 2):>16}")
+        shares[tracker.name], medians[tracker.name] = share_column(pipeline, seconds), np.median(seconds)
+        values[f"{tracker.name}, classes"] = shares[tracker.name][MORE]
+        values[f"{tracker.name}, ms"] = p50_p95(1e3 * seconds)
+        values[f"{tracker.name}, times kalman"] = f"{medians[tracker.name] / medians[KalmanTracker.name]:.1f}"
+    stages = next(iter(shares.values()))
+    table = measured_table(
+        ("share of an update and a forecast", *shares),
+        [[stage, *(column[stage] for column in shares.values())] for stage in stages],
+    )
+    write_table(out, "time", table, "python -m benchmarks.model_free", values)
 
 
 if __name__ == "__main__":

@@ -136,7 +136,7 @@ def measured(trackers: Sequence[str], frames: int, rounds: int) -> ResultSection
         ),
     }
     values = {"costliest": costliest, "most, ms": f"{more_of[costliest]:.2f}"}
-    return ResultSection(command="python -m benchmarks.moving_sensor", source="measured", tables=tables, values=values)
+    return ResultSection(command="python -m benchmarks.moving_sensor", tables=tables, values=values)
 
 
 def main() -> None:
@@ -144,7 +144,7 @@ def main() -> None:
     parser.add_argument("trackers", nargs="*", default=TRACKERS, help=f"default: {' '.join(TRACKERS)}")
     parser.add_argument("--frames", type=int, default=60, help="updates of each tracker")
     parser.add_argument("--rounds", type=int, default=10)
-    parser.add_argument("--out", type=Path, help="write the tables as a section of this results file")
+    parser.add_argument("--out", type=Path, help="results file, such as docs/results/moving/cost.json")
     given = parser.parse_args()
     torch.set_num_threads(1)
     section = measured(given.trackers, given.frames, given.rounds)

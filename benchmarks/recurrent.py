@@ -1,11 +1,13 @@
 """Speed of training the recurrent networks, frames a second.
 
-`python -m benchmarks.recurrent` (one minute). How fast they follow a stream: `benchmarks/inference.py`.
+`python -m benchmarks.recurrent [--out FILE]` (two minutes). How fast they follow a stream: `benchmarks/inference.py`.
 """
 
 from __future__ import annotations
 
 import argparse
+from itertools import product
+from pathlib import Path
 from typing import Any, get_args
 
 import numpy as np
@@ -17,6 +19,7 @@ from gridtrack.trackers.recurrent.rnn_tracker import DeepTrackingRNNTracker
 from gridtrack.trackers.recurrent.settings import Precision
 
 from benchmarks.timing import median_ms
+from studies.support.results_file import measured_table, write_table
 
 SIZE = 100
 
@@ -29,7 +32,8 @@ def random_planes(seed: int) -> np.ndarray:
     return np.stack([visible, occupied]).astype(np.float32)
 
 
-def print_training_rate(kind: type[RecurrentTracker], precision: Precision, threads: int) -> None:
+def training_rate(kind: type[RecurrentTracker], precision: Precision, threads: int) -> float:
+    """Frames of training a second."""
     from gridtrack.trackers.recurrent.training import sequence_loss
 
     torch.set_num_threads(threads)
@@ -45,16 +49,24 @@ def print_training_rate(kind: type[RecurrentTracker], precision: Precision, thre
 
     seconds = median_ms(one_update, runs=3) / 1e3
     rate = options.batch * options.length / seconds
-    print(f"{kind.name}: {rate:.0f} training frames/s ({threads} threads, {precision})")
+    print(f"{kind.name}: {rate:.0f} training frames/s ({threads} threads, {precision})", flush=True)
+    return rate
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--threads", type=int, default=torch.get_num_threads())
-    threads = parser.parse_args().threads
+    parser.add_argument("--threads", type=int, nargs="+", default=[1, 2])
+    parser.add_argument("--out", type=Path, help="results file, such as docs/results/trackers/recurrent.json")
+    given = parser.parse_args()
+    cases = list(product(get_args(Precision), given.threads))
+    rows, values = [], {}
     for kind in (DilatedConvGRUTracker, DeepTrackingRNNTracker):
-        for precision in get_args(Precision):
-            print_training_rate(kind, precision, threads)
+        rates = [training_rate(kind, precision, threads) for precision, threads in cases]
+        rows.append([kind.name, *(f"{rate / rates[0]:.2f}" for rate in rates)])
+        values[f"{kind.name}, frames a second"] = f"{rates[0]:.0f}"
+    columns = [f"{precision}, {threads} thread{'s' if threads > 1 else ''}" for precision, threads in cases]
+    table = measured_table(("frames a second, times the first", *columns), rows)
+    write_table(given.out, "training speed", table, "python -m benchmarks.recurrent", values)
 
 
 if __name__ == "__main__":

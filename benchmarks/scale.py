@@ -277,7 +277,7 @@ def write_costs(path: Path, costs: Sequence[Cost]) -> None:
         "plan": f"{PLAN_RECORDINGS:,} recordings, {PLAN_TRACKERS} trackers and {PLAN_MACHINES} machines of"
         f" {PLAN_CORES} cores",
     }
-    section = ResultSection(command="python -m benchmarks.scale", source="measured", tables=tables, values=shared)
+    section = ResultSection(command="python -m benchmarks.scale", tables=tables, values=shared)
     write_section(path, SECTION, section)
 
 

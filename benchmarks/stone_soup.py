@@ -17,6 +17,7 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from datetime import datetime, timedelta
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,6 +49,8 @@ from gridtrack.trackers.model_free.pipeline import Pipeline
 from gridtrack.trackers.model_free.residence import table_shape
 from gridtrack.trackers.model_free.segmentation import clusters_of, segment
 from gridtrack.trackers.model_free.settings import PipelineSettings
+
+from studies.support.results_file import ResultTable, measured_table, write_table
 
 GRID = GridSpec(100, 0.2, (0.0, -10.0))
 PERIOD_S = 0.125
@@ -107,6 +110,7 @@ def hall(people: int, frames: int, seed: int) -> list[HallFrame]:
     return hall_frames
 
 
+Results = dict[str, list[tuple[float, Array]]]
 Tracked = tuple[list[Array], list[float]]
 """Positions (N, 2) that are found in each frame, and the seconds of processor time that it took."""
 
@@ -216,7 +220,8 @@ def best_settings(hall_frames: list[HallFrame], settings: PipelineSettings) -> P
     return min(tried, key=lambda one: ospa(ours(hall_frames, one)[0], hall_frames).mean())
 
 
-def print_comparison(people: int, frames: int, seeds: range) -> None:
+def compared(people: int, frames: int, seeds: range) -> Results:
+    """Mean OSPA, m, and milliseconds of the frames of every seed by tracker, ours first."""
     settings = PipelineSettings(
         acceleration=WANDER, manoeuvre_noise=1.0, velocity_memory_s=TURN_MEMORY_S, initial_speed=SPEED
     )
@@ -229,33 +234,38 @@ def print_comparison(people: int, frames: int, seeds: range) -> None:
         f"ours: confirmed above {settings.confirm_above}, deleted below {settings.delete_below},"
         f" mean lifetime {settings.mean_lifetime_s} s"
     )
-    results: dict[str, list[tuple[float, Array]]] = {}
+    results: Results = {}
     for seed in seeds:
         hall_frames = hall(people, frames, seed)
         clusters = centres_of(hall_frames, settings)
         runs: dict[str, Callable[[], Tracked]] = {
-            "ours, Kalman": lambda m=hall_frames: ours(m, settings),
-            "Stone Soup, nearest": lambda c=clusters: stone_soup(c, settings, lives[False], joint=False),
-            "Stone Soup, JPDA": lambda c=clusters: stone_soup(c, settings, lives[True], joint=True),
+            "the pipeline of `kalman`": lambda m=hall_frames: ours(m, settings),
+            "Stone Soup, Kalman filter, global nearest neighbour": lambda c=clusters: stone_soup(
+                c, settings, lives[False], joint=False
+            ),
+            "Stone Soup, Kalman filter, JPDA (loopy belief propagation)": lambda c=clusters: stone_soup(
+                c, settings, lives[True], joint=True
+            ),
         }
         for name, run in runs.items():
             found, seconds = run()
             results.setdefault(name, []).append((float(ospa(found, hall_frames).mean()), 1e3 * np.array(seconds)))
-    show(results)
+    return results
 
 
-def show(results: dict[str, list[tuple[float, Array]]]) -> None:
-    """Mean OSPA of each seed and the times of all frames; what is paired, is paired by seed."""
+def table_of(results: Results) -> ResultTable:
+    """Mean OSPA and the median time as a ratio to ours; what is paired, is paired by seed, with its 95 % interval."""
     (_, base), *_ = results.items()
+    base_ms = np.median(np.concatenate([times for _, times in base]))
+    rows = []
     for name, each in results.items():
-        distance, ms = np.array([d for d, _ in each]), np.concatenate([t for _, t in each])
-        less = distance - np.array([d for d, _ in base])
+        distance = np.array([one for one, _ in each])
+        less = distance - np.array([one for one, _ in base])
         spread = 1.96 * less.std(ddof=1) / math.sqrt(len(less)) if len(less) > 1 else math.nan
-        ratio = np.median(ms) / np.median(np.concatenate([t for _, t in base]))
-        print(
-            f"  {name:20} OSPA {distance.mean():.3f} m (ours {less.mean():+.3f} +- {spread:.3f});"
-            f" {np.median(ms):.2f} ms, p95 {np.percentile(ms, 95):.2f} a frame, {ratio:.1f} x ours"
-        )
+        ratio = np.median(np.concatenate([times for _, times in each])) / base_ms
+        difference = "" if each is base else f"{less.mean():+.3f} ± {spread:.3f}"
+        rows.append([name, f"{distance.mean():.3f}", difference, f"{ratio:.1f}"])
+    return measured_table(("", "OSPA, m", "less ours", "time of an update, times ours"), rows)
 
 
 def main() -> None:
@@ -263,8 +273,12 @@ def main() -> None:
     parser.add_argument("--people", type=int, default=30)
     parser.add_argument("--frames", type=int, default=160)
     parser.add_argument("--seeds", type=int, default=5)
-    arguments = parser.parse_args()
-    print_comparison(arguments.people, arguments.frames, range(1, 1 + arguments.seeds))
+    parser.add_argument("--out", type=Path, help="results file, such as docs/results/trackers/model-free.json")
+    given = parser.parse_args()
+    table = table_of(compared(given.people, given.frames, range(1, 1 + given.seeds)))
+    print(table.markdown())
+    command = f"python -m benchmarks.stone_soup --frames {given.frames} --seeds {given.seeds}"
+    write_table(given.out, "beside stone soup", table, command)
 
 
 if __name__ == "__main__":

@@ -100,7 +100,7 @@ def section_of(by_recording: dict[str, Losses], command: str) -> ResultSection:
     values["recordings"] = str(len(by_recording))
     values["scans"] = str(sum(len(found["one-shot"]["visible now"]) for found in by_recording.values()))
     table = measured_table(("classes from", *COLUMNS), rows)
-    return ResultSection(command=command, source="measured", tables={"table": table}, values=values)
+    return ResultSection(command=command, tables={"table": table}, values=values)
 
 
 def main() -> None:

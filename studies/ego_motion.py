@@ -127,9 +127,7 @@ def relations(log: Path, path: Path, out: Path | None) -> None:
     finish(
         out,
         "aces",
-        ResultSection(
-            command="python -m studies.ego_motion relations", source="measured", tables=tables, values=values
-        ),
+        ResultSection(command="python -m studies.ego_motion relations", tables=tables, values=values),
     )
 
 
@@ -191,7 +189,7 @@ def maps(recordings: Iterable[Path], out: Path | None) -> None:
             print(*rows[-1], flush=True)
     columns = ("poses", "scans", "median residual, mm", "cells per 100 returns", "fell back, %")
     tables = {"table": measured_table(columns, rows)}
-    finish(out, "maps", ResultSection(command="python -m studies.ego_motion maps", source="measured", tables=tables))
+    finish(out, "maps", ResultSection(command="python -m studies.ego_motion maps", tables=tables))
 
 
 def finish(out: Path | None, name: str, section: ResultSection) -> None:

@@ -129,7 +129,7 @@ def write_results(trials: Mapping[str, list[Trial]], first: dict[str, float], sa
     tables = {"left": left, "faults": faults}
     name = "failing trials, sandbox" if sandbox else "failing trials"
     command = f"{COMMAND} --sandbox" if sandbox else COMMAND
-    write_section(RESULTS, name, ResultSection(command=command, source="measured", tables=tables, values=values))
+    write_section(RESULTS, name, ResultSection(command=command, tables=tables, values=values))
     print(left.markdown(), faults.markdown(), values, sep="\n\n")
 
 

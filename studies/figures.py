@@ -11,9 +11,10 @@ command writes:
     <!-- table: junction: trainings: in-motion 1 s, dynamic 1 s -->...<!-- /table -->
     <!-- table: label-budget -->...<!-- /table -->
 
-`junction` is docs/results/junction/summary.json (rows and columns: studies/support/junction_summary.py), `label-budget`
-docs/results/junction/label-budget.csv; any other source is a file below docs/results, its section and a name in it
-(studies/support/results_file.py), and where no study has written that file yet, the page says so. A results page has
+`junction` and `leg_tracker` are the summary.json of a comparison in that folder of docs/results (rows and columns:
+studies/support/run_scores.py), `label-budget` is docs/results/junction/label-budget.csv; any other source is a file
+below docs/results, its section and a name in it (studies/support/results_file.py), and where no study has written that
+file yet, the page says so. A results page has
 decimal numbers only between markers, in code, or among the constants it names: `<!-- constants: 0.5 2.5 -->`.
 """
 
@@ -26,9 +27,9 @@ from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
-from studies.support.junction_summary import JunctionSummary
 from studies.support.label_table import budget_table
 from studies.support.results_file import ResultSection, ResultTable, read_sections
+from studies.support.run_scores import RunScores
 
 NOT_MEASURED = "not measured yet"
 ROOT = Path(__file__).parents[1]
@@ -82,25 +83,25 @@ def _generated(found: re.Match[str]) -> str:
 
 
 def _value(address: list[str]) -> str:
-    if address[0] == "junction":
-        return _junction().value(*address[1:])
-    source, section, name = address
-    return _section(source, section).values[name]
+    if not address[0].endswith(".json"):
+        return _scores(address[0]).value(*address[1:])
+    source, section, *name = address
+    return _section(source, section).values[": ".join(name)]
 
 
 def _table(address: list[str]) -> ResultTable:
     match address:
         case ["label-budget"]:
             return budget_table(RESULTS / "junction" / "label-budget.csv")
-        case ["junction", "trainings", columns]:
-            return _junction().trainings(_names(columns))
-        case ["junction", "confusion", tracker, visibility]:
-            return _junction().confusion(tracker, visibility)
-        case ["junction", corner, rows, columns, *options]:
+        case [source, section, *name] if source.endswith(".json"):
+            return _section(source, section).tables[": ".join(name)]
+        case [place, "trainings", columns]:
+            return _scores(place).trainings(_names(columns))
+        case [place, "confusion", tracker, visibility]:
+            return _scores(place).confusion(tracker, visibility)
+        case [place, corner, rows, columns, *options]:
             given = [one for text in options for one in _names(text)]
-            return _junction().table(corner, _names(rows), _names(columns), given)
-        case [source, section, name]:
-            return _section(source, section).tables[name]
+            return _scores(place).table(corner, _names(rows), _names(columns), given)
     raise KeyError(f"no table '{': '.join(address)}'")
 
 
@@ -118,8 +119,8 @@ def _sections(source: str) -> dict[str, ResultSection]:
 
 
 @cache
-def _junction() -> JunctionSummary:
-    return JunctionSummary(RESULTS / "junction" / "summary.json")
+def _scores(place: str) -> RunScores:
+    return RunScores(RESULTS / place / "summary.json")
 
 
 def main() -> None:

@@ -174,7 +174,7 @@ def write_results(engine: str, kills: Sequence[Kill], duration_s: float) -> None
         rows.append([kind, *map(str, (len(own), equal, sum(k.processes for k in own), sum(k.files for k in own)))])
     columns = ("killed", "kills", "resumed to equal scores", "processes left", "temporary files left")
     table = measured_table(columns, rows)
-    section = ResultSection(command=f"{COMMAND} --engine {engine}", source="measured", tables={"kills": table})
+    section = ResultSection(command=f"{COMMAND} --engine {engine}", tables={"kills": table})
     write_section(RESULTS, f"kills, {engine}", section)
     print(f"undisturbed run: {duration_s:.1f} s")
     print(table.markdown())

@@ -93,7 +93,7 @@ def main() -> None:
     parser.add_argument("table", type=Path, nargs="?", default=TABLE)
     table = parser.parse_args().table
     table.with_suffix(".svg").write_text(drawing(table))
-    section = ResultSection(command="python -m studies.label_budget", source="measured", values=means(table))
+    section = ResultSection(command="python -m studies.label_curve", values=means(table))
     write_section(RESULTS, "how many labels", section)
 
 

@@ -220,7 +220,7 @@ def _differences(found: Mapping[str, Mapping[str, PairedDifferences]], steps: Se
         for horizon_s, text in zip(HORIZONS_S, cells, strict=True)
     }
     tables = {name: f1_table(name, rows) for name, rows in texts.items()}
-    return ResultSection(command=COMMAND, source="measured", tables=tables, values=values)
+    return ResultSection(command=COMMAND, tables=tables, values=values)
 
 
 def f1_text(value: float | None, low: float | None, high: float | None) -> str:
@@ -238,12 +238,9 @@ def collect(minutes: Sequence[str], trackers: Sequence[str], out: Path, results:
     compared = [Comparison.read(kind, out / kind) for kind in KINDS]
     missing = ", ".join(f"`{name}`" for name in TRACKERS if name not in trackers) or "none"
     sections = {
-        "poses": ResultSection(
-            command=COMMAND, source="measured", tables={"errors": pose_errors(minutes, out / "recordings")}
-        ),
+        "poses": ResultSection(command=COMMAND, tables={"errors": pose_errors(minutes, out / "recordings")}),
         "scores": ResultSection(
             command=COMMAND,
-            source="measured",
             tables={**score_tables(compared, trackers), "by carrier": carrier_table(compared, trackers)},
             values={"drives": str(len(minutes)), "not measured": missing},
         ),

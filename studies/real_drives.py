@@ -158,7 +158,7 @@ def main() -> None:
     tables["poses"] = measured_table(("drive and poses", *(f"F1 {name}" for name in STRATA)), poses)
     print("\n\n".join(table.markdown() for table in tables.values()))
     if arguments.out is not None:
-        section = ResultSection(command="python -m studies.real_drives", source="measured", tables=tables)
+        section = ResultSection(command="python -m studies.real_drives", tables=tables)
         write_section(arguments.out, "drives", section)
 
 

@@ -84,7 +84,7 @@ def sections_of(scores: PlaceScores) -> dict[str, ResultSection]:
         "recordings not measured": ", ".join(one.name for one in REAL if one.name not in measured) or "none",
         "intervals": scores.why_no_interval or "95 % intervals over blocks of time",
     }
-    return {"scores": ResultSection(command=COMMAND, source="measured", tables=tables, values=values)}
+    return {"scores": ResultSection(command=COMMAND, tables=tables, values=values)}
 
 
 def main() -> None:

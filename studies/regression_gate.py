@@ -1,6 +1,6 @@
 """Error rates of the regression gate's test of F1: false alarms between trainings of one tracker, and missed falls.
 
-`python -m studies.regression_gate [RUN RUN RUN...]` (some minutes): three runs or more of the same tracker, trained
+`python -m studies.regression_gate [RUN RUN RUN...]` (twenty minutes): three runs or more of the same tracker, trained
 anew for each, on the same twenty recordings or more; without them, `kalman` with four settings is run on the junction's
 test recordings. Aims: worse in at most 5 % of 200 resampled comparisons; a decrease of 0.02 F1 on dynamic cells in the
 step band of 1 s found in at least 95 of 100.

@@ -84,7 +84,7 @@ def sections_of(
         "thresholds of the cards": cards.over_horizons("F1, dynamic", "dynamic", "f1"),
         "gap": gap_closed(site, trackers, minutes),
     }
-    return {"minutes": ResultSection(command=COMMAND, source="measured", tables=tables)}
+    return {"minutes": ResultSection(command=COMMAND, tables=tables)}
 
 
 def main() -> None:

@@ -97,9 +97,7 @@ def main() -> None:
     took = run(given.tracker or TRACKERS, given.out)
     tables = {name: table(read_summary(given.out / name)) for name in STRETCHES}
     values = {f"time of {tracker}, of that from scratch": f"{share:.2f}" for tracker, share in took.items()}
-    write_section(
-        given.results, "scores", ResultSection(command=COMMAND, source="measured", tables=tables, values=values)
-    )
+    write_section(given.results, "scores", ResultSection(command=COMMAND, tables=tables, values=values))
     print("\n\n".join(one.markdown() for one in tables.values()))
     print(values)
 

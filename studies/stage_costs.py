@@ -230,13 +230,17 @@ def main() -> None:
     stream = open_stream(f"{recording}@{arguments.stretch}" if arguments.stretch else recording)
     truth = true_frames(list(stream.observations()), stream.grid)
     columns = [f"{stratum} {horizon}" for stratum in ("dynamic", "visible") for horizon in HORIZONS]
-    rows = []
+    rows: list[list[str]] = []
+    gains: dict[str, str] = {}
+    without: list[float] = []
     for replaced, name in REPLACED.items():
         values = scores(informed_tracker(kind, replaced, truth), stream)
+        without = without or values
         rows.append([name, *(f"{value:.3f}" for value in values)])
+        gains |= {f"gain, {name}: {c}": f"{v - w:.3f}" for c, v, w in zip(columns, values, without, strict=True)}
     table = measured_table([f"{kind.name}, with the truth of", *columns], rows)
     print(table.markdown())
-    write_table(arguments.out, "stage costs", table, f"python -m studies.stage_costs {kind.name}")
+    write_table(arguments.out, "stage costs", table, f"python -m studies.stage_costs {kind.name}", gains)
 
 
 if __name__ == "__main__":

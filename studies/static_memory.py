@@ -77,7 +77,7 @@ def main() -> None:
     arguments = parser.parse_args()
     svg, values = drawing(RECORDING, arguments.trackers)
     (arguments.out / PICTURE.name).write_text(svg)
-    section = ResultSection(command="python -m studies.static_memory", source="measured", values=values)
+    section = ResultSection(command="python -m studies.static_memory", values=values)
     write_section(arguments.out / "measurements.json", "static memory", section)
     print("\n".join(f"{name}: {value}" for name, value in values.items()))
 

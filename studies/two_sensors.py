@@ -210,7 +210,7 @@ def section_of(counts: Mapping[str, NDArray[np.float64]], cells: NDArray[np.int6
         *((f"own cells, {name}", name, OF_ONE, TWO_ON_OWN_CELLS) for name in STRATA),
     ):
         tables[title] = score_table(counts, stratum, (one, two))
-    return ResultSection(command=COMMAND, source="measured", tables=tables)
+    return ResultSection(command=COMMAND, tables=tables)
 
 
 def main() -> None:

@@ -94,15 +94,17 @@ def main() -> None:
     parser.add_argument("--out", type=Path, help="results file, such as docs/results/trackers/dogma.json")
     arguments = parser.parse_args()
     rows: dict[str, list[str]] = {}
+    medians = {}
     for name in arguments.trackers:
         by_class = errors_by_class(name, RECORDINGS[: arguments.recordings])
         for label, (error, given) in {**by_class, "all": np.concatenate(list(by_class.values()), axis=1)}.items():
             texts = f"{math.sqrt((error**2).mean()):.2f}", f"{np.median(error):.2f}", f"{100 * given.mean():.0f} %"
             rows.setdefault(label, [label, str(error.size)]).extend(texts)
+            medians[f"{name}, {label}: median, m/s"] = texts[1]
     columns = [text for name in arguments.trackers for text in (f"{name} RMS m/s", "median", "with a velocity")]
     table = measured_table(["class", "cells", *columns], list(rows.values()))
     print(table.markdown())
-    write_table(arguments.out, "velocity", table, "python -m studies.velocity_errors")
+    write_table(arguments.out, "velocity", table, "python -m studies.velocity_errors", medians)
 
 
 if __name__ == "__main__":

@@ -76,7 +76,6 @@ def sections_of(scores: PlaceScores) -> dict[str, ResultSection]:
     return {
         "scores": ResultSection(
             command=COMMAND,
-            source="measured",
             tables={
                 **{name: scores.over_horizons(f"F1, {name}", stratum, "f1") for stratum, name in STRATA.items()},
                 "PR-AUC": scores.over_horizons("PR-AUC, dynamic", "dynamic", "pr_auc"),
@@ -92,7 +91,6 @@ def sections_of(scores: PlaceScores) -> dict[str, ResultSection]:
         ),
         "differences": ResultSection(
             command=COMMAND,
-            source="measured",
             tables={
                 **{name: scores.difference_table(stratum) for stratum, name in STRATA.items()},
                 "aim": aim_table(scores),

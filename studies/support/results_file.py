@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict
@@ -31,7 +31,6 @@ class ResultSection(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
     command: str
-    source: str
     tables: dict[str, ResultTable] = {}
     values: dict[str, str] = {}
 
@@ -58,11 +57,10 @@ def measured_table(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> Res
     )
 
 
-def write_table(path: Path | None, section: str, table: ResultTable, command: str) -> None:
-    """Write a measured table as one section of a results file, its values kept; nothing without a path."""
-    if path is None:
-        return
-    sections = read_sections(path) if path.exists() else {}
-    values = sections[section].values if section in sections else {}
-    measured = ResultSection(command=command, source="measured", tables={"table": table}, values=values)
-    write_section(path, section, measured)
+def write_table(
+    path: Path | None, section: str, table: ResultTable, command: str, values: Mapping[str, str] | None = None
+) -> None:
+    """Write a measured table, and values by their names, as one section of a results file; nothing without a path."""
+    if path is not None:
+        measured = ResultSection(command=command, tables={"table": table}, values=dict(values or {}))
+        write_section(path, section, measured)

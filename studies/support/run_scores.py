@@ -1,4 +1,4 @@
-"""Numbers of docs/results/junction/summary.json as the pages print them.
+"""Numbers of a comparison as the pages print them, from its summary.json.
 
 A number is addressed by a row and a column. The row is a tracker, `TRACKER less REFERENCE` (a paired difference) or
 `TRACKER over OTHER` (a ratio). The column is a score, a stratum and a horizon, such as `f1 dynamic 1 s`. Scores: `f1`,
@@ -37,8 +37,8 @@ LOSSES = ("nll", "class nll")
 FLOORS = ("persistence", "static-map")
 
 
-class JunctionSummary:
-    """The pooled results of the trackers at the junction."""
+class RunScores:
+    """The results of a comparison's trackers: pooled, or of its recording where it has one only."""
 
     def __init__(self, path: Path) -> None:
         self._summary: dict[str, Any] = json.loads(path.read_text("utf-8"))
@@ -55,7 +55,7 @@ class JunctionSummary:
             return f"{self._share(tracker, **found.groupdict()):.0%}".replace("%", " %")
         found = COLUMN.fullmatch(column)
         if found is None:
-            raise KeyError(f"no column '{column}' of the junction's summary")
+            raise KeyError(f"no column '{column}' of a summary")
         score, stratum, step = found["score"], found["stratum"], self._step(found["horizon"])
         if score == "share_of_oracle":
             return f"{100 * self._pooled(tracker)['strata'][stratum][score][step]:.0f} %"
@@ -157,7 +157,7 @@ class JunctionSummary:
         pairs = {(one["tracker"], one["reference"]): one for one in self._summary[kind]}
         if (tracker, reference) in pairs:
             return dict(pairs[tracker, reference])
-        raise KeyError(f"no {kind} of {tracker} less {reference} in the junction's summary")
+        raise KeyError(f"no {kind} of {tracker} less {reference} in the summary")
 
     def _share(self, tracker: str, visibility: str, true: str, taken: str) -> float:
         semantics = self._semantics(tracker)
@@ -166,7 +166,11 @@ class JunctionSummary:
         return float(row[semantics["classes"].index(taken)] / sum(row))
 
     def _pooled(self, tracker: str) -> dict[str, Any]:
-        return dict(self._summary["trackers"][tracker]["pooled"])
+        row = self._summary["trackers"][tracker]
+        if row["pooled"]:
+            return dict(row["pooled"])
+        (scored,) = row["recordings"].values()
+        return dict(scored)
 
     def _semantics(self, tracker: str) -> dict[str, Any]:
         return dict(self._pooled(tracker)["semantics"])
