@@ -3,10 +3,11 @@
 import { scaleOf, svgText } from "./axis.js";
 import { draw } from "./elements.js";
 import { startFigure } from "./figure.js";
+import { heightOf, namedRows, rowName } from "./row_names.js";
 import { recordingNamed, recordingOptions } from "./scores.js";
 import { isShown } from "./shown_trackers.js";
 
-const ROW = 30, LEAST_MS = 0.01, SLICE_AREA = 48, MOST_SPREAD = 22;
+const ROW = 30, TICK_ROOM = 44, LEAST_MS = 0.01, SLICE_AREA = 48, MOST_SPREAD = 22;
 const CALLS = [["update", "update"], ["predict", "forecast of all steps"]];
 const rowsTimed = (recording) => recording.rows.filter((row) => row.latency);
 const timed = ({ recording }) => rowsTimed(recordingNamed(recording)).filter((row) => isShown(row.label));
@@ -17,24 +18,24 @@ function drawLatency({ recording, call }, width) {
   const log = (ms) => Math.log10(Math.max(ms, LEAST_MS));
   const times = [period, ...rows.flatMap((row) => [...row.latency[call], ...row.latency.twentieths[call]])].map(log);
   const [low, high] = [Math.floor(Math.min(...times)), Math.ceil(Math.max(...times) + 0.01)];
-  const narrow = width < 560, left = narrow ? 112 : 210, right = width - 110;
-  const x = scaleOf(low, high, left, right), height = ROW * rows.length + 28;
+  const narrow = width < 560, left = narrow ? 124 : 210, right = width - 110;
+  const x = scaleOf(low, high, left, right), places = namedRows(rows.map((row) => row.name), left - 12, ROW);
+  const height = heightOf(places) + 28, decades = Math.ceil(TICK_ROOM / (x(low + 1) - x(low)));
   const svg = draw("svg", { class: "figure-drawing", viewBox: `0 0 ${width} ${height}`, width, height, role: "img" });
   svg.setAttribute("aria-label", rows.map((row) => `${row.name} ${inMs(row.latency[call][0])} ms`).join(", "));
-  for (let decade = low; decade <= high; decade += 1) {
+  for (let decade = high; decade >= low; decade -= decades) {
     svg.append(draw("line", { class: "grid", x1: x(decade), x2: x(decade), y1: 0, y2: height - 24 }),
       svgText(x(decade), height - 8, `${10 ** decade}${decade === high ? " ms" : ""}`, { class: "tick", "text-anchor": "middle" }));
   }
   svg.append(draw("line", { class: "period", x1: x(log(period)), x2: x(log(period)), y1: 0, y2: height - 24 }));
-  rows.forEach((row, i) => svg.append(drawnRow(row, row.latency[call].map(log).map(x), ROW * (i + 0.5), width, row.latency[call],
+  rows.forEach((row, i) => svg.append(drawnRow(row, row.latency[call].map(log).map(x), places[i], width, row.latency[call],
     row.latency.twentieths[call].map(log).map(x))));
   return svg;
 }
 
-function drawnRow(row, [p50, p95, p99], y, width, [median, , most], ends) {
-  const letters = width < 560 ? 14 : 28;
-  const name = row.name.length > letters ? `${row.name.slice(0, letters - 1)}…` : row.name;
-  return draw("g", { class: `line ${row.style}` }, draw("title", {}, row.name), svgText(0, y + 4, name), ...slices(ends, y),
+function drawnRow(row, [p50, p95, p99], place, width, [median, , most], ends) {
+  const { y } = place;
+  return draw("g", { class: `line ${row.style}` }, draw("title", {}, row.name), rowName(place), ...slices(ends, y),
     draw("line", { class: "whisker", x1: p50, x2: p99, y1: y, y2: y }),
     draw("line", { class: "whisker", x1: p95, x2: p95, y1: y - 4, y2: y + 4 }),
     draw("line", { class: "whisker", x1: p99, x2: p99, y1: y - 7, y2: y + 7 }),

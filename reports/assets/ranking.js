@@ -3,6 +3,7 @@ import { axisRange, inDigits, roundTicks, scaleOf, svgText } from "./axis.js";
 import { draw } from "./elements.js";
 import { startFigure } from "./figure.js";
 import { pageData } from "./page_data.js";
+import { heightOf, namedRows, rowName } from "./row_names.js";
 import {
   horizonOptions, recordingNamed, recordingOptions, rowsWith, scoreNamed, scoresOf, scoreWords, strataOf, valueAt,
 } from "./scores.js";
@@ -27,30 +28,32 @@ function drawRanking(chosen, width) {
     .map((labels) => rows.flatMap((row, i) => (row.group !== "unranked" && labels.includes(row.label) ? [i] : [])))
     .filter((at) => at.length > 1);
   const narrow = width < 560;
-  const left = narrow ? 112 : 210, right = 64 + 12 * groups.length;
+  const left = narrow ? 124 : 210, right = 64 + 12 * groups.length;
   const at = (row, end = "") => valueAt(row, chosen.stratum, chosen.score, chosen.step, end);
   const range = axisRange(rows.flatMap((row) => [at(row), at(row, "_low"), at(row, "_high")]), false);
   const x = scaleOf(...range, left, width - right);
-  const height = LINE * rows.length + 28;
+  const places = namedRows(rows.map((row) => row.name), left - 12, LINE);
+  const height = heightOf(places) + 28;
   const svg = draw("svg", { class: "figure-drawing ranking", viewBox: `0 0 ${width} ${height}`, width, height, role: "img" });
   svg.setAttribute("aria-label", rows.map((row) => `${row.name} ${inDigits(at(row))}`).join(", "));
   for (const tick of roundTicks(...range, narrow ? 3 : 6)) {
     svg.append(draw("line", { class: "grid", x1: x(tick), x2: x(tick), y1: 0, y2: height - 24 }),
       svgText(x(tick), height - 8, String(tick), { class: "tick", "text-anchor": "middle" }));
   }
-  rows.forEach((row, i) => svg.append(drawRow(row, at, x, LINE * (i + 0.5), width - right, narrow ? 14 : 28)));
+  rows.forEach((row, i) => svg.append(drawRow(row, at, x, places[i], width - right)));
   groups.forEach((members, g) => {
     const bar = width - right + 64 + 12 * g;
-    svg.append(draw("line", { class: "tier", x1: bar, x2: bar, y1: LINE * members[0] + 7, y2: LINE * (members.at(-1) + 1) - 7 }),
-      ...members.map((i) => draw("circle", { class: "tier", cx: bar, cy: LINE * (i + 0.5), r: 3 })));
+    const [first, last] = [places[members[0]], places[members.at(-1)]];
+    svg.append(draw("line", { class: "tier", x1: bar, x2: bar, y1: first.y - 6, y2: last.y + 6 }),
+      ...members.map((i) => draw("circle", { class: "tier", cx: bar, cy: places[i].y, r: 3 })));
   });
   return svg;
 }
 
-function drawRow(row, at, x, y, end, letters) {
-  const name = row.name.length > letters ? `${row.name.slice(0, letters - 1)}…` : row.name;
+function drawRow(row, at, x, place, end) {
+  const { y } = place;
   const faint = row.group === "unranked" ? " partial" : "";
-  const parts = [svgText(0, y + 4, name, { class: row.group === "ranked" ? "" : "tick" }),
+  const parts = [rowName(place, { class: row.group === "ranked" ? "" : "tick" }),
     draw("circle", { class: "dot", cx: x(at(row)), cy: y, r: 4.5 }),
     svgText(end + 52, y + 4, inDigits(at(row)), { "text-anchor": "end" })];
   if (at(row, "_low") !== null && at(row, "_high") !== null) {

@@ -173,7 +173,7 @@ def summary_of():
     return lambda run: json.loads((run / "summary.json").read_text())
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def make_run():
     """`write_run`."""
     return write_run

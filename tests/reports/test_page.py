@@ -125,7 +125,7 @@ def test_a_sensor_is_marked_in_inputs_only(page):
 
 def test_a_tracker_has_one_style_everywhere(page):
     styles = {}
-    for found in re.finditer(r'<svg class="swatch ([^"]+)".*?</svg>([\w-]+)', page):
+    for found in re.finditer(r'<svg class="swatch ([^"]+)".*?</svg>(?:<span class="label">)?([\w-]+)', page):
         styles.setdefault(found[2], set()).add(found[1].split()[0])
     assert {name: len(own) for name, own in styles.items()} == dict.fromkeys(styles, 1)
     assert len({next(iter(own)) for own in styles.values()}) == len(styles) == 5

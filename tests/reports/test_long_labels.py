@@ -1,0 +1,94 @@
+"""Long labels are shown whole at the width of a screen and of a telephone: in drawings, tables and facts."""
+
+import json
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from gridtrack.reports.page import render_report
+
+LONG = "new-dilated-convgru (general)"
+LONGER = "a-label-that-somebody-wrote-to-tell-all-of-the-options-of-a-tracker-apart"
+UNBROKEN = "NotASingleSignAtWhichALineCouldEndIsInThisLabel"
+WIDTHS = [1280, 400]
+
+
+@pytest.fixture(scope="module")
+def report(make_run, tmp_path_factory):
+    """A report of three trackers with long labels and persistence, whose times are from 0.02 to 125 ms."""
+    still = np.full((21, 32, 32), 0.1, np.float32)
+    names = {"persistence": "persistence"} | dict.fromkeys((LONG, LONGER, UNBROKEN), "good-tracker")
+    trackers = {label: (tracker, lambda _: still) for label, tracker in names.items()}
+    run = make_run(tmp_path_factory.mktemp("runs") / "long", trackers)
+    summary = json.loads((run / "summary.json").read_text())
+    (times,) = [one["latency_ms"] for one in summary["trackers"]["persistence"]["recordings"].values()]
+    times["update"] |= {"p50": 0.02, "p95": 0.02, "p99": 0.02, "twentieths": [0.02] * 21}
+    (run / "summary.json").write_text(json.dumps(summary))
+    return render_report([run])
+
+
+@pytest.fixture
+def open_wide(browser, report):
+    """Opens the page at a width."""
+    pages = []
+
+    def opened(width):
+        page = browser.new_page(viewport={"width": width, "height": 900})
+        pages.append(page)
+        page.set_default_timeout(60_000)
+        page.goto(report.as_uri())
+        page.locator("#every-score table").wait_for()
+        return page
+
+    yield opened
+    for page in pages:
+        page.close()
+
+
+def boxes(page, selector):
+    """The text and the place on the page of each element."""
+    return page.locator(selector).evaluate_all(
+        "all => all.map(one => { const { left, right, top, bottom } = one.getBoundingClientRect();"
+        " return { text: one.textContent, left, right, top, bottom }; })"
+    )
+
+
+@pytest.mark.parametrize("width", WIDTHS)
+@pytest.mark.parametrize("figure", ["ranking", "latency"])
+def test_a_drawing_has_the_whole_label_beside_the_plot(open_wide, figure, width):
+    page = open_wide(width)
+    names = boxes(page, f"#{figure} .line > text:first-of-type")
+    assert {name["text"] for name in names} == {"persistence", LONG, LONGER, UNBROKEN}
+    plot = min(line["left"] for line in boxes(page, f"#{figure} line.grid, #{figure} circle.dot"))
+    (drawing,) = boxes(page, f"#{figure} svg.figure-drawing")
+    assert all(drawing["left"] - 1 <= name["left"] and name["right"] < plot for name in names)
+    for above, below in pairwise(names):
+        assert above["bottom"] <= below["top"]
+    assert names[-1]["bottom"] <= min(tick["top"] for tick in boxes(page, f"#{figure} svg > text.tick"))
+
+
+@pytest.mark.parametrize("width", WIDTHS)
+def test_the_ticks_of_the_times_stand_apart(open_wide, width):
+    ticks = sorted(boxes(open_wide(width), "#latency svg > text.tick"), key=lambda tick: tick["left"])
+    assert len(ticks) > 1
+    assert ticks[-1]["text"].endswith(" ms")
+    assert all(left["right"] + 4 <= right["left"] for left, right in pairwise(ticks))
+
+
+@pytest.mark.parametrize("width", WIDTHS)
+@pytest.mark.parametrize("table", [".headline", "#every-score table"])
+def test_a_table_has_the_whole_label_and_room_for_scores(open_wide, table, width):
+    page = open_wide(width)
+    cells = page.locator(f"{table} tbody th.name")
+    assert all(cells.evaluate_all("all => all.map(one => one.scrollWidth <= one.clientWidth)"))
+    assert all(cell["right"] - cell["left"] <= 0.6 * width for cell in boxes(page, f"{table} tbody th.name"))
+    (short,) = [one for one in boxes(page, f"{table} .label") if one["text"] == "persistence"]
+    assert short["bottom"] - short["top"] < 30  # one line
+
+
+def test_on_a_narrow_page_a_fact_stands_below_its_name(open_wide):
+    page = open_wide(400)
+    names, values = boxes(page, ".answer dt"), boxes(page, ".answer dd")
+    assert names
+    assert all(value["top"] >= name["bottom"] for name, value in zip(names, values, strict=True))
