@@ -17,7 +17,7 @@ try:
     from rosbags.serde import SerdeError
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 except ImportError:
-    raise RecordingError("reading ROS recordings needs rosbags: pip install gridtrack[ros]") from None
+    raise RecordingError("reading ROS recordings needs rosbags: pip install 'gridtrack[ros]'") from None
 
 
 class RosDecoder:

@@ -67,19 +67,20 @@ def turned_rankings(
 def _lines(name: str, rows: Mapping[str, ScopeSummary], horizons_s: Sequence[float]) -> Iterator[str]:
     for _, of_stratum in groupby(_turned_pairs(rows, horizons_s), key=lambda pair: pair.stratum):
         pairs = sorted(of_stratum, key=lambda pair: -pair.lead)
-        more = f"; {len(pairs) - 1} more such pairs of rows and horizons" if len(pairs) > 1 else ""
+        pairs_of = "pair of rows and horizon" if len(pairs) == 2 else "pairs of rows and horizons"
+        more = f"; {len(pairs) - 1} more such {pairs_of}" if len(pairs) > 1 else ""
         yield f"{name}: the ranking turns round with the threshold: {pairs[0]}{more}"
 
 
 def _turned_pairs(rows: Mapping[str, ScopeSummary], horizons_s: Sequence[float]) -> Iterator[TurnedPair]:
     """Every pair of rows that turns round, by stratum and horizon of the headline."""
-    for stratum, horizon_s, step in Scope(horizons_s, HEADLINE_STRATA).headline:
+    for stratum, _, step in Scope(horizons_s, HEADLINE_STRATA).headline:
         scores = {label: scope.strata[stratum] for label, scope in rows.items() if stratum in scope.strata}
         f1 = {label: (one.f1[step], one.f1_at_half[step]) for label, one in scores.items()}
         for ahead, behind in permutations(f1, 2):
             (chosen, half), (other_chosen, other_half) = f1[ahead], f1[behind]
             if chosen is None or half is None or other_chosen is None or other_half is None:
                 continue
-            pair = TurnedPair(stratum, horizon_s, ahead, behind, (chosen, other_chosen), (half, other_half))
+            pair = TurnedPair(stratum, horizons_s[step], ahead, behind, (chosen, other_chosen), (half, other_half))
             if pair.lead >= LEAST_LEAD:
                 yield pair

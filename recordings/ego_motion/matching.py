@@ -55,7 +55,7 @@ class ScanMatcher:
             from kiss_icp.registration import Registration
             from kiss_icp.voxelization import voxel_down_sample
         except ImportError:
-            raise RecordingError("matching scans needs kiss-icp: pip install gridtrack[ego-motion]") from None
+            raise RecordingError("matching scans needs kiss-icp: pip install 'gridtrack[ego-motion]'") from None
         self.settings = settings
         self._registration = Registration(MAX_ITERATIONS, CONVERGED_M, max_num_threads=1)
         self._map = VoxelHashMap(settings.voxel_m, settings.max_range_m, POINTS_PER_VOXEL)

@@ -32,6 +32,14 @@ def test_the_two_rows_the_stratum_the_horizon_and_all_four_scores_are_named():
     )
 
 
+def test_one_more_pair_is_singular_and_the_horizon_is_that_of_the_step():
+    """A period of 80 ms has no step at 1 s: the tables say 0.96 s, and so does the notice."""
+    described = {"crossing": synthetic.description(period_s=0.08, steps=STEPS - 1)}
+    (line,) = turned_rankings(described, {"a": row(0.2, 0.1), "b": row(0.1, 0.2)}, ())
+    assert "on dynamic cells 0.48 s ahead a has a higher F1 than b" in line
+    assert line.endswith("; 1 more such pair of rows and horizon")
+
+
 @pytest.mark.parametrize(
     "rows",
     [

@@ -211,6 +211,6 @@ def test_without_kiss_icp_the_extra_is_named(
     write: Callable[..., Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "kiss_icp.mapping", None)
-    with pytest.raises(RecordingError, match=r"pip install gridtrack\[ego-motion\]"):
+    with pytest.raises(RecordingError, match=r"pip install 'gridtrack\[ego-motion\]'"):
         import_recording(write(drive(ROOM, still, 2)), tmp_path / "out.mcap", ego_motion="kiss-icp")
     assert not (tmp_path / "out.mcap").exists()

@@ -300,5 +300,5 @@ def test_without_rosbags_the_extra_is_named(tmp_path: Path, scans: list[Scan], m
     monkeypatch.delattr("gridtrack.recordings.ros_decoding", raising=False)
     monkeypatch.delitem(sys.modules, "gridtrack.recordings.ros_decoding", raising=False)
     monkeypatch.setitem(sys.modules, "rosbags.typesys", None)
-    with pytest.raises(RecordingError, match=r"pip install gridtrack\[ros\]"):
+    with pytest.raises(RecordingError, match=r"pip install 'gridtrack\[ros\]'"):
         open_recording(path)
