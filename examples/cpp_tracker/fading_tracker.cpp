@@ -60,29 +60,43 @@ void send(const Message &request, const char *type, const std::string &fields, c
 struct FadingTracker {
     const double background = 0.02, half_life_s = 1.0;
     size_t size = 0, cells = 0;
-    double trust_per_frame = 1.0;
+    double period_s = 0.0;
+    int64_t stamp_ns = 0;        // of the last frame, if there was one
+    bool started = false;
     std::vector<double> excess;  // P(occupied) less the background, row by row
+
+    double trust_after(double seconds) const { return std::pow(0.5, seconds / half_life_s); }
 
     void start(const Message &request) {
         size = static_cast<size_t>(request.number("size"));
         cells = size * size;
-        trust_per_frame = std::pow(0.5, request.number("period_s") / half_life_s);
-        excess.assign(cells, 0.0);
+        period_s = request.number("period_s");
+        reset();
     }
 
-    void update(const Message &request) {  // `visible` and `occupied` are the last two arrays of the body
-        if (request.body.size() < 2 * cells) throw std::runtime_error("the frame is of another grid");
+    void reset() {
+        excess.assign(cells, 0.0);
+        started = false;
+    }
+
+    // The stamp is the first array of the body; `visible` and `occupied` are the last two.
+    void update(const Message &request) {
+        if (request.body.size() < sizeof stamp_ns + 2 * cells) throw std::runtime_error("the frame is of another grid");
         const uint8_t *visible = request.body.data() + request.body.size() - 2 * cells, *occupied = visible + cells;
-        for (size_t i = 0; i < cells; ++i)
-            excess[i] = visible[i] ? occupied[i] - background : excess[i] * trust_per_frame;
+        int64_t now_ns;
+        std::memcpy(&now_ns, request.body.data(), sizeof now_ns);
+        const double trust = started ? trust_after(1e-9 * (now_ns - stamp_ns)) : 1.0;  // less over a gap
+        stamp_ns = now_ns;
+        started = true;
+        for (size_t i = 0; i < cells; ++i) excess[i] = visible[i] ? occupied[i] - background : excess[i] * trust;
     }
 
     std::vector<float> predict(int steps) const {
         std::vector<float> occupancy;
         occupancy.reserve((steps + 1) * cells);
-        double trust = 1.0;
-        for (int n = 0; n <= steps; ++n, trust *= trust_per_frame)
-            for (const double e : excess) occupancy.push_back(static_cast<float>(background + trust * e));
+        for (int n = 0; n <= steps; ++n)
+            for (const double e : excess)
+                occupancy.push_back(static_cast<float>(background + trust_after(n * period_s) * e));
         return occupancy;
     }
 };
@@ -104,7 +118,7 @@ int main() try {
             send(request, request.is("start") ? "started" : "described", self);
             continue;
         }
-        if (request.is("reset")) tracker.excess.assign(tracker.cells, 0.0);
+        if (request.is("reset")) tracker.reset();
         if (request.is("update")) tracker.update(request);
         if (request.is("predict")) forecast = tracker.predict(static_cast<int>(request.number("steps")));
         const auto elapsed = std::chrono::duration_cast<std::chrono::nanoseconds>(std::chrono::steady_clock::now() - began);

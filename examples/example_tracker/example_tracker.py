@@ -26,20 +26,23 @@ class FadingTracker(Tracker):
         super().__init__(stream, options)
         if options.half_life_s <= 0:
             raise ConfigurationError(f"half_life_s = {options.half_life_s:g}: expected more than 0 s")
-        self.decay_per_frame = 0.5 ** (stream.period_s / options.half_life_s)
+        self.half_life_s = options.half_life_s
         self.reset(0)
 
     def reset(self, seed: int) -> None:
         """Set every cell to the background."""
-        self.excess = np.zeros(self.stream.grid.shape)  # P(occupied) (M, M) less the background, now
+        self.excess = np.zeros(self.stream.grid.shape)  # P(occupied) (M, M) less the background, at `stamp_ns`
+        self.stamp_ns: int | None = None
 
     def update(self, frame: GridFrame) -> None:
-        """Update the visible cells; the others fade."""
-        self.excess *= self.decay_per_frame
+        """Update the visible cells; the others fade by the time since the last frame, which is longer over a gap."""
+        since_s = 0.0 if self.stamp_ns is None else (frame.stamp_ns - self.stamp_ns) / 1e9
+        self.stamp_ns = frame.stamp_ns
+        self.excess *= 0.5 ** (since_s / self.half_life_s)
         np.copyto(self.excess, frame.occupied - BACKGROUND, where=frame.visible)
 
     def predict(self, steps: int) -> Forecast:
         """P(occupied) (steps+1, M, M); the state is not changed."""
-        weight = self.decay_per_frame ** np.arange(steps + 1)
+        weight = 0.5 ** (self.stream.period_s / self.half_life_s * np.arange(steps + 1))
         occupancy = BACKGROUND + weight[:, None, None] * self.excess
         return Forecast(occupancy.astype(np.float32))
