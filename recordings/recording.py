@@ -257,7 +257,7 @@ class Recording(ABC):
             info=self.info.model_dump(mode="json"),
             topics={topic: f"{kind}, {count}" for topic, (kind, count) in survey.topics.items()},
             duration_s=survey.duration_s,
-            sensors=survey.sensor_overviews(),
+            sensors=survey.sensor_overviews(poses_known=not self.pose_problem),
             warnings=tuple(self.warnings),
         )
 

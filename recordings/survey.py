@@ -177,9 +177,9 @@ class Survey:
         rate = 1.0 / max(periods)
         return round(rate, 1) if rate >= 1.0 else float(f"{rate:.2g}")
 
-    def sensor_overviews(self) -> dict[str, SensorOverview]:
+    def sensor_overviews(self, *, poses_known: bool) -> dict[str, SensorOverview]:
         """The overview of each sensor for `recording info`."""
-        return {name: _overview(sensor) for name, sensor in self.sensors.items()}
+        return {name: _overview(sensor, poses_known) for name, sensor in self.sensors.items()}
 
 
 class SensorOverview(Settings):
@@ -201,10 +201,11 @@ class SensorOverview(Settings):
     """Share of ranges that are exactly 0.0."""
     labelled_scans: int
     scans_with_truth: int
-    moves: bool
+    moves: bool | None
+    """None: its poses are not known, so nobody can tell."""
 
 
-def _overview(sensor: SensorSurvey) -> SensorOverview:
+def _overview(sensor: SensorSurvey, poses_known: bool) -> SensorOverview:
     first, period_s = sensor.first, sensor.period_s
     periods = np.diff(sensor.stamps_ns) / 1e9
     gaps = sensor.gaps(round(period_s * 1e9)) if period_s else np.empty((0, 2), np.int64)
@@ -225,8 +226,12 @@ def _overview(sensor: SensorSurvey) -> SensorOverview:
         zero_share=round(sensor.zeros / max(sensor.readings, 1), 4),
         labelled_scans=sensor.labelled,
         scans_with_truth=sensor.with_truth,
-        moves=sensor.moved,
+        moves=sensor.moved if poses_known else None,
     )
+
+
+MOTION = {True: "moves", False: "stands still", None: "its poses are not known"}
+"""How `SensorOverview.moves` is told."""
 
 
 class RecordingOverview(Settings):
@@ -265,7 +270,7 @@ def _sensor_lines(s: SensorOverview) -> list[str]:
     return [
         f"{s.scans} scans, {rate}, " + (f"gaps: {s.gaps}, the longest {s.longest_gap_s:g} s" if s.gaps else "no gaps"),
         f"{beams} beams over {s.field_of_view_deg:g} deg from {s.angle_min_deg:g} deg,"
-        f" {s.range_min:g} to {s.range_max:g} m, {'moves' if s.moves else 'stands still'}",
+        f" {s.range_min:g} to {s.range_max:g} m, {MOTION[s.moves]}",
         f"{s.no_return_share:.1%} no return, {s.invalid_share:.1%} invalid, {s.zero_share:.1%} exactly 0.0,"
         f" {s.labelled_scans} scans labelled"
         + (f", {s.scans_with_truth} scans with truth" if s.scans_with_truth else ""),

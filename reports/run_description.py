@@ -102,7 +102,8 @@ def facts_of(run: ReportedRun) -> tuple[Fact, ...]:
     if record.command:
         facts.append(Fact("command", shlex.join(record.command)))
     if (machine := record.machine) is not None:
-        size = f"{machine.cores} cores, {machine.memory_gb:g} GB memory"
+        cores = f"{machine.cores} core{'s' if machine.cores != 1 else ''}"
+        size = f"{cores}, {machine.memory_gb:g} GB memory"
         facts.append(Fact("machine", f"{machine.cpu}, {size}, {machine.system}"))
     if record.versions:
         facts.append(Fact("versions", ", ".join(f"{name} {version}" for name, version in record.versions.items())))

@@ -205,6 +205,7 @@ def test_poses_of_several_things_are_asked_about(tmp_path: Path) -> None:
     assert "poses on /ego, /other, and none is known to be that of sensor 'front_scan'" in asked
     assert "--pose-topic /ego --mount front_scan=0,0,0deg`" in asked
     assert "\n" not in asked
+    assert "its poses are not known" in str(open_recording(path).overview())
     named = open_recording(path, pose_topic="/ego", mounts=[parse_mount("front_scan=0.3,0.1,30deg")])
     assert walls_stay(named)
     still = open_recording(path, pose_topic="none")
