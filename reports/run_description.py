@@ -58,7 +58,7 @@ def lead_of(table: HeadlineTable) -> str:
         highest = _names(ranked) if alone else f"the highest of the trackers, {_names(ranked)},"
         best = f"{_names(floor)} at {a_score} of {of_floor}, {highest} at {value}"
         return f"No tracker beats the floor on {ahead}: {best}."
-    against = f"the floor reaches {of_floor} ({_names(floor)})" if floor else "no tracker of the floor was run"
+    against = f"the floor, {_names(floor)}, reaches {of_floor}" if floor else "no tracker of the floor was run"
     if alone:
         return f"{ranked[0].name} has {a_score} of {value} on {ahead}; {against}."
     have, each = ("have", " each") if len(ranked) > 1 else ("has", "")

@@ -270,7 +270,7 @@ def with_pr_auc_in_motion(run, target, **pr_auc):
     [
         (
             {"good": 0.61234, "fair": 0.5, "persistence": 0.2},
-            "good has the highest PR-AUC on in-motion cells 1 s ahead, 0.612; the floor reaches 0.200 (persistence).",
+            "good has the highest PR-AUC on in-motion cells 1 s ahead, 0.612; the floor, persistence, reaches 0.200.",
         ),
         (
             {"good": 0.6},
@@ -278,8 +278,8 @@ def with_pr_auc_in_motion(run, target, **pr_auc):
         ),
         (
             {"good": 0.60001, "fair": 0.6, "blank": 0.0, "persistence": 0.0},
-            "good and fair have the highest PR-AUC on in-motion cells 1 s ahead, 0.600 each; the floor reaches 0.000"
-            " (blank and persistence).",
+            "good and fair have the highest PR-AUC on in-motion cells 1 s ahead, 0.600 each; the floor, blank and"
+            " persistence, reaches 0.000.",
         ),
         (
             {"good": 0.0, "fair": 0.0002, "blank": 0.0},
