@@ -16,7 +16,7 @@ from gridtrack.trackers.weights import read_card
 
 from studies.support.comparison import compare_at_junction, train
 from studies.support.results_file import ResultSection, write_section
-from studies.support.run_scores import RunScores
+from studies.support.run_scores import SHOWN, RunScores
 
 RECIPES = Path("studies/recipes/ablations")
 REFERENCE = "whole"
@@ -24,16 +24,7 @@ FLOOR = "persistence"
 OUT = Path("runs/ablations")
 RESULTS = Path("docs/results/junction/ablations.json")
 COMMAND = "make ablations"
-SCORES = (
-    "f1 in-motion 0.5 s",
-    "f1 in-motion 1 s",
-    "f1 dynamic 0.5 s",
-    "f1 dynamic 1 s",
-    "f1 dynamic 2.5 s",
-    "f1 visible 1 s",
-    "f1 occluded 1 s",
-)
-DIFFERENCES = (*SCORES[:5], "f1 visible 0.5 s", "f1 visible 2.5 s", "nll visible 1 s")
+DIFFERENCES = (*SHOWN[:5], "f1 visible 0.5 s", "f1 visible 2.5 s", "nll visible 1 s")
 
 
 def trained() -> Mapping[str, Path]:
@@ -51,10 +42,10 @@ def section(scores: RunScores, cards: Mapping[str, Path]) -> ResultSection:
     """F1 of the networks, what each has less the whole one, and each number of these tables by its row and column."""
     without = [f"{part} less {REFERENCE}" for part in cards if part != REFERENCE]
     tables = {
-        "F1": scores.table("F1", [*cards, FLOOR], SCORES, ["intervals"]),
+        "F1": scores.table("F1", [*cards, FLOOR], SHOWN, ["intervals"]),
         "differences": scores.table("F1", without, DIFFERENCES, ["intervals", "p"]),
     }
-    values = {f"{part}: {column}": scores.value(part, column) for part in (*cards, FLOOR) for column in SCORES}
+    values = {f"{part}: {column}": scores.value(part, column) for part in (*cards, FLOOR) for column in SHOWN}
     values |= {f"{part}: {column}": scores.value(part, column) for part in without for column in DIFFERENCES}
     values |= {f"{part}: validation score": f"{_validation_score(card):.3f}" for part, card in cards.items()}
     return ResultSection(command=COMMAND, tables=tables, values=values)

@@ -32,6 +32,16 @@ TITLES = {
     "nll": "log loss, ",
     "class nll": "class log loss, ",
 }
+SHOWN = (
+    "f1 in-motion 0.5 s",
+    "f1 in-motion 1 s",
+    "f1 dynamic 0.5 s",
+    "f1 dynamic 1 s",
+    "f1 dynamic 2.5 s",
+    "f1 visible 1 s",
+    "f1 occluded 1 s",
+)
+"""The columns of a table that compares settings of one tracker."""
 LOSSES = ("nll", "class nll")
 """Scores of which the lowest is the best."""
 FLOORS = ("persistence", "static-map")
