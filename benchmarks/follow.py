@@ -1,10 +1,10 @@
-"""Following a recording for an hour: memory, open files, disk and missed frames while a robot records.
+"""Following a recording for two hours: memory, open files, disk and missed frames while a robot records.
 
-`python -m benchmarks.follow [TRACKER...] [--folder FOLDER] [--out FILE]` (persistence and kalman by default; an hour,
-and the time to score it). The demo recording is written again and again in real time, with stamps that go on, and
-`gridtrack compare --follow` reads it. Every ten seconds a line is added to FOLDER/samples.csv: of `compare` and of its
-trackers the resident memory, their open files, the size of the recording, the disk in use by the folder of the run, the
-file without a name included, and the missed frames. `--table` makes the table of docs/follow.md of earlier samples.
+`python -m benchmarks.follow [TRACKER...] [--folder FOLDER] [--out FILE]` (persistence and kalman by default; two
+hours, and the time to score them). The demo recording is written again and again in real time, with stamps that go on,
+and `gridtrack compare --follow` reads it. Every ten seconds a line is added to FOLDER/samples.csv: of `compare` and of
+its trackers the resident memory, their open files, the size of the recording, the disk in use by the folder of the run,
+the file without a name included, and the missed frames. `--table` makes the table of docs/follow.md of earlier samples.
 """
 
 from __future__ import annotations
@@ -105,7 +105,8 @@ def table_of(samples: Path) -> ResultTable:
     scored = rows[rows.index(followed[-1]) + 1 :]
     ends = [index * ROW_EVERY_S for index in range(1, int(float(followed[-1]["time_s"]) // ROW_EVERY_S) + 1)]
     chosen = [next(row for row in followed if float(row["time_s"]) >= end_s) for end_s in ends]
-    table = [_row(f"{float(row['time_s']) / 60:.0f}", [row]) for row in (followed[0], *chosen, followed[-1])]
+    by_minute = {f"{float(row['time_s']) / 60:.0f}": row for row in (followed[0], *chosen, followed[-1])}
+    table = [_row(minute, [row]) for minute, row in by_minute.items()]
     return measured_table(COLUMNS, [*table, *([_row("scoring, at most", scored)] if scored else [])])
 
 
@@ -133,7 +134,7 @@ def follow(trackers: Sequence[str], minutes: float, folder: Path) -> int:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("trackers", nargs="*", default=["persistence", "kalman"])
-    parser.add_argument("--minutes", type=float, default=60.0)
+    parser.add_argument("--minutes", type=float, default=120.0)
     parser.add_argument("--folder", type=Path, help="of the recording, the run and the samples")
     parser.add_argument("--table", action="store_true", help="only make the table of the samples in the folder")
     parser.add_argument("--out", type=Path, help="results file, such as docs/results/follow.json")
@@ -144,7 +145,7 @@ def main() -> None:
         print(f"exit code {follow(arguments.trackers, arguments.minutes, folder)}; {folder}")
     table = table_of(folder / "samples.csv")
     print(table.markdown())
-    write_table(arguments.out, "hour", table, f"python -m benchmarks.follow {' '.join(arguments.trackers)}")
+    write_table(arguments.out, "following", table, f"python -m benchmarks.follow {' '.join(arguments.trackers)}")
 
 
 if __name__ == "__main__":
