@@ -1,7 +1,8 @@
 """What the pages show of a comparison: docs/results/PLACE/summary.json.
 
-`python -m studies.kept_summary RUN PLACE` (a second) keeps the pooled scores of RUN/summary.json, of a run of one
-recording its scores; no pairs; and of several trainings the first, whose spread is in `trainings`.
+`python -m studies.kept_summary RUN PLACE` (a second; `runs/results junction` after `make results`, `runs/demo
+leg_tracker` after `make demo`) keeps the pooled scores of RUN/summary.json, of a run of one recording its scores; no
+pairs; and of several trainings the first, whose spread is in `trainings`.
 """
 
 from __future__ import annotations
