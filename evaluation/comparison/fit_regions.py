@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -21,20 +20,19 @@ from gridtrack.common.grid import GridFrame, GridSpec, LabelledFrame, Mask
 from gridtrack.evaluation.comparison.stored_scans import ScansWriter, StoredScans
 from gridtrack.evaluation.scoring.in_process import score_in_process
 from gridtrack.evaluation.scoring.motion import ObservedMotion
+from gridtrack.evaluation.scoring.observed_kinds import KindsOfTimes, StaticTiles, observed_kinds
 from gridtrack.evaluation.scoring.regions import Regions
 from gridtrack.evaluation.scoring.world_cells import WorldCells
-from gridtrack.evaluation.scoring.world_kinds import (
-    KindsOfPlaces,
-    KindsOfWindow,
-    kinds_of_outlines,
-    observed_kinds,
-)
+from gridtrack.evaluation.scoring.world_kinds import KindsOfPlaces, KindsOfWindow, kinds_of_outlines
 from gridtrack.recordings.observation import Observation, cells_in_window
 from gridtrack.recordings.stream import GridStream
 from gridtrack.trackers.contract import FrameSource, StretchScore, Tracker
 
+StoredKinds = KindsOfWindow | KindsOfPlaces | KindsOfTimes
+"""Kinds that a file can hold."""
 
-def cell_kinds_for(stream: GridStream, streams: Iterable[GridStream]) -> KindsOfWindow | KindsOfPlaces:
+
+def cell_kinds_for(stream: GridStream, streams: Iterable[GridStream]) -> StoredKinds:
     """Kinds of the cells of `stream`, one of the `streams` of a training. Raises RecordingError.
 
     Static cells are those of the true scene. Without truth they are found in all stretches of the recording that the
@@ -46,10 +44,20 @@ def cell_kinds_for(stream: GridStream, streams: Iterable[GridStream]) -> KindsOf
         windows = (one.reference_T_grid for one in ((first,) if at_rest else stream.observations()))
         return kinds_of_outlines(first.scene, windows, stream.grid)
     given = [other for other in streams if other.sha256 == stream.sha256 and other.grid == stream.grid]
-    return observed_kinds(chain.from_iterable(one.observations() for one in given), stream.grid)
+    return observed_kinds(_each_frame_once(given), stream.grid)
 
 
-def store_regions(stream: GridStream, kinds: KindsOfWindow | KindsOfPlaces, path: Path) -> Path:
+def _each_frame_once(streams: Iterable[GridStream]) -> Iterator[Observation]:
+    """The frames of stretches of one recording in the order of their stamps, also where stretches overlap."""
+    newest_ns = None
+    for stream in sorted(streams, key=lambda one: one.stretch_s[0]):
+        for observation in stream.observations():
+            if newest_ns is None or observation.frame.stamp_ns > newest_ns:
+                newest_ns = observation.frame.stamp_ns
+                yield observation
+
+
+def store_regions(stream: GridStream, kinds: StoredKinds, path: Path) -> Path:
     """Write the regions of `stream`, with these `kinds` of its cells, to the .npz file `path`; returns `path`.
 
     Raises RecordingError, OSError.
@@ -80,16 +88,28 @@ def store_regions(stream: GridStream, kinds: KindsOfWindow | KindsOfPlaces, path
     return path
 
 
-def _kinds_arrays(kinds: KindsOfWindow | KindsOfPlaces) -> dict[str, Any]:
+def _kinds_arrays(kinds: StoredKinds) -> dict[str, Any]:
     if isinstance(kinds, KindsOfWindow):
         return {"cell_kinds": kinds.cell_kinds}
+    if isinstance(kinds, KindsOfTimes):
+        times = {(block, *place): tile for block, tiles in kinds.static.items() for place, tile in tiles.items()}
+        return {
+            "blocks": np.array(list(kinds.static), np.int64),
+            "places": np.array(list(times), np.int64).reshape(-1, 3),
+            "bits": np.array(list(times.values()), np.uint8),
+        }
     tiles = kinds.static.tiles
     return {"places": np.array(list(tiles), np.int64), "static": np.stack([tile[0] for tile in tiles.values()])}
 
 
-def _kinds_from(stored: Mapping[str, NDArray[Any]], grid: GridSpec) -> KindsOfWindow | KindsOfPlaces:
+def _kinds_from(stored: Mapping[str, NDArray[Any]], grid: GridSpec) -> StoredKinds:
     if "cell_kinds" in stored:
         return KindsOfWindow(stored["cell_kinds"])
+    if "blocks" in stored:
+        times: dict[int, StaticTiles] = {block: {} for block in stored["blocks"].tolist()}
+        for (block, row, column), tile in zip(stored["places"].tolist(), stored["bits"], strict=True):
+            times[block][row, column] = tile
+        return KindsOfTimes(times, grid)
     static = WorldCells(1, np.bool_)
     places, tiles = stored["places"].tolist(), stored["static"]
     static.tiles = {(row, column): tile[None] for (row, column), tile in zip(places, tiles, strict=True)}
@@ -107,7 +127,7 @@ class StretchRegions:
 
     sha256: str
     grid: str
-    kinds: KindsOfWindow | KindsOfPlaces
+    kinds: StoredKinds
     scans: StoredScans
     moves: bool
     stamps_ns: NDArray[np.int64]

@@ -20,10 +20,11 @@ from gridtrack.evaluation.scoring.counting import Tally, count_forecast
 from gridtrack.evaluation.scoring.deadline import read_later
 from gridtrack.evaluation.scoring.moments import Moment
 from gridtrack.evaluation.scoring.motion import ObservedMotion
+from gridtrack.evaluation.scoring.observed_kinds import ObservedCounts
 from gridtrack.evaluation.scoring.regions import Regions
 from gridtrack.evaluation.scoring.splits import EvaluationSplit
 from gridtrack.evaluation.scoring.strata import LastSeen
-from gridtrack.evaluation.scoring.world_kinds import CellKinds, KindsOfOutlines, KindsOfWindow, ObservedCounts
+from gridtrack.evaluation.scoring.world_kinds import CellKinds, KindsOfOutlines, KindsOfWindow
 from gridtrack.recordings.observation import Observation
 
 SHOWN_STRATUM, SHOWN_S = "dynamic", 1.0

@@ -30,17 +30,18 @@ class RunFolder:
 
     @classmethod
     def prepare(cls, plan: ComparisonPlan, command: Sequence[str]) -> RunFolder:
-        """Start a run in the folder, or with `resume` continue an earlier one of the same configuration.
+        """Start a run in the folder, or with `resume` continue an earlier one.
 
-        The folder exists and is locked (`run_lock`). Raises RunError where it holds another run.
+        What is compared may have got more trackers and recordings since; nothing else may differ. The folder exists
+        and is locked (`run_lock`). Raises RunError where it holds another run.
         """
         path = plan.settings.out
         record = _new_record(plan, command)
         earlier = _earlier_record(path)
         if earlier is not None and not plan.settings.resume:
             raise _holds_a_run(path)
-        if earlier is not None and earlier.configuration != record.configuration:
-            changed = _what_changed(earlier.configuration, record.configuration)
+        changed = _what_changed(earlier.configuration, record.configuration) if earlier else ""
+        if changed:
             raise RunError(
                 f"{path} holds a run of another configuration ({changed}): name another folder with --out, or repeat"
                 f" its command (`command` in {RUN_FILE})"
@@ -123,14 +124,12 @@ def _earlier_record(path: Path) -> RunRecord | None:
 
 
 def _what_changed(earlier: RunConfiguration, now: RunConfiguration) -> str:
-    """The first difference between two configurations, in words: recordings and trackers before their details."""
+    """What keeps `now` from continuing `earlier`, in words, or "": something left out, or the first difference."""
     compared = (
         ("recording", set(earlier.recordings), set(now.recordings)),
         ("tracker", _labels(earlier), _labels(now)),
     )
     for what, then, requested in compared:
-        if added := sorted(requested - then):
-            return f"{what} '{added[0]}' was not in it"
         if left := sorted(then - requested):
             return f"{what} '{left[0]}' was in it and is not requested now"
     return _first_difference(earlier.model_dump(), now.model_dump())
@@ -141,9 +140,12 @@ def _labels(configuration: RunConfiguration) -> set[str]:
 
 
 def _first_difference(earlier: Any, now: Any, where: str = "") -> str:
-    """The key at which two configurations differ first, and both values."""
-    if isinstance(earlier, dict) and isinstance(now, dict):
-        for key in sorted(earlier.keys() | now.keys()):
-            if earlier.get(key) != now.get(key):
-                return _first_difference(earlier.get(key), now.get(key), f"{where}.{key}".removeprefix("."))
-    return f"{where}: then {json.dumps(earlier)[:80]}, now {json.dumps(now)[:80]}"
+    """The key at which two configurations differ first, and both values; "" where `now` has all of `earlier`.
+
+    Recordings and trials that are new are no difference; within one of them each key counts.
+    """
+    if not (isinstance(earlier, dict) and isinstance(now, dict)):
+        return f"{where}: then {json.dumps(earlier)[:80]}, now {json.dumps(now)[:80]}" if earlier != now else ""
+    keys = earlier.keys() if where in ("", "recordings", "trials") else earlier.keys() | now.keys()
+    found = (_first_difference(earlier.get(k), now.get(k), f"{where}.{k}".removeprefix(".")) for k in sorted(keys))
+    return next(filter(None, found), "")

@@ -13,9 +13,8 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from gridtrack.common.cache import FileCache
-from gridtrack.evaluation.comparison.fit_regions import StretchRegions, cell_kinds_for, store_regions
+from gridtrack.evaluation.comparison.fit_regions import StoredKinds, StretchRegions, cell_kinds_for, store_regions
 from gridtrack.evaluation.comparison.stored_stretch import store_stretch
-from gridtrack.evaluation.scoring.world_kinds import KindsOfPlaces, KindsOfWindow
 from gridtrack.recordings import Recording
 from gridtrack.recordings.stream import GridStream
 from gridtrack.recordings.survey_file import recall_survey, write_survey
@@ -23,7 +22,9 @@ from gridtrack.trackers.progress import Progress
 from gridtrack.trackers.wire import WireError
 
 STRETCHES_VERSION = 1
-"""Increases with every change by which the same recording has another survey, or other frames, labels or regions."""
+"""Increases with every change by which the same recording has another survey, other frames or labels."""
+KINDS_VERSION = 2
+"""Increases with every change by which the same frames have other kinds of cells, or other returns in motion."""
 MAX_CACHE_BYTES = 10 << 30
 """Frames of about a hundred hours of simulated worlds."""
 
@@ -69,11 +70,12 @@ class StretchFiles:
             raise WireError(f"regions of stretch {number}; there are {len(self._streams)}")
         stream = self._streams[number]
         beside = [other for other in self._streams if other.sha256 == stream.sha256 and other.grid == stream.grid]
-        key = {"regions": _stretch_key(stream), "kinds": sorted(map(_stretch_key, beside), key=str)}
+        kinds = [KINDS_VERSION, *sorted(map(_stretch_key, beside), key=str)]
+        key = {"regions": _stretch_key(stream), "kinds": kinds}
         path = self._folder / f"{number}.regions.npz"
         return self._cache.fetch(key, path, lambda made: store_regions(stream, cell_kinds_for(stream, beside), made))
 
-    def kinds(self, number: int) -> KindsOfWindow | KindsOfPlaces:
+    def kinds(self, number: int) -> StoredKinds:
         """The kinds of the cells of stream `number`. Raises RecordingError, OSError."""
         return StretchRegions.read(self.regions(number)).kinds
 

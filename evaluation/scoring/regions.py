@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 
 from gridtrack.common.grid import GridSpec
+from gridtrack.evaluation.scoring.observed_kinds import BLOCK_NS, observed_kinds
 from gridtrack.evaluation.scoring.strata import STRATA, RegionMaps, region_maps_of
-from gridtrack.evaluation.scoring.world_kinds import CellKinds, KindsOfOutlines, observed_kinds
+from gridtrack.evaluation.scoring.world_kinds import CellKinds, KindsOfOutlines
 from gridtrack.recordings.observation import Observation
 from gridtrack.recordings.stream import GridStream
 
@@ -24,11 +25,11 @@ class Regions:
 
     def of(self, observation: Observation) -> RegionMaps:
         """The region maps of the window of an observation. Raises RecordingError for a scene that cannot be placed."""
-        pose, origins = observation.reference_T_grid, observation.frame.origins
-        key, newest = (pose, origins.tobytes()), self._newest
+        pose, origins, stamp_ns = observation.reference_T_grid, observation.frame.origins, observation.frame.stamp_ns
+        key, newest = (pose, origins.tobytes(), stamp_ns // BLOCK_NS), self._newest
         if newest is not None and newest[0] == key:
             return newest[1]
-        maps = region_maps_of(self._kinds.at(pose), self._grid, origins, self.strata)
+        maps = region_maps_of(self._kinds.at(pose, stamp_ns), self._grid, origins, self.strata)
         self._newest = key, maps
         return maps
 

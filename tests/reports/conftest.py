@@ -16,6 +16,7 @@ from gridtrack.evaluation.scoring.counting import count_forecast
 from gridtrack.evaluation.scoring.moments import moments
 from gridtrack.evaluation.scoring.motion import ObservedMotion
 from gridtrack.evaluation.scoring.neighbourhoods import sum_neighbourhoods
+from gridtrack.evaluation.scoring.observed_kinds import observed_kinds
 from gridtrack.evaluation.scoring.referee import ScoredForecast
 from gridtrack.evaluation.scoring.regions import Regions
 from gridtrack.evaluation.scoring.samples import SAMPLES, SampleWriter
@@ -23,7 +24,6 @@ from gridtrack.evaluation.scoring.score_store import ScoreWriter
 from gridtrack.evaluation.scoring.spatial_store import SpatialWriter
 from gridtrack.evaluation.scoring.strata import STRATA
 from gridtrack.evaluation.scoring.thresholds import Thresholds, bins_of
-from gridtrack.evaluation.scoring.world_kinds import observed_kinds
 from gridtrack.evaluation.statistics.finished_trial import FinishedTrial
 from gridtrack.evaluation.statistics.summary import summarise
 from gridtrack.recordings.observation import Observation

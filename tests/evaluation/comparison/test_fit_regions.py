@@ -7,7 +7,7 @@ import pytest
 
 from gridtrack.common.errors import RecordingError
 from gridtrack.common.geometry import SE2
-from gridtrack.evaluation.comparison.fit_regions import FitScores, cell_kinds_for, store_regions
+from gridtrack.evaluation.comparison.fit_regions import FitScores, StretchRegions, cell_kinds_for, store_regions
 from gridtrack.evaluation.comparison.stored_stretch import StoredStretch, store_stretch
 from gridtrack.evaluation.scoring.in_process import score_in_process
 from gridtrack.evaluation.scoring.regions import regions_of
@@ -69,10 +69,23 @@ def test_without_truth_static_cells_are_found_in_the_stretches_of_the_training_o
     path = tmp_path / "room.mcap"
     truth_scene.write_recording(path, seconds=12, with_truth=False)
     train, validation = open_stream(f"{path}@0s-6s"), open_stream(f"{path}@6s-9s")
-    kinds = cell_kinds_for(train, [train, validation]).at(SE2())
-    assert np.array_equal(kinds, cell_kinds_for(validation, [train, validation]).at(SE2()))
-    assert np.array_equal(kinds, cell_kinds_for(train, [open_stream(f"{path}@0s-9s")]).at(SE2()))
+    kinds = cell_kinds_for(train, [train, validation]).at(SE2(), 0)
+    assert np.array_equal(kinds, cell_kinds_for(validation, [train, validation]).at(SE2(), 0))
+    assert np.array_equal(kinds, cell_kinds_for(train, [open_stream(f"{path}@0s-9s")]).at(SE2(), 0))
     assert (kinds == CELL_KINDS.index("static")).any()
+
+
+def test_kinds_of_a_moving_sensor_are_kept_by_the_time_and_overlapping_stretches_count_each_frame_once(tmp_path):
+    path = drive.write_recording(tmp_path / "d.mcap", 80, with_truth=False)
+    whole = open_stream(path)
+    expected = cell_kinds_for(whole, [whole])
+    parts = [open_stream(f"{path}@{range_}") for range_ in ("4s-", "0s-6s")]
+    kept = StretchRegions.read(store_regions(whole, cell_kinds_for(whole, parts), tmp_path / "0.npz")).kinds
+    for observation in whole.observations():
+        of_frame = observation.reference_T_grid, observation.frame.stamp_ns
+        assert np.array_equal(kept.at(*of_frame), expected.at(*of_frame))
+    with pytest.raises(KeyError):
+        kept.at(SE2(), 10**15)
 
 
 def test_frames_that_are_of_no_stretch_of_the_training_are_not_scored(with_truth, tmp_path):

@@ -19,7 +19,7 @@ from gridtrack.evaluation.comparison.recipe import Recipe
 from gridtrack.evaluation.comparison.runner import run
 from gridtrack.evaluation.comparison.train import train_tracker
 from gridtrack.evaluation.regression.measuring import measure_run
-from gridtrack.evaluation.results.columns import HISTOGRAM_TABLE
+from gridtrack.evaluation.results.columns import HISTOGRAM_TABLE, SCORES_TABLE
 from gridtrack.evaluation.results.files import RunError
 from gridtrack.evaluation.results.trial_record import read_trial_record
 from gridtrack.reports.run import read_runs
@@ -44,17 +44,31 @@ def test_another_program_under_the_same_name_is_another_configuration(settings, 
         run(resolve(settings("mine", trackers_toml=toml, resume=True)), (), progress)
 
 
-def test_recordings_and_trackers_missing_in_the_run_are_named_as_requested(settings, record, progress):
+def test_a_run_is_continued_with_more_trackers_and_recordings_and_keeps_its_scores(
+    settings, record, tmp_path, progress
+):
     run(resolve(settings("blank", "persistence")), (), progress)
-    more = settings("blank", "persistence", "still=persistence", resume=True)
+    kept = tmp_path / "run" / "persistence@room" / SCORES_TABLE.file
+    written = kept.stat().st_mtime_ns
+    recordings = (str(record()), str(record("other", wall_m=2.5)))
+    more = settings("blank", "persistence", "still=persistence", recordings=recordings, resume=True)
+    summary = run(resolve(more), (), progress)
+    assert kept.stat().st_mtime_ns == written, "was not run again"
+    scores = {label: row.recordings for label, row in summary.trackers.items()}
+    assert scores["still"]["room"].strata == scores["persistence"]["room"].strata
+    assert scores["persistence"]["other"].outcome == "ok"
+
+
+def test_a_run_is_not_continued_without_a_tracker_or_a_recording_of_it(settings, record, progress):
+    both = str(record()), str(record("other", wall_m=2.5))
+    run(resolve(settings("blank", "persistence", recordings=both)), (), progress)
     what_to_do = r": name another folder with --out, or repeat its command"
-    with pytest.raises(RunError, match=r"another configuration \(tracker 'still' was not in it\)" + what_to_do):
-        run(resolve(more), (), progress)
-    with pytest.raises(RunError, match=r"\(tracker 'persistence' was in it and is not requested now\)"):
-        run(resolve(settings("blank", resume=True)), (), progress)
-    other = settings("blank", "persistence", recordings=(str(record("other")),), resume=True)
-    with pytest.raises(RunError, match=r"\(recording 'other' was not in it\)"):
-        run(resolve(other), (), progress)
+    with pytest.raises(RunError, match=r"\(tracker 'persistence' was in it and is not requested now\)" + what_to_do):
+        run(resolve(settings("blank", recordings=both, resume=True)), (), progress)
+    with pytest.raises(RunError, match=r"\(recording 'room' was in it and is not requested now\)"):
+        run(resolve(settings("blank", "persistence", recordings=both[1:], resume=True)), (), progress)
+    with pytest.raises(RunError, match=r"\(recordings\.other\.forecast_every_frames: then 5, now 2\)"):
+        run(resolve(settings("blank", "persistence", recordings=both, every_s=0.2, resume=True)), (), progress)
 
 
 def test_a_trial_with_missing_counts_runs_again(settings, tmp_path, progress):

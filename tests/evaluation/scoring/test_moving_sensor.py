@@ -15,12 +15,13 @@ from gridtrack.evaluation.scoring.beam_errors import beam_errors
 from gridtrack.evaluation.scoring.counting import Tally, count_forecast
 from gridtrack.evaluation.scoring.moments import Moment
 from gridtrack.evaluation.scoring.motion import OnceFree
+from gridtrack.evaluation.scoring.observed_kinds import observed_kinds
 from gridtrack.evaluation.scoring.referee import Delivery, Schedule, scored_forecasts
 from gridtrack.evaluation.scoring.regions import Regions, regions_of
 from gridtrack.evaluation.scoring.strata import AGES_S, CELL_KINDS, PARTS, STRATA, LastSeen
 from gridtrack.evaluation.scoring.target import NOT_SCORED, SEEN_FREE, SEEN_OCCUPIED
 from gridtrack.evaluation.scoring.thresholds import half
-from gridtrack.evaluation.scoring.world_kinds import KindsOfWindow, observed_kinds
+from gridtrack.evaluation.scoring.world_kinds import KindsOfWindow
 from gridtrack.evaluation.statistics.spatial_scores import median_size
 from gridtrack.recordings.observation import Observation
 from gridtrack.recordings.stream import open_stream
@@ -185,7 +186,7 @@ def test_walls_are_static_though_the_poses_have_errors_and_people_who_walk_are_n
     for index, observation in enumerate(stream.observations()):
         window = observation.frame.world_T_grid
         centres = window.apply(stream.grid.cell_centres(observation.frame.occupied))
-        found = kinds.at(window)[observation.frame.occupied]
+        found = kinds.at(window, observation.frame.stamp_ns)[observation.frame.occupied]
         people = [body.world_T_object for body in drive.scene(index).objects]
         away = [np.hypot(*(centres - [pose.x, pose.y]).T) > 0.6 for pose in people]
         counts["walls"] += np.bincount(found[np.all(away, axis=0)], minlength=3)

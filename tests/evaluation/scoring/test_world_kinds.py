@@ -10,21 +10,21 @@ from gridtrack.common.errors import RecordingError
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec
 from gridtrack.evaluation.scoring import world_cells
+from gridtrack.evaluation.scoring.observed_kinds import BLOCK_NS, ObservedCounts, observed_kinds
 from gridtrack.evaluation.scoring.strata import CELL_KINDS
 from gridtrack.evaluation.scoring.world_cells import TILE_CELLS, WorldCells
-from gridtrack.evaluation.scoring.world_kinds import observed_kinds
 from gridtrack.recordings.observation import Observation
 
 GRID = GridSpec(7, 1.0)
 NOTHING = np.zeros((0, 2), np.float32)
 
 
-def frame(visible, occupied, pose=SE2()):  # noqa: B008
-    return GridFrame(0, visible, occupied & visible, pose, NOTHING, NOTHING, np.zeros(0, np.uint8))
+def frame(visible, occupied, pose=SE2(), stamp_ns=0):  # noqa: B008
+    return GridFrame(stamp_ns, visible, occupied & visible, pose, NOTHING, NOTHING, np.zeros(0, np.uint8))
 
 
-def kinds_of(frames, window=SE2()):  # noqa: B008
-    return observed_kinds(map(Observation, frames), GRID).at(window)
+def kinds_of(frames, window=SE2(), stamp_ns=0):  # noqa: B008
+    return observed_kinds(map(Observation, frames), GRID).at(window, stamp_ns)
 
 
 def frames_with_cell_occupied(times, of, cell=(3, 3)):
@@ -71,34 +71,63 @@ def test_cell_kinds_agree_with_a_dilation(planes):
     assert np.array_equal(cell_kinds == CELL_KINDS.index("dynamic"), ~binary_dilation(static, np.ones((3, 3))))
 
 
-def wall_seen_from(x, wall_x):
-    """A wall of the world along the column at `wall_x`, seen whole in the window at `x`."""
+def wall_seen_from(x, wall_x, block=0):
+    """A wall of the world along the column at `wall_x`, seen whole in the window at `x`, in a block of time."""
     occupied = np.zeros(GRID.shape, bool)
     column = wall_x - x + 3
     if 0 <= column < 7:
         occupied[:, column] = True
     visible = np.ones(GRID.shape, bool)
     visible[:, column + 1 :] = False
-    return frame(visible, occupied, SE2(float(x)))
+    return frame(visible, occupied, SE2(float(x)), block * BLOCK_NS)
 
 
 def test_a_wall_that_stays_is_static_in_every_window_that_moves_past_it():
     frames = [wall_seen_from(x, wall_x=2) for x in (-1, 0, 1, 2)]
-    assert names(kinds_of(frames, SE2(0.0)))[3].tolist() == [*["dynamic"] * 4, "ring", "static", "ring"]
-    past = names(kinds_of(frames, SE2(2.0)))[3].tolist()
-    assert past == [
-        *["dynamic"] * 2,
-        "ring",
-        "static",
-        "ring",
-        *["dynamic"] * 2,
-    ]
+    assert names(kinds_of(frames, SE2(0.0)))[3].tolist() == WALL_AT_TWO
+    assert names(kinds_of(frames, SE2(2.0)))[3].tolist() == WALL_AT_ZERO
     assert (names(kinds_of(frames, SE2(40.0))) == "dynamic").all(), "no window was there"
 
 
 def test_a_wall_that_the_error_of_the_pose_puts_into_three_cells_in_turn_is_static_in_all_of_them():
     frames = [wall_seen_from(x, wall_x=2 + error) for x, error in zip((-1, 0) * 6, (-1, 0, 1) * 4, strict=True)]
     assert names(kinds_of(frames, SE2(0.0)))[3].tolist() == [*["dynamic"] * 3, "ring", *["static"] * 3]
+
+
+WALL_AT_TWO = [*["dynamic"] * 4, "ring", "static", "ring"]
+WALL_AT_ZERO = [*["dynamic"] * 2, "ring", "static", "ring", *["dynamic"] * 2]
+
+
+def test_a_wall_that_the_drift_of_minutes_displaces_is_static_where_it_is_seen_at_each_time():
+    early = [wall_seen_from(x, 2, block) for block in (0, 1) for x in (-1, 0, 1)]
+    late = [wall_seen_from(x, 0, block) for block in (60, 61) for x in (-1, 0, 1)]
+    kinds = observed_kinds(map(Observation, [*early, *late]), GRID)
+    for block, expected in ((0, WALL_AT_TWO), (1, WALL_AT_TWO), (60, WALL_AT_ZERO), (61, WALL_AT_ZERO)):
+        assert names(kinds.at(SE2(), block * BLOCK_NS + 5))[3].tolist() == expected
+
+
+def test_the_cells_of_a_block_are_judged_by_it_and_the_blocks_before_and_after():
+    wall = {block: [wall_seen_from(x, 2, block) for x in (0, 1)] for block in range(5)}
+    free = {block: [wall_seen_from(x, 90, block) for x in (0, 1)] for block in range(5)}
+    one_in_three = observed_kinds(map(Observation, [*free[0], *wall[1], *free[2]]), GRID)
+    assert (names(one_in_three.at(SE2(), BLOCK_NS)) == "dynamic").all(), "seen free before and after"
+    others_far = observed_kinds(map(Observation, [*free[0], *wall[2], *free[4]]), GRID)
+    assert names(others_far.at(SE2(), 2 * BLOCK_NS))[3].tolist() == WALL_AT_TWO
+
+
+def test_kinds_so_far_are_those_of_the_frames_so_far_and_counting_goes_on():
+    frames = [wall_seen_from(x, 2 if block < 3 else 0, block) for block in range(6) for x in (-1, 0, 1)]
+    counts = ObservedCounts(GRID)
+    for n, one in enumerate(frames, start=1):
+        counts.add(Observation(one))
+        expected = observed_kinds(map(Observation, frames[:n]), GRID)
+        window = SE2(), one.stamp_ns
+        assert np.array_equal(counts.kinds().at(*window), expected.at(*window))
+
+
+def test_what_a_sensor_at_rest_shows_counts_whole_however_long_it_rests():
+    frames = [wall_seen_from(0, 2 if block < 7 else 90, block) for block in range(10)]
+    assert names(kinds_of(frames, stamp_ns=9 * BLOCK_NS))[3].tolist() == WALL_AT_TWO
 
 
 def test_what_passes_is_not_static_where_the_sensor_moves():
