@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Sequence
 from itertools import pairwise
 
@@ -20,16 +21,14 @@ SPECIAL = {
     "`": r"\textasciigrave{}",
     "'": r"\textquotesingle{}",
     **{sign: f"\\{sign}" for sign in "{}$&#%_"},
-    "-": "-{}",  # two in a row are another dash
-    "?": "?{}",  # with a quotation mark behind it another sign, as !
-    "!": "!{}",
-    ",": ",{}",
 }
+LIGATURE = re.compile("([-,])(?=\\1)")
+"""Two of them in a row are another sign: a dash, a quotation mark."""
 
 
 def latex_text(text: str) -> str:
     """Text on one line in which no character has a meaning for TeX, and none becomes another."""
-    return "".join(SPECIAL.get(sign, sign) for sign in printable(text))
+    return LIGATURE.sub(r"\1{}", "".join(SPECIAL.get(sign, sign) for sign in printable(text)))
 
 
 def latex_tables(exported: Sequence[ExportedTable]) -> str:

@@ -1,19 +1,16 @@
-"""Real drives: trackers on recordings of robots that drive, where none has learned the place.
+"""Real drives: trackers with general weights on stretches of recordings of robots that drive, to be looked at.
 
 `python -m studies.real_drives DATA FOLDER [--out FILE]` (some ten minutes): DATA has the folders datmo, radish and ual
-(README of docs/results/moving); FOLDER gets the imported recordings with refined poses, the weights and the runs, whose
-reports have the pictures. The weights were learned at another site with a standing laser, and its maps are left out
-(studies/support/transferred_weights.py); `persistence` has none. A second table counts the confirmed tracks of `kalman`
-that are faster than MOVING_MPS, and those of them whose velocity is not zero at a confidence of 99.9 %, with the
-settings of that site and with the defaults.
+(docs/results/real); FOLDER gets the imported recordings and the runs, whose reports have the pictures.
+`persistence` is compared with poses from each source, every tracker with the refined ones. A last table counts the
+confirmed tracks of `kalman` that are faster than MOVING_MPS, and those of them whose velocity is not zero at a
+confidence of 99.9 %.
 """
 
 from __future__ import annotations
 
 import argparse
 import hashlib
-import subprocess
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import takewhile
@@ -25,21 +22,21 @@ from gridtrack.common.scan import Scan
 from gridtrack.recordings.ego_motion import PoseSource
 from gridtrack.recordings.stream import open_stream
 from gridtrack.reports.run import read_runs
+from gridtrack.trackers.card import GENERAL
 from gridtrack.trackers.contract import StreamSpec
 from gridtrack.trackers.model_free.kalman import KalmanTracker
 from gridtrack.trackers.model_free.settings import ModelFreeSettings
 
+from studies.support.comparison import gridtrack
 from studies.support.forecast_pictures import forecast_pictures
 from studies.support.real_recordings import REAL, RealRecording, import_real
 from studies.support.results_file import ResultSection, measured_table, write_section
-from studies.support.transferred_weights import transfer
+from studies.support.unseen_places import REFERENCE, TRAININGS, WEIGHTS, further_training, general_rows, not_measured
 
-WEIGHTS = Path("data/weights")
-LEARNED = ("kalman", "factor-graph", "dogma", "deep-tracking-rnn")
 HORIZON_S, WARM_UP = 1.0, 20
 POSES: tuple[PoseSource, ...] = ("recorded", "refined", "kiss-icp")
 STRATA = ("visible", "dynamic", "in-motion")
-SHOWN = ("persistence", "kalman", "factor-graph", "dogma")
+SHOWN = (REFERENCE, "kalman", "dogma", "dilated-convgru")
 PICTURES = {"aces": (24, 32), "overtakes": (16, 32)}
 """The kept samples that are drawn."""
 MOVING_MPS, SIGNIFICANT = 0.5, 13.8
@@ -53,7 +50,6 @@ class Drive:
     recording: RealRecording
     start_s: float
     end_s: float
-    site: str = "leg_tracker"
 
     @property
     def name(self) -> str:
@@ -68,7 +64,7 @@ DRIVES = (
     Drive(RECORDED["two_robots"], 0, 32),
     Drive(RECORDED["aces"], 170, 220),
     Drive(RECORDED["intel"], 60, 110),
-    Drive(RECORDED["ual"], 40, 80, site="junction"),
+    Drive(RECORDED["ual"], 40, 80),
 )
 
 
@@ -86,15 +82,15 @@ def imported(drive: Drive, scans: list[Scan], source: PoseSource, data: Path, fo
     return f"{out}@{drive.start_s}s-{drive.end_s}s"
 
 
-def compared(drive: Drive, recording: str, trackers: Sequence[str], folder: Path) -> dict[str, list[str]]:
-    """F1 of each tracker, HORIZON_S ahead, in the strata."""
+def compared(drive: Drive, recording: str, rows: Sequence[str], folder: Path) -> dict[str, list[str]]:
+    """F1 of each tracker, HORIZON_S ahead, in the strata; thresholds are those of the cards."""
     out = folder / f"run-{Path(recording).name.partition('.')[0]}"
-    rows = [word for name in trackers for word in ("--tracker", name)]
-    words = [recording, *rows, "--jobs", "1", "--horizon", f"{HORIZON_S}s", "--every", "0.4s"]
-    words += ["--weights", str(folder / "weights"), "--out", str(out)]
-    subprocess.run([sys.executable, "-m", "gridtrack.cli", "compare", *words], check=True)
+    trackers = [word for row in rows for word in ("--tracker", row)]
+    gridtrack(
+        "compare", recording, *trackers, "--jobs", 1, "--horizon", f"{HORIZON_S}s", "--every", "0.4s", "--out", out
+    )
     (run,) = read_runs([out])
-    if drive.name in PICTURES and len(trackers) > 1:
+    if drive.name in PICTURES and len(rows) > 1:
         drawing = forecast_pictures(run, SHOWN, PICTURES[drive.name], HORIZON_S)
         (folder / f"real-drive-{drive.name}.svg").write_text(drawing, "utf-8")
     found = {}
@@ -105,14 +101,13 @@ def compared(drive: Drive, recording: str, trackers: Sequence[str], folder: Path
     return found
 
 
-def tracks_in_motion(drive: Drive, recording: str, folder: Path, tuned: bool) -> tuple[float, float, float]:
+def tracks_in_motion(recording: str, card: Path) -> list[str]:
     """Confirmed tracks of `kalman` a frame, the fast ones, and those whose velocity is significant."""
     stream = open_stream(recording)
-    card = WEIGHTS / "kalman" / f"{drive.site}.toml"
-    path = transfer(card, stream.site, stream.period_s, folder / f"weights-{tuned}", tuned=tuned)
-    sha256 = hashlib.sha256(path.read_bytes()).hexdigest()
-    spec = StreamSpec(stream.grid, stream.period_s, stream.site, weights=path, weights_sha256=sha256)
-    tracker, counts = KalmanTracker(spec, ModelFreeSettings()), []
+    sha256 = hashlib.sha256(card.read_bytes()).hexdigest()
+    spec = StreamSpec(stream.grid, stream.period_s, stream.site, weights=card, weights_sha256=sha256)
+    tracker = KalmanTracker(spec, ModelFreeSettings())
+    counts = []
     for frame in stream:
         tracker.update(frame)
         objects = tracker.predict(0).objects
@@ -121,8 +116,7 @@ def tracks_in_motion(drive: Drive, recording: str, folder: Path, tuned: bool) ->
             one for one in fast if one.velocity @ np.linalg.solve(one.covariance[2:, 2:], one.velocity) > SIGNIFICANT
         ]
         counts.append((len(objects), len(fast), len(sure)))
-    confirmed, fast_count, sure_count = np.mean(counts[WARM_UP:], axis=0).tolist()
-    return confirmed, fast_count, sure_count
+    return [f"{count:.2f}" for count in np.mean(counts[WARM_UP:], axis=0)]
 
 
 def main() -> None:
@@ -131,35 +125,32 @@ def main() -> None:
     parser.add_argument("folder", type=Path)
     parser.add_argument("--only", help="the name of one drive")
     parser.add_argument("--out", type=Path, help="docs/results/moving/real_drives.json")
-    arguments = parser.parse_args()
-    arguments.folder.mkdir(parents=True, exist_ok=True)
+    given = parser.parse_args()
+    given.folder.mkdir(parents=True, exist_ok=True)
+    rows = {label: row for label, row in general_rows(WEIGHTS, TRAININGS).items() if not further_training(label)}
     scores, tracks, poses = [], [], []
     for drive in DRIVES:
-        if arguments.only in (None, drive.name):
-            scans = scans_of(drive, arguments.data)
-            recordings = {source: imported(drive, scans, source, arguments.data, arguments.folder) for source in POSES}
-            for name in LEARNED:
-                card = WEIGHTS / name / f"{drive.site}.toml"
-                transfer(card, drive.name, 1.0 / drive.recording.rate_hz, arguments.folder / "weights")
-            for tuned in (True, False):
-                counts = tracks_in_motion(drive, recordings["refined"], arguments.folder, tuned)
-                name = f"{drive.name}, {drive.site if tuned else 'defaults'}"
-                tracks.append([name, *(f"{count:.2f}" for count in counts)])
-            for source in POSES:
-                trackers = ["persistence", *(LEARNED if source == "refined" else ())]
-                found = compared(drive, recordings[source], trackers, arguments.folder)
-                poses.append([f"{drive.name}, {source}", *found["persistence"]])
-                if source == "refined":
-                    scores += [[f"{drive.name}, {label}", *row] for label, row in found.items()]
+        if given.only not in (None, drive.name):
+            continue
+        scans = scans_of(drive, given.data)
+        for source in POSES:
+            recording = imported(drive, scans, source, given.data, given.folder)
+            chosen = list(rows.values()) if source == "refined" else [REFERENCE]
+            found = compared(drive, recording, chosen, given.folder)
+            poses.append([f"{drive.name}, {source}", *found[REFERENCE]])
+            if source == "refined":
+                scores += [[f"{drive.name}, {label}", *row] for label, row in found.items()]
+                tracks.append([drive.name, *tracks_in_motion(recording, WEIGHTS / "kalman" / f"{GENERAL}.toml")])
     tables = {
         "scores": measured_table(("drive and tracker", *(f"F1 {name}" for name in STRATA)), scores),
-        "tracks": measured_table(("drive and settings", "tracks", "faster than 0.5 m/s", "and significant"), tracks),
+        "tracks": measured_table(("drive", "tracks", "faster than 0.5 m/s", "and significant"), tracks),
+        "poses": measured_table(("drive and poses", *(f"F1 {name}" for name in STRATA)), poses),
     }
-    tables["poses"] = measured_table(("drive and poses", *(f"F1 {name}" for name in STRATA)), poses)
     print("\n\n".join(table.markdown() for table in tables.values()))
-    if arguments.out is not None:
-        section = ResultSection(command="python -m studies.real_drives", tables=tables)
-        write_section(arguments.out, "drives", section)
+    if given.out is not None:
+        values = {"not measured": not_measured(rows)}
+        section = ResultSection(command="python -m studies.real_drives", tables=tables, values=values)
+        write_section(given.out, "drives", section)
 
 
 if __name__ == "__main__":

@@ -175,8 +175,9 @@ def split_of(
         raise ConfigurationError(f"{_too_short(test, steps)}: name a longer stretch, or a shorter --horizon")
     chosen_on, notices = _validation_stretch(test, validation, steps, opened)
     poses = (f"{path}: poses: {recording.info.poses}",) if recording.info.poses else ()
-    warnings = (*poses, *recording.warnings, *(chosen_on.recording.warnings if chosen_on else ()))
-    return EvaluationSplit(name, path, test, chosen_on, steps, every, tuple(dict.fromkeys((*warnings, *notices))))
+    warnings = (*recording.warnings, *(chosen_on.recording.warnings if chosen_on else ()))
+    told = tuple(dict.fromkeys((*warnings, *notices, *poses)))
+    return EvaluationSplit(name, path, test, chosen_on, steps, every, told)
 
 
 def _steps(stream: GridStream, horizon_s: float) -> int:

@@ -160,7 +160,8 @@ class _Links:
         topic, start = next(iter(self._starts.items()))
         name = self._options.sensors[topic]
         if poses:
-            return self.at_rest(poses_not_known(self._options, poses, name, is_mounted=len(self._path(start)) > 1))
+            mounted = len(self._path(start)) > 1
+            return self.at_rest(poses_not_known(self._options, poses, frames, name, start, is_mounted=mounted))
         return self.at_rest(sensor_not_reached(self._options, frames, name, start) if frames else "")
 
     def at_rest(self, problem: str) -> Chains:

@@ -60,25 +60,38 @@ def mount_not_known(options: ChainOptions, pose: PoseTopic, sensor: str) -> str:
     )
 
 
-def poses_not_known(options: ChainOptions, poses: Sequence[PoseTopic], sensor: str, *, is_mounted: bool) -> str:
-    """Topics with poses of which none is known to be that of what carries the sensor."""
+def poses_not_known(
+    options: ChainOptions,
+    poses: Sequence[PoseTopic],
+    links: Sequence[Link],
+    sensor: str,
+    frame: str,
+    *,
+    is_mounted: bool,
+) -> str:
+    """Topics with poses of which none is known to be that of what carries the sensor; `links` do not reach it."""
+    transforms = f"{_not_reached(links, sensor, frame)}, and " if links else ""
     mount = [] if is_mounted else ["--mount", f"{sensor}={EXAMPLE_PLACE}"]
     command = options.command(["--pose-topic", poses[0].topic, *mount])
     mounted = f", with its place there in place of {EXAMPLE_PLACE}" if mount else ""
     return (
-        f"poses on {_shown([pose.topic for pose in poses])}, and none is known to be that of sensor '{sensor}': name"
-        f" it, as in `{command}`{mounted}; {AT_REST}"
+        f"{transforms}poses on {_shown([pose.topic for pose in poses])}, and none is known to be that of sensor"
+        f" '{sensor}': name it, as in `{command}`{mounted}; {AT_REST}"
     )
 
 
 def sensor_not_reached(options: ChainOptions, links: Sequence[Link], sensor: str, frame: str) -> str:
     """Transforms that move, in another tree than that of the sensor."""
-    moving = _shown([f"{link.parent} -> {link.child}" for link in links])
     command = options.command(["--mount", f"{sensor}={links[0].child}:{EXAMPLE_PLACE}"])
     return (
-        f"transforms on {links[0].source} ({moving}) do not reach frame '{frame}' of sensor '{sensor}': give the frame"
-        f" that it is mounted on, and its x and y (metres) and heading there, as in `{command}`; {AT_REST}"
+        f"{_not_reached(links, sensor, frame)}: give the frame that it is mounted on, and its x and y (metres) and"
+        f" heading there, as in `{command}`; {AT_REST}"
     )
+
+
+def _not_reached(links: Sequence[Link], sensor: str, frame: str) -> str:
+    moving = _shown([f"{link.parent} -> {link.child}" for link in links])
+    return f"transforms on {links[0].source} ({moving}) do not reach frame '{frame}' of sensor '{sensor}'"
 
 
 def _shown(names: Sequence[str], separator: str = ", ") -> str:

@@ -46,7 +46,7 @@ def train(card: Path, *words: str | Path) -> bool:
     return True
 
 
-def gridtrack(*words: str | Path) -> None:
+def gridtrack(*words: str | Path | int) -> None:
     """Run a command of gridtrack. Ends the program where it fails."""
     done = subprocess.run([sys.executable, "-m", "gridtrack.cli", *map(str, words)], check=False)
     if done.returncode:

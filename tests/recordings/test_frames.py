@@ -213,6 +213,16 @@ def test_poses_of_several_things_are_asked_about(tmp_path: Path) -> None:
     assert not still.survey.moves
 
 
+def test_beside_poses_that_are_asked_about_it_is_said_why_the_transforms_do_not_help(tmp_path: Path) -> None:
+    carried = [ROS.transforms(at, ("odom", "base", SE3.in_plane(made.robot_at(at)))) for at in range(0, 3100, 20)]
+    poses = [ROS.pose(at, made.robot_at(at), "/ego") for at in range(0, 3100, 20)]
+    path = ROS.write(tmp_path / "a.bag", [*made.scans_of(ROS, 3000, made.FRONT), *carried, *poses])
+    with pytest.raises(RecordingError) as error:
+        open_stream(path)
+    why = r"transforms on /tf \(odom -> base\) do not reach frame '\w+' of sensor 'front_scan', and poses on /ego, and"
+    assert re.search(why, str(error.value))
+
+
 def test_recorded_poses_that_cannot_be_used_are_no_obstacle_where_scans_alone_give_the_poses(tmp_path: Path) -> None:
     pytest.importorskip("kiss_icp")
     poses = [ROS.pose(at, made.robot_at(at), topic) for at in range(0, 3100, 20) for topic in ("/ego", "/other")]

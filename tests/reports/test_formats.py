@@ -117,6 +117,10 @@ def test_every_special_sign_is_itself_in_latex():
     assert not re.search(r"--|,,|\?`|!`|<<|>>|''|``", latex_text("-- ,, ?` !` << >> '' ``"))
 
 
+def test_a_name_with_a_hyphen_and_a_comma_is_as_it_is_written_in_latex():
+    assert latex_text("dilated-convgru, new") == "dilated-convgru, new"
+
+
 def test_each_line_of_a_latex_table_has_as_many_columns_as_it_declares(run_folder):
     page = text_of("latex", run_folder)
     declared = len(re.search(r"\\begin\{tabular\}\{(\w+)\}", page)[1])
