@@ -10,6 +10,7 @@ from markupsafe import Markup
 
 from gridtrack.common.files import write_text
 from gridtrack.reports.answer import answer_of
+from gridtrack.reports.meanings import meanings
 from gridtrack.reports.notices import Notice, notices_of
 from gridtrack.reports.page_data import page_data
 from gridtrack.reports.pictures import scale_png
@@ -67,6 +68,7 @@ def render_page(runs: Sequence[ReportedRun]) -> str:
             sections=[section_of(runs, table) for table in main_tables(tables)],
             players=players,
             styles=styles,
+            meanings=meanings(),
             scale=scale_png(),
             css=Markup(css),  # a file of this package, no text of a run
             script=script,

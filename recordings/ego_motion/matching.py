@@ -69,22 +69,12 @@ class ScanMatcher:
         self._keep(scan, returns, world_T_sensor)
 
     def match(self, scan: Scan, prior: Prior, since_s: float) -> ScanMatch:
-        """The match of `scan`, `since_s` after the one before; it is added to the map.
-
-        Returns of what moves are found by a first match with all of them, and are neither matched nor kept.
-        """
+        """The match of `scan`, `since_s` after the one before; it is added to the map."""
         returns = returns_of(scan, self.settings.max_range_m, prior.motion, since_s)
         failed = ScanMatch(prior.world_T_sensor, PoseQuality("few-returns"), prior.information)
         found = failed
         if len(returns.points) >= self.settings.min_returns and not self._map.empty():
-            map_points = cKDTree(self._map.point_cloud()[:, :2])
-            pose = self._stepped(self._registered(returns, prior), returns, map_points, prior)
-            moving = self._earlier.moving(scan, returns, pose)
-            count = len(moving)
-            if moving.any():
-                returns = returns.only(~moving)
-                pose = self._stepped(self._registered(returns, prior), returns, map_points, prior)
-            found = self._judged(returns, pose, map_points, prior, count)
+            found, returns = self._matched(scan, returns, prior)
             if not found.quality.failed and self._is_dragged(scan.stamp_ns, found.world_T_sensor, prior):
                 far = PoseQuality("far", found.quality.inlier_share, found.quality.residual_m)
                 found = failed._replace(quality=far)
@@ -100,6 +90,29 @@ class ScanMatcher:
         flat = np.concatenate([returns.points, np.zeros((len(returns.points), 1))], axis=1)
         thinned: PlaneArray = self._down_sample(flat, spacing_m)
         return thinned.reshape(-1, 3)
+
+    def _matched(self, scan: Scan, returns: ScanReturns, prior: Prior) -> tuple[ScanMatch, ScanReturns]:
+        """The match of `returns`, and those that were matched: what moves, by a first match with all, is left out.
+
+        Where too few are left for a match they are all used: it is more likely that the first match was poor, or that
+        walls return nothing now and then and seem free, than that most of the surroundings move.
+        """
+        map_points = cKDTree(self._map.point_cloud()[:, :2])
+        pose = self._aligned(returns, map_points, prior)
+        moving = self._earlier.moving(scan, returns, pose)
+        if not moving.any():
+            return self._judged(returns, pose, map_points, prior, len(moving)), returns
+        still = returns.only(~moving)
+        found = self._judged(still, self._aligned(still, map_points, prior), map_points, prior, len(moving))
+        if found.quality.failed:
+            of_all = self._judged(returns, pose, map_points, prior, len(moving))
+            if not of_all.quality.failed:
+                return of_all, returns
+        return found, still
+
+    def _aligned(self, returns: ScanReturns, map_points: cKDTree, prior: Prior) -> SE2:
+        """The pose at which the returns lie on the map: kiss-icp's match, then steps on the walls."""
+        return self._stepped(self._registered(returns, prior), returns, map_points, prior)
 
     def _registered(self, returns: ScanReturns, prior: Prior) -> SE2:
         """kiss-icp's match, with a wide kernel where the predicted pose may be far off."""

@@ -1,7 +1,7 @@
 // A figure of the page: choices, a drawing, one line on what it shows, and its downloads.
 import { choiceBar } from "./choices.js";
 import { downloadButtons } from "./downloads.js";
-import { make } from "./elements.js";
+import { make, meaning } from "./elements.js";
 import { numbersOfChart, lineChart } from "./line_chart.js";
 import { whenShownChange } from "./shown_trackers.js";
 
@@ -21,7 +21,7 @@ export function startFigure(figure) {
   let width = 0;
   const redraw = () => {
     holder.replaceChildren(drawing(chosen, Math.max(width, LEAST_WIDTH)));
-    note.replaceChildren(figure.line(chosen), " ", make("code", {}, `docs/figures.md#${heading}`));
+    note.replaceChildren(figure.line(chosen), " ", meaning(heading));
   };
   const controls = make("div", { class: "controls" }, choiceBar(figure.choices, chosen, redraw));
   section.append(controls, holder, note);

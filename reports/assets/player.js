@@ -1,6 +1,6 @@
 // The player: kept forecasts over time and horizon, one to four trackers side by side.
 import { choice } from "./choices.js";
-import { make } from "./elements.js";
+import { make, meaning } from "./elements.js";
 import { pageData } from "./page_data.js";
 import { isShown, whenShownChange } from "./shown_trackers.js";
 import { button, check, markLegend, menu, slider } from "./player_controls.js";
@@ -54,7 +54,7 @@ class Player {
     const kept = left ? `${moments.length} of ${this.data.kept} kept moments fit on the page. ` : "";
     this.element.append(this.panels, this.legend, make("p", { class: "note" }, kept,
       `Hits and errors: ${this.data.stratum || "visible"} cells. Arrow keys: time, horizon; space: play; click: zoom; shift and arrows move it. `,
-      make("code", {}, "docs/figures.md#moments")));
+      meaning("moments")));
     this.element.tabIndex = 0;
     this.element.setAttribute("role", "group");
     this.element.setAttribute("aria-label", `Moments of ${this.data.recording}`);

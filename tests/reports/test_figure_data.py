@@ -220,6 +220,6 @@ def test_every_figure_and_table_of_the_page_is_explained_under_its_own_heading()
     assert [title for title in [*titles, "Ranking", "Over the horizon", "Moments"] if title not in headings] == []
     templates = "".join(path.read_text() for path in (ASSETS.parent / "templates").glob("*.j2"))
     slugs = {heading.lower().replace(" ", "-") for heading in headings}
-    named = set(re.findall(r"docs/figures\.md#([\w-]+)", templates))
+    named = set(re.findall(r'draw\.meaning\("([\w-]+)"\)', templates))
     assert named
     assert named <= slugs

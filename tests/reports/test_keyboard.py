@@ -62,3 +62,23 @@ def test_enter_opens_what_is_folded(opened):
     page.locator("details summary").last.focus()
     page.keyboard.press("Enter")
     assert page.locator("details").last.get_attribute("open") is not None
+
+
+def test_enter_opens_what_a_figure_means_and_escape_closes_it(opened):
+    page, _ = opened()
+    button = page.locator("#ranking button.meaning")
+    meaning = page.locator("#meaning-ranking")
+    button.focus()
+    page.keyboard.press("Enter")
+    assert meaning.is_visible()
+    assert "A bar joins rows that are not told apart" in meaning.inner_text()
+    page.keyboard.press("Escape")
+    assert not meaning.is_visible()
+    assert page.evaluate("document.activeElement.textContent") == "What it means"
+
+
+def test_every_figure_and_table_says_what_it_means(opened):
+    page, _ = opened()
+    named = page.eval_on_selector_all("button.meaning", "all => all.map((one) => one.getAttribute('popovertarget'))")
+    assert len(named) > 10
+    assert [name for name in named if page.locator(f"#{name}").count() != 1] == []

@@ -71,6 +71,23 @@ def test_scans_alone_give_the_poses_in_a_room() -> None:
     assert 0.005 < float(np.median([q.residual_m for q in found.qualities])) < 0.03
 
 
+def with_dark_walls(scans: Sequence[Scan]) -> list[Scan]:
+    """The scans with every second sector without a return, others in each scan: they seem free, and walls to come."""
+    rng, sector = np.random.default_rng(0), np.arange(len(scans[0].ranges)) // 30
+    lost = [rng.permutation(sector[-1] + 1) % 2 > 0 for _ in scans]
+    return [
+        replace(one, ranges=np.where(of[sector], np.inf, one.ranges).astype(np.float32))
+        for one, of in zip(scans, lost, strict=True)
+    ]
+
+
+def test_walls_that_return_nothing_now_and_then_are_matched_though_they_seem_to_move() -> None:
+    scans = with_dark_walls(drive(ROOM, around, SCANS))
+    found = trajectory(without_poses(scans), "kiss-icp")
+    assert largest_errors(scans, found.matched)[0] < 0.05
+    assert outcomes(found)["matched"] > 0.95 * SCANS
+
+
 def test_stamps_that_come_in_bursts_do_not_throw_scans_alone_off() -> None:
     """Every second scan is stamped a millisecond before the next one, as by a program that logs with delays."""
     scans = without_poses(drive(ROOM, around, SCANS))
