@@ -89,7 +89,7 @@ def test_the_page_shows_them_with_every_name_escaped(truth_run):
 def test_a_run_without_truth_has_no_such_section(run_folder):
     assert class_tables(table_of(run_folder), *read_runs([run_folder])) is None
     page = render_report([run_folder], run_folder / "page").read_text()
-    assert "Hidden cells by threshold" not in page
+    assert "<h2>Hidden cells by threshold</h2>" not in page
 
 
 def test_curves_by_class_that_do_not_reach_every_horizon_are_refused(truth_run):

@@ -167,7 +167,7 @@ def test_a_run_of_which_nothing_was_kept_for_viewing_has_no_player(run_folder, t
     for samples in run.glob(f"*/{SAMPLES}"):
         samples.unlink()
     page = page_of(run, out=tmp_path / "page")
-    assert '<section id="moments"' not in page
+    assert "<h2>Moments</h2>" not in page
 
 
 def test_damaged_samples_have_a_notice_and_the_rest_is_shown(run_folder, tmp_path):
