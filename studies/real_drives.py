@@ -10,7 +10,6 @@ confidence of 99.9 %.
 from __future__ import annotations
 
 import argparse
-import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import takewhile
@@ -18,6 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
+from gridtrack.common.files import sha256_of
 from gridtrack.common.scan import Scan
 from gridtrack.recordings.ego_motion import PoseSource
 from gridtrack.recordings.stream import open_stream
@@ -27,7 +27,7 @@ from gridtrack.trackers.contract import StreamSpec
 from gridtrack.trackers.model_free.kalman import KalmanTracker
 from gridtrack.trackers.model_free.settings import ModelFreeSettings
 
-from studies.support.comparison import gridtrack
+from studies.support.comparison import compare
 from studies.support.forecast_pictures import forecast_pictures
 from studies.support.real_recordings import REAL, RealRecording, import_real
 from studies.support.results_file import ResultSection, measured_table, write_section
@@ -85,10 +85,7 @@ def imported(drive: Drive, scans: list[Scan], source: PoseSource, data: Path, fo
 def compared(drive: Drive, recording: str, rows: Sequence[str], folder: Path) -> dict[str, list[str]]:
     """F1 of each tracker, HORIZON_S ahead, in the strata; thresholds are those of the cards."""
     out = folder / f"run-{Path(recording).name.partition('.')[0]}"
-    trackers = [word for row in rows for word in ("--tracker", row)]
-    gridtrack(
-        "compare", recording, *trackers, "--jobs", 1, "--horizon", f"{HORIZON_S}s", "--every", "0.4s", "--out", out
-    )
+    compare([recording], None, rows, out, "--jobs", "1", "--horizon", f"{HORIZON_S}s", "--every", "0.4s")
     (run,) = read_runs([out])
     if drive.name in PICTURES and len(rows) > 1:
         drawing = forecast_pictures(run, SHOWN, PICTURES[drive.name], HORIZON_S)
@@ -104,8 +101,7 @@ def compared(drive: Drive, recording: str, rows: Sequence[str], folder: Path) ->
 def tracks_in_motion(recording: str, card: Path) -> list[str]:
     """Confirmed tracks of `kalman` a frame, the fast ones, and those whose velocity is significant."""
     stream = open_stream(recording)
-    sha256 = hashlib.sha256(card.read_bytes()).hexdigest()
-    spec = StreamSpec(stream.grid, stream.period_s, stream.site, weights=card, weights_sha256=sha256)
+    spec = StreamSpec(stream.grid, stream.period_s, stream.site, weights=card, weights_sha256=sha256_of(card))
     tracker = KalmanTracker(spec, ModelFreeSettings())
     counts = []
     for frame in stream:

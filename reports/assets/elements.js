@@ -14,14 +14,14 @@ export function make(tag, attributes = {}, ...children) {
   return filled(document.createElement(tag), attributes, children);
 }
 
-// A button that opens the section `name` of docs/figures.md, which is at the end of the page.
-export function meaning(name) {
-  return make("button", { type: "button", class: "meaning", popovertarget: `meaning-${name}` }, "What it means");
-}
-
 // The same of SVG.
 export function draw(tag, attributes = {}, ...children) {
   return filled(document.createElementNS(SVG, tag), attributes, children);
+}
+
+// A button that opens the section `name` of docs/figures.md, which is at the end of the page.
+export function meaning(name) {
+  return make("button", { type: "button", class: "meaning", popovertarget: `meaning-${name}` }, "What it means");
 }
 
 // The line in a tracker's colour that stands before its name.

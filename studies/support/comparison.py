@@ -24,9 +24,9 @@ def compare_at_junction(trackers: Iterable[str], reference: str, out: Path, *opt
 
 
 def compare(
-    recordings: Iterable[Path], validation: Path | None, trackers: Iterable[str], out: Path, *options: str | Path
+    recordings: Iterable[Path | str], validation: Path | None, trackers: Iterable[str], out: Path, *options: str | Path
 ) -> None:
-    """Compare `trackers`, each [LABEL=]NAME[:key=value,...], in folder `out`. Ends the program where it fails.
+    """Compare `trackers`, each [LABEL=]NAME[:key=value,...], on RECORDING[@range]s. Ends the program where it fails.
 
     Without `validation` thresholds are those of the recordings' own validation stretches, else of the cards.
     """
@@ -46,7 +46,7 @@ def train(card: Path, *words: str | Path) -> bool:
     return True
 
 
-def gridtrack(*words: str | Path | int) -> None:
+def gridtrack(*words: str | Path) -> None:
     """Run a command of gridtrack. Ends the program where it fails."""
     done = subprocess.run([sys.executable, "-m", "gridtrack.cli", *map(str, words)], check=False)
     if done.returncode:
