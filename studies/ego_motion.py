@@ -28,9 +28,9 @@ from gridtrack.common.geometry import SE2, wrap_angle
 from gridtrack.common.scan import Scan
 from gridtrack.recordings import open_recording
 from gridtrack.recordings.ego_motion import MatchingSettings, PoseSource, matched_trajectory
-from gridtrack.recordings.ego_motion.fit import Fit, fit_at
+from gridtrack.recordings.ego_motion.fit import Fit, fit_at, walls_of
 from gridtrack.recordings.ego_motion.matching import POINTS_PER_VOXEL
-from gridtrack.recordings.ego_motion.returns import homogeneous, returns_of
+from gridtrack.recordings.ego_motion.returns import homogeneous, measured_points, returns_of
 
 from studies.support.npz_scans import npz_scans
 from studies.support.results_file import ResultSection, measured_table, write_section
@@ -141,7 +141,7 @@ def covered_cells(scans: Sequence[Scan], poses: Sequence[SE2], max_range_m: floa
     """Cells of MAP_CELL_M per hundred returns of MAP_S seconds, mean over the recording."""
     start_ns, parts = scans[0].stamp_ns, dict[int, list[Array]]()
     for scan, pose in zip(scans, poses, strict=True):
-        points = pose.apply(returns_of(scan, max_range_m, SE2(), 0.0).points)
+        points = pose.apply(measured_points(scan, max_range_m)[0])
         parts.setdefault(round((scan.stamp_ns - start_ns) / 1e9 // MAP_S), []).append(points)
     shares = []
     for part in parts.values():
@@ -161,7 +161,7 @@ def fits(scans: Sequence[Scan], poses: Sequence[SE2], settings: MatchingSettings
             motion_s = (scan.stamp_ns - scans[number - 1].stamp_ns) / 1e9
         returns = returns_of(scan, settings.max_range_m, motion, motion_s)
         if number and len(returns.points):
-            found.append(fit_at(pose, returns, cKDTree(local_map.point_cloud()[:, :2]), settings.kernel_m))
+            found.append(fit_at(pose, walls_of(returns), cKDTree(local_map.point_cloud()[:, :2]), settings.kernel_m))
         local_map.update(np.column_stack([returns.points, np.zeros(len(returns.points))]), homogeneous(pose))
     return found
 

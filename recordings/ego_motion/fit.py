@@ -10,6 +10,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from gridtrack.common.geometry import SE2
@@ -23,61 +24,118 @@ COMPACT_M = 3.0
 """A cluster smaller than this, such as the rear of a car, constrains no direction alone."""
 
 
-class Fit(NamedTuple):
-    """How the returns of a scan lie on the map at a pose.
+class Walls(NamedTuple):
+    """The N returns of a scan that lie on walls, with all that does not depend on the pose at which they are fitted.
 
-    `information` (3, 3) and `gradient` (3,) are those of the weighted distances across the walls, for x, y (metres) and
-    heading in the sensor's frame, in units of one return; `of_compact` (C, 3, 3) is the part of each compact cluster,
-    and `of_objects` (3, 3) that of all clusters of an object's size.
-    `weight` is the sum of the weights, `lever_m` the root mean square distance of the returns from the sensor.
+    `points` and `normals` (N, 2), sensor frame. `jacobian` (N, 3): derivatives of the distances across the walls for
+    x, y (metres) and heading in the sensor's frame. `share` (N,): the surface of a return over the mean of the scan's.
+    `of_object` (N,): of a cluster of an object's size. `compact` (N,): of a cluster that is smaller still; for those K
+    `products` (K, 9) of the derivatives, and `begins` (C,), where each of their clusters does.
     """
 
+    points: PlaneArray
+    normals: PlaneArray
+    jacobian: PlaneArray
+    share: PlaneArray
+    of_object: NDArray[np.bool_]
+    compact: NDArray[np.bool_]
+    products: PlaneArray
+    begins: NDArray[np.int64]
+
+
+class Fit(NamedTuple):
+    """How the walls of a scan lie on the map at a pose: distances `across` (N,) them, and their `weight` (N,).
+
+    A wall that is not on the map has the weight 0. `information` (3, 3) and `gradient` (3,) are those of the weighted
+    distances, in units of one return; `of_compact` (C, 3, 3) is the part of each compact cluster. `lever_m` is the root
+    mean square distance of the walls on the map from the sensor.
+    """
+
+    across: PlaneArray
+    weight: PlaneArray
+    on_map: NDArray[np.bool_]
     information: PlaneArray
     of_compact: PlaneArray
-    of_objects: PlaneArray
     gradient: PlaneArray
-    weight: float
     lever_m: float
-    inliers: int
-    residual_m: float
+
+    @property
+    def residual_m(self) -> float:
+        """The median distance across the walls that are on the map."""
+        return float(np.median(np.abs(self.across[self.on_map]))) if self.on_map.any() else 0.0
 
 
 class Step(NamedTuple):
     """A step from a pose to a better one, in the frame of the pose.
 
     `information` (3, 3) of x, y and heading after it; `constrained`: whether the surroundings constrain the pose in
-    every direction; `by_objects`: whether they do so in one direction by clusters of an object's size alone.
+    every direction.
     """
 
     motion: SE2
     information: PlaneArray
     constrained: bool
-    by_objects: bool
 
 
-def fit_at(world_T_sensor: SE2, returns: ScanReturns, map_points: cKDTree, kernel_m: float) -> Fit:
-    """The fit of `returns` at a pose to the nearest of `map_points`, (M, 2) in the world frame."""
-    there = world_T_sensor.apply(returns.points)
-    distance, nearest = map_points.query(there, distance_upper_bound=KERNEL_REACH * kernel_m)
-    on_map = np.isfinite(distance) & returns.on_wall
-    on_wall = returns.only(on_map)
+class _Directions(NamedTuple):
+    """The directions of a pose, heading `scale`d by the lever: eigenvectors of the information, and its `values`.
+
+    A direction is `strong` where the surroundings constrain it without the compact cluster that does so most: by the
+    share `needed` of their weight.
+    """
+
+    scale: PlaneArray
+    scaled: PlaneArray
+    values: PlaneArray
+    vectors: PlaneArray
+    needed: float
+    strong: NDArray[np.bool_]
+
+
+def walls_of(returns: ScanReturns) -> Walls:
+    """The returns on walls, for `fit_at`."""
+    on_wall = returns.only(returns.on_wall)
     points, normals = on_wall.points, on_wall.normals
-    apart = SE2(theta=-world_T_sensor.theta).apply(map_points.data[nearest[on_map]] - there[on_map])
-    across = np.einsum("ni,ni->n", apart, normals)
-    per_return = on_wall.length / max(float(returns.length.mean()), 1e-6) if len(returns.length) else on_wall.length
-    weight = per_return * (kernel_m**2 / (kernel_m**2 + across**2)) ** 2
-    lever = points[:, 0] * normals[:, 1] - points[:, 1] * normals[:, 0]
-    jacobian = np.column_stack([normals, lever])
-    return Fit(
-        information=_information(jacobian, weight),
-        of_compact=_of_compact(jacobian, weight, on_wall),
-        of_objects=_information(jacobian, weight * (on_wall.extent < OBJECT_M)),
-        gradient=jacobian.T @ (weight * across),
-        weight=float(weight.sum()),
-        lever_m=float(np.sqrt(np.mean(points**2) * 2.0)) if len(points) else 1.0,
-        inliers=int(np.count_nonzero(distance <= kernel_m)),
-        residual_m=float(np.median(np.abs(across))) if len(across) else 0.0,
+    jacobian = np.column_stack([normals, points[:, 0] * normals[:, 1] - points[:, 1] * normals[:, 0]])
+    mean_m = max(float(returns.length.mean()), 1e-6) if len(returns.length) else 1.0
+    compact = on_wall.extent < COMPACT_M
+    rows, cluster = jacobian[compact], on_wall.cluster[compact]
+    return Walls(
+        points=points,
+        normals=normals,
+        jacobian=jacobian,
+        share=on_wall.length / mean_m,
+        of_object=on_wall.extent < OBJECT_M,
+        compact=compact,
+        products=(rows[:, :, None] * rows[:, None, :]).reshape(-1, 9),
+        begins=np.flatnonzero(np.diff(cluster, prepend=-1)),
     )
+
+
+def fit_at(world_T_sensor: SE2, walls: Walls, map_points: cKDTree, kernel_m: float) -> Fit:
+    """The fit of `walls` at a pose to the nearest of `map_points`, (M, 2) in the world frame."""
+    there = world_T_sensor.apply(walls.points)
+    distance, nearest = map_points.query(there, distance_upper_bound=KERNEL_REACH * kernel_m)
+    on_map = np.isfinite(distance)
+    apart = SE2(theta=-world_T_sensor.theta).apply(map_points.data[np.where(on_map, nearest, 0)] - there)
+    across = (apart * walls.normals).sum(axis=1)
+    weight = np.where(on_map, walls.share * (kernel_m**2 / (kernel_m**2 + across**2)) ** 2, 0.0)
+    squares = np.square(walls.points[on_map])
+    return Fit(
+        across=across,
+        weight=weight,
+        on_map=on_map,
+        information=_information(walls.jacobian, weight),
+        of_compact=_of_compact(walls, weight),
+        gradient=walls.jacobian.T @ (weight * across),
+        lever_m=float(np.sqrt(squares.mean() * 2.0)) if len(squares) else 1.0,
+    )
+
+
+def share_on_map(world_T_sensor: SE2, returns: ScanReturns, map_points: cKDTree, kernel_m: float, count: int) -> float:
+    """How many of the returns, on walls or not, lie within the kernel from the map at a pose, over `count`."""
+    distance, _ = map_points.query(world_T_sensor.apply(returns.points), distance_upper_bound=kernel_m)
+    return float(np.count_nonzero(np.isfinite(distance)) / count)
 
 
 def _information(jacobian: PlaneArray, weight: PlaneArray) -> PlaneArray:
@@ -86,36 +144,48 @@ def _information(jacobian: PlaneArray, weight: PlaneArray) -> PlaneArray:
     return information
 
 
-def _of_compact(jacobian: PlaneArray, weight: PlaneArray, returns: ScanReturns) -> PlaneArray:
-    """The information (C, 3, 3) of each compact cluster."""
-    compact = returns.extent < COMPACT_M
-    rows, weight = jacobian[compact], weight[compact]
-    _, cluster = np.unique(returns.cluster[compact], return_inverse=True)
-    products = (rows[:, :, None] * rows[:, None, :]).reshape(-1, 9) * weight[:, None]
-    sums = np.zeros((len(np.unique(cluster)), 9))
-    np.add.at(sums, cluster, products)
+def _of_compact(walls: Walls, weight: PlaneArray) -> PlaneArray:
+    """The information (C, 3, 3) of each compact cluster; their returns follow one another."""
+    if not len(walls.begins):
+        return np.zeros((0, 3, 3))
+    sums: PlaneArray = np.add.reduceat(walls.products * weight[walls.compact, None], walls.begins)
     return sums.reshape(-1, 3, 3)
 
 
 def weighed_step(fit: Fit, fit_T_prior: SE2, prior: PlaneArray, settings: MatchingSettings) -> Step:
     """The step from the pose of `fit` to the best one.
 
-    Along the eigenvectors of the information, heading scaled by the lever, that are open the step goes to the prior;
-    elsewhere it is the weighted mean of the match and the prior (`prior` (3, 3) information).
+    In the directions that are open the step goes to the prior; elsewhere it is the weighted mean of the match and the
+    prior (`prior` (3, 3) information).
     """
-    scale = np.array([1.0, 1.0, max(fit.lever_m, 1e-3)])
-    scaled = fit.information / np.outer(scale, scale)
-    values, vectors = np.linalg.eigh(scaled)
-    of_compact = np.einsum("ik,cij,jk->ck", vectors, fit.of_compact / np.outer(scale, scale), vectors)
-    without_one = values - of_compact.max(axis=0, initial=0.0)
-    needed = settings.min_constraint * max(fit.weight, 1.0)
-    strong = without_one >= needed
-    of_objects = np.einsum("ik,ij,jk->k", vectors, fit.of_objects / np.outer(scale, scale), vectors)
-    by_objects = bool((strong & (values - of_objects < needed)).any())
+    scale, scaled, _, vectors, _, strong = _directions(fit, settings)
     kept = (vectors * strong) @ vectors.T
     noise = settings.return_noise_m**2
     information = (kept @ scaled @ kept) * np.outer(scale, scale) / noise + prior
     gradient = scale * (kept @ (fit.gradient / scale)) / noise
     towards = np.array([fit_T_prior.x, fit_T_prior.y, fit_T_prior.theta])
     step = np.linalg.solve(information, prior @ towards + gradient)
-    return Step(SE2(*step.tolist()), information, bool(strong.all()), by_objects)
+    return Step(SE2(*step.tolist()), information, bool(strong.all()))
+
+
+def by_objects(fit: Fit, walls: Walls, settings: MatchingSettings) -> bool:
+    """Whether clusters of an object's size alone constrain the pose of `fit` in one direction."""
+    scale, _, values, vectors, needed, strong = _directions(fit, settings)
+    of_objects = _information(walls.jacobian, fit.weight * walls.of_object) / np.outer(scale, scale)
+    return bool((strong & (values - _along(vectors, of_objects) < needed)).any())
+
+
+def _directions(fit: Fit, settings: MatchingSettings) -> _Directions:
+    scale = np.array([1.0, 1.0, max(fit.lever_m, 1e-3)])
+    scaled = fit.information / np.outer(scale, scale)
+    values, vectors = np.linalg.eigh(scaled)
+    of_compact = _along(vectors, fit.of_compact / np.outer(scale, scale))
+    needed = settings.min_constraint * max(float(fit.weight.sum()), 1.0)
+    strong = values - of_compact.max(axis=0, initial=0.0) >= needed
+    return _Directions(scale, scaled, values, vectors, needed, strong)
+
+
+def _along(vectors: PlaneArray, information: PlaneArray) -> PlaneArray:
+    """Information (..., 3, 3) along each of the vectors, the columns of (3, 3): (..., 3)."""
+    along: PlaneArray = ((information @ vectors) * vectors).sum(axis=-2)
+    return along

@@ -17,10 +17,17 @@ from gridtrack.common.geometry import SE2
 from gridtrack.common.pose_quality import MatchOutcome, PoseQuality
 from gridtrack.common.scan import Scan
 from gridtrack.recordings.ego_motion.drift_from_odometry import DriftFromOdometry
-from gridtrack.recordings.ego_motion.fit import KERNEL_REACH, fit_at, weighed_step
+from gridtrack.recordings.ego_motion.fit import KERNEL_REACH, by_objects, fit_at, share_on_map, walls_of, weighed_step
 from gridtrack.recordings.ego_motion.moving_returns import EarlierScans
 from gridtrack.recordings.ego_motion.prior import Prior, inverse
-from gridtrack.recordings.ego_motion.returns import PlaneArray, ScanReturns, homogeneous, planar, returns_of
+from gridtrack.recordings.ego_motion.returns import (
+    PlaneArray,
+    ScanReturns,
+    homogeneous,
+    measured_points,
+    planar,
+    returns_of,
+)
 from gridtrack.recordings.ego_motion.settings import MatchingSettings
 
 MAX_ITERATIONS, CONVERGED_M = 100, 1e-4
@@ -83,7 +90,8 @@ class ScanMatcher:
 
     def _keep(self, scan: Scan, returns: ScanReturns, world_T_sensor: SE2) -> None:
         self._map.update(self._thinned(returns, self.settings.map_spacing_m), homogeneous(world_T_sensor))
-        self._earlier.add(scan, returns_of(scan, self.settings.max_range_m, SE2(), 0.0).points, world_T_sensor)
+        points, _ = measured_points(scan, self.settings.max_range_m)
+        self._earlier.add(scan, points, world_T_sensor)
 
     def _thinned(self, returns: ScanReturns, spacing_m: float) -> PlaneArray:
         """The returns as points (n, 3) at z = 0, one for each voxel of the spacing."""
@@ -97,7 +105,8 @@ class ScanMatcher:
         Where too few are left for a match they are all used: it is more likely that the first match was poor, or that
         walls return nothing now and then and seem free, than that most of the surroundings move.
         """
-        map_points = cKDTree(self._map.point_cloud()[:, :2])
+        # the map is new with each scan: a tree that is not balanced is the same answer, and sooner there
+        map_points = cKDTree(self._map.point_cloud()[:, :2], balanced_tree=False)
         pose = self._aligned(returns, map_points, prior)
         moving = self._earlier.moving(scan, returns, pose)
         if not moving.any():
@@ -124,8 +133,9 @@ class ScanMatcher:
 
     def _stepped(self, pose: SE2, returns: ScanReturns, map_points: cKDTree, prior: Prior) -> SE2:
         """The pose on the walls, and at the prior in the directions that they leave open."""
+        walls = walls_of(returns)
         for _ in range(MAX_STEPS):
-            fit = fit_at(pose, returns, map_points, self.settings.kernel_m)
+            fit = fit_at(pose, walls, map_points, self.settings.kernel_m)
             towards = pose.inverse() @ prior.world_T_sensor
             motion = weighed_step(fit, towards, PRIOR_SHARE * prior.information, self.settings).motion
             pose = pose @ motion
@@ -135,9 +145,9 @@ class ScanMatcher:
 
     def _judged(self, returns: ScanReturns, pose: SE2, map_points: cKDTree, prior: Prior, count: int) -> ScanMatch:
         """The pose from the match and the prior, or the prior's; `count` returns, with those of what moves."""
-        settings = self.settings
-        fit = fit_at(pose, returns, map_points, settings.kernel_m)
-        inlier_share = fit.inliers / count
+        settings, walls = self.settings, walls_of(returns)
+        fit = fit_at(pose, walls, map_points, settings.kernel_m)
+        inlier_share = share_on_map(pose, returns, map_points, settings.kernel_m, count)
         outcome: MatchOutcome = "matched"
         if inlier_share < settings.min_inlier_share:
             outcome = "few-inliers"
@@ -150,7 +160,7 @@ class ScanMatcher:
         step = weighed_step(fit, pose.inverse() @ prior.world_T_sensor, prior.information, settings)
         outcome = "matched" if step.constrained else "partial"
         quality = PoseQuality(outcome, inlier_share, fit.residual_m)
-        return ScanMatch(pose @ step.motion, quality, step.information, step.by_objects)
+        return ScanMatch(pose @ step.motion, quality, step.information, by_objects(fit, walls, settings))
 
     def _is_dragged(self, stamp_ns: int, pose: SE2, prior: Prior) -> bool:
         """Whether the matches of the last second lead away from odometry; without odometry there is no telling."""

@@ -57,14 +57,20 @@ def returns_of(scan: Scan, max_range_m: float, motion: SE2, motion_s: float) -> 
     `motion` is the sensor's motion over `motion_s` seconds, in its own frame: where the scan has beam times, each
     return is moved by the motion since the stamp, at constant velocity.
     """
+    points, beam = measured_points(scan, max_range_m)
+    if scan.time_increment_s and motion_s > 0.0:
+        points = deskewed(points, beam * (scan.time_increment_s / motion_s), motion)
+    return returns_at(points)
+
+
+def measured_points(scan: Scan, max_range_m: float) -> tuple[PlaneArray, PlaneArray]:
+    """The returns of `scan` up to `max_range_m` as points (N, 2), sensor frame, and the numbers of their beams (N,)."""
     ranges = scan.ranges.astype(np.float64)
     (beam,) = np.nonzero((ranges >= max(scan.range_min, NEAREST_M)) & (ranges <= min(scan.range_max, max_range_m)))
     beam = beam[:: max(1, -(-beam.size // MAX_RETURNS))]
-    angle = scan.angle_min + scan.angle_increment * beam.astype(np.float64)
-    points = ranges[beam, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    if scan.time_increment_s and motion_s > 0.0:
-        points = deskewed(points, beam.astype(np.float64) * (scan.time_increment_s / motion_s), motion)
-    return returns_at(points)
+    number = beam.astype(np.float64)
+    angle = scan.angle_min + scan.angle_increment * number
+    return ranges[beam, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1), number
 
 
 def returns_at(points: PlaneArray) -> ScanReturns:
