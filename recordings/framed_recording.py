@@ -12,14 +12,17 @@ from gridtrack.common.errors import RecordingError
 from gridtrack.common.names import name_from
 from gridtrack.common.scan import Scan
 from gridtrack.recordings.frames.chains import Chains
-from gridtrack.recordings.frames.choice import chosen_chains
+from gridtrack.recordings.frames.choice import NO_POSES, chosen_chains
 from gridtrack.recordings.frames.placing import FramedScan, ScansOnChains
 from gridtrack.recordings.frames.problems import ChainOptions
 from gridtrack.recordings.frames.transform import SE3
 from gridtrack.recordings.frames.tree import FrameTree, StampedTransform, frame_name
+from gridtrack.recordings.mounts import Mount
 from gridtrack.recordings.recording import DamageError, Recording, RecordingInfo, Topics
 
 Content = Literal["scan", "transforms", "pose"]
+Recorded = tuple[str, str]
+"""What is recorded of a link: its source, and the frame whose place it gives."""
 STATIC_TRANSFORMS = "tf_static"
 
 
@@ -63,7 +66,9 @@ class FramedRecording(Recording):
     @cached_property
     def info(self) -> RecordingInfo:
         """The metadata of the recording: its file name as `site`, and where its poses come from."""
-        return RecordingInfo(site=name_from(self.name), poses=self.chains.describe(self._tree, self._sensors))
+        stands = self.options.pose_topic == NO_POSES
+        poses = self.chains.describe(self._tree, self._sensors, stands=stands)
+        return RecordingInfo(site=name_from(self.name), poses=poses)
 
     @property
     def pose_problem(self) -> str:
@@ -144,8 +149,8 @@ class FramedRecording(Recording):
                 if content == "scan" and self.is_read(message):
                     yield from self._placed(scans, message)
                 elif content in ("transforms", "pose"):
-                    for child, stamp_ns, transform in self._moving_transforms(message, content):
-                        yield from scans.transform(child, stamp_ns, transform)
+                    for moved in self._moving_transforms(message, content):
+                        yield from scans.transform(*moved)
         except DamageError:
             yield from scans.flush()
             raise
@@ -170,25 +175,34 @@ class FramedRecording(Recording):
                     f" import one of them with `{self.import_command(['--topic', topics[0]])}`"
                 )
 
+    def is_mount_of(self, mount: Mount, topic: str) -> bool:
+        """As of every recording; a mount may name the frame of the sensor too."""
+        return super().is_mount_of(mount, topic) or mount.sensor == self._tree.sensors.get(topic)
+
     def is_read(self, message: EncodedMessage) -> bool:
         """Whether the scans of a message's topic are read."""
         return self.options.topic in (None, message.topic)
 
     @cached_property
-    def _moving_children(self) -> tuple[dict[str, str], set[str]]:
-        """What moves: the child of each topic with poses, and the children of transforms."""
-        links = self.chains.moving.values()
-        of_poses = {link.source: link.child for link in links if link.source in self._tree.poses}
-        return of_poses, {link.child for link in links if link.source not in of_poses}
+    def _moving_links(self) -> tuple[dict[str, Recorded], dict[str, Recorded]]:
+        """What is recorded of the links that move: by topic of poses, and by frame of transforms."""
+        of_poses, of_transforms = dict[str, Recorded](), dict[str, Recorded]()
+        for recorded in self.chains.moving:
+            source, frame = recorded
+            if source in self._tree.poses:
+                of_poses[source] = recorded
+            else:
+                of_transforms[frame] = recorded
+        return of_poses, of_transforms
 
-    def _moving_transforms(self, message: EncodedMessage, content: Content) -> Iterator[tuple[str, int, SE3]]:
-        """The transforms of links that move: child, stamp, transform."""
-        of_poses, of_transforms = self._moving_children
+    def _moving_transforms(self, message: EncodedMessage, content: Content) -> Iterator[tuple[Recorded, int, SE3]]:
+        """The transforms of links that move: what they are of, stamp, transform."""
+        of_poses, of_transforms = self._moving_links
         if message.topic not in of_poses if content == "pose" else not of_transforms:
             return
         with contextlib.suppress(DamageError):  # one of the tree's faults
             for stamped in self.transforms_of(message):
-                child = of_poses[message.topic] if content == "pose" else frame_name(stamped.child)
-                is_used = content == "pose" or (child in of_transforms and self._tree.is_used(stamped))
-                if is_used and stamped.transform is not None:
-                    yield child, stamped.stamp_ns, stamped.transform
+                found = of_poses[message.topic] if content == "pose" else of_transforms.get(frame_name(stamped.child))
+                is_used = found is not None and (content == "pose" or self._tree.is_used(stamped))
+                if found is not None and is_used and stamped.transform is not None:
+                    yield found, stamped.stamp_ns, stamped.transform

@@ -13,6 +13,8 @@ from gridtrack.common.files import atomic_write
 from gridtrack.common.names import check_utf8
 from gridtrack.common.scan import Scan
 from gridtrack.recordings.formats.native_writer import write_native
+from gridtrack.recordings.frames.choice import NO_POSES
+from gridtrack.recordings.frames.placing import ClocksApartError
 from gridtrack.recordings.labels import classes_in, with_labels
 from gridtrack.recordings.mounts import Mount
 from gridtrack.recordings.opening import open_recording
@@ -87,9 +89,18 @@ def import_recording(
 def _opened(source: Path | str, options: Mapping[str, Any], ego_motion: PoseSource) -> Recording:
     """The source, opened without its poses where they cannot be used and are not needed."""
     recording = open_recording(source, **options)
-    if ego_motion == "kiss-icp" and recording.pose_problem and len(recording.survey.sensors) == 1:
-        recording = open_recording(source, **{**options, "pose_topic": "none"})
+    if ego_motion == "kiss-icp" and not _can_use_poses(recording):
+        recording = open_recording(source, **{**options, "pose_topic": NO_POSES})
     return recording
+
+
+def _can_use_poses(recording: Recording) -> bool:
+    """Whether the recorded poses can be used, or are those of several sensors, which cannot do without."""
+    try:
+        several = len(recording.survey.sensors) > 1
+    except ClocksApartError:
+        return False
+    return several or not recording.pose_problem
 
 
 def _check_destination(out: Path, recording: Recording) -> None:
@@ -105,6 +116,11 @@ def _with_matched_poses(
     """The scans with the poses of their matches, and the metadata that says so."""
     from gridtrack.recordings.ego_motion import MatchingSettings, matched_trajectory, with_matched_poses
 
+    if ego_motion == "refined" and not recording.survey.moves:
+        raise RecordingError(
+            f"{recording.path}: the recorded poses do not change, so that there is no motion to refine: --ego-motion"
+            " kiss-icp takes the poses from the scans alone"
+        )
     trajectory = matched_trajectory(recording.scans(), ego_motion, MatchingSettings())
     described = info.model_copy(update={"poses": trajectory.describe(ego_motion)})
     return described, with_matched_poses(recording.scans(), trajectory)

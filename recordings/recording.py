@@ -20,6 +20,7 @@ from gridtrack.common.grid import GridSpec
 from gridtrack.common.names import LABEL_RULE, NAME_RULE, is_label, is_name, name_from
 from gridtrack.common.scan import MAX_RATE_HZ, MIN_RATE_HZ, Scan
 from gridtrack.recordings.growth import Growth
+from gridtrack.recordings.mounts import Mount
 from gridtrack.recordings.order import StampOrder
 from gridtrack.recordings.read_options import ReadOptions
 from gridtrack.recordings.survey import RecordingOverview, Survey
@@ -187,9 +188,16 @@ class Recording(ABC):
         given = {"--topic": self.options.topic, "--pose-topic": self.options.pose_topic}
         for option, value in given.items():
             command += [] if value is None or option in words else [option, value]
+        topic = words[words.index("--topic") + 1] if "--topic" in words else None
         for mount in self.options.mounts:
-            command += ["--mount", str(mount)]
+            is_replaced = any(word.startswith(f"{mount.sensor}=") for word in words)
+            if not is_replaced and (topic is None or self.is_mount_of(mount, topic)):
+                command += ["--mount", str(mount)]
         return shlex.join([*command, *words])
+
+    def is_mount_of(self, mount: Mount, topic: str) -> bool:
+        """Whether a mount is that of the sensor with the scans of `topic`."""
+        return topic in (mount.sensor, self.topic_of(mount.sensor))
 
     @abstractmethod
     def read(self, topics: Topics) -> Iterator[Scan]:
@@ -286,8 +294,7 @@ class Recording(ABC):
             yield from order.flush()
             self._require_scans(order, topics)
         except RecordingError as error:
-            kind = NoScansError if isinstance(error, NoScansError) else RecordingError
-            raise kind(f"{self.path}: {str(error).removeprefix(f'{self.path}: ')}") from None
+            raise type(error)(f"{self.path}: {str(error).removeprefix(f'{self.path}: ')}") from None
         except OSError as error:
             raise RecordingError(f"{self.path}: cannot be read ({error.strerror})") from None
 
@@ -323,7 +330,8 @@ class Recording(ABC):
         topic = self.options.topic
         present = ", ".join(f"{name} ({kind})" for name, kind in sorted(topics.types.items())) or "none"
         if self.warnings:
-            return f"no scans before the damage ({self.warnings[-1].removeprefix(f'{self.path}: ')})"
+            last = self.warnings[-1].removeprefix(f"{self.path}: ")
+            return f"no scans before the damage ({last})" if self.damage else f"no scan can be used: {last}"
         if topic is not None and topic not in topics.types:
             return f"no topic '{topic}'; {did_you_mean(topic, topics.scans or topics.types)}"
         if topic is not None and topic not in topics.scans:

@@ -10,15 +10,37 @@ from gridtrack.recordings.frames.transform import SE3
 from gridtrack.recordings.frames.tree import FrameTree
 
 SHOWN_FRAMES = 8
+TAKEN_TO_STAND = "taken to stand still (of a robot that drives: recording import --ego-motion kiss-icp)"
 
 
 class Link(NamedTuple):
-    """The place of `child` in `parent`: `constant`, or None where it moves. `source`: a topic, or an option."""
+    """The place of `child` in `parent`, from `source`: a topic, or an option.
+
+    `first` is the place at its first stamp, and for all times unless it `moves`. Of an `is_inverse` link the recording
+    has the place of the parent in the child.
+    """
 
     child: str
     parent: str
     source: str
-    constant: SE3 | None
+    first: SE3
+    moves: bool = False
+    is_inverse: bool = False
+
+    @property
+    def recorded(self) -> tuple[str, str]:
+        """The source, and the frame whose place it gives."""
+        return self.source, self.parent if self.is_inverse else self.child
+
+    def inverse(self) -> Link:
+        """The place of the parent in the child."""
+        return Link(self.parent, self.child, self.source, self.first.inverse(), self.moves, not self.is_inverse)
+
+    def place(self, recorded: SE3 | None) -> SE3:
+        """The place of the child in the parent, from a transform of the recording; the first one without any."""
+        if recorded is None or not self.moves:
+            return self.first
+        return recorded.inverse() if self.is_inverse else recorded
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,12 +53,12 @@ class Chain:
     @property
     def moving(self) -> tuple[Link, ...]:
         """The links that move."""
-        return tuple(link for link in self.links if link.constant is None)
+        return tuple(link for link in self.links if link.moves)
 
     @property
     def mirrored(self) -> bool:
         """Whether the links that do not move turn the sensor upside down."""
-        return sum(link.constant.placement().mirrored for link in self.links if link.constant) % 2 == 1
+        return sum(link.first.placement().mirrored for link in self.links if not link.moves) % 2 == 1
 
     def __str__(self) -> str:
         frames = [self.world, *(link.child for link in self.links)]
@@ -53,26 +75,39 @@ class Chains:
     problem: str = ""
 
     @property
-    def moving(self) -> dict[str, Link]:
-        """Every link that moves, by its child."""
-        return {link.child: link for chain in self.of_topic.values() for link in chain.moving}
+    def moving(self) -> dict[tuple[str, str], Link]:
+        """Every link that moves, by what is `recorded` of it."""
+        return {link.recorded: link for chain in self.of_topic.values() for link in chain.moving}
 
-    def describe(self, tree: FrameTree, sensors: Mapping[str, str]) -> str:
-        """One line: the chains, the topics that they are from, and the longest gap; empty where there is no chain.
+    def describe(self, tree: FrameTree, sensors: Mapping[str, str], *, stands: bool) -> str:
+        """One line: the chains, the topics that they are from, and the longest gap; empty where they cannot be used.
 
-        `sensors` are the names of the sensors, by topic.
+        `sensors` are the names of the sensors, by topic; `stands`: the user says that they stand still.
         """
         linked = {topic: chain for topic, chain in self.of_topic.items() if chain.links}
-        if not linked or self.problem:
+        if not self.of_topic or self.problem:
             return ""
+        at_rest = "at rest" if stands else f"no motion recorded: {TAKEN_TO_STAND}"
+        if not linked:
+            return "at rest" if tree.poses else at_rest
         one = len(self.of_topic) == 1
         texts = [str(chain) if one else f"{sensors[topic]}: {chain}" for topic, chain in linked.items()]
         sources = dict.fromkeys(link.source for chain in linked.values() for link in chain.links)
         text = f"{'; '.join(texts)}; from {', '.join(sources)}"
-        gaps = [_longest_gap_ns(link, tree) for link in self.moving.values()]
-        return f"{text}; longest gap {max(gaps) / 1e9:.2f} s" if gaps else f"{text}; at rest"
+        if gaps := [_longest_gap_ns(link, tree) for link in self.moving.values()]:
+            return f"{text}; longest gap {max(gaps) / 1e9:.2f} s"
+        told = any(_tells_motion(link, tree) for chain in linked.values() for link in chain.links)
+        return f"{text}; {'at rest' if told else at_rest}"
 
 
 def _longest_gap_ns(link: Link, tree: FrameTree) -> int:
-    motion = tree.poses[link.source].motion if link.source in tree.poses else tree.edges[link.child].motion
+    source, frame = link.recorded
+    motion = tree.poses[source].motion if source in tree.poses else tree.edges[frame].motion
     return motion.longest_gap_ns
+
+
+def _tells_motion(link: Link, tree: FrameTree) -> bool:
+    """Whether the source of a link says where the frame is at any time, and not once for all times."""
+    source, frame = link.recorded
+    edge = tree.edges.get(frame)
+    return source in tree.poses or (edge is not None and edge.topic == source and not edge.is_static)

@@ -3,29 +3,33 @@
 The first of these that tells the place of a frame is used: the options `--mount` and `--pose-topic`; the transforms
 (`/tf`, `/tf_static`); a topic with poses that names the frame as its child (nav_msgs/Odometry), where it is the only
 one. Poses that do not name their frame (geometry_msgs/PoseStamped) are those of what carries the sensors, and are used
-where nothing else in the recording moves.
+where nothing else in the recording moves. Links are followed upwards, and where no world frame is found so, both ways:
+some robots record the place of `odom` on the robot, or the pose of a camera that is mounted on it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import takewhile
 
 from gridtrack.common.errors import ConfigurationError, RecordingError, did_you_mean
 from gridtrack.common.names import is_label
 from gridtrack.recordings.frames.chains import Chain, Chains, Link
+from gridtrack.recordings.frames.forest import Forest, in_common
 from gridtrack.recordings.frames.problems import (
     ChainOptions,
     frames_in_a_cycle,
+    motion_not_used,
     mount_not_known,
     mounts_not_known,
     poses_not_known,
     sensor_not_reached,
 )
 from gridtrack.recordings.frames.transform import SE3
-from gridtrack.recordings.frames.tree import FrameTree, PoseTopic, frame_name
+from gridtrack.recordings.frames.tree import Edge, FrameTree, PoseTopic, frame_name
 
-WORLD_FRAMES = ("odom", "map")
-"""Frames that do not move, by REP 105; `odom` first, since it is continuous."""
+WORLD_WORDS = ("odom", "map")
+"""In the names of frames that do not move, by REP 105; `odom` first, since it is continuous."""
 BODY_FRAMES = ("base_link", "base_footprint")
 """Frames of a robot's body, by REP 105."""
 NO_POSES = "none"
@@ -45,12 +49,13 @@ def chosen_chains(tree: FrameTree, options: ChainOptions) -> Chains:
     links.add_mounts()
     given = links.add_pose_topic()
     if (looped := links.cycle()) is not None:
-        return links.at_rest(frames_in_a_cycle(options, looped))
+        matters = options.pose_topic != NO_POSES or len(options.sensors) > 1
+        return links.at_rest(frames_in_a_cycle(options, looped, list(tree.poses)) if matters else "")
     if not links.common():
         return links.at_rest(links.why_not_together())
     if given is not None:
         return links.on_poses(given)
-    world = links.world_frame()
+    world = links.world_frame() or links.world_frame_below()
     if world is not None:
         return Chains(links.chains(world))
     return links.without_world_frame()
@@ -62,20 +67,19 @@ class _Links:
     def __init__(self, tree: FrameTree, options: ChainOptions) -> None:
         self._tree, self._options = tree, options
         self._starts = {topic: _start(tree.sensors[topic], name) for topic, name in options.sensors.items()}
-        self._links: dict[str, Link] = {}
-        for child, edge in tree.edges.items():
-            if not edge.moves:
-                self._link(child, edge.parent, edge.topic, edge.motion.first)
-            elif options.pose_topic != NO_POSES:
-                self._link(child, edge.parent, edge.topic, None)
+        self._forest = Forest(
+            Link(child, edge.parent, edge.topic, edge.motion.first, edge.moves)
+            for child, edge in tree.edges.items()
+            if not edge.moves or options.pose_topic != NO_POSES
+        )
 
     def add_named_poses(self) -> None:
         """The poses that name a child without a parent, of one topic for each child."""
         poses = self._tree.poses.values()
         for pose in poses if self._options.pose_topic is None else ():
             rivals = [other for other in poses if other.child == pose.child]
-            if pose.child and pose.child not in self._links and len(rivals) == 1:
-                self._link_pose(pose, pose.child)
+            if pose.child and pose.child not in self._forest and len(rivals) == 1:
+                self._join(pose, pose.child)
 
     def add_mounts(self) -> None:
         """The mounts that the user gives. Raises ConfigurationError for one of no sensor."""
@@ -90,7 +94,7 @@ class _Links:
                 known = did_you_mean(mount.sensor, {*sensors.values(), *self._starts.values()})
                 raise ConfigurationError(f"--mount {mount}: no sensor '{mount.sensor}'; {known}")
             parent = frame_name(mount.parent) or self._body()
-            self._link(frame, parent, "--mount", SE3.in_plane(mount.parent_T_sensor, mount.mirrored))
+            self._forest.put(Link(frame, parent, "--mount", SE3.in_plane(mount.parent_T_sensor, mount.mirrored)))
 
     def add_pose_topic(self) -> PoseTopic | None:
         """The topic with poses that the user names. Raises RecordingError where it is not there."""
@@ -101,7 +105,7 @@ class _Links:
         if pose is None:
             raise RecordingError(f"no topic '{topic}' with poses; {did_you_mean(topic or '', poses)}")
         if (child := pose.child or self._carrier()) is not None:
-            self._link_pose(pose, child)
+            self._join(pose, child)
         return pose
 
     def cycle(self) -> Sequence[str] | None:
@@ -113,28 +117,34 @@ class _Links:
 
     def common(self) -> list[str]:
         """The frames that the paths of all sensors have in common, from the sensors on."""
-        return _common(self._paths())
+        return in_common(self._paths())
 
     def world_frame(self) -> str | None:
         """The frame in common that does not move: `odom`, else `map`, else the topmost, unless that is a robot's."""
         common = self.common()
-        for wanted in WORLD_FRAMES:
+        for word in WORLD_WORDS:
             for frame in common:
-                if _last_part(frame) == wanted:
+                if _has_word(frame, word):
                     return frame
         top = common[-1]
-        moves = any(link.constant is None for link in self._links_below(top))
-        is_body = _last_part(top) in BODY_FRAMES or any(pose.child == top for pose in self._tree.poses.values())
+        moves = any(link.moves for chain in self.chains(top).values() for link in chain.links)
+        is_body = _is_body(top) or any(pose.child == top for pose in self._tree.poses.values())
         return top if moves and not is_body else None
+
+    def world_frame_below(self) -> str | None:
+        """A world frame whose place on the robot is recorded, and moves: it becomes the top of the tree."""
+        top = self.common()[-1]
+        below = [one for one in self._forest.frames if self._forest.top(one) == top and self._forest.moves(one)]
+        for word in WORLD_WORDS:
+            for frame in below:
+                if _has_word(frame, word):
+                    self._forest.turn(frame)
+                    return frame
+        return None
 
     def chains(self, world: str) -> dict[str, Chain]:
         """The chain of each topic from `world` down to its sensor."""
-        made = {}
-        for topic, start in self._starts.items():
-            path = self._path(start)
-            below = path[: path.index(world)]
-            made[topic] = Chain(world, tuple(self._links[child] for child in reversed(below)))
-        return made
+        return {topic: self._forest.chain(world, start) for topic, start in self._starts.items()}
 
     def on_poses(self, pose: PoseTopic) -> Chains:
         """The chains from the frame of a topic's poses; with a problem where a sensor's mount is not known."""
@@ -142,11 +152,10 @@ class _Links:
         if self._parent(pose) not in self.common():
             if carrier is None:
                 return self.at_rest(self.why_not_together())
-            self._link(carrier, pose.child, pose.topic, SE3())
+            self._forest.put(Link(carrier, pose.child, pose.topic, SE3()))
             problem = mount_not_known(self._options, pose, self._name_of(carrier))
         elif carrier is not None and not pose.child and carrier in self._starts.values():
-            is_body = _last_part(carrier) in BODY_FRAMES
-            problem = "" if is_body else mount_not_known(self._options, pose, self._name_of(carrier))
+            problem = "" if _is_body(carrier) else mount_not_known(self._options, pose, self._name_of(carrier))
         chains = self.chains(self._parent(pose))
         return Chains(chains, problem if any(chain.moving for chain in chains.values()) else "")
 
@@ -155,14 +164,17 @@ class _Links:
         frames, poses = self._frames_not_reached(), self._poses_not_used()
         if len(poses) == 1 and not frames and (poses[0].child or _is_dense(poses[0])):
             if (child := poses[0].child or self._carrier()) is not None:
-                self._link_pose(poses[0], child)
+                self._join(poses[0], child)
             return self.on_poses(poses[0])
         topic, start = next(iter(self._starts.items()))
         name = self._options.sensors[topic]
         if poses:
-            mounted = len(self._path(start)) > 1
+            mounted = start in self._forest
             return self.at_rest(poses_not_known(self._options, poses, frames, name, start, is_mounted=mounted))
-        return self.at_rest(sensor_not_reached(self._options, frames, name, start) if frames else "")
+        if frames:
+            return self.at_rest(sensor_not_reached(self._options, frames, name, start))
+        unused = self._motion_not_used()
+        return self.at_rest(motion_not_used(self._options, *unused) if unused else "")
 
     def at_rest(self, problem: str) -> Chains:
         """The sensors at rest in what carries them, each at its origin where that is not known."""
@@ -174,46 +186,31 @@ class _Links:
     def why_not_together(self) -> str:
         """The problem of sensors without a frame in common."""
         sensors = self._options.sensors
-        alone = [name for topic, name in sensors.items() if len(self._path(self._starts[topic])) == 1]
-        moves = any(link.constant is None for link in self._links.values()) or bool(self._poses_not_used())
+        alone = [name for topic, name in sensors.items() if self._starts[topic] not in self._forest]
+        moves = any(link.moves for link in self._forest.links) or bool(self._poses_not_used())
         return mounts_not_known(self._options, alone or list(sensors.values()), moves)
 
-    def _link(self, child: str, parent: str, source: str, constant: SE3 | None) -> None:
-        self._links[child] = Link(child, parent, source, constant)
-
-    def _link_pose(self, pose: PoseTopic, child: str) -> None:
-        self._link(child, self._parent(pose), pose.topic, pose.motion.first if pose.motion.constant else None)
+    def _join(self, pose: PoseTopic, child: str) -> None:
+        """Link `child` to the frame of a topic's poses."""
+        moves = not pose.motion.constant
+        self._forest.join(Link(child, self._parent(pose), pose.topic, pose.motion.first, moves))
 
     @staticmethod
     def _parent(pose: PoseTopic) -> str:
         """The frame of a topic's poses; the topic itself where its messages do not name one."""
         return pose.frame if pose.frame not in ("", pose.child) else pose.topic
 
-    def _path(self, start: str) -> list[str]:
-        """The frames from a sensor up; in a cycle the last is one of those before it."""
-        path, seen = [start], {start}
-        while (link := self._links.get(path[-1])) is not None:
-            path.append(link.parent)
-            if link.parent in seen:
-                break
-            seen.add(link.parent)
-        return path
-
     def _paths(self) -> list[list[str]]:
-        return [self._path(start) for start in self._starts.values()]
+        return [self._forest.path(start) for start in self._starts.values()]
 
-    def _rigid_path(self, start: str) -> list[str]:
-        """The frames from a sensor up to the topmost one that it does not move in, world frames left out."""
-        path = [start]
-        for frame in self._path(start)[1:]:
-            if self._links[path[-1]].constant is None or _last_part(frame) in WORLD_FRAMES:
-                break
-            path.append(frame)
-        return path
+    def _carried(self, start: str) -> list[str]:
+        """The frames from a sensor up that it does not move in, world frames left out."""
+        first, *above = self._forest.rigid_path(start)
+        return [first, *takewhile(lambda frame: not _is_world(frame), above)]
 
     def _carrier(self) -> str | None:
         """The topmost frame that no sensor moves in; for a sensor without a mount its own. None for several such."""
-        common = _common([self._rigid_path(start) for start in self._starts.values()])
+        common = in_common([self._carried(start) for start in self._starts.values()])
         return common[-1] if common else None
 
     def _body(self) -> str:
@@ -224,50 +221,44 @@ class _Links:
         pose = self._tree.poses.get(self._options.pose_topic or "")
         if pose is not None and pose.child:
             return pose.child
-        frames = dict.fromkeys(frame for link in self._links.values() for frame in (link.child, link.parent))
-        bodies = [frame for body in BODY_FRAMES for frame in frames if _last_part(frame) == body]
-        moving = [frame for frame in bodies if self._moves(frame)]
+        bodies = [frame for body in BODY_FRAMES for frame in self._forest.frames if _last_part(frame).endswith(body)]
+        moving = [frame for frame in bodies if self._forest.moves(frame)]
         children = dict.fromkeys(pose.child for pose in self._tree.poses.values() if pose.child)
         candidates = moving or (list(children) if len(children) == 1 else []) or bodies
         alike = [frame for frame in candidates if _last_part(frame) == _last_part(candidates[0])]
         return candidates[0] if len(alike) == 1 else BODY_FRAMES[0]
-
-    def _moves(self, frame: str) -> bool:
-        """Whether a link above a frame moves."""
-        return any((link := self._links.get(above)) and link.constant is None for above in self._path(frame))
 
     def _name_of(self, start: str) -> str:
         """The sensor whose frame is `start`, else the first one."""
         names = {self._starts[topic]: name for topic, name in self._options.sensors.items()}
         return names.get(start, next(iter(names.values())))
 
-    def _links_below(self, frame: str) -> list[Link]:
-        """The links between `frame` and the sensors."""
-        return [link for chain in self.chains(frame).values() for link in chain.links]
-
     def _frames_not_reached(self) -> list[Link]:
         """The links of transforms that move, and that are not in the tree of the sensors."""
         top = self.common()[-1]
-        moving = [link for link in self._links.values() if link.constant is None and link.child in self._tree.edges]
-        return [link for link in moving if self._path(link.child)[-1] != top]
+        moving = [link for link in self._forest.links if link.moves and link.source not in self._tree.poses]
+        return [link for link in moving if self._forest.top(link.child) != top]
 
     def _poses_not_used(self) -> list[PoseTopic]:
-        """The topics whose poses move, and are those of a frame without a place in the transforms."""
+        """The topics whose poses move, and are not of frames whose place transforms tell in the frame of the poses."""
         if self._options.pose_topic == NO_POSES:
             return []
-        poses = self._tree.poses.values()
-        return [pose for pose in poses if not pose.motion.constant and pose.child not in self._tree.edges]
+        return [pose for pose in self._tree.poses.values() if not pose.motion.constant and not self._is_told(pose)]
+
+    def _is_told(self, pose: PoseTopic) -> bool:
+        forest = self._forest
+        return pose.child in self._tree.edges and forest.top(pose.child) == forest.top(self._parent(pose))
+
+    def _motion_not_used(self) -> tuple[str, Edge] | None:
+        """A frame of the sensors' tree that moves in a second parent, while nothing else of the tree does."""
+        top = self.common()[-1]
+        seconds = self._tree.second_parents.items() if self._options.pose_topic != NO_POSES else ()
+        return next(((child, edge) for child, edge in seconds if edge.moves and self._forest.top(child) == top), None)
 
 
 def _is_dense(pose: PoseTopic) -> bool:
     """Whether poses come often enough for those of a sensor: a goal or a localisation does not."""
     return pose.motion.longest_gap_ns <= MAX_POSE_GAP_NS
-
-
-def _common(paths: Sequence[Sequence[str]]) -> list[str]:
-    """The frames of the first path that all the others hold, in its order."""
-    others = [set(path) for path in paths[1:]]
-    return [frame for frame in (paths[0] if paths else ()) if all(frame in other for other in others)]
 
 
 def _start(frame: str, sensor: str) -> str:
@@ -278,3 +269,17 @@ def _start(frame: str, sensor: str) -> str:
 def _last_part(frame: str) -> str:
     """`odom` of `robot1/odom`."""
     return frame.rpartition("/")[2]
+
+
+def _has_word(frame: str, word: str) -> bool:
+    """Whether a frame's name is `odom`, or has it as a word, as in `robot1/odom`, `odom_combined` and `tb_odom`."""
+    return word in _last_part(frame).lower().split("_")
+
+
+def _is_world(frame: str) -> bool:
+    return any(_has_word(frame, word) for word in WORLD_WORDS)
+
+
+def _is_body(frame: str) -> bool:
+    """Whether a frame is a robot's body, as `base_link`, `robot1/base_link` and `tb_base_link`."""
+    return _last_part(frame).endswith(BODY_FRAMES)

@@ -20,6 +20,10 @@ KEPT_NS = 3_000_000_000
 """Transforms are kept for scans that are written later than others."""
 
 
+class ClocksApartError(RecordingError):
+    """Scans and poses have two clocks."""
+
+
 @dataclass(frozen=True, slots=True)
 class FramedScan:
     """A scan before it has a pose: its topic, its frame, and the pose of its sensor in that frame."""
@@ -40,8 +44,8 @@ class ScansOnChains:
     def __init__(self, chains: Mapping[str, Chain], warn: Callable[[str], None]) -> None:
         """`chains` by topic."""
         self._chains, self._warn = chains, warn
-        self._moving = {link.child: link for chain in chains.values() for link in chain.moving}
-        self._trajectories = {child: Trajectory() for child in self._moving}
+        self._moving = {link.recorded: link for chain in chains.values() for link in chain.moving}
+        self._trajectories = {recorded: Trajectory() for recorded in self._moving}
         self._waiting: deque[FramedScan] = deque()
         self._newest_ns = -1
         self._first_ns: int | None = None
@@ -55,15 +59,15 @@ class ScansOnChains:
         self._waiting.append(framed)
         yield from self._released()
 
-    def transform(self, child: str, stamp_ns: int, transform: SE3) -> Iterator[Scan]:
-        """Add the next transform of a moving link, and yield the scans that no longer wait."""
-        if not self._trajectories[child].add(stamp_ns, transform):
-            link = self._moving[child]
-            self._count(f"transforms of '{child}' on {link.source} whose stamp is far from the others are left out")
+    def transform(self, recorded: tuple[str, str], stamp_ns: int, transform: SE3) -> Iterator[Scan]:
+        """Add the next transform that is recorded of a moving link, and yield the scans that no longer wait."""
+        if not self._trajectories[recorded].add(stamp_ns, transform):
+            source, frame = recorded
+            self._count(f"transforms of '{frame}' on {source} whose stamp is far from the others are left out")
         yield from self._released()
 
     def flush(self) -> Iterator[Scan]:
-        """Yield the scans that still wait, and report. Raises RecordingError where scans and poses have two clocks."""
+        """Yield the scans that still wait, and report. Raises ClocksApartError."""
         while self._waiting:
             yield from self._placed(self._waiting.popleft())
         self._check_clocks()
@@ -82,7 +86,7 @@ class ScansOnChains:
     def _is_due(self, framed: FramedScan) -> bool:
         stamp_ns = framed.scan.stamp_ns
         late = self._newest_ns - stamp_ns > MAX_GAP_NS
-        return late or all(self._trajectories[link.child].covers(stamp_ns) for link in self._chain(framed).moving)
+        return late or all(self._trajectories[link.recorded].covers(stamp_ns) for link in self._chain(framed).moving)
 
     def _chain(self, framed: FramedScan) -> Chain:
         return self._chains[framed.topic]
@@ -93,7 +97,10 @@ class ScansOnChains:
         placement = self._world_T_sensor(framed, chain).placement()
         if placement.tilt_rad > MAX_TILT_RAD:
             limit = f"{math.degrees(MAX_TILT_RAD):g} deg"
-            self._count(f"scans of sensor '{scan.sensor}' tilted by more than {limit} are left out")
+            self._count(
+                f"scans of sensor '{scan.sensor}' tilted by more than {limit} are left out (where its transforms"
+                " are wrong, --mount gives its place)"
+            )
             return
         if placement.mirrored:
             scan = _turned_over(scan)
@@ -102,32 +109,31 @@ class ScansOnChains:
     def _world_T_sensor(self, framed: FramedScan, chain: Chain) -> SE3:
         world_T_frame = SE3()
         for link in chain.links:
-            transform = link.constant
-            if transform is None:
-                found = self._trajectories[link.child].at(framed.scan.stamp_ns)
-                transform = found.transform if found else SE3()
-                if found is None or not found.near:
-                    self._count(
-                        f"scans of sensor '{framed.scan.sensor}' without poses on {link.source} ({link.parent} ->"
-                        f" {link.child}) within 1 s have the last before them"
-                    )
-            world_T_frame = world_T_frame @ transform
+            found = self._trajectories[link.recorded].at(framed.scan.stamp_ns) if link.moves else None
+            if link.moves and (found is None or not found.near):
+                is_first = found is None or found.is_first
+                self._count(
+                    f"scans of sensor '{framed.scan.sensor}' without poses on {link.source} ({link.parent} ->"
+                    f" {link.child}) within 1 s have the {'first after' if is_first else 'last before'} them"
+                )
+            world_T_frame = world_T_frame @ link.place(found.transform if found else None)
         return world_T_frame if framed.frame_T_sensor is None else world_T_frame @ framed.frame_T_sensor
 
     def _count(self, fault: str) -> None:
         self._faults[fault] = self._faults.get(fault, 0) + 1
 
     def _check_clocks(self) -> None:
-        """Raise RecordingError where all transforms of a link are stamped long before or after all scans."""
-        for child, trajectory in self._trajectories.items():
+        """Raise ClocksApartError where all transforms of a link are stamped long before or after all scans."""
+        for (source, _), trajectory in self._trajectories.items():
             if trajectory.first_ns is None or self._first_ns is None:
                 continue
             before_ns, after_ns = self._first_ns - trajectory.last_ns, trajectory.first_ns - self._newest_ns
             if max(before_ns, after_ns) > MAX_GAP_NS:
                 apart = f"{before_ns / 1e9:.1f} s before" if before_ns > 0 else f"{after_ns / 1e9:.1f} s after"
-                raise RecordingError(
-                    f"no pose on {self._moving[child].source} at the time of a scan: they are stamped {apart} the"
-                    " scans: record poses and scans with one clock"
+                raise ClocksApartError(
+                    f"no pose on {source} at the time of a scan: they are stamped {apart} the scans: record poses and"
+                    " scans with one clock, or import this recording with --ego-motion kiss-icp, or with --pose-topic"
+                    " none where it stands still"
                 )
 
 

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 from gridtrack.recordings.frames.chains import Link
-from gridtrack.recordings.frames.tree import PoseTopic
+from gridtrack.recordings.frames.tree import Edge, PoseTopic
 from gridtrack.recordings.mounts import Mount
 
 MAX_SHOWN = 5
@@ -26,14 +26,14 @@ class ChainOptions:
     """The command that imports the recording with more options, given as words."""
 
 
-def frames_in_a_cycle(options: ChainOptions, frames: Sequence[str]) -> str:
-    """Frames that are their own ancestors."""
-    first = next(iter(options.sensors.values()))
-    command = options.command(["--mount", f"{first}={EXAMPLE_PLACE}"])
-    return (
-        f"frames in a cycle ({_shown(frames, ' -> ')}): give the mount of the sensor, as in `{command}`, and its poses"
-        " with --pose-topic"
-    )
+def frames_in_a_cycle(options: ChainOptions, frames: Sequence[str], pose_topics: Sequence[str]) -> str:
+    """Frames that are their own ancestors; `pose_topics` may tell where they are."""
+    text = f"frames in a cycle ({_shown(frames, ' -> ')}): take {_from_scans(options)}"
+    if pose_topics:
+        mount = ["--mount", f"{next(iter(options.sensors.values()))}={EXAMPLE_PLACE}"]
+        command = options.command([*mount, "--pose-topic", pose_topics[0]])
+        text += f"; or those on {_shown(pose_topics)}, with the place of the sensor there, as in `{command}`"
+    return f"{text}; {AT_REST}"
 
 
 def mounts_not_known(options: ChainOptions, names: Sequence[str], moves: bool) -> str:
@@ -87,6 +87,20 @@ def sensor_not_reached(options: ChainOptions, links: Sequence[Link], sensor: str
         f"{_not_reached(links, sensor, frame)}: give the frame that it is mounted on, and its x and y (metres) and"
         f" heading there, as in `{command}`; {AT_REST}"
     )
+
+
+def motion_not_used(options: ChainOptions, child: str, second: Edge) -> str:
+    """Transforms of a frame of the sensors in a second parent, which alone tell the motion."""
+    return (
+        f"transforms on {second.topic} ({second.parent} -> {child}) tell how the sensors move, and '{child}' has"
+        f" another parent in the transforms, so that they are not used: take {_from_scans(options)}; {AT_REST}"
+    )
+
+
+def _from_scans(options: ChainOptions) -> str:
+    """Poses that need no transforms: from the scans of one sensor."""
+    topic = [] if len(options.sensors) == 1 else ["--topic", next(iter(options.sensors))]
+    return f"the poses from the scans, with `{options.command([*topic, '--ego-motion', 'kiss-icp'])}`"
 
 
 def _not_reached(links: Sequence[Link], sensor: str, frame: str) -> str:

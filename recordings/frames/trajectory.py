@@ -13,10 +13,14 @@ MAX_KEPT = 100_000
 
 
 class Found(NamedTuple):
-    """A transform at a stamp; `near`: transforms less than MAX_GAP_NS apart lie around it, or one so near beside it."""
+    """A transform at a stamp; `near`: transforms less than MAX_GAP_NS apart lie around it, or one so near beside it.
+
+    `is_first`: it is the first one, and the stamp is before it.
+    """
 
     transform: SE3
     near: bool
+    is_first: bool = False
 
 
 class Trajectory:
@@ -67,7 +71,7 @@ class Trajectory:
             return Found(self._transforms[-1], stamp_ns - self._stamps[-1] <= MAX_GAP_NS)
         after_ns = self._stamps[index]
         if index == 0 or after_ns == stamp_ns:
-            return Found(self._transforms[index], after_ns - stamp_ns <= MAX_GAP_NS)
+            return Found(self._transforms[index], after_ns - stamp_ns <= MAX_GAP_NS, after_ns > stamp_ns)
         before_ns = self._stamps[index - 1]
         if after_ns - before_ns > MAX_GAP_NS:
             return Found(self._transforms[index - 1], False)

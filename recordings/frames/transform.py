@@ -74,6 +74,13 @@ class SE3:
             ),
         )
 
+    def inverse(self) -> SE3:
+        """`source_T_target`."""
+        x, y, z, w = self.rotation
+        back = (-x, -y, -z, w)
+        tx, ty, tz = _rotated(self.translation, back)
+        return SE3((-tx, -ty, -tz), back)
+
     def placement(self) -> Placement:
         """The transform in the plane; its height is left out."""
         x, y, z, w = self.rotation

@@ -32,12 +32,18 @@ class FrameMotion:
         self.first = first
         self.constant = not may_move
         self.longest_gap_ns = 0
+        self.contradicts = False
+        """Whether two transforms of one stamp differ."""
+        self._last = first_ns, first
         self._added = 1
         self._far = FarStamps()
         self._far.judge(first_ns)
 
     def add(self, stamp_ns: int, transform: SE3) -> None:
         """Add the next transform in the order of the file; one whose stamp is far from the others does not count."""
+        last_ns, last = self._last
+        self._last = stamp_ns, transform
+        self.contradicts |= stamp_ns == last_ns and not transform.is_same(last)
         before_ns = self._far.last_ns
         judgement = self._far.judge(stamp_ns)
         if judgement == "held":
@@ -79,13 +85,15 @@ class PoseTopic:
 class FrameTree:
     """Frames with their parents, topics with poses, and the frame of each topic with scans, from one pass over a file.
 
-    The first parent of a frame is kept. `faults` holds one line for each kind of fault and frame. In a file that is
-    `growing` what was constant so far may move later: only static transforms are constant.
+    The first parent of a frame is kept; `second_parents` has the first of its other ones. `faults` holds one line for
+    each kind of fault and frame. In a file that is `growing` what was constant so far may move later: only static
+    transforms are constant.
     """
 
     growing: bool = False
 
     edges: dict[str, Edge] = field(default_factory=dict)
+    second_parents: dict[str, Edge] = field(default_factory=dict)
     poses: dict[str, PoseTopic] = field(default_factory=dict)
     sensors: dict[str, str] = field(default_factory=dict)
     """Topic of the scans -> frame of the sensor, as its first scan names it; it may be empty."""
@@ -98,16 +106,18 @@ class FrameTree:
             fault = self._fault(topic, parent, child, stamped.transform)
             if fault or stamped.transform is None:
                 self.note(fault)
-            elif child in self.edges:
-                edge = self.edges[child]
-                edge.is_static &= is_static
-                edge.motion.add(stamped.stamp_ns, stamped.transform)
-                if edge.is_static and not edge.motion.constant:
-                    self.note(f"static transforms on {topic} of frame '{child}' change: the first is used")
-            else:
+                continue
+            first = self.edges.get(child)
+            edges = self.edges
+            if first is not None and first.parent != parent:
+                self.note(_two_parents(child, first, parent, topic))
+                edges = self.second_parents
+            if child not in edges:
                 may_move = self.growing and not is_static
                 motion = FrameMotion(stamped.stamp_ns, stamped.transform, may_move=may_move)
-                self.edges[child] = Edge(parent, topic, is_static, motion)
+                edges[child] = Edge(parent, topic, is_static, motion)
+            elif edges[child].parent == parent:
+                self._add_to(edges[child], child, stamped.stamp_ns, stamped.transform, is_static=is_static)
 
     def add_poses(self, topic: str, poses: Iterable[StampedTransform]) -> None:
         """Add the poses of a message."""
@@ -120,6 +130,7 @@ class FrameTree:
                 self.note(f"more than {MAX_POSE_TOPICS} topics with poses: the others are not used")
             else:
                 parent, child = (_label_or_empty(name) for name in (pose.parent, pose.child))
+                child = "" if child == parent else child  # a driver that names its frame twice
                 motion = FrameMotion(pose.stamp_ns, pose.transform, may_move=self.growing)
                 self.poses[topic] = PoseTopic(topic, parent, child, motion)
 
@@ -146,13 +157,23 @@ class FrameTree:
             return f"transforms on {topic} of frame '{child}' to itself are left out"
         if child not in self.edges and len(self.edges) == MAX_TREE_FRAMES:
             return f"more than {MAX_TREE_FRAMES} frames on {topic}: the others are not used"
-        edge = self.edges.get(child)
-        if edge is not None and edge.parent != parent:
-            return (
-                f"frame '{child}' has two parents, '{edge.parent}' on {edge.topic} and '{parent}' on {topic}: the first"
-                " is used; where that is wrong, give the sensor's mount with --mount, or its poses with --pose-topic"
-            )
         return ""
+
+    def _add_to(self, edge: Edge, child: str, stamp_ns: int, transform: SE3, *, is_static: bool) -> None:
+        """Add a transform of a known frame."""
+        edge.is_static &= is_static
+        edge.motion.add(stamp_ns, transform)
+        if edge.motion.contradicts:
+            self.note(f"transforms on {edge.topic} of frame '{child}' differ at one stamp, as of two sources")
+        if edge.is_static and not edge.motion.constant:
+            self.note(f"static transforms on {edge.topic} of frame '{child}' change: the first is used")
+
+
+def _two_parents(child: str, first: Edge, parent: str, topic: str) -> str:
+    return (
+        f"frame '{child}' has two parents, '{first.parent}' on {first.topic} and '{parent}' on {topic}: the first is"
+        " used; where that is wrong, give the sensor's mount with --mount, or its poses with --pose-topic"
+    )
 
 
 def frame_name(name: str) -> str:

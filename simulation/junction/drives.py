@@ -108,8 +108,8 @@ def simulate_drive(minutes: float, seed: int, start_s: float, carrier: str) -> D
     found = furthest(traffic, layout.JUNCTION_CLASSES.index(kind.label), frames, kind.passes_within_m)
     if found is None:
         raise SimulationError(
-            f"no {carrier} takes {minutes:g} minutes to go through the junction with seed {seed}: try a shorter time or"
-            " another seed"
+            f"no {carrier} goes through the junction in a stretch of {minutes:g} minutes with seed {seed}: try another"
+            " time, such as 0.5 or 1 minutes, or another seed"
         )
     track, first = found
     return Drive(_stretch(traffic, first, frames), track, carrier, command_of(minutes, seed, start_s))

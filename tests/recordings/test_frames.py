@@ -27,6 +27,7 @@ CHAINS = (
     "front_scan: odom -> base_footprint -> base_link -> front_laser; rear_scan: odom -> base_footprint -> base_link ->"
     " rear_laser (mirrored); from /tf, /tf_static; longest gap 0.02 s"
 )
+NO_MOTION = "no motion recorded: taken to stand still (of a robot that drives: recording import --ego-motion kiss-icp)"
 FRONT_ONLY = [
     *made.scans_of(ROS, 3000, made.FRONT),
     ROS.transforms(0, *made.mounts(made.FRONT), topic="/tf_static"),
@@ -184,7 +185,7 @@ def test_a_robot_that_stands_needs_no_mount(tmp_path: Path) -> None:
     recording = open_recording(path)
     assert recording.overview().warnings == ()
     assert not recording.survey.moves
-    assert recording.info.poses == ""
+    assert recording.info.poses == "at rest"
 
 
 def test_scanners_at_rest_share_a_grid_by_their_static_transforms(tmp_path: Path) -> None:
@@ -192,7 +193,7 @@ def test_scanners_at_rest_share_a_grid_by_their_static_transforms(tmp_path: Path
     path = ROS.write(tmp_path / "a.bag", [static, *made.scans_of(ROS, 3000, made.FRONT, made.REAR)])
     recording = open_recording(path)
     assert recording.overview().warnings == ()
-    assert recording.info.poses.endswith("base_link -> rear_laser (mirrored); from /tf_static; at rest")
+    assert recording.info.poses.endswith("base_link -> rear_laser (mirrored); from /tf_static; " + NO_MOTION)
     assert recording.survey.poses["front_scan"] == pytest.approx(made.FRONT.base_T_laser)
 
 
