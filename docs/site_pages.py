@@ -33,6 +33,6 @@ def on_files(files: Files, *, config: MkDocsConfig) -> Files:
     """The files of the site in place of those of docs/ alone."""
     found = (path for pattern in ("docs/**/*", *OUTSIDE) for path in sorted(ROOT.glob(pattern)))
     shown = dict.fromkeys(path for path in found if path.is_file() and path.suffix not in NOT_SHOWN)
-    kept = [file for file in files if file.generated_by]  # of the theme and of plugins
+    kept = [file for file in files if file.src_dir != config.docs_dir]  # of the theme and of plugins
     own = [File.generated(config, path.relative_to(ROOT).as_posix(), abs_src_path=str(path)) for path in shown]
     return Files([*kept, *own])

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import os
+import shutil
 import signal
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -72,3 +74,18 @@ def burglar(install: Install) -> None:
     """Registers the tracker `burglar`, which attacks as its options say."""
     module = PLUGINS / "burglar.py"
     install("burglar", {"burglar": "burglar:Burglar"}, {module.name: module.read_text()})
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    """Chromium; the test is skipped where there is none.
+
+    Its driver runs an event loop: none may be left when the tests of another module need one of their own.
+    """
+    playwright = pytest.importorskip("playwright.sync_api", reason="playwright, of the extra dev, is not installed")
+    if (program := shutil.which("chromium")) is None:
+        pytest.skip("Chromium is not installed (Debian: apt install chromium)")
+    with playwright.sync_playwright() as driver:
+        chromium = driver.chromium.launch(executable_path=program, args=["--no-sandbox"])
+        yield chromium
+        chromium.close()

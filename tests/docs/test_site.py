@@ -53,3 +53,18 @@ def test_the_search_knows_the_words_of_the_pages(site: Path) -> None:
     index = (site / "search/search_index.js").read_text("utf-8")
     assert "Reading the report" in index
     assert "fractions skill score" in index
+
+
+def test_a_page_from_disk_has_its_style_and_every_page_of_the_navigation_and_finds_words(site: Path, browser) -> None:
+    page, faults = browser.new_page(viewport={"width": 1280, "height": 800}), []
+    page.on("requestfailed", lambda request: faults.append(request.url))
+    page.on("pageerror", lambda error: faults.append(str(error)))
+    page.goto((site / "index.html").as_uri())
+    header = page.locator(".md-header")
+    assert header.evaluate("one => getComputedStyle(one).position") == "sticky"
+    assert page.locator(".md-nav__link", has_text="Its example in Python").count() == 1
+    page.locator("input[name=query]").click()
+    page.keyboard.type("fractions skill")
+    page.locator(".md-search-result__item", has_text="Scores").first.wait_for()
+    page.close()
+    assert faults == []

@@ -33,7 +33,6 @@ from gridtrack.trackers.contract import Forecast
 from scenes.report_page import HOSTILE
 from scenes.synthetic_run import DESCRIBED, write_run_record
 
-CHROMIUM = shutil.which("chromium")
 GRID = GridSpec(32, 0.2, (-3.2, 0.0))
 PERIOD_S, STEPS, FRAMES, WARM_UP, EVERY = 0.125, 20, 120, 20, 4
 RECORDING = "crossing"
@@ -188,21 +187,6 @@ def hostile_report(run_folder, tmp_path_factory):
     (run / "summary.json").write_text(json.dumps(summary))
     (run / "fair@crossing").rename(run / f"{HOSTILE}@crossing")
     return render_report([run])
-
-
-@pytest.fixture(scope="module")
-def browser():
-    """Chromium; the test is skipped where there is none.
-
-    Its driver runs an event loop: none may be left when the tests of another module need one of their own.
-    """
-    playwright = pytest.importorskip("playwright.sync_api", reason="playwright, of the extra dev, is not installed")
-    if CHROMIUM is None:
-        pytest.skip("Chromium is not installed (Debian: apt install chromium)")
-    with playwright.sync_playwright() as driver:
-        chromium = driver.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
-        yield chromium
-        chromium.close()
 
 
 @pytest.fixture
