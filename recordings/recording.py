@@ -143,6 +143,9 @@ class Recording(ABC):
         self.growth: Growth | None = None
         """Of a file that is still being written; None: the file is finished."""
 
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({str(self.path)!r})"
+
     @property
     def name(self) -> str:
         """The file's name."""

@@ -23,6 +23,7 @@ from gridtrack.recordings.observation import Observation, frame_of
 from gridtrack.recordings.recorded_time import RecordedTime
 from gridtrack.recordings.recording import Stretch, stretch_text
 from gridtrack.recordings.resample import Tick, resample_scans
+from gridtrack.recordings.several_sensors import missing_scans, slow_sensor
 from gridtrack.recordings.stretches import parse_stretch, stretch_of, ticks_in
 
 MAX_EMPTY_FRAMES = 6000
@@ -82,7 +83,10 @@ class GridStream:
         self._check_longest_gap()
         self.gaps = self._count_gaps()
         if len(survey.sensors) > 1:
-            self._tell_missing()
+            stamps_ns = survey.first_ns + np.arange(self._ticks.start, self._ticks.stop) * self.period_ns
+            slow = () if rate_hz or info.rate_hz else slow_sensor(survey)
+            for text in (*missing_scans(survey, stamps_ns, self.period_s, self.stretch_s), *slow):
+                recording.notify(text)
         self._degrade: Callable[[Scan], Scan] | None = None
 
     def degraded(self, degrade: Callable[[Scan], Scan]) -> GridStream:
@@ -258,20 +262,6 @@ class GridStream:
                 f" {(longest[0] - survey.first_ns) / 1e9:.2f} s on; frames in them are empty"
             )
         return len(gaps)
-
-    def _tell_missing(self) -> None:
-        """Add a warning for each of several sensors without a scan for some of the frames."""
-        survey = self.recording.survey
-        stamps_ns = survey.first_ns + np.arange(self._ticks.start, self._ticks.stop) * self.period_ns
-        for name, sensor in survey.sensors.items():
-            missing = sensor.missing(stamps_ns, self.period_ns / 2)
-            if missing.any():
-                first_s = (stamps_ns[missing.argmax()] - survey.first_ns) / 1e9
-                self.recording.notify(
-                    f"sensor '{name}': no scan within half a period of {self.period_s:g} s of {missing.sum()} of"
-                    f" {len(missing)} frames in {stretch_text(self.stretch_s)}, the first at {first_s:.2f} s; they are"
-                    " made of the scans of the other sensors"
-                )
 
 
 def _rate(recording: Recording, rate_hz: float | None) -> float:

@@ -242,6 +242,18 @@ def test_several_sensors_share_the_frame_of_the_first(write: Callable[..., Path]
             assert frame.point_origin.dtype == np.uint8
 
 
+def test_a_slow_sensor_that_sets_the_rate_of_all_is_told(write: Callable[..., Path], scan: Callable[..., Scan]) -> None:
+    behind = SE2(-1.0, 0.0, 0.0)
+    rear = [one_beam(scan(k, "rear", offset_ns=1), 1.1, world_T_sensor=behind) for k in range(0, 40, 4)]
+    path = write(sorted([*(scan(k) for k in range(40)), *rear], key=lambda one: one.stamp_ns))
+    stream = open_stream(path, grid=GRID)
+    assert len(stream) == 10
+    (warning,) = stream.recording.warnings
+    assert "frames are made at the rate of the slowest sensor: 'rear' has" in warning
+    asked = open_stream(path, grid=GRID, rate_hz=1 / stream.period_s)
+    assert asked.recording.warnings == []
+
+
 def test_of_several_sensors_one_that_is_late_or_missing_is_told_and_frames_are_made_of_the_others(
     write: Callable[..., Path], scan: Callable[..., Scan]
 ) -> None:
