@@ -2,7 +2,7 @@
 import { make } from "./elements.js";
 
 const DRAWN = ["fill", "fill-opacity", "stroke", "stroke-width", "stroke-dasharray", "stroke-linejoin", "opacity",
-  "font", "text-anchor"];
+  "font", "text-anchor", "filter", "image-rendering"];
 
 function save(text, type, name) {
   const link = make("a", { href: URL.createObjectURL(new Blob([text], { type })), download: name });

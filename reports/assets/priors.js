@@ -8,6 +8,7 @@ import { isShown } from "./shown_trackers.js";
 
 const PRIOR_LEVELS = 254, PRIOR_UNSEEN = 255, DECADES = 3; // as in priors.py
 const MAP_HEAD = 24, MAP_GAP = 20, MAP_SIDE = 300;
+const BAR_LEFT = 18, BAR_LONG = 220, BAR_HIGH = 12, BAR_ROOM = 44, BAR_WHOLE = 370;
 const placeOf = ({ recording }) => pageData.priors.find((one) => one.recording === recording);
 const panelsOf = (chosen) => {
   const place = placeOf(chosen);
@@ -16,32 +17,55 @@ const panelsOf = (chosen) => {
 };
 const probabilityOf = (level) => 10 ** (DECADES * (level / PRIOR_LEVELS - 1));
 
-// A PNG of a plane, one pixel a cell, row 0 at the bottom.
-function pictureOf(size, cells) {
+// A PNG of cells, given by the colour of each, one pixel a cell, row 0 at the bottom.
+function pictureOf(columns, rows, colourAt) {
   const canvas = document.createElement("canvas");
-  canvas.width = canvas.height = size;
+  [canvas.width, canvas.height] = [columns, rows];
   const context = canvas.getContext("2d");
-  const image = context.createImageData(size, size);
-  const colours = pageData.level_colours, unseen = colours.length - 1;
-  cells.forEach((level, cell) => {
-    const colour = colours[level === PRIOR_UNSEEN ? unseen : Math.round((level / PRIOR_LEVELS) * (unseen - 1))];
-    image.data.set([...colour, 255], 4 * ((size - 1 - Math.floor(cell / size)) * size + (cell % size)));
-  });
+  const image = context.createImageData(columns, rows);
+  for (let cell = 0; cell < columns * rows; cell += 1) {
+    image.data.set([...colourAt(cell), 255], 4 * ((rows - 1 - Math.floor(cell / columns)) * columns + (cell % columns)));
+  }
   context.putImageData(image, 0, 0);
   return canvas.toDataURL("image/png");
+}
+
+function priorColour(level) {
+  const colours = pageData.level_colours, unseen = colours.length - 1;
+  return colours[level === PRIOR_UNSEEN ? unseen : Math.round((level / PRIOR_LEVELS) * (unseen - 1))];
+}
+
+function mapOf({ name, style, cells }, size, side, x, y) {
+  const href = pictureOf(size, size, (cell) => priorColour(cells[cell]));
+  return draw("g", { class: `line ${style}`, transform: `translate(${x} ${y})` }, draw("title", {}, name), svgText(0, 15, name),
+    draw("image", { class: "cells", y: MAP_HEAD, width: side, height: side, href }),
+    draw("rect", { class: "map-edge", y: MAP_HEAD, width: side, height: side }));
+}
+
+// The colours of the maps, logarithmic as they are, and that of what was never visible.
+function barOf(y) {
+  const bar = pictureOf(PRIOR_LEVELS + 1, 1, priorColour), unseen = pictureOf(1, 1, () => priorColour(PRIOR_UNSEEN));
+  const beside = BAR_LEFT + BAR_LONG + 18, below = y + BAR_HIGH + 15;
+  const ticks = Array.from({ length: DECADES + 1 }, (_, i) => svgText(BAR_LEFT + (i / DECADES) * BAR_LONG, below,
+    String(Number((10 ** (i - DECADES)).toPrecision(1))), { class: "tick", "text-anchor": "middle" }));
+  const coloured = (x, width, href) => [
+    draw("image", { x, y, width, height: BAR_HIGH, href, preserveAspectRatio: "none" }),
+    draw("rect", { class: "map-edge", x, y, width, height: BAR_HIGH }),
+  ];
+  return draw("g", { class: "colour-bar" }, svgText(BAR_LEFT, y - 6, "P(occupied)"), ...coloured(BAR_LEFT, BAR_LONG, bar), ...ticks,
+    ...coloured(beside, BAR_HIGH, unseen), svgText(beside + BAR_HIGH + 6, y + 10, "never visible", { class: "tick" }));
 }
 
 function drawPriors(chosen, width) {
   const { size } = placeOf(chosen), panels = panelsOf(chosen);
   const side = Math.min(MAP_SIDE, width), across = Math.max(1, Math.floor((width + MAP_GAP) / (side + MAP_GAP)));
-  const height = (MAP_HEAD + side + MAP_GAP) * Math.ceil(panels.length / across);
-  const used = Math.min(across, panels.length) * (side + MAP_GAP) - MAP_GAP;
+  const bottom = (MAP_HEAD + side + MAP_GAP) * Math.ceil(panels.length / across), height = bottom + BAR_ROOM;
+  const used = Math.min(width, Math.max(BAR_WHOLE, Math.min(across, panels.length) * (side + MAP_GAP) - MAP_GAP));
   const svg = draw("svg", { class: "figure-drawing", viewBox: `0 0 ${used} ${height}`, width: used, height, role: "img" });
   svg.setAttribute("aria-label", `Maps of ${panels.map((panel) => panel.name).join(", ")}`);
-  panels.forEach((panel, i) => svg.append(draw("g", {
-    class: `line ${panel.style}`, transform: `translate(${(i % across) * (side + MAP_GAP)} ${Math.floor(i / across) * (MAP_HEAD + side + MAP_GAP)})`,
-  }, draw("title", {}, panel.name), svgText(0, 15, panel.name),
-  draw("image", { class: "cells", y: MAP_HEAD, width: side, height: side, href: pictureOf(size, panel.cells) }))));
+  panels.forEach((panel, i) => svg.append(mapOf(panel, size, side, (i % across) * (side + MAP_GAP),
+    Math.floor(i / across) * (MAP_HEAD + side + MAP_GAP))));
+  svg.append(barOf(bottom + 14));
   return svg;
 }
 
@@ -67,6 +91,6 @@ export async function startPriors() {
     choices: () => [["recording", "Recording", pageData.priors.map((one) => [one.recording, one.recording])]],
     drawing: drawPriors,
     numbers: priorNumbers,
-    line: () => "P(occupied) from no input, one step ahead: 0.001 is white, 1 black, never visible grey.",
+    line: () => "P(occupied) from no input, one step ahead.",
   });
 }

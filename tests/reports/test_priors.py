@@ -1,6 +1,7 @@
 """The figure of what trackers expect of a place: its numbers, damaged files, and its pictures in a browser."""
 
 import base64
+import re
 import shutil
 import zlib
 
@@ -94,12 +95,15 @@ def test_a_browser_draws_the_maps_with_row_0_at_the_bottom(browser, run):
     page.on("console", lambda message: message.type == "error" and faults.append(message.text))
     page.on("pageerror", lambda error: faults.append(str(error)))
     page.goto(render_report([run]).as_uri())
-    page.locator("#priors image").nth(2).wait_for()
-    names = page.locator("#priors g text").all_text_contents()
+    page.locator("#priors .line image").nth(2).wait_for()
+    names = page.locator("#priors g.line text").all_text_contents()
     assert names == ["recorded: share of frames", "good", "fair"]
+    bar = page.locator("#priors .colour-bar")
+    assert bar.locator("text").all_text_contents() == ["P(occupied)", "0.001", "0.01", "0.1", "1", "never visible"]
+    assert not re.search(r"white|black|grey", page.locator("#priors .note").inner_text()), "true in one scheme alone"
     # the darkest pixel of each picture of a tracker, from the top left
     darkest = page.evaluate(
-        """async () => Promise.all([...document.querySelectorAll("#priors image")].slice(1).map(async (one) => {
+        """async () => Promise.all([...document.querySelectorAll("#priors .line image")].slice(1).map(async (one) => {
           const picture = new Image();
           picture.src = one.getAttribute("href");
           await picture.decode();
@@ -116,5 +120,5 @@ def test_a_browser_draws_the_maps_with_row_0_at_the_bottom(browser, run):
     assert faults == []
     page.locator('#priors button[aria-label*="CSV"]').wait_for()
     page.get_by_role("button", name="good").first.click()
-    assert page.locator("#priors image").count() == 2
+    assert page.locator("#priors .line image").count() == 2
     page.close()
