@@ -1,6 +1,6 @@
 """Two lasers on opposite corners of the junction beside one of them: hidden cells, and F1 on the same cells.
 
-`python -m studies.two_sensors [TRACKER...] [--out docs/results/moving/two_sensors.json]` (five minutes on a free core).
+`python -m studies.two_sensors [TRACKER...] [--out docs/results/moving/two_sensors.json]` (half an hour on a free core).
 The traffic of the twenty test minutes, seen as by `gridtrack simulate junction --sensor corners`. The one laser is that
 on the north-western corner, with the same scans; the weights that ship were learned with it.
 
@@ -49,7 +49,7 @@ from studies.support.held_recording import HeldRecording
 from studies.support.results_file import ResultSection, ResultTable, measured_table, write_section
 from studies.support.shipped import JUNCTION, STEPS, junction_tests, shipped_tracker
 
-TRACKERS = ("persistence", "kalman", "dogma")
+TRACKERS = ("persistence", "kalman", "factor-graph", "dogma", "dilated-convgru", "deep-tracking-rnn")
 HORIZONS = {"0.5 s": 4, "1 s": 8, "2.5 s": STEPS}
 EVERY = 16
 """Frames from one forecast to the next."""
