@@ -8,6 +8,9 @@ from dataclasses import dataclass
 
 from gridtrack.common.scan import Scan
 
+JITTER_PERIODS = 1.5
+"""Between two scans of a sensor that misses none, for all its jitter."""
+
 
 @dataclass(frozen=True, slots=True)
 class Tick:
@@ -22,10 +25,10 @@ def resample_scans(
 ) -> Iterator[Tick]:
     """Ticks at `origin_ns + k * period_ns` for k in `ticks`, from `scans` in the order of their stamps.
 
-    A tick has the nearest scan of each sensor, the earlier of two equally near ones, if it is within half a period.
-    Where gaps are `bridged`, a scan up to a whole period away is used if the sensor's gap around the tick is at most
-    two periods: a neighbour replaces one missing scan, and a longer gap stays empty. Memory holds a few periods of
-    scans.
+    A tick has the nearest scan of each sensor, the earlier of two equally near ones, if it is within half a period, or
+    further away where the sensor misses no scan: its gap around the tick is at most JITTER_PERIODS. Where gaps are
+    `bridged`, it is at most two periods: a neighbour replaces one missing scan, and a longer gap stays empty. Memory
+    holds a few periods of scans.
     """
     ahead = iter(scans)
     recent: dict[str, deque[Scan]] = {}
@@ -50,8 +53,8 @@ def _nearest(scans: deque[Scan], stamp_ns: int, period_ns: int, bridged: bool) -
     if not before and not after:
         return None
     nearest = min(before + after, key=lambda scan: abs(scan.stamp_ns - stamp_ns))
-    distance_ns = abs(nearest.stamp_ns - stamp_ns)
-    if 2 * distance_ns <= period_ns:
+    if 2 * abs(nearest.stamp_ns - stamp_ns) <= period_ns:
         return nearest
-    short = bool(before and after) and after[0].stamp_ns - before[0].stamp_ns <= 2 * period_ns
-    return nearest if bridged and short and distance_ns <= period_ns else None
+    longest_ns = (2.0 if bridged else JITTER_PERIODS) * period_ns
+    short = bool(before and after) and after[0].stamp_ns - before[0].stamp_ns <= longest_ns
+    return nearest if short else None

@@ -17,7 +17,7 @@ SLOW = 1.5
 def missing_scans(survey: Survey, stamps_ns: NDArray[np.int64], period_s: float, stretch_s: Stretch) -> Iterator[str]:
     """A line for each sensor without a scan for some of the frames, stamped `stamps_ns` (n,)."""
     for name, sensor in survey.sensors.items():
-        missing = sensor.missing(stamps_ns, period_s * 1e9 / 2)
+        missing = sensor.missing(stamps_ns, period_s * 1e9)
         if missing.any():
             first_s = (stamps_ns[missing.argmax()] - survey.first_ns) / 1e9
             yield (

@@ -15,6 +15,7 @@ from gridtrack.common.errors import bounded_line
 from gridtrack.common.geometry import SE2, same_pose
 from gridtrack.common.scan import Scan
 from gridtrack.recordings.pose_jumps import PoseJumps
+from gridtrack.recordings.resample import JITTER_PERIODS
 
 MANY_INVALID, MANY_ZEROS = 0.2, 0.05
 """Share of a sensor's ranges above which there is a warning, and above which it names those that are 0.0."""
@@ -89,13 +90,15 @@ class SensorSurvey:
             )
         return text
 
-    def missing(self, stamps_ns: NDArray[np.int64], within_ns: float) -> NDArray[np.bool_]:
-        """Which of `stamps_ns` (n,) have no scan `within_ns`."""
+    def missing(self, stamps_ns: NDArray[np.int64], period_ns: float) -> NDArray[np.bool_]:
+        """Which of `stamps_ns` (n,), a period apart, have no scan of this sensor beside others (`resample_scans`)."""
         own = self.stamps_ns
         after = np.searchsorted(own, stamps_ns).clip(0, len(own) - 1)
         before = (after - 1).clip(0)
         nearest = np.minimum(np.abs(own[after] - stamps_ns), np.abs(own[before] - stamps_ns))
-        missing: NDArray[np.bool_] = nearest > within_ns
+        around = (own[before] < stamps_ns) & (stamps_ns <= own[after])
+        in_a_gap = ~around | (own[after] - own[before] > JITTER_PERIODS * period_ns)
+        missing: NDArray[np.bool_] = (2 * nearest > period_ns) & in_a_gap
         return missing
 
     def gaps(self, period_ns: int) -> NDArray[np.int64]:

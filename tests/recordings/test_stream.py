@@ -254,6 +254,20 @@ def test_a_slow_sensor_that_sets_the_rate_of_all_is_told(write: Callable[..., Pa
     assert asked.recording.warnings == []
 
 
+def test_two_sensors_half_a_period_apart_are_both_in_every_frame_for_all_their_jitter(
+    write: Callable[..., Path], scan: Callable[..., Scan]
+) -> None:
+    behind, jitter = SE2(-2.0, 0.0, math.pi), np.random.default_rng(5).integers(-4_000_000, 4_000_000, 2 * 40)
+    front = [one_beam(scan(k, "front", offset_ns=4_000_000 + int(jitter[k])), 1.1) for k in range(40)]
+    rear = [
+        one_beam(scan(k, "rear", offset_ns=54_000_000 + int(jitter[40 + k])), 1.1, world_T_sensor=behind)
+        for k in range(40)
+    ]
+    stream = open_stream(write(sorted(front + rear, key=lambda one: one.stamp_ns)), grid=GRID, rate_hz=10.0)
+    frames = list(stream)
+    assert [int(frame.occupied.sum()) for frame in frames[1:-1]] == [2] * (len(frames) - 2)
+
+
 def test_of_several_sensors_one_that_is_late_or_missing_is_told_and_frames_are_made_of_the_others(
     write: Callable[..., Path], scan: Callable[..., Scan]
 ) -> None:
