@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 
 from gridtrack.evaluation.results.summary import TrackerSummary
 from gridtrack.evaluation.results.trial_summary import TrialSummary
 from gridtrack.reports.run import ReportedRun
-from gridtrack.reports.run_description import Fact
+from gridtrack.reports.run_description import Fact, lead_of
+from gridtrack.reports.table import headline_tables, main_tables
 from gridtrack.reports.times import keeps_up_of
 
 MOST_NAMES = 8
@@ -17,9 +19,20 @@ VERDICTS = ("no", "updates only", "yes")
 """From the worst: a tracker has the worst of its recordings."""
 
 
-def answer_of(run: ReportedRun) -> tuple[Fact, ...]:
-    """The lines of one run, those with nothing to say left out."""
-    return tuple(fact for fact in (_compared(run), _weights(run), _keeps_up(run), _not_ranked(run)) if fact.value)
+@dataclass(frozen=True)
+class Answer:
+    """The main result of one run in a sentence for each main table, and the lines below, where they say something."""
+
+    run: str
+    leads: tuple[str, ...]
+    facts: tuple[Fact, ...]
+
+
+def answer_of(run: ReportedRun) -> Answer:
+    """The answer of one run. Raises ReportError."""
+    leads = map(lead_of, main_tables(headline_tables([run])))
+    facts = (_compared(run), _weights(run), _keeps_up(run), _not_ranked(run))
+    return Answer(run.name, tuple(filter(None, leads)), tuple(fact for fact in facts if fact.value))
 
 
 def _compared(run: ReportedRun) -> Fact:

@@ -10,6 +10,7 @@ from markupsafe import Markup
 
 from gridtrack.common.files import write_text
 from gridtrack.reports.answer import answer_of
+from gridtrack.reports.changes import changes_of
 from gridtrack.reports.meanings import meanings
 from gridtrack.reports.notices import Notice, notices_of
 from gridtrack.reports.page_data import page_data
@@ -18,7 +19,7 @@ from gridtrack.reports.priors import priors_of
 from gridtrack.reports.probability_curves import probability_curves
 from gridtrack.reports.recording_section import players_of, section_of, styles_of
 from gridtrack.reports.run import UNDEFINED, ReportedRun, ReportError, read_runs
-from gridtrack.reports.run_description import changes_of, facts_of, lead_of, provenance_of, title_of
+from gridtrack.reports.run_description import facts_of, provenance_of, title_of
 from gridtrack.reports.scripts import data_in_page, joined_script, json_in_page, policy_of
 from gridtrack.reports.table import headline_tables, main_tables
 
@@ -59,8 +60,7 @@ def render_page(runs: Sequence[ReportedRun]) -> str:
         .get_template("page.html.j2")
         .render(
             title=title_of(runs),
-            leads=[lead_of(table) for table in main_tables(tables)] if len(runs) == 1 else [],
-            answer=answer_of(runs[0]) if len(runs) == 1 else (),
+            answers=[answer_of(run) for run in runs],
             changes=changes_of(runs) if len(runs) > 1 else (),
             runs=[(run, facts_of(run), provenance_of(run)) for run in runs],
             notices=[Notice(text, serious=True) for text in (*damaged, *unreadable, *unread)]

@@ -60,10 +60,10 @@ def page_data(
 ) -> dict[str, Any]:
     """The data of the page but the recordings that have a player, `players`, and what `priors.py` has, `priors`.
 
-    `trackers`: every row's label and style (CSS classes), `styles`, in their order. `scores`: those that any row has.
-    `headline`: what is shown first. `recordings`: for each the horizons, the rows in the order of the table with a
-    curve for each stratum and score, its times, scores under other conditions, classes, `label_budget` and `bins` (of
-    `curves`), the tiers by "score/stratum/step", and why there may be none. `conditions`: their names.
+    `trackers`: the key of every row as `label`, and its style (CSS classes), in the order of `styles`. `scores`: those
+    that any row has. `headline`: what is shown first. `recordings`: for each the horizons, the rows in the order of the
+    table with a curve for each stratum and score, its times, scores under other conditions, classes, `label_budget` and
+    `bins` (of `curves`), the tiers by "score/stratum/step", and why there may be none. `conditions`: their names.
     `level_colours`: those of the cells of moments.
     """
     first = tables[0].decisive
@@ -100,7 +100,7 @@ def _recording(
         "cell_m": GridSpec.parse(grid).cell_m if grid else None,
         "conditions_ahead": first.heading,
         "rows": [
-            _row(row, styles[row.label], table, first)
+            _row(row, styles[row.key], table, first)
             | {
                 "bins": curves.get((table.recording, row.name)),
                 "label_budget": label_budget_of(runs, table, row),
@@ -119,7 +119,7 @@ def _period_ms(table: HeadlineTable) -> float:
 def _row(row: TableRow, style: str, table: HeadlineTable, conditions_at: TableColumn) -> dict[str, Any]:
     return {
         "name": row.name,
-        "label": row.label,
+        "label": row.key,
         "style": style,
         "group": row.group,
         "outcome": row.outcome,

@@ -22,9 +22,18 @@ if TYPE_CHECKING:
     from matplotlib.lines import Line2D
 
 PANEL_INCHES = (2.6, 2.2)
-DASHES: Mapping[str, tuple[float, ...]] = {"f0": (7, 3), "f1": (3, 2), "f2": (1.5, 3), "ceiling": (1, 2)}
-AGAIN: tuple[float, ...] = (10, 2, 2, 2)
-"""Dashes of a colour that is used a second time."""
+DASHES: Mapping[str, tuple[float, ...]] = {
+    "f0": (7, 3),
+    "f1": (3, 2),
+    "f2": (1.5, 3),
+    "ceiling": (1, 2),
+    "again": (10, 2, 2, 2),
+    "run0": (),
+    "run1": (7, 3),
+    "run2": (2, 2),
+    "run3": (9, 2, 2, 2),
+}
+"""Dashes of each class of a style, as page.css has them; the last class of a style decides."""
 SETTINGS: dict[Any, Any] = {
     "font.family": "sans-serif",
     "font.size": 8,
@@ -52,7 +61,7 @@ def print_figure(
     panels = [_panels(one, bool(scores)) for one in exported]
     width, height = PANEL_INCHES
     css = (TEMPLATES / "page.css").read_text("utf-8")
-    looks = {label: _look(style, css) for label, style in styles_of(runs).items()}
+    looks = {key: _look(style, css) for key, style in styles_of(runs).items()}
     with matplotlib.rc_context(SETTINGS), warnings.catch_warnings():
         warnings.filterwarnings("ignore", "Glyph")  # a name in a script that the font lacks is drawn as boxes
         figure = Figure((width * max(map(len, panels)), height * len(panels)), layout="constrained")
@@ -80,12 +89,12 @@ def _panels(one: ExportedTable, chosen: bool) -> list[TableColumn]:
 
 def _look(style: str, css: str) -> tuple[str, tuple[float, ...]]:
     """The colour and the dashes that a style has on the light page."""
-    name, _, again = style.partition(" ")
+    name, *further = style.split()
     variable = "ink" if name == "ceiling" else name
     found = re.search(rf"--{variable}: (#[0-9a-f]{{3,6}})", css)
     if found is None:
         raise AssertionError(f"page.css has no colour --{variable}")
-    return found[1], AGAIN if again else DASHES.get(name, ())
+    return found[1], DASHES.get((name, *further)[-1], ())
 
 
 def _draw(
@@ -101,7 +110,7 @@ def _draw(
         scores = row.trial.strata.get(column.stratum)
         if scores is None or not row.trial.ranked:
             continue
-        colour, dashes = looks[row.label]
+        colour, dashes = looks[row.key]
         values = _values(scores, column.score, one.table.horizons_s)
         (line,) = axis.plot(
             one.table.horizons_s[1:], values, color=colour, linewidth=1.2, dashes=dashes or (None, None)

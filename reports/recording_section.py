@@ -10,13 +10,15 @@ from gridtrack.reports.differences import DifferenceTable, difference_table
 from gridtrack.reports.occluded_thresholds import OccludedThresholds, occluded_thresholds
 from gridtrack.reports.player import Player, player_of
 from gridtrack.reports.run import ReportedRun
-from gridtrack.reports.table import HeadlineTable
+from gridtrack.reports.table import HeadlineTable, row_key
 from gridtrack.reports.trainings import TrainingsTable, trainings_across, trainings_table
 
 TRACKER_COLOURS = 8
 """Further trackers repeat the colours, with broken lines."""
 FLOOR_GREYS = 3
 """Floors beyond this many repeat the greys."""
+RUN_DASHES = 4
+"""Runs beyond this many repeat the dashes."""
 
 
 @dataclass(frozen=True)
@@ -31,22 +33,36 @@ class Section:
 
 
 def styles_of(runs: Sequence[ReportedRun]) -> dict[str, str]:
-    """The style (CSS classes) of each label on the page: a colour for a tracker, a grey for the floor."""
-    styles: dict[str, str] = {}
+    """The style (CSS classes) of each row on the page by its key: a colour for a tracker, a grey for the floor.
+
+    A tracker has one colour in all runs, and where there are several each run has dashes of its own.
+    """
+    colours = _colours_of(runs)
+    if len(runs) == 1:
+        return colours
+    return {
+        row_key(run.name, label): f"{colours[label].partition(' ')[0]} run{i % RUN_DASHES}"
+        for i, run in enumerate(runs)
+        for label in run.summary.trackers
+    }
+
+
+def _colours_of(runs: Sequence[ReportedRun]) -> dict[str, str]:
+    colours: dict[str, str] = {}
     coloured = floors = 0
     for run in runs:
         for label, entry in run.summary.trackers.items():
-            if label in styles:
+            if label in colours:
                 continue
             if entry.ceiling:
-                styles[label] = "ceiling"
+                colours[label] = "ceiling"
             elif entry.floor:
-                styles[label] = f"f{floors % FLOOR_GREYS}"
+                colours[label] = f"f{floors % FLOOR_GREYS}"
                 floors += 1
             else:
-                styles[label] = f"t{coloured % TRACKER_COLOURS}" + (" again" if coloured >= TRACKER_COLOURS else "")
+                colours[label] = f"t{coloured % TRACKER_COLOURS}" + (" again" if coloured >= TRACKER_COLOURS else "")
                 coloured += 1
-    return styles
+    return colours
 
 
 def section_of(runs: Sequence[ReportedRun], table: HeadlineTable) -> Section:

@@ -8,14 +8,11 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from gridtrack.reports.run import UNDEFINED, ReportedRun
+from gridtrack.reports.run import ReportedRun
 from gridtrack.reports.table import HeadlineTable, TableRow
 
 MAX_PROVENANCE_LINES = 2000
 """Lines of run.json beyond this number are counted and not shown."""
-MAX_CHANGES = 200
-"""Lines in which runs differ beyond this number are counted and not shown."""
-_OF_EVERY_RUN = ("started", "finished", "status", "settings.out")
 
 
 @dataclass(frozen=True)
@@ -127,41 +124,21 @@ def _recording(run: ReportedRun, name: str) -> str:
 
 def provenance_of(run: ReportedRun) -> tuple[Fact, ...]:
     """run.json as lines of key and value."""
-    lines = list(_flattened("", run.record.model_dump(mode="json", by_alias=True)))
+    lines = list(flattened("", run.record.model_dump(mode="json", by_alias=True)))
     if len(lines) > MAX_PROVENANCE_LINES:
         lines[MAX_PROVENANCE_LINES:] = [Fact("…", f"{len(lines) - MAX_PROVENANCE_LINES} more lines in run.json")]
     return tuple(lines)
 
 
-@dataclass(frozen=True)
-class Change:
-    """One line of run.json in which runs differ: its value in each run, a dash where a run does not have it."""
-
-    name: str
-    values: tuple[str, ...]
-
-
-def changes_of(runs: Sequence[ReportedRun]) -> tuple[Change, ...]:
-    """What differs between the records of several runs, and nothing else; times of the runs are left out."""
-    records = [
-        {fact.name: fact.value for fact in _flattened("", run.record.model_dump(mode="json", by_alias=True))}
-        for run in runs
-    ]
-    names = dict.fromkeys(name for record in records for name in record if name not in _OF_EVERY_RUN)
-    lines = (Change(name, tuple(record.get(name, UNDEFINED) for record in records)) for name in names)
-    changes = [line for line in lines if len(set(line.values)) > 1]
-    if len(changes) > MAX_CHANGES:
-        more = Change(f"{len(changes) - MAX_CHANGES} more lines", ("run.json",) * len(runs))
-        changes[MAX_CHANGES:] = [more]
-    return tuple(changes)
-
-
-def _flattened(prefix: str, value: Any) -> Iterator[Fact]:
+def flattened(prefix: str, value: Any) -> Iterator[Fact]:
+    """JSON as lines, each named by its path below `prefix`; a list of words is a line as a shell reads it."""
     if isinstance(value, Mapping) and value:
         for key, inner in value.items():
-            yield from _flattened(f"{prefix}.{key}" if prefix else str(key), inner)
+            yield from flattened(f"{prefix}.{key}" if prefix else str(key), inner)
     elif isinstance(value, list) and any(isinstance(inner, dict | list) for inner in value):
         for i, inner in enumerate(value):
-            yield from _flattened(f"{prefix}[{i}]", inner)
+            yield from flattened(f"{prefix}[{i}]", inner)
+    elif isinstance(value, list) and value and all(isinstance(inner, str) for inner in value):
+        yield Fact(prefix, shlex.join(value))
     else:
         yield Fact(prefix, value if isinstance(value, str) else json.dumps(value, ensure_ascii=False))

@@ -80,6 +80,11 @@ class TableCell:
         return "" if self.interval is None else f"[{self.interval[0]:.3f}, {self.interval[1]:.3f}]"
 
 
+def row_key(run: str, label: str) -> str:
+    """A row's label after the name of its run; that is empty on the page of one run."""
+    return f"{run}: {label}" if run else label
+
+
 @dataclass(frozen=True)
 class TableRow:
     """One tracker on one recording."""
@@ -92,10 +97,15 @@ class TableRow:
     cells: tuple[TableCell, ...]
 
     @property
+    def key(self) -> str:
+        """What tells the row from all others on the page."""
+        return row_key(self.run, self.label)
+
+    @property
     def name(self) -> str:
         """The label, whether its weights are general, and before it the name of the run where there are several."""
         label = f"{self.label} (general)" if "general" in self.trial.card else self.label
-        return f"{self.run}: {label}" if self.run else label
+        return row_key(self.run, label)
 
     @property
     def outcome(self) -> str:

@@ -13,10 +13,10 @@ import pytest
 
 from gridtrack.common.grid import GridSpec
 from gridtrack.evaluation.scoring.samples import SAMPLES, read_samples
+from gridtrack.reports.changes import changes_of
 from gridtrack.reports.page import render_report
 from gridtrack.reports.pictures import frame_png, probability_png
 from gridtrack.reports.run import ReportError, read_runs
-from gridtrack.reports.run_description import changes_of
 
 from scenes.report_page import data_of
 
@@ -216,7 +216,7 @@ def test_what_changed_between_runs_is_what_differs_and_nothing_else(run_folder, 
     record["versions"] = {**record["versions"], "torch": "9.9"}
     (second / "run.json").write_text(json.dumps(record))
     changes = {one.name: one.values for one in changes_of(read_runs([first, second]))}
-    assert set(changes) <= {"command", "command[0]", "command[1]", "versions.torch"}
+    assert set(changes) == {"command", "versions.torch"}
     assert changes["versions.torch"][1] == "9.9"
     page = render_report([first, second]).read_text("utf-8")
     assert_self_contained(page)

@@ -1,0 +1,111 @@
+"""The page of several runs: rows of each run told apart, an answer for each, and near the top what differs."""
+
+import json
+import shutil
+
+import pytest
+
+from gridtrack.reports.changes import changes_of
+from gridtrack.reports.page import render_report
+from gridtrack.reports.run import read_runs
+
+
+def changed(run, **fields):
+    record = json.loads((run / "run.json").read_text())
+    (run / "run.json").write_text(json.dumps(record | fields))
+
+
+@pytest.fixture(scope="module")
+def two(run_folder, tmp_path_factory):
+    """Two runs of the same trackers, named before and after, of which only the commands differ."""
+    folder = tmp_path_factory.mktemp("two")
+    runs = [shutil.copytree(run_folder, folder / name) for name in ("before", "after")]
+    changed(runs[1], command=["gridtrack", "another"])
+    return runs
+
+
+@pytest.fixture
+def page(browser, two):
+    page = browser.new_page(viewport={"width": 1280, "height": 900})
+    page.set_default_timeout(60_000)
+    page.goto(render_report(two).as_uri())
+    page.locator("#every-score table").wait_for()
+    yield page
+    page.close()
+
+
+LOOKS = """all => all.map((one) => {
+  const style = getComputedStyle(one.querySelector("polyline"));
+  return [one.querySelector("title").textContent, style.stroke, style.strokeDasharray];
+})"""
+
+
+def test_a_tracker_has_one_colour_in_both_runs_and_another_dash_in_each(page):
+    looks = {name: (colour, dash) for name, colour, dash in page.locator("#curves g.line").evaluate_all(LOOKS)}
+    for tracker in ("good", "fair", "blank", "persistence"):
+        before, after = looks[f"before: {tracker}"], looks[f"after: {tracker}"]
+        assert before[0] == after[0]
+        assert before[1] != after[1]
+    assert len(set(looks.values())) == len(looks)
+
+
+def test_a_button_hides_the_row_of_one_run(page):
+    page.get_by_role("button", name="before: good", exact=True).click()
+    names = page.locator("#curves g.line title").all_text_contents()
+    assert "before: good" not in names
+    assert "after: good" in names
+    assert not page.locator(".headline tr", has_text="before: good").is_visible()
+    assert page.locator(".headline tr", has_text="after: good").is_visible()
+
+
+def test_each_run_has_its_answer_and_what_changed_stands_before_the_figures(page):
+    answers = page.locator("header").inner_text().partition("\nbefore\n")[2].split("\nafter\n")
+    assert len(answers) == 2
+    for answer in answers:
+        assert "good and fair have the highest PR-AUC on in-motion cells" in answer
+        assert "Compared on" in answer
+    headings = page.locator("h2").all_text_contents()
+    assert headings.index("What changed") < headings.index("Ranking")
+
+
+def trials(recording, **options):
+    return {f"{label}@{recording}": {"tracker": label, "options": given} for label, given in options.items()}
+
+
+@pytest.fixture
+def records(two, tmp_path):
+    """Two runs, the second with another option of `good`, without `fair`, and with a seed of all its trials."""
+    before, after = (shutil.copytree(run, tmp_path / run.name) for run in two)
+    described = json.loads((before / "run.json").read_text())["configuration"]["recordings"]
+    given = trials("crossing", good={}, fair={}, persistence={})
+    changed(before, command=["gridtrack", "compare", "a b"], configuration={"recordings": described, "trials": given})
+    given = trials("crossing", good={"gate": 3.0}, persistence={})
+    given = {name: one | {"seed": 3} for name, one in given.items()}
+    changed(after, command=["gridtrack", "compare"], configuration={"recordings": described, "trials": given})
+    summary = json.loads((after / "summary.json").read_text())
+    del summary["trackers"]["fair"]
+    (after / "summary.json").write_text(json.dumps(summary))
+    return read_runs([before, after])
+
+
+def test_what_changed_is_a_line_for_each_difference_with_the_options_first(records):
+    assert [(one.name, one.values) for one in changes_of(records)] == [
+        ("trackers not in every run", ("fair", "–")),
+        ("good: options.gate", ("–", "3.0")),
+        ("good, persistence: seed", ("0", "3")),
+        ("command", ("gridtrack compare 'a b'", "gridtrack compare")),
+    ]
+
+
+def test_a_tracker_is_compared_across_other_recordings(records):
+    before, after = records
+    for run, name in ((before, "here"), (after, "there")):
+        for file in ("run.json", "summary.json"):
+            text = (run.path / file).read_text()
+            (run.path / file).write_text(text.replace('"crossing"', f'"{name}"').replace("@crossing", f"@{name}"))
+        for folder in run.path.glob("*@crossing"):
+            folder.rename(run.path / folder.name.replace("@crossing", f"@{name}"))
+    names = {one.name: one.values for one in changes_of(read_runs([before.path, after.path]))}
+    assert names["recordings not in every run"] == ("here", "there")
+    assert names["good: options.gate"] == ("–", "3.0")
+    assert len(names) == 5
