@@ -9,6 +9,12 @@ export function choice(name, options, chosen, changed) {
   return make("label", { class: "choice" }, make("span", {}, name), select);
 }
 
+// What is chosen, as a line of text.
+export function choiceWords(listed, chosen) {
+  const textOf = (key, options) => options.find(([value]) => String(value) === String(chosen[key]))?.[1];
+  return listed.map(([key, name, options]) => `${name}: ${textOf(key, options)}`).join("; ");
+}
+
 // The choices of a figure in a row, with nothing to choose left out; drawn again after every change.
 export function choiceBar(listed, chosen, redraw) {
   const bar = make("div", { class: "choices" });

@@ -13,6 +13,7 @@ function rowsUnder({ recording, kind }) {
 function conditionChart(chosen) {
   const { kind, stratum } = chosen;
   const { name, unit } = pageData.conditions[kind];
+  const axis = unit ? `${name},${unit}` : name;
   const lines = rowsUnder(chosen).map((row) => {
     const { values: xs, f1, notes } = row.conditions[kind];
     return lineOf(row, { xs, values: f1[stratum] ?? xs.map(() => null), notes });
@@ -21,7 +22,7 @@ function conditionChart(chosen) {
   const text = (value) => `${kind === "rate" ? (value ? `×${value}` : "untimed") : Number(value.toPrecision(3))}${unit}`;
   return {
     lines,
-    x: { name, ticks: places.map((place) => [place, text(place)]), words: (place) => `${name} ${text(place)}` },
+    x: { name: axis, ticks: places.map((place) => [place, text(place)]), words: (place) => `${name} ${text(place)}` },
     y: { name: "F1", fromZero: true },
   };
 }
@@ -42,6 +43,6 @@ export function startConditions() {
         ["stratum", "Cells", Object.keys(row?.conditions[now.kind].f1 ?? {}).map((name) => [name, `${name} cells`])]];
     },
     chart: conditionChart,
-    line: ({ recording: name, kind }) => `F1 ${recordingNamed(name).conditions_ahead} ahead, ${pageData.conditions[kind].meaning}.`,
+    line: ({ recording: name, kind }) => `F1 ${recordingNamed(name).conditions_ahead} ahead; ${pageData.conditions[kind].name}: ${pageData.conditions[kind].meaning}.`,
   });
 }

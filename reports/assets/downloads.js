@@ -1,13 +1,38 @@
 // A figure as a file of its own, and its numbers as CSV.
-import { make } from "./elements.js";
+import { svgText } from "./axis.js";
+import { draw, make } from "./elements.js";
+import { nameLines, textWidth } from "./row_names.js";
 
+// Not "font": it is empty wherever a part of it, as here the digits of equal width, cannot be said in short.
 const DRAWN = ["fill", "fill-opacity", "stroke", "stroke-width", "stroke-dasharray", "stroke-linejoin", "opacity",
-  "font", "text-anchor", "filter", "image-rendering"];
+  "font-family", "font-size", "font-style", "font-weight", "text-anchor", "filter", "image-rendering"];
+const LINE_OF_HEAD = 18, SWATCH = 30;
 
 function save(text, type, name) {
   const link = make("a", { href: URL.createObjectURL(new Blob([text], { type })), download: name });
   link.click();
   setTimeout(() => URL.revokeObjectURL(link.href), 1000);
+}
+
+// The drawing below its title, the lines that say what it shows, and its legend: { title, words, legend }, as a reader of
+// the file has no page around it. `legend`: { name, style } of each line.
+function withHead(svg, { title, words, legend }) {
+  const { width, height } = svg.viewBox.baseVal;
+  const root = draw("svg", { class: "figure-drawing" }, svgText(0, 18, title, { class: "title-of-file" }));
+  let y = 22;
+  for (const line of words.flatMap((text) => nameLines(text, width))) root.append(svgText(0, y += LINE_OF_HEAD, line, { class: "tick" }));
+  let x = width;
+  for (const { name, style } of legend) {
+    const wide = SWATCH + textWidth(name) + 16;
+    if (x + wide > width) [x, y] = [0, y + LINE_OF_HEAD];
+    root.append(draw("g", { class: `line ${style}` }, draw("polyline", { points: `${x},${y - 4} ${x + SWATCH - 6},${y - 4}` }),
+      svgText(x + SWATCH, y, name)));
+    x += wide;
+  }
+  const head = y + 14;
+  root.append(draw("g", { transform: `translate(0 ${head})` }, ...svg.cloneNode(true).childNodes));
+  for (const [name, value] of Object.entries({ viewBox: `0 0 ${width} ${head + height}`, width, height: head + height })) root.setAttribute(name, value);
+  return root;
 }
 
 // An SVG as text, with the styles that the page gives it, on the page's paper.
@@ -20,6 +45,7 @@ function standalone(svg) {
   });
   copy.querySelectorAll(".reading").forEach((reading) => reading.remove());
   copy.setAttribute("xmlns", "http://www.w3.org/2000/svg");
+  copy.style.removeProperty("position");
   copy.style.background = getComputedStyle(document.body).backgroundColor;
   return new XMLSerializer().serializeToString(copy);
 }
@@ -31,11 +57,22 @@ function csvCell(value) {
   return `"${value.replace(/^[=+\-@\t\r]/, "'$&").replaceAll('"', '""')}"`;
 }
 
-// Two buttons, for a table only the second; `svg()` is the figure, null for a table, and `rows()` its numbers, headings first, at the time of the click.
-export function downloadButtons(name, svg, rows) {
+// A figure as the text of a file; it is on the page for as long as its styles are read.
+function fileOf(svg, head) {
+  const whole = withHead(svg, head);
+  whole.style.position = "absolute";
+  svg.after(whole);
+  const text = standalone(whole);
+  whole.remove();
+  return text;
+}
+
+// Two buttons, for a table only the second; `svg()` is the figure, null for a table, `head()` what
+// stands above it in the file, and `rows()` its numbers, headings first, at the time of the click.
+export function downloadButtons(name, svg, head, rows) {
   const file = (ending) => `${name}.${ending}`;
   const asSvg = make("button", { type: "button", "aria-label": `Download ${name} as SVG` }, "SVG");
-  asSvg.addEventListener("click", () => save(standalone(svg()), "image/svg+xml", file("svg")));
+  asSvg.addEventListener("click", () => save(fileOf(svg(), head()), "image/svg+xml", file("svg")));
   asSvg.hidden = !svg();
   const asCsv = make("button", { type: "button", "aria-label": `Download the numbers of ${name} as CSV` }, "CSV");
   asCsv.addEventListener("click", () => {

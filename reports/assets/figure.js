@@ -1,5 +1,5 @@
 // A figure of the page: choices, a drawing, one line on what it shows, and its downloads.
-import { choiceBar } from "./choices.js";
+import { choiceBar, choiceWords } from "./choices.js";
 import { downloadButtons } from "./downloads.js";
 import { make, meaning } from "./elements.js";
 import { numbersOfChart, lineChart } from "./line_chart.js";
@@ -29,7 +29,12 @@ export function startFigure(figure) {
   firstWidth ||= holder.clientWidth;
   width = firstWidth;
   redraw();
-  controls.append(downloadButtons(id, () => holder.querySelector("svg.figure-drawing"), () => numbers(chosen)));
+  const head = () => ({
+    title: section.querySelector("h2").textContent,
+    words: [choiceWords(figure.choices(chosen), chosen), figure.line(chosen)],
+    legend: figure.chart ? figure.chart(chosen).lines.toReversed() : [],
+  });
+  controls.append(downloadButtons(id, () => holder.querySelector("svg.figure-drawing"), head, () => numbers(chosen)));
   whenShownChange(redraw);
   new ResizeObserver(() => {
     if (holder.clientWidth === width) return;

@@ -20,14 +20,15 @@ function drawLatency({ recording, call }, width) {
   const [low, high] = [Math.floor(Math.min(...times)), Math.ceil(Math.max(...times) + 0.01)];
   const narrow = width < 560, left = narrow ? 124 : 210, right = width - 110;
   const x = scaleOf(low, high, left, right), places = namedRows(rows.map((row) => row.name), left - 12, ROW);
-  const height = heightOf(places) + 28, decades = Math.ceil(TICK_ROOM / (x(low + 1) - x(low)));
+  const height = heightOf(places) + 46, bottom = height - 42, decades = Math.ceil(TICK_ROOM / (x(low + 1) - x(low)));
   const svg = draw("svg", { class: "figure-drawing", viewBox: `0 0 ${width} ${height}`, width, height, role: "img" });
   svg.setAttribute("aria-label", rows.map((row) => `${row.name} ${inMs(row.latency[call][0])} ms`).join(", "));
   for (let decade = high; decade >= low; decade -= decades) {
-    svg.append(draw("line", { class: "grid", x1: x(decade), x2: x(decade), y1: 0, y2: height - 24 }),
-      svgText(x(decade), height - 8, `${10 ** decade}${decade === high ? " ms" : ""}`, { class: "tick", "text-anchor": "middle" }));
+    svg.append(draw("line", { class: "grid", x1: x(decade), x2: x(decade), y1: 0, y2: bottom }),
+      svgText(x(decade), bottom + 16, `${10 ** decade}${decade === high ? " ms" : ""}`, { class: "tick", "text-anchor": "middle" }));
   }
-  svg.append(draw("line", { class: "period", x1: x(log(period)), x2: x(log(period)), y1: 0, y2: height - 24 }));
+  svg.append(draw("line", { class: "period", x1: x(log(period)), x2: x(log(period)), y1: 0, y2: bottom }));
+  svg.append(svgText(right, height - 5, `${CALLS.find(([name]) => name === call)[1]}, ms`, { class: "axis-name", "text-anchor": "end" }));
   rows.forEach((row, i) => svg.append(drawnRow(row, row.latency[call].map(log).map(x), places[i], width, row.latency[call],
     row.latency.twentieths[call].map(log).map(x))));
   return svg;

@@ -2,7 +2,7 @@
 import { axisRange, inDigits, roundTicks, scaleOf, svgText } from "./axis.js";
 import { draw, make } from "./elements.js";
 
-const HEIGHT = 380, LEFT = 44, RIGHT = 14, BOTTOM = 30, TOP = 10;
+const HEIGHT = 408, LEFT = 44, RIGHT = 14, BOTTOM = 46, TOP = 24;
 const READING_PLACES = 51;
 
 // A chart: { lines, x, y }. A line: { name, style, xs, values, low, high }; `low` and `high` may be null. Where a line has
@@ -18,6 +18,7 @@ export function lineChart({ lines, x: across, y: up, diagonal, width }) {
   const y = scaleOf(...range, HEIGHT - BOTTOM, TOP);
   const svg = draw("svg", { class: "figure-drawing", viewBox: `0 0 ${width} ${HEIGHT}`, width, height: HEIGHT, role: "img" });
   svg.setAttribute("aria-label", `${up.name}: ${lines.map((one) => `${one.name} ${inDigits(one.values.at(-1))}`).join(", ")}`);
+  if (!lines.length) return nothingShown(svg, width);
   for (const tick of roundTicks(...range, 6)) {
     svg.append(draw("line", { class: "grid", x1: LEFT, x2: width - RIGHT, y1: y(tick), y2: y(tick) }),
       svgText(LEFT - 8, y(tick) + 4, String(tick), { class: "tick", "text-anchor": "end" }));
@@ -25,12 +26,20 @@ export function lineChart({ lines, x: across, y: up, diagonal, width }) {
   const ticks = across.ticks ?? roundTicks(first, last, width < 500 ? 4 : 8).map((tick) => [tick, `${tick}${across.unit ?? ""}`]);
   for (const [place, words] of ticks) {
     const anchor = x(place) > width - 3 * RIGHT ? "end" : "middle";
-    svg.append(svgText(anchor === "end" ? width : x(place), HEIGHT - 8, words, { class: "tick", "text-anchor": anchor }));
+    svg.append(svgText(anchor === "end" ? width : x(place), HEIGHT - 24, words, { class: "tick", "text-anchor": anchor }));
   }
-  if (across.unranked) svg.append(draw("rect", { class: "unranked-step", x: LEFT, y: TOP, width: x(places[1]) - LEFT, height: HEIGHT - BOTTOM - TOP }));
+  svg.append(svgText(width, HEIGHT - 5, across.name, { class: "axis-name", "text-anchor": "end" }),
+    svgText(0, 12, up.name, { class: "axis-name" }));
+  if (across.unranked && places.length > 1) svg.append(draw("rect", { class: "unranked-step", x: LEFT, y: TOP, width: x(places[1]) - LEFT, height: HEIGHT - BOTTOM - TOP }));
   if (diagonal) svg.append(draw("line", { class: "axis", x1: x(0), y1: y(0), x2: x(1), y2: y(1) }));
   for (const one of lines) svg.append(drawnLine(one, x, y));
   return withReading(svg, { lines, places: readingPlaces(places, [first, last]), words: wordsOf(across), x, y, width });
+}
+
+// Without a line there is neither a range nor a place to put a tick.
+function nothingShown(svg, width) {
+  svg.append(svgText(width / 2, HEIGHT / 2, "no tracker is shown", { class: "tick", "text-anchor": "middle" }));
+  return make("div", { class: "chart" }, svg);
 }
 
 // The places of all lines, in order.

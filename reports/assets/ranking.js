@@ -33,13 +33,14 @@ function drawRanking(chosen, width) {
   const range = axisRange(rows.flatMap((row) => [at(row), at(row, "_low"), at(row, "_high")]), false);
   const x = scaleOf(...range, left, width - right);
   const places = namedRows(rows.map((row) => row.name), left - 12, LINE);
-  const height = heightOf(places) + 28;
+  const height = heightOf(places) + 46, bottom = height - 42;
   const svg = draw("svg", { class: "figure-drawing ranking", viewBox: `0 0 ${width} ${height}`, width, height, role: "img" });
   svg.setAttribute("aria-label", rows.map((row) => `${row.name} ${inDigits(at(row))}`).join(", "));
   for (const tick of roundTicks(...range, narrow ? 3 : 6)) {
-    svg.append(draw("line", { class: "grid", x1: x(tick), x2: x(tick), y1: 0, y2: height - 24 }),
-      svgText(x(tick), height - 8, String(tick), { class: "tick", "text-anchor": "middle" }));
+    svg.append(draw("line", { class: "grid", x1: x(tick), x2: x(tick), y1: 0, y2: bottom }),
+      svgText(x(tick), bottom + 16, String(tick), { class: "tick", "text-anchor": "middle" }));
   }
+  svg.append(svgText(width - right, height - 5, scoreNamed(chosen.score).name, { class: "axis-name", "text-anchor": "end" }));
   rows.forEach((row, i) => svg.append(drawRow(row, at, x, places[i], width - right)));
   groups.forEach((members, g) => {
     const bar = width - right + 64 + 12 * g;

@@ -6,7 +6,7 @@ const ENDS_LINE = /[^\s\-_.,:/]*[\s\-_.,:/]|[^\s\-_.,:/]+$/g; // a part of a nam
 let pen = null;
 
 // The width of a text in the font of drawings, pixels.
-function textWidth(text) {
+export function textWidth(text) {
   if (!pen) {
     pen = document.createElement("canvas").getContext("2d");
     pen.font = `12px ${getComputedStyle(document.body).fontFamily}`;
@@ -15,7 +15,7 @@ function textWidth(text) {
 }
 
 // The name in lines at most `room` pixels wide; a part that is wider ends anywhere.
-function nameLines(name, room) {
+export function nameLines(name, room) {
   const lines = [""];
   const add = (text) => {
     if (textWidth(lines.at(-1) + text) <= room) lines[lines.length - 1] += text;

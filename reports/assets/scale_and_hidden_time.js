@@ -50,7 +50,7 @@ function hiddenChart({ recording, score, step }) {
   const text = (i) => ages[i].replace("occluded ", "");
   return {
     lines,
-    x: { name: "age", range: [0, Math.max(ages.length - 1, 1)], ticks: xs.map((i) => [i, text(i)]), words: (i) => `unseen for ${text(i)}` },
+    x: { name: "time since the cell was last seen", range: [0, Math.max(ages.length - 1, 1)], ticks: xs.map((i) => [i, text(i)]), words: (i) => `unseen for ${text(i)}` },
     y: { name: scoreNamed(score).name, fromZero: true },
   };
 }

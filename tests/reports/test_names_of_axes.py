@@ -1,0 +1,98 @@
+"""A chart names its axes, alone with one tracker or with none; its file has title, choices, legend and names of axes."""
+
+import json
+import re
+import shutil
+from xml.etree import ElementTree
+
+import pytest
+
+from gridtrack.reports.page import render_report
+
+from scenes.report_page import HOSTILE
+
+AXES = {
+    "curves": ("horizon, s", "PR-AUC"),
+    "scale": ("side in cells", "FSS"),
+    "precision-recall": ("recall", "precision"),
+    "threshold": ("threshold", "F1"),
+    "calibration": ("forecast probability", "share occupied"),
+}
+INSIDE = """svg => {
+  const box = svg.getBoundingClientRect();
+  return [...svg.querySelectorAll("text")].filter((one) => {
+    const { left, right, top, bottom } = one.getBoundingClientRect();
+    return left < box.left - 1 || right > box.right + 1 || top < box.top - 1 || bottom > box.bottom + 1;
+  }).map((one) => one.textContent);
+}"""
+
+
+@pytest.mark.parametrize("width", [1280, 400])
+def test_a_chart_names_both_axes_within_the_drawing(opened, width):
+    page, _ = opened(width=width)
+    for figure, names in AXES.items():
+        drawing = page.locator(f"#{figure} svg.figure-drawing")
+        assert drawing.locator("text.axis-name").all_text_contents() == list(names)
+        assert drawing.evaluate(INSIDE) == []
+    for figure, name in (("ranking", "PR-AUC"), ("latency", "update, ms")):
+        assert page.locator(f"#{figure} text.axis-name").all_text_contents() == [name]
+
+
+def test_with_every_tracker_off_a_chart_says_so_without_an_error(opened):
+    page, _ = opened()
+    for button in page.locator("#trackers button").all():
+        button.click()
+    assert "no tracker is shown" in page.locator("#curves svg.figure-drawing").text_content()
+    assert page.locator("#scale svg .tick").evaluate_all(
+        "all => all.every((one) => one.getBoundingClientRect().right <= innerWidth)"
+    )
+
+
+def texts_of(svg):
+    return [" ".join(one.itertext()) for one in ElementTree.fromstring(svg).iter("{http://www.w3.org/2000/svg}text")]
+
+
+def saved_svg(page, figure):
+    with page.expect_download() as saved:
+        page.locator(f"#{figure}").get_by_role("button", name="SVG").click()
+    return saved.value.path().read_text("utf-8")
+
+
+def test_the_file_of_a_chart_stands_alone(opened):
+    page, _ = opened()
+    svg = saved_svg(page, "threshold")
+    texts = texts_of(svg)
+    assert texts[0] == "Threshold"
+    assert any("Recording: crossing; Cells: in-motion cells; Ahead: 1 s" in one for one in texts)
+    assert any("F1 at every threshold." in one for one in texts)
+    legend = page.locator("#threshold g.line > title").all_text_contents()
+    assert legend
+    assert HOSTILE in legend
+    assert set(legend) <= set(texts)
+    assert {"threshold", "F1"} <= set(texts)
+    assert all("font-size: 1" in style for style in re.findall(r'<text [^>]*style="([^"]*)', svg))
+    assert page.locator("svg.figure-drawing").count() == page.locator(".drawn svg.figure-drawing").count()
+
+
+def test_the_file_of_a_ranking_has_its_title_and_the_names_of_its_rows(opened):
+    page, _ = opened()
+    texts = texts_of(saved_svg(page, "ranking"))
+    assert texts[0] == "Ranking"
+    assert {"PR-AUC", "good", "persistence"} <= set(texts)
+
+
+def test_the_figure_of_degraded_input_names_the_only_kind(browser, run_folder, tmp_path):
+    run = shutil.copytree(run_folder, tmp_path / "run")
+    summary = json.loads((run / "summary.json").read_text())
+    trial = summary["trackers"]["good"]["recordings"]["crossing"]
+    f1 = {"in-motion": trial["strata"]["in-motion"]["f1"]}
+    points = [{"strength": at, "value": 0.2 * at, "delivered": "", "f1": f1} for at in (0.0, 1.0)]
+    trial["robustness"] = {"degradation": {"beam_dropout": 0.2}, "kinds": {"beam_dropout": points}}
+    (run / "summary.json").write_text(json.dumps(summary))
+    page = browser.new_page()
+    page.set_default_timeout(60_000)
+    page.goto(render_report([run]).as_uri())
+    figure = page.locator("#conditions")
+    assert figure.locator("text.axis-name").all_text_contents() == ["beams without a return", "F1"]
+    assert "beams without a return: input degraded" in figure.locator(".note").inner_text()
+    page.close()
