@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from types import TracebackType
 from typing import Self
 
@@ -40,6 +40,7 @@ class RunProgress:
         self._frames: dict[str, int] = {}
         """Of each trial that is planned, has started or has ended in this run."""
         self._ended: set[str] = set()
+        self._then = ""
         self._delivered: dict[str, int] = {}
         self._began_s = self._last_line_s = time.monotonic()
         self._all: TaskID | None = None
@@ -58,9 +59,12 @@ class RunProgress:
         self._last_line_s = time.monotonic()
         self._console.print(escape(printable(text)), highlight=False, soft_wrap=True)
 
-    def planned(self, frames: Mapping[str, int]) -> None:
-        """The trials that will run, and about how many frames each will receive."""
-        self._frames = dict(frames)
+    def planned(self, frames: Mapping[str, int], then: Sequence[str] = ()) -> None:
+        """The trials that will run, and about how many frames each will receive.
+
+        `then`: what follows them; it is named beside the time left, which does not count it.
+        """
+        self._frames, self._then = dict(frames), "".join(f", then {what}" for what in then)
         self._began_s = time.monotonic()
         self._all = self._bars.add_task(self._all_text(), total=self._total(), left="")
 
@@ -115,7 +119,7 @@ class RunProgress:
             share = sum(self._delivered.values()) / max(self._total(), 1)
         if share < MIN_SHARE or share >= 1.0:
             return ""
-        return f"{duration_text((time.monotonic() - self._began_s) * (1.0 - share) / share)} left"
+        return f"{duration_text((time.monotonic() - self._began_s) * (1.0 - share) / share)} left{self._then}"
 
     def _overall(self) -> str:
         return ", ".join(filter(None, (self._all_text(), self._left())))

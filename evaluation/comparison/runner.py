@@ -30,7 +30,7 @@ def _run(plan: ComparisonPlan, command: Sequence[str], progress: RunObserver, en
     stages = Stages(plan, folder.path, progress, engine)
     for name, record in folder.kept_records().items():
         stages.keep(name, record)
-    progress.planned(stages.planned_frames())
+    progress.planned(stages.planned_frames(), stages.planned_passes())
     interrupted = False
     try:
         stages.score_missing()

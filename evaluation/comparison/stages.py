@@ -53,6 +53,16 @@ class Stages:
             chosen.add(work.thresholds_key)
         return planned
 
+    def planned_passes(self) -> list[str]:
+        """What is requested beside the scores, in the order in which it is measured."""
+        settings = self._plan.settings
+        requested = (
+            ("degraded input", settings.degrade),
+            ("latency", settings.latency),
+            ("deadlines", settings.deadline),
+        )
+        return [name for name, wanted in requested if wanted]
+
     def score_missing(self) -> None:
         """Run every trial without a record, and score the oracle on every recording with truth that lacks it."""
         self._carry_out(self._without_score())

@@ -24,8 +24,8 @@ class RunObserver(Protocol):
     def note(self, text: str) -> None:
         """A message for the user, one line."""
 
-    def planned(self, frames: Mapping[str, int]) -> None:
-        """The trials that will run, and about how many frames each will receive."""
+    def planned(self, frames: Mapping[str, int], then: Sequence[str] = ()) -> None:
+        """The trials that will run, and about how many frames each will receive; `then`: what follows them."""
 
     def started(self, trial: str, frames: int) -> None:
         """A trial starts; it will receive `frames` frames."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 from gridtrack.evaluation.results.trial_record import TrialRecord
 
@@ -13,7 +13,7 @@ class NoProgress:
     def note(self, text: str) -> None:
         """Show nothing."""
 
-    def planned(self, frames: Mapping[str, int]) -> None:
+    def planned(self, frames: Mapping[str, int], then: Sequence[str] = ()) -> None:
         """Show nothing."""
 
     def started(self, trial: str, frames: int) -> None:

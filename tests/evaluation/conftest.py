@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -130,7 +130,7 @@ class RecordedProgress:
     def note(self, text: str) -> None:
         self.notes.append(text)
 
-    def planned(self, frames: dict[str, int]) -> None:
+    def planned(self, frames: dict[str, int], then: Sequence[str] = ()) -> None:
         self.planned_frames = frames
 
     def started(self, trial: str, frames: int) -> None:

@@ -59,7 +59,7 @@ def test_on_a_terminal_all_trials_have_a_bar_with_the_time_left():
 def test_elsewhere_lines_say_how_far_all_trials_are(monkeypatch):
     console = Console(file=io.StringIO(), width=80, force_terminal=False)
     with RunProgress(console) as progress:
-        progress.planned({"a@hall": 100, "b@hall": 100})
+        progress.planned({"a@hall": 100, "b@hall": 100}, ["latency"])
         progress._began_s -= 60.0
         progress.started("a@hall", 100)
         progress.started("b@hall", 50)  # its thresholds are known already
@@ -72,6 +72,6 @@ def test_elsewhere_lines_say_how_far_all_trials_are(monkeypatch):
         progress.ended("a@hall", record())
         progress.ended("kept@hall", record())
     lines = console.file.getvalue().splitlines()
-    assert re.fullmatch(r"b@hall: 1/50 frames; 0 of 2 trials, 1 min 5\d s left", lines[0])
+    assert re.fullmatch(r"b@hall: 1/50 frames; 0 of 2 trials, 1 min 5\d s left, then latency", lines[0])
     assert re.fullmatch(r"a@hall: ok, 10/10 forecasts scored, 0\.0 s \(1 of 2 trials, \d+ s left\)", lines[1])
     assert lines[2] == "kept@hall: ok, 10/10 forecasts scored, 0.0 s"

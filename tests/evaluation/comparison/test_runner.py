@@ -218,7 +218,7 @@ def start(settings, tmp_path, *trackers):
         "run(resolve(CompareSettings.model_validate_json(sys.argv[1])), (), SilentProgress())"
     )
     source = (
-        "class SilentProgress:\n    def note(self, text): ...\n    def planned(self, frames): ...\n"
+        "class SilentProgress:\n    def note(self, text): ...\n    def planned(self, frames, then=()): ...\n"
         "    def started(self, trial, frames): ...\n"
         "    def advanced(self, trial): ...\n    def ended(self, trial, record): ...\n"
     )
