@@ -55,12 +55,8 @@ class Stages:
 
     def planned_passes(self) -> list[str]:
         """What is requested beside the scores, in the order in which it is measured."""
-        settings = self._plan.settings
-        requested = (
-            ("degraded input", settings.degrade),
-            ("latency", settings.latency),
-            ("deadlines", settings.deadline),
-        )
+        asked = self._plan.settings
+        requested = (("degraded input", asked.degrade), ("latency", asked.latency), ("deadlines", asked.deadline))
         return [name for name, wanted in requested if wanted]
 
     def score_missing(self) -> None:
