@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from gridtrack.evaluation.results.columns import SCORES_TABLE
+from gridtrack.evaluation.results.recording import RecordingIdentity
 from gridtrack.evaluation.scoring.samples import SAMPLES, Sample, SamplesError, read_samples
 from gridtrack.reports.moment_choice import ChosenMoment, FrameScore, frame_scores, moments_in_order
 from gridtrack.reports.moment_packing import TrackerPlanes, pack_moment
@@ -29,12 +30,13 @@ class Player:
 
 
 def player_of(
-    table: HeadlineTable, folders: Mapping[str, Path], horizons_s: Sequence[float], budget: int
+    table: HeadlineTable, folders: Mapping[str, Path], described: RecordingIdentity, budget: int
 ) -> tuple[Player | None, tuple[str, ...]]:
     """The player of one recording, whose moments have `budget` bytes, and notices of samples that cannot be read.
 
-    `folders`: the folder of each trial by label; `horizons_s`: of steps 0..n. Moments are judged by the scores of
-    cells in motion at the decisive step. The player is None where no trial kept samples. Raises ReportError.
+    `folders`: the folder of each trial by label. Moments are judged by the scores of cells in motion at the decisive
+    step; their times are seconds since the start of the recording. The player is None where no trial kept samples.
+    Raises ReportError.
     """
     samples, notices = _kept_samples(table.rows, folders)
     trackers = sorted((row for row in table.rows if samples.get(row.label)), key=lambda row: row.group == "ceiling")
@@ -44,7 +46,7 @@ def player_of(
     reference = samples[complete[0].label]
     first = next(iter(reference.values()))
     _refuse_others(samples, first)
-    steps = [min(range(len(horizons_s)), key=lambda n: abs(horizons_s[n] - h)) for h in first.horizons_s]
+    steps = _steps_of(described, first)
     if not steps:
         return None, notices
     decisive = min(range(len(steps)), key=lambda h: abs(steps[h] - table.decisive.step))
@@ -52,7 +54,9 @@ def player_of(
     order = _order(complete, samples, {label: by_step[steps[decisive]] for label, by_step in scores.items()})
     if not order:
         return None, notices
-    start_ns = min(reference)
+    # the first forecast is scored after the warm-up of the stretch, and always kept
+    first_s = described.stretch_s[0] + described.warm_up_frames * described.period_s
+    start_ns = min(reference) - round(first_s * 1e9)
     thresholds = {row.label: _thresholds(row, steps) for row in trackers}
     moments = _within_budget(order, trackers, samples, scores, steps, thresholds, start_ns, budget)
     data = {
@@ -60,7 +64,7 @@ def player_of(
         "size": first.grid.size,
         "cell_m": first.grid.cell_m,
         "origin": list(first.grid.origin),
-        "horizons_s": list(first.horizons_s),
+        "horizons_s": [described.horizons_s[step] for step in steps],
         "decisive": decisive,
         "stratum": MAIN_STRATUM if first.in_motion is not None else "",
         "hidden_known": bool(((first.state == 2) | (first.state == 3)).any()),
@@ -70,8 +74,16 @@ def player_of(
     }
     still_at = next((one.stamp_ns for one in order if one.reason == "telling"), order[0].stamp_ns)
     now = (still_at - start_ns) / 1e9
-    still = still_of(trackers, {label: kept.get(still_at) for label, kept in samples.items()}, decisive, now)
+    kept_then = {label: kept.get(still_at) for label, kept in samples.items()}
+    still = still_of(trackers, kept_then, decisive, now, described.horizons_s[steps[decisive]])
     return Player(data, still), notices
+
+
+def _steps_of(described: RecordingIdentity, sample: Sample) -> list[int]:
+    """The steps of a sample's horizons, rounded as when they were written: by the rate, as periods have six digits."""
+    rate_hz = described.rate_hz or 1 / described.period_s
+    last = len(described.horizons_s) - 1
+    return [round(min(h * rate_hz, last)) for h in sample.horizons_s]
 
 
 def _order(
@@ -140,7 +152,6 @@ def _within_budget(
         counts = [[scores[row.label][step].get(moment.stamp_ns) for row in trackers] for step in steps]
         packed = {
             "t": round((moment.stamp_ns - start_ns) / 1e9, 3),
-            "reason": moment.reason,
             "sensors": [[round(float(x), 2), round(float(y), 2)] for x, y in seen.origins],
             "missing": [label for label, sample in found.items() if sample is None],
             "counts": [[one and [one.tp, one.fp, one.fn] for one in at] for at in counts],

@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from gridtrack.evaluation.results.run_record import RUN_FILE
 from gridtrack.reports.classes import ClassTables, class_tables
 from gridtrack.reports.differences import DifferenceTable, difference_table
 from gridtrack.reports.occluded_thresholds import OccludedThresholds, occluded_thresholds
 from gridtrack.reports.player import Player, player_of
-from gridtrack.reports.run import ReportedRun
+from gridtrack.reports.run import ReportedRun, ReportError
 from gridtrack.reports.table import HeadlineTable, row_key
 from gridtrack.reports.trainings import TrainingsTable, trainings_across, trainings_table
 
@@ -92,8 +93,10 @@ def players_of(
     notices: list[str] = []
     for table in (table for table in tables if not table.pooled):
         folders = {row.label: run.trial_folder(row.label, table.recording) for row in table.rows}
-        horizons_s = run.summary.recordings[table.recording].horizons_s
-        player, unreadable = player_of(table, folders, horizons_s, budget // len(run.recordings))
+        described = run.record.configuration.recordings.get(table.recording)
+        if described is None:
+            raise ReportError(f"{run.path / RUN_FILE}: does not describe {table.recording}; compare again")
+        player, unreadable = player_of(table, folders, described, budget // len(run.recordings))
         players += [player] if player else []
         notices += unreadable
     return tuple(players), tuple(notices)

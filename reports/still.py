@@ -38,10 +38,12 @@ class Still:
     forecasts: tuple[tuple[TableRow, Picture], ...]
 
 
-def still_of(trackers: Sequence[TableRow], samples: Mapping[str, Sample | None], h: int, now_s: float) -> Still:
-    """The pictures of one moment at horizon `h`; `samples` has at least one sample, by label."""
+def still_of(
+    trackers: Sequence[TableRow], samples: Mapping[str, Sample | None], h: int, now_s: float, horizon_s: float
+) -> Still:
+    """The pictures of one moment at horizon `h`, `horizon_s` ahead; `samples` has at least one sample, by label."""
     seen = next(sample for sample in samples.values() if sample is not None)
-    now, horizon = f"{now_s:.1f} s", f"{seen.horizons_s[h]:g} s"
+    now, horizon = f"{now_s:.1f} s", f"{horizon_s:.3g} s"
     visible, occupied = seen.observed_visible[h], seen.observed_occupied[h]
     return Still(
         seen.grid,

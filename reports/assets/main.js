@@ -3,7 +3,7 @@ import { startConfusion } from "./confusion.js";
 import { startCurves } from "./curves.js";
 import { startLabelBudget } from "./label_budget.js";
 import { startLatency } from "./latency.js";
-import { startPlayers } from "./player.js";
+import { startPlayers } from "./players.js";
 import { startPriors } from "./priors.js";
 import { startProbabilities } from "./probabilities.js";
 import { startRanking } from "./ranking.js";

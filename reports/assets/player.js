@@ -1,25 +1,24 @@
-// The player: kept forecasts over time and horizon, one to four trackers side by side.
-import { choice } from "./choices.js";
+// The player of one recording: kept forecasts over time and horizon, one to four trackers side by side.
 import { make, meaning } from "./elements.js";
-import { pageData } from "./page_data.js";
-import { isShown, whenShownChange } from "./shown_trackers.js";
+import { isShown } from "./shown_trackers.js";
 import { button, check, markLegend, menu, slider } from "./player_controls.js";
 import { MomentCanvas } from "./moment_canvas.js";
 import {
   unpackedMoment, inputColour, cameColour, truthColour, forecastColour, markColour, busiestCell,
 } from "./moment_cells.js";
 import { scoreText, tellingMoment, worstMoment } from "./moment_scores.js";
-import { linkOf, momentOfLink } from "./moment_link.js";
+import { linkOf } from "./moment_link.js";
 
 const MOST_PANELS = 4;
 const LEAST_CELL_PX = 4;
 const PLAY_MS = 700;
 const NONE = -1;
+const inSeconds = (seconds) => `${Number(seconds.toPrecision(3))} s`;
 
-class Player {
+export class Player {
   constructor(element, data) {
     Object.assign(this, { element, data, moment: 0, h: data.decisive, zoom: 1, centre: null, split: data.size / 2 });
-    Object.assign(this, { marks: true, boxes: true, wipe: false, timer: null, unpacked: new Map() });
+    Object.assign(this, { marks: true, boxes: true, wipe: false, timer: null, told: "", unpacked: new Map() });
     this.chosen = Array.from({ length: MOST_PANELS }, (_, at) => (at < data.trackers.length ? at : NONE));
     this.build();
   }
@@ -39,9 +38,8 @@ class Player {
       make("div", { class: "controls" }, this.playButton, this.time.element, this.horizon.element),
       make("div", { class: "controls" }, ...this.menus.map((one) => one.element)),
       make("div", { class: "controls" },
-        button("worst of the first", () => this.jump(worstMoment(this.data, this.h, this.chosen[0]))),
-        button("most telling of the first two", () =>
-          this.jump(tellingMoment(this.data, this.h, this.chosen[0], this.chosen[1]))),
+        button("worst of the first", () => this.jump("worst", worstMoment, 1)),
+        button("most telling of the first two", () => this.jump("most telling", tellingMoment, 2)),
         this.zoomMenu.element,
         check("hits and errors", true, (marks) => this.go({ marks })),
         check("boxes", true, (boxes) => this.go({ boxes })),
@@ -81,6 +79,7 @@ class Player {
   }
 
   arrange() {
+    this.told = "";
     const shown = this.shown;
     const wiped = this.wipe && shown.length > 1;
     this.drawn = [
@@ -104,14 +103,23 @@ class Player {
 
   go(change) {
     const wiped = this.wipe;
+    if ("moment" in change || "h" in change) this.told = "";
     Object.assign(this, change);
     if (wiped !== this.wipe) this.arrange();
     else this.show();
   }
 
-  jump(moment) {
-    if (moment === null) this.why.textContent = "no moment of this kind";
-    else this.go({ moment });
+  // To the moment that `find` has of the first `count` trackers on screen, whose names the line of the moment then has.
+  jump(kind, find, count) {
+    const trackers = this.shown.slice(0, count);
+    const moment = trackers.length === count ? find(this.data, this.h, ...trackers) : null;
+    const of = trackers.map((tracker) => this.data.trackers[tracker]).join(" and ");
+    if (moment !== null) this.go({ moment, told: `, the ${kind} of ${of} ${this.ahead}` });
+    else this.go({ told: trackers.length < count ? ": too few trackers are shown" : `: no ${kind} moment of ${of}` });
+  }
+
+  get ahead() {
+    return `+${inSeconds(this.data.horizons_s[this.h])}`;
   }
 
   play(playing) {
@@ -172,14 +180,14 @@ class Player {
       panel.prepare(view);
       draw(panel, planes);
     }
-    const { t, reason } = data.moments[moment];
+    const { t } = data.moments[moment];
     this.time.input.value = moment;
     this.time.output.textContent = `${t.toFixed(1)} s`;
     this.horizon.input.value = h;
-    this.horizon.output.textContent = `+${data.horizons_s[h]} s`;
+    this.horizon.output.textContent = this.ahead;
     this.wipeSlider.input.value = this.split;
     this.legend.hidden = !this.marks;
-    this.why.textContent = `moment ${moment + 1} of ${data.moments.length} (${reason})`;
+    this.why.textContent = `moment ${moment + 1} of ${data.moments.length}${this.told}`;
     const trackers = this.shown.map((tracker) => data.trackers[tracker]);
     this.link.href = linkOf({ recording: data.recording, seconds: t, horizon: data.horizons_s[h], trackers });
     this.element.dataset.ready = `${moment} ${h}`;
@@ -201,7 +209,7 @@ class Player {
   drawTarget(panel, planes, colour, title) {
     const target = planes.target(this.h);
     panel.cells(this.data.size, (at) => colour(target[at]));
-    panel.words(title, `${this.data.horizons_s[this.h]} s later`);
+    panel.words(title, `${inSeconds(this.data.horizons_s[this.h])} later`);
   }
 
   paint(panel, planes, tracker, from, to) {
@@ -243,56 +251,26 @@ class Player {
     });
   }
 
+  // Of the trackers that are chosen.
+  get labels() {
+    return this.chosen.filter((tracker) => tracker !== NONE).map((tracker) => this.data.trackers[tracker]);
+  }
+
+  // Chooses the trackers with these labels that this recording has; where it has none of them, the choice stays.
+  choose(labels) {
+    const known = labels.map((label) => this.data.trackers.indexOf(label)).filter((at) => at >= 0).slice(0, MOST_PANELS);
+    if (known.length) this.chosen = this.chosen.map((_, at) => known[at] ?? NONE);
+    this.menus.forEach(({ select }, at) => { select.value = String(this.chosen[at]); });
+  }
+
   // Opens the moment of a link: the kept one nearest to its time, and the trackers that this recording has.
   open({ seconds, horizon, trackers }) {
     const nearest = (values, wanted) =>
       values.reduce((best, value, at) => (Math.abs(value - wanted) < Math.abs(values[best] - wanted) ? at : best), 0);
-    const known = trackers.map((label) => this.data.trackers.indexOf(label)).filter((at) => at >= 0).slice(0, MOST_PANELS);
-    if (known.length) this.chosen = this.chosen.map((_, at) => known[at] ?? NONE);
-    this.menus.forEach(({ select }, at) => { select.value = String(this.chosen[at]); });
+    this.choose(trackers);
     this.moment = nearest(this.data.moments.map(({ t }) => t), seconds);
     this.h = nearest(this.data.horizons_s, horizon);
     this.arrange();
     this.element.scrollIntoView();
   }
-}
-
-// Fills the section of the moments: the player of the chosen recording; the still pictures are for pages without scripts.
-export function startPlayers() {
-  const section = document.getElementById("moments");
-  if (!section) return;
-  section.querySelector(".still").hidden = true;
-  const players = new Map();
-  let shown = null;
-  const show = (recording) => {
-    if (!players.has(recording)) players.set(recording, playerOf(recording, section));
-    shown?.leave();
-    shown = players.get(recording);
-    shown.element.hidden = false;
-    shown.arrange();
-    return shown;
-  };
-  const names = pageData.players.map((recording) => [recording, recording]);
-  const recordings = choice("Recording", names, names[0][0], show);
-  recordings.hidden = names.length < 2;
-  section.querySelector("h2").after(make("div", { class: "choices" }, recordings));
-  const follow = () => {
-    const wanted = momentOfLink(location.hash);
-    if (!names.some(([name]) => name === wanted?.recording)) return false;
-    recordings.querySelector("select").value = wanted.recording;
-    show(wanted.recording).open(wanted);
-    return true;
-  };
-  new ResizeObserver(() => shown?.show()).observe(section);
-  whenShownChange(() => shown.arrange());
-  window.addEventListener("hashchange", follow);
-  if (!follow()) show(names[0][0]);
-}
-
-// The moments of each recording are an element of their own, read when it is shown: the page opens without them.
-function playerOf(recording, section) {
-  const element = make("div", { class: "player" });
-  section.append(element);
-  const moments = document.getElementById(`moments-${pageData.players.indexOf(recording)}`);
-  return new Player(element, JSON.parse(moments.textContent));
 }

@@ -1,4 +1,4 @@
-"""A chart names its axes, alone with one tracker or with none; its file has title, choices, legend and names of axes."""
+"""A chart names its axes and says where no tracker is shown; its file has title, choices, legend and names of axes."""
 
 import json
 import re

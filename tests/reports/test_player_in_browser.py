@@ -12,6 +12,8 @@ from gridtrack.reports.page import render_report
 
 from scenes.report_page import HOSTILE
 
+expect = pytest.importorskip("playwright.sync_api", reason="playwright, of the extra dev, is not installed").expect
+
 
 def shows(page, moment, h):
     page.locator(f'.player[data-ready="{moment} {h}"]').wait_for()
@@ -41,7 +43,7 @@ def test_sliders_and_buttons_have_names_and_work(opened):
     shows(page, 5, 0)
     for words in ("worst of the first", "most telling of the first two"):
         page.get_by_role("button", name=words).click()
-        assert re.match(r"moment \d+ of 20|no moment", player.locator(".why").inner_text())
+        assert re.match(r"moment \d+ of 20(, the |: no )(worst|most telling)", player.locator(".why").inner_text())
     page.get_by_label("tracker 3").select_option("none")
     page.get_by_label("tracker 4").select_option("none")
     assert player.locator(".moment-panel").count() == 4
@@ -52,6 +54,28 @@ def test_sliders_and_buttons_have_names_and_work(opened):
     page.get_by_label("boxes").uncheck()
     page.get_by_label("zoom").select_option("twice")
     player.locator("canvas").first.click()
+
+
+def jumped(page, player, words):
+    page.get_by_role("button", name=words).click()
+    return player.locator(".why")
+
+
+def test_the_jumps_are_of_the_trackers_on_screen_and_say_so(opened):
+    page, player = opened()
+    for at, name in enumerate(("good", "none", "persistence", "blank"), 1):
+        page.get_by_label(f"tracker {at}").select_option(name)
+    why = jumped(page, player, "most telling of the first two")
+    expect(why).to_have_text(re.compile(r"^moment \d+ of 20, the most telling of good and persistence \+1 s$"))
+    page.locator("#trackers").get_by_role("button", name="good", exact=True).click()
+    why = jumped(page, player, "worst of the first")
+    expect(why).to_have_text(re.compile(r"^moment \d+ of 20, the worst of persistence \+1 s$"))
+    page.get_by_role("slider", name="time").fill("4")
+    expect(why).to_have_text("moment 5 of 20")
+    page.locator("#trackers").get_by_role("button", name="persistence", exact=True).click()
+    expect(jumped(page, player, "most telling of the first two")).to_have_text(
+        "moment 5 of 20: too few trackers are shown"
+    )
 
 
 COUNT_MARKS = """
