@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from gridtrack.reports.run import ReportedRun
-from gridtrack.reports.table import HeadlineTable, TableRow
+from gridtrack.reports.table import HeadlineTable, TableRow, outcome_words
 
 
 @dataclass(frozen=True)
@@ -43,16 +43,34 @@ def _of_parity(tables: Sequence[HeadlineTable]) -> Iterator[Notice]:
 
 
 def _of_trials(tables: Sequence[HeadlineTable]) -> Iterator[Notice]:
-    for table in tables:
-        for row in table.rows_in("unranked"):
-            where = f" on {table.recording}" if len(tables) > 1 else ""
-            yield Notice(f"{row.name}{where}: {outcome_text(row)}", serious=True)
+    """A line for each row that is not ranked; where recordings are pooled, one for all of them."""
+    told: set[str] = set()
+    for table in sorted(tables, key=lambda table: not table.pooled):
+        for row in (one for one in table.rows_in("unranked") if one.key not in told):
+            where = f" on {table.recording}" if len(tables) > 1 and not table.pooled else ""
+            why = "; ".join([*_pooled_reasons(row), _scored(row)]) if table.pooled else outcome_text(row)
+            yield Notice(f"{row.name}{where}: {why}", serious=True)
+            told |= {row.key} if table.pooled else set()
 
 
 def outcome_text(row: TableRow) -> str:
-    """Why a row is not ranked, and how much of it was scored."""
-    scored = f"{row.frames} frames scored, not ranked" if row.trial.frames_scored else "nothing scored"
-    return "; ".join(filter(None, (row.outcome, row.trial.reason, scored)))
+    """Why a row on one recording is not ranked, and how much of it was scored."""
+    return "; ".join(filter(None, (row.outcome, row.trial.reason, _scored(row))))
+
+
+def _scored(row: TableRow) -> str:
+    return f"{row.frames} frames scored, not ranked" if row.trial.frames_scored else "nothing scored"
+
+
+def _pooled_reasons(row: TableRow) -> Iterator[str]:
+    """Each outcome for which trials of a pooled row are not ranked, on how many recordings, and the first reason."""
+    reasons: dict[str, list[str]] = defaultdict(list)
+    for trial in (one for one in row.trials if not one.ranked):
+        reasons[outcome_words(trial)].append(trial.reason)
+    for outcome, found in reasons.items():
+        others = " and others" if len(set(found)) > 1 else ""
+        words = f" ({found[0]}{others})" if found[0] else ""
+        yield f"{outcome} on {len(found)} of {len(row.trials)} recordings{words}"
 
 
 def _of_intervals(tables: Sequence[HeadlineTable]) -> Iterator[Notice]:

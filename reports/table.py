@@ -80,6 +80,11 @@ class TableCell:
         return "" if self.interval is None else f"[{self.interval[0]:.3f}, {self.interval[1]:.3f}]"
 
 
+def outcome_words(trial: TrialSummary) -> str:
+    """The outcome of a trial, and whether it learned from frames that it is scored on."""
+    return f"{trial.outcome}, {LEAK}" if trial.leak else trial.outcome
+
+
 def row_key(run: str, label: str) -> str:
     """A row's label after the name of its run; that is empty on the page of one run."""
     return f"{run}: {label}" if run else label
@@ -108,9 +113,16 @@ class TableRow:
         return row_key(self.run, label)
 
     @property
+    def trials(self) -> tuple[TrialSummary, ...]:
+        """The trials of a pooled row on the recordings themselves."""
+        return tuple(trial for trial in self.entry.recordings.values() if trial is not self.trial)
+
+    @property
     def outcome(self) -> str:
-        """The outcome of the trial, and whether it learned from frames that it is scored on."""
-        return f"{self.trial.outcome}, {LEAK}" if self.trial.leak else self.trial.outcome
+        """The outcome of the trial; of a pooled row of which nothing was scored, those of its trials."""
+        if self.trial.outcome == "partial" and not self.trial.frames_scored:
+            return ", ".join(dict.fromkeys(map(outcome_words, self.trials)))
+        return outcome_words(self.trial)
 
     @property
     def frames(self) -> str:

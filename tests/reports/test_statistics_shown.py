@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+import json
+import shutil
+
 import pytest
 
 from gridtrack.evaluation.statistics.summary import summarise
+from gridtrack.reports.chosen_scores import exported_tables
+from gridtrack.reports.notices import notices_of
 from gridtrack.reports.page import render_page
+from gridtrack.reports.pull_request import pull_request_markdown
 from gridtrack.reports.run import read_runs
 from gridtrack.reports.table import headline_markdown, headline_tables, main_tables
 from gridtrack.reports.terminal import print_tables
@@ -70,9 +76,31 @@ def test_the_ceiling_is_a_group_of_its_own_and_never_marked_best(pooled):
     assert [row.label for row in pooled.rows if row.cells[0].best] == ["good"]
 
 
-def test_a_tracker_that_missed_a_recording_is_not_ranked_and_says_how_many_it_has(pooled, page):
+def test_a_tracker_that_missed_a_recording_is_not_ranked_and_says_on_how_many(pooled, page):
     assert [row.label for row in pooled.rows_in("unranked")] == ["unlucky"]
-    assert "19 of 20 recordings complete (seed-00: crashed)" in page
+    assert '<li class="serious">unlucky: crashed on 1 of 20 recordings; 76 of 80 frames scored, not ranked' in page
+
+
+def test_a_tracker_that_failed_on_many_recordings_is_one_notice_wherever_notices_are(run, tmp_path):
+    """It crashed on 18 recordings for one reason and one other, and was out of time on one."""
+    folder = shutil.copytree(run, tmp_path / "run")
+    summary = json.loads((folder / "summary.json").read_text())
+    unlucky = summary["trackers"]["unlucky"]
+    failed = [("crashed", "no card")] * 18 + [("crashed", "killed"), ("timeout", "update: 5 s")]
+    for trial, (outcome, reason) in zip(unlucky["recordings"].values(), failed, strict=True):
+        trial |= {"outcome": outcome, "reason": reason, "frames_scored": 0}
+    unlucky["pooled"] |= {"outcome": "partial", "frames_scored": 0, "recordings_complete": 0}
+    (folder / "summary.json").write_text(json.dumps(summary))
+    runs = read_runs([folder])
+    expected = (
+        "unlucky: crashed on 19 of 20 recordings (no card and others); timeout on 1 of 20 recordings (update: 5 s);"
+        " nothing scored"
+    )
+    notices = [notice.text for notice in notices_of(runs, headline_tables(runs)) if "unlucky" in notice.text]
+    assert notices == [expected]
+    (row,) = headline_tables(runs)[0].rows_in("unranked")
+    assert row.outcome == "crashed, timeout"
+    assert expected in pull_request_markdown(runs, exported_tables([*runs]))
 
 
 def test_the_page_calls_better_only_a_significantly_better_tracker(page):
@@ -92,6 +120,7 @@ def test_the_other_scores_stand_below_f1_with_uncorrected_p_and_no_verdict(run, 
         assert test.nll_low <= test.nll <= test.nll_high
         assert test.fss_5_low < test.fss_5 < test.fss_5_high
         assert test.beam_error_low < test.beam_error < test.beam_error_high
+    assert "</span> <small>F1</small>" in differences, "the name and the score are words of their own"
     for name in ("log loss", "PR-AUC", "FSS, 5 cells", "soft IoU", "beam error, m"):
         row = rows.partition(f"<small>{name}</small>")[2].partition("</tr>")[0]
         assert row.count(", uncorrected</small>") == 9
