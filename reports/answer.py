@@ -53,14 +53,14 @@ def _weights(run: ReportedRun) -> Fact:
 
 
 def _keeps_up(run: ReportedRun) -> Fact:
-    """By the 99th percentiles of its times against the period of each recording; empty where nothing was timed."""
+    """By the 99th percentiles of its times against the period of each recording."""
     verdicts = {}
     for label, row in run.summary.trackers.items():
         trials = {name: trial for name, trial in row.recordings.items() if name in run.recordings}
         verdicts_of = (keeps_up_of(one, run.summary.recordings[name].period_s * 1e3) for name, one in trials.items())
         if found := list(filter(None, verdicts_of)):
             verdicts[label] = min(found, key=VERDICTS.index)
-    return Fact("Keeps up with the sensor", _grouped(verdicts))
+    return Fact("Keeps up with the sensor", _grouped(verdicts) or "latency not measured: --latency")
 
 
 def _not_ranked(run: ReportedRun) -> Fact:

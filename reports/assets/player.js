@@ -90,13 +90,13 @@ export class Player {
       this.drawn.push({ panel: new MomentCanvas("truth"), draw: (one, planes) => this.drawTarget(one, planes, truthColour, "truth") });
     }
     if (wiped) {
-      this.drawn.push({ panel: new MomentCanvas(""), draw: (one, planes) => this.drawWipe(one, planes, shown[0], shown[1]) });
+      this.drawn.push({ panel: new MomentCanvas(""), draw: (one, planes) => this.drawWipe(one, planes, shown[0], shown[1]), wipes: true });
     }
     for (const tracker of wiped ? shown.slice(2) : shown) {
       this.drawn.push({ panel: new MomentCanvas(""), draw: (one, planes) => this.drawForecast(one, planes, tracker) });
     }
     this.panels.replaceChildren(...this.drawn.map(({ panel }) => panel.element));
-    for (const { panel } of this.drawn) panel.canvas.addEventListener("click", (event) => this.centreAt(panel, event));
+    for (const { panel, wipes } of this.drawn) (wipes ? this.dragWipe(panel) : this.clickCentres(panel));
     this.wipeSlider.element.hidden = !wiped;
     this.show();
   }
@@ -147,11 +147,27 @@ export class Player {
     this.go({ centre: [left + span / 2 + (x * span) / 8, bottom + span / 2 + (y * span) / 8] });
   }
 
-  centreAt(panel, event) {
+  // The place of the pointer on a panel, in cells from the lower left corner of the window.
+  placeOn(panel, event) {
     const { left, bottom, span } = this.view();
     const box = panel.canvas.getBoundingClientRect();
     const x = (event.clientX - box.left) / box.width, y = 1 - (event.clientY - box.top) / box.height;
-    this.go({ centre: [left + x * span, bottom + y * span] });
+    return [left + x * span, bottom + y * span];
+  }
+
+  clickCentres(panel) {
+    panel.canvas.addEventListener("click", (event) => this.go({ centre: this.placeOn(panel, event) }));
+  }
+
+  dragWipe(panel) {
+    panel.canvas.classList.add("wipes");
+    const drag = (event) => {
+      if (!(event.buttons & 1)) return;
+      if (event.type === "pointerdown") panel.canvas.setPointerCapture(event.pointerId);
+      const [column] = this.placeOn(panel, event);
+      this.go({ split: Math.round(Math.min(Math.max(column, 0), this.data.size)) });
+    };
+    for (const kind of ["pointerdown", "pointermove"]) panel.canvas.addEventListener(kind, drag);
   }
 
   // The part of the window on screen, whole cells: as much as fits with cells of LEAST_CELL_PX, divided by the zoom.

@@ -147,3 +147,10 @@ def test_the_page_says_where_the_order_on_occluded_cells_depends_on_the_threshol
     html = render_report([run]).read_text()
     assert "The order depends on the threshold." in html
     assert "-0.125 [-0.250, +0.000]" in html
+    assert "p-values are not corrected" in html
+
+
+def test_where_there_is_no_p_value_nothing_is_said_of_their_correction(truth_run):
+    html = render_report([truth_run]).read_text()
+    assert "<h2>Hidden cells by threshold</h2>" in html
+    assert "p-values are not corrected" not in html

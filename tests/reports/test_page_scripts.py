@@ -50,6 +50,7 @@ def test_the_tiers_join_rows_that_are_not_told_apart(report):
     [
         "<dt>Compared on</dt><dd>20 recordings: 800 frames, forecasts up to 2.5 s ahead</dd>",
         "<dt>Weights</dt><dd>none: persistence, good, fair, twin, late</dd>",
+        "<dt>Keeps up with the sensor</dt><dd>latency not measured: --latency</dd>",
         "<dt>Not ranked</dt><dd>late (crashed)</dd>",
     ],
 )

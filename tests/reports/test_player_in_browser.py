@@ -1,7 +1,9 @@
 """The player in a browser: every control, by pointer and by keyboard alone, without an error and without a request."""
 
+import json
 import math
 import re
+import shutil
 from dataclasses import replace
 
 import pytest
@@ -76,6 +78,22 @@ def test_the_jumps_are_of_the_trackers_on_screen_and_say_so(opened):
     expect(jumped(page, player, "most telling of the first two")).to_have_text(
         "moment 5 of 20: too few trackers are shown"
     )
+
+
+def test_the_wipe_follows_the_pointer_on_the_picture(opened):
+    page, player = opened()
+    page.get_by_label("wipe between the first two").check()
+    wiped = player.locator("canvas.wipes")
+    wiped.scroll_into_view_if_needed()
+    box = wiped.bounding_box()
+    page.mouse.move(box["x"] + 0.25 * box["width"], box["y"] + 20)
+    page.mouse.down()
+    expect(page.get_by_role("slider", name="wipe")).to_have_value("8")
+    page.mouse.move(box["x"] + 0.75 * box["width"], box["y"] + 20)
+    expect(page.get_by_role("slider", name="wipe")).to_have_value("24")
+    page.mouse.up()
+    page.mouse.move(box["x"] + 0.5 * box["width"], box["y"] + 20)
+    expect(page.get_by_role("slider", name="wipe")).to_have_value("24")
 
 
 COUNT_MARKS = """
@@ -229,3 +247,35 @@ def test_without_scripts_one_still_picture_remains(browser, hostile_report):
 def test_the_figure_of_times_says_the_frame_period_to_the_millisecond(opened):
     page, _ = opened()
     assert "one frame period, 125 ms." in page.locator("#latency .note").inner_text()
+
+
+@pytest.fixture
+def two_recordings(run_folder, tmp_path):
+    """The report of a run that has its recording a second time, under another name."""
+    run = shutil.copytree(run_folder, tmp_path / "run")
+    for folder in list(run.glob("*@crossing")):
+        again = shutil.copytree(folder, run / folder.name.replace("@crossing", "@again"))
+        (again / "outcome.json").write_text((again / "outcome.json").read_text().replace('"crossing"', '"again"'))
+    summary, record = (json.loads((run / name).read_text()) for name in ("summary.json", "run.json"))
+    for recordings in (summary["recordings"], record["configuration"]["recordings"]):
+        recordings["again"] = recordings["crossing"]
+    for row in summary["trackers"].values():
+        row["recordings"]["again"] = row["recordings"]["crossing"]
+    (run / "summary.json").write_text(json.dumps(summary))
+    (run / "run.json").write_text(json.dumps(record))
+    return render_report([run])
+
+
+def test_another_recording_keeps_the_chosen_trackers(browser, two_recordings):
+    page = browser.new_page(viewport={"width": 1280, "height": 900})
+    page.set_default_timeout(60_000)
+    page.goto(two_recordings.as_uri())
+    page.locator(".player[data-ready]").wait_for()
+    page.get_by_label("tracker 1").select_option("blank")
+    page.get_by_label("tracker 2").select_option("none")
+    page.locator("#moments").get_by_label("Recording").select_option("again")
+    player = page.locator(".player:visible[data-ready]")
+    player.wait_for()
+    chosen = player.locator(".menu select option:checked").all_text_contents()
+    assert chosen[:4] == ["blank", "persistence", "blank", "none"]
+    page.close()
