@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -54,11 +54,9 @@ def player_of(
     order = _order(complete, samples, {label: by_step[steps[decisive]] for label, by_step in scores.items()})
     if not order:
         return None, notices
-    # the first forecast is scored after the warm-up of the stretch, and always kept
-    first_s = described.stretch_s[0] + described.warm_up_frames * described.period_s
-    start_ns = min(reference) - round(first_s * 1e9)
+    time_of = _clock(described, min(reference))
     thresholds = {row.label: _thresholds(row, steps) for row in trackers}
-    moments = _within_budget(order, trackers, samples, scores, steps, thresholds, start_ns, budget)
+    moments = _within_budget(order, trackers, samples, scores, steps, thresholds, time_of, budget)
     data = {
         "recording": table.recording,
         "size": first.grid.size,
@@ -73,17 +71,23 @@ def player_of(
         "moments": moments,
     }
     still_at = next((one.stamp_ns for one in order if one.reason == "telling"), order[0].stamp_ns)
-    now = (still_at - start_ns) / 1e9
     kept_then = {label: kept.get(still_at) for label, kept in samples.items()}
-    still = still_of(trackers, kept_then, decisive, now, described.horizons_s[steps[decisive]])
+    still = still_of(trackers, kept_then, decisive, time_of(still_at), described.horizons_s[steps[decisive]])
     return Player(data, still), notices
+
+
+def _clock(described: RecordingIdentity, first_ns: int) -> Callable[[int], float]:
+    """The time of a stamp, seconds since the start of the recording; `first_ns`: of the first scored forecast, which is
+    made after the warm-up of the stretch and always kept."""
+    first_s = described.stretch_s[0] + described.warm_up_frames * described.period_s
+    return lambda stamp_ns: first_s + (stamp_ns - first_ns) / 1e9
 
 
 def _steps_of(described: RecordingIdentity, sample: Sample) -> list[int]:
     """The steps of a sample's horizons, rounded as when they were written: by the rate, as periods have six digits."""
     rate_hz = described.rate_hz or 1 / described.period_s
     last = len(described.horizons_s) - 1
-    return [round(min(h * rate_hz, last)) for h in sample.horizons_s]
+    return [round(min(max(h * rate_hz, 0.0), last)) for h in sample.horizons_s]
 
 
 def _order(
@@ -139,7 +143,7 @@ def _within_budget(
     scores: Mapping[str, Mapping[int, Mapping[int, FrameScore]]],
     steps: Sequence[int],
     thresholds: Mapping[str, Sequence[float]],
-    start_ns: int,
+    time_of: Callable[[int], float],
     budget: int,
 ) -> list[dict[str, Any]]:
     """The first moments of `order` that fit into `budget` bytes, at least one, in the order of time."""
@@ -151,7 +155,7 @@ def _within_budget(
         planes = [None if s is None else TrackerPlanes.of(s.forecast, thresholds[label]) for label, s in found.items()]
         counts = [[scores[row.label][step].get(moment.stamp_ns) for row in trackers] for step in steps]
         packed = {
-            "t": round((moment.stamp_ns - start_ns) / 1e9, 3),
+            "t": round(time_of(moment.stamp_ns), 3),
             "sensors": [[round(float(x), 2), round(float(y), 2)] for x, y in seen.origins],
             "missing": [label for label, sample in found.items() if sample is None],
             "counts": [[one and [one.tp, one.fp, one.fn] for one in at] for at in counts],
