@@ -42,6 +42,8 @@ CARRIER_S = 1.0
 """The horizon of the scores by carrier."""
 EVERY_S = 2.0
 """Between two scored forecasts: half as many as usual, for there are five comparisons."""
+PAIRS_S, SIGNIFICANT = 1.0, 0.05
+"""The horizon at which trackers are told apart, and the corrected p-value below which they are."""
 APART = 20
 """Scans between two poses whose relative error is measured: 2.5 s, the longest forecast."""
 COMMAND = "python -m studies.moving"
@@ -207,6 +209,21 @@ def view_section(compared: Sequence[Comparison], trackers: Sequence[str]) -> Res
     return _differences(lost, perfect.steps)
 
 
+def pair_section(perfect: Comparison) -> ResultSection:
+    """F1 of one tracker less that of another with perfect poses, by stratum: PAIRS_S ahead, with Holm's correction."""
+    chosen = {one.stratum: one for one in perfect.summary.pairs if one.score == "f1" and one.horizon_s == PAIRS_S}
+    rows: dict[str, list[str]] = {}
+    for family in chosen.values():
+        for one in family.pairs:
+            told = one.p_holm is not None and one.p_holm < SIGNIFICANT
+            assert one.difference is not None
+            text = score_text(one.difference, one.low, one.high, signed=True) + ("" if told else " °")
+            rows.setdefault(f"{one.tracker} less {one.other}", []).append(text)
+    columns = (f"F1, {PAIRS_S:g} s", *(STRATA[stratum] for stratum in chosen))
+    table = measured_table(columns, [[pair, *texts] for pair, texts in rows.items()])
+    return ResultSection(command=COMMAND, tables={"pairs": table})
+
+
 def _differences(found: Mapping[str, Mapping[str, PairedDifferences]], steps: Sequence[int]) -> ResultSection:
     """A table for each stratum with a row for each of `found`, and each cell as a value."""
     texts = {
@@ -246,6 +263,7 @@ def collect(minutes: Sequence[str], trackers: Sequence[str], out: Path, results:
         ),
         "differences": difference_section(compared, trackers),
         "beyond the view": view_section(compared, trackers),
+        "told apart": pair_section(compared[0]),
     }
     for name, section in sections.items():
         write_section(results, name, section)

@@ -11,7 +11,7 @@ from gridtrack.evaluation.scoring.strata import STRATA_WITH_TRUTH
 from gridtrack.evaluation.statistics.summary import summarise
 
 from scenes.synthetic_run import description, write_trial
-from studies.moving import Comparison, difference_section, score_tables, view_section
+from studies.moving import Comparison, difference_section, pair_section, score_tables, view_section
 
 
 def compared(
@@ -87,3 +87,12 @@ def test_minutes_that_were_scored_at_other_times_are_not_paired(tmp_path: Path) 
 def test_a_comparison_that_ended_early_is_refused(tmp_path: Path) -> None:
     with pytest.raises(SystemExit, match=r"is not complete \(0 of 2 recordings"):
         compared(tmp_path, "perfect", 0.8, scored=1)
+
+
+def test_trackers_are_told_apart_where_the_drives_do(tmp_path: Path) -> None:
+    better, equal = (compared(tmp_path, f"x{skill}", skill, floor=0.4, minutes=20) for skill in (0.8, 0.4))
+    for found, told in ((better, True), (equal, False)):
+        table = pair_section(found).tables["pairs"]
+        (row,) = table.rows
+        assert (table.columns[1:], row[0]) == (("in motion", "dynamic", "visible"), "kalman less persistence")
+        assert ["°" not in text for text in row[1:]] == [told] * 3
