@@ -14,7 +14,7 @@ _OF_EVERY_RUN = ("started", "finished", "status", "settings.out")
 _TOLD_OF_TRACKERS = ("configuration.trials.", "weights.", "settings.trackers", "settings.recordings")
 """What is compared by tracker and by recording."""
 
-Fields = Mapping[str, str]
+FieldTexts = Mapping[str, str]
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ def _missing(name: str, of_runs: Sequence[Sequence[str]]) -> Iterator[Change]:
         yield Change(name, values)
 
 
-def _differing(records: Sequence[Fields]) -> Iterator[Change]:
+def _differing(records: Sequence[FieldTexts]) -> Iterator[Change]:
     for name in dict.fromkeys(name for record in records for name in record):
         values = tuple(record.get(name, UNDEFINED) for record in records)
         if len(set(values)) > 1:
@@ -67,7 +67,7 @@ def _of_trackers(runs: Sequence[ReportedRun]) -> list[Change]:
     return [Change(f"{', '.join(labels)}: {change.name}", change.values) for change, labels in lines]
 
 
-def _of_tracker(run: ReportedRun, label: str) -> Fields:
+def _of_tracker(run: ReportedRun, label: str) -> FieldTexts:
     """The fields of a tracker's trials and weights; where they differ between recordings, all values."""
     found: dict[str, dict[str, None]] = {}
     for trial in (f"{label}@{name}" for name in run.recordings):
@@ -81,7 +81,7 @@ def _of_tracker(run: ReportedRun, label: str) -> Fields:
     return {name: ", ".join(values) for name, values in found.items()}
 
 
-def _other_fields(run: ReportedRun, recordings: Sequence[Sequence[str]]) -> Fields:
+def _other_fields(run: ReportedRun, recordings: Sequence[Sequence[str]]) -> FieldTexts:
     """The other lines of run.json; of recordings that every run has."""
     missing = {name for names in recordings for name in names if not all(name in other for other in recordings)}
     left_out = (*_TOLD_OF_TRACKERS, *(f"configuration.recordings.{name}." for name in missing))
