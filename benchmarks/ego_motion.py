@@ -24,7 +24,7 @@ import numpy as np
 
 from gridtrack.common.scan import Scan
 from gridtrack.recordings import open_recording
-from gridtrack.recordings.ego_motion import MatchingSettings, matched_trajectory
+from gridtrack.recordings.ego_motion import MatchingSettings, PoseSource, matched_trajectory
 from gridtrack.recordings.ego_motion.returns import measured_points
 
 from studies.support.results_file import ResultSection, measured_table, write_section
@@ -76,7 +76,7 @@ def rate_of_peer(clouds: Path, settings: MatchingSettings) -> float:
     return float(found[1])
 
 
-def rate_of_ours(source: str, scans: Sequence[Scan], settings: MatchingSettings) -> float:
+def rate_of_ours(source: PoseSource, scans: Sequence[Scan], settings: MatchingSettings) -> float:
     """Scans a second of matching with poses of `source`: kiss-icp (from the scans alone) or refined."""
     begun = time.perf_counter()
     matched_trajectory(scans, source, settings)
