@@ -44,8 +44,7 @@ class ScansOnChains:
     def __init__(self, chains: Mapping[str, Chain], warn: Callable[[str], None]) -> None:
         """`chains` by topic."""
         self._chains, self._warn = chains, warn
-        self._moving = {link.recorded: link for chain in chains.values() for link in chain.moving}
-        self._trajectories = {recorded: Trajectory() for recorded in self._moving}
+        self._trajectories = {link.recorded: Trajectory() for chain in chains.values() for link in chain.moving}
         self._waiting: deque[FramedScan] = deque()
         self._newest_ns = -1
         self._first_ns: int | None = None
