@@ -82,7 +82,7 @@ def towers(t):
 
 def no_score(tracker, source, steps):
     flat = np.zeros(steps + 1)
-    return StretchScore({"dynamic": flat, "visible": flat}, {})
+    return StretchScore({"dynamic": flat, "in-motion": flat, "visible": flat}, {})
 
 
 def fit(tracker, folder, things, seed=3, train=None, **options):

@@ -27,8 +27,18 @@ NetworkOptions = TypeVar("NetworkOptions", bound=ResolutionSettings)
 SHARE_OF_UPDATES, SHARE_OF_RATE = 0.1, 0.25
 """Of the updates and of the learning rate of the general training: what the network knows is not to be forgotten."""
 VALIDATIONS_AT_SITE = 4
-OF_THE_PLACE = frozenset({"static_gates", "precision"})
-"""Settings that are not those of the general weights."""
+OF_THE_PLACE = frozenset({"static_gates", "precision", "shape_updates", "shape_share", "motion_weight"})
+"""Settings that are not those of the general weights: the last three are what a general network learns motion from."""
+
+
+STEP_S = 0.1
+"""Duration of a step of a general network, unless another one is given."""
+
+
+def general_options(options: NetworkOptions) -> NetworkOptions:
+    """The `options` of a network for any place: it is told the resolution, and its steps last STEP_S, unless set."""
+    own = {"resolution_input": True, "step_s": STEP_S}
+    return options.model_copy(update={name: own[name] for name in own.keys() - options.model_fields_set})
 
 
 def settings_at_site(options: NetworkOptions, weights: Weights) -> NetworkOptions:

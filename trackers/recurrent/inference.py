@@ -63,6 +63,10 @@ class InferenceConvGRU:
             new.append(layer(h, new[-1]))
         return tuple(as_tensor(each) for each in new)
 
+    def current(self, state: LatentState) -> LatentState:
+        """The state itself."""
+        return state
+
     def features(self, state: LatentState) -> Tensor:
         """The last layer's state."""
         return state[-1]
@@ -89,6 +93,10 @@ class InferencePlainConvGRU:
         biases = [bias.detach() for layer in layers for bias in layer.biases.values() if is_map(bias)]
         self._maps = [(bias, bias.clone().numpy(), bias.mean(dim=(1, 2), keepdim=True).numpy()) for bias in biases]
 
+    def current(self, state: LatentState) -> LatentState:
+        """The state itself."""
+        return state
+
     def anchor(self, shift: Shift) -> None:
         """Each cell takes the bias of its place; outside the map this is its mean."""
         for placed, learned, mean in self._maps:
@@ -111,6 +119,10 @@ class InferenceRNN:
         if x is not None:
             return self._network.step(x, state)
         return (torch.sigmoid(self._empty + conv2d(state[0], self._state_weight, padding="same")),)
+
+    def current(self, state: LatentState) -> LatentState:
+        """The state itself."""
+        return state
 
     def anchor(self, shift: Shift) -> None:
         """The network has no map."""

@@ -48,6 +48,10 @@ class RecurrentNetwork(Protocol):
 class InferenceNetwork(RecurrentNetwork, Protocol):
     """A network for one stream, whose window may move."""
 
+    def current(self, state: LatentState) -> LatentState:
+        """The part of the state that knows the last frame: one tensor for each recurrent layer."""
+        ...
+
     def unseen(self, frames: int) -> tuple[Float32Array, ...]:
         """The state (C,) in each layer of a cell that no frame of `frames` has seen, far from every cell that was."""
         ...

@@ -16,8 +16,9 @@ from gridtrack.common.grid import GridFrame, Shift, shift_between
 from gridtrack.trackers.card import card_for
 from gridtrack.trackers.contract import FitOutput, Forecast, FrameSource, Score, StreamSpec, Tracker, stream_of
 from gridtrack.trackers.excerpts import excerpts_of_places
-from gridtrack.trackers.recurrent.general_network import begin_from, settings_at_site
+from gridtrack.trackers.recurrent.general_network import begin_from, general_options, settings_at_site
 from gridtrack.trackers.recurrent.network import Float32Array, InferenceNetwork, LatentState, as_cells, channels_last
+from gridtrack.trackers.recurrent.pacing import Pace, paced
 from gridtrack.trackers.recurrent.resolution_input import resolution_of, set_resolution
 from gridtrack.trackers.recurrent.settings import InferenceSettings
 from gridtrack.trackers.recurrent.unseen import rolled_state
@@ -93,14 +94,16 @@ class RecurrentTracker(Tracker):
     def _follow(self, world_T_grid: SE2) -> None:
         """Move the window to `world_T_grid`, before a step: the states and the maps stay at their places in the world.
 
-        The rolled states are in the same memory every time; a step does not change its input, and its result is new.
+        The rolled states are in the same memory every time where a step makes all of the state anew: it does not
+        change its input.
         """
         if self._world_T_grid is None:
             self._world_T_grid, self._world_T_map = world_T_grid, self._place or world_T_grid
             self.network.anchor(self._shift(self._world_T_map, world_T_grid))
         shift = self._shift(self._world_T_grid, world_T_grid)
         if shift:
-            self._buffers = self._buffers or tuple(np.empty_like(as_cells(h)) for h in self.state)
+            if self._buffers is None and len(self.network.current(self.state)) == len(self.state):
+                self._buffers = tuple(np.empty_like(as_cells(h)) for h in self.state)
             self.state = rolled_state(self.state, shift, self.network.unseen(self._updates), self._buffers)
             self.network.anchor(self._shift(self._world_T_map, world_T_grid))
             self._world_T_grid = world_T_grid
@@ -142,8 +145,9 @@ class RecurrentTracker(Tracker):
         takes on.
         """
         network.size = stream.grid.size
-        set_resolution(network, resolution_of(stream.grid.cell_m, stream.period_s))
-        return cls.prepare_inference(channels_last(network.eval()), options)
+        pace = Pace.of(stream.period_s, options.step_s)
+        set_resolution(network, resolution_of(stream.grid.cell_m, pace.step_s(stream.period_s)))
+        return paced(cls.prepare_inference(channels_last(network.eval()), options), pace)
 
     @classmethod
     def starts_from_general(cls, options: Any) -> bool:
@@ -169,10 +173,9 @@ class RecurrentTracker(Tracker):
 
         start = None if out.start is None else load_start(out.start, cls.name)
         options = options if start is None else settings_at_site(options, start)
-        augmentation = {"time_reversal": options.time_reversal, "superposition": options.superposition}
-        dataset = SequenceDataset(
-            train, options.length, out.seed, forecast_from=options.last_observed, general=out.general, **augmentation
-        )
+        if out.general:
+            options = general_options(options)
+        dataset = SequenceDataset(train, options, out.seed, step_s=options.step_s, general=out.general)
         options = cls._for_windows_of(dataset, options, out)
         options = options.model_copy(update={"precision": training_precision(options, out)})
         torch.manual_seed(out.seed)
@@ -201,11 +204,9 @@ class RecurrentTracker(Tracker):
 
     @classmethod
     def _for_windows_of(cls, dataset: SequenceDataset, options: Any, out: FitOutput) -> Any:
-        """The options for these windows: without maps where they differ, for general weights with the resolution."""
+        """The options for these windows: without maps where they differ, general weights know no place."""
         if out.general:
-            options = cls.without_map(options, "general weights know no place", out)
-            given = "resolution_input" in options.model_fields_set
-            return options if given else options.model_copy(update={"resolution_input": True})
+            return cls.without_map(options, "general weights know no place", out)
         if not dataset.has_one_window:
             return cls.without_map(options, "the windows of the training frames differ", out)
         return options

@@ -15,15 +15,23 @@ from gridtrack.common.errors import ConfigurationError
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import Shift, rolled, shift_between
 from gridtrack.trackers.contract import FrameSource
+from gridtrack.trackers.recurrent.arrivals import arrivals
+from gridtrack.trackers.recurrent.moving_shapes import moving_shapes
+from gridtrack.trackers.recurrent.pacing import Pace
 from gridtrack.trackers.recurrent.resolution_input import resolution_of
+from gridtrack.trackers.recurrent.settings import TrainingSettings
 
 LARGEST_WINDOW = 64
 """Cells a side of the windows that general weights are trained on: larger grids are cut, smaller ones padded. Parts of
 100 cells would cost two and a half times as much, and show fewer places in the same time."""
+DRAWS = 8
+"""Draws of a window that something is to move in, at most."""
+MOVING_CELLS = 10
+"""Cells in which something came that are enough for a window in which something moves."""
 
 
 class Item(NamedTuple):
-    """A window (T, 2, M, M) uint8, visible and occupied, and the `resolution_of` (2,) of its recording."""
+    """A window (T, 2, M, M) uint8, visible and occupied, a step of the network each, and its `resolution_of` (2,)."""
 
     window: Tensor
     resolution: Tensor
@@ -33,24 +41,27 @@ class Frames(NamedTuple):
     """All frames of a stretch: their planes, visible and occupied, and where their windows lie.
 
     `planes` (T, 2, M, ceil(M / 8)) uint8, eight cells a byte; `windows` (T, 2) int64, how far each window lies from
-    that of a first frame, cells: rows and columns. `size`: M; `resolution` (2,) of `resolution_of`.
+    that of a first frame, cells: rows and columns. `size`: M; `resolution` (2,) of `resolution_of` cells and steps,
+    which follow the frames at a `pace`.
     """
 
     planes: NDArray[np.uint8]
     windows: NDArray[np.int64]
     size: int
     resolution: Tensor
+    pace: Pace
 
 
-def load_frames(source: FrameSource, first_window: SE2 | None) -> Frames:
+def load_frames(source: FrameSource, first_window: SE2 | None, step_s: float = 0.0) -> Frames:
     """All frames of a stretch, with their windows' shifts from `first_window`, or from that of its first frame."""
     planes, windows = [], []
     for frame in source:
         first_window = first_window or frame.world_T_grid
         planes.append(np.packbits(np.stack([frame.visible, frame.occupied]), axis=-1))
         windows.append(shift_between(first_window, frame.world_T_grid, source.grid.cell_m))
-    resolution = resolution_of(source.grid.cell_m, source.period_s)
-    return Frames(np.stack(planes), np.array(windows, np.int64), source.grid.size, resolution)
+    pace = Pace.of(source.period_s, step_s)
+    resolution = resolution_of(source.grid.cell_m, pace.step_s(source.period_s))
+    return Frames(np.stack(planes), np.array(windows, np.int64), source.grid.size, resolution, pace)
 
 
 def in_one_window(planes: NDArray[np.uint8], windows: NDArray[np.int64], number: int, size: int) -> NDArray[np.uint8]:
@@ -87,50 +98,56 @@ def cut_or_padded(cells: NDArray[np.uint8], size: int, draw: np.random.Generator
 
 
 class SequenceDataset(Dataset[Item]):
-    """Windows of `length` frames; item i is drawn by a generator seeded with (seed, i).
+    """Windows for training with `settings`; item i is drawn by a generator seeded with (seed, i).
 
-    All frames of an item are in the grid of its frame number `forecast_from`, the last one that is observed. With
-    `time_reversal`, every second item is in reverse order of time; with `superposition`, every second item is the
-    superposition of two. With `general` the sources may differ in place, grid and period: each counts by its duration,
-    and every item has the same number of cells, at most LARGEST_WINDOW a side. Raises ConfigurationError where a
-    stretch is shorter than one item, or the frames of items that are to be superposed are not in one window.
+    All frames of an item are in the grid of the last one that is observed. With `time_reversal`, every second item is
+    in reverse order of time; with `superposition`, every second item is the superposition of two; with
+    `moving_windows`, an item in which nothing moves is drawn anew, up to DRAWS times. The first items, of
+    `shape_updates`, are moving shapes, and a `shape_share` of the others has some added. With `general` the sources may
+    differ in place, grid and period: each counts by its duration, and every item has the same number of cells, at most
+    LARGEST_WINDOW a side. Raises ConfigurationError where a stretch is shorter than one item, or the frames of items
+    that are to be superposed are not in one window.
     """
 
     def __init__(
         self,
         sources: Sequence[FrameSource],
-        length: int,
+        settings: TrainingSettings,
         seed: int,
         *,
-        forecast_from: int,
-        time_reversal: bool,
-        superposition: bool,
+        step_s: float = 0.0,
         general: bool = False,
     ) -> None:
-        if general and superposition:
+        if general and settings.superposition:
             raise ConfigurationError("frames of unlike places cannot be superposed: train with superposition=false")
         self.sources = [(source.name, source.sha256) for source in sources]
         self.first_window = None if general else next(iter(sources[0])).world_T_grid
-        self.stretches = [load_frames(source, self.first_window) for source in sources]
+        self.stretches = [load_frames(source, self.first_window, step_s) for source in sources]
         largest = max(source.grid.size for source in sources)
         self.size = min(largest, LARGEST_WINDOW) if general else largest
-        self.length, self.seed, self.forecast_from = length, seed, forecast_from
-        self.time_reversal, self.superposition = time_reversal, superposition
+        self.settings, self.seed = settings, seed
         for source, frames in zip(sources, self.stretches, strict=True):
-            if len(frames.planes) < length:
-                raise ConfigurationError(
-                    f"{source.name}: {len(frames.planes)} frames; training needs at least {length}"
-                )
-            if superposition and np.ptp(frames.windows, axis=0).any():
-                raise ConfigurationError(
-                    f"{source.name}: the sensor moves: frames from different places cannot be superposed: train with"
-                    " superposition=false"
-                )
+            self._check(source, frames)
         shortest_s = min(source.period_s for source in sources)
         # an item of a stretch has as many tickets as its period is longer than the shortest one
         self._tickets = [round(source.period_s / shortest_s) for source in sources]
-        starts = (len(frames.planes) - length + 1 for frames in self.stretches)
+        starts = (len(frames.planes) - self._frames(frames) + 1 for frames in self.stretches)
         self._last = np.cumsum([own * count for own, count in zip(self._tickets, starts, strict=True)])
+
+    def _check(self, source: FrameSource, frames: Frames) -> None:
+        if len(frames.planes) < self._frames(frames):
+            raise ConfigurationError(
+                f"{source.name}: {len(frames.planes)} frames; training needs at least {self._frames(frames)}"
+            )
+        if self.settings.superposition and np.ptp(frames.windows, axis=0).any():
+            raise ConfigurationError(
+                f"{source.name}: the sensor moves: frames from different places cannot be superposed: train with"
+                " superposition=false"
+            )
+
+    def _frames(self, stretch: Frames) -> int:
+        """The frames of the stretch in one item."""
+        return stretch.pace.frames(self.settings.length)
 
     @property
     def has_one_window(self) -> bool:
@@ -140,24 +157,44 @@ class SequenceDataset(Dataset[Item]):
     def __getitem__(self, index: int) -> Item:
         """Window number `index`; the series has no end."""
         draw = np.random.default_rng((self.seed, index))
+        if index < self.settings.shape_updates * self.settings.batch:
+            return self._shapes(draw)
+        item = self._item(draw)
+        for _ in range(DRAWS - 1 if self.settings.moving_windows else 0):
+            if int(arrivals(item.window[None].bool())[:, self.settings.last_observed :].sum()) >= MOVING_CELLS:
+                break
+            item = self._item(draw)
+        if draw.random() < self.settings.shape_share:
+            item.window[:, 1] |= item.window[:, 0] & self._shapes(draw).window[:, 1]
+        return item
+
+    def _shapes(self, draw: np.random.Generator) -> Item:
+        """Moving shapes in a window that is seen whole, at the resolution of a stretch."""
+        occupied = torch.from_numpy(moving_shapes(draw, self.settings.length, self.size))
+        return Item(torch.stack([torch.ones_like(occupied), occupied], dim=1), self._draw(draw)[0].resolution)
+
+    def _item(self, draw: np.random.Generator) -> Item:
+        """A window of a recording, or the superposition of two."""
         stretch, window = self._draw(draw)
-        if self.superposition and draw.integers(2):
+        if self.settings.superposition and draw.integers(2):
             window = superposed(window, self._draw(draw)[1])
         cells = np.unpackbits(window, axis=-1, count=stretch.size)
         if stretch.size != self.size:
             cells = cut_or_padded(cells, self.size, draw)
-        return Item(torch.from_numpy(cells), stretch.resolution)
+        return Item(torch.from_numpy(stretch.pace.steps_of(cells, self.settings.length)), stretch.resolution)
 
     def _draw(self, draw: np.random.Generator) -> tuple[Frames, NDArray[np.uint8]]:
-        """A stretch, and the planes (length, 2, M, ceil(M / 8)) of consecutive frames of it in one window."""
+        """A stretch, and the planes (frames, 2, M, ceil(M / 8)) of consecutive frames of it in one window."""
         at = int(draw.integers(self._last[-1]))
         number = int(np.searchsorted(self._last, at, side="right"))
         start = (at - (int(self._last[number - 1]) if number else 0)) // self._tickets[number]
-        frames, item = self.stretches[number], slice(start, start + self.length)
+        frames = self.stretches[number]
+        item = slice(start, start + self._frames(frames))
         planes, windows = frames.planes[item], frames.windows[item]
-        if self.time_reversal and draw.integers(2):
+        if self.settings.time_reversal and draw.integers(2):
             planes, windows = planes[::-1], windows[::-1]
-        return frames, in_one_window(planes, windows, self.forecast_from, frames.size)
+        forecast_from = frames.pace.frame_of(self.settings.last_observed)
+        return frames, in_one_window(planes, windows, forecast_from, frames.size)
 
 
 def superposed(one: NDArray[np.uint8], other: NDArray[np.uint8]) -> NDArray[np.uint8]:

@@ -19,7 +19,10 @@ class ResolutionSettings(Settings):
     """What a network is told about its grids."""
 
     resolution_input: bool = False
-    """Cell size and period are inputs of the network, as they are for general weights; else it learns one of each."""
+    """Cell size and step are inputs of the network, as they are for general weights; else it learns one of each."""
+    step_s: float = Field(0.0, ge=0)
+    """Duration of a step of the network, as nearly as whole numbers of steps a frame, or of frames a step, allow. 0:
+    that of a frame."""
 
 
 class DilatedConvGRUSettings(ResolutionSettings):
@@ -64,6 +67,15 @@ class TrainingSettings(Settings):
     """Observed frames before a sequence, without loss: the initial state is then that of a stream after some time."""
     time_reversal: bool = False
     """Augmentation: every second window is drawn in reverse order of time."""
+    moving_windows: bool = False
+    """A window in which nothing moves is drawn anew, a few times."""
+    motion_weight: float = Field(0.0, ge=0)
+    """Additional weight in the loss of visible cells near what came within a second, at the first update; it falls to
+    zero with the last one, so that probabilities are those of all cells alike."""
+    shape_updates: int = Field(0, ge=0)
+    """The first updates are on windows of moving shapes alone, from which motion is learned much faster."""
+    shape_share: float = Field(0.0, ge=0, le=1)
+    """Augmentation: this share of the windows has moving shapes added where cells are visible."""
     superposition: bool = False
     """Augmentation: every second window is the superposition of two, as if the moving objects of both were present."""
     updates: int = Field(4000, ge=1)

@@ -30,6 +30,7 @@ from gridtrack.common.files import write_text
 from gridtrack.trackers.contract import FitOutput, FrameSource
 from gridtrack.trackers.excerpts import mean_of_defined
 from gridtrack.trackers.progress import Stage
+from gridtrack.trackers.recurrent.arrivals import near_arrivals
 from gridtrack.trackers.recurrent.network import RecurrentNetwork, channels_last
 from gridtrack.trackers.recurrent.precision import training_precision
 from gridtrack.trackers.recurrent.resolution_input import set_resolution
@@ -37,6 +38,8 @@ from gridtrack.trackers.recurrent.sequences import EpochSampler, Item, SequenceD
 from gridtrack.trackers.recurrent.settings import InferenceSettings, TrainingSettings, TransferSettings
 from gridtrack.trackers.weights import Weights
 
+SELECTION_STRATA = ("dynamic", "in-motion", "visible")
+"""Strata by whose F1 the best weights are chosen: those of the headline, as in a search of settings."""
 CHECKPOINT_EVERY_S = 60.0
 """Time between two checkpoints; there is one after every validation too."""
 NO_NEWS = (
@@ -204,10 +207,15 @@ class TrainingModule(lightning.LightningModule):
         for resolution in torch.unique(batch.resolution, dim=0):
             set_resolution(self.network, resolution)
             windows = batch.window[(batch.resolution == resolution).all(dim=1)]
-            losses.append(sequence_loss(network, windows.float(), self.settings) * len(windows))
+            losses.append(sequence_loss(network, windows.float(), self.settings, self.motion_weight) * len(windows))
         loss = torch.stack(losses).sum() / len(batch.window)
         self.log("loss", loss, batch_size=len(batch.window))
         return loss
+
+    @property
+    def motion_weight(self) -> float:
+        """The additional weight of cells near what came; it falls to zero over the training."""
+        return self.settings.motion_weight * (1.0 - self.global_step / self.settings.updates)
 
     def on_train_batch_end(self, outputs: Any, batch: Any, batch_idx: int) -> None:
         """Count the update."""
@@ -239,11 +247,14 @@ class TrainingModule(lightning.LightningModule):
         checkpoint["scores"] = self.scores
 
 
-def sequence_loss(network: RecurrentNetwork, windows: Tensor, settings: TrainingSettings) -> Tensor:
+def sequence_loss(
+    network: RecurrentNetwork, windows: Tensor, settings: TrainingSettings, motion_weight: float = 0.0
+) -> Tensor:
     """Binary cross-entropy of the forecast of each frame on its visible cells: mean over all these cells, nats.
 
-    `windows` (B, T, 2, M, M) of 0 and 1: visible and occupied. The burn-in has neither loss nor gradient. A cell that
-    no frame sees has the weight `unseen_weight`, and the occupied rate of the windows as its target.
+    `windows` (B, T, 2, M, M) of 0 and 1: visible and occupied. The burn-in has neither loss nor gradient. A visible
+    cell near an arrival has the weight 1 + `motion_weight`. A cell that no frame sees has the weight `unseen_weight`,
+    and the occupied rate of the windows as its target.
     """
     frames = windows.transpose(0, 1)
     state = network.initial(windows.shape[0])
@@ -256,27 +267,29 @@ def sequence_loss(network: RecurrentNetwork, windows: Tensor, settings: Training
             features.append(network.features(state))
     logits = network.occupancy(torch.cat(features)).float()
     visible, occupied = frames[settings.burn_in :].flatten(0, 1).unbind(dim=1)
-    cells = visible.sum().clamp(min=1.0)
     weight = visible
+    if motion_weight:
+        near = near_arrivals(windows.bool()).transpose(0, 1)[settings.burn_in :].flatten(0, 1)
+        weight = visible * (1.0 + motion_weight * near)
+    total = weight.sum().clamp(min=1.0)
     if settings.unseen_weight:
         unseen = ~windows[:, :, 0].bool().any(dim=1).repeat(len(features), 1, 1)
-        weight = visible + settings.unseen_weight * unseen
-        occupied = torch.where(unseen, occupied.sum() / cells, occupied)
-    loss = functional.binary_cross_entropy_with_logits(logits, occupied, weight=weight, reduction="sum")
-    return loss / cells
+        weight = weight + settings.unseen_weight * unseen
+        occupied = torch.where(unseen, occupied.sum() / visible.sum().clamp(min=1.0), occupied)
+    return functional.binary_cross_entropy_with_logits(logits, occupied, weight=weight, reduction="sum") / total
 
 
 def validation_scores(
     score: Callable[[FrameSource], Any], sources: Sequence[FrameSource], horizons_s: Sequence[float]
 ) -> dict[str, float]:
-    """F1 of dynamic and visible cells at the horizons, mean over the stretches; `score` is the mean of all of them.
+    """F1 of SELECTION_STRATA at the horizons, mean over the stretches; `score` is the mean of all of them.
 
     A stretch in which nothing moves has no F1 of dynamic cells: it does not count there, unless it is the only one.
     """
     found: dict[str, list[float]] = {}
     for source in sources:
         f1 = score(source).f1
-        for stratum in ("dynamic", "visible"):
+        for stratum in SELECTION_STRATA:
             for horizon in horizons_s:
                 at = round(horizon / source.period_s)
                 found.setdefault(f"{stratum}_f1_{horizon:g}s", []).append(float(f1[stratum][at]))

@@ -138,7 +138,7 @@ def latent_cells(
             if number % every or not item.cells.size:
                 continue
             scan.add(planes_of(item.frame, source.grid.cell_m if general else None), item, names)
-            now.add(class_planes(tracker.state, layers)[0].half(), item, names)
+            now.add(class_planes(tracker.network.current(tracker.state), layers)[0].half(), item, names)
             for lead in LEADS:
                 if (state := past.before(lead)) is not None:
                     ahead.add(class_planes(_forecast(tracker.network, state, lead), layers)[0].half(), item, names)
@@ -176,7 +176,8 @@ class PastStates:
 def _forecast(network: Any, state: LatentState, steps: int) -> LatentState:
     for _ in range(steps):
         state = network.step(None, state)
-    return state
+    forecast: LatentState = network.current(state)
+    return forecast
 
 
 def fit_decoder(options: Any, training: LabelledCells, held_out: TransferCells, out: FitOutput) -> TrainedClassifier:

@@ -69,7 +69,9 @@ def test_fit_finds_the_best_settings_and_keeps_given_ones(tmp_path, monkeypatch)
     def score(tracker, source, steps):
         asked.append(tracker.options)
         loss = np.full(steps + 1, abs(np.log(tracker.options.acceleration / 1.3)))  # of F1 too: the search maximises it
-        return StretchScore({"dynamic": 1 - loss, "visible": 1 - loss}, {"dynamic": loss, "visible": loss})
+        return StretchScore(
+            {"dynamic": 1 - loss, "in-motion": 1 - loss, "visible": 1 - loss}, {"dynamic": loss, "visible": loss}
+        )
 
     paths = [tmp_path / run / "yard.toml" for run in ("one", "two")]
     for path in paths:
@@ -112,7 +114,9 @@ def test_a_site_starts_from_general_settings_and_searches_how_its_map_is_weighed
     def score(tracker, source, steps):
         asked.append(tracker.options)
         loss = np.full(steps + 1, abs(np.log(tracker.options.free_decay_s / best_s)) / 10)
-        return StretchScore({"dynamic": 1 - loss, "visible": 1 - loss}, {"dynamic": loss, "visible": loss})
+        return StretchScore(
+            {"dynamic": 1 - loss, "in-motion": 1 - loss, "visible": 1 - loss}, {"dynamic": loss, "visible": loss}
+        )
 
     out = FitOutput(
         tmp_path / "yard.toml", "gridtrack train dogma", 3, tmp_path / "log", lambda line: None, start=general
@@ -150,7 +154,7 @@ def test_training_on_a_moving_sensor_learns_no_map_and_reports_it(tmp_path, monk
     flat = np.full(17, 0.5)
     told: list[str] = []
     out = FitOutput(tmp_path / "yard.toml", "gridtrack train dogma", 3, tmp_path / "log", report=told.append)
-    both = StretchScore({"dynamic": flat, "visible": flat}, {"dynamic": flat, "visible": flat})
+    both = StretchScore({"dynamic": flat, "in-motion": flat, "visible": flat}, {"dynamic": flat, "visible": flat})
     DogmaTracker.fit([Driven()], [Driven()], lambda *_: both, out, DogmaSettings(particles=800))
     assert any("the sensor moves: no map of the place is learned" in line for line in told)
     stream = StreamSpec(GRID, PERIOD_S, "yard", weights=out.path)

@@ -29,7 +29,7 @@ from scenes.street import GRID, Street, frame_of
 
 def no_score(tracker, source, steps):
     flat = np.zeros(steps + 1)
-    return StretchScore({"dynamic": flat, "visible": flat}, {"dynamic": flat})
+    return StretchScore({"dynamic": flat, "in-motion": flat, "visible": flat}, {"dynamic": flat})
 
 
 def fit(folder, tracker=KalmanTracker, street=None, **options):

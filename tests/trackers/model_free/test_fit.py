@@ -78,7 +78,9 @@ def test_fit_finds_the_best_settings_and_keeps_given_ones(tmp_path, monkeypatch)
         asked.append(settings)
         far = abs(np.log(settings.acceleration / 0.3))
         loss = np.full(steps + 1, far)
-        return StretchScore({"dynamic": 1 - loss, "visible": 1 - loss}, {"dynamic": loss, "visible": loss})
+        return StretchScore(
+            {"dynamic": 1 - loss, "in-motion": 1 - loss, "visible": 1 - loss}, {"dynamic": loss, "visible": loss}
+        )
 
     paths = [tmp_path / run / "hall.toml" for run in ("one", "two")]
     for path in paths:
@@ -111,7 +113,7 @@ def test_the_validation_recordings_decide_between_the_best_settings(tmp_path, mo
         value = tracker._settings.acceleration
         (compared if source is validation else searched).append(value)
         flat = np.full(steps + 1, value if source is not validation else 1.0 - value)
-        return StretchScore({"dynamic": flat, "visible": flat}, {"dynamic": flat, "visible": flat})
+        return StretchScore({"dynamic": flat, "in-motion": flat, "visible": flat}, {"dynamic": flat, "visible": flat})
 
     told = []
     fit_hall(tmp_path, score, told, validation)
@@ -124,7 +126,10 @@ def test_the_validation_recordings_decide_between_the_best_settings(tmp_path, mo
 def test_a_stretch_without_scores_is_refused_in_one_line(tmp_path):
     def score(tracker, source, steps):
         undefined = np.full(steps + 1, np.nan)
-        return StretchScore({"dynamic": undefined, "visible": undefined}, {"dynamic": undefined, "visible": undefined})
+        return StretchScore(
+            {"dynamic": undefined, "in-motion": undefined, "visible": undefined},
+            {"dynamic": undefined, "visible": undefined},
+        )
 
     with pytest.raises(RecordingError, match=r"F1 is not defined on the training recordings: .*use a longer stretch"):
         fit_hall(tmp_path, score, [])
@@ -142,7 +147,7 @@ class Scores:
             raise KeyboardInterrupt
         self.calls += 1
         flat = np.full(steps + 1, 1.0 / (1.0 + tracker._settings.acceleration))
-        return StretchScore({"dynamic": flat, "visible": flat}, {"dynamic": flat, "visible": flat})
+        return StretchScore({"dynamic": flat, "in-motion": flat, "visible": flat}, {"dynamic": flat, "visible": flat})
 
 
 def test_an_interrupted_search_keeps_its_best_and_continues_as_if_it_had_not_been(tmp_path, caplog, monkeypatch):
@@ -240,7 +245,7 @@ def test_at_a_site_only_the_settings_of_the_background_are_searched_again(tmp_pa
     def score(tracker, source, steps):
         asked.append(tracker._settings)
         flat = np.full(steps + 1, 0.5)
-        return StretchScore({"dynamic": flat, "visible": flat}, {"dynamic": flat, "visible": flat})
+        return StretchScore({"dynamic": flat, "in-motion": flat, "visible": flat}, {"dynamic": flat, "visible": flat})
 
     at_site = FitOutput(tmp_path / "hall.toml", "gridtrack train kalman", 3, tmp_path / "log", start=general)
     KalmanTracker.fit([Source()], [Source()], score, at_site, ModelFreeSettings(link_m=0.7))

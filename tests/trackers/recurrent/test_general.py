@@ -21,6 +21,7 @@ from gridtrack.trackers.recurrent.network import channels_last  # noqa: E402
 from gridtrack.trackers.recurrent.resolution_input import resolution_of, set_resolution  # noqa: E402
 from gridtrack.trackers.recurrent.rnn_tracker import DeepTrackingRNNTracker  # noqa: E402
 from gridtrack.trackers.recurrent.sequences import SequenceDataset  # noqa: E402
+from gridtrack.trackers.recurrent.settings import TrainingSettings  # noqa: E402
 from gridtrack.trackers.recurrent.training import validation_scores  # noqa: E402
 from gridtrack.trackers.weights import read_card  # noqa: E402
 
@@ -37,7 +38,7 @@ class Walk:
     sha256, site, classes = "0" * 64, "", ()
 
     def __init__(
-        self, size: int, cell_m: float, period_s: float, frames: int = 60, drift: int = 0, unseen: int = 3
+        self, size: int, cell_m: float, period_s: float, frames: int = 90, drift: int = 0, unseen: int = 3
     ) -> None:
         self.grid, self.period_s, self.frames, self.drift = GridSpec(size, cell_m), period_s, frames, drift
         self.unseen = unseen
@@ -66,7 +67,7 @@ def no_score(tracker, source, steps):
     shape = tracker.predict(steps).occupancy.shape
     assert shape == (steps + 1, *source.grid.shape)
     ones = np.ones(steps + 1)
-    return StretchScore({"dynamic": ones, "visible": ones}, {})
+    return StretchScore({"dynamic": ones, "in-motion": ones, "visible": ones}, {})
 
 
 HELD_OUT = (Walk(20, 0.1, 0.1), Walk(9, 0.3, 0.25))
@@ -81,8 +82,10 @@ def fit(tracker, folder, sources, held_out=HELD_OUT, **options):
 
 
 def items(*sources, **options):
-    settings = {"forecast_from": 4, "time_reversal": False, "superposition": False, "general": True, **options}
-    return SequenceDataset(sources, 8, seed=1, **settings)
+    """Windows of eight steps, five of them observed."""
+    step_s = options.pop("step_s", 0.0)
+    settings = TrainingSettings(observed_frames=5, blank_frames=3, repetitions=1, **options)
+    return SequenceDataset(sources, settings, seed=1, step_s=step_s, general=True)
 
 
 @pytest.mark.parametrize("tracker", TRACKERS)
@@ -184,7 +187,9 @@ def test_a_validation_recording_in_which_nothing_moves_has_no_part_in_the_score(
 
     def score(source):
         dynamic, visible = f1[Walk if source is sources[0] else None]
-        return StretchScore({"dynamic": np.full(3, dynamic), "visible": np.full(3, visible)}, {})
+        return StretchScore(
+            {"dynamic": np.full(3, dynamic), "in-motion": np.full(3, dynamic), "visible": np.full(3, visible)}, {}
+        )
 
     found = validation_scores(score, sources, (1.0,))
     assert (found["dynamic_f1_1s"], found["visible_f1_1s"]) == (0.5, pytest.approx(0.6))
@@ -248,3 +253,62 @@ def test_classes_are_learned_from_all_recordings_and_a_dot_is_told_by_the_size_o
         semantics = made.predict(2).semantics[0]
         assert semantics.shape[1:] == source.grid.shape
         assert made.classes[semantics[:, row, column].argmax()] == expected
+
+
+def dots_of(window):
+    """The number of occupied cells in each frame of a window (T, 2, M, M)."""
+    return window[:, 1].flatten(1).sum(dim=1).tolist()
+
+
+def test_a_window_in_which_nothing_moves_is_drawn_anew():
+    """Of a hundred seconds of a dot that stands and five of one that walks, nearly every window has the walk."""
+
+    class Stands(Walk):
+        sha256 = "1" * 64
+
+        def __iter__(self):
+            first = next(super().__iter__())
+            for t in range(self.frames):
+                yield GridFrame(
+                    round(t * self.period_s * 1e9), first.visible, first.occupied, first.world_T_grid, first.origins,
+                    first.points, first.point_origin,
+                )  # fmt: skip
+
+    sources = Stands(40, 0.2, 0.1, frames=200), Walk(40, 0.2, 0.1, frames=200)
+    shape = {"observed_frames": 20, "blank_frames": 20, "repetitions": 1}
+    shares = []
+    for moving in (False, True):
+        settings = TrainingSettings(**shape, moving_windows=moving)
+        data = SequenceDataset(sources, settings, seed=1, general=True)
+        moves = [bool((data[number].window[0] != data[number].window[-1]).any()) for number in range(60)]
+        shares.append(sum(moves) / 60)
+    assert 0.3 < shares[0] < 0.7
+    assert shares[1] > 0.95
+
+
+def test_the_first_updates_are_on_moving_shapes_and_a_share_of_the_others_has_some_added():
+    settings = {"shape_updates": 3, "batch": 2, "shape_share": 0.5}
+    data = items(Walk(40, 0.2, 0.1, unseen=10), **settings)
+    plain = items(Walk(40, 0.2, 0.1, unseen=10))
+    for number in range(6):
+        window, resolution = data[number]
+        assert window[:, 0].all(), "seen whole"
+        assert min(dots_of(window)) > 5
+        assert torch.equal(resolution, resolution_of(0.2, 0.1))
+    added = 0
+    for number in range(6, 106):
+        window, own = data[number].window, plain[number].window
+        assert torch.equal(window[:, 0], own[:, 0])
+        assert not (window[:, 1] & ~window[:, 0]).any(), "only visible cells are occupied"
+        assert (window[:, 1] >= own[:, 1]).all()
+        added += bool((window != own).any())
+    assert 35 < added < 65
+
+
+def test_slow_frames_are_the_input_of_every_second_step_and_fast_ones_are_taken_in_turn():
+    slow = items(Walk(40, 0.2, 0.2, unseen=10), step_s=0.1)[0]
+    assert [bool(frame.any()) for frame in slow.window[:, 0]] == [False, True] * 4
+    fast = items(Walk(40, 0.2, 0.05, unseen=10), step_s=0.1)[0]
+    columns = fast.window[:, 1].any(dim=1).float().argmax(dim=1)
+    assert {abs(int(step)) for step in columns.diff()} <= {0, 1, 2}, "a walk of 2 m/s: a cell of 0.2 m a step"
+    assert all(torch.equal(each.resolution, resolution_of(0.2, 0.1)) for each in (slow, fast))

@@ -58,7 +58,7 @@ def no_score(tracker, source, steps):
         tracker.update(frame)
     tracker.predict(steps)
     ones = np.ones(steps + 1)
-    return StretchScore({"dynamic": ones, "visible": ones}, {})
+    return StretchScore({"dynamic": ones, "in-motion": ones, "visible": ones}, {})
 
 
 def fit(tracker, folder, sources=None, **options):
@@ -69,9 +69,14 @@ def fit(tracker, folder, sources=None, **options):
     return out.path, lines
 
 
+def of_eight(**options):
+    """Settings of windows of eight frames, five of them observed."""
+    return TrainingSettings(observed_frames=5, blank_frames=3, repetitions=1, **options)
+
+
 @pytest.mark.parametrize("time_reversal", [False, True])
 def test_the_frames_of_an_item_are_in_the_window_of_the_last_one_that_is_observed(time_reversal):
-    data = SequenceDataset([Drive()], 8, seed=1, forecast_from=4, time_reversal=time_reversal, superposition=False)
+    data = SequenceDataset([Drive()], of_eight(time_reversal=time_reversal), seed=1)
     first_columns = set()
     for number in range(60):
         visible, occupied = data[number].window.numpy().transpose(1, 0, 2, 3).astype(bool)
@@ -92,7 +97,7 @@ def test_the_last_observed_frame_is_that_before_the_last_blank_ones():
 
 def test_drives_are_not_superposed():
     with pytest.raises(ConfigurationError, match=r"drive: the sensor moves.*superposition=false"):
-        SequenceDataset([Drive()], 8, seed=1, forecast_from=4, time_reversal=False, superposition=True)
+        SequenceDataset([Drive()], of_eight(superposition=True), seed=1)
 
 
 @pytest.mark.parametrize("sources", [[Drive()], [Drive(speed=0), Drive(start=1, speed=0)]], ids=["moves", "elsewhere"])

@@ -58,7 +58,7 @@ class Scores:
     def __call__(self, tracker, source, steps):
         self.forecasts.append(forecasts_of(tracker, source))
         value = np.full(steps + 1, self.values.pop(0) if len(self.values) > 1 else self.values[0])
-        return StretchScore({"dynamic": value, "visible": value}, {})
+        return StretchScore({"dynamic": value, "in-motion": value, "visible": value}, {})
 
 
 def forecasts_of(tracker, source):

@@ -17,11 +17,12 @@ from gridtrack.common.geometry import SE2  # noqa: E402
 from gridtrack.common.grid import GridFrame, GridSpec  # noqa: E402
 from gridtrack.trackers.contract import FitOutput, StretchScore, stream_of  # noqa: E402
 from gridtrack.trackers.recurrent import training  # noqa: E402
+from gridtrack.trackers.recurrent.arrivals import near_arrivals  # noqa: E402
 from gridtrack.trackers.recurrent.convgru_tracker import DilatedConvGRUTracker  # noqa: E402
 from gridtrack.trackers.recurrent.rnn_tracker import DeepTrackingRNNTracker  # noqa: E402
 from gridtrack.trackers.recurrent.sequences import EpochSampler, SequenceDataset, occupied_rate, superposed  # noqa: E402
 from gridtrack.trackers.recurrent.settings import TrainingSettings  # noqa: E402
-from gridtrack.trackers.recurrent.training import sequence_loss  # noqa: E402
+from gridtrack.trackers.recurrent.training import TrainingModule, sequence_loss  # noqa: E402
 from gridtrack.trackers.weights import read_card  # noqa: E402
 
 SIZE = 12
@@ -60,7 +61,7 @@ def no_score(tracker, source, steps):
         hit = future.occupied[future.visible]
         losses.append(-np.log(np.where(hit, p, 1 - p)).mean())
     f1 = np.full(steps + 1, 1.0 - np.mean(losses))
-    return StretchScore({"dynamic": f1, "visible": f1}, {})
+    return StretchScore({"dynamic": f1, "in-motion": f1, "visible": f1}, {})
 
 
 def fit(tracker, folder, **options):
@@ -114,7 +115,7 @@ def test_a_resumed_training_equals_an_uninterrupted_one(tmp_path):
             if call == interrupt_at:
                 raise KeyboardInterrupt
             f1 = np.full(steps + 1, 0.9 - 0.1 * call)
-            return StretchScore({"dynamic": f1, "visible": f1}, {})
+            return StretchScore({"dynamic": f1, "in-motion": f1, "visible": f1}, {})
 
         return score
 
@@ -205,9 +206,8 @@ def test_cells_that_are_not_visible_have_no_loss():
 
 def test_the_burn_in_updates_the_state_without_loss_or_gradient():
     network = DilatedConvGRUTracker.build(SIZE, validated(DilatedConvGRUTracker.Options, {}, "test"), 0)
-    window = SequenceDataset([Shuttle()], 9, seed=0, forecast_from=6, time_reversal=False, superposition=False)
-    window = window[0].window[None].float()
     settings = TrainingSettings(burn_in=5, observed_frames=2, blank_frames=2, repetitions=1)
+    window = SequenceDataset([Shuttle()], settings, seed=0)[0].window[None].float()
     assert [settings.is_observed(frame) for frame in range(settings.length)] == [True] * 7 + [False] * 2
 
     loss = sequence_loss(network, window, settings)
@@ -239,9 +239,7 @@ def test_the_training_network_has_the_loss_and_gradient_of_the_network(kind, hal
     on_processor = kind.prepare_training(network, 0.05)
     for parameter in network.parameters():
         torch.nn.init.normal_(parameter, std=0.3)
-    data = SequenceDataset(
-        [Shuttle()], settings.length, seed=0, forecast_from=0, time_reversal=False, superposition=False
-    )
+    data = SequenceDataset([Shuttle()], settings, seed=0)
     windows = torch.stack([data[0].window, data[1].window]).float()
 
     def loss_and_gradient(one):
@@ -258,13 +256,14 @@ def test_the_training_network_has_the_loss_and_gradient_of_the_network(kind, hal
         assert (found - expected).norm() < tolerance * expected.norm()
 
 
+def of_ten(**options):
+    """Settings of windows of ten frames, five of them observed."""
+    return TrainingSettings(observed_frames=5, blank_frames=5, repetitions=1, **options)
+
+
 def test_windows_are_frames_of_the_recordings_and_depend_only_on_seed_and_number():
-    data = SequenceDataset(
-        [Shuttle(30), Shuttle(40)], 10, seed=1, forecast_from=4, time_reversal=True, superposition=False
-    )
-    again = SequenceDataset(
-        [Shuttle(30), Shuttle(40)], 10, seed=1, forecast_from=4, time_reversal=True, superposition=False
-    )
+    data = SequenceDataset([Shuttle(30), Shuttle(40)], of_ten(time_reversal=True), seed=1)
+    again = SequenceDataset([Shuttle(30), Shuttle(40)], of_ten(time_reversal=True), seed=1)
     directions = set()
     for number in range(40):
         window = data[number].window
@@ -285,7 +284,7 @@ def test_superposed_windows_are_the_frames_of_a_laser_with_the_objects_of_both()
 
 
 def test_superposition_applies_to_half_of_the_windows():
-    data = SequenceDataset([Shuttle(60)], 10, seed=1, forecast_from=4, time_reversal=False, superposition=True)
+    data = SequenceDataset([Shuttle(60)], of_ten(superposition=True), seed=1)
     dots = [int(data[number].window[0, 1, 5].sum()) for number in range(200)]
     assert set(dots) == {1, 2}
     assert 60 < sum(count == 2 for count in dots) < 130
@@ -298,10 +297,43 @@ def test_every_epoch_continues_the_series_of_windows():
 
 
 def test_the_occupied_rate_is_that_of_the_visible_cells():
-    data = SequenceDataset([Shuttle(12)], 10, seed=0, forecast_from=4, time_reversal=False, superposition=False)
+    data = SequenceDataset([Shuttle(12)], of_ten(), seed=0)
     assert occupied_rate(data.stretches) == pytest.approx((SIZE + 1) / (SIZE * (SIZE - 1)))
 
 
 def test_a_stretch_shorter_than_a_window_is_refused_by_name():
     with pytest.raises(ConfigurationError, match="shuttle: 5 frames; training needs at least 40"):
-        SequenceDataset([Shuttle(5)], 40, seed=0, forecast_from=4, time_reversal=False, superposition=False)
+        SequenceDataset([Shuttle(5)], TrainingSettings(), seed=0)
+
+
+def test_cells_near_an_arrival_have_more_weight_until_the_last_update(monkeypatch, tmp_path):
+    """By hand: the loss is the weighted mean over visible cells; the weight falls linearly to zero."""
+    torch.manual_seed(1)
+    settings = validated(
+        DilatedConvGRUTracker.Options,
+        {"observed_frames": 8, "blank_frames": 6, "repetitions": 1, "motion_weight": 3.0, "updates": 4},
+        "test",
+    )
+    network = DilatedConvGRUTracker.build(SIZE, settings, 0)
+    window = SequenceDataset([Shuttle()], settings, seed=0)[0].window[None]
+    near = near_arrivals(window.bool())[0]
+    assert 0 < near.float().mean() < 0.9
+    state, logits = network.initial(1), []
+    for t, x in enumerate(window[0]):
+        state = network.step(x[None].float() if t < 8 else None, state)
+        logits.append(network.occupancy(network.features(state))[0])
+    weight = window[0, :, 0] * (1.0 + 2.0 * near)
+    cells = torch.nn.functional.binary_cross_entropy_with_logits(
+        torch.stack(logits), window[0, :, 1].float(), reduction="none"
+    )
+    loss = sequence_loss(network, window.float(), settings, motion_weight=2.0)
+    torch.testing.assert_close(loss, (cells * weight).sum() / weight.sum())
+
+    module = TrainingModule(
+        network, network, settings, lambda trained: {}, FitOutput(tmp_path / "a.toml", "", 1, tmp_path)
+    )
+    weights = []
+    for step in range(4):
+        monkeypatch.setattr(TrainingModule, "global_step", step)
+        weights.append(module.motion_weight)
+    assert weights == [3.0, 2.25, 1.5, 0.75]

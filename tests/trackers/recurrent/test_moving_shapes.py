@@ -1,0 +1,41 @@
+"""Windows of moving shapes: dense, at walking speeds in cells a step, seen from one side."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch")
+
+from gridtrack.trackers.recurrent import moving_shapes as shapes  # noqa: E402
+from gridtrack.trackers.recurrent.arrivals import arrivals  # noqa: E402
+from gridtrack.trackers.recurrent.moving_shapes import moving_shapes  # noqa: E402
+
+
+def test_a_window_depends_on_its_draw_alone_and_much_of_it_moves():
+    one, same, other = (moving_shapes(np.random.default_rng(seed), 30, 64) for seed in (1, 1, 2))
+    assert np.array_equal(one, same)
+    assert not np.array_equal(one, other)
+    assert 0.005 < one.mean() < 0.1
+    seen = torch.from_numpy(np.stack([np.ones_like(one), one], axis=1))[None].bool()
+    assert arrivals(seen)[0, 10:].flatten(1).any(dim=1).all()
+
+
+def test_a_shape_moves_straight_on_at_its_speed(monkeypatch):
+    """One disc that is seen all round, 1.5 cells a step without a turn: its centre moves so."""
+    monkeypatch.setattr(shapes, "FEWEST", 1)
+    monkeypatch.setattr(shapes, "MOST", 1)
+    monkeypatch.setattr(shapes, "RECTANGLES", 0.0)
+    monkeypatch.setattr(shapes, "LOST_SHARE", 0.0)
+    monkeypatch.setattr(shapes, "STANDING_SHARE", 0.0)
+    monkeypatch.setattr(shapes, "TURN", 0.0)
+    monkeypatch.setattr(shapes, "SPEEDS", (1.5, 1.5))
+    monkeypatch.setattr(shapes, "RADII", (2.0, 2.0))
+    measured = 0
+    for seed in range(40):
+        window = moving_shapes(np.random.default_rng(seed), 9, 60)
+        centres = [np.argwhere(frame).mean(axis=0) for frame in window if frame.sum() >= 4]
+        if len(centres) == 9 and min(np.min(centres), 59 - np.max(centres)) > 4:  # whole in the window all the time
+            measured += 1
+            assert np.linalg.norm(centres[-1] - centres[0]) / 8 == pytest.approx(1.5, abs=0.15)
+    assert measured > 5

@@ -1,0 +1,111 @@
+"""A network whose steps last as long at every period: substeps between slow frames, fast frames taken in turns."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch")
+
+from gridtrack.common.config import validated  # noqa: E402
+from gridtrack.trackers.recurrent.convgru_tracker import DilatedConvGRUTracker  # noqa: E402
+from gridtrack.trackers.recurrent.network import channels_last  # noqa: E402
+from gridtrack.trackers.recurrent.pacing import Pace, paced  # noqa: E402
+from gridtrack.trackers.recurrent.rnn_tracker import DeepTrackingRNNTracker  # noqa: E402
+
+SIZE = 12
+
+
+@pytest.mark.parametrize(
+    ("period_s", "pace"),
+    [
+        (0.1, (1, 1)),
+        (0.2, (2, 1)),
+        (0.05, (1, 2)),
+        (1 / 13.5, (1, 1)),
+        (1 / 15, (1, 2)),
+        (0.14, (1, 1)),
+        (0.15, (2, 1)),
+    ],
+)
+def test_a_step_lasts_a_tenth_of_a_second_by_a_factor_of_sqrt_2_at_most(period_s, pace):
+    found = Pace.of(period_s, 0.1)
+    assert found == pace
+    assert 0.1 / 2**0.5 <= found.step_s(period_s) <= 0.1 * 2**0.5
+
+
+def test_without_a_duration_a_step_is_a_frame():
+    assert Pace.of(0.37, 0.0) == Pace() == (1, 1)
+
+
+@pytest.mark.parametrize("pace", [Pace(), Pace(2, 1), Pace(3, 1), Pace(1, 2), Pace(1, 3)])
+def test_the_frames_of_a_training_window_lie_at_the_steps_that_take_them_in_a_stream(pace):
+    """Twelve steps; the frames are numbered from 1, and 0 is a step without one."""
+    frames = np.arange(1, pace.frames(12) + 1, dtype=np.uint8)[:, None]
+    steps = pace.steps_of(frames, 12)[:, 0].tolist()
+    assert len(steps) == 12
+    assert [frame for frame in steps if frame] == frames[:: pace.phases, 0].tolist()
+    assert steps[pace.substeps - 1 :: pace.substeps] == frames[:: pace.phases, 0].tolist()
+    assert steps[5] == frames[pace.frame_of(5), 0]
+
+
+def networks(tracker, pace):
+    torch.manual_seed(3)
+    options = validated(tracker.Options, {"static_gates": []} if tracker is DilatedConvGRUTracker else {}, "test")
+    network = channels_last(tracker.build(SIZE, options, classes=0).eval())
+    one = tracker.prepare_inference(network, options)
+    return one, paced(one, pace)
+
+
+def frames(count):
+    draw = torch.Generator().manual_seed(1)
+    planes = (torch.rand(count, 1, 2, SIZE, SIZE, generator=draw) < 0.3).float()
+    return list(planes.contiguous().unbind())
+
+
+def run(network, planes, state=None):
+    state = network.initial(1) if state is None else state
+    for x in planes:
+        state = network.step(x, state)
+    return state
+
+
+TRACKERS = [DilatedConvGRUTracker, DeepTrackingRNNTracker]
+
+
+@pytest.mark.parametrize("tracker", TRACKERS)
+def test_between_slow_frames_are_steps_without_input(tracker):
+    one, substeps = networks(tracker, Pace(3, 1))
+    x = [plane.contiguous(memory_format=torch.channels_last) for plane in frames(2)]
+    with torch.inference_mode():
+        expected = run(one, [None, None, x[0], None, None, x[1], None, None, None])
+        found = run(substeps, [*x, None])
+        assert all(torch.equal(a, b) for a, b in zip(found, expected, strict=True))
+        assert torch.equal(substeps.features(found), one.features(expected))
+    assert all(np.array_equal(a, b) for a, b in zip(substeps.unseen(2), one.unseen(6), strict=True))
+
+
+@pytest.mark.parametrize("tracker", TRACKERS)
+def test_fast_frames_are_taken_in_turns_and_each_forecast_is_of_the_state_whose_turn_it_is(tracker):
+    one, turns = networks(tracker, Pace(1, 2))
+    x = [plane.contiguous(memory_format=torch.channels_last) for plane in frames(5)]
+    with torch.inference_mode():
+        even, odd = run(one, x[0::2]), run(one, x[1::2])  # the last frame, number 4, is of the first one
+        state = run(turns, x)
+        assert torch.equal(turns.features(state), one.features(even))
+        for step in range(1, 5):
+            state = turns.step(None, state)
+            own, count = (even, step // 2) if step % 2 == 0 else (odd, (step + 1) // 2)
+            expected = run(one, [None] * count, own)
+            assert torch.equal(turns.features(state), one.features(expected)), step
+            assert all(torch.equal(a, b) for a, b in zip(turns.current(state), expected, strict=True))
+
+
+@pytest.mark.parametrize("tracker", TRACKERS)
+def test_a_cell_that_no_frame_has_seen_has_the_state_of_its_phase(tracker):
+    one, turns = networks(tracker, Pace(1, 2))
+    layers = len(one.initial(1))
+    unseen = turns.unseen(5)  # of five frames the older state had two, the newer one three
+    assert len(unseen) == 2 * layers
+    for part, steps in ((unseen[:layers], 2), (unseen[layers:], 3)):
+        assert all(np.array_equal(a, b) for a, b in zip(part, one.unseen(steps), strict=True))
