@@ -31,13 +31,13 @@ OF_THE_PLACE = frozenset({"static_gates", "precision", "shape_updates", "shape_s
 """Settings that are not those of the general weights: the last three are what a general network learns motion from."""
 
 
-STEP_S = 0.1
+GENERAL_STEP_S = 0.1
 """Duration of a step of a general network, unless another one is given."""
 
 
 def general_options(options: NetworkOptions) -> NetworkOptions:
-    """The `options` of a network for any place: it is told the resolution, and its steps last STEP_S, unless set."""
-    own = {"resolution_input": True, "step_s": STEP_S}
+    """The `options` of a network for any place, unless set: its resolution is an input, its steps last GENERAL_STEP_S."""
+    own = {"resolution_input": True, "step_s": GENERAL_STEP_S}
     return options.model_copy(update={name: own[name] for name in own.keys() - options.model_fields_set})
 
 

@@ -17,14 +17,15 @@ RADII = (0.6, 3.0)
 """Of discs, and of the short side of rectangles, cells; log-uniform."""
 SPEEDS = (0.15, 2.0)
 """Cells a step, log-uniform: a walk in cells of 0.1 to 0.2 m and steps of a tenth of a second."""
-STANDING_SHARE, RECTANGLES, LOST_SHARE = 0.25, 0.3, 0.1
+AT_REST, RECTANGLES, LOST_SHARE = 0.25, 0.3, 0.1
+"""Shares of the shapes that stand and that are rectangles, and of the points that the laser does not see."""
 TURN = 0.01
 """Standard deviation of the turn in a step, rad."""
 SPACING = 0.5
 """Distance of the points on an outline, cells."""
 
 
-class Outline(NamedTuple):
+class Contour(NamedTuple):
     """Points (2, P) of an outline about its centre, cells, and the directions (2, P) in which it faces there."""
 
     points: NDArray[np.float64]
@@ -59,28 +60,28 @@ def moving_shapes(draw: np.random.Generator, steps: int, size: int) -> NDArray[n
     return occupied
 
 
-def _outline(draw: np.random.Generator) -> Outline:
+def _outline(draw: np.random.Generator) -> Contour:
     radius = _log_uniform(draw, RADII)
     if draw.random() < RECTANGLES:
         half = np.array([radius * draw.uniform(2.0, 4.0), radius * draw.uniform(0.8, 2.0)])
         sides = [_side(half, axis, sign) for axis in (0, 1) for sign in (-1.0, 1.0)]
-        return Outline(*(np.concatenate(part, axis=1) for part in zip(*sides, strict=True)))
+        return Contour(*(np.concatenate(part, axis=1) for part in zip(*sides, strict=True)))
     angle = np.arange(0.0, 2.0 * np.pi, SPACING / radius)
     directions = np.stack([np.cos(angle), np.sin(angle)])
-    return Outline(radius * directions, directions)
+    return Contour(radius * directions, directions)
 
 
-def _side(half: NDArray[np.float64], axis: int, sign: float) -> Outline:
+def _side(half: NDArray[np.float64], axis: int, sign: float) -> Contour:
     """The side of a rectangle that faces along `axis`; `half` (2,) of its length and width."""
     along = np.arange(-half[1 - axis], half[1 - axis], SPACING)
     points, normals = np.empty((2, len(along))), np.zeros((2, len(along)))
     points[axis], points[1 - axis], normals[axis] = sign * half[axis], along, sign
-    return Outline(points, normals)
+    return Contour(points, normals)
 
 
 def _path(draw: np.random.Generator, steps: int, size: int) -> Path:
     """Straight on but for a slight turn; in the middle of the time at a random place of the window."""
-    speed = 0.0 if draw.random() < STANDING_SHARE else _log_uniform(draw, SPEEDS)
+    speed = 0.0 if draw.random() < AT_REST else _log_uniform(draw, SPEEDS)
     heading = draw.uniform(0.0, 2.0 * np.pi) + draw.normal(0.0, TURN) * np.arange(steps, dtype=np.float64)
     way = np.cumsum(speed * np.stack([np.cos(heading), np.sin(heading)]), axis=1)
     return Path(draw.uniform(0.0, size, (2, 1)) + way - way[:, [steps // 2]], heading)

@@ -17,7 +17,7 @@ from torch import Tensor
 from gridtrack.trackers.recurrent.network import Float32Array, InferenceNetwork, LatentState
 
 
-class Pace(NamedTuple):
+class StepPace(NamedTuple):
     """How the steps of a network follow the frames of a stream: `substeps` steps a frame, or one in `phases` frames.
 
     One of the two is 1.
@@ -64,7 +64,7 @@ def _nearest_number(ratio: float) -> int:
     return below if ratio * ratio <= below * (below + 1) else below + 1
 
 
-def paced(network: InferenceNetwork, pace: Pace) -> InferenceNetwork:
+def paced(network: InferenceNetwork, pace: StepPace) -> InferenceNetwork:
     """The `network` as one whose step is a frame of the stream."""
     if pace.substeps > 1:
         return SubstepNetwork(network, pace.substeps)

@@ -18,7 +18,7 @@ from gridtrack.trackers.contract import FitOutput, Forecast, FrameSource, Score,
 from gridtrack.trackers.excerpts import excerpts_of_places
 from gridtrack.trackers.recurrent.general_network import begin_from, general_options, settings_at_site
 from gridtrack.trackers.recurrent.network import Float32Array, InferenceNetwork, LatentState, as_cells, channels_last
-from gridtrack.trackers.recurrent.pacing import Pace, paced
+from gridtrack.trackers.recurrent.pacing import StepPace, paced
 from gridtrack.trackers.recurrent.resolution_input import resolution_of, set_resolution
 from gridtrack.trackers.recurrent.settings import InferenceSettings
 from gridtrack.trackers.recurrent.unseen import rolled_state
@@ -145,7 +145,7 @@ class RecurrentTracker(Tracker):
         takes on.
         """
         network.size = stream.grid.size
-        pace = Pace.of(stream.period_s, options.step_s)
+        pace = StepPace.of(stream.period_s, options.step_s)
         set_resolution(network, resolution_of(stream.grid.cell_m, pace.step_s(stream.period_s)))
         return paced(cls.prepare_inference(channels_last(network.eval()), options), pace)
 

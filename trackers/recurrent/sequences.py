@@ -17,7 +17,7 @@ from gridtrack.common.grid import Shift, rolled, shift_between
 from gridtrack.trackers.contract import FrameSource
 from gridtrack.trackers.recurrent.arrivals import arrivals
 from gridtrack.trackers.recurrent.moving_shapes import moving_shapes
-from gridtrack.trackers.recurrent.pacing import Pace
+from gridtrack.trackers.recurrent.pacing import StepPace
 from gridtrack.trackers.recurrent.resolution_input import resolution_of
 from gridtrack.trackers.recurrent.settings import TrainingSettings
 
@@ -49,7 +49,7 @@ class Frames(NamedTuple):
     windows: NDArray[np.int64]
     size: int
     resolution: Tensor
-    pace: Pace
+    pace: StepPace
 
 
 def load_frames(source: FrameSource, first_window: SE2 | None, step_s: float = 0.0) -> Frames:
@@ -59,7 +59,7 @@ def load_frames(source: FrameSource, first_window: SE2 | None, step_s: float = 0
         first_window = first_window or frame.world_T_grid
         planes.append(np.packbits(np.stack([frame.visible, frame.occupied]), axis=-1))
         windows.append(shift_between(first_window, frame.world_T_grid, source.grid.cell_m))
-    pace = Pace.of(source.period_s, step_s)
+    pace = StepPace.of(source.period_s, step_s)
     resolution = resolution_of(source.grid.cell_m, pace.step_s(source.period_s))
     return Frames(np.stack(planes), np.array(windows, np.int64), source.grid.size, resolution, pace)
 

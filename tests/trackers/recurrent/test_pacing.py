@@ -10,7 +10,7 @@ torch = pytest.importorskip("torch")
 from gridtrack.common.config import validated  # noqa: E402
 from gridtrack.trackers.recurrent.convgru_tracker import DilatedConvGRUTracker  # noqa: E402
 from gridtrack.trackers.recurrent.network import channels_last  # noqa: E402
-from gridtrack.trackers.recurrent.pacing import Pace, paced  # noqa: E402
+from gridtrack.trackers.recurrent.pacing import StepPace, paced  # noqa: E402
 from gridtrack.trackers.recurrent.rnn_tracker import DeepTrackingRNNTracker  # noqa: E402
 
 SIZE = 12
@@ -29,16 +29,16 @@ SIZE = 12
     ],
 )
 def test_a_step_lasts_a_tenth_of_a_second_by_a_factor_of_sqrt_2_at_most(period_s, pace):
-    found = Pace.of(period_s, 0.1)
+    found = StepPace.of(period_s, 0.1)
     assert found == pace
     assert 0.1 / 2**0.5 <= found.step_s(period_s) <= 0.1 * 2**0.5
 
 
 def test_without_a_duration_a_step_is_a_frame():
-    assert Pace.of(0.37, 0.0) == Pace() == (1, 1)
+    assert StepPace.of(0.37, 0.0) == StepPace() == (1, 1)
 
 
-@pytest.mark.parametrize("pace", [Pace(), Pace(2, 1), Pace(3, 1), Pace(1, 2), Pace(1, 3)])
+@pytest.mark.parametrize("pace", [StepPace(), StepPace(2, 1), StepPace(3, 1), StepPace(1, 2), StepPace(1, 3)])
 def test_the_frames_of_a_training_window_lie_at_the_steps_that_take_them_in_a_stream(pace):
     """Twelve steps; the frames are numbered from 1, and 0 is a step without one."""
     frames = np.arange(1, pace.frames(12) + 1, dtype=np.uint8)[:, None]
@@ -75,7 +75,7 @@ TRACKERS = [DilatedConvGRUTracker, DeepTrackingRNNTracker]
 
 @pytest.mark.parametrize("tracker", TRACKERS)
 def test_between_slow_frames_are_steps_without_input(tracker):
-    one, substeps = networks(tracker, Pace(3, 1))
+    one, substeps = networks(tracker, StepPace(3, 1))
     x = [plane.contiguous(memory_format=torch.channels_last) for plane in frames(2)]
     with torch.inference_mode():
         expected = run(one, [None, None, x[0], None, None, x[1], None, None, None])
@@ -87,7 +87,7 @@ def test_between_slow_frames_are_steps_without_input(tracker):
 
 @pytest.mark.parametrize("tracker", TRACKERS)
 def test_fast_frames_are_taken_in_turns_and_each_forecast_is_of_the_state_whose_turn_it_is(tracker):
-    one, turns = networks(tracker, Pace(1, 2))
+    one, turns = networks(tracker, StepPace(1, 2))
     x = [plane.contiguous(memory_format=torch.channels_last) for plane in frames(5)]
     with torch.inference_mode():
         even, odd = run(one, x[0::2]), run(one, x[1::2])  # the last frame, number 4, is of the first one
@@ -103,7 +103,7 @@ def test_fast_frames_are_taken_in_turns_and_each_forecast_is_of_the_state_whose_
 
 @pytest.mark.parametrize("tracker", TRACKERS)
 def test_a_cell_that_no_frame_has_seen_has_the_state_of_its_phase(tracker):
-    one, turns = networks(tracker, Pace(1, 2))
+    one, turns = networks(tracker, StepPace(1, 2))
     layers = len(one.initial(1))
     unseen = turns.unseen(5)  # of five frames the older state had two, the newer one three
     assert len(unseen) == 2 * layers
