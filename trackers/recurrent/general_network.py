@@ -36,7 +36,7 @@ GENERAL_STEP_S = 0.1
 
 
 def general_options(options: NetworkOptions) -> NetworkOptions:
-    """The `options` of a network for any place, unless set: its resolution is an input, its steps last GENERAL_STEP_S."""
+    """The `options` of a network for any place: unless set, its resolution is an input and it has steps of 0.1 s."""
     own = {"resolution_input": True, "step_s": GENERAL_STEP_S}
     return options.model_copy(update={name: own[name] for name in own.keys() - options.model_fields_set})
 
