@@ -17,7 +17,7 @@ RADII = (0.6, 3.0)
 """Of discs, and of the short side of rectangles, cells; log-uniform."""
 SPEEDS = (0.15, 2.0)
 """Cells a step, log-uniform: a walk in cells of 0.1 to 0.2 m and steps of a tenth of a second."""
-AT_REST, RECTANGLES, LOST_SHARE = 0.25, 0.3, 0.1
+STANDING_SHAPES, RECTANGLES, LOST_SHARE = 0.25, 0.3, 0.1
 """Shares of the shapes that stand and that are rectangles, and of the points that the laser does not see."""
 TURN = 0.01
 """Standard deviation of the turn in a step, rad."""
@@ -81,7 +81,7 @@ def _side(half: NDArray[np.float64], axis: int, sign: float) -> Contour:
 
 def _path(draw: np.random.Generator, steps: int, size: int) -> Path:
     """Straight on but for a slight turn; in the middle of the time at a random place of the window."""
-    speed = 0.0 if draw.random() < AT_REST else _log_uniform(draw, SPEEDS)
+    speed = 0.0 if draw.random() < STANDING_SHAPES else _log_uniform(draw, SPEEDS)
     heading = draw.uniform(0.0, 2.0 * np.pi) + draw.normal(0.0, TURN) * np.arange(steps, dtype=np.float64)
     way = np.cumsum(speed * np.stack([np.cos(heading), np.sin(heading)]), axis=1)
     return Path(draw.uniform(0.0, size, (2, 1)) + way - way[:, [steps // 2]], heading)

@@ -27,7 +27,7 @@ def test_a_shape_moves_straight_on_at_its_speed(monkeypatch):
     monkeypatch.setattr(shapes, "MOST", 1)
     monkeypatch.setattr(shapes, "RECTANGLES", 0.0)
     monkeypatch.setattr(shapes, "LOST_SHARE", 0.0)
-    monkeypatch.setattr(shapes, "AT_REST", 0.0)
+    monkeypatch.setattr(shapes, "STANDING_SHAPES", 0.0)
     monkeypatch.setattr(shapes, "TURN", 0.0)
     monkeypatch.setattr(shapes, "SPEEDS", (1.5, 1.5))
     monkeypatch.setattr(shapes, "RADII", (2.0, 2.0))
