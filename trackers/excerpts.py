@@ -1,4 +1,7 @@
-"""Excerpts of recordings, cached in memory: what a search, or a validation during a training, streams many times."""
+"""Excerpts of recordings, cached in memory: what a search, or a validation during a training, streams many times.
+
+And by which scores both select, the same for all trackers.
+"""
 
 from __future__ import annotations
 
@@ -12,6 +15,10 @@ import numpy as np
 from gridtrack.common.grid import GridFrame, GridSpec, LabelledFrame
 from gridtrack.trackers.contract import FrameSource
 
+SELECTION_STRATA, SELECTION_HORIZONS_S = ("dynamic", "in-motion", "visible"), (0.5, 1.0, 2.0)
+"""Settings and weights are selected by their mean F1 over these strata, those of the headline, and horizons. Among
+dynamic cells alone what stands decides; and vehicles that wait at a red light are static in a stretch of one or two
+minutes: only the visible cells have them."""
 EXCERPTS, EXCERPT_S = 4, 100.0
 """Number and duration of the excerpts of a long recording for the search; each is longer than a signal cycle."""
 PLACES, PLACE_EXCERPT_S = 24, 20.0

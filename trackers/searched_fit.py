@@ -21,7 +21,13 @@ from gridtrack.common.config import Settings
 from gridtrack.trackers.calibration import IDENTITY, CalibratedTracker, fit_calibration
 from gridtrack.trackers.card import card_for
 from gridtrack.trackers.contract import FitOutput, FrameSource, Score, StreamSpec, StretchScore, stream_of
-from gridtrack.trackers.excerpts import excerpts, excerpts_of_places, mean_of_defined
+from gridtrack.trackers.excerpts import (
+    SELECTION_HORIZONS_S,
+    SELECTION_STRATA,
+    excerpts,
+    excerpts_of_places,
+    mean_of_defined,
+)
 from gridtrack.trackers.tuning import (
     Objective,
     SearchInterrupted,
@@ -35,10 +41,6 @@ from gridtrack.trackers.weights import load_start, save_interrupted, save_weight
 SEARCH_ITERATIONS = 60
 ITERATIONS_OF_PLACE = 12
 """Number of tries of a search that starts from general weights."""
-OBJECTIVE_HORIZONS_S = (0.5, 1.0, 2.0)
-OBJECTIVE_STRATA = ("dynamic", "in-motion", "visible")
-"""The objective is the mean F1 over these, those of the headline. Among dynamic cells alone what stands decides; and
-vehicles that wait at a red light are static in a stretch of one or two minutes: only the visible cells have them."""
 
 
 _Searched = TypeVar("_Searched", bound=Settings)
@@ -129,7 +131,7 @@ class _Draft(Generic[_Searched]):
         return self.tracker(stream_of(source, self.path), settings)
 
     def scored(self, settings: _Searched, source: FrameSource) -> StretchScore:
-        return self.score(self.running(settings, source), source, step_of(source, max(OBJECTIVE_HORIZONS_S)))
+        return self.score(self.running(settings, source), source, step_of(source, max(SELECTION_HORIZONS_S)))
 
     def f1_of_each(self, settings: _Searched, sources: Sequence[FrameSource]) -> Iterator[float]:
         """The mean F1 on each source in turn; NaN where it is undefined."""
@@ -155,10 +157,10 @@ class _Draft(Generic[_Searched]):
         return finalists[found]
 
     def summaries(self, settings: _Searched, sources: Sequence[FrameSource]) -> list[dict[str, Any]]:
-        return [stretch_summary(self.scored(settings, source), source, OBJECTIVE_HORIZONS_S) for source in sources]
+        return [stretch_summary(self.scored(settings, source), source, SELECTION_HORIZONS_S) for source in sources]
 
     def calibration(self, settings: _Searched, sources: Sequence[FrameSource], out: FitOutput) -> NDArray[np.float32]:
-        last = max(OBJECTIVE_HORIZONS_S)
+        last = max(SELECTION_HORIZONS_S)
         parameters = fit_calibration(
             (self.running(settings, source), list(source), step_of(source, last)) for source in sources
         )
@@ -168,6 +170,6 @@ class _Draft(Generic[_Searched]):
 
 
 def _f1(score: StretchScore, source: FrameSource) -> float:
-    """Mean F1 over OBJECTIVE_HORIZONS_S and OBJECTIVE_STRATA."""
-    steps = [step_of(source, horizon) for horizon in OBJECTIVE_HORIZONS_S]
-    return float(np.mean([score.f1[stratum][steps] for stratum in OBJECTIVE_STRATA]))
+    """Mean F1 over SELECTION_STRATA and SELECTION_HORIZONS_S."""
+    steps = [step_of(source, horizon) for horizon in SELECTION_HORIZONS_S]
+    return float(np.mean([score.f1[stratum][steps] for stratum in SELECTION_STRATA]))

@@ -29,16 +29,14 @@ SHARE_OF_UPDATES, SHARE_OF_RATE = 0.1, 0.25
 VALIDATIONS_AT_SITE = 4
 OF_THE_PLACE = frozenset({"static_gates", "precision", "shape_updates", "shape_share", "motion_weight"})
 """Settings that are not those of the general weights: the last three are what a general network learns motion from."""
-
-
-GENERAL_STEP_S = 0.1
-"""Duration of a step of a general network, unless another one is given."""
+FOR_ANY_PLACE = {"resolution_input": True, "step_s": 0.1}
+"""Settings of a general network, unless others are given."""
 
 
 def general_options(options: NetworkOptions) -> NetworkOptions:
-    """The `options` of a network for any place: unless set, its resolution is an input and it has steps of 0.1 s."""
-    own = {"resolution_input": True, "step_s": GENERAL_STEP_S}
-    return options.model_copy(update={name: own[name] for name in own.keys() - options.model_fields_set})
+    """The `options`, and for those that were not given FOR_ANY_PLACE."""
+    not_given = FOR_ANY_PLACE.keys() - options.model_fields_set
+    return options.model_copy(update={name: FOR_ANY_PLACE[name] for name in not_given})
 
 
 def settings_at_site(options: NetworkOptions, weights: Weights) -> NetworkOptions:

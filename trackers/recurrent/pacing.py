@@ -8,7 +8,7 @@ fast, several states share the frames: each takes one of them in its turn, and f
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple, Self
+from typing import NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -125,5 +125,5 @@ class InterleavedNetwork:
 
     def unseen(self, frames: int) -> tuple[Float32Array, ...]:
         """The state (C,) in each layer, and phase, of a cell that no frame of `frames` has seen."""
-        own: list[Any] = [self._network.unseen((frames + number) // self._phases) for number in range(self._phases)]
-        return tuple(h for each in own for h in each)
+        updates = ((frames + number) // self._phases for number in range(self._phases))
+        return tuple(h for each in updates for h in self._network.unseen(each))

@@ -15,7 +15,7 @@ from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, Shift, shift_between
 from gridtrack.trackers.card import card_for
 from gridtrack.trackers.contract import FitOutput, Forecast, FrameSource, Score, StreamSpec, Tracker, stream_of
-from gridtrack.trackers.excerpts import excerpts_of_places
+from gridtrack.trackers.excerpts import SELECTION_HORIZONS_S, excerpts_of_places
 from gridtrack.trackers.recurrent.general_network import begin_from, general_options, settings_at_site
 from gridtrack.trackers.recurrent.network import Float32Array, InferenceNetwork, LatentState, as_cells, channels_last
 from gridtrack.trackers.recurrent.pacing import StepPace, paced
@@ -27,8 +27,6 @@ from gridtrack.trackers.weights import Weights, load_start, load_weights, save_i
 
 if TYPE_CHECKING:
     from gridtrack.trackers.recurrent.sequences import SequenceDataset
-
-VALIDATION_HORIZONS_S = (0.5, 1.0, 2.0)
 
 
 class RecurrentTracker(Tracker):
@@ -187,11 +185,11 @@ class RecurrentTracker(Tracker):
 
         def validate(trained: nn.Module) -> dict[str, float]:
             def score_on(source: FrameSource) -> Any:
-                stream, steps = stream_of(source), round(max(VALIDATION_HORIZONS_S) / source.period_s)
+                stream, steps = stream_of(source), round(max(SELECTION_HORIZONS_S) / source.period_s)
                 inference = cls.inference_for(deepcopy(trained).cpu(), stream, options)
                 return score(cls(stream, options, inference, dataset.first_window), source, steps)
 
-            return validation_scores(score_on, held_out, VALIDATION_HORIZONS_S)
+            return validation_scores(score_on, held_out, SELECTION_HORIZONS_S)
 
         trained = train_network(network, on_processor, dataset, options, validate, out, start)
         arrays = {name: value.detach().contiguous().numpy() for name, value in network.state_dict().items()}
@@ -204,7 +202,7 @@ class RecurrentTracker(Tracker):
 
     @classmethod
     def _for_windows_of(cls, dataset: SequenceDataset, options: Any, out: FitOutput) -> Any:
-        """The options for these windows: without maps where they differ, general weights know no place."""
+        """The options for these windows: without maps where they differ, and for general weights."""
         if out.general:
             return cls.without_map(options, "general weights know no place", out)
         if not dataset.has_one_window:

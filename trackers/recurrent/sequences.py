@@ -15,7 +15,7 @@ from gridtrack.common.errors import ConfigurationError
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import Shift, rolled, shift_between
 from gridtrack.trackers.contract import FrameSource
-from gridtrack.trackers.recurrent.arrivals import arrivals
+from gridtrack.trackers.recurrent.entered_cells import entered_cells
 from gridtrack.trackers.recurrent.moving_shapes import moving_shapes
 from gridtrack.trackers.recurrent.pacing import StepPace
 from gridtrack.trackers.recurrent.resolution_input import resolution_of
@@ -24,10 +24,8 @@ from gridtrack.trackers.recurrent.settings import TrainingSettings
 LARGEST_WINDOW = 64
 """Cells a side of the windows that general weights are trained on: larger grids are cut, smaller ones padded. Parts of
 100 cells would cost two and a half times as much, and show fewer places in the same time."""
-DRAWS = 8
-"""Draws of a window that something is to move in, at most."""
-MOVING_CELLS = 10
-"""Cells in which something came that are enough for a window in which something moves."""
+DRAWS, MOVING_CELLS = 8, 10
+"""Greatest number of draws of a window in which something is to move, and of entered cells that are enough for it."""
 
 
 class Item(NamedTuple):
@@ -158,20 +156,21 @@ class SequenceDataset(Dataset[Item]):
         """Window number `index`; the series has no end."""
         draw = np.random.default_rng((self.seed, index))
         if index < self.settings.shape_updates * self.settings.batch:
-            return self._shapes(draw)
+            occupied = self._shapes(draw)
+            return Item(torch.stack([torch.ones_like(occupied), occupied], dim=1), self._place(draw)[0].resolution)
         item = self._item(draw)
         for _ in range(DRAWS - 1 if self.settings.moving_windows else 0):
-            if int(arrivals(item.window[None].bool())[:, self.settings.last_observed :].sum()) >= MOVING_CELLS:
+            entered = entered_cells(item.window[None].bool())
+            if int(entered[:, self.settings.last_observed :].sum()) >= MOVING_CELLS:
                 break
             item = self._item(draw)
         if draw.random() < self.settings.shape_share:
-            item.window[:, 1] |= item.window[:, 0] & self._shapes(draw).window[:, 1]
+            item.window[:, 1] |= item.window[:, 0] & self._shapes(draw)
         return item
 
-    def _shapes(self, draw: np.random.Generator) -> Item:
-        """Moving shapes in a window that is seen whole, at the resolution of a stretch."""
-        occupied = torch.from_numpy(moving_shapes(draw, self.settings.length, self.size))
-        return Item(torch.stack([torch.ones_like(occupied), occupied], dim=1), self._draw(draw)[0].resolution)
+    def _shapes(self, draw: np.random.Generator) -> Tensor:
+        """The occupied cells (T, M, M) uint8 of moving shapes."""
+        return torch.from_numpy(moving_shapes(draw, self.settings.length, self.size))
 
     def _item(self, draw: np.random.Generator) -> Item:
         """A window of a recording, or the superposition of two."""
@@ -185,16 +184,19 @@ class SequenceDataset(Dataset[Item]):
 
     def _draw(self, draw: np.random.Generator) -> tuple[Frames, NDArray[np.uint8]]:
         """A stretch, and the planes (frames, 2, M, ceil(M / 8)) of consecutive frames of it in one window."""
-        at = int(draw.integers(self._last[-1]))
-        number = int(np.searchsorted(self._last, at, side="right"))
-        start = (at - (int(self._last[number - 1]) if number else 0)) // self._tickets[number]
-        frames = self.stretches[number]
+        frames, start = self._place(draw)
         item = slice(start, start + self._frames(frames))
         planes, windows = frames.planes[item], frames.windows[item]
         if self.settings.time_reversal and draw.integers(2):
             planes, windows = planes[::-1], windows[::-1]
         forecast_from = frames.pace.frame_of(self.settings.last_observed)
         return frames, in_one_window(planes, windows, forecast_from, frames.size)
+
+    def _place(self, draw: np.random.Generator) -> tuple[Frames, int]:
+        """A stretch, and the number of the frame in it with which an item starts."""
+        at = int(draw.integers(self._last[-1]))
+        number = int(np.searchsorted(self._last, at, side="right"))
+        return self.stretches[number], (at - (int(self._last[number - 1]) if number else 0)) // self._tickets[number]
 
 
 def superposed(one: NDArray[np.uint8], other: NDArray[np.uint8]) -> NDArray[np.uint8]:

@@ -16,7 +16,7 @@ GATES: tuple[Gate, ...] = ("keep", "reset", "candidate")
 
 
 class ResolutionSettings(Settings):
-    """What a network is told about its grids."""
+    """How a network takes grids of any cell size and period."""
 
     resolution_input: bool = False
     """Cell size and step are inputs of the network, as they are for general weights; else it learns one of each."""
@@ -68,9 +68,9 @@ class TrainingSettings(Settings):
     time_reversal: bool = False
     """Augmentation: every second window is drawn in reverse order of time."""
     moving_windows: bool = False
-    """A window in which nothing moves is drawn anew, a few times."""
+    """A window in which nothing enters a cell is drawn anew, a few times."""
     motion_weight: float = Field(0.0, ge=0)
-    """Additional weight in the loss of visible cells near what came within a second, at the first update; it falls to
+    """Additional weight in the loss of visible cells near one that something entered, at the first update; it falls to
     zero with the last one, so that probabilities are those of all cells alike."""
     shape_updates: int = Field(0, ge=0)
     """The first updates are on windows of moving shapes alone, from which motion is learned much faster."""

@@ -28,9 +28,9 @@ from torch.utils.data import DataLoader
 from gridtrack.common.errors import ConfigurationError
 from gridtrack.common.files import write_text
 from gridtrack.trackers.contract import FitOutput, FrameSource
-from gridtrack.trackers.excerpts import mean_of_defined
+from gridtrack.trackers.excerpts import SELECTION_STRATA, mean_of_defined
 from gridtrack.trackers.progress import Stage
-from gridtrack.trackers.recurrent.arrivals import near_arrivals
+from gridtrack.trackers.recurrent.entered_cells import near_entered_cells
 from gridtrack.trackers.recurrent.network import RecurrentNetwork, channels_last
 from gridtrack.trackers.recurrent.precision import training_precision
 from gridtrack.trackers.recurrent.resolution_input import set_resolution
@@ -38,8 +38,6 @@ from gridtrack.trackers.recurrent.sequences import EpochSampler, Item, SequenceD
 from gridtrack.trackers.recurrent.settings import InferenceSettings, TrainingSettings, TransferSettings
 from gridtrack.trackers.weights import Weights
 
-SELECTION_STRATA = ("dynamic", "in-motion", "visible")
-"""Strata by whose F1 the best weights are chosen: those of the headline, as in a search of settings."""
 CHECKPOINT_EVERY_S = 60.0
 """Time between two checkpoints; there is one after every validation too."""
 NO_NEWS = (
@@ -214,7 +212,7 @@ class TrainingModule(lightning.LightningModule):
 
     @property
     def motion_weight(self) -> float:
-        """The additional weight of cells near what came; it falls to zero over the training."""
+        """The additional weight of cells near an entered one; it falls to zero over the training."""
         return self.settings.motion_weight * (1.0 - self.global_step / self.settings.updates)
 
     def on_train_batch_end(self, outputs: Any, batch: Any, batch_idx: int) -> None:
@@ -253,8 +251,8 @@ def sequence_loss(
     """Binary cross-entropy of the forecast of each frame on its visible cells: mean over all these cells, nats.
 
     `windows` (B, T, 2, M, M) of 0 and 1: visible and occupied. The burn-in has neither loss nor gradient. A visible
-    cell near an arrival has the weight 1 + `motion_weight`. A cell that no frame sees has the weight `unseen_weight`,
-    and the occupied rate of the windows as its target.
+    cell near an entered one has the weight 1 + `motion_weight`. A cell that no frame sees has the weight
+    `unseen_weight`, and the occupied rate of the windows as its target.
     """
     frames = windows.transpose(0, 1)
     state = network.initial(windows.shape[0])
@@ -269,7 +267,7 @@ def sequence_loss(
     visible, occupied = frames[settings.burn_in :].flatten(0, 1).unbind(dim=1)
     weight = visible
     if motion_weight:
-        near = near_arrivals(windows.bool()).transpose(0, 1)[settings.burn_in :].flatten(0, 1)
+        near = near_entered_cells(windows.bool()).transpose(0, 1)[settings.burn_in :].flatten(0, 1)
         weight = visible * (1.0 + motion_weight * near)
     total = weight.sum().clamp(min=1.0)
     if settings.unseen_weight:

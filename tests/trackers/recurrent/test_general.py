@@ -261,7 +261,7 @@ def dots_of(window):
 
 
 def test_a_window_in_which_nothing_moves_is_drawn_anew():
-    """Of a hundred seconds of a dot that stands and five of one that walks, nearly every window has the walk."""
+    """As long of a dot that stands as of one that walks: nearly every window has the walk."""
 
     class Stands(Walk):
         sha256 = "1" * 64

@@ -8,7 +8,7 @@ import pytest
 torch = pytest.importorskip("torch")
 
 from gridtrack.trackers.recurrent import moving_shapes as shapes  # noqa: E402
-from gridtrack.trackers.recurrent.arrivals import arrivals  # noqa: E402
+from gridtrack.trackers.recurrent.entered_cells import entered_cells  # noqa: E402
 from gridtrack.trackers.recurrent.moving_shapes import moving_shapes  # noqa: E402
 
 
@@ -18,7 +18,7 @@ def test_a_window_depends_on_its_draw_alone_and_much_of_it_moves():
     assert not np.array_equal(one, other)
     assert 0.005 < one.mean() < 0.1
     seen = torch.from_numpy(np.stack([np.ones_like(one), one], axis=1))[None].bool()
-    assert arrivals(seen)[0, 10:].flatten(1).any(dim=1).all()
+    assert entered_cells(seen)[0, 10:].flatten(1).any(dim=1).all()
 
 
 def test_a_shape_moves_straight_on_at_its_speed(monkeypatch):

@@ -17,8 +17,8 @@ from gridtrack.common.geometry import SE2  # noqa: E402
 from gridtrack.common.grid import GridFrame, GridSpec  # noqa: E402
 from gridtrack.trackers.contract import FitOutput, StretchScore, stream_of  # noqa: E402
 from gridtrack.trackers.recurrent import training  # noqa: E402
-from gridtrack.trackers.recurrent.arrivals import near_arrivals  # noqa: E402
 from gridtrack.trackers.recurrent.convgru_tracker import DilatedConvGRUTracker  # noqa: E402
+from gridtrack.trackers.recurrent.entered_cells import near_entered_cells  # noqa: E402
 from gridtrack.trackers.recurrent.rnn_tracker import DeepTrackingRNNTracker  # noqa: E402
 from gridtrack.trackers.recurrent.sequences import EpochSampler, SequenceDataset, occupied_rate, superposed  # noqa: E402
 from gridtrack.trackers.recurrent.settings import TrainingSettings  # noqa: E402
@@ -306,7 +306,7 @@ def test_a_stretch_shorter_than_a_window_is_refused_by_name():
         SequenceDataset([Shuttle(5)], TrainingSettings(), seed=0)
 
 
-def test_cells_near_an_arrival_have_more_weight_until_the_last_update(monkeypatch, tmp_path):
+def test_cells_near_an_entered_one_have_more_weight_until_the_last_update(monkeypatch, tmp_path):
     """By hand: the loss is the weighted mean over visible cells; the weight falls linearly to zero."""
     torch.manual_seed(1)
     settings = validated(
@@ -316,7 +316,7 @@ def test_cells_near_an_arrival_have_more_weight_until_the_last_update(monkeypatc
     )
     network = DilatedConvGRUTracker.build(SIZE, settings, 0)
     window = SequenceDataset([Shuttle()], settings, seed=0)[0].window[None]
-    near = near_arrivals(window.bool())[0]
+    near = near_entered_cells(window.bool())[0]
     assert 0 < near.float().mean() < 0.9
     state, logits = network.initial(1), []
     for t, x in enumerate(window[0]):
