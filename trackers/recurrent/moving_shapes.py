@@ -11,14 +11,19 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from gridtrack.trackers.recurrent.sight import cells_in_sight
+
 MOST, FEWEST = 40, 13
 """Number of shapes."""
 RADII = (0.6, 3.0)
 """Of discs, and of the short side of rectangles, cells; log-uniform."""
 SPEEDS = (0.15, 2.0)
 """Cells a step, log-uniform: a walk in cells of 0.1 to 0.2 m and steps of a tenth of a second."""
-STANDING_SHAPES, RECTANGLES, LOST_SHARE = 0.25, 0.3, 0.1
-"""Shares of the shapes that stand and that are rectangles, and of the points that the laser does not see."""
+STANDING_SHAPES, HIDING_SHAPES, RECTANGLES, LOST_SHARE = 0.25, 0.2, 0.3, 0.1
+"""Shares of the shapes that stand, that hide what is behind them and that are rectangles, and of the points that the
+laser does not see."""
+RANGES = (0.7, 2.5)
+"""Of the laser, in sides of the window."""
 TURN = 0.01
 """Standard deviation of the turn in a step, rad."""
 SPACING = 0.5
@@ -40,23 +45,37 @@ class Path(NamedTuple):
 
 
 def moving_shapes(draw: np.random.Generator, steps: int, size: int) -> NDArray[np.uint8]:
-    """The occupied cells (steps, size, size) of shapes that stand or move nearly straight on, seen by one laser.
+    """The planes (steps, 2, size, size), visible and occupied, of shapes that stand or move nearly straight on.
 
-    Sides that face away from it are not seen; a share of the points is lost; no shape hides another.
+    One laser sees them, at a random place and as far as its range: not the sides that face away from it, and a share of
+    the points is lost. Some of the shapes hide what is behind them; if all did, hardly anything would be seen to move.
     """
-    occupied = np.zeros((steps, size, size), np.uint8)
-    laser = draw.uniform(-size / 2, 1.5 * size, (2, 1, 1))
+    occupied, opaque = np.zeros((2, steps, size, size), np.uint8)
+    laser = draw.uniform(-size / 2, 1.5 * size, 2)
     for _ in range(int(draw.integers(FEWEST, MOST + 1))):
-        outline, path = _outline(draw), _path(draw, steps, size)
-        cosine, sine = np.cos(path.heading), np.sin(path.heading)
-        rotation = np.array([[cosine, -sine], [sine, cosine]])  # (2, 2, T)
-        points = path.position[:, :, None] + np.einsum("ijt,jp->itp", rotation, outline.points)
-        facing = np.einsum("ijt,jp->itp", rotation, outline.normals) * (laser - points)
-        column, row = np.floor(points).astype(int)
-        seen = (facing.sum(axis=0) > 0) & (draw.random(row.shape) >= LOST_SHARE)
-        seen &= (row >= 0) & (row < size) & (column >= 0) & (column < size)
-        step = np.broadcast_to(np.arange(steps)[:, None], row.shape)
-        occupied[step[seen], row[seen], column[seen]] = 1
+        shape = _shape(draw, steps, size, laser[:, None, None])
+        occupied |= shape
+        if draw.random() < HIDING_SHAPES:
+            opaque |= shape
+    row, column = np.mgrid[:size, :size] + 0.5
+    reached = np.hypot(column - laser[0], row - laser[1]) <= draw.uniform(*RANGES) * size
+    visible = (reached & cells_in_sight(opaque, laser)).astype(np.uint8)
+    return np.stack([visible, visible & occupied], axis=1)
+
+
+def _shape(draw: np.random.Generator, steps: int, size: int, laser: NDArray[np.float64]) -> NDArray[np.uint8]:
+    """The occupied cells (steps, size, size) of one shape that nothing hides, seen from the `laser` (2, 1, 1)."""
+    outline, path = _outline(draw), _path(draw, steps, size)
+    cosine, sine = np.cos(path.heading), np.sin(path.heading)
+    rotation = np.array([[cosine, -sine], [sine, cosine]])  # (2, 2, T)
+    points = path.position[:, :, None] + np.einsum("ijt,jp->itp", rotation, outline.points)
+    facing = np.einsum("ijt,jp->itp", rotation, outline.normals) * (laser - points)
+    column, row = np.floor(points).astype(int)
+    seen = (facing.sum(axis=0) > 0) & (draw.random(row.shape) >= LOST_SHARE)
+    seen &= (row >= 0) & (row < size) & (column >= 0) & (column < size)
+    step = np.broadcast_to(np.arange(steps)[:, None], row.shape)
+    occupied = np.zeros((steps, size, size), np.uint8)
+    occupied[step[seen], row[seen], column[seen]] = 1
     return occupied
 
 

@@ -156,8 +156,7 @@ class SequenceDataset(Dataset[Item]):
         """Window number `index`; the series has no end."""
         draw = np.random.default_rng((self.seed, index))
         if index < self.settings.shape_updates * self.settings.batch:
-            occupied = self._shapes(draw)
-            return Item(torch.stack([torch.ones_like(occupied), occupied], dim=1), self._place(draw)[0].resolution)
+            return Item(torch.from_numpy(self._shapes(draw)), self._place(draw)[0].resolution)
         item = self._item(draw)
         for _ in range(DRAWS - 1 if self.settings.moving_windows else 0):
             entered = entered_cells(item.window[None].bool())
@@ -165,12 +164,13 @@ class SequenceDataset(Dataset[Item]):
                 break
             item = self._item(draw)
         if draw.random() < self.settings.shape_share:
-            item.window[:, 1] |= item.window[:, 0] & self._shapes(draw)
+            both = superposed(item.window.numpy(), self._shapes(draw))
+            return Item(torch.from_numpy(both), item.resolution)
         return item
 
-    def _shapes(self, draw: np.random.Generator) -> Tensor:
-        """The occupied cells (T, M, M) uint8 of moving shapes."""
-        return torch.from_numpy(moving_shapes(draw, self.settings.length, self.size))
+    def _shapes(self, draw: np.random.Generator) -> NDArray[np.uint8]:
+        """The planes (T, 2, M, M) of moving shapes."""
+        return moving_shapes(draw, self.settings.length, self.size)
 
     def _item(self, draw: np.random.Generator) -> Item:
         """A window of a recording, or the superposition of two."""
@@ -200,7 +200,7 @@ class SequenceDataset(Dataset[Item]):
 
 
 def superposed(one: NDArray[np.uint8], other: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """The frames of a laser if the moving objects of two windows (T, 2, M, ceil(M / 8)) were present together.
+    """The frames of a laser if the moving objects of two windows (T, 2, ...) were present together.
 
     A beam ends at the nearer of its two returns: a cell is visible if it is visible in both windows, and occupied if it
     is visible and occupied in either.

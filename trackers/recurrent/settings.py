@@ -84,8 +84,8 @@ class TrainingSettings(Settings):
     warm_up: int = Field(100, ge=0)
     """Updates over which the learning rate rises from zero; afterwards it falls to zero along a cosine."""
     unseen_weight: float = Field(0.0, ge=0)
-    """Weight in the loss of a cell that no frame of the sequence sees, whose target is the occupied rate: that of a
-    visible cell is 1. With 0 the network may say anything where no beam ever reached."""
+    """Weight in the loss of a cell that no frame of the sequence sees, whose target is the occupied rate of the
+    recordings: that of a visible cell is 1. With 0 the network may say anything where no beam ever reached."""
     gradient_clip: float = Field(1.0, gt=0)
     weight_decay: float = Field(0.0, ge=0)
     validate_every: int = Field(250, ge=1)

@@ -34,7 +34,7 @@ from gridtrack.trackers.recurrent.entered_cells import near_entered_cells
 from gridtrack.trackers.recurrent.network import RecurrentNetwork, channels_last
 from gridtrack.trackers.recurrent.precision import training_precision
 from gridtrack.trackers.recurrent.resolution_input import set_resolution
-from gridtrack.trackers.recurrent.sequences import EpochSampler, Item, SequenceDataset
+from gridtrack.trackers.recurrent.sequences import EpochSampler, Item, SequenceDataset, occupied_rate
 from gridtrack.trackers.recurrent.settings import InferenceSettings, TrainingSettings, TransferSettings
 from gridtrack.trackers.weights import Weights
 
@@ -81,7 +81,7 @@ def train_network(
     training = {"seed": out.seed, "train": dataset.sources, **network_settings}
     resumed = _resumable(out, training if start is None else {"start": start.card.arrays_sha256, **training})
     begun = None if start is None else _Begun.with_scores(network, validate, out)
-    module = TrainingModule(network, on_processor, settings, validate, out)
+    module = TrainingModule(network, on_processor, settings, occupied_rate(dataset.stretches), validate, out)
     with _without_news():
         trainer, best = _trainer(settings, out)
     done = _updates_in(resumed) if resumed else 0
@@ -189,12 +189,14 @@ class TrainingModule(lightning.LightningModule):
         network: nn.Module,
         on_processor: RecurrentNetwork,
         settings: TrainingSettings,
+        rate: float,
         validate: Validate,
         out: FitOutput,
     ) -> None:
+        """`rate`: the occupied rate of the recordings."""
         super().__init__()
         self.network, self._on_processor = channels_last(network), on_processor
-        self.settings, self.validate, self.report = settings, validate, out.report
+        self.settings, self.rate, self.validate, self.report = settings, rate, validate, out.report
         self.stage: Stage | None = None
         self.scores: dict[str, float] = {}
 
@@ -205,7 +207,8 @@ class TrainingModule(lightning.LightningModule):
         for resolution in torch.unique(batch.resolution, dim=0):
             set_resolution(self.network, resolution)
             windows = batch.window[(batch.resolution == resolution).all(dim=1)]
-            losses.append(sequence_loss(network, windows.float(), self.settings, self.motion_weight) * len(windows))
+            loss = sequence_loss(network, windows.float(), self.settings, self.rate, self.motion_weight)
+            losses.append(loss * len(windows))
         loss = torch.stack(losses).sum() / len(batch.window)
         self.log("loss", loss, batch_size=len(batch.window))
         return loss
@@ -246,13 +249,14 @@ class TrainingModule(lightning.LightningModule):
 
 
 def sequence_loss(
-    network: RecurrentNetwork, windows: Tensor, settings: TrainingSettings, motion_weight: float = 0.0
+    network: RecurrentNetwork, windows: Tensor, settings: TrainingSettings, rate: float, motion_weight: float = 0.0
 ) -> Tensor:
     """Binary cross-entropy of the forecast of each frame on its visible cells: mean over all these cells, nats.
 
     `windows` (B, T, 2, M, M) of 0 and 1: visible and occupied. The burn-in has neither loss nor gradient. A visible
     cell near an entered one has the weight 1 + `motion_weight`. A cell that no frame sees has the weight
-    `unseen_weight`, and the occupied rate of the windows as its target.
+    `unseen_weight`, and as its target `rate`, that of the recordings: windows with more in them than a recording, such
+    as moving shapes, say nothing of what is there.
     """
     frames = windows.transpose(0, 1)
     state = network.initial(windows.shape[0])
@@ -273,7 +277,7 @@ def sequence_loss(
     if settings.unseen_weight:
         unseen = ~windows[:, :, 0].bool().any(dim=1).repeat(len(features), 1, 1)
         weight = weight + settings.unseen_weight * unseen
-        occupied = torch.where(unseen, occupied.sum() / visible.sum().clamp(min=1.0), occupied)
+        occupied = torch.where(unseen, rate, occupied)
     return functional.binary_cross_entropy_with_logits(logits, occupied, weight=weight, reduction="sum") / total
 
 

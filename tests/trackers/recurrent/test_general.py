@@ -292,15 +292,15 @@ def test_the_first_updates_are_on_moving_shapes_and_a_share_of_the_others_has_so
     plain = items(Walk(40, 0.2, 0.1, unseen=10))
     for number in range(6):
         window, resolution = data[number]
-        assert window[:, 0].all(), "seen whole"
-        assert min(dots_of(window)) > 5
+        assert not (window[:, 1] & ~window[:, 0]).any()
+        assert max(dots_of(window)) > 5
         assert torch.equal(resolution, resolution_of(0.2, 0.1))
     added = 0
     for number in range(6, 106):
         window, own = data[number].window, plain[number].window
-        assert torch.equal(window[:, 0], own[:, 0])
+        assert not (window[:, 0] & ~own[:, 0]).any(), "shapes hide, and show nothing"
         assert not (window[:, 1] & ~window[:, 0]).any(), "only visible cells are occupied"
-        assert (window[:, 1] >= own[:, 1]).all()
+        assert (window[:, 1] >= own[:, 1] & window[:, 0]).all()
         added += bool((window != own).any())
     assert 35 < added < 65
 

@@ -195,7 +195,7 @@ def test_cells_that_are_not_visible_have_no_loss():
     network = DeepTrackingRNNTracker.build(SIZE, DeepTrackingRNNTracker.Options(variant="paper"), 0)
     windows = torch.zeros(1, 3, 2, SIZE, SIZE)
     windows[:, :, 0, 3, 4] = 1.0
-    loss = sequence_loss(network, windows, settings)
+    loss = sequence_loss(network, windows, settings, 0.05)
     state, logits = network.initial(1), []
     for x in (windows[:, 0], windows[:, 1], None):
         state = network.step(x, state)
@@ -210,7 +210,7 @@ def test_the_burn_in_updates_the_state_without_loss_or_gradient():
     window = SequenceDataset([Shuttle()], settings, seed=0)[0].window[None].float()
     assert [settings.is_observed(frame) for frame in range(settings.length)] == [True] * 7 + [False] * 2
 
-    loss = sequence_loss(network, window, settings)
+    loss = sequence_loss(network, window, settings, 0.05)
 
     state = network.initial(1)
     for x in window[0, :5]:
@@ -244,7 +244,7 @@ def test_the_training_network_has_the_loss_and_gradient_of_the_network(kind, hal
 
     def loss_and_gradient(one):
         with torch.autocast("cpu", torch.bfloat16, enabled=half):
-            loss = sequence_loss(one, windows, settings)
+            loss = sequence_loss(one, windows, settings, 0.05)
         return loss.detach(), torch.autograd.grad(loss, tuple(network.parameters()))
 
     loss, gradient = loss_and_gradient(network)
@@ -326,11 +326,11 @@ def test_cells_near_an_entered_one_have_more_weight_until_the_last_update(monkey
     cells = torch.nn.functional.binary_cross_entropy_with_logits(
         torch.stack(logits), window[0, :, 1].float(), reduction="none"
     )
-    loss = sequence_loss(network, window.float(), settings, motion_weight=2.0)
+    loss = sequence_loss(network, window.float(), settings, 0.05, motion_weight=2.0)
     torch.testing.assert_close(loss, (cells * weight).sum() / weight.sum())
 
     module = TrainingModule(
-        network, network, settings, lambda trained: {}, FitOutput(tmp_path / "a.toml", "", 1, tmp_path)
+        network, network, settings, 0.05, lambda trained: {}, FitOutput(tmp_path / "a.toml", "", 1, tmp_path)
     )
     weights = []
     for step in range(4):
