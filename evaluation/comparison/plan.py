@@ -24,7 +24,7 @@ from gridtrack.evaluation.results.run_record import RunConfiguration, TrialIdent
 from gridtrack.evaluation.results.summary import ALL_RECORDINGS, ORACLE
 from gridtrack.evaluation.scoring.segments import segments_of
 from gridtrack.evaluation.scoring.splits import EvaluationSplit, Sampling, plan_splits, with_points
-from gridtrack.evaluation.scoring.strata import OCCLUDED
+from gridtrack.evaluation.scoring.strata import OCCLUDED, SCORING_RULES
 from gridtrack.recordings.stream import GridStream
 from gridtrack.trackers import registry
 from gridtrack.trackers.contract import stream_of
@@ -144,6 +144,7 @@ class ComparisonPlan:
     def identity(self) -> RunConfiguration:
         """The resolved configuration; a resumed run must have the same."""
         return RunConfiguration(
+            scoring_rules=SCORING_RULES,
             recordings={split.name: split.identity() for split in self.splits},
             trials={trial.name: trial.identity() for trial in self.trials},
         )

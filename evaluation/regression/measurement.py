@@ -104,6 +104,8 @@ class Measurement(Settings):
 
     command: tuple[str, ...]
     versions: dict[str, str]
+    scoring_rules: int = 1
+    """The `SCORING_RULES` of the run."""
     block_s: Annotated[float, Field(gt=0.0)] | None
     recordings: Annotated[dict[Name, SplitKey], Field(min_length=1)]
     trackers: Annotated[dict[Name, TrackerCounts], Field(min_length=1)]

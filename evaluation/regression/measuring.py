@@ -57,6 +57,7 @@ def measure_run(run: Path, like: Measurement | None = None) -> Measurement:
     content = {
         "command": record.command,
         "versions": record.versions,
+        "scoring_rules": configuration.scoring_rules,
         "block_s": block_s,
         "recordings": splits,
         "trackers": {

@@ -54,7 +54,18 @@ def require_comparable(runs: Sequence[Measurement]) -> None:
 
 
 def _require_same_frames(baseline: Measurement, run: Measurement) -> None:
-    """Check that `run` has every trial of `baseline`, on the same frames. Raises Unmeasured with every reason."""
+    """Check that `run` has every trial of `baseline`, on the same frames, scored by the same rules.
+
+    Raises Unmeasured with every reason.
+    """
+    then, now = baseline.scoring_rules, run.scoring_rules
+    if then != now:
+        raise Unmeasured(
+            [
+                f"the baseline was scored by other rules (number {then}, the run by number {now}): make it again with"
+                " --update"
+            ]
+        )
     reasons = [*_missing_entries(baseline, run), *_other_splits(baseline, run)]
     if not reasons:
         reasons = [*_other_units(baseline, run), *_other_measurements(baseline, run)]

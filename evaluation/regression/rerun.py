@@ -95,6 +95,8 @@ def _require_unchanged(record: RunRecord, plan: ComparisonPlan) -> None:
 def _differences(record: RunRecord, plan: ComparisonPlan) -> Iterator[str]:
     """A reason for everything in the plan that is not as it was in the run."""
     now = plan.identity()
+    if record.configuration.scoring_rules != now.scoring_rules:
+        yield "forecasts are scored by other rules now than in the run: compare again"
     for name, recording in now.recordings.items():
         if record.configuration.recordings.get(name) != recording:
             yield f"{name}: the recording changed since the run, so it cannot be run again: compare again"

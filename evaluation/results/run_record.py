@@ -36,6 +36,8 @@ class TrialIdentity(ResultModel):
 class RunConfiguration(ResultModel):
     """The resolved configuration: a resumed run must have the same."""
 
+    scoring_rules: int = 1
+    """The `SCORING_RULES` by which it is scored."""
     recordings: dict[str, RecordingIdentity]
     trials: dict[str, TrialIdentity]
     """By name: LABEL@RECORDING."""

@@ -5,12 +5,17 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from itertools import product
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec, Mask, rolled, shift_between, with_neighbours
+
+SCORING_RULES: Final = 1
+"""Number of the rules by which forecasts are scored: kinds of cells, strata, counts. A change of them adds one: scores
+by other rules are not continued by a resumed run, and are no baseline."""
 
 CELL_KINDS = ("ring", "static", "dynamic")
 """Disjoint kinds of cells; an array `cell_kinds` (M, M) uint8 holds indices into this."""

@@ -13,6 +13,7 @@ import polars as pl
 import pytest
 
 from gridtrack.common.errors import GridtrackError, WeightsError
+from gridtrack.evaluation.comparison import plan
 from gridtrack.evaluation.comparison.learned import find_weights
 from gridtrack.evaluation.comparison.plan import resolve
 from gridtrack.evaluation.comparison.recipe import Recipe
@@ -69,6 +70,13 @@ def test_a_run_is_not_continued_without_a_tracker_or_a_recording_of_it(settings,
         run(resolve(settings("blank", "persistence", recordings=both[1:], resume=True)), (), progress)
     with pytest.raises(RunError, match=r"\(recordings\.other\.forecast_every_frames: then 5, now 2\)"):
         run(resolve(settings("blank", "persistence", recordings=both, every_s=0.2, resume=True)), (), progress)
+
+
+def test_a_run_that_was_scored_by_other_rules_is_not_continued(settings, monkeypatch, progress):
+    run(resolve(settings("blank")), (), progress)
+    monkeypatch.setattr(plan, "SCORING_RULES", plan.SCORING_RULES + 1)
+    with pytest.raises(RunError, match=r"another configuration \(scoring_rules: then 1, now 2\): name another folder"):
+        run(resolve(settings("blank", "persistence", resume=True)), (), progress)
 
 
 def test_a_trial_with_missing_counts_runs_again(settings, tmp_path, progress):

@@ -247,6 +247,13 @@ def test_other_frames_do_not_pair(short_baseline, write_run, regress, edit_basel
     assert "kalman@junction-00: other frames were delivered than for the baseline" in done.err
 
 
+def test_scores_by_other_rules_do_not_pair(short_baseline, write_run, regress, edit_baseline):
+    edit_baseline(short_baseline, lambda content: content["runs"][0].update(scoring_rules=2))
+    done = regress(write_run("now", NAMES, recordings=2), "--baseline", short_baseline)
+    assert done.code == 3
+    assert "the baseline was scored by other rules (number 2, the run by number 1)" in done.err
+
+
 def test_other_cells_do_not_pair(short_baseline, write_run, regress, edit_baseline):
     def count_others(content):
         unit = content["runs"][0]["trackers"]["kalman"]["recordings"]["junction-00"]["units"][0]
