@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from itertools import groupby
 from typing import Literal
 
+from gridtrack.common.horizons import nearest_step
 from gridtrack.evaluation.results.summary import TrackerSummary
 from gridtrack.evaluation.results.trial_summary import TrialSummary
 from gridtrack.evaluation.statistics.score_intervals import HEADLINE_HORIZONS_S, HEADLINE_STRATA
@@ -231,7 +232,7 @@ def _columns(horizons_s: Sequence[float], intervals: bool, forgiving: bool) -> I
     Without intervals a score that needs no threshold is first: few frames choose a threshold poorly.
     """
     period_s = horizons_s[1] - horizons_s[0]
-    wanted = [round(h / period_s) for h in HEADLINE_HORIZONS_S]
+    wanted = [nearest_step(h, period_s) for h in HEADLINE_HORIZONS_S]
     steps = sorted({step for step in wanted if 0 < step < len(horizons_s)}) or [len(horizons_s) - 1]
     if not intervals:
         for step in steps:
@@ -240,7 +241,7 @@ def _columns(horizons_s: Sequence[float], intervals: bool, forgiving: bool) -> I
     for stratum in HEADLINE_STRATA:
         for step in steps:
             yield TableColumn(f"F1, {stratum}", horizon_text(horizons_s[step]), stratum, "f1", step)
-    step = round(DETAIL_HORIZON_S / period_s)
+    step = nearest_step(DETAIL_HORIZON_S, period_s)
     step = step if step in steps else steps[0]
     yield TableColumn(f"F1, {STANDING}", horizon_text(horizons_s[step]), STANDING, "f1", step)
     group = f"{MAIN_STRATUM}, {horizon_text(horizons_s[step])}"

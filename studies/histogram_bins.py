@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from sklearn.metrics import average_precision_score
 
+from gridtrack.common.horizons import nearest_step
 from gridtrack.evaluation.results.columns import PROBABILITY_EDGES
 from gridtrack.evaluation.scoring import metrics
 from gridtrack.evaluation.scoring.counting import Tally
@@ -45,7 +46,7 @@ def forecasts(recording: str, name: str) -> Iterator[Case]:
     path, validation = RECORDINGS[recording]
     split = plan_split(str(path), str(validation) if validation else None, Sampling(max(HORIZONS_S), 0.5))
     regions = split.regions().test
-    steps = [round(horizon_s / split.test.period_s) for horizon_s in HORIZONS_S]
+    steps = [nearest_step(horizon_s, split.test.period_s) for horizon_s in HORIZONS_S]
     found: dict[int, list[tuple[NDArray[Any], ...]]] = {step: [] for step in steps}
     delivery = Delivery(split.test, lambda: None, regions)
     for scored in scored_forecasts(shipped_tracker(name, split.test), delivery, split.schedule, 0):

@@ -16,6 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
+from gridtrack.common.horizons import nearest_step
 from gridtrack.evaluation.results.columns import SCORES_TABLE
 from gridtrack.evaluation.scoring.samples import SAMPLES, Sample, read_samples
 from gridtrack.reports.moment_choice import FrameScore, frame_scores
@@ -46,7 +47,7 @@ def worst(run: ReportedRun, label: str) -> list[Failure]:
     for recording, trial in run.summary.trackers[label].recordings.items():
         if run.is_pooled(recording) or MAIN_STRATUM not in trial.strata:
             continue
-        step = round(HORIZON_S / run.summary.recordings[recording].period_s)
+        step = nearest_step(HORIZON_S, run.summary.recordings[recording].period_s)
         folder = run.trial_folder(label, recording)
         scores = frame_scores(folder / SCORES_TABLE.file, [step])[step]
         scored = {stamp: score for stamp, score in scores.items() if score.occupied >= ENOUGH_CELLS}

@@ -16,6 +16,7 @@ import optuna
 from gridtrack.common.config import Settings
 from gridtrack.common.errors import ConfigurationError, RecordingError
 from gridtrack.common.files import read_bounded, write_text
+from gridtrack.common.horizons import nearest_step
 from gridtrack.common.untrusted import parse_json
 from gridtrack.trackers.contract import FitOutput, FrameSource, StretchScore
 from gridtrack.trackers.racing import Race
@@ -176,7 +177,7 @@ def stretch_summary(score: StretchScore, source: FrameSource, horizons_s: Sequen
 
 def step_of(source: FrameSource, horizon_s: float) -> int:
     """The step nearest to a horizon, at least 1."""
-    return max(1, round(horizon_s / source.period_s))
+    return max(1, nearest_step(horizon_s, source.period_s))
 
 
 def three_digits(value: float) -> float:

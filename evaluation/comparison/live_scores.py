@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import shift_between
+from gridtrack.common.horizons import nearest_step
 from gridtrack.evaluation.comparison.followed_trial import FollowedTrial
 from gridtrack.evaluation.scoring import metrics
 from gridtrack.evaluation.scoring.counting import Tally, count_forecast
@@ -132,7 +133,7 @@ class LiveScores:
     def __init__(self, split: EvaluationSplit, runs: Sequence[FollowedTrial]) -> None:
         self._runs = {run.trial.label: run for run in runs}
         self._scores = ScoresSoFar(split, self._runs)
-        self.step = min(split.steps, max(1, round(SHOWN_S / split.test.period_s)))
+        self.step = min(split.steps, max(1, nearest_step(SHOWN_S, split.test.period_s)))
         """The step whose score is shown."""
         self._waiting: deque[tuple[Observation, Mapping[str, int]]] = deque()
         self._changed = threading.Condition()

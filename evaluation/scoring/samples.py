@@ -29,6 +29,7 @@ from gridtrack.common.errors import GridtrackError
 from gridtrack.common.files import atomic_write
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec, Mask
+from gridtrack.common.horizons import nearest_step
 from gridtrack.evaluation.scoring.referee import Schedule, ScoredForecast
 from gridtrack.evaluation.scoring.sample_grids import (
     GRID_FRAME,
@@ -105,7 +106,7 @@ class SampleWriter:
 
     def __init__(self, path: Path, grid: GridSpec, period_s: float, steps: int) -> None:
         self._grid = grid
-        steps_of = {h: round(h / period_s) for h in HORIZONS_S}
+        steps_of = {h: nearest_step(h, period_s) for h in HORIZONS_S}
         self._steps = {h: step for h, step in steps_of.items() if 1 <= step <= steps}
         self._file = ExitStack()
         self._writer = Writer(self._file.enter_context(atomic_write(path)))

@@ -9,6 +9,7 @@ from typing import Any
 
 from gridtrack.common.errors import ConfigurationError, RecordingError
 from gridtrack.common.grid import GridSpec, Points
+from gridtrack.common.horizons import nearest_step
 from gridtrack.common.names import NAME_RULE, is_name
 from gridtrack.evaluation.results.recording import RecordingDescription, RecordingIdentity
 from gridtrack.evaluation.results.summary import ORACLE
@@ -182,7 +183,7 @@ def split_of(
 
 def _steps(stream: GridStream, horizon_s: float) -> int:
     """The horizon in steps. Raises ConfigurationError for less than one step, and for forecasts that are too large."""
-    steps = round(horizon_s / stream.period_s)
+    steps = nearest_step(horizon_s, stream.period_s)
     if steps < 1:
         raise ConfigurationError(
             f"a horizon of {horizon_s:g} s is less than half a frame of {stream.name} ({stream.period_s:g} s): give a"

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import pairwise
 
+from gridtrack.common.horizons import nearest_step
 from gridtrack.evaluation.results.recording import RecordingDescription
 
 POOLED_EVERY_S = 0.5
@@ -33,21 +34,16 @@ def common_horizons(recordings: Iterable[RecordingDescription]) -> tuple[float, 
 def _reached(described: RecordingDescription) -> int:
     """How many multiples of POOLED_EVERY_S lie nearest to one of the steps of a recording."""
     steps, reached = len(described.horizons_s) - 1, 0
-    while nearest_step((reached + 1) * POOLED_EVERY_S, described) <= steps:
+    while nearest_step((reached + 1) * POOLED_EVERY_S, described.period_s) <= steps:
         reached += 1
     return reached
-
-
-def nearest_step(horizon_s: float, described: RecordingDescription) -> int:
-    """The step nearest to a horizon; of two equally near ones the even."""
-    return round(horizon_s / described.period_s)
 
 
 def steps_at(horizons_s: Sequence[float], described: RecordingDescription) -> tuple[int, ...]:
     """The steps of a recording that are nearest to these horizons, which increase."""
     if tuple(horizons_s) == described.horizons_s:
         return tuple(range(len(horizons_s)))
-    return tuple(nearest_step(horizon_s, described) for horizon_s in horizons_s)
+    return tuple(nearest_step(horizon_s, described.period_s) for horizon_s in horizons_s)
 
 
 def unlike_recordings(recordings: Mapping[str, RecordingDescription]) -> list[str]:

@@ -9,6 +9,7 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
+from gridtrack.common.horizons import nearest_step
 from gridtrack.evaluation.results.values import rounded_curve
 from gridtrack.evaluation.scoring.histograms import UnitHistograms
 from gridtrack.evaluation.statistics.finished_trial import FinishedTrial
@@ -42,7 +43,7 @@ class Scope:
     def headline(self) -> list[tuple[str, float, int]]:
         """Stratum, horizon and step of each comparison of the family, as far as the run forecasts."""
         period_s = self.horizons_s[1] - self.horizons_s[0]
-        steps = [(h, round(h / period_s)) for h in HEADLINE_HORIZONS_S]
+        steps = [(h, nearest_step(h, period_s)) for h in HEADLINE_HORIZONS_S]
         reached = [(h, step) for h, step in steps if 0 < step < len(self.horizons_s)]
         return [(name, h, step) for name in HEADLINE_STRATA if name in self.strata for h, step in reached]
 

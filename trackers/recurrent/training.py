@@ -27,6 +27,7 @@ from torch.utils.data import DataLoader
 
 from gridtrack.common.errors import ConfigurationError
 from gridtrack.common.files import write_text
+from gridtrack.common.horizons import nearest_step
 from gridtrack.trackers.contract import FitOutput, FrameSource
 from gridtrack.trackers.excerpts import SELECTION_STRATA, mean_of_defined
 from gridtrack.trackers.progress import Stage
@@ -293,7 +294,7 @@ def validation_scores(
         f1 = score(source).f1
         for stratum in SELECTION_STRATA:
             for horizon in horizons_s:
-                at = round(horizon / source.period_s)
+                at = nearest_step(horizon, source.period_s)
                 found.setdefault(f"{stratum}_f1_{horizon:g}s", []).append(float(f1[stratum][at]))
     results = {name: mean_of_defined(values) for name, values in found.items()}
     return {"score": sum(results.values()) / len(results), **results}
