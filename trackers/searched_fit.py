@@ -2,8 +2,9 @@
 
 Counts of the site come first, in the arrays of the weights; then the settings with the best mean F1 on excerpts of the
 training recordings are searched, the validation recordings decide between the best of them, and the forecast with the
-result is calibrated on the same excerpts. Where it starts from general weights their settings are kept, and only those
-are searched, in few tries, that weigh the map of the place against the stream: general weights have no map.
+result is calibrated on the same excerpts. Where it starts from general weights, settings are searched near theirs: a
+stretch of a minute has too little motion to know better from nothing. Those that weigh the map of the place against the
+stream are searched in their whole range: general weights have no map.
 """
 
 from __future__ import annotations
@@ -31,6 +32,7 @@ from gridtrack.trackers.excerpts import (
 from gridtrack.trackers.tuning import (
     Objective,
     SearchInterrupted,
+    clipped,
     delete_search_log,
     search_settings,
     step_of,
@@ -39,8 +41,8 @@ from gridtrack.trackers.tuning import (
 from gridtrack.trackers.weights import load_start, save_interrupted, save_weights, tuned_settings
 
 SEARCH_ITERATIONS = 60
-ITERATIONS_OF_PLACE = 12
-"""Number of tries of a search that starts from general weights."""
+NEAR = 2.0
+"""Greatest factor between a setting of general weights and the same one of a search that starts from them."""
 
 
 _Searched = TypeVar("_Searched", bound=Settings)
@@ -50,7 +52,7 @@ _Searched = TypeVar("_Searched", bound=Settings)
 class SettingsSearch(Generic[_Searched]):
     """What is searched for the tracker `name`: settings of one `kind` in `ranges`, log-uniformly.
 
-    `of_place`: those that are searched where the others are those of general weights. `during(settings)` are the
+    `of_place`: those of which general weights know nothing. `during(settings)` are the
     settings with which a try is scored, for trackers that can be faster at some loss.
     """
 
@@ -80,7 +82,7 @@ def fit_searched(
     general weights are damaged, ConfigurationError without torch.
     """
     arrays = {**arrays, "calibration": IDENTITY}
-    start, ranges, iterations = _begin(search, out, given)
+    start, ranges = _begin(search, out, given)
     card = card_for(search.name, out, train, validation, {})
     searched = excerpts_of_places(train) if out.general else excerpts(train)
     with TemporaryDirectory() as folder:
@@ -88,7 +90,7 @@ def fit_searched(
         save_weights(draft.path, card, arrays)
         objective = Objective[_Searched]("mean F1", lambda tried: draft.f1_of_each(search.during(tried), searched))
         try:
-            finalists = search_settings(search.kind, ranges, objective, start, iterations, train, out)
+            finalists = search_settings(search.kind, ranges, objective, start, SEARCH_ITERATIONS, train, out)
         except SearchInterrupted as stopped:
             card = card_for(search.name, out, train, validation, stopped.best.model_dump(), notes)
             save_interrupted(out.path, card, arrays, f"{stopped.reached}, not calibrated")
@@ -109,14 +111,21 @@ def fit_searched(
 
 def _begin(
     search: SettingsSearch[_Searched], out: FitOutput, given: Mapping[str, Any]
-) -> tuple[_Searched, dict[str, tuple[float, float]], int]:
-    """The settings that the search begins with, what it searches, and its number of tries. Raises WeightsError."""
-    start, iterations = search.kind(**given), SEARCH_ITERATIONS
+) -> tuple[_Searched, dict[str, tuple[float, float]]]:
+    """The settings that the search begins with, and what it searches. Raises WeightsError."""
+    start = search.kind(**given)
     ranges = {key: bounds for key, bounds in search.ranges.items() if key not in given}
-    if out.start is not None:
-        start, iterations = tuned_settings(search.kind, load_start(out.start, search.name), start), ITERATIONS_OF_PLACE
-        ranges = {key: bounds for key, bounds in ranges.items() if key in search.of_place}
-    return start, ranges, iterations
+    if out.start is None:
+        return start, ranges
+    start = tuned_settings(search.kind, load_start(out.start, search.name), start)
+    near = {key: _near(getattr(start, key), *bounds) for key, bounds in ranges.items() if key not in search.of_place}
+    return start, ranges | near
+
+
+def _near(value: float, low: float, high: float) -> tuple[float, float]:
+    """The part of a range that is at most a factor NEAR from `value`, which may be outside of the range."""
+    value = clipped(value, low, high)
+    return max(low, value / NEAR), min(high, NEAR * value)
 
 
 @dataclass(frozen=True, slots=True)

@@ -110,7 +110,7 @@ def search_settings(
         scores = known.scores(tried, lambda: race.run(objective.of(with_tried(tried))))
         return _defined(objective, race.mean(scores))
 
-    study = _study({key: _clipped(getattr(start, key), *ranges[key]) for key in ranges}, out.seed)
+    study = _study({key: clipped(getattr(start, key), *ranges[key]) for key in ranges}, out.seed)
     try:
         with out.progress.stage("search iteration", iterations) as stage:
             study.optimize(
@@ -142,7 +142,7 @@ def _study(start: dict[str, float], seed: int) -> optuna.Study:
     return study
 
 
-def _clipped(value: float, low: float, high: float) -> float:
+def clipped(value: float, low: float, high: float) -> float:
     """General weights whose training was given a setting may have it outside its range."""
     return min(max(value, low), high)
 

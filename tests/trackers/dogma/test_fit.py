@@ -104,11 +104,11 @@ def general(tmp_path):
 
 
 @pytest.mark.parametrize(("best_s", "found_s"), [(2.0, (0.5, 20.0)), (300.0, (30.0, 30.0))])
-def test_a_site_starts_from_general_settings_and_searches_how_its_map_is_weighed(
+def test_a_site_starts_from_general_settings_and_searches_near_them(
     best_s, found_s, general, tmp_path, monkeypatch
 ) -> None:
-    """The other settings are the general ones; so is the searched one where nothing better is found."""
-    monkeypatch.setattr(searched_fit, "ITERATIONS_OF_PLACE", 6)
+    """How its map is weighed is searched in the whole range; the general settings are kept where nothing is better."""
+    monkeypatch.setattr(searched_fit, "SEARCH_ITERATIONS", 6)
     asked = []
 
     def score(tracker, source, steps):
@@ -122,8 +122,9 @@ def test_a_site_starts_from_general_settings_and_searches_how_its_map_is_weighed
         tmp_path / "yard.toml", "gridtrack train dogma", 3, tmp_path / "log", lambda line: None, start=general
     )
     DogmaTracker.fit([Source()], [Source()], score, out, DogmaSettings(birth_speed=2.5))
-    expected = DogmaSettings(particles=1200, acceleration=0.7, birth_speed=2.5)
-    assert {settings.model_copy(update={"particles": 1200, "free_decay_s": 3.0}) for settings in asked} == {expected}
+    assert {settings.birth_speed for settings in asked} == {2.5}, "was given"
+    assert len({settings.acceleration for settings in asked}) > 3
+    assert all(0.35 <= settings.acceleration <= 1.4 for settings in asked)
     assert [settings.particles for settings in asked[:6]] == [300] * 6
     assert asked[0].free_decay_s == 20.0
     settings = read_card(out.path).settings
