@@ -22,7 +22,7 @@ SPEEDS = (0.15, 2.0)
 STANDING_SHAPES, HIDING_SHAPES, RECTANGLES, LOST_SHARE = 0.25, 0.2, 0.3, 0.1
 """Shares of the shapes that stand, that hide what is behind them and that are rectangles, and of the points that the
 laser does not see."""
-RANGES = (0.7, 2.5)
+LASER_RANGES = (0.7, 2.5)
 """Of the laser, in sides of the window."""
 TURN = 0.01
 """Standard deviation of the turn in a step, rad."""
@@ -58,7 +58,7 @@ def moving_shapes(draw: np.random.Generator, steps: int, size: int) -> NDArray[n
         if draw.random() < HIDING_SHAPES:
             opaque |= shape
     row, column = np.mgrid[:size, :size] + 0.5
-    reached = np.hypot(column - laser[0], row - laser[1]) <= draw.uniform(*RANGES) * size
+    reached = np.hypot(column - laser[0], row - laser[1]) <= draw.uniform(*LASER_RANGES) * size
     visible = (reached & cells_in_sight(opaque, laser)).astype(np.uint8)
     return np.stack([visible, visible & occupied], axis=1)
 

@@ -29,9 +29,9 @@ def test_shapes_hide_what_is_behind_them_and_cells_out_of_range_are_never_seen(m
     seen = window[:, 0].mean(axis=0)
     assert ((seen > 0) & (seen < 1)).mean() > 0.05, "hidden now and then"
     monkeypatch.setattr(shapes, "HIDING_SHAPES", 0.0)
-    monkeypatch.setattr(shapes, "RANGES", (3.0, 3.0))
+    monkeypatch.setattr(shapes, "LASER_RANGES", (3.0, 3.0))
     assert moving_shapes(np.random.default_rng(1), 30, 64)[:, 0].all()
-    monkeypatch.setattr(shapes, "RANGES", (0.7, 0.7))
+    monkeypatch.setattr(shapes, "LASER_RANGES", (0.7, 0.7))
     seen = np.stack([moving_shapes(np.random.default_rng(seed), 9, 64)[:, 0].any(axis=0) for seed in range(10)])
     assert 0.2 < seen.mean() < 0.9
 
@@ -43,7 +43,7 @@ def test_a_shape_moves_straight_on_at_its_speed(monkeypatch):
     monkeypatch.setattr(shapes, "RECTANGLES", 0.0)
     monkeypatch.setattr(shapes, "LOST_SHARE", 0.0)
     monkeypatch.setattr(shapes, "HIDING_SHAPES", 0.0)
-    monkeypatch.setattr(shapes, "RANGES", (3.0, 3.0))
+    monkeypatch.setattr(shapes, "LASER_RANGES", (3.0, 3.0))
     monkeypatch.setattr(shapes, "STANDING_SHAPES", 0.0)
     monkeypatch.setattr(shapes, "TURN", 0.0)
     monkeypatch.setattr(shapes, "SPEEDS", (1.5, 1.5))
