@@ -23,7 +23,7 @@ STANDING_SHAPES, HIDING_SHAPES, RECTANGLES, LOST_SHARE = 0.25, 0.2, 0.3, 0.1
 """Shares of the shapes that stand, that hide what is behind them and that are rectangles, and of the points that the
 laser does not see."""
 LASER_RANGES = (0.7, 2.5)
-"""Of the laser, in sides of the window."""
+"""Of a laser, in sides of the window."""
 TURN = 0.01
 """Standard deviation of the turn in a step, rad."""
 SPACING = 0.5
