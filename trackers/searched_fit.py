@@ -52,8 +52,8 @@ _Searched = TypeVar("_Searched", bound=Settings)
 class SettingsSearch(Generic[_Searched]):
     """What is searched for the tracker `name`: settings of one `kind` in `ranges`, log-uniformly.
 
-    `of_place`: those of which general weights know nothing. `during(settings)` are the
-    settings with which a try is scored, for trackers that can be faster at some loss.
+    `of_place`: those of which general weights know nothing. `during(settings)` are the settings with which a try is
+    scored, for trackers that can be faster at some loss.
     """
 
     name: str

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridtrack.common.files import sha256_of
+from gridtrack.common.horizons import nearest_step
 from gridtrack.evaluation.comparison.learned import LearnedWeights
 from gridtrack.evaluation.comparison.plan import Trial
 from gridtrack.evaluation.comparison.trial import validation_tally
@@ -59,7 +60,7 @@ def choose_card_thresholds(
 
 def _steps(stream: GridStream) -> int:
     """Steps of the forecasts from a stretch: up to LAST_S, and so few that half of a short stretch is forecast from."""
-    return min(round(LAST_S / stream.period_s), (len(stream) - WARM_UP) // 2)
+    return min(nearest_step(LAST_S, stream.period_s), (len(stream) - WARM_UP) // 2)
 
 
 def _tally(tracker: str, path: Path, stream: GridStream, kinds: CellKinds, progress: Progress) -> Tally:

@@ -58,19 +58,20 @@ def _require_same_frames(baseline: Measurement, run: Measurement) -> None:
 
     Raises Unmeasured with every reason.
     """
-    then, now = baseline.scoring_rules, run.scoring_rules
-    if then != now:
-        raise Unmeasured(
-            [
-                f"the baseline was scored by other rules (number {then}, the run by number {now}): make it again with"
-                " --update"
-            ]
-        )
-    reasons = [*_missing_entries(baseline, run), *_other_splits(baseline, run)]
+    reasons = [*_other_rules(baseline, run), *_missing_entries(baseline, run), *_other_splits(baseline, run)]
     if not reasons:
         reasons = [*_other_units(baseline, run), *_other_measurements(baseline, run)]
     if reasons:
         raise Unmeasured(reasons)
+
+
+def _other_rules(baseline: Measurement, run: Measurement) -> Iterator[str]:
+    then, now = baseline.scoring_rules, run.scoring_rules
+    if then != now:
+        yield (
+            f"the baseline was scored by other rules (number {then}, the run by number {now}): make it again with"
+            " --update"
+        )
 
 
 def _missing_entries(baseline: Measurement, run: Measurement) -> Iterator[str]:

@@ -13,6 +13,7 @@ from torch import Tensor, nn
 
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, Shift, shift_between
+from gridtrack.common.horizons import nearest_step
 from gridtrack.trackers.card import card_for
 from gridtrack.trackers.contract import FitOutput, Forecast, FrameSource, Score, StreamSpec, Tracker, stream_of
 from gridtrack.trackers.excerpts import SELECTION_HORIZONS_S, excerpts_of_places
@@ -166,7 +167,7 @@ class RecurrentTracker(Tracker):
         From general weights `out.start` these are among the candidates.
         """
         from gridtrack.trackers.recurrent.precision import training_precision
-        from gridtrack.trackers.recurrent.sequences import SequenceDataset, occupied_rate
+        from gridtrack.trackers.recurrent.sequences import SequenceDataset
         from gridtrack.trackers.recurrent.training import train_network, validation_scores
 
         start = None if out.start is None else load_start(out.start, cls.name)
@@ -178,14 +179,14 @@ class RecurrentTracker(Tracker):
         options = options.model_copy(update={"precision": training_precision(options, out)})
         torch.manual_seed(out.seed)
         network = cls.build(dataset.size, options, classes=0)
-        on_processor = cls.prepare_training(network, occupied_rate(dataset.stretches))
+        on_processor = cls.prepare_training(network, dataset.occupied_rate)
         if start is not None:
             begin_from(network, start)
         held_out = excerpts_of_places(validation) if out.general else validation
 
         def validate(trained: nn.Module) -> dict[str, float]:
             def score_on(source: FrameSource) -> Any:
-                stream, steps = stream_of(source), round(max(SELECTION_HORIZONS_S) / source.period_s)
+                stream, steps = stream_of(source), nearest_step(max(SELECTION_HORIZONS_S), source.period_s)
                 inference = cls.inference_for(deepcopy(trained).cpu(), stream, options)
                 return score(cls(stream, options, inference, dataset.first_window), source, steps)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -75,12 +76,6 @@ def in_one_window(planes: NDArray[np.uint8], windows: NDArray[np.int64], number:
     return np.packbits(np.stack(rolled_cells), axis=-1)
 
 
-def occupied_rate(stretches: Sequence[Frames]) -> float:
-    """Occupied cells divided by visible cells; 1 occupied and 2 visible at least."""
-    visible, occupied = (sum(int(np.bitwise_count(s.planes[:, k]).sum()) for s in stretches) for k in (0, 1))
-    return max(occupied, 1) / max(visible, 2)
-
-
 def cut_or_padded(cells: NDArray[np.uint8], size: int, draw: np.random.Generator) -> NDArray[np.uint8]:
     """A random part of `size` cells a side of `cells` (T, 2, M, M); where M is smaller, all of them at a random place.
 
@@ -146,6 +141,12 @@ class SequenceDataset(Dataset[Item]):
     def _frames(self, stretch: Frames) -> int:
         """The frames of the stretch in one item."""
         return stretch.pace.frames(self.settings.length)
+
+    @cached_property
+    def occupied_rate(self) -> float:
+        """Occupied cells divided by visible cells, in all stretches; 1 occupied and 2 visible at least."""
+        visible, occupied = (sum(int(np.bitwise_count(s.planes[:, k]).sum()) for s in self.stretches) for k in (0, 1))
+        return max(occupied, 1) / max(visible, 2)
 
     @property
     def has_one_window(self) -> bool:

@@ -35,7 +35,7 @@ from gridtrack.trackers.recurrent.entered_cells import near_entered_cells
 from gridtrack.trackers.recurrent.network import RecurrentNetwork, channels_last
 from gridtrack.trackers.recurrent.precision import training_precision
 from gridtrack.trackers.recurrent.resolution_input import set_resolution
-from gridtrack.trackers.recurrent.sequences import EpochSampler, Item, SequenceDataset, occupied_rate
+from gridtrack.trackers.recurrent.sequences import EpochSampler, Item, SequenceDataset
 from gridtrack.trackers.recurrent.settings import InferenceSettings, TrainingSettings, TransferSettings
 from gridtrack.trackers.weights import Weights
 
@@ -82,7 +82,7 @@ def train_network(
     training = {"seed": out.seed, "train": dataset.sources, **network_settings}
     resumed = _resumable(out, training if start is None else {"start": start.card.arrays_sha256, **training})
     begun = None if start is None else _Begun.with_scores(network, validate, out)
-    module = TrainingModule(network, on_processor, settings, occupied_rate(dataset.stretches), validate, out)
+    module = TrainingModule(network, on_processor, settings, dataset.occupied_rate, validate, out)
     with _without_news():
         trainer, best = _trainer(settings, out)
     done = _updates_in(resumed) if resumed else 0

@@ -20,7 +20,7 @@ from gridtrack.trackers.recurrent import training  # noqa: E402
 from gridtrack.trackers.recurrent.convgru_tracker import DilatedConvGRUTracker  # noqa: E402
 from gridtrack.trackers.recurrent.entered_cells import near_entered_cells  # noqa: E402
 from gridtrack.trackers.recurrent.rnn_tracker import DeepTrackingRNNTracker  # noqa: E402
-from gridtrack.trackers.recurrent.sequences import EpochSampler, SequenceDataset, occupied_rate, superposed  # noqa: E402
+from gridtrack.trackers.recurrent.sequences import EpochSampler, SequenceDataset, superposed  # noqa: E402
 from gridtrack.trackers.recurrent.settings import TrainingSettings  # noqa: E402
 from gridtrack.trackers.recurrent.training import TrainingModule, sequence_loss  # noqa: E402
 from gridtrack.trackers.weights import read_card  # noqa: E402
@@ -298,7 +298,7 @@ def test_every_epoch_continues_the_series_of_windows():
 
 def test_the_occupied_rate_is_that_of_the_visible_cells():
     data = SequenceDataset([Shuttle(12)], of_ten(), seed=0)
-    assert occupied_rate(data.stretches) == pytest.approx((SIZE + 1) / (SIZE * (SIZE - 1)))
+    assert data.occupied_rate == pytest.approx((SIZE + 1) / (SIZE * (SIZE - 1)))
 
 
 def test_a_stretch_shorter_than_a_window_is_refused_by_name():
