@@ -144,6 +144,29 @@ def test_an_untrained_network_forecasts_the_occupied_rate():
     torch.testing.assert_close(occupancy, torch.full((1, 10, 10), 0.02))
 
 
+@pytest.mark.parametrize("variant", ["code", "paper"])
+def test_an_untrained_deep_tracking_rnn_holds_what_it_saw_last(variant):
+    torch.manual_seed(0)
+    network = DeepTrackingRNN(21, DeepTrackingRNNSettings(variant=variant))
+    start_from_rate(network.decode, 0.02)
+    hidden_since, left_since = (6, 6), (14, 14)
+    x = torch.zeros(1, 2, 21, 21)
+    x[:, 0] = 1.0
+    for cell in (hidden_since, left_since):
+        x[0, 1, *cell] = 1.0
+    state = network.step(x, network.initial(1))
+    x[0, 1, *left_since] = 0.0
+    x[0, :, *hidden_since] = 0.0
+    for _ in range(5):
+        state = network.step(x, state)
+    for _ in range(10):
+        state = network.step(None, state)
+    occupancy = torch.sigmoid(network.occupancy(network.features(state)))[0]
+    assert occupancy[hidden_since] > 0.5
+    occupancy[hidden_since] = 0.0
+    assert occupancy.max() < 0.5
+
+
 def test_the_default_sequence_is_ten_observed_and_ten_blank_frames_twice():
     settings = TrainingSettings()
     observed = [settings.is_observed(frame) for frame in range(settings.length)]
