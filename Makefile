@@ -5,11 +5,11 @@ BIN := $(VENV)/bin
 EXAMPLE := examples/example_tracker
 DEMO := data/leg_tracker/leg_tracker.mcap
 JUNCTION := $(wildcard data/junction/test-*.tracks) --validation data/junction/validation.tracks
-DEMO_TRACKERS := persistence static-map blank kalman dogma deep-tracking-rnn dilated-convgru
+DEMO_TRACKERS := persistence static-map blank kalman factor-graph dogma deep-tracking-rnn dilated-convgru
 JUNCTION_TRACKERS := persistence static-map blank kalman factor-graph dogma dilated-convgru one-shot
 COMPARE := $(BIN)/gridtrack compare
 # with general weights: they have seen no recording of a site
-GENERAL := static-map kalman dogma dilated-convgru
+GENERAL := static-map kalman factor-graph dogma deep-tracking-rnn dilated-convgru
 chosen = $(foreach tracker,$(1),--tracker $(tracker))
 new = $(foreach tracker,$(1),--tracker new-$(tracker)=$(tracker):card=general)
 # studies/trainings/seed-2/kalman/junction.toml: another training of kalman, as the row "kalman 2"

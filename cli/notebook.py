@@ -111,17 +111,18 @@ class Run:
 
 def compare(
     *recordings: str | Path,
-    trackers: Sequence[str] = (),
+    trackers: str | Sequence[str] = (),
     out: str | Path = "runs/latest",
     **options: Unpack[CompareOptions],
 ) -> Run:
     """Run trackers on recordings, as `gridtrack compare` does, and return the run; its progress is printed to stderr.
 
-    `recordings` as RECORDING[@RANGE], `trackers` as [LABEL=]NAME[:KEY=VALUE,...]; none: every registered one. Trials
-    that failed are in the run, with their outcomes. Raises GridtrackError with the reason where nothing was compared,
-    and KeyboardInterrupt after an interrupt; `Run.load(out)` then has what was scored.
+    `recordings` as RECORDING[@RANGE], `trackers` as [LABEL=]NAME[:KEY=VALUE,...], one or several; none: every
+    registered one. Trials that failed are in the run, with their outcomes. Raises GridtrackError with the reason where
+    nothing was compared, and KeyboardInterrupt after an interrupt; `Run.load(out)` then has what was scored.
     """
-    words = [*map(str, recordings), *(word for tracker in trackers for word in ("--tracker", tracker))]
+    rows = [trackers] if isinstance(trackers, str) else trackers
+    words = [*map(str, recordings), *(word for row in rows for word in ("--tracker", row))]
     words += ["--out", str(out), *_as_words(options)]
     code, reason = _run_command(["compare", *words])
     if code == INTERRUPTED_EXIT_CODE:

@@ -69,6 +69,11 @@ def test_several_recordings_are_pooled_and_their_names_escaped(tmp_path):
     assert "&lt;i&gt;hall" in gridtrack.Run.load(run.path).report(tmp_path / "page").read_text("utf-8")
 
 
+def test_one_tracker_may_be_a_text(tmp_path):
+    run = gridtrack.compare(RECORDING, trackers="persistence", out=tmp_path / "run", every="2s", horizon="1s", jobs=1)
+    assert list(run.summary.trackers) == ["persistence"]
+
+
 def test_a_report_is_written_where_asked(compared, tmp_path):
     assert compared.report(tmp_path / "page").read_text("utf-8").startswith("<!doctype html>")
 

@@ -11,8 +11,10 @@ from gridtrack.evaluation.results.summary import ORACLE, TrackerDifference, Trac
 from gridtrack.evaluation.results.trial_summary import StratumScores
 from gridtrack.evaluation.statistics.finished_trial import FinishedTrial
 from gridtrack.evaluation.statistics.jackknife import COUNTS
+from gridtrack.evaluation.statistics.pair_statistics import PairStatistics
 from gridtrack.evaluation.statistics.run_statistics import RunStatistics
 from gridtrack.evaluation.statistics.training_statistics import TrainingStatistics
+from gridtrack.reports.tiers import TOLD_APART
 from gridtrack.trackers.card import GENERAL
 
 from studies.support.comparison import finished_trials
@@ -32,6 +34,8 @@ FAMILIES = {
 WITHOUT_WEIGHTS = (REFERENCE, "blank")
 STRATA = {"in-motion": "in motion", "dynamic": "dynamic", "visible": "visible", "occluded": "hidden"}
 HORIZONS_S = (0.5, 1.0, 2.5)
+MAY_BE_CHANCE = "°"
+"""Marks a difference whose corrected p-value is too large."""
 NONE = "–"
 """Where a score is undefined, such as F1 where no cell of the stratum is occupied."""
 
@@ -177,15 +181,38 @@ class PlaceScores:
             return None, None, None
         return found.f1[step], found.f1_low[step], found.f1_high[step]
 
+    @cached_property
+    def not_told_apart(self) -> frozenset[tuple[str, str, int]]:
+        """(row, stratum, step) whose F1 is not told from the reference's: Holm's correction over all pairs of `labels`.
+
+        Empty where nothing is tested, for too few units. Further trainings and the ceiling are in no pair: no reader
+        asks whether a tracker differs from itself or from the future.
+        """
+        rows = [trial for trial in self._trials if trial.record.label in self.labels]
+        families = PairStatistics(RunStatistics(self.described, rows, REFERENCE)).families()
+        tests = ((family, test) for family in families if family.score == "f1" for test in family.pairs)
+        return frozenset(
+            (label, family.stratum, family.step)
+            for family, test in tests
+            for label, other in ((test.tracker, test.other), (test.other, test.tracker))
+            if other == REFERENCE and test.verdict not in TOLD_APART
+        )
+
     def difference_table(self, stratum: str) -> ResultTable:
-        """F1 of each row less the reference's in one stratum."""
+        """F1 of each row less the reference's in one stratum, with a mark where it is not told apart."""
         rows = []
         for label in self.labels:
             if label in self.differences:
-                found = [self.difference(label, stratum, horizon_s) for horizon_s in self.horizons]
-                texts = [NONE if value is None else score_text(value, *ends, signed=True) for value, *ends in found]
+                texts = [self._difference_text(label, stratum, horizon_s) for horizon_s in self.horizons]
                 rows.append([f"{label} less {REFERENCE}", *texts])
         return measured_table((f"F1, {STRATA[stratum]}", *(f"{h:g} s" for h in self.horizons)), rows)
+
+    def _difference_text(self, label: str, stratum: str, horizon_s: float) -> str:
+        value, low, high = self.difference(label, stratum, horizon_s)
+        if value is None:
+            return NONE
+        chance = (label, stratum, self.horizons[horizon_s]) in self.not_told_apart
+        return score_text(value, low, high, signed=True) + (f" {MAY_BE_CHANCE}" if chance else "")
 
     @cached_property
     def trainings(self) -> list[TrackerTrainings]:

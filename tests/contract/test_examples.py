@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import re
-import shlex
 import shutil
 import subprocess
 import sys
@@ -78,11 +77,21 @@ def test_a_new_package_works_in_a_fresh_environment_by_the_lines_of_its_ci_file(
         "gridtrack",
     }
     python = fresh_environment(tmp_path / "env")
-    for line in re.findall(r"- run: python (.+)", (folder / ".github" / "workflows" / "test.yml").read_text()):
-        run_python(python, *shlex.split(line), cwd=folder)
+    lines = re.findall(r"- run: (.+)", (folder / ".github" / "workflows" / "test.yml").read_text())
+    refused = run_line(lines[0], python, folder, gridtrack="")
+    assert refused.returncode and "say in this file from where pip installs gridtrack" in refused.stderr
+    for line in lines:
+        done = run_line(line, python, folder, gridtrack="gridtrack")  # which this environment has
+        assert done.returncode == 0, done.stdout + done.stderr
     trackers = ("--tracker", "my-own-2", "--tracker", "blank")
     out = run_python(python, "-m", "gridtrack.cli", "compare", f"{DEMO}@114s-118s", *trackers, *QUICK, cwd=tmp_path)
     assert outcomes(out) == {"my-own-2": "ok", "blank": "ok"}
+
+
+def run_line(line: str, python: Path, folder: Path, *, gridtrack: str) -> subprocess.CompletedProcess[str]:
+    """Run a line of a workflow in `folder`, by the shell of its service, with `python` and this value of GRIDTRACK."""
+    environment = os.environ | {"PATH": f"{python.parent}:{os.environ['PATH']}", "GRIDTRACK": gridtrack}
+    return subprocess.run(["bash", "-c", line], cwd=folder, env=environment, capture_output=True, text=True)
 
 
 def test_a_tracker_is_compared_in_an_environment_with_another_numpy(tmp_path: Path) -> None:

@@ -66,6 +66,13 @@ def test_twenty_worlds_have_intervals_and_ten_of_them_none(worlds: PlaceScores) 
     assert not any("[" in text for row in apart.rows for text in row)
 
 
+def test_a_difference_that_may_be_chance_is_marked(tmp_path: Path) -> None:
+    names = [f"indoors-{1000 + k}" for k in range(20)]
+    scores = run_of(tmp_path, names, {"persistence": 0.5, "kalman": 0.8, "dogma": 0.498, "dilated-convgru 2": 0.5})
+    marked = {row[0]: ["°" in text for text in row[1:]] for row in scores.difference_table("dynamic").rows}
+    assert marked == {"kalman less persistence": [False, False], "dogma less persistence": [True, True]}
+
+
 def test_the_aim_is_judged_where_it_was_measured_and_named_where_it_was_not(worlds: PlaceScores) -> None:
     rows = aim_table(worlds).rows
     verdicts = {row[0]: row[-1] for row in rows}
