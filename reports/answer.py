@@ -7,14 +7,19 @@ from dataclasses import dataclass
 
 from gridtrack.evaluation.results.summary import TrackerSummary
 from gridtrack.evaluation.results.trial_summary import TrialSummary
+from gridtrack.reports.main_result import lead_of
+from gridtrack.reports.notices import failures_of
 from gridtrack.reports.run import ReportedRun
-from gridtrack.reports.run_description import Fact, lead_of
+from gridtrack.reports.run_description import Fact
 from gridtrack.reports.table import headline_tables, main_tables
 from gridtrack.reports.times import keeps_up_of
 
 MOST_NAMES = 8
 """Further names of a line are counted."""
+MOST_CHARS = 100
+"""A longer reason is cut."""
 WEIGHTS_WORDS = {"site": "of the site", "general": "general", "general, site": "general or of the site", "": "none"}
+UNTIMED = "not measured: gridtrack compare --latency measures it"
 VERDICTS = ("no", "updates only", "yes")
 """From the worst: a tracker has the worst of its recordings."""
 
@@ -30,7 +35,7 @@ class Answer:
 
 def answer_of(run: ReportedRun) -> Answer:
     """The answer of one run. Raises ReportError."""
-    leads = map(lead_of, main_tables(headline_tables([run])))
+    leads = (lead_of([run], table) for table in main_tables(headline_tables([run])))
     facts = (_compared(run), _weights(run), _keeps_up(run), _not_ranked(run))
     return Answer(run.name, tuple(filter(None, leads)), tuple(fact for fact in facts if fact.value))
 
@@ -39,8 +44,9 @@ def _compared(run: ReportedRun) -> Fact:
     recordings = [run.summary.recordings[name] for name in run.recordings]
     frames = sum(one.frames for one in recordings)
     where = run.recordings[0] if len(recordings) == 1 else f"{len(recordings)} recordings"
-    ahead = ", ".join(f"{s:.3g}" for s in sorted({one.horizons_s[-1] for one in recordings}))
-    return Fact("Compared on", f"{where}: {frames} frames, forecasts up to {ahead} s ahead")
+    furthest_s = [one.horizons_s[-1] for one in recordings]
+    ahead = " to ".join(dict.fromkeys(f"{s:.3g}" for s in (min(furthest_s), max(furthest_s))))
+    return Fact("Compared on", f"{where}: {frames} frames, the longest forecast {ahead} s ahead")
 
 
 def _weights(run: ReportedRun) -> Fact:
@@ -60,17 +66,16 @@ def _keeps_up(run: ReportedRun) -> Fact:
         verdicts_of = (keeps_up_of(one, run.summary.recordings[name].period_s * 1e3) for name, one in trials.items())
         if found := list(filter(None, verdicts_of)):
             verdicts[label] = min(found, key=VERDICTS.index)
-    return Fact("Keeps up with the sensor", _grouped(verdicts) or "latency not measured: --latency")
+    return Fact("Keeps up with the sensor", _grouped(verdicts) or UNTIMED)
 
 
 def _not_ranked(run: ReportedRun) -> Fact:
-    found = [f"{label} ({why})" for label, row in run.summary.trackers.items() if (why := ", ".join(_why(row, run)))]
-    return Fact("Not ranked", _listed(found))
-
-
-def _why(row: TrackerSummary, run: ReportedRun) -> Sequence[str]:
-    outcomes = (trial.outcome if not trial.complete else "leak" for trial in _trials(row, run) if not trial.ranked)
-    return list(dict.fromkeys(outcomes))
+    reasons = {
+        label: "; ".join(failures_of(tuple(_trials(row, run)), MOST_CHARS))
+        for label, row in run.summary.trackers.items()
+    }
+    found = _by_words({label: why for label, why in reasons.items() if why})
+    return Fact("Not ranked", _listed([f"{_listed(labels)}: {why}" for why, labels in found.items()], "; "))
 
 
 def _trials(row: TrackerSummary, run: ReportedRun) -> Iterator[TrialSummary]:
@@ -78,13 +83,18 @@ def _trials(row: TrackerSummary, run: ReportedRun) -> Iterator[TrialSummary]:
 
 
 def _grouped(words: Mapping[str, str]) -> str:
-    """Labels by what is said of them."""
-    by_words: dict[str, list[str]] = {}
+    """Labels after what is said of them."""
+    return "; ".join(f"{one}: {_listed(labels)}" for one, labels in _by_words(words).items())
+
+
+def _by_words(words: Mapping[str, str]) -> dict[str, list[str]]:
+    """The labels of which the same is said, by it."""
+    found: dict[str, list[str]] = {}
     for label, one in words.items():
-        by_words.setdefault(one, []).append(label)
-    return "; ".join(f"{one}: {_listed(labels)}" for one, labels in by_words.items())
+        found.setdefault(one, []).append(label)
+    return found
 
 
-def _listed(names: Sequence[str]) -> str:
+def _listed(names: Sequence[str], separator: str = ", ") -> str:
     more = f" and {len(names) - MOST_NAMES} more" if len(names) > MOST_NAMES else ""
-    return ", ".join(names[:MOST_NAMES]) + more
+    return separator.join(names[:MOST_NAMES]) + more

@@ -10,6 +10,9 @@ from gridtrack.reports.run_description import flattened
 
 MAX_CHANGES = 200
 """Lines beyond this number are counted and not shown."""
+DEFAULT = "default"
+"""The value of an option that was not given: a run's folder does not have it."""
+_OPTION = "options."
 _OF_EVERY_RUN = ("started", "finished", "status", "settings.out")
 _TOLD_OF_TRACKERS = ("configuration.trials.", "weights.", "settings.trackers", "settings.recordings")
 """What is compared by tracker and by recording."""
@@ -19,7 +22,8 @@ FieldTexts = Mapping[str, str]
 
 @dataclass(frozen=True)
 class Change:
-    """One line in which runs differ: its value in each run, a dash where a run does not have it."""
+    """One line in which runs differ: its value in each run, DEFAULT for an option that a run leaves out, a dash for
+    what else it does not have."""
 
     name: str
     values: tuple[str, ...]
@@ -61,10 +65,19 @@ def _of_trackers(runs: Sequence[ReportedRun]) -> list[Change]:
     """The fields of the trackers that every run has, options first; trackers that differ alike share a line."""
     alike: dict[Change, list[str]] = {}
     for label in (one for one in runs[0].summary.trackers if all(one in run.summary.trackers for run in runs)):
-        for change in _differing([_of_tracker(run, label) for run in runs]):
-            alike.setdefault(change, []).append(label)
-    lines = sorted(alike.items(), key=lambda line: not line[0].name.startswith("options."))
+        records = [_of_tracker(run, label) for run in runs]
+        for change in _differing(records):
+            alike.setdefault(_with_defaults(change, records), []).append(label)
+    lines = sorted(alike.items(), key=lambda line: not line[0].name.startswith(_OPTION))
     return [Change(f"{', '.join(labels)}: {change.name}", change.values) for change, labels in lines]
+
+
+def _with_defaults(change: Change, records: Sequence[FieldTexts]) -> Change:
+    """A change of an option, which has its default in a run that did not give it to the same tracker."""
+    trackers = {record.get("tracker") for record in records}
+    if not change.name.startswith(_OPTION) or len(trackers) > 1 or None in trackers:
+        return change
+    return Change(change.name, tuple(DEFAULT if value == UNDEFINED else value for value in change.values))
 
 
 def _of_tracker(run: ReportedRun, label: str) -> FieldTexts:

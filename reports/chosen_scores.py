@@ -10,8 +10,8 @@ from fnmatch import fnmatchcase
 from gridtrack.common.errors import ConfigurationError, did_you_mean
 from gridtrack.evaluation.results.trial_summary import TrialSummary, better_direction
 from gridtrack.reports.differences import DifferenceTable, difference_table
+from gridtrack.reports.main_result import lead_of
 from gridtrack.reports.run import ReportedRun
-from gridtrack.reports.run_description import lead_of
 from gridtrack.reports.score_frames import SCORES
 from gridtrack.reports.table import (
     DETAIL_HORIZON_S,
@@ -111,7 +111,7 @@ def _exported(
     if table.comparable:
         shown = list(with_best(shown, columns))
     chosen = replace(table, columns=columns, rows=tuple(shown))
-    return ExportedTable(chosen, lead_of(table), _differences(runs, table, shown))
+    return ExportedTable(chosen, lead_of(runs, table), _differences(runs, table, shown))
 
 
 def _differences(

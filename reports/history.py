@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 
@@ -13,6 +13,7 @@ from gridtrack.evaluation.regression.speed import CALLS
 from gridtrack.reports.figures import Axis, document
 from gridtrack.reports.page import TEMPLATES
 from gridtrack.reports.recording_section import TRACKER_COLOURS
+from gridtrack.reports.regression import band_text
 
 PANEL_HEIGHT, GAP, LEFT, RIGHT, FOOT = 130, 46, 56, 24, 30
 LEAST_WIDTH, STEP = 420, 26
@@ -20,7 +21,9 @@ LEAST_WIDTH, STEP = 420, 26
 LINE, CHARACTER = 16, 6.5
 """Height of a line of the legend, and width of a character in it."""
 DRAWN_STRATA = ("dynamic", "in-motion", "visible", "occluded")
-"""Strata with a panel: F1 in the middle step band."""
+"""Strata with a panel of F1 in the middle step band; any other score has one once it was worse."""
+FLOORS = ("persistence", "static-map", "blank")
+"""Rows in the greys of the report: a history has no roles."""
 MAX_LABELS = 24
 SHORT_COMMIT = 7
 SOFT, HAIR = "#5f646b", "#e2e3e5"
@@ -42,14 +45,14 @@ Panel = tuple[str, Mapping[str, Mapping[int, Point]]]
 
 
 def history_svg(entries: Sequence[HistoryEntry]) -> str:
-    """A panel for each F1 of the middle step band, and for the time of each call, over the `entries`, the oldest
-    first."""
-    panels = [panel for panel in _panels(entries) if panel[1]]
-    names = list(dict.fromkeys(name for _, lines in panels for name in lines))
-    colours = {name: _colour(number) for number, name in enumerate(names)}
+    """A panel for each F1 of the middle step band, for each other score that was worse at any of the `entries`, the
+    oldest first, and for the time of each call."""
+    panels = [panel for panel in (*_score_panels(entries), *_time_panels(entries)) if panel[1]]
+    colours = _colours(dict.fromkeys(name for _, lines in panels for name in lines))
     width = max(LEAST_WIDTH, STEP * len(entries))
     x = Axis(-0.5, len(entries) - 0.5, LEFT, LEFT + width)
-    legend = list(_legend([*names, "x: worse"], {**colours, "x: worse": SOFT}, width))
+    signs = ("x: worse", "line: worse in any score", "dashed: not measured")
+    legend = list(_legend([*colours, *signs], {**colours, **dict.fromkeys(signs, SOFT)}, width))
     top = LINE * len(legend) + 30
     foot = top + len(panels) * (PANEL_HEIGHT + GAP)
     parts = [*legend]
@@ -59,16 +62,29 @@ def history_svg(entries: Sequence[HistoryEntry]) -> str:
     return document(LEFT + width + RIGHT, foot + FOOT, parts, 11)
 
 
-def _panels(entries: Sequence[HistoryEntry]) -> Iterator[Panel]:
-    for stratum in DRAWN_STRATA:
-        scores: dict[str, dict[int, Point]] = {}
-        for at, entry in enumerate(entries):
-            for row in entry.scores:
-                if (row.score, row.stratum, row.band) == ("F1", stratum, "middle") and row.value is not None:
-                    told = f"{row.label} {row.value:.4f}"
-                    point = Point(row.value, row.standing, row.value, row.value, told)
-                    scores.setdefault(printable(row.label), {})[at] = point
-        yield f"F1, {stratum}, 0.5 to 1.5 s", scores
+def _score_panels(entries: Sequence[HistoryEntry]) -> Iterator[Panel]:
+    drawn: dict[tuple[str, str, str], dict[str, dict[int, Point]]] = {
+        ("F1", stratum, "middle"): {} for stratum in DRAWN_STRATA
+    }
+    scores = [(at, row) for at, entry in enumerate(entries) for row in entry.scores]
+    for _, row in scores:
+        if row.standing == "worse":
+            drawn.setdefault((row.score, row.stratum, row.band), {})
+    for at, row in scores:
+        lines = drawn.get((row.score, row.stratum, row.band))
+        if lines is not None and row.value is not None:
+            point = Point(row.value, row.standing, row.value, row.value, f"{row.label} {row.value:.4f}")
+            lines.setdefault(printable(row.label), {})[at] = point
+    for (score, stratum, band), lines in drawn.items():
+        lower = "" if score == "F1" else " (lower is better)"
+        yield f"{_score_name(score, stratum, band)}{lower}", lines
+
+
+def _score_name(score: str, stratum: str, band: str) -> str:
+    return printable(f"{score}, {stratum}, {band_text(band)}")
+
+
+def _time_panels(entries: Sequence[HistoryEntry]) -> Iterator[Panel]:
     for call in CALLS:
         times: dict[str, dict[int, Point]] = {}
         for at, entry in enumerate(entries):
@@ -89,20 +105,38 @@ def _panel(
 ) -> str:
     points = [point for line in lines.values() for point in line.values()]
     low, high = min(point.low for point in points), max(point.high for point in points)
-    room = max(0.1 * (high - low), 0.005)
+    room = max(0.1 * (high - low), min(0.005, 0.1 * high)) or 0.005
     y = Axis(low - room, high + room, top + PANEL_HEIGHT, top)
     parts = [f'<text x="{LEFT}" y="{top - 8}" font-weight="bold">{escape(title)}</text>']
-    for tick in (low, high):
+    for tick in (low, high) if y(low) - y(high) > LINE else (high,):
         parts.append(f'<path d="M{x.start} {y(tick)}H{x.end}" stroke="{HAIR}"/>')
-        parts.append(f'<text x="{x.start - 6}" y="{y(tick) + 4}" text-anchor="end">{tick:.3f}</text>')
-    for at, entry in enumerate(entries):
-        if entry.verdict == "not measured":
-            why = escape(printable(f"{_name(entry)}: not measured: {'; '.join(entry.reasons)}"))
-            dashed = f'stroke="{SOFT}" stroke-dasharray="2 3"'
-            parts.append(f'<path d="M{x(at)} {top}v{PANEL_HEIGHT}" {dashed}><title>{why}</title></path>')
+        parts.append(f'<text x="{x.start - 6}" y="{y(tick) + 4}" text-anchor="end">{tick:.4f}</text>')
+    parts += [_upright(entry, f"M{x(at)} {top}v{PANEL_HEIGHT}") for at, entry in enumerate(entries)]
     for name, line in lines.items():
         parts += _line(line, x, y, entries, colours[name])
     return "".join(parts)
+
+
+def _upright(entry: HistoryEntry, path: str) -> str:
+    """A line from top to bottom of a panel, in every panel: what was worse, broken where nothing was measured."""
+    if entry.verdict == "no worse":
+        return ""
+    measured = entry.verdict == "worse"
+    told = _worse_text(entry) if measured else "; ".join(entry.reasons)
+    look = f'stroke="{SOFT}"' if measured else f'stroke="{SOFT}" stroke-dasharray="2 3"'
+    title = escape(printable(f"{_name(entry)}: {entry.verdict}: {told}"))
+    return f'<path d="{path}" {look}><title>{title}</title></path>'
+
+
+def _worse_text(entry: HistoryEntry) -> str:
+    """What was worse, by tracker; an entry has no scores of single recordings, and no recoveries."""
+    found: dict[str, list[str]] = {}
+    for row in (one for one in entry.scores if one.standing == "worse"):
+        found.setdefault(row.label, []).append(_score_name(row.score, row.stratum, row.band))
+    for time in (one for one in entry.speed if one.standing == "worse"):
+        found.setdefault(time.label, []).append(f"time of {time.call}")
+    told = [f"{label} in {' and '.join(names)}" for label, names in found.items()]
+    return "; ".join(told) or "a tracker on one recording, or its recoveries"
 
 
 def _line(line: Mapping[int, Point], x: Axis, y: Axis, entries: Sequence[HistoryEntry], colour: str) -> Iterator[str]:
@@ -149,9 +183,15 @@ def _name(entry: HistoryEntry) -> str:
     return f"{entry.commit[:SHORT_COMMIT]}{'+' if entry.changed else ''}" if entry.commit else entry.recorded[:8]
 
 
-def _colour(number: int) -> str:
-    """The colour of a line: those of the report, again from the first after the last."""
+def _colours(names: Iterable[str]) -> dict[str, str]:
+    """The colours of the lines, those of the report: greys for the floor, and again from the first after the last."""
     css = (TEMPLATES / "page.css").read_text("utf-8")
-    found = re.search(rf"--t{number % TRACKER_COLOURS}: (#[0-9a-f]{{3,6}})", css)
-    assert found is not None
-    return found[1]
+    found: dict[str, str] = {}
+    trackers = 0
+    for name in names:
+        style = f"f{FLOORS.index(name)}" if name in FLOORS else f"t{trackers % TRACKER_COLOURS}"
+        trackers += name not in FLOORS
+        colour = re.search(rf"--{style}: (#[0-9a-f]{{3,6}})", css)
+        assert colour is not None
+        found[name] = colour[1]
+    return found

@@ -1,56 +1,46 @@
-"""Notices above the scores: warnings of the run, trials that are not complete, missing intervals."""
+"""Notices above the scores: trials that are not complete with the reason, warnings of the run, missing intervals."""
 
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
+from gridtrack.common.errors import MAX_LINE_CHARS
+from gridtrack.evaluation.results.trial_summary import TrialSummary
 from gridtrack.reports.run import ReportedRun
 from gridtrack.reports.table import HeadlineTable, TableRow, outcome_words
+
+MOST_RECORDINGS = 3
+"""Further recordings of a notice are counted."""
 
 
 @dataclass(frozen=True)
 class Notice:
-    """One notice; `serious` where a trial or a recording is not ranked because of it, or the run itself gave it."""
+    """One notice; `serious` where a trial or a recording is not ranked because of it, or the run did not end."""
 
     text: str
     serious: bool = False
 
 
 def notices_of(runs: Sequence[ReportedRun], tables: Sequence[HeadlineTable]) -> list[Notice]:
-    """Every notice, serious ones first."""
-    found = [*_of_runs(runs), *_of_parity(tables), *_of_trials(tables), *_of_intervals(tables)]
-    return sorted(dict.fromkeys(found), key=lambda notice: not notice.serious)
-
-
-def _of_runs(runs: Sequence[ReportedRun]) -> Iterator[Notice]:
-    for run in runs:
-        before = f"{run.name}: " if len(runs) > 1 else ""
-        if run.summary.interrupted:
-            yield Notice(f"{before}the run was interrupted: the page shows what was scored until then", serious=True)
-        for text in run.summary.notices:
-            yield Notice(before + text, serious=True)
-
-
-def _of_parity(tables: Sequence[HeadlineTable]) -> Iterator[Notice]:
-    for table in tables:
-        if not table.comparable:
-            yield Notice(
-                f"{table.recording}: the rows are not scored on the same frames, none is marked as best",
-                serious=True,
-            )
+    """Every notice: first what failed, with the reason, then what else is serious, then the rest."""
+    found = [*_of_trials(tables), *_of_ends(runs), *_of_parity(tables), *_of_runs(runs), *_of_intervals(tables)]
+    return list(dict.fromkeys(found))
 
 
 def _of_trials(tables: Sequence[HeadlineTable]) -> Iterator[Notice]:
-    """A line for each row that is not ranked; where recordings are pooled, one for all of them."""
+    """A line for each row that is not ranked and each reason; where recordings are pooled, one for all of them."""
     told: set[str] = set()
+    found: dict[tuple[str, str], list[str]] = defaultdict(list)
     for table in sorted(tables, key=lambda table: not table.pooled):
         for row in (one for one in table.rows_in("unranked") if one.key not in told):
-            where = f" on {table.recording}" if len(tables) > 1 and not table.pooled else ""
-            why = "; ".join([*_pooled_reasons(row), _scored(row)]) if table.pooled else outcome_text(row)
-            yield Notice(f"{row.name}{where}: {why}", serious=True)
+            why = "; ".join([*failures_of(row.trials), _scored(row)]) if table.pooled else outcome_text(row)
+            found[row.name, why].append("" if table.pooled or len(tables) == 1 else table.recording)
             told |= {row.key} if table.pooled else set()
+    for (name, why), recordings in found.items():
+        where = f" on {_counted(recordings, len(tables))}" if any(recordings) else ""
+        yield Notice(f"{name}{where}: {why}", serious=True)
 
 
 def outcome_text(row: TableRow) -> str:
@@ -62,27 +52,90 @@ def _scored(row: TableRow) -> str:
     return f"{row.frames} frames scored, not ranked" if row.trial.frames_scored else "nothing scored"
 
 
-def _pooled_reasons(row: TableRow) -> Iterator[str]:
-    """Each outcome for which trials of a pooled row are not ranked, on how many recordings, and the first reason."""
+def failures_of(trials: Sequence[TrialSummary], most_chars: int = MAX_LINE_CHARS) -> Iterator[str]:
+    """Each outcome for which `trials` of a row are not ranked, on how many recordings where there are several, and the
+    first reason, cut to `most_chars` characters."""
     reasons: dict[str, list[str]] = defaultdict(list)
-    for trial in (one for one in row.trials if not one.ranked):
+    for trial in (one for one in trials if not one.ranked):
         reasons[outcome_words(trial)].append(trial.reason)
     for outcome, found in reasons.items():
+        where = f" on {len(found)} of {len(trials)} recordings" if len(trials) > 1 else ""
         others = " and others" if len(set(found)) > 1 else ""
-        words = f" ({found[0]}{others})" if found[0] else ""
-        yield f"{outcome} on {len(found)} of {len(row.trials)} recordings{words}"
+        first = next(filter(None, found), "")
+        reason = first if len(first) <= most_chars else f"{first[: most_chars - 1].rstrip()}…"
+        yield f"{outcome}{where}" + (f" ({reason}{others})" if reason else "")
+
+
+def _of_ends(runs: Sequence[ReportedRun]) -> Iterator[Notice]:
+    for run in runs:
+        if run.summary.interrupted:
+            before = _before([run.name], runs)
+            yield Notice(f"{before}the run was interrupted: the page shows what was scored until then", serious=True)
+
+
+def _of_parity(tables: Sequence[HeadlineTable]) -> Iterator[Notice]:
+    unlike = [table for table in tables if not table.comparable]
+    if found := [table.recording for table in unlike if not table.pooled] or [table.recording for table in unlike]:
+        where = _counted(found, sum(not table.pooled for table in tables))
+        yield Notice(f"{where}: the rows are not scored on the same frames, none is marked as best", serious=True)
+
+
+def _of_runs(runs: Sequence[ReportedRun]) -> Iterator[Notice]:
+    """What the runs say; texts that differ in nothing but the recording that they name are one, and so are those of
+    several runs."""
+    told_by: dict[str, list[str]] = defaultdict(list)
+    for run in runs:
+        described = run.summary.recordings.items()
+        names = {name for recording, one in described for name in (recording, one.stretch) if name}
+        for text in _joined(run.summary.notices, names, len(run.recordings)):
+            told_by[text].append(run.name)
+    for text, told in told_by.items():
+        yield Notice(_before(told, runs) + text)
+
+
+def _joined(texts: Iterable[str], names: Collection[str], of_run: int) -> Iterator[str]:
+    """`texts`, those alike but for one of the `names` joined to one; the run has `of_run` recordings."""
+    alike: dict[tuple[str, str], list[str]] = defaultdict(list)
+    for text in texts:
+        before, name, after = _around_name(text, names)
+        alike[before, after].append(name)
+    for (before, after), found in alike.items():
+        yield f"{before}{_counted(list(dict.fromkeys(found)), of_run)}{after}"
+
+
+def _around_name(text: str, names: Collection[str]) -> tuple[str, str, str]:
+    """A text as `RECORDING: ...` or `... on RECORDING ...` in three parts; all in the first where it names none."""
+    name, colon, after = text.partition(": ")
+    if colon and name in names:
+        return "", name, colon + after
+    before, on, rest = text.partition(" on ")
+    name, space, after = rest.partition(" ")
+    return (before + on, name, space + after) if name in names else (text, "", "")
 
 
 def _of_intervals(tables: Sequence[HeadlineTable]) -> Iterator[Notice]:
-    without: dict[str, list[str]] = defaultdict(list)
+    without: dict[tuple[str, str], list[str]] = defaultdict(list)
     pooled = [table for table in tables if table.pooled]
     for table in pooled or tables:
-        complete = [row.trial for row in table.rows if row.group != "unranked"]
-        intervals = {s.interval for trial in complete for s in trial.strata.values() if s.interval}
-        for interval in intervals:
-            without[interval].append(table.recording)
-    for interval, recordings in without.items():
+        complete = [row for row in table.rows if row.group != "unranked"]
+        for run, interval in dict.fromkeys(
+            (row.run, s.interval) for row in complete for s in row.trial.strata.values() if s.interval
+        ):
+            without[run, interval].append(table.recording)
+    for (run, interval), recordings in without.items():
         yield Notice(
-            f"{', '.join(recordings)}: {interval}; the scores describe this stretch only and do not show that"
-            " one tracker is better than another"
+            f"{f'{run}: ' if run else ''}{_counted(recordings, len(tables))}: {interval}; the scores describe this"
+            " stretch only and do not show that one tracker is better than another"
         )
+
+
+def _before(names: Sequence[str], runs: Sequence[ReportedRun]) -> str:
+    """The names of the runs that have a notice, before it; empty where there is one run alone."""
+    return f"{' and '.join(names)}: " if len(runs) > 1 else ""
+
+
+def _counted(recordings: Sequence[str], of_run: int) -> str:
+    """Recordings by name where they are few, else by number: `of_run` is that of all."""
+    if len(recordings) <= MOST_RECORDINGS:
+        return " and ".join(filter(None, (", ".join(recordings[:-1]), recordings[-1])))
+    return f"{'all ' if len(recordings) == of_run else ''}{len(recordings)} recordings"

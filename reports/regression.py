@@ -150,35 +150,66 @@ def text_of_update(path: Path, baseline: Baseline) -> str:
 
 def sentence_of(row: AnyRow) -> str:
     """One row as a sentence."""
-    if isinstance(row, SpeedRow):
-        return (
-            f"{row.label}: {row.call} takes {row.ratio_run:.3g} times as long as {row.reference}'s, in the baseline"
-            f" {row.ratio_baseline:.3g}: {row.growth:+.0%}, margin {row.margin:.0%}"
-        )
-    if isinstance(row, TurnsRow):
-        ratio, interval, rounds = _turns_cells(row)
-        return (
-            f"{row.label}: {row.call} takes {ratio} times as long as {row.base}'s, in turns, 95 % interval {interval}"
-            f" over {rounds} rounds, margin {row.margin:.0%}"
-        )
-    if isinstance(row, RecoveryRow):
-        return f"{row.label}: continued {row.run} times after a failure inside it, in the baseline {row.baseline} times"
-    where = f" on {row.recording}" if row.recording else ""
-    significance = "" if row.p is None else f", p {row.p:.4f}"
-    spread = "" if row.spread is None else f", spread between trainings {row.spread:.4f}"
-    return (
-        f"{row.label}{where}, {place_of(row)}: {row.score} {_number(row.baseline)} to {_number(row.run)}, a"
-        f" {'fall' if row.score == 'F1' else 'rise'} of {_amount(row, row.fall)}{significance}{spread}"
-        f"{REASONS[row.criterion]}, {_found_text(row)}"
-    )
+    if isinstance(row, VerdictRow):
+        where = f" on {row.recording}" if row.recording else ""
+        return f"{row.label}{where}, {place_of(row)}: {_change_text(row)}; {_limit_text(row)}"
+    return f"{row.label}: {_change_text(row)}"
 
 
 def second_text(verdict: Verdict, row: AnyRow) -> str:
     """What a second run said of a row that was worse, to follow its sentence; empty where there was none."""
     for look in verdict.second_looks:
         if look.first == row:
-            return f"; run again: {sentence_of(look.second) if look.second else 'nothing of the kind'}"
+            return f"; in a second run: {_change_text(look.second) if look.second else 'nothing of the kind'}"
     return ""
+
+
+def _change_text(row: AnyRow) -> str:
+    """What the baseline and the run have in a row, without its tracker and its place."""
+    if isinstance(row, SpeedRow):
+        return (
+            f"{row.call} takes {row.ratio_run:.3g} times as long as {row.reference}'s, in the baseline"
+            f" {row.ratio_baseline:.3g}: {row.growth:+.0%}, margin {row.margin:.0%}"
+        )
+    if isinstance(row, TurnsRow):
+        ratio, interval, rounds = _turns_cells(row)
+        return (
+            f"{row.call} takes {ratio} times as long as {row.base}'s, in turns, 95 % interval {interval}"
+            f" over {rounds} rounds, margin {row.margin:.0%}"
+        )
+    if isinstance(row, RecoveryRow):
+        failures = f"{row.run} failure{'s' * (row.run != 1)}"
+        return f"continued after {failures} inside it, in the baseline after {row.baseline}"
+    significance = "" if row.p is None else f", p {row.p:.4f}"
+    spread = "" if row.spread is None else f", spread between trainings {row.spread:.4f}"
+    return (
+        f"{row.score} {_number(row.baseline)} to {_number(row.run)}, {_fall_text(row)}{significance}{spread}"
+        f"{REASONS[row.criterion]}"
+    )
+
+
+def _fall_text(row: VerdictRow) -> str:
+    """The change as a fall or a rise; `fall` of a log loss is its rise."""
+    if not row.fall:
+        return "no change"
+    worse, better = _worse_and_better(row)
+    return f"a {worse if row.fall > 0 else better} of {_amount(row, abs(row.fall))}"
+
+
+def _worse_and_better(row: VerdictRow) -> tuple[str, str]:
+    """The words for a change to the worse and to the better."""
+    return ("fall", "rise") if row.score == "F1" else ("rise", "fall")
+
+
+def _limit_text(row: VerdictRow) -> str:
+    """The smallest change that would have been worse, and the margin where it is another."""
+    worse, _ = _worse_and_better(row)
+    if not np.isfinite(row.smallest):
+        return f"no {worse} would be found"
+    if not row.smallest:
+        return f"any {worse} is worse"
+    smallest, margin = _amount(row, row.smallest), _amount(row, row.margin)
+    return f"a {worse} of more than {smallest} is worse" + (f" (margin {margin})" if margin != smallest else "")
 
 
 def _second_lines(verdict: Verdict) -> list[str]:
@@ -195,14 +226,9 @@ def place_of(row: VerdictRow) -> str:
     return f"{region}, {band_text(row.band)}"
 
 
-def _found_text(row: VerdictRow) -> str:
-    """The smallest change that would have been worse."""
-    return f"worse from {_amount(row, row.smallest)} on, margin {_amount(row, row.margin)}"
-
-
 def _smallest_found(verdict: Verdict) -> list[str]:
-    """The smallest falls over all units that would have been worse, of each tracker that is not; with few units these
-    are the margins."""
+    """The smallest falls in F1 over all units that would have been worse, of each tracker that is not worse: in the
+    place where the smallest is found, and in the one where only the largest is."""
     lines: list[str] = []
     if not verdict.significance:
         return lines
@@ -211,20 +237,20 @@ def _smallest_found(verdict: Verdict) -> list[str]:
         found = [r for r in verdict.rows if (r.label, r.score) == (label, "F1") and r.verdict != "nothing to find"]
         if label in worse or not found:
             continue
-        least, most = (choose(found, key=lambda row: row.smallest) for choose in (min, max))
-        lines.append(
-            f"{label}: a fall in F1 would have been found from {_amount(least, least.smallest)} ({place_of(least)}) to"
-            f" {_amount(most, most.smallest)} ({place_of(most)}) on"
-        )
+        best, worst = (choose(found, key=lambda row: row.smallest) for choose in (min, max))
+        sizes = [f"{_amount(row, row.smallest)} ({place_of(row)})" for row in (best, worst)]
+        alike = _amount(best, best.smallest) == _amount(worst, worst.smallest)
+        told = sizes[0] if alike else f"{sizes[0]} at best, {sizes[1]} at worst"
+        lines.append(f"{label}: the smallest fall in F1 that this baseline could have shown: {told}")
     return lines
 
 
 def band_text(band: str) -> str:
-    """A step band and its horizons."""
+    """The horizons of a step band."""
     if band not in BANDS:
         return band
     low, high = BANDS[band]
-    return f"{band} (over {low:g} s)" if high >= 60.0 else f"{band} ({low:g}-{high:g} s)"
+    return f"over {low:g} s" if high >= 60.0 else f"{low:g} to {high:g} s"
 
 
 def rule_of(verdict: Verdict) -> str:

@@ -1,4 +1,4 @@
-"""The setup of a run as lines of text, and its main result in one sentence."""
+"""The setup of a run as lines of text."""
 
 from __future__ import annotations
 
@@ -9,10 +9,11 @@ from dataclasses import dataclass
 from typing import Any
 
 from gridtrack.reports.run import ReportedRun
-from gridtrack.reports.table import HeadlineTable, TableRow
 
 MAX_PROVENANCE_LINES = 2000
 """Lines of run.json beyond this number are counted and not shown."""
+OF_CARDS = "of the card of the weights, 0.5 without one"
+"""The thresholds of a recording without a validation stretch."""
 
 
 @dataclass(frozen=True)
@@ -31,65 +32,6 @@ def title_of(runs: Sequence[ReportedRun]) -> str:
     rows = sum(not entry.ceiling for entry in runs[0].summary.trackers.values())
     trackers = f"{rows} tracker{'s' * (rows != 1)}"
     return f"{trackers} on {recordings[0] if len(recordings) == 1 else f'{len(recordings)} recordings'}"
-
-
-def lead_of(table: HeadlineTable) -> str:
-    """The main result in a sentence: the highest score in the decisive column, and the floor's; empty if rows do not
-    compare.
-
-    No tracker is called the best: the paired differences decide whether a difference is significant.
-    """
-    if not table.comparable:
-        return ""
-    at = table.columns.index(table.decisive)
-    ranked, floor = (_highest(table.rows_in(group), at) for group in ("ranked", "floor"))
-    ahead = f"{table.decisive.stratum} cells {table.decisive.heading} ahead"
-    if not ranked:
-        return _why_no_result(table)
-    a_score = _with_article(table.decisive.score_name)
-    value, of_floor = ranked[0].cells[at].text, floor[0].cells[at].text if floor else ""
-    if not max(float(value), float(of_floor or 0.0)):
-        return f"On {ahead} every tracker has {a_score} of {value}."
-    alone = len(table.rows_in("ranked")) == 1
-    if floor and float(value) <= float(of_floor):
-        highest = _names(ranked) if alone else f"the highest of the trackers, {_names(ranked)},"
-        best = f"{_names(floor)} at {a_score} of {of_floor}, {highest} at {value}"
-        return f"No tracker beats the floor on {ahead}: {best}."
-    against = f"the floor, {_names(floor)}, reaches {of_floor}" if floor else "no tracker of the floor was run"
-    if alone:
-        return f"{ranked[0].name} has {a_score} of {value} on {ahead}; {against}."
-    have, each = ("have", " each") if len(ranked) > 1 else ("has", "")
-    return f"{_names(ranked)} {have} the highest {table.decisive.score_name} on {ahead}, {value}{each}; {against}."
-
-
-def _with_article(score: str) -> str:
-    return f"{'an' if score == 'F1' else 'a'} {score}"
-
-
-def _why_no_result(table: HeadlineTable) -> str:
-    """The result where no tracker has a score to be ranked by."""
-    if table.rows_in("ranked"):
-        return (
-            f"No tracker has {_with_article(table.decisive.score_name)} on {table.decisive.stratum} cells"
-            f" {table.decisive.heading} ahead on {table.recording}: no such cell was occupied in the observed frames."
-        )
-    if any(row.trial.complete for row in table.rows_in("unranked")):
-        return f"No tracker is ranked on {table.recording}: each learned from its frames, or did not complete it."
-    if table.rows_in("unranked"):
-        return f"No tracker completed {table.recording}."
-    return f"Only trackers of the floor were run on {table.recording}."
-
-
-def _highest(rows: Sequence[TableRow], at: int) -> tuple[TableRow, ...]:
-    """The rows with the highest score in the column `at`, to the digits shown; none where no row has one."""
-    defined = [row for row in rows if row.cells[at].value is not None]
-    top = max((row.cells[at].text for row in defined), key=float, default="")
-    return tuple(row for row in defined if row.cells[at].text == top)
-
-
-def _names(rows: Sequence[TableRow]) -> str:
-    names = [row.name for row in rows]
-    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
 
 
 def facts_of(run: ReportedRun) -> tuple[Fact, ...]:
@@ -117,7 +59,7 @@ def _recording(run: ReportedRun, name: str) -> str:
         f"forecasts {recording.horizons_s[-1]:.3g} s ahead"
         + (f", every {n} frames" if (n := recording.forecast_every_frames) > 1 else ", every frame"),
         f"grid {recording.grid}",
-        f"thresholds chosen on {recording.validation}" if recording.validation else "thresholds of the cards, else 0.5",
+        f"thresholds {f'chosen on {recording.validation}' if recording.validation else OF_CARDS}",
     )
     return "; ".join(filter(None, items))
 

@@ -24,7 +24,10 @@ from gridtrack.trackers.card import TrainingData
 
 TEST, VALIDATION, TRAIN = "test", "validation", "train"
 """Names of stretches in a recording that have a use here."""
-_OF_CARD = ", so thresholds are those of the card, else 0.5; name one with --validation"
+_OF_CARD = (
+    ", so the thresholds of a tracker are those of its weights' card (chosen on the validation stretches of its"
+    " training), and 0.5 where there is none; name a stretch with --validation"
+)
 MAX_FORECAST_BYTES = 1 << 30
 VALIDATION_FORECASTS = 60
 """Approximate minimum of forecasts on which thresholds are chosen; with ten or twenty the choice is noise."""

@@ -53,8 +53,8 @@ def unlike_recordings(recordings: Mapping[str, RecordingDescription]) -> list[st
     if any(one.horizons_s != horizons_s for one in described):
         off_s = max(_off_s(horizons_s, one) for one in described)
         notices.append(
-            "the recordings differ in rate or horizon: their scores together are every"
-            f" {POOLED_EVERY_S:g} s, in each recording by the nearest step, up to {off_s * 1000:.0f} ms away"
+            "the recordings differ in rate or horizon: scores over all of them are given every"
+            f" {POOLED_EVERY_S:g} s; of each recording the nearest step counts, at most {off_s * 1000:.0f} ms away"
         )
     if len({one.grid.partition("@")[0].partition("x")[2] for one in described}) > 1:
         notices.append("the recordings differ in the size of their cells: together every cell counts as one")

@@ -148,8 +148,8 @@ def _notices(
             for label in mismatched[name]
         ]
     found += [
-        f"{trial.record.label} on {trial.record.recording} continued {trial.record.recoveries} times after a failure"
-        " inside it, by its own count"
+        f"{trial.record.label} on {trial.record.recording} continued after {trial.record.recoveries}"
+        f" failure{'s' * (trial.record.recoveries > 1)} inside it, which it counted itself"
         for trial in trials
         if trial.record.recoveries
     ]

@@ -36,9 +36,9 @@ class TurnedPair:
 
     def __str__(self) -> str:
         return (
-            f"on {self.stratum} cells {self.horizon_s:g} s ahead {self.ahead} has a higher F1 than {self.behind} at the"
-            f" chosen thresholds, {self.chosen[0]:.3f} and {self.chosen[1]:.3f}, and a lower one at 0.5,"
-            f" {self.half[0]:.3f} and {self.half[1]:.3f}"
+            f"on {self.stratum} cells {self.horizon_s:g} s ahead {self.ahead} is above {self.behind} at the chosen"
+            f" thresholds (F1 {self.chosen[0]:.3f} and {self.chosen[1]:.3f}) and below it at a threshold of 0.5"
+            f" ({self.half[0]:.3f} and {self.half[1]:.3f})"
         )
 
 
@@ -69,7 +69,7 @@ def _lines(name: str, rows: Mapping[str, ScopeSummary], horizons_s: Sequence[flo
         pairs = sorted(of_stratum, key=lambda pair: -pair.lead)
         pairs_of = "pair of rows and horizon" if len(pairs) == 2 else "pairs of rows and horizons"
         more = f"; {len(pairs) - 1} more such {pairs_of}" if len(pairs) > 1 else ""
-        yield f"{name}: the ranking turns round with the threshold: {pairs[0]}{more}"
+        yield f"{name}: the order of trackers depends on the threshold: {pairs[0]}{more}"
 
 
 def _turned_pairs(rows: Mapping[str, ScopeSummary], horizons_s: Sequence[float]) -> Iterator[TurnedPair]:

@@ -135,7 +135,7 @@ def test_a_partial_trial_has_a_notice_and_is_shown_as_not_ranked(page):
     text = " ".join("".join(Elements(page).text).split())
     assert "unlucky: crashed; ValueError: lost my way; 7 of 20 frames scored, not ranked" in text
     assert "not ranked: not every frame was scored" in text
-    assert "unlucky (crashed)" in text
+    assert "unlucky: crashed (ValueError: lost my way)" in text.partition("Before you read the scores")[0]
 
 
 def test_hostile_names_are_text_and_nothing_else(make_run, run_folder, tmp_path):
@@ -229,7 +229,7 @@ def test_a_run_in_which_every_trial_failed_is_still_a_page(make_run, tmp_path):
     run = make_run(tmp_path / "run", trackers={}, broken=[("net", 0, "untrained", "no weights for site 'x'")])
     page = page_of(run, out=tmp_path / "page")
     assert "No tracker completed crossing" in page
-    assert page.count("no weights for site") == 1
+    assert page.count("no weights for site") == 2, "in the answer and in the notices"
 
 
 def lead_of_run(run, tmp_path):
@@ -265,12 +265,16 @@ def with_pr_auc_in_motion(run, target, **pr_auc):
     return target
 
 
+CHANCE = " The order may be chance: there are fewer than the 20 units that a test needs."
+
+
 @pytest.mark.parametrize(
     ("pr_auc", "lead"),
     [
         (
             {"good": 0.61234, "fair": 0.5, "persistence": 0.2},
-            "good has the highest PR-AUC on in-motion cells 1 s ahead, 0.612; the floor, persistence, reaches 0.200.",
+            "good has the highest PR-AUC on in-motion cells 1 s ahead, 0.612; the floor, persistence, reaches 0.200."
+            f"{CHANCE}",
         ),
         (
             {"good": 0.6},
@@ -279,7 +283,7 @@ def with_pr_auc_in_motion(run, target, **pr_auc):
         (
             {"good": 0.60001, "fair": 0.6, "blank": 0.0, "persistence": 0.0},
             "good and fair have the highest PR-AUC on in-motion cells 1 s ahead, 0.600 each; the floor, blank and"
-            " persistence, reaches 0.000.",
+            f" persistence, reaches 0.000.{CHANCE}",
         ),
         (
             {"good": 0.0, "fair": 0.0002, "blank": 0.0},
@@ -289,11 +293,12 @@ def with_pr_auc_in_motion(run, target, **pr_auc):
         (
             {"good": 0.2001, "fair": 0.1, "persistence": 0.2},
             "No tracker beats the floor on in-motion cells 1 s ahead: persistence at a PR-AUC of 0.200, the highest of"
-            " the trackers, good, at 0.200.",
+            f" the trackers, good, at 0.200.{CHANCE}",
         ),
         (
             {"good": 0.0, "persistence": 0.2},
-            "No tracker beats the floor on in-motion cells 1 s ahead: persistence at a PR-AUC of 0.200, good at 0.000.",
+            "No tracker beats the floor on in-motion cells 1 s ahead: persistence at a PR-AUC of 0.200, good at 0.000."
+            f"{CHANCE}",
         ),
     ],
 )

@@ -51,7 +51,7 @@ def test_a_regression_test_in_the_repository_of_a_tracker_fails_when_it_is_worse
 
     worse = suite(half_life_s=0.05)
     assert worse.returncode == 1
-    assert "worse: mine, dynamic, middle (0.5-1.5 s): F1 0." in worse.stdout
+    assert "worse: mine, dynamic, 0.5 to 1.5 s: F1 0." in worse.stdout
     assert "Traceback" not in worse.stdout
     assert suite(half_life_s=0.05, more=", tolerance=0.9").returncode == 0
 

@@ -6,8 +6,10 @@ import shutil
 import pytest
 
 from gridtrack.reports.changes import changes_of
+from gridtrack.reports.notices import notices_of
 from gridtrack.reports.page import render_report
 from gridtrack.reports.run import read_runs
+from gridtrack.reports.table import headline_tables
 
 
 def changed(run, **fields):
@@ -91,7 +93,7 @@ def records(two, tmp_path):
 def test_what_changed_is_a_line_for_each_difference_with_the_options_first(records):
     assert [(one.name, one.values) for one in changes_of(records)] == [
         ("trackers not in every run", ("fair", "–")),
-        ("good: options.gate", ("–", "3.0")),
+        ("good: options.gate", ("default", "3.0")),
         ("good, persistence: seed", ("0", "3")),
         ("command", ("gridtrack compare 'a b'", "gridtrack compare")),
     ]
@@ -107,5 +109,22 @@ def test_a_tracker_is_compared_across_other_recordings(records):
             folder.rename(run.path / folder.name.replace("@crossing", f"@{name}"))
     names = {one.name: one.values for one in changes_of(read_runs([before.path, after.path]))}
     assert names["recordings not in every run"] == ("here", "there")
-    assert names["good: options.gate"] == ("–", "3.0")
+    assert names["good: options.gate"] == ("default", "3.0")
     assert len(names) == 5
+
+
+def test_the_options_of_another_tracker_have_no_default(records):
+    before, after = records
+    trial = "good@crossing"
+    given = json.loads((before.path / "run.json").read_text())["configuration"]
+    given["trials"][trial]["tracker"] = "another"
+    changed(before.path, configuration=given)
+    names = {one.name: one.values for one in changes_of(read_runs([before.path, after.path]))}
+    assert names["good: options.gate"] == ("–", "3.0")
+
+
+def test_a_notice_on_missing_intervals_names_its_run(two):
+    runs = read_runs(two)
+    table = headline_tables(runs)[0]
+    notices = [one.text for one in notices_of(runs, [table]) if "too short for an interval" in one.text]
+    assert [text.partition(": crossing: ")[0] for text in notices] == ["before", "after"]

@@ -8,7 +8,9 @@ import shutil
 import pytest
 
 from gridtrack.evaluation.statistics.summary import summarise
+from gridtrack.reports.answer import answer_of
 from gridtrack.reports.chosen_scores import exported_tables
+from gridtrack.reports.markdown import escaped
 from gridtrack.reports.notices import notices_of
 from gridtrack.reports.page import render_page
 from gridtrack.reports.pull_request import pull_request_markdown
@@ -141,3 +143,86 @@ def test_markdown_has_the_interval_beside_the_number(pooled):
     (line,) = [line for line in headline_markdown(pooled).splitlines() if line.startswith("| good")]
     cell = pooled.rows_in("ranked")[0].cells[0]
     assert f"**{cell.text}** [{cell.interval[0]:.3f}, {cell.interval[1]:.3f}]" in line
+
+
+ALIKE, UNTESTED = "no difference shown", ""
+
+
+@pytest.mark.parametrize(
+    ("verdicts", "told"),
+    [
+        ({}, "it is told apart from FLOOR, and from every other tracker."),
+        ({"persistence": ALIKE}, "it is not told apart from FLOOR, but from every other tracker."),
+        ({"<b>even": ALIKE}, "it is told apart from FLOOR, but not from <b>even."),
+        ({"persistence": ALIKE, "<b>even": ALIKE}, "it is not told apart from FLOOR, nor from <b>even."),
+        ({"<b>even": UNTESTED}, "it is told apart from FLOOR; not tested: <b>even."),
+        ({"persistence": UNTESTED}, "the floor, persistence, reaches F1; it is told apart from every other tracker."),
+        (
+            {"persistence": UNTESTED, "<b>even": UNTESTED},
+            "the floor, persistence, reaches F1. The order may be chance: these rows were not tested against each"
+            " other.",
+        ),
+    ],
+)
+def test_the_lead_says_which_rows_the_best_one_is_told_apart_from(run, pooled, tmp_path, verdicts, told):
+    """`verdicts` on these rows and `good`, in place of those of the run, which tell all apart."""
+    folder = shutil.copytree(run, tmp_path / "run")
+    summary = json.loads((folder / "summary.json").read_text())
+    for family in summary["pairs"]:
+        for test in family["pairs"]:
+            other = test["tracker"] if test["other"] == "good" else test["other"]
+            test["verdict"] = verdicts.get(other, test["verdict"]) if "good" in test.values() else test["verdict"]
+        family["pairs"] = [test for test in family["pairs"] if test["verdict"]]
+    (folder / "summary.json").write_text(json.dumps(summary))
+    at = pooled.columns.index(pooled.decisive)
+    best, floor = (pooled.rows_in(group)[0].cells[at].text for group in ("ranked", "floor"))
+    told = told.replace("FLOOR", f"the floor, persistence at {floor}").replace("F1", floor)
+    expected = f"good has the highest F1 on in-motion cells 1 s ahead, {best}; {told}"
+    runs = read_runs([folder])
+    assert answer_of(runs[0]).leads == (expected,)
+    assert escaped(expected) in pull_request_markdown(runs, exported_tables(runs)[:1])
+
+
+def test_the_floor_that_no_tracker_beats_is_told_apart_or_not(run, tmp_path):
+    folder = shutil.copytree(run, tmp_path / "run")
+    summary = json.loads((folder / "summary.json").read_text())
+    summary["trackers"] = {label: summary["trackers"][label] for label in ("persistence", "<b>even")}
+    in_motion = summary["trackers"]["persistence"]["pooled"]["strata"]["in-motion"]
+    in_motion["f1"] = [0.9] * len(in_motion["f1"])
+    (folder / "summary.json").write_text(json.dumps(summary))
+    (lead,) = answer_of(read_runs([folder])[0]).leads
+    assert lead.startswith("No tracker beats the floor on in-motion cells")
+    assert lead.endswith("; these are not told apart.")
+
+
+def test_what_failed_stands_first_and_texts_of_several_recordings_are_one_notice(run, tmp_path):
+    folder = shutil.copytree(run, tmp_path / "run")
+    summary = json.loads((folder / "summary.json").read_text())
+    everywhere = [f"{name}: no validation stretch, so thresholds are 0.5" for name in RECORDINGS]
+    continued = [f"good on {name} continued after 1 failure inside it" for name in RECORDINGS[:2]]
+    summary["notices"] = [*everywhere, *continued, f"good on {RECORDINGS[3]} continued after 2 failures inside it"]
+    (folder / "summary.json").write_text(json.dumps(summary))
+    runs = read_runs([folder])
+    texts = [notice.text for notice in notices_of(runs, headline_tables(runs))]
+    assert texts == [
+        "unlucky: crashed on 1 of 20 recordings; 76 of 80 frames scored, not ranked",
+        "all 20 recordings: no validation stretch, so thresholds are 0.5",
+        "good on seed-00 and seed-01 continued after 1 failure inside it",
+        "good on seed-03 continued after 2 failures inside it",
+    ]
+
+
+def test_the_answer_says_why_a_row_failed_in_few_words_and_how_far_forecasts_reach(run, tmp_path):
+    folder = shutil.copytree(run, tmp_path / "run")
+    summary = json.loads((folder / "summary.json").read_text())
+    summary["trackers"]["unlucky"]["recordings"]["seed-00"]["reason"] = f"<b>{'long ' * 100}"
+    unlike = summary["recordings"]["seed-01"]
+    unlike["horizons_s"] = [1.04 * horizon_s for horizon_s in unlike["horizons_s"]]
+    (folder / "summary.json").write_text(json.dumps(summary))
+    runs = read_runs([folder])
+    facts = {fact.name: fact.value for fact in answer_of(runs[0]).facts}
+    assert facts["Compared on"].endswith(", the longest forecast 2.5 to 2.6 s ahead")
+    assert facts["Not ranked"].startswith("unlucky: crashed on 1 of 20 recordings (<b>long long ")
+    assert facts["Not ranked"].endswith("long l…)")
+    assert len(facts["Not ranked"]) < 150
+    assert "unlucky: crashed on 1 of 20 recordings (&lt;b&gt;long" in render_page(runs)

@@ -136,7 +136,7 @@ def test_recoveries_of_a_tracker_are_in_its_outcome_and_give_a_notice(settings, 
     assert trial_of(summary, "recovers").recoveries == read_trial_record(tmp_path / "run" / "recovers@room").recoveries
     assert trial_of(summary, "recovers").recoveries in {1, 2}  # once in each stretch that it was shown
     assert trial_of(summary, "persistence").recoveries == 0
-    assert [notice for notice in summary.notices if notice.startswith("recovers on room continued")]
+    assert [notice for notice in summary.notices if notice.startswith("recovers on room continued after ")]
 
 
 def test_an_invalid_count_of_recoveries_ends_the_trial(settings, progress, bad_trackers):

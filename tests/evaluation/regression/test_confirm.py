@@ -91,15 +91,16 @@ def test_a_fall_that_stays_away_in_a_second_run_is_not_worse_and_both_results_ar
     junit, page = tmp_path / "junit.xml", tmp_path / "page.md"
     done = regress(now, "--baseline", baseline, "--confirm", "--junit", junit, "--markdown", page)
     assert done.code == 0
-    told = [line for line in done.out.splitlines() if line.startswith("not confirmed: moody, visible, short")]
-    assert "F1 0." in told[0].partition("; run again: moody, visible, short")[2]
+    told = [line for line in done.out.splitlines() if line.startswith("not confirmed: moody, visible, 0 to 0.5 s")]
+    assert told[0].partition("; in a second run: ")[2].startswith("F1 0.")
+    assert told[0].count("is worse") == 1
     assert "no worse than the baseline" in done.out
     assert (folder / "starts").read_text() == ".."  # its two trials, and no other
     assert "| not confirmed |" in page.read_text()
-    assert "; run again: moody" in page.read_text()
+    assert "; in a second run: F1 0." in page.read_text()
     suite = ElementTree.parse(junit).getroot()
     assert suite.get("failures") == "0"
-    assert any("; run again: moody" in case.text for case in suite.findall("testcase/system-out"))
+    assert any("; in a second run: F1 0." in case.text for case in suite.findall("testcase/system-out"))
 
 
 def test_a_fall_that_is_there_again_is_worse(runs, folder, regress):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from xml.etree import ElementTree
 
 import pytest
@@ -116,7 +117,7 @@ def test_more_recoveries_are_worse_and_as_many_are_not(judged, write_run, regres
     done, _ = judged({"recoveries": 1}, {"recoveries": 2}, recordings=2)
     assert done.code == 1
     said = regress(tmp_path / "now", "--baseline", tmp_path / "baseline.json", "--junit", tmp_path / "junit.xml")
-    assert "worse: net: continued 4 times after a failure inside it, in the baseline 2 times" in said.out
+    assert "worse: net: continued after 4 failures inside it, in the baseline after 2\n" in said.out
     assert ElementTree.parse(tmp_path / "junit.xml").find("testcase[@name='recoveries']/failure") is not None
     same = regress(
         write_run("same", {"net": {"recoveries": 1}}, recordings=2), "--baseline", tmp_path / "baseline.json"
@@ -172,11 +173,15 @@ def test_the_smallest_fall_that_would_have_been_found_stands_beside_each_verdict
     assert 0.005 <= smallest["visible"] < smallest["dynamic"] < 0.05
     junit, page = tmp_path / "junit.xml", tmp_path / "page.md"
     said = regress(tmp_path / "now", "--baseline", tmp_path / "baseline.json", "--junit", junit, "--markdown", page)
-    assert "net: a fall in F1 would have been found from 0.0" in said.out
+    (told,) = [line for line in said.out.splitlines() if "could have shown: " in line]
+    size = r"0\.0\d+ \(\w+, [^()]+ s\)"
+    assert re.fullmatch(
+        rf"net: the smallest fall in F1 that this baseline could have shown: {size} at best, {size} at worst", told
+    )
     assert "| worse by | found from | margin |" in page.read_text()
     cases = ElementTree.parse(junit).findall("testcase/system-out")
     assert len(cases) == len(rows)
-    assert all(", worse from " in case.text for case in cases)
+    assert all(re.search(r"; a (fall|rise) of more than \S+ is worse( \(margin \S+\))?$", case.text) for case in cases)
 
 
 def test_a_fall_of_several_times_the_smallest_size_is_found_and_one_of_a_third_of_it_is_not(
@@ -195,3 +200,10 @@ def test_a_fall_of_several_times_the_smallest_size_is_found_and_one_of_a_third_o
         now = {**noisy, "loss": share * row["smallest"] + row["fall"], "at": slice(5, 13)}
         codes.append(regress(write_run(f"{share}", {"net": now}), "--baseline", tmp_path / "baseline.json").code)
     assert (worse, codes) == ([], [0, 1])
+
+
+def test_a_limit_that_is_the_same_everywhere_is_told_once(baseline_of, write_run, regress):
+    baseline = baseline_of({"recall": 0.7})
+    said = regress(write_run("now", {"net": {"recall": 0.7}}), "--baseline", baseline)
+    told = [line for line in said.out.splitlines() if "could have shown: " in line]
+    assert told == ["net: the smallest fall in F1 that this baseline could have shown: 0.0050 (visible, 0 to 0.5 s)"]

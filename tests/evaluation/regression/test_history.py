@@ -64,6 +64,38 @@ def test_each_verdict_is_added_with_its_commit_and_scores_and_drawn(check, tmp_p
     assert "http" not in (tmp_path / "history" / "history.svg").read_text().replace("http://www.w3.org/2000/svg", "")
 
 
+def test_a_score_that_was_worse_has_a_panel_with_a_cross_and_a_line_through_all_panels_that_names_it(
+    write_run, regress, tmp_path
+):
+    then = {"persistence": {"seed": 2}, "kalman": {"seed": 1}}
+    baseline = tmp_path / "baseline.json"
+    assert regress(write_run("then", then), "--baseline", baseline, "--update").code == 0
+    for name, nats in (("one", 0.1), ("two", 0.4)):
+        run = write_run(name, {**then, "kalman": {"seed": 1, "nats": nats}})
+        regress(run, "--baseline", baseline, "--history", tmp_path / "history")
+    drawing = (tmp_path / "history" / "history.svg").read_text()
+    panels = [panel for panel in drawing.split('font-weight="bold">')[1:] if not panel.startswith("<tspan")]
+    title = "log loss, dynamic, 0.5 to 1.5 s"
+    assert [panel.partition("</text>")[0] for panel in panels[:2]] == [
+        "F1, dynamic, 0.5 to 1.5 s",
+        "F1, visible, 0.5 to 1.5 s",
+    ]
+    (of_loss,) = [panel for panel in panels if panel.startswith(f"{title} (lower is better)")]
+    assert "l10 10m0 -10l-10 10" in of_loss
+    assert all(": worse: kalman in log loss, visible, 0 to 0.5 s" in panel for panel in panels)
+    assert all(f"{title} and " in panel for panel in panels)
+    assert 'fill="#55585e">persistence' in drawing
+    assert 'fill="#1f6fd0">kalman' in drawing
+
+
+def test_a_run_that_was_worse_on_one_recording_alone_is_marked_too(write_run, regress, tmp_path):
+    baseline, history = tmp_path / "baseline.json", tmp_path / "history"
+    assert regress(write_run("then", {"net": {}}), "--baseline", baseline, "--update").code == 0
+    now = write_run("now", {"net": {"recoveries": 1}})
+    assert regress(now, "--baseline", baseline, "--history", history).code == 1
+    assert ": worse: a tracker on one recording, or its recoveries<" in (history / "history.svg").read_text()
+
+
 def test_a_history_that_was_changed_or_shortened_is_refused(check, tmp_path, edit):
     for name in ("one", "two"):
         assert check(name, GOOD).code == 0

@@ -57,7 +57,7 @@ def test_a_tracker_that_lost_on_dynamic_cells_at_one_second_is_worse_there_and_o
     worse = [(r["label"], r["stratum"], r["band"]) for r in json.loads(done.out)["rows"] if r["standing"] == "worse"]
     assert (done.code, worse) == (1, [("kalman", "dynamic", "middle")])
     said = regress(run, "--baseline", baseline).out
-    assert "worse: kalman, dynamic, middle (0.5-1.5 s): F1 0." in said
+    assert "worse: kalman, dynamic, 0.5 to 1.5 s: F1 0." in said
     assert said.endswith("worse than the baseline: kalman\n")
 
 
@@ -370,7 +370,7 @@ def test_junit_and_markdown_say_what_is_worse_and_escape_every_name(write_run, r
     page = markdown.read_text()
     assert "<script>" not in page
     assert "\x1b" not in page + junit.read_text()
-    assert "| worse | a-b.c\\_d e | F1 | dynamic | short (0-0.5 s) |" in page
+    assert "| worse | a-b.c\\_d e | F1 | dynamic | 0 to 0.5 s |" in page
 
 
 def test_junit_and_markdown_of_a_run_that_was_not_measured_hold_errors(short_baseline, write_run, regress, tmp_path):

@@ -30,7 +30,7 @@ def test_a_recording_without_named_stretches_is_tested_whole_at_one_half(record)
     split = plan_split(str(record(stretches={})), None, SECOND)
     assert len(split.test) == 200
     assert split.validation is None
-    assert "thresholds are those of the card, else 0.5" in split.notices[0]
+    assert "the thresholds of a tracker are those of its weights' card" in split.notices[0]
 
 
 def test_a_range_is_part_of_the_name_of_its_split(record):
@@ -43,10 +43,7 @@ def test_thresholds_are_never_chosen_on_frames_that_are_tested(record):
     path = record()
     split = plan_split(f"{path}@8s-20s", None, SECOND)
     assert split.validation is None
-    assert (
-        "shares frames with its validation room.mcap@validation, so thresholds are those of the card, else 0.5"
-        in split.notices[0]
-    )
+    assert "shares frames with its validation room.mcap@validation, so the thresholds of a tracker" in split.notices[0]
     with pytest.raises(ConfigurationError, match=r"shares frames with its validation room\.mcap@0s-8\.5s: name"):
         plan_split(f"{path}@8s-20s", f"{path}@0s-8.5s", SECOND)
 

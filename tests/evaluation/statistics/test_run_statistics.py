@@ -204,7 +204,7 @@ def test_recordings_of_unlike_periods_are_scored_together_at_equal_times_and_not
     assert pooled.f1 == pytest.approx(2 * tp / (2 * tp + fp + fn), abs=1e-6)
     assert len(pooled.pr_auc) == len(pooled.fss_9) == len(pooled.beam_error) == len(pooled.f1_label_free) == 6
     (told,) = [notice for notice in summary.notices if "rate" in notice]
-    assert told.endswith("every 0.5 s, in each recording by the nearest step, up to 53 ms away")
+    assert told.endswith("given every 0.5 s; of each recording the nearest step counts, at most 53 ms away")
 
 
 def test_scores_together_are_those_of_the_recordings_where_only_the_horizon_differs(tmp_path):
