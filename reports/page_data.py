@@ -77,7 +77,7 @@ def page_data(
             for key, name in PAGE_SCORES.items()
             if key in had
         ],
-        "headline": {"stratum": first.stratum, "score": first.score, "step": first.step},
+        "headline": {"stratum": first.stratum, "score": first.score, "ahead_s": tables[0].horizons_s[first.step]},
         "recordings": recordings,
         "conditions": condition_texts(tables),
         "level_colours": level_colours(),

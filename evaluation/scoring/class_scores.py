@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from gridtrack.common.horizons import nearest_step
 from gridtrack.evaluation.results.columns import CLASSES_TABLE
 from gridtrack.evaluation.results.recording import RecordingDescription
 from gridtrack.evaluation.results.trial_record import TrialRecord
@@ -83,11 +84,13 @@ def _recall(found: NDArray[np.int64], classes: Sequence[str]) -> RecallByClass:
 
 
 def _semantics(counts: SemanticsCounts, classes: Sequence[str], horizons_s: Sequence[float]) -> SemanticScores:
-    """Scores of every step, and the confusion matrices at CONFUSION_HORIZONS_S."""
+    """Scores of every step, and the confusion matrices at the steps nearest to CONFUSION_HORIZONS_S."""
     cells = counts.confusion.sum(axis=(-2, -1))
     per_cell, per_scan = ratio(counts.log_loss, cells), ratio(counts.scan_log_loss, counts.scans)
     accuracy = balanced_accuracy(counts.confusion)
-    steps = [horizons_s.index(horizon) for horizon in CONFUSION_HORIZONS_S if horizon in horizons_s]
+    period_s = horizons_s[1] if len(horizons_s) > 1 else np.inf
+    nearest = dict.fromkeys(nearest_step(horizon_s, period_s) for horizon_s in CONFUSION_HORIZONS_S)
+    steps = [step for step in nearest if step < len(horizons_s)]
     kinds = {
         visibility: ClassScores(
             nll_per_scan=rounded_curve(per_scan[:, i]),

@@ -17,6 +17,11 @@ export function roundTicks(low, high, wanted) {
   return ticks;
 }
 
+// The index of the value that is nearest to `wanted`, of equally near ones the first.
+export function nearest(values, wanted) {
+  return values.reduce((best, value, i) => (Math.abs(value - wanted) < Math.abs(values[best] - wanted) ? i : best), 0);
+}
+
 // The range of an axis over `values`: whole steps; scores between 0 and 1 start at 0.
 export function axisRange(values, fromZero) {
   const known = values.filter((value) => value !== null);
@@ -30,6 +35,8 @@ export function axisRange(values, fromZero) {
 export function svgText(x, y, text, attributes = {}) {
   return draw("text", { x, y, ...attributes }, text);
 }
+
+export const inSeconds = (seconds) => `${Number(seconds.toPrecision(3))} s`;
 
 // A score in words, with a dash where it is undefined.
 export function inDigits(value, digits = 3) {

@@ -5,27 +5,30 @@ import { make } from "./elements.js";
 export function choice(name, options, chosen, changed) {
   const select = make("select", {}, ...options.map(([value, text]) => make("option", { value }, text)));
   select.value = String(chosen);
-  select.addEventListener("change", () => changed(select.value));
+  select.addEventListener("change", () => changed(options[select.selectedIndex][0]));
   return make("label", { class: "choice" }, make("span", {}, name), select);
 }
 
 // What is chosen, as a line of text.
 export function choiceWords(listed, chosen) {
-  const textOf = (key, options) => options.find(([value]) => String(value) === String(chosen[key]))?.[1];
-  return listed.map(([key, name, options]) => `${name}: ${textOf(key, options)}`).join("; ");
+  const textOf = (options, taken) => options.find(([value]) => value === taken)?.[1];
+  return listed.map(([key, name, options, taken = chosen[key]]) => `${name}: ${textOf(options, taken)}`).join("; ");
 }
 
-// The choices of a figure in a row, with nothing to choose left out; drawn again after every change.
+// The choices of a figure in a row, with nothing to choose left out; drawn again after every change. A choice of
+// `listed`: [key, name, options, taken]. Where what is chosen is no option, the first takes its place for good, or
+// `taken` for as long as the options are these.
 export function choiceBar(listed, chosen, redraw) {
   const bar = make("div", { class: "choices" });
   const fill = () => {
     const focused = [...bar.querySelectorAll("select")].findIndex((select) => select === document.activeElement);
     bar.replaceChildren();
-    for (const [key, name, options] of listed(chosen)) {
-      if (!options.some(([value]) => String(value) === String(chosen[key]))) chosen[key] = options[0][0];
+    for (const at of listed(chosen).keys()) {
+      const [key, name, options, taken] = listed(chosen)[at]; // anew: it depends on the choices before it
+      if (taken === undefined && !options.some(([value]) => value === chosen[key])) chosen[key] = options[0][0];
       const picked = (value) => { chosen[key] = value; fill(); redraw(); };
-      const one = choice(name, options, chosen[key], picked);
-      one.hidden = options.length < 2;
+      const one = choice(name, options, taken ?? chosen[key], picked);
+      one.hidden = options.length < 2 && (taken ?? chosen[key]) === chosen[key];
       bar.append(one);
     }
     if (focused >= 0) bar.querySelectorAll("select")[focused]?.focus();

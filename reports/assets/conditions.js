@@ -19,10 +19,15 @@ function conditionChart(chosen) {
     return lineOf(row, { xs, values: f1[stratum] ?? xs.map(() => null), notes });
   });
   const places = [...new Set(lines.flatMap((one) => one.xs))].sort((a, b) => a - b);
-  const text = (value) => `${kind === "rate" ? (value ? `×${value}` : "untimed") : Number(value.toPrecision(3))}${unit}`;
+  const isUntimed = (value) => kind === "rate" && value === 0;
+  const number = (value) => (kind === "rate" ? `×${value}` : Number(value.toPrecision(3)));
+  const text = (value) => (isUntimed(value) ? "untimed" : `${number(value)}${unit}`);
   return {
     lines,
-    x: { name: axis, ticks: places.map((place) => [place, text(place)]), words: (place) => `${name} ${text(place)}` },
+    x: {
+      name: axis, ticks: places.map((place) => [place, text(place)]), words: (place) => `${name} ${text(place)}`,
+      written: (value) => (isUntimed(value) ? text(value) : value),
+    },
     y: { name: "F1", fromZero: true },
   };
 }

@@ -3,43 +3,68 @@ import { scaleOf, svgText } from "./axis.js";
 import { draw } from "./elements.js";
 import { startFigure } from "./figure.js";
 import { pageData } from "./page_data.js";
-import { horizonOptions, recordingNamed, recordingOptions } from "./scores.js";
+import { shortened, textWidth } from "./row_names.js";
+import { aheadChoice, recordingNamed, recordingOptions, stepAt } from "./scores.js";
 import { isShown } from "./shown_trackers.js";
 
-const CELL = 46, NAMES = 84, HEAD = 44, GAP = 28;
+const CELL = 46, NAMES = 84, TITLE = 20, GAP = 28;
 const rowsWithClasses = (recording) => recording.rows.filter((row) => row.classes);
-const shownOf = ({ recording, visibility, step }) =>
-  rowsWithClasses(recordingNamed(recording)).filter((row) => isShown(row.label) && row.classes.confusion[visibility]?.[step]);
+const firstConfusion = ({ recording }) => rowsWithClasses(recordingNamed(recording))[0].classes.confusion;
+const stepsWithClasses = (chosen) => Object.keys(firstConfusion(chosen)[chosen.visibility] ?? {}).map(Number);
+const classCounts = (row, chosen) =>
+  row.classes.confusion[chosen.visibility]?.[stepAt(chosen, stepsWithClasses(chosen))];
+const shownOf = (chosen) =>
+  rowsWithClasses(recordingNamed(chosen.recording)).filter((row) => isShown(row.label) && classCounts(row, chosen));
 
 function drawConfusion(chosen, width) {
   const rows = shownOf(chosen);
   const names = rows[0]?.classes.names ?? [], side = CELL * (names.length + 1) + NAMES;
   const across = Math.max(1, Math.floor((width + GAP) / (side + GAP)));
-  const height = (HEAD + CELL * names.length + GAP) * Math.ceil(rows.length / across);
+  const heads = headsOf(names), down = heads.height + CELL * names.length + GAP;
+  const height = down * Math.ceil(rows.length / across);
   const used = Math.max(side, Math.min(width, across * (side + GAP)));
   const svg = draw("svg", { class: "figure-drawing", viewBox: `0 0 ${used} ${height}`, width: used, height, role: "img" });
   svg.setAttribute("aria-label", rows.map((row) => `${row.name}: ${sharesOf(row, chosen).map((of, i) => `${names[i]} ${inPercent(of[i])} right`).join(", ")}`).join("; "));
   rows.forEach((row, i) => svg.append(draw("g", {
-    class: `line ${row.style}`, transform: `translate(${(i % across) * (side + GAP)} ${Math.floor(i / across) * (HEAD + CELL * names.length + GAP)})`,
-  }, ...matrix(row, names, sharesOf(row, chosen)))));
+    class: `line ${row.style}`, transform: `translate(${(i % across) * (side + GAP)} ${Math.floor(i / across) * down})`,
+  }, ...matrix(row, names, sharesOf(row, chosen), heads))));
   return svg;
 }
 
-const classCounts = (row, { visibility, step }) => row.classes.confusion[visibility][step];
 const sharesOf = (row, chosen) => classCounts(row, chosen).map((counts) => {
   const cells = counts.reduce((sum, one) => sum + one, 0);
   return counts.map((one) => (cells ? one / cells : 0));
 });
 const inPercent = (share) => `${Math.round(100 * share)} %`;
-const short = (name) => (name.length > 11 ? `${name.slice(0, 10)}…` : name);
 
-function matrix(row, names, shares) {
+// The heads of the columns: their texts, whether they stand upright, as they do where one is wider than its column, and
+// the height that they and the title take.
+function headsOf(names) {
+  const texts = [...names, "other"], widths = texts.map((name) => textWidth(shortened(name, NAMES - 6)));
+  const upright = Math.max(...widths) > CELL - 4;
+  return { texts, upright, height: TITLE + (upright ? Math.max(...widths) + 10 : 24) };
+}
+
+// The name of a class, whole in its title where there is no room for it.
+function className(name, x, y, attributes) {
+  const text = svgText(x, y, shortened(name, NAMES - 6), { class: "tick", ...attributes });
+  if (text.textContent !== name) text.append(draw("title", {}, name));
+  return text;
+}
+
+function matrix(row, names, shares, { texts, upright, height }) {
   const strength = scaleOf(0, 1, 0, 0.5);
+  const turned = (x, y) => (upright ? { transform: `rotate(-90 ${x} ${y})` } : { "text-anchor": "middle" });
   const parts = [svgText(0, 14, row.name)];
-  names.forEach((name, i) => parts.push(svgText(NAMES - 6, HEAD + CELL * (i + 0.5) + 4, short(name), { class: "tick", "text-anchor": "end" })));
-  [...names, "other"].forEach((name, j) => parts.push(svgText(NAMES + CELL * (j + 0.5), HEAD - 6, short(name).slice(0, 6), { class: "tick", "text-anchor": "middle" })));
+  names.forEach((name, i) => {
+    parts.push(className(name, NAMES - 6, height + CELL * (i + 0.5) + 4, { "text-anchor": "end" }));
+  });
+  texts.forEach((name, j) => {
+    const [x, y] = [NAMES + CELL * (j + 0.5) + (upright ? 4 : 0), height - 6];
+    parts.push(className(name, x, y, turned(x, y)));
+  });
   shares.forEach((of, i) => of.forEach((share, j) => {
-    const [x, y] = [NAMES + CELL * j, HEAD + CELL * i];
+    const [x, y] = [NAMES + CELL * j, height + CELL * i];
     parts.push(draw("rect", { class: "share", x, y, width: CELL - 2, height: CELL - 2, "fill-opacity": strength(share) }),
       svgText(x + CELL / 2 - 1, y + CELL / 2 + 3, inPercent(share), { class: "on-share", "text-anchor": "middle" }));
   }));
@@ -56,16 +81,14 @@ function confusionNumbers(chosen) {
 export function startConfusion() {
   const listed = recordingOptions((recording) => rowsWithClasses(recording).length);
   if (!listed.length) return;
-  const of = (name) => rowsWithClasses(recordingNamed(name))[0].classes.confusion;
-  const steps = (name, visibility) => Object.keys(of(name)[visibility] ?? {}).map(Number);
-  const first = listed[0][0], visibility = Object.keys(of(first))[0];
+  const visibilities = (now) => Object.keys(firstConfusion(now)).map((name) => [name, `${name} cells`]);
+  const recording = listed[0][0], visibility = visibilities({ recording })[0][0];
   startFigure({
     id: "confusion",
     title: "Confusion of classes",
-    chosen: { recording: first, visibility, step: pageData.headline.step },
-    choices: (now) => [["recording", "Recording", listed],
-      ["visibility", "Cells", Object.keys(of(now.recording)).map((name) => [name, `${name} cells`])],
-      ["step", "Ahead", horizonOptions(recordingNamed(now.recording), steps(now.recording, now.visibility))]],
+    chosen: { recording, visibility, ahead_s: pageData.headline.ahead_s },
+    choices: (now) => [["recording", "Recording", listed], ["visibility", "Cells", visibilities(now)],
+      aheadChoice(now, stepsWithClasses(now))],
     drawing: drawConfusion,
     numbers: confusionNumbers,
     line: () => "Rows are true classes, columns the most probable ones.",

@@ -1,4 +1,5 @@
 // Any score over the horizon, with interval bands.
+import { inSeconds } from "./axis.js";
 import { startFigure } from "./figure.js";
 import { pageData } from "./page_data.js";
 import {
@@ -12,7 +13,7 @@ function curveChart({ recording, score, stratum }) {
     const [values, low, high] = ENDS.map((end) => curveOf(row, stratum, score, end));
     return lineOf(row, { xs, values, low, high });
   });
-  const words = (s) => `${Number(s.toPrecision(3))} s ahead${s ? "" : ": the input, not ranked"}`;
+  const words = (s) => `${inSeconds(s)} ahead${s ? "" : ": the input, not ranked"}`;
   return { lines, x: { name: "horizon, s", unit: " s", words, unranked: true }, y: { name: scoreNamed(score).name, fromZero: score !== "beam_bias" } };
 }
 

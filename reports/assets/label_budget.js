@@ -1,14 +1,16 @@
 // Log loss of the classes over the number of labelled scans that the weights of a row learned them from.
 import { startFigure } from "./figure.js";
 import { pageData } from "./page_data.js";
-import { bandWords, horizonOptions, recordingNamed, recordingOptions } from "./scores.js";
+import { aheadChoice, bandWords, recordingNamed, recordingOptions, stepAt } from "./scores.js";
 import { isShown } from "./shown_trackers.js";
 
 const labelledRows = (recording, visibility) => recording.rows.filter((row) => row.label_budget?.losses[visibility]);
 const budgetsOf = (rows) => [...new Set(rows.map((row) => row.label_budget.scans))].sort((a, b) => a - b);
 const visibilitiesOf = (recording) => [...new Set(recording.rows.flatMap((row) => Object.keys(row.label_budget?.losses ?? {})))]
   .filter((visibility) => budgetsOf(labelledRows(recording, visibility)).length > 1);
-const lossOf = (row, { visibility, step }, end = "") => row.label_budget.losses[visibility][`nll${end}`]?.[step] ?? null;
+const allSteps = ({ recording }) => recordingNamed(recording).horizons_s.map((_, step) => step);
+const lossOf = (row, chosen, end = "") =>
+  row.label_budget.losses[chosen.visibility][`nll${end}`]?.[stepAt(chosen, allSteps(chosen))] ?? null;
 const shownRows = (chosen) => labelledRows(recordingNamed(chosen.recording), chosen.visibility)
   .filter((row) => isShown(row.label) && lossOf(row, chosen) !== null);
 
@@ -51,10 +53,13 @@ export function startLabelBudget() {
   startFigure({
     id: "label-budget",
     title: "Label budget",
-    chosen: { recording: listed[0][0], visibility: visibilitiesOf(recordingNamed(listed[0][0]))[0], step: pageData.headline.step },
-    choices: ({ recording }) => [["recording", "Recording", listed],
-      ["visibility", "Cells", visibilitiesOf(recordingNamed(recording)).map((name) => [name, `${name} cells`])],
-      ["step", "Ahead", horizonOptions(recordingNamed(recording), recordingNamed(recording).horizons_s.map((_, step) => step))]],
+    chosen: {
+      recording: listed[0][0], visibility: visibilitiesOf(recordingNamed(listed[0][0]))[0],
+      ahead_s: pageData.headline.ahead_s,
+    },
+    choices: (now) => [["recording", "Recording", listed],
+      ["visibility", "Cells", visibilitiesOf(recordingNamed(now.recording)).map((name) => [name, `${name} cells`])],
+      aheadChoice(now, allSteps(now))],
     chart: budgetChart,
     numbers: budgetNumbers,
     line: (now) => `Log loss of classes (lower is better) over labelled scans${bandWords(budgetChart(now))}.`,

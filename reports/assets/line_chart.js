@@ -1,5 +1,5 @@
 // Lines over one axis, with bands, and the values at the pointer or, by arrow keys, at any place.
-import { axisRange, inDigits, roundTicks, scaleOf, svgText } from "./axis.js";
+import { axisRange, inDigits, nearest, roundTicks, scaleOf, svgText } from "./axis.js";
 import { draw, make } from "./elements.js";
 
 const HEIGHT = 408, LEFT = 44, RIGHT = 14, BOTTOM = 46, TOP = 24;
@@ -7,8 +7,9 @@ const READING_PLACES = 51;
 
 // A chart: { lines, x, y }. A line: { name, style, xs, values, low, high }; `low` and `high` may be null. Where a line has
 // `dotStyles`, each place has a dot of that style.
-// `x`: { name, unit, range, ticks, words(x), unranked }; `y`: { name, fromZero, range }. `ticks`: [place, text] pairs;
-// `unranked`: places before the second do not count; `diagonal`: where the two axes are equal.
+// `x`: { name, unit, range, ticks, words(x), written(x), unranked }; `y`: { name, fromZero, range }. `ticks`: [place,
+// text] pairs; `written`: what the file of numbers has for a place, which is itself where left out; `unranked`: places
+// before the second do not count; `diagonal`: where the two axes are equal.
 export function lineChart({ lines, x: across, y: up, diagonal, width }) {
   const places = placesOf(lines);
   const [first, last] = across.range ?? [places[0] ?? 0, places.at(-1) ?? 1];
@@ -108,10 +109,6 @@ function withReading(svg, chart) {
   return holder;
 }
 
-function nearest(places, place) {
-  return places.reduce((best, p, i) => (Math.abs(p - place) < Math.abs(places[best] - place) ? i : best), 0);
-}
-
 // Each line at its own place that is nearest.
 function fillReading(marks, readout, { lines, words, x, y }, place) {
   marks.append(draw("line", { x1: x(place), x2: x(place), y1: TOP, y2: HEIGHT - BOTTOM }));
@@ -128,12 +125,13 @@ function fillReading(marks, readout, { lines, words, x, y }, place) {
 // The numbers of a chart, headings first: a column for each line where all have the same places, else a row for each point.
 export function numbersOfChart({ lines, x, y }) {
   const shown = lines.toReversed();
-  const places = placesOf(lines);
+  const places = placesOf(lines), written = x.written ?? ((place) => place);
   if (shown.some((one) => one.xs.length !== places.length)) {
-    return [["tracker", x.name, y.name], ...shown.flatMap((one) => one.xs.map((place, i) => [one.name, place, one.values[i]]))];
+    return [["tracker", x.name, y.name],
+      ...shown.flatMap((one) => one.xs.map((place, i) => [one.name, written(place), one.values[i]]))];
   }
   const ends = (one) => (one.low && one.high ? [`${one.name} low`, `${one.name} high`] : []);
   const values = (one, i) => [one.values[i], ...(one.low && one.high ? [one.low[i], one.high[i]] : [])];
   return [[x.name, ...shown.flatMap((one) => [one.name, ...ends(one)])],
-    ...places.map((place, i) => [place, ...shown.flatMap((one) => values(one, i))])];
+    ...places.map((place, i) => [written(place), ...shown.flatMap((one) => values(one, i))])];
 }

@@ -6,12 +6,12 @@ const OBJECT_COLOUR = "#0a7a4f";
 const cellBuffer = document.createElement("canvas");
 
 // `view`: { left, bottom, span } in cells. Cell [row, column] is drawn with row 0 at the bottom.
-function paintCells(size, colourAt, from, to) {
+function paintCells(size, colourAt) {
   cellBuffer.width = cellBuffer.height = size;
   const context = cellBuffer.getContext("2d");
   const image = context.createImageData(size, size);
   for (let row = 0; row < size; row += 1) {
-    for (let column = from; column < to; column += 1) {
+    for (let column = 0; column < size; column += 1) {
       const [red, green, blue] = colourAt(row * size + column);
       image.data.set([red, green, blue, 255], 4 * ((size - 1 - row) * size + column));
     }
@@ -38,13 +38,26 @@ export class MomentCanvas {
     this.context.imageSmoothingEnabled = false;
   }
 
-  cells(size, colourAt, from = 0, to = size) {
-    paintCells(size, colourAt, from, to);
-    const { left, bottom, span } = this.view;
-    const first = Math.max(from, Math.floor(left)), last = Math.min(to, Math.ceil(left + span));
-    if (last <= first) return;
-    this.context.drawImage(cellBuffer, first, size - bottom - span, last - first, span,
-      (first - left) * this.cell, 0, (last - first) * this.cell, this.canvas.height);
+  // What `paint` draws, in the columns [from, to) alone.
+  within(from, to, paint) {
+    const { context } = this;
+    const [left, right] = [from, to].map((column) => Math.round(this.at(column, 0)[0]));
+    context.save();
+    context.beginPath();
+    context.rect(left, 0, right - left, this.canvas.height);
+    context.clip();
+    paint();
+    context.restore();
+  }
+
+  clear() {
+    this.context.clearRect(0, 0, this.canvas.width, this.canvas.height);
+  }
+
+  cells(size, colourAt) {
+    paintCells(size, colourAt);
+    const { left, bottom, span } = this.view, { width, height } = this.canvas;
+    this.context.drawImage(cellBuffer, left, size - bottom - span, span, span, 0, 0, width, height);
   }
 
   // The position of a point, in cells from the lower left corner of the window, on the canvas.
@@ -53,12 +66,11 @@ export class MomentCanvas {
   }
 
   // Misses are hollow: told from false alarms by form as well as by colour.
-  misses(size, forecast, target, stratum, from = 0, to = size) {
+  misses(size, forecast, target, stratum) {
     this.context.fillStyle = "#fff";
     target.forEach((code, cell) => {
-      const column = cell % size;
-      if (column < from || column >= to || !markOf(forecast[cell], code, stratum).includes("miss")) return;
-      const [x, y] = this.at(column + 0.3, Math.floor(cell / size) + 0.7);
+      if (!markOf(forecast[cell], code, stratum).includes("miss")) return;
+      const [x, y] = this.at((cell % size) + 0.3, Math.floor(cell / size) + 0.7);
       this.context.fillRect(x, y, 0.4 * this.cell, 0.4 * this.cell);
     });
   }

@@ -1,4 +1,4 @@
-// Scores of single moments, and the moments that they lead to.
+// Scores of single moments, and the moments that stand out by them.
 export function countsOf(player, moment, h, tracker) {
   return player.moments[moment].counts[h][tracker];
 }
@@ -19,28 +19,31 @@ export function scoreText(player, moment, h, tracker) {
   return `F1 ${f1 === null ? "–" : f1.toFixed(2)}: ${tp} hit, ${fp} false, ${fn} missed`;
 }
 
-function bestMoment(player, valueOf) {
-  let best = null, most = -Infinity;
+// Kinds of moments that stand out by the first `trackers` on screen: the higher the `value`, the more, and where it is
+// null, not at all. The worst has the lowest F1, where something was to be found; in the most telling, F1 differs most.
+export const WORST = {
+  name: "worst",
+  trackers: 1,
+  value(player, moment, h, [tracker]) {
+    const counts = countsOf(player, moment, h, tracker);
+    return counts && counts[0] + counts[2] ? -momentF1(player, moment, h, tracker) : null;
+  },
+};
+export const TELLING = {
+  name: "most telling",
+  trackers: 2,
+  value(player, moment, h, trackers) {
+    const [one, other] = trackers.map((tracker) => momentF1(player, moment, h, tracker));
+    return one === null || other === null ? null : Math.abs(one - other) || null;
+  },
+};
+
+// The first moment that stands out most, { moment, value }; null where none does.
+export function outstandingMoment(player, kind, h, trackers) {
+  let best = null;
   player.moments.forEach((_, moment) => {
-    const value = valueOf(moment);
-    if (value !== null && value > most) [best, most] = [moment, value];
+    const value = kind.value(player, moment, h, trackers);
+    if (value !== null && (best === null || value > best.value)) best = { moment, value };
   });
   return best;
-}
-
-// The moment with the lowest F1 of a tracker, among those in which something was to be found; null where none was.
-export function worstMoment(player, h, tracker) {
-  return bestMoment(player, (moment) => {
-    const counts = countsOf(player, moment, h, tracker);
-    if (!counts || counts[0] + counts[2] === 0) return null;
-    return -momentF1(player, moment, h, tracker);
-  });
-}
-
-// The moment in which the F1 of two trackers differ most; null where none has both.
-export function tellingMoment(player, h, one, other) {
-  return bestMoment(player, (moment) => {
-    const values = [one, other].map((tracker) => momentF1(player, moment, h, tracker));
-    return values.includes(null) ? null : Math.abs(values[0] - values[1]);
-  });
 }

@@ -1,24 +1,25 @@
 // The player of one recording: kept forecasts over time and horizon, one to four trackers side by side.
+import { inSeconds, nearest } from "./axis.js";
 import { make, meaning } from "./elements.js";
 import { isShown } from "./shown_trackers.js";
 import { button, check, markLegend, menu, slider } from "./player_controls.js";
 import { MomentCanvas } from "./moment_canvas.js";
-import {
-  unpackedMoment, inputColour, cameColour, truthColour, forecastColour, markColour, busiestCell,
-} from "./moment_cells.js";
-import { scoreText, tellingMoment, worstMoment } from "./moment_scores.js";
+import { unpackedMoment, cameColour, truthColour, busiestCell } from "./moment_cells.js";
+import { MomentDrawing } from "./moment_drawing.js";
+import { outstandingMoment, TELLING, WORST } from "./moment_scores.js";
 import { linkOf } from "./moment_link.js";
 
 const MOST_PANELS = 4;
 const LEAST_CELL_PX = 4;
 const PLAY_MS = 700;
 const NONE = -1;
-const inSeconds = (seconds) => `${Number(seconds.toPrecision(3))} s`;
 
 export class Player {
-  constructor(element, data) {
-    Object.assign(this, { element, data, moment: 0, h: data.decisive, zoom: 1, centre: null, split: data.size / 2 });
-    Object.assign(this, { marks: true, boxes: true, wipe: false, timer: null, told: "", unpacked: new Map() });
+  // `onward(kind)` goes to such a moment of another recording; null where there is no other.
+  constructor(element, data, onward) {
+    Object.assign(this, { element, data, onward, moment: 0, h: data.decisive, zoom: 1, centre: null });
+    Object.assign(this, { marks: true, boxes: true, wipe: false, split: data.size / 2 });
+    Object.assign(this, { timer: null, told: "", unpacked: new Map() });
     this.chosen = Array.from({ length: MOST_PANELS }, (_, at) => (at < data.trackers.length ? at : NONE));
     this.build();
   }
@@ -28,7 +29,9 @@ export class Player {
     this.time = slider("time", moments.length - 1, (at) => this.go({ moment: at }));
     this.horizon = slider("horizon", horizons.length - 1, (at) => this.go({ h: at }));
     this.playButton = button("play", () => this.play(!this.timer));
-    this.menus = this.chosen.map((tracker, at) => this.trackerMenu(tracker, at));
+    this.menus = this.chosen.map((_, at) => this.trackerMenu(at));
+    this.jumps = new Map([[WORST, "worst of the first"], [TELLING, "most telling of the first two"]]
+      .map(([kind, words]) => [kind, button(words, () => this.jump(kind))]));
     this.link = make("a", { href: "#" }, "link to this moment");
     this.wipeSlider = slider("wipe", this.data.size, (column) => this.go({ split: column }));
     this.why = make("output", { class: "why" });
@@ -38,9 +41,7 @@ export class Player {
       make("div", { class: "controls" }, this.playButton, this.time.element, this.horizon.element),
       make("div", { class: "controls" }, ...this.menus.map((one) => one.element)),
       make("div", { class: "controls" },
-        button("worst of the first", () => this.jump("worst", worstMoment, 1)),
-        button("most telling of the first two", () => this.jump("most telling", tellingMoment, 2)),
-        this.zoomMenu.element,
+        ...this.jumps.values(), this.zoomMenu.element,
         check("hits and errors", true, (marks) => this.go({ marks })),
         check("boxes", true, (boxes) => this.go({ boxes })),
         check("wipe between the first two", false, (wipe) => this.go({ wipe })),
@@ -65,35 +66,48 @@ export class Player {
     this.element.hidden = true;
   }
 
-  trackerMenu(tracker, at) {
+  trackerMenu(at) {
     const options = [[NONE, "none"], ...this.data.trackers.map((label, index) => [index, label])];
-    return menu(`tracker ${at + 1}`, at ? options : options.slice(1), tracker, (value) => {
+    return menu(`tracker ${at + 1}`, options, this.chosen[at], (value) => {
       this.chosen[at] = value;
       this.arrange();
     });
   }
 
+  isOnPage(tracker) {
+    return tracker !== NONE && isShown(this.data.trackers[tracker]);
+  }
+
   // The trackers on screen: those chosen that the page shows.
   get shown() {
-    return this.chosen.filter((tracker) => tracker !== NONE && isShown(this.data.trackers[tracker]));
+    return this.chosen.filter((tracker) => this.isOnPage(tracker));
+  }
+
+  // A chosen tracker that the page hides is "none" until the page shows it again.
+  fillMenus() {
+    this.menus.forEach(({ select }, at) => {
+      [...select.options].slice(1).forEach((option, tracker) => { option.disabled = !this.isOnPage(tracker); });
+      select.value = String(this.isOnPage(this.chosen[at]) ? this.chosen[at] : NONE);
+    });
   }
 
   arrange() {
     this.told = "";
+    this.fillMenus();
     const shown = this.shown;
     const wiped = this.wipe && shown.length > 1;
     this.drawn = [
-      { panel: new MomentCanvas("input"), draw: (one, planes) => this.drawInput(one, planes) },
-      { panel: new MomentCanvas("what came"), draw: (one, planes) => this.drawTarget(one, planes, cameColour, "what came") },
+      { panel: new MomentCanvas("input"), draw: (drawing) => drawing.input() },
+      { panel: new MomentCanvas("what came"), draw: (drawing) => drawing.target(cameColour, "what came") },
     ];
     if (this.data.hidden_known) {
-      this.drawn.push({ panel: new MomentCanvas("truth"), draw: (one, planes) => this.drawTarget(one, planes, truthColour, "truth") });
+      this.drawn.push({ panel: new MomentCanvas("truth"), draw: (drawing) => drawing.target(truthColour, "truth") });
     }
     if (wiped) {
-      this.drawn.push({ panel: new MomentCanvas(""), draw: (one, planes) => this.drawWipe(one, planes, shown[0], shown[1]), wipes: true });
+      this.drawn.push({ panel: new MomentCanvas(""), draw: (drawing) => drawing.wipe(shown[0], shown[1]), wipes: true });
     }
     for (const tracker of wiped ? shown.slice(2) : shown) {
-      this.drawn.push({ panel: new MomentCanvas(""), draw: (one, planes) => this.drawForecast(one, planes, tracker) });
+      this.drawn.push({ panel: new MomentCanvas(""), draw: (drawing) => drawing.forecast(tracker) });
     }
     this.panels.replaceChildren(...this.drawn.map(({ panel }) => panel.element));
     for (const { panel, wipes } of this.drawn) (wipes ? this.dragWipe(panel) : this.clickCentres(panel));
@@ -109,13 +123,34 @@ export class Player {
     else this.show();
   }
 
-  // To the moment that `find` has of the first `count` trackers on screen, whose names the line of the moment then has.
-  jump(kind, find, count) {
-    const trackers = this.shown.slice(0, count);
-    const moment = trackers.length === count ? find(this.data, this.h, ...trackers) : null;
+  // The moment of this kind of the first trackers on screen, whose names the line of the moment then has.
+  outstanding(kind) {
+    const trackers = this.shown.slice(0, kind.trackers);
+    if (trackers.length < kind.trackers) return { told: ": too few trackers are shown" };
+    const found = outstandingMoment(this.data, kind, this.h, trackers);
     const of = trackers.map((tracker) => this.data.trackers[tracker]).join(" and ");
-    if (moment !== null) this.go({ moment, told: `, the ${kind} of ${of} ${this.ahead}` });
-    else this.go({ told: trackers.length < count ? ": too few trackers are shown" : `: no ${kind} moment of ${of}` });
+    if (!found) return { told: `: no ${kind.name} moment of ${of}` };
+    const again = this.onward ? "; again: of the next recording" : "";
+    return { moment: found.moment, told: `, the ${kind.name} of ${of} ${this.ahead}${again}` };
+  }
+
+  // To the moment of this kind; where it is on screen already, to that of another recording.
+  jump(kind) {
+    const found = this.outstanding(kind);
+    if (this.onward && found.told === this.told) this.onward(kind);
+    else this.go(found);
+  }
+
+  // The same, from the player of another recording, whose button had the focus.
+  arrive(kind) {
+    this.go(this.outstanding(kind));
+    this.jumps.get(kind).focus();
+  }
+
+  // To the moment that is worth a look first.
+  begin() {
+    const found = [TELLING, WORST].map((kind) => this.outstanding(kind)).find(({ moment }) => moment !== undefined);
+    if (found) this.go(found);
   }
 
   get ahead() {
@@ -194,7 +229,7 @@ export class Player {
     const view = this.view();
     for (const { panel, draw } of this.drawn) {
       panel.prepare(view);
-      draw(panel, planes);
+      draw(new MomentDrawing(this, panel, planes));
     }
     const { t } = data.moments[moment];
     this.time.input.value = moment;
@@ -209,83 +244,23 @@ export class Player {
     this.element.dataset.ready = `${moment} ${h}`;
   }
 
-  inCells([x, y]) {
-    return [(x - this.data.origin[0]) / this.data.cell_m, (y - this.data.origin[1]) / this.data.cell_m];
+  // What is chosen that another recording may have: the labels of trackers, and the horizon in seconds.
+  get choice() {
+    const trackers = this.chosen.filter((tracker) => tracker !== NONE).map((tracker) => this.data.trackers[tracker]);
+    return { trackers, horizon: this.data.horizons_s[this.h] };
   }
 
-  drawInput(panel, planes) {
-    const { trackers, moments } = this.data;
-    panel.cells(this.data.size, (at) => inputColour(planes.input[at]));
-    panel.sensors(moments[this.moment].sensors.map((point) => this.inCells(point)));
-    const tracking = this.boxes ? this.shown.find((tracker) => moments[this.moment].objects[tracker].length) : undefined;
-    if (tracking !== undefined) panel.objects(this.objectsOf(tracking), 0);
-    panel.words(tracking === undefined ? "input" : `input, tracks of ${trackers[tracking]}`, `${moments[this.moment].t.toFixed(1)} s`);
-  }
-
-  drawTarget(panel, planes, colour, title) {
-    const target = planes.target(this.h);
-    panel.cells(this.data.size, (at) => colour(target[at]));
-    panel.words(title, `${inSeconds(this.data.horizons_s[this.h])} later`);
-  }
-
-  paint(panel, planes, tracker, from, to) {
-    const { size, stratum } = this.data;
-    const forecast = planes.forecast(this.h, tracker), target = planes.target(this.h);
-    const colour = this.marks ? (at) => markColour(forecast[at], target[at], stratum) : (at) => forecastColour(forecast[at]);
-    panel.cells(size, colour, from, to);
-    if (this.marks) panel.misses(size, forecast, target, stratum, from, to);
-  }
-
-  isMissing(tracker) {
-    return this.data.moments[this.moment].missing.includes(this.data.trackers[tracker]);
-  }
-
-  drawForecast(panel, planes, tracker) {
-    const label = this.data.trackers[tracker];
-    if (this.isMissing(tracker)) {
-      panel.context.clearRect(0, 0, panel.canvas.width, panel.canvas.height);
-      return panel.words(label, "no forecast here");
-    }
-    this.paint(panel, planes, tracker, 0, this.data.size);
-    if (this.boxes) panel.objects(this.objectsOf(tracker), this.data.horizons_s[this.h]);
-    panel.words(label, scoreText(this.data, this.moment, this.h, tracker));
-  }
-
-  drawWipe(panel, planes, left, right) {
-    this.paint(panel, planes, left, 0, this.split);
-    this.paint(panel, planes, right, this.split, this.data.size);
-    panel.line(this.split);
-    const [one, other] = [left, right].map((tracker) => this.data.trackers[tracker]);
-    panel.words(`${one} | ${other}`, [left, right].map((t) => scoreText(this.data, this.moment, this.h, t)).join(" | "));
-  }
-
-  objectsOf(tracker) {
-    const { cell_m: cell } = this.data;
-    return this.data.moments[this.moment].objects[tracker].map(([track, px, py, heading, length, width, vx, vy]) => {
-      const [x, y] = this.inCells([px, py]);
-      return { track, x, y, heading, length: length / cell, width: width / cell, vx: vx / cell, vy: vy / cell };
-    });
-  }
-
-  // Of the trackers that are chosen.
-  get labels() {
-    return this.chosen.filter((tracker) => tracker !== NONE).map((tracker) => this.data.trackers[tracker]);
-  }
-
-  // Chooses the trackers with these labels that this recording has; where it has none of them, the choice stays.
-  choose(labels) {
-    const known = labels.map((label) => this.data.trackers.indexOf(label)).filter((at) => at >= 0).slice(0, MOST_PANELS);
+  // Chooses the nearest horizon and those of the trackers that this recording has; where it has none, theirs stay.
+  choose({ trackers, horizon }) {
+    const known = trackers.map((label) => this.data.trackers.indexOf(label)).filter((at) => at >= 0);
     if (known.length) this.chosen = this.chosen.map((_, at) => known[at] ?? NONE);
-    this.menus.forEach(({ select }, at) => { select.value = String(this.chosen[at]); });
+    this.h = nearest(this.data.horizons_s, horizon);
   }
 
-  // Opens the moment of a link: the kept one nearest to its time, and the trackers that this recording has.
-  open({ seconds, horizon, trackers }) {
-    const nearest = (values, wanted) =>
-      values.reduce((best, value, at) => (Math.abs(value - wanted) < Math.abs(values[best] - wanted) ? at : best), 0);
-    this.choose(trackers);
-    this.moment = nearest(this.data.moments.map(({ t }) => t), seconds);
-    this.h = nearest(this.data.horizons_s, horizon);
+  // Opens the moment of a link: the kept one nearest to its time.
+  open(link) {
+    this.choose(link);
+    this.moment = nearest(this.data.moments.map(({ t }) => t), link.seconds);
     this.arrange();
     this.element.scrollIntoView();
   }

@@ -1,7 +1,9 @@
 // The players of all recordings, of which one is on screen.
+import { nearest } from "./axis.js";
 import { choice } from "./choices.js";
 import { make } from "./elements.js";
 import { momentOfLink } from "./moment_link.js";
+import { outstandingMoment } from "./moment_scores.js";
 import { pageData } from "./page_data.js";
 import { Player } from "./player.js";
 import { whenShownChange } from "./shown_trackers.js";
@@ -11,26 +13,29 @@ export function startPlayers() {
   const section = document.getElementById("moments");
   if (!section) return;
   section.querySelector(".still").hidden = true;
+  const names = pageData.players.map((recording) => [recording, recording]);
+  const recordings = choice("Recording", names, names[0][0], (recording) => show(recording));
+  recordings.hidden = names.length < 2;
+  section.querySelector("h2").after(make("div", { class: "choices" }, recordings));
+  const onward = names.length > 1 ? (kind) => show(recordingAfter(shown, kind)).arrive(kind) : null;
   const players = new Map();
   let shown = null;
   const show = (recording) => {
-    if (!players.has(recording)) players.set(recording, playerOf(recording, section));
-    const labels = shown?.labels;
+    const isNew = !players.has(recording);
+    if (isNew) players.set(recording, playerOf(recording, section, onward));
+    const chosen = shown?.choice;
     shown?.leave();
     shown = players.get(recording);
-    if (labels) shown.choose(labels);
+    recordings.querySelector("select").value = recording;
+    if (chosen) shown.choose(chosen);
     shown.element.hidden = false;
     shown.arrange();
+    if (isNew) shown.begin();
     return shown;
   };
-  const names = pageData.players.map((recording) => [recording, recording]);
-  const recordings = choice("Recording", names, names[0][0], show);
-  recordings.hidden = names.length < 2;
-  section.querySelector("h2").after(make("div", { class: "choices" }, recordings));
   const follow = () => {
     const wanted = momentOfLink(location.hash);
     if (!names.some(([name]) => name === wanted?.recording)) return false;
-    recordings.querySelector("select").value = wanted.recording;
     show(wanted.recording).open(wanted);
     return true;
   };
@@ -40,10 +45,34 @@ export function startPlayers() {
   if (!follow()) show(names[0][0]);
 }
 
-// The moments of each recording are an element of their own, read when it is shown: the page opens without them.
-function playerOf(recording, section) {
+function playerOf(recording, section, onward) {
   const element = make("div", { class: "player" });
   section.append(element);
-  const moments = document.getElementById(`moments-${pageData.players.indexOf(recording)}`);
-  return new Player(element, JSON.parse(moments.textContent));
+  return new Player(element, momentsOf(recording), onward);
+}
+
+const readMoments = new Map();
+
+// The moments of each recording are an element of their own, read when they are needed: the page opens without them.
+function momentsOf(recording) {
+  if (!readMoments.has(recording)) {
+    const element = document.getElementById(`moments-${pageData.players.indexOf(recording)}`);
+    readMoments.set(recording, JSON.parse(element.textContent));
+  }
+  return readMoments.get(recording);
+}
+
+// The recording after that of `player`, in the order of how much their moments of this kind stand out, of the same
+// trackers at the same horizon; after the last one comes the first, and where no other has one, its own.
+function recordingAfter(player, kind) {
+  const labels = player.shown.slice(0, kind.trackers).map((tracker) => player.data.trackers[tracker]);
+  const { horizon } = player.choice;
+  const found = pageData.players.flatMap((recording) => {
+    const data = momentsOf(recording), trackers = labels.map((label) => data.trackers.indexOf(label));
+    if (trackers.includes(-1)) return [];
+    const best = outstandingMoment(data, kind, nearest(data.horizons_s, horizon), trackers);
+    return best ? [{ recording, value: best.value }] : [];
+  }).sort((a, b) => b.value - a.value);
+  const own = found.findIndex(({ recording }) => recording === player.data.recording);
+  return found.length ? found[(own + 1) % found.length].recording : player.data.recording;
 }

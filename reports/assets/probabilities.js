@@ -1,11 +1,15 @@
 // What the histograms of probability say: precision against recall, F1 over the threshold, and calibration.
 import { startFigure } from "./figure.js";
 import { pageData } from "./page_data.js";
-import { horizonOptions, lineOf, recordingNamed, recordingOptions } from "./scores.js";
+import { aheadChoice, lineOf, recordingNamed, recordingOptions, stepAt } from "./scores.js";
 import { isShown } from "./shown_trackers.js";
 
-const binsOf = (row, { stratum, step }) => row.bins?.[stratum]?.[step] ?? null;
+const binsOf = (row, chosen) => row.bins?.[chosen.stratum]?.[stepAt(chosen, stepsWithBins(chosen))] ?? null;
 const hasBins = (recording) => recording.rows.some((row) => row.bins);
+const firstBins = ({ recording }) => recordingNamed(recording).rows.find((row) => row.bins).bins;
+// Of all strata: one of which no cell was occupied has no steps.
+const stepsWithBins = (chosen) =>
+  [...new Set(Object.values(firstBins(chosen)).flatMap(Object.keys))].map(Number).sort((a, b) => a - b);
 const probabilityWords = (p) => `p ≥ ${Number(p.toPrecision(2))}`;
 
 function linesOf(chosen, fields) {
@@ -40,18 +44,14 @@ const FIGURES = [
 export function startProbabilities() {
   const listed = recordingOptions(hasBins);
   if (!listed.length) return;
-  const { stratum, step } = pageData.headline;
+  const { stratum, ahead_s } = pageData.headline;
   for (const figure of FIGURES) {
     startFigure({
       ...figure,
-      chosen: { recording: listed[0][0], stratum, step },
-      choices: (now) => {
-        const recording = recordingNamed(now.recording);
-        const { bins } = recording.rows.find((row) => row.bins);
-        const strata = Object.keys(bins), steps = Object.keys(Object.values(bins)[0]).map(Number);
-        return [["recording", "Recording", listed], ["stratum", "Cells", strata.map((name) => [name, `${name} cells`])],
-          ["step", "Ahead", horizonOptions(recording, steps)]];
-      },
+      chosen: { recording: listed[0][0], stratum, ahead_s },
+      choices: (now) => [["recording", "Recording", listed],
+        ["stratum", "Cells", Object.keys(firstBins(now)).map((name) => [name, `${name} cells`])],
+        aheadChoice(now, stepsWithBins(now))],
     });
   }
 }

@@ -5,22 +5,30 @@ import { startFigure } from "./figure.js";
 import { pageData } from "./page_data.js";
 import { heightOf, namedRows, rowName } from "./row_names.js";
 import {
-  horizonOptions, recordingNamed, recordingOptions, rowsWith, scoreNamed, scoresOf, scoreWords, strataOf, valueAt,
+  aheadChoice, recordingNamed, recordingOptions, rowsWith, scoreNamed, scoresOf, scoreWords, stepAt, strataOf, valueAt,
 } from "./scores.js";
 
 const LINE = 26;
 
-function rankedRows({ recording, score, stratum, step }) {
-  const { better } = scoreNamed(score);
-  const value = (row) => valueAt(row, stratum, score, step);
+const ranks = ({ better }) => better !== 0;
+
+// A function of a row: its value, or an end of its interval.
+function valueOf(chosen) {
+  const step = stepAt(chosen);
+  return (row, end = "") => valueAt(row, chosen.stratum, chosen.score, step, end);
+}
+
+function rankedRows(chosen) {
+  const { recording, score, stratum } = chosen;
+  const { better } = scoreNamed(score), value = valueOf(chosen);
   const order = (row) => (row.group === "ceiling" ? 0 : row.group === "unranked" ? 2 : 1);
   return rowsWith(recordingNamed(recording), stratum, score)
     .filter((row) => value(row) !== null)
     .sort((a, b) => order(a) - order(b) || (better < 0 ? value(a) - value(b) : value(b) - value(a)));
 }
 
-const tiersOf = ({ recording, score, stratum, step }) =>
-  recordingNamed(recording).tiers[`${score}/${stratum}/${step}`] ?? null;
+const tiersOf = (chosen) =>
+  recordingNamed(chosen.recording).tiers[`${chosen.score}/${chosen.stratum}/${stepAt(chosen)}`] ?? null;
 
 function drawRanking(chosen, width) {
   const rows = rankedRows(chosen);
@@ -29,7 +37,7 @@ function drawRanking(chosen, width) {
     .filter((at) => at.length > 1);
   const narrow = width < 560;
   const left = narrow ? 124 : 210, right = 64 + 12 * groups.length;
-  const at = (row, end = "") => valueAt(row, chosen.stratum, chosen.score, chosen.step, end);
+  const at = valueOf(chosen);
   const range = axisRange(rows.flatMap((row) => [at(row), at(row, "_low"), at(row, "_high")]), false);
   const x = scaleOf(...range, left, width - right);
   const places = namedRows(rows.map((row) => row.name), left - 12, LINE);
@@ -73,7 +81,7 @@ function caption(chosen) {
 
 function rankingNumbers(chosen) {
   const rows = rankedRows(chosen);
-  const at = (row, end) => valueAt(row, chosen.stratum, chosen.score, chosen.step, end);
+  const at = valueOf(chosen);
   const groups = tiersOf(chosen)?.groups ?? [];
   const letters = (row) => groups.map((labels, i) => (labels.includes(row.label) ? String(i + 1) : "")).filter(Boolean).join(" ");
   return [["tracker", "group", chosen.score, "low", "high", "not told apart"],
@@ -89,7 +97,7 @@ export function startRanking() {
     choices: (now) => {
       const recording = recordingNamed(now.recording);
       return [["recording", "Recording", recordingOptions()], ["stratum", "Cells", strataOf(recording)],
-        ["score", "Score", scoresOf(recording, now.stratum)], ["step", "Ahead", horizonOptions(recording)]];
+        ["score", "Score", scoresOf(recording, now.stratum, ranks)], aheadChoice(now)];
     },
     drawing: drawRanking,
     numbers: rankingNumbers,

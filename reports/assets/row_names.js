@@ -25,6 +25,14 @@ export function nameLines(name, room) {
   return lines.filter(Boolean);
 }
 
+// As much of the name as is at most `room` pixels wide, with an ellipsis where it is not the whole.
+export function shortened(name, room) {
+  const signs = [...name];
+  let kept = signs.length, text = name;
+  while (kept > 1 && textWidth(text) > room) text = `${signs.slice(0, kept -= 1).join("").trimEnd()}…`;
+  return text;
+}
+
 // For each name its lines, and the middle `y` and `height` of its row, rows one below the other, pixels.
 export function namedRows(names, room, leastHeight) {
   let bottom = 0;

@@ -2,7 +2,8 @@
 import { startFigure } from "./figure.js";
 import { pageData } from "./page_data.js";
 import {
-  bandWords, ENDS, horizonOptions, lineOf, recordingNamed, recordingOptions, rowsWith, scoreNamed, scoresOf, scoreWords, strataOf, valueAt,
+  aheadChoice, bandWords, ENDS, lineOf, recordingNamed, recordingOptions, rowsWith, scoreNamed, scoresOf, scoreWords,
+  stepAt, strataOf, valueAt,
 } from "./scores.js";
 
 const SCALES = [1, 3, 5, 9];
@@ -10,7 +11,8 @@ const HIDDEN = /^occluded (?:to|over|[\d.]+-)/;
 const hasScale = (recording) => recording.rows.some((row) => Object.values(row.strata).some((one) => one.fss_1));
 const agesOf = (recording) => strataOf(recording, (name) => HIDDEN.test(name)).map(([name]) => name);
 
-function scaleChart({ recording, stratum, step }) {
+function scaleChart(chosen) {
+  const { recording, stratum } = chosen, step = stepAt(chosen);
   const lines = rowsWith(recordingNamed(recording), stratum, "fss_1").toReversed().map((row) => {
     const [values, low, high] = ENDS.map((end) => SCALES.map((scale) => valueAt(row, stratum, `fss_${scale}`, step, end)));
     return lineOf(row, { xs: SCALES, values, low, high });
@@ -28,29 +30,33 @@ function scaleChart({ recording, stratum, step }) {
 export function startScale() {
   const listed = recordingOptions(hasScale);
   if (!listed.length) return;
-  const { stratum, step } = pageData.headline;
+  const { stratum, ahead_s } = pageData.headline;
   startFigure({
     id: "scale",
     title: "Scale",
-    chosen: { recording: listed[0][0], stratum, step },
+    chosen: { recording: listed[0][0], stratum, ahead_s },
     choices: (now) => {
       const recording = recordingNamed(now.recording);
       const scaled = strataOf(recording, (name) => recording.rows.some((row) => row.strata[name]?.fss_1));
-      return [["recording", "Recording", listed], ["stratum", "Cells", scaled], ["step", "Ahead", horizonOptions(recording)]];
+      return [["recording", "Recording", listed], ["stratum", "Cells", scaled], aheadChoice(now)];
     },
     chart: scaleChart,
     line: (now) => `Fractions skill score over the side of a neighbourhood${bandWords(scaleChart(now))}.`,
   });
 }
 
-function hiddenChart({ recording, score, step }) {
+function hiddenChart(chosen) {
+  const { recording, score } = chosen, step = stepAt(chosen);
   const ages = agesOf(recordingNamed(recording)), xs = ages.map((_, i) => i);
   const lines = rowsWith(recordingNamed(recording), ages[0], score).toReversed()
     .map((row) => lineOf(row, { xs, values: ages.map((stratum) => valueAt(row, stratum, score, step)) }));
   const text = (i) => ages[i].replace("occluded ", "");
   return {
     lines,
-    x: { name: "time since the cell was last seen", range: [0, Math.max(ages.length - 1, 1)], ticks: xs.map((i) => [i, text(i)]), words: (i) => `unseen for ${text(i)}` },
+    x: {
+      name: "time since the cell was last seen", range: [0, Math.max(ages.length - 1, 1)],
+      ticks: xs.map((i) => [i, text(i)]), words: (i) => `unseen for ${text(i)}`, written: text,
+    },
     y: { name: scoreNamed(score).name, fromZero: true },
   };
 }
@@ -62,11 +68,11 @@ export function startHiddenTime() {
   startFigure({
     id: "hidden-time",
     title: "Hidden cells",
-    chosen: { recording: listed[0][0], score: "f1", step: pageData.headline.step },
+    chosen: { recording: listed[0][0], score: "f1", ahead_s: pageData.headline.ahead_s },
     choices: (now) => {
       const recording = recordingNamed(now.recording);
       return [["recording", "Recording", listed], ["score", "Score", scoresOf(recording, agesOf(recording)[0])],
-        ["step", "Ahead", horizonOptions(recording)]];
+        aheadChoice(now)];
     },
     chart: hiddenChart,
     line: (now) => `${scoreWords(scoreNamed(now.score))} of cells that no beam reached, by the time since then.`,

@@ -1,4 +1,5 @@
 // Scores of the page's data: by recording, row, stratum, score and step.
+import { inSeconds } from "./axis.js";
 import { pageData } from "./page_data.js";
 import { isShown } from "./shown_trackers.js";
 
@@ -37,16 +38,27 @@ export function strataOf(recording, has = () => true) {
   return [...new Set(recording.rows.flatMap((row) => Object.keys(row.strata)))].filter(has).map((name) => [name, `${name} cells`]);
 }
 
-export function scoresOf(recording, stratum) {
-  return pageData.scores
+export function scoresOf(recording, stratum, has = () => true) {
+  return pageData.scores.filter(has)
     .filter(({ key }) => recording.rows.some((row) => curveOf(row, stratum, key)?.some((v) => v !== null)))
     .map(({ key, name }) => [key, name]);
 }
 
-// The horizons of a recording as options; `steps`: only these.
-export function horizonOptions(recording, steps = null) {
-  return recording.horizons_s.map((s, step) => [step, `${Number(s.toPrecision(3))} s`])
-    .filter(([step]) => (steps ? steps.includes(step) : step > 0));
+const laterSteps = ({ recording }) => recordingNamed(recording).horizons_s.map((_, step) => step).slice(1);
+
+// The choice of the time ahead, in seconds: recordings of other rates have other steps. `steps`: only these.
+export function aheadChoice(chosen, steps = laterSteps(chosen)) {
+  const { horizons_s: seconds } = recordingNamed(chosen.recording);
+  const options = steps.map((step) => [seconds[step], inSeconds(seconds[step])]);
+  return ["ahead_s", "Ahead", options, seconds[stepAt(chosen, steps)]];
+}
+
+// The step of the chosen recording that is nearest to the chosen time ahead, of two equally near ones the even; to a
+// thousandth of a step, as in common/horizons.py.
+export function stepAt(chosen, steps = laterSteps(chosen)) {
+  const { horizons_s: seconds } = recordingNamed(chosen.recording);
+  const away = (step) => Math.round((1000 * Math.abs(seconds[step] - chosen.ahead_s)) / seconds[1]);
+  return steps.toSorted((a, b) => away(a) - away(b) || (a % 2) - (b % 2))[0];
 }
 
 // What a score's name leaves open: that lower is better.

@@ -11,7 +11,13 @@ from gridtrack.reports.page import render_report
 LONG = "new-dilated-convgru (general)"
 LONGER = "a-label-that-somebody-wrote-to-tell-all-of-the-options-of-a-tracker-apart"
 UNBROKEN = "NotASingleSignAtWhichALineCouldEndIsInThisLabel"
+CLASSES = ["pedestrian", "cyclist", "car", "articulated lorry with a trailer", "static"]
 WIDTHS = [1280, 400]
+CURVES = ("nll_per_cell", "nll_per_scan", "nll_summed_over_scans", "balanced_accuracy", "cells", "scans")
+CONFUSED = {
+    **dict.fromkeys(CURVES, [1] * 21),
+    "confusion": [{"step": 8, "cells": [[5, 1, 0, 0, 0, 0]] * len(CLASSES)}],
+}
 
 
 @pytest.fixture(scope="module")
@@ -24,6 +30,8 @@ def report(make_run, tmp_path_factory):
     summary = json.loads((run / "summary.json").read_text())
     (times,) = [one["latency_ms"] for one in summary["trackers"]["persistence"]["recordings"].values()]
     times["update"] |= {"p50": 0.02, "p95": 0.02, "p99": 0.02, "twentieths": [0.02] * 21}
+    (trial,) = summary["trackers"][LONG]["recordings"].values()
+    trial["semantics"] = {"classes": CLASSES, "kinds": {"visible": CONFUSED}}
     (run / "summary.json").write_text(json.dumps(summary))
     return render_report([run])
 
@@ -92,3 +100,29 @@ def test_on_a_narrow_page_a_fact_stands_below_its_name(open_wide):
     names, values = boxes(page, ".answer dt"), boxes(page, ".answer dd")
     assert names
     assert all(value["top"] >= name["bottom"] for name, value in zip(names, values, strict=True))
+
+
+@pytest.mark.parametrize("width", WIDTHS)
+def test_a_confusion_matrix_names_its_classes(open_wide, width):
+    page = open_wide(width)
+    names = boxes(page, "#confusion text.tick")
+    shown = [name["text"] for name in names]
+    assert [name for name in shown if name not in (*CLASSES, "other")] == [shown[3], shown[8]]
+    assert all(name.endswith("…articulated lorry with a trailer") for name in (shown[3], shown[8])), "whole titles"
+    (drawing,) = boxes(page, "#confusion svg.figure-drawing")
+    for name in names:
+        assert drawing["left"] - 1 <= name["left"] < name["right"] <= drawing["right"] + 1
+        assert drawing["top"] - 1 <= name["top"]
+    for left, right in pairwise(names[len(CLASSES) :]):
+        assert left["right"] <= right["left"]
+    cells = min(cell["top"] for cell in boxes(page, "#confusion rect.share"))
+    assert all(name["bottom"] <= cells for name in names[len(CLASSES) :])
+    assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
+
+
+def test_the_file_of_a_confusion_matrix_names_them_too(open_wide):
+    page = open_wide(1280)
+    with page.expect_download() as saved:
+        page.locator("#confusion").get_by_role("button", name="SVG").click()
+    file = saved.value.path().read_text()
+    assert all(file.count(f">{name}</text>") == 2 for name in ("pedestrian", "cyclist", "static"))

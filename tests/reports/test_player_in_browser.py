@@ -11,8 +11,9 @@ import pytest
 from gridtrack.evaluation.scoring.sample_objects import KeptObject
 from gridtrack.evaluation.scoring.samples import read_samples
 from gridtrack.reports.page import render_report
+from gridtrack.reports.scripts import json_in_page
 
-from scenes.report_page import HOSTILE
+from scenes.report_page import HOSTILE, moments_of
 
 expect = pytest.importorskip("playwright.sync_api", reason="playwright, of the extra dev, is not installed").expect
 
@@ -180,11 +181,77 @@ def test_a_box_lies_where_the_object_is_now_and_where_its_velocity_takes_it(brow
     page.close()
 
 
-def test_a_tracker_that_the_page_hides_has_no_panel(opened):
+def test_a_wipe_has_the_objects_of_each_tracker_on_its_own_side(browser, run_folder, tmp_path, monkeypatch):
+    """The body of the test above, of `good` alone: the wipe at column 16 is between where it is and where it goes."""
+    body = KeptObject(7, (-1.0, 1.0, math.pi / 2, 1.0, 0.5), (2.0, 0.0))
+
+    def of_good(path):
+        return (replace(one, objects=(body,) if "good@" in str(path) else ()) for one in read_samples(path))
+
+    monkeypatch.setattr("gridtrack.reports.player.read_samples", of_good)
+    page = browser.new_page(viewport={"width": 1280, "height": 900})
+    page.set_default_timeout(120_000)
+    page.goto(render_report([run_folder], tmp_path).as_uri())
+    page.locator(".player[data-ready]").wait_for()
+    page.get_by_label("wipe between the first two").check()
+    for good_at, beside in ((1, 2), (2, 1)):
+        page.get_by_label(f"tracker {good_at}").select_option("good")
+        page.get_by_label(f"tracker {beside}").select_option("blank")
+        expect(page.locator(".moment-panel span", has_text="good | " if good_at == 1 else " | good")).to_be_visible()
+        across, down = page.locator("canvas.wipes").evaluate(BOX_COLOURS)
+        assert down[1] == pytest.approx(32 - 2.5, abs=0.3)
+        if good_at == 1:
+            assert across == [pytest.approx(11 - 1.25, abs=0.3), pytest.approx(16, abs=0.3)]
+        else:
+            assert across[0] == pytest.approx(16, abs=0.3)
+            assert across[1] >= 11 + 10 + 1.25 - 0.3
+    page.close()
+
+
+def test_a_tracker_that_the_page_hides_has_no_panel_and_is_in_no_menu(opened):
     page, player = opened()
     before = player.locator(".moment-panel").count()
-    page.get_by_role("button", name="good", exact=True).click()
+    first, second = (page.get_by_label(f"tracker {at}").locator("option:checked") for at in (1, 2))
+    switch = page.locator("#trackers").get_by_role("button", name="good", exact=True)
+    switch.click()
     assert player.locator(".moment-panel").count() == before - 1
+    assert first.inner_text() == "none"
+    assert second.inner_text() != "none"
+    assert page.get_by_label("tracker 2").locator("option", has_text=re.compile("^good$")).is_disabled()
+    switch.click()
+    assert player.locator(".moment-panel").count() == before
+    assert first.inner_text() == "good"
+
+
+RIGHT, HALF, WRONG, NOTHING = [4, 0, 0], [2, 2, 2], [0, 4, 4], [0, 0, 0]
+
+
+@pytest.mark.parametrize(
+    ("counts", "line"),
+    [
+        (
+            {6: (RIGHT, HALF), 8: (RIGHT, WRONG), 9: (WRONG, WRONG)},
+            "moment 9 of 20, the most telling of {} and {} +1 s",
+        ),
+        ({6: (HALF, HALF), 9: (WRONG, WRONG)}, "moment 10 of 20, the worst of {} +1 s"),
+        ({}, "moment 1 of 20"),
+    ],
+)
+def test_the_player_opens_at_the_most_telling_moment_else_the_worst_else_the_first(
+    browser, run_folder, tmp_path, counts, line
+):
+    """A page whose first two trackers have these counts, by moment, and in which nothing moves at any other."""
+    html = render_report([run_folder], tmp_path).read_text("utf-8")
+    (data,) = moments_of(html)
+    for at, moment in enumerate(data["moments"]):
+        moment["counts"] = [[*counts.get(at, (NOTHING, NOTHING)), *row[2:]] for row in moment["counts"]]
+    moments = re.search(r'id="moments-0">(.*?)</script>', html, re.DOTALL)[1]
+    (tmp_path / "changed.html").write_text(html.replace(moments, json_in_page(data)))
+    page = browser.new_page(viewport={"width": 1280, "height": 900})
+    page.set_default_timeout(60_000)
+    page.goto((tmp_path / "changed.html").as_uri())
+    expect(page.locator(".player .why")).to_have_text(line.format(*data["trackers"]))
+    page.close()
 
 
 @pytest.mark.parametrize("width", [1280, 400])
@@ -266,16 +333,37 @@ def two_recordings(run_folder, tmp_path):
     return render_report([run])
 
 
-def test_another_recording_keeps_the_chosen_trackers(browser, two_recordings):
+def test_another_recording_keeps_the_chosen_trackers_and_the_horizon(browser, two_recordings):
     page = browser.new_page(viewport={"width": 1280, "height": 900})
     page.set_default_timeout(60_000)
     page.goto(two_recordings.as_uri())
     page.locator(".player[data-ready]").wait_for()
     page.get_by_label("tracker 1").select_option("blank")
     page.get_by_label("tracker 2").select_option("none")
+    page.get_by_role("slider", name="horizon").fill("2")
     page.locator("#moments").get_by_label("Recording").select_option("again")
     player = page.locator(".player:visible[data-ready]")
     player.wait_for()
     chosen = player.locator(".menu select option:checked").all_text_contents()
     assert chosen[:4] == ["blank", "persistence", "blank", "none"]
+    expect(player.locator(".slider output").nth(1)).to_have_text("+2 s")
+    page.close()
+
+
+def test_the_same_button_again_leads_to_such_a_moment_of_the_next_recording(browser, two_recordings):
+    page = browser.new_page(viewport={"width": 1280, "height": 900})
+    page.set_default_timeout(60_000)
+    page.goto(two_recordings.as_uri())
+    page.locator(".player[data-ready]").wait_for()
+    recording = page.locator("#moments").get_by_label("Recording")
+    page.get_by_label("tracker 1").select_option("blank")
+    for name in ("crossing", "again", "crossing"):
+        worst = page.locator(".player:visible").get_by_role("button", name="worst of the first")
+        worst.click()
+        expect(recording).to_have_value(name)
+        why = page.locator(".player:visible .why")
+        expect(why).to_have_text(
+            re.compile(r"^moment \d+ of 20, the worst of blank \+1 s; again: of the next recording$")
+        )
+        expect(page.locator(".player:visible").get_by_role("button", name="worst of the first")).to_be_focused()
     page.close()

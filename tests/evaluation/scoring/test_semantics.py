@@ -37,6 +37,23 @@ def random_semantics(rng, classes):
     return np.ascontiguousarray(np.moveaxis(p, -1, 1))
 
 
+@pytest.mark.parametrize(
+    ("horizons_s", "steps"),
+    [([0.0, 0.5, 1.0], [0, 1, 2]), ([0.0, 0.526316, 1.052632], [0, 1, 2]), ([0.0, 2.5], [0, 1]), ([0.0], [0])],
+)
+def test_there_is_a_confusion_matrix_at_the_step_nearest_to_each_horizon(horizons_s, steps, tmp_path):
+    rng = np.random.default_rng(3)
+    last = len(horizons_s) - 1
+    with ClassWriter(tmp_path, NAMES, semantics=True) as writer:
+        writer.add_semantics(
+            0, *count_classes(random_semantics(rng, len(NAMES)), random_targets(rng), match_classes(NAMES, NAMES))
+        )
+        writer.add_found(0, np.zeros((STEPS + 1, 2, len(NAMES), 4), np.int32))
+    record = TrialRecord(label="a", recording="r", outcome="ok", steps=STEPS, frames_scored=1)
+    kinds = class_scores([(record, tmp_path, list(range(last + 1)))], NAMES, horizons_s).semantics.kinds
+    assert [one.step for one in kinds["visible"].confusion] == steps
+
+
 @pytest.fixture
 def case():
     rng = np.random.default_rng(3)

@@ -1,0 +1,141 @@
+"""What can be chosen in the figures of a run: the time ahead lasts over recordings of unlike rates, and what ranks."""
+
+import copy
+import json
+import shutil
+
+import pytest
+
+from gridtrack.evaluation.results.trial_summary import better_direction
+from gridtrack.evaluation.statistics.summary import summarise
+from gridtrack.reports.page import render_report
+from gridtrack.reports.page_data import PAGE_SCORES
+
+from scenes import synthetic_run as synthetic
+
+PERIODS_S = {"fast": (0.05, 50), "slow": (0.2, 12), "uneven": (0.105263, 24)}
+"""The period of each recording, and its steps: 1 s is step 20, step 5, and between 9 and 10: the even one."""
+NAMES = "Recording", "Cells"
+WITH_HORIZON = ["ranking", "scale", "precision-recall", "threshold", "calibration", "every-score"]
+
+CONFUSION_AT = {"slow": (0, 5), "uneven": (0,)}
+"""The steps with confusion matrices."""
+CURVES = ("nll_per_cell", "nll_per_scan", "nll_summed_over_scans", "balanced_accuracy", "cells", "scans")
+
+
+def semantics(last, steps):
+    confusion = [{"step": step, "cells": [[5, 1, 0], [2, 3, 1]]} for step in steps]
+    kinds = {"visible": {**dict.fromkeys(CURVES, [1] * (last + 1)), "confusion": confusion}}
+    return {"classes": ["bus", "car"], "kinds": kinds}
+
+
+@pytest.fixture(scope="module")
+def report(tmp_path_factory):
+    run = tmp_path_factory.mktemp("runs") / "unlike"
+    trials = [
+        synthetic.write_trial(run, label, recording, skill, seed=seed, frames=6, steps=steps)
+        for seed, (recording, (_, steps)) in enumerate(PERIODS_S.items())
+        for label, skill in {"persistence": 0.6, "good": 0.8}.items()
+    ]
+    described = {
+        name: synthetic.description(period_s=period_s, steps=steps) for name, (period_s, steps) in PERIODS_S.items()
+    }
+    summarise(described, trials, [], False).write(run)
+    synthetic.write_run_record(run, described)
+    summary = json.loads((run / "summary.json").read_text())
+    for recording, steps in CONFUSION_AT.items():
+        summary["trackers"]["good"]["recordings"][recording]["semantics"] = semantics(PERIODS_S[recording][1], steps)
+    (run / "summary.json").write_text(json.dumps(summary))
+    return render_report([run])
+
+
+@pytest.fixture
+def page(browser, report):
+    page = browser.new_page(viewport={"width": 1280, "height": 900})
+    page.set_default_timeout(20_000)
+    page.goto(report.as_uri())
+    page.locator("#every-score table").wait_for()
+    yield page
+    page.close()
+
+
+def ahead_of(page, figure):
+    return page.locator(f"#{figure}").get_by_label("Ahead").locator("option:checked").inner_text()
+
+
+@pytest.mark.parametrize("figure", WITH_HORIZON)
+def test_another_recording_has_the_chosen_time_ahead(page, figure):
+    assert ahead_of(page, figure) == "1 s", "at the start"
+    for recording, ahead in {"slow": "1 s", "uneven": "1.05 s", "fast": "1 s"}.items():
+        page.locator(f"#{figure}").get_by_label("Recording").select_option(recording)
+        assert ahead_of(page, figure) == ahead
+
+
+def test_the_nearest_time_is_taken_and_what_was_chosen_comes_back(page):
+    ranking = page.locator("#ranking")
+    ranking.get_by_label("Recording").select_option("fast")
+    ranking.get_by_label("Ahead").select_option("0.75 s")
+    first = ranking.locator("svg").get_attribute("aria-label")
+    ranking.get_by_label("Recording").select_option("slow")
+    assert ahead_of(page, "ranking") == "0.8 s"
+    ranking.get_by_label("Recording").select_option("fast")
+    assert ahead_of(page, "ranking") == "0.75 s"
+    assert ranking.locator("svg").get_attribute("aria-label") == first
+
+
+def test_where_the_only_time_is_another_one_the_figure_says_so(page):
+    confusion = page.locator("#confusion")
+    assert ahead_of(page, "confusion") == "1 s"
+    confusion.get_by_label("Recording").select_option("uneven")
+    assert confusion.get_by_label("Ahead").is_visible()
+    assert ahead_of(page, "confusion") == "0 s"
+    confusion.get_by_label("Recording").select_option("slow")
+    assert ahead_of(page, "confusion") == "1 s"
+
+
+def test_the_scores_that_are_drawn_are_those_of_that_time(page, report):
+    """The table of every score, of which each step is another draw, beside the ranking."""
+    for figure in ("ranking", "every-score"):
+        page.locator(f"#{figure}").get_by_label("Recording").select_option("slow")
+    headings = page.locator("#every-score thead th").all_inner_texts()
+    row = page.locator("#every-score tbody tr", has_text="good").locator("td").nth(headings.index("F1") - 1)
+    page.locator("#ranking").get_by_label("Score").select_option("F1")
+    drawn = page.locator("#ranking svg").get_attribute("aria-label")
+    assert f"good {row.inner_text().split()[0]}" in drawn
+
+
+def test_only_scores_of_which_more_or_less_is_better_are_ranked(page):
+    offered = page.locator("#ranking").get_by_label("Score").locator("option").all_inner_texts()
+    assert {"PR-AUC", "F1", "Log loss, nats", "Beam error, m"} <= set(offered)
+    without = {name for key, name in PAGE_SCORES.items() if better_direction(key) == 0}
+    assert "Beam bias, m" in without
+    assert without.isdisjoint(offered)
+    assert "Beam bias, m" in page.locator("#curves").get_by_label("Score").locator("option").all_inner_texts()
+
+
+def test_a_choice_that_another_recording_does_not_have_leaves_the_figure_whole(browser, run_folder, tmp_path):
+    """Hidden cells are scored on one recording only."""
+    run = shutil.copytree(run_folder, tmp_path / "run")
+    summary, record = (json.loads((run / name).read_text()) for name in ("summary.json", "run.json"))
+    for recordings in (summary["recordings"], record["configuration"]["recordings"]):
+        recordings["again"] = recordings["crossing"]
+    for row in summary["trackers"].values():
+        again = row["recordings"]["again"] = copy.deepcopy(row["recordings"]["crossing"])
+        again["strata"]["occluded"] = again["strata"]["visible"]
+    (run / "summary.json").write_text(json.dumps(summary))
+    (run / "run.json").write_text(json.dumps(record))
+    page = browser.new_page()
+    page.set_default_timeout(20_000)
+    faults = []
+    page.on("pageerror", lambda error: faults.append(str(error)))
+    page.goto(render_report([run]).as_uri())
+    page.locator("#every-score table").wait_for()
+    for figure in ("ranking", "curves", "every-score"):
+        recording, cells = (page.locator(f'#{figure} .choice:has(span:text-is("{name}")) select') for name in NAMES)
+        recording.select_option("again")
+        cells.select_option("occluded")
+        recording.select_option("crossing")
+        assert cells.input_value() != "occluded"
+        assert page.locator(f"#{figure} select:visible").count() >= 3
+    assert faults == []
+    page.close()
