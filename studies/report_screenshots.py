@@ -15,6 +15,7 @@ from pathlib import Path
 
 from playwright.sync_api import Page, sync_playwright
 
+from gridtrack.common.errors import GridtrackError
 from gridtrack.reports.page import render_report
 
 WIDTHS = (1280, 400)
@@ -68,7 +69,11 @@ def main() -> None:
     chromium = shutil.which("chromium")
     if chromium is None:
         sys.exit("chromium: there is no such program; Debian: apt install chromium")
-    for path in take_pictures(render_report([arguments.run]), arguments.out, chromium, arguments.only):
+    try:
+        report = render_report([arguments.run])
+    except GridtrackError as error:
+        sys.exit(f"{error} (`make demo` makes runs/demo)")
+    for path in take_pictures(report, arguments.out, chromium, arguments.only):
         print(path)
 
 
