@@ -69,6 +69,7 @@ class DeepTrackingRNN(nn.Module):
         holds = unit[: self.channels // 2]
         recur[holds, free[partner[holds]]] -= STEEPNESS
         recur[holds, encoded + holds] += HOLD
+        assert self.recur.bias is not None
         self.recur.bias[holds] = -HOLD / 2
         decode[0, holds] += 1.5 * STEEPNESS / len(holds)
 
