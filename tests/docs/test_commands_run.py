@@ -139,6 +139,7 @@ PLACES: dict[str, Prepare] = {
     "docs/scale.md 2": lambda folder: shutil.copyfile(packaged_recording("leg_tracker"), folder / "my.mcap"),
     "docs/scale.md 3": lambda folder: shutil.copyfile(packaged_recording("leg_tracker"), folder / "my.mcap"),
     "docs/statistics.md": bag_and_clone,
+    "docs/trackers/floor.md": places.clone,
     "docs/trackers/model-free.md": places.clone,
     "docs/trackers/one-shot.md": places.clone,
     "docs/viewers.md": my_bag,
