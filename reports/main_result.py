@@ -7,7 +7,7 @@ from typing import Literal
 
 from gridtrack.evaluation.statistics.jackknife import LEAST_UNITS
 from gridtrack.reports.run import ReportedRun
-from gridtrack.reports.table import HeadlineTable, TableRow, row_key
+from gridtrack.reports.table import HeadlineTable, TableRow, joined_names, row_key
 from gridtrack.reports.tiers import TOLD_APART
 
 NAMED_ROWS = 2
@@ -161,8 +161,7 @@ def _highest(rows: Sequence[TableRow], at: int) -> tuple[TableRow, ...]:
 
 
 def _names(rows: Sequence[TableRow]) -> str:
-    names = [row.name for row in rows]
-    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
+    return joined_names([row.name for row in rows])
 
 
 def _some(rows: Sequence[TableRow]) -> str:

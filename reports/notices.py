@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from gridtrack.common.errors import MAX_LINE_CHARS
 from gridtrack.evaluation.results.trial_summary import TrialSummary
 from gridtrack.reports.run import ReportedRun
-from gridtrack.reports.table import HeadlineTable, TableRow, outcome_words
+from gridtrack.reports.table import HeadlineTable, TableRow, joined_names, outcome_words
 
 MOST_RECORDINGS = 3
 """Further recordings of a notice are counted."""
@@ -137,5 +137,5 @@ def _before(names: Sequence[str], runs: Sequence[ReportedRun]) -> str:
 def _counted(recordings: Sequence[str], of_run: int) -> str:
     """Recordings by name where they are few, else by number: `of_run` is that of all."""
     if len(recordings) <= MOST_RECORDINGS:
-        return " and ".join(filter(None, (", ".join(recordings[:-1]), recordings[-1])))
+        return joined_names(recordings)
     return f"{'all ' if len(recordings) == of_run else ''}{len(recordings)} recordings"

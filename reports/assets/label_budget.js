@@ -1,14 +1,13 @@
 // Log loss of the classes over the number of labelled scans that the weights of a row learned them from.
 import { startFigure } from "./figure.js";
 import { pageData } from "./page_data.js";
-import { aheadChoice, bandWords, recordingNamed, recordingOptions, stepAt } from "./scores.js";
+import { aheadChoice, allSteps, bandWords, recordingNamed, recordingOptions, stepAt } from "./scores.js";
 import { isShown } from "./shown_trackers.js";
 
 const labelledRows = (recording, visibility) => recording.rows.filter((row) => row.label_budget?.losses[visibility]);
 const budgetsOf = (rows) => [...new Set(rows.map((row) => row.label_budget.scans))].sort((a, b) => a - b);
 const visibilitiesOf = (recording) => [...new Set(recording.rows.flatMap((row) => Object.keys(row.label_budget?.losses ?? {})))]
   .filter((visibility) => budgetsOf(labelledRows(recording, visibility)).length > 1);
-const allSteps = ({ recording }) => recordingNamed(recording).horizons_s.map((_, step) => step);
 const lossOf = (row, chosen, end = "") =>
   row.label_budget.losses[chosen.visibility][`nll${end}`]?.[stepAt(chosen, allSteps(chosen))] ?? null;
 const shownRows = (chosen) => labelledRows(recordingNamed(chosen.recording), chosen.visibility)

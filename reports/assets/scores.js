@@ -44,7 +44,8 @@ export function scoresOf(recording, stratum, has = () => true) {
     .map(({ key, name }) => [key, name]);
 }
 
-const laterSteps = ({ recording }) => recordingNamed(recording).horizons_s.map((_, step) => step).slice(1);
+export const allSteps = ({ recording }) => recordingNamed(recording).horizons_s.map((_, step) => step);
+const laterSteps = (chosen) => allSteps(chosen).slice(1);
 
 // The choice of the time ahead, in seconds: recordings of other rates have other steps. `steps`: only these.
 export function aheadChoice(chosen, steps = laterSteps(chosen)) {

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import re
 
+MAY_BE_CHANCE = "°"
+"""Stands behind a difference whose corrected p-value is 0.05 or more."""
+
 
 def score_text(value: float, low: float | None = None, high: float | None = None, *, signed: bool = False) -> str:
     """Three decimals; the interval where it is known."""

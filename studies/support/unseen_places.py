@@ -19,7 +19,7 @@ from gridtrack.trackers.card import GENERAL
 
 from studies.support.comparison import finished_trials
 from studies.support.results_file import ResultTable, measured_table
-from studies.support.score_text import score_text
+from studies.support.score_text import MAY_BE_CHANCE, score_text
 
 WEIGHTS, TRAININGS = Path("data/weights"), Path("studies/trainings")
 REFERENCE = "persistence"
@@ -34,8 +34,6 @@ FAMILIES = {
 WITHOUT_WEIGHTS = (REFERENCE, "blank")
 STRATA = {"in-motion": "in motion", "dynamic": "dynamic", "visible": "visible", "occluded": "hidden"}
 HORIZONS_S = (0.5, 1.0, 2.5)
-MAY_BE_CHANCE = "°"
-"""Marks a difference whose corrected p-value is too large."""
 NONE = "–"
 """Where a score is undefined, such as F1 where no cell of the stratum is occupied."""
 

@@ -121,4 +121,4 @@ class DeepTrackingRNN(nn.Module):
 def _centre(convolution: nn.Conv2d) -> Tensor:
     """The weights (outputs, inputs) of a cell for itself, a view."""
     rows, columns = convolution.kernel_size
-    return convolution.weight.detach()[:, :, rows // 2, columns // 2]
+    return convolution.weight[:, :, rows // 2, columns // 2]

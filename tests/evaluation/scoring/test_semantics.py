@@ -37,20 +37,22 @@ def random_semantics(rng, classes):
     return np.ascontiguousarray(np.moveaxis(p, -1, 1))
 
 
+def scored_kinds(case, folder, horizons_s):
+    """The scores of one frame, by kind of cell, at the steps that have these horizons."""
+    semantics, targets = case
+    with ClassWriter(folder, NAMES, semantics=True) as writer:
+        writer.add_semantics(0, *count_classes(semantics, targets, match_classes(NAMES, NAMES)))
+        writer.add_found(0, np.zeros((STEPS + 1, 2, len(NAMES), 4), np.int32))
+    record = TrialRecord(label="a", recording="r", outcome="ok", steps=STEPS, frames_scored=1)
+    return class_scores([(record, folder, list(range(len(horizons_s))))], NAMES, horizons_s).semantics.kinds
+
+
 @pytest.mark.parametrize(
     ("horizons_s", "steps"),
     [([0.0, 0.5, 1.0], [0, 1, 2]), ([0.0, 0.526316, 1.052632], [0, 1, 2]), ([0.0, 2.5], [0, 1]), ([0.0], [0])],
 )
-def test_there_is_a_confusion_matrix_at_the_step_nearest_to_each_horizon(horizons_s, steps, tmp_path):
-    rng = np.random.default_rng(3)
-    last = len(horizons_s) - 1
-    with ClassWriter(tmp_path, NAMES, semantics=True) as writer:
-        writer.add_semantics(
-            0, *count_classes(random_semantics(rng, len(NAMES)), random_targets(rng), match_classes(NAMES, NAMES))
-        )
-        writer.add_found(0, np.zeros((STEPS + 1, 2, len(NAMES), 4), np.int32))
-    record = TrialRecord(label="a", recording="r", outcome="ok", steps=STEPS, frames_scored=1)
-    kinds = class_scores([(record, tmp_path, list(range(last + 1)))], NAMES, horizons_s).semantics.kinds
+def test_there_is_a_confusion_matrix_at_the_step_nearest_to_each_horizon(case, horizons_s, steps, tmp_path):
+    kinds = scored_kinds(case, tmp_path, horizons_s)
     assert [one.step for one in kinds["visible"].confusion] == steps
 
 
@@ -68,11 +70,7 @@ def of_kind(target, semantics, state):
 
 def test_confusion_log_loss_and_balanced_accuracy_agree_with_scikit_learn(case, tmp_path):
     semantics, targets = case
-    with ClassWriter(tmp_path, NAMES, semantics=True) as writer:
-        writer.add_semantics(0, *count_classes(semantics, targets, match_classes(NAMES, NAMES)))
-        writer.add_found(0, np.zeros((STEPS + 1, 2, len(NAMES), 4), np.int32))
-    record = TrialRecord(label="a", recording="r", outcome="ok", steps=STEPS, frames_scored=1)
-    kinds = class_scores([(record, tmp_path, list(range(STEPS + 1)))], NAMES, [0.0, 0.5, 1.0]).semantics.kinds
+    kinds = scored_kinds(case, tmp_path, [0.0, 0.5, 1.0])
     for kind, state in (("visible", SEEN_OCCUPIED), ("occluded", HIDDEN_OCCUPIED)):
         for n, target in enumerate(targets):
             truth, p = of_kind(target, semantics[n], state)
