@@ -148,7 +148,8 @@ def card_for(
 ) -> Card:
     """The card of a training on `train`: a general one where `out` asks for it.
 
-    Arrays with a value per cell lie in the window of the first frame. Raises WeightsError where the training stretches
+    Settings that are None, which TOML cannot hold, are left out: it is their default. Arrays with a value per cell lie
+    in the window of the first frame. Raises WeightsError where the training stretches
     of a site differ in grid, period or site.
     """
     sources = list(train)
@@ -159,7 +160,7 @@ def card_for(
         command=out.command,
         train=_data_of(sources),
         validation=_data_of(validation),
-        settings=dict(settings),
+        settings={name: value for name, value in settings.items() if value is not None},
         results=dict(results or {}),
     )
 

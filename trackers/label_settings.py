@@ -8,14 +8,18 @@ from pydantic import Field
 
 from gridtrack.common.config import Settings
 
+ENOUGH_SCANS = 800
+"""So many labelled scans are drawn where the user asks for no number: as many as in the paper (Experimental Results)."""
+
 ClassWeights = Literal["inverse-frequency", "none"]
 
 
 class LabelSettings(Settings):
     """Which labels a tracker learns from."""
 
-    labelled_scans: int = Field(800, ge=1)
-    """Number of labelled scans that the classes are learned from; the seed draws them."""
+    labelled_scans: int | None = Field(None, ge=1)
+    """Number of labelled scans that the classes are learned from; the seed draws them. None: ENOUGH_SCANS, or all where
+    fewer are labelled; the card states how many there were."""
     label_drawing: Literal["spread", "consecutive"] = "spread"
     """`spread`: scans from the whole training recordings, as a person would choose them; `consecutive`: in a row."""
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from gridtrack.common.errors import ConfigurationError
 from gridtrack.common.grid import LabelledFrame
 from gridtrack.trackers.contract import FrameSource
-from gridtrack.trackers.label_settings import LabelSettings
+from gridtrack.trackers.label_settings import ENOUGH_SCANS, LabelSettings
 
 LEAD_IN = 32
 """Frames without labels before a labelled scan. They initialise the state of a tracker: the referee's warm-up has 20
@@ -38,11 +38,16 @@ class LabelledScans:
     classes: tuple[str, ...]
 
     @property
+    def count(self) -> int:
+        """How many scans these are."""
+        return sum(own.size for own in self.numbers)
+
+    @property
     def name(self) -> str:
         """Number of scans, by source with their first and last second where these are few, for cards."""
         drawn = list(self._drawn())
         if len(drawn) > NAMED_SOURCES:
-            return f"{sum(own.size for _, own in drawn)} scans of {len(drawn)} recordings"
+            return f"{self.count} scans of {len(drawn)} recordings"
         return "; ".join(
             f"{source.name}, {len(own)} scans from {own[0] * source.period_s:g} s to {own[-1] * source.period_s:g} s"
             for source, own in drawn
@@ -84,23 +89,25 @@ def _run(
 
 
 def draw_labelled(sources: Sequence[FrameSource], settings: LabelSettings, seed: int) -> LabelledScans:
-    """Draw `settings.labelled_scans` scans among those of `sources` that have labels.
+    """Draw `settings.labelled_scans` scans among those of `sources` that have labels, by default up to ENOUGH_SCANS.
 
     `spread`: the scans with labels, in their order, are divided into as many runs of equal length, and one scan of each
     run is drawn. `consecutive`: scans that follow one another; every possible first one is equally likely. Raises
-    ConfigurationError where there are too few.
+    ConfigurationError where there are fewer than requested, or none.
     """
     present = [[np.unique(item.labels) for item in source.labelled()] for source in sources]
     labelled = [np.array([labels.size > 0 for labels in own], np.bool_) for own in present]
-    draw = spread_scans if settings.label_drawing == "spread" else consecutive_scans
-    drawn = draw(labelled, settings.labelled_scans, np.random.default_rng(seed))
-    if drawn is None:
+    consecutive = settings.label_drawing == "consecutive"
+    there = longest_run(labelled) if consecutive else sum(int(own.sum()) for own in labelled)
+    scans = settings.labelled_scans or min(ENOUGH_SCANS, there)
+    if not 0 < scans <= there:
         few = len(sources) <= NAMED_SOURCES
         names = ", ".join(source.name for source in sources) if few else f"{len(sources)} recordings"
-        kind = "consecutive labelled" if settings.label_drawing == "consecutive" else "labelled"
-        raise ConfigurationError(
-            f"{names}: no {settings.labelled_scans} {kind} scans: use fewer labelled_scans, or a recording with labels"
-        )
+        kind = "consecutive labelled" if consecutive else "labelled"
+        if not there:
+            raise ConfigurationError(f"{names}: no labelled scans: train on a recording with labels")
+        raise ConfigurationError(f"{names}: {there} {kind} scans, not {scans}: set labelled_scans to at most {there}")
+    drawn = (consecutive_scans if consecutive else spread_scans)(labelled, scans, np.random.default_rng(seed))
     learned: dict[str, None] = {}
     for source, own, numbers in zip(sources, present, drawn, strict=True):
         learned |= dict.fromkeys(learned_classes(source.classes, (own[number] for number in numbers)))
@@ -109,12 +116,10 @@ def draw_labelled(sources: Sequence[FrameSource], settings: LabelSettings, seed:
 
 def spread_scans(
     labelled: Sequence[NDArray[np.bool_]], scans: int, draw: np.random.Generator
-) -> list[NDArray[np.int64]] | None:
+) -> list[NDArray[np.int64]]:
     """Numbers of the frames of one scan in each of `scans` equal runs of the `labelled` ones, by source."""
     source = np.repeat(np.arange(len(labelled)), [np.count_nonzero(own) for own in labelled])
     number = np.concatenate([np.flatnonzero(own) for own in labelled])
-    if number.size < scans:
-        return None
     edges = np.linspace(0, number.size, scans + 1).round().astype(np.int64)
     chosen = draw.integers(edges[:-1], edges[1:])
     return [number[chosen[source[chosen] == one]] for one in range(len(labelled))]
@@ -122,16 +127,20 @@ def spread_scans(
 
 def consecutive_scans(
     labelled: Sequence[NDArray[np.bool_]], scans: int, draw: np.random.Generator
-) -> list[NDArray[np.int64]] | None:
+) -> list[NDArray[np.int64]]:
     """Numbers of the frames of `scans` scans in a row, of one source."""
     starts = [possible_starts(own, scans) for own in labelled]
     ends = np.cumsum([len(possible) for possible in starts])
-    if not ends[-1]:
-        return None
     at = int(draw.integers(ends[-1]))
     chosen = int(np.searchsorted(ends, at, side="right"))
     first = starts[chosen][at - ends[chosen]]
     return [np.arange(first, first + scans) if one == chosen else np.zeros(0, np.int64) for one in range(len(labelled))]
+
+
+def longest_run(labelled: Sequence[NDArray[np.bool_]]) -> int:
+    """The largest number of consecutive frames of one source that are all `labelled`, each (T,) bool."""
+    edges = (np.flatnonzero(np.diff(own, prepend=False, append=False)) for own in labelled)
+    return max((int((ends[1::2] - ends[::2]).max()) for ends in edges if ends.size), default=0)
 
 
 def possible_starts(labelled: NDArray[np.bool_], scans: int) -> NDArray[np.int64]:

@@ -8,7 +8,7 @@ import pytest
 from gridtrack.common.errors import ConfigurationError
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec, LabelledFrame
-from gridtrack.trackers.label_settings import LabelSettings
+from gridtrack.trackers.label_settings import ENOUGH_SCANS, LabelSettings
 from gridtrack.trackers.labelled_scans import LEAD_IN, draw_labelled, possible_starts, run_bounds
 
 NONE = np.zeros(0, np.int64)
@@ -104,10 +104,19 @@ def test_scans_in_a_row_are_of_one_recording_and_every_start_is_possible():
 def test_a_recording_with_too_few_labels_is_refused_in_one_line():
     source = Source("toy-0", 240, unlabelled=100)
     assert len(drawn([source], 140).numbers[0]) == 140
-    with pytest.raises(ConfigurationError, match="toy-0: no 141 labelled scans: use fewer labelled_scans"):
+    with pytest.raises(ConfigurationError, match="toy-0: 140 labelled scans, not 141: set labelled_scans to at most 140"):
         drawn([source], 141)
-    with pytest.raises(ConfigurationError, match="toy-0: no 141 consecutive labelled scans"):
+    with pytest.raises(ConfigurationError, match="toy-0: 140 consecutive labelled scans, not 141"):
         drawn([source], 141, drawing="consecutive")
+
+
+@pytest.mark.parametrize("drawing", ["spread", "consecutive"])
+def test_without_a_number_a_short_recording_gives_all_its_labelled_scans_and_a_long_one_enough(drawing):
+    short, long = Source("short", 90, unlabelled=30), Source("long", ENOUGH_SCANS + 100)
+    assert drawn([short], None, drawing=drawing).count == 60
+    assert drawn([short, long], None, drawing=drawing).count == ENOUGH_SCANS
+    with pytest.raises(ConfigurationError, match="none: no labelled scans: train on a recording with labels"):
+        drawn([Source("none", 20, unlabelled=20)], None, drawing=drawing)
 
 
 def test_only_classes_with_a_label_in_a_drawn_scan_are_learned():
@@ -127,5 +136,5 @@ def test_many_recordings_are_counted_on_a_card_and_in_errors_not_listed():
     sources = [Source(f"toy {number}", 20) for number in range(5)]
     assert drawn(sources, 10).name == "10 scans of 5 recordings"
     assert drawn(sources[:2], 2).name.startswith("toy 0, 1 scans from ")
-    with pytest.raises(ConfigurationError, match=r"^5 recordings: no 101 labelled scans"):
+    with pytest.raises(ConfigurationError, match=r"^5 recordings: 100 labelled scans, not 101"):
         drawn(sources, 101)

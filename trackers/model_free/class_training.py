@@ -108,7 +108,7 @@ def fit_classes(
     model, loss = best_model(training, held_out, cell_prior, out)
 
     results = _results(labelled, training, classes, model, loss, out)
-    settings = options.model_dump(include=set(LabelSettings.model_fields))
+    settings = options.model_dump(include=set(LabelSettings.model_fields)) | {"labelled_scans": labelled.count}
     card = with_classes(weights.card, classes, train, validation, settings, results)
     save_weights(out.path, card, bare | model.arrays())
 

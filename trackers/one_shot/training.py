@@ -49,6 +49,7 @@ def fit_classifier(
         "validation_log_loss": round(best.log_loss, 5),
     }
     settings = options.model_dump(mode="json") | best.settings.model_dump(mode="json")
+    settings["labelled_scans"] = labelled.count
     card = card_for(ONE_SHOT, out, train, validation, settings, results)
     arrays = {name: value.numpy() for name, value in best.classifier.state_dict().items()}
     card = card.model_copy(update={"classes": classes})

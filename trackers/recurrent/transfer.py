@@ -82,6 +82,7 @@ def fit_class_decoder(
     settings = {
         **options.model_dump(include={*LabelSettings.model_fields, "class_layers", "decoded_layers"}),
         **{name: getattr(best.settings, of) for of, name in DECODER_SETTINGS.items()},
+        "labelled_scans": labelled.count,
     }
     results = _card_results(labelled, training_cells, best, out)
     card = with_classes(weights.card, labelled.classes, train, validation, settings, results)
