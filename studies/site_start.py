@@ -24,7 +24,7 @@ HALL, SITE = Path("data/leg_tracker/leg_tracker.mcap"), "leg_tracker"
 STRETCHES = {"validation": f"{HALL}@validation", "test": f"{HALL}@test"}
 TRACKERS = ("kalman", "dilated-convgru")
 WAYS = ("from general", "from scratch")
-RECIPES = Path("studies/recipes/weights")
+RECIPES = Path("studies/recipes/from-scratch")
 """What a tracker is trained with from scratch, TRACKER-SITE.toml; from general weights their own settings hold."""
 SCORES = (
     ("in-motion", "pr_auc", "PR-AUC, in motion"),
