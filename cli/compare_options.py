@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from gridtrack.cli.completion import complete_row
+from gridtrack.cli.completion import complete_degradation, complete_engine, complete_row, complete_slurm
 from gridtrack.cli.options import fetch_recordings
 
 RowsOption = Annotated[
@@ -39,7 +39,11 @@ DeadlineOption = Annotated[
 ]
 DegradeOption = Annotated[
     str | None,
-    typer.Option(metavar="KIND=VALUE,...", help="After the scores, score on degraded frames, one kind at a time"),
+    typer.Option(
+        metavar="KIND=VALUE,...",
+        help="After the scores, score on degraded frames, one kind at a time",
+        autocompletion=complete_degradation,
+    ),
 ]
 FollowOption = Annotated[
     bool,
@@ -50,7 +54,11 @@ IdleTimeoutOption = Annotated[
 ]
 EngineOption = Annotated[
     str | None,
-    typer.Option(metavar="ENGINE", help="What runs the trials: local, or the nodes of a cluster: ray or slurm"),
+    typer.Option(
+        metavar="ENGINE",
+        help="What runs the trials: local, or the nodes of a cluster: ray or slurm",
+        autocompletion=complete_engine,
+    ),
 ]
 AddressOption = Annotated[
     str | None, typer.Option(help="Of the Ray cluster; default: the one that this machine belongs to")
@@ -60,5 +68,6 @@ SlurmOption = Annotated[
     typer.Option(
         metavar="KEY=VALUE,...",
         help="What a trial asks of Slurm: partition, account, timeout_min, mem_gb; default: only --threads cores",
+        autocompletion=complete_slurm,
     ),
 ]

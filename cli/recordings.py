@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 
 import typer
 
+from gridtrack.cli.completion import complete_cloud_slice
 from gridtrack.cli.options import GridOption, JsonOption, RateOption, RecordingArgument, WholeRecordingArgument
 from gridtrack.common.errors import ConfigurationError, printable
 
@@ -71,6 +72,7 @@ def recording_import(
             metavar="KEY=VALUE,...",
             help="Of point clouds: low_m=0.2,high_m=1.0; bearings without points are free up to range_max_m, or"
             " unknown with empty=unknown",
+            autocompletion=complete_cloud_slice,
         ),
     ] = None,
     pose_topic: PoseTopicOption = None,

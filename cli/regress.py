@@ -117,7 +117,7 @@ def _update_baseline(runs: Sequence[Path], baseline: Path) -> None:
     """Write `runs` as the baseline and print its content."""
     from gridtrack.evaluation.regression.baseline import write_baseline
     from gridtrack.evaluation.regression.measuring import measure_run
-    from gridtrack.reports.regression import text_of_update
+    from gridtrack.reports.verdict_text import text_of_update
 
     if len({run.resolve() for run in runs}) < len(runs):
         raise ConfigurationError("a run is given twice: each run of a baseline is a training or a seed of its own")
@@ -241,7 +241,8 @@ def _tolerance(text: str) -> tuple[str, float]:
 
 def _report_verdict(verdict: Verdict, junit: Path | None, markdown: Path | None, as_json: bool) -> None:
     from gridtrack.reports.junit import junit_of
-    from gridtrack.reports.regression import data_of, markdown_of, text_of
+    from gridtrack.reports.verdict_tables import data_of, markdown_of
+    from gridtrack.reports.verdict_text import text_of
 
     _write_report(junit, junit_of, verdict)
     _write_report(markdown, markdown_of, verdict)
@@ -250,7 +251,7 @@ def _report_verdict(verdict: Verdict, junit: Path | None, markdown: Path | None,
 
 def _report_unmeasured(reasons: Sequence[str], junit: Path | None, markdown: Path | None, as_json: bool) -> None:
     from gridtrack.reports.junit import junit_of_unmeasured
-    from gridtrack.reports.regression import markdown_of_unmeasured
+    from gridtrack.reports.verdict_tables import markdown_of_unmeasured
 
     _write_report(junit, junit_of_unmeasured, reasons)
     _write_report(markdown, markdown_of_unmeasured, reasons)

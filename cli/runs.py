@@ -23,6 +23,7 @@ from gridtrack.cli.compare_options import (
     ValidationOption,
     WarmUpOption,
 )
+from gridtrack.cli.completion import complete_format
 from gridtrack.cli.options import (
     GridOption,
     JsonOption,
@@ -256,7 +257,10 @@ def report_command(
             help="The folder of the page, or the file of another format; default: report in the run's folder, or stdout"
         ),
     ] = None,
-    as_format: Annotated[str, typer.Option("--format", help="html, markdown, latex, csv, junit, svg or pdf")] = "html",
+    as_format: Annotated[
+        str,
+        typer.Option("--format", help="html, markdown, latex, csv, junit, svg or pdf", autocompletion=complete_format),
+    ] = "html",
     rows: Annotated[
         str, typer.Option(metavar="LABEL,...", help="Rows of another format; * and ? stand for any text and sign")
     ] = "",

@@ -19,6 +19,8 @@ app = typer.Typer(
     no_args_is_help=True, help="Recordings with ground truth: junction, junction-set, drive-set, worlds, tracks, check."
 )
 FAULTY = 3
+SDD = "sdd"
+"""The format of the Stanford Drone Dataset's annotations."""
 
 Out = Annotated[Path, typer.Option(help="The recording to write: .tracks, rendered on first use, or .mcap, scans")]
 
@@ -150,7 +152,10 @@ def simulate_tracks(
     source: Annotated[Path, typer.Argument(metavar="FILE")],
     out: Out,
     scale: Annotated[float, typer.Option(help="Metres to a pixel")],
-    layout: Annotated[str, typer.Option("--format", help="sdd: the Stanford Drone Dataset's annotations")] = "sdd",
+    layout: Annotated[
+        str,
+        typer.Option("--format", help=f"{SDD}: the Stanford Drone Dataset's annotations", autocompletion=lambda: [SDD]),
+    ] = SDD,
     site: Annotated[str | None, typer.Option(help="The site; default: the name of the result")] = None,
     rate: Annotated[float | None, typer.Option(help="Scans per second")] = None,
     grid: Annotated[str | None, typer.Option(help=r"CELLSxMETRES\[@X,Y] round the laser")] = None,
@@ -169,8 +174,8 @@ def simulate_tracks(
     from gridtrack.simulation.stanford import Video, read_stanford
     from gridtrack.simulation.writing import check_suffix, write_recording
 
-    if layout != "sdd":
-        raise ConfigurationError(f"--format {layout}: known is sdd, the Stanford Drone Dataset's")
+    if layout != SDD:
+        raise ConfigurationError(f"--format {layout}: known is {SDD}, the Stanford Drone Dataset's")
     check_suffix(out)
     given: dict[str, Any] = {
         "scale": scale,
@@ -200,7 +205,7 @@ def _command(source: Path, out: Path, video: Video) -> str:
         "licence": video.licence,
         "credit": video.credit,
     }
-    words = ["gridtrack", "simulate", "tracks", "--format", "sdd", source.name, "--out", out.name]
+    words = ["gridtrack", "simulate", "tracks", "--format", SDD, source.name, "--out", out.name]
     for name, value in options.items():
         if value is not None and value != "":
             words += [f"--{name}", f"{value}"]

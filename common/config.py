@@ -82,10 +82,10 @@ def validated(model: type[Model], values: dict[str, Any], where: str) -> Model:
 def _error_text(model: type[BaseModel], error: Any, where: str) -> str:
     key = ".".join(f"{part!s:.{MAX_SHOWN_CHARS}}" for part in error["loc"])
     if error["type"] == "extra_forbidden":
-        return f"{where}: there is no option '{key}'; {did_you_mean(key, _field_names(model))}"
+        return f"{where}: there is no option '{key}'; {did_you_mean(key, field_names(model))}"
     return f"{where}: '{key}' = {error['input']!r:.{MAX_SHOWN_CHARS}}: {error['msg']:.{MAX_FAULT_CHARS}}"
 
 
-def _field_names(model: type[BaseModel]) -> list[str]:
+def field_names(model: type[BaseModel]) -> list[str]:
     """Names of the fields, as a user writes them."""
     return [field.alias or name for name, field in model.model_fields.items()]

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 
 from gridtrack.common.errors import ConfigurationError, did_you_mean
+from gridtrack.common.horizons import nearest_step
 from gridtrack.evaluation.results.trial_summary import TrialSummary, better_direction
 from gridtrack.reports.differences import DifferenceTable, difference_table
 from gridtrack.reports.main_result import lead_of
@@ -31,7 +32,8 @@ NAMES = {"f1": "F1", "pr_auc": "PR-AUC", "brier": "Brier", "nll": "log loss", "e
 
 @dataclass(frozen=True)
 class ScoreChoice:
-    """A score of cells of one stratum at one horizon, seconds, by its name in summary.json."""
+    """A score of cells of one stratum at one horizon, seconds, by its name in summary.json; it is shown at the step
+    nearest to the horizon, under the time of the step."""
 
     score: str
     stratum: str
@@ -124,8 +126,8 @@ def _differences(
 
 
 def _column(choice: ScoreChoice, horizons_s: Sequence[float]) -> TableColumn:
-    """The column of a choice. Raises ConfigurationError for a horizon that the run does not reach."""
-    step = round(choice.horizon_s / (horizons_s[1] - horizons_s[0]))
+    """The column of a choice, at the nearest step. Raises ConfigurationError where the run does not reach it."""
+    step = nearest_step(choice.horizon_s, horizons_s[1] - horizons_s[0])
     if step >= len(horizons_s):
         raise ConfigurationError(f"--columns: {choice.horizon_s:g} s is beyond the horizon of {horizons_s[-1]:g} s")
     heading, better = horizon_text(horizons_s[step]), better_direction(choice.score)

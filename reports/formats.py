@@ -28,6 +28,9 @@ FORMATS: dict[str, Render] = {
 }
 
 
+FORMAT_NAMES = (PAGE, *FORMATS)
+
+
 def _main(exported: Sequence[ExportedTable]) -> Sequence[ExportedTable]:
     """The table pooled over all recordings, where there is one; else all tables."""
     return [one for one in exported if one.table.pooled] or exported
@@ -35,8 +38,8 @@ def _main(exported: Sequence[ExportedTable]) -> Sequence[ExportedTable]:
 
 def check_format(name: str) -> None:
     """Raises ConfigurationError for a format that there is not."""
-    if name not in (PAGE, *FORMATS):
-        raise ConfigurationError(f"--format '{name}': {did_you_mean(name, (PAGE, *FORMATS))}")
+    if name not in FORMAT_NAMES:
+        raise ConfigurationError(f"--format '{name}': {did_you_mean(name, FORMAT_NAMES)}")
 
 
 def render_as(name: str, runs: Sequence[Path], rows: str = "", columns: str = "") -> bytes:

@@ -13,7 +13,7 @@ from gridtrack.evaluation.regression.speed import CALLS
 from gridtrack.reports.figures import Axis, document
 from gridtrack.reports.page import TEMPLATES
 from gridtrack.reports.recording_section import TRACKER_COLOURS
-from gridtrack.reports.regression import band_text
+from gridtrack.reports.verdict_text import band_text
 
 PANEL_HEIGHT, GAP, LEFT, RIGHT, FOOT = 130, 46, 56, 24, 30
 LEAST_WIDTH, STEP = 420, 26

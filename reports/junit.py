@@ -11,7 +11,7 @@ from gridtrack.evaluation.regression.speed import SpeedRow, TurnsRow
 from gridtrack.evaluation.regression.verdict import AnyRow, Verdict
 from gridtrack.reports.chosen_scores import ExportedTable
 from gridtrack.reports.notices import outcome_text
-from gridtrack.reports.regression import place_of, rule_of, second_text, sentence_of
+from gridtrack.reports.verdict_text import place_of, rule_of, second_text, sentence_of
 
 SUITE = "gridtrack regress"
 REPORT_SUITE = "gridtrack report"

@@ -91,7 +91,7 @@ class TrackerRegression:
         """
         from gridtrack.common.errors import GridtrackError, printable
         from gridtrack.evaluation.regression.baseline import write_baseline
-        from gridtrack.reports.regression import text_of
+        from gridtrack.reports.verdict_text import text_of
 
         try:
             plan = self._plan(tracker, recording, options)

@@ -53,6 +53,8 @@ def _of_page(page: Page, out: Path, prefix: str, only: Collection[str]) -> list[
         page.screenshot(path=path_of(FIRST))
     if not only or WHOLE in only:
         page.screenshot(path=path_of(WHOLE), full_page=True)
+    # The bar of trackers stays at the top of the window: in a picture of a tall section it would lie over its middle.
+    page.locator(".trackers").evaluate_all("bars => bars.forEach(bar => (bar.style.position = 'static'))")
     for section in page.locator("section[id], .player").all():
         name = section.get_attribute("id") or "player"
         if section.is_visible() and (not only or name in only) and out / f"{prefix}-{name}.png" not in taken:

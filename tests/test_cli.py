@@ -9,20 +9,23 @@ import subprocess
 import sys
 from importlib import metadata
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import pytest
 import typer
 
 from gridtrack.cli import app
 from gridtrack.evaluation.comparison.recipe import Recipe
-from gridtrack.evaluation.comparison.settings import CompareSettings
+from gridtrack.evaluation.comparison.settings import CompareSettings, EngineName
 from gridtrack.evaluation.processes.limits import Limits
 from gridtrack.evaluation.regression.settings import MARGIN, SPEED_MARGIN, TURNS_MARGIN
 from gridtrack.recordings import packaged_recording
 from gridtrack.recordings.degradation import Degradation
+from gridtrack.reports.formats import FORMATS, PAGE
 
 DEMO = str(packaged_recording("leg_tracker"))
+OTHER_KINDS = ("beam-dropout", "range-noise", "frame-drop")
+"""Of degraded input, beside the jitter of poses."""
 PACKAGE = str(Path(DEMO).parents[2])
 
 
@@ -266,9 +269,19 @@ def test_a_trial_that_did_not_complete_is_exit_code_3(tmp_path):
         (["train", "one"], ["one-shot"]),
         (["compare", "--tracker", "kalman", "a.mc"], []),
         (["rec"], ["recording"]),
+        (["compare", "a.mcap", "--engine", ""], list(get_args(EngineName))),
+        (["report", "run", "--format", ""], [PAGE, *FORMATS]),
+        (["report", "run", "--format", "la"], ["latex"]),
+        (["simulate", "tracks", "a.txt", "--format", "s"], ["sdd"]),
+        (["recording", "import", "a.bag", "--zero-range", "f"], ["free"]),
+        (["compare", "a.mcap", "--degrade", "b"], ["beam-dropout="]),
+        (["compare", "a.mcap", "--degrade", "pose-jitter=0.1,"], [f"pose-jitter=0.1,{kind}=" for kind in OTHER_KINDS]),
+        (["compare", "a.mcap", "--degrade", "beam-dropout=0"], []),
+        (["compare", "a.mcap", "--slurm", "pa"], ["partition="]),
+        (["recording", "import", "a.bag", "--cloud-slice", "low_m=0.2,hi"], ["low_m=0.2,high_m="]),
     ],
 )
-def test_the_shell_completes_commands_and_trackers(typed, completed):
+def test_the_shell_completes_commands_trackers_and_values_of_a_fixed_set(typed, completed):
     words = {"COMP_WORDS": " ".join(["gridtrack", *typed]), "COMP_CWORD": str(len(typed))}
     environment = {**os.environ, **words, "_GRIDTRACK_COMPLETE": "complete_bash"}
     program = [sys.executable, "-c", "import sys; sys.argv = ['gridtrack']; from gridtrack.cli import main; main()"]

@@ -207,6 +207,21 @@ def test_a_wrong_choice_is_one_line(run_folder, options, problem):
         report(run_folder, *options)
 
 
+def test_a_horizon_between_two_steps_is_taken_at_the_nearest_and_named_by_its_time(run_folder, tmp_path):
+    at_7_hz = shutil.copytree(run_folder, tmp_path / "run")
+    summary = json.loads((at_7_hz / "summary.json").read_text())
+    for described in summary["recordings"].values():
+        described["horizons_s"] = [round(step / 7, 6) for step in range(len(described["horizons_s"]))]
+    (at_7_hz / "summary.json").write_text(json.dumps(summary))
+    columns = "f1 visible 0.5s, f1 visible 1.3s, f1 visible 1.5s"  # 3.5, 9.1 and 10.5 steps
+    headings = "| F1, visible 0.571 s | F1, visible 1.29 s | F1, visible 1.43 s |"
+    assert headings in text_of("markdown", at_7_hz, columns=columns)
+    (row, *_) = csv.DictReader(io.StringIO(text_of("csv", at_7_hz, columns=columns)))
+    assert [name for name in row if name.startswith("f1")] == [
+        f"f1 visible {time} s" for time in ("0.571429", "1.28571", "1.42857")
+    ]
+
+
 def test_a_column_without_a_horizon_is_one_second_ahead():
     assert parse_score_choices("f1_low in-motion, nll visible 0.5 s") == (
         ScoreChoice("f1_low", "in-motion", 1.0),

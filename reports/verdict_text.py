@@ -1,11 +1,8 @@
-"""The verdict of the regression gate as text for a terminal, Markdown for a pull request, and data for a script."""
+"""The verdict of the regression gate in sentences: for a terminal, and for whatever else tells one of its rows."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -17,14 +14,11 @@ from gridtrack.evaluation.regression.recoveries import RecoveryRow
 from gridtrack.evaluation.regression.rows import paired_rows
 from gridtrack.evaluation.regression.significance import FAMILY_LEVEL
 from gridtrack.evaluation.regression.speed import SpeedRow, TurnsRow
-from gridtrack.evaluation.regression.verdict import AnyRow, SecondLook, Standing, Verdict
+from gridtrack.evaluation.regression.verdict import AnyRow, Verdict
 from gridtrack.evaluation.statistics.jackknife import LEAST_UNITS
 from gridtrack.evaluation.statistics.training_spread import value_of
-from gridtrack.reports.markdown import escaped, markdown_table
 from gridtrack.reports.run import UNDEFINED
 
-MAX_TABLE_ROWS = 40
-"""Further rows of a table are counted and not shown."""
 MAX_FALLEN = 3
 """Largest number of lines on single recordings in the text."""
 UNKNOWN_SPREAD = "the baseline has one run: the spread between trainings is unknown and not taken into account"
@@ -40,7 +34,7 @@ REASONS: dict[Criterion, str] = {
 def text_of(verdict: Verdict) -> str:
     """The verdict for a terminal: what is worse, notes, the rule and the conclusion."""
     looked_at = [look.first for look in verdict.second_looks]
-    lines = _second_lines(verdict)
+    lines = second_lines(verdict)
     lines += [f"worse: {sentence_of(row)}" for row in verdict.worse if row not in looked_at]
     fallen = [row for row in verdict.on_recordings if row.verdict != "worse"]
     lines += [f"change on one recording, not judged: {sentence_of(row)}" for row in fallen[:MAX_FALLEN]]
@@ -48,88 +42,9 @@ def text_of(verdict: Verdict) -> str:
         lines.append(f"change on one recording, not judged: {len(fallen) - MAX_FALLEN} more, see --markdown")
     lines += [f"timed in turns: {sentence_of(row)}" for row in verdict.turns if row.verdict != "worse"]
     lines += [f"note: {note}" for note in verdict.notes]
-    lines += [f"{label}: every count is as in the baseline" for label in _unchanged(verdict)]
+    lines += [f"{label}: every count is as in the baseline" for label in unchanged_labels(verdict)]
     lines += _smallest_found(verdict)
     return "\n".join(map(printable, [*lines, rule_of(verdict), _conclusion(verdict)]))
-
-
-def markdown_of(verdict: Verdict) -> str:
-    """The verdict as a Markdown page, with names escaped."""
-    parts = [f"## gridtrack regress: {'worse' if verdict.worse else 'no worse'}", escaped(rule_of(verdict))]
-    parts += ["\n".join(f"- {escaped(line)}" for line in _second_lines(verdict))] if verdict.second_looks else []
-    changed = [row for row in verdict.rows if row.verdict in {"worse", "no worse"}]
-    changed.sort(key=lambda row: (row.verdict != "worse", -row.severity))
-    parts += _section(
-        "Over all units",
-        ["verdict", *_HEADINGS, "p"],
-        changed,
-        lambda row: [_verdict_text(verdict, row), *_row_cells(row), _p_value_text(row)],
-    )
-    parts += _section(
-        "On one recording",
-        ["verdict", "recording", *_HEADINGS],
-        verdict.on_recordings,
-        lambda row: [_verdict_text(verdict, row), row.recording, *_row_cells(row)],
-    )
-    parts += _section(
-        "Recoveries",
-        ["verdict", "tracker", "baseline", "run"],
-        verdict.recoveries,
-        lambda row: [verdict.standing_of(row), row.label, f"{row.baseline}", f"{row.run}"],
-    )
-    parts += _section(
-        "Speed",
-        ["verdict", "tracker", "call", "times as long as", "baseline", "run"],
-        verdict.speed,
-        lambda row: [verdict.standing_of(row), *_speed_cells(row)],
-    )
-    parts += _section(
-        "Speed in turns",
-        ["verdict", "tracker", "call", "base", "times as long", "95 % interval", "rounds"],
-        verdict.turns,
-        lambda row: [verdict.standing_of(row), row.label, row.call, row.base, *_turns_cells(row)],
-    )
-    parts += ["\n".join(f"- {escaped(note)}" for note in verdict.notes)] if verdict.notes else []
-    parts += (
-        [f"Every count is as in the baseline: {', '.join(map(escaped, _unchanged(verdict)))}."]
-        if _unchanged(verdict)
-        else []
-    )
-    return "\n\n".join(parts) + "\n"
-
-
-def markdown_of_unmeasured(reasons: Sequence[str]) -> str:
-    """The Markdown page of a comparison that could not be made."""
-    return "## gridtrack regress: not measured\n\n" + "\n".join(f"- {escaped(reason)}" for reason in reasons) + "\n"
-
-
-def data_of(verdict: Verdict) -> dict[str, Any]:
-    """The verdict as data for JSON."""
-    return {
-        "verdict": "worse" if verdict.worse else "no worse",
-        "units": verdict.units,
-        "trainings": verdict.trainings,
-        "significance": verdict.significance,
-        "rows": [_row_data(row, verdict.standing_of(row)) for row in verdict.rows],
-        "on_recordings": [_row_data(row, verdict.standing_of(row)) for row in verdict.on_recordings],
-        "recoveries": [_row_data(row, verdict.standing_of(row)) for row in verdict.recoveries],
-        "speed": [_row_data(row, verdict.standing_of(row)) for row in verdict.speed],
-        "turns": [_row_data(row, verdict.standing_of(row)) for row in verdict.turns],
-        "second_looks": [_second_data(look) for look in verdict.second_looks],
-        "notes": list(verdict.notes),
-    }
-
-
-def _second_data(look: SecondLook) -> dict[str, Any]:
-    """What looked worse, in both runs."""
-    second = look.second and _row_data(look.second, look.second.verdict)
-    return {"confirmed": look.confirmed, "first": _row_data(look.first, look.first.verdict), "second": second}
-
-
-def _row_data(row: AnyRow, standing: Standing) -> dict[str, Any]:
-    """The fields of a row; a fall that cannot be found, of whatever size, is null."""
-    values = {key: None if value == np.inf else value for key, value in asdict(row).items() if key != "verdict"}
-    return {**values, "standing": standing}
 
 
 def text_of_update(path: Path, baseline: Baseline) -> str:
@@ -172,7 +87,7 @@ def _change_text(row: AnyRow) -> str:
             f" {row.ratio_baseline:.3g}: {row.growth:+.0%}, margin {row.margin:.0%}"
         )
     if isinstance(row, TurnsRow):
-        ratio, interval, rounds = _turns_cells(row)
+        ratio, interval, rounds = turns_texts(row)
         return (
             f"{row.call} takes {ratio} times as long as {row.base}'s, in turns, 95 % interval {interval}"
             f" over {rounds} rounds, margin {row.margin:.0%}"
@@ -183,7 +98,7 @@ def _change_text(row: AnyRow) -> str:
     significance = "" if row.p is None else f", p {row.p:.4f}"
     spread = "" if row.spread is None else f", spread between trainings {row.spread:.4f}"
     return (
-        f"{row.score} {_number(row.baseline)} to {_number(row.run)}, {_fall_text(row)}{significance}{spread}"
+        f"{row.score} {score_text(row.baseline)} to {score_text(row.run)}, {_fall_text(row)}{significance}{spread}"
         f"{REASONS[row.criterion]}"
     )
 
@@ -193,7 +108,7 @@ def _fall_text(row: VerdictRow) -> str:
     if not row.fall:
         return "no change"
     worse, better = _worse_and_better(row)
-    return f"a {worse if row.fall > 0 else better} of {_amount(row, abs(row.fall))}"
+    return f"a {worse if row.fall > 0 else better} of {amount_text(row, abs(row.fall))}"
 
 
 def _worse_and_better(row: VerdictRow) -> tuple[str, str]:
@@ -208,11 +123,11 @@ def _limit_text(row: VerdictRow) -> str:
         return f"no {worse} would be found"
     if not row.smallest:
         return f"any {worse} is worse"
-    smallest, margin = _amount(row, row.smallest), _amount(row, row.margin)
+    smallest, margin = amount_text(row, row.smallest), amount_text(row, row.margin)
     return f"a {worse} of more than {smallest} is worse" + (f" (margin {margin})" if margin != smallest else "")
 
 
-def _second_lines(verdict: Verdict) -> list[str]:
+def second_lines(verdict: Verdict) -> list[str]:
     """Both results of everything that looked worse."""
     return [
         f"{verdict.standing_of(look.first)}: {sentence_of(look.first)}{second_text(verdict, look.first)}"
@@ -238,8 +153,8 @@ def _smallest_found(verdict: Verdict) -> list[str]:
         if label in worse or not found:
             continue
         best, worst = (choose(found, key=lambda row: row.smallest) for choose in (min, max))
-        sizes = [f"{_amount(row, row.smallest)} ({place_of(row)})" for row in (best, worst)]
-        alike = _amount(best, best.smallest) == _amount(worst, worst.smallest)
+        sizes = [f"{amount_text(row, row.smallest)} ({place_of(row)})" for row in (best, worst)]
+        alike = amount_text(best, best.smallest) == amount_text(worst, worst.smallest)
         told = sizes[0] if alike else f"{sizes[0]} at best, {sizes[1]} at worst"
         lines.append(f"{label}: the smallest fall in F1 that this baseline could have shown: {told}")
     return lines
@@ -275,20 +190,6 @@ def rule_of(verdict: Verdict) -> str:
     )
 
 
-_HEADINGS = (
-    "tracker",
-    "score",
-    "stratum",
-    "steps",
-    "baseline",
-    "run",
-    "worse by",
-    "found from",
-    "margin",
-    "spread",
-)
-
-
 def _conclusion(verdict: Verdict) -> str:
     if not verdict.worse:
         return "no worse than the baseline"
@@ -296,53 +197,24 @@ def _conclusion(verdict: Verdict) -> str:
     return f"worse than the baseline: {', '.join(labels)}"
 
 
-def _unchanged(verdict: Verdict) -> list[str]:
+def unchanged_labels(verdict: Verdict) -> list[str]:
     """The trackers whose every count is as in the baseline."""
     changed = {row.label for row in verdict.rows if row.verdict in {"worse", "no worse"}}
     return [label for label in dict.fromkeys(row.label for row in verdict.rows) if label not in changed]
 
 
-def _section(title: str, headings: Sequence[str], rows: Sequence[Any], cells: Any) -> Iterator[str]:
-    """A heading and a table; nothing where there are no rows."""
-    if not rows:
-        return
-    yield f"### {title}"
-    yield markdown_table(headings, [list(map(escaped, cells(row))) for row in rows[:MAX_TABLE_ROWS]]).rstrip("\n")
-    if len(rows) > MAX_TABLE_ROWS:
-        yield f"and {len(rows) - MAX_TABLE_ROWS} more"
-
-
-def _row_cells(row: VerdictRow) -> list[str]:
-    sizes = [_amount(row, value) for value in (row.fall, row.smallest, row.margin)]
-    values = [_number(row.baseline), _number(row.run), *sizes, _number(row.spread)]
-    return [row.label, row.score, row.stratum, band_text(row.band), *values]
-
-
-def _speed_cells(row: SpeedRow) -> list[str]:
-    return [row.label, row.call, row.reference, f"{row.ratio_baseline:.3g}", f"{row.ratio_run:.3g}"]
-
-
-def _turns_cells(row: TurnsRow) -> list[str]:
+def turns_texts(row: TurnsRow) -> list[str]:
+    """The ratio of the times in turns, its interval, and the number of rounds."""
     return [f"{row.ratio:.3f}", f"[{row.low:.3f}, {row.high:.3f}]", f"{row.rounds}"]
 
 
-def _verdict_text(verdict: Verdict, row: VerdictRow) -> str:
-    standing = verdict.standing_of(row)
-    if row.criterion in {"large", "collapse"}:
-        return f"{standing} ({row.criterion})"
-    return standing if row.verdict == "worse" or not row.recording else "not judged"
-
-
-def _p_value_text(row: VerdictRow) -> str:
-    return UNDEFINED if row.p is None else f"{row.p:.4f}"
-
-
-def _amount(row: VerdictRow, value: float) -> str:
+def amount_text(row: VerdictRow, value: float) -> str:
     """A change as margins are given: of F1, or a share of a log loss; one that nothing finds is undefined."""
     if not np.isfinite(value):
         return "no size"
     return f"{value:.4f}" if row.score == "F1" else f"{value:.1%}"
 
 
-def _number(value: float | None) -> str:
+def score_text(value: float | None) -> str:
+    """A score of the baseline or the run, or its spread."""
     return UNDEFINED if value is None else f"{value:.4f}"

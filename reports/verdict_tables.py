@@ -1,0 +1,149 @@
+"""The verdict of the regression gate in rows: Markdown tables for a pull request, and data for a script."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+
+from gridtrack.evaluation.regression.judging import VerdictRow
+from gridtrack.evaluation.regression.speed import SpeedRow
+from gridtrack.evaluation.regression.verdict import AnyRow, SecondLook, Standing, Verdict
+from gridtrack.reports.markdown import escaped, markdown_table
+from gridtrack.reports.run import UNDEFINED
+from gridtrack.reports.verdict_text import (
+    amount_text,
+    band_text,
+    rule_of,
+    score_text,
+    second_lines,
+    turns_texts,
+    unchanged_labels,
+)
+
+MAX_TABLE_ROWS = 40
+"""Further rows of a table are counted and not shown."""
+_HEADINGS = (
+    "tracker",
+    "score",
+    "stratum",
+    "steps",
+    "baseline",
+    "run",
+    "worse by",
+    "found from",
+    "margin",
+    "spread",
+)
+
+
+def markdown_of(verdict: Verdict) -> str:
+    """The verdict as a Markdown page, with names escaped."""
+    parts = [f"## gridtrack regress: {'worse' if verdict.worse else 'no worse'}", escaped(rule_of(verdict))]
+    parts += ["\n".join(f"- {escaped(line)}" for line in second_lines(verdict))] if verdict.second_looks else []
+    changed = [row for row in verdict.rows if row.verdict in {"worse", "no worse"}]
+    changed.sort(key=lambda row: (row.verdict != "worse", -row.severity))
+    parts += _section(
+        "Over all units",
+        ["verdict", *_HEADINGS, "p"],
+        changed,
+        lambda row: [_verdict_text(verdict, row), *_row_cells(row), _p_value_text(row)],
+    )
+    parts += _section(
+        "On one recording",
+        ["verdict", "recording", *_HEADINGS],
+        verdict.on_recordings,
+        lambda row: [_verdict_text(verdict, row), row.recording, *_row_cells(row)],
+    )
+    parts += _section(
+        "Recoveries",
+        ["verdict", "tracker", "baseline", "run"],
+        verdict.recoveries,
+        lambda row: [verdict.standing_of(row), row.label, f"{row.baseline}", f"{row.run}"],
+    )
+    parts += _section(
+        "Speed",
+        ["verdict", "tracker", "call", "times as long as", "baseline", "run"],
+        verdict.speed,
+        lambda row: [verdict.standing_of(row), *_speed_cells(row)],
+    )
+    parts += _section(
+        "Speed in turns",
+        ["verdict", "tracker", "call", "base", "times as long", "95 % interval", "rounds"],
+        verdict.turns,
+        lambda row: [verdict.standing_of(row), row.label, row.call, row.base, *turns_texts(row)],
+    )
+    parts += ["\n".join(f"- {escaped(note)}" for note in verdict.notes)] if verdict.notes else []
+    parts += (
+        [f"Every count is as in the baseline: {', '.join(map(escaped, unchanged_labels(verdict)))}."]
+        if unchanged_labels(verdict)
+        else []
+    )
+    return "\n\n".join(parts) + "\n"
+
+
+def markdown_of_unmeasured(reasons: Sequence[str]) -> str:
+    """The Markdown page of a comparison that could not be made."""
+    return "## gridtrack regress: not measured\n\n" + "\n".join(f"- {escaped(reason)}" for reason in reasons) + "\n"
+
+
+def data_of(verdict: Verdict) -> dict[str, Any]:
+    """The verdict as data for JSON."""
+    return {
+        "verdict": "worse" if verdict.worse else "no worse",
+        "units": verdict.units,
+        "trainings": verdict.trainings,
+        "significance": verdict.significance,
+        "rows": [_row_data(row, verdict.standing_of(row)) for row in verdict.rows],
+        "on_recordings": [_row_data(row, verdict.standing_of(row)) for row in verdict.on_recordings],
+        "recoveries": [_row_data(row, verdict.standing_of(row)) for row in verdict.recoveries],
+        "speed": [_row_data(row, verdict.standing_of(row)) for row in verdict.speed],
+        "turns": [_row_data(row, verdict.standing_of(row)) for row in verdict.turns],
+        "second_looks": [_second_data(look) for look in verdict.second_looks],
+        "notes": list(verdict.notes),
+    }
+
+
+def _second_data(look: SecondLook) -> dict[str, Any]:
+    """What looked worse, in both runs."""
+    second = look.second and _row_data(look.second, look.second.verdict)
+    return {"confirmed": look.confirmed, "first": _row_data(look.first, look.first.verdict), "second": second}
+
+
+def _row_data(row: AnyRow, standing: Standing) -> dict[str, Any]:
+    """The fields of a row; a fall that cannot be found, of whatever size, is null."""
+    values = {key: None if value == np.inf else value for key, value in asdict(row).items() if key != "verdict"}
+    return {**values, "standing": standing}
+
+
+def _section(title: str, headings: Sequence[str], rows: Sequence[Any], cells: Any) -> Iterator[str]:
+    """A heading and a table; nothing where there are no rows."""
+    if not rows:
+        return
+    yield f"### {title}"
+    yield markdown_table(headings, [list(map(escaped, cells(row))) for row in rows[:MAX_TABLE_ROWS]]).rstrip("\n")
+    if len(rows) > MAX_TABLE_ROWS:
+        yield f"and {len(rows) - MAX_TABLE_ROWS} more"
+
+
+def _row_cells(row: VerdictRow) -> list[str]:
+    sizes = [amount_text(row, value) for value in (row.fall, row.smallest, row.margin)]
+    values = [score_text(row.baseline), score_text(row.run), *sizes, score_text(row.spread)]
+    return [row.label, row.score, row.stratum, band_text(row.band), *values]
+
+
+def _speed_cells(row: SpeedRow) -> list[str]:
+    return [row.label, row.call, row.reference, f"{row.ratio_baseline:.3g}", f"{row.ratio_run:.3g}"]
+
+
+def _verdict_text(verdict: Verdict, row: VerdictRow) -> str:
+    standing = verdict.standing_of(row)
+    if row.criterion in {"large", "collapse"}:
+        return f"{standing} ({row.criterion})"
+    return standing if row.verdict == "worse" or not row.recording else "not judged"
+
+
+def _p_value_text(row: VerdictRow) -> str:
+    return UNDEFINED if row.p is None else f"{row.p:.4f}"
