@@ -36,3 +36,8 @@ def on_files(files: Files, *, config: MkDocsConfig) -> Files:
     kept = [file for file in files if file.src_dir != config.docs_dir]  # of the theme and of plugins
     own = [File.generated(config, path.relative_to(ROOT).as_posix(), abs_src_path=str(path)) for path in shown]
     return Files([*kept, *own])
+
+
+def on_post_page(output: str, **_: object) -> str:
+    """The page with a name for the dialog of the search, to which the theme gives none."""
+    return output.replace('role="dialog"', 'role="dialog" aria-label="Search"', 1)

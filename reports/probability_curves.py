@@ -2,18 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from itertools import product
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gridtrack.evaluation.results.columns import PROBABILITY_EDGES
-from gridtrack.evaluation.scoring.counting import Tally, for_calibration
-from gridtrack.evaluation.scoring.histograms import read_tally
+from gridtrack.evaluation.results.summary import SUMMARY_FILE
+from gridtrack.evaluation.scoring.counting import for_calibration
 from gridtrack.evaluation.scoring.metrics import ratio
 from gridtrack.evaluation.scoring.score_store import ScoresError
-from gridtrack.evaluation.statistics.score_intervals import HEADLINE_STRATA
+from gridtrack.evaluation.statistics.finished_trial import FinishedTrial
+from gridtrack.evaluation.statistics.jackknife import proportion_interval
+from gridtrack.evaluation.statistics.pr_auc import summed_histograms
+from gridtrack.evaluation.statistics.run_statistics import RunStatistics
+from gridtrack.evaluation.statistics.score_intervals import HEADLINE_STRATA, common_strata
+from gridtrack.evaluation.statistics.trial_files import TrialFiles
+from gridtrack.evaluation.statistics.units import UnitRule
 from gridtrack.reports.run import ReportedRun
 from gridtrack.reports.table import HeadlineTable, TableRow
 
@@ -30,70 +37,101 @@ def probability_curves(
 ) -> tuple[dict[tuple[str, str], ProbabilityCurves], tuple[str, ...]]:
     """The curves of each row with scores, by recording and the name of the row, and notices of unreadable files.
 
-    They are of the strata and steps of the headline. Pooled rows have the sum of the counts of their recordings, where
-    these have the same horizons.
+    They are of the strata and steps of the headline. Pooled rows have the counts of the trials that their scores have,
+    and precision has an interval where it has one in the summary, of the same units. Raises RunError and ReportError.
     """
     found: dict[tuple[str, str], ProbabilityCurves] = {}
-    notices: list[str] = []
-    sums: dict[str, list[Tally]] = {}
-    for table in (one for one in tables if not one.pooled):
-        for row in (row for row in table.rows if row.trial.strata):
-            try:
-                tally = _tally_of(_run_of(row, runs), row, table)
-            except ScoresError as error:
-                notices.append(f"{row.name}: no curves of its probabilities: {error}")
-                continue
-            found[table.recording, row.name] = _curves_of(tally, _steps_of(table))
-            sums.setdefault(row.name, []).append(tally)
-    for table in (one for one in tables if one.pooled):
-        if all(other.horizons_s == table.horizons_s for other in tables):
-            whole = [row for row in table.rows if len(sums.get(row.name, ())) == len(row.entry.recordings) - 1]
-            found |= {(table.recording, row.name): _curves_of(_sum(sums[row.name]), _steps_of(table)) for row in whole}
+    notices: dict[str, None] = {}
+    for run in runs:
+        counts = _RunCounts(run)
+        for label in run.summary.trackers:
+            files = TrialFiles(kept=len(run.recordings))
+            for table, row in _rows_of(run, label, tables):
+                try:
+                    trials = counts.trials_of(row, table)
+                    found[table.recording, row.name] = _curves_of(trials, files, counts.rule(row, trials), table)
+                except ScoresError as error:
+                    notices[f"{row.name}: no curves of its probabilities: {error}"] = None
+        notices |= counts.notices
     return found, tuple(notices)
 
 
-def _run_of(row: TableRow, runs: Sequence[ReportedRun]) -> ReportedRun:
-    return next((run for run in runs if run.name == row.run), runs[0])
+def _rows_of(run: ReportedRun, label: str, tables: Sequence[HeadlineTable]) -> Iterator[tuple[HeadlineTable, TableRow]]:
+    """One row of a run wherever it has scores, pooled last: what was read of its trials is then kept."""
+    for table in sorted(tables, key=lambda table: table.pooled):
+        for row in table.rows:
+            if row.label == label and row.run in ("", run.name) and row.trial.strata:
+                yield table, row
 
 
-def _steps_of(table: HeadlineTable) -> list[int]:
-    return sorted({column.step for column in table.columns})
+class _RunCounts:
+    """Which trials of a run a row has, and how their frames become units; `notices` as keys."""
+
+    def __init__(self, run: ReportedRun) -> None:
+        self._run, self._trials = run, run.scored_trials()
+        recordings = {name: run.summary.recordings[name] for name in run.recordings}
+        self._statistics = RunStatistics(recordings, list(self._trials.values()))
+        self.notices: dict[str, None] = {}
+
+    def trials_of(self, row: TableRow, table: HeadlineTable) -> list[FinishedTrial]:
+        """The trials that the scores of the row are of. Raises ScoresError."""
+        if table.pooled and self._run.summary.recordings[table.recording].horizons_s != self._statistics.horizons_s:
+            raise ScoresError(
+                f"{self._run.path / SUMMARY_FILE}: pooled scores at other horizons than its recordings have"
+            )
+        names = self._run.recordings if table.pooled else (table.recording,)
+        scored = [name for name in names if name in row.entry.recordings and row.entry.recordings[name].strata]
+        if missing := [name for name in scored if (row.label, name) not in self._trials]:
+            raise ScoresError(f"{self._run.trial_folder(row.label, missing[0])}: the record of the trial is missing")
+        trials = [self._trials[row.label, name] for name in scored]
+        return self._statistics.together(trial for trial in trials if trial.complete) if table.pooled else trials
+
+    def rule(self, row: TableRow, trials: Sequence[FinishedTrial]) -> UnitRule:
+        """The rule of the scores of the row where they have intervals, else one unit."""
+        if any(scores.precision_low for scores in row.trial.strata.values()):
+            try:
+                return self._statistics.unit_rule([trial.record.recording for trial in trials])
+            except ScoresError as error:  # of any trial: the blocks of a recording depend on all
+                self.notices[f"no intervals of precision over recall: {error}"] = None
+        return UnitRule(("",) * len(trials), None)
 
 
-def _tally_of(run: ReportedRun, row: TableRow, table: HeadlineTable) -> Tally:
-    """The counts of a trial at the steps and strata that are shown."""
-    steps = len(run.summary.recordings[table.recording].horizons_s) - 1
-    return read_tally(run.trial_folder(row.label, table.recording), steps, HEADLINE_STRATA).at(_steps_of(table))
-
-
-def _sum(tallies: Sequence[Tally]) -> Tally:
-    total = Tally.empty(len(tallies[0].cells) - 1, tallies[0].strata)
-    for tally in tallies:
-        total.add(tally)
-    return total
-
-
-def _curves_of(tally: Tally, steps: Sequence[int]) -> ProbabilityCurves:
-    return {
-        stratum: {
-            str(step): _precision_recall(tally.cells[i, k], tally.positives[i, k])
-            | _calibration(tally.cells[i, k], tally.positives[i, k], tally.p_sum[i, k])
-            for i, step in enumerate(steps)
-            if tally.positives[i, k].any()
-        }
-        for k, stratum in enumerate(tally.strata)
-    }
+def _curves_of(
+    trials: Sequence[FinishedTrial], files: TrialFiles, rule: UnitRule, table: HeadlineTable
+) -> ProbabilityCurves:
+    """The curves of all `trials` together, in the strata and at the steps of the headline. Raises ScoresError."""
+    stamps_ns = [files.frames(trial).stamps_ns for trial in trials]
+    units = rule.units_of(stamps_ns)
+    histograms = [files.histograms(*one) for one in zip(trials, stamps_ns, units, strict=True)]
+    strata = [name for name in HEADLINE_STRATA if name in common_strata([own.strata for own in histograms])]
+    chosen = list(product(sorted({column.step for column in table.columns}), strata))
+    cells, positives = summed_histograms(trials, histograms, units, chosen)
+    found: ProbabilityCurves = {stratum: {} for stratum in strata}
+    for n, (step, stratum) in enumerate(chosen):
+        if positives[:, n].any():
+            p_sum = sum(
+                own.p_sum[trial.steps[step], own.strata.index(stratum)]
+                for trial, own in zip(trials, histograms, strict=True)
+            )
+            found[stratum][str(step)] = _precision_recall(cells[:, n], positives[:, n]) | _calibration(
+                cells[:, n].sum(axis=0), positives[:, n].sum(axis=0), p_sum
+            )
+    return found
 
 
 def _precision_recall(cells: NDArray[np.int64], positives: NDArray[np.int64]) -> dict[str, list[float]]:
-    """Thresholds `p` from the highest down, with the precision and recall of cells at and above each; histograms (B,)
-    with a positive."""
-    found, called = positives[::-1].cumsum(), cells[::-1].cumsum()
+    """Thresholds `p` from the highest down, with the precision and recall of cells at and above each, and the ends of
+    the interval of the precision where there are enough units; histograms (U, B) with a positive."""
+    found_of, called_of = (counts[:, ::-1].cumsum(axis=1) for counts in (positives, cells))
+    found, called = found_of.sum(axis=0), called_of.sum(axis=0)
     recall, precision = found / found[-1], ratio(found, called)
     wanted = np.searchsorted(recall, np.linspace(0.0, 1.0, MOST_POINTS))
     at = np.unique(np.maximum(wanted, np.flatnonzero(called)[0]))
     thresholds = PROBABILITY_EDGES[:-1][::-1]
-    return {"p": _short(thresholds[at]), "recall": _short(recall[at]), "precision": _short(precision[at])}
+    curve = {"p": _short(thresholds[at]), "recall": _short(recall[at]), "precision": _short(precision[at])}
+    low, high = proportion_interval(found_of[:, at].astype(np.float64), called_of[:, at].astype(np.float64))
+    ends = {} if np.isnan(low).any() else {"precision_low": _short(low), "precision_high": _short(high)}
+    return curve | ends
 
 
 def _calibration(

@@ -13,6 +13,7 @@ from gridtrack.evaluation.results.run_record import RUN_FILE, RunRecord, read_ru
 from gridtrack.evaluation.results.summary import ALL_RECORDINGS, SUMMARY_FILE, RunSummary, read_summary
 from gridtrack.evaluation.results.trial_record import read_trial_record
 from gridtrack.evaluation.results.trial_summary import PooledSummary, ScopeSummary, TrialSummary
+from gridtrack.evaluation.statistics.finished_trial import FinishedTrial
 
 UNDEFINED = "–"
 """Shown where a score is undefined."""
@@ -55,6 +56,21 @@ class ReportedRun:
         if folder.parent != self.path:
             raise ReportError(f"{self.path / SUMMARY_FILE}: '{label}@{recording}' is not the name of a folder in it")
         return folder
+
+    def scored_trials(self) -> dict[tuple[str, str], FinishedTrial]:
+        """The trials of which something was scored, by label and recording. Raises RunError and ReportError."""
+        found = {}
+        for label, row in self.summary.trackers.items():
+            for name in (name for name in self.recordings if name in row.recordings):
+                folder = self.trial_folder(label, name)
+                record = read_trial_record(folder)
+                if record is None or not record.frames_scored:
+                    continue
+                if record.steps + 1 != len(self.summary.recordings[name].horizons_s):
+                    raise ReportError(f"{folder}: {record.steps} steps, and {SUMMARY_FILE} has others; compare again")
+                named = record.model_copy(update={"label": label, "recording": name})
+                found[label, name] = FinishedTrial(named, folder, row.tracker, row.options, row.points)
+        return found
 
 
 def read_runs(paths: Sequence[Path]) -> tuple[ReportedRun, ...]:

@@ -89,3 +89,15 @@ def browser() -> Iterator[Any]:
         chromium = driver.chromium.launch(executable_path=program, args=["--no-sandbox"])
         yield chromium
         chromium.close()
+
+
+@pytest.fixture(scope="session")
+def serious_findings() -> Callable[[Any], list[tuple[str, str]]]:
+    """What axe-core finds on an open page that is serious or critical: (rule, HTML of the first element)."""
+    axe = pytest.importorskip("axe_playwright_python.sync_playwright", reason="axe, of the extra dev, is not installed")
+
+    def found(page: Any) -> list[tuple[str, str]]:
+        violations = axe.Axe().run(page).response["violations"]
+        return [(one["id"], one["nodes"][0]["html"]) for one in violations if one["impact"] in ("serious", "critical")]
+
+    return found

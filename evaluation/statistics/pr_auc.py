@@ -1,4 +1,4 @@
-"""PR-AUC of statistical units together and without each of them, from the histograms of several trials."""
+"""Histograms of several trials by statistical unit, and PR-AUC of the units together and without each of them."""
 
 from __future__ import annotations
 
@@ -22,6 +22,19 @@ def pr_auc_of_units(
 ) -> JackknifedScore:
     """PR-AUC (N,) at the `chosen` places among the steps of each trial, and strata, over frames of `trials`.
 
+    The other arguments are those of `summed_histograms`.
+    """
+    return pr_auc_without_each(*summed_histograms(trials, histograms, units, chosen))
+
+
+def summed_histograms(
+    trials: Sequence[FinishedTrial],
+    histograms: Sequence[UnitHistograms],
+    units: Sequence[NDArray[np.int64]],
+    chosen: Sequence[tuple[int, str]],
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Cells and those of them occupied (U, N, B) of the units, at the `chosen` places and strata, over all `trials`.
+
     `units` (F,) hold the unit of each frame of a trial that counts. Of each trial `histograms` has the units from its
     first one to its last.
     """
@@ -34,7 +47,7 @@ def pr_auc_of_units(
             of_trial = slice(int(unit.min()), int(unit.max()) + 1)
             cells[of_trial] += own.cells[:, steps, strata]
             positives[of_trial] += own.positives[:, steps, strata]
-    return pr_auc_without_each(cells, positives)
+    return cells, positives
 
 
 def pr_auc_without_each(cells: NDArray[np.integer], positives: NDArray[np.integer]) -> JackknifedScore:

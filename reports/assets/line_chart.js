@@ -127,8 +127,10 @@ export function numbersOfChart({ lines, x, y }) {
   const shown = lines.toReversed();
   const places = placesOf(lines), written = x.written ?? ((place) => place);
   if (shown.some((one) => one.xs.length !== places.length)) {
-    return [["tracker", x.name, y.name],
-      ...shown.flatMap((one) => one.xs.map((place, i) => [one.name, written(place), one.values[i]]))];
+    const banded = shown.some((one) => one.low && one.high);
+    return [["tracker", x.name, y.name, ...(banded ? [`${y.name} low`, `${y.name} high`] : [])],
+      ...shown.flatMap((one) => one.xs.map((place, i) =>
+        [one.name, written(place), one.values[i], ...(banded ? [one.low?.[i], one.high?.[i]] : [])]))];
   }
   const ends = (one) => (one.low && one.high ? [`${one.name} low`, `${one.name} high`] : []);
   const values = (one, i) => [one.values[i], ...(one.low && one.high ? [one.low[i], one.high[i]] : [])];

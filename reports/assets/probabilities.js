@@ -1,7 +1,7 @@
 // What the histograms of probability say: precision against recall, F1 over the threshold, and calibration.
 import { startFigure } from "./figure.js";
 import { pageData } from "./page_data.js";
-import { aheadChoice, lineOf, recordingNamed, recordingOptions, stepAt } from "./scores.js";
+import { aheadChoice, bandWords, lineOf, recordingNamed, recordingOptions, stepAt } from "./scores.js";
 import { isShown } from "./shown_trackers.js";
 
 const binsOf = (row, chosen) => row.bins?.[chosen.stratum]?.[stepAt(chosen, stepsWithBins(chosen))] ?? null;
@@ -19,7 +19,8 @@ function linesOf(chosen, fields) {
 }
 
 function precisionRecall(chosen) {
-  const lines = linesOf(chosen, ({ p, recall, precision }) => ({ xs: recall, values: precision, notes: p.map(probabilityWords) }));
+  const lines = linesOf(chosen, ({ p, recall, precision, precision_low: low, precision_high: high }) =>
+    ({ xs: recall, values: precision, low, high, notes: p.map(probabilityWords) }));
   return { lines, x: { name: "recall", range: [0, 1] }, y: { name: "precision", range: [0, 1.02] } };
 }
 
@@ -35,7 +36,7 @@ function calibration(chosen) {
 }
 
 const FIGURES = [
-  { id: "precision-recall", title: "Precision and recall", chart: precisionRecall, line: () => "Each point is a threshold; the area is PR-AUC." },
+  { id: "precision-recall", title: "Precision and recall", chart: precisionRecall, line: (now) => `Each point is a threshold; the area is PR-AUC${bandWords(precisionRecall(now))}.` },
   { id: "threshold", title: "Threshold", chart: f1OverThreshold, line: () => "F1 at every threshold." },
   { id: "calibration", title: "Calibration", chart: calibration, line: () => "On the diagonal, p is the share of cells that were occupied." },
 ];

@@ -48,8 +48,10 @@ export function startScale() {
 function hiddenChart(chosen) {
   const { recording, score } = chosen, step = stepAt(chosen);
   const ages = agesOf(recordingNamed(recording)), xs = ages.map((_, i) => i);
-  const lines = rowsWith(recordingNamed(recording), ages[0], score).toReversed()
-    .map((row) => lineOf(row, { xs, values: ages.map((stratum) => valueAt(row, stratum, score, step)) }));
+  const lines = rowsWith(recordingNamed(recording), ages[0], score).toReversed().map((row) => {
+    const [values, low, high] = ENDS.map((end) => ages.map((stratum) => valueAt(row, stratum, score, step, end)));
+    return lineOf(row, { xs, values, low, high });
+  });
   const text = (i) => ages[i].replace("occluded ", "");
   return {
     lines,
@@ -75,6 +77,6 @@ export function startHiddenTime() {
         aheadChoice(now)];
     },
     chart: hiddenChart,
-    line: (now) => `${scoreWords(scoreNamed(now.score))} of cells that no beam reached, by the time since then.`,
+    line: (now) => `${scoreWords(scoreNamed(now.score))} of cells that no beam reached, by the time since then${bandWords(hiddenChart(now))}.`,
   });
 }

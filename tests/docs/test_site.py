@@ -68,3 +68,14 @@ def test_a_page_from_disk_has_its_style_and_every_page_of_the_navigation_and_fin
     page.locator(".md-search-result__item", has_text="Scores").first.wait_for()
     page.close()
     assert faults == []
+
+
+@pytest.mark.parametrize("name", ["index.html", "docs/importing.html"])
+@pytest.mark.parametrize("width", [1280, 400])
+@pytest.mark.parametrize(("scheme", "palette"), [("light", "default"), ("dark", "slate")])
+def test_axe_finds_nothing_serious(site: Path, browser, serious_findings, name, width, scheme, palette) -> None:
+    page = browser.new_page(viewport={"width": width, "height": 900}, color_scheme=scheme)
+    page.goto((site / name).as_uri())
+    page.locator(f"body[data-md-color-scheme={palette}]").wait_for()
+    assert serious_findings(page) == []
+    page.close()

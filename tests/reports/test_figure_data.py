@@ -11,9 +11,11 @@ import pytest
 
 from gridtrack.evaluation.results.columns import PROBABILITY_BINS, PROBABILITY_EDGES
 from gridtrack.evaluation.results.files import RunError
-from gridtrack.evaluation.scoring.counting import Tally, for_calibration
+from gridtrack.evaluation.scoring.counting import for_calibration
+from gridtrack.evaluation.scoring.histograms import UnitHistograms
 from gridtrack.evaluation.scoring.strata import STRATA
 from gridtrack.evaluation.statistics.score_intervals import HEADLINE_STRATA
+from gridtrack.evaluation.statistics.trial_files import TrialFiles
 from gridtrack.recordings.degradation import Degradation
 from gridtrack.reports.conditions import DEGRADATION_TEXTS
 from gridtrack.reports.page import render_page
@@ -178,9 +180,8 @@ def test_the_area_below_precision_over_recall_is_about_pr_auc(run_folder, summar
 def test_a_calibrated_forecast_lies_on_the_diagonal(run_folder, monkeypatch):
     cells = np.full((STEPS + 1, len(HEADLINE_STRATA), PROBABILITY_BINS), 1000)
     positives = (cells * (PROBABILITY_EDGES[:-1] + PROBABILITY_EDGES[1:]) / 2).astype(int)
-    losses = np.zeros((2, STEPS + 1, len(HEADLINE_STRATA)))
-    tally = Tally(cells, positives, for_calibration(positives), *losses, HEADLINE_STRATA)
-    monkeypatch.setattr("gridtrack.reports.probability_curves.read_tally", lambda *_: tally)
+    read = UnitHistograms(cells[None], positives[None], for_calibration(positives), HEADLINE_STRATA)
+    monkeypatch.setattr(TrialFiles, "histograms", lambda *_: read)
     curve = curves_of(run_folder)[0]["crossing", "good"]["dynamic"]["8"]
     assert curve["mean_p"] == pytest.approx(curve["share"], abs=1e-3)
 

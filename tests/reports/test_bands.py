@@ -1,0 +1,174 @@
+"""Bands of the figures beside the curves over the horizon: precision over recall, and hidden cells by time."""
+
+from __future__ import annotations
+
+import csv
+import shutil
+
+import numpy as np
+import pytest
+
+from gridtrack.evaluation.results.columns import PROBABILITY_EDGES
+from gridtrack.evaluation.scoring.strata import STRATA_WITH_TRUTH
+from gridtrack.evaluation.statistics.summary import summarise
+from gridtrack.reports.page import render_report
+from gridtrack.reports.probability_curves import probability_curves
+from gridtrack.reports.run import read_runs
+from gridtrack.reports.table import headline_tables
+
+from scenes import synthetic_run as synthetic
+from scenes.report_page import data_of
+
+RECORDINGS = [f"seed-{i:02}" for i in range(20)]
+SKILLS = {"persistence": 0.6, "good": 0.8}
+STEPS, STEP = 8, "8"
+"""Steps of a forecast, and the one 1 s ahead."""
+TOP_BIN = 5
+"""Bins from the last one to that of the cells that are called occupied at a threshold of 0.5."""
+
+
+def written(run, recordings, steps=STEPS, **trial):
+    """A run on `recordings`, by name their descriptions."""
+    trials = [
+        synthetic.write_trial(run, label, name, skill, seed=seed, steps=steps, **trial)
+        for seed, name in enumerate(recordings)
+        for label, skill in SKILLS.items()
+    ]
+    summarise(recordings, trials, [], False).write(run)
+    synthetic.write_run_record(run, recordings)
+    return run
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    """Twenty recordings with ground truth."""
+    described = dict.fromkeys(RECORDINGS, synthetic.description(steps=STEPS))
+    return written(tmp_path_factory.mktemp("runs") / "twenty", described, frames=2, strata=STRATA_WITH_TRUTH)
+
+
+@pytest.fixture(scope="module")
+def report(run):
+    return render_report([run])
+
+
+@pytest.fixture
+def page(browser, report):
+    page = browser.new_page()
+    page.set_default_timeout(60_000)
+    page.goto(report.as_uri())
+    page.locator("#every-score table").wait_for()
+    yield page
+    page.close()
+
+
+def curves_of(run):
+    runs = read_runs([run])
+    curves, notices = probability_curves(runs, headline_tables(runs))
+    assert notices == ()
+    return curves
+
+
+def ends_at_half(curve):
+    """Precision with the ends of its interval at the point of the cells that are called occupied at 0.5."""
+    at = curve["p"].index(pytest.approx(PROBABILITY_EDGES[-1 - TOP_BIN], rel=1e-3))
+    return [curve[name][at] for name in ("precision", "precision_low", "precision_high")]
+
+
+def expected_at_half(scores, step=int(STEP)):
+    return [getattr(scores, name)[step] for name in ("precision", "precision_low", "precision_high")]
+
+
+def test_precision_at_the_threshold_in_use_has_the_interval_of_the_summary(run):
+    (read,) = read_runs([run])
+    curves = curves_of(run)
+    for label in SKILLS:
+        for stratum in ("in-motion", "visible"):
+            expected = expected_at_half(read.summary.trackers[label].pooled.strata[stratum])
+            assert ends_at_half(curves["all recordings", label][stratum][STEP]) == pytest.approx(expected, rel=1e-3)
+
+
+@pytest.fixture(scope="module")
+def long_run(tmp_path_factory):
+    """One recording that is long enough for twenty blocks."""
+    described = {"long": synthetic.description(steps=4)}
+    return written(tmp_path_factory.mktemp("runs") / "long", described, steps=4, frames=2200)
+
+
+def test_blocks_of_one_long_recording_are_those_of_the_summary(long_run):
+    scores = read_runs([long_run])[0].summary.trackers["good"].recordings["long"].strata["in-motion"]
+    assert scores.interval == ""
+    curve = curves_of(long_run)["long", "good"]["in-motion"]["4"]
+    assert ends_at_half(curve) == pytest.approx(expected_at_half(scores, 4), rel=1e-3)
+
+
+def test_where_the_blocks_cannot_be_found_the_curves_have_no_bands_and_a_notice_says_why(long_run, tmp_path):
+    """They depend on the scores of every tracker."""
+    run = shutil.copytree(long_run, tmp_path / "run")
+    (run / "persistence@long" / "scores.parquet").write_bytes(b"not")
+    runs = read_runs([run])
+    curves, notices = probability_curves(runs, headline_tables(runs))
+    assert ("long", "persistence") not in curves
+    assert "precision_low" not in curves["long", "good"]["in-motion"]["4"]
+    assert [notice.partition(": ")[0] for notice in notices] == ["persistence", "no intervals of precision over recall"]
+
+
+def test_where_scores_have_no_interval_precision_has_none(run):
+    curve = curves_of(run)[RECORDINGS[0], "good"]["in-motion"][STEP]
+    assert "precision_low" not in curve
+
+
+def test_recordings_of_other_periods_have_curves_together_where_their_scores_are_pooled(tmp_path):
+    periods_s = np.where(np.arange(20) < 10, 0.125, 0.25)
+    described = {
+        name: synthetic.description(period_s=period_s, steps=STEPS)
+        for name, period_s in zip(RECORDINGS, periods_s, strict=True)
+    }
+    run = written(tmp_path / "run", described, frames=2)
+    (read,) = read_runs([run])
+    horizons_s = read.summary.pooled_horizons_s
+    assert horizons_s == (0.0, 0.5, 1.0)
+    scores = read.summary.trackers["good"].pooled.strata["in-motion"]
+    curve = curves_of(run)["all recordings", "good"]["in-motion"]["2"]
+    assert ends_at_half(curve) == pytest.approx(expected_at_half(scores, 2), rel=1e-3)
+
+
+def numbers_of(page, figure):
+    with page.expect_download() as saved:
+        page.locator(f"#{figure}").get_by_role("button", name="CSV").click()
+    return list(csv.DictReader(saved.value.path().read_text().splitlines()))
+
+
+def test_hidden_cells_by_time_have_bands_and_their_ends_in_the_file(page, run):
+    section = page.locator("#hidden-time")
+    assert section.locator("polygon.band").count() == len(SKILLS)
+    assert "a band is a 95 % interval" in section.locator(".note").inner_text()
+    first = numbers_of(page, "hidden-time")[0]
+    scores = read_runs([run])[0].summary.trackers["good"].pooled.strata["occluded to 0.5 s"]
+    assert float(first["good low"]) == pytest.approx(scores.f1_low[int(STEP)], rel=1e-4)
+    assert float(first["good high"]) == pytest.approx(scores.f1_high[int(STEP)], rel=1e-4)
+    section.locator(".chart").focus()
+    page.keyboard.press("ArrowRight")
+    low, high = (f"{float(first[name]):.3f}" for name in ("good low", "good high"))
+    assert f"[{low}, {high}]" in section.locator(".readout").inner_text()
+
+
+def test_precision_over_recall_has_bands_and_their_ends_in_the_file(page, report):
+    section = page.locator("#precision-recall")
+    assert section.locator("polygon.band").count() == len(SKILLS)
+    assert "a band is a 95 % interval" in section.locator(".note").inner_text()
+    rows = [row for row in numbers_of(page, "precision-recall") if row["tracker"] == "good"]
+    (pooled,) = [
+        row["bins"]
+        for recording in data_of(report.read_text())["recordings"]
+        for row in recording["rows"]
+        if (recording["name"], row["label"]) == ("all recordings", "good")
+    ]
+    curve = pooled["in-motion"][STEP]
+    assert [float(row["precision low"]) for row in rows] == curve["precision_low"]
+    assert [float(row["precision high"]) for row in rows] == curve["precision_high"]
+
+
+def test_a_file_without_intervals_has_no_columns_of_their_ends(page):
+    page.locator("#precision-recall").get_by_label("Recording").select_option(RECORDINGS[0])
+    assert "precision low" not in numbers_of(page, "precision-recall")[0]
+    assert page.locator("#precision-recall polygon.band").count() == 0
