@@ -9,7 +9,7 @@ from typing import Annotated, NoReturn
 
 import typer
 
-from gridtrack.cli import recordings, regress, runs, simulate, trackers
+from gridtrack.cli import recordings, regress, report, runs, simulate, trackers
 from gridtrack.cli.options import DEBUG_OPTION, with_defaults
 from gridtrack.common.errors import ConfigurationError, GridtrackError, printable
 from gridtrack.common.names import check_utf8
@@ -39,7 +39,7 @@ app = typer.Typer(
     help="Compare trackers on occupancy grids: the same frames, the same scores, statistics with intervals.",
 )
 app.command("compare", cls=with_defaults(runs.compare_defaults, runs.compare_helps))(runs.compare_command)
-app.command("report")(runs.report_command)
+app.command("report")(report.report_command)
 app.command("regress", cls=with_defaults(regress.regress_defaults))(regress.regress_command)
 app.command("train", cls=with_defaults(trackers.train_defaults))(trackers.train_command)
 app.add_typer(trackers.app, name="trackers")

@@ -7,12 +7,15 @@ from typing import Annotated
 import typer
 
 from gridtrack.cli.completion import complete_degradation, complete_engine, complete_row, complete_slurm
-from gridtrack.cli.options import fetch_recordings
+from gridtrack.cli.options import fetch_recordings, fetch_row_weights
 
 RowsOption = Annotated[
     list[str] | None,
     typer.Option(
-        metavar="[LABEL=]NAME[:KEY=VALUE,...]", help="Repeat; default: every tracker", autocompletion=complete_row
+        metavar="[LABEL=]NAME[:KEY=VALUE,...]",
+        help="Repeat; default: every tracker",
+        autocompletion=complete_row,
+        callback=fetch_row_weights,
     ),
 ]
 ValidationOption = Annotated[

@@ -16,8 +16,10 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, TypedDict, Unpack
 
+from gridtrack.cli.options import default_report_folder, run_folder_at
 from gridtrack.cli.runs import INCOMPLETE
 from gridtrack.common.errors import INTERRUPTED_EXIT_CODE, ConfigurationError, GridtrackError
+from gridtrack.common.remote_files import is_url
 from gridtrack.evaluation.results.run_record import RunRecord
 from gridtrack.evaluation.results.summary import RunSummary
 from gridtrack.reports.page import render_report, render_tables
@@ -72,11 +74,17 @@ class Run:
     """What was compared: the resolved configuration, versions, machine, hashes of inputs."""
     summary: RunSummary
     """All results, typed (docs/run-folder.md)."""
+    url: str = ""
+    """Where the run is in a store, of which `path` is the local copy."""
 
     @classmethod
     def load(cls, path: str | Path) -> Run:
-        """Read the folder of a run that has ended. Raises GridtrackError for another folder or damaged files."""
-        return cls(Path(path), *read_results(Path(path)))
+        """Read the folder of a run that has ended, or its URL, of which a local copy is read.
+
+        Raises GridtrackError for another folder, damaged files, or a store that cannot be read.
+        """
+        folder = run_folder_at(str(path))
+        return cls(folder, *read_results(folder), url=str(path) if is_url(str(path)) else "")
 
     @cached_property
     def scores(self) -> pl.DataFrame:
@@ -98,11 +106,18 @@ class Run:
         return difference_frame(self.summary)
 
     def report(self, out: str | Path | None = None) -> Path:
-        """Write the report page into the folder `out`, or the run's own, and return its path."""
-        return render_report([self.path], None if out is None else Path(out))
+        """Write the report page into the folder `out`, and return its path.
+
+        Without `out` it is the run's own folder, or for a run in a store `NAME-report` in the working folder.
+        """
+        return render_report([self.path], Path(out) if out is not None else default_report_folder([self._named]))
+
+    @property
+    def _named(self) -> str:
+        return self.url or str(self.path)
 
     def __repr__(self) -> str:
-        return f"Run('{self.path}': {', '.join(self.summary.trackers)} on {', '.join(self.summary.recordings)})"
+        return f"Run('{self._named}': {', '.join(self.summary.trackers)} on {', '.join(self.summary.recordings)})"
 
     def _repr_html_(self) -> str:
         """The main tables, for a notebook."""

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import json
+import re
 import shlex
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from copy import copy
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -13,12 +15,15 @@ import typer
 from typer.core import TyperCommand, TyperOption
 
 from gridtrack.common.errors import ConfigurationError, printable
+from gridtrack.common.remote_files import fetched_folder, folder_name, is_url
 
 if TYPE_CHECKING:
     from pydantic import BaseModel
 
 DEBUG_OPTION = "--debug"
 """Read from the command line itself, so that it can follow the name of a command."""
+ROW_WEIGHTS_URL = re.compile(r'(?<=[:,])\s*weights\s*=\s*("?)(?P<url>[A-Za-z][A-Za-z0-9+.-]*://[^",]*)\1')
+"""`weights=URL` among the options of a row."""
 EXAMPLES = "For example demo.mcap@30s-90s, or s3://bucket/demo.mcap"
 
 
@@ -29,8 +34,40 @@ def fetch_recordings(given: Any) -> Any:
     if given is None:
         return None
     if isinstance(given, str):
-        return fetched(given, lambda line: typer.echo(f"gridtrack: {printable(line)}", err=True))
+        return fetched(given, print_note)
     return [fetch_recordings(text) for text in given]
+
+
+def print_note(line: str) -> None:
+    """Print a line for the user, on stderr."""
+    typer.echo(f"gridtrack: {printable(line)}", err=True)
+
+
+def weights_folder(text: str) -> Path:
+    """A parser: the folder of weights at a path, or the local copy of the one at a URL. Raises StoreError."""
+    return fetched_folder(text, "weights", print_note) if is_url(text) else Path(text)
+
+
+def fetch_row_weights(rows: list[str] | None) -> list[str] | None:
+    """A callback: of rows with `weights=URL` those with the local copies. Raises StoreError."""
+
+    def local(match: re.Match[str]) -> str:
+        return f"weights={json.dumps(str(weights_folder(match['url'])), ensure_ascii=False)}"
+
+    return rows and [ROW_WEIGHTS_URL.sub(local, row) for row in rows]
+
+
+def run_folder_at(text: str) -> Path:
+    """A parser: the folder of a run at a path, or the local copy of the one at a URL. Raises StoreError."""
+    return fetched_folder(text, "runs", print_note) if is_url(text) else Path(text)
+
+
+def default_report_folder(runs: Sequence[str]) -> Path | None:
+    """The folder of the report where the user names none: of a run in a store `NAME-report` in the working folder, of
+    several `NAME-side-by-side`; None for the run's own folder."""
+    if not is_url(runs[0]):
+        return None
+    return Path(f"{folder_name(runs[0])}-{'report' if len(runs) == 1 else 'side-by-side'}")
 
 
 RecordingArgument = Annotated[
@@ -55,7 +92,12 @@ WholeRecordingArgument = Annotated[
 GridOption = Annotated[str | None, typer.Option(help=r"CELLSxMETRES\[@X,Y], e.g. 100x0.2; default: the recording's")]
 RateOption = Annotated[float | None, typer.Option(help="Frames per second; default: the recording's")]
 WeightsOption = Annotated[
-    Path | None, typer.Option(help="Folder of learned weights, searched before the user's own and the shipped ones")
+    Path | None,
+    typer.Option(
+        metavar="FOLDER",
+        help="Folder of learned weights, or its URL, searched before the user's own and the shipped ones",
+        parser=weights_folder,
+    ),
 ]
 TrackersTomlOption = Annotated[Path | None, typer.Option(help="Trackers of other environments and programs")]
 SandboxOption = Annotated[

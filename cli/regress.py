@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from gridtrack.cli.options import DEBUG_OPTION, JsonOption, TrackersTomlOption
+from gridtrack.cli.options import DEBUG_OPTION, JsonOption, TrackersTomlOption, run_folder_at
 from gridtrack.common.errors import ConfigurationError, GridtrackError, one_line, printable
 
 if TYPE_CHECKING:
@@ -31,7 +31,11 @@ MAX_CRASH_CHARS = 300
 def regress_command(
     runs: Annotated[
         list[Path],
-        typer.Argument(metavar="RUN...", help="A run's folder; with --update several, one for each training or seed"),
+        typer.Argument(
+            metavar="RUN...",
+            help="A run's folder, or its URL; with --update several, one for each training or seed",
+            parser=run_folder_at,
+        ),
     ],
     baseline: Annotated[Path, typer.Option(help="The baseline's file")],
     margin: Annotated[

@@ -1,8 +1,9 @@
-"""`compare` and `report`: run trackers on recordings, and write the report of a run."""
+"""`compare`: run trackers on recordings."""
 
 from __future__ import annotations
 
 import shlex
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
@@ -23,7 +24,6 @@ from gridtrack.cli.compare_options import (
     ValidationOption,
     WarmUpOption,
 )
-from gridtrack.cli.completion import complete_format
 from gridtrack.cli.options import (
     GridOption,
     JsonOption,
@@ -34,10 +34,12 @@ from gridtrack.cli.options import (
     WeightsOption,
     command_line,
     default_of,
+    print_note,
     seconds,
     seconds_text,
 )
-from gridtrack.common.errors import INTERRUPTED_EXIT_CODE, ConfigurationError, printable
+from gridtrack.common.errors import INTERRUPTED_EXIT_CODE, printable
+from gridtrack.common.remote_files import is_url
 
 if TYPE_CHECKING:
     from gridtrack.evaluation.comparison.plan import ComparisonPlan
@@ -50,7 +52,7 @@ INCOMPLETE = 3
 def compare_command(
     recordings: RecordingsArgument,
     tracker: RowsOption = None,
-    out: Annotated[Path | None, typer.Option(help="The run's folder")] = None,
+    out: Annotated[str | None, typer.Option(metavar="FOLDER", help="The run's folder, or its URL")] = None,
     validation: ValidationOption = None,
     reference: ReferenceOption = None,
     horizon: Annotated[str | None, typer.Option(help="The longest horizon of a forecast")] = None,
@@ -97,7 +99,7 @@ def compare_command(
     given = {
         "recordings": tuple(recordings),
         "trackers": tuple(tracker or ()),
-        "out": out,
+        "out": None if out is None or is_url(out) else Path(out),
         "validation": validation,
         "reference": reference,
         "horizon_s": _seconds(horizon),
@@ -120,9 +122,24 @@ def compare_command(
         "idle_timeout_s": _seconds(idle_timeout),
     }
     settings = _settings(given, limits, degrade, slurm)
-    compared = _followed(settings) if settings.follow else _run(settings)
-    _print_result(settings.out, compared, as_json)
+    with _folder_of_run(out, settings) as folder:
+        local = settings.model_copy(update={"out": folder})
+        compared = _followed(local) if settings.follow else _run(local)
+        report = _print_result(folder, compared, as_json)
+    if not as_json:
+        in_store = f"{(out or '').rstrip('/')}/{report.relative_to(folder).as_posix()}"
+        typer.echo(f"report: {report if folder == settings.out else in_store}")
     raise typer.Exit(compared.exit_code)
+
+
+def _folder_of_run(out: str | None, settings: CompareSettings) -> AbstractContextManager[Path]:
+    """The local folder in which a run is made; that of a run in a store is uploaded at the end."""
+    from gridtrack.evaluation.comparison.stored_run import stored_run
+
+    if out is None or not is_url(out):
+        return nullcontext(settings.out)
+    again = command_line() if settings.resume else f"{command_line()} --resume"
+    return stored_run(out, resume=settings.resume, again=again, note=print_note)
 
 
 def _seconds(text: str | None) -> float | None:
@@ -190,8 +207,8 @@ def _followed(settings: CompareSettings) -> _Compared:
     return _Compared(summary, summary.interrupted or followed.interrupted, lacks_measurements=False)
 
 
-def _print_result(out: Path, compared: _Compared, as_json: bool) -> None:
-    """Write the report of the run in `out`, and print the result."""
+def _print_result(out: Path, compared: _Compared, as_json: bool) -> Path:
+    """Write the report of the run in `out`, print the result, and return the path of the report."""
     from gridtrack.evaluation.results.files import json_of
     from gridtrack.reports.page import render_report
     from gridtrack.reports.terminal import print_tables
@@ -201,7 +218,7 @@ def _print_result(out: Path, compared: _Compared, as_json: bool) -> None:
         typer.echo(json_of(compared.summary))
     else:
         print_tables(out)
-        typer.echo(f"report: {report}")
+    return report
 
 
 def compare_defaults() -> dict[str, str]:
@@ -247,73 +264,3 @@ def _warn_of_missing(plan: ComparisonPlan) -> bool:
     for line in missing:
         typer.echo(f"gridtrack: not measured: {printable(line)}", err=True)
     return bool(missing)
-
-
-def report_command(
-    runs: Annotated[list[Path], typer.Argument(metavar="RUN...", help="The folder of a run")],
-    out: Annotated[
-        Path | None,
-        typer.Option(
-            help="The folder of the page, or the file of another format; default: report in the run's folder, or stdout"
-        ),
-    ] = None,
-    as_format: Annotated[
-        str,
-        typer.Option("--format", help="html, markdown, latex, csv, junit, svg or pdf", autocompletion=complete_format),
-    ] = "html",
-    rows: Annotated[
-        str, typer.Option(metavar="LABEL,...", help="Rows of another format; * and ? stand for any text and sign")
-    ] = "",
-    columns: Annotated[
-        str,
-        typer.Option(
-            metavar="SCORE STRATUM HORIZON,...", help="Columns of another format, e.g. 'f1 in-motion 1s, nll visible'"
-        ),
-    ] = "",
-    rerun: Annotated[
-        bool,
-        typer.Option("--rerun", help="The kept forecasts for the Rerun viewer, as RECORDING.rrd beside the page"),
-    ] = False,
-) -> None:
-    """Write the report of a run again, or of several runs side by side: as a page, or in another format."""
-    from gridtrack.reports.formats import PAGE, check_format, render_as
-    from gridtrack.reports.page import render_report
-
-    check_format(as_format)
-    if rerun:
-        if as_format != PAGE or columns:
-            raise ConfigurationError("--rerun: forecasts have neither --format nor --columns: leave them out")
-        _write_rerun(runs, out, rows)
-        return
-    if as_format != PAGE:
-        _write_rendered(render_as(as_format, runs, rows, columns), out)
-        return
-    if rows or columns:
-        raise ConfigurationError("--rows and --columns: the page shows every row; choose another --format")
-    typer.echo(f"report: {render_report(runs, out)}")
-
-
-def _write_rerun(runs: list[Path], out: Path | None, rows: str) -> None:
-    """Write the kept forecasts of a run for the Rerun viewer."""
-    from gridtrack.reports.rerun_run import write_rerun_run
-
-    if len(runs) > 1:
-        raise ConfigurationError("--rerun: one run at a time")
-    written, notices = write_rerun_run(runs[0], out, rows)
-    for notice in notices:
-        typer.echo(f"gridtrack: {printable(notice)}", err=True)
-    for path in written:
-        typer.echo(f"open the forecasts with: {shlex.join(['rerun', printable(str(path))])}")
-
-
-def _write_rendered(content: bytes, out: Path | None) -> None:
-    """Write to `out`, or to stdout."""
-    from gridtrack.common.files import atomic_write
-
-    if out is None:
-        typer.echo(content, nl=False)
-        return
-    if out.is_dir():
-        raise ConfigurationError(f"{out}: is a folder: --out is the file of this format")
-    with atomic_write(out) as file:
-        file.write(content)

@@ -21,6 +21,7 @@ from gridtrack.cli.options import (
     WeightsOption,
     default_of,
     fetch_recordings,
+    weights_folder,
     with_defaults,
 )
 from gridtrack.common.errors import INTERRUPTED_EXIT_CODE, ConfigurationError, GridtrackError, PluginError, printable
@@ -65,7 +66,11 @@ def train_command(
     ] = False,
     weights: Annotated[
         Path | None,
-        typer.Option(help="Folder of general weights to start from, searched before your own and the shipped ones"),
+        typer.Option(
+            metavar="FOLDER",
+            help="Folder of general weights to start from, or its URL, searched before your own and the shipped ones",
+            parser=weights_folder,
+        ),
     ] = None,
     from_scratch: Annotated[bool, typer.Option("--from-scratch", help="Do not start from general weights")] = False,
 ) -> None:

@@ -38,6 +38,10 @@ class WeightsError(GridtrackError):
     """Learned weights that are missing, damaged, or made for another grid or period."""
 
 
+class StoreError(GridtrackError):
+    """A file or folder that a URL names, and that cannot be fetched, listed or uploaded."""
+
+
 class PluginError(GridtrackError):
     """A plugin (tracker, recording format) that is unknown, or that cannot be loaded."""
 

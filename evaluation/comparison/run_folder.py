@@ -39,7 +39,7 @@ class RunFolder:
         record = _new_record(plan, command)
         earlier = _earlier_record(path)
         if earlier is not None and not plan.settings.resume:
-            raise _holds_a_run(path)
+            raise holds_a_run(path)
         changed = _what_changed(earlier.configuration, record.configuration) if earlier else ""
         if changed:
             raise RunError(
@@ -80,10 +80,11 @@ class RunFolder:
 def refuse_earlier_run(path: Path) -> None:
     """Raise RunError where the folder holds a run."""
     if _earlier_record(path) is not None:
-        raise _holds_a_run(path)
+        raise holds_a_run(path)
 
 
-def _holds_a_run(path: Path) -> RunError:
+def holds_a_run(path: Path | str) -> RunError:
+    """The error of a folder, or a URL, at which a run cannot begin."""
     return RunError(f"{path} holds a run already: continue it with --resume, or name another folder with --out")
 
 

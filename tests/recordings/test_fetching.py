@@ -13,7 +13,7 @@ from pathlib import Path
 import fsspec
 import pytest
 
-from gridtrack.common.errors import RecordingError
+from gridtrack.common.errors import StoreError
 from gridtrack.recordings import packaged_recording
 from gridtrack.recordings.fetching import fetched
 
@@ -76,7 +76,7 @@ def test_a_recording_that_comes_in_another_size_is_not_kept(store, notes, cache,
 
 
 def refuse_half(notes, sent):
-    with pytest.raises(RecordingError, match=f"{len(sent)} bytes came, and {len(CONTENT)} were announced; try again"):
+    with pytest.raises(StoreError, match=f"{len(sent)} bytes came, and {len(CONTENT)} were announced; try again"):
         fetched("memory://bucket/hall.mcap", notes.append)
 
 
@@ -84,7 +84,7 @@ def refuse_half(notes, sent):
     ("url", "message"),
     [
         ("memory://bucket/none.mcap", r"none\.mcap: cannot be fetched \(FileNotFoundError"),
-        ("memory://bucket/", "'' cannot be the name of a recording"),
+        ("memory://bucket/", "'' cannot be the name of a local copy"),
         ("memory://bucket/%2e%2e%2fhall.mcap", r"'\.\./hall\.mcap' cannot be the name"),
         ("nowhere://bucket/hall.mcap", "Protocol not known: nowhere"),
         ("http://user:secret@127.0.0.1/hall.mcap", "leave user and password out of the URL"),
@@ -94,7 +94,7 @@ def refuse_half(notes, sent):
 def test_what_cannot_be_fetched_is_told_in_one_line(url, message, store, notes):
     if url.startswith("simplecache"):
         url = f"memory://{url}"
-    with pytest.raises(RecordingError, match=message) as raised:
+    with pytest.raises(StoreError, match=message) as raised:
         fetched(url, notes.append)
     assert "\n" not in str(raised.value)
     assert "secret" not in str(raised.value)
