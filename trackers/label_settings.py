@@ -9,7 +9,7 @@ from pydantic import Field
 from gridtrack.common.config import Settings
 
 ENOUGH_SCANS = 800
-"""So many labelled scans are drawn where the user asks for no number: as many as in the paper (Experimental Results)."""
+"""So many labelled scans are drawn where the user asks for no number: as many as in the paper."""
 
 ClassWeights = Literal["inverse-frequency", "none"]
 
