@@ -6,7 +6,8 @@ from gridtrack.recordings.importing import import_recording
 from gridtrack.recordings.mounts import Mount, parse_mount
 from gridtrack.recordings.opening import open_recording, packaged_recording, recordings_at
 from gridtrack.recordings.read_options import CloudSlice, ReadOptions
-from gridtrack.recordings.recording import Recording, RecordingInfo, Stretch
+from gridtrack.recordings.recording import Recording
+from gridtrack.recordings.recording_info import RecordingInfo, Stretch
 from gridtrack.recordings.survey import RecordingOverview
 
 __all__ = [

@@ -18,7 +18,8 @@ from gridtrack.recordings.frames.problems import ChainOptions
 from gridtrack.recordings.frames.transform import SE3
 from gridtrack.recordings.frames.tree import FrameTree, StampedTransform, frame_name
 from gridtrack.recordings.mounts import Mount
-from gridtrack.recordings.recording import DamageError, Recording, RecordingInfo, Topics
+from gridtrack.recordings.recording import DamageError, Recording, Topics
+from gridtrack.recordings.recording_info import RecordingInfo
 
 Content = Literal["scan", "transforms", "pose"]
 Recorded = tuple[str, str]

@@ -19,7 +19,8 @@ from gridtrack.recordings.labels import classes_in, with_labels
 from gridtrack.recordings.mounts import Mount
 from gridtrack.recordings.opening import open_recording
 from gridtrack.recordings.read_options import CloudSlice
-from gridtrack.recordings.recording import Recording, RecordingInfo, Stretch, stretch_text
+from gridtrack.recordings.recording import Recording
+from gridtrack.recordings.recording_info import RecordingInfo, Stretch, stretch_text
 
 if TYPE_CHECKING:
     from gridtrack.recordings.ego_motion import PoseSource

@@ -8,32 +8,19 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from pydantic import Field, SerializerFunctionWrapHandler, field_validator, model_serializer
 
-from gridtrack.common.config import Settings
 from gridtrack.common.errors import RecordingError, bounded_line, did_you_mean
 from gridtrack.common.files import sha256_of
-from gridtrack.common.grid import GridSpec
-from gridtrack.common.names import LABEL_RULE, NAME_RULE, is_label, is_name, name_from
-from gridtrack.common.scan import MAX_RATE_HZ, MIN_RATE_HZ, Scan
+from gridtrack.common.names import name_from
+from gridtrack.common.scan import Scan
 from gridtrack.recordings.growth import Growth
 from gridtrack.recordings.mounts import Mount
 from gridtrack.recordings.order import StampOrder
 from gridtrack.recordings.read_options import ReadOptions
+from gridtrack.recordings.recording_info import RecordingInfo
 from gridtrack.recordings.survey import RecordingOverview, Survey
-
-Stretch = tuple[float, float | None]
-"""(start, end) in seconds from the recording's first scan, the end excluded; None: to the end of the recording."""
-
-
-def stretch_text(stretch: Stretch) -> str:
-    """A stretch in the form of the command line: `75s-90s`, or `90s-` to the end."""
-    start_s, end_s = stretch
-    return f"{start_s:g}s-" if end_s is None else f"{start_s:g}s-{end_s:g}s"
-
 
 MAX_WARNINGS, MAX_LISTED_TOPICS = 100, 1000
 """Limits of the warnings about a recording, and of the topics that are listed."""
@@ -46,66 +33,6 @@ class DamageError(RecordingError):
 
 class NoScansError(RecordingError):
     """A file without scans, or without any so far."""
-
-
-class RecordingInfo(Settings):
-    """Metadata of a recording: `site`, `classes` of its labels, recommended `grid` and `rate_hz`, named `stretches`,
-    the period `cycle_s` of events that repeat at the site, such as a cycle of traffic lights, and its origin.
-    """
-
-    site: str
-    classes: tuple[str, ...] = Field(default=(), max_length=255)
-    grid: str | None = None
-    rate_hz: float | None = Field(default=None, ge=MIN_RATE_HZ, le=MAX_RATE_HZ)
-    cycle_s: float | None = Field(default=None, gt=0.0, le=86_400.0)
-    stretches: dict[str, Stretch] = Field(default_factory=dict)
-    licence: str = ""
-    credit: str = ""
-    poses: str = ""
-    """Where the poses of the sensors come from; not written where it is empty, so that earlier recordings are written
-    with the same bytes."""
-    source: str = ""
-    source_sha256: str = ""
-    command: str = ""
-
-    @model_serializer(mode="wrap")
-    def _without_empty_poses(self, values_of: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        values: dict[str, Any] = values_of(self)
-        if not self.poses:
-            del values["poses"]
-        return values
-
-    @field_validator("grid")
-    @classmethod
-    def _check_grid(cls, grid: str | None) -> str | None:
-        return None if grid is None else str(GridSpec.parse(grid))
-
-    @field_validator("site")
-    @classmethod
-    def _check_site(cls, site: str) -> str:
-        if not is_name(site):
-            raise ValueError(NAME_RULE)
-        return site
-
-    @field_validator("classes")
-    @classmethod
-    def _check_classes(cls, classes: tuple[str, ...]) -> tuple[str, ...]:
-        for name in classes:
-            if not is_label(name):
-                raise ValueError(f"class {name[:40]!r}: {LABEL_RULE}")
-        return classes
-
-    @field_validator("stretches")
-    @classmethod
-    def _check_stretches(cls, stretches: dict[str, Stretch]) -> dict[str, Stretch]:
-        for name, (start_s, end_s) in stretches.items():
-            if not is_name(name):
-                raise ValueError(f"stretch {name[:40]!r}: {NAME_RULE}")
-            if start_s < 0.0 or (end_s is not None and end_s <= start_s):
-                raise ValueError(
-                    f"stretch '{name}' is from {start_s} s to {end_s} s: expected 0 or more, and an end after the start"
-                )
-        return stretches
 
 
 @dataclass

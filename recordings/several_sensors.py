@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from gridtrack.recordings.recording import Stretch, stretch_text
+from gridtrack.recordings.recording_info import Stretch, stretch_text
 from gridtrack.recordings.survey import Survey
 
 SLOW = 1.5

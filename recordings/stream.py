@@ -21,7 +21,7 @@ from gridtrack.recordings import Recording, open_recording
 from gridtrack.recordings.cell_labels import check_labels, labelled_returns
 from gridtrack.recordings.observation import Observation, frame_of
 from gridtrack.recordings.recorded_time import RecordedTime
-from gridtrack.recordings.recording import Stretch, stretch_text
+from gridtrack.recordings.recording_info import Stretch, stretch_text
 from gridtrack.recordings.resample import Tick, resample_scans
 from gridtrack.recordings.several_sensors import missing_scans, slow_sensor
 from gridtrack.recordings.stretches import parse_stretch, stretch_of, ticks_in

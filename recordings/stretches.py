@@ -8,7 +8,8 @@ from pathlib import Path
 
 from gridtrack.common.errors import RecordingError, did_you_mean
 from gridtrack.common.names import NAME_RULE, is_name
-from gridtrack.recordings.recording import Recording, Stretch, stretch_text
+from gridtrack.recordings.recording import Recording
+from gridtrack.recordings.recording_info import Stretch, stretch_text
 
 
 def parse_stretch(text: str) -> tuple[Path, Stretch | str | None]:

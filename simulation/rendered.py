@@ -12,7 +12,8 @@ from gridtrack.common.files import sha256_of, user_cache_folder
 from gridtrack.common.scan import Scan
 from gridtrack.recordings.formats.native import NativeRecording
 from gridtrack.recordings.formats.native_writer import write_native
-from gridtrack.recordings.recording import Recording, RecordingInfo, Topics
+from gridtrack.recordings.recording import Recording, Topics
+from gridtrack.recordings.recording_info import RecordingInfo
 from gridtrack.simulation.tracks_file import read_tracks
 
 RENDERING_VERSION = 1

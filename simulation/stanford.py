@@ -20,7 +20,7 @@ from pydantic import Field
 
 from gridtrack.common.config import Settings
 from gridtrack.common.errors import RecordingError
-from gridtrack.recordings.recording import RecordingInfo
+from gridtrack.recordings.recording_info import RecordingInfo
 from gridtrack.simulation.laser import Laser
 from gridtrack.simulation.motion import headings, smoothed, unbroken_tracks
 from gridtrack.simulation.tracks import MAX_USERS_PER_FRAME, ONLY_LASER, Tracks, TracksInfo

@@ -15,7 +15,7 @@ from gridtrack.common.geometry import SE2
 from gridtrack.common.names import NAME_RULE, is_name
 from gridtrack.common.scan import MIN_RATE_HZ, Scan
 from gridtrack.common.scene import UNLABELLED, Outline, Scene, SceneObject
-from gridtrack.recordings.recording import RecordingInfo
+from gridtrack.recordings.recording_info import RecordingInfo
 from gridtrack.simulation.bodies import body_outline
 from gridtrack.simulation.laser import MATT, MAX_SCENE_M, Laser, SceneSurfaces
 from gridtrack.simulation.motion import unbroken_tracks

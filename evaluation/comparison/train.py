@@ -21,7 +21,7 @@ from gridtrack.evaluation.comparison.training_process import TrainingProcess
 from gridtrack.evaluation.scoring.splits import TRAIN, VALIDATION, own_validation, shares_frames
 from gridtrack.evaluation.scoring.world_kinds import CellKinds
 from gridtrack.recordings import Recording, open_recording, recordings_at
-from gridtrack.recordings.recording import Stretch, stretch_text
+from gridtrack.recordings.recording_info import Stretch, stretch_text
 from gridtrack.recordings.stream import GridStream
 from gridtrack.recordings.stretches import parse_stretch
 from gridtrack.trackers.card import GENERAL, StartedFrom, TrainingData

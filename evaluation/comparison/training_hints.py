@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from gridtrack.common.errors import RecordingError
 from gridtrack.evaluation.scoring.referee import WARM_UP
 from gridtrack.evaluation.scoring.splits import TRAIN, VALIDATION, EvaluationSplit, like
-from gridtrack.recordings.recording import Stretch, stretch_text
+from gridtrack.recordings.recording_info import Stretch, stretch_text
 from gridtrack.recordings.stream import GridStream
 
 TRAIN_SHARE = 0.6

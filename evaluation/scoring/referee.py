@@ -23,7 +23,7 @@ from gridtrack.evaluation.scoring.motion import MotionFinder, ObservedMotion
 from gridtrack.evaluation.scoring.regions import Regions
 from gridtrack.evaluation.scoring.strata import LastSeen, RegionMaps
 from gridtrack.evaluation.scoring.target import Target
-from gridtrack.recordings.recording import stretch_text
+from gridtrack.recordings.recording_info import stretch_text
 from gridtrack.recordings.stream import GridStream, frame_digest
 from gridtrack.recordings.survey import MIN_REST_S
 from gridtrack.trackers.contract import Forecast, FrameSource

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 from gridtrack.evaluation.scoring.referee import WARM_UP
 from gridtrack.evaluation.scoring.splits import EvaluationSplit, like
-from gridtrack.recordings.recording import stretch_text
+from gridtrack.recordings.recording_info import stretch_text
 
 
 def segments_of(split: EvaluationSplit, segment_s: float, warm_up_s: float) -> Iterator[EvaluationSplit]:

@@ -19,7 +19,8 @@ from gridtrack.common.names import name_from
 from gridtrack.common.scan import Scan
 from gridtrack.recordings.format import RecordingFormat
 from gridtrack.recordings.read_budget import ReadBudget
-from gridtrack.recordings.recording import DamageError, Recording, RecordingInfo, Topics
+from gridtrack.recordings.recording import DamageError, Recording, Topics
+from gridtrack.recordings.recording_info import RecordingInfo
 
 CARMEN_SUFFIXES = (".clf", ".clf.bz2", ".log", ".log.bz2")
 MAX_LINE_BYTES = 1 << 20

@@ -46,7 +46,8 @@ from gridtrack.recordings.growth import Growth
 from gridtrack.recordings.json_messages import BEAM_TIMES, POSE_QUALITY, read_beam_times, read_pose_quality
 from gridtrack.recordings.mcap_file import MCAP_MAGIC, McapFile, McapMessage
 from gridtrack.recordings.protobuf_time import nanoseconds_of
-from gridtrack.recordings.recording import DamageError, Recording, RecordingInfo, Topics
+from gridtrack.recordings.recording import DamageError, Recording, Topics
+from gridtrack.recordings.recording_info import RecordingInfo
 from gridtrack.recordings.scene_messages import OBJECTS, OUTLINES, SceneReader
 
 MAX_SOURCE_WARNINGS, MAX_WARNING_CHARS = 100, 1000

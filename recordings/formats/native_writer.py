@@ -35,7 +35,7 @@ from gridtrack.recordings.json_messages import (
     pose_quality_message,
 )
 from gridtrack.recordings.protobuf_time import timestamp_of
-from gridtrack.recordings.recording import RecordingInfo
+from gridtrack.recordings.recording_info import RecordingInfo
 from gridtrack.recordings.scene_messages import OBJECTS, OUTLINES, WORLD, SceneWriter
 
 CHUNK_BYTES = 128 * 1024

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridtrack.common.errors import ConfigurationError
-from gridtrack.recordings.recording import RecordingInfo
+from gridtrack.recordings.recording_info import RecordingInfo
 from gridtrack.simulation.junction import demand, layout
 from gridtrack.simulation.junction.patience import Patience
 from gridtrack.simulation.laser import Laser

@@ -8,7 +8,7 @@ from importlib.metadata import version
 import numpy as np
 
 from gridtrack.common.errors import ConfigurationError
-from gridtrack.recordings.recording import RecordingInfo
+from gridtrack.recordings.recording_info import RecordingInfo
 from gridtrack.simulation.sumo import SimulationError, sumo_version
 from gridtrack.simulation.tracks import Tracks
 from gridtrack.simulation.worlds import indoors, outdoors

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from shapely import Polygon
 
 from gridtrack.common.geometry import SE2
-from gridtrack.recordings.recording import RecordingInfo
+from gridtrack.recordings.recording_info import RecordingInfo
 from gridtrack.simulation.odometry import WheelOdometry
 from gridtrack.simulation.tracks import MAX_OUTLINES, ONLY_LASER, Carrier, Tracks, TracksInfo, World
 from gridtrack.simulation.walkers import Walker

@@ -16,7 +16,7 @@ from gridtrack.common.scan import Scan
 from gridtrack.recordings import Recording, open_recording
 from gridtrack.recordings.formats.native_writer import write_native
 from gridtrack.recordings.importing import import_recording
-from gridtrack.recordings.recording import RecordingInfo
+from gridtrack.recordings.recording_info import RecordingInfo
 
 RECORDED = {"perfect": "", "odometry": "-odometry", "beside": "-beside"}
 """The kinds that are simulated as recordings of their own: the end of their names."""
