@@ -27,6 +27,8 @@ TRACKERS = ("kalman", "dogma", "dilated-convgru")
 MINUTES = (1, 5, 15, 65)
 RESULTS = Path("docs/results/worlds/site_minutes.json")
 COMMAND = "python -m studies.site_minutes"
+LEAST_GAP = 0.01
+"""Of F1 between general and site weights: a smaller one is within the intervals of both, and a share of it noise."""
 
 
 def weights_after(tracker: str, minutes: int, out: Path) -> Path:
@@ -68,8 +70,8 @@ def gap_closed(scores: PlaceScores, trackers: Sequence[str], minutes: Sequence[i
 
 
 def share_closed(start: float | None, now: float | None, end: float | None) -> str:
-    """How far `now` is on the way from `start` to `end`, per cent; empty where there is no gap of 0.001 to close."""
-    if start is None or now is None or end is None or end - start < 0.001:
+    """How far `now` is on the way from `start` to `end`, per cent; empty where there is no gap of LEAST_GAP to close."""
+    if start is None or now is None or end is None or end - start < LEAST_GAP:
         return ""
     return f"{100 * (now - start) / (end - start):.0f}"
 
