@@ -91,6 +91,15 @@ def browser() -> Iterator[Any]:
         chromium.close()
 
 
+@pytest.fixture
+def bucket() -> Iterator[Any]:
+    """The store of fsspec in memory; what a test puts below /bucket is removed after it."""
+    fsspec = pytest.importorskip("fsspec", reason="fsspec, of the extra remote, is not installed")
+    files = fsspec.filesystem("memory")
+    yield files
+    files.rm("/bucket", recursive=True)
+
+
 @pytest.fixture(scope="session")
 def serious_findings() -> Callable[[Any], list[tuple[str, str]]]:
     """What axe-core finds on an open page that is serious or critical: (rule, HTML of the first element)."""

@@ -6,7 +6,6 @@ import http.server
 import threading
 from functools import partial
 
-import fsspec
 import pytest
 
 from gridtrack.common.errors import StoreError
@@ -22,14 +21,12 @@ def cache(tmp_path, monkeypatch):
 
 
 @pytest.fixture
-def store():
+def store(bucket):
     """A store in memory with a folder of three files, one of them hidden."""
-    files = fsspec.filesystem("memory")
-    files.pipe("/bucket/weights/kalman/hall.toml", b"card")
-    files.pipe("/bucket/weights/kalman/hall.safetensors", b"arrays")
-    files.pipe("/bucket/weights/.lock", b"1")
-    yield files
-    files.rm("/bucket", recursive=True)
+    bucket.pipe("/bucket/weights/kalman/hall.toml", b"card")
+    bucket.pipe("/bucket/weights/kalman/hall.safetensors", b"arrays")
+    bucket.pipe("/bucket/weights/.lock", b"1")
+    return bucket
 
 
 @pytest.fixture

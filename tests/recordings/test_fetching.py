@@ -10,7 +10,6 @@ import threading
 from functools import partial
 from pathlib import Path
 
-import fsspec
 import pytest
 
 from gridtrack.common.errors import StoreError
@@ -27,12 +26,10 @@ def cache(tmp_path, monkeypatch):
 
 
 @pytest.fixture
-def store():
+def store(bucket):
     """A store in memory with a recording in it."""
-    files = fsspec.filesystem("memory")
-    files.pipe("/bucket/hall.mcap", CONTENT)
-    yield files
-    files.rm("/bucket", recursive=True)
+    bucket.pipe("/bucket/hall.mcap", CONTENT)
+    return bucket
 
 
 @pytest.fixture

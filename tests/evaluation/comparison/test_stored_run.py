@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import fsspec
 import pytest
 
 from gridtrack.common.errors import StoreError
@@ -20,11 +19,9 @@ def home(tmp_path, monkeypatch):
 
 
 @pytest.fixture
-def store():
-    files = fsspec.filesystem("memory")
-    files.pipe("/bucket/other", b"1")
-    yield files
-    files.rm("/bucket", recursive=True)
+def store(bucket):
+    bucket.pipe("/bucket/other", b"1")
+    return bucket
 
 
 @pytest.fixture
