@@ -70,7 +70,7 @@ def gap_closed(scores: PlaceScores, trackers: Sequence[str], minutes: Sequence[i
 
 
 def share_closed(start: float | None, now: float | None, end: float | None) -> str:
-    """How far `now` is on the way from `start` to `end`, per cent; empty where there is no gap of LEAST_GAP to close."""
+    """How far `now` is from `start` to `end`, per cent; empty where there is no gap of LEAST_GAP to close."""
     if start is None or now is None or end is None or end - start < LEAST_GAP:
         return ""
     return f"{100 * (now - start) / (end - start):.0f}"
