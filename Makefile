@@ -98,7 +98,7 @@ baseline: $(VENV)/.installed-dev ## update the baseline of tests/test_own_tracke
 	    --weights data/weights --horizon 1s --every 0.5s --out runs/baseline
 	$(BIN)/gridtrack regress runs/baseline --baseline tests/baselines/own_trackers.json --update
 	$(BIN)/pip install --quiet --no-deps --no-build-isolation --target runs/baseline/example $(EXAMPLE)
-	PYTHONPATH=runs/baseline/example $(BIN)/python -m pytest -q -c $(EXAMPLE)/pyproject.toml --gridtrack-update-baseline
+	PYTHONPATH=runs/baseline/example $(BIN)/python -m pytest -q -c $(EXAMPLE)/pyproject.toml $(EXAMPLE)/tests --gridtrack-update-baseline
 
 clean: ## remove what the other targets made
 	rm -rf $(VENV) .link runs build dist *.egg-info
