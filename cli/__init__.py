@@ -10,8 +10,8 @@ from typing import Annotated, NoReturn
 import typer
 
 from gridtrack.cli import recordings, regress, report, runs, simulate, trackers
-from gridtrack.cli.options import DEBUG_OPTION, with_defaults
-from gridtrack.common.errors import ConfigurationError, GridtrackError, printable
+from gridtrack.cli.options import DEBUG_OPTION, print_note, with_defaults
+from gridtrack.common.errors import ConfigurationError, GridtrackError
 from gridtrack.common.names import check_utf8
 
 
@@ -76,5 +76,5 @@ def main() -> None:
 def _fail(error: Exception, reason: str) -> NoReturn:
     if DEBUG_OPTION in sys.argv:
         traceback.print_exception(error)
-    typer.echo(f"gridtrack: {printable(reason)}", err=True)
+    print_note(reason)
     sys.exit(2)

@@ -15,14 +15,14 @@ import typer
 from typer.core import TyperCommand, TyperOption
 
 from gridtrack.common.errors import ConfigurationError, printable
-from gridtrack.common.remote_files import fetched_folder, folder_name, is_url
+from gridtrack.common.remote_files import URL, fetched_folder, folder_name, is_url
 
 if TYPE_CHECKING:
     from pydantic import BaseModel
 
 DEBUG_OPTION = "--debug"
 """Read from the command line itself, so that it can follow the name of a command."""
-ROW_WEIGHTS_URL = re.compile(r'(?<=[:,])\s*weights\s*=\s*("?)(?P<url>[A-Za-z][A-Za-z0-9+.-]*://[^",]*)\1')
+ROW_WEIGHTS_URL = re.compile(rf'(?<=[:,])\s*weights\s*=\s*("?)(?P<url>{URL.pattern}[^",]*)\1')
 """`weights=URL` among the options of a row."""
 EXAMPLES = "For example demo.mcap@30s-90s, or s3://bucket/demo.mcap"
 

@@ -9,7 +9,14 @@ from typing import Annotated, Literal
 import typer
 
 from gridtrack.cli.completion import complete_cloud_slice
-from gridtrack.cli.options import GridOption, JsonOption, RateOption, RecordingArgument, WholeRecordingArgument
+from gridtrack.cli.options import (
+    GridOption,
+    JsonOption,
+    RateOption,
+    RecordingArgument,
+    WholeRecordingArgument,
+    print_note,
+)
 from gridtrack.common.errors import ConfigurationError, printable
 
 PoseTopicOption = Annotated[
@@ -138,7 +145,7 @@ def recording_view(
         bar = bars.add_task("frames", total=len(stream))
         write_rerun_recording(stream, path, lambda: bars.advance(bar))
     for warning in stream.recording.warnings:
-        typer.echo(f"gridtrack: {printable(warning)}", err=True)
+        print_note(warning)
     typer.echo(f"{len(stream)} frames; open them with: {shlex.join(['rerun', printable(str(path))])}")
 
 

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from gridtrack.cli.completion import complete_format
-from gridtrack.cli.options import default_report_folder, run_folder_at
+from gridtrack.cli.options import default_report_folder, print_note, run_folder_at
 from gridtrack.common.errors import ConfigurationError, printable
 
 
@@ -66,7 +66,7 @@ def _write_rerun(runs: list[Path], out: Path | None, rows: str) -> None:
         raise ConfigurationError("--rerun: one run at a time")
     written, notices = write_rerun_run(runs[0], out, rows)
     for notice in notices:
-        typer.echo(f"gridtrack: {printable(notice)}", err=True)
+        print_note(notice)
     for path in written:
         typer.echo(f"open the forecasts with: {shlex.join(['rerun', printable(str(path))])}")
 

@@ -134,10 +134,10 @@ def compare_command(
 
 def _folder_of_run(out: str | None, settings: CompareSettings) -> AbstractContextManager[Path]:
     """The local folder in which a run is made; that of a run in a store is uploaded at the end."""
-    from gridtrack.evaluation.comparison.stored_run import stored_run
-
     if out is None or not is_url(out):
         return nullcontext(settings.out)
+    from gridtrack.evaluation.comparison.stored_run import stored_run
+
     again = command_line() if settings.resume else f"{command_line()} --resume"
     return stored_run(out, resume=settings.resume, again=again, note=print_note)
 
@@ -262,5 +262,5 @@ def _warn_of_missing(plan: ComparisonPlan) -> bool:
     complete = [record for record in records if record and record.outcome == "ok"]
     missing = [line for record in complete for line in missing_measurements(plan.settings, record)]
     for line in missing:
-        typer.echo(f"gridtrack: not measured: {printable(line)}", err=True)
+        print_note(f"not measured: {line}")
     return bool(missing)

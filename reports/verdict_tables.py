@@ -76,11 +76,8 @@ def markdown_of(verdict: Verdict) -> str:
         lambda row: [verdict.standing_of(row), row.label, row.call, row.base, *turns_texts(row)],
     )
     parts += ["\n".join(f"- {escaped(note)}" for note in verdict.notes)] if verdict.notes else []
-    parts += (
-        [f"Every count is as in the baseline: {', '.join(map(escaped, unchanged_labels(verdict)))}."]
-        if unchanged_labels(verdict)
-        else []
-    )
+    if unchanged := unchanged_labels(verdict):
+        parts.append(f"Every count is as in the baseline: {', '.join(map(escaped, unchanged))}.")
     return "\n\n".join(parts) + "\n"
 
 

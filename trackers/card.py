@@ -149,8 +149,8 @@ def card_for(
     """The card of a training on `train`: a general one where `out` asks for it.
 
     Settings that are None, which TOML cannot hold, are left out: it is their default. Arrays with a value per cell lie
-    in the window of the first frame. Raises WeightsError where the training stretches
-    of a site differ in grid, period or site.
+    in the window of the first frame. Raises WeightsError where the training stretches of a site differ in grid, period
+    or site.
     """
     sources = list(train)
     return Card(

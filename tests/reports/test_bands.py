@@ -17,7 +17,7 @@ from gridtrack.reports.run import read_runs
 from gridtrack.reports.table import headline_tables
 
 from scenes import synthetic_run as synthetic
-from scenes.report_page import data_of
+from scenes.report_page import data_of, opened
 
 RECORDINGS = [f"seed-{i:02}" for i in range(20)]
 SKILLS = {"persistence": 0.6, "good": 0.8}
@@ -53,12 +53,8 @@ def report(run):
 
 @pytest.fixture
 def page(browser, report):
-    page = browser.new_page()
-    page.set_default_timeout(60_000)
-    page.goto(report.as_uri())
-    page.locator("#every-score table").wait_for()
-    yield page
-    page.close()
+    with opened(browser, report) as page:
+        yield page
 
 
 def curves_of(run):

@@ -8,6 +8,8 @@ import pytest
 
 from gridtrack.reports.page import render_report
 
+from scenes.report_page import opened
+
 STEPS = 20
 AGES = ["to 0.5 s", "0.5-1 s", "over 4 s"]
 TIMES = {"p50": 41.0, "p95": 44.0, "p99": 46.5}
@@ -41,18 +43,14 @@ def report(run_folder, tmp_path_factory):
 @pytest.fixture
 def numbers_of(browser, report):
     """`numbers_of(figure)`: the rows of its CSV file."""
-    page = browser.new_page()
-    page.set_default_timeout(60_000)
-    page.goto(report.as_uri())
-    page.locator("#every-score table").wait_for()
+    with opened(browser, report) as page:
 
-    def numbers_of(figure):
-        with page.expect_download() as saved:
-            page.locator(f"#{figure}").get_by_role("button", name="CSV").click()
-        return list(csv.reader(saved.value.path().read_text().splitlines()))
+        def numbers_of(figure):
+            with page.expect_download() as saved:
+                page.locator(f"#{figure}").get_by_role("button", name="CSV").click()
+            return list(csv.reader(saved.value.path().read_text().splitlines()))
 
-    yield numbers_of
-    page.close()
+        yield numbers_of
 
 
 def test_hidden_cells_have_the_time_in_words(numbers_of):

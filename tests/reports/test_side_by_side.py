@@ -11,6 +11,8 @@ from gridtrack.reports.page import render_report
 from gridtrack.reports.run import read_runs
 from gridtrack.reports.table import headline_tables
 
+from scenes.report_page import opened
+
 
 def changed(run, **fields):
     record = json.loads((run / "run.json").read_text())
@@ -28,12 +30,8 @@ def two(run_folder, tmp_path_factory):
 
 @pytest.fixture
 def page(browser, two):
-    page = browser.new_page(viewport={"width": 1280, "height": 900})
-    page.set_default_timeout(60_000)
-    page.goto(render_report(two).as_uri())
-    page.locator("#every-score table").wait_for()
-    yield page
-    page.close()
+    with opened(browser, render_report(two), viewport={"width": 1280, "height": 900}) as page:
+        yield page
 
 
 LOOKS = """all => all.map((one) => {

@@ -4,9 +4,21 @@ import base64
 import json
 import re
 import zlib
+from contextlib import contextmanager
 
 HOSTILE = "<script>alert(1)<\\script><img src=x onerror=alert(1)>, & %2C"
 """A name of a tracker that would run, were it HTML."""
+
+
+@contextmanager
+def opened(browser, report, **options):
+    """The page of a report in the browser, when it is drawn; `options` of the page, such as its viewport."""
+    page = browser.new_page(**options)
+    page.set_default_timeout(60_000)
+    page.goto(report.as_uri())
+    page.locator("#every-score table").wait_for()
+    yield page
+    page.close()
 
 
 def data_of(page):
