@@ -139,7 +139,7 @@ def _folder_of_run(out: str | None, settings: CompareSettings) -> AbstractContex
     from gridtrack.evaluation.comparison.stored_run import stored_run
 
     again = command_line() if settings.resume else f"{command_line()} --resume"
-    return stored_run(out, resume=settings.resume, again=again, note=print_note)
+    return stored_run(out, resume=settings.resume, again=None if settings.follow else again, note=print_note)
 
 
 def _seconds(text: str | None) -> float | None:

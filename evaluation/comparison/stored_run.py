@@ -20,12 +20,12 @@ BEGUN = ".begun"
 
 
 @contextmanager
-def stored_run(url: str, *, resume: bool, again: str, note: Callable[[str], None]) -> Iterator[Path]:
+def stored_run(url: str, *, resume: bool, again: str | None, note: Callable[[str], None]) -> Iterator[Path]:
     """The local folder of the run at `url`, whose files are uploaded when the block ends; then it is removed.
 
     With `resume` it begins with what the store has, or with what an earlier comparison could not upload. Where the
     block or the upload raises, the folder stays, and `note` receives a line that names it and the command `again`,
-    which continues there. Raises StoreError, and RunError where the store has a run and `resume` is false.
+    which continues there; None where none does. Raises StoreError, and RunError where the store has a run and `resume` is false.
     """
     folder = user_data_folder() / "runs" / hashlib.sha256(url.rstrip("/").encode()).hexdigest()[:16] / folder_name(url)
     with run_lock(folder.parent):
@@ -43,7 +43,8 @@ def stored_run(url: str, *, resume: bool, again: str, note: Callable[[str], None
             upload_folder(folder, url, last=RUN_FILE)
         except BaseException:
             if kept or _record_in(folder) not in (None, begun):
-                note(f"{folder} keeps the run, which is not in {url} as it is here: run `{again}`, or copy it")
+                mend = f"run `{again}`, or copy it" if again else "copy it"
+                note(f"{folder} keeps the run, which is not in {url} as it is here: {mend}")
             else:
                 shutil.rmtree(folder.parent)
             raise

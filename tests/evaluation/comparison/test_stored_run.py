@@ -78,6 +78,13 @@ def test_what_an_error_leaves_is_kept_and_told_in_one_line(store, home, notes):
     assert store.cat("/bucket/runs/hall/run.json") == b"running"
 
 
+def test_a_run_that_no_command_continues_is_to_be_copied(store, home, notes):
+    with pytest.raises(RuntimeError), stored_run(URL, resume=False, again=None, note=notes.append) as folder:
+        (folder / "run.json").write_text("running")
+        raise RuntimeError
+    assert notes[-1].endswith(f"{URL} as it is here: copy it")
+
+
 def test_a_fetched_run_to_which_nothing_was_added_is_not_kept(store, home, notes):
     store.pipe("/bucket/runs/hall/run.json", b"a run")
     with pytest.raises(RunError, match="refused"), begun(notes, resume=True):
