@@ -4,13 +4,15 @@ Counts of the site come first, in the arrays of the weights; then the settings w
 training recordings are searched, the validation recordings decide between the best of them, and the forecast with the
 result is calibrated on the same excerpts. Where it starts from general weights, settings are searched near theirs: a
 stretch of a minute has too little motion to know better from nothing. Those that weigh the map of the place against the
-stream are searched in their whole range: general weights have no map.
+stream are searched in their whole range: general weights have no map. The search counts with the map on the frames that
+the map was made of, where it is always right, so that the validation recordings decide whether it serves: on the map of
+a short training what stood all the time, such as a queue of cars, is a wall.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Generic, TypeVar
@@ -53,7 +55,8 @@ class SettingsSearch(Generic[_Searched]):
     """What is searched for the tracker `name`: settings of one `kind` in `ranges`, log-uniformly.
 
     `of_place`: those of which general weights know nothing. `during(settings)` are the settings with which a try is
-    scored, for trackers that can be faster at some loss.
+    scored, for trackers that can be faster at some loss. `without_map`: the settings of a tracker that starts without
+    its map of the place; empty where there is no map, or no way to do so.
     """
 
     name: str
@@ -62,6 +65,7 @@ class SettingsSearch(Generic[_Searched]):
     ranges: Mapping[str, tuple[float, float]]
     of_place: frozenset[str]
     during: Callable[[_Searched], _Searched] = lambda settings: settings
+    without_map: Mapping[str, Any] = field(default_factory=dict)
 
 
 def fit_searched(
@@ -77,9 +81,10 @@ def fit_searched(
     """Write the `arrays`, the settings with the best F1 on excerpts of `train`, and their calibration to `out.path`.
 
     The settings in `given` are not searched. The search begins with the defaults, or with those of the general weights
-    `out.start`. Of the best settings, and the general ones, those with the best F1 on `validation` are written; `notes`
-    are added to the results on the card. Raises WeightsError where the recordings differ in grid, period or site or the
-    general weights are damaged, ConfigurationError without torch.
+    `out.start`. Of the best settings those with the best F1 on `validation` are written; where there are general ones,
+    of these too, and of each without the map of the place. `notes` are added to the results on the card. Raises
+    WeightsError where the recordings differ in grid, period or site or the general weights are damaged,
+    ConfigurationError without torch.
     """
     arrays = {**arrays, "calibration": IDENTITY}
     start, ranges = _begin(search, out, given)
@@ -95,9 +100,11 @@ def fit_searched(
             card = card_for(search.name, out, train, validation, stopped.best.model_dump(), notes)
             save_interrupted(out.path, card, arrays, f"{stopped.reached}, not calibrated")
             raise
-        if out.start is not None and start not in finalists:
-            finalists.append(start)
+        if out.start is not None:
+            finalists = _also_general(search, finalists, start, given)
         settings = draft.best_of(finalists, validation, out)
+        if search.without_map.items() & settings.model_dump().items() - given.items():
+            out.report("validation is better without the map of the place: it is not used")
         arrays["calibration"] = draft.calibration(settings, searched, out)
         save_weights(draft.path, card, arrays)
         results = {
@@ -120,6 +127,16 @@ def _begin(
     start = tuned_settings(search.kind, load_start(out.start, search.name), start)
     near = {key: _near(getattr(start, key), *bounds) for key, bounds in ranges.items() if key not in search.of_place}
     return start, ranges | near
+
+
+def _also_general(
+    search: SettingsSearch[_Searched], finalists: list[_Searched], general: _Searched, given: Mapping[str, Any]
+) -> list[_Searched]:
+    """The finalists and the `general` settings, and unless it is given, each of them without the map of the place."""
+    with_map = finalists if general in finalists else [*finalists, general]
+    if search.without_map.keys() <= given.keys():
+        return with_map
+    return with_map + [search.kind(**settings.model_dump() | search.without_map) for settings in with_map]
 
 
 def _near(value: float, low: float, high: float) -> tuple[float, float]:

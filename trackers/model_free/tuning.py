@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridtrack.trackers.contract import FitOutput, FrameSource, Score
-from gridtrack.trackers.model_free.background import fit_background, general_background
+from gridtrack.trackers.model_free.background import OUTSIDE_MAP, fit_background, general_background
 from gridtrack.trackers.model_free.open_cells import OpenCells, OpenOnMap, OpenSoFar
 from gridtrack.trackers.model_free.residence import fit_residence, general_residence, table_shape
 from gridtrack.trackers.model_free.settings import PipelineSettings
@@ -50,6 +50,8 @@ SETTING_RANGES = {
 """Ranges of the tuned settings, searched log-uniformly."""
 PIPELINE_OF_PLACE = frozenset({"untracked_share", "rate_recovery_s", "static_above", "adaptation_s", "map_weight_s"})
 """Settings that weigh the map of the place against the stream: those of the background."""
+WITHOUT_MAP = {"background": "none"}
+"""The setting of a pipeline that finds its background while the stream goes."""
 
 
 def fit_pipeline(
@@ -65,10 +67,17 @@ def fit_pipeline(
     A setting in `options` is not searched. Of the best settings those with the best F1 on `validation` are written. The
     forecast is calibrated on the excerpts. Raises WeightsError where the recordings differ in grid, period or site.
     """
-    search = SettingsSearch(tracker.name, tracker, PipelineSettings, SETTING_RANGES, PIPELINE_OF_PLACE)
     given = options.model_dump(include=set(PipelineSettings.model_fields), exclude_unset=True)
     notes = {"classes": _without_classes(train, out)}
     arrays = general_arrays(train, options) if out.general else fit_arrays(train, options, out.report)
+    search = SettingsSearch(
+        tracker.name,
+        tracker,
+        PipelineSettings,
+        SETTING_RANGES,
+        PIPELINE_OF_PLACE,
+        without_map=WITHOUT_MAP if (arrays["neighbourhood_rate"] < OUTSIDE_MAP).any() else {},
+    )
     fit_searched(search, arrays, train, validation, score, out, given, notes)
 
 

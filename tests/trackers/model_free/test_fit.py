@@ -233,13 +233,19 @@ def test_a_general_training_learns_no_map_and_runs_on_any_grid_and_period(tmp_pa
         assert tracker.tracks
 
 
+def general_weights(folder):
+    """General weights of which a training at a site takes the settings."""
+    path = folder / "general.toml"
+    out = FitOutput(path, "gridtrack train kalman --general", 3, folder / "log", general=True)
+    settings = PipelineSettings(acceleration=0.31, link_m=0.6)
+    save_weights(path, card_for("kalman", out, [Source()], [], settings.model_dump()), {})
+    return path
+
+
 def test_at_a_site_settings_are_searched_near_the_general_ones_and_those_of_its_map_everywhere(tmp_path, monkeypatch):
     """The map of the place is what general weights do not know; classes are added to weights of the site."""
     monkeypatch.setattr("gridtrack.trackers.searched_fit.SEARCH_ITERATIONS", 9)
-    general = tmp_path / "general.toml"
-    out = FitOutput(general, "gridtrack train kalman --general", 3, tmp_path / "log", general=True)
-    settings = PipelineSettings(acceleration=0.31, link_m=0.6)
-    save_weights(general, card_for("kalman", out, [Source()], [], settings.model_dump()), {})
+    general = general_weights(tmp_path)
     asked = []
 
     def score(tracker, source, steps):
@@ -257,6 +263,40 @@ def test_at_a_site_settings_are_searched_near_the_general_ones_and_those_of_its_
     assert max(of_place) > 4 * min(of_place)
     assert KalmanTracker.starts_from_general(ModelFreeSettings())
     assert not KalmanTracker.starts_from_general(ModelFreeSettings(stage="classes"))
+
+
+@pytest.mark.parametrize(("source", "with_map"), [(Source, 0.3), (Source, 0.7), (Driven, 0.3)])
+def test_the_validation_recordings_decide_whether_the_map_of_the_place_serves(tmp_path, monkeypatch, source, with_map):
+    """What stands for the whole of a short training is a wall on its map: elsewhere the map may do harm."""
+    monkeypatch.setattr("gridtrack.trackers.searched_fit.SEARCH_ITERATIONS", 3)
+    general, validation, told = general_weights(tmp_path), source(), []
+    validation.name = "hall@3s-6s"
+
+    def score(tracker, scored, steps):
+        without = tracker._settings.background == "none"
+        assert not (without and scored is not validation and not told), "the search itself counts with the map"
+        flat = np.full(steps + 1, 0.5 if without else with_map)
+        return StretchScore({"dynamic": flat, "in-motion": flat, "visible": flat}, {"dynamic": flat, "visible": flat})
+
+    at_site = FitOutput(tmp_path / "hall.toml", "train", 3, tmp_path / "log", report=told.append, start=general)
+    KalmanTracker.fit([source()], [validation], score, at_site, ModelFreeSettings())
+    chosen = read_card(at_site.path).settings["background"]
+    assert chosen == ("none" if source is Source and with_map < 0.5 else "fitted")
+    assert any("without the map of the place" in line for line in told) == (chosen == "none")
+
+
+def test_a_background_that_is_given_is_not_chosen(tmp_path, monkeypatch):
+    monkeypatch.setattr("gridtrack.trackers.searched_fit.SEARCH_ITERATIONS", 1)
+    asked = []
+
+    def score(tracker, source, steps):
+        asked.append(tracker._settings.background)
+        flat = np.full(steps + 1, 0.5)
+        return StretchScore({"dynamic": flat, "in-motion": flat, "visible": flat}, {"dynamic": flat, "visible": flat})
+
+    at_site = FitOutput(tmp_path / "hall.toml", "train", 3, tmp_path / "log", start=general_weights(tmp_path))
+    KalmanTracker.fit([Source()], [Source()], score, at_site, ModelFreeSettings(background="fitted"))
+    assert set(asked) == {"fitted"}
 
 
 def test_a_life_table_of_another_period_has_the_probabilities_of_its_times():
