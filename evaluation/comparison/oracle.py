@@ -44,12 +44,12 @@ class Oracle:
     """A TrackerLike that reads ahead in the recording; it holds one horizon of observations and their forecasts."""
 
     def __init__(self, stream: GridStream) -> None:
-        self._stream = stream
-        self._errors = range_errors(stream)
+        self.stream = stream
+        self.errors = range_errors(stream)
 
     def reset(self, seed: int) -> None:
         """Start at the first frame; nothing is drawn at random, so `seed` is not used."""
-        self._unread: Iterator[Observation] = self._stream.observations()
+        self._unread: Iterator[Observation] = self.stream.observations()
         self._ahead: deque[Observation] = deque()
         self._grids: dict[tuple[int, SE2], NDArray[np.float32]] = {}
 
@@ -64,17 +64,21 @@ class Oracle:
 
     def predict(self, steps: int) -> Forecast:
         """The grids of steps 0..steps in the window of the newest frame."""
-        while len(self._ahead) <= steps:
+        window = self.ahead(0).reference_T_grid
+        return Forecast(np.stack([self._grid(self.ahead(n), window) for n in range(steps + 1)]))
+
+    def ahead(self, step: int) -> Observation:
+        """The observation `step` frames after the newest frame."""
+        while len(self._ahead) <= step:
             self._ahead.append(next(self._unread))
-        window = self._ahead[0].reference_T_grid
-        return Forecast(np.stack([self._grid(self._ahead[n], window) for n in range(steps + 1)]))
+        return self._ahead[step]
 
     def _grid(self, observation: Observation, window: SE2) -> NDArray[np.float32]:
         """The forecast of one observation in a window; kept, because a sensor at rest has the same window again."""
         key = observation.frame.stamp_ns, window
         if key not in self._grids:
-            grid = self._stream.grid
-            self._grids[key] = expected_grid(observation.seen_in(window, grid), grid, self._errors)
+            grid = self.stream.grid
+            self._grids[key] = expected_grid(observation.seen_in(window, grid), grid, self.errors)
         return self._grids[key]
 
 
