@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gridtrack.evaluation.results.columns import PROBABILITY_EDGES
+from gridtrack.evaluation.results.columns import CALIBRATION_BINS, PROBABILITY_EDGES
 from gridtrack.evaluation.results.summary import SUMMARY_FILE
 from gridtrack.evaluation.scoring.counting import for_calibration
 from gridtrack.evaluation.scoring.metrics import ratio
@@ -45,7 +45,7 @@ def probability_curves(
     for run in runs:
         counts = _RunCounts(run)
         for label in run.summary.trackers:
-            files = TrialFiles(kept=len(run.recordings))
+            files = TrialFiles()
             for table, row in _rows_of(run, label, tables):
                 try:
                     trials = counts.trials_of(row, table)
@@ -102,19 +102,19 @@ def _curves_of(
     """The curves of all `trials` together, in the strata and at the steps of the headline. Raises ScoresError."""
     stamps_ns = [files.frames(trial).stamps_ns for trial in trials]
     units = rule.units_of(stamps_ns)
-    histograms = [files.histograms(*one) for one in zip(trials, stamps_ns, units, strict=True)]
-    strata = [name for name in HEADLINE_STRATA if name in common_strata([own.strata for own in histograms])]
+    histograms = files.histograms(trials, stamps_ns, units)
+    strata = [name for name in HEADLINE_STRATA if name in common_strata([trial.strata for trial in trials])]
     chosen = list(product(sorted({column.step for column in table.columns}), strata))
     cells, positives = summed_histograms(trials, histograms, units, chosen)
+    p_sums = np.zeros((len(chosen), CALIBRATION_BINS))
+    for trial, own in zip(trials, histograms, strict=True):
+        steps, numbers = zip(*((trial.steps[step], own.strata.index(stratum)) for step, stratum in chosen), strict=True)
+        p_sums += own.p_sum[steps, numbers]
     found: ProbabilityCurves = {stratum: {} for stratum in strata}
     for n, (step, stratum) in enumerate(chosen):
         if positives[:, n].any():
-            p_sum = sum(
-                own.p_sum[trial.steps[step], own.strata.index(stratum)]
-                for trial, own in zip(trials, histograms, strict=True)
-            )
             found[stratum][str(step)] = _precision_recall(cells[:, n], positives[:, n]) | _calibration(
-                cells[:, n].sum(axis=0), positives[:, n].sum(axis=0), p_sum
+                cells[:, n].sum(axis=0), positives[:, n].sum(axis=0), p_sums[n]
             )
     return found
 

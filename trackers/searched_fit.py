@@ -136,7 +136,7 @@ def _also_general(
     with_map = finalists if general in finalists else [*finalists, general]
     if search.without_map.keys() <= given.keys():
         return with_map
-    return with_map + [search.kind(**settings.model_dump() | search.without_map) for settings in with_map]
+    return with_map + [search.kind(**{**settings.model_dump(), **search.without_map}) for settings in with_map]
 
 
 def _near(value: float, low: float, high: float) -> tuple[float, float]:

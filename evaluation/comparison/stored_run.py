@@ -25,7 +25,8 @@ def stored_run(url: str, *, resume: bool, again: str | None, note: Callable[[str
 
     With `resume` it begins with what the store has, or with what an earlier comparison could not upload. Where the
     block or the upload raises, the folder stays, and `note` receives a line that names it and the command `again`,
-    which continues there; None where none does. Raises StoreError, and RunError where the store has a run and `resume` is false.
+    which continues there; None where none does. Raises StoreError, and RunError where the store has a run and `resume`
+    is false.
     """
     folder = user_data_folder() / "runs" / hashlib.sha256(url.rstrip("/").encode()).hexdigest()[:16] / folder_name(url)
     with run_lock(folder.parent):

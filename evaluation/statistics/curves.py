@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -35,14 +35,14 @@ class CountedTrial:
 
 
 def stratum_scores(
-    trials: Sequence[CountedTrial], strata: tuple[str, ...], described: Mapping[str, Mapping[str, Any]]
+    trials: Iterable[CountedTrial], steps: int, strata: tuple[str, ...], described: Mapping[str, Mapping[str, Any]]
 ) -> dict[str, StratumScores]:
-    """Scores of the summed counts of `trials`, each at its own thresholds; a threshold that differs is None.
+    """Scores of the summed counts of `trials`, of S `steps` each, at its own thresholds; one that differs is None.
 
     `described` holds, by stratum, the fields of StratumScores that `score_intervals.intervals`,
     `spatial_scores.spatial_scores` and `optional_scores.optional_scores` give.
     """
-    curves = _curves_of(trials, strata)
+    curves = _curves_of(trials, steps, strata)
     return {
         name: StratumScores(
             **{score: rounded_curve(values[:, k]) for score, values in curves.items()}, **described[name]
@@ -51,12 +51,10 @@ def stratum_scores(
     }
 
 
-def _curves_of(trials: Sequence[CountedTrial], strata: tuple[str, ...]) -> dict[str, NDArray[np.float64]]:
+def _curves_of(trials: Iterable[CountedTrial], steps: int, strata: tuple[str, ...]) -> dict[str, NDArray[np.float64]]:
     """Every score (S, K) by its field in StratumScores."""
-    steps = len(trials[0].steps) - 1
-    together = Tally.empty(steps, strata)
-    shape = (steps + 1, len(strata), 4)
-    at_threshold, at_visible, label_free = np.zeros((3, *shape), np.int64)
+    together = Tally.empty(steps - 1, strata)
+    at_threshold, at_visible, label_free = np.zeros((3, steps, len(strata), 4), np.int64)
     chosen = []
     for counted in trials:
         tally = counted.tally.of(strata)
@@ -82,5 +80,5 @@ def _curves_of(trials: Sequence[CountedTrial], strata: tuple[str, ...]) -> dict[
         "threshold": np.where(np.ptp(chosen, axis=0) == 0, chosen[0], np.nan),
         "f1_at_visible": metrics.f1_score(at_visible),
         "f1_label_free": metrics.f1_score(label_free),
-        "f1_at_half": metrics.f1_score(together.confusion(half(steps, strata).bins)),
+        "f1_at_half": metrics.f1_score(together.confusion(half(steps - 1, strata).bins)),
     }

@@ -13,6 +13,9 @@ from gridtrack.evaluation.scoring.metrics import area_under_precision_recall
 from gridtrack.evaluation.statistics.finished_trial import FinishedTrial
 from gridtrack.evaluation.statistics.jackknife import JackknifedScore
 
+SUMMED_BYTES = 256 << 20
+"""Of the histograms of all units: a run of a thousand recordings has gigabytes."""
+
 
 def pr_auc_of_units(
     trials: Sequence[FinishedTrial],
@@ -22,9 +25,18 @@ def pr_auc_of_units(
 ) -> JackknifedScore:
     """PR-AUC (N,) at the `chosen` places among the steps of each trial, and strata, over frames of `trials`.
 
-    The other arguments are those of `summed_histograms`.
+    The other arguments are those of `summed_histograms`. As many of `chosen` are summed at a time as SUMMED_BYTES hold.
     """
-    return pr_auc_without_each(*summed_histograms(trials, histograms, units, chosen))
+    at_a_time = max(1, SUMMED_BYTES // (2 * 8 * PROBABILITY_BINS * _number_of(units)))
+    parts = [
+        pr_auc_without_each(*summed_histograms(trials, histograms, units, chosen[first : first + at_a_time]))
+        for first in range(0, len(chosen), at_a_time)
+    ]
+    return JackknifedScore(
+        np.concatenate([part.value for part in parts]),
+        np.concatenate([part.without for part in parts], axis=1),
+        np.concatenate([part.sizes for part in parts], axis=1),
+    )
 
 
 def summed_histograms(
@@ -38,8 +50,7 @@ def summed_histograms(
     `units` (F,) hold the unit of each frame of a trial that counts. Of each trial `histograms` has the units from its
     first one to its last.
     """
-    number = 1 + max(int(one.max()) for one in units if len(one))
-    cells, positives = np.zeros((2, number, len(chosen), PROBABILITY_BINS), np.int64)
+    cells, positives = np.zeros((2, _number_of(units), len(chosen), PROBABILITY_BINS), np.int64)
     for trial, own, unit in zip(trials, histograms, units, strict=True):
         if len(unit):
             steps = [trial.steps[place] for place, _ in chosen]
@@ -48,6 +59,11 @@ def summed_histograms(
             cells[of_trial] += own.cells[:, steps, strata]
             positives[of_trial] += own.positives[:, steps, strata]
     return cells, positives
+
+
+def _number_of(units: Sequence[NDArray[np.int64]]) -> int:
+    """The number of units, of the `units` (F,) of the frames of each trial."""
+    return 1 + max(int(one.max()) for one in units if len(one))
 
 
 def pr_auc_without_each(cells: NDArray[np.integer], positives: NDArray[np.integer]) -> JackknifedScore:

@@ -52,7 +52,7 @@ class RunStatistics:
         self._reference = reference
         self._blocks: dict[str, float] = {}
         self._comparisons: dict[str, list[TrackerComparison]] = {}
-        self.files = TrialFiles(kept=max(1, len(recordings)))
+        self.files = TrialFiles()
 
     @cached_property
     def reference(self) -> str | None:
@@ -92,15 +92,13 @@ class RunStatistics:
         rule = self.unit_rule([trial.record.recording for trial in trials])
         frames = [self.frames_in(trial, strata) for trial in trials]
         stamps_ns = [one.stamps_ns for one in frames]
-        histograms = [
-            self.files.histograms(*one) for one in zip(trials, stamps_ns, rule.units_of(stamps_ns), strict=True)
-        ]
+        histograms = self.files.histograms(trials, stamps_ns, rule.units_of(stamps_ns))
         ends = intervals(frames, trials, histograms, strata, rule)
         spatial = spatial_scores(trials, stamps_ns, strata, rule)
         optional = optional_scores(trials, stamps_ns, strata, rule)
         described = {name: {**ends[name], **spatial[name], **optional[name]} for name in strata}
-        counted = [_counted(trial, own) for trial, own in zip(trials, histograms, strict=True)]
-        return stratum_scores(counted, strata, described)
+        counted = (_counted(trial, own) for trial, own in zip(trials, histograms, strict=True))
+        return stratum_scores(counted, len(trials[0].steps), strata, described)
 
     def differences(self) -> list[TrackerDifference]:
         """Each tracker against the reference: over all recordings where they are pooled, else on each."""

@@ -1,9 +1,11 @@
-"""The files of finished trials as the statistics read them: each once, as long as the rows are taken one by one."""
+"""The files of finished trials as the statistics read them: what was read last is kept, up to a number of bytes."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
+from functools import partial
+from typing import Any, Generic, TypeVar, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +16,12 @@ from gridtrack.evaluation.statistics.frame_counts import FrameCounts, read_frame
 from gridtrack.evaluation.statistics.jackknife import JackknifedScore
 from gridtrack.evaluation.statistics.pr_auc import pr_auc_of_units
 from gridtrack.evaluation.statistics.spatial_scores import Ratios, spatial_ratios
+
+KEPT_BYTES = 512 << 20
+"""Of counts of frames, and again of histograms. What ten trackers have on thirty recordings of a minute fits; of more
+it is read again where it is asked for again, so that memory does not grow with the number of trials."""
+
+_Value = TypeVar("_Value")
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,43 +36,43 @@ class HeadlineSums:
 
 
 class TrialFiles:
-    """Reads the files of trials. The counts of frames and the headline's sums are kept of all trials.
+    """Reads the files of trials. The headline's sums are kept of all trials, the rest of those read last.
 
-    Histograms are larger: they are kept of the `kept` trials read last, which is one row where `kept` is the number of
-    recordings. Its trials are scored one by one, then together, and then compared.
+    The trials of a row are scored one by one, then together, and then compared.
     """
 
-    def __init__(self, kept: int) -> None:
-        self._kept = kept
-        self._frames: dict[str, FrameCounts] = {}
-        self._histograms: dict[tuple[str, bytes], UnitHistograms] = {}
+    def __init__(self) -> None:
+        self._frames = _Recent[FrameCounts](lambda frames: frames.counts.nbytes)
+        self._histograms = _Recent[UnitHistograms](lambda one: one.cells.nbytes + one.positives.nbytes)
         self._headlines: dict[tuple[object, ...], HeadlineSums] = {}
 
     def frames(self, trial: FinishedTrial) -> FrameCounts:
         """The counts of a trial at each frame and at every step. Raises ScoresError."""
-        key = trial.folder.name
-        if key not in self._frames:
-            self._frames[key] = read_frame_counts(trial.folder, trial.record.steps, trial.strata)
-        return self._frames[key]
+        return self._frames.of(
+            trial.folder.name, lambda: read_frame_counts(trial.folder, trial.record.steps, trial.strata)
+        )
 
     def histograms(
-        self, trial: FinishedTrial, stamps_ns: NDArray[np.int64], units: NDArray[np.int64]
-    ) -> UnitHistograms:
-        """The histograms of a trial at every step, of the units from the first to the last of `units` (F,).
+        self,
+        trials: Sequence[FinishedTrial],
+        stamps_ns: Sequence[NDArray[np.int64]],
+        units: Sequence[NDArray[np.int64]],
+    ) -> Sequence[UnitHistograms]:
+        """The histograms of each trial at every step, of the units from the first to the last of its `units` (F,).
 
-        `stamps_ns` (F,) are the frames that count, some of the scored ones. Raises ScoresError.
+        `stamps_ns` (F,) are the frames that count, some of the scored ones. They are read where they are asked for,
+        which raises ScoresError.
         """
+        return _Lazily([partial(self._of_units, *one) for one in zip(trials, stamps_ns, units, strict=True)])
+
+    def _of_units(self, trial: FinishedTrial, stamps_ns: NDArray[np.int64], units: NDArray[np.int64]) -> UnitHistograms:
         scored_ns = self.frames(trial).stamps_ns
         of_frame = np.full(len(scored_ns), -1)
         of_frame[np.searchsorted(scored_ns, stamps_ns)] = units - (units.min() if len(units) else 0)
-        key = trial.folder.name, of_frame.tobytes()
-        if key not in self._histograms:
-            while len(self._histograms) >= self._kept:
-                del self._histograms[next(iter(self._histograms))]
-            self._histograms[key] = read_unit_histograms(
-                trial.folder, trial.record.steps, trial.strata, scored_ns, of_frame
-            )
-        return self._histograms[key]
+        return self._histograms.of(
+            (trial.folder.name, of_frame.tobytes()),
+            lambda: read_unit_histograms(trial.folder, trial.record.steps, trial.strata, scored_ns, of_frame),
+        )
 
     def headline_sums(
         self,
@@ -80,10 +88,44 @@ class TrialFiles:
         arrays = tuple(one.tobytes() for one in (*stamps_ns, *units))
         key = tuple(trial.folder.name for trial in trials), arrays, tuple(chosen)
         if key not in self._headlines:
-            histograms = [self.histograms(*one) for one in zip(trials, stamps_ns, units, strict=True)]
             scored_ns = [self.frames(trial).stamps_ns for trial in trials]
             self._headlines[key] = HeadlineSums(
-                pr_auc_of_units(trials, histograms, units, chosen),
+                pr_auc_of_units(trials, self.histograms(trials, stamps_ns, units), units, chosen),
                 spatial_ratios(trials, scored_ns, stamps_ns, units, chosen),
             )
         return self._headlines[key]
+
+
+class _Recent(Generic[_Value]):
+    """Values that were made last, of at most KEPT_BYTES together; `size_of` tells their bytes."""
+
+    def __init__(self, size_of: Callable[[_Value], int]) -> None:
+        self._size_of, self._bytes = size_of, 0
+        self._values: dict[Hashable, _Value] = {}
+
+    def of(self, key: Hashable, make: Callable[[], _Value]) -> _Value:
+        if key not in self._values:
+            value = make()
+            self._bytes += self._size_of(value)
+            while self._values and self._bytes > KEPT_BYTES:
+                self._bytes -= self._size_of(self._values.pop(next(iter(self._values))))
+            self._values[key] = value
+        return self._values[key]
+
+
+class _Lazily(Sequence[_Value]):
+    """A sequence whose items are made whenever they are asked for."""
+
+    def __init__(self, make: Sequence[Callable[[], _Value]]) -> None:
+        self._make = make
+
+    def __len__(self) -> int:
+        return len(self._make)
+
+    @overload
+    def __getitem__(self, index: int) -> _Value: ...
+    @overload
+    def __getitem__(self, index: slice) -> Sequence[_Value]: ...
+    def __getitem__(self, index: Any) -> Any:
+        made = self._make[index]
+        return _Lazily(made) if isinstance(index, slice) else made()

@@ -181,7 +181,7 @@ def test_a_calibrated_forecast_lies_on_the_diagonal(run_folder, monkeypatch):
     cells = np.full((STEPS + 1, len(HEADLINE_STRATA), PROBABILITY_BINS), 1000)
     positives = (cells * (PROBABILITY_EDGES[:-1] + PROBABILITY_EDGES[1:]) / 2).astype(int)
     read = UnitHistograms(cells[None], positives[None], for_calibration(positives), HEADLINE_STRATA)
-    monkeypatch.setattr(TrialFiles, "histograms", lambda *_: read)
+    monkeypatch.setattr(TrialFiles, "histograms", lambda files, trials, *_: [read] * len(trials))
     curve = curves_of(run_folder)[0]["crossing", "good"]["dynamic"]["8"]
     assert curve["mean_p"] == pytest.approx(curve["share"], abs=1e-3)
 

@@ -13,6 +13,7 @@ from pyarrow import parquet
 from gridtrack.evaluation.results.columns import HISTOGRAM_TABLE, SCORES_TABLE
 from gridtrack.evaluation.scoring.score_store import ScoresError
 from gridtrack.evaluation.scoring.strata import STRATA
+from gridtrack.evaluation.statistics import pr_auc, trial_files
 from gridtrack.evaluation.statistics.frame_counts import FrameCounts, common_frames, read_frame_counts
 from gridtrack.evaluation.statistics.jackknife import COUNTS, interval
 from gridtrack.evaluation.statistics.summary import summarise
@@ -334,7 +335,7 @@ def test_sums_by_unit_add_up_over_recordings():
     assert len(COUNTS) == 6
 
 
-def test_the_histograms_of_a_trial_are_read_once_and_those_of_the_reference_twice(tmp_path, monkeypatch):
+def test_the_histograms_of_a_trial_are_read_once(tmp_path, monkeypatch):
     """They are most of what a summary reads, and their number is rows times recordings."""
     trials = a_run(tmp_path, {"persistence": 0.6, "good": 0.8, "twin": 0.6, "oracle": 1.0}, frames=2)
     opened = []
@@ -350,4 +351,13 @@ def test_the_histograms_of_a_trial_are_read_once_and_those_of_the_reference_twic
     assert len(summary.pairs) > 0
     assert summary.trackers["good"].pooled.strata["dynamic"].pr_auc_low[8] is not None
     reads = Counter(path.parent.name for path in opened if path.name == HISTOGRAM_TABLE.file)
-    assert reads == {trial.folder.name: 2 if trial.record.label == "persistence" else 1 for trial in trials}
+    assert reads == {trial.folder.name: 1 for trial in trials}
+
+
+def test_a_run_whose_counts_do_not_fit_in_memory_has_the_same_summary(tmp_path, monkeypatch):
+    trials = a_run(tmp_path, {"persistence": 0.6, "good": 0.8}, frames=2)
+    expected = summary_of(trials, reference="persistence")
+    assert expected.trackers["good"].pooled.strata["dynamic"].pr_auc_low[8] is not None
+    monkeypatch.setattr(trial_files, "KEPT_BYTES", 1)
+    monkeypatch.setattr(pr_auc, "SUMMED_BYTES", 1)
+    assert summary_of(trials, reference="persistence") == expected
