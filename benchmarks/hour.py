@@ -1,8 +1,8 @@
 """One hour of frames through a whole tracker: memory, times of updates and forecasts, and recoveries over the hour.
 
-`python -m benchmarks.hour [TRACKER...] [--moving] [--out FILE]` (those of MINUTES; a quarter of an hour). One minute of
-the junction is repeated without a reset; at each repetition every moving body jumps, with `--moving` the laser too: a
-delivery robot carries it. A forecast of 20 steps is made every two seconds. Each tracker runs in a process of its own.
+`python -m benchmarks.hour [TRACKER...] [--moving] [--out FILE]` (those of MINUTES; some forty minutes on an idle core).
+One minute of the junction is repeated without a reset; at each repetition every moving body jumps, with `--moving` the
+laser too: a delivery robot carries it. A forecast of 20 steps is made every two seconds. Each tracker runs in a process of its own.
 """
 
 from __future__ import annotations
@@ -36,8 +36,6 @@ MINUTES = {
     "dilated-convgru": 20,
     "deep-tracking-rnn": 20,
 }
-MOVING_MINUTES = {"persistence": 60, "kalman": 60, "dogma": 60, "dilated-convgru": 20}
-"""The others have no weights for a laser that moves."""
 DRIVE_WEIGHTS = Path("studies/trainings/drives")
 COLUMNS = ("tracker", "minutes", "MiB", "update, ms", "forecast, ms", "recoveries")
 
@@ -118,13 +116,13 @@ def table_of(parts: dict[str, list[Part]]) -> ResultTable:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("trackers", nargs="*", help="default: all that have weights")
+    parser.add_argument("trackers", nargs="*", help="default: all")
     parser.add_argument("--moving", action="store_true", help="a laser that moves")
     parser.add_argument("--minutes", type=int, help="of frames; default: an hour, of networks twenty minutes")
     parser.add_argument("--out", type=Path, help="results file, such as docs/results/robustness.json")
     given = parser.parse_args()
-    every = MOVING_MINUTES if given.moving else MINUTES
-    parts = {name: parts_of(name, given.minutes or every[name], given.moving) for name in given.trackers or every}
+    names = given.trackers or MINUTES
+    parts = {name: parts_of(name, given.minutes or MINUTES[name], given.moving) for name in names}
     command = f"python -m benchmarks.hour{' --moving' if given.moving else ''}"
     write_table(given.out, "frames, moving" if given.moving else "frames", table_of(parts), command)
 
