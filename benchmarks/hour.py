@@ -2,7 +2,8 @@
 
 `python -m benchmarks.hour [TRACKER...] [--moving] [--out FILE]` (those of MINUTES; some forty minutes on an idle core).
 One minute of the junction is repeated without a reset; at each repetition every moving body jumps, with `--moving` the
-laser too: a delivery robot carries it. A forecast of 20 steps is made every two seconds. Each tracker runs in a process of its own.
+laser too: a delivery robot carries it. A forecast of 20 steps is made every two seconds. Each tracker runs in a process
+of its own.
 """
 
 from __future__ import annotations
