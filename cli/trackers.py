@@ -20,8 +20,6 @@ from gridtrack.cli.options import (
     TrackersTomlOption,
     WeightsOption,
     default_of,
-    fetch_recordings,
-    weights_folder,
     with_defaults,
 )
 from gridtrack.common.errors import INTERRUPTED_EXIT_CODE, ConfigurationError, GridtrackError, PluginError, printable
@@ -42,7 +40,6 @@ def train_command(
             help="A tracker and recordings to train it on, or folders of them; may be left out with --recipe or --like",
             show_default=False,
             autocompletion=complete_tracker,
-            callback=fetch_recordings,
         ),
     ] = None,
     recipe: Annotated[
@@ -53,9 +50,7 @@ def train_command(
     ] = None,
     validation: Annotated[
         list[str] | None,
-        typer.Option(
-            help=r"RECORDING\[@RANGE]; default: the recording's own validation stretch", callback=fetch_recordings
-        ),
+        typer.Option(help=r"RECORDING\[@RANGE]; default: the recording's own validation stretch"),
     ] = None,
     out: Annotated[Path | None, typer.Option(help="Folder of weights; default: your own")] = None,
     seed: Annotated[int | None, typer.Option(help="Without it, the seed of the recipe or the card")] = None,
@@ -65,11 +60,10 @@ def train_command(
         bool, typer.Option("--general", help="Learn for any place, from recordings of many places")
     ] = False,
     weights: Annotated[
-        Path | None,
+        str | None,
         typer.Option(
             metavar="FOLDER",
             help="Folder of general weights to start from, or its URL, searched before your own and the shipped ones",
-            parser=weights_folder,
         ),
     ] = None,
     from_scratch: Annotated[bool, typer.Option("--from-scratch", help="Do not start from general weights")] = False,
@@ -107,7 +101,7 @@ def train_defaults() -> dict[str, str]:
     return {"seed": str(default_of(Recipe, "seed"))}
 
 
-def _start_given(weights: Path | None, from_scratch: bool) -> dict[str, Any]:
+def _start_given(weights: str | None, from_scratch: bool) -> dict[str, Any]:
     """The fields of a recipe that say what it starts from, both where either is given. Raises ConfigurationError."""
     if weights and from_scratch:
         raise ConfigurationError("--weights and --from-scratch: give one of them")

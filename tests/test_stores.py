@@ -61,6 +61,19 @@ def test_a_row_may_name_its_weights_in_a_store_that_is_not_there(folder):
     assert failed.stderr == f"gridtrack: file://{folder}/none: there is no such folder, or no file in it\n"
 
 
+def test_the_card_of_a_training_names_what_was_typed(folder):
+    """Whoever repeats the command has the store, and not this machine's cache."""
+    shutil.copytree(SHIPPED, folder / "store" / "weights" / "static-map")
+    shutil.copy(packaged_recording("leg_tracker"), folder / "store")
+    weights, recording = f"file://{folder}/store/weights", f"file://{folder}/store/leg_tracker.mcap"
+    stretches = (f"{recording}@0s-20s", "--validation", f"{recording}@20s-40s")
+    done = gridtrack("train", "static-map", *stretches, "--weights", weights, "--out", "own", folder=folder)
+    assert done.stdout.count("fetching") == 2
+    card = (folder / "own" / "static-map" / "leg_tracker.toml").read_text()
+    assert f"gridtrack train static-map {' '.join(stretches)} --seed 1 --weights {weights} --out own" in card
+    assert str(folder / "cache") not in card
+
+
 @pytest.fixture
 def run_url(folder):
     """A run in the store, which is nowhere else."""

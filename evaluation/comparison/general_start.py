@@ -23,7 +23,7 @@ def general_start(
     if recipe.from_scratch:
         report("from scratch, not from general weights")
         return None
-    found = find_weights(recipe.tracker, GENERAL, recipe.weights, "general")
+    found = find_weights(recipe.tracker, GENERAL, Path(recipe.weights) if recipe.weights else None, "general")
     if found is None:
         report(f"from scratch: there are no general weights of {recipe.tracker}")
         return None

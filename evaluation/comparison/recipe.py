@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import re
 import shlex
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -14,14 +14,17 @@ from pydantic import Field, model_validator
 from gridtrack.common.config import Settings, validated
 from gridtrack.common.errors import ConfigurationError
 from gridtrack.common.files import read_bounded
+from gridtrack.common.remote_files import fetched_folder, is_url
 from gridtrack.common.untrusted import parse_toml
+from gridtrack.recordings.fetching import fetched
 from gridtrack.trackers.weights import read_card
 
 MAX_RECIPE_BYTES = 1 << 20
 
 
 class Recipe(Settings):
-    """One training of one tracker. Paths are relative to the working directory, as on the command line.
+    """One training of one tracker. Paths are relative to the working directory, as on the command line; recordings and
+    weights may be named by URLs.
 
     `recordings` and `validation` as RECORDING[@range], or a folder for all recordings in it; without `validation` it is
     the recordings' own validation stretch. `grid` as CELLSxMETRES[@X,Y]; without `grid` and `rate_hz` they are the
@@ -38,7 +41,7 @@ class Recipe(Settings):
     rate_hz: float | None = Field(None, gt=0.0, le=1000.0)
     general: bool = False
     """Learn for any place, from recordings of many places."""
-    weights: Path | None = None
+    weights: str | None = None
     """Folder in which general weights to start from are searched first, as by `compare`."""
     from_scratch: bool = False
     """Do not start from general weights."""
@@ -62,9 +65,24 @@ class Recipe(Settings):
         words += ["--rate", f"{self.rate_hz:g}"] if self.rate_hz else []
         words += ["--general"] if self.general else []
         words += ["--from-scratch"] if self.from_scratch else []
-        words += ["--weights", str(self.weights)] if self.weights else []
+        words += ["--weights", self.weights] if self.weights else []
         words += ["--out", str(self.out)] if self.out else []
         return shlex.join(words)
+
+
+def with_local_copies(recipe: Recipe, note: Callable[[str], None]) -> Recipe:
+    """The recipe with the local copies of what it names by URLs. Raises StoreError.
+
+    Its `command` is for this machine only: that of `recipe` repeats the training anywhere.
+    """
+    weights = recipe.weights
+    return recipe.model_copy(
+        update={
+            "recordings": tuple(fetched(text, note) for text in recipe.recordings),
+            "validation": tuple(fetched(text, note) for text in recipe.validation),
+            "weights": str(fetched_folder(weights, "weights", note)) if weights and is_url(weights) else weights,
+        }
+    )
 
 
 def _option_text(value: Any) -> str:

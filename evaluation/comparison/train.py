@@ -14,7 +14,7 @@ from gridtrack.evaluation.comparison.card_thresholds import choose_card_threshol
 from gridtrack.evaluation.comparison.general_start import general_start
 from gridtrack.evaluation.comparison.learned import LearnedWeights, user_weights_folder, weights_path
 from gridtrack.evaluation.comparison.progress_lines import ProgressLines
-from gridtrack.evaluation.comparison.recipe import Recipe
+from gridtrack.evaluation.comparison.recipe import Recipe, with_local_copies
 from gridtrack.evaluation.comparison.stretch_files import StretchFiles, stretch_cache, surveyed
 from gridtrack.evaluation.comparison.training_hints import in_two
 from gridtrack.evaluation.comparison.training_process import TrainingProcess
@@ -46,8 +46,8 @@ def train_tracker(recipe: Recipe, report: Callable[[str], None] = print) -> Path
     checkpoints are written beside the card to `<site>.logs`; a second call resumes there. Raises GridtrackError, and
     KeyboardInterrupt with a line about what is kept.
     """
-    cache = stretch_cache(report)
-    named = {use: _named(texts) for use, texts in ((TRAIN, recipe.recordings), (VALIDATION, recipe.validation))}
+    cache, local = stretch_cache(report), with_local_copies(recipe, report)
+    named = {use: _named(texts) for use, texts in ((TRAIN, local.recordings), (VALIDATION, local.validation))}
     with (
         TrainingProcess(recipe.tracker, [path for found in named.values() for path, _ in found]) as process,
         TemporaryDirectory(prefix="gridtrack-train-") as folder,
@@ -55,7 +55,7 @@ def train_tracker(recipe: Recipe, report: Callable[[str], None] = print) -> Path
         can_start = process.load(recipe.options, general=recipe.general)
         with ProgressLines(report) as lines:
             train_on, validate_on = _stretches(recipe, named, cache, lines.progress)
-        start = general_start(recipe, validate_on, Path(folder), report) if can_start else None
+        start = general_start(local, validate_on, Path(folder), report) if can_start else None
         if can_start and start is None:
             recipe = recipe.model_copy(update={"from_scratch": True})
         site = GENERAL if recipe.general else _site_of(train_on[0])
