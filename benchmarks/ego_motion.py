@@ -18,6 +18,7 @@ import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -83,11 +84,11 @@ def rate_of_ours(source: PoseSource, scans: Sequence[Scan], settings: MatchingSe
     return len(scans) / (time.perf_counter() - begun)
 
 
-def measured(recordings: Sequence[Path]) -> ResultSection:
-    """A row for each recording and way to match."""
+def measured(recordings: Sequence[Path], most: int | None) -> ResultSection:
+    """A row for each recording, of its first scans, `most` of them, and way to match."""
     settings, rows, least = MatchingSettings(), [], float("inf")
     for path in recordings:
-        scans = list(open_recording(path).scans())
+        scans = list(islice(open_recording(path).scans(), most))
         found = rates_hz(scans, settings)
         beams = max(len(scan.ranges) for scan in scans)
         for name, rate in found.items():
@@ -104,9 +105,10 @@ def measured(recordings: Sequence[Path]) -> ResultSection:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("recordings", nargs="*", type=Path, default=RECORDINGS, help="default: of those that ship")
+    parser.add_argument("--scans", type=int, help="of each recording, from its first on; default: all of them")
     parser.add_argument("--out", type=Path, help="results file, such as docs/results/moving/cost.json")
     given = parser.parse_args()
-    section = measured(given.recordings)
+    section = measured(given.recordings, given.scans)
     print(section.tables["rates"].markdown())
     print(f"\naim: at least {AIM_HZ:g} scans/s; {section.values['aim']}")
     if given.out is not None:

@@ -121,14 +121,16 @@ def measure_classes(pipeline: TimedPipeline, classes: ClassFilter, frame: GridFr
     pipeline.seconds[MORE].append(time.process_time() - between - (between - start))
 
 
-def measure(tracker: type[KalmanTracker] | type[FactorGraphTracker], count: int) -> tuple[TimedPipeline, np.ndarray]:
-    """The pipeline at the end, and the seconds of each update and forecast together."""
+def measure(
+    tracker: type[KalmanTracker] | type[FactorGraphTracker], count: int, frames: int
+) -> tuple[TimedPipeline, np.ndarray]:
+    """The pipeline at the end, and the seconds of each update and forecast together, from frame WARM_UP on."""
     place = BackgroundMap(np.full(GRID.shape, 1e-3, np.float32), np.zeros(GRID.shape, np.float32))
     residence = np.full(table_shape(PERIOD_S), 0.3, np.float32)
     pipeline = TimedPipeline(GRID, PERIOD_S, place, residence, STREET, tracker.estimator)
     calibration = Calibration(IDENTITY)
     seconds, classes, seen = [], some_classes(), np.zeros(GRID.shape, np.float32)
-    for step in range(FRAMES):
+    for step in range(frames):
         frame = frame_of(count, step)
         start = time.perf_counter()
         pipeline.update(frame)
@@ -151,12 +153,13 @@ def share_column(pipeline: TimedPipeline, seconds: np.ndarray) -> dict[str, str]
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--out", type=Path, help="results file, such as docs/results/trackers/model-free.json")
-    out = parser.parse_args().out
+    parser.add_argument("--frames", type=int, default=FRAMES, help=f"of each number of road users; {WARM_UP} warm up")
+    given = parser.parse_args()
     print(f"{'tracker':12} {'movers':>6} {'tracks':>6}   update and {STEPS}-step forecast, p50 / p95 ms")
     shares, values, medians = {}, {}, {}
     for tracker in (KalmanTracker, FactorGraphTracker):
         for count in MOVERS:
-            pipeline, seconds = measure(tracker, count)
+            pipeline, seconds = measure(tracker, count, given.frames)
             print(f"{tracker.name:12} {count:>6} {len(pipeline.tracks):>6}   {p50_p95(1e3 * seconds, 2):>16}")
         for stage in pipeline.seconds:
             print(f"    {stage:20} {p50_p95(1e3 * np.array(pipeline.seconds[stage][WARM_UP:]), 2):>16}")
@@ -169,7 +172,7 @@ def main() -> None:
         ("share of an update and a forecast", *shares),
         [[stage, *(column[stage] for column in shares.values())] for stage in stages],
     )
-    write_table(out, "time", table, "python -m benchmarks.model_free", values)
+    write_table(given.out, "time", table, "python -m benchmarks.model_free", values)
 
 
 if __name__ == "__main__":

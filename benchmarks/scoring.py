@@ -8,6 +8,7 @@ stratum and step); 5 ms for the sums over neighbourhoods without truth, and 5 ms
 from __future__ import annotations
 
 import argparse
+import math
 import tempfile
 from collections.abc import Sequence
 from dataclasses import replace
@@ -97,7 +98,10 @@ def with_scikit_learn(
 
 
 def main() -> None:
-    argparse.ArgumentParser(description=__doc__.partition("\n")[0]).parse_args()
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--runs", type=int, default=200, help="of each call, fewer of the slow ones")
+    runs = parser.parse_args().runs
+    fewer, few, fewest = (math.ceil(runs / share) for share in (2, 40, 80))
     rng = np.random.default_rng(0)
     ages = rng.integers(0, 5, (10, 10)).repeat(10, axis=0).repeat(10, axis=1).astype(np.uint8)
     forecasts = {
@@ -110,32 +114,32 @@ def main() -> None:
     for strata, truth in ((STRATA, False), (STRATA_WITH_TRUTH, True)):
         region_maps, observed = street(strata), targets(rng, truth)
         for name, occupancy in forecasts.items():
-            ms = median_ms(lambda o=occupancy, c=observed, a=region_maps: count_forecast(o, c, a, ages), 200)
+            ms = median_ms(lambda o=occupancy, c=observed, a=region_maps: count_forecast(o, c, a, ages), runs)
             print(f"count a forecast, {len(strata):2} strata of {REGIONS} regions, {name:14}: {ms:7.2f} ms")
-            ms = median_ms(lambda o=occupancy, c=observed, a=region_maps: sum_neighbourhoods(o, c, a, ages), 100)
+            ms = median_ms(lambda o=occupancy, c=observed, a=region_maps: sum_neighbourhoods(o, c, a, ages), fewer)
             print(f"  its sums over neighbourhoods: {ms:.2f} ms")
             futures = rng.random((MAX_FUTURES, *occupancy.shape)) < occupancy
-            ms = median_ms(lambda f=futures, c=observed, a=region_maps: energy_terms(f, c, a, ages), 5)
+            ms = median_ms(lambda f=futures, c=observed, a=region_maps: energy_terms(f, c, a, ages), few)
             print(f"  the energy score of {MAX_FUTURES} futures drawn from it: {ms:.0f} ms")
             seen = [replace(target, beams=beams) for target in observed]
-            ms = median_ms(lambda o=occupancy, c=seen, a=region_maps: beam_errors(o, c, a, GRID.cell_m), 100)
+            ms = median_ms(lambda o=occupancy, c=seen, a=region_maps: beam_errors(o, c, a, GRID.cell_m), fewer)
             print(f"  its errors along {len(beams.ranges)} beams: {ms:.2f} ms")
     returns, chosen = observed[0].frame.occupied, rng.random(GRID.shape) < 0.3
-    ms = median_ms(lambda: parts_of(chosen, returns, region_maps.dynamic, GRID), 200)
+    ms = median_ms(lambda: parts_of(chosen, returns, region_maps.dynamic, GRID), runs)
     print(f"find the parts of a frame with {returns.sum()} returns: {ms:.2f} ms")
     tally = count_forecast(occupancy, observed, region_maps, ages)
     with tempfile.TemporaryDirectory() as folder, ScoreWriter(Path(folder), STEPS, half(STEPS, strata)) as writer:
         stamps = iter(range(0, 10**15, 500_000_000))
-        print(f"write its rows: {median_ms(lambda: writer.add(at := next(stamps), '', tally, at), 200):.2f} ms")
+        print(f"write its rows: {median_ms(lambda: writer.add(at := next(stamps), '', tally, at), runs):.2f} ms")
     semantics = np.full((STEPS + 1, CLASSES, SIZE, SIZE), 1 / CLASSES, np.float32)
     names = [str(k) for k in range(CLASSES)]
     matching, thresholds = match_classes(names, names), half(STEPS, strata)
-    ms = median_ms(lambda: count_classes(semantics, observed, matching), 200)
+    ms = median_ms(lambda: count_classes(semantics, observed, matching), runs)
     print(f"count its classes ({CLASSES}): {ms:.2f} ms")
-    ms = median_ms(lambda: count_found(occupancy, observed, region_maps.cell_kinds, thresholds, CLASSES), 200)
+    ms = median_ms(lambda: count_found(occupancy, observed, region_maps.cell_kinds, thresholds, CLASSES), runs)
     print(f"count what it found of each class: {ms:.2f} ms")
-    ours = median_ms(lambda: count_forecast(forecasts["spread thin"], observed, region_maps, ages), 200)
-    peers = median_ms(lambda: with_scikit_learn(forecasts["spread thin"], observed, region_maps, ages), 3)
+    ours = median_ms(lambda: count_forecast(forecasts["spread thin"], observed, region_maps, ages), runs)
+    peers = median_ms(lambda: with_scikit_learn(forecasts["spread thin"], observed, region_maps, ages), fewest)
     print(f"the same scores by scikit-learn: {peers:.0f} ms, {peers / ours:.0f} x as long")
 
 

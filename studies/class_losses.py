@@ -26,7 +26,7 @@ from gridtrack.trackers.contract import Tracker
 
 from studies.support.label_table import COLUMNS
 from studies.support.results_file import ResultSection, measured_table, write_section
-from studies.support.shipped import JUNCTION, STEPS, junction_tests, shipped_stream
+from studies.support.shipped import STEPS, junction_tests, shipped_stream
 
 FILE, SECTION = Path("trackers/one-shot.json"), "shipped weights"
 AHEAD, EVERY = 8, 16
@@ -51,9 +51,9 @@ def trackers_of(stream: GridStream) -> dict[str, Tracker]:
     return made
 
 
-def losses_of(name: str) -> Losses:
-    """Of one test recording, at the frames that a comparison `--every 2s` scores."""
-    stream = open_stream(JUNCTION / f"{name}.tracks")
+def losses_of(recording: str) -> Losses:
+    """Of a recording or a stretch of it, at the frames that a comparison `--every 2s` scores."""
+    stream = open_stream(recording)
     schedule, trackers = Schedule(len(stream), STEPS, EVERY), trackers_of(stream)
     no_kinds = Regions(stream.grid, KindsOfWindow(np.zeros(stream.grid.shape, np.uint8)))
     frames: list[Target] = []
@@ -107,12 +107,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--out", type=Path, help="folder of results to write a section of, such as docs/results")
     parser.add_argument("--recordings", type=int, default=20, help="test recordings to score on, out of twenty")
+    parser.add_argument("--stretch", help="of each recording, such as 0s-20s; default: all of it")
     arguments = parser.parse_args()
     torch.set_num_threads(1)
-    names = [path.stem for path in junction_tests()]
-    some = names[:: -(-len(names) // arguments.recordings)]
+    every, stretch = junction_tests(), f"@{arguments.stretch}" if arguments.stretch else ""
+    some = every[:: -(-len(every) // arguments.recordings)]
     section = section_of(
-        {name: losses_of(name) for name in some}, f"python -m studies.class_losses --recordings {len(some)}"
+        {path.stem: losses_of(f"{path}{stretch}") for path in some},
+        f"python -m studies.class_losses --recordings {len(some)}",
     )
     print(section.tables["table"].markdown(), *(f"{name} {value}" for name, value in section.values.items()), sep="\n")
     if arguments.out:

@@ -1,9 +1,10 @@
-"""The clauses of docs/contract.md, from their definition: `python -m studies.contract_page` (one second)."""
+"""The clauses of docs/contract.md, from their definition: `python -m studies.contract_page [--check]` (one second)."""
 
 from __future__ import annotations
 
 import argparse
 import re
+import sys
 from pathlib import Path
 from textwrap import fill
 
@@ -29,9 +30,15 @@ def _section(clause: Clause) -> str:
 
 
 def main() -> None:
-    """Write the sections."""
-    argparse.ArgumentParser(description=__doc__).parse_args()
-    write_text(PAGE, filled(PAGE.read_text("utf-8")))
+    """Write the sections, or say whether the page has them."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--check", action="store_true", help="write nothing; exit with 1 where the page differs")
+    check, text = parser.parse_args().check, PAGE.read_text("utf-8")
+    differs = filled(text) != text
+    if differs and not check:
+        write_text(PAGE, filled(text))
+    print(f"{PAGE.name}: {('differs' if check else 'written') if differs else 'has every clause'}")
+    sys.exit(check and differs)
 
 
 if __name__ == "__main__":

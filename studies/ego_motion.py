@@ -131,10 +131,10 @@ def relations(log: Path, path: Path, out: Path | None) -> None:
     )
 
 
-def scans_of(path: Path) -> list[Scan]:
-    """At most MAP_SCANS scans of a recording, or of an .npz."""
+def scans_of(path: Path, most: int) -> list[Scan]:
+    """The first scans of a recording, or of an .npz, `most` of them."""
     scans = npz_scans(path) if path.suffix == ".npz" else open_recording(path).scans()
-    return list(islice(scans, MAP_SCANS))
+    return list(islice(scans, most))
 
 
 def covered_cells(scans: Sequence[Scan], poses: Sequence[SE2], max_range_m: float) -> float:
@@ -166,11 +166,11 @@ def fits(scans: Sequence[Scan], poses: Sequence[SE2], settings: MatchingSettings
     return found
 
 
-def maps(recordings: Iterable[Path], out: Path | None) -> None:
+def maps(recordings: Iterable[Path], most: int, out: Path | None) -> None:
     rows, settings = [], MatchingSettings()
     sources: tuple[PoseSource, ...] = ("refined", "kiss-icp")
     for path in recordings:
-        scans, name = scans_of(path), path.name.split(".")[0]
+        scans, name = scans_of(path, most), path.name.split(".")[0]
         trajectories = {source: matched_trajectory(scans, source, settings) for source in sources}
         poses = {"recorded": [scan.world_T_sensor for scan in scans]} | {k: v.matched for k, v in trajectories.items()}
         for source, found in poses.items():
@@ -206,13 +206,14 @@ def main() -> None:
     one.add_argument("relations", type=Path)
     many = commands.add_parser("maps")
     many.add_argument("recordings", type=Path, nargs="+")
+    many.add_argument("--scans", type=int, default=MAP_SCANS, help="of each recording, from its first on")
     for command in (one, many):
         command.add_argument("--out", type=Path, help="docs/results/moving/ego_motion.json")
     arguments = parser.parse_args()
     if arguments.command == "relations":
         relations(arguments.log, arguments.relations, arguments.out)
     else:
-        maps(arguments.recordings, arguments.out)
+        maps(arguments.recordings, arguments.scans, arguments.out)
 
 
 if __name__ == "__main__":

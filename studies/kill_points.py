@@ -187,12 +187,12 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0, help="of the moments")
     given = parser.parse_args()
     adopt_orphans()
-    # SIGTERM too; a process that was started in the background ignores interrupts
-    for ends in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(ends, signal.default_int_handler)
     random = np.random.default_rng(given.seed)
     kills: list[Kill] = []
     with tempfile.TemporaryDirectory() as folder, engine_words(given.engine) as engine:
+        # SIGTERM too; a process that was started in the background ignores interrupts, and Ray ends at a SIGTERM
+        for ends in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(ends, signal.default_int_handler)
         steady = alive(psutil.Process())
         began = time.monotonic()
         undisturbed = complete(Path(folder, "undisturbed"), engine, Path(folder, "temporary"))

@@ -33,11 +33,11 @@ from gridtrack.recordings.stream import GridStream
 from gridtrack.trackers.baselines.persistence import PersistenceTracker
 from gridtrack.trackers.contract import Forecast, stream_of
 
+from studies.support.place_command import worlds_called
 from studies.support.results_file import ResultSection, ResultTable, measured_table, write_section
 from studies.support.score_text import score_text
 from studies.support.unseen_places import HORIZONS_S, REFERENCE, STRATA
 
-WORLDS = Path("data/worlds/test")
 RESULTS = Path("docs/results/worlds/known_present.json")
 COMMAND = "python -m studies.known_present"
 STANDS, MOVES_ON = "the scene stands", "bodies move on"
@@ -148,8 +148,8 @@ def main() -> None:
     parser.add_argument("--world", action="append", help="such as indoors-room-1008; default: all twenty")
     parser.add_argument("--results", type=Path, default=RESULTS)
     given = parser.parse_args()
-    worlds = [path for path in sorted(WORLDS.glob("*.tracks")) if given.world is None or path.stem in given.world]
-    tables = f1_tables(plan_splits(map(str, worlds), None, Sampling(max(HORIZONS_S), every_s=1.0)))
+    sampling = Sampling(max(HORIZONS_S), every_s=1.0)
+    tables = f1_tables(plan_splits(map(str, worlds_called(given.world)), None, sampling))
     write_section(given.results, "F1", ResultSection(command=COMMAND, tables=tables))
     print("\n\n".join(table.markdown() for table in tables.values()))
 

@@ -16,6 +16,7 @@ from gridtrack.reports.figures import Axis, document
 
 from studies.support.label_table import BUDGETS, COLUMNS, read_rows
 from studies.support.results_file import ResultSection, write_section
+from studies.support.svg import svg_path
 
 TABLE = Path("docs/results/junction/label-budget.csv")
 RESULTS = Path("docs/results/trackers/one-shot.json")
@@ -91,10 +92,12 @@ def drawing(path: Path) -> str:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("table", type=Path, nargs="?", default=TABLE)
-    table = parser.parse_args().table
-    table.with_suffix(".svg").write_text(drawing(table))
-    section = ResultSection(command="python -m studies.label_curve", values=means(table))
-    write_section(RESULTS, "how many labels", section)
+    parser.add_argument("--picture", type=svg_path, help="default: beside the table")
+    parser.add_argument("--results", type=Path, default=RESULTS)
+    given = parser.parse_args()
+    (given.picture or given.table.with_suffix(".svg")).write_text(drawing(given.table))
+    section = ResultSection(command="python -m studies.label_curve", values=means(given.table))
+    write_section(given.results, "how many labels", section)
 
 
 if __name__ == "__main__":

@@ -56,9 +56,9 @@ def settled(seen: NDArray[np.float64]) -> tuple[Mask, Mask, list[Mask]]:
     return seen_at_all, conflict, [union, union & (ended_at_m < passed_at_m), union & ~conflict]
 
 
-def two_corners() -> Iterator[GridStream]:
-    """The test minutes of the junction as two lasers see them."""
-    for tracks in junction_tests():
+def two_corners(minutes: int | None) -> Iterator[GridStream]:
+    """The first so many test minutes of the junction, None: all of them, as two lasers see them."""
+    for tracks in junction_tests()[:minutes]:
         scans = list(seen(read_tracks(tracks), TWO_CORNERS, COMMAND).scans())
         yield GridStream(HeldRecording(scans, open_recording(tracks)))
 
@@ -93,9 +93,10 @@ def section_of(streams: Iterable[GridStream]) -> ResultSection:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("recordings", nargs="*", help="with truth and several sensors")
+    parser.add_argument("--minutes", type=int, help="without RECORDING the first so many of the twenty")
     parser.add_argument("--out", type=Path, help="results file that keeps the table")
     given = parser.parse_args()
-    section = section_of(map(open_stream, given.recordings) if given.recordings else two_corners())
+    section = section_of(map(open_stream, given.recordings) if given.recordings else two_corners(given.minutes))
     print(section.tables["rules"].markdown(), *(f"{name}: {value}" for name, value in section.values.items()), sep="\n")
     if given.out is not None:
         write_section(given.out, "conflicts", section)

@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
-from studies.support.place_command import collect_places, compare_places, place_parser
+from studies.support.place_command import collect_places, compare_places, place_parser, worlds_called
 from studies.support.results_file import ResultSection, ResultTable, measured_table
 from studies.support.score_text import score_text
 from studies.support.unseen_places import (
@@ -22,7 +22,6 @@ from studies.support.unseen_places import (
     not_measured,
 )
 
-WORLDS = Path("data/worlds/test")
 RESULTS = Path("docs/results/worlds/worlds.json")
 COMMAND = "python -m studies.worlds_results"
 PARTS = ("indoors", "outdoors")
@@ -104,8 +103,7 @@ def main() -> None:
     parser.add_argument("--world", action="append", help="such as indoors-room-1008; default: all twenty")
     given = parser.parse_args()
     if not given.collect:
-        worlds = sorted(path for path in WORLDS.glob("*.tracks") if given.world is None or path.stem in given.world)
-        compare_places(given, worlds)
+        compare_places(given, worlds_called(given.world))
     collect_places(given, sections_of)
 
 

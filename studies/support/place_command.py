@@ -26,6 +26,17 @@ def place_parser(documentation: str | None, out: Path, results: Path) -> argpars
     return parser
 
 
+WORLDS = Path("data/worlds/test")
+
+
+def worlds_called(names: Sequence[str] | None) -> list[Path]:
+    """The test worlds of these names, None: all of them. Ends the program for a name that none has."""
+    worlds = {path.stem: path for path in sorted(WORLDS.glob("*.tracks"))}
+    if unknown := [name for name in names or () if name not in worlds]:
+        raise SystemExit(f"--world {', '.join(unknown)}: no such world; there are {', '.join(worlds)}")
+    return [worlds[name] for name in names or worlds]
+
+
 def compare_places(given: argparse.Namespace, recordings: Sequence[Path]) -> None:
     """Compare the rows that are asked for on `recordings`, with the thresholds of the cards."""
     rows = general_rows(given.weights, given.trainings)

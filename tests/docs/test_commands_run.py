@@ -1,7 +1,7 @@
 """The commands of the pages run, block by block, where the files are that a page takes for granted.
 
 A command that would take long runs on less: SMALLER. `make`, `python -m studies...` and `ros2` do nothing here;
-test_commands.py checks that targets and modules exist.
+test_commands.py checks that targets and modules exist, and tests/studies/test_modules.py runs the modules.
 """
 
 from __future__ import annotations
