@@ -83,6 +83,7 @@ def sections_of(
     tables = {
         "F1": site.over_horizons("F1, dynamic", "dynamic", "f1"),
         "PR-AUC": site.over_horizons("PR-AUC, dynamic", "dynamic", "pr_auc"),
+        "hidden": site.over_horizons("F1, hidden", "occluded", "f1"),
         "thresholds of the cards": cards.over_horizons("F1, dynamic", "dynamic", "f1"),
         "gap": gap_closed(site, trackers, minutes),
     }

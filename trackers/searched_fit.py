@@ -5,7 +5,7 @@ training recordings are searched, the validation recordings decide between the b
 result is calibrated on the same excerpts. Where it starts from general weights, settings are searched near theirs: a
 stretch of a minute has too little motion to know better from nothing. Those that weigh the map of the place against the
 stream are searched in their whole range: general weights have no map. The search counts with the map on the frames that
-the map was made of, where it is always right, so that the validation recordings decide whether it serves: on the map of
+the map was made of, where it is always right, so that the validation recordings tell where it does harm: on the map of
 a short training what stood all the time, such as a queue of cars, is a wall.
 """
 
@@ -43,6 +43,9 @@ from gridtrack.trackers.tuning import (
 from gridtrack.trackers.weights import load_start, save_interrupted, save_weights, tuned_settings
 
 SEARCH_ITERATIONS = 60
+MAP_WORTH = 0.01
+"""By how much mean F1 must be better without the map of the place, for it not to be used: the map knows what is
+hidden, which is not in that F1."""
 NEAR = 2.0
 """Greatest factor between a setting of general weights and the same one of a search that starts from them."""
 
@@ -81,10 +84,9 @@ def fit_searched(
     """Write the `arrays`, the settings with the best F1 on excerpts of `train`, and their calibration to `out.path`.
 
     The settings in `given` are not searched. The search begins with the defaults, or with those of the general weights
-    `out.start`. Of the best settings those with the best F1 on `validation` are written; where there are general ones,
-    of these too, and of each without the map of the place. `notes` are added to the results on the card. Raises
-    WeightsError where the recordings differ in grid, period or site or the general weights are damaged,
-    ConfigurationError without torch.
+    `out.start`. Of the best settings those with the best F1 on `validation` are written (`_decided`); `notes` are added
+    to the results on the card. Raises WeightsError where the recordings differ in grid, period or site or the general
+    weights are damaged, ConfigurationError without torch.
     """
     arrays = {**arrays, "calibration": IDENTITY}
     start, ranges = _begin(search, out, given)
@@ -100,11 +102,7 @@ def fit_searched(
             card = card_for(search.name, out, train, validation, stopped.best.model_dump(), notes)
             save_interrupted(out.path, card, arrays, f"{stopped.reached}, not calibrated")
             raise
-        if out.start is not None:
-            finalists = _also_general(search, finalists, start, given)
-        settings = draft.best_of(finalists, validation, out)
-        if search.without_map.items() & settings.model_dump().items() - given.items():
-            out.report("validation is better without the map of the place: it is not used")
+        settings = _decided(search, draft, finalists, start, validation, out, given)
         arrays["calibration"] = draft.calibration(settings, searched, out)
         save_weights(draft.path, card, arrays)
         results = {
@@ -129,14 +127,32 @@ def _begin(
     return start, ranges | near
 
 
-def _also_general(
-    search: SettingsSearch[_Searched], finalists: list[_Searched], general: _Searched, given: Mapping[str, Any]
-) -> list[_Searched]:
-    """The finalists and the `general` settings, and unless it is given, each of them without the map of the place."""
-    with_map = finalists if general in finalists else [*finalists, general]
-    if search.without_map.keys() <= given.keys():
-        return with_map
-    return with_map + [search.kind(**{**settings.model_dump(), **search.without_map}) for settings in with_map]
+def _decided(
+    search: SettingsSearch[_Searched],
+    draft: _Draft[_Searched],
+    finalists: list[_Searched],
+    start: _Searched,
+    validation: Sequence[FrameSource],
+    out: FitOutput,
+    given: Mapping[str, Any],
+) -> _Searched:
+    """The finalist with the best F1 on `validation`; the first one where there is none.
+
+    From general weights on, their settings `start` are a finalist too, and each is also tried without the map of the
+    place, which is not used where the best of these is better by MAP_WORTH.
+    """
+    if out.start is not None and start not in finalists:
+        finalists = [*finalists, start]
+    if len(finalists) == 1 or not validation:
+        return finalists[0]
+    settings, f1 = draft.best_of(finalists, validation, out)
+    if out.start is not None and not search.without_map.keys() <= given.keys():
+        bare = [search.kind(**{**one.model_dump(), **search.without_map}) for one in finalists]
+        best_bare, bare_f1 = draft.best_of(bare, validation, out)
+        if bare_f1 >= f1 + MAP_WORTH:
+            out.report(f"without the map of the place mean F1 on validation is {bare_f1:.5f}: the map is not used")
+            return best_bare
+    return settings
 
 
 def _near(value: float, low: float, high: float) -> tuple[float, float]:
@@ -167,10 +183,10 @@ class _Draft(Generic[_Searched]):
         """The mean over the sources in which it is defined; NaN where it is in none."""
         return mean_of_defined(list(self.f1_of_each(settings, sources)))
 
-    def best_of(self, finalists: list[_Searched], validation: Sequence[FrameSource], out: FitOutput) -> _Searched:
-        """The settings with the best mean F1 on `validation`; the first ones without validation."""
-        if len(finalists) == 1 or not validation:
-            return finalists[0]
+    def best_of(
+        self, finalists: list[_Searched], validation: Sequence[FrameSource], out: FitOutput
+    ) -> tuple[_Searched, float]:
+        """The settings with the best mean F1 on `validation`, and that F1."""
         values = []
         with out.progress.stage("finalist", len(finalists)) as stage:
             for settings in finalists:
@@ -180,7 +196,7 @@ class _Draft(Generic[_Searched]):
         out.report(
             f"number {found + 1} of the {len(finalists)} best is chosen: mean F1 on validation {values[found]:.5f}"
         )
-        return finalists[found]
+        return finalists[found], values[found]
 
     def summaries(self, settings: _Searched, sources: Sequence[FrameSource]) -> list[dict[str, Any]]:
         return [stretch_summary(self.scored(settings, source), source, SELECTION_HORIZONS_S) for source in sources]
