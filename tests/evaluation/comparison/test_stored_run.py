@@ -29,8 +29,8 @@ def notes():
     return []
 
 
-def begun(notes, *, resume=False):
-    return stored_run(URL, resume=resume, again="the command --resume", note=notes.append)
+def begun(notes, *, resume=False, again="the command --resume"):
+    return stored_run(URL, resume=resume, again=again, note=notes.append)
 
 
 def make_run(folder, content):
@@ -59,8 +59,8 @@ def test_a_run_in_the_store_is_not_begun_anew(store, home, notes):
     assert not list(home.rglob("hall"))
 
 
-def crash(folders, notes):
-    with begun(notes) as folder:
+def crash(folders, notes, **how):
+    with begun(notes, **how) as folder:
         folders.append(folder)
         make_run(folder, "running")
         raise KeyboardInterrupt
@@ -79,9 +79,8 @@ def test_what_an_error_leaves_is_kept_and_told_in_one_line(store, home, notes):
 
 
 def test_a_run_that_no_command_continues_is_to_be_copied(store, home, notes):
-    with pytest.raises(RuntimeError), stored_run(URL, resume=False, again=None, note=notes.append) as folder:
-        (folder / "run.json").write_text("running")
-        raise RuntimeError
+    with pytest.raises(KeyboardInterrupt):
+        crash([], notes, again=None)
     assert notes[-1].endswith(f"{URL} as it is here: copy it")
 
 
