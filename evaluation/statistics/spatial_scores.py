@@ -61,11 +61,11 @@ def spatial_scores(
         sums = [_read_neighbourhoods(*one, names) for one in zip(trials, stamps_ns, strict=True)]
         add_curves(found, names, neighbourhood_scores(sum_by_unit(sums, units)))
     if all((trial.folder / BEAMS_TABLE.file).exists() for trial in trials):
-        beams = [_read_beams(*one) for one in zip(trials, stamps_ns, units, strict=True)]
-        number = max(len(counts) for _, counts in beams)
-        counts = sum(np.pad(one, [(0, number - len(one)), *[(0, 0)] * 3]) for _, one in beams)
-        errors = sum_by_unit([sums for sums, _ in beams], units)
-        add_curves(found, BEAM_STRATA, beam_scores(errors[..., 0], errors[..., 1], np.asarray(counts)))
+        number = 1 + max(int(unit.max(initial=-1)) for unit in units)
+        counts = np.zeros((number, len(trials[0].steps), len(BEAM_STRATA), BEAM_ERROR_BINS), np.int32)
+        sums = [_add_beams(*one, counts) for one in zip(trials, stamps_ns, units, strict=True)]
+        errors = sum_by_unit(sums, units)
+        add_curves(found, BEAM_STRATA, beam_scores(errors[..., 0], errors[..., 1], counts))
     return found
 
 
@@ -199,23 +199,24 @@ def _beam_rows(trial: FinishedTrial, stamps_ns: NDArray[np.int64]) -> pl.DataFra
     return rows
 
 
-def _read_beams(
-    trial: FinishedTrial, stamps_ns: NDArray[np.int64], units: NDArray[np.int64]
-) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
-    """Sums of the errors (F, S, K, 2), late and early, of a trial, and its beams by size (U, S, K, B) of its `units`.
+def _add_beams(
+    trial: FinishedTrial, stamps_ns: NDArray[np.int64], units: NDArray[np.int64], counts: NDArray[np.int32]
+) -> NDArray[np.float32]:
+    """Sums of the errors (F, S, K, 2), late and early, of a trial; its beams by size are added to those of its `units`
+    (F,) in `counts` (U, S, K, B).
 
     Raises ScoresError.
     """
     rows, steps = _beam_rows(trial, stamps_ns), trial.record.steps
-    cells = (steps + 1) * len(BEAM_STRATA)
+    shape, first = (steps + 1, len(BEAM_STRATA)), int(units.min()) if len(units) else 0
+    cells = shape[0] * shape[1]
     errors = rows.select(pl.col("late_m", "early_m").cast(pl.Float32)).to_numpy()
     row, bins, beams = _entries(trial.folder / BEAMS_TABLE.file, rows)
-    where = (units[row // cells] * cells + row % cells) * BEAM_ERROR_BINS + bins
-    size = (int(units.max(initial=-1)) + 1) * cells * BEAM_ERROR_BINS
-    counts = np.bincount(where, beams, size).astype(np.int32)  # sums of whole numbers: exact
-    shape = steps + 1, len(BEAM_STRATA)
-    sums = errors.reshape(len(stamps_ns), *shape, 2)
-    return sums[:, trial.steps], counts.reshape(-1, *shape, BEAM_ERROR_BINS)[:, trial.steps]
+    where = ((units[row // cells] - first) * cells + row % cells) * BEAM_ERROR_BINS + bins
+    size = (int(units.max(initial=first - 1)) + 1 - first) * cells * BEAM_ERROR_BINS
+    own = np.bincount(where, beams, size).reshape(-1, *shape, BEAM_ERROR_BINS)  # sums of whole numbers: exact
+    counts[first : first + len(own)] += own[:, trial.steps].astype(np.int32)
+    return errors.reshape(len(stamps_ns), *shape, 2)[:, trial.steps]
 
 
 def _entries(path: Path, rows: pl.DataFrame) -> tuple[NDArray[np.int64], ...]:
