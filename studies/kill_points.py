@@ -4,7 +4,8 @@
 undisturbed, then once for each kill: a process is killed (SIGKILL) at a moment drawn from the duration of the
 undisturbed run, its processes and temporary files that are left are counted, and `--resume` completes the run, whose
 files must have the hashes of the undisturbed one. Writes docs/results/robustness.json. `--engine ray` and `--engine
-slurm` make a cluster on this machine. Half a minute a point on an idle core; Ctrl-C keeps the kills so far.
+slurm` make a cluster on this machine. Half a minute a point on an idle core; Ctrl-C keeps the kills so far, and `--add`
+goes on with another seed.
 """
 
 from __future__ import annotations
@@ -29,13 +30,14 @@ import psutil
 from gridtrack.evaluation.processes.orphans import adopt_orphans
 from gridtrack.evaluation.results.trial_record import read_trial_record
 
-from studies.support.results_file import ResultSection, measured_table, write_section
+from studies.support.results_file import ResultSection, measured_table, read_sections, write_section
 from studies.support.slurm_machine import slurm_machine
 
 HALL = "data/leg_tracker/leg_tracker.mcap"
 STRETCHES, TRACKERS = ("95s-100s", "105s-110s"), ("persistence", "static-map", "kalman")
 VICTIMS = {"gridtrack": "", "a tracker": "gridtrack.trackers.serve", "a supervisor": "supervisor.py"}
 """Words of their command lines; gridtrack is the process that was started."""
+COLUMNS = ("killed", "kills", "resumed to equal scores", "processes left", "temporary files left")
 GONE_S = 10.0
 """Until what a killed process started must have ended."""
 COMPARED = {"outcome", "frames_scored", "delivered", "thresholds"}
@@ -165,18 +167,22 @@ def engine_words(engine: str) -> Iterator[list[str]]:
         cluster.shutdown()
 
 
-def write_results(engine: str, kills: Sequence[Kill], duration_s: float) -> None:
-    """Write the table of one engine, by victim."""
-    rows = []
-    for kind in VICTIMS:
+def write_results(engine: str, kills: Sequence[Kill], add: bool) -> None:
+    """Write the table of one engine, by victim; with `add` the kills are added to those that the results have."""
+    name, rows = f"kills, {engine}", []
+    earlier = read_sections(RESULTS)[name].tables["kills"].rows if add else [("0",) * len(COLUMNS)] * len(VICTIMS)
+    for kind, before in zip(VICTIMS, earlier, strict=True):
         own = [kill for kill in kills if kill.victim == kind]
-        equal = sum(not kill.differs for kill in own)
-        rows.append([kind, *map(str, (len(own), equal, sum(k.processes for k in own), sum(k.files for k in own)))])
-    columns = ("killed", "kills", "resumed to equal scores", "processes left", "temporary files left")
-    table = measured_table(columns, rows)
+        counts = (
+            len(own),
+            sum(not kill.differs for kill in own),
+            sum(kill.processes for kill in own),
+            sum(kill.files for kill in own),
+        )
+        rows.append([kind, *(str(int(one) + count) for one, count in zip(before[1:], counts, strict=True))])
+    table = measured_table(COLUMNS, rows)
     section = ResultSection(command=f"{COMMAND} --engine {engine}", tables={"kills": table})
-    write_section(RESULTS, f"kills, {engine}", section)
-    print(f"undisturbed run: {duration_s:.1f} s")
+    write_section(RESULTS, name, section)
     print(table.markdown())
 
 
@@ -185,6 +191,7 @@ def main() -> None:
     parser.add_argument("--points", type=int, default=102, help="kills, a third of them for each kind of process")
     parser.add_argument("--engine", choices=("local", "ray", "slurm"), default="local")
     parser.add_argument("--seed", type=int, default=0, help="of the moments")
+    parser.add_argument("--add", action="store_true", help="to the kills that the results have, of another --seed")
     given = parser.parse_args()
     adopt_orphans()
     random = np.random.default_rng(given.seed)
@@ -204,7 +211,8 @@ def main() -> None:
                 if kill:
                     kills.append(kill)
                     print(f"{len(kills)} of {given.points}: {kill}", flush=True)
-    write_results(given.engine, kills, duration_s)
+        print(f"undisturbed run: {duration_s:.1f} s")
+    write_results(given.engine, kills, given.add)
 
 
 if __name__ == "__main__":
