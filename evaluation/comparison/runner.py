@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from gridtrack.evaluation.comparison.edited_code import without_edited
 from gridtrack.evaluation.comparison.engine_choice import engine_of
 from gridtrack.evaluation.comparison.plan import ComparisonPlan, with_copied_weights
 from gridtrack.evaluation.comparison.run_folder import RunFolder
@@ -28,7 +29,7 @@ def _run(plan: ComparisonPlan, command: Sequence[str], progress: RunObserver, en
     for notice in plan.notices:
         progress.note(notice)
     stages = Stages(plan, folder.path, progress, engine)
-    for name, record in folder.kept_records().items():
+    for name, record in without_edited(plan, folder.kept_records(), progress.note).items():
         stages.keep(name, record)
     progress.planned(stages.planned_frames(), stages.planned_passes())
     interrupted = False

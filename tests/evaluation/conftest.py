@@ -113,9 +113,9 @@ def settings(record: Record, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
 
 
 @pytest.fixture
-def staged(install: Callable[..., Path]) -> None:
-    """Registers the tracker `staged`."""
-    install("staged", {"staged": "staged_tracker:Staged"}, {"staged_tracker.py": STAGED})
+def staged(install: Callable[..., Path]) -> Path:
+    """Registers the tracker `staged`; the folder of its code."""
+    return install("staged", {"staged": "staged_tracker:Staged"}, {"staged_tracker.py": STAGED})
 
 
 class RecordedProgress:

@@ -32,6 +32,13 @@ def settings(settings):
     return partial(settings, jobs=1)
 
 
+def edit(folder, old, new):
+    """Change the code of the tracker `staged`."""
+    path = folder / "staged_tracker.py"
+    assert old in path.read_text()
+    path.write_text(path.read_text().replace(old, new))
+
+
 def test_another_program_under_the_same_name_is_another_configuration(settings, tmp_path, progress):
     serve = f"{sys.executable} -P -m gridtrack.trackers.serve persistence"
     toml = tmp_path / "trackers.toml"
@@ -84,6 +91,36 @@ def test_a_trial_with_missing_counts_runs_again(settings, tmp_path, progress):
     (tmp_path / "run" / "blank@room" / HISTOGRAM_TABLE.file).unlink()
     summary = run(resolve(settings("blank", resume=True)), (), progress)
     assert summary.trackers["blank"].recordings["room"].strata["visible"].f1 == (0.0,) * 11
+
+
+def test_a_tracker_whose_code_was_edited_runs_again_and_the_others_do_not(settings, staged, record, progress):
+    both = str(record()), str(record("other", wall_m=2.5))
+    rows = "staged", "again=staged", "persistence"
+    run(resolve(settings(*rows, recordings=both)), (), progress)
+    progress.delivered.clear()
+    run(resolve(settings(*rows, recordings=both, resume=True)), (), progress)
+    assert progress.delivered == {}
+    edit(staged, "self.last[None]", "0.5 * self.last[None]")
+    progress.notes.clear()
+    summary = run(resolve(settings(*rows, recordings=both, resume=True)), (), progress)
+    assert set(progress.delivered) == {"staged@room", "staged@other", "again@room", "again@other"}
+    told = [line for line in progress.notes if "edited" in line]
+    assert told == [
+        f"{row}: its code was edited since it ran: 2 of its trials run again" for row in ("staged", "again")
+    ]
+    trials = [summary.trackers[row].recordings["room"] for row in ("staged", "again", "persistence")]
+    brier = [trial.strata["visible"].brier[0] for trial in trials]
+    assert brier[0] == brier[1] > brier[2]
+
+
+def test_what_a_tracker_has_scored_that_no_longer_starts_is_kept(settings, staged, progress):
+    run(resolve(settings("staged")), (), progress)
+    edit(staged, "self.last[None]", "self.last[")
+    progress.notes.clear()
+    summary = run(resolve(settings("staged", resume=True)), (), progress)
+    assert summary.trackers["staged"].recordings["room"].outcome == "ok"
+    (line,) = [line for line in progress.notes if "does not start" in line]
+    assert line.startswith("staged: what it has scored is kept, but it does not start now: unavailable: ")
 
 
 def test_the_suggested_training_has_the_grid_and_rate_of_the_comparison(settings):
