@@ -11,6 +11,8 @@ import polars as pl
 from gridtrack.reports.run import ReportError
 from gridtrack.reports.table import MAIN_STRATUM
 
+FEW_CELLS = 5
+"""A moment with fewer occupied cells stands out after all others: F1 of one cell is 0 or 1 by chance."""
 LEAST_DIFFERENCE = 0.01
 """A moment in which the trackers' F1 differ by less is not called telling."""
 
@@ -48,15 +50,16 @@ def moments_in_order(
     """Every moment that all of `scores` have, once, the ones to keep first: worst, telling and ordinary in turns.
 
     `scores`: the scores of each trial by label and stamp; `trackers`: the labels by which moments are judged. Worst: by
-    the mean F1 of the trackers, where a cell was occupied. Telling: by the range of their F1. Ordinary: each as far in
-    time as possible from those before it.
+    the mean F1 of the trackers, where a cell was occupied. Telling: by the range of their F1. Both have moments of few
+    cells last. Ordinary: each as far in time as possible from those before it.
     """
     stamps = sorted(set.intersection(*(set(frames) for frames in scores.values()))) if scores else []
     occupied = [s for s in stamps if any(frames[s].occupied for frames in scores.values())]
     f1 = {s: [scores[name][s].f1 for name in trackers] for s in occupied} if trackers else {}
     ranges = {s: max(values) - min(values) for s, values in f1.items()}
-    worst = sorted(f1, key=lambda s: (sum(f1[s]), s))
-    telling = sorted((s for s in f1 if ranges[s] >= LEAST_DIFFERENCE), key=lambda s: (-ranges[s], s))
+    few = {s: max(frames[s].occupied for frames in scores.values()) < FEW_CELLS for s in occupied}
+    worst = sorted(f1, key=lambda s: (few[s], sum(f1[s]), s))
+    telling = sorted((s for s in f1 if ranges[s] >= LEAST_DIFFERENCE), key=lambda s: (few[s], -ranges[s], s))
     queues = {"worst": worst, "telling": telling, "ordinary": _spread(stamps)}
     chosen: dict[int, str] = {}
     while len(chosen) < len(stamps):

@@ -21,6 +21,10 @@ export function scoreText(player, moment, h, tracker) {
 
 // Kinds of moments that stand out by the first `trackers` on screen: the higher the `value`, the more, and where it is
 // null, not at all. The worst has the lowest F1, where something was to be found; in the most telling, F1 differs most.
+// Both come last where few cells were to be found: F1 of one cell is 0 or 1 by chance.
+const FEW_CELLS = 5;
+const AFTER_ALL_OTHERS = 2;
+
 export const WORST = {
   name: "worst",
   trackers: 1,
@@ -42,8 +46,11 @@ export const TELLING = {
 export function outstandingMoment(player, kind, h, trackers) {
   let best = null;
   player.moments.forEach((_, moment) => {
-    const value = kind.value(player, moment, h, trackers);
-    if (value !== null && (best === null || value > best.value)) best = { moment, value };
+    const standsOut = kind.value(player, moment, h, trackers);
+    if (standsOut === null) return;
+    const [found, , missed] = countsOf(player, moment, h, trackers[0]);
+    const value = found + missed < FEW_CELLS ? standsOut - AFTER_ALL_OTHERS : standsOut;
+    if (best === null || value > best.value) best = { moment, value };
   });
   return best;
 }

@@ -46,6 +46,17 @@ def test_a_moment_in_which_nothing_is_occupied_is_neither_worst_nor_telling():
     assert {one.stamp_ns: one.reason for one in moments_in_order(scores, ["a", "b"])} == {0: "worst", 1: "ordinary"}
 
 
+def test_moments_of_few_cells_stand_out_after_all_others():
+    scores = {name: perfect({0: 1, 1: 9, 2: 9}) for name in ("a", "b")}
+    scores["b"] |= {0: FrameScore(tp=0, fp=0, fn=1), 2: FrameScore(tp=5, fp=0, fn=4)}
+    order = moments_in_order(scores, ["a", "b"])
+    assert [(one.stamp_ns, one.reason) for one in order[:2]] == [(2, "worst"), (0, "telling")]
+    scores |= {name: own | {3: FrameScore(9, 0, 0), 4: FrameScore(8, 0, 1)} for name, own in scores.items()}
+    scores["b"][3] = FrameScore(tp=6, fp=0, fn=3)
+    order = moments_in_order(scores, ["a", "b"])
+    assert [(one.stamp_ns, one.reason) for one in order[:2]] == [(2, "worst"), (3, "telling")]
+
+
 def test_only_moments_that_every_trial_has_are_chosen():
     order = moments_in_order({"a": perfect({0: 1, 1: 9, 2: 1}), "b": perfect({0: 1, 2: 2})}, ["a", "b"])
     assert {one.stamp_ns for one in order} == {0, 2}
