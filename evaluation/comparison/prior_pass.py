@@ -20,11 +20,12 @@ PRIOR_LOG = "prior.log"
 def trials_with_priors(trials: Iterable[Trial], records: Mapping[str, TrialRecord]) -> list[Trial]:
     """Those of the complete `trials` whose prior is to be measured: of each row the first at each place.
 
-    A tracker without weights expects nothing of a place, and the window of a sensor that moves is no place.
+    A tracker without weights expects nothing of a place, and one with general weights the same everywhere. The window
+    of a sensor that moves is no place.
     """
     first: dict[tuple[str, str, str], Trial] = {}
     for trial in trials:
-        if trial.weights and trial.test.first_move_s is None:
+        if trial.weights and not trial.weights.card.general and trial.test.first_move_s is None:
             first.setdefault((trial.label, trial.test.site, str(trial.test.grid)), trial)
     return [trial for trial in first.values() if PRIOR_TABLE.file not in records[trial.name].files]
 

@@ -77,6 +77,22 @@ def test_a_sensor_that_moves_shows_no_place_for_which_there_could_be_a_prior(com
     assert not list(out.glob(f"*/{PRIOR_TABLE.file}"))
 
 
+def test_general_weights_expect_the_same_everywhere_and_have_no_prior(record, tmp_path, progress):
+    trained_on = (str(record("before", stretches={})),)
+    validation = (str(record("between", stretches={}, wall_m=4.0)),)
+    recipe = Recipe(
+        tracker="static-map", recordings=trained_on, validation=validation, general=True, out=tmp_path / "general"
+    )
+    train_tracker(recipe, lambda text: None)
+    recordings = (str(record("one", stretches={}, wall_m=2.0)),)
+    settings = CompareSettings(
+        recordings=recordings, trackers=("static-map",), out=tmp_path / "run", weights=tmp_path / "general", **OPTIONS
+    )
+    summary = run(resolve(settings), ("gridtrack", "compare"), progress)
+    assert summary.trackers["static-map"].recordings["one"].outcome == "ok"
+    assert not list((tmp_path / "run").glob(f"*/{PRIOR_TABLE.file}"))
+
+
 def test_a_run_of_before_gets_its_priors_when_it_is_resumed(compare, record):
     path = record("one", stretches={})
     out = compare(path)
