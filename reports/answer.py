@@ -42,11 +42,18 @@ def answer_of(run: ReportedRun) -> Answer:
 
 def _compared(run: ReportedRun) -> Fact:
     recordings = [run.summary.recordings[name] for name in run.recordings]
-    frames = sum(one.frames for one in recordings)
+    frames, scored = sum(one.frames for one in recordings), sum(_most_scored(run, name) for name in run.recordings)
     where = run.recordings[0] if len(recordings) == 1 else f"{len(recordings)} recordings"
     furthest_s = [one.horizons_s[-1] for one in recordings]
     ahead = " to ".join(dict.fromkeys(f"{s:.3g}" for s in (min(furthest_s), max(furthest_s))))
-    return Fact("Compared on", f"{where}: {frames} frames, the longest forecast {ahead} s ahead")
+    forecasts = f"{scored} forecast{'s' * (scored != 1)} scored, of {frames} frames"
+    return Fact("Compared on", f"{where}: {forecasts}, the longest forecast {ahead} s ahead")
+
+
+def _most_scored(run: ReportedRun, recording: str) -> int:
+    """Forecasts scored on a recording; of the row with most, as others may have failed."""
+    rows = (row.recordings.get(recording) for row in run.summary.trackers.values() if not row.ceiling)
+    return max((trial.frames_scored for trial in rows if trial is not None), default=0)
 
 
 def _weights(run: ReportedRun) -> Fact:

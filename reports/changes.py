@@ -12,6 +12,8 @@ MAX_CHANGES = 200
 """Lines beyond this number are counted and not shown."""
 DEFAULT = "default"
 """The value of an option that was not given: a run's folder does not have it."""
+CODE_DIGITS = 12
+"""Of a hash of a tracker's code."""
 _OPTION = "options."
 _OF_EVERY_RUN = ("started", "finished", "status", "settings.out")
 _TOLD_OF_TRACKERS = ("configuration.trials.", "weights.", "settings.trackers", "settings.recordings")
@@ -30,12 +32,13 @@ class Change:
 
 
 def changes_of(runs: Sequence[ReportedRun]) -> tuple[Change, ...]:
-    """What differs and nothing else: rows and recordings that a run lacks, fields of trackers, then all else of
-    run.json but the command, and the command; times of the runs are left out."""
+    """What differs and nothing else: rows and recordings that a run lacks, code and fields of trackers, then all
+    else of run.json but the command, and the command; times of the runs are left out. Raises RunError."""
     recordings = [run.recordings for run in runs]
     changes = [
         *_missing("trackers not in every run", [tuple(run.summary.trackers) for run in runs]),
         *_missing("recordings not in every run", recordings),
+        *_of_code(runs),
         *_of_trackers(runs),
         *_differing([_other_fields(run, recordings) for run in runs]),
     ]
@@ -54,6 +57,20 @@ def _missing(name: str, of_runs: Sequence[Sequence[str]]) -> Iterator[Change]:
         yield Change(name, values)
 
 
+def _of_code(runs: Sequence[ReportedRun]) -> Iterator[Change]:
+    """The trackers that every run has and whose known code is not the same in all; a line for each."""
+    for label in _in_every(runs):
+        of_runs = [run.code_of(label) for run in runs]
+        if len({frozenset(codes) for codes in of_runs if codes}) > 1:
+            shown = (", ".join(code[:CODE_DIGITS] for code in codes) or UNDEFINED for codes in of_runs)
+            yield Change(f"code of {label}", tuple(shown))
+
+
+def _in_every(runs: Sequence[ReportedRun]) -> Iterator[str]:
+    """The labels that every run has."""
+    return (label for label in runs[0].summary.trackers if all(label in run.summary.trackers for run in runs))
+
+
 def _differing(records: Sequence[FieldTexts]) -> Iterator[Change]:
     for name in dict.fromkeys(name for record in records for name in record):
         values = tuple(record.get(name, UNDEFINED) for record in records)
@@ -64,7 +81,7 @@ def _differing(records: Sequence[FieldTexts]) -> Iterator[Change]:
 def _of_trackers(runs: Sequence[ReportedRun]) -> list[Change]:
     """The fields of the trackers that every run has, options first; trackers that differ alike share a line."""
     alike: dict[Change, list[str]] = {}
-    for label in (one for one in runs[0].summary.trackers if all(one in run.summary.trackers for run in runs)):
+    for label in _in_every(runs):
         records = [_of_tracker(run, label) for run in runs]
         for change in _differing(records):
             alike.setdefault(_with_defaults(change, records), []).append(label)

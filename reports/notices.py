@@ -24,9 +24,9 @@ class Notice:
 
 
 def notices_of(runs: Sequence[ReportedRun], tables: Sequence[HeadlineTable]) -> list[Notice]:
-    """Every notice: first what failed, with the reason, then what else is serious, then the rest."""
-    found = [*_of_trials(tables), *_of_ends(runs), *_of_parity(tables), *_of_runs(runs), *_of_intervals(tables)]
-    return list(dict.fromkeys(found))
+    """Every notice: first what failed, with the reason, then what else is serious, then the rest. Raises RunError."""
+    serious = [*_of_trials(tables), *_of_ends(runs), *_of_parity(tables)]
+    return list(dict.fromkeys([*serious, *_of_code(runs), *_of_runs(runs), *_of_intervals(tables)]))
 
 
 def _of_trials(tables: Sequence[HeadlineTable]) -> Iterator[Notice]:
@@ -78,6 +78,14 @@ def _of_parity(tables: Sequence[HeadlineTable]) -> Iterator[Notice]:
     if found := [table.recording for table in unlike if not table.pooled] or [table.recording for table in unlike]:
         where = _counted(found, sum(not table.pooled for table in tables))
         yield Notice(f"{where}: the rows are not scored on the same frames, none is marked as best", serious=True)
+
+
+def _of_code(runs: Sequence[ReportedRun]) -> Iterator[Notice]:
+    for run in runs:
+        for label in run.summary.trackers:
+            if (versions := len(run.code_of(label))) > 1:
+                text = f"{label}: its trials ran with {versions} different versions of its code"
+                yield Notice(_before([run.name], runs) + text)
 
 
 def _of_runs(runs: Sequence[ReportedRun]) -> Iterator[Notice]:

@@ -99,6 +99,7 @@ def _recording(
         "period_ms": _period_ms(table),
         "cell_m": GridSpec.parse(grid).cell_m if grid else None,
         "conditions_ahead": first.heading,
+        "conditions_ahead_s": table.horizons_s[first.step],
         "rows": [
             _row(row, styles[row.key], table, first)
             | {

@@ -57,6 +57,15 @@ class ReportedRun:
             raise ReportError(f"{self.path / SUMMARY_FILE}: '{label}@{recording}' is not the name of a folder in it")
         return folder
 
+    def code_of(self, label: str) -> tuple[str, ...]:
+        """SHA-256 of the code that a tracker's trials ran with, each once, in their order; none where it is not known.
+
+        Raises RunError.
+        """
+        folders = [self.path / f"{label}@{name}" for name in self.recordings]
+        records = [read_trial_record(folder) for folder in folders if folder.parent == self.path]
+        return tuple(dict.fromkeys(one.code_sha256 for one in records if one is not None and one.code_sha256))
+
     def scored_trials(self) -> dict[tuple[str, str], FinishedTrial]:
         """The trials of which something was scored, by label and recording. Raises RunError and ReportError."""
         found = {}

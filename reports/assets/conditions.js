@@ -48,6 +48,7 @@ export function startConditions() {
         ["stratum", "Cells", Object.keys(row?.conditions[now.kind].f1 ?? {}).map((name) => [name, `${name} cells`])]];
     },
     chart: conditionChart,
+    fixed: (now) => ({ score: "f1", "horizon, s": recordingNamed(now.recording).conditions_ahead_s }),
     line: ({ recording: name, kind }) => `F1 ${recordingNamed(name).conditions_ahead} ahead; ${pageData.conditions[kind].name}: ${pageData.conditions[kind].meaning}.`,
   });
 }

@@ -6,10 +6,12 @@ import { numbersOfChart, lineChart } from "./line_chart.js";
 import { whenShownChange } from "./shown_trackers.js";
 
 const LEAST_WIDTH = 300;
+const COLUMNS = { ahead_s: "horizon, s" };
 let firstWidth = 0; // of the figure drawn first: all are as wide, and to measure each would lay the page out each time
 
 // `figure`: { id, title, chosen, choices(chosen), line(chosen) } and either chart(chosen), what `lineChart` draws, or
 // drawing(chosen, width), an element, and numbers(chosen), its table. Its title is a heading of docs/figures.md.
+// `fixed(chosen)`: { name: value } for its file, beside what is chosen, such as a score that is always the same.
 export function startFigure(figure) {
   const { id, title, chosen } = figure;
   const section = document.getElementById(id) ?? newSection(id, title);
@@ -17,7 +19,8 @@ export function startFigure(figure) {
   const holder = make("div", { class: "drawn" });
   const note = make("p", { class: "note" });
   const drawing = figure.drawing ?? ((now, width) => lineChart({ ...figure.chart(now), width }));
-  const numbers = figure.numbers ?? ((now) => numbersOfChart(figure.chart(now)));
+  const table = figure.numbers ?? ((now) => numbersOfChart(figure.chart(now)));
+  const numbers = (now) => toldOf(table(now), { ...choicesMade(figure.choices(now), now), ...figure.fixed?.(now) });
   let width = 0;
   const redraw = () => {
     holder.replaceChildren(drawing(chosen, Math.max(width, LEAST_WIDTH)));
@@ -41,6 +44,16 @@ export function startFigure(figure) {
     width = holder.clientWidth;
     redraw();
   }).observe(section);
+}
+
+// What is chosen, by the name of its column.
+function choicesMade(listed, chosen) {
+  return Object.fromEntries(listed.map(([key, , , taken = chosen[key]]) => [COLUMNS[key] ?? key, taken]));
+}
+
+// A table, headings first, with a column for each of `told`: a file says by itself what its numbers are of.
+function toldOf([heading, ...rows], told) {
+  return [[...heading, ...Object.keys(told)], ...rows.map((row) => [...row, ...Object.values(told)])];
 }
 
 function newSection(id, title) {

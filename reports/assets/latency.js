@@ -54,8 +54,8 @@ function slices(ends, y) {
 
 function latencyNumbers({ recording, call }) {
   const percentiles = Array.from({ length: 21 }, (_, i) => `p${5 * i}, ms`);
-  return [["tracker", "call", "p50, ms", "p95, ms", "p99, ms", "peak memory, MB", "keeps up", ...percentiles],
-    ...timed({ recording }).map((row) => [row.name, call, ...row.latency[call], row.peak_mb, row.keeps_up,
+  return [["tracker", "p50, ms", "p95, ms", "p99, ms", "peak memory, MB", "keeps up", ...percentiles],
+    ...timed({ recording }).map((row) => [row.name, ...row.latency[call], row.peak_mb, row.keeps_up,
       ...row.latency.twentieths[call]])];
 }
 

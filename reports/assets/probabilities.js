@@ -36,9 +36,9 @@ function calibration(chosen) {
 }
 
 const FIGURES = [
-  { id: "precision-recall", title: "Precision and recall", chart: precisionRecall, line: (now) => `Each point is a threshold; the area is PR-AUC${bandWords(precisionRecall(now))}.` },
-  { id: "threshold", title: "Threshold", chart: f1OverThreshold, line: () => "F1 at every threshold." },
-  { id: "calibration", title: "Calibration", chart: calibration, line: () => "On the diagonal, p is the share of cells that were occupied." },
+  { id: "precision-recall", title: "Precision and recall", chart: precisionRecall, fixed: () => ({ score: "precision" }), line: (now) => `Each point is a threshold; the area is PR-AUC${bandWords(precisionRecall(now))}.` },
+  { id: "threshold", title: "Threshold", chart: f1OverThreshold, fixed: () => ({ score: "f1" }), line: () => "F1 at every threshold." },
+  { id: "calibration", title: "Calibration", chart: calibration, fixed: () => ({ score: "share occupied" }), line: () => "On the diagonal, p is the share of cells that were occupied." },
 ];
 
 // Fills a section for each of FIGURES.

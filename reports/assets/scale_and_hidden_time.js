@@ -41,6 +41,7 @@ export function startScale() {
       return [["recording", "Recording", listed], ["stratum", "Cells", scaled], aheadChoice(now)];
     },
     chart: scaleChart,
+    fixed: () => ({ score: "fss" }),
     line: (now) => `Fractions skill score over the side of a neighbourhood${bandWords(scaleChart(now))}.`,
   });
 }

@@ -64,3 +64,20 @@ def test_a_rate_is_a_number_but_where_there_was_none(numbers_of):
     heading, *rows = numbers_of("conditions")
     assert heading[0] == "rate of frames"
     assert [row[0] for row in rows] == ["untimed", "1", "4"]
+
+
+@pytest.mark.parametrize(
+    ("figure", "told"),
+    [
+        ("ranking", {"recording": "crossing", "stratum": "in-motion", "score": "pr_auc", "horizon, s": "1"}),
+        ("curves", {"recording": "crossing", "stratum": "in-motion", "score": "pr_auc"}),
+        ("every-score", {"recording": "crossing", "stratum": "in-motion", "horizon, s": "1"}),
+        ("conditions", {"recording": "crossing", "stratum": "in-motion", "score": "f1", "horizon, s": "0.5"}),
+    ],
+)
+def test_a_file_says_in_every_row_what_its_numbers_are_of(numbers_of, figure, told):
+    heading, *rows = numbers_of(figure)
+    assert rows
+    for row in rows:
+        assert dict(zip(heading, row, strict=True)).items() >= told.items()
+    assert len(set(heading)) == len(heading)

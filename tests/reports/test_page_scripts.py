@@ -48,7 +48,7 @@ def test_the_tiers_join_rows_that_are_not_told_apart(report):
 @pytest.mark.parametrize(
     "line",
     [
-        "<dt>Compared on</dt><dd>20 recordings: 800 frames, the longest forecast 2.5 s ahead</dd>",
+        "<dt>Compared on</dt><dd>20 recordings: 120 forecasts scored, of 800 frames, the longest forecast 2.5 s ahead",
         "<dt>Weights</dt><dd>none: persistence, good, fair, twin, late</dd>",
         "<dt>Keeps up with the sensor</dt><dd>not measured: gridtrack compare --latency measures it</dd>",
         "<dt>Not ranked</dt><dd>late: crashed on 1 of 20 recordings</dd>",

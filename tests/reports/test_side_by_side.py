@@ -97,6 +97,37 @@ def test_what_changed_is_a_line_for_each_difference_with_the_options_first(recor
     ]
 
 
+def with_code(run, **code):
+    """The run with this hash of the code in the trial of each label."""
+    for label, sha256 in code.items():
+        path = run / f"{label}@crossing" / "outcome.json"
+        path.write_text(json.dumps(json.loads(path.read_text()) | {"code_sha256": sha256}))
+
+
+def test_a_tracker_whose_own_code_was_edited_has_a_line(two, tmp_path):
+    before, after = (shutil.copytree(run, tmp_path / run.name) for run in two)
+    with_code(before, good="1a2b3c4d5e6f" + "0" * 52, fair="c" * 64, blank="")
+    with_code(after, good="9f8e7d6c5b4a" + "0" * 52, fair="c" * 64, blank="d" * 64)
+    found = [(one.name, one.values) for one in changes_of(read_runs([before, after])) if "code" in one.name]
+    assert found == [("code of good", ("1a2b3c4d5e6f", "9f8e7d6c5b4a"))]
+    assert "<td>9f8e7d6c5b4a</td>" in render_report([before, after], tmp_path / "page").read_text("utf-8")
+
+
+def test_trials_of_one_row_that_ran_with_other_code_have_a_notice(two, tmp_path):
+    run = shutil.copytree(two[0], tmp_path / "run")
+    shutil.copytree(run / "good@crossing", run / "good@again")
+    summary = json.loads((run / "summary.json").read_text())
+    summary["recordings"]["again"] = summary["recordings"]["crossing"]
+    (run / "summary.json").write_text(json.dumps(summary))
+    expected = "good: its trials ran with 2 different versions of its code"
+    runs = read_runs([run])
+    assert expected not in [one.text for one in notices_of(runs, headline_tables(runs))]
+    with_code(run, good="1" * 64)
+    path = run / "good@again" / "outcome.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | {"code_sha256": "2" * 64}))
+    assert expected in [one.text for one in notices_of(runs, headline_tables(runs))]
+
+
 def test_a_tracker_is_compared_across_other_recordings(records):
     before, after = records
     for run, name in ((before, "here"), (after, "there")):
