@@ -14,6 +14,7 @@ from gridtrack.evaluation.regression.verdict import AnyRow, SecondLook, Standing
 from gridtrack.reports.markdown import escaped, markdown_table
 from gridtrack.reports.run import UNDEFINED
 from gridtrack.reports.verdict_text import (
+    NO_COLLAPSE,
     amount_text,
     band_text,
     rule_of,
@@ -139,7 +140,7 @@ def _verdict_text(verdict: Verdict, row: VerdictRow) -> str:
     standing = verdict.standing_of(row)
     if row.criterion in {"large", "collapse"}:
         return f"{standing} ({row.criterion})"
-    return standing if row.verdict == "worse" or not row.recording else "not judged"
+    return standing if row.verdict == "worse" or not row.recording else NO_COLLAPSE
 
 
 def _p_value_text(row: VerdictRow) -> str:

@@ -21,6 +21,8 @@ from gridtrack.reports.run import UNDEFINED
 
 MAX_FALLEN = 3
 """Largest number of lines on single recordings in the text."""
+NO_COLLAPSE = "no collapse"
+"""The standing of a change on one recording that is listed and does not decide."""
 UNKNOWN_SPREAD = "the baseline has one run: the spread between trainings is unknown and not taken into account"
 REASONS: dict[Criterion, str] = {
     "": "",
@@ -37,9 +39,9 @@ def text_of(verdict: Verdict) -> str:
     lines = second_lines(verdict)
     lines += [f"worse: {sentence_of(row)}" for row in verdict.worse if row not in looked_at]
     fallen = [row for row in verdict.on_recordings if row.verdict != "worse"]
-    lines += [f"change on one recording, not judged: {sentence_of(row)}" for row in fallen[:MAX_FALLEN]]
+    lines += [f"change on one recording, {NO_COLLAPSE}: {sentence_of(row)}" for row in fallen[:MAX_FALLEN]]
     if len(fallen) > MAX_FALLEN:
-        lines.append(f"change on one recording, not judged: {len(fallen) - MAX_FALLEN} more, see --markdown")
+        lines.append(f"change on one recording, {NO_COLLAPSE}: {len(fallen) - MAX_FALLEN} more, see --markdown")
     lines += [f"timed in turns: {sentence_of(row)}" for row in verdict.turns if row.verdict != "worse"]
     lines += [f"note: {note}" for note in verdict.notes]
     lines += [f"{label}: every count is as in the baseline" for label in unchanged_labels(verdict)]
@@ -117,14 +119,27 @@ def _worse_and_better(row: VerdictRow) -> tuple[str, str]:
 
 
 def _limit_text(row: VerdictRow) -> str:
-    """The smallest change that would have been worse, and the margin where it is another."""
+    """The smallest change that would have been worse, and the margin over all units where it is another."""
     worse, _ = _worse_and_better(row)
+    where = " on one recording" if row.recording else ""
     if not np.isfinite(row.smallest):
-        return f"no {worse} would be found"
+        return _no_limit_text(row, worse, where)
     if not row.smallest:
         return f"any {worse} is worse"
     smallest, margin = amount_text(row, row.smallest), amount_text(row, row.margin)
-    return f"a {worse} of more than {smallest} is worse" + (f" (margin {margin})" if margin != smallest else "")
+    beside = "" if row.recording or margin == smallest else f" (margin {margin})"
+    return f"a {worse} of more than {smallest}{where} is worse{beside}"
+
+
+def _no_limit_text(row: VerdictRow, worse: str, where: str) -> str:
+    """Why no change would have been found, of whatever size."""
+    if row.score == "F1" and not row.baseline:
+        return "no fall is possible"
+    if row.verdict == "worse":
+        return f"no {worse} alike in all units could be found"
+    if row.score == "F1" and row.margin >= (row.baseline or 0.0):
+        return f"no fall is beyond the margin of {amount_text(row, row.margin)}"
+    return f"no {worse}{where} could be found with so few {'cells' if row.recording else 'units'}"
 
 
 def second_lines(verdict: Verdict) -> list[str]:
@@ -153,6 +168,9 @@ def _smallest_found(verdict: Verdict) -> list[str]:
         if label in worse or not found:
             continue
         best, worst = (choose(found, key=lambda row: row.smallest) for choose in (min, max))
+        if not np.isfinite(best.smallest):
+            lines.append(f"{label}: this baseline could have shown no fall in F1, of whatever size")
+            continue
         sizes = [f"{amount_text(row, row.smallest)} ({place_of(row)})" for row in (best, worst)]
         alike = amount_text(best, best.smallest) == amount_text(worst, worst.smallest)
         told = sizes[0] if alike else f"{sizes[0]} at best, {sizes[1]} at worst"
@@ -209,9 +227,9 @@ def turns_texts(row: TurnsRow) -> list[str]:
 
 
 def amount_text(row: VerdictRow, value: float) -> str:
-    """A change as margins are given: of F1, or a share of a log loss; one that nothing finds is undefined."""
+    """A change as margins are given: of F1, or a share of a log loss; none where no change can be found."""
     if not np.isfinite(value):
-        return "no size"
+        return "none"
     return f"{value:.4f}" if row.score == "F1" else f"{value:.1%}"
 
 

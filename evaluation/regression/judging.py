@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from gridtrack.evaluation.regression.criteria import COLLAPSE, COLLAPSE_ERRORS, LARGE_MARGINS, RowTest
 from gridtrack.evaluation.regression.noise import UnitFalls, standard_error, unit_falls
-from gridtrack.evaluation.regression.rows import SHARE_PER_F1, JudgedScore, PairedRow
+from gridtrack.evaluation.regression.rows import LARGEST, SHARE_PER_F1, JudgedScore, PairedRow
 from gridtrack.evaluation.regression.settings import MARGIN, GateSettings
 from gridtrack.evaluation.regression.significance import FAMILY_LEVEL
 from gridtrack.evaluation.statistics.training_spread import value_of
@@ -31,7 +31,8 @@ class VerdictRow:
     frames, log losses in nats, None where it is undefined; of several runs of the baseline, that of the mean counts.
     `fall`, `margin` and `smallest` are of F1, of a log loss shares of its baseline. `p`: the p-value of the fall,
     corrected for the family; None with too few units, and for a single recording. `spread`: the standard deviation of
-    the score between trainings; None where it is not known. `smallest`: the smallest fall that would have been found.
+    the score between trainings; None where it is not known. `smallest`: the smallest fall that would have been found;
+    infinite where the score cannot fall by as much.
     """
 
     label: str
@@ -60,10 +61,10 @@ def judged_row(row: PairedRow, test: RowTest, settings: GateSettings) -> Verdict
     f1_margin = settings.margin_of(row.label, test.p is not None)
     margin, limit = row.margin_of(f1_margin), row.margin_of(LARGE_MARGINS * max(f1_margin, MARGIN))
     over_all = _over(row, np.ones(len(row.units), bool), "", margin)
-    if over_all.verdict != "no worse":
-        unit = _unit(row, over_all)
-        return replace(over_all, p=test.p, spread=test.spread, smallest=_smallest(test, margin, limit, unit))
     unit, beyond = _unit(row, over_all), over_all.fall > margin + ROUNDING[row.score]
+    smallest = _possible(row, over_all, _smallest(test, margin, limit, unit))
+    if over_all.verdict != "no worse":
+        return replace(over_all, p=test.p, spread=test.spread, smallest=smallest)
     criterion: Criterion = ""
     if beyond and test.p is None:
         criterion = "margin"
@@ -75,7 +76,7 @@ def judged_row(row: PairedRow, test: RowTest, settings: GateSettings) -> Verdict
         over_all,
         p=test.p,
         spread=test.spread,
-        smallest=_smallest(test, margin, limit, unit),
+        smallest=smallest,
         criterion=criterion,
         verdict="worse" if criterion else "no worse",
     )
@@ -85,10 +86,17 @@ def judged_recordings(
     rows: Sequence[PairedRow], tests: Sequence[RowTest], settings: GateSettings
 ) -> tuple[VerdictRow, ...]:
     """The worst fall of each tracker on each recording: a collapse, which is worse, else one beyond the margin, which
-    is not judged. The largest first."""
+    is only listed. The largest first.
+
+    A single recording is what the row over all units judges: only a collapse is added, and nothing where there is no
+    significance, since any collapse is then beyond the margin.
+    """
     worst: dict[tuple[str, str], VerdictRow] = {}
     for row, test in zip(rows, tests, strict=True):
-        for found in _on_recordings(row, settings.margin_of(row.label, test.p is not None)):
+        alone, enough_units = len(set(row.recordings)) == 1, test.p is not None
+        for found in _on_recordings(row, settings.margin_of(row.label, enough_units)):
+            if alone and not (enough_units and found.verdict == "worse"):
+                continue
             known = worst.get((found.label, found.recording))
             rank = (found.verdict == "worse", found.severity)
             if known is None or rank > (known.verdict == "worse", known.severity):
@@ -108,7 +116,7 @@ def judged_on(row: PairedRow, recording: str, f1_margin: float, falls: UnitFalls
     collapsed = found.fall > max(limit, needed)
     return replace(
         found,
-        smallest=max(limit, needed),
+        smallest=_possible(row, found, max(limit, needed)),
         criterion="collapse" if collapsed else "",
         verdict="worse" if collapsed else "no worse",
     )
@@ -150,3 +158,12 @@ def _unit(row: PairedRow, found: VerdictRow) -> float:
 
 def _smallest(test: RowTest, margin: float, limit: float, unit: float) -> float:
     return margin if test.p is None else test.smallest(margin * unit, limit * unit) / unit
+
+
+def _possible(row: PairedRow, found: VerdictRow, smallest: float) -> float:
+    """`smallest`, as margins are given; infinite where the score cannot change by more than that."""
+    then = found.baseline
+    if then is None or (row.score != "F1" and not then):
+        return smallest
+    largest = then if row.score == "F1" else (LARGEST[row.score] - then) / then
+    return smallest if smallest < largest else float("inf")

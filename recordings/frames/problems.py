@@ -70,13 +70,15 @@ def poses_not_known(
     is_mounted: bool,
 ) -> str:
     """Topics with poses of which none is known to be that of what carries the sensor; `links` do not reach it."""
-    transforms = f"{_not_reached(links, sensor, frame)}, and " if links else ""
+    transforms = f"{_not_reached(links, sensor, frame)}; " if links else ""
     mount = [] if is_mounted else ["--mount", f"{sensor}={EXAMPLE_PLACE}"]
     command = options.command(["--pose-topic", poses[0].topic, *mount])
     mounted = f", with its place there in place of {EXAMPLE_PLACE}" if mount else ""
+    which = "whether the poses on" if len(poses) == 1 else "which of the poses on"
+    verb = "are" if len(poses) == 1 else "are, if any,"
     return (
-        f"{transforms}poses on {_shown([pose.topic for pose in poses])}, and none is known to be that of sensor"
-        f" '{sensor}': name it, as in `{command}`{mounted}; {AT_REST}"
+        f"{transforms}it is not known {which} {_shown([pose.topic for pose in poses])} {verb} those of what carries"
+        f" sensor '{sensor}': name the topic that has them, as in `{command}`{mounted}; {AT_REST}"
     )
 
 

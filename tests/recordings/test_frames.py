@@ -203,7 +203,8 @@ def test_poses_of_several_things_are_asked_about(tmp_path: Path) -> None:
     with pytest.raises(RecordingError) as error:
         open_stream(path)
     asked = str(error.value)
-    assert "poses on /ego, /other, and none is known to be that of sensor 'front_scan'" in asked
+    which = "it is not known which of the poses on /ego, /other are, if any, those of what carries sensor 'front_scan'"
+    assert which in asked
     assert "--pose-topic /ego --mount front_scan=0,0,0deg`" in asked
     assert "\n" not in asked
     assert "its poses are not known" in str(open_recording(path).overview())
@@ -220,7 +221,10 @@ def test_beside_poses_that_are_asked_about_it_is_said_why_the_transforms_do_not_
     path = ROS.write(tmp_path / "a.bag", [*made.scans_of(ROS, 3000, made.FRONT), *carried, *poses])
     with pytest.raises(RecordingError) as error:
         open_stream(path)
-    why = r"transforms on /tf \(odom -> base\) do not reach frame '\w+' of sensor 'front_scan', and poses on /ego, and"
+    why = (
+        r"transforms on /tf \(odom -> base\) do not reach frame '\w+' of sensor 'front_scan'; it is not known whether"
+        r" the poses on /ego are those of what carries sensor 'front_scan': name the topic that has them"
+    )
     assert re.search(why, str(error.value))
 
 
@@ -233,7 +237,7 @@ def test_recorded_poses_that_cannot_be_used_are_no_obstacle_where_scans_alone_gi
     assert found.overview().warnings == ()
     assert "--pose-topic none" in found.info.command
     assert found.survey.moves
-    with pytest.raises(RecordingError, match="none is known to be that of sensor"):
+    with pytest.raises(RecordingError, match="it is not known which of the poses on /ego, /other are"):
         import_recording(path, tmp_path / "b.mcap", ego_motion="refined")
 
 

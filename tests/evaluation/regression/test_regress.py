@@ -7,6 +7,9 @@ from xml.etree import ElementTree
 
 import pytest
 
+from gridtrack.evaluation.regression.judging import VerdictRow
+from gridtrack.reports.verdict_text import sentence_of
+
 MIDDLE = slice(5, 13)
 NAMES = {"kalman": {}, "persistence": {"recall": 0.4, "seed": 7}}
 
@@ -77,11 +80,11 @@ def test_a_significant_fall_within_the_margin_or_the_tolerance_passes(baseline, 
     assert regress(run, "--baseline", baseline, "--tolerance", "persistence=0.1").code == 1
 
 
-def test_a_small_fall_on_one_recording_of_twenty_is_printed_and_not_judged(baseline, write_run, regress):
+def test_a_small_fall_on_one_recording_of_twenty_is_printed_as_no_collapse(baseline, write_run, regress):
     run = write_run("now", {**NAMES, "kalman": {"loss": 0.05, "only": ("junction-07",)}})
     done = regress(run, "--baseline", baseline)
     assert done.code == 0
-    assert "change on one recording, not judged: kalman on junction-07, dynamic" in done.out
+    assert "change on one recording, no collapse: kalman on junction-07, dynamic" in done.out
 
 
 def test_on_too_few_units_any_fall_is_worse_unless_a_tolerance_is_stated(short_baseline, write_run, regress):
@@ -91,6 +94,53 @@ def test_on_too_few_units_any_fall_is_worse_unless_a_tolerance_is_stated(short_b
     assert "2 paired units, too few for significance, which needs 20" in done.out
     assert "persistence: every count is as in the baseline" in done.out
     assert regress(run, "--baseline", short_baseline, "--tolerance", "kalman=0.05").code == 0
+
+
+def test_of_one_short_recording_each_pair_has_one_statement_and_one_rule(write_run, regress, tmp_path):
+    path = tmp_path / "one.json"
+    assert regress(write_run("then", NAMES, recordings=1), "--baseline", path, "--update").code == 0
+    run = write_run("now", {**NAMES, "kalman": {"loss": 0.05}}, recordings=1)
+    done = regress(run, "--baseline", path, "--markdown", tmp_path / "said.md")
+    told = [line for line in done.out.splitlines() if "kalman" in line and ": F1 " in line]
+    assert done.code == 1
+    assert len({line.split(": F1")[0] for line in told}) == len(told) >= 3
+    assert all(line.startswith("worse: kalman, ") and line.endswith("; any fall is worse") for line in told)
+    assert "one recording," not in done.out
+    assert "On one recording" not in (tmp_path / "said.md").read_text()
+
+
+def test_no_stated_fall_is_larger_than_the_score_itself(write_run, regress, tmp_path):
+    path = tmp_path / "low.json"
+    low = {"net": {"recall": 0.1}}
+    assert regress(write_run("then", low, recordings=2), "--baseline", path, "--update").code == 0
+    run = write_run("now", {"net": {"recall": 0.1, "loss": 0.05}}, recordings=2)
+    done = regress(run, "--baseline", path)
+    listed = [line for line in done.out.splitlines() if "on one recording" in line and "net on" in line]
+    assert len(listed) == 2
+    assert all(line.endswith("; no fall on one recording could be found with so few cells") for line in listed)
+    rows = json.loads(regress(run, "--baseline", path, "--json").out)["on_recordings"]
+    assert [row["smallest"] for row in rows] == [None, None]
+    wide = regress(run, "--baseline", path, "--margin", "0.9", "--junit", tmp_path / "junit.xml")
+    assert wide.code == 0
+    cases = ElementTree.parse(tmp_path / "junit.xml").iterfind("testcase")
+    told = {case.findtext("system-out").split("; ")[-1] for case in cases if case.get("name").startswith("F1")}
+    assert told == {"no fall is beyond the margin of 0.9000"}
+
+
+@pytest.mark.parametrize(
+    ("baseline", "margin", "verdict", "says"),
+    [
+        (0.2, 0.005, "no worse", "no fall could be found with so few units"),
+        (0.2, 0.3, "no worse", "no fall is beyond the margin of 0.3000"),
+        (0.0, 0.005, "no worse", "no fall is possible"),
+        (0.2, 0.005, "worse", "no fall alike in all units could be found"),
+    ],
+)
+def test_where_no_fall_is_large_enough_the_sentence_of_a_row_says_why(baseline, margin, verdict, says):
+    row = VerdictRow(
+        "net", "F1", "dynamic", "long", "", baseline, baseline, 0.0, margin, float("inf"), 1.0, None, "", verdict
+    )
+    assert sentence_of(row).split("; ")[-1] == says
 
 
 def test_a_new_tracker_and_a_new_recording_are_noted_and_not_judged(short_baseline, write_run, regress):
