@@ -15,7 +15,7 @@ import typer
 from typer.core import TyperCommand, TyperOption
 
 from gridtrack.common.errors import ConfigurationError, printable
-from gridtrack.common.remote_files import URL, fetched_folder, folder_name, is_url
+from gridtrack.common.remote_files import URL, folder_name, is_url, local_folder
 
 if TYPE_CHECKING:
     from pydantic import BaseModel
@@ -45,7 +45,7 @@ def print_note(line: str) -> None:
 
 def weights_folder(text: str) -> Path:
     """A parser: the folder of weights at a path, or the local copy of the one at a URL. Raises StoreError."""
-    return fetched_folder(text, "weights", print_note) if is_url(text) else Path(text)
+    return local_folder(text, "weights", print_note)
 
 
 def fetch_row_weights(rows: list[str] | None) -> list[str] | None:
@@ -59,7 +59,7 @@ def fetch_row_weights(rows: list[str] | None) -> list[str] | None:
 
 def run_folder_at(text: str) -> Path:
     """A parser: the folder of a run at a path, or the local copy of the one at a URL. Raises StoreError."""
-    return fetched_folder(text, "runs", print_note) if is_url(text) else Path(text)
+    return local_folder(text, "runs", print_note)
 
 
 def default_report_folder(runs: Sequence[str]) -> Path | None:

@@ -55,6 +55,11 @@ def fetched_file(url: str, kind: str, note: Callable[[str], None]) -> Path:
         return copy
 
 
+def local_folder(text: str, kind: str, note: Callable[[str], None]) -> Path:
+    """The folder at a path, or the local copy (`fetched_folder`) of the one at a URL. Raises StoreError."""
+    return fetched_folder(text, kind, note) if is_url(text) else Path(text)
+
+
 def fetched_folder(url: str, kind: str, note: Callable[[str], None]) -> Path:
     """The local copy of a folder as it is now, `<cache>/<kind>/<version>/<its name>`, whole or not at all.
 

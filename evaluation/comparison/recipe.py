@@ -14,7 +14,7 @@ from pydantic import Field, model_validator
 from gridtrack.common.config import Settings, validated
 from gridtrack.common.errors import ConfigurationError
 from gridtrack.common.files import read_bounded
-from gridtrack.common.remote_files import fetched_folder, is_url
+from gridtrack.common.remote_files import local_folder
 from gridtrack.common.untrusted import parse_toml
 from gridtrack.recordings.fetching import fetched
 from gridtrack.trackers.weights import read_card
@@ -75,12 +75,11 @@ def with_local_copies(recipe: Recipe, note: Callable[[str], None]) -> Recipe:
 
     Its `command` is for this machine only: that of `recipe` repeats the training anywhere.
     """
-    weights = recipe.weights
     return recipe.model_copy(
         update={
             "recordings": tuple(fetched(text, note) for text in recipe.recordings),
             "validation": tuple(fetched(text, note) for text in recipe.validation),
-            "weights": str(fetched_folder(weights, "weights", note)) if weights and is_url(weights) else weights,
+            "weights": recipe.weights and str(local_folder(recipe.weights, "weights", note)),
         }
     )
 

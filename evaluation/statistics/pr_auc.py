@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +12,7 @@ from gridtrack.evaluation.scoring.histograms import UnitHistograms
 from gridtrack.evaluation.scoring.metrics import area_under_precision_recall
 from gridtrack.evaluation.statistics.finished_trial import FinishedTrial
 from gridtrack.evaluation.statistics.jackknife import JackknifedScore
+from gridtrack.evaluation.statistics.units import number_of_units
 
 SUMMED_BYTES = 256 << 20
 """Of the histograms of all units: a run of a thousand recordings has gigabytes."""
@@ -19,7 +20,7 @@ SUMMED_BYTES = 256 << 20
 
 def pr_auc_of_units(
     trials: Sequence[FinishedTrial],
-    histograms: Sequence[UnitHistograms],
+    histograms: Iterable[UnitHistograms],
     units: Sequence[NDArray[np.int64]],
     chosen: Sequence[tuple[int, str]],
 ) -> JackknifedScore:
@@ -27,7 +28,7 @@ def pr_auc_of_units(
 
     The other arguments are those of `summed_histograms`. As many of `chosen` are summed at a time as SUMMED_BYTES hold.
     """
-    at_a_time = max(1, SUMMED_BYTES // (2 * 8 * PROBABILITY_BINS * _number_of(units)))
+    at_a_time = max(1, SUMMED_BYTES // (2 * 8 * PROBABILITY_BINS * number_of_units(units)))
     parts = [
         pr_auc_without_each(*summed_histograms(trials, histograms, units, chosen[first : first + at_a_time]))
         for first in range(0, len(chosen), at_a_time)
@@ -41,7 +42,7 @@ def pr_auc_of_units(
 
 def summed_histograms(
     trials: Sequence[FinishedTrial],
-    histograms: Sequence[UnitHistograms],
+    histograms: Iterable[UnitHistograms],
     units: Sequence[NDArray[np.int64]],
     chosen: Sequence[tuple[int, str]],
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -50,7 +51,7 @@ def summed_histograms(
     `units` (F,) hold the unit of each frame of a trial that counts. Of each trial `histograms` has the units from its
     first one to its last.
     """
-    cells, positives = np.zeros((2, _number_of(units), len(chosen), PROBABILITY_BINS), np.int64)
+    cells, positives = np.zeros((2, number_of_units(units), len(chosen), PROBABILITY_BINS), np.int64)
     for trial, own, unit in zip(trials, histograms, units, strict=True):
         if len(unit):
             steps = [trial.steps[place] for place, _ in chosen]
@@ -59,11 +60,6 @@ def summed_histograms(
             cells[of_trial] += own.cells[:, steps, strata]
             positives[of_trial] += own.positives[:, steps, strata]
     return cells, positives
-
-
-def _number_of(units: Sequence[NDArray[np.int64]]) -> int:
-    """The number of units, of the `units` (F,) of the frames of each trial."""
-    return 1 + max(int(one.max()) for one in units if len(one))
 
 
 def pr_auc_without_each(cells: NDArray[np.integer], positives: NDArray[np.integer]) -> JackknifedScore:

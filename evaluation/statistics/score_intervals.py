@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import product
 
@@ -69,7 +69,7 @@ INTERVAL_SCORES = (*RATIO_SCORES, "pr_auc")
 def intervals(
     recordings: Sequence[FrameCounts],
     trials: Sequence[FinishedTrial],
-    histograms: Sequence[UnitHistograms],
+    histograms: Iterable[UnitHistograms],
     strata: Sequence[str],
     rule: UnitRule,
 ) -> dict[str, dict[str, tuple[float | None, ...] | str | None]]:

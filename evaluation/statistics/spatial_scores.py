@@ -37,7 +37,7 @@ from gridtrack.evaluation.statistics.jackknife import (
     ratio_differences,
     ratio_interval,
 )
-from gridtrack.evaluation.statistics.units import UnitRule, sum_by_unit
+from gridtrack.evaluation.statistics.units import UnitRule, number_of_units, sum_by_unit
 
 Ratios = dict[str, tuple[Floats, Floats]]
 """By score that is a ratio of two sums, these sums (U, ...) of units."""
@@ -61,8 +61,7 @@ def spatial_scores(
         sums = [_read_neighbourhoods(*one, names) for one in zip(trials, stamps_ns, strict=True)]
         add_curves(found, names, neighbourhood_scores(sum_by_unit(sums, units)))
     if all((trial.folder / BEAMS_TABLE.file).exists() for trial in trials):
-        number = 1 + max(int(unit.max(initial=-1)) for unit in units)
-        counts = np.zeros((number, len(trials[0].steps), len(BEAM_STRATA), BEAM_ERROR_BINS), np.int32)
+        counts = np.zeros((number_of_units(units), len(trials[0].steps), len(BEAM_STRATA), BEAM_ERROR_BINS), np.int32)
         sums = [_add_beams(*one, counts) for one in zip(trials, stamps_ns, units, strict=True)]
         errors = sum_by_unit(sums, units)
         add_curves(found, BEAM_STRATA, beam_scores(errors[..., 0], errors[..., 1], counts))

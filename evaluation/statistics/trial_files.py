@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import partial
-from typing import Any, Generic, TypeVar, overload
+from typing import Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -57,13 +56,13 @@ class TrialFiles:
         trials: Sequence[FinishedTrial],
         stamps_ns: Sequence[NDArray[np.int64]],
         units: Sequence[NDArray[np.int64]],
-    ) -> Sequence[UnitHistograms]:
+    ) -> Iterable[UnitHistograms]:
         """The histograms of each trial at every step, of the units from the first to the last of its `units` (F,).
 
-        `stamps_ns` (F,) are the frames that count, some of the scored ones. They are read where they are asked for,
-        which raises ScoresError.
+        `stamps_ns` (F,) are the frames that count, some of the scored ones. They are read whenever one goes through
+        them, which raises ScoresError.
         """
-        return _Lazily([partial(self._of_units, *one) for one in zip(trials, stamps_ns, units, strict=True)])
+        return _ReadAgain(lambda: (self._of_units(*one) for one in zip(trials, stamps_ns, units, strict=True)))
 
     def _of_units(self, trial: FinishedTrial, stamps_ns: NDArray[np.int64], units: NDArray[np.int64]) -> UnitHistograms:
         scored_ns = self.frames(trial).stamps_ns
@@ -113,19 +112,11 @@ class _Recent(Generic[_Value]):
         return self._values[key]
 
 
-class _Lazily(Sequence[_Value]):
-    """A sequence whose items are made whenever they are asked for."""
+class _ReadAgain(Iterable[_Value]):
+    """Items that `read` reads anew whenever they are gone through."""
 
-    def __init__(self, make: Sequence[Callable[[], _Value]]) -> None:
-        self._make = make
+    def __init__(self, read: Callable[[], Iterator[_Value]]) -> None:
+        self._read = read
 
-    def __len__(self) -> int:
-        return len(self._make)
-
-    @overload
-    def __getitem__(self, index: int) -> _Value: ...
-    @overload
-    def __getitem__(self, index: slice) -> Sequence[_Value]: ...
-    def __getitem__(self, index: Any) -> Any:
-        made = self._make[index]
-        return _Lazily(made) if isinstance(index, slice) else made()
+    def __iter__(self) -> Iterator[_Value]:
+        return self._read()

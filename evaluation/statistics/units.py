@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -101,10 +101,14 @@ def residuals(part: NDArray[np.float64], whole: NDArray[np.float64]) -> NDArray[
     return moved
 
 
+def number_of_units(units: Iterable[NDArray[np.int64]]) -> int:
+    """How many units there are, of the numbers `units` (F,) of the frames of each recording."""
+    return 1 + max((int(numbers.max()) for numbers in units if len(numbers)), default=-1)
+
+
 def sum_by_unit(counts: Sequence[NDArray[np.floating]], units: Sequence[NDArray[np.int64]]) -> NDArray[np.float64]:
     """Counts (F, ...) of the frames of each recording summed over the units (U, ...) that `units` (F,) number."""
-    number = max((int(numbers.max()) + 1 for numbers in units if len(numbers)), default=0)
-    summed = np.zeros((number, *counts[0].shape[1:]))
+    summed = np.zeros((number_of_units(units), *counts[0].shape[1:]))
     for frames, numbers in zip(counts, units, strict=True):
         starts = np.flatnonzero(np.diff(numbers, prepend=-1))
         if len(starts):
