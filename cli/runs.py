@@ -211,13 +211,13 @@ def _print_result(out: Path, compared: _Compared, as_json: bool) -> Path:
     """Write the report of the run in `out`, print the result, and return the path of the report."""
     from gridtrack.evaluation.results.files import json_of
     from gridtrack.reports.page import render_report
-    from gridtrack.reports.terminal import print_tables
+    from gridtrack.reports.terminal import print_result
 
     report = render_report([out])
     if as_json:
         typer.echo(json_of(compared.summary))
     else:
-        print_tables(out)
+        print_result(out)
     return report
 
 

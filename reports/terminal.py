@@ -1,133 +1,118 @@
-"""Tables on a terminal, as wide as it is and with whole names; Markdown where there is no terminal."""
+"""The result of a run on a terminal, as wide as it is and with whole names; Markdown where there is no terminal."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple
 
 from rich import box
-from rich.cells import cell_len
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
-from rich.text import Text
 
 from gridtrack.common.errors import printable, printable_lines
-from gridtrack.reports.differences import DifferenceCell, DifferenceTable, difference_markdown, difference_table
+from gridtrack.evaluation.statistics.score_intervals import HEADLINE_STRATA
+from gridtrack.reports.answer import answer_of
+from gridtrack.reports.differences import DifferenceTable, difference_table
+from gridtrack.reports.markdown import cell_text, markdown_table
 from gridtrack.reports.run import read_runs
-from gridtrack.reports.table import HeadlineTable, TableCell, headline_markdown, headline_tables, main_tables
+from gridtrack.reports.table import HeadlineTable, headline_tables, main_tables
+from gridtrack.reports.tiers import TOLD_APART
 
-MAX_COLUMN_WIDTH = len("[-0.0123, +0.0456]")
-EDGES = 3
-"""Characters between two columns: padding and a divider."""
 GROUP_STYLES = {"ceiling": "italic", "ranked": "", "floor": "dim", "unranked": "yellow"}
+CHANCE = "°"
+"""The mark of a difference that may be chance."""
+UNBOUNDED_WIDTH = 10_000
+"""Characters of a terminal on which every table is as wide as it likes."""
 
 
-def print_tables(run: Path) -> None:
-    """Print the main tables of a run: formatted on a terminal, Markdown elsewhere. Raises RunError and
-    ReportError."""
-    console = Console()
-    runs = read_runs([run])
+def print_result(run: Path) -> None:
+    """Print what decides: the main result in a sentence, a row for each tracker, and the lines of the answer.
+
+    The table is formatted on a terminal, and Markdown elsewhere. All scores are in the report. Raises RunError and
+    ReportError.
+    """
+    runs, console = read_runs([run]), Console()
+    answer = answer_of(runs[0])
+    for lead in answer.leads:
+        _print_line(console, lead)
     for table in main_tables(headline_tables(runs)):
         differences = difference_table(runs[0], table.recording)
+        headings, texts = zip(*_columns(table, differences), strict=True)
+        rows = list(map(list, zip(*texts, strict=True)))
         if console.is_terminal:
-            for part in _rich_headline_tables(table, console.width):
-                console.print(part)
-            for part in _rich_difference_tables(differences, console.width) if differences else ():
-                console.print(part)
-            continue
-        print(f"{printable(table.recording)}\n\n{headline_markdown(table)}")
+            console.print(_formatted(console, table, headings, rows))
+        else:
+            shown = [[cell_text(cell) for cell in row] for row in rows]
+            print(f"\n{printable(table.recording)}\n\n{markdown_table(headings, shown, range(1, len(headings)))}")
         if differences:
-            print(f"{_difference_title(differences)}\n\n{difference_markdown(differences)}")
+            _print_line(console, f"Paired over {differences.units}. {CHANCE}: no difference shown (Holm).")
+    for fact in answer.facts:
+        _print_line(console, f"{fact.name}: {fact.value}")
 
 
-def _difference_title(differences: DifferenceTable) -> str:
-    return printable(
-        f"scores less those of {differences.reference}, paired over {differences.units}; p of F1 corrected after Holm"
+def _print_line(console: Console, text: str) -> None:
+    """Print a sentence, wrapped on a terminal only."""
+    console.print(_plain(text), highlight=False, soft_wrap=not console.is_terminal)
+
+
+def _columns(table: HeadlineTable, differences: DifferenceTable | None) -> Iterator[tuple[str, list[str]]]:
+    """A heading and a text for each row: the score that decides, and F1 of the other strata at its horizon."""
+    decisive = table.decisive
+    names = (f"{row.name} ({row.outcome})" if row.group == "unranked" else row.name for row in table.rows)
+    yield "tracker", list(names)
+    at = table.columns.index(decisive)
+    scores = [f"{row.cells[at].text} {row.cells[at].interval_text}".rstrip() for row in table.rows]
+    yield f"{decisive.group} {decisive.heading}", scores
+    if differences:
+        paired = _decisive_differences(differences, table)
+        yield f"F1 less {printable(differences.reference)}", [paired.get(row.label, "") for row in table.rows]
+    for at, column in enumerate(table.columns):
+        beside = column.score == "f1" and column.stratum in HEADLINE_STRATA and column.step == decisive.step
+        if beside and column is not decisive:
+            yield column.group, [row.cells[at].text for row in table.rows]
+    frames = [row.frames for row in table.rows]
+    if len(set(frames)) > 1:  # else the line below the table says how many
+        yield "frames", frames
+
+
+def _decisive_differences(differences: DifferenceTable, table: HeadlineTable) -> dict[str, str]:
+    """The difference of F1 of the cells that decide, at that horizon, by tracker; the report says why one lacks."""
+    horizon_s = table.horizons_s[table.decisive.step]
+    nearest = min(
+        (at for at, (stratum, _) in enumerate(differences.columns) if stratum == table.decisive.stratum),
+        key=lambda at: abs(differences.columns[at][1] - horizon_s),
     )
+    found = {}
+    for row in (one for one in differences.rows if one.score == "F1"):
+        cell = row.cells[nearest] if row.cells else None
+        mark = "" if cell is None or cell.verdict in TOLD_APART else CHANCE
+        found[row.tracker] = "not compared" if cell is None else f"{cell.value}{mark} {cell.interval}"
+    return found
 
 
-def _rich_difference_tables(differences: DifferenceTable, width: int) -> Iterator[Table]:
-    names = [_plain(f"{row.tracker}\n{row.score}") for row in differences.rows]
-    columns = [
-        _Column(
-            f"{stratum}\n{horizon_s:g} s",
-            [
-                _difference_text(row.cells[at]) if row.cells else _plain(row.reason) * (at == 0)
-                for row in differences.rows
-            ],
-        )
-        for at, (stratum, horizon_s) in enumerate(differences.columns)
-    ]
-    yield from _tables(escape(_difference_title(differences)), names, columns, [""] * len(names), width)
+def _formatted(console: Console, table: HeadlineTable, headings: Sequence[str], rows: Sequence[list[str]]) -> Table:
+    """The table, with intervals and the words of headings on lines of their own where it is too wide otherwise."""
+    wide = _table_of(table, headings, rows)
+    if console.measure(wide, options=console.options.update_width(UNBOUNDED_WIDTH)).maximum <= console.width:
+        return wide
+    folded = [[re.sub(r" (?=[\[(])", "\n", cell) for cell in row] for row in rows]
+    return _table_of(table, [re.sub(r"(?<=,) | (?=\S+ s$|less )", "\n", heading) for heading in headings], folded)
+
+
+def _table_of(table: HeadlineTable, headings: Sequence[str], rows: Sequence[list[str]]) -> Table:
+    shown = Table(title=_plain(table.recording), box=box.SIMPLE_HEAD, pad_edge=False)
+    for number, heading in enumerate(headings):
+        shown.add_column(_plain(heading), justify="right" if number else "left", overflow="fold")
+    for row, cells in zip(table.rows, rows, strict=True):
+        shown.add_row(*map(_plain, cells), style=GROUP_STYLES[row.group])
+    return shown
 
 
 def _plain(text: str) -> str:
-    """`text` for a table of rich: without characters that act on a terminal, and without markup."""
+    """`text` for rich: without characters that act on a terminal, and without markup."""
     return escape(printable_lines(text))
-
-
-def _difference_text(cell: DifferenceCell) -> str:
-    return f"{cell.value}\n{escape(cell.interval)}\n{cell.p}\n{cell.verdict}"
-
-
-def _rich_headline_tables(table: HeadlineTable, width: int) -> Iterator[Table]:
-    names = [_plain(row.name) + (f"\n({row.outcome})" if row.group == "unranked" else "") for row in table.rows]
-    columns = [
-        _Column(f"{column.group}\n{column.heading}", [_cell_text(row.cells[at]) for row in table.rows])
-        for at, column in enumerate(table.columns)
-    ]
-    columns.append(_Column("frames", [row.frames for row in table.rows]))
-    yield from _tables(_plain(table.recording), names, columns, [GROUP_STYLES[row.group] for row in table.rows], width)
-
-
-def _cell_text(cell: TableCell) -> str:
-    number = f"[bold]{cell.text}[/bold]" if cell.best else cell.text
-    return f"{number}\n{escape(cell.interval_text)}" if cell.interval else number
-
-
-class _Column(NamedTuple):
-    """A column of numbers: its heading, and a text for each row, with markup."""
-
-    heading: str
-    cells: Sequence[str]
-
-    @property
-    def width(self) -> int:
-        """The width of its longest line, at most that of an interval: a longer line is wrapped."""
-        return min(max(_longest_line(text) for text in (self.heading, *self.cells)), MAX_COLUMN_WIDTH)
-
-
-def _longest_line(text: str) -> int:
-    """The width of the longest line of a text with markup."""
-    return max(cell_len(line) for line in Text.from_markup(text).plain.split("\n"))
-
-
-def _tables(
-    title: str, names: Sequence[str], columns: Sequence[_Column], styles: Sequence[str], width: int
-) -> Iterator[Table]:
-    """Tables of at most `width` that show all columns, one after the other, each with the whole names."""
-    name_width = max(_longest_line(text) for text in ("tracker", *names))
-    for number, part in enumerate(_parts(columns, width - name_width - EDGES)):
-        shown = Table(title=f"{title} (continued)" if number else title, box=box.SIMPLE_HEAD)
-        shown.add_column("tracker", no_wrap=True, overflow="fold")
-        for column in part:
-            shown.add_column(column.heading, justify="right", width=column.width)
-        for row, (name, style) in enumerate(zip(names, styles, strict=True)):
-            shown.add_row(name, *(column.cells[row] for column in part), style=style)
-        yield shown
-
-
-def _parts(columns: Sequence[_Column], width: int) -> Iterator[list[_Column]]:
-    """The columns in parts that fit the width, at least one in each."""
-    part: list[_Column] = []
-    for column in columns:
-        if part and sum(one.width + EDGES for one in (*part, column)) > width:
-            yield part
-            part = []
-        part.append(column)
-    yield part
 
 
 def print_rows(rows: Sequence[Mapping[str, str]]) -> None:

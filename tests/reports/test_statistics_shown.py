@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import io
 import json
+import re
 import shutil
 
 import pytest
+from rich.console import Console
 
 from gridtrack.evaluation.statistics.summary import summarise
+from gridtrack.reports import terminal
 from gridtrack.reports.answer import answer_of
 from gridtrack.reports.chosen_scores import exported_tables
 from gridtrack.reports.markdown import escaped
@@ -16,7 +20,6 @@ from gridtrack.reports.page import render_page
 from gridtrack.reports.pull_request import pull_request_markdown
 from gridtrack.reports.run import read_runs
 from gridtrack.reports.table import headline_markdown, headline_tables, main_tables
-from gridtrack.reports.terminal import print_tables
 
 from scenes import synthetic_run as synthetic
 
@@ -130,13 +133,36 @@ def test_the_other_scores_stand_below_f1_with_uncorrected_p_and_no_verdict(run, 
     assert f"{good.headline[0].pr_auc:+.3f}" in rows
 
 
-def test_the_terminal_shows_the_pooled_table_and_the_differences_only(run, capsys):
-    print_tables(run)
-    shown = capsys.readouterr().out
-    assert shown.startswith("all recordings\n")
-    assert "seed-07" not in shown
-    assert shown.count(" better ") == 9
-    assert "not compared: unlucky has 19 of 20 recordings complete" in shown
+def test_the_result_of_a_comparison_is_a_sentence_a_table_of_all_recordings_and_lines(run, capsys):
+    terminal.print_result(run)
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0].startswith("good has the highest F1 on in-motion cells 1 s ahead, ")
+    assert lines[2] == "all recordings"
+    assert lines[4] == "| tracker | F1, in-motion 1 s | F1 less persistence | F1, dynamic | F1, visible | frames |"
+    good, even = (next(line for line in lines if name in line and line.startswith("|")) for name in ("good", "even"))
+    assert "°" not in good
+    assert "°" in even
+    assert any("| unlucky (partial) |" in line and "| not compared |" in line for line in lines)
+    assert [line.partition(":")[0] for line in lines[-5:]] == [
+        "Paired over 20 units, 80 frames. °", "Compared on", "Weights", "Keeps up with the sensor", "Not ranked",
+    ]  # fmt: skip
+    assert not any("seed-07" in line for line in lines)
+
+
+@pytest.mark.parametrize("width", [80, 100, 200])
+def test_every_name_and_interval_is_whole_on_a_terminal_of_any_width(run, width, monkeypatch):
+    console = Console(file=io.StringIO(), width=width, force_terminal=True, color_system=None)
+    monkeypatch.setattr(terminal, "Console", lambda: console)
+    terminal.print_result(run)
+    shown = console.file.getvalue()
+    assert "…" not in shown
+    assert max(map(len, shown.splitlines())) <= width
+    assert shown.count("tracker ") == 1, "one table, in no parts"
+    table = shown.partition("tracker ")[2].partition("Paired over")[0]
+    for name in SKILLS:
+        assert len(re.findall(rf"^ {re.escape(name)} ", table, re.M)) == 1, "no name is cut or folded"
+    assert len(re.findall(r"\[0\.\d{3}, 0\.\d{3}\]", table)) == 4, "the score that decides has its interval"
+    assert len(re.findall(r"\[[+-]0\.\d{3}, [+-]0\.\d{3}\]", table)) == 2, "and so has the difference from the floor"
 
 
 def test_markdown_has_the_interval_beside_the_number(pooled):

@@ -1,38 +1,15 @@
-"""What a user reads on a terminal: whole names and numbers, and the time left for all trials."""
+"""What a user reads on a terminal while trials run: the time left for all of them."""
 
 from __future__ import annotations
 
 import io
 import re
 
-import pytest
 from rich.console import Console
 
 from gridtrack.evaluation.results.trial_record import TrialRecord
 from gridtrack.reports import run_progress
 from gridtrack.reports.run_progress import RunProgress
-from gridtrack.reports.terminal import _Column, _tables
-
-NAMES = ["dilated-convgru with other weights", "persistence\n(untrained)"]
-
-
-def columns(count):
-    return [_Column(f"F1, in-motion\n{n} s", [f"0.{n:03d}\n\\[0.123, 0.456]", "–"]) for n in range(count)]
-
-
-@pytest.mark.parametrize("width", [80, 100, 140, 400])
-def test_every_name_and_number_is_whole_on_a_terminal_of_any_width(width):
-    console = Console(file=io.StringIO(), width=width, force_terminal=False)
-    for table in _tables("hall", NAMES, columns(18), ["", ""], width):
-        console.print(table)
-    shown = console.file.getvalue()
-    assert "…" not in shown
-    assert max(map(len, shown.splitlines())) <= width
-    tables = shown.count("dilated-convgru with other weights")
-    assert tables == shown.count("(untrained)") == shown.count("tracker")
-    assert tables == {80: 9, 100: 6, 140: 3, 400: 1}[width]
-    assert [n for n in range(18) if f"0.{n:03d}\n" not in shown.replace(" ", "\n")] == []
-    assert shown.count("[0.123, 0.456]") == 18
 
 
 def record(frames=10):
