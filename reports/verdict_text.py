@@ -128,7 +128,8 @@ def _limit_text(row: VerdictRow) -> str:
         return f"any {worse} is worse"
     smallest, margin = amount_text(row, row.smallest), amount_text(row, row.margin)
     beside = "" if row.recording or margin == smallest else f" (margin {margin})"
-    return f"a {worse} of more than {smallest}{where} is worse{beside}"
+    alike = ", alike in all units," if row.p is not None else ""
+    return f"a {worse} of more than {smallest}{where}{alike} is worse{beside}"
 
 
 def _no_limit_text(row: VerdictRow, worse: str, where: str) -> str:
