@@ -8,7 +8,7 @@ from tempfile import TemporaryDirectory
 
 from gridtrack.evaluation.comparison.plan import ComparisonPlan, Trial
 from gridtrack.evaluation.processes.outcome import TrialEnded
-from gridtrack.evaluation.results.trial_record import TrialRecord
+from gridtrack.evaluation.results.trial_record import TrialRecord, code_differs
 from gridtrack.trackers import registry
 
 Note = Callable[[str], None]
@@ -25,7 +25,7 @@ def without_edited(plan: ComparisonPlan, kept: Mapping[str, TrialRecord], note: 
     for label in dict.fromkeys(trial.label for trial in trials):
         own = [trial for trial in trials if trial.label == label]
         now = _code_now(own[0], note)
-        other = [trial.name for trial in own if now and kept[trial.name].code_sha256 not in ("", now)]
+        other = [trial.name for trial in own if code_differs(kept[trial.name].code_sha256, now)]
         if other:
             note(f"{label}: its code was edited since it ran: {len(other)} of its trials run again")
         edited |= set(other)

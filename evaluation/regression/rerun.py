@@ -16,7 +16,7 @@ from gridtrack.evaluation.engines.engine import RunObserver
 from gridtrack.evaluation.regression.measurement import Measurement, Unmeasured
 from gridtrack.evaluation.regression.measuring import measure_run
 from gridtrack.evaluation.results.run_record import RunRecord, read_run_record
-from gridtrack.evaluation.results.trial_record import read_trial_record
+from gridtrack.evaluation.results.trial_record import code_differs, read_trial_record
 
 Trials = Mapping[str, frozenset[str]]
 """The names of recordings by label."""
@@ -54,11 +54,9 @@ def plan_again(folder: Path, scratch: Path) -> ComparisonPlan:
     return plan
 
 
-def why_edited(label: str, *codes: str) -> str:
-    """Why a tracker is not the one that ran, by hashes of its code; empty where they are equal, or one is unknown."""
-    if "" in codes or len(set(codes)) == 1:
-        return ""
-    return f"{label}: the tracker's code was edited since the run: compare again"
+def why_edited(label: str, *sha256s: str) -> str:
+    """Why a tracker is not the one that ran, by hashes of its code; empty where it is."""
+    return f"{label}: the tracker's code was edited since the run: compare again" if code_differs(*sha256s) else ""
 
 
 def _plan(folder: Path, record: RunRecord, scratch: Path, latency: bool) -> ComparisonPlan:

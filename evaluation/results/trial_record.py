@@ -117,6 +117,11 @@ class TrialRecord(ResultModel):
         write_model(folder / OUTCOME_FILE, self)
 
 
+def code_differs(*sha256s: str) -> bool:
+    """Whether hashes of a tracker's code are of unlike code; one that is not known ("") differs from none."""
+    return len(set(sha256s) - {""}) > 1
+
+
 def hashes_of(folder: Path, names: Iterable[str]) -> dict[str, str]:
     """SHA-256 of those files of a trial's folder that exist, by name. Raises OSError."""
     return {name: sha256_of(folder / name) for name in names if (folder / name).is_file()}
