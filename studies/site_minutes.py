@@ -6,8 +6,8 @@ twenty test minutes with its general weights (0 minutes) and with those shipped 
 `--out` are kept and an interrupted one is resumed, as is the comparison. Thresholds are chosen on the junction's
 validation recording for every row, so that rows differ in what they learned; the general rows are compared once more
 with the thresholds of their cards, which know nothing of the place. Expected on two idle cores: a search of `kalman`
-about 15 minutes at each number of minutes, of `dogma` 20, a network 40 (the number of updates does not depend on the
-minutes), the comparisons 40 together: some six hours.
+about 15 minutes at each number of minutes, of `dogma` 10, a network 40 (the number of updates does not depend on the
+minutes), the comparisons 40 together: some five hours.
 """
 
 from __future__ import annotations
