@@ -208,7 +208,10 @@ def _bytes_of(folder: Path) -> int:
 
 
 def estimate(costs: Sequence[Cost]) -> ResultTable | None:
-    """What PLAN_RECORDINGS recordings cost, by the growth between the two largest sizes of an engine; None without."""
+    """What PLAN_RECORDINGS recordings cost, by the growth between the two largest sizes of an engine; None without.
+
+    The page has a largest size.
+    """
     local, slurm = ([cost for cost in costs if cost.engine == engine][-2:] for engine in ("local", "slurm"))
     if len(local) < 2 or len(slurm) < 2:
         return None
@@ -223,7 +226,6 @@ def estimate(costs: Sequence[Cost]) -> ResultTable | None:
         ("memory of the comparison's process", "memory_mb", "MB", 1e3, "GB"),
         ("folder of the run", "folder_mb", "MB", 1e3, "GB"),
         ("processor time of `report`", "report_s", "s", 3600.0, "h"),
-        ("page", "page_mb", "MB", 1.0, "MB"),
         ("processor time of `regress`", "regress_s", "s", 3600.0, "h"),
     ):
         slope, measured = _per_trial(local, field), getattr(local[-1], field)

@@ -35,6 +35,9 @@ def report_command(
             metavar="SCORE STRATUM HORIZON,...", help="Columns of another format, e.g. 'f1 in-motion 1s, nll visible'"
         ),
     ] = "",
+    recordings: Annotated[
+        str, typer.Option(metavar="NAME,...", help="Recordings, each alone; * and ? stand for any text and sign")
+    ] = "",
     rerun: Annotated[
         bool,
         typer.Option("--rerun", help="The kept forecasts for the Rerun viewer, as RECORDING.rrd beside the page"),
@@ -51,20 +54,20 @@ def report_command(
         raise ConfigurationError("--rows and --columns: the page shows every row; choose another --format")
     folders = [run_folder_at(run) for run in runs]
     if as_format != PAGE:
-        _write_rendered(render_as(as_format, folders, rows, columns), out)
+        _write_rendered(render_as(as_format, folders, rows, columns, recordings), out)
     elif rerun:
-        _write_rerun(folders, out or default_report_folder(runs), rows)
+        _write_rerun(folders, out or default_report_folder(runs), rows, recordings)
     else:
-        typer.echo(f"report: {render_report(folders, out or default_report_folder(runs))}")
+        typer.echo(f"report: {render_report(folders, out or default_report_folder(runs), recordings)}")
 
 
-def _write_rerun(runs: list[Path], out: Path | None, rows: str) -> None:
+def _write_rerun(runs: list[Path], out: Path | None, rows: str, recordings: str) -> None:
     """Write the kept forecasts of a run for the Rerun viewer."""
     from gridtrack.reports.rerun_run import write_rerun_run
 
     if len(runs) > 1:
         raise ConfigurationError("--rerun: one run at a time")
-    written, notices = write_rerun_run(runs[0], out, rows)
+    written, notices = write_rerun_run(runs[0], out, rows, recordings)
     for notice in notices:
         print_note(notice)
     for path in written:

@@ -10,6 +10,7 @@ from fnmatch import fnmatchcase
 from gridtrack.common.errors import ConfigurationError, did_you_mean
 from gridtrack.common.horizons import nearest_step
 from gridtrack.evaluation.results.trial_summary import TrialSummary, better_direction
+from gridtrack.reports.chosen_recordings import chosen_tables
 from gridtrack.reports.differences import DifferenceTable, difference_table
 from gridtrack.reports.main_result import lead_of
 from gridtrack.reports.run import ReportedRun
@@ -70,17 +71,21 @@ def _parse_choice(text: str) -> ScoreChoice:
     return ScoreChoice(found["score"], found["stratum"], float(found["horizon"] or DETAIL_HORIZON_S))
 
 
-def exported_tables(runs: Sequence[ReportedRun], rows: str = "", columns: str = "") -> tuple[ExportedTable, ...]:
+def exported_tables(
+    runs: Sequence[ReportedRun], rows: str = "", columns: str = "", recordings: str = ""
+) -> tuple[ExportedTable, ...]:
     """The table of each recording, and first of all pooled: its rows whose labels match one of `rows`, in `columns`.
 
-    `rows`: patterns of labels as of file names, separated by commas; `columns`: as of parse_score_choices. Empty: those
-    of the headline table. Raises ConfigurationError where nothing matches, RunError and ReportError.
+    `rows`: patterns of labels as of file names, separated by commas; `columns`: as of parse_score_choices;
+    `recordings`: as of chosen_tables. Empty: those of the headline table, and all tables. Raises ConfigurationError
+    where nothing matches, RunError and ReportError.
     """
     patterns = [pattern.strip() for pattern in rows.split(",")] if rows else ["*"]
     choices = parse_score_choices(columns) if columns else ()
     _check_rows(runs, patterns)
     _check_strata(runs, choices)
-    exported = (_exported(runs, table, patterns, choices) for table in headline_tables(runs))
+    tables = chosen_tables(headline_tables(runs), recordings)
+    exported = (_exported(runs, table, patterns, choices) for table in tables)
     return tuple(one for one in exported if one.table.rows)
 
 

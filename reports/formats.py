@@ -42,11 +42,11 @@ def check_format(name: str) -> None:
         raise ConfigurationError(f"--format '{name}': {did_you_mean(name, FORMAT_NAMES)}")
 
 
-def render_as(name: str, runs: Sequence[Path], rows: str = "", columns: str = "") -> bytes:
-    """The results of `runs` in the format `name` of FORMATS, of the rows and columns as `exported_tables` takes them.
+def render_as(name: str, runs: Sequence[Path], rows: str = "", columns: str = "", recordings: str = "") -> bytes:
+    """The results of `runs` in the format `name` of FORMATS, of what `exported_tables` is asked for.
 
     Raises ConfigurationError, RunError and ReportError.
     """
     reported = read_runs(runs)
-    rendered = FORMATS[name](reported, exported_tables(reported, rows, columns), columns)
+    rendered = FORMATS[name](reported, exported_tables(reported, rows, columns, recordings), columns)
     return rendered if isinstance(rendered, bytes) else rendered.encode()

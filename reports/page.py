@@ -11,6 +11,7 @@ from markupsafe import Markup
 from gridtrack.common.files import write_text
 from gridtrack.reports.answer import answer_of
 from gridtrack.reports.changes import changes_of
+from gridtrack.reports.chosen_recordings import chosen_tables, tables_of_page
 from gridtrack.reports.meanings import meanings
 from gridtrack.reports.notices import Notice, notices_of
 from gridtrack.reports.page_data import page_data
@@ -25,20 +26,24 @@ from gridtrack.reports.table import headline_tables, main_tables
 
 PAGE_BYTES = 24_000_000
 """The most that the data of a page have: what the scores leave is for moments, so that a page stays below 25 MB."""
+LEFT_OUT = (
+    "{} of {} recordings are not on this page, which would be too large: it has those on which the trackers differ"
+    " most. gridtrack report RUN --recordings NAME,... shows others, and --format csv has the scores of all"
+)
 TEMPLATES = Path(__file__).parent / "templates"
 
 
-def render_report(runs: Sequence[Path], out: Path | None = None) -> Path:
+def render_report(runs: Sequence[Path], out: Path | None = None, recordings: str = "") -> Path:
     """Write the report of `runs` and return its path: index.html in the folder `out`, or report of the run's folder.
 
-    Several runs are on one page, side by side: without `out` it is report/side-by-side.html of the first. Raises
-    RunError and ReportError.
+    Several runs are on one page, side by side: without `out` it is report/side-by-side.html of the first. `recordings`:
+    patterns as of chosen_tables. Raises ConfigurationError, RunError and ReportError.
     """
     if out is not None and (out.is_file() or out.suffix in (".html", ".htm")):
         raise ReportError(
             f"{out}: the report is index.html in a folder: name the folder, as in --out {out.with_suffix('')}"
         )
-    content = render_page(read_runs(runs))
+    content = render_page(read_runs(runs), recordings)
     beside = runs[0] / "report" / ("index.html" if len(runs) == 1 else "side-by-side.html")
     path = out / "index.html" if out is not None else beside
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -46,9 +51,10 @@ def render_report(runs: Sequence[Path], out: Path | None = None) -> Path:
     return path
 
 
-def render_page(runs: Sequence[ReportedRun]) -> str:
-    """The page as HTML. Raises ReportError where a trial's files do not fit the summary."""
-    tables = headline_tables(runs)
+def render_page(runs: Sequence[ReportedRun], recordings: str = "") -> str:
+    """The page as HTML. Raises ConfigurationError, RunError, and ReportError where files do not fit the summary."""
+    every = chosen_tables(headline_tables(runs), recordings)
+    tables, left_out = tables_of_page(every)
     styles = styles_of(runs)
     curves, unreadable = probability_curves(runs, tables)
     priors, unread = priors_of(runs, tables, styles)
@@ -62,9 +68,10 @@ def render_page(runs: Sequence[ReportedRun]) -> str:
             title=title_of(runs),
             answers=[answer_of(run) for run in runs],
             changes=changes_of(runs) if len(runs) > 1 else (),
-            runs=[(run, facts_of(run), provenance_of(run)) for run in runs],
+            runs=[(run, facts_of(run, {table.recording for table in tables}), provenance_of(run)) for run in runs],
             notices=[Notice(text, serious=True) for text in (*damaged, *unreadable, *unread)]
-            + notices_of(runs, tables),
+            + ([Notice(LEFT_OUT.format(left_out, sum(not table.pooled for table in every)))] if left_out else [])
+            + notices_of(runs, every),
             sections=[section_of(runs, table) for table in main_tables(tables)],
             players=players,
             styles=styles,

@@ -91,12 +91,13 @@ def players_of(
     (run,) = runs
     players: list[Player] = []
     notices: list[str] = []
-    for table in (table for table in tables if not table.pooled):
+    single = [table for table in tables if not table.pooled]
+    for table in single:
         folders = {row.label: run.trial_folder(row.label, table.recording) for row in table.rows}
         described = run.record.configuration.recordings.get(table.recording)
         if described is None:
             raise ReportError(f"{run.path / RUN_FILE}: does not describe {table.recording}; compare again")
-        player, unreadable = player_of(table, folders, described, budget // len(run.recordings))
+        player, unreadable = player_of(table, folders, described, budget // len(single))
         players += [player] if player else []
         notices += unreadable
     return tuple(players), tuple(notices)

@@ -22,18 +22,21 @@ _CELL_OF_STATE = np.array([FREE_CELL, OCCUPIED_CELL, FREE_CELL, OCCUPIED_CELL, U
 """Seen free, seen occupied, hidden and free, hidden and occupied, not scored: the states of `target.py`."""
 
 
-def write_rerun_run(run: Path, out: Path | None = None, rows: str = "") -> tuple[list[Path], list[str]]:
+def write_rerun_run(
+    run: Path, out: Path | None = None, rows: str = "", recordings: str = ""
+) -> tuple[list[Path], list[str]]:
     """Write RECORDING.rrd for each recording of a run with kept forecasts, in `out` or the folder of its report.
 
-    `rows` are patterns of labels, as of `exported_tables`. Returns the files, and a notice for each damaged file of
-    forecasts. Raises ConfigurationError, RunError, ReportError and OSError.
+    `rows` and `recordings` are patterns, as of `exported_tables`. Returns the files, and a notice for each damaged file
+    of forecasts. Raises ConfigurationError, RunError, ReportError and OSError.
     """
     (reported,) = read_runs([run])
     folder = out or run / "report"
     folder.mkdir(parents=True, exist_ok=True)
     written: list[Path] = []
     notices: list[str] = []
-    for table in (one.table for one in exported_tables([reported], rows) if not one.table.pooled):
+    exported = exported_tables([reported], rows, recordings=recordings)
+    for table in (one.table for one in exported if not one.table.pooled):
         path = folder / f"{table.recording}.rrd"
         if path.parent != folder:
             raise ReportError(f"{run}: '{table.recording}' is not the name of a file")

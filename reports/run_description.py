@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import shlex
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -34,9 +34,9 @@ def title_of(runs: Sequence[ReportedRun]) -> str:
     return f"{trackers} on {recordings[0] if len(recordings) == 1 else f'{len(recordings)} recordings'}"
 
 
-def facts_of(run: ReportedRun) -> tuple[Fact, ...]:
-    """The recordings, command, machine and versions of a run, as far as its folder holds them."""
-    facts = [Fact(f"recording {name}", _recording(run, name)) for name in run.recordings]
+def facts_of(run: ReportedRun, recordings: Collection[str]) -> tuple[Fact, ...]:
+    """The run's own of `recordings`, its command, machine and versions, as far as its folder holds them."""
+    facts = [Fact(f"recording {name}", _recording(run, name)) for name in run.recordings if name in recordings]
     record = run.record
     if record.command:
         facts.append(Fact("command", shlex.join(record.command)))

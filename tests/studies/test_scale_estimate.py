@@ -21,7 +21,6 @@ def test_an_estimate_grows_with_the_trials_as_between_the_two_largest_measuremen
         "memory of the comparison's process, local": ("318.0 MB + 199,980 x 1.000 MB", "200.3 GB"),
         "folder of the run, local": ("4.1 MB + 199,980 x 0.200 MB", "40.0 GB"),
         "processor time of `report`, local": ("14.0 s + 199,980 x 0.500 s", "27.8 h"),
-        "page, local": ("0.1 MB + 199,980 x 0.000 MB", "0.1 MB"),
         "processor time of `regress`, local": ("6.0 s + 199,980 x 0.000 s", "0.0 h"),
     }
 

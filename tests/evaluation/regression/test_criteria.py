@@ -182,7 +182,7 @@ def test_the_smallest_fall_that_would_have_been_found_stands_beside_each_verdict
     cases = ElementTree.parse(junit).findall("testcase/system-out")
     assert len(cases) == len(rows)
     told = r"; a (fall|rise) of more than \S+, alike in all units, is worse( \(margin \S+\))?$"
-    assert all(re.search(told, case.text) for case in cases), "the limit of a fall that differs between units is another"
+    assert all(re.search(told, case.text) for case in cases), "a fall that differs between units has another limit"
 
 
 def test_a_fall_of_several_times_the_smallest_size_is_found_and_one_of_a_third_of_it_is_not(
