@@ -105,12 +105,14 @@ class Run:
         """
         return difference_frame(self.summary)
 
-    def report(self, out: str | Path | None = None) -> Path:
+    def report(self, out: str | Path | None = None, recordings: str = "") -> Path:
         """Write the report page into the folder `out`, and return its path.
 
         Without `out` it is the run's own folder, or for a run in a store `NAME-report` in the working folder.
+        `recordings`: names of those that the page shows, separated by commas, with `*` and `?`; empty: as many as fit.
         """
-        return render_report([self.path], Path(out) if out is not None else default_report_folder([self._named]))
+        folder = Path(out) if out is not None else default_report_folder([self._named])
+        return render_report([self.path], folder, recordings)
 
     @property
     def _named(self) -> str:

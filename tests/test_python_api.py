@@ -20,6 +20,8 @@ from gridtrack.cli.notebook import CompareOptions
 from gridtrack.cli.runs import compare_command
 from gridtrack.evaluation.results.run_record import read_run_record
 
+from scenes.report_page import data_of
+
 ROOT = Path(__file__).parents[1]
 RECORDING = "data/leg_tracker/leg_tracker.mcap@114s-124s"
 NOT_IN_PYTHON = {"tracker", "out", "follow", "idle_timeout", "as_json", "recordings"}
@@ -67,6 +69,8 @@ def test_several_recordings_are_pooled_and_their_names_escaped(tmp_path):
     assert "all recordings" in run._repr_html_()
     assert "<i>" not in run._repr_html_()
     assert "&lt;i&gt;hall" in gridtrack.Run.load(run.path).report(tmp_path / "page").read_text("utf-8")
+    one = data_of(run.report(tmp_path / "one", recordings="leg*").read_text("utf-8"))
+    assert [recording["name"] for recording in one["recordings"]] == names[2:]
 
 
 def test_one_tracker_may_be_a_text(tmp_path):
