@@ -26,7 +26,7 @@ class Moment:
         self, observation: Observation, in_motion: ReturnsInMotion, source: FrameSource, regions: Regions
     ) -> None:
         self._observation, self._in_motion, self._source, self._regions = observation, in_motion, source, regions
-        self._newest: tuple[SE2, Target] | None = None
+        self._newest: tuple[SE2, RegionMaps, Target] | None = None
 
     @property
     def frame(self) -> GridFrame:
@@ -50,14 +50,17 @@ class Moment:
 
     def target_in(self, window: SE2, region_maps: RegionMaps) -> Target:
         """The target in the window of a forecast, whose cells have these regions. Raises RecordingError."""
-        if self._newest is None or self._newest[0] != window:
+        newest = self._newest
+        # the regions of a window change with time too (`observed_kinds.BLOCK_NS`)
+        if newest is None or newest[0] != window or newest[1] is not region_maps:
             grid = self._source.grid
             seen = self._observation.seen_in(window, grid)
             moving = self._in_motion.among(seen, grid)
             motion = parts_of(moving, seen.frame.occupied, region_maps.dynamic, grid)
             bodies = self._in_motion.bodies
-            self._newest = window, target_of(seen, grid, self._source.classes, motion, bodies)
-        return self._newest[1]
+            target = target_of(seen, grid, self._source.classes, motion, bodies)
+            self._newest = newest = window, region_maps, target
+        return newest[2]
 
     @property
     def target(self) -> Target:

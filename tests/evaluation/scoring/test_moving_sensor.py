@@ -101,6 +101,14 @@ def test_a_return_is_in_motion_where_its_place_in_the_world_was_free_a_second_be
     assert PARTS[passer.target_in(SE2(), passer.region_maps).motion[4, 3]] == "in-motion"
 
 
+def test_the_parts_of_a_window_that_stands_follow_its_regions_which_change_with_time():
+    """What was static in one block of time is dynamic in another; the sensor, and so the window, stand still."""
+    now = moment(Observation(BEFORE), Observation(drawn(["....."] * 5)))
+    static = Regions(GRID, KindsOfWindow(np.full(GRID.shape, CELL_KINDS.index("static"), np.uint8)))
+    assert now.target_in(SE2(), now.region_maps).motion.any()
+    assert not now.target_in(SE2(), static.of(Observation(BEFORE))).motion.any()
+
+
 def test_the_age_of_a_cell_belongs_to_its_place_in_the_world():
     seen = LastSeen()
     seen.add(replace(drawn(["#    ", "     ", "     ", "     ", "     "]), stamp_ns=0), GRID.cell_m)
