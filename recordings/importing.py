@@ -107,8 +107,9 @@ def _can_use_poses(recording: Recording) -> bool:
 def _check_destination(out: Path, recording: Recording) -> None:
     if out.suffix != ".mcap":
         raise RecordingError(f"{out}: a recording is written as .mcap")
-    if out.exists() and out.samefile(recording.path):
-        raise RecordingError(f"{out}: is the source itself; choose another name for the result")
+    in_source = out.resolve().parent == recording.path.resolve()  # of a bag that is a folder
+    if in_source or (out.exists() and out.samefile(recording.path)):
+        raise RecordingError(f"{out}: is the source itself, or in its folder; choose another place for the result")
 
 
 def _with_matched_poses(

@@ -51,7 +51,7 @@ def with_labels(scans: Iterable[Scan], path: Path, classes: tuple[str, ...]) -> 
                     f"{path}, line {next(rows).line}: a stamp before that of the row above; sort the rows by stamp"
                 )
             read_to_ns = key[0]
-            pending[key] = list(rows)
+            pending.setdefault(key, []).extend(rows)  # rows of sensors that share a stamp may alternate
         labels = pending.pop((scan.stamp_ns, scan.sensor), None)
         yield scan if labels is None else replace(scan, labels=_labels(labels, scan, index, path))
         for key in [key for key in pending if key[0] < scan.stamp_ns]:

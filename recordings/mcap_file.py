@@ -28,6 +28,8 @@ MCAP_MAGIC = b"\x89MCAP0\r\n"
 MAX_MCAP_RECORD_BYTES = 1 << 28
 ENVELOPE = struct.Struct("<BQ")
 MESSAGE_HEADER = struct.Struct("<HIQQ")
+WITHOUT_SCHEMA = Schema(id=0, data=b"", encoding="", name="")
+"""Of a channel that names the schema 0, such as one of JSON."""
 
 
 class McapMessage(NamedTuple):
@@ -98,6 +100,8 @@ class McapFile:
             channel_id, _, log_time_ns, _ = MESSAGE_HEADER.unpack_from(content)
             channel = self.channels.get(channel_id)
             schema = self._schemas.get(channel.schema_id) if channel else None
+            if channel is not None and channel.schema_id == 0:
+                schema = WITHOUT_SCHEMA
             if channel is None or schema is None:
                 raise DamageError(f"corrupt: a message of channel {channel_id}, which the file does not define")
             yield McapMessage(schema, channel, log_time_ns, content[MESSAGE_HEADER.size :])

@@ -48,7 +48,7 @@ def parse_mount(text: str) -> Mount:
         x, y, heading_rad = float(numbers[0]), float(numbers[1]), _radians(numbers[2])
     except (ValueError, IndexError):
         x = y = heading_rad = math.nan
-    is_valid = max(abs(x), abs(y)) <= MAX_POSITION_M and math.isfinite(heading_rad)
+    is_valid = abs(x) <= MAX_POSITION_M and abs(y) <= MAX_POSITION_M and math.isfinite(heading_rad)
     if not sensor.strip() or not is_valid or numbers[3:] not in ([], ["mirrored"]):
         raise ConfigurationError(f"--mount {text}: expected {MOUNT_FORM}")
     return Mount(

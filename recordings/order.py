@@ -6,6 +6,7 @@ import heapq
 import itertools
 import math
 from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
 
 from gridtrack.common.errors import RecordingError
 from gridtrack.common.geometry import SE2
@@ -77,11 +78,18 @@ class StampOrder:
 
     def _add(self, scans: Iterable[Scan]) -> None:
         """Let `scans` wait that are accepted. Raises RecordingError for an impossible geometry."""
-        for scan in scans:
+        for scan in map(self._with_finite_range, scans):
             if self._accepts(scan):
                 self._first_ns = scan.stamp_ns if self._first_ns is None else min(self._first_ns, scan.stamp_ns)
                 self._newest_ns = max(self._newest_ns, scan.stamp_ns)
                 heapq.heappush(self._waiting, (scan.stamp_ns, next(self._numbers), scan))
+
+    def _with_finite_range(self, scan: Scan) -> Scan:
+        """A scan whose range has no end, as `pointcloud_to_laserscan` writes it, with the largest one that there is."""
+        if scan.range_max != math.inf:
+            return scan
+        self._fault(scan, f"whose range_max is infinite, taken as {MAX_RANGE_M:g} m", scan.stamp_ns)
+        return replace(scan, range_max=MAX_RANGE_M)
 
     def _accepts(self, scan: Scan) -> bool:
         before = self._before.get(scan.sensor)
@@ -89,7 +97,12 @@ class StampOrder:
             self._fault(scan, "whose pose is not finite, left out", scan.stamp_ns)
             return False
         if before is None or _geometry(scan) != _geometry(before):
-            _check_scan(scan)
+            problem = _problem_of(scan)
+            if problem and before is None:
+                raise RecordingError(f"sensor '{scan.sensor}': {problem}")
+            if problem:
+                self._fault(scan, "with impossible range limits, angles or number of beams, left out", scan.stamp_ns)
+                return False
         if scan.stamp_ns < self._yielded_ns:
             self._fault(scan, "stamped more than a second before those of other sensors, left out", scan.stamp_ns)
             return False
@@ -118,24 +131,22 @@ def _invalid_pose(scan: Scan) -> SE2 | None:
     return None
 
 
-def _check_scan(scan: Scan) -> None:
-    """Raise RecordingError for a geometry or pose that cannot be that of a scan."""
-    limits = f"range limits {scan.range_min:g} to {scan.range_max:g} m"
-    if not 0.0 <= scan.range_min < scan.range_max <= MAX_RANGE_M:
-        raise RecordingError(
-            f"sensor '{scan.sensor}': {limits}; expected finite ones up to {MAX_RANGE_M:g} m, the lower limit first"
-        )
+def _problem_of(scan: Scan) -> str:
+    """What of the geometry or the pose cannot be that of a scan; empty where it can."""
     beams = scan.ranges.size
+    if not 0.0 <= scan.range_min < scan.range_max <= MAX_RANGE_M:
+        return (
+            f"range limits {scan.range_min:g} to {scan.range_max:g} m; expected finite ones up to {MAX_RANGE_M:g} m,"
+            " the lower limit first"
+        )
     if beams > MAX_BEAMS:
-        raise RecordingError(f"sensor '{scan.sensor}': {beams} beams; at most {MAX_BEAMS}")
+        return f"{beams} beams; at most {MAX_BEAMS}"
     extent = abs(scan.angle_increment) * max(beams - 1, 1)
     if not (abs(scan.angle_min) <= MAX_ANGLE_RAD and extent <= MAX_ANGLE_RAD):
-        raise RecordingError(
-            f"sensor '{scan.sensor}': {beams} beams from {scan.angle_min:g} rad every {scan.angle_increment:g} rad;"
-            f" expected radians, and at most two turns ({MAX_ANGLE_RAD:.4g} rad)"
+        return (
+            f"{beams} beams from {scan.angle_min:g} rad every {scan.angle_increment:g} rad; expected radians, and at"
+            f" most two turns ({MAX_ANGLE_RAD:.4g} rad)"
         )
     if (p := _invalid_pose(scan)) is not None:
-        raise RecordingError(
-            f"sensor '{scan.sensor}': a pose of {p.x:g}, {p.y:g}, {p.theta:g}; expected finite numbers, and at most"
-            f" {MAX_POSITION_M:g} m"
-        )
+        return f"a pose of {p.x:g}, {p.y:g}, {p.theta:g}; expected finite numbers, and at most {MAX_POSITION_M:g} m"
+    return ""

@@ -63,8 +63,12 @@ def _time_increment_s(message: Any) -> float:
 
 
 def scan_of_cloud(message: Any, sensor: str, received_ns: int, cut: CloudSlice) -> Scan:
-    """A height slice of a sensor_msgs/PointCloud2 as a scan: bearings from -pi to pi."""
+    """A height slice of a sensor_msgs/PointCloud2 as a scan: bearings from -pi to pi.
+
+    A cloud without any point says nothing of free space, whatever an `empty` bearing means.
+    """
     points = cloud_points(message)
+    says_nothing = cut.empty == "unknown" or not len(points)
     points = points[(points[:, 2] >= cut.low_m) & (points[:, 2] <= cut.high_m)]
     distance = np.hypot(points[:, 0], points[:, 1])
     near = (distance >= cut.range_min_m) & (distance <= cut.range_max_m)
@@ -73,7 +77,7 @@ def scan_of_cloud(message: Any, sensor: str, received_ns: int, cut: CloudSlice) 
     beam = np.floor((bearing + math.pi) / step).astype(np.int64) % cut.beams
     ranges = np.full(cut.beams, np.inf)
     np.minimum.at(ranges, beam, distance[near])
-    if cut.empty == "unknown":
+    if says_nothing:
         ranges[np.isinf(ranges)] = np.nan
     return Scan(
         stamp_ns=stamp_ns(message) or received_ns,
@@ -91,9 +95,12 @@ def cloud_points(message: Any) -> NDArray[np.float64]:
 
     Raises RecordingError where the cloud lacks these fields, or has fewer bytes than its header declares.
     """
+    rows, columns, step = message.height, message.width, message.point_step
+    if not rows * columns:
+        return np.empty((0, 3))  # a filter that lets nothing pass may write neither fields nor a row_step
     fields = {f.name: f for f in message.fields}
     order = ">" if message.is_bigendian else "<"
-    rows, columns, step, row_step = message.height, message.width, message.point_step, message.row_step
+    row_step = message.row_step or columns * step  # 0 where a driver writes none
     data = np.asarray(message.data, np.uint8)
     if not {"x", "y", "z"} <= set(fields):
         raise RecordingError(f"a point cloud with the fields {', '.join(fields) or 'none'}; expected x, y and z")

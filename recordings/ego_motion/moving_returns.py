@@ -100,6 +100,8 @@ class EarlierScans:
 def _free_ranges(scan: Scan) -> PlaneArray:
     """How far each beam and its neighbours saw free space, (B,) metres; 0 where one says nothing."""
     ranges = scan.ranges.astype(np.float64)
+    if not ranges.size:
+        return ranges
     ranges[~(ranges >= scan.range_min)] = 0.0
     padded = np.pad(np.minimum(ranges, scan.range_max), NEIGHBOURS)
     nearest: PlaneArray = np.lib.stride_tricks.sliding_window_view(padded, 2 * NEIGHBOURS + 1).min(
@@ -110,6 +112,8 @@ def _free_ranges(scan: Scan) -> PlaneArray:
 
 def _in_free_space(points: PlaneArray, scan: Scan, free: PlaneArray) -> NDArray[np.bool_]:
     """Which of `points` (N, 2), in the sensor frame of `scan`, lie in its free space."""
+    if not free.size:
+        return np.zeros(len(points), np.bool_)
     distance = np.hypot(points[:, 0], points[:, 1])
     middle = scan.angle_min + scan.angle_increment * (free.size - 1) / 2.0
     bearing = wrap_angle(np.arctan2(points[:, 1], points[:, 0]) - middle) / scan.angle_increment

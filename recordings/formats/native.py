@@ -138,7 +138,7 @@ def is_native(path: Path, head: bytes) -> bool:
         first = next(file.messages(), None)
     except DamageError:
         first = None
-    return METADATA_NAME in file.metadata or first is None
+    return METADATA_NAME in file.metadata or (first is None and not file.channels)
 
 
 NATIVE_FORMAT = RecordingFormat("native MCAP", (".mcap",), is_native, NativeRecording, can_grow=True)

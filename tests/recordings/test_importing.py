@@ -105,6 +105,16 @@ def test_labels_are_read_from_a_csv(
     assert imported.overview().sensors["scan"].labelled_scans == 2
 
 
+def test_labels_of_sensors_that_share_a_stamp_may_alternate(
+    write: Callable[..., Path], scan: Callable[..., Scan], tmp_path: Path
+) -> None:
+    scans = [scan(0, "front"), scan(0, "rear")]
+    rows = [f"{scans[0].stamp_ns},{beam},person,{sensor}" for beam in (0, 1, 2) for sensor in ("front", "rear")]
+    imported = import_recording(write(scans), tmp_path / "out.mcap", labels=csv_of(tmp_path / "labels.csv", rows))
+    for found in imported.scans():
+        assert np.flatnonzero(found.labels != 255).tolist() == [0, 1, 2]
+
+
 @pytest.mark.parametrize(
     ("rows", "message"),
     [

@@ -28,8 +28,8 @@ def test_a_mount_may_name_its_parent_and_be_mirrored() -> None:
 
 @pytest.mark.parametrize(
     "text",
-    ["", "a", "a=", "=1,2,3deg", "a=1,2", "a=1,2,3", "a=1,2,3deg,upside", "a=nan,0,0deg", "a=1,inf,0deg",
-     "a=1,2,3deg,mirrored,mirrored", "a=1e12,0,0deg", "a=1,2,nandeg"],
+    ["", "a", "a=", "=1,2,3deg", "a=1,2", "a=1,2,3", "a=1,2,3deg,upside", "a=nan,0,0deg", "a=0,nan,0deg",
+     "a=1,inf,0deg", "a=1,2,3deg,mirrored,mirrored", "a=1e12,0,0deg", "a=1,2,nandeg"],
 )  # fmt: skip
 def test_a_text_that_is_no_mount_is_refused_in_one_line(text: str) -> None:
     with pytest.raises(ConfigurationError, match="--mount") as error:

@@ -78,6 +78,15 @@ def test_a_beam_without_return_saw_free_space_and_an_invalid_one_nothing() -> No
         assert earlier.moving(*now(np.array([[2.0, 0.0]]), 800_000_000), SE2()).tolist() == [moves]
 
 
+def test_a_scan_without_beams_says_nothing_of_what_moves() -> None:
+    silent = replace(scan(math.nan), ranges=np.empty(0, np.float32))
+    earlier = EarlierScans()
+    earlier.add(silent, np.zeros((0, 2)), SE2())
+    assert not earlier.moving(*now(np.array([[2.0, 0.0]]), 800_000_000), SE2()).any()
+    earlier.add(scan(5.0), np.zeros((0, 2)), SE2())
+    assert earlier.moving(replace(silent, stamp_ns=800_000_000), returns_at(np.zeros((0, 2))), SE2()).size == 0
+
+
 def test_a_return_moves_whose_cluster_left_a_place_that_is_seen_empty_now() -> None:
     """A car 4 m ahead drives away at 2 m/s: it hid the place where it is now."""
     earlier = EarlierScans()

@@ -22,7 +22,7 @@ from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_typestore
 
 from gridtrack.common.errors import GridtrackError, RecordingError
-from gridtrack.common.scan import Scan
+from gridtrack.common.scan import MAX_RANGE_M, Scan
 from gridtrack.recordings import CloudSlice, import_recording, open_recording
 
 ROS1, ROS2 = get_typestore(Stores.ROS1_NOETIC), get_typestore(Stores.LATEST)
@@ -99,10 +99,13 @@ def ros2_bag(path: Path, messages: Messages, storage: StoragePlugin = StoragePlu
     return path
 
 
-def ros1_mcap(path: Path, messages: Messages) -> Path:
+def ros1_mcap(path: Path, messages: Messages, before: Iterable[tuple[str, bytes]] = ()) -> Path:
+    """A ROS 1 MCAP file; `before` are topics of JSON without a schema, each with a message."""
     with path.open("wb") as file:
         writer = McapWriter(file, chunk_size=1024)
         writer.start(profile="ros1")
+        for topic, data in before:
+            writer.add_message(writer.register_channel(topic, "json", 0), 0, data, 0)
         channels: dict[str, int] = {}
         for topic, kind, received_ns, message in messages:
             if topic not in channels:
@@ -278,6 +281,61 @@ def test_a_bearing_without_points_is_free_or_unknown(tmp_path: Path) -> None:
     assert seen["free"].range_max == 6.0
     imported = import_recording(path, tmp_path / "cut.mcap", topic="/points", cloud_slice=cut)
     assert "range_max_m=6,empty=unknown" in imported.info.command
+
+
+@pytest.mark.parametrize("fields", [True, False])
+def test_an_empty_cloud_says_nothing_and_costs_no_other(fields: bool, tmp_path: Path) -> None:
+    """As a filter writes it that lets no point pass; some drivers write no row_step."""
+    whole = replace(cloud(ROS2, np.array([[2.0, 0.1, 0.5]])), row_step=0)
+    empty = replace(whole, width=0, data=np.empty(0, np.uint8), fields=whole.fields if fields else [])
+    messages = [
+        ("/points", CLOUD, at, replace(empty if k == 2 else whole, header=header(ROS2, at)))
+        for k in range(5)
+        for at in (10**8 * (k + 1),)
+    ]
+    cut = CloudSlice(low_m=0.0, high_m=1.0, beams=36)
+    found = list(open_recording(ros2_bag(tmp_path / "a", messages), topic="/points", cloud_slice=cut).scans())
+    assert len(found) == 5
+    assert [bool(np.isnan(scan.ranges).all()) for scan in found] == [False, False, True, False, False]
+
+
+def test_ranges_without_an_end_are_read_and_told(tmp_path: Path, scans: list[Scan]) -> None:
+    """`pointcloud_to_laserscan` writes the largest double by default, which is infinite in the message."""
+    path = MAKERS["ros2 bag, sqlite"](tmp_path, [replace(scan, range_max=math.inf) for scan in scans])
+    recording = open_recording(path)
+    assert {scan.range_max for scan in recording.scans()} == {MAX_RANGE_M}
+    assert any("whose range_max is infinite, taken as 1e+06 m: 40 of them" in line for line in recording.warnings)
+
+
+@pytest.mark.parametrize("limits", [{"range_max": 0.0}, {"range_min": math.nan}, {"angle_increment": math.inf}])
+def test_one_scan_of_impossible_geometry_costs_that_scan(
+    limits: dict[str, float], tmp_path: Path, scans: list[Scan]
+) -> None:
+    damaged = [replace(scan, **limits) if k == 20 else scan for k, scan in enumerate(scans)]
+    recording = open_recording(MAKERS["ros2 bag, sqlite"](tmp_path, damaged))
+    assert len(list(recording.scans())) == len(scans) - 1
+    assert any(
+        "with impossible range limits, angles or number of beams, left out: 1 of" in w for w in recording.warnings
+    )
+    with pytest.raises(RecordingError, match="expected"):
+        list(open_recording(MAKERS["ros1 bag"](tmp_path, [replace(scans[0], **limits)])).scans())
+
+
+@pytest.mark.parametrize("name", ["a.mcap", "out.mcap"])
+def test_an_import_into_the_folder_of_its_source_is_refused(name: str, tmp_path: Path, scans: list[Scan]) -> None:
+    """A bag of ROS 2 is a folder: its own file would be overwritten, and one more would be a part of the bag."""
+    bag = MAKERS["ros2 bag, mcap"](tmp_path, scans)
+    before = {path.name: path.read_bytes() for path in bag.iterdir()}
+    with pytest.raises(RecordingError, match="is the source itself, or in its folder"):
+        import_recording(bag, bag / name, topic="/scan")
+    assert {path.name: path.read_bytes() for path in bag.iterdir()} == before
+
+
+def test_a_channel_without_a_schema_costs_nothing(tmp_path: Path, scans: list[Scan], same_scans) -> None:
+    """MCAP allows the schema 0, for JSON that describes itself; a ROS file may have one before its first scan."""
+    path = tmp_path / "a.mcap"
+    ros1_mcap(path, messages_of(ROS1, scans), before=[("/diagnostics", b"{}")])
+    same_scans(open_recording(path).scans(), scans)
 
 
 def test_a_cloud_needs_its_topic_and_its_heights(tmp_path: Path) -> None:
