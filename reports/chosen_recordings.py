@@ -2,29 +2,43 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Sequence, Set
+from dataclasses import replace
 from fnmatch import fnmatchcase
 
 from gridtrack.common.errors import ConfigurationError, did_you_mean
+from gridtrack.reports.run import ReportedRun
 from gridtrack.reports.table import HeadlineTable
 
 MOST_VALUES = 2_500_000
 """Values of all curves on a page. One takes five bytes, so that half of a page of 25 MB is left for moments."""
 
 
-def chosen_tables(tables: Sequence[HeadlineTable], recordings: str) -> Sequence[HeadlineTable]:
-    """The tables of the recordings that match one of `recordings`, patterns as of file names separated by commas, and
-    nothing that is pooled; without patterns all tables. Raises ConfigurationError for a pattern that matches nothing.
+def chosen_runs(runs: Sequence[ReportedRun], recordings: str) -> tuple[ReportedRun, ...]:
+    """The runs with nothing but the recordings that match one of `recordings`, patterns as of file names separated by
+    commas, each alone and nothing pooled; a run that has none of them is left out. Without patterns the runs as they
+    are. Raises ConfigurationError for a pattern that matches nothing.
     """
     if not recordings:
-        return tables
+        return tuple(runs)
     patterns = [pattern.strip() for pattern in recordings.split(",")]
-    single = [table for table in tables if not table.pooled]
+    names = list(dict.fromkeys(name for run in runs for name in run.recordings))
     for pattern in patterns:
-        if not any(fnmatchcase(table.recording, pattern) for table in single):
-            near = did_you_mean(pattern, [table.recording for table in single])
-            raise ConfigurationError(f"--recordings '{pattern}': no such recording: {near}")
-    return [table for table in single if any(fnmatchcase(table.recording, pattern) for pattern in patterns)]
+        if not any(fnmatchcase(name, pattern) for name in names):
+            raise ConfigurationError(f"--recordings '{pattern}': no such recording: {did_you_mean(pattern, names)}")
+    chosen = {name for name in names if any(fnmatchcase(name, pattern) for pattern in patterns)}
+    return tuple(_with_recordings(run, chosen) for run in runs if chosen.intersection(run.recordings))
+
+
+def _with_recordings(run: ReportedRun, chosen: Set[str]) -> ReportedRun:
+    described = {name: one for name, one in run.summary.recordings.items() if name in chosen}
+    trackers = {
+        label: row.model_copy(update={"recordings": {name: row.recordings[name] for name in own}, "pooled": None})
+        for label, row in run.summary.trackers.items()
+        if (own := [name for name in described if name in row.recordings])
+    }
+    summary = run.summary.model_copy(update={"recordings": described, "trackers": trackers})
+    return replace(run, summary=summary, pooled=False)
 
 
 def tables_of_page(tables: Sequence[HeadlineTable]) -> tuple[list[HeadlineTable], int]:

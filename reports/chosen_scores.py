@@ -10,7 +10,7 @@ from fnmatch import fnmatchcase
 from gridtrack.common.errors import ConfigurationError, did_you_mean
 from gridtrack.common.horizons import nearest_step
 from gridtrack.evaluation.results.trial_summary import TrialSummary, better_direction
-from gridtrack.reports.chosen_recordings import chosen_tables
+from gridtrack.evaluation.scoring.strata import STRATA_WITH_TRUTH
 from gridtrack.reports.differences import DifferenceTable, difference_table
 from gridtrack.reports.main_result import lead_of
 from gridtrack.reports.run import ReportedRun
@@ -26,7 +26,9 @@ from gridtrack.reports.table import (
     with_best,
 )
 
-COLUMN = re.compile(r"(?P<score>\w+) +(?P<stratum>[\w-]+)(?: +(?P<horizon>\d+(?:\.\d+)?) ?s)?", re.ASCII)
+_STRATA = "|".join(re.escape(name) for name in sorted(STRATA_WITH_TRUTH, key=len, reverse=True))
+COLUMN = re.compile(rf"(?P<score>\w+) +(?P<stratum>{_STRATA}|[\w-]+)(?: +(?P<horizon>\d+(?:\.\d+)?) ?s)?", re.ASCII)
+"""A stratum first by its whole name, which may have spaces and end in seconds: `occluded to 0.5 s`."""
 EXPECTED = "expected SCORE STRATUM HORIZON, such as 'f1 in-motion 1s'"
 NAMES = {"f1": "F1", "pr_auc": "PR-AUC", "brier": "Brier", "nll": "log loss", "ece": "ECE", "soft_iou": "soft IoU"}
 
@@ -71,21 +73,17 @@ def _parse_choice(text: str) -> ScoreChoice:
     return ScoreChoice(found["score"], found["stratum"], float(found["horizon"] or DETAIL_HORIZON_S))
 
 
-def exported_tables(
-    runs: Sequence[ReportedRun], rows: str = "", columns: str = "", recordings: str = ""
-) -> tuple[ExportedTable, ...]:
+def exported_tables(runs: Sequence[ReportedRun], rows: str = "", columns: str = "") -> tuple[ExportedTable, ...]:
     """The table of each recording, and first of all pooled: its rows whose labels match one of `rows`, in `columns`.
 
-    `rows`: patterns of labels as of file names, separated by commas; `columns`: as of parse_score_choices;
-    `recordings`: as of chosen_tables. Empty: those of the headline table, and all tables. Raises ConfigurationError
-    where nothing matches, RunError and ReportError.
+    `rows`: patterns of labels as of file names, separated by commas; `columns`: as of parse_score_choices. Empty: those
+    of the headline table. Raises ConfigurationError where nothing matches, RunError and ReportError.
     """
     patterns = [pattern.strip() for pattern in rows.split(",")] if rows else ["*"]
     choices = parse_score_choices(columns) if columns else ()
     _check_rows(runs, patterns)
     _check_strata(runs, choices)
-    tables = chosen_tables(headline_tables(runs), recordings)
-    exported = (_exported(runs, table, patterns, choices) for table in tables)
+    exported = (_exported(runs, table, patterns, choices) for table in headline_tables(runs))
     return tuple(one for one in exported if one.table.rows)
 
 

@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from gridtrack.common.errors import ConfigurationError, did_you_mean
+from gridtrack.reports.chosen_recordings import chosen_runs
 from gridtrack.reports.chosen_scores import ExportedTable, exported_tables
 from gridtrack.reports.csv_table import csv_of_tables
 from gridtrack.reports.junit import junit_of_tables
@@ -43,10 +44,11 @@ def check_format(name: str) -> None:
 
 
 def render_as(name: str, runs: Sequence[Path], rows: str = "", columns: str = "", recordings: str = "") -> bytes:
-    """The results of `runs` in the format `name` of FORMATS, of what `exported_tables` is asked for.
+    """The results of `runs` in the format `name` of FORMATS: `rows` and `columns` as `exported_tables` takes them,
+    `recordings` as `chosen_runs`.
 
     Raises ConfigurationError, RunError and ReportError.
     """
-    reported = read_runs(runs)
-    rendered = FORMATS[name](reported, exported_tables(reported, rows, columns, recordings), columns)
+    reported = chosen_runs(read_runs(runs), recordings)
+    rendered = FORMATS[name](reported, exported_tables(reported, rows, columns), columns)
     return rendered if isinstance(rendered, bytes) else rendered.encode()

@@ -11,7 +11,7 @@ from markupsafe import Markup
 from gridtrack.common.files import write_text
 from gridtrack.reports.answer import answer_of
 from gridtrack.reports.changes import changes_of
-from gridtrack.reports.chosen_recordings import chosen_tables, tables_of_page
+from gridtrack.reports.chosen_recordings import chosen_runs, tables_of_page
 from gridtrack.reports.meanings import meanings
 from gridtrack.reports.notices import Notice, notices_of
 from gridtrack.reports.page_data import page_data
@@ -37,13 +37,13 @@ def render_report(runs: Sequence[Path], out: Path | None = None, recordings: str
     """Write the report of `runs` and return its path: index.html in the folder `out`, or report of the run's folder.
 
     Several runs are on one page, side by side: without `out` it is report/side-by-side.html of the first. `recordings`:
-    patterns as of chosen_tables. Raises ConfigurationError, RunError and ReportError.
+    patterns as of chosen_runs. Raises ConfigurationError, RunError and ReportError.
     """
     if out is not None and (out.is_file() or out.suffix in (".html", ".htm")):
         raise ReportError(
             f"{out}: the report is index.html in a folder: name the folder, as in --out {out.with_suffix('')}"
         )
-    content = render_page(read_runs(runs), recordings)
+    content = render_page(chosen_runs(read_runs(runs), recordings))
     beside = runs[0] / "report" / ("index.html" if len(runs) == 1 else "side-by-side.html")
     path = out / "index.html" if out is not None else beside
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -51,9 +51,9 @@ def render_report(runs: Sequence[Path], out: Path | None = None, recordings: str
     return path
 
 
-def render_page(runs: Sequence[ReportedRun], recordings: str = "") -> str:
-    """The page as HTML. Raises ConfigurationError, RunError, and ReportError where files do not fit the summary."""
-    every = chosen_tables(headline_tables(runs), recordings)
+def render_page(runs: Sequence[ReportedRun]) -> str:
+    """The page as HTML. Raises ReportError where a trial's files do not fit the summary."""
+    every = headline_tables(runs)
     tables, left_out = tables_of_page(every)
     styles = styles_of(runs)
     curves, unreadable = probability_curves(runs, tables)

@@ -124,7 +124,7 @@ def _draw(
     axis.set_xlabel("horizon, s")
     axis.grid(linewidth=0.4, alpha=0.5)
     if column.better > 0:
-        axis.set_ylim(0, 1)
+        axis.set_ylim(min(0.0, axis.dataLim.y0), 1.0)  # a share of the oracle may be below 0
     return lines
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridSpec
 from gridtrack.evaluation.scoring.samples import SAMPLES, Sample, SamplesError, read_samples
+from gridtrack.reports.chosen_recordings import chosen_runs
 from gridtrack.reports.chosen_scores import exported_tables
 from gridtrack.reports.rerun_scene import FREE_CELL, OCCUPIED_CELL, UNKNOWN_CELL, RerunScene, rerun_scene
 from gridtrack.reports.run import ReportedRun, ReportError, read_runs
@@ -27,16 +28,15 @@ def write_rerun_run(
 ) -> tuple[list[Path], list[str]]:
     """Write RECORDING.rrd for each recording of a run with kept forecasts, in `out` or the folder of its report.
 
-    `rows` and `recordings` are patterns, as of `exported_tables`. Returns the files, and a notice for each damaged file
-    of forecasts. Raises ConfigurationError, RunError, ReportError and OSError.
+    `rows` and `recordings` are patterns, as of `exported_tables` and `chosen_runs`. Returns the files, and a notice for
+    each damaged file of forecasts. Raises ConfigurationError, RunError, ReportError and OSError.
     """
-    (reported,) = read_runs([run])
+    (reported,) = chosen_runs(read_runs([run]), recordings)
     folder = out or run / "report"
     folder.mkdir(parents=True, exist_ok=True)
     written: list[Path] = []
     notices: list[str] = []
-    exported = exported_tables([reported], rows, recordings=recordings)
-    for table in (one.table for one in exported if not one.table.pooled):
+    for table in (one.table for one in exported_tables([reported], rows) if not one.table.pooled):
         path = folder / f"{table.recording}.rrd"
         if path.parent != folder:
             raise ReportError(f"{run}: '{table.recording}' is not the name of a file")

@@ -33,7 +33,7 @@ def print_result(run: Path) -> None:
     The table is formatted on a terminal, and Markdown elsewhere. All scores are in the report. Raises RunError and
     ReportError.
     """
-    runs, console = read_runs([run]), Console()
+    runs, console = read_runs([run]), Console(emoji=False)
     answer = answer_of(runs[0])
     for lead in answer.leads:
         _print_line(console, lead)
@@ -117,7 +117,7 @@ def _plain(text: str) -> str:
 
 def print_rows(rows: Sequence[Mapping[str, str]]) -> None:
     """Print rows of the same keys: as a table on a terminal, tab-separated elsewhere."""
-    console = Console()
+    console = Console(emoji=False)
     if not console.is_terminal:
         for row in rows:
             print("\t".join(map(printable, row.values())))

@@ -12,6 +12,7 @@ from gridtrack.cli import app
 from gridtrack.common.errors import ConfigurationError
 from gridtrack.evaluation.statistics.summary import summarise
 from gridtrack.reports import chosen_recordings
+from gridtrack.reports.chosen_recordings import chosen_runs
 from gridtrack.reports.formats import render_as
 from gridtrack.reports.page import render_page
 from gridtrack.reports.run import read_runs
@@ -65,18 +66,21 @@ def test_a_page_with_room_for_all_leaves_nothing_out(run):
 
 
 def test_a_user_names_the_recordings_of_a_page_and_of_other_formats(run, room_for_three):
-    page = render_page(read_runs([run]), "street-*")
+    page = render_page(chosen_runs(read_runs([run]), "street-*"))
     assert recordings_on(page) == ["street-1", "street-2"]
+    assert "2 trackers on 2 recordings" in page
+    assert "hall" not in page.partition("<h2>Setup</h2>")[0], "neither the result nor a notice is of another"
     assert "not on this page" not in page
     rows = csv.DictReader(io.StringIO(render_as("csv", [run], recordings="hall-1, street-2").decode()))
     assert [row["recording"] for row in rows] == ["hall-1"] * 2 + ["street-2"] * 2
     markdown = render_as("markdown", [run], recordings="hall-2").decode()
     assert "all recordings" not in markdown, "scores of all recordings are no scores of those"
+    assert markdown.startswith("## gridtrack: 2 trackers on hall-2\n")
 
 
 def test_a_recording_that_the_run_has_not_is_one_line(run):
     with pytest.raises(ConfigurationError, match=r"--recordings 'hal-1': no such recording: did you mean 'hall-1'\?"):
-        render_page(read_runs([run]), "street-1, hal-1")
+        chosen_runs(read_runs([run]), "street-1, hal-1")
     done = CliRunner().invoke(app, ["report", str(run), "--recordings", "street-1", "--format", "csv"])
     assert done.exit_code == 0
     assert done.stdout.count("street-1") == 2

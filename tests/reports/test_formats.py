@@ -12,6 +12,7 @@ from typer.testing import CliRunner
 
 from gridtrack.cli import app
 from gridtrack.common.errors import ConfigurationError
+from gridtrack.evaluation.scoring.strata import STRATA_WITH_TRUTH
 from gridtrack.reports.chosen_scores import ScoreChoice, parse_score_choices
 from gridtrack.reports.formats import FORMATS, render_as
 from gridtrack.reports.latex import latex_text
@@ -155,6 +156,30 @@ def test_a_hostile_name_is_text_in_svg(hostile_run, label):
     assert not [node for node in root.iter() if node.tag.endswith("script")]
     assert label.split() == next(text.split() for text in root.itertext() if "alert" in text)
     assert drawn == render_as("svg", [hostile_run])
+
+
+@pytest.mark.parametrize("stratum", STRATA_WITH_TRUTH)
+@pytest.mark.parametrize(("horizon", "ahead_s"), [("", 1.0), (" 1s", 1.0), (" 0.5 s", 0.5)])
+def test_every_stratum_can_be_a_column(stratum, horizon, ahead_s):
+    """Some names end as a horizon does: `occluded to 0.5 s`."""
+    assert parse_score_choices(f"f1 {stratum}{horizon}") == (ScoreChoice("f1", stratum, ahead_s),)
+
+
+def test_a_score_below_zero_is_drawn(run_folder, tmp_path):
+    plt = pytest.importorskip("matplotlib.pyplot", reason="needs the extra `figures`")
+    run = shutil.copytree(run_folder, tmp_path / "run")
+    summary = json.loads((run / "summary.json").read_text())
+    shares = summary["trackers"]["fair"]["recordings"]["crossing"]["strata"]["visible"]
+    shares["share_of_oracle"] = [-0.25] * len(shares["f1"])
+    (run / "summary.json").write_text(json.dumps(summary))
+    limits = []
+    plain = plt.Axes.set_ylim
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(
+            plt.Axes, "set_ylim", lambda axis, *ends, **how: (limits.append(ends), plain(axis, *ends, **how))[1]
+        )
+        render_as("svg", [run], rows="fair", columns="share_of_oracle visible")
+    assert (-0.25, 1.0) in limits
 
 
 def test_a_figure_draws_each_chosen_score_over_the_horizon(run_folder):

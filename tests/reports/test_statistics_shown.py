@@ -152,7 +152,7 @@ def test_the_result_of_a_comparison_is_a_sentence_a_table_of_all_recordings_and_
 @pytest.mark.parametrize("width", [80, 100, 200])
 def test_every_name_and_interval_is_whole_on_a_terminal_of_any_width(run, width, monkeypatch):
     console = Console(file=io.StringIO(), width=width, force_terminal=True, color_system=None)
-    monkeypatch.setattr(terminal, "Console", lambda: console)
+    monkeypatch.setattr(terminal, "Console", lambda **options: console)
     terminal.print_result(run)
     shown = console.file.getvalue()
     assert "…" not in shown
