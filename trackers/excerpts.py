@@ -85,7 +85,7 @@ def excerpts_of_places(sources: Sequence[FrameSource]) -> list[FrameSource]:
 
 
 def mean_of_defined(scores: Sequence[float]) -> float:
-    """The mean over the excerpts in which a score is defined, NaN without any: where nothing moves there is no F1."""
+    """The mean of the scores that are defined, NaN without any: where nothing moves there is no F1 of dynamic cells."""
     defined = [score for score in scores if math.isfinite(score)]
     return float(np.mean(defined)) if defined else math.nan
 

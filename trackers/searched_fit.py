@@ -212,6 +212,6 @@ class _Draft(Generic[_Searched]):
 
 
 def _f1(score: StretchScore, source: FrameSource) -> float:
-    """Mean F1 over SELECTION_STRATA and SELECTION_HORIZONS_S."""
+    """Mean F1 over SELECTION_STRATA and SELECTION_HORIZONS_S, where it is defined."""
     steps = [step_of(source, horizon) for horizon in SELECTION_HORIZONS_S]
-    return float(np.mean([score.f1[stratum][steps] for stratum in SELECTION_STRATA]))
+    return mean_of_defined([float(score.f1[stratum][step]) for stratum in SELECTION_STRATA for step in steps])

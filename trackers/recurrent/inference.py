@@ -235,6 +235,6 @@ def add_shifted(maps, bias, out):  # type: ignore[no-untyped-def]
             for j in range(side):
                 seen = maps[i, j, r + i - reach]
                 if j < reach:
-                    out[r, reach - j :] += seen[: size - reach + j]
+                    out[r, reach - j :] += seen[: max(0, size - reach + j)]
                 else:
                     out[r, : size - j + reach] += seen[j - reach :]

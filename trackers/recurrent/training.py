@@ -285,9 +285,9 @@ def sequence_loss(
 def validation_scores(
     score: Callable[[FrameSource], Any], sources: Sequence[FrameSource], horizons_s: Sequence[float]
 ) -> dict[str, float]:
-    """F1 of SELECTION_STRATA at the horizons, mean over the stretches; `score` is the mean of all of them.
+    """F1 of SELECTION_STRATA at the horizons, mean over the stretches; `score` is the mean of those that are defined.
 
-    A stretch in which nothing moves has no F1 of dynamic cells: it does not count there, unless it is the only one.
+    A stretch in which nothing moves has no F1 of dynamic cells: it does not count there.
     """
     found: dict[str, list[float]] = {}
     for source in sources:
@@ -297,4 +297,4 @@ def validation_scores(
                 at = nearest_step(horizon, source.period_s)
                 found.setdefault(f"{stratum}_f1_{horizon:g}s", []).append(float(f1[stratum][at]))
     results = {name: mean_of_defined(values) for name, values in found.items()}
-    return {"score": sum(results.values()) / len(results), **results}
+    return {"score": mean_of_defined(list(results.values())), **results}

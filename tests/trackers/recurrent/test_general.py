@@ -193,6 +193,8 @@ def test_a_validation_recording_in_which_nothing_moves_has_no_part_in_the_score(
 
     found = validation_scores(score, sources, (1.0,))
     assert (found["dynamic_f1_1s"], found["visible_f1_1s"]) == (0.5, pytest.approx(0.6))
+    alone = validation_scores(score, sources[1:], (1.0,))
+    assert alone["score"] == pytest.approx(0.7), "what is defined chooses between updates, not nothing"
 
 
 def test_where_no_beam_reached_in_training_the_network_says_the_occupied_rate(tmp_path):

@@ -57,7 +57,7 @@ def frames(size, count=3):
 
 
 @pytest.mark.parametrize("dilation", [1, 2, 4])
-@pytest.mark.parametrize("size", [3, 9, 33])
+@pytest.mark.parametrize("size", [2, 3, 9, 33])
 def test_winograd_sums_the_convolutions_of_all_images(size, dilation):
     images, weight = [random(size, size, CHANNELS), random(size, size, 2)], random(8, CHANNELS + 2, 3, 3, scale=0.1)
     convolution = WinogradConvolution(weight, (CHANNELS, 2), size, dilation)
