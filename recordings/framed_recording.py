@@ -15,6 +15,7 @@ from gridtrack.recordings.frames.chains import Chains
 from gridtrack.recordings.frames.choice import NO_POSES, chosen_chains
 from gridtrack.recordings.frames.placing import FramedScan, ScansOnChains
 from gridtrack.recordings.frames.problems import ChainOptions
+from gridtrack.recordings.frames.trajectory import MAX_WHOLE, AllTransforms
 from gridtrack.recordings.frames.transform import SE3
 from gridtrack.recordings.frames.tree import FrameTree, StampedTransform, frame_name
 from gridtrack.recordings.mounts import Mount
@@ -41,7 +42,8 @@ class FramedRecording(Recording):
     """A recording whose messages name their frames.
 
     One quick pass over the transforms and poses of the whole file chooses the chain of each sensor: static transforms
-    may come anywhere in it. Then the scans are read, each with the pose on its chain.
+    may come anywhere in it. A second one reads those of the links that move, which may be far from their scans in a
+    file that is finished. Then the scans are read, each with the pose on its chain.
     """
 
     @abstractmethod
@@ -139,18 +141,20 @@ class FramedRecording(Recording):
 
     def read(self, topics: Topics) -> Iterator[Scan]:
         """The scans in the order of the file; counts the messages in `topics`. DamageError where it is damaged."""
-        for fault in self._tree.faults:
+        for fault in (*self._tree.faults, *self.chains.faults):
             self.warn(fault)
+        if self.chains.note:
+            self.notify(self.chains.note)
         self._tell_shared_frames()
-        scans = ScansOnChains(self.chains.of_topic, self.warn)
+        scans = ScansOnChains(self.chains.of_topic, self.warn, self._known_transforms)
         try:
             for message in self.messages():
                 content = self.content_of(message)
                 topics.add(message.topic, message.kind, content == "scan")
                 if content == "scan" and self.is_read(message):
                     yield from self._placed(scans, message)
-                elif content in ("transforms", "pose"):
-                    for moved in self._moving_transforms(message, content):
+                elif self._known_transforms is None:
+                    for moved in self._moving_transforms(message):
                         yield from scans.transform(*moved)
         except DamageError:
             yield from scans.flush()
@@ -185,25 +189,40 @@ class FramedRecording(Recording):
         return self.options.topic in (None, message.topic)
 
     @cached_property
-    def _moving_links(self) -> tuple[dict[str, Recorded], dict[str, Recorded]]:
-        """What is recorded of the links that move: by topic of poses, and by frame of transforms."""
-        of_poses, of_transforms = dict[str, Recorded](), dict[str, Recorded]()
-        for recorded in self.chains.moving:
-            source, frame = recorded
-            if source in self._tree.poses:
-                of_poses[source] = recorded
-            else:
-                of_transforms[frame] = recorded
-        return of_poses, of_transforms
+    def _moving_links(self) -> set[Recorded]:
+        return set(self.chains.moving)
 
-    def _moving_transforms(self, message: EncodedMessage, content: Content) -> Iterator[tuple[Recorded, int, SE3]]:
+    @cached_property
+    def _known_transforms(self) -> dict[Recorded, AllTransforms] | None:
+        """All transforms of each link that moves; None where they are read along with the scans.
+
+        They are in a file that grows, and in one with more of them than are kept.
+        """
+        if self.growth is not None:
+            return None
+        known, count = {recorded: AllTransforms() for recorded in self._moving_links}, 0
+        with contextlib.suppress(DamageError):  # reported when the scans are read
+            for message in self.messages() if known else ():
+                for recorded, stamp_ns, transform in self._moving_transforms(message):
+                    known[recorded].add(stamp_ns, transform)
+                    count += 1
+                if count > MAX_WHOLE:
+                    return None
+        return known
+
+    def _moving_transforms(self, message: EncodedMessage) -> Iterator[tuple[Recorded, int, SE3]]:
         """The transforms of links that move: what they are of, stamp, transform."""
-        of_poses, of_transforms = self._moving_links
-        if message.topic not in of_poses if content == "pose" else not of_transforms:
+        content, topic, moving = self.content_of(message), message.topic, self._moving_links
+        of_pose = next((recorded for recorded in moving if recorded[0] == topic), None) if content == "pose" else None
+        if not moving or (of_pose is None and content != "transforms"):
             return
         with contextlib.suppress(DamageError):  # one of the tree's faults
             for stamped in self.transforms_of(message):
-                found = of_poses[message.topic] if content == "pose" else of_transforms.get(frame_name(stamped.child))
-                is_used = found is not None and (content == "pose" or self._tree.is_used(stamped))
-                if found is not None and is_used and stamped.transform is not None:
-                    yield found, stamped.stamp_ns, stamped.transform
+                recorded = of_pose or self._recorded_of(topic, stamped)
+                if recorded in moving and stamped.transform is not None:
+                    yield recorded, stamped.stamp_ns, stamped.transform
+
+    def _recorded_of(self, topic: str, stamped: StampedTransform) -> Recorded | None:
+        """What a transform on a topic is recorded of; None where it is not used."""
+        edge = self._tree.edge_with(topic, stamped)
+        return None if edge is None else (edge.topic, frame_name(stamped.child))

@@ -69,10 +69,15 @@ class Chain:
 
 @dataclass
 class Chains:
-    """The chain of each topic with scans; `problem`: why they cannot be used, and what to do, empty where they can."""
+    """The chain of each topic with scans; `problem`: why they cannot be used, and what to do, empty where they can.
+
+    `faults` are those of the transforms that the chains are from, `note` what to know about the chains; a line each.
+    """
 
     of_topic: dict[str, Chain] = field(default_factory=dict)
     problem: str = ""
+    note: str = ""
+    faults: tuple[str, ...] = ()
 
     @property
     def moving(self) -> dict[tuple[str, str], Link]:
@@ -102,12 +107,13 @@ class Chains:
 
 def _longest_gap_ns(link: Link, tree: FrameTree) -> int:
     source, frame = link.recorded
-    motion = tree.poses[source].motion if source in tree.poses else tree.edges[frame].motion
+    edge = tree.edge(source, frame)
+    motion = tree.poses[source].motion if edge is None else edge.motion
     return motion.longest_gap_ns
 
 
 def _tells_motion(link: Link, tree: FrameTree) -> bool:
     """Whether the source of a link says where the frame is at any time, and not once for all times."""
     source, frame = link.recorded
-    edge = tree.edges.get(frame)
-    return source in tree.poses or (edge is not None and edge.topic == source and not edge.is_static)
+    edge = tree.edge(source, frame)
+    return source in tree.poses or (edge is not None and not edge.is_static)

@@ -4,12 +4,13 @@ The first of these that tells the place of a frame is used: the options `--mount
 (`/tf`, `/tf_static`); a topic with poses that names the frame as its child (nav_msgs/Odometry), where it is the only
 one. Poses that do not name their frame (geometry_msgs/PoseStamped) are those of what carries the sensors, and are used
 where nothing else in the recording moves. Links are followed upwards, and where no world frame is found so, both ways:
-some robots record the place of `odom` on the robot, or the pose of a camera that is mounted on it.
+some robots record the place of `odom` on the robot, or the pose of a camera that is mounted on it. Of the transforms of
+a link that come on several topics, as of several robots, each sensor has those beside its scans.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import takewhile
 
 from gridtrack.common.errors import ConfigurationError, RecordingError, did_you_mean
@@ -19,11 +20,13 @@ from gridtrack.recordings.frames.forest import Forest, in_common
 from gridtrack.recordings.frames.problems import (
     ChainOptions,
     frames_in_a_cycle,
+    motion_above,
     motion_not_used,
     mount_not_known,
     mounts_not_known,
     poses_not_known,
     sensor_not_reached,
+    several_topics,
 )
 from gridtrack.recordings.frames.transform import SE3
 from gridtrack.recordings.frames.tree import Edge, FrameTree, PoseTopic, frame_name
@@ -45,6 +48,13 @@ def chosen_chains(tree: FrameTree, options: ChainOptions) -> Chains:
     if not options.sensors:
         return Chains()
     links = _Links(tree, options)
+    chains = _chosen(links, tree, options)
+    chains.faults = tuple(links.on_several_topics(chains.of_topic))
+    return chains
+
+
+def _chosen(links: _Links, tree: FrameTree, options: ChainOptions) -> Chains:
+    """The chain of each sensor, as `chosen_chains` says."""
     links.add_named_poses()
     links.add_mounts()
     given = links.add_pose_topic()
@@ -57,7 +67,7 @@ def chosen_chains(tree: FrameTree, options: ChainOptions) -> Chains:
         return links.on_poses(given)
     world = links.world_frame() or links.world_frame_below()
     if world is not None:
-        return Chains(links.chains(world))
+        return Chains(links.chains(world), note=links.motion_above(world))
     return links.without_world_frame()
 
 
@@ -67,11 +77,9 @@ class _Links:
     def __init__(self, tree: FrameTree, options: ChainOptions) -> None:
         self._tree, self._options = tree, options
         self._starts = {topic: _start(tree.sensors[topic], name) for topic, name in options.sensors.items()}
-        self._forest = Forest(
-            Link(child, edge.parent, edge.topic, edge.motion.first, edge.moves)
-            for child, edge in tree.edges.items()
-            if not edge.moves or options.pose_topic != NO_POSES
-        )
+        first = next(iter(options.sensors))
+        edges = {child: tree.edge_beside(first, child) for child in tree.edges}
+        self._forest = Forest(_link(child, edge) for child, edge in edges.items() if self._may_use(edge))
 
     def add_named_poses(self) -> None:
         """The poses that name a child without a parent, of one topic for each child."""
@@ -120,11 +128,15 @@ class _Links:
         return in_common(self._paths())
 
     def world_frame(self) -> str | None:
-        """The frame in common that does not move: `odom`, else `map`, else the topmost, unless that is a robot's."""
+        """The frame in common that does not move: `odom`, else `map`, else the topmost, unless that is a robot's.
+
+        `odom` and `map` are not, where they move and the sensors stand still in them for all times: SLAM without wheel
+        odometry gives the motion so, above a static `odom`.
+        """
         common = self.common()
         for word in WORLD_WORDS:
             for frame in common:
-                if _has_word(frame, word):
+                if _has_word(frame, word) and not self._is_carried(frame):
                     return frame
         top = common[-1]
         moves = any(link.moves for chain in self.chains(top).values() for link in chain.links)
@@ -144,7 +156,27 @@ class _Links:
 
     def chains(self, world: str) -> dict[str, Chain]:
         """The chain of each topic from `world` down to its sensor."""
-        return {topic: self._forest.chain(world, start) for topic, start in self._starts.items()}
+        return {
+            topic: Chain(world, tuple(self._beside(topic, link) for link in self._forest.chain(world, start).links))
+            for topic, start in self._starts.items()
+        }
+
+    def motion_above(self, world: str) -> str:
+        """A note where no sensor moves in the world frame, and that frame does in one above it; else empty."""
+        above = self._forest.moving_above(world)
+        if above is None or any(chain.moving for chain in self.chains(world).values()):
+            return ""
+        return motion_above(self._options, world, above)
+
+    def on_several_topics(self, chains: Mapping[str, Chain]) -> Iterator[str]:
+        """One line for each sensor and the topics that tell the place of frames in its chain, each another one."""
+        for topic, chain in chains.items():
+            frames: dict[tuple[str, tuple[str, ...]], list[str]] = {}
+            for source, frame in (link.recorded for link in chain.links):
+                if self._tree.edge(source, frame) is not None and (rivals := self._tree.rivals(frame)):
+                    frames.setdefault((source, rivals), []).append(frame)
+            for (used, topics), of in frames.items():
+                yield several_topics(of, topics, self._options.sensors[topic], used)
 
     def on_poses(self, pose: PoseTopic) -> Chains:
         """The chains from the frame of a topic's poses; with a problem where a sensor's mount is not known."""
@@ -200,6 +232,27 @@ class _Links:
         """The frame of a topic's poses; the topic itself where its messages do not name one."""
         return pose.frame if pose.frame not in ("", pose.child) else pose.topic
 
+    def _may_use(self, edge: Edge) -> bool:
+        return not edge.moves or self._options.pose_topic != NO_POSES
+
+    def _beside(self, scans: str, link: Link) -> Link:
+        """A link by the transforms on the topic beside that of the scans, where several topics have it."""
+        source, frame = link.recorded
+        if self._tree.edge(source, frame) is None:
+            return link
+        edge = self._tree.edge_beside(scans, frame)
+        if edge.topic == source or not self._may_use(edge):
+            return link
+        return _link(frame, edge).inverse() if link.is_inverse else _link(frame, edge)
+
+    def _is_carried(self, frame: str) -> bool:
+        """Whether a frame moves in one above it, and all links down to the sensors are the same for all times."""
+        if not self._forest.moves(frame):
+            return False
+        recorded = {link.recorded for chain in self.chains(frame).values() for link in chain.links}
+        edges = [self._tree.edge(*one) for one in recorded if one[0] not in self._tree.poses]
+        return len(edges) == len(recorded) and all(edge is None or edge.is_static for edge in edges)
+
     def _paths(self) -> list[list[str]]:
         return [self._forest.path(start) for start in self._starts.values()]
 
@@ -254,6 +307,10 @@ class _Links:
         top = self.common()[-1]
         seconds = self._tree.second_parents.items() if self._options.pose_topic != NO_POSES else ()
         return next(((child, edge) for child, edge in seconds if edge.moves and self._forest.top(child) == top), None)
+
+
+def _link(child: str, edge: Edge) -> Link:
+    return Link(child, edge.parent, edge.topic, edge.motion.first, edge.moves)
 
 
 def _is_dense(pose: PoseTopic) -> bool:

@@ -56,7 +56,12 @@ class Forest:
 
     def moves(self, frame: str) -> bool:
         """Whether a link above a frame moves."""
-        return any(above in self and self._links[above].moves for above in self.path(frame))
+        return self.moving_above(frame) is not None
+
+    def moving_above(self, frame: str) -> Link | None:
+        """The lowest link above a frame that moves."""
+        above = (self._links[one] for one in self.path(frame) if one in self)
+        return next((link for link in above if link.moves), None)
 
     def chain(self, world: str, sensor: str) -> Chain:
         """The links from `world` down to the frame of a sensor, which is below it."""

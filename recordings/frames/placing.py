@@ -1,4 +1,4 @@
-"""Scans placed on their chains: each waits until the transforms around its stamp are read."""
+"""Scans placed on their chains; where the transforms are not known, each waits until those around it are read."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ from dataclasses import dataclass, replace
 from gridtrack.common.errors import RecordingError
 from gridtrack.common.scan import Scan
 from gridtrack.recordings.frames.chains import Chain
-from gridtrack.recordings.frames.trajectory import MAX_GAP_NS, Trajectory
+from gridtrack.recordings.frames.far_stamps import FAR_JUMP_NS, FarStamps
+from gridtrack.recordings.frames.trajectory import MAX_GAP_NS, AllTransforms, NewestTransforms, Trajectory
 from gridtrack.recordings.frames.transform import SE3
 
 MAX_TILT_RAD = math.radians(15.0)
@@ -35,34 +36,41 @@ class FramedScan:
 
 
 class ScansOnChains:
-    """Delays scans until the transforms after them are read, and gives each its pose on its chain.
+    """Gives each scan its pose on its chain; delays scans until the transforms after them are read, if they are not.
 
     A scan waits for a second of scans at most. Where transforms are more than a second apart, or from the scan, it has
     the last ones before it (the first ones at the beginning of the file), and `warn` receives a line at the end.
     """
 
-    def __init__(self, chains: Mapping[str, Chain], warn: Callable[[str], None]) -> None:
-        """`chains` by topic."""
+    def __init__(
+        self,
+        chains: Mapping[str, Chain],
+        warn: Callable[[str], None],
+        known: Mapping[tuple[str, str], AllTransforms] | None = None,
+    ) -> None:
+        """`chains` by topic; `known`: all transforms of every moving link, None where they are added with the scans."""
         self._chains, self._warn = chains, warn
-        self._trajectories = {link.recorded: Trajectory() for chain in chains.values() for link in chain.moving}
+        moving = {link.recorded for chain in chains.values() for link in chain.moving}
+        self._trajectories: Mapping[tuple[str, str], Trajectory] = (
+            {recorded: NewestTransforms() for recorded in moving} if known is None else known
+        )
         self._waiting: deque[FramedScan] = deque()
-        self._newest_ns = -1
-        self._first_ns: int | None = None
+        self._stamps = FarStamps()
+        self._between_ns: tuple[int, int] | None = None
         self._faults: dict[str, int] = {}
 
     def scan(self, framed: FramedScan) -> Iterator[Scan]:
         """Add the next scan, and yield the scans that no longer wait."""
         stamp_ns = framed.scan.stamp_ns
-        self._newest_ns = max(self._newest_ns, stamp_ns)
-        self._first_ns = stamp_ns if self._first_ns is None else min(self._first_ns, stamp_ns)
+        self._stamps.judge(stamp_ns)
+        first_ns, last_ns = self._between_ns or (stamp_ns, stamp_ns)
+        self._between_ns = min(first_ns, stamp_ns), max(last_ns, stamp_ns)
         self._waiting.append(framed)
         yield from self._released()
 
     def transform(self, recorded: tuple[str, str], stamp_ns: int, transform: SE3) -> Iterator[Scan]:
         """Add the next transform that is recorded of a moving link, and yield the scans that no longer wait."""
-        if not self._trajectories[recorded].add(stamp_ns, transform):
-            source, frame = recorded
-            self._count(f"transforms of '{frame}' on {source} whose stamp is far from the others are left out")
+        self._trajectories[recorded].add(stamp_ns, transform)
         yield from self._released()
 
     def flush(self) -> Iterator[Scan]:
@@ -70,6 +78,10 @@ class ScansOnChains:
         while self._waiting:
             yield from self._placed(self._waiting.popleft())
         self._check_clocks()
+        for (source, frame), trajectory in self._trajectories.items():
+            if trajectory.left_out:
+                left_out = f"transforms of '{frame}' on {source} whose stamp is far from the others are left out"
+                self._faults[left_out] = trajectory.left_out
         for fault, count in self._faults.items():
             self._warn(f"{fault}: {count} of them")
 
@@ -80,12 +92,20 @@ class ScansOnChains:
             yield from self._placed(self._waiting.popleft())
         if released or not self._waiting:
             for trajectory in self._trajectories.values():
-                trajectory.drop_before(min(trajectory.last_ns, max(self._newest_ns, 0)) - KEPT_NS)
+                trajectory.drop_before(min(trajectory.last_ns, self._newest_ns) - KEPT_NS)
+
+    @property
+    def _newest_ns(self) -> int:
+        """The newest stamp of the scans, 0 without any; one far from the others does not count."""
+        return self._stamps.last_ns
 
     def _is_due(self, framed: FramedScan) -> bool:
         stamp_ns = framed.scan.stamp_ns
         late = self._newest_ns - stamp_ns > MAX_GAP_NS
-        return late or all(self._trajectories[link.recorded].covers(stamp_ns) for link in self._chain(framed).moving)
+        # a scan after it is not as far: its stamp is damaged, and no transforms come for it
+        damaged = stamp_ns - self._newest_ns > FAR_JUMP_NS and len(self._waiting) > 1
+        moving = self._chain(framed).moving
+        return late or damaged or all(self._trajectories[link.recorded].covers(stamp_ns) for link in moving)
 
     def _chain(self, framed: FramedScan) -> Chain:
         return self._chains[framed.topic]
@@ -124,9 +144,10 @@ class ScansOnChains:
     def _check_clocks(self) -> None:
         """Raise ClocksApartError where all transforms of a link are stamped long before or after all scans."""
         for (source, _), trajectory in self._trajectories.items():
-            if trajectory.first_ns is None or self._first_ns is None:
+            if trajectory.first_ns is None or self._between_ns is None:
                 continue
-            before_ns, after_ns = self._first_ns - trajectory.last_ns, trajectory.first_ns - self._newest_ns
+            first_ns, last_ns = self._between_ns
+            before_ns, after_ns = first_ns - trajectory.last_ns, trajectory.first_ns - last_ns
             if max(before_ns, after_ns) > MAX_GAP_NS:
                 apart = f"{before_ns / 1e9:.1f} s before" if before_ns > 0 else f"{after_ns / 1e9:.1f} s after"
                 raise ClocksApartError(

@@ -99,6 +99,23 @@ def motion_not_used(options: ChainOptions, child: str, second: Edge) -> str:
     )
 
 
+def motion_above(options: ChainOptions, world: str, link: Link) -> str:
+    """A world frame in which the sensors do not move, below one in which it moves by a link."""
+    return (
+        f"the sensors stand still in '{world}', which moves in '{link.parent}' by the transforms on {link.source}:"
+        f" where they drive, take {_from_scans(options)}"
+    )
+
+
+def several_topics(frames: Sequence[str], topics: Sequence[str], sensor: str, used: str) -> str:
+    """Frames of a sensor's chain whose place several topics tell, of which one is used."""
+    of = " and ".join(f"'{frame}'" for frame in frames[:MAX_SHOWN])
+    return (
+        f"transforms of frame {of} are on several topics, {_shown(topics)}, as of two robots: sensor '{sensor}' has"
+        f" those on {used}"
+    )
+
+
 def _from_scans(options: ChainOptions) -> str:
     """Poses that need no transforms: from the scans of one sensor."""
     topic = [] if len(options.sensors) == 1 else ["--topic", next(iter(options.sensors))]

@@ -58,12 +58,21 @@ class FrameMotion:
 
 @dataclass(slots=True)
 class Edge:
-    """The transforms of a frame in its parent, and the first topic with them; `is_static`: one holds for all times."""
+    """The transforms of a frame in its parent, and the first topic with them; `is_static`: one holds for all times.
+
+    They are from one topic, or from one with static and one with other transforms.
+    """
 
     parent: str
     topic: str
     is_static: bool
     motion: FrameMotion
+    topics: dict[bool, str] = field(default_factory=dict)
+    """The topic by whether its transforms are static."""
+
+    def takes(self, topic: str, is_static: bool) -> bool:
+        """Whether transforms of a topic are of this edge: it has them, or none of their kind so far."""
+        return self.topics.setdefault(is_static, topic) == topic
 
     @property
     def moves(self) -> bool:
@@ -85,14 +94,16 @@ class PoseTopic:
 class FrameTree:
     """Frames with their parents, topics with poses, and the frame of each topic with scans, from one pass over a file.
 
-    The first parent of a frame is kept; `second_parents` has the first of its other ones. `faults` holds one line for
-    each kind of fault and frame. In a file that is `growing` what was constant so far may move later: only static
-    transforms are constant.
+    The first parent of a frame is kept; `second_parents` has the first of its other ones. `edges` have the transforms
+    of the first topic of a frame, `other_topics` those of the others, as of robots with the same frames. `faults` holds
+    one line for each kind of fault and frame. In a file that is `growing` what was constant so far may move later: only
+    static transforms are constant.
     """
 
     growing: bool = False
 
     edges: dict[str, Edge] = field(default_factory=dict)
+    other_topics: dict[str, list[Edge]] = field(default_factory=dict)
     second_parents: dict[str, Edge] = field(default_factory=dict)
     poses: dict[str, PoseTopic] = field(default_factory=dict)
     sensors: dict[str, str] = field(default_factory=dict)
@@ -107,17 +118,13 @@ class FrameTree:
             if fault or stamped.transform is None:
                 self.note(fault)
                 continue
-            first = self.edges.get(child)
-            edges = self.edges
-            if first is not None and first.parent != parent:
-                self.note(_two_parents(child, first, parent, topic))
-                edges = self.second_parents
-            if child not in edges:
+            known = self._known(topic, is_static, parent, child)
+            if known is None:
                 may_move = self.growing and not is_static
                 motion = FrameMotion(stamped.stamp_ns, stamped.transform, may_move=may_move)
-                edges[child] = Edge(parent, topic, is_static, motion)
-            elif edges[child].parent == parent:
-                self._add_to(edges[child], child, stamped.stamp_ns, stamped.transform, is_static=is_static)
+                self._put(child, Edge(parent, topic, is_static, motion, {is_static: topic}))
+            elif known.parent == parent:
+                self._add_to(known, child, stamped.stamp_ns, stamped.transform, is_static=is_static)
 
     def add_poses(self, topic: str, poses: Iterable[StampedTransform]) -> None:
         """Add the poses of a message."""
@@ -134,10 +141,31 @@ class FrameTree:
                 motion = FrameMotion(pose.stamp_ns, pose.transform, may_move=self.growing)
                 self.poses[topic] = PoseTopic(topic, parent, child, motion)
 
-    def is_used(self, stamped: StampedTransform) -> bool:
-        """Whether a transform is one of those kept: of a known frame, to its first parent."""
-        edge = self.edges.get(frame_name(stamped.child))
-        return edge is not None and edge.parent == frame_name(stamped.parent)
+    def edges_of(self, child: str) -> list[Edge]:
+        """The edges of a frame to its first parent, those of the first topic first."""
+        return [self.edges[child], *self.other_topics.get(child, ())] if child in self.edges else []
+
+    def edge(self, topic: str, child: str) -> Edge | None:
+        """The edge of a frame whose first topic is `topic`."""
+        return next((edge for edge in self.edges_of(child) if edge.topic == topic), None)
+
+    def edge_with(self, topic: str, stamped: StampedTransform) -> Edge | None:
+        """The edge that a transform on a topic is of; None for one that is not kept: to a second parent, say."""
+        parent, edges = frame_name(stamped.parent), self.edges_of(frame_name(stamped.child))
+        return next((edge for edge in edges if edge.parent == parent and topic in edge.topics.values()), None)
+
+    def edge_beside(self, scans: str, child: str) -> Edge:
+        """The edge of a frame that has one, from the topic in whose namespace the topic `scans` is, else the first.
+
+        Of several such namespaces it is the innermost.
+        """
+        return max(self.edges_of(child), key=lambda edge: _depth_beside(edge.topic, scans))
+
+    def rivals(self, child: str) -> tuple[str, ...]:
+        """The topics that each tell the place of a frame in its parent; none where it is the same for all times."""
+        edges = self.edges_of(child)
+        agree = all(edge.is_static and edge.motion.first.is_same(edges[0].motion.first) for edge in edges)
+        return () if agree or len(edges) < 2 else tuple(edge.topic for edge in edges)
 
     def note(self, fault: str) -> None:
         """Add a fault, once; at most MAX_FAULTS of them."""
@@ -159,6 +187,24 @@ class FrameTree:
             return f"more than {MAX_TREE_FRAMES} frames on {topic}: the others are not used"
         return ""
 
+    def _known(self, topic: str, is_static: bool, parent: str, child: str) -> Edge | None:
+        """The edge that a transform is of, or the one in the way of its own; None where it is to have one."""
+        first = self.edges.get(child)
+        if first is not None and first.parent != parent:
+            self.note(_two_parents(child, first, parent, topic))
+            return self.second_parents.get(child)
+        return next((edge for edge in self.edges_of(child) if edge.takes(topic, is_static)), None)
+
+    def _put(self, child: str, edge: Edge) -> None:
+        """Keep a new edge."""
+        first = self.edges.setdefault(child, edge)
+        if first.parent != edge.parent:
+            self.second_parents[child] = edge
+        elif first is not edge and sum(map(len, self.other_topics.values())) == MAX_TREE_FRAMES:
+            self.note(f"frames on several topics more than {MAX_TREE_FRAMES} times: those on {edge.topic} are not used")
+        elif first is not edge:
+            self.other_topics.setdefault(child, []).append(edge)
+
     def _add_to(self, edge: Edge, child: str, stamp_ns: int, transform: SE3, *, is_static: bool) -> None:
         """Add a transform of a known frame."""
         edge.is_static &= is_static
@@ -174,6 +220,12 @@ def _two_parents(child: str, first: Edge, parent: str, topic: str) -> str:
         f"frame '{child}' has two parents, '{first.parent}' on {first.topic} and '{parent}' on {topic}: the first is"
         " used; where that is wrong, give the sensor's mount with --mount, or its poses with --pose-topic"
     )
+
+
+def _depth_beside(topic: str, scans: str) -> int:
+    """How deep the namespace of a topic is that the topic `scans` is in, in characters; 0: it is in another one."""
+    namespace = topic.rpartition("/")[0] + "/"
+    return len(namespace) if scans.startswith(namespace) else 0
 
 
 def frame_name(name: str) -> str:

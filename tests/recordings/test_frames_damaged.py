@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from gridtrack.common.errors import GridtrackError, RecordingError
 from gridtrack.common.geometry import SE2
 from gridtrack.recordings import open_recording, parse_mount
-from gridtrack.recordings.frames.trajectory import MAX_KEPT, Trajectory
+from gridtrack.recordings.frames.trajectory import MAX_KEPT, NewestTransforms
 from gridtrack.recordings.frames.transform import SE3
 from gridtrack.recordings.frames.tree import MAX_FAULTS, MAX_TREE_FRAMES
 from gridtrack.recordings.recording import Recording
@@ -103,7 +103,7 @@ def test_a_transform_stamped_a_day_off_is_left_out(tmp_path: Path, far_ms: int, 
 
 
 def test_memory_of_transforms_is_bounded() -> None:
-    trajectory = Trajectory()
+    trajectory = NewestTransforms()
     for k in range(3 * MAX_KEPT):
         trajectory.add(k, SE3())
     found = trajectory.at(3 * MAX_KEPT - 1)
@@ -159,11 +159,12 @@ def test_static_transforms_that_change_are_told_and_the_first_is_used(tmp_path: 
     assert "static transforms on /tf_static of frame 'front_laser' change: the first is used" in the_warning(recording)
 
 
-def test_transforms_of_one_frame_on_two_topics_are_joined(tmp_path: Path) -> None:
+def test_transforms_of_one_frame_on_two_topics_are_told_and_those_on_the_first_used(tmp_path: Path) -> None:
     drive = [(f"/tf{k % 2}" if topic == "/tf" else topic, *rest) for k, (topic, *rest) in enumerate(DRIVE)]
     recording = open_recording(ROS.write(tmp_path / "a.bag", drive))
     assert walls_stay(recording)
-    assert recording.info.poses.endswith("longest gap 0.02 s")
+    assert recording.info.poses.endswith("from /tf1, /tf_static; longest gap 0.04 s")
+    assert "transforms of frame 'base_link' are on several topics, /tf1, /tf0" in the_warning(recording)
 
 
 def test_a_file_that_is_cut_gives_the_scans_that_wait_for_their_poses(tmp_path: Path) -> None:
