@@ -25,7 +25,7 @@ from gridtrack.reports.run import ReportedRun
 from gridtrack.reports.table import HeadlineTable, TableRow
 
 MOST_POINTS = 40
-"""Points of a curve, at about equal steps of recall; all of them would be some hundred."""
+"""Points of a curve, at about equal steps of recall, and as many ends of flat parts; all would be some hundred."""
 LEAST_CELLS = 50
 """A bin of fewer cells has no share of occupied cells: it is mostly noise."""
 ProbabilityCurves = dict[str, dict[str, Any]]
@@ -121,12 +121,17 @@ def _curves_of(
 
 def _precision_recall(cells: NDArray[np.int64], positives: NDArray[np.int64]) -> dict[str, list[float]]:
     """Thresholds `p` from the highest down, with the precision and recall of cells at and above each, and the ends of
-    the interval of the precision where there are enough units; histograms (U, B) with a positive."""
+    the interval of the precision where there are enough units; histograms (U, B) with a positive.
+
+    Of thresholds at which the same cells are called occupied there are the highest and the lowest: F1 is flat between.
+    """
     found_of, called_of = (counts[:, ::-1].cumsum(axis=1) for counts in (positives, cells))
     found, called = found_of.sum(axis=0), called_of.sum(axis=0)
     recall, precision = found / found[-1], ratio(found, called)
     wanted = np.searchsorted(recall, np.linspace(0.0, 1.0, MOST_POINTS))
-    at = np.unique(np.maximum(wanted, np.flatnonzero(called)[0]))
+    highest = np.maximum(wanted, np.flatnonzero(called)[0])
+    lowest = np.searchsorted(called, called[highest], side="right") - 1
+    at = np.union1d(highest, lowest)
     thresholds = PROBABILITY_EDGES[:-1][::-1]
     curve = {"p": _short(thresholds[at]), "recall": _short(recall[at]), "precision": _short(precision[at])}
     low, high = proportion_interval(found_of[:, at].astype(np.float64), called_of[:, at].astype(np.float64))

@@ -36,13 +36,14 @@ class Section:
 def styles_of(runs: Sequence[ReportedRun]) -> dict[str, str]:
     """The style (CSS classes) of each row on the page by its key: a colour for a tracker, a grey for the floor.
 
-    A tracker has one colour in all runs, and where there are several each run has dashes of its own.
+    A tracker has one colour in all runs, and where there are several each run has dashes of its own; a colour that is
+    repeated then has wide lines.
     """
     colours = _colours_of(runs)
     if len(runs) == 1:
         return colours
     return {
-        row_key(run.name, label): f"{colours[label].partition(' ')[0]} run{i % RUN_DASHES}"
+        row_key(run.name, label): f"{colours[label]} run{i % RUN_DASHES}"
         for i, run in enumerate(runs)
         for label in run.summary.trackers
     }

@@ -18,7 +18,7 @@ def times_of(trial: TrialSummary, period_ms: float) -> dict[str, Any] | None:
         "update": _of(update),
         "predict": _of(predict),
         "twentieths": {"update": update.twentieths, "predict": predict.twentieths},
-        "peak_mb": trial.peak_rss_mb,
+        "peak_mib": trial.peak_rss_mb,
         "keeps_up": keeps_up(update, predict, period_ms),
         "highest_hz": float(f"{trial.deadline.highest_rate_hz:.3g}") if trial.deadline else None,
     }

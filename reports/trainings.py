@@ -27,9 +27,11 @@ class TrainingsCell:
 
 @dataclass(frozen=True)
 class TrainingsRow:
-    """One tracker; `count` trainings. `reason`: why its difference has no interval."""
+    """One tracker; `count` trainings, the rows of the page with these `keys`. `reason`: why its difference has no
+    interval."""
 
-    label: str
+    name: str
+    keys: tuple[str, ...]
     count: int
     cells: tuple[TrainingsCell, ...]
     reason: str
@@ -58,7 +60,7 @@ def trainings_table(run: ReportedRun, recording: str) -> TrainingsTable | None:
 
 
 def _row(one: TrackerTrainings) -> TrainingsRow:
-    return TrainingsRow(one.labels[0], len(one.labels), tuple(map(_cell, one.scores)), one.interval)
+    return TrainingsRow(one.labels[0], one.labels, len(one.labels), tuple(map(_cell, one.scores)), one.interval)
 
 
 def _cell(score: TrainingsScore) -> TrainingsCell:
@@ -85,7 +87,8 @@ def trainings_across(runs: Sequence[ReportedRun], table: HeadlineTable) -> Train
     columns = [i for i, one in enumerate(table.columns) if one.score == "f1" and one.stratum in HEADLINE_STRATA]
     rows = tuple(
         TrainingsRow(
-            next(iter(found.values())).label,
+            _name_of(tuple(found.values())),
+            tuple(row.key for row in found.values()),
             len(found),
             tuple(_spread_cell([row.cells[i].value for row in found.values()]) for i in columns),
             "",
@@ -95,6 +98,12 @@ def trainings_across(runs: Sequence[ReportedRun], table: HeadlineTable) -> Train
     )
     named = tuple((table.columns[i].stratum, table.horizons_s[table.columns[i].step]) for i in columns)
     return TrainingsTable("", named, 0, rows) if rows else None
+
+
+def _name_of(rows: Sequence[TableRow]) -> str:
+    """The label that all rows have, else the name of their tracker."""
+    labels = {row.label for row in rows}
+    return rows[0].label if len(labels) == 1 else rows[0].entry.tracker
 
 
 def _weights_of(run: ReportedRun, label: str) -> str:

@@ -1,7 +1,7 @@
 // A figure of the page: choices, a drawing, one line on what it shows, and its downloads.
 import { choiceBar, choiceWords } from "./choices.js";
 import { downloadButtons } from "./downloads.js";
-import { make, meaning } from "./elements.js";
+import { make, meaning, swatch } from "./elements.js";
 import { numbersOfChart, lineChart } from "./line_chart.js";
 import { whenShownChange } from "./shown_trackers.js";
 
@@ -18,24 +18,28 @@ export function startFigure(figure) {
   const heading = section.querySelector("h2").textContent.toLowerCase().replaceAll(" ", "-");
   const holder = make("div", { class: "drawn" });
   const note = make("p", { class: "note" });
+  const printed = make("p", { class: "printed" });
   const drawing = figure.drawing ?? ((now, width) => lineChart({ ...figure.chart(now), width }));
   const table = figure.numbers ?? ((now) => numbersOfChart(figure.chart(now)));
   const numbers = (now) => toldOf(table(now), { ...choicesMade(figure.choices(now), now), ...figure.fixed?.(now) });
+  const words = () => choiceWords(figure.choices(chosen), chosen);
+  const legend = () => (figure.chart ? figure.chart(chosen).lines.toReversed() : []);
   let width = 0;
   const redraw = () => {
     holder.replaceChildren(drawing(chosen, Math.max(width, LEAST_WIDTH)));
+    printed.replaceChildren(make("span", {}, words()), ...legend().map(({ name, style }) => make("span", {}, swatch(style), name)));
     note.replaceChildren(figure.line(chosen), " ", meaning(heading));
   };
   const controls = make("div", { class: "controls" }, choiceBar(figure.choices, chosen, redraw));
-  section.append(controls, holder, note);
+  section.append(controls, printed, holder, note);
   section.hidden = false;
   firstWidth ||= holder.clientWidth;
   width = firstWidth;
   redraw();
   const head = () => ({
     title: section.querySelector("h2").textContent,
-    words: [choiceWords(figure.choices(chosen), chosen), figure.line(chosen)],
-    legend: figure.chart ? figure.chart(chosen).lines.toReversed() : [],
+    words: [words(), figure.line(chosen)],
+    legend: legend(),
   });
   controls.append(downloadButtons(id, () => holder.querySelector("svg.figure-drawing"), head, () => numbers(chosen)));
   whenShownChange(redraw);

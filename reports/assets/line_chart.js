@@ -126,14 +126,18 @@ function fillReading(marks, readout, { lines, words, x, y }, place) {
 export function numbersOfChart({ lines, x, y }) {
   const shown = lines.toReversed();
   const places = placesOf(lines), written = x.written ?? ((place) => place);
-  if (shown.some((one) => one.xs.length !== places.length)) {
+  const hasAll = ({ xs }) => xs.length === places.length && places.every((place) => xs.includes(place));
+  if (!shown.every(hasAll)) {
     const banded = shown.some((one) => one.low && one.high);
     return [["tracker", x.name, y.name, ...(banded ? [`${y.name} low`, `${y.name} high`] : [])],
       ...shown.flatMap((one) => one.xs.map((place, i) =>
         [one.name, written(place), one.values[i], ...(banded ? [one.low?.[i], one.high?.[i]] : [])]))];
   }
   const ends = (one) => (one.low && one.high ? [`${one.name} low`, `${one.name} high`] : []);
-  const values = (one, i) => [one.values[i], ...(one.low && one.high ? [one.low[i], one.high[i]] : [])];
+  const values = (one, place) => {
+    const i = one.xs.indexOf(place);
+    return [one.values[i], ...(one.low && one.high ? [one.low[i], one.high[i]] : [])];
+  };
   return [[x.name, ...shown.flatMap((one) => [one.name, ...ends(one)])],
-    ...places.map((place, i) => [written(place), ...shown.flatMap((one) => values(one, i))])];
+    ...places.map((place) => [written(place), ...shown.flatMap((one) => values(one, place))])];
 }

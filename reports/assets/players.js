@@ -29,6 +29,7 @@ export function startPlayers() {
     recordings.querySelector("select").value = recording;
     if (chosen) shown.choose(chosen);
     shown.element.hidden = false;
+    fillLegend(shown.data);
     shown.arrange();
     if (isNew) shown.begin();
     return shown;
@@ -43,6 +44,16 @@ export function startPlayers() {
   whenShownChange(() => shown.arrange());
   window.addEventListener("hashchange", follow);
   if (!follow()) show(names[0][0]);
+}
+
+// What the legend says of the recording on screen, in the words of templates/player.html.j2.
+function fillLegend({ size, cell_m: cell, origin, moments }) {
+  const metres = (length) => `${Number(length.toPrecision(6))} m`;
+  document.getElementById("moments-window").textContent =
+    `x to the right, y up; ${size} × ${size} cells of ${metres(cell)}, ${metres(size * cell)} across`;
+  const isInside = (place, axis) => place >= origin[axis] && place <= origin[axis] + size * cell;
+  const hasSensor = ({ sensors }) => sensors.some((point) => point.every(isInside));
+  document.getElementById("moments-sensor").hidden = !moments.some(hasSensor);
 }
 
 function playerOf(recording, section, onward) {

@@ -18,9 +18,21 @@ function linesOf(chosen, fields) {
     .map((row) => lineOf(row, fields(binsOf(row, chosen))));
 }
 
+// Precision over recall from recall 0 on, where it is that of the highest threshold; thresholds at which the same cells
+// are called occupied are one point.
+function curveFromZero({ p, recall, precision, precision_low: low, precision_high: high }) {
+  const repeats = (i) => recall[i] === recall[i - 1] && precision[i] === precision[i - 1];
+  const points = [...p.keys()].filter((i) => !repeats(i));
+  const drawn = recall[0] > 0 ? [0, ...points] : points;
+  const fromZero = (values) => values && drawn.map((i) => values[i]);
+  return {
+    xs: drawn.map((i, at) => (at ? recall[i] : 0)), values: fromZero(precision), low: fromZero(low), high: fromZero(high),
+    notes: fromZero(p).map(probabilityWords),
+  };
+}
+
 function precisionRecall(chosen) {
-  const lines = linesOf(chosen, ({ p, recall, precision, precision_low: low, precision_high: high }) =>
-    ({ xs: recall, values: precision, low, high, notes: p.map(probabilityWords) }));
+  const lines = linesOf(chosen, curveFromZero);
   return { lines, x: { name: "recall", range: [0, 1] }, y: { name: "precision", range: [0, 1.02] } };
 }
 
@@ -36,7 +48,7 @@ function calibration(chosen) {
 }
 
 const FIGURES = [
-  { id: "precision-recall", title: "Precision and recall", chart: precisionRecall, fixed: () => ({ score: "precision" }), line: (now) => `Each point is a threshold; the area is PR-AUC${bandWords(precisionRecall(now))}.` },
+  { id: "precision-recall", title: "Precision and recall", chart: precisionRecall, fixed: () => ({ score: "precision" }), line: (now) => `Each point is a threshold; PR-AUC is the mean precision over recall, in steps${bandWords(precisionRecall(now))}.` },
   { id: "threshold", title: "Threshold", chart: f1OverThreshold, fixed: () => ({ score: "f1" }), line: () => "F1 at every threshold." },
   { id: "calibration", title: "Calibration", chart: calibration, fixed: () => ({ score: "share occupied" }), line: () => "On the diagonal, p is the share of cells that were occupied." },
 ];

@@ -96,7 +96,8 @@ export function startRanking() {
     chosen: { recording: pageData.recordings[0].name, ...pageData.headline },
     choices: (now) => {
       const recording = recordingNamed(now.recording);
-      return [["recording", "Recording", recordingOptions()], ["stratum", "Cells", strataOf(recording)],
+      const ranked = strataOf(recording, (name) => scoresOf(recording, name, ranks).length);
+      return [["recording", "Recording", recordingOptions()], ["stratum", "Cells", ranked],
         ["score", "Score", scoresOf(recording, now.stratum, ranks)], aheadChoice(now)];
     },
     drawing: drawRanking,

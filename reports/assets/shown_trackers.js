@@ -9,7 +9,8 @@ export function isShown(label) {
   return !hiddenLabels.has(label);
 }
 
-// Calls `listener` after every change; what is marked with `data-tracker` in the page needs none.
+// Calls `listener` after every change; what is marked with `data-tracker` in the page needs none, nor what is of several
+// and marked with `data-trackers`, JSON, which is gone when all of them are.
 export function whenShownChange(listener) {
   listeners.push(listener);
 }
@@ -19,6 +20,9 @@ function toggle(label, button) {
   button.setAttribute("aria-pressed", String(isShown(label)));
   for (const marked of document.querySelectorAll("[data-tracker]")) {
     marked.toggleAttribute("hidden", !isShown(marked.dataset.tracker));
+  }
+  for (const marked of document.querySelectorAll("[data-trackers]")) {
+    marked.toggleAttribute("hidden", !JSON.parse(marked.dataset.trackers).some(isShown));
   }
   for (const listener of listeners) listener();
 }

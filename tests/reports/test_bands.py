@@ -160,8 +160,12 @@ def test_precision_over_recall_has_bands_and_their_ends_in_the_file(page, report
         if (recording["name"], row["label"]) == ("all recordings", "good")
     ]
     curve = pooled["in-motion"][STEP]
-    assert [float(row["precision low"]) for row in rows] == curve["precision_low"]
-    assert [float(row["precision high"]) for row in rows] == curve["precision_high"]
+    drawn = [tuple(float(row[f"precision{end}"]) for end in ("", " low", " high")) for row in rows]
+    ends = list(zip(*(curve[f"precision{end}"] for end in ("", "_low", "_high")), strict=True))
+    assert set(drawn) == set(ends)
+    recall = [float(row["recall"]) for row in rows]
+    assert (recall[0], drawn[0]) == (0.0, ends[0])
+    assert list(zip(recall[1:], drawn[1:], strict=True)) == list(dict.fromkeys(zip(curve["recall"], ends, strict=True)))
 
 
 def test_a_file_without_intervals_has_no_columns_of_their_ends(page):

@@ -139,3 +139,42 @@ def test_a_choice_that_another_recording_does_not_have_leaves_the_figure_whole(b
         assert page.locator(f"#{figure} select:visible").count() >= 3
     assert faults == []
     page.close()
+
+
+def without_scores(scores):
+    """The scores of a stratum without cells: its threshold is all that it has."""
+    return {
+        name: [None] * len(curve) if isinstance(curve, list) and name != "threshold" else curve
+        for name, curve in scores.items()
+    }
+
+
+def test_cells_without_a_score_that_ranks_are_not_offered_and_leave_no_other_ranking(browser, run_folder, tmp_path):
+    """A stratum of one recording has no cells, and another recording has none at all."""
+    run = shutil.copytree(run_folder, tmp_path / "run")
+    summary, record = (json.loads((run / name).read_text()) for name in ("summary.json", "run.json"))
+    for recordings in (summary["recordings"], record["configuration"]["recordings"]):
+        recordings["again"] = recordings["crossing"]
+    for row in summary["trackers"].values():
+        strata = row["recordings"]["crossing"]["strata"]
+        empty = {name: without_scores(scores) for name, scores in strata.items()}
+        row["recordings"]["again"] = {**row["recordings"]["crossing"], "strata": empty}
+        strata["visible over 10 m"] = empty["visible"]
+    (run / "summary.json").write_text(json.dumps(summary))
+    (run / "run.json").write_text(json.dumps(record))
+    page = browser.new_page()
+    page.set_default_timeout(20_000)
+    faults = []
+    page.on("pageerror", lambda error: faults.append(str(error)))
+    page.goto(render_report([run]).as_uri())
+    page.locator("#every-score table").wait_for()
+    offered = page.locator("#ranking").get_by_label("Cells").locator("option").all_inner_texts()
+    assert "visible cells" in offered
+    assert "visible over 10 m cells" not in offered
+    assert page.locator("#ranking .dot").count() > 1
+    page.locator("#ranking").get_by_label("Recording").select_option("again")
+    assert page.locator("#ranking .dot").count() == 0
+    page.locator("#ranking").get_by_label("Recording").select_option("crossing")
+    assert page.locator("#ranking .dot").count() > 1
+    assert faults == []
+    page.close()

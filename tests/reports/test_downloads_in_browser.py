@@ -41,16 +41,21 @@ def report(run_folder, tmp_path_factory):
 
 
 @pytest.fixture
-def numbers_of(browser, report):
-    """`numbers_of(figure)`: the rows of its CSV file."""
+def page(browser, report):
     with opened(browser, report) as page:
+        yield page
 
-        def numbers_of(figure):
-            with page.expect_download() as saved:
-                page.locator(f"#{figure}").get_by_role("button", name="CSV").click()
-            return list(csv.reader(saved.value.path().read_text().splitlines()))
 
-        yield numbers_of
+@pytest.fixture
+def numbers_of(page):
+    """`numbers_of(figure)`: the rows of its CSV file."""
+
+    def numbers_of(figure):
+        with page.expect_download() as saved:
+            page.locator(f"#{figure}").get_by_role("button", name="CSV").click()
+        return list(csv.reader(saved.value.path().read_text().splitlines()))
+
+    return numbers_of
 
 
 def test_hidden_cells_have_the_time_in_words(numbers_of):
@@ -81,3 +86,40 @@ def test_a_file_says_in_every_row_what_its_numbers_are_of(numbers_of, figure, to
     for row in rows:
         assert dict(zip(heading, row, strict=True)).items() >= told.items()
     assert len(set(heading)) == len(heading)
+
+
+def test_one_tracker_has_the_same_f1_at_a_threshold_as_among_others(page, numbers_of):
+    """The thresholds of a line fall, and the rows of a file rise."""
+    page.locator("#threshold").get_by_label("Cells").select_option("visible")
+    heading, *rows = numbers_of("threshold")
+    among_others = {
+        (float(row[heading.index("threshold")]), float(row[heading.index("F1")])) for row in rows if row[0] == "fair"
+    }
+    for name in ("good", "persistence", "blank", "unlucky"):
+        page.locator("#trackers").get_by_role("button", name=name, exact=True).click()
+    heading, *rows = numbers_of("threshold")
+    assert heading[:2] == ["threshold", "fair"]
+    assert len({f1 for _, f1 in among_others}) > 1
+    assert {(float(row[0]), float(row[1])) for row in rows} == among_others
+
+
+@pytest.mark.parametrize(("call", "p50", "spread"), [("update", "2", 19), ("predict", "20", 0)])
+def test_the_file_of_times_has_memory_and_keeps_up_and_each_percentile_once(page, numbers_of, call, p50, spread):
+    """Of the forecasts the spread was not kept."""
+    page.locator("#latency").get_by_label("Call").select_option(call)
+    heading, *rows = numbers_of("latency")
+    assert len(set(heading)) == len(heading)
+    (fair,) = [dict(zip(heading, row, strict=True)) for row in rows if row[0] == "fair"]
+    assert fair["p50, ms"] == p50
+    assert (fair["peak memory, MiB"], fair["keeps up"]) == ("123", "yes")
+    assert (fair["recording"], fair["call"]) == ("crossing", call)
+    assert sum(bool(fair[f"p{p}, ms"]) for p in range(0, 101, 5) if p not in (50, 95)) == spread
+
+
+def test_f1_of_a_forecast_of_zeros_and_ones_is_flat(page, numbers_of):
+    page.locator("#threshold").get_by_label("Cells").select_option("visible")
+    heading, *rows = numbers_of("threshold")
+    own = [row for row in rows if row[0] == "persistence"]
+    f1 = {float(row[heading.index("threshold")]): float(row[heading.index("F1")]) for row in own}
+    assert len(f1) == 3
+    assert len({value for threshold, value in f1.items() if threshold > 0.0}) == 1

@@ -174,7 +174,14 @@ def test_the_area_below_precision_over_recall_is_about_pr_auc(run_folder, summar
             area = sum(np.diff([0.0, *curve["recall"]]) * curve["precision"])
             assert area == pytest.approx(strata[stratum]["pr_auc"][8], abs=0.02)
             assert curve["p"] == sorted(curve["p"], reverse=True)
-            assert len(curve["p"]) <= 40
+            assert len(curve["p"]) <= 80
+
+
+def test_a_forecast_of_zeros_and_ones_has_one_precision_and_recall_at_every_threshold(run_folder):
+    curve = curves_of(run_folder)[0]["crossing", "persistence"]["visible"]["8"]
+    assert curve["p"] == pytest.approx([PROBABILITY_EDGES[-2], PROBABILITY_EDGES[1], 0.0], rel=1e-3)
+    assert curve["recall"][0] == curve["recall"][1] < curve["recall"][2] == 1.0
+    assert curve["precision"][0] == curve["precision"][1] > curve["precision"][2]
 
 
 def test_a_calibrated_forecast_lies_on_the_diagonal(run_folder, monkeypatch):

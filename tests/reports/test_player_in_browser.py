@@ -365,3 +365,25 @@ def test_the_same_button_again_leads_to_such_a_moment_of_the_next_recording(brow
         )
         expect(page.locator(".player:visible").get_by_role("button", name="worst of the first")).to_be_focused()
     page.close()
+
+
+def test_the_legend_has_the_cells_and_the_sensor_of_the_recording_on_screen(browser, two_recordings):
+    """The second recording has cells of half the size, and its sensors are outside the window."""
+    before, first, moments = two_recordings.read_text("utf-8").rpartition('"cell_m":0.2')
+    moments = re.sub(r'"sensors":\[\[[^]]*\]\]', '"sensors":[[90.0,0.3]]', moments)
+    two_recordings.write_text(before + first.replace("0.2", "0.1") + moments, "utf-8")
+    page = browser.new_page(viewport={"width": 1280, "height": 900})
+    page.set_default_timeout(60_000)
+    page.goto(two_recordings.as_uri())
+    page.locator(".player[data-ready]").wait_for()
+    legend = page.locator("#moments > .legend")
+    recording = page.locator("#moments").get_by_label("Recording")
+    for name, words, sensor in (
+        ("crossing", "0.2 m, 6.4 m", 1),
+        ("again", "0.1 m, 3.2 m", 0),
+        ("crossing", "0.2 m, 6.4 m", 1),
+    ):
+        recording.select_option(name)
+        expect(legend).to_contain_text(f"32 × 32 cells of {words} across")
+        expect(legend.get_by_text("sensor").filter(visible=True)).to_have_count(sensor)
+    page.close()

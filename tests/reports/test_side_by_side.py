@@ -3,15 +3,19 @@
 import json
 import shutil
 
+import numpy as np
 import pytest
 
 from gridtrack.reports.changes import changes_of
 from gridtrack.reports.notices import notices_of
 from gridtrack.reports.page import render_report
+from gridtrack.reports.recording_section import styles_of
 from gridtrack.reports.run import read_runs
 from gridtrack.reports.table import headline_tables
 
 from scenes.report_page import opened
+
+STEPS = 20
 
 
 def changed(run, **fields):
@@ -157,3 +161,26 @@ def test_a_notice_on_missing_intervals_names_its_run(two):
     table = headline_tables(runs)[0]
     notices = [one.text for one in notices_of(runs, [table]) if "too short for an interval" in one.text]
     assert [text.partition(": crossing: ")[0] for text in notices] == ["before", "after"]
+
+
+def test_a_colour_that_two_trackers_share_has_a_mark_of_its_own(make_run, tmp_path):
+    many = {f"net-{i}": ("net", lambda t: np.zeros((STEPS + 1, 32, 32), np.float32)) for i in range(9)}
+    runs = [make_run(tmp_path / name, many) for name in ("before", "after")]
+    styles = styles_of(read_runs(runs))
+    assert len(set(styles.values())) == len(styles) == 18
+    assert styles["before: net-0"].split()[0] == styles["before: net-8"].split()[0]
+    assert styles["after: net-8"].endswith("run1")
+
+
+def test_the_mark_of_a_shared_colour_is_a_wide_line_with_the_dashes_of_its_run(page):
+    wide = """one => {
+      one.classList.add("again");
+      const { strokeWidth, strokeDasharray } = getComputedStyle(one.querySelector("polyline"));
+      return [parseFloat(strokeWidth), strokeDasharray];
+    }"""
+    lines = page.locator("#curves g.line")
+    dashes = {name: dash for name, _, dash in lines.evaluate_all(LOOKS)}
+    for name in ("before: good", "after: good"):
+        width, dash = lines.filter(has=page.locator("title", has_text=name)).first.evaluate(wide)
+        assert width > 3
+        assert dash == dashes[name]

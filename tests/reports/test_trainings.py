@@ -10,6 +10,8 @@ from gridtrack.reports.run import read_runs
 from gridtrack.reports.table import headline_tables
 from gridtrack.reports.trainings import trainings_across, trainings_table
 
+from scenes.report_page import opened
+
 
 def score(**values):
     return {"stratum": "in-motion", "horizon_s": 1.0, "step": 8, "f1": [0.5, 0.6], **values}
@@ -41,7 +43,7 @@ def test_trainings_have_mean_spread_and_judged_difference(make_run, tmp_path):
     table = trainings_table(read_runs([run])[0], "crossing")
     assert table.columns == (("in-motion", 1.0),)
     floor, net, other = table.rows
-    assert (net.label, net.count) == ("good", 2)
+    assert (net.name, net.keys, net.count) == ("good", ("good", "<b>good</b> 2"), 2)
     (cell,) = net.cells
     assert (cell.mean, cell.spread) == ("0.550", "± 0.071")
     assert (cell.difference, cell.p, cell.verdict) == ("+0.250 [+0.125, +0.375]", "p = 0.010", "better")
@@ -77,7 +79,7 @@ def test_runs_with_other_weights_of_one_tracker_show_its_spread(training):
     runs = read_runs([*paths, again])
     table = trainings_across(runs, headline_tables(runs)[0])
     (good,) = table.rows
-    assert (good.label, good.count, table.reference) == ("good", 2, "")
+    assert (good.name, good.count, table.reference) == ("good", 2, "")
     assert table.columns[:3] == (("in-motion", 0.5), ("in-motion", 1.0), ("in-motion", 2.5))
     assert {(cell.mean, cell.spread, cell.difference) for cell in good.cells} == {
         ("0.450", "± 0.071", "0.400 to 0.500")
@@ -90,3 +92,34 @@ def test_runs_with_other_weights_of_one_tracker_show_its_spread(training):
 def test_runs_with_the_same_weights_are_no_trainings(training):
     runs = read_runs([training(name, "1" * 64, 0.5) for name in ("a", "b")])
     assert trainings_across(runs, headline_tables(runs)[0]) is None
+
+
+def test_a_row_of_trainings_is_hidden_when_all_of_its_rows_are(browser, training):
+    paths = [training(name, sha, f1) for name, sha, f1 in (("a", "1" * 64, 0.4), ("b", "2" * 64, 0.5))]
+    runs = read_runs(paths)
+    (good,) = trainings_across(runs, headline_tables(runs)[0]).rows
+    assert good.keys == ("a: good", "b: good")
+    with opened(browser, render_report(paths)) as page:
+        row = page.get_by_role("region", name="Several trainings").locator("tbody tr")
+        assert row.locator("th .swatch line").count() == 1
+        first, second = (page.locator("#trackers").get_by_role("button", name=key, exact=True) for key in good.keys)
+        first.click()
+        assert row.is_visible()
+        second.click()
+        assert not row.is_visible()
+        first.click()
+        assert row.is_visible()
+
+
+def test_trainings_with_labels_of_their_own_have_the_name_of_their_tracker(training):
+    first, second = (training(name, sha, f1) for name, sha, f1 in (("a", "1" * 64, 0.4), ("b", "2" * 64, 0.5)))
+    for name in ("summary.json", "run.json"):
+        (second / name).write_text(
+            (second / name).read_text().replace('"good', '"seed-2').replace('"seed-2-tracker', '"good-tracker')
+        )
+    (second / "good@crossing").rename(second / "seed-2@crossing")
+    outcome = second / "seed-2@crossing" / "outcome.json"
+    outcome.write_text(outcome.read_text().replace('"good"', '"seed-2"'))
+    runs = read_runs([first, second])
+    (row,) = trainings_across(runs, headline_tables(runs)[0]).rows
+    assert (row.name, row.keys) == ("good-tracker", ("a: good", "b: seed-2"))
