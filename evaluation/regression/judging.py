@@ -88,15 +88,14 @@ def judged_recordings(
     """The worst fall of each tracker on each recording: a collapse, which is worse, else one beyond the margin, which
     is only listed. The largest first.
 
-    A single recording is what the row over all units judges: only a collapse is added, and nothing where there is no
-    significance, since any collapse is then beyond the margin.
+    A single recording is what the row over all units judges, where a collapse is large or, with few units, beyond the
+    margin, and where it must be beyond the spread between trainings: nothing is added.
     """
     worst: dict[tuple[str, str], VerdictRow] = {}
     for row, test in zip(rows, tests, strict=True):
-        alone, enough_units = len(set(row.recordings)) == 1, test.p is not None
-        for found in _on_recordings(row, settings.margin_of(row.label, enough_units)):
-            if alone and not (enough_units and found.verdict == "worse"):
-                continue
+        if len(set(row.recordings)) == 1:
+            continue
+        for found in _on_recordings(row, settings.margin_of(row.label, test.p is not None)):
             known = worst.get((found.label, found.recording))
             rank = (found.verdict == "worse", found.severity)
             if known is None or rank > (known.verdict == "worse", known.severity):

@@ -68,7 +68,10 @@ def _rows_of(trial: Trial, base: Launch, folder: Path, scratch: Path, margin: fl
 
 
 def _round(pair: tuple[Trial, Trial], number: int, folder: Path, scratch: Path) -> PairedTimes:
-    """The times of two new processes; which goes first changes with each frame. Raises TrialEnded, Unmeasured."""
+    """The times of two new processes; which goes first changes with every second frame, and so with each forecast.
+
+    Raises TrialEnded, Unmeasured.
+    """
     times: PairedTimes = {call: [] for call in CALLS}
     with ExitStack() as running:
         logs = [scratch / f"{side}-{number}.log" for side in ("run", "base")]
@@ -77,7 +80,7 @@ def _round(pair: tuple[Trial, Trial], number: int, folder: Path, scratch: Path) 
         for process in both:
             process.reset(pair[0].seed)
         for index, frame in enumerate(islice(pair[0].test, WARM_UP + ROUND_FRAMES)):
-            order = (0, 1) if (number + index) % 2 else (1, 0)
+            order = (0, 1) if (number + index // 2) % 2 else (1, 0)
             spent = {"update": [0.0, 0.0], "predict": [0.0, 0.0]}
             for side in order:
                 both[side].update(frame)

@@ -18,8 +18,8 @@ def with_ceiling(trackers: Mapping[str, TrackerSummary]) -> dict[str, TrackerSum
     """The rows with `share_of_oracle`, `share_of_oracle_nll` in each stratum, and `gap_to_truth`, also pooled.
 
     A share is (score - floor) / (oracle - floor), with the best of the rows with the role `floor`: 0 for the floor, 1
-    for the oracle. None where a row is missing or the oracle is not clearly better than the floor (MIN_ORACLE_GAP). The
-    gap is F1 on visible less F1 on occluded cells.
+    for the oracle. None where a row is missing, the oracle is not clearly better than the floor (MIN_ORACLE_GAP), or
+    the row was scored in part, on other frames than the oracle. The gap is F1 on visible less F1 on occluded cells.
     """
     return {label: _row_with_ceiling(label, row, trackers) for label, row in trackers.items()}
 
@@ -48,7 +48,7 @@ def _added(scope: ScopeSummary, oracle: ScopeSummary | None, floors: Sequence[Sc
     for name, scores in scope.strata.items():
         best = _bound(oracle, name)
         lowest = [one for floor in floors if (one := _bound(floor, name))]
-        shares = _shares(scores, best, lowest) if best else {}
+        shares = _shares(scores, best, lowest) if best and scope.outcome == "ok" else {}
         strata[name] = scores.model_copy(update=shares)
     return {"strata": strata, "gap_to_truth": _gap(scope.strata)}
 

@@ -35,8 +35,12 @@ LEAST_UNITS = 20
 """With fewer units no interval is computed: no method that was tried reaches its nominal coverage there."""
 TOO_SHORT = "too short for an interval"
 HALF_A_COUNT = 0.5
+"""Added to counts of cells before the logarithm. A sum of losses is no count: half a nat may be most of it."""
+_COUNTED = ("f1", "precision", "recall")
+"""The scores of which both sums of the odds are counts."""
 _NEAREST_TO_0_OR_1 = 1e-9
-"""Scores without a unit are no nearer to 0 and 1, where log odds are infinite."""
+"""Scores without a unit are no nearer to 0 and 1, where log odds are infinite; a sum that is no count is no smaller
+share of that over all units."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,8 +63,21 @@ class PairedDifferences:
 
 def pooled(counts: NDArray[np.floating], score: str) -> Floats:
     """The score (...) of all units together, of `counts` (U, ..., C): a ratio of sums; NaN where it is undefined."""
-    part, whole = _parts(counts, score)
-    return _ratio(part.sum(axis=0), whole.sum(axis=0), _defined(counts, score))
+    part, whole = ratio_sums(counts, score)
+    return _ratio(part.sum(axis=0), whole.sum(axis=0))
+
+
+def ratio_sums(counts: NDArray[np.floating], score: str) -> tuple[Floats, Floats]:
+    """Numerator and denominator (U, ...) of a score in RATIO_SCORES of `counts` (U, ..., C) of units.
+
+    F1 is undefined where no cell was occupied in any unit, as in `metrics.f1_score`: its denominators are 0 there.
+    """
+    weights = (np.array([side.get(name, 0) for name in COUNTS], np.float64) for side in RATIO_SCORES[score])
+    part, whole = (np.asarray(counts, np.float64) @ weight for weight in weights)
+    if score == "f1":
+        positives = counts[..., COUNTS.index("tp")] + counts[..., COUNTS.index("fn")]
+        whole *= positives.sum(axis=0) > 0
+    return part, whole
 
 
 def interval(counts: NDArray[np.floating], score: str = "f1", level: float = LEVEL) -> tuple[Floats, Floats]:
@@ -69,33 +86,39 @@ def interval(counts: NDArray[np.floating], score: str = "f1", level: float = LEV
 
     The jackknife over units of the logarithm of the odds (of the ratio, for `nll`), with Student's t: its degrees of
     freedom are the effective number of units less one (Kish 1965), the smaller of those of the two sums in the odds.
-    Where the score is 0 in all units, or 1 in all, the interval is that point.
+    Half a count is added to each sum where both are counts. Where the score is 0 in all units, or 1 in all, the
+    interval is that point.
     """
-    part, whole = _parts(counts, score)
-    other, back = (whole - part, expit) if score in PROPORTIONS else (whole, np.exp)
-    return _interval(part, other, pooled(counts, score), back, level)
+    part, whole = ratio_sums(counts, score)
+    if score in PROPORTIONS:
+        return proportion_interval(part, whole, level, counted=score in _COUNTED)
+    return ratio_interval(part, whole, level)
 
 
 def ratio_interval(part: Floats, whole: Floats, level: float = LEVEL) -> tuple[Floats, Floats]:
-    """`interval` of the ratio of two sums over units (U, ...), neither a part of the other."""
-    return _interval(part, whole, _ratio(part.sum(axis=0), whole.sum(axis=0)), np.exp, level)
+    """`interval` of the ratio of two sums over units (U, ...), neither a part of the other; the first is no count."""
+    return _interval(part, whole, whole, np.exp, level, counted=False)
 
 
-def proportion_interval(part: Floats, whole: Floats, level: float = LEVEL) -> tuple[Floats, Floats]:
-    """`interval` of the ratio of two sums over units (U, ...), the first a part of the second."""
-    return _interval(part, whole - part, _ratio(part.sum(axis=0), whole.sum(axis=0)), expit, level)
+def proportion_interval(
+    part: Floats, whole: Floats, level: float = LEVEL, *, counted: bool = True
+) -> tuple[Floats, Floats]:
+    """`interval` of the ratio of two sums over units (U, ...), the first a part of the second; `counted`: of counts."""
+    return _interval(part, whole - part, whole, expit, level, counted=counted)
 
 
 def _interval(
-    part: Floats, other: Floats, value: Floats, back: Callable[[Floats], Floats], level: float
+    part: Floats, other: Floats, whole: Floats, back: Callable[[Floats], Floats], level: float, *, counted: bool
 ) -> tuple[Floats, Floats]:
-    """Interval of the score `value` (...); `back` maps the logarithm of the odds `part` / `other` (U, ...) to it."""
+    """Interval of the score `part` / `whole` (...); `back` maps the logarithm of the odds `part` / `other` (U, ...) to
+    it. `counted`: both sums of the odds are counts.
+    """
+    value = _ratio(part.sum(axis=0), whole.sum(axis=0))
     if len(part) < LEAST_UNITS:
         return np.full_like(value, np.nan), np.full_like(value, np.nan)
-    without = [_without_each(sums) + HALF_A_COUNT for sums in (part, other)]
-    error = _standard_error(np.log(without[0]) - np.log(without[1]))
-    freedom = np.minimum(_effective_units(part), _effective_units(other)) - 1
-    reach = _quantile(freedom, level) * error
+    of_part, of_other = (_log_without_each(sums, counted=counted) for sums in (part, other))
+    error = _standard_error(of_part - of_other)
+    reach = _quantile(degrees_of_freedom(part, other), level) * error
     with np.errstate(divide="ignore", invalid="ignore"):
         centre = np.log(part.sum(axis=0)) - np.log(other.sum(axis=0))
     low, high = (back(centre + side * reach) for side in (-1, 1))
@@ -113,7 +136,7 @@ def differences(
     counts differ by exactly 0 with p = 1. With fewer than LEAST_UNITS the interval and p are NaN.
     """
     value = pooled(counts, score) - pooled(reference, score)
-    return _differences(_parts(counts, score), _parts(reference, score), value, level)
+    return _differences(ratio_sums(counts, score), ratio_sums(reference, score), value, level)
 
 
 def ratio_differences(
@@ -134,8 +157,7 @@ def _differences(
         nothing = np.full_like(value, np.nan)
         return PairedDifferences(value, nothing, nothing.copy(), nothing.copy())
     without = [_ratio(_without_each(part), _without_each(whole)) for part, whole in (own, reference)]
-    freedom = np.min([_effective_units(whole) for _, whole in (own, reference)], axis=0) - 1
-    return _differences_of(value, without[0] - without[1], freedom, level)
+    return _differences_of(value, without[0] - without[1], degrees_of_freedom(own[1], reference[1]), level)
 
 
 def _differences_of(value: Floats, without: Floats, freedom: Floats, level: float) -> PairedDifferences:
@@ -143,7 +165,7 @@ def _differences_of(value: Floats, without: Floats, freedom: Floats, level: floa
     error = _standard_error(np.nan_to_num(without))
     reach = _quantile(freedom, level) * error
     with np.errstate(divide="ignore", invalid="ignore"):
-        p = np.where(value == 0, 1.0, 2 * stdtr(np.maximum(freedom, 1), -np.abs(value) / error))
+        p = np.where(value == 0, 1.0, 2 * stdtr(freedom, -np.abs(value) / error))
     undefined = np.isnan(value)
     return PairedDifferences(value, *(np.where(undefined, np.nan, x) for x in (value - reach, value + reach, p)))
 
@@ -159,8 +181,16 @@ class JackknifedScore:
     without: Floats
     sizes: Floats
 
+    @property
+    def rests_on_one_unit(self) -> NDArray[np.bool_]:
+        """Whether the score (...) is undefined without one of the units, which then gives no interval."""
+        rests: NDArray[np.bool_] = ~np.isnan(self.value) & np.isnan(self.without).any(axis=0)
+        return rests
+
     def interval(self, level: float = LEVEL) -> tuple[Floats, Floats]:
-        """`interval` of a score in [0, 1]: the jackknife of its log odds. NaN with fewer than LEAST_UNITS."""
+        """`interval` of a score in [0, 1]: the jackknife of its log odds. NaN with fewer than LEAST_UNITS, and where
+        it rests on one unit.
+        """
         inside = np.clip(self.without, _NEAREST_TO_0_OR_1, 1 - _NEAREST_TO_0_OR_1)
         return self._interval_of(logit, inside, expit, level)
 
@@ -174,7 +204,7 @@ class JackknifedScore:
         """Interval by the jackknife of `forth` of the score, which `back` inverts."""
         if len(without) < LEAST_UNITS:
             return np.full_like(self.value, np.nan), np.full_like(self.value, np.nan)
-        reach = _quantile(_effective_units(self.sizes) - 1, level) * _standard_error(forth(without))
+        reach = _quantile(degrees_of_freedom(self.sizes), level) * _standard_error(forth(without))
         with np.errstate(divide="ignore"):
             centre = forth(self.value)
         low, high = (np.where(np.isnan(self.value), np.nan, back(centre + side * reach)) for side in (-1, 1))
@@ -191,13 +221,13 @@ class JackknifedScore:
         if len(self.without) < LEAST_UNITS:
             nothing = np.full_like(value, np.nan)
             return PairedDifferences(value, nothing, nothing.copy(), nothing.copy())
-        freedom = np.minimum(*(_effective_units(one.sizes) for one in (self, reference))) - 1
+        freedom = degrees_of_freedom(self.sizes, reference.sizes)
         return _differences_of(value, self.without - reference.without, freedom, level)
 
 
 def jackknifed(counts: NDArray[np.floating], score: str = "f1") -> JackknifedScore:
     """The pooled score of `counts` (U, ..., C), and its values without each of the units."""
-    part, whole = _parts(counts, score)
+    part, whole = ratio_sums(counts, score)
     return JackknifedScore(pooled(counts, score), _ratio(_without_each(part), _without_each(whole)), whole)
 
 
@@ -216,22 +246,20 @@ def holm(p: NDArray[np.floating]) -> Floats:
     return adjusted
 
 
-def _parts(counts: NDArray[np.floating], score: str) -> tuple[Floats, Floats]:
-    """Numerator and denominator (U, ...) of each unit."""
-    weights = (np.array([side.get(name, 0) for name in COUNTS], np.float64) for side in RATIO_SCORES[score])
-    part, whole = (np.asarray(counts, np.float64) @ weight for weight in weights)
-    return part, whole
+def degrees_of_freedom(*sizes: Floats) -> Floats:
+    """Degrees of freedom (...) of a jackknife over units: their effective number less one, and at least 1.
+
+    The effective number is that of equal units with the same information (Kish 1965); of several `sizes` (U, ...) of
+    the units the smallest.
+    """
+    effective = [_ratio(one.sum(axis=0) ** 2, (one**2).sum(axis=0)) for one in sizes]
+    freedom: Floats = np.fmax(np.min(effective, axis=0) - 1, 1.0)
+    return freedom
 
 
-def _defined(counts: NDArray[np.floating], score: str) -> NDArray[np.bool_] | bool:
-    """F1 is undefined where no cell was occupied, as in `metrics.f1_score`."""
-    positives = counts[..., COUNTS.index("tp")] + counts[..., COUNTS.index("fn")]
-    return positives.sum(axis=0) > 0 if score == "f1" else True
-
-
-def _ratio(part: Floats, whole: Floats, defined: NDArray[np.bool_] | bool = True) -> Floats:
+def _ratio(part: Floats, whole: Floats) -> Floats:
     ratio = np.full(whole.shape, np.nan)
-    np.divide(part, whole, out=ratio, where=(whole > 0) & defined)
+    np.divide(part, whole, out=ratio, where=whole > 0)
     return ratio
 
 
@@ -239,6 +267,14 @@ def _without_each(sums: Floats) -> Floats:
     """Total (U, ...) without each unit in turn."""
     without: Floats = np.maximum(sums.sum(axis=0) - sums, 0.0)
     return without
+
+
+def _log_without_each(sums: Floats, *, counted: bool) -> Floats:
+    """The logarithm (U, ...) of the total without each unit in turn; `counted`: with half a count more."""
+    without = _without_each(sums)
+    least = np.maximum(_NEAREST_TO_0_OR_1 * sums.sum(axis=0), np.finfo(np.float64).tiny)
+    log: Floats = np.log(without + HALF_A_COUNT if counted else np.maximum(without, least))
+    return log
 
 
 def _standard_error(without: Floats) -> Floats:
@@ -249,12 +285,7 @@ def _standard_error(without: Floats) -> Floats:
     return error
 
 
-def _effective_units(sums: Floats) -> Floats:
-    """Effective number (...) of units of sizes (U, ...): of equal units with the same information (Kish 1965)."""
-    return _ratio(sums.sum(axis=0) ** 2, (sums**2).sum(axis=0))
-
-
 def _quantile(freedom: Floats, level: float) -> Floats:
-    """Two-sided quantile of Student's t, with at least one degree of freedom."""
-    quantile: Floats = stdtrit(np.fmax(freedom, 1.0), 0.5 + level / 2)
+    """Two-sided quantile of Student's t."""
+    quantile: Floats = stdtrit(freedom, 0.5 + level / 2)
     return quantile

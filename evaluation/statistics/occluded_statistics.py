@@ -63,8 +63,9 @@ class OccludedStatistics:
         return OccludedDifference(**paired.described, scores=scores)
 
     def _counts_of(self, trial: FinishedTrial) -> FrameCounts:
-        """Numerator and denominator of the scores at each scored frame and step of the trial, read once: counts
-        (F, S, K, 2), K as OCCLUDED_SCORES."""
+        """Numerator and denominator of the scores at each scored frame and step of the trial, and the cells that define
+        them, read once: counts (F, S, K, 3), K as OCCLUDED_SCORES. F1 is undefined without an occupied cell.
+        """
         key = trial.folder.name
         if key not in self._counts:
             frames = self._statistics.frames_of(trial)
@@ -77,7 +78,8 @@ class OccludedStatistics:
             wholes = [parts[0] + own[..., _FP] + own[..., _FN], *(called[..., 0] + positives)]
             parts.append(own[..., _LOSS])
             wholes.append(positives + own[..., _FP] + own[..., _TN])
-            counts = np.stack([np.stack(parts, axis=-1), np.stack(wholes, axis=-1)], axis=-1)
+            to_find = [*(positives for _ in parts[:-1]), wholes[-1]]
+            counts = np.stack([np.stack(one, axis=-1) for one in (parts, wholes, to_find)], axis=-1)
             self._counts[key] = FrameCounts(frames.stamps_ns, frames.delivered, counts.astype(np.float32))
         return self._counts[key].of_steps(trial)
 

@@ -9,7 +9,7 @@ from typing import Any
 from gridtrack.evaluation.results.summary import ALL_RECORDINGS
 from gridtrack.evaluation.statistics.finished_trial import FinishedTrial
 from gridtrack.evaluation.statistics.frame_counts import FrameCounts, common_frames
-from gridtrack.evaluation.statistics.jackknife import LEAST_UNITS, PairedDifferences, ratio_differences
+from gridtrack.evaluation.statistics.jackknife import LEAST_UNITS, Floats, PairedDifferences, ratio_differences
 from gridtrack.evaluation.statistics.paired_tests import OTHER_FRAMES, OTHER_RETURNS
 from gridtrack.evaluation.statistics.run_statistics import RunStatistics
 from gridtrack.evaluation.statistics.score_intervals import summed_by_unit
@@ -32,7 +32,8 @@ def paired_ratios(
 ) -> PairedRatios:
     """Ratios of the trials `own` less those of `others`, over the frames that both have on the recordings `names`.
 
-    `counts_of` gives counts (F, S, K, 2) of a trial: numerator and denominator of K ratios.
+    `counts_of` gives counts (F, S, K, C) of a trial: numerator and denominator of K ratios, and with a third column how
+    much there was to find. Where there was nothing in any unit, the ratio is undefined.
     """
     pairs = [common_frames(*map(counts_of, pair)) for pair in zip(own, others, strict=True)]
     described: dict[str, Any] = {
@@ -46,6 +47,11 @@ def paired_ratios(
         return PairedRatios({**described, "interval": why}, None)
     rule = statistics.unit_rule(names)
     sides, units = summed_by_unit([[pair[side] for pair in pairs] for side in (0, 1)], rule)
-    mine, theirs = ((counts[..., 0], counts[..., 1]) for counts in sides)
+    mine, theirs = map(_sums_of, sides)
     why = rule.too_short(units) if units < LEAST_UNITS else ""
     return PairedRatios({**described, "units": units, "interval": why}, ratio_differences(mine, theirs))
+
+
+def _sums_of(counts: Floats) -> tuple[Floats, Floats]:
+    """Numerator and denominator (U, S, K) of counts (U, S, K, C); a denominator of 0 where the ratio is undefined."""
+    return counts[..., 0], counts[..., 1] * (counts[..., -1].sum(axis=0) > 0)

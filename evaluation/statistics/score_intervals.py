@@ -41,11 +41,17 @@ class Scope:
 
     @property
     def headline(self) -> list[tuple[str, float, int]]:
-        """Stratum, horizon and step of each comparison of the family, as far as the run forecasts."""
+        """Stratum, horizon and step of each comparison of the family, as far as the run forecasts.
+
+        Each step is there once: of two horizons that fall on it, with the nearer one.
+        """
         period_s = self.horizons_s[1] - self.horizons_s[0]
-        steps = [(h, nearest_step(h, period_s)) for h in HEADLINE_HORIZONS_S]
-        reached = [(h, step) for h, step in steps if 0 < step < len(self.horizons_s)]
+        steps = dict.fromkeys(nearest_step(h, period_s) for h in HEADLINE_HORIZONS_S)
+        reached = [(self._nearest_headline(step), step) for step in steps if 0 < step < len(self.horizons_s)]
         return [(name, h, step) for name in HEADLINE_STRATA if name in self.strata for h, step in reached]
+
+    def _nearest_headline(self, step: int) -> float:
+        return min(HEADLINE_HORIZONS_S, key=lambda horizon_s: abs(horizon_s - self.horizons_s[step]))
 
     def block_s(self, trials: Sequence[FrameCounts]) -> float:
         """Shortest block, seconds, for the longest autocorrelation time of F1 of any of `trials`, in any stratum."""
@@ -64,6 +70,8 @@ class Scope:
 
 INTERVAL_SCORES = (*RATIO_SCORES, "pr_auc")
 """The scores that have intervals."""
+ONE_UNIT = "no interval of PR-AUC: one unit holds all occupied cells of a stratum"
+"""Why PR-AUC has no interval at some step of a stratum, where the other scores may have theirs."""
 
 
 def intervals(
@@ -73,7 +81,8 @@ def intervals(
     strata: Sequence[str],
     rule: UnitRule,
 ) -> dict[str, dict[str, tuple[float | None, ...] | str | None]]:
-    """Per stratum `f1_low`, `f1_high` and so on, one value per step; `interval` has the reason where there are none.
+    """Per stratum `f1_low`, `f1_high` and so on, one value per step; `interval` has the reason where there are none, or
+    none of PR-AUC.
 
     `recordings` are the counts of `trials`, at the steps of each, and `histograms` those of their units.
     """
@@ -84,14 +93,16 @@ def intervals(
     found = {score: interval(counts, score) for score in RATIO_SCORES}
     stamps = [frames.stamps_ns for frames in recordings]
     chosen = list(product(range(counts.shape[1]), strata))
-    ends = pr_auc_of_units(trials, histograms, rule.units_of(stamps), chosen).interval()
-    low, high = (end.reshape(counts.shape[1], len(strata)) for end in ends)
+    pr_auc = pr_auc_of_units(trials, histograms, rule.units_of(stamps), chosen)
+    shape = counts.shape[1], len(strata)
+    low, high = (end.reshape(shape) for end in pr_auc.interval())
+    alone = pr_auc.rests_on_one_unit.reshape(shape)
     found["pr_auc"] = low, high
     return {
         name: {
             **{f"{score}_low": rounded_curve(low[:, k]) for score, (low, _) in found.items()},
             **{f"{score}_high": rounded_curve(high[:, k]) for score, (_, high) in found.items()},
-            "interval": "",
+            "interval": ONE_UNIT if alone[:, k].any() else "",
         }
         for k, name in enumerate(strata)
     }

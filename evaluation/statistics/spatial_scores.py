@@ -79,7 +79,8 @@ def add_curves(found: SpatialScores, names: Sequence[str], scores: Iterator[Scor
 def neighbourhood_scores(sums: Floats) -> Iterator[ScoreWithEnds]:
     """Fractions skill scores and soft IoU of sums (U, S, K, C) of units; C as the sums of NEIGHBOURHOODS_TABLE."""
     for name, (part, whole) in neighbourhood_ratios(sums).items():
-        yield name, ratio(part.sum(axis=0), whole.sum(axis=0)), *proportion_interval(part, whole)
+        ends = proportion_interval(part, whole, counted=name != "soft_iou")
+        yield name, ratio(part.sum(axis=0), whole.sum(axis=0)), *ends
 
 
 def neighbourhood_ratios(sums: Floats) -> Ratios:

@@ -1,9 +1,10 @@
 """Differences between trackers with several trainings each, judged over units and over trainings.
 
 The difference of two trackers is that of the mean scores of their trainings. Its variance is the sum of the variance
-over units (the jackknife of the difference of means) and the variances of both means over trainings, s² / K; the
-degrees of freedom are Satterthwaite's (Biometrics Bulletin 2, 1946). The part of the variance that units and trainings
-share is in both terms: intervals are a little too long rather than too short (`studies/training_intervals.py`).
+over units (the jackknife of the difference of means, with the effective number of units less one as its degrees of
+freedom) and the variances of both means over trainings, s² / K; the degrees of freedom of the sum are Satterthwaite's
+(Biometrics Bulletin 2, 1946). The part of the variance that units and trainings share is in both terms: intervals are a
+little too long rather than too short (`studies/training_intervals.py`).
 """
 
 from __future__ import annotations
@@ -13,7 +14,13 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import stdtr, stdtrit
 
-from gridtrack.evaluation.statistics.jackknife import LEAST_UNITS, LEVEL, Floats, PairedDifferences
+from gridtrack.evaluation.statistics.jackknife import (
+    LEAST_UNITS,
+    LEVEL,
+    Floats,
+    PairedDifferences,
+    degrees_of_freedom,
+)
 from gridtrack.evaluation.statistics.training_spread import spread_between, value_of
 
 
@@ -44,6 +51,12 @@ class Trainings:
         """Whether the variance of the mean over trainings can be estimated."""
         return len(self.sums) > 1 or not self.learned
 
+    @property
+    def sizes(self) -> Floats:
+        """How much each unit counts (U, R): the denominator of F1, the mean of the trainings."""
+        sizes: Floats = self.sums[..., 1].mean(axis=0)
+        return sizes
+
     def variance(self) -> tuple[Floats, float]:
         """The variance (R,) of the mean over trainings, and the degrees of freedom of its estimate."""
         if len(self.sums) == 1:
@@ -65,7 +78,7 @@ def training_differences(own: Trainings, reference: Trainings, level: float = LE
         return PairedDifferences(value, nothing, nothing.copy(), nothing.copy())
     without = own.mean_without - reference.mean_without
     over_units = (units - 1) / units * ((without - without.mean(axis=0)) ** 2).sum(axis=0)
-    parts = [(over_units, units - 1.0), own.variance(), reference.variance()]
+    parts = [(over_units, degrees_of_freedom(own.sizes, reference.sizes)), own.variance(), reference.variance()]
     variance = np.sum([part for part, _ in parts], axis=0)
     squared = np.sum([part**2 / freedom for part, freedom in parts], axis=0)
     with np.errstate(divide="ignore", invalid="ignore"):

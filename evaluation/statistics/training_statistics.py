@@ -1,6 +1,7 @@
 """Several trainings of a tracker in one run: the spread of its scores, and differences that are judged with it.
 
-Rows of the same tracker, options and points that differ in their weights are trainings of one tracker.
+Rows of the same tracker, options and points that differ in their weights, on any recording, are trainings of one
+tracker.
 """
 
 from __future__ import annotations
@@ -14,13 +15,15 @@ import numpy as np
 from gridtrack.evaluation.results.summary import ALL_RECORDINGS, ORACLE, TrackerTrainings, TrainingsScore
 from gridtrack.evaluation.results.values import rounded, rounded_p
 from gridtrack.evaluation.statistics.finished_trial import FinishedTrial
-from gridtrack.evaluation.statistics.jackknife import COUNTS, LEAST_UNITS, RATIO_SCORES, Floats, PairedDifferences, holm
+from gridtrack.evaluation.statistics.jackknife import LEAST_UNITS, Floats, PairedDifferences, holm, ratio_sums
 from gridtrack.evaluation.statistics.paired_tests import OTHER_FRAMES, OTHER_RETURNS, verdict_of
 from gridtrack.evaluation.statistics.run_statistics import RunStatistics
 from gridtrack.evaluation.statistics.score_intervals import Scope, summed_by_unit
 from gridtrack.evaluation.statistics.training_differences import Trainings, training_differences
 from gridtrack.evaluation.statistics.training_spread import spread_between, value_of
 
+_ByWeights = dict[tuple[str, ...], list[FinishedTrial]]
+"""Rows of one tracker by the hashes of their weights on each recording."""
 ONE_TRAINING = "one training: the spread between trainings is not known"
 
 
@@ -53,20 +56,23 @@ class TrainingStatistics:
     def _rows_on(self, names: Sequence[str]) -> list[TrainingRows]:
         """The trackers on these recordings by their trainings; none where no tracker has several."""
         statistics = self._statistics
-        groups: dict[tuple[str, ...], list[list[FinishedTrial]]] = {}
+        groups: dict[tuple[str, ...], _ByWeights] = {}
+        group_of: dict[str | None, _ByWeights] = {}
         for label in statistics.labels:
             trials = statistics.comparable(label, names)
             if len(trials) < len(names) or trials[0].tracker == ORACLE:
                 continue
             first = trials[0]
             options = json.dumps(dict(first.options), sort_keys=True, default=str)
-            known = groups.setdefault((first.tracker, options, first.points, first.record.card), [])
-            if all(first.record.weights_sha256 != other[0].record.weights_sha256 for other in known):
-                known.append(trials)
-        reference = next((one for one in groups.values() if statistics.reference in [_label(row) for row in one]), None)
-        if reference is None or all(len(one) == 1 for one in groups.values()):
+            known = groups.setdefault((first.tracker, options, first.points, first.record.card), {})
+            known.setdefault(_weights(trials), trials)
+            group_of[label] = known
+        of_reference = group_of.get(statistics.reference)
+        if of_reference is None or all(len(one) == 1 for one in groups.values()):
             return []
-        return [TrainingRows(tuple(names), one, reference) for one in groups.values()]
+        reference = list(of_reference.values())
+        rows = [reference if one is of_reference else list(one.values()) for one in groups.values()]
+        return [TrainingRows(tuple(names), row, reference) for row in rows]
 
     def _compared(self, rows: TrainingRows) -> _Compared:
         """The scores of the trainings, and their differences from the reference's."""
@@ -96,14 +102,13 @@ class TrainingStatistics:
     def _trainings(self, rows: Sequence[Sequence[FinishedTrial]], scope: Scope, names: Sequence[str]) -> Trainings:
         """F1 of the rows at the headline's strata and horizons."""
         rule = self._statistics.unit_rule(names)
-        weights = [np.array([side.get(name, 0.0) for name in COUNTS]) for side in RATIO_SCORES["f1"]]
         steps = [step for _, _, step in scope.headline]
         strata = [scope.strata.index(stratum) for stratum, _, _ in scope.headline]
         sums = []
         for trials in rows:
             (counts,), _ = summed_by_unit([[self._statistics.frames_in(t, scope.strata) for t in trials]], rule)
-            sums.append(np.stack([counts[:, steps, strata] @ weight for weight in weights], axis=-1))
-        return Trainings(np.stack(sums), learned=bool(rows[0][0].record.weights_sha256))
+            sums.append(np.stack(ratio_sums(counts[:, steps, strata], "f1"), axis=-1))
+        return Trainings(np.stack(sums), learned=any(_weights(rows[0])))
 
     def _described(self, rows: TrainingRows, compared: _Compared, p_holm: Floats) -> TrackerTrainings:
         names, own, found = rows.names, compared.own, compared.differences
@@ -149,3 +154,8 @@ class _Compared:
 
 def _label(trials: Sequence[FinishedTrial]) -> str:
     return trials[0].record.label
+
+
+def _weights(trials: Sequence[FinishedTrial]) -> tuple[str, ...]:
+    """The hash of the weights of each trial of a row; empty texts of a tracker without weights."""
+    return tuple(trial.record.weights_sha256 for trial in trials)

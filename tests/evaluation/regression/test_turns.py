@@ -6,6 +6,7 @@ import json
 import math
 import sys
 
+import numpy as np
 import pytest
 
 from gridtrack.evaluation.comparison.plan import resolve
@@ -83,9 +84,15 @@ def test_a_tracker_that_takes_longer_than_its_base_is_worse_and_both_get_each_fr
     ]
     assert [row["ratio"] for row in verdict["turns"]] == pytest.approx([1.5, 1.5])
     assert calls.count("own") == calls.count("old")
-    # two frames have six calls: an update of each tracker for both, and a forecast of each for the first
-    firsts = [(calls[at], calls[at + 4]) for at in range(0, len(calls), 6)]
-    assert all(one != other for one, other in firsts)
+    # two frames have six calls: both trackers update and forecast on the first, and update on the second
+    rounds = np.array(calls).reshape(2, -1, 6)
+    firsts, seconds = rounds[:, :, 0], rounds[:, :, 4]
+    assert (rounds[:, :, 1] == firsts).all(), "the tracker that is updated first forecasts first"
+    assert (firsts[:, 1:] != firsts[:, :-1]).all(), "and not twice in turn: each is first for half of the forecasts"
+    assert (seconds == firsts).all(), (
+        "the second frame has the order of the first: each is first for half of the updates"
+    )
+    assert (firsts[0] != firsts[1]).all()
     assert regress(*asked, "--speed-margin", "0.6").code == 0
 
 

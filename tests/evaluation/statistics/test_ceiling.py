@@ -77,6 +77,18 @@ def test_recordings_pooled_have_shares_of_their_own():
     assert with_ceiling(trackers)["a"].pooled.strata["visible"].share_of_oracle == (0.25,)
 
 
+def test_a_row_scored_in_part_has_no_share_of_a_whole_oracle():
+    part = PooledSummary(outcome="partial", strata={"visible": scores([0.9])})
+    trackers = {
+        "a": row("a", [0.5], outcome="crashed").model_copy(update={"pooled": part}),
+        "oracle": row("oracle", [1.0], pooled=[0.5]),
+        "p": row("persistence", [0.0], pooled=[0.0]),
+    }
+    found = with_ceiling(trackers)["a"]
+    assert found.pooled.strata["visible"].share_of_oracle is None, "other frames than the oracle's"
+    assert found.recordings["room"].strata["dynamic"].share_of_oracle is None
+
+
 def test_the_gap_is_what_is_seen_less_what_is_hidden():
     trackers = {"a": row("a", [0.9, None], occluded=[0.2, 0.1])}
     assert with_ceiling(trackers)["a"].recordings["room"].gap_to_truth == (0.7, None)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 import pytest
 from scipy import stats
@@ -16,6 +18,7 @@ from gridtrack.evaluation.statistics.jackknife import (
     interval,
     jackknifed,
     pooled,
+    proportion_interval,
     ratio_differences,
     ratio_interval,
 )
@@ -78,6 +81,35 @@ def test_a_ratio_of_two_sums_is_treated_as_the_log_loss_of_cells_is():
     found, expected = ratio_differences(*sums), differences(own, other, "nll")
     for name in ("value", "low", "high", "p"):
         assert float(getattr(found, name)) == pytest.approx(float(getattr(expected, name)))
+
+
+@pytest.mark.parametrize("interval_of", [ratio_interval, partial(proportion_interval, counted=False)])
+def test_the_interval_of_a_sum_that_is_no_count_does_not_depend_on_its_unit(interval_of):
+    rng = np.random.default_rng(2)
+    part, whole = 0.03 * rng.lognormal(0, 0.6, (20, 1)), np.full((20, 1), 20.0)
+    expected = np.array(interval_of(part, whole))
+    for unit in (1e-6, 1000.0):
+        scaled = whole if interval_of is ratio_interval else whole * unit
+        found = np.array(interval_of(part * unit, scaled))
+        assert found / (unit if interval_of is ratio_interval else 1) == pytest.approx(expected)
+
+
+@pytest.mark.parametrize("score", ["brier", "nll"])
+def test_a_small_loss_is_as_uncertain_as_a_large_one_that_varies_as_much(score):
+    counts, small = (counts_of(np.random.default_rng(3)) for _ in "ab")
+    counts[:, :4], small[:, :4] = [0, 0, 0, 5000], [0, 0, 0, 5000]
+    counts[:, 4:], small[:, 4:] = counts[:, 4:], 1e-3 * counts[:, 4:]
+    (low, high), (small_low, small_high) = interval(counts, score), interval(small, score)
+    assert small_high / small_low == pytest.approx(float(high / low), rel=0.05)
+
+
+def test_the_interval_of_a_loss_that_only_one_unit_has_is_wide_and_that_of_none_is_a_point():
+    part, whole = np.zeros((20, 2)), np.full((20, 2), 20.0)
+    part[3, 0] = 8.0
+    low, high = ratio_interval(part, whole)
+    assert low[0] < 1e-6
+    assert 1e3 < high[0] < np.inf
+    assert (low[1], high[1]) == (0.0, 0.0)
 
 
 def test_the_interval_covers_the_truth_about_as_often_as_it_says():
@@ -244,3 +276,14 @@ def test_pr_auc_of_too_few_units_has_no_interval_and_no_test():
     few, other = (pr_auc_without_each(*histograms(np.random.default_rng(seed), LEAST_UNITS - 1)) for seed in (0, 1))
     assert np.isnan(few.interval()).all()
     assert np.isnan(few.less(other).p).all()
+
+
+def test_a_pr_auc_that_is_undefined_without_a_unit_rests_on_it_and_has_no_interval():
+    cells, positives = histograms(np.random.default_rng(7))
+    assert not pr_auc_without_each(cells, positives).rests_on_one_unit.any()
+    positives[1:] = 0
+    found = pr_auc_without_each(cells, positives)
+    assert found.rests_on_one_unit.all()
+    assert np.isfinite(found.value).all()
+    assert np.isnan(found.interval()).all()
+    assert not pr_auc_without_each(cells, 0 * positives).rests_on_one_unit.any(), "it has no value at all"

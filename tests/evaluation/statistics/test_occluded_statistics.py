@@ -29,8 +29,9 @@ def bin_of(probability):
     return int(bins_of(np.array(probability)))
 
 
-def write(run, label, recording, found, *, frames=4, seed=0):
-    """A trial whose occupied hidden cells have these shares at LOW, MIDDLE and HIGH, with as many false alarms."""
+def write(run, label, recording, found, *, frames=4, seed=0, cells=100, false=0):
+    """A trial whose occupied hidden cells, about `cells`, have these shares at LOW, MIDDLE and HIGH, with as many false
+    alarms; `false` more of them are at HIGH."""
     folder = run / f"{label}@{recording}"
     folder.mkdir(parents=True)
     bins = np.full((STEPS + 1, len(STRATA_WITH_TRUTH)), bin_of(0.5))
@@ -40,11 +41,12 @@ def write(run, label, recording, found, *, frames=4, seed=0):
     with ScoreWriter(folder, STEPS, thresholds) as scores:
         for frame in range(frames):
             tally = Tally.empty(STEPS, STRATA_WITH_TRUTH)
-            occupied = int(rng.poisson(100))
+            occupied = int(rng.poisson(cells))
             for probability, share in zip((LOW, MIDDLE, HIGH), found, strict=True):
                 hits = round(share * occupied)
                 tally.positives[:, OCCLUDED, bin_of(probability)] = hits
                 tally.cells[:, OCCLUDED, bin_of(probability)] = 2 * hits
+            tally.cells[:, OCCLUDED, bin_of(HIGH)] += false
             missed = occupied - int(tally.positives[0, OCCLUDED].sum())
             tally.positives[:, OCCLUDED, 0], tally.cells[:, OCCLUDED, 0] = missed, missed + 1000
             tally.log_loss[:, OCCLUDED] = 100.0 * found[2]
@@ -80,6 +82,17 @@ def test_the_ranking_on_occluded_cells_turns_round_with_the_threshold_and_each_i
     assert at["f1_at_visible"][0] == at["f1_at_half"][0] == pytest.approx(-0.8 / 1.8, abs=0.01)
     assert at["nll"][0] < 0
     assert all(p < 0.001 for _, p in at.values())
+
+
+def test_f1_without_an_occupied_hidden_cell_is_undefined_and_has_no_p_value(tmp_path):
+    names = [f"room-{number:02}" for number in range(20)]
+    rows = ("persistence", 20), ("low", 30)
+    trials = [write(tmp_path, row, name, (0, 0, 0.4), cells=0, false=n) for name in names for row, n in rows]
+    recordings = {name: synthetic.description(source_sha256=name) for name in names}
+    (found,) = OccludedStatistics(RunStatistics(recordings, trials)).differences()
+    for name in ("f1", "f1_at_visible", "f1_at_half"):
+        assert (found.scores[name].value[8], found.scores[name].p[8]) == (None, None), name
+    assert found.scores["nll"].p[8] is not None
 
 
 def test_cells_called_occupied_are_those_of_the_histogram_of_each_frame(tmp_path):

@@ -16,6 +16,7 @@ from gridtrack.evaluation.scoring.strata import STRATA
 from gridtrack.evaluation.statistics import pr_auc, trial_files
 from gridtrack.evaluation.statistics.frame_counts import FrameCounts, common_frames, read_frame_counts
 from gridtrack.evaluation.statistics.jackknife import COUNTS, interval
+from gridtrack.evaluation.statistics.score_intervals import ONE_UNIT, Scope
 from gridtrack.evaluation.statistics.summary import summarise
 from gridtrack.evaluation.statistics.units import UnitRule, autocorrelation_time, sum_by_unit
 from gridtrack.reports.moment_choice import frame_scores
@@ -86,6 +87,26 @@ def test_a_single_recording_of_forty_frames_is_too_short_for_an_interval(twenty)
     assert dynamic.interval.startswith("too short for an interval: ")
 
 
+def test_a_pr_auc_of_which_one_recording_has_all_occupied_cells_has_a_reason_instead_of_an_interval(
+    tmp_path, monkeypatch
+):
+    drawn = synthetic.tally
+
+    def free(rng, skill, strata=STRATA, steps=synthetic.STEPS):
+        counted = drawn(rng, skill, strata, steps)
+        counted.positives[:, strata.index("dynamic")] = 0
+        return counted
+
+    trials = a_run(tmp_path, {"good": 0.8}, RECORDINGS[:1], frames=4)
+    monkeypatch.setattr(synthetic, "tally", free)
+    trials += a_run(tmp_path, {"good": 0.8}, RECORDINGS[1:], frames=4)
+    strata = summary_of(trials).trackers["good"].pooled.strata
+    assert (strata["dynamic"].pr_auc[8] is None, strata["dynamic"].pr_auc_low[8]) == (False, None)
+    assert strata["dynamic"].interval == ONE_UNIT
+    assert strata["dynamic"].nll_low[8] < strata["dynamic"].nll_high[8], "other scores have their intervals"
+    assert (strata["visible"].interval, strata["visible"].pr_auc_low[8] is None) == ("", False)
+
+
 def test_better_is_said_where_it_is_shown_over_the_whole_family(twenty):
     good = difference(twenty[1], "good")
     assert (good.recordings, good.reference, good.units, good.frames) == (
@@ -118,6 +139,15 @@ def test_a_tracker_that_completed_fewer_recordings_is_not_compared_and_says_so(t
     told = difference(summary, "unlucky")
     assert told.headline == ()
     assert told.interval == "not compared: unlucky has 19 of 20 recordings complete"
+
+
+@pytest.mark.parametrize(
+    ("period_s", "expected"),
+    [(0.125, [(0.5, 4), (1.0, 8), (2.5, 20)]), (1.8, [(2.5, 1)]), (0.7, [(0.5, 1), (2.5, 4)])],
+)
+def test_each_step_is_in_the_family_once_at_the_headlines_horizon_nearest_to_it(period_s, expected):
+    scope = Scope([step * period_s for step in range(21)], ("dynamic", "visible"))
+    assert scope.headline == [(name, *one) for name in ("dynamic", "visible") for one in expected]
 
 
 def test_the_ceiling_is_compared_with_nobody(twenty):

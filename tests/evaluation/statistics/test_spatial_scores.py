@@ -225,3 +225,13 @@ def test_intervals_of_the_median_and_of_the_fractions_skill_score_cover_what_the
     for score in ("beam_error", "beam_error_median", "beam_bias"):
         assert 0.91 < coverage(beams, many[score], score) < 0.985, score
     assert 0.91 < coverage(neighbourhoods, 0.6, "fss_9") < 0.985
+
+
+def test_soft_iou_has_the_same_interval_in_any_unit_and_a_fraction_counts_in_lone_cells():
+    rng = np.random.default_rng(3)
+    squares = rng.gamma(4.0, 0.5, (20, 1, 1, len(SCALES)))
+    sums = np.concatenate([0.6 * squares * rng.beta(6.0, 4.0, squares.shape), squares, squares[..., :1]], axis=-1)
+    once, thousand = ({name: (low, high) for name, _, low, high in neighbourhood_scores(k * sums)} for k in (1, 1000))
+    assert np.ravel(once["soft_iou"]) == pytest.approx(np.ravel(thousand["soft_iou"]))
+    widths = [float(np.ptp(np.ravel(ends["fss_1"]))) for ends in (once, thousand)]
+    assert widths[0] < 0.99 * widths[1], "half a lone cell is added to both sums"

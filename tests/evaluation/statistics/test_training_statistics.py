@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from gridtrack.evaluation.scoring.strata import STRATA
 from gridtrack.evaluation.statistics.summary import summarise
 from gridtrack.evaluation.statistics.training_differences import Trainings, training_differences
 
@@ -53,6 +54,29 @@ def test_intervals_cover_the_true_difference_of_drawn_trainings_and_units():
     assert 0.93 <= covered / draws <= 0.99
 
 
+def test_the_freedom_over_units_is_their_effective_number_less_one():
+    rng = np.random.default_rng(5)
+    sizes = np.where(np.arange(20) < 3, 3000.0, 100.0)[None, :, None]
+    sides = [Trainings(sums_of(0.6 + 0.01 * rng.standard_normal((1, 20, 1)), sizes), False) for _ in "ab"]
+    found = training_differences(*sides)
+    wholes = [side.sums[0, :, 0, 1] for side in sides]
+    freedom = min(whole.sum() ** 2 / (whole**2).sum() for whole in wholes) - 1
+    assert 2 < freedom < 4
+    parts, (value,) = [side.sums[0, :, 0, 0] for side in sides], found.value
+    f1 = [(part.sum() - part) / (whole.sum() - whole) for part, whole in zip(parts, wholes, strict=True)]
+    error = np.sqrt(19 / 20 * ((f1[0] - f1[1] - np.mean(f1[0] - f1[1])) ** 2).sum())
+    assert found.p[0] == pytest.approx(2 * stats.t.sf(abs(value) / error, freedom))
+    assert found.high[0] - value == pytest.approx(stats.t.ppf(0.975, freedom) * error)
+
+
+def test_a_difference_there_is_not_is_found_as_seldom_as_it_should_be_where_units_are_of_unlike_size():
+    rng = np.random.default_rng(1)
+    sizes = np.where(np.arange(20) < 3, 3000.0, 100.0)[None, :, None]
+    drawn = [0.01 * rng.standard_normal((1, 20, 4000)) + 0.002 * rng.standard_normal((3, 20, 4000)) for _ in "ab"]
+    p = training_differences(*(Trainings(sums_of(0.6 + own, sizes), True) for own in drawn)).p
+    assert 0.03 <= np.mean(p < 0.05) <= 0.08, "with 19 degrees of freedom 0.13"
+
+
 def test_units_alone_would_cover_too_little_of_the_same_draws():
     rng, covered, draws = np.random.default_rng(0), 0, 200
     for _ in range(draws):
@@ -70,21 +94,37 @@ def test_an_unknown_spread_gives_no_interval():
     assert np.isnan(found.p).all()
 
 
-@pytest.fixture
-def trials(tmp_path):
-    """Persistence, two trainings of a network that differ by a tenth, and one row with the weights of the first."""
-    rows = {"persistence": (0.5, ""), "net": (0.6, "a" * 64), "net 2": (0.7, "b" * 64), "net again": (0.6, "a" * 64)}
+ROWS = {"persistence": (0.5, ""), "net": (0.6, "a" * 64), "net 2": (0.7, "b" * 64), "net again": (0.6, "a" * 64)}
+"""Skill and hash of the weights by label."""
+
+
+def write_trials(folder):
+    """A trial of each of ROWS on every recording; the tracker is the first word of the label."""
     found = []
     for number, name in enumerate(RECORDINGS):
-        for label, (skill, weights) in rows.items():
-            ended = synthetic.write_trial(tmp_path, label, name, skill, seed=number, frames=4, tracker=label.split()[0])
-            found.append(replace(ended, record=ended.record.model_copy(update={"weights_sha256": weights})))
+        for label, (skill, weights) in ROWS.items():
+            ended = synthetic.write_trial(folder, label, name, skill, seed=number, frames=4, tracker=label.split()[0])
+            found.append(with_weights(ended, weights))
     return found
 
 
+def with_weights(trial, weights):
+    """The trial with another hash of its weights."""
+    return replace(trial, record=trial.record.model_copy(update={"weights_sha256": weights}))
+
+
+def summary_of(trials, reference=None):
+    return summarise({name: synthetic.description(4) for name in RECORDINGS}, trials, [], False, reference)
+
+
+@pytest.fixture
+def trials(tmp_path):
+    """Persistence, two trainings of a network that differ by a tenth, and one row with the weights of the first."""
+    return write_trials(tmp_path)
+
+
 def test_rows_of_a_tracker_with_other_weights_are_its_trainings(trials):
-    described = {name: synthetic.description(4) for name in RECORDINGS}
-    summary = summarise(described, trials, [], False)
+    summary = summary_of(trials)
     floor, net = summary.trainings
     assert (floor.tracker, floor.labels, floor.reference) == ("persistence", ("persistence",), "persistence")
     assert (net.tracker, net.labels, net.units, net.interval) == ("net", ("net", "net 2"), 20, "")
@@ -102,6 +142,41 @@ def test_rows_of_a_tracker_with_other_weights_are_its_trainings(trials):
 
 
 def test_a_run_with_one_training_of_each_tracker_says_nothing_of_trainings(trials):
-    described = {name: synthetic.description(4) for name in RECORDINGS}
     single = [trial for trial in trials if trial.record.label in ("persistence", "net", "net again")]
-    assert summarise(described, single, [], False).trainings == ()
+    assert summary_of(single).trainings == ()
+
+
+def test_the_reference_is_found_among_rows_with_the_same_weights_as_another(trials):
+    again = summary_of(trials, reference="net again")
+    assert again.trainings == summary_of(trials, reference="net").trainings
+    assert [one.labels for one in again.trainings] == [("persistence",), ("net", "net 2")]
+
+
+def test_rows_with_other_weights_on_any_recording_are_trainings_of_their_own(trials):
+    last = [
+        with_weights(one, "c" * 64)
+        if (one.record.label, one.record.recording) == ("net again", RECORDINGS[-1])
+        else one
+        for one in trials
+    ]
+    assert summary_of(last).trainings[1].labels == ("net", "net 2", "net again")
+
+
+def test_a_stratum_without_an_occupied_cell_is_not_tested_and_no_member_of_the_family(tmp_path, monkeypatch):
+    drawn = synthetic.tally
+
+    def without_dynamic(rng, skill, strata=STRATA, steps=synthetic.STEPS):
+        counted = drawn(rng, skill, strata, steps)
+        counted.positives[:, strata.index("dynamic")] = 0  # false alarms remain
+        return counted
+
+    monkeypatch.setattr(synthetic, "tally", without_dynamic)
+    scores = summary_of(write_trials(tmp_path)).trainings[1].scores
+    empty = [one for one in scores if one.stratum == "dynamic"]
+    assert {(one.f1, one.f1_mean, one.difference, one.difference_p, one.verdict) for one in empty} == {
+        ((None, None), None, None, None, "not tested")
+    }
+    tested = [one for one in scores if one.stratum != "dynamic"]
+    assert len(tested) == 6
+    worst = min(tested, key=lambda one: one.difference_p)
+    assert worst.p_holm == pytest.approx(6 * worst.difference_p, rel=0.01), "the family has six members, not nine"

@@ -1,0 +1,40 @@
+"""Judging single recordings, from rows that are made by hand."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from gridtrack.evaluation.regression.criteria import row_tests
+from gridtrack.evaluation.regression.judging import judged_recordings, judged_row
+from gridtrack.evaluation.regression.rows import PairedRow
+from gridtrack.evaluation.regression.settings import GateSettings
+
+UNITS = 20
+
+
+def fallen_row(recalls, now, recordings):
+    """F1 of trainings with these recalls and a run with the recall `now`, alike in all units but for a little noise."""
+    rng = np.random.default_rng(0)
+    tp = 1000 * (np.array([*recalls, now])[:, None] + 0.002 * rng.standard_normal((len(recalls) + 1, UNITS)))
+    sums = np.stack([2 * tp, tp + 1000], axis=-1)
+    occurs = np.ones(UNITS, bool)
+    return PairedRow(
+        "net", "F1", "visible", "middle", sums[:-1], sums[-1], np.arange(UNITS), recordings, occurs, equal=False
+    )
+
+
+@pytest.mark.parametrize(("recalls", "worse"), [((0.3, 0.6, 0.9), False), ((0.6,), True)])
+def test_a_single_recording_is_judged_over_all_units_with_the_test_over_trainings_and_has_no_list(recalls, worse):
+    row = fallen_row(recalls, 0.4, ("one",) * UNITS)
+    (test,) = row_tests([row])
+    found = judged_row(row, test, GateSettings())
+    assert found.fall > 0.1
+    assert (found.verdict == "worse") == worse
+    assert judged_recordings([row], [test], GateSettings()) == ()
+
+
+def test_of_two_recordings_a_collapse_on_either_is_listed():
+    row = fallen_row((0.3, 0.6, 0.9), 0.4, ("one", "two") * (UNITS // 2))
+    found = judged_recordings([row], row_tests([row]), GateSettings())
+    assert {(one.recording, one.criterion) for one in found} == {("one", "collapse"), ("two", "collapse")}
