@@ -32,6 +32,13 @@ if TYPE_CHECKING:
 ERROR_PREFIX = "gridtrack: "
 FORCES_COLOUR = ("FORCE_COLOR", "CLICOLOR_FORCE")
 """A notebook sets them; the progress would come as control characters in place of lines."""
+ENDS_WITH_THE_NOTEBOOK = f"""
+from gridtrack.evaluation.processes.supervisor import PR_SET_PDEATHSIG, prctl
+prctl(PR_SET_PDEATHSIG, {signal.SIGTERM:d})
+from gridtrack.cli import main
+main()
+"""
+"""The command line, as a program that is asked to end where the process that started it dies."""
 
 
 class CompareOptions(TypedDict, total=False):
@@ -163,19 +170,39 @@ def _as_words(options: CompareOptions) -> Iterator[str]:
 
 
 def _run_command(words: Sequence[str]) -> tuple[int, str]:
-    """Run gridtrack's command line; its exit code, and the reason where it printed one. An interrupt is passed on."""
-    command = [sys.executable, "-m", "gridtrack.cli", *words]
+    """Run gridtrack's command line; its exit code, and the reason where it printed one. An interrupt is passed on.
+
+    It has a session of its own: a terminal and Jupyter send an interrupt to the whole group of this process, and a
+    second one makes the command lose the scores of the trials that run.
+    """
+    command = [sys.executable, "-c", ENDS_WITH_THE_NOTEBOOK, *words]
     environment = {name: value for name, value in os.environ.items() if name not in FORCES_COLOUR}
-    reason = ""
     with subprocess.Popen(
-        command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, errors="replace", env=environment
+        command,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+        errors="replace",
+        env=environment,
+        start_new_session=True,
     ) as process:
+        reason, interrupted = _relayed(process)
+    if interrupted:
+        raise KeyboardInterrupt
+    return process.returncode, reason
+
+
+def _relayed(process: subprocess.Popen[str]) -> tuple[str, bool]:
+    """Print what the command prints until it ends; the reason where it printed one, and whether it was interrupted."""
+    reason, interrupted = "", False
+    while True:
         try:
             for line in process.stderr or ():
                 reason = line.removeprefix(ERROR_PREFIX).strip() if line.startswith(ERROR_PREFIX) else reason
                 sys.stderr.write(line)
-        except KeyboardInterrupt:
-            process.send_signal(signal.SIGINT)
             process.wait()
-            raise
-    return process.returncode, reason
+        except KeyboardInterrupt:
+            interrupted = True
+            process.send_signal(signal.SIGINT)
+        else:
+            return reason, interrupted

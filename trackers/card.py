@@ -32,6 +32,8 @@ class TrainingData(Settings):
 
     recording: str
     sha256: str
+    site: str = ""
+    """Of the recording; "" on a card of an earlier gridtrack."""
     source_sha256: str = ""
     """Of the file that the recording was first imported from; "" on a card of an earlier gridtrack."""
     start_ns: int = 0

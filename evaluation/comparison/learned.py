@@ -62,7 +62,7 @@ def find_weights(tracker: str, site: str, override: Path | None, kind: CardKind 
         raise WeightsError(
             f"{override}: no such folder of weights; omit --weights to use your own and the shipped ones"
         )
-    names = [name for name in _names(site, kind) if SITE_NAME.fullmatch(name)]
+    names = _names(site, kind)
     overriding = [(override, name) for name in names] if override else []
     others = [(folder, name) for name in names for folder in _folders(None)]
     paths = (weights_path(folder, tracker, name) for folder, name in (*overriding, *others))
@@ -78,7 +78,7 @@ def sites_with_weights(tracker: str, override: Path | None) -> tuple[str, ...]:
 
 def weights_in(folder: Path, tracker: str, site: str, kind: CardKind = "any") -> LearnedWeights:
     """The weights of `tracker` for `site` in `folder` only, as in `find_weights`. Raises WeightsError without any."""
-    paths = [weights_path(folder, tracker, name) for name in _names(site, kind)]
+    paths = [weights_path(folder, tracker, name) for name in _names(site, kind) or (site,)]
     found = next((path for path in paths if path.is_file()), None)
     if found is None:
         missing = " and ".join(map(str, paths)) + (" are missing" if len(paths) > 1 else " is missing")
@@ -87,8 +87,9 @@ def weights_in(folder: Path, tracker: str, site: str, kind: CardKind = "any") ->
 
 
 def _names(site: str, kind: CardKind) -> tuple[str, ...]:
-    """The names of the cards that may be used at `site`, the best first."""
-    return {"site": (site,), "general": (GENERAL,), "any": (site, GENERAL)}[kind]
+    """The names of the cards that may be used at `site`, the best first; a site whose name cannot name one has none."""
+    names = {"site": (site,), "general": (GENERAL,), "any": (site, GENERAL)}[kind]
+    return tuple(name for name in names if SITE_NAME.fullmatch(name))
 
 
 def copy_weights(weights: LearnedWeights, folder: Path) -> LearnedWeights:

@@ -41,6 +41,8 @@ class Trial:
     weights: LearnedWeights | None
     seed: int
     limits: Limits
+    others: tuple[EvaluationSplit, ...] = ()
+    """The other splits of the run: its tracker is not to be trained on these either."""
 
     @property
     def label(self) -> str:
@@ -104,7 +106,7 @@ class Trial:
         missing = f"no weights for site '{self.split.test.site}'"
         if self.launch.external:
             return f"{missing}; train it where it is installed, and name the folder of its weights with --weights"
-        stretches = stretches_to_train_on(self.split)
+        stretches = stretches_to_train_on(self.split, self.others)
         if stretches is None:
             return f"{missing}; train it on a longer recording of this site: this one has no part to spare"
         command = shlex.join(
@@ -205,10 +207,13 @@ def resolve(settings: CompareSettings, splits: tuple[EvaluationSplit, ...] | Non
             weights[selection.label, split.test.site],
             settings.seed,
             settings.limits,
+            tuple(other for other in splits if other is not split),
         )
         for split in splits
         for selection in selections
     )
+    for trial in trials:
+        _refuse_thresholds_of_another_site(trial)
     notices = [notice for split in splits for notice in split.notices]
     notices += [
         f"{trial.label}: {trial.weights.name} is of a training that was interrupted at {trial.weights.card.interrupted}"
@@ -276,6 +281,18 @@ def _refuse_overlaps(splits: tuple[EvaluationSplit, ...]) -> None:
                 f"{one.test.name} and {other.test.name} are of one source and have {shared_ns / 1e9:.10g} s in common:"
                 " leave one out, or name stretches that do not overlap"
             )
+
+
+def _refuse_thresholds_of_another_site(trial: Trial) -> None:
+    """The map and the calibration of a site do not hold at another one, nor do thresholds that are chosen there."""
+    site, validation = trial.split.test.site, trial.split.validation
+    if trial.weights is None or trial.weights.card.general or validation is None or validation.site == site:
+        return
+    raise ConfigurationError(
+        f"{trial.label}: its weights are of the site '{site}', and its thresholds would be chosen on {validation.name}"
+        f" of the site '{validation.site}': name a --validation stretch of the site '{site}', or compare general"
+        f" weights (--tracker {trial.selection.name}:card=general)"
+    )
 
 
 def _weights_of(selection: Selection, site: str, override: Path | None) -> LearnedWeights | None:

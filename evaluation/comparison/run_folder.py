@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -14,10 +15,13 @@ from gridtrack.evaluation.comparison.provenance import machine, versions
 from gridtrack.evaluation.results.columns import HISTOGRAM_TABLE, SCORES_TABLE
 from gridtrack.evaluation.results.files import RunError
 from gridtrack.evaluation.results.run_record import RUN_FILE, RunConfiguration, RunRecord, RunSettings, read_run_record
-from gridtrack.evaluation.results.summary import ORACLE, RunSummary
+from gridtrack.evaluation.results.summary import ORACLE, RunSummary, read_summary
 from gridtrack.evaluation.results.trial_record import TrialRecord, read_trial_record
 from gridtrack.evaluation.statistics.finished_trial import FinishedTrial
 from gridtrack.evaluation.statistics.summary import summarise
+
+OF_OTHER_VERSIONS = "trials kept from a run with"
+"""In the notice of a resumed run that says so, and that every further one keeps."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,6 +31,10 @@ class RunFolder:
     path: Path
     plan: ComparisonPlan
     record: RunRecord
+    earlier: RunRecord | None = None
+    """That of the run which is continued."""
+    kept: dict[str, TrialRecord] = field(default_factory=dict)
+    """What `kept_records` has found."""
 
     @classmethod
     def prepare(cls, plan: ComparisonPlan, command: Sequence[str]) -> RunFolder:
@@ -47,7 +55,7 @@ class RunFolder:
                 f" its command (`command` in {RUN_FILE})"
             )
         record.write(path)
-        return cls(path, plan, record)
+        return cls(path, plan, record, earlier)
 
     def kept_records(self) -> dict[str, TrialRecord]:
         """Records by trial name of what an earlier run scored in full with the same weights. Raises RunError."""
@@ -56,7 +64,9 @@ class RunFolder:
         weights = {trial.name: trial.weights.sha256 if trial.weights else "" for trial in self.plan.trials}
         weights |= {split.oracle_name: "" for split in self.plan.splits if split.test.has_truth}
         records = {name: read_trial_record(self.path / name) for name in weights}
-        return {n: record for n, record in records.items() if record and _is_done(weights[n], record, self.path / n)}
+        done = {n: record for n, record in records.items() if record and _is_done(weights[n], record, self.path / n)}
+        self.kept.update(done)
+        return done
 
     def finish(self, records: Mapping[str, TrialRecord], notices: Sequence[str], interrupted: bool) -> RunSummary:
         """Write and return the summary of these records, by trial name, with `notices`, and close the run."""
@@ -70,11 +80,42 @@ class RunFolder:
         oracles = [name for split in plan.splits if (name := split.oracle_name) in records]
         trials += [FinishedTrial(records[name], self.path / name, ORACLE, {}, "centres") for name in oracles]
         recordings = {split.name: split.description() for split in plan.splits}
-        summary = summarise(recordings, trials, [*plan.notices, *notices], interrupted, plan.settings.reference)
+        told = [*plan.notices, *self._of_other_versions(records), *notices]
+        summary = summarise(recordings, trials, told, interrupted, plan.settings.reference)
         summary.write(self.path)
         status = "interrupted" if interrupted else "complete"
         self.record.model_copy(update={"status": status, "finished": _now()}).write(self.path)
         return summary
+
+    def _of_other_versions(self, records: Mapping[str, TrialRecord]) -> list[str]:
+        """Notices of the trials among `records` that ran with other versions than those of now, or of a run before."""
+        kept = [
+            t.name for t in self.plan.trials if t.name in self.kept and _is_kept(self.kept[t.name], records[t.name])
+        ]
+        if self.earlier is None or not kept:
+            return []
+        told: list[str] = []
+        with suppress(FileNotFoundError, RunError):
+            told = [notice for notice in read_summary(self.path).notices if OF_OTHER_VERSIONS in notice]
+        then, now = _differing(self.earlier.versions, self.record.versions)
+        if then:
+            told.append(f"{OF_OTHER_VERSIONS} {then}: {len(kept)}; now {now}")
+        return list(dict.fromkeys(told))
+
+
+def _is_kept(kept: TrialRecord, record: TrialRecord) -> bool:
+    """Whether a trial did not run again: it would have taken another time."""
+    return record.outcome == "ok" and record.times == kept.times
+
+
+def _differing(then: Mapping[str, str], now: Mapping[str, str]) -> tuple[str, str]:
+    """The versions that differ, in words, of both; "" where none does, or those of `then` are not known."""
+    names = [name for name in sorted(then.keys() | now.keys()) if then and then.get(name) != now.get(name)]
+    told = [
+        ", ".join(f"{name} {versions[name]}" if name in versions else f"no {name}" for name in names)
+        for versions in (then, now)
+    ]
+    return told[0], told[1]
 
 
 def refuse_earlier_run(path: Path) -> None:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from contextlib import suppress
+from pathlib import Path
 
 from gridtrack.evaluation.comparison.edited_code import without_edited
 from gridtrack.evaluation.comparison.engine_choice import engine_of
@@ -12,6 +14,7 @@ from gridtrack.evaluation.comparison.run_lock import run_lock
 from gridtrack.evaluation.comparison.stages import Stages
 from gridtrack.evaluation.engines.engine import Engine, RunObserver
 from gridtrack.evaluation.results.summary import RunSummary
+from gridtrack.evaluation.results.trial_record import OUTCOME_FILE
 
 
 def run(plan: ComparisonPlan, command: Sequence[str], progress: RunObserver) -> RunSummary:
@@ -31,7 +34,9 @@ def _run(plan: ComparisonPlan, command: Sequence[str], progress: RunObserver, en
     stages = Stages(plan, folder.path, progress, engine)
     for name, record in without_edited(plan, folder.kept_records(), progress.note).items():
         stages.keep(name, record)
-    progress.planned(stages.planned_frames(), stages.planned_passes())
+    planned = stages.planned_frames()
+    _remove_records(folder.path, planned)
+    progress.planned(planned, stages.planned_passes())
     interrupted = False
     try:
         stages.score_missing()
@@ -41,3 +46,13 @@ def _run(plan: ComparisonPlan, command: Sequence[str], progress: RunObserver, en
     except KeyboardInterrupt:
         interrupted = True
     return folder.finish(stages.all_records(), stages.notices, interrupted)
+
+
+def _remove_records(folder: Path, names: Iterable[str]) -> None:
+    """Remove the records of an earlier run of the trials and oracles `names`: one that cannot start replaces nothing.
+
+    Raises OSError.
+    """
+    for name in names:
+        with suppress(FileNotFoundError, NotADirectoryError):
+            (folder / name / OUTCOME_FILE).unlink()

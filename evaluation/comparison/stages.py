@@ -131,6 +131,8 @@ class Stages:
         if isinstance(result, str):
             self._notify(result)
             return
+        if isinstance(work, TrialWork):
+            result = work.taken(result)
         self._records[work.name] = result
         if isinstance(work, TrialWork | OracleWork):
             if result.outcome == "ok":

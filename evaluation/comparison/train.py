@@ -8,8 +8,9 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from gridtrack.common.cache import FileCache
-from gridtrack.common.errors import ConfigurationError
+from gridtrack.common.errors import ConfigurationError, WeightsError
 from gridtrack.common.grid import GridSpec
+from gridtrack.common.remote_files import is_url
 from gridtrack.evaluation.comparison.card_thresholds import choose_card_thresholds
 from gridtrack.evaluation.comparison.general_start import general_start
 from gridtrack.evaluation.comparison.learned import LearnedWeights, user_weights_folder, weights_path
@@ -139,7 +140,8 @@ def _what_is_kept(path: Path) -> str:
 def _stretches(
     recipe: Recipe, named: Mapping[str, Sequence[NamedStretch]], cache: FileCache, progress: Progress
 ) -> tuple[list[GridStream], list[GridStream]]:
-    """The stretches to train on and to validate on, `named` by use. Raises ConfigurationError, RecordingError."""
+    """The stretches to train on and to validate on, `named` by use. Raises ConfigurationError, RecordingError, and
+    WeightsError where those of a site differ in grid, period or site."""
     grid = GridSpec.parse(recipe.grid) if recipe.grid else None
     opened: dict[str, list[GridStream]] = {TRAIN: [], VALIDATION: []}
     with progress.stage("recording", sum(map(len, named.values()))) as stage:
@@ -149,6 +151,8 @@ def _stretches(
                 opened[use].append(_stretch(recording, stretch, use, grid, recipe.rate_hz))
                 stage.advance(path.name)
     train_on, validate_on = opened[TRAIN], opened[VALIDATION]
+    if not recipe.general:
+        _refuse_unlike_places([*train_on, *validate_on])
     validate_on = validate_on or _own_validation(recipe, train_on)
     _refuse_shared(train_on, validate_on)
     return train_on, validate_on
@@ -161,6 +165,7 @@ def _data_of(streams: Sequence[GridStream]) -> list[TrainingData]:
         TrainingData(
             recording=stream.name,
             sha256=stream.sha256,
+            site=stream.site,
             source_sha256=time.source_sha256,
             start_ns=time.start_ns,
             end_ns=time.end_ns,
@@ -187,6 +192,15 @@ def _named(texts: Sequence[str]) -> list[NamedStretch]:
     return [(found, stretch) for path, stretch in parsed for found in recordings_at(path)]
 
 
+def _each_of(text: str) -> list[str]:
+    """RECORDING[@range] of each recording that `text` names, as of `_named`; a URL as it is."""
+    if is_url(text):
+        return [text]
+    path, stretch = parse_stretch(text)
+    of_it = "" if stretch is None else f"@{text.rpartition('@')[2]}"
+    return [f"{found}{of_it}" for found in recordings_at(path)]
+
+
 def _stretch(
     recording: Recording, stretch: Stretch | str | None, use: str, grid: GridSpec | None, rate_hz: float | None
 ) -> GridStream:
@@ -204,12 +218,32 @@ def _own_validation(recipe: Recipe, train_on: Sequence[GridStream]) -> list[Grid
     found = [own_validation(stream) for stream in train_on if VALIDATION in stream.recording.info.stretches]
     if not found:
         cut = in_two(train_on[0])
-        recordings = (cut.recording, *recipe.recordings[1:])
+        recordings = (cut.recording, *[text for named in recipe.recordings for text in _each_of(named)][1:])
         command = recipe.model_copy(update={"recordings": recordings, "validation": (cut.validation,)}).command
         raise ConfigurationError(
             f"{train_on[0].name}: no validation stretch; name one with --validation, or run `{command}`"
         )
     return found
+
+
+def _refuse_unlike_places(streams: Sequence[GridStream]) -> None:
+    """Raise WeightsError for the first stretch of another grid, period or site than the first of all."""
+    first = streams[0]
+    for stream in streams[1:]:
+        here, there = _place(first), _place(stream)
+        differing = [what for what in here if here[what] != there[what]]
+        if differing:
+            others = " and ".join(f"the {what} {there[what]}" for what in differing)
+            own = " and ".join(here[what] for what in differing)
+            raise WeightsError(
+                f"{stream.name} has {others}, but {first.name} {own}: train and validate on recordings of one grid,"
+                " period and site, or for any place with --general"
+            )
+
+
+def _place(stream: GridStream) -> dict[str, str]:
+    """What the weights of a site are made for, by its name."""
+    return {"site": f"'{stream.site}'", "grid": str(stream.grid), "period": f"{stream.period_s} s"}
 
 
 def _refuse_shared(train_on: Sequence[GridStream], validate_on: Sequence[GridStream]) -> None:

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 from gridtrack.common.errors import RecordingError
 from gridtrack.evaluation.scoring.referee import WARM_UP
-from gridtrack.evaluation.scoring.splits import TRAIN, VALIDATION, EvaluationSplit, like
+from gridtrack.evaluation.scoring.splits import TRAIN, VALIDATION, EvaluationSplit, like, shares_frames
 from gridtrack.recordings.recording_info import Stretch, stretch_text
 from gridtrack.recordings.stream import GridStream
 
@@ -35,16 +35,16 @@ class TrainingStretches:
         return (self.recording, *(("--validation", self.validation) if self.validation else ()))
 
 
-def stretches_to_train_on(split: EvaluationSplit) -> TrainingStretches | None:
-    """What to train on for a comparison on `split`; None where the recording is too short for it.
+def stretches_to_train_on(split: EvaluationSplit, others: Sequence[EvaluationSplit] = ()) -> TrainingStretches | None:
+    """What to train on for a comparison on `split` and `others`; None where its recording is too short for it.
 
     The recording's own stretches, else the longest part without frames of the comparison, else three parts of it all.
     """
-    test, path = split.test, str(split.path)
-    if _has_own(split):
+    test, path, compared = split.test, str(split.path), (split, *others)
+    if _has_own(test, compared):
         return TrainingStretches(path)
     shortest_s = (WARM_UP + split.steps + 1) * test.period_s
-    free = max(_free(split), key=lambda part: part[1] - part[0], default=(0.0, 0.0))
+    free = max(_free(test, compared), key=lambda part: part[1] - part[0], default=(0.0, 0.0))
     if (free[1] - free[0]) * (1.0 - TRAIN_SHARE) > shortest_s:
         recording, validation = _in_two(path, *free)
         return TrainingStretches(recording, validation)
@@ -59,15 +59,22 @@ def stretches_to_train_on(split: EvaluationSplit) -> TrainingStretches | None:
     )
 
 
-def _has_own(split: EvaluationSplit) -> bool:
-    """Whether the recording names stretches to train and to validate on, without frames of the comparison."""
-    if not {TRAIN, VALIDATION} <= split.test.recording.info.stretches.keys():
+def _has_own(test: GridStream, compared: Sequence[EvaluationSplit]) -> bool:
+    """Whether the recording names stretches to train and to validate on, without frames that are scored.
+
+    Thresholds may be chosen on the stretch to validate on.
+    """
+    if not {TRAIN, VALIDATION} <= test.recording.info.stretches.keys():
         return False
     try:
-        train, _ = like(split.test, TRAIN), like(split.test, VALIDATION)
+        train, validation = like(test, TRAIN), like(test, VALIDATION)
     except RecordingError:  # they lie beyond the end of a recording that is cut off
         return False
-    return not any(train.recorded.overlaps(stretch.recorded) for stretch in _scored(split))
+    tests = (split.test for split in compared)
+    return not (
+        any(shares_frames(train, stretch) for stretch in _scored(compared))
+        or any(shares_frames(validation, stretch) for stretch in tests)
+    )
 
 
 def in_two(stream: GridStream) -> TrainingStretches:
@@ -82,20 +89,21 @@ def _in_two(path: str, start_s: float, end_s: float) -> tuple[str, str]:
     return _named(path, (start_s, cut_s)), _named(path, (cut_s, end_s))
 
 
-def _scored(split: EvaluationSplit) -> Iterator[GridStream]:
+def _scored(compared: Iterable[EvaluationSplit]) -> Iterator[GridStream]:
     """The stretches that weights must not have learned from."""
-    yield split.test
-    if split.validation is not None:
-        yield split.validation
+    for split in compared:
+        yield split.test
+        if split.validation is not None:
+            yield split.validation
 
 
-def _free(split: EvaluationSplit) -> Iterator[tuple[float, float]]:
-    """The parts of the recording without scored frames, seconds, in tenths."""
-    survey = split.test.recording.survey
+def _free(test: GridStream, compared: Iterable[EvaluationSplit]) -> Iterator[tuple[float, float]]:
+    """The parts of the recording of `test` without scored frames, seconds, in tenths."""
+    survey, whole = test.recording.survey, like(test)
     taken = sorted(
         tuple((at_ns - survey.first_ns) / 1e9 for at_ns in (stretch.recorded.start_ns, stretch.recorded.end_ns))
-        for stretch in _scored(split)
-        if stretch.recorded.overlaps(like(split.test).recorded)
+        for stretch in _scored(compared)
+        if shares_frames(stretch, whole)
     )
     free_from_s = 0.0
     for start_s, end_s in (*taken, (survey.duration_s, survey.duration_s)):

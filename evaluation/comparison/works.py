@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from pathlib import Path
 from typing import Protocol
 
@@ -74,7 +75,23 @@ class TrialWork(_InterruptedOnce):
 
     def on_error(self, error: Exception) -> TrialRecord:
         """The record of a trial that could not write one."""
-        return failed(self.trial, _reason(error))
+        return self._written(failed(self.trial, _reason(error)))
+
+    def taken(self, record: TrialRecord) -> TrialRecord:
+        """The `record` of the trial; how to train is told as of the whole run: another machine knows this trial alone.
+
+        The record is written again where that differs.
+        """
+        if record.outcome != "untrained" or record.reason == self.trial.how_to_train:
+            return record
+        return self._written(record.model_copy(update={"reason": self.trial.how_to_train}))
+
+    def _written(self, record: TrialRecord) -> TrialRecord:
+        """`record`, written to the trial's folder where that can be done."""
+        with suppress(OSError):
+            self._folder.mkdir(parents=True, exist_ok=True)
+            record.write(self._folder)
+        return record
 
 
 class OracleWork:

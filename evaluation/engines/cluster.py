@@ -30,7 +30,10 @@ class TaskCluster(Protocol[Task]):
         """Those of `tasks` that have ended. Raises EngineError where the cluster is lost."""
 
     def cancel(self, tasks: Iterable[Task], *, force: bool) -> None:
-        """End `tasks`: by an interrupt that leaves them time to reply, or with `force` at once."""
+        """End `tasks`: by an interrupt that leaves them time to reply, or with `force` at once.
+
+        Raises EngineError, with what may still run, where the cluster does not answer.
+        """
 
     def close(self) -> None:
-        """Leave the cluster."""
+        """Leave the cluster. Raises EngineError as `cancel`."""

@@ -5,8 +5,9 @@ from __future__ import annotations
 import shutil
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import Future
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
@@ -52,7 +53,8 @@ class RemoteEngine(Generic[Task]):
     def __init__(self, cluster: TaskCluster[Task], run_folder: Path, observer: RunObserver) -> None:
         """Raises EngineError where no machine of the cluster can run a work, OSError."""
         if cluster.capacity < 1:
-            cluster.close()
+            with suppress(EngineError):
+                cluster.close()
             raise EngineError(f"{cluster.name}: no machine of the cluster has the cores for one trial: lower --threads")
         self.capacity = cluster.capacity
         self._cluster, self._run_folder, self._observer = cluster, run_folder.absolute(), observer
@@ -61,6 +63,7 @@ class RemoteEngine(Generic[Task]):
         self._running: dict[Task, _Submitted] = {}
         self._count = 0
         self._cancelled_s: float | None = None
+        self._problems: set[str] = set()
         self._closed = threading.Event()
         self._watcher = threading.Thread(target=self._watch, name="engine", daemon=True)
         self._watcher.start()
@@ -72,12 +75,15 @@ class RemoteEngine(Generic[Task]):
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._closed.set()
-        self._watcher.join()
-        with self._lock:
-            self._cluster.cancel(self._running, force=True)
-        self._cluster.close()
-        remove_scratch(self._run_folder)
+        try:
+            self._closed.set()
+            self._watcher.join()
+            with self._lock:
+                self._cancel(self._running, force=True)
+            with self._telling():
+                self._cluster.close()
+        finally:
+            remove_scratch(self._run_folder)
 
     def submit(self, works: Sequence[Work]) -> list[Future[TrialRecord]]:
         """Start an attempt at each of `works`. Raises EngineError, OSError."""
@@ -93,7 +99,21 @@ class RemoteEngine(Generic[Task]):
         """Interrupt all tasks; each has CANCEL_S to give the record so far."""
         with self._lock:
             self._cancelled_s = time.monotonic()
-            self._cluster.cancel(self._running, force=False)
+            self._cancel(self._running, force=False)
+
+    def _cancel(self, tasks: Iterable[Task], *, force: bool) -> None:
+        with self._telling():
+            self._cluster.cancel(tasks, force=force)
+
+    @contextmanager
+    def _telling(self) -> Iterator[None]:
+        """Tell the user once, and go on, where the cluster does not end what runs: the results so far are kept."""
+        try:
+            yield
+        except EngineError as error:
+            if str(error) not in self._problems:
+                self._problems.add(str(error))
+                self._observer.note(str(error))
 
     def _start(self, entries: Sequence[_Submitted]) -> None:
         for entry in entries:
@@ -125,12 +145,12 @@ class RemoteEngine(Generic[Task]):
                 done = task in ends and self._end(entry, ends[task])
             except EngineError as error:
                 entry.future.set_exception(error)
-                self._cluster.cancel([task], force=True)
+                self._cancel([task], force=True)
                 done = True
             if done:
                 del self._running[task]
         if self._cancelled_s is not None and time.monotonic() > self._cancelled_s + CANCEL_S:
-            self._cluster.cancel(self._running, force=True)
+            self._cancel(self._running, force=True)
             for entry in self._running.values():
                 _end_as_cancelled(entry.future)
             self._running.clear()

@@ -6,7 +6,7 @@ import shutil
 from pathlib import Path
 from tempfile import mkdtemp
 
-SCRATCH = ".engine"
+from gridtrack.evaluation.processes.tracker_process import SCRATCH
 
 
 def new_scratch(run_folder: Path) -> Path:

@@ -125,20 +125,31 @@ class SlurmCluster:
     def cancel(self, tasks: Iterable[SlurmTask], *, force: bool) -> None:
         """End `tasks`: those that wait at once, those that run by an interrupt, or with `force` as Slurm ends jobs.
 
-        An interrupt reaches the one process that carries out the attempt, and not its tracker.
+        An interrupt reaches the one process that carries out the attempt, and not its tracker. Raises EngineError.
         """
         ids = [task.job_id for task in tasks]
         for first in range(0, len(ids), SCANCEL_IDS):
             some = ids[first : first + SCANCEL_IDS]
             if force:
-                _scancel(*some)
+                self._scancel(*some)
             else:
-                _scancel("--state=PENDING", *some)
-                _scancel("--batch", "--signal=INT", *some)
+                self._scancel("--state=PENDING", *some)
+                self._scancel("--batch", "--signal=INT", *some)
 
     def close(self) -> None:
-        """End what is left: also jobs of an array whose submission was interrupted."""
-        _scancel(f"--name={self._job_name}")
+        """End what is left: also jobs of an array whose submission was interrupted. Raises EngineError."""
+        self._scancel(f"--name={self._job_name}")
+
+    def _scancel(self, *arguments: str) -> None:
+        """Cancel jobs; those that have ended meanwhile are no error. Raises EngineError where Slurm is silent."""
+        command = ["scancel", "--quiet", *arguments]
+        try:
+            subprocess.run(command, capture_output=True, timeout=ANSWER_S, check=False)
+        except subprocess.TimeoutExpired:
+            raise EngineError(
+                f"scancel: no answer for {ANSWER_S:g} s: jobs of this run may still wait or run; when Slurm answers,"
+                f" end them with `scancel --name={self._job_name}`"
+            ) from None
 
 
 STATE_COLUMNS = ("JobArrayID", "State", "exit_code", "Reason")
@@ -196,11 +207,6 @@ def _rows(*command: str) -> list[list[str]]:
     if done.returncode != 0:
         raise EngineError(f"{command[0]}: {_last_line(done.stderr)}")
     return [line.split("|")[:-1] for line in done.stdout.splitlines()]
-
-
-def _scancel(*arguments: str) -> None:
-    """Cancel jobs; those that have ended meanwhile are no error."""
-    subprocess.run(["scancel", "--quiet", *arguments], capture_output=True, timeout=ANSWER_S, check=False)
 
 
 def _last_line(text: str) -> str:

@@ -38,6 +38,8 @@ THREAD_VARIABLES = (
     "NUMBA_NUM_THREADS",
     "TBB_NUM_THREADS",
 )
+SCRATCH = ".engine"
+"""The folder in that of a run in which its engine works; on a cluster each log is below it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -243,9 +245,15 @@ def _dialogue(
     argv, env = launch.argv, shielded_environment(recordings)
     threads = dict.fromkeys(THREAD_VARIABLES, str(limits.threads))
     if limits.sandbox:
-        hidden = (*recordings, *log.absolute().parents[:2])
+        hidden = (*recordings, *_folders_of_run(log.absolute()))
         argv, env = confine(launch, env, limits.memory_mb, hidden, files)
     return Dialogue(SupervisedProgram(argv, log, limits.memory_mb, env | threads, launch.cwd), log, limits.memory_mb)
+
+
+def _folders_of_run(log: Path) -> tuple[Path, ...]:
+    """The folder of a trial with the `log` of its tracker, and that of its run, which on a cluster is further up."""
+    scratch = next((folder for folder in log.parents[2:] if folder.name == SCRATCH), None)
+    return (*log.parents[:2], scratch.parent) if scratch else tuple(log.parents[:2])
 
 
 def _nanoseconds(answer: Message, name: str) -> int:

@@ -136,10 +136,21 @@ class DeadlineTracker:
 def read_later(forecast: Forecast, age: int, shift: Shift, steps: int) -> Forecast:
     """A forecast read `age` frames after it was made, for steps 0..steps from then on, in a window moved by `shift`.
 
-    Its last step stands for those after it; cells that came into the window are free, of no class.
+    Its last step stands for those after it; cells that came into the window are free, of no class and no velocity. What
+    a forecast says of its own time alone, objects and velocities of step 0 only, is not read later.
     """
     used_steps = np.minimum(age + np.arange(steps + 1), len(forecast.occupancy) - 1)
     occupancy, semantics = forecast.occupancy[used_steps], forecast.semantics
     if semantics is not None:
         semantics = rolled(semantics[used_steps], shift, np.float32(1.0 / semantics.shape[1]))
-    return Forecast(rolled(occupancy, shift, np.float32(0.0)), semantics)
+    velocity, futures = forecast.velocity, forecast.futures
+    if velocity is not None and velocity.ndim == 4:
+        velocity = velocity[used_steps]
+    elif age:
+        velocity = None
+    if velocity is not None:
+        velocity = rolled(velocity, shift, np.nan)
+    if futures is not None:
+        futures = rolled(futures[:, used_steps], shift, 0)
+    objects = () if age or shift else forecast.objects
+    return Forecast(rolled(occupancy, shift, np.float32(0.0)), semantics, velocity, objects, futures)

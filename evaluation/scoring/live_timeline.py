@@ -7,9 +7,10 @@ the frames of that time. A forecast is in time for a frame if it is delivered be
 from __future__ import annotations
 
 import threading
+from collections.abc import Mapping
 from pathlib import Path
 from tempfile import TemporaryFile
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import lz4.frame  # type: ignore[import-untyped]
 import numpy as np
@@ -17,7 +18,8 @@ from numpy.typing import NDArray
 
 from gridtrack.common.grid import GridFrame
 from gridtrack.evaluation.scoring.deadline import Timeline
-from gridtrack.trackers.contract import Forecast
+from gridtrack.trackers.contract import Forecast, TrackedObject
+from gridtrack.trackers.messages import forecast_fields
 
 
 class Presented(NamedTuple):
@@ -141,13 +143,24 @@ class LiveTimeline:
         return Timeline(whole.accepted[first:], whole.newest[first:] - first)
 
 
+class _Place(NamedTuple):
+    """Where an array is in the file, and what it is."""
+
+    at: int
+    size: int
+    dtype: np.dtype[Any]
+    shape: tuple[int, ...]
+
+
 class ForecastStore:
     """Forecasts that wait for their scores, compressed in a file without a name. Thread-safe."""
 
     def __init__(self, folder: Path) -> None:
         """Raises OSError."""
         self._file = TemporaryFile(dir=folder)  # noqa: SIM115 closed by `close`
-        self._places: dict[int, list[tuple[int, int, tuple[int, ...]]]] = {}
+        self._places: dict[int, dict[str, _Place]] = {}
+        self._labels: dict[int, list[str]] = {}
+        """Of the objects, where there are any."""
         self._lock = threading.Lock()
 
     def add(self, delivered: Delivered) -> None:
@@ -155,29 +168,44 @@ class ForecastStore:
         with self._lock:
             if delivered.made_at in self._places:
                 return
-            arrays = [a for a in (delivered.forecast.occupancy, delivered.forecast.semantics) if a is not None]
-            self._places[delivered.made_at] = [self._append(array) for array in arrays]
+            fields, arrays = forecast_fields(delivered.forecast)
+            self._places[delivered.made_at] = {name: self._append(array) for name, array in arrays.items()}
+            self._labels[delivered.made_at] = fields.get("labels", [])
 
     def read(self, index: int) -> Forecast:
         """The forecast made at the frame `index`. Raises KeyError, OSError."""
         with self._lock:
-            occupancy, *semantics = (self._array(*place) for place in self._places[index])
-            return Forecast(occupancy, semantics[0] if semantics else None)
+            arrays = {name: self._array(place) for name, place in self._places[index].items()}
+            objects = _objects(arrays, self._labels[index])
+            semantics, velocity, futures = (arrays.get(name) for name in ("semantics", "velocity", "futures"))
+            return Forecast(arrays["occupancy"], semantics, velocity, objects, futures)
 
     def close(self) -> None:
         """Remove the file."""
         self._file.close()
 
-    def _append(self, array: NDArray[np.float32]) -> tuple[int, int, tuple[int, ...]]:
-        content = lz4.frame.compress(np.ascontiguousarray(array, np.float32).tobytes())
+    def _append(self, array: NDArray[Any]) -> _Place:
+        content = lz4.frame.compress(np.ascontiguousarray(array).tobytes())
         at = self._file.seek(0, 2)
         self._file.write(content)
-        return at, len(content), array.shape
+        return _Place(at, len(content), array.dtype, array.shape)
 
-    def _array(self, at: int, size: int, shape: tuple[int, ...]) -> NDArray[np.float32]:
-        self._file.seek(at)
-        content = lz4.frame.decompress(self._file.read(size))
-        return np.frombuffer(content, np.float32).reshape(shape)
+    def _array(self, place: _Place) -> NDArray[Any]:
+        self._file.seek(place.at)
+        content = lz4.frame.decompress(self._file.read(place.size))
+        return np.frombuffer(content, place.dtype).reshape(place.shape)
+
+
+def _objects(arrays: Mapping[str, NDArray[Any]], labels: list[str]) -> tuple[TrackedObject, ...]:
+    """The objects in the arrays of a forecast."""
+    if "object_track" not in arrays:
+        return ()
+    parts = (arrays[f"object_{name}"] for name in ("track", "box", "velocity", "covariance", "label"))
+    rows = zip(*parts, strict=True)
+    return tuple(
+        TrackedObject(int(track), box, velocity, covariance, labels[label] if label >= 0 else "")
+        for track, box, velocity, covariance, label in rows
+    )
 
 
 class StoredForecasts:

@@ -262,9 +262,13 @@ def shares_frames(one: GridStream, other: GridStream) -> bool:
 
 
 def common_with(test: GridStream, seen: TrainingData) -> RecordedTime | None:
-    """The part of the stretch `test` that is in the training data `seen` of the same site, or None."""
+    """The part of the stretch `test` that is in the training data `seen`, or None.
+
+    Data of a card that does not say their site count as of the site of `test`.
+    """
     if seen.source_sha256:
-        return test.recorded.common(RecordedTime(seen.source_sha256, test.site, seen.start_ns, seen.end_ns))
+        site = seen.site or test.site
+        return test.recorded.common(RecordedTime(seen.source_sha256, site, seen.start_ns, seen.end_ns))
     return _common_by_name(test, seen)
 
 

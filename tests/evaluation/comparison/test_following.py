@@ -8,10 +8,13 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import polars as pl
 import pytest
+from mcap.reader import make_reader
 
 from gridtrack.common.errors import ConfigurationError, RecordingError
+from gridtrack.common.grid import Shift
 from gridtrack.evaluation.comparison.following import Following, following
 from gridtrack.evaluation.comparison.plan import resolve
 from gridtrack.evaluation.comparison.runner import run
@@ -19,8 +22,11 @@ from gridtrack.evaluation.comparison.settings import CompareSettings
 from gridtrack.evaluation.results.columns import SCORES_TABLE
 from gridtrack.evaluation.results.files import RunError
 from gridtrack.evaluation.results.trial_record import read_trial_record
+from gridtrack.evaluation.scoring.deadline import read_later
 from gridtrack.evaluation.scoring.live_timeline import LiveTimeline
+from gridtrack.evaluation.scoring.samples import SAMPLES, TRACKS_TOPIC
 from gridtrack.recordings.formats import native_writer
+from gridtrack.trackers.contract import Forecast, TrackedObject
 
 from scenes import truth_scene
 
@@ -138,6 +144,16 @@ def followed(settings, writer, progress, on_frame: Callable[[int], None] = lambd
         return one.finish(COMMAND, progress), table
 
 
+def live_of(summary, label):
+    return summary.trackers[label].recordings["room"].strata["dynamic"]
+
+
+def tracks_in(folder: Path) -> list[bytes]:
+    """The objects of each sample in a trial's folder, as they are stored."""
+    with (folder / SAMPLES).open("rb") as file:
+        return [message.data for _, _, message in make_reader(file).iter_messages(TRACKS_TOPIC)]
+
+
 @pytest.mark.parametrize("speed", [0.0, 0.4])
 def test_a_tracker_that_keeps_up_has_the_scores_of_the_finished_file(settings, record, progress, tmp_path, speed):
     finished = record(stretches={}, speed=speed)
@@ -163,6 +179,48 @@ def test_a_tracker_that_keeps_up_has_the_scores_of_the_finished_file(settings, r
     assert summary.recordings["room"] == ordinary.recordings["room"]
     assert len(table.shown) == 200
     assert not [notice for notice in summary.notices if "other frames" in notice or "table" in notice]
+
+
+def test_every_part_of_a_forecast_waits_for_its_scores(settings, install, progress, tmp_path):
+    """Velocities, sampled futures, and the objects that the samples show."""
+    files = {"movers.py": (Path(__file__).parents[2] / "plugins" / "movers.py").read_text()}
+    install("movers", {"mover": "movers:Mover", "guesser": "movers:Guesser"}, files)
+    finished = truth_scene.write_recording(tmp_path / "room.mcap", seconds=14)
+    trackers = "mover", "now=mover:gives=now", "guesser:gives=mixed", "kalman"
+    the_settings = settings(*trackers)
+    summary, _ = followed(the_settings, Writer(finished, Path(the_settings.recordings[0])), progress)
+    again = settings(*trackers, follow=False, out=tmp_path / "ordinary", recordings=(f"{finished}@0s-",))
+    ordinary = run(resolve(again), COMMAND, progress)
+    longest = {}
+    for label in ("mover", "now", "guesser", "kalman"):
+        live, later = (next(iter(one.trackers[label].recordings.values())).strata for one in (summary, ordinary))
+        assert live == later
+        tracks = [tracks_in(next((tmp_path / out).glob(f"{label}@*"))) for out in ("followed", "ordinary")]
+        assert tracks[0] == tracks[1]
+        longest[label] = max(map(len, tracks[0]))
+    assert longest["kalman"] > longest["mover"], "it alone has objects"
+    assert live_of(summary, "mover").flow_error[0] is not None
+    assert live_of(summary, "guesser").energy_score[0] is not None
+
+
+def test_a_forecast_that_is_read_later_keeps_what_it_says_of_later_steps():
+    steps = np.arange(4, dtype=np.float32)[:, None, None, None] * np.ones((4, 2, 3, 3), np.float32)
+    tracked = TrackedObject(1, np.zeros(5, np.float32), np.zeros(2, np.float32), np.eye(4, dtype=np.float32))
+    whole = Forecast(steps[:, 0], None, steps, (tracked,), steps.swapaxes(0, 1) > 1)
+    now = read_later(whole, 0, Shift(), 2)
+    assert now.objects == (tracked,)
+    np.testing.assert_array_equal(now.velocity, steps[:3])
+    later = read_later(whole, 2, Shift(columns=1), 2)
+    assert later.objects == ()
+    assert (
+        later.velocity[:, 0, 0].tolist()
+        == [[2.0, 2.0, pytest.approx(np.nan, nan_ok=True)]] + [[3.0, 3.0, pytest.approx(np.nan, nan_ok=True)]] * 2
+    )
+    assert later.futures.dtype == np.bool_
+    assert later.futures[1, :, 0].tolist() == [[True, True, False]] * 3
+    alone = Forecast(whole.occupancy, velocity=steps[0])
+    np.testing.assert_array_equal(read_later(alone, 0, Shift(), 2).velocity, steps[0])
+    assert read_later(alone, 1, Shift(), 2).velocity is None
 
 
 def test_a_busy_tracker_misses_frames_and_its_newest_forecast_in_time_is_scored(settings, record, progress, tmp_path):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tomllib
+from dataclasses import replace
 
 import pytest
 import tomli_w
@@ -14,7 +15,9 @@ from gridtrack.evaluation.comparison.recipe import Recipe
 from gridtrack.evaluation.comparison.train import train_tracker
 from gridtrack.evaluation.results.summary import read_summary
 from gridtrack.evaluation.results.trial_record import read_trial_record
-from gridtrack.recordings import import_recording
+from gridtrack.recordings import RecordingInfo, import_recording, write_native
+from gridtrack.recordings.recorded_time import WALL_CLOCK_FROM_NS
+from tests.evaluation.conftest import RATE_HZ, SECONDS, scan
 
 
 @pytest.fixture
@@ -93,7 +96,7 @@ def test_frames_that_weights_were_selected_on_are_refused(compare, room):
 
 def test_an_allowed_leak_is_marked_in_table_summary_record_and_page_and_is_not_ranked(compare, room, tmp_path):
     output = compare(f"{room}@0s-9s", "--allow-leak")
-    assert "| ok, learned from these frames |" in output
+    assert "| static-map (ok, learned from these frames) |" in output
     run = tmp_path / "run"
     found = read_summary(run)
     assert "static-map/room.toml was trained on frames" in found.trackers["static-map"].recordings["room@0s-9s"].leak
@@ -121,6 +124,45 @@ def test_a_card_of_an_earlier_version_is_compared_by_the_hash_and_the_seconds(ro
     imported = import_recording(room, tmp_path / "imported.mcap", site="room").path
     with pytest.raises(ConfigurationError, match=r"imported\.mcap@2s-9s, 2 s to 4 s"):
         compare(f"{imported}@2s-9s")
+
+
+def test_frames_of_another_site_at_the_same_time_of_the_day_are_no_leak(tmp_path, compare):
+    """General weights, and those of a site that started from them, learned at many sites: on one day, it may be."""
+    yard, hall = (recorded_today(tmp_path / f"{site}.mcap", site) for site in ("yard", "hall"))
+    weights = tmp_path / "weights"
+    general = Recipe(
+        tracker="static-map",
+        recordings=(f"{yard}@0s-10s",),
+        validation=(f"{yard}@10s-20s",),
+        general=True,
+        out=weights,
+    )
+    path = train_tracker(general, lambda text: None)
+    card = tomllib.loads(path.read_text())
+    assert [data["site"] for data in (*card["train"], *card["validation"])] == ["yard", "yard"]
+    compare(f"{hall}@2s-9s")
+    record = read_trial_record(tmp_path / "run" / "static-map@hall@2s-9s")
+    assert (record.outcome, record.card, record.leak) == ("ok", "general", "")
+    second_laser = import_recording(hall, tmp_path / "second.mcap", site="yard").path
+    with pytest.raises(
+        ConfigurationError, match=r"trained on frames of the test stretch second\.mcap@2s-9s, 2 s to 9 s"
+    ):
+        compare(f"{second_laser}@2s-9s", "--resume")
+    for data in (*card["train"], *card["validation"]):
+        del data["site"]
+    path.write_text(tomli_w.dumps(card))
+    with pytest.raises(ConfigurationError, match=r"trained on frames of the test stretch hall\.mcap@2s-9s, 2 s to 9 s"):
+        compare(f"{hall}@2s-9s", "--resume")
+
+
+def recorded_today(path, site):
+    """A recording like that of `record`, at its own site, with stamps that are times of the day."""
+    info = RecordingInfo(site=site, grid="40x0.2@-1,-4", rate_hz=RATE_HZ, stretches={})
+    wall_m = 3.0 if site == "yard" else 2.5
+    scans = (scan(index, wall_m=wall_m) for index in range(SECONDS * RATE_HZ))
+    with path.open("wb") as file:
+        write_native(file, info, (replace(one, stamp_ns=one.stamp_ns + WALL_CLOCK_FROM_NS) for one in scans))
+    return path
 
 
 def test_a_tracker_that_names_no_training_data_on_its_card_cannot_hide_it(record, tmp_path, install):

@@ -13,17 +13,21 @@ import polars as pl
 import pytest
 
 from gridtrack.common.errors import GridtrackError, WeightsError
-from gridtrack.evaluation.comparison import plan
+from gridtrack.evaluation.comparison import plan, run_folder, works
 from gridtrack.evaluation.comparison.learned import find_weights
 from gridtrack.evaluation.comparison.plan import resolve
 from gridtrack.evaluation.comparison.recipe import Recipe
 from gridtrack.evaluation.comparison.runner import run
+from gridtrack.evaluation.comparison.shared_inputs import SharedInputs
 from gridtrack.evaluation.comparison.train import train_tracker
+from gridtrack.evaluation.regression.measurement import Unmeasured
 from gridtrack.evaluation.regression.measuring import measure_run
 from gridtrack.evaluation.results.columns import HISTOGRAM_TABLE, SCORES_TABLE
 from gridtrack.evaluation.results.files import RunError
 from gridtrack.evaluation.results.trial_record import read_trial_record
 from gridtrack.reports.run import read_runs
+
+from scenes import truth_scene
 
 
 @pytest.fixture
@@ -65,6 +69,29 @@ def test_a_run_is_continued_with_more_trackers_and_recordings_and_keeps_its_scor
     scores = {label: row.recordings for label, row in summary.trackers.items()}
     assert scores["still"]["room"].strata == scores["persistence"]["room"].strata
     assert scores["persistence"]["other"].outcome == "ok"
+
+
+def test_trials_kept_from_other_versions_are_told_in_every_further_run(settings, monkeypatch, progress):
+    def notices(versions, *trackers):
+        monkeypatch.setattr(run_folder, "versions", lambda: versions)
+        summary = run(resolve(settings(*trackers, resume=True)), (), progress)
+        return [notice for notice in summary.notices if "trials kept" in notice]
+
+    first, later = {"gridtrack": "0.1.0", "numpy": "2.1", "mcap": "1"}, {"gridtrack": "0.2.0", "mcap": "1"}
+    told = "trials kept from a run with gridtrack 0.1.0, numpy 2.1: 1; now gridtrack 0.2.0, no numpy"
+    assert notices(first, "blank") == []
+    assert notices(first, "blank") == []
+    assert notices(later, "blank", "persistence") == [told]
+    assert notices(later, "blank", "persistence") == [told]
+    newest = later | {"mcap": "2"}
+    assert notices(newest, "blank", "persistence") == [told, "trials kept from a run with mcap 1: 2; now mcap 2"]
+
+
+def test_a_trial_that_runs_again_is_not_kept_from_other_versions(settings, tmp_path, monkeypatch, progress):
+    run(resolve(settings("blank")), (), progress)
+    (tmp_path / "run" / "blank@room" / SCORES_TABLE.file).unlink()
+    monkeypatch.setattr(run_folder, "versions", lambda: {"gridtrack": "0.2.0"})
+    assert not [n for n in run(resolve(settings("blank", resume=True)), (), progress).notices if "trials kept" in n]
 
 
 def test_a_run_is_not_continued_without_a_tracker_or_a_recording_of_it(settings, record, progress):
@@ -121,6 +148,42 @@ def test_what_a_tracker_has_scored_that_no_longer_starts_is_kept(settings, stage
     assert summary.trackers["staged"].recordings["room"].outcome == "ok"
     (line,) = [line for line in progress.notes if "does not start" in line]
     assert line.startswith("staged: what it has scored is kept, but it does not start now: unavailable: ")
+
+
+def test_a_trial_that_fails_before_it_starts_leaves_no_scores_of_the_earlier_run(
+    settings, staged, tmp_path, progress, monkeypatch
+):
+    run(resolve(settings("staged")), ("gridtrack", "compare"), progress)
+    measure_run(tmp_path / "run")
+    edit(staged, "self.last[None]", "0.5 * self.last[None]")
+
+    def lost(*_):
+        raise OSError(5, "Input/output error")
+
+    monkeypatch.setattr(SharedInputs, "regions_of", lost)
+    summary = run(resolve(settings("staged", resume=True)), ("gridtrack", "compare"), progress)
+    assert summary.trackers["staged"].recordings["room"].outcome == "failed"
+    record = read_trial_record(tmp_path / "run" / "staged@room")
+    assert (record.outcome, record.frames_scored) == ("failed", 0)
+    with pytest.raises(Unmeasured, match=r"staged@room: failed: OSError: .*Input/output error"):
+        measure_run(tmp_path / "run")
+
+
+def test_an_oracle_that_fails_before_it_starts_leaves_no_scores_of_the_earlier_run(
+    settings, tmp_path, progress, monkeypatch
+):
+    scored = settings("persistence", recordings=(str(truth_scene.write_recording(tmp_path / "scene.mcap")),))
+    run(resolve(scored), (), progress)
+    oracle = tmp_path / "run" / "oracle@scene"
+    (oracle / HISTOGRAM_TABLE.file).unlink()
+
+    def lost(*_):
+        raise OSError(5, "Input/output error")
+
+    monkeypatch.setattr(works, "run_oracle", lost)
+    run(resolve(scored.model_copy(update={"resume": True})), (), progress)
+    assert read_trial_record(oracle) is None
+    assert read_trial_record(tmp_path / "run" / "persistence@scene").outcome == "ok"
 
 
 def test_the_suggested_training_has_the_grid_and_rate_of_the_comparison(settings):

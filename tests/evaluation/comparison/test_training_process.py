@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -16,9 +17,11 @@ from gridtrack.common.errors import ConfigurationError, PluginError, WeightsErro
 from gridtrack.evaluation.comparison.recipe import Recipe
 from gridtrack.evaluation.comparison.stored_stretch import StoredStretch, store_stretch
 from gridtrack.evaluation.comparison.train import train_tracker
+from gridtrack.recordings import RecordingInfo, write_native
 from gridtrack.recordings.stream import frame_digest, open_stream
 from gridtrack.trackers.weights import read_card
 from tests.conftest import PLUGINS
+from tests.evaluation.conftest import RATE_HZ, SECONDS, scan
 
 FITS = '''
 import os, time
@@ -111,6 +114,47 @@ def test_a_training_that_fails_is_one_line(how, error, message, record, tmp_path
             Recipe(tracker="fits", options={"how": how}, recordings=(str(record()),), out=tmp_path), lambda _: None
         )
     assert "\n" not in str(raised.value)
+
+
+@pytest.mark.parametrize("differs", ["site", "grid", "period"])
+@pytest.mark.parametrize("validates", [False, True])
+@pytest.mark.usefixtures("fits")
+def test_stretches_of_another_place_are_refused_before_the_training(differs, validates, record, tmp_path):
+    """Here every training fails, so a line of another reason says that it began."""
+    room = str(record())
+    other = str(stretch_of_another(tmp_path / "other.mcap", differs))
+    first, named = f"{room}@0s-4s", f"{other}@10s-14s"
+    stretches = {"recordings": (first,), "validation": (f"{room}@5s-9s", named)}
+    if not validates:
+        stretches = {"recordings": (first, named), "validation": (f"{room}@5s-9s",)}
+    here, there = PLACES[differs]
+    with pytest.raises(
+        WeightsError,
+        match=rf"^other\.mcap@10s-14s has the {differs} {re.escape(there)}, but room\.mcap@0s-4s {re.escape(here)}:"
+        r" train and validate on recordings of one grid, period and site, or for any place with --general$",
+    ):
+        train_tracker(Recipe(tracker="fits", out=tmp_path / "weights", **stretches), lambda text: None)
+    with pytest.raises(PluginError, match="its training failed: ValueError"):
+        train_tracker(Recipe(tracker="fits", out=tmp_path / "weights", general=True, **stretches), lambda text: None)
+
+
+PLACES = {
+    "site": ("'room'", "'elsewhere'"),
+    "grid": ("40x0.2@-1,-4", "20x0.4@-1,-4"),
+    "period": ("0.1 s", "0.2 s"),
+}
+
+
+def stretch_of_another(path, differs):
+    """A recording like that of `record`, but for its site, grid or period."""
+    info = RecordingInfo(
+        site="elsewhere" if differs == "site" else "room",
+        grid="20x0.4@-1,-4" if differs == "grid" else "40x0.2@-1,-4",
+        rate_hz=5 if differs == "period" else RATE_HZ,
+    )
+    with path.open("wb") as file:
+        write_native(file, info, (scan(index) for index in range(SECONDS * RATE_HZ)))
+    return path
 
 
 def test_an_unknown_option_is_refused_before_the_recording_is_read(tmp_path):

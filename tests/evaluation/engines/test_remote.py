@@ -171,6 +171,36 @@ def test_an_interrupt_ends_a_run_whose_works_have_nothing_to_reply(settings, pro
     assert (summary.interrupted, trial.outcome, trial.frames_scored) == (True, "interrupted", 0)
 
 
+def test_a_cluster_that_does_not_cancel_is_a_note_and_the_scores_are_kept(
+    settings, progress, tmp_path, cluster, monkeypatch
+):
+    cancel, told = cluster.cancel, progress.advanced
+
+    def silent(tasks, *, force):
+        cancel(tasks, force=force)
+        raise EngineError("no answer: some may still run")
+
+    def advanced(trial):
+        told(trial)
+        if progress.delivered[trial] == 120:
+            os.kill(os.getpid(), signal.SIGINT)
+
+    monkeypatch.setattr(cluster, "cancel", silent)
+    monkeypatch.setattr(cluster, "close", lambda: silent([], force=True))
+    progress.advanced = advanced
+    trial = compare(settings("staged:sleep_s=0.05"), progress).trackers["staged"].recordings["room"]
+    assert (trial.outcome, trial.frames_scored > 0) == ("interrupted", True)
+    assert [note for note in progress.notes if "no answer" in note] == ["no answer: some may still run"]
+    assert not (tmp_path / "run" / ".engine").exists()
+
+
+def test_an_error_of_the_cluster_leaves_no_scratch_behind(progress, tmp_path, cluster, monkeypatch):
+    monkeypatch.setattr(cluster, "close", (tmp_path / "none").read_text)
+    with pytest.raises(FileNotFoundError), RemoteEngine(cluster, tmp_path, progress):
+        assert (tmp_path / ".engine").exists()
+    assert not (tmp_path / ".engine").exists()
+
+
 def test_a_machine_that_ended_a_work_by_itself_is_as_good_as_lost(settings, progress, cluster):
     """As where a scheduler needs the machine for somebody else."""
     told, preempted = progress.advanced, []

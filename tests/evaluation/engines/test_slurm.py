@@ -14,6 +14,7 @@ from gridtrack.evaluation.comparison.runner import run
 from gridtrack.evaluation.comparison.worker import carry_out
 from gridtrack.evaluation.engines import slurm_cluster
 from gridtrack.evaluation.engines.attempt import Attempt, EngineError
+from gridtrack.evaluation.engines.remote import RemoteEngine
 from gridtrack.evaluation.engines.slurm_cluster import SlurmCluster, SlurmTask
 from gridtrack.evaluation.engines.slurm_settings import SlurmSettings, parse_slurm
 from gridtrack.evaluation.results.summary import read_summary
@@ -186,6 +187,22 @@ def test_a_slurm_that_does_not_answer_is_one_line(settings, progress, tmp_path, 
     with pytest.raises(ConfigurationError, match="--engine slurm: no Slurm cluster answers here") as refused:
         run(resolve(settings("persistence", engine="slurm")), (), progress)
     assert "\n" not in str(refused.value)
+
+
+def test_a_slow_scancel_is_a_note_that_says_what_to_do(progress, tmp_path, monkeypatch):
+    for name, does in (("sinfo", "echo 'low*|4|idle|'"), ("scancel", "exec sleep 60")):
+        (tmp_path / name).write_text(f"#!/bin/sh\n{does}\n", "utf-8")
+        (tmp_path / name).chmod(0o755)
+    monkeypatch.setenv("PATH", str(tmp_path), prepend=":")
+    cluster = SlurmCluster(SlurmSettings(), 1, carry_out)
+    monkeypatch.setattr(slurm_cluster, "ANSWER_S", 0.2)
+    (tmp_path / "run").mkdir()
+    with RemoteEngine(cluster, tmp_path / "run", progress) as engine:
+        engine.cancel()
+    (note,) = [note for note in progress.notes if "scancel" in note]
+    assert note.startswith("scancel: no answer for 0.2 s: jobs of this run may still wait or run")
+    assert "`scancel --name=gridtrack-" in note
+    assert not (tmp_path / "run" / ".engine").exists()
 
 
 def test_a_machine_without_slurm_is_one_line(settings, progress, tmp_path, monkeypatch):

@@ -42,8 +42,15 @@ pytestmark = pytest.mark.skipif(bool(_unavailable()), reason=_unavailable())
 def attack(burglar, tmp_path) -> Attack:
     """`attack(name, target, sandbox=True)` starts the burglar, and gives what it found."""
 
-    def attack(name: str, target: object = "", confined: bool = True, recordings: tuple[Path, ...] = ()) -> Any:
-        log = tmp_path / "run" / "burglar@room" / "stderr.log"
+    default = tmp_path / "run" / "burglar@room" / "stderr.log"
+
+    def attack(
+        name: str,
+        target: object = "",
+        confined: bool = True,
+        recordings: tuple[Path, ...] = (),
+        log: Path = default,
+    ) -> Any:
         log.parent.mkdir(parents=True, exist_ok=True)
         limits, options = Limits(memory_mb=MEMORY_MB, sandbox=confined), {"attack": name, "target": str(target)}
         with TrackerProcess(launch("burglar"), StreamSpec(GridSpec(20, 0.2), 0.125), options, limits, log, recordings):
@@ -72,6 +79,17 @@ def test_recordings_and_runs_in_its_own_folder_are_hidden(attack, tmp_path):
     assert attack("reads", scans) == b"recorded".hex()
     assert attack("reads", scans, recordings=(scans, bag)) == ""
     assert attack("reads", bag / "metadata.yaml", recordings=(scans, bag)) == ""
+
+
+@pytest.mark.parametrize("place", ["burglar@room", ".engine/tmp1/3.1/files"], ids=["local", "cluster"])
+def test_the_forecasts_of_the_other_trials_of_its_run_are_hidden(attack, tmp_path, place):
+    """Their samples show the future of the frames that it receives."""
+    run = tmp_path / "site" / "run"
+    samples = run / "persistence@room" / "forecasts.mcap"
+    samples.parent.mkdir(parents=True)
+    samples.write_bytes(b"recorded")
+    assert attack("reads", samples, False, log=run / place / "stderr.log") == b"recorded".hex()
+    assert attack("reads", samples, log=run / place / "stderr.log") == ""
 
 
 @pytest.mark.parametrize("confined", [False, True], ids=["open", "sandbox"])

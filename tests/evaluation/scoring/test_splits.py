@@ -4,7 +4,7 @@ import pytest
 
 from gridtrack.common.errors import ConfigurationError, PluginError, RecordingError, WeightsError
 from gridtrack.common.grid import GridSpec
-from gridtrack.evaluation.comparison.learned import find_weights, user_weights_folder, weights_path
+from gridtrack.evaluation.comparison.learned import find_weights, user_weights_folder, weights_in, weights_path
 from gridtrack.evaluation.comparison.plan import resolve
 from gridtrack.evaluation.comparison.recipe import Recipe
 from gridtrack.evaluation.comparison.settings import CompareSettings
@@ -177,6 +177,49 @@ def test_weights_are_found_in_the_given_folder_then_the_users_then_the_package(t
     learned(tmp_path / "given")
     assert find_weights("static-map", "room", tmp_path / "given").card.command == str(tmp_path / "given")
     assert find_weights("static-map", "elsewhere", tmp_path / "given", "site") is None
+
+
+def test_weights_of_a_site_choose_no_thresholds_at_another_one(record, tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path / "home"))
+    elsewhere = import_recording(record("other", wall_m=2.2), tmp_path / "elsewhere.mcap", site="elsewhere").path
+    chosen_there = {"recordings": (str(record()),), "validation": f"{elsewhere}@4s-9s", "out": tmp_path / "run"}
+    learned(tmp_path / "site")
+    with pytest.raises(
+        ConfigurationError,
+        match=r"^static-map: its weights are of the site 'room', and its thresholds would be chosen on"
+        r" elsewhere\.mcap@4s-9s of the site 'elsewhere': name a --validation stretch of the site 'room', or compare"
+        r" general weights \(--tracker static-map:card=general\)$",
+    ):
+        resolve(CompareSettings(trackers=("persistence", "static-map"), weights=tmp_path / "site", **chosen_there))
+    resolve(CompareSettings(trackers=("persistence",), **chosen_there))
+    general = Recipe(
+        tracker="static-map",
+        recordings=(f"{elsewhere}@10s-15s",),
+        validation=(f"{elsewhere}@15s-20s",),
+        general=True,
+        out=tmp_path / "site",
+    )
+    train_tracker(general, lambda text: None)
+    (trial,) = resolve(
+        CompareSettings(trackers=("static-map:card=general",), weights=tmp_path / "site", **chosen_there)
+    ).trials
+    assert trial.weights.card.general
+
+
+@pytest.mark.parametrize("site", ["Hall A", "../room"])
+def test_a_row_at_a_site_whose_name_names_no_file_has_the_general_weights_of_its_folder(site, tmp_path):
+    with pytest.raises(
+        WeightsError, match=rf"^{tmp_path}: no weights of .* \({tmp_path}/static-map/general.toml is missing"
+    ):
+        weights_in(tmp_path, "static-map", site)
+    card = {"cells_m": (0.1, 0.2), "periods_s": (0.1, 0.1), "seed": 0, "command": "", "train": ()}
+    path = weights_path(tmp_path, "static-map", "general")
+    save_weights(path, Card(tracker="static-map", site="general", **card), {})
+    for kind in ("any", "general"):
+        assert weights_in(tmp_path, "static-map", site, kind).path == path
+        assert find_weights("static-map", site, tmp_path, kind).path == path
+    with pytest.raises(WeightsError, match="cannot name a weights file"):
+        weights_in(tmp_path, "static-map", site, "site")
 
 
 def test_a_sites_name_cannot_lead_out_of_the_folder(tmp_path):
