@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Iterable, Mapping, Sequence
+from collections import defaultdict
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import combinations
@@ -42,7 +43,7 @@ class Trial:
     seed: int
     limits: Limits
     others: tuple[EvaluationSplit, ...] = ()
-    """The other splits of the run: its tracker is not to be trained on these either."""
+    """The other splits of its recording: its tracker is not to be trained on these either."""
 
     @property
     def label(self) -> str:
@@ -207,9 +208,9 @@ def resolve(settings: CompareSettings, splits: tuple[EvaluationSplit, ...] | Non
             weights[selection.label, split.test.site],
             settings.seed,
             settings.limits,
-            tuple(other for other in splits if other is not split),
+            others,
         )
-        for split in splits
+        for split, others in zip(splits, _others_of_recording(splits), strict=True)
         for selection in selections
     )
     for trial in trials:
@@ -281,6 +282,14 @@ def _refuse_overlaps(splits: tuple[EvaluationSplit, ...]) -> None:
                 f"{one.test.name} and {other.test.name} are of one source and have {shared_ns / 1e9:.10g} s in common:"
                 " leave one out, or name stretches that do not overlap"
             )
+
+
+def _others_of_recording(splits: Sequence[EvaluationSplit]) -> Iterator[tuple[EvaluationSplit, ...]]:
+    """For each split the others of its recording."""
+    of_path: dict[Path, list[EvaluationSplit]] = defaultdict(list)
+    for split in splits:
+        of_path[split.path].append(split)
+    return (tuple(other for other in of_path[split.path] if other is not split) for split in splits)
 
 
 def _refuse_thresholds_of_another_site(trial: Trial) -> None:
