@@ -113,17 +113,23 @@ def test_only_scores_of_which_more_or_less_is_better_are_ranked(page):
     assert "Beam bias, m" in page.locator("#curves").get_by_label("Score").locator("option").all_inner_texts()
 
 
-def test_a_choice_that_another_recording_does_not_have_leaves_the_figure_whole(browser, run_folder, tmp_path):
-    """Hidden cells are scored on one recording only."""
-    run = shutil.copytree(run_folder, tmp_path / "run")
+def with_again(run_folder, folder, change):
+    """The run with a recording more, `again`; `change` gets the strata of each row on `crossing` and on `again`."""
+    run = shutil.copytree(run_folder, folder / "run")
     summary, record = (json.loads((run / name).read_text()) for name in ("summary.json", "run.json"))
     for recordings in (summary["recordings"], record["configuration"]["recordings"]):
         recordings["again"] = recordings["crossing"]
     for row in summary["trackers"].values():
         again = row["recordings"]["again"] = copy.deepcopy(row["recordings"]["crossing"])
-        again["strata"]["occluded"] = again["strata"]["visible"]
+        change(row["recordings"]["crossing"]["strata"], again["strata"])
     (run / "summary.json").write_text(json.dumps(summary))
     (run / "run.json").write_text(json.dumps(record))
+    return run
+
+
+def test_a_choice_that_another_recording_does_not_have_leaves_the_figure_whole(browser, run_folder, tmp_path):
+    """Hidden cells are scored on one recording only."""
+    run = with_again(run_folder, tmp_path, lambda _, again: again.update(occluded=again["visible"]))
     page = browser.new_page()
     page.set_default_timeout(20_000)
     faults = []
@@ -151,17 +157,12 @@ def without_scores(scores):
 
 def test_cells_without_a_score_that_ranks_are_not_offered_and_leave_no_other_ranking(browser, run_folder, tmp_path):
     """A stratum of one recording has no cells, and another recording has none at all."""
-    run = shutil.copytree(run_folder, tmp_path / "run")
-    summary, record = (json.loads((run / name).read_text()) for name in ("summary.json", "run.json"))
-    for recordings in (summary["recordings"], record["configuration"]["recordings"]):
-        recordings["again"] = recordings["crossing"]
-    for row in summary["trackers"].values():
-        strata = row["recordings"]["crossing"]["strata"]
-        empty = {name: without_scores(scores) for name, scores in strata.items()}
-        row["recordings"]["again"] = {**row["recordings"]["crossing"], "strata": empty}
-        strata["visible over 10 m"] = empty["visible"]
-    (run / "summary.json").write_text(json.dumps(summary))
-    (run / "run.json").write_text(json.dumps(record))
+
+    def empty(strata, again):
+        again.update({name: without_scores(scores) for name, scores in strata.items()})
+        strata["visible over 10 m"] = again["visible"]
+
+    run = with_again(run_folder, tmp_path, empty)
     page = browser.new_page()
     page.set_default_timeout(20_000)
     faults = []
