@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence, Set
 from dataclasses import replace
-from fnmatch import fnmatchcase
 
-from gridtrack.common.errors import ConfigurationError, did_you_mean
+from gridtrack.reports.patterns import names_matching
 from gridtrack.reports.run import ReportedRun
 from gridtrack.reports.table import HeadlineTable
 
@@ -21,12 +20,8 @@ def chosen_runs(runs: Sequence[ReportedRun], recordings: str) -> tuple[ReportedR
     """
     if not recordings:
         return tuple(runs)
-    patterns = [pattern.strip() for pattern in recordings.split(",")]
     names = list(dict.fromkeys(name for run in runs for name in run.recordings))
-    for pattern in patterns:
-        if not any(fnmatchcase(name, pattern) for name in names):
-            raise ConfigurationError(f"--recordings '{pattern}': no such recording: {did_you_mean(pattern, names)}")
-    chosen = {name for name in names if any(fnmatchcase(name, pattern) for pattern in patterns)}
+    chosen = names_matching(recordings, names, "--recordings", "recording")
     return tuple(_with_recordings(run, chosen) for run in runs if chosen.intersection(run.recordings))
 
 

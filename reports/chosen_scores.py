@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
-from fnmatch import fnmatchcase
 
 from gridtrack.common.errors import ConfigurationError, did_you_mean
 from gridtrack.common.horizons import nearest_step
@@ -13,6 +12,7 @@ from gridtrack.evaluation.results.trial_summary import TrialSummary, better_dire
 from gridtrack.evaluation.scoring.strata import STRATA_WITH_TRUTH
 from gridtrack.reports.differences import DifferenceTable, difference_table
 from gridtrack.reports.main_result import lead_of
+from gridtrack.reports.patterns import names_matching
 from gridtrack.reports.run import ReportedRun
 from gridtrack.reports.score_frames import SCORES
 from gridtrack.reports.table import (
@@ -79,20 +79,11 @@ def exported_tables(runs: Sequence[ReportedRun], rows: str = "", columns: str = 
     `rows`: patterns of labels as of file names, separated by commas; `columns`: as of parse_score_choices. Empty: those
     of the headline table. Raises ConfigurationError where nothing matches, RunError and ReportError.
     """
-    patterns = [pattern.strip() for pattern in rows.split(",")] if rows else ["*"]
     choices = parse_score_choices(columns) if columns else ()
-    _check_rows(runs, patterns)
+    labels = names_matching(rows or "*", [label for run in runs for label in run.summary.trackers], "--rows", "row")
     _check_strata(runs, choices)
-    exported = (_exported(runs, table, patterns, choices) for table in headline_tables(runs))
+    exported = (_exported(runs, table, labels, choices) for table in headline_tables(runs))
     return tuple(one for one in exported if one.table.rows)
-
-
-def _check_rows(runs: Sequence[ReportedRun], patterns: Sequence[str]) -> None:
-    """Every pattern matches a row, so that a misspelt one is not a table without it."""
-    labels = [label for run in runs for label in run.summary.trackers]
-    for pattern in patterns:
-        if not any(fnmatchcase(label, pattern) for label in labels):
-            raise ConfigurationError(f"--rows '{pattern}': no such row: {did_you_mean(pattern, labels)}")
 
 
 def _check_strata(runs: Sequence[ReportedRun], choices: Sequence[ScoreChoice]) -> None:
@@ -105,10 +96,10 @@ def _check_strata(runs: Sequence[ReportedRun], choices: Sequence[ScoreChoice]) -
 
 
 def _exported(
-    runs: Sequence[ReportedRun], table: HeadlineTable, patterns: Sequence[str], choices: Sequence[ScoreChoice]
+    runs: Sequence[ReportedRun], table: HeadlineTable, labels: Collection[str], choices: Sequence[ScoreChoice]
 ) -> ExportedTable:
     columns = tuple(_column(choice, table.horizons_s) for choice in choices) or table.columns
-    shown = [row for row in table.rows if any(fnmatchcase(row.label, pattern) for pattern in patterns)]
+    shown = [row for row in table.rows if row.label in labels]
     if choices:
         shown = [replace(row, cells=tuple(_cell(column, row.trial) for column in columns)) for row in shown]
     else:

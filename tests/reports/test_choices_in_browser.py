@@ -3,6 +3,7 @@
 import copy
 import json
 import shutil
+from contextlib import contextmanager
 
 import pytest
 
@@ -113,6 +114,20 @@ def test_only_scores_of_which_more_or_less_is_better_are_ranked(page):
     assert "Beam bias, m" in page.locator("#curves").get_by_label("Score").locator("option").all_inner_texts()
 
 
+@contextmanager
+def without_faults(browser, run):
+    """The page of a run, drawn; no script of it has raised in the end."""
+    page = browser.new_page()
+    page.set_default_timeout(20_000)
+    faults = []
+    page.on("pageerror", lambda error: faults.append(str(error)))
+    page.goto(render_report([run]).as_uri())
+    page.locator("#every-score table").wait_for()
+    yield page
+    assert faults == []
+    page.close()
+
+
 def with_again(run_folder, folder, change):
     """The run with a recording more, `again`; `change` gets the strata of each row on `crossing` and on `again`."""
     run = shutil.copytree(run_folder, folder / "run")
@@ -130,21 +145,14 @@ def with_again(run_folder, folder, change):
 def test_a_choice_that_another_recording_does_not_have_leaves_the_figure_whole(browser, run_folder, tmp_path):
     """Hidden cells are scored on one recording only."""
     run = with_again(run_folder, tmp_path, lambda _, again: again.update(occluded=again["visible"]))
-    page = browser.new_page()
-    page.set_default_timeout(20_000)
-    faults = []
-    page.on("pageerror", lambda error: faults.append(str(error)))
-    page.goto(render_report([run]).as_uri())
-    page.locator("#every-score table").wait_for()
-    for figure in ("ranking", "curves", "every-score"):
-        recording, cells = (page.locator(f'#{figure} .choice:has(span:text-is("{name}")) select') for name in NAMES)
-        recording.select_option("again")
-        cells.select_option("occluded")
-        recording.select_option("crossing")
-        assert cells.input_value() != "occluded"
-        assert page.locator(f"#{figure} select:visible").count() >= 3
-    assert faults == []
-    page.close()
+    with without_faults(browser, run) as page:
+        for figure in ("ranking", "curves", "every-score"):
+            recording, cells = (page.locator(f'#{figure} .choice:has(span:text-is("{name}")) select') for name in NAMES)
+            recording.select_option("again")
+            cells.select_option("occluded")
+            recording.select_option("crossing")
+            assert cells.input_value() != "occluded"
+            assert page.locator(f"#{figure} select:visible").count() >= 3
 
 
 def without_scores(scores):
@@ -163,19 +171,12 @@ def test_cells_without_a_score_that_ranks_are_not_offered_and_leave_no_other_ran
         strata["visible over 10 m"] = again["visible"]
 
     run = with_again(run_folder, tmp_path, empty)
-    page = browser.new_page()
-    page.set_default_timeout(20_000)
-    faults = []
-    page.on("pageerror", lambda error: faults.append(str(error)))
-    page.goto(render_report([run]).as_uri())
-    page.locator("#every-score table").wait_for()
-    offered = page.locator("#ranking").get_by_label("Cells").locator("option").all_inner_texts()
-    assert "visible cells" in offered
-    assert "visible over 10 m cells" not in offered
-    assert page.locator("#ranking .dot").count() > 1
-    page.locator("#ranking").get_by_label("Recording").select_option("again")
-    assert page.locator("#ranking .dot").count() == 0
-    page.locator("#ranking").get_by_label("Recording").select_option("crossing")
-    assert page.locator("#ranking .dot").count() > 1
-    assert faults == []
-    page.close()
+    with without_faults(browser, run) as page:
+        offered = page.locator("#ranking").get_by_label("Cells").locator("option").all_inner_texts()
+        assert "visible cells" in offered
+        assert "visible over 10 m cells" not in offered
+        assert page.locator("#ranking .dot").count() > 1
+        page.locator("#ranking").get_by_label("Recording").select_option("again")
+        assert page.locator("#ranking .dot").count() == 0
+        page.locator("#ranking").get_by_label("Recording").select_option("crossing")
+        assert page.locator("#ranking .dot").count() > 1
